@@ -1,0 +1,197 @@
+"""Frames: attitude angles and vectors -> the same in world, body or camera axes. Only this file knows the sign flips.
+
+world   x along the runway in the landing direction, y left, z up, origin on the floor under the marker
+body    x nose, y right wing, z belly (the textbook's aircraft axes)
+camera  x right, y down, z forward (OpenCV)
+
+Textbooks write attitude against north-east-down axes. Ours is that frame turned by half a turn about x, so
+R_world_body = diag(1, -1, -1) @ Rz(yaw) @ Ry(pitch) @ Rx(roll)   [Stevens, Lewis & Johnson, Aircraft Control
+and Simulation, 3rd ed., eq. 1.3-20, with our flip in front]. Roll is positive right wing down, pitch nose up, yaw nose right.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from falconwing_kit.core.checks import Array
+
+# Camera axes seen from the body: the mount is a plain permutation.
+R_BODY_CAMERA: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+GRAVITY = 9.8  # m/s^2, the value of the paper's appendix
+
+
+def rotation_world_body(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
+    """Rotation that turns body vectors into world vectors.
+
+    Args:
+        roll: (...) [rad], positive right wing down.
+        pitch: (...) [rad], positive nose up.
+        yaw: (...) [rad], positive nose right, zero along world x.
+
+    Returns:
+        R_world_body (..., 3, 3); columns are nose, right wing and belly in the world.
+    """
+    entries = rotation_entries(*np.broadcast_arrays(roll, pitch, yaw))
+    R_world_body = np.stack([np.stack(np.broadcast_arrays(*row), axis=-1) for row in entries], axis=-2)
+    return R_world_body.astype(np.float64)
+
+
+def rotation_entries(roll, pitch, yaw):  # type: ignore[no-untyped-def]
+    """The nine entries of R_world_body, row by row, each of the angles' shape.
+
+    The aircraft model uses this form: on batches it is several times faster than stacked matrices, and
+    it is plain arithmetic that also compiles.
+
+    Args:
+        roll: (...) [rad].
+        pitch: (...) [rad].
+        yaw: (...) [rad].
+
+    Returns:
+        Three rows of three entries, each (...).
+    """
+    sin_roll, cos_roll = np.sin(roll), np.cos(roll)
+    sin_pitch, cos_pitch = np.sin(pitch), np.cos(pitch)
+    sin_yaw, cos_yaw = np.sin(yaw), np.cos(yaw)
+    sin_roll_sin_pitch, cos_roll_sin_pitch = sin_roll * sin_pitch, cos_roll * sin_pitch
+    return (
+        (
+            cos_pitch * cos_yaw,
+            sin_roll_sin_pitch * cos_yaw - cos_roll * sin_yaw,
+            cos_roll_sin_pitch * cos_yaw + sin_roll * sin_yaw,
+        ),
+        (
+            -cos_pitch * sin_yaw,
+            -sin_roll_sin_pitch * sin_yaw - cos_roll * cos_yaw,
+            sin_roll * cos_yaw - cos_roll_sin_pitch * sin_yaw,
+        ),
+        (sin_pitch, -sin_roll * cos_pitch, -cos_roll * cos_pitch),
+    )
+
+
+def euler_from_rotation(R_world_body: ArrayLike) -> tuple[Array, Array, Array]:
+    """Roll, pitch and yaw of a rotation; the inverse of `rotation_world_body` away from pitch = +-90 deg.
+
+    Args:
+        R_world_body: (..., 3, 3).
+
+    Returns:
+        roll in (-pi, pi], pitch in [-pi/2, pi/2], yaw in (-pi, pi], each (...) [rad].
+    """
+    R = np.asarray(R_world_body, dtype=np.float64)
+    roll = np.arctan2(-R[..., 2, 1], -R[..., 2, 2])
+    pitch = np.arcsin(np.clip(R[..., 2, 0], -1.0, 1.0))
+    yaw = np.arctan2(-R[..., 1, 0], R[..., 0, 0])
+    return roll, pitch, yaw
+
+
+def euler_rates(roll, pitch, p, q, r):  # type: ignore[no-untyped-def]
+    """Rates of the attitude angles from body rates [Stevens, Lewis & Johnson, eq. 1.4-4].
+
+    Args:
+        roll: (...) [rad].
+        pitch: (...) [rad], away from +-90 deg.
+        p: (...) roll rate about the nose [rad/s].
+        q: (...) pitch rate about the right wing [rad/s].
+        r: (...) yaw rate about the belly [rad/s].
+
+    Returns:
+        roll_rate, pitch_rate, yaw_rate, each (...) [rad/s].
+    """
+    sin_roll, cos_roll = np.sin(roll), np.cos(roll)
+    sin_pitch, cos_pitch = np.sin(pitch), np.cos(pitch)
+    yaw_rate = (q * sin_roll + r * cos_roll) / cos_pitch
+    return p + sin_pitch * yaw_rate, q * cos_roll - r * sin_roll, yaw_rate
+
+
+def body_rates(
+    roll: ArrayLike, pitch: ArrayLike, roll_rate: ArrayLike, pitch_rate: ArrayLike, yaw_rate: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Body rates from the rates of the attitude angles; the inverse of `euler_rates`.
+
+    Args:
+        roll: (...) [rad].
+        pitch: (...) [rad].
+        roll_rate: (...) [rad/s].
+        pitch_rate: (...) [rad/s].
+        yaw_rate: (...) [rad/s].
+
+    Returns:
+        p, q, r, each (...) [rad/s].
+    """
+    roll, pitch = np.asarray(roll, np.float64), np.asarray(pitch, np.float64)
+    roll_rate, pitch_rate, yaw_rate = (np.asarray(x, np.float64) for x in (roll_rate, pitch_rate, yaw_rate))
+    p = roll_rate - np.sin(pitch) * yaw_rate
+    q = np.cos(roll) * pitch_rate + np.sin(roll) * np.cos(pitch) * yaw_rate
+    r = np.cos(roll) * np.cos(pitch) * yaw_rate - np.sin(roll) * pitch_rate
+    return p, q, r
+
+
+def wrap_angle(angle: ArrayLike) -> Array:
+    """The same angle in [-pi, pi).
+
+    Args:
+        angle: (...) [rad].
+
+    Returns:
+        (...) [rad].
+    """
+    return (np.asarray(angle, np.float64) + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def pose_matrix(R_world_body: ArrayLike, p_world: ArrayLike) -> Array:
+    """T_world_body from its rotation and the body's origin in the world.
+
+    Args:
+        R_world_body: (..., 3, 3).
+        p_world: (..., 3) [m].
+
+    Returns:
+        T_world_body (..., 4, 4).
+    """
+    R, p = np.asarray(R_world_body, np.float64), np.asarray(p_world, np.float64)
+    T = np.zeros((*p.shape[:-1], 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, p, 1.0
+    return T
+
+
+def camera_pose(T_world_body: ArrayLike, p_body_camera: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+    """T_world_camera of a camera that looks along the nose.
+
+    Args:
+        T_world_body: (..., 4, 4).
+        p_body_camera: (3,) where the camera sits, in body axes [m].
+
+    Returns:
+        T_world_camera (..., 4, 4), "world from camera".
+    """
+    T_body_camera = pose_matrix(R_BODY_CAMERA, np.asarray(p_body_camera, np.float64))
+    return np.asarray(np.asarray(T_world_body, np.float64) @ T_body_camera)
+
+
+def euler_from_ned(roll_ned: ArrayLike, pitch_ned: ArrayLike, heading_ned: ArrayLike) -> tuple[Array, Array, Array]:
+    """Attitude as autopilots log it (against north-east-down) -> ours, with world x = north.
+
+    The two frames differ by half a turn about x, which leaves the three angles as they are.
+
+    Args:
+        roll_ned: (...) [rad].
+        pitch_ned: (...) [rad].
+        heading_ned: (...) clockwise from north [rad].
+
+    Returns:
+        roll, pitch, yaw, each (...) [rad].
+    """
+    return np.asarray(roll_ned, np.float64), np.asarray(pitch_ned, np.float64), np.asarray(heading_ned, np.float64)
+
+
+def world_from_enu(v_enu: ArrayLike) -> Array:
+    """East-north-up vectors -> our world with x = north, y = west, z = up.
+
+    Args:
+        v_enu: (..., 3).
+
+    Returns:
+        v_world (..., 3), same unit.
+    """
+    v = np.asarray(v_enu, np.float64)
+    return np.stack([v[..., 1], -v[..., 0], v[..., 2]], axis=-1)

@@ -1,0 +1,126 @@
+"""Messages: what one block of the loop hands to the next. Frozen records with units and frames, nothing else."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falconwing_kit.core.checks import Array, require_range, require_shape
+from falconwing_kit.core.frames import pose_matrix, rotation_world_body
+
+# Order of the state vector: the paper's nine, then the body rates of the rate-augmented form.
+STATE_NAMES = ("px", "py", "pz", "pitch", "yaw", "roll", "vx", "vy", "vz", "p", "q", "r")
+COMMAND_NAMES = ("throttle", "aileron", "elevator", "rudder")
+
+
+@dataclass(frozen=True)
+class Image:
+    """One camera frame."""
+
+    sequence: int  # counts frames since the camera started
+    t: float  # when it was taken [s]
+    pixels: NDArray[np.uint8]  # (height, width, 3) RGB, or its JPEG as (n,) bytes
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the aircraft is and how it is turned: position [m] and attitude [rad] in the world."""
+
+    p_world: Array  # (3,) [m]
+    roll: float  # [rad], right wing down positive
+    pitch: float  # [rad], nose up positive
+    yaw: float  # [rad], nose right positive
+
+    @property
+    def T_world_body(self) -> Array:
+        """The same pose as a matrix (4, 4)."""
+        return pose_matrix(rotation_world_body(self.roll, self.pitch, self.yaw), self.p_world)
+
+
+@dataclass(frozen=True)
+class State:
+    """The paper's nine states, and body rates where a model has them."""
+
+    p_world: Array  # (3,) [m]
+    pitch: float  # [rad]
+    yaw: float  # [rad]
+    roll: float  # [rad]
+    v_world: Array  # (3,) [m/s]
+    rates_body: Array = field(default_factory=lambda: np.zeros(3))  # (3,) p, q, r [rad/s]
+
+    @classmethod
+    def from_vector(cls, vector: Array) -> "State":
+        """State from its vector.
+
+        Args:
+            vector: (9,) or (12,) in the order of STATE_NAMES, SI.
+
+        Returns:
+            The state; body rates are zero where the vector has none.
+
+        Raises:
+            InputError: the vector has another length.
+        """
+        x = require_shape("state", vector, (12 if len(vector) > 9 else 9,))
+        rates = x[9:12] if len(x) == 12 else np.zeros(3)
+        return cls(x[0:3], float(x[3]), float(x[4]), float(x[5]), x[6:9], rates)
+
+    @property
+    def vector(self) -> Array:
+        """(12,) in the order of STATE_NAMES, SI."""
+        return np.concatenate([self.p_world, [self.pitch, self.yaw, self.roll], self.v_world, self.rates_body])
+
+    @property
+    def pose(self) -> Pose:
+        """Position and attitude alone."""
+        return Pose(self.p_world, self.roll, self.pitch, self.yaw)
+
+
+@dataclass(frozen=True)
+class Command:
+    """Stick positions: throttle 0..1, the others -1..1; positive is right wing down, nose up, nose right."""
+
+    throttle: float
+    aileron: float
+    elevator: float
+    rudder: float
+    image_sequence: int = -1  # the image this command answers; -1 where there was none
+    saturated: bool = False  # True where a limit acted
+
+    @classmethod
+    def limited(
+        cls, throttle: float, aileron: float, elevator: float, rudder: float, image_sequence: int = -1
+    ) -> "Command":
+        """A command within its limits; `saturated` says whether a limit acted.
+
+        Args:
+            throttle: wanted throttle, cut to 0..1.
+            aileron: wanted aileron, cut to -1..1.
+            elevator: wanted elevator, cut to -1..1.
+            rudder: wanted rudder, cut to -1..1.
+            image_sequence: the image this command answers.
+
+        Returns:
+            The command.
+
+        Raises:
+            InputError: a value is not finite.
+        """
+        wanted = [require_range(n, v) for n, v in zip(COMMAND_NAMES, (throttle, aileron, elevator, rudder), strict=True)]
+        cut = [min(max(v, low), 1.0) for v, low in zip(wanted, (0.0, -1.0, -1.0, -1.0), strict=True)]
+        return cls(*cut, image_sequence=image_sequence, saturated=cut != wanted)
+
+    @property
+    def vector(self) -> Array:
+        """(4,) in the order of COMMAND_NAMES."""
+        return np.array([self.throttle, self.aileron, self.elevator, self.rudder])
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a controller gets: the newest image, the commands it gave, and the state where one is known."""
+
+    t: float  # [s]
+    image: Image | None
+    past_commands: Array  # (30, 4), oldest first, zero where there was none
+    state: State | None = None
