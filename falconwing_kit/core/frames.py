@@ -84,12 +84,14 @@ def euler_from_rotation(R_world_body: ArrayLike) -> tuple[Array, Array, Array]:
     return roll, pitch, yaw
 
 
-def euler_rates(roll, pitch, p, q, r):  # type: ignore[no-untyped-def]
+def euler_rates(row_z, p, q, r):  # type: ignore[no-untyped-def]
     """Rates of the attitude angles from body rates [Stevens, Lewis & Johnson, eq. 1.4-4].
 
+    Written with the last row of the rotation, (sin pitch, -sin roll cos pitch, -cos roll cos pitch), which the caller
+    has already: it saves four sines and cosines on every evaluation of the aircraft model.
+
     Args:
-        roll: (...) [rad].
-        pitch: (...) [rad], away from +-90 deg.
+        row_z: last row of R_world_body, three entries of shape (...), pitch away from +-90 deg.
         p: (...) roll rate about the nose [rad/s].
         q: (...) pitch rate about the right wing [rad/s].
         r: (...) yaw rate about the belly [rad/s].
@@ -97,10 +99,11 @@ def euler_rates(roll, pitch, p, q, r):  # type: ignore[no-untyped-def]
     Returns:
         roll_rate, pitch_rate, yaw_rate, each (...) [rad/s].
     """
-    sin_roll, cos_roll = np.sin(roll), np.cos(roll)
-    sin_pitch, cos_pitch = np.sin(pitch), np.cos(pitch)
-    yaw_rate = (q * sin_roll + r * cos_roll) / cos_pitch
-    return p + sin_pitch * yaw_rate, q * cos_roll - r * sin_roll, yaw_rate
+    sin_pitch, right, down = row_z[0], -row_z[1], -row_z[2]
+    cos_pitch_squared = right * right + down * down
+    yaw_rate = (q * right + r * down) / cos_pitch_squared
+    pitch_rate = (q * down - r * right) / np.sqrt(cos_pitch_squared)
+    return p + sin_pitch * yaw_rate, pitch_rate, yaw_rate
 
 
 def body_rates(

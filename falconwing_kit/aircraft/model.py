@@ -1,0 +1,242 @@
+"""Model f_K: a tuple of named terms and their parameter values -> the rate of change of the state.
+
+Two forms share everything but their rates:
+    paper  nine states, body rates follow the sticks at once [paper, Section IV-B]
+    rates  twelve states, body rates have their own dynamics, which a real 150 g aircraft needs
+"""
+
+from collections import namedtuple
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+
+from falconwing_kit.aircraft.inputs import INPUT_PARAMETERS
+from falconwing_kit.aircraft.terms import (
+    FORCES,
+    MOMENTS,
+    QUASI_STEADY_RATES,
+    UNIFORM_WIND,
+    Parameter,
+    Term,
+    WindTerm,
+    air_flow,
+)
+from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.core.frames import GRAVITY, euler_rates, rotation_entries
+
+Form = Literal["paper", "rates"]
+
+
+@dataclass(frozen=True)
+class Model:
+    """f_K: terms, parameters and their values. A change returns a new model."""
+
+    form: Form
+    terms: tuple[Term, ...]
+    winds: tuple[WindTerm, ...] = ()
+    parameters: tuple[Parameter, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def n_states(self) -> int:
+        """9 in the paper's form, 12 with body rates."""
+        return 9 if self.form == "paper" else 12
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameter names, in the order of `vector`."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def vector(self) -> Array:
+        """(P,) the parameter values in the order of `names`."""
+        return np.array([self.values[name] for name in self.names])
+
+    @property
+    def K(self) -> Any:
+        """The parameter values as a record with one field a name, as terms read them."""
+        return record_of(self.names)(*(float(self.values[name]) for name in self.names))
+
+    def with_values(self, values: Mapping[str, float]) -> "Model":
+        """The same model with some values changed.
+
+        Args:
+            values: name -> value, in the parameter's unit.
+
+        Returns:
+            A new model.
+
+        Raises:
+            InputError: a name is not a parameter of the model.
+        """
+        unknown = [name for name in values if name not in self.values]
+        if unknown:
+            raise InputError(f"parameter {unknown[0]!r}: want one of {', '.join(self.names)}")
+        return replace(self, values={**self.values, **{k: float(v) for k, v in values.items()}})
+
+    def with_vector(self, vector: Array) -> "Model":
+        """The same model with all values changed; vector (P,) in the order of `names`."""
+        return replace(self, values=dict(zip(self.names, map(float, vector), strict=True)))
+
+    def pinned(self, names: Iterable[str]) -> "Model":
+        """The same model with some parameters held at their present value in every fit."""
+        held = set(names)
+        parameters = tuple(
+            replace(p, low=self.values[p.name], high=self.values[p.name]) if p.name in held else p
+            for p in self.parameters
+        )
+        return replace(self, parameters=parameters)
+
+    def adding(self, *terms: Term | WindTerm) -> "Model":
+        """The same model with terms added at their starting values."""
+        known = set(self.names)
+        parameters = [p for term in terms for p in term.parameters if p.name not in known]
+        return replace(
+            self,
+            terms=self.terms + tuple(t for t in terms if isinstance(t, Term)),
+            winds=self.winds + tuple(t for t in terms if isinstance(t, WindTerm)),
+            parameters=self.parameters + tuple(parameters),
+            values={**self.values, **{p.name: p.start for p in parameters}},
+        )
+
+
+def paper_model() -> Model:
+    """The paper's nine-state form with quasi-steady rates: 16 parameters, plus delay and lag held at zero.
+
+    Returns:
+        The model at its starting values.
+    """
+    model = _assemble("paper", FORCES + QUASI_STEADY_RATES)
+    zero = ("cLe", "cYr", "cDb", "delay", "lag")
+    return model.with_values(dict.fromkeys(zero, 0.0)).pinned(zero)
+
+
+def rates_model() -> Model:
+    """The rate-augmented form: 23 parameters, inertia coupling, sideslip drag, servo lag and delay (29 in all).
+
+    Returns:
+        The model at its starting values.
+    """
+    return _assemble("rates", FORCES + MOMENTS)
+
+
+FORMS: dict[Form, Callable[[], Model]] = {"paper": paper_model, "rates": rates_model}
+
+
+def in_wind(model: Model, wind_x: float = 0.0, wind_y: float = 0.0) -> Model:
+    """The model in a uniform wind whose two components are parameters.
+
+    Args:
+        model: any model without a uniform wind.
+        wind_x: where the air moves to, along world x [m/s].
+        wind_y: along world y [m/s].
+
+    Returns:
+        A new model.
+    """
+    return model.adding(UNIFORM_WIND).with_values({"wind_x": wind_x, "wind_y": wind_y})
+
+
+def _assemble(form: Form, terms: tuple[Term, ...]) -> Model:
+    parameters = tuple(p for term in terms for p in term.parameters) + INPUT_PARAMETERS
+    return Model(form, terms, (), parameters, {p.name: p.start for p in parameters})
+
+
+@cache
+def record_of(names: tuple[str, ...]) -> Any:
+    """A named tuple class with these fields, one class per set of names."""
+    return namedtuple("K", names)  # type: ignore[misc]
+
+
+def _same(function: Any) -> Any:
+    return function
+
+
+@cache
+def state_rates(form: Form, terms: tuple[Term, ...], winds: tuple[WindTerm, ...], compiler: Any = _same) -> Any:
+    """Build the function (time, x, command, K) -> dx/dt of a model's terms.
+
+    x is indexed by state first: x[i] is a number or an array, in the order of STATE_NAMES; command[i] likewise in the
+    order of COMMAND_NAMES. Position moves with the velocity, velocity with gravity and the turned forces, attitude
+    with the body rates [Beard & McLain, eqs. 3.14-3.17]. Wind enters as air-relative velocity.
+
+    Args:
+        form: "paper" or "rates".
+        terms: forces and moments.
+        winds: parts of the wind.
+        compiler: applied to every function; numba.njit makes the compiled twin from this same source.
+
+    Returns:
+        The function; its result is a tuple of 9 or 12 numbers or arrays.
+    """
+    loads_of = _sum_of([compiler(t.evaluate) for t in terms], compiler)
+    wind_of = _wind_of([compiler(w.evaluate) for w in winds], compiler)
+    rotation, angle_rates, flow_of = compiler(rotation_entries), compiler(euler_rates), compiler(air_flow)
+    second_order = form == "rates"
+    gravity = GRAVITY
+
+    @compiler
+    def rates_of_state(time, x, command, K):  # type: ignore[no-untyped-def]
+        pitch, yaw, roll = x[3], x[4], x[5]
+        wind_x, wind_y, wind_z = wind_of(x[0], x[1], x[2], time, K)
+        row_x, row_y, row_z = rotation(roll, pitch, yaw)
+        ax, ay, az = x[6] - wind_x, x[7] - wind_y, x[8] - wind_z
+        u = row_x[0] * ax + row_y[0] * ay + row_z[0] * az
+        v = row_x[1] * ax + row_y[1] * ay + row_z[1] * az
+        w = row_x[2] * ax + row_y[2] * ay + row_z[2] * az
+        if second_order:
+            p, q, r = x[9], x[10], x[11]
+        else:
+            p, q, r = 0.0, 0.0, 0.0
+        air = flow_of((u, v, w), (p, q, r), (x[0], x[1], x[2]), time, command)
+        fx, fy, fz, mx, my, mz = loads_of(air, K)
+        vx_dot = row_x[0] * fx + row_x[1] * fy + row_x[2] * fz
+        vy_dot = row_y[0] * fx + row_y[1] * fy + row_y[2] * fz
+        vz_dot = row_z[0] * fx + row_z[1] * fy + row_z[2] * fz - gravity
+        if second_order:
+            roll_dot, pitch_dot, yaw_dot = angle_rates(row_z, p, q, r)
+            return x[6], x[7], x[8], pitch_dot, yaw_dot, roll_dot, vx_dot, vy_dot, vz_dot, mx, my, mz
+        roll_dot, pitch_dot, yaw_dot = angle_rates(row_z, mx, my, mz)
+        return x[6], x[7], x[8], pitch_dot, yaw_dot, roll_dot, vx_dot, vy_dot, vz_dot
+
+    return rates_of_state
+
+
+def _sum_of(functions: list[Any], compiler: Any) -> Any:
+    """One function that adds the loads of all; pairwise, so that a compiler sees plain calls."""
+    first = functions[0]
+    if len(functions) == 1:
+        return first
+    rest = _sum_of(functions[1:], compiler)
+
+    @compiler
+    def total(air, K):  # type: ignore[no-untyped-def]
+        a, b = first(air, K), rest(air, K)
+        return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
+
+    return total
+
+
+def _wind_of(functions: list[Any], compiler: Any) -> Any:
+    """One function that adds all parts of the wind; still air where there is none."""
+    if not functions:
+
+        @compiler
+        def still(px, py, height, time, K):  # type: ignore[no-untyped-def]
+            return 0.0, 0.0, 0.0
+
+        return still
+    first = functions[0]
+    if len(functions) == 1:
+        return first
+    rest = _wind_of(functions[1:], compiler)
+
+    @compiler
+    def total(px, py, height, time, K):  # type: ignore[no-untyped-def]
+        a, b = first(px, py, height, time, K), rest(px, py, height, time, K)
+        return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+    return total

@@ -1,0 +1,343 @@
+"""Terms of f_K: the air flow at the aircraft -> forces and moments. One function a term, in the order of the derivation.
+
+The model is the sum of the terms in a plain tuple. Every value is per unit mass (or inertia), because poses alone
+cannot separate mass from air density times wing area: a force is an acceleration [m/s^2], a moment an angular
+acceleration [rad/s^2]. Each function is plain arithmetic on numbers or arrays, so the same source runs batched in
+NumPy and compiled for a single flight.
+
+To add an effect: write one function `effect(air, K) -> loads`, list its parameters in a `Term`, add it to the tuple.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Loads = tuple[Any, Any, Any, Any, Any, Any]  # force x, y, z [m/s^2] and moment x, y, z [rad/s^2], body axes
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown of the model, with what a fit needs to know about it."""
+
+    name: str
+    start: float  # where a fit begins, a 150 g aircraft at 7 m/s
+    low: float  # smallest value that makes physical sense
+    high: float  # largest value that makes physical sense
+    unit: str
+    meaning: str
+
+
+class Flow(NamedTuple):
+    """The air flow and the motion at the aircraft; each field a number or an array of one shape."""
+
+    airspeed: Any  # V, speed through the air [m/s]
+    alpha: Any  # angle of attack [rad], positive nose above the flight path
+    beta: Any  # sideslip [rad], positive with the wind on the right cheek
+    u: Any  # air-relative velocity along the nose [m/s]
+    v: Any  # ... along the right wing
+    w: Any  # ... along the belly
+    p: Any  # roll rate [rad/s]
+    q: Any  # pitch rate
+    r: Any  # yaw rate
+    px: Any  # position in the world [m]
+    py: Any
+    height: Any
+    time: Any  # since the start of the flight [s]
+    throttle: Any  # 0..1, after delay and servo
+    aileron: Any  # -1..1
+    elevator: Any
+    rudder: Any
+
+
+@dataclass(frozen=True)
+class Term:
+    """A named part of the forces and moments: loads = evaluate(air, K)."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    evaluate: Callable[[Flow, Any], Loads]
+
+
+@dataclass(frozen=True)
+class WindTerm:
+    """A named part of the wind: (wind_x, wind_y, wind_z) in the world = evaluate(px, py, height, time, K) [m/s]."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    evaluate: Callable[[Any, Any, Any, Any, Any], tuple[Any, Any, Any]]
+
+
+def air_flow(velocity_body, rates, position, time, command):  # type: ignore[no-untyped-def]
+    """Airspeed and flow angles of an air-relative body velocity [Beard & McLain, Small Unmanned Aircraft, eq. 2.8].
+
+    Args:
+        velocity_body: u, v, w through the air, body axes, each (...) [m/s].
+        rates: p, q, r, each (...) [rad/s].
+        position: px, py, pz in the world, each (...) [m].
+        time: (...) [s].
+        command: throttle, aileron, elevator, rudder, each (...).
+
+    Returns:
+        The flow. Airspeed is kept above 0.1 m/s so that its angles stay defined.
+    """
+    u, v, w = velocity_body
+    airspeed = np.sqrt(u * u + v * v + w * w + 0.01)
+    return Flow(
+        airspeed,
+        np.arctan2(w, u),
+        np.arcsin(v / airspeed),
+        u,
+        v,
+        w,
+        rates[0],
+        rates[1],
+        rates[2],
+        position[0],
+        position[1],
+        position[2],
+        time,
+        command[0],
+        command[1],
+        command[2],
+        command[3],
+    )
+
+
+# Forces -----------------------------------------------------------------------------------------------------------
+
+
+def lift(air, K):  # type: ignore[no-untyped-def]
+    """Lift of the whole aircraft, linear below stall: L/m = V^2 (cL0 + cLa alpha + cLe elevator).
+
+    It acts at right angles to the flight path in the plane of symmetry [Beard & McLain, eq. 4.6].
+
+    Args:
+        air: the flow.
+        K: parameters cL0, cLa, cLe.
+
+    Returns:
+        Loads.
+    """
+    force = air.airspeed * air.airspeed * (K.cL0 + K.cLa * air.alpha + K.cLe * air.elevator)
+    along = np.sqrt(air.u * air.u + air.w * air.w + 0.01)
+    return force * air.w / along, 0.0, -force * air.u / along, 0.0, 0.0, 0.0
+
+
+def drag(air, K):  # type: ignore[no-untyped-def]
+    """Drag against the flight path: D/m = V^2 (cD0 + cDi c^2 + cDb beta^2), c = cL0 + cLa alpha.
+
+    A parabolic polar, and the fuselage's drag in a sideslip [Beard & McLain, eq. 4.11].
+
+    Args:
+        air: the flow.
+        K: parameters cD0, cDi, cDb, cL0, cLa.
+
+    Returns:
+        Loads.
+    """
+    lift_coefficient = K.cL0 + K.cLa * air.alpha
+    per_speed = air.airspeed * (K.cD0 + K.cDi * lift_coefficient * lift_coefficient + K.cDb * air.beta * air.beta)
+    return -per_speed * air.u, -per_speed * air.v, -per_speed * air.w, 0.0, 0.0, 0.0
+
+
+def side_force(air, K):  # type: ignore[no-untyped-def]
+    """Side force of fuselage and fin: Y/m = V^2 (-cY beta + cYr rudder), along the right wing [Beard & McLain, eq. 4.14].
+
+    Args:
+        air: the flow.
+        K: parameters cY, cYr.
+
+    Returns:
+        Loads.
+    """
+    return 0.0, air.airspeed * air.airspeed * (K.cYr * air.rudder - K.cY * air.beta), 0.0, 0.0, 0.0, 0.0
+
+
+def thrust(air, K):  # type: ignore[no-untyped-def]
+    """Propeller thrust along the nose, falling with speed: T/m = (kT - kTV V) throttle [linearised Beard & McLain, eq. 4.18].
+
+    Args:
+        air: the flow.
+        K: parameters kT, kTV.
+
+    Returns:
+        Loads.
+    """
+    return (K.kT - K.kTV * air.airspeed) * air.throttle, 0.0, 0.0, 0.0, 0.0, 0.0
+
+
+# Moments of the rate-augmented form -------------------------------------------------------------------------------
+
+
+def roll_moment(air, K):  # type: ignore[no-untyped-def]
+    """Rolling: dp/dt = V^2 (L0 + La aileron + Lb beta) - V Lp p + V Lr r [Beard & McLain, eq. 5.10].
+
+    Args:
+        air: the flow.
+        K: parameters L0, La, Lb, Lp, Lr.
+
+    Returns:
+        Loads.
+    """
+    V = air.airspeed
+    return 0.0, 0.0, 0.0, V * (V * (K.L0 + K.La * air.aileron + K.Lb * air.beta) - K.Lp * air.p + K.Lr * air.r), 0.0, 0.0
+
+
+def pitch_moment(air, K):  # type: ignore[no-untyped-def]
+    """Pitching: dq/dt = V^2 (M0 + Me elevator - Ma alpha) - V Mq q [Beard & McLain, eq. 5.11].
+
+    Args:
+        air: the flow.
+        K: parameters M0, Me, Ma, Mq.
+
+    Returns:
+        Loads.
+    """
+    V = air.airspeed
+    return 0.0, 0.0, 0.0, 0.0, V * (V * (K.M0 + K.Me * air.elevator - K.Ma * air.alpha) - K.Mq * air.q), 0.0
+
+
+def yaw_moment(air, K):  # type: ignore[no-untyped-def]
+    """Yawing: dr/dt = V^2 (N0 + Nr rudder + Nb beta) - V Nrr r - V Np p [Beard & McLain, eq. 5.12].
+
+    Args:
+        air: the flow.
+        K: parameters N0, Nr, Nb, Nrr, Np.
+
+    Returns:
+        Loads.
+    """
+    V = air.airspeed
+    return 0.0, 0.0, 0.0, 0.0, 0.0, V * (V * (K.N0 + K.Nr * air.rudder + K.Nb * air.beta) - K.Nrr * air.r - K.Np * air.p)
+
+
+def gyroscopic_moment(air, K):  # type: ignore[no-untyped-def]
+    """Inertia coupling of the three rates: (Jx q r, Jy p r, Jz p q) [Euler's equations; Beard & McLain, eq. 3.17].
+
+    Args:
+        air: the flow.
+        K: parameters Jx = (Iyy - Izz)/Ixx, Jy = (Izz - Ixx)/Iyy, Jz = (Ixx - Iyy)/Izz.
+
+    Returns:
+        Loads.
+    """
+    return 0.0, 0.0, 0.0, K.Jx * air.q * air.r, K.Jy * air.p * air.r, K.Jz * air.p * air.q
+
+
+# Rates of the paper's nine-state form -----------------------------------------------------------------------------
+
+
+def quasi_steady_rates(air, K):  # type: ignore[no-untyped-def]
+    """Body rates that follow the sticks at once; the moment slots hold p, q, r [rad/s].
+
+    p = V (L0 + La aileron + Lb beta), q = V (M0 + Me elevator - Ma alpha), r = V (N0 + Nr rudder + Nb beta):
+    the moments above with their angular accelerations set to zero [paper, Section IV-B: nine states, no rates].
+
+    Args:
+        air: the flow.
+        K: parameters L0, La, Lb, M0, Me, Ma, N0, Nr, Nb, each [1/m] (per radian where it multiplies an angle).
+
+    Returns:
+        Loads with body rates in place of moments.
+    """
+    V = air.airspeed
+    p = V * (K.L0 + K.La * air.aileron + K.Lb * air.beta)
+    q = V * (K.M0 + K.Me * air.elevator - K.Ma * air.alpha)
+    r = V * (K.N0 + K.Nr * air.rudder + K.Nb * air.beta)
+    return 0.0, 0.0, 0.0, p, q, r
+
+
+def uniform_wind(px, py, height, time, K):  # type: ignore[no-untyped-def]
+    """The same level wind everywhere: (wind_x, wind_y, 0).
+
+    Args:
+        px: (...) [m], unused like the next three.
+        py: (...) [m].
+        height: (...) [m].
+        time: (...) [s].
+        K: parameters wind_x, wind_y [m/s], where the air moves to.
+
+    Returns:
+        wind_x, wind_y, wind_z [m/s], world axes.
+    """
+    return K.wind_x, K.wind_y, 0.0
+
+
+# Each parameter: name, start, low, high, unit, meaning. Starts are a 150 g aircraft at 7 m/s; bounds are wide enough
+# for aircraft from 50 g to 10 kg. Signs are such that an ordinary stable aircraft has positive numbers (Lb negative).
+
+_LIFT = (
+    Parameter("cL0", 0.078, -0.2, 0.6, "1/m", "lift at zero angle of attack"),
+    Parameter("cLa", 1.40, 0.05, 6.0, "1/(m rad)", "lift slope"),
+    Parameter("cLe", 0.0, -1.0, 1.0, "1/m", "lift of full elevator"),
+)
+_DRAG = (
+    Parameter("cD0", 0.0155, 0.0, 0.3, "1/m", "drag at zero lift"),
+    Parameter("cDi", 0.2, 0.0, 10.0, "m", "induced drag per lift squared"),
+)
+_SIDESLIP_DRAG = (Parameter("cDb", 0.05, 0.0, 5.0, "1/(m rad^2)", "drag in a sideslip"),)
+_SIDE = (
+    Parameter("cY", 0.25, -0.5, 4.0, "1/(m rad)", "side force of sideslip"),
+    Parameter("cYr", 0.0, -1.0, 1.0, "1/m", "side force of full rudder"),
+)
+_THRUST = (
+    Parameter("kT", 9.0, 0.0, 60.0, "m/s^2", "thrust at full throttle, standing"),
+    Parameter("kTV", 0.5, -2.0, 8.0, "1/s", "thrust lost with speed"),
+)
+_ROLL = (
+    Parameter("L0", 0.0, -1.0, 1.0, "1/m^2", "rolling moment at rest"),
+    Parameter("La", 0.75, 0.0, 10.0, "1/m^2", "rolling moment of full aileron"),
+    Parameter("Lb", -0.30, -10.0, 3.0, "1/(m^2 rad)", "dihedral effect"),
+    Parameter("Lp", 2.0, 0.05, 15.0, "1/m", "roll damping"),
+    Parameter("Lr", 0.3, -4.0, 6.0, "1/m", "roll due to yaw rate"),
+)
+_PITCH = (
+    Parameter("M0", 0.17, -1.0, 2.0, "1/m^2", "pitching moment at rest"),
+    Parameter("Me", 0.6, 0.0, 6.0, "1/m^2", "pitching moment of full elevator"),
+    Parameter("Ma", 2.0, -1.0, 20.0, "1/(m^2 rad)", "pitch stiffness"),
+    Parameter("Mq", 1.1, 0.0, 12.0, "1/m", "pitch damping"),
+)
+_YAW = (
+    Parameter("N0", 0.0, -1.0, 1.0, "1/m^2", "yawing moment at rest"),
+    Parameter("Nr", 0.23, -0.5, 4.0, "1/m^2", "yawing moment of full rudder"),
+    Parameter("Nb", 0.73, -1.0, 10.0, "1/(m^2 rad)", "weathercock stiffness"),
+    Parameter("Nrr", 0.4, -0.5, 8.0, "1/m", "yaw damping"),
+    Parameter("Np", 0.05, -3.0, 3.0, "1/m", "yaw due to roll rate"),
+)
+_GYROSCOPIC = (
+    Parameter("Jx", -0.5, -1.5, 0.5, "-", "(Iyy - Izz)/Ixx"),
+    Parameter("Jy", 0.7, -0.5, 1.5, "-", "(Izz - Ixx)/Iyy"),
+    Parameter("Jz", -0.4, -1.5, 0.8, "-", "(Ixx - Iyy)/Izz"),
+)
+_QUASI_STEADY = (
+    Parameter("L0", 0.0, -1.0, 1.0, "1/m", "roll rate at rest"),
+    Parameter("La", 0.37, 0.0, 4.0, "1/m", "roll rate of full aileron"),
+    Parameter("Lb", -0.15, -4.0, 2.0, "1/(m rad)", "roll rate of sideslip"),
+    Parameter("M0", 0.106, -1.0, 1.0, "1/m", "pitch rate at rest"),
+    Parameter("Me", 0.35, 0.0, 4.0, "1/m", "pitch rate of full elevator"),
+    Parameter("Ma", 1.2, -0.5, 8.0, "1/(m rad)", "pitch rate against angle of attack"),
+    Parameter("N0", 0.0, -1.0, 1.0, "1/m", "yaw rate at rest"),
+    Parameter("Nr", 0.25, -0.5, 2.0, "1/m", "yaw rate of full rudder"),
+    Parameter("Nb", 0.8, -0.5, 6.0, "1/(m rad)", "yaw rate of sideslip"),
+)
+WIND_PARAMETERS = (
+    Parameter("wind_x", 0.0, -15.0, 15.0, "m/s", "wind along world x"),
+    Parameter("wind_y", 0.0, -15.0, 15.0, "m/s", "wind along world y"),
+)
+
+FORCES = (
+    Term("lift", _LIFT, lift),
+    Term("drag", _DRAG + _SIDESLIP_DRAG, drag),
+    Term("side_force", _SIDE, side_force),
+    Term("thrust", _THRUST, thrust),
+)
+MOMENTS = (
+    Term("roll_moment", _ROLL, roll_moment),
+    Term("pitch_moment", _PITCH, pitch_moment),
+    Term("yaw_moment", _YAW, yaw_moment),
+    Term("gyroscopic_moment", _GYROSCOPIC, gyroscopic_moment),
+)
+QUASI_STEADY_RATES = (Term("quasi_steady_rates", _QUASI_STEADY, quasi_steady_rates),)
+UNIFORM_WIND = WindTerm("uniform_wind", WIND_PARAMETERS, uniform_wind)
