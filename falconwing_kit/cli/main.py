@@ -1,0 +1,114 @@
+"""The command `falconwing`: a verb and its words in, that verb's work done, its exit code out.
+
+Exit codes: 0 done, 1 the answer is no, 2 wrong use, 130 interrupted.
+"""
+
+import difflib
+import importlib
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import TextIO
+
+from falconwing_kit import __version__
+
+# Verb, module, class, what it does. Only the chosen verb's module is imported. A verb is a frozen dataclass
+# whose fields are its options and whose `run()` returns the exit code, so Python code can call it too.
+VERBS: tuple[tuple[str, str, str, str], ...] = (
+    ("demo", "falconwing_kit.cli.demo", "Demo", "identify recorded flights, one of them real, and show the answer"),
+    ("doctor", "falconwing_kit.cli.doctor", "Doctor", "say what works on this machine and how to mend the rest"),
+    ("size", "falconwing_kit.cli.size", "Size", "minimum speed, turn radius and mass budget of an airframe"),
+    ("identify", "falconwing_kit.cli.identify", "Identify", "fit the aircraft model to recorded flights"),
+    ("export", "falconwing_kit.cli.export", "Export", "turn a flight log into a table"),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb.
+
+    Args:
+        arguments: the words after `falconwing`; None takes them from the command line.
+
+    Returns:
+        The exit code. Options that the verb does not know end in SystemExit(2) and its `--help` in SystemExit(0).
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print(help_text())
+        return 0 if words else 2
+    if words[0] == "--version":
+        print(f"falconwing {__version__}")
+        return 0
+    chosen = next((verb for verb in VERBS if verb[0] == words[0]), None)
+    if chosen is None:
+        return _refuse(f"{words[0]!r} is not a verb of falconwing{_perhaps(words[0])}; see `falconwing --help`")
+    return _run_verb(*chosen[:3], words[1:])
+
+
+def help_text() -> str:
+    """The list of verbs.
+
+    Returns:
+        The text of `falconwing --help`.
+    """
+    width = max(len(name) for name, *_ in VERBS)
+    lines = [f"  {name:<{width}}  {summary}" for name, _, _, summary in VERBS]
+    head = ["usage: falconwing VERB [options]", "", "verbs (falconwing VERB --help says more):"]
+    tail = ["", "exit codes: 0 done, 1 the answer is no, 2 wrong use"]
+    return "\n".join([*head, *lines, *tail])
+
+
+def _run_verb(name: str, module: str, class_name: str, words: list[str]) -> int:
+    """Import the verb, let tyro fill its fields from the words, run it and turn errors into one sentence."""
+    import tyro
+
+    from falconwing_kit.core.checks import InputError
+
+    with warnings.catch_warnings():
+        warnings.showwarning = _print_warning
+        try:
+            verb = getattr(importlib.import_module(module), class_name)
+            # Without pairs a switch is `--json`, not `--json` and `--no-json`.
+            settings = tyro.cli(verb, prog=f"falconwing {name}", args=words, config=(tyro.conf.FlagCreatePairsOff,))
+            return int(settings.run())
+        except InputError as error:
+            return _refuse(str(error))
+        except BrokenPipeError:  # `falconwing ... | head` closed our output, which is no error
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        except OSError as error:
+            return _refuse(f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error))
+        except ModuleNotFoundError as error:
+            return _refuse(f"the library {error.name} is not installed; `falconwing doctor` says how to mend it")
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            return 130
+
+
+def _perhaps(word: str) -> str:
+    """A hint at the verb that was meant, or nothing."""
+    close = difflib.get_close_matches(word, [name for name, *_ in VERBS], n=1)
+    return f", perhaps you meant {close[0]!r}" if close else ""
+
+
+def _refuse(sentence: str) -> int:
+    """Print why the verb did not run; the exit code of wrong use."""
+    print(f"falconwing: {sentence}", file=sys.stderr)
+    return 2
+
+
+def _print_warning(
+    message: Warning | str,
+    category: type,
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """A warning as one line for a person, without file and line number; the signature is the standard library's."""
+    print(f"warning: {message}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
