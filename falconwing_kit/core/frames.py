@@ -6,7 +6,8 @@ camera  x right, y down, z forward (OpenCV)
 
 Textbooks write attitude against north-east-down axes. Ours is that frame turned by half a turn about x, so
 R_world_body = diag(1, -1, -1) @ Rz(yaw) @ Ry(pitch) @ Rx(roll)   [Stevens, Lewis & Johnson, Aircraft Control
-and Simulation, 3rd ed., eq. 1.3-20, with our flip in front]. Roll is positive right wing down, pitch nose up, yaw nose right.
+and Simulation, 3rd ed., eq. 1.3-20, with our flip in front]. Roll is positive right wing down, pitch nose up,
+yaw nose right.
 """
 
 import numpy as np

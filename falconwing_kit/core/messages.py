@@ -106,9 +106,10 @@ class Command:
         Raises:
             InputError: a value is not finite.
         """
-        wanted = [require_range(n, v) for n, v in zip(COMMAND_NAMES, (throttle, aileron, elevator, rudder), strict=True)]
-        cut = [min(max(v, low), 1.0) for v, low in zip(wanted, (0.0, -1.0, -1.0, -1.0), strict=True)]
-        return cls(*cut, image_sequence=image_sequence, saturated=cut != wanted)
+        sticks = (throttle, aileron, elevator, rudder)
+        wanted = [require_range(name, value) for name, value in zip(COMMAND_NAMES, sticks, strict=True)]
+        cut = [min(max(value, low), 1.0) for value, low in zip(wanted, (0.0, -1.0, -1.0, -1.0), strict=True)]
+        return cls(cut[0], cut[1], cut[2], cut[3], image_sequence, saturated=cut != wanted)
 
     @property
     def vector(self) -> Array:

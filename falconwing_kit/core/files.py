@@ -1,0 +1,80 @@
+"""Files: a path to write -> a handle whose content appears there whole, or not at all."""
+
+import errno
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, Any
+
+from falconwing_kit.core.checks import InputError
+
+_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+@contextmanager
+def atomic_write(path: str | Path, *, text: bool = False) -> Iterator[IO[Any]]:
+    """Open a file that takes its name only once it is complete and on the disk.
+
+    What is written goes to a temporary name in the same folder. When the block ends well, the file is flushed to the
+    disk and renamed; when it fails, the temporary file is removed and an older file at the path stays as it was.
+
+    Args:
+        path: where the finished file shall be; its folder must exist.
+        text: True for a UTF-8 text handle with "\\n" line ends, False for bytes.
+
+    Yields:
+        The open handle.
+
+    Raises:
+        InputError: the path is a folder, may not be written, or the disk is full.
+        FileNotFoundError: the folder of the path does not exist.
+    """
+    target = Path(path)
+    require_place(target)
+    temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.part")
+    how: dict[str, Any] = {"mode": "x", "encoding": "utf-8", "newline": "\n"} if text else {"mode": "xb"}
+    try:
+        with temporary.open(**how) as handle:
+            yield handle
+            handle.flush()
+            os.fsync(handle.fileno())
+        os.replace(temporary, target)
+    except OSError as error:
+        raise write_error(target, error) from None
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def require_place(path: str | Path) -> Path:
+    """Return the path if a file could be written there: its folder exists and it is not a folder itself.
+
+    Raises:
+        InputError: the path is a folder.
+        FileNotFoundError: the folder of the path does not exist.
+    """
+    target = Path(path)
+    if target.is_dir() or not target.name:
+        raise InputError(f"{target}: want the name of a file to write, got a folder; add a file name")
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"{target}: want a folder at {target.parent}, found none; make it first")
+    return target
+
+
+def write_error(path: str | Path, error: OSError) -> Exception:
+    """The error to raise when writing a file failed: one sentence for a full disk or a forbidden place.
+
+    Args:
+        path: the file that was being written.
+        error: what the system said.
+
+    Returns:
+        An InputError where the reason is the disk or the rights; any other error as it came.
+    """
+    if error.errno in _NO_ROOM:
+        return InputError(f"{path}: the disk is full, so the file was not written; free some space or write elsewhere")
+    if error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}:
+        return InputError(f"{path}: no right to write there; choose another folder")
+    return error
