@@ -1,0 +1,124 @@
+"""Sets up the kit in .venv and runs it: verb and its words in, the verb's exit code out. Standard library only.
+
+    python3 start.py demo [--headless] [--out DIR]   identify recorded flights and show the answer
+    python3 start.py test [pytest options]           run the tests
+    python3 start.py VERB ...                        any other verb of falconwing, such as doctor
+
+The first run makes .venv beside this file and installs what constraints.txt names; later runs start at once.
+An interrupted installation goes on when the same command is typed again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+KIT, EVERYTHING = ".", ".[labs,hardware,dev]"  # what pip installs for a verb, and for the tests
+
+
+def main(words: list[str]) -> int:
+    """Install what the verb needs, then hand over to it.
+
+    Args:
+        words: the command line after `start.py`.
+
+    Returns:
+        The exit code of what was run; 2 if it could not be run.
+    """
+    too_old = python_problem(sys.version_info[:2])
+    if too_old:
+        return refuse(too_old)
+    if not words or words[0] in ("-h", "--help"):
+        print(__doc__)
+        return 0 if words else 2
+    verb, *options = words
+    failed = install(ROOT, EVERYTHING if verb == "test" else KIT)
+    if failed:
+        return failed
+    if verb == "test":
+        return run([venv_program(ROOT, "python"), "-m", "pytest", *options], folder=ROOT)
+    return run([venv_program(ROOT, "falconwing"), verb, *options])
+
+
+def python_problem(version: tuple[int, ...]) -> str:
+    """What is wrong with a Python of this version; empty if nothing."""
+    if version >= (3, 11):
+        return ""
+    return f"want Python 3.11 or newer, this is {version[0]}.{version[1]}; install one and type python3.11 start.py"
+
+
+def install(root: Path, target: str) -> int:
+    """Bring the virtual environment to what `target` needs; do nothing if it is there already.
+
+    Args:
+        root: folder of pyproject.toml and constraints.txt.
+        target: what pip installs, KIT or EVERYTHING.
+
+    Returns:
+        0, or the exit code of the step that failed.
+    """
+    stamp = root / ".venv" / "installed.txt"
+    if stamp.exists() and fingerprint(root, target) in stamp.read_text().split():
+        return 0
+    python = venv_program(root, "python")
+    if not answers([python, "-m", "pip", "--version"]):
+        if not (importlib.util.find_spec("venv") and importlib.util.find_spec("ensurepip")):
+            return refuse("this Python cannot make virtual environments; on Debian or Ubuntu: apt install python3-venv")
+        failed = run([sys.executable, "-m", "venv", "--clear", str(root / ".venv")])
+        if failed:
+            return failed
+    pip = [python, "-m", "pip", "install", "--disable-pip-version-check"]
+    failed = run([*pip, "-c", "constraints.txt", "-e", target], folder=root)
+    if failed:
+        print("start.py: the installation stopped; type the same command again to go on", file=sys.stderr)
+        return failed
+    there = [KIT, EVERYTHING] if target == EVERYTHING else [KIT]  # the tests' set holds the kit's
+    stamp.write_text("\n".join(fingerprint(root, each) for each in there))
+    return 0
+
+
+def fingerprint(root: Path, target: str) -> str:
+    """Changes when the place, the dependencies or what is wanted of them change."""
+    files = [(root / name).read_bytes() for name in ("pyproject.toml", "constraints.txt")]
+    return hashlib.sha256(b"\0".join([*files, str(root).encode(), target.encode()])).hexdigest()
+
+
+def venv_program(root: Path, name: str) -> str:
+    """Path of a program in the virtual environment."""
+    return str(root / ".venv" / ("Scripts" if os.name == "nt" else "bin") / name)
+
+
+def answers(command: list[str]) -> bool:
+    """Whether the command runs and succeeds, quietly."""
+    try:
+        return subprocess.run(command, capture_output=True, check=False).returncode == 0
+    except OSError:
+        return False
+
+
+def run(command: list[str], folder: Path | None = None) -> int:
+    """Say the command, run it and return its exit code."""
+    print("$", subprocess.list2cmdline(command), flush=True)
+    try:
+        code = subprocess.run(command, cwd=folder, check=False).returncode
+    except OSError as error:
+        return refuse(f"cannot run {command[0]}: {error.strerror}")
+    return code if code >= 0 else 128 - code  # ended by a signal, as a shell counts it
+
+
+def refuse(sentence: str) -> int:
+    """Print why nothing was run; the exit code of wrong use."""
+    print(f"start.py: {sentence}", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(sys.argv[1:]))
+    except KeyboardInterrupt:
+        sys.exit(130)
