@@ -48,6 +48,12 @@ def atomic_write(path: str | Path, *, text: bool = False) -> Iterator[IO[Any]]:
             temporary.unlink()
 
 
+def short_name(path: str | Path) -> str:
+    """A file's name with its folder's, such as "case00/calm.csv": enough to know it, the same on every machine."""
+    path = Path(path)
+    return f"{path.parent.name}/{path.name}" if path.parent.name else path.name
+
+
 def require_place(path: str | Path) -> Path:
     """Return the path if a file could be written there: its folder exists and it is not a folder itself.
 
@@ -74,7 +80,7 @@ def write_error(path: str | Path, error: OSError) -> Exception:
         An InputError where the reason is the disk or the rights; any other error as it came.
     """
     if error.errno in _NO_ROOM:
-        return InputError(f"{path}: the disk is full, so the file was not written; free some space or write elsewhere")
+        return InputError(f"{path}: the disk is full and writing stopped; free some space or write elsewhere")
     if error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}:
         return InputError(f"{path}: no right to write there; choose another folder")
     return error

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falconwing_kit.core.checks import Array, InputError, require_file
+from falconwing_kit.core.files import short_name
 from falconwing_kit.core.messages import COMMAND_NAMES
 
 POSE_COLUMNS = ("px", "py", "pz", "roll", "pitch", "yaw")
@@ -47,7 +48,7 @@ def read_flight_csv(path: str | Path) -> dict[str, Any]:
         InputError: the file cannot be used as it is.
     """
     path = require_file(path)
-    name = f"{path.parent.name}/{path.name}" if path.parent.name else path.name
+    name = short_name(path)
     size = path.stat().st_size
     if size > MAX_FILE_BYTES:
         raise InputError(f"{name}: want a flight table of at most {MAX_FILE_BYTES >> 20} MiB, got {size >> 20} MiB")

@@ -158,7 +158,7 @@ def resample(table: FlightTable, rate_hz: float) -> FlightTable:
     period = 1.0 / nominal_rate_hz(table)
     grid = table.t[0] + np.arange(int(table.duration * rate_hz + 1e-6) + 1) / rate_hz
     # A grid time that meets a row but for rounding is that row: a measured pose beside a gap must not be lost.
-    nearest = table.t[_nearest(table.t, grid)]
+    nearest = table.t[nearest_index(table.t, grid)]
     query = np.where(np.abs(nearest - grid) < 1e-4 * period, nearest, grid)
     held = np.searchsorted(table.t, query, side="right") - 1
 
@@ -241,6 +241,21 @@ def split_by_time(
     return train, test
 
 
+def nearest_index(t: Array, query: Array) -> NDArray[np.int64]:
+    """Which of the times is nearest to each query; of two equally near ones the earlier.
+
+    Args:
+        t: (N,) increasing, at least one.
+        query: (M,).
+
+    Returns:
+        (M,) indices into t.
+    """
+    right = np.minimum(np.searchsorted(t, query), len(t) - 1)
+    left = np.maximum(right - 1, 0)
+    return np.where(query - t[left] <= t[right] - query, left, right)
+
+
 def _take(table: FlightTable, rows: NDArray[np.int64], t: Array | None = None) -> FlightTable:
     """The given rows, at their own times or at new ones."""
     return replace(
@@ -270,13 +285,6 @@ def _interpolate(t: Array, values: Array, query: Array, max_gap: float, angle: b
     result = values[before] + step * (query - t[before]) / np.where(gap > 0.0, gap, 1.0)
     result = wrap_angle(result) if angle else result
     return np.where(inside & (gap <= max_gap), result, np.nan)
-
-
-def _nearest(t: Array, query: Array) -> NDArray[np.int64]:
-    right = np.clip(np.searchsorted(t, query), 1, max(len(t) - 1, 1))
-    right = np.minimum(right, len(t) - 1)
-    left = np.maximum(right - 1, 0)
-    return np.where(query - t[left] <= t[right] - query, left, right)
 
 
 def _rows_of_words(table: FlightTable, names: list[str]) -> Iterable[tuple[str, ...]]:

@@ -1,6 +1,8 @@
 """Messages: what one block of the loop hands to the next. Frozen records with units and frames, nothing else."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,10 +67,30 @@ class State:
         rates = x[9:12] if len(x) == 12 else np.zeros(3)
         return cls(x[0:3], float(x[3]), float(x[4]), float(x[5]), x[6:9], rates)
 
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> "State":
+        """State from names and numbers, the inverse of `record`.
+
+        Args:
+            record: a number for each of STATE_NAMES, None where it is not known.
+
+        Raises:
+            InputError: a value is not a finite number.
+            KeyError: a name is missing.
+        """
+        values = [record[name] for name in STATE_NAMES]
+        numbers = [np.nan if x is None else require_range(name, x) for name, x in zip(STATE_NAMES, values, strict=True)]
+        return cls.from_vector(np.array(numbers))
+
     @property
     def vector(self) -> Array:
         """(12,) in the order of STATE_NAMES, SI."""
         return np.concatenate([self.p_world, [self.pitch, self.yaw, self.roll], self.v_world, self.rates_body])
+
+    @property
+    def record(self) -> dict[str, float | None]:
+        """Names and numbers, as JSON holds them: None for nan."""
+        return {name: x if np.isfinite(x) else None for name, x in zip(STATE_NAMES, self.vector.tolist(), strict=True)}
 
     @property
     def pose(self) -> Pose:
@@ -111,10 +133,40 @@ class Command:
         cut = [min(max(value, low), 1.0) for value, low in zip(wanted, (0.0, -1.0, -1.0, -1.0), strict=True)]
         return cls(cut[0], cut[1], cut[2], cut[3], image_sequence, saturated=cut != wanted)
 
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> "Command":
+        """Command from names and values, the inverse of `record`.
+
+        Args:
+            record: a number for each of COMMAND_NAMES, image_sequence and saturated.
+
+        Raises:
+            InputError: a value is not a finite number.
+            KeyError: a name is missing.
+        """
+        sticks = [require_range(name, record[name]) for name in COMMAND_NAMES]
+        sequence = int(require_range("image_sequence", record["image_sequence"], low=-1, high=2**32))
+        return cls(sticks[0], sticks[1], sticks[2], sticks[3], sequence, bool(record["saturated"]))
+
     @property
     def vector(self) -> Array:
         """(4,) in the order of COMMAND_NAMES."""
         return np.array([self.throttle, self.aileron, self.elevator, self.rudder])
+
+    @property
+    def record(self) -> dict[str, float | int | bool]:
+        """Names and values, as JSON holds them."""
+        sticks = {name: float(getattr(self, name)) for name in COMMAND_NAMES}
+        return {**sticks, "image_sequence": int(self.image_sequence), "saturated": bool(self.saturated)}
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened once: engaged, marker lost, touchdown."""
+
+    t: float  # [s]
+    name: str
+    details: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
