@@ -1,1 +1,83 @@
 """core: frames, messages, flight files, checks and configuration. Imports nothing else of the kit."""
+
+from falconwing_kit.core.checks import Array, InputError, require_file, require_range, require_shape
+from falconwing_kit.core.config import from_toml, load_toml, write_toml
+from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.flight_log import FlightLog, FlightLogWriter, read_flight_log, recover, to_flight_table
+from falconwing_kit.core.flight_table import (
+    FlightTable,
+    fill_missing_rows,
+    nominal_rate_hz,
+    read_flight_table,
+    resample,
+    slice_time,
+    split_by_time,
+    write_flight_table,
+)
+from falconwing_kit.core.frames import (
+    GRAVITY,
+    R_BODY_CAMERA,
+    body_rates,
+    camera_pose,
+    euler_from_ned,
+    euler_from_rotation,
+    euler_rates,
+    pose_matrix,
+    rotation_world_body,
+    world_from_enu,
+    wrap_angle,
+)
+from falconwing_kit.core.messages import (
+    COMMAND_NAMES,
+    STATE_NAMES,
+    Command,
+    Event,
+    Image,
+    Observation,
+    Pose,
+    State,
+)
+
+__all__ = [
+    "COMMAND_NAMES",
+    "GRAVITY",
+    "R_BODY_CAMERA",
+    "STATE_NAMES",
+    "Array",
+    "Command",
+    "Event",
+    "FlightLog",
+    "FlightLogWriter",
+    "FlightTable",
+    "Image",
+    "InputError",
+    "Observation",
+    "Pose",
+    "State",
+    "atomic_write",
+    "body_rates",
+    "camera_pose",
+    "euler_from_ned",
+    "euler_from_rotation",
+    "euler_rates",
+    "fill_missing_rows",
+    "from_toml",
+    "load_toml",
+    "nominal_rate_hz",
+    "pose_matrix",
+    "read_flight_log",
+    "read_flight_table",
+    "recover",
+    "require_file",
+    "require_range",
+    "require_shape",
+    "resample",
+    "rotation_world_body",
+    "slice_time",
+    "split_by_time",
+    "to_flight_table",
+    "world_from_enu",
+    "wrap_angle",
+    "write_flight_table",
+    "write_toml",
+]

@@ -1,0 +1,175 @@
+"""Configuration: a TOML file <-> a frozen dataclass; what is unknown, missing or of another type is named."""
+
+import dataclasses
+import difflib
+import math
+import tomllib
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from falconwing_kit.core.checks import InputError, require_file
+from falconwing_kit.core.files import atomic_write, short_name
+
+MAX_FILE_BYTES = 1024**2  # a model with its covariance has some ten thousand
+_WORDS = {float: "a finite number", int: "a whole number", str: "a text", bool: "true or false"}
+
+Record = TypeVar("Record")
+
+
+def load_toml(path: str | Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Its keys and values.
+
+    Raises:
+        FileNotFoundError: there is no file.
+        InputError: it is not TOML; the text names line and column.
+    """
+    path = require_file(path)
+    name = short_name(path)
+    with path.open("rb") as file:
+        data = file.read(MAX_FILE_BYTES + 1)
+    if len(data) > MAX_FILE_BYTES:
+        raise InputError(f"{name}: want a TOML file of at most {MAX_FILE_BYTES >> 10} KiB, got a larger one")
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise InputError(f"{name}: want a TOML file in UTF-8, got other bytes; save it as UTF-8 text") from None
+    except RecursionError:
+        raise InputError(f"{name}: want a TOML file, got brackets nested too deep to read") from None
+    except ValueError as error:
+        raise InputError(f"{name}: this is not TOML: {error}") from None
+
+
+def from_toml(cls: type[Record], source: str | Path | Mapping[str, Any]) -> Record:
+    """Fill a dataclass from a TOML file or from a mapping such as one of its tables.
+
+    Fields may be float (whole numbers are taken too), int, str, bool, a dataclass, a tuple, a mapping from str, or
+    any of these or None. A field with a default may be left out.
+
+    Args:
+        cls: the dataclass.
+        source: the file, or keys and values.
+
+    Returns:
+        The record.
+
+    Raises:
+        FileNotFoundError: there is no file.
+        InputError: a key is unknown or missing, or a value has another type; the text gives the full key.
+    """
+    if isinstance(source, Mapping):
+        return _record(cls, source, "")
+    try:
+        return _record(cls, load_toml(source), "")
+    except InputError as error:
+        name = short_name(source)
+        raise error if str(error).startswith(name) else InputError(f"{name}: {error}") from None
+
+
+def write_toml(path: str | Path, record: Any) -> None:
+    """Write a dataclass or a mapping as TOML; fields that are None are left out.
+
+    Args:
+        path: the file, which appears only once it is complete.
+        record: values of the types of `from_toml`, or NumPy arrays.
+
+    Raises:
+        InputError: the disk is full or the place is forbidden.
+        FileNotFoundError: the folder does not exist.
+    """
+    import tomli_w
+
+    text = tomli_w.dumps(_plain(record))
+    with atomic_write(path, text=True) as file:
+        file.write(text)
+
+
+def _record(cls: type[Record], values: Any, key: str) -> Record:
+    """The dataclass with its fields from the values; key is the path of the table they stand in."""
+    if not isinstance(values, Mapping):
+        raise InputError(f"{key}: want a table [{key}], got {_short(values)}")
+    hints = typing.get_type_hints(cls)
+    fields = {field.name: field for field in dataclasses.fields(cls) if field.init}  # type: ignore[arg-type]
+    for name in values:
+        if name not in fields:
+            close = difflib.get_close_matches(str(name)[:100], fields, n=1)
+            hint = f"perhaps you meant {close[0]!r}" if close else f"known are {', '.join(fields)}"
+            raise InputError(f"unknown key {_join(key, str(name)[:100])!r}; {hint}")
+    no_default = dataclasses.MISSING
+    needed = [n for n, field in fields.items() if field.default is no_default and field.default_factory is no_default]
+    missing = [_join(key, name) for name in needed if name not in values]
+    if missing:
+        raise InputError(f"missing key {', '.join(map(repr, missing))}; add it")
+    filled = {name: _value(hints[name], value, _join(key, name)) for name, value in values.items()}
+    try:
+        return cls(**filled)
+    except ValueError as error:
+        raise InputError(f"{key}: {error}" if key else str(error)) from None
+
+
+def _value(kind: Any, value: Any, key: str) -> Any:
+    """The value as the annotated type wants it."""
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if dataclasses.is_dataclass(kind):
+        return _record(typing.cast(type[Any], kind), value, key)
+    if origin in (typing.Union, types.UnionType):
+        wanted = next(choice for choice in inner if choice is not type(None))
+        return None if value is None else _value(wanted, value, key)
+    if origin is tuple:
+        return _tuple(inner, value, key)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        if not isinstance(value, Mapping):
+            raise InputError(f"{key}: want a table [{key}], got {_short(value)}")
+        return {str(name): _value(inner[1], item, _join(key, str(name)[:100])) for name, item in value.items()}
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    if kind is float and (whole or isinstance(value, float)) and abs(value) < 1e300:
+        return float(value)
+    if kind is not float and type(value) is kind:
+        return value
+    raise InputError(f"{key}: want {_WORDS.get(kind, kind)}, got {_short(value)}")
+
+
+def _tuple(inner: tuple[Any, ...], value: Any, key: str) -> tuple[Any, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise InputError(f"{key}: want a list [...], got {_short(value)}")
+    kinds = [inner[0]] * len(value) if inner[-1] is Ellipsis else list(inner)
+    if len(kinds) != len(value):
+        raise InputError(f"{key}: want {len(kinds)} values, got {len(value)}")
+    return tuple(_value(kind, item, f"{key}[{i}]") for i, (kind, item) in enumerate(zip(kinds, value, strict=True)))
+
+
+def _plain(value: Any) -> Any:
+    """The value in TOML's own types."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return _plain({field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
+    if isinstance(value, Mapping):
+        return {str(name): _plain(item) for name, item in value.items() if item is not None}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
+
+
+def _join(key: str, name: str) -> str:
+    return f"{key}.{name}" if key else name
+
+
+def _short(value: Any) -> str:
+    """A value for a message, not endless."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, list):
+        return f"a list of {len(value)}"
+    text = repr(value) if not isinstance(value, int) or abs(value) < 10**20 else "a huge number"
+    return text if len(text) <= 60 else f"{text[:60]}..."
