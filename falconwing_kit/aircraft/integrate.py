@@ -13,11 +13,11 @@ from falconwing_kit.core.checks import Array, InputError, require_shape
 SUBSTEPS = {"paper": 1, "rates": 2}  # per 50 ms; body rates need the shorter step
 
 
-def step_batch(model: Model, K: Any, time: Any, x: Array, command: Array, duration: Any) -> Array:
+def step_batch(rates: Any, K: Any, time: Any, x: Array, command: Array, duration: Any) -> Array:
     """One Runge-Kutta step of many aircraft at once.
 
     Args:
-        model: which terms act.
+        rates: the function (time, x, command, K) -> dx/dt that `state_rates` builds.
         K: parameter record; each field a number or an array that broadcasts against the batch.
         time: (...) since the start of the flight [s].
         x: (n_states, ...) states, SI.
@@ -27,15 +27,15 @@ def step_batch(model: Model, K: Any, time: Any, x: Array, command: Array, durati
     Returns:
         (n_states, ...) states after the step.
     """
-    f = state_rates(model.form, model.terms, model.winds)
     half = 0.5 * duration
-    k1 = _stack(f(time, x, command, K), x)
-    total = k1.copy()
-    k2 = _stack(f(time + half, x + half * k1, command, K), x)
-    total += 2.0 * k2
-    k3 = _stack(f(time + half, x + half * k2, command, K), x)
-    total += 2.0 * k3
-    total += _stack(f(time + duration, x + duration * k3, command, K), x)
+    k1 = _stack(rates(time, x, command, K), x)
+    k2 = _stack(rates(time + half, x + half * k1, command, K), x)
+    k3 = _stack(rates(time + half, x + half * k2, command, K), x)
+    k4 = _stack(rates(time + duration, x + duration * k3, command, K), x)
+    total = k2 + k3
+    total *= 2.0
+    total += k1
+    total += k4
     total *= duration / 6.0
     total += x
     return total
@@ -60,13 +60,13 @@ def roll_out_batch(model: Model, start: Array, commands: Array, dt: float) -> Ar
     Returns:
         (B, T + 1, n_states); row 0 is the start.
     """
-    K = model.K
+    K, rates = model.K, state_rates(model.form, model.terms, model.winds)
     x = np.ascontiguousarray(start.T)
     flown = np.empty((commands.shape[1] + 1, *x.shape))
     flown[0] = x
     by_step = np.ascontiguousarray(commands.transpose(1, 2, 0))
     for k, command in enumerate(by_step):
-        x = step_batch(model, K, k * dt, x, command, dt)
+        x = step_batch(rates, K, k * dt, x, command, dt)
         flown[k + 1] = x
     return np.ascontiguousarray(flown.transpose(2, 0, 1))
 

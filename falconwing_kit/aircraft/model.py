@@ -206,7 +206,9 @@ def state_rates(form: Form, terms: tuple[Term, ...], winds: tuple[WindTerm, ...]
 
 
 def _sum_of(functions: list[Any], compiler: Any) -> Any:
-    """One function that adds the loads of all; pairwise, so that a compiler sees plain calls."""
+    """One function that adds the loads of all; pairwise where it is compiled, so that a compiler sees plain calls."""
+    if compiler is _same:
+        return lambda air, K: _sum_arrays([evaluate(air, K) for evaluate in functions])
     first = functions[0]
     if len(functions) == 1:
         return first
@@ -217,6 +219,16 @@ def _sum_of(functions: list[Any], compiler: Any) -> Any:
         a, b = first(air, K), rest(air, K)
         return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
 
+    return total
+
+
+def _sum_arrays(parts: list[Any]) -> list[Any]:
+    """Add loads, leaving out the plain zeros: most terms touch one or two of the six."""
+    total: list[Any] = [0.0] * 6
+    for part in parts:
+        for i, load in enumerate(part):
+            if type(load) is not float or load != 0.0:
+                total[i] = load if type(total[i]) is float and total[i] == 0.0 else total[i] + load
     return total
 
 

@@ -1,0 +1,220 @@
+"""Identification: flight tables -> a fitted model with intervals, and a score on time it has not seen."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from falconwing_kit.aircraft.model import FORMS, Form, Model
+from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.core.flight_table import FlightTable
+from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_starts, robust_factor
+from falconwing_kit.sysid.one_step import fit_one_step
+from falconwing_kit.sysid.prepare import Flight, Prepared, prepare
+from falconwing_kit.sysid.score import Score, hold_out, score, select
+from falconwing_kit.sysid.shooting import Windows, cut_windows, residuals
+from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
+
+WINDOW_S = 2.0
+COARSE_WINDOWS = 60  # one-second windows that bring a bad start near; more would only cost time
+CORRELATED_SHARE = 0.5  # at most this share of the noise variance may be slow; what is beyond counts as misfit
+BAD_FIT = 4.0  # chi2 per degree of freedom that no pose noise explains
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """The answer of `identify`: a model, how sure it is, and how well it predicts."""
+
+    model: Model
+    uncertainty: Uncertainty
+    train: Score
+    held_out: Score | None  # None where the flight is too short to keep anything back
+    sigma: Array  # (6,) noise used, order of CHANNELS [m, rad]
+    sigma_white: Array  # (6,) noise seen by differences alone
+    prepared: tuple[Prepared, ...]
+    windows: Windows  # every window, with the weights used
+    held_out_index: np.ndarray  # which of them were kept for scoring
+    result: FitResult  # the final fit, to all windows
+    names: tuple[str, ...]  # the flights
+    warnings: tuple[str, ...]
+    seconds: float
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """95 % interval of a parameter, its unit."""
+        return self.uncertainty.interval(name, self.model.values[name])
+
+
+def identify(
+    tables: Sequence[FlightTable],
+    form: Form = "rates",
+    *,
+    model: Model | None = None,
+    sigma: Array | None = None,
+    prior: Prior | None = None,
+    window_s: float = WINDOW_S,
+    progress: Progress | None = None,
+) -> Identification:
+    """Fit f_K to one or several flights of one aircraft by multiple shooting, and score it on held-out time.
+
+    About a third of the time, in blocks of 10 s, is held out; the model is fitted to the rest and scored; the
+    parameters handed back are then fitted to everything.
+
+    Args:
+        tables: flights of the same aircraft, same rate.
+        form: "rates" or "paper"; unused where a model is given.
+        model: where to start (its terms, bounds and values), or None for the form's own.
+        sigma: (6,) noise of px, py, pz, roll, pitch, yaw [m, rad], or None to use the tables' or estimate it.
+        prior: what is known of the parameters, or None.
+        window_s: length of a shooting window [s].
+        progress: called with a stage's name and the chi2 there.
+
+    Returns:
+        Model, intervals, scores and warnings.
+
+    Raises:
+        InputError: no flight, too little of it, or nothing moves in it.
+    """
+    began = time.perf_counter()
+    tell = progress or (lambda stage, chi2: None)
+    if not tables:
+        raise InputError("flights: want at least one flight table, got none")
+    prepared = tuple(prepare(table, sigma) for table in tables)
+    flights = tuple(flight for p in prepared for flight in p.flights)
+    _require_motion(flights)
+    model = model or FORMS[form]()
+    model = _starting_model(model, flights, prior, tell)
+
+    windows = cut_windows(flights, model, window_s)
+    fit_index, score_index = hold_out(windows)
+    white = np.median([p.sigma for p in prepared], axis=0)
+    known = sigma is not None or all("sigma_position" in t.extra for t in tables)
+    train = select(windows, fit_index)
+    starts, _ = fit_starts(model, train, train.guess[:, : model.n_states], iterations=2)
+    result, train, noise = _fit_with_noise(model, train, starts, prior, white, fixed=known, tell=tell)
+    windows = windows.weighted(white / noise)
+    train_score = score(result.model, select(windows, fit_index), result.starts)
+    held_out = score(result.model, select(windows, score_index)) if len(score_index) else None
+    tell("held out", held_out.chi2 if held_out else float("nan"))
+
+    final = result
+    if held_out is not None:
+        starts = np.empty((len(windows), model.n_states))
+        starts[fit_index], starts[score_index] = result.starts, held_out.starts
+        everything = windows.weighted(_robust(residuals(result.model, windows, starts), windows))
+        final = fit(result.model, everything, starts, prior=prior, iterations=6)
+        tell("all windows", final.cost / max(windows.count, 1))
+        sure = uncertainty(final, everything, prior)
+    else:
+        sure = uncertainty(final, train, prior)
+    warnings = [w for p in prepared for w in p.warnings] + _warnings(final, sure, train_score, held_out)
+    return Identification(
+        final.model, sure, train_score, held_out, noise, white, prepared, windows, score_index, final,
+        tuple(t.name for t in tables), tuple(warnings), time.perf_counter() - began,
+    )  # fmt: skip
+
+
+def _require_motion(flights: Sequence[Flight]) -> None:
+    moved = np.sqrt(sum(np.var(f.commands, axis=0) for f in flights) / len(flights))
+    if np.all(moved < 1e-6):
+        raise InputError("commands: want sticks that move, got the same values in every row; nothing can be identified")
+    speed = np.median(np.concatenate([np.linalg.norm(f.smooth[:, 6:9], axis=1) for f in flights]))
+    if speed < 0.5:
+        raise InputError(f"flight: want an aircraft that flies, got a median speed of {speed:.2f} m/s")
+
+
+def _starting_model(model: Model, flights: Sequence[Flight], prior: Prior | None, tell: Progress) -> Model:
+    """Short windows from several starts: the model's own, and the smoothed one-step fit."""
+    windows = cut_windows(flights, model, 1.0)
+    if len(windows) > COARSE_WINDOWS:
+        windows = select(windows, np.linspace(0, len(windows) - 1, COARSE_WINDOWS).astype(int))
+    best, best_cost = model, np.inf
+    candidates: tuple[Callable[[], Model], ...] = (lambda: model, lambda: fit_one_step(model, flights, smoothed=True))
+    for candidate in candidates:
+        start = candidate()
+        starts, residual = fit_starts(start, windows, windows.guess[:, : model.n_states], iterations=3)
+        coarse = windows.weighted(_robust(residual, windows, far=30.0))
+        result = fit(start, coarse, starts, prior=prior, iterations=15, tolerance=1.0)
+        cost = float(np.sum(np.minimum(result.residual**2, 25.0)))
+        tell("one-second windows", cost / windows.count)
+        if cost < best_cost:
+            best, best_cost = result.model, cost
+        if best_cost < 2.0 * windows.count:
+            break
+    return best
+
+
+def _fit_with_noise(
+    model: Model, windows: Windows, starts: Array, prior: Prior | None, white: Array, *, fixed: bool, tell: Progress
+) -> tuple[FitResult, Windows, Array]:
+    """Fit, weigh down what is far off, let the noise grow to what slow pose errors may explain, fit again."""
+    noise, plain = white, windows
+    result = fit(model, windows, starts, prior=prior, tolerance=1.0)
+    tell("two-second windows", result.cost / windows.count)
+    for _ in range(2):
+        before = noise
+        if not fixed:
+            noise = _noise(result, plain, white)
+        old, scaled = windows, plain.weighted(white / noise)
+        windows = scaled.weighted(_robust(residuals(result.model, scaled, result.starts), scaled))
+        factor = np.divide(windows.weight, old.weight, out=np.ones_like(old.weight), where=old.weight > 0)
+        linear = result.reweighted(factor)
+        result = fit(result.model, windows, result.starts, prior=prior, iterations=10, linear=linear)
+        tell("weights updated", result.cost / windows.count)
+        if np.allclose(noise, before, rtol=0.03):
+            break
+    return result, windows, noise
+
+
+def _noise(result: FitResult, windows: Windows, white: Array) -> Array:
+    """Noise of each channel from the residuals, between the white part and twice its variance."""
+    residual = residuals(result.model, windows, result.starts).reshape(windows.weight.shape)
+    share = 1.0 - (len(windows) * result.model.n_states + len(result.free)) / windows.count
+    seen = windows.weight > 0
+    ratio = np.array([(1.4826 * np.median(np.abs(residual[..., c][seen[..., c]]))) ** 2 for c in range(6)]) / share
+    return np.asarray(white * np.sqrt(np.clip(ratio, 1.0, 1.0 / (1.0 - CORRELATED_SHARE))))
+
+
+def _robust(residual: Array, windows: Windows, far: float | None = None) -> Array:
+    factor = robust_factor(residual, windows)
+    return factor if far is None else np.asarray(np.where(np.abs(residual).reshape(factor.shape) < far, 1.0, factor))
+
+
+def _warnings(result: FitResult, sure: Uncertainty, train: Score, held_out: Score | None) -> list[str]:
+    said = []
+    if not result.converged:
+        said.append("the fit ran out of steps; its values may still move")
+    chi2 = held_out.chi2 if held_out else train.chi2
+    if chi2 > BAD_FIT:
+        said.append(f"this model does not describe this flight: chi2 per degree of freedom is {chi2:.1f}, noise alone gives 1")
+    if held_out is None:
+        said.append("the flight is too short to hold anything back; the score is on the fitted data")
+    for name in sure.not_excited:
+        said.append(f"{name} was not excited in this flight: its interval is wider than half an ordinary value")
+    for name in sure.at_bound:
+        said.append(f"{name} ended on its bound {result.model.values[name]:g}; its interval does not hold")
+    for a, b, r in sure.correlated[:5]:
+        said.append(f"{a} and {b} are hardly separated by this flight (correlation {r:+.2f})")
+    return said
+
+
+def refit(identification: Identification, model: Model, prior: Prior | None = None) -> FitResult:
+    """Fit another model to the same windows with the same weights, starting from the found start states.
+
+    Args:
+        identification: a finished identification.
+        model: the model to fit, same form.
+        prior: what is known of its parameters.
+
+    Returns:
+        The fit to all windows.
+    """
+    starts = identification.result.starts
+    windows = identification.windows
+    windows = windows.weighted(_robust(residuals(model, windows, starts), windows))
+    return fit(model, windows, starts, prior=prior)
+
+
+

@@ -1,0 +1,93 @@
+"""The paper's identification: least squares on the next state. The baseline that struggles, and why.
+
+K* = argmin sum |f_K(x_t, u_t) - x_{t+1}|^2   [paper, Section IV-B]
+
+Velocities are differences of measured poses, so their noise is sqrt(2) sigma / dt: 0.85 m/s for 3 cm at 20 Hz. That
+noise stands in the state on the right as well as in the target on the left, which biases every parameter
+(errors in variables). Smoothing first helps and brings a bias of its own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from falconwing_kit.aircraft.inputs import acting_commands
+from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
+from falconwing_kit.aircraft.model import Model, record_of, state_rates
+from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.core.frames import body_rates
+from falconwing_kit.sysid.prepare import Flight
+
+
+def differentiated_states(flight: Flight) -> Array:
+    """States from raw differences of poses, as the paper forms them.
+
+    Args:
+        flight: a prepared flight of N rows.
+
+    Returns:
+        (N - 1, 12) in the order of STATE_NAMES, SI; nan where a pose is missing.
+    """
+    slope = np.diff(flight.pose, axis=0) / np.diff(flight.t)[:, None]
+    here = flight.pose[:-1]
+    rates = np.stack(body_rates(here[:, 3], here[:, 4], *slope[:, 3:].T), axis=1)
+    return np.concatenate([here[:, :3], here[:, [4, 5, 3]], slope[:, :3], rates], axis=1)
+
+
+def fit_one_step(model: Model, flights: Sequence[Flight], *, smoothed: bool = False) -> Model:
+    """Fit K by the paper's loss: predict each next state from the one before.
+
+    Args:
+        model: where to start; delay and lag stay as they are, since one step cannot see them.
+        flights: prepared flights.
+        smoothed: use states from local cubics instead of raw differences.
+
+    Returns:
+        The model with fitted values.
+
+    Raises:
+        InputError: fewer usable steps than parameters.
+    """
+    from scipy.optimize import least_squares
+
+    held = model.pinned(("delay", "lag"))
+    free = [i for i, p in enumerate(held.parameters) if p.high > p.low]
+    steps = [_steps(held, flight, smoothed) for flight in flights]
+    before, after, acting, duration = (np.concatenate(p, axis=-1) for p in zip(*steps, strict=True))
+    if before.shape[1] < 3 * len(free):
+        raise InputError(f"flight: want at least {3 * len(free)} pairs of neighbouring poses, got {before.shape[1]}")
+    low, high = (np.array([getattr(held.parameters[i], side) for i in free]) for side in ("low", "high"))
+    start = np.clip(held.vector[free], low, high)
+
+    def mismatch(values: Array) -> Array:
+        vector = held.vector
+        vector[free] = values
+        with np.errstate(all="ignore"):
+            predicted = _advance(held, vector, before, acting, duration)
+        return np.nan_to_num(predicted - after, nan=1e3, posinf=1e3, neginf=-1e3).ravel()
+
+    scale = np.array([max(abs(held.parameters[i].start), 0.1) for i in free])
+    loss = "soft_l1" if smoothed else "linear"
+    found = least_squares(mismatch, start, bounds=(low, high), x_scale=scale, loss=loss, max_nfev=30)
+    vector = held.vector
+    vector[free] = found.x
+    return replace(model, values=dict(zip(model.names, map(float, vector), strict=True)))
+
+
+def _steps(model: Model, flight: Flight, smoothed: bool) -> tuple[Array, Array, Array, Array]:
+    states = flight.smooth if smoothed else differentiated_states(flight)
+    states = states[:, : model.n_states]
+    t = flight.t[: len(states)] - flight.t[0]
+    good = np.isfinite(states).all(axis=1)
+    pairs = np.flatnonzero(good[:-1] & good[1:])
+    acting = acting_commands(t, flight.commands[: len(t)], t, model.values["delay"], model.values["lag"])
+    return states[pairs].T, states[pairs + 1].T, acting[pairs].T, np.diff(t)[pairs]
+
+
+def _advance(model: Model, vector: Array, x: Array, acting: Array, duration: Array) -> Array:
+    K = record_of(model.names)(*map(float, vector))
+    substeps, rates = SUBSTEPS[model.form], state_rates(model.form, model.terms, model.winds)
+    for _ in range(substeps):
+        x = step_batch(rates, K, 0.0, x, acting, duration / substeps)
+    return x

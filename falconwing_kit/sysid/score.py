@@ -1,0 +1,81 @@
+"""Scores: a model + windows it was not fitted to -> how well it predicts two seconds ahead, in sigmas and in metres."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from falconwing_kit.aircraft.model import Model
+from falconwing_kit.core.checks import Array
+from falconwing_kit.sysid.fit import fit_starts
+from falconwing_kit.sysid.shooting import Windows
+
+BLOCK_S = 10.0  # neighbouring samples are alike: whole blocks of time are held out, never single rows
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well windows are predicted when only their start states may adapt."""
+
+    chi2: float  # chi2 per degree of freedom, 1 where only noise is left
+    channels: Array  # (6,) the same per channel
+    position_m: float  # root mean square over all rows
+    attitude_deg: float
+    windows: int
+    residual: Array  # (W, L, 6) predicted minus measured, weighted
+    starts: Array  # (W, n_states)
+
+
+def score(model: Model, windows: Windows, starts: Array | None = None) -> Score:
+    """Predict each window from its re-estimated start state and compare with what was measured.
+
+    Args:
+        model: the aircraft; its parameters are held.
+        windows: W windows, L rows each.
+        starts: (W, n_states) first guess of the start states, or None for the windows' own.
+
+    Returns:
+        The score. Degrees of freedom: measured components less one start state per window.
+    """
+    guess = windows.guess[:, : model.n_states] if starts is None else starts
+    starts, residual = fit_starts(model, windows, guess)
+    residual = residual.reshape(windows.weight.shape)
+    share = 1.0 - len(windows) * model.n_states / max(windows.count, 1)
+    squares = residual**2
+    seen = np.maximum(np.count_nonzero(windows.weight, axis=(0, 1)), 1)
+    channels = squares.sum(axis=(0, 1)) / seen / share
+    error = np.divide(residual, windows.weight, out=np.zeros_like(residual), where=windows.weight > 0)
+    position = np.sqrt((error[..., :3] ** 2).sum() / max(seen[:3].mean(), 1.0))
+    attitude = np.sqrt((error[..., 3:] ** 2).sum() / max(seen[3:].sum(), 1.0))
+    return Score(
+        float(squares.sum() / max(windows.count, 1) / share), channels, float(position), float(np.degrees(attitude)),
+        len(windows), residual, starts,
+    )  # fmt: skip
+
+
+def hold_out(windows: Windows, share: float = 0.3, block_s: float = BLOCK_S) -> tuple[np.ndarray, np.ndarray]:
+    """Which windows to fit and which to keep for scoring, by whole blocks of time.
+
+    Args:
+        windows: W windows.
+        share: about this part of the blocks is kept for scoring.
+        block_s: length of a block [s].
+
+    Returns:
+        indices for fitting and indices for scoring; the latter is empty where there are fewer than two blocks.
+    """
+    block = np.floor((windows.nodes[:, 0] - windows.nodes[:, 0].min()) / block_s).astype(int)
+    kept = np.floor((block + 1) * share) > np.floor(block * share)
+    return np.flatnonzero(~kept), np.flatnonzero(kept)
+
+
+def select(windows: Windows, index: np.ndarray) -> Windows:
+    """The windows at these indices."""
+    return replace(
+        windows,
+        nodes=windows.nodes[index],
+        pose=windows.pose[index],
+        weight=windows.weight[index],
+        edges=windows.edges[index],
+        flight=windows.flight[index],
+        guess=windows.guess[index],
+    )

@@ -1,0 +1,227 @@
+"""Multiple shooting: flights cut into short windows + a model -> predicted poses and their derivatives.
+
+Each window starts from its own free state and flies on the logged commands alone; only measured poses are compared.
+No velocity is ever differentiated from noisy poses, which is what ruins the one-step fit
+[Bock & Plitt 1984; Jategaonkar, Flight Vehicle System Identification, ch. 4].
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from falconwing_kit.aircraft.inputs import acting_commands
+from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
+from falconwing_kit.aircraft.model import Model, record_of, state_rates
+from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.sysid.prepare import Flight
+
+POSE_ROWS = [0, 1, 2, 5, 3, 4]  # rows of a state that a pose shows, in the order of prepare.CHANNELS
+EARLY_ROWS = 20  # rows of commands before a window that servo lag and delay can reach back to
+FIRST_ROW = 10  # of a flight: what was commanded before it is not known
+MAPPED = ("delay", "lag")  # parameters that act on the sticks before the flight is integrated
+CHUNK = 8192  # aircraft advanced together; their arrays stay in the processor's cache
+STATE_STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
+
+
+@dataclass(frozen=True)
+class Windows:
+    """W windows of L rows each, from one or several flights with the same rate."""
+
+    nodes: Array  # (W, L) time of each row, since the start of its flight [s]
+    pose: Array  # (W, L, 6) measured, zero where missing [m, rad]
+    weight: Array  # (W, L, 6) 1/sigma, zero where missing
+    edges: Array  # (W, E + S + 1) integration steps, E of them before the window, since the start of the flight [s]
+    early: int  # E
+    substeps: int  # integration steps per row
+    flight: np.ndarray  # (W,) which flight
+    flights: tuple[Flight, ...]
+    guess: Array  # (W, 12) start states from the local cubics
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    @property
+    def count(self) -> int:
+        """Number of measured pose components."""
+        return int(np.count_nonzero(self.weight))
+
+    def acting(self, delay: float, lag: float) -> Array:
+        """Control positions over each integration step.
+
+        Args:
+            delay: [s].
+            lag: [s].
+
+        Returns:
+            (S, 4, W).
+        """
+        steps = np.empty((len(self), self.edges.shape[1] - 1, 4))
+        for number, flight in enumerate(self.flights):
+            mine = self.flight == number
+            steps[mine] = acting_commands(flight.t - flight.t[0], flight.commands, self.edges[mine], delay, lag)
+        return np.ascontiguousarray(steps[:, self.early :].transpose(1, 2, 0))
+
+    def weighted(self, factor: Array) -> "Windows":
+        """The same windows with every weight multiplied by factor (W, L, 6)."""
+        return replace(self, weight=self.weight * factor)
+
+
+def cut_windows(flights: Sequence[Flight], model: Model, seconds: float = 2.0) -> Windows:
+    """Cut flights into windows that follow each other without overlap.
+
+    Args:
+        flights: prepared flights of one rate.
+        model: says how many integration steps a row needs.
+        seconds: length of a window [s].
+
+    Returns:
+        The windows with at least half of their poses.
+
+    Raises:
+        InputError: no flight is long enough for one window.
+    """
+    interval = float(np.median(np.concatenate([np.diff(f.t) for f in flights])))
+    rows = max(4, round(seconds / interval))
+    substeps = max(1, round(SUBSTEPS[model.form] * interval / 0.05))
+    parts: list[tuple[Array, ...]] = []
+    for number, flight in enumerate(flights):
+        begins = np.arange(FIRST_ROW, len(flight.t) - rows + 1, rows)
+        if len(begins):
+            parts.append(_cut_one(flight, begins, rows, substeps, number))
+    if not parts:
+        longest = max(f.duration for f in flights)
+        raise InputError(f"flight: want at least {seconds + FIRST_ROW * interval:.1f} s in one piece, got {longest:.1f} s")
+    nodes, pose, weight, edges, flight_number, guess = (np.concatenate(p) for p in zip(*parts, strict=True))
+    filled = np.count_nonzero(weight, axis=(1, 2)) >= 0.5 * min(np.max(np.count_nonzero(weight, axis=(1, 2))), rows * 6)
+    if not filled.any():
+        raise InputError("flight: want windows with at least half of their poses, got none")
+    early = EARLY_ROWS * substeps
+    return Windows(
+        nodes[filled], pose[filled], weight[filled], edges[filled], early, substeps,
+        flight_number[filled], tuple(flights), guess[filled],
+    )  # fmt: skip
+
+
+def _cut_one(flight: Flight, begins: np.ndarray, rows: int, substeps: int, number: int) -> tuple[Array, ...]:
+    index = begins[:, None] + np.arange(rows)
+    t = flight.t - flight.t[0]
+    interval = float(np.median(np.diff(t)))
+    nodes = t[index]
+    between = np.arange(substeps) / substeps
+    inner = (nodes[:, :-1, None] + np.diff(nodes)[:, :, None] * between).reshape(len(begins), -1)
+    before = nodes[:, :1] - interval / substeps * np.arange(EARLY_ROWS * substeps, 0, -1)
+    edges = np.concatenate([before, inner, nodes[:, -1:]], axis=1)
+    pose = flight.pose[index]
+    weight = np.where(np.isfinite(pose), 1.0 / flight.sigma, 0.0)
+    return nodes, np.nan_to_num(pose), weight, edges, np.full(len(begins), number), flight.smooth[begins]
+
+
+def predict(
+    model: Model, windows: Windows, starts: Array, values: Array, acting: Array, sticks: np.ndarray | None = None
+) -> Array:
+    """Fly every window once for each of C columns of start states and parameter values.
+
+    Args:
+        model: the aircraft.
+        windows: W windows.
+        starts: (n_states, C, W) start states.
+        values: (P, C) parameter values; delay and lag have acted already.
+        acting: (S, 4, A, W) control positions of each integration step, in A variants.
+        sticks: (C,) which variant each column flies on; None where there is but one.
+
+    Returns:
+        (L, 6, C, W) predicted poses at the windows' rows, order of CHANNELS.
+    """
+    rates = state_rates(model.form, model.terms, model.winds)
+    steps = np.diff(windows.edges[:, windows.early :], axis=1).T
+    begin = windows.edges[:, windows.early :].T
+    n_columns, n_windows = starts.shape[1:]
+    poses = np.empty((windows.nodes.shape[1], 6, n_columns, n_windows))
+    varied = np.ptp(values, axis=1) > 0.0
+    K = record_of(model.names)(*(v[:, None] if many else float(v[0]) for v, many in zip(values, varied, strict=True)))
+    width = max(1, CHUNK // n_columns)
+    for a in range(0, n_windows, width):
+        part = slice(a, a + width)
+        x = np.ascontiguousarray(starts[:, :, part])
+        poses[0, :, :, part] = x[POSE_ROWS]
+        for k in range(len(steps)):
+            command = acting[k, :, :, part] if sticks is None else acting[k, :, :, part][:, sticks]
+            x = step_batch(rates, K, begin[k, part], x, command, steps[k, part])
+            if (k + 1) % windows.substeps == 0:
+                poses[(k + 1) // windows.substeps, :, :, part] = x[POSE_ROWS]
+    return poses
+
+
+def residuals(model: Model, windows: Windows, starts: Array) -> Array:
+    """Weighted difference between predicted and measured poses.
+
+    Args:
+        model: the aircraft at its present values.
+        windows: W windows.
+        starts: (W, n_states).
+
+    Returns:
+        (W, L * 6), zero where a pose is missing; infinite where the flight ran away.
+    """
+    acting = windows.acting(*_delay_and_lag(model, model.vector))[:, :, None]
+    with np.errstate(all="ignore"):
+        return _weigh(windows, predict(model, windows, starts.T[:, None, :], model.vector[:, None], acting))[0]
+
+
+def jacobian(model: Model, windows: Windows, starts: Array, free: Sequence[int]) -> tuple[Array, Array, Array]:
+    """Residuals and their derivatives by batched forward differences.
+
+    All perturbed aircraft of all windows fly together, which is why plain NumPy is fast enough.
+
+    Args:
+        model: the aircraft at its present values.
+        windows: W windows.
+        starts: (W, n_states).
+        free: which parameters move, as indices into model.names.
+
+    Returns:
+        residual (W, L * 6); derivative to the free parameters (W, L * 6, F), per unit of each parameter;
+        derivative to the start states (W, L * 6, n_states).
+    """
+    base = model.vector
+    steps = np.array([1e-3 if model.names[i] in MAPPED else 1e-5 * _size(model, i) for i in free])
+    n_states, n_free = model.n_states, len(free)
+    columns = 1 + n_free + n_states
+    values = np.repeat(base[:, None], columns, axis=1)
+    start_columns = np.repeat(starts.T[:, None, :], columns, axis=1)
+    acting, sticks = [windows.acting(*_delay_and_lag(model, base))], np.zeros(columns, dtype=int)
+    for column, (i, step) in enumerate(zip(free, steps, strict=True), start=1):
+        values[i, column] += step
+        if model.names[i] in MAPPED:
+            sticks[column] = len(acting)
+            acting.append(windows.acting(*_delay_and_lag(model, values[:, column])))
+    for i in range(n_states):
+        start_columns[i, 1 + n_free + i] += STATE_STEPS[i]
+    with np.errstate(all="ignore"):
+        variants = np.stack(acting, axis=2)
+        poses = predict(model, windows, start_columns, values, variants, sticks if len(acting) > 1 else None)
+        weighed = _weigh(windows, poses)
+        at_base = weighed[0]
+        moved = weighed[1:] - at_base
+    moved /= np.concatenate([steps, STATE_STEPS[:n_states]])[:, None, None]
+    moved = np.moveaxis(moved, 0, -1)
+    return at_base, moved[..., :n_free], moved[..., n_free:]
+
+
+def _weigh(windows: Windows, poses: Array) -> Array:
+    """(L, 6, C, W) predicted poses -> (C, W, L * 6) weighted residuals; angles by the shorter way."""
+    difference = poses.transpose(2, 3, 0, 1) - windows.pose
+    angles = difference[..., 3:]
+    angles -= 2.0 * np.pi * np.round(angles[:1] / (2.0 * np.pi))
+    difference *= windows.weight
+    difference[~np.isfinite(difference)] = np.inf
+    return difference.reshape(*difference.shape[:2], -1)
+
+
+def _delay_and_lag(model: Model, vector: Array) -> tuple[float, float]:
+    return float(vector[model.names.index("delay")]), float(vector[model.names.index("lag")])
+
+
+def _size(model: Model, i: int) -> float:
+    return max(abs(model.vector[i]), abs(model.parameters[i].start), 0.1)

@@ -1,0 +1,97 @@
+"""Uncertainty: a finished fit -> 95 % intervals, correlations, and which parameters this flight did not excite."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from falconwing_kit.core.checks import Array
+from falconwing_kit.sysid.fit import FitResult, Prior
+from falconwing_kit.sysid.shooting import Windows
+
+HIGH_CORRELATION = 0.95
+WEAK_SHARE = 0.5  # an interval wider than this share of the value (or of an ordinary value) says little
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """What the data say about each fitted parameter."""
+
+    names: tuple[str, ...]
+    covariance: Array  # (F, F), in the parameters' units
+    inflation: float  # variance factor for time-correlated residuals, >= 1
+    correlated: tuple[tuple[str, str, float], ...]  # pairs that the flight hardly separates
+    not_excited: tuple[str, ...]
+    at_bound: tuple[str, ...]
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """Standard deviation of each fitted parameter, its unit."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    def interval(self, name: str, value: float) -> tuple[float, float]:
+        """95 % interval around a value; the value alone where the parameter was held."""
+        half = 1.96 * self.sigma.get(name, 0.0)
+        return value - half, value + half
+
+
+def uncertainty(result: FitResult, windows: Windows, prior: Prior | None = None) -> Uncertainty:
+    """Covariance of the fitted parameters from the curvature of the cost.
+
+    cov = f s^2 (J'J)^-1 with s^2 = chi2 per degree of freedom [Jategaonkar, eq. 4.44]. The factor f compares the
+    scatter of the windows' gradients with what white residuals would give; time-correlated pose noise raises it
+    [White 1980; Liang & Zeger 1986, clustered by window].
+
+    Args:
+        result: the finished fit.
+        windows: the windows it was fitted to.
+        prior: the prior used, if any.
+
+    Returns:
+        The uncertainty of the parameters that were free.
+    """
+    model, J = result.model, result.reduced
+    names = tuple(model.names[i] for i in result.free)
+    freedom = max(windows.count - len(names) - J.shape[0] * model.n_states, 1)
+    s2 = float(np.sum(result.residual**2)) / freedom
+    normal = np.einsum("wif,wig->fg", J, J, optimize=True)
+    known = np.array([1.0 / prior.sigma[n] ** 2 if prior and n in prior.sigma else 0.0 for n in names])
+    inverse = _inverse(normal / max(s2, 1e-12) + np.diag(known))
+    inflation = _inflation(J, result.residual, inverse / max(s2, 1e-12), freedom / windows.count)
+    covariance = inverse * inflation
+    values = {n: model.values[n] for n in names}
+    sigma = np.sqrt(np.diag(covariance))
+    bounds = {p.name: p for p in model.parameters}
+    at_bound = tuple(
+        n for n in names if min(values[n] - bounds[n].low, bounds[n].high - values[n]) < 1e-6 * (bounds[n].high - bounds[n].low)
+    )
+    ordinary = {n: max(abs(values[n]), abs(bounds[n].start), 1e-9) for n in names}
+    weak = tuple(n for n, s in zip(names, sigma, strict=True) if 1.96 * s > WEAK_SHARE * ordinary[n] and bounds[n].start != 0.0)
+    correlation = covariance / np.outer(sigma, sigma)
+    pairs = [
+        (names[i], names[j], float(correlation[i, j]))
+        for i in range(len(names))
+        for j in range(i)
+        if abs(correlation[i, j]) > HIGH_CORRELATION
+    ]
+    return Uncertainty(names, covariance, inflation, tuple(sorted(pairs, key=lambda p: -abs(p[2]))), weak, at_bound)
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverse of a symmetric positive matrix whose rows differ by orders of magnitude; flat directions stay finite."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-30))
+    values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
+    inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T
+    return np.asarray(inverse * np.outer(scale, scale))
+
+
+def _inflation(J: Array, residual: Array, inverse: Array, free_share: float) -> float:
+    """Mean over parameters of clustered variance over white variance, at least 1."""
+    s2 = float(np.sum(residual**2)) / max(np.count_nonzero(residual) * free_share, 1.0)
+    gradients = np.einsum("wif,wi->wf", J, residual, optimize=True)
+    clusters, parameters = gradients.shape
+    if clusters < 8:
+        return 1.0
+    scatter = gradients.T @ gradients * clusters / max(clusters - 1, 1)
+    clustered = np.diag(inverse @ scatter @ inverse)
+    white = np.diag(inverse) * s2
+    return float(max(1.0, np.mean(clustered / np.maximum(white, 1e-30))))
