@@ -38,6 +38,8 @@ def cell_text(value: object) -> str:
     Returns:
         The text of a table cell: four significant digits, "-" for what is not known.
     """
+    if hasattr(value, "item"):
+        value = value.item()  # NumPy's scalars, without importing NumPy
     if isinstance(value, bool):
         return "yes" if value else "no"
     if value is None or (isinstance(value, Real) and math.isnan(value)):
