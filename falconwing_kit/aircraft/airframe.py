@@ -24,7 +24,7 @@ class Part:
     inside: str = ""  # the part that already counts this one's mass; empty where none does
 
     def __post_init__(self) -> None:
-        _require_positive(self, "mass")
+        _require_positive(self, "mass", of=f" of {self.name!r}")
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,9 @@ class Airframe:
             if names.count(part.name) > 1:
                 raise InputError(f"parts: want every name once, got {part.name!r} twice; rename one")
             if part.inside and (part.inside not in names or part.inside == part.name):
-                raise InputError(f"parts: {part.name!r} is inside {part.inside!r}, which is not another part of the list")
+                raise InputError(
+                    f"parts: {part.name!r} is inside {part.inside!r}, which is not another part of the list"
+                )
 
     @property
     def mean_chord(self) -> float:
@@ -188,13 +190,16 @@ def default_airframe_path() -> Path:
     for place in places:
         if place.is_file():
             return place
-    raise FileNotFoundError(f"no airframe file at {' or '.join(map(str, places))}; name one (falconwing: --airframe FILE)")
+    raise FileNotFoundError(
+        f"no airframe file at {' or '.join(map(str, places))}; name one (falconwing: --airframe FILE)"
+    )
 
 
-def _require_positive(record: object, *names: str) -> None:
+def _require_positive(record: object, *names: str, of: str = "") -> None:
     for name in names:
-        if not 0.0 < (value := require_range(name, getattr(record, name))):
-            raise InputError(f"{name}: want a positive number, got {value:g}")
+        value = require_range(name + of, getattr(record, name))
+        if value <= 0.0:
+            raise InputError(f"{name}{of}: want a positive number, got {value:g}")
 
 
 def _require_finite(record: object, *names: str) -> None:

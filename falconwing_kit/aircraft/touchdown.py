@@ -1,7 +1,7 @@
 """Touchdown: a flown path and the wheels' places -> which wheel met the ground first, where, when and how hard.
 
-Geometry only. There is no ground reaction: the path is taken as it was flown or simulated, nothing pushes back, and what
-it does after the first contact has no meaning. Wing tips and propeller are not looked at.
+Geometry only. There is no ground reaction: the path is taken as it was flown or simulated, nothing pushes back, and
+what it does after the first contact has no meaning. Wing tips and propeller are not looked at.
 """
 
 from dataclasses import dataclass
@@ -176,11 +176,12 @@ def _paths(t: ArrayLike, states: ArrayLike, airframe: Airframe) -> tuple[Array, 
     if len(times) < 2 or np.any(np.diff(times) <= 0.0):
         raise InputError("t: want two or more samples with increasing times; sort the rows and drop repeated ones")
     angles = np.unwrap(x[:, 3:6], axis=0)
-    pitch, roll = angles[:, 0], angles[:, 2]
+    pitch, yaw, roll = angles.T
     if x.shape[1] == 9:
         pitch_rate, yaw_rate, roll_rate = np.gradient(angles, times, axis=0).T
         x = np.column_stack([x, *body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate)])
-    roll_rate, pitch_rate, yaw_rate = euler_rates(roll, pitch, *x[:, 9:12].T)
+    row_z = rotation_world_body(roll, pitch, yaw)[:, 2].T
+    roll_rate, pitch_rate, yaw_rate = euler_rates(row_z, *x[:, 9:12].T)
     angle_rates = np.stack([pitch_rate, yaw_rate, roll_rate], axis=-1)
     values = np.concatenate([wheel_positions(x, airframe), x[:, None, 0:3], angles[:, None]], axis=1)
     rates = np.concatenate([wheel_velocities(x, airframe), x[:, None, 6:9], angle_rates[:, None]], axis=1)
