@@ -103,7 +103,7 @@ def answers(command: list[str]) -> bool:
 
 def run(command: list[str], folder: Path | None = None) -> int:
     """Say the command, run it and return its exit code."""
-    print("$", subprocess.list2cmdline(command), flush=True)
+    print("$", subprocess.list2cmdline(command), file=sys.stderr, flush=True)  # stdout is the command's own
     try:
         code = subprocess.run(command, cwd=folder, check=False).returncode
     except OSError as error:
