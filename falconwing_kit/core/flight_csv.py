@@ -91,9 +91,10 @@ def _decode(name: str, line: bytes, number: int) -> str:
 
 def _read_header(name: str, file: BinaryIO) -> list[str]:
     """Column names in the order of the file."""
-    first = _decode(name, next(_lines(name, file), b""), 1)
+    raw = next(_lines(name, file), b"")
+    first = _decode(name, raw, 1)
     if not first.strip():
-        raise InputError(f"{name}: want a header line t,px,py,..., got an empty {'line' if first else 'file'}")
+        raise InputError(f"{name}: want a header line t,px,py,..., got an empty {'line' if raw else 'file'}")
     for mark, word in ((";", "semicolons"), ("\t", "tabs"), (" ", "spaces")):
         if "," not in first and mark in first.strip():
             raise InputError(f"{name}: columns are separated by {word}, want commas; export the table again")
@@ -115,15 +116,17 @@ def _read_cells(name: str, file: BinaryIO, columns: list[str]) -> _Cells:
     words: dict[str, list[str]] = {columns[place]: [] for place in others}
     seen: dict[str, str] = {}  # each different word is kept once
     for number, raw in enumerate(_lines(name, file), start=2):
-        row = _decode(name, raw, number).split(",")
-        if len(row) == 1 and not row[0].strip():
+        if not raw.strip():
             continue
-        whole = raw.endswith(b"\n")
         try:
+            row = _decode(name, raw, number).split(",")
             numbers = _row_of_numbers(name, number, row, columns, numeric)
+            cut = raw.endswith(b",")  # only the last line can end without a line end
         except InputError:
-            if whole:
+            cut = not raw.endswith(b"\n")
+            if not cut:
                 raise
+        if cut:
             warnings.append(f"the last line ({number}) is cut off and was dropped")
             break
         flat.extend(numbers)

@@ -157,9 +157,9 @@ def resample(table: FlightTable, rate_hz: float) -> FlightTable:
     _require_rows(table, table.duration * rate_hz)
     period = 1.0 / nominal_rate_hz(table)
     grid = table.t[0] + np.arange(int(table.duration * rate_hz + 1e-6) + 1) / rate_hz
-    # A grid time that meets a row but for rounding is that row: a measured pose beside a gap must not be lost.
+    # A grid time that meets a row but for rounding (of stamps to 10 us, say) is that row: a measured pose beside a gap must not be lost.
     nearest = table.t[nearest_index(table.t, grid)]
-    query = np.where(np.abs(nearest - grid) < 1e-4 * period, nearest, grid)
+    query = np.where(np.abs(nearest - grid) < 1e-3 * period, nearest, grid)
     held = np.searchsorted(table.t, query, side="right") - 1
 
     def column(values: Array, angle: bool = False) -> Array:
