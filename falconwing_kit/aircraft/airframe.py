@@ -1,4 +1,4 @@
-"""Airframe: a TOML file of measured numbers -> one frozen record in SI units."""
+"""Airframe: a TOML file with units in its keys -> one frozen record in SI units."""
 
 import math
 import sys

@@ -69,7 +69,7 @@ def test_speed_is_that_of_the_aircraft_at_contact():
 
 @pytest.mark.parametrize(("bank_deg", "wheel"), [(10.0, "main_right"), (-10.0, "main_left")])
 def test_the_low_wheel_touches_first(bank_deg, wheel):
-    """By hand: at 10 deg the low wheel hangs 0.08 sin + 0.11 cos = 0.122221 m below the CG; 0.5 m above it, at 0.5 m/s."""
+    """By hand: at 10 deg the low wheel hangs 0.08 sin + 0.11 cos = 0.122221 m below the CG, sinking 0.5 m/s."""
     states = flight(px=-10.0, roll=np.radians(bank_deg), pz=0.6222207 - 0.5 * T, vz=-0.5)
     touch = find_touchdown(T, states, AIRFRAME, PAD)
     assert touch.wheel == wheel
@@ -123,7 +123,7 @@ def test_wheel_below_the_pads_top_runs_into_its_edge():
     ],
 )
 def test_beside_the_pad_only_the_wheel_over_it_counts(py, wheel, surface):
-    """By hand: the left wheel is at y + 0.08, the right at y - 0.08, the pad from -3 to -1; level, so both are as low."""
+    """By hand: left wheel at y + 0.08, right wheel at y - 0.08, pad from -3 to -1; level, so both hang equally low."""
     touch = find_touchdown(T, flight(px=5.0, py=py, **fall(T, 1.0)), AIRFRAME, PAD)
     assert (touch.wheel, touch.surface) == (wheel, surface)
 
@@ -143,9 +143,9 @@ def test_flying_on_is_no_touchdown():
 
 
 def test_touch_and_go_between_two_samples_is_found():
-    """By hand: height 20 (t - 0.025)^2 - 0.005 is positive at 0 and 0.05 s and first zero at 0.025 - 0.015811 s."""
+    """By hand: 20 (t - 0.025)^2 - 0.005 above the pad is positive at 0 and 0.05 s, first zero at 0.025 - 0.015811 s."""
     t = np.array([0.0, 0.05])
-    states = flight(t, px=-10.0, pz=0.11 + 20.0 * (t - 0.025) ** 2 - 0.005, vz=40.0 * (t - 0.025))
+    states = flight(t, px=5.0, py=-2.0, pz=0.21 + 20.0 * (t - 0.025) ** 2 - 0.005, vz=40.0 * (t - 0.025))
     assert find_touchdown(t, states, AIRFRAME, PAD).t == pytest.approx(0.0091886, abs=1e-7)
 
 
@@ -165,15 +165,16 @@ def test_answer_does_not_depend_on_how_the_path_is_sampled(rng):
 
 
 def test_yaw_across_half_a_turn_makes_no_spin():
-    """Symmetry: a steady slow turn through yaw = pi has the sink rate of the same turn through zero."""
-    turn = 0.5 * (T - 1.0)
-    sinks = []
+    """Symmetry: touching down in a slow turn through yaw = pi is the same turn through zero, half a turn later."""
+    turn, touches = 0.5 * (T - 1.0), []
     for start in (0.0, np.pi):
         yaw = (start + turn + np.pi) % (2.0 * np.pi) - np.pi
         states = flight(px=-10.0, yaw=yaw, roll=0.2, pz=0.6 - 0.5 * T, vz=-0.5)
-        sinks.append(find_touchdown(T, states, AIRFRAME, PAD).sink_rate)
-    assert sinks[0] == pytest.approx(sinks[1], rel=1e-9)
-    assert sinks[0] == pytest.approx(0.5, abs=1e-9)
+        touches.append(find_touchdown(T, states, AIRFRAME, PAD))
+    zero, half = touches
+    assert 0.95 < zero.t < 1.0  # the step in which the yaw jumps from pi to -pi
+    assert (half.t, half.sink_rate) == pytest.approx((zero.t, zero.sink_rate), rel=1e-9)
+    assert half.yaw == pytest.approx(zero.yaw + np.pi, abs=1e-9)
 
 
 def test_oscillating_approach_agrees_with_an_independent_root_finder():

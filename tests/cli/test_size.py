@@ -66,7 +66,7 @@ def test_table_shows_the_appendix_values(mass_g, speed, radius, capsys):
 
 
 def test_json_has_the_numbers_and_nothing_else(capsys, tmp_path):
-    """By hand: 8.765 m, 10.12 m with height held, 171.1 g and 148.2 g, parts 151 g against 150 g."""
+    """By hand: 8.765 m, 10.12 m with height held, 171.1 g and 148.2 g, parts 151 g; asin(5.061 / 10) = 30.40 deg."""
     assert main(["size", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["minimum_speed_m_per_s"] == pytest.approx(7.042, abs=5e-4)
@@ -74,6 +74,7 @@ def test_json_has_the_numbers_and_nothing_else(capsys, tmp_path):
     assert record["level_turn"]["radius_m"] == pytest.approx(10.12, abs=5e-3)
     assert record["paper_turn"]["largest_mass_g"] == pytest.approx(171.1, abs=0.05)
     assert record["level_turn"]["largest_mass_g"] == pytest.approx(148.2, abs=0.05)
+    assert record["level_turn"]["bank_needed_deg"] == pytest.approx(30.40, abs=5e-3)
     assert (record["parts_mass_g"], record["unlisted_mass_g"]) == (151.0, -1.0)
     assert record["fits"] is True
     assert list(tmp_path.iterdir()) == []
