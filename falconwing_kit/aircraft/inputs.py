@@ -11,66 +11,44 @@ INPUT_PARAMETERS = (
 )
 
 
-def delayed_hold(t: Array, commands: Array, edges: Array, delay: float) -> Array:
-    """Mean of the held and delayed commands over each integration step.
+def acting_commands(t: Array, commands: Array, edges: Array, delay: float, lag: float) -> tuple[Array, Array]:
+    """Logged commands -> control positions over each integration step, as a mean and a linear swing.
 
-    A command acts from its own time stamp plus the delay until the next one. The mean over a step, rather than the
-    value at its start, makes the result a continuous function of the delay, which a fit needs.
+    A command acts from its own time stamp plus the delay until the next one; a first-order servo follows it,
+    lag dy/dt = u - y. Mean and first moment over each step are exact while at most one command changes per step.
+    Both are needed: the mean makes the result a continuous function of the delay, which a fit needs, and without the
+    moment a delay is found some milliseconds late, since commands change at the same phase of every step.
 
     Args:
-        t: (N,) time of each command [s], increasing.
+        t: (N,) time of each command [s], increasing; before the first, the first is taken to have acted always.
         commands: (N, 4).
         edges: (..., S + 1) ends of the integration steps [s], increasing along the last axis.
-        delay: [s], >= 0.
+        delay: from the logged command to the servo [s], >= 0.
+        lag: time constant of the servo [s], >= 0.
 
     Returns:
-        (..., S, 4) mean command of each step; before the first command, the first command.
+        mean (..., S, 4) and swing (..., S, 4): the position runs from mean - swing to mean + swing over the step. The
+        servo is settled at the first step, so begin some steps early where it matters.
     """
-    area = np.concatenate([np.zeros((1, 4)), np.cumsum(commands[:-1] * np.diff(t)[:, None], axis=0)])
-    when = np.maximum(edges - delay, t[0])
+    when = edges - delay
     row = np.clip(np.searchsorted(t, when, side="right") - 1, 0, len(t) - 1)
+    area = np.concatenate([np.zeros((1, 4)), np.cumsum(commands[:-1] * np.diff(t)[:, None], axis=0)])
     reached = area[row] + (when - t[row])[..., None] * commands[row]
-    span = np.diff(when, axis=-1)
-    mean = np.diff(reached, axis=-2) / np.maximum(span, 1e-12)[..., None]
-    return np.where(span[..., None] > 1e-12, mean, commands[row[..., 1:]])
-
-
-def first_order_lag(steps: Array, durations: Array, lag: float) -> Array:
-    """Mean over each step of a first-order lag driven by stepwise constant commands: lag dy/dt = u - y.
-
-    Args:
-        steps: (..., S, 4) commands; the lag starts settled on the first.
-        durations: (..., S) step lengths [s], > 0.
-        lag: time constant [s], >= 0.
-
-    Returns:
-        (..., S, 4).
-    """
-    if lag < 1e-6:
-        return steps
-    kept = np.exp(-durations / lag)[..., None]
-    ratio = (lag / durations)[..., None]
-    mean = np.empty_like(steps)
-    reached = steps[..., 0, :]
-    for k in range(steps.shape[-2]):
-        target = steps[..., k, :]
-        after = target + (reached - target) * kept[..., k, :]
-        mean[..., k, :] = target - ratio[..., k, :] * (after - reached)
-        reached = after
-    return mean
-
-
-def acting_commands(t: Array, commands: Array, edges: Array, delay: float, lag: float) -> Array:
-    """Logged commands -> mean control position over each integration step.
-
-    Args:
-        t: (N,) time of each command [s].
-        commands: (N, 4).
-        edges: (..., S + 1) ends of the integration steps [s].
-        delay: from the logged command to the servo [s].
-        lag: time constant of the servo [s].
-
-    Returns:
-        (..., S, 4). The lag is settled at the first step, so begin some steps early where it matters.
-    """
-    return first_order_lag(delayed_hold(t, commands, edges, delay), np.diff(edges, axis=-1), lag)
+    duration = np.diff(edges, axis=-1)[..., None]
+    mean = np.diff(reached, axis=-2) / duration
+    before, after = commands[row[..., :-1]], commands[row[..., 1:]]
+    changed = (row[..., 1:] > row[..., :-1])[..., None]
+    since = np.where(changed, (when[..., 1:] - t[row[..., 1:]])[..., None], 0.0)
+    moment = 0.5 * (after - before) * since * (duration - since)
+    if lag > 1e-6:
+        kept, kept_since = np.exp(-duration / lag), np.exp(-since / lag)
+        pushed = before * (kept_since - kept) + after * (1.0 - kept_since)
+        position = np.empty((*edges.shape, 4))
+        position[..., 0, :] = mean[..., 0, :]
+        for k in range(duration.shape[-2]):
+            position[..., k + 1, :] = kept[..., k, :] * position[..., k, :] + pushed[..., k, :]
+        begin, end = position[..., :-1, :], position[..., 1:, :]
+        # Integrate y = u - lag dy/dt over the step, and the same times the time from its middle.
+        mean = mean - lag / duration * (end - begin)
+        moment = moment - lag * duration * (0.5 * (begin + end) - mean)
+    return mean, 6.0 * moment / duration**2

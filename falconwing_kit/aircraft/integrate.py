@@ -8,12 +8,14 @@ import numpy as np
 
 from falconwing_kit.aircraft.inputs import acting_commands
 from falconwing_kit.aircraft.model import Model, state_rates
-from falconwing_kit.core.checks import Array, InputError, require_shape
+from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 
 SUBSTEPS = {"paper": 1, "rates": 2}  # per 50 ms; body rates need the shorter step
 
 
-def step_batch(rates: Any, K: Any, time: Any, x: Array, command: Array, duration: Any) -> Array:
+def step_batch(
+    rates: Any, K: Any, time: Any, x: Array, command: Array, duration: Any, swing: Array | None = None
+) -> Array:
     """One Runge-Kutta step of many aircraft at once.
 
     Args:
@@ -21,17 +23,19 @@ def step_batch(rates: Any, K: Any, time: Any, x: Array, command: Array, duration
         K: parameter record; each field a number or an array that broadcasts against the batch.
         time: (...) since the start of the flight [s].
         x: (n_states, ...) states, SI.
-        command: (4, ...) control positions that act during the step.
+        command: (4, ...) mean control positions during the step.
         duration: (...) step length [s].
+        swing: (4, ...) the positions run from command - swing to command + swing; None where they are constant.
 
     Returns:
         (n_states, ...) states after the step.
     """
     half = 0.5 * duration
-    k1 = _stack(rates(time, x, command, K), x)
+    first, last = (command, command) if swing is None else (command - swing, command + swing)
+    k1 = _stack(rates(time, x, first, K), x)
     k2 = _stack(rates(time + half, x + half * k1, command, K), x)
     k3 = _stack(rates(time + half, x + half * k2, command, K), x)
-    k4 = _stack(rates(time + duration, x + duration * k3, command, K), x)
+    k4 = _stack(rates(time + duration, x + duration * k3, last, K), x)
     total = k2 + k3
     total *= 2.0
     total += k1
@@ -48,14 +52,15 @@ def _stack(rates: tuple[Any, ...], like: Array) -> Array:
     return stacked
 
 
-def roll_out_batch(model: Model, start: Array, commands: Array, dt: float) -> Array:
+def roll_out_batch(model: Model, start: Array, commands: Array, dt: float, swing: Array | None = None) -> Array:
     """Fly many aircraft through given commands, all advanced together in NumPy (the readable one).
 
     Args:
         model: the aircraft.
         start: (B, n_states) start states.
-        commands: (B, T, 4) control positions that act during each step.
+        commands: (B, T, 4) mean control positions during each step.
         dt: step length [s].
+        swing: (B, T, 4) half of their change over each step, or None where they are constant.
 
     Returns:
         (B, T + 1, n_states); row 0 is the start.
@@ -64,14 +69,15 @@ def roll_out_batch(model: Model, start: Array, commands: Array, dt: float) -> Ar
     x = np.ascontiguousarray(start.T)
     flown = np.empty((commands.shape[1] + 1, *x.shape))
     flown[0] = x
-    by_step = np.ascontiguousarray(commands.transpose(1, 2, 0))
-    for k, command in enumerate(by_step):
-        x = step_batch(rates, K, k * dt, x, command, dt)
+    means = np.ascontiguousarray(commands.transpose(1, 2, 0))
+    swings = None if swing is None else np.ascontiguousarray(swing.transpose(1, 2, 0))
+    for k, mean in enumerate(means):
+        x = step_batch(rates, K, k * dt, x, mean, dt, None if swings is None else swings[k])
         flown[k + 1] = x
     return np.ascontiguousarray(flown.transpose(2, 0, 1))
 
 
-def roll_out_compiled(model: Model, start: Array, commands: Array, dt: float) -> Array:
+def roll_out_compiled(model: Model, start: Array, commands: Array, dt: float, swing: Array | None = None) -> Array:
     """The same as `roll_out_batch`, one aircraft after the other in code compiled by numba.
 
     Equal to rounding; much faster for a single flight, at the price of some seconds of compiling at the first call.
@@ -81,14 +87,16 @@ def roll_out_compiled(model: Model, start: Array, commands: Array, dt: float) ->
         start: (B, n_states).
         commands: (B, T, 4).
         dt: step length [s].
+        swing: (B, T, 4) or None.
 
     Returns:
         (B, T + 1, n_states).
     """
     fly = _compiled_flight(model.form, model.terms, model.winds)
     flown = np.empty((start.shape[0], commands.shape[1] + 1, start.shape[1]))
-    for one_start, one_commands, out in zip(start, commands, flown, strict=True):
-        fly(one_start, np.ascontiguousarray(one_commands), dt, model.K, out)
+    swings = np.zeros_like(commands) if swing is None else swing
+    for one_start, means, changes, out in zip(start, commands, swings, flown, strict=True):
+        fly(one_start, np.ascontiguousarray(means), np.ascontiguousarray(changes), dt, model.K, out)
     return flown
 
 
@@ -100,16 +108,16 @@ def _compiled_flight(form: Any, terms: Any, winds: Any) -> Any:
     n = 9 if form == "paper" else 12
 
     @njit
-    def fly(start, commands, dt, K, out):  # type: ignore[no-untyped-def]
+    def fly(start, means, swings, dt, K, out):  # type: ignore[no-untyped-def]
         x, shifted, total = start.copy(), np.empty(n), np.empty(n)
         out[0] = x
-        for step in range(commands.shape[0]):
-            command = commands[step]
+        for step in range(means.shape[0]):
             total[:] = 0.0
             shifted[:] = x
             for stage in range(4):
-                ahead = 0.0 if stage == 0 else (dt if stage == 3 else 0.5 * dt)
-                rates = f(step * dt + ahead, shifted, command, K)
+                part = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+                command = means[step] + (2.0 * part - 1.0) * swings[step]
+                rates = f((step + part) * dt, shifted, command, K)
                 weight = 1.0 if stage in (0, 3) else 2.0
                 next_ahead = dt if stage == 2 else 0.5 * dt
                 for i in range(n):
@@ -122,13 +130,15 @@ def _compiled_flight(form: Any, terms: Any, winds: Any) -> Any:
     return fly
 
 
-ROLL_OUTS: dict[str, Callable[[Model, Array, Array, float], Array]] = {
+ROLL_OUTS: dict[str, Callable[[Model, Array, Array, float, Array | None], Array]] = {
     "batch": roll_out_batch,
     "compiled": roll_out_compiled,
 }
 
 
-def roll_out(model: Model, start: Array, commands: Array, dt: float, backend: str = "batch") -> Array:
+def roll_out(
+    model: Model, start: Array, commands: Array, dt: float, backend: str = "batch", swing: Array | None = None
+) -> Array:
     """Fly one or many aircraft through control positions that act as given (no delay, no lag).
 
     Args:
@@ -137,6 +147,7 @@ def roll_out(model: Model, start: Array, commands: Array, dt: float, backend: st
         commands: (T, 4) or (B, T, 4) in the order of COMMAND_NAMES, each held for one step.
         dt: step length [s], > 0.
         backend: "batch" (NumPy) or "compiled" (numba).
+        swing: shape of commands; positions run from commands - swing to commands + swing over each step.
 
     Returns:
         (T + 1, n_states) or (B, T + 1, n_states); row 0 is the start.
@@ -146,8 +157,7 @@ def roll_out(model: Model, start: Array, commands: Array, dt: float, backend: st
     """
     if backend not in ROLL_OUTS:
         raise InputError(f"backend: want one of {', '.join(ROLL_OUTS)}, got {backend!r}")
-    if not 0.0 < dt < 1.0:
-        raise InputError(f"dt: want a step between 0 and 1 s, got {dt}")
+    require_range("dt", dt, low=1e-6, high=1.0)
     starts = require_shape("start", np.atleast_2d(start), (None, model.n_states))
     steps = np.asarray(commands, np.float64)
     steps = require_shape("commands", steps if steps.ndim == 3 else steps[None], (None, None, 4))
@@ -155,8 +165,13 @@ def roll_out(model: Model, start: Array, commands: Array, dt: float, backend: st
     if {len(starts), len(steps)} - {1, count}:
         raise InputError(f"start and commands: want equal batches, got {len(starts)} and {len(steps)}")
     starts = np.broadcast_to(starts, (count, model.n_states))
-    steps = np.broadcast_to(steps, (count, *steps.shape[1:]))
-    flown = ROLL_OUTS[backend](model, starts, steps, dt)
+    full = (count, *steps.shape[1:])
+    changes = (
+        None
+        if swing is None
+        else np.broadcast_to(require_shape("swing", np.reshape(swing, steps.shape), steps.shape), full)
+    )
+    flown = ROLL_OUTS[backend](model, starts, np.broadcast_to(steps, full), dt, changes)
     return flown if np.ndim(start) == 2 or np.ndim(commands) == 3 else flown[0]
 
 
@@ -183,5 +198,5 @@ def fly(model: Model, start: Array, t: Array, commands: Array, backend: str = "b
         raise InputError("t: want evenly spaced times, got uneven ones; resample the flight table first")
     substeps = max(1, round(SUBSTEPS[model.form] * dt / 0.05))
     edges = t[0] + dt / substeps * np.arange((len(t) - 1) * substeps + 1)
-    acting = acting_commands(t, sticks, edges, model.values["delay"], model.values["lag"])
-    return roll_out(model, start, acting, dt / substeps, backend)[::substeps]
+    mean, swing = acting_commands(t, sticks, edges, model.values["delay"], model.values["lag"])
+    return roll_out(model, start, mean, dt / substeps, backend, swing)[::substeps]

@@ -182,7 +182,14 @@ def roll_moment(air, K):  # type: ignore[no-untyped-def]
         Loads.
     """
     V = air.airspeed
-    return 0.0, 0.0, 0.0, V * (V * (K.L0 + K.La * air.aileron + K.Lb * air.beta) - K.Lp * air.p + K.Lr * air.r), 0.0, 0.0
+    return (
+        0.0,
+        0.0,
+        0.0,
+        V * (V * (K.L0 + K.La * air.aileron + K.Lb * air.beta) - K.Lp * air.p + K.Lr * air.r),
+        0.0,
+        0.0,
+    )
 
 
 def pitch_moment(air, K):  # type: ignore[no-untyped-def]
@@ -210,7 +217,14 @@ def yaw_moment(air, K):  # type: ignore[no-untyped-def]
         Loads.
     """
     V = air.airspeed
-    return 0.0, 0.0, 0.0, 0.0, 0.0, V * (V * (K.N0 + K.Nr * air.rudder + K.Nb * air.beta) - K.Nrr * air.r - K.Np * air.p)
+    return (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        V * (V * (K.N0 + K.Nr * air.rudder + K.Nb * air.beta) - K.Nrr * air.r - K.Np * air.p),
+    )
 
 
 def gyroscopic_moment(air, K):  # type: ignore[no-untyped-def]

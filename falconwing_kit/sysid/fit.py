@@ -89,7 +89,7 @@ def fit(
     *,
     prior: Prior | None = None,
     iterations: int = 30,
-    tolerance: float = 0.02,
+    tolerance: float = 0.1,
     linear: tuple[Array, Array, Array] | None = None,
     on_step: Callable[[int, float], None] | None = None,
 ) -> FitResult:
@@ -101,7 +101,7 @@ def fit(
         starts: (W, n_states) first guess of the start states.
         prior: what is known of K, or None.
         iterations: at most this many steps.
-        tolerance: stop when a step lowers chi2 by less (0.02 moves no parameter by more than 0.15 of its sigma).
+        tolerance: stop when a step lowers chi2 by less (0.1 moves no parameter by more than 0.3 of its sigma).
         linear: residual and derivatives at the start, where they are known already.
         on_step: called with (iteration, chi2 per measured component) after each.
 
@@ -113,7 +113,7 @@ def fit(
     high = np.array([model.parameters[i].high for i in free])
     prior_rows, prior_mean = _prior_rows(model, free, prior)
     here = list(free)
-    vector, damping, converged, step_count = model.vector, 1e-3, False, 0
+    vector, damping, converged, step_count = model.vector, 0.0, False, 0
     linear = linear or jacobian(model, windows, starts, free)
     cost = _cost(linear[0], prior_rows, prior_mean, vector[here])
     while step_count < iterations:

@@ -188,7 +188,9 @@ def _warnings(result: FitResult, sure: Uncertainty, train: Score, held_out: Scor
         said.append("the fit ran out of steps; its values may still move")
     chi2 = held_out.chi2 if held_out else train.chi2
     if chi2 > BAD_FIT:
-        said.append(f"this model does not describe this flight: chi2 per degree of freedom is {chi2:.1f}, noise alone gives 1")
+        said.append(
+            f"this model does not describe this flight: chi2 per degree of freedom is {chi2:.1f}, noise alone gives 1"
+        )
     if held_out is None:
         said.append("the flight is too short to hold anything back; the score is on the fitted data")
     for name in sure.not_excited:
@@ -215,6 +217,3 @@ def refit(identification: Identification, model: Model, prior: Prior | None = No
     windows = identification.windows
     windows = windows.weighted(_robust(residuals(model, windows, starts), windows))
     return fit(model, windows, starts, prior=prior)
-
-
-

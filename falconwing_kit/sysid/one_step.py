@@ -81,7 +81,7 @@ def _steps(model: Model, flight: Flight, smoothed: bool) -> tuple[Array, Array, 
     t = flight.t[: len(states)] - flight.t[0]
     good = np.isfinite(states).all(axis=1)
     pairs = np.flatnonzero(good[:-1] & good[1:])
-    acting = acting_commands(t, flight.commands[: len(t)], t, model.values["delay"], model.values["lag"])
+    acting, _ = acting_commands(t, flight.commands[: len(t)], t, model.values["delay"], model.values["lag"])
     return states[pairs].T, states[pairs + 1].T, acting[pairs].T, np.diff(t)[pairs]
 
 

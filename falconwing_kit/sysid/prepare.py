@@ -86,7 +86,9 @@ def prepare(table: FlightTable, sigma: Array | None = None) -> Prepared:
     missing = sum(int(np.isnan(piece.pose).all(axis=1).sum()) for piece in pieces)
     rows = sum(len(piece.t) for piece in pieces)
     if outliers > 0.05 * rows:
-        warnings.append(f"{table.name}: {outliers} of {rows} poses are outliers; look at the video before trusting a fit")
+        warnings.append(
+            f"{table.name}: {outliers} of {rows} poses are outliers; look at the video before trusting a fit"
+        )
     return Prepared(tuple(flights), noise, outliers, missing, tuple(warnings))
 
 
@@ -123,7 +125,9 @@ def _measure(table: FlightTable) -> _Piece | None:
         if seen.sum() < 2 * LOCAL_SAMPLES:
             return None
         fits.append(_local_cubics(table.t, pose[:, columns], seen))
-    value, slope, curvature, residual = (np.concatenate(parts, axis=1) for parts in zip(*[f[:4] for f in fits], strict=True))
+    value, slope, curvature, residual = (
+        np.concatenate(parts, axis=1) for parts in zip(*[f[:4] for f in fits], strict=True)
+    )
     variance = np.concatenate([f[4] for f in fits])
     pose = _rewrap(pose, value)
     return _Piece(table.t, pose, table.commands, value, slope, curvature, residual, variance)
@@ -156,7 +160,7 @@ def _local_cubics(t: Array, y: Array, seen: Array) -> tuple[Array, Array, Array,
     basis = np.stack([np.ones_like(s), s, s**2, s**3], axis=-1)  # (N, 13, 4)
     samples = ys[near]
     weights = np.ones(samples.shape)
-    for _ in range(6):
+    for _ in range(4):
         normal = np.einsum("nsi,nsj,nsc->ncij", basis, basis, weights, optimize=True)
         right = np.einsum("nsi,nsc,nsc->nci", basis, weights, samples, optimize=True)
         coefficients = np.linalg.solve(normal + 1e-9 * np.eye(4), right[..., None])[..., 0]
@@ -206,6 +210,7 @@ def _state_estimate(piece: _Piece) -> tuple[Array, Array]:
     order = [1, 2, 0]  # roll, pitch, yaw -> pitch, yaw, roll
     smooth = np.concatenate([piece.value[:, :3], piece.value[:, 3:][:, order], piece.slope[:, :3], rates], axis=1)
     smooth_rates = np.concatenate(
-        [piece.slope[:, :3], piece.slope[:, 3:][:, order], piece.curvature[:, :3], (rates_later - rates) / ahead], axis=1
+        [piece.slope[:, :3], piece.slope[:, 3:][:, order], piece.curvature[:, :3], (rates_later - rates) / ahead],
+        axis=1,
     )
     return smooth, smooth_rates

@@ -54,13 +54,13 @@ class Windows:
             lag: [s].
 
         Returns:
-            (S, 4, W).
+            (S, 2, 4, W) mean and swing of each step.
         """
-        steps = np.empty((len(self), self.edges.shape[1] - 1, 4))
+        steps = np.empty((2, len(self), self.edges.shape[1] - 1, 4))
         for number, flight in enumerate(self.flights):
             mine = self.flight == number
-            steps[mine] = acting_commands(flight.t - flight.t[0], flight.commands, self.edges[mine], delay, lag)
-        return np.ascontiguousarray(steps[:, self.early :].transpose(1, 2, 0))
+            steps[:, mine] = acting_commands(flight.t - flight.t[0], flight.commands, self.edges[mine], delay, lag)
+        return np.ascontiguousarray(steps[:, :, self.early :].transpose(2, 0, 3, 1))
 
     def weighted(self, factor: Array) -> "Windows":
         """The same windows with every weight multiplied by factor (W, L, 6)."""
@@ -91,7 +91,9 @@ def cut_windows(flights: Sequence[Flight], model: Model, seconds: float = 2.0) -
             parts.append(_cut_one(flight, begins, rows, substeps, number))
     if not parts:
         longest = max(f.duration for f in flights)
-        raise InputError(f"flight: want at least {seconds + FIRST_ROW * interval:.1f} s in one piece, got {longest:.1f} s")
+        raise InputError(
+            f"flight: want at least {seconds + FIRST_ROW * interval:.1f} s in one piece, got {longest:.1f} s"
+        )
     nodes, pose, weight, edges, flight_number, guess = (np.concatenate(p) for p in zip(*parts, strict=True))
     filled = np.count_nonzero(weight, axis=(1, 2)) >= 0.5 * min(np.max(np.count_nonzero(weight, axis=(1, 2))), rows * 6)
     if not filled.any():
@@ -127,7 +129,7 @@ def predict(
         windows: W windows.
         starts: (n_states, C, W) start states.
         values: (P, C) parameter values; delay and lag have acted already.
-        acting: (S, 4, A, W) control positions of each integration step, in A variants.
+        acting: (S, 2, 4, A, W) mean and swing of the control positions in each integration step, in A variants.
         sticks: (C,) which variant each column flies on; None where there is but one.
 
     Returns:
@@ -146,8 +148,8 @@ def predict(
         x = np.ascontiguousarray(starts[:, :, part])
         poses[0, :, :, part] = x[POSE_ROWS]
         for k in range(len(steps)):
-            command = acting[k, :, :, part] if sticks is None else acting[k, :, :, part][:, sticks]
-            x = step_batch(rates, K, begin[k, part], x, command, steps[k, part])
+            mean, swing = acting[k, ..., part] if sticks is None else acting[k, ..., part][:, :, sticks]
+            x = step_batch(rates, K, begin[k, part], x, mean, steps[k, part], swing)
             if (k + 1) % windows.substeps == 0:
                 poses[(k + 1) // windows.substeps, :, :, part] = x[POSE_ROWS]
     return poses
@@ -164,7 +166,7 @@ def residuals(model: Model, windows: Windows, starts: Array) -> Array:
     Returns:
         (W, L * 6), zero where a pose is missing; infinite where the flight ran away.
     """
-    acting = windows.acting(*_delay_and_lag(model, model.vector))[:, :, None]
+    acting = windows.acting(*_delay_and_lag(model, model.vector))[:, :, :, None]
     with np.errstate(all="ignore"):
         return _weigh(windows, predict(model, windows, starts.T[:, None, :], model.vector[:, None], acting))[0]
 
@@ -199,7 +201,7 @@ def jacobian(model: Model, windows: Windows, starts: Array, free: Sequence[int])
     for i in range(n_states):
         start_columns[i, 1 + n_free + i] += STATE_STEPS[i]
     with np.errstate(all="ignore"):
-        variants = np.stack(acting, axis=2)
+        variants = np.stack(acting, axis=3)
         poses = predict(model, windows, start_columns, values, variants, sticks if len(acting) > 1 else None)
         weighed = _weigh(windows, poses)
         at_base = weighed[0]

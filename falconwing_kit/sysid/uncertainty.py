@@ -62,10 +62,14 @@ def uncertainty(result: FitResult, windows: Windows, prior: Prior | None = None)
     sigma = np.sqrt(np.diag(covariance))
     bounds = {p.name: p for p in model.parameters}
     at_bound = tuple(
-        n for n in names if min(values[n] - bounds[n].low, bounds[n].high - values[n]) < 1e-6 * (bounds[n].high - bounds[n].low)
+        n
+        for n in names
+        if min(values[n] - bounds[n].low, bounds[n].high - values[n]) < 1e-6 * (bounds[n].high - bounds[n].low)
     )
     ordinary = {n: max(abs(values[n]), abs(bounds[n].start), 1e-9) for n in names}
-    weak = tuple(n for n, s in zip(names, sigma, strict=True) if 1.96 * s > WEAK_SHARE * ordinary[n] and bounds[n].start != 0.0)
+    weak = tuple(
+        n for n, s in zip(names, sigma, strict=True) if 1.96 * s > WEAK_SHARE * ordinary[n] and bounds[n].start != 0.0
+    )
     correlation = covariance / np.outer(sigma, sigma)
     pairs = [
         (names[i], names[j], float(correlation[i, j]))

@@ -1,0 +1,80 @@
+"""aircraft: airframe and sizing, the model f_K as a sum of terms, its integration, trim and touchdown."""
+
+from falconwing_kit.aircraft.airframe import (
+    WHEEL_NAMES,
+    Aero,
+    Airframe,
+    Inertia,
+    Part,
+    Wheels,
+    default_airframe_path,
+    load_airframe,
+)
+from falconwing_kit.aircraft.inputs import acting_commands
+from falconwing_kit.aircraft.integrate import ROLL_OUTS, fly, roll_out, step_batch
+from falconwing_kit.aircraft.model import FORMS, Model, in_wind, paper_model, rates_model, state_rates
+from falconwing_kit.aircraft.sizing import (
+    largest_mass,
+    level_turn_bank,
+    level_turn_radius,
+    level_turn_speed,
+    load_factor,
+    minimum_speed,
+    paper_turn_radius,
+    turn_radius,
+    unlisted_mass,
+    wing_loading,
+)
+from falconwing_kit.aircraft.terms import Flow, Parameter, Term, WindTerm
+from falconwing_kit.aircraft.touchdown import (
+    LandingPad,
+    Touchdown,
+    find_touchdown,
+    pad_height,
+    wheel_heights,
+    wheel_positions,
+    wheel_velocities,
+)
+
+__all__ = [
+    "FORMS",
+    "ROLL_OUTS",
+    "WHEEL_NAMES",
+    "Aero",
+    "Airframe",
+    "Flow",
+    "Inertia",
+    "LandingPad",
+    "Model",
+    "Parameter",
+    "Part",
+    "Term",
+    "Touchdown",
+    "Wheels",
+    "WindTerm",
+    "acting_commands",
+    "default_airframe_path",
+    "find_touchdown",
+    "fly",
+    "in_wind",
+    "largest_mass",
+    "level_turn_bank",
+    "level_turn_radius",
+    "level_turn_speed",
+    "load_airframe",
+    "load_factor",
+    "minimum_speed",
+    "pad_height",
+    "paper_model",
+    "paper_turn_radius",
+    "rates_model",
+    "roll_out",
+    "state_rates",
+    "step_batch",
+    "turn_radius",
+    "unlisted_mass",
+    "wheel_heights",
+    "wheel_positions",
+    "wheel_velocities",
+    "wing_loading",
+]
