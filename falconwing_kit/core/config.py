@@ -36,12 +36,10 @@ def load_toml(path: str | Path) -> dict[str, Any]:
     """
     path = require_file(path)
     name = short_name(path)
-    with path.open("rb") as file:
-        data = file.read(MAX_FILE_BYTES + 1)
-    if len(data) > MAX_FILE_BYTES:
+    if path.stat().st_size > MAX_FILE_BYTES:
         raise InputError(f"{name}: want a TOML file of at most {MAX_FILE_BYTES >> 10} KiB, got a larger one")
     try:
-        return tomllib.loads(data.decode("utf-8-sig"))
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise InputError(f"{name}: want a TOML file in UTF-8, got other bytes; save it as UTF-8 text") from None
     except RecursionError:

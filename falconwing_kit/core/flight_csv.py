@@ -205,7 +205,7 @@ def _increasing(name: str, t: Array, lines: NDArray[np.int64], warnings: list[st
             f"no time, first line {lines[row]}: t = {t[row]:g} after {latest[row]:g}; sort the rows or cut the file"
         )
     if len(bad):
-        warnings.append(f"{len(bad)} rows dropped because time did not increase, first line {lines[bad[0]]}")
+        warnings.append(f"rows dropped because time did not increase: {len(bad)}, the first in line {lines[bad[0]]}")
     return np.flatnonzero(good)
 
 
@@ -215,7 +215,7 @@ def _poses(name: str, numbers: dict[str, Array], warnings: list[str]) -> Array:
     measured = np.isfinite(pose)
     partial = measured.any(axis=1) & ~measured.all(axis=1)
     if partial.any():
-        warnings.append(f"{partial.sum()} rows have only part of a pose and are taken as rows without one")
+        warnings.append(f"rows with only part of a pose, taken as rows without one: {partial.sum()}")
         pose[partial] = np.nan
     if np.isnan(pose).all():
         warnings.append("no row has a pose")
@@ -247,7 +247,7 @@ def _commands(name: str, numbers: dict[str, Array], lines: NDArray[np.int64], wa
         if not known[0]:
             raise InputError(f"{name}: line {lines[0]}, column {column}: the first row must have a command, got nan")
         if not known.all():
-            warnings.append(f"{column} is missing in {(~known).sum()} rows and held from the row before")
+            warnings.append(f"rows without {column}, held from the row before: {(~known).sum()}")
             values = values[np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))]
         excess = np.maximum(values - 1.0, low - values)
         worst = int(np.argmax(excess))
@@ -257,7 +257,7 @@ def _commands(name: str, numbers: dict[str, Array], lines: NDArray[np.int64], wa
                 "microseconds, percent or a throttle of -1..1; convert it first"
             )
         if excess[worst] > 0.0:
-            warnings.append(f"{column} is slightly outside {low:g}..1 in {(excess > 0.0).sum()} rows and was cut")
+            warnings.append(f"rows with {column} slightly outside {low:g}..1, which was cut: {(excess > 0.0).sum()}")
         held.append(np.clip(values, low, 1.0))
     return np.column_stack(held)
 

@@ -194,8 +194,9 @@ class FlightLogWriter:
             python_warnings.warn(f"{failure}; the log is complete but stays unpacked", stacklevel=2)
 
     def _write_json(self, topic: str, t: float, values: Mapping[str, Any]) -> None:
+        t = require_range("t", t, low=0.0, high=MAX_TIME_S)
         try:
-            data = json.dumps({"t": float(t), **values}, allow_nan=False).encode()
+            data = json.dumps({"t": t, **values}, allow_nan=False).encode()
         except (TypeError, ValueError) as error:
             raise InputError(f"flight log {topic}: want texts and finite numbers, got {values} ({error})") from None
         self._write(topic, t, data, 0)
@@ -253,7 +254,7 @@ def read_flight_log(path: str | Path) -> FlightLog:
                 found[topic].append(_PARSERS[topic](_json_record(message.data)))
             except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
                 unreadable[topic] += 1
-    warnings += [f"{count} records of {topic} could not be understood" for topic, count in unreadable.items()]
+    warnings += [f"records of {topic} that could not be understood: {count}" for topic, count in unreadable.items()]
     return FlightLog(
         path=Path(path),
         command_times=np.array([t for t, _ in found[COMMAND]], dtype=np.float64),
@@ -322,7 +323,7 @@ def to_flight_table(log: FlightLog) -> FlightTable:
         raise InputError(f"{name}: want a frame after the first command, got none; the log is too short for a table")
     warnings = log.warnings
     if not flown.all():
-        warnings += (f"{name}: {(~flown).sum()} frames before the first command were left out",)
+        warnings += (f"{name}: frames left out because no command was given yet: {(~flown).sum()}",)
     times, sequences, command_row = times[flown], sequences[flown], command_row[flown]
     columns = np.full((len(times), len(STATE_NAMES)), np.nan)
     state_row = _state_rows(log, times, sequences)

@@ -13,7 +13,7 @@ from falconwing_kit.core.flight_csv import LABEL_COLUMN, OPTIONAL_COLUMNS, REQUI
 from falconwing_kit.core.frames import wrap_angle
 
 MAX_STEP = 1.5  # nominal periods; a longer step between two rows is a gap
-MAX_GRID_ROWS = 2_000_000  # more than a day at 20 Hz: a longer grid comes from a wrong time stamp
+MAX_GROWTH = 100  # a grid with more than this many rows per row of the table comes from a wrong time stamp
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,8 @@ def resample(table: FlightTable, rate_hz: float) -> FlightTable:
     _require_rows(table, table.duration * rate_hz)
     period = 1.0 / nominal_rate_hz(table)
     grid = table.t[0] + np.arange(int(table.duration * rate_hz + 1e-6) + 1) / rate_hz
-    # A grid time that meets a row but for rounding (of stamps to 10 us, say) is that row: a measured pose beside a gap must not be lost.
+    # A grid time that meets a row but for rounding, say of stamps to 10 us, is that row: a measured pose beside a
+    # gap must not be lost.
     nearest = table.t[nearest_index(table.t, grid)]
     query = np.where(np.abs(nearest - grid) < 1e-3 * period, nearest, grid)
     held = np.searchsorted(table.t, query, side="right") - 1
@@ -292,9 +293,11 @@ def _rows_of_words(table: FlightTable, names: list[str]) -> Iterable[tuple[str, 
 
 
 def _require_rows(table: FlightTable, rows: float) -> None:
-    if not rows <= MAX_GRID_ROWS:
+    """Refuse a grid so long that the table cannot explain it."""
+    most = MAX_GROWTH * (1000 + len(table.t))
+    if not rows <= most:
         raise InputError(
-            f"{table.name}: {_span(table)} would need {rows:.3g} rows, more than {MAX_GRID_ROWS}; "
+            f"{table.name}: {_span(table)} in {len(table.t)} rows would become {rows:.3g} rows, more than {most}; "
             "a time stamp is wrong, or cut the flight with slice_time first"
         )
 

@@ -19,7 +19,7 @@ from falconwing_kit.core.files import atomic_write, short_name
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 32 * 1024**2
 MAX_COMPRESSION = 200  # a chunk that claims to unpack to more than this ratio is damaged or hostile
-_HEADER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 0x01, 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
+_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
 
 
 def read_records(path: str | Path, warnings: list[str]) -> Iterator[Any]:
@@ -48,7 +48,7 @@ def read_records(path: str | Path, warnings: list[str]) -> Iterator[Any]:
             bad += records is None
             yield from records or ()
     if bad:
-        warnings.append(f"{bad} damaged records were left out")
+        warnings.append(f"damaged records left out: {bad}")
 
 
 def rewrite(source: str | Path, target: str | Path, warnings: list[str]) -> Counter[str]:
@@ -120,20 +120,20 @@ def _parse_frame(opcode: int, body: bytes) -> list[Any] | None:
         if opcode == _CHUNK:
             return _parse_chunk(Chunk.read(stream))
         return [readers[opcode](stream)] if opcode in readers else []
-    except (McapError, struct.error, UnicodeDecodeError):
+    except (McapError, struct.error, UnicodeDecodeError, OverflowError):
         return None
 
 
 def _parse_chunk(chunk: Any) -> list[Any] | None:
+    """The records in a chunk, None if its frames do not fill it."""
     data = _unpack(chunk)
     if data is None:
         return None
-    records: list[Any] = []
-    cut: list[str] = []
-    for opcode, body in _frames(BytesIO(data), len(data), cut):
-        if opcode != _CHUNK:
-            records += _parse_frame(opcode, body) or []
-    return records
+    frames = list(_frames(BytesIO(data), len(data), []))
+    if sum(9 + len(body) for _, body in frames) != len(data):
+        return None
+    parsed = [_parse_frame(opcode, body) for opcode, body in frames if opcode != _CHUNK]
+    return [record for records in parsed for record in records or ()]
 
 
 def _unpack(chunk: Any) -> bytes | None:

@@ -134,7 +134,7 @@ def test_files_that_are_no_configuration(toml, data, sentence):
 
 def test_missing_file_is_said(tmp_path):
     """The path is in the sentence."""
-    with pytest.raises(FileNotFoundError, match="absent.toml"):
+    with pytest.raises(FileNotFoundError, match=r"absent\.toml"):
         load_toml(tmp_path / "absent.toml")
 
 

@@ -129,7 +129,7 @@ def test_turning_level_shows_in_the_body_rates():
 
 
 def test_camera_looks_along_the_nose():
-    """By hand: camera z is the nose, x the right wing, y the belly; a point 2 m ahead lies 2 m ahead of the aircraft."""
+    """By hand: camera z is the nose, x the right wing, y the belly; 2 m ahead is 2 m ahead."""
     T_world_body = pose_matrix(rotation_world_body(0.0, 0.0, 0.0), [1.0, 2.0, 3.0])
     T_world_camera = camera_pose(T_world_body, [0.1, 0.0, 0.0])
     assert T_world_camera @ [0.0, 0.0, 2.0, 1.0] == pytest.approx([3.1, 2.0, 3.0, 1.0], abs=ROUNDING)
