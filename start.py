@@ -5,7 +5,7 @@
     python3 start.py VERB ...                        any other verb of falconwing, such as doctor
 
 The first run makes .venv beside this file and installs what constraints.txt names; later runs start at once.
-An interrupted installation goes on when the same command is typed again.
+An interrupted installation is mended when the same command is typed again.
 """
 
 from __future__ import annotations
@@ -65,15 +65,18 @@ def install(root: Path, target: str) -> int:
     stamp = root / ".venv" / "installed.txt"
     if stamp.exists() and fingerprint(root, target) in stamp.read_text().split():
         return 0
-    python = venv_program(root, "python")
-    if not answers([python, "-m", "pip", "--version"]):
+    python, half_done = venv_program(root, "python"), root / ".venv" / "half_done"
+    if half_done.exists() or not answers([python, "-m", "pip", "--version"]):
         if not (importlib.util.find_spec("venv") and importlib.util.find_spec("ensurepip")):
             return refuse("this Python cannot make virtual environments; on Debian or Ubuntu: apt install python3-venv")
         failed = run([sys.executable, "-m", "venv", "--clear", str(root / ".venv")])
         if failed:
             return failed
     pip = [python, "-m", "pip", "install", "--disable-pip-version-check"]
+    half_done.touch()  # stays if this is killed: pip would take a half-written library for a whole one
     failed = run([*pip, "-c", "constraints.txt", "-e", target], folder=root)
+    if failed < 128:  # pip ended by itself and cleaned up
+        half_done.unlink()
     if failed:
         print("start.py: the installation stopped; type the same command again to go on", file=sys.stderr)
         return failed

@@ -1,7 +1,6 @@
 """The command falconwing: help, exit codes and sentences are the same for every verb."""
 
 import importlib.util
-import json
 import sys
 import types
 from dataclasses import dataclass
@@ -99,13 +98,3 @@ def test_every_ending_has_its_code_and_one_sentence(probe, capsys, how, code, se
     """0 done, 1 the answer is no, 2 wrong use, 130 as a shell counts Ctrl-C; never a traceback."""
     assert main(["probe", "--how", how]) == code
     assert capsys.readouterr().err == sentence
-
-
-def test_doctor_tells_table_and_json_alike(capsys):
-    """Both come from the same findings: the demo works exactly if the exit code is 0."""
-    code = main(["doctor", "--json"])
-    record = json.loads(capsys.readouterr().out)
-    assert record["demo_works"] == (code == 0)
-    assert {finding["status"] for finding in record["findings"]} <= {"works", "missing", "not needed yet"}
-    assert all((finding["mend"] == "") == (finding["status"] == "works") for finding in record["findings"])
-    assert [f["status"] for f in record["findings"] if f["capability"] == "Python"] == ["works"]

@@ -1,6 +1,7 @@
 """start.py installs once, says what it runs, and hands over with the right words and exit code."""
 
 import importlib.util
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -23,7 +24,8 @@ def start(tmp_path, monkeypatch):
     def note(command, folder=None):
         module.commands.append(command)
         if "venv" in command:
-            (tmp_path / ".venv").mkdir(exist_ok=True)
+            shutil.rmtree(tmp_path / ".venv", ignore_errors=True)
+            (tmp_path / ".venv").mkdir()
         return next((code for word, code in module.exit_codes.items() if word in command), 0)
 
     monkeypatch.setattr(module, "ROOT", tmp_path)
@@ -79,6 +81,24 @@ def test_interrupted_install_goes_on_and_its_exit_code_comes_out(start, capsys):
     start.commands.clear()
     assert start.main(["demo"]) == 0
     assert ["install" in command for command in start.commands] == [True, False]
+
+
+def test_killed_install_starts_from_an_empty_environment(start, monkeypatch):
+    """A library that was half written when pip was killed looks installed to pip; only a new environment is sure."""
+
+    def killed(command, folder=None):
+        raise KeyboardInterrupt
+
+    (start.ROOT / ".venv").mkdir()
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(start, "run", killed)
+        start.main(["demo"])
+    assert start.main(["demo"]) == 0
+    assert "--clear" in start.commands[0]
+    assert "install" in start.commands[1]
+    start.commands.clear()
+    start.main(["demo"])
+    assert len(start.commands) == 1
 
 
 def test_exit_code_of_the_verb_comes_out(start):

@@ -1,0 +1,61 @@
+"""The doctor: what works is said only after a try, and what is missing comes with its mend."""
+
+import json
+
+import pytest
+
+from falconwing_kit.cli import doctor
+from falconwing_kit.cli.doctor import Check, Doctor, Finding, examine
+
+
+def fine() -> str:
+    """A capability that works."""
+    return "seen"
+
+
+def broken() -> str:
+    """A capability that does not."""
+    raise RuntimeError("it is broken\nand this is why")
+
+
+def absent() -> str:
+    """A capability whose library is not there."""
+    raise ModuleNotFoundError("No module named 'attic'", name="attic")
+
+
+@pytest.mark.parametrize(
+    ("need", "attempt", "finding"),
+    [
+        ("demo", fine, Finding("x", "works", True, "seen", "")),
+        ("later", fine, Finding("x", "works", False, "seen", "")),
+        ("demo", broken, Finding("x", "missing", True, "it is broken", "mend it")),
+        ("now", broken, Finding("x", "missing", False, "it is broken", "mend it")),
+        ("later", absent, Finding("x", "not needed yet", False, "attic is not installed", "mend it")),
+    ],
+)
+def test_finding_follows_from_the_try(need, attempt, finding):
+    """By hand: works only if nothing was raised, missing only if this version uses it, a mend only if it is needed."""
+    assert examine(Check("x", need, attempt, "mend it")) == finding
+
+
+@pytest.mark.parametrize(
+    ("demo", "other", "code"), [(fine, fine, 0), (fine, broken, 0), (broken, fine, 1), (broken, broken, 1)]
+)
+def test_exit_code_is_the_answer_for_the_demo(monkeypatch, capsys, demo, other, code):
+    """Only what the demo needs decides; table and JSON tell the same."""
+    checks = (Check("core", "demo", demo, "mend the core"), Check("extra", "now", other, "mend the extra"))
+    monkeypatch.setattr(doctor, "CHECKS", checks)
+    assert Doctor().run() == code
+    table = capsys.readouterr().out
+    assert ("mend the core" in table, "mend the extra" in table) == (demo is broken, other is broken)
+    assert ("next: falconwing demo" in table) == (code == 0)
+    assert Doctor(json=True).run() == code
+    record = json.loads(capsys.readouterr().out)
+    assert record["demo_works"] == (code == 0)
+    assert [f["status"] for f in record["findings"]] == ["missing" if f is broken else "works" for f in (demo, other)]
+
+
+def test_this_machine_runs_the_demo():
+    """The tests run on a machine with everything installed, so each part that the demo needs was tried and works."""
+    findings = [examine(check) for check in doctor.CHECKS if check.need == "demo"]
+    assert [(f.capability, f.detail) for f in findings if f.status != "works"] == []
