@@ -6,8 +6,9 @@ The aircraft is a 2 m foam T-28 [Keipour, Mousaei & Scherer, ALFA: A dataset for
 - Fresh attitudes and gyro rates come 2.5 times a second (imu-data); every faster topic repeats the last one.
 - Positions come 4.1 times a second, velocities 19 times. Their time stamps are the host's and jitter by 10 ms, which
   is 0.19 m along the track and nothing across it, so each position is averaged with its neighbours before it.
-- Servo pulses come 2.9 times a second. In between they are interpolated, because the autopilot moves its servos
-  50 times a second: holding the last sample would make the commands late by 0.17 s on average.
+- Servo pulses come 2.9 times a second and are held in between. Interpolated ones would look into the future and
+  predict no better: the roll one second ahead is off by 3.1 deg with each at its best delay (0.1 s held, 0.2 to 0.3 s
+  interpolated), and by 3.3 against 4.0 deg where no delay is fitted.
 - The rudder pulse is half the aileron pulse to 1 us: the flight cannot tell the two apart.
 - The failure is an autopilot that closes its throttle: the throttle in the table goes to zero with it.
 
@@ -28,6 +29,8 @@ from falconwing_kit.core.frames import euler_from_rotation, euler_rates, world_f
 RATE_HZ = 20.0
 AVERAGED_S = 1.0  # positions of this long before a row are averaged; they are carried to it by the velocity
 MAX_LATE_S = 2.0  # a topic that starts later or ends earlier than the attitudes by more than this is cut
+# What a model fitted over 2 s leaves between itself and the poses: jitter of stamps, the autopilot's filter, gusts.
+SIGMA_POSITION, SIGMA_ATTITUDE = 0.15, 0.026
 # ROS body axes are nose, left, up; ours are nose, right, belly.
 R_BODY_ROS = np.diag([1.0, -1.0, -1.0])
 MIDDLE_PULSE_US = 1500.0
@@ -52,7 +55,9 @@ _TOPICS = {
 class AlfaFlight:
     """One recorded flight with an engine failure; world x = north, y = west, z = up from the take-off point."""
 
-    table: FlightTable  # 20 Hz, with a pose in the rows that have a fresh attitude; extra vx..vz, p..r, airspeed
+    table: (
+        FlightTable  # 20 Hz, with a pose in the rows that have a fresh attitude; extra vx..vz, p..r, airspeed, sigmas
+    )
     failure_time: float  # first "engine off" of the log, in the table's clock [s]
     wind_logged_world: Array  # (2,) where the autopilot thought the air moves to: north, west [m/s]
     warnings: tuple[str, ...] = ()  # what was mended while reading, one sentence each
@@ -145,6 +150,8 @@ def _flight_table(name: str, topics: dict[str, _Topic], start: float, warnings: 
     extra = {key: _at(start + t, velocity.t, v_world[:, axis], 3) for axis, key in enumerate(("vx", "vy", "vz"))}
     extra |= {key: _in_rows(rates_body[:, axis], row, len(t)) for axis, key in enumerate("pqr")}
     extra["airspeed"] = _at(start + t, airspeed.t[fresh], airspeed.values[fresh, 0], 2)
+    extra["sigma_position"] = np.full(len(t), SIGMA_POSITION)
+    extra["sigma_attitude"] = np.full(len(t), SIGMA_ATTITUDE)
     p_world = _positions(topics["position"], velocity.t, v_world, start + t[row])
     return FlightTable(
         name=name,
@@ -197,7 +204,7 @@ def _positions(position: _Topic, t_velocity: Array, v_world: Array, t: Array) ->
 
 
 def _commands(servos: _Topic, t: Array) -> Array:
-    """Commands (N, 4) from servo pulses: throttle 0..1; aileron, elevator, rudder -1..1.
+    """Commands (N, 4) from servo pulses, held from one to the next: throttle 0..1; aileron, elevator, rudder -1..1.
 
     Channels, counted from zero, found from the motion: 1 elevator (a longer pulse lowers the nose), 2 throttle,
     3 rudder, 4 and 5 the ailerons (a longer pulse lowers the right wing; both always agree). Trims are not removed.
@@ -205,8 +212,9 @@ def _commands(servos: _Topic, t: Array) -> Array:
     elevator, throttle, rudder, aileron = servos.values[:, 1:5].T
     deflection = [(pulse - MIDDLE_PULSE_US) / HALF_TRAVEL_US for pulse in (aileron, elevator, rudder)]
     power = (throttle - IDLE_PULSE_US) / (FULL_PULSE_US - IDLE_PULSE_US)
-    channels = (power, deflection[0], -deflection[1], deflection[2])
-    return np.column_stack([_at(t, servos.t, values, 4) for values in channels])
+    channels = np.column_stack([power, deflection[0], -deflection[1], deflection[2]])
+    held = np.maximum(np.searchsorted(servos.t, t, side="right") - 1, 0)
+    return np.round(channels[held], 4)
 
 
 def _wind_world(wind_enu: Array) -> Array:

@@ -134,11 +134,16 @@ def test_gyro_is_the_rate_of_the_attitude(flight: FlightTable, axis: int, name: 
 
 
 def test_aileron_rolls_to_its_own_side_and_elevator_raises_the_nose(flight: FlightTable) -> None:
-    """Sign of the commands (DESIGN, conventions). The elevator is compared where the bank asks for none."""
+    """Sign of the commands: positive aileron lowers the right wing, positive elevator raises the nose.
+
+    A deflected surface gives a steady rate. The elevator is judged with the wings near level, where no turn asks for
+    a pitch rate; what is left of both correlations is lost between servo samples.
+    """
     rows = flight.has_pose & (flight.t < FAILURE_TIME)
     aileron, elevator = flight.commands[rows, 1], flight.commands[rows, 2]
     assert np.corrcoef(aileron, flight.extra["p"][rows])[0, 1] > 0.6
-    assert np.corrcoef(elevator, flight.extra["q"][rows])[0, 1] > 0.3
+    level = np.abs(flight.attitude[rows, 0]) < np.radians(15.0)
+    assert np.corrcoef(elevator[level], flight.extra["q"][rows][level])[0, 1] > 0.4
 
 
 def test_aileron_and_rudder_are_one_command(flight: FlightTable) -> None:
