@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from falconwing_kit.aircraft.terms import Parameter
 from falconwing_kit.core.checks import Array
 from falconwing_kit.sysid.fit import FitResult, Prior
 from falconwing_kit.sysid.shooting import Windows
@@ -60,16 +61,10 @@ def uncertainty(result: FitResult, windows: Windows, prior: Prior | None = None)
     covariance = inverse * inflation
     values = {n: model.values[n] for n in names}
     sigma = np.sqrt(np.diag(covariance))
-    bounds = {p.name: p for p in model.parameters}
-    at_bound = tuple(
-        n
-        for n in names
-        if min(values[n] - bounds[n].low, bounds[n].high - values[n]) < 1e-6 * (bounds[n].high - bounds[n].low)
-    )
-    ordinary = {n: max(abs(values[n]), abs(bounds[n].start), 1e-9) for n in names}
-    weak = tuple(
-        n for n, s in zip(names, sigma, strict=True) if 1.96 * s > WEAK_SHARE * ordinary[n] and bounds[n].start != 0.0
-    )
+    known_as = {p.name: p for p in model.parameters}
+    at_bound = tuple(n for n in names if _at_bound(known_as[n], values[n]))
+    half = dict(zip(names, 1.96 * sigma, strict=True))
+    weak = tuple(n for n in names if half[n] > WEAK_SHARE * ordinary_size(known_as[n], values[n]))
     correlation = covariance / np.outer(sigma, sigma)
     pairs = [
         (names[i], names[j], float(correlation[i, j]))
@@ -78,6 +73,15 @@ def uncertainty(result: FitResult, windows: Windows, prior: Prior | None = None)
         if abs(correlation[i, j]) > HIGH_CORRELATION
     ]
     return Uncertainty(names, covariance, inflation, tuple(sorted(pairs, key=lambda p: -abs(p[2]))), weak, at_bound)
+
+
+def ordinary_size(parameter: Parameter, value: float) -> float:
+    """What counts as a full-sized value of a parameter, its unit: the found, the usual, or a part of its range."""
+    return max(abs(value), abs(parameter.start) or 0.05 * (parameter.high - parameter.low))
+
+
+def _at_bound(parameter: Parameter, value: float) -> bool:
+    return min(value - parameter.low, parameter.high - value) < 1e-6 * (parameter.high - parameter.low)
 
 
 def _inverse(matrix: Array) -> Array:
@@ -92,7 +96,7 @@ def _inflation(J: Array, residual: Array, inverse: Array, free_share: float) -> 
     """Mean over parameters of clustered variance over white variance, at least 1."""
     s2 = float(np.sum(residual**2)) / max(np.count_nonzero(residual) * free_share, 1.0)
     gradients = np.einsum("wif,wi->wf", J, residual, optimize=True)
-    clusters, parameters = gradients.shape
+    clusters = len(gradients)
     if clusters < 8:
         return 1.0
     scatter = gradients.T @ gradients * clusters / max(clusters - 1, 1)
