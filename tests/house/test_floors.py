@@ -81,10 +81,12 @@ def complaint(room: str, imported: str) -> str:
 
 
 def size_problems(tree: Path) -> list[str]:
-    """Rooms with too many files and files with too many lines."""
+    """Rooms with too many files or no `__init__.py` (an install leaves them out), and files with too many lines."""
     problems = []
     for room in sorted(path for path in (tree / "falconwing_kit").iterdir() if path.is_dir()):
         files = [path for path in room.rglob("*.py") if path.name != "__init__.py"]
+        if files and not (room / "__init__.py").is_file():
+            problems.append(f"{room.name}: no __init__.py")
         if len(files) > MAX_FILES:
             problems.append(f"{room.name}: {len(files)} files, at most {MAX_FILES}")
     for path in sorted((tree / "falconwing_kit").rglob("*.py")):

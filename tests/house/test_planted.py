@@ -57,13 +57,15 @@ def test_planted_fault_is_reported(copy, fault):
     assert reason in reports[0]
 
 
-def test_eleventh_file_in_a_room_is_reported(copy):
-    """Ten files are the most a room may hold."""
+def test_crowded_room_without_a_door_is_reported(copy):
+    """Ten files are the most a room may hold, and only a folder with `__init__.py` is installed."""
     attic = copy / "falconwing_kit" / "attic"
     attic.mkdir()
     for number in range(11):
         (attic / f"file_{number}.py").write_text('"""A file."""\n')
-    assert any("attic: 11 files" in problem for problem in size_problems(copy))
+    reports = size_problems(copy)
+    assert "attic: 11 files, at most 10" in reports
+    assert "attic: no __init__.py" in reports
 
 
 def test_right_products_are_not_reported(tmp_path):
