@@ -56,5 +56,4 @@ class Export:
 
     def _to_log(self, target: Path) -> tuple[dict[str, int], tuple[str, ...]]:
         saved = recover(self.log, target)
-        counts = {"commands": saved.commands, "images": saved.images, "states": saved.states, "events": saved.events}
-        return counts, saved.warnings
+        return {topic.strip("/"): count for topic, count in saved.counts.items()}, saved.warnings

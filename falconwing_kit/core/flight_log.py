@@ -8,15 +8,13 @@ the file is packed into compressed chunks with an index. Foxglove, PlotJuggler a
 import json
 import os
 import threading
-import warnings as python_warnings
-from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
+from warnings import warn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,15 +30,10 @@ SYNC_PERIOD_S = 1.0
 MAX_TIME_S = 1.8e10  # what 64 bits of nanoseconds hold
 
 
-def _schema(numbers: tuple[str, ...], others: Mapping[str, str]) -> bytes:
-    properties = {**{name: {"type": "number"} for name in numbers}, **{k: {"type": v} for k, v in others.items()}}
-    return json.dumps({"type": "object", "properties": properties}).encode()
-
-
-SCHEMAS = {
-    COMMAND: _schema(("t", *COMMAND_NAMES), {"image_sequence": "integer", "saturated": "boolean"}),
-    STATE: _schema(("t", *STATE_NAMES), {"image_sequence": "integer"}),
-    EVENT: _schema(("t",), {"name": "string", "details": "object"}),
+COLUMNS: dict[str, dict[str, Any]] = {  # of each JSON topic, with their JSON types
+    COMMAND: {**dict.fromkeys(COMMAND_NAMES, "number"), "image_sequence": "integer", "saturated": "boolean"},
+    STATE: {**{name: ["number", "null"] for name in STATE_NAMES}, "image_sequence": "integer"},
+    EVENT: {"name": "string", "details": "object"},
 }
 
 
@@ -50,7 +43,7 @@ class FlightLog:
 
     path: Path
     command_times: Array  # (N,) [s]
-    commands: tuple[Command, ...]  # N, each with the sequence number of the image it answers
+    commands: tuple[Command, ...]  # N
     state_times: Array  # (M,) [s]
     states: tuple[State, ...]  # M
     state_sequences: NDArray[np.int64]  # (M,) the image each state comes from, -1 where none
@@ -59,6 +52,11 @@ class FlightLog:
     events: tuple[Event, ...]
     metadata: Mapping[str, str]
     warnings: tuple[str, ...]  # what was unusual, one sentence each
+
+    @property
+    def command_sequences(self) -> NDArray[np.int64]:
+        """(N,) the image each command answers, -1 where none."""
+        return np.array([command.image_sequence for command in self.commands], dtype=np.int64)
 
     def images(self) -> Iterator[Image]:
         """The images in the order they were logged, their pixels as JPEG bytes (n,)."""
@@ -72,10 +70,7 @@ class FlightLog:
 class Recovery:
     """What `recover` saved."""
 
-    commands: int
-    images: int
-    states: int
-    events: int
+    counts: Mapping[str, int]  # records of each topic: "/command", "/image", ...
     warnings: tuple[str, ...]  # what could not be saved; empty for a log that was whole
 
 
@@ -96,23 +91,17 @@ class FlightLogWriter:
         self.path = require_place(path)
         if self.path.exists():
             raise InputError(
-                f"{self.path}: there is a file already, and a flight log is never overwritten; name another"
+                f"{self.path}: want a new file, for a flight log is never overwritten; choose another name"
             )
 
     def __enter__(self) -> "FlightLogWriter":
-        from mcap.writer import CompressionType, IndexType, Writer
+        from mcap.writer import IndexType, Writer
 
         try:
             self._file = self.path.open("xb")
-            self._writer = Writer(
-                self._file, compression=CompressionType.NONE, index_types=IndexType.NONE, use_chunking=False
-            )
+            self._writer = Writer(self._file, index_types=IndexType.NONE, use_chunking=False)
             self._writer.start(profile="falconwing")
-            self._channels = {}
-            for topic in TOPICS:
-                has_schema = topic in SCHEMAS
-                schema = self._writer.register_schema(topic[1:], "jsonschema", SCHEMAS[topic]) if has_schema else 0
-                self._channels[topic] = self._writer.register_channel(topic, "json" if has_schema else "jpeg", schema)
+            self._channels = {topic: self._register(topic) for topic in TOPICS}
             self._file.flush()
         except OSError as error:
             raise write_error(self.path, error) from None
@@ -130,7 +119,7 @@ class FlightLogWriter:
         """
         if not 0 <= image.sequence < 2**32:
             raise InputError(f"image sequence: want a count from 0, got {image.sequence}")
-        self._write(IMAGE, image.t, _jpeg(image.pixels), image.sequence)
+        self._write(IMAGE, image.t, image.jpeg, image.sequence)
 
     def command(self, t: float, command: Command, image: Image | None = None) -> None:
         """Log one command.
@@ -161,7 +150,7 @@ class FlightLogWriter:
         Args:
             t: when [s].
             name: what, in a word or two.
-            details: more about it; texts, finite numbers, lists and mappings.
+            details: more about it; texts, finite numbers, arrays, lists and mappings.
         """
         self._write_json(EVENT, t, {"name": str(name), "details": dict(details or {})})
 
@@ -173,9 +162,7 @@ class FlightLogWriter:
         """
         self._guarded(lambda: self._writer.add_metadata("flight", {str(k): str(v) for k, v in record.items()}))
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._closing.set()
         self._sync.join()
         try:
@@ -190,14 +177,23 @@ class FlightLogWriter:
                 self._file.close()
         try:
             rewrite(self.path, self.path, [])
-        except InputError as failure:
-            python_warnings.warn(f"{failure}; the log is complete but stays unpacked", stacklevel=2)
+        except (InputError, OSError) as failure:
+            warn(f"{failure}; the log is complete but stays unpacked", stacklevel=2)
+
+    def _register(self, topic: str) -> int:
+        """Announce a topic, with a JSON schema unless it holds images; its number in the file."""
+        if topic not in COLUMNS:
+            return int(self._writer.register_channel(topic, "jpeg", schema_id=0))
+        properties = {name: {"type": kind} for name, kind in {"t": "number", **COLUMNS[topic]}.items()}
+        schema = json.dumps({"type": "object", "properties": properties}).encode()
+        number = self._writer.register_schema(topic[1:], "jsonschema", schema)
+        return int(self._writer.register_channel(topic, "json", number))
 
     def _write_json(self, topic: str, t: float, values: Mapping[str, Any]) -> None:
         t = require_range("t", t, low=0.0, high=MAX_TIME_S)
         try:
-            data = json.dumps({"t": t, **values}, allow_nan=False).encode()
-        except (TypeError, ValueError) as error:
+            data = json.dumps({"t": t, **values}, allow_nan=False, default=lambda array: array.tolist()).encode()
+        except (AttributeError, TypeError, ValueError) as error:
             raise InputError(f"flight log {topic}: want texts and finite numbers, got {values} ({error})") from None
         self._write(topic, t, data, 0)
 
@@ -243,17 +239,12 @@ def read_flight_log(path: str | Path) -> FlightLog:
     warnings: list[str] = []
     metadata: dict[str, str] = {}
     unreadable: Counter[str] = Counter()
-    found: dict[str, list[Any]] = {topic: [] for topic in (COMMAND, STATE, EVENT)}
-    image_times, image_sequences = array("d"), array("q")
+    found: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
     for topic, message in _messages(path, warnings, metadata):
-        if topic == IMAGE:
-            image_times.append(message.log_time / 1e9)
-            image_sequences.append(message.sequence)
-        else:
-            try:
-                found[topic].append(_PARSERS[topic](_json_record(message.data)))
-            except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
-                unreadable[topic] += 1
+        try:
+            found[topic].append(_parse(topic, message))
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+            unreadable[topic] += 1
     warnings += [f"records of {topic} that could not be understood: {count}" for topic, count in unreadable.items()]
     return FlightLog(
         path=Path(path),
@@ -262,8 +253,8 @@ def read_flight_log(path: str | Path) -> FlightLog:
         state_times=np.array([t for t, _, _ in found[STATE]], dtype=np.float64),
         states=tuple(state for _, state, _ in found[STATE]),
         state_sequences=np.array([sequence for _, _, sequence in found[STATE]], dtype=np.int64),
-        image_times=np.array(image_times, dtype=np.float64),
-        image_sequences=np.array(image_sequences, dtype=np.int64),
+        image_times=np.array([t for t, _ in found[IMAGE]], dtype=np.float64),
+        image_sequences=np.array([sequence for _, sequence in found[IMAGE]], dtype=np.int64),
         events=tuple(found[EVENT]),
         metadata=metadata,
         warnings=tuple(f"{short_name(path)}: {sentence}" for sentence in warnings),
@@ -288,8 +279,7 @@ def recover(path: str | Path, out: str | Path) -> Recovery:
         raise InputError(f"{out}: want another name than the log's own, so that the damaged log is kept")
     warnings: list[str] = []
     counts = rewrite(path, out, warnings)
-    sentences = tuple(f"{short_name(path)}: {sentence}" for sentence in warnings)
-    return Recovery(counts[COMMAND], counts[IMAGE], counts[STATE], counts[EVENT], sentences)
+    return Recovery(counts, tuple(f"{short_name(path)}: {sentence}" for sentence in warnings))
 
 
 def to_flight_table(log: FlightLog) -> FlightTable:
@@ -312,13 +302,8 @@ def to_flight_table(log: FlightLog) -> FlightTable:
     if not log.commands:
         raise InputError(f"{name}: want a log with commands, got none; a flight table needs them")
     times, sequences = _frames(log)
-    command_sequences = np.array([command.image_sequence for command in log.commands])
-    command_row = _answering(sequences, command_sequences)
-    order = np.argsort(log.command_times, kind="stable")
-    last_given = np.searchsorted(log.command_times[order], times, side="right") - 1
-    command_row = np.where(command_row >= 0, command_row, np.where(last_given >= 0, order[last_given], -1))
-    # Rows before the first command cannot stand in a flight table.
-    flown = command_row >= 0
+    command_row = _command_rows(log, times, sequences)
+    flown = command_row >= 0  # rows before the first command cannot stand in a flight table
     if not flown.any():
         raise InputError(f"{name}: want a frame after the first command, got none; the log is too short for a table")
     warnings = log.warnings
@@ -345,13 +330,12 @@ def to_flight_table(log: FlightLog) -> FlightTable:
 
 def _frames(log: FlightLog) -> tuple[Array, NDArray[np.int64]]:
     """Times and image sequence numbers of the rows, in order of time."""
-    command_sequences = np.array([command.image_sequence for command in log.commands], dtype=np.int64)
-    candidates = (
-        (log.image_times, log.image_sequences),
-        (log.state_times, log.state_sequences),
-        (log.command_times, command_sequences),
-    )
-    times, sequences = next((t, s) for t, s in candidates if len(t))
+    if len(log.image_times):
+        times, sequences = log.image_times, log.image_sequences
+    elif len(log.state_times):
+        times, sequences = log.state_times, log.state_sequences
+    else:
+        times, sequences = log.command_times, log.command_sequences
     times, first = np.unique(times, return_index=True)
     return times, sequences[first]
 
@@ -360,6 +344,14 @@ def _answering(sequences: NDArray[np.int64], answers: NDArray[np.int64]) -> NDAr
     """For each frame the first record that names it, -1 where none does."""
     row_of = {int(sequence): row for row, sequence in reversed(list(enumerate(answers))) if sequence >= 0}
     return np.array([row_of.get(int(sequence), -1) for sequence in sequences], dtype=np.int64)
+
+
+def _command_rows(log: FlightLog, times: Array, sequences: NDArray[np.int64]) -> NDArray[np.int64]:
+    """For each frame the command that answers it or else the last one given, -1 where there is none yet."""
+    rows = _answering(sequences, log.command_sequences)
+    order = np.argsort(log.command_times, kind="stable")
+    last = np.searchsorted(log.command_times[order], times, side="right") - 1
+    return np.where(rows >= 0, rows, np.where(last >= 0, order[last], -1))
 
 
 def _state_rows(log: FlightLog, times: Array, sequences: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -388,29 +380,17 @@ def _messages(path: str | Path, warnings: list[str], metadata: dict[str, str]) -
             yield topics[record.channel_id], record
 
 
-def _json_record(data: bytes) -> dict[str, Any]:
-    record = json.loads(data)
+def _parse(topic: str, message: Any) -> Any:
+    """A message as what it stands for: (t, sequence), (t, Command), (t, State, sequence) or Event."""
+    if topic == IMAGE:
+        return message.log_time / 1e9, message.sequence
+    record = json.loads(message.data)
     if not isinstance(record, dict):
         raise InputError("want a JSON object")
-    record["t"] = require_range("t", record["t"], low=0.0, high=MAX_TIME_S)
-    return record
-
-
-def _parse_state(record: dict[str, Any]) -> tuple[float, State, int]:
+    t = require_range("t", record["t"], low=0.0, high=MAX_TIME_S)
+    if topic == COMMAND:
+        return t, Command.from_record(record)
+    if topic == EVENT:
+        return Event(t, str(record["name"]), dict(record["details"]))
     sequence = require_range("image_sequence", record["image_sequence"], low=-1, high=2**32)
-    return record["t"], State.from_record(record), int(sequence)
-
-
-_PARSERS: dict[str, Callable[[dict[str, Any]], Any]] = {
-    COMMAND: lambda record: (record["t"], Command.from_record(record)),
-    STATE: _parse_state,
-    EVENT: lambda record: Event(record["t"], str(record["name"]), dict(record["details"])),
-}
-
-
-def _jpeg(pixels: NDArray[np.uint8]) -> bytes:
-    if pixels.ndim == 1:
-        return pixels.tobytes()
-    import cv2
-
-    return bytes(cv2.imencode(".jpg", pixels[..., ::-1])[1])
+    return t, State.from_record(record), int(sequence)

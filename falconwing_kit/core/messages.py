@@ -23,6 +23,15 @@ class Image:
     t: float  # when it was taken [s]
     pixels: NDArray[np.uint8]  # (height, width, 3) RGB, or its JPEG as (n,) bytes
 
+    @property
+    def jpeg(self) -> bytes:
+        """The image as JPEG; pixels are packed by OpenCV."""
+        if self.pixels.ndim == 1:
+            return self.pixels.tobytes()
+        import cv2
+
+        return bytes(cv2.imencode(".jpg", self.pixels[..., ::-1])[1])
+
 
 @dataclass(frozen=True)
 class Pose:

@@ -48,7 +48,7 @@ def whole(tmp_path):
     with FlightLogWriter(path) as log:
         log.metadata({"aircraft": "umx", "mass_g": 150})
         fly(log, range(20))
-        log.event(101.0, "touchdown", {"sink_rate": 0.4})
+        log.event(101.0, "touchdown", {"sink_rate": 0.4, "wheels": np.array([1, 1, 0])})
     return path
 
 
@@ -74,7 +74,11 @@ def test_everything_comes_back(whole):
     assert log.command_times == pytest.approx([100.03 + 0.05 * k for k in range(20)], abs=1e-9)
     assert np.array_equal([s.vector for s in log.states], [state(k).vector for k in range(20)])
     assert log.state_sequences.tolist() == log.image_sequences.tolist() == list(range(20))
-    assert (log.events[0].t, log.events[0].name, log.events[0].details) == (101.0, "touchdown", {"sink_rate": 0.4})
+    assert (log.events[0].t, log.events[0].name, log.events[0].details) == (
+        101.0,
+        "touchdown",
+        {"sink_rate": 0.4, "wheels": [1, 1, 0]},
+    )
     assert log.metadata == {"aircraft": "umx", "mass_g": "150"} and log.warnings == ()
     for k, image in enumerate(log.images()):
         assert image.sequence == k and np.array_equal(image.pixels, picture(k).pixels)
@@ -177,34 +181,38 @@ def test_senseless_records_are_refused(tmp_path, write, sentence):
 
 WRITER = """
 import sys
+import time
 import numpy as np
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Command, Image
 pixels = np.random.default_rng(0).integers(0, 256, 31_000, dtype=np.uint8)
 with FlightLogWriter(sys.argv[1]) as log:
     for k in range(10**9):
-        log.command(k * 0.05, Command(0.5, 0.0, 0.0, 0.0, image_sequence=k), Image(k, k * 0.05, pixels))
+        log.command(k * 0.05, Command(0.5, 0.0, 0.0, 0.0, image_sequence=k))
         print(k, flush=True)
+        if k == int(sys.argv[2]):
+            time.sleep(600)
+        log.image(Image(k, k * 0.05, pixels))
 """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is POSIX")
-@pytest.mark.parametrize("frames", [1, 7, 40, 111, 300])
-def test_a_kill_loses_no_acknowledged_record(tmp_path, frames):
-    """A program is killed while it writes at full speed: whatever it had acknowledged is in the file."""
+@pytest.mark.parametrize(("frames", "pause"), [(1, -1), (7, -1), (40, -1), (111, -1), (300, -1), (25, 24)])
+def test_a_kill_loses_no_acknowledged_command(tmp_path, frames, pause):
+    """A program is killed while it writes at full speed, or right after a command: what it acknowledged is there."""
     path = tmp_path / "killed.mcap"
-    program = [sys.executable, "-c", WRITER, str(path)]
+    program = [sys.executable, "-c", WRITER, str(path), str(pause)]
     with subprocess.Popen(program, stdout=subprocess.PIPE, env=ENVIRONMENT, text=True) as child:
         acknowledged = [int(child.stdout.readline()) for _ in range(frames)]
         child.send_signal(signal.SIGKILL)
         acknowledged += [int(line) for line in child.stdout if line.endswith("\n")]
     log = read_flight_log(path)
     assert [c.image_sequence for c in log.commands][: len(acknowledged)] == acknowledged
-    assert log.image_sequences.tolist()[: len(acknowledged)] == acknowledged
+    assert log.image_sequences.tolist()[: len(acknowledged) - 1] == acknowledged[:-1]
     assert "interrupted" in log.warnings[0]
     assert os.listdir(tmp_path) == ["killed.mcap"]
     report = recover(path, tmp_path / "saved.mcap")
-    assert report.commands == len(log.commands) and report.images == len(log.image_times)
+    assert report.counts["/command"] == len(log.commands) and report.counts["/image"] == len(log.image_times)
     assert read_flight_log(tmp_path / "saved.mcap").warnings == ()
 
 

@@ -240,7 +240,7 @@ def test_a_flight_without_poses_is_read_with_a_warning(csv):
 
 def test_degrees_are_refused(csv):
     """A roll of 25 would be four turns; yaw alone gives degrees away when it starts far from zero."""
-    banked = [row.replace(",0.1,0.05,0.2,", ",25.0,5.0,170.0,") for row in ROWS]
+    banked = [row.replace(",0.1,0.05,0.2,", ",25.0,5.0,0.2,") for row in ROWS]
     with pytest.raises(InputError, match="looks like degrees"):
         read_flight_table(csv(banked))
     level = [row.replace(",0.1,0.05,0.2,", ",2.0,1.0,170.0,") for row in ROWS]

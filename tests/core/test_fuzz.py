@@ -21,8 +21,8 @@ from falconwing_kit.core.flight_table import read_flight_table
 from falconwing_kit.core.messages import Command, Image, State
 
 FILES = 3000  # of each of the four kinds
-# Python keeps a two-byte cell as an object of some 60 bytes, and a few copies exist at a time.
-BYTES_PER_FILE_BYTE, BYTES_AT_LEAST = 50, 192 * 1024
+# Python keeps a cell of two bytes as an object of some 50, and a thousand open brackets are a thousand nested calls.
+BYTES_PER_FILE_BYTE, BYTES_AT_LEAST = 50, 512 * 1024
 
 WEIRD = [
     *(b"nan", b"inf", b"-inf", b"1e999", b"-1e308", b"9" * 400, b"0x10", b"1_000", b"--1", b"1.2.3", b"", b" "),
