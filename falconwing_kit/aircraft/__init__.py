@@ -12,7 +12,7 @@ from falconwing_kit.aircraft.airframe import (
 )
 from falconwing_kit.aircraft.inputs import acting_commands
 from falconwing_kit.aircraft.integrate import ROLL_OUTS, fly, roll_out, step_batch
-from falconwing_kit.aircraft.model import FORMS, Model, in_wind, paper_model, rates_model, state_rates
+from falconwing_kit.aircraft.model import FORMS, Model, in_wind, paper_model, rates_model, scaled, state_rates
 from falconwing_kit.aircraft.sizing import (
     largest_mass,
     level_turn_bank,
@@ -69,6 +69,7 @@ __all__ = [
     "paper_turn_radius",
     "rates_model",
     "roll_out",
+    "scaled",
     "state_rates",
     "step_batch",
     "turn_radius",

@@ -24,7 +24,7 @@ from falconwing_kit.aircraft.terms import (
     WindTerm,
     air_flow,
 )
-from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.frames import GRAVITY, euler_rates, rotation_entries
 
 Form = Literal["paper", "rates"]
@@ -124,6 +124,44 @@ def rates_model() -> Model:
 
 
 FORMS: dict[Form, Callable[[], Model]] = {"paper": paper_model, "rates": rates_model}
+
+
+_WING = ("cL0", "cLa", "cLe", "cD0", "cDb", "cY", "cYr")
+_QUASI_STEADY = ("L0", "La", "Lb", "M0", "Me", "Ma", "N0", "Nr", "Nb")
+_DAMPING = ("Lp", "Lr", "Mq", "Nrr", "Np")
+
+
+def scaled(model: Model, mass: float, wing_area: float, span: float) -> Model:
+    """Starting values and bounds for an aircraft of another size, by dynamic similarity.
+
+    Forces per mass go with wing area / mass, rates with 1 / span, moments with 1 / span^2, thrust per mass stays and
+    its loss with speed goes with 1 / speed, speed with sqrt(mass / wing area) [Raymer, Aircraft Design, ch. 5: scaling
+    laws of similar aircraft]. These are where a fit begins, no claim about the aircraft.
+
+    Args:
+        model: a model at the starting values of the 150 g aircraft (0.076 m^2, 0.70 m).
+        mass: [kg].
+        wing_area: [m^2].
+        span: [m].
+
+    Returns:
+        A new model.
+
+    Raises:
+        InputError: a number is not positive.
+    """
+    loading = require_range("wing_area", wing_area, low=1e-4) / require_range("mass", mass, low=1e-4) * 0.150 / 0.076
+    length = require_range("span", span, low=1e-2) / 0.70
+    factors = dict.fromkeys(_WING, loading) | {"cDi": 1.0 / loading, "kTV": loading**0.5}
+    factors |= dict.fromkeys(_QUASI_STEADY, 1.0 / length if model.form == "paper" else length**-2)
+    factors |= dict.fromkeys(_DAMPING, 1.0 / length)
+
+    def resize(p: Parameter) -> Parameter:
+        f = factors.get(p.name, 1.0)
+        return replace(p, start=p.start * f, low=p.low * f, high=p.high * f)
+
+    values = {name: value * factors.get(name, 1.0) for name, value in model.values.items()}
+    return replace(model, parameters=tuple(map(resize, model.parameters)), values=values)
 
 
 def in_wind(model: Model, wind_x: float = 0.0, wind_y: float = 0.0) -> Model:

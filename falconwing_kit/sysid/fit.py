@@ -51,7 +51,7 @@ class FitResult:
 
 
 def fit_starts(model: Model, windows: Windows, starts: Array, iterations: int = 8) -> tuple[Array, Array]:
-    """Fit the start state of each window, K held: Gauss-Newton with halved steps, all windows side by side.
+    """Fit the start state of each window, K held: Levenberg-Marquardt, all windows side by side, each with its own damping.
 
     Args:
         model: the aircraft.
@@ -64,19 +64,17 @@ def fit_starts(model: Model, windows: Windows, starts: Array, iterations: int = 
     """
     residual, _, to_start = jacobian(model, windows, starts, ())
     cost = _window_cost(residual)
+    damping = np.full(len(windows), 1e-6)
     for _ in range(iterations):
-        step, promised = _solve_windows(to_start, residual)
+        step, promised = _solve_windows(to_start, residual, damping)
         if np.all(promised < 1e-3 * (1.0 + cost)):
             break
-        size = np.ones(len(windows))
-        for _ in range(4):
-            trial = _window_cost(residuals(model, windows, starts - size[:, None] * step))
-            worse = ~(trial <= cost)
-            if not worse.any():
-                break
-            size[worse] *= 0.3
-        size[worse] = 0.0
-        starts = starts - size[:, None] * step
+        trial = _window_cost(residuals(model, windows, starts - step))
+        better = trial < cost
+        damping = np.where(better, 0.1 * damping, np.maximum(100.0 * damping, 1e-3))
+        if not better.any():
+            continue
+        starts = np.where(better[:, None], starts - step, starts)
         residual, _, to_start = jacobian(model, windows, starts, ())
         cost = _window_cost(residual)
     return starts, residual
@@ -116,7 +114,7 @@ def fit(
     vector, damping, converged, step_count = model.vector, 0.0, False, 0
     linear = linear or jacobian(model, windows, starts, free)
     cost = _cost(linear[0], prior_rows, prior_mean, vector[here])
-    while step_count < iterations:
+    while step_count < iterations and not converged:
         normal, gradient, back, start_gain = _reduce(*linear)
         normal += prior_rows.T @ prior_rows
         gradient += prior_rows.T @ (prior_rows @ (vector[here] - prior_mean))
@@ -128,18 +126,23 @@ def fit(
             k_step = _bounded_step(normal, gradient, damping, vector[here], low, high)
             trial = vector.copy()
             trial[here] = np.clip(vector[here] + k_step, low, high)
-            trial_model, trial_starts = model.with_vector(trial), starts + back(k_step)
-            # The first step mostly works, and then its derivatives are needed anyway.
-            ahead = jacobian(trial_model, windows, trial_starts, free) if attempt == 0 else None
-            residual = ahead[0] if ahead else residuals(trial_model, windows, trial_starts)
+            trial_model = model.with_vector(trial)
+            if attempt == 0:  # mostly works, and then its derivatives are needed anyway
+                trial_starts = starts + back(k_step)
+                ahead = jacobian(trial_model, windows, trial_starts, free)
+                residual = ahead[0]
+            else:  # judge a careful step by the best start states that go with it
+                trial_starts, residual = fit_starts(trial_model, windows, starts, iterations=3)
+                ahead = None
             new_cost = _cost(residual, prior_rows, prior_mean, trial[here])
             if new_cost < cost:
                 break
-            damping = max(10.0 * damping, 1e-6)
+            damping = max(30.0 * damping, 1e-6)
         if not new_cost < cost:
             converged = True
             break
         step_count += 1
+        converged = cost - new_cost < 0.1 * tolerance
         model, vector, starts, cost = trial_model, trial, trial_starts, new_cost
         linear = ahead or jacobian(model, windows, starts, free)
         damping = 0.1 * damping if damping > 1e-9 else 0.0
@@ -189,11 +192,16 @@ def _qr(to_start: Array) -> tuple[Array, Array]:
     return np.linalg.qr(np.concatenate([np.nan_to_num(to_start, posinf=0.0, neginf=0.0), ridge], axis=1))
 
 
-def _solve_windows(to_start: Array, residual: Array) -> tuple[Array, Array]:
-    """Gauss-Newton step of each window's start state (W, n), to be subtracted, and the chi2 it promises to gain (W,)."""
-    Q, R = _qr(to_start)
-    right = np.einsum("win,wi->wn", Q[:, : residual.shape[1]], np.nan_to_num(residual, posinf=0.0))
-    return np.linalg.solve(R, right[..., None])[..., 0], np.sum(right**2, axis=1)
+def _solve_windows(to_start: Array, residual: Array, damping: Array) -> tuple[Array, Array]:
+    """Damped step of each window's start state (W, n), to be subtracted, and the chi2 it promises to gain (W,)."""
+    J, r = (np.nan_to_num(part, posinf=0.0, neginf=0.0) for part in (to_start, residual))
+    transposed = J.transpose(0, 2, 1)
+    right = (transposed @ r[..., None])[..., 0]
+    normal = transposed @ J
+    diagonal = np.einsum("wii->wi", normal)
+    diagonal += damping[:, None] * np.maximum(diagonal, 1e-3 * diagonal.max(axis=1, keepdims=True)) + 1e-9
+    step = np.linalg.solve(normal, right[..., None])[..., 0]
+    return step, np.sum(step * right, axis=1)
 
 
 def _project_out(to_start: Array, to_free: Array) -> Array:

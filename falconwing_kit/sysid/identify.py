@@ -17,7 +17,7 @@ from falconwing_kit.sysid.shooting import Windows, cut_windows, residuals
 from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
 
 WINDOW_S = 2.0
-COARSE_WINDOWS = 60  # one-second windows that bring a bad start near; more would only cost time
+COARSE_WINDOWS = 60  # short windows that bring a bad start near; more would only cost time
 CORRELATED_SHARE = 0.5  # at most this share of the noise variance may be slow; what is beyond counts as misfit
 BAD_FIT = 4.0  # chi2 per degree of freedom that no pose noise explains
 
@@ -127,7 +127,9 @@ def _require_motion(flights: Sequence[Flight]) -> None:
 
 def _starting_model(model: Model, flights: Sequence[Flight], prior: Prior | None, tell: Progress) -> Model:
     """Short windows from several starts: the model's own, and the smoothed one-step fit."""
-    windows = cut_windows(flights, model, 1.0)
+    poses = sum(int(np.isfinite(f.pose[:, 0]).sum()) for f in flights)
+    between = sum(f.duration for f in flights) / max(poses, 1)
+    windows = cut_windows(flights, model, max(1.0, 5.0 * between))
     if len(windows) > COARSE_WINDOWS:
         windows = select(windows, np.linspace(0, len(windows) - 1, COARSE_WINDOWS).astype(int))
     best, best_cost = model, np.inf
@@ -138,7 +140,7 @@ def _starting_model(model: Model, flights: Sequence[Flight], prior: Prior | None
         coarse = windows.weighted(_robust(residual, windows, far=30.0))
         result = fit(start, coarse, starts, prior=prior, iterations=15, tolerance=1.0)
         cost = float(np.sum(np.minimum(result.residual**2, 25.0)))
-        tell("one-second windows", cost / windows.count)
+        tell("short windows", cost / windows.count)
         if cost < best_cost:
             best, best_cost = result.model, cost
         if best_cost < 2.0 * windows.count:
@@ -152,7 +154,7 @@ def _fit_with_noise(
     """Fit, weigh down what is far off, let the noise grow to what slow pose errors may explain, fit again."""
     noise, plain = white, windows
     result = fit(model, windows, starts, prior=prior, tolerance=1.0)
-    tell("two-second windows", result.cost / windows.count)
+    tell("full windows", result.cost / windows.count)
     for _ in range(2):
         before = noise
         if not fixed:

@@ -1,4 +1,4 @@
-"""Preparing a flight: a flight table -> rows a fit can use: yaw unwrapped, outliers marked, noise known, gaps as gaps."""
+"""Preparing a flight: a flight table -> rows a fit can use, with outliers set aside, noise known and gaps as gaps."""
 
 from dataclasses import dataclass
 
@@ -9,9 +9,11 @@ from falconwing_kit.core.flight_table import FlightTable, fill_missing_rows, nom
 from falconwing_kit.core.frames import body_rates
 
 CHANNELS = ("px", "py", "pz", "roll", "pitch", "yaw")  # order of every pose array in this room
-LOCAL_SAMPLES = 13  # samples in one local cubic: 0.6 s at 20 Hz
+LOCAL_SPAN_S = 0.6  # of one local cubic: short against a manoeuvre, 13 samples at 20 Hz
+FEWEST_SAMPLES, MOST_SAMPLES = 5, 13  # in one local cubic
 OUTLIER_SIGMAS = 6.0  # beyond this a pose is not noise; with Gaussian noise one in 500 million
 LONGEST_GAP_S = 0.25  # commands are unknown in a longer gap: the flight is cut there
+LOGGED_MOTION = ("vx", "vy", "vz", "p", "q", "r")  # optional columns; better start states than any derivative
 MIN_NOISE = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3])  # m, rad: below this a pose is not measured but computed
 
 
@@ -48,7 +50,7 @@ def prepare(table: FlightTable, sigma: Array | None = None) -> Prepared:
     """Make a flight table ready for fitting.
 
     Steps: cut at gaps longer than 0.25 s, put empty rows where single frames are missing, unwrap the angles, fit a
-    cubic to the 13 nearest poses around each row (robustly), set poses aside that lie six standard deviations off it,
+    cubic to the poses within 0.3 s of each row (robustly), set poses aside that lie six standard deviations off it,
     and estimate the noise of each channel from fourth differences.
 
     Args:
@@ -75,8 +77,8 @@ def prepare(table: FlightTable, sigma: Array | None = None) -> Prepared:
     outliers = 0
     flights = []
     for number, piece in enumerate(pieces):
-        spread = 1.4826 * np.median(np.abs(piece.residual), axis=0)  # the cubic's own misfit is no outlier
-        bad = np.abs(piece.residual) > OUTLIER_SIGMAS * np.maximum(noise, spread)
+        isolated = piece.residual - _running_median(piece.residual)  # the cubic's own slow misfit is no outlier
+        bad = np.minimum(np.abs(piece.residual), np.abs(isolated)) > OUTLIER_SIGMAS * np.maximum(noise, estimated)
         bad_rows = np.stack([bad[:, :3].any(axis=1), bad[:, 3:].any(axis=1)], axis=1)
         outliers += int(bad_rows.any(axis=1).sum())
         pose = np.where(np.repeat(bad_rows, 3, axis=1), np.nan, piece.pose)
@@ -101,6 +103,7 @@ class _Piece:
     slope: Array
     curvature: Array
     residual: Array  # (N, 6) pose minus cubic, zero where no pose
+    logged: Array  # (N, 6) velocity and body rates where the log has them, else nan
     variance: Array  # (6,) of the noise
 
 
@@ -122,7 +125,7 @@ def _measure(table: FlightTable) -> _Piece | None:
     fits = []
     for columns in (slice(0, 3), slice(3, 6)):
         seen = np.isfinite(pose[:, columns]).all(axis=1)
-        if seen.sum() < 2 * LOCAL_SAMPLES:
+        if seen.sum() < 2 * FEWEST_SAMPLES:
             return None
         fits.append(_local_cubics(table.t, pose[:, columns], seen))
     value, slope, curvature, residual = (
@@ -130,7 +133,8 @@ def _measure(table: FlightTable) -> _Piece | None:
     )
     variance = np.concatenate([f[4] for f in fits])
     pose = _rewrap(pose, value)
-    return _Piece(table.t, pose, table.commands, value, slope, curvature, residual, variance)
+    logged = np.stack([table.extra.get(k, np.full(len(table.t), np.nan)) for k in LOGGED_MOTION], axis=1)
+    return _Piece(table.t, pose, table.commands, value, slope, curvature, residual, logged, variance)
 
 
 def _rewrap(pose: Array, value: Array) -> Array:
@@ -152,14 +156,19 @@ def _local_cubics(t: Array, y: Array, seen: Array) -> tuple[Array, Array, Array,
         value, slope, curvature, residual, each (N, 3), and the noise variance (3,) corrected for the fit's freedom.
     """
     ts, ys = t[seen], y[seen]
-    half = LOCAL_SAMPLES // 2
+    interval = max(float(np.median(np.diff(ts))), 1e-6)
+    half = int(np.clip(round(LOCAL_SPAN_S / interval), FEWEST_SAMPLES - 1, MOST_SAMPLES - 1)) // 2
+    half = min(half, (len(ts) - 1) // 2)
     centre = np.clip(np.searchsorted(ts, t), half, len(ts) - half - 1)
     near = centre[:, None] + np.arange(-half, half + 1)
-    scale = max(float(np.median(np.diff(ts))) * half, 1e-6)
+    scale = interval * half
     s = (ts[near] - t[:, None]) / scale
     basis = np.stack([np.ones_like(s), s, s**2, s**3], axis=-1)  # (N, 13, 4)
     samples = ys[near]
-    weights = np.ones(samples.shape)
+    # An outlier at the end of a cubic's span pulls hardest: begin with what fourth differences say of each sample.
+    jump = np.zeros_like(ys)
+    jump[2:-2] = np.diff(ys, 4, axis=0) / (np.sqrt(70.0) * np.maximum(difference_noise(ys), 1e-9))
+    weights = (1.0 / (1.0 + (jump / 6.0) ** 2) ** 2)[near]
     for _ in range(4):
         normal = np.einsum("nsi,nsj,nsc->ncij", basis, basis, weights, optimize=True)
         right = np.einsum("nsi,nsc,nsc->nci", basis, weights, samples, optimize=True)
@@ -170,6 +179,12 @@ def _local_cubics(t: Array, y: Array, seen: Array) -> tuple[Array, Array, Array,
         weights = 1.0 / (1.0 + (left / (3.0 * np.maximum(spread, overall))) ** 2) ** 2
     value, slope, curvature = (coefficients[..., k] * f / scale**k for k, f in ((0, 1.0), (1, 1.0), (2, 2.0)))
     return value, slope, curvature, np.where(seen[:, None], y - value, 0.0), difference_noise(ys) ** 2
+
+
+def _running_median(values: Array) -> Array:
+    """Median of five neighbouring rows, (N, C) -> (N, C)."""
+    padded = np.concatenate([values[:2], values, values[-2:]])
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1))
 
 
 def difference_noise(samples: Array) -> Array:
@@ -201,7 +216,7 @@ def _known_noise(table: FlightTable, sigma: Array | None) -> Array | None:
 
 def _state_estimate(piece: _Piece) -> tuple[Array, Array]:
     """State and its time derivative at every row, from the local cubics."""
-    roll, pitch, yaw = piece.value[:, 3:].T
+    roll, pitch = piece.value[:, 3], piece.value[:, 4]
     rates = np.stack(body_rates(roll, pitch, *piece.slope[:, 3:].T), axis=1)
     ahead = 1e-3
     later = piece.value[:, 3:] + ahead * piece.slope[:, 3:]
@@ -209,6 +224,7 @@ def _state_estimate(piece: _Piece) -> tuple[Array, Array]:
     rates_later = np.stack(body_rates(later[:, 0], later[:, 1], *later_slope.T), axis=1)
     order = [1, 2, 0]  # roll, pitch, yaw -> pitch, yaw, roll
     smooth = np.concatenate([piece.value[:, :3], piece.value[:, 3:][:, order], piece.slope[:, :3], rates], axis=1)
+    smooth[:, 6:] = np.where(np.isfinite(piece.logged), piece.logged, smooth[:, 6:])
     smooth_rates = np.concatenate(
         [piece.slope[:, :3], piece.slope[:, 3:][:, order], piece.curvature[:, :3], (rates_later - rates) / ahead],
         axis=1,
