@@ -175,10 +175,14 @@ def _print_record(record: dict[str, Any], found: Identification) -> None:
         ],
     )
     for name, fitted in record.get("one_step", {}).items():
-        print(f"one-step fit of the paper, {name} differences: chi2 per dof {fitted['held_out_chi2_per_dof']:.3g} held out")
+        print(
+            f"one-step fit of the paper, {name} differences: chi2 per dof {fitted['held_out_chi2_per_dof']:.3g} held out"
+        )
     position = np.mean([noise[c]["used"] for c in CHANNELS[:3]])
     attitude = np.mean([noise[c]["used"] for c in CHANNELS[3:]])
-    print(f"pose noise {100 * position:.1f} cm and {attitude:.2f} deg; {record['outliers']} outliers set aside, ", end="")
+    print(
+        f"pose noise {100 * position:.1f} cm and {attitude:.2f} deg; {record['outliers']} outliers set aside, ", end=""
+    )
     print(f"{record['rows_without_pose']} rows without a pose; fitted in {record['seconds']:.1f} s")
     for sentence in record["warnings"]:
         print(f"warning: {sentence}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.core.checks import Array
-from falconwing_kit.sysid.shooting import Windows, jacobian, residuals
+from falconwing_kit.sysid.shooting import Windows, jacobian, pose_residuals, residuals
 
 HUBER = 3.0  # residuals beyond this many sigmas count linearly, not squared
 
@@ -31,9 +31,9 @@ class FitResult:
 
     model: Model
     starts: Array  # (W, n_states) start state of each window
-    residual: Array  # (W, L * 6) weighted
-    to_free: Array  # (W, L * 6, F) derivative to the free parameters
-    to_start: Array  # (W, L * 6, n_states) derivative to the start states
+    residual: Array  # (W, R) weighted: L * 6 of poses, then n_states of the start
+    to_free: Array  # (W, R, F) derivative to the free parameters
+    to_start: Array  # (W, R, n_states) derivative to the start states
     free: tuple[int, ...]  # indices of the fitted parameters
     cost: float  # sum of squared weighted residuals (and of the prior's)
     iterations: int
@@ -41,12 +41,13 @@ class FitResult:
 
     @property
     def reduced(self) -> Array:
-        """(W, L * 6, F) derivative to the free parameters with the start states eliminated."""
+        """(W, R, F) derivative to the free parameters with the start states eliminated."""
         return _project_out(self.to_start, self.to_free)
 
     def reweighted(self, factor: Array) -> tuple[Array, Array, Array]:
         """Residual and derivatives after the weights change by factor (W, L, 6); nothing is flown again."""
-        f = factor.reshape(self.residual.shape)
+        f = np.ones_like(self.residual)
+        f[:, : factor[0].size] = factor.reshape(len(factor), -1)
         return self.residual * f, self.to_free * f[..., None], self.to_start * f[..., None]
 
 
@@ -60,7 +61,7 @@ def fit_starts(model: Model, windows: Windows, starts: Array, iterations: int = 
         iterations: at most this many.
 
     Returns:
-        starts (W, n_states) and weighted residuals (W, L * 6).
+        starts (W, n_states) and weighted residuals (W, R).
     """
     residual, _, to_start = jacobian(model, windows, starts, ())
     cost = _window_cost(residual)
@@ -111,7 +112,7 @@ def fit(
     high = np.array([model.parameters[i].high for i in free])
     prior_rows, prior_mean = _prior_rows(model, free, prior)
     here = list(free)
-    vector, damping, converged, step_count = model.vector, 0.0, False, 0
+    vector, damping, converged, refound, step_count = model.vector, 0.0, False, False, 0
     linear = linear or jacobian(model, windows, starts, free)
     cost = _cost(linear[0], prior_rows, prior_mean, vector[here])
     while step_count < iterations and not converged:
@@ -119,7 +120,9 @@ def fit(
         normal += prior_rows.T @ prior_rows
         gradient += prior_rows.T @ (prior_rows @ (vector[here] - prior_mean))
         new_cost = np.inf
-        if _promised(normal, gradient, vector[here], low, high) + start_gain < tolerance * max(1.0, 1e-4 * cost):
+        promised = _promised(normal, gradient, vector[here], low, high)
+        # Once start states had to be found one by one, what they alone still promise is not to be had.
+        if promised + (0.0 if refound else start_gain) < tolerance * max(1.0, 1e-4 * cost):
             converged = True
             break
         for attempt in range(8):
@@ -131,17 +134,17 @@ def fit(
                 trial_starts = starts + back(k_step)
                 ahead = jacobian(trial_model, windows, trial_starts, free)
                 residual = ahead[0]
-            else:  # judge a careful step by the best start states that go with it
+            else:  # judge the same step, then ever shorter ones, by the best start states that go with it
                 trial_starts, residual = fit_starts(trial_model, windows, starts, iterations=3)
                 ahead = None
             new_cost = _cost(residual, prior_rows, prior_mean, trial[here])
             if new_cost < cost:
                 break
-            damping = max(30.0 * damping, 1e-6)
+            damping = max(30.0 * damping, 1e-6) if attempt else damping
         if not new_cost < cost:
             converged = True
             break
-        step_count += 1
+        step_count, refound = step_count + 1, attempt > 0
         converged = cost - new_cost < 0.1 * tolerance
         model, vector, starts, cost = trial_model, trial, trial_starts, new_cost
         linear = ahead or jacobian(model, windows, starts, free)
@@ -155,13 +158,13 @@ def robust_factor(residual: Array, windows: Windows) -> Array:
     """Factors on the weights that make far residuals count linearly [Huber 1964].
 
     Args:
-        residual: (W, L * 6) weighted residuals.
+        residual: (W, R) weighted residuals.
         windows: W windows.
 
     Returns:
         (W, L, 6), 1 within HUBER sigmas.
     """
-    size = np.abs(residual).reshape(windows.weight.shape)
+    size = np.abs(pose_residuals(residual, windows))
     return np.sqrt(np.minimum(1.0, HUBER / np.maximum(size, 1e-9)))
 
 
@@ -186,10 +189,8 @@ def _prior_rows(model: Model, free: tuple[int, ...], prior: Prior | None) -> tup
 
 
 def _qr(to_start: Array) -> tuple[Array, Array]:
-    """QR of each window's start derivative; a little diagonal keeps windows with few poses solvable."""
-    n = to_start.shape[-1]
-    ridge = np.broadcast_to(1e-6 * np.eye(n), (len(to_start), n, n))
-    return np.linalg.qr(np.concatenate([np.nan_to_num(to_start, posinf=0.0, neginf=0.0), ridge], axis=1))
+    """QR of each window's derivative to its start state."""
+    return np.linalg.qr(np.nan_to_num(to_start, posinf=0.0, neginf=0.0))
 
 
 def _solve_windows(to_start: Array, residual: Array, damping: Array) -> tuple[Array, Array]:
@@ -206,14 +207,12 @@ def _solve_windows(to_start: Array, residual: Array, damping: Array) -> tuple[Ar
 
 def _project_out(to_start: Array, to_free: Array) -> Array:
     Q, _ = _qr(to_start)
-    Q = Q[:, : to_free.shape[1]]
     return np.asarray(to_free - Q @ (Q.transpose(0, 2, 1) @ to_free))
 
 
 def _reduce(residual: Array, to_free: Array, to_start: Array) -> tuple[Array, Array, Callable[[Array], Array], float]:
     """Normal equations in K alone, the start states that go with a step in K, and the chi2 these alone would gain."""
     Q, R = _qr(to_start)
-    Q = Q[:, : residual.shape[1]]
     across = Q.transpose(0, 2, 1) @ to_free
     reduced = to_free - Q @ across
     normal = np.einsum("wif,wig->fg", reduced, reduced, optimize=True)

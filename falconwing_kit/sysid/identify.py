@@ -13,7 +13,7 @@ from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_starts, robust_f
 from falconwing_kit.sysid.one_step import fit_one_step
 from falconwing_kit.sysid.prepare import Flight, Prepared, prepare
 from falconwing_kit.sysid.score import Score, hold_out, score, select
-from falconwing_kit.sysid.shooting import Windows, cut_windows, residuals
+from falconwing_kit.sysid.shooting import Windows, cut_windows, pose_residuals, residuals
 from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
 
 WINDOW_S = 2.0
@@ -133,7 +133,7 @@ def _starting_model(model: Model, flights: Sequence[Flight], prior: Prior | None
     if len(windows) > COARSE_WINDOWS:
         windows = select(windows, np.linspace(0, len(windows) - 1, COARSE_WINDOWS).astype(int))
     best, best_cost = model, np.inf
-    candidates: tuple[Callable[[], Model], ...] = (lambda: model, lambda: fit_one_step(model, flights, smoothed=True))
+    candidates: tuple[Callable[[], Model], ...] = (lambda: model, lambda: fit_one_step(model, flights, smoothed=True, most=3000))
     for candidate in candidates:
         start = candidate()
         starts, residual = fit_starts(start, windows, windows.guess[:, : model.n_states], iterations=3)
@@ -172,7 +172,7 @@ def _fit_with_noise(
 
 def _noise(result: FitResult, windows: Windows, white: Array) -> Array:
     """Noise of each channel from the residuals, between the white part and twice its variance."""
-    residual = residuals(result.model, windows, result.starts).reshape(windows.weight.shape)
+    residual = pose_residuals(residuals(result.model, windows, result.starts), windows)
     share = 1.0 - (len(windows) * result.model.n_states + len(result.free)) / windows.count
     seen = windows.weight > 0
     ratio = np.array([(1.4826 * np.median(np.abs(residual[..., c][seen[..., c]]))) ** 2 for c in range(6)]) / share
@@ -181,7 +181,9 @@ def _noise(result: FitResult, windows: Windows, white: Array) -> Array:
 
 def _robust(residual: Array, windows: Windows, far: float | None = None) -> Array:
     factor = robust_factor(residual, windows)
-    return factor if far is None else np.asarray(np.where(np.abs(residual).reshape(factor.shape) < far, 1.0, factor))
+    if far is None:
+        return factor
+    return np.asarray(np.where(np.abs(pose_residuals(residual, windows)) < far, 1.0, factor))
 
 
 def _warnings(result: FitResult, sure: Uncertainty, train: Score, held_out: Score | None) -> list[str]:

@@ -35,13 +35,16 @@ def differentiated_states(flight: Flight) -> Array:
     return np.concatenate([here[:, :3], here[:, [4, 5, 3]], slope[:, :3], rates], axis=1)
 
 
-def fit_one_step(model: Model, flights: Sequence[Flight], *, smoothed: bool = False) -> Model:
+def fit_one_step(
+    model: Model, flights: Sequence[Flight], *, smoothed: bool = False, most: int | None = None
+) -> Model:
     """Fit K by the paper's loss: predict each next state from the one before.
 
     Args:
         model: where to start; delay and lag stay as they are, since one step cannot see them.
         flights: prepared flights.
         smoothed: use states from local cubics instead of raw differences.
+        most: use at most about this many steps, evenly spread; None uses all.
 
     Returns:
         The model with fitted values.
@@ -55,6 +58,9 @@ def fit_one_step(model: Model, flights: Sequence[Flight], *, smoothed: bool = Fa
     free = [i for i, p in enumerate(held.parameters) if p.high > p.low]
     steps = [_steps(held, flight, smoothed) for flight in flights]
     before, after, acting, duration = (np.concatenate(p, axis=-1) for p in zip(*steps, strict=True))
+    if most is not None and before.shape[1] > most:
+        some = np.linspace(0, before.shape[1] - 1, most).astype(int)
+        before, after, acting, duration = before[:, some], after[:, some], acting[:, some], duration[some]
     if before.shape[1] < 3 * len(free):
         raise InputError(f"flight: want at least {3 * len(free)} pairs of neighbouring poses, got {before.shape[1]}")
     low, high = (np.array([getattr(held.parameters[i], side) for i in free]) for side in ("low", "high"))

@@ -7,7 +7,7 @@ import numpy as np
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.core.checks import Array
 from falconwing_kit.sysid.fit import fit_starts
-from falconwing_kit.sysid.shooting import Windows
+from falconwing_kit.sysid.shooting import Windows, pose_residuals
 
 BLOCK_S = 10.0  # neighbouring samples are alike: whole blocks of time are held out, never single rows
 
@@ -38,7 +38,7 @@ def score(model: Model, windows: Windows, starts: Array | None = None) -> Score:
     """
     guess = windows.guess[:, : model.n_states] if starts is None else starts
     starts, residual = fit_starts(model, windows, guess)
-    residual = residual.reshape(windows.weight.shape)
+    residual = pose_residuals(residual, windows)
     share = 1.0 - len(windows) * model.n_states / max(windows.count, 1)
     squares = residual**2
     seen = np.maximum(np.count_nonzero(windows.weight, axis=(0, 1)), 1)

@@ -21,6 +21,9 @@ EARLY_ROWS = 20  # rows of commands before a window that servo lag and delay can
 FIRST_ROW = 10  # of a flight: what was commanded before it is not known
 MAPPED = ("delay", "lag")  # parameters that act on the sticks before the flight is integrated
 CHUNK = 8192  # aircraft advanced together; their arrays stay in the processor's cache
+# A start state is free, but not to leave its local estimate by more than an aircraft could be wrong about: metres,
+# tens of degrees. Against tens of poses this weighs nothing; where a window has a handful it keeps the fit on the map.
+START_SIGMA = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0])
 STATE_STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
 
 
@@ -164,11 +167,33 @@ def residuals(model: Model, windows: Windows, starts: Array) -> Array:
         starts: (W, n_states).
 
     Returns:
-        (W, L * 6), zero where a pose is missing; infinite where the flight ran away.
+        (W, L * 6 + n_states): poses, zero where one is missing and infinite where the flight ran away; then how far
+        the start states are from their local estimates.
     """
     acting = windows.acting(*_delay_and_lag(model, model.vector))[:, :, :, None]
     with np.errstate(all="ignore"):
-        return _weigh(windows, predict(model, windows, starts.T[:, None, :], model.vector[:, None], acting))[0]
+        of_poses = _weigh(windows, predict(model, windows, starts.T[:, None, :], model.vector[:, None], acting))[0]
+    return np.concatenate([of_poses, _strayed(windows, starts)], axis=1)
+
+
+def pose_residuals(residual: Array, windows: Windows) -> Array:
+    """The part of `residuals` that belongs to poses.
+
+    Args:
+        residual: (W, L * 6 + n_states).
+        windows: W windows.
+
+    Returns:
+        (W, L, 6) weighted, order of CHANNELS.
+    """
+    return residual[:, : windows.weight[0].size].reshape(windows.weight.shape)
+
+
+def _strayed(windows: Windows, starts: Array) -> Array:
+    n = starts.shape[1]
+    away = (starts - windows.guess[:, :n]) / START_SIGMA[:n]
+    away[:, 4] -= 2.0 * np.pi / START_SIGMA[4] * np.round(away[:, 4] * START_SIGMA[4] / (2.0 * np.pi))
+    return away
 
 
 def jacobian(model: Model, windows: Windows, starts: Array, free: Sequence[int]) -> tuple[Array, Array, Array]:
@@ -183,8 +208,8 @@ def jacobian(model: Model, windows: Windows, starts: Array, free: Sequence[int])
         free: which parameters move, as indices into model.names.
 
     Returns:
-        residual (W, L * 6); derivative to the free parameters (W, L * 6, F), per unit of each parameter;
-        derivative to the start states (W, L * 6, n_states).
+        residual (W, R) as of `residuals`; derivative to the free parameters (W, R, F), per unit of each parameter;
+        derivative to the start states (W, R, n_states).
     """
     base = model.vector
     steps = np.array([1e-3 if model.names[i] in MAPPED else 1e-5 * _size(model, i) for i in free])
@@ -208,7 +233,10 @@ def jacobian(model: Model, windows: Windows, starts: Array, free: Sequence[int])
         moved = weighed[1:] - at_base
     moved /= np.concatenate([steps, STATE_STEPS[:n_states]])[:, None, None]
     moved = np.moveaxis(moved, 0, -1)
-    return at_base, moved[..., :n_free], moved[..., n_free:]
+    of_starts = np.zeros((len(windows), n_states, n_free + n_states))
+    of_starts[:, range(n_states), range(n_free, n_free + n_states)] = 1.0 / START_SIGMA[:n_states]
+    moved = np.concatenate([moved, of_starts], axis=1)
+    return np.concatenate([at_base, _strayed(windows, starts)], axis=1), moved[..., :n_free], moved[..., n_free:]
 
 
 def _weigh(windows: Windows, poses: Array) -> Array:

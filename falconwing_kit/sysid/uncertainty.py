@@ -57,7 +57,7 @@ def uncertainty(result: FitResult, windows: Windows, prior: Prior | None = None)
     normal = np.einsum("wif,wig->fg", J, J, optimize=True)
     known = np.array([1.0 / prior.sigma[n] ** 2 if prior and n in prior.sigma else 0.0 for n in names])
     inverse = _inverse(normal / max(s2, 1e-12) + np.diag(known))
-    inflation = _inflation(J, result.residual, inverse / max(s2, 1e-12), freedom / windows.count)
+    inflation = _inflation(J, result.residual, inverse / max(s2, 1e-12), s2)
     covariance = inverse * inflation
     values = {n: model.values[n] for n in names}
     sigma = np.sqrt(np.diag(covariance))
@@ -92,9 +92,8 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(inverse * np.outer(scale, scale))
 
 
-def _inflation(J: Array, residual: Array, inverse: Array, free_share: float) -> float:
+def _inflation(J: Array, residual: Array, inverse: Array, s2: float) -> float:
     """Mean over parameters of clustered variance over white variance, at least 1."""
-    s2 = float(np.sum(residual**2)) / max(np.count_nonzero(residual) * free_share, 1.0)
     gradients = np.einsum("wif,wi->wf", J, residual, optimize=True)
     clusters = len(gradients)
     if clusters < 8:
