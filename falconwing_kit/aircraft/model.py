@@ -186,7 +186,7 @@ def _assemble(form: Form, terms: tuple[Term, ...]) -> Model:
 @cache
 def record_of(names: tuple[str, ...]) -> Any:
     """A named tuple class with these fields, one class per set of names."""
-    return namedtuple("K", names)  # type: ignore[misc]
+    return namedtuple("K", names)
 
 
 def _same(function: Any) -> Any:

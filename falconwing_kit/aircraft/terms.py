@@ -1,4 +1,4 @@
-"""Terms of f_K: the air flow at the aircraft -> forces and moments. One function a term, in the order of the derivation.
+"""Terms of f_K: the air flow at the aircraft -> forces and moments, one function a term.
 
 The model is the sum of the terms in a plain tuple. Every value is per unit mass (or inertia), because poses alone
 cannot separate mass from air density times wing area: a force is an acceleration [m/s^2], a moment an angular
@@ -143,7 +143,7 @@ def drag(air, K):  # type: ignore[no-untyped-def]
 
 
 def side_force(air, K):  # type: ignore[no-untyped-def]
-    """Side force of fuselage and fin: Y/m = V^2 (-cY beta + cYr rudder), along the right wing [Beard & McLain, eq. 4.14].
+    """Side force of fuselage and fin along the right wing: Y/m = V^2 (-cY beta + cYr rudder) [Beard & McLain, 4.14].
 
     Args:
         air: the flow.
@@ -156,7 +156,7 @@ def side_force(air, K):  # type: ignore[no-untyped-def]
 
 
 def thrust(air, K):  # type: ignore[no-untyped-def]
-    """Propeller thrust along the nose, falling with speed: T/m = (kT - kTV V) throttle [linearised Beard & McLain, eq. 4.18].
+    """Thrust along the nose, falling with speed: T/m = (kT - kTV V) throttle [Beard & McLain, eq. 4.18, linearised].
 
     Args:
         air: the flow.

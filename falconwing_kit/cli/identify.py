@@ -175,9 +175,8 @@ def _print_record(record: dict[str, Any], found: Identification) -> None:
         ],
     )
     for name, fitted in record.get("one_step", {}).items():
-        print(
-            f"one-step fit of the paper, {name} differences: chi2 per dof {fitted['held_out_chi2_per_dof']:.3g} held out"
-        )
+        chi2 = fitted["held_out_chi2_per_dof"]
+        print(f"the paper's one-step fit, {name} differences: chi2 per dof {chi2:.3g} held out")
     position = np.mean([noise[c]["used"] for c in CHANNELS[:3]])
     attitude = np.mean([noise[c]["used"] for c in CHANNELS[3:]])
     print(

@@ -1,4 +1,4 @@
-"""The real flight: the ALFA log -> a model of the healthy aircraft, its forecasts, and when the failed one leaves them."""
+"""The real flight: the ALFA log -> a model of the healthy aircraft, and when the failed one leaves its forecasts."""
 
 import tomllib
 from collections.abc import Callable

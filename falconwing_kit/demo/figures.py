@@ -14,7 +14,7 @@ from falconwing_kit.sysid.score import select
 from falconwing_kit.sysid.uncertainty import ordinary_size
 
 MEASURED, PREDICTED, ACCENT, QUIET = "#8c8c8c", "#0b5394", "#c1440e", "#444444"
-STYLE = {
+STYLE: Any = {
     "figure.dpi": 110,
     "savefig.dpi": 130,
     "font.size": 9.5,
@@ -212,7 +212,7 @@ def _scored(found: Identification) -> tuple[Any, Any, str]:
     return select(found.windows, found.held_out_index), found.held_out, "held-out time"
 
 
-def _autocorrelation(residual: Array, seen: Array, lags: int = 15) -> tuple[Array, Array, Array]:
+def _autocorrelation(residual: Array, seen: np.ndarray, lags: int = 15) -> tuple[Array, Array, Array]:
     """Autocorrelation within windows, averaged over three position and three attitude channels."""
     shift = np.arange(1, min(lags, residual.shape[1] - 1) + 1)
     found = np.empty((len(shift), 6))

@@ -52,7 +52,7 @@ class FitResult:
 
 
 def fit_starts(model: Model, windows: Windows, starts: Array, iterations: int = 8) -> tuple[Array, Array]:
-    """Fit the start state of each window, K held: Levenberg-Marquardt, all windows side by side, each with its own damping.
+    """Fit the start state of each window, K held: Levenberg-Marquardt side by side, each window with its own damping.
 
     Args:
         model: the aircraft.
@@ -202,7 +202,7 @@ def _solve_windows(to_start: Array, residual: Array, damping: Array) -> tuple[Ar
     diagonal = np.einsum("wii->wi", normal)
     diagonal += damping[:, None] * np.maximum(diagonal, 1e-3 * diagonal.max(axis=1, keepdims=True)) + 1e-9
     step = np.linalg.solve(normal, right[..., None])[..., 0]
-    return step, np.sum(step * right, axis=1)
+    return np.asarray(step), np.asarray(np.sum(step * right, axis=1))
 
 
 def _project_out(to_start: Array, to_free: Array) -> Array:

@@ -133,8 +133,7 @@ def _starting_model(model: Model, flights: Sequence[Flight], prior: Prior | None
     if len(windows) > COARSE_WINDOWS:
         windows = select(windows, np.linspace(0, len(windows) - 1, COARSE_WINDOWS).astype(int))
     best, best_cost = model, np.inf
-    candidates: tuple[Callable[[], Model], ...] = (lambda: model, lambda: fit_one_step(model, flights, smoothed=True, most=3000))
-    for candidate in candidates:
+    for candidate in (lambda: model, lambda: fit_one_step(model, flights, smoothed=True, most=3000)):
         start = candidate()
         starts, residual = fit_starts(start, windows, windows.guess[:, : model.n_states], iterations=3)
         coarse = windows.weighted(_robust(residual, windows, far=30.0))

@@ -78,7 +78,7 @@ def write_model(path: str | Path, found: Identification) -> None:
     held_out = found.held_out.chi2 if found.held_out else None
     fit = _Fit(found.names, found.train.chi2, held_out, tuple(map(float, found.sigma)))
     matrix = tuple(tuple(float(f"{c:.6g}") for c in row) for row in sure.covariance)
-    terms = tuple(t.name for t in (*model.terms, *model.winds))
+    terms = tuple(t.name for t in model.terms) + tuple(w.name for w in model.winds)
     write_toml(path, _File(model.form, terms, fit, parameters, _Covariance(sure.names, matrix)))
 
 
@@ -103,7 +103,7 @@ def read_model(path: str | Path, known: tuple[Term | WindTerm, ...] = KNOWN_TERM
     unknown = [name for name in file.terms if name not in by_name]
     if unknown:
         raise InputError(f"{Path(path).name}: terms: want names out of {', '.join(by_name)}, got {unknown[0]!r}")
-    base = FORMS[file.form]()  # type: ignore[index]
+    base = FORMS[file.form]()
     own = {t.name for t in base.terms}
     model = base.adding(*(by_name[name] for name in file.terms if name not in own))
     missing = [name for name in model.names if name not in file.parameters]

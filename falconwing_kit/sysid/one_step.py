@@ -35,9 +35,7 @@ def differentiated_states(flight: Flight) -> Array:
     return np.concatenate([here[:, :3], here[:, [4, 5, 3]], slope[:, :3], rates], axis=1)
 
 
-def fit_one_step(
-    model: Model, flights: Sequence[Flight], *, smoothed: bool = False, most: int | None = None
-) -> Model:
+def fit_one_step(model: Model, flights: Sequence[Flight], *, smoothed: bool = False, most: int | None = None) -> Model:
     """Fit K by the paper's loss: predict each next state from the one before.
 
     Args:
@@ -85,7 +83,7 @@ def _steps(model: Model, flight: Flight, smoothed: bool) -> tuple[Array, Array, 
     states = flight.smooth if smoothed else differentiated_states(flight)
     states = states[:, : model.n_states]
     t = flight.t[: len(states)] - flight.t[0]
-    good = np.isfinite(states).all(axis=1)
+    good = np.asarray(np.isfinite(states).all(axis=1))
     pairs = np.flatnonzero(good[:-1] & good[1:])
     acting, _ = acting_commands(t, flight.commands[: len(t)], t, model.values["delay"], model.values["lag"])
     return states[pairs].T, states[pairs + 1].T, acting[pairs].T, np.diff(t)[pairs]

@@ -64,8 +64,7 @@ def prepare(table: FlightTable, sigma: Array | None = None) -> Prepared:
         InputError: fewer than 3 s of usable poses in a row.
     """
     warnings = list(table.warnings)
-    pieces = [_measure(piece) for piece in _unbroken(table)]
-    pieces = [piece for piece in pieces if piece is not None]
+    pieces = [piece for piece in map(_measure, _unbroken(table)) if piece is not None]
     if not pieces:
         raise InputError(
             f"{table.name}: want at least 3 s of poses without a break, found none; "

@@ -101,4 +101,4 @@ def _inflation(J: Array, residual: Array, inverse: Array, s2: float) -> float:
     scatter = gradients.T @ gradients * clusters / max(clusters - 1, 1)
     clustered = np.diag(inverse @ scatter @ inverse)
     white = np.diag(inverse) * s2
-    return float(max(1.0, np.mean(clustered / np.maximum(white, 1e-30))))
+    return max(1.0, float(np.mean(clustered / np.maximum(white, 1e-30))))

@@ -48,7 +48,7 @@ def fly_figure_eights(
 
 def _autopilot(x: np.ndarray, t: float) -> np.ndarray:
     """Bank toward one of two circles, hold height and speed."""
-    px, py, height, pitch, yaw, roll = x[:6]
+    px, py, height, pitch, _, roll = x[:6]
     vx, vy, vz = x[6:9]
     side = np.where(np.mod(t, 16.0) < 8.0, 1.0, -1.0)
     centre_x, centre_y = -2.0 + 7.0 * side, -2.0
