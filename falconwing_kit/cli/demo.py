@@ -1,0 +1,71 @@
+"""falconwing demo: the kit's main job on recorded flights, as one page with its figures."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from falconwing_kit.cli.show import next_line, print_json, print_table
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Identify two recorded flights, one of them real, and show how well the models predict.
+
+    Needs no network, GPU or aircraft and takes about half a minute.
+    """
+
+    out: Path = Path("falconwing_demo")
+    """folder for page, figures and models"""
+    headless: bool = False
+    """do not open the page in the browser"""
+    json: bool = False
+    """print JSON instead of tables"""
+
+    def run(self) -> int:
+        """Study both flights and write the page.
+
+        Returns:
+            0: the page is written.
+
+        Raises:
+            OSError: the folder cannot be made or written.
+        """
+        from tqdm import tqdm
+
+        from falconwing_kit.demo.recorded import study_recorded_flights, write_recorded_flights
+
+        self.out.mkdir(parents=True, exist_ok=True)
+        with tqdm(bar_format="{desc} {elapsed}", leave=False, disable=None) as bar:
+            found = study_recorded_flights(bar.set_description_str)
+            bar.set_description_str("page and figures")
+            record = write_recorded_flights(found, self.out)
+        page = (self.out / "index.html").resolve()
+        if self.json:
+            print_json({**record, "page": str(page)})
+        else:
+            _print_record(record)
+            print(f"\npage: {page}")
+            next_line("falconwing identify YOUR_FLIGHT.csv --out model.toml --figures figures")
+        if not self.headless:
+            import webbrowser
+
+            webbrowser.open(page.as_uri())
+        return 0
+
+
+def _print_record(record: dict) -> None:
+    small, real = record["simulated_flight"], record["real_flight"]
+    rows = [("multiple shooting", small["held_out_chi2_per_dof"])]
+    rows += [(f"one step, {name} (the paper's loss)", chi2) for name, chi2 in small["one_step_chi2_per_dof"].items()]
+    title = "150 g aircraft, SIMULATED by an independent simulator: two seconds ahead, held-out time"
+    print_table(("fit", "chi2 per dof (1 = only noise left)"), rows, title=title)
+    print()
+    rows = [(name, f["position_m"], f["attitude_deg"]) for name, f in real["one_second_ahead_before_failure"].items()]
+    title = "2 m aircraft, REAL flight (ALFA): one second ahead, held-out time before the engine fails"
+    print_table(("forecast", "position [m]", "attitude [deg]"), rows, title=title)
+    parts, failure = real["parts_from_measurement_s"], real["failure_time_s"]
+    if parts is None:
+        print("after the failure the healthy model's forecasts stay ordinary")
+    else:
+        print(
+            f"engine off at {failure:.1f} s; the healthy model's forecasts part from the measurement at {parts:.1f} s"
+        )
