@@ -59,9 +59,10 @@ def _print_record(record: dict) -> None:
     title = "150 g aircraft, SIMULATED by an independent simulator: two seconds ahead, held-out time"
     print_table(("fit", "chi2 per dof (1 = only noise left)"), rows, title=title)
     print()
-    rows = [(name, f["position_m"], f["attitude_deg"]) for name, f in real["one_second_ahead_before_failure"].items()]
+    forecasts = real["one_second_ahead_before_failure"].items()
     title = "2 m aircraft, REAL flight (ALFA): one second ahead, held-out time before the engine fails"
-    print_table(("forecast", "position [m]", "attitude [deg]"), rows, title=title)
+    errors = [(name, f["position_m"], f["attitude_deg"]) for name, f in forecasts]
+    print_table(("forecast", "position [m]", "attitude [deg]"), errors, title=title)
     parts, failure = real["parts_from_measurement_s"], real["failure_time_s"]
     if parts is None:
         print("after the failure the healthy model's forecasts stay ordinary")

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from falconwing_kit.aircraft.model import FORMS
+from falconwing_kit.aircraft.airframe import load_airframe
+from falconwing_kit.aircraft.model import FORMS, Model, scaled
 from falconwing_kit.cli.show import next_line, print_json, print_table
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.flight_table import read_flight_table
@@ -37,6 +38,8 @@ class Identify:
     """rates: body rates have their own dynamics; paper: the paper's nine states"""
     start: Path | None = None
     """a model file to start from, instead of a 150 g aircraft"""
+    airframe: Path | None = None
+    """an airframe file: start from the 150 g aircraft scaled to its mass, wing area and span"""
     sigma_position_m: float | None = None
     """noise of each position coordinate; estimated if not given"""
     sigma_attitude_deg: float | None = None
@@ -59,7 +62,7 @@ class Identify:
         if not self.flights:
             raise InputError("identify: want at least one flight table, got none; try falconwing identify flight.csv")
         tables = [read_flight_table(path) for path in self.flights]
-        model = read_model(self.start).model if self.start else FORMS[self.form]()
+        model = self._model()
         found = identify(tables, model=model, sigma=self._sigma(), progress=None if self.json else _progress())
         baseline = self._baseline(found) if self.one_step else None
         if self.out is not None:
@@ -77,6 +80,17 @@ class Identify:
             next_line(self._next())
         chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
         return 0 if chi2 <= GOOD_CHI2 else 1
+
+    def _model(self) -> Model:
+        if self.start is not None:
+            if self.airframe is not None:
+                raise InputError("identify: want --start or --airframe, got both")
+            return read_model(self.start).model
+        model = FORMS[self.form]()
+        if self.airframe is None:
+            return model
+        airframe = load_airframe(self.airframe)
+        return scaled(model, airframe.mass, airframe.wing_area, airframe.span)
 
     def _sigma(self) -> Any:
         given = (self.sigma_position_m, self.sigma_attitude_deg)

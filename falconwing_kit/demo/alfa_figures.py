@@ -6,23 +6,24 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.demo.alfa_story import SETTLED_S, AlfaStory
-from falconwing_kit.demo.figures import ACCENT, MEASURED, PREDICTED, QUIET, figure
+from falconwing_kit.demo.figures import ACCENT, MEASURED, PREDICTED, QUIET, draw_predicted, figure
 
 
 def draw_alfa_story(story: AlfaStory, folder: Path) -> tuple[Path, ...]:
-    """Write the three figures of the real flight.
+    """Write the figures of the real flight.
 
     Args:
         story: what the flight showed.
         folder: where the files go; it must exist.
 
     Returns:
-        alfa_track.png, alfa_forecasts.png and alfa_failure.png.
+        alfa_track.png, alfa_predicted.png, alfa_forecasts.png and alfa_failure.png.
     """
-    paths = tuple(folder / f"alfa_{name}.png" for name in ("track", "forecasts", "failure"))
+    paths = tuple(folder / f"alfa_{name}.png" for name in ("track", "predicted", "forecasts", "failure"))
     draw_track(story, paths[0])
-    draw_forecasts(story, paths[1])
-    draw_failure(story, paths[2])
+    draw_predicted(story.found, paths[1])
+    draw_forecasts(story, paths[2])
+    draw_failure(story, paths[3])
     return paths
 
 
@@ -50,7 +51,7 @@ def draw_track(story: AlfaStory, path: Path) -> None:
         above.set_xlabel("east [m]")
         above.set_ylabel("north [m]")
         above.set_title("Measured track")
-        above.legend(loc="center")
+        above.legend(loc="center right")
         _over_time(axes[0, 1], t, p[:, 2], story, "height [m]")
         _over_time(axes[1, 1], table.t, speed, story, "speed over ground [m/s]")
         axes[1, 1].set_xlabel("time [s]")

@@ -200,6 +200,12 @@ def _alfa_part(alfa: AlfaStory, folder: Path) -> list[str]:
             "The engine goes off at the dotted line; speed and height go with it.",
             "Track from above, height and speed over time; after the engine stops both fall.",
         )),
+        picture(Picture(
+            folder / "alfa_predicted.png",
+            "The fitted model against what was measured, two seconds ahead from each rust-coloured dot, ten seconds that "
+            "the fit had not seen. Poses come 2.5 times a second.",
+            "Measured poses and two-second predictions of the real flight, and its track from above.",
+        )),
         table(
             f"Before the failure, one second ahead, forecast by models that had not seen that time ({FOLDS} folds)",
             ("forecast", "position, rms [m]", "attitude, rms [deg]", "forecasts"), rows, best=0,
