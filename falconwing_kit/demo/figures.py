@@ -11,6 +11,7 @@ from falconwing_kit.core.checks import Array
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.score import select
+from falconwing_kit.sysid.shooting import fly_windows
 from falconwing_kit.sysid.uncertainty import ordinary_size
 
 MEASURED, PREDICTED, ACCENT, QUIET = "#8c8c8c", "#0b5394", "#c1440e", "#444444"
@@ -82,18 +83,17 @@ def draw_predicted(found: Identification, path: Path) -> None:
     """
     windows, scored, what = _scored(found)
     shown = _first_block(windows.nodes)
-    error = np.divide(scored.residual, windows.weight, out=np.zeros_like(scored.residual), where=windows.weight > 0)
     measured = np.where(windows.weight > 0, windows.pose, np.nan)[shown]
-    predicted = np.where(windows.weight > 0, windows.pose + error, np.nan)[shown]
+    predicted = fly_windows(found.train_model, select(windows, shown), scored.starts[shown])
+    turns = np.round(np.nanmean(measured[..., 5]) / (2.0 * np.pi))
     nodes = windows.nodes[shown]
     scale = np.array([1.0, 1.0, 1.0, *[180.0 / np.pi] * 3])
-    turns = np.round(np.nanmean(measured[..., 5]) / (2.0 * np.pi)) * 360.0
-    shift = np.array([0.0, 0.0, 0.0, 0.0, 0.0, turns])
+    shift = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 360.0 * turns])
     with figure(path, 3, 3, (11.0, 6.6), width_ratios=[1.0, 1.0, 1.1]) as axes:
         for channel, label in enumerate(LABELS):
             ax = axes[channel % 3, channel // 3]
             for t, m, p in zip(nodes, measured[..., channel], predicted[..., channel], strict=True):
-                _draw_window(ax, t, *(values * scale[channel] - shift[channel] for values in (m, p)))
+                _draw_window(ax, t, t, *(values * scale[channel] - shift[channel] for values in (m, p)))
             ax.set_ylabel(label)
             if channel % 3 == 2:
                 ax.set_xlabel("time [s]")
@@ -101,11 +101,10 @@ def draw_predicted(found: Identification, path: Path) -> None:
         _draw_track(axes, measured, predicted)
 
 
-def _draw_window(ax: Any, across: Array, measured: Array, predicted: Array) -> None:
-    ax.plot(across, predicted, "-", lw=1.6, color=PREDICTED)
-    ax.plot(across, measured, ".", ms=2.6, color=MEASURED)
-    first = np.flatnonzero(np.isfinite(predicted))[:1]
-    ax.plot(across[first], predicted[first], "o", ms=4.0, color=ACCENT)
+def _draw_window(ax: Any, at_measured: Array, at_predicted: Array, measured: Array, predicted: Array) -> None:
+    ax.plot(at_predicted, predicted, "-", lw=1.6, color=PREDICTED)
+    ax.plot(at_measured, measured, ".", ms=2.6, color=MEASURED)
+    ax.plot(at_predicted[0], predicted[0], "o", ms=4.0, color=ACCENT)
 
 
 def _first_block(nodes: Array) -> np.ndarray:
@@ -121,7 +120,7 @@ def _draw_track(axes: Any, measured: Array, predicted: Array) -> None:
         ax.remove()
     ax, below = (axes[0, 0].figure.add_subplot(grid[rows, 2]) for rows in (slice(0, 2), 2))
     for m, p in zip(measured, predicted, strict=True):
-        _draw_window(ax, p[:, 0], m[:, 1], p[:, 1])
+        _draw_window(ax, m[:, 0], p[:, 0], m[:, 1], p[:, 1])
     below.plot([], [], ".", color=MEASURED, label="measured pose")
     below.plot([], [], "-", color=PREDICTED, label="model, on the logged sticks alone")
     below.plot([], [], "o", ms=4.0, color=ACCENT, label="start state, estimated")

@@ -202,8 +202,8 @@ def _alfa_part(alfa: AlfaStory, folder: Path) -> list[str]:
         )),
         picture(Picture(
             folder / "alfa_predicted.png",
-            "The fitted model against what was measured, two seconds ahead from each rust-coloured dot, ten seconds that "
-            "the fit had not seen. Poses come 2.5 times a second.",
+            "The fitted model against what was measured, two seconds ahead from each rust-coloured dot, ten seconds "
+            "kept back from the first fit. Poses come 2.5 times a second.",
             "Measured poses and two-second predictions of the real flight, and its track from above.",
         )),
         table(

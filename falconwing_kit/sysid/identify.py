@@ -28,7 +28,8 @@ Progress = Callable[[str, float], None]
 class Identification:
     """The answer of `identify`: a model, how sure it is, and how well it predicts."""
 
-    model: Model
+    model: Model  # fitted to everything
+    train_model: Model  # fitted without the held-out time
     uncertainty: Uncertainty
     train: Score
     held_out: Score | None  # None where the flight is too short to keep anything back
@@ -111,7 +112,7 @@ def identify(
         sure = uncertainty(final, train, prior)
     warnings = [w for p in prepared for w in p.warnings] + _warnings(final, sure, train_score, held_out)
     return Identification(
-        final.model, sure, train_score, held_out, noise, white, prepared, windows, score_index, final,
+        final.model, result.model, sure, train_score, held_out, noise, white, prepared, windows, score_index, final,
         tuple(t.name for t in tables), tuple(warnings), time.perf_counter() - began,
     )  # fmt: skip
 

@@ -170,10 +170,26 @@ def residuals(model: Model, windows: Windows, starts: Array) -> Array:
         (W, L * 6 + n_states): poses, zero where one is missing and infinite where the flight ran away; then how far
         the start states are from their local estimates.
     """
+    poses = fly_windows(model, windows, starts).transpose(1, 2, 0)[:, :, None]
+    with np.errstate(all="ignore"):
+        return np.concatenate([_weigh(windows, poses)[0], _strayed(windows, starts)], axis=1)
+
+
+def fly_windows(model: Model, windows: Windows, starts: Array) -> Array:
+    """Predicted poses of every window at all of its rows, measured or not.
+
+    Args:
+        model: the aircraft at its present values.
+        windows: W windows.
+        starts: (W, n_states).
+
+    Returns:
+        (W, L, 6) in the order of CHANNELS; not finite where the flight ran away.
+    """
     acting = windows.acting(*_delay_and_lag(model, model.vector))[:, :, :, None]
     with np.errstate(all="ignore"):
-        of_poses = _weigh(windows, predict(model, windows, starts.T[:, None, :], model.vector[:, None], acting))[0]
-    return np.concatenate([of_poses, _strayed(windows, starts)], axis=1)
+        poses = predict(model, windows, starts.T[:, None, :], model.vector[:, None], acting)
+    return np.ascontiguousarray(poses[:, :, 0].transpose(2, 0, 1))
 
 
 def pose_residuals(residual: Array, windows: Windows) -> Array:
