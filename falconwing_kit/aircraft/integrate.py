@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.aircraft.inputs import acting_commands
 from falconwing_kit.aircraft.model import Model, state_rates
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 
@@ -198,5 +197,5 @@ def fly(model: Model, start: Array, t: Array, commands: Array, backend: str = "b
         raise InputError("t: want evenly spaced times, got uneven ones; resample the flight table first")
     substeps = max(1, round(SUBSTEPS[model.form] * dt / 0.05))
     edges = t[0] + dt / substeps * np.arange((len(t) - 1) * substeps + 1)
-    mean, swing = acting_commands(t, sticks, edges, model.values["delay"], model.values["lag"])
+    mean, swing = model.acting(t, sticks, edges, model.K)
     return roll_out(model, start, mean, dt / substeps, backend, swing)[::substeps]

@@ -13,7 +13,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from falconwing_kit.aircraft.inputs import INPUT_PARAMETERS
+from falconwing_kit.aircraft.effects import Effect
+from falconwing_kit.aircraft.inputs import INPUT_PARAMETERS, acting_commands
 from falconwing_kit.aircraft.terms import (
     FORCES,
     MOMENTS,
@@ -39,6 +40,7 @@ class Model:
     winds: tuple[WindTerm, ...] = ()
     parameters: tuple[Parameter, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
+    effects: tuple[Effect, ...] = ()  # those that act on sticks or measured poses; the others are among the terms
 
     @property
     def n_states(self) -> int:
@@ -89,6 +91,50 @@ class Model:
             for p in self.parameters
         )
         return replace(self, parameters=parameters)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Parameters that act on the sticks before the flight is integrated."""
+        known = ("delay", "lag", "control_delay", "actuator_lag")
+        own = tuple(p.name for effect in self.effects if effect.sticks for p in effect.parameters)
+        return tuple(name for name in self.names if name in known or name in own)
+
+    def acting(self, t: Array, commands: Array, edges: Array, K: Any) -> tuple[Array, Array]:
+        """Logged commands -> control positions over each integration step, through all input maps.
+
+        Args:
+            t: (N,) time of each command [s].
+            commands: (N, 4).
+            edges: (..., S + 1) ends of the integration steps [s].
+            K: parameter record of this model.
+
+        Returns:
+            mean and swing, each (..., S, 4), as `acting_commands`.
+        """
+        for effect in self.effects:
+            if effect.sticks is not None:
+                commands = effect.sticks(t, commands, K)
+        delay = K.delay + getattr(K, "control_delay", 0.0)
+        lag = K.lag + getattr(K, "actuator_lag", 0.0)
+        return acting_commands(t, commands, edges, max(delay, 0.0), max(lag, 0.0))
+
+    def with_effect(self, effect: Effect) -> "Model":
+        """The same model with an effect added, its parameters at their starting values.
+
+        Args:
+            effect: one of the catalogue, with parameters of its own.
+
+        Returns:
+            A new model.
+        """
+        model = self.adding(*(part for part in (effect.term, effect.wind) if part is not None))
+        new = tuple(p for p in effect.parameters if p.name not in model.values)
+        return replace(
+            model,
+            parameters=model.parameters + new,
+            values={**model.values, **{p.name: p.start for p in new}},
+            effects=(*model.effects, effect),
+        )
 
     def adding(self, *terms: Term | WindTerm) -> "Model":
         """The same model with terms added at their starting values."""

@@ -19,10 +19,11 @@ HUBER = 3.0  # residuals beyond this many sigmas count linearly, not squared
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of K before the fit: independent Gaussians, one each for some parameters."""
+    """What is known of K before the fit: a Gaussian over some parameters."""
 
     mean: dict[str, float]
-    sigma: dict[str, float]
+    sigma: dict[str, float]  # standard deviation of each, its unit
+    correlation: Array | None = None  # (P, P) in the order of `sigma`; None where they are independent
 
 
 @dataclass(frozen=True)
@@ -110,15 +111,15 @@ def fit(
     free = tuple(i for i, p in enumerate(model.parameters) if p.high > p.low)
     low = np.array([model.parameters[i].low for i in free])
     high = np.array([model.parameters[i].high for i in free])
-    prior_rows, prior_mean = _prior_rows(model, free, prior)
+    known, prior_mean = prior_rows(model, free, prior)
     here = list(free)
     vector, damping, converged, refound, step_count = model.vector, 0.0, False, False, 0
     linear = linear or jacobian(model, windows, starts, free)
-    cost = _cost(linear[0], prior_rows, prior_mean, vector[here])
+    cost = _cost(linear[0], known, prior_mean, vector[here])
     while step_count < iterations and not converged:
         normal, gradient, back, start_gain = _reduce(*linear)
-        normal += prior_rows.T @ prior_rows
-        gradient += prior_rows.T @ (prior_rows @ (vector[here] - prior_mean))
+        normal += known.T @ known
+        gradient += known.T @ (known @ (vector[here] - prior_mean))
         new_cost = np.inf
         promised = _promised(normal, gradient, vector[here], low, high)
         # Once start states had to be found one by one, what they alone still promise is not to be had.
@@ -137,7 +138,7 @@ def fit(
             else:  # judge the same step, then ever shorter ones, by the best start states that go with it
                 trial_starts, residual = fit_starts(trial_model, windows, starts, iterations=3)
                 ahead = None
-            new_cost = _cost(residual, prior_rows, prior_mean, trial[here])
+            new_cost = _cost(residual, known, prior_mean, trial[here])
             if new_cost < cost:
                 break
             damping = max(30.0 * damping, 1e-6) if attempt else damping
@@ -173,18 +174,37 @@ def _window_cost(residual: Array) -> Array:
         return np.nan_to_num(np.einsum("wi,wi->w", residual, residual), nan=np.inf, posinf=np.inf)
 
 
-def _cost(residual: Array, prior_rows: Array, prior_mean: Array, free_values: Array) -> float:
+def _cost(residual: Array, known: Array, prior_mean: Array, free_values: Array) -> float:
     with np.errstate(all="ignore"):
-        total = float(np.sum(residual * residual) + np.sum((prior_rows @ (free_values - prior_mean)) ** 2))
+        total = float(np.sum(residual * residual) + np.sum((known @ (free_values - prior_mean)) ** 2))
     return total if np.isfinite(total) else np.inf
 
 
-def _prior_rows(model: Model, free: tuple[int, ...], prior: Prior | None) -> tuple[Array, Array]:
+def prior_rows(model: Model, free: tuple[int, ...], prior: Prior | None) -> tuple[Array, Array]:
+    """A prior as further rows of the least-squares problem: rows @ (values - mean) has unit covariance.
+
+    Args:
+        model: names the parameters.
+        free: which of them are fitted.
+        prior: what is known, or None.
+
+    Returns:
+        rows (F, F) and mean (F,).
+    """
+    names = [model.names[i] for i in free]
     rows, mean = np.zeros((len(free), len(free))), np.zeros(len(free))
-    for j, i in enumerate(free):
-        name = model.names[i]
-        if prior is not None and name in prior.sigma:
-            rows[j, j], mean[j] = 1.0 / prior.sigma[name], prior.mean[name]
+    if prior is None:
+        return rows, mean
+    known = [name for name in prior.sigma if name in names]
+    at = [names.index(name) for name in known]
+    sigma = np.array([prior.sigma[name] for name in known])
+    mean[at] = [prior.mean[name] for name in known]
+    correlation = np.eye(len(known))
+    if prior.correlation is not None:
+        order = [list(prior.sigma).index(name) for name in known]
+        correlation = prior.correlation[np.ix_(order, order)]
+    values, vectors = np.linalg.eigh(correlation)
+    rows[np.ix_(at, at)] = (vectors / np.sqrt(np.maximum(values, 1e-9))).T / sigma
     return rows, mean
 
 

@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from falconwing_kit.aircraft.inputs import acting_commands
 from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
 from falconwing_kit.aircraft.model import Model, state_rates
 from falconwing_kit.core.checks import Array, InputError
@@ -69,7 +68,7 @@ def forecast(model: Model, table: FlightTable, horizon: float = 1.0) -> Forecast
     steps = max(1, round(horizon / 0.05) * SUBSTEPS[model.form])
     begin = table.t[start]
     edges = begin[:, None] + span[:, None] * np.arange(-steps // 2, steps + 1) / steps
-    mean, swing = acting_commands(table.t, table.commands, edges, model.values["delay"], model.values["lag"])
+    mean, swing = model.acting(table.t, table.commands, edges, model.K)
     mean, swing = (part[:, -steps:].transpose(1, 2, 0) for part in (mean, swing))
     rates, K = state_rates(model.form, model.terms, model.winds), model.K
     with np.errstate(all="ignore"):

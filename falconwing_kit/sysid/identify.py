@@ -36,7 +36,8 @@ class Identification:
     sigma: Array  # (6,) noise used, order of CHANNELS [m, rad]
     sigma_white: Array  # (6,) noise seen by differences alone
     prepared: tuple[Prepared, ...]
-    windows: Windows  # every window, with the weights used
+    windows: Windows  # every window, weighted by the noise alone
+    fitted_windows: Windows  # those of the final fit, far residuals weighed down
     held_out_index: np.ndarray  # which of them were kept for scoring
     result: FitResult  # the final fit, to all windows
     names: tuple[str, ...]  # the flights
@@ -106,13 +107,12 @@ def identify(
         starts[fit_index], starts[score_index] = result.starts, held_out.starts
         everything = windows.weighted(_robust(residuals(result.model, windows, starts), windows))
         final = fit(result.model, everything, starts, prior=prior, iterations=6)
+        train = everything
         tell("all windows", final.cost / max(windows.count, 1))
-        sure = uncertainty(final, everything, prior)
-    else:
-        sure = uncertainty(final, train, prior)
+    sure = uncertainty(final, train, prior)
     warnings = [w for p in prepared for w in p.warnings] + _warnings(final, sure, train_score, held_out)
     return Identification(
-        final.model, result.model, sure, train_score, held_out, noise, white, prepared, windows, score_index, final,
+        final.model, result.model, sure, train_score, held_out, noise, white, prepared, windows, train, score_index, final,
         tuple(t.name for t in tables), tuple(warnings), time.perf_counter() - began,
     )  # fmt: skip
 

@@ -7,19 +7,19 @@ No velocity is ever differentiated from noisy poses, which is what ruins the one
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from falconwing_kit.aircraft.inputs import acting_commands
 from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
 from falconwing_kit.aircraft.model import Model, record_of, state_rates
 from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.core.frames import euler_rates
 from falconwing_kit.sysid.prepare import Flight
 
 POSE_ROWS = [0, 1, 2, 5, 3, 4]  # rows of a state that a pose shows, in the order of prepare.CHANNELS
 EARLY_ROWS = 20  # rows of commands before a window that servo lag and delay can reach back to
 FIRST_ROW = 10  # of a flight: what was commanded before it is not known
-MAPPED = ("delay", "lag")  # parameters that act on the sticks before the flight is integrated
 CHUNK = 8192  # aircraft advanced together; their arrays stay in the processor's cache
 # A start state is free, but not to leave its local estimate by more than an aircraft could be wrong about: metres,
 # tens of degrees. Against tens of poses this weighs nothing; where a window has a handful it keeps the fit on the map.
@@ -40,6 +40,7 @@ class Windows:
     flight: np.ndarray  # (W,) which flight
     flights: tuple[Flight, ...]
     guess: Array  # (W, 12) start states from the local cubics
+    whitening: Array | None = None  # (6, L, L) makes time-correlated pose noise white, or None
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -49,20 +50,21 @@ class Windows:
         """Number of measured pose components."""
         return int(np.count_nonzero(self.weight))
 
-    def acting(self, delay: float, lag: float) -> Array:
+    def acting(self, model: Model, vector: Array) -> Array:
         """Control positions over each integration step.
 
         Args:
-            delay: [s].
-            lag: [s].
+            model: says how sticks become control positions.
+            vector: (P,) its parameter values.
 
         Returns:
             (S, 2, 4, W) mean and swing of each step.
         """
+        K = record_of(model.names)(*map(float, vector))
         steps = np.empty((2, len(self), self.edges.shape[1] - 1, 4))
         for number, flight in enumerate(self.flights):
             mine = self.flight == number
-            steps[:, mine] = acting_commands(flight.t - flight.t[0], flight.commands, self.edges[mine], delay, lag)
+            steps[:, mine] = model.acting(flight.t - flight.t[0], flight.commands, self.edges[mine], K)
         return np.ascontiguousarray(steps[:, :, self.early :].transpose(2, 0, 3, 1))
 
     def weighted(self, factor: Array) -> "Windows":
@@ -155,7 +157,16 @@ def predict(
             x = step_batch(rates, K, begin[k, part], x, mean, steps[k, part], swing)
             if (k + 1) % windows.substeps == 0:
                 poses[(k + 1) // windows.substeps, :, :, part] = x[POSE_ROWS]
+    if any(effect.pose for effect in model.effects):
+        _tilt_camera(poses, K)
     return poses
+
+
+def _tilt_camera(poses: Array, K: Any) -> None:
+    """Turn predicted attitudes by a small rotation in the body, in place: the camera looks elsewhere."""
+    roll, pitch = poses[:, 3], poses[:, 4]
+    row_z = np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)
+    poses[:, 3:] += np.stack(euler_rates(row_z, K.tilt_roll, K.tilt_pitch, 0.0 * roll), axis=1)
 
 
 def residuals(model: Model, windows: Windows, starts: Array) -> Array:
@@ -186,7 +197,7 @@ def fly_windows(model: Model, windows: Windows, starts: Array) -> Array:
     Returns:
         (W, L, 6) in the order of CHANNELS; not finite where the flight ran away.
     """
-    acting = windows.acting(*_delay_and_lag(model, model.vector))[:, :, :, None]
+    acting = windows.acting(model, model.vector)[:, :, :, None]
     with np.errstate(all="ignore"):
         poses = predict(model, windows, starts.T[:, None, :], model.vector[:, None], acting)
     return np.ascontiguousarray(poses[:, :, 0].transpose(2, 0, 1))
@@ -227,18 +238,18 @@ def jacobian(model: Model, windows: Windows, starts: Array, free: Sequence[int])
         residual (W, R) as of `residuals`; derivative to the free parameters (W, R, F), per unit of each parameter;
         derivative to the start states (W, R, n_states).
     """
-    base = model.vector
-    steps = np.array([1e-3 if model.names[i] in MAPPED else 1e-5 * _size(model, i) for i in free])
+    base, mapped = model.vector, model.input_names
+    steps = np.array([1e-3 if model.names[i] in mapped else 1e-5 * _size(model, i) for i in free])
     n_states, n_free = model.n_states, len(free)
     columns = 1 + n_free + n_states
     values = np.repeat(base[:, None], columns, axis=1)
     start_columns = np.repeat(starts.T[:, None, :], columns, axis=1)
-    acting, sticks = [windows.acting(*_delay_and_lag(model, base))], np.zeros(columns, dtype=int)
+    acting, sticks = [windows.acting(model, base)], np.zeros(columns, dtype=int)
     for column, (i, step) in enumerate(zip(free, steps, strict=True), start=1):
         values[i, column] += step
-        if model.names[i] in MAPPED:
+        if model.names[i] in mapped:
             sticks[column] = len(acting)
-            acting.append(windows.acting(*_delay_and_lag(model, values[:, column])))
+            acting.append(windows.acting(model, values[:, column]))
     for i in range(n_states):
         start_columns[i, 1 + n_free + i] += STATE_STEPS[i]
     with np.errstate(all="ignore"):
@@ -261,12 +272,10 @@ def _weigh(windows: Windows, poses: Array) -> Array:
     angles = difference[..., 3:]
     angles -= 2.0 * np.pi * np.round(angles[:1] / (2.0 * np.pi))
     difference *= windows.weight
+    if windows.whitening is not None:
+        difference = np.einsum("klm,cwmk->cwlk", windows.whitening, difference, optimize=True)
     difference[~np.isfinite(difference)] = np.inf
     return difference.reshape(*difference.shape[:2], -1)
-
-
-def _delay_and_lag(model: Model, vector: Array) -> tuple[float, float]:
-    return float(vector[model.names.index("delay")]), float(vector[model.names.index("lag")])
 
 
 def _size(model: Model, i: int) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 
 from falconwing_kit.aircraft.terms import Parameter
 from falconwing_kit.core.checks import Array
-from falconwing_kit.sysid.fit import FitResult, Prior
+from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
 from falconwing_kit.sysid.shooting import Windows
 
 HIGH_CORRELATION = 0.95
@@ -55,8 +55,8 @@ def uncertainty(result: FitResult, windows: Windows, prior: Prior | None = None)
     freedom = max(windows.count - len(names) - J.shape[0] * model.n_states, 1)
     s2 = float(np.sum(result.residual**2)) / freedom
     normal = np.einsum("wif,wig->fg", J, J, optimize=True)
-    known = np.array([1.0 / prior.sigma[n] ** 2 if prior and n in prior.sigma else 0.0 for n in names])
-    inverse = _inverse(normal / max(s2, 1e-12) + np.diag(known))
+    known, _ = prior_rows(model, result.free, prior)
+    inverse = _inverse(normal / max(s2, 1e-12) + known.T @ known)
     inflation = _inflation(J, result.residual, inverse / max(s2, 1e-12), s2)
     covariance = inverse * inflation
     values = {n: model.values[n] for n in names}
