@@ -52,7 +52,8 @@ def row(name: str, count: int, step: float, rows_per_second: float, theirs: floa
     """One line of the table; speeds in rows of 50 ms each second."""
     steps = rows_per_second * ROW / step
     ratio = rows_per_second / theirs
-    return f"| {name} | {count} | {step * 1e3:g} ms | {si(steps)} | {si(rows_per_second)} | {ratio:.2g} x |"
+    times = f"{ratio:.0f}" if ratio >= 10.0 else f"{ratio:.2g}"
+    return f"| {name} | {count} | {step * 1e3:g} ms | {si(steps)} | {si(rows_per_second)} | {times} x |"
 
 
 def si(value: float) -> str:
