@@ -1,0 +1,206 @@
+"""falconwing demo from its words to its files: page, figures, models and numbers, whole or not at all."""
+
+import contextlib
+import io
+import json
+import os
+import webbrowser
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from falconwing_kit.cli.main import main
+from falconwing_kit.demo import recorded
+from falconwing_kit.demo.recorded import RecordedFlights
+from falconwing_kit.sysid.model_file import read_model
+from tests.demo.test_page import page_problems
+
+FIGURES = ("predicted", "residuals", "intervals", "alfa_track", "alfa_predicted", "alfa_forecasts", "alfa_failure")
+OTHERS = ("index.html", "demo.json", "model_150g.toml", "model_alfa.toml")
+
+
+class Run(NamedTuple):
+    """One run of the verb."""
+
+    code: int
+    out: Path
+    printed: str
+    found: RecordedFlights  # what the files were written from
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The verb as it is typed, once, about fifteen seconds; what it found is kept for the tests of its files."""
+    out, printed, kept = tmp_path_factory.mktemp("demo") / "new" / "folder", io.StringIO(), []
+    study = recorded.study_recorded_flights
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
+        patch.setattr(recorded, "study_recorded_flights", lambda progress: kept.append(study(progress)) or kept[0])
+        code = main(["demo", "--headless", "--out", str(out)])
+    return Run(code, out, printed.getvalue(), kept[0])
+
+
+@pytest.fixture
+def studied(run, monkeypatch):
+    """The verb without the fifteen seconds: what was found is handed over as it is."""
+    monkeypatch.setattr(recorded, "study_recorded_flights", lambda progress: run.found)
+
+
+@pytest.fixture
+def small_disk():
+    """A disk that refuses files above a size, by the kernel's own limit, as tests/core/test_files.py uses it."""
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_it_ends_well_and_writes_what_it_says(run):
+    """Exactly these files, none of them half-written, in a folder that was not there before."""
+    assert run.code == 0
+    assert sorted(os.listdir(run.out)) == sorted([*OTHERS, *(f"{name}.png" for name in FIGURES)])
+    for name in FIGURES:
+        content = (run.out / f"{name}.png").read_bytes()
+        assert content.startswith(b"\x89PNG\r\n\x1a\n") and content[-8:-4] == b"IEND", name
+
+
+def test_terminal_says_what_is_simulated_and_what_is_real(run):
+    """A number says what it rests on; the last line says what to type next."""
+    lines = run.printed.splitlines()
+    assert any("SIMULATED" in line for line in lines) and any("REAL" in line for line in lines)
+    assert str(run.out / "index.html") in run.printed
+    assert lines[-1].startswith("next: falconwing identify")
+
+
+def test_numbers_tell_the_story_of_the_release(run):
+    """Goals set before it was written: chi2 at most 1.3 held out; the real flight better than both guesses."""
+    record = json.loads((run.out / "demo.json").read_text())
+    small, real = record["simulated_flight"], record["real_flight"]
+    assert set(record) == {"simulated_flight", "real_flight"}
+    assert 0.7 < small["held_out_chi2_per_dof"] < 1.3
+    assert small["one_step_chi2_per_dof"]["raw"] > small["one_step_chi2_per_dof"]["smoothed"] > 2.0
+    errors = real["one_second_ahead_before_failure"]
+    for guess in ("constant turn", "constant velocity"):
+        for error in ("position_m", "attitude_deg"):
+            assert errors["model"][error] < errors[guess][error]
+    assert real["failure_time_s"] == 116.166  # the log's first "engine off", data/README.md
+    assert real["parts_from_measurement_s"] > real["failure_time_s"]
+
+
+def test_page_is_whole_in_itself_and_shows_every_figure(run):
+    """Read with the standard library's parser; seven figures, each embedded and with words for who cannot see it."""
+    text = (run.out / "index.html").read_text(encoding="utf-8")
+    assert page_problems(text) == []
+    assert text.count("<img ") == len(FIGURES)
+
+
+def test_page_and_json_hold_the_same_numbers(run):
+    """The page's tables, cell by cell, against the record beside it."""
+    cells = _cells((run.out / "index.html").read_text(encoding="utf-8"))
+    record = json.loads((run.out / "demo.json").read_text())
+    small, real = record["simulated_flight"], record["real_flight"]
+    assert ["multiple shooting", f"{small['held_out_chi2_per_dof']:.3g}"] == cells[0][:2]
+    assert [row[1] for row in cells[1:3]] == [f"{chi2:.3g}" for chi2 in small["one_step_chi2_per_dof"].values()]
+    for row, errors in zip(cells[3:], real["one_second_ahead_before_failure"].values(), strict=True):
+        assert row[1:] == [f"{errors['position_m']:.2f}", f"{errors['attitude_deg']:.1f}", str(errors["forecasts"])]
+
+
+@pytest.mark.parametrize(("name", "flight"), [("150g", "case08_calm.csv"), ("alfa", "alfa_engine_failure.csv")])
+def test_models_can_be_read_back(run, name, flight):
+    """To the last bit of every value; the file names the flight that it rests on."""
+    found = run.found.small if name == "150g" else run.found.alfa.found
+    file = read_model(run.out / f"model_{name}.toml")
+    assert file.model.form == found.model.form
+    assert dict(file.model.values) == dict(found.model.values)
+    assert file.names == found.uncertainty.names
+    assert np.allclose(file.covariance, found.uncertainty.covariance, rtol=1e-5, atol=0.0)  # six digits are kept
+    assert [Path(each).name for each in file.flights] == [flight]
+
+
+def test_json_is_the_record_and_nothing_else(run, studied, capsys, tmp_path):
+    """What goes to another program is one JSON value."""
+    assert main(["demo", "--headless", "--json", "--out", str(tmp_path)]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert Path(printed.pop("page")) == tmp_path.resolve() / "index.html"
+    assert printed == json.loads((run.out / "demo.json").read_text())
+
+
+@pytest.mark.parametrize(("words", "opened"), [(["--headless"], 0), ([], 1)])
+def test_browser_opens_unless_headless(studied, monkeypatch, tmp_path, words, opened):
+    """A laboratory computer without a screen asks for headless; a newcomer sees the page."""
+    calls = []
+    monkeypatch.setattr(webbrowser, "open", calls.append)
+    assert main(["demo", *words, "--out", str(tmp_path)]) == 0
+    assert calls == [(tmp_path / "index.html").resolve().as_uri()] * opened
+
+
+def test_full_disk_leaves_nothing_half_written(studied, small_disk, capsys, tmp_path):
+    """No figure fits on this disk: one sentence with the way out, exit code 2, and the folder is empty."""
+    small_disk(20_000)
+    code = main(["demo", "--headless", "--out", str(tmp_path / "out")])
+    error = capsys.readouterr().err
+    assert code == 2
+    assert "the disk is full" in error and "free some space" in error and error.count("\n") == 1
+    assert os.listdir(tmp_path / "out") == []
+
+
+def test_disk_that_fills_up_before_the_page_keeps_the_page_of_before(studied, small_disk, capsys, tmp_path):
+    """Every figure fits, the page does not: what is there is whole, the older page stays to the byte."""
+    (tmp_path / "index.html").write_text("the page of yesterday")
+    small_disk(400_000)
+    assert main(["demo", "--headless", "--out", str(tmp_path)]) == 2
+    assert "index.html: the disk is full" in capsys.readouterr().err
+    assert (tmp_path / "index.html").read_text() == "the page of yesterday"
+    assert [name for name in os.listdir(tmp_path) if name.endswith(".part")] == []
+    json.loads((tmp_path / "demo.json").read_text())
+    read_model(tmp_path / "model_150g.toml")
+
+
+def test_no_right_to_write_is_one_sentence(studied, monkeypatch, capsys, tmp_path):
+    """The system's refusal is simulated, for the tests may run as a user who may write everywhere."""
+
+    def refuse(source, target):
+        raise PermissionError(13, "Permission denied", str(target))
+
+    monkeypatch.setattr(os, "replace", refuse)
+    assert main(["demo", "--headless", "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "no right to write" in error and error.count("\n") == 1
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("below", ["", "deeper"])
+def test_file_in_place_of_the_folder_is_one_sentence(capsys, tmp_path, below):
+    """Said before the work begins, so nobody waits for it; the file stays as it is."""
+    (tmp_path / "taken").write_text("mine")
+    assert main(["demo", "--headless", "--out", str(tmp_path / "taken" / below)]) == 2
+    error = capsys.readouterr().err
+    assert "taken" in error and error.count("\n") == 1
+    assert (tmp_path / "taken").read_text() == "mine"
+
+
+def _cells(text: str) -> list[list[str]]:
+    """The rows of all tables of a page, headers left out."""
+    rows: list[list[str]] = []
+
+    class Cells(HTMLParser):
+        inside = False
+
+        def handle_starttag(self, tag, attributes):
+            if tag == "tr":
+                rows.append([])
+            self.inside = tag == "td"
+            if self.inside:
+                rows[-1].append("")
+
+        def handle_endtag(self, tag):
+            self.inside = self.inside and tag != "td"
+
+        def handle_data(self, data):
+            if self.inside:
+                rows[-1][-1] += data
+
+    Cells().feed(text)
+    return [row for row in rows if row]
