@@ -10,6 +10,7 @@ from falconwing_kit.aircraft.airframe import (
     default_airframe_path,
     load_airframe,
 )
+from falconwing_kit.aircraft.effects import CATALOGUE, EFFECT_NAMES, Effect
 from falconwing_kit.aircraft.inputs import acting_commands
 from falconwing_kit.aircraft.integrate import ROLL_OUTS, fly, roll_out, step_batch
 from falconwing_kit.aircraft.model import FORMS, Model, in_wind, paper_model, rates_model, scaled, state_rates
@@ -35,21 +36,27 @@ from falconwing_kit.aircraft.touchdown import (
     wheel_positions,
     wheel_velocities,
 )
+from falconwing_kit.aircraft.trim import Mode, Trim, linearise, modes, stepper, to_nlsys, trim
 
 __all__ = [
+    "CATALOGUE",
+    "EFFECT_NAMES",
     "FORMS",
     "ROLL_OUTS",
     "WHEEL_NAMES",
     "Aero",
     "Airframe",
+    "Effect",
     "Flow",
     "Inertia",
     "LandingPad",
+    "Mode",
     "Model",
     "Parameter",
     "Part",
     "Term",
     "Touchdown",
+    "Trim",
     "Wheels",
     "WindTerm",
     "acting_commands",
@@ -61,9 +68,11 @@ __all__ = [
     "level_turn_bank",
     "level_turn_radius",
     "level_turn_speed",
+    "linearise",
     "load_airframe",
     "load_factor",
     "minimum_speed",
+    "modes",
     "pad_height",
     "paper_model",
     "paper_turn_radius",
@@ -72,6 +81,9 @@ __all__ = [
     "scaled",
     "state_rates",
     "step_batch",
+    "stepper",
+    "to_nlsys",
+    "trim",
     "turn_radius",
     "unlisted_mass",
     "wheel_heights",

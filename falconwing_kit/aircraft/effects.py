@@ -5,7 +5,7 @@ Each has the interface of a term, so that adding one to the model or to this cat
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,13 @@ class Effect:
     sticks: Callable[[Array, Array, Any], Array] | None = None  # (t, commands (N, 4), K) -> commands
     pose: bool = False  # acts on the measured attitude
     starts: tuple[dict[str, float], ...] = ()  # further points a fit should begin at
+    shape: tuple[str, ...] = ()  # parameters that say where or when, and mean nothing while the amplitude is zero
     same_as: str = ""  # another effect with the same dynamics: no flight can tell them apart
+
+    @property
+    def amplitudes(self) -> tuple[Parameter, ...]:
+        """The parameters that are zero when the effect is absent."""
+        return tuple(p for p in self.parameters if p.name not in self.shape)
 
 
 def _zero_but(index: int, load: Any) -> tuple[Any, ...]:
@@ -267,6 +273,7 @@ def _force(name: str, physics: str, function: Any, *parameters: Parameter, **mor
     return Effect(name, physics, parameters, term=Term(name, parameters, function), **more)
 
 
+_WIND = tuple(replace(p, start=0.3) for p in WIND_PARAMETERS)
 _JET = (
     Parameter("jet_x", 0.3, -8.0, 8.0, "m/s", "stream along world x at its middle"),
     Parameter("jet_y", 0.3, -8.0, 8.0, "m/s", "stream along world y at its middle"),
@@ -277,9 +284,12 @@ _JET = (
 CATALOGUE: tuple[Effect, ...] = (
     Effect(
         "wind", "The air as a whole moves: the wings feel a velocity that is not the one over the floor.",
-        WIND_PARAMETERS, wind=WindTerm("wind", WIND_PARAMETERS, uniform_wind),
+        _WIND, wind=WindTerm("wind", _WIND, uniform_wind),
     ),
-    Effect("fan_jet", "A fan blows through one part of the hall only.", _JET, wind=WindTerm("fan_jet", _JET, fan_jet)),
+    Effect(
+        "fan_jet", "A fan blows through one part of the hall only.", _JET,
+        wind=WindTerm("fan_jet", _JET, fan_jet), shape=("jet_at_x", "jet_at_y", "jet_radius"),
+    ),
     _force(
         "ground_effect", "Close to the floor the air under the wing cannot get away: more lift, less induced drag.",
         ground_effect, Parameter("ground_lift", 0.1, -0.5, 2.0, "-", "share of lift added at the floor"),
@@ -315,7 +325,7 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect(
         "control_delay", "What the sticks command acts later than before.",
         (Parameter("control_delay", 0.02, -0.05, 0.4, "s", "delay added between command and servo"),),
-        starts=({"control_delay": 0.1}, {"control_delay": 0.2}),
+        starts=({"control_delay": 0.1}, {"control_delay": 0.2}, {"control_delay": -0.01}),
     ),
     Effect(
         "actuator_lag", "The servos follow more slowly than before.",
@@ -364,7 +374,7 @@ CATALOGUE: tuple[Effect, ...] = (
         stall,
         Parameter("stall_alpha", 0.20, 0.08, 0.5, "rad", "angle of attack where it begins"),
         Parameter("stall_loss", 0.3, 0.0, 2.0, "-", "share of the lift slope lost beyond"),
-        starts=({"stall_alpha": 0.13}, {"stall_alpha": 0.17}),
+        starts=({"stall_alpha": 0.13}, {"stall_alpha": 0.17}), shape=("stall_alpha",),
     ),
 )  # fmt: skip
 EFFECT_NAMES = tuple(effect.name for effect in CATALOGUE)

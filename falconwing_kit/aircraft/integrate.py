@@ -165,11 +165,11 @@ def roll_out(
         raise InputError(f"start and commands: want equal batches, got {len(starts)} and {len(steps)}")
     starts = np.broadcast_to(starts, (count, model.n_states))
     full = (count, *steps.shape[1:])
-    changes = (
-        None
-        if swing is None
-        else np.broadcast_to(require_shape("swing", np.reshape(swing, steps.shape), steps.shape), full)
-    )
+    changes = None
+    if swing is not None:
+        changes = np.asarray(swing, np.float64)
+        changes = require_shape("swing", changes if changes.ndim == 3 else changes[None], steps.shape)
+        changes = np.broadcast_to(changes, full)
     flown = ROLL_OUTS[backend](model, starts, np.broadcast_to(steps, full), dt, changes)
     return flown if np.ndim(start) == 2 or np.ndim(commands) == 3 else flown[0]
 
@@ -197,5 +197,7 @@ def fly(model: Model, start: Array, t: Array, commands: Array, backend: str = "b
         raise InputError("t: want evenly spaced times, got uneven ones; resample the flight table first")
     substeps = max(1, round(SUBSTEPS[model.form] * dt / 0.05))
     edges = t[0] + dt / substeps * np.arange((len(t) - 1) * substeps + 1)
+    if len(t) == 1:
+        return require_shape("start", start, (model.n_states,))[None]
     mean, swing = model.acting(t, sticks, edges, model.K)
     return roll_out(model, start, mean, dt / substeps, backend, swing)[::substeps]

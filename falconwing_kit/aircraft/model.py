@@ -86,6 +86,9 @@ class Model:
     def pinned(self, names: Iterable[str]) -> "Model":
         """The same model with some parameters held at their present value in every fit."""
         held = set(names)
+        unknown = held.difference(self.values)
+        if unknown:
+            raise InputError(f"parameter {min(unknown)!r}: want one of {', '.join(self.names)}")
         parameters = tuple(
             replace(p, low=self.values[p.name], high=self.values[p.name]) if p.name in held else p
             for p in self.parameters
@@ -138,6 +141,10 @@ class Model:
 
     def adding(self, *terms: Term | WindTerm) -> "Model":
         """The same model with terms added at their starting values."""
+        present = {t.name for t in self.terms} | {w.name for w in self.winds}
+        twice = [t.name for t in terms if t.name in present]
+        if twice:
+            raise InputError(f"term {twice[0]!r}: the model has it already")
         known = set(self.names)
         parameters = [p for term in terms for p in term.parameters if p.name not in known]
         return replace(

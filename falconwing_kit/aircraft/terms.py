@@ -291,7 +291,7 @@ _DRAG = (
     Parameter("cD0", 0.0155, 0.0, 0.3, "1/m", "drag at zero lift"),
     Parameter("cDi", 0.2, 0.0, 10.0, "m", "induced drag per lift squared"),
 )
-_SIDESLIP_DRAG = (Parameter("cDb", 0.05, 0.0, 5.0, "1/(m rad^2)", "drag in a sideslip"),)
+_SIDESLIP_DRAG = (Parameter("cDb", 0.05, -3.0, 5.0, "1/(m rad^2)", "drag in a sideslip"),)
 _SIDE = (
     Parameter("cY", 0.25, -0.5, 4.0, "1/(m rad)", "side force of sideslip"),
     Parameter("cYr", 0.0, -1.0, 1.0, "1/m", "side force of full rudder"),

@@ -19,6 +19,7 @@ from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
 WINDOW_S = 2.0
 COARSE_WINDOWS = 60  # short windows that bring a bad start near; more would only cost time
 CORRELATED_SHARE = 0.5  # at most this share of the noise variance may be slow; what is beyond counts as misfit
+GOOD_START = 1.5  # chi2 per component of short windows; above it another start is tried
 BAD_FIT = 4.0  # chi2 per degree of freedom that no pose noise explains
 
 Progress = Callable[[str, float], None]
@@ -112,9 +113,22 @@ def identify(
     sure = uncertainty(final, train, prior)
     warnings = [w for p in prepared for w in p.warnings] + _warnings(final, sure, train_score, held_out)
     return Identification(
-        final.model, result.model, sure, train_score, held_out, noise, white, prepared, windows, train, score_index, final,
-        tuple(t.name for t in tables), tuple(warnings), time.perf_counter() - began,
-    )  # fmt: skip
+        model=final.model,
+        train_model=result.model,
+        uncertainty=sure,
+        train=train_score,
+        held_out=held_out,
+        sigma=noise,
+        sigma_white=white,
+        prepared=prepared,
+        windows=windows,
+        fitted_windows=train,
+        held_out_index=score_index,
+        result=final,
+        names=tuple(t.name for t in tables),
+        warnings=tuple(warnings),
+        seconds=time.perf_counter() - began,
+    )
 
 
 def _require_motion(flights: Sequence[Flight]) -> None:
@@ -134,7 +148,13 @@ def _starting_model(model: Model, flights: Sequence[Flight], prior: Prior | None
     if len(windows) > COARSE_WINDOWS:
         windows = select(windows, np.linspace(0, len(windows) - 1, COARSE_WINDOWS).astype(int))
     best, best_cost = model, np.inf
-    for candidate in (lambda: model, lambda: fit_one_step(model, flights, smoothed=True, most=3000)):
+    slow = {"lag": 0.06} if model.parameters[model.names.index("lag")].high > 0.06 else {}
+    candidates = (
+        lambda: model,
+        lambda: model.with_values(slow),  # a servo taken for too fast hides in half the roll damping
+        lambda: fit_one_step(model, flights, smoothed=True, most=3000),
+    )
+    for candidate in candidates:
         start = candidate()
         starts, residual = fit_starts(start, windows, windows.guess[:, : model.n_states], iterations=3)
         coarse = windows.weighted(_robust(residual, windows, far=30.0))
@@ -143,7 +163,7 @@ def _starting_model(model: Model, flights: Sequence[Flight], prior: Prior | None
         tell("short windows", cost / windows.count)
         if cost < best_cost:
             best, best_cost = result.model, cost
-        if best_cost < 2.0 * windows.count:
+        if best_cost < GOOD_START * windows.count and best.values["lag"] > 0.0:
             break
     return best
 

@@ -1,0 +1,187 @@
+"""Evidence: a fit and the residual changes an effect would make -> how much chi2 the effect would explain.
+
+All derivatives exist already where a fit ended. An effect adds a few columns; eliminating start states and aircraft
+parameters, which stay free under their prior, leaves a problem as small as the effect (score test, Rao 1948).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from falconwing_kit.aircraft.effects import Effect
+from falconwing_kit.aircraft.model import Model
+from falconwing_kit.core.checks import Array
+from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
+from falconwing_kit.sysid.shooting import Windows, residuals
+
+JET_COLUMNS, JET_ROWS = 7, 4  # grid of places where a stream of air is looked for
+
+
+@dataclass(frozen=True)
+class Variant:
+    """An effect at one place, angle or delay: what a scan tries."""
+
+    effect: Effect
+    values: dict[str, float]  # its parameters there
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What a variant would do to the residuals, per unit of each amplitude."""
+
+    variant: Variant
+    change: Array  # (W, R, A)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Linear evidence for a variant."""
+
+    variant: Variant
+    gain: float  # chi2 it would explain
+    values: dict[str, float]  # amplitudes it would take
+
+
+def variants(catalogue: Sequence[Effect], windows: Windows) -> Iterator[Variant]:
+    """Every effect at every place a scan should try it.
+
+    Args:
+        catalogue: the effects.
+        windows: say where the aircraft has been.
+
+    Yields:
+        The variants; effects that another one stands for are left out.
+    """
+    for effect in catalogue:
+        if effect.same_as:
+            continue
+        usual = {p.name: p.start for p in effect.parameters}
+        places = _jet_places(windows) if "jet_at_x" in usual else ({}, *effect.starts)
+        for place in places:
+            yield Variant(effect, {**usual, **place})
+
+
+def columns(model: Model, windows: Windows, starts: Array, at: Array, variant: Variant) -> Columns:
+    """Change of the residuals by each amplitude, as a secant to the variant's own size.
+
+    Args:
+        model: the aircraft without the effect.
+        windows: W windows.
+        starts: (W, n_states).
+        at: (W, R) residuals without the effect.
+        variant: the effect and its place.
+
+    Returns:
+        The columns.
+    """
+    effect = variant.effect
+    absent = {p.name: 0.0 for p in effect.amplitudes}
+    with_effect = model.with_effect(effect).with_values({**variant.values, **absent})
+    changes = []
+    for p in effect.amplitudes:
+        size = variant.values[p.name]
+        moved = residuals(with_effect.with_values({p.name: size}), windows, starts)
+        changes.append(np.nan_to_num((moved - at) / size, posinf=0.0, neginf=0.0))
+    return Columns(variant, np.stack(changes, axis=-1))
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """A fit with its start states eliminated."""
+
+    Q: Array  # (W, R, n) basis of what start states can do
+    K: Array  # (W, R, F) parameter derivatives outside it
+    residual: Array  # (W, R) outside it
+    prior: Array  # (F, F) precision of the prior
+    scatter: float  # chi2 per degree of freedom
+
+    @classmethod
+    def of(cls, result: FitResult, prior: Prior | None, scatter: float) -> "Reduced":
+        """Eliminate the start states of a fit.
+
+        Args:
+            result: the fit.
+            prior: the prior it used.
+            scatter: chi2 per degree of freedom that noise and model leave on a calm flight.
+
+        Returns:
+            The reduced problem.
+        """
+        Q, _ = np.linalg.qr(result.to_start)
+        rows, _ = prior_rows(result.model, result.free, prior)
+        return cls(
+            Q, _outside(Q, result.to_free), _outside(Q, result.residual[..., None])[..., 0], rows.T @ rows, scatter
+        )
+
+    def score(self, effect: Columns) -> Score:
+        """Linear evidence for an effect over all windows.
+
+        Args:
+            effect: its columns at this fit.
+
+        Returns:
+            chi2 gained in units of the scatter, and the amplitudes.
+        """
+        return _score(self, effect.variant, _outside(self.Q, effect.change), np.arange(len(self.Q)), self.prior, None)
+
+    def block_gains(self, effects: Sequence[Columns], blocks: int = 3) -> Array:
+        """Evidence that the same effects show on parts of a calm flight, where there is none.
+
+        The parameters are known from the other parts alone, as they are from another flight; what is found here comes
+        from noise and from what the base model lacks.
+
+        Args:
+            effects: columns at this fit.
+            blocks: contiguous parts of the flight.
+
+        Returns:
+            (E, blocks) chi2 in units of the scatter.
+        """
+        outside = [_outside(self.Q, e.change) for e in effects]
+        part = np.array_split(np.arange(len(self.Q)), blocks)
+        gains = np.empty((len(effects), blocks))
+        for b, inside in enumerate(part):
+            others = np.setdiff1d(np.arange(len(self.Q)), inside)
+            known = np.einsum("wif,wig->fg", self.K[others], self.K[others], optimize=True) + self.prior
+            known += 1e-9 * np.diag(np.diag(known))
+            shift = -np.linalg.solve(
+                known, np.einsum("wif,wi->f", self.K[others], self.residual[others], optimize=True)
+            )
+            for e, (effect, E) in enumerate(zip(effects, outside, strict=True)):
+                gains[e, b] = _score(self, effect.variant, E, inside, known, shift).gain
+        return gains
+
+
+def _score(
+    fit: Reduced, variant: Variant, outside: Array, inside: np.ndarray, precision: Array, shift: Array | None
+) -> Score:
+    """Score test over some windows with the parameters known to a precision around a shifted mean."""
+    E, K, r = outside[inside], fit.K[inside], fit.residual[inside]
+    if shift is not None:
+        r = r + K @ shift
+    A = np.einsum("wif,wig->fg", K, K, optimize=True) + precision
+    B = np.einsum("wif,wik->fk", K, E, optimize=True)
+    D = np.einsum("wik,wil->kl", E, E, optimize=True)
+    g_K = np.einsum("wif,wi->f", K, r, optimize=True) if shift is not None else np.zeros(K.shape[2])
+    g_E = np.einsum("wik,wi->k", E, r, optimize=True)
+    across = np.linalg.solve(A + 1e-9 * np.diag(np.diag(A)), np.column_stack([B, g_K]))
+    S = D - B.T @ across[:, :-1]
+    S += np.diag(1e-9 * np.diag(D) + 1e-30)
+    pull = g_E - B.T @ across[:, -1]
+    step = -np.linalg.solve(S, pull)
+    names = [p.name for p in variant.effect.amplitudes]
+    gain = float(max(-pull @ step, 0.0)) / fit.scatter
+    return Score(variant, gain, {**variant.values, **dict(zip(names, step.tolist(), strict=True))})
+
+
+def _outside(Q: Array, J: Array) -> Array:
+    return np.asarray(J - Q @ (Q.transpose(0, 2, 1) @ J))
+
+
+def _jet_places(windows: Windows) -> list[dict[str, float]]:
+    """A grid over the part of the hall where the aircraft flew."""
+    flown = windows.pose[..., :2][windows.weight[..., 0] > 0]
+    low, high = np.percentile(flown, [3.0, 97.0], axis=0)
+    xs, ys = np.linspace(low[0], high[0], JET_COLUMNS), np.linspace(low[1], high[1], JET_ROWS)
+    return [{"jet_at_x": float(x), "jet_at_y": float(y)} for x in xs for y in ys]

@@ -1,0 +1,268 @@
+"""Naming: a calm flight and a flight that surprises -> which effect is missing, how sure, or that none can be named."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from falconwing_kit.aircraft.effects import CATALOGUE, Effect
+from falconwing_kit.aircraft.model import Model
+from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.core.flight_table import FlightTable
+from falconwing_kit.gap.evidence import Columns, Reduced, columns, variants
+from falconwing_kit.gap.noise import PoseNoise, find_pose_noise, whitened
+from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_starts, robust_factor
+from falconwing_kit.sysid.identify import Identification, identify
+from falconwing_kit.sysid.prepare import Prepared, prepare
+from falconwing_kit.sysid.shooting import Windows, cut_windows
+from falconwing_kit.sysid.uncertainty import ordinary_size, uncertainty
+
+Verdict = Literal["named", "ambiguous", "none", "outside"]
+Progress = Callable[[str], None]
+
+DAY_TO_DAY = 0.01  # coefficients of one aircraft differ by about this much from one day to the next
+LEAST_GAIN = 10.0  # "very strong" on the scale of Kass & Raftery 1995
+REFITS = 5  # effects that are fitted in full after the linear scan
+EXCESS_SIGMAS = 6.0  # a flight's chi2 above the calm level by this much is not chance
+BASE_FITS = 4.0  # calm chi2 beyond this: the base model is not a model of this aircraft
+
+
+@dataclass(frozen=True)
+class CalmBase:
+    """The aircraft without surprise: its model, what is known of it, and its pose noise."""
+
+    found: Identification
+    noise: PoseNoise
+    result: FitResult  # fitted with the noise made white
+    windows: Windows
+    chi2: float  # per degree of freedom, with the noise made white
+    prior: Prior  # for another flight of the same aircraft
+    false_gain: float  # the largest evidence that any effect finds on a third of this flight
+
+    @property
+    def scatter(self) -> float:
+        """Variance of what noise and base model leave, at least that of the noise."""
+        return max(1.0, self.chi2)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect and the evidence for it."""
+
+    effect: Effect
+    gain: float  # evidence over the base model: chi2 in units of the scatter, less the price of its parameters
+    chi2_gain: float  # without the price
+    values: dict[str, float]  # its parameters as found
+    result: FitResult | None  # the full fit; None where the linear scan was enough
+
+
+@dataclass(frozen=True)
+class Naming:
+    """The answer: a verdict and what it rests on."""
+
+    verdict: Verdict
+    chosen: tuple[Candidate, ...]  # named: one or two; ambiguous: the alternatives, best first
+    ranking: tuple[Candidate, ...]  # every effect tried, best first
+    threshold: float  # evidence needed, from the calm flight
+    excess: float  # chi2 per degree of freedom of the flight over the calm level, before
+    left: float  # the same after the best candidate
+    before: FitResult  # the base model fitted to the flight under its prior
+    windows: Windows
+    prepared: Prepared
+
+
+def know_calm(calm: FlightTable, progress: Progress = lambda stage: None) -> CalmBase:
+    """Identify the calm flight, find its pose noise, and see what evidence effects find where there is none.
+
+    Args:
+        calm: a flight without surprise.
+        progress: called with the name of each stage.
+
+    Returns:
+        What naming needs to know about the aircraft.
+
+    Raises:
+        InputError: the flight cannot be used, or the base model does not describe it.
+    """
+    progress("calm flight")
+    found = identify([calm])
+    chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
+    if chi2 > BASE_FITS:
+        raise InputError(
+            f"{calm.name}: the base model does not describe this calm flight (chi2 per degree of freedom {chi2:.1f}, "
+            "noise alone gives 1); use a calm flight of the same aircraft without wind or other surprise"
+        )
+    noise = find_pose_noise(found.result, found.fitted_windows)
+    windows = whitened(found.fitted_windows, noise)
+    result = fit(found.model, windows, found.result.starts)
+    level = result.cost / _freedom(windows, result)
+    progress("what chance finds")
+    reduced = Reduced.of(result, None, max(1.0, level))
+    tried = [columns(result.model, windows, result.starts, result.residual, v) for v in variants(CATALOGUE, windows)]
+    price = np.array([_price(t.variant.effect, windows) for t in tried])
+    false_gain = float((reduced.block_gains(tried) - price[:, None]).max())
+    return CalmBase(found, noise, result, windows, level, _day_to_day(result, windows), false_gain)
+
+
+def name_effect(
+    base: CalmBase,
+    flight: FlightTable,
+    catalogue: Sequence[Effect] = CATALOGUE,
+    progress: Progress = lambda stage: None,
+) -> Naming:
+    """Say which effect of the catalogue a flight shows that the calm one did not.
+
+    Args:
+        base: the aircraft without surprise.
+        flight: the flight under test.
+        catalogue: the effects to try.
+        progress: called with the name of each stage.
+
+    Returns:
+        The verdict with its evidence.
+
+    Raises:
+        InputError: the flight cannot be used.
+    """
+    prepared = prepare(flight, base.found.sigma)
+    progress("flight under test")
+    windows, before = _fit_flight(base, prepared)
+    ranking = _rank(base, windows, before, catalogue, progress)
+    if ranking and ranking[0].result is not None and ranking[0].gain > LEAST_GAIN:
+        # Residuals that the effect explains were weighed down as if they were outliers: weigh again under the best.
+        windows, before = _weigh_again(base, windows, before, ranking[0].result)
+        ranking = _rank(base, windows, before, catalogue, progress)
+    return _decide(base, windows, before, ranking, prepared, catalogue, progress)
+
+
+def _decide(
+    base: CalmBase,
+    windows: Windows,
+    before: FitResult,
+    ranking: list[Candidate],
+    prepared: Prepared,
+    catalogue: Sequence[Effect],
+    progress: Progress,
+) -> Naming:
+    threshold = max(LEAST_GAIN, 3.0 * base.false_gain)
+    freedom = _freedom(windows, before)
+    error = base.chi2 * np.sqrt(2.0 / freedom + 2.0 / _freedom(base.windows, base.result))
+    excess = before.cost / freedom - base.chi2
+    best = ranking[0]
+    left = excess - best.chi2_gain * base.scatter / freedom
+    chosen: tuple[Candidate, ...] = ()
+    verdict: Verdict = "none"
+    if best.gain > threshold:
+        rivals = tuple(c for c in ranking[1:] if c.gain > best.gain - LEAST_GAIN)
+        verdict, chosen = ("ambiguous", (best, *rivals)) if rivals else ("named", (best,))
+        if verdict == "named" and left > EXCESS_SIGMAS * error:
+            second = _second(base, windows, best, catalogue, threshold, progress)
+            if second is not None:
+                chosen = (best, second)
+                left -= second.chi2_gain * base.scatter / freedom
+            elif left > 0.5 * excess:
+                verdict, chosen = "outside", ()
+    elif excess > EXCESS_SIGMAS * error:
+        verdict = "outside"
+    return Naming(verdict, chosen, tuple(ranking), threshold, excess, left, before, windows, prepared)
+
+
+def _second(
+    base: CalmBase,
+    windows: Windows,
+    first: Candidate,
+    catalogue: Sequence[Effect],
+    threshold: float,
+    progress: Progress,
+) -> Candidate | None:
+    """A second effect by the same rule, on top of the first."""
+    assert first.result is not None
+    rest = [e for e in catalogue if e.name != first.effect.name]
+    ranking = _rank(base, windows, first.result, rest, progress)
+    # What a strong effect leaves is also the error of its own formula: ask for a fiftieth of it.
+    found = ranking[0].gain > max(threshold, 0.02 * first.chi2_gain)
+    return ranking[0] if found else None
+
+
+def _rank(
+    base: CalmBase, windows: Windows, before: FitResult, catalogue: Sequence[Effect], progress: Progress
+) -> list[Candidate]:
+    """Linear scan of every effect, then full fits of the best."""
+    reduced = Reduced.of(before, base.prior, base.scatter)
+    scanned: dict[str, tuple[float, Columns, Candidate]] = {}
+    for variant in variants(catalogue, windows):
+        progress(f"trying {variant.effect.name}")
+        tried = columns(before.model, windows, before.starts, before.residual, variant)
+        score = reduced.score(tried)
+        gain = score.gain - _price(variant.effect, windows)
+        known = scanned.get(variant.effect.name)
+        if known is None or gain > known[0]:
+            candidate = Candidate(variant.effect, gain, score.gain, score.values, None)
+            scanned[variant.effect.name] = (gain, tried, candidate)
+    order = sorted((c for _, _, c in scanned.values()), key=lambda c: -c.gain)
+    fitted = [_fit_effect(base, windows, before, c, progress) for c in order[:REFITS] if c.gain > -LEAST_GAIN]
+    rest = order[len(fitted) :]
+    return sorted([*fitted, *rest], key=lambda c: -c.gain)
+
+
+def _fit_effect(base: CalmBase, windows: Windows, before: FitResult, guess: Candidate, progress: Progress) -> Candidate:
+    """Fit an effect in full, from what the scan found."""
+    effect = guess.effect
+    progress(f"fitting {effect.name}")
+    bounds = {p.name: p for p in effect.parameters}
+    values = {n: float(np.clip(v, bounds[n].low, bounds[n].high)) for n, v in guess.values.items()}
+    model = before.model.with_effect(effect).with_values(values)
+    result = fit(model, windows, before.starts, prior=base.prior, iterations=15)
+    gained = (before.cost - result.cost) / base.scatter
+    found = {p.name: result.model.values[p.name] for p in effect.parameters}
+    return Candidate(effect, gained - _price(effect, windows), gained, found, result)
+
+
+def _fit_flight(base: CalmBase, prepared: Prepared) -> tuple[Windows, FitResult]:
+    """The base model under its prior, fitted to the flight."""
+    model = base.result.model
+    plain = cut_windows(prepared.flights, model)
+    starts, residual = fit_starts(model, plain, plain.guess)
+    first = fit(model, plain.weighted(robust_factor(residual, plain)), starts, prior=base.prior, tolerance=1.0)
+    return _weigh_again(base, plain, first, first)
+
+
+def _weigh_again(base: CalmBase, windows: Windows, before: FitResult, best: FitResult) -> tuple[Windows, FitResult]:
+    """Weights by the residuals of the best model so far, and the base model fitted with them."""
+    plain = replace(windows, whitening=None, weight=_noise_weights(windows, base))
+    _, residual = fit_starts(best.model, plain, best.starts)
+    weighted = whitened(plain.weighted(robust_factor(residual, plain)), base.noise)
+    return weighted, fit(before.model, weighted, before.starts, prior=base.prior)
+
+
+def _noise_weights(windows: Windows, base: CalmBase) -> Array:
+    return np.where(windows.weight > 0.0, 1.0 / base.found.sigma, 0.0)
+
+
+def _day_to_day(result: FitResult, windows: Windows) -> Prior:
+    """What the calm flight says about another day: its covariance, and a percent of drift on every coefficient."""
+    sure = uncertainty(result, windows)
+    parameters = {p.name: p for p in result.model.parameters}
+    drift = np.array([DAY_TO_DAY * ordinary_size(parameters[n], result.model.values[n]) for n in sure.names])
+    timing = np.array([n in ("delay", "lag") for n in sure.names])
+    drift[timing] = 0.002  # s: radio and servo stay the same
+    covariance = sure.covariance + np.diag(drift**2)
+    sigma = np.sqrt(np.diag(covariance))
+    spread = dict(zip(sure.names, sigma.tolist(), strict=True))
+    return Prior(dict(result.model.values), spread, covariance / np.outer(sigma, sigma))
+
+
+def _price(effect: Effect, windows: Windows) -> float:
+    """Evidence that free parameters buy by chance [Schwarz 1978]."""
+    return float(len(effect.parameters) * np.log(max(windows.count, 2)))
+
+
+def _freedom(windows: Windows, result: FitResult) -> int:
+    return max(windows.count - len(windows) * result.model.n_states - len(result.free), 1)
+
+
+def named_model(naming: Naming) -> Model | None:
+    """The model with the named effects, or None where nothing is named."""
+    last = naming.chosen[-1].result if naming.verdict == "named" else None
+    return last.model if last else None
