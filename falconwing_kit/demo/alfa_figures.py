@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.demo.alfa_story import SETTLED_S, AlfaStory
-from falconwing_kit.demo.figures import ACCENT, MEASURED, PREDICTED, QUIET, draw_predicted, figure
+from falconwing_kit.demo.figures import draw_predicted
+from falconwing_kit.gap.plots import ACCENT, MEASURED, PREDICTED, QUIET, figure
 
 
 def draw_alfa_story(story: AlfaStory, folder: Path) -> tuple[Path, ...]:

@@ -15,7 +15,7 @@ from falconwing_kit.data import data_path
 from falconwing_kit.demo.alfa_figures import draw_alfa_story
 from falconwing_kit.demo.alfa_story import FOLDS, AlfaStory, tell_alfa_story
 from falconwing_kit.demo.figures import draw_identification
-from falconwing_kit.demo.page import Picture, paragraph, picture, table, write_page
+from falconwing_kit.gap.page import Picture, paragraph, picture, table, write_page
 from falconwing_kit.sysid.identify import Identification, identify
 from falconwing_kit.sysid.model_file import write_model
 from falconwing_kit.sysid.one_step import fit_one_step
