@@ -141,31 +141,33 @@ def _require_motion(flights: Sequence[Flight]) -> None:
 
 
 def _starting_model(model: Model, flights: Sequence[Flight], prior: Prior | None, tell: Progress) -> Model:
-    """Short windows from several starts: the model's own, and the smoothed one-step fit."""
+    """Short windows from several starts: the smoothed one-step fit, the model's own values, and a slower servo."""
     poses = sum(int(np.isfinite(f.pose[:, 0]).sum()) for f in flights)
     between = sum(f.duration for f in flights) / max(poses, 1)
     windows = cut_windows(flights, model, max(1.0, 5.0 * between))
     if len(windows) > COARSE_WINDOWS:
         windows = select(windows, np.linspace(0, len(windows) - 1, COARSE_WINDOWS).astype(int))
-    best, best_cost = model, np.inf
+    guess = windows.guess[:, : model.n_states]
     slow = {"lag": 0.06} if model.parameters[model.names.index("lag")].high > 0.06 else {}
-    candidates = (
-        lambda: model,
-        lambda: model.with_values(slow),  # a servo taken for too fast hides in half the roll damping
-        lambda: fit_one_step(model, flights, smoothed=True, most=3000),
-    )
-    for candidate in candidates:
-        start = candidate()
-        starts, residual = fit_starts(start, windows, windows.guess[:, : model.n_states], iterations=3)
+    # The one-step fit is biased and yet near; a servo taken for too fast hides in half the roll damping.
+    candidates = [model, fit_one_step(model, flights, smoothed=True, most=3000), model.with_values(slow)]
+    tried = [(start, *fit_starts(start, windows, guess, iterations=3)) for start in candidates]
+    best, best_cost = model, np.inf
+    for start, starts, residual in sorted(tried, key=lambda t: _clipped(t[2])):
         coarse = windows.weighted(_robust(residual, windows, far=30.0))
         result = fit(start, coarse, starts, prior=prior, iterations=15, tolerance=1.0)
-        cost = float(np.sum(np.minimum(result.residual**2, 25.0)))
+        cost = _clipped(result.residual)
         tell("short windows", cost / windows.count)
         if cost < best_cost:
             best, best_cost = result.model, cost
-        if best_cost < GOOD_START * windows.count and best.values["lag"] > 0.0:
+        if best_cost < GOOD_START * windows.count and not (slow and best.values["lag"] <= 0.0):
             break
     return best
+
+
+def _clipped(residual: Array) -> float:
+    """Sum of squares in which no single residual counts for more than five sigmas."""
+    return float(np.sum(np.minimum(np.nan_to_num(residual, posinf=5.0) ** 2, 25.0)))
 
 
 def _fit_with_noise(
