@@ -1,0 +1,229 @@
+"""Measuring the gap: a flight replayed in a model -> residuals, and where they exceed those of the calm flight."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from falconwing_kit.aircraft.model import Model
+from falconwing_kit.core.checks import Array
+from falconwing_kit.core.flight_table import nearest_index
+from falconwing_kit.gap.name import CalmBase, Naming
+from falconwing_kit.sysid.prepare import CHANNELS, Flight
+from falconwing_kit.sysid.score import score
+from falconwing_kit.sysid.shooting import Windows, cut_windows
+
+VARIABLES: dict[str, str] = {  # what a residual may depend on, and its unit
+    "time": "s", "x": "m", "y": "m", "height": "m", "speed": "m/s", "climb": "m/s", "heading": "rad", "bank": "rad",
+    "throttle": "-", "aileron": "-", "elevator": "-", "rudder": "-",
+}  # fmt: skip
+BINS = 6
+FEWEST_WINDOWS = 8  # in a bin; from fewer no scatter can be told
+STICK_MEMORY_S = 1.0  # a stick acts on the pose through what it did before: its mean over this time counts
+FALSE_SPOTS = 0.01  # chance that a calm flight shows any spot at all
+MOST_SPOTS = 12
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A flight flown again in a model, two seconds at a time from re-estimated starts."""
+
+    t: Array  # (W, L) since the start of the flight [s]
+    residual: Array  # (W, L, 6) predicted minus measured in sigmas of the pose noise, nan where not measured
+    variables: dict[str, Array]  # (W, L) each, the keys of VARIABLES
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Mean square residual of one channel against one variable, flight beside calm; B bins, nan where too few."""
+
+    edges: Array  # (B + 1,) in the variable's unit
+    flight: Array  # (B,) [sigma^2]
+    flight_error: Array  # (B,) its standard error
+    calm: Array  # (B,) the calm flight's in the same bin, or over all of it where it was not there
+    calm_error: Array  # (B,)
+    windows: np.ndarray  # (B,) windows of the flight that reach into the bin
+
+    @property
+    def excess(self) -> Array:
+        """(B,) flight minus calm [sigma^2]."""
+        return self.flight - self.calm
+
+    @property
+    def error(self) -> Array:
+        """(B,) standard error of the excess."""
+        return np.asarray(np.hypot(self.flight_error, self.calm_error))
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A range of a variable in which one channel is off by more than on the calm flight."""
+
+    channel: str
+    variable: str
+    low: float
+    high: float
+    excess: float  # mean square over the calm flight's [sigma^2]
+    standing_out: float  # the same less what the rest of the flight shows, less two standard errors
+
+
+def replay(model: Model, windows: Windows, starts: Array | None = None) -> Replay:
+    """Fly a flight again in a model.
+
+    Args:
+        model: the aircraft; its parameters are held.
+        windows: W windows without whitening, weighted by the noise alone.
+        starts: (W, n_states) first guess of the start states, or None for the windows' own.
+
+    Returns:
+        Residuals and what they may depend on, row by row.
+    """
+    residual = score(model, windows, starts).residual
+    known = {name: np.empty_like(windows.nodes) for name in VARIABLES}
+    for number, flight in enumerate(windows.flights):
+        mine = windows.flight == number
+        of_rows = _variables(flight)
+        rows = nearest_index(flight.t - flight.t[0], windows.nodes[mine].ravel())
+        for name, values in of_rows.items():
+            known[name][mine] = values[rows].reshape(-1, windows.nodes.shape[1])
+    return Replay(known["time"], np.where(windows.weight > 0.0, residual, np.nan), known)
+
+
+def replay_calm(base: CalmBase) -> Replay:
+    """The calm flight in its own model."""
+    return replay(base.result.model, base.found.windows, base.result.starts)
+
+
+def replay_flight(base: CalmBase, naming: Naming, model: Model | None = None) -> Replay:
+    """The flight under test in a model.
+
+    Args:
+        base: the aircraft without surprise.
+        naming: the flight.
+        model: None for the calm flight's own.
+
+    Returns:
+        The replay.
+    """
+    model = model or base.result.model
+    return replay(model, cut_windows(naming.prepared.flights, model), naming.before.starts)
+
+
+def residual_map(flight: Replay, calm: Replay) -> tuple[Spot, ...]:
+    """Where a flight's residuals exceed the calm flight's.
+
+    Every channel is binned over every variable; a bin counts where its excess would come by chance in fewer than one
+    of a hundred calm flights, all bins taken together [Bonferroni; one-sided t test on windows]. Neighbouring bins
+    that count and lie in the upper half of the profile are joined.
+
+    Args:
+        flight: the flight under test.
+        calm: the calm flight in its own model.
+
+    Returns:
+        At most one spot per channel and variable, those that stand out most from the rest of the flight first; a
+        channel that is off everywhere alike gives one spot over all the time.
+    """
+    from scipy.stats import t as student
+
+    profiles = {(c, v): profile(flight, calm, c, v) for c in CHANNELS for v in VARIABLES}
+    tests = sum(int(np.isfinite(p.excess).sum()) for p in profiles.values())
+    spots = []
+    for channel in CHANNELS:
+        found = []
+        for variable in VARIABLES:
+            p = profiles[channel, variable]
+            needed = student.isf(FALSE_SPOTS / max(tests, 1), np.maximum(p.windows - 1, 1))
+            counts = np.nan_to_num(p.excess / p.error, nan=-np.inf) > needed
+            if counts.any():
+                found.append(_spot(p, counts, channel, variable))
+        standing_out = [spot for spot in found if spot.standing_out > 0.0]
+        spots += standing_out or ([_everywhere(profiles[channel, "time"], channel)] if found else [])
+    return tuple(sorted(spots, key=lambda s: (-s.standing_out, -s.excess))[:MOST_SPOTS])
+
+
+def profile(flight: Replay, calm: Replay, channel: str, variable: str) -> Profile:
+    """Mean square residual of one channel against one variable.
+
+    Rows within a window are not independent, so errors come from the scatter between windows.
+
+    Args:
+        flight: the flight under test.
+        calm: the calm flight.
+        channel: one of CHANNELS.
+        variable: one of VARIABLES.
+
+    Returns:
+        The profile; bins hold equally many rows of the flight (of the circle where the variable is the heading).
+    """
+    at = CHANNELS.index(channel)
+    values = flight.variables[variable]
+    if variable == "heading":
+        edges = np.linspace(-np.pi, np.pi, BINS + 1)
+    else:
+        edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
+    mean, error, windows = _bins(flight.residual[..., at], values, edges)
+    calm_mean, calm_error, _ = _bins(calm.residual[..., at], calm.variables[variable], edges)
+    whole, whole_error, _ = _bins(calm.residual[..., at], np.zeros_like(calm.t), np.array([-1.0, 1.0]))
+    elsewhere = np.isnan(calm_mean) if variable != "time" else np.ones(len(mean), dtype=bool)
+    calm_mean, calm_error = np.where(elsewhere, whole, calm_mean), np.where(elsewhere, whole_error, calm_error)
+    return Profile(edges, mean, error, calm_mean, calm_error, windows)
+
+
+def _bins(residual: Array, values: Array, edges: Array) -> tuple[Array, Array, np.ndarray]:
+    """Mean square in each bin, its error clustered by window, and how many windows reach into it."""
+    inside = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0))
+    inside[(values < edges[0]) | (values > edges[-1])] = -1
+    in_bin = inside[..., None] == np.arange(len(edges) - 1)  # (W, L, B)
+    seen = in_bin & np.isfinite(residual)[..., None]
+    squares = np.where(seen, np.nan_to_num(residual)[..., None] ** 2, 0.0).sum(axis=1)  # (W, B)
+    rows = seen.sum(axis=1)
+    windows = (rows > 0).sum(axis=0)
+    total = np.maximum(rows.sum(axis=0), 1)
+    mean = squares.sum(axis=0) / total
+    spread = ((squares - mean * rows) ** 2).sum(axis=0) * windows / np.maximum(windows - 1, 1)
+    enough = windows >= FEWEST_WINDOWS
+    return np.where(enough, mean, np.nan), np.where(enough, np.sqrt(spread) / total, np.nan), windows
+
+
+def _spot(p: Profile, counts: np.ndarray, channel: str, variable: str) -> Spot:
+    """The bin that stands out most, with its neighbours that count and lie in the upper half of the profile."""
+    sure = np.where(counts, p.excess - 2.0 * p.error, -np.inf)
+    low = high = int(np.argmax(sure))
+    known = np.nan_to_num(p.excess, nan=np.nanmin(p.excess))
+    alike = counts & (known >= 0.5 * (p.excess[low] + known.min()))
+    while low > 0 and alike[low - 1]:
+        low -= 1
+    while high < len(alike) - 1 and alike[high + 1]:
+        high += 1
+    inside = np.zeros(len(alike), dtype=bool)
+    inside[low : high + 1] = True
+    rest = p.excess[~inside & np.isfinite(p.excess)]
+    excess = float(p.excess[inside].mean())
+    error = float(np.sqrt(np.mean(p.error[inside] ** 2) / inside.sum()))
+    stands_out = excess - max(float(rest.mean()), 0.0) - 2.0 * error if len(rest) else 0.0
+    return Spot(channel, variable, float(p.edges[low]), float(p.edges[high + 1]), excess, stands_out)
+
+
+def _everywhere(p: Profile, channel: str) -> Spot:
+    """A channel that is off all the time alike."""
+    return Spot(channel, "time", float(p.edges[0]), float(p.edges[-1]), float(np.nanmean(p.excess)), 0.0)
+
+
+def _variables(flight: Flight) -> dict[str, Array]:
+    """The variables at every row of a flight, from the locally smoothed poses and the sticks."""
+    t = flight.t - flight.t[0]
+    velocity = flight.smooth[:, 6:9]
+    rows = max(1, round(STICK_MEMORY_S / float(np.median(np.diff(t)))))
+    sticks = np.stack([np.convolve(np.pad(c, (rows - 1, 0), mode="edge"), np.ones(rows) / rows, "valid")
+                       for c in flight.commands.T])  # fmt: skip
+    return {
+        "time": flight.t,
+        "x": flight.smooth[:, 0],
+        "y": flight.smooth[:, 1],
+        "height": flight.smooth[:, 2],
+        "speed": np.linalg.norm(velocity, axis=1),
+        "climb": velocity[:, 2],
+        "heading": np.arctan2(velocity[:, 1], velocity[:, 0]),
+        "bank": flight.smooth[:, 5],
+        **dict(zip(("throttle", "aileron", "elevator", "rudder"), sticks, strict=True)),
+    }
