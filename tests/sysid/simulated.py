@@ -1,86 +1,168 @@
-"""Simulated flights with known parameters: a model in, noisy flight tables out. Simulated, not measured."""
+"""Simulated flights with known parameters: models in, true states and noisy flight tables out. Simulated, not measured.
+
+What a fit must find is put in by other means than it is taken out: a servo solved in closed form on 10 ms steps, a
+pilot in the loop, noise from a seeded generator.
+"""
+
+from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
 from falconwing_kit.aircraft.integrate import step_batch
-from falconwing_kit.aircraft.model import Model, record_of, state_rates
+from falconwing_kit.aircraft.model import Model, rates_model, record_of, state_rates
 from falconwing_kit.core.flight_table import FlightTable
+from falconwing_kit.sysid.identify import Identification, identify
 
-DT, FINE = 0.05, 5  # 20 Hz rows, 10 ms integration: five times finer than the fit's own
+DT, FINE = 0.05, 5  # s between rows; integration steps a row, so 10 ms: two and a half times finer than the fit's
+MARKER = (0.03, float(np.radians(0.6)))  # m, rad: pose noise per axis of the printed marker
+CORRELATION_S = 0.5  # of slow pose noise
+RADIUS, HEIGHT, SPEED = 4.5, 2.2, 7.0  # what the pilot holds: of the two circles [m], [m], [m/s]
+
+
+@dataclass(frozen=True)
+class Flown:
+    """B flights of N rows as they truly were."""
+
+    t: np.ndarray  # (N,) [s]
+    states: np.ndarray  # (B, N, n) in the order of STATE_NAMES, SI
+    sticks: np.ndarray  # (B, N, 4) in the order of COMMAND_NAMES
+
+
+def drawn(model: Model, rng: np.random.Generator, spread: float = 0.15) -> Model:
+    """Another aircraft: each free parameter times exp(spread * normal), or 0.1 * spread * normal where it is zero."""
+    free = [p.name for p in model.parameters if p.low < p.high]
+    normal = rng.normal(size=(2, len(free)))
+    return model.with_values({
+        name: model.values[name] * np.exp(spread * a) or 0.1 * spread * b
+        for name, a, b in zip(free, *normal, strict=True)
+    })  # fmt: skip
 
 
 def fly_figure_eights(
-    models: list[Model], seconds: float, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A simple autopilot flies figure eights inside the hall and shakes all sticks; one aircraft per model.
+    models: list[Model], seconds: float, rng: np.random.Generator,
+    shake: float = 1.0, jitter: float = 0.0, held: tuple[int, ...] = (),
+) -> Flown:  # fmt: skip
+    """A pilot flies figure eights of some 40 m by 30 m and shakes all sticks; one aircraft per model, all of one form.
 
-    Returns times (N,), states (B, N, n), stick positions (B, N, 4).
+    Args:
+        models: the aircraft.
+        seconds: length of the flights.
+        rng: draws frequencies (0.15 to 1.6 Hz) and phases of the shaking.
+        shake: 1 excites every parameter within a minute or two, 0 not at all.
+        jitter: frames, and the sticks with them, come up to this much early or late [s].
+        held: sticks that stay at zero, by their number.
     """
     first, count, rows = models[0], len(models), round(seconds / DT) + 1
     K = record_of(first.names)(*np.array([m.vector for m in models]).T)
-    rates = state_rates(first.form, first.terms, first.winds)
+    rates, pilot = state_rates(first.form, first.terms, first.winds), _figure_eights(rng, count, shake, held)
+    t = np.arange(rows) * DT + rng.uniform(-jitter, jitter, rows)
     x = np.zeros((first.n_states, count))
-    x[2], x[3], x[6] = 2.2, 0.1, 7.0
+    x[2], x[3], x[6] = HEIGHT, 0.1, SPEED
     states, sticks = np.empty((rows, *x.shape)), np.empty((rows, 4, count))
-    t = np.arange(rows) * DT
-    frequencies = 2.0 * np.pi * rng.uniform(0.15, 1.6, (4, 6, 1, count))
-    shake = np.sin(frequencies * t[:, None] + rng.uniform(0, 6.28, (4, 6, 1, count))).sum(axis=1)
-    amplitude = np.array([0.035, 0.07, 0.06, 0.08])[:, None, None]
-    shake = np.moveaxis(shake * amplitude, 1, 0)
-    acting, back = (
-        np.repeat(np.array([0.4, 0.0, 0.0, 0.0])[:, None], count, axis=1),
-        np.round(K.delay / (DT / FINE)).astype(int),
-    )
+    position, lag = pilot(0.0, x), np.maximum(K.lag, 1e-9)  # of the servos, settled at the first sticks
     for k in range(rows):
-        states[k] = x
-        sticks[k] = _autopilot(x, t[k]) + shake[k]
-        sticks[k, 0], sticks[k, 1:] = np.clip(sticks[k, 0], 0, 1), np.clip(sticks[k, 1:], -1, 1)
-        for j in range(FINE):
-            row = np.maximum((k * FINE + j - back) // FINE, 0)
-            wanted = sticks[row, :, np.arange(count)].T
-            kept = np.exp(-DT / FINE / np.maximum(K.lag, 1e-9))
-            after = wanted + (acting - wanted) * kept
-            mean = wanted - K.lag / (DT / FINE) * (after - acting)
-            acting = after
-            x = step_batch(rates, K, t[k] + j * DT / FINE, x, mean, DT / FINE)
-    return t, states.transpose(2, 0, 1), sticks.transpose(2, 0, 1)
+        states[k], sticks[k] = x, pilot(t[k], x)
+        if k == rows - 1:
+            break
+        h = (t[k + 1] - t[k]) / FINE
+        for now in t[k] + h * np.arange(FINE):
+            before, after, old = _arriving(t, sticks, k, now + 1e-9 - K.delay, h)
+            turned = after + (before + (position - before) * np.exp(-old / lag) - after) * np.exp(-(h - old) / lag)
+            mean = (before * old + after * (h - old) - lag * (turned - position)) / h
+            swing = np.where(lag > h, 0.5 * (turned - position), 0.0)  # a servo without lag jumps and stays
+            x = step_batch(rates, K, now, x, mean, h, swing)
+            position = turned
+    return Flown(t, states.transpose(2, 0, 1), sticks.transpose(2, 0, 1))
 
 
-def _autopilot(x: np.ndarray, t: float) -> np.ndarray:
-    """Bank toward one of two circles, hold height and speed."""
-    px, py, height, pitch, _, roll = x[:6]
-    vx, vy, vz = x[6:9]
-    side = np.where(np.mod(t, 16.0) < 8.0, 1.0, -1.0)
-    centre_x, centre_y = -2.0 + 7.0 * side, -2.0
-    away = np.hypot(px - centre_x, py - centre_y)
-    bearing = np.arctan2(py - centre_y, px - centre_x)
-    # Circle to the left around +x, to the right around -x; yaw grows to the right.
-    wanted_course = bearing + side * (np.pi / 2 + np.clip(0.25 * (away - 6.0), -1.2, 1.2))
-    course = np.arctan2(vy, vx)
-    error = -np.angle(np.exp(1j * (wanted_course - course)))
-    bank = np.clip(-side * 0.65 + 1.2 * error, -0.9, 0.9)
-    climb = np.clip(0.9 * (2.2 - height), -0.8, 0.8)
-    speed = np.sqrt(vx**2 + vy**2 + vz**2)
-    pitch_wanted = 0.12 + 0.16 * (climb - vz) + 0.16 * bank**2
-    return np.stack([
-        0.42 + 0.12 * (7.2 - speed) + 0.15 * climb,
-        0.9 * (bank - roll),
-        1.2 * (pitch_wanted - pitch) + 0.25 * bank**2,
-        0.25 * bank,
-    ])  # fmt: skip
+def _arriving(t, sticks, k, sent, h):
+    """Sticks (4, B) that reach the servos at the start and at the end of a step, and for how long the first act (B,)."""
+    row = np.clip(np.searchsorted(t, sent, side="right") - 1, 0, k)
+    each = np.arange(len(row))
+    until_next = np.where(sent < t[0], h, t[row + 1] - sent)
+    return sticks[row, :, each].T, sticks[np.minimum(row + 1, k), :, each].T, np.minimum(until_next, h)
 
 
-def measured_table(
-    t: np.ndarray, states: np.ndarray, sticks: np.ndarray, rng: np.random.Generator,
-    noise: tuple[float, float] = (0.03, np.radians(0.6)), outliers: float = 0.0, missing: float = 0.0,
+def _figure_eights(rng, count, shake, held):
+    """The pilot: sees the true states (n, B), returns sticks (4, B); left around one circle, right around the other."""
+    frequency = 2.0 * np.pi * rng.uniform(0.15, 1.6, (6, 4, count))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (6, 4, count))
+    amplitude = shake * np.array([0.035, 0.07, 0.06, 0.08])[:, None]
+    side, far, trim = np.ones(count), np.zeros(count, bool), np.full(count, 0.05)
+
+    def pilot(t, x):
+        nonlocal side, far, trim
+        px, py, height, pitch, _, roll, vx, vy, vz = x[:9]
+        far = far | (side * px > RADIUS + 1.0)
+        turning = far & (side * px < 2.5)
+        side, far = np.where(turning, -side, side), far & ~turning
+        from_x = px - RADIUS * side
+        outside = np.clip(0.25 * (np.hypot(from_x, py) - RADIUS), -1.2, 1.2)
+        course = np.arctan2(py, from_x) + side * (np.pi / 2 + outside)
+        to_the_right = (np.arctan2(vy, vx) - course + np.pi) % (2.0 * np.pi) - np.pi
+        bank = np.clip(-0.75 * side + 1.2 * to_the_right, -0.9, 0.9)
+        climb = np.clip(0.9 * (HEIGHT - height), -0.8, 0.8)
+        trim = np.clip(trim + 0.1 * DT * (HEIGHT - height), -0.4, 0.4)
+        sticks = np.stack([
+            0.42 + 0.2 * (SPEED - np.sqrt(vx**2 + vy**2 + vz**2)) + 0.15 * climb,
+            0.9 * (bank - roll),
+            trim + 1.2 * (0.12 + 0.16 * (climb - vz) + 0.16 * bank**2 - pitch) + 0.25 * bank**2,
+            0.25 * bank,
+        ])  # fmt: skip
+        sticks += amplitude * np.sin(frequency * t + phase).sum(axis=0)
+        sticks[list(held)] = 0.0
+        return np.clip(sticks, np.array([0.0, -1.0, -1.0, -1.0])[:, None], 1.0)
+
+    return pilot
+
+
+def measured(
+    flown: Flown, rng: np.random.Generator, which: int = 0, noise: tuple[float, float] = MARKER,
+    outliers: float = 0.0, missing: float = 0.0, slow: float = 0.0,
 ) -> FlightTable:  # fmt: skip
-    """Poses as a camera would measure them: white noise, some poses off by metres, some missing."""
-    count = len(t)
-    p = states[:, :3] + rng.normal(0, noise[0], (count, 3))
-    angles = states[:, [5, 3, 4]] + rng.normal(0, noise[1], (count, 3))
-    angles = (angles + np.pi) % (2 * np.pi) - np.pi
+    """Poses as a camera would measure them.
+
+    Args:
+        flown: the true flights.
+        rng: draws the noise.
+        which: of the flights.
+        noise: standard deviation of positions [m] and angles [rad].
+        outliers: share of poses that are off by 3 m and 45 deg per axis (standard deviation).
+        missing: share of rows without a pose.
+        slow: share of the noise's variance that is correlated over 0.5 s.
+    """
+    states, count = flown.states[which], len(flown.t)
+    error = np.sqrt(1.0 - slow) * rng.normal(size=(count, 6)) + np.sqrt(slow) * correlated(count, rng)
+    p_world = states[:, :3] + noise[0] * error[:, :3]
+    angles = states[:, [5, 3, 4]] + noise[1] * error[:, 3:]
     off, lost = rng.random(count) < outliers, rng.random(count) < missing
-    p[off] += rng.normal(0, 3.0, (off.sum(), 3))
-    angles[off] += rng.normal(0, 0.8, (off.sum(), 3))
-    p[lost], angles[lost] = np.nan, np.nan
-    return FlightTable("simulated", t, p, angles, sticks, {}, {}, ())
+    p_world[off] += rng.normal(0.0, 3.0, (off.sum(), 3))
+    angles[off] += rng.normal(0.0, 0.8, (off.sum(), 3))
+    p_world[lost], angles[lost] = np.nan, np.nan
+    angles = (angles + np.pi) % (2.0 * np.pi) - np.pi
+    return FlightTable("simulated", flown.t, p_world, angles, flown.sticks[which])
+
+
+def correlated(count: int, rng: np.random.Generator) -> np.ndarray:
+    """(count, 6) noise of unit variance whose correlation falls to 1/e in 0.5 s: AR(1)."""
+    kept = np.exp(-DT / CORRELATION_S)
+    noise = rng.normal(size=(count, 6))
+    for k in range(1, count):
+        noise[k] = kept * noise[k - 1] + np.sqrt(1.0 - kept**2) * noise[k]
+    return noise
+
+
+@cache
+def example_flight() -> tuple[Model, Flown, FlightTable]:
+    """A 60 s flight with marker noise, some outliers and lost frames: the aircraft, the truth, the table."""
+    rng = np.random.default_rng(2)
+    truth = drawn(rates_model(), rng)
+    flown = fly_figure_eights([truth], 60.0, rng)
+    return truth, flown, measured(flown, rng, outliers=0.005, missing=0.01)
+
+
+@cache
+def example_found() -> Identification:
+    """What `identify` makes of the example flight; computed once for all tests that need some identification."""
+    return identify([example_flight()[2]])

@@ -1,0 +1,291 @@
+"""The fit against known truth, against SciPy's optimiser on the same problem, and against dense linear algebra."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from falconwing_kit.aircraft.model import FORMS, paper_model, rates_model
+from falconwing_kit.sysid.fit import Prior, fit, fit_starts, robust_factor
+from falconwing_kit.sysid.prepare import prepare
+from falconwing_kit.sysid.shooting import cut_windows, fly_windows, pose_residuals, residuals
+from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
+
+SIGMA = np.array([MARKER[0]] * 3 + [MARKER[1]] * 3)
+SMALL = ("La", "Me", "Ma", "Nr")  # free in the small problems
+
+
+def simulated(form, seconds, seed, noise=MARKER):
+    """An aircraft and the windows of a flight of it."""
+    rng = np.random.default_rng(seed)
+    truth = drawn(FORMS[form](), rng)
+    table = measured(fly_figure_eights([truth], seconds, rng), rng, noise=noise)
+    return truth, cut_windows(prepare(table, SIGMA).flights, truth)
+
+
+def with_free(model, names):
+    return model.pinned([name for name in model.names if name not in names])
+
+
+@pytest.fixture(scope="module")
+def small():
+    """8 s of noisy flight, three windows, four free parameters 10 % off: the start, its windows, start states."""
+    truth, windows = simulated("paper", 8.0, seed=12)
+    start = with_free(truth.with_values({name: 1.1 * truth.values[name] for name in SMALL}), SMALL)
+    return start, windows, windows.guess[:, :9]
+
+
+def scipy_fit(model, windows, starts, prior=None):
+    """The same sum of squares, handed to SciPy: trust region, dense differences, nothing eliminated."""
+    free = [i for i, p in enumerate(model.parameters) if p.low < p.high]
+    shape = starts.shape
+
+    def everything(z):
+        vector = model.vector
+        vector[free] = z[: len(free)]
+        rows = [residuals(model.with_vector(vector), windows, z[len(free) :].reshape(shape)).ravel()]
+        if prior is not None:
+            names = [model.names[i] for i in free]
+            away = np.array([vector[model.names.index(n)] - prior.mean[n] for n in names])
+            sigma = np.array([prior.sigma[n] for n in names])
+            correlation = np.eye(len(names)) if prior.correlation is None else prior.correlation
+            rows.append(np.linalg.cholesky(np.linalg.inv(correlation * np.outer(sigma, sigma))).T @ away)
+        return np.concatenate(rows)
+
+    wide = np.full(starts.size, np.inf)
+    low, high = (np.array([getattr(model.parameters[i], side) for i in free]) for side in ("low", "high"))
+    bounds = (np.concatenate([low, -wide]), np.concatenate([high, wide]))
+    begin = np.concatenate([np.clip(model.vector[free], low, high), starts.ravel()])
+    found = least_squares(everything, begin, "2-point", bounds, x_scale="jac", xtol=1e-9, ftol=1e-10, gtol=1e-9)
+    return dict(zip([model.names[i] for i in free], found.x, strict=False)), 2.0 * found.cost
+
+
+# Known truth ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_parameters_of_a_noiseless_flight_come_back(form):
+    """The inverse of a prediction: poses predicted with known parameters give these back to 1e-4 from a start 15 % off
+    in each (standard deviation). Where the usual value is zero: 1e-4 of a twentieth of the range."""
+    truth, windows = simulated(form, 30.0, seed=10)
+    windows = replace(windows, pose=fly_windows(truth, windows, windows.guess[:, : truth.n_states]))
+    start = FORMS[form]()
+    starts, _ = fit_starts(start, windows, windows.guess[:, : truth.n_states])
+    found = fit(start, windows, starts, tolerance=1e-9)
+    size = np.array([abs(p.start) or max(0.05 * (p.high - p.low), 1e-9) for p in truth.parameters])
+    assert found.converged and found.cost < 1e-6
+    off = np.abs(found.model.vector - truth.vector) / size
+    assert dict(zip(truth.names, off < 1e-4, strict=True)) == dict.fromkeys(truth.names, True)
+
+
+def test_a_finer_simulation_gives_nearly_the_same():
+    """Simulated with 10 ms steps and another servo: what a 25 ms step gets wrong moves ordinary parameters by less than
+    1e-3, and delay and lag by less than 0.1 ms."""
+    truth, windows = simulated("rates", 60.0, seed=11, noise=(0.0, 0.0))
+    starts, _ = fit_starts(truth, windows, windows.guess)
+    found = fit(rates_model(), windows, starts, tolerance=1e-6).model
+    off = {n: found.values[n] - truth.values[n] for n in truth.names}
+    assert max(abs(off["delay"]), abs(off["lag"])) < 1e-4
+    ordinary = [p.name for p in truth.parameters if p.start and p.name not in ("delay", "lag")]
+    assert {n: abs(off[n]) < 1e-3 * abs(truth.values[n]) for n in ordinary} == dict.fromkeys(ordinary, True)
+
+
+# An independent optimiser -----------------------------------------------------------------------------------------
+
+
+def test_the_minimum_is_scipys(small):
+    """SciPy's least_squares on the same residuals ends at the same place: cost to 1e-6, parameters to 1e-4."""
+    start, windows, starts = small
+    want, cost = scipy_fit(start, windows, starts)
+    found = fit(start, windows, starts, tolerance=1e-9)
+    assert found.cost == pytest.approx(cost, rel=1e-6)
+    assert {n: found.model.values[n] for n in SMALL} == pytest.approx(want, rel=1e-4)
+    assert abs(found.model.values["La"] / start.values["La"] - 1.0) > 0.02  # it did move
+
+
+def test_bounds_hold_and_the_rest_settles_as_in_scipy(small):
+    """The truth lies below what is allowed for Ma: it stops exactly on its bound, the others where SciPy puts them."""
+    start, windows, starts = small
+    low = start.values["Ma"]
+    parameters = tuple(replace(p, low=low, high=3.0 * low) if p.name == "Ma" else p for p in start.parameters)
+    bounded = replace(start, parameters=parameters).with_values({"Ma": 1.2 * low})
+    want, cost = scipy_fit(bounded, windows, starts)
+    found = fit(bounded, windows, starts, tolerance=1e-9)
+    assert found.model.values["Ma"] == low
+    assert found.cost == pytest.approx(cost, rel=1e-5)
+    assert {n: found.model.values[n] for n in SMALL} == pytest.approx(want, rel=1e-3)
+
+
+def test_a_prior_pulls_as_in_scipy(small):
+    """Mean 20 % above, 1 % wide, La and Me known together: rows in SciPy's sum of squares, the same minimum."""
+    start, windows, starts = small
+    correlation = np.eye(4)
+    correlation[0, 1] = correlation[1, 0] = 0.8
+    mean = {n: 1.2 * start.values[n] for n in SMALL}
+    prior = Prior(mean, {n: 0.01 * mean[n] for n in SMALL}, correlation)
+    want, cost = scipy_fit(start, windows, starts, prior)
+    found = fit(start, windows, starts, prior=prior, tolerance=1e-9)
+    free = fit(start, windows, starts, tolerance=1e-9)
+    assert found.cost == pytest.approx(cost, rel=1e-6)
+    assert {n: found.model.values[n] for n in SMALL} == pytest.approx(want, rel=1e-4)
+    assert found.model.values["Me"] > 1.01 * free.model.values["Me"]
+
+
+def test_a_prior_weighs_like_gaussian_theory(small):
+    """Near the minimum the problem is linear: K + (N + P)^-1 P (mean - K), with N of the data and P of the prior."""
+    start, windows, starts = small
+    free = fit(start, windows, starts, tolerance=1e-9)
+    N = np.einsum("wif,wig->fg", free.reduced, free.reduced)
+    K = np.array([free.model.values[n] for n in SMALL])
+    sigma = 1.0 / np.sqrt(np.diag(N))
+    mean = K + 0.5 * sigma
+    prior = Prior(dict(zip(SMALL, mean, strict=True)), dict(zip(SMALL, sigma, strict=True)))
+    P = np.diag(sigma**-2.0)
+    want = K + np.linalg.solve(N + P, P @ (mean - K))
+    found = fit(start, windows, starts, prior=prior, tolerance=1e-9)
+    moved = np.array([found.model.values[n] for n in SMALL]) - K
+    assert moved == pytest.approx(want - K, abs=0.02 * np.abs(want - K).max())
+
+
+def test_a_sharp_prior_wins(small):
+    """In the limit the prior's mean is the answer."""
+    start, windows, starts = small
+    prior = Prior({"Me": 0.5}, {"Me": 1e-9})
+    assert fit(start, windows, starts, prior=prior).model.values["Me"] == pytest.approx(0.5, abs=1e-7)
+
+
+def test_start_states_alone_are_scipys_too(small):
+    """K held: nine unknowns per window, from states up to 1 m, 0.2 rad and 1 m/s off. It stops at a
+    thousandth of the cost."""
+    start, windows, guess = small
+    truth = start.pinned(start.names)
+    rng = np.random.default_rng(1)
+    starts = guess + rng.uniform(-1.0, 1.0, guess.shape) * np.repeat([1.0, 0.2, 1.0], 3)
+    found, residual = fit_starts(truth, windows, starts)
+    _, cost = scipy_fit(truth, windows, guess)
+    assert np.sum(residual**2) == pytest.approx(cost, rel=1e-3)
+    assert residual == pytest.approx(residuals(truth, windows, found), abs=1e-9)
+
+
+# Linear algebra ---------------------------------------------------------------------------------------------------
+
+
+def dense(found):
+    """The whole Jacobian as one matrix: free parameters first, then the start states, window by window."""
+    n_windows, n_rows, n_free = found.to_free.shape
+    n = found.to_start.shape[2]
+    J = np.zeros((n_windows * n_rows, n_free + n_windows * n))
+    for w in range(n_windows):
+        rows = slice(w * n_rows, (w + 1) * n_rows)
+        J[rows, :n_free] = found.to_free[w]
+        J[rows, n_free + w * n : n_free + (w + 1) * n] = found.to_start[w]
+    return J
+
+
+def test_eliminating_start_states_equals_the_whole_problem(small):
+    """NumPy on the dense matrix: the inverse's block of K is the inverse of the reduced normal matrix (Schur)."""
+    start, windows, starts = small
+    found = fit(start, windows, starts)
+    J = dense(found)
+    scale = 1.0 / np.linalg.norm(J, axis=0)
+    inverse = np.linalg.inv((J * scale).T @ (J * scale)) * np.outer(scale, scale)
+    reduced = np.einsum("wif,wig->fg", found.reduced, found.reduced)
+    assert np.linalg.inv(reduced) == pytest.approx(inverse[:4, :4], rel=1e-6)
+
+
+def test_one_step_is_the_gauss_newton_step_of_the_whole_problem(small):
+    """One iteration: K moves by the first entries of the dense least-squares solution, start states by the rest."""
+    start, windows, starts = small
+    before = fit(start, windows, starts, iterations=0)
+    step = np.linalg.lstsq(dense(before), -before.residual.ravel(), rcond=None)[0]
+    after = fit(start, windows, starts, iterations=1)
+    free = list(after.free)
+    assert after.model.vector[free] - start.vector[free] == pytest.approx(step[:4], rel=1e-5)
+    assert after.starts - starts == pytest.approx(step[4:].reshape(starts.shape), rel=1e-4, abs=1e-6)
+    assert (before.iterations, before.converged, after.iterations) == (0, False, 1)
+
+
+# Ways and means ---------------------------------------------------------------------------------------------------
+
+
+def test_what_is_held_does_not_move(small):
+    """Bounds that meet: not a digit changes, also through a prior that speaks of it."""
+    start, windows, starts = small
+    found = fit(start, windows, starts, prior=Prior({"kT": 1.0}, {"kT": 0.1}))
+    assert {n: v for n, v in found.model.values.items() if n not in SMALL} == {
+        n: v for n, v in start.values.items() if n not in SMALL
+    }
+    assert tuple(start.names[i] for i in found.free) == tuple(n for n in start.names if n in SMALL)
+
+
+def test_a_bad_start_gets_to_the_same_minimum(small):
+    """Two parameters off by a factor of two, a cost a thousand times higher: the end is the same."""
+    start, windows, starts = small
+    near = fit(start, windows, starts, tolerance=1e-6)
+    far = start.with_values({"La": 2.0 * start.values["La"], "Ma": 0.5 * start.values["Ma"]})
+    found = fit(far, windows, starts, tolerance=1e-6)
+    assert np.sum(residuals(far, windows, starts) ** 2) > 1e3 * near.cost
+    assert found.converged and found.cost == pytest.approx(near.cost, rel=1e-6)
+
+
+def test_every_step_lowers_the_cost_and_is_told(small):
+    """Steps that do not are taken back; the caller hears of the others by number."""
+    start, windows, starts = small
+    told = []
+    found = fit(start, windows, starts, tolerance=1e-6, on_step=lambda i, chi2: told.append((i, chi2)))
+    assert [i for i, _ in told] == list(range(1, found.iterations + 1))
+    chi2 = [c for _, c in told]
+    assert all(b < a for a, b in zip(chi2, chi2[1:], strict=False))
+    assert chi2[-1] == pytest.approx(found.cost / windows.count)
+
+
+def test_a_known_linearisation_saves_only_time(small):
+    """Weights changed by a factor: residual and derivatives follow by multiplication, nothing needs to be flown."""
+    start, windows, starts = small
+    factor = np.random.default_rng(0).uniform(0.3, 1.0, windows.weight.shape)
+    first = fit(start, windows, starts)
+    linear = first.reweighted(factor)
+    quick = fit(first.model, windows.weighted(factor), first.starts, linear=linear)
+    plain = fit(first.model, windows.weighted(factor), first.starts)
+    assert quick.cost == pytest.approx(plain.cost, rel=1e-9)
+    assert linear[0] == pytest.approx(residuals(first.model, windows.weighted(factor), first.starts), abs=1e-9)
+
+
+def test_far_residuals_count_linearly(small):
+    """Huber by hand: within 3 sigma nothing changes; 12 sigma weighs as sqrt(3 / 12) = 1/2, so its square is 36."""
+    _, windows, _ = small
+    residual = np.zeros((len(windows), 240 + 9))
+    residual[0, :4] = [0.5, -3.0, 12.0, -12.0]
+    residual[1, 240:] = 50.0  # start states are not poses
+    factor = robust_factor(residual, windows)
+    assert factor.ravel()[:4] == pytest.approx([1.0, 1.0, 0.5, 0.5])
+    assert (factor.ravel()[4:] == 1.0).all()
+    assert pose_residuals(residual, windows)[0, 0, 2] == 12.0
+
+
+def test_an_outlier_does_not_pull_once_weighed_down(small):
+    """One pose 3 m off: plain squares move Me by several sigmas, weighed squares by less than one."""
+    start, windows, starts = small
+    clean = fit(start, windows, starts)
+    sigma = 1.0 / np.sqrt(np.einsum("wif,wif->f", clean.reduced, clean.reduced))
+    poses = windows.pose.copy()
+    poses[1, 20, 2] += 3.0
+    spoiled = replace(windows, pose=poses)
+    plain = fit(clean.model, spoiled, clean.starts)
+    weighed = spoiled.weighted(robust_factor(residuals(clean.model, spoiled, clean.starts), spoiled))
+    robust = fit(clean.model, weighed, clean.starts)
+    i = [start.names[k] for k in clean.free].index("Me")
+    pulled = [abs(f.model.values["Me"] - clean.model.values["Me"]) / sigma[i] for f in (plain, robust)]
+    assert pulled[0] > 2.0 > 1.0 > pulled[1]
+
+
+def test_the_paper_form_fits_its_own_flights():
+    """Noise of 3 cm and 0.6 deg over 60 s: control gains within 5 %, the cost that of noise (1 per component)."""
+    truth, windows = simulated("paper", 60.0, seed=14)
+    starts, _ = fit_starts(paper_model(), windows, windows.guess[:, :9])
+    found = fit(paper_model(), windows, starts)
+    freedom = windows.count - 16 - 9 * len(windows)
+    assert found.cost / freedom == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / freedom))
+    for name in ("La", "Me", "Nr", "cLa"):
+        assert found.model.values[name] == pytest.approx(truth.values[name], rel=0.05)

@@ -1,0 +1,158 @@
+"""Intervals: covariance against dense linear algebra, inflation against white and slow noise, and what is flagged."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from falconwing_kit.aircraft.model import rates_model
+from falconwing_kit.aircraft.terms import Parameter
+from falconwing_kit.sysid.fit import Prior, fit
+from falconwing_kit.sysid.prepare import prepare
+from falconwing_kit.sysid.shooting import cut_windows
+from falconwing_kit.sysid.uncertainty import Uncertainty, ordinary_size, uncertainty
+from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
+
+SIGMA = np.array([MARKER[0]] * 3 + [MARKER[1]] * 3)
+
+
+def windows_of(flown, rng, **noise):
+    return cut_windows(prepare(measured(flown, rng, **noise), SIGMA).flights, rates_model())
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A minute of ordinary flight: the aircraft and its true states."""
+    rng = np.random.default_rng(31)
+    truth = drawn(rates_model(), rng)
+    return truth, fly_figure_eights([truth], 60.0, rng)
+
+
+@pytest.fixture(scope="module")
+def fitted(flown):
+    """The fit of its first 20 s to white noise: windows and result."""
+    truth, whole = flown
+    part = replace(whole, t=whole.t[:401], states=whole.states[:, :401], sticks=whole.sticks[:, :401])
+    windows = windows_of(part, np.random.default_rng(1))
+    return windows, fit(truth, windows, windows.guess)
+
+
+def test_covariance_is_the_inverse_of_the_whole_normal_matrix(fitted):
+    """By hand with NumPy: all unknowns together (29 parameters, 12 start states a window), chi2 per degree of freedom
+    times the inverse, its block of the parameters, times the inflation."""
+    windows, found = fitted
+    sure = uncertainty(found, windows)
+    n_windows, n_rows, n_free = found.to_free.shape
+    J = np.zeros((n_windows * n_rows, n_free + 12 * n_windows))
+    J[:, :n_free] = found.to_free.reshape(-1, n_free)
+    for w in range(n_windows):
+        J[w * n_rows : (w + 1) * n_rows, n_free + 12 * w : n_free + 12 * (w + 1)] = found.to_start[w]
+    scale = 1.0 / np.linalg.norm(J, axis=0)
+    inverse = np.linalg.inv((J * scale).T @ (J * scale)) * np.outer(scale, scale)
+    s2 = np.sum(found.residual**2) / (windows.count - n_free - 12 * n_windows)
+    want = inverse[:n_free, :n_free] * s2 * sure.inflation
+    size = np.sqrt(np.outer(np.diag(want), np.diag(want)))
+    assert sure.covariance / size == pytest.approx(want / size, abs=1e-5)
+    assert sure.names == found.model.names
+
+
+def test_a_prior_adds_its_information(fitted):
+    """Gauss: the inverse of the covariance is that of the data plus that of the prior, here of two known together."""
+    windows, found = fitted
+    plain = uncertainty(found, windows)
+    correlation = np.array([[1.0, 0.9], [0.9, 1.0]])
+    sigma = {"kT": 0.5, "kTV": 0.05}
+    prior = Prior({n: found.model.values[n] for n in sigma}, sigma, correlation)
+    sure = uncertainty(found, windows, prior)
+    added = np.zeros_like(plain.covariance)
+    at = [plain.names.index(n) for n in sigma]
+    added[np.ix_(at, at)] = np.linalg.inv(correlation * np.outer(list(sigma.values()), list(sigma.values())))
+    want = np.linalg.inv(np.linalg.inv(plain.covariance / plain.inflation) + added)
+    assert np.diag(sure.covariance) / sure.inflation == pytest.approx(np.diag(want), rel=1e-4)
+    assert sure.sigma["kT"] < 0.9 * plain.sigma["kT"]
+
+
+def test_interval_is_1_96_sigma_to_either_side():
+    """The normal distribution's 97.5 % point; a held parameter has no width."""
+    sure = Uncertainty(("La",), np.array([[0.04]]), 1.0, (), (), ())
+    assert sure.sigma == pytest.approx({"La": 0.2})
+    assert sure.interval("La", 1.0) == pytest.approx((1.0 - 0.392, 1.0 + 0.392))
+    assert sure.interval("kT", 9.0) == (9.0, 9.0)
+
+
+def test_inflation_is_about_one_for_white_noise(flown):
+    """White residuals scatter the windows' gradients as theory says: at most 1.3 on three minutes' noise."""
+    truth, whole = flown
+    found = []
+    for seed in range(3):
+        windows = windows_of(whole, np.random.default_rng(seed))
+        found.append(uncertainty(fit(truth, windows, windows.guess), windows).inflation)
+    assert min(found) >= 1.0
+    assert np.mean(found) < 1.3
+
+
+def test_inflation_grows_with_slow_noise(flown):
+    """Half of the variance correlated over 0.5 s: neighbouring poses no longer count as independent. Ten of them act
+    alike, so by hand the variance of a slow parameter grows up to tenfold on that half."""
+    truth, whole = flown
+    windows = windows_of(whole, np.random.default_rng(0), slow=0.5)
+    assert 2.0 < uncertainty(fit(truth, windows, windows.guess), windows).inflation < 12.0
+
+
+def test_few_windows_say_nothing_of_correlation(fitted):
+    """Below eight windows the scatter of gradients is itself unknown: no inflation."""
+    windows, found = fitted
+    few = replace(found, residual=found.residual[:7], to_free=found.to_free[:7], to_start=found.to_start[:7])
+    assert uncertainty(few, windows).inflation == 1.0
+
+
+def test_a_stick_that_never_moves_is_told(flown):
+    """Rudder at zero for a minute: its yawing moment Nr and side force cYr do nothing. These two are named, the others
+    are known about as well as with it (weathercock Nb and the like lose some of their excitation), all stay finite."""
+    truth, whole = flown
+    held = fly_figure_eights([truth], 60.0, np.random.default_rng(6), held=(3,))
+    sure = []
+    for flight in (whole, held):
+        windows = windows_of(flight, np.random.default_rng(7))
+        sure.append(uncertainty(fit(truth, windows, windows.guess), windows))
+    moving, still = sure
+    assert not {"Nr", "cYr"} & set(moving.not_excited)
+    assert {"Nr", "cYr"} <= set(still.not_excited) <= {"Nr", "cYr", "cDb"}
+    others = [n for n in truth.names if n not in ("Nr", "cYr")]
+    ratio = [still.sigma[n] / moving.sigma[n] for n in others]
+    assert np.isfinite(still.covariance).all()
+    assert 0.5 < np.median(ratio) < 2.0
+
+
+def test_what_ends_on_its_bound_is_told(flown):
+    """Drag is not allowed below twice its true value: it ends there and its interval does not hold."""
+    truth, whole = flown
+    low = 2.0 * truth.values["cD0"]
+    parameters = tuple(replace(p, low=low) if p.name == "cD0" else p for p in truth.parameters)
+    windows = windows_of(whole, np.random.default_rng(2))
+    found = fit(replace(truth, parameters=parameters).with_values({"cD0": 1.2 * low}), windows, windows.guess)
+    sure = uncertainty(found, windows)
+    assert found.model.values["cD0"] == low
+    assert "cD0" in sure.at_bound and "La" not in sure.at_bound
+
+
+def test_twins_are_told_with_their_correlation(fitted):
+    """Roll is fast: in the time of one frame its rate settles at La / Lp, so the two come as a pair. The number is that
+    of the covariance."""
+    windows, found = fitted
+    sure = uncertainty(found, windows)
+    pairs = {frozenset(pair[:2]): pair[2] for pair in sure.correlated}
+    i, j = sure.names.index("La"), sure.names.index("Lp")
+    want = sure.covariance[i, j] / np.sqrt(sure.covariance[i, i] * sure.covariance[j, j])
+    assert pairs[frozenset(("La", "Lp"))] == pytest.approx(want)
+    assert want > 0.95 and min(abs(r) for r in pairs.values()) > 0.95
+    assert [abs(r) for *_, r in sure.correlated] == sorted((abs(r) for *_, r in sure.correlated), reverse=True)
+
+
+@pytest.mark.parametrize(
+    ("start", "low", "high", "value", "want"),
+    [(2.0, 0.0, 10.0, 3.0, 3.0), (2.0, 0.0, 10.0, -0.5, 2.0), (0.0, -1.0, 1.0, 0.01, 0.1), (0.0, -1.0, 1.0, 0.3, 0.3)],
+)
+def test_ordinary_size_by_hand(start, low, high, value, want):
+    """The larger of the found and the usual value; where the usual is zero, a twentieth of the range."""
+    assert ordinary_size(Parameter("x", start, low, high, "-", ""), value) == pytest.approx(want)
