@@ -18,6 +18,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
+NEW_PIP = "pip>=25"
 KIT, EVERYTHING = ".", ".[labs,hardware,dev]"  # what pip installs for a verb, and for the tests
 
 
@@ -74,7 +75,8 @@ def install(root: Path, target: str) -> int:
             return failed
     pip = [python, "-m", "pip", "install", "--disable-pip-version-check"]
     half_done.touch()  # stays if this is killed: pip would take a half-written library for a whole one
-    failed = run([*pip, "-c", "constraints.txt", "-e", target], folder=root)
+    # The pip of an older Python needs many minutes to add to an environment that is filled already.
+    failed = run([*pip, NEW_PIP]) or run([*pip, "-c", "constraints.txt", "-e", target], folder=root)
     if failed < 128:  # pip ended by itself and cleaned up
         half_done.unlink()
     if failed:

@@ -29,6 +29,7 @@ class Effect:
     pose: bool = False  # acts on the measured attitude
     starts: tuple[dict[str, float], ...] = ()  # further points a fit should begin at
     shape: tuple[str, ...] = ()  # parameters that say where or when, and mean nothing while the amplitude is zero
+    contains: tuple[str, ...] = ()  # effects that this one becomes at some of its values; no rival to them
     same_as: str = ""  # another effect with the same dynamics: no flight can tell them apart
 
     @property
@@ -289,6 +290,7 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect(
         "fan_jet", "A fan blows through one part of the hall only.", _JET,
         wind=WindTerm("fan_jet", _JET, fan_jet), shape=("jet_at_x", "jet_at_y", "jet_radius"),
+        contains=("wind",),
     ),
     _force(
         "ground_effect", "Close to the floor the air under the wing cannot get away: more lift, less induced drag.",
@@ -303,6 +305,7 @@ CATALOGUE: tuple[Effect, ...] = (
         flap,
         Parameter("flap_lift", 0.01, -0.2, 0.4, "1/m", "lift added at any angle"),
         Parameter("flap_drag", 0.001, -0.05, 0.2, "1/m", "drag that comes with it"),
+        contains=("extra_drag",),
     ),
     _force(
         "thrust_loss", "The propeller gives less thrust at the same throttle.",

@@ -154,7 +154,8 @@ def _decide(
     chosen: tuple[Candidate, ...] = ()
     verdict: Verdict = "none"
     if best.gain > threshold:
-        rivals = tuple(c for c in ranking[1:] if c.gain > best.gain - LEAST_GAIN)
+        near = (c for c in ranking[1:] if c.gain > best.gain - LEAST_GAIN)
+        rivals = tuple(c for c in near if best.effect.name not in c.effect.contains)
         verdict, chosen = ("ambiguous", (best, *rivals)) if rivals else ("named", (best,))
         if verdict == "named" and left > EXCESS_SIGMAS * error:
             second = _second(base, windows, best, catalogue, threshold, progress)

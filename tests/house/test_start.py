@@ -35,12 +35,13 @@ def start(tmp_path, monkeypatch):
 
 
 def test_first_run_makes_installs_and_hands_over(start):
-    """The three steps of the manual installation, in order."""
+    """The steps of the manual installation, in order, and a newer pip before the kit."""
     assert start.main(["demo", "--headless"]) == 0
     assert start.commands[0][-3:-1] == ["venv", "--clear"]
-    assert start.commands[1][-4:] == ["-c", "constraints.txt", "-e", "."]
-    assert start.commands[2][1:] == ["demo", "--headless"]
-    assert Path(start.commands[2][0]).name == "falconwing"
+    assert start.commands[1][-1].startswith("pip>=")
+    assert start.commands[2][-4:] == ["-c", "constraints.txt", "-e", "."]
+    assert start.commands[3][1:] == ["demo", "--headless"]
+    assert Path(start.commands[3][0]).name == "falconwing"
 
 
 def test_second_run_only_hands_over(start):
@@ -69,7 +70,7 @@ def test_changed_dependencies_are_installed(start, tmp_path, name):
     start.commands.clear()
     (tmp_path / name).write_text("changed")
     start.main(["demo"])
-    assert ["install" in command for command in start.commands] == [True, False]
+    assert ["install" in command for command in start.commands] == [True, True, False]
 
 
 def test_interrupted_install_goes_on_and_its_exit_code_comes_out(start, capsys):
@@ -80,7 +81,7 @@ def test_interrupted_install_goes_on_and_its_exit_code_comes_out(start, capsys):
     start.exit_codes.clear()
     start.commands.clear()
     assert start.main(["demo"]) == 0
-    assert ["install" in command for command in start.commands] == [True, False]
+    assert ["install" in command for command in start.commands] == [True, True, False]
 
 
 def test_killed_install_starts_from_an_empty_environment(start, monkeypatch):
