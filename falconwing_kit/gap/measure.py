@@ -38,20 +38,13 @@ class Profile:
 
     edges: Array  # (B + 1,) in the variable's unit
     flight: Array  # (B,) [sigma^2]
-    flight_error: Array  # (B,) its standard error
     calm: Array  # (B,) the calm flight's in the same bin, or over all of it where it was not there
-    calm_error: Array  # (B,)
-    windows: np.ndarray  # (B,) windows of the flight that reach into the bin
+    error: Array  # (B,) by how much the two would differ by chance if the flight were calm, one standard deviation
 
     @property
     def excess(self) -> Array:
         """(B,) flight minus calm [sigma^2]."""
         return self.flight - self.calm
-
-    @property
-    def error(self) -> Array:
-        """(B,) standard error of the excess."""
-        return np.asarray(np.hypot(self.flight_error, self.calm_error))
 
 
 @dataclass(frozen=True)
@@ -99,12 +92,13 @@ def replay_flight(base: CalmBase, naming: Naming, model: Model | None = None) ->
     Args:
         base: the aircraft without surprise.
         naming: the flight.
-        model: None for the calm flight's own.
+        model: None for the calm flight's own, or where nothing is missing for the same on another day: coefficients
+            drift by a percent, and that is no gap.
 
     Returns:
         The replay.
     """
-    model = model or base.result.model
+    model = model or (naming.before.model if naming.verdict == "none" else base.result.model)
     return replay(model, cut_windows(naming.prepared.flights, model), naming.before.starts)
 
 
@@ -127,12 +121,12 @@ def residual_map(flight: Replay, calm: Replay) -> tuple[Spot, ...]:
 
     profiles = {(c, v): profile(flight, calm, c, v) for c in CHANNELS for v in VARIABLES}
     tests = sum(int(np.isfinite(p.excess).sum()) for p in profiles.values())
+    needed = student.isf(FALSE_SPOTS / max(tests, 1), max(len(calm.t) - 1, 1))
     spots = []
     for channel in CHANNELS:
         found = []
         for variable in VARIABLES:
             p = profiles[channel, variable]
-            needed = student.isf(FALSE_SPOTS / max(tests, 1), np.maximum(p.windows - 1, 1))
             counts = np.nan_to_num(p.excess / p.error, nan=-np.inf) > needed
             if counts.any():
                 found.append(_spot(p, counts, channel, variable))
@@ -143,8 +137,6 @@ def residual_map(flight: Replay, calm: Replay) -> tuple[Spot, ...]:
 
 def profile(flight: Replay, calm: Replay, channel: str, variable: str) -> Profile:
     """Mean square residual of one channel against one variable.
-
-    Rows within a window are not independent, so errors come from the scatter between windows.
 
     Args:
         flight: the flight under test.
@@ -161,28 +153,37 @@ def profile(flight: Replay, calm: Replay, channel: str, variable: str) -> Profil
         edges = np.linspace(-np.pi, np.pi, BINS + 1)
     else:
         edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
-    mean, error, windows = _bins(flight.residual[..., at], values, edges)
-    calm_mean, calm_error, _ = _bins(calm.residual[..., at], calm.variables[variable], edges)
-    whole, whole_error, _ = _bins(calm.residual[..., at], np.zeros_like(calm.t), np.array([-1.0, 1.0]))
-    elsewhere = np.isnan(calm_mean) if variable != "time" else np.ones(len(mean), dtype=bool)
-    calm_mean, calm_error = np.where(elsewhere, whole, calm_mean), np.where(elsewhere, whole_error, calm_error)
-    return Profile(edges, mean, error, calm_mean, calm_error, windows)
+    mean, rows = _bins(flight.residual[..., at], values, edges)
+    whole, per_row = _scatter(calm.residual[..., at])
+    calm_mean, calm_rows = _bins(calm.residual[..., at], calm.variables[variable], edges)
+    elsewhere = np.isnan(calm_mean) | (variable == "time")
+    calm_mean = np.where(elsewhere, whole, calm_mean)
+    calm_rows = np.where(elsewhere, np.isfinite(calm.residual[..., at]).sum(), calm_rows)
+    return Profile(edges, mean, calm_mean, per_row * np.sqrt(1.0 / np.maximum(rows, 1) + 1.0 / calm_rows))
 
 
-def _bins(residual: Array, values: Array, edges: Array) -> tuple[Array, Array, np.ndarray]:
-    """Mean square in each bin, its error clustered by window, and how many windows reach into it."""
+def _bins(residual: Array, values: Array, edges: Array) -> tuple[Array, np.ndarray]:
+    """Mean square in each bin, nan where fewer than FEWEST_WINDOWS reach into it, and its number of rows."""
     inside = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0))
     inside[(values < edges[0]) | (values > edges[-1])] = -1
-    in_bin = inside[..., None] == np.arange(len(edges) - 1)  # (W, L, B)
-    seen = in_bin & np.isfinite(residual)[..., None]
-    squares = np.where(seen, np.nan_to_num(residual)[..., None] ** 2, 0.0).sum(axis=1)  # (W, B)
-    rows = seen.sum(axis=1)
-    windows = (rows > 0).sum(axis=0)
-    total = np.maximum(rows.sum(axis=0), 1)
-    mean = squares.sum(axis=0) / total
-    spread = ((squares - mean * rows) ** 2).sum(axis=0) * windows / np.maximum(windows - 1, 1)
-    enough = windows >= FEWEST_WINDOWS
-    return np.where(enough, mean, np.nan), np.where(enough, np.sqrt(spread) / total, np.nan), windows
+    seen = (inside[..., None] == np.arange(len(edges) - 1)) & np.isfinite(residual)[..., None]  # (W, L, B)
+    squares = np.where(seen, np.nan_to_num(residual)[..., None] ** 2, 0.0).sum(axis=(0, 1))
+    rows = seen.sum(axis=(0, 1))
+    enough = seen.any(axis=1).sum(axis=0) >= FEWEST_WINDOWS
+    return np.where(enough, squares / np.maximum(rows, 1), np.nan), rows
+
+
+def _scatter(residual: Array) -> tuple[float, float]:
+    """Mean square of a calm channel (W, L), and the standard deviation that one row adds to a mean of many.
+
+    Rows within a window go together, so the scatter is that between windows; taking the rows of a bin for spread over
+    many windows errs to the safe side.
+    """
+    rows = np.isfinite(residual).sum(axis=1)
+    squares = np.nansum(residual**2, axis=1)
+    mean = squares.sum() / max(rows.sum(), 1)
+    spread = ((squares - mean * rows) ** 2).sum() * len(rows) / max(len(rows) - 1, 1)
+    return float(mean), float(np.sqrt(spread / max(rows.sum(), 1)))
 
 
 def _spot(p: Profile, counts: np.ndarray, channel: str, variable: str) -> Spot:

@@ -3,14 +3,17 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from falconwing_kit.aircraft.effects import CATALOGUE, Effect
 from falconwing_kit.aircraft.model import FORMS, Model
 from falconwing_kit.aircraft.terms import FORCES, MOMENTS, QUASI_STEADY_RATES, UNIFORM_WIND, Term, WindTerm
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.config import from_toml, write_toml
 from falconwing_kit.sysid.identify import Identification
+from falconwing_kit.sysid.uncertainty import Uncertainty
 
 KNOWN_TERMS: tuple[Term | WindTerm, ...] = (*FORCES, *MOMENTS, *QUASI_STEADY_RATES, UNIFORM_WIND)
 
@@ -58,6 +61,7 @@ class _File:
     fit: _Fit
     parameters: Mapping[str, _Parameter]
     covariance: _Covariance
+    effects: tuple[str, ...] = ()
 
 
 def write_model(path: str | Path, found: Identification) -> None:
@@ -70,42 +74,76 @@ def write_model(path: str | Path, found: Identification) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    model, sure = found.model, found.uncertainty
+    write_fitted(
+        path, found.model, found.uncertainty, flights=found.names, train_chi2=found.train.chi2,
+        held_out_chi2=found.held_out.chi2 if found.held_out else None, sigma=found.sigma,
+    )  # fmt: skip
+
+
+def write_fitted(
+    path: str | Path,
+    model: Model,
+    sure: Uncertainty,
+    *,
+    flights: tuple[str, ...],
+    train_chi2: float,
+    held_out_chi2: float | None,
+    sigma: Array,
+) -> None:
+    """Write any fitted model, with or without effects.
+
+    Args:
+        path: the TOML file; it is replaced whole or not at all.
+        model: the model at its fitted values.
+        sure: how sure they are.
+        flights: what it was fitted on.
+        train_chi2: per degree of freedom on the fitted time.
+        held_out_chi2: the same on time kept back, or None.
+        sigma: (6,) pose noise of the fit [m, rad].
+
+    Raises:
+        OSError: the file cannot be written.
+    """
     parameters = {}
     for p in model.parameters:
-        low95, high95 = found.interval(p.name) if p.name in sure.names else (None, None)
+        low95, high95 = sure.interval(p.name, model.values[p.name]) if p.name in sure.names else (None, None)
         parameters[p.name] = _Parameter(model.values[p.name], p.unit, p.low, p.high, p.meaning, low95, high95)
-    held_out = found.held_out.chi2 if found.held_out else None
-    fit = _Fit(found.names, found.train.chi2, held_out, tuple(map(float, found.sigma)))
+    fit = _Fit(flights, train_chi2, held_out_chi2, tuple(map(float, sigma)))
     matrix = tuple(tuple(float(f"{c:.6g}") for c in row) for row in sure.covariance)
-    terms = tuple(t.name for t in model.terms) + tuple(w.name for w in model.winds)
-    write_toml(path, _File(model.form, terms, fit, parameters, _Covariance(sure.names, matrix)))
+    effects = tuple(e.name for e in model.effects)
+    names = tuple(t.name for t in model.terms) + tuple(w.name for w in model.winds)
+    terms = tuple(name for name in names if name not in effects)
+    write_toml(path, _File(model.form, terms, fit, parameters, _Covariance(sure.names, matrix), effects))
 
 
-def read_model(path: str | Path, known: tuple[Term | WindTerm, ...] = KNOWN_TERMS) -> ModelFile:
+def read_model(
+    path: str | Path, known: tuple[Term | WindTerm, ...] = KNOWN_TERMS, catalogue: tuple[Effect, ...] = CATALOGUE
+) -> ModelFile:
     """Read a model file.
 
     Args:
         path: the TOML file.
         known: the terms a file may name.
+        catalogue: the effects a file may name.
 
     Returns:
         The model with its uncertainty.
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: the file is not a model, names an unknown term or parameter, or its numbers do not fit together.
+        InputError: the file is not a model, names an unknown term, effect or parameter, or its numbers do not fit
+            together.
     """
     file = from_toml(_File, path)
     if file.form not in FORMS:
         raise InputError(f"{Path(path).name}: form: want one of {', '.join(FORMS)}, got {file.form!r}")
-    by_name = {t.name: t for t in known}
-    unknown = [name for name in file.terms if name not in by_name]
-    if unknown:
-        raise InputError(f"{Path(path).name}: terms: want names out of {', '.join(by_name)}, got {unknown[0]!r}")
+    terms = _named(file.terms, {t.name: t for t in known}, "terms", path)
+    effects = _named(file.effects, {e.name: e for e in catalogue}, "effects", path)
     base = FORMS[file.form]()
     own = {t.name for t in base.terms}
-    model = base.adding(*(by_name[name] for name in file.terms if name not in own))
+    model = base.adding(*(term for term in terms if term.name not in own))
+    for effect in effects:
+        model = model.with_effect(effect)
     missing = [name for name in model.names if name not in file.parameters]
     if missing or len(file.parameters) != len(model.names):
         odd = missing[0] if missing else next(n for n in file.parameters if n not in model.values)
@@ -116,6 +154,13 @@ def read_model(path: str | Path, known: tuple[Term | WindTerm, ...] = KNOWN_TERM
         model, parameters=tuple(replace(p, low=bounds[p.name].low, high=bounds[p.name].high) for p in model.parameters)
     )
     return ModelFile(model, file.covariance.names, _covariance(file, path), file.fit.flights, _sigma(file))
+
+
+def _named(names: tuple[str, ...], known: Mapping[str, Any], what: str, path: str | Path) -> list[Any]:
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise InputError(f"{Path(path).name}: {what}: want names out of {', '.join(known)}, got {unknown[0]!r}")
+    return [known[name] for name in names]
 
 
 def _covariance(file: _File, path: str | Path) -> Array:
