@@ -108,11 +108,12 @@ def strain(base: CalmBase, naming: Naming) -> float:
 
     Near 1 for another day of the same aircraft; large for another aircraft, or for an effect that parameters imitate.
     """
-    best = naming.chosen[-1] if naming.verdict == "named" else naming.ranking[0]
-    result = best.result or naming.before
+    found = naming.chosen[-1:] if naming.verdict == "named" else naming.ranking[:1]
+    result = (found[0].result if found else None) or naming.before
     rows, mean = prior_rows(result.model, result.free, base.prior)
     at = result.model.vector[list(result.free)]
-    return float(np.sum((rows @ (at - mean)) ** 2) / max(np.count_nonzero(rows.any(axis=1)), 1))
+    known = max(int(np.count_nonzero(rows.any(axis=1))), 1)
+    return float(np.sum((rows @ (at - mean)) ** 2)) / known
 
 
 def _parting(names: Sequence[str]) -> str:

@@ -23,6 +23,7 @@ STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "#e4e4e4",
     "grid.linewidth": 0.7,
     "legend.frameon": False,
@@ -136,8 +137,10 @@ def _draw_profile(ax: Any, p: Profile, channel: str, variable: str, spot: Spot |
         ax.axvspan(spot.low * scale, spot.high * scale, color="#f6e3d8", zorder=0)
     low, high = (np.sqrt(np.maximum(p.calm + k * p.error, 0.0)) for k in (-2.0, 2.0))
     ax.fill_between(edges, np.append(low, low[-1]), np.append(high, high[-1]), step="post", color="#dddddd", lw=0)
-    ax.stairs(np.sqrt(p.calm), edges, color=MEASURED, lw=1.6, ls="--", label="calm flight (band: chance)")
-    ax.stairs(np.sqrt(p.flight), edges, color=PREDICTED, lw=2.2, label="flight")
+    ax.stairs(
+        np.sqrt(p.calm), edges, color=MEASURED, lw=1.6, ls="--", baseline=None, label="calm flight (band: chance)"
+    )
+    ax.stairs(np.sqrt(p.flight), edges, color=PREDICTED, lw=2.2, baseline=None, label="flight")
     ax.set_ylim(0.0, 1.15 * float(np.sqrt(max(np.nanmax(p.flight), np.nanmax(p.calm), 1.5))))
     ax.set_xlabel(f"{variable} [{unit}]")
     ax.set_title(f"{CHANNEL_WORDS[channel]} against {variable}")

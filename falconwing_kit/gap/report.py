@@ -322,6 +322,7 @@ def _sizes(study: GapStudy) -> str:
 def _where(study: GapStudy) -> str:
     if not study.spots:
         return "Nowhere: no channel stands out over any variable by more than chance."
+    level, calm_level = (float(np.nanmean(r.residual**2)) for r in (study.flight_replay, study.calm_replay))
     texts = []
     for spot in study.spots[:3]:
         if spot.standing_out > 0.0:
@@ -332,8 +333,8 @@ def _where(study: GapStudy) -> str:
             at = "all the time alike"
         texts.append(f"{CHANNEL_WORDS[spot.channel].lower()} {at} (excess {spot.excess:.2g})")
     return (
-        f"Most of all in {'; '.join(texts)}. Excess is the mean square residual over the calm flight's, in squared "
-        "sigmas of the pose noise."
+        f"Over the whole flight the mean square residual is {level:.2g} squared sigmas of the pose noise, on the calm "
+        f"flight {calm_level:.2g}. Most of it is in {'; '.join(texts)}; excess is what is over the calm flight's."
     )
 
 
@@ -341,8 +342,8 @@ def _contest(study: GapStudy, record: dict[str, Any]) -> str:
     first, *others = record["ranking"]
     second = next((r for r in others if "same_as" not in r), None)
     text = (
-        f"{len(record['ranking'])} effects were tried. {_plain(first['effect'])} explains most: evidence "
-        f"{first['gain']:.0f}, where {record['threshold']:.0f} are needed so that it is not chance; probability "
+        f"{len(record['ranking'])} effects were tried; {record['threshold']:.0f} of evidence are needed so that it is "
+        f"not chance. {_plain(first['effect'])} has most: {first['gain']:.0f}, probability "
         f"{_percent(first['probability'])}. "
     )
     if second is not None:
