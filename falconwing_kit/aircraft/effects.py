@@ -335,6 +335,11 @@ CATALOGUE: tuple[Effect, ...] = (
         (Parameter("actuator_lag", 0.02, -0.05, 0.6, "s", "time constant added to servo and propeller"),),
         starts=({"actuator_lag": 0.1},),
     ),
+    Effect(  # the same effect in its other form: not the servo itself is slower, something follows it slowly
+        "actuator_lag", "What follows the servos, a linkage or the motor, has become slow.",
+        (Parameter("lag_in_series", 0.02, 0.0, 0.6, "s", "time constant of what follows the servo"),),
+        starts=({"lag_in_series": 0.1},),
+    ),
     Effect(
         "trim_bias", "The neutral of the sticks has moved.",
         tuple(
@@ -380,4 +385,4 @@ CATALOGUE: tuple[Effect, ...] = (
         starts=({"stall_alpha": 0.13}, {"stall_alpha": 0.17}), shape=("stall_alpha",),
     ),
 )  # fmt: skip
-EFFECT_NAMES = tuple(effect.name for effect in CATALOGUE)
+EFFECT_NAMES = tuple(dict.fromkeys(effect.name for effect in CATALOGUE))

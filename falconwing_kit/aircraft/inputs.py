@@ -52,3 +52,30 @@ def acting_commands(t: Array, commands: Array, edges: Array, delay: float, lag: 
         mean = mean - lag / duration * (end - begin)
         moment = moment - lag * duration * (0.5 * (begin + end) - mean)
     return mean, 6.0 * moment / duration**2
+
+
+def lag_again(mean: Array, swing: Array, durations: Array, lag: float) -> tuple[Array, Array]:
+    """A second servo in series: first-order lag of positions that change linearly over each step.
+
+    Args:
+        mean: (..., S, 4) mean position over each step.
+        swing: (..., S, 4) half of its change over the step.
+        durations: (..., S) step lengths [s].
+        lag: time constant [s]; at zero the positions pass as they are.
+
+    Returns:
+        mean and swing after the lag, each (..., S, 4); settled at the first step.
+    """
+    if lag < 1e-6:
+        return mean, swing
+    duration = durations[..., None]
+    kept, behind = np.exp(-duration / lag), 2.0 * lag / duration * swing
+    position = np.empty((*mean.shape[:-2], mean.shape[-2] + 1, mean.shape[-1]))
+    position[..., 0, :] = mean[..., 0, :]
+    for k in range(mean.shape[-2]):
+        m, s, b = mean[..., k, :], swing[..., k, :], behind[..., k, :]
+        position[..., k + 1, :] = m + s - b + (position[..., k, :] - (m - s - b)) * kept[..., k, :]
+    begin, end = position[..., :-1, :], position[..., 1:, :]
+    after = mean - lag / duration * (end - begin)
+    moment = swing * duration**2 / 6.0 - lag * duration * (0.5 * (begin + end) - after)
+    return after, 6.0 * moment / duration**2

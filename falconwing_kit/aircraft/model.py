@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from falconwing_kit.aircraft.effects import Effect
-from falconwing_kit.aircraft.inputs import INPUT_PARAMETERS, acting_commands
+from falconwing_kit.aircraft.inputs import INPUT_PARAMETERS, acting_commands, lag_again
 from falconwing_kit.aircraft.terms import (
     FORCES,
     MOMENTS,
@@ -98,7 +98,7 @@ class Model:
     @property
     def input_names(self) -> tuple[str, ...]:
         """Parameters that act on the sticks before the flight is integrated."""
-        known = ("delay", "lag", "control_delay", "actuator_lag")
+        known = ("delay", "lag", "control_delay", "actuator_lag", "lag_in_series")
         own = tuple(p.name for effect in self.effects if effect.sticks for p in effect.parameters)
         return tuple(name for name in self.names if name in known or name in own)
 
@@ -119,7 +119,8 @@ class Model:
                 commands = effect.sticks(t, commands, K)
         delay = K.delay + getattr(K, "control_delay", 0.0)
         lag = K.lag + getattr(K, "actuator_lag", 0.0)
-        return acting_commands(t, commands, edges, max(delay, 0.0), max(lag, 0.0))
+        mean, swing = acting_commands(t, commands, edges, max(delay, 0.0), max(lag, 0.0))
+        return lag_again(mean, swing, np.diff(edges, axis=-1), getattr(K, "lag_in_series", 0.0))
 
     def with_effect(self, effect: Effect) -> "Model":
         """The same model with an effect added, its parameters at their starting values.
