@@ -67,10 +67,11 @@ class JsbsimAircraft:
     thrust_per_speed: float = 0.075  # of it lost with speed [N s/m]
     servo: float = 30.0  # bandwidth of all four [rad/s]
     delay: float = 0.02  # from stick to servo [s], a whole number of integration steps
+    cg_back: float = 0.0  # centre of gravity behind the point where the aerodynamic forces act [m]
 
     def redrawn(self, rng: np.random.Generator, spread: float) -> "JsbsimAircraft":
         """The same aircraft, each inertia and coefficient times exp(spread * normal); its sizes and delay stay."""
-        kept = ("mass", "wing_area", "span", "chord", "delay")
+        kept = ("mass", "wing_area", "span", "chord", "delay", "cg_back")
         drawn = {k: float(v * np.exp(spread * rng.normal())) for k, v in asdict(self).items() if k not in kept}
         drawn["Izz"] = min(drawn["Izz"], 0.97 * (drawn["Ixx"] + drawn["Iyy"]))  # as of any solid body
         return replace(self, **drawn)
@@ -78,7 +79,7 @@ class JsbsimAircraft:
     def kit_model(self, step: float = STEP) -> Model:
         """The kit's rate-augmented model of the same aircraft: its coefficients per unit mass and inertia.
 
-        Exact but for two things. A side force along the wind axes' y leans forward by the sideslip: to second order
+        For a `cg_back` of zero. Exact but for two things. A side force along the wind axes' y leans forward by the sideslip: to second order
         it takes CYb off the sideslip drag. And JSBSim answers half an integration step late: a stick acts on the
         accelerations of the next step, of which its servo filter (Tustin) takes half back.
         """
@@ -281,7 +282,7 @@ def aircraft_xml(aircraft: JsbsimAircraft) -> str:
 <chord unit="M">{aircraft.chord}</chord><location name="AERORP" unit="M">{origin}</location></metrics>
 <mass_balance><ixx unit="KG*M2">{aircraft.Ixx}</ixx><iyy unit="KG*M2">{aircraft.Iyy}</iyy>
 <izz unit="KG*M2">{aircraft.Izz}</izz><emptywt unit="KG">{aircraft.mass}</emptywt>
-<location name="CG" unit="M">{origin}</location></mass_balance><ground_reactions/>
+<location name="CG" unit="M"><x>{aircraft.cg_back!r}</x><y>0</y><z>0</z></location></mass_balance><ground_reactions/>
 <flight_control name="servos">{properties}<channel name="servos">{servos}</channel></flight_control>
 <external_reactions><force name="thrust" frame="BODY"><function name="falcon/thrust-lbs">
 <sum>{product("falcon/throttle", "falcon/thrust", 1.0 / POUND)}
