@@ -27,6 +27,7 @@ class Flown:
     t: np.ndarray  # (N,) [s]
     states: np.ndarray  # (B, N, n) in the order of STATE_NAMES, SI
     sticks: np.ndarray  # (B, N, 4) in the order of COMMAND_NAMES
+    lost: np.ndarray  # (N,) rows whose frame never came: nobody moved the sticks
 
 
 def drawn(model: Model, rng: np.random.Generator, spread: float = 0.15) -> Model:
@@ -41,7 +42,7 @@ def drawn(model: Model, rng: np.random.Generator, spread: float = 0.15) -> Model
 
 def fly_figure_eights(
     models: list[Model], seconds: float, rng: np.random.Generator,
-    shake: float = 1.0, jitter: float = 0.0, held: tuple[int, ...] = (),
+    shake: float = 1.0, jitter: float = 0.0, lost: float = 0.0, held: tuple[int, ...] = (),
 ) -> Flown:  # fmt: skip
     """A pilot flies figure eights of some 40 m by 30 m and shakes all sticks; one aircraft per model, all of one form.
 
@@ -51,18 +52,20 @@ def fly_figure_eights(
         rng: draws frequencies (0.15 to 1.6 Hz) and phases of the shaking.
         shake: 1 excites every parameter within a minute or two, 0 not at all.
         jitter: frames, and the sticks with them, come up to this much early or late [s].
+        lost: share of the frames that never come.
         held: sticks that stay at zero, by their number.
     """
     first, count, rows = models[0], len(models), round(seconds / DT) + 1
     K = record_of(first.names)(*np.array([m.vector for m in models]).T)
     rates, pilot = state_rates(first.form, first.terms, first.winds), _figure_eights(rng, count, shake, held)
     t = np.arange(rows) * DT + rng.uniform(-jitter, jitter, rows)
+    asleep = (rng.random(rows) < lost) & (t > DT)
     x = np.zeros((first.n_states, count))
     x[2], x[3], x[6] = HEIGHT, 0.1, SPEED
     states, sticks = np.empty((rows, *x.shape)), np.empty((rows, 4, count))
     position, lag = pilot(0.0, x), np.maximum(K.lag, 1e-9)  # of the servos, settled at the first sticks
     for k in range(rows):
-        states[k], sticks[k] = x, pilot(t[k], x)
+        states[k], sticks[k] = x, sticks[k - 1] if asleep[k] else pilot(t[k], x)
         if k == rows - 1:
             break
         h = (t[k + 1] - t[k]) / FINE
@@ -73,11 +76,11 @@ def fly_figure_eights(
             swing = np.where(lag > h, 0.5 * (turned - position), 0.0)  # a servo without lag jumps and stays
             x = step_batch(rates, K, now, x, mean, h, swing)
             position = turned
-    return Flown(t, states.transpose(2, 0, 1), sticks.transpose(2, 0, 1))
+    return Flown(t, states.transpose(2, 0, 1), sticks.transpose(2, 0, 1), asleep)
 
 
 def _arriving(t, sticks, k, sent, h):
-    """Sticks (4, B) that reach the servos at the start and at the end of a step, and for how long the first act (B,)."""
+    """Sticks (4, B) that reach the servos at the start and the end of a step, and how long the first act (B,)."""
     row = np.clip(np.searchsorted(t, sent, side="right") - 1, 0, k)
     each = np.arange(len(row))
     until_next = np.where(sent < t[0], h, t[row + 1] - sent)
@@ -121,7 +124,7 @@ def measured(
     flown: Flown, rng: np.random.Generator, which: int = 0, noise: tuple[float, float] = MARKER,
     outliers: float = 0.0, missing: float = 0.0, slow: float = 0.0,
 ) -> FlightTable:  # fmt: skip
-    """Poses as a camera would measure them.
+    """Poses as a camera would measure them; there is no row where the frame never came.
 
     Args:
         flown: the true flights.
@@ -132,7 +135,8 @@ def measured(
         missing: share of rows without a pose.
         slow: share of the noise's variance that is correlated over 0.5 s.
     """
-    states, count = flown.states[which], len(flown.t)
+    seen = ~flown.lost
+    states, count = flown.states[which, seen], int(seen.sum())
     error = np.sqrt(1.0 - slow) * rng.normal(size=(count, 6)) + np.sqrt(slow) * correlated(count, rng)
     p_world = states[:, :3] + noise[0] * error[:, :3]
     angles = states[:, [5, 3, 4]] + noise[1] * error[:, 3:]
@@ -141,7 +145,7 @@ def measured(
     angles[off] += rng.normal(0.0, 0.8, (off.sum(), 3))
     p_world[lost], angles[lost] = np.nan, np.nan
     angles = (angles + np.pi) % (2.0 * np.pi) - np.pi
-    return FlightTable("simulated", flown.t, p_world, angles, flown.sticks[which])
+    return FlightTable("simulated", flown.t[seen], p_world, angles, flown.sticks[which, seen])
 
 
 def correlated(count: int, rng: np.random.Generator) -> np.ndarray:

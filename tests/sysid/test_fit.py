@@ -1,6 +1,7 @@
 """The fit against known truth, against SciPy's optimiser on the same problem, and against dense linear algebra."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -236,7 +237,7 @@ def test_every_step_lowers_the_cost_and_is_told(small):
     found = fit(start, windows, starts, tolerance=1e-6, on_step=lambda i, chi2: told.append((i, chi2)))
     assert [i for i, _ in told] == list(range(1, found.iterations + 1))
     chi2 = [c for _, c in told]
-    assert all(b < a for a, b in zip(chi2, chi2[1:], strict=False))
+    assert all(b < a for a, b in pairwise(chi2))
     assert chi2[-1] == pytest.approx(found.cost / windows.count)
 
 

@@ -270,4 +270,3 @@ def test_other_frame_rates(rng, rate_hz):
     done = prepare(table(t, path(t) + SIGMA * rng.normal(size=(len(t), 6))))
     assert done.sigma == pytest.approx(SIGMA, rel=0.2)
     assert done.outliers <= 2
-

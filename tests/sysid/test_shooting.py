@@ -1,4 +1,4 @@
-"""Multiple shooting: windows, predictions and derivatives against the truth of simulated flights and central differences."""
+"""Multiple shooting: windows, predictions and derivatives against the truth of simulated flights."""
 
 from dataclasses import replace
 
@@ -131,7 +131,7 @@ def test_the_true_aircraft_from_the_true_state_predicts_the_true_poses(perfect):
 def test_residuals_are_sigmas(perfect):
     """1 m and 0.1 rad added to what was measured: residuals of -1/sigma and -0.1/sigma."""
     truth, windows, states = perfect
-    moved = replace(windows, pose=windows.pose + [1.0, 0.0, 0.0, 0.0, 0.0, 0.1])
+    moved = replace(windows, pose=windows.pose + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
     change = pose_residuals(residuals(truth, moved, states), windows)
     change = change - pose_residuals(residuals(truth, windows, states), windows)
     want = np.array([-1.0 / SIGMA[0], 0.0, 0.0, 0.0, 0.0, -0.1 / SIGMA[5]])

@@ -1,0 +1,175 @@
+"""The model file: what was written comes back, and a damaged file is refused in one sentence."""
+
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from falconwing_kit.aircraft.integrate import roll_out
+from falconwing_kit.aircraft.model import FORMS, in_wind
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.config import write_toml
+from falconwing_kit.sysid.model_file import read_model, write_model
+from falconwing_kit.sysid.uncertainty import Uncertainty
+from tests.core.test_fuzz import mutate
+from tests.sysid.simulated import example_found
+
+DAMAGED = 2000
+
+
+@pytest.fixture
+def path(tmp_path):
+    """The example's model file."""
+    write_model(tmp_path / "model.toml", example_found())
+    return tmp_path / "model.toml"
+
+
+def edited(path, old, new):
+    """The file with one piece of text replaced."""
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    return path
+
+
+# Round trip -------------------------------------------------------------------------------------------------------
+
+
+def test_what_was_written_comes_back(path):
+    """Inverse of each other: values, bounds, names, noise and flights to the last bit, covariance to six digits."""
+    found, read = example_found(), read_model(path)
+    assert dict(read.model.values) == dict(found.model.values)
+    assert read.model.parameters == found.model.parameters
+    assert (read.model.form, read.model.terms, read.model.winds) == ("rates", found.model.terms, ())
+    assert (read.names, read.flights) == (found.uncertainty.names, ("simulated",))
+    assert np.array_equal(read.sigma, found.sigma)
+    assert read.covariance == pytest.approx(found.uncertainty.covariance, rel=1e-5)
+
+
+def test_the_read_model_flies_the_same_flight(path):
+    """The same bits in, the same bits out."""
+    start, sticks = np.zeros(12), np.full((40, 4), 0.1)
+    start[[2, 6]] = 2.0, 7.0
+    flown = [roll_out(m, start, sticks, 0.025) for m in (example_found().model, read_model(path).model)]
+    assert np.array_equal(*flown)
+
+
+def test_the_file_says_what_its_numbers_are(path):
+    """For people and other programs: plain TOML with units, bounds, intervals, scores and the flights' names."""
+    content = tomllib.loads(path.read_text())
+    found = example_found()
+    kT = content["parameters"]["kT"]
+    low, high = found.interval("kT")
+    assert (kT["unit"], kT["low95"], kT["high95"]) == ("m/s^2", low, high)
+    assert low < kT["value"] < high
+    assert content["fit"]["held_out_chi2"] == found.held_out.chi2
+    assert content["fit"]["flights"] == ["simulated"]
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("windy", [False, True])
+def test_every_form_and_the_wind_come_back(tmp_path, form, windy):
+    """Terms are named in the file; held parameters have no interval; bounds are those of the model."""
+    model = in_wind(FORMS[form](), 0.5, -0.25) if windy else FORMS[form]()
+    model = model.pinned(["kT"])
+    sure = Uncertainty(("La",), np.array([[1e-4]]), 1.0, (), (), ())
+    write_model(tmp_path / "m.toml", replace(example_found(), model=model, uncertainty=sure, held_out=None))
+    read = read_model(tmp_path / "m.toml")
+    assert dict(read.model.values) == dict(model.values)
+    assert (read.model.parameters, read.model.terms, read.model.winds) == (model.parameters, model.terms, model.winds)
+    assert (read.names, read.covariance.tolist()) == (("La",), [[1e-4]])
+    assert "low95" not in tomllib.loads((tmp_path / "m.toml").read_text())["parameters"]["kT"]
+
+
+def test_without_noise_it_is_unknown(path):
+    """The list of sigmas may be missing or short: six nan."""
+    text = path.read_text().splitlines(keepends=True)
+    begin = next(i for i, line in enumerate(text) if line.startswith("sigma"))
+    end = next(i for i in range(begin, len(text)) if text[i].rstrip().endswith("]"))
+    path.write_text("".join(text[:begin] + text[end + 1 :]))
+    assert np.isnan(read_model(path).sigma).all() and len(read_model(path).sigma) == 6
+
+
+# Refused ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('form = "rates"', 'form = "glider"', "form: want one of paper, rates, got 'glider'"),
+        ('"drag"', '"magic"', r"terms: want names out of .*drag.*, got 'magic'"),
+        ("[parameters.cLa]", "[parameters.cLx]", "parameters: want .*'cLa' does not fit"),
+        ("[parameters.kT]\nvalue = ", "[parameters.kT]\nvalue = nan #", "parameters.kT.value"),
+        ("[parameters.kT]\nvalue = ", '[parameters.kT]\nvalue = "much" #', "parameters.kT.value"),
+        ("[parameters.kT]\nvalue", "[parameters.kT]\nworth", "worth"),
+        ("[fit]", "[fits]", "fits"),
+        ("[covariance]", "[covariances]", "covariances"),
+    ],
+)
+def test_a_wrong_entry_is_named(path, old, new, sentence):
+    """One sentence with the file's name and the entry."""
+    with pytest.raises(InputError, match=sentence) as refusal:
+        read_model(edited(path, old, new))
+    assert str(refusal.value).count("\n") == 0 and "model.toml" in str(refusal.value)
+
+
+def test_a_parameter_too_many_is_named(path):
+    """A parameter that no term of the form reads."""
+    path.write_text(path.read_text() + '\n[parameters.extra]\nvalue = 1.0\nunit = "-"\nlow = 0.0\nhigh = 2.0\n')
+    with pytest.raises(InputError, match="'extra' does not fit"):
+        read_model(path)
+
+
+@pytest.mark.parametrize("change", ["row missing", "number missing", "name unknown", "name missing"])
+def test_a_covariance_of_another_shape_is_refused(path, change):
+    """29 names want 29 rows of 29 numbers, of parameters that are there."""
+    content = tomllib.loads(path.read_text())
+    covariance = content["covariance"]
+    if change == "row missing":
+        covariance["matrix"].pop()
+    elif change == "number missing":
+        covariance["matrix"][3].pop()
+    elif change == "name missing":
+        covariance["names"].pop()
+    else:
+        covariance["names"][0] = "cXX"
+    write_toml(path, content)
+    wanted = "names of parameters" if change == "name unknown" else r"want \d+ rows of \d+ numbers"
+    with pytest.raises(InputError, match=f"model.toml: covariance: .*{wanted}"):
+        read_model(path)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
+def test_a_file_that_is_cut_off_is_refused(path, share):
+    """Whatever is missing is an error, none of it a guess."""
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(InputError) as refusal:
+        read_model(path)
+    assert str(refusal.value).count("\n") == 0
+
+
+def test_no_file_is_no_file(tmp_path):
+    """The path is in the message."""
+    with pytest.raises(FileNotFoundError, match=r"absent\.toml"):
+        read_model(tmp_path / "absent.toml")
+
+
+def test_damaged_files_are_read_or_refused_in_a_sentence(tmp_path):
+    """2,000 mutations of a file with few parameters: the only exception is an InputError of one line, and what is read
+    is a model of finite numbers."""
+    sure = Uncertainty(("La", "kT"), np.diag([1e-4, 1e-2]), 1.0, (), (), ())
+    path = tmp_path / "m.toml"
+    write_model(path, replace(example_found(), model=FORMS["paper"](), uncertainty=sure))
+    whole, outcomes = path.read_bytes(), {"read": 0, "refused": 0}
+    for number in range(DAMAGED):
+        path.write_bytes(mutate(whole, np.random.default_rng(number)))
+        try:
+            read = read_model(path)
+            assert np.isfinite(read.model.vector).all() and np.isfinite(read.covariance).all()
+            outcomes["read"] += 1
+        except InputError as error:
+            assert str(error).count("\n") == 0 and len(str(error)) < 2000, f"mutation {number}: {error}"
+            outcomes["refused"] += 1
+    assert sum(outcomes.values()) == DAMAGED and min(outcomes.values()) > DAMAGED // 100, outcomes
