@@ -79,9 +79,9 @@ class JsbsimAircraft:
     def kit_model(self, step: float = STEP) -> Model:
         """The kit's rate-augmented model of the same aircraft: its coefficients per unit mass and inertia.
 
-        For a `cg_back` of zero. Exact but for two things. A side force along the wind axes' y leans forward by the sideslip: to second order
-        it takes CYb off the sideslip drag. And JSBSim answers half an integration step late: a stick acts on the
-        accelerations of the next step, of which its servo filter (Tustin) takes half back.
+        For a `cg_back` of zero. Exact but for two things. A side force along the wind axes' y leans forward by the
+        sideslip: to second order it takes CYb off the sideslip drag. And JSBSim answers half an integration step late:
+        a stick acts on the accelerations of the next step, of which its servo filter (Tustin) takes half back.
         """
         force = 0.5 * SEA_LEVEL_DENSITY * self.wing_area / self.mass
         roll, yaw = (0.5 * SEA_LEVEL_DENSITY * self.wing_area * self.span / inertia for inertia in (self.Ixx, self.Izz))
