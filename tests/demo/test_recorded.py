@@ -16,7 +16,7 @@ from falconwing_kit.cli.main import main
 from falconwing_kit.demo import recorded
 from falconwing_kit.demo.recorded import RecordedFlights
 from falconwing_kit.sysid.model_file import read_model
-from tests.demo.test_page import page_problems
+from tests.gap.test_page import page_problems
 
 FIGURES = ("predicted", "residuals", "intervals", "alfa_track", "alfa_predicted", "alfa_forecasts", "alfa_failure")
 OTHERS = ("index.html", "demo.json", "model_150g.toml", "model_alfa.toml")
