@@ -138,7 +138,9 @@ def read_model(
     if file.form not in FORMS:
         raise InputError(f"{Path(path).name}: form: want one of {', '.join(FORMS)}, got {file.form!r}")
     terms = _named(file.terms, {t.name: t for t in known}, "terms", path)
-    effects = _named(file.effects, {e.name: e for e in catalogue}, "effects", path)
+    # One name may stand for two effects with parameters of their own: the one whose parameters the file has counts.
+    by_fit = sorted(catalogue, key=lambda e: all(p.name in file.parameters for p in e.parameters))
+    effects = _named(file.effects, {e.name: e for e in by_fit}, "effects", path)
     base = FORMS[file.form]()
     own = {t.name for t in base.terms}
     model = base.adding(*(term for term in terms if term.name not in own))

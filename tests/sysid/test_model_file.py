@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.integrate import roll_out
-from falconwing_kit.aircraft.model import FORMS, in_wind
+from falconwing_kit.aircraft.model import FORMS, in_wind, rates_model
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.config import write_toml
 from falconwing_kit.sysid.model_file import read_model, write_model
@@ -82,6 +83,18 @@ def test_every_form_and_the_wind_come_back(tmp_path, form, windy):
     assert "low95" not in tomllib.loads((tmp_path / "m.toml").read_text())["parameters"]["kT"]
 
 
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.name)
+def test_every_effect_comes_back(tmp_path, effect):
+    """A model with an effect has it after reading, too: its values, bounds and functions."""
+    model = rates_model().with_effect(effect)
+    model = model.with_values({p.name: 0.5 * (p.low + p.high) for p in effect.parameters})
+    sure = Uncertainty(("La",), np.array([[1e-4]]), 1.0, (), (), ())
+    write_model(tmp_path / "m.toml", replace(example_found(), model=model, uncertainty=sure))
+    read = read_model(tmp_path / "m.toml").model
+    assert (dict(read.values), read.parameters) == (dict(model.values), model.parameters)
+    assert (read.effects, read.terms, read.winds) == (model.effects, model.terms, model.winds)
+
+
 def test_without_noise_it_is_unknown(path):
     """The list of sigmas may be missing or short: six nan."""
     text = path.read_text().splitlines(keepends=True)
@@ -99,6 +112,7 @@ def test_without_noise_it_is_unknown(path):
     [
         ('form = "rates"', 'form = "glider"', "form: want one of paper, rates, got 'glider'"),
         ('"drag"', '"magic"', r"terms: want names out of .*drag.*, got 'magic'"),
+        ("effects = []", 'effects = ["magic"]', "effects: want names out of .*wind.*, got 'magic'"),
         ("[parameters.cLa]", "[parameters.cLx]", "parameters: want .*'cLa' does not fit"),
         ("[parameters.kT]\nvalue = ", "[parameters.kT]\nvalue = nan #", "parameters.kT.value"),
         ("[parameters.kT]\nvalue = ", '[parameters.kT]\nvalue = "much" #', "parameters.kT.value"),

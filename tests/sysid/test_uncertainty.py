@@ -7,6 +7,7 @@ import pytest
 
 from falconwing_kit.aircraft.model import rates_model
 from falconwing_kit.aircraft.terms import Parameter
+from falconwing_kit.core.flight_table import slice_time
 from falconwing_kit.sysid.fit import Prior, fit
 from falconwing_kit.sysid.prepare import prepare
 from falconwing_kit.sysid.shooting import cut_windows
@@ -16,8 +17,9 @@ from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
 SIGMA = np.array([MARKER[0]] * 3 + [MARKER[1]] * 3)
 
 
-def windows_of(flown, rng, **noise):
-    return cut_windows(prepare(measured(flown, rng, **noise), SIGMA).flights, rates_model())
+def windows_of(flown, rng, seconds=100.0, **noise):
+    table = slice_time(measured(flown, rng, **noise), 0.0, seconds)
+    return cut_windows(prepare(table, SIGMA).flights, rates_model())
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +34,7 @@ def flown():
 def fitted(flown):
     """The fit of its first 20 s to white noise: windows and result."""
     truth, whole = flown
-    part = replace(whole, t=whole.t[:401], states=whole.states[:, :401], sticks=whole.sticks[:, :401])
-    windows = windows_of(part, np.random.default_rng(1))
+    windows = windows_of(whole, np.random.default_rng(1), seconds=20.0)
     return windows, fit(truth, windows, windows.guess)
 
 
