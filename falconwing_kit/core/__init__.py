@@ -24,6 +24,7 @@ from falconwing_kit.core.frames import (
     euler_rates,
     pose_matrix,
     rotation_world_body,
+    up_in_body,
     world_from_enu,
     wrap_angle,
 )
@@ -76,6 +77,7 @@ __all__ = [
     "slice_time",
     "split_by_time",
     "to_flight_table",
+    "up_in_body",
     "world_from_enu",
     "wrap_angle",
     "write_flight_table",

@@ -114,6 +114,20 @@ def euler_rates(row_z, p, q, r):  # type: ignore[no-untyped-def]
     return p + sin_pitch * yaw_rate, pitch_rate, yaw_rate
 
 
+def up_in_body(roll: ArrayLike, pitch: ArrayLike) -> tuple[Array, Array, Array]:
+    """Last row of R_world_body: the world's up axis, written in body axes.
+
+    Args:
+        roll: (...) [rad].
+        pitch: (...) [rad].
+
+    Returns:
+        Components along nose, right wing and belly, each (...).
+    """
+    roll, pitch = np.asarray(roll, np.float64), np.asarray(pitch, np.float64)
+    return np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)
+
+
 def body_rates(
     roll: ArrayLike, pitch: ArrayLike, roll_rate: ArrayLike, pitch_rate: ArrayLike, yaw_rate: ArrayLike
 ) -> tuple[Array, Array, Array]:

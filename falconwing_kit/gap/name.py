@@ -178,7 +178,8 @@ def _second(
     progress: Progress,
 ) -> Candidate | None:
     """A second effect by the same rule, on top of the first."""
-    assert first.result is not None
+    if first.result is None:
+        return None
     rest = [e for e in catalogue if e.name != first.effect.name]
     ranking = _rank(base, windows, first.result, rest, progress)
     # What a strong effect leaves is also the error of its own formula: ask for a fiftieth of it.

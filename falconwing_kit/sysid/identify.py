@@ -150,7 +150,7 @@ def _starting_model(model: Model, flights: Sequence[Flight], prior: Prior | None
     guess = windows.guess[:, : model.n_states]
     slow = {"lag": 0.06} if model.parameters[model.names.index("lag")].high > 0.06 else {}
     # The one-step fit is biased and yet near; a servo taken for too fast hides in half the roll damping.
-    candidates = [model, fit_one_step(model, flights, smoothed=True, most=3000), model.with_values(slow)]
+    candidates = [model, fit_one_step(model, flights, smoothed=True, most=1500), model.with_values(slow)]
     tried = [(start, *fit_starts(start, windows, guess, iterations=3)) for start in candidates]
     best, best_cost = model, np.inf
     for start, starts, residual in sorted(tried, key=lambda t: _clipped(t[2])):

@@ -14,7 +14,7 @@ import numpy as np
 from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
 from falconwing_kit.aircraft.model import Model, record_of, state_rates
 from falconwing_kit.core.checks import Array, InputError
-from falconwing_kit.core.frames import euler_rates
+from falconwing_kit.core.frames import euler_rates, up_in_body
 from falconwing_kit.sysid.prepare import Flight
 
 POSE_ROWS = [0, 1, 2, 5, 3, 4]  # rows of a state that a pose shows, in the order of prepare.CHANNELS
@@ -164,9 +164,8 @@ def predict(
 
 def _tilt_camera(poses: Array, K: Any) -> None:
     """Turn predicted attitudes by a small rotation in the body, in place: the camera looks elsewhere."""
-    roll, pitch = poses[:, 3], poses[:, 4]
-    row_z = np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)
-    poses[:, 3:] += np.stack(euler_rates(row_z, K.tilt_roll, K.tilt_pitch, 0.0 * roll), axis=1)
+    up = up_in_body(poses[:, 3], poses[:, 4])
+    poses[:, 3:] += np.stack(euler_rates(up, K.tilt_roll, K.tilt_pitch, 0.0 * poses[:, 3]), axis=1)
 
 
 def residuals(model: Model, windows: Windows, starts: Array) -> Array:
