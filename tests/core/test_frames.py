@@ -14,6 +14,7 @@ from falconwing_kit.core.frames import (
     pose_matrix,
     rotation_entries,
     rotation_world_body,
+    up_in_body,
     world_from_enu,
     wrap_angle,
 )
@@ -156,3 +157,10 @@ def test_world_from_north_east_down_keeps_the_angles():
 def test_world_from_east_north_up():
     """By hand: east is -y, north is x, up is z."""
     assert world_from_enu([1.0, 2.0, 3.0]).tolist() == [2.0, -1.0, 3.0]
+
+
+def test_up_in_body_is_the_last_row_of_the_rotation(rng):
+    """By definition: up is the world's third axis, and R_world_body turns body vectors into world ones."""
+    roll, pitch, yaw = rng.uniform(-1.2, 1.2, (3, 50))
+    R = rotation_world_body(roll, pitch, yaw)
+    assert np.allclose(np.stack(up_in_body(roll, pitch), axis=-1), R[:, 2], atol=1e-14)
