@@ -1,0 +1,115 @@
+"""Figures of README and manual: the two recorded flights of the demo -> identify_demo.png beside this file.
+
+    .venv/bin/python manual/figures/make_figures.py
+
+Run it again when the demo's answer changes; about half a minute.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from falconwing_kit.demo.alfa_story import AlfaStory
+from falconwing_kit.demo.recorded import RecordedFlights, study_recorded_flights
+from falconwing_kit.gap.plots import ACCENT, MEASURED, PREDICTED, QUIET, figure
+from falconwing_kit.sysid.identify import Identification
+from falconwing_kit.sysid.score import select
+from falconwing_kit.sysid.shooting import fly_windows
+
+FOLDER = Path(__file__).resolve().parent
+SHOWN_S = 10.0  # of the simulated flight: one block of the time that was kept back
+BEFORE_S = 30.0  # of the real flight, before its engine stops
+CHANNELS = ((3, "roll [deg]", 180.0 / np.pi), (4, "pitch [deg]", 180.0 / np.pi), (2, "height [m]", 1.0))
+
+
+def main() -> None:
+    """Study both flights and draw them."""
+    path = FOLDER / "identify_demo.png"
+    draw_identify_demo(study_recorded_flights(print), path)
+    print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+
+
+def draw_identify_demo(found: RecordedFlights, path: Path) -> None:
+    """Both flights side by side: the picture of README.
+
+    Args:
+        found: what the demo found.
+        path: the PNG to write.
+    """
+    with figure(path, 3, 2, (10.0, 5.4), width_ratios=[1.0, 1.05]) as axes:
+        draw_simulated(axes[:, 0], found.small)
+        draw_real(axes[:, 1], found.alfa)
+
+
+def draw_simulated(axes: Any, found: Identification) -> None:
+    """Two-second predictions over one block of time that the model was not fitted to.
+
+    Args:
+        axes: three, one a channel.
+        found: the identification of the 150 g aircraft.
+    """
+    windows = select(found.windows, found.held_out_index)
+    begin = windows.nodes[0, 0]
+    block = np.flatnonzero(windows.nodes[:, -1] < begin + SHOWN_S + 0.5)
+    predicted = fly_windows(found.train_model, select(windows, block), found.held_out.starts[block])
+    for ax, (channel, label, scale) in zip(axes, CHANNELS, strict=True):
+        for k, poses in zip(block, predicted[..., channel] * scale, strict=True):
+            t, seen = windows.nodes[k], windows.weight[k, :, channel] > 0
+            ax.plot(t[seen], windows.pose[k, seen, channel] * scale, ".", ms=3.2, color=MEASURED)
+            ax.plot(t, poses, "-", lw=1.6, color=PREDICTED)
+            ax.plot(t[0], poses[0], "o", ms=4.5, color=ACCENT)
+        ax.set_ylabel(label)
+        ax.label_outer()
+    axes[0].set_title("Simulated, 150 g: two seconds ahead")
+    axes[2].set_xlabel("time [s]")
+    axes[0].plot([], [], ".", color=MEASURED, label="measured pose")
+    axes[0].plot([], [], "-", color=PREDICTED, label="model, on the sticks alone")
+    axes[0].plot([], [], "o", ms=4.5, color=ACCENT, label="starts from here")
+    axes[0].legend(loc="lower right", fontsize=8.0, borderaxespad=0.0, labelspacing=0.2)
+
+
+def draw_real(axes: Any, story: AlfaStory) -> None:
+    """How far forecasts run ahead of the real aircraft around its engine's failure, and its speed.
+
+    Args:
+        axes: three; the upper two are joined.
+        story: the real flight's.
+    """
+    grid = axes[0].get_gridspec()
+    drawing = axes[0].figure
+    for ax in axes[:2]:
+        ax.remove()
+    ahead, speed = drawing.add_subplot(grid[:2, 1], sharex=axes[2]), axes[2]
+    begin = story.failure_time - BEFORE_S
+    looks = (
+        ("healthy", "-", ACCENT, 2.4, "forecast for an engine that runs on"),
+        ("told", "--", PREDICTED, 1.6, "forecast that is told the throttle"),
+    )
+    for name, line, colour, width, label in looks:
+        t, error = story.running[name]
+        ahead.plot(t[t > begin], error[t > begin], line, color=colour, lw=width, label=label)
+    ahead.axhspan(-story.ordinary_error, story.ordinary_error, color="#eeeeee", zorder=0)
+    text = "grey: what healthy flight showed"
+    ahead.annotate(text, (begin, -story.ordinary_error), (4, 5), textcoords="offset points", fontsize=8.5, color=QUIET)
+    if story.parts_at is not None:
+        ahead.axvline(story.parts_at, color=QUIET, lw=1.0, ls="-.")
+        late = f"{story.parts_at - story.failure_time:.1f} s later\nit shows"
+        ahead.annotate(late, (story.parts_at, -0.45), (6, 0), textcoords="offset points", fontsize=8.5)
+    ahead.set_title("Real, 2 m wide: one second ahead")
+    ahead.set_ylabel("ahead of the aircraft [m]")
+    ahead.tick_params(labelbottom=False)
+    ahead.legend(loc="upper left", fontsize=8.5)
+    over_ground = np.sqrt(sum(story.table.extra[name] ** 2 for name in ("vx", "vy", "vz")))
+    shown = story.table.t > begin
+    speed.plot(story.table.t[shown], over_ground[shown], "-", color=MEASURED, lw=2.0)
+    speed.set_ylabel("measured\nspeed [m/s]")
+    speed.set_xlabel("time [s]")
+    for ax in (ahead, speed):
+        ax.axvline(story.failure_time, color=ACCENT, lw=1.2, ls=":")
+    mark = {"textcoords": "offset points", "ha": "right", "fontsize": 8.5, "color": ACCENT}
+    speed.annotate("engine off", (story.failure_time, over_ground[shown].min()), (-4, 2), **mark)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""README is true: its commands run, its figures are what the demo says, its tables name what is there."""
+
+import importlib.util
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from falconwing_kit.cli.main import VERBS, main
+from falconwing_kit.core.flight_csv import LABEL_COLUMN, OPTIONAL_COLUMNS, REQUIRED_COLUMNS
+from falconwing_kit.core.flight_log import FlightLogWriter
+from falconwing_kit.core.messages import Command, State
+from falconwing_kit.data import data_path
+from tests.demo_run import WORDS, demo_run
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+INLINE = re.compile(r"`((?:falconwing|python3 start\.py|\.venv/bin/\S+) [^`]+)`")
+# What a person types around the kit's own commands: nothing here is the kit's to test.
+AROUND = {
+    "source .venv/bin/activate",
+    "python3 -m venv .venv",
+    '.venv/bin/pip install -c constraints.txt -e ".[labs,hardware,dev]"',
+    "conda env create -f environment.yml",
+    "conda activate falconwing",
+}
+
+
+def fenced(language: str) -> list[str]:
+    """The contents of README's fenced blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+
+
+def commands() -> list[str]:
+    """Every command that README asks to be typed, in order, each once."""
+    lines = [line for block in fenced("sh") for line in block.splitlines() if line.strip()]
+    return list(dict.fromkeys(lines + INLINE.findall(README)))
+
+
+OURS = [line for line in commands() if shlex.split(line)[0] == "falconwing"]
+STARTS = [line for line in commands() if line.startswith("python3 start.py")]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder as the reader has it: the kit's data, an own flight, and an own log of two seconds."""
+    shutil.copytree(data_path("case02_calm.csv").parent, tmp_path / "falconwing_kit" / "data")
+    shutil.copy(data_path("case02_calm.csv"), tmp_path / "flight.csv")
+    with FlightLogWriter(tmp_path / "flight.mcap") as log:
+        for k in range(40):
+            log.state(0.05 * k, State.from_vector(np.arange(9.0) / 10.0 + k / 100.0))
+            log.command(0.05 * k, Command(0.5, 0.0, 0.1, 0.0))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_no_command_escapes():
+    """Each is one of the kit's own or one that we know not to be; the check sees both places where commands stand."""
+    assert set(commands()) - set(OURS) - set(STARTS) == AROUND
+    assert len(OURS) > 6 and len(STARTS) == 2
+    assert INLINE.findall("type `falconwing size --mass-g 150` or `falconwing_kit`") == ["falconwing size --mass-g 150"]
+
+
+@pytest.mark.parametrize("line", [line for line in OURS if " demo " not in line])
+def test_command_runs(line, folder, capsys):
+    """Typed as printed, in a folder with a flight and a log; 0 means done, and what --out names is there."""
+    words = shlex.split(line)[1:]
+    assert main(words) == 0
+    for option in ("--out", "--figures"):
+        if option in words:
+            assert (folder / words[words.index(option) + 1]).exists()
+    assert capsys.readouterr().out.count("\n") > 3
+
+
+@pytest.mark.parametrize("line", STARTS)
+def test_start_hands_the_verb_over(line, tmp_path, monkeypatch):
+    """start.py itself, its commands written down and not run: the last one is README's verb."""
+    spec = importlib.util.spec_from_file_location("start_of_readme", ROOT / "start.py")
+    start = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(start)
+    (tmp_path / ".venv").mkdir()
+    for name in ("pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / name, tmp_path)
+    run = []
+    monkeypatch.setattr(start, "ROOT", tmp_path)
+    monkeypatch.setattr(start, "answers", lambda command: True)
+    monkeypatch.setattr(start, "run", lambda command, folder=None: run.append(command) or 0)
+    verb, *options = shlex.split(line)[2:]
+    assert start.main([verb, *options]) == 0
+    handed = ["-m", "pytest", *options] if verb == "test" else [verb, *options]
+    assert run[-1][1:] == handed
+    assert verb == "test" or verb in [name for name, *_ in VERBS]
+
+
+def test_demo_says_what_readme_shows():
+    """The block of README against a fresh run, line by line.
+
+    Words must be the same. Numbers may differ by a quarter: another processor rounds differently, which the one-step
+    fit on raw differences makes large; a change of the answer is larger than that.
+    """
+    (line,) = [line for line in OURS if " demo " in line]
+    run = demo_run()
+    assert shlex.split(line)[1:] == list(WORDS) and run.code == 0
+    (shown,) = fenced("text")
+    number = re.compile(r"\d+\.?\d*")
+    for ours, readme in zip(run.printed.splitlines(), shown.splitlines(), strict=False):
+        assert number.sub("#", ours).split() == number.sub("#", readme).split()
+        values, expected = ([float(x) for x in number.findall(text)] for text in (ours, readme))
+        assert values == pytest.approx(expected, rel=0.25)
+
+
+def test_picture_is_small_and_can_be_made_again(tmp_path):
+    """From what the demo found, to the same size in pixels; 300 kB are a second on a slow connection."""
+    spec = importlib.util.spec_from_file_location("make_figures", ROOT / "manual" / "figures" / "make_figures.py")
+    make = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(make)
+    make.draw_identify_demo(demo_run().found, tmp_path / "again.png")
+    ours = ROOT / "manual" / "figures" / "identify_demo.png"
+    assert ours.stat().st_size < 300_000
+    size = slice(16, 24)  # width and height in a PNG's header
+    assert ours.read_bytes()[size] == (tmp_path / "again.png").read_bytes()[size]
+
+
+def test_every_verb_stands_in_readme():
+    """A verb that nobody is told of does not exist for a newcomer."""
+    assert {shlex.split(line)[1] for line in OURS + STARTS} >= {name for name, *_ in VERBS} - {"demo"}
+
+
+def test_columns_are_those_of_the_reader():
+    """The table of columns and the sentence below it, against the file reader's own lists."""
+    section = README[README.index("## Your own flight") : README.index("## Simulated")]
+    rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
+    assert tuple(re.findall(r"`(\w+)`", " ".join(rows))) == REQUIRED_COLUMNS
+    assert f"`{','.join((*OPTIONAL_COLUMNS, LABEL_COLUMN))}`" in section
+
+
+def test_links_and_rooms_lead_somewhere():
+    """Every file or folder that README names, and no room left out."""
+    targets = [t for t in re.findall(r"\]\(([^)]+)\)", README) if not t.startswith("http")]
+    targets += [path for path in re.findall(r"`((?:falconwing_kit|hardware|manual|tests)(?:/[\w./]+)?)`", README)]
+    assert len(targets) > 15
+    assert [target for target in targets if not (ROOT / target).exists()] == []
+    rooms = {path.parent.name for path in (ROOT / "falconwing_kit").glob("*/__init__.py")}
+    assert rooms == {target.split("/")[1] for target in targets if re.fullmatch(r"falconwing_kit/\w+", target)}
+
+
+def test_benchmark_table_has_its_place():
+    """The table is filled in between this mark and the command that makes it."""
+    assert "<!-- benchmark table -->" in README
