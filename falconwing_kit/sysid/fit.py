@@ -52,6 +52,7 @@ class FitResult:
         return self.residual * f, self.to_free * f[..., None], self.to_start * f[..., None]
 
 
+@np.errstate(all="ignore")  # a flight that runs away overflows; its cost is infinite
 def fit_starts(model: Model, windows: Windows, starts: Array, iterations: int = 8) -> tuple[Array, Array]:
     """Fit the start state of each window, K held: Levenberg-Marquardt side by side, each window with its own damping.
 
@@ -82,6 +83,7 @@ def fit_starts(model: Model, windows: Windows, starts: Array, iterations: int = 
     return starts, residual
 
 
+@np.errstate(all="ignore")
 def fit(
     model: Model,
     windows: Windows,

@@ -35,6 +35,7 @@ def differentiated_states(flight: Flight) -> Array:
     return np.concatenate([here[:, :3], here[:, [4, 5, 3]], slope[:, :3], rates], axis=1)
 
 
+@np.errstate(all="ignore")
 def fit_one_step(model: Model, flights: Sequence[Flight], *, smoothed: bool = False, most: int | None = None) -> Model:
     """Fit K by the paper's loss: predict each next state from the one before.
 
