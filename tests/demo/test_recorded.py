@@ -1,5 +1,6 @@
 """falconwing demo from its words to its files: page, figures, models and numbers, whole or not at all."""
 
+import contextlib
 import json
 import os
 import webbrowser
@@ -31,13 +32,19 @@ def studied(run, monkeypatch):
     monkeypatch.setattr(recorded, "study_recorded_flights", lambda progress: run.found)
 
 
-@pytest.fixture
-def small_disk():
-    """A disk that refuses files above a size, by the kernel's own limit, as tests/core/test_files.py uses it."""
+@contextlib.contextmanager
+def small_disk(size):
+    """A disk that refuses files above a size, by the kernel's own limit.
+
+    Only around the call: the limit is the whole process's, and the runner's own report may go to a longer file.
+    """
     resource = pytest.importorskip("resource")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_it_ends_well_and_writes_what_it_says(run):
@@ -125,21 +132,22 @@ def test_newcomer_sees_the_page(studied, opened, tmp_path):
     assert opened == [(tmp_path / "index.html").resolve().as_uri()]
 
 
-def test_full_disk_leaves_nothing_half_written(studied, small_disk, capsys, tmp_path):
+def test_full_disk_leaves_nothing_half_written(studied, capsys, tmp_path):
     """No figure fits on this disk: one sentence with the way out, exit code 2, and the folder is empty."""
-    small_disk(20_000)
-    code = main(["demo", "--headless", "--out", str(tmp_path / "out")])
+    with small_disk(20_000):
+        code = main(["demo", "--headless", "--out", str(tmp_path / "out")])
     error = capsys.readouterr().err
     assert code == 2
     assert "the disk is full" in error and "free some space" in error and error.count("\n") == 1
     assert os.listdir(tmp_path / "out") == []
 
 
-def test_disk_that_fills_up_before_the_page_keeps_the_page_of_before(studied, small_disk, capsys, tmp_path):
+def test_disk_that_fills_up_before_the_page_keeps_the_page_of_before(studied, capsys, tmp_path):
     """Every figure fits, the page does not: what is there is whole, the older page stays to the byte."""
     (tmp_path / "index.html").write_text("the page of yesterday")
-    small_disk(400_000)
-    assert main(["demo", "--headless", "--out", str(tmp_path)]) == 2
+    with small_disk(400_000):
+        code = main(["demo", "--headless", "--out", str(tmp_path)])
+    assert code == 2
     assert "index.html: the disk is full" in capsys.readouterr().err
     assert (tmp_path / "index.html").read_text() == "the page of yesterday"
     assert [name for name in os.listdir(tmp_path) if name.endswith(".part")] == []
