@@ -19,6 +19,8 @@ from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.frames import body_rates
 from falconwing_kit.sysid.prepare import Flight
 
+FAR = 1e3  # what a step that ran away counts as, so that its square stays a number [m, m/s, rad, rad/s]
+
 
 def differentiated_states(flight: Flight) -> Array:
     """States from raw differences of poses, as the paper forms them.
@@ -70,7 +72,7 @@ def fit_one_step(model: Model, flights: Sequence[Flight], *, smoothed: bool = Fa
         vector[free] = values
         with np.errstate(all="ignore"):
             predicted = _advance(held, vector, before, acting, duration)
-        return np.nan_to_num(predicted - after, nan=1e3, posinf=1e3, neginf=-1e3).ravel()
+        return np.clip(np.nan_to_num(predicted - after, nan=FAR), -FAR, FAR).ravel()
 
     scale = np.array([max(abs(held.parameters[i].start), 0.1) for i in free])
     loss = "soft_l1" if smoothed else "linear"

@@ -135,6 +135,16 @@ def test_fewer_steps_give_nearly_the_same(perfect):
     assert some.values["Me"] == pytest.approx(truth.values["Me"], rel=1e-3)
 
 
+def test_states_that_run_away_do_not_end_the_fit(perfect):
+    """Poses that jump by 100 m between two frames are 2 km/s; what that flies to overflows, and the answer is still a
+    model within its bounds."""
+    truth, flight = perfect
+    states = flight.smooth.copy()
+    states[100:110, 6:] = 2000.0 * np.array([1.0, -1.0, 1.0, 0.5, -0.5, 0.5])
+    found = fit_one_step(FORMS[truth.form](), [replace(flight, smooth=states)], smoothed=True)
+    assert all(p.low <= found.values[p.name] <= p.high for p in found.parameters)
+
+
 def test_too_few_poses_are_refused():
     """16 unknowns want 48 pairs of neighbouring poses; 20 rows have 18 pairs of raw states."""
     t = np.arange(20) * 0.05
