@@ -64,6 +64,11 @@ def test_terminal_says_what_is_simulated_and_what_is_real(run):
     assert lines[-1].startswith("next: falconwing identify")
 
 
+def test_it_complains_of_nothing(run):
+    """Both flights are fine, so a warning would only frighten a newcomer."""
+    assert run.complained == ""
+
+
 def test_numbers_tell_the_story_of_the_release(run):
     """Goals set before it was written: chi2 at most 1.3 held out; the real flight better than both guesses."""
     record = json.loads((run.out / "demo.json").read_text())

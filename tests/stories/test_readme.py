@@ -147,6 +147,9 @@ def test_links_and_rooms_lead_somewhere():
     assert rooms == {target.split("/")[1] for target in targets if re.fullmatch(r"falconwing_kit/\w+", target)}
 
 
-def test_benchmark_table_has_its_place():
-    """The table is filled in between this mark and the command that makes it."""
-    assert "<!-- benchmark table -->" in README
+def test_speeds_come_with_their_machine_and_command():
+    """A speed without the machine says nothing; how to measure it again must stand beside it."""
+    section = README[README.index("## Speed") : README.index("## The house")]
+    assert section.count("\n| ") >= 4
+    assert "pytest -m benchmark" in section
+    assert re.search(r"core|processor|CPU", section)
