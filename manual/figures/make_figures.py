@@ -48,7 +48,12 @@ def draw_simulated(axes: Any, found: Identification) -> None:
     Args:
         axes: three, one a channel.
         found: the identification of the 150 g aircraft.
+
+    Raises:
+        ValueError: the flight is too short to keep time back.
     """
+    if found.held_out is None:
+        raise ValueError("figure: want a flight with time kept back, got one that is too short; take a longer one")
     windows = select(found.windows, found.held_out_index)
     begin = windows.nodes[0, 0]
     block = np.flatnonzero(windows.nodes[:, -1] < begin + SHOWN_S + 0.5)
