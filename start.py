@@ -80,7 +80,10 @@ def install(root: Path, target: str) -> int:
     if failed < 128:  # pip ended by itself and cleaned up
         half_done.unlink()
     if failed:
-        print("start.py: the installation stopped; type the same command again to go on", file=sys.stderr)
+        print(
+            "start.py: the installation stopped; was it interrupted or the network gone, type the same command again",
+            file=sys.stderr,
+        )
         return failed
     there = [KIT, EVERYTHING] if target == EVERYTHING else [KIT]  # the tests' set holds the kit's
     stamp.write_text("\n".join(fingerprint(root, each) for each in there))

@@ -13,6 +13,10 @@ from typing import TextIO
 
 from falconwing_kit import __version__
 
+# Before NumPy is loaded: its threads only get in each other's way on arrays of this kit's size.
+for _library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_library, "1")
+
 # Verb, module, class, what it does. Only the chosen verb's module is imported. A verb is a frozen dataclass
 # whose fields are its options and whose `run()` returns the exit code, so Python code can call it too.
 VERBS: tuple[tuple[str, str, str, str], ...] = (
