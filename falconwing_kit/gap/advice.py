@@ -3,12 +3,7 @@
 from collections.abc import Sequence
 from itertools import combinations
 
-import numpy as np
-
 from falconwing_kit.gap.name import CalmBase, Naming
-from falconwing_kit.sysid.fit import prior_rows
-
-STRAINED = 4.0  # prior chi2 per parameter beyond which the base model does not stand for this aircraft
 
 # What makes an effect show, so that nothing else looks like it.
 MANOEUVRES: dict[str, str] = {
@@ -101,19 +96,6 @@ def headline(naming: Naming) -> str:
         "none": "Nothing is missing that this flight could show",
         "outside": "Something is missing, and it is not in the catalogue",
     }[naming.verdict]
-
-
-def strain(base: CalmBase, naming: Naming) -> float:
-    """How far parameters must move from the calm flight's even with the best effect: chi2 per parameter.
-
-    Near 1 for another day of the same aircraft; large for another aircraft, or for an effect that parameters imitate.
-    """
-    found = naming.chosen[-1:] if naming.verdict == "named" else naming.ranking[:1]
-    result = (found[0].result if found else None) or naming.before
-    rows, mean = prior_rows(result.model, result.free, base.prior)
-    at = result.model.vector[list(result.free)]
-    known = max(int(np.count_nonzero(rows.any(axis=1))), 1)
-    return float(np.sum((rows @ (at - mean)) ** 2)) / known
 
 
 def _parting(names: Sequence[str]) -> str:

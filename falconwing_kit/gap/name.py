@@ -12,7 +12,7 @@ from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.evidence import Columns, Reduced, columns, variants
 from falconwing_kit.gap.noise import PoseNoise, find_pose_noise, whitened
-from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_starts, robust_factor
+from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_starts, prior_rows, robust_factor
 from falconwing_kit.sysid.identify import Identification, identify
 from falconwing_kit.sysid.prepare import Prepared, prepare
 from falconwing_kit.sysid.shooting import Windows, cut_windows
@@ -25,6 +25,7 @@ DAY_TO_DAY = 0.01  # coefficients of one aircraft differ by about this much from
 LEAST_GAIN = 10.0  # "very strong" on the scale of Kass & Raftery 1995
 REFITS = 5  # effects that are fitted in full after the linear scan
 EXCESS_SIGMAS = 6.0  # a flight's chi2 above the calm level by this much is not chance
+STRAINED = 4.0  # prior chi2 per parameter beyond which the base model does not stand for this aircraft
 BASE_FITS = 4.0  # calm chi2 beyond this: the base model is not a model of this aircraft
 
 
@@ -67,6 +68,7 @@ class Naming:
     threshold: float  # evidence needed, from the calm flight
     excess: float  # chi2 per degree of freedom of the flight over the calm level, before
     left: float  # the same after the best candidate
+    strain: float  # chi2 per parameter by which the aircraft must differ from the calm one, even with the effects
     before: FitResult  # the base model fitted to the flight under its prior
     windows: Windows
     prepared: Prepared
@@ -86,12 +88,30 @@ def know_calm(calm: FlightTable, progress: Progress = lambda stage: None) -> Cal
         InputError: the flight cannot be used, or the base model does not describe it.
     """
     progress("calm flight")
-    found = identify([calm])
+    return learn_base(identify([calm]), CATALOGUE, progress)
+
+
+def learn_base(
+    found: Identification, catalogue: Sequence[Effect] = CATALOGUE, progress: Progress = lambda stage: None
+) -> CalmBase:
+    """The same from an identification made already, of any form of model.
+
+    Args:
+        found: the calm flight, identified.
+        catalogue: the effects that will be tried.
+        progress: called with the name of each stage.
+
+    Returns:
+        What naming needs to know about the aircraft.
+
+    Raises:
+        InputError: the base model does not describe the flight.
+    """
     chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
     if chi2 > BASE_FITS:
         raise InputError(
-            f"{calm.name}: the base model does not describe this calm flight (chi2 per degree of freedom {chi2:.1f}, "
-            "noise alone gives 1); use a calm flight of the same aircraft without wind or other surprise"
+            f"{found.names[0]}: the base model does not describe this calm flight (chi2 per degree of freedom "
+            f"{chi2:.1f}, noise alone gives 1); use a calm flight of the same aircraft without wind or other surprise"
         )
     noise = find_pose_noise(found.result, found.fitted_windows)
     windows = whitened(found.fitted_windows, noise)
@@ -99,7 +119,7 @@ def know_calm(calm: FlightTable, progress: Progress = lambda stage: None) -> Cal
     level = result.cost / _freedom(windows, result)
     progress("what chance finds")
     reduced = Reduced.of(result, None, max(1.0, level))
-    tried = [columns(result.model, windows, result.starts, result.residual, v) for v in variants(CATALOGUE, windows)]
+    tried = [columns(result.model, windows, result.starts, result.residual, v) for v in variants(catalogue, windows)]
     price = np.array([_price(t.variant.effect, windows) for t in tried])
     false_gain = float((reduced.block_gains(tried) - price[:, None]).max())
     return CalmBase(found, noise, result, windows, level, _day_to_day(result, windows), false_gain)
@@ -166,7 +186,21 @@ def _decide(
                 verdict, chosen = "outside", ()
     elif excess > EXCESS_SIGMAS * error:
         verdict = "outside"
-    return Naming(verdict, chosen, tuple(ranking), threshold, excess, left, before, windows, prepared)
+    last = (chosen[-1:] if verdict == "named" else (best,))[0].result or before
+    strain = _strain(last, base.prior)
+    if strain > STRAINED:  # parameters that moved so far may imitate anything: no name is safe
+        verdict, chosen = "outside", ()
+    return Naming(verdict, chosen, tuple(ranking), threshold, excess, left, strain, before, windows, prepared)
+
+
+def _strain(result: FitResult, prior: Prior) -> float:
+    """How far parameters had to move from the calm flight's: chi2 per parameter.
+
+    Near 1 for another day of the same aircraft; large for another aircraft, or for an effect that parameters imitate.
+    """
+    rows, mean = prior_rows(result.model, result.free, prior)
+    known = max(int(np.count_nonzero(rows.any(axis=1))), 1)
+    return float(np.sum((rows @ (result.model.vector[list(result.free)] - mean)) ** 2)) / known
 
 
 def _second(

@@ -5,7 +5,7 @@ import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,10 @@ from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.flight_table import FlightTable, nominal_rate_hz
-from falconwing_kit.gap.advice import STRAINED, headline, next_flight, strain
+from falconwing_kit.gap.advice import headline, next_flight
 from falconwing_kit.gap.close import Closed, close_gap
 from falconwing_kit.gap.measure import VARIABLES, Replay, Spot, replay_calm, replay_flight, residual_map
-from falconwing_kit.gap.name import LEAST_GAIN, CalmBase, Naming, know_calm, name_effect
+from falconwing_kit.gap.name import LEAST_GAIN, STRAINED, CalmBase, Naming, know_calm, name_effect
 from falconwing_kit.gap.page import Picture, paragraph, picture, table, write_page
 from falconwing_kit.gap.plots import CHANNEL_WORDS, IN_PLOTS, draw_gap
 from falconwing_kit.sysid.model_file import write_fitted, write_model
@@ -41,7 +41,6 @@ class GapStudy:
     calm_replay: Replay
     flight_replay: Replay
     spots: tuple[Spot, ...]
-    strain: float  # chi2 per parameter by which the aircraft differs from the calm one
     names: tuple[str, str]  # the calm flight, the flight under test
     seconds: dict[str, float] = field(default_factory=dict)  # per stage
 
@@ -86,9 +85,6 @@ def study_gap(calm: FlightTable, flight: FlightTable, progress: Progress = lambd
     base = know_calm(calm, progress)
     clock.append(time.perf_counter())
     naming = name_effect(base, flight, progress=progress)
-    strained = strain(base, naming)
-    if strained > STRAINED:  # parameters that moved so far may imitate anything: no name is safe
-        naming = replace(naming, verdict="outside", chosen=())
     clock.append(time.perf_counter())
     progress("closing the gap")
     closed = close_gap(base, naming)
@@ -98,7 +94,7 @@ def study_gap(calm: FlightTable, flight: FlightTable, progress: Progress = lambd
     spots = residual_map(replays[1], replays[0])
     clock.append(time.perf_counter())
     seconds = dict(zip(("calm", "name", "close", "measure"), np.diff(clock).tolist(), strict=True))
-    return GapStudy(base, naming, closed, *replays, spots, strained, (calm.name, flight.name), seconds)
+    return GapStudy(base, naming, closed, *replays, spots, (calm.name, flight.name), seconds)
 
 
 def require_pair(calm: FlightTable, flight: FlightTable) -> None:
@@ -171,7 +167,7 @@ def gap_record(study: GapStudy) -> dict[str, Any]:
             "windows": closed.before.windows,
             "held_out": not closed.seen,
         },
-        "strain": study.strain,
+        "strain": study.naming.strain,
         "noise": {
             "position_m": float(found.sigma[:3].mean()),
             "attitude_deg": float(np.degrees(found.sigma[3:].mean())),
@@ -206,7 +202,7 @@ def _warnings(study: GapStudy) -> list[str]:
     said += [f"flight: {w}" for w in study.naming.prepared.warnings]
     if study.closed.seen:
         said.append("the flight is too short to hold anything back; before and after are on the fitted time")
-    if study.strain > STRAINED:
+    if study.naming.strain > STRAINED:
         said.append(_strained(study))
     return said
 
@@ -214,7 +210,7 @@ def _warnings(study: GapStudy) -> list[str]:
 def _strained(study: GapStudy) -> str:
     return (
         f"the calm flight's model does not fit the aircraft of this flight: its parameters would have to move by "
-        f"{math.sqrt(study.strain):.0f} times what another day explains; are both flights of the same aircraft?"
+        f"{math.sqrt(study.naming.strain):.0f} times what another day explains; are both flights of the same aircraft?"
     )
 
 
@@ -303,7 +299,7 @@ def _verdict(study: GapStudy, record: dict[str, Any]) -> list[str]:
         "The flight disagrees with the calm one by more than chance, and no effect of the catalogue explains enough of "
         "it to be named. Do not trust the first of the ranking below; see where the disagreement sits instead."
     ]
-    return [*texts, *([_sentence(_strained(study))] if study.strain > STRAINED else [])]
+    return [*texts, *([_sentence(_strained(study))] if study.naming.strain > STRAINED else [])]
 
 
 def _sizes(study: GapStudy) -> str:

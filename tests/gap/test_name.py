@@ -5,7 +5,6 @@ import pytest
 
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.flight_table import slice_time
-from falconwing_kit.gap.advice import STRAINED, strain
 from falconwing_kit.gap.name import know_calm, name_effect, named_model
 from tests.gap.studies import own_base, own_flight, shipped, wind_study
 
@@ -44,8 +43,7 @@ def test_planted_effect_is_named_with_its_size(effect, values):
 
 
 def test_withheld_effect_gets_no_other_name():
-    """Adverse yaw without its entry in the catalogue: unnamed, or the aircraft's parameters are so far from the calm
-    flight's that the report refuses the name."""
+    """Adverse yaw without its entry in the catalogue stays unnamed."""
     catalogue = [e for e in CATALOGUE if e.name != "adverse_yaw"]
     naming = name_effect(own_base(), own_flight("adverse_yaw", 45.0, 41, adverse_yaw=0.08), catalogue)
-    assert naming.verdict in ("none", "outside") or strain(own_base(), naming) > STRAINED
+    assert naming.verdict in ("none", "outside")
