@@ -13,8 +13,9 @@ from falconwing_kit.aircraft.effects import Effect
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.core.checks import Array
 from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
-from falconwing_kit.sysid.shooting import Windows, residuals
+from falconwing_kit.sysid.shooting import Windows, changes
 
+TOGETHER = 8  # effects in one model: more would each fly the others' terms at zero
 JET_COLUMNS, JET_ROWS = 7, 4  # grid of places where a stream of air is looked for
 
 
@@ -62,28 +63,44 @@ def variants(catalogue: Sequence[Effect], windows: Windows) -> Iterator[Variant]
             yield Variant(effect, {**usual, **place})
 
 
-def columns(model: Model, windows: Windows, starts: Array, at: Array, variant: Variant) -> Columns:
+def columns(model: Model, windows: Windows, starts: Array, tried: Sequence[Variant]) -> list[Columns]:
     """Change of the residuals by each amplitude, as a secant to the variant's own size.
 
     Args:
-        model: the aircraft without the effect.
+        model: the aircraft without the effects.
         windows: W windows.
         starts: (W, n_states).
-        at: (W, R) residuals without the effect.
-        variant: the effect and its place.
+        tried: the effects and their places.
 
     Returns:
-        The columns.
+        The columns of each.
     """
-    effect = variant.effect
-    absent = {p.name: 0.0 for p in effect.amplitudes}
-    with_effect = model.with_effect(effect).with_values({**variant.values, **absent})
-    changes = []
-    for p in effect.amplitudes:
-        size = variant.values[p.name]
-        moved = residuals(with_effect.with_values({p.name: size}), windows, starts)
-        changes.append(np.nan_to_num((moved - at) / size, posinf=0.0, neginf=0.0))
-    return Columns(variant, np.stack(changes, axis=-1))
+    effects = list({id(v.effect): v.effect for v in tried}.values())
+    found: dict[int, Columns] = {}
+    for k in range(0, len(effects), TOGETHER):
+        part = effects[k : k + TOGETHER]
+        mine = [v for v in tried if any(v.effect is e for e in part)]
+        found |= dict(zip(map(id, mine), _columns(model, windows, starts, part, mine), strict=True))
+    return [found[id(v)] for v in tried]
+
+
+def _columns(
+    model: Model, windows: Windows, starts: Array, effects: Sequence[Effect], tried: Sequence[Variant]
+) -> list[Columns]:
+    """The same for a few effects, all of whose variants fly together."""
+    for effect in effects:
+        model = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.amplitudes})
+    cases = [
+        model.with_values({**v.values, **{q.name: 0.0 for q in v.effect.amplitudes}, p.name: v.values[p.name]}).vector
+        for v in tried
+        for p in v.effect.amplitudes
+    ]
+    moved = iter(changes(model, windows, starts, np.stack(cases, axis=1)))
+    return [
+        Columns(v, np.nan_to_num(np.stack([next(moved) / v.values[p.name] for p in v.effect.amplitudes], axis=-1),
+                                 posinf=0.0, neginf=0.0))
+        for v in tried
+    ]  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,10 @@ import numpy as np
 
 from falconwing_kit.aircraft.effects import CATALOGUE, Effect
 from falconwing_kit.aircraft.model import Model
+from falconwing_kit.aircraft.unnamed import UNNAMED
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.gap.evidence import Columns, Reduced, columns, variants
+from falconwing_kit.gap.evidence import Reduced, columns, variants
 from falconwing_kit.gap.noise import PoseNoise, find_pose_noise, whitened
 from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_starts, prior_rows, robust_factor
 from falconwing_kit.sysid.identify import Identification, identify
@@ -23,7 +24,9 @@ Progress = Callable[[str], None]
 
 DAY_TO_DAY = 0.01  # coefficients of one aircraft differ by about this much from one day to the next
 LEAST_GAIN = 10.0  # "very strong" on the scale of Kass & Raftery 1995
-REFITS = 5  # effects that are fitted in full after the linear scan
+REFITS = 5  # effects that are fitted in full after the linear scan, and more while one not fitted could still win
+CLEARLY = 0.05  # a load without a name must beat the named effects by this share of their evidence
+SHARE_LEFT = 0.5  # of the excess: a name that leaves more behind is no explanation
 EXCESS_SIGMAS = 6.0  # a flight's chi2 above the calm level by this much is not chance
 STRAINED = 4.0  # prior chi2 per parameter beyond which the base model does not stand for this aircraft
 BASE_FITS = 4.0  # calm chi2 beyond this: the base model is not a model of this aircraft
@@ -40,6 +43,7 @@ class CalmBase:
     chi2: float  # per degree of freedom, with the noise made white
     prior: Prior  # for another flight of the same aircraft
     false_gain: float  # the largest evidence that any effect finds on a third of this flight
+    false_unnamed: float  # the same of loads without a name
 
     @property
     def scatter(self) -> float:
@@ -68,6 +72,7 @@ class Naming:
     threshold: float  # evidence needed, from the calm flight
     excess: float  # chi2 per degree of freedom of the flight over the calm level, before
     left: float  # the same after the best candidate
+    unnamed: Candidate  # the load without a name that explains most
     strain: float  # chi2 per parameter by which the aircraft must differ from the calm one, even with the effects
     before: FitResult  # the base model fitted to the flight under its prior
     windows: Windows
@@ -119,10 +124,12 @@ def learn_base(
     level = result.cost / _freedom(windows, result)
     progress("what chance finds")
     reduced = Reduced.of(result, None, max(1.0, level))
-    tried = [columns(result.model, windows, result.starts, result.residual, v) for v in variants(catalogue, windows)]
+    tried = columns(result.model, windows, result.starts, list(variants([*catalogue, *UNNAMED], windows)))
     price = np.array([_price(t.variant.effect, windows) for t in tried])
-    false_gain = float((reduced.block_gains(tried) - price[:, None]).max())
-    return CalmBase(found, noise, result, windows, level, _day_to_day(result, windows), false_gain)
+    false = (reduced.block_gains(tried) - price[:, None]).max(axis=1)
+    named = np.array([t.variant.effect not in UNNAMED for t in tried])
+    false_gain, false_unnamed = float(false[named].max()), float(false[~named].max())
+    return CalmBase(found, noise, result, windows, level, _day_to_day(result, windows), false_gain, false_unnamed)
 
 
 def name_effect(
@@ -149,10 +156,11 @@ def name_effect(
     progress("flight under test")
     windows, before = _fit_flight(base, prepared)
     ranking = _rank(base, windows, before, catalogue, progress)
-    if ranking and ranking[0].result is not None and ranking[0].gain > LEAST_GAIN:
+    best = ranking[0].result
+    if best is not None and ranking[0].gain > LEAST_GAIN:
         # Residuals that the effect explains were weighed down as if they were outliers: weigh again under the best.
-        windows, before = _weigh_again(base, windows, before, ranking[0].result)
-        ranking = _rank(base, windows, before, catalogue, progress)
+        windows, before = _weigh_again(base, windows, before, best)
+        ranking = _rank(base, windows, before, catalogue, progress, ranking)
     return _decide(base, windows, before, ranking, prepared, catalogue, progress)
 
 
@@ -173,6 +181,7 @@ def _decide(
     left = excess - best.chi2_gain * base.scatter / freedom
     chosen: tuple[Candidate, ...] = ()
     verdict: Verdict = "none"
+    explained = best.gain
     if best.gain > threshold:
         near = (c for c in ranking[1:] if c.gain > best.gain - LEAST_GAIN)
         rivals = tuple(c for c in near if best.effect.name not in c.effect.contains)
@@ -180,17 +189,30 @@ def _decide(
         if verdict == "named" and left > EXCESS_SIGMAS * error:
             second = _second(base, windows, best, catalogue, threshold, progress)
             if second is not None:
-                chosen = (best, second)
+                chosen, explained = (best, second), explained + second.gain
                 left -= second.chi2_gain * base.scatter / freedom
-            elif left > 0.5 * excess:
+            elif left > SHARE_LEFT * excess:
                 verdict, chosen = "outside", ()
     elif excess > EXCESS_SIGMAS * error:
         verdict = "outside"
+    unnamed = _best_unnamed(base, windows, before, explained, progress)
     last = (chosen[-1:] if verdict == "named" else (best,))[0].result or before
     strain = _strain(last, base.prior)
-    if strain > STRAINED:  # parameters that moved so far may imitate anything: no name is safe
+    clear = max(explained, 0.0) + max(threshold, CLEARLY * explained)
+    if unnamed.gain > clear or strain > STRAINED:  # parameters that moved so far may imitate anything
         verdict, chosen = "outside", ()
-    return Naming(verdict, chosen, tuple(ranking), threshold, excess, left, strain, before, windows, prepared)
+    return Naming(verdict, chosen, tuple(ranking), threshold, excess, left, unnamed, strain, before, windows, prepared)
+
+
+def _best_unnamed(
+    base: CalmBase, windows: Windows, before: FitResult, explained: float, progress: Progress
+) -> Candidate:
+    """The load without a name that explains most, fitted in full where it might beat the named ones."""
+    best = _scan(base, windows, before, UNNAMED, progress)[0]
+    price = 2.0 * np.log(len(UNNAMED))  # of choosing among so many
+    if best.gain > explained:
+        best = _fit_effect(base, windows, before, best, progress)
+    return replace(best, gain=best.gain - price)
 
 
 def _strain(result: FitResult, prior: Prior) -> float:
@@ -222,34 +244,59 @@ def _second(
 
 
 def _rank(
+    base: CalmBase,
+    windows: Windows,
+    before: FitResult,
+    catalogue: Sequence[Effect],
+    progress: Progress,
+    known: Sequence[Candidate] = (),
+) -> list[Candidate]:
+    """Linear scan of every effect, then full fits of the best, which begin where an earlier round ended."""
+    earlier = {c.effect.parameters: c for c in known if c.result is not None}
+    open_ = _scan(base, windows, before, catalogue, progress)
+    fitted: list[Candidate] = []
+    while open_:
+        best = max((c.gain for c in fitted), default=-np.inf)
+        hopeless = len(fitted) >= REFITS and open_[0].gain < best - LEAST_GAIN
+        if hopeless or open_[0].gain < -LEAST_GAIN:
+            break
+        guess = open_.pop(0)
+        fitted.append(_fit_effect(base, windows, before, guess, progress, earlier.get(guess.effect.parameters)))
+    return sorted([*fitted, *open_], key=lambda c: -c.gain)
+
+
+def _scan(
     base: CalmBase, windows: Windows, before: FitResult, catalogue: Sequence[Effect], progress: Progress
 ) -> list[Candidate]:
-    """Linear scan of every effect, then full fits of the best."""
+    """Linear evidence of every effect at its best place, best first; of two forms of one effect the better one."""
+    progress("scanning effects")
     reduced = Reduced.of(before, base.prior, base.scatter)
-    scanned: dict[str, tuple[float, Columns, Candidate]] = {}
-    for variant in variants(catalogue, windows):
-        progress(f"trying {variant.effect.name}")
-        tried = columns(before.model, windows, before.starts, before.residual, variant)
-        score = reduced.score(tried)
-        gain = score.gain - _price(variant.effect, windows)
-        known = scanned.get(variant.effect.name)
-        if known is None or gain > known[0]:
-            candidate = Candidate(variant.effect, gain, score.gain, score.values, None)
-            scanned[variant.effect.name] = (gain, tried, candidate)
-    order = sorted((c for _, _, c in scanned.values()), key=lambda c: -c.gain)
-    fitted = [_fit_effect(base, windows, before, c, progress) for c in order[:REFITS] if c.gain > -LEAST_GAIN]
-    rest = order[len(fitted) :]
-    return sorted([*fitted, *rest], key=lambda c: -c.gain)
+    best: dict[str, Candidate] = {}
+    for tried in columns(before.model, windows, before.starts, list(variants(catalogue, windows))):
+        effect, score = tried.variant.effect, reduced.score(tried)
+        gain = score.gain - _price(effect, windows)
+        if effect.name not in best or gain > best[effect.name].gain:
+            best[effect.name] = Candidate(effect, gain, score.gain, score.values, None)
+    return sorted(best.values(), key=lambda c: -c.gain)
 
 
-def _fit_effect(base: CalmBase, windows: Windows, before: FitResult, guess: Candidate, progress: Progress) -> Candidate:
-    """Fit an effect in full, from what the scan found."""
+def _fit_effect(
+    base: CalmBase,
+    windows: Windows,
+    before: FitResult,
+    guess: Candidate,
+    progress: Progress,
+    earlier: Candidate | None = None,
+) -> Candidate:
+    """Fit an effect in full, from what the scan found or from an earlier fit."""
     effect = guess.effect
     progress(f"fitting {effect.name}")
     bounds = {p.name: p for p in effect.parameters}
     values = {n: float(np.clip(v, bounds[n].low, bounds[n].high)) for n, v in guess.values.items()}
-    model = before.model.with_effect(effect).with_values(values)
-    result = fit(model, windows, before.starts, prior=base.prior, iterations=15)
+    model, starts = before.model.with_effect(effect).with_values(values), before.starts
+    if earlier is not None and earlier.result is not None:
+        model, starts = earlier.result.model, earlier.result.starts
+    result = fit(model, windows, starts, prior=base.prior, iterations=15)
     gained = (before.cost - result.cost) / base.scatter
     found = {p.name: result.model.values[p.name] for p in effect.parameters}
     return Candidate(effect, gained - _price(effect, windows), gained, found, result)

@@ -237,32 +237,55 @@ def jacobian(model: Model, windows: Windows, starts: Array, free: Sequence[int])
         residual (W, R) as of `residuals`; derivative to the free parameters (W, R, F), per unit of each parameter;
         derivative to the start states (W, R, n_states).
     """
-    base, mapped = model.vector, model.input_names
+    mapped = model.input_names
     steps = np.array([1e-3 if model.names[i] in mapped else 1e-5 * _size(model, i) for i in free])
     n_states, n_free = model.n_states, len(free)
     columns = 1 + n_free + n_states
-    values = np.repeat(base[:, None], columns, axis=1)
+    values = np.repeat(model.vector[:, None], columns, axis=1)
     start_columns = np.repeat(starts.T[:, None, :], columns, axis=1)
-    acting, sticks = [windows.acting(model, base)], np.zeros(columns, dtype=int)
-    for column, (i, step) in enumerate(zip(free, steps, strict=True), start=1):
-        values[i, column] += step
-        if model.names[i] in mapped:
-            sticks[column] = len(acting)
-            acting.append(windows.acting(model, values[:, column]))
+    values[list(free), range(1, 1 + n_free)] += steps
     for i in range(n_states):
         start_columns[i, 1 + n_free + i] += STATE_STEPS[i]
-    with np.errstate(all="ignore"):
-        variants = np.stack(acting, axis=3)
-        poses = predict(model, windows, start_columns, values, variants, sticks if len(acting) > 1 else None)
-        weighed = _weigh(windows, poses)
-        at_base = weighed[0]
-        moved = weighed[1:] - at_base
+    at_base, moved = _moved(model, windows, start_columns, values)
     moved /= np.concatenate([steps, STATE_STEPS[:n_states]])[:, None, None]
     moved = np.moveaxis(moved, 0, -1)
     of_starts = np.zeros((len(windows), n_states, n_free + n_states))
     of_starts[:, range(n_states), range(n_free, n_free + n_states)] = 1.0 / START_SIGMA[:n_states]
     moved = np.concatenate([moved, of_starts], axis=1)
     return np.concatenate([at_base, _strayed(windows, starts)], axis=1), moved[..., :n_free], moved[..., n_free:]
+
+
+def changes(model: Model, windows: Windows, starts: Array, values: Array) -> Array:
+    """How far residuals move when parameters take other values, many sets of them flown together.
+
+    Args:
+        model: the aircraft at its present values.
+        windows: W windows.
+        starts: (W, n_states), the same for all.
+        values: (P, C) parameter values, one set a column.
+
+    Returns:
+        (C, W, R) as of `residuals`: those at the other values less those at the present ones, infinite where a flight
+        ran away.
+    """
+    values = np.column_stack([model.vector, values])
+    start_columns = np.repeat(starts.T[:, None, :], values.shape[1], axis=1)
+    _, moved = _moved(model, windows, start_columns, values)
+    return np.concatenate([moved, np.zeros((*moved.shape[:2], starts.shape[1]))], axis=2)
+
+
+def _moved(model: Model, windows: Windows, start_columns: Array, values: Array) -> tuple[Array, Array]:
+    """Pose residuals of the first column (W, L * 6) and what the others differ from them (C - 1, W, L * 6)."""
+    mapped = [model.names.index(name) for name in model.input_names]
+    acting, sticks = [windows.acting(model, values[:, 0])], np.zeros(values.shape[1], dtype=int)
+    for column in np.flatnonzero((values[mapped] != values[mapped][:, :1]).any(axis=0)):
+        sticks[column] = len(acting)
+        acting.append(windows.acting(model, values[:, column]))
+    with np.errstate(all="ignore"):
+        variants = np.stack(acting, axis=3)
+        poses = predict(model, windows, start_columns, values, variants, sticks if len(acting) > 1 else None)
+        weighed = _weigh(windows, poses)
+        return weighed[0], weighed[1:] - weighed[0]
 
 
 def _weigh(windows: Windows, poses: Array) -> Array:

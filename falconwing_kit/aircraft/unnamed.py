@@ -1,0 +1,62 @@
+"""Loads without a name: a force or a moment that goes with one variable of the flight, whatever makes it.
+
+They are what an effect outside the catalogue looks like to first order. Where one of them explains a flight better than
+every named effect does, no name is safe. Never part of a model that is handed on.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from falconwing_kit.aircraft.effects import GROUND_EFFECT_HEIGHT_M, Effect
+from falconwing_kit.aircraft.terms import Parameter, Term
+
+# Variable -> its value in a flow, in numbers around one for a 150 g aircraft at 7 m/s; aerodynamic loads go with V^2.
+VARIABLES: dict[str, Callable[[Any], Any]] = {
+    "airspeed": lambda air: _pressure(air),
+    "angle of attack": lambda air: _pressure(air) * 5.0 * air.alpha,
+    "angle of attack squared": lambda air: _pressure(air) * 25.0 * air.alpha * air.alpha,
+    "sideslip": lambda air: _pressure(air) * 10.0 * air.beta,
+    "sideslip squared": lambda air: _pressure(air) * 100.0 * air.beta * air.beta,
+    "roll rate": lambda air: air.airspeed / 7.0 * air.p,
+    "pitch rate": lambda air: air.airspeed / 7.0 * air.q,
+    "yaw rate": lambda air: air.airspeed / 7.0 * air.r,
+    "aileron": lambda air: _pressure(air) * 3.0 * air.aileron,
+    "elevator": lambda air: _pressure(air) * 3.0 * air.elevator,
+    "rudder": lambda air: _pressure(air) * 3.0 * air.rudder,
+    "throttle": lambda air: air.throttle,
+    "throttle and airspeed": lambda air: air.throttle * air.airspeed / 7.0,
+    "throttle and aileron": lambda air: 3.0 * air.throttle * air.aileron,
+    "throttle and elevator": lambda air: 3.0 * air.throttle * air.elevator,
+    "height": lambda air: _pressure(air) * np.exp(-np.maximum(air.height, 0.0) / GROUND_EFFECT_HEIGHT_M),
+    "time": lambda air: _pressure(air) * air.time / 60.0,
+    "throttle and time": lambda air: air.throttle * air.time / 60.0,
+    "place along x": lambda air: _pressure(air) * 0.1 * air.px,
+    "place along y": lambda air: _pressure(air) * 0.1 * air.py,
+}
+
+
+def _pressure(air: Any) -> Any:
+    return air.airspeed * air.airspeed / 49.0
+
+
+def _unnamed(variable: str, turning: bool) -> Effect:
+    """A force (or a moment) along all three body axes in proportion to a variable."""
+    value, kind, unit = VARIABLES[variable], *(("moment", "rad/s^2") if turning else ("force", "m/s^2"))
+    names = tuple(f"{kind}_{variable.replace(' ', '_')}_{axis}" for axis in "xyz")
+    parameters = tuple(
+        Parameter(name, 0.2, -100.0, 100.0, unit, f"{kind} about or along body {name[-1]} with {variable}")
+        for name in names
+    )
+
+    def evaluate(air: Any, K: Any) -> tuple[Any, ...]:
+        size = value(air)
+        loads = tuple(getattr(K, name) * size for name in names)
+        return (0.0, 0.0, 0.0, *loads) if turning else (*loads, 0.0, 0.0, 0.0)
+
+    name = f"{kind} with {variable}"
+    return Effect(name, f"A {name} that the model lacks.", parameters, term=Term(name, parameters, evaluate))
+
+
+UNNAMED: tuple[Effect, ...] = tuple(_unnamed(variable, turning) for variable in VARIABLES for turning in (False, True))
