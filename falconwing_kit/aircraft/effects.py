@@ -30,6 +30,7 @@ class Effect:
     starts: tuple[dict[str, float], ...] = ()  # further points a fit should begin at
     shape: tuple[str, ...] = ()  # parameters that say where or when, and mean nothing while the amplitude is zero
     contains: tuple[str, ...] = ()  # effects that this one becomes at some of its values; no rival to them
+    essential: tuple[str, ...] = ()  # parameters without which it is one of those, or nothing with a name
     same_as: str = ""  # another effect with the same dynamics: no flight can tell them apart
 
     @property
@@ -107,7 +108,7 @@ def extra_drag(air: Any, K: Any) -> tuple[Any, ...]:
 
 
 def flap(air: Any, K: Any) -> tuple[Any, ...]:
-    """A flap is out: more lift at the same angle, and its drag [Raymer, ch. 12].
+    """A flap is out: more lift at the same angle, the induced drag of it, and drag of its own [Raymer, ch. 12].
 
     Args:
         air: the flow.
@@ -117,7 +118,8 @@ def flap(air: Any, K: Any) -> tuple[Any, ...]:
         Loads.
     """
     lift = _lift_along(air, air.airspeed * air.airspeed * K.flap_lift)
-    return _both(lift, _drag_along(air, air.airspeed * K.flap_drag))
+    induced = K.cDi * K.flap_lift * (2.0 * (K.cL0 + K.cLa * air.alpha) + K.flap_lift)
+    return _both(lift, _drag_along(air, air.airspeed * (K.flap_drag + induced)))
 
 
 def thrust_loss(air: Any, K: Any) -> tuple[Any, ...]:
@@ -208,16 +210,21 @@ def mass_change(air: Any, K: Any) -> tuple[Any, ...]:
 
 
 def cg_shift(air: Any, K: Any) -> tuple[Any, ...]:
-    """The centre of gravity moved back: lift turns the nose up about it, dq/dt = V^2 s (cL0 + cLa alpha).
+    """The centre of gravity moved back, and air forces turn the aircraft about it: lift nose up, side force sideways.
+
+    dq/dt = s L/m, dr/dt = s (Iyy/Izz) Y/m, with Iyy/Izz = (1 - Jz)/(1 + Jy) from the inertia coupling
+    [Beard & McLain, eq. 3.17].
 
     Args:
         air: the flow.
-        K: parameter cg_moment [1/m], lever over squared radius of gyration, positive back.
+        K: parameters cg_moment s [1/m], lever over squared radius of gyration in pitch, positive back; Jy and Jz.
 
     Returns:
         Loads.
     """
-    return _zero_but(4, air.airspeed * air.airspeed * K.cg_moment * (K.cL0 + K.cLa * air.alpha))
+    lever = air.airspeed * air.airspeed * K.cg_moment
+    side = K.cYr * air.rudder - K.cY * air.beta
+    return 0.0, 0.0, 0.0, 0.0, lever * _lift_coefficient(air, K), lever * (1.0 - K.Jz) / (1.0 + K.Jy) * side
 
 
 def stall(air: Any, K: Any) -> tuple[Any, ...]:
@@ -294,26 +301,26 @@ CATALOGUE: tuple[Effect, ...] = (
     ),
     _force(
         "ground_effect", "Close to the floor the air under the wing cannot get away: more lift, less induced drag.",
-        ground_effect, Parameter("ground_lift", 0.1, -0.5, 2.0, "-", "share of lift added at the floor"),
+        ground_effect, Parameter("ground_lift", 0.1, 0.0, 2.0, "-", "share of lift added at the floor"),
     ),
     _force(
         "extra_drag", "Something sticks out into the air: drag grows with the square of speed at any throttle.",
-        extra_drag, Parameter("drag_added", 0.003, -0.05, 0.3, "1/m", "drag added at zero lift"),
+        extra_drag, Parameter("drag_added", 0.003, 0.0, 0.3, "1/m", "drag added at zero lift"),
     ),
     _force(
         "flap", "A flap is out: more lift at the same angle, and more drag.",
         flap,
         Parameter("flap_lift", 0.01, -0.2, 0.4, "1/m", "lift added at any angle"),
-        Parameter("flap_drag", 0.001, -0.05, 0.2, "1/m", "drag that comes with it"),
-        contains=("extra_drag",),
+        Parameter("flap_drag", 0.001, 0.0, 0.2, "1/m", "drag that comes with it"),
+        contains=("extra_drag",), essential=("flap_lift",),
     ),
     _force(
         "thrust_loss", "The propeller gives less thrust at the same throttle.",
-        thrust_loss, Parameter("thrust_lost", 0.05, -0.5, 1.5, "-", "share of the thrust that is gone"),
+        thrust_loss, Parameter("thrust_lost", 0.05, 0.0, 1.5, "-", "share of the thrust that is gone"),
     ),
     _force(
         "battery_sag", "The battery's voltage falls during the flight, and thrust with it.",
-        battery_sag, Parameter("sag", 0.05, -0.3, 1.0, "1/min", "share of the thrust lost per minute"),
+        battery_sag, Parameter("sag", 0.05, 0.0, 1.0, "1/min", "share of the thrust lost per minute"),
     ),
     _force(
         "propeller_torque", "The propeller turns the aircraft against its own rotation, in step with thrust.",
@@ -332,7 +339,7 @@ CATALOGUE: tuple[Effect, ...] = (
     ),
     Effect(
         "actuator_lag", "The servos follow more slowly than before.",
-        (Parameter("actuator_lag", 0.02, -0.05, 0.6, "s", "time constant added to servo and propeller"),),
+        (Parameter("actuator_lag", 0.02, 0.0, 0.6, "s", "time constant added to servo and propeller"),),
         starts=({"actuator_lag": 0.1},),
     ),
     Effect(  # the same effect in its other form: not the servo itself is slower, something follows it slowly
@@ -355,7 +362,7 @@ CATALOGUE: tuple[Effect, ...] = (
     ),
     _force(
         "aileron_loss", "An aileron moves less, or one of the two not at all.",
-        aileron_loss, Parameter("aileron_lost", 0.05, -0.5, 1.0, "-", "share of the aileron's moment that is gone"),
+        aileron_loss, Parameter("aileron_lost", 0.05, 0.0, 1.0, "-", "share of the aileron's moment that is gone"),
     ),
     _force(
         "mass_change", "The aircraft is heavier: every force bends its path less, only gravity pulls as before.",

@@ -191,8 +191,8 @@ def _decide(
             if second is not None:
                 chosen, explained = (best, second), explained + second.gain
                 left -= second.chi2_gain * base.scatter / freedom
-            elif left > SHARE_LEFT * excess:
-                verdict, chosen = "outside", ()
+        if left > max(EXCESS_SIGMAS * error, SHARE_LEFT * excess):
+            verdict, chosen = "outside", ()
     elif excess > EXCESS_SIGMAS * error:
         verdict = "outside"
     unnamed = _best_unnamed(base, windows, before, explained, progress)
@@ -299,7 +299,22 @@ def _fit_effect(
     result = fit(model, windows, starts, prior=base.prior, iterations=15)
     gained = (before.cost - result.cost) / base.scatter
     found = {p.name: result.model.values[p.name] for p in effect.parameters}
-    return Candidate(effect, gained - _price(effect, windows), gained, found, result)
+    gain = gained - _price(effect, windows)
+    return Candidate(
+        effect, gain if _is_itself(effect, result, windows, base) else min(gain, 0.0), gained, found, result
+    )
+
+
+def _is_itself(effect: Effect, result: FitResult, windows: Windows, base: CalmBase) -> bool:
+    """Whether a fit ended where the effect is what its name says: no place on its bound, nothing essential at zero."""
+    values = result.model.values
+    shape = (p for p in effect.parameters if p.name in effect.shape)
+    if any(not p.low + 1e-6 < values[p.name] < p.high - 1e-6 for p in shape):
+        return False
+    if not effect.essential:
+        return True
+    sure = uncertainty(result, windows, base.prior)
+    return all(low * high > 0.0 for low, high in (sure.interval(name, values[name]) for name in effect.essential))
 
 
 def _fit_flight(base: CalmBase, prepared: Prepared) -> tuple[Windows, FitResult]:
