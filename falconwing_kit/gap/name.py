@@ -25,6 +25,7 @@ Progress = Callable[[str], None]
 DAY_TO_DAY = 0.01  # coefficients of one aircraft differ by about this much from one day to the next
 LEAST_GAIN = 10.0  # "very strong" on the scale of Kass & Raftery 1995
 REFITS = 5  # effects that are fitted in full after the linear scan, and more while one not fitted could still win
+ROUGH = 2.0  # chi2 to which the first round of fits is carried; the second goes on from there
 CLEARLY = 0.05  # a load without a name must beat the named effects by this share of their evidence
 SHARE_LEFT = 0.5  # of the excess: a name that leaves more behind is no explanation
 EXCESS_SIGMAS = 6.0  # a flight's chi2 above the calm level by this much is not chance
@@ -155,9 +156,9 @@ def name_effect(
     prepared = prepare(flight, base.found.sigma)
     progress("flight under test")
     windows, before = _fit_flight(base, prepared)
-    ranking = _rank(base, windows, before, catalogue, progress)
+    ranking = _rank(base, windows, before, catalogue, progress, tolerance=ROUGH)
     best = ranking[0].result
-    if best is not None and ranking[0].gain > LEAST_GAIN:
+    if best is not None and ranking[0].gain > 0.5 * LEAST_GAIN:
         # Residuals that the effect explains were weighed down as if they were outliers: weigh again under the best.
         windows, before = _weigh_again(base, windows, before, best)
         ranking = _rank(base, windows, before, catalogue, progress, ranking)
@@ -250,6 +251,7 @@ def _rank(
     catalogue: Sequence[Effect],
     progress: Progress,
     known: Sequence[Candidate] = (),
+    tolerance: float = 0.1,
 ) -> list[Candidate]:
     """Linear scan of every effect, then full fits of the best, which begin where an earlier round ended."""
     earlier = {c.effect.parameters: c for c in known if c.result is not None}
@@ -261,7 +263,9 @@ def _rank(
         if hopeless or open_[0].gain < -LEAST_GAIN:
             break
         guess = open_.pop(0)
-        fitted.append(_fit_effect(base, windows, before, guess, progress, earlier.get(guess.effect.parameters)))
+        fitted.append(
+            _fit_effect(base, windows, before, guess, progress, earlier.get(guess.effect.parameters), tolerance)
+        )
     return sorted([*fitted, *open_], key=lambda c: -c.gain)
 
 
@@ -287,6 +291,7 @@ def _fit_effect(
     guess: Candidate,
     progress: Progress,
     earlier: Candidate | None = None,
+    tolerance: float = 0.1,
 ) -> Candidate:
     """Fit an effect in full, from what the scan found or from an earlier fit."""
     effect = guess.effect
@@ -296,7 +301,10 @@ def _fit_effect(
     model, starts = before.model.with_effect(effect).with_values(values), before.starts
     if earlier is not None and earlier.result is not None:
         model, starts = earlier.result.model, earlier.result.starts
-    result = fit(model, windows, starts, prior=base.prior, iterations=15)
+    result = fit(model, windows, starts, prior=base.prior, iterations=15, tolerance=tolerance)
+    if result.cost > before.cost:  # the scan promised too much: begin with a tenth of it
+        small = model.with_values({p.name: 0.1 * values[p.name] for p in effect.amplitudes})
+        result = fit(small, windows, before.starts, prior=base.prior, iterations=15, tolerance=tolerance)
     gained = (before.cost - result.cost) / base.scatter
     found = {p.name: result.model.values[p.name] for p in effect.parameters}
     gain = gained - _price(effect, windows)
