@@ -185,10 +185,15 @@ def _alone(columns: Array, residual: Array) -> Array:
     return np.asarray((columns.T @ residual) ** 2 / np.sum(columns**2, axis=0))
 
 
+def _alike(columns: Array) -> Array:
+    """(C, C) size of the columns' correlations."""
+    unit = columns / np.linalg.norm(columns, axis=0)
+    return np.asarray(np.abs(unit.T @ unit))
+
+
 def _separable(columns: Array, residual: Array) -> list[int]:
     """Columns, best first, without those that nearly repeat a better one."""
-    unit = columns / np.linalg.norm(columns, axis=0)
-    alike = np.abs(unit.T @ unit)
+    alike = _alike(columns)
     kept: list[int] = []
     for k in np.argsort(-_alone(columns, residual)):
         if all(alike[k, other] <= COLLINEAR for other in kept):
@@ -290,7 +295,7 @@ def _parameter_columns(flown: Flown, free: Sequence[int]) -> Array:
 
 
 def _best_places(names: Sequence[str], places: Sequence[int], columns: Array, residual: Array) -> list[int]:
-    """Of each effect the columns of the place that explains most by itself."""
+    """Of each effect the columns of the place that explains most by itself; what two effects share is the simpler's."""
     best: dict[str, tuple[float, list[int]]] = {}
     for place in dict.fromkeys(places):
         mine = [k for k, p in enumerate(places) if p == place and np.any(np.abs(columns[:, k]) > 1e-9)]
@@ -300,7 +305,9 @@ def _best_places(names: Sequence[str], places: Sequence[int], columns: Array, re
         explained = float(np.sum((Q.T @ residual) ** 2))
         if explained > best.get(names[mine[0]], (-1.0, []))[0]:
             best[names[mine[0]]] = (explained, mine)
-    return [k for _, mine in best.values() for k in mine]
+    chosen = [k for _, mine in sorted(best.values(), key=lambda found: len(found[1])) for k in mine]
+    alike = _alike(columns[:, chosen])
+    return [k for i, k in enumerate(chosen) if not np.any(alike[i, :i] > 1.0 - 1e-9)]
 
 
 # Accelerations ----------------------------------------------------------------------------------------------------
