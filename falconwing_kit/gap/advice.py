@@ -1,60 +1,383 @@
-"""Advice: a verdict -> one honest sentence about it, and what to fly next to know more."""
+"""Advice: a verdict -> one honest sentence about it, and which manoeuvre of a small library to fly next.
 
-from collections.abc import Sequence
-from itertools import combinations
+Nothing is looked up: the base model flies every manoeuvre, and the Fisher matrix that its evaluation would have says
+what it would tell. Information of flights adds, so what the flight under test told counts too.
+"""
 
-from falconwing_kit.gap.name import CalmBase, Naming
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from itertools import permutations
+from typing import Any
 
-# What makes an effect show, so that nothing else looks like it.
-MANOEUVRES: dict[str, str] = {
-    "wind": "turns through all headings, left and right",
-    "fan_jet": "repeated passes through the same places in both directions, and others where the air is still",
-    "ground_effect": "low passes at 0.3 to 1 m right after level flight at 2 m, at the same speed and throttle",
-    "extra_drag": "glides with the throttle closed, then the same speeds under power",
-    "flap": "a slow sweep of speed from the slowest safe flight to the fastest, wings level",
-    "thrust_loss": "throttle steps at one speed, and a glide with the throttle closed",
-    "battery_sag": "the same throttle steps at the start and at the end of a flight of two minutes or more",
-    "propeller_torque": "throttle steps with the wings level and the hands off aileron and rudder",
-    "adverse_yaw": "quick aileron doublets with the rudder still",
-    "control_delay": "sharp doublets on every stick",
-    "actuator_lag": "stick movements from slow to fast, up to two a second",
-    "trim_bias": "straight flight with the hands off the sticks, at a slow and at a fast speed",
-    "deadband": "small stick movements of a few per cent beside large ones",
-    "aileron_loss": "full and half aileron doublets to both sides",
-    "mass_change": "steep turns beside straight flight at the same speed, and a glide",
-    "cg_shift": "elevator doublets at a slow and at a fast speed",
-    "camera_tilt": "steep circles to the left and to the right at one speed",
-    "stall": "slow flight down to the first mushing, and steep turns",
-}  # fmt: skip
-# Pairs that need a flight of their own, or that no flight can part.
-PAIRS: dict[frozenset[str], str] = {
-    frozenset(pair.split("+")): text
-    for pair, text in {
-        "control_delay+actuator_lag": "sharp stick steps held for a second beside fast shaking (two a second): a delay "
-        "shifts both alike, a slow servo also makes the fast ones smaller",
-        "extra_drag+thrust_loss": "glides with the throttle closed: drag slows them, a weak propeller does not",
-        "extra_drag+battery_sag": "glides with the throttle closed at the start and at the end of a long flight",
-        "thrust_loss+battery_sag": "two minutes or more with the same throttle steps at start and end: a weak battery "
-        "grows worse, a weak propeller stays",
-        "mass_change+flap": "a sweep of speed and steep turns: weight bends every path less",
-        "mass_change+thrust_loss": "steep turns at one throttle and a glide: weight shows in both",
-        "mass_change+extra_drag": "steep turns and glides: weight bends the path less, drag only slows it",
-        "flap+camera_tilt": "circles inverted or very steep, left and right: a tilted camera turns with the body, lift "
-        "does not care how the camera looks",
-        "flap+ground_effect": "the same speeds at 2 m and at 0.3 to 1 m: only the cushion fades with height",
-        "wind+fan_jet": "the whole hall in both directions: a wind is the same everywhere, a fan's stream is not",
-        "trim_bias+camera_tilt": "straight flight hands off, at a slow and at a fast speed: a bent trim turns the "
-        "aircraft faster with speed, a tilted camera shows the same angle always",
-        "trim_bias+cg_shift": "straight flight from slow to fast: a moved centre of gravity needs other elevator at "
-        "each speed, a moved neutral the same",
-        "aileron_loss+deadband": "small and large aileron doublets: a dead band eats the small ones only",
-        "extra_drag+wind": "upwind and downwind legs: drag slows both, wind one of them",
-    }.items()
-}  # fmt: skip
+import numpy as np
+
+from falconwing_kit.aircraft.effects import Effect
+from falconwing_kit.aircraft.model import Model
+from falconwing_kit.aircraft.trim import STICK_LIMITS, Trim, trim
+from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.core.messages import COMMAND_NAMES
+from falconwing_kit.gap.name import LEAST_GAIN, CalmBase, Candidate, Naming
+from falconwing_kit.gap.noise import whitened
+from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
+from falconwing_kit.sysid.prepare import Flight
+from falconwing_kit.sysid.shooting import FIRST_ROW, Windows, changes, cut_windows, fly_windows, jacobian
+from falconwing_kit.sysid.uncertainty import ordinary_size
+
+PARTED = 2.0 * LEAST_GAIN  # chi2 between two effects at which one is named with room to spare
+TRIED_S = 30.0  # what a manoeuvre tells is compared after this time
+SECONDS = np.geomspace(2.0, 600.0, 16)  # where the growth of evidence is computed; who needs more needs another idea
+STEEPEST = math.radians(75.0)  # of pitch and roll; where a leg ends steeper, its pilot would not have waited so long
+SPOTS = np.array([[0, 0], [1, 1], [-1, -1], [1, -1], [-1, 1]])  # of the hall, where legs are flown in turn
+
+Stick = Callable[[Array], Any]  # time since the start of a leg [s] -> what is added to the trimmed stick
+
+
+def doublets(size: float) -> Stick:
+    """One way, the other, and a rest, 0.3 s each, again and again."""
+    return lambda t: np.array([0.0, size, -size])[np.round(t / 0.3 - 0.4).astype(int) % 3]
+
+
+def step(size: float) -> Stick:
+    """A step after half a second, held."""
+    return lambda t: size * (t >= 0.5)
+
+
+def shake(size: float, frequency_hz: float) -> Stick:
+    """To and fro, smoothly."""
+    return lambda t: size * np.sin(2.0 * np.pi * frequency_hz * t)
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Two seconds of a manoeuvre: a trimmed start, and what the sticks do from there."""
+
+    sticks: Mapping[str, Stick] = field(default_factory=dict)  # names of COMMAND_NAMES
+    speed: float = 1.0  # share of the usual speed
+    height: float = 2.0  # [m]
+    bank: float = 0.0  # [rad], positive right wing down
+    heading: float = 0.0  # of the flight over the floor [rad], from x to the left
+    glide: bool = False  # throttle closed, and the nose lowered until the speed stays
+    beside: float | None = None  # passes the place looked at, so far to its left [m]; None: all over the hall
+    later: float = 0.0  # after the other legs [s]
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """What a student pilot can fly in a hall with a trainer."""
+
+    name: str
+    how: str  # as the pilot hears it after "fly"
+    legs: tuple[Leg, ...]
+    shows: Mapping[str, str] = field(default_factory=dict)  # effect -> why it shows here as others do not
+
+
+def _both_ways(*legs: Leg) -> tuple[Leg, ...]:
+    return (*legs, *(replace(leg, heading=leg.heading + math.pi) for leg in legs))
+
+
+_POWER = (*(Leg({"throttle": step(s)}, speed=v) for v in (0.9, 1.1) for s in (0.3, -0.15)), Leg(height=3.5, glide=True))
+MANOEUVRES = (
+    Manoeuvre("aileron doublets", "quick aileron doublets, half and full, with the rudder still",
+              _both_ways(*(Leg({"aileron": doublets(s)}) for s in (0.4, -0.4, 0.8, -0.8))),
+              {"adverse_yaw": "aileron alone turns the nose", "aileron_loss": "a lost share is missing from each"}),
+    Manoeuvre("elevator doublets", "elevator doublets at a slow and at a fast speed",
+              _both_ways(*(Leg({"elevator": doublets(s)}, v) for v in (0.85, 1.2) for s in (0.25, -0.25))),
+              {"cg_shift": "its pull goes with the lift, the elevator's does not"}),
+    Manoeuvre("rudder doublets", "rudder doublets with the aileron still",
+              _both_ways(*(Leg({"rudder": doublets(s)}) for s in (0.5, -0.5)))),
+    Manoeuvre("throttle steps", "throttle steps with the wings level and the hands off the other sticks",
+              _both_ways(*_POWER[:4]), {"propeller_torque": "nothing but thrust turns the aircraft then"}),
+    Manoeuvre("glides", "glides with the throttle closed, at a slow and at a fast speed",
+              _both_ways(*(Leg(speed=v, height=3.5, glide=True) for v in (0.85, 1.0, 1.2))),
+              {"extra_drag": "drag slows a glide too", "thrust_loss": "a weak propeller does not slow a glide",
+               "battery_sag": "an empty battery does not slow a glide"}),
+    Manoeuvre("low passes", "low passes at 0.4 m right after level flight at 2 m, at the same speed and throttle",
+              _both_ways(Leg(height=0.4), Leg(height=2.0), Leg({"elevator": doublets(0.1)}, height=0.6)),
+              {"ground_effect": "only the cushion over the floor fades with height"}),
+    Manoeuvre("slow flight", "slow flight, wings level, down to the first mushing",
+              _both_ways(*(Leg({"elevator": doublets(s)}, v) for v in (0.85, 0.75, 0.68) for s in (0.1, -0.1))),
+              {"stall": "it begins at high angles of attack only"}),
+    Manoeuvre("fast flight", "fast flight, wings level", _both_ways(*(Leg(speed=v) for v in (1.2, 1.35))),
+              {"extra_drag": "drag grows with the square of speed"}),
+    Manoeuvre("speed sweep", "a sweep from the slowest safe speed to the fastest, wings level",
+              _both_ways(*(Leg(speed=v) for v in (0.75, 0.9, 1.05, 1.2, 1.35))),
+              {"flap": "its lift grows with speed", "cg_shift": "each speed needs another elevator",
+               "camera_tilt": "a tilted camera shows the same angle at any speed"}),
+    Manoeuvre("steep turns", "steep turns to the left and to the right at one speed",
+              _both_ways(*(Leg(bank=math.radians(b)) for b in (-50.0, -35.0, 35.0, 50.0))),
+              {"mass_change": "weight bends every path less", "camera_tilt": "a tilted camera turns with the body"}),
+    Manoeuvre("circles", "wide circles through all headings, to the left and to the right",
+              tuple(Leg(bank=math.radians(b), heading=k * math.pi / 2.0) for b in (-25.0, 25.0) for k in range(4)),
+              {"wind": "it comes from every side in turn"}),
+    Manoeuvre("passes", "repeated passes through one place of the hall in both directions, and beside it",
+              tuple(Leg(heading=k * math.pi / 2.0, beside=b) for k in range(4) for b in (-1.5, 0.0, 1.5)),
+              {"fan_jet": "a stream is felt in one place only", "wind": "a wind is the same beside it"}),
+    Manoeuvre("shaking", "fast stick shaking, up to two a second, beside steps that are held",
+              (*(Leg({stick: shake(0.4, f)}) for stick in COMMAND_NAMES[1:] for f in (1.0, 2.0)),
+               *(Leg({stick: step(s)}) for stick, s in (("aileron", 0.3), ("elevator", 0.2), ("rudder", 0.4)))),
+              {"control_delay": "a delay shifts slow and fast movements alike",
+               "actuator_lag": "a slow servo also makes the fast ones smaller"}),
+    Manoeuvre("hands off", "straight flight with the hands off the sticks, at a slow and at a fast speed",
+              _both_ways(*(Leg(speed=v) for v in (0.8, 1.2))),
+              {"trim_bias": "a bent trim turns the aircraft faster with speed"}),
+    Manoeuvre("small movements", "small movements of aileron, elevator and rudder beside large ones",
+              tuple(Leg({stick: shake(s, 0.7)}) for stick in COMMAND_NAMES[1:] for s in (0.06, 0.12, 0.5)),
+              {"deadband": "a dead band eats the small ones only"}),
+    Manoeuvre("early and late", "the same throttle steps and glides early in a flight and again two minutes later",
+              (*_POWER, *(replace(leg, later=120.0) for leg in _POWER)),
+              {"battery_sag": "only a battery gets worse meanwhile"}),
+)  # fmt: skip
 ONE_CLASS = (
     "no flight parts a control delay from late time stamps; on the bench, film a control surface and the stick "
     "together and compare the stamps"
 )
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What a manoeuvre would tell after the flight that was flown."""
+
+    manoeuvre: Manoeuvre
+    chi2: float = math.nan  # by which alternatives would part in TRIED_S
+    seconds: float = math.nan  # until they part by PARTED; inf where the longest of SECONDS do not suffice
+    narrower: float = math.nan  # where none are to be parted: share by which the widest interval shrinks in TRIED_S
+    widest: str = ""  # parameter with that 95 % interval
+
+
+def manoeuvre_windows(
+    base: CalmBase, like: Windows, place: Array | None = None, manoeuvres: Sequence[Manoeuvre] = MANOEUVRES
+) -> tuple[Windows, tuple[Manoeuvre, ...]]:
+    """Manoeuvres as windows, with the poses that the base model flies and the pose noise of the calm flight.
+
+    Args:
+        base: the aircraft without surprise.
+        like: windows of a flight: where in the hall, and how often a pose came.
+        place: (2,) that passes lead through [m]; None: all over the hall, as other legs do.
+        manoeuvres: what to fly.
+
+    Returns:
+        The windows, a leg each, and the manoeuvres that this aircraft can fly, which windows.flight counts.
+
+    Raises:
+        InputError: it can fly none of them.
+    """
+    model = base.result.model
+    rows, interval = like.nodes.shape[1], float(np.median(np.diff(like.nodes)))
+    low, high = np.percentile(like.guess[:, :2], [5.0, 95.0], axis=0)
+    usual = float(np.median(np.linalg.norm(base.windows.guess[:, 6:9], axis=1)))
+
+    @cache
+    def trimmed(speed: float, bank: float, height: float, glide: bool) -> Trim:
+        return _glide(model, speed * usual, height) if glide else trim(model, speed * usual, 0.0, bank, height)
+
+    flights, flown = [], []
+    for m in manoeuvres:
+        try:
+            trims = [trimmed(leg.speed, leg.bank, leg.height, leg.glide) for leg in m.legs]
+        except InputError:
+            continue  # beyond a limit of this aircraft
+        middles = 0.5 * (low + high) + 0.25 * (high - low) * SPOTS[np.arange(len(m.legs)) % len(SPOTS)]
+        at = [q if leg.beside is None or place is None else place for q, leg in zip(middles, m.legs, strict=True)]
+        flights.append(_flight(m, trims, at, rows, interval, base.found.sigma))
+        flown.append(m)
+    if not flown:
+        raise InputError("manoeuvres: want one that the calm flight's model can be trimmed for, got none; check it")
+    windows = whitened(cut_windows(flights, model, rows * interval), base.noise)
+    return replace(windows, pose=fly_windows(model, windows, windows.guess[:, : model.n_states])), tuple(flown)
+
+
+def _flight(
+    manoeuvre: Manoeuvre, trims: Sequence[Trim], middles: Sequence[Array], rows: int, interval: float, sigma: Array
+) -> Flight:
+    """One manoeuvre: its legs one after the other, each from its own trimmed start."""
+    count = FIRST_ROW + rows * len(trims)
+    t, smooth, commands = interval * np.arange(count, dtype=np.float64), np.zeros((count, 12)), np.empty((count, 4))
+    commands[:FIRST_ROW] = trims[0].command
+    for k, (leg, steady, middle) in enumerate(zip(manoeuvre.legs, trims, middles, strict=True)):
+        first = FIRST_ROW + k * rows
+        mine = slice(first, first + rows)
+        commands[mine] = steady.command
+        for stick, move in leg.sticks.items():
+            commands[mine, COMMAND_NAMES.index(stick)] += move(t[:rows])
+        smooth[first] = _start(steady.state, leg, middle, 0.5 * rows * interval)
+        t[mine] += leg.later
+    np.clip(commands, *np.transpose(STICK_LIMITS), out=commands)
+    return Flight(manoeuvre.name, t, np.zeros((count, 6)), commands, sigma, smooth, np.zeros_like(smooth))
+
+
+def _start(state: Array, leg: Leg, middle: Array, half_time: float) -> Array:
+    """(12,) a trimmed state turned to its heading, and moved so that straight flight leads through the middle."""
+    x = np.zeros(12)
+    x[: len(state)] = state
+    along = np.array([math.cos(leg.heading), math.sin(leg.heading)])
+    left = np.array([-along[1], along[0]])
+    x[4] -= leg.heading  # yaw is positive to the right
+    x[6:8] = state[6] * along + state[7] * left
+    x[:2] = middle + (leg.beside or 0.0) * left - half_time * x[6:8]
+    return x
+
+
+def _glide(model: Model, speed: float, height: float) -> Trim:
+    """Trim with the throttle closed: what it needs falls almost linearly with the climb angle."""
+    level, down = (trim(model, speed, climb, 0.0, height) for climb in (0.0, -0.03))
+    to_idle = 0.03 * level.command[0] / (level.command[0] - down.command[0])
+    gliding = trim(model, speed, -0.97 * to_idle, 0.0, height)
+    return replace(gliding, command=gliding.command * np.array([0.0, 1.0, 1.0, 1.0]))
+
+
+def noncentrality(gram: Array, signal: Array, free: np.ndarray, prior: Array) -> Array:
+    """Expected chi2 that a signal leaves after free columns have taken what they can of it.
+
+    min over b of |C s + C_f b|^2 + b' P b = s' G s - s' G_f (G_ff + P_ff)^-1 G_f' s,  G = C' C    [Wald 1943]
+
+    Args:
+        gram: (..., C, C) products of all columns; those of flights add.
+        signal: (C,) the signal as a mixture of columns.
+        free: (F,) which columns are free.
+        prior: (P, P) precision of what is known of the first P columns, all free ones among them.
+
+    Returns:
+        (...) chi2.
+    """
+    seen = gram @ signal
+    pulled = seen[..., free]
+    normal = gram[..., free[:, None], free] + prior[np.ix_(free, free)]
+    normal = normal + 1e-9 * np.einsum("...ii->...i", normal)[..., None] * np.eye(len(free))
+    taken = np.einsum("...f,...f->...", pulled, np.linalg.solve(normal, pulled[..., None])[..., 0])
+    return np.asarray(np.maximum(seen @ signal - taken, 0.0))
+
+
+@dataclass(frozen=True)
+class _Outlook:
+    """What a flight told and each manoeuvre would tell about the aircraft and some effects.
+
+    Columns: P parameters, the aircraft's and then the effects'; after them each effect as found.
+    """
+
+    manoeuvres: tuple[Manoeuvre, ...]
+    known: Array  # (C, C) products of the columns over the flight
+    rates: Array  # (M, C, C) the same per second of each manoeuvre
+    prior: Array  # (P, P) precision of what was known before
+    names: tuple[str, ...]  # (P,) parameters
+    sizes: Array  # (P,) ordinary sizes of these
+    effects: tuple[Effect, ...]
+    scatter: float  # chi2 is counted in units of this
+
+    @classmethod
+    def of(
+        cls, base: CalmBase, flown: FitResult, windows: Windows, prior: Prior | None, found: Sequence[Candidate] = ()
+    ) -> "_Outlook":
+        """From a fit without the effects to a flight, and the effects as found."""
+        model, free = base.result.model, flown.free
+        bounds = {p.name: (p.low, p.high) for c in found for p in c.effect.parameters}  # a linear scan knows none
+        found = [replace(c, values={n: float(np.clip(v, *bounds[n])) for n, v in c.values.items()}) for c in found]
+        jets = [np.array([c.values["jet_at_x"], c.values["jet_at_y"]]) for c in found if "jet_at_x" in c.values]
+        ahead, manoeuvres = manoeuvre_windows(base, windows, jets[0] if jets else None)
+        starts = ahead.guess[:, : model.n_states]
+        legs = _products(model, ahead, starts, *jacobian(model, ahead, starts, free)[1:], found)
+        rates = np.stack([legs[ahead.flight == k].sum(axis=0) / (2.0 * len(m.legs)) for k, m in enumerate(manoeuvres)])
+        gentle = np.all(np.abs(ahead.pose[..., 3:5]) < STEEPEST, axis=(1, 2))
+        can = np.array([k for k in range(len(rates)) if gentle[ahead.flight == k].all()], dtype=int)
+        known = _products(flown.model, windows, flown.starts, flown.to_free, flown.to_start, found).sum(axis=0)
+        own = [(model.parameters[i], model.vector[i]) for i in free]
+        all_of = own + [(p, c.values[p.name]) for c in found for p in c.effect.parameters]
+        rows, _ = prior_rows(model, free, prior)
+        return cls(
+            tuple(manoeuvres[k] for k in can), known, rates[can], np.pad(rows.T @ rows, (0, len(all_of) - len(own))),
+            tuple(p.name for p, _ in all_of), np.array([ordinary_size(*pair) for pair in all_of]),
+            tuple(c.effect for c in found), base.scatter,
+        )  # fmt: skip
+
+    def parting(self) -> tuple[Advice, ...]:
+        """How soon the effect as found could not pass for another, the worst of all pairs."""
+        times = np.append(SECONDS, TRIED_S)
+        ahead = self.known + times[:, None, None] * self.rates[:, None]
+        added = [
+            self._difference(true, fitted, ahead) - self._difference(true, fitted, self.known)
+            for true, fitted in permutations(range(len(self.effects)), 2)
+            if self.effects[true].name not in self.effects[fitted].contains  # it is that with more freedom, at a price
+        ]
+        worst = np.min(added, axis=0)
+        reached = [float(np.interp(PARTED, np.maximum.accumulate(c[:-1]), SECONDS, right=np.inf)) for c in worst]
+        table = [Advice(m, float(c[-1]), s) for m, c, s in zip(self.manoeuvres, worst, reached, strict=True)]
+        return tuple(sorted(table, key=lambda a: (a.seconds, -a.chi2)))
+
+    def _difference(self, true: int, fitted: int, gram: Array) -> Array:
+        """Expected chi2 (...) by which one effect, there as found, is fitted worse by another than by itself."""
+        signal = np.zeros(gram.shape[-1])
+        signal[len(self.names) + true], signal[len(self.names) + fitted] = 1.0, -1.0
+        others = {p.name for k, e in enumerate(self.effects) if k != fitted for p in e.parameters}
+        free = np.array([i for i, name in enumerate(self.names) if name not in others])
+        return noncentrality(gram, signal, free, self.prior) / self.scatter
+
+    def narrowing(self, wanted: Sequence[str]) -> tuple[Advice, ...]:
+        """By how much the widest interval of some parameters shrinks."""
+        at = [self.names.index(name) for name in wanted]
+        now, after = self._widths(self.known)[at], self._widths(self.known + TRIED_S * self.rates)[:, at].max(axis=1)
+        widest = wanted[int(np.argmax(now))]
+        narrower = (1.0 - after / now.max()).tolist()
+        table = [Advice(m, narrower=n, widest=widest) for m, n in zip(self.manoeuvres, narrower, strict=True)]
+        return tuple(sorted(table, key=lambda a: -a.narrower))
+
+    def _widths(self, gram: Array) -> Array:
+        """(..., P) half 95 % intervals in ordinary sizes."""
+        n = len(self.names)
+        normal = gram[..., :n, :n] / self.scatter + self.prior
+        scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", normal), 1e-30))
+        even = normal * scale[..., :, None] * scale[..., None, :] + 1e-9 * np.eye(n)
+        return np.asarray(1.96 * np.sqrt(np.einsum("...ii->...i", np.linalg.inv(even))) * scale / self.sizes)
+
+
+def _products(
+    model: Model, windows: Windows, starts: Array, to_free: Array, to_start: Array, found: Sequence[Candidate]
+) -> Array:
+    """(W, C, C) products of the columns in each window, outside of what its start state can do."""
+    of_effects = [_changes(model, windows, starts, c) for c in found]
+    columns = np.concatenate([to_free, *(c[..., 1:] for c in of_effects), *(c[..., :1] for c in of_effects)], axis=-1)
+    columns, to_start = (np.nan_to_num(c, posinf=0.0, neginf=0.0) for c in (columns, to_start))
+    Q, _ = np.linalg.qr(to_start)
+    columns = columns - Q @ (Q.transpose(0, 2, 1) @ columns)
+    return np.asarray(columns.transpose(0, 2, 1) @ columns)
+
+
+def _changes(model: Model, windows: Windows, starts: Array, found: Candidate) -> Array:
+    """(W, R, 1 + A) what an effect does as found, and per unit of each of its parameters from there."""
+    effect = found.effect
+    absent = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.amplitudes})
+    there = absent.with_values(found.values)
+    steps = {p.name: 0.02 * ordinary_size(p, there.values[p.name]) for p in effect.parameters}
+    beside = [there.with_values({n: there.values[n] + h}).vector for n, h in steps.items()]
+    with np.errstate(invalid="ignore"):  # a flight that ran away
+        at, *moved = changes(absent, windows, starts, np.stack([there.vector, *beside], axis=1))
+        return np.stack([at, *((m - at) / h for m, h in zip(moved, steps.values(), strict=True))], axis=-1)
+
+
+def advise(base: CalmBase, naming: Naming) -> tuple[Advice, ...]:
+    """What every manoeuvre of the library would tell after a flight, the best first.
+
+    Args:
+        base: the aircraft without surprise.
+        naming: the answer for the flight.
+
+    Returns:
+        Ambiguous: how soon the alternatives part. Named: how much better the effect's size is known. None: the same
+        for the coefficients that the calm flight hardly moved. Empty where there is nothing to part or to know better,
+        where no flight can do it, and where the model can fly none of the manoeuvres.
+    """
+    found, weak = naming.chosen, _hardly_moved(base) if naming.verdict == "none" else []
+    if not (weak or naming.verdict in ("named", "ambiguous")) or _one_class(found):
+        return ()
+    try:
+        if weak:
+            return _Outlook.of(base, base.result, base.windows, None).narrowing(weak)
+        outlook = _Outlook.of(base, naming.before, naming.windows, base.prior, found)
+    except InputError:
+        return ()
+    if naming.verdict == "ambiguous":
+        return outlook.parting()
+    return outlook.narrowing([p.name for c in found for p in c.effect.parameters])
 
 
 def next_flight(base: CalmBase, naming: Naming) -> str:
@@ -67,24 +390,26 @@ def next_flight(base: CalmBase, naming: Naming) -> str:
     Returns:
         One sentence.
     """
-    names = [c.effect.name for c in naming.chosen]
-    if naming.verdict == "ambiguous":
-        return f"to part {_listed(names)}, fly {_parting(names)}"
-    if naming.verdict == "named":
-        shows = "; ".join(MANOEUVRES[name] for name in names)
-        known = f"; {ONE_CLASS}" if "control_delay" in names else ""
-        return f"to know the size better, fly more of this: {shows}{known}"
     if naming.verdict == "outside":
         return (
             "fly the calm flight again with nothing changed, to be sure of the aircraft; if it still fits, change one "
             "thing at a time and look at the map of residuals for what it goes with"
         )
-    weak = [n for n in base.found.uncertainty.not_excited if n not in ("delay", "lag")]
-    shy = f"; the calm flight hardly moved {_listed(weak[:4])}" if weak else ""
-    return (
-        "nothing needs to be parted; a smaller effect would show in a longer flight with larger and faster movements "
-        f"of every stick, a sweep of speed, low passes and turns both ways{shy}"
-    )
+    best = next(iter(advise(base, naming)), None)
+    if naming.verdict == "none":
+        shy = f"; the calm flight hardly moved {_listed(_hardly_moved(base)[:4])}: fly {_narrows(best)}" if best else ""
+        return (
+            "nothing needs to be parted; a smaller effect would show in a longer flight with larger and faster "
+            f"movements of every stick, a sweep of speed, low passes and turns both ways{shy}"
+        )
+    if _one_class(naming.chosen):
+        return ONE_CLASS
+    if best is None:
+        return "fly the same again, longer, with larger movements of every stick and at more speeds and heights"
+    if naming.verdict == "ambiguous":
+        return _to_part([c.effect.name for c in naming.chosen], best)
+    known = f"; {ONE_CLASS}" if any(c.effect.name == "control_delay" for c in naming.chosen) else ""
+    return f"to know the size better, fly {_narrows(best)}{known}"
 
 
 def headline(naming: Naming) -> str:
@@ -98,10 +423,26 @@ def headline(naming: Naming) -> str:
     }[naming.verdict]
 
 
-def _parting(names: Sequence[str]) -> str:
-    told = [PAIRS[frozenset(pair)] for pair in combinations(names, 2) if frozenset(pair) in PAIRS]
-    lone = [n for n in names if not any(frozenset((n, m)) in PAIRS for m in names)]
-    return "; and ".join(dict.fromkeys([*told, *(MANOEUVRES[name] for name in lone)]))
+def _to_part(names: Sequence[str], best: Advice) -> str:
+    reasons = ", ".join(best.manoeuvre.shows[n] for n in names if n in best.manoeuvre.shows)
+    fly = f"fly {best.manoeuvre.how}{': ' if reasons else ''}{reasons}"
+    if math.isinf(best.seconds):
+        return f"{SECONDS[-1] / 60.0:.0f} min of one manoeuvre would not part {_listed(names)}; the best of all, {fly}"
+    return f"to part {_listed(names)}, {10 * math.ceil(best.seconds / 10.0)} s should do: {fly}"
+
+
+def _narrows(best: Advice) -> str:
+    name = best.widest.replace("_", " ")
+    return f"{best.manoeuvre.how}; {TRIED_S:.0f} s narrow the interval of {name} by {100.0 * best.narrower:.0f} %"
+
+
+def _one_class(found: Sequence[Candidate]) -> bool:
+    """Whether two of the effects have the same dynamics."""
+    return any(a.effect.same_as == b.effect.name for a, b in permutations(found, 2))
+
+
+def _hardly_moved(base: CalmBase) -> list[str]:
+    return [n for n in base.found.uncertainty.not_excited if n not in ("delay", "lag")]
 
 
 def _listed(names: Sequence[str], word: str = "and") -> str:
