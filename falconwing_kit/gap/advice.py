@@ -81,16 +81,17 @@ _POWER = (*(Leg({"throttle": step(s)}, speed=v) for v in (0.9, 1.1) for s in (0.
 MANOEUVRES = (
     Manoeuvre("aileron doublets", "quick aileron doublets, half and full, with the rudder still",
               _both_ways(*(Leg({"aileron": doublets(s)}) for s in (0.4, -0.4, 0.8, -0.8))),
-              {"adverse_yaw": "aileron alone turns the nose", "aileron_loss": "a lost share is missing from each"}),
+              {"adverse_yaw": "aileron alone turns the nose", "control_delay": "a delay moves each edge",
+               "actuator_lag": "a slow servo rounds each edge"}),
     Manoeuvre("elevator doublets", "elevator doublets at a slow and at a fast speed",
               _both_ways(*(Leg({"elevator": doublets(s)}, v) for v in (0.85, 1.2) for s in (0.25, -0.25))),
               {"cg_shift": "its pull goes with the lift, the elevator's does not"}),
     Manoeuvre("rudder doublets", "rudder doublets with the aileron still",
               _both_ways(*(Leg({"rudder": doublets(s)}) for s in (0.5, -0.5)))),
     Manoeuvre("throttle steps", "throttle steps with the wings level and the hands off the other sticks",
-              _both_ways(*_POWER[:4]), {"propeller_torque": "nothing but thrust turns the aircraft then"}),
-    Manoeuvre("glides", "glides with the throttle closed, at a slow and at a fast speed",
-              _both_ways(*(Leg(speed=v, height=3.5, glide=True) for v in (0.85, 1.0, 1.2))),
+              _both_ways(*_POWER[:4]), {"propeller_torque": "nothing but thrust turns it", "thrust_loss": "each step lacks its share"}),
+    Manoeuvre("glides", "glides with the throttle closed, slow and fast, and throttle steps at the same speeds",
+              _both_ways(*(Leg(speed=v, height=3.5, glide=True) for v in (0.85, 1.0, 1.2)), *_POWER[:4]),
               {"extra_drag": "drag slows a glide too", "thrust_loss": "a weak propeller does not slow a glide",
                "battery_sag": "an empty battery does not slow a glide"}),
     Manoeuvre("low passes", "low passes at 0.4 m right after level flight at 2 m, at the same speed and throttle",
@@ -196,12 +197,11 @@ def _flight(
     t, smooth, commands = interval * np.arange(count, dtype=np.float64), np.zeros((count, 12)), np.empty((count, 4))
     commands[:FIRST_ROW] = trims[0].command
     for k, (leg, steady, middle) in enumerate(zip(manoeuvre.legs, trims, middles, strict=True)):
-        first = FIRST_ROW + k * rows
-        mine = slice(first, first + rows)
+        mine = slice(FIRST_ROW + k * rows, FIRST_ROW + (k + 1) * rows)
         commands[mine] = steady.command
         for stick, move in leg.sticks.items():
             commands[mine, COMMAND_NAMES.index(stick)] += move(t[:rows])
-        smooth[first] = _start(steady.state, leg, middle, 0.5 * rows * interval)
+        smooth[mine.start] = _start(steady.state, leg, middle, 0.5 * rows * interval)
         t[mine] += leg.later
     np.clip(commands, *np.transpose(STICK_LIMITS), out=commands)
     return Flight(manoeuvre.name, t, np.zeros((count, 6)), commands, sigma, smooth, np.zeros_like(smooth))
@@ -437,8 +437,8 @@ def _narrows(best: Advice) -> str:
 
 
 def _one_class(found: Sequence[Candidate]) -> bool:
-    """Whether two of the effects have the same dynamics."""
-    return any(a.effect.same_as == b.effect.name for a, b in permutations(found, 2))
+    """Whether one of the effects has exactly the dynamics of another."""
+    return any(c.effect.same_as for c in found)
 
 
 def _hardly_moved(base: CalmBase) -> list[str]:
