@@ -89,7 +89,7 @@ MANOEUVRES = (
     Manoeuvre("rudder doublets", "rudder doublets with the aileron still",
               _both_ways(*(Leg({"rudder": doublets(s)}) for s in (0.5, -0.5)))),
     Manoeuvre("throttle steps", "throttle steps with the wings level and the hands off the other sticks",
-              _both_ways(*_POWER[:4]), {"propeller_torque": "nothing but thrust turns it", "thrust_loss": "each step lacks its share"}),
+              _both_ways(*_POWER[:4]), {"propeller_torque": "nothing but thrust turns the aircraft then"}),
     Manoeuvre("glides", "glides with the throttle closed, slow and fast, and throttle steps at the same speeds",
               _both_ways(*(Leg(speed=v, height=3.5, glide=True) for v in (0.85, 1.0, 1.2)), *_POWER[:4]),
               {"extra_drag": "drag slows a glide too", "thrust_loss": "a weak propeller does not slow a glide",
@@ -117,7 +117,7 @@ MANOEUVRES = (
               {"fan_jet": "a stream is felt in one place only", "wind": "a wind is the same beside it"}),
     Manoeuvre("shaking", "fast stick shaking, up to two a second, beside steps that are held",
               (*(Leg({stick: shake(0.4, f)}) for stick in COMMAND_NAMES[1:] for f in (1.0, 2.0)),
-               *(Leg({stick: step(s)}) for stick, s in (("aileron", 0.3), ("elevator", 0.2), ("rudder", 0.4)))),
+               *(Leg({stick: step(s)}) for stick, s in (("aileron", 0.15), ("elevator", 0.2), ("rudder", 0.3)))),
               {"control_delay": "a delay shifts slow and fast movements alike",
                "actuator_lag": "a slow servo also makes the fast ones smaller"}),
     Manoeuvre("hands off", "straight flight with the hands off the sticks, at a slow and at a fast speed",
@@ -347,7 +347,7 @@ def _changes(model: Model, windows: Windows, starts: Array, found: Candidate) ->
     effect = found.effect
     absent = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.amplitudes})
     there = absent.with_values(found.values)
-    steps = {p.name: 0.02 * ordinary_size(p, there.values[p.name]) for p in effect.parameters}
+    steps = {p.name: 0.1 * ordinary_size(p, there.values[p.name]) for p in effect.parameters}
     beside = [there.with_values({n: there.values[n] + h}).vector for n, h in steps.items()]
     with np.errstate(invalid="ignore"):  # a flight that ran away
         at, *moved = changes(absent, windows, starts, np.stack([there.vector, *beside], axis=1))
