@@ -79,19 +79,19 @@ def fan_jet(px: Any, py: Any, height: Any, time: Any, K: Any) -> tuple[Any, Any,
 
 
 def ground_effect(air: Any, K: Any) -> tuple[Any, ...]:
-    """Lift grows and induced drag falls near the floor: L (1 + k exp(-h / 0.5 m)) [McCormick, Aerodynamics, ch. 7].
+    """Lift grows and induced drag falls near the floor, both as exp(-h / 0.5 m) [McCormick, Aerodynamics, ch. 7].
 
     Args:
         air: the flow.
-        K: parameter ground_lift, the share k at the floor.
+        K: parameters ground_lift and ground_drag, shares of lift added and of induced drag lost at the floor.
 
     Returns:
         Loads.
     """
-    share = K.ground_lift * np.exp(-np.maximum(air.height, 0.0) / GROUND_EFFECT_HEIGHT_M)
+    near = np.exp(-np.maximum(air.height, 0.0) / GROUND_EFFECT_HEIGHT_M)
     coefficient = _lift_coefficient(air, K)
-    lift = _lift_along(air, air.airspeed * air.airspeed * coefficient * share)
-    return _both(lift, _drag_along(air, -air.airspeed * K.cDi * coefficient * coefficient * np.minimum(share, 1.0)))
+    lift = _lift_along(air, air.airspeed * air.airspeed * coefficient * K.ground_lift * near)
+    return _both(lift, _drag_along(air, -air.airspeed * K.cDi * coefficient * coefficient * K.ground_drag * near))
 
 
 def extra_drag(air: Any, K: Any) -> tuple[Any, ...]:
@@ -301,7 +301,10 @@ CATALOGUE: tuple[Effect, ...] = (
     ),
     _force(
         "ground_effect", "Close to the floor the air under the wing cannot get away: more lift, less induced drag.",
-        ground_effect, Parameter("ground_lift", 0.1, 0.0, 2.0, "-", "share of lift added at the floor"),
+        ground_effect,
+        Parameter("ground_lift", 0.1, 0.0, 2.0, "-", "share of lift added at the floor"),
+        Parameter("ground_drag", 0.2, -4.0, 1.5, "-", "share of induced drag lost at the floor"),
+        essential=("ground_lift",),
     ),
     _force(
         "extra_drag", "Something sticks out into the air: drag grows with the square of speed at any throttle.",

@@ -26,10 +26,10 @@ DAY_TO_DAY = 0.01  # coefficients of one aircraft differ by about this much from
 LEAST_GAIN = 10.0  # "very strong" on the scale of Kass & Raftery 1995
 REFITS = 5  # effects that are fitted in full after the linear scan, and more while one not fitted could still win
 ROUGH = 2.0  # chi2 to which the first round of fits is carried; the second goes on from there
-CLEARLY = 0.05  # a load without a name must beat the named effects by this share of their evidence
+CLEARLY = 0.1  # a load without a name must beat the named effects by this share of their evidence
 SHARE_LEFT = 0.5  # of the excess: a name that leaves more behind is no explanation
 EXCESS_SIGMAS = 6.0  # a flight's chi2 above the calm level by this much is not chance
-STRAINED = 4.0  # prior chi2 per parameter beyond which the base model does not stand for this aircraft
+STRAINED = 9.0  # parameters that moved by three of their sigmas on average: the base is no model of this aircraft
 BASE_FITS = 4.0  # calm chi2 beyond this: the base model is not a model of this aircraft
 
 

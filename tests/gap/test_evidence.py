@@ -35,7 +35,7 @@ def base_fit(effect: str, **values: float) -> tuple[FitResult, Windows]:
 def column(effect: str, result: FitResult, windows: Windows) -> Columns:
     """The effect's columns at its ordinary size."""
     usual = Variant(EFFECTS[effect], {p.name: p.start for p in EFFECTS[effect].parameters})
-    return columns(result.model, windows, result.starts, result.residual, usual)
+    return columns(result.model, windows, result.starts, [usual])[0]
 
 
 @pytest.mark.parametrize(
