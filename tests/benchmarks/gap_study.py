@@ -1,0 +1,259 @@
+"""How well the gap workflow names: flights made from fresh seeds -> one line of JSON each, and a table.
+
+    python -m tests.benchmarks.gap_study independent --seed 20000 --out independent.jsonl
+
+Kinds: independent (JSBSim aircraft, every effect in turn, named with the full catalogue and again with the true effect
+withheld), calm (nothing hidden), pairs (two effects at once), outside (effects in no catalogue), own (the kit's own
+aircraft, 60 s). All flights are simulated. A file that exists is gone on with, so a study can be stopped and resumed.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from falconwing_kit.aircraft.effects import CATALOGUE
+from falconwing_kit.core.flight_table import FlightTable
+from falconwing_kit.gap.close import close_gap
+from falconwing_kit.gap.name import CalmBase, Naming, know_calm, name_effect
+from tests.hidden_effects import IN_CATALOGUE, OUTSIDE
+from tests.hidden_flights import make_case
+
+NOISES = ("marker", "hybrid", "marker", "hybrid", "net")
+PAIRS = (
+    "wind+battery_sag", "extra_drag+adverse_yaw", "control_delay+wind", "ground_effect+propeller_torque",
+    "mass_change+camera_tilt", "thrust_loss+trim_bias", "flap+adverse_yaw", "aileron_loss+wind",
+    "fan_jet+extra_drag", "cg_shift+battery_sag", "deadband+wind", "actuator_lag+propeller_torque",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Case:
+    """One flight to be named."""
+
+    kind: str
+    seed: int
+    effect: str
+    noise: str
+    correlated: bool
+    options: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """What a line is recognised by when a study is resumed."""
+        return f"{self.kind} {self.seed} {self.effect} {self.noise}"
+
+
+def cases(kind: str, seed: int, count: int | None) -> Iterator[Case]:
+    """The cases of a study; every third flight with time-correlated noise, every second of the calm ones."""
+    effects = {"independent": IN_CATALOGUE, "calm": ("none",), "pairs": PAIRS, "outside": OUTSIDE, "own": IN_CATALOGUE}[
+        kind
+    ]
+    noises = {"pairs": ("marker", "hybrid"), "own": ("marker",)}.get(kind, NOISES)
+    usual = {
+        "independent": 5 * len(IN_CATALOGUE),
+        "calm": 60,
+        "pairs": 24,
+        "outside": 21,
+        "own": 5 * len(IN_CATALOGUE),
+    }[kind]
+    for k in range(count or usual):
+        effect, round_ = effects[k % len(effects)], k // len(effects)
+        # The noise changes from round to round, so that every effect meets every noise.
+        noise = noises[(k if kind in ("calm", "outside") else round_) % len(noises)]
+        correlated = k % 2 == 1 if kind == "calm" else kind != "own" and (k + round_) % 3 == 2
+        options = {"pose_bias": (0.0, 0.0, 0.03)[k % 3]} if kind == "calm" else {}
+        yield Case(kind, seed + k, effect, noise, correlated, options)
+
+
+def study(case: Case) -> dict[str, Any]:
+    """Fly a case, name it, close the gap, and only then look at the answer."""
+    calm, flight, truth = _fly(case)
+    clock = [time.process_time()]
+    base = know_calm(calm)
+    clock.append(time.process_time())
+    naming = name_effect(base, flight)
+    clock.append(time.process_time())
+    closed = close_gap(base, naming)
+    clock.append(time.process_time())
+    row: dict[str, Any] = {
+        "key": case.key, "kind": case.kind, "seed": case.seed, "effect": case.effect, "noise": case.noise,
+        "correlated": case.correlated, **_answer(naming, case.effect),
+        "gap": [closed.before.chi2, closed.after.chi2, closed.calm.chi2],
+        "parameters": {
+            name: [size.value, size.low95, size.high95, truth["kit"].get(name)]
+            for name, size in closed.parameters.items()
+        },
+        "size": truth["size"], "seconds": dict(zip(("calm", "name", "close"), np.diff(clock).tolist(), strict=True)),
+    }  # fmt: skip
+    if case.kind in ("independent", "own") and case.effect != "none":
+        known = _merged(case.effect)
+        row["withheld"] = _answer(name_effect(base, flight, [e for e in CATALOGUE if e.name != known]), case.effect)
+        row["detectable"] = _detectable(base, flight, known)
+        row["baselines"] = _baselines(base, flight)
+    return row
+
+
+def _fly(case: Case) -> tuple[FlightTable, FlightTable, dict[str, Any]]:
+    if case.kind == "own":
+        from falconwing_kit.gap.hidden import hidden_case
+
+        own = hidden_case(case.seed, case.effect, noise=case.noise, flight_seconds=60.0)
+        return own.calm, own.flight, {"kit": own.truth["size"], **own.truth}
+    made = make_case(case.seed, case.effect, case.noise, case.correlated, **case.options)
+    return made.calm, made.flight, made.truth
+
+
+def _answer(naming: Naming, effect: str) -> dict[str, Any]:
+    names = [c.effect.name for c in naming.chosen]
+    order = [c.effect.name for c in naming.ranking]
+    true = _merged(effect)
+    return {
+        "verdict": naming.verdict, "effects": names,
+        "ranking": [[c.effect.name, round(c.gain, 1)] for c in naming.ranking[:4]],
+        "place": order.index(true) + 1 if true in order else None,
+        "threshold": naming.threshold, "excess": naming.excess, "left": naming.left, "strain": naming.strain,
+        "unnamed": [naming.unnamed.effect.name, round(naming.unnamed.gain, 1)],
+    }  # fmt: skip
+
+
+def _merged(effect: str) -> str:
+    """A late time stamp is a control delay: one class."""
+    return effect.replace("time_offset", "control_delay")
+
+
+def _detectable(base: CalmBase, flight: FlightTable, effect: str) -> float:
+    """chi2 by which the true model beats the base model on held-out time, both fitted to the rest."""
+    alone = name_effect(base, flight, [e for e in CATALOGUE if e.name == effect])
+    forced = type(alone)(**{**vars(alone), "verdict": "named", "chosen": alone.ranking[:1]})
+    closed = close_gap(base, forced)
+    components = np.count_nonzero(forced.windows.weight[closed.held_out])
+    return float((closed.before_free.chi2 - closed.after.chi2) * components)
+
+
+def _baselines(base: CalmBase, flight: FlightTable) -> dict[str, str]:
+    try:
+        from tests.benchmarks.baselines import baseline_answers
+    except ImportError:  # PySINDy comes with the extra `bench`
+        return {}
+    return baseline_answers(base, flight)
+
+
+# Judging --------------------------------------------------------------------------------------------------------------
+
+
+def points(row: dict[str, Any], effect: str) -> float:
+    """1 for the right name, one half for a set of at most three that holds it, 0 otherwise."""
+    true = set() if effect == "none" else set(_merged(effect).split("+"))
+    found = set(row["effects"])
+    if row["verdict"] == "ambiguous":
+        return 0.5 if len(found) <= 3 and true & found else 0.0
+    if effect == "none":
+        return float(row["verdict"] == "none")
+    return float(row["verdict"] == "named" and found == true)
+
+
+def is_wrong(row: dict[str, Any], effect: str) -> bool:
+    """Whether it says something that is not so; "none" and "outside" say nothing."""
+    true = set() if effect == "none" else set(_merged(effect).split("+"))
+    found = set(row["effects"])
+    return bool(found) and (not found <= true if row["verdict"] == "named" else not found & true)
+
+
+def summary(rows: list[dict[str, Any]]) -> list[str]:
+    """Lines of a report about finished rows of one kind."""
+    lines = [f"{rows[0]['kind']}: {len(rows)} flights, seeds {min(r['seed'] for r in rows)} to "
+             f"{max(r['seed'] for r in rows)}"]  # fmt: skip
+    for noise in dict.fromkeys(r["noise"] for r in rows):
+        some = [r for r in rows if r["noise"] == noise]
+        lines.append(f"  {noise}: {_figures(some)}")
+    lines.append(f"  all: {_figures(rows)}")
+    held = [r for r in rows if "withheld" in r]
+    if held:
+        wrong = [r for r in held if is_wrong(r["withheld"], "none")]
+        lines.append(f"  true effect withheld: {len(wrong)} of {len(held)} named as something else: "
+                     + ", ".join(f"{r['effect']} as {'+'.join(r['withheld']['effects'])}" for r in wrong))  # fmt: skip
+        lines += _accuracy(held)
+        lines += _beside_baselines(held)
+    lines += [
+        f"  not right: {r['seed']} {r['effect']} {r['noise']}{'~' if r['correlated'] else ''} -> {r['verdict']} "
+        f"{'+'.join(r['effects'])} {r['ranking'][:2]} unnamed {r['unnamed']} left {r['left']:.3f} of {r['excess']:.3f}"
+        for r in rows if not right_or_outside(r)
+    ]  # fmt: skip
+    seconds = {stage: np.median([r["seconds"][stage] for r in rows]) for stage in rows[0]["seconds"]}
+    lines.append("  CPU seconds, median: " + ", ".join(f"{stage} {s:.1f}" for stage, s in seconds.items()))
+    return lines
+
+
+def right_or_outside(row: dict[str, Any]) -> bool:
+    """Right; for an effect in no catalogue, not named."""
+    return not row["effects"] if row["kind"] == "outside" else points(row, row["effect"]) == 1.0
+
+
+def _figures(rows: list[dict[str, Any]]) -> str:
+    right, wrong = sum(points(r, r["effect"]) for r in rows), sum(is_wrong(r, r["effect"]) for r in rows)
+    text = f"{len(rows)} flights, right {right:g} ({right / len(rows):.3f}), wrong name {wrong}"
+    if rows[0]["kind"] == "pairs":
+        both = sum(set(r["effect"].split("+")) <= set(r["effects"]) for r in rows)
+        return f"{text}, both reported {both}"
+    places = [r["place"] for r in rows if r["place"]]
+    return f"{text}, truth among the first three {sum(p <= 3 for p in places)}" if places else text
+
+
+def _accuracy(rows: list[dict[str, Any]]) -> list[str]:
+    named = [r for r in rows if points(r, r["effect"]) == 1.0]
+    clear = [r for r in rows if r["detectable"] > 20.0]
+    falls = [(b - a) / (b - c) for b, a, c in (r["gap"] for r in named) if b - c > 0.05]
+    sizes = [p for r in named for p in r["parameters"].values() if p[3] is not None]
+    errors = [abs(value / true - 1.0) for value, _, _, true in sizes if abs(true) > 1e-9]
+    inside = [low <= true <= high for _, low, high, true in sizes]
+    return [
+        f"  the true model wins by more than 20 chi2 held out: {len(clear)} flights, right "
+        f"{sum(points(r, r['effect']) for r in clear) / max(len(clear), 1):.3f}",
+        f"  named right: the held-out excess falls by {100 * np.median(falls):.0f} % (median of {len(falls)} whose "
+        f"excess was over 0.05); parameters off by {100 * np.median(errors):.1f} % (median of {len(errors)}), "
+        f"intervals hold {100 * np.mean(inside):.0f} %",
+    ]
+
+
+def _beside_baselines(rows: list[dict[str, Any]]) -> list[str]:
+    """Top-1 of each baseline on the same flights, thresholds chosen in hindsight by whoever reads the table."""
+    ours = sum(points(r, r["effect"]) for r in rows) / len(rows)
+    lines = [f"  the kit: right {ours:.3f}"]
+    for name in sorted({name for r in rows for name in r["baselines"]}):
+        right = sum(r["baselines"].get(name) in (r["effect"], _merged(r["effect"])) for r in rows) / len(rows)
+        lines.append(f"  {name}: right {right:.3f}")
+    return lines
+
+
+def main() -> None:
+    """Run a study, or go on with it, and print its table."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("kind", choices=("independent", "calm", "pairs", "outside", "own"))
+    parser.add_argument("--seed", type=int, required=True, help="of the first flight")
+    parser.add_argument("--cases", type=int, default=None)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, required=True, help="JSON lines; gone on with where it exists")
+    asked = parser.parse_args()
+    done = [json.loads(line) for line in asked.out.read_text().splitlines()] if asked.out.exists() else []
+    known = {row["key"] for row in done}
+    left = [c for c in cases(asked.kind, asked.seed, asked.cases) if c.key not in known]
+    with ProcessPoolExecutor(asked.workers) as pool, asked.out.open("a") as file:
+        jobs = {pool.submit(study, case): case for case in left}
+        for number, job in enumerate(as_completed(jobs), start=1):
+            row = job.result()
+            done.append(row)
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            print(f"{number}/{len(left)} {row['key']}: {row['verdict']} {'+'.join(row['effects'])}", flush=True)
+    print("\n".join(summary([r for r in done if r["kind"] == asked.kind])))
+
+
+if __name__ == "__main__":
+    main()
