@@ -1,16 +1,29 @@
-"""Closing the gap: a named effect -> how much better the model predicts time it has not seen, and the effect's size."""
+"""Closing the gap: a flight -> since when it surprises, how large the named effect is, and how much the gap closes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from falconwing_kit.aircraft.effects import CATALOGUE, Effect
 from falconwing_kit.aircraft.model import Model
+from falconwing_kit.aircraft.terms import Parameter
 from falconwing_kit.core.checks import Array
-from falconwing_kit.gap.name import CalmBase, Candidate, Naming
-from falconwing_kit.sysid.fit import FitResult, fit
+from falconwing_kit.core.flight_table import FlightTable, slice_time
+from falconwing_kit.gap.evidence import Reduced, Variant, columns
+from falconwing_kit.gap.name import CalmBase, Candidate, Naming, Progress, name_effect
+from falconwing_kit.sysid.fit import FitResult, fit, prior_rows
 from falconwing_kit.sysid.score import BLOCK_S, Score, hold_out, score, select
-from falconwing_kit.sysid.shooting import Windows
+from falconwing_kit.sysid.shooting import Windows, changes
 from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
+
+SINCE = "acts_since"  # parameter of an effect that sets in: from this time of the flight on [s]
+TRIED_LATER = 5  # effects that may have set in during the flight: the best of those that act all along
+SHORTEST_LATER_S = 8.0  # of flight after a change: four windows, fewer do not carry a name
+LIKELIHOOD_DROP = 3.84  # of twice the log likelihood at the ends of a 95 % interval [Wilks 1938]
+ROUNDS = 4  # fits at ever better times before the time is taken as found
+FAR = 1e6  # sigmas: of a flight that ran away
 
 
 @dataclass(frozen=True)
@@ -22,6 +35,18 @@ class Size:
     high95: float
     unit: str
     meaning: str
+
+
+@dataclass(frozen=True)
+class Onset:
+    """When an effect set in."""
+
+    effect: Effect
+    time: float  # on the flight's clock [s]
+    low95: float
+    high95: float
+    gain: float  # evidence over the base model: chi2 in units of the scatter, less the price of parameters and time
+    result: FitResult  # the effect acts from then on, so that its size rests on the time after it alone
 
 
 @dataclass(frozen=True)
@@ -100,3 +125,182 @@ def _split(windows: Windows) -> tuple[np.ndarray, np.ndarray]:
 
 def _noise_weights(windows: Windows, base: CalmBase) -> Array:
     return np.where(windows.weight > 0.0, 1.0 / base.found.sigma, 0.0)
+
+
+def name_since(
+    base: CalmBase,
+    flight: FlightTable,
+    catalogue: Sequence[Effect] = CATALOGUE,
+    progress: Progress = lambda stage: None,
+) -> tuple[Naming, Onset | None]:
+    """Name what a flight shows, on the time after it set in where it clearly set in during the flight.
+
+    An effect that acts in a part of the flight only is diluted over all of it, and parameters bend to meet it halfway.
+    So where some effect explains the flight far better from a time on than any does all along, that time is found and
+    the flight after it is judged anew, by all effects alike.
+
+    Args:
+        base: the aircraft without surprise.
+        flight: the flight under test.
+        catalogue: the effects to try.
+        progress: called with the name of each stage.
+
+    Returns:
+        The verdict, and when the effect set in; None where it was there all along or that is not clear.
+
+    Raises:
+        InputError: the flight cannot be used.
+    """
+    naming = name_effect(base, flight, catalogue, progress)
+    if naming.verdict == "none":
+        return naming, None
+    progress("since when")
+    onset = find_onset(base, naming.windows, naming.before, naming.ranking[:TRIED_LATER])
+    explained = max(naming.ranking[0].gain, sum(c.gain for c in naming.chosen if naming.verdict == "named"))
+    if onset is None or onset.gain < explained + naming.threshold:
+        return naming, None
+    later = slice_time(flight, onset.time, np.inf)
+    if later.duration < SHORTEST_LATER_S:
+        return naming, None
+    again = name_effect(base, later, catalogue, progress)
+    if again.verdict not in ("named", "ambiguous"):
+        return naming, None
+    if again.chosen[0].effect.name != onset.effect.name:
+        onset = find_onset(base, naming.windows, naming.before, again.chosen[:1])
+    return again, onset
+
+
+def find_onset(base: CalmBase, windows: Windows, before: FitResult, found: Sequence[Candidate]) -> Onset | None:
+    """Which of some effects explains the flight best from some time on, and since when.
+
+    A likelihood over effect and time: first from the score test at every window's start, with aircraft parameters and
+    start states eliminated; then around the best at every row from a full fit, which is repeated until it stays there.
+    It holds for one step up; an effect that comes and goes is not looked for.
+
+    Args:
+        base: the aircraft without surprise.
+        windows: W windows of the flight.
+        before: the base model fitted to them under its prior.
+        found: the effects, as they explain the flight when they act all along.
+
+    Returns:
+        The onset, or None where no effect is left that can be switched on in midflight (delay, lag, camera cannot).
+    """
+    windows, before = _on_one_clock(base, windows, before)
+    guess = _scan_times(base, windows, before, found)
+    if guess is None:
+        return None
+    gated, bounds = guess.effect, {p.name: p for p in guess.effect.parameters}
+    values = {n: float(np.clip(v, bounds[n].low, bounds[n].high)) for n, v in guess.values.items()}
+    model, starts = before.model.with_effect(gated).with_values(values).pinned([SINCE]), before.starts
+    for _ in range(ROUNDS):
+        result = fit(model, windows, starts, prior=base.prior, iterations=15)
+        times, cost = _profile(base, windows, result)
+        time, starts = float(times[np.argmin(cost)]), result.starts
+        if cost.min() > result.cost - 0.1 * base.scatter:
+            break
+        model = before.model.with_effect(gated).with_values({**result.model.values, SINCE: time}).pinned([SINCE])
+    inside = np.flatnonzero(cost < cost.min() + LIKELIHOOD_DROP * base.scatter)
+    low, high = times[max(inside[0] - 1, 0)], times[min(inside[-1] + 1, len(times) - 1)]
+    clock, price = float(windows.flights[0].t[0]), float(np.log(windows.count))
+    gain = (before.cost - result.cost) / base.scatter - price * len(gated.parameters)
+    effect = next(c.effect for c in found if c.effect.name == gated.name)
+    return Onset(effect, clock + time, clock + float(low), clock + float(high), gain, result)
+
+
+def _on_one_clock(base: CalmBase, windows: Windows, before: FitResult) -> tuple[Windows, FitResult]:
+    """Stretches of a flight that was cut where frames were missing, as one flight again."""
+    if len(windows.flights) == 1:
+        return windows, before
+    flights = windows.flights
+    t, pose, commands, smooth, rates = (
+        np.concatenate([getattr(f, name) for f in flights])
+        for name in ("t", "pose", "commands", "smooth", "smooth_rates")
+    )
+    whole = replace(flights[0], t=t, pose=pose, commands=commands, smooth=smooth, smooth_rates=rates)
+    later = np.array([f.t[0] - flights[0].t[0] for f in flights])[windows.flight][:, None]
+    joined = replace(
+        windows, nodes=windows.nodes + later, edges=windows.edges + later, flight=np.zeros_like(windows.flight),
+        flights=(whole,),
+    )  # fmt: skip
+    return joined, fit(before.model, joined, before.starts, prior=base.prior)
+
+
+def _scan_times(base: CalmBase, windows: Windows, before: FitResult, found: Sequence[Candidate]) -> Candidate | None:
+    """The best effect at the best window's start, by linear evidence."""
+    if len(windows) < 3:
+        return None
+    reduced, first, last = Reduced.of(before, base.prior, base.scatter), windows.nodes[0, 0], windows.nodes[-1, -1]
+    best: Candidate | None = None
+    for known in found:
+        effect = known.effect
+        if not (effect.term or effect.wind or effect.sticks):
+            continue
+        gated = acting_since(effect, float(first), float(last))
+        usual = {p.name: known.values[p.name] if p.name in effect.shape else p.start for p in effect.parameters}
+        tried = [Variant(gated, {**usual, SINCE: float(t)}) for t in windows.nodes[1:, 0]]
+        for score_ in map(reduced.score, columns(before.model, windows, before.starts, tried)):
+            gain = score_.gain - len(gated.parameters) * float(np.log(windows.count))
+            if best is None or gain > best.gain:
+                best = Candidate(gated, gain, score_.gain, score_.values, None)
+    return best
+
+
+def acting_since(effect: Effect, first: float, last: float) -> Effect:
+    """The same effect, absent before a time that is a parameter of its own.
+
+    Args:
+        effect: a force, a moment, a wind or a change of the sticks.
+        first: the earliest time it may set in [s].
+        last: the latest.
+
+    Returns:
+        An effect with one parameter more, `acts_since` [s].
+    """
+    since = Parameter(SINCE, 0.5 * (first + last), first, last, "s", "time from which on it acts")
+    parameters, term, wind, sticks = (*effect.parameters, since), effect.term, effect.wind, effect.sticks
+
+    def loads(air: Any, K: Any) -> tuple[Any, ...]:
+        return _switched(term.evaluate(air, K), air.time >= K.acts_since) if term else ()
+
+    def moving(px: Any, py: Any, height: Any, time: Any, K: Any) -> Any:
+        return _switched(wind.evaluate(px, py, height, time, K), time >= K.acts_since) if wind else ()
+
+    def moved(t: Array, commands: Array, K: Any) -> Array:
+        return np.where((t >= K.acts_since)[:, None], sticks(t, commands, K), commands) if sticks else commands
+
+    return replace(
+        effect,
+        parameters=parameters,
+        term=replace(term, parameters=parameters, evaluate=loads) if term else None,
+        wind=replace(wind, parameters=parameters, evaluate=moving) if wind else None,
+        sticks=moved if sticks else None,
+        shape=(*effect.shape, SINCE),
+    )
+
+
+def _switched(parts: tuple[Any, ...], on: Any) -> tuple[Any, ...]:
+    return tuple(part if type(part) is float and part == 0.0 else on * part for part in parts)
+
+
+def _profile(base: CalmBase, windows: Windows, result: FitResult) -> tuple[Array, Array]:
+    """Cost over the time an effect sets in, at every row within two windows of a fit, all else free to first order."""
+    here, at = result.model.values[SINCE], result.model.names.index(SINCE)
+    rows = np.unique(windows.nodes[1:-1])
+    reach = 2.0 * float(windows.nodes[0, -1] - windows.nodes[0, 0])
+    times = np.unique(np.append(rows[np.abs(rows - here) < reach], here))
+    near = np.flatnonzero((windows.nodes[:, -1] > times[0]) & (windows.nodes[:, 0] < times[-1]))
+    values = np.repeat(result.model.vector[:, None], len(times), axis=1)
+    values[at] = times
+    moved = changes(result.model, select(windows, near), result.starts[near], values)
+    moved = np.nan_to_num(moved, posinf=FAR, neginf=-FAR)
+    reduced = Reduced.of(result, base.prior, base.scatter)
+    Q, K, rest = reduced.Q[near], reduced.K, reduced.residual
+    after = rest[near] + moved - np.einsum("win,cwn->cwi", Q, np.einsum("win,cwi->cwn", Q, moved))
+    known, mean = prior_rows(result.model, result.free, base.prior)
+    pull = known @ (result.model.vector[list(result.free)] - mean)
+    shift = np.einsum("wif,cwi->cf", K[near], after - rest[near], optimize=True)
+    gradient = shift + np.einsum("wif,wi->f", K, rest, optimize=True) + known.T @ pull
+    normal = np.einsum("wif,wig->fg", K, K, optimize=True) + reduced.prior
+    cost = np.sum(after**2, axis=(1, 2)) - np.sum(rest[near] ** 2) + np.sum(rest**2) + np.sum(pull**2)
+    return times, np.asarray(cost - np.sum(gradient.T * np.linalg.solve(normal, gradient.T), axis=0))

@@ -16,9 +16,9 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.flight_table import FlightTable, nominal_rate_hz
 from falconwing_kit.gap.advice import headline, next_flight
-from falconwing_kit.gap.close import Closed, close_gap
+from falconwing_kit.gap.close import Closed, Onset, close_gap, name_since
 from falconwing_kit.gap.measure import VARIABLES, Replay, Spot, replay_calm, replay_flight, residual_map
-from falconwing_kit.gap.name import LEAST_GAIN, STRAINED, CalmBase, Naming, know_calm, name_effect
+from falconwing_kit.gap.name import LEAST_GAIN, STRAINED, CalmBase, Naming, know_calm
 from falconwing_kit.gap.page import Picture, paragraph, picture, table, write_page
 from falconwing_kit.gap.plots import CHANNEL_WORDS, IN_PLOTS, draw_gap
 from falconwing_kit.sysid.model_file import write_fitted, write_model
@@ -42,6 +42,7 @@ class GapStudy:
     flight_replay: Replay
     spots: tuple[Spot, ...]
     names: tuple[str, str]  # the calm flight, the flight under test
+    since: Onset | None = None  # when it set in; naming and closing are then of the time after it
     seconds: dict[str, float] = field(default_factory=dict)  # per stage
 
 
@@ -84,7 +85,7 @@ def study_gap(calm: FlightTable, flight: FlightTable, progress: Progress = lambd
     clock = [time.perf_counter()]
     base = know_calm(calm, progress)
     clock.append(time.perf_counter())
-    naming = name_effect(base, flight, progress=progress)
+    naming, since = name_since(base, flight, progress=progress)
     clock.append(time.perf_counter())
     progress("closing the gap")
     closed = close_gap(base, naming)
@@ -94,7 +95,7 @@ def study_gap(calm: FlightTable, flight: FlightTable, progress: Progress = lambd
     spots = residual_map(replays[1], replays[0])
     clock.append(time.perf_counter())
     seconds = dict(zip(("calm", "name", "close", "measure"), np.diff(clock).tolist(), strict=True))
-    return GapStudy(base, naming, closed, *replays, spots, (calm.name, flight.name), seconds)
+    return GapStudy(base, naming, closed, *replays, spots, (calm.name, flight.name), since, seconds)
 
 
 def require_pair(calm: FlightTable, flight: FlightTable) -> None:
@@ -158,6 +159,7 @@ def gap_record(study: GapStudy) -> dict[str, Any]:
             "attitude_deg": {name: s.attitude_deg for name, s in scores.items()},
         },
         "next_flight": next_flight(base, naming),
+        "since": _since(study),
         "headline": headline(naming),
         "flights": {"calm": study.names[0], "flight": study.names[1]},
         "threshold": naming.threshold,
@@ -177,6 +179,11 @@ def gap_record(study: GapStudy) -> dict[str, Any]:
         "warnings": _warnings(study),
         "seconds": study.seconds,
     }
+
+
+def _since(study: GapStudy) -> dict[str, float] | None:
+    since = study.since
+    return {"value": since.time, "low95": since.low95, "high95": since.high95} if since else None
 
 
 def _ranking(naming: Naming) -> list[dict[str, Any]]:
@@ -250,6 +257,7 @@ def _page(study: GapStudy, record: dict[str, Any], figures: dict[str, Path]) -> 
         f"<h1>{headline(naming)}</h1>",
         paragraph(f"{html.escape(study.names[1])}, judged by {html.escape(study.names[0])}", "lead"),
         *(paragraph(text) for text in _verdict(study, record)),
+        *([paragraph(_set_in(study.since))] if study.since else []),
         _sizes(study),
         "<h2>Where it disagrees</h2>",
         paragraph(_where(study)),
@@ -300,6 +308,13 @@ def _verdict(study: GapStudy, record: dict[str, Any]) -> list[str]:
         "it to be named. Do not trust the first of the ranking below; see where the disagreement sits instead."
     ]
     return [*texts, *([_sentence(_strained(study))] if study.naming.strain > STRAINED else [])]
+
+
+def _set_in(since: Onset) -> str:
+    return (
+        f"It was not there from the start: it set in at <strong>{since.time:.1f} s</strong> of the flight's clock, "
+        f"with 95 % between {since.low95:.1f} and {since.high95:.1f} s. All that follows is about the time after it."
+    )
 
 
 def _sizes(study: GapStudy) -> str:
