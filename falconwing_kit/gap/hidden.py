@@ -173,10 +173,9 @@ def write_hidden(out: str | Path, cases: Mapping[str, HiddenCase], answers: str 
         if name in ("", ".", "..") or set(name) & set("/\\:"):
             raise InputError(f"case {name!r}: want a plain folder name such as case00")
     for name, case in cases.items():
-        folder = Path(out) / name
-        folder.mkdir(parents=True, exist_ok=True)
-        write_flight_table(folder / "calm.csv", case.calm)
-        write_flight_table(folder / "flight.csv", case.flight)
+        (folder := Path(out) / name).mkdir(parents=True, exist_ok=True)
+        for table in (case.calm, case.flight):
+            write_flight_table(folder / table.name, table)
     if answers is not None:
         with atomic_write(answers, text=True) as file:
             json.dump({name: case.truth for name, case in cases.items()}, file, indent=1)
@@ -209,7 +208,7 @@ def _draw_jet(rng: np.random.Generator, size: float) -> dict[str, float]:
 _SIZES: dict[str, tuple[float, float, float, Draw]] = {
     "wind": (0.05, 0.3, 1.2, _direction("wind_x", "wind_y")),
     "fan_jet": (0.4, 1.4, 3.0, _draw_jet),
-    "ground_effect": (0.2, 0.6, 0.9, _alone("ground_lift")),
+    "ground_effect": (0.2, 0.6, 0.9, lambda rng, size: {"ground_lift": size, "ground_drag": size}),
     "extra_drag": (0.005, 0.01, 0.02, _alone("drag_added")),
     "flap": (0.024, 0.04, 0.08, lambda rng, size: {"flap_lift": size, "flap_drag": 0.08 * size}),
     "thrust_loss": (0.2, 0.3, 0.45, _alone("thrust_lost")),
@@ -220,20 +219,21 @@ _SIZES: dict[str, tuple[float, float, float, Draw]] = {
     "actuator_lag": (0.015, 0.04, 0.15, lambda rng, size: {str(rng.choice(["actuator_lag", "lag_in_series"])): size}),
     "trim_bias": (0.08, 0.1, 0.2, _direction("bias_aileron", "bias_elevator", "bias_rudder")),
     "deadband": (0.02, 0.04, 0.15, _alone("deadband")),
-    "aileron_loss": (0.18, 0.22, 0.4, _alone("aileron_lost")),
+    "aileron_loss": (0.18, 0.22, 0.35, _alone("aileron_lost")),
     "mass_change": (0.12, 0.2, 0.35, _alone("mass_added")),
     "cg_shift": (0.1, 0.3, 0.6, _direction("cg_moment")),
     "camera_tilt": (0.014, 0.05, 0.12, _direction("tilt_pitch", "tilt_roll")),
     "time_offset": (0.01, 0.03, 0.12, _alone("control_delay")),
     "stall": (  # reached in each steep turn
-        0.35, 0.5, 0.7, lambda rng, size: {"stall_alpha": float(rng.uniform(0.12, 0.165)), "stall_loss": size},
+        0.3, 0.4, 0.6, lambda rng, size: {"stall_alpha": float(rng.uniform(0.13, 0.17)), "stall_loss": size},
     ),
 }  # fmt: skip
+_KNOWN = {p.name for entry in CATALOGUE for p in entry.parameters}
 _CLASS = {entry.name: entry.same_as or entry.name for entry in CATALOGUE}
 
 
 def _require(effects: Sequence[str | None], sizes: Sequence[Mapping[str, float] | None], noise: str) -> None:
-    """Refuse what cannot be flown, in one sentence."""
+    """Refuse what cannot be flown."""
     if noise not in NOISE:
         raise InputError(f"noise: want one of {', '.join(NOISE)}, got {noise!r}")
     if not effects or len(sizes) != len(effects):
@@ -245,7 +245,7 @@ def _require(effects: Sequence[str | None], sizes: Sequence[Mapping[str, float] 
         if len({_CLASS[name] for name in names}) < len(names):
             raise InputError(f"effect: want effects that differ, got {effect!r}; time_offset is a control_delay")
         if size is not None:
-            _entries(names, size)  # refuses a size without effect, too
+            _entries(names, size)
 
 
 def _names(effect: str) -> list[str]:
@@ -268,7 +268,8 @@ def _drawn_size(names: Sequence[str], rng: np.random.Generator, noise: Noise) ->
     for name in names:
         marker, net, plain, draw = _SIZES[name]
         small = {"marker": marker, "hybrid": float(np.sqrt(marker * net)), "net": net}[noise]
-        size |= draw(rng, float(np.exp(rng.uniform(np.log(small), np.log(plain)))))
+        drawn = draw(rng, float(np.exp(rng.uniform(np.log(small), np.log(plain)))))
+        size |= {parameter: value for parameter, value in drawn.items() if parameter in _KNOWN}
     return size
 
 
@@ -298,10 +299,9 @@ def _fly_anew(
 
 
 def _redrawn(model: Model, rng: np.random.Generator, spread: float) -> Model:
-    """Each free parameter times exp(spread * normal); where it is zero, 0.1 * spread * normal."""
-    free = [p.name for p in model.parameters if p.low < p.high]
-    drawn = spread * rng.normal(size=len(free))
-    return model.with_values({n: model.values[n] * np.exp(d) or 0.1 * d for n, d in zip(free, drawn, strict=True)})
+    """Each parameter times exp(spread * normal); where it is zero, 0.1 * spread * normal."""
+    drawn = dict(zip(model.names, spread * rng.normal(size=len(model.names)), strict=True))
+    return model.with_values({name: model.values[name] * np.exp(d) or 0.1 * d for name, d in drawn.items()})
 
 
 def _fly(model: Model, pilot: Pilot, seconds: float) -> Flown | None:
@@ -359,10 +359,9 @@ def _follow(servo: Servo, command: Array, after: float, a: float, b: float) -> S
 
 
 def _figure_eights(rng: np.random.Generator, seconds: float, one_way: bool, excitation: float) -> Pilot:
-    """A pilot who flies figure eights and shakes all sticks, with low passes and at changing speeds; for one flight.
+    """A pilot for one flight: left around the circle at +x, right around the one at -x, all sticks shaken.
 
-    Left around the circle at +x, right around the one at -x. Every 12 s or so he comes down to 0.4 to 0.9 m, where
-    ground effect shows; in slow turns a stall does.
+    He changes speed, so that slow turns show a stall, and passes low every 12 s or so, where ground effect shows.
     """
     frequency, phase = 2.0 * pi * rng.uniform(0.15, 1.6, (6, 4)), rng.uniform(0.0, 2.0 * pi, (6, 4))
     amplitude = excitation * np.array([0.035, 0.07, 0.06, 0.08])
@@ -381,16 +380,17 @@ def _figure_eights(rng: np.random.Generator, seconds: float, one_way: bool, exci
         outside = min(max(0.15 * (hypot(px - RADIUS * side, py) - RADIUS), -1.2), 1.2)
         course = atan2(py, px - RADIUS * side) + side * (0.5 * pi + outside)
         to_the_right = (atan2(vy, vx) - course + pi) % (2.0 * pi) - pi
-        bank = min(max(-0.75 * side + 1.4 * to_the_right, -0.9), 0.9)
+        most = min(0.85, 0.4 + 0.6 * max(height + 0.4 * vz, 0.0))  # a steep turn sinks: less of it near the floor
+        bank = min(max(-0.75 * side + 1.4 * to_the_right, -most), most)
         wish = HEIGHT - float(np.max(down * np.exp(-(((t - passes) / 2.5) ** 2))))
-        wish += 2.0 * max(0.7 - height - 0.6 * vz, 0.0)  # the floor would be near in 0.6 s
+        wish += 3.0 * max(0.8 - height - 0.6 * vz, 0.0)  # in 0.6 s the floor would be near
         climb = min(max(0.9 * (wish - height), -0.8), 0.8)
         trim += 0.1 * ROW_S * (wish - height)
         speed = SPEED + 0.6 * np.sin(2.0 * pi * t / period + begin)
         sticks = (
             0.4 + 0.3 * (speed - hypot(vx, vy, vz)) + 0.15 * climb,
             1.1 * (bank - roll),
-            trim + 1.6 * (0.1 + 0.2 * (climb - vz) + 0.1 * roll**2 - pitch) + 0.45 * min(roll**2, 1.2),
+            trim + 2.0 * (0.1 + 0.2 * (climb - vz) + 0.1 * roll**2 - pitch) + 0.55 * min(roll**2, 1.2),
             0.25 * bank,
         )
         return np.clip(sticks + amplitude * np.sin(frequency * t + phase).sum(axis=0), [0.0, -1.0, -1.0, -1.0], 1.0)
@@ -430,8 +430,7 @@ class _Camera:
         error, stamps = self._error(rng, poses[:, :3]), rng.uniform(-self.jitter, self.jitter, len(poses))
         attitude = wrap_angle(np.stack(euler_from_rotation(R_world_camera), axis=1) + error[:, 3:])
         t, p_world = np.round(_after_lead(t) + stamps, 5), poses[:, :3] + error[:, :3]
-        source = ("simulated",) * len(poses)
-        return FlightTable(name, t, p_world, attitude, _after_lead(sticks), labels={"source": source})
+        return FlightTable(name, t, p_world, attitude, _after_lead(sticks), labels={"source": ("simulated",) * len(t)})
 
     def _error(self, rng: np.random.Generator, p_world: Array) -> Array:
         """(N, 6) of px, py, pz, roll, pitch, yaw; nan where no pose is measured."""
