@@ -251,16 +251,13 @@ def noncentrality(gram: Array, signal: Array, free: np.ndarray, prior: Array) ->
 
 @dataclass(frozen=True)
 class _Outlook:
-    """What a flight told and each manoeuvre would tell about the aircraft and some effects.
-
-    Columns: P parameters, the aircraft's and then the effects'; after them each effect as found.
-    """
+    """What a flight told and each manoeuvre would tell of C columns: P parameters, then each effect as found."""
 
     manoeuvres: tuple[Manoeuvre, ...]
     known: Array  # (C, C) products of the columns over the flight
     rates: Array  # (M, C, C) the same per second of each manoeuvre
     prior: Array  # (P, P) precision of what was known before
-    names: tuple[str, ...]  # (P,) parameters
+    names: tuple[str, ...]  # (P,) parameters, the aircraft's and then the effects'
     sizes: Array  # (P,) ordinary sizes of these
     effects: tuple[Effect, ...]
     scatter: float  # chi2 is counted in units of this
@@ -343,14 +340,19 @@ def _products(
 
 
 def _changes(model: Model, windows: Windows, starts: Array, found: Candidate) -> Array:
-    """(W, R, 1 + A) what an effect does as found, and per unit of each of its parameters from there."""
-    effect = found.effect
+    """(W, R, 1 + A) what an effect does as found, and per unit of each of its parameters from there.
+
+    Taken at a tenth of its size: in a fit start states give way, which keeps it far more linear than a flight that
+    goes far astray. What acts on the sticks keeps its size: half a dead band is another one.
+    """
+    effect, share = found.effect, 1.0 if found.effect.sticks else 0.1
     absent = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.amplitudes})
-    there = absent.with_values(found.values)
-    steps = {p.name: 0.1 * ordinary_size(p, there.values[p.name]) for p in effect.parameters}
-    beside = [there.with_values({n: there.values[n] + h}).vector for n, h in steps.items()]
+    small = {p.name: share * found.values[p.name] for p in effect.amplitudes}
+    there = absent.with_values({**found.values, **small})
+    v, steps = there.values, {p.name: 0.1 * ordinary_size(p, found.values[p.name]) for p in effect.parameters}
+    beside = [there.with_values({n: v[n] + h * (share if n in small else 1.0)}).vector for n, h in steps.items()]
     with np.errstate(invalid="ignore"):  # a flight that ran away
-        at, *moved = changes(absent, windows, starts, np.stack([there.vector, *beside], axis=1))
+        at, *moved = changes(absent, windows, starts, np.stack([there.vector, *beside], axis=1)) / share
         return np.stack([at, *((m - at) / h for m, h in zip(moved, steps.values(), strict=True))], axis=-1)
 
 
@@ -363,8 +365,7 @@ def advise(base: CalmBase, naming: Naming) -> tuple[Advice, ...]:
 
     Returns:
         Ambiguous: how soon the alternatives part. Named: how much better the effect's size is known. None: the same
-        for the coefficients that the calm flight hardly moved. Empty where there is nothing to part or to know better,
-        where no flight can do it, and where the model can fly none of the manoeuvres.
+        for what the calm flight hardly moved. Empty where no flight can do it, or the model can fly no manoeuvre.
     """
     found, weak = naming.chosen, _hardly_moved(base) if naming.verdict == "none" else []
     if not (weak or naming.verdict in ("named", "ambiguous")) or _one_class(found):
@@ -375,9 +376,8 @@ def advise(base: CalmBase, naming: Naming) -> tuple[Advice, ...]:
         outlook = _Outlook.of(base, naming.before, naming.windows, base.prior, found)
     except InputError:
         return ()
-    if naming.verdict == "ambiguous":
-        return outlook.parting()
-    return outlook.narrowing([p.name for c in found for p in c.effect.parameters])
+    wanted = [p.name for c in found for p in c.effect.parameters]
+    return outlook.parting() if naming.verdict == "ambiguous" else outlook.narrowing(wanted)
 
 
 def next_flight(base: CalmBase, naming: Naming) -> str:
