@@ -12,7 +12,7 @@ from falconwing_kit.aircraft.unnamed import UNNAMED, VARIABLES
 
 # Twice the ordinary speed, so that V^2 counts four and V two; every field a number of its own.
 AIR = Flow(
-    airspeed=14.0, alpha=0.1, beta=-0.2, u=13.0, v=-2.8, w=1.4, p=1.0, q=2.0, r=3.0, px=4.0, py=5.0, height=0.5,
+    airspeed=14.0, alpha=0.1, beta=-0.2, u=13.0, v=-2.8, w=1.4, p=1.5, q=2.0, r=3.0, px=4.0, py=5.0, height=0.5,
     time=30.0, throttle=0.5, aileron=0.1, elevator=0.2, rudder=0.3,
 )  # fmt: skip
 # Variable -> (its value in AIR by hand, the fields of the flow that it may depend on).
@@ -22,7 +22,7 @@ BY_HAND = {
     "angle of attack squared": (4 * 25 * 0.01, {"airspeed", "alpha"}),
     "sideslip": (4 * 10 * -0.2, {"airspeed", "beta"}),
     "sideslip squared": (4 * 100 * 0.04, {"airspeed", "beta"}),
-    "roll rate": (2 * 1.0, {"airspeed", "p"}),
+    "roll rate": (2 * 1.5, {"airspeed", "p"}),
     "pitch rate": (2 * 2.0, {"airspeed", "q"}),
     "yaw rate": (2 * 3.0, {"airspeed", "r"}),
     "aileron": (4 * 3 * 0.1, {"airspeed", "aileron"}),
