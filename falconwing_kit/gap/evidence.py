@@ -16,6 +16,7 @@ from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
 from falconwing_kit.sysid.shooting import Windows, changes
 
 TOGETHER = 8  # effects in one model: more would each fly the others' terms at zero
+UNSEEN = 1e-4  # share of what an effect does that parameters and start states cannot: below it there is no evidence
 JET_COLUMNS, JET_ROWS = 7, 4  # grid of places where a stream of air is looked for
 
 
@@ -183,10 +184,11 @@ def _score(
     g_K = np.einsum("wif,wi->f", K, r, optimize=True) if shift is not None else np.zeros(K.shape[2])
     g_E = np.einsum("wik,wi->k", E, r, optimize=True)
     across = np.linalg.solve(A + 1e-9 * np.diag(np.diag(A)), np.column_stack([B, g_K]))
-    S = D - B.T @ across[:, :-1]
-    S += np.diag(1e-9 * np.diag(D) + 1e-30)
-    pull = g_E - B.T @ across[:, -1]
-    step = -np.linalg.solve(S, pull)
+    S, pull = D - B.T @ across[:, :-1], g_E - B.T @ across[:, -1]
+    size = np.sqrt(np.maximum(np.diag(D), 1e-30))
+    seen, along = np.linalg.eigh(S / np.outer(size, size))
+    along = along[:, seen > UNSEEN] / size[:, None]  # the others are what parameters do already
+    step = -along @ ((along.T @ pull) / seen[seen > UNSEEN])
     names = [p.name for p in variant.effect.amplitudes]
     gain = float(max(-pull @ step, 0.0)) / fit.scatter
     return Score(variant, gain, {**variant.values, **dict(zip(names, step.tolist(), strict=True))})

@@ -27,6 +27,8 @@ LEAST_GAIN = 10.0  # "very strong" on the scale of Kass & Raftery 1995
 REFITS = 5  # effects that are fitted in full after the linear scan, and more while one not fitted could still win
 ROUGH = 2.0  # chi2 to which the first round of fits is carried; the second goes on from there
 CLEARLY = 0.1  # a load without a name must beat the named effects by this share of their evidence
+CHOICE = 2.0 * float(np.log(len(UNNAMED)))  # evidence that choosing among so many loads buys by chance
+MOST_ADDED = 6  # loads without a name that a base model may need
 SHARE_LEFT = 0.5  # of the excess: a name that leaves more behind is no explanation
 EXCESS_SIGMAS = 6.0  # a flight's chi2 above the calm level by this much is not chance
 STRAINED = 9.0  # parameters that moved by three of their sigmas on average: the base is no model of this aircraft
@@ -122,15 +124,51 @@ def learn_base(
     noise = find_pose_noise(found.result, found.fitted_windows)
     windows = whitened(found.fitted_windows, noise)
     result = fit(found.model, windows, found.result.starts)
+    complete = _completed(result, windows, progress)
+    if complete is not result:  # what the base lacked was taken for slow noise
+        again = fit(complete.model, found.fitted_windows, complete.starts)
+        noise = find_pose_noise(again, found.fitted_windows)
+        windows = whitened(found.fitted_windows, noise)
+        result = _completed(fit(complete.model, windows, complete.starts), windows, progress)
     level = result.cost / _freedom(windows, result)
     progress("what chance finds")
     reduced = Reduced.of(result, None, max(1.0, level))
-    tried = columns(result.model, windows, result.starts, list(variants([*catalogue, *UNNAMED], windows)))
+    tried = columns(
+        result.model, windows, result.starts, list(variants([*catalogue, *_unnamed(result.model)], windows))
+    )
     price = np.array([_price(t.variant.effect, windows) for t in tried])
     false = (reduced.block_gains(tried) - price[:, None]).max(axis=1)
     named = np.array([t.variant.effect not in UNNAMED for t in tried])
-    false_gain, false_unnamed = float(false[named].max()), float(false[~named].max())
-    return CalmBase(found, noise, result, windows, level, _day_to_day(result, windows), false_gain, false_unnamed)
+    gains = float(false[named].max()), float(false[~named].max())
+    return CalmBase(found, noise, result, windows, level, _day_to_day(result, windows), *gains)
+
+
+def _completed(result: FitResult, windows: Windows, progress: Progress) -> FitResult:
+    """The base model with what the calm flight shows it to lack: the best load without a name, and again.
+
+    No model has everything: a propeller's wash over the elevator, a thrust that is not linear in the stick. Without
+    them in the base, every other flight would seem to have an effect.
+    """
+    progress("what the base lacks")
+    while len(UNNAMED) - len(_unnamed(result.model)) < MOST_ADDED:
+        reduced = Reduced.of(result, None, max(1.0, result.cost / _freedom(windows, result)))
+        places = list(variants(_unnamed(result.model), windows))
+        scores = [reduced.score(c) for c in columns(result.model, windows, result.starts, places)]
+        best = max(scores, key=lambda score: score.gain)
+        if best.gain < _price(best.variant.effect, windows) + CHOICE + LEAST_GAIN:
+            break
+        model = result.model.with_effect(best.variant.effect)
+        added = fit(model.with_values(best.values), windows, result.starts)
+        if added.cost > result.cost - LEAST_GAIN:
+            break
+        result = added
+    return result
+
+
+def _unnamed(model: Model) -> tuple[Effect, ...]:
+    """The loads without a name that a model does not have yet."""
+    present = {term.name for term in model.terms}
+    return tuple(effect for effect in UNNAMED if effect.name not in present)
 
 
 def name_effect(
@@ -209,11 +247,10 @@ def _best_unnamed(
     base: CalmBase, windows: Windows, before: FitResult, explained: float, progress: Progress
 ) -> Candidate:
     """The load without a name that explains most, fitted in full where it might beat the named ones."""
-    best = _scan(base, windows, before, UNNAMED, progress)[0]
-    price = 2.0 * np.log(len(UNNAMED))  # of choosing among so many
+    best = _scan(base, windows, before, _unnamed(before.model), progress)[0]
     if best.gain > explained:
         best = _fit_effect(base, windows, before, best, progress)
-    return replace(best, gain=best.gain - price)
+    return replace(best, gain=best.gain - CHOICE)
 
 
 def _strain(result: FitResult, prior: Prior) -> float:
