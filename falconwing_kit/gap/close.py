@@ -302,5 +302,6 @@ def _profile(base: CalmBase, windows: Windows, result: FitResult) -> tuple[Array
     shift = np.einsum("wif,cwi->cf", K[near], after - rest[near], optimize=True)
     gradient = shift + np.einsum("wif,wi->f", K, rest, optimize=True) + known.T @ pull
     normal = np.einsum("wif,wig->fg", K, K, optimize=True) + reduced.prior
+    normal += np.diag(1e-9 * np.diag(normal) + 1e-30)  # an effect may do nothing here, as the ground's at 50 m
     cost = np.sum(after**2, axis=(1, 2)) - np.sum(rest[near] ** 2) + np.sum(rest**2) + np.sum(pull**2)
     return times, np.asarray(cost - np.sum(gradient.T * np.linalg.solve(normal, gradient.T), axis=0))
