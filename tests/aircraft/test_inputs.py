@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from falconwing_kit.aircraft.inputs import acting_commands
+from falconwing_kit.aircraft.inputs import acting_commands, lag_again
 
 ROW, STEP, FINE = 0.05, 0.025, 5e-5  # rows of commands, integration steps, the reference's grid [s]
 EDGES = np.arange(41) * STEP
@@ -33,13 +33,13 @@ def fine_response(t, commands, delay, lag):
     return grid, np.stack(settled, axis=1)
 
 
-def mean_and_swing(position, smooth):
+def mean_and_swing(position, smooth, step=STEP):
     """Mean and 6 / T^2 times the first moment of each step, by the trapezoidal rule, or by sums where it jumps."""
-    per_step = round(STEP / FINE)
-    of_step = np.stack([position[k * per_step : (k + 1) * per_step + 1] for k in range(len(EDGES) - 1)])
+    per_step = round(step / FINE)
+    of_step = np.stack([position[k : k + per_step + 1] for k in range(0, len(position) - 1, per_step)])
     middle = of_step[:, :-1] if not smooth else 0.5 * (of_step[:, :-1] + of_step[:, 1:])
-    at = ((np.arange(per_step) + 0.5) * FINE - 0.5 * STEP)[:, None]
-    return middle.mean(axis=1), 6.0 / STEP**2 * (middle * at).sum(axis=1) * FINE
+    at = ((np.arange(per_step) + 0.5) * FINE - 0.5 * step)[:, None]
+    return middle.mean(axis=1), 6.0 / step**2 * (middle * at).sum(axis=1) * FINE
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.004, 0.03, 0.2])
@@ -119,3 +119,80 @@ def test_windows_are_mapped_as_each_alone(rng):
         alone = acting_commands(t, commands, window, 0.02, 0.03)
         assert np.array_equal(together[0][k], alone[0])
         assert np.array_equal(together[1][k], alone[1])
+
+
+# A second lag in series -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lag", [0.004, 0.03, 0.2])
+def test_a_second_lag_is_exact_where_positions_move_straight(rng, lag):
+    """Corners at the ends of steps only, so that a mean and a swing say all: scipy's lsim, exact for straight pieces.
+
+    The trapezoids of the means and moments leave (0.05 ms / lag)^2 / 12 of the largest swing, 1.3e-5 of one.
+    """
+    corners = rng.uniform(-1.0, 1.0, (len(EDGES), 4))
+    corners[:2] = corners[0]
+    mean, swing = 0.5 * (corners[1:] + corners[:-1]), 0.5 * np.diff(corners, axis=0)
+    grid = np.arange(round(EDGES[-1] / FINE) + 1) * FINE
+    straight = [np.interp(grid, EDGES, c - c[0]) for c in corners.T]
+    position = np.stack([lsim((1.0, [lag, 1.0]), y, grid)[1] for y in straight], axis=1) + corners[0]
+    after = lag_again(mean, swing, np.diff(EDGES), lag)
+    want = mean_and_swing(position, smooth=True)
+    assert np.abs(np.stack(after) - np.stack(want)).max() < 1e-4
+    assert np.abs(after[0] - mean).max() > 0.05
+
+
+@pytest.mark.parametrize("second", [0.05, 0.2])
+@pytest.mark.parametrize("first", [0.01, 0.03])
+def test_two_lags_in_series_are_those_of_a_fine_simulation(rng, first, second):
+    """scipy's lsim of 1 / ((first s + 1) (second s + 1)) on the fine grid, here with steps of T = 2.5 ms.
+
+    Of the first servo's path within a step only mean and moment are handed on. A jump of two makes a kink, which
+    leaves at most 0.4 T / first beside its straight line; the second servo passes 1/8 (T / second)^2 of that into a
+    mean, since its memory is straight but for so much, and 3/4 T / second into a swing.
+    """
+    step, delay = 0.0025, round(0.0123 / FINE) * FINE
+    t, commands = jittered_commands(rng)
+    edges = np.arange(round(EDGES[-1] / step) + 1) * step
+    after = lag_again(*acting_commands(t, commands, edges, delay, first), np.diff(edges), second)
+    grid, held = fine_response(t, commands, delay, 0.0)
+    both = (1.0, np.polymul([first, 1.0], [second, 1.0]))
+    position = np.stack([lsim(both, u - u[0], grid, interp=False)[1] + u[0] for u in held.T], axis=1)
+    mean, swing = mean_and_swing(position, smooth=True, step=step)
+    kink = 0.4 * step / first
+    assert np.abs(after[0] - mean).max() < kink * (step / second) ** 2 / 8.0 + 1e-5  # of the reference's trapezoids
+    assert np.abs(after[1] - swing).max() < kink * 0.75 * step / second
+    assert np.abs(swing).max() > 3.0 * kink * step / second
+
+
+@pytest.mark.parametrize("lag", [0.0, 1e-7])
+def test_no_second_lag_passes_everything(rng, lag):
+    """To the last bit, so that the base model is as it was."""
+    mean, swing = rng.normal(size=(2, 3, 40, 4))
+    after = lag_again(mean, swing, np.full((3, 40), STEP), lag)
+    assert np.array_equal(after[0], mean) and np.array_equal(after[1], swing)
+
+
+def test_by_hand_a_second_lag_after_a_jump():
+    """From 0 to 1 between two steps of T = lag: the mean of 1 - exp(-s) over 0..1 is exp(-1), then 1 - exp(-1) (1 -
+    exp(-1)) over 1..2; 6 times the first moment as for the servo above."""
+    mean = np.array([0.0, 1.0, 1.0])[:, None] * np.ones(4)
+    after, swing = lag_again(mean, 0.0 * mean, np.full(3, 0.05), 0.05)
+    e = np.exp(-1.0)
+    assert after[:, 0] == pytest.approx([0.0, e, 1.0 - e * (1.0 - e)], abs=1e-12)
+    assert swing[1, 0] == pytest.approx(6.0 * (1.5 * e - 0.5), abs=1e-12)
+
+
+def test_steps_of_unequal_length_keep_their_own_time(rng):
+    """A step cut in two: the same path, so the mean of the halves' means is the mean of the whole; and windows in a
+    stack are lagged as each alone."""
+    mean, swing = rng.normal(size=(2, 40, 4))
+    mean[:2] = mean[0]
+    whole, _ = lag_again(mean, 0.0 * swing, np.full(40, STEP), 0.03)
+    halves, _ = lag_again(np.repeat(mean, 2, axis=0), np.zeros((80, 4)), np.full(80, STEP / 2), 0.03)
+    uneven = np.tile([0.2 * STEP, 0.8 * STEP], 40)
+    parts, _ = lag_again(np.repeat(mean, 2, axis=0), np.zeros((80, 4)), uneven, 0.03)
+    assert 0.5 * (halves[::2] + halves[1::2]) == pytest.approx(whole, abs=1e-12)
+    assert 0.2 * parts[::2] + 0.8 * parts[1::2] == pytest.approx(whole, abs=1e-12)
+    stacked, _ = lag_again(np.stack([-mean, mean, mean]), np.zeros((3, 40, 4)), np.full((3, 40), STEP), 0.03)
+    assert np.array_equal(stacked, np.stack([-whole, whole, whole]))

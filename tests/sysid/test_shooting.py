@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.model import FORMS, paper_model, rates_model
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.sysid.prepare import Flight, prepare
-from falconwing_kit.sysid.shooting import cut_windows, fly_windows, jacobian, pose_residuals, residuals
+from falconwing_kit.sysid.shooting import changes, cut_windows, fly_windows, jacobian, pose_residuals, residuals
 from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
 
 SIGMA = np.array([MARKER[0]] * 3 + [MARKER[1]] * 3)
@@ -249,6 +250,50 @@ def test_a_subset_of_parameters_gives_the_same_columns(noisy):
     assert columns == pytest.approx(everything[..., some], rel=1e-9, abs=1e-6)
     assert same == pytest.approx(to_start, rel=1e-9, abs=1e-6)
     assert residual == pytest.approx(residuals(truth, windows, starts), rel=1e-9, abs=1e-9)
+
+
+def test_changes_are_differences_of_residuals(noisy):
+    """`residuals` of each set of values one at a time, less those of the present ones: forces, moments and both stick
+    parameters, alone and together. Start states stay, so what holds them does not change."""
+    truth, windows, starts = noisy
+    sets = ({"cLa": 1.6, "Nr": 0.3}, {"delay": 0.06}, {}, {"lag": 0.08, "delay": 0.05, "kT": 8.0}, {"delay": 0.06})
+    moved = [truth.with_values(values) for values in sets]
+    found = changes(truth, windows, starts, np.column_stack([model.vector for model in moved]))
+    want = [residuals(model, windows, starts) - residuals(truth, windows, starts) for model in moved]
+    assert found.shape == (5, len(windows), 240 + 12)
+    assert found == pytest.approx(np.stack(want), rel=1e-9, abs=1e-9)
+    assert np.abs(found).max(axis=(1, 2))[[0, 1, 3, 4]].min() > 1.0 and not found[2].any()
+    assert np.array_equal(found[1], found[4])
+
+
+def test_a_change_that_runs_away_is_infinite_for_itself_alone():
+    """As a cost, never nan; the set beside it is what it is alone."""
+    windows = cut_windows([flight(10.0)], paper_model())
+    base, starts = paper_model(), windows.guess[:, :9]
+    sets = [base.with_values(values).vector for values in ({"cD0": -1e6}, {"cLa": 1.6})]
+    found = changes(base, windows, starts, np.column_stack(sets))
+    assert np.isposinf(found[0]).any() and not np.isnan(found[0]).any()
+    assert np.array_equal(found[1:], changes(base, windows, starts, sets[1][:, None]))
+
+
+def test_a_tilted_camera_sees_other_angles(noisy):
+    """By hand, banked by 60 deg with the nose level: a camera turned up by 0.02 rad adds 0.02 cos 60 of pitch and
+    0.02 sin 60 of yaw; one turned about the nose adds roll."""
+    truth, windows, _ = noisy
+    tilt = next(effect for effect in CATALOGUE if effect.pose)
+    plain = truth.with_effect(tilt).with_values({"tilt_pitch": 0.0, "tilt_roll": 0.0})
+    starts = windows.guess.copy()
+    starts[:, 3], starts[:, 5] = 0.0, np.pi / 3.0
+    straight = fly_windows(plain, windows, starts)
+
+    def seen(values):
+        return (fly_windows(plain.with_values(values), windows, starts) - straight)[:, 0]
+
+    up, over = seen({"tilt_pitch": 0.02, "tilt_roll": 0.0}), seen({"tilt_pitch": 0.0, "tilt_roll": 0.03})
+    want = np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.02 * np.sin(np.pi / 3.0)])
+    assert up == pytest.approx(np.broadcast_to(want, up.shape), abs=1e-12)
+    assert over == pytest.approx(np.broadcast_to([0.0, 0.0, 0.0, 0.03, 0.0, 0.0], over.shape), abs=1e-12)
+    assert np.array_equal(straight, fly_windows(truth, windows, starts))
 
 
 def test_the_paper_form_has_derivatives_too():
