@@ -22,10 +22,10 @@ from falconwing_kit.gap.name import LEAST_GAIN, CalmBase, Candidate, Naming
 from falconwing_kit.gap.noise import whitened
 from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
 from falconwing_kit.sysid.prepare import Flight
-from falconwing_kit.sysid.shooting import FIRST_ROW, Windows, changes, cut_windows, fly_windows, jacobian
+from falconwing_kit.sysid.shooting import EARLY_ROWS, FIRST_ROW, Windows, changes, cut_windows, fly_windows, jacobian
 from falconwing_kit.sysid.uncertainty import ordinary_size
 
-PARTED = 2.0 * LEAST_GAIN  # chi2 between two effects at which one is named with room to spare
+PARTED = 2.0 * LEAST_GAIN  # chi2 to be added: what is ahead by a margin today may have to fall behind by one
 TRIED_S = 30.0  # what a manoeuvre tells is compared after this time
 SECONDS = np.geomspace(2.0, 600.0, 16)  # where the growth of evidence is computed; who needs more needs another idea
 STEEPEST = math.radians(75.0)  # of pitch and roll; where a leg ends steeper, its pilot would not have waited so long
@@ -192,17 +192,17 @@ def manoeuvre_windows(
 def _flight(
     manoeuvre: Manoeuvre, trims: Sequence[Trim], middles: Sequence[Array], rows: int, interval: float, sigma: Array
 ) -> Flight:
-    """One manoeuvre: its legs one after the other, each from its own trimmed start."""
+    """One manoeuvre: its legs, each from its own trimmed start and after a pause in which this trim was held."""
     count = FIRST_ROW + rows * len(trims)
     t, smooth, commands = interval * np.arange(count, dtype=np.float64), np.zeros((count, 12)), np.empty((count, 4))
     commands[:FIRST_ROW] = trims[0].command
     for k, (leg, steady, middle) in enumerate(zip(manoeuvre.legs, trims, middles, strict=True)):
         mine = slice(FIRST_ROW + k * rows, FIRST_ROW + (k + 1) * rows)
-        commands[mine] = steady.command
+        commands[mine.start - 1 : mine.stop] = steady.command  # the row before acts until the leg begins
         for stick, move in leg.sticks.items():
             commands[mine, COMMAND_NAMES.index(stick)] += move(t[:rows])
         smooth[mine.start] = _start(steady.state, leg, middle, 0.5 * rows * interval)
-        t[mine] += leg.later
+        t[mine] += leg.later + k * EARLY_ROWS * interval
     np.clip(commands, *np.transpose(STICK_LIMITS), out=commands)
     return Flight(manoeuvre.name, t, np.zeros((count, 6)), commands, sigma, smooth, np.zeros_like(smooth))
 
@@ -342,10 +342,10 @@ def _products(
 def _changes(model: Model, windows: Windows, starts: Array, found: Candidate) -> Array:
     """(W, R, 1 + A) what an effect does as found, and per unit of each of its parameters from there.
 
-    Taken at a tenth of its size: in a fit start states give way, which keeps it far more linear than a flight that
-    goes far astray. What acts on the sticks keeps its size: half a dead band is another one.
+    A force is taken at a tenth of its size: in a fit start states give way, which keeps it far more linear than this
+    flight from held ones. What acts on sticks keeps its size: a short delay is a lag, half a dead band another one.
     """
-    effect, share = found.effect, 1.0 if found.effect.sticks else 0.1
+    effect, share = found.effect, 0.1 if found.effect.term or found.effect.wind else 1.0
     absent = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.amplitudes})
     small = {p.name: share * found.values[p.name] for p in effect.amplitudes}
     there = absent.with_values({**found.values, **small})

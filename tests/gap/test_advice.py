@@ -17,7 +17,8 @@ from tests.gap.studies import EFFECTS, own_base, own_flight
 SIZES = {  # well above what 30 s show, so that nothing rests on chance
     "extra_drag": {"drag_added": 0.012}, "thrust_loss": {"thrust_lost": 0.15}, "battery_sag": {"sag": 0.12},
     "ground_effect": {"ground_lift": 0.2}, "flap": {"flap_lift": 0.02, "flap_drag": 0.004},
-    "control_delay": {"control_delay": 0.04}, "deadband": {"deadband": 0.08}, "adverse_yaw": {"adverse_yaw": 0.05},
+    "control_delay": {"control_delay": 0.04}, "actuator_lag": {"lag_in_series": 0.04}, "deadband": {"deadband": 0.08},
+    "adverse_yaw": {"adverse_yaw": 0.05},
     "time_offset": {}, "propeller_torque": {"torque_roll": 0.3, "torque_yaw": 0.3},
     "fan_jet": {"jet_x": 1.0, "jet_y": 0.0, "jet_at_x": 5.0, "jet_at_y": 2.0, "jet_radius": 2.0},
     "wind": {"wind_x": 0.4, "wind_y": 0.1},
@@ -87,6 +88,16 @@ def test_only_time_parts_a_battery_from_a_propeller():
     """A weak propeller is the same two minutes later; early in a flight an empty battery is a weak propeller."""
     found = table("ambiguous", "thrust_loss", "battery_sag")
     assert next(iter(found)) == "early and late"
+
+
+def test_sharp_edges_part_a_delay_from_a_slow_servo():
+    """exp(-s tau) and 1 / (1 + s tau) differ only where s tau is not small: not while the sticks are still.
+
+    What still sticks tell of the aircraft makes the flight flown already a little sharper, therefore a factor of 3 only.
+    """
+    found = table("ambiguous", "control_delay", "actuator_lag")
+    assert next(iter(found)) in ("aileron doublets", "elevator doublets", "rudder doublets", "shaking")
+    assert found["aileron doublets"].chi2 > 3.0 * max(found[n].chi2 for n in ("circles", "hands off", "fast flight"))
 
 
 def test_a_dead_band_shows_in_small_movements():
