@@ -200,7 +200,7 @@ def _flight(
         mine = slice(FIRST_ROW + k * rows, FIRST_ROW + (k + 1) * rows)
         commands[mine.start - 1 : mine.stop] = steady.command  # the row before acts until the leg begins
         for stick, move in leg.sticks.items():
-            commands[mine, COMMAND_NAMES.index(stick)] += move(t[:rows])
+            commands[mine, COMMAND_NAMES.index(stick)] += move(interval * np.arange(rows, dtype=np.float64))
         smooth[mine.start] = _start(steady.state, leg, middle, 0.5 * rows * interval)
         t[mine] += leg.later + k * EARLY_ROWS * interval
     np.clip(commands, *np.transpose(STICK_LIMITS), out=commands)
