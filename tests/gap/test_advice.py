@@ -93,7 +93,7 @@ def test_only_time_parts_a_battery_from_a_propeller():
 def test_sharp_edges_part_a_delay_from_a_slow_servo():
     """exp(-s tau) and 1 / (1 + s tau) differ only where s tau is not small: not while the sticks are still.
 
-    What still sticks tell of the aircraft makes the flight flown already a little sharper, therefore a factor of 3 only.
+    What still sticks tell of the aircraft sharpens the flight flown already a little, therefore a factor of 3 only.
     """
     found = table("ambiguous", "control_delay", "actuator_lag")
     assert next(iter(found)) in ("aileron doublets", "elevator doublets", "rudder doublets", "shaking")
