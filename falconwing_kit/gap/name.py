@@ -28,6 +28,7 @@ REFITS = 5  # effects that are fitted in full after the linear scan, and more wh
 ROUGH = 2.0  # chi2 to which the first round of fits is carried; the second goes on from there
 CLEARLY = 0.1  # a load without a name must beat the named effects by this share of their evidence
 CHOICE = 2.0 * float(np.log(len(UNNAMED)))  # evidence that choosing among so many loads buys by chance
+LACKING = 50.0  # evidence on the calm flight from which on a load belongs into the base; less does not mislead
 MOST_ADDED = 6  # loads without a name that a base model may need
 SHARE_LEFT = 0.5  # of the excess: a name that leaves more behind is no explanation
 EXCESS_SIGMAS = 6.0  # a flight's chi2 above the calm level by this much is not chance
@@ -155,7 +156,7 @@ def _completed(result: FitResult, windows: Windows, progress: Progress) -> FitRe
         places = list(variants(_unnamed(result.model), windows))
         scores = [reduced.score(c) for c in columns(result.model, windows, result.starts, places)]
         best = max(scores, key=lambda score: score.gain)
-        if best.gain < _price(best.variant.effect, windows) + CHOICE + LEAST_GAIN:
+        if best.gain < _price(best.variant.effect, windows) + CHOICE + LACKING:
             break
         model = result.model.with_effect(best.variant.effect)
         added = fit(model.with_values(best.values), windows, result.starts)
