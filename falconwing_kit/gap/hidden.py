@@ -228,7 +228,6 @@ _SIZES: dict[str, tuple[float, float, float, Draw]] = {
         0.3, 0.4, 0.6, lambda rng, size: {"stall_alpha": float(rng.uniform(0.13, 0.17)), "stall_loss": size},
     ),
 }  # fmt: skip
-_KNOWN = {p.name for entry in CATALOGUE for p in entry.parameters}
 _CLASS = {entry.name: entry.same_as or entry.name for entry in CATALOGUE}
 
 
@@ -268,8 +267,7 @@ def _drawn_size(names: Sequence[str], rng: np.random.Generator, noise: Noise) ->
     for name in names:
         marker, net, plain, draw = _SIZES[name]
         small = {"marker": marker, "hybrid": float(np.sqrt(marker * net)), "net": net}[noise]
-        drawn = draw(rng, float(np.exp(rng.uniform(np.log(small), np.log(plain)))))
-        size |= {parameter: value for parameter, value in drawn.items() if parameter in _KNOWN}
+        size |= draw(rng, float(np.exp(rng.uniform(np.log(small), np.log(plain)))))
     return size
 
 
