@@ -367,7 +367,7 @@ def _fit_flight(base: CalmBase, prepared: Prepared) -> tuple[Windows, FitResult]
     """The base model under its prior, fitted to the flight."""
     model = base.result.model
     plain = cut_windows(prepared.flights, model)
-    starts, residual = fit_starts(model, plain, plain.guess)
+    starts, residual = fit_starts(model, plain, plain.guess[:, : model.n_states])
     first = fit(model, plain.weighted(robust_factor(residual, plain)), starts, prior=base.prior, tolerance=1.0)
     return _weigh_again(base, plain, first, first)
 
