@@ -11,6 +11,7 @@ from falconwing_kit.aircraft.airframe import load_airframe
 from falconwing_kit.aircraft.model import FORMS, Model, scaled
 from falconwing_kit.cli.show import next_line, print_json, print_table
 from falconwing_kit.core.checks import InputError, require_range
+from falconwing_kit.core.files import require_place
 from falconwing_kit.core.flight_table import read_flight_table
 from falconwing_kit.sysid.identify import Identification, identify
 from falconwing_kit.sysid.model_file import read_model, write_model
@@ -25,7 +26,8 @@ GOOD_CHI2 = 2.0  # held out; above it the model does not describe the flight and
 class Identify:
     """Fit the aircraft model to recorded flights and say how well it predicts time it has not seen.
 
-    Exit code 1 when the model does not describe the flight (held-out chi2 per degree of freedom above 2).
+    Exit code 1 when the model does not describe the flight (held-out chi2 per degree of freedom above 2), or when a
+    stick of the log seems reversed.
     """
 
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -53,14 +55,15 @@ class Identify:
         """Fit, print, and write what was asked for.
 
         Returns:
-            0 where the model describes the flights, 1 where it does not.
+            0 where the model describes the flights, 1 where it does not or where a stick seems reversed.
 
         Raises:
             FileNotFoundError: there is no such flight or model file, or no folder to write into.
-            InputError: a flight cannot be used.
+            InputError: a flight cannot be used, or a place cannot be written to.
         """
         if not self.flights:
             raise InputError("identify: want at least one flight table, got none; try falconwing identify flight.csv")
+        self._require_places()
         tables = [read_flight_table(path) for path in self.flights]
         model = self._model()
         found = identify(tables, model=model, sigma=self._sigma(), progress=None if self.json else _progress())
@@ -79,7 +82,16 @@ class Identify:
             _print_record(record, found)
             next_line(self._next())
         chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
-        return 0 if chi2 <= GOOD_CHI2 else 1
+        return 0 if chi2 <= GOOD_CHI2 and not found.reversed_sticks else 1
+
+    def _require_places(self) -> None:
+        """Refuse before the fit what could not be written after it."""
+        if self.out is not None:
+            require_place(self.out)
+        if self.figures is not None:
+            there = next(place for place in (self.figures, *self.figures.parents) if place.exists())
+            if not there.is_dir():
+                raise InputError(f"--figures {self.figures}: want a folder, but {there} is a file; choose another name")
 
     def _model(self) -> Model:
         if self.start is not None:
@@ -174,8 +186,10 @@ def identification_record(found: Identification, baseline: dict[str, Any] | None
 
 
 def _print_record(record: dict[str, Any], found: Identification) -> None:
+    said = dict.fromkeys(found.uncertainty.not_excited, "NOT EXCITED")
+    said |= dict.fromkeys(found.uncertainty.at_bound, "ON ITS BOUND")
     rows = [
-        (name, p["value"], p["low95"], p["high95"], p["unit"], p["meaning"] if p["excited"] else "NOT EXCITED")
+        (name, p["value"], p["low95"], p["high95"], p["unit"], said.get(name, p["meaning"]))
         for name, p in record["parameters"].items()
     ]
     print_table(("parameter", "value", "low 95 %", "high 95 %", "unit", "meaning"), rows, title=", ".join(found.names))

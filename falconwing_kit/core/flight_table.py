@@ -13,6 +13,8 @@ from falconwing_kit.core.flight_csv import LABEL_COLUMN, OPTIONAL_COLUMNS, REQUI
 from falconwing_kit.core.frames import wrap_angle
 
 MAX_STEP = 1.5  # nominal periods; a longer step between two rows is a gap
+FASTEST_CAMERA_S, SLOWEST_CAMERA_S = 0.005, 0.5  # between frames, 200 to 2 Hz; what is a thousand times slower is not
+FEWEST_ROWS = 10  # to judge the unit of time by
 MAX_GROWTH = 100  # a grid with more than this many rows per row of the table comes from a wrong time stamp
 
 
@@ -83,7 +85,9 @@ def read_flight_table(path: str | Path) -> FlightTable:
         FileNotFoundError: there is no file.
         InputError: the file cannot be used as it is; the text names the line and the way out.
     """
-    return FlightTable(**read_flight_csv(path))
+    table = FlightTable(**read_flight_csv(path))
+    _require_seconds(table)
+    return table
 
 
 def write_flight_table(path: str | Path, table: FlightTable) -> None:
@@ -255,6 +259,19 @@ def nearest_index(t: Array, query: Array) -> NDArray[np.int64]:
     right = np.minimum(np.searchsorted(t, query), len(t) - 1)
     left = np.maximum(right - 1, 0)
     return np.where(query - t[left] <= t[right] - query, left, right)
+
+
+def _require_seconds(table: FlightTable) -> None:
+    """Refuse times that are those of a camera only if they are in a thousandth, millionth or billionth of a second."""
+    if len(table.t) < FEWEST_ROWS:
+        return
+    step = float(np.median(np.diff(table.t)))
+    for unit, of_a_second in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
+        if FASTEST_CAMERA_S <= step / of_a_second <= SLOWEST_CAMERA_S:
+            raise InputError(
+                f"{table.name}: time looks like {unit}: want seconds, got rows {step:g} apart; "
+                f"divide the column t by {of_a_second:g}"
+            )
 
 
 def _take(table: FlightTable, rows: NDArray[np.int64], t: Array | None = None) -> FlightTable:

@@ -34,9 +34,8 @@ class Forecasts:
         return float(np.degrees(np.sqrt(np.mean(np.sum(self.error_attitude**2, axis=1)))))
 
     def between(self, t0: float, t1: float) -> "Forecasts":
-        """Those that start at or after t0 and end before t1."""
-        length = self.t - t0
-        return self.chosen((length >= 0.0) & (self.t < t1))
+        """Those whose end has t0 <= t < t1 [s]; the first of them start up to a horizon before t0."""
+        return self.chosen((self.t >= t0) & (self.t < t1))
 
     def chosen(self, index: np.ndarray) -> "Forecasts":
         """Those at these indices or where this mask is true."""

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,13 @@ COARSE_WINDOWS = 60  # short windows that bring a bad start near; more would onl
 CORRELATED_SHARE = 0.5  # at most this share of the noise variance may be slow; what is beyond counts as misfit
 GOOD_START = 1.5  # chi2 per component of short windows; above it another start is tried
 BAD_FIT = 4.0  # chi2 per degree of freedom that no pose noise explains
+# Stick, column of the commands, the moment or rate it makes, what a positive one does.
+STICKS = (
+    ("aileron", 1, "La", "right wing down"),
+    ("elevator", 2, "Me", "nose up"),
+    ("rudder", 3, "Nr", "nose right"),
+)
+AS_GOOD = 1.05  # times the misfit: a log with sticks turned round that fits no worse than this is the better log
 
 Progress = Callable[[str, float], None]
 
@@ -44,6 +51,7 @@ class Identification:
     names: tuple[str, ...]  # the flights
     warnings: tuple[str, ...]
     seconds: float
+    reversed_sticks: tuple[str, ...] = ()  # sticks whose sign in the log the fit wants the other way
 
     def interval(self, name: str) -> tuple[float, float]:
         """95 % interval of a parameter, its unit."""
@@ -87,8 +95,8 @@ def identify(
     prepared = tuple(prepare(table, sigma) for table in tables)
     flights = tuple(flight for p in prepared for flight in p.flights)
     _require_motion(flights)
-    model = model or FORMS[form]()
-    model = _starting_model(model, flights, prior, tell)
+    ordinary = model or FORMS[form]()
+    model = _starting_model(ordinary, flights, prior, tell)
 
     windows = cut_windows(flights, model, window_s)
     fit_index, score_index = hold_out(windows)
@@ -111,7 +119,9 @@ def identify(
         train = everything
         tell("all windows", final.cost / max(windows.count, 1))
     sure = uncertainty(final, train, prior)
-    warnings = [w for p in prepared for w in p.warnings] + _warnings(final, sure, train_score, held_out)
+    backward = _reversed_sticks(ordinary, final, sure, windows, prior, tell)
+    warnings = [w for p in prepared for w in p.warnings] + _signs(backward)
+    warnings += _warnings(final, sure, train_score, held_out)
     return Identification(
         model=final.model,
         train_model=result.model,
@@ -128,6 +138,7 @@ def identify(
         names=tuple(t.name for t in tables),
         warnings=tuple(warnings),
         seconds=time.perf_counter() - began,
+        reversed_sticks=backward,
     )
 
 
@@ -208,6 +219,45 @@ def _robust(residual: Array, windows: Windows, far: float | None = None) -> Arra
     return np.asarray(np.where(np.abs(pose_residuals(residual, windows)) < far, 1.0, factor))
 
 
+def _reversed_sticks(
+    ordinary: Model, found: FitResult, sure: Uncertainty, windows: Windows, prior: Prior | None, tell: Progress
+) -> tuple[str, ...]:
+    """Sticks that do the opposite of what they should, and in a log with them turned round do what they should.
+
+    A stick is suspected where its effect ends on a bound at or below zero, or below zero with its whole interval.
+    Only then the flights are fitted once more, from the ordinary aircraft and with the suspects turned round.
+    """
+    highest = {name: found.model.values[name] + 1.96 * sigma for name, sigma in sure.sigma.items()}
+    highest |= {name: found.model.values[name] for name in sure.at_bound}
+    moved = np.max([np.ptp(flight.commands, axis=0) for flight in windows.flights], axis=0) > 0.0
+    suspects = [stick for stick in STICKS if highest.get(stick[2], 1.0) <= 0.0 and moved[stick[1]]]
+    if not suspects:
+        return ()
+    signs = np.ones(4)
+    signs[[column for _, column, _, _ in suspects]] = -1.0
+    flights = tuple(replace(flight, commands=flight.commands * signs) for flight in windows.flights)
+    turned = replace(windows, flights=flights)
+    model = _starting_model(ordinary, flights, prior, tell)
+    starts, _ = fit_starts(model, turned, turned.guess[:, : model.n_states], iterations=2)
+    other = fit(model, turned, starts, prior=prior, tolerance=1.0)
+    tell("sticks turned round", other.cost / windows.count)
+    if _clipped(other.residual) > AS_GOOD * _clipped(residuals(found.model, windows, found.starts)):
+        return ()
+    intervals = uncertainty(other, turned, prior)
+    return tuple(
+        name for name, _, effect, _ in suspects if intervals.interval(effect, other.model.values[effect])[0] > 0.0
+    )
+
+
+def _signs(backward: tuple[str, ...]) -> list[str]:
+    return [
+        f"{name} seems reversed: want positive {name} = {does} (the kit's conventions), the fit wants the other sign; "
+        "check the sign in your log"
+        for name, _, _, does in STICKS
+        if name in backward
+    ]
+
+
 def _warnings(result: FitResult, sure: Uncertainty, train: Score, held_out: Score | None) -> list[str]:
     said = []
     if not result.converged:
@@ -215,14 +265,16 @@ def _warnings(result: FitResult, sure: Uncertainty, train: Score, held_out: Scor
     chi2 = held_out.chi2 if held_out else train.chi2
     if chi2 > BAD_FIT:
         said.append(
-            f"this model does not describe this flight: chi2 per degree of freedom is {chi2:.1f}, noise alone gives 1"
+            f"this model does not describe this flight: chi2 per degree of freedom is {chi2:.1f}, noise alone gives 1; "
+            "look for axes, signs or units of the log that are not the kit's, for another aircraft, and for wind"
         )
     if held_out is None:
         said.append("the flight is too short to hold anything back; the score is on the fitted data")
-    for name in sure.not_excited:
+    for name in (name for name in sure.not_excited if name not in sure.at_bound):
         said.append(f"{name} was not excited in this flight: its interval is wider than half an ordinary value")
     for name in sure.at_bound:
-        said.append(f"{name} ended on its bound {result.model.values[name]:g}; its interval does not hold")
+        why = " and was hardly excited" if name in sure.not_excited else ""
+        said.append(f"{name} ended on its bound {result.model.values[name]:g}{why}; its interval does not hold")
     for a, b, r in sure.correlated[:5]:
         said.append(f"{a} and {b} are hardly separated by this flight (correlation {r:+.2f})")
     return said

@@ -14,12 +14,12 @@ BLOCK_S = 10.0  # neighbouring samples are alike: whole blocks of time are held 
 
 @dataclass(frozen=True)
 class Score:
-    """How well windows are predicted when only their start states may adapt."""
+    """How well windows are predicted over their whole length when only their start states may adapt."""
 
     chi2: float  # chi2 per degree of freedom, 1 where only noise is left
     channels: Array  # (6,) the same per channel
-    position_m: float  # root mean square over all rows
-    attitude_deg: float
+    position_m: float  # root mean square, over all measured rows, of the distance between predicted and measured
+    attitude_deg: float  # root mean square over all measured rows and the three angles, so that of one angle
     windows: int
     residual: Array  # (W, L, 6) predicted minus measured, weighted
     starts: Array  # (W, n_states)
@@ -55,13 +55,16 @@ def score(model: Model, windows: Windows, starts: Array | None = None) -> Score:
 def hold_out(windows: Windows, share: float = 0.3, block_s: float = BLOCK_S) -> tuple[np.ndarray, np.ndarray]:
     """Which windows to fit and which to keep for scoring, by whole blocks of time.
 
+    Blocks are counted from the start of each flight. With the usual share and block the fourth is the first to be
+    kept, so that flights up to about 30 s keep nothing back, however many there are.
+
     Args:
         windows: W windows.
         share: about this part of the blocks is kept for scoring.
         block_s: length of a block [s].
 
     Returns:
-        indices for fitting and indices for scoring; the latter is empty where there are fewer than two blocks.
+        indices for fitting and indices for scoring; the latter is empty where no window begins so late.
     """
     block = np.floor((windows.nodes[:, 0] - windows.nodes[:, 0].min()) / block_s).astype(int)
     kept = np.floor((block + 1) * share) > np.floor(block * share)

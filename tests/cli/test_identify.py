@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -139,6 +140,37 @@ def test_given_noise_is_used_and_too_little_of_it_is_a_no(short, capsys):
     assert record["noise"]["pz"]["used"] == pytest.approx(0.01) and record["noise"]["yaw"]["used"] == pytest.approx(0.2)
     assert record["train"]["chi2_per_dof"] == pytest.approx(9.0, rel=0.3)
     assert any("does not describe" in sentence for sentence in record["warnings"])
+
+
+def test_a_reversed_stick_is_a_no(tmp_path, capsys):
+    """The elevator's column turned round: a clear sentence and exit 1, whatever chi2 says; the model file is written
+    as it is for other bad fits."""
+    table = slice_time(example_flight()[2], 0.0, 20.0)
+    write_flight_table(tmp_path / "turned.csv", replace(table, commands=table.commands * [1.0, 1.0, -1.0, 1.0]))
+    assert main(["identify", "turned.csv", "--out", "model.toml"]) == 1
+    printed = capsys.readouterr().out
+    sentence = "warning: elevator seems reversed: want positive elevator = nose up"
+    assert sum(line.startswith(sentence) for line in printed.splitlines()) == 1
+    assert any(line.startswith("Me ") and line.endswith("ON ITS BOUND") for line in printed.splitlines())
+    assert read_model(tmp_path / "model.toml").model.values["Me"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--out", "none/model.toml"], "want a folder at none, found none"),
+        (["--out", "."], "want the name of a file to write, got a folder"),
+        (["--figures", "a_file"], "--figures a_file: want a folder, but a_file is a file; choose another name"),
+        (["--figures", "a_file/figures"], "want a folder, but a_file is a file"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_refused_before_the_fit(words, text, short, tmp_path, capsys, monkeypatch):
+    """A fit takes seconds to minutes; here it fails the test if it begins."""
+    monkeypatch.setattr("falconwing_kit.cli.identify.identify", lambda *a, **k: pytest.fail("the fit began"))
+    (tmp_path / "a_file").write_text("")
+    assert main(["identify", short, *words]) == 2
+    assert text in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["a_file"]
 
 
 def test_two_flights_and_another_form(tmp_path, capsys):

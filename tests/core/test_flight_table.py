@@ -181,6 +181,24 @@ def test_a_wrong_cell_is_refused_with_its_line(csv, row, column, cell, sentence)
         read_flight_table(csv(edited(row, column, cell)))
 
 
+@pytest.mark.parametrize(("unit", "of_a_second"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)])
+@pytest.mark.parametrize("rate_hz", [5.0, 20.0, 60.0])
+def test_another_unit_of_time_is_recognised(csv, unit, of_a_second, rate_hz):
+    """Rows of a camera of 5 to 60 Hz, counted from a large start as clocks do: 50 ms are no 50 s."""
+    rows = [",".join([repr(1e9 + k * of_a_second / rate_hz), *row.split(",")[1:]]) for k, row in enumerate(ROWS)]
+    divide = rf"{unit}: want seconds, got rows .* apart; divide the column t by 1e\+0\d|divide the column t by 1000"
+    with pytest.raises(InputError, match=f"flight.csv: time looks like {divide}"):
+        read_flight_table(csv(rows))
+
+
+def test_a_slow_log_in_seconds_is_read(csv):
+    """One row a second or every three, as telemetry over a slow link; a few rows say nothing about the unit."""
+    for step in (1.0, 3.0):
+        rows = [",".join([repr(step * k), *row.split(",")[1:]]) for k, row in enumerate(ROWS)]
+        assert nominal_rate_hz(read_flight_table(csv(rows))) == pytest.approx(1.0 / step)
+    assert len(read_flight_table(csv(edited(1, "t", "50.0")[:2])).t) == 2
+
+
 def test_missing_file_is_said(tmp_path):
     """The path is in the sentence."""
     with pytest.raises(FileNotFoundError, match=r"absent\.csv"):
