@@ -8,9 +8,9 @@ from falconwing_kit.cli.show import next_line, print_json, print_table
 
 @dataclass(frozen=True)
 class Demo:
-    """Identify two recorded flights, one of them real, and show how well the models predict.
+    """Model two aircraft from recorded flights, one of them real, and find and name what the models lack.
 
-    Needs no network, GPU or aircraft and takes about half a minute.
+    Needs no network, GPU or aircraft and takes about a minute and a half.
     """
 
     out: Path = Path("falconwing_demo")
@@ -58,6 +58,12 @@ def _print_record(record: dict) -> None:
     rows += [(f"one step, {name} (the paper's loss)", chi2) for name, chi2 in small["one_step_chi2_per_dof"].items()]
     title = "150 g aircraft, SIMULATED by an independent simulator: two seconds ahead, held-out time"
     print_table(("fit", "chi2 per dof (1 = only noise left)"), rows, title=title)
+    gap = small["gap"]
+    names = " or ".join(gap["effects"]).replace("_", " ") or "nothing"
+    print(f"another flight of it: {gap['verdict']}, {names} (truth: {', '.join(gap['truth']['effects'])})")
+    print(
+        "chi2 per dof of its held-out time: " + ", ".join(f"{value:.2f} {when}" for when, value in gap["gap"].items())
+    )
     print()
     forecasts = real["one_second_ahead_before_failure"].items()
     title = "2 m aircraft, REAL flight (ALFA): one second ahead, held-out time before the engine fails"
@@ -70,3 +76,9 @@ def _print_record(record: dict) -> None:
         print(
             f"engine off at {failure:.1f} s; the healthy model's forecasts part from the measurement at {parts:.1f} s"
         )
+    gap, since = real["gap"], real["gap"]["since"]
+    names = " or ".join(gap["effects"]).replace("_", " ") or "nothing"
+    print(f"told neither throttle nor time: {gap['verdict']}, {names}")
+    print(
+        f"thrust loss since {since['value']:.1f} s, with 95 % between {since['low95']:.1f} and {since['high95']:.1f} s"
+    )

@@ -1,10 +1,11 @@
-"""Figures of the real flight: its track, how far one-second forecasts were off, and when the engine's loss shows."""
+"""Figures of the real flight: its track, forecast errors, when the engine's loss shows, and what could explain it."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from falconwing_kit.demo.alfa_gap import AlfaGap
 from falconwing_kit.demo.alfa_story import SETTLED_S, AlfaStory
 from falconwing_kit.demo.figures import draw_predicted
 from falconwing_kit.gap.plots import ACCENT, MEASURED, PREDICTED, QUIET, figure
@@ -126,6 +127,37 @@ def draw_failure(story: AlfaStory, path: Path) -> None:
         below.set_ylabel("logged throttle [%]")
         below.set_xlabel("time [s]")
         _mark_failure(below, story)
+
+
+def draw_suspects(gap: AlfaGap, failure: float, path: Path) -> None:
+    """Evidence for each effect, and when it would have set in.
+
+    Args:
+        gap: what the poses say about the failure.
+        failure: when the engine went off [s].
+        path: the PNG to write.
+    """
+    shown = gap.suspects[::-1]
+    with figure(path, 1, 2, (11.0, 0.36 * len(shown) + 1.5), sharey=True) as axes:
+        evidence, times = axes[0]
+        for row, s in enumerate(shown):
+            evidence.barh(row, max(s.gain, 0.0), height=0.6, color=PREDICTED if s in gap.chosen else "#c9d4df")
+            times.plot([s.earliest, s.latest], [row, row], "-", color=QUIET, lw=2.0)
+            times.plot(s.time, row, "o", color=PREDICTED, ms=6)
+        evidence.axvline(gap.told_gain, color=QUIET, lw=1.2, ls=":", label="the logged throttle alone, nothing fitted")
+        evidence.axvline(gap.threshold, color=ACCENT, lw=1.2, ls="--", label="needed")
+        evidence.set_yticks(range(len(shown)), [s.effect.name.replace("_", " ") for s in shown])
+        evidence.set_xlabel("evidence, from the best time on")
+        evidence.set_title("What it could be")
+        evidence.legend(loc="lower right", frameon=True, fontsize=8)
+        times.axvline(failure, color=ACCENT, lw=1.4, ls=":")
+        times.annotate(
+            "engine off", (failure, 1.0), (4, -12), xycoords=("data", "axes fraction"),
+            textcoords="offset points", fontsize=8.5, color=ACCENT,
+        )  # fmt: skip
+        times.set_xlim(gap.end - 25.0, gap.end)
+        times.set_xlabel("time [s]")
+        times.set_title("Since when")
 
 
 def _over_time(ax: Any, t: Any, values: Any, story: AlfaStory, label: str) -> None:

@@ -55,11 +55,11 @@ def tell_alfa_story(progress: Callable[[str], None] = lambda stage: None) -> Alf
         The story.
     """
     table = read_flight_table(data_path("alfa_engine_failure.csv"))
-    facts = tomllib.loads(data_path("alfa_engine_failure.toml").read_text(encoding="utf-8"))
+    facts = alfa_facts()
     failure = float(facts["failure_time"])
     before = slice_time(table, 0.0, failure)
     model = alfa_start(facts)
-    prior = _ordinary(model)
+    prior = ordinary_prior(model)
     held_out: dict[str, list[Forecasts]] = {"model": [], "constant turn": [], "constant velocity": []}
     for fold in range(FOLDS):
         progress(f"real flight, fold {fold + 1} of {FOLDS}")
@@ -95,6 +95,11 @@ def tell_alfa_story(progress: Callable[[str], None] = lambda stage: None) -> Alf
     )
 
 
+def alfa_facts() -> dict[str, Any]:
+    """What is known of the flight beside its table: failure time, aircraft size, logged wind, source."""
+    return tomllib.loads(data_path("alfa_engine_failure.toml").read_text(encoding="utf-8"))
+
+
 def alfa_start(facts: dict[str, Any]) -> Model:
     """Where the fit begins: the 150 g aircraft scaled to this one, in the wind that the autopilot logged.
 
@@ -110,8 +115,15 @@ def alfa_start(facts: dict[str, Any]) -> Model:
     return model.pinned(("delay", "lag", "kTV"))
 
 
-def _ordinary(model: Model) -> Prior:
-    """An ordinary aircraft of this size, to half of each value; the wind to 3 m/s."""
+def ordinary_prior(model: Model) -> Prior:
+    """An ordinary aircraft of this size, to half of each value; the wind to 3 m/s.
+
+    Args:
+        model: from `alfa_start`.
+
+    Returns:
+        Independent Gaussians around its values.
+    """
     sigma = {p.name: 0.5 * (abs(p.start) or 0.02) for p in model.parameters if p.high > p.low}
     return Prior(dict(model.values), sigma | {"wind_x": 3.0, "wind_y": 3.0})
 

@@ -1,5 +1,6 @@
-"""The demo on recorded flights: identify one made by an independent simulator, then a real one -> page and figures."""
+"""The demo: recorded flights of a simulated and of a real aircraft -> models, what they lack, page and figures."""
 
+import html
 import json
 import math
 from collections.abc import Callable
@@ -12,30 +13,38 @@ from falconwing_kit.aircraft.model import rates_model
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.flight_table import read_flight_table
 from falconwing_kit.data import data_path
-from falconwing_kit.demo.alfa_figures import draw_alfa_story
+from falconwing_kit.demo.alfa_figures import draw_alfa_story, draw_suspects
+from falconwing_kit.demo.alfa_gap import CUTS, AlfaGap, Suspect, judge_alfa
 from falconwing_kit.demo.alfa_story import FOLDS, AlfaStory, tell_alfa_story
 from falconwing_kit.demo.figures import draw_identification
+from falconwing_kit.gap.advice import headline
 from falconwing_kit.gap.page import Picture, paragraph, picture, table, write_page
-from falconwing_kit.sysid.identify import Identification, identify
+from falconwing_kit.gap.plots import draw_closed, draw_map, draw_ranking
+from falconwing_kit.gap.report import GapStudy, gap_record, study_gap
+from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.model_file import write_model
 from falconwing_kit.sysid.one_step import fit_one_step
 from falconwing_kit.sysid.score import Score, score, select
 
-SIMULATED_FLIGHT = "case08_calm.csv"
+SIMULATED_FLIGHT, SURPRISING_FLIGHT = "case08_calm.csv", "case08_flight.csv"
+TRUTH = {"wind_x": 0.0924, "wind_y": 0.4370}  # m/s: what JSBSim was told for the surprising flight; no fit reads it
+REPORTED = ("verdict", "effects", "parameters", "since", "gap", "gap_rmse", "next_flight")
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class RecordedFlights:
-    """What the demo found in the two recorded flights."""
+    """What the demo found in the recorded flights."""
 
     small: Identification  # the 150 g aircraft of the independent simulator
     small_one_step: dict[str, Score]  # the paper's loss on raw and on smoothed differences, held-out time
+    small_gap: GapStudy  # its flight with a hidden effect
     alfa: AlfaStory
+    alfa_gap: AlfaGap
 
 
 def study_recorded_flights(progress: Progress = lambda stage: None) -> RecordedFlights:
-    """Identify both flights.
+    """Identify both aircraft, then look for what their models lack.
 
     Args:
         progress: called with the name of each stage.
@@ -43,15 +52,17 @@ def study_recorded_flights(progress: Progress = lambda stage: None) -> RecordedF
     Returns:
         What was found.
     """
-    progress("150 g aircraft, multiple shooting")
-    small = identify([read_flight_table(data_path(SIMULATED_FLIGHT))])
+    calm, flight = (read_flight_table(data_path(name)) for name in (SIMULATED_FLIGHT, SURPRISING_FLIGHT))
+    gap = study_gap(calm, flight, lambda stage: progress(f"150 g aircraft, {stage}"))
+    small = gap.base.found
     flights = [flight for p in small.prepared for flight in p.flights]
     held_out = select(small.windows, small.held_out_index)
     one_step = {}
     for name in ("raw", "smoothed"):
         progress(f"150 g aircraft, one-step fit on {name} differences")
         one_step[name] = score(fit_one_step(rates_model(), flights, smoothed=name == "smoothed"), held_out)
-    return RecordedFlights(small, one_step, tell_alfa_story(progress))
+    story = tell_alfa_story(progress)
+    return RecordedFlights(small, one_step, gap, story, judge_alfa(story, progress))
 
 
 def write_recorded_flights(found: RecordedFlights, folder: Path) -> dict[str, Any]:
@@ -66,13 +77,21 @@ def write_recorded_flights(found: RecordedFlights, folder: Path) -> dict[str, An
     """
     record = demo_record(found)
     draw_identification(found.small, folder)
+    gap = found.small_gap
+    draw_map(gap.flight_replay, gap.calm_replay, folder / "gap_map.png")
+    draw_ranking(gap.naming, folder / "gap_ranking.png")
+    draw_closed(gap.closed, folder / "gap_closed.png")
     draw_alfa_story(found.alfa, folder)
+    draw_suspects(found.alfa_gap, found.alfa.failure_time, folder / "alfa_suspects.png")
     write_model(folder / "model_150g.toml", found.small)
     write_model(folder / "model_alfa.toml", found.alfa.found)
     with atomic_write(folder / "demo.json", text=True) as handle:
         json.dump(record, handle, indent=2)
-    parts = [*_opening(), *_small_part(found, folder), *_alfa_part(found.alfa, folder), _closing()]
-    write_page(folder / "index.html", "FalconWing kit: two recorded flights", parts)
+    parts = [
+        *_opening(), *_small_part(found, folder), *_gap_part(gap, record, folder),
+        *_alfa_part(found.alfa, folder), *_alfa_gap_part(found, folder), _closing(),
+    ]  # fmt: skip
+    write_page(folder / "index.html", "FalconWing kit: recorded flights", parts)
     return record
 
 
@@ -83,9 +102,10 @@ def demo_record(found: RecordedFlights) -> dict[str, Any]:
         found: what the demo found.
 
     Returns:
-        Keys simulated_flight and real_flight.
+        Keys simulated_flight and real_flight, each with a key gap.
     """
     small, alfa = found.small, found.alfa
+    report = gap_record(found.small_gap)
     held_out = small.held_out or small.train
     return {
         "simulated_flight": {
@@ -96,6 +116,10 @@ def demo_record(found: RecordedFlights) -> dict[str, Any]:
             "held_out_attitude_deg": held_out.attitude_deg,
             "one_step_chi2_per_dof": {name: s.chi2 for name, s in found.small_one_step.items()},
             "seconds": small.seconds,
+            "gap": {
+                "flight": SURPRISING_FLIGHT, **{key: report[key] for key in REPORTED},
+                "truth": {"effects": ["wind"], "parameters": TRUTH},
+            },
         },
         "real_flight": {
             "flight": "ALFA Carbon-Z, engine failure",
@@ -107,17 +131,42 @@ def demo_record(found: RecordedFlights) -> dict[str, Any]:
             "failure_time_s": alfa.failure_time,
             "parts_from_measurement_s": alfa.parts_at,
             "largest_ordinary_error_m": alfa.ordinary_error,
+            "attitude_deg_after_failure": _attitude_after(alfa),
+            "gap": _alfa_gap_record(found.alfa_gap),
         },
+    }  # fmt: skip
+
+
+def _alfa_gap_record(gap: AlfaGap) -> dict[str, Any]:
+    loss = gap.thrust_loss
+    return {
+        "verdict": gap.verdict,
+        "effects": [s.effect.name for s in gap.chosen],
+        "ranking": [
+            {"effect": s.effect.name, "gain": s.gain, "since": s.time, "low95": s.earliest, "high95": s.latest}
+            for s in gap.suspects
+        ],
+        "threshold": gap.threshold,
+        "gain_of_logged_throttle": gap.told_gain,
+        "parameters": {"thrust_lost": {"value": loss.value, "low95": loss.low95, "high95": loss.high95, "unit": "-"}},
+        "since": {"value": loss.time, "low95": loss.earliest, "high95": loss.latest},
+        "gap": {"before": gap.before, "after": gap.after},
+        "judged": {"from": gap.begin, "to": gap.end},
     }
+
+
+def _attitude_after(alfa: AlfaStory) -> float:
+    """How far off the told model's attitude is one second ahead after the failure, rms [deg]."""
+    return alfa.told.chosen(alfa.told.t > alfa.failure_time + 1.0).attitude_deg
 
 
 def _opening() -> list[str]:
     return [
-        "<h1>Two recorded flights, neither of them ours</h1>",
+        "<h1>Recorded flights, none of them ours</h1>",
         paragraph("What the FalconWing kit learns from a log of poses and sticks, and how far to trust it.", "lead"),
         paragraph(
-            '<span class="tag simulated">simulated</span> the first flight comes from JSBSim, an independent flight '
-            "simulator, with an aircraft that was not told to the kit. "
+            '<span class="tag simulated">simulated</span> the first aircraft comes from JSBSim, an independent flight '
+            "simulator; nothing about it was told to the kit. It flies twice, the second time with a surprise. "
             '<span class="tag measured">measured</span> the second is a real aircraft that loses its engine.'
         ),
     ]
@@ -132,7 +181,7 @@ def _small_part(found: RecordedFlights, folder: Path) -> list[str]:
     ]
     position, attitude = small.sigma[:3].mean() * 100.0, math.degrees(small.sigma[3:].mean())
     outliers, missing = (sum(getattr(p, name) for p in small.prepared) for name in ("outliers", "missing"))
-    warnings = "".join(f"<li>{w}</li>" for w in small.warnings)
+    warnings = "".join(f"<li>{html.escape(w)}</li>" for w in small.warnings)
     return [
         '<h2><span class="tag simulated">simulated</span>A 150 g aircraft</h2>',
         paragraph(
@@ -169,6 +218,51 @@ def _small_part(found: RecordedFlights, folder: Path) -> list[str]:
             "Parameters sorted by the relative width of their 95 percent interval.",
         )),
         f"<details><summary>What the kit warns about ({len(small.warnings)})</summary><ul>{warnings}</ul></details>",
+    ]  # fmt: skip
+
+
+def _gap_part(gap: GapStudy, record: dict[str, Any], folder: Path) -> list[str]:
+    answer = record["simulated_flight"]["gap"]
+    sizes = [
+        (
+            s.meaning,
+            f"{s.value:.3f}",
+            f"{s.low95:.3f} to {s.high95:.3f}",
+            f"{TRUTH[name]:.3f}" if name in TRUTH else "-",
+        )
+        for name, s in gap.closed.parameters.items()
+    ]
+    over = [gap.closed.before.chi2 - gap.closed.calm.chi2, gap.closed.after.chi2 - gap.closed.calm.chi2]
+    since = f"It set in at {gap.since.time:.1f} s. " if gap.since else "Nothing says that it began in midflight. "
+    right = answer["effects"] == answer["truth"]["effects"]
+    return [
+        '<h2><span class="tag simulated">simulated</span>The same aircraft surprises</h2>',
+        paragraph(
+            "It flies again, and something is different that the kit is not told. Flown on the logged sticks, the "
+            "model of the first flight is now wrong, and the map shows where."
+        ),
+        picture(Picture(
+            folder / "gap_map.png", "The hall from above. Colour says how far the first flight's model is off within "
+            "two seconds; 1 is the noise of the poses.", "Map of residuals over the hall for both flights.",
+        )),
+        paragraph(
+            f"<strong>{html.escape(headline(gap.naming))}.</strong> {since}Each of {len(gap.naming.ranking)} effects "
+            "was added to the model in turn; the bars say how much it explains beyond what the aircraft's own "
+            "parameters can on another day."
+        ),
+        picture(Picture(folder / "gap_ranking.png", "A difference of 10 is very strong.", "Evidence for each effect.")),
+        table("How large it is [m/s], and what the simulator was told", ("what", "found", "95 % interval", "truth"),
+              sizes) if sizes else "",
+        paragraph(
+            f"The truth, which no fit has read: a steady wind of {TRUTH['wind_x']:.3f} m/s along the runway and "
+            f"{TRUTH['wind_y']:.3f} m/s across it. The answer is {'right' if right else 'wrong'}."
+        ),
+        picture(Picture(
+            folder / "gap_closed.png",
+            f"Two seconds ahead on time kept back: with the effect {100.0 * (1.0 - over[1] / over[0]):.0f} % of the "
+            "excess over the first flight is gone.",
+            "Bars of the prediction error before, after, and of the first flight.",
+        )),
     ]  # fmt: skip
 
 
@@ -225,16 +319,70 @@ def _alfa_part(alfa: AlfaStory, folder: Path) -> list[str]:
             "The grey band is what healthy flight showed.",
             "The forecast error along the track leaves the grey band a few seconds after the engine stops.",
         )),
+        paragraph(
+            "Also the model that was told stays no good model: in the slow flight after the failure its attitude is "
+            f"off by {_attitude_after(alfa):.0f}&deg; rms one second ahead. It never saw such flight."
+        ),
     ]  # fmt: skip
+
+
+def _alfa_gap_part(found: RecordedFlights, folder: Path) -> list[str]:
+    gap, failure = found.alfa_gap, found.alfa.failure_time
+    loss, told = gap.thrust_loss, gap.told_gain
+    return [
+        '<h2><span class="tag measured">measured</span>What failed, and when?</h2>',
+        paragraph(
+            f"Now nothing is told of the engine. The kit gets the poses from {gap.begin:.0f} to {gap.end:.1f} s with "
+            "the throttle held, and asks of each force in its catalogue from when on it explains them best. At "
+            f"{gap.end:.1f} s a stick leaves the range it had in healthy flight; of what comes after, the model knows "
+            "nothing."
+        ),
+        paragraph(f"{_alfa_verdict(gap, failure)} {_loss_in_words(loss, failure)}"),
+        picture(Picture(
+            folder / "alfa_suspects.png",
+            f"Dots: the middle of {CUTS} ways to cut the flight into windows; lines: all their 95 % intervals. Blue "
+            "bars cannot be told apart.",
+            "Evidence for each effect, and the time at which it would have set in.",
+        )),
+        paragraph(
+            "The log has another witness, its own throttle, which closes with the engine. Flown on that, the healthy "
+            f"model has {told:.0f} of evidence with nothing added and nothing fitted: it is the thrust. With the "
+            f"thrust loss the mean square residual around the failure falls from {gap.before:.1f} to {gap.after:.1f} "
+            "times that of the healthy flight (on the time it was fitted to: there is too little to keep any back)."
+        ),
+    ]  # fmt: skip
+
+
+def _alfa_verdict(gap: AlfaGap, failure: float) -> str:
+    names = [s.effect.name.replace("_", " ") for s in gap.chosen]
+    if gap.verdict == "named":
+        return f"<strong>Missing: {names[0]}.</strong>"
+    if gap.verdict == "none":
+        return "<strong>No effect explains more than chance would.</strong>"
+    listed = f"{', '.join(names[:-1])} or {names[-1]}"
+    return (
+        f"<strong>Missing: {listed}; these poses do not tell which.</strong> All of them slow the aircraft, and in the "
+        f"{gap.end - failure:.0f} s that can be judged they do so alike. A step of the throttle would have parted "
+        "them: drag does not answer to it."
+    )
+
+
+def _loss_in_words(loss: Suspect, failure: float) -> str:
+    return (
+        f"If it is the thrust, <strong>{100.0 * loss.value:.0f} %</strong> of it is gone (95 %: "
+        f"{100.0 * loss.low95:.0f} to {100.0 * loss.high95:.0f} %), since <strong>{loss.time:.1f} s</strong> "
+        f"({loss.earliest:.1f} to {loss.latest:.1f} s); the log says that the engine went off at {failure:.1f} s."
+    )
 
 
 def _closing() -> str:
     return (
         "<footer><p>Made by <code>falconwing demo</code> of the FalconWing kit "
-        f"{__version__}. The same on your own flight:</p><pre>falconwing identify flight.csv --out model.toml "
-        "--figures figures</pre><p>ALFA: Keipour, Mousaei, Scherer, <em>ALFA: A dataset for UAV fault and anomaly "
-        "detection</em>, IJRR 40 (2021), BSD-3-Clause, &copy; 2019 Carnegie Mellon University. No aircraft of ours has "
-        "been measured on this page.</p></footer>"
+        f"{__version__}. The same on your own flights:</p><pre>falconwing identify calm.csv --out model.toml "
+        "--figures figures\nfalconwing gap --calm calm.csv --flight flight.csv --out report</pre>"
+        "<p>ALFA: Keipour, Mousaei, Scherer, <em>ALFA: A dataset for UAV fault and anomaly detection</em>, IJRR 40 "
+        "(2021), BSD-3-Clause, &copy; 2019 Carnegie Mellon University. No aircraft of ours has been measured on this "
+        "page.</p></footer>"
     )
 
 
