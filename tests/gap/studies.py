@@ -6,13 +6,14 @@ import numpy as np
 
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.model import Model, rates_model
+from falconwing_kit.aircraft.unnamed import UNNAMED
 from falconwing_kit.core.flight_table import FlightTable, read_flight_table
 from falconwing_kit.data import data_path
 from falconwing_kit.gap.name import CalmBase, know_calm
 from falconwing_kit.gap.report import GapStudy, study_gap
 from tests.sysid.simulated import drawn, fly_figure_eights, measured
 
-EFFECTS = {effect.name: effect for effect in CATALOGUE}
+EFFECTS = {effect.name: effect for effect in (*CATALOGUE, *UNNAMED)}
 
 
 @cache
@@ -41,7 +42,7 @@ def own_base() -> CalmBase:
 
 @cache
 def own_flight(effect: str | None, seconds: float, seed: int, **values: float) -> FlightTable:
-    """A flight of that aircraft with marker noise, with or without an effect of the catalogue."""
+    """A flight of that aircraft with marker noise, with or without an effect."""
     rng = np.random.default_rng(seed)
     model = own_aircraft()
     if effect is not None:

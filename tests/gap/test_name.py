@@ -6,7 +6,7 @@ import pytest
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.flight_table import slice_time
 from falconwing_kit.gap.name import know_calm, name_effect, named_model
-from tests.gap.studies import own_base, own_flight, shipped, wind_study
+from tests.gap.studies import EFFECTS, own_base, own_flight, shipped, wind_study
 
 
 def test_wind_of_an_independent_aircraft_is_named_with_its_size():
@@ -47,3 +47,35 @@ def test_withheld_effect_gets_no_other_name():
     catalogue = [e for e in CATALOGUE if e.name != "adverse_yaw"]
     naming = name_effect(own_base(), own_flight("adverse_yaw", 45.0, 41, adverse_yaw=0.08), catalogue)
     assert naming.verdict in ("none", "outside")
+
+
+def test_drag_without_its_entry_is_no_flap():
+    """A flap that lifts nothing is drag by another name: withheld drag stays unnamed, and looks like a force that goes
+    with airspeed."""
+    catalogue = [e for e in CATALOGUE if e.name != "extra_drag"]
+    naming = name_effect(own_base(), own_flight("extra_drag", 45.0, 42, drag_added=0.02), catalogue)
+    assert (naming.verdict, naming.chosen) == ("outside", ())
+    assert naming.unnamed.effect.name == "force with airspeed"
+
+
+def test_load_that_no_entry_makes_is_outside():
+    """A thrust line off the centre of gravity: a pitching moment with throttle, which trim alone would half explain."""
+    planted = {f"moment_throttle_{axis}": value for axis, value in zip("xyz", (0.0, 3.0, 0.0), strict=True)}
+    naming = name_effect(own_base(), own_flight("moment with throttle", 45.0, 43, **planted))
+    assert (naming.verdict, naming.chosen) == ("outside", ())
+    assert naming.unnamed.effect.name.startswith("moment with throttle")
+    assert naming.unnamed.gain > 2.0 * naming.ranking[0].gain
+
+
+def test_base_takes_in_what_the_calm_flight_shows_it_to_lack():
+    """An aircraft whose propeller blows over its elevator, on both days: the wash goes into the base, not into a name.
+
+    The wash planted adds 5 rad/s^2 at full throttle and a third of full elevator, a fifth of the elevator's own moment.
+    """
+    wash = {f"moment_throttle_and_elevator_{axis}": value for axis, value in zip("xyz", (0.0, 5.0, 0.0), strict=True)}
+    base = know_calm(own_flight("moment with throttle and elevator", 90.0, 44, **wash))
+    added = [term.name for term in base.result.model.terms if term.name in EFFECTS]
+    assert added == ["moment with throttle and elevator"]
+    assert base.result.model.values["moment_throttle_and_elevator_y"] == pytest.approx(5.0, rel=0.2)
+    naming = name_effect(base, own_flight("moment with throttle and elevator", 45.0, 45, **wash))
+    assert naming.verdict == "none"
