@@ -77,8 +77,8 @@ def _print_record(record: dict) -> None:
             f"engine off at {failure:.1f} s; the healthy model's forecasts part from the measurement at {parts:.1f} s"
         )
     gap, since = real["gap"], real["gap"]["since"]
-    names = " or ".join(gap["effects"]).replace("_", " ") or "nothing"
-    print(f"told neither throttle nor time: {gap['verdict']}, {names}")
+    names = " or ".join(sorted(gap["effects"])).replace("_", " ") or "nothing"
+    print(f"told nothing of the engine: {gap['verdict']}, {names}")
     print(
         f"thrust loss since {since['value']:.1f} s, with 95 % between {since['low95']:.1f} and {since['high95']:.1f} s"
     )

@@ -44,7 +44,7 @@ class Suspect:
 
 @dataclass(frozen=True)
 class AlfaGap:
-    """What the poses say about the failure, told neither its time nor the throttle."""
+    """What the poses say about the failure, told nothing of the engine."""
 
     verdict: Literal["named", "ambiguous", "none"]
     suspects: tuple[Suspect, ...]  # best first
