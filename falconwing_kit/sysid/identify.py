@@ -27,6 +27,7 @@ STICKS = (
     ("elevator", 2, "Me", "nose up"),
     ("rudder", 3, "Nr", "nose right"),
 )
+SLIGHT = 0.1  # of an ordinary effect: a stick that does less has no sign to speak of
 AS_GOOD = 1.05  # times the misfit: a log with sticks turned round that fits no worse than this is the better log
 
 Progress = Callable[[str, float], None]
@@ -58,6 +59,7 @@ class Identification:
         return self.uncertainty.interval(name, self.model.values[name])
 
 
+@np.errstate(all="ignore")  # a flight that runs away overflows; its cost is infinite
 def identify(
     tables: Sequence[FlightTable],
     form: Form = "rates",
@@ -244,9 +246,9 @@ def _reversed_sticks(
     if _clipped(other.residual) > AS_GOOD * _clipped(residuals(found.model, windows, found.starts)):
         return ()
     intervals = uncertainty(other, turned, prior)
-    return tuple(
-        name for name, _, effect, _ in suspects if intervals.interval(effect, other.model.values[effect])[0] > 0.0
-    )
+    least = {p.name: SLIGHT * abs(p.start) for p in ordinary.parameters}
+    lowest = {effect: intervals.interval(effect, other.model.values[effect])[0] for _, _, effect, _ in suspects}
+    return tuple(name for name, _, effect, _ in suspects if lowest[effect] > least[effect])
 
 
 def _signs(backward: tuple[str, ...]) -> list[str]:

@@ -339,11 +339,12 @@ def test_sticks_of_the_right_sign_are_not_called_reversed(twelve):
     assert [f.reversed_sticks for f in (example_found(), *(found for _, _, found in twelve))] == [()] * 13
 
 
-def test_a_stick_that_does_nothing_is_not_called_reversed():
-    """The elevator column of another half minute: neither sign of it explains anything."""
+@pytest.mark.parametrize("column", [2, 3])
+def test_a_stick_that_does_nothing_is_not_called_reversed(column):
+    """The elevator (the rudder) column of another half minute: neither sign of it explains anything."""
     table = slice_time(example_flight()[2], 0.0, 20.0)
-    other = slice_time(example_flight()[2], 30.0, 60.0).commands[: len(table.t), 2]
-    found = identify([_with_stick(table, 2, other)])
+    other = slice_time(example_flight()[2], 30.0, 60.0).commands[: len(table.t), column]
+    found = identify([_with_stick(table, column, other)])
     assert found.reversed_sticks == ()
 
 
