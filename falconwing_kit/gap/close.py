@@ -156,7 +156,8 @@ def name_since(
         return naming, None
     progress("since when")
     onset = find_onset(base, naming.windows, naming.before, naming.ranking[:TRIED_LATER])
-    explained = max(naming.ranking[0].gain, sum(c.gain for c in naming.chosen if naming.verdict == "named"))
+    named = sum(c.gain for c in naming.chosen if naming.verdict == "named")
+    explained = max(naming.ranking[0].gain, named, naming.unnamed.gain)
     if onset is None or onset.gain < explained + naming.threshold:
         return naming, None
     later = slice_time(flight, onset.time, np.inf)

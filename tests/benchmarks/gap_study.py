@@ -21,7 +21,7 @@ import numpy as np
 
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.gap.close import close_gap
+from falconwing_kit.gap.close import close_gap, name_since
 from falconwing_kit.gap.hidden import hidden_flights
 from falconwing_kit.gap.name import CalmBase, Naming, know_calm, name_effect
 from tests.hidden_effects import IN_CATALOGUE, OUTSIDE
@@ -86,7 +86,7 @@ def study(batch: list[Case]) -> list[dict[str, Any]]:
             base = know_calm(calm)
             known_seconds = time.process_time() - clock[0]
         clock = [time.process_time()]
-        naming = name_effect(base, flight)
+        naming, _ = name_since(base, flight)
         clock.append(time.process_time())
         closed = close_gap(base, naming)
         clock.append(time.process_time())
@@ -104,7 +104,7 @@ def study(batch: list[Case]) -> list[dict[str, Any]]:
         known = _merged(case.effect)
         if case.withhold:
             rest = [e for e in CATALOGUE if e.name != known]
-            row["withheld"] = _answer(name_effect(base, flight, rest), case.effect)
+            row["withheld"] = _answer(name_since(base, flight, rest)[0], case.effect)
         if case.kind == "own":
             row["detectable"] = _detectable(base, flight, known)
         if case.kind in ("independent", "calm", "own"):
