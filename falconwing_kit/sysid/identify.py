@@ -226,17 +226,20 @@ def _reversed_sticks(
 ) -> tuple[str, ...]:
     """Sticks that do the opposite of what they should, and in a log with them turned round do what they should.
 
-    A stick is suspected where its effect ends on a bound at or below zero, or below zero with its whole interval.
-    Only then the flights are fitted once more, from the ordinary aircraft and with the suspects turned round.
+    A stick that was moved is suspected where its effect ends below a tenth of an ordinary one. Only then the flights
+    are fitted once more, from the ordinary aircraft and with the suspects turned round.
     """
-    highest = {name: found.model.values[name] + 1.96 * sigma for name, sigma in sure.sigma.items()}
-    highest |= {name: found.model.values[name] for name in sure.at_bound}
+    least = {p.name: SLIGHT * abs(p.start) for p in ordinary.parameters}
     moved = np.max([np.ptp(flight.commands, axis=0) for flight in windows.flights], axis=0) > 0.0
-    suspects = [stick for stick in STICKS if highest.get(stick[2], 1.0) <= 0.0 and moved[stick[1]]]
+    suspects = [
+        (name, column, effect)
+        for name, column, effect, _ in STICKS
+        if moved[column] and effect in sure.names and found.model.values[effect] < least[effect]
+    ]
     if not suspects:
         return ()
     signs = np.ones(4)
-    signs[[column for _, column, _, _ in suspects]] = -1.0
+    signs[[column for _, column, _ in suspects]] = -1.0
     flights = tuple(replace(flight, commands=flight.commands * signs) for flight in windows.flights)
     turned = replace(windows, flights=flights)
     model = _starting_model(ordinary, flights, prior, tell)
@@ -246,9 +249,8 @@ def _reversed_sticks(
     if _clipped(other.residual) > AS_GOOD * _clipped(residuals(found.model, windows, found.starts)):
         return ()
     intervals = uncertainty(other, turned, prior)
-    least = {p.name: SLIGHT * abs(p.start) for p in ordinary.parameters}
-    lowest = {effect: intervals.interval(effect, other.model.values[effect])[0] for _, _, effect, _ in suspects}
-    return tuple(name for name, _, effect, _ in suspects if lowest[effect] > least[effect])
+    lowest = {effect: intervals.interval(effect, other.model.values[effect])[0] for _, _, effect in suspects}
+    return tuple(name for name, _, effect in suspects if lowest[effect] > least[effect])
 
 
 def _signs(backward: tuple[str, ...]) -> list[str]:
