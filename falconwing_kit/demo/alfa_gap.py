@@ -11,9 +11,10 @@ from falconwing_kit.aircraft.model import Model, record_of
 from falconwing_kit.aircraft.terms import air_flow
 from falconwing_kit.core.flight_table import FlightTable, slice_time
 from falconwing_kit.demo.alfa_story import AlfaStory, alfa_facts, alfa_start, ordinary_prior
+from falconwing_kit.gap.calm import DAY_TO_DAY, LEAST_GAIN, CalmBase
 from falconwing_kit.gap.close import Onset, find_onset
 from falconwing_kit.gap.evidence import Reduced, columns, variants
-from falconwing_kit.gap.name import DAY_TO_DAY, LEAST_GAIN, CalmBase, Candidate
+from falconwing_kit.gap.name import Candidate
 from falconwing_kit.gap.noise import PoseNoise
 from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_starts, robust_factor
 from falconwing_kit.sysid.forecast import with_throttle_held

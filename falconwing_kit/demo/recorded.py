@@ -12,13 +12,13 @@ from falconwing_kit import __version__
 from falconwing_kit.aircraft.model import rates_model
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.flight_table import read_flight_table
+from falconwing_kit.core.page import Picture, paragraph, picture, table, write_page
 from falconwing_kit.data import data_path
 from falconwing_kit.demo.alfa_figures import draw_alfa_story, draw_suspects
 from falconwing_kit.demo.alfa_gap import CUTS, AlfaGap, Suspect, judge_alfa
 from falconwing_kit.demo.alfa_story import FOLDS, AlfaStory, tell_alfa_story
 from falconwing_kit.demo.figures import draw_identification
 from falconwing_kit.gap.advice import headline
-from falconwing_kit.gap.page import Picture, paragraph, picture, table, write_page
 from falconwing_kit.gap.plots import draw_closed, draw_map, draw_ranking
 from falconwing_kit.gap.report import GapStudy, gap_record, study_gap
 from falconwing_kit.sysid.identify import Identification

@@ -1,7 +1,6 @@
 """Advice: a verdict -> one honest sentence about it, and which manoeuvre of a small library to fly next.
 
-Nothing is looked up: the base model flies every manoeuvre, and the Fisher matrix that its evaluation would have says
-what it would tell. Information of flights adds, so what the flight under test told counts too.
+The base model flies every manoeuvre: its Fisher matrix, added to the flight's own, says what it would tell.
 """
 
 import math
@@ -18,7 +17,8 @@ from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.trim import STICK_LIMITS, Trim, trim
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.messages import COMMAND_NAMES
-from falconwing_kit.gap.name import LEAST_GAIN, CalmBase, Candidate, Naming
+from falconwing_kit.gap.calm import LEAST_GAIN, CalmBase
+from falconwing_kit.gap.name import Candidate, Naming
 from falconwing_kit.gap.noise import whitened
 from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
 from falconwing_kit.sysid.prepare import Flight

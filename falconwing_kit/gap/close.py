@@ -11,8 +11,9 @@ from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.terms import Parameter
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.flight_table import FlightTable, slice_time
+from falconwing_kit.gap.calm import CalmBase, Progress
 from falconwing_kit.gap.evidence import Reduced, Variant, columns
-from falconwing_kit.gap.name import CalmBase, Candidate, Naming, Progress, name_effect
+from falconwing_kit.gap.name import Candidate, Naming, name_effect
 from falconwing_kit.sysid.fit import FitResult, fit, prior_rows
 from falconwing_kit.sysid.score import BLOCK_S, Score, hold_out, score, select
 from falconwing_kit.sysid.shooting import Windows, changes
@@ -79,7 +80,7 @@ def close_gap(base: CalmBase, naming: Naming) -> Closed:
         The gap before and after; where nothing is named after equals before.
     """
     calm_model = base.result.model
-    plain = replace(naming.windows, whitening=None, weight=_noise_weights(naming.windows, base))
+    plain = base.as_measured(naming.windows)
     fitted, scored = _split(plain)
     seen = len(scored) == 0
     if seen:
@@ -121,10 +122,6 @@ def _split(windows: Windows) -> tuple[np.ndarray, np.ndarray]:
     """Whole blocks for fitting and for scoring; blocks are shorter than usual where there would be fewer than four."""
     begins = windows.nodes[:, 0]
     return hold_out(windows, block_s=min(BLOCK_S, max(float(np.ptp(begins)) / 3.01, 1.0)))
-
-
-def _noise_weights(windows: Windows, base: CalmBase) -> Array:
-    return np.where(windows.weight > 0.0, 1.0 / base.found.sigma, 0.0)
 
 
 def name_since(

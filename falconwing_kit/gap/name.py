@@ -1,58 +1,29 @@
 """Naming: a calm flight and a flight that surprises -> which effect is missing, how sure, or that none can be named."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from falconwing_kit.aircraft.effects import CATALOGUE, Effect
-from falconwing_kit.aircraft.model import Model
-from falconwing_kit.aircraft.unnamed import UNNAMED
-from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import FlightTable
+from falconwing_kit.gap.calm import CHOICE, LACKING, LEAST_GAIN, CalmBase, Progress, freedom, price_of, unnamed_for
 from falconwing_kit.gap.evidence import Reduced, columns, variants
-from falconwing_kit.gap.noise import PoseNoise, find_pose_noise, whitened
+from falconwing_kit.gap.noise import whitened
 from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_starts, prior_rows, robust_factor
-from falconwing_kit.sysid.identify import Identification, identify
 from falconwing_kit.sysid.prepare import Prepared, prepare
 from falconwing_kit.sysid.shooting import Windows, cut_windows
-from falconwing_kit.sysid.uncertainty import ordinary_size, uncertainty
+from falconwing_kit.sysid.uncertainty import uncertainty
 
 Verdict = Literal["named", "ambiguous", "none", "outside"]
-Progress = Callable[[str], None]
 
-DAY_TO_DAY = 0.01  # coefficients of one aircraft differ by about this much from one day to the next
-LEAST_GAIN = 10.0  # "very strong" on the scale of Kass & Raftery 1995
 REFITS = 5  # effects that are fitted in full after the linear scan, and more while one not fitted could still win
 ROUGH = 2.0  # chi2 to which the first round of fits is carried; the second goes on from there
 CLEARLY = 0.1  # a load without a name must beat the named effects by this share of their evidence
-CHOICE = 2.0 * float(np.log(len(UNNAMED)))  # evidence that choosing among so many loads buys by chance
-LACKING = 50.0  # evidence on the calm flight from which on a load belongs into the base; less does not mislead
-MOST_ADDED = 6  # loads without a name that a base model may need
 SHARE_LEFT = 0.5  # of the excess: a name that leaves more behind is no explanation
 EXCESS_SIGMAS = 6.0  # a flight's chi2 above the calm level by this much is not chance
 STRAINED = 9.0  # parameters that moved by three of their sigmas on average: the base is no model of this aircraft
-BASE_FITS = 4.0  # calm chi2 beyond this: the base model is not a model of this aircraft
-
-
-@dataclass(frozen=True)
-class CalmBase:
-    """The aircraft without surprise: its model, what is known of it, and its pose noise."""
-
-    found: Identification
-    noise: PoseNoise
-    result: FitResult  # fitted with the noise made white
-    windows: Windows
-    chi2: float  # per degree of freedom, with the noise made white
-    prior: Prior  # for another flight of the same aircraft
-    false_gain: float  # the largest evidence that any effect finds on a third of this flight
-    false_unnamed: float  # the same of loads without a name
-
-    @property
-    def scatter(self) -> float:
-        """Variance of what noise and base model leave, at least that of the noise."""
-        return max(1.0, self.chi2)
 
 
 @dataclass(frozen=True)
@@ -81,95 +52,6 @@ class Naming:
     before: FitResult  # the base model fitted to the flight under its prior
     windows: Windows
     prepared: Prepared
-
-
-def know_calm(calm: FlightTable, progress: Progress = lambda stage: None) -> CalmBase:
-    """Identify the calm flight, find its pose noise, and see what evidence effects find where there is none.
-
-    Args:
-        calm: a flight without surprise.
-        progress: called with the name of each stage.
-
-    Returns:
-        What naming needs to know about the aircraft.
-
-    Raises:
-        InputError: the flight cannot be used, or the base model does not describe it.
-    """
-    progress("calm flight")
-    return learn_base(identify([calm]), CATALOGUE, progress)
-
-
-def learn_base(
-    found: Identification, catalogue: Sequence[Effect] = CATALOGUE, progress: Progress = lambda stage: None
-) -> CalmBase:
-    """The same from an identification made already, of any form of model.
-
-    Args:
-        found: the calm flight, identified.
-        catalogue: the effects that will be tried.
-        progress: called with the name of each stage.
-
-    Returns:
-        What naming needs to know about the aircraft.
-
-    Raises:
-        InputError: the base model does not describe the flight.
-    """
-    chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
-    if chi2 > BASE_FITS:
-        raise InputError(
-            f"{found.names[0]}: the base model does not describe this calm flight (chi2 per degree of freedom "
-            f"{chi2:.1f}, noise alone gives 1); use a calm flight of the same aircraft without wind or other surprise"
-        )
-    noise = find_pose_noise(found.result, found.fitted_windows)
-    windows = whitened(found.fitted_windows, noise)
-    result = fit(found.model, windows, found.result.starts)
-    complete = _completed(result, windows, progress)
-    if complete is not result:  # what the base lacked was taken for slow noise
-        again = fit(complete.model, found.fitted_windows, complete.starts)
-        noise = find_pose_noise(again, found.fitted_windows)
-        windows = whitened(found.fitted_windows, noise)
-        result = _completed(fit(complete.model, windows, complete.starts), windows, progress)
-    level = result.cost / _freedom(windows, result)
-    progress("what chance finds")
-    reduced = Reduced.of(result, None, max(1.0, level))
-    tried = columns(
-        result.model, windows, result.starts, list(variants([*catalogue, *_unnamed(result.model)], windows))
-    )
-    price = np.array([_price(t.variant.effect, windows) for t in tried])
-    false = (reduced.block_gains(tried) - price[:, None]).max(axis=1)
-    named = np.array([t.variant.effect not in UNNAMED for t in tried])
-    gains = float(false[named].max()), float(false[~named].max())
-    return CalmBase(found, noise, result, windows, level, _day_to_day(result, windows), *gains)
-
-
-def _completed(result: FitResult, windows: Windows, progress: Progress) -> FitResult:
-    """The base model with what the calm flight shows it to lack: the best load without a name, and again.
-
-    No model has everything: a propeller's wash over the elevator, a thrust that is not linear in the stick. Without
-    them in the base, every other flight would seem to have an effect.
-    """
-    progress("what the base lacks")
-    while len(UNNAMED) - len(_unnamed(result.model)) < MOST_ADDED:
-        reduced = Reduced.of(result, None, max(1.0, result.cost / _freedom(windows, result)))
-        places = list(variants(_unnamed(result.model), windows))
-        scores = [reduced.score(c) for c in columns(result.model, windows, result.starts, places)]
-        best = max(scores, key=lambda score: score.gain)
-        if best.gain < _price(best.variant.effect, windows) + CHOICE + LACKING:
-            break
-        model = result.model.with_effect(best.variant.effect)
-        added = fit(model.with_values(best.values), windows, result.starts)
-        if added.cost > result.cost - LEAST_GAIN:
-            break
-        result = added
-    return result
-
-
-def _unnamed(model: Model) -> tuple[Effect, ...]:
-    """The loads without a name that a model does not have yet."""
-    present = {term.name for term in model.terms}
-    return tuple(effect for effect in UNNAMED if effect.name not in present)
 
 
 def name_effect(
@@ -214,11 +96,11 @@ def _decide(
     progress: Progress,
 ) -> Naming:
     threshold = max(LEAST_GAIN, 3.0 * base.false_gain)
-    freedom = _freedom(windows, before)
-    error = base.chi2 * np.sqrt(2.0 / freedom + 2.0 / _freedom(base.windows, base.result))
-    excess = before.cost / freedom - base.chi2
+    dof = freedom(windows, before)
+    error = base.chi2 * np.sqrt(2.0 / dof + 2.0 / freedom(base.windows, base.result))
+    excess = before.cost / dof - base.chi2
     best = ranking[0]
-    left = excess - best.chi2_gain * base.scatter / freedom
+    left = excess - best.chi2_gain * base.scatter / dof
     chosen: tuple[Candidate, ...] = ()
     verdict: Verdict = "none"
     explained = best.gain
@@ -230,25 +112,25 @@ def _decide(
             second = _second(base, windows, best, catalogue, threshold, progress)
             if second is not None:
                 chosen, explained = (best, second), explained + second.gain
-                left -= second.chi2_gain * base.scatter / freedom
+                left -= second.chi2_gain * base.scatter / dof
         if left > max(EXCESS_SIGMAS * error, SHARE_LEFT * excess):
             verdict, chosen = "outside", ()
     elif excess > EXCESS_SIGMAS * error:
         verdict = "outside"
-    unnamed = _best_unnamed(base, windows, before, explained, progress)
+    unnamed = _bestunnamed_for(base, windows, before, explained, progress)
     last = (chosen[-1:] if verdict == "named" else (best,))[0].result or before
     strain = _strain(last, base.prior)
-    clear = max(explained, 0.0) + max(threshold, CLEARLY * explained)
+    clear = explained + max(threshold, CLEARLY * explained) if chosen else LACKING
     if unnamed.gain > clear or strain > STRAINED:  # parameters that moved so far may imitate anything
         verdict, chosen = "outside", ()
     return Naming(verdict, chosen, tuple(ranking), threshold, excess, left, unnamed, strain, before, windows, prepared)
 
 
-def _best_unnamed(
+def _bestunnamed_for(
     base: CalmBase, windows: Windows, before: FitResult, explained: float, progress: Progress
 ) -> Candidate:
     """The load without a name that explains most, fitted in full where it might beat the named ones."""
-    best = _scan(base, windows, before, _unnamed(before.model), progress)[0]
+    best = _scan(base, windows, before, unnamed_for(before.model), progress)[0]
     if best.gain > explained:
         best = _fit_effect(base, windows, before, best, progress)
     return replace(best, gain=best.gain - CHOICE)
@@ -316,7 +198,7 @@ def _scan(
     best: dict[str, Candidate] = {}
     for tried in columns(before.model, windows, before.starts, list(variants(catalogue, windows))):
         effect, score = tried.variant.effect, reduced.score(tried)
-        gain = score.gain - _price(effect, windows)
+        gain = score.gain - price_of(effect, windows)
         if effect.name not in best or gain > best[effect.name].gain:
             best[effect.name] = Candidate(effect, gain, score.gain, score.values, None)
     return sorted(best.values(), key=lambda c: -c.gain)
@@ -345,7 +227,7 @@ def _fit_effect(
         result = fit(small, windows, before.starts, prior=base.prior, iterations=15, tolerance=tolerance)
     gained = (before.cost - result.cost) / base.scatter
     found = {p.name: result.model.values[p.name] for p in effect.parameters}
-    gain = gained - _price(effect, windows)
+    gain = gained - price_of(effect, windows)
     return Candidate(
         effect, gain if _is_itself(effect, result, windows, base) else min(gain, 0.0), gained, found, result
     )
@@ -366,7 +248,7 @@ def _is_itself(effect: Effect, result: FitResult, windows: Windows, base: CalmBa
 def _fit_flight(base: CalmBase, prepared: Prepared) -> tuple[Windows, FitResult]:
     """The base model under its prior, fitted to the flight."""
     model = base.result.model
-    plain = cut_windows(prepared.flights, model)
+    plain = cut_windows(prepared.flights, model, base.window_s)
     starts, residual = fit_starts(model, plain, plain.guess[:, : model.n_states])
     first = fit(model, plain.weighted(robust_factor(residual, plain)), starts, prior=base.prior, tolerance=1.0)
     return _weigh_again(base, plain, first, first)
@@ -374,39 +256,7 @@ def _fit_flight(base: CalmBase, prepared: Prepared) -> tuple[Windows, FitResult]
 
 def _weigh_again(base: CalmBase, windows: Windows, before: FitResult, best: FitResult) -> tuple[Windows, FitResult]:
     """Weights by the residuals of the best model so far, and the base model fitted with them."""
-    plain = replace(windows, whitening=None, weight=_noise_weights(windows, base))
+    plain = base.as_measured(windows)
     _, residual = fit_starts(best.model, plain, best.starts)
     weighted = whitened(plain.weighted(robust_factor(residual, plain)), base.noise)
     return weighted, fit(before.model, weighted, before.starts, prior=base.prior)
-
-
-def _noise_weights(windows: Windows, base: CalmBase) -> Array:
-    return np.where(windows.weight > 0.0, 1.0 / base.found.sigma, 0.0)
-
-
-def _day_to_day(result: FitResult, windows: Windows) -> Prior:
-    """What the calm flight says about another day: its covariance, and a percent of drift on every coefficient."""
-    sure = uncertainty(result, windows)
-    parameters = {p.name: p for p in result.model.parameters}
-    drift = np.array([DAY_TO_DAY * ordinary_size(parameters[n], result.model.values[n]) for n in sure.names])
-    timing = np.array([n in ("delay", "lag") for n in sure.names])
-    drift[timing] = 0.002  # s: radio and servo stay the same
-    covariance = sure.covariance + np.diag(drift**2)
-    sigma = np.sqrt(np.diag(covariance))
-    spread = dict(zip(sure.names, sigma.tolist(), strict=True))
-    return Prior(dict(result.model.values), spread, covariance / np.outer(sigma, sigma))
-
-
-def _price(effect: Effect, windows: Windows) -> float:
-    """Evidence that free parameters buy by chance [Schwarz 1978]."""
-    return float(len(effect.parameters) * np.log(max(windows.count, 2)))
-
-
-def _freedom(windows: Windows, result: FitResult) -> int:
-    return max(windows.count - len(windows) * result.model.n_states - len(result.free), 1)
-
-
-def named_model(naming: Naming) -> Model | None:
-    """The model with the named effects, or None where nothing is named."""
-    last = naming.chosen[-1].result if naming.verdict == "named" else None
-    return last.model if last else None

@@ -15,6 +15,7 @@ from falconwing_kit.sysid.fit import FitResult
 from falconwing_kit.sysid.shooting import Windows, pose_residuals
 
 SHARES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
+MOSTLY_MEASURED = 0.8  # share of rows with a pose that a filter over rows needs
 TIMES_S = (0.15, 0.3, 0.5, 0.8, 1.3)
 
 
@@ -51,8 +52,11 @@ def find_pose_noise(result: FitResult, windows: Windows) -> PoseNoise:
         windows: the windows it was fitted to.
 
     Returns:
-        The noise with the largest restricted likelihood on a grid, found half by half.
+        The noise with the largest restricted likelihood on a grid, found half by half; white where most rows have no
+        pose, since nothing is known of what happens between those that have one.
     """
+    if np.mean(windows.weight > 0.0) < MOSTLY_MEASURED:
+        return PoseNoise((0.0, 0.0), (0.5, 0.5))
     interval = float(np.median(np.diff(windows.nodes)))
     shape = windows.weight.shape
     residual = pose_residuals(result.residual, windows)

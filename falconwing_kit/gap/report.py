@@ -15,11 +15,12 @@ from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.flight_table import FlightTable, nominal_rate_hz
+from falconwing_kit.core.page import Picture, paragraph, picture, table, write_page
 from falconwing_kit.gap.advice import headline, next_flight
+from falconwing_kit.gap.calm import LEAST_GAIN, CalmBase, know_calm
 from falconwing_kit.gap.close import Closed, Onset, close_gap, name_since
 from falconwing_kit.gap.measure import VARIABLES, Replay, Spot, replay_calm, replay_flight, residual_map
-from falconwing_kit.gap.name import LEAST_GAIN, STRAINED, CalmBase, Naming, know_calm
-from falconwing_kit.gap.page import Picture, paragraph, picture, table, write_page
+from falconwing_kit.gap.name import STRAINED, Naming
 from falconwing_kit.gap.plots import CHANNEL_WORDS, IN_PLOTS, draw_gap
 from falconwing_kit.sysid.model_file import write_fitted, write_model
 from falconwing_kit.sysid.score import Score

@@ -9,7 +9,7 @@ from falconwing_kit.aircraft.model import Model, rates_model
 from falconwing_kit.aircraft.unnamed import UNNAMED
 from falconwing_kit.core.flight_table import FlightTable, read_flight_table
 from falconwing_kit.data import data_path
-from falconwing_kit.gap.name import CalmBase, know_calm
+from falconwing_kit.gap.calm import CalmBase, know_calm
 from falconwing_kit.gap.report import GapStudy, study_gap
 from tests.sysid.simulated import drawn, fly_figure_eights, measured
 

@@ -5,7 +5,8 @@ import pytest
 
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.flight_table import slice_time
-from falconwing_kit.gap.name import know_calm, name_effect, named_model
+from falconwing_kit.gap.calm import know_calm
+from falconwing_kit.gap.name import name_effect
 from tests.gap.studies import EFFECTS, own_base, own_flight, shipped, wind_study
 
 
@@ -17,7 +18,6 @@ def test_wind_of_an_independent_aircraft_is_named_with_its_size():
     assert naming.chosen[0].values["wind_x"] == pytest.approx(0.0924, abs=0.05)
     assert naming.chosen[0].values["wind_y"] == pytest.approx(0.4370, abs=0.05)
     assert naming.ranking[0].gain > 10.0 * naming.threshold
-    assert named_model(naming) is not None
 
 
 def test_second_half_of_a_calm_flight_shows_nothing():
@@ -27,7 +27,6 @@ def test_second_half_of_a_calm_flight_shows_nothing():
     naming = name_effect(know_calm(slice_time(calm, -np.inf, half)), slice_time(calm, half, np.inf))
     assert naming.verdict == "none"
     assert naming.chosen == ()
-    assert named_model(naming) is None
 
 
 @pytest.mark.parametrize(

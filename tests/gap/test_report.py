@@ -85,7 +85,9 @@ def test_report_is_written_whole_and_the_model_reads_back(tmp_path):
 def test_page_says_what_the_verdict_is(tmp_path, verdict, kept, words):
     """The same findings under each other verdict: no model with an effect, no confident headline, a next flight."""
     study = wind_study()
-    naming = replace(study.naming, verdict=verdict, chosen=study.naming.ranking[:kept])
+    ranking = {c.effect.name: c for c in study.naming.ranking}
+    chosen = (ranking["wind"], ranking["fan_jet"])[:kept]
+    naming = replace(study.naming, verdict=verdict, chosen=chosen)
     closed = study.closed if kept else replace(study.closed, after=study.closed.before, parameters={})
     record = write_gap(replace(study, naming=naming, closed=closed), tmp_path)
     page = (tmp_path / "report.html").read_text()

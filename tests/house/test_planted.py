@@ -24,7 +24,7 @@ PLANTS = {
     "relative": (import_problems, "core", "from . import frames\n", "relative"),
     "star": (import_problems, "aircraft", "from falconwing_kit.core.frames import *\n", "star"),
     "unknown room": (import_problems, "core", "import falconwing_kit.attic\n", "attic"),
-    "long file": (size_problems, "core", "x = 1\n" * 451, "452 lines"),
+    "long file": (size_problems, "data", "x = 1\n" * 451, "452 lines"),
     "mis-met maps": (frame_problems, "core", "p = T_world_body @ T_camera_body\n", "body meets camera"),
     "mis-met vector": (frame_problems, "core", "v = R_world_body @ v_world[0]\n", "body meets world"),
     "mis-met chain": (frame_problems, "core", "x = T_world_body @ T_body_camera @ p_world\n", "camera meets world"),

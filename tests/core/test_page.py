@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from falconwing_kit.gap.page import Picture, paragraph, picture, table, write_page
+from falconwing_kit.core.page import Picture, paragraph, picture, table, write_page
 
 FETCHING = ("src", "srcset", "data", "poster", "action", "background", "manifest")
 NEVER_CLOSED = ("meta", "img", "br")
