@@ -31,6 +31,7 @@ class Effect:
     shape: tuple[str, ...] = ()  # parameters that say where or when, and mean nothing while the amplitude is zero
     contains: tuple[str, ...] = ()  # effects that this one becomes at some of its values; no rival to them
     essential: tuple[str, ...] = ()  # parameters without which it is one of those, or nothing with a name
+    gradual: bool = False  # grows by itself from the start of the flight: what sets in at once is another effect
     same_as: str = ""  # another effect with the same dynamics: no flight can tell them apart
 
     @property
@@ -53,7 +54,7 @@ def _drag_along(air: Any, per_speed: Any) -> tuple[Any, ...]:
 
 
 def _both(a: tuple[Any, ...], b: tuple[Any, ...]) -> tuple[Any, ...]:
-    return tuple(x + y for x, y in zip(a, b, strict=True))
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
 
 
 def _lift_coefficient(air: Any, K: Any) -> Any:
@@ -324,6 +325,7 @@ CATALOGUE: tuple[Effect, ...] = (
     _force(
         "battery_sag", "The battery's voltage falls during the flight, and thrust with it.",
         battery_sag, Parameter("sag", 0.05, 0.0, 1.0, "1/min", "share of the thrust lost per minute"),
+        gradual=True,
     ),
     _force(
         "propeller_torque", "The propeller turns the aircraft against its own rotation, in step with thrust.",

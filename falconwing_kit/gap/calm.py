@@ -91,23 +91,26 @@ def learn_base(
         What naming needs to know about the aircraft.
 
     Raises:
-        InputError: the base model does not describe the flight.
+        InputError: the base model does not describe the flight, or a stick's sign in the log is the other way round.
     """
+    if found.reversed_sticks:
+        raise InputError(next(w for w in found.warnings if w.startswith(found.reversed_sticks[0])))
+    noise = find_pose_noise(found.result, found.fitted_windows)
+    windows = whitened(found.fitted_windows, noise)
+    result = fit(found.model, windows, found.result.starts)
+    complete = _completed(result, windows, progress)
     chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
+    if complete is not result:  # what the base lacked was taken for slow noise
+        again = fit(complete.model, found.fitted_windows, complete.starts)
+        chi2 = again.cost / freedom(found.fitted_windows, again)
+        noise = find_pose_noise(again, found.fitted_windows)
+        windows = whitened(found.fitted_windows, noise)
+        result = _completed(fit(complete.model, windows, complete.starts), windows, progress)
     if chi2 > BASE_FITS:
         raise InputError(
             f"{found.names[0]}: the base model does not describe this calm flight (chi2 per degree of freedom "
             f"{chi2:.1f}, noise alone gives 1); use a calm flight of the same aircraft without wind or other surprise"
         )
-    noise = find_pose_noise(found.result, found.fitted_windows)
-    windows = whitened(found.fitted_windows, noise)
-    result = fit(found.model, windows, found.result.starts)
-    complete = _completed(result, windows, progress)
-    if complete is not result:  # what the base lacked was taken for slow noise
-        again = fit(complete.model, found.fitted_windows, complete.starts)
-        noise = find_pose_noise(again, found.fitted_windows)
-        windows = whitened(found.fitted_windows, noise)
-        result = _completed(fit(complete.model, windows, complete.starts), windows, progress)
     level = result.cost / freedom(windows, result)
     progress("what chance finds")
     reduced = Reduced.of(result, None, max(1.0, level))

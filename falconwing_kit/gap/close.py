@@ -93,7 +93,7 @@ def close_gap(base: CalmBase, naming: Naming) -> Closed:
 
     before = score(calm_model, apart, naming.before.starts[scored])
     before_free = refit(calm_model, naming.before)
-    calm = base.found.held_out or base.found.train
+    calm = _calm_level(base)
     last = naming.chosen[0 if naming.verdict == "ambiguous" else -1].result if naming.chosen else None
     if last is None:
         return Closed(before, before, calm, before_free, before, {}, None, None, seen, scored)
@@ -102,6 +102,18 @@ def close_gap(base: CalmBase, naming: Naming) -> Closed:
     sure = uncertainty(last, naming.windows, base.prior)
     sizes = {name: size for candidate in naming.chosen for name, size in _sizes(base, naming, candidate).items()}
     return Closed(before, after, calm, before_free, refit(pinned, last), sizes, last.model, sure, seen, scored)
+
+
+def _calm_level(base: CalmBase) -> Score:
+    """The calm flight's own held-out time, by the base model as it was completed."""
+    found = base.found
+    known = found.held_out or found.train
+    if found.held_out is None or base.result.model.names == found.model.names:
+        return known
+    kept = found.held_out_index
+    rest = np.setdiff1d(np.arange(len(found.windows)), kept)
+    trained = fit(base.result.model, select(base.windows, rest), base.result.starts[rest])
+    return score(trained.model, select(found.windows, kept), base.result.starts[kept])
 
 
 def _sizes(base: CalmBase, naming: Naming, candidate: Candidate) -> dict[str, Size]:
@@ -232,7 +244,7 @@ def _scan_times(base: CalmBase, windows: Windows, before: FitResult, found: Sequ
     best: Candidate | None = None
     for known in found:
         effect = known.effect
-        if not (effect.term or effect.wind or effect.sticks):
+        if effect.gradual or not (effect.term or effect.wind or effect.sticks):
             continue
         gated = acting_since(effect, float(first), float(last))
         usual = {p.name: known.values[p.name] if p.name in effect.shape else p.start for p in effect.parameters}

@@ -17,7 +17,7 @@ from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.flight_table import FlightTable, nominal_rate_hz
 from falconwing_kit.core.page import Picture, paragraph, picture, table, write_page
 from falconwing_kit.gap.advice import headline, next_flight
-from falconwing_kit.gap.calm import LEAST_GAIN, CalmBase, know_calm
+from falconwing_kit.gap.calm import LACKING, LEAST_GAIN, CalmBase, know_calm
 from falconwing_kit.gap.close import Closed, Onset, close_gap, name_since
 from falconwing_kit.gap.measure import VARIABLES, Replay, Spot, replay_calm, replay_flight, residual_map
 from falconwing_kit.gap.name import STRAINED, Naming
@@ -170,7 +170,9 @@ def gap_record(study: GapStudy) -> dict[str, Any]:
             "windows": closed.before.windows,
             "held_out": not closed.seen,
         },
-        "strain": study.naming.strain,
+        "strain": naming.strain,
+        "unnamed": {"load": naming.unnamed.effect.name, "gain": float(naming.unnamed.gain)},
+        "added_to_base": list(_added(base)),
         "noise": {
             "position_m": float(found.sigma[:3].mean()),
             "attitude_deg": float(np.degrees(found.sigma[3:].mean())),
@@ -191,12 +193,15 @@ def _ranking(naming: Naming) -> list[dict[str, Any]]:
     """Every effect of the catalogue with its evidence and probability, best first.
 
     Evidence is minus twice a log likelihood, so exp(gain / 2) weighs the models [Kass & Raftery 1995], "nothing" with
-    a gain of 0 among them. Where chance on the calm flight finds more than it should, gains are scaled down by as much.
+    a gain of 0 among them, and where the verdict is outside what has no name. Where chance on the calm flight finds
+    more than it should, gains are scaled down by as much.
     """
     tempered = 0.5 * LEAST_GAIN / naming.threshold
-    logs = np.array([0.0, *(c.gain for c in naming.ranking)]) * tempered
+    nameless = max(naming.unnamed.gain, naming.ranking[0].gain + naming.threshold)
+    others = 0.0, nameless if naming.verdict == "outside" else -np.inf
+    logs = np.array([*others, *(c.gain for c in naming.ranking)]) * tempered
     weights = np.exp(logs - logs.max())
-    shares = np.clip(weights / weights.sum(), LEAST_PROBABILITY, MOST_PROBABILITY)[1:]
+    shares = np.clip(weights / weights.sum(), LEAST_PROBABILITY, MOST_PROBABILITY)[2:]
     rows = []
     for candidate, share in zip(naming.ranking, shares, strict=True):
         row = {"effect": candidate.effect.name, "gain": float(candidate.gain), "probability": float(share)}
@@ -208,11 +213,19 @@ def _ranking(naming: Naming) -> list[dict[str, Any]]:
 def _warnings(study: GapStudy) -> list[str]:
     said = [f"calm flight: {w}" for w in study.base.found.warnings]
     said += [f"flight: {w}" for w in study.naming.prepared.warnings]
+    if added := _added(study.base):
+        said.append(f"the calm flight showed loads that the model's terms lack; added to the base: {', '.join(added)}")
     if study.closed.seen:
         said.append("the flight is too short to hold anything back; before and after are on the fitted time")
     if study.naming.strain > STRAINED:
         said.append(_strained(study))
     return said
+
+
+def _added(base: CalmBase) -> tuple[str, ...]:
+    """The loads without a name that the base model was completed with."""
+    had = {term.name for term in base.found.model.terms}
+    return tuple(term.name for term in base.result.model.terms if term.name not in had)
 
 
 def _strained(study: GapStudy) -> str:
@@ -308,7 +321,18 @@ def _verdict(study: GapStudy, record: dict[str, Any]) -> list[str]:
         "The flight disagrees with the calm one by more than chance, and no effect of the catalogue explains enough of "
         "it to be named. Do not trust the first of the ranking below; see where the disagreement sits instead."
     ]
+    if _has_a_load(naming):
+        texts.append(
+            f"What explains it best is a <strong>{naming.unnamed.effect.name}</strong> (evidence "
+            f"{naming.unnamed.gain:.0f}), which no entry of the catalogue makes. What could make such a "
+            f"{naming.unnamed.effect.name.split()[0]} on this aircraft?"
+        )
     return [*texts, *([_sentence(_strained(study))] if study.naming.strain > STRAINED else [])]
+
+
+def _has_a_load(naming: Naming) -> bool:
+    """Whether a load without a name explains more than every effect does."""
+    return naming.unnamed.gain > max(LACKING, naming.ranking[0].gain)
 
 
 def _set_in(since: Onset) -> str:
