@@ -117,7 +117,7 @@ def _decide(
             verdict, chosen = "outside", ()
     elif excess > EXCESS_SIGMAS * error:
         verdict = "outside"
-    unnamed = _bestunnamed_for(base, windows, before, explained, progress)
+    unnamed = _best_unnamed(base, windows, before, explained, progress)
     last = (chosen[-1:] if verdict == "named" else (best,))[0].result or before
     strain = _strain(last, base.prior)
     clear = explained + max(threshold, CLEARLY * explained) if chosen else LACKING
@@ -126,7 +126,7 @@ def _decide(
     return Naming(verdict, chosen, tuple(ranking), threshold, excess, left, unnamed, strain, before, windows, prepared)
 
 
-def _bestunnamed_for(
+def _best_unnamed(
     base: CalmBase, windows: Windows, before: FitResult, explained: float, progress: Progress
 ) -> Candidate:
     """The load without a name that explains most, fitted in full where it might beat the named ones."""
