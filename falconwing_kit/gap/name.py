@@ -21,6 +21,7 @@ Verdict = Literal["named", "ambiguous", "none", "outside"]
 REFITS = 5  # effects that are fitted in full after the linear scan, and more while one not fitted could still win
 ROUGH = 2.0  # chi2 to which the first round of fits is carried; the second goes on from there
 CLEARLY = 0.1  # a load without a name must beat the named effects by this share of their evidence
+FORMULA_ERROR = 0.02  # share of what a strong effect explains that may be left because its formula is not nature's
 SHARE_LEFT = 0.5  # of the excess: a name that leaves more behind is no explanation
 EXCESS_SIGMAS = 6.0  # a flight's chi2 above the calm level by this much is not chance
 STRAINED = 9.0  # parameters that moved by three of their sigmas on average: the base is no model of this aircraft
@@ -108,7 +109,7 @@ def _decide(
         near = (c for c in ranking[1:] if c.gain > best.gain - LEAST_GAIN)
         rivals = tuple(c for c in near if best.effect.name not in c.effect.contains)
         verdict, chosen = ("ambiguous", (best, *rivals)) if rivals else ("named", (best,))
-        if verdict == "named" and left > EXCESS_SIGMAS * error:
+        if verdict == "named":
             second = _second(base, windows, best, catalogue, threshold, progress)
             if second is not None:
                 chosen, explained = (best, second), explained + second.gain
@@ -154,14 +155,15 @@ def _second(
     threshold: float,
     progress: Progress,
 ) -> Candidate | None:
-    """A second effect by the same rule, on top of the first."""
+    """A second effect on top of the first: by the same rule, and more than an error of the first one's formula."""
     if first.result is None:
         return None
+    needed = max(threshold, FORMULA_ERROR * first.chi2_gain)
     rest = [e for e in catalogue if e.name != first.effect.name]
-    ranking = _rank(base, windows, first.result, rest, progress)
-    # What a strong effect leaves is also the error of its own formula: ask for a fiftieth of it.
-    found = ranking[0].gain > max(threshold, 0.02 * first.chi2_gain)
-    return ranking[0] if found else None
+    if not rest or _scan(base, windows, first.result, rest, progress)[0].gain < needed:
+        return None
+    best = _rank(base, windows, first.result, rest, progress)[0]
+    return best if best.gain > needed else None
 
 
 def _rank(

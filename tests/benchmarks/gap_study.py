@@ -54,7 +54,7 @@ class Case:
         return f"{self.kind} {self.seed} {self.effect} {self.noise}"
 
 
-def cases(kind: str, seed: int, count: int | None) -> Iterator[Case]:
+def cases(kind: str, seed: int, count: int | None, withheld: int) -> Iterator[Case]:
     """The cases of a study; every third flight with time-correlated noise, every second of the calm ones."""
     effects = {"independent": IN_CATALOGUE, "calm": ("none",), "pairs": PAIRS, "outside": OUTSIDE, "own": IN_CATALOGUE}[
         kind
@@ -74,7 +74,7 @@ def cases(kind: str, seed: int, count: int | None) -> Iterator[Case]:
         correlated = k % 2 == 1 if kind == "calm" else kind != "own" and (k + round_) % 3 == 2
         options = {"pose_bias": (0.0, 0.0, 0.03)[k % 3]} if kind == "calm" else {}
         number = round_ if kind == "own" else k  # own: all effects of a round are flown by one aircraft
-        yield Case(kind, seed + number, effect, noise, correlated, kind == "independent" and round_ < 2, options)
+        yield Case(kind, seed + number, effect, noise, correlated, kind == "independent" and k < withheld, options)
 
 
 def study(batch: list[Case]) -> list[dict[str, Any]]:
@@ -254,12 +254,13 @@ def main() -> None:
     parser.add_argument("kind", choices=("independent", "calm", "pairs", "outside", "own"))
     parser.add_argument("--seed", type=int, required=True, help="of the first flight")
     parser.add_argument("--cases", type=int, default=None)
+    parser.add_argument("--withheld", type=int, default=38, help="this many of the independent ones again without")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, required=True, help="JSON lines; gone on with where it exists")
     asked = parser.parse_args()
     done = [json.loads(line) for line in asked.out.read_text().splitlines()] if asked.out.exists() else []
     known = {row["key"] for row in done}
-    left = [c for c in cases(asked.kind, asked.seed, asked.cases) if c.key not in known]
+    left = [c for c in cases(asked.kind, asked.seed, asked.cases, asked.withheld) if c.key not in known]
     with ProcessPoolExecutor(asked.workers) as pool, asked.out.open("a") as file:
         batches = [list(cases) for _, cases in groupby(left, key=lambda c: c.seed)]
         for job in as_completed([pool.submit(study, batch) for batch in batches]):
