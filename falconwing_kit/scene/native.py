@@ -1,0 +1,134 @@
+"""The kit's own scene file: a NumPy .npz with every array of a scene, its labels and its source; and safe unzipping.
+
+A zip's directory may promise anything, and so may the header of an array in it. Both are checked against the size of
+the file before anything is unpacked; nothing is ever unpickled.
+"""
+
+import io
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falconwing_kit.core.checks import InputError, require_file
+from falconwing_kit.core.files import atomic_write, short_name
+
+MAX_COMPRESSION = 200  # what claims to unpack to more than this many times the file is damaged or hostile
+FREE_BYTES = 1024 * 1024  # below this nobody asks
+_ARRAYS = {"means": 2, "quaternions": 2, "scales": 2, "opacities": 1, "sh": 3}  # name: axes
+_WORDS = {"label_names": 1, "source": 0}
+
+
+def read_native(path: str | Path) -> dict[str, Any]:
+    """Read a scene that the kit saved.
+
+    Args:
+        path: the .npz file.
+
+    Returns:
+        The fields of `GaussianScene`, not yet checked.
+
+    Raises:
+        FileNotFoundError: there is no file.
+        InputError: the file is damaged or is no scene.
+    """
+    path = require_file(path)
+    name, members = short_name(path), zip_members(path, (".npy",))
+    wanted = {**dict.fromkeys(_ARRAYS, "f"), "labels": "u", **dict.fromkeys(_WORDS, "U")}
+    axes = {**_ARRAYS, "labels": 1, **_WORDS}
+    fields: dict[str, Any] = {}
+    for key, kind in wanted.items():
+        if f"{key}.npy" not in members:
+            raise InputError(f"{name}: want a scene of the kit with the array {key}, which is missing; save it again")
+        fields[key] = _array(members[f"{key}.npy"], kind, axes[key], f"{name}: {key}")
+    try:
+        return fields | {"label_names": tuple(fields["label_names"].tolist()), "source": str(fields["source"])}
+    except ValueError:  # numbers that are no letters
+        raise InputError(f"{name}: want words in label_names and source, got other bytes; save it again") from None
+
+
+def write_native(
+    path: str | Path,
+    means: NDArray[np.float32],
+    quaternions: NDArray[np.float32],
+    scales: NDArray[np.float32],
+    opacities: NDArray[np.float32],
+    sh: NDArray[np.float32],
+    labels: NDArray[np.uint8],
+    label_names: tuple[str, ...],
+    source: str,
+) -> None:
+    """Write every field of a scene; reading gives the same bits back.
+
+    Args:
+        path: the .npz to write; it appears only once it is complete.
+        means: (N, 3) [m].
+        quaternions: (N, 4) w x y z.
+        scales: (N, 3) [m].
+        opacities: (N,) 0..1.
+        sh: (N, K, 3).
+        labels: (N,) numbers of label names.
+        label_names: what each label is called.
+        source: where the scene came from.
+
+    Raises:
+        InputError: the place cannot be written.
+        FileNotFoundError: the folder does not exist.
+    """
+    numbers = {"means": means, "quaternions": quaternions, "scales": scales, "opacities": opacities, "sh": sh}
+    words = {"label_names": np.array(label_names), "source": np.array(source)}
+    with atomic_write(path) as file:
+        np.savez(file, labels=labels, **numbers, **words)  # type: ignore[arg-type]
+
+
+def zip_members(path: Path, endings: tuple[str, ...]) -> dict[str, bytes]:
+    """Unpack the members of a zip with the given endings, if their sizes can be true.
+
+    Args:
+        path: the zip.
+        endings: ".npy", ".webp" and such.
+
+    Returns:
+        Content by name.
+
+    Raises:
+        InputError: the zip is damaged, or promises more than a file of its size can hold.
+    """
+    name, limit = short_name(path), MAX_COMPRESSION * path.stat().st_size + FREE_BYTES
+    members = {}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            wanted = [info for info in archive.infolist() if info.filename.endswith(endings)]
+            fair = sum(info.file_size for info in wanted) <= limit
+            for info in wanted if fair else ():
+                with archive.open(info) as member:
+                    members[info.filename] = member.read(info.file_size + 1)
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, struct.error, RuntimeError, ValueError, IndexError):
+        raise InputError(f"{name}: want a whole zip, got a damaged or encrypted one; copy or save it again") from None
+    if not fair or any(len(members[info.filename]) != info.file_size for info in wanted):
+        raise InputError(f"{name}: want members of the sizes that the zip tells, got others; copy or save it again")
+    return members
+
+
+def _array(data: bytes, kind: str, axes: int, what: str) -> NDArray[Any]:
+    """The array of an .npy file, if its header tells the truth."""
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        shape, by_columns, dtype = np.lib.format.read_array_header_1_0(stream)
+    except (ValueError, TypeError, SyntaxError, OverflowError, MemoryError, RecursionError):
+        raise InputError(f"{what}: want an array as NumPy saves it, got other bytes; save the scene again") from None
+    start = stream.tell()
+    fits = version == (1, 0) and not by_columns and dtype.kind == kind and dtype.itemsize > 0 and len(shape) == axes
+    size = dtype.itemsize
+    for length in shape:
+        size *= max(int(length), 0)
+    if not fits or size != len(data) - start:
+        raise InputError(
+            f"{what}: want an array of {axes} axes and kind {kind!r} that fills its place, got another one"
+        )
+    return np.ndarray(shape, dtype, buffer=data, offset=start)
