@@ -314,7 +314,7 @@ CATALOGUE: tuple[Effect, ...] = (
     _force(
         "flap", "A flap is out: more lift at the same angle, and more drag.",
         flap,
-        Parameter("flap_lift", 0.01, -0.2, 0.4, "1/m", "lift added at any angle"),
+        Parameter("flap_lift", 0.01, 0.0, 0.4, "1/m", "lift added at any angle"),
         Parameter("flap_drag", 0.001, 0.0, 0.2, "1/m", "drag that comes with it"),
         contains=("extra_drag",), essential=("flap_lift",),
     ),

@@ -1,7 +1,7 @@
-"""Loads without a name: a force or a moment that goes with one variable of the flight, whatever makes it.
+"""Surprises without a name: a force or a moment that goes with one variable of the flight, or sticks that linger.
 
 They are what an effect outside the catalogue looks like to first order. Where one of them explains a flight better than
-every named effect does, no name is safe. Never part of a model that is handed on.
+every named effect does, no name is safe.
 """
 
 from collections.abc import Callable
@@ -11,6 +11,7 @@ import numpy as np
 
 from falconwing_kit.aircraft.effects import GROUND_EFFECT_HEIGHT_M, Effect
 from falconwing_kit.aircraft.terms import Parameter, Term
+from falconwing_kit.core.checks import Array
 
 # Variable -> its value in a flow, in numbers around one for a 150 g aircraft at 7 m/s; aerodynamic loads go with V^2.
 VARIABLES: dict[str, Callable[[Any], Any]] = {
@@ -59,4 +60,25 @@ def _unnamed(variable: str, turning: bool) -> Effect:
     return Effect(name, f"A {name} that the model lacks.", parameters, term=Term(name, parameters, evaluate))
 
 
-UNNAMED: tuple[Effect, ...] = tuple(_unnamed(variable, turning) for variable in VARIABLES for turning in (False, True))
+def lingering(t: Array, commands: Array, K: Any) -> Array:
+    """Sticks that act in part one and two frames later, whatever delays or smooths them: a filter of two taps.
+
+    Args:
+        t: (N,) [s], unused.
+        commands: (N, 4).
+        K: parameters stick_memory_1 and stick_memory_2, shares of the command one and two frames before.
+
+    Returns:
+        (N, 4).
+    """
+    once, twice = (np.concatenate([commands[:k], commands[:-k]]) - commands for k in (1, 2))
+    return commands + K.stick_memory_1 * once + K.stick_memory_2 * twice
+
+
+MEMORY = Effect(
+    "memory of the sticks", "The sticks act later or more slowly than the model has it.",
+    tuple(Parameter(f"stick_memory_{k}", 0.1, -2.0, 2.0, "-", f"share acting {k} frames later") for k in (1, 2)),
+    sticks=lingering,
+)  # fmt: skip
+LOADS: tuple[Effect, ...] = tuple(_unnamed(variable, turning) for variable in VARIABLES for turning in (False, True))
+UNNAMED: tuple[Effect, ...] = (*LOADS, MEMORY)

@@ -148,8 +148,7 @@ def _completed(result: FitResult, windows: Windows, progress: Progress) -> FitRe
 
 def unnamed_for(model: Model) -> tuple[Effect, ...]:
     """The loads without a name that a model does not have yet."""
-    present = {term.name for term in model.terms}
-    return tuple(effect for effect in UNNAMED if effect.name not in present)
+    return tuple(effect for effect in UNNAMED if effect.parameters[0].name not in model.values)
 
 
 def _day_to_day(result: FitResult, windows: Windows) -> Prior:

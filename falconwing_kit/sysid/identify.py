@@ -20,6 +20,7 @@ WINDOW_S = 2.0
 COARSE_WINDOWS = 60  # short windows that bring a bad start near; more would only cost time
 CORRELATED_SHARE = 0.5  # at most this share of the noise variance may be slow; what is beyond counts as misfit
 GOOD_START = 1.5  # chi2 per component of short windows; above it another start is tried
+BETTER = 10.0  # chi2 by which another end of a fit must win to be taken
 BAD_FIT = 4.0  # chi2 per degree of freedom that no pose noise explains
 # Stick, column of the commands, the moment or rate it makes, what a positive one does.
 STICKS = (
@@ -106,7 +107,11 @@ def identify(
     known = sigma is not None or all("sigma_position" in t.extra for t in tables)
     train = select(windows, fit_index)
     starts, _ = fit_starts(model, train, train.guess[:, : model.n_states], iterations=2)
-    result, train, noise = _fit_with_noise(model, train, starts, prior, white, fixed=known, tell=tell)
+    plain = train
+    result, train, noise = _fit_with_noise(model, plain, starts, prior, white, fixed=known, tell=tell)
+    other = _off_its_bounds(result, train, prior)
+    if other is not result:
+        result, train, noise = _fit_with_noise(other.model, plain, other.starts, prior, white, fixed=known, tell=tell)
     windows = windows.weighted(white / noise)
     train_score = score(result.model, select(windows, fit_index), result.starts)
     held_out = score(result.model, select(windows, score_index)) if len(score_index) else None
@@ -176,6 +181,18 @@ def _starting_model(model: Model, flights: Sequence[Flight], prior: Prior | None
         if best_cost < GOOD_START * windows.count and not (slow and best.values["lag"] <= 0.0):
             break
     return best
+
+
+def _off_its_bounds(result: FitResult, windows: Windows, prior: Prior | None) -> FitResult:
+    """A fit that ended on bounds may have lost its way: begin once more with those parameters at ordinary values."""
+    free = [result.model.parameters[i] for i in result.free]
+    stuck = {p.name: p.start for p in free if not p.low < result.model.values[p.name] < p.high}
+    if not stuck:
+        return result
+    model = result.model.with_values(stuck)
+    starts, _ = fit_starts(model, windows, result.starts, iterations=3)
+    again = fit(model, windows, starts, prior=prior, tolerance=1.0)
+    return again if again.cost < result.cost - BETTER else result
 
 
 def _clipped(residual: Array) -> float:

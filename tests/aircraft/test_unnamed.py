@@ -8,7 +8,7 @@ import pytest
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.model import FORMS, rates_model
 from falconwing_kit.aircraft.terms import Flow
-from falconwing_kit.aircraft.unnamed import UNNAMED, VARIABLES
+from falconwing_kit.aircraft.unnamed import LOADS, MEMORY, UNNAMED, VARIABLES, lingering
 
 # Twice the ordinary speed, so that V^2 counts four and V two; every field a number of its own.
 AIR = Flow(
@@ -49,7 +49,7 @@ def loads(effect, sizes, air=AIR):
 def test_every_variable_has_a_force_and_a_moment():
     """By count: two for each, and each says in its name which it is and with what it goes."""
     assert set(VARIABLES) == set(BY_HAND)
-    assert [e.name for e in UNNAMED] == [f"{kind} with {v}" for v in VARIABLES for kind in ("force", "moment")]
+    assert [e.name for e in LOADS] == [f"{kind} with {v}" for v in VARIABLES for kind in ("force", "moment")]
 
 
 @pytest.mark.parametrize("variable", VARIABLES)
@@ -61,7 +61,7 @@ def test_a_variable_is_worth_what_its_name_says(variable):
 @pytest.mark.parametrize("variable", VARIABLES)
 def test_a_load_goes_with_its_own_variable_and_no_other(variable):
     """Each field of the flow is moved alone: only those in the name, and the air's pressure, may change the load."""
-    force, moment = (e for e in UNNAMED if e.name.split(" with ")[1] == variable)
+    force, moment = (e for e in LOADS if e.name.split(" with ")[1] == variable)
     for field in Flow._fields:
         moved = AIR._replace(**{field: 1.3 * getattr(AIR, field)})
         for effect in (force, moment):
@@ -69,7 +69,7 @@ def test_a_load_goes_with_its_own_variable_and_no_other(variable):
             assert same == (field not in BY_HAND[variable][1]), (effect.name, field)
 
 
-@pytest.mark.parametrize("effect", UNNAMED, ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", LOADS, ids=lambda e: e.name)
 def test_each_parameter_acts_along_its_own_axis(effect):
     """1, 2 and 3 along x, y and z times the variable; a force turns nothing, a moment pushes nothing."""
     value = BY_HAND[effect.name.split(" with ")[1]][0] * np.array([1.0, 2.0, 3.0])
@@ -79,7 +79,7 @@ def test_each_parameter_acts_along_its_own_axis(effect):
     assert {p.unit for p in effect.parameters} == {"m/s^2" if effect.name.startswith("force") else "rad/s^2"}
 
 
-@pytest.mark.parametrize("effect", UNNAMED, ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", LOADS, ids=lambda e: e.name)
 def test_loads_are_linear_in_their_parameters(effect):
     """By definition of linear: of sums and multiples, for a hundred flows at once; nothing at zero."""
     rng = np.random.default_rng(7)
@@ -93,18 +93,27 @@ def test_loads_are_linear_in_their_parameters(effect):
 
 def test_no_name_is_taken_twice():
     """Neither an effect's nor a parameter's, here, in the catalogue or in a model: two of one name would be one."""
-    effects = [e.name for e in UNNAMED]
-    parameters = [p.name for e in UNNAMED for p in e.parameters]
+    effects = [e.name for e in LOADS]
+    parameters = [p.name for e in LOADS for p in e.parameters]
     terms = {term.name for form in FORMS.values() for term in form().terms}
     assert len(set(effects)) == len(effects) and not set(effects) & ({e.name for e in CATALOGUE} | terms)
     known = {p.name for e in CATALOGUE for p in e.parameters} | {n for form in FORMS.values() for n in form().names}
     assert len(set(parameters)) == len(parameters) and not set(parameters) & known
 
 
-@pytest.mark.parametrize("effect", UNNAMED, ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", LOADS, ids=lambda e: e.name)
 def test_a_fit_may_begin_and_may_say_nothing(effect):
     """Starts within bounds and off zero, zero within bounds, room to both sides; the model takes all three."""
     for p in effect.parameters:
         assert p.low < 0.0 < p.start < p.high and p.low == -p.high and p.name.isidentifier()
     model = rates_model().with_effect(effect)
     assert model.names[-3:] == tuple(p.name for p in effect.parameters) and model.terms[-1] is effect.term
+
+
+def test_sticks_that_linger_by_hand():
+    """A step from 0 to 1 of which a quarter comes one frame later and an eighth two: 0, 5/8, 7/8, 1."""
+    step = np.repeat([[0.0], [0.0], [1.0], [1.0], [1.0]], 4, axis=1)
+    K = SimpleNamespace(stick_memory_1=0.25, stick_memory_2=0.125)
+    moved = lingering(np.arange(5) * 0.05, step, K)
+    assert moved == pytest.approx(np.repeat([[0.0], [0.0], [0.625], [0.875], [1.0]], 4, axis=1), abs=1e-12)
+    assert (*LOADS, MEMORY) == UNNAMED

@@ -28,7 +28,7 @@ from falconwing_kit.gap.name import Naming, name_effect
 from tests.hidden_effects import IN_CATALOGUE, OUTSIDE
 from tests.hidden_flights import make_case
 
-NOISES = ("marker", "hybrid", "marker", "hybrid", "net")
+NOISES = ("marker", "hybrid", "net", "marker", "hybrid")
 PAIRS = (
     "wind+battery_sag", "extra_drag+adverse_yaw", "control_delay+wind", "ground_effect+propeller_torque",
     "mass_change+camera_tilt", "thrust_loss+trim_bias", "flap+adverse_yaw", "aileron_loss+wind",
