@@ -193,7 +193,7 @@ def _floats(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Arra
 
 def _require_each(name: str, good: NDArray[np.bool_], what: str) -> None:
     """Refuse where a row is not good in all of its numbers."""
-    bad = len(good) - np.count_nonzero(good.reshape(len(good), -1).all(axis=1))
+    bad = len(good) - np.count_nonzero(good.all(axis=tuple(range(1, good.ndim))))
     if bad:
         raise InputError(f"{name}: want {what}, got others in {bad} of {len(good)} Gaussians; repair or remove those")
 

@@ -4,7 +4,8 @@ A zip's directory may promise anything, and so may the header of an array in it.
 the file before anything is unpacked; nothing is ever unpickled.
 """
 
-import io
+import math
+import re
 import struct
 import zipfile
 import zlib
@@ -19,8 +20,11 @@ from falconwing_kit.core.files import atomic_write, short_name
 
 MAX_COMPRESSION = 200  # what claims to unpack to more than this many times the file is damaged or hostile
 FREE_BYTES = 1024 * 1024  # below this nobody asks
-_ARRAYS = {"means": 2, "quaternions": 2, "scales": 2, "opacities": 1, "sh": 3}  # name: axes
-_WORDS = {"label_names": 1, "source": 0}
+_FLOATS, _LABELS, _LETTERS = r"<f[48]", r"\|u1", r"<U\d{1,5}"
+_ARRAYS = {  # name: what NumPy calls its numbers, and how many axes it has
+    **{"means": (_FLOATS, 2), "quaternions": (_FLOATS, 2), "scales": (_FLOATS, 2), "opacities": (_FLOATS, 1)},
+    **{"sh": (_FLOATS, 3), "labels": (_LABELS, 1), "label_names": (_LETTERS, 1), "source": (_LETTERS, 0)},
+}
 
 
 def read_native(path: str | Path) -> dict[str, Any]:
@@ -38,16 +42,18 @@ def read_native(path: str | Path) -> dict[str, Any]:
     """
     path = require_file(path)
     name, members = short_name(path), zip_members(path, (".npy",))
-    wanted = {**dict.fromkeys(_ARRAYS, "f"), "labels": "u", **dict.fromkeys(_WORDS, "U")}
-    axes = {**_ARRAYS, "labels": 1, **_WORDS}
     fields: dict[str, Any] = {}
-    for key, kind in wanted.items():
+    for key, (kind, axes) in _ARRAYS.items():
         if f"{key}.npy" not in members:
             raise InputError(f"{name}: want a scene of the kit with the array {key}, which is missing; save it again")
-        fields[key] = _array(members[f"{key}.npy"], kind, axes[key], f"{name}: {key}")
+        fields[key] = _array(members[f"{key}.npy"], kind, axes)
+        if fields[key] is None:
+            raise InputError(
+                f"{name}: want {key} as the kit saves it, with {axes} axes, got other bytes; save it again"
+            )
     try:
-        return fields | {"label_names": tuple(fields["label_names"].tolist()), "source": str(fields["source"])}
-    except ValueError:  # numbers that are no letters
+        return fields | {"label_names": tuple(_words(fields["label_names"])), "source": _words(fields["source"])[0]}
+    except UnicodeDecodeError:
         raise InputError(f"{name}: want words in label_names and source, got other bytes; save it again") from None
 
 
@@ -114,21 +120,22 @@ def zip_members(path: Path, endings: tuple[str, ...]) -> dict[str, bytes]:
     return members
 
 
-def _array(data: bytes, kind: str, axes: int, what: str) -> NDArray[Any]:
-    """The array of an .npy file, if its header tells the truth."""
-    stream = io.BytesIO(data)
-    try:
-        version = np.lib.format.read_magic(stream)
-        shape, by_columns, dtype = np.lib.format.read_array_header_1_0(stream)
-    except (ValueError, TypeError, SyntaxError, OverflowError, MemoryError, RecursionError):
-        raise InputError(f"{what}: want an array as NumPy saves it, got other bytes; save the scene again") from None
-    start = stream.tell()
-    fits = version == (1, 0) and not by_columns and dtype.kind == kind and dtype.itemsize > 0 and len(shape) == axes
-    size = dtype.itemsize
-    for length in shape:
-        size *= max(int(length), 0)
-    if not fits or size != len(data) - start:
-        raise InputError(
-            f"{what}: want an array of {axes} axes and kind {kind!r} that fills its place, got another one"
-        )
-    return np.ndarray(shape, dtype, buffer=data, offset=start)
+def _array(data: bytes, kind: str, axes: int) -> NDArray[Any] | None:
+    """The array of an .npy file, None if it is another one or does not fill the file.
+
+    The header is compared with what NumPy writes; NumPy's own reader would evaluate it as an expression.
+    """
+    wanted = rf"\{{'descr': '({kind})', 'fortran_order': False, 'shape': \(([\d, ]{{0,40}})\), \}} *\n"
+    header = re.match(rb"\x93NUMPY\x01\x00.." + wanted.encode(), data, re.DOTALL)
+    if header is None:
+        return None
+    dtype, shape = np.dtype(header[1].decode()), tuple(int(length) for length in re.findall(rb"\d+", header[2]))
+    whole = len(shape) == axes and 0 < dtype.itemsize * math.prod(shape) == len(data) - header.end()
+    return np.ndarray(shape, dtype, buffer=data, offset=header.end()) if whole else None
+
+
+def _words(array: NDArray[np.str_]) -> list[str]:
+    """The words of an array, decoded letter by letter: NumPy lets through what no letter has."""
+    size = array.dtype.itemsize
+    data = array.tobytes()
+    return [data[at : at + size].decode("utf-32-le").rstrip("\0") for at in range(0, len(data), size)]

@@ -234,10 +234,12 @@ def _unpack_sh(rows: NDArray[np.void], count: int, name: str) -> Array32:
 
 def _rest_names(rows: NDArray[np.void], name: str) -> tuple[str, ...]:
     """f_rest_0, f_rest_1 and so on, as many as the rows have."""
-    count = sum(column.startswith("f_rest_") for column in rows.dtype.names or ())
-    if count not in (0, 9, 24, 45):
-        raise InputError(f"{name}: want 0, 9, 24 or 45 properties f_rest (colour of degree 0 to 3), got {count}")
-    return tuple(f"f_rest_{k}" for k in range(count))
+    found = {column for column in rows.dtype.names or () if column.startswith("f_rest_")}
+    names = tuple(f"f_rest_{k}" for k in range(len(found)))
+    if len(found) not in (0, 9, 24, 45) or set(names) != found:
+        got = f"got {len(found)}" if set(names) == found else f"got {min(found - set(names))[:40]}"
+        raise InputError(f"{name}: want 0, 9, 24 or 45 properties from f_rest_0 on (colour of degree 0 to 3), {got}")
+    return names
 
 
 def _columns(rows: NDArray[np.void], names: tuple[str, ...], name: str) -> Array32:
