@@ -12,9 +12,8 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import short_name
 from falconwing_kit.scene.native import read_native, write_native
 from falconwing_kit.scene.packed import read_sog, read_splat, read_spz
-from falconwing_kit.scene.ply import read_ply, write_ply
+from falconwing_kit.scene.ply import SH_COUNTS, Array32, read_ply, write_ply
 
-Array32 = NDArray[np.float32]
 Labels = NDArray[np.uint8]
 
 READERS: dict[str, Callable[[Path], dict[str, Any]]] = {
@@ -24,7 +23,6 @@ READERS: dict[str, Callable[[Path], dict[str, Any]]] = {
     ".sog": read_sog,
     ".npz": read_native,
 }
-SH_COUNTS = (1, 4, 9, 16)  # coefficients of degree 0 to 3
 MAX_LABELS = 256
 
 
@@ -46,9 +44,7 @@ class GaussianScene:
     scales: Array32  # (N, 3) standard deviations along the cloud's axes [m], > 0
     opacities: Array32  # (N,) at the mean, 0..1
     sh: Array32  # (N, K, 3) colour coefficients of red, green, blue; K = 1, 4, 9 or 16
-    labels: Labels = field(
-        default_factory=lambda: np.zeros(0, np.uint8)
-    )  # (N,) numbers of names; none stands for all 0
+    labels: Labels = field(default_factory=lambda: np.zeros(0, np.uint8))  # (N,) numbers of names; empty: all 0
     label_names: tuple[str, ...] = ("scene",)  # what each label is called
     source: str = ""  # where it came from, with the credit that its licence asks for
 
@@ -118,9 +114,7 @@ class GaussianScene:
         elif suffix == ".ply":
             write_ply(path, *arrays, self.source)
         else:
-            raise InputError(
-                f"{short_name(path)}: want a name ending in .npz or .ply to save a scene, got another ending"
-            )
+            raise InputError(f"{short_name(path)}: want a name ending in .npz or .ply for a scene, got another ending")
 
     def labelled(self, *names: str) -> NDArray[np.bool_]:
         """(N,) True for the Gaussians that carry one of the labels.
@@ -180,13 +174,14 @@ class GaussianScene:
 
 def _floats(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array32:
     """The array as float32, finite and of the shape."""
+    wanted = str(shape).replace("None", "any")
     try:
         with np.errstate(over="ignore"):
             array = np.ascontiguousarray(values, dtype=np.float32)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: want an array of numbers of shape {shape}") from None
+        raise InputError(f"{name}: want an array of numbers of shape {wanted}") from None
     if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
-        raise InputError(f"{name}: want shape {shape}, one row for each of the means, got {array.shape}")
+        raise InputError(f"{name}: want shape {wanted}, one row for each of the means, got {array.shape}")
     _require_each(name, np.isfinite(array), "finite numbers")
     return array
 
@@ -223,5 +218,7 @@ def _labels(labels: ArrayLike, count: int, kinds: int) -> Labels:
     if numbers.shape != (count,) or numbers.dtype.kind not in "ui":
         raise InputError(f"labels: want ({count},) whole numbers, got {numbers.shape} of {numbers.dtype}")
     if numbers.min() < 0 or numbers.max() >= kinds:
-        raise InputError(f"labels: want 0 to {kinds - 1}, the numbers of the label names, got {numbers.max()}")
+        raise InputError(
+            f"labels: want 0 to {kinds - 1}, numbers of the label names, got {numbers.min()} to {numbers.max()}"
+        )
     return numbers.astype(np.uint8)

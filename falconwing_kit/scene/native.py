@@ -20,7 +20,7 @@ from falconwing_kit.core.files import atomic_write, short_name
 
 MAX_COMPRESSION = 200  # what claims to unpack to more than this many times the file is damaged or hostile
 FREE_BYTES = 1024 * 1024  # below this nobody asks
-_FLOATS, _LABELS, _LETTERS = r"<f[48]", r"\|u1", r"<U\d{1,5}"
+_FLOATS, _LABELS, _LETTERS = r"<f[48]", r"\|u1", r"<U\d{1,7}"
 _ARRAYS = {  # name: what NumPy calls its numbers, and how many axes it has
     **{"means": (_FLOATS, 2), "quaternions": (_FLOATS, 2), "scales": (_FLOATS, 2), "opacities": (_FLOATS, 1)},
     **{"sh": (_FLOATS, 3), "labels": (_LABELS, 1), "label_names": (_LETTERS, 1), "source": (_LETTERS, 0)},
@@ -48,9 +48,7 @@ def read_native(path: str | Path) -> dict[str, Any]:
             raise InputError(f"{name}: want a scene of the kit with the array {key}, which is missing; save it again")
         fields[key] = _array(members[f"{key}.npy"], kind, axes)
         if fields[key] is None:
-            raise InputError(
-                f"{name}: want {key} as the kit saves it, with {axes} axes, got other bytes; save it again"
-            )
+            raise InputError(f"{name}: want {key} as the kit saves it, with {axes} axes, got other bytes; save again")
     try:
         return fields | {"label_names": tuple(_words(fields["label_names"])), "source": _words(fields["source"])[0]}
     except UnicodeDecodeError:
@@ -109,14 +107,15 @@ def zip_members(path: Path, endings: tuple[str, ...]) -> dict[str, bytes]:
     try:
         with zipfile.ZipFile(path) as archive:
             wanted = [info for info in archive.infolist() if info.filename.endswith(endings)]
-            fair = sum(info.file_size for info in wanted) <= limit
+            known = all(info.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for info in wanted)
+            fair = known and sum(info.file_size for info in wanted) <= limit
             for info in wanted if fair else ():
                 with archive.open(info) as member:
                     members[info.filename] = member.read(info.file_size + 1)
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, struct.error, RuntimeError, ValueError, IndexError):
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, struct.error, RuntimeError, ValueError, OverflowError):
         raise InputError(f"{name}: want a whole zip, got a damaged or encrypted one; copy or save it again") from None
     if not fair or any(len(members[info.filename]) != info.file_size for info in wanted):
-        raise InputError(f"{name}: want members of the sizes that the zip tells, got others; copy or save it again")
+        raise InputError(f"{name}: want stored or deflated members of the sizes it tells, got others; save it again")
     return members
 
 
@@ -131,7 +130,7 @@ def _array(data: bytes, kind: str, axes: int) -> NDArray[Any] | None:
         return None
     dtype, shape = np.dtype(header[1].decode()), tuple(int(length) for length in re.findall(rb"\d+", header[2]))
     whole = len(shape) == axes and 0 < dtype.itemsize * math.prod(shape) == len(data) - header.end()
-    return np.ndarray(shape, dtype, buffer=data, offset=header.end()) if whole else None
+    return np.ndarray(shape, dtype, buffer=data, offset=header.end()).copy() if whole else None
 
 
 def _words(array: NDArray[np.str_]) -> list[str]:

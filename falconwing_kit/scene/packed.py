@@ -21,12 +21,10 @@ from numpy.typing import NDArray
 from falconwing_kit.core.checks import InputError, require_file
 from falconwing_kit.core.files import short_name
 from falconwing_kit.scene.native import FREE_BYTES, MAX_COMPRESSION, zip_members
-from falconwing_kit.scene.ply import SH_C0, quaternions_from_smallest_three
+from falconwing_kit.scene.ply import SH_C0, SH_COUNTS, Array32, quaternions_from_smallest_three
 
-Array32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 
-SH_COUNTS = (1, 4, 9, 16)  # coefficients of degree 0 to 3
 _SPLAT_ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 
 _SPZ_HEADER = struct.Struct("<4sIIBBBx")
@@ -72,6 +70,8 @@ def read_splat(path: str | Path) -> dict[str, Any]:
 
 def read_spz(path: str | Path) -> dict[str, Any]:
     """Read an SPZ of version 1, 2 or 3, and turn it into the axes that a .ply of the same scene has.
+
+    Its mark of antialiased training is not kept; such a scene wants that option of the renderer.
 
     Args:
         path: the file.
@@ -263,7 +263,7 @@ def _is_number(value: Any) -> bool:
 
 def _is_plain(file: Any) -> bool:
     """Whether a name stays in its own folder."""
-    return isinstance(file, str) and 0 < len(file) < 256 and not set(file) & set("/\\:\0") and file not in (".", "..")
+    return isinstance(file, str) and 0 < len(file) < 256 and not set(file) & set("/\\:\0")
 
 
 def _decode(files: dict[str, bytes], name: str) -> dict[str, Bytes]:

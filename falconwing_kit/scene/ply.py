@@ -18,6 +18,7 @@ from falconwing_kit.core.files import atomic_write, short_name
 
 Array32 = NDArray[np.float32]
 
+SH_COUNTS = (1, 4, 9, 16)  # coefficients of degree 0 to 3
 SH_C0 = 0.28209479177387814  # the constant harmonic, 1 / (2 sqrt(pi)); rgb = 1/2 + SH_C0 f_dc
 MAX_HEADER_BYTES = 65536
 MAX_LOGIT = 20.0  # opacity within 2e-9 of 0 or 1: their own logits are infinite
@@ -136,12 +137,12 @@ def _read_header(data: bytes, name: str) -> tuple[dict[str, tuple[int, dict[str,
     source: list[str] = []
     for line in data[:end].decode("ascii", "replace").splitlines()[1:]:
         match line.split():
-            case ["format", "binary_little_endian", "1.0"] | ["obj_info", *_] | []:
+            case ["comment", "source", *_]:
+                source.append(line.strip().removeprefix("comment source").strip())
+            case ["format", "binary_little_endian", "1.0"] | ["comment" | "obj_info", *_] | []:
                 pass
             case ["format", kind, *_]:
                 raise InputError(f"{name}: want a binary_little_endian .ply, got {kind[:40]}; save it again as binary")
-            case ["comment", *words]:
-                source += [" ".join(words[1:])] if words[:1] == ["source"] else []
             case ["element", label, count] if count.isdecimal() and len(count) < 16 and label not in elements:
                 elements[label] = (int(count), {})
             case ["property", kind, label] if kind in _TYPES and elements:

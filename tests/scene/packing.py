@@ -80,11 +80,11 @@ def sog_files(rng=None):
         pixels[0, 0] = first
         return webp(pixels)
 
-    palette = np.full((2, 192, 4), 255, np.uint8)
+    palette = np.full((6, 192, 4), 255, np.uint8)
     palette[..., :3] = 1
-    palette[1, 3:6, :3] = [[0, 1, 1], [1, 2, 1], [1, 1, 3]]  # entry 65: the second of the second row
+    palette[5, 3:6, :3] = [[0, 1, 1], [1, 2, 1], [1, 1, 3]]  # entry 5 * 64 + 1 = 65 + 256
     labels = np.full((2, 4, 4), 255, np.uint8)
-    labels[..., :2] = 65, 0
+    labels[..., :2] = 65, 1
     scales = np.full((2, 4, 4), 255, np.uint8)
     scales[..., :3] = 0, 1, 2
     colors = scales.copy()
@@ -97,7 +97,7 @@ def sog_files(rng=None):
         "quats": {"files": ["quats.webp"]},
         "sh0": {"codebook": [-1, 0, 2], "files": ["sh0.webp"]},
         "shN": {
-            "count": 128,
+            "count": 384,
             "bands": 1,
             "codebook": [-0.5, 0, 0.25, 0.75],
             "files": ["centroids.webp", "labels.webp"],

@@ -45,6 +45,7 @@ def test_there_and_back_to_the_last_bit(tmp_path):
     back = GaussianScene.load(tmp_path / "a.npz")
     for name in ("means", "quaternions", "scales", "opacities", "sh", "labels"):
         assert np.array_equal(getattr(back, name), getattr(SCENE, name)), name
+        assert getattr(back, name).flags.writeable, name  # torch takes no others without a warning
     assert back.label_names == SCENE.label_names and back.source == SCENE.source
     with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
         assert np.array_equal(arrays["means"], SCENE.means)
@@ -83,6 +84,7 @@ class Bomb:
         ("means.npy", npy(np.zeros((40, 3), "<i4")), "want means as the kit saves it"),
         ("means.npy", npy(np.zeros((40, 3, 1), "<f4")), "want means .* with 2 axes"),
         ("means.npy", npy(np.zeros((40, 3), "<f4"))[:-4], "want means"),
+        ("means.npy", npy(np.zeros((40, 3), "<f4")) + b"more", "want means"),
         ("means.npy", npy(np.zeros((40, 3), "<f4")).replace(b"(40, 3)", b"(99, 3)"), "want means"),
         ("means.npy", npy(np.zeros((40, 3), "<f4")).replace(b"(40, 3)", b"(-4, 3)"), "want means"),
         ("means.npy", npy(np.asfortranarray(np.zeros((40, 3), "<f4"))), "want means"),
@@ -111,8 +113,10 @@ def test_each_damage_gets_its_sentence(tmp_path, name, content, sentence):
 
 def test_bombs_and_torn_zips_are_refused(tmp_path):
     """Zeros deflate to a thousandth: 16 MB in 16 kB are over the limit of 200 times. A cut zip has no directory."""
-    with pytest.raises(InputError, match="members of the sizes"):
+    with pytest.raises(InputError, match="members of the sizes it tells"):
         load(tmp_path, members(tmp_path) | {"means.npy": bytes(16_000_000)}, zipfile.ZIP_DEFLATED)
+    with pytest.raises(InputError, match="want stored or deflated members"):  # Python unpacks LZMA without a limit
+        load(tmp_path, members(tmp_path), zipfile.ZIP_LZMA)
     whole = zipped(members(tmp_path))
     for damaged in (whole[:-30], b"PK\x03\x04" + whole[40:], whole[:200] + bytes(8) + whole[208:]):
         (tmp_path / "a.npz").write_bytes(damaged)

@@ -136,7 +136,7 @@ def check_hand_packed(scene):
 
     Means: fractions 1, 0 and 32768/65535 between mins and maxs, then sign(n) (exp|n| - 1): exp(ln 4) - 1 = 3,
     -(exp(ln 2) - 1) = -1 and nearly 0. Quaternion: alpha 252 leaves w out, 255 is sqrt(1/2), 127 and 128 are one
-    step of 0.003 about 0. Scales and colours are numbers of their code books; palette entry 65 holds the rest.
+    step of 0.003 about 0. Scales and colours are numbers of their code books; palette entry 65 + 256 holds the rest.
     """
     assert np.allclose(scene.means, [[3.0, -1.0, 1 / 65535]], atol=1e-6)
     assert np.allclose(scene.quaternions, [[HALF, HALF, 0, 0]], atol=4e-3)
@@ -191,7 +191,7 @@ def with_pixel(name, pixel, shape=(2, 4)):
             edited(shN={"bands": 2, "codebook": [0.0], "files": ["centroids.webp", "labels.webp"]}),
             "2 bands, 192 pixels",
         ),
-        (with_pixel("labels.webp", (128, 0, 255, 255)), "labels below 128, .*got 128"),
+        (with_pixel("labels.webp", (128, 1, 255, 255)), "labels below 384, .*got 384"),
         (with_pixel("quats.webp", (128, 128, 128, 251)), "252 to 255 in the alpha of the quaternions, got 251"),
         ({"quats.webp": b"GIF89a" + bytes(50)}, "a lossless WebP image"),
         ({"quats.webp": sog_files()["quats.webp"][:-9]}, "a whole WebP image"),

@@ -57,14 +57,14 @@ def test_order_types_and_further_properties_do_not_matter(tmp_path):
 @pytest.mark.parametrize("basis", [1, 4, 9, 16])
 def test_there_and_back(tmp_path, basis):
     """Writing and reading are inverse: exact where nothing is calculated; log, exp and logit in float32 give 2e-6."""
-    scene = GaussianScene(**fields(300, basis), source="made in a test\nunder no licence, by Åse")
+    scene = GaussianScene(**fields(300, basis), source="made in  a test\n\nunder no licence, by Åse")
     scene.save(tmp_path / "b.ply")
     back = GaussianScene.load(tmp_path / "b.ply")
     assert np.array_equal(back.means, scene.means) and np.array_equal(back.sh, scene.sh)
     assert np.array_equal(back.quaternions, scene.quaternions)
     assert np.allclose(back.scales, scene.scales, rtol=2e-6, atol=0)
     assert np.allclose(back.opacities, scene.opacities, rtol=0, atol=2e-6)
-    assert back.source == "made in a test\nunder no licence, by \\xc5se"
+    assert back.source == "made in  a test\n\nunder no licence, by \\xc5se"
 
 
 def test_header_is_that_of_the_usual_exporters(tmp_path):
