@@ -361,7 +361,7 @@ def _alfa_verdict(gap: AlfaGap, failure: float) -> str:
         return "<strong>No effect explains more than chance would.</strong>"
     listed = f"{', '.join(names[:-1])} or {names[-1]}"
     return (
-        f"<strong>Missing: {listed}; these poses do not tell which.</strong> Each of them slows the aircraft, and in the "
+        f"<strong>Missing: {listed}; these poses do not tell which.</strong> Each slows the aircraft, and in the "
         f"{gap.end - failure:.0f} s that can be judged they do it alike. A step of the throttle would have parted "
         "them: drag does not answer to it."
     )
