@@ -14,8 +14,8 @@ import pytest
 from falconwing_kit.cli.main import main
 from falconwing_kit.demo import recorded
 from falconwing_kit.sysid.model_file import read_model
+from tests.core.test_page import page_problems
 from tests.demo_run import demo_run
-from tests.gap.test_page import page_problems
 
 FIGURES = (
     "predicted", "residuals", "intervals", "gap_map", "gap_ranking", "gap_closed",
