@@ -96,22 +96,16 @@ def read_spz(path: str | Path) -> dict[str, Any]:
         size = count * sum(widths)
         if size > MAX_COMPRESSION * len(data) + FREE_BYTES:
             raise InputError(
-                f"{name}: want at most {MAX_COMPRESSION} times the file, got a promise of {count} Gaussians"
+                f"{name}: want a promise of at most {MAX_COMPRESSION} times its size, got one of {count} Gaussians"
             )
         body = unpacker.decompress(unpacker.unconsumed_tail, size)
         more = unpacker.decompress(unpacker.unconsumed_tail, 1)
     except zlib.error:
-        raise InputError(
-            f"{name}: want an SPZ, which is a gzip file, got other or damaged bytes; copy it again"
-        ) from None
+        raise InputError(f"{name}: want an SPZ (a gzip file), got other or damaged bytes; copy it again") from None
     if len(body) != size or more or not unpacker.eof:
         raise InputError(f"{name}: want {size} bytes for {count} Gaussians, got fewer or more; the file is damaged")
-    ends = np.cumsum(widths)[:-1] * count
-    return _spz_fields(version, fraction_bits, [part.reshape(count, -1) for part in _split(body, ends)])
-
-
-def _split(body: bytes, ends: NDArray[np.int64]) -> list[Bytes]:
-    return np.split(np.frombuffer(body, np.uint8), ends)
+    parts = np.split(np.frombuffer(body, np.uint8), np.cumsum(widths)[:-1] * count)
+    return _spz_fields(version, fraction_bits, [part.reshape(count, -1) for part in parts])
 
 
 def _spz_header(header: bytes, name: str) -> tuple[int, int, int, int]:

@@ -121,8 +121,8 @@ GOOD = spz_payload(3, *ONE, bytes(4))
         (gzipped(GOOD + b"x"), "got fewer or more"),
         (gzipped(GOOD)[:-3], "got fewer or more"),
         (gzipped(GOOD)[:-8] + bytes(8), "damaged"),  # the checksum
-        (gzipped(GOOD[:8] + b"\xff" * 4 + GOOD[12:]), "a promise of 4294967295 Gaussians"),
-        (gzipped(GOOD[:8] + struct.pack("<I", 10**6) + bytes(20 * 10**6)), "a promise of 1000000 Gaussians"),
+        (gzipped(GOOD[:8] + b"\xff" * 4 + GOOD[12:]), "got one of 4294967295 Gaussians"),
+        (gzipped(GOOD[:8] + struct.pack("<I", 10**6) + bytes(20 * 10**6)), "got one of 1000000 Gaussians"),
     ],
 )
 def test_each_bad_spz_gets_its_sentence(tmp_path, data, sentence):
