@@ -245,7 +245,6 @@ def test_equations_are_those_of_jsbsim(seed):
     JSBSim at 0.5 ms; the side force in its axes. What is left: 0.1 m/s in the kit's airspeed and the density of the
     air at 2 m, each 2e-4 of all forces, and the integration: 5 mm and 0.5 mrad seen, on a path of 35 m.
     """
-    pytest.importorskip("jsbsim")
     _, position, _, attitude = errors_against_jsbsim(seed, 0.0005, wind_axes=True)
     assert position < 0.01
     assert attitude < 1e-3
@@ -255,7 +254,6 @@ def test_equations_are_those_of_jsbsim(seed):
 def test_the_kit_form_follows_jsbsim_at_its_usual_step(seed):
     """As labs use it: 5 ms steps, side force along the right wing, which differs by
     the square of sideslip and its product with rudder. Within 4 cm, 0.7 deg over 2 s: 3.3 cm, 0.6 deg in 12 flights."""
-    pytest.importorskip("jsbsim")
     position, _, attitude, _ = errors_against_jsbsim(seed, 0.005, wind_axes=False)
     assert position < 0.04
     assert attitude < np.radians(0.7)

@@ -67,7 +67,6 @@ def test_stepwise_names_a_planted_effect_on_clean_data(effect, treatment):
 @pytest.mark.parametrize("effect", PLANTED)
 def test_pysindy_names_a_planted_effect_on_clean_data(effect, treatment):
     """The same flights; over a threefold range of thresholds."""
-    pytest.importorskip("pysindy")
     regression = effect_regression(clean_base(), clean_flight(effect, 40.0, 41), treatment)
     assert {sparse(regression, threshold).name for threshold in (0.1, 0.2, 0.3)} == {effect}
 
@@ -82,7 +81,6 @@ def test_answers_without_pysindy_are_all_of_stepwise():
 @pytest.mark.benchmark
 def test_two_tables_are_enough():
     """The same answers from flight tables alone."""
-    pytest.importorskip("pysindy")
     calm, flight = clean_flight(None, 40.0, 11), clean_flight("adverse_yaw", 40.0, 41)
     assert stepwise_name(calm, flight).name == "adverse_yaw"
     assert pysindy_name(calm, flight)[0.2].name == "adverse_yaw"
@@ -149,7 +147,6 @@ def test_partial_f_by_hand():
 @pytest.mark.benchmark
 def test_sparse_regression_by_hand():
     """Coefficients 1.5 and 2: a threshold of 1.7 drops the first, of 2.5 both; they explain 9 and 16 of 25."""
-    pytest.importorskip("pysindy")
     assert dict(sparse(two_columns(), 0.1).ranking) == pytest.approx({"flap": 0.64, "wind": 0.36}, rel=1e-6)
     assert dict(sparse(two_columns(), 1.7).ranking) == pytest.approx({"flap": 1.0}, rel=1e-6)
     assert sparse(two_columns(), 2.5).name == "none"
@@ -166,7 +163,6 @@ def test_base_without_body_rates_is_refused():
 @pytest.mark.timeout(900)
 def test_answers_with_noise(capsys: pytest.CaptureFixture[str]) -> None:
     """Prints right names and false alarms of every recipe and threshold: own aircraft, then the labelled cases."""
-    pytest.importorskip("pysindy")
     own = {effect: own_flight(effect, 40.0, 41, **values) for effect, values in PLANTED.items()}
     own["none"] = own_flight(None, 40.0, 41)
     tables = [answers_table("own aircraft, marker noise", [(e, own_base(), flight) for e, flight in own.items()])]
