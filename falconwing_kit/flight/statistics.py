@@ -1,0 +1,98 @@
+"""Statistics of trials: counts and numbers -> intervals, and whether two pilots differ."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from falconwing_kit.core.checks import InputError, require_range
+
+RESAMPLES = 10_000
+
+
+def clopper_pearson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Exact interval of a success rate: no true rate outside of it makes the count less likely than its tail allows.
+
+    low  = Beta(a/2; k, n - k + 1),  high = Beta(1 - a/2; k + 1, n - k),  a = 1 - confidence
+    [Clopper & Pearson 1934, Biometrika 26, in its beta form]
+
+    Args:
+        successes: k, 0 to n.
+        trials: n, at least 1.
+        confidence: chance that such an interval holds the true rate, at least.
+
+    Returns:
+        Low and high end, 0..1.
+
+    Raises:
+        InputError: the counts do not fit, or the confidence is not between 0 and 1.
+    """
+    from scipy.stats import beta
+
+    n = _count("trials", trials, low=1)
+    k = _count("successes", successes, high=n)
+    tail = 0.5 * (1.0 - require_range("confidence", confidence, low=0.01, high=0.9999))
+    low = float(beta.ppf(tail, k, n - k + 1)) if k > 0 else 0.0
+    high = float(beta.ppf(1.0 - tail, k + 1, n - k)) if k < n else 1.0
+    return low, high
+
+
+def bootstrap_mean(values: ArrayLike, confidence: float = 0.95, seed: int = 0) -> tuple[float, float]:
+    """Interval of a mean from means of resampled values [Efron & Tibshirani 1993, An Introduction, ch. 13].
+
+    Too narrow for a handful of values: ten are little, one gives an interval of no width.
+
+    Args:
+        values: (n,) one number per trial, finite.
+        confidence: share of the resampled means that lies inside.
+        seed: of the resampling; same seed, same interval.
+
+    Returns:
+        Low and high end in the unit of the values; both nan where there are none.
+
+    Raises:
+        InputError: a value is not finite, or the confidence is not between 0 and 1.
+    """
+    x = np.asarray(values, np.float64).ravel()
+    if not np.isfinite(x).all():
+        raise InputError("values: want finite numbers, got nan or infinity; leave out trials that have none")
+    tail = 50.0 * (1.0 - require_range("confidence", confidence, low=0.01, high=0.9999))
+    if x.size == 0:
+        return float("nan"), float("nan")
+    draws = np.random.default_rng(seed).integers(0, x.size, (RESAMPLES, x.size))
+    low, high = np.percentile(x[draws].mean(axis=1), (tail, 100.0 - tail))
+    return float(low), float(high)
+
+
+def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> float:
+    """Chance of so uneven a difference between two equally good pilots, flown on the same starts.
+
+    Only trials that one of them lost count. Among those, the number lost by the first is binomial with 1/2
+    [McNemar 1947, Psychometrika 12; the exact form].
+
+    Args:
+        first: success of one pilot in each trial.
+        second: success of the other in the same trials.
+
+    Returns:
+        p-value of both sides, 0..1; 1 where they never differ.
+
+    Raises:
+        InputError: the two have not flown equally many trials.
+    """
+    from scipy.stats import binomtest
+
+    if len(first) != len(second):
+        raise InputError(f"pairs: want as many trials of both pilots, got {len(first)} and {len(second)}")
+    only_first = sum(bool(a) and not b for a, b in zip(first, second, strict=True))
+    only_second = sum(bool(b) and not a for a, b in zip(first, second, strict=True))
+    differing = only_first + only_second
+    return float(binomtest(only_first, differing, 0.5).pvalue) if differing else 1.0
+
+
+def _count(name: str, value: int, *, low: int = 0, high: float = 1e9) -> int:
+    """The value if it is a whole number of things."""
+    number = require_range(name, value, low=low, high=high)
+    if number != int(number):
+        raise InputError(f"{name}: want a whole number, got {value}")
+    return int(number)

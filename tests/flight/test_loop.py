@@ -1,0 +1,280 @@
+"""The loop: its schedule on a clock that the test moves; a pilot, hook, log or person that ends it."""
+
+import signal
+
+import numpy as np
+import pytest
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log, to_flight_table
+from falconwing_kit.core.messages import Command, Image, State
+from falconwing_kit.flight.loop import SAFE_COMMAND, Loop, WallClock, deadlines
+
+STATE = State.from_vector(np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 7.0, 0.0, -0.5]))
+
+
+class HandClock:
+    """A clock that the test moves: waiting ends `late` after the deadline, and work takes the times given."""
+
+    def __init__(self, late: float = 0.0) -> None:
+        self.late, self.t = late, 0.0
+
+    def start(self) -> None:
+        self.t = 0.0
+
+    def now(self) -> float:
+        return self.t
+
+    def wait_until(self, t: float) -> None:
+        self.t = max(self.t, t + self.late)
+
+
+class Recorder:
+    """A sink that remembers, and a hook."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[float, Command]] = []
+        self.steps = []
+
+    def send(self, t: float, command: Command) -> None:
+        self.sent.append((t, command))
+
+    def __call__(self, step) -> None:
+        self.steps.append(step)
+
+
+class Camera:
+    """An image every second step, its sequence counted from 0."""
+
+    def next(self, t: float) -> Image:
+        number = round(t / 0.05) // 2
+        return Image(number, 0.1 * number, np.full((4, 6, 3), number % 256, np.uint8))
+
+
+class Still:
+    """A state that never changes."""
+
+    def state(self, t: float) -> State:
+        return STATE
+
+
+class Pilot:
+    """Answers with a constant, except in the steps where it does what it is told."""
+
+    mode = "cruise"
+
+    def __init__(self, **at_step) -> None:
+        self.at_step, self.seen = at_step, []
+
+    def act(self, observation):
+        self.seen.append(observation)
+        what = self.at_step.get(f"step{len(self.seen) - 1}", Command(0.5, 0.1, -0.2, 0.3))
+        return what() if callable(what) else what
+
+
+def test_deadlines_do_not_drift():
+    """10,000 steps, each waking 0.7 ms late: the last deadline is 9,999 * 50 ms, not 7 s later."""
+    clock, seen = HandClock(late=0.0007), []
+    for k, lateness in deadlines(clock, 500.0):
+        seen.append((k, clock.now(), lateness))
+        clock.t += 0.013  # the work of a step
+    assert [k for k, *_ in seen] == list(range(10_000))
+    assert seen[-1][1] == pytest.approx(9_999 * 0.05 + 0.0007, abs=1e-9)
+    assert max(abs(late - 0.0007) for *_, late in seen) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("work", "flown"),
+    [
+        (0.049, [0, 1, 2, 3, 4]),  # done before the next deadline
+        (0.070, [0, 1, 2, 3, 4]),  # 20 ms late: flown at once, late
+        (0.080, [0, 2, 3, 4]),  # 30 ms late, more than half a period: step 1 is left out
+        (0.210, [0, 4]),  # steps 1 to 3 are gone; 4 is 10 ms late
+    ],
+)
+def test_a_step_that_is_too_late_is_skipped(work, flown):
+    """Deadlines by hand; only the first step works so long. Never two steps closer than half a period."""
+    clock, seen = HandClock(), []
+    for k, _ in deadlines(clock, 0.25):
+        seen.append((k, clock.now()))
+        clock.t += work if k == 0 else 0.001
+    assert [k for k, _ in seen] == flown
+    assert min(np.diff([t for _, t in seen])) >= 0.025
+
+
+def test_skipped_steps_and_jitter_are_counted():
+    """One step of 180 ms in a second: deadlines 1 to 3 pass (3 by 30 ms), 17 steps of 20 remain."""
+    clock = HandClock(late=0.002)
+
+    def dawdle():
+        clock.t += 0.178
+        return SAFE_COMMAND
+
+    flight = Loop(Pilot(step0=dawdle), Recorder(), clock=clock).run(1.0)
+    assert (len(flight.t), flight.skipped, flight.reason) == (17, 3, "duration")
+    assert flight.milliseconds("lateness") == pytest.approx((2.0, 2.0))
+    assert flight.rate_hz == pytest.approx(16 / 0.95)
+
+
+def test_simulated_time_is_exact_and_wall_time_is_not_early():
+    """20 steps a second by the period; a real clock may be late, never early."""
+    sink = Recorder()
+    flight = Loop(Pilot(), sink).run(1.0)
+    assert [t for t, _ in sink.sent] == pytest.approx(0.05 * np.arange(20), abs=1e-12)
+    assert flight.lateness.max() == 0.0
+    real = Loop(Pilot(), Recorder(), clock=WallClock(), period=0.01).run(0.05)
+    assert real.lateness.min() >= 0.0
+
+
+def test_log_holds_every_step_and_commands_name_their_image(tmp_path):
+    """Ten steps, an image every second one: 10 commands and states, 5 images, answers 0 0 1 1 ... by hand."""
+    with FlightLogWriter(tmp_path / "flight.mcap") as log:
+        Loop(Pilot(), Recorder(), images=Camera(), states=Still(), log=log).run(0.5)
+    read = read_flight_log(tmp_path / "flight.mcap")
+    assert read.warnings == ()
+    assert read.command_sequences.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    assert read.state_sequences.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    assert read.image_sequences.tolist() == [0, 1, 2, 3, 4]
+    assert read.states[3].vector == pytest.approx(STATE.vector)
+    table = to_flight_table(read)
+    assert len(table.t) == 5
+    assert table.commands[2] == pytest.approx([0.5, 0.1, -0.2, 0.3])
+
+
+def test_pilot_sees_its_past_commands_the_image_and_the_state():
+    """After two steps the last two of the 30 rows hold what was sent; the rest is zero."""
+    pilot = Pilot()
+    Loop(pilot, Recorder(), images=Camera(), states=Still()).run(0.15)
+    last = pilot.seen[-1]
+    assert last.past_commands.shape == (30, 4)
+    assert last.past_commands[:28] == pytest.approx(0.0)
+    assert last.past_commands[28:] == pytest.approx(np.tile([0.5, 0.1, -0.2, 0.3], (2, 1)))
+    assert (last.image.sequence, last.t) == (1, pytest.approx(0.1))
+    assert last.state is STATE
+
+
+@pytest.mark.parametrize(
+    "nonsense",
+    [
+        lambda: 1 / 0,
+        None,
+        (0.5, 0.0, 0.0, 0.0),
+        Command(float("nan"), 0.0, 0.0, 0.0),
+        Command("full", 0.0, 0.0, 0.0),
+    ],
+    ids=["raises", "none", "tuple", "nan", "text"],
+)
+def test_nonsense_of_a_pilot_becomes_the_safe_command(nonsense, tmp_path):
+    """Neutral sticks and idle throttle in that step alone; an event says why; the flight goes on."""
+    sink = Recorder()
+    with FlightLogWriter(tmp_path / "flight.mcap") as log:
+        flight = Loop(Pilot(step2=nonsense), sink, log=log).run(0.25)
+    assert [command.vector.tolist() for _, command in sink.sent].count([0.0] * 4) == 1
+    assert sink.sent[2][1].vector.tolist() == [0.0] * 4
+    assert (flight.faults, flight.reason, len(flight.t)) == (1, "duration", 5)
+    events = read_flight_log(tmp_path / "flight.mcap").events
+    assert [event.name for event in events] == ["pilot failed", "ended"]
+    assert events[0].t == pytest.approx(0.1)
+
+
+def test_sticks_beyond_their_ends_are_cut_and_marked():
+    """Throttle 1.5 is 1, aileron -3 is -1; a cut command says so."""
+    sink = Recorder()
+    Loop(Pilot(step0=Command(1.5, -3.0, 0.0, 0.0)), sink).run(0.1)
+    assert sink.sent[0][1] == Command(1.0, -1.0, 0.0, 0.0, saturated=True)
+    assert not sink.sent[1][1].saturated
+
+
+def test_a_pilot_that_never_recovers_ends_the_flight():
+    """Three faults in a row are allowed, the fourth is one too many; a fault in between starts the count again."""
+    failing = {f"step{k}": None for k in (1, 2, 3, 5, 6, 7, 8)}
+    flight = Loop(Pilot(**failing), Recorder(), faults_allowed=3).run(5.0)
+    assert (flight.reason, len(flight.t), flight.faults) == ("pilot failed", 9, 7)
+
+
+def test_a_hook_that_raises_is_dropped_and_the_flight_goes_on():
+    """The other hook sees all five steps, the broken one is called once."""
+    calls, sink = [], Recorder()
+
+    def broken(step):
+        calls.append(step.t)
+        raise OSError("the browser is gone")
+
+    flight = Loop(Pilot(), sink, states=Still(), hooks=(broken, sink)).run(0.25)
+    assert calls == [0.0]
+    assert [step.mode for step in sink.steps] == ["cruise"] * 5
+    assert "the browser is gone" in flight.events[0].details["error"]
+
+
+def test_ctrl_c_ends_the_flight_with_the_log_whole(tmp_path):
+    """A real interrupt in step 3: that step is finished, the safe command follows, and every record can be read."""
+    sink = Recorder()
+
+    def interrupt():
+        signal.raise_signal(signal.SIGINT)
+        return Command(0.5, 0.1, -0.2, 0.3)
+
+    with FlightLogWriter(tmp_path / "flight.mcap") as log:
+        flight = Loop(Pilot(step3=interrupt), sink, images=Camera(), log=log).run(5.0)
+    assert (flight.reason, len(flight.t)) == ("interrupted", 4)
+    assert sink.sent[-1][1] == SAFE_COMMAND
+    read = read_flight_log(tmp_path / "flight.mcap")
+    assert read.warnings == ()
+    assert len(read.commands) == 5
+    assert [event.name for event in read.events] == ["interrupted", "ended"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_second_ctrl_c_does_not_wait_for_a_pilot_that_hangs():
+    """Two interrupts within one step: the second raises where it is."""
+
+    def hang():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        pytest.fail("still hanging")
+
+    assert Loop(Pilot(step1=hang), Recorder()).run(5.0).reason == "interrupted"
+
+
+def test_a_source_that_breaks_ends_the_flight_safely():
+    """The camera is unplugged: the safe command is sent and the error comes out."""
+
+    class Unplugged:
+        def next(self, t):
+            if t > 0.12:
+                raise OSError("no camera")
+
+    sink = Recorder()
+    with pytest.raises(OSError, match="no camera"):
+        Loop(Pilot(), sink, images=Unplugged()).run(5.0)
+    assert len(sink.sent) == 4
+    assert sink.sent[-1][1] == SAFE_COMMAND
+
+
+def test_a_full_disk_costs_the_log_and_not_the_flight(monkeypatch, tmp_path):
+    """The third command cannot be written: a warning, and all ten steps are flown."""
+    sink, written = Recorder(), []
+
+    def refuse(self, t, command, image=None):
+        written.append(t)
+        if len(written) == 3:
+            raise InputError("flight.mcap: the disk is full")
+
+    monkeypatch.setattr(FlightLogWriter, "command", refuse)
+    with FlightLogWriter(tmp_path / "flight.mcap") as log, pytest.warns(UserWarning, match="goes on without a log"):
+        Loop(Pilot(), sink, log=log).run(0.5)
+    assert len(written) == 3
+    assert len(sink.sent) == 10
+
+
+def test_a_flight_ends_by_the_word_of_its_task():
+    """Asked after every step: at t = 0.2 the word comes, after five steps."""
+    flight = Loop(Pilot(), Recorder()).run(5.0, lambda step: "landed" if step.t > 0.19 else "")
+    assert (flight.reason, len(flight.t)) == ("landed", 5)
+
+
+def test_a_duration_that_is_none_is_refused():
+    """Zero, negative, not a number."""
+    for duration in (0.0, -1.0, float("nan")):
+        with pytest.raises(InputError, match="duration"):
+            Loop(Pilot(), Recorder()).run(duration)
