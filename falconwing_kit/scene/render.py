@@ -1,4 +1,4 @@
-"""Renderer: a Gaussian scene and the pose of a camera -> colour, alpha and depth of every pixel, by a chosen backend."""
+"""The renderer's door: a Gaussian scene and a camera pose -> colour, alpha and depth per pixel, by any backend."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,0 +1,111 @@
+"""gsplat backend: a Gaussian scene and a camera pose -> images from gsplat's CUDA kernels, where they can run."""
+
+from functools import cache, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.scene.gaussians import GaussianScene
+from falconwing_kit.scene.render import Images
+
+SCENES_KEPT = 4  # on the GPU: 125,000 Gaussians of degree 2 are 19 MB
+HELP = "it wants an NVIDIA GPU, torch with CUDA and gsplat 1.5; backend 'fast' runs on every machine"
+
+
+def render_gsplat(
+    scene: GaussianScene,
+    camera: PinholeCamera,
+    T_world_camera: ArrayLike,
+    background: ArrayLike,
+    antialiased: bool = False,
+) -> Images:
+    """Render a scene on the GPU; `render` checks what this trusts.
+
+    A scene goes to the GPU once; the last few stay there.
+
+    Args:
+        scene: the Gaussians.
+        camera: the intrinsics and the image's size.
+        T_world_camera: (4, 4) the pose, "world from camera".
+        background: (3,) red, green, blue, 0..1.
+        antialiased: fade what is smaller than a pixel.
+
+    Returns:
+        Colour (H, W, 3), not cut at 1, alpha (H, W) and expected depth (H, W) [m], as float32.
+
+    Raises:
+        InputError: gsplat cannot run here; the text says why and what it wants.
+    """
+    probe()
+    colours, alphas = rasterize(scene, camera, np.asarray(T_world_camera)[None], background, antialiased)
+    image = colours[0].cpu().numpy()
+    return image[..., :3], alphas[0, ..., 0].cpu().numpy(), image[..., 3]
+
+
+def rasterize(
+    scene: GaussianScene, camera: PinholeCamera, Ts_world_camera: ArrayLike, background: ArrayLike, antialiased: bool
+) -> tuple[Any, Any]:
+    """Many poses in one call, which costs little more than one; the images stay on the GPU.
+
+    Args:
+        scene: the Gaussians.
+        camera: the intrinsics and the image's size.
+        Ts_world_camera: (C, 4, 4) the poses.
+        background: (3,) red, green, blue, 0..1.
+        antialiased: fade what is smaller than a pixel.
+
+    Returns:
+        Torch tensors: red, green, blue, expected depth [m] (C, H, W, 4), and alpha (C, H, W, 1).
+    """
+    import torch
+    from gsplat import rasterization
+
+    Ts_camera_world = np.linalg.inv(np.asarray(Ts_world_camera))
+    count = len(Ts_camera_world)
+    small = (Ts_camera_world, np.tile(camera.K, (count, 1, 1)), np.tile(np.asarray(background), (count, 1)))
+    viewmats, Ks, backgrounds = (torch.tensor(array, dtype=torch.float32, device=device()) for array in small)
+    means, quaternions, scales, opacities, sh = _tensors(scene)
+    colours, alphas, _ = rasterization(
+        *(means, quaternions, scales, opacities, sh, viewmats, Ks, camera.width, camera.height),
+        sh_degree=int(sh.shape[1] ** 0.5) - 1,
+        packed=False,  # holds where no Gaussian is in view, and is the quicker one for a scene that fits
+        backgrounds=backgrounds,
+        render_mode="RGB+ED",
+        rasterize_mode="antialiased" if antialiased else "classic",
+    )
+    return colours, alphas
+
+
+@cache
+def probe() -> None:
+    """Render one Gaussian, the only sure way to find out; the first time, gsplat may compile for minutes.
+
+    Raises:
+        InputError: that failed.
+    """
+    one = GaussianScene([[0, 0, 1]], [[1, 0, 0, 0]], [[0.1, 0.1, 0.1]], [1.0], np.zeros((1, 1, 3)))  # type: ignore[arg-type]
+    try:
+        _, alphas = rasterize(one, PinholeCamera(8, 8, 4, 4, 8, 8), np.eye(4)[None], np.zeros(3), False)
+        seen = float(alphas.max())
+    except Exception as error:  # gsplat fails in many ways: missing library, compiler, driver, None instead of a module
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(f"backend: want gsplat to render one Gaussian, got: {reason}; {HELP}") from None
+    if not 0.5 < seen < 1.0:
+        raise InputError(f"backend: want gsplat to render one Gaussian, got one of alpha {seen:.3g}; {HELP}")
+
+
+def device() -> str:
+    """Where gsplat renders."""
+    return "cuda"
+
+
+@lru_cache(maxsize=SCENES_KEPT)
+def _tensors(scene: GaussianScene) -> tuple[Any, ...]:
+    """The scene's arrays on the GPU; scenes are frozen and known by identity."""
+    import torch
+
+    arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh)
+    return tuple(torch.tensor(array, device=device()) for array in arrays)
