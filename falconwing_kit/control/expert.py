@@ -1,0 +1,153 @@
+"""Experts: the measured state -> sticks that land, follow waypoints or follow a leader. By state alone, no image.
+
+An expert looks at `observation.state`, `observation.t` and `observation.past_commands` only; velocities and rates are
+those of the estimator behind the state. It is what the vision policies imitate.
+"""
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from falconwing_kit.aircraft.airframe import Airframe
+from falconwing_kit.aircraft.model import Model
+from falconwing_kit.aircraft.touchdown import LandingPad, wheel_heights
+from falconwing_kit.control.guidance import Path, require_flyable
+from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, Autopilot
+from falconwing_kit.core.checks import Array
+from falconwing_kit.core.messages import Command, Observation, State
+
+GLIDE, TOUCH_SLOPE = math.radians(4.0), 0.035  # slope of the approach [rad], and of the path where the wheels touch
+FLARE_LENGTH = 6.0  # way in which the flare's slope falls to 1/e [m]
+AIM = 3.5  # where the wheels should touch, past the pad's threshold [m]
+FINAL = 60.0  # length of the approach that is laid out before the pad [m]
+GAP_GAIN, GAP_SPEED = 0.8, 1.2  # speed for each metre behind its place [1/s], and at most [m/s]
+NO_STATE = "no state"
+
+
+class Leader(Protocol):
+    """What a follower knows of its leader: where it was and is at any time."""
+
+    t: Array  # (n,) [s]
+    states: Array  # (n, 12) in the order of STATE_NAMES
+
+    def state(self, t: float) -> State:
+        """The leader's state at a time [s]."""
+
+
+class WaypointExpert:
+    """Flies a smooth path through waypoints at one speed."""
+
+    def __init__(
+        self, model: Model, airframe: Airframe, waypoints: Array, speed: float = SPEED, delay: float = LINK_DELAY_S
+    ) -> None:
+        """Design the loops and lay the path through waypoints (n, 3) [m].
+
+        Raises:
+            InputError: the model cannot be trimmed or held, or the path turns or climbs more than the aircraft can.
+        """
+        self.path, self.speed, self.mode = Path(waypoints), speed, "waypoints"
+        require_flyable(self.path, speed, airframe.bank_limit)
+        self._autopilot = Autopilot(model, speed, delay)
+        self._s: float | None = None
+
+    def act(self, observation: Observation) -> Command:
+        """Sticks that keep the aircraft on the path; straight on after its end."""
+        state = finite_state(observation)
+        if state is None:
+            self.mode = NO_STATE
+            return self._autopilot.level()
+        self._s = self.path.nearest(state.p_world, self._s)
+        self.mode = "waypoints" if self._s < self.path.length else "past the end"
+        return self._autopilot.command(state, self.path.at(self._s, self.speed), observation.past_commands)
+
+
+class LandingExpert:
+    """Lands on the pad along its centre line: a straight glide, then a flare with the throttle idle."""
+
+    def __init__(
+        self, model: Model, airframe: Airframe, pad: LandingPad, speed: float = SPEED, delay: float = LINK_DELAY_S
+    ) -> None:
+        """Design the loops and lay the approach; InputError where the model cannot be trimmed or held."""
+        self.path, self._flare_at = landing_path(airframe, pad)
+        self.airframe, self.pad, self.speed, self.mode = airframe, pad, speed, "approach"
+        self._autopilot = Autopilot(model, speed, delay)
+
+    def act(self, observation: Observation) -> Command:
+        """Sticks for the approach, the flare and the pad."""
+        state = finite_state(observation)
+        if state is None:
+            self.mode = NO_STATE
+            return self._autopilot.level()
+        s = self.path.nearest(state.p_world)
+        wheels = float(np.min(wheel_heights(state.vector, self.airframe, self.pad)))
+        if self.mode == "landed" or (s > self._flare_at and wheels < 0.0):
+            self.mode = "landed"
+            return Command(0.0, 0.0, 0.0, 0.0)
+        self.mode = "flare" if s > self._flare_at else "approach"
+        wanted = self.path.at(s, self.speed)
+        return self._autopilot.command(state, wanted, observation.past_commands, idle=self.mode == "flare")
+
+
+class FollowExpert:
+    """Follows the path that the leader flew, as far behind along it as it was at first sight."""
+
+    def __init__(self, model: Model, airframe: Airframe, leader_path: Leader, delay: float = LINK_DELAY_S) -> None:
+        """Design the loops around the leader's mean speed; InputError where the model cannot be trimmed or held."""
+        speeds = np.linalg.norm(leader_path.states[:, 6:9], axis=1)
+        self.leader, self.airframe, self.mode, self.distance = leader_path, airframe, "follow", math.nan
+        self.speed = float(speeds.mean())
+        self.path = Path(leader_path.states[:, 0:3])
+        self._s_leader = np.concatenate(
+            [[0.0], np.cumsum(np.linalg.norm(np.diff(leader_path.states[:, 0:3], axis=0), axis=1))]
+        )
+        self._speeds = speeds
+        self._autopilot = Autopilot(model, self.speed, delay)
+        self._s: float | None = None
+
+    def act(self, observation: Observation) -> Command:
+        """Sticks that keep the aircraft on the leader's path, in its place behind the leader."""
+        state = finite_state(observation)
+        if state is None:
+            self.mode = NO_STATE
+            return self._autopilot.level()
+        self.mode = "follow"
+        self._s = s = self.path.nearest(state.p_world, self._s)
+        s_leader = float(np.interp(observation.t, self.leader.t, self._s_leader))
+        if math.isnan(self.distance):
+            self.distance = s_leader - s
+        behind = s_leader - self.distance - s
+        flown = float(np.interp(s, self._s_leader, self._speeds))
+        speed = flown + min(max(GAP_GAIN * behind, -GAP_SPEED), GAP_SPEED)
+        return self._autopilot.command(state, self.path.at(s, speed), observation.past_commands)
+
+
+def finite_state(observation: Observation) -> State | None:
+    """The observation's state if there is one and all of it is finite."""
+    state = observation.state
+    return state if state is not None and bool(np.isfinite(state.vector).all()) else None
+
+
+def landing_path(airframe: Airframe, pad: LandingPad) -> tuple[Path, float]:
+    """The way of the centre of gravity down to the pad, along its centre line in the direction of world x.
+
+    The height above the pad falls on a straight line, then from its flare on exponentially towards a level a little
+    below the pad, so that the wheels touch at a slope of their own: h = L (tan(glide) e^(-x/L) - slope)
+    [Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., sec. 4.5: exponential flare].
+
+    Args:
+        airframe: where the wheels sit.
+        pad: the pad.
+
+    Returns:
+        The path, and where on it the flare begins [m].
+    """
+    slope = math.tan(GLIDE)
+    x_flare = pad.x_start + AIM - FLARE_LENGTH * math.log(slope / TOUCH_SLOPE)
+    x = np.arange(-FINAL, pad.length, 0.25)
+    above = FLARE_LENGTH * (slope * np.exp(-np.maximum(x, 0.0) / FLARE_LENGTH) - TOUCH_SLOPE) - slope * np.minimum(
+        x, 0.0
+    )
+    standing = pad.height + max(airframe.wheels.main_left[2], airframe.wheels.main_right[2])
+    path = Path(np.column_stack([x_flare + x, np.full(len(x), pad.y_centre), standing + above]))
+    return path, path.nearest(np.array([x_flare, pad.y_centre, 0.0]))

@@ -1,0 +1,213 @@
+"""Simulated world: commands come in late, the aircraft flies -> truth, measured state, leader and first contact.
+
+Everything here is simulated. Noise depends on the seed and the frame's number alone, so that flights with the same seed
+start and are measured alike whoever flies.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from falconwing_kit.aircraft.airframe import Airframe
+from falconwing_kit.aircraft.model import Model
+from falconwing_kit.aircraft.touchdown import LandingPad, Touchdown, find_touchdown
+from falconwing_kit.control.guidance import Hall
+from falconwing_kit.control.leader import FlyingAircraft
+from falconwing_kit.control.loops import LINK_DELAY_S, STEP_S
+from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
+from falconwing_kit.core.frames import body_rates, rotation_world_body
+from falconwing_kit.core.messages import Command, State
+
+Obstacle = Literal["pad", "pad edge", "floor", "wall", "ceiling", "leader"]
+
+CLEARANCE = 1.0  # m between the two centres of gravity; nearer counts as a collision
+NO_PAD = LandingPad(length=0.0, width=0.0, height=0.0)
+POSITION_JERK, ATTITUDE_JERK = 8.0, 40.0  # white jerk of a small aircraft [m/s^3, rad/s^3, each times sqrt(s)]
+WARM_UP = 40  # frames that the filter has seen before the flight begins
+
+
+@dataclass(frozen=True)
+class PoseNoise:
+    """White noise of a measured pose, standard deviation per axis; the default is a good marker's at close range."""
+
+    position: float = 0.01  # [m]
+    attitude: float = math.radians(0.7)  # [rad]
+
+    def __post_init__(self) -> None:
+        require_range("position noise", self.position, low=0.0, high=10.0)
+        require_range("attitude noise", self.attitude, low=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The first thing that was touched; the flight ends there."""
+
+    t: float  # [s]
+    obstacle: Obstacle
+    p_world: Array  # (3,) the centre of gravity [m]
+    touchdown: Touchdown | None = None  # where wheels met pad or floor
+
+
+class Leader(Protocol):
+    """What the world asks of a leader."""
+
+    def state(self, t: float) -> State:
+        """The leader at a time [s]."""
+
+
+class PoseFilter:
+    """Poses, one by one -> position, attitude, and the velocities and rates they tell of.
+
+    A Kalman filter for each of the six channels: value, rate and acceleration, driven by white jerk [Bar-Shalom, Li &
+    Kirubarajan, Estimation with Applications to Tracking and Navigation, sec. 6.2.3: white-noise jerk model].
+    """
+
+    def __init__(self, noise: PoseNoise) -> None:
+        """Nothing is known yet; noise is what the poses are expected to have."""
+        self._t: float | None = None
+        self._x, self._P = np.zeros((3, 6)), np.zeros((3, 3, 6))
+        floors = (1e-3, 1e-3)  # m, rad: a filter that trusts its poses fully would follow rounding
+        sigma = np.maximum((noise.position, noise.attitude), floors)
+        self._variance = np.repeat(sigma**2, 3)
+        self._jerk = np.repeat((POSITION_JERK, ATTITUDE_JERK), 3)
+
+    def update(self, t: float, pose: Array) -> State:
+        """Take in a pose (6,): p_world [m], roll, pitch, yaw [rad] at t [s]; give the state as known now."""
+        if self._t is None:
+            self._x[0], self._P = pose, np.diag((1.0, 100.0, 100.0))[:, :, None] * np.ones(6)
+        else:
+            self._predict(max(t - self._t, 1e-6))
+        self._t = t
+        off = pose - self._x[0]
+        off[3:] = (off[3:] + np.pi) % (2.0 * np.pi) - np.pi
+        gain = self._P[:, 0] / (self._P[0, 0] + self._variance)
+        self._x = self._x + gain * off
+        self._P = self._P - gain[:, None] * self._P[None, 0]
+        p_world, (roll, pitch, yaw) = self._x[0, :3].copy(), self._x[0, 3:]
+        rates = np.array(body_rates(roll, pitch, *self._x[1, 3:]))
+        return State(
+            p_world,
+            float(pitch),
+            float((yaw + np.pi) % (2.0 * np.pi) - np.pi),
+            float(roll),
+            self._x[1, :3].copy(),
+            rates,
+        )
+
+    def _predict(self, dt: float) -> None:
+        F = np.array([[1.0, dt, dt * dt / 2.0], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
+        Q = np.array(
+            [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
+        )
+        self._x = F @ self._x
+        self._P = np.einsum("ij,jkc,lk->ilc", F, self._P, F) + Q[:, :, None] * self._jerk**2
+
+
+class SimulatedWorld:
+    """One flight: a model of the aircraft, the hall, perhaps a pad and a leader."""
+
+    def __init__(
+        self, model: Model, airframe: Airframe, start: State, *, seed: int, pad: LandingPad | None = None,
+        leader: Leader | None = None, noise: PoseNoise | None = None, delay: float = LINK_DELAY_S, hall: Hall | None = None,
+    ) -> None:  # fmt: skip
+        """Begin at t = 0.
+
+        Args:
+            model: the aircraft that flies, with any effect added.
+            airframe: where wheels, wing tips and nose are.
+            start: the true state at t = 0.
+            seed: of the noise.
+            pad: the landing pad, None for a bare floor.
+            leader: another aircraft to keep clear of.
+            noise: of the measured pose; None for the default.
+            delay: from `send` to the aircraft's own input [s].
+            hall: its walls; None for the default.
+
+        Raises:
+            InputError: the start is not finite, or an argument is out of its range.
+        """
+        if not np.isfinite(start.vector).all():
+            raise InputError("start: want a finite state, got nan or infinity; give all of its numbers")
+        self.contact: Contact | None = None
+        self._aircraft = FlyingAircraft(model, start, delay)
+        self._airframe, self._pad, self._leader, self._hall = airframe, pad or NO_PAD, leader, hall or Hall()
+        self._noise, self._seed = noise or PoseNoise(), int(require_range("seed", seed, low=0))
+        self._t, self._filter = 0.0, PoseFilter(self._noise)
+        self._measured = self._warm_up()
+
+    @property
+    def t(self) -> float:
+        """Time since the start [s]."""
+        return self._t
+
+    @property
+    def state(self) -> State:
+        """The true state; it stays as it was at the first contact."""
+        return State.from_vector(self._aircraft.x)
+
+    @property
+    def leader_state(self) -> State | None:
+        """The leader's true state; None where there is no leader."""
+        return None if self._leader is None else self._leader.state(self._t)
+
+    def send(self, t: float, command: Command) -> None:
+        """Give a command at t [s]; it arrives after the delay."""
+        self._aircraft.send(t, command)
+
+    def measured(self) -> State:
+        """The state as an estimator knows it: the noisy pose of this frame, velocities and rates by `PoseFilter`."""
+        return self._measured
+
+    def advance(self, t: float) -> None:
+        """Fly until t [s], or until something is touched; then only time goes on.
+
+        Raises:
+            InputError: t lies before now.
+        """
+        require_range("t", t, low=self._t)
+        while self.contact is None and self._t < t - 1e-9:
+            before, x_before = self._t, self._aircraft.x
+            self._aircraft.advance(min(before + STEP_S, t))
+            self._t = self._aircraft.t
+            self.contact = self._contact(before, x_before)
+            self._measured = self._measure(round(self._t / STEP_S), self.state)
+        self._t = t
+
+    def _warm_up(self) -> State:
+        """The filter has been running before: on the straight line that leads to the start."""
+        start = self.state
+        for k in range(-WARM_UP, 0):
+            earlier = State(
+                start.p_world + k * STEP_S * start.v_world, start.pitch, start.yaw, start.roll, start.v_world
+            )
+            self._measure(k, earlier)
+        return self._measure(0, start)
+
+    def _measure(self, frame: int, state: State) -> State:
+        rng = np.random.default_rng([self._seed, frame + WARM_UP])
+        sigma = np.repeat((self._noise.position, self._noise.attitude), 3)
+        pose = np.array([*state.p_world, state.roll, state.pitch, state.yaw]) + sigma * rng.normal(size=6)
+        known = self._filter.update(frame * STEP_S, pose)
+        return State(pose[:3], pose[4], pose[5], pose[3], known.v_world, known.rates_body)
+
+    def _contact(self, t_before: float, x_before: Array) -> Contact | None:
+        """What was touched since the last look, wheels first."""
+        x, t = self._aircraft.x, self._t
+        touchdown = find_touchdown((t_before, t), np.stack([x_before, x]), self._airframe, self._pad)
+        if touchdown is not None:
+            return Contact(touchdown.t, touchdown.surface, touchdown.p_world, touchdown)
+        nose, tip = self._airframe.length / 2.0, self._airframe.span / 2.0
+        points_body = np.array([(nose, 0.0, 0.0), (-nose, 0.0, 0.0), (0.0, tip, 0.0), (0.0, -tip, 0.0)])
+        points = x[:3] + points_body @ rotation_world_body(x[5], x[3], x[4]).T
+        leader = self.leader_state
+        if leader is not None and np.linalg.norm(leader.p_world - x[:3]) < CLEARANCE:
+            return Contact(t, "leader", x[:3])
+        for obstacle, touched in (
+            ("floor", points[:, 2].min() < 0.0), ("ceiling", points[:, 2].max() > self._hall.height),
+            ("wall", self._hall.margin(points * (1.0, 1.0, 0.0)).min() < 0.0),
+        ):  # fmt: skip
+            if touched:
+                return Contact(t, obstacle, x[:3])
+        return None
