@@ -32,6 +32,9 @@ class Effect:
     contains: tuple[str, ...] = ()  # effects that this one becomes at some of its values; no rival to them
     essential: tuple[str, ...] = ()  # parameters without which it is one of those, or nothing with a name
     gradual: bool = False  # grows by itself from the start of the flight: what sets in at once is another effect
+    acts_on: tuple[
+        str, ...
+    ] = ()  # what its loads or its error go to: two that share one may be each other's formula error
     same_as: str = ""  # another effect with the same dynamics: no flight can tell them apart
 
     @property
@@ -290,67 +293,74 @@ _JET = (
     Parameter("jet_at_y", 0.0, -60.0, 60.0, "m", "middle of the stream"),
     Parameter("jet_radius", 2.5, 0.7, 8.0, "m", "how wide the stream is"),
 )
+_STICKS = ("sticks", "roll", "pitch", "yaw")
+
 CATALOGUE: tuple[Effect, ...] = (
     Effect(
         "wind", "The air as a whole moves: the wings feel a velocity that is not the one over the floor.",
-        _WIND, wind=WindTerm("wind", _WIND, uniform_wind),
+        _WIND, wind=WindTerm("wind", _WIND, uniform_wind), acts_on=("air",),
     ),
     Effect(
         "fan_jet", "A fan blows through one part of the hall only.", _JET,
         wind=WindTerm("fan_jet", _JET, fan_jet), shape=("jet_at_x", "jet_at_y", "jet_radius"),
-        contains=("wind",),
+        contains=("wind",), acts_on=("air",),
     ),
     _force(
         "ground_effect", "Close to the floor the air under the wing cannot get away: more lift, less induced drag.",
         ground_effect,
         Parameter("ground_lift", 0.1, 0.0, 2.0, "-", "share of lift added at the floor"),
         Parameter("ground_drag", 0.2, -4.0, 1.5, "-", "share of induced drag lost at the floor"),
-        essential=("ground_lift",),
+        essential=("ground_lift",), acts_on=("lift", "along"),
     ),
     _force(
         "extra_drag", "Something sticks out into the air: drag grows with the square of speed at any throttle.",
         extra_drag, Parameter("drag_added", 0.003, 0.0, 0.3, "1/m", "drag added at zero lift"),
+        acts_on=("along",),
     ),
     _force(
         "flap", "A flap is out: more lift at the same angle, and more drag.",
         flap,
         Parameter("flap_lift", 0.01, 0.0, 0.4, "1/m", "lift added at any angle"),
         Parameter("flap_drag", 0.001, 0.0, 0.2, "1/m", "drag that comes with it"),
-        contains=("extra_drag",), essential=("flap_lift",),
+        contains=("extra_drag",), essential=("flap_lift",), acts_on=("lift", "along"),
     ),
     _force(
         "thrust_loss", "The propeller gives less thrust at the same throttle.",
         thrust_loss, Parameter("thrust_lost", 0.05, 0.0, 1.5, "-", "share of the thrust that is gone"),
+        acts_on=("thrust", "along"),
     ),
     _force(
         "battery_sag", "The battery's voltage falls during the flight, and thrust with it.",
         battery_sag, Parameter("sag", 0.05, 0.0, 1.0, "1/min", "share of the thrust lost per minute"),
-        gradual=True,
+        gradual=True, acts_on=("thrust", "along"),
     ),
     _force(
         "propeller_torque", "The propeller turns the aircraft against its own rotation, in step with thrust.",
         propeller_torque,
         Parameter("torque_roll", 0.05, -5.0, 5.0, "1/m", "rolling moment per thrust"),
         Parameter("torque_yaw", 0.05, -5.0, 5.0, "1/m", "yawing moment per thrust"),
+        acts_on=("roll", "yaw"),
     ),
     _force(
         "adverse_yaw", "The wing with more lift has more drag: aileron pulls the nose out of the turn.",
         adverse_yaw, Parameter("adverse_yaw", 0.02, -2.0, 2.0, "1/m^2", "yawing moment of aileron, against the turn"),
+        acts_on=("yaw",),
     ),
     Effect(
         "control_delay", "What the sticks command acts later than before.",
         (Parameter("control_delay", 0.02, -0.05, 0.4, "s", "delay added between command and servo"),),
         starts=({"control_delay": 0.1}, {"control_delay": 0.2}, {"control_delay": -0.01}),
+        acts_on=_STICKS,
     ),
     Effect(
         "actuator_lag", "The servos follow more slowly than before.",
         (Parameter("actuator_lag", 0.02, 0.0, 0.6, "s", "time constant added to servo and propeller"),),
-        starts=({"actuator_lag": 0.1},),
+        starts=({"actuator_lag": 0.1},), acts_on=_STICKS,
     ),
     Effect(  # the same effect in its other form: not the servo itself is slower, something follows it slowly
         "actuator_lag", "What follows the servos, a linkage or the motor, has become slow.",
         (Parameter("lag_in_series", 0.02, 0.0, 0.6, "s", "time constant of what follows the servo"),),
-        starts=({"lag_in_series": 0.1},),
+        starts=({"lag_in_series": 0.1},), acts_on=_STICKS,
     ),
     Effect(
         "trim_bias", "The neutral of the sticks has moved.",
@@ -358,24 +368,27 @@ CATALOGUE: tuple[Effect, ...] = (
             Parameter(f"bias_{stick}", 0.01, -0.5, 0.5, "-", f"{stick} added at neutral, share of full stick")
             for stick in ("aileron", "elevator", "rudder")
         ),
-        sticks=trim_bias,
+        sticks=trim_bias, acts_on=("roll", "pitch", "yaw"),
     ),
     Effect(
         "deadband", "Small stick movements no longer reach the control surfaces.",
         (Parameter("deadband", 0.03, 0.0, 0.4, "-", "share of full stick that does nothing"),),
-        sticks=deadband, starts=({"deadband": 0.08}, {"deadband": 0.15}),
+        sticks=deadband, starts=({"deadband": 0.08}, {"deadband": 0.15}), acts_on=_STICKS,
     ),
     _force(
         "aileron_loss", "An aileron moves less, or one of the two not at all.",
         aileron_loss, Parameter("aileron_lost", 0.05, 0.0, 1.0, "-", "share of the aileron's moment that is gone"),
+        acts_on=("roll",),
     ),
     _force(
         "mass_change", "The aircraft is heavier: every force bends its path less, only gravity pulls as before.",
         mass_change, Parameter("mass_added", 0.03, -0.4, 1.0, "-", "share of the mass added"),
+        acts_on=("lift", "along", "side"),
     ),
     _force(
         "cg_shift", "The centre of gravity has moved along the fuselage, and lift turns the nose about it.",
         cg_shift, Parameter("cg_moment", 0.05, -5.0, 5.0, "1/m", "lever of the lift, positive with the mass behind"),
+        acts_on=("pitch", "yaw"),
     ),
     Effect(
         "camera_tilt", "The camera looks in another direction than before; the aircraft flies as ever.",
@@ -383,7 +396,7 @@ CATALOGUE: tuple[Effect, ...] = (
             Parameter("tilt_pitch", 0.01, -0.4, 0.4, "rad", "camera turned up in the body"),
             Parameter("tilt_roll", 0.01, -0.4, 0.4, "rad", "camera turned about the nose, right side down"),
         ),
-        pose=True,
+        pose=True, acts_on=("camera",),
     ),
     Effect(
         "time_offset", "The images carry time stamps that are late; the flight shows the same as a control delay.",
@@ -395,6 +408,7 @@ CATALOGUE: tuple[Effect, ...] = (
         Parameter("stall_alpha", 0.20, 0.08, 0.5, "rad", "angle of attack where it begins"),
         Parameter("stall_loss", 0.3, 0.0, 2.0, "-", "share of the lift slope lost beyond"),
         starts=({"stall_alpha": 0.13}, {"stall_alpha": 0.17}), shape=("stall_alpha",),
+        acts_on=("lift", "along", "pitch"),
     ),
 )  # fmt: skip
 EFFECT_NAMES = tuple(dict.fromkeys(effect.name for effect in CATALOGUE))

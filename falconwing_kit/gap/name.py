@@ -21,7 +21,10 @@ Verdict = Literal["named", "ambiguous", "none", "outside"]
 REFITS = 5  # effects that are fitted in full after the linear scan, and more while one not fitted could still win
 ROUGH = 2.0  # chi2 to which the first round of fits is carried; the second goes on from there
 CLEARLY = 0.1  # a load without a name must beat the named effects by this share of their evidence
-FORMULA_ERROR = 0.02  # share of what a strong effect explains that may be left because its formula is not nature's
+FORMULA_ERROR = (
+    0.02  # share of what a strong effect explains that its formula, 14 % off nature's, leaves on what it acts on
+)
+ELSEWHERE = 0.001  # the same on what it does not act on: 3 % off
 SHARE_LEFT = 0.5  # of the excess: a name that leaves more behind is no explanation
 EXCESS_SIGMAS = 6.0  # a flight's chi2 above the calm level by this much is not chance
 STRAINED = 9.0  # parameters that moved by three of their sigmas on average: the base is no model of this aircraft
@@ -155,15 +158,20 @@ def _second(
     threshold: float,
     progress: Progress,
 ) -> Candidate | None:
-    """A second effect on top of the first: by the same rule, and more than an error of the first one's formula."""
-    if first.result is None:
+    """A second effect on top of the first: by the same rule, and more than an error of the first one's formula.
+
+    What acts on the same things as the first (a lag beside a delay) is no second effect but that error.
+    """
+    rest = [e for e in catalogue if e.acts_on != first.effect.acts_on]
+    if first.result is None or not rest:
         return None
-    needed = max(threshold, FORMULA_ERROR * first.chi2_gain)
-    rest = [e for e in catalogue if e.name != first.effect.name]
-    if not rest or _scan(base, windows, first.result, rest, progress)[0].gain < needed:
+    if _scan(base, windows, first.result, rest, progress)[0].gain < threshold:
         return None
-    best = _rank(base, windows, first.result, rest, progress)[0]
-    return best if best.gain > needed else None
+    best, *others = _rank(base, windows, first.result, rest, progress)
+    shared = set(best.effect.acts_on) & set(first.effect.acts_on)
+    needed = max(threshold, (FORMULA_ERROR if shared else ELSEWHERE) * first.chi2_gain)
+    rivals = [c for c in others if c.gain > best.gain - LEAST_GAIN and best.effect.name not in c.effect.contains]
+    return best if best.gain > needed and not rivals else None
 
 
 def _rank(
