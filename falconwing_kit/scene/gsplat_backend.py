@@ -12,7 +12,10 @@ from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import Images
 
 SCENES_KEPT = 4  # on the GPU: 125,000 Gaussians of degree 2 are 19 MB
-HELP = "it wants an NVIDIA GPU, torch with CUDA and gsplat 1.5; backend 'fast' runs on every machine"
+DEVICE = "cuda"
+HELP = (
+    "it wants an NVIDIA GPU with its CUDA toolkit, and: pip install torch gsplat==1.5.3; backend 'fast' runs anywhere"
+)
 
 
 def render_gsplat(
@@ -66,7 +69,7 @@ def rasterize(
     Ts_camera_world = np.linalg.inv(np.asarray(Ts_world_camera))
     count = len(Ts_camera_world)
     small = (Ts_camera_world, np.tile(camera.K, (count, 1, 1)), np.tile(np.asarray(background), (count, 1)))
-    viewmats, Ks, backgrounds = (torch.tensor(array, dtype=torch.float32, device=device()) for array in small)
+    viewmats, Ks, backgrounds = (torch.tensor(array, dtype=torch.float32, device=DEVICE) for array in small)
     means, quaternions, scales, opacities, sh = _tensors(scene)
     colours, alphas, _ = rasterization(
         *(means, quaternions, scales, opacities, sh, viewmats, Ks, camera.width, camera.height),
@@ -97,15 +100,10 @@ def probe() -> None:
         raise InputError(f"backend: want gsplat to render one Gaussian, got one of alpha {seen:.3g}; {HELP}")
 
 
-def device() -> str:
-    """Where gsplat renders."""
-    return "cuda"
-
-
 @lru_cache(maxsize=SCENES_KEPT)
 def _tensors(scene: GaussianScene) -> tuple[Any, ...]:
     """The scene's arrays on the GPU; scenes are frozen and known by identity."""
     import torch
 
     arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh)
-    return tuple(torch.tensor(array, device=device()) for array in arrays)
+    return tuple(torch.tensor(array, device=DEVICE) for array in arrays)

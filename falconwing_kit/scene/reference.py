@@ -31,6 +31,7 @@ MAX_ALPHA, MIN_ALPHA = 0.999, 1.0 / 255.0
 MIN_TRANSMITTANCE = 1e-4
 TILE_PX = 16
 CHUNK = 256  # splats that a tile takes at once: 16 x 16 x 256 numbers stay in the processor's cache
+REMEMBERED = 50_000  # splats in tiles whose numbers are kept for the gradients, about 10 kB each
 
 
 class GaussianTensors(NamedTuple):
@@ -376,7 +377,7 @@ def composite(splats: Splats, width: int, height: int, background: Tensor) -> tu
         ],
         dim=1,
     )
-    rows = []
+    rows, laid = [], 0
     for top in range(0, height, TILE_PX):
         v = torch.arange(top, min(top + TILE_PX, height), dtype=columns.dtype) + 0.5
         in_row = ((high[:, 1] > v[0]) & (low[:, 1] < v[-1])).nonzero()[:, 0]
@@ -385,7 +386,9 @@ def composite(splats: Splats, width: int, height: int, background: Tensor) -> tu
         for left in range(0, width, TILE_PX):
             u = torch.arange(left, min(left + TILE_PX, width), dtype=columns.dtype) + 0.5
             in_tile = ((row_high > u[0]) & (row_low < u[-1])).nonzero()[:, 0]
-            tiles.append(_blend(row.index_select(0, in_tile), u, v))
+            laid += len(in_tile)
+            tile = row.index_select(0, in_tile)
+            tiles.append(blend(tile, u, v) if laid <= REMEMBERED else _blend_frugally(tile, u, v))
         rows.append(torch.cat(tiles, dim=1))
     sums = torch.cat(rows, dim=0)
     alpha = sums[:, :, 4]
@@ -393,10 +396,8 @@ def composite(splats: Splats, width: int, height: int, background: Tensor) -> tu
     return rgb, alpha, sums[:, :, 3] / alpha.clamp(min=1e-10)
 
 
-def _blend(columns: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """`blend`, which for gradients keeps no tile's numbers but works them out again on the way back."""
-    if not columns.requires_grad:
-        return blend(columns, u, v)
+def _blend_frugally(columns: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """`blend`, whose numbers are not kept for the gradients but worked out again on the way back."""
     return checkpoint(blend, columns, u, v, use_reentrant=False, preserve_rng_state=False)
 
 
