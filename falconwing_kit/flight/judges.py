@@ -1,0 +1,267 @@
+"""Judges: the truth of a simulated flight -> did it do what it should, and how well, by the paper's measures.
+
+A judge looks at what the pilot does not see.
+
+SR   share of trials that succeed: touchdown on the pad; or the leader locked in all frames and nothing touched
+ALD  |lateral offset| from the pad's centre line at the first wheel contact, of landed trials only
+ATE  mean over the frames until the lock is lost of |D(t) - D(0)|, D = leader minus follower in the leader path's frame;
+     ATE_d the same of the distance between the two, which has no direction
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falconwing_kit.aircraft.airframe import Airframe
+from falconwing_kit.control.leader import LeaderPath
+from falconwing_kit.core.checks import Array
+from falconwing_kit.core.frames import camera_pose
+from falconwing_kit.core.messages import State
+from falconwing_kit.flight.loop import PERIOD, Step
+from falconwing_kit.flight.sources import RenderedView
+from falconwing_kit.flight.world import SimulatedWorld
+from falconwing_kit.scene.camera import PinholeCamera
+
+LOCK_AREA_PX = 6  # visible pixels of the leader that a lock needs
+HIDES = 0.5  # m: what is so much nearer than the leader's nearest point is something else
+NEARBY = 3.0  # m along the path between two frames at most
+LEAD_IN = 20.0  # m by which the leader's path is led back, for who comes after
+
+
+class Judge(Protocol):
+    """Watches one flight and says how it went."""
+
+    def watch(self, step: Step) -> str:
+        """Look at the world after a step; a word where the task is over, else empty."""
+
+    def result(self) -> dict[str, Any]:
+        """Numbers of the flight; `success` says whether it did what it should."""
+
+
+class LandingJudge:
+    """Touchdown on the pad: where, how far from the centre line and how gently."""
+
+    def __init__(self, world: SimulatedWorld) -> None:
+        self.world, self._path = world, list[Array]()
+
+    def watch(self, step: Step) -> str:
+        """What was touched first, if anything."""
+        self._path.append(self.world.state.p_world)
+        return _touched(self.world)
+
+    def result(self) -> dict[str, Any]:
+        """Success, and of wheels that touched: ald_m (on the pad only), place, sink rate, bank and the like."""
+        touchdown = self.world.contact.touchdown if self.world.contact else None
+        record: dict[str, Any] = {"success": touchdown is not None and touchdown.on_pad}
+        if touchdown is not None:
+            record |= {
+                "ald_m": touchdown.absolute_lateral_deviation if touchdown.on_pad else None,
+                "lateral_offset_m": touchdown.lateral_offset,
+                "past_threshold_m": touchdown.past_threshold,
+                "sink_rate_m_s": touchdown.sink_rate,
+                "speed_m_s": touchdown.speed,
+                "bank_deg": math.degrees(touchdown.bank),
+                "pitch_deg": math.degrees(touchdown.pitch),
+                "wheel": touchdown.wheel,
+            }
+        return record | {"path_m": _rounded(self._path)}
+
+
+class FollowJudge:
+    """The lock in every frame, and the distance kept along the leader's path."""
+
+    def __init__(
+        self,
+        world: SimulatedWorld,
+        leader: LeaderPath,
+        airframe: Airframe,
+        camera: PinholeCamera,
+        view: RenderedView | None = None,
+    ) -> None:
+        self.world, self.airframe, self.camera, self.view = world, airframe, camera, view
+        self.leader, self.leader_path = leader, extended_path(leader)
+        self._t: list[float] = []
+        self._locked: list[bool] = []
+        self._leader: list[Array] = []
+        self._follower: list[Array] = []
+
+    def watch(self, step: Step) -> str:
+        """Look for the leader; what was touched first, if anything."""
+        own, leader = self.world.state, self.leader.state(self.world.t)
+        T_world_camera = camera_pose(own.pose.T_world_body, self.airframe.p_body_camera)
+        depth = None if self.view is None else self.view.depth
+        self._t.append(step.t)
+        self._locked.append(is_locked(self.camera, T_world_camera, leader, self.airframe, depth))
+        self._leader.append(leader.p_world)
+        self._follower.append(own.p_world)
+        return _touched(self.world)
+
+    def result(self) -> dict[str, Any]:
+        """Success, share of frames locked, when the lock was first lost, and the errors until then."""
+        locked = np.array(self._locked)
+        kept = len(locked) if locked.all() else int(np.argmin(locked))
+        leader, follower = np.array(self._leader), np.array(self._follower)
+        ate, ate_d = tracking_errors(leader[:kept], follower[:kept], self.leader_path)
+        return {
+            "success": bool(locked.all()) and self.world.contact is None,
+            "locked_share": float(locked.mean()),
+            "lost_at_s": None if kept == len(locked) else self._t[kept],
+            "ate_m": ate,
+            "ate_d_m": ate_d,
+            "path_m": _rounded(follower),
+            "leader_path_m": _rounded(leader),
+        }
+
+
+def is_locked(
+    camera: PinholeCamera, T_world_camera: Array, leader: State, airframe: Airframe, depth: NDArray[np.float32] | None = None
+) -> bool:
+    """Whether the camera has the leader: its centre inside the image, in front, and at least six of its pixels seen.
+
+    Args:
+        camera: the lens.
+        T_world_camera: (4, 4) its pose.
+        leader: where the leader is; its centre of gravity counts as its centre.
+        airframe: how large it is.
+        depth: (H, W) of the image with the leader in it [m]; None where nothing can hide it.
+
+    Returns:
+        True where the lock holds.
+    """
+    (uv,), (centre_depth,) = camera.project(leader.p_world[None], T_world_camera)
+    inside = centre_depth > 0.0 and 0.0 <= uv[0] < camera.width and 0.0 <= uv[1] < camera.height
+    return bool(inside) and visible_pixels(camera, T_world_camera, leader, airframe, depth) >= LOCK_AREA_PX
+
+
+def visible_pixels(
+    camera: PinholeCamera, T_world_camera: Array, leader: State, airframe: Airframe, depth: NDArray[np.float32] | None = None
+) -> int:
+    """How many pixels show the leader: centres inside the outline of nose, tail, wing tips and wheels.
+
+    Args:
+        camera: the lens.
+        T_world_camera: (4, 4) its pose.
+        leader: where the leader is.
+        airframe: how large it is.
+        depth: (H, W) of the image with the leader in it [m]; what is half a metre nearer than the leader hides it.
+
+    Returns:
+        The number; 0 where the outline is not wholly in front.
+    """
+    corners = leader.p_world + outline_body(airframe) @ leader.pose.T_world_body[:3, :3].T
+    uv, corner_depth = camera.project(corners, T_world_camera)
+    if not (corner_depth > 0.0).all():
+        return 0
+    size = np.array([camera.width, camera.height])
+    low, high = np.clip([np.floor(uv.min(axis=0)), np.ceil(uv.max(axis=0))], 0, size).astype(int)
+    centres = np.stack(np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1])), axis=-1) + 0.5
+    seen = in_hull(centres, uv)
+    if depth is not None:
+        looked_at = depth[low[1] : high[1], low[0] : high[0]]
+        seen &= (looked_at <= 0.0) | (looked_at > corner_depth.min() - HIDES)
+    return int(seen.sum())
+
+
+def outline_body(airframe: Airframe) -> Array:
+    """Nose, tail, wing tips and wheels (7, 3) in body axes [m]; the camera sits on the nose. The fin is left out."""
+    nose, tip = airframe.p_body_camera[0], airframe.span / 2.0
+    points = [(nose, 0.0, 0.0), (nose - airframe.length, 0.0, 0.0), (0.0, tip, 0.0), (0.0, -tip, 0.0)]
+    return np.concatenate([points, airframe.wheels.points_body])
+
+
+def in_hull(points: Array, corners: Array) -> NDArray[np.bool_]:
+    """Which points of the plane lie in the convex hull of some corners: in one of the triangles that they form.
+
+    Args:
+        points: (..., 2).
+        corners: (m, 2), not all on one line.
+
+    Returns:
+        (...) True inside.
+    """
+    inside = np.zeros(points.shape[:-1], bool)
+    for triangle in combinations(corners, 3):
+        sides = [_side(points, triangle[i], triangle[(i + 1) % 3]) for i in range(3)]
+        turn = _side(triangle[0], triangle[1], triangle[2])
+        if turn != 0.0:
+            inside |= np.logical_and.reduce([side * turn >= 0.0 for side in sides])
+    return inside
+
+
+def _side(points: Array, a: Array, b: Array) -> Array:
+    """Twice the signed area of the triangles (point, a, b)."""
+    to_a, to_b = a - points, b - points
+    return np.asarray(to_a[..., 0] * to_b[..., 1] - to_a[..., 1] * to_b[..., 0])
+
+
+def extended_path(leader: LeaderPath) -> Array:
+    """The leader's way as a chain of points (m, 3) [m], led back straight from where it begins, for who comes after."""
+    flown = np.array([leader.state(t).p_world for t in np.arange(0.0, leader.duration + PERIOD, PERIOD)])
+    first = leader.state(0.0)
+    back = np.arange(-LEAD_IN, 0.0, 0.25)[:, None] * first.v_world / np.linalg.norm(first.v_world)
+    return np.concatenate([first.p_world + back, flown])
+
+
+def tracking_errors(leader: Array, follower: Array, path: Array) -> tuple[float | None, float | None]:
+    """ATE and ATE_d: how far the follower left the place that it had relative to the leader.
+
+    ATE = mean |D(t) - D(0)|, D = (along, left, up) of the leader minus that of the follower, in the path's own axes
+    ATE_d = mean |d(t) - d(0)|, d = |p_leader - p_follower|
+
+    Along a straight path this is the plain difference of positions; in a turn, who keeps its distance behind on the
+    same path has no error.
+
+    Args:
+        leader: (n, 3) positions in the frames that count [m].
+        follower: (n, 3) [m].
+        path: (m, 3) the leader's way [m], longer than the distance between the two.
+
+    Returns:
+        Both [m]; None where no frame counts.
+    """
+    if len(leader) == 0:
+        return None, None
+    distance = np.linalg.norm(leader - follower, axis=1)
+    ahead = path_coordinates(leader, path)
+    behind = path_coordinates(follower, path, near=ahead[0, 0] - distance[0])
+    D = ahead - behind
+    return float(np.linalg.norm(D - D[0], axis=1).mean()), float(np.abs(distance - distance[0]).mean())
+
+
+def path_coordinates(p_world: Array, path: Array, near: float | None = None) -> Array:
+    """Where positions are relative to a path: the nearest point of the chain, sought near the last one.
+
+    Args:
+        p_world: (n, 3) one after the other [m].
+        path: (m, 3) [m].
+        near: about where along the path the first one is [m]; None looks everywhere.
+
+    Returns:
+        (n, 3): along the path from its first point, to the left of it and above it [m].
+    """
+    parts = np.diff(path, axis=0)
+    lengths = np.linalg.norm(parts, axis=1)
+    begins, tangents = np.concatenate([[0.0], np.cumsum(lengths)])[:-1], parts / lengths[:, None]
+    found = np.empty((len(p_world), 3))
+    for row, p in enumerate(np.asarray(p_world, np.float64)):
+        along = np.clip(np.einsum("ij,ij->i", p - path[:-1], tangents), 0.0, lengths)
+        off = p - path[:-1] - along[:, None] * tangents
+        far = np.zeros(len(parts)) if near is None else np.where(np.abs(begins + along - near) > NEARBY, np.inf, 0.0)
+        i = int(np.argmin(np.einsum("ij,ij->i", off, off) + far))
+        left = np.array([-tangents[i, 1], tangents[i, 0], 0.0]) / np.hypot(tangents[i, 0], tangents[i, 1])
+        near = begins[i] + along[i]
+        found[row] = near, off[i] @ left, off[i] @ np.cross(tangents[i], left)
+    return found
+
+
+def _touched(world: SimulatedWorld) -> str:
+    return f"touched {world.contact.obstacle}" if world.contact else ""
+
+
+def _rounded(path: Sequence[Array] | Array) -> list[list[float]]:
+    """A path for a record, to the millimetre."""
+    return np.round(np.asarray(path, np.float64).reshape(-1, 3), 3).tolist()

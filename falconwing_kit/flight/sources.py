@@ -1,0 +1,198 @@
+"""Sources: a simulated world or a recorded log -> images and states for the loop, and the pilot that a log holds."""
+
+import math
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.core.files import short_name
+from falconwing_kit.core.flight_log import read_flight_log
+from falconwing_kit.core.frames import camera_pose
+from falconwing_kit.core.messages import Command, Image, Observation, State
+from falconwing_kit.flight.loop import PERIOD
+from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.scene.gaussians import GaussianScene
+from falconwing_kit.scene.render import render
+
+FOCAL_WIDTHS = 0.62  # focal length of the FPV lens in image widths, as in the hall's flights: 78 deg from edge to edge
+SIZE = (320, 240)  # of the FPV image [px]
+ROUNDING = 1e-6  # s: what times may lose in a log
+
+
+class World(Protocol):
+    """What a source needs of a simulated world."""
+
+    @property
+    def state(self) -> State:
+        """The truth."""
+
+    @property
+    def leader_state(self) -> State | None:
+        """Where the leader is."""
+
+    def advance(self, t: float) -> None:
+        """Fly on to time t [s]; nothing where it is there already."""
+
+    def measured(self) -> State:
+        """What an estimator would say."""
+
+
+def fpv_camera(width: int = SIZE[0], height: int = SIZE[1]) -> PinholeCamera:
+    """The lens on the aircraft's nose, looking along it.
+
+    Args:
+        width: of the image [px].
+        height: of the image [px].
+
+    Returns:
+        A camera with square pixels and its principal point in the middle; the lens stays the same in every size.
+
+    Raises:
+        InputError: a side is not 1 to 16384.
+    """
+    return PinholeCamera.from_fov_deg(width, height, math.degrees(2.0 * math.atan(0.5 / FOCAL_WIDTHS)))
+
+
+class MeasuredStates:
+    """The states of a simulated world as an estimator would measure them."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+
+    def state(self, t: float) -> State | None:
+        """The measured state at time t [s]; the world is flown there first."""
+        self.world.advance(t)
+        return self.world.measured()
+
+
+class RenderedView:
+    """SIMULATED images from the aircraft's nose: a Gaussian scene, seen from where the world's aircraft really is.
+
+    Args:
+        world: the simulated world.
+        scene: the hall; Gaussians labelled "leader" are placed where the leader is, or left out where there is none.
+        camera: the lens, `fpv_camera()` for the aircraft's.
+        p_body_camera: (3,) where it sits on the aircraft, in body axes [m].
+        backend: of `render`.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        scene: GaussianScene,
+        camera: PinholeCamera,
+        p_body_camera: ArrayLike = (0.0, 0.0, 0.0),
+        backend: str = "fast",
+    ) -> None:
+        self.world, self.camera, self.backend = world, camera, backend
+        self.p_body_camera = np.asarray(p_body_camera, np.float64)
+        self.depth: NDArray[np.float32] | None = None  # (H, W) of the newest image [m], for judging what hides the leader
+        self._scene, self._sequence = scene, 0
+        self.look()  # the first image compiles and caches; it must not cost the first step
+
+    def next(self, t: float) -> Image:
+        """The view at time t [s]; the world is flown there first."""
+        self.world.advance(t)
+        self._sequence += 1
+        return Image(self._sequence - 1, t, self.look())
+
+    def look(self) -> NDArray[np.uint8]:
+        """The view at this moment.
+
+        Returns:
+            (H, W, 3) uint8 RGB.
+        """
+        from falconwing_kit.scene.arena import leader_at
+
+        leader = self.world.leader_state
+        scene = leader_at(self._scene, None if leader is None else leader.pose.T_world_body)
+        T_world_camera = camera_pose(self.world.state.pose.T_world_body, self.p_body_camera)
+        frame = render(scene, self.camera, T_world_camera, backend=self.backend)
+        self.depth = frame.depth
+        return np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
+
+
+class RecordedImages:
+    """The images of a flight log at the times they were taken, read one by one."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Open a log; FileNotFoundError or InputError where there is none or it is damaged at its beginning."""
+        self._images = read_flight_log(path).images()
+        self._newest: Image | None = None
+        self._ahead = next(self._images, None)
+
+    def next(self, t: float) -> Image | None:
+        """The newest image at time t [s], its pixels (H, W, 3) RGB; None before the first. Time runs forward only."""
+        while self._ahead is not None and self._ahead.t <= t + ROUNDING:
+            self._newest, self._ahead = self._ahead, next(self._images, None)
+        if self._newest is not None and self._newest.pixels.ndim == 1:
+            self._newest = Image(self._newest.sequence, self._newest.t, decode_jpeg(self._newest))
+        return self._newest
+
+
+class RecordedStates:
+    """The states of a flight log at the times they are valid for."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Read a log; FileNotFoundError or InputError where there is none."""
+        log = read_flight_log(path)
+        self._times, self._states = log.state_times, log.states
+
+    def state(self, t: float) -> State | None:
+        """The newest state at time t [s]; None before the first."""
+        row = _newest_row(self._times, t)
+        return self._states[row] if row >= 0 else None
+
+
+class RecordedPilot:
+    """The pilot of a flight log: gives its commands at the times they were given. What was simulated stays so."""
+
+    mode = "replay"
+
+    def __init__(self, path: str | Path) -> None:
+        """Read a log; FileNotFoundError where there is none, InputError where it holds no commands."""
+        log = read_flight_log(path)
+        if not log.commands:
+            raise InputError(f"{short_name(path)}: want a log with commands to replay, got none")
+        self._times, self._commands = log.command_times, log.commands
+
+    @property
+    def duration(self) -> float:
+        """Time of the last command [s]."""
+        return float(self._times[-1])
+
+    def act(self, observation: Observation) -> Command:
+        """The command of this step, which was logged a little later when its pilot took time; else the newest."""
+        return self._commands[max(_newest_row(self._times, observation.t + 0.5 * PERIOD), 0)]
+
+
+def decode_jpeg(image: Image) -> NDArray[np.uint8]:
+    """The pixels of an image that holds its JPEG.
+
+    Args:
+        image: with pixels (n,) of JPEG bytes, or already (H, W, 3).
+
+    Returns:
+        (H, W, 3) uint8 RGB.
+
+    Raises:
+        InputError: the bytes are no image.
+    """
+    if image.pixels.ndim == 3:
+        return image.pixels
+    import cv2
+
+    pixels = cv2.imdecode(image.pixels, cv2.IMREAD_COLOR)
+    if pixels is None:
+        raise InputError(
+            f"image {image.sequence}: want a JPEG, got {image.pixels.size} other bytes; the log is damaged"
+        )
+    return np.ascontiguousarray(pixels[..., ::-1])
+
+
+def _newest_row(times: Array, t: float) -> int:
+    """The row of the newest of increasing times that is not after t, -1 where there is none."""
+    return int(np.searchsorted(times, t + ROUNDING, side="right")) - 1

@@ -1,0 +1,273 @@
+"""Trials: a task and a pilot -> many simulated flights from frozen starts, their record, and rates with intervals.
+
+A folder keeps the flights one by one in `trials.jsonl`, so that an interrupted study goes on where it stopped.
+"""
+
+import json
+import math
+import os
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from falconwing_kit.core.checks import InputError, require_range
+from falconwing_kit.core.files import atomic_write, short_name
+from falconwing_kit.core.flight_log import FlightLogWriter
+from falconwing_kit.flight.loop import Clock, Loop, Pilot, SimulatedClock, Step
+from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
+from falconwing_kit.flight.statistics import bootstrap_mean, clopper_pearson, mcnemar
+from falconwing_kit.flight.tasks import Task, Trial, trial_seed
+from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.scene.gaussians import GaussianScene
+
+Record = dict[str, Any]
+TRIALS = "trials.jsonl"
+# What is averaged over trials, for those records that have it: key -> over successes only.
+MEANS = {
+    "ald_m": True,
+    "sink_rate_m_s": True,
+    "bank_abs_deg": True,
+    "past_threshold_m": True,
+    "ate_m": False,
+    "ate_d_m": False,
+    "locked_share": False,
+}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How trials are flown, apart from task, pilot and seed."""
+
+    scene: GaussianScene | None = None  # rendered for the pilot; None gives it no images
+    camera: PinholeCamera = field(default_factory=fpv_camera)
+    clock: Callable[[], Clock] = SimulatedClock  # a new one for every flight
+    hooks: Sequence[Callable[[Step], None]] = ()
+
+    @property
+    def record(self) -> Record:
+        """What has to be the same for flights to be comparable."""
+        size = [self.camera.width, self.camera.height]
+        return {"rendered": self.scene is not None, "size_px": size, "focal_px": self.camera.fx}
+
+
+def fly_trial(
+    task: Task,
+    make_pilot: Callable[[Trial], Pilot],
+    number: int,
+    seed: int = 0,
+    setting: Setting | None = None,
+    log: str | Path | None = None,
+) -> Record:
+    """Fly one trial.
+
+    Args:
+        task: what is to be done.
+        make_pilot: a new pilot for a trial.
+        number: of the trial in the frozen list, from 0.
+        seed: which list.
+        setting: images, clock and hooks; None flies without images, as fast as it can.
+        log: an MCAP file to write; None for none.
+
+    Returns:
+        Numbers and the path: of the loop (reason, steps, skipped, faults, art_median_ms, art_p95_ms) and of the judge.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C; the log is whole, and the trial does not count.
+        InputError: a number is out of its range, or the log cannot be written.
+    """
+    setting = setting or Setting()
+    trial = task.trial(trial_seed(number, seed))
+    view = None
+    if setting.scene is not None:
+        view = RenderedView(trial.world, setting.scene, setting.camera, task.airframe.p_body_camera)
+    judge = task.judge(trial, setting.camera, view)
+    pilot = make_pilot(trial)
+    with ExitStack() as stack:
+        writer = stack.enter_context(FlightLogWriter(log)) if log is not None else None
+        states, hooks = MeasuredStates(trial.world), setting.hooks
+        loop = Loop(pilot, trial.world, view, states, trial.leader, setting.clock(), writer, hooks)
+        if writer is not None:
+            writer.event(0.0, "simulation", {"task": task.name, "seed": trial.seed, **setting.record})
+        flight = loop.run(trial.duration, judge.watch)
+    if flight.reason == "interrupted":
+        raise KeyboardInterrupt
+    median, high = flight.milliseconds("pilot")
+    how = {"reason": flight.reason, "steps": len(flight.t), "skipped": flight.skipped, "faults": flight.faults}
+    first_fault = next((dict(event.details) for event in flight.events if event.name == "pilot failed"), None)
+    how |= {"first_fault": first_fault} if first_fault else {}
+    return {"trial": number, "seed": trial.seed, **how, "art_median_ms": median, "art_p95_ms": high, **judge.result()}
+
+
+def fly_trials(
+    task: Task,
+    make_pilot: Callable[[Trial], Pilot],
+    count: int,
+    *,
+    pilot: str,
+    seed: int = 0,
+    setting: Setting | None = None,
+    out: str | Path | None = None,
+    logs: bool = False,
+    progress: Callable[[str], None] = lambda text: None,
+) -> list[Record]:
+    """Fly trials 0 to count - 1 of the frozen list, or those of them that a folder does not hold yet.
+
+    Args:
+        task: what is to be done.
+        make_pilot: a new pilot for each trial.
+        count: how many.
+        pilot: what the pilot is called.
+        seed: which list of starts and noise; the same list for every pilot makes pairs.
+        setting: images, clock and hooks.
+        out: folder that keeps the flights; made where it is missing. None keeps nothing.
+        logs: write a flight log of each trial too, into `out`.
+        progress: told after each flight how it stands.
+
+    Returns:
+        A record of each trial, as `fly_trial` makes them.
+
+    Raises:
+        InputError: the folder holds trials that were flown otherwise, or an argument is out of its range.
+        KeyboardInterrupt: Ctrl-C; finished flights are kept.
+    """
+    setting = setting or Setting()
+    require_range("trials", count, low=1, high=10_000)
+    head = {"simulated": True, "task": task.name, "pilot": pilot, "list": seed, **setting.record}
+    folder = None if out is None else Path(out)
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    records = [] if folder is None else _flown_before(folder, head)
+    for number in range(len(records), count):
+        log = _log_path(folder, number) if folder is not None and logs else None
+        records.append(fly_trial(task, make_pilot, number, seed, setting, log))
+        if folder is not None:
+            _keep(folder, head, records)
+        progress(f"{sum(record['success'] for record in records)} of {len(records)}")
+    return records[:count]
+
+
+def read_trials(folder: str | Path) -> tuple[Record, list[Record]]:
+    """What a folder keeps: how its trials were flown, and their records.
+
+    Raises:
+        FileNotFoundError: there are no trials.
+        InputError: the file is damaged.
+    """
+    path = Path(folder) / TRIALS
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: want trials that `falconwing fly --out` wrote, found none there")
+    try:
+        head, *records = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
+        numbers = [record["trial"] for record in records]
+        fair = isinstance(head, dict) and all(isinstance(record["success"], bool) for record in records)
+    except (ValueError, TypeError, KeyError):
+        fair, numbers = False, []
+    if not fair or numbers != list(range(len(numbers))):
+        raise InputError(
+            f"{short_name(path)}: want a head and then trials from 0 on, got other lines; choose a new folder"
+        )
+    return head, records
+
+
+def summary(records: Sequence[Mapping[str, Any]]) -> Record:
+    """Rates and means over trials, with 95 % intervals.
+
+    Args:
+        records: of `fly_trials`, at least one.
+
+    Returns:
+        trials, successes, success_rate with success_low95 and success_high95 (exact), and for every measure its mean
+        with low95 and high95 (bootstrap), median and largest: ALD, sink rate and bank of successes, ATE of all trials
+        until the lock was lost and once more of successes. ART: medians over trials of their median and 95th
+        percentile, with the machine it was measured on.
+
+    Raises:
+        InputError: there are no records.
+    """
+    successes = [record for record in records if record["success"]]
+    low, high = clopper_pearson(len(successes), len(records))
+    found: Record = {"trials": len(records), "successes": len(successes), "success_rate": len(successes) / len(records)}
+    found |= {"success_low95": low, "success_high95": high}
+    for key, of_successes in MEANS.items():
+        if any(_value(record, key) is not None for record in records):
+            found[key] = _mean(successes if of_successes else records, key)
+    if "ate_m" in found:
+        found["ate_m_of_successes"] = _mean(successes, "ate_m")
+    found["faults"] = sum(record["faults"] for record in records)
+    for key in ("art_median_ms", "art_p95_ms"):
+        found[key] = float(np.median([record[key] for record in records]))
+    return found | {"machine": machine()}
+
+
+def compare_pilots(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]) -> Record:
+    """Two pilots on the same starts: trials that only one of them won, and McNemar's p-value.
+
+    Args:
+        first: records of one pilot.
+        second: records of the other; only trials with the same seeds count.
+
+    Returns:
+        pairs, only_first, only_second, p_value.
+
+    Raises:
+        InputError: they have no seed in common.
+    """
+    other = {record["seed"]: record for record in second}
+    pairs = [(bool(a["success"]), bool(other[a["seed"]]["success"])) for a in first if a["seed"] in other]
+    if not pairs:
+        raise InputError("pairs: want trials of both pilots from the same starts, got none; use the same --seed")
+    wins = {"only_first": sum(a and not b for a, b in pairs), "only_second": sum(b and not a for a, b in pairs)}
+    return {"pairs": len(pairs), **wins, "p_value": mcnemar([a for a, _ in pairs], [b for _, b in pairs])}
+
+
+def machine() -> str:
+    """What run times were measured on."""
+    threads = os.environ.get("OMP_NUM_THREADS", "all")
+    return f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, OMP_NUM_THREADS {threads}"
+
+
+def _value(record: Mapping[str, Any], key: str) -> float | None:
+    """A number of a record; the bank without its side."""
+    if key == "bank_abs_deg":
+        return abs(record["bank_deg"]) if "bank_deg" in record else None
+    return record.get(key)
+
+
+def _mean(records: Sequence[Mapping[str, Any]], key: str) -> Record:
+    values = [value for value in (_value(record, key) for record in records) if value is not None]
+    low, high = bootstrap_mean(values)
+    if not values:
+        return {"mean": math.nan, "low95": low, "high95": high, "median": math.nan, "largest": math.nan, "of": 0}
+    middle = {"median": float(np.median(values)), "largest": float(np.max(values)), "of": len(values)}
+    return {"mean": float(np.mean(values)), "low95": low, "high95": high, **middle}
+
+
+def _flown_before(folder: Path, head: Record) -> list[Record]:
+    """Trials that a folder keeps, if they were flown in the same way."""
+    if not (folder / TRIALS).exists():
+        return []
+    before, records = read_trials(folder)
+    for key, value in head.items():
+        if before.get(key) != value:
+            raise InputError(
+                f"--out {folder}: want an empty folder or one of the same study, got trials with"
+                f" {key} {before.get(key)!r} instead of {value!r}; choose another folder"
+            )
+    return records
+
+
+def _keep(folder: Path, head: Record, records: Sequence[Record]) -> None:
+    """All lines anew after every flight: a few hundred short ones, and never a line cut in half."""
+    with atomic_write(folder / TRIALS, text=True) as file:
+        file.writelines(json.dumps(line, allow_nan=False) + "\n" for line in (head, *records))
+
+
+def _log_path(folder: Path, number: int) -> Path:
+    """A name that is free: the log of an interrupted flight stays."""
+    names = (f"trial_{number:03d}{'' if take == 1 else f'_take{take}'}.mcap" for take in range(1, 1000))
+    return next(folder / name for name in names if not (folder / name).exists())
