@@ -1,0 +1,305 @@
+"""The demo's approach: a landing flown by the loop in the simulated hall -> its log, and figures of any flight's log."""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falconwing_kit.aircraft.touchdown import LandingPad
+from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.core.files import atomic_write, short_name
+from falconwing_kit.core.flight_log import FlightLog, FlightLogWriter, read_flight_log, to_flight_table
+from falconwing_kit.core.flight_table import FlightTable
+from falconwing_kit.core.page import Picture, paragraph, picture
+from falconwing_kit.flight.loop import Clock, Flight, Loop, SimulatedClock, Step
+from falconwing_kit.flight.sources import MeasuredStates, RenderedView, decode_jpeg, fpv_camera
+from falconwing_kit.flight.tasks import LandingTask, trial_seed
+from falconwing_kit.gap.plots import ACCENT, PREDICTED, QUIET, figure
+from falconwing_kit.scene.gaussians import GaussianScene
+
+FIGURES = ("flight_fpv.png", "flight_path.png", "flight_sticks.png", "flight_film.png")
+PAD_BLUE = "#3d6fd6"
+STRIP = 6  # images in the strip
+FILM_HZ, FILM_COLOURS, FILM_HEIGHT = 10.0, 128, 90  # an animation of a few MB; the height is that of its side view [px]
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """A landing in the simulated hall."""
+
+    log: Path
+    flight: Flight  # how the loop went
+    result: dict[str, Any]  # the judge's: success, ald_m, sink_rate_m_s, ...
+
+
+def fly_approach(
+    scene: GaussianScene, log: Path, hooks: Sequence[Callable[[Step], None]] = (), clock: Clock | None = None, seed: int = 0
+) -> Approach:
+    """Let the expert land by state, with the view from the nose rendered and everything logged.
+
+    Args:
+        scene: the hall.
+        log: the MCAP file to write; an older one is replaced once the flight is over.
+        hooks: shown every step.
+        clock: None for simulated time, as fast as it can.
+        seed: which of the frozen starts, about 20 m out and 1.5 m up.
+
+    Returns:
+        How it went.
+
+    Raises:
+        InputError: the log cannot be written.
+        FileNotFoundError: its folder does not exist.
+    """
+    task = LandingTask()
+    trial, camera = task.trial(trial_seed(0, seed)), fpv_camera()
+    view = RenderedView(trial.world, scene, camera, task.airframe.p_body_camera)
+    judge = task.judge(trial, camera, view)
+    growing = log.with_name(f".{log.name}.part")
+    growing.unlink(missing_ok=True)
+    with FlightLogWriter(growing) as writer:
+        writer.metadata({"simulated": "yes", "task": task.name, "pilot": "expert, by state", "seed": trial.seed})
+        loop = Loop(
+            task.expert(trial), trial.world, view, MeasuredStates(trial.world), clock=clock or SimulatedClock(),
+            log=writer, hooks=(_note_mode(writer), *hooks),
+        )  # fmt: skip
+        flight = loop.run(trial.duration, judge.watch)
+    os.replace(growing, log)
+    return Approach(log, flight, judge.result())
+
+
+def _note_mode(writer: FlightLogWriter) -> Callable[[Step], None]:
+    """A hook that logs an event where the pilot's mode changes."""
+    modes = [""]
+
+    def note_mode(step: Step) -> None:
+        if step.mode != modes[-1]:
+            modes.append(step.mode)
+            writer.event(step.t, "mode", {"mode": step.mode})
+
+    return note_mode
+
+
+def mode_at(log: FlightLog, t: float) -> str:
+    """The pilot's mode at a time [s], as its log tells; empty where it does not."""
+    return next((str(word) for begin, word in reversed(_modes(log)) if begin <= t + 1e-6), "")
+
+
+def _modes(log: FlightLog) -> list[tuple[float, Any]]:
+    return [(event.t, event.details.get("mode", "")) for event in log.events if event.name == "mode"]
+
+
+def is_simulated(log: FlightLog) -> bool:
+    """Whether a log says of itself that it was simulated."""
+    return log.metadata.get("simulated") == "yes"
+
+
+def draw_flight(path: Path, folder: Path) -> tuple[Path, ...]:
+    """Write the figures of a flight from its log.
+
+    Args:
+        path: the log (MCAP), with poses.
+        folder: where the figures go; it must exist.
+
+    Returns:
+        flight_path.png and flight_sticks.png, and where there are images flight_fpv.png and flight_film.png too.
+
+    Raises:
+        FileNotFoundError: there is no log.
+        InputError: the log cannot be read, or has no poses to draw.
+    """
+    log = read_flight_log(path)
+    table = to_flight_table(log)
+    if table.has_pose.sum() < 2:
+        raise InputError(f"{short_name(path)}: want a log with at least two poses to draw, got {table.has_pose.sum()}")
+    what = "SIMULATION" if is_simulated(log) else "FLIGHT"
+    fpv, along, sticks, film = (folder / name for name in FIGURES)
+    draw_path(table, along, what)
+    draw_sticks(table, _modes(log), sticks, what)
+    if not len(log.image_times):
+        return along, sticks
+    draw_strip(log, table, fpv, what)
+    draw_film(log, table, film, what)
+    return fpv, along, sticks, film
+
+
+def draw_strip(log: FlightLog, table: FlightTable, path: Path, what: str) -> None:
+    """What the camera saw at a few places, evenly along the way.
+
+    Args:
+        log: the flight.
+        table: the same as a table.
+        path: the PNG to write.
+        what: SIMULATION or FLIGHT.
+    """
+    rows = np.flatnonzero(table.has_pose)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(table.p_world[rows], axis=0), axis=1))])
+    chosen = [rows[np.argmin(np.abs(way - part * way[-1]))] for part in np.linspace(0.0, 1.0, STRIP)]
+    seen = _images_at(log, table.t[chosen])
+    with figure(path, 2, STRIP // 2, (11.0, 6.0)) as axes:
+        for ax, row in zip(axes.flat, chosen, strict=True):
+            x, _, height = table.p_world[row]
+            if float(table.t[row]) in seen:
+                ax.imshow(seen[float(table.t[row])])
+            ax.set_title(f"{table.t[row]:.1f} s: x {x:.1f} m, height {height:.2f} m")
+            ax.set_axis_off()
+        axes[0, 0].figure.suptitle(f"{what}: the view from the nose", x=0.01, ha="left", fontweight="bold")
+
+
+def draw_path(table: FlightTable, path: Path, what: str) -> None:
+    """The path from above and from the side, with the pad.
+
+    Args:
+        table: the flight.
+        path: the PNG to write.
+        what: SIMULATION or FLIGHT.
+    """
+    from matplotlib.patches import Rectangle
+
+    pad = LandingPad()
+    x, y, z = table.p_world[table.has_pose].T
+    with figure(path, 2, 1, (11.0, 4.8), sharex=True, height_ratios=[1.0, 1.0]) as axes:
+        above, aside = axes[:, 0]
+        low = pad.y_centre - pad.width / 2.0
+        above.add_patch(Rectangle((pad.x_start, low), pad.length, pad.width, color=PAD_BLUE, alpha=0.55, lw=0))
+        aside.add_patch(Rectangle((pad.x_start, 0.0), pad.length, pad.height, color=PAD_BLUE, alpha=0.8, lw=0))
+        above.axhline(pad.y_centre, color=QUIET, lw=0.8, ls=":")
+        for ax, across, label in ((above, y, "y, to the left [m]"), (aside, z, "height [m]")):
+            ax.plot(x, across, color=ACCENT, lw=2.0)
+            ax.plot(x[[0]], across[[0]], "o", color=ACCENT, ms=5)
+            ax.plot(x[[-1]], across[[-1]], "s", color=ACCENT, ms=5)
+            ax.set_ylabel(label)
+        above.set_ylim(min(y.min(), low) - 0.8, max(y.max(), low + pad.width) + 0.8)
+        aside.set_ylim(0.0, 1.15 * max(float(z.max()), 0.5))
+        above.set_title(f"{what}: path from above and from the side; dot: start, square: end, blue: the pad")
+        aside.set_xlabel("x, along the runway [m]")
+
+
+def draw_sticks(table: FlightTable, modes: Sequence[tuple[float, Any]], path: Path, what: str) -> None:
+    """Sticks, height and speed over time, with the pilot's modes.
+
+    Args:
+        table: the flight.
+        modes: when each began [s], and its name.
+        path: the PNG to write.
+        what: SIMULATION or FLIGHT.
+    """
+    with figure(path, 3, 1, (11.0, 6.2), sharex=True, height_ratios=[1.5, 1.0, 1.0]) as axes:
+        sticks, height, speed = axes[:, 0]
+        looks = (("throttle", QUIET, "-"), ("aileron", PREDICTED, "-"), ("elevator", ACCENT, "-"), ("rudder", PREDICTED, ":"))
+        for values, (name, colour, line) in zip(table.commands.T, looks, strict=True):
+            sticks.step(table.t, values, where="post", color=colour, ls=line, lw=1.6, label=name)
+        sticks.set_ylim(-1.05, 1.05)
+        sticks.set_ylabel("sticks [-]")
+        sticks.legend(loc="upper right", ncols=4)
+        sticks.set_title(f"{what}: sticks, height and speed")
+        height.plot(table.t, table.p_world[:, 2], color=PREDICTED, lw=1.8)
+        speed.plot(table.t, speeds(table), color=ACCENT, lw=1.8)
+        for ax, label in ((height, "height [m]"), (speed, "speed [m/s]")):
+            ax.set_ylim(bottom=0.0)
+            ax.set_ylabel(label)
+        for begin, word in modes:
+            for ax in axes[:, 0]:
+                ax.axvline(begin, color=QUIET, lw=0.8, ls="--")
+            sticks.annotate(str(word), (begin, -1.0), (4, 2), textcoords="offset points", fontsize=9, color=QUIET)
+        speed.set_xlabel("time [s]")
+
+
+def speeds(table: FlightTable) -> Array:
+    """Speed over ground (N,) [m/s], from logged velocities or else from positions."""
+    if all(name in table.extra for name in ("vx", "vy", "vz")):
+        return np.asarray(np.sqrt(sum(table.extra[name] ** 2 for name in ("vx", "vy", "vz"))))
+    return np.asarray(np.linalg.norm(np.gradient(table.p_world, table.t, axis=0), axis=1))
+
+
+def draw_film(log: FlightLog, table: FlightTable, path: Path, what: str) -> None:
+    """A short film: the view from the nose, and below it the aircraft seen from the side.
+
+    Args:
+        log: the flight.
+        table: the same as a table.
+        path: the animated PNG to write; one palette for all of its images keeps it small.
+        what: SIMULATION or FLIGHT.
+    """
+    from PIL import Image as Drawing
+
+    rows = np.flatnonzero(table.has_pose)
+    wanted = np.arange(table.t[rows[0]], table.t[rows[-1]] + 1e-6, 1.0 / FILM_HZ)
+    rows = np.unique(rows[np.searchsorted(table.t[rows], wanted - 1e-6).clip(max=len(rows) - 1)])
+    seen = _images_at(log, table.t[rows])
+    frames = [_film_frame(seen[float(table.t[r])], table, r, what) for r in rows if float(table.t[r]) in seen]
+    samples = np.concatenate([np.asarray(frame)[::4, ::4] for frame in frames[:: max(1, len(frames) // 8)]])
+    palette = Drawing.fromarray(samples).quantize(FILM_COLOURS)
+    first, *others = [frame.quantize(palette=palette, dither=Drawing.Dither.NONE) for frame in frames]
+    with atomic_write(path) as handle:
+        first.save(handle, "PNG", save_all=True, append_images=others, duration=1e3 / FILM_HZ, loop=0, optimize=True)
+
+
+def _film_frame(pixels: NDArray[np.uint8], table: FlightTable, row: int, what: str) -> Any:
+    """One image of the film."""
+    from PIL import Image as Drawing
+    from PIL import ImageDraw
+
+    high, wide = pixels.shape[:2]
+    sheet = Drawing.new("RGB", (wide, high + FILM_HEIGHT), "white")
+    sheet.paste(Drawing.fromarray(pixels), (0, 0))
+    pen, pad = ImageDraw.Draw(sheet), LandingPad()
+    flown = table.p_world[table.has_pose]
+    low, top = flown[:, 0].min() - 1.0, max(float(flown[:, 2].max()), 1.0)
+    right = max(float(flown[:, 0].max()) + 1.0, pad.x_start + pad.length if low < pad.x_start else -np.inf)
+
+    def place(x: float, z: float) -> tuple[float, float]:
+        return (x - low) / (right - low) * wide, high + FILM_HEIGHT - 8 - z / top * (FILM_HEIGHT - 34)
+
+    pen.rectangle((*place(pad.x_start, pad.height), *place(pad.x_start + pad.length, 0.0)), fill=PAD_BLUE)
+    pen.line((0, place(0.0, 0.0)[1], wide, place(0.0, 0.0)[1]), fill=QUIET)
+    so_far = table.p_world[: row + 1][table.has_pose[: row + 1]]
+    pen.line([place(x, z) for x, _, z in so_far], fill=ACCENT, width=2)
+    x, y = place(so_far[-1, 0], so_far[-1, 2])
+    pen.ellipse((x - 4, y - 4, x + 4, y + 4), fill=ACCENT)
+    pen.text((8, high + 4), f"{what}   {table.t[row]:.1f} s   height {so_far[-1, 2]:.2f} m", fill="black")
+    return sheet
+
+
+def _images_at(log: FlightLog, times: Array) -> dict[float, NDArray[np.uint8]]:
+    """The images taken at some times of a table, read one by one: a log may hold more than memory does."""
+    wanted = {float(t) for t in times}
+    return {image.t: decode_jpeg(image) for image in log.images() if image.t in wanted}
+
+
+def approach_part(approach: Approach, folder: Path) -> list[str]:
+    """The approach on the demo's page.
+
+    Args:
+        approach: the landing.
+        folder: where `draw_flight` left its figures.
+
+    Returns:
+        HTML in reading order.
+    """
+    result, flight = approach.result, approach.flight
+    fpv, along, sticks, film = (folder / name for name in FIGURES)
+    if result["success"]:
+        end = (
+            f"It touched down on the pad {100.0 * result['ald_m']:.0f} cm beside its centre line, sinking "
+            f"{result['sink_rate_m_s']:.2f} m/s at {result['speed_m_s']:.1f} m/s"
+        )
+    else:
+        end = f"<strong>It did not land on the pad</strong> ({flight.reason})"
+    return [
+        '<h2><span class="tag simulated">simulated</span>An approach in the splat hall</h2>',
+        paragraph(
+            "SIMULATION: aircraft, hall and images are computed. The kit's own loop flew, 20 times a second: the view "
+            "from the nose rendered from Gaussian splats, a noisy pose, an expert that lands by that pose, a link with "
+            f"delay, and a log. {end}, after {flight.t[-1]:.1f} s."
+        ),
+        picture(Picture(film, "The whole approach.", "Film of the view from the nose with the path from the side.")),
+        picture(Picture(fpv, "What a vision policy will have to land by.", "Six views of the hall and its blue pad.")),
+        picture(Picture(along, "Poses as the expert knew them, with their noise.", "Path from above and from aside.")),
+        picture(Picture(sticks, "Dashed: a new mode of the expert.", "Sticks, height and speed over time.")),
+        paragraph(f"Fly it again: <code>falconwing replay {approach.log.name}</code>"),
+    ]

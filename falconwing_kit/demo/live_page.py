@@ -1,0 +1,369 @@
+"""Live page: a scene and the steps of a flight -> a browser page with FPV view, hall, sticks and plots.
+
+The page is served by viser to this machine only and asks nothing of any other. The flight never waits for it: `show`
+keeps the newest step and returns, and a thread of its own draws, so a slow browser sees fewer steps, not a slow flight.
+"""
+
+import html
+import io
+import math
+import threading
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falconwing_kit.core.checks import Array, require_range
+from falconwing_kit.core.frames import pose_matrix
+from falconwing_kit.core.messages import Command, State
+from falconwing_kit.flight.loop import Step
+from falconwing_kit.flight.sources import decode_jpeg
+from falconwing_kit.scene.arena import leader_at
+from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.scene.gaussians import GaussianScene
+from falconwing_kit.scene.render import render
+
+HOST = "127.0.0.1"
+PERIOD_S, PLOT_EVERY = 0.05, 4  # the loop has news every 50 ms; plots are drawn at every fourth
+PANEL_PX = 420
+WINDOW_S = 30.0  # what the plots look back
+BLUE, RUST, QUIET, LINE = "#0b5394", "#c1440e", "#666", "#ddd"  # as on the kit's other pages
+CHASE_FROM, CHASE_TO = np.array([-3.2, -2.3, 1.0]), np.array([0.6, 0.0, 0.05])  # camera and what it looks at [m]
+FAR_M = 400.0  # from this far away a camera sees a side of the hall as good as straight on
+THICK_M = 0.6  # what stands out from a side less than this belongs to its picture
+FACE_PX = 2000  # along the longer edge of a side
+
+PATH_RGB, PATH_PIECES = (193, 68, 14), 400
+WHITE, RED, NAVY, DARK = (238, 238, 234), (205, 55, 50), (48, 76, 160), (50, 50, 52)
+# The aircraft as boxes in body axes: colour, size and centre [m]; 0.70 m of span and 0.52 m long, as the real one.
+AIRCRAFT: tuple[tuple[tuple[int, int, int], Sequence[float], Sequence[float]], ...] = (
+    (WHITE, (0.240, 0.065, 0.075), (0.030, 0.0, 0.0)),  # fuselage
+    (WHITE, (0.220, 0.035, 0.040), (-0.180, 0.0, -0.010)),
+    (RED, (0.055, 0.060, 0.065), (0.175, 0.0, 0.0)),  # nose
+    (WHITE, (0.115, 0.700, 0.014), (0.030, 0.0, -0.045)),  # wing and its stripes
+    *((RED, (0.117, 0.090, 0.016), (0.030, y, -0.045)) for y in (-0.27, 0.27)),
+    *((NAVY, (0.117, 0.050, 0.016), (0.030, y, -0.045)) for y in (-0.15, 0.15)),
+    (WHITE, (0.075, 0.220, 0.010), (-0.270, 0.0, -0.020)),  # tail
+    (NAVY, (0.080, 0.012, 0.100), (-0.275, 0.0, -0.070)),
+    (DARK, (0.006, 0.012, 0.190), (0.206, 0.0, 0.0)),  # propeller
+    *((DARK, (0.050, 0.016, 0.050), (0.050, y, 0.085)) for y in (-0.08, 0.08)),  # wheels
+    (DARK, (0.014, 0.160, 0.010), (0.050, 0.0, 0.060)),
+)
+
+
+class LivePage:
+    """A page that shows a flight while it is flown: `show(step)`, and `close()` at the end.
+
+    Args:
+        scene: the hall.
+        port: where to serve; where it is taken, the next free one, with a warning.
+        banner: what is flown, on top of the page: a simulation is called one.
+
+    Raises:
+        InputError: the port is not in 1024..65000.
+    """
+
+    def __init__(self, scene: GaussianScene, port: int = 8080, banner: str = "SIMULATION") -> None:
+        wanted = int(require_range("port", port, low=1024, high=65000))
+        self._server = _serve(wanted)
+        self.port = int(self._server.get_port())
+        self.url = f"http://{HOST}:{self.port}"
+        if self.port != wanted:
+            warnings.warn(f"port {wanted} is taken, so the page is at {self.url}", stacklevel=2)
+        self._banner = banner
+        self._newest: Step | None = None
+        self._past: list[tuple[float, ...]] = []  # time, position and speed of every step shown
+        self._lock, self._news, self._closing = threading.Lock(), threading.Event(), threading.Event()
+        _add_hall(self._server.scene, scene)
+        self._build(scene)
+        self._thread = threading.Thread(target=self._keep_drawing, name="live page", daemon=True)
+        self._thread.start()
+
+    def show(self, step: Step) -> None:
+        """Show a step as soon as there is time; steps that are older by then are left out.
+
+        Args:
+            step: of the loop. One that is earlier than the last begins a new flight.
+        """
+        state = step.state
+        with self._lock:
+            if self._past and step.t < self._past[-1][0]:
+                self._past = []
+            if state is not None:
+                self._past.append((step.t, *state.p_world.tolist(), float(np.linalg.norm(state.v_world))))
+            self._newest = step
+        self._news.set()
+
+    def close(self) -> None:
+        """Draw what is left, then end the page."""
+        self._closing.set()
+        self._news.set()
+        self._thread.join()
+        with _quiet():
+            self._server.stop()
+
+    def _build(self, scene: GaussianScene) -> None:
+        """Lay out the empty page."""
+        server = self._server
+        self._aircraft, self._leader = (_add_aircraft(server.scene, name) for name in ("/aircraft", "/leader"))
+        self._aircraft.visible = self._leader.visible = False
+        self._path = server.scene.add_line_segments("/path", np.zeros((PATH_PIECES, 2, 3)), PATH_RGB, thickness=0.03)
+        self._drop = server.scene.add_box("/drop", color=DARK, dimensions=(0.02, 0.02, 1.0), visible=False)
+        _look_from_aside(server.initial_camera, scene)
+        self._head = server.gui.add_html(head_html(self._banner, None))
+        self._view = server.gui.add_image(np.full((240, 320, 3), 40, np.uint8), label=None, jpeg_quality=85)
+        self._plots = server.gui.add_html(plots_html(np.zeros((0, 3)), None))
+        self._following = server.gui.add_checkbox("follow the aircraft", True)
+
+    def _keep_drawing(self) -> None:
+        """Draw the newest step until the page closes; a fault ends the page and not the flight."""
+        drawn = 0
+        try:
+            while not self._closing.is_set():
+                self._news.wait()
+                self._news.clear()
+                with self._lock:
+                    step, past = self._newest, np.array(self._past).reshape(-1, 5)
+                if step is not None:
+                    self._draw(step, past, plots=drawn % PLOT_EVERY == 0 or self._closing.is_set())
+                    drawn += 1
+                self._closing.wait(PERIOD_S)
+        except Exception as fault:
+            warnings.warn(f"the live page stopped ({type(fault).__name__}: {fault}); the flight goes on", stacklevel=2)
+
+    def _draw(self, step: Step, past: Array, plots: bool) -> None:
+        """Bring the page to this step; past is (N, 5) of time, position and speed."""
+        place = past[:, 1:4].astype(np.float32)
+        with self._server.atomic():
+            _move(self._aircraft, step.state)
+            _move(self._leader, step.leader)
+            self._head.content = head_html(self._banner, step)
+            if step.image is not None:
+                self._view.image = decode_jpeg(step.image)
+            if step.state is not None:
+                self._follow(step.state.p_world)
+                height = float(place[-1, 2])
+                self._drop.position, self._drop.scale = (*place[-1, :2], height / 2.0), (1.0, 1.0, height)
+                self._drop.visible = True
+            if plots:
+                self._plots.content = plots_html(past[:, [0, 3, 4]], step.command)
+                if len(place) > 1:
+                    # Always as many pieces: the browser keeps the colours of as many as there were at first.
+                    bends = place[np.linspace(0, len(place) - 1, PATH_PIECES + 1).astype(int)]
+                    self._path.points = np.stack([bends[:-1], bends[1:]], axis=1)
+
+    def _follow(self, p_world: Array) -> None:
+        """Take every browser's camera along, unless its user would rather look around."""
+        if not self._following.value:
+            return
+        for client in self._server.get_clients().values():
+            with client.atomic():
+                client.camera.position = p_world + CHASE_FROM
+                client.camera.look_at = p_world + CHASE_TO
+
+
+def head_html(banner: str, step: Step | None) -> str:
+    """The top of the panel: what is flown, its mode, and where it is.
+
+    Args:
+        banner: such as "SIMULATION".
+        step: the step to show; None before the first.
+
+    Returns:
+        HTML.
+    """
+    mode, numbers = ("", "waiting for the first step") if step is None else (step.mode, f"{step.t:.1f} s")
+    if step is not None and step.state is not None:
+        x, y, z = step.state.p_world
+        numbers += f" &nbsp; x {x:.1f} m &nbsp; y {y:+.2f} m &nbsp; height {z:.2f} m"
+    return (
+        f'<style>img{{width:100%}}</style><div style="font:14px system-ui,sans-serif;padding:10px 14px 2px">'
+        f'<b style="color:#fff;background:{RUST};border-radius:4px;padding:3px 9px;letter-spacing:.06em">'
+        f'{html.escape(banner)}</b> <b style="font-size:19px;margin-left:8px;vertical-align:-2px">{html.escape(mode)}</b>'
+        f'<div style="color:{QUIET};margin-top:7px;font-variant-numeric:tabular-nums">{numbers}</div></div>'
+    )
+
+
+def plots_html(past: Array, command: Command | None) -> str:
+    """The sticks, and height and speed over time.
+
+    Args:
+        past: (N, 3) time [s], height [m] and speed [m/s] of the steps so far.
+        command: where the sticks are; None before the first step.
+
+    Returns:
+        HTML with inline SVG.
+    """
+    sticks = command.vector if command is not None else np.zeros(4)
+    throttle, aileron, elevator, rudder = (float(value) for value in sticks)
+    # As on a mode 2 transmitter: an elevator that raises the nose is a stick pulled back, which is down in the drawing.
+    boxes = _stick(95, rudder, 2.0 * throttle - 1.0, f"throttle {throttle:.2f}", f"rudder {rudder:+.2f}")
+    boxes += _stick(275, aileron, -elevator, f"elevator {elevator:+.2f}", f"aileron {aileron:+.2f}")
+    lines = _plot(past[:, [0, 1]], "height [m]", BLUE) + _plot(past[:, [0, 2]], "speed [m/s]", RUST)
+    return (
+        '<div style="padding:4px 14px"><svg viewBox="0 0 370 150" style="width:100%;font:12px system-ui,sans-serif">'
+        f"{boxes}</svg>{lines}</div>"
+    )
+
+
+def _stick(centre: float, right: float, up: float, above: str, below: str) -> str:
+    """One stick of the transmitter, both of its positions in -1..1."""
+    left, size = centre - 50.0, 100.0
+    x, y = centre + 44.0 * right, 75.0 - 44.0 * up
+    return (
+        f'<rect x="{left}" y="25" width="{size}" height="{size}" rx="8" fill="#f6f6f6" stroke="{LINE}"/>'
+        f'<path d="M{centre} 25v100M{left} 75h100" stroke="{LINE}"/>'
+        f'<path d="M{centre} 75L{x:.1f} {y:.1f}" stroke="{QUIET}" stroke-width="3"/>'
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="8" fill="{BLUE}"/>'
+        f'<text x="{centre}" y="16" text-anchor="middle">{above}</text>'
+        f'<text x="{centre}" y="142" text-anchor="middle">{below}</text>'
+    )
+
+
+def _plot(series: Array, label: str, colour: str) -> str:
+    """A line over the last seconds; series is (N, 2) of time and value."""
+    recent = series[series[:, 0] >= series[-1, 0] - WINDOW_S] if len(series) else np.array([[0.0, 0.0]])
+    recent = recent[:: max(1, len(recent) // 300)]
+    begin, span = recent[0, 0], max(recent[-1, 0] - recent[0, 0], 10.0)
+    tick = _round_tick(max(float(recent[:, 1].max()), 0.5))
+    top = tick * math.ceil(max(float(recent[:, 1].max()), 0.5) / tick)
+    points = " ".join(f"{30 + 330 * (t - begin) / span:.1f},{92 - 76 * v / top:.1f}" for t, v in recent)
+    levels = "".join(
+        f'<path d="M30 {92 - 76 * k * tick / top:.1f}h330" stroke="{LINE}"/><text x="25" text-anchor="end" '
+        f'y="{96 - 76 * k * tick / top:.1f}">{k * tick:g}</text>'
+        for k in range(round(top / tick) + 1)
+    )
+    times = "".join(
+        f'<text x="{30 + 330 * (t - begin) / span:.1f}" y="107" text-anchor="middle">{t:g}</text>'
+        for t in np.arange(5.0 * math.ceil(begin / 5.0), begin + span - 1.0, 5.0)
+    )
+    return (
+        f'<svg viewBox="0 0 370 112" style="width:100%;font:11px system-ui,sans-serif" fill="{QUIET}">{levels}{times}'
+        f'<text x="365" y="107" text-anchor="end">time [s]</text><text x="30" y="10" fill="{colour}" '
+        f'font-weight="600">{label}</text><polyline points="{points}" fill="none" stroke="{colour}" '
+        f'stroke-width="2"/></svg>'
+    )
+
+
+def _round_tick(top: float) -> float:
+    """A round step of which two to four reach the top."""
+    size = 10.0 ** math.floor(math.log10(top))
+    return next(size * part for part in (0.25, 0.5, 1.0, 2.5, 5.0) if top / (size * part) <= 4.0)
+
+
+def hall_sides(scene: GaussianScene) -> Iterator[tuple[Array, NDArray[np.uint8]]]:
+    """Floor and walls as pictures, for a view of the hall that a browser draws at once, where 150k Gaussians take long.
+
+    Each side is rendered from far away, with the Gaussians that are on it. The ceiling is left out: one looks in.
+
+    Args:
+        scene: the hall; its sides are those of the box around nearly all of its Gaussians.
+
+    Yields:
+        corners (4, 3) in the world [m] as seen from inside, from top left clockwise, and rgb (H, W, 3).
+    """
+    if "leader" in scene.label_names:
+        scene = leader_at(scene, None)
+    low, high = np.quantile(scene.means.astype(np.float64), (0.003, 0.997), axis=0)
+    centre, half = (low + high) / 2.0, (high - low) / 2.0
+    x, y, z = np.eye(3)
+    for ahead, down in ((-z, -x), (x, -z), (-x, -z), (y, -z), (-y, -z)):
+        near = (scene.means - centre) @ ahead > half @ np.abs(ahead) - THICK_M
+        if near.any():
+            right = np.cross(down, ahead)
+            yield _picture(scene.selected(near), centre + ahead * (half @ np.abs(ahead)), right, down, half)
+    if "marker" in scene.label_names:  # stands in the hall, facing the approach
+        marker = scene.selected(scene.labelled("marker"))
+        low, high = marker.means.min(axis=0), marker.means.max(axis=0)
+        yield _picture(marker, (low + high) / 2.0, -y, -z, (high - low) / 2.0)
+
+
+def _picture(scene: GaussianScene, middle: Array, right: Array, down: Array, half: Array) -> tuple[Array, Any]:
+    """A side as seen from inside: its corners and what is on it."""
+    wide, high = (float(half @ np.abs(edge)) for edge in (right, down))
+    scale = FACE_PX / (2.0 * max(wide, high))  # pixels a metre
+    width, height = round(2.0 * wide * scale), round(2.0 * high * scale)
+    camera = PinholeCamera(FAR_M * scale, FAR_M * scale, width / 2.0, height / 2.0, width, height)
+    ahead = np.cross(right, down)
+    T_world_camera = pose_matrix(np.stack([right, down, ahead], axis=1), middle - FAR_M * ahead)
+    frame = render(scene, camera, T_world_camera, background=(0.8, 0.8, 0.8))
+    corners = np.array([middle + i * wide * right + j * high * down for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    return corners, np.rint(255.0 * frame.rgb).astype(np.uint8)
+
+
+def _add_hall(page: Any, scene: GaussianScene) -> None:
+    """The hall's sides, each seen from its inner face only, so that no wall hides the flight."""
+    import trimesh
+    from PIL import Image as Picture
+
+    for number, (corners, rgb) in enumerate(hall_sides(scene)):
+        packed = io.BytesIO()
+        Picture.fromarray(rgb).save(packed, format="JPEG", quality=88)
+        # Light that the picture gives off itself: what it shows is lit already.
+        material = trimesh.visual.material.PBRMaterial(
+            emissiveTexture=Picture.open(packed), emissiveFactor=[1.0, 1.0, 1.0], baseColorFactor=[0, 0, 0, 255],
+            metallicFactor=0.0, roughnessFactor=1.0,
+        )  # fmt: skip
+        uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+        look = trimesh.visual.TextureVisuals(uv=uv, material=material)
+        sides = trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], visual=look, process=False)
+        page.add_mesh_trimesh(f"/hall/{number}", sides, cast_shadow=False, receive_shadow=False)
+
+
+def _look_from_aside(camera: Any, scene: GaussianScene) -> None:
+    """Begin with a view across the last of the approach and the pad, or across the hall where there is no pad."""
+    pad = scene.means[scene.labelled("pad")] if "pad" in scene.label_names else scene.means
+    middle = np.array([pad[:, 0].min() if len(pad) < len(scene) else pad[:, 0].mean(), pad[:, 1].mean(), 0.0])
+    camera.fov = math.radians(50.0)
+    camera.look_at = middle + (0.0, 0.0, 0.6)
+    camera.position = middle + (-7.0, -13.0, 5.0)
+
+
+def _add_aircraft(page: Any, name: str) -> Any:
+    """The aircraft, in its body axes below one frame that moves."""
+    frame = page.add_frame(name, show_axes=False)
+    for number, (colour, size, centre) in enumerate(AIRCRAFT):
+        page.add_box(f"{name}/{number}", color=colour, dimensions=tuple(size), position=tuple(centre))
+    return frame
+
+
+def _move(frame: Any, state: State | None) -> None:
+    """Put an aircraft where it is, or hide it."""
+    from viser.transforms import SO3
+
+    if state is not None:
+        T_world_body = state.pose.T_world_body
+        frame.position, frame.wxyz = T_world_body[:3, 3], SO3.from_matrix(T_world_body[:3, :3]).wxyz
+    frame.visible = state is not None
+
+
+def _serve(port: int) -> Any:
+    """A server that only this machine reaches, and that opens no way around that."""
+    import viser
+
+    with _quiet():
+        server = viser.ViserServer(host=HOST, port=port, label="FalconWing", verbose=False)
+    # The page's share button would ask an outside host for a tunnel: it goes, and so does what it calls.
+    vars(server)["request_share_url"] = lambda *_: None
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.scene.configure_environment_map(None)  # its reflections would wash out the hall
+    server.scene.add_light_ambient("/light", intensity=1.5)
+    server.gui.main_panel.dock_right()
+    server.gui.main_panel.set_width(PANEL_PX)
+    return server
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Viser prints its address and its end; what a verb prints is the verb's."""
+    import rich
+
+    console = rich.get_console()
+    before, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = before
