@@ -25,7 +25,8 @@ VERBS: tuple[tuple[str, str, str, str], ...] = (
     ("size", "falconwing_kit.cli.size", "Size", "minimum speed, turn radius and mass budget of an airframe"),
     ("identify", "falconwing_kit.cli.identify", "Identify", "fit the aircraft model to recorded flights"),
     ("gap", "falconwing_kit.cli.gap", "Gap", "say where a flight disagrees with the model and which effect is missing"),
-    ("export", "falconwing_kit.cli.export", "Export", "turn a flight log into a table"),
+    ("export", "falconwing_kit.cli.logs", "Export", "turn a flight log into a table"),
+    ("replay", "falconwing_kit.cli.logs", "Replay", "show a flight log again, live or as figures"),
 )
 
 

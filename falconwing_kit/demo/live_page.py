@@ -8,7 +8,9 @@ import html
 import io
 import math
 import threading
+import time
 import warnings
+import webbrowser
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -96,6 +98,23 @@ class LivePage:
                 self._past.append((step.t, *state.p_world.tolist(), float(np.linalg.norm(state.v_world))))
             self._newest = step
         self._news.set()
+
+    def open_and_wait(self, seconds: float = 8.0, browser: bool = True) -> bool:
+        """Open the page in this machine's browser and wait until one shows it: a flight is short.
+
+        Args:
+            seconds: to wait at most.
+            browser: False to leave the opening to the user.
+
+        Returns:
+            Whether a browser is there.
+        """
+        if browser:
+            webbrowser.open(self.url)
+        end = time.monotonic() + seconds
+        while not self._server.get_clients() and time.monotonic() < end:
+            time.sleep(0.1)
+        return bool(self._server.get_clients())
 
     def close(self) -> None:
         """Draw what is left, then end the page."""
