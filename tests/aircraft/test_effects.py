@@ -136,6 +136,13 @@ def test_amplitudes_are_all_that_is_not_shape():
     assert EFFECTS["wind"].amplitudes == EFFECTS["wind"].parameters
 
 
+def test_every_effect_says_what_it_acts_on():
+    """The forces, moments, sticks, air or camera of its formula; a stamp that is late acts as the delay does."""
+    assert all(effect.acts_on or effect.same_as for effect in CATALOGUE)
+    assert EFFECTS["control_delay"].acts_on == EFFECTS["actuator_lag"].acts_on
+    assert not set(EFFECTS["wind"].acts_on) & set(EFFECTS["control_delay"].acts_on)
+
+
 def test_an_effect_that_contains_another_can_become_it():
     """A jet that is wide next to the distance is a wind, to 1 - exp(-0.5 (0.1/8)^2) < 1e-4; a flap that lifts nothing
     is extra drag, and what makes it a flap is what `essential` names."""

@@ -7,7 +7,8 @@ from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.flight_table import slice_time
 from falconwing_kit.gap.calm import know_calm
 from falconwing_kit.gap.name import name_effect
-from tests.gap.studies import EFFECTS, own_base, own_flight, shipped, wind_study
+from tests.gap.studies import EFFECTS, own_aircraft, own_base, own_flight, shipped, wind_study
+from tests.sysid.simulated import fly_figure_eights, measured
 
 
 def test_wind_of_an_independent_aircraft_is_named_with_its_size():
@@ -39,6 +40,29 @@ def test_planted_effect_is_named_with_its_size(effect, values):
     assert [c.effect.name for c in naming.chosen] == [effect]
     for name, value in values.items():
         assert naming.chosen[0].values[name] == pytest.approx(value, rel=0.2)
+
+
+def test_weak_effect_beside_a_strong_one_is_named_too():
+    """Own aircraft, 45 s, half a metre per second of wind and an aileron that moves 15 % less: two names, each with its
+    size, though the wind explains three hundred times more."""
+    rng = np.random.default_rng(46)
+    model = own_aircraft().with_effect(EFFECTS["wind"]).with_effect(EFFECTS["aileron_loss"])
+    model = model.with_values({"wind_x": -0.3, "wind_y": 0.4, "aileron_lost": 0.15})
+    naming = name_effect(own_base(), measured(fly_figure_eights([model], 45.0, rng), rng))
+    assert [c.effect.name for c in naming.chosen] == ["wind", "aileron_loss"]
+    assert naming.chosen[0].gain > 300.0 * naming.chosen[1].gain
+    assert naming.chosen[1].values["aileron_lost"] == pytest.approx(0.15, rel=0.2)
+
+
+def test_error_of_the_first_formula_is_no_second_effect():
+    """Servos that have become slow in a way no entry describes, two lags one after the other: one name for it, not a
+    delay beside a lag."""
+    rng = np.random.default_rng(47)
+    first, second = (e for e in CATALOGUE if e.name == "actuator_lag")
+    model = own_aircraft().with_effect(first).with_effect(second)
+    model = model.with_values({"actuator_lag": 0.08, "lag_in_series": 0.1})
+    naming = name_effect(own_base(), measured(fly_figure_eights([model], 45.0, rng), rng))
+    assert {c.effect.name for c in naming.chosen} in ({"actuator_lag"}, {"control_delay"}, set())
 
 
 def test_withheld_effect_gets_no_other_name():
