@@ -5,6 +5,7 @@ those of the estimator behind the state. It is what the vision policies imitate.
 """
 
 import math
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +14,7 @@ from falconwing_kit.aircraft.airframe import Airframe
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.touchdown import LandingPad, wheel_heights
 from falconwing_kit.control.guidance import Path, require_flyable
-from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, Autopilot
+from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, Autopilot, path_axes
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.messages import Command, Observation, State
 
@@ -48,11 +49,10 @@ class WaypointExpert:
         """
         self.path, self.speed, self.mode = Path(waypoints), speed, "waypoints"
         require_flyable(self.path, speed, airframe.bank_limit)
-        self._autopilot = Autopilot(model, speed, delay)
-        self._s: float | None = None
+        self._autopilot, self._s = Autopilot(model, speed, delay), 0.0
 
     def act(self, observation: Observation) -> Command:
-        """Sticks that keep the aircraft on the path; straight on after its end."""
+        """Sticks that bring the aircraft to the first waypoint and along the path; straight on after its end."""
         state = finite_state(observation)
         if state is None:
             self.mode = NO_STATE
@@ -90,19 +90,18 @@ class LandingExpert:
 
 
 class FollowExpert:
-    """Follows the path that the leader flew, as far behind along it as it was at first sight."""
+    """Follows the path that the leader flew, in the place behind it where it was at first sight."""
 
-    def __init__(self, model: Model, airframe: Airframe, leader_path: Leader, delay: float = LINK_DELAY_S) -> None:
-        """Design the loops around the leader's mean speed; InputError where the model cannot be trimmed or held."""
-        speeds = np.linalg.norm(leader_path.states[:, 6:9], axis=1)
-        self.leader, self.airframe, self.mode, self.distance = leader_path, airframe, "follow", math.nan
-        self.speed = float(speeds.mean())
-        self.path = Path(leader_path.states[:, 0:3])
-        self._s_leader = np.concatenate(
-            [[0.0], np.cumsum(np.linalg.norm(np.diff(leader_path.states[:, 0:3], axis=0), axis=1))]
-        )
-        self._speeds = speeds
-        self._autopilot = Autopilot(model, self.speed, delay)
+    def __init__(
+        self, model: Model, airframe: Airframe, leader_path: Leader, speed: float = SPEED, delay: float = LINK_DELAY_S
+    ) -> None:
+        """Design the loops and lay the leader's path; InputError where the model cannot be trimmed or held."""
+        self.path, self.leader, self.mode = Path(leader_path.states[:, 0:3]), leader_path, "follow"
+        self.place: Array | None = None  # (3,) behind the leader along its path, left of the path, above it [m]
+        steps = np.linalg.norm(np.diff(leader_path.states[:, 0:3], axis=0), axis=1)
+        self._s_leader = np.concatenate([[0.0], np.cumsum(steps)])
+        self._speeds = np.linalg.norm(leader_path.states[:, 6:9], axis=1)
+        self._autopilot = Autopilot(model, speed, delay)
         self._s: float | None = None
 
     def act(self, observation: Observation) -> Command:
@@ -112,14 +111,21 @@ class FollowExpert:
             self.mode = NO_STATE
             return self._autopilot.level()
         self.mode = "follow"
-        self._s = s = self.path.nearest(state.p_world, self._s)
         s_leader = float(np.interp(observation.t, self.leader.t, self._s_leader))
-        if math.isnan(self.distance):
-            self.distance = s_leader - s
-        behind = s_leader - self.distance - s
+        if self._s is None:
+            self._s = s_leader - float(np.linalg.norm(self.leader.state(observation.t).p_world - state.p_world))
+        self._s = s = self.path.nearest(state.p_world, self._s)
         flown = float(np.interp(s, self._s_leader, self._speeds))
-        speed = flown + min(max(GAP_GAIN * behind, -GAP_SPEED), GAP_SPEED)
-        return self._autopilot.command(state, self.path.at(s, speed), observation.past_commands)
+        if self.place is None:
+            on_path = self.path.at(s, flown)
+            off = state.p_world - on_path.p_world
+            self.place = np.array([s_leader - s, off @ path_axes(on_path.yaw)[1], off[2]])
+        late = s_leader - self.place[0] - s
+        wanted = self.path.at(s, flown + min(max(GAP_GAIN * late, -GAP_SPEED), GAP_SPEED))
+        aside = self.place[1] * path_axes(wanted.yaw)[1] + (0.0, 0.0, self.place[2])
+        return self._autopilot.command(
+            state, replace(wanted, p_world=wanted.p_world + aside), observation.past_commands
+        )
 
 
 def finite_state(observation: Observation) -> State | None:
@@ -145,9 +151,7 @@ def landing_path(airframe: Airframe, pad: LandingPad) -> tuple[Path, float]:
     slope = math.tan(GLIDE)
     x_flare = pad.x_start + AIM - FLARE_LENGTH * math.log(slope / TOUCH_SLOPE)
     x = np.arange(-FINAL, pad.length, 0.25)
-    above = FLARE_LENGTH * (slope * np.exp(-np.maximum(x, 0.0) / FLARE_LENGTH) - TOUCH_SLOPE) - slope * np.minimum(
-        x, 0.0
-    )
+    glide, flare = -slope * np.minimum(x, 0.0), slope * np.exp(-np.maximum(x, 0.0) / FLARE_LENGTH) - TOUCH_SLOPE
     standing = pad.height + max(airframe.wheels.main_left[2], airframe.wheels.main_right[2])
-    path = Path(np.column_stack([x_flare + x, np.full(len(x), pad.y_centre), standing + above]))
+    path = Path(np.column_stack([x_flare + x, np.full(len(x), pad.y_centre), standing + glide + FLARE_LENGTH * flare]))
     return path, path.nearest(np.array([x_flare, pad.y_centre, 0.0]))

@@ -40,7 +40,7 @@ class Path:
     """A smooth curve through points, sampled by its length; straight on beyond its ends."""
 
     def __init__(self, p_world: Array) -> None:
-        """Lay a cubic spline with straight ends through points (n, 3) [m]; InputError where there is no such curve."""
+        """Lay a cubic spline through points (n, 3) [m]; InputError where there is no such curve."""
         from scipy.interpolate import CubicSpline
 
         points = require_shape("path points", p_world, (None, 3))
@@ -48,7 +48,7 @@ class Path:
         if len(points) < 2 or not np.isfinite(points).all() or steps.min() < 1e-3:
             raise InputError("path: want two or more different, finite points; remove repeated ones")
         chord = np.concatenate([[0.0], np.cumsum(steps)])
-        curve = CubicSpline(chord, points, bc_type="natural")
+        curve = CubicSpline(chord, points, bc_type="not-a-knot")
         fine = np.linspace(0.0, chord[-1], max(int(chord[-1] / 0.01), 2))
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve(fine), axis=0), axis=1))])
         self.s = np.linspace(0.0, length[-1], max(round(length[-1] / SPACING), 1) + 1)

@@ -5,20 +5,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from falconwing_kit.aircraft.airframe import Airframe, load_airframe
+from falconwing_kit.aircraft.airframe import load_airframe
 from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
 from falconwing_kit.aircraft.model import Model, rates_model, state_rates
 from falconwing_kit.aircraft.trim import trim
 from falconwing_kit.control.expert import WaypointExpert
-from falconwing_kit.control.guidance import Hall, Path, require_flyable
-from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, STEP_S
+from falconwing_kit.control.guidance import Hall
+from falconwing_kit.control.loops import LINK_DELAY_S, STEP_S, path_axes
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.messages import Command, Observation, State
 
 MARGIN = 1.0  # m that a leader keeps from walls and ceiling; its half span is 0.35 m
 LOWEST = 0.7  # m above the floor
-TRIES = 400  # of random waypoints, and of legs for each
+TRIES, KNOTS = 500, 8  # of random waypoints
+STRETCH = 0.05
 SETTLED_S = 0.6  # a servo of 30 ms has forgotten where it was
 
 
@@ -95,7 +97,7 @@ def leader_path(manoeuvre: str, seed: int = 0, model: Model | None = None) -> Le
 
     Args:
         manoeuvre: one of `MANOEUVRES`.
-        seed: shifts the paper's manoeuvres by up to half a metre and stretches them by up to 5 %; draws random waypoints.
+        seed: shifts the plan by up to half a metre and stretches it by up to 5 %, or draws the random waypoints.
         model: the aircraft; None for the kit's own.
 
     Returns:
@@ -108,7 +110,7 @@ def leader_path(manoeuvre: str, seed: int = 0, model: Model | None = None) -> Le
         raise InputError(f"manoeuvre: want one of {', '.join(MANOEUVRES)}, got {manoeuvre!r}")
     rng = np.random.default_rng([int(require_range("seed", seed, low=0)), list(MANOEUVRES).index(manoeuvre)])
     model, airframe = model or rates_model(), load_airframe()
-    pilot = WaypointExpert(model, airframe, MANOEUVRES[manoeuvre](rng, airframe))
+    pilot = WaypointExpert(model, airframe, MANOEUVRES[manoeuvre](rng))
     states = fly_path(model, pilot)
     if Hall().margin(states[:, :3]).min() < MARGIN / 2.0 or states[:, 2].min() < LOWEST / 2.0:
         raise InputError(
@@ -144,75 +146,100 @@ def fly_path(model: Model, pilot: WaypointExpert) -> Array:
     return states
 
 
-# Waypoints: the hall is 40 m long, a leader begins 6 m from its end so that a follower has room behind it ---------------
+# The hall is 40 m long, and the paper's manoeuvres begin 6.5 m from its end so that a follower has room behind.
 
 
-def _s_turn(left: float, z_start: float, z_end: float) -> Callable[[np.random.Generator, Airframe], Array]:
-    """An S: first to one side, then back to the first course, 7 m beside it; a half cosine over 20 m."""
+@dataclass(frozen=True)
+class Plan:
+    """A manoeuvre on paper: its first point and course, and how it bends; straight lines between the knots."""
 
-    def waypoints(rng: np.random.Generator, airframe: Airframe) -> Array:
-        x = np.concatenate([np.arange(-4.0, 20.1, 1.0), [22.0, 25.0]])
-        share = np.clip(x / 20.0, 0.0, 1.0)
-        y = -left * 3.5 * np.cos(np.pi * share)
-        z = z_start + (z_end - z_start) * 0.5 * (1.0 - np.cos(np.pi * np.clip((x + 4.0) / 28.0, 0.0, 1.0)))
-        return _varied(rng, np.column_stack([x - 12.5, y - 2.0, z]))
+    start: tuple[float, float, float]  # [m]
+    yaw_deg: float
+    s: tuple[float, ...]  # knots along the way [m]
+    curvature: tuple[float, ...]  # at the knots, positive to the right [1/m]
+    climb_deg: tuple[float, ...]  # at the knots
+    shift: tuple[float, float, float] = (0.5, 0.5, 0.2)  # a seed moves it by up to so much each way [m]
 
-    return waypoints
-
-
-def _sharp_climb(rng: np.random.Generator, airframe: Airframe) -> Array:
-    """A right turn of 120 deg that climbs 3 m within 20 m."""
-    s = np.arange(0.0, 33.0, 1.0)
-    rate = np.interp(s, [0.0, 5.0, 9.0, 25.0, 29.0, 33.0], [0.0, 0.0, 0.1, 0.1, 0.0, 0.0])
-    yaw = np.cumsum(rate)
-    climb = np.interp(s, [0.0, 3.0, 7.0, 21.0, 25.0, 33.0], np.radians([0.0, 0.0, 10.0, 10.0, 0.0, 0.0]))
-    steps = np.column_stack([np.cos(yaw), -np.sin(yaw), np.tan(climb)])
-    return _varied(rng, np.array([-16.5, 4.0, 1.1]) + np.cumsum(steps, axis=0))
+    def waypoints(self, rng: np.random.Generator) -> Array:
+        """A point every metre (n, 3) [m], shifted, and stretched by up to 5 % as the seed says."""
+        start = np.array(self.start) + rng.uniform(-1.0, 1.0, 3) * self.shift
+        return start + rng.uniform(1.0, 1.0 + STRETCH * (self.shift[0] > 0.2)) * bent(
+            math.radians(self.yaw_deg), self.s, self.curvature, np.radians(self.climb_deg)
+        )
 
 
-def _figure_eight(rng: np.random.Generator, airframe: Airframe) -> Array:
-    """A level eight, x = a sin u, y = b sin 2u [Gerono's lemniscate], once around."""
-    u = np.linspace(0.0, 2.0 * np.pi, 49)
-    return _varied(rng, np.column_stack([-2.5 + 17.0 * np.sin(u), -2.0 + 8.3 * np.sin(2.0 * u), np.full(len(u), 2.0)]))
+def bent(yaw: float, s: ArrayLike, curvature: ArrayLike, climb: ArrayLike) -> Array:
+    """Points a metre apart of a curve from the origin, from its curvature and climb.
+
+    d(yaw)/ds = curvature, d(x, y, z)/ds = (cos yaw, -sin yaw, tan climb), s the level way.
+
+    Args:
+        yaw: first course [rad].
+        s: (k,) knots [m], from 0.
+        curvature: (k,) positive to the right [1/m].
+        climb: (k,) [rad].
+
+    Returns:
+        (n, 3) [m]; the first is the origin.
+    """
+    knots = np.asarray(s, np.float64)
+    middle = np.arange(0.05, knots[-1], 0.1)  # steps of 0.1 m, by the midpoint rule
+    course = yaw + 0.1 * (np.cumsum(bend := np.interp(middle, knots, curvature)) - 0.5 * bend)
+    steps = 0.1 * np.column_stack([np.cos(course), -np.sin(course), np.tan(np.interp(middle, knots, climb))])
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])[::10]
 
 
-def _random_waypoints(rng: np.random.Generator, airframe: Airframe) -> Array:
-    """Legs of 8 m with random turns and climbs, drawn until all are inside the hall and within the aircraft's limits."""
+def random_waypoints(rng: np.random.Generator) -> Array:
+    """Waypoints every metre of a way that bends and climbs at random, with room on all sides.
+
+    Knot by knot: what would leave the hall is drawn again, and where that does not help, all of it.
+
+    Args:
+        rng: draws start and course, then curvature and climb at knots 5 m apart.
+
+    Returns:
+        (n, 3) [m].
+
+    Raises:
+        InputError: the hall is too small for any.
+    """
     for _ in range(TRIES):
-        points, yaw = [np.array([-17.0, rng.uniform(-8.0, 4.0), rng.uniform(1.2, 3.5)])], 0.0
-        points.append(points[0] + (4.0, 0.0, 0.0))
-        for _ in range(6):
-            for _ in range(20):
-                turn, climb = rng.uniform(-0.9, 0.9), rng.uniform(-0.1, 0.1)
-                step = 8.0 * np.array([math.cos(yaw + turn), -math.sin(yaw + turn), climb])
-                if _has_room(points[-1] + step):
-                    break
-            points.append(points[-1] + step)
-            yaw += turn
-        try:
-            path = Path(np.array(points))
-            require_flyable(path, SPEED, airframe.bank_limit)
-        except InputError:
-            continue
-        if _has_room(path.p_world):
-            return np.array(points)
-    raise InputError(f"random waypoints: none of {TRIES} tries stayed inside the hall; take another seed")
+        start, yaw = rng.uniform((-21.5, -11.0, 1.2), (16.5, 7.0, 3.8)), rng.uniform(-math.pi, math.pi)
+        behind = start - 6.0 * path_axes(yaw)[0]  # where a follower may begin
+        bends = [np.zeros(2)]
+        for _ in range(10 * KNOTS):
+            bend = rng.uniform(-1.0, 1.0, 2) * (0.105, 0.12)
+            tried = [*bends, bend, bend * (1.0, 0.0), bend * (1.0, 0.0)]  # there must be a way on
+            points = np.vstack([behind, start + bent(yaw, 5.0 * np.arange(len(tried)), *np.transpose(tried))])
+            if np.all(Hall().margin(points) > MARGIN) and np.all(points[:, 2] > LOWEST):
+                bends = tried[:-2]
+            if len(bends) == KNOTS:
+                return np.asarray(points[1:-10])
+    raise InputError(f"random waypoints: none of {TRIES} draws stayed inside the hall; take another seed")
 
 
-def _varied(rng: np.random.Generator, points: Array) -> Array:
-    """Shifted by up to half a metre level and 0.2 m in height, stretched along the hall by up to 5 %."""
-    points = points * (1.0 + rng.uniform(-0.05, 0.05), 1.0, 1.0)
-    return np.asarray(points + rng.uniform(-1.0, 1.0, 3) * (0.5, 0.5, 0.2))
-
-
-def _has_room(p_world: Array) -> bool:
-    return bool(np.all(Hall().margin(p_world) > MARGIN) and np.all(p_world[..., 2] > LOWEST))
-
-
-MANOEUVRES: dict[str, Callable[[np.random.Generator, Airframe], Array]] = {
-    "left_turn_s_descent": _s_turn(1.0, 3.6, 1.3),
-    "right_turn_s_ascent": _s_turn(-1.0, 1.3, 3.6),
-    "right_turn_sharp_climb": _sharp_climb,
-    "figure_eight": _figure_eight,
-    "random_waypoints": _random_waypoints,
+_S_KNOTS = (0.0, 4.0, 7.0, 12.0, 17.0, 22.0, 25.0, 29.0)
+_S_LEFT = (0.0, 0.0, -0.09, -0.09, 0.09, 0.09, 0.0, 0.0)
+# Two lobes of 8.9 m radius; the arc's length is the one that brings each lobe back to the middle.
+_LOBE = (0.0, 1.0, 5.0, 51.184, 55.184, 56.184)
+_RIGHT_LOBE = (0.0, 0.0, 1 / 8.9, 1 / 8.9, 0.0, 0.0)
+PLANS = {
+    "left_turn_s_descent": Plan(
+        (-16.0, -5.0, 3.5), 0.0, _S_KNOTS, _S_LEFT, (0.0, 0.0, -5.0, -6.0, -6.0, -5.0, 0.0, 0.0)
+    ),
+    "right_turn_s_ascent": Plan(
+        (-16.0, 1.0, 1.3), 0.0, _S_KNOTS, tuple(-k for k in _S_LEFT), (0.0, 0.0, 5.0, 6.0, 6.0, 5.0, 0.0, 0.0)
+    ),
+    "right_turn_sharp_climb": Plan(
+        (-16.0, 5.0, 1.0), 0.0, (0.0, 3.0, 7.0, 17.0, 21.0, 25.0), (0.0, 0.0, 0.1, 0.1, 0.0, 0.0),
+        (0.0, 1.0, 11.0, 11.0, 1.0, 0.0),
+    ),
+    "figure_eight": Plan(
+        (-2.5, -2.0, 2.2), -71.536, (*_LOBE, *(56.184 + s for s in _LOBE[1:])),
+        (*_RIGHT_LOBE, *(-k for k in _RIGHT_LOBE[1:])), (0.0,) * 11, (0.1, 0.1, 0.2),
+    ),
+}  # fmt: skip
+MANOEUVRES: dict[str, Callable[[np.random.Generator], Array]] = {
+    **{name: plan.waypoints for name, plan in PLANS.items()},
+    "random_waypoints": random_waypoints,
 }

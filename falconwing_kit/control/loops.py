@@ -7,6 +7,7 @@ turning, whose sticks are fed forward.
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,8 @@ from falconwing_kit.core.messages import COMMAND_NAMES, STATE_NAMES, Command, St
 STEP_S = 0.05  # 20 Hz
 LINK_DELAY_S = 0.05  # from command to transmitter output: frame grabber, serial line, PPM frame
 SPEED = 7.0  # m/s, the paper's minimum speed of this aircraft, and what it flies indoors
-TABLE_SPEEDS, TABLE_CLIMBS = (0.80, 0.90, 1.0, 1.15), tuple(np.radians((-3.0, 0.0, 8.0)))  # shares of the speed; rad
-TABLE_BANKS = tuple(np.radians((-40.0, -20.0, 0.0, 20.0, 40.0)))
+TABLE_SPEEDS = (0.80, 0.90, 1.0, 1.15)  # shares of the speed
+TABLE_CLIMBS, TABLE_BANKS = np.radians((-3.0, 0.0, 8.0)), np.radians((-40.0, -20.0, 0.0, 20.0, 40.0))
 
 
 @dataclass(frozen=True)
@@ -170,10 +171,8 @@ class TrimTable:
 
     def __init__(self, model: Model, speed: float = SPEED) -> None:
         """Solve the trims; InputError where the model cannot fly one of them."""
-        self._axes = (np.array(TABLE_SPEEDS) * speed, np.array(TABLE_CLIMBS), np.array(TABLE_BANKS))
-        self._values = np.array(
-            [[[_steady(model, v, c, b) for b in TABLE_BANKS] for c in TABLE_CLIMBS] for v in self._axes[0]]
-        )
+        speeds, climbs, banks = self._axes = (np.array(TABLE_SPEEDS) * speed, TABLE_CLIMBS, TABLE_BANKS)
+        self._values = np.array([[[_steady(model, v, c, b) for b in banks] for c in climbs] for v in speeds])
 
     def at(self, speed: float, climb: float, bank: float) -> tuple[Array, Array]:
         """The steady flight at a speed, climb angle and bank, by linear interpolation; the table's ends hold beyond.
@@ -201,13 +200,24 @@ def _steady(model: Model, speed: float, climb: float, bank: float) -> Array:
     return np.array([*found.command, x[3], crab, *x[9:12]])
 
 
+@cache
+def _design(form, terms, winds, parameters, values, speed, delay):  # type: ignore[no-untyped-def]
+    """Trims and both loops of a model given in parts, which unlike a model can be looked up; a trial needs them again.
+
+    Effects on sticks and on measured poses change neither.
+    """
+    model = Model(form, terms, winds, parameters, dict(values))
+    loops = (design_loop(model, axis, speed, delay) for axis in (LATERAL, LONGITUDINAL))
+    return TrimTable(model, speed), *loops
+
+
 class Autopilot:
     """Holds a reference: feedforward of the steady flight, LQR on the deviations from it."""
 
     def __init__(self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S) -> None:
         """Design both loops; InputError where the model cannot be trimmed or held."""
-        self.speed, self.trims = speed, TrimTable(model, speed)
-        self.loops = tuple(design_loop(model, axis, speed, delay) for axis in (LATERAL, LONGITUDINAL))
+        parts = (model.form, model.terms, model.winds, model.parameters, tuple(model.values.items()))
+        self.speed, (self.trims, *self.loops) = speed, _design(*parts, speed, delay)
         self._sums = [np.zeros(len(loop.axis.integrals)) for loop in self.loops]
 
     def command(self, state: State, wanted: Reference, past_commands: Array, idle: bool = False) -> Command:
@@ -251,12 +261,13 @@ class Autopilot:
         pitch, crab, p, q, r = attitude
         ahead, left = path_axes(wanted.yaw)
         off, v = state.p_world - wanted.p_world, state.v_world
+        v_ahead, v_left, off_left = float(v @ ahead), float(v @ left), float(off @ left)
         return {
-            "py": _clip(off @ left, 1.0), "yaw": float(wrap_angle(state.yaw - wanted.yaw - crab)),
-            "roll": state.roll - wanted.bank, "vy": v @ left,
+            "py": _clip(off_left, 1.0), "yaw": float(wrap_angle(state.yaw - wanted.yaw - crab)),
+            "roll": state.roll - wanted.bank, "vy": v_left,
             "p": state.rates_body[0] - p, "r": state.rates_body[2] - r,
             "pz": _clip(off[2], 0.5), "pitch": state.pitch - pitch,
-            "vx": v @ ahead - speed * math.cos(wanted.climb), "vz": v[2] - speed * math.sin(wanted.climb),
+            "vx": v_ahead - speed * math.cos(wanted.climb), "vz": float(v[2]) - speed * math.sin(wanted.climb),
             "q": state.rates_body[1] - q,
         }  # fmt: skip
 
