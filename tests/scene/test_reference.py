@@ -270,13 +270,17 @@ def small_scene():
     return GaussianTensors(*(torch.tensor(np.array(field), requires_grad=True) for field in fields))
 
 
-@pytest.mark.parametrize(("antialiased", "remembered"), [(False, 50_000), (True, 50_000), (True, 0)])
-def test_gradients_are_those_of_finite_differences(monkeypatch, antialiased, remembered):
+@pytest.mark.parametrize(
+    ("antialiased", "remembered", "chunk"), [(False, 50_000, 256), (True, 50_000, 256), (True, 0, 2)]
+)
+def test_gradients_are_those_of_finite_differences(monkeypatch, antialiased, remembered, chunk):
     """torch's gradcheck moves every number of scene, pose and background by 1e-6 both ways; float64 leaves 1e-9.
 
-    With nothing remembered the tiles are worked out again on the way back, as in large scenes.
+    With nothing remembered the tiles are worked out again on the way back, and small chunks follow each other in a
+    tile, as in large scenes.
     """
     monkeypatch.setattr(reference_module, "REMEMBERED", remembered)
+    monkeypatch.setattr(reference_module, "CHUNK", chunk)
     camera = PinholeCamera(12.0, 12.0, 3.1, 2.4, 6, 5)
     pose = torch.tensor(pose_of([0.05, -0.04, 0.3], [0.02, 0.03, -0.1]), requires_grad=True)
     background = torch.tensor([0.1, 0.4, 0.7], dtype=torch.float64, requires_grad=True)
@@ -298,8 +302,10 @@ def test_empty_view_has_gradients_of_zero():
 
 
 def test_gradients_in_the_crowd_are_finite():
-    """A law: needles, discs on edge and Gaussians at the lens have slopes too, in float32 as well."""
-    scene = GaussianTensors(*(tensor.requires_grad_() for tensor in hall(torch.float32)))
+    """A law: needles, Gaussians at the lens and one too small for float32's squares have slopes too."""
+    scene = hall(torch.float32)
+    scene.means[0], scene.scales[0] = torch.tensor([0.0, 0.0, 1.0]), 1e-30
+    scene = GaussianTensors(*(tensor.requires_grad_() for tensor in scene))
     pose = torch.eye(4, requires_grad=True)
     rgb, alpha, depth = render_tensors(scene, PinholeCamera.from_fov_deg(50, 30, 130.0), pose, torch.zeros(3), True)
     (rgb.sum() + alpha.sum() + depth.sum()).backward()
