@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falconwing_kit.control.guidance import Hall
 from falconwing_kit.core.checks import Array, require_range
 from falconwing_kit.core.frames import pose_matrix
 from falconwing_kit.core.messages import Command, State
@@ -279,21 +280,22 @@ def hall_sides(scene: GaussianScene) -> Iterator[tuple[Array, NDArray[np.uint8]]
     Each side is rendered from far away, with the Gaussians that are on it. The ceiling is left out: one looks in.
 
     Args:
-        scene: the hall; its sides are those of the box around nearly all of its Gaussians.
+        scene: the hall, in the kit's world.
 
     Yields:
         corners (4, 3) in the world [m] as seen from inside, from top left clockwise, and rgb (H, W, 3).
     """
     if "leader" in scene.label_names:
         scene = leader_at(scene, None)
-    low, high = np.quantile(scene.means.astype(np.float64), (0.003, 0.997), axis=0)
+    hall = Hall()
+    low, high = np.array([hall.x, hall.y, (0.0, hall.height)]).T
     centre, half = (low + high) / 2.0, (high - low) / 2.0
     x, y, z = np.eye(3)
     for ahead, down in ((-z, -x), (x, -z), (-x, -z), (y, -z), (-y, -z)):
-        near = (scene.means - centre) @ ahead > half @ np.abs(ahead) - THICK_M
+        depth = float(half @ np.abs(ahead))
+        near = np.abs((scene.means - centre) @ ahead - depth) < THICK_M
         if near.any():
-            right = np.cross(down, ahead)
-            yield _picture(scene.selected(near), centre + ahead * (half @ np.abs(ahead)), right, down, half)
+            yield _picture(scene.selected(near), centre + depth * ahead, np.cross(down, ahead), down, half)
     if "marker" in scene.label_names:  # stands in the hall, facing the approach
         marker = scene.selected(scene.labelled("marker"))
         low, high = marker.means.min(axis=0), marker.means.max(axis=0)
