@@ -26,6 +26,8 @@ from falconwing_kit.flight.sources import RenderedView
 from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
 
+Depth = NDArray[np.float32]
+
 LOCK_AREA_PX = 6  # visible pixels of the leader that a lock needs
 HIDES = 0.5  # m: what is so much nearer than the leader's nearest point is something else
 NEARBY = 3.0  # m along the path between two frames at most
@@ -118,7 +120,7 @@ class FollowJudge:
 
 
 def is_locked(
-    camera: PinholeCamera, T_world_camera: Array, leader: State, airframe: Airframe, depth: NDArray[np.float32] | None = None
+    camera: PinholeCamera, T_world_camera: Array, leader: State, airframe: Airframe, depth: Depth | None = None
 ) -> bool:
     """Whether the camera has the leader: its centre inside the image, in front, and at least six of its pixels seen.
 
@@ -138,7 +140,7 @@ def is_locked(
 
 
 def visible_pixels(
-    camera: PinholeCamera, T_world_camera: Array, leader: State, airframe: Airframe, depth: NDArray[np.float32] | None = None
+    camera: PinholeCamera, T_world_camera: Array, leader: State, airframe: Airframe, depth: Depth | None = None
 ) -> int:
     """How many pixels show the leader: centres inside the outline of nose, tail, wing tips and wheels.
 

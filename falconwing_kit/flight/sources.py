@@ -72,8 +72,8 @@ class RenderedView:
     """SIMULATED images from the aircraft's nose: a Gaussian scene, seen from where the world's aircraft really is.
 
     Args:
-        world: the simulated world.
-        scene: the hall; Gaussians labelled "leader" are placed where the leader is, or left out where there is none.
+        world: the simulated world; where it has a leader, the leader is in the image.
+        scene: the hall. Its Gaussians labelled "leader" are the leader's; a hall without gets the kit's leader.
         camera: the lens, `fpv_camera()` for the aircraft's.
         p_body_camera: (3,) where it sits on the aircraft, in body axes [m].
         backend: of `render`.
@@ -89,9 +89,12 @@ class RenderedView:
     ) -> None:
         self.world, self.camera, self.backend = world, camera, backend
         self.p_body_camera = np.asarray(p_body_camera, np.float64)
-        self.depth: NDArray[np.float32] | None = None  # (H, W) of the newest image [m], for judging what hides the leader
-        self._scene, self._sequence = scene, 0
-        self.look()  # the first image compiles and caches; it must not cost the first step
+        self.depth: NDArray[np.float32] | None = (
+            None  # (H, W) of the newest image [m], for judging what hides the leader
+        )
+        self._hall, self._leader = _hall_and_leader(scene, world.leader_state is not None)
+        self._sequence = 0
+        self.look()  # the first image compiles; that must not cost the first step
 
     def next(self, t: float) -> Image:
         """The view at time t [s]; the world is flown there first."""
@@ -105,14 +108,35 @@ class RenderedView:
         Returns:
             (H, W, 3) uint8 RGB.
         """
-        from falconwing_kit.scene.arena import leader_at
-
         leader = self.world.leader_state
-        scene = leader_at(self._scene, None if leader is None else leader.pose.T_world_body)
+        if leader is not None and self._leader is not None:
+            self._place(leader)
         T_world_camera = camera_pose(self.world.state.pose.T_world_body, self.p_body_camera)
-        frame = render(scene, self.camera, T_world_camera, backend=self.backend)
+        frame = render(self._hall, self.camera, T_world_camera, backend=self.backend)
         self.depth = frame.depth
         return np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
+
+    def _place(self, leader: State) -> None:
+        """Overwrite the leader's rows, the last ones; a new scene would be checked anew, which costs half a frame."""
+        from falconwing_kit.scene.arena import leader_at
+
+        assert self._leader is not None
+        there = leader_at(self._leader, leader.pose.T_world_body)
+        for name in ("means", "quaternions", "sh"):
+            getattr(self._hall, name)[-len(there) :] = getattr(there, name)
+
+
+def _hall_and_leader(scene: GaussianScene, with_leader: bool) -> tuple[GaussianScene, GaussianScene | None]:
+    """A hall of our own, the leader's Gaussians last if they are wanted, and the leader alone."""
+    from falconwing_kit.scene.arena import leader_at, load_scene
+
+    own = "leader" in scene.label_names
+    hall = leader_at(scene, None) if own else scene
+    if not with_leader:
+        return hall, None
+    leader = scene.selected(scene.labelled("leader")) if own else load_scene("leader")
+    both = GaussianScene.joined(hall, leader)
+    return both, both.selected(both.labelled("leader"))
 
 
 class RecordedImages:

@@ -40,7 +40,7 @@ def clopper_pearson(successes: int, trials: int, confidence: float = 0.95) -> tu
 def bootstrap_mean(values: ArrayLike, confidence: float = 0.95, seed: int = 0) -> tuple[float, float]:
     """Interval of a mean from means of resampled values [Efron & Tibshirani 1993, An Introduction, ch. 13].
 
-    Too narrow for a handful of values: ten are little, one gives an interval of no width.
+    Too narrow for a handful of values: ten are few.
 
     Args:
         values: (n,) one number per trial, finite.
@@ -48,7 +48,7 @@ def bootstrap_mean(values: ArrayLike, confidence: float = 0.95, seed: int = 0) -
         seed: of the resampling; same seed, same interval.
 
     Returns:
-        Low and high end in the unit of the values; both nan where there are none.
+        Low and high end in the unit of the values; both nan for fewer than two.
 
     Raises:
         InputError: a value is not finite, or the confidence is not between 0 and 1.
@@ -57,7 +57,7 @@ def bootstrap_mean(values: ArrayLike, confidence: float = 0.95, seed: int = 0) -
     if not np.isfinite(x).all():
         raise InputError("values: want finite numbers, got nan or infinity; leave out trials that have none")
     tail = 50.0 * (1.0 - require_range("confidence", confidence, low=0.01, high=0.9999))
-    if x.size == 0:
+    if x.size < 2:
         return float("nan"), float("nan")
     draws = np.random.default_rng(seed).integers(0, x.size, (RESAMPLES, x.size))
     low, high = np.percentile(x[draws].mean(axis=1), (tail, 100.0 - tail))

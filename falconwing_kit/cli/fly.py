@@ -1,0 +1,210 @@
+"""falconwing fly: a task and a pilot -> simulated flights by the 20 Hz loop, watched live or many at once."""
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from falconwing_kit.cli.show import next_line, print_json, print_table
+from falconwing_kit.core.checks import InputError
+
+PILOTS = ("expert",)  # those that this version of the kit has
+LATER = ("rgb", "mask", "rgb_mask", "student", "manual")
+UNITS = {  # of the summary: what a row is called, and the factor to its unit
+    "ald_m": ("ALD of landings [cm]", 100.0),
+    "sink_rate_m_s": ("sink rate at touchdown [m/s]", 1.0),
+    "bank_abs_deg": ("bank at touchdown [deg]", 1.0),
+    "past_threshold_m": ("touchdown past threshold [m]", 1.0),
+    "ate_m": ("ATE until loss [cm]", 100.0),
+    "ate_m_of_successes": ("ATE of successes [cm]", 100.0),
+    "ate_d_m": ("ATE_d until loss [cm]", 100.0),
+    "locked_share": ("frames locked [%]", 100.0),
+}
+
+
+@dataclass(frozen=True)
+class Fly:
+    """Fly a task by the kit's 20 Hz loop, in simulation.
+
+    Without --headless a page in the browser shows the flight in real time; with it the flights go as fast as they can.
+    Exit code 0 when every trial succeeded, 1 when one failed.
+    """
+
+    task: Literal["landing", "follow"] = "landing"
+    """land on the pad, or keep a leader in view"""
+    pilot: Literal["expert", "rgb", "mask", "rgb_mask", "student", "manual"] = "expert"
+    """who flies; the expert knows the state"""
+    trials: int = 1
+    """how many, each from its own start of the frozen list"""
+    manoeuvre: str = "left_turn_s_descent"
+    """what the leader flies: left_turn_s_descent, right_turn_s_ascent, right_turn_sharp_climb, figure_eight or
+    random_waypoints"""
+    seed: int = 0
+    """which list of starts and noise; the same for two pilots makes pairs"""
+    headless: bool = False
+    """no page, as fast as it can"""
+    no_render: bool = False
+    """without images; the expert needs none"""
+    size: str = "320x240"
+    """of the camera's image [px]"""
+    source: Literal["sim", "camera"] = "sim"
+    """where images come from"""
+    port: str = ""
+    """serial port of the trainer bridge"""
+    out: Path | None = None
+    """folder for log, table and figures; an interrupted study goes on there"""
+    logs: bool = False
+    """write a flight log of every trial; a single trial always has one in --out"""
+    against: Path | None = None
+    """folder of another pilot's trials from the same starts, to compare with"""
+    json: bool = False
+    """print JSON instead of tables"""
+
+    def run(self) -> int:
+        """Fly.
+
+        Returns:
+            0 where every trial succeeded, else 1.
+
+        Raises:
+            InputError: a part of the kit that is not there yet is asked for, or an option is wrong.
+        """
+        self._refuse_what_is_not_there()
+        width, height = _size(self.size)
+        if self.out is not None and self.out.exists() and not self.out.is_dir():
+            raise InputError(f"--out {self.out}: want a folder, got a file; choose another name")
+        from falconwing_kit.flight.trials import compare_pilots, read_trials, summary
+
+        other = read_trials(self.against)[1] if self.against is not None else None
+        records = self._fly(width, height)
+        found = summary(records)
+        if other is not None:
+            found["against"] = compare_pilots(records, other)
+        self._show(records, found)
+        return 0 if found["successes"] == found["trials"] else 1
+
+    def _refuse_what_is_not_there(self) -> None:
+        if self.pilot not in PILOTS:
+            raise InputError(
+                f"--pilot {self.pilot}: this version of the kit has no such pilot yet; take {' or '.join(PILOTS)}"
+            )
+        if self.source != "sim" or self.port:
+            what = "--port" if self.port else f"--source {self.source}"
+            raise InputError(
+                f"{what}: this version of the kit has no pilot for the real aircraft yet; fly --source sim"
+            )
+
+    def _fly(self, width: int, height: int) -> list[dict[str, Any]]:
+        from falconwing_kit.flight.loop import SimulatedClock, WallClock
+        from falconwing_kit.flight.sources import fpv_camera
+        from falconwing_kit.flight.tasks import FollowTask, LandingTask
+        from falconwing_kit.flight.trials import Setting, fly_trials
+
+        task = LandingTask() if self.task == "landing" else FollowTask(self.manoeuvre)
+        camera = fpv_camera(width, height)
+        with _page(self.headless, not self.no_render) as (scene, hooks), self._progress() as progress:
+            setting = Setting(
+                scene=None if self.no_render else scene,
+                camera=camera,
+                clock=SimulatedClock if self.headless else WallClock,
+                hooks=hooks,
+            )
+            return fly_trials(
+                task, task.expert, self.trials, pilot=self.pilot, seed=self.seed, setting=setting,
+                out=self.out, logs=self.logs or self.trials == 1, progress=progress,
+            )  # fmt: skip
+
+    @contextmanager
+    def _progress(self) -> Iterator[Callable[[str], None]]:
+        from tqdm import tqdm
+
+        quiet = True if self.json or self.trials == 1 else None
+        with tqdm(total=self.trials, unit="trial", leave=False, disable=quiet) as bar:
+
+            def flown(text: str) -> None:
+                bar.n = int(text.split()[-1])
+                bar.set_postfix_str(f"{text} succeeded")
+
+            yield flown
+
+    def _show(self, records: Sequence[dict[str, Any]], found: dict[str, Any]) -> None:
+        name = self.task if self.task == "landing" else f"follow {self.manoeuvre}"
+        if self.out is not None:
+            from falconwing_kit.flight.trial_figures import write_results
+
+            files = write_results(records, found, self.out, f"{name} by {self.pilot}")
+        if self.json:
+            print_json({"task": name, "pilot": self.pilot, "simulated": True, **found})
+            return
+        print_trials(f"SIMULATED: {name} by {self.pilot}", records, found)
+        if self.out is None:
+            next_line(f"falconwing fly --task {self.task} --trials 10 --headless --out trials")
+        else:
+            next_line(f"look at {files['paths']} and {files['results']}")
+
+
+def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str, Any]) -> None:
+    """Print the rates and means of trials.
+
+    Args:
+        title: a line above.
+        records: of `flight.trials.fly_trials`.
+        found: of `flight.trials.summary`.
+    """
+    low, high = 100.0 * found["success_low95"], 100.0 * found["success_high95"]
+    print(f"{title}\nsuccess: {found['successes']} of {found['trials']} (95 % between {low:.1f} and {high:.1f} %)")
+    rows = []
+    for key, (label, factor) in UNITS.items():
+        if key in found:
+            numbers = (found[key][name] for name in ("mean", "low95", "high95", "median", "largest"))
+            rows.append((label, *(factor * number for number in numbers)))
+    print_table(("measure", "mean", "low 95 %", "high 95 %", "median", "largest"), rows)
+    print(f"ART: median {found['art_median_ms']:.2g} ms, 95 % within {found['art_p95_ms']:.2g} ms ({found['machine']})")
+    for record in records:
+        if not record["success"]:
+            lost = record.get("lost_at_s")
+            print(f"trial {record['trial']}: {record['reason']}" + (f", lock lost at {lost:.2f} s" if lost else ""))
+    faulty = next((record for record in records if record["faults"]), None)
+    if faulty is not None:
+        print(f"warning: the pilot failed in {found['faults']} steps; first: {faulty['first_fault']['error']}")
+    if "against" in found:
+        pair = found["against"]
+        print(
+            f"pairs: {pair['pairs']}; only this pilot succeeded in {pair['only_first']}, only the other in"
+            f" {pair['only_second']}; McNemar p = {pair['p_value']:.3g}"
+        )
+
+
+@contextmanager
+def _page(headless: bool, render: bool) -> Iterator[tuple[Any, tuple[Callable[..., None], ...]]]:
+    """The arena where somebody looks at it, and the page as a hook."""
+    if headless and not render:
+        yield None, ()
+        return
+    from falconwing_kit.scene.arena import load_scene
+
+    scene = load_scene("arena")
+    if headless:
+        yield scene, ()
+        return
+    from falconwing_kit.demo.live_page import LivePage
+
+    page = LivePage(scene)
+    print(f"live page: {page.url}")
+    try:
+        import webbrowser
+
+        webbrowser.open(page.url)
+        yield scene, (page.show,)
+    finally:
+        page.close()
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Width and height of "320x240"."""
+    fits = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if fits is None or not all(16 <= int(side) <= 4096 for side in fits.groups()):
+        raise InputError(f"--size: want WIDTHxHEIGHT of 16 to 4096 px such as 320x240, got {text!r}")
+    return int(fits[1]), int(fits[2])

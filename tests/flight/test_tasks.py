@@ -1,0 +1,81 @@
+"""Tasks: starts are drawn as written, from frozen seeds, and are the same for every pilot."""
+
+import math
+
+import numpy as np
+import pytest
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.frames import rotation_world_body
+from falconwing_kit.flight.tasks import BEHIND, FollowTask, LandingTask, trial_seed
+
+TRAINING = range(200)  # seeds that never judge
+
+
+def starts(task, seeds=TRAINING):
+    """States at the start, without building the worlds."""
+    nominal = np.array([task.pad.x_start - 20.0, task.pad.y_centre, 1.5])
+    return [task.spread.start(task.model, nominal, seed) for seed in seeds], nominal
+
+
+def test_the_list_of_seeds_is_frozen():
+    """Results are compared on it: 10,000 + k, the next list 20,000 + k; nothing below 10,000 ever judges."""
+    assert [trial_seed(k) for k in (0, 1, 99)] == [10_000, 10_001, 10_099]
+    assert trial_seed(3, seed=1) == 20_003
+    for number, seed in ((-1, 0), (10_000, 0), (0, -1)):
+        with pytest.raises(InputError, match="want a finite number"):
+            trial_seed(number, seed)
+
+
+def test_landings_begin_20_m_out_and_within_their_spread():
+    """+-1 m on each axis, +-10 deg on each angle, +-1 m/s: 200 even draws come near both ends, none beyond."""
+    states, nominal = starts(LandingTask())
+    off = np.array([state.p_world - nominal for state in states])
+    angles = np.array([(state.roll, state.yaw) for state in states])
+    pitch = np.array([state.pitch for state in states])
+    speed = np.array([np.linalg.norm(state.v_world) for state in states])
+    for values, size in ((off, 1.0), (angles, math.radians(10.0)), (speed - 7.0, 1.0)):
+        assert np.abs(values).max() <= size + 1e-12
+        assert values.min(axis=0).max() < -0.9 * size
+        assert values.max(axis=0).min() > 0.9 * size
+    assert np.ptp(pitch) == pytest.approx(math.radians(20.0), rel=0.1)
+
+
+def test_the_velocity_turns_with_the_nose():
+    """Angle of attack and sideslip are those of the trimmed flight in every start: a disturbed path, not a stall."""
+    states, _ = starts(LandingTask(), range(20))
+    flow = []
+    for state in states:
+        v_body = rotation_world_body(state.roll, state.pitch, state.yaw).T @ state.v_world
+        flow.append(v_body / np.linalg.norm(v_body))
+    assert np.ptp(flow, axis=0) == pytest.approx(np.zeros(3), abs=1e-9)
+    assert abs(flow[0][1]) < 1e-6
+
+
+def test_same_seed_same_start_and_noise_for_every_pilot():
+    """Two worlds of one seed measure alike to the last bit; another seed does not."""
+    task = LandingTask()
+    first, again, other = (task.trial(seed).world for seed in (5, 5, 6))
+    assert (first.measured().vector == again.measured().vector).all()
+    assert (first.state.vector == again.state.vector).all()
+    assert (first.state.vector != other.state.vector).any()
+
+
+def test_a_follower_begins_behind_its_leader_with_its_speed():
+    """BEHIND metres back along the leader's course, +-0.5 m on each axis, the nose within 5 deg of the course."""
+    trial = FollowTask("left_turn_s_descent").trial(7)
+    leader, own = trial.leader.state(0.0), trial.world.state
+    course = leader.v_world / np.linalg.norm(leader.v_world)
+    assert own.p_world == pytest.approx(leader.p_world - BEHIND * course, abs=0.5)
+    assert own.yaw == pytest.approx(math.atan2(-course[1], course[0]), abs=math.radians(5.0))
+    assert np.linalg.norm(own.v_world) == pytest.approx(7.0, abs=0.5)
+    assert trial.duration == trial.leader.duration
+
+
+def test_what_cannot_be_flown_is_refused():
+    """A manoeuvre nobody knows; a chase without a leader."""
+    with pytest.raises(InputError, match="manoeuvre: want one of"):
+        FollowTask("loop")
+    landing = LandingTask().trial(1)
+    with pytest.raises(InputError, match="with a leader"):
+        FollowTask("figure_eight").expert(landing)
