@@ -30,7 +30,8 @@ MARKER_DICTIONARY, MARKER_ID, MARKER_SIDE = "DICT_4X4_50", 7, 0.8  # the paper s
 OPACITY = 0.99
 OVERLAP = 0.66  # standard deviation of a surfel by the side of its rectangle: neighbours leave 3 % at the corners
 THICKNESS = 0.002  # standard deviation across a surface [m]
-AMBIENT = 0.38  # light that comes from everywhere; 1 shows a white wall white
+AMBIENT = 0.30  # light that comes from everywhere; 1 shows a white wall white
+BOUNCE = (0.34, 0.28, 0.21)  # what the floor throws up, on a surface that faces down
 HALL_LOW, HALL_HIGH = (-22.5, -12.0, 0.0), (17.5, 8.0, 5.0)  # [m]
 POSTER_COLOURS = 8
 FACES = {  # of a box, with u and v along them; u x v points outward
@@ -221,16 +222,16 @@ def _palette(tables: Mapping[str, Any], rng: np.random.Generator, vary: bool) ->
 
 
 def _with_posters(panel: Panel, rng: np.random.Generator) -> Panel:
-    """The panel with its posters side by side, each a sheet with patches."""
-    paint, length = list(panel.paint), np.max(panel.size)
+    """The panel with its posters side by side under everything else, each a sheet with patches."""
+    sheets, share = [], np.max(panel.size) / max(1, panel.posters)
     for number in range(panel.posters):
-        size, share = rng.uniform((1.2, 0.8), (2.0, 1.1)), length / panel.posters
+        size = rng.uniform((1.2, 0.8), (2.0, 1.1))
         at = np.array([share * number + rng.uniform(0.2, share - 2.2), rng.uniform(2.5, 2.9)])
         for part in range(6):
             low, high = (np.zeros(2), size) if part == 0 else np.sort(rng.uniform(0.08, 0.92, (2, 2)), axis=0) * size
             colour = f"poster {rng.integers(POSTER_COLOURS)}"
-            paint.append({"colour": colour, "at": at + low, "size": high - low + 0.02})
-    return replace(panel, paint=tuple(paint))
+            sheets.append({"colour": colour, "at": at + low, "size": high - low + 0.02})
+    return replace(panel, paint=(*sheets, *panel.paint))
 
 
 def _marker() -> Panel:
@@ -326,7 +327,7 @@ def _cut(panel: Panel, low: Array, high: Array, rect_low: Array, rect_high: Arra
     beside = (starts < high[:, None, other] + panel.edge) & (ends > low[:, None, other] - panel.edge)
     left, right, middle = low[:, None, axis], high[:, None, axis], 0.5 * (low + high)
     gaps = np.where(beside, np.maximum(0.0, np.maximum(left - edges, edges - right)), np.inf)
-    limit = np.clip(0.8 * np.min(gaps, axis=1, initial=np.inf), panel.edge, np.array(panel.cell)[axis])
+    limit = np.clip(np.min(gaps, axis=1, initial=np.inf), panel.edge, np.array(panel.cell)[axis])
     near_arc = _arc_gap(panel, middle) < 0.7 * np.max(high - low, axis=1)
     limit = np.where(near_arc, np.minimum(limit, 2.0 * panel.edge), limit)
     cut = np.where((right - left)[:, 0] > 1.5 * limit, middle[:, axis], np.nan)
@@ -418,7 +419,7 @@ def _light(hall: list[Surfels], lamps: tuple[Array, Array, Array]) -> Iterator[A
         points, normal = piece.means.astype(np.float32), piece.axes[..., 2].astype(np.float32)
         gaps = np.maximum(0.0, np.stack([points - np.float32(HALL_LOW), np.float32(HALL_HIGH) - points]))
         openness = np.prod(1.0 - 0.5 * (1.0 - np.abs(normal)) * np.exp(-gaps / 0.6), axis=(0, 2))
-        light = np.tile(AMBIENT * openness[:, None], 3)
+        light = openness[:, None] * (AMBIENT + np.outer(0.5 - 0.5 * normal[:, 2], BOUNCE))
         for place, facing, power in zip(*(array.astype(np.float32) for array in lamps), strict=True):
             ray = place - points
             square = np.sum(ray * ray, axis=1)
