@@ -11,17 +11,16 @@ from falconwing_kit.aircraft.model import Model, record_of
 from falconwing_kit.aircraft.terms import air_flow
 from falconwing_kit.core.flight_table import FlightTable, slice_time
 from falconwing_kit.demo.alfa_story import AlfaStory, alfa_facts, alfa_start, ordinary_prior
-from falconwing_kit.gap.calm import DAY_TO_DAY, LEAST_GAIN, CalmBase
+from falconwing_kit.gap.calm import LEAST_GAIN, CalmBase, judged_base
 from falconwing_kit.gap.close import Onset, find_onset
-from falconwing_kit.gap.evidence import Reduced, columns, variants
-from falconwing_kit.gap.name import Candidate
+from falconwing_kit.gap.name import Candidate, fit_flight
 from falconwing_kit.gap.noise import PoseNoise
-from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_starts, robust_factor
+from falconwing_kit.sysid.fit import FitResult, fit
 from falconwing_kit.sysid.forecast import with_throttle_held
-from falconwing_kit.sysid.identify import Identification, identify
+from falconwing_kit.sysid.identify import identify
 from falconwing_kit.sysid.prepare import prepare
 from falconwing_kit.sysid.shooting import Windows, cut_windows, pose_residuals
-from falconwing_kit.sysid.uncertainty import ordinary_size, uncertainty
+from falconwing_kit.sysid.uncertainty import uncertainty
 
 WINDOW_S = 4.0  # ten poses of this log, as in half a second of a camera's; two seconds hold five, and say little
 CUTS = 4  # ways to cut the stretch into windows, a second apart
@@ -87,7 +86,8 @@ def judge_alfa(story: AlfaStory, progress: Callable[[str], None] = lambda stage:
     healthy = [slice_time(story.table, 0.0, failure)]
     found = identify(healthy, model=start, prior=ordinary_prior(start), window_s=WINDOW_S)
     catalogue = suiting(found.model)
-    base = _healthy(found, catalogue)
+    windows = found.fitted_windows
+    base = judged_base(found, WHITE, fit(found.model, windows, found.result.starts), windows, catalogue)
     end = _end_of_known(story.table, failure)
     threshold = max(LEAST_GAIN, 3.0 * base.false_gain)
     answers: dict[str, list[Suspect]] = {}
@@ -114,7 +114,8 @@ def _judge_cut(
     base: CalmBase, catalogue: Sequence[Effect], table: FlightTable, begin: float, end: float, failure: float
 ) -> tuple[list[tuple[Onset, Suspect]], float, float, float]:
     """Every effect's onset in one cut; evidence of the logged throttle; residual without and with the thrust loss."""
-    windows, before = _fit_stretch(base, slice_time(with_throttle_held(table, failure), begin, end))
+    held = slice_time(with_throttle_held(table, failure), begin, end)
+    windows, before = fit_flight(base, prepare(held, base.found.sigma))
     logged = cut_windows(prepare(slice_time(table, begin, end), base.found.sigma).flights, before.model, WINDOW_S)
     told = fit(before.model, replace(logged, weight=windows.weight), before.starts, prior=base.prior)
     late = windows.nodes[:, -1] + begin > failure
@@ -175,34 +176,6 @@ def suiting(model: Model, catalogue: Sequence[Effect] = CATALOGUE) -> tuple[Effe
         if all(type(moment) is float and moment == 0.0 for moment in loads[3:]):
             chosen.append(effect)
     return tuple(chosen)
-
-
-def _healthy(found: Identification, catalogue: Sequence[Effect]) -> CalmBase:
-    """What the flight before the failure says of the aircraft, and what evidence effects find there by chance."""
-    windows = found.fitted_windows
-    result = fit(found.model, windows, found.result.starts)
-    chi2 = result.cost / (windows.count - len(windows) * result.model.n_states - len(result.free))
-    sure = uncertainty(result, windows)
-    ordinary = {p.name: ordinary_size(p, result.model.values[p.name]) for p in result.model.parameters}
-    covariance = sure.covariance + np.diag([(DAY_TO_DAY * ordinary[name]) ** 2 for name in sure.names])
-    sigma = np.sqrt(np.diag(covariance))
-    spread = dict(zip(sure.names, sigma.tolist(), strict=True))
-    prior = Prior(dict(result.model.values), spread, covariance / np.outer(sigma, sigma))
-    tried = columns(result.model, windows, result.starts, list(variants(catalogue, windows)))
-    price = np.log(windows.count) * np.array([len(t.variant.effect.parameters) for t in tried])
-    by_chance = Reduced.of(result, None, max(1.0, chi2)).block_gains(tried) - price[:, None]
-    return CalmBase(found, WHITE, result, windows, chi2, prior, float(by_chance.max()), 0.0)
-
-
-def _fit_stretch(base: CalmBase, flight: FlightTable) -> tuple[Windows, FitResult]:
-    """The healthy aircraft under its prior, fitted to a stretch, far residuals weighed down."""
-    model = base.result.model
-    plain = cut_windows(prepare(flight, base.found.sigma).flights, model, WINDOW_S)
-    starts, residual = fit_starts(model, plain, plain.guess[:, : model.n_states])
-    first = fit(model, plain.weighted(robust_factor(residual, plain)), starts, prior=base.prior, tolerance=1.0)
-    _, residual = fit_starts(first.model, plain, first.starts)
-    windows = plain.weighted(robust_factor(residual, plain))
-    return windows, fit(model, windows, first.starts, prior=base.prior)
 
 
 def _end_of_known(table: FlightTable, failure: float) -> float:

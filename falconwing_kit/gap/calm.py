@@ -111,16 +111,32 @@ def learn_base(
             f"{found.names[0]}: the base model does not describe this calm flight (chi2 per degree of freedom "
             f"{chi2:.1f}, noise alone gives 1); use a calm flight of the same aircraft without wind or other surprise"
         )
-    level = result.cost / freedom(windows, result)
     progress("what chance finds")
+    return judged_base(found, noise, result, windows, [*catalogue, *unnamed_for(result.model)])
+
+
+def judged_base(
+    found: Identification, noise: PoseNoise, result: FitResult, windows: Windows, tried: Sequence[Effect]
+) -> CalmBase:
+    """The base of a fit that needs no more: its level, what it says of another day, and what chance finds in it.
+
+    Args:
+        found: the calm flight, identified.
+        noise: its pose noise.
+        result: the base model, fitted with the noise made white.
+        windows: what it was fitted to.
+        tried: the effects that will be tried, with or without a name.
+
+    Returns:
+        What naming needs to know about the aircraft.
+    """
+    level = result.cost / freedom(windows, result)
     reduced = Reduced.of(result, None, max(1.0, level))
-    tried = columns(
-        result.model, windows, result.starts, list(variants([*catalogue, *unnamed_for(result.model)], windows))
-    )
-    price = np.array([price_of(t.variant.effect, windows) for t in tried])
-    false = (reduced.block_gains(tried) - price[:, None]).max(axis=1)
-    named = np.array([t.variant.effect not in UNNAMED for t in tried])
-    gains = float(false[named].max()), float(false[~named].max())
+    places = columns(result.model, windows, result.starts, list(variants(tried, windows)))
+    price = np.array([price_of(c.variant.effect, windows) for c in places])
+    false = (reduced.block_gains(places) - price[:, None]).max(axis=1)
+    named = np.array([c.variant.effect not in UNNAMED for c in places])
+    gains = float(false[named].max(initial=0.0)), float(false[~named].max(initial=0.0))
     return CalmBase(found, noise, result, windows, level, _day_to_day(result, windows), *gains)
 
 

@@ -80,7 +80,7 @@ def name_effect(
     """
     prepared = prepare(flight, base.found.sigma)
     progress("flight under test")
-    windows, before = _fit_flight(base, prepared)
+    windows, before = fit_flight(base, prepared)
     ranking = _rank(base, windows, before, catalogue, progress, tolerance=ROUGH)
     best = ranking[0].result
     if best is not None and ranking[0].gain > 0.5 * LEAST_GAIN:
@@ -255,8 +255,16 @@ def _is_itself(effect: Effect, result: FitResult, windows: Windows, base: CalmBa
     return all(low * high > 0.0 for low, high in (sure.interval(name, values[name]) for name in effect.essential))
 
 
-def _fit_flight(base: CalmBase, prepared: Prepared) -> tuple[Windows, FitResult]:
-    """The base model under its prior, fitted to the flight."""
+def fit_flight(base: CalmBase, prepared: Prepared) -> tuple[Windows, FitResult]:
+    """The base model under its prior, fitted to a flight, far residuals weighed down.
+
+    Args:
+        base: the aircraft without surprise.
+        prepared: the flight.
+
+    Returns:
+        The flight in windows as long as the base's, and the fit.
+    """
     model = base.result.model
     plain = cut_windows(prepared.flights, model, base.window_s)
     starts, residual = fit_starts(model, plain, plain.guess[:, : model.n_states])
