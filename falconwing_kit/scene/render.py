@@ -111,10 +111,8 @@ def _fast(
 def _gsplat(
     scene: GaussianScene, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool
 ) -> Images:
-    try:
-        from falconwing_kit.scene.gsplat_backend import render_gsplat
-    except ModuleNotFoundError as error:
-        raise _missing("gsplat", error) from None
+    from falconwing_kit.scene.gsplat_backend import render_gsplat
+
     return render_gsplat(scene, camera, T_world_camera, background, antialiased)
 
 
