@@ -165,7 +165,7 @@ def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str,
     for record in records:
         if not record["success"]:
             lost = record.get("lost_at_s")
-            print(f"trial {record['trial']}: {record['reason']}" + (f", lock lost at {lost:.2f} s" if lost else ""))
+            print(f"trial {record['trial']}: {record['reason']}" + ("" if lost is None else f", lock lost at {lost:.2f} s"))
     faulty = next((record for record in records if record["faults"]), None)
     if faulty is not None:
         print(f"warning: the pilot failed in {found['faults']} steps; first: {faulty['first_fault']['error']}")

@@ -1,0 +1,106 @@
+"""falconwing fly: exit codes, what is printed and written, and one sentence for what is not there yet."""
+
+import json
+
+import pytest
+
+from falconwing_kit.cli.main import main
+from falconwing_kit.core.messages import Command
+from falconwing_kit.flight.tasks import LandingTask
+
+QUICK = ("--headless", "--no-render")
+
+
+class Dive:
+    """A pilot that leaves everything alone: the aircraft comes down before the pad."""
+
+    def act(self, observation) -> Command:
+        return Command(0.0, 0.0, -1.0, 0.0)
+
+
+@pytest.mark.parametrize("pilot", ["rgb", "mask", "rgb_mask", "student", "manual"])
+def test_pilots_that_are_not_there_yet_are_wrong_use(pilot, capsys):
+    """Exit 2 and one sentence, before anything is flown."""
+    assert main(["fly", "--pilot", pilot]) == 2
+    said = capsys.readouterr().err
+    assert said == (
+        f"falconwing: --pilot {pilot}: this version of the kit has no such pilot yet; take expert\n"
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("words", [("--source", "camera"), ("--port", "COM3")])
+def test_the_real_aircraft_is_not_there_yet(words, capsys):
+    """The expert needs a state that no camera gives yet."""
+    assert main(["fly", *words]) == 2
+    assert "no pilot for the real aircraft yet" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--size", "320"), "want WIDTHxHEIGHT"),
+        (("--size", "0x0"), "want WIDTHxHEIGHT"),
+        (("--trials", "0"), "trials: want a finite number"),
+        (("--task", "follow", "--manoeuvre", "loop"), "manoeuvre: want one of left_turn_s_descent"),
+        (("--seed", "-1"), "seed: want a finite number"),
+        (("--against", "nowhere"), "found none there"),
+    ],
+)
+def test_wrong_options_are_wrong_use(words, sentence, capsys):
+    """Exit 2, one sentence."""
+    assert main(["fly", *QUICK, *words]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert len(said.splitlines()) == 1
+
+
+def test_a_landing_leaves_log_table_and_figures(tmp_path, capsys):
+    """Exit 0; everything under --out; the last line says what next."""
+    out = tmp_path / "new" / "out"
+    assert main(["fly", *QUICK, "--seed", "500", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("SIMULATED: landing by expert\nsuccess: 1 of 1")
+    assert said.splitlines()[-1].startswith("next: ")
+    names = {path.name for path in out.iterdir()}
+    assert names == {"trial_000.mcap", "trials.jsonl", "trials.csv", "summary.json", "paths.png", "results.png"}
+    assert [path.name for path in tmp_path.iterdir()] == ["new"]
+
+
+def test_a_failed_task_exits_1_and_pairs_are_compared(tmp_path, monkeypatch, capsys):
+    """The expert lands twice, the dive never: exit 1, pairs 2, and the other one won both. p = 2 (1/2)^2."""
+    words = ["fly", *QUICK, "--seed", "500", "--trials", "2"]
+    assert main([*words, "--out", str(tmp_path / "expert"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["successes"] == 2
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
+    assert main([*words, "--against", str(tmp_path / "expert"), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert (found["successes"], found["simulated"]) == (0, True)
+    assert found["against"] == {"pairs": 2, "only_first": 0, "only_second": 2, "p_value": 0.5}
+    assert main([*words, "--against", str(tmp_path / "expert")]) == 1
+    said = capsys.readouterr().out
+    assert "trial 0: touched floor" in said
+    assert "McNemar p = 0.5" in said
+
+
+def test_a_file_in_place_of_the_folder_is_wrong_use(tmp_path, capsys):
+    """Found before anything is flown."""
+    (tmp_path / "taken").write_text("")
+    assert main(["fly", *QUICK, "--out", str(tmp_path / "taken")]) == 2
+    assert "want a folder" in capsys.readouterr().err
+
+
+FOLLOW = ("--task", "follow", "--headless", "--seed", "500")
+
+
+def test_the_expert_follows_with_images(capsys):
+    """4 m behind, the leader's outline of 0.047 m^2 is 29 px of a 160 x 120 image (f = 99 px): locked throughout."""
+    assert main(["fly", *FOLLOW, "--size", "160x120", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["task"] == "follow left_turn_s_descent"
+    assert found["locked_share"]["mean"] == 1.0
+
+
+def test_a_leader_too_small_in_the_image_is_lost_at_once(capsys):
+    """The same outline is 1.2 px of a 32 x 24 image (f = 20 px), fewer than the six that a lock needs."""
+    assert main(["fly", *FOLLOW, "--size", "32x24", "--no-render"]) == 1
+    assert "trial 0: duration, lock lost at 0.00 s" in capsys.readouterr().out
