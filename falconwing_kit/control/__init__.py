@@ -1,8 +1,9 @@
 """control: the expert pilot, its loops and guidance, and the leaders that others follow."""
 
+from falconwing_kit.control.estimate import FlyingAircraft, Observer
 from falconwing_kit.control.expert import FollowExpert, LandingExpert, WaypointExpert, landing_path
 from falconwing_kit.control.guidance import Hall, Path, require_flyable
-from falconwing_kit.control.leader import MANOEUVRES, FlyingAircraft, LeaderPath, leader_path
+from falconwing_kit.control.leader import MANOEUVRES, LeaderPath, leader_path
 from falconwing_kit.control.loops import (
     LATERAL,
     LONGITUDINAL,
@@ -28,6 +29,7 @@ __all__ = [
     "LandingExpert",
     "LeaderPath",
     "Loop",
+    "Observer",
     "Path",
     "Reference",
     "TrimTable",

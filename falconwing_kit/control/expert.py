@@ -1,7 +1,7 @@
 """Experts: the measured state -> sticks that land, follow waypoints or follow a leader. By state alone, no image.
 
-An expert looks at `observation.state`, `observation.t` and `observation.past_commands` only; velocities and rates are
-those of the estimator behind the state. It is what the vision policies imitate.
+An expert looks at `observation.state`, `observation.t` and `observation.past_commands` only. Of the state it takes the
+pose; velocities and rates are those of its own observer. It is what the vision policies imitate.
 """
 
 import math
@@ -13,7 +13,8 @@ import numpy as np
 from falconwing_kit.aircraft.airframe import Airframe
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.touchdown import LandingPad, wheel_heights
-from falconwing_kit.control.guidance import Path, require_flyable
+from falconwing_kit.control.estimate import Observer
+from falconwing_kit.control.guidance import Hall, Path, require_flyable
 from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, Autopilot, path_axes
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.messages import Command, Observation, State
@@ -23,6 +24,7 @@ FLARE_LENGTH = 6.0  # way in which the flare's slope falls to 1/e [m]
 AIM = 3.5  # where the wheels should touch, past the pad's threshold [m]
 FINAL = 60.0  # length of the approach that is laid out before the pad [m]
 GAP_GAIN, GAP_SPEED = 0.8, 1.2  # speed for each metre behind its place [1/s], and at most [m/s]
+WALL_MARGIN = 0.8  # m from walls, floor and ceiling that a follower keeps; its half span is 0.35 m
 NO_STATE = "no state"
 
 
@@ -49,17 +51,17 @@ class WaypointExpert:
         """
         self.path, self.speed, self.mode = Path(waypoints), speed, "waypoints"
         require_flyable(self.path, speed, airframe.bank_limit)
-        self._autopilot, self._s = Autopilot(model, speed, delay), 0.0
+        self._hands, self._s = _Hands(model, speed, delay), 0.0
 
     def act(self, observation: Observation) -> Command:
         """Sticks that bring the aircraft to the first waypoint and along the path; straight on after its end."""
-        state = finite_state(observation)
+        state = self._hands.state(observation)
         if state is None:
             self.mode = NO_STATE
-            return self._autopilot.level()
+            return self._hands.autopilot.level()
         self._s = self.path.nearest(state.p_world, self._s)
         self.mode = "waypoints" if self._s < self.path.length else "past the end"
-        return self._autopilot.command(state, self.path.at(self._s, self.speed), observation.past_commands)
+        return self._hands.autopilot.command(state, self.path.at(self._s, self.speed), observation.past_commands)
 
 
 class LandingExpert:
@@ -71,14 +73,14 @@ class LandingExpert:
         """Design the loops and lay the approach; InputError where the model cannot be trimmed or held."""
         self.path, self._flare_at = landing_path(airframe, pad)
         self.airframe, self.pad, self.speed, self.mode = airframe, pad, speed, "approach"
-        self._autopilot = Autopilot(model, speed, delay)
+        self._hands = _Hands(model, speed, delay)
 
     def act(self, observation: Observation) -> Command:
         """Sticks for the approach, the flare and the pad."""
-        state = finite_state(observation)
+        state = self._hands.state(observation)
         if state is None:
             self.mode = NO_STATE
-            return self._autopilot.level()
+            return self._hands.autopilot.level()
         s = self.path.nearest(state.p_world)
         wheels = float(np.min(wheel_heights(state.vector, self.airframe, self.pad)))
         if self.mode == "landed" or (s > self._flare_at and wheels < 0.0):
@@ -86,7 +88,7 @@ class LandingExpert:
             return Command(0.0, 0.0, 0.0, 0.0)
         self.mode = "flare" if s > self._flare_at else "approach"
         wanted = self.path.at(s, self.speed)
-        return self._autopilot.command(state, wanted, observation.past_commands, idle=self.mode == "flare")
+        return self._hands.autopilot.command(state, wanted, observation.past_commands, idle=self.mode == "flare")
 
 
 class FollowExpert:
@@ -101,15 +103,15 @@ class FollowExpert:
         steps = np.linalg.norm(np.diff(leader_path.states[:, 0:3], axis=0), axis=1)
         self._s_leader = np.concatenate([[0.0], np.cumsum(steps)])
         self._speeds = np.linalg.norm(leader_path.states[:, 6:9], axis=1)
-        self._autopilot = Autopilot(model, speed, delay)
+        self._hands = _Hands(model, speed, delay)
         self._s: float | None = None
 
     def act(self, observation: Observation) -> Command:
         """Sticks that keep the aircraft on the leader's path, in its place behind the leader."""
-        state = finite_state(observation)
+        state = self._hands.state(observation)
         if state is None:
             self.mode = NO_STATE
-            return self._autopilot.level()
+            return self._hands.autopilot.level()
         self.mode = "follow"
         s_leader = float(np.interp(observation.t, self.leader.t, self._s_leader))
         if self._s is None:
@@ -123,15 +125,24 @@ class FollowExpert:
         late = s_leader - self.place[0] - s
         wanted = self.path.at(s, flown + min(max(GAP_GAIN * late, -GAP_SPEED), GAP_SPEED))
         aside = self.place[1] * path_axes(wanted.yaw)[1] + (0.0, 0.0, self.place[2])
-        return self._autopilot.command(
-            state, replace(wanted, p_world=wanted.p_world + aside), observation.past_commands
-        )
+        # A place beside the path may lie behind a wall where the path itself does not.
+        target = Hall().inside(wanted.p_world + aside, WALL_MARGIN)
+        return self._hands.autopilot.command(state, replace(wanted, p_world=target), observation.past_commands)
 
 
-def finite_state(observation: Observation) -> State | None:
-    """The observation's state if there is one and all of it is finite."""
-    state = observation.state
-    return state if state is not None and bool(np.isfinite(state.vector).all()) else None
+class _Hands:
+    """What all experts have in common: an observer, and an autopilot that acts on what it says."""
+
+    def __init__(self, model: Model, speed: float, delay: float) -> None:
+        self.autopilot, self._observer = Autopilot(model, speed, delay), Observer(model, speed, delay)
+
+    def state(self, observation: Observation) -> State | None:
+        """The estimate; None where no state was measured or not all of it is finite."""
+        measured, sent = observation.state, observation.past_commands[-1]
+        if measured is None or not np.isfinite(measured.vector).all():
+            self._observer.forget()
+            return None
+        return self._observer.update(observation.t, measured, sent)
 
 
 def landing_path(airframe: Airframe, pad: LandingPad) -> tuple[Path, float]:

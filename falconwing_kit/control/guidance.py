@@ -11,7 +11,7 @@ from falconwing_kit.core.frames import GRAVITY
 
 SPACING = 0.1  # m between the samples of a path
 CLIMB_LIMIT = math.radians(12.0)  # of a planned path; at half throttle the aircraft climbs by 10 deg
-PREVIEW_S = 0.25  # the bank of the path so far ahead: what delay, servo and roll take to build it up
+PREVIEW_S = 0.2  # bank and climb are those of the path so far ahead: delay, servo and the aircraft's own answer
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,19 @@ class Hall:
         p = np.asarray(p_world, np.float64)
         sides = (p[..., 0] - self.x[0], self.x[1] - p[..., 0], p[..., 1] - self.y[0], self.y[1] - p[..., 1])
         return np.minimum.reduce([*sides, self.height - p[..., 2]])
+
+    def inside(self, p_world: Array, margin: float) -> Array:
+        """The nearest points that keep a margin from walls, ceiling and floor.
+
+        Args:
+            p_world: (..., 3) [m].
+            margin: [m].
+
+        Returns:
+            (..., 3) [m].
+        """
+        low, high = (np.array([self.x[i], self.y[i], (0.0, self.height)[i]]) for i in range(2))
+        return np.clip(p_world, low + margin, high - margin)
 
 
 class Path:
@@ -103,10 +116,12 @@ class Path:
             The reference.
         """
         inside = min(max(s, 0.0), self.length)
-        yaw, climb = float(np.interp(inside, self.s, self.yaw)), float(np.interp(inside, self.s, self.climb))
+        yaw, slope = float(np.interp(inside, self.s, self.yaw)), float(np.interp(inside, self.s, self.climb))
         p = np.array([np.interp(inside, self.s, self.p_world[:, axis]) for axis in range(3)])
-        along = np.array([math.cos(yaw) * math.cos(climb), -math.sin(yaw) * math.cos(climb), math.sin(climb)])
-        curvature = float(np.interp(s + speed * PREVIEW_S, self.s, self.curvature, left=0.0, right=0.0))
+        along = np.array([math.cos(yaw) * math.cos(slope), -math.sin(yaw) * math.cos(slope), math.sin(slope)])
+        ahead = s + speed * PREVIEW_S
+        climb = float(np.interp(ahead, self.s, self.climb))
+        curvature = float(np.interp(ahead, self.s, self.curvature, left=0.0, right=0.0))
         bank = math.atan((speed * math.cos(climb)) ** 2 * curvature / GRAVITY)
         return Reference(p + (s - inside) * along, yaw, climb, speed, bank)
 

@@ -5,59 +5,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from falconwing_kit.aircraft.airframe import load_airframe
-from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
-from falconwing_kit.aircraft.model import Model, rates_model, state_rates
+from falconwing_kit.aircraft.model import Model, rates_model
 from falconwing_kit.aircraft.trim import trim
+from falconwing_kit.control.estimate import FlyingAircraft
 from falconwing_kit.control.expert import WaypointExpert
 from falconwing_kit.control.guidance import Hall
-from falconwing_kit.control.loops import LINK_DELAY_S, STEP_S, path_axes
+from falconwing_kit.control.loops import STEP_S, path_axes
 from falconwing_kit.core.checks import Array, InputError, require_range
-from falconwing_kit.core.messages import Command, Observation, State
+from falconwing_kit.core.messages import Observation, State
 
 MARGIN = 1.0  # m that a leader keeps from walls and ceiling; its half span is 0.35 m
 LOWEST = 0.7  # m above the floor
 TRIES, KNOTS = 500, 8  # of random waypoints
-STRETCH = 0.05
 SETTLED_S = 0.6  # a servo of 30 ms has forgotten where it was
-
-
-class FlyingAircraft:
-    """A model in flight: commands go in and act late, the true state comes out."""
-
-    def __init__(self, model: Model, start: State, delay: float = LINK_DELAY_S) -> None:
-        """Begin at t = 0; the first command is taken to have acted before."""
-        self.t, self.x = 0.0, start.vector[: model.n_states].copy()
-        self._model, self._delay, self._K = model, require_range("delay", delay, low=0.0, high=1.0), model.K
-        self._rates = state_rates(model.form, model.terms, model.winds)
-        self._times: list[float] = []
-        self._sticks: list[Array] = []
-        late = (model.values.get(name, 0.0) for name in ("actuator_lag", "lag_in_series"))
-        self._memory = SETTLED_S + 12.0 * max(late)
-
-    def send(self, t: float, command: Command) -> None:
-        """Give a command at a time [s] not before the last one; it arrives `delay` later."""
-        self._times.append(t + self._delay)
-        self._sticks.append(command.vector)
-
-    def advance(self, t: float) -> None:
-        """Fly until t [s]; with no command yet, the sticks are neutral and the throttle idle."""
-        steps = math.ceil((t - self.t) / STEP_S * SUBSTEPS[self._model.form] - 1e-9)
-        if steps <= 0:
-            return
-        dt = (t - self.t) / steps
-        before = math.ceil(self._memory / dt)
-        edges = self.t + dt * np.arange(-before, steps + 1)
-        times = np.array(self._times or [0.0])
-        sticks = np.array(self._sticks or [np.zeros(4)])
-        recent = max(int(np.searchsorted(times, edges[0] - 1.0, side="right")) - 1, 0)
-        mean, swing = self._model.acting(times[recent:], sticks[recent:], edges, self._K)
-        x = self.x[:, None]
-        for k in range(before, before + steps):
-            x = step_batch(self._rates, self._K, edges[k], x, mean[k, :, None], dt, swing[k, :, None])
-        self.t, self.x = t, x[:, 0]
 
 
 @dataclass(frozen=True)
@@ -116,7 +78,7 @@ def leader_path(manoeuvre: str, seed: int = 0, model: Model | None = None) -> Le
         raise InputError(
             f"{manoeuvre}, seed {seed}: the aircraft leaves the hall's safe room; check the model's values"
         )
-    return LeaderPath(manoeuvre, seed, STEP_S * np.arange(len(states)), states)
+    return LeaderPath(manoeuvre, seed, STEP_S * np.arange(len(states), dtype=np.float64), states)
 
 
 def fly_path(model: Model, pilot: WaypointExpert) -> Array:
@@ -138,7 +100,7 @@ def fly_path(model: Model, pilot: WaypointExpert) -> Array:
     while pilot.mode == "waypoints" and len(flown) < 3.0 * path.length / pilot.speed / STEP_S:
         command = pilot.act(Observation(aircraft.t, None, past, State.from_vector(aircraft.x)))
         past = np.concatenate([past[1:], command.vector[None]])
-        aircraft.send(aircraft.t, command)
+        aircraft.send(aircraft.t, command.vector)
         aircraft.advance(len(flown) * STEP_S)
         flown.append(aircraft.x.copy())
     states = np.array(flown)
@@ -159,16 +121,16 @@ class Plan:
     curvature: tuple[float, ...]  # at the knots, positive to the right [1/m]
     climb_deg: tuple[float, ...]  # at the knots
     shift: tuple[float, float, float] = (0.5, 0.5, 0.2)  # a seed moves it by up to so much each way [m]
+    stretch: float = 0.05  # and enlarges it by up to this share
 
     def waypoints(self, rng: np.random.Generator) -> Array:
-        """A point every metre (n, 3) [m], shifted, and stretched by up to 5 % as the seed says."""
+        """A point every metre (n, 3) [m], moved and enlarged as the seed says."""
         start = np.array(self.start) + rng.uniform(-1.0, 1.0, 3) * self.shift
-        return start + rng.uniform(1.0, 1.0 + STRETCH * (self.shift[0] > 0.2)) * bent(
-            math.radians(self.yaw_deg), self.s, self.curvature, np.radians(self.climb_deg)
-        )
+        way = bent(math.radians(self.yaw_deg), np.array(self.s), np.array(self.curvature), np.radians(self.climb_deg))
+        return np.asarray(start + rng.uniform(1.0, 1.0 + self.stretch) * way)
 
 
-def bent(yaw: float, s: ArrayLike, curvature: ArrayLike, climb: ArrayLike) -> Array:
+def bent(yaw: float, s: Array, curvature: Array, climb: Array) -> Array:
     """Points a metre apart of a curve from the origin, from its curvature and climb.
 
     d(yaw)/ds = curvature, d(x, y, z)/ds = (cos yaw, -sin yaw, tan climb), s the level way.
@@ -182,10 +144,9 @@ def bent(yaw: float, s: ArrayLike, curvature: ArrayLike, climb: ArrayLike) -> Ar
     Returns:
         (n, 3) [m]; the first is the origin.
     """
-    knots = np.asarray(s, np.float64)
-    middle = np.arange(0.05, knots[-1], 0.1)  # steps of 0.1 m, by the midpoint rule
-    course = yaw + 0.1 * (np.cumsum(bend := np.interp(middle, knots, curvature)) - 0.5 * bend)
-    steps = 0.1 * np.column_stack([np.cos(course), -np.sin(course), np.tan(np.interp(middle, knots, climb))])
+    middle = np.arange(0.05, s[-1], 0.1)  # steps of 0.1 m, by the midpoint rule
+    course = yaw + 0.1 * (np.cumsum(bend := np.interp(middle, s, curvature)) - 0.5 * bend)
+    steps = 0.1 * np.column_stack([np.cos(course), -np.sin(course), np.tan(np.interp(middle, s, climb))])
     return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])[::10]
 
 
@@ -210,7 +171,9 @@ def random_waypoints(rng: np.random.Generator) -> Array:
         for _ in range(10 * KNOTS):
             bend = rng.uniform(-1.0, 1.0, 2) * (0.105, 0.12)
             tried = [*bends, bend, bend * (1.0, 0.0), bend * (1.0, 0.0)]  # there must be a way on
-            points = np.vstack([behind, start + bent(yaw, 5.0 * np.arange(len(tried)), *np.transpose(tried))])
+            curvature, climb = np.array(tried).T
+            s = np.linspace(0.0, 5.0 * (len(tried) - 1), len(tried))
+            points = np.vstack([behind, start + bent(yaw, s, curvature, climb)])
             if np.all(Hall().margin(points) > MARGIN) and np.all(points[:, 2] > LOWEST):
                 bends = tried[:-2]
             if len(bends) == KNOTS:
@@ -236,7 +199,7 @@ PLANS = {
     ),
     "figure_eight": Plan(
         (-2.5, -2.0, 2.2), -71.536, (*_LOBE, *(56.184 + s for s in _LOBE[1:])),
-        (*_RIGHT_LOBE, *(-k for k in _RIGHT_LOBE[1:])), (0.0,) * 11, (0.1, 0.1, 0.2),
+        (*_RIGHT_LOBE, *(-k for k in _RIGHT_LOBE[1:])), (0.0,) * 11, (0.1, 0.1, 0.2), 0.0,
     ),
 }  # fmt: skip
 MANOEUVRES: dict[str, Callable[[np.random.Generator], Array]] = {

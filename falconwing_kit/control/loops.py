@@ -8,6 +8,7 @@ turning, whose sticks are fed forward.
 import math
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,12 +201,17 @@ def _steady(model: Model, speed: float, climb: float, bank: float) -> Array:
     return np.array([*found.command, x[3], crab, *x[9:12]])
 
 
+def model_parts(model: Model) -> tuple[Any, ...]:
+    """What a model is made of, in a form that can be looked up: form, terms, winds, parameters, values.
+
+    Effects on sticks and on measured poses are left out: they change no force.
+    """
+    return model.form, model.terms, model.winds, model.parameters, tuple(model.values.items())
+
+
 @cache
 def _design(form, terms, winds, parameters, values, speed, delay):  # type: ignore[no-untyped-def]
-    """Trims and both loops of a model given in parts, which unlike a model can be looked up; a trial needs them again.
-
-    Effects on sticks and on measured poses change neither.
-    """
+    """Trims and both loops of a model in its parts; every trial needs them again."""
     model = Model(form, terms, winds, parameters, dict(values))
     loops = (design_loop(model, axis, speed, delay) for axis in (LATERAL, LONGITUDINAL))
     return TrimTable(model, speed), *loops
@@ -216,8 +222,7 @@ class Autopilot:
 
     def __init__(self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S) -> None:
         """Design both loops; InputError where the model cannot be trimmed or held."""
-        parts = (model.form, model.terms, model.winds, model.parameters, tuple(model.values.items()))
-        self.speed, (self.trims, *self.loops) = speed, _design(*parts, speed, delay)
+        self.speed, (self.trims, *self.loops) = speed, _design(*model_parts(model), speed, delay)
         self._sums = [np.zeros(len(loop.axis.integrals)) for loop in self.loops]
 
     def command(self, state: State, wanted: Reference, past_commands: Array, idle: bool = False) -> Command:

@@ -13,10 +13,10 @@ import numpy as np
 from falconwing_kit.aircraft.airframe import Airframe
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.touchdown import LandingPad, Touchdown, find_touchdown
+from falconwing_kit.control.estimate import FlyingAircraft
 from falconwing_kit.control.guidance import Hall
-from falconwing_kit.control.leader import FlyingAircraft
 from falconwing_kit.control.loops import LINK_DELAY_S, STEP_S
-from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
+from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.frames import body_rates, rotation_world_body
 from falconwing_kit.core.messages import Command, State
 
@@ -109,8 +109,9 @@ class SimulatedWorld:
     """One flight: a model of the aircraft, the hall, perhaps a pad and a leader."""
 
     def __init__(
-        self, model: Model, airframe: Airframe, start: State, *, seed: int, pad: LandingPad | None = None,
-        leader: Leader | None = None, noise: PoseNoise | None = None, delay: float = LINK_DELAY_S, hall: Hall | None = None,
+        self, model: Model, airframe: Airframe, start: State, *, seed: int,
+        pad: LandingPad | None = None, leader: Leader | None = None, hall: Hall | None = None,
+        noise: PoseNoise | None = None, delay: float = LINK_DELAY_S,
     ) -> None:  # fmt: skip
         """Begin at t = 0.
 
@@ -154,7 +155,7 @@ class SimulatedWorld:
 
     def send(self, t: float, command: Command) -> None:
         """Give a command at t [s]; it arrives after the delay."""
-        self._aircraft.send(t, command)
+        self._aircraft.send(t, command.vector)
 
     def measured(self) -> State:
         """The state as an estimator knows it: the noisy pose of this frame, velocities and rates by `PoseFilter`."""
@@ -204,10 +205,9 @@ class SimulatedWorld:
         leader = self.leader_state
         if leader is not None and np.linalg.norm(leader.p_world - x[:3]) < CLEARANCE:
             return Contact(t, "leader", x[:3])
-        for obstacle, touched in (
-            ("floor", points[:, 2].min() < 0.0), ("ceiling", points[:, 2].max() > self._hall.height),
-            ("wall", self._hall.margin(points * (1.0, 1.0, 0.0)).min() < 0.0),
-        ):  # fmt: skip
-            if touched:
-                return Contact(t, obstacle, x[:3])
-        return None
+        touched: dict[Obstacle, bool] = {
+            "floor": points[:, 2].min() < 0.0,
+            "ceiling": points[:, 2].max() > self._hall.height,
+            "wall": self._hall.margin(points * (1.0, 1.0, 0.0)).min() < 0.0,
+        }
+        return next((Contact(t, obstacle, x[:3]) for obstacle, yes in touched.items() if yes), None)
