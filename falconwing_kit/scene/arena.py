@@ -1,8 +1,8 @@
-"""The arena: the plan of a hall in arena.toml and a seed -> a Gaussian scene; scenes by name, and the leader moved in it.
+"""The arena: the plan of a hall in arena.toml and a seed -> a Gaussian scene; scenes by name; the leader at a pose.
 
-Everything is made of surfels, thin Gaussians that lie on surfaces. A flat panel is cut into rectangles along the edges
-of what is painted on it, ever finer towards an edge but long beside it: lines stay straight and sharp while a plain wall
-costs little. Light is worked out once and kept in the colours.
+All is made of surfels, thin Gaussians that lie on surfaces. A flat panel is cut into rectangles along the edges of what
+is painted on it, ever finer towards an edge but long beside it: lines stay straight and sharp while a plain wall costs
+little. Light is worked out once and kept in the colours.
 """
 
 import colorsys
@@ -26,18 +26,19 @@ from falconwing_kit.scene.render import require_pose
 
 PLAN = Path(__file__).with_name("arena.toml")
 SCENES = ("arena", "leader")  # the names that load_scene knows
-MARKER_DICTIONARY, MARKER_ID, MARKER_SIDE = "DICT_4X4_50", 7, 0.8  # the paper says 80 cm and names no dictionary
+MARKER_DICTIONARY, MARKER_ID = "DICT_4X4_50", 7  # as in the path-traced hall; the paper names none
 OPACITY = 0.99
 OVERLAP = 0.66  # standard deviation of a surfel by the side of its rectangle: neighbours leave 3 % at the corners
 THICKNESS = 0.002  # standard deviation across a surface [m]
 AMBIENT = 0.30  # light that comes from everywhere; 1 shows a white wall white
 BOUNCE = (0.34, 0.28, 0.21)  # what the floor throws up, on a surface that faces down
-HALL_LOW, HALL_HIGH = (-22.5, -12.0, 0.0), (17.5, 8.0, 5.0)  # [m]
+HALL_LOW, HALL_HIGH = np.array([-22.5, -12.0, 0.0]), np.array([17.5, 8.0, 5.0])  # [m]
 POSTER_COLOURS = 8
 FACES = {  # of a box, with u and v along them; u x v points outward
     **{"+x": ((0, 1, 0), (0, 0, 1)), "-x": ((0, -1, 0), (0, 0, 1)), "+y": ((-1, 0, 0), (0, 0, 1))},
     **{"-y": ((1, 0, 0), (0, 0, 1)), "+z": ((1, 0, 0), (0, 1, 0)), "-z": ((1, 0, 0), (0, -1, 0))},
 }
+Random = np.random.Generator
 Names = NDArray[np.str_]
 Palette = dict[str, "Finish"]
 
@@ -59,28 +60,16 @@ class Panel:
 
     label: str
     colour: str
-    corner: ArrayLike  # where u = v = 0 [m]
-    u: ArrayLike  # unit vectors along its sides
-    v: ArrayLike
-    size: ArrayLike  # along u and v [m]
-    cell: ArrayLike = (0.3, 0.3)  # the largest rectangle [m]
+    corner: Any  # where u = v = 0 [m]; lists of TOML and arrays will do
+    u: Any  # unit vectors along its sides
+    v: Any
+    size: Any  # along u and v [m]
+    cell: Any = (0.3, 0.3)  # the largest rectangle [m]
     edge: float = 0.025  # how wide the strips beside an edge are [m]
     free: bool = False  # its border is seen and needs such strips too
     paint: tuple[Mapping[str, Any], ...] = ()  # rectangles, a later one covers an earlier one; "none" cuts a hole
     arcs: tuple[Mapping[str, Any], ...] = ()  # curved lines
     posters: int = 0  # put up at random
-
-
-@dataclass(frozen=True)
-class Loft:
-    """A body with round sections, such as a pipe or a wing; [[loft]] of arena.toml explains the keys."""
-
-    label: str
-    along: str  # "x", "y" or "z"
-    sections: tuple[tuple[Any, ...], ...]  # place, centre on the two other axes, half widths [m], colour from there on
-    step: float = 0.01  # [m] along the axis
-    around: int = 24  # surfels
-    square: float = 1.0  # exponent of the section: 1 is an ellipse, towards 0 a rectangle
 
 
 class Surfels(NamedTuple):
@@ -122,13 +111,10 @@ def load_scene(name: str) -> GaussianScene:
 
 def cache_folder() -> Path:
     """Where this system keeps what programs can make again; the folder need not exist."""
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "falconwing"
+    home = Path.home()
+    places = {"win32": ("LOCALAPPDATA", home / "AppData" / "Local"), "darwin": ("", home / "Library" / "Caches")}
+    variable, usual = places.get(sys.platform, ("XDG_CACHE_HOME", home / ".cache"))
+    return Path(os.environ.get(variable) or usual) / "falconwing"
 
 
 def build_arena(seed: int = 0) -> GaussianScene:
@@ -138,10 +124,10 @@ def build_arena(seed: int = 0) -> GaussianScene:
     those were the world's. Before you look, place it or take it out with `leader_at`.
 
     Args:
-        seed: posters, grain and, unless 0, the hues of the walls; lines, pad, marker and leader stay as they are.
+        seed: draws posters, grain and, unless 0, the hues of the walls; everything stays in its place.
 
     Returns:
-        About 150 000 Gaussians of SH degree 0, the same bits for the same seed. The labels are floor, wall, ceiling,
+        About 170 000 Gaussians of SH degree 0, the same bits for the same seed. The labels are floor, wall, ceiling,
         fitting, pad, marker and leader.
 
     Raises:
@@ -152,11 +138,12 @@ def build_arena(seed: int = 0) -> GaussianScene:
     rng, plan = np.random.default_rng(seed), tomllib.loads(PLAN.read_text(encoding="utf-8"))
     palette = _palette(plan["palette"], rng, vary=seed != 0)
     flat = [Panel(**table) for table in plan["panel"]] + [face for box in plan["box"] for face in _faces(**box)]
-    panels = [_with_posters(panel, rng) for panel in (*flat, _marker())]
+    panels = [_with_marker(panel) if panel.label == "marker" else _with_posters(panel, rng) for panel in flat]
     hall = [_panel(panel) for panel in panels] + [_arc(panel, **arc) for panel in panels for arc in panel.arcs]
-    hall += [_loft(Loft(**table)) for table in plan["loft"]]
-    leader = [_loft(Loft(label="leader", **table)) for table in plan["leader"]]
-    light = [*_light(hall, _lamps(panels, palette)), *map(_light_from_above, leader)]
+    hall += [_loft(**table) for table in plan["loft"]]
+    leader = [_loft("leader", **table) for table in plan["leader"]]
+    light = [*_light(hall, _lamps(panels, palette))]
+    light += [np.repeat(0.75 - 0.35 * piece.axes[:, 2, 2:], 3, axis=1) for piece in leader]  # from above: z is down
     return _scene([*hall, *leader], light, palette, rng, f"simulated hall, built from arena.toml with seed {seed}")
 
 
@@ -209,7 +196,7 @@ def _turned_colours(sh: NDArray[np.float32], R_world_body: Array) -> NDArray[np.
     return turned
 
 
-def _palette(tables: Mapping[str, Any], rng: np.random.Generator, vary: bool) -> Palette:
+def _palette(tables: Mapping[str, Any], rng: Random, vary: bool) -> Palette:
     """The finishes by name, some of them in another hue, and the posters' colours."""
     palette, turn = {name: Finish(**table) for name, table in tables.items()}, rng.uniform(0.15, 0.85)
     for name, finish in palette.items():
@@ -221,7 +208,7 @@ def _palette(tables: Mapping[str, Any], rng: np.random.Generator, vary: bool) ->
     return palette
 
 
-def _with_posters(panel: Panel, rng: np.random.Generator) -> Panel:
+def _with_posters(panel: Panel, rng: Random) -> Panel:
     """The panel with its posters side by side under everything else, each a sheet with patches."""
     sheets, share = [], np.max(panel.size) / max(1, panel.posters)
     for number in range(panel.posters):
@@ -234,20 +221,16 @@ def _with_posters(panel: Panel, rng: np.random.Generator) -> Panel:
     return replace(panel, paint=(*sheets, *panel.paint))
 
 
-def _marker() -> Panel:
-    """The marker on its white board, upright, facing the approach, its centre 0.75 m above the floor."""
+def _with_marker(panel: Panel) -> Panel:
+    """The marker's board with the white bits on its black square."""
     import cv2
 
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, MARKER_DICTIONARY))
-    white_bits = np.argwhere(cv2.aruco.generateImageMarker(dictionary, MARKER_ID, 6)[::-1] > 127)  # rows upwards
-    bit, margin = MARKER_SIDE / 6, 0.5 - MARKER_SIDE / 2
-    paint = [{"colour": "marker black", "at": (margin, margin), "size": (MARKER_SIDE, MARKER_SIDE)}]
-    paint += [
-        {"colour": "marker white", "at": (margin + bit * column, margin + bit * row), "size": (bit, bit)}
-        for row, column in white_bits
-    ]
-    place = {"corner": (0.0, 0.5, 0.25), "u": (0, -1, 0), "v": (0, 0, 1), "size": (1.0, 1.0)}
-    return Panel("marker", "marker white", **place, cell=(0.07, 0.07), edge=0.008, free=True, paint=tuple(paint))
+    bits = np.argwhere(cv2.aruco.generateImageMarker(dictionary, MARKER_ID, 6)[::-1] > 127)  # row from below, column
+    square, side = panel.paint[0], panel.paint[0]["size"][0] / 6
+    places = np.add(square["at"], side * bits[:, ::-1])
+    white = [{"colour": panel.colour, "at": at, "size": (side, side)} for at in places]
+    return replace(panel, paint=(square, *white))
 
 
 def _faces(label: str, colour: str, low: ArrayLike, high: ArrayLike, without: str = "", **how: Any) -> Iterator[Panel]:
@@ -349,9 +332,7 @@ def _arc_gap(panel: Panel, uv: Array) -> Array:
     return gap
 
 
-def _arc(
-    panel: Panel, colour: str, centre: ArrayLike, radius: float, width: float, span_deg: ArrayLike = (0, 360)
-) -> Surfels:
+def _arc(panel: Panel, colour: str, centre: Any, radius: float, width: float, span_deg: Any = (0, 360)) -> Surfels:
     """A curved line, two surfels wide, from an angle to another, counted from u to v."""
     start, end = np.radians(span_deg)
     count = int(radius * (end - start) / 0.12)
@@ -364,78 +345,70 @@ def _arc(
     return _on_panel(panel, uv, sides, np.full(len(uv), colour), angles + 0.5 * np.pi)
 
 
-def _loft(loft: Loft) -> Surfels:
-    """Surfels all around a body with round sections."""
-    rows, pieces = np.array([row[:5] for row in loft.sections]), []
-    for start, end, section in zip(rows[:-1], rows[1:], loft.sections, strict=False):
-        steps = max(1, int(np.ceil(np.linalg.norm(end - start) / loft.step)))
-        s, t = (grid.ravel() for grid in np.mgrid[0.5:steps, 0.5 : loft.around])
-        s, t, ds, dt = s / steps, t / loft.around, 0.5 / steps, 0.5 / loft.around
-        along = _on_loft(loft, start, end, s + ds, t) - _on_loft(loft, start, end, s - ds, t)
-        around = _on_loft(loft, start, end, s, t + dt) - _on_loft(loft, start, end, s, t - dt)
-        pieces.append((_on_loft(loft, start, end, s, t), along, around, np.full(len(s), section[5], "U32")))
-    means, along, around, colours = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    normal = np.cross(around, along) * (-1.0 if loft.along == "y" else 1.0)  # outward; x, z, y is a left-handed order
+def _loft(label: str, along: str, sections: Any, step: float = 0.01, around: int = 24, square: float = 1.0) -> Surfels:
+    """Surfels all around a body with round sections along an axis; square: 1 makes ellipses, towards 0 rectangles."""
+    rows, pieces = np.array([section[:5] for section in sections]), []
+    for start, end, section in zip(rows[:-1], rows[1:], sections, strict=False):
+        steps = int(np.ceil(np.linalg.norm(end - start) / step))
+        s, t = (grid.ravel() for grid in np.mgrid[0.5:steps, 0.5:around])
+        s, t, ds, dt = s / steps, t / around, 0.5 / steps, 0.5 / around
+        centre, ahead, behind, left, right = (
+            _on_loft(along, square, np.outer(1.0 - place, start) + np.outer(place, end), turn)
+            for place, turn in ((s, t), (s + ds, t), (s - ds, t), (s, t + dt), (s, t - dt))
+        )
+        pieces.append((centre, ahead - behind, left - right, np.full(len(s), section[5], "U32")))
+    means, length, girth, colours = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    normal = np.cross(girth, length) * (-1.0 if along == "y" else 1.0)  # outward; y, x, z is a left-handed order
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    first = along / np.linalg.norm(along, axis=1, keepdims=True)
+    first = length / np.linalg.norm(length, axis=1, keepdims=True)
     axes = np.stack([first, np.cross(normal, first), normal], axis=2)
-    sides = np.abs([np.sum(along * axes[..., 0], axis=1), np.sum(around * axes[..., 1], axis=1)]).T
-    return Surfels(loft.label, means, axes, np.maximum(sides, 1e-3), colours, means[:, :2])
+    sides = np.abs([np.sum(length * axes[..., 0], axis=1), np.sum(girth * axes[..., 1], axis=1)]).T
+    return Surfels(label, means, axes, np.maximum(sides, 1e-3), colours, means[:, :2])
 
 
-def _on_loft(loft: Loft, start: Array, end: Array, s: Array, t: Array) -> Array:
-    """Points (N, 3) at fractions s from one section to the next and t around."""
-    place, centre_a, centre_b, half_a, half_b = np.outer(start, 1.0 - s) + np.outer(end, s)
-    cos, sin = np.cos(2.0 * np.pi * t), np.sin(2.0 * np.pi * t)
-    a = centre_a + half_a * np.sign(cos) * np.abs(cos) ** loft.square
-    b = centre_b + half_b * np.sign(sin) * np.abs(sin) ** loft.square
-    return np.stack({"x": (place, a, b), "y": (a, place, b), "z": (a, b, place)}[loft.along], axis=1)
+def _on_loft(along: str, square: float, sections: Array, turn: Array) -> Array:
+    """Points (N, 3) on sections (N, 5) at turns (N,), 0..1, around them."""
+    place, centre_a, centre_b, half_a, half_b = sections.T
+    cos, sin = np.cos(2.0 * np.pi * turn), np.sin(2.0 * np.pi * turn)
+    a = centre_a + half_a * np.sign(cos) * np.abs(cos) ** square
+    b = centre_b + half_b * np.sign(sin) * np.abs(sin) ** square
+    return np.stack({"x": (place, a, b), "y": (a, place, b), "z": (a, b, place)}[along], axis=1)
 
 
-def _lamps(panels: list[Panel], palette: Palette) -> tuple[Array, Array, Array]:
-    """Whatever glows, in patches of at most 1.2 m: places (L, 3), normals (L, 3), radiance times area (L, 3)."""
+def _lamps(panels: list[Panel], palette: Palette) -> list[tuple[Array, Array, float, Array]]:
+    """Whatever glows: its place (3,), normal (3,), area and radiance (3,)."""
     lamps = []
     for panel in panels:
         sides_world = np.array([panel.u, panel.v], np.float64)
         for low, high, name in zip(*_rects(panel), strict=True):
-            if name != "none" and palette[name].glow > 0.0:
-                count = np.ceil((high - low) / 1.2).astype(int)
-                power = palette[name].glow * np.prod((high - low) / count) * _linear(palette[name].rgb)
-                for cell in np.ndindex(*count):
-                    uv = low + np.add(cell, 0.5) / count * (high - low)
-                    lamps.append((panel.corner + uv @ sides_world, np.cross(*sides_world), power))
-    places, normals, powers = zip(*lamps, strict=True)
-    return np.array(places), np.array(normals), np.array(powers)
+            if name != "none" and palette[name].glow:
+                place = panel.corner + 0.5 * (low + high) @ sides_world
+                radiance = palette[name].glow * np.power(palette[name].rgb, 2.2)
+                lamps.append((place, np.cross(*sides_world), float(np.prod(high - low)), radiance))
+    return lamps
 
 
-def _light(hall: list[Surfels], lamps: tuple[Array, Array, Array]) -> Iterator[Array]:
+def _light(hall: list[Surfels], lamps: list[tuple[Array, Array, float, Array]]) -> Iterator[Array]:
     """Light (N, 3) that falls on each piece of the hall, without shadows.
 
-    E = ambient prod_walls (1 - 1/2 (1 - |n . m|) exp(-d / 0.6 m)) + sum_lamps L A cos(a) cos(b) / (pi r^2 + A)
-    d is the distance to a wall with normal m, so that corners are darker; the sum has the form factor of a small disc
-    [Cohen & Wallace 1993, Radiosity and Realistic Image Synthesis, eq. 4.18].
+    E = (ambient + bounce) prod_walls (1 - 1/2 (1 - |n . m|) exp(-d / 0.6 m)) + sum_lamps L A cos a cos b / (pi r^2 + A)
+    d is the distance to a wall with normal m, which makes corners darker; the sum has the form factor of a small disc
+    [Cohen & Wallace 1993, Radiosity and Realistic Image Synthesis, ch. 4].
     """
     for piece in hall:
-        points, normal = piece.means.astype(np.float32), piece.axes[..., 2].astype(np.float32)
-        gaps = np.maximum(0.0, np.stack([points - np.float32(HALL_LOW), np.float32(HALL_HIGH) - points]))
+        points, normal = piece.means, piece.axes[..., 2]
+        gaps = np.maximum(0.0, np.stack([points - HALL_LOW, HALL_HIGH - points]))
         openness = np.prod(1.0 - 0.5 * (1.0 - np.abs(normal)) * np.exp(-gaps / 0.6), axis=(0, 2))
         light = openness[:, None] * (AMBIENT + np.outer(0.5 - 0.5 * normal[:, 2], BOUNCE))
-        for place, facing, power in zip(*(array.astype(np.float32) for array in lamps), strict=True):
+        for place, facing, area, radiance in lamps:
             ray = place - points
-            square = np.sum(ray * ray, axis=1)
-            cosines = np.maximum(0.0, np.sum(ray * normal, axis=1)) * np.maximum(0.0, -ray @ facing)
-            light += (cosines / (square * (np.pi * square + 0.5) + 1e-6))[:, None] * power
+            square = np.sum(ray * ray, axis=1) + 1e-6
+            cosines = np.maximum(0.0, np.sum(ray * normal, axis=1)) * np.maximum(0.0, -ray @ facing) / square
+            light += np.outer(cosines * area / (np.pi * square + area), radiance)
         yield light
 
 
-def _light_from_above(piece: Surfels) -> Array:
-    """Light (N, 3) on a piece of the leader, in body axes: z points down."""
-    return np.repeat(0.75 - 0.35 * piece.axes[:, 2, 2:], 3, axis=1)
-
-
-def _scene(
-    pieces: list[Surfels], light: list[Array], palette: Palette, rng: np.random.Generator, source: str
-) -> GaussianScene:
+def _scene(pieces: list[Surfels], light: list[Array], palette: Palette, rng: Random, source: str) -> GaussianScene:
     """All surfels with their colours as one scene."""
     from scipy.spatial.transform import Rotation
 
@@ -448,25 +421,25 @@ def _scene(
         quaternions=np.roll(quaternions, 1, axis=1),  # SciPy's have w last
         scales=np.column_stack([OVERLAP * sides, np.full(len(sides), THICKNESS)]),
         opacities=np.full(len(sides), OPACITY),
-        sh=(rgb[:, None] - 0.5) / SH_C0,
+        sh=((rgb[:, None] - 0.5) / SH_C0).astype(np.float32),
         labels=np.concatenate([np.full(len(piece.means), labels.index(piece.label)) for piece in pieces]),
         label_names=labels,
         source=source,
     )
 
 
-def _colours(piece: Surfels, light: Array, palette: Palette, rng: np.random.Generator) -> Array:
+def _colours(piece: Surfels, light: Array, palette: Palette, rng: Random) -> Array:
     """Colours (N, 3) as on a screen: finish times grain times light, the bright end bent below white."""
     rgb = np.empty((len(piece.means), 3))
     for name in np.unique(piece.colours):
         finish, own = palette[name], piece.colours == name
         noise = _piece_noise(piece.uv[own], finish.piece, rng) + 0.3 * rng.normal(size=own.sum())
-        shown = _linear(finish.rgb) * np.exp(finish.grain * noise)[:, None] * light[own]
+        shown = np.power(finish.rgb, 2.2) * np.exp(finish.grain * noise)[:, None] * light[own]
         rgb[own] = finish.rgb if finish.glow else (1.25 * shown / (1.0 + 0.25 * shown)) ** (1.0 / 2.2)
     return np.clip(rgb, 0.0, 1.0)
 
 
-def _piece_noise(uv: Array, size: tuple[float, float], rng: np.random.Generator) -> Array:
+def _piece_noise(uv: Array, size: tuple[float, float], rng: Random) -> Array:
     """A number (N,) for the board, tile or sheet that each place (N, 2) lies on; rows are shifted by chance."""
     if 0.0 in size:
         return rng.normal(size=len(uv))
@@ -475,8 +448,3 @@ def _piece_noise(uv: Array, size: tuple[float, float], rng: np.random.Generator)
     column = np.floor(uv[:, 0] / size[0] + shift).astype(int)
     _, piece = np.unique([row, column], axis=1, return_inverse=True)
     return np.asarray(rng.normal(size=piece.max() + 1)[piece.ravel()])
-
-
-def _linear(rgb: ArrayLike) -> Array:
-    """Light from a colour as on a screen."""
-    return np.asarray(np.power(rgb, 2.2))
