@@ -3,9 +3,10 @@
 It equals `reference` to a hundredth of a grey level and trades readability for speed; it has no gradients. Steps:
 
     project   every Gaussian becomes a splat, an ellipse in the image with a colour; those out of view drop out
-    sort      nearest first
-    bin       which tiles of the image each ellipse touches, exactly: a list for every tile, nearest first
-    blend     every tile on its own, front to back, eight pixels at a time
+    sort      the splats, nearest first
+    touch     which tiles of the image each ellipse touches, exactly
+    fill      a list for every tile, nearest first
+    blend     every tile on its own, front to back, a row of pixels at a time
 
 A kernel does one part of PARTS of its step, so that several threads share the parts; which thread does which changes no
 bit of the image. The conventions are those of gsplat 1.5 in its "classic" mode; its defaults are the constants here.
@@ -13,7 +14,7 @@ bit of the image. The conventions are those of gsplat 1.5 in its "classic" mode;
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -31,23 +32,24 @@ NEAR = 0.01  # m; what lies nearer along the camera's axis is not drawn
 BLUR = 0.3  # px^2 added to every ellipse, so that none falls between the pixels
 EDGE = 0.3  # of half the field of view: how far outside of it the projection is still linearised where it is
 ALPHA_MAX, ALPHA_MIN = 0.999, 1.0 / 255.0
-T_MIN = 1e-4  # light that still passes a pixel when it counts as full
+ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+LN_255 = math.log(255.0)
+T_MIN = 1e-4  # share of light that still passes a pixel when it counts as full
 
-PARTS = 16
-LANES, ROWS = 8, 32  # a tile's width and height [px]; eight floats are one AVX2 register
+PARTS = 16  # pieces of every step, shared by the threads
+LANES, ROWS = 16, 16  # a tile's width and height [px], at most 16; its width is two AVX2 registers
 PIXELS = LANES * ROWS
-CHECK_EVERY = 16  # splats of a tile between two looks whether all of its pixels are full
+BATCH = 32  # splats that are fetched together, so that one waits for memory while others come
+MOST_TOUCHES = 1 << 24  # splats times tiles at once, 8 bytes each; beyond this the image is made in bands
 
 SPLAT = np.dtype(
     [
         *((name, np.float32) for name in ("u", "v")),  # centre [px]
         *((name, np.float32) for name in ("reach_u", "reach_v")),  # half width and half height of the ellipse [px]
-        *((name, np.float32) for name in ("tilt", "half")),  # its middle in a column: dv = tilt du, +- half at du = 0
+        *((name, np.float32) for name in ("skew", "slim")),  # correlation r of u and v, and sqrt(1 - r^2)
         *((name, np.float32) for name in ("lean", "sharp", "drop")),  # sigma = drop dv^2 + sharp (du - lean dv)^2
-        *((name, np.float32) for name in ("cut", "opacity")),  # opacity exp(-cut) = 1/255: the ellipse's edge
-        *((name, np.float32) for name in ("red", "green", "blue", "depth")),
-    ],
-    align=True,
+        *((name, np.float32) for name in ("fade", "red", "green", "blue", "depth")),  # fade = -ln(opacity)
+    ]
 )
 
 
@@ -85,8 +87,8 @@ def render_fast(
     Raises:
         InputError: a shape is wrong, or the number of threads is none.
     """
-    pose = require_shape("T_world_camera", T_world_camera, (4, 4))
-    behind = require_shape("background", background, (3,))
+    pose = np.ascontiguousarray(require_shape("T_world_camera", T_world_camera, (4, 4)))
+    behind = require_shape("background", background, (3,)).astype(np.float32)
     workers = int(require_range("threads", threads or os.cpu_count() or 1, low=1, high=1024))
     with ThreadPoolExecutor(min(workers, PARTS)) as pool:
 
@@ -94,152 +96,177 @@ def render_fast(
             share = map if workers == 1 else pool.map
             list(share(lambda part: kernel(part, *arguments), range(PARTS)))
 
-        splats, depths = np.empty(len(scene), SPLAT), np.empty(len(scene), np.float32)
-        arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh)
-        run(project, *arrays, pose, *_intrinsics(camera), antialiased, splats, depths)
-        order = nearest_first(depths)
-        starts, hits = _bin(run, splats, order, camera.width, camera.height)
+        splats, order, boxes = _splats_in_view(run, scene, camera, pose, antialiased)
         rgb = np.empty((camera.height, camera.width, 3), np.float32)
         alpha, depth = np.empty(rgb.shape[:2], np.float32), np.empty(rgb.shape[:2], np.float32)
-        run(blend, splats, starts, hits, behind.astype(np.float32), rgb, alpha, depth)
+        for band, room in _bands(boxes, camera.width, camera.height):
+            starts, hits = _lists_of_tiles(run, splats, order, room, band, camera.height)
+            run(blend, splats, starts, hits, band[0], behind, rgb, alpha, depth)
     return rgb, alpha, depth
 
 
-def nearest_first(depths: NDArray[np.float32]) -> NDArray[np.uint32]:
-    """Indices of the splats in view in the order of their depth; equal depths keep the order of the scene.
-
-    Args:
-        depths: (N,) [m], inf for what is not in view. The bits of positive floats sort like the floats.
-    """
-    seen = np.flatnonzero(depths < np.inf).astype(np.uint64)
-    keys = depths[seen].view(np.uint32).astype(np.uint64) << np.uint64(32) | seen
-    keys.sort()
-    return (keys & np.uint64(0xFFFFFFFF)).astype(np.uint32)
-
-
-def _intrinsics(camera: PinholeCamera) -> tuple[float, float, float, float, int, int]:
-    return camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
+def _splats_in_view(run: Any, scene: GaussianScene, camera: PinholeCamera, pose: Any, antialiased: bool) -> Any:
+    """Splats (N,); indices of the M in view, nearest first; in this order, how many tiles the box of each spans."""
+    splats, boxes = np.empty(len(scene), SPLAT), np.empty(len(scene), np.int32)
+    depths = np.full(len(scene), np.inf, np.float32)
+    arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh)
+    lens = float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy), camera.width, camera.height
+    run(project, *arrays, pose, lens, bool(antialiased), splats, boxes, depths)
+    order = nearest_first(depths.view(np.uint32))
+    return splats, order, boxes[order]
 
 
-def _bin(run: Any, splats: Any, order: Any, width: int, height: int) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
-    """Where each tile's list starts (tiles + 1,), and all lists one after the other: splat and rows, packed."""
-    tiles = -(-width // LANES) * -(-height // ROWS)
-    counts = np.zeros((PARTS, tiles), np.int64)
-    run(count_hits, splats, order, width, height, counts)
-    ends = np.cumsum(counts.T.ravel()).reshape(tiles, PARTS).T  # part after part within tile after tile
-    hits = np.empty(ends[-1, -1], np.uint64)
-    run(fill_hits, splats, order, width, height, np.ascontiguousarray(ends - counts), hits)
+def _bands(boxes: Any, width: int, height: int) -> Iterator[tuple[tuple[int, int], Any]]:
+    """First and last column of tiles to make at once, and where each splat's touches start in its list (M + 1,)."""
+    across, down = -(-width // LANES), -(-height // ROWS)
+    step = across
+    while step > 1 and np.minimum(boxes, step * down).sum(dtype=np.int64) > MOST_TOUCHES:
+        step = -(-step // 2)
+    room = np.concatenate([[0], np.cumsum(np.minimum(boxes, step * down), dtype=np.int64)])
+    for first in range(0, across, step):
+        yield (first, min(first + step, across) - 1), room
+
+
+def _lists_of_tiles(run: Any, splats: Any, order: Any, room: Any, band: tuple[int, int], height: int) -> Any:
+    """Where each tile's list starts (tiles + 1,), and all lists one after the other."""
+    tiles = (band[1] - band[0] + 1) * -(-height // ROWS)
+    found, counts = np.empty(room[-1], np.int64), np.zeros((PARTS, tiles), np.int64)
+    run(touch, splats, order, room, band, height, found, counts)
+    ends = np.cumsum(counts.T).reshape(tiles, PARTS).T  # one tile after the other, in each one part after the other
+    hits = np.empty(ends[-1, -1], np.int64)
+    run(fill, room, found, counts, np.ascontiguousarray(ends - counts), hits)
     return np.concatenate([[0], ends[-1]]), hits
 
 
 @compiled
 def project(  # type: ignore[no-untyped-def]
-    part,
-    means,
-    quaternions,
-    scales,
-    opacities,
-    sh,
-    T_world_camera,
-    fx,
-    fy,
-    cx,
-    cy,
-    width,
-    height,
-    smooth,
-    splats,
-    depths,
+    part, means, quaternions, scales, opacities, sh, T_world_camera, lens, antialiased, splats, boxes, depths
 ):
-    """Gaussians -> splats, and the depth of those in view, else inf.
+    """Gaussians -> splats, the tiles that their boxes span, and the depths of those in view.
 
     cov = J A (J A)^T + BLUR I,  A = R_camera_world R_world_cloud diag(scales)   [Zwicker et al. 2001, EWA splatting]
     J = [[fx/z, 0, -fx x/z^2], [0, fy/z, -fy y/z^2]], x and y held within the field of view and EDGE of it
+    The ellipse ends where opacity exp(-sigma) = ALPHA_MIN, sigma = 1/2 d^T cov^-1 d.
     """
-    count = means.shape[0]
-    basis = np.empty(16)
-    A = np.empty((3, 3))
-    tan_u, tan_v = EDGE * 0.5 * width / fx, EDGE * 0.5 * height / fy
-    for i in range(count * part // PARTS, count * (part + 1) // PARTS):
-        depths[i] = np.inf
-        dx, dy, dz = (
-            means[i, 0] - T_world_camera[0, 3],
-            means[i, 1] - T_world_camera[1, 3],
-            means[i, 2] - T_world_camera[2, 3],
-        )
-        z = T_world_camera[0, 2] * dx + T_world_camera[1, 2] * dy + T_world_camera[2, 2] * dz
-        if not z >= NEAR or opacities[i] < ALPHA_MIN:
+    fx, fy, cx, cy, width, height = lens
+    x_min, x_max = (0.0 - cx - EDGE * 0.5 * width) / fx, (width - cx + EDGE * 0.5 * width) / fx
+    y_min, y_max = (0.0 - cy - EDGE * 0.5 * height) / fy, (height - cy + EDGE * 0.5 * height) / fy
+    Y, A = np.empty(16, np.float32), np.empty((3, 3))
+    for i in range(len(means) * part // PARTS, len(means) * (part + 1) // PARTS):
+        x, y, z = into_camera(means[i, 0], means[i, 1], means[i, 2], T_world_camera)
+        if not z >= NEAR:
             continue
-        x = (T_world_camera[0, 0] * dx + T_world_camera[1, 0] * dy + T_world_camera[2, 0] * dz) / z
-        y = (T_world_camera[0, 1] * dx + T_world_camera[1, 1] * dy + T_world_camera[2, 1] * dz) / z
-        cloud_axes(quaternions[i], scales[i], T_world_camera, A)
-        x_held = min(max(x, -cx / fx - tan_u), (width - cx) / fx + tan_u)
-        y_held = min(max(y, -cy / fy - tan_v), (height - cy) / fy + tan_v)
-        uu, uv, vv = 0.0, 0.0, 0.0
+        per_z = 1.0 / z
+        x, y = x * per_z, y * per_z
+        cloud_axes(i, quaternions, scales, T_world_camera, A)
+        x_held, y_held = held(x, x_min, x_max), held(y, y_min, y_max)
         for k in range(3):
-            du, dv = fx / z * (A[0, k] - x_held * A[2, k]), fy / z * (A[1, k] - y_held * A[2, k])
-            uu, uv, vv = uu + du * du, uv + du * dv, vv + dv * dv
-        area = uu * vv - uv * uv
+            A[0, k] = fx * per_z * (A[0, k] - x_held * A[2, k])
+            A[1, k] = fy * per_z * (A[1, k] - y_held * A[2, k])
+        uu, uv, vv, area = products(A)
+        det = area + BLUR * (uu + vv) + BLUR * BLUR
         uu, vv = uu + BLUR, vv + BLUR
-        det = uu * vv - uv * uv
-        opacity = opacities[i] * (math.sqrt(max(0.0, area / det)) if smooth else 1.0)
-        cut = math.log(opacity / ALPHA_MIN) if opacity >= ALPHA_MIN else -1.0
-        u, v = fx * x + cx, fy * y + cy
-        reach_u, reach_v = math.sqrt(2.0 * max(cut, 0.0) * uu), math.sqrt(2.0 * max(cut, 0.0) * vv)
-        if cut < 0.0 or u + reach_u < 0.0 or u - reach_u > width or v + reach_v < 0.0 or v - reach_v > height:
+        opacity = opacities[i] * (math.sqrt(area / det) if antialiased else 1.0)
+        if not opacity >= ALPHA_MIN:
             continue
-        depths[i] = z
-        s = splats[i]
-        s.u, s.v, s.reach_u, s.reach_v = u, v, reach_u, reach_v
-        s.tilt, s.half = uv / uu, math.sqrt(2.0 * cut * det / uu)
-        s.lean, s.sharp, s.drop = uv / vv, vv / (2.0 * det), 1.0 / (2.0 * vv)
-        s.cut, s.opacity, s.depth = cut, opacity, z
-        distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-        harmonics(sh.shape[1], dx / distance, dy / distance, dz / distance, basis)
-        red, green, blue = 0.5, 0.5, 0.5
-        for k in range(sh.shape[1]):
-            red, green, blue = (
-                red + basis[k] * sh[i, k, 0],
-                green + basis[k] * sh[i, k, 1],
-                blue + basis[k] * sh[i, k, 2],
-            )
-        s.red, s.green, s.blue = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
+        s, fade, sd_u, sd_v = splats[i], -math.log(np.float32(opacity)), math.sqrt(uu), math.sqrt(vv)
+        reach = math.sqrt(2.0 * max(LN_255 - fade, 0.0))
+        s.u, s.v, s.reach_u, s.reach_v = fx * x + cx, fy * y + cy, reach * sd_u, reach * sd_v
+        if not (s.u + s.reach_u >= 0.0 and s.u - s.reach_u <= width):
+            continue
+        if not (s.v + s.reach_v >= 0.0 and s.v - s.reach_v <= height):
+            continue
+        left, right = span(s.u, s.reach_u, LANES, 0, (width - 1) // LANES)
+        top, bottom = span(s.v, s.reach_v, ROWS, 0, (height - 1) // ROWS)
+        boxes[i], depths[i] = (right - left + 1) * (bottom - top + 1), z
+        per_vv, per_sds = 1.0 / vv, 1.0 / (sd_u * sd_v)
+        s.skew, s.slim = uv * per_sds, math.sqrt(det) * per_sds
+        s.lean, s.sharp, s.drop = uv * per_vv, 0.5 * vv / det, 0.5 * per_vv
+        s.fade, s.depth = fade, z
+        s.red, s.green, s.blue = color(i, sh, means, T_world_camera, Y)
 
 
 @compiled
-def cloud_axes(quaternion, scales, T_world_camera, A):  # type: ignore[no-untyped-def]
+def into_camera(x, y, z, T_world_camera):  # type: ignore[no-untyped-def]
+    """A point of the world in the camera's axes [m]."""
+    x, y, z = x - T_world_camera[0, 3], y - T_world_camera[1, 3], z - T_world_camera[2, 3]
+    return turned(x, y, z, T_world_camera)
+
+
+@compiled
+def turned(x, y, z, T):  # type: ignore[no-untyped-def]
+    """A direction in the world in the camera's axes: the transposed turn."""
+    return (
+        T[0, 0] * x + T[1, 0] * y + T[2, 0] * z,
+        T[0, 1] * x + T[1, 1] * y + T[2, 1] * z,
+        T[0, 2] * x + T[1, 2] * y + T[2, 2] * z,
+    )
+
+
+@compiled
+def cloud_axes(i, quaternions, scales, T_world_camera, A):  # type: ignore[no-untyped-def]
     """A (3, 3): the cloud's axes as columns, in the camera's axes, each as long as its standard deviation [m]."""
-    w, x, y, z = float(quaternion[0]), float(quaternion[1]), float(quaternion[2]), float(quaternion[3])
+    w, x, y, z = (
+        float(quaternions[i, 0]),
+        float(quaternions[i, 1]),
+        float(quaternions[i, 2]),
+        float(quaternions[i, 3]),
+    )
     axes = (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
         (2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
         (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
     )
     for k in range(3):
-        a, b, c = axes[k]
-        for row in range(3):
-            along = T_world_camera[0, row] * a + T_world_camera[1, row] * b + T_world_camera[2, row] * c
-            A[row, k] = scales[k] * along
+        a, b, c = turned(axes[k][0], axes[k][1], axes[k][2], T_world_camera)
+        A[0, k], A[1, k], A[2, k] = scales[i, k] * a, scales[i, k] * b, scales[i, k] * c
+
+
+@compiled
+def products(M):  # type: ignore[no-untyped-def]
+    """Of the first two rows u, v of a matrix: u.u, u.v, v.v and |u x v|^2 = det(M M^T), which rounding leaves >= 0."""
+    a, b, c, d, e, f = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2]
+    x, y, z = b * f - c * e, c * d - a * f, a * e - b * d
+    return a * a + b * b + c * c, a * d + b * e + c * f, d * d + e * e + f * f, x * x + y * y + z * z
+
+
+@compiled
+def color(i, sh, means, T_world_camera, Y):  # type: ignore[no-untyped-def]
+    """Red, green, blue >= 0 of a Gaussian seen from the camera: 1/2 + sum_k sh_k Y_k(direction)."""
+    x, y, z = means[i, 0] - T_world_camera[0, 3], means[i, 1] - T_world_camera[1, 3], means[i, 2] - T_world_camera[2, 3]
+    per_distance = 1.0 / math.sqrt(x * x + y * y + z * z)
+    harmonics(sh.shape[1], np.float32(x * per_distance), np.float32(y * per_distance), np.float32(z * per_distance), Y)
+    red, green, blue = HALF, HALF, HALF
+    for k in range(sh.shape[1]):
+        red += sh[i, k, 0] * Y[k]
+        green += sh[i, k, 1] * Y[k]
+        blue += sh[i, k, 2] * Y[k]
+    return max(red, ZERO), max(green, ZERO), max(blue, ZERO)
+
+
+# The constants of the harmonics from degree 0 on, as they come in the formulas.
+C = tuple(
+    np.float32(math.sqrt(c / math.pi))
+    for c in (1 / 4, 3 / 4, 15 / 4, 5 / 16, 15 / 16, 35 / 32, 105 / 4, 21 / 32, 7 / 16, 105 / 16)
+)
 
 
 @compiled
 def harmonics(count, x, y, z, Y):  # type: ignore[no-untyped-def]
     """The first `count` real spherical harmonics in a direction of length 1 [Kerbl et al. 2023, their signs]."""
-    Y[0] = 0.28209479177387814
+    xx, yy, zz = x * x, y * y, z * z
+    Y[0] = C[0]
     if count > 1:
-        Y[1], Y[2], Y[3] = -0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x
+        Y[1], Y[2], Y[3] = -C[1] * y, C[1] * z, -C[1] * x
     if count > 4:
-        Y[4], Y[5] = 1.0925484305920792 * x * y, -1.0925484305920792 * y * z
-        Y[6] = 0.31539156525252005 * (2.0 * z * z - x * x - y * y)
-        Y[7], Y[8] = -1.0925484305920792 * x * z, 0.5462742152960396 * (x * x - y * y)
+        Y[4], Y[5], Y[7] = C[2] * x * y, -C[2] * y * z, -C[2] * x * z
+        Y[6], Y[8] = C[3] * (zz + zz - xx - yy), C[4] * (xx - yy)
     if count > 9:
-        Y[9] = -0.5900435899266435 * y * (3.0 * x * x - y * y)
-        Y[10] = 2.890611442640554 * x * y * z
-        Y[11] = -0.4570457994644658 * y * (4.0 * z * z - x * x - y * y)
-        Y[12] = 0.3731763325901154 * z * (2.0 * z * z - 3.0 * x * x - 3.0 * y * y)
-        Y[13] = -0.4570457994644658 * x * (4.0 * z * z - x * x - y * y)
-        Y[14] = 1.445305721320277 * z * (x * x - y * y)
-        Y[15] = -0.5900435899266435 * x * (x * x - 3.0 * y * y)
+        Y[9], Y[15] = -C[5] * y * (xx + xx + xx - yy), -C[5] * x * (xx - yy - yy - yy)
+        Y[10], Y[14] = C[6] * x * y * z, C[9] * z * (xx - yy)
+        five = zz + zz + zz + zz - xx - yy
+        Y[11], Y[13] = -C[7] * y * five, -C[7] * x * five
+        Y[12] = C[8] * z * (five - (zz + zz) - (xx + xx) - (yy + yy))
 
 
 @compiled
@@ -250,90 +277,119 @@ def held(value, low, high):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def rows_in_column(s, first, last, height):  # type: ignore[no-untyped-def]
-    """First and last row whose pixel centre the ellipse covers somewhere in the columns first..last.
+def span(center, reach, side, first, last):  # type: ignore[no-untyped-def]
+    """First and last tile along an axis of the image that center +- reach touches, of those from first to last."""
+    low, high = (center - reach) * np.float32(1.0 / side), (center + reach) * np.float32(1.0 / side)
+    return int(held(low, first, last)), int(held(high, first, last))
 
-    In one column the ellipse reaches from v + tilt du - h to v + tilt du + h, h = half sqrt(1 - (du / reach_u)^2); over
-    a range of columns the end is where its own top lies, du = lean reach_v, or the column nearest to that.
+
+@compiled
+def nearest_first(keys):  # type: ignore[no-untyped-def]
+    """Indices of the finite depths from the least on; equal ones keep their order.
+
+    A radix sort: three times a stable counting sort by 11 bits. The bits of positive floats sort like the floats.
+
+    Args:
+        keys: (N,) the bits of the depths, uint32; inf for what is not in view.
     """
-    left, right = max(first + 0.5 - s.u, -s.reach_u), min(last + 0.5 - s.u, s.reach_u)
-    if not left <= right:
+    order = np.flatnonzero(keys < 0x7F800000).astype(np.uint32)
+    sorted_order = np.empty_like(order)
+    for shift in (0, 11, 22):
+        places = np.zeros(2049, np.int64)
+        for i in order:
+            places[(keys[i] >> shift & 0x7FF) + 1] += 1
+        places = np.cumsum(places)
+        for i in order:
+            digit = keys[i] >> shift & 0x7FF
+            sorted_order[places[digit]] = i
+            places[digit] += 1
+        order, sorted_order = sorted_order, order
+    return order
+
+
+@compiled
+def touch(part, splats, order, room, band, height, found, counts):  # type: ignore[no-untyped-def]
+    """The tiles that each ellipse touches and with which of their rows, packed, and how many ellipses touch a tile."""
+    down, end, stop = (height - 1) // ROWS + 1, room[len(order) * part // PARTS], len(order) * (part + 1) // PARTS
+    batch = np.empty(BATCH, SPLAT)
+    for start in range(len(order) * part // PARTS, stop, BATCH):
+        count = min(BATCH, stop - start)
+        for j in range(count):
+            batch[j] = splats[order[start + j]]
+        for j in range(count):
+            s = batch[j]
+            left, right = span(s.u, s.reach_u, LANES, band[0], band[1])
+            top_row, bottom_row = span(s.v, s.reach_v, ROWS, 0, down - 1)  # the room was counted from this box
+            for column in range(left, right + 1):
+                first, last = rows_in_column(s, column, height)
+                for row in range(max(first // ROWS, top_row), min(last // ROWS, bottom_row) + 1):
+                    top, bottom = max(first - row * ROWS, 0), min(last - row * ROWS, ROWS - 1)
+                    if top <= bottom:
+                        tile = (column - band[0]) * down + row
+                        found[end] = np.int64(order[start + j]) << 32 | tile << 8 | top << 4 | bottom
+                        end += 1
+                        counts[part, tile] += 1
+
+
+@compiled
+def rows_in_column(s, column, height):  # type: ignore[no-untyped-def]
+    """First and last row of pixels whose centres the ellipse covers somewhere in a column of tiles.
+
+    In units of its reach its edge is n_v = r n_u +- sqrt((1 - r^2) (1 - n_u^2)): over a range of n_u the upper end is
+    at n_u = r or as near to it as the range allows, the lower end at n_u = -r.
+    """
+    start, bottom = np.float32(column * LANES) + HALF - s.u, np.float32(height - 1)
+    if not (start <= s.reach_u and start + np.float32(LANES - 1) >= -s.reach_u):
         return 0, -1
-    du = held(s.lean * s.reach_v, left, right)
-    high = s.v + s.tilt * du + s.half * math.sqrt(max(0.0, 1.0 - (du / s.reach_u) ** 2))
-    du = held(-s.lean * s.reach_v, left, right)
-    low = s.v + s.tilt * du - s.half * math.sqrt(max(0.0, 1.0 - (du / s.reach_u) ** 2))
-    return int(held(math.ceil(low - 0.5), 0.0, height)), int(held(math.floor(high - 0.5), -1.0, height - 1.0))
+    low, high = held(start / s.reach_u, -ONE, ONE), held((start + np.float32(LANES - 1)) / s.reach_u, -ONE, ONE)
+    n = held(-s.skew, low, high)
+    first = s.v - HALF + s.reach_v * (s.skew * n - s.slim * math.sqrt(ONE - n * n))
+    n = held(s.skew, low, high)
+    last = s.v - HALF + s.reach_v * (s.skew * n + s.slim * math.sqrt(ONE - n * n))
+    return int(np.ceil(held(first, ZERO, bottom + ONE))), int(np.floor(held(last, -ONE, bottom)))
 
 
 @compiled
-def columns(s, width):  # type: ignore[no-untyped-def]
-    """First and last column of tiles that the ellipse's box touches."""
-    last = (width - 1) // LANES
-    return int(held((s.u - s.reach_u) // LANES, 0.0, last)), int(held((s.u + s.reach_u) // LANES, 0.0, last))
+def fill(part, room, found, counts, places, hits):  # type: ignore[no-untyped-def]
+    """Counting sort: what was found into the lists of the tiles; places (PARTS, tiles) say where each part begins."""
+    start = room[(len(room) - 1) * part // PARTS]
+    for k in range(start, start + counts[part].sum()):
+        tile = found[k] >> 8 & 0xFFFFFF
+        hits[places[part, tile]] = found[k]
+        places[part, tile] += 1
 
 
 @compiled
-def count_hits(part, splats, order, width, height, counts):  # type: ignore[no-untyped-def]
-    """counts (PARTS, tiles): how many splats of this part of the order touch each tile."""
-    down = -(-height // ROWS)
-    for rank in range(len(order) * part // PARTS, len(order) * (part + 1) // PARTS):
-        s = splats[order[rank]]
-        left, right = columns(s, width)
-        for column in range(left, right + 1):
-            top, bottom = rows_in_column(s, column * LANES, min(column * LANES + LANES, width) - 1, height)
-            if top <= bottom:
-                for row in range(top // ROWS, bottom // ROWS + 1):
-                    counts[part, column * down + row] += 1
-
-
-@compiled
-def fill_hits(part, splats, order, width, height, places, hits):  # type: ignore[no-untyped-def]
-    """Write splat, first and last row within the tile into each touched tile's list, from places (PARTS, tiles) on."""
-    down = -(-height // ROWS)
-    for rank in range(len(order) * part // PARTS, len(order) * (part + 1) // PARTS):
-        s = splats[order[rank]]
-        left, right = columns(s, width)
-        for column in range(left, right + 1):
-            top, bottom = rows_in_column(s, column * LANES, min(column * LANES + LANES, width) - 1, height)
-            if top <= bottom:
-                for row in range(top // ROWS, bottom // ROWS + 1):
-                    tile = column * down + row
-                    first, last = max(top - row * ROWS, 0), min(bottom - row * ROWS, ROWS - 1)
-                    hits[places[part, tile]] = np.uint64(order[rank]) << np.uint64(16) | np.uint64(first << 8 | last)
-                    places[part, tile] += 1
-
-
-@compiled
-def blend(part, splats, starts, hits, background, rgb, alpha, depth):  # type: ignore[no-untyped-def]
+def blend(part, splats, starts, hits, first_column, background, rgb, alpha, depth):  # type: ignore[no-untyped-def]
     """Composite every PARTS-th tile, front to back [Kerbl et al. 2023, eq. 3].
 
     C = sum_i c_i a_i T_i,  a_i = min(0.999, o_i exp(-sigma_i)),  T_i = prod_(j < i) (1 - a_j)
 
-    The buffer holds T, red, green, blue and depth of the tile; T < 0 marks a full pixel.
+    The buffer holds T, red, green, blue and depth of the tile's pixels; T < 0 marks a full one.
     """
     height, width = alpha.shape
-    down = -(-height // ROWS)
-    tile_state = np.empty(5 * PIXELS, np.float32)
+    down = (height - 1) // ROWS + 1
+    tile_state, batch = np.empty(5 * PIXELS, np.float32), np.empty(BATCH, SPLAT)
     for tile in range(part, len(starts) - 1, PARTS):
-        x0, y0 = tile // down * LANES, tile % down * ROWS
+        x0, y0 = (first_column + tile // down) * LANES, tile % down * ROWS
         tile_state[:PIXELS] = 1.0
         tile_state[PIXELS:] = 0.0
-        for k in range(starts[tile], starts[tile + 1]):
-            if (k - starts[tile]) % CHECK_EVERY == CHECK_EVERY - 1 and all_full(tile_state):
+        for k in range(starts[tile], starts[tile + 1], BATCH):
+            count = min(BATCH, starts[tile + 1] - k)
+            for j in range(count):
+                batch[j] = splats[hits[k + j] >> 32]
+            for j in range(count):
+                add_splat(batch[j], hits[k + j] >> 4 & 15, hits[k + j] & 15, x0, y0, tile_state)
+            if all_full(tile_state):
                 break
-            add_splat(splats[hits[k] >> np.uint64(16)], hits[k] & np.uint64(0xFFFF), x0, y0, tile_state)
         for row in range(min(ROWS, height - y0)):
             for lane in range(min(LANES, width - x0)):
-                i = row * LANES + lane
+                i, y, x = row * LANES + lane, y0 + row, x0 + lane
                 passing = abs(tile_state[i])
-                covered = np.float32(1.0) - passing
                 for channel in range(3):
-                    rgb[y0 + row, x0 + lane, channel] = (
-                        tile_state[(1 + channel) * PIXELS + i] + passing * background[channel]
-                    )
-                alpha[y0 + row, x0 + lane] = covered
-                depth[y0 + row, x0 + lane] = tile_state[4 * PIXELS + i] / covered if covered > 0.0 else 0.0
+                    rgb[y, x, channel] = tile_state[(1 + channel) * PIXELS + i] + passing * background[channel]
+                alpha[y, x] = covered = np.float32(1.0) - passing
+                depth[y, x] = tile_state[4 * PIXELS + i] / covered if covered > 0.0 else 0.0
 
 
 @compiled
@@ -346,36 +402,37 @@ def all_full(tile_state):  # type: ignore[no-untyped-def]
 
 
 # exp(-s) = p(s)^8, p of degree 4 through exp(-s/8) at five Chebyshev points of 0 <= s <= ln 255.
-_P = np.polynomial.chebyshev.Chebyshev.interpolate(lambda s: np.exp(-s / 8.0), 4, [0.0, math.log(255.0)])
+_P = np.polynomial.Chebyshev.interpolate(lambda s: np.exp(-s / 8.0), 4, [0.0, -math.log(ALPHA_MIN)])
 P0, P1, P2, P3, P4 = (np.float32(c) for c in _P.convert(kind=np.polynomial.Polynomial).coef)
-ONE_MAX, PASS_MIN = np.float32(ALPHA_MAX), np.float32(T_MIN)
+S_MAX, A_MAX, ROOM_MIN = np.float32(-math.log(ALPHA_MIN)), np.float32(ALPHA_MAX), np.float32(T_MIN)
 
 
 @compiled
-def add_splat(s, rows, x0, y0, tile_state):  # type: ignore[no-untyped-def]
-    """Blend one splat into the rows of a tile."""
-    u, v, lean, sharp, drop, cut, opacity = s.u, s.v, s.lean, s.sharp, s.drop, s.cut, s.opacity
-    red, green, blue, depth = s.red, s.green, s.blue, s.depth
-    zero = np.float32(0.0)
-    for row in range(rows >> np.uint64(8), (rows & np.uint64(255)) + np.uint64(1)):
-        dv = np.float32(y0 + row + 0.5) - v
-        middle = u + lean * dv - np.float32(x0 + 0.5)
-        least = drop * dv * dv
+def add_splat(splat, first, last, x0, y0, tile_state):  # type: ignore[no-untyped-def]
+    """Blend one splat into the rows first..last of a tile."""
+    lean, sharp, drop, fade = splat.lean, splat.sharp, splat.drop, splat.fade
+    red, green, blue, depth = splat.red, splat.green, splat.blue, splat.depth
+    u, dv = splat.u - np.float32(x0) - HALF, np.float32(y0 + first) + HALF - splat.v
+    for row in range(first, last + 1):
+        middle, least = u + lean * dv, fade + drop * dv * dv
+        dv += ONE
+        start = np.uint64(row * LANES)
         for lane in range(LANES):
-            i = np.uint64(row) * np.uint64(LANES) + np.uint64(lane)
+            i = start + np.uint64(lane)  # unsigned: no look whether it counts from the end
             du = np.float32(lane) - middle
-            sigma = least + sharp * du * du
-            root = P0 + sigma * (P1 + sigma * (P2 + sigma * (P3 + sigma * P4)))
-            root = root * root
-            root = root * root
-            a = opacity * (root * root)
-            a = a if a < ONE_MAX else ONE_MAX
+            s = least + sharp * du * du
+            p = P0 + s * (P1 + s * (P2 + s * (P3 + s * P4)))
+            p = p * p
+            p = p * p
+            a = p * p
+            a = a if a < A_MAX else A_MAX
+            a = a if s < S_MAX else ZERO
             before = tile_state[i]
-            after = before - before * a
-            inside = sigma <= cut
-            room = after > PASS_MIN
-            share = a * before if inside & room else zero
-            tile_state[i] = (after if room else -abs(before)) if inside else before
+            share = a * before
+            after = before - share
+            room = after > ROOM_MIN
+            share = share if room else ZERO
+            tile_state[i] = after if room else -abs(before)
             tile_state[i + np.uint64(PIXELS)] += share * red
             tile_state[i + np.uint64(2 * PIXELS)] += share * green
             tile_state[i + np.uint64(3 * PIXELS)] += share * blue
