@@ -1,14 +1,23 @@
-"""falconwing demo: the kit's main job on recorded flights, as one page with its figures."""
+"""falconwing demo: an approach flown live, then the kit's main job on recorded flights, as one page with figures."""
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from falconwing_kit.cli.show import next_line, print_json, print_table
+
+if TYPE_CHECKING:
+    from falconwing_kit.demo.approach import Approach
+    from falconwing_kit.demo.live_page import LivePage
+
+BROWSER_S = 8.0  # a browser gets so long to show the page before the flight begins
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Model two aircraft from recorded flights, one of them real, and find and name what the models lack.
+    """Fly an approach in a simulated hall, live in the browser; then model two aircraft from recorded flights, one of
+    them real, and find and name what the models lack.
 
     Needs no network, GPU or aircraft and takes about a minute and a half.
     """
@@ -16,28 +25,39 @@ class Demo:
     out: Path = Path("falconwing_demo")
     """folder for page, figures and models"""
     headless: bool = False
-    """do not open the page in the browser"""
+    """fly as fast as it can and open nothing in the browser"""
+    port: int = 8080
+    """where to serve the live page; the next free one where it is taken"""
     json: bool = False
     """print JSON instead of tables"""
 
     def run(self) -> int:
-        """Study both flights and write the page.
+        """Fly, study the recorded flights and write the page.
 
         Returns:
             0: the page is written.
 
         Raises:
             OSError: the folder cannot be made or written.
+            InputError: the port is out of its range, or a file cannot be written.
         """
         from tqdm import tqdm
 
         from falconwing_kit.demo.recorded import study_recorded_flights, write_recorded_flights
 
         self.out.mkdir(parents=True, exist_ok=True)
-        with tqdm(bar_format="{desc} {elapsed}", leave=False, disable=None) as bar:
+        with (
+            nullcontext() if self.headless else self._open_page() as live,
+            tqdm(bar_format="{desc} {elapsed}", leave=False, disable=None) as bar,
+        ):
+            bar.set_description_str("approach through the hall")
+            approach = self._fly(live)
+            if not self.json:
+                end = "landed on the pad" if approach.result["success"] else approach.flight.reason
+                bar.write(f"approach through the splat hall, SIMULATED: {end}\n")
             found = study_recorded_flights(bar.set_description_str)
             bar.set_description_str("page and figures")
-            record = write_recorded_flights(found, self.out)
+            record = write_recorded_flights(found, self.out, approach)
         page = (self.out / "index.html").resolve()
         if self.json:
             print_json({**record, "page": str(page)})
@@ -50,6 +70,30 @@ class Demo:
 
             webbrowser.open(page.as_uri())
         return 0
+
+    def _open_page(self) -> "LivePage":
+        """Serve the live page at once, before anything that takes long."""
+        from falconwing_kit.demo.live_page import LivePage
+
+        live = LivePage(port=self.port)
+        if not self.json:
+            print(f"live page: {live.url}", flush=True)
+        return live
+
+    def _fly(self, live: "LivePage | None") -> "Approach":
+        """Land, on the wall clock where somebody looks on."""
+        from falconwing_kit.demo.approach import fly_approach
+        from falconwing_kit.flight.loop import WallClock
+        from falconwing_kit.scene.arena import load_scene
+
+        if live is None:
+            return fly_approach(load_scene("arena"), self.out / "approach.mcap")
+        opened = live.open()
+        scene = load_scene("arena")
+        live.set_scene(scene)
+        if opened:
+            live.wait_for_viewer(BROWSER_S)
+        return fly_approach(scene, self.out / "approach.mcap", (live.show,), WallClock())
 
 
 def _print_record(record: dict) -> None:

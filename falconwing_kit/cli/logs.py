@@ -13,6 +13,8 @@ from falconwing_kit.core.flight_log import read_flight_log, recover, to_flight_t
 from falconwing_kit.core.flight_table import write_flight_table
 from falconwing_kit.core.messages import Command
 
+BROWSER_S = 8.0  # a browser gets so long to show the page before a replay begins
+
 
 @dataclass(frozen=True)
 class Export:
@@ -101,8 +103,9 @@ class Replay:
         from falconwing_kit.demo.approach import draw_flight
 
         self.out.mkdir(parents=True, exist_ok=True)
-        for path in draw_flight(self.log, self.out):
-            print(path)
+        shown = {"fpv": "view from the nose", "path": "path", "sticks": "sticks, height and speed", "film": "all of it"}
+        paths = draw_flight(self.log, self.out)
+        print_table(("figure", "shows"), [(path, shown[path.stem.removeprefix("flight_")]) for path in paths])
         next_line(f"falconwing export {self.log} --out flight.csv")
         return 0
 
@@ -115,10 +118,13 @@ class Replay:
         from falconwing_kit.scene.arena import load_scene
 
         log = read_flight_log(self.log)
-        page = LivePage(load_scene("arena"), self.port, "REPLAY of a SIMULATION" if is_simulated(log) else "REPLAY")
-        print(f"page: {page.url}   (Ctrl-C ends it)", flush=True)
-        page.open_and_wait()
+        page = LivePage(None, self.port, "REPLAY of a SIMULATION" if is_simulated(log) else "REPLAY")
+        print(f"live page: {page.url}   (Ctrl-C ends it)", flush=True)
         try:
+            opened = page.open()
+            page.set_scene(load_scene("arena"))
+            if opened:
+                page.wait_for_viewer(BROWSER_S)
             reason = ""
             while reason != "interrupted":
                 loop = Loop(

@@ -1,4 +1,4 @@
-"""The demo's approach: a landing flown by the loop in the simulated hall -> its log, and figures of any flight's log."""
+"""The demo's approach: a landing flown by the loop in the simulated hall -> its log; and figures of any log."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.core.checks import Array, InputError
-from falconwing_kit.core.files import atomic_write, short_name
+from falconwing_kit.core.files import atomic_write, short_name, write_error
 from falconwing_kit.core.flight_log import FlightLog, FlightLogWriter, read_flight_log, to_flight_table
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.page import Picture, paragraph, picture
-from falconwing_kit.flight.loop import Clock, Flight, Loop, SimulatedClock, Step
+from falconwing_kit.flight.loop import PERIOD, Clock, Flight, Loop, SimulatedClock, Step
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, decode_jpeg, fpv_camera
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.gap.plots import ACCENT, PREDICTED, QUIET, figure
@@ -24,7 +24,8 @@ from falconwing_kit.scene.gaussians import GaussianScene
 FIGURES = ("flight_fpv.png", "flight_path.png", "flight_sticks.png", "flight_film.png")
 PAD_BLUE = "#3d6fd6"
 STRIP = 6  # images in the strip
-FILM_HZ, FILM_COLOURS, FILM_HEIGHT = 10.0, 128, 90  # an animation of a few MB; the height is that of its side view [px]
+FILM_HZ, FILM_COLOURS = 10.0, 256  # a film of about a megabyte
+FILM_MAP = 300  # width of the maps beside the view [px]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +38,11 @@ class Approach:
 
 
 def fly_approach(
-    scene: GaussianScene, log: Path, hooks: Sequence[Callable[[Step], None]] = (), clock: Clock | None = None, seed: int = 0
+    scene: GaussianScene,
+    log: Path,
+    hooks: Sequence[Callable[[Step], None]] = (),
+    clock: Clock | None = None,
+    seed: int = 0,
 ) -> Approach:
     """Let the expert land by state, with the view from the nose rendered and everything logged.
 
@@ -61,14 +66,19 @@ def fly_approach(
     judge = task.judge(trial, camera, view)
     growing = log.with_name(f".{log.name}.part")
     growing.unlink(missing_ok=True)
-    with FlightLogWriter(growing) as writer:
-        writer.metadata({"simulated": "yes", "task": task.name, "pilot": "expert, by state", "seed": trial.seed})
-        loop = Loop(
-            task.expert(trial), trial.world, view, MeasuredStates(trial.world), clock=clock or SimulatedClock(),
-            log=writer, hooks=(_note_mode(writer), *hooks),
-        )  # fmt: skip
-        flight = loop.run(trial.duration, judge.watch)
-    os.replace(growing, log)
+    try:
+        with FlightLogWriter(growing) as writer:
+            writer.metadata({"simulated": "yes", "task": task.name, "pilot": "expert, by state", "seed": trial.seed})
+            loop = Loop(
+                task.expert(trial), trial.world, view, MeasuredStates(trial.world), clock=clock or SimulatedClock(),
+                log=writer, hooks=(_note_mode(writer), *hooks),
+            )  # fmt: skip
+            flight = loop.run(trial.duration, judge.watch)
+        os.replace(growing, log)
+    except OSError as error:
+        raise write_error(log, error) from None
+    finally:
+        growing.unlink(missing_ok=True)
     return Approach(log, flight, judge.result())
 
 
@@ -138,9 +148,9 @@ def draw_strip(log: FlightLog, table: FlightTable, path: Path, what: str) -> Non
     """
     rows = np.flatnonzero(table.has_pose)
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(table.p_world[rows], axis=0), axis=1))])
-    chosen = [rows[np.argmin(np.abs(way - part * way[-1]))] for part in np.linspace(0.0, 1.0, STRIP)]
+    chosen = [rows[np.argmin(np.abs(way - part * way[-1]))] for part in np.arange(STRIP) / STRIP]
     seen = _images_at(log, table.t[chosen])
-    with figure(path, 2, STRIP // 2, (11.0, 6.0)) as axes:
+    with figure(path, 2, STRIP // 2, (8.0, 4.5)) as axes:
         for ax, row in zip(axes.flat, chosen, strict=True):
             x, _, height = table.p_world[row]
             if float(table.t[row]) in seen:
@@ -190,7 +200,12 @@ def draw_sticks(table: FlightTable, modes: Sequence[tuple[float, Any]], path: Pa
     """
     with figure(path, 3, 1, (11.0, 6.2), sharex=True, height_ratios=[1.5, 1.0, 1.0]) as axes:
         sticks, height, speed = axes[:, 0]
-        looks = (("throttle", QUIET, "-"), ("aileron", PREDICTED, "-"), ("elevator", ACCENT, "-"), ("rudder", PREDICTED, ":"))
+        looks = (
+            ("throttle", QUIET, "-"),
+            ("aileron", PREDICTED, "-"),
+            ("elevator", ACCENT, "-"),
+            ("rudder", PREDICTED, ":"),
+        )
         for values, (name, colour, line) in zip(table.commands.T, looks, strict=True):
             sticks.step(table.t, values, where="post", color=colour, ls=line, lw=1.6, label=name)
         sticks.set_ylim(-1.05, 1.05)
@@ -217,7 +232,7 @@ def speeds(table: FlightTable) -> Array:
 
 
 def draw_film(log: FlightLog, table: FlightTable, path: Path, what: str) -> None:
-    """A short film: the view from the nose, and below it the aircraft seen from the side.
+    """A short film: the view from the nose, and beside it the way from above and from the side.
 
     Args:
         log: the flight.
@@ -231,7 +246,7 @@ def draw_film(log: FlightLog, table: FlightTable, path: Path, what: str) -> None
     wanted = np.arange(table.t[rows[0]], table.t[rows[-1]] + 1e-6, 1.0 / FILM_HZ)
     rows = np.unique(rows[np.searchsorted(table.t[rows], wanted - 1e-6).clip(max=len(rows) - 1)])
     seen = _images_at(log, table.t[rows])
-    frames = [_film_frame(seen[float(table.t[r])], table, r, what) for r in rows if float(table.t[r]) in seen]
+    frames = [_film_frame(seen[float(table.t[r])], table, int(r), what) for r in rows if float(table.t[r]) in seen]
     samples = np.concatenate([np.asarray(frame)[::4, ::4] for frame in frames[:: max(1, len(frames) // 8)]])
     palette = Drawing.fromarray(samples).quantize(FILM_COLOURS)
     first, *others = [frame.quantize(palette=palette, dither=Drawing.Dither.NONE) for frame in frames]
@@ -240,28 +255,36 @@ def draw_film(log: FlightLog, table: FlightTable, path: Path, what: str) -> None
 
 
 def _film_frame(pixels: NDArray[np.uint8], table: FlightTable, row: int, what: str) -> Any:
-    """One image of the film."""
+    """One image of the film: the view, and beside it the way so far from above and from the side."""
     from PIL import Image as Drawing
-    from PIL import ImageDraw
+    from PIL import ImageDraw, ImageFont
 
     high, wide = pixels.shape[:2]
-    sheet = Drawing.new("RGB", (wide, high + FILM_HEIGHT), "white")
+    sheet = Drawing.new("RGB", (wide + FILM_MAP, high), "white")
     sheet.paste(Drawing.fromarray(pixels), (0, 0))
-    pen, pad = ImageDraw.Draw(sheet), LandingPad()
-    flown = table.p_world[table.has_pose]
-    low, top = flown[:, 0].min() - 1.0, max(float(flown[:, 2].max()), 1.0)
-    right = max(float(flown[:, 0].max()) + 1.0, pad.x_start + pad.length if low < pad.x_start else -np.inf)
-
-    def place(x: float, z: float) -> tuple[float, float]:
-        return (x - low) / (right - low) * wide, high + FILM_HEIGHT - 8 - z / top * (FILM_HEIGHT - 34)
-
-    pen.rectangle((*place(pad.x_start, pad.height), *place(pad.x_start + pad.length, 0.0)), fill=PAD_BLUE)
-    pen.line((0, place(0.0, 0.0)[1], wide, place(0.0, 0.0)[1]), fill=QUIET)
+    pen, font, pad = ImageDraw.Draw(sheet), ImageFont.load_default(15), LandingPad()
+    x, y, z = table.p_world[table.has_pose].T
     so_far = table.p_world[: row + 1][table.has_pose[: row + 1]]
-    pen.line([place(x, z) for x, _, z in so_far], fill=ACCENT, width=2)
-    x, y = place(so_far[-1, 0], so_far[-1, 2])
-    pen.ellipse((x - 4, y - 4, x + 4, y + 4), fill=ACCENT)
-    pen.text((8, high + 4), f"{what}   {table.t[row]:.1f} s   height {so_far[-1, 2]:.2f} m", fill="black")
+    low, right = min(float(x.min()), pad.x_start) - 1.0, max(float(x.max()), pad.x_start + pad.length) + 1.0
+    begin, edge = pad.x_start, pad.width / 2.0
+    across = max(float(np.abs(y - pad.y_centre).max()), edge) + 0.3
+    views = (  # which axis, where in the sheet its 0 and its scale are, and the pad's extent along it
+        (1, 0.40 * high, 0.20 * high / across, pad.y_centre, (-edge, edge)),
+        (2, 0.95 * high, 0.30 * high / max(float(z.max()), 1.0), 0.0, (0.0, pad.height)),
+    )
+    for axis, zero, scale, middle, (bottom, top) in views:
+
+        def place(along: float, over: float, zero: float = zero, scale: float = scale) -> tuple[float, float]:
+            return wide + (along - low) / (right - low) * FILM_MAP, zero - scale * over
+
+        pen.rectangle((*place(begin, top), *place(begin + pad.length, bottom)), fill=PAD_BLUE)
+        pen.line((*place(low, 0.0), *place(right, 0.0)), fill="#bbbbbb")
+        pen.line([place(p[0], p[axis] - middle) for p in so_far], fill=ACCENT, width=2)
+        u, v = place(so_far[-1, 0], so_far[-1, axis] - middle)
+        pen.ellipse((u - 4, v - 4, u + 4, v + 4), fill=ACCENT)
+    pen.text((wide + 10, 6), f"{what}  {table.t[row]:.1f} s", fill="black", font=font)
+    pen.text((wide + 10, 26), "from above", fill=QUIET, font=font)
+    pen.text((wide + 10, 0.56 * high), f"from the side: {so_far[-1, 2]:.2f} m", fill=QUIET, font=font)
     return sheet
 
 
@@ -269,6 +292,17 @@ def _images_at(log: FlightLog, times: Array) -> dict[float, NDArray[np.uint8]]:
     """The images taken at some times of a table, read one by one: a log may hold more than memory does."""
     wanted = {float(t) for t in times}
     return {image.t: decode_jpeg(image) for image in log.images() if image.t in wanted}
+
+
+def approach_record(approach: Approach) -> dict[str, Any]:
+    """The approach as plain numbers, for demo.json."""
+    result = {name: value for name, value in approach.result.items() if name != "path_m"}
+    return {
+        "made_by": "this kit, SIMULATED",
+        "ended": approach.flight.reason,
+        "seconds": len(approach.flight.t) * PERIOD,
+        **result,
+    }
 
 
 def approach_part(approach: Approach, folder: Path) -> list[str]:

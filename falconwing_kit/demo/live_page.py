@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.control.guidance import Hall
 from falconwing_kit.core.checks import Array, require_range
 from falconwing_kit.core.frames import pose_matrix
@@ -61,7 +62,7 @@ class LivePage:
     """A page that shows a flight while it is flown: `show(step)`, and `close()` at the end.
 
     Args:
-        scene: the hall.
+        scene: the hall; None for an empty page that `set_scene` furnishes later.
         port: where to serve; where it is taken, the next free one, with a warning.
         banner: what is flown, on top of the page: a simulation is called one.
 
@@ -69,7 +70,7 @@ class LivePage:
         InputError: the port is not in 1024..65000.
     """
 
-    def __init__(self, scene: GaussianScene, port: int = 8080, banner: str = "SIMULATION") -> None:
+    def __init__(self, scene: GaussianScene | None = None, port: int = 8080, banner: str = "SIMULATION") -> None:
         wanted = int(require_range("port", port, low=1024, high=65000))
         self._server = _serve(wanted)
         self.port = int(self._server.get_port())
@@ -80,10 +81,32 @@ class LivePage:
         self._newest: Step | None = None
         self._past: list[tuple[float, ...]] = []  # time, position and speed of every step shown
         self._lock, self._news, self._closing = threading.Lock(), threading.Event(), threading.Event()
-        _add_hall(self._server.scene, scene)
-        self._build(scene)
+        self._build()
+        if scene is not None:
+            self.set_scene(scene)
         self._thread = threading.Thread(target=self._keep_drawing, name="live page", daemon=True)
         self._thread.start()
+
+    def set_scene(self, scene: GaussianScene) -> None:
+        """Furnish the page with a hall, in the kit's world."""
+        _add_hall(self._server.scene, scene)
+
+    def open(self) -> bool:
+        """Open the page in this machine's browser; False where there is none to be opened."""
+        return webbrowser.open(self.url)
+
+    def wait_for_viewer(self, seconds: float) -> bool:
+        """Wait until a browser shows the page, at most so long [s]; False where none came."""
+        end = time.monotonic() + seconds
+        while not self._server.get_clients() and time.monotonic() < end:
+            time.sleep(0.05)
+        return bool(self._server.get_clients())
+
+    def __enter__(self) -> "LivePage":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def show(self, step: Step) -> None:
         """Show a step as soon as there is time; steps that are older by then are left out.
@@ -100,23 +123,6 @@ class LivePage:
             self._newest = step
         self._news.set()
 
-    def open_and_wait(self, seconds: float = 8.0, browser: bool = True) -> bool:
-        """Open the page in this machine's browser and wait until one shows it: a flight is short.
-
-        Args:
-            seconds: to wait at most.
-            browser: False to leave the opening to the user.
-
-        Returns:
-            Whether a browser is there.
-        """
-        if browser:
-            webbrowser.open(self.url)
-        end = time.monotonic() + seconds
-        while not self._server.get_clients() and time.monotonic() < end:
-            time.sleep(0.1)
-        return bool(self._server.get_clients())
-
     def close(self) -> None:
         """Draw what is left, then end the page."""
         self._closing.set()
@@ -125,14 +131,14 @@ class LivePage:
         with _quiet():
             self._server.stop()
 
-    def _build(self, scene: GaussianScene) -> None:
+    def _build(self) -> None:
         """Lay out the empty page."""
         server = self._server
         self._aircraft, self._leader = (_add_aircraft(server.scene, name) for name in ("/aircraft", "/leader"))
         self._aircraft.visible = self._leader.visible = False
         self._path = server.scene.add_line_segments("/path", np.zeros((PATH_PIECES, 2, 3)), PATH_RGB, thickness=0.03)
         self._drop = server.scene.add_box("/drop", color=DARK, dimensions=(0.02, 0.02, 1.0), visible=False)
-        _look_from_aside(server.initial_camera, scene)
+        _look_from_aside(server.initial_camera)
         self._head = server.gui.add_html(head_html(self._banner, None))
         self._view = server.gui.add_image(np.full((240, 320, 3), 40, np.uint8), label=None, jpeg_quality=85)
         self._plots = server.gui.add_html(plots_html(np.zeros((0, 3)), None))
@@ -168,12 +174,12 @@ class LivePage:
                 height = float(place[-1, 2])
                 self._drop.position, self._drop.scale = (*place[-1, :2], height / 2.0), (1.0, 1.0, height)
                 self._drop.visible = True
+            if len(place) > 1:
+                # Always as many pieces: the browser keeps the colours of as many as there were at first.
+                bends = place[np.linspace(0, len(place) - 1, PATH_PIECES + 1).astype(int)]
+                self._path.points = np.stack([bends[:-1], bends[1:]], axis=1)
             if plots:
                 self._plots.content = plots_html(past[:, [0, 3, 4]], step.command)
-                if len(place) > 1:
-                    # Always as many pieces: the browser keeps the colours of as many as there were at first.
-                    bends = place[np.linspace(0, len(place) - 1, PATH_PIECES + 1).astype(int)]
-                    self._path.points = np.stack([bends[:-1], bends[1:]], axis=1)
 
     def _follow(self, p_world: Array) -> None:
         """Take every browser's camera along, unless its user would rather look around."""
@@ -202,7 +208,7 @@ def head_html(banner: str, step: Step | None) -> str:
     return (
         f'<style>img{{width:100%}}</style><div style="font:14px system-ui,sans-serif;padding:10px 14px 2px">'
         f'<b style="color:#fff;background:{RUST};border-radius:4px;padding:3px 9px;letter-spacing:.06em">'
-        f'{html.escape(banner)}</b> <b style="font-size:19px;margin-left:8px;vertical-align:-2px">{html.escape(mode)}</b>'
+        f'{html.escape(banner)}</b> <b style="font-size:19px;margin-left:8px">{html.escape(mode)}</b>'
         f'<div style="color:{QUIET};margin-top:7px;font-variant-numeric:tabular-nums">{numbers}</div></div>'
     )
 
@@ -334,13 +340,13 @@ def _add_hall(page: Any, scene: GaussianScene) -> None:
         page.add_mesh_trimesh(f"/hall/{number}", sides, cast_shadow=False, receive_shadow=False)
 
 
-def _look_from_aside(camera: Any, scene: GaussianScene) -> None:
-    """Begin with a view across the last of the approach and the pad, or across the hall where there is no pad."""
-    pad = scene.means[scene.labelled("pad")] if "pad" in scene.label_names else scene.means
-    middle = np.array([pad[:, 0].min() if len(pad) < len(scene) else pad[:, 0].mean(), pad[:, 1].mean(), 0.0])
+def _look_from_aside(camera: Any) -> None:
+    """Begin with a view across the last of the approach and the pad."""
+    pad = LandingPad()
+    threshold = np.array([pad.x_start, pad.y_centre, 0.0])
     camera.fov = math.radians(50.0)
-    camera.look_at = middle + (0.0, 0.0, 0.6)
-    camera.position = middle + (-7.0, -13.0, 5.0)
+    camera.look_at = threshold + np.array([0.0, 0.0, 0.6])
+    camera.position = threshold + np.array([-7.0, -9.0, 4.0])
 
 
 def _add_aircraft(page: Any, name: str) -> Any:
@@ -368,7 +374,7 @@ def _serve(port: int) -> Any:
     with _quiet():
         server = viser.ViserServer(host=HOST, port=port, label="FalconWing", verbose=False)
     # The page's share button would ask an outside host for a tunnel: it goes, and so does what it calls.
-    vars(server)["request_share_url"] = lambda *_: None
+    server.request_share_url = lambda *_, **__: None  # type: ignore[method-assign]
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.scene.configure_environment_map(None)  # its reflections would wash out the hall
     server.scene.add_light_ambient("/light", intensity=1.5)

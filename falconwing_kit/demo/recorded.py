@@ -17,6 +17,7 @@ from falconwing_kit.data import data_path
 from falconwing_kit.demo.alfa_figures import draw_alfa_story, draw_suspects
 from falconwing_kit.demo.alfa_gap import CUTS, AlfaGap, Suspect, judge_alfa
 from falconwing_kit.demo.alfa_story import FOLDS, AlfaStory, tell_alfa_story
+from falconwing_kit.demo.approach import Approach, approach_part, approach_record, draw_flight
 from falconwing_kit.demo.figures import draw_identification
 from falconwing_kit.gap.advice import headline
 from falconwing_kit.gap.plots import draw_closed, draw_map, draw_ranking
@@ -65,17 +66,20 @@ def study_recorded_flights(progress: Progress = lambda stage: None) -> RecordedF
     return RecordedFlights(small, one_step, gap, story, judge_alfa(story, progress))
 
 
-def write_recorded_flights(found: RecordedFlights, folder: Path) -> dict[str, Any]:
+def write_recorded_flights(found: RecordedFlights, folder: Path, approach: Approach | None = None) -> dict[str, Any]:
     """Write page, figures, models and figures of merit.
 
     Args:
         found: what the demo found.
         folder: where to; it must exist.
+        approach: the landing that was flown before, if any; its figures are drawn from its log.
 
     Returns:
         The record that stands in demo.json.
     """
-    record = demo_record(found)
+    record = ({"approach": approach_record(approach)} if approach else {}) | demo_record(found)
+    if approach:
+        draw_flight(approach.log, folder)
     draw_identification(found.small, folder)
     gap = found.small_gap
     draw_map(gap.flight_replay, gap.calm_replay, folder / "gap_map.png")
@@ -88,10 +92,11 @@ def write_recorded_flights(found: RecordedFlights, folder: Path) -> dict[str, An
     with atomic_write(folder / "demo.json", text=True) as handle:
         json.dump(record, handle, indent=2)
     parts = [
-        *_opening(), *_small_part(found, folder), *_gap_part(gap, record, folder),
+        *_opening(), *(approach_part(approach, folder) if approach else ()),
+        *_small_part(found, folder), *_gap_part(gap, record, folder),
         *_alfa_part(found.alfa, folder), *_alfa_gap_part(found, folder), _closing(),
     ]  # fmt: skip
-    write_page(folder / "index.html", "FalconWing kit: recorded flights", parts)
+    write_page(folder / "index.html", "FalconWing kit: the demo", parts)
     return record
 
 
@@ -162,11 +167,12 @@ def _attitude_after(alfa: AlfaStory) -> float:
 
 def _opening() -> list[str]:
     return [
-        "<h1>Recorded flights, none of them ours</h1>",
-        paragraph("What the FalconWing kit learns from a log of poses and sticks, and how far to trust it.", "lead"),
+        "<h1>An approach, and recorded flights</h1>",
+        paragraph("A landing by the FalconWing kit, then what it learns from flights that are not its own.", "lead"),
         paragraph(
-            '<span class="tag simulated">simulated</span> the first aircraft comes from JSBSim, an independent flight '
-            "simulator; nothing about it was told to the kit. It flies twice, the second time with a surprise. "
+            '<span class="tag simulated">simulated</span> the first recorded aircraft comes from JSBSim, an '
+            "independent flight simulator; nothing about it was told to the kit. It flies twice, the second time with "
+            "a surprise. "
             '<span class="tag measured">measured</span> the second is a real aircraft that loses its engine.'
         ),
     ]
