@@ -43,10 +43,6 @@ class Effect:
         return tuple(p for p in self.parameters if p.name not in self.shape)
 
 
-def _zero_but(index: int, load: Any) -> tuple[Any, ...]:
-    return (*(0.0 for _ in range(index)), load, *(0.0 for _ in range(5 - index)))
-
-
 def _lift_along(air: Any, force: Any) -> tuple[Any, ...]:
     along = np.sqrt(air.u * air.u + air.w * air.w + 0.01)
     return force * air.w / along, 0.0, -force * air.u / along, 0.0, 0.0, 0.0
@@ -136,7 +132,7 @@ def thrust_loss(air: Any, K: Any) -> tuple[Any, ...]:
     Returns:
         Loads.
     """
-    return _zero_but(0, -K.thrust_lost * (K.kT - K.kTV * air.airspeed) * air.throttle)
+    return -K.thrust_lost * (K.kT - K.kTV * air.airspeed) * air.throttle, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 def battery_sag(air: Any, K: Any) -> tuple[Any, ...]:
@@ -149,7 +145,7 @@ def battery_sag(air: Any, K: Any) -> tuple[Any, ...]:
     Returns:
         Loads.
     """
-    return _zero_but(0, -K.sag * air.time / 60.0 * (K.kT - K.kTV * air.airspeed) * air.throttle)
+    return -K.sag * air.time / 60.0 * (K.kT - K.kTV * air.airspeed) * air.throttle, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 def propeller_torque(air: Any, K: Any) -> tuple[Any, ...]:
@@ -176,7 +172,7 @@ def adverse_yaw(air: Any, K: Any) -> tuple[Any, ...]:
     Returns:
         Loads.
     """
-    return _zero_but(5, -air.airspeed * air.airspeed * K.adverse_yaw * air.aileron)
+    return 0.0, 0.0, 0.0, 0.0, 0.0, -air.airspeed * air.airspeed * K.adverse_yaw * air.aileron
 
 
 def aileron_loss(air: Any, K: Any) -> tuple[Any, ...]:
@@ -189,7 +185,7 @@ def aileron_loss(air: Any, K: Any) -> tuple[Any, ...]:
     Returns:
         Loads.
     """
-    return _zero_but(3, -air.airspeed * air.airspeed * K.aileron_lost * K.La * air.aileron)
+    return 0.0, 0.0, 0.0, -air.airspeed * air.airspeed * K.aileron_lost * K.La * air.aileron, 0.0, 0.0
 
 
 def mass_change(air: Any, K: Any) -> tuple[Any, ...]:
@@ -245,7 +241,7 @@ def stall(air: Any, K: Any) -> tuple[Any, ...]:
     beyond = width * np.logaddexp(0.0, (air.alpha - K.stall_alpha) / width)
     lost = K.stall_loss * K.cLa * beyond
     lift = _lift_along(air, -air.airspeed * air.airspeed * lost)
-    return _both(lift, _drag_along(air, air.airspeed * lost * np.tan(np.clip(air.alpha, 0.0, 1.0))))
+    return _both(lift, _drag_along(air, air.airspeed * lost * np.tan(np.minimum(np.maximum(air.alpha, 0.0), 1.0))))
 
 
 def trim_bias(t: Array, commands: Array, K: Any) -> Array:

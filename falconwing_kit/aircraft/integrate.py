@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -99,11 +100,23 @@ def roll_out_compiled(model: Model, start: Array, commands: Array, dt: float, sw
     return flown
 
 
+def _compiled(function: Any) -> Any:
+    """numba's twin of a function, and of the functions of its module that it calls."""
+    from numba import njit
+
+    theirs = function.__globals__
+    names = (n for n in function.__code__.co_names if isinstance(theirs.get(n), FunctionType))
+    called = {name: _compiled(theirs[name]) for name in names if theirs[name] is not function}
+    if not called:
+        return njit(function)
+    return njit(FunctionType(function.__code__, {**theirs, **called}, function.__name__))
+
+
 @cache
 def _compiled_flight(form: Any, terms: Any, winds: Any) -> Any:
     from numba import njit
 
-    f = state_rates(form, terms, winds, njit)
+    f = state_rates(form, terms, winds, _compiled)
     n = 9 if form == "paper" else 12
 
     @njit

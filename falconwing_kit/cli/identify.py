@@ -1,5 +1,6 @@
 """falconwing identify: recorded flights -> the aircraft's parameters, how sure they are, and how well they predict."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,7 +14,7 @@ from falconwing_kit.cli.show import next_line, print_json, print_table
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import require_place
 from falconwing_kit.core.flight_table import read_flight_table
-from falconwing_kit.sysid.identify import Identification, identify
+from falconwing_kit.sysid.identify import BAD_FIT, Identification, identify
 from falconwing_kit.sysid.model_file import read_model, write_model
 from falconwing_kit.sysid.one_step import fit_one_step
 from falconwing_kit.sysid.prepare import CHANNELS
@@ -82,6 +83,12 @@ class Identify:
             _print_record(record, found)
             next_line(self._next())
         chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
+        if GOOD_CHI2 < chi2 <= BAD_FIT:  # beyond, a warning says so
+            print(
+                f"the model does not describe the flight: chi2 per degree of freedom {chi2:.1f}, want at most "
+                f"{GOOD_CHI2:g}; falconwing gap, with a calm flight, says what is missing",
+                file=sys.stderr,
+            )
         return 0 if chi2 <= GOOD_CHI2 and not found.reversed_sticks else 1
 
     def _require_places(self) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.integrate import ROLL_OUTS, SUBSTEPS, fly, roll_out, step_batch
 from falconwing_kit.aircraft.model import FORMS, in_wind, paper_model, rates_model, state_rates
 from falconwing_kit.aircraft.terms import Parameter, Term, WindTerm
@@ -90,6 +91,15 @@ def test_compiled_equals_batch_to_rounding(form, rng):
         one = roll_out(model, start, mean, 0.025, "batch", swing)
         other = roll_out(model, start, mean, 0.025, "compiled", swing)
         assert np.abs(one - other).max() < 1e-11
+
+
+@pytest.mark.parametrize("effect", [e for e in CATALOGUE if e.term or e.wind], ids=lambda effect: effect.name)
+def test_every_effect_flies_compiled_as_in_batch(effect, rng):
+    """The same arithmetic, with every load and wind of the catalogue in the model at its starting value."""
+    model = MODELS["rates"].with_effect(effect)
+    start, mean = flights(model, rng, count=2)
+    one, other = (roll_out(model, start, mean, 0.025, backend) for backend in ROLL_OUTS)
+    assert np.abs(one - other).max() < 1e-10
 
 
 @pytest.mark.parametrize("backend", ROLL_OUTS)
