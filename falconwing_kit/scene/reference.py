@@ -2,7 +2,7 @@
 
 The conventions are those of gsplat's "classic" mode, to the letter; the equations are those of
 [K] Kerbl et al. 2023, 3D Gaussian Splatting for Real-Time Radiance Field Rendering;
-[Z] Zwicker et al. 2001, EWA Volume Splatting;
+[Z] Zwicker et al. 2002, EWA Splatting;
 [Y] Ye et al. 2024, gsplat: An Open-Source Library for Gaussian Splatting;
 [M] Yu et al. 2023, Mip-Splatting.
 
@@ -28,6 +28,7 @@ NEAR, FAR = 0.01, 1e10  # depths that are drawn [m]
 BLUR_PX = 0.3  # added to both variances of a splat, which makes it about a pixel wide [px^2]
 FIELD_MARGIN = 0.3  # the slope of a ray is cut this part of the half field of view beyond the image's edge
 MAX_ALPHA, MIN_ALPHA = 0.999, 1.0 / 255.0
+MAX_SIGMA = 10.0  # alpha is below 1/255 from 5.6 on; exp of more gives denormal numbers, which are slow
 MIN_TRANSMITTANCE = 1e-4
 TILE_PX = 16
 CHUNK = 256  # splats that a tile takes at once: 16 x 16 x 256 numbers stay in the processor's cache
@@ -131,7 +132,7 @@ def project(
     in_front = ((p_camera[:, 2] >= NEAR) & (p_camera[:, 2] <= FAR)).nonzero()[:, 0]
     near, p_camera = GaussianTensors(*(tensor[in_front] for tensor in gaussians)), p_camera[in_front]
     sharp = image_covariances(covariances(near.quaternions, near.scales), p_camera, T_world_camera, camera)
-    blurred = sharp + BLUR_PX * torch.eye(2, dtype=sharp.dtype)
+    blurred = sharp + BLUR_PX * torch.eye(2).to(sharp)
     opacities = near.opacities * compensations(sharp, blurred) if antialiased else near.opacities
     means_px = image_means(p_camera, camera)
     radii_px = radii(blurred, opacities)
@@ -299,7 +300,7 @@ def touches_image(means_px: Tensor, radii_px: Tensor, camera: PinholeCamera) -> 
     Returns:
         (N,) of bool.
     """
-    size = torch.tensor([camera.width, camera.height])
+    size = means_px.new_tensor([camera.width, camera.height])
     inside = (means_px + radii_px > 0.0) & (means_px - radii_px < size)
     return (inside & (radii_px > 0.0) & radii_px.isfinite()).all(dim=1)
 
@@ -379,12 +380,12 @@ def composite(splats: Splats, width: int, height: int, background: Tensor) -> tu
     )
     rows, laid = [], 0
     for top in range(0, height, TILE_PX):
-        v = torch.arange(top, min(top + TILE_PX, height), dtype=columns.dtype) + 0.5
+        v = torch.arange(top, min(top + TILE_PX, height)).to(columns) + 0.5
         in_row = ((high[:, 1] > v[0]) & (low[:, 1] < v[-1])).nonzero()[:, 0]
         row, row_low, row_high = columns[in_row], low[in_row, 0], high[in_row, 0]
         tiles = []
         for left in range(0, width, TILE_PX):
-            u = torch.arange(left, min(left + TILE_PX, width), dtype=columns.dtype) + 0.5
+            u = torch.arange(left, min(left + TILE_PX, width)).to(columns) + 0.5
             in_tile = ((row_high > u[0]) & (row_low < u[-1])).nonzero()[:, 0]
             laid += len(in_tile)
             tile = row.index_select(0, in_tile)
@@ -414,8 +415,8 @@ def blend(columns: Tensor, u: Tensor, v: Tensor) -> Tensor:
     Returns:
         (h, w, 5).
     """
-    transmittance = torch.ones(1, len(v), len(u), dtype=columns.dtype)
-    sums = torch.zeros(len(v), len(u), 5, dtype=columns.dtype)
+    transmittance = columns.new_ones(1, len(v), len(u))
+    sums = columns.new_zeros(len(v), len(u), 5)
     for chunk in columns.split(CHUNK):
         alpha = alphas(chunk, u, v)
         passed = torch.cat([transmittance, transmittance * torch.cumprod(1.0 - alpha, dim=0)])
@@ -443,5 +444,5 @@ def alphas(columns: Tensor, u: Tensor, v: Tensor) -> Tensor:
     mean_u, mean_v, uu, uv, vv, opacity = (column[:, None, None] for column in columns[:, :6].unbind(1))
     du, dv = u - mean_u, v[:, None] - mean_v
     sigma = 0.5 * uu * du * du + 0.5 * vv * dv * dv + uv * du * dv
-    alpha = (opacity * torch.exp(-sigma)).clamp(max=MAX_ALPHA)
+    alpha = (opacity * torch.exp(-sigma.clamp(max=MAX_SIGMA))).clamp(max=MAX_ALPHA)
     return torch.where((sigma >= 0.0) & (alpha >= MIN_ALPHA), alpha, 0.0)

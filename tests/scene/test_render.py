@@ -54,7 +54,8 @@ def test_colours_are_cut_like_a_camera_s(backend):
     assert frame.rgb[3, 4].tolist() == pytest.approx([1.0, 0.8, 0.0], abs=2e-5)
 
 
-def test_backends_see_one_hall():
+@pytest.mark.parametrize("fov_deg", [3.0, 60.0, 120.0, 170.0])
+def test_backends_see_one_hall(fov_deg):
     """The fast one equals the reference to 60 dB, the project's bar, amid Gaussians on all sides, of degree 3."""
     rng = np.random.default_rng(5)
     scene = GaussianScene(
@@ -64,10 +65,10 @@ def test_backends_see_one_hall():
         rng.uniform(0.05, 1.0, 2000),
         rng.normal(size=(2000, 16, 3)) * 0.2,
     )
-    camera = PinholeCamera.from_fov_deg(100, 70, 120.0)
+    camera = PinholeCamera.from_fov_deg(100, 70, fov_deg)
     pose = nose_camera_pose((0.1, 0.2, 0.3), 0.3, -0.1, 0.8)
     exact, quick = (render(scene, camera, pose, backend, (0.2, 0.4, 0.6)) for backend in ("reference", "fast"))
-    assert exact.alpha.mean() > 0.5
+    assert exact.alpha.mean() > 0.3
     assert np.mean((exact.rgb - quick.rgb) ** 2) < 1e-6
     solid = exact.alpha > 0.5
     assert np.allclose(quick.depth[solid], exact.depth[solid], rtol=1e-3)
