@@ -148,7 +148,7 @@ class LivePage:
         """Draw the newest step until the page closes; a fault ends the page and not the flight."""
         drawn = 0
         try:
-            while not self._closing.is_set():
+            while self._news.is_set() or not self._closing.is_set():
                 self._news.wait()
                 self._news.clear()
                 with self._lock:
