@@ -19,7 +19,8 @@ UNITS = {  # of the summary: what a row is called, and the factor to its unit
     "past_threshold_m": ("touchdown past threshold [m]", 1.0),
     "ate_m": ("ATE until loss [cm]", 100.0),
     "ate_m_of_successes": ("ATE of successes [cm]", 100.0),
-    "ate_d_m": ("ATE_d until loss [cm]", 100.0),
+    "ate_d_m": ("ATE_d until loss, distance alone [cm]", 100.0),
+    "ate_path_m": ("ATE_path until loss, along the path [cm]", 100.0),
     "locked_share": ("frames locked [%]", 100.0),
 }
 

@@ -4,8 +4,9 @@ A judge looks at what the pilot does not see.
 
 SR   share of trials that succeed: touchdown on the pad; or the leader locked in all frames and nothing touched
 ALD  |lateral offset| from the pad's centre line at the first wheel contact, of landed trials only
-ATE  mean over the frames until the lock is lost of |D(t) - D(0)|, D = leader minus follower in the leader path's frame;
-     ATE_d the same of the distance between the two, which has no direction
+ATE  mean over the frames until the lock is lost of |D(t) - D(0)|, D = p_leader - p_follower in the leader path's frame:
+     ahead along its course, to the left, up. ATE_d is the same of the distance alone, ATE_path of the leader's lead
+     along its own curved path and the follower's offset from that path
 """
 
 import math
@@ -88,7 +89,7 @@ class FollowJudge:
         self.leader, self.leader_path = leader, extended_path(leader)
         self._t: list[float] = []
         self._locked: list[bool] = []
-        self._leader: list[Array] = []
+        self._leader: list[State] = []
         self._follower: list[Array] = []
 
     def watch(self, step: Step) -> str:
@@ -98,7 +99,7 @@ class FollowJudge:
         depth = None if self.view is None else self.view.depth
         self._t.append(step.t)
         self._locked.append(is_locked(self.camera, T_world_camera, leader, self.airframe, depth))
-        self._leader.append(leader.p_world)
+        self._leader.append(leader)
         self._follower.append(own.p_world)
         return _touched(self.world)
 
@@ -106,16 +107,14 @@ class FollowJudge:
         """Success, share of frames locked, when the lock was first lost, and the errors until then."""
         locked = np.array(self._locked)
         kept = len(locked) if locked.all() else int(np.argmin(locked))
-        leader, follower = np.array(self._leader), np.array(self._follower)
-        ate, ate_d = tracking_errors(leader[:kept], follower[:kept], self.leader_path)
+        leader, follower = np.array([state.vector for state in self._leader]), np.array(self._follower)
         return {
             "success": bool(locked.all()) and self.world.contact is None,
             "locked_share": float(locked.mean()),
             "lost_at_s": None if kept == len(locked) else self._t[kept],
-            "ate_m": ate,
-            "ate_d_m": ate_d,
+            **tracking_errors(leader[:kept, 0:3], leader[:kept, 6:9], follower[:kept], self.leader_path),
             "path_m": _rounded(follower),
-            "leader_path_m": _rounded(leader),
+            "leader_path_m": _rounded(leader[:, 0:3]),
         }
 
 
@@ -208,30 +207,45 @@ def extended_path(leader: LeaderPath) -> Array:
     return np.concatenate([first.p_world + back, flown])
 
 
-def tracking_errors(leader: Array, follower: Array, path: Array) -> tuple[float | None, float | None]:
-    """ATE and ATE_d: how far the follower left the place that it had relative to the leader.
+def tracking_errors(leader: Array, v_leader: Array, follower: Array, path: Array) -> dict[str, float | None]:
+    """ATE, ATE_d and ATE_path: how far the follower left the place that it had relative to the leader.
 
-    ATE = mean |D(t) - D(0)|, D = (along, left, up) of the leader minus that of the follower, in the path's own axes
-    ATE_d = mean |d(t) - d(0)|, d = |p_leader - p_follower|
+    ATE      = mean |D(t) - D(0)|, D = R_path_world (p_leader - p_follower), rows of R: ahead, left, up
+    ATE_d    = mean |d(t) - d(0)|, d = |p_leader - p_follower|
+    ATE_path = mean |C(t) - C(0)|, C = (along, left, up) of the leader minus that of the follower along the curved path
 
-    Along a straight path this is the plain difference of positions; in a turn, who keeps its distance behind on the
-    same path has no error.
+    Where a turn begins, a follower that keeps its distance on the same path has an ATE, for it is seen under another
+    angle, and no ATE_path.
 
     Args:
         leader: (n, 3) positions in the frames that count [m].
+        v_leader: (n, 3) its velocities [m/s], level speed above zero.
         follower: (n, 3) [m].
         path: (m, 3) the leader's way [m], longer than the distance between the two.
 
     Returns:
-        Both [m]; None where no frame counts.
+        ate_m, ate_d_m and ate_path_m [m]; None where no frame counts.
     """
     if len(leader) == 0:
-        return None, None
-    distance = np.linalg.norm(leader - follower, axis=1)
+        return {"ate_m": None, "ate_d_m": None, "ate_path_m": None}
+    between = leader - follower
+    distance = np.linalg.norm(between, axis=1)
+    D = np.einsum("nij,nj->ni", path_axes(v_leader), between)
     ahead = path_coordinates(leader, path)
-    behind = path_coordinates(follower, path, near=ahead[0, 0] - distance[0])
-    D = ahead - behind
-    return float(np.linalg.norm(D - D[0], axis=1).mean()), float(np.abs(distance - distance[0]).mean())
+    C = ahead - path_coordinates(follower, path, near=ahead[0, 0] - distance[0])
+    return {
+        "ate_m": float(np.linalg.norm(D - D[0], axis=1).mean()),
+        "ate_d_m": float(np.abs(distance - distance[0]).mean()),
+        "ate_path_m": float(np.linalg.norm(C - C[0], axis=1).mean()),
+    }
+
+
+def path_axes(along: Array) -> Array:
+    """R_path_world (n, 3, 3) of directions (n, 3) of a path: rows are ahead, level left, and up."""
+    ahead = along / np.linalg.norm(along, axis=1, keepdims=True)
+    left = np.cross((0.0, 0.0, 1.0), ahead)
+    left /= np.linalg.norm(left, axis=1, keepdims=True)
+    return np.stack([ahead, left, np.cross(ahead, left)], axis=1)
 
 
 def path_coordinates(p_world: Array, path: Array, near: float | None = None) -> Array:
@@ -247,16 +261,15 @@ def path_coordinates(p_world: Array, path: Array, near: float | None = None) -> 
     """
     parts = np.diff(path, axis=0)
     lengths = np.linalg.norm(parts, axis=1)
-    begins, tangents = np.concatenate([[0.0], np.cumsum(lengths)])[:-1], parts / lengths[:, None]
+    begins, axes = np.concatenate([[0.0], np.cumsum(lengths)])[:-1], path_axes(parts)
     found = np.empty((len(p_world), 3))
     for row, p in enumerate(np.asarray(p_world, np.float64)):
-        along = np.clip(np.einsum("ij,ij->i", p - path[:-1], tangents), 0.0, lengths)
-        off = p - path[:-1] - along[:, None] * tangents
+        along = np.clip(np.einsum("ij,ij->i", p - path[:-1], axes[:, 0]), 0.0, lengths)
+        off = p - path[:-1] - along[:, None] * axes[:, 0]
         far = np.zeros(len(parts)) if near is None else np.where(np.abs(begins + along - near) > NEARBY, np.inf, 0.0)
         i = int(np.argmin(np.einsum("ij,ij->i", off, off) + far))
-        left = np.array([-tangents[i, 1], tangents[i, 0], 0.0]) / np.hypot(tangents[i, 0], tangents[i, 1])
-        near = begins[i] + along[i]
-        found[row] = near, off[i] @ left, off[i] @ np.cross(tangents[i], left)
+        near = float(begins[i] + along[i])
+        found[row] = near, *(axes[i, 1:] @ off[i])
     return found
 
 

@@ -35,6 +35,7 @@ MEANS = {
     "past_threshold_m": True,
     "ate_m": False,
     "ate_d_m": False,
+    "ate_path_m": False,
     "locked_share": False,
 }
 

@@ -101,12 +101,15 @@ def straight(n: int, x: float = 0.0, y: float = 0.0, z: float = 2.0) -> np.ndarr
     return np.column_stack([x + 0.35 * np.arange(n), np.full(n, y), np.full(n, z)])
 
 
+def errors(leader: np.ndarray, follower: np.ndarray, path: np.ndarray) -> list[float]:
+    """ATE, ATE_d, ATE_path; the leader's velocity from differences, whose length does not matter."""
+    return list(tracking_errors(leader, np.gradient(leader, axis=0), follower, path).values())
+
+
 def test_a_constant_offset_is_no_error():
-    """4 m behind, 0.5 m to the side and below, all the way: ATE = ATE_d = 0."""
+    """4 m behind, 0.5 m to the side and below, all the way: every error is 0."""
     path = straight(200, x=-20.0)
-    ate, ate_d = tracking_errors(straight(60), straight(60, x=-4.0, y=0.5, z=1.5), path)
-    assert ate == pytest.approx(0.0, abs=1e-9)
-    assert ate_d == pytest.approx(0.0, abs=1e-9)
+    assert errors(straight(60), straight(60, x=-4.0, y=0.5, z=1.5), path) == pytest.approx([0.0] * 3, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -117,28 +120,49 @@ def test_a_step_of_a_metre_for_half_of_the_time_is_half_a_metre(axis, sign, ate_
     """4 m behind; in the second half 1 m off along one axis. The distance changes by 1 m or by sqrt(17) - 4."""
     follower = straight(60, x=-4.0)
     follower[30:, axis] += sign
-    found = tracking_errors(straight(60), follower, straight(200, x=-20.0))
-    assert found == (pytest.approx(0.5, abs=1e-9), pytest.approx(ate_d, abs=1e-9))
+    found = errors(straight(60), follower, straight(200, x=-20.0))
+    assert found == pytest.approx([0.5, ate_d, 0.5], abs=1e-9)
+
+
+def circle(angle: np.ndarray, radius: np.ndarray | float = 10.0) -> np.ndarray:
+    """A level turn to the right around the origin, 2 m up."""
+    return np.column_stack([radius * np.cos(angle), -radius * np.sin(angle), np.full(len(angle), 2.0)])
+
+
+def course(angle: np.ndarray) -> np.ndarray:
+    """Directions of flight on the circle."""
+    return np.column_stack([-np.sin(angle), -np.cos(angle), np.zeros(len(angle))])
 
 
 def test_who_follows_the_same_circle_at_the_same_distance_has_no_error():
     """Circle of 10 m, 4 m of arc behind. A chain of 0.35 m pieces leaves its circle by 0.35^2 / 80 = 1.5 mm.
 
-    One metre further out for half of the time is 0.5 m, also in a turn.
+    One metre further out for half of the time is 0.5 m, in a turn too.
     """
-    angles = np.arange(0.0, 4.0, 0.035)
-    circle = np.column_stack([10.0 * np.cos(angles), -10.0 * np.sin(angles), np.full(len(angles), 2.0)])
-    when = np.linspace(0.8, 3.8, 100)
+    when, path = np.linspace(0.8, 3.8, 100), circle(np.arange(0.0, 4.0, 0.035))
+    leader = circle(when)
+    found = tracking_errors(leader, course(when), circle(when - 0.4), path)
+    assert list(found.values()) == pytest.approx([0.0] * 3, abs=0.004)
+    outside = circle(when - 0.4, np.where(np.arange(100) < 50, 10.0, 11.0))
+    found = tracking_errors(leader, course(when), outside, path)
+    assert (found["ate_m"], found["ate_path_m"]) == (pytest.approx(0.5, abs=0.005), pytest.approx(0.5, abs=0.005))
 
-    def round_the_circle(angle: np.ndarray, radius: np.ndarray | float) -> np.ndarray:
-        return np.column_stack([radius * np.cos(angle), -radius * np.sin(angle), np.full(len(angle), 2.0)])
 
-    leader, follower = round_the_circle(when, 10.0), round_the_circle(when - 0.4, 10.0)
-    ate, ate_d = tracking_errors(leader, follower, circle)
-    assert ate == pytest.approx(0.0, abs=0.004)
-    assert ate_d == pytest.approx(0.0, abs=1e-9)
-    outside = round_the_circle(when - 0.4, np.where(np.arange(100) < 50, 10.0, 11.0))
-    assert tracking_errors(leader, outside, circle)[0] == pytest.approx(0.5, abs=0.005)
+def test_entering_a_turn_is_seen_in_the_path_frame_and_not_along_the_path():
+    """60 frames straight, then 80 on a circle of 10 m; always 4 m of path behind, twelve frames of 0.35 m.
+
+    On the circle the follower stands R sin(0.4) behind and R (1 - cos(0.4)) beside the course, at first 4 m behind:
+    |D - D(0)| = hypot(4 - 3.894, 0.789) = 0.796, in at least 68 and at most 80 of 120 frames, less while it enters.
+    """
+    angle = np.concatenate([np.zeros(60), 0.035 * np.arange(80)])
+    path = circle(angle)
+    path[:60, 1] = 0.35 * np.arange(60, 0, -1)
+    s = 0.35 * np.arange(140)
+    behind = np.column_stack([np.interp(s[20:] - 4.0, s, path[:, axis]) for axis in range(3)])
+    found = tracking_errors(path[20:], course(angle[20:]), behind, path)
+    off = np.hypot(4.0 - 10.0 * np.sin(0.4), 10.0 - 10.0 * np.cos(0.4))
+    assert 68 / 120 * off < found["ate_m"] < 80 / 120 * off
+    assert found["ate_path_m"] == pytest.approx(0.0, abs=0.004)
 
 
 def test_path_coordinates_are_along_left_and_up():
