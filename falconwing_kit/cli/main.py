@@ -23,6 +23,8 @@ VERBS: tuple[tuple[str, str, str, str], ...] = (
     ("demo", "falconwing_kit.cli.demo", "Demo", "identify recorded flights, one of them real, and show the answer"),
     ("doctor", "falconwing_kit.cli.doctor", "Doctor", "say what works on this machine and how to mend the rest"),
     ("size", "falconwing_kit.cli.size", "Size", "minimum speed, turn radius and mass budget of an airframe"),
+    ("scene", "falconwing_kit.cli.scene", "Scene", "build the arena, or say what is in a Gaussian scene"),
+    ("render", "falconwing_kit.cli.scene", "Render", "make an image of a Gaussian scene"),
     ("fly", "falconwing_kit.cli.fly", "Fly", "fly a task in simulation, once to look at or often to count"),
     ("identify", "falconwing_kit.cli.identify", "Identify", "fit the aircraft model to recorded flights"),
     ("gap", "falconwing_kit.cli.gap", "Gap", "say where a flight disagrees with the model and which effect is missing"),
