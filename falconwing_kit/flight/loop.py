@@ -231,6 +231,7 @@ class _Run:
         self.seconds: dict[str, list[float]] = defaultdict(list)
         self.events: list[Event] = []
         self.faults_in_a_row = 0
+        self.mode = ""
 
     def step(self, t: float, lateness: float) -> Step:
         """Look, ask the pilot, send, and only then log and show."""
@@ -254,6 +255,9 @@ class _Run:
         step = Step(t, self.image, state, command, str(getattr(loop.pilot, "mode", "")), leader)
         with self.timed("log"):
             self.write(lambda log: _log_step(log, loop.clock.now(), step, new_image))
+            if step.mode != self.mode:
+                self.event("mode", {"mode": step.mode})
+                self.mode = step.mode
         with self.timed("hooks"):
             self.show(step)
         return step

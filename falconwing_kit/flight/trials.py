@@ -93,7 +93,7 @@ def fly_trial(
         states, hooks = MeasuredStates(trial.world), setting.hooks
         loop = Loop(pilot, trial.world, view, states, trial.leader, setting.clock(), writer, hooks)
         if writer is not None:
-            writer.event(0.0, "simulation", {"task": task.name, "seed": trial.seed, **setting.record})
+            writer.metadata({"simulated": "yes", "task": task.name, "seed": trial.seed})
         flight = loop.run(trial.duration, judge.watch)
     if flight.reason == "interrupted":
         raise KeyboardInterrupt

@@ -11,6 +11,7 @@ from falconwing_kit.core.messages import Command, Image, State
 from falconwing_kit.flight.loop import SAFE_COMMAND, Loop, WallClock, deadlines
 
 STATE = State.from_vector(np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 7.0, 0.0, -0.5]))
+MODES = ("approach", "flare")
 
 
 class HandClock:
@@ -173,8 +174,8 @@ def test_nonsense_of_a_pilot_becomes_the_safe_command(nonsense, tmp_path):
     assert sink.sent[2][1].vector.tolist() == [0.0] * 4
     assert (flight.faults, flight.reason, len(flight.t)) == (1, "duration", 5)
     events = read_flight_log(tmp_path / "flight.mcap").events
-    assert [event.name for event in events] == ["pilot failed", "ended"]
-    assert events[0].t == pytest.approx(0.1)
+    assert [event.name for event in events] == ["mode", "pilot failed", "ended"]
+    assert events[1].t == pytest.approx(0.1)
 
 
 def test_sticks_beyond_their_ends_are_cut_and_marked():
@@ -203,7 +204,16 @@ def test_a_hook_that_raises_is_dropped_and_the_flight_goes_on():
     flight = Loop(Pilot(), sink, states=Still(), hooks=(broken, sink)).run(0.25)
     assert calls == [0.0]
     assert [step.mode for step in sink.steps] == ["cruise"] * 5
-    assert "the browser is gone" in flight.events[0].details["error"]
+    (dropped,) = (event for event in flight.events if event.name == "hook dropped")
+    assert "the browser is gone" in dropped.details["error"]
+
+
+def test_a_change_of_mode_is_logged_once():
+    """A hook sets the mode of the next step: "approach" from t = 0.05 on, "flare" after t = 0.2."""
+    pilot = Pilot()
+    flight = Loop(pilot, Recorder(), hooks=(lambda step: setattr(pilot, "mode", MODES[step.t > 0.19]),)).run(0.5)
+    modes = [(event.t, event.details["mode"]) for event in flight.events if event.name == "mode"]
+    assert modes == [(0.0, "cruise"), (pytest.approx(0.05), "approach"), (pytest.approx(0.25), "flare")]
 
 
 def test_ctrl_c_ends_the_flight_with_the_log_whole(tmp_path):
@@ -221,7 +231,7 @@ def test_ctrl_c_ends_the_flight_with_the_log_whole(tmp_path):
     read = read_flight_log(tmp_path / "flight.mcap")
     assert read.warnings == ()
     assert len(read.commands) == 5
-    assert [event.name for event in read.events] == ["interrupted", "ended"]
+    assert [event.name for event in read.events] == ["mode", "interrupted", "ended"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
