@@ -1,7 +1,8 @@
-"""`falconwing export`: from a flight log to a table or a repaired log, by its words on the command line."""
+"""`falconwing export` and `replay`: what becomes of a flight log, by the words on the command line."""
 
 import json
 import shutil
+import webbrowser
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from falconwing_kit.cli.main import main
 from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
 from falconwing_kit.core.flight_table import read_flight_table
 from falconwing_kit.core.messages import Command, Image, State
+from falconwing_kit.demo import live_page
 
 
 @pytest.fixture
@@ -66,3 +68,77 @@ def test_wrong_use_is_one_sentence_and_exit_2(log, tmp_path, monkeypatch, capsys
     assert sentence in error and error.count("\n") == 1
     assert sorted(tmp_path.iterdir()) == before
     assert len(read_flight_log(log).commands) == 10
+
+
+@pytest.fixture
+def flown(tmp_path):
+    """A short flight with views, each of one grey, and a mode that changes."""
+    with FlightLogWriter(tmp_path / "flown.mcap") as writer:
+        writer.metadata({"simulated": "yes"})
+        for k in range(20):
+            state = State(np.array([0.3 * k, -2.0, 1.0]), 0.0, 0.0, 0.0, np.array([6.0, 0.0, 0.0]))
+            writer.state(0.05 * k, state, image_sequence=k)
+            writer.command(
+                0.05 * k,
+                Command(0.05 * k, 0.0, 0.0, 0.0, k),
+                Image(k, 0.05 * k, np.full((24, 32, 3), 10 * k, np.uint8)),
+            )
+            if k in (0, 10):
+                writer.event(0.05 * k, "mode", {"mode": ("approach", "flare")[k // 10]})
+    return tmp_path / "flown.mcap"
+
+
+def test_replay_draws_the_figures_of_the_demo(flown, tmp_path, capsys):
+    """Headless: the four figures in a folder that was not there; the last line says what to type next."""
+    assert main(["replay", str(flown), "--headless", "--out", str(tmp_path / "figures")]) == 0
+    assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == [
+        "flight_film.png", "flight_fpv.png", "flight_path.png", "flight_sticks.png",
+    ]  # fmt: skip
+    assert capsys.readouterr().out.splitlines()[-1].startswith("next: falconwing export")
+
+
+def test_replay_shows_every_step_of_the_log(flown, monkeypatch, capsys):
+    """The loop's own steps reach the page: sticks, modes and views as logged, and the page says whose flight it is."""
+    shown, banners = [], []
+    furnish = live_page.LivePage.__init__
+
+    def begin(page, scene, port, banner):
+        banners.append(banner)
+        furnish(page, scene, port, banner)
+
+    monkeypatch.setattr(live_page.LivePage, "__init__", begin)
+    monkeypatch.setattr(live_page.LivePage, "set_scene", lambda page, scene: None)
+    monkeypatch.setattr(live_page.LivePage, "show", lambda page, step: shown.append(step))
+    monkeypatch.setattr(webbrowser, "open", lambda url: False)
+    assert main(["replay", str(flown), "--once", "--speed", "0.5", "--port", "18431"]) == 0
+    assert banners == ["REPLAY of a SIMULATION"]
+    rows = [round(step.t / 0.05) for step in shown]  # on a busy machine the loop leaves steps out, as in any flight
+    assert len(rows) > 5 and rows == sorted(set(rows))
+    for row, step in zip(rows, shown, strict=True):
+        k = min(row, 19)
+        assert step.command.throttle == pytest.approx(0.05 * k)
+        assert step.mode == ("approach", "flare")[k >= 10]
+        assert abs(float(step.image.pixels.mean()) - 10 * k) <= 2.0
+        assert step.state.p_world[0] == pytest.approx(0.3 * k)
+    assert "live page: http://127.0.0.1:" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["absent.mcap"], "absent.mcap: want a file, found nothing there"),
+        (["absent.mcap", "--headless"], "absent.mcap: want a file, found nothing there"),
+        (["flown.mcap", "--speed", "0"], "speed: want a finite number in"),
+        (["flown.mcap", "--port", "80"], "port: want a finite number in"),
+        (["flown.mcap", "--headless", "--out", "flown.mcap"], "flown.mcap"),
+    ],
+)
+def test_replay_of_nothing_is_one_sentence_and_exit_2(flown, tmp_path, monkeypatch, capsys, words, sentence):
+    """Nothing is opened or written."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(webbrowser, "open", lambda url: pytest.fail("a browser was opened"))
+    before = sorted(tmp_path.iterdir())
+    assert main(["replay", *words]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error and error.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
