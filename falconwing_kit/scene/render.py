@@ -56,7 +56,7 @@ def render(
         raise InputError(f"backend: want one of {', '.join(BACKENDS)}, got {backend!r}")
     T_world_camera, background = require_pose("T_world_camera", T_world_camera), _require_colour(background)
     rgb, alpha, depth = BACKENDS[backend](scene, camera, T_world_camera, background, bool(antialiased))
-    return Frame(np.clip(rgb, 0.0, 1.0), alpha, depth)
+    return Frame(np.clip(rgb, 0.0, 1.0, out=rgb), alpha, depth)
 
 
 def require_pose(name: str, pose: ArrayLike) -> Array:
