@@ -1,6 +1,7 @@
 """falconwing fly: a task and a pilot -> simulated flights by the 20 Hz loop, watched live or many at once."""
 
 import re
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from falconwing_kit.core.checks import InputError
 
 PILOTS = ("expert",)  # those that this version of the kit has
 LATER = ("rgb", "mask", "rgb_mask", "student", "manual")
+BROWSER_S = 8.0  # what a browser may take to show the page before the flight begins
 UNITS = {  # of the summary: what a row is called, and the factor to its unit
     "ald_m": ("ALD of landings [cm]", 100.0),
     "sink_rate_m_s": ("sink rate at touchdown [m/s]", 1.0),
@@ -166,10 +168,15 @@ def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str,
     for record in records:
         if not record["success"]:
             lost = record.get("lost_at_s")
-            print(f"trial {record['trial']}: {record['reason']}" + ("" if lost is None else f", lock lost at {lost:.2f} s"))
+            print(
+                f"trial {record['trial']}: {record['reason']}"
+                + ("" if lost is None else f", lock lost at {lost:.2f} s")
+            )
     faulty = next((record for record in records if record["faults"]), None)
     if faulty is not None:
         print(f"warning: the pilot failed in {found['faults']} steps; first: {faulty['first_fault']['error']}")
+    if found["skipped"]:
+        print(f"warning: {found['skipped']} steps came too late and were skipped; a smaller --size or --headless helps")
     if "against" in found:
         pair = found["against"]
         print(
@@ -186,21 +193,19 @@ def _page(headless: bool, render: bool) -> Iterator[tuple[Any, tuple[Callable[..
         return
     from falconwing_kit.scene.arena import load_scene
 
-    scene = load_scene("arena")
     if headless:
-        yield scene, ()
+        yield load_scene("arena"), ()
         return
     from falconwing_kit.demo.live_page import LivePage
 
-    page = LivePage(scene)
-    print(f"live page: {page.url}")
-    try:
-        import webbrowser
-
-        webbrowser.open(page.url)
+    with LivePage() as page:
+        print(f"live page: {page.url}", file=sys.stderr, flush=True)
+        opened = page.open()
+        scene = load_scene("arena")
+        page.set_scene(scene)
+        if opened:
+            page.wait_for_viewer(BROWSER_S)
         yield scene, (page.show,)
-    finally:
-        page.close()
 
 
 def _size(text: str) -> tuple[int, int]:

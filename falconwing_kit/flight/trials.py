@@ -18,7 +18,7 @@ import numpy as np
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.flight_log import FlightLogWriter
-from falconwing_kit.flight.loop import Clock, Loop, Pilot, SimulatedClock, Step
+from falconwing_kit.flight.loop import Loop, Pilot, SimulatedClock, Step, WallClock
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
 from falconwing_kit.flight.statistics import bootstrap_mean, clopper_pearson, mcnemar
 from falconwing_kit.flight.tasks import Task, Trial, trial_seed
@@ -46,14 +46,15 @@ class Setting:
 
     scene: GaussianScene | None = None  # rendered for the pilot; None gives it no images
     camera: PinholeCamera = field(default_factory=fpv_camera)
-    clock: Callable[[], Clock] = SimulatedClock  # a new one for every flight
+    clock: type[SimulatedClock] | type[WallClock] = SimulatedClock  # a new one for every flight
     hooks: Sequence[Callable[[Step], None]] = ()
 
     @property
     def record(self) -> Record:
         """What has to be the same for flights to be comparable."""
         size = [self.camera.width, self.camera.height]
-        return {"rendered": self.scene is not None, "size_px": size, "focal_px": self.camera.fx}
+        how = {"rendered": self.scene is not None, "size_px": size, "focal_px": self.camera.fx}
+        return {**how, "clock": self.clock.__name__}
 
 
 def fly_trial(
@@ -199,7 +200,8 @@ def summary(records: Sequence[Mapping[str, Any]]) -> Record:
             found[key] = _mean(successes if of_successes else records, key)
     if "ate_m" in found:
         found["ate_m_of_successes"] = _mean(successes, "ate_m")
-    found["faults"] = sum(record["faults"] for record in records)
+    for key in ("faults", "skipped"):
+        found[key] = sum(record[key] for record in records)
     for key in ("art_median_ms", "art_p95_ms"):
         found[key] = float(np.median([record[key] for record in records]))
     return found | {"machine": machine()}

@@ -89,6 +89,38 @@ def test_a_file_in_place_of_the_folder_is_wrong_use(tmp_path, capsys):
     assert "want a folder" in capsys.readouterr().err
 
 
+class StandInPage:
+    """A page without a browser that counts the steps it is shown."""
+
+    url, shown = "http://127.0.0.1:8080", 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def open(self) -> bool:
+        return False
+
+    def set_scene(self, scene) -> None:
+        self.scene = scene
+
+    def show(self, step) -> None:
+        type(self).shown += 1
+
+
+def test_without_headless_a_page_is_shown_the_flight_in_real_time(monkeypatch, capsys):
+    """Every step flown is shown; the page's address does not disturb the JSON. How the dive ends is not asked here."""
+    monkeypatch.setattr("falconwing_kit.demo.live_page.LivePage", StandInPage)
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
+    assert main(["fly", "--no-render", "--json"]) == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out)["trials"] == 1
+    assert "live page: http://127.0.0.1:8080" in said.err
+    assert StandInPage.shown > 2
+
+
 FOLLOW = ("--task", "follow", "--headless", "--seed", "500")
 
 

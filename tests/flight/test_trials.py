@@ -138,7 +138,7 @@ def test_a_log_says_that_it_is_simulated(tmp_path):
 
 
 def record(success: bool, **numbers) -> dict:
-    return {"success": success, "faults": 0, "art_median_ms": 1.0, "art_p95_ms": 2.0, **numbers}
+    return {"success": success, "faults": 0, "skipped": 0, "art_median_ms": 1.0, "art_p95_ms": 2.0, **numbers}
 
 
 def test_deviation_counts_landings_only():
