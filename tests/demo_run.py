@@ -1,8 +1,9 @@
-"""One run of `falconwing demo` that all tests of its files and words share: it takes a quarter of a minute."""
+"""One run of `falconwing demo` that all tests of its files and words share: it takes a minute and a half."""
 
 import contextlib
 import io
 import tempfile
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -10,7 +11,8 @@ from typing import NamedTuple
 import pytest
 
 from falconwing_kit.cli.main import main
-from falconwing_kit.demo import recorded
+from falconwing_kit.demo import approach, recorded
+from falconwing_kit.demo.approach import Approach
 from falconwing_kit.demo.recorded import RecordedFlights
 
 WORDS = ("demo", "--headless", "--out", "out")  # as README prints them
@@ -25,13 +27,14 @@ class DemoRun(NamedTuple):
     printed: str
     complained: str  # on standard error
     found: RecordedFlights  # what the files were written from
+    approach: Approach  # the landing before them
 
 
 @cache
 def demo_run() -> DemoRun:
     """The verb as it is typed, in an empty folder."""
-    printed, complained, kept = io.StringIO(), io.StringIO(), []
-    study, folder = recorded.study_recorded_flights, Path(_FOLDER.name)
+    printed, complained, kept, flown = io.StringIO(), io.StringIO(), [], []
+    study, fly, folder = recorded.study_recorded_flights, approach.fly_approach, Path(_FOLDER.name)
     with (
         pytest.MonkeyPatch.context() as patch,
         contextlib.chdir(folder),
@@ -39,5 +42,7 @@ def demo_run() -> DemoRun:
         contextlib.redirect_stderr(complained),
     ):
         patch.setattr(recorded, "study_recorded_flights", lambda progress: kept.append(study(progress)) or kept[0])
+        patch.setattr(approach, "fly_approach", lambda *how: flown.append(fly(*how)) or flown[0])
         code = main(WORDS)
-    return DemoRun(code, folder / "out", printed.getvalue(), complained.getvalue(), kept[0])
+    landing = replace(flown[0], log=folder / "out" / flown[0].log.name)
+    return DemoRun(code, folder / "out", printed.getvalue(), complained.getvalue(), kept[0], landing)

@@ -12,16 +12,17 @@ import numpy as np
 import pytest
 
 from falconwing_kit.cli.main import main
-from falconwing_kit.demo import recorded
+from falconwing_kit.demo import approach, recorded
 from falconwing_kit.sysid.model_file import read_model
 from tests.core.test_page import page_problems
 from tests.demo_run import demo_run
 
 FIGURES = (
+    "flight_film", "flight_fpv", "flight_path", "flight_sticks",
     "predicted", "residuals", "intervals", "gap_map", "gap_ranking", "gap_closed",
     "alfa_track", "alfa_predicted", "alfa_forecasts", "alfa_failure", "alfa_suspects",
 )  # fmt: skip
-OTHERS = ("index.html", "demo.json", "model_150g.toml", "model_alfa.toml")
+OTHERS = ("approach.mcap", "index.html", "demo.json", "model_150g.toml", "model_alfa.toml")
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,8 @@ def run():
 
 @pytest.fixture
 def studied(run, monkeypatch):
-    """The verb without the minute it takes: what was found is handed over as it is."""
+    """The verb without the minute it takes: what was flown and found is handed over as it is."""
+    monkeypatch.setattr(approach, "fly_approach", lambda *how: run.approach)
     monkeypatch.setattr(recorded, "study_recorded_flights", lambda progress: run.found)
 
 
@@ -77,7 +79,8 @@ def test_numbers_tell_the_story_of_the_release(run):
     """Goals set before it was written: chi2 at most 1.3 held out; the real flight better than both guesses."""
     record = json.loads((run.out / "demo.json").read_text())
     small, real = record["simulated_flight"], record["real_flight"]
-    assert set(record) == {"simulated_flight", "real_flight"}
+    assert set(record) == {"approach", "simulated_flight", "real_flight"}
+    assert record["approach"]["success"] and "SIMULATED" in record["approach"]["made_by"]
     assert 0.7 < small["held_out_chi2_per_dof"] < 1.3
     assert small["one_step_chi2_per_dof"]["raw"] > small["one_step_chi2_per_dof"]["smoothed"] > 2.0
     errors = real["one_second_ahead_before_failure"]
@@ -168,9 +171,10 @@ def test_json_is_the_record_and_nothing_else(run, studied, opened, capsys, tmp_p
 
 
 def test_newcomer_sees_the_page(studied, opened, tmp_path):
-    """Without --headless the browser opens it, once."""
-    assert main(["demo", "--out", str(tmp_path)]) == 0
-    assert opened == [(tmp_path / "index.html").resolve().as_uri()]
+    """Without --headless the browser opens the live page and, at the end, the one that stays."""
+    assert main(["demo", "--out", str(tmp_path), "--port", "18432"]) == 0
+    live, page = opened
+    assert live.startswith("http://127.0.0.1:") and page == (tmp_path / "index.html").resolve().as_uri()
 
 
 def test_full_disk_leaves_nothing_half_written(studied, capsys, tmp_path):
@@ -186,7 +190,7 @@ def test_full_disk_leaves_nothing_half_written(studied, capsys, tmp_path):
 def test_disk_that_fills_up_before_the_page_keeps_the_page_of_before(studied, capsys, tmp_path):
     """Every figure fits, the page does not: what is there is whole, the older page stays to the byte."""
     (tmp_path / "index.html").write_text("the page of yesterday")
-    with small_disk(400_000):
+    with small_disk(2_500_000):
         code = main(["demo", "--headless", "--out", str(tmp_path)])
     assert code == 2
     assert "index.html: the disk is full" in capsys.readouterr().err
