@@ -174,7 +174,7 @@ def scene_record(scene: GaussianScene) -> dict[str, Any]:
     """What is in a scene, as it goes to JSON: count, labels with their counts, bounds [m], SH degree and source."""
     return {
         "gaussians": len(scene),
-        "labels": {name: int(scene.labelled(name).sum()) for name in scene.label_names},
+        "labels": {name: int(count) for name in scene.label_names if (count := scene.labelled(name).sum())},
         "low_m": scene.means.min(axis=0).tolist(),
         "high_m": scene.means.max(axis=0).tolist(),
         "sh_degree": math.isqrt(scene.sh.shape[1]) - 1,
