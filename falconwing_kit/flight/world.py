@@ -24,7 +24,7 @@ Obstacle = Literal["pad", "pad edge", "floor", "wall", "ceiling", "leader"]
 
 CLEARANCE = 1.0  # m between the two centres of gravity; nearer counts as a collision
 NO_PAD = LandingPad(length=0.0, width=0.0, height=0.0)
-POSITION_JERK, ATTITUDE_JERK = 8.0, 20.0  # white jerk of a small aircraft [m/s^3, rad/s^3, each times sqrt(s)]
+POSITION_JERK, ATTITUDE_JERK = 8.0, 15.0  # white jerk of a small aircraft [m/s^3, rad/s^3, each times sqrt(s)]
 WARM_UP = 40  # frames that the filter has seen before the flight begins
 
 
