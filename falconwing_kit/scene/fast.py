@@ -14,7 +14,7 @@ bit of the image. The conventions are those of gsplat 1.5 in its "classic" mode;
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -42,15 +42,10 @@ PIXELS = LANES * ROWS
 BATCH = 32  # splats that are fetched together, so that one waits for memory while others come
 MOST_TOUCHES = 1 << 24  # splats times tiles at once, 8 bytes each; beyond this the image is made in bands
 
-SPLAT = np.dtype(
-    [
-        *((name, np.float32) for name in ("u", "v")),  # centre [px]
-        *((name, np.float32) for name in ("reach_u", "reach_v")),  # half width and half height of the ellipse [px]
-        *((name, np.float32) for name in ("skew", "slim")),  # correlation r of u and v, and sqrt(1 - r^2)
-        *((name, np.float32) for name in ("lean", "sharp", "drop")),  # sigma = drop dv^2 + sharp (du - lean dv)^2
-        *((name, np.float32) for name in ("fade", "red", "green", "blue", "depth")),  # fade = -ln(opacity)
-    ]
-)
+# A splat: its centre u, v [px] and the half width and height of its ellipse; the correlation r of u and v (skew) and
+# sqrt(1 - r^2) (slim); sigma = drop dv^2 + sharp (du - lean dv)^2; fade = -ln(opacity); colour; its centre's depth [m].
+_FIELDS = "u v reach_u reach_v skew slim lean sharp drop fade red green blue depth"
+SPLAT = np.dtype([(name, np.float32) for name in _FIELDS.split()])
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -63,7 +58,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def render_fast(
-    scene: GaussianScene,
+    scene: GaussianScene | Sequence[GaussianScene],
     camera: PinholeCamera,
     T_world_camera: ArrayLike,
     background: ArrayLike = (0.0, 0.0, 0.0),
@@ -73,7 +68,8 @@ def render_fast(
     """Image, opacity and depth of a scene, as `reference` gives them.
 
     Args:
-        scene: the Gaussians.
+        scene: the Gaussians; or several scenes in the same coordinates, drawn as if joined: a hall that rests and an
+            aircraft that moves, without the cost of a new joined scene for every image.
         camera: pinhole.
         T_world_camera: (4, 4), "world from camera".
         background: (3,) red, green, blue 0..1 behind everything.
@@ -87,8 +83,9 @@ def render_fast(
     Raises:
         InputError: a shape is wrong, or the number of threads is none.
     """
-    pose = np.ascontiguousarray(require_shape("T_world_camera", T_world_camera, (4, 4)))
+    pose = require_shape("T_world_camera", T_world_camera, (4, 4))
     behind = require_shape("background", background, (3,)).astype(np.float32)
+    scenes = (scene,) if isinstance(scene, GaussianScene) else tuple(scene)
     workers = int(require_range("threads", threads or os.cpu_count() or 1, low=1, high=1024))
     with ThreadPoolExecutor(min(workers, PARTS)) as pool:
 
@@ -96,7 +93,7 @@ def render_fast(
             share = map if workers == 1 else pool.map
             list(share(lambda part: kernel(part, *arguments), range(PARTS)))
 
-        splats, order, boxes = _splats_in_view(run, scene, camera, pose, antialiased)
+        splats, order, boxes = _splats_in_view(run, scenes, camera, pose, antialiased)
         rgb = np.empty((camera.height, camera.width, 3), np.float32)
         alpha, depth = np.empty(rgb.shape[:2], np.float32), np.empty(rgb.shape[:2], np.float32)
         for band, room in _bands(boxes, camera.width, camera.height):
@@ -105,13 +102,20 @@ def render_fast(
     return rgb, alpha, depth
 
 
-def _splats_in_view(run: Any, scene: GaussianScene, camera: PinholeCamera, pose: Any, antialiased: bool) -> Any:
+def _splats_in_view(
+    run: Any, scenes: Sequence[GaussianScene], camera: PinholeCamera, pose: Any, antialiased: bool
+) -> Any:
     """Splats (N,); indices of the M in view, nearest first; in this order, how many tiles the box of each spans."""
-    splats, boxes = np.empty(len(scene), SPLAT), np.empty(len(scene), np.int32)
-    depths = np.full(len(scene), np.inf, np.float32)
-    arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh)
+    R_world_camera, p_world = np.ascontiguousarray(pose[:3, :3]), np.ascontiguousarray(pose[:3, 3])
+    count = sum(len(scene) for scene in scenes)
+    splats, boxes, depths = np.empty(count, SPLAT), np.empty(count, np.int32), np.full(count, np.inf, np.float32)
     lens = float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy), camera.width, camera.height
-    run(project, *arrays, pose, lens, bool(antialiased), splats, boxes, depths)
+    first = 0
+    for scene in scenes:
+        arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh)
+        own = slice(first, first + len(scene))
+        run(project, *arrays, R_world_camera, p_world, lens, bool(antialiased), splats[own], boxes[own], depths[own])
+        first = own.stop
     order = nearest_first(depths.view(np.uint32))
     return splats, order, boxes[order]
 
@@ -140,7 +144,7 @@ def _lists_of_tiles(run: Any, splats: Any, order: Any, room: Any, band: tuple[in
 
 @compiled
 def project(  # type: ignore[no-untyped-def]
-    part, means, quaternions, scales, opacities, sh, T_world_camera, lens, antialiased, splats, boxes, depths
+    part, means, quaternions, scales, opacities, sh, R_world_camera, p_world, lens, antialiased, splats, boxes, depths
 ):
     """Gaussians -> splats, the tiles that their boxes span, and the depths of those in view.
 
@@ -153,14 +157,15 @@ def project(  # type: ignore[no-untyped-def]
     y_min, y_max = (0.0 - cy - EDGE * 0.5 * height) / fy, (height - cy + EDGE * 0.5 * height) / fy
     Y, A = np.empty(16, np.float32), np.empty((3, 3))
     for i in range(len(means) * part // PARTS, len(means) * (part + 1) // PARTS):
-        x, y, z = into_camera(means[i, 0], means[i, 1], means[i, 2], T_world_camera)
+        toward = means[i, 0] - p_world[0], means[i, 1] - p_world[1], means[i, 2] - p_world[2]
+        x, y, z = turned(toward, R_world_camera)
         if not z >= NEAR:
             continue
         per_z = 1.0 / z
         x, y = x * per_z, y * per_z
-        cloud_axes(i, quaternions, scales, T_world_camera, A)
+        cloud_axes(i, quaternions, scales, R_world_camera, A)
         x_held, y_held = held(x, x_min, x_max), held(y, y_min, y_max)
-        for k in range(3):
+        for k in range(3):  # from here on A's first two rows are those of J A
             A[0, k] = fx * per_z * (A[0, k] - x_held * A[2, k])
             A[1, k] = fy * per_z * (A[1, k] - y_held * A[2, k])
         uu, uv, vv, area = products(A)
@@ -183,42 +188,31 @@ def project(  # type: ignore[no-untyped-def]
         s.skew, s.slim = uv * per_sds, math.sqrt(det) * per_sds
         s.lean, s.sharp, s.drop = uv * per_vv, 0.5 * vv / det, 0.5 * per_vv
         s.fade, s.depth = fade, z
-        s.red, s.green, s.blue = color(i, sh, means, T_world_camera, Y)
+        s.red, s.green, s.blue = colour(i, sh, toward, Y)
 
 
 @compiled
-def into_camera(x, y, z, T_world_camera):  # type: ignore[no-untyped-def]
-    """A point of the world in the camera's axes [m]."""
-    x, y, z = x - T_world_camera[0, 3], y - T_world_camera[1, 3], z - T_world_camera[2, 3]
-    return turned(x, y, z, T_world_camera)
-
-
-@compiled
-def turned(x, y, z, T):  # type: ignore[no-untyped-def]
-    """A direction in the world in the camera's axes: the transposed turn."""
+def turned(v_world, R):  # type: ignore[no-untyped-def]
+    """A vector of the world in the camera's axes, R = R_world_camera, whose transpose is its inverse."""
+    x, y, z = v_world
     return (
-        T[0, 0] * x + T[1, 0] * y + T[2, 0] * z,
-        T[0, 1] * x + T[1, 1] * y + T[2, 1] * z,
-        T[0, 2] * x + T[1, 2] * y + T[2, 2] * z,
+        R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
+        R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
+        R[0, 2] * x + R[1, 2] * y + R[2, 2] * z,
     )
 
 
 @compiled
-def cloud_axes(i, quaternions, scales, T_world_camera, A):  # type: ignore[no-untyped-def]
+def cloud_axes(i, quaternions, scales, R_world_camera, A):  # type: ignore[no-untyped-def]
     """A (3, 3): the cloud's axes as columns, in the camera's axes, each as long as its standard deviation [m]."""
-    w, x, y, z = (
-        float(quaternions[i, 0]),
-        float(quaternions[i, 1]),
-        float(quaternions[i, 2]),
-        float(quaternions[i, 3]),
-    )
+    w, x, y, z = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
     axes = (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
         (2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
         (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
     )
     for k in range(3):
-        a, b, c = turned(axes[k][0], axes[k][1], axes[k][2], T_world_camera)
+        a, b, c = turned(axes[k], R_world_camera)
         A[0, k], A[1, k], A[2, k] = scales[i, k] * a, scales[i, k] * b, scales[i, k] * c
 
 
@@ -231,11 +225,12 @@ def products(M):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def color(i, sh, means, T_world_camera, Y):  # type: ignore[no-untyped-def]
-    """Red, green, blue >= 0 of a Gaussian seen from the camera: 1/2 + sum_k sh_k Y_k(direction)."""
-    x, y, z = means[i, 0] - T_world_camera[0, 3], means[i, 1] - T_world_camera[1, 3], means[i, 2] - T_world_camera[2, 3]
+def colour(i, sh, toward, Y):  # type: ignore[no-untyped-def]
+    """Red, green, blue >= 0 of a Gaussian that lies toward a vector: 1/2 + sum_k sh_k Y_k(direction)."""
+    x, y, z = toward
     per_distance = 1.0 / math.sqrt(x * x + y * y + z * z)
-    harmonics(sh.shape[1], np.float32(x * per_distance), np.float32(y * per_distance), np.float32(z * per_distance), Y)
+    x, y, z = np.float32(x * per_distance), np.float32(y * per_distance), np.float32(z * per_distance)
+    harmonics(sh.shape[1], x, y, z, Y)
     red, green, blue = HALF, HALF, HALF
     for k in range(sh.shape[1]):
         red += sh[i, k, 0] * Y[k]
@@ -402,9 +397,9 @@ def all_full(tile_state):  # type: ignore[no-untyped-def]
 
 
 # exp(-s) = p(s)^8, p of degree 4 through exp(-s/8) at five Chebyshev points of 0 <= s <= ln 255.
-_P = np.polynomial.Chebyshev.interpolate(lambda s: np.exp(-s / 8.0), 4, [0.0, -math.log(ALPHA_MIN)])
+_P = np.polynomial.Chebyshev.interpolate(lambda s: np.exp(-s / 8.0), 4, [0.0, LN_255])
 P0, P1, P2, P3, P4 = (np.float32(c) for c in _P.convert(kind=np.polynomial.Polynomial).coef)
-S_MAX, A_MAX, ROOM_MIN = np.float32(-math.log(ALPHA_MIN)), np.float32(ALPHA_MAX), np.float32(T_MIN)
+S_MAX, A_MAX, ROOM_MIN = np.float32(LN_255), np.float32(ALPHA_MAX), np.float32(T_MIN)
 
 
 @compiled

@@ -36,7 +36,7 @@ def plain_image(scene, camera, T_world_camera, background=BLACK, antialiased=Fal
     """
     R_world_camera, u_v = T_world_camera[:3, :3], np.stack(np.meshgrid(*map(np.arange, (camera.width, camera.height))))
     p_camera = (scene.means.astype(float) - T_world_camera[:3, 3]) @ R_world_camera
-    colors = plain_colors(scene, T_world_camera[:3, 3])
+    colours = plain_colours(scene, T_world_camera[:3, 3])
     passing, rgb, depth = np.ones(u_v.shape[1:]), np.zeros((*u_v.shape[1:], 3)), np.zeros(u_v.shape[1:])
     full = np.zeros(passing.shape, bool)
     for i in np.argsort(p_camera[:, 2].astype(np.float32), kind="stable"):
@@ -52,7 +52,7 @@ def plain_image(scene, camera, T_world_camera, background=BLACK, antialiased=Fal
         alpha[alpha < 1.0 / 255.0] = 0.0
         full |= (passing * (1.0 - alpha) <= 1e-4) & (alpha > 0.0)
         share = np.where(full, 0.0, alpha * passing)
-        rgb, depth, passing = rgb + share[..., None] * colors[i], depth + share * z, passing - share
+        rgb, depth, passing = rgb + share[..., None] * colours[i], depth + share * z, passing - share
     return rgb + passing[..., None] * np.array(background), 1.0 - passing, depth / np.maximum(1.0 - passing, 1e-10)
 
 
@@ -69,7 +69,7 @@ def plain_cov(scene, i, camera, R_world_camera, x, y, z):
     return J @ A @ (J @ A).T
 
 
-def plain_colors(scene, p_world):
+def plain_colours(scene, p_world):
     """(N, 3): real harmonics from SciPy's complex ones, whose sign (-1)^m is that of the splats' files."""
     x, y, z = (scene.means - p_world).T.astype(float)
     polar, azimuth = np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
@@ -243,6 +243,22 @@ def test_equal_depths_keep_the_order_of_the_scene():
     scene = GaussianScene([[5.0, 0, 1.5]] * 2, [[1, 0, 0, 0]] * 2, [[1.0] * 3] * 2, [0.6, 0.6], sh)
     rgb, _, _ = render_fast(scene, PinholeCamera(50.0, 50.0, 4.5, 4.5, 9, 9), AHEAD)
     assert rgb[4, 4] == pytest.approx([0.6, 0.24, 0.0], abs=5e-5)
+
+
+def test_an_opaque_cloud_lets_a_thousandth_pass_and_nothing_after_it():
+    """By hand: of opacity 1 at most 0.999 counts; a second such cloud would leave 1e-6 < 1e-4, so it is not drawn."""
+    sh = (np.array([[[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]]) - 0.5) / 0.28209479177387814
+    scene = GaussianScene([[5.0, 0, 1.5], [6.0, 0, 1.5]], [[1, 0, 0, 0]] * 2, [[1.0] * 3] * 2, [1.0, 1.0], sh)
+    rgb, alpha, depth = render_fast(scene, PinholeCamera(50.0, 50.0, 4.5, 4.5, 9, 9), AHEAD, (0.0, 0.0, 1.0))
+    assert rgb[4, 4] == pytest.approx([0.999, 0.0, 0.001], abs=1e-6)
+    assert alpha[4, 4] == pytest.approx(0.999, abs=1e-6)
+    assert depth[4, 4] == pytest.approx(5.0, rel=1e-5)
+
+
+def test_several_scenes_are_drawn_as_one():
+    """The joined scene, whose colours of a lower degree are filled with zeros: the same to the last bit."""
+    parts = hall(1, count=300), random_scene(5, basis=9)
+    require_same(render_fast(parts, SMALL, AHEAD), render_fast(GaussianScene.joined(*parts), SMALL, AHEAD))
 
 
 def test_nearest_first_is_a_stable_sort():
