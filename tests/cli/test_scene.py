@@ -1,4 +1,4 @@
-"""`falconwing scene` builds a scene and tells what is in one; `falconwing render` makes the image that was asked for."""
+"""`falconwing scene` builds scenes and tells what is in them; `falconwing render` makes the image one asked for."""
 
 import json
 
