@@ -204,7 +204,7 @@ def _palette(tables: Mapping[str, Any], rng: Random, vary: bool) -> Palette:
             hue, saturation, value = colorsys.rgb_to_hsv(*finish.rgb)
             palette[name] = replace(finish, rgb=colorsys.hsv_to_rgb((hue + turn) % 1.0, saturation, value))
     for number in range(POSTER_COLOURS):
-        palette[f"poster {number}"] = Finish(colorsys.hsv_to_rgb(*rng.uniform((0.0, 0.4, 0.3), (1.0, 0.9, 0.9))), 0.02)
+        palette[f"poster {number}"] = Finish(colorsys.hsv_to_rgb(*rng.uniform((0.0, 0.3, 0.3), (1.0, 0.8, 0.9))), 0.02)
     return palette
 
 
@@ -433,7 +433,7 @@ def _colours(piece: Surfels, light: Array, palette: Palette, rng: Random) -> Arr
     rgb = np.empty((len(piece.means), 3))
     for name in np.unique(piece.colours):
         finish, own = palette[name], piece.colours == name
-        noise = _piece_noise(piece.uv[own], finish.piece, rng) + 0.3 * rng.normal(size=own.sum())
+        noise = _piece_noise(piece.uv[own], finish.piece, rng) + 0.5 * rng.normal(size=own.sum())
         shown = np.power(finish.rgb, 2.2) * np.exp(finish.grain * noise)[:, None] * light[own]
         rgb[own] = finish.rgb if finish.glow else (1.25 * shown / (1.0 + 0.25 * shown)) ** (1.0 / 2.2)
     return np.clip(rgb, 0.0, 1.0)
