@@ -1,7 +1,7 @@
 """Estimate: noisy measured states and the commands sent -> the state as the model of the aircraft understands it."""
 
 import math
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -98,7 +98,7 @@ class Observer:
         self._twin = None
 
 
-@cache
+@lru_cache(maxsize=32)
 def _kalman_gain(form, terms, winds, parameters, values, speed):  # type: ignore[no-untyped-def]
     """L (12, 6) of poses, in axes along the nose's course."""
     import control

@@ -7,7 +7,7 @@ turning, whose sticks are fed forward.
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from falconwing_kit.core.messages import COMMAND_NAMES, STATE_NAMES, Command, St
 STEP_S = 0.05  # 20 Hz
 LINK_DELAY_S = 0.05  # from command to transmitter output: frame grabber, serial line, PPM frame
 SPEED = 7.0  # m/s, the paper's minimum speed of this aircraft, and what it flies indoors
+SUM_LIMIT = 1.5  # of an integral, in the sizes of its axis
 TABLE_SPEEDS = (0.80, 0.90, 1.0, 1.15)  # shares of the speed
 TABLE_CLIMBS, TABLE_BANKS = np.radians((-3.0, 0.0, 8.0)), np.radians((-40.0, -20.0, 0.0, 20.0, 40.0))
 
@@ -209,7 +210,7 @@ def model_parts(model: Model) -> tuple[Any, ...]:
     return model.form, model.terms, model.winds, model.parameters, tuple(model.values.items())
 
 
-@cache
+@lru_cache(maxsize=32)
 def _design(form, terms, winds, parameters, values, speed, delay):  # type: ignore[no-untyped-def]
     """Trims and both loops of a model in its parts; every trial needs them again."""
     model = Model(form, terms, winds, parameters, dict(values))
@@ -251,9 +252,9 @@ class Autopilot:
             late += [np.zeros(len(columns))] * (loop.steps_late - len(late))
             x = [deviations[name] for name in loop.axis.states]
             sticks[columns] -= loop.gain @ np.concatenate([x, *late, total])
-            # A third of a second of full error: enough for a crosswind, too little to overshoot from a far start.
+            # Bounded, so that a start far off the path does not wind it up [Astrom & Murray, sec. 11.4: windup].
             error = np.array([deviations[name] for name in loop.axis.integrals])
-            limit = 1.5 * np.array(list(loop.axis.integrals.values()))
+            limit = SUM_LIMIT * np.array(list(loop.axis.integrals.values()))
             total[:] = np.clip(total + STEP_S * error, -limit, limit)
         return Command.limited(0.0 if idle else sticks[0], *sticks[1:])
 
