@@ -31,8 +31,13 @@ NO_STATE = "no state"
 class Leader(Protocol):
     """What a follower knows of its leader: where it was and is at any time."""
 
-    t: Array  # (n,) [s]
-    states: Array  # (n, 12) in the order of STATE_NAMES
+    @property
+    def t(self) -> Array:
+        """(n,) [s]."""
+
+    @property
+    def states(self) -> Array:
+        """(n, 12) in the order of STATE_NAMES, SI."""
 
     def state(self, t: float) -> State:
         """The leader's state at a time [s]."""

@@ -26,6 +26,7 @@ __all__ = [
     "clopper_pearson",
     "fly_trial",
     "fly_trials",
+    "fpv_camera",
     "mcnemar",
     "read_trials",
     "trial_seed",
