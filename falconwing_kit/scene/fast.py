@@ -86,7 +86,7 @@ def render_fast(
     pose = require_shape("T_world_camera", T_world_camera, (4, 4))
     behind = require_shape("background", background, (3,)).astype(np.float32)
     scenes = (scene,) if isinstance(scene, GaussianScene) else tuple(scene)
-    workers = int(require_range("threads", threads or os.cpu_count() or 1, low=1, high=1024))
+    workers = int(require_range("threads", (os.cpu_count() or 1) if threads is None else threads, low=1, high=1024))
     with ThreadPoolExecutor(min(workers, PARTS)) as pool:
 
         def run(kernel: Any, *arguments: Any) -> None:
@@ -96,8 +96,8 @@ def render_fast(
         splats, order, boxes = _splats_in_view(run, scenes, camera, pose, antialiased)
         rgb = np.empty((camera.height, camera.width, 3), np.float32)
         alpha, depth = np.empty(rgb.shape[:2], np.float32), np.empty(rgb.shape[:2], np.float32)
-        for band, room in _bands(boxes, camera.width, camera.height):
-            starts, hits = _lists_of_tiles(run, splats, order, room, band, camera.height)
+        for band, begins in _bands(boxes, camera.width, camera.height):
+            starts, hits = _lists_of_tiles(run, splats, order, begins, band, camera.height)
             run(blend, splats, starts, hits, band[0], behind, rgb, alpha, depth)
     return rgb, alpha, depth
 
@@ -116,29 +116,30 @@ def _splats_in_view(
         own = slice(first, first + len(scene))
         run(project, *arrays, R_world_camera, p_world, lens, bool(antialiased), splats[own], boxes[own], depths[own])
         first = own.stop
-    order = nearest_first(depths.view(np.uint32))
+    in_view = np.flatnonzero(depths < np.inf).astype(np.uint32)
+    order = nearest_first(in_view, depths.view(np.uint32))
     return splats, order, boxes[order]
 
 
-def _bands(boxes: Any, width: int, height: int) -> Iterator[tuple[tuple[int, int], Any]]:
-    """First and last column of tiles to make at once, and where each splat's touches start in its list (M + 1,)."""
+def _bands(boxes: Any, width: int, height: int) -> Iterator[tuple[tuple[int, int], NDArray[np.int64]]]:
+    """First and last column of tiles to make at once; where each part's touches begin, and where the last ends."""
     across, down = -(-width // LANES), -(-height // ROWS)
     step = across
     while step > 1 and np.minimum(boxes, step * down).sum(dtype=np.int64) > MOST_TOUCHES:
         step = -(-step // 2)
     room = np.concatenate([[0], np.cumsum(np.minimum(boxes, step * down), dtype=np.int64)])
     for first in range(0, across, step):
-        yield (first, min(first + step, across) - 1), room
+        yield (first, min(first + step, across) - 1), room[len(boxes) * np.arange(PARTS + 1) // PARTS]
 
 
-def _lists_of_tiles(run: Any, splats: Any, order: Any, room: Any, band: tuple[int, int], height: int) -> Any:
+def _lists_of_tiles(run: Any, splats: Any, order: Any, begins: Any, band: tuple[int, int], height: int) -> Any:
     """Where each tile's list starts (tiles + 1,), and all lists one after the other."""
     tiles = (band[1] - band[0] + 1) * -(-height // ROWS)
-    found, counts = np.empty(room[-1], np.int64), np.zeros((PARTS, tiles), np.int64)
-    run(touch, splats, order, room, band, height, found, counts)
+    found, counts = np.empty(begins[-1], np.int64), np.zeros((PARTS, tiles), np.int64)
+    run(touch, splats, order, begins, band, height, found, counts)
     ends = np.cumsum(counts.T).reshape(tiles, PARTS).T  # one tile after the other, in each one part after the other
     hits = np.empty(ends[-1, -1], np.int64)
-    run(fill, room, found, counts, np.ascontiguousarray(ends - counts), hits)
+    run(fill, found, begins, begins[:-1] + counts.sum(axis=1), np.ascontiguousarray(ends - counts), hits)
     return np.concatenate([[0], ends[-1]]), hits
 
 
@@ -279,33 +280,32 @@ def span(center, reach, side, first, last):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def nearest_first(keys):  # type: ignore[no-untyped-def]
-    """Indices of the finite depths from the least on; equal ones keep their order.
+def nearest_first(indices, keys):  # type: ignore[no-untyped-def]
+    """The indices in the order of their keys (N,), the bits of positive floats, which sort as the floats do.
 
-    A radix sort: three times a stable counting sort by 11 bits. The bits of positive floats sort like the floats.
-
-    Args:
-        keys: (N,) the bits of the depths, uint32; inf for what is not in view.
+    A radix sort: three times a counting sort by 11 bits. Each is stable, so that equal keys keep their order. The array
+    of indices is used as room to work in.
     """
-    order = np.flatnonzero(keys < 0x7F800000).astype(np.uint32)
-    sorted_order = np.empty_like(order)
+    spare = np.empty_like(indices)
     for shift in (0, 11, 22):
         places = np.zeros(2049, np.int64)
-        for i in order:
+        for i in indices:
             places[(keys[i] >> shift & 0x7FF) + 1] += 1
-        places = np.cumsum(places)
-        for i in order:
+        for digit in range(2048):
+            places[digit + 1] += places[digit]
+        ordered = spare
+        for i in indices:
             digit = keys[i] >> shift & 0x7FF
-            sorted_order[places[digit]] = i
+            ordered[places[digit]] = i
             places[digit] += 1
-        order, sorted_order = sorted_order, order
-    return order
+        indices, spare = ordered, indices
+    return indices
 
 
 @compiled
-def touch(part, splats, order, room, band, height, found, counts):  # type: ignore[no-untyped-def]
+def touch(part, splats, order, begins, band, height, found, counts):  # type: ignore[no-untyped-def]
     """The tiles that each ellipse touches and with which of their rows, packed, and how many ellipses touch a tile."""
-    down, end, stop = (height - 1) // ROWS + 1, room[len(order) * part // PARTS], len(order) * (part + 1) // PARTS
+    down, end, stop = (height - 1) // ROWS + 1, begins[part], len(order) * (part + 1) // PARTS
     batch = np.empty(BATCH, SPLAT)
     for start in range(len(order) * part // PARTS, stop, BATCH):
         count = min(BATCH, stop - start)
@@ -314,7 +314,7 @@ def touch(part, splats, order, room, band, height, found, counts):  # type: igno
         for j in range(count):
             s = batch[j]
             left, right = span(s.u, s.reach_u, LANES, band[0], band[1])
-            top_row, bottom_row = span(s.v, s.reach_v, ROWS, 0, down - 1)  # the room was counted from this box
+            top_row, bottom_row = span(s.v, s.reach_v, ROWS, 0, down - 1)  # begins were counted from this box
             for column in range(left, right + 1):
                 first, last = rows_in_column(s, column, height)
                 for row in range(max(first // ROWS, top_row), min(last // ROWS, bottom_row) + 1):
@@ -345,10 +345,9 @@ def rows_in_column(s, column, height):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def fill(part, room, found, counts, places, hits):  # type: ignore[no-untyped-def]
+def fill(part, found, begins, ends, places, hits):  # type: ignore[no-untyped-def]
     """Counting sort: what was found into the lists of the tiles; places (PARTS, tiles) say where each part begins."""
-    start = room[(len(room) - 1) * part // PARTS]
-    for k in range(start, start + counts[part].sum()):
+    for k in range(begins[part], ends[part]):
         tile = found[k] >> 8 & 0xFFFFFF
         hits[places[part, tile]] = found[k]
         places[part, tile] += 1
