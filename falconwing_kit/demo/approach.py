@@ -71,7 +71,7 @@ def fly_approach(
             writer.metadata({"simulated": "yes", "task": task.name, "pilot": "expert, by state", "seed": trial.seed})
             loop = Loop(
                 task.expert(trial), trial.world, view, MeasuredStates(trial.world), clock=clock or SimulatedClock(),
-                log=writer, hooks=(_note_mode(writer), *hooks),
+                log=writer, hooks=tuple(hooks),
             )  # fmt: skip
             flight = loop.run(trial.duration, judge.watch)
         os.replace(growing, log)
@@ -80,18 +80,6 @@ def fly_approach(
     finally:
         growing.unlink(missing_ok=True)
     return Approach(log, flight, judge.result())
-
-
-def _note_mode(writer: FlightLogWriter) -> Callable[[Step], None]:
-    """A hook that logs an event where the pilot's mode changes."""
-    modes = [""]
-
-    def note_mode(step: Step) -> None:
-        if step.mode != modes[-1]:
-            modes.append(step.mode)
-            writer.event(step.t, "mode", {"mode": step.mode})
-
-    return note_mode
 
 
 def mode_at(log: FlightLog, t: float) -> str:
