@@ -84,6 +84,7 @@ class LivePage:
         self._build()
         if scene is not None:
             self.set_scene(scene)
+        self._server.on_client_connect(lambda client: self._news.set())  # who comes late sees the newest step too
         self._thread = threading.Thread(target=self._keep_drawing, name="live page", daemon=True)
         self._thread.start()
 
@@ -377,7 +378,7 @@ def _serve(port: int) -> Any:
     server.request_share_url = lambda *_, **__: None  # type: ignore[method-assign]
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.scene.configure_environment_map(None)  # its reflections would wash out the hall
-    server.scene.add_light_ambient("/light", intensity=1.5)
+    server.scene.add_light_ambient("/light", intensity=2.5)
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(PANEL_PX)
     return server
