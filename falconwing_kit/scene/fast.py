@@ -44,8 +44,8 @@ MOST_TOUCHES = 1 << 24  # splats times tiles at once, 8 bytes each; beyond this 
 
 # A splat: its centre u, v [px] and the half width and height of its ellipse; the correlation r of u and v (skew) and
 # sqrt(1 - r^2) (slim); sigma = drop dv^2 + sharp (du - lean dv)^2; fade = -ln(opacity); colour; its centre's depth [m].
-_FIELDS = "u v reach_u reach_v skew slim lean sharp drop fade red green blue depth"
-SPLAT = np.dtype([(name, np.float32) for name in _FIELDS.split()])
+_FIELDS = "reach_u reach_v skew slim lean sharp drop fade red green blue depth"
+SPLAT = np.dtype([("u", np.float64), ("v", np.float64), *((name, np.float32) for name in _FIELDS.split())])
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -333,14 +333,14 @@ def rows_in_column(s, column, height):  # type: ignore[no-untyped-def]
     In units of its reach its edge is n_v = r n_u +- sqrt((1 - r^2) (1 - n_u^2)): over a range of n_u the upper end is
     at n_u = r or as near to it as the range allows, the lower end at n_u = -r.
     """
-    start, bottom = np.float32(column * LANES) + HALF - s.u, np.float32(height - 1)
+    start, v, bottom = np.float32(column * LANES + 0.5 - s.u), np.float32(s.v - 0.5), np.float32(height - 1)
     if not (start <= s.reach_u and start + np.float32(LANES - 1) >= -s.reach_u):
         return 0, -1
     low, high = held(start / s.reach_u, -ONE, ONE), held((start + np.float32(LANES - 1)) / s.reach_u, -ONE, ONE)
     n = held(-s.skew, low, high)
-    first = s.v - HALF + s.reach_v * (s.skew * n - s.slim * math.sqrt(ONE - n * n))
+    first = v + s.reach_v * (s.skew * n - s.slim * math.sqrt(ONE - n * n))
     n = held(s.skew, low, high)
-    last = s.v - HALF + s.reach_v * (s.skew * n + s.slim * math.sqrt(ONE - n * n))
+    last = v + s.reach_v * (s.skew * n + s.slim * math.sqrt(ONE - n * n))
     return int(np.ceil(held(first, ZERO, bottom + ONE))), int(np.floor(held(last, -ONE, bottom)))
 
 
@@ -395,9 +395,9 @@ def all_full(tile_state):  # type: ignore[no-untyped-def]
     return open_pixels == 0
 
 
-# exp(-s) = p(s)^8, p of degree 4 through exp(-s/8) at five Chebyshev points of 0 <= s <= ln 255.
-_P = np.polynomial.Chebyshev.interpolate(lambda s: np.exp(-s / 8.0), 4, [0.0, LN_255])
-P0, P1, P2, P3, P4 = (np.float32(c) for c in _P.convert(kind=np.polynomial.Polynomial).coef)
+# exp(-s) = p(s)^8, p of degree 5 through exp(-s/8) at six Chebyshev points of 0 <= s <= ln 255.
+_P = np.polynomial.Chebyshev.interpolate(lambda s: np.exp(-s / 8.0), 5, [0.0, LN_255])
+P0, P1, P2, P3, P4, P5 = (np.float32(c) for c in _P.convert(kind=np.polynomial.Polynomial).coef)
 S_MAX, A_MAX, ROOM_MIN = np.float32(LN_255), np.float32(ALPHA_MAX), np.float32(T_MIN)
 
 
@@ -406,7 +406,7 @@ def add_splat(splat, first, last, x0, y0, tile_state):  # type: ignore[no-untype
     """Blend one splat into the rows first..last of a tile."""
     lean, sharp, drop, fade = splat.lean, splat.sharp, splat.drop, splat.fade
     red, green, blue, depth = splat.red, splat.green, splat.blue, splat.depth
-    u, dv = splat.u - np.float32(x0) - HALF, np.float32(y0 + first) + HALF - splat.v
+    u, dv = np.float32(splat.u - x0 - 0.5), np.float32(y0 + first + 0.5 - splat.v)
     for row in range(first, last + 1):
         middle, least = u + lean * dv, fade + drop * dv * dv
         dv += ONE
@@ -415,7 +415,7 @@ def add_splat(splat, first, last, x0, y0, tile_state):  # type: ignore[no-untype
             i = start + np.uint64(lane)  # unsigned: no look whether it counts from the end
             du = np.float32(lane) - middle
             s = least + sharp * du * du
-            p = P0 + s * (P1 + s * (P2 + s * (P3 + s * P4)))
+            p = P0 + s * (P1 + s * (P2 + s * (P3 + s * (P4 + s * P5))))
             p = p * p
             p = p * p
             a = p * p

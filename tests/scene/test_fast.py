@@ -149,7 +149,7 @@ def test_hall_is_that_of_the_reference():
 def test_images_are_those_of_gsplat(case):
     """Recorded data: gsplat's CUDA kernels drew them (brush's test cases, Apache-2.0); SOURCE.txt tells the camera.
 
-    exp is a polynomial with a relative error of 2e-5, which shares of up to 1 pass on.
+    gsplat's own rounding is about 1e-6; ours adds about as much for each of up to sixteen clouds on a pixel.
     """
     path = GSPLAT_IMAGES / f"{case}.safetensors"
     if not path.is_file():
@@ -165,8 +165,8 @@ def test_images_are_those_of_gsplat(case):
     pose = np.eye(4)
     pose[:3, 3] = (0.123, 0.456, -8.0)
     rgb, alpha, _ = render_fast(scene, PinholeCamera.from_fov_deg(123, 82, 90.0), pose)
-    assert np.abs(rgb - file["out_img"][..., :3]).max() < 5e-5
-    assert np.abs(alpha - file["out_img"][..., 3]).max() < 5e-5
+    assert np.abs(rgb - file["out_img"][..., :3]).max() < 1e-5
+    assert np.abs(alpha - file["out_img"][..., 3]).max() < 1e-5
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -300,18 +300,20 @@ def require_same(got, want):
 
 
 def test_polynomial_is_the_exponential():
-    """NumPy's exp over the whole ellipse; 2e-5 is the error of five points on this range, eight times that of one."""
+    """NumPy's exp over the whole ellipse. By hand: six Chebyshev points on 0..h = ln(255) / 8 leave
+    2 (h / 4)^6 / 6! = 8e-8 of each of eight factors, e^-h at least; their rounding is as large: 3e-6 in all at most.
+    """
     s = np.linspace(0.0, math.log(255.0), 1001).astype(np.float32)
-    p = fast.P0 + s * (fast.P1 + s * (fast.P2 + s * (fast.P3 + s * fast.P4)))
-    assert p**8 == pytest.approx(np.exp(-s.astype(float)), rel=3e-5)
+    p = fast.P0 + s * (fast.P1 + s * (fast.P2 + s * (fast.P3 + s * (fast.P4 + s * fast.P5))))
+    assert p**8 == pytest.approx(np.exp(-s.astype(float)), rel=3e-6)
 
 
 def test_blending_works_on_several_pixels_at_once():
-    """The compiler's own listing: one packed product for each of the nine factors, or the loop lost its vectors."""
+    """The compiler's own listing: packed products, one for each of fifteen, or the loop lost its vectors."""
     add_splat = njit(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})(fast.add_splat.py_func)
     add_splat(np.zeros(1, fast.SPLAT)[0], 0, 3, 0, 0, np.ones(5 * fast.PIXELS, np.float32))
     listing = "".join(add_splat.inspect_asm().values())
-    assert len(re.findall(r"\b(?:v?mulps|vfn?m\w+ps|fml\w+\s+v\d+\.4s|fmul\s+v\d+\.4s)\b", listing)) >= 9
+    assert len(re.findall(r"\b(?:v?mulps|vfn?m\w+ps|fml\w+\s+v\d+\.4s|fmul\s+v\d+\.4s)\b", listing)) >= 15
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the folders are made unusable in the way of Unix")
