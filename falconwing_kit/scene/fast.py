@@ -9,7 +9,8 @@ It equals `reference` to a hundredth of a grey level and trades readability for 
     blend     every tile on its own, front to back, a row of pixels at a time
 
 A kernel does one part of PARTS of its step, so that several threads share the parts; which thread does which changes no
-bit of the image. The conventions are those of gsplat 1.5 in its "classic" mode; its defaults are the constants here.
+bit of the image. They are Python's threads, which a kernel leaves free to run: numba's own take longer to compile, and
+not all kinds of them allow two callers at once. The conventions and the constants are those of gsplat 1.5, "classic".
 """
 
 import math
