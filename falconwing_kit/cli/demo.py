@@ -81,9 +81,8 @@ class Demo:
         return live
 
     def _fly(self, live: "LivePage | None") -> "Approach":
-        """Land, on the wall clock where somebody looks on."""
-        from falconwing_kit.demo.approach import fly_approach
-        from falconwing_kit.flight.loop import WallClock
+        """Land, in real time where somebody looks on."""
+        from falconwing_kit.demo.approach import PacedClock, fly_approach
         from falconwing_kit.scene.arena import load_scene
 
         if live is None:
@@ -93,7 +92,7 @@ class Demo:
         live.set_scene(scene)
         if opened:
             live.wait_for_viewer(BROWSER_S)
-        return fly_approach(scene, self.out / "approach.mcap", (live.show,), WallClock())
+        return fly_approach(scene, self.out / "approach.mcap", (live.show,), PacedClock())
 
 
 def _print_record(record: dict) -> None:

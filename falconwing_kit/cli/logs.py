@@ -1,6 +1,5 @@
 """`falconwing export` and `falconwing replay`: a flight log in; a table, a repaired log, a live page or figures out."""
 
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -111,7 +110,7 @@ class Replay:
 
     def _show(self, pilot: Any) -> None:
         """Fly the recorded commands by the kit's own loop, into nothing but the page."""
-        from falconwing_kit.demo.approach import is_simulated, mode_at
+        from falconwing_kit.demo.approach import PacedClock, is_simulated, mode_at
         from falconwing_kit.demo.live_page import LivePage
         from falconwing_kit.flight.loop import PERIOD, Loop
         from falconwing_kit.flight.sources import RecordedImages, RecordedStates
@@ -128,7 +127,7 @@ class Replay:
             reason = ""
             while reason != "interrupted":
                 loop = Loop(
-                    pilot, _Nowhere(), RecordedImages(self.log), RecordedStates(self.log), clock=_Clock(self.speed),
+                    pilot, _Nowhere(), RecordedImages(self.log), RecordedStates(self.log), clock=PacedClock(self.speed),
                     hooks=(lambda step: page.show(replace(step, mode=mode_at(log, step.t) or step.mode)),),
                 )  # fmt: skip
                 reason = loop.run(pilot.duration + PERIOD).reason
@@ -143,22 +142,3 @@ class _Nowhere:
 
     def send(self, t: float, command: Command) -> None:
         """Let it be."""
-
-
-class _Clock:
-    """Real time, slower or faster."""
-
-    def __init__(self, speed: float) -> None:
-        self._speed = speed
-
-    def start(self) -> None:
-        """Now is zero."""
-        self._zero = time.perf_counter()
-
-    def now(self) -> float:
-        """Time of the flight since its start [s]."""
-        return (time.perf_counter() - self._zero) * self._speed
-
-    def wait_until(self, t: float) -> None:
-        """Sleep until time t [s] of the flight."""
-        time.sleep(max(0.0, (t - self.now()) / self._speed))

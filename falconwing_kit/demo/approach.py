@@ -1,6 +1,7 @@
 """The demo's approach: a landing flown by the loop in the simulated hall -> its log; and figures of any log."""
 
 import os
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,31 @@ class Approach:
     log: Path
     flight: Flight  # how the loop went
     result: dict[str, Any]  # the judge's: success, ald_m, sink_rate_m_s, ...
+
+
+class PacedClock:
+    """Real time that waits for a slow machine: no step is left out, so a flight is the same on every machine.
+
+    Args:
+        speed: how fast time runs; below 1 is slow motion.
+    """
+
+    def __init__(self, speed: float = 1.0) -> None:
+        self._speed = speed
+
+    def start(self) -> None:
+        """Now is zero."""
+        self._t, self._due = 0.0, time.perf_counter()
+
+    def now(self) -> float:
+        """Time of the flight [s]; it stands still between two steps."""
+        return self._t
+
+    def wait_until(self, t: float) -> None:
+        """Sleep until time t [s] is due; a step that came late shifts all that follow."""
+        self._due = max(self._due + (t - self._t) / self._speed, time.perf_counter())
+        time.sleep(max(0.0, self._due - time.perf_counter()))
+        self._t = max(self._t, t)
 
 
 def fly_approach(

@@ -98,7 +98,7 @@ def test_replay_draws_the_figures_of_the_demo(flown, tmp_path, capsys):
 
 
 def test_replay_shows_every_step_of_the_log(flown, monkeypatch, capsys):
-    """The loop's own steps reach the page: sticks, modes and views as logged, and the page says whose flight it is."""
+    """Each step reaches the page once: sticks, modes and views as logged; the page says whose flight it is."""
     shown, banners = [], []
     furnish = live_page.LivePage.__init__
 
@@ -112,10 +112,8 @@ def test_replay_shows_every_step_of_the_log(flown, monkeypatch, capsys):
     monkeypatch.setattr(webbrowser, "open", lambda url: False)
     assert main(["replay", str(flown), "--once", "--speed", "0.5", "--port", "18431"]) == 0
     assert banners == ["REPLAY of a SIMULATION"]
-    rows = [round(step.t / 0.05) for step in shown]  # on a busy machine the loop leaves steps out, as in any flight
-    assert len(rows) > 5 and rows == sorted(set(rows))
-    for row, step in zip(rows, shown, strict=True):
-        k = min(row, 19)
+    assert len(shown) == 20  # also on a busy machine: time waits for it
+    for k, step in enumerate(shown):
         assert step.command.throttle == pytest.approx(0.05 * k)
         assert step.mode == ("approach", "flare")[k >= 10]
         assert abs(float(step.image.pixels.mean()) - 10 * k) <= 2.0

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import os
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +16,7 @@ from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
 from falconwing_kit.core.messages import Command, Image, State
 from falconwing_kit.demo.approach import (
     FIGURES,
+    PacedClock,
     approach_part,
     approach_record,
     draw_flight,
@@ -142,6 +144,30 @@ def test_same_seed_flies_the_same(approach, steps, tmp_path):
     fly_approach(load_scene("arena"), tmp_path / "b.mcap", (other.append,), seed=1)
     assert all(np.array_equal(a.command.vector, b.command.vector) for a, b in zip(steps, again, strict=True))
     assert np.abs(other[0].state.p_world - steps[0].state.p_world).max() > 0.05
+
+
+def test_paced_clock_waits_for_a_slow_machine(monkeypatch):
+    """By hand, on a watch that only sleeping moves: steps of 0.1 s at half speed are due every 0.2 s; one that took
+    0.5 s is followed at once, and those after it again 0.2 s apart. The flight's own time misses nothing."""
+    watch, due = [10.0], []
+    monkeypatch.setattr(time, "perf_counter", lambda: watch[0])
+    monkeypatch.setattr(time, "sleep", lambda seconds: watch.append(watch.pop() + seconds))
+    clock = PacedClock(0.5)
+    clock.start()
+    for k, work in enumerate((0.0, 0.05, 0.5, 0.0, 0.0)):
+        clock.wait_until(0.1 * k)
+        due.append(watch[0])
+        assert clock.now() == pytest.approx(0.1 * k)
+        watch[0] += work
+    assert due == pytest.approx([10.0, 10.2, 10.4, 10.9, 11.1])
+
+
+def test_flight_in_real_time_is_that_in_simulated_time(approach, steps, tmp_path):
+    """To the last bit of every command, also where this machine is too slow for real time."""
+    again = []
+    fly_approach(load_scene("arena"), tmp_path / "a.mcap", (again.append,), PacedClock(2.0))
+    assert len(again) == len(steps)
+    assert all(np.array_equal(a.command.vector, b.command.vector) for a, b in zip(steps, again, strict=True))
 
 
 def test_full_disk_keeps_the_log_of_before(tmp_path):
