@@ -188,9 +188,10 @@ def _floats(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Arra
 
 def _require_each(name: str, good: NDArray[np.bool_], what: str) -> None:
     """Refuse where a row is not good in all of its numbers."""
+    if good.all():
+        return
     bad = len(good) - np.count_nonzero(good.all(axis=tuple(range(1, good.ndim))))
-    if bad:
-        raise InputError(f"{name}: want {what}, got others in {bad} of {len(good)} Gaussians; repair or remove those")
+    raise InputError(f"{name}: want {what}, got others in {bad} of {len(good)} Gaussians; repair or remove those")
 
 
 def _unit(quaternions: Array32) -> Array32:
