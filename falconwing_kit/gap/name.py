@@ -21,10 +21,8 @@ Verdict = Literal["named", "ambiguous", "none", "outside"]
 REFITS = 5  # effects that are fitted in full after the linear scan, and more while one not fitted could still win
 ROUGH = 2.0  # chi2 to which the first round of fits is carried; the second goes on from there
 CLEARLY = 0.1  # a load without a name must beat the named effects by this share of their evidence
-FORMULA_ERROR = (
-    0.02  # share of what a strong effect explains that its formula, 14 % off nature's, leaves on what it acts on
-)
-ELSEWHERE = 0.001  # the same on what it does not act on: 3 % off
+FORMULA_ERROR = 0.04  # share of what a strong effect explains that its formula, 20 % off nature's, leaves unexplained
+ELSEWHERE = 0.001  # the same of what it does not act on: 3 % off
 SHARE_LEFT = 0.5  # of the excess: a name that leaves more behind is no explanation
 EXCESS_SIGMAS = 6.0  # a flight's chi2 above the calm level by this much is not chance
 STRAINED = 9.0  # parameters that moved by three of their sigmas on average: the base is no model of this aircraft
@@ -123,9 +121,11 @@ def _decide(
         verdict = "outside"
     unnamed = _best_unnamed(base, windows, before, explained, progress)
     last = (chosen[-1:] if verdict == "named" else (best,))[0].result or before
-    strain = _strain(last, base.prior)
+    moved, known = _strain(last, base.prior)
+    strain = moved / known
     clear = explained + max(threshold, CLEARLY * explained) if chosen else LACKING
-    if unnamed.gain > clear or strain > STRAINED:  # parameters that moved so far may imitate anything
+    # Parameters that moved so far may imitate anything, unless it is little beside what the effect explains by itself.
+    if unnamed.gain > clear or (strain > STRAINED and moved > FORMULA_ERROR * explained):
         verdict, chosen = "outside", ()
     return Naming(verdict, chosen, tuple(ranking), threshold, excess, left, unnamed, strain, before, windows, prepared)
 
@@ -140,14 +140,15 @@ def _best_unnamed(
     return replace(best, gain=best.gain - CHOICE)
 
 
-def _strain(result: FitResult, prior: Prior) -> float:
-    """How far parameters had to move from the calm flight's: chi2 per parameter.
+def _strain(result: FitResult, prior: Prior) -> tuple[float, int]:
+    """How far parameters had to move from the calm flight's: chi2, and how many they are.
 
-    Near 1 for another day of the same aircraft; large for another aircraft, or for an effect that parameters imitate.
+    Near 1 each for another day of the same aircraft; large for another aircraft, or for an effect that parameters
+    imitate.
     """
     rows, mean = prior_rows(result.model, result.free, prior)
     known = max(int(np.count_nonzero(rows.any(axis=1))), 1)
-    return float(np.sum((rows @ (result.model.vector[list(result.free)] - mean)) ** 2)) / known
+    return float(np.sum((rows @ (result.model.vector[list(result.free)] - mean)) ** 2)), known
 
 
 def _second(
