@@ -101,27 +101,25 @@ def _decide(
     dof = freedom(windows, before)
     error = base.chi2 * np.sqrt(2.0 / dof + 2.0 / freedom(base.windows, base.result))
     excess = before.cost / dof - base.chi2
-    best = ranking[0]
-    left = excess - best.chi2_gain * base.scatter / dof
     chosen: tuple[Candidate, ...] = ()
     verdict: Verdict = "none"
-    explained = best.gain
-    if best.gain > threshold:
+    if ranking[0].gain > threshold:
+        best = ranking[0]
         near = (c for c in ranking[1:] if c.gain > best.gain - LEAST_GAIN)
         rivals = tuple(c for c in near if best.effect.name not in c.effect.contains)
         verdict, chosen = ("ambiguous", (best, *rivals)) if rivals else ("named", (best,))
         if verdict == "named":
-            second = _second(base, windows, best, catalogue, threshold, progress)
-            if second is not None:
-                chosen, explained = (best, second), explained + second.gain
-                left -= second.chi2_gain * base.scatter / dof
-        if left > max(EXCESS_SIGMAS * error, SHARE_LEFT * excess):
-            verdict, chosen = "outside", ()
-    elif excess > EXCESS_SIGMAS * error:
+            chosen = _with_second(base, windows, before, best, catalogue, threshold, progress)
+            ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
+    adding_up = chosen if verdict == "named" else ranking[:1]
+    explained = sum(c.gain for c in adding_up)
+    left = excess - sum(c.chi2_gain for c in adding_up) * base.scatter / dof
+    if chosen and left > max(EXCESS_SIGMAS * error, SHARE_LEFT * excess):
+        verdict, chosen = "outside", ()
+    elif not chosen and excess > EXCESS_SIGMAS * error:
         verdict = "outside"
     unnamed = _best_unnamed(base, windows, before, explained, progress)
-    last = (chosen[-1:] if verdict == "named" else (best,))[0].result or before
-    moved, known = _strain(last, base.prior)
+    moved, known = _strain(adding_up[-1].result or before, base.prior)
     strain = moved / known
     clear = explained + max(threshold, CLEARLY * explained) if chosen else LACKING
     # Parameters that moved so far may imitate anything, unless it is little beside what the effect explains by itself.
@@ -149,6 +147,27 @@ def _strain(result: FitResult, prior: Prior) -> tuple[float, int]:
     rows, mean = prior_rows(result.model, result.free, prior)
     known = max(int(np.count_nonzero(rows.any(axis=1))), 1)
     return float(np.sum((rows @ (result.model.vector[list(result.free)] - mean)) ** 2)), known
+
+
+def _with_second(
+    base: CalmBase,
+    windows: Windows,
+    before: FitResult,
+    first: Candidate,
+    catalogue: Sequence[Effect],
+    threshold: float,
+    progress: Progress,
+) -> tuple[Candidate, ...]:
+    """The first effect and a second one if there is; that one alone where nothing of the first is left beside it."""
+    second = _second(base, windows, first, catalogue, threshold, progress)
+    if second is None or second.result is None:
+        return (first,)
+    sure, values = uncertainty(second.result, windows, base.prior), second.result.model.values
+    sizes = [sure.interval(p.name, values[p.name]) for p in first.effect.amplitudes]
+    if any(low * high > 0.0 for low, high in sizes):
+        return first, second
+    alone = _fit_effect(base, windows, before, second, progress)
+    return (alone,) if alone.gain > first.gain else (first, second)
 
 
 def _second(
