@@ -1,13 +1,33 @@
-"""One self-contained page: headings, paragraphs, tables and figures -> an HTML file that needs no network."""
+"""What all pages and figures share: parts -> one HTML file that needs no network; axes in one look -> a PNG."""
 
 import base64
 import html
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from falconwing_kit.core.files import atomic_write
 
+# Colours that read well in grey too.
+MEASURED, PREDICTED, ACCENT, QUIET = "#8c8c8c", "#0b5394", "#c1440e", "#444444"
+STYLE: Any = {
+    "figure.dpi": 110,
+    "savefig.dpi": 130,
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.7,
+    "legend.frameon": False,
+    "figure.constrained_layout.use": True,
+}
 CSS = """
 :root { --ink: #222; --quiet: #666; --line: #ddd; --blue: #0b5394; --rust: #c1440e; }
 body { font: 16px/1.55 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; color: var(--ink);
@@ -112,3 +132,27 @@ def write_page(path: Path, title: str, parts: Sequence[str]) -> None:
     )
     with atomic_write(path, text=True) as handle:
         handle.write(text)
+
+
+@contextmanager
+def figure(path: Path, rows: int, columns: int, size: tuple[float, float], **grid: Any) -> Iterator[Any]:
+    """Axes to draw on; the file appears whole when the block ends.
+
+    Args:
+        path: the PNG to write.
+        rows: of axes.
+        columns: of axes.
+        size: width and height [inch].
+        grid: handed to matplotlib's `subplots`.
+
+    Yields:
+        The array of axes, always two-dimensional.
+    """
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context(STYLE):
+        drawing = Figure(figsize=size)
+        yield drawing.subplots(rows, columns, squeeze=False, **grid)
+        with atomic_write(path) as handle:
+            drawing.savefig(handle, format="png")

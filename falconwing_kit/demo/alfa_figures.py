@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from falconwing_kit.core.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
 from falconwing_kit.demo.alfa_gap import AlfaGap
 from falconwing_kit.demo.alfa_story import SETTLED_S, AlfaStory
 from falconwing_kit.demo.figures import draw_predicted
-from falconwing_kit.gap.plots import ACCENT, MEASURED, PREDICTED, QUIET, figure
 
 
 def draw_alfa_story(story: AlfaStory, folder: Path) -> tuple[Path, ...]:

@@ -15,11 +15,10 @@ from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import atomic_write, short_name, write_error
 from falconwing_kit.core.flight_log import FlightLog, FlightLogWriter, read_flight_log, to_flight_table
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.core.page import Picture, paragraph, picture
+from falconwing_kit.core.page import ACCENT, PREDICTED, QUIET, Picture, figure, paragraph, picture
 from falconwing_kit.flight.loop import PERIOD, Clock, Flight, Loop, SimulatedClock, Step
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, decode_jpeg, fpv_camera
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
-from falconwing_kit.gap.plots import ACCENT, PREDICTED, QUIET, figure
 from falconwing_kit.scene.gaussians import GaussianScene
 
 FIGURES = ("flight_fpv.png", "flight_path.png", "flight_sticks.png", "flight_film.png")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.core.checks import Array
-from falconwing_kit.gap.plots import ACCENT, MEASURED, PREDICTED, QUIET, figure
+from falconwing_kit.core.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.score import select
 from falconwing_kit.sysid.shooting import fly_windows

@@ -3,8 +3,7 @@
 import csv
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +12,9 @@ import numpy as np
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.control.guidance import Hall
 from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.page import ACCENT, MEASURED, PREDICTED, figure
 
-GOOD, BAD, QUIET, PAD = "#0b5394", "#c1440e", "#8c8c8c", "#9fc5e8"
-STYLE: Any = {
-    "savefig.dpi": 130,
-    "font.size": 9.5,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e4e4e4",
-    "legend.frameon": False,
-    "figure.constrained_layout.use": True,
-}
+PAD = "#9fc5e8"
 Records = Sequence[Mapping[str, Any]]
 
 
@@ -61,14 +49,14 @@ def draw_paths(records: Records, path: Path, what: str) -> None:
         what: task and pilot, for the title.
     """
     hall, pad, landing = Hall(), LandingPad(), not any("leader_path_m" in record for record in records)
-    with _figure(path, 2, (8.0, 6.0)) as (above, side):
+    with figure(path, 2, 1, (8.0, 6.0)) as ((above,), (side,)):
         if landing:
             low = pad.y_centre - 0.5 * pad.width
             above.fill_between([pad.x_start, pad.x_start + pad.length], low, low + pad.width, color=PAD, label="pad")
             side.fill_between([pad.x_start, pad.x_start + pad.length], 0.0, pad.height, color=PAD)
         leaders = [record["leader_path_m"] for record in records if "leader_path_m" in record]
-        kinds = [("leader", QUIET, "-", leaders)]
-        for label, colour, line, success in (("success", GOOD, "-", True), ("failure", BAD, "--", False)):
+        kinds = [("leader", MEASURED, "-", leaders)]
+        for label, colour, line, success in (("success", PREDICTED, "-", True), ("failure", ACCENT, "--", False)):
             kinds.append((label, colour, line, [r["path_m"] for r in records if r["success"] is success]))
         for label, colour, line, flown in kinds:
             for k, p_world in enumerate(np.array(points).reshape(-1, 3) for points in flown):
@@ -105,17 +93,17 @@ def draw_results(records: Records, path: Path, what: str) -> None:
             "ate_m": ("ATE until the lock was lost [m]", (0.0, 1.0), 0.05),
             "ate_d_m": ("ATE_d, of the distance alone [m]", (0.0, 1.0), 0.05),
         }
-    with _figure(path, 2, (8.0, 5.0)) as axes:
-        for ax, (key, (label, shown, width)) in zip(axes, panels.items(), strict=True):
+    with figure(path, 2, 1, (8.0, 5.0)) as axes:
+        for (ax,), (key, (label, shown, width)) in zip(axes, panels.items(), strict=True):
             split = [
                 [r[key] for r in records if r["success"] is good and r.get(key) is not None] for good in (True, False)
             ]
             low, high = min([shown[0], *split[0], *split[1]]), max([shown[1], *split[0], *split[1]])
             bins = np.arange(math.floor(low / width), math.ceil(high / width) + 1) * width
-            ax.hist(split, bins=bins, stacked=True, color=[GOOD, BAD], label=["success", "failure"])
+            ax.hist(split, bins=bins, stacked=True, color=[PREDICTED, ACCENT], label=["success", "failure"])
             ax.set(xlabel=label, ylabel="trials")
-        axes[0].set_title(f"SIMULATED, {what}, {len(records)} flown")
-        axes[0].legend()
+        axes[0, 0].set_title(f"SIMULATED, {what}, {len(records)} flown")
+        axes[0, 0].legend()
 
 
 def write_table(records: Records, path: Path) -> None:
@@ -146,16 +134,3 @@ def finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [finite(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-@contextmanager
-def _figure(path: Path, rows: int, size: tuple[float, float]) -> Iterator[Any]:
-    """Axes one below the other; the PNG appears whole when the block ends."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
-    with rc_context(STYLE):
-        drawing = Figure(figsize=size)
-        yield drawing.subplots(rows, 1)
-        with atomic_write(path) as handle:
-            drawing.savefig(handle, format="png")

@@ -1,62 +1,20 @@
-"""Figures of a gap, and the look that all figures share: colours that read well in grey too."""
+"""Figures of a gap: where a flight disagrees, how the effects rank, and the gap before and after."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
 from falconwing_kit.gap.close import Closed
 from falconwing_kit.gap.measure import VARIABLES, Profile, Replay, Spot, profile
 from falconwing_kit.gap.name import Naming
 
-MEASURED, PREDICTED, ACCENT, QUIET = "#8c8c8c", "#0b5394", "#c1440e", "#444444"
-STYLE: Any = {
-    "figure.dpi": 110,
-    "savefig.dpi": 130,
-    "font.size": 9.5,
-    "axes.titlesize": 10.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e4e4e4",
-    "grid.linewidth": 0.7,
-    "legend.frameon": False,
-    "figure.constrained_layout.use": True,
-}
 IN_PLOTS = {"heading": (180.0 / np.pi, "deg"), "bank": (180.0 / np.pi, "deg")}
 CHANNEL_WORDS = {
     "px": "Position x", "py": "Position y", "pz": "Height", "roll": "Roll", "pitch": "Pitch", "yaw": "Yaw",
 }  # fmt: skip
-
-
-@contextmanager
-def figure(path: Path, rows: int, columns: int, size: tuple[float, float], **grid: Any) -> Iterator[Any]:
-    """Axes to draw on; the file appears whole when the block ends.
-
-    Args:
-        path: the PNG to write.
-        rows: of axes.
-        columns: of axes.
-        size: width and height [inch].
-        grid: handed to matplotlib's `subplots`.
-
-    Yields:
-        The array of axes, always two-dimensional.
-    """
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
-    with rc_context(STYLE):
-        drawing = Figure(figsize=size)
-        yield drawing.subplots(rows, columns, squeeze=False, **grid)
-        with atomic_write(path) as handle:
-            drawing.savefig(handle, format="png")
 
 
 def draw_gap(

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from falconwing_kit.core.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
 from falconwing_kit.demo.alfa_story import AlfaStory
 from falconwing_kit.demo.recorded import RecordedFlights, study_recorded_flights
-from falconwing_kit.gap.plots import ACCENT, MEASURED, PREDICTED, QUIET, figure
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.score import select
 from falconwing_kit.sysid.shooting import fly_windows

@@ -12,8 +12,9 @@ from falconwing_kit.aircraft.airframe import load_airframe
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command, State
+from falconwing_kit.core.page import ACCENT, PREDICTED
 from falconwing_kit.flight.tasks import LandingTask, Trial
-from falconwing_kit.flight.trial_figures import BAD, GOOD, write_results
+from falconwing_kit.flight.trial_figures import write_results
 from falconwing_kit.flight.trials import compare_pilots, fly_trial, fly_trials, read_trials, summary
 
 
@@ -191,7 +192,7 @@ def test_results_are_written_with_both_colours(tmp_path):
     ]
     files = write_results(records, summary(records), tmp_path, "landing by nobody")
     bars = (255 * matplotlib.image.imread(files["results"])[..., :3]).round()
-    for colour in (GOOD, BAD):
+    for colour in (PREDICTED, ACCENT):
         assert (bars == [int(colour[i : i + 2], 16) for i in (1, 3, 5)]).all(axis=-1).sum() > 100
     red, _, blue = np.moveaxis(matplotlib.image.imread(files["paths"])[..., :3], -1, 0)
     assert ((blue - red) > 0.35).sum() > 50  # the path that landed; the pad is paler
