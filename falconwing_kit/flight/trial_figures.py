@@ -63,8 +63,8 @@ def draw_paths(records: Records, path: Path, what: str) -> None:
                 look: Any = {"color": colour, "linestyle": line, "linewidth": 0.9, "alpha": 0.7}
                 above.plot(p_world[:, 0], p_world[:, 1], label=label if k == 0 else None, **look)
                 side.plot(p_world[:, 0], p_world[:, 2], **look)
-        above.set(title=f"SIMULATED, {what}, {len(records)} flown: from above", xlabel="x [m]", ylabel="y [m]")
-        side.set(title="from the side, height stretched", xlabel="x [m]", ylabel="height [m]")
+        above.set(title=f"SIMULATED: {_told(what, records)}", xlabel="from above: x [m]", ylabel="y [m]")
+        side.set(xlabel="from the side, height stretched: x [m]", ylabel="height [m]")
         above.set(xlim=hall.x, ylim=hall.y, aspect="equal")
         side.set(xlim=hall.x, ylim=(0.0, 2.5 if landing else hall.height))
         above.legend(loc="upper right", ncols=3)
@@ -102,7 +102,7 @@ def draw_results(records: Records, path: Path, what: str) -> None:
             bins = np.arange(math.floor(low / width), math.ceil(high / width) + 1) * width
             ax.hist(split, bins=bins, stacked=True, color=[PREDICTED, ACCENT], label=["success", "failure"])
             ax.set(xlabel=label, ylabel="trials")
-        axes[0, 0].set_title(f"SIMULATED, {what}, {len(records)} flown")
+        axes[0, 0].set_title(f"SIMULATED: {_told(what, records)}")
         axes[0, 0].legend()
 
 
@@ -134,3 +134,7 @@ def finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [finite(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _told(what: str, records: Records) -> str:
+    return f"{what.replace('_', ' ')}, {len(records)} flown"

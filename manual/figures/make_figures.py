@@ -1,4 +1,4 @@
-"""Figures of README and manual: the two recorded flights of the demo -> identify_demo.png beside this file.
+"""Figures of README and manual -> hall.jpg, views of the arena, and identify_demo.png, the demo's recorded flights.
 
     .venv/bin/python manual/figures/make_figures.py
 
@@ -10,13 +10,24 @@ from typing import Any
 
 import numpy as np
 
+from falconwing_kit.core.checks import Array
+from falconwing_kit.core.frames import camera_pose
+from falconwing_kit.core.messages import Pose
 from falconwing_kit.core.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
 from falconwing_kit.demo.alfa_story import AlfaStory
 from falconwing_kit.demo.recorded import RecordedFlights, study_recorded_flights
+from falconwing_kit.flight.sources import fpv_camera
+from falconwing_kit.scene import leader_at, load_scene, render
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.score import select
 from falconwing_kit.sysid.shooting import fly_windows
 
+VIEW_PX = (400, 300)
+VIEWS = (  # own and leader's x, y, z [m], roll, pitch, yaw [deg]
+    ((-19.0, 0.5, 1.6, 0.0, -2.0, 3.0), None),
+    ((-10.0, 2.0, 2.0, -15.0, 0.0, 12.0), (-7.6, 1.55, 2.2, 22.0, 6.0, 22.0)),
+    ((-4.0, -1.4, 1.0, 4.0, -5.0, 1.0), None),
+)
 FOLDER = Path(__file__).resolve().parent
 SHOWN_S = 10.0  # of the simulated flight: one block of the time that was kept back
 BEFORE_S = 30.0  # of the real flight, before its engine stops
@@ -24,10 +35,35 @@ CHANNELS = ((3, "roll [deg]", 180.0 / np.pi), (4, "pitch [deg]", 180.0 / np.pi),
 
 
 def main() -> None:
-    """Study both flights and draw them."""
-    path = FOLDER / "identify_demo.png"
-    draw_identify_demo(study_recorded_flights(print), path)
-    print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+    """Look into the hall, study both flights, and draw them."""
+    hall, demo = FOLDER / "hall.jpg", FOLDER / "identify_demo.png"
+    draw_hall(hall)
+    draw_identify_demo(study_recorded_flights(print), demo)
+    for path in (hall, demo):
+        print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+
+
+def draw_hall(path: Path) -> None:
+    """Three looks from an aircraft's nose side by side: far out, behind a leader, and short of the pad.
+
+    Args:
+        path: the JPEG to write.
+    """
+    import cv2
+
+    arena, camera = load_scene("arena"), fpv_camera(*VIEW_PX)
+    images = []
+    for own, leader in VIEWS:
+        scene = leader_at(arena, None if leader is None else body_pose(leader))
+        images.append(render(scene, camera, camera_pose(body_pose(own))).rgb)
+    strip = np.concatenate(images, axis=1)
+    path.write_bytes(cv2.imencode(".jpg", np.rint(255.0 * strip[..., ::-1]).astype(np.uint8))[1].tobytes())
+
+
+def body_pose(pose: tuple[float, ...]) -> Array:
+    """T_world_body (4, 4) of a position [m] and roll, pitch, yaw [deg]."""
+    roll, pitch, yaw = np.radians(pose[3:])
+    return Pose(np.array(pose[:3]), roll, pitch, yaw).T_world_body
 
 
 def draw_identify_demo(found: RecordedFlights, path: Path) -> None:
