@@ -44,6 +44,14 @@ OURS = [line for line in commands() if shlex.split(line)[0] == "falconwing"]
 STARTS = [line for line in commands() if line.startswith("python3 start.py")]
 
 
+def figures_of_the_manual():
+    """The script that draws them, as a module."""
+    spec = importlib.util.spec_from_file_location("make_figures", ROOT / "manual" / "figures" / "make_figures.py")
+    make = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(make)
+    return make
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A folder as the reader has it: the kit's data, an own flight, and an own log of two seconds."""
@@ -114,14 +122,25 @@ def test_demo_says_what_readme_shows():
 
 def test_picture_is_small_and_can_be_made_again(tmp_path):
     """From what the demo found, to the same size in pixels; 300 kB are a second on a slow connection."""
-    spec = importlib.util.spec_from_file_location("make_figures", ROOT / "manual" / "figures" / "make_figures.py")
-    make = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(make)
+    make = figures_of_the_manual()
     make.draw_identify_demo(demo_run().found, tmp_path / "again.png")
     ours = ROOT / "manual" / "figures" / "identify_demo.png"
     assert ours.stat().st_size < 300_000
     size = slice(16, 24)  # width and height in a PNG's header
     assert ours.read_bytes()[size] == (tmp_path / "again.png").read_bytes()[size]
+
+
+def test_views_of_the_hall_can_be_made_again(tmp_path):
+    """The same pixels but for a few grey levels: JPEG, and another processor's rounding."""
+    import cv2
+
+    make = figures_of_the_manual()
+    make.draw_hall(tmp_path / "again.jpg")
+    ours, again = (
+        cv2.imread(str(path)).astype(float) for path in (ROOT / "manual/figures/hall.jpg", tmp_path / "again.jpg")
+    )
+    assert (ROOT / "manual/figures/hall.jpg").stat().st_size < 300_000
+    assert np.abs(ours - again).mean() < 1.0
 
 
 def test_every_verb_stands_in_readme():
