@@ -211,7 +211,9 @@ def right_or_outside(row: dict[str, Any]) -> bool:
 
 
 def _figures(rows: list[dict[str, Any]]) -> str:
-    right, wrong = sum(points(r, r["effect"]) for r in rows), sum(is_wrong(r, r["effect"]) for r in rows)
+    outside = rows[0]["kind"] == "outside"  # right is what has no name
+    right = sum(float(right_or_outside(r)) if outside else points(r, r["effect"]) for r in rows)
+    wrong = sum(is_wrong(r, r["effect"]) for r in rows)
     text = f"{len(rows)} flights, right {right:g} ({right / len(rows):.3f}), wrong name {wrong}"
     if rows[0]["kind"] == "pairs":
         both = sum(set(r["effect"].split("+")) <= set(r["effects"]) for r in rows)
