@@ -108,35 +108,26 @@ class RenderedView:
         Returns:
             (H, W, 3) uint8 RGB.
         """
-        leader = self.world.leader_state
+        leader, scenes = self.world.leader_state, [self._hall]
         if leader is not None and self._leader is not None:
-            self._place(leader)
+            from falconwing_kit.scene.arena import leader_at
+
+            scenes.append(leader_at(self._leader, leader.pose.T_world_body))
         T_world_camera = camera_pose(self.world.state.pose.T_world_body, self.p_body_camera)
-        frame = render(self._hall, self.camera, T_world_camera, backend=self.backend)
+        frame = render(scenes, self.camera, T_world_camera, backend=self.backend)
         self.depth = frame.depth
         return np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
 
-    def _place(self, leader: State) -> None:
-        """Overwrite the leader's rows, the last ones; a new scene would be checked anew, which costs half a frame."""
-        from falconwing_kit.scene.arena import leader_at
-
-        assert self._leader is not None
-        there = leader_at(self._leader, leader.pose.T_world_body)
-        for name in ("means", "quaternions", "sh"):
-            getattr(self._hall, name)[-len(there) :] = getattr(there, name)
-
 
 def _hall_and_leader(scene: GaussianScene, with_leader: bool) -> tuple[GaussianScene, GaussianScene | None]:
-    """A hall of our own, the leader's Gaussians last if they are wanted, and the leader alone."""
+    """The hall without a leader, and the leader alone if it is wanted."""
     from falconwing_kit.scene.arena import leader_at, load_scene
 
     own = "leader" in scene.label_names
     hall = leader_at(scene, None) if own else scene
     if not with_leader:
         return hall, None
-    leader = scene.selected(scene.labelled("leader")) if own else load_scene("leader")
-    both = GaussianScene.joined(hall, leader)
-    return both, both.selected(both.labelled("leader"))
+    return hall, scene.selected(scene.labelled("leader")) if own else load_scene("leader")
 
 
 class RecordedImages:

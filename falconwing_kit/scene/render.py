@@ -1,6 +1,6 @@
 """The renderer's door: a Gaussian scene and a camera pose -> colour, alpha and depth per pixel, by any backend."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.ply import Array32
 
+Scenes = tuple[GaussianScene, ...]
 Images = tuple[Array32, Array32, Array32]  # colour, alpha and depth, before the colours are cut to 0..1
 MAX_SKEW = 1e-4  # a rotation kept in float32 and multiplied a few times is this close to a true one
 
@@ -25,7 +26,7 @@ class Frame:
 
 
 def render(
-    scene: GaussianScene,
+    scene: GaussianScene | Sequence[GaussianScene],
     camera: PinholeCamera,
     T_world_camera: ArrayLike,
     backend: str = "auto",
@@ -35,7 +36,7 @@ def render(
     """Render a scene, by the conventions of gsplat's "classic" mode.
 
     Args:
-        scene: the Gaussians.
+        scene: the Gaussians; or several scenes, drawn as if joined: a hall that rests and an aircraft that moves.
         camera: the intrinsics and the image's size.
         T_world_camera: (4, 4) the pose, "world from camera", camera axes x right, y down, z forward.
         backend: "reference" (torch, the readable one), "fast" (numba), "gsplat" (CUDA) or "auto", which is "fast".
@@ -48,15 +49,26 @@ def render(
     Raises:
         InputError: an argument is wrong, or the backend cannot run here; the text says what would help.
     """
-    if not isinstance(scene, GaussianScene):
-        raise InputError(f"scene: want a GaussianScene, got {type(scene).__name__}; GaussianScene.load reads a file")
+    scenes = (scene,) if isinstance(scene, GaussianScene) else _require_scenes(scene)
     if not isinstance(camera, PinholeCamera):
         raise InputError(f"camera: want a PinholeCamera, got {type(camera).__name__}")
     if not isinstance(backend, str) or backend not in BACKENDS:
         raise InputError(f"backend: want one of {', '.join(BACKENDS)}, got {backend!r}")
     T_world_camera, background = require_pose("T_world_camera", T_world_camera), _require_colour(background)
-    rgb, alpha, depth = BACKENDS[backend](scene, camera, T_world_camera, background, bool(antialiased))
+    rgb, alpha, depth = BACKENDS[backend](scenes, camera, T_world_camera, background, bool(antialiased))
     return Frame(np.clip(rgb, 0.0, 1.0, out=rgb), alpha, depth)
+
+
+def _require_scenes(scenes: Sequence[GaussianScene]) -> Scenes:
+    """Several scenes as a tuple."""
+    several = tuple(scenes) if isinstance(scenes, list | tuple) else ()
+    if not several or not all(isinstance(scene, GaussianScene) for scene in several):
+        raise InputError(f"scene: want a GaussianScene, got {type(scenes).__name__}; GaussianScene.load reads a file")
+    return several
+
+
+def _joined(scenes: Scenes) -> GaussianScene:
+    return scenes[0] if len(scenes) == 1 else GaussianScene.joined(*scenes)
 
 
 def require_pose(name: str, pose: ArrayLike) -> Array:
@@ -89,31 +101,29 @@ def _require_colour(background: ArrayLike) -> Array:
 
 
 def _reference(
-    scene: GaussianScene, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool
+    scenes: Scenes, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool
 ) -> Images:
     try:
         from falconwing_kit.scene.reference import render_reference
     except ModuleNotFoundError as error:
         raise _missing("reference", error) from None
-    return render_reference(scene, camera, T_world_camera, background, antialiased)
+    return render_reference(_joined(scenes), camera, T_world_camera, background, antialiased)
 
 
-def _fast(
-    scene: GaussianScene, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool
-) -> Images:
+def _fast(scenes: Scenes, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool) -> Images:
     try:
         from falconwing_kit.scene.fast import render_fast
     except ModuleNotFoundError as error:
         raise _missing("fast", error) from None
-    return render_fast(scene, camera, T_world_camera, background, antialiased)
+    return render_fast(scenes, camera, T_world_camera, background, antialiased)
 
 
 def _gsplat(
-    scene: GaussianScene, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool
+    scenes: Scenes, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool
 ) -> Images:
     from falconwing_kit.scene.gsplat_backend import render_gsplat
 
-    return render_gsplat(scene, camera, T_world_camera, background, antialiased)
+    return render_gsplat(_joined(scenes), camera, T_world_camera, background, antialiased)
 
 
 def _missing(backend: str, error: ModuleNotFoundError) -> InputError:
@@ -121,7 +131,7 @@ def _missing(backend: str, error: ModuleNotFoundError) -> InputError:
     return InputError(f"backend: want {error.name} for {backend!r}, which is missing; run: pip install {error.name}")
 
 
-BACKENDS: dict[str, Callable[[GaussianScene, PinholeCamera, Array, Array, bool], Images]] = {
+BACKENDS: dict[str, Callable[[Scenes, PinholeCamera, Array, Array, bool], Images]] = {
     "auto": _fast,
     "fast": _fast,
     "reference": _reference,

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,3 +128,15 @@ def test_missing_library_is_said_with_its_remedy(monkeypatch, backend, module, l
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(InputError, match=f"want {library} for .*; run: pip install {library}"):
         render(ball(), CAMERA, AHEAD, backend=backend)
+
+
+@pytest.mark.parametrize("backend", ON_THIS_MACHINE)
+def test_several_scenes_are_drawn_as_one(backend):
+    """Two balls, one before the other, apart and joined: the definition. Neither hides the other whole."""
+    near, far = ball((0.2, 0.9, 0.1)), replace(ball(), means=np.array([[3.0, 0.1, 1.0]], np.float32))
+    apart, joined = (
+        render(scenes, CAMERA, AHEAD, backend) for scenes in ((far, near), GaussianScene.joined(far, near))
+    )
+    assert np.array_equal(apart.rgb, joined.rgb)
+    assert np.array_equal(apart.depth, joined.depth)
+    assert not np.array_equal(apart.rgb, render(near, CAMERA, AHEAD, backend).rgb)
