@@ -207,9 +207,10 @@ def _known_noise(table: FlightTable, sigma: Array | None) -> Array | None:
         return np.asarray(sigma, np.float64)
     if "sigma_position" not in table.extra or "sigma_attitude" not in table.extra:
         return None
-    position, attitude = (float(np.nanmedian(table.extra[k])) for k in ("sigma_position", "sigma_attitude"))
-    if not (np.isfinite(position) and np.isfinite(attitude)):
+    logged = [table.extra[name] for name in ("sigma_position", "sigma_attitude")]
+    if any(np.isnan(values).all() for values in logged):
         return None
+    position, attitude = (float(np.nanmedian(values)) for values in logged)
     return np.array([position] * 3 + [attitude] * 3)
 
 
