@@ -13,6 +13,7 @@ import warnings
 import webbrowser
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -113,9 +114,11 @@ class LivePage:
         """Show a step as soon as there is time; steps that are older by then are left out.
 
         Args:
-            step: of the loop. One that is earlier than the last begins a new flight.
+            step: of the loop. One that is earlier than the last begins a new flight. An aircraft whose pose is not
+                known, as a log may say of it, is hidden; where only its speed is not, that is left out of the plot.
         """
-        state = step.state
+        state = _with_pose(step.state)
+        step = replace(step, state=state, leader=_with_pose(step.leader))
         with self._lock:
             if self._past and step.t < self._past[-1][0]:
                 self._past = []
@@ -192,6 +195,11 @@ class LivePage:
                 client.camera.look_at = p_world + CHASE_TO
 
 
+def _with_pose(state: State | None) -> State | None:
+    """The state if it says where the aircraft is and how it is turned, else None."""
+    return state if state is not None and np.isfinite(state.pose.T_world_body).all() else None
+
+
 def head_html(banner: str, step: Step | None) -> str:
     """The top of the panel: what is flown, its mode, and where it is.
 
@@ -251,7 +259,8 @@ def _stick(centre: float, right: float, up: float, above: str, below: str) -> st
 
 
 def _plot(series: Array, label: str, colour: str) -> str:
-    """A line over the last seconds; series is (N, 2) of time and value."""
+    """A line over the last seconds; series is (N, 2) of time and value, rows without a value are left out."""
+    series = series[np.isfinite(series[:, 1])]
     recent = series[series[:, 0] >= series[-1, 0] - WINDOW_S] if len(series) else np.array([[0.0, 0.0]])
     recent = recent[:: max(1, len(recent) // 300)]
     begin, span = recent[0, 0], max(recent[-1, 0] - recent[0, 0], 10.0)

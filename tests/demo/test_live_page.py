@@ -5,10 +5,17 @@ import socket
 import threading
 import urllib.request
 import warnings
+from concurrent.futures import wait
+from dataclasses import replace
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
+import viser
+from viser._messages import ShareUrlRequest
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command, State
@@ -57,9 +64,20 @@ def test_page_is_served_to_this_machine_only(page):
 
 
 def test_no_tunnel_to_the_outside_can_be_opened(page, monkeypatch):
-    """A browser can ask the server for a share link without the button; nothing is asked of any host then."""
-    monkeypatch.setattr(socket.socket, "connect", lambda *_: pytest.fail("it called an outside host"))
-    assert page._server.request_share_url() is None
+    """A browser can ask the server for a share link without the button, by the very message; no tunnel begins then."""
+    tunnels, jobs, asked = [], [], threading.Event()
+    pool = page._server._thread_executor
+    submit = pool.submit
+    monkeypatch.setattr("viser._viser.ViserTunnel", lambda *where: tunnels.append(where) or pytest.fail("a tunnel"))
+    monkeypatch.setattr(pool, "submit", lambda *job: jobs.append(submit(*job)) or jobs[-1])
+    # Handlers are called in the order in which they came: after this one the server's own has been called.
+    page._server._websock_server.register_handler(ShareUrlRequest, lambda *_: asked.set())
+    protocol = Subprotocol(f"viser-v{viser.__version__}")
+    with connect(page.url.replace("http", "ws"), subprotocols=[protocol], max_size=None) as browser:
+        browser.send(msgspec.msgpack.encode(ShareUrlRequest().as_serializable_dict()))
+        assert asked.wait(60.0)
+        assert len(wait(jobs, 60.0).done) == len(jobs) > 0
+    assert tunnels == []
 
 
 def test_occupied_port_is_said_and_the_next_one_taken():
@@ -119,6 +137,40 @@ def test_fault_ends_the_page_and_not_the_flight(page, monkeypatch):
     page.show(step(0.0))
     assert said.wait(60.0)
     page.show(step(0.05))
+
+
+def test_unknown_pose_hides_the_aircraft_and_the_page_lives_on(page, monkeypatch):
+    """A log may say null of a state: hidden while it does, there again after, and the path has the known places only."""
+    known, drawn, draw = step(0.0), threading.Event(), page._draw
+    seen = []
+
+    def look(step, past, plots):
+        draw(step, past, True)
+        seen.append((page._aircraft.visible, page._leader.visible, len(past)))
+        drawn.set()
+
+    monkeypatch.setattr(page, "_draw", look)
+    lost = {"p_world": np.array([np.nan, -2.0, 1.0])}, {"yaw": np.nan}
+    for k, part in enumerate(({}, *lost, {})):
+        drawn.clear()
+        state = replace(known.state, **part)
+        page.show(replace(known, t=0.05 * k, state=state, leader=state))
+        assert drawn.wait(60.0)
+    assert seen == [(True, True, 1), (False, False, 1), (False, False, 1), (True, True, 2)]
+
+
+def test_unknown_speed_is_left_out_of_its_plot(page, monkeypatch):
+    """Poses alone, as of a tracker: the aircraft is shown. By hand: heights of all five steps, speeds of four."""
+    past = []
+    monkeypatch.setattr(page, "_draw", lambda step, rows, plots: past.append((step.state, rows)))
+    for k in range(5):
+        v_world = np.array([3.0 if k != 2 else np.nan, 0.0, 0.0])
+        page.show(replace(step(0.05 * k), state=replace(step(0.0).state, v_world=v_world)))
+    page.close()
+    state, rows = past[-1]
+    assert state is not None and len(rows) == 5
+    lines = re.findall(r'points="([^"]+)"', plots_html(rows[:, [0, 3, 4]], None))
+    assert [len(line.split()) for line in lines] == [5, 4] and "nan" not in "".join(lines)
 
 
 def test_earlier_time_begins_a_new_flight(page, monkeypatch):
