@@ -81,14 +81,16 @@ class LandingExpert:
         self._hands = _Hands(model, speed, delay)
 
     def act(self, observation: Observation) -> Command:
-        """Sticks for the approach, the flare and the pad."""
+        """Sticks for the approach, the flare and the pad; once landed idle, whatever is seen."""
+        if self.mode == "landed":
+            return Command(0.0, 0.0, 0.0, 0.0)
         state = self._hands.state(observation)
         if state is None:
             self.mode = NO_STATE
             return self._hands.autopilot.level()
         s = self.path.nearest(state.p_world)
         wheels = float(np.min(wheel_heights(state.vector, self.airframe, self.pad)))
-        if self.mode == "landed" or (s > self._flare_at and wheels < 0.0):
+        if s > self._flare_at and wheels < 0.0:
             self.mode = "landed"
             return Command(0.0, 0.0, 0.0, 0.0)
         self.mode = "flare" if s > self._flare_at else "approach"

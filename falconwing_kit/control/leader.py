@@ -19,7 +19,6 @@ from falconwing_kit.core.messages import Observation, State
 MARGIN = 1.0  # m that a leader keeps from walls and ceiling; its half span is 0.35 m
 LOWEST = 0.7  # m above the floor
 TRIES, KNOTS = 500, 8  # of random waypoints
-SETTLED_S = 0.6  # a servo of 30 ms has forgotten where it was
 
 
 @dataclass(frozen=True)

@@ -71,10 +71,11 @@ def test_landing_path_touches_where_it_aims():
 
 
 def test_landed_means_idle_and_neutral():
-    """With the wheels in the pad's top the expert lets go, and stays so."""
+    """With the wheels in the pad's top the expert lets go, and stays so: higher up, unseen or half seen."""
     expert = LandingExpert(rates_model(), AIRFRAME, PAD)
-    for k, height in enumerate((PAD.height, 0.5)):
-        command = expert.act(Observation(0.05 * k, None, np.zeros((30, 4)), cruising((6.0, -2.0, height))))
+    down, higher, half_seen = (cruising((6.0, -2.0, height)) for height in (PAD.height, 0.5, np.nan))
+    for k, state in enumerate((down, higher, None, half_seen, higher)):
+        command = expert.act(Observation(0.05 * k, None, np.zeros((30, 4)), state))
         assert expert.mode == "landed" and not command.vector.any()
 
 
