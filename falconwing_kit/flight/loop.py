@@ -1,7 +1,7 @@
 """The loop: images and states in, commands out, 20 times a second; the same loop for simulation and hardware.
 
 Only its two ends change: where images and states come from, and where commands go. Whatever goes wrong in a pilot, the
-aircraft gets neutral sticks and an idle motor instead of an exception.
+aircraft gets neutral sticks and an idle motor instead of an exception; and so it does when the flight is over.
 """
 
 import math
@@ -168,8 +168,9 @@ class Loop:
     """One flight: sources, a pilot, a sink, a clock, a log and hooks; `run` flies it.
 
     A pilot that raises or answers with something else than finite sticks costs the step: the safe command is sent and
-    an event logged. A hook that raises is dropped, a log whose disk is full as well, and the flight goes on. A source
-    or sink that raises ends the flight: the safe command is sent and the error raised.
+    an event logged. A hook that raises is dropped, a log whose disk is full and a pilot's `mode` as well, and the
+    flight goes on. A source or sink that raises ends the flight and the error is raised. However a flight ends, the
+    safe command is the last one sent.
     """
 
     pilot: Pilot
@@ -184,7 +185,7 @@ class Loop:
     faults_allowed: int = 20  # steps in a row without a command before the flight ends: one second
 
     def run(self, duration: float, ended: Callable[[Step], str] = lambda step: "") -> Flight:
-        """Fly until something ends it; Ctrl-C does, with the safe command sent.
+        """Fly until something ends it, Ctrl-C too; then send the safe command.
 
         Args:
             duration: at most so long [s].
@@ -210,6 +211,9 @@ class Loop:
                     if word or run.faults_in_a_row > self.faults_allowed:
                         reason = word or "pilot failed"
                         break
+                else:
+                    self.clock.wait_until(duration)  # the last step's command holds to its end
+                run.let_go()
         except KeyboardInterrupt:
             run.leave(reason := "interrupted", "Ctrl-C")
         except Exception as error:
@@ -231,7 +235,7 @@ class _Run:
         self.seconds: dict[str, list[float]] = defaultdict(list)
         self.events: list[Event] = []
         self.faults_in_a_row = 0
-        self.mode = ""
+        self.mode, self.silent = "", False
 
     def step(self, t: float, lateness: float) -> Step:
         """Look, ask the pilot, send, and only then log and show."""
@@ -252,7 +256,7 @@ class _Run:
             loop.sink.send(t, command)
         self.past_commands = np.vstack([self.past_commands[1:], command.vector])
         leader = loop.leader.state(t) if loop.leader else None
-        step = Step(t, self.image, state, command, str(getattr(loop.pilot, "mode", "")), leader)
+        step = Step(t, self.image, state, command, self.ask_mode(), leader)
         with self.timed("log"):
             self.write(lambda log: _log_step(log, loop.clock.now(), step, new_image))
             if step.mode != self.mode:
@@ -277,6 +281,17 @@ class _Run:
         self.faults_in_a_row = 0
         return replace(command, image_sequence=sequence, saturated=command.saturated or bool(answer.saturated))
 
+    def ask_mode(self) -> str:
+        """The pilot's word for what it is doing; where asking raises, it is not asked again."""
+        if self.silent:
+            return ""
+        try:
+            return str(getattr(self.loop.pilot, "mode", ""))
+        except Exception as error:
+            self.silent = True
+            self.event("mode dropped", {"error": _sentence(error)})
+            return ""
+
     def show(self, step: Step) -> None:
         """Call the hooks; one that raises is not called again."""
         for hook in list(self.hooks):
@@ -289,11 +304,15 @@ class _Run:
                 )
 
     def leave(self, name: str, why: str) -> None:
-        """The safe command before an error or Ctrl-C ends the flight; what fails here must not hide the reason."""
+        """Let go before an error or Ctrl-C ends the flight; what fails here must not hide the reason."""
         with suppress(Exception):
-            self.loop.sink.send(self.loop.clock.now(), SAFE_COMMAND)
-            self.write(lambda log: log.command(self.loop.clock.now(), SAFE_COMMAND))
+            self.let_go()
         self.event(name, {"why": why})
+
+    def let_go(self) -> None:
+        """The safe command, for what was sent last holds for ever."""
+        self.loop.sink.send(self.loop.clock.now(), SAFE_COMMAND)
+        self.write(lambda log: log.command(self.loop.clock.now(), SAFE_COMMAND))
 
     def event(self, name: str, details: Mapping[str, Any]) -> None:
         """Note and log an event."""

@@ -118,22 +118,26 @@ def test_skipped_steps_and_jitter_are_counted():
 
 
 def test_simulated_time_is_exact_and_wall_time_is_not_early():
-    """20 steps a second by the period; a real clock may be late, never early."""
+    """20 steps a second by the period, and at 1.0 s the safe command; a real clock may be late, never early."""
     sink = Recorder()
     flight = Loop(Pilot(), sink).run(1.0)
-    assert [t for t, _ in sink.sent] == pytest.approx(0.05 * np.arange(20), abs=1e-12)
+    assert [t for t, _ in sink.sent] == pytest.approx(0.05 * np.arange(21), abs=1e-12)
+    assert flight.t == pytest.approx(0.05 * np.arange(20), abs=1e-12)
     assert flight.lateness.max() == 0.0
     real = Loop(Pilot(), Recorder(), clock=WallClock(), period=0.01).run(0.05)
     assert real.lateness.min() >= 0.0
 
 
 def test_log_holds_every_step_and_commands_name_their_image(tmp_path):
-    """Ten steps, an image every second one: 10 commands and states, 5 images, answers 0 0 1 1 ... by hand."""
+    """Ten steps, an image every second one: 10 commands and states, 5 images, answers 0 0 1 1 ... by hand.
+
+    After them the safe command, which answers no image.
+    """
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
         Loop(Pilot(), Recorder(), images=Camera(), states=Still(), log=log).run(0.5)
     read = read_flight_log(tmp_path / "flight.mcap")
     assert read.warnings == ()
-    assert read.command_sequences.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    assert read.command_sequences.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, -1]
     assert read.state_sequences.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
     assert read.image_sequences.tolist() == [0, 1, 2, 3, 4]
     assert read.states[3].vector == pytest.approx(STATE.vector)
@@ -170,8 +174,7 @@ def test_nonsense_of_a_pilot_becomes_the_safe_command(nonsense, tmp_path):
     sink = Recorder()
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
         flight = Loop(Pilot(step2=nonsense), sink, log=log).run(0.25)
-    assert [command.vector.tolist() for _, command in sink.sent].count([0.0] * 4) == 1
-    assert sink.sent[2][1].vector.tolist() == [0.0] * 4
+    assert [k for k, (_, command) in enumerate(sink.sent) if not command.vector.any()] == [2, 5]  # 5: the flight's end
     assert (flight.faults, flight.reason, len(flight.t)) == (1, "duration", 5)
     events = read_flight_log(tmp_path / "flight.mcap").events
     assert [event.name for event in events] == ["mode", "pilot failed", "ended"]
@@ -262,7 +265,7 @@ def test_a_source_that_breaks_ends_the_flight_safely():
 
 
 def test_a_full_disk_costs_the_log_and_not_the_flight(monkeypatch, tmp_path):
-    """The third command cannot be written: a warning, and all ten steps are flown."""
+    """The third command cannot be written: a warning, and all ten steps are flown, the safe command after them."""
     sink, written = Recorder(), []
 
     def refuse(self, t, command, image=None):
@@ -274,13 +277,66 @@ def test_a_full_disk_costs_the_log_and_not_the_flight(monkeypatch, tmp_path):
     with FlightLogWriter(tmp_path / "flight.mcap") as log, pytest.warns(UserWarning, match="goes on without a log"):
         Loop(Pilot(), sink, log=log).run(0.5)
     assert len(written) == 3
-    assert len(sink.sent) == 10
+    assert len(sink.sent) == 11 and sink.sent[-1][1] == SAFE_COMMAND
 
 
 def test_a_flight_ends_by_the_word_of_its_task():
     """Asked after every step: at t = 0.2 the word comes, after five steps."""
     flight = Loop(Pilot(), Recorder()).run(5.0, lambda step: "landed" if step.t > 0.19 else "")
     assert (flight.reason, len(flight.t)) == ("landed", 5)
+
+
+@pytest.mark.parametrize(
+    ("ended", "reason", "t"),
+    [(lambda step: "", "duration", 0.22), (lambda step: "landed" * (step.t > 0.14), "landed", 0.15)],
+)
+def test_the_last_command_of_a_flight_is_the_safe_one(ended, reason, t, tmp_path):
+    """A sink holds what came last for ever: an open throttle must not be it. Sent once, and logged.
+
+    When time is up at 0.22 s, the fifth step's command has held to there; a word ends the fourth step, at 0.15 s.
+    """
+    sink = Recorder()
+    with FlightLogWriter(tmp_path / "flight.mcap") as log:
+        flight = Loop(Pilot(), sink, log=log).run(0.22, ended)
+    assert (flight.reason, flight.faults) == (reason, 0)
+    assert sink.sent[-1] == (pytest.approx(t), SAFE_COMMAND)
+    assert all(command.throttle == 0.5 for _, command in sink.sent[:-1])
+    read = read_flight_log(tmp_path / "flight.mcap")
+    assert read.commands == tuple(command for _, command in sink.sent)
+    assert read.command_times == pytest.approx([t for t, _ in sink.sent])
+
+
+def test_a_sink_that_refuses_the_last_command_is_no_normal_end():
+    """The link breaks when all five steps are flown: who called must hear that the aircraft was not let go."""
+
+    class Broken(Recorder):
+        def send(self, t, command):
+            if len(self.sent) == 5:
+                raise OSError("no link")
+            super().send(t, command)
+
+    with pytest.raises(OSError, match="no link"):
+        Loop(Pilot(), Broken()).run(0.25)
+
+
+def test_a_mode_that_raises_is_dropped_and_the_flight_goes_on():
+    """Asked in the first step alone; all five commands are the pilot's own."""
+
+    class Speechless(Pilot):
+        asked = 0
+
+        @property
+        def mode(self):
+            self.asked += 1
+            raise RuntimeError("lost for words")
+
+    pilot, sink = Speechless(), Recorder()
+    flight = Loop(pilot, sink, hooks=(sink,)).run(0.25)
+    assert (flight.reason, flight.faults, pilot.asked) == ("duration", 0, 1)
+    assert [step.mode for step in sink.steps] == [""] * 5
+    assert [command.throttle for _, command in sink.sent] == [0.5] * 5 + [0.0]
+    (dropped,) = (event for event in flight.events if event.name == "mode dropped")
+    assert "lost for words" in dropped.details["error"]
 
 
 def test_a_duration_that_is_none_is_refused():
