@@ -3,10 +3,13 @@
 A folder keeps the flights one by one in `trials.jsonl`, so that an interrupted study goes on where it stopped.
 """
 
+import hashlib
 import json
 import math
 import os
 import platform
+import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -15,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from falconwing_kit.control.loops import LINK_DELAY_S
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.flight_log import FlightLogWriter
@@ -22,11 +26,17 @@ from falconwing_kit.flight.loop import Loop, Pilot, SimulatedClock, Step, WallCl
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
 from falconwing_kit.flight.statistics import bootstrap_mean, clopper_pearson, mcnemar
 from falconwing_kit.flight.tasks import Task, Trial, trial_seed
+from falconwing_kit.flight.world import PoseNoise
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 
 Record = dict[str, Any]
 TRIALS = "trials.jsonl"
+DIGITS = 16  # of a digest
+DIGESTS = {  # key of a head -> what differs where it differs
+    "task_digest": "another duration, spread, noise, delay, model or airframe",
+    "scene_digest": "another scene",
+}
 # What is averaged over trials, for those records that have it: key -> over successes only.
 MEANS = {
     "ald_m": True,
@@ -52,9 +62,10 @@ class Setting:
     @property
     def record(self) -> Record:
         """What has to be the same for flights to be comparable."""
-        size = [self.camera.width, self.camera.height]
-        how = {"rendered": self.scene is not None, "size_px": size, "focal_px": self.camera.fx}
-        return {**how, "clock": self.clock.__name__}
+        lens = self.camera
+        how = {"rendered": self.scene is not None, "size_px": [lens.width, lens.height]}
+        how |= {"focal_px": [lens.fx, lens.fy], "centre_px": [lens.cx, lens.cy], "clock": self.clock.__name__}
+        return {**how, "scene_digest": None if self.scene is None else _scene_digest(self.scene)}
 
 
 def fly_trial(
@@ -126,7 +137,8 @@ def fly_trials(
         pilot: what the pilot is called.
         seed: which list of starts and noise; the same list for every pilot makes pairs.
         setting: images, clock and hooks.
-        out: folder that keeps the flights; made where it is missing. None keeps nothing.
+        out: folder that keeps the flights; made where it is missing. None keeps nothing. Of a task it keeps name and
+            digest, see `study_head`.
         logs: write a flight log of each trial too, into `out`.
         progress: told after each flight how it stands.
 
@@ -139,11 +151,11 @@ def fly_trials(
     """
     setting = setting or Setting()
     require_range("trials", count, low=1, high=10_000)
-    head = {"simulated": True, "task": task.name, "pilot": pilot, "list": seed, **setting.record}
+    head = study_head(task, pilot, seed) | setting.record
     folder = None if out is None else Path(out)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-    records = [] if folder is None else _flown_before(folder, head)
+    records = [] if folder is None else flown_before(folder, head)
     for number in range(len(records), count):
         log = _log_path(folder, number) if folder is not None and logs else None
         records.append(fly_trial(task, make_pilot, number, seed, setting, log))
@@ -151,6 +163,50 @@ def fly_trials(
             _keep(folder, head, records)
         progress(f"{sum(record['success'] for record in records)} of {len(records)}")
     return records[:count]
+
+
+def study_head(task: Task, pilot: str, seed: int = 0) -> Record:
+    """What is flown, by whom and from which starts, apart from images and clock.
+
+    The digest tells tasks of one name apart by their repr, which of the kit's tasks, as of any dataclass, holds all
+    fields; of another task it tells what its repr tells. The world's default noise and delay are in it too.
+
+    Args:
+        task: what is to be done.
+        pilot: what the pilot is called.
+        seed: which list of starts and noise.
+
+    Returns:
+        simulated, task, pilot, list, task_digest.
+    """
+    with np.printoptions(threshold=sys.maxsize, precision=17):
+        told = re.sub(r" at 0x[0-9a-fA-F]+", "", repr((task, PoseNoise(), LINK_DELAY_S)))
+    digest = hashlib.sha256(told.encode()).hexdigest()[:DIGITS]
+    return {"simulated": True, "task": task.name, "pilot": pilot, "list": seed, "task_digest": digest}
+
+
+def flown_before(folder: Path, head: Mapping[str, Any]) -> list[Record]:
+    """Trials that a folder keeps, if they were flown in the same way.
+
+    Args:
+        folder: of `fly_trials`; it may be empty or missing.
+        head: what has to be the same, of `study_head` and `Setting.record`.
+
+    Returns:
+        Their records.
+
+    Raises:
+        InputError: they were flown otherwise, or the file is damaged.
+    """
+    if not (folder / TRIALS).exists():
+        return []
+    before, records = read_trials(folder)
+    if different := _difference(before, head):
+        raise InputError(
+            f"--out {folder}: want an empty folder or one of the same study, got trials with {different};"
+            " choose another folder"
+        )
+    return records
 
 
 def read_trials(folder: str | Path) -> tuple[Record, list[Record]]:
@@ -250,18 +306,17 @@ def _mean(records: Sequence[Mapping[str, Any]], key: str) -> Record:
     return {"mean": float(np.mean(values)), "low95": low, "high95": high, **middle}
 
 
-def _flown_before(folder: Path, head: Record) -> list[Record]:
-    """Trials that a folder keeps, if they were flown in the same way."""
-    if not (folder / TRIALS).exists():
-        return []
-    before, records = read_trials(folder)
+def _difference(before: Mapping[str, Any], head: Mapping[str, Any]) -> str:
+    """The first thing of a head that was otherwise before; empty where all is the same."""
     for key, value in head.items():
         if before.get(key) != value:
-            raise InputError(
-                f"--out {folder}: want an empty folder or one of the same study, got trials with"
-                f" {key} {before.get(key)!r} instead of {value!r}; choose another folder"
-            )
-    return records
+            return DIGESTS.get(key) or f"{key} {before.get(key)!r} instead of {value!r}"
+    return ""
+
+
+def _scene_digest(scene: GaussianScene) -> str:
+    arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh, scene.labels)
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()[:DIGITS]
 
 
 def _keep(folder: Path, head: Record, records: Sequence[Record]) -> None:

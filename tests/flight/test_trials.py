@@ -3,6 +3,7 @@
 import csv
 import json
 import signal
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,9 +14,12 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command, State
 from falconwing_kit.core.page import ACCENT, PREDICTED
-from falconwing_kit.flight.tasks import LandingTask, Trial
+from falconwing_kit.flight.sources import fpv_camera
+from falconwing_kit.flight.tasks import LandingTask, Spread, Trial
 from falconwing_kit.flight.trial_figures import write_results
-from falconwing_kit.flight.trials import compare_pilots, fly_trial, fly_trials, read_trials, summary
+from falconwing_kit.flight.trials import Setting, compare_pilots, fly_trial, fly_trials, read_trials, summary
+from falconwing_kit.flight.world import PoseNoise
+from falconwing_kit.scene.gaussians import GaussianScene
 
 
 class ToyWorld:
@@ -96,7 +100,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path):
     records = fly_trials(task, steady, 4, pilot="steady", out=tmp_path / "out", logs=True)
     assert task.made == [10_002, 10_003]
     assert timeless(records) == timeless(fly_trials(ToyTask(), steady, 4, pilot="steady"))
-    assert len(read_flight_log(tmp_path / "out" / "trial_002_take2.mcap").commands) == 6
+    assert len(read_flight_log(tmp_path / "out" / "trial_002_take2.mcap").commands) == 7  # and the safe one
     assert len(fly_trials(task, steady, 3, pilot="steady", out=tmp_path / "out")) == 3  # nothing is left to fly
     assert task.made == [10_002, 10_003]
 
@@ -108,6 +112,52 @@ def test_trials_flown_otherwise_are_not_mixed(tmp_path):
         with pytest.raises(InputError, match="choose another folder"):
             fly_trials(ToyTask(), steady, 3, out=tmp_path, **different)
     assert len(read_trials(tmp_path)[1]) == 2
+
+
+NOMINAL = LandingTask(duration=0.1)
+FASTER = NOMINAL.model.with_values({"kT": 9.5})  # m/s^2 of thrust, for 9
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"duration": 0.2},
+        {"spread": Spread(position=1.0, angle=0.0, speed=1.0)},
+        {"model": FASTER},
+        {"airframe": replace(NOMINAL.airframe, span=0.8)},
+    ],
+    ids=lambda changed: next(iter(changed)),
+)
+def test_a_task_of_the_same_name_with_other_numbers_is_not_mixed_in(tmp_path, changed):
+    """Two steps of a landing are kept. The same numbers go on, made anew; one number changed is refused."""
+    fly_trials(NOMINAL, steady, 1, pilot="steady", out=tmp_path)
+    assert len(fly_trials(LandingTask(duration=0.1), steady, 1, pilot="steady", out=tmp_path)) == 1
+    with pytest.raises(InputError, match="got trials with another duration, spread, noise, delay, model or airframe"):
+        fly_trials(replace(NOMINAL, **changed), steady, 2, pilot="steady", out=tmp_path)
+    assert len(read_trials(tmp_path)[1]) == 1
+
+
+@pytest.mark.parametrize("world", ["PoseNoise", "LINK_DELAY_S"])
+def test_trials_of_a_noisier_or_later_world_are_not_mixed_in(tmp_path, monkeypatch, world):
+    """Ten times the kit's noise, or a command that arrives 50 ms later."""
+    fly_trials(ToyTask(), steady, 1, pilot="steady", out=tmp_path)
+    other = {"PoseNoise": lambda: PoseNoise(position=0.1), "LINK_DELAY_S": 0.1}[world]
+    monkeypatch.setattr(f"falconwing_kit.flight.trials.{world}", other)
+    with pytest.raises(InputError, match="noise, delay"):
+        fly_trials(ToyTask(), steady, 2, pilot="steady", out=tmp_path)
+
+
+def test_another_scene_or_lens_is_another_setting():
+    """One Gaussian moved by a metre; the image's centre moved by a pixel. The same made anew stays the same."""
+    camera = fpv_camera(16, 16)
+    nominal = Setting(one_gaussian(2.0), camera).record
+    assert Setting(one_gaussian(2.0), camera).record == nominal
+    for other in (Setting(one_gaussian(3.0), camera), Setting(one_gaussian(2.0), replace(camera, cx=camera.cx + 1.0))):
+        assert other.record != nominal
+
+
+def one_gaussian(x: float) -> GaussianScene:
+    return GaussianScene([[x, 0.0, 1.0]], [[1.0, 0.0, 0.0, 0.0]], np.full((1, 3), 0.1), [0.9], np.zeros((1, 1, 3)))
 
 
 @pytest.mark.parametrize("damage", ["", "{}\n[1]\n", '{"task": 1}\n{"trial": 1, "success": true}\n', "no json\n"])
