@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import short_name
-from falconwing_kit.core.flight_log import read_flight_log
+from falconwing_kit.core.flight_log import FlightLog, read_flight_log
 from falconwing_kit.core.frames import camera_pose
 from falconwing_kit.core.messages import Command, Image, Observation, State
 from falconwing_kit.flight.loop import PERIOD
@@ -131,16 +131,22 @@ def _hall_and_leader(scene: GaussianScene, with_leader: bool) -> tuple[GaussianS
 
 
 class RecordedImages:
-    """The images of a flight log at the times they were taken, read one by one."""
+    """The images of a flight log at the times they were taken since its start, read one by one."""
 
     def __init__(self, path: str | Path) -> None:
         """Open a log; FileNotFoundError or InputError where there is none or it is damaged at its beginning."""
-        self._images = read_flight_log(path).images()
+        log = read_flight_log(path)
+        start = log_start(log)
+        self._images = (Image(image.sequence, image.t - start, image.pixels) for image in log.images())
         self._newest: Image | None = None
         self._ahead = next(self._images, None)
 
     def next(self, t: float) -> Image | None:
-        """The newest image at time t [s], its pixels (H, W, 3) RGB; None before the first. Time runs forward only."""
+        """The newest image, its pixels (H, W, 3) RGB; None before the first. Time runs forward only.
+
+        Args:
+            t: time since the log's start [s], as the image has it too.
+        """
         while self._ahead is not None and self._ahead.t <= t + ROUNDING:
             self._newest, self._ahead = self._ahead, next(self._images, None)
         if self._newest is not None and self._newest.pixels.ndim == 1:
@@ -149,21 +155,22 @@ class RecordedImages:
 
 
 class RecordedStates:
-    """The states of a flight log at the times they are valid for."""
+    """The states of a flight log at the times they are valid for, since its start."""
 
     def __init__(self, path: str | Path) -> None:
         """Read a log; FileNotFoundError or InputError where there is none."""
         log = read_flight_log(path)
-        self._times, self._states = log.state_times, log.states
+        self._times, self._states = log.state_times - log_start(log), log.states
 
     def state(self, t: float) -> State | None:
-        """The newest state at time t [s]; None before the first."""
+        """The newest state at time t [s] since the log's start; None before the first."""
         row = _newest_row(self._times, t)
         return self._states[row] if row >= 0 else None
 
 
 class RecordedPilot:
-    """The pilot of a flight log: gives its commands at the times they were given. What was simulated stays so."""
+    """The pilot of a flight log: gives its commands at the times they were given, since the log's start. What was
+    simulated stays so."""
 
     mode = "replay"
 
@@ -172,16 +179,22 @@ class RecordedPilot:
         log = read_flight_log(path)
         if not log.commands:
             raise InputError(f"{short_name(path)}: want a log with commands to replay, got none")
-        self._times, self._commands = log.command_times, log.commands
+        self._times, self._commands = log.command_times - log_start(log), log.commands
 
     @property
     def duration(self) -> float:
-        """Time of the last command [s]."""
+        """From the log's start to its last command [s]."""
         return float(self._times[-1])
 
     def act(self, observation: Observation) -> Command:
         """The command of this step, which was logged a little later when its pilot took time; else the newest."""
         return self._commands[max(_newest_row(self._times, observation.t + 0.5 * PERIOD), 0)]
+
+
+def log_start(log: FlightLog) -> float:
+    """Time of a log's first image, state or command [s]; 0 where it has none. Few clocks start with the flight."""
+    times = np.concatenate([log.image_times, log.state_times, log.command_times])
+    return float(times.min()) if len(times) else 0.0
 
 
 def decode_jpeg(image: Image) -> NDArray[np.uint8]:

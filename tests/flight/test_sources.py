@@ -159,6 +159,27 @@ def test_a_log_flown_again_by_the_same_loop_gives_its_commands_images_and_states
     assert [step.state.roll for step in steps] == pytest.approx(0.01 * np.arange(1, 11))
 
 
+@pytest.mark.parametrize("start", [0.0, 300.0, 1.7e9])
+def test_a_clock_of_any_start_is_replayed_from_its_beginning(tmp_path, start):
+    """Seconds since boot or since 1970: by hand, image 0 and the first state are there at 0, the last command at 0.2.
+
+    Times are compared to a microsecond: in 1.7e9 s a double has a quarter of one left.
+    """
+    with FlightLogWriter(tmp_path / "flight.mcap") as log:
+        for k in range(5):
+            t = start + 0.05 * k
+            log.state(t, at(float(k), 0.0, 0.0))
+            log.command(t, Command(0.5, 0.1 * k, 0.0, 0.0, k), Image(k, t, np.zeros((8, 8, 3), np.uint8)))
+    pilot, sink, steps = RecordedPilot(tmp_path / "flight.mcap"), Sink(), []
+    images, states = (kind(tmp_path / "flight.mcap") for kind in (RecordedImages, RecordedStates))
+    assert pilot.duration == pytest.approx(0.2, abs=1e-6)
+    Loop(pilot, sink, images, states, hooks=(steps.append,)).run(pilot.duration + 0.04)
+    assert [command.aileron for command in sink.sent[:5]] == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
+    assert [step.image.sequence for step in steps] == [0, 1, 2, 3, 4]
+    assert [step.image.t for step in steps] == pytest.approx([0.0, 0.05, 0.1, 0.15, 0.2], abs=1e-6)
+    assert [step.state.p_world[0] for step in steps] == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
 def test_before_the_first_record_there_is_none(tmp_path):
     """A log whose camera and estimator start at 0.2 s."""
     with FlightLogWriter(tmp_path / "late.mcap") as log:
