@@ -38,6 +38,7 @@ class Demo:
             0: the page is written.
 
         Raises:
+            KeyboardInterrupt: Ctrl-C; no page is written.
             OSError: the folder cannot be made or written.
             InputError: the port is out of its range, or a file cannot be written.
         """

@@ -91,6 +91,8 @@ class Replay:
         """
         require_file(self.log)
         if self.headless:
+            if self.out.exists() and not self.out.is_dir():
+                raise InputError(f"--out {self.out}: want a folder, got a file; choose another name")
             return self._draw()
         from falconwing_kit.flight.sources import RecordedPilot
 

@@ -17,7 +17,7 @@ from falconwing_kit.core.flight_log import FlightLog, FlightLogWriter, read_flig
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.page import ACCENT, PREDICTED, QUIET, Picture, figure, paragraph, picture
 from falconwing_kit.flight.loop import PERIOD, Clock, Flight, Loop, SimulatedClock, Step
-from falconwing_kit.flight.sources import MeasuredStates, RenderedView, decode_jpeg, fpv_camera
+from falconwing_kit.flight.sources import ROUNDING, MeasuredStates, RenderedView, decode_jpeg, fpv_camera, log_start
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.scene.gaussians import GaussianScene
 
@@ -73,7 +73,7 @@ def fly_approach(
 
     Args:
         scene: the hall.
-        log: the MCAP file to write; an older one is replaced once the flight is over.
+        log: the MCAP file to write; an older one is replaced once the flight is over, and kept where it is cut short.
         hooks: shown every step.
         clock: None for simulated time, as fast as it can.
         seed: which of the frozen starts, about 20 m out and 1.5 m up.
@@ -82,6 +82,7 @@ def fly_approach(
         How it went.
 
     Raises:
+        KeyboardInterrupt: Ctrl-C.
         InputError: the log cannot be written.
         FileNotFoundError: its folder does not exist.
     """
@@ -99,6 +100,8 @@ def fly_approach(
                 log=writer, hooks=tuple(hooks),
             )  # fmt: skip
             flight = loop.run(trial.duration, judge.watch)
+        if flight.reason == "interrupted":
+            raise KeyboardInterrupt
         os.replace(growing, log)
     except OSError as error:
         raise write_error(log, error) from None
@@ -108,8 +111,9 @@ def fly_approach(
 
 
 def mode_at(log: FlightLog, t: float) -> str:
-    """The pilot's mode at a time [s], as its log tells; empty where it does not."""
-    return next((str(word) for begin, word in reversed(_modes(log)) if begin <= t + 1e-6), "")
+    """The pilot's mode at a time since the log's start [s], as its log tells; empty where it does not."""
+    now = log_start(log) + t + ROUNDING
+    return next((str(word) for begin, word in reversed(_modes(log)) if begin <= now), "")
 
 
 def _modes(log: FlightLog) -> list[tuple[float, Any]]:

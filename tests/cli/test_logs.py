@@ -128,7 +128,7 @@ def test_replay_shows_every_step_of_the_log(flown, monkeypatch, capsys):
         (["absent.mcap", "--headless"], "absent.mcap: want a file, found nothing there"),
         (["flown.mcap", "--speed", "0"], "speed: want a finite number in"),
         (["flown.mcap", "--port", "80"], "port: want a finite number in"),
-        (["flown.mcap", "--headless", "--out", "flown.mcap"], "flown.mcap"),
+        (["flown.mcap", "--headless", "--out", "flown.mcap"], "--out flown.mcap: want a folder, got a file"),
     ],
 )
 def test_replay_of_nothing_is_one_sentence_and_exit_2(flown, tmp_path, monkeypatch, capsys, words, sentence):

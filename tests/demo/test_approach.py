@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import os
+import signal
 import time
 from types import SimpleNamespace
 
@@ -59,12 +60,17 @@ def small_disk(size):
 
 
 def test_log_holds_every_step_as_it_was_shown(approach, steps):
-    """One image, state and command for each step, 50 ms apart, and each command names the image that it answers."""
+    """One image, state and command for each step, 50 ms apart, and each command names the image that it answers.
+
+    After them the motor is idle.
+    """
     log = read_flight_log(approach.log)
-    assert len(steps) == len(log.commands) == len(log.states) == len(log.image_times) > 40
+    *commands, last = log.commands
+    assert len(steps) == len(commands) == len(log.states) == len(log.image_times) > 40
+    assert not last.vector.any()
     assert np.diff(log.state_times) == pytest.approx(0.05, abs=1e-6)
     assert [s.command.image_sequence for s in steps] == list(log.image_sequences)
-    for seen, command, state in zip(steps, log.commands, log.states, strict=True):
+    for seen, command, state in zip(steps, commands, log.states, strict=True):
         assert np.array_equal(seen.command.vector, command.vector)
         assert np.array_equal(seen.state.vector, state.vector)
     assert is_simulated(log) and log.warnings == ()
@@ -76,6 +82,18 @@ def test_log_tells_the_modes(approach, steps):
     assert [mode_at(log, s.t) for s in steps] == [s.mode for s in steps]
     assert steps[0].mode == "approach" and len({s.mode for s in steps}) > 1
     assert mode_at(log, -1.0) == ""
+
+
+@pytest.mark.parametrize("start", [0.0, 300.0, 1.7e9])
+def test_modes_are_told_from_the_start_of_the_log(tmp_path, start):
+    """By hand: approach at once, flare 0.10 s later, whatever the clock showed when the log began."""
+    with FlightLogWriter(tmp_path / "own.mcap") as log:
+        for k in range(4):
+            log.command(start + 0.05 * k, Command(0.5, 0.0, 0.0, 0.0))
+        log.event(start, "mode", {"mode": "approach"})
+        log.event(start + 0.10, "mode", {"mode": "flare"})
+    own = read_flight_log(tmp_path / "own.mcap")
+    assert [mode_at(own, 0.05 * k) for k in range(-1, 4)] == ["", "approach", "approach", "flare", "flare"]
 
 
 def test_it_ends_on_the_pad(approach, steps):
@@ -168,6 +186,23 @@ def test_flight_in_real_time_is_that_in_simulated_time(approach, steps, tmp_path
     fly_approach(load_scene("arena"), tmp_path / "a.mcap", (again.append,), PacedClock(2.0))
     assert len(again) == len(steps)
     assert all(np.array_equal(a.command.vector, b.command.vector) for a, b in zip(steps, again, strict=True))
+
+
+def test_ctrl_c_ends_more_than_the_approach(tmp_path):
+    """Ctrl-C in the third step: whoever called is told, the older log is as it was and nothing is beside it."""
+    (tmp_path / "approach.mcap").write_text("of yesterday")
+    steps = []
+
+    def third(step):
+        steps.append(step)
+        if len(steps) == 3:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        fly_approach(load_scene("arena"), tmp_path / "approach.mcap", (third,))
+    assert len(steps) == 3
+    assert os.listdir(tmp_path) == ["approach.mcap"]
+    assert (tmp_path / "approach.mcap").read_text() == "of yesterday"
 
 
 def test_full_disk_keeps_the_log_of_before(tmp_path):

@@ -140,7 +140,7 @@ def test_fault_ends_the_page_and_not_the_flight(page, monkeypatch):
 
 
 def test_unknown_pose_hides_the_aircraft_and_the_page_lives_on(page, monkeypatch):
-    """A log may say null of a state: hidden while it does, there again after, and the path has the known places only."""
+    """A log may say null of a state: hidden while it does, there again after; the path has the known places only."""
     known, drawn, draw = step(0.0), threading.Event(), page._draw
     seen = []
 
