@@ -19,6 +19,7 @@ from falconwing_kit.core.messages import Observation, State
 MARGIN = 1.0  # m that a leader keeps from walls and ceiling; its half span is 0.35 m
 LOWEST = 0.7  # m above the floor
 TRIES, KNOTS = 500, 8  # of random waypoints
+LEADER_DRAWS = 2  # last word of the generator's key: whatever else a trial draws has a key with another one
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ def leader_path(manoeuvre: str, seed: int = 0, model: Model | None = None) -> Le
     """
     if manoeuvre not in MANOEUVRES:
         raise InputError(f"manoeuvre: want one of {', '.join(MANOEUVRES)}, got {manoeuvre!r}")
-    rng = np.random.default_rng([int(require_range("seed", seed, low=0)), list(MANOEUVRES).index(manoeuvre)])
+    number = list(MANOEUVRES).index(manoeuvre)
+    rng = np.random.default_rng([int(require_range("seed", seed, low=0)), number, LEADER_DRAWS])
     model, airframe = model or rates_model(), load_airframe()
     pilot = WaypointExpert(model, airframe, MANOEUVRES[manoeuvre](rng))
     states = fly_path(model, pilot)

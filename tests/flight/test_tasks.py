@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from falconwing_kit.control.leader import MANOEUVRES, leader_path
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import rotation_world_body
 from falconwing_kit.flight.tasks import BEHIND, FollowTask, LandingTask, trial_seed
@@ -70,6 +71,26 @@ def test_a_follower_begins_behind_its_leader_with_its_speed():
     assert own.yaw == pytest.approx(math.atan2(-course[1], course[0]), abs=math.radians(5.0))
     assert np.linalg.norm(own.v_world) == pytest.approx(7.0, abs=0.5)
     assert trial.duration == trial.leader.duration
+
+
+@pytest.mark.parametrize("manoeuvre", MANOEUVRES)
+def test_a_leader_and_its_follower_draw_apart(manoeuvre, monkeypatch):
+    """Where one starts tells nothing of the other: over 50 seeds no number of the start is one of the leader's first
+    seven, and the three places are uncorrelated (|r| < 4 / sqrt(150) = 0.33; the same draws give 1)."""
+    task, shifts, leads = FollowTask(manoeuvre), [], []
+
+    def only_draw(rng):
+        leads.append(rng.uniform(-1.0, 1.0, 7))
+        raise InputError("drawn")
+
+    monkeypatch.setitem(MANOEUVRES, manoeuvre, only_draw)
+    for seed in range(50):
+        with pytest.raises(InputError, match="drawn"):
+            leader_path(manoeuvre, seed)
+        shifts.append(task.spread.start(task.model, np.zeros(3), seed).p_world / task.spread.position)
+    shift, lead = np.array(shifts), np.array(leads)
+    assert np.abs(shift[:, :, None] - lead[:, None, :]).min() > 1e-9
+    assert abs(np.corrcoef(shift.ravel(), lead[:, :3].ravel())[0, 1]) < 0.33
 
 
 def test_what_cannot_be_flown_is_refused():
