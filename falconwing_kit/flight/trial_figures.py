@@ -57,7 +57,7 @@ def draw_paths(records: Records, path: Path, what: str) -> None:
         leaders = [record["leader_path_m"] for record in records if "leader_path_m" in record]
         kinds = [("leader", MEASURED, "-", leaders)]
         for label, colour, line, success in (("success", PREDICTED, "-", True), ("failure", ACCENT, "--", False)):
-            kinds.append((label, colour, line, [r["path_m"] for r in records if r["success"] is success]))
+            kinds.append((label, colour, line, [r.get("path_m", []) for r in records if r["success"] is success]))
         for label, colour, line, flown in kinds:
             for k, p_world in enumerate(np.array(points).reshape(-1, 3) for points in flown):
                 look: Any = {"color": colour, "linestyle": line, "linewidth": 0.9, "alpha": 0.7}
@@ -107,13 +107,13 @@ def draw_results(records: Records, path: Path, what: str) -> None:
 
 
 def write_table(records: Records, path: Path) -> None:
-    """One row per trial, everything but the paths.
+    """One row per trial, everything but the paths and the run time of every step.
 
     Args:
         records: of one task.
         path: the CSV to write.
     """
-    keys = dict.fromkeys(key for record in records for key in record if not key.endswith("path_m"))
+    keys = dict.fromkeys(key for record in records for key in record if not key.endswith(("path_m", "art_ms")))
     with atomic_write(path, text=True) as file:
         writer = csv.DictWriter(file, list(keys), extrasaction="ignore", lineterminator="\n")
         writer.writeheader()

@@ -32,6 +32,7 @@ from falconwing_kit.scene.gaussians import GaussianScene
 
 Record = dict[str, Any]
 TRIALS = "trials.jsonl"
+NO_IMAGES = "no images"
 DIGITS = 16  # of a digest
 DIGESTS = {  # key of a head -> what differs where it differs
     "task_digest": "another duration, spread, noise, delay, model or airframe",
@@ -87,7 +88,8 @@ def fly_trial(
         log: an MCAP file to write; None for none.
 
     Returns:
-        Numbers and the path: of the loop (reason, steps, skipped, faults, art_median_ms, art_p95_ms) and of the judge.
+        Numbers and the path: of the loop (reason, steps, skipped, faults), of the pilot's run time (art_ms of every
+        step, with median and 95th percentile, the machine and the images it was measured with) and of the judge.
 
     Raises:
         KeyboardInterrupt: Ctrl-C; the log is whole, and the trial does not count.
@@ -110,10 +112,13 @@ def fly_trial(
     if flight.reason == "interrupted":
         raise KeyboardInterrupt
     median, high = flight.milliseconds("pilot")
+    art = {"art_median_ms": median, "art_p95_ms": high, "machine": machine()}
+    art |= {"art_ms": np.round(1e3 * flight.seconds["pilot"], 3).tolist(), "images": NO_IMAGES}
+    art |= {"images": f"{view.camera.width}x{view.camera.height} images by {view.backend!r}"} if view else {}
     how = {"reason": flight.reason, "steps": len(flight.t), "skipped": flight.skipped, "faults": flight.faults}
     first_fault = next((dict(event.details) for event in flight.events if event.name == "pilot failed"), None)
     how |= {"first_fault": first_fault} if first_fault else {}
-    return {"trial": number, "seed": trial.seed, **how, "art_median_ms": median, "art_p95_ms": high, **judge.result()}
+    return {"trial": number, "seed": trial.seed, **how, **art, **judge.result()}
 
 
 def fly_trials(
@@ -209,6 +214,30 @@ def flown_before(folder: Path, head: Mapping[str, Any]) -> list[Record]:
     return records
 
 
+def trials_to_pair(folder: str | Path, head: Mapping[str, Any]) -> list[Record]:
+    """Trials of another pilot, if they are of the same task from the same list of starts.
+
+    Args:
+        folder: of `fly_trials`.
+        head: of `study_head`; its pilot does not matter.
+
+    Returns:
+        Their records, at least one.
+
+    Raises:
+        FileNotFoundError: there are no trials.
+        InputError: they are of another task or from other starts, or the file is damaged.
+    """
+    before, records = read_trials(folder)
+    different = _difference(before, {key: value for key, value in head.items() if key != "pilot"})
+    if different or not records:
+        raise InputError(
+            f"--against {folder}: want trials of the same task from the same starts, got"
+            f" {f'trials with {different}' if different else 'none'}; choose another folder, or its task and --seed"
+        )
+    return records
+
+
 def read_trials(folder: str | Path) -> tuple[Record, list[Record]]:
     """What a folder keeps: how its trials were flown, and their records.
 
@@ -221,14 +250,11 @@ def read_trials(folder: str | Path) -> tuple[Record, list[Record]]:
         raise FileNotFoundError(f"{path}: want trials that `falconwing fly --out` wrote, found none there")
     try:
         head, *records = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
-        numbers = [record["trial"] for record in records]
-        fair = isinstance(head, dict) and all(isinstance(record["success"], bool) for record in records)
-    except (ValueError, TypeError, KeyError):
-        fair, numbers = False, []
-    if not fair or numbers != list(range(len(numbers))):
-        raise InputError(
-            f"{short_name(path)}: want a head and then trials from 0 on, got other lines; choose a new folder"
-        )
+        wrong = _wrong_head(head) or next(filter(None, map(_wrong_record, range(len(records)), records)), "")
+    except (ValueError, RecursionError):
+        wrong = "other lines"
+    if wrong:
+        raise InputError(f"{short_name(path)}: want a head and then trials from 0 on, got {wrong}; choose a new folder")
     return head, records
 
 
@@ -241,8 +267,8 @@ def summary(records: Sequence[Mapping[str, Any]]) -> Record:
     Returns:
         trials, successes, success_rate with success_low95 and success_high95 (exact), and for every measure its mean
         with low95 and high95 (bootstrap), median and largest: ALD, sink rate and bank of successes, ATE of all trials
-        until the lock was lost and once more of successes. ART: medians over trials of their median and 95th
-        percentile, with the machine it was measured on.
+        until the lock was lost and once more of successes. art_median_ms and art_p95_ms are the median and the 95th
+        percentile over the art_steps steps of all trials, on which machine and with which images they say themselves.
 
     Raises:
         InputError: there are no records.
@@ -258,9 +284,10 @@ def summary(records: Sequence[Mapping[str, Any]]) -> Record:
         found["ate_m_of_successes"] = _mean(successes, "ate_m")
     for key in ("faults", "skipped"):
         found[key] = sum(record[key] for record in records)
-    for key in ("art_median_ms", "art_p95_ms"):
-        found[key] = float(np.median([record[key] for record in records]))
-    return found | {"machine": machine()}
+    steps_ms = np.concatenate([record["art_ms"] for record in records])
+    median, high = np.percentile(steps_ms, (50.0, 95.0))
+    found |= {"art_steps": len(steps_ms), "art_median_ms": float(median), "art_p95_ms": float(high)}
+    return found | {key: "; ".join(dict.fromkeys(record[key] for record in records)) for key in ("images", "machine")}
 
 
 def compare_pilots(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]) -> Record:
@@ -293,7 +320,8 @@ def machine() -> str:
 def _value(record: Mapping[str, Any], key: str) -> float | None:
     """A number of a record; the bank without its side."""
     if key == "bank_abs_deg":
-        return abs(record["bank_deg"]) if "bank_deg" in record else None
+        bank = record.get("bank_deg")
+        return None if bank is None else abs(bank)
     return record.get(key)
 
 
@@ -317,6 +345,63 @@ def _difference(before: Mapping[str, Any], head: Mapping[str, Any]) -> str:
 def _scene_digest(scene: GaussianScene) -> str:
     arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh, scene.labels)
     return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()[:DIGITS]
+
+
+def _wrong_head(head: Any) -> str:
+    """What is wrong with a line that should be a head; empty where nothing is."""
+    fair = isinstance(head, dict) and isinstance(head.get("task"), str) and _is_number(head.get("list"), whole=True)
+    return "" if fair else "a first line without task and list"
+
+
+def _wrong_record(number: int, record: Any) -> str:
+    """What is wrong with a line that should be the record of a trial; empty where nothing is."""
+    if not isinstance(record, dict) or not _is_number(record.get("trial"), whole=True) or record["trial"] != number:
+        return f"another line in place of trial {number}"
+    key = next((key for key, fits in NEEDED.items() if not fits(record.get(key))), None)
+    key = key or next((key for key, value in record.items() if not _fits(key, value)), None)
+    if key is None and record["faults"] and not isinstance(_first_error(record), str):
+        key = "first_fault"
+    return "" if key is None else f"trial {number} with {key} {json.dumps(record.get(key))[:40]}"
+
+
+def _fits(key: str, value: Any) -> bool:
+    """Whether a measure is what its name promises: a path of points, or a number or None for one with a unit."""
+    if key.endswith("path_m"):
+        return isinstance(value, list) and all(
+            isinstance(point, list) and len(point) == 3 and all(map(_is_number, point)) for point in value
+        )
+    measured = key in MEANS or key.endswith(("_m", "_m_s", "_s", "_deg"))
+    return not measured or value is None or _is_number(value)
+
+
+def _first_error(record: Record) -> Any:
+    first_fault = record.get("first_fault")
+    return first_fault.get("error") if isinstance(first_fault, dict) else None
+
+
+def _is_number(value: Any, *, whole: bool = False) -> bool:
+    """Whether a value is a finite number; JSON as Python reads it has nan and infinity too."""
+    return isinstance(value, int if whole else int | float) and not isinstance(value, bool) and abs(value) < 1e300
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, list) and len(value) > 0 and all(map(_is_number, value))
+
+
+# What every record has, and how to tell; measures of the judge come on top.
+NEEDED: dict[str, Callable[[Any], bool]] = {
+    "success": lambda value: isinstance(value, bool),
+    "reason": lambda value: isinstance(value, str),
+    "images": lambda value: isinstance(value, str),
+    "machine": lambda value: isinstance(value, str),
+    "art_ms": _is_list,
+    "art_median_ms": _is_number,
+    "art_p95_ms": _is_number,
+    **{
+        key: lambda value: _is_number(value, whole=True) and value >= 0
+        for key in ("seed", "steps", "skipped", "faults")
+    },
+}
 
 
 def _keep(folder: Path, head: Record, records: Sequence[Record]) -> None:

@@ -3,6 +3,7 @@
 import csv
 import json
 import signal
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -160,6 +161,41 @@ def one_gaussian(x: float) -> GaussianScene:
     return GaussianScene([[x, 0.0, 1.0]], [[1.0, 0.0, 0.0, 0.0]], np.full((1, 3), 0.1), [0.9], np.zeros((1, 1, 3)))
 
 
+GOOD = '{"trial": 0, "success": true, "seed": 10000, "reason": "done", "steps": 2, "skipped": 0, "faults": 0'
+GOOD += (
+    ', "art_median_ms": 1, "art_p95_ms": 2, "art_ms": [1, 2], "machine": "none", "images": "no images", "ald_m": 0.1'
+)
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ('{"trial": 0, "success": true}', "reason null"),
+        (f'{GOOD}, "ald_m": "x"}}', 'ald_m "x"'),
+        (f'{GOOD}, "ald_m": NaN}}', "ald_m NaN"),
+        (f'{GOOD}, "faults": -1}}', "faults -1"),
+        (f'{GOOD}, "faults": 1}}', "first_fault null"),
+        (f'{GOOD}, "seed": [1]}}', "seed"),
+        (f'{GOOD}, "steps": true}}', "steps true"),
+        (f'{GOOD}, "art_ms": []}}', "art_ms"),
+        (f'{GOOD}, "art_ms": [1, null]}}', "art_ms"),
+        (f'{GOOD}, "path_m": [[1, 2]]}}', "path_m"),
+        (f'{GOOD}, "lost_at_s": "late"}}', 'lost_at_s "late"'),
+        (f'{GOOD}, "locked_share": {{}}}}', "locked_share"),
+        (f'{GOOD}, "success": 1}}', "success 1"),
+    ],
+)
+def test_a_damaged_measure_is_named(tmp_path, line, told):
+    """A good head and one wrong thing; of two equal keys JSON takes the later. Without it the record is read."""
+    head = '{"task": "landing", "list": 0}\n'
+    (tmp_path / "trials.jsonl").write_text(f"{head}{line}\n")
+    with pytest.raises(InputError) as refused:
+        read_trials(tmp_path)
+    assert f"got trial 0 with {told}" in str(refused.value)
+    (tmp_path / "trials.jsonl").write_text(f"{head}{GOOD}}}\n")
+    assert summary(read_trials(tmp_path)[1])["ald_m"]["mean"] == pytest.approx(0.1)
+
+
 @pytest.mark.parametrize("damage", ["", "{}\n[1]\n", '{"task": 1}\n{"trial": 1, "success": true}\n', "no json\n"])
 def test_a_damaged_record_is_refused(tmp_path, damage):
     """Empty, a list, a trial that is missing, other text."""
@@ -189,7 +225,8 @@ def test_a_log_says_that_it_is_simulated(tmp_path):
 
 
 def record(success: bool, **numbers) -> dict:
-    return {"success": success, "faults": 0, "skipped": 0, "art_median_ms": 1.0, "art_p95_ms": 2.0, **numbers}
+    art = {"art_median_ms": 1.0, "art_p95_ms": 2.0, "art_ms": [1.0, 2.0], "machine": "a", "images": "no images"}
+    return {"success": success, "faults": 0, "skipped": 0, **art, **numbers}
 
 
 def test_deviation_counts_landings_only():
@@ -207,6 +244,33 @@ def test_deviation_counts_landings_only():
     assert (found["ald_m"]["median"], found["ald_m"]["of"]) == (0.2, 3)
     assert found["ald_m"]["low95"] < 0.3 < found["ald_m"]["high95"]
     assert found["bank_abs_deg"]["mean"] == pytest.approx(3.0)
+
+
+def test_run_times_are_pooled_over_steps():
+    """20 steps of 1 ms in one trial, 2 of 9 ms in another: the median step takes 1 ms, not 5; 95 % are within 9 ms.
+
+    The 95th percentile of 22 sorted values lies at index 0.95 * 21 = 19.95: 1 + 0.95 * 8 = 8.6 ms.
+    """
+    trials = [record(True, art_ms=[1.0] * 20, machine="a"), record(True, art_ms=[9.0] * 2, machine="b")]
+    found = summary(trials)
+    assert (found["art_median_ms"], found["art_steps"]) == (1.0, 22)
+    assert found["art_p95_ms"] == pytest.approx(8.6)
+    assert (found["machine"], found["images"]) == ("a; b", "no images")
+
+
+def test_a_record_keeps_the_time_of_every_step_and_what_it_was_measured_with():
+    """A pilot that sleeps 2 ms in each of six steps; 16x16 images by the renderer that flights use, or none."""
+
+    def slow(trial):
+        return SimpleNamespace(act=lambda observation: time.sleep(0.002) or Command(0.5, 0.0, 0.0, 0.0))
+
+    found = fly_trial(ToyTask(), slow, 0)
+    assert len(found["art_ms"]) == found["steps"] == 6
+    assert all(ms >= 2.0 for ms in found["art_ms"])
+    assert found["images"] == "no images"
+    assert "cores" in found["machine"]
+    seen = fly_trial(ToyTask(), steady, 0, setting=Setting(one_gaussian(2.0), fpv_camera(16, 16)))
+    assert seen["images"].startswith("16x16 images by ")
 
 
 def test_tracking_error_is_told_of_all_and_of_successes():
@@ -250,7 +314,7 @@ def test_results_are_written_with_both_colours(tmp_path):
     with files["table"].open() as file:
         rows = list(csv.DictReader(file))
     assert [row["success"] for row in rows] == ["True", "False"]
-    assert "path_m" not in rows[0]
+    assert not {"path_m", "art_ms"} & set(rows[0])
     assert json.loads(files["summary"].read_text())["successes"] == 1
 
 
