@@ -4,12 +4,16 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from falconwing_kit.cli.show import next_line, print_json, print_table
-from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.checks import InputError, require_range
+
+if TYPE_CHECKING:
+    from falconwing_kit.flight.tasks import FollowTask, LandingTask
+    from falconwing_kit.flight.trials import Setting
 
 PILOTS = ("expert",)  # those that this version of the kit has
 LATER = ("rgb", "mask", "rgb_mask", "student", "manual")
@@ -41,9 +45,9 @@ class Fly:
     """who flies; the expert knows the state"""
     trials: int = 1
     """how many, each from its own start of the frozen list"""
-    manoeuvre: str = "left_turn_s_descent"
-    """what the leader flies: left_turn_s_descent, right_turn_s_ascent, right_turn_sharp_climb, figure_eight or
-    random_waypoints"""
+    manoeuvre: str = ""
+    """what the leader to follow flies: left_turn_s_descent (where none is given), right_turn_s_ascent,
+    right_turn_sharp_climb, figure_eight or random_waypoints"""
     seed: int = 0
     """which list of starts and noise; the same for two pilots makes pairs"""
     headless: bool = False
@@ -75,17 +79,15 @@ class Fly:
             InputError: a part of the kit that is not there yet is asked for, or an option is wrong.
         """
         self._refuse_what_is_not_there()
-        width, height = _size(self.size)
-        if self.out is not None and self.out.exists() and not self.out.is_dir():
-            raise InputError(f"--out {self.out}: want a folder, got a file; choose another name")
-        from falconwing_kit.flight.trials import compare_pilots, read_trials, summary
+        task, setting = self._task(), self._setting()
+        other = self._look_into_folders(task, setting)
+        from falconwing_kit.flight.trials import compare_pilots, summary
 
-        other = read_trials(self.against)[1] if self.against is not None else None
-        records = self._fly(width, height)
+        records = self._fly(task, setting)
         found = summary(records)
         if other is not None:
             found["against"] = compare_pilots(records, other)
-        self._show(records, found)
+        self._show(task.name, records, found)
         return 0 if found["successes"] == found["trials"] else 1
 
     def _refuse_what_is_not_there(self) -> None:
@@ -99,21 +101,44 @@ class Fly:
                 f"{what}: this version of the kit has no pilot for the real aircraft yet; fly --source sim"
             )
 
-    def _fly(self, width: int, height: int) -> list[dict[str, Any]]:
+    def _task(self) -> "LandingTask | FollowTask":
+        """What is flown; numbers and manoeuvre are checked."""
+        from falconwing_kit.flight.tasks import TRIAL_SEEDS, FollowTask, LandingTask
+
+        require_range("--trials", self.trials, low=1, high=TRIAL_SEEDS)
+        require_range("--seed", self.seed, low=0, high=TRIAL_SEEDS - 1)
+        if self.task == "follow":
+            return FollowTask(self.manoeuvre or "left_turn_s_descent")
+        if self.manoeuvre:
+            raise InputError(f"--manoeuvre {self.manoeuvre}: want it with --task follow only, got --task {self.task}")
+        return LandingTask()
+
+    def _setting(self) -> "Setting":
+        """How it is flown, before there is a page and a scene."""
         from falconwing_kit.flight.loop import SimulatedClock, WallClock
         from falconwing_kit.flight.sources import fpv_camera
-        from falconwing_kit.flight.tasks import FollowTask, LandingTask
-        from falconwing_kit.flight.trials import Setting, fly_trials
+        from falconwing_kit.flight.trials import Setting
 
-        task = LandingTask() if self.task == "landing" else FollowTask(self.manoeuvre)
-        camera = fpv_camera(width, height)
+        return Setting(camera=fpv_camera(*_size(self.size)), clock=SimulatedClock if self.headless else WallClock)
+
+    def _look_into_folders(self, task: "LandingTask | FollowTask", setting: "Setting") -> list[dict[str, Any]] | None:
+        """Refuse what does not fit in --out and --against before anything is flown; the trials of --against."""
+        from falconwing_kit.flight.trials import flown_before, study_head, trials_to_pair
+
+        head = study_head(task, self.pilot, self.seed)
+        if self.out is not None:
+            if self.out.exists() and not self.out.is_dir():
+                raise InputError(f"--out {self.out}: want a folder, got a file; choose another name")
+            how = {**setting.record, "rendered": not self.no_render}
+            del how["scene_digest"]  # the hall is loaded when the page is open
+            flown_before(self.out, head | how)
+        return None if self.against is None else trials_to_pair(self.against, head)
+
+    def _fly(self, task: "LandingTask | FollowTask", setting: "Setting") -> list[dict[str, Any]]:
+        from falconwing_kit.flight.trials import fly_trials
+
         with _page(self.headless, not self.no_render) as (scene, hooks), self._progress() as progress:
-            setting = Setting(
-                scene=None if self.no_render else scene,
-                camera=camera,
-                clock=SimulatedClock if self.headless else WallClock,
-                hooks=hooks,
-            )
+            setting = replace(setting, scene=None if self.no_render else scene, hooks=hooks)
             return fly_trials(
                 task, task.expert, self.trials, pilot=self.pilot, seed=self.seed, setting=setting,
                 out=self.out, logs=self.logs or self.trials == 1, progress=progress,
@@ -132,8 +157,7 @@ class Fly:
 
             yield flown
 
-    def _show(self, records: Sequence[dict[str, Any]], found: dict[str, Any]) -> None:
-        name = self.task if self.task == "landing" else f"follow {self.manoeuvre}"
+    def _show(self, name: str, records: Sequence[dict[str, Any]], found: dict[str, Any]) -> None:
         if self.out is not None:
             from falconwing_kit.flight.trial_figures import write_results
 
@@ -164,7 +188,12 @@ def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str,
             numbers = (found[key][name] for name in ("mean", "low95", "high95", "median", "largest"))
             rows.append((label, *(factor * number for number in numbers)))
     print_table(("measure", "mean", "low 95 %", "high 95 %", "median", "largest"), rows)
-    print(f"ART: median {found['art_median_ms']:.2g} ms, 95 % within {found['art_p95_ms']:.2g} ms ({found['machine']})")
+    if "locked_share" in found and "no images" in found["images"]:
+        print("occlusion not judged: no images")
+    print(
+        f"ART: median {found['art_median_ms']:.2g} ms, 95 % of {found['art_steps']} steps within"
+        f" {found['art_p95_ms']:.2g} ms ({found['images']}; {found['machine']})"
+    )
     for record in records:
         if not record["success"]:
             lost = record.get("lost_at_s")

@@ -42,13 +42,15 @@ def test_the_real_aircraft_is_not_there_yet(words, capsys):
         (("--size", "0x0"), "want WIDTHxHEIGHT"),
         (("--trials", "0"), "trials: want a finite number"),
         (("--task", "follow", "--manoeuvre", "loop"), "manoeuvre: want one of left_turn_s_descent"),
+        (("--manoeuvre", "loop"), "--manoeuvre loop: want it with --task follow only, got --task landing"),
         (("--seed", "-1"), "seed: want a finite number"),
         (("--against", "nowhere"), "found none there"),
     ],
 )
-def test_wrong_options_are_wrong_use(words, sentence, capsys):
-    """Exit 2, one sentence."""
-    assert main(["fly", *QUICK, *words]) == 2
+def test_wrong_options_are_wrong_use(words, sentence, monkeypatch, capsys):
+    """Exit 2, one sentence, and before a page is opened: there is none to open."""
+    monkeypatch.setattr("falconwing_kit.demo.live_page.LivePage", None)
+    assert main(["fly", "--no-render", *words]) == 2
     said = capsys.readouterr().err
     assert sentence in said
     assert len(said.splitlines()) == 1
@@ -80,6 +82,42 @@ def test_a_failed_task_exits_1_and_pairs_are_compared(tmp_path, monkeypatch, cap
     said = capsys.readouterr().out
     assert "trial 0: touched floor" in said
     assert "McNemar p = 0.5" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--task", "follow"), "task 'landing' instead of 'follow left_turn_s_descent'"),
+        (("--seed", "501"), "list 500 instead of 501"),
+    ],
+)
+def test_other_tasks_and_starts_are_not_paired_or_mixed(words, told, tmp_path, monkeypatch, capsys):
+    """A landing of list 500 is kept; a chase or another list is no pair of it and does not go on there.
+
+    Found before anything is flown: there is no page to open.
+    """
+    kept = str(tmp_path / "kept")
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
+    assert main(["fly", *QUICK, "--seed", "500", "--out", kept]) == 1
+    monkeypatch.setattr("falconwing_kit.demo.live_page.LivePage", None)
+    for option in ("--against", "--out"):
+        capsys.readouterr()
+        assert main(["fly", "--seed", "500", *words, option, kept]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith(f"falconwing: {option} ")
+        assert told in said
+        assert len(said.splitlines()) == 1
+
+
+def test_a_study_with_other_images_is_found_before_it_flies(tmp_path, monkeypatch, capsys):
+    """Flown without images as fast as it can; with images, or in real time, it is another study."""
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
+    assert main(["fly", *QUICK, "--out", str(tmp_path)]) == 1
+    monkeypatch.setattr("falconwing_kit.flight.trials.fly_trials", None)
+    monkeypatch.setattr("falconwing_kit.cli.fly._page", None)
+    for words, told in ((("--headless",), "rendered False"), (("--no-render",), "clock 'SimulatedClock'")):
+        assert main(["fly", *words, "--out", str(tmp_path)]) == 2
+        assert told in capsys.readouterr().err
 
 
 def test_a_file_in_place_of_the_folder_is_wrong_use(tmp_path, capsys):
@@ -128,6 +166,7 @@ def test_the_expert_follows_with_images(capsys):
     """4 m behind, the leader's outline of 0.047 m^2 is 29 px of a 160 x 120 image (f = 99 px): locked throughout."""
     assert main(["fly", *FOLLOW, "--size", "160x120", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
+    assert found["images"].startswith("160x120 images by ")
     assert found["task"] == "follow left_turn_s_descent"
     assert found["locked_share"]["mean"] == 1.0
 
@@ -135,4 +174,16 @@ def test_the_expert_follows_with_images(capsys):
 def test_a_leader_too_small_in_the_image_is_lost_at_once(capsys):
     """The same outline is 1.2 px of a 32 x 24 image (f = 20 px), fewer than the six that a lock needs."""
     assert main(["fly", *FOLLOW, "--size", "32x24", "--no-render"]) == 1
-    assert "trial 0: duration, lock lost at 0.00 s" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "trial 0: duration, lock lost at 0.00 s" in said
+    assert "\nocclusion not judged: no images\n" in said
+
+
+def test_a_landing_needs_no_judge_of_occlusion_and_says_what_its_times_are_of(capsys):
+    """Flown without images too, but nothing can hide the pad: only the run time tells that there were none."""
+    assert main(["fly", *QUICK, "--seed", "500"]) == 0
+    said = capsys.readouterr().out
+    assert "occlusion" not in said
+    (told,) = (line for line in said.splitlines() if line.startswith("ART: "))
+    assert " steps within " in told
+    assert "(no images; " in told
