@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ FIGURES = ("flight_fpv.png", "flight_path.png", "flight_sticks.png", "flight_fil
 PAD_BLUE = "#3d6fd6"
 STRIP = 6  # images in the strip
 FILM_HZ, FILM_COLOURS = 10.0, 256  # a film of about a megabyte
+FILM_FRAMES = 200  # that many at most: a long flight has fewer a second, and its film fits any memory
 FILM_MAP = 300  # width of the maps beside the view [px]
 
 
@@ -166,7 +167,7 @@ def draw_strip(log: FlightLog, table: FlightTable, path: Path, what: str) -> Non
     rows = np.flatnonzero(table.has_pose)
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(table.p_world[rows], axis=0), axis=1))])
     chosen = [rows[np.argmin(np.abs(way - part * way[-1]))] for part in np.arange(STRIP) / STRIP]
-    seen = _images_at(log, table.t[chosen])
+    seen = dict(_images_at(log, table.t[chosen]))
     with figure(path, 2, STRIP // 2, (8.0, 4.5)) as axes:
         for ax, row in zip(axes.flat, chosen, strict=True):
             x, _, height = table.p_world[row]
@@ -249,7 +250,7 @@ def speeds(table: FlightTable) -> Array:
 
 
 def draw_film(log: FlightLog, table: FlightTable, path: Path, what: str) -> None:
-    """A short film: the view from the nose, and beside it the way from above and from the side.
+    """A film in the flight's own time: the view from the nose, and beside it the way from above and from the side.
 
     Args:
         log: the flight.
@@ -260,15 +261,23 @@ def draw_film(log: FlightLog, table: FlightTable, path: Path, what: str) -> None
     from PIL import Image as Drawing
 
     rows = np.flatnonzero(table.has_pose)
-    wanted = np.arange(table.t[rows[0]], table.t[rows[-1]] + 1e-6, 1.0 / FILM_HZ)
+    begin, end = table.t[rows[0]], table.t[rows[-1]]
+    period = max(1.0 / FILM_HZ, (end - begin) / FILM_FRAMES)
+    wanted = np.arange(begin, end + 1e-6, period)[:FILM_FRAMES]
     rows = np.unique(rows[np.searchsorted(table.t[rows], wanted - 1e-6).clip(max=len(rows) - 1)])
-    seen = _images_at(log, table.t[rows])
-    frames = [_film_frame(seen[float(table.t[r])], table, int(r), what) for r in rows if float(table.t[r]) in seen]
-    samples = np.concatenate([np.asarray(frame)[::4, ::4] for frame in frames[:: max(1, len(frames) // 8)]])
+    row_at = {float(table.t[row]): int(row) for row in rows}
+
+    def frames(times: Sequence[float]) -> Iterator[tuple[float, Any]]:
+        for t, pixels in _images_at(log, times):
+            yield t, _film_frame(pixels, table, row_at[t], what)
+
+    few = [*row_at][:: max(1, len(row_at) // 8)]
+    samples = np.concatenate([np.asarray(frame)[::4, ::4].copy() for _, frame in frames(few)])
     palette = Drawing.fromarray(samples).quantize(FILM_COLOURS)
-    first, *others = [frame.quantize(palette=palette, dither=Drawing.Dither.NONE) for frame in frames]
+    film = {t: frame.quantize(palette=palette, dither=Drawing.Dither.NONE) for t, frame in frames([*row_at])}
+    first, *others = (film[t] for t in sorted(film))
     with atomic_write(path) as handle:
-        first.save(handle, "PNG", save_all=True, append_images=others, duration=1e3 / FILM_HZ, loop=0, optimize=True)
+        first.save(handle, "PNG", save_all=True, append_images=others, duration=1e3 * period, loop=0, optimize=True)
 
 
 def _film_frame(pixels: NDArray[np.uint8], table: FlightTable, row: int, what: str) -> Any:
@@ -305,10 +314,10 @@ def _film_frame(pixels: NDArray[np.uint8], table: FlightTable, row: int, what: s
     return sheet
 
 
-def _images_at(log: FlightLog, times: Array) -> dict[float, NDArray[np.uint8]]:
-    """The images taken at some times of a table, read one by one: a log may hold more than memory does."""
+def _images_at(log: FlightLog, times: Iterable[float]) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+    """The images taken at some times of a table, each with its time, one by one: a log may hold more than memory."""
     wanted = {float(t) for t in times}
-    return {image.t: decode_jpeg(image) for image in log.images() if image.t in wanted}
+    return ((image.t, decode_jpeg(image)) for image in log.images() if image.t in wanted)
 
 
 def approach_record(approach: Approach) -> dict[str, Any]:

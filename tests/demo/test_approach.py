@@ -5,6 +5,7 @@ import itertools
 import os
 import signal
 import time
+import weakref
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,13 +14,15 @@ from PIL import Image as Picture
 
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
+from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log, to_flight_table
 from falconwing_kit.core.messages import Command, Image, State
+from falconwing_kit.demo import approach as module
 from falconwing_kit.demo.approach import (
     FIGURES,
     PacedClock,
     approach_part,
     approach_record,
+    draw_film,
     draw_flight,
     fly_approach,
     is_simulated,
@@ -139,6 +142,36 @@ def test_film_looks_as_what_the_camera_saw(figures, steps):
     """One palette for all images: on average a few of 255 from the first view as it was rendered."""
     first = np.asarray(Picture.open(figures[-1]).convert("RGB")).astype(int)[:, :320]
     assert np.abs(first - steps[0].image.pixels.astype(int)).mean() < 8.0
+
+
+def test_film_of_a_long_flight_needs_no_more_memory(tmp_path, monkeypatch):
+    """A minute at 20 Hz has 1200 images: the film has 200 at most and lasts a minute, and never are more than two
+    decoded images or sheets alive at once, the one in work and the one that it follows."""
+    with FlightLogWriter(tmp_path / "long.mcap") as log:
+        for k in range(1200):
+            pixels = np.full((24, 32, 3), k % 250, np.uint8)
+            log.state(0.05 * k, State(np.array([0.02 * k, 0.0, 1.0]), 0.0, 0.0, 0.0, np.zeros(3)), image_sequence=k)
+            log.command(0.05 * k, Command(0.5, 0.0, 0.1, 0.0, k), Image(k, 0.05 * k, pixels))
+    most = []
+
+    def counted(make):
+        def made(*what):
+            thing = make(*what)
+            marks.append(weakref.ref(thing))
+            most.append(sum(mark() is not None for mark in marks))
+            return thing
+
+        marks = []
+        return made
+
+    for name in ("decode_jpeg", "_film_frame"):
+        monkeypatch.setattr(module, name, counted(getattr(module, name)))
+    path, flight = tmp_path / "film.png", read_flight_log(tmp_path / "long.mcap")
+    draw_film(flight, to_flight_table(flight), path, "FLIGHT")
+    film = Picture.open(path)
+    assert 150 < film.n_frames <= 200
+    assert film.n_frames * film.info["duration"] == pytest.approx(60_000, rel=0.01)
+    assert most and max(most) <= 2
 
 
 def test_page_part_says_simulation_and_where_it_touched_down(approach, figures):
