@@ -86,8 +86,7 @@ class Surfels(NamedTuple):
 def load_scene(name: str) -> GaussianScene:
     """A scene that ships with the kit, in the kit's world.
 
-    The arena is built at the first call and kept in the user's cache folder, under a name that changes with its builder
-    and plan. Where that folder cannot be written it is built every time.
+    The arena is built once and kept in the user's cache folder, if it can be; a change of builder or plan replaces it.
 
     Args:
         name: "arena", the hall as `build_arena` gives it; "leader", the leader alone in its body axes.
@@ -106,6 +105,8 @@ def load_scene(name: str) -> GaussianScene:
         with suppress(OSError, InputError):  # what cannot be kept can still be used
             path.parent.mkdir(parents=True, exist_ok=True)
             scene.save(path)
+            for older in set(path.parent.glob("arena-*.npz")) - {path}:
+                older.unlink(missing_ok=True)
     return scene if name == "arena" else scene.selected(scene.labelled("leader"))
 
 
@@ -314,9 +315,8 @@ def _cut(panel: Panel, low: Array, high: Array, rect_low: Array, rect_high: Arra
     near_arc = _arc_gap(panel, middle) < 0.7 * np.max(high - low, axis=1)
     limit = np.where(near_arc, np.minimum(limit, 2.0 * panel.edge), limit)
     cut = np.where((right - left)[:, 0] > 1.5 * limit, middle[:, axis], np.nan)
-    off = np.where(
-        beside & (edges > left + 1e-4) & (edges < right - 1e-4), np.abs(edges - middle[:, axis, None]), np.inf
-    )
+    crossing = beside & (edges > left + 1e-4) & (edges < right - 1e-4)
+    off = np.where(crossing, np.abs(edges - middle[:, axis, None]), np.inf)
     return np.where(np.isfinite(off).any(axis=1), edges[np.argmin(off, axis=1)], cut) if len(edges) else cut
 
 

@@ -243,6 +243,19 @@ def test_arena_is_built_once_and_then_read(builds, tmp_path):
     assert len(list((tmp_path / "deep" / "cache").iterdir())) == 1
 
 
+def test_only_the_newest_arena_is_kept(builds, tmp_path):
+    """Ten megabytes of each version would add up: the file of another builder goes, what is no arena stays."""
+    folder = tmp_path / "deep" / "cache"
+    folder.mkdir(parents=True)
+    for name in ("arena-0123456789ab.npz", "arena-ba9876543210.npz", "notes.txt"):
+        (folder / name).write_text("of another builder")
+    load_scene("arena")
+    kept = {path.name for path in folder.iterdir()}
+    assert len(kept) == 2 and "notes.txt" in kept and not kept & {"arena-0123456789ab.npz", "arena-ba9876543210.npz"}
+    load_scene("arena")
+    assert len(builds) == 1  # its own file is the one that stayed
+
+
 def test_leader_comes_alone(builds):
     """The same file gives the leader by its label."""
     leader = load_scene("leader")
