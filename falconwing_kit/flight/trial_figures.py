@@ -15,6 +15,7 @@ from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.page import ACCENT, MEASURED, PREDICTED, figure
 
 PAD = "#9fc5e8"
+LONG = ("path_m", "leader_path_m", "art_ms")  # of a record: many numbers, no place in a table
 Records = Sequence[Mapping[str, Any]]
 
 
@@ -113,7 +114,7 @@ def write_table(records: Records, path: Path) -> None:
         records: of one task.
         path: the CSV to write.
     """
-    keys = dict.fromkeys(key for record in records for key in record if not key.endswith(("path_m", "art_ms")))
+    keys = dict.fromkeys(key for record in records for key in record if key not in LONG)
     with atomic_write(path, text=True) as file:
         writer = csv.DictWriter(file, list(keys), extrasaction="ignore", lineterminator="\n")
         writer.writeheader()

@@ -33,6 +33,7 @@ from falconwing_kit.scene.gaussians import GaussianScene
 Record = dict[str, Any]
 TRIALS = "trials.jsonl"
 NO_IMAGES = "no images"
+PATHS = ("path_m", "leader_path_m")
 DIGITS = 16  # of a digest
 DIGESTS = {  # key of a head -> what differs where it differs
     "task_digest": "another duration, spread, noise, delay, model or airframe",
@@ -366,7 +367,7 @@ def _wrong_record(number: int, record: Any) -> str:
 
 def _fits(key: str, value: Any) -> bool:
     """Whether a measure is what its name promises: a path of points, or a number or None for one with a unit."""
-    if key.endswith("path_m"):
+    if key in PATHS:
         return isinstance(value, list) and all(
             isinstance(point, list) and len(point) == 3 and all(map(_is_number, point)) for point in value
         )

@@ -163,7 +163,8 @@ def one_gaussian(x: float) -> GaussianScene:
 
 GOOD = '{"trial": 0, "success": true, "seed": 10000, "reason": "done", "steps": 2, "skipped": 0, "faults": 0'
 GOOD += (
-    ', "art_median_ms": 1, "art_p95_ms": 2, "art_ms": [1, 2], "machine": "none", "images": "no images", "ald_m": 0.1'
+    ', "art_median_ms": 1, "art_p95_ms": 2, "art_ms": [1, 2], "machine": "none", "images": "no images"'
+    ', "ald_m": 0.1, "ate_path_m": 0.2, "path_m": [[0, 0, 1]], "leader_path_m": [[4, 0, 1]], "lost_at_s": null'
 )
 
 
@@ -193,7 +194,8 @@ def test_a_damaged_measure_is_named(tmp_path, line, told):
         read_trials(tmp_path)
     assert f"got trial 0 with {told}" in str(refused.value)
     (tmp_path / "trials.jsonl").write_text(f"{head}{GOOD}}}\n")
-    assert summary(read_trials(tmp_path)[1])["ald_m"]["mean"] == pytest.approx(0.1)
+    found = summary(read_trials(tmp_path)[1])
+    assert (found["ald_m"]["mean"], found["ate_path_m"]["mean"]) == pytest.approx((0.1, 0.2))
 
 
 @pytest.mark.parametrize("damage", ["", "{}\n[1]\n", '{"task": 1}\n{"trial": 1, "success": true}\n', "no json\n"])
@@ -301,7 +303,7 @@ def test_results_are_written_with_both_colours(tmp_path):
     paths = [[[-19.0, y, 1.5], [0.0, y, 0.5], [4.0, y, 0.2]] for y in (-2.0, 5.0)]
     flown = [(True, 0.1, paths[0]), (False, None, paths[1])]
     records = [
-        record(good, trial=k, ald_m=ald, lateral_offset_m=0.1, past_threshold_m=3.0, path_m=path)
+        record(good, trial=k, ald_m=ald, ate_path_m=0.2, lateral_offset_m=0.1, past_threshold_m=3.0, path_m=path)
         for k, (good, ald, path) in enumerate(flown)
     ]
     files = write_results(records, summary(records), tmp_path, "landing by nobody")
@@ -315,6 +317,7 @@ def test_results_are_written_with_both_colours(tmp_path):
         rows = list(csv.DictReader(file))
     assert [row["success"] for row in rows] == ["True", "False"]
     assert not {"path_m", "art_ms"} & set(rows[0])
+    assert rows[0]["ate_path_m"] == "0.2"  # an error along the path, not a path
     assert json.loads(files["summary"].read_text())["successes"] == 1
 
 
