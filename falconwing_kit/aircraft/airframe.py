@@ -115,6 +115,12 @@ class Airframe:
         return self.wing_area / self.span
 
     @property
+    def corners_body(self) -> Array:
+        """Nose, tail and wing tips (4, 3) in body axes [m]; the camera sits on the nose. The fin is left out."""
+        nose, tip = self.p_body_camera[0], self.span / 2.0
+        return np.array([(nose, 0.0, 0.0), (nose - self.length, 0.0, 0.0), (0.0, tip, 0.0), (0.0, -tip, 0.0)])
+
+    @property
     def parts_mass(self) -> float:
         """Sum of the parts that are not inside another one [kg]; `mass` is what the sizing uses."""
         return math.fsum(part.mass for part in self.parts if not part.inside)

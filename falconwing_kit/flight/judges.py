@@ -168,10 +168,8 @@ def visible_pixels(
 
 
 def outline_body(airframe: Airframe) -> Array:
-    """Nose, tail, wing tips and wheels (7, 3) in body axes [m]; the camera sits on the nose. The fin is left out."""
-    nose, tip = airframe.p_body_camera[0], airframe.span / 2.0
-    points = [(nose, 0.0, 0.0), (nose - airframe.length, 0.0, 0.0), (0.0, tip, 0.0), (0.0, -tip, 0.0)]
-    return np.concatenate([points, airframe.wheels.points_body])
+    """Nose, tail, wing tips and wheels (7, 3) in body axes [m]: the points by which it touches things, too."""
+    return np.concatenate([airframe.corners_body, airframe.wheels.points_body])
 
 
 def in_hull(points: Array, corners: Array) -> NDArray[np.bool_]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from falconwing_kit.aircraft.airframe import Airframe
 from falconwing_kit.aircraft.model import Model
-from falconwing_kit.aircraft.touchdown import LandingPad, Touchdown, find_touchdown
+from falconwing_kit.aircraft.touchdown import LandingPad, Touchdown, find_touchdown, pad_height
 from falconwing_kit.control.estimate import FlyingAircraft
 from falconwing_kit.control.guidance import Hall
 from falconwing_kit.control.loops import LINK_DELAY_S, STEP_S
@@ -47,7 +47,7 @@ class Contact:
     t: float  # [s]
     obstacle: Obstacle
     p_world: Array  # (3,) the centre of gravity [m]
-    touchdown: Touchdown | None = None  # where wheels met pad or floor
+    touchdown: Touchdown | None = None  # where wheels met pad or floor; None where something else was first
 
 
 class Leader(Protocol):
@@ -193,21 +193,33 @@ class SimulatedWorld:
         known = self._filter.update(frame * STEP_S, pose)
         return State(pose[:3], pose[4], pose[5], pose[3], known.v_world, known.rates_body)
 
+    def _corners(self, p_world: Array, roll: float, pitch: float, yaw: float) -> Array:
+        """Nose, tail and wing tips (4, 3) [m]."""
+        return np.asarray(p_world + self._airframe.corners_body @ rotation_world_body(roll, pitch, yaw).T)
+
     def _contact(self, t_before: float, x_before: Array) -> Contact | None:
-        """What was touched since the last look, wheels first."""
+        """What was touched first since the last look: where wheels came down, nothing else had touched until then."""
         x, t = self._aircraft.x, self._t
+        p_world, attitude = x[:3], (x[5], x[3], x[4])  # roll, pitch, yaw
         touchdown = find_touchdown((t_before, t), np.stack([x_before, x]), self._airframe, self._pad)
         if touchdown is not None:
-            return Contact(touchdown.t, touchdown.surface, touchdown.p_world, touchdown)
-        nose, tip = self._airframe.length / 2.0, self._airframe.span / 2.0
-        points_body = np.array([(nose, 0.0, 0.0), (-nose, 0.0, 0.0), (0.0, tip, 0.0), (0.0, -tip, 0.0)])
-        points = x[:3] + points_body @ rotation_world_body(x[5], x[3], x[4]).T
-        leader = self.leader_state
-        if leader is not None and np.linalg.norm(leader.p_world - x[:3]) < CLEARANCE:
-            return Contact(t, "leader", x[:3])
+            t, p_world = touchdown.t, touchdown.p_world
+            attitude = (touchdown.bank, touchdown.pitch, touchdown.yaw)
+        corners = self._corners(p_world, *attitude)
+        if self._leader is not None and np.linalg.norm(self._leader.state(t).p_world - p_world) < CLEARANCE:
+            return Contact(t, "leader", p_world)
+        before = self._corners(x_before[:3], x_before[5], x_before[3], x_before[4])
+        ground = pad_height(corners, self._pad)
+        below = corners[:, 2] < ground
         touched: dict[Obstacle, bool] = {
-            "floor": points[:, 2].min() < 0.0,
-            "ceiling": points[:, 2].max() > self._hall.height,
-            "wall": self._hall.margin(points * (1.0, 1.0, 0.0)).min() < 0.0,
+            # What was already lower than the pad's top came through its side.
+            "pad": bool(np.any(below & (ground > 0.0) & (before[:, 2] > ground))),
+            "pad edge": bool(np.any(below & (ground > 0.0))),
+            "floor": bool(np.any(below)),
+            "ceiling": corners[:, 2].max() > self._hall.height,
+            "wall": self._hall.margin(corners * (1.0, 1.0, 0.0)).min() < 0.0,
         }
-        return next((Contact(t, obstacle, x[:3]) for obstacle, yes in touched.items() if yes), None)
+        first = next((Contact(t, obstacle, p_world) for obstacle, yes in touched.items() if yes), None)
+        if first is None and touchdown is not None:
+            return Contact(t, touchdown.surface, p_world, touchdown)
+        return first

@@ -6,6 +6,7 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tomli_w
 
@@ -32,6 +33,12 @@ def test_shipped_airframe_has_the_papers_numbers_in_si():
     assert (umx.wing_area, umx.span, umx.air_density, umx.aero.CL_max) == (0.076, 0.70, 1.3, 0.6)
     assert umx.bank_limit == pytest.approx(math.pi / 6, rel=1e-12)
     assert umx.p_body_camera == (0.20, 0.0, 0.0)
+
+
+def test_corners_are_nose_tail_and_wing_tips():
+    """By hand: camera 0.20 m ahead, 0.52 m long, 0.70 m of span; body y points right."""
+    expected = [(0.20, 0.0, 0.0), (-0.32, 0.0, 0.0), (0.0, 0.35, 0.0), (0.0, -0.35, 0.0)]
+    assert load_airframe().corners_body == pytest.approx(np.array(expected), abs=1e-12)
 
 
 def test_mean_chord_is_area_over_span():

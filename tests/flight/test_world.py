@@ -130,6 +130,27 @@ def test_what_is_touched_ends_the_flight(start, obstacle):
     assert world.state.vector == pytest.approx(at_contact.vector) and world.contact.t <= 1.0
 
 
+@pytest.mark.parametrize("sink", [-1.0, -4.0], ids=["slowly", "within a step"])
+@pytest.mark.parametrize(("x", "obstacle"), [(3.0, "pad"), (-9.0, "floor")])
+@pytest.mark.parametrize("attitude", [{"roll": 45.0}, {"roll": -45.0}, {"pitch": -60.0}, {"pitch": 75.0}], ids=str)
+def test_a_wing_tip_nose_or_tail_that_touches_first_is_no_landing(attitude, x, obstacle, sink):
+    """How deep below the centre of gravity, by hand: at 45 deg of bank a tip 0.25 m and a wheel 0.13; 60 deg nose down
+    the nose 0.17 and a main wheel 0.10; 75 deg nose up the tail 0.309 and its wheel 0.300. At 4 m/s a step is 0.2 m.
+    """
+    depth = {-60.0: 0.173, 75.0: 0.309}.get(attitude.get("pitch"), 0.247)
+    angles = {"pitch": 0.0} | {name: math.radians(degrees) for name, degrees in attitude.items()}
+    start = cruising((x, -2.0, 0.1 * (obstacle == "pad") + depth + 0.02), vx=1.0, vz=sink, **angles)
+    world, _ = flown(SimulatedWorld(rates_model(), AIRFRAME, start, seed=1, pad=LandingPad()), seconds=0.2)
+    assert (world.contact.obstacle, world.contact.touchdown) == (obstacle, None)
+
+
+def test_a_wing_tip_runs_into_the_side_of_the_pad():
+    """Left tip 15 deg down at 0.08 m, a hand from the edge at y = -3: pad 0.1 m high, wheels 4 cm above the floor."""
+    start = cruising((3.0, -3.44, 0.17), roll=math.radians(-15.0), vy=4.0, vz=0.0)
+    world, _ = flown(SimulatedWorld(rates_model(), AIRFRAME, start, seed=1, pad=LandingPad()), seconds=0.2)
+    assert (world.contact.obstacle, world.contact.touchdown) == ("pad edge", None)
+
+
 def test_no_pad_is_bare_floor():
     """The same sink over the pad's place ends lower."""
     world, _ = flown(SimulatedWorld(rates_model(), AIRFRAME, cruising((3.0, -2.0, 0.4), vz=-2.0), seed=1))
