@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import signal
 import webbrowser
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -175,6 +176,23 @@ def test_newcomer_sees_the_page(studied, opened, tmp_path):
     assert main(["demo", "--out", str(tmp_path), "--port", "18432"]) == 0
     live, page = opened
     assert live.startswith("http://127.0.0.1:") and page == (tmp_path / "index.html").resolve().as_uri()
+
+
+def test_ctrl_c_in_the_approach_ends_the_demo(monkeypatch, capsys, tmp_path):
+    """While its third image is made: exit 130 as for every verb, no fits after it, and nothing is written."""
+
+    class Interrupted(approach.RenderedView):
+        def next(self, t):
+            image = super().next(t)
+            if image.sequence == 2:
+                signal.raise_signal(signal.SIGINT)
+            return image
+
+    monkeypatch.setattr(approach, "RenderedView", Interrupted)
+    monkeypatch.setattr(recorded, "study_recorded_flights", lambda progress: pytest.fail("it went on"))
+    assert main(["demo", "--headless", "--out", str(tmp_path / "out")]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert os.listdir(tmp_path / "out") == []
 
 
 def test_full_disk_leaves_nothing_half_written(studied, capsys, tmp_path):
