@@ -148,12 +148,15 @@ class Sink:
 
 
 def test_a_log_flown_again_by_the_same_loop_gives_its_commands_images_and_states(recorded):
-    """What went into the log comes out at the same times; JPEG keeps a flat grey to two levels."""
+    """What went into the log comes out at the same times; JPEG keeps a flat grey to two levels.
+
+    Ten commands, and at 0.5 s the one with neutral sticks that ends either flight.
+    """
     sink, steps = Sink(), []
     pilot = RecordedPilot(recorded)
     loop = Loop(pilot, sink, RecordedImages(recorded), RecordedStates(recorded), hooks=(steps.append,))
-    loop.run(pilot.duration + 0.05)
-    assert [command.aileron for command in sink.sent] == pytest.approx(0.01 * np.arange(10))
+    loop.run(pilot.duration)
+    assert [command.aileron for command in sink.sent] == pytest.approx([*(0.01 * np.arange(10)), 0.0])
     assert [step.image.sequence for step in steps] == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
     assert [float(step.image.pixels.mean()) for step in steps[::2]] == pytest.approx([0, 10, 20, 30, 40], abs=2.0)
     assert [step.state.roll for step in steps] == pytest.approx(0.01 * np.arange(1, 11))
