@@ -1,6 +1,6 @@
 """Sets up the kit in .venv and runs it: verb and its words in, the verb's exit code out. Standard library only.
 
-    python3 start.py demo [--headless] [--out DIR]   land in a splat hall, identify recorded flights
+    python3 start.py demo [--headless] [--out DIR]   land in a splat hall, study recorded flights
     python3 start.py test [pytest options]           run the tests
     python3 start.py VERB ...                        any other verb of falconwing, such as doctor
 

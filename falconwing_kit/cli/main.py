@@ -20,7 +20,7 @@ for _library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 # Verb, module, class, what it does. Only the chosen verb's module is imported. A verb is a frozen dataclass
 # whose fields are its options and whose `run()` returns the exit code, so Python code can call it too.
 VERBS: tuple[tuple[str, str, str, str], ...] = (
-    ("demo", "falconwing_kit.cli.demo", "Demo", "land in a splat hall, then identify recorded flights, one of them real"),
+    ("demo", "falconwing_kit.cli.demo", "Demo", "land in a splat hall, then study recorded flights, one of them real"),
     ("doctor", "falconwing_kit.cli.doctor", "Doctor", "say what works on this machine and how to mend the rest"),
     ("size", "falconwing_kit.cli.size", "Size", "minimum speed, turn radius and mass budget of an airframe"),
     ("scene", "falconwing_kit.cli.scene", "Scene", "build the arena, or say what is in a Gaussian scene"),
