@@ -224,13 +224,34 @@ def _torch() -> str:
     return f"torch {torch.__version__}; multiplied matrices on the CPU"
 
 
-def _gpu() -> str:
-    import gsplat
-    import torch
+def _rendering() -> str:
+    from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose, render
 
-    if float(torch.ones(4, device="cuda").sum()) != 4.0:
-        raise RuntimeError("a sum on the GPU is wrong")
-    return f"gsplat {gsplat.__version__} imported, {torch.cuda.get_device_name()} computed a sum"
+    white = GaussianScene([[2.0, 0.0, 0.0]], [[1.0, 0.0, 0.0, 0.0]], [[0.5, 0.5, 0.5]], [0.9], [[[1.77, 1.77, 1.77]]])
+    frame = render(white, PinholeCamera.from_fov_deg(9, 9, 60.0), nose_camera_pose((0.0, 0.0, 0.0), 0.0, 0.0, 0.0))
+    if not 0.88 < float(frame.rgb[4, 4].min()) < 0.91:
+        raise RuntimeError("a white splat of opacity 0.9 has another colour")
+    return "drew a Gaussian on the CPU"
+
+
+def _page() -> str:
+    import socket
+
+    import viser
+
+    with socket.create_server(("127.0.0.1", 0)):
+        return f"viser {viser.__version__}; this machine serves pages to itself"
+
+
+def _gpu() -> str:
+    from falconwing_kit.core.checks import InputError
+    from falconwing_kit.scene.gsplat_backend import probe
+
+    try:
+        probe()
+    except InputError as error:
+        raise RuntimeError(str(error).split(";")[0]) from None
+    return "gsplat drew a Gaussian on the GPU"
 
 
 def _sandbox() -> str:
@@ -266,12 +287,14 @@ CHECKS: tuple[Check, ...] = (
     Check("airframe data", "demo", _airframe, "run from a checkout of the kit that has its hardware folder"),
     Check("figures", "demo", _plots, REINSTALL),
     Check("fast roll-outs", "demo", _compiler, REINSTALL),
-    Check("flight logs", "now", _log, REINSTALL),
-    Check("control design", "now", _control, REINSTALL),
+    Check("rendering", "demo", _rendering, REINSTALL),
+    Check("live page", "demo", _page, REINSTALL),
+    Check("flight logs", "demo", _log, REINSTALL),
+    Check("control design", "demo", _control, REINSTALL),
     Check("labs", "later", _labs, f'{PIP} -e ".[labs]"'),
     Check("finding the board", "later", _serial, f"{HARDWARE}; plug it in; on Linux join the group dialout"),
     Check("camera", "later", _camera, f"{HARDWARE}; plug in the camera"),
-    Check("neural networks", "later", _torch, f"{PIP} torch"),
+    Check("reference renderer", "later", _torch, f'{PIP} -e ".[torch]"'),
     Check("rendering on a GPU", "later", _gpu, "needs an NVIDIA GPU, a CUDA build of torch, and gsplat"),
     Check("grading sandbox", "later", _sandbox, "Linux only; Debian or Ubuntu: apt install bubblewrap"),
     Check("firmware tools", "later", _avr, "Debian or Ubuntu: apt install gcc-avr avr-libc simavr"),
