@@ -225,9 +225,13 @@ def _torch() -> str:
 
 
 def _rendering() -> str:
+    import numpy as np
+
     from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose, render
 
-    white = GaussianScene([[2.0, 0.0, 0.0]], [[1.0, 0.0, 0.0, 0.0]], [[0.5, 0.5, 0.5]], [0.9], [[[1.77, 1.77, 1.77]]])
+    one = np.ones((1, 3), np.float32)
+    ahead, upright = np.array([[2, 0, 0]], np.float32), np.array([[1, 0, 0, 0]], np.float32)
+    white = GaussianScene(ahead, upright, 0.5 * one, np.array([0.9], np.float32), 1.77 * one[None])
     frame = render(white, PinholeCamera.from_fov_deg(9, 9, 60.0), nose_camera_pose((0.0, 0.0, 0.0), 0.0, 0.0, 0.0))
     if not 0.88 < float(frame.rgb[4, 4].min()) < 0.91:
         raise RuntimeError("a white splat of opacity 0.9 has another colour")
