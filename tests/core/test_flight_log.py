@@ -113,6 +113,7 @@ def test_command_is_written_before_its_image(interrupted):
 def test_raw_pixels_are_packed_as_jpeg(tmp_path):
     """A grey image comes back grey within JPEG's rounding, red stays red: OpenCV's order of colours is the other."""
     import cv2
+
     pixels = np.zeros((16, 16, 3), np.uint8)
     pixels[..., 0] = 200
     with FlightLogWriter(tmp_path / "a.mcap") as log:
