@@ -249,7 +249,7 @@ def _page() -> str:
 
 def _gpu() -> str:
     from falconwing_kit.core.checks import InputError
-    from falconwing_kit.scene.gsplat_backend import probe
+    from falconwing_kit.scene.renderers.gsplat_backend import probe
 
     try:
         probe()

@@ -22,12 +22,17 @@ for _library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 VERBS: tuple[tuple[str, str, str, str], ...] = (
     ("demo", "falconwing_kit.cli.demo", "Demo", "land in a splat hall, then study recorded flights, one of them real"),
     ("doctor", "falconwing_kit.cli.doctor", "Doctor", "say what works on this machine and how to mend the rest"),
-    ("size", "falconwing_kit.cli.size", "Size", "minimum speed, turn radius and mass budget of an airframe"),
-    ("scene", "falconwing_kit.cli.scene", "Scene", "build the arena, or say what is in a Gaussian scene"),
-    ("render", "falconwing_kit.cli.scene", "Render", "make an image of a Gaussian scene"),
+    ("size", "falconwing_kit.cli.modelling.size", "Size", "minimum speed, turn radius and mass budget of an airframe"),
+    ("scene", "falconwing_kit.cli.modelling.scene", "Scene", "build the arena, or say what is in a Gaussian scene"),
+    ("render", "falconwing_kit.cli.modelling.scene", "Render", "make an image of a Gaussian scene"),
     ("fly", "falconwing_kit.cli.fly", "Fly", "fly a task in simulation, once to look at or often to count"),
-    ("identify", "falconwing_kit.cli.identify", "Identify", "fit the aircraft model to recorded flights"),
-    ("gap", "falconwing_kit.cli.gap", "Gap", "say where a flight disagrees with the model and which effect is missing"),
+    ("identify", "falconwing_kit.cli.modelling.identify", "Identify", "fit the aircraft model to recorded flights"),
+    (
+        "gap",
+        "falconwing_kit.cli.modelling.gap",
+        "Gap",
+        "say where a flight disagrees with the model and what is missing",
+    ),
     ("export", "falconwing_kit.cli.logs", "Export", "turn a flight log into a table"),
     ("replay", "falconwing_kit.cli.logs", "Replay", "show a flight log again, live or as figures"),
 )

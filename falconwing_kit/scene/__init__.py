@@ -1,7 +1,7 @@
 """scene: Gaussian scenes, their files, the arena, the camera that looks at them, and its image.
 
 Nothing here loads torch or numba before `render` is called; what learns through images imports
-`falconwing_kit.scene.reference` itself.
+`falconwing_kit.scene.renderers.reference` itself.
 """
 
 from falconwing_kit.scene.arena import build_arena, leader_at, load_scene

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.scene.formats.ply import SH_C0
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.scene.ply import SH_C0
 from falconwing_kit.scene.render import require_pose
 
 PLAN = Path(__file__).with_name("arena.toml")
@@ -185,7 +185,7 @@ def _turned_colours(sh: NDArray[np.float32], R_world_body: Array) -> NDArray[np.
         return sh
     import torch
 
-    from falconwing_kit.scene.reference import harmonics
+    from falconwing_kit.scene.renderers.reference import harmonics
 
     directions = np.random.default_rng(0).normal(size=(64, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import short_name
-from falconwing_kit.scene.native import read_native, write_native
-from falconwing_kit.scene.packed import read_sog, read_splat, read_spz
-from falconwing_kit.scene.ply import SH_COUNTS, Array32, read_ply, write_ply
+from falconwing_kit.scene.formats.native import read_native, write_native
+from falconwing_kit.scene.formats.packed import read_sog, read_splat, read_spz
+from falconwing_kit.scene.formats.ply import SH_COUNTS, Array32, read_ply, write_ply
 
 Labels = NDArray[np.uint8]
 

@@ -166,7 +166,7 @@ def test_a_reversed_stick_is_a_no(tmp_path, capsys):
 )
 def test_a_place_that_cannot_be_written_is_refused_before_the_fit(words, text, short, tmp_path, capsys, monkeypatch):
     """A fit takes seconds to minutes; here it fails the test if it begins."""
-    monkeypatch.setattr("falconwing_kit.cli.identify.identify", lambda *a, **k: pytest.fail("the fit began"))
+    monkeypatch.setattr("falconwing_kit.cli.modelling.identify.identify", lambda *a, **k: pytest.fail("the fit began"))
     (tmp_path / "a_file").write_text("")
     assert main(["identify", short, *words]) == 2
     assert text in capsys.readouterr().err

@@ -21,8 +21,8 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command, State
 from falconwing_kit.demo.live_page import WINDOW_S, LivePage, hall_sides, head_html, plots_html
 from falconwing_kit.flight.loop import Step
+from falconwing_kit.scene.formats.ply import SH_C0
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.scene.ply import SH_C0
 
 RED = np.array([0.9, 0.1, 0.1])
 

@@ -81,14 +81,18 @@ def complaint(room: str, imported: str) -> str:
 
 
 def size_problems(tree: Path) -> list[str]:
-    """Rooms with too many files or no `__init__.py` (an install leaves them out), and files with too many lines."""
-    problems = []
-    for room in sorted(path for path in (tree / "falconwing_kit").iterdir() if path.is_dir()):
-        files = [path for path in room.rglob("*.py") if path.name != "__init__.py"]
+    """Rooms with too many files or no `__init__.py` (an install leaves them out), and files with too many lines.
+
+    A folder inside a room is a room of its own; it stands on the same floor.
+    """
+    problems, house = [], tree / "falconwing_kit"
+    for room in sorted(path for path in house.rglob("*") if path.is_dir()):
+        files = [path for path in room.glob("*.py") if path.name != "__init__.py"]
+        name = room.relative_to(house).as_posix()
         if files and not (room / "__init__.py").is_file():
-            problems.append(f"{room.name}: no __init__.py")
+            problems.append(f"{name}: no __init__.py")
         if len(files) > MAX_FILES:
-            problems.append(f"{room.name}: {len(files)} files, at most {MAX_FILES}")
+            problems.append(f"{name}: {len(files)} files, at most {MAX_FILES}")
     for path in sorted((tree / "falconwing_kit").rglob("*.py")):
         lines = len(path.read_text(encoding="utf-8").splitlines())
         if lines > MAX_LINES:

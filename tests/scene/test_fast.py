@@ -17,8 +17,9 @@ from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.scene import GaussianScene, PinholeCamera, fast, nose_camera_pose
-from falconwing_kit.scene.fast import render_fast
+from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose
+from falconwing_kit.scene.renderers import fast
+from falconwing_kit.scene.renderers.fast import render_fast
 
 ROOT = Path(__file__).resolve().parents[2]
 KIT = ROOT / "falconwing_kit"
@@ -137,7 +138,7 @@ def test_hall_is_that_of_the_reference():
     """The torch renderer in float64: the two must agree as both agree with gsplat."""
     import torch
 
-    from falconwing_kit.scene.reference import render_reference
+    from falconwing_kit.scene.renderers.reference import render_reference
 
     camera, scene = PinholeCamera.from_fov_deg(160, 120, 120.0), hall(9)
     require_close(
@@ -320,15 +321,15 @@ def test_blending_works_on_several_pixels_at_once():
 def test_works_where_no_cache_can_be_written(tmp_path):
     """A fresh Python with the package where compiled code cannot be kept: neither beside the file nor at home."""
     package = tmp_path / "falconwing_kit"
-    for name in ("__init__.py", *(str(p.relative_to(KIT)) for p in KIT.glob("*/*.py"))):
+    for name in ("__init__.py", *(str(p.relative_to(KIT)) for p in KIT.rglob("*/*.py"))):
         (package / name).parent.mkdir(parents=True, exist_ok=True)
         (package / name).write_bytes((KIT / name).read_bytes())
-    (package / "scene/__pycache__").write_text("a file where a folder is wanted")
-    code = "from falconwing_kit.scene import fast; print(fast.__file__, fast.held(2.0, 0.0, 1.0))"
+    (package / "scene/renderers/__pycache__").write_text("a file where a folder is wanted")
+    code = "from falconwing_kit.scene.renderers import fast; print(fast.__file__, fast.held(2.0, 0.0, 1.0))"
     nowhere = {"HOME": os.devnull, "XDG_CACHE_HOME": os.devnull, "PYTHONPATH": str(tmp_path)}
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | nowhere
     done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=tmp_path, capture_output=True, text=True)
-    assert done.stdout.split() == [str(package / "scene/fast.py"), "1.0"], done.stderr
+    assert done.stdout.split() == [str(package / "scene/renderers/fast.py"), "1.0"], done.stderr
 
 
 @pytest.mark.parametrize(

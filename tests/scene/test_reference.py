@@ -11,8 +11,14 @@ import torch
 from scipy.special import sph_harm_y
 
 from falconwing_kit.scene import GaussianScene, PinholeCamera
-from falconwing_kit.scene import reference as reference_module
-from falconwing_kit.scene.reference import GaussianTensors, harmonics, project, render_reference, render_tensors
+from falconwing_kit.scene.renderers import reference as reference_module
+from falconwing_kit.scene.renderers.reference import (
+    GaussianTensors,
+    harmonics,
+    project,
+    render_reference,
+    render_tensors,
+)
 
 GSPLAT_IMAGES = Path(__file__).resolve().parents[3] / "shared/data/splat/brush_gsplat_cases"
 SMALL = PinholeCamera(50.0, 50.0, 4.5, 4.5, 9, 9)  # pixel (4, 4) looks straight ahead

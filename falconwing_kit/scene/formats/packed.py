@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from falconwing_kit.core.checks import InputError, require_file
 from falconwing_kit.core.files import short_name
-from falconwing_kit.scene.native import FREE_BYTES, MAX_COMPRESSION, zip_members
-from falconwing_kit.scene.ply import SH_C0, SH_COUNTS, Array32, quaternions_from_smallest_three
+from falconwing_kit.scene.formats.native import FREE_BYTES, MAX_COMPRESSION, zip_members
+from falconwing_kit.scene.formats.ply import SH_C0, SH_COUNTS, Array32, quaternions_from_smallest_three
 
 Bytes = NDArray[np.uint8]
 

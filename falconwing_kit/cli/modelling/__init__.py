@@ -1,0 +1,1 @@
+"""modelling: the verbs that size an airframe, make scenes, fit the model and find the gap."""
