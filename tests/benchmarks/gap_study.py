@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from tests.hidden_effects import IN_CATALOGUE, OUTSIDE
 from tests.hidden_flights import make_case
 
 NOISES = ("marker", "hybrid", "net", "marker", "hybrid")
+BASELINED = ("independent", "calm", "own")  # kinds that the usual recipe is tried on as well
 PAIRS = (
     "wind+battery_sag", "extra_drag+adverse_yaw", "control_delay+wind", "ground_effect+propeller_torque",
     "mass_change+camera_tilt", "thrust_loss+trim_bias", "flap+adverse_yaw", "aileron_loss+wind",
@@ -108,7 +110,7 @@ def study(batch: list[Case]) -> list[dict[str, Any]]:
             row["withheld"] = _answer(name_since(base, flight, rest)[0], case.effect)
         if case.kind == "own":
             row["detectable"] = _detectable(base, flight, known)
-        if case.kind in ("independent", "calm", "own"):
+        if case.kind in BASELINED:
             row["baselines"] = _baselines(base, flight)
         rows.append(row)
     return rows
@@ -260,6 +262,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, required=True, help="JSON lines; gone on with where it exists")
     asked = parser.parse_args()
+    if asked.kind in BASELINED and find_spec("pysindy") is None:
+        parser.error("want pysindy to compare with; run: pip install -c constraints.txt -e '.[dev,bench]'")
     done = [json.loads(line) for line in asked.out.read_text().splitlines()] if asked.out.exists() else []
     known = {row["key"] for row in done}
     left = [c for c in cases(asked.kind, asked.seed, asked.cases, asked.withheld) if c.key not in known]
