@@ -1,0 +1,219 @@
+"""Analog video link: clean picture + signal-to-noise ratio -> the picture as an FM receiver and a capture card give it.
+
+A model of 525-line composite video sent by frequency modulation, after the laws of such links; every step is a small
+function with its source. The result is simulated.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falconwing_kit.core.checks import Array, InputError, require_range
+
+LINE_S, FRAME_S = 52.66e-6, 1.0 / 29.97  # seen part of a line, and two fields [ITU-R BT.1700, 525 lines]
+LUMA_HZ, CHROMA_HZ = 4.2e6, 0.6e6  # bandwidths; chroma as plain decoders have it [ITU-R BT.1700]
+DEVIATION_HZ = 3.5e6  # peak, of a usual 5.8 GHz video sender
+RISE_S, SYNC_SHARE = 0.25e-6, 0.4  # a sync edge behind the luma filter, and its height over that of white (40 of 100)
+SYNC_HZ = 0.5e6  # the sync separator's own low-pass
+CLICK_DECAY_S = 0.3e-6  # the tail that de-emphasis leaves behind a click
+LOCK, TEAR_LOCK = 0.5, 0.85  # share of its error that the line oscillator keeps from line to line; after a lost lock
+DROPOUT_LINES = 6.0  # mean length of a fade
+
+Pixels = NDArray[np.uint8]
+Plane = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class AnalogVideo:
+    """A link with one quality; the same seed and frame number give the same picture."""
+
+    snr_db: float  # peak-to-peak luma over rms thermal noise, unweighted [CCIR Rec. 567]; clicks come on top
+    seed: int = 0
+    dropouts: float = 0.02  # fades a frame, on average
+
+    def __post_init__(self) -> None:
+        require_range("snr_db", self.snr_db, low=0.0, high=80.0)
+        require_range("seed", self.seed, low=0)
+        require_range("dropouts", self.dropouts, low=0.0, high=100.0)
+
+    def apply(self, image: Pixels, frame_number: int, earlier: Pixels | None = None) -> Pixels:
+        """The picture as it arrives.
+
+        Args:
+            image: (H, W, 3) uint8 RGB, at least 16 pixels a side.
+            frame_number: from 0; each has its own noise.
+            earlier: (H, W, 3) the view 1/60 s before, which the other field shows; None for a scene at rest.
+
+        Returns:
+            (H, W, 3) uint8 RGB.
+
+        Raises:
+            InputError: a picture is no colour image, or the two differ in size.
+        """
+        import cv2
+
+        _require_picture(image, earlier)
+        rng = np.random.default_rng([self.seed, int(require_range("frame_number", frame_number, low=0))])
+        height, width = image.shape[:2]
+        pixel_s = LINE_S / width
+        shifts = line_shifts_s(height, self.snr_db, rng) / pixel_s
+        luma, chroma = split(shifted(image if earlier is None else woven(image, earlier), shifts))
+        noise = luma_noise(luma.shape, self.snr_db, pixel_s, rng)
+        add_clicks(noise, self.snr_db, pixel_s, rng)
+        luma = cv2.add(band_limited(luma, pixel_s), noise, dtype=cv2.CV_8U)  # rounds and cuts to 0..255
+        chroma = smeared(chroma, self.snr_db, pixel_s, rng)
+        add_dropouts(luma, self.dropouts, rng)
+        return joined(luma, chroma)
+
+
+def carrier_to_noise(snr_db: float) -> float:
+    """Carrier over noise power in the channel of an FM video link.
+
+    S/N = 12 D^2 (D + 1) C/N, D = peak deviation / luma bandwidth     [Roddy, Satellite Communications, eq. 9.23]
+    """
+    ratio = DEVIATION_HZ / LUMA_HZ
+    return float(10.0 ** (snr_db / 10.0) / (12.0 * ratio**2 * (ratio + 1.0)))
+
+
+def clicks_per_frame(snr_db: float) -> float:
+    """How often noise turns the carrier once around in a frame, which is seen as a short bright or dark streak.
+
+    B / sqrt(12) erfc(sqrt(C/N)) a second, B = 2 (deviation + bandwidth)  [Rice, Noise in FM receivers, 1963; Carson]
+    """
+    channel_hz = 2.0 * (DEVIATION_HZ + LUMA_HZ)
+    return channel_hz / math.sqrt(12.0) * math.erfc(math.sqrt(carrier_to_noise(snr_db))) * FRAME_S
+
+
+def tear_chance(snr_db: float) -> float:
+    """Chance that a line's sync pulse is missed: noise behind the separator's low-pass exceeds half of the pulse."""
+    noise = 10.0 ** (-snr_db / 20.0) * math.sqrt(SYNC_HZ / LUMA_HZ)  # of white's height; flat noise scales with band
+    return 0.5 * math.erfc(0.5 * SYNC_SHARE / noise / math.sqrt(2.0))
+
+
+def woven(image: Pixels, earlier: Pixels) -> Pixels:
+    """Interlace: the odd lines are those of the field before.
+
+    Args:
+        image: (H, W, 3) the newer view.
+        earlier: (H, W, 3) the view 1/60 s before.
+    """
+    out = image.copy()
+    out[1::2] = earlier[1::2]
+    return out
+
+
+def split(image: Pixels) -> tuple[Pixels, Plane]:
+    """Luma (H, W), and chroma (H, W / 4, 2), which carries no finer detail than that [ITU-R BT.601]."""
+    import cv2
+
+    colours = cv2.cvtColor(image, cv2.COLOR_RGB2YCrCb)
+    chroma = cv2.resize(colours, (max(image.shape[1] // 4, 1), image.shape[0]), interpolation=cv2.INTER_AREA)
+    return colours[..., 0], chroma[..., 1:].astype(np.float32)
+
+
+def joined(luma: Pixels, chroma: Plane) -> Pixels:
+    """The RGB picture (H, W, 3) of luma (H, W) and chroma (H, W / 4, 2)."""
+    import cv2
+
+    narrow = np.clip(chroma + 0.5, 0.0, 255.0).astype(np.uint8)
+    wide = cv2.resize(narrow, luma.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.cvtColor(cv2.merge([luma, *cv2.split(wide)]), cv2.COLOR_YCrCb2RGB), np.uint8)
+
+
+def band_limited(luma: Pixels, pixel_s: float) -> Pixels:
+    """Luma (H, W) behind a low-pass of the luma bandwidth."""
+    import cv2
+
+    return np.asarray(cv2.sepFilter2D(luma, -1, _low_pass(pixel_s), np.ones(1)), np.uint8)
+
+
+def smeared(chroma: Plane, snr_db: float, pixel_s: float, rng: np.random.Generator) -> Plane:
+    """Chroma (H, W / 4, 2) with its noise behind the decoder's first-order low-pass, which drags colours to the right.
+
+    White noise of the luma band, demodulated from both sides of the subcarrier: sd = sd_luma sqrt(2 B_chroma / B_luma).
+    """
+    import cv2
+
+    decay = np.exp(-2.0 * np.pi * CHROMA_HZ * 4.0 * pixel_s)
+    tail = (1.0 - decay) * decay ** np.arange(8)
+    tail /= tail.sum()
+    kernel = np.concatenate([tail[::-1], np.zeros(7)])  # filter2D correlates: the past stands on the left
+    sigma = _sigma(snr_db) * math.sqrt(2.0 * CHROMA_HZ / LUMA_HZ) / np.linalg.norm(tail)
+    noise = rng.standard_normal(chroma.shape, np.float32) * np.float32(sigma)
+    return np.asarray(cv2.sepFilter2D(chroma + noise, -1, kernel, np.ones(1)), np.float32)
+
+
+def luma_noise(shape: tuple[int, ...], snr_db: float, pixel_s: float, rng: np.random.Generator) -> Plane:
+    """Thermal noise (H, W) [grey levels] of the luma band, flat as emphasis makes it; rms 255 / 10^(snr_db / 20)."""
+    import cv2
+
+    kernel = _low_pass(pixel_s)
+    white = rng.standard_normal(shape, np.float32)
+    gain = _sigma(snr_db) / np.linalg.norm(kernel)  # a filter leaves its squares' sum of white noise's power
+    return np.asarray(cv2.sepFilter2D(white, -1, gain * kernel, np.ones(1)), np.float32)
+
+
+def add_clicks(noise: Plane, snr_db: float, pixel_s: float, rng: np.random.Generator) -> None:
+    """Add streaks to the noise (H, W): as high as white, of either sign, with the tail of de-emphasis to the right."""
+    height, width = noise.shape
+    number = rng.poisson(clicks_per_frame(snr_db))
+    rows, columns = rng.integers(0, height, number), rng.integers(0, width, number)
+    signs = rng.choice((-255.0, 255.0), number).astype(np.float32)
+    decay = math.exp(-pixel_s / CLICK_DECAY_S)
+    for k in range(math.ceil(3.0 * CLICK_DECAY_S / pixel_s)):
+        inside = columns + k < width
+        np.add.at(noise, (rows[inside], columns[inside] + k), signs[inside] * np.float32(decay**k))
+
+
+def line_shifts_s(height: int, snr_db: float, rng: np.random.Generator) -> Array:
+    """How late each line begins (H,) [s]: its oscillator follows noisy sync edges, and runs free where one is missed.
+
+    An edge is timed to rise time * noise / its height. [slope of the edge; first-order lock]
+    """
+    edge_s = RISE_S * 10.0 ** (-snr_db / 20.0) / SYNC_SHARE * rng.standard_normal(height)
+    jitter = np.convolve(edge_s, (1.0 - LOCK) * LOCK ** np.arange(16))[:height]
+    lost = rng.random(height) < tear_chance(snr_db)
+    jumps = np.where(lost, rng.uniform(-0.1, 0.1, height) * LINE_S, 0.0)
+    return np.asarray(jitter + np.convolve(jumps, TEAR_LOCK ** np.arange(40))[:height], np.float64)
+
+
+def shifted(image: Pixels, shifts_px: Array) -> Pixels:
+    """Each line (H, W, 3) moved to the right by its shift (H,) [px]; what is moved in repeats the edge."""
+    import cv2
+
+    height, width = image.shape[:2]
+    x = np.arange(width, dtype=np.float32) - shifts_px.astype(np.float32)[:, None]
+    y = np.repeat(np.arange(height, dtype=np.float32)[:, None], width, axis=1)
+    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def add_dropouts(luma: Pixels, dropouts: float, rng: np.random.Generator) -> None:
+    """Fades: bands of lines (H, W) in which nothing but noise arrives; their number is Poisson, lengths geometric."""
+    height, width = luma.shape
+    for _ in range(rng.poisson(dropouts)):
+        row, lines = int(rng.integers(0, height)), int(rng.geometric(1.0 / DROPOUT_LINES))
+        luma[row : row + lines] = rng.integers(0, 256, luma[row : row + lines].shape, dtype=np.uint8)
+
+
+def _sigma(snr_db: float) -> float:
+    """Rms luma noise [grey levels]."""
+    return float(255.0 * 10.0 ** (-snr_db / 20.0))
+
+
+def _low_pass(pixel_s: float) -> Array:
+    """Gaussian filter along a line whose gain is down by 3 dB at the luma bandwidth (7,)."""
+    sigma_px = math.sqrt(math.log(2.0)) / (2.0 * math.pi * LUMA_HZ) / pixel_s
+    kernel = np.exp(-0.5 * (np.arange(-3, 4) / sigma_px) ** 2)
+    return np.asarray(kernel / kernel.sum(), np.float64)
+
+
+def _require_picture(image: Pixels, earlier: Pixels | None) -> None:
+    for picture in (image, earlier):
+        if picture is not None and (
+            picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or min(picture.shape[:2]) < 16
+        ):
+            raise InputError(f"analog video: want (H, W, 3) uint8 of 16 pixels or more, got {picture.shape}")
+    if earlier is not None and earlier.shape != image.shape:
+        raise InputError(f"earlier: want the size of the image, {image.shape}, got {earlier.shape}")
