@@ -15,16 +15,24 @@ from falconwing_kit.trainer_port.protocol import (
     encode_command,
     encode_sync,
 )
+from falconwing_kit.trainer_port.python_board import Board, PpmFrame, PythonBoard
+from falconwing_kit.trainer_port.safety import Safety, SafetyConfig, Verdict
 
 __all__ = [
+    "Board",
     "Calibration",
     "CommandFrame",
     "Deframer",
     "Pilot",
+    "PpmFrame",
+    "PythonBoard",
+    "Safety",
+    "SafetyConfig",
     "Status",
     "Stick",
     "SyncReply",
     "SyncRequest",
+    "Verdict",
     "decode",
     "decode_status",
     "encode",

@@ -18,6 +18,7 @@ from falconwing_kit.core.config import from_toml
 from falconwing_kit.core.messages import COMMAND_NAMES, Command
 
 VALID_US = (900, 2100)  # outside of this the firmware refuses a command (VALID_MIN_US, VALID_MAX_US of config.h)
+SENT_US = (1000, 2000)  # to this it cuts what it sends (CHANNEL_MIN_US, CHANNEL_MAX_US)
 PAUSE_US = (4000, 19000)  # pauses that radios with EdgeTX take for the end of a frame
 SPARE_US = 1500  # slots that no stick uses
 
@@ -74,7 +75,7 @@ class Calibration:
         require_range("gap_us", self.gap_us, low=100, high=VALID_US[0] - 100)
         if self.polarity not in (0, 1):
             raise InputError(f"polarity: want 1 (idle high) or 0 (idle low), got {self.polarity}")
-        shortest, longest = (self.frame_us - self.channels * us for us in reversed(VALID_US))
+        shortest, longest = (self.frame_us - self.channels * us for us in reversed(SENT_US))
         if shortest < PAUSE_US[0] or longest > PAUSE_US[1]:
             raise InputError(
                 f"frame_us: want a pause of {PAUSE_US[0]}..{PAUSE_US[1]} us behind {self.channels} channels, "

@@ -32,7 +32,6 @@ RESET_CAUSES = ("power-on", "reset pin", "brown-out", "watchdog", "JTAG")  # bit
 PILOT_SOURCES = ("PPM", "Spektrum serial")
 COMMAND, SYNC, STATUS, PILOT, SYNC_REPLY = 0x01, 0x02, 0x11, 0x12, 0x13
 MIN_CHANNELS, MAX_CHANNELS = 4, 8
-MAX_PILOT_CHANNELS = 12
 MAX_FRAME = 64  # bytes before the zero; the longest frame of version 1 has 47
 
 _HEADS = {
@@ -92,7 +91,7 @@ class Pilot:
     device_time_us: int  # when its last edge came [us], board's clock
     source: int  # index into PILOT_SOURCES
     rejected: int  # pilot frames rejected so far
-    channels_us: tuple[int, ...]  # (1..12,) [us]
+    channels_us: tuple[int, ...]  # (1..8,) [us]
 
 
 @dataclass(frozen=True)
@@ -186,7 +185,7 @@ def encode(message: Message) -> bytes:
             _require_count(len(message.channels_us), MIN_CHANNELS, MAX_CHANNELS)
             head = _status_head(message)
         case Pilot():
-            _require_count(len(message.channels_us), 1, MAX_PILOT_CHANNELS)
+            _require_count(len(message.channels_us), 1, MAX_CHANNELS)
             count = len(message.channels_us)
             head = (PILOT, message.device_time_us, message.source, message.rejected, count)
         case SyncReply():
@@ -217,7 +216,7 @@ def decode(frame: bytes) -> Message:
         return _status(head, _channels(tail, head.pop(), MIN_CHANNELS, MAX_CHANNELS))
     if kind == PILOT:
         device_time_us, source, rejected, count = head
-        return Pilot(device_time_us, source, rejected, _channels(tail, count, 1, MAX_PILOT_CHANNELS))
+        return Pilot(device_time_us, source, rejected, _channels(tail, count, 1, MAX_CHANNELS))
     if kind == COMMAND:
         return CommandFrame(head[0], bool(head[1] & 1), _channels(tail, len(tail) // 2, MIN_CHANNELS, MAX_CHANNELS))
     if tail:
@@ -357,7 +356,10 @@ def _status(head: list[Any], channels_us: tuple[int, ...]) -> Status:
         raise InputError(f"status: want version {VERSION}, got {version}; flash the firmware that came with this kit")
     if state >= len(STATES) or fault >= len(FAULTS):
         raise InputError(f"status: want a known state and fault, got {state} and {fault}; flash this kit's firmware")
-    return Status(STATES[state], FAULTS[fault], *numbers, bool(silent), channels_us, device_time_us, version)
+    boots, cause, last, accepted, bad_frames, bad_sequence, out_of_range, ppm_frames = numbers
+    counters = (accepted, bad_frames, bad_sequence, out_of_range, ppm_frames)
+    after = (bool(silent), channels_us, device_time_us, version)
+    return Status(STATES[state], FAULTS[fault], boots, cause, last, *counters, *after)
 
 
 def _whole(name: str, value: int) -> int:
