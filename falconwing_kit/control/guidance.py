@@ -21,9 +21,10 @@ class Hall:
     x: tuple[float, float] = (-22.5, 17.5)
     y: tuple[float, float] = (-12.0, 8.0)
     height: float = 5.0
+    beams: float = 4.65  # their underside; whoever flies above it hits one sooner or later
 
     def margin(self, p_world: Array) -> Array:
-        """How far points are from the nearest wall or the ceiling; negative outside.
+        """How far points are from the nearest wall or the beams under the ceiling; negative outside.
 
         Args:
             p_world: (..., 3) [m].
@@ -33,10 +34,10 @@ class Hall:
         """
         p = np.asarray(p_world, np.float64)
         sides = (p[..., 0] - self.x[0], self.x[1] - p[..., 0], p[..., 1] - self.y[0], self.y[1] - p[..., 1])
-        return np.minimum.reduce([*sides, self.height - p[..., 2]])
+        return np.minimum.reduce([*sides, self.beams - p[..., 2]])
 
     def inside(self, p_world: Array, margin: float) -> Array:
-        """The nearest points that keep a margin from walls, ceiling and floor.
+        """The nearest points that keep a margin from walls, beams and floor.
 
         Args:
             p_world: (..., 3) [m].
@@ -45,7 +46,7 @@ class Hall:
         Returns:
             (..., 3) [m].
         """
-        low, high = (np.array([self.x[i], self.y[i], (0.0, self.height)[i]]) for i in range(2))
+        low, high = (np.array([self.x[i], self.y[i], (0.0, self.beams)[i]]) for i in range(2))
         return np.clip(p_world, low + margin, high - margin)
 
 

@@ -16,7 +16,7 @@ from falconwing_kit.control.loops import STEP_S, path_axes
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.messages import Observation, State
 
-MARGIN = 1.0  # m that a leader keeps from walls and ceiling; its half span is 0.35 m
+MARGIN = 1.0  # m that a leader keeps from walls and beams; its half span is 0.35 m
 LOWEST = 0.7  # m above the floor
 TRIES, KNOTS = 500, 8  # of random waypoints
 LEADER_DRAWS = 2  # last word of the generator's key: whatever else a trial draws has a key with another one
@@ -195,8 +195,8 @@ PLANS = {
         (-16.0, 1.0, 1.3), 0.0, _S_KNOTS, tuple(-k for k in _S_LEFT), (0.0, 0.0, 5.0, 6.0, 6.0, 5.0, 0.0, 0.0)
     ),
     "right_turn_sharp_climb": Plan(
-        (-16.0, 5.0, 1.0), 0.0, (0.0, 3.0, 7.0, 17.0, 21.0, 25.0), (0.0, 0.0, 0.1, 0.1, 0.0, 0.0),
-        (0.0, 1.0, 11.0, 11.0, 1.0, 0.0),
+        (-16.0, 5.0, 1.0), 0.0, (0.0, 3.0, 7.0, 15.0, 17.0, 19.0, 21.0, 25.0),
+        (0.0, 0.0, 0.1, 0.1, 0.1, 0.05, 0.0, 0.0), (0.0, 1.0, 11.0, 11.0, 6.0, 1.0, 0.0, 0.0),
     ),
     "figure_eight": Plan(
         (-2.5, -2.0, 2.2), -71.536, (*_LOBE, *(56.184 + s for s in _LOBE[1:])),

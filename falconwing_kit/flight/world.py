@@ -216,7 +216,7 @@ class SimulatedWorld:
             "pad": bool(np.any(below & (ground > 0.0) & (before[:, 2] > ground))),
             "pad edge": bool(np.any(below & (ground > 0.0))),
             "floor": bool(np.any(below)),
-            "ceiling": corners[:, 2].max() > self._hall.height,
+            "ceiling": corners[:, 2].max() > self._hall.beams,
             "wall": self._hall.margin(corners * (1.0, 1.0, 0.0)).min() < 0.0,
         }
         first = next((Contact(t, obstacle, p_world) for obstacle, yes in touched.items() if yes), None)

@@ -5,8 +5,9 @@ import pytest
 
 from falconwing_kit.control.guidance import PREVIEW_S, Hall, Path, require_flyable
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.config import load_toml
 from falconwing_kit.core.frames import GRAVITY
-from falconwing_kit.scene.arena import HALL_HIGH, HALL_LOW
+from falconwing_kit.scene.arena import HALL_HIGH, HALL_LOW, PLAN
 
 
 def helix(radius=10.0, slope=0.1, turns=0.75):
@@ -77,13 +78,15 @@ def test_no_path_without_different_points(points):
 
 
 def test_hall_is_the_arena():
-    """The walls that are flown against are those that are seen."""
+    """The walls and beams that are flown against are those that are seen."""
+    beams = [box for box in load_toml(PLAN)["box"] if box.get("colour") == "glulam"]
+    assert {box["low"][2] for box in beams} == {Hall().beams}
     assert [Hall().x[0], Hall().y[0]] == HALL_LOW[:2].tolist()
     assert [Hall().x[1], Hall().y[1], Hall().height] == HALL_HIGH.tolist()
 
 
 def test_margin_by_hand():
-    """From x -22.5..17.5, y -12..8, z 5: one point near each side, and one outside; `inside` brings it back."""
-    points = np.array([[-20.0, 0.0, 2.0], [16.5, 0, 2], [0, -11.5, 2], [0, 7.0, 2], [0, 0, 4.9], [18.0, 0, 2]])
+    """From x -22.5..17.5, y -12..8, z 4.65: one point near each side, and one outside; `inside` brings it back."""
+    points = np.array([[-20.0, 0.0, 2.0], [16.5, 0, 2], [0, -11.5, 2], [0, 7.0, 2], [0, 0, 4.55], [18.0, 0, 2]])
     assert Hall().margin(points) == pytest.approx([2.5, 1.0, 0.5, 1.0, 0.1, -0.5])
     assert Hall().inside(np.array([18.0, -13.0, 0.1]), 1.0) == pytest.approx([16.5, -11.0, 1.0])

@@ -15,7 +15,7 @@ def paths():
 
 
 def test_leaders_stay_inside_the_hall(paths):
-    """Walls and ceiling of the 40 x 20 x 5 m hall; a span is 0.7 m, so half a metre is wing tip and some air."""
+    """Walls and beams of the 40 x 20 x 5 m hall; a span is 0.7 m, so half a metre is wing tip and some air."""
     for path in paths.values():
         assert Hall().margin(path.states[:, :3]).min() > 0.5, path.manoeuvre
         assert path.states[:, 2].min() > 0.5, path.manoeuvre

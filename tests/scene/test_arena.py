@@ -113,13 +113,33 @@ def test_court_line_is_straight_and_in_its_place(hall):
     assert np.all(grey[line[:, 1], line[:, 0]] > grey[beside[:, 1], beside[:, 0]] + 0.1)
 
 
+@pytest.mark.parametrize("yaw_deg", [-120.0, -90.0, -60.0])
+def test_a_beam_overhead_does_not_veil_what_is_ahead(hall, yaw_deg):
+    """Geometry: 0.45 m below the beam at x = 0 and level, what is 5 to 25 deg below the horizon is the wall at y = -12.
+
+    By hand, a pixel's ray meets that wall at the depth 7.5 m / (-v), v the ray's part along the wall's normal for one
+    metre ahead; between the wall bars and the pipe nothing stands before it. A large piece close to the camera
+    once spread over half the image, as the local affine projection of Gaussians allows.
+    """
+    T_world_camera = nose_camera_pose((-0.5, -4.5, 4.2), 0.0, 0.0, np.deg2rad(-yaw_deg))
+    depth = render(hall, CAMERA, T_world_camera).depth
+    u, v = np.meshgrid(np.arange(40, 600, 15), np.arange(260, 420, 8))
+    rays = np.stack([(u + 0.5 - CAMERA.cx) / CAMERA.fx, (v + 0.5 - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
+    along_y = (rays @ T_world_camera[:3, :3].T)[..., 1]
+    wall = 7.5 / -along_y
+    x, z = (start + wall * (rays @ T_world_camera[:3, :3].T)[..., i] for i, start in ((0, -0.5), (2, 4.2)))
+    meets = (along_y < -0.2) & (abs(x) < 12.0) & (z > 2.7) & (z < 3.7)
+    assert meets.sum() > 40
+    assert np.all(depth[v, u][meets] > 0.9 * wall[meets])
+
+
 @pytest.mark.parametrize("distance", [3.0, 5.0, 7.0, 10.0])
 @pytest.mark.parametrize("side", [-0.4, 0.0, 0.3])
 def test_marker_is_found_and_its_pose_is_right(hall, distance, side):
     """OpenCV's detector and solvePnP against the pose that was asked for: 5 % of the distance, as issue 4 wants.
 
-    The attitude of so small a square is ambiguous from afar (at 10 m it is 32 pixels wide), so the angle is asked for
-    up to 5 m only.
+    A square that faces the camera looks the same tilted a little either way: its attitude enters the image in second
+    order only. So straight ahead the angle is asked for up to 5 m, from the side up to 10 m (32 pixels wide).
     """
     import cv2
 
@@ -136,7 +156,7 @@ def test_marker_is_found_and_its_pose_is_right(hall, distance, side):
     _, turn, p_camera = cv2.solvePnP(square, image, CAMERA.K, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
     expected = (np.array([0.0, 0.0, 0.75]) - p_world) @ T_world_camera[:3, :3]
     assert np.linalg.norm(p_camera.ravel() - expected) < 0.05 * np.linalg.norm(expected)
-    if distance <= 5.0:
+    if distance <= 5.0 or side != 0.0:
         R_world_marker = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # x right, y up, z to us
         wrong = cv2.Rodrigues(turn)[0] @ (T_world_camera[:3, :3].T @ R_world_marker).T
         assert np.degrees(np.arccos((np.trace(wrong) - 1.0) / 2.0)) < 5.0
