@@ -1,4 +1,4 @@
-"""`falconwing export` and `falconwing replay`: a flight log in; a table, a repaired log, a live page or figures out."""
+"""`falconwing export` and `falconwing replay`: a flight log in; a table, a ROS bag, a page or figures out."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,14 +17,14 @@ BROWSER_S = 8.0  # a browser gets so long to show the page before a replay begin
 
 @dataclass(frozen=True)
 class Export:
-    """Turn a flight log into a flight table, or an interrupted log into a whole one."""
+    """Turn a flight log into a flight table or a ROS bag, or an interrupted log into a whole one."""
 
     log: Annotated[Path, tyro.conf.Positional]
     """the flight log (MCAP), also one whose writing was cut short"""
     out: Path
     """the file to write, or a folder to write it into"""
-    to: Literal["csv", "mcap"] = "csv"
-    """csv: one row per image with pose and command; mcap: all that can be read, indexed and compressed"""
+    to: Literal["csv", "mcap", "bag"] = "csv"
+    """csv: one row per image with pose and command; mcap: all that can be read, indexed and compressed; bag: ROS 1"""
     json: bool = False
     """print the result as JSON"""
 
@@ -41,14 +41,18 @@ class Export:
         target = self.out / f"{self.log.stem}.{self.to}" if self.out.is_dir() else self.out
         if target.resolve() == self.log.resolve():
             raise InputError(f"{target}: want another name than the log's own, so that the log is kept")
-        counts, warnings = self._to_table(target) if self.to == "csv" else self._to_log(target)
+        write, use = {
+            "csv": (self._to_table, f"falconwing identify {target}"),
+            "mcap": (self._to_log, f"falconwing export {target} --to csv"),
+            "bag": (self._to_bag, f"rosbag info {target}"),
+        }[self.to]
+        counts, warnings = write(target)
         if self.json:
             print_json({"file": str(target), **counts, "warnings": list(warnings)})
             return 0
         print_table(["what", "count"], list(counts.items()), title=str(target))
         for sentence in warnings:
             print(f"warning: {sentence}")
-        use = f"falconwing identify {target}" if self.to == "csv" else f"falconwing export {target} --to csv"
         next_line(use)
         return 0
 
@@ -60,6 +64,12 @@ class Export:
     def _to_log(self, target: Path) -> tuple[dict[str, int], tuple[str, ...]]:
         saved = recover(self.log, target)
         return {topic.strip("/"): count for topic, count in saved.counts.items()}, saved.warnings
+
+    def _to_bag(self, target: Path) -> tuple[dict[str, int], tuple[str, ...]]:
+        from falconwing_kit.flight.bag import write_bag
+
+        log = read_flight_log(self.log)
+        return write_bag(target, log), log.warnings
 
 
 @dataclass(frozen=True)

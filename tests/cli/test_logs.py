@@ -49,12 +49,26 @@ def test_an_interrupted_log_becomes_a_whole_one(log, tmp_path, capsys):
     assert saved.warnings == ()
 
 
+def test_an_interrupted_log_becomes_a_bag(log, tmp_path, capsys):
+    """Ten of each by hand, as the library that wrote the bag reads it; the interruption is said."""
+    from rosbags.rosbag1 import Reader
+
+    assert main(["export", str(tmp_path / "interrupted.mcap"), "--to", "bag", "--out", str(tmp_path), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert "closing record" in report["warnings"][0]
+    with Reader(tmp_path / "interrupted.bag") as bag:
+        counts = {topic: info.msgcount for topic, info in bag.topics.items()}
+    assert counts == {f"/falconwing/{name}": 10 for name in ("image", "command", "pose", "twist")}
+    assert {topic: report[topic] for topic in counts} == counts
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
         (["absent.mcap", "--out", "a.csv"], "absent.mcap"),
         (["flight.mcap", "--out", "flight.mcap"], "another name"),
         (["flight.mcap", "--out", "none/a.csv"], "want a folder"),
+        (["flight.mcap", "--out", "none/a.bag", "--to", "bag"], "want a folder"),
         (["notes.txt", "--out", "a.csv"], "want a flight log in MCAP format"),
     ],
 )
