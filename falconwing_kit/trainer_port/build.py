@@ -1,0 +1,162 @@
+"""Firmware builder: the sources in firmware/ -> the chip's program and the simulator, kept in the cache folder.
+
+All is built on the spot with the system's tools and kept under the digest of what it was made from: a changed line of
+the firmware is a new build, an unchanged one costs nothing.
+"""
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.files import write_error
+
+SKETCH = "trainer_bridge"
+ARDUINO_CORE = "/usr/share/arduino/hardware/arduino/avr/cores/arduino/Arduino.h"
+TOOLS = {  # Debian package -> a program or a file that it brings
+    "make": "make",
+    "g++": "g++",
+    "gcc-avr": "avr-g++",
+    "avr-libc": "/usr/lib/avr/include/avr/io.h",
+    "arduino-core-avr": ARDUINO_CORE,
+    "libsimavr-dev": "/usr/include/simavr/sim_avr.h",
+}
+KEEP_DAYS = 30.0  # older ones are thrown away
+Builder = Callable[[Path, Path], None]  # (copy of the sources, path of the product)
+
+
+def missing_tools() -> list[str]:
+    """The Debian packages that a simulated board needs and this machine lacks; empty where it can be built."""
+    return [package for package, sign in TOOLS.items() if not (shutil.which(sign) or Path(sign).is_file())]
+
+
+def firmware_folder() -> Path:
+    """Where the firmware's sources are: in a checkout beside the package, else where the install put them.
+
+    Raises:
+        FileNotFoundError: they are in neither place.
+    """
+    places = [Path(__file__).parents[2] / "firmware", Path(sys.prefix) / "share" / "falconwing_kit" / "firmware"]
+    for place in places:
+        if (place / SKETCH / f"{SKETCH}.ino").is_file():
+            return place
+    raise FileNotFoundError(f"no firmware at {' or '.join(map(str, places))}; install the kit from a checkout")
+
+
+def build_firmware(defines: Sequence[str] = (), replace: Path | None = None) -> Path:
+    """The program for the board's ATmega2560, as flashed.
+
+    Args:
+        defines: settings of config.h that shall differ, such as "CHANNELS=8".
+        replace: a folder whose files take the place of the sketch's of the same name, for experiments.
+
+    Returns:
+        Path of the ELF file.
+
+    Raises:
+        InputError: a tool is missing, the compiler refused, or the cache folder cannot be written.
+    """
+    flags = " ".join(f"-D{define}" for define in defines)
+
+    def build(sources: Path, product: Path) -> None:
+        if replace is not None:
+            shutil.copytree(replace, sources / SKETCH, dirs_exist_ok=True)
+        _run(["make", "-C", str(sources), "elf", f"OUT={product.parent}", f"DEFINES={flags}"])
+
+    return _built(f"{SKETCH}.elf", build, flags, replace)
+
+
+def build_simulator() -> Path:
+    """The library that runs an ATmega2560 cycle by cycle (firmware/sim/simavr_shim.c on Debian's libsimavr).
+
+    Raises:
+        InputError: a tool is missing, the compiler refused, or the cache folder cannot be written.
+    """
+
+    def build(sources: Path, product: Path) -> None:
+        source = sources / "sim" / "simavr_shim.c"
+        include = Path(TOOLS["libsimavr-dev"]).parent
+        options = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", f"-I{include}"]
+        _run(["gcc", *options, str(source), "-o", str(product), "-lsimavr"])
+
+    return _built("simavr_shim.so", build)
+
+
+def build_host_library() -> Path:
+    """The firmware's `link` and `safety` as a library of this machine, for tests (firmware/host_tests/host_api.h).
+
+    Raises:
+        InputError: a tool is missing, the compiler refused, or the cache folder cannot be written.
+    """
+
+    def build(sources: Path, product: Path) -> None:
+        _run(["make", "-C", str(sources), "host-lib", f"OUT={product.parent}"])
+
+    return _built("libtrainer_bridge.so", build)
+
+
+def _built(name: str, build: Builder, flags: str = "", replace: Path | None = None) -> Path:
+    """The kept product, or a new one; it takes its place in the cache folder whole or not at all."""
+    missing = missing_tools()
+    if missing:
+        raise InputError(
+            f"firmware: want the Debian packages {' '.join(TOOLS)} to build it, {' '.join(missing)} not found; "
+            f"install with: sudo apt install {' '.join(missing)}"
+        )
+    source = firmware_folder()
+    digest = _digest([source, replace] if replace else [source], flags)
+    kept = _cache_folder() / f"{Path(name).stem}-{digest}{Path(name).suffix}"
+    if kept.is_file():
+        return kept
+    try:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        _forget_old(kept.parent, Path(name))
+        with tempfile.TemporaryDirectory(dir=kept.parent, prefix=".build-") as folder:
+            sources = Path(shutil.copytree(source, Path(folder) / "firmware", ignore=shutil.ignore_patterns("build")))
+            product = Path(folder) / "out" / name
+            product.parent.mkdir()
+            build(sources, product)
+            os.replace(product, kept)
+    except OSError as error:
+        raise write_error(kept, error) from None
+    return kept
+
+
+def _digest(folders: Sequence[Path], flags: str) -> str:
+    """What the sources and flags come to in twelve letters: names and bytes of all files but texts and products."""
+    digest = hashlib.sha256(flags.encode())
+    for folder in folders:
+        for path in sorted(path for path in folder.rglob("*") if path.is_file() and path.suffix != ".md"):
+            name = path.relative_to(folder)
+            if "build" not in name.parts:
+                digest.update(f"{name.as_posix()}\0{path.stat().st_size}\0".encode() + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def _run(command: Sequence[str]) -> None:
+    """Run a build step; what the compiler complains of becomes the sentence."""
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if done.returncode:
+        lines = (done.stderr or done.stdout).strip().splitlines() or ["no message"]
+        first = next((line for line in lines if "error" in line.lower()), lines[-1])
+        raise InputError(f"firmware: want a clean build, got from {command[0]}: {first.strip()}; mend the source")
+
+
+def _forget_old(folder: Path, name: Path) -> None:
+    oldest = time.time() - KEEP_DAYS * 86400.0
+    for path in folder.glob(f"{name.stem}-*{name.suffix}"):
+        with suppress(OSError):
+            if path.stat().st_mtime < oldest:
+                path.unlink()
+
+
+def _cache_folder() -> Path:
+    """Where the user's system keeps what programs can make again; the folder need not exist."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "falconwing"

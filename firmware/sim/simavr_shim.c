@@ -1,0 +1,292 @@
+/* The board in a box: an ELF file, bytes on the serial lines, edges on a pin -> bytes and PPM edges, cycle by cycle.
+ *
+ * A thin layer over libsimavr 1.6 (Debian: libsimavr-dev), loaded from Python with ctypes
+ * (falconwing_kit/trainer_port/simulated_board.py). Time is counted in cycles of 16 MHz since power-on and runs only
+ * inside sim_run; a sleeping chip jumps to its next event. Where libsimavr differs from silicon and it matters here:
+ *  - its UART counts 11 bits a byte; put right to the 10 bits of 8N1 (uart_pace);
+ *  - its receiver holds 63 bytes, silicon two and the one being shifted in; a fourth is lost here too (on_line);
+ *  - after a compare match a few ticks before Timer1 wraps it may turn the pin back for some microseconds, until the
+ *    interrupt has run. Silicon does not. Such a pulse is dropped and counted, beside a wrap only (log_edge);
+ *  - a write to PORTB raises events for PB5 although the timer owns the pin; they are not listened to (on_port);
+ *  - while the chip is reset its pins keep their level; on a bench the resistors decide;
+ *  - there is no bootloader: the sketch starts at once.
+ */
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "avr_ioport.h"
+#include "avr_timer.h"
+#include "avr_uart.h"
+#include "sim_avr.h"
+#include "sim_elf.h"
+
+enum { CLOCK_HZ = 16000000, BAUD = 115200, UARTS = 2, TCCR1A = 0x80, RAM_START = 0x200 };
+enum { BYTE_CYCLES = (CLOCK_HZ * 10 + BAUD / 2) / BAUD, SILICON_RX_BYTES = 3 };
+enum { WRAP_CYCLES = 10 * (CLOCK_HZ / 1000000), LONGEST_RUN = 1000000 };
+enum { JUMP_TO_ITSELF = 0xCFFF };
+enum { ARTEFACTS, OVERRUNS, WATCHDOG_RESETS, COUNTERS };
+
+typedef struct { /* things that happen at a cycle: bytes of a line or levels of a pin, oldest first */
+    uint64_t *at;
+    uint8_t *value;
+    size_t first, last, room;
+} queue;
+
+typedef struct board board;
+
+typedef struct { /* one serial line towards the chip */
+    board *owner;
+    avr_uart_t *uart;
+    avr_irq_t *input;
+    uint64_t free_at; /* cycle at which the next byte may start */
+    queue bytes;
+} line;
+
+struct board {
+    avr_t *avr;
+    avr_timer_t *timer1;
+    avr_irq_t *pilot_pin;
+    line lines[UARTS];
+    queue sent, edges, pilot;
+    uint64_t until;
+    uint32_t counters[COUNTERS];
+    uint32_t loop_address; /* byte address of loop() in flash; 0 where the ELF does not name it */
+    uint16_t loop_code;    /* its first instruction, while the jump stands there */
+    int hung, pin_level, edge_at_wrap;
+    void (*core_reset)(avr_t *);
+};
+
+static char last_error[200];
+
+static void keep_error(avr_t *avr, const int level, const char *format, va_list arguments) {
+    (void)avr;
+    if (level == LOG_ERROR) vsnprintf(last_error, sizeof last_error, format, arguments);
+}
+
+static void push(queue *q, uint64_t at, uint8_t value) {
+    if (q->last == q->room) {
+        size_t waiting = q->last - q->first;
+        if (waiting * 2 >= q->room) {
+            q->room = q->room ? q->room * 2 : 1024;
+            q->at = realloc(q->at, q->room * sizeof *q->at);
+            q->value = realloc(q->value, q->room);
+            if (!q->at || !q->value) abort();
+        }
+        memmove(q->at, q->at + q->first, waiting * sizeof *q->at);
+        memmove(q->value, q->value + q->first, waiting);
+        q->first = 0, q->last = waiting;
+    }
+    q->at[q->last] = at;
+    q->value[q->last++] = value;
+}
+
+static int is_empty(const queue *q) { return q->first == q->last; }
+static uint64_t next_at(const queue *q) { return q->at[q->first]; }
+static uint8_t pop(queue *q) { return q->value[q->first++]; }
+
+/* ---- serial lines ---- */
+
+static void uart_pace(avr_uart_t *uart) { /* data sheet 22.3.1: a bit is 16 (UBRR + 1) cycles, 8 where U2X is set */
+    avr_t *avr = uart->io.avr;
+    uint32_t divider = avr_regbit_get(avr, uart->ubrrl) | avr_regbit_get(avr, uart->ubrrh) << 8;
+    uart->cycles_per_byte = 10 * (divider + 1) * (avr_regbit_get(avr, uart->u2x) ? 8 : 16);
+}
+
+static avr_cycle_count_t on_line(avr_t *avr, avr_cycle_count_t when, void *parameter) {
+    line *l = parameter;
+    uint16_t waiting = (l->uart->input.write - l->uart->input.read) % 64;
+    (void)when;
+    uart_pace(l->uart);
+    uint8_t byte = pop(&l->bytes);
+    if (waiting < SILICON_RX_BYTES)
+        avr_raise_irq(l->input, byte);
+    else
+        l->owner->counters[OVERRUNS]++;
+    (void)avr;
+    return is_empty(&l->bytes) ? 0 : next_at(&l->bytes);
+}
+
+static void on_sent(avr_irq_t *irq, uint32_t value, void *parameter) {
+    board *b = parameter;
+    (void)irq;
+    uart_pace(b->lines[0].uart);
+    push(&b->sent, b->avr->cycle + b->lines[0].uart->cycles_per_byte, value);
+}
+
+/* ---- pins ---- */
+
+static void log_edge(board *b, int level) {
+    queue *edges = &b->edges;
+    uint64_t now = b->avr->cycle;
+    if (level == b->pin_level) return; /* libsimavr repeats itself */
+    b->pin_level = level;
+    int at_wrap = now - b->timer1->tov_base < WRAP_CYCLES;
+    if (at_wrap && b->edge_at_wrap && !is_empty(edges) && now - edges->at[edges->last - 1] < WRAP_CYCLES) {
+        edges->last--;
+        b->edge_at_wrap = 0;
+        b->counters[ARTEFACTS]++;
+        return;
+    }
+    b->edge_at_wrap = at_wrap;
+    push(edges, now, level);
+}
+
+static void on_compare(avr_irq_t *irq, uint32_t value, void *parameter) {
+    (void)irq;
+    log_edge(parameter, value & 1);
+}
+
+static void on_port(avr_irq_t *irq, uint32_t value, void *parameter) {
+    board *b = parameter;
+    (void)irq;
+    if (b->avr->data[TCCR1A] >> 6 == 0) log_edge(b, value & 1); /* COM1A = 0: the port owns the pin */
+}
+
+static avr_cycle_count_t on_pilot(avr_t *avr, avr_cycle_count_t when, void *parameter) {
+    board *b = parameter;
+    (void)avr, (void)when;
+    avr_raise_irq(b->pilot_pin, pop(&b->pilot));
+    return is_empty(&b->pilot) ? 0 : next_at(&b->pilot);
+}
+
+/* ---- running ---- */
+
+static avr_cycle_count_t on_stop(avr_t *avr, avr_cycle_count_t when, void *parameter) {
+    (void)avr, (void)when, (void)parameter;
+    return 0;
+}
+
+static void no_sleep(avr_t *avr, avr_cycle_count_t cycles) { (void)avr, (void)cycles; }
+
+static void call_at(board *b, uint64_t at, avr_cycle_timer_t timer, void *parameter) {
+    avr_cycle_timer_register(b->avr, at > b->avr->cycle ? at - b->avr->cycle : 0, timer, parameter);
+}
+
+static void arm(board *b) { /* a reset forgets all timers of the simulator, the world's among them */
+    call_at(b, b->until, on_stop, b);
+    for (int i = 0; i < UARTS; i++)
+        if (!is_empty(&b->lines[i].bytes)) call_at(b, next_at(&b->lines[i].bytes), on_line, &b->lines[i]);
+    if (!is_empty(&b->pilot)) call_at(b, next_at(&b->pilot), on_pilot, b);
+}
+
+static uint16_t swap_code(board *b, uint16_t code) {
+    uint8_t *place = b->avr->flash + b->loop_address;
+    uint16_t old = place[0] | place[1] << 8;
+    place[0] = code & 0xFF, place[1] = code >> 8;
+    return old;
+}
+
+static void on_reset(avr_t *avr) {
+    board *b = avr->custom.data;
+    if (b->core_reset) b->core_reset(avr);
+    if (b->hung) swap_code(b, b->loop_code);
+    b->hung = 0;
+    arm(b);
+}
+
+int sim_run(board *b, uint64_t until) {
+    b->until = until;
+    arm(b);
+    while (b->avr->cycle < until) {
+        avr_run_t usual = b->avr->run;
+        b->avr->run_cycle_limit = LONGEST_RUN; /* many instructions a call; a reset puts 1 */
+        int state = avr_run(b->avr);
+        if (state == cpu_Done || state == cpu_Crashed || state == cpu_Stopped) return state;
+        if (usual != avr_callback_run_raw) b->counters[WATCHDOG_RESETS]++;
+    }
+    return 0;
+}
+
+void sim_close(board *b) {
+    queue *all[] = {&b->sent, &b->edges, &b->pilot, &b->lines[0].bytes, &b->lines[1].bytes};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++) free(all[i]->at), free(all[i]->value);
+    b->avr->custom.deinit = NULL;
+    avr_terminate(b->avr);
+    free(b->avr);
+    free(b);
+}
+
+static void connect_pins(board *b) {
+    avr_t *avr = b->avr;
+    for (avr_io_t *io = avr->io_port; io; io = io->next) {
+        if (!strcmp(io->kind, "timer") && ((avr_timer_t *)io)->name == '1') b->timer1 = (avr_timer_t *)io;
+        for (int i = 0; i < UARTS; i++)
+            if (!strcmp(io->kind, "uart") && ((avr_uart_t *)io)->name == '0' + i) b->lines[i].uart = (avr_uart_t *)io;
+    }
+    for (int i = 0; i < UARTS; i++) {
+        uint32_t quiet = 0; /* neither a wall-clock sleep while polling nor a copy on the console */
+        avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0' + i), &quiet);
+        b->lines[i].owner = b;
+        b->lines[i].input = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0' + i), UART_IRQ_INPUT);
+    }
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_sent, b);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_TIMER_GETIRQ('1'), TIMER_IRQ_OUT_COMP), on_compare, b);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), 5), on_port, b);
+    b->pilot_pin = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('L'), 0);
+}
+
+board *sim_open(const char *elf_path, uint32_t seed) {
+    avr_global_logger_set(keep_error);
+    elf_firmware_t elf;
+    memset(&elf, 0, sizeof elf);
+    snprintf(last_error, sizeof last_error, "no code in the file");
+    if (elf_read_firmware(elf_path, &elf) || !elf.flashsize) return NULL;
+    board *b = calloc(1, sizeof *b);
+    avr_t *avr = b ? avr_make_mcu_by_name("atmega2560") : NULL;
+    if (!avr) return free(b), NULL;
+    b->avr = avr;
+    avr_init(avr);
+    avr_load_firmware(avr, &elf);
+    avr->frequency = CLOCK_HZ;
+    avr->sleep = no_sleep;
+    for (uint32_t i = RAM_START; i <= avr->ramend; i++) /* memory holds anything when the power comes */
+        avr->data[i] = (seed = seed * 1664525u + 1013904223u) >> 24;
+    for (uint32_t i = 0; i < elf.symbolcount; i++)
+        if (!strcmp(elf.symbol[i]->symbol, "loop")) b->loop_address = elf.symbol[i]->addr;
+    connect_pins(b);
+    avr->custom.data = b;
+    b->core_reset = avr->reset;
+    avr->reset = on_reset;
+    return b;
+}
+
+const char *sim_error(void) { return last_error; }
+uint64_t sim_cycle(const board *b) { return b->avr->cycle; }
+uint32_t sim_counter(const board *b, int which) { return b->counters[which]; }
+
+void sim_send(board *b, int uart, const uint8_t *bytes, size_t count) {
+    line *l = &b->lines[uart];
+    if (l->free_at < b->avr->cycle) l->free_at = b->avr->cycle;
+    for (size_t i = 0; i < count; i++, l->free_at += BYTE_CYCLES) push(&l->bytes, l->free_at, bytes[i]);
+}
+
+void sim_drive_pilot(board *b, const uint64_t *at, const uint8_t *levels, size_t count) {
+    for (size_t i = 0; i < count; i++) push(&b->pilot, at[i], levels[i]);
+}
+
+size_t sim_receive(board *b, uint8_t *bytes, size_t most) { /* what has left the chip down to its stop bit */
+    size_t count = 0;
+    while (count < most && !is_empty(&b->sent) && next_at(&b->sent) <= b->avr->cycle) bytes[count++] = pop(&b->sent);
+    return count;
+}
+
+size_t sim_take_edges(board *b, uint64_t *at, uint8_t *levels, size_t most) { /* the last 10 us may yet be dropped */
+    size_t count = 0;
+    for (; count < most && !is_empty(&b->edges) && next_at(&b->edges) + WRAP_CYCLES <= b->avr->cycle; count++)
+        at[count] = next_at(&b->edges), levels[count] = pop(&b->edges);
+    return count;
+}
+
+int sim_hang(board *b) { /* the next call of loop() never returns; interrupts go on; a reset ends it */
+    if (!b->loop_address) return -1;
+    if (!b->hung) b->loop_code = swap_code(b, JUMP_TO_ITSELF);
+    b->hung = 1;
+    return 0;
+}
+
+void sim_reset(board *b) { /* the reset button, or a host that opens the port: memory stays */
+    avr_reset(b->avr);
+    avr_regbit_set(b->avr, b->avr->reset_flags.extrf);
+}
