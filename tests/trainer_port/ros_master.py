@@ -40,7 +40,6 @@ def running_master(folder: Path) -> Iterator[str]:
             await_rosout(core, folder / "roscore.txt")
             yield uri
         finally:
-            end_node()
             core.send_signal(signal.SIGINT)  # it ends its own children then
             core.wait(START_S)
             sys.path[:] = path
@@ -54,9 +53,3 @@ def await_rosout(core: subprocess.Popen, output: Path) -> None:
     while "started core service [/rosout]" not in output.read_text():
         assert core.poll() is None and time.monotonic() < end, output.read_text()
         time.sleep(0.05)
-
-
-def end_node() -> None:
-    """Sign this process off while the master can still hear it; a process is a ROS node only once."""
-    if "rospy" in sys.modules:
-        sys.modules["rospy"].signal_shutdown("the tests are over")

@@ -12,7 +12,6 @@ from falconwing_kit.trainer_port.bus import COMMAND, IMAGE, PILOT, STATUS, Bus, 
 from falconwing_kit.trainer_port.ppm import load_calibration
 from falconwing_kit.trainer_port.protocol import Pilot, Status
 from falconwing_kit.trainer_port.ros import RosBus
-from tests.trainer_port.ros_master import running_master
 
 NOW = 1.7e9  # a time of today: seconds since 1970
 STAMP = 1e-6  # what is left of a stamp after floats and whole nanoseconds [s]
@@ -185,13 +184,6 @@ def test_relay_lives_on_when_the_pilots_radio_has_too_few_channels():
     moved, inboxes = relayed(port, [report, order(0.5), rest])
     assert port.told == [(0.5, True), "hand back"] and (moved.unreadable, moved.pilot) == (1, 0)
     assert inboxes[PILOT].take() is None
-
-
-@pytest.fixture(scope="module")
-def ros_master(tmp_path_factory):
-    """A real roscore."""
-    with running_master(tmp_path_factory.mktemp("ros")) as uri:
-        yield uri
 
 
 @pytest.fixture(params=["Bus", "RosBus"])
