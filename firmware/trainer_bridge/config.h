@@ -1,0 +1,101 @@
+// Everything that may be changed for another radio, in one place: numbers in, nothing out.
+//
+// None of these numbers was measured on a Spektrum NX8: measure yours first (README, "Measure the radio").
+// Each may also be set by the compiler: make -C firmware elf DEFINES="-DCHANNELS=8 -DPOLARITY=0"
+#pragma once
+#include <stdint.h>
+
+// ---- the pulses that leave on pin 11 ----
+#ifndef CHANNELS
+#define CHANNELS 4  // slots in a frame, 4..8; the host chooses the order of the sticks (hardware/trainer_port.toml)
+#endif
+#ifndef FRAME_US
+#define FRAME_US 22000  // first edge of a frame to the first edge of the next; radios use 20000 to 22500
+#endif
+#ifndef GAP_PULSE_US
+#define GAP_PULSE_US 400  // the short pulse that begins each slot and ends the last; radios use 300 to 400
+#endif
+#ifndef POLARITY
+#define POLARITY 1  // at the pin. 1: idle high, short pulses low. 0: idle low, short pulses high.
+#endif
+
+// ---- what a slot may hold ----
+#ifndef CHANNEL_MIN_US
+#define CHANNEL_MIN_US 1000  // a command below goes out as this
+#endif
+#ifndef CHANNEL_MAX_US
+#define CHANNEL_MAX_US 2000  // a command above goes out as this
+#endif
+#ifndef VALID_MIN_US
+#define VALID_MIN_US 900  // a command below is no command: the whole frame is refused
+#endif
+#ifndef VALID_MAX_US
+#define VALID_MAX_US 2100  // a command above is no command: the whole frame is refused
+#endif
+#ifndef THROTTLE_CHANNEL
+#define THROTTLE_CHANNEL 0  // number of the throttle's slot, from 0
+#endif
+#ifndef THROTTLE_CEILING_US
+#define THROTTLE_CEILING_US 2000  // lower it for the first flights
+#endif
+#ifndef SLEW_US
+#define SLEW_US 250  // most that a slot may change from one frame to the next: full stick in four frames
+#endif
+#ifndef SAFE_SLOTS_US
+#define SAFE_SLOTS_US 1000, 1500, 1500, 1500, 1500, 1500, 1500, 1500  // throttle idle, others neutral; trims go here
+#endif
+
+// ---- when the host is believed ----
+#ifndef HOST_TIMEOUT_MS
+#define HOST_TIMEOUT_MS 200  // no valid command for so long: safe slots. The host sends every 50 ms.
+#endif
+#ifndef ENGAGE_FRAMES
+#define ENGAGE_FRAMES 5  // valid commands that ask to engage, one after the other, before the board follows
+#endif
+#ifndef ENGAGE_WINDOW_MS
+#define ENGAGE_WINDOW_MS 500  // and all of them within this time
+#endif
+#ifndef SILENT_AFTER_MS
+#define SILENT_AFTER_MS 0  // no valid command for so long: no pulses at all, for radios that notice. 0: never.
+#endif
+#ifndef RANGE_FAULT_FRAMES
+#define RANGE_FAULT_FRAMES 5  // so many commands out of range within a second: the host is broken, FAULT
+#endif
+
+// ---- what is told to the host ----
+#ifndef STATUS_HZ
+#define STATUS_HZ 20
+#endif
+#ifndef PILOT_SOURCE
+#define PILOT_SOURCE 2  // the pilot's sticks come by 0: PPM on pin 49, 1: Spektrum serial on pin 19, 2: either
+#endif
+#ifndef SPEKTRUM_2048
+#define SPEKTRUM_2048 1  // 1: positions 0..2047 (all current radios), 0: positions 0..1023 (old DSM2, 22 ms)
+#endif
+
+constexpr uint16_t SAFE_US[8] = {SAFE_SLOTS_US};
+
+// ---- combinations that cannot work do not compile ----
+constexpr int32_t SHORTEST_SYNC_US = int32_t(FRAME_US) - int32_t(CHANNELS) * CHANNEL_MAX_US;
+constexpr int32_t LONGEST_SYNC_US = int32_t(FRAME_US) - int32_t(CHANNELS) * CHANNEL_MIN_US;
+constexpr bool safe_from(int channel) {
+  return channel == CHANNELS ||
+         (SAFE_US[channel] >= CHANNEL_MIN_US && SAFE_US[channel] <= CHANNEL_MAX_US && safe_from(channel + 1));
+}
+static_assert(CHANNELS >= 4 && CHANNELS <= 8, "CHANNELS: 4 to 8 slots");
+static_assert(SHORTEST_SYNC_US >= 4000, "the pause after the slots gets under 4 ms: fewer CHANNELS or a longer FRAME_US");
+static_assert(LONGEST_SYNC_US <= 19000, "the pause after the slots gets over 19 ms: a shorter FRAME_US");
+static_assert(FRAME_US <= 32000, "FRAME_US: the 16 bit timer counts to 32.7 ms");
+static_assert(GAP_PULSE_US >= 200 && GAP_PULSE_US + 200 <= CHANNEL_MIN_US,
+              "GAP_PULSE_US: the interrupt needs 200 us between two edges");
+static_assert(VALID_MIN_US <= CHANNEL_MIN_US && CHANNEL_MIN_US < CHANNEL_MAX_US && CHANNEL_MAX_US <= VALID_MAX_US,
+              "want VALID_MIN_US <= CHANNEL_MIN_US < CHANNEL_MAX_US <= VALID_MAX_US");
+static_assert(safe_from(0), "SAFE_SLOTS_US: each slot between CHANNEL_MIN_US and CHANNEL_MAX_US");
+static_assert(THROTTLE_CHANNEL >= 0 && THROTTLE_CHANNEL < CHANNELS, "THROTTLE_CHANNEL: a slot from 0 to CHANNELS - 1");
+static_assert(SAFE_US[THROTTLE_CHANNEL] <= THROTTLE_CEILING_US, "THROTTLE_CEILING_US is below the idle throttle");
+static_assert(SLEW_US > 0 && ENGAGE_FRAMES > 0 && ENGAGE_FRAMES < 256 && RANGE_FAULT_FRAMES > 0,
+              "SLEW_US, ENGAGE_FRAMES (up to 255) and RANGE_FAULT_FRAMES: at least 1");
+static_assert(HOST_TIMEOUT_MS >= 50 && HOST_TIMEOUT_MS <= 1000, "HOST_TIMEOUT_MS: 50 to 1000");
+static_assert(SILENT_AFTER_MS == 0 || SILENT_AFTER_MS >= HOST_TIMEOUT_MS, "SILENT_AFTER_MS: 0, or after the host is lost");
+static_assert(STATUS_HZ >= 1 && STATUS_HZ <= 50, "STATUS_HZ: 1 to 50");
+static_assert(PILOT_SOURCE >= 0 && PILOT_SOURCE <= 2, "PILOT_SOURCE: 0, 1 or 2");

@@ -1,0 +1,244 @@
+// FalconWing trainer bridge: commands from the computer in, pulses for the radio's trainer port out.
+// Board: Arduino Mega 2560. Everything that may be changed stands in config.h; how to wire and check is in ../README.md.
+//
+//   pin 11  PPM out (OC1A)              the timer itself makes each edge; the interrupt only prepares the next one
+//   pin 49  PPM in (ICP4)               the pilot's sticks, if the radio gives them so
+//   pin 19  Spektrum serial in (RX1)    the pilot's sticks, from a remote receiver
+//   USB     115200 8N1                  the computer
+//
+// This file is pins, registers and interrupts. What it decides is decided in safety, link, ppm_out and ppm_in, which
+// know no Arduino. "Data sheet" is ATmega640/1280/1281/2560/2561, Microchip DS40002211.
+#include <avr/sleep.h>
+#include <avr/wdt.h>
+#include <util/atomic.h>
+
+#include "config.h"
+#include "link.h"
+#include "ppm_in.h"
+#include "ppm_out.h"
+#include "safety.h"
+
+constexpr uint8_t PPM_OUT_PIN = 11, PPM_IN_PIN = 49, SPEKTRUM_PIN = 19;
+constexpr uint32_t STATUS_PERIOD_US = 1000000UL / STATUS_HZ;
+constexpr uint8_t LARGEST_FRAME = 48;  // STATUS with eight channels; the core buffers 63 bytes
+constexpr uint8_t HUNG_TICKS = 150000UL / FRAME_US;  // a pass of loop() takes well under 2 ms
+
+// Shared with the interrupts: loop() touches these inside ATOMIC_BLOCK only.
+Safety safety;
+PpmOut ppm_out;
+PilotPpm pilot_ppm;
+volatile bool pilot_ppm_ready = false;
+volatile uint8_t ticks_without_loop = 0;
+
+// loop()'s own.
+Receiver receiver;
+PilotSpektrum pilot_spektrum;
+bool pilot_spektrum_ready = false;
+SyncReply sync_reply;
+bool sync_reply_ready = false;
+uint32_t last_status_us = 0;
+
+// ---- what outlives a reset (data sheet 12.4 and 12.5: the RAM keeps its contents, power-off loses them) ----
+
+uint8_t reset_cause __attribute__((section(".noinit")));
+uint8_t boot_count __attribute__((section(".noinit")));
+uint8_t hung __attribute__((section(".noinit")));  // loop() was hung when the reset came
+uint16_t kept_check __attribute__((section(".noinit")));
+
+// After a watchdog reset the watchdog runs on at 15 ms, so it is stopped before anything else; and the cause is
+// cleared, else WDRF keeps the watchdog on (data sheet 12.5.1). .init3 runs before main() and before any variable is set.
+void take_reset_cause() __attribute__((naked, used, section(".init3")));
+void take_reset_cause() {
+  reset_cause = MCUSR;
+  MCUSR = 0;
+  wdt_disable();
+}
+
+uint16_t check_word() { return uint16_t(0x5AFE ^ (uint16_t(boot_count) << 8 | hung)); }
+
+void keep(uint8_t new_boot_count, bool new_hung) {
+  boot_count = new_boot_count;
+  hung = new_hung;
+  kept_check = check_word();
+}
+
+// Count this boot. Returns whether it came because loop() had hung. WDRF alone does not tell: the Mega's bootloader
+// clears MCUSR before the sketch can read it, so the interrupt leaves its own mark.
+bool begin_kept() {
+  const bool known = kept_check == check_word() && !(reset_cause & _BV(PORF));
+  const bool stalled = (known && hung) || (reset_cause & _BV(WDRF));
+  keep(known ? uint8_t(boot_count + 1) : 1, false);
+  return stalled;
+}
+
+// ---- PPM out: Timer1, free running at 2 MHz (data sheet 17.9.1 normal mode, 17.8 compare match output) ----
+
+// What the pin does at the next match. COM1A1:0 = 3 sets it, 2 clears it.
+constexpr uint8_t SET_PIN = _BV(COM1A1) | _BV(COM1A0), CLEAR_PIN = _BV(COM1A1);
+constexpr uint8_t TO_IDLE = POLARITY ? SET_PIN : CLEAR_PIN, TO_PULSE = POLARITY ? CLEAR_PIN : SET_PIN;
+
+void begin_ppm_out() {
+  TCCR1B = 0;  // stop: the core has set the timer up for analogWrite()
+  TCCR1A = TO_IDLE;
+  TCCR1C = _BV(FOC1A);  // act as if it had matched, so that the pin begins idle
+  pinMode(PPM_OUT_PIN, OUTPUT);
+  TCNT1 = 0;
+  OCR1A = FRAME_US * uint16_t(TICKS_PER_US);
+  TIFR1 = _BV(OCF1A);
+  TIMSK1 = _BV(OCIE1A);
+  TCCR1B = _BV(CS11);  // 16 MHz / 8
+}
+
+// If loop() hangs, the safety machine runs out of commands here and the slots go safe; then the watchdog resets the
+// board. The mark tells the next boot why.
+void watch_loop() {
+  if (ticks_without_loop < HUNG_TICKS) ++ticks_without_loop;
+  else if (!hung) keep(boot_count, true);
+}
+
+// An edge has just been made. The next is at least GAP_PULSE_US away, and all that can hold this interrupt up (the
+// atomic blocks below, the core's serial and clock interrupts) together takes less than a third of that.
+ISR(TIMER1_COMPA_vect) {
+  if (ppm_out.at_frame_start()) {
+    safety.tick(micros());
+    watch_loop();
+  }
+  const PpmOut::Edge edge = ppm_out.next(safety.slots_us(), safety.silent());
+  TCCR1A = edge.pulse ? TO_PULSE : TO_IDLE;  // before OCR1A: simavr 1.6 acts on a write to OCR1A
+  OCR1A += edge.after_ticks;
+}
+
+// ---- PPM in: Timer4 copies its count at each falling edge (data sheet 17.6 input capture unit) ----
+
+// Falling edges serve both polarities: from one pulse's end to the next is a slot as well.
+void begin_ppm_in() {
+  pinMode(PPM_IN_PIN, INPUT_PULLUP);  // an open pin must not listen to noise
+  TCCR4A = 0;
+  TCCR4B = _BV(ICNC4) | _BV(CS41);  // noise canceller, falling edge, 16 MHz / 8
+  TIFR4 = _BV(ICF4);
+  TIMSK4 = _BV(ICIE4);
+}
+
+ISR(TIMER4_CAPT_vect) {
+  const uint16_t capture = ICR4;
+  const uint16_t age = TCNT4 - capture;
+  if (pilot_ppm.edge(capture, micros() - age / TICKS_PER_US)) pilot_ppm_ready = true;
+}
+
+// ---- serial in ----
+
+void take_command(const Command& command) {
+  Verdict verdict;
+  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+    verdict = safety.frame(micros(), command.sequence, command.engage(), command.channels_us, command.n);
+  }
+  if (verdict == Verdict::FORM) ++receiver.bad;
+}
+
+void take_byte(uint8_t byte) {
+  const uint8_t size = receiver.feed(byte);
+  if (size == 0) return;
+  Command command;
+  Sync sync;
+  if (decode(receiver.payload(), size, &command)) {
+    take_command(command);
+  } else if (decode(receiver.payload(), size, &sync)) {
+    sync_reply.token = sync.token;
+    sync_reply.received_us = micros();
+    sync_reply_ready = true;
+  } else {
+    ++receiver.bad;
+  }
+}
+
+// ---- serial out: one message a pass, and only if the buffer takes it whole, so that loop() never waits ----
+
+uint8_t frame[MAX_FRAME + 1];
+
+void send_sync_reply() {
+  sync_reply.sent_us = micros();
+  sync_reply_ready = false;
+  Serial.write(frame, encode(sync_reply, frame));
+}
+
+void send_status() {
+  Status status;
+  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+    status.state = uint8_t(safety.state());
+    status.fault = uint8_t(safety.fault());
+    status.silent = safety.silent();
+    status.ppm_frames = ppm_out.frames();
+    for (uint8_t i = 0; i < CHANNELS; ++i) status.channels_us[i] = safety.slots_us()[i];
+  }
+  status.version = PROTOCOL_VERSION;
+  status.device_time_us = last_status_us = micros();
+  status.boot_count = boot_count;
+  status.reset_cause = reset_cause;
+  status.last_sequence = safety.last_sequence();  // from here on only loop() writes
+  status.accepted = safety.accepted();
+  status.bad_frames = receiver.bad;
+  status.bad_sequence = safety.bad_sequence();
+  status.out_of_range = safety.out_of_range();
+  status.n = CHANNELS;
+  Serial.write(frame, encode(status, frame));
+}
+
+void send_pilot_ppm() {
+  Pilot pilot;
+  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+    pilot = pilot_ppm.pilot;
+    pilot_ppm_ready = false;
+  }
+  Serial.write(frame, encode(pilot, frame));
+}
+
+void send_pilot_spektrum() {
+  pilot_spektrum_ready = false;
+  Serial.write(frame, encode(pilot_spektrum.pilot, frame));
+}
+
+void tell_host() {
+  if (Serial.availableForWrite() < LARGEST_FRAME) return;
+  if (sync_reply_ready) send_sync_reply();
+  else if (micros() - last_status_us >= STATUS_PERIOD_US) send_status();
+  else if (pilot_ppm_ready) send_pilot_ppm();
+  else if (pilot_spektrum_ready) send_pilot_spektrum();
+}
+
+// ---- the program ----
+
+// Sleep until the next interrupt, at the latest the clock's after 1 ms. sei() lets the instruction after it run before
+// any interrupt, so nothing arrives unseen between the question and the sleep (data sheet 7.8 and 11.2 idle mode).
+void nap() {
+  cli();
+  if (!Serial.available() && !Serial1.available()) {
+    sleep_enable();
+    sei();
+    sleep_cpu();
+    sleep_disable();
+  }
+  sei();
+}
+
+void setup() {
+  const bool stalled = begin_kept();
+  safety.begin(micros(), stalled);
+  Serial.begin(115200);
+  if (PILOT_SOURCE != 1) begin_ppm_in();
+  if (PILOT_SOURCE != 0) Serial1.begin(115200);
+  pinMode(SPEKTRUM_PIN, INPUT_PULLUP);
+  begin_ppm_out();
+  set_sleep_mode(SLEEP_MODE_IDLE);
+  wdt_enable(WDTO_250MS);
+}
+
+void loop() {
+  wdt_reset();
+  ticks_without_loop = 0;
+  for (int n = Serial.available(); n > 0; --n) take_byte(uint8_t(Serial.read()));
+  for (int n = Serial1.available(); n > 0; --n) {
+    if (pilot_spektrum.byte(uint8_t(Serial1.read()), micros(), CHANNELS)) pilot_spektrum_ready = true;
+  }
+  tell_host();
+  nap();
+}
