@@ -118,7 +118,7 @@ class Safety:
             return Verdict.RANGE
         if self.last_sequence is not None and not 1 <= (sequence - self.last_sequence) % 65536 <= 32767:
             return Verdict.SEQUENCE
-        is_edge = engage and self._engage is False
+        is_edge = engage and self._engage is not None and not self._engage
         self.last_sequence, self._engage, self._valid_us = sequence, engage, now_us
         self._wanted_us = tuple(channels_us)
         self.silent = False
