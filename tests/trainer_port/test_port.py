@@ -97,6 +97,17 @@ def test_sequence_goes_on_where_the_board_is_and_wraps(board, port):
     assert [frame.sequence for frame in board.commands] == [65535, 0, 1]
 
 
+def test_after_a_pause_no_sequence_is_used_twice(board, port):
+    """Three are on their way when the board falls silent and says 101 again; it would refuse a second 102."""
+    step(board, port, SAYS)
+    for _ in range(4):
+        port.send(STICKS, engage=False)
+    step(board, port, seconds=SILENT_AFTER + 0.1)
+    step(board, port, replace(SAYS, last_sequence=101, accepted=41))
+    port.send(STICKS, engage=False)
+    assert [frame.sequence for frame in board.commands] == [101, 102, 103, 104, 105]
+
+
 def test_channels_are_those_of_the_calibration(board, port):
     """The shipped file by hand: throttle 1000..2000, the others 1500 +- 500 us, slots in order."""
     step(board, port, SAYS)
@@ -172,8 +183,10 @@ def test_hand_back_is_at_once_and_stays(board, port):
     assert len(burst) == HAND_BACK_FRAMES and not any(frame.engage for frame in burst)
     assert burst[0].channels_us == (1000, 1500, 1500, 1500)
     assert [frame.sequence for frame in burst] == [107, 108, 109]
-    port.send(STICKS, engage=True)
-    assert not board.commands[-1].engage
+    for k in range(20):
+        step(board, port, replace(SAYS, last_sequence=109 + k, accepted=49 + k))
+        port.send(STICKS, engage=True)
+        assert not board.commands[-1].engage
 
 
 def test_sticks_that_are_no_numbers_hand_back(board, port):
