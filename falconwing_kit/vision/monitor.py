@@ -1,0 +1,271 @@
+"""Frame monitor: the live pictures, one by one -> whether they can be flown by, and why not.
+
+The paper's rule is an alert when the SSIM of consecutive frames is below 0.7 five times in a row. In a turn that rule
+alarms on perfect video, and a frozen or blank picture scores one. So the picture before is first moved to where the
+aircraft's own motion has taken it, and what SSIM cannot see has checks of its own.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falconwing_kit.core.checks import InputError, require_range
+from falconwing_kit.core.config import from_toml
+from falconwing_kit.core.messages import Image
+from falconwing_kit.vision.ssim import RADIUS_PX, ssim, ssim_map
+
+RULES = ("motion", "paper")
+MIN_SIDE_PX = 32
+MIN_SEEN = 0.1  # share of the picture that must be in both frames; with less there is nothing to compare
+COLOURED = 40  # grey levels between the channels of what is not called grey
+
+Pixels = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class PaperRule:
+    """The paper's own numbers."""
+
+    threshold: float
+    frames: int
+
+    def __post_init__(self) -> None:
+        require_range("threshold", self.threshold, low=0.0, high=1.0)
+        require_range("frames", self.frames, low=1, high=1000)
+
+
+@dataclass(frozen=True)
+class MonitorSettings:
+    """What `monitor.toml` holds; the file says where each number comes from."""
+
+    width_px: int
+    blur_px: float
+    threshold: float
+    frames: int
+    window: int
+    clear_frames: int
+    max_age_s: float
+    frozen_levels: float
+    flat_levels: float
+    flat_share: float
+    paper: PaperRule
+
+    def __post_init__(self) -> None:
+        limits = {
+            "width_px": (MIN_SIDE_PX, 4096), "blur_px": (0.1, 10), "threshold": (0, 1), "frames": (1, self.window),
+            "window": (1, 1000), "clear_frames": (1, 1000), "max_age_s": (0.01, 10), "frozen_levels": (0, 255),
+            "flat_levels": (0, 255), "flat_share": (0, 1),
+        }  # fmt: skip
+        for name, (low, high) in limits.items():
+            require_range(name, getattr(self, name), low=low, high=high)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the monitor says after a frame."""
+
+    ssim: float  # of this picture and the one before, by the monitor's rule; nan where there is no new picture to compare
+    alert: bool  # True: the pilot should take over now
+    reason: str  # why, in words; empty without an alert
+
+
+@cache
+def load_monitor_settings(path: str | Path | None = None) -> MonitorSettings:
+    """The settings in a file, by default those that ship.
+
+    Raises:
+        FileNotFoundError: there is no file.
+        InputError: it is not TOML, or a key is unknown, missing or out of its range.
+    """
+    return from_toml(MonitorSettings, path or Path(__file__).with_name("monitor.toml"))
+
+
+class FrameMonitor:
+    """Watches one camera; call `update` in every step, with a new picture or without.
+
+    Args:
+        rule: "motion", or "paper" for that rule alone, false alarms and blind spots included.
+        settings: None for the ones that ship.
+
+    Raises:
+        InputError: there is no such rule.
+    """
+
+    def __init__(self, rule: str = "motion", settings: MonitorSettings | None = None) -> None:
+        if rule not in RULES:
+            raise InputError(f"rule: want one of {', '.join(RULES)}, got {rule!r}")
+        self.rule, self.settings = rule, settings or load_monitor_settings()
+        self._before: Pixels | None = None  # the newest picture that was new, ready to compare
+        self._taken: float | None = None  # when it was taken [s]
+        self._t = -math.inf
+        self._bad: deque[str] = deque(maxlen=self.settings.window if rule == "motion" else self.settings.paper.frames)
+        self._good_in_a_row, self._reason = 0, ""
+
+    def update(self, image: Pixels | Image | None, t: float) -> Verdict:
+        """Take in the newest picture and judge.
+
+        Args:
+            image: (H, W, 3) RGB or (H, W) grey, uint8, 32 pixels a side or more; or an Image, whose own time counts as
+                when it was taken; None where the camera has none. Pictures may come again while there is no newer one.
+            t: now [s], on any clock that runs forward.
+
+        Returns:
+            The verdict.
+
+        Raises:
+            InputError: the picture is no such array, or time ran backward.
+        """
+        self._t = require_range("t", t, low=self._t)
+        taken = require_range("image.t", image.t) if isinstance(image, Image) else self._t
+        pixels = image.pixels if isinstance(image, Image) else image
+        if pixels is not None:
+            _require_picture(pixels)
+        if self._taken is None:
+            self._taken = self._t  # counts from here, even if no picture ever comes
+        return self._by_paper(pixels) if self.rule == "paper" else self._by_motion(pixels, taken)
+
+    def _by_paper(self, pixels: Pixels | None) -> Verdict:
+        """Consecutive frames as they are; no picture, no verdict."""
+        rule = self.settings.paper
+        grey = None if pixels is None else _grey(pixels)
+        likeness = math.nan
+        if grey is not None:
+            if _comparable(self._before, grey):
+                likeness = ssim(self._before, grey)
+                self._bad.append("noise" if likeness < rule.threshold else "")
+            self._before = grey
+        alert = sum(map(bool, self._bad)) >= rule.frames
+        return Verdict(likeness, alert, f"noise: SSIM below {rule.threshold:g}, {rule.frames} times" if alert else "")
+
+    def _by_motion(self, pixels: Pixels | None, taken: float) -> Verdict:
+        """Against the moved picture before; then what SSIM cannot see."""
+        likeness, small = math.nan, None if pixels is None else reduced(pixels, self.settings.width_px)
+        grey = None if small is None else _blurred(_grey(small), self.settings.blur_px)
+        if small is not None and grey is not None and not self._is_frozen(grey):
+            if _comparable(self._before, grey):
+                likeness = motion_ssim(self._before, grey)
+            self._note(self._fault(small, likeness))
+            self._before, self._taken = grey, taken
+        age = self._t - (self._t if self._taken is None else self._taken)
+        if age > self.settings.max_age_s + 1e-9:
+            shown = f"; {self._bad[-1]}" if self._bad and self._bad[-1] else ""
+            self._reason, self._good_in_a_row = f"old or frozen: no new picture for {age:.2f} s{shown}", 0
+        return Verdict(likeness, bool(self._reason), self._reason)
+
+    def _is_frozen(self, grey: Pixels) -> bool:
+        """Whether a picture is the one before: a live camera has noise, and a flying one moves."""
+        if self._before is None or self._before.shape != grey.shape:
+            return False
+        return _difference(self._before, grey) < self.settings.frozen_levels
+
+    def _fault(self, small: Pixels, likeness: float) -> str:
+        """What is wrong with one picture, in words; empty if nothing."""
+        rule = self.settings
+        share, colour = flat_share(small, rule.flat_levels)
+        if share > rule.flat_share:
+            return f"blank: {100.0 * share:.0f} % of the picture is {colour}"
+        if likeness < rule.threshold:
+            return f"noise: SSIM {likeness:.2f}, want {rule.threshold:g}"
+        return ""
+
+    def _note(self, fault: str) -> None:
+        """Count a new picture; enough bad ones raise the alert, enough good ones in a row take it back."""
+        rule = self.settings
+        self._bad.append(fault)
+        self._good_in_a_row = 0 if fault else self._good_in_a_row + 1
+        if fault and sum(map(bool, self._bad)) >= rule.frames:
+            self._reason = fault
+        elif self._good_in_a_row >= rule.clear_frames:
+            self._reason = ""
+
+
+def reduced(pixels: Pixels, width_px: int) -> Pixels:
+    """A picture (H, W) or (H, W, 3) reduced to a width by averaging areas; a smaller one stays as it is."""
+    import cv2
+
+    height, width = pixels.shape[:2]
+    if width <= width_px:
+        return pixels
+    size = (width_px, max(round(height * width_px / width), MIN_SIDE_PX))
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def motion_ssim(before: Pixels, now: Pixels) -> float:
+    """SSIM of two views after the first is moved to where the second sees the same things.
+
+    The motion of each pixel is the optical flow of Kroeger, Timofte, Dai & Van Gool, Fast optical flow using dense
+    inverse search, ECCV 2016, by OpenCV. Noise is new in each frame, so no motion explains it. What came into view
+    only now is left out.
+
+    Args:
+        before: (H, W) grey uint8, 32 pixels a side or more.
+        now: (H, W) of the same size.
+
+    Returns:
+        Mean SSIM over what both frames show; 0 where that is less than a tenth of the picture.
+    """
+    import cv2
+
+    flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(now, before, None)
+    height, width = now.shape
+    x = np.arange(width, dtype=np.float32) + flow[..., 0]
+    y = np.arange(height, dtype=np.float32)[:, None] + flow[..., 1]
+    moved = cv2.remap(before, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    seen = (x >= 0.0) & (x <= width - 1.0) & (y >= 0.0) & (y <= height - 1.0)
+    seen = seen[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX]
+    return float(ssim_map(moved, now)[seen].mean()) if seen.mean() > MIN_SEEN else 0.0
+
+
+def flat_share(pixels: Pixels, levels: float) -> tuple[float, str]:
+    """How much of a picture has one colour: a receiver without signal shows black or blue, perhaps with a few words.
+
+    Args:
+        pixels: (H, W, 3) RGB or (H, W) grey.
+        levels: by how much each channel may differ from its median [grey levels].
+
+    Returns:
+        The share 0..1, and a word for the colour.
+    """
+    channels = pixels.reshape(-1, pixels.shape[2] if pixels.ndim == 3 else 1).astype(np.int16)
+    colour = np.median(channels, axis=0)
+    share = float((np.abs(channels - colour) <= levels).all(axis=1).mean())
+    if np.ptp(colour) > COLOURED:
+        return share, ("red", "green", "blue")[int(np.argmax(colour))]
+    return share, "black" if colour.mean() < 64.0 else "white" if colour.mean() > 192.0 else "grey"
+
+
+def _grey(pixels: Pixels) -> Pixels:
+    import cv2
+
+    return np.asarray(pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def _blurred(grey: Pixels, sigma_px: float) -> Pixels:
+    import cv2
+
+    return np.asarray(cv2.GaussianBlur(grey, (0, 0), sigma_px), np.uint8)
+
+
+def _difference(first: Pixels, second: Pixels) -> float:
+    """Mean absolute difference [grey levels]."""
+    import cv2
+
+    return float(cv2.norm(first, second, cv2.NORM_L1) / first.size)
+
+
+def _comparable(before: Pixels | None, grey: Pixels) -> TypeGuard[Pixels]:
+    return before is not None and before.shape == grey.shape
+
+
+def _require_picture(pixels: Pixels) -> None:
+    shape = getattr(pixels, "shape", ())
+    fits = len(shape) == 2 or (len(shape) == 3 and shape[2] == 3)
+    if not fits or min(shape[:2]) < MIN_SIDE_PX or pixels.dtype != np.uint8:
+        kind = f"{shape} {getattr(pixels, 'dtype', type(pixels).__name__)}"
+        raise InputError(f"image: want (H, W, 3) or (H, W) uint8, {MIN_SIDE_PX} pixels a side or more, got {kind}")
