@@ -62,7 +62,7 @@ class AnalogVideo:
         luma, chroma = split(shifted(image if earlier is None else woven(image, earlier), shifts))
         noise = luma_noise(luma.shape, self.snr_db, pixel_s, rng)
         add_clicks(noise, self.snr_db, pixel_s, rng)
-        luma = cv2.add(band_limited(luma, pixel_s), noise, dtype=cv2.CV_8U)  # rounds and cuts to 0..255
+        luma = np.asarray(cv2.add(band_limited(luma, pixel_s), noise, dtype=cv2.CV_8U), np.uint8)  # rounds and cuts
         chroma = smeared(chroma, self.snr_db, pixel_s, rng)
         add_dropouts(luma, self.dropouts, rng)
         return joined(luma, chroma)
@@ -108,7 +108,7 @@ def split(image: Pixels) -> tuple[Pixels, Plane]:
     """Luma (H, W), and chroma (H, W / 4, 2), which carries no finer detail than that [ITU-R BT.601]."""
     import cv2
 
-    colours = cv2.cvtColor(image, cv2.COLOR_RGB2YCrCb)
+    colours = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2YCrCb), np.uint8)
     chroma = cv2.resize(colours, (max(image.shape[1] // 4, 1), image.shape[0]), interpolation=cv2.INTER_AREA)
     return colours[..., 0], chroma[..., 1:].astype(np.float32)
 
@@ -191,9 +191,8 @@ def shifted(image: Pixels, shifts_px: Array) -> Pixels:
 
 def add_dropouts(luma: Pixels, dropouts: float, rng: np.random.Generator) -> None:
     """Fades: bands of lines (H, W) in which nothing but noise arrives; their number is Poisson, lengths geometric."""
-    height, width = luma.shape
     for _ in range(rng.poisson(dropouts)):
-        row, lines = int(rng.integers(0, height)), int(rng.geometric(1.0 / DROPOUT_LINES))
+        row, lines = int(rng.integers(0, luma.shape[0])), int(rng.geometric(1.0 / DROPOUT_LINES))
         luma[row : row + lines] = rng.integers(0, 256, luma[row : row + lines].shape, dtype=np.uint8)
 
 

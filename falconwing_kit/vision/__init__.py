@@ -1,7 +1,7 @@
 """vision: whether live pictures can be flown by, and where they come from.
 
-    from falconwing_kit.vision import FrameMonitor
-    verdict = FrameMonitor().update(image, t)      # .ssim, .alert, .reason
+from falconwing_kit.vision import FrameMonitor
+verdict = FrameMonitor().update(image, t)      # .ssim, .alert, .reason
 """
 
 from falconwing_kit.vision.monitor import FrameMonitor, MonitorSettings, Verdict, load_monitor_settings

@@ -70,7 +70,9 @@ class MonitorSettings:
 class Verdict:
     """What the monitor says after a frame."""
 
-    ssim: float  # of this picture and the one before, by the monitor's rule; nan where there is no new picture to compare
+    ssim: (
+        float  # of this picture and the one before, by the monitor's rule; nan where there is no new picture to compare
+    )
     alert: bool  # True: the pilot should take over now
     reason: str  # why, in words; empty without an alert
 
@@ -212,11 +214,12 @@ def motion_ssim(before: Pixels, now: Pixels) -> float:
     """
     import cv2
 
-    flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(now, before, None)
     height, width = now.shape
+    still = np.zeros((height, width, 2), np.float32)
+    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(now, before, still)
     x = np.arange(width, dtype=np.float32) + flow[..., 0]
     y = np.arange(height, dtype=np.float32)[:, None] + flow[..., 1]
-    moved = cv2.remap(before, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    moved = np.asarray(cv2.remap(before, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
     seen = (x >= 0.0) & (x <= width - 1.0) & (y >= 0.0) & (y <= height - 1.0)
     seen = seen[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX]
     return float(ssim_map(moved, now)[seen].mean()) if seen.mean() > MIN_SEEN else 0.0
@@ -264,8 +267,8 @@ def _comparable(before: Pixels | None, grey: Pixels) -> TypeGuard[Pixels]:
 
 
 def _require_picture(pixels: Pixels) -> None:
-    shape = getattr(pixels, "shape", ())
-    fits = len(shape) == 2 or (len(shape) == 3 and shape[2] == 3)
-    if not fits or min(shape[:2]) < MIN_SIDE_PX or pixels.dtype != np.uint8:
-        kind = f"{shape} {getattr(pixels, 'dtype', type(pixels).__name__)}"
-        raise InputError(f"image: want (H, W, 3) or (H, W) uint8, {MIN_SIDE_PX} pixels a side or more, got {kind}")
+    got = f"{getattr(pixels, 'shape', '')} {getattr(pixels, 'dtype', type(pixels).__name__)}".strip()
+    if not isinstance(pixels, np.ndarray) or pixels.dtype != np.uint8 or pixels.ndim not in (2, 3):
+        raise InputError(f"image: want (H, W, 3) or (H, W) uint8, got {got}; decode a JPEG first")
+    if min(pixels.shape[:2]) < MIN_SIDE_PX or pixels.shape[2:] not in ((), (3,)):
+        raise InputError(f"image: want (H, W, 3) or (H, W) of {MIN_SIDE_PX} pixels a side or more, got {got}")
