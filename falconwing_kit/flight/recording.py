@@ -1,0 +1,180 @@
+"""Recording: the pilot's sticks from the trainer port and the camera's images -> one flight log, for identification.
+
+The pilot flies by the radio; nothing here sends a command. Stick positions carry the board's time, put on the host's
+clock, and the number of the newest image that was taken before them.
+"""
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.flight_log import FlightLogWriter
+from falconwing_kit.core.messages import Command, Image
+from falconwing_kit.flight.loop import ImageSource
+from falconwing_kit.trainer_port.port import TrainerPort
+from falconwing_kit.trainer_port.protocol import Pilot
+
+IMAGE_WAITS = 0.1  # s: so long an image waits for the command that is to stand before it
+PILOT_SILENT = 0.5  # s without a frame of the pilot's radio, of which 45 come in a second
+
+
+@dataclass
+class Counts:
+    """What is in the log so far."""
+
+    commands: int = 0
+    images: int = 0
+    events: int = 0
+
+
+class Recording:
+    """One recording; call `step` often, at least 100 times a second: it waits for nothing.
+
+    When the disk is full, or the log cannot be written for another reason, recording stops, `stopped` says why and
+    `alert` is called with it once. The port is read on: what flies the aircraft must not end with its diary.
+
+    Args:
+        port: ready; its clock is that of the log, which starts at zero now.
+        log: opened and closed by the caller.
+        images: the camera; None records the sticks alone. Its times are the log's.
+        alert: called with one sentence when recording stops.
+    """
+
+    def __init__(
+        self,
+        port: TrainerPort,
+        log: FlightLogWriter,
+        images: ImageSource | None = None,
+        alert: Callable[[str], Any] = lambda sentence: None,
+    ) -> None:
+        self.port, self.log, self.images, self._alert = port, log, images, alert
+        self.counts, self.stopped = Counts(), ""
+        self.command: Command | None = None  # the newest
+        self.image: Image | None = None  # the newest
+        self._zero = port.now()
+        self._recent: deque[Image] = deque(maxlen=60)  # newest first; which of them a command follows
+        self._unwritten: deque[Image] = deque()  # oldest first
+        self._pilot_at, self._silent = 0.0, False
+        port.pilots.clear()
+        self._write(lambda log: log.metadata(_about(port)))
+
+    @property
+    def t(self) -> float:
+        """Time of the log [s]."""
+        return self.port.now() - self._zero
+
+    def step(self) -> None:
+        """Read port and camera and write what is new: a command before the image that it names."""
+        self.port.poll()
+        self._look()
+        while self.port.pilots:
+            self._take(self.port.pilots.popleft())
+        while self._unwritten and self.t - self._unwritten[0].t > IMAGE_WAITS:
+            self._write_image(self._unwritten.popleft())
+        silent = self.t - self._pilot_at > PILOT_SILENT
+        if silent != self._silent:
+            self._silent = silent
+            self._event(self.t, "pilot silent" if silent else "pilot heard", {})
+        while self.port.events:
+            event = self.port.events.popleft()
+            self._event(max(event.t - self._zero, 0.0), event.name, event.details)
+
+    def finish(self) -> None:
+        """Write what waits, before the log is closed."""
+        self.step()
+        while self._unwritten:
+            self._write_image(self._unwritten.popleft())
+
+    def _look(self) -> None:
+        """The newest image, where there is a new one; a camera that fails for good is an event, and sticks go on."""
+        if self.images is None:
+            return
+        try:
+            image = self.images.next(self.t)
+        except Exception as error:
+            self.images = None
+            self._event(self.t, "images lost", {"error": f"{type(error).__name__}: {error}"})
+            return
+        if image is not None and (self.image is None or image.sequence != self.image.sequence):
+            self.image = image
+            self._recent.appendleft(image)
+            self._unwritten.append(image)
+
+    def _take(self, pilot: Pilot) -> None:
+        """Log the sticks of one frame of the pilot's radio, and then the image they name where it is not in yet."""
+        at = self.port.to_host_time(pilot.device_time_us) - self._zero
+        t = self._pilot_at = max(at, 0.0) if math.isfinite(at) else self.t
+        followed = next((image for image in self._recent if image.t <= t), None)
+        try:
+            command = self.port.calibration.command(pilot.channels_us)
+        except InputError as error:  # a radio with fewer channels than the calibration has sticks
+            self._event(t, "bad pilot frame", {"error": str(error)})
+            return
+        self.command = replace(command, image_sequence=-1 if followed is None else followed.sequence)
+        if self._write(lambda log: log.command(t, self.command)):
+            self.counts.commands += 1
+        while followed is not None and self._unwritten and self._unwritten[0].sequence <= followed.sequence:
+            self._write_image(self._unwritten.popleft())
+
+    def _write_image(self, image: Image) -> None:
+        if self._write(lambda log: log.image(image)):
+            self.counts.images += 1
+
+    def _event(self, t: float, name: str, details: Mapping[str, Any]) -> None:
+        if self._write(lambda log: log.event(t, name, details)):
+            self.counts.events += 1
+
+    def _write(self, what: Callable[[FlightLogWriter], None]) -> bool:
+        """Write to the log; after its first refusal nothing is written any more."""
+        if self.stopped:
+            return False
+        try:
+            what(self.log)
+        except InputError as error:
+            self.stopped = f"RECORDING STOPPED after {self.t:.1f} s: {error}"
+            self._alert(self.stopped)
+            return False
+        return True
+
+
+def record(
+    recording: Recording,
+    duration: float = math.inf,
+    watch: Callable[[Recording], Any] = lambda recording: None,
+    pause: Callable[[float], Any] = time.sleep,
+) -> Counts:
+    """Record until time is up or Ctrl-C.
+
+    Args:
+        recording: ready to go.
+        duration: at most so long [s].
+        watch: called after every step.
+        pause: lets time pass [s]; for a simulated clock it moves that.
+
+    Returns:
+        What is in the log.
+    """
+    with suppress(KeyboardInterrupt):
+        while recording.t < duration:
+            recording.step()
+            watch(recording)
+            pause(0.005)
+    recording.finish()
+    return recording.counts
+
+
+def _about(port: TrainerPort) -> dict[str, str]:
+    """What holds for the whole recording."""
+    calibration = port.calibration
+    return {
+        "simulated": "yes" if port.simulation is not None else "no",
+        "mode": "manual: the pilot's sticks as the trainer port gave them",
+        "board": port.what,
+        "radio": calibration.radio or "not measured: the kit's default calibration",
+        "calibrated": calibration.measured or "never",
+    }
