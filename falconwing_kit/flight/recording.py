@@ -115,8 +115,8 @@ class Recording:
         except InputError as error:  # a radio with fewer channels than the calibration has sticks
             self._event(t, "bad pilot frame", {"error": str(error)})
             return
-        self.command = replace(command, image_sequence=-1 if followed is None else followed.sequence)
-        if self._write(lambda log: log.command(t, self.command)):
+        command = self.command = replace(command, image_sequence=-1 if followed is None else followed.sequence)
+        if self._write(lambda log: log.command(t, command)):
             self.counts.commands += 1
         while followed is not None and self._unwritten and self._unwritten[0].sequence <= followed.sequence:
             self._write_image(self._unwritten.popleft())
