@@ -162,6 +162,15 @@ def test_a_fault_ends_a_second_after_the_last_violation(host, wait_ms, state):
     assert (host.safety.fault == "none") == (state == "SAFE")
 
 
+def test_a_fault_cannot_be_flown_through(host):
+    """An edge and five frames within the second of rest: still a fault, and after it the whole way again."""
+    for _ in range(5):
+        host.send(True, OUT, wait_ms=10)
+    assert set(states_after(host, [0, 1, 1, 1, 1, 1, 1])) == {"FAULT"}
+    assert set(states_after(host, [1] * 20)) == {"FAULT"}
+    assert states_after(host, [0, 1, 1, 1, 1, 1]) == ["SAFE"] * 5 + ["ACTIVE"]
+
+
 def test_a_watchdog_reset_is_a_fault_for_a_second():
     """A tick does not make it SAFE; engage = 0 does, from 1 s after boot on."""
     host = Host(Safety(watchdog_reset=True))
@@ -198,6 +207,14 @@ def test_valid_is_900_to_2100(host, us, verdict):
     assert (host.safety.last_sequence == before) == (verdict == Verdict.RANGE)
 
 
+def test_out_of_range_counts_whatever_the_sequence_says(host):
+    """A host that repeats one bad frame is as broken as one that counts on: the range is looked at first."""
+    host.send(False)
+    for _ in range(5):
+        assert host.safety.frame(host.now, host.sequence, False, OUT) == Verdict.RANGE
+    assert host.safety.state == "FAULT"
+
+
 def test_another_number_of_channels_is_no_command(host):
     """Four are configured; three and five are refused and touch nothing."""
     assert host.send(False, FLY[:3]) == host.send(False, (*FLY, 1500)) == Verdict.FORM
@@ -214,6 +231,14 @@ def test_slots_move_at_most_a_slew_per_frame():
     assert [slots[1] for slots in frames] == [1250, 1000, 1000, 1000]
     assert [slots[2] for slots in frames] == [1750, 2000, 2000, 2000]  # valid, but cut to CHANNEL_MAX_US
     assert [slots[3] for slots in frames] == [1250, 1000, 1000, 1000]
+
+
+def test_a_high_ceiling_does_not_lift_the_limit_of_the_channel():
+    """By the rule the throttle has both limits: 2100 is valid and goes out as CHANNEL_MAX_US."""
+    host = Host(Safety(SafetyConfig(throttle_ceiling_us=2100, slew_us=2000)))
+    host.tick()
+    host.engage().send(True, (2100, 1500, 1500, 1500))
+    assert host.tick() == (2000, 1500, 1500, 1500)
 
 
 def test_silence_begins_and_ends_as_told():
@@ -248,7 +273,7 @@ def test_nothing_comes_back_after_the_clock_has_gone_round(tmp_path_factory, pro
     host.tick(1100.0)  # silent from here on
     for _ in range(195):
         assert host.tick(22_000.0) is None
-    while (host.now - start) % CLOCK > 10 * MS:
+    while not 10 * MS < (host.now - start) % CLOCK < 1000 * MS:  # once round, and just behind all that was sent
         assert host.tick(0.5) is None
     host.send(True, OUT, wait_ms=0)
     assert states_after(host, [1] * 4, wait_ms=1) == ["SAFE"] * 4
