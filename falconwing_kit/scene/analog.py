@@ -136,10 +136,10 @@ def smeared(chroma: Plane, snr_db: float, pixel_s: float, rng: np.random.Generat
     """
     import cv2
 
-    decay = np.exp(-2.0 * np.pi * CHROMA_HZ * 4.0 * pixel_s)
-    tail = (1.0 - decay) * decay ** np.arange(8)
+    decay = 1.0 / (1.0 + 2.0 * math.pi * CHROMA_HZ * 4.0 * pixel_s)  # backward Euler keeps the mean lag
+    tail = decay ** np.arange(12)
     tail /= tail.sum()
-    kernel = np.concatenate([tail[::-1], np.zeros(7)])  # filter2D correlates: the past stands on the left
+    kernel = np.concatenate([tail[::-1], np.zeros(11)])  # filter2D correlates: the past stands on the left
     sigma = _sigma(snr_db) * math.sqrt(2.0 * CHROMA_HZ / LUMA_HZ) / np.linalg.norm(tail)
     noise = rng.standard_normal(chroma.shape, np.float32) * np.float32(sigma)
     return np.asarray(cv2.sepFilter2D(chroma + noise, -1, kernel, np.ones(1)), np.float32)
@@ -202,9 +202,12 @@ def _sigma(snr_db: float) -> float:
 
 
 def _low_pass(pixel_s: float) -> Array:
-    """Gaussian filter along a line whose gain is down by 3 dB at the luma bandwidth (7,)."""
-    sigma_px = math.sqrt(math.log(2.0)) / (2.0 * math.pi * LUMA_HZ) / pixel_s
-    kernel = np.exp(-0.5 * (np.arange(-3, 4) / sigma_px) ** 2)
+    """Filter along a line (15,) whose gain is one half at the luma bandwidth: a sinc in a Hamming window.
+
+    A picture too coarse for the band, 320 pixels wide, passes as it is.
+    """
+    cycles = min(LUMA_HZ * pixel_s, 0.5)  # per pixel
+    kernel = 2.0 * cycles * np.sinc(2.0 * cycles * np.arange(-7, 8)) * np.hamming(15)
     return np.asarray(kernel / kernel.sum(), np.float64)
 
 
