@@ -31,7 +31,8 @@ STATUS_S = 1 / 20
 WATCHDOG_S = 0.25  # how long the program may hang before the watchdog resets the board
 SEND_BUFFER = 128  # bytes waiting to be sent; a message that comes then is dropped whole
 PILOT_FRAME_S = 0.022  # of the pilot's radio
-PILOT_PAUSE_S = 0.004  # a pause so long ends a pilot frame
+PILOT_PAUSE_S = 0.0045  # a pause so long ends a pilot frame
+PILOT_LEARN = 3  # like frames that tell how many slots the pilot's radio sends
 PILOT_US = (800.0, 2200.0)  # a slot outside makes a pilot frame bad
 POWER_ON, WATCHDOG = 0x01, 0x08  # bits of MCUSR
 
@@ -100,7 +101,7 @@ class PythonBoard:
             "byte": self._take_byte,
             "tick": self._begin_frame,
             "status": self._send_status,
-            "pilot": self._end_pilot_frame,
+            "pilot": self._pilot_edge,
             "watchdog": self._watchdog,
         }
         self._due = dict.fromkeys(self._happens, math.inf)  # when each of them happens next [s]
@@ -109,7 +110,7 @@ class PythonBoard:
         self._frames: list[PpmFrame] = []
         self._frame: tuple[float, tuple[int, ...]] | None = None  # start and slots of the frame on the pin
         self._pilot_us: tuple[float, ...] | None = None
-        self._pilot_frame: tuple[float, tuple[float, ...]] = (0.0, ())  # start and slots of the frame coming in
+        self._pilot_frame: tuple[float, tuple[float, ...]] | None = None  # start and slots of the frame coming in
         self.power_cycle()
 
     def __enter__(self) -> Self:
@@ -160,15 +161,12 @@ class PythonBoard:
         Raises:
             InputError: the slots do not fit into a frame of the pilot's radio.
         """
-        self._pilot_us = (
-            None if channels_us is None else tuple(require_range("pilot", us, low=0.0) for us in channels_us)
-        )
-        if self._pilot_us is None:
-            self._due["pilot"] = math.inf
-        elif 1e-6 * sum(self._pilot_us) + PILOT_PAUSE_S > PILOT_FRAME_S:
-            raise InputError(f"pilot: want slots that fit into a frame of 22 ms with a pause of 4, got {channels_us}")
-        elif self._due["pilot"] == math.inf:
-            self._begin_pilot_frame(self.t)
+        slots = tuple(require_range("pilot slot", us, low=0.0) for us in channels_us or ())
+        if 1e-6 * sum(slots) + PILOT_PAUSE_S > PILOT_FRAME_S:
+            raise InputError(f"pilot: want slots that leave a pause of 4.5 ms in a frame of 22, got {channels_us}")
+        self._pilot_us = slots or None
+        if slots and self._due["pilot"] == math.inf:
+            self._due["pilot"] = self.t
 
     def hang(self) -> None:
         """Let the main program hang here: nothing is read or answered, until the watchdog resets the board."""
@@ -198,6 +196,7 @@ class PythonBoard:
         self._safety = Safety(self._config, watchdog_reset=cause == WATCHDOG)
         self._deframer, self._verdicts = Deframer(), dict.fromkeys(Verdict, 0)
         self._sent_frames, self._pilot_rejected = 0, 0
+        self._pilot_slots, self._pilot_like = 0, (0, 0)  # how many were learnt; how many came, and how often in a row
         self._leaving = deque((t, byte) for t, byte in self._leaving if t <= self.t)
         self._end_frame(math.nan)
         self._due.update(tick=self.t + self._frame_s, status=self.t + STATUS_S, watchdog=math.inf)
@@ -242,21 +241,29 @@ class PythonBoard:
             us = np.array(slots, dtype=np.float64)
             self._frames.append(PpmFrame(t_start, t_slots, us, gaps, (t_next - t_start) * 1e6))
 
-    def _begin_pilot_frame(self, t: float) -> None:
-        """The pilot's radio starts a frame at t [s]."""
-        if self._pilot_us is not None:
-            self._pilot_frame = (t, self._pilot_us)
-            self._due["pilot"] = t + 1e-6 * sum(self._pilot_us) + PILOT_PAUSE_S
+    def _pilot_edge(self) -> None:
+        """The pilot's radio begins a frame, and so the one before it is known to be complete; or it fell silent."""
+        if self._pilot_us is None:
+            self._pilot_frame, self._due["pilot"] = None, math.inf
+            return
+        if self._pilot_frame is not None:
+            self._take_pilot_frame(*self._pilot_frame)
+        self._pilot_frame, self._due["pilot"] = (self.t, self._pilot_us), self.t + PILOT_FRAME_S
 
-    def _end_pilot_frame(self) -> None:
-        """The pause behind a pilot frame was seen: report it, or count it as rejected."""
-        start, slots = self._pilot_frame
-        if 4 <= len(slots) <= 8 and all(PILOT_US[0] <= us <= PILOT_US[1] for us in slots):
+    def _take_pilot_frame(self, start: float, slots: tuple[float, ...]) -> None:
+        """Report a pilot frame, or count it as rejected; how many slots there shall be is learnt from like frames."""
+        if len(slots) > 8 or not all(PILOT_US[0] <= us <= PILOT_US[1] for us in slots):
+            self._pilot_rejected += 1
+            return
+        like, before = self._pilot_like
+        self._pilot_like = (len(slots), before + 1 if like == len(slots) else 1)
+        if self._pilot_like[1] >= PILOT_LEARN and len(slots) >= 4:
+            self._pilot_slots = len(slots)
+        if self._pilot_slots == len(slots):
             last_edge_us = round((start - self._booted) * 1e6 + sum(slots)) % CLOCK
             self._send(Pilot(last_edge_us, 0, self._pilot_rejected % 65536, tuple(round(us) for us in slots)))
-        else:
+        elif self._pilot_slots:
             self._pilot_rejected += 1
-        self._begin_pilot_frame(start + PILOT_FRAME_S)
 
     def _send_status(self) -> None:
         """Twenty times a second."""
