@@ -278,10 +278,7 @@ def test_the_firmware_tells_the_same_story():
 
     Slots to 1 us: the chip's timer counts half microseconds and its edges have up to 0.25 us of the simulator.
     """
-    if missing := missing_tools():
-        (pytest.fail if os.environ.get("CI") else pytest.skip)(
-            f"want Debian's {' '.join(missing)} for a simulated chip"
-        )
+    require_tools()
     with PythonBoard() as plain, SimulatedBoard() as chip:
         ours, theirs = story(plain), story(chip)
     assert ours[1] == theirs[1]
