@@ -1,8 +1,10 @@
-// The firmware's link and safety as C functions. See host_api.h.
+// The firmware's thinking part as C functions. See host_api.h.
 #include "host_api.h"
 
 #include "config.h"
 #include "link.h"
+#include "ppm_in.h"
+#include "ppm_out.h"
 #include "safety.h"
 
 namespace {
@@ -76,6 +78,11 @@ bool decode_values(const uint8_t* payload, uint8_t size, int* count, uint32_t* v
   fields(into, message);
   *count = into.count;
   return true;
+}
+
+int copy_pilot(bool good, const Pilot& pilot, uint16_t* channels_us) {
+  for (int i = 0; good && i < pilot.n; ++i) channels_us[i] = pilot.channels_us[i];
+  return good ? pilot.n : 0;
 }
 
 }  // namespace
@@ -157,3 +164,28 @@ int link_feed(void* link, void* safety, uint32_t now_us, const uint8_t* bytes, i
   return accepted;
 }
 int link_bad(const void* link) { return static_cast<const Receiver*>(link)->bad; }
+
+void* ppm_out_new(void) { return new PpmOut(); }
+void ppm_out_free(void* ppm) { delete static_cast<PpmOut*>(ppm); }
+int ppm_out_next(void* ppm, const uint16_t* slots_us, int silent, uint16_t* after_ticks) {
+  const PpmOut::Edge edge = static_cast<PpmOut*>(ppm)->next(slots_us, silent != 0);
+  *after_ticks = edge.after_ticks;
+  return edge.pulse;
+}
+int ppm_out_at_frame_start(const void* ppm) { return static_cast<const PpmOut*>(ppm)->at_frame_start(); }
+uint32_t ppm_out_frames(const void* ppm) { return static_cast<const PpmOut*>(ppm)->frames(); }
+
+void* pilot_ppm_new(void) { return new PilotPpm(); }
+void pilot_ppm_free(void* pilot) { delete static_cast<PilotPpm*>(pilot); }
+int pilot_ppm_edge(void* pilot, uint16_t capture_ticks, uint32_t time_us, uint16_t* channels_us) {
+  PilotPpm* ppm = static_cast<PilotPpm*>(pilot);
+  return copy_pilot(ppm->edge(capture_ticks, time_us), ppm->pilot, channels_us);
+}
+int pilot_ppm_rejected(const void* pilot) { return static_cast<const PilotPpm*>(pilot)->rejected; }
+void* pilot_spektrum_new(void) { return new PilotSpektrum(); }
+void pilot_spektrum_free(void* pilot) { delete static_cast<PilotSpektrum*>(pilot); }
+int pilot_spektrum_byte(void* pilot, uint8_t value, uint32_t now_us, int wanted, uint16_t* channels_us) {
+  PilotSpektrum* spektrum = static_cast<PilotSpektrum*>(pilot);
+  return copy_pilot(spektrum->byte(value, now_us, static_cast<uint8_t>(wanted)), spektrum->pilot, channels_us);
+}
+int pilot_spektrum_rejected(const void* pilot) { return static_cast<const PilotSpektrum*>(pilot)->rejected; }

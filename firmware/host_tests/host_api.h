@@ -1,4 +1,4 @@
-/* The firmware's link and safety as C functions, so that Python can call them through ctypes.
+/* The firmware's thinking part as C functions, so that Python can call them through ctypes.
  *
  * Built by `make -C firmware host-lib` into build/libtrainer_bridge.so. Objects are made by *_new and ended by *_free.
  * All times are device microseconds, unsigned 32 bit, and wrap. */
@@ -43,6 +43,24 @@ void link_free(void* link);
 /* Returns how many COMMANDs were accepted. */
 int link_feed(void* link, void* safety, uint32_t now_us, const uint8_t* bytes, int size);
 int link_bad(const void* link);
+
+/* ---- ppm_out.h ---- */
+void* ppm_out_new(void);
+void ppm_out_free(void* ppm);
+/* The edge after the one just made: writes the ticks [0.5 us] between the two; returns 1 for a pulse, 0 for idle. */
+int ppm_out_next(void* ppm, const uint16_t* slots_us, int silent, uint16_t* after_ticks);
+int ppm_out_at_frame_start(const void* ppm);
+uint32_t ppm_out_frames(const void* ppm);
+
+/* ---- ppm_in.h: both write up to 8 channels [us] and return how many, 0 where no frame was completed ---- */
+void* pilot_ppm_new(void);
+void pilot_ppm_free(void* pilot);
+int pilot_ppm_edge(void* pilot, uint16_t capture_ticks, uint32_t time_us, uint16_t* channels_us);
+int pilot_ppm_rejected(const void* pilot);
+void* pilot_spektrum_new(void);
+void pilot_spektrum_free(void* pilot);
+int pilot_spektrum_byte(void* pilot, uint8_t value, uint32_t now_us, int wanted, uint16_t* channels_us);
+int pilot_spektrum_rejected(const void* pilot);
 
 #ifdef __cplusplus
 }

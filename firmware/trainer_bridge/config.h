@@ -83,8 +83,8 @@ constexpr bool safe_from(int channel) {
          (SAFE_US[channel] >= CHANNEL_MIN_US && SAFE_US[channel] <= CHANNEL_MAX_US && safe_from(channel + 1));
 }
 static_assert(CHANNELS >= 4 && CHANNELS <= 8, "CHANNELS: 4 to 8 slots");
-static_assert(SHORTEST_SYNC_US >= 4000, "the pause after the slots gets under 4 ms: fewer CHANNELS or a longer FRAME_US");
-static_assert(LONGEST_SYNC_US <= 19000, "the pause after the slots gets over 19 ms: a shorter FRAME_US");
+static_assert(SHORTEST_SYNC_US >= 4000, "the pause gets under 4 ms: fewer CHANNELS or a longer FRAME_US");
+static_assert(LONGEST_SYNC_US <= 19000, "the pause gets over 19 ms: a shorter FRAME_US");
 static_assert(FRAME_US <= 32000, "FRAME_US: the 16 bit timer counts to 32.7 ms");
 static_assert(GAP_PULSE_US >= 200 && GAP_PULSE_US + 200 <= CHANNEL_MIN_US,
               "GAP_PULSE_US: the interrupt needs 200 us between two edges");
@@ -96,6 +96,6 @@ static_assert(SAFE_US[THROTTLE_CHANNEL] <= THROTTLE_CEILING_US, "THROTTLE_CEILIN
 static_assert(SLEW_US > 0 && ENGAGE_FRAMES > 0 && ENGAGE_FRAMES < 256 && RANGE_FAULT_FRAMES > 0,
               "SLEW_US, ENGAGE_FRAMES (up to 255) and RANGE_FAULT_FRAMES: at least 1");
 static_assert(HOST_TIMEOUT_MS >= 50 && HOST_TIMEOUT_MS <= 1000, "HOST_TIMEOUT_MS: 50 to 1000");
-static_assert(SILENT_AFTER_MS == 0 || SILENT_AFTER_MS >= HOST_TIMEOUT_MS, "SILENT_AFTER_MS: 0, or after the host is lost");
+static_assert(SILENT_AFTER_MS == 0 || SILENT_AFTER_MS >= HOST_TIMEOUT_MS, "SILENT_AFTER_MS: 0, or after HOST_TIMEOUT_MS");
 static_assert(STATUS_HZ >= 1 && STATUS_HZ <= 50, "STATUS_HZ: 1 to 50");
 static_assert(PILOT_SOURCE >= 0 && PILOT_SOURCE <= 2, "PILOT_SOURCE: 0, 1 or 2");

@@ -27,7 +27,7 @@
 #include "config.h"
 
 enum class State : uint8_t { BOOT, SAFE, ACTIVE, LOST, FAULT };
-enum class Fault : uint8_t { NONE, RANGE, STALL, CONFIG };  // CONFIG never happens here: such a config.h fails to compile
+enum class Fault : uint8_t { NONE, RANGE, STALL, CONFIG };  // CONFIG never comes: such a config.h does not compile
 enum class Verdict : uint8_t { ACCEPTED, SEQUENCE, RANGE, FORM };
 
 class Safety {

@@ -1,0 +1,233 @@
+// The firmware's thinking part under AddressSanitizer and UndefinedBehaviorSanitizer: no arguments in, verdict out.
+//
+// A million broken frames, random bytes, pilots full of noise and safety machines under fire, through host_api.h. A sanitizer ends the
+// program at the first byte read outside its place; the claims below end it at the first broken promise.
+#include <cstdio>
+#include <cstdlib>
+#include <random>
+#include <vector>
+
+#include "host_api.h"
+#include "link.h"
+#include "ppm_in.h"
+#include "ppm_out.h"
+#include "safety.h"
+
+namespace {
+
+constexpr int BROKEN_FRAMES = 1000000, FOUR_FLIPS = 200000, RANDOM_BUFFERS = 1000000, ROUND_TRIPS = 200000, PILOT_EDGES = 2000000;
+constexpr int TRACES = 1000, STEPS_PER_TRACE = 2000, PPM_FRAMES = 100000;
+
+std::mt19937 rng(20261121);  // fixed: every run is the same
+
+uint32_t below(uint32_t n) { return std::uniform_int_distribution<uint32_t>(0, n - 1)(rng); }
+
+void claim(bool holds, const char* what) {
+  if (holds) return;
+  std::printf("FAILED: %s\n", what);
+  std::exit(1);
+}
+
+Command random_command() {
+  Command command{};
+  command.sequence = uint16_t(below(65536));
+  command.flags = uint8_t(below(2));
+  command.n = uint8_t(4 + below(5));
+  for (uint8_t i = 0; i < command.n; ++i) command.channels_us[i] = uint16_t(VALID_MIN_US + below(1201));
+  return command;
+}
+
+// A host and the board's receiver and safety machine at the two ends of a bad line.
+class BadLine {
+ public:
+  BadLine() : link_(link_new()), safety_(safety_new(0, 0)) {}
+  ~BadLine() { link_free(link_), safety_free(safety_); }
+  BadLine(const BadLine&) = delete;
+  BadLine& operator=(const BadLine&) = delete;
+
+  // The frame of the next command.
+  std::vector<uint8_t> next_frame() {
+    Command command = random_command();
+    command.sequence = ++sequence_;
+    command.n = CHANNELS;
+    uint8_t frame[MAX_FRAME + 1];
+    return std::vector<uint8_t>(frame, frame + encode(command, frame));
+  }
+  // How many commands the board accepts of these bytes.
+  int send(const std::vector<uint8_t>& bytes) { return link_feed(link_, safety_, 0, bytes.data(), int(bytes.size())); }
+
+ private:
+  void *link_, *safety_;
+  uint16_t sequence_ = 0;
+};
+
+// Flip `count` different bits of a frame, its closing zero aside.
+void flip(std::vector<uint8_t>* frame, uint32_t count) {
+  std::vector<uint32_t> bits(8 * (frame->size() - 1));
+  for (uint32_t i = 0; i < bits.size(); ++i) bits[i] = i;
+  for (uint32_t i = 0; i < count; ++i) {
+    std::swap(bits[i], bits[i + below(uint32_t(bits.size()) - i)]);
+    uint8_t& byte = (*frame)[bits[i] / 8];
+    byte = uint8_t(byte ^ 1u << bits[i] % 8);
+  }
+}
+
+// What a line does to a frame, and what a CRC of 16 bits always finds (but for the rare case that a length of COBS is
+// hit): up to three bits, two neighbouring bytes, a byte lost, doubled or foreign, the end cut off.
+void spoil(std::vector<uint8_t>* frame) {
+  const auto at = frame->begin() + below(uint32_t(frame->size()) - 2);
+  const uint8_t before[] = {at[0], at[1]};
+  switch (below(6)) {
+    case 0: flip(frame, 1 + below(3)); break;
+    case 1:
+      while (at[0] == before[0] && at[1] == before[1]) at[0] = uint8_t(below(256)), at[1] = uint8_t(below(256));
+      break;
+    case 2: frame->erase(at); break;
+    case 3: frame->insert(at, before[0]); break;
+    case 4: frame->insert(at, uint8_t(1 + below(255))); break;
+    default: frame->erase(at + 1, frame->end() - 1); break;
+  }
+}
+
+void broken_frames_are_refused() {
+  BadLine line;
+  for (int i = 0; i < BROKEN_FRAMES; ++i) {
+    std::vector<uint8_t> frame = line.next_frame();
+    spoil(&frame);
+    claim(line.send(frame) == 0, "a broken frame is refused");
+    claim(line.send(line.next_frame()) == 1, "the good frame after it is taken");
+  }
+  std::printf("%d broken frames: 0 accepted, each good frame after one accepted\n", BROKEN_FRAMES);
+}
+
+// Four flipped bits are the first that a CRC-16 may miss: one time in 2^15, as its polynomial sees all odd numbers of
+// bits. Range and sequence find most of the rest, and an accepted one still has possible values. So about 6 of 200,000
+// pass the CRC here (more than 16 would be one chance in 4000), and fewer are accepted.
+void four_flips_pass_as_rarely_as_theory_says() {
+  Receiver receiver;
+  BadLine line;
+  int passed = 0, accepted = 0;
+  for (int i = 0; i < FOUR_FLIPS; ++i) {
+    std::vector<uint8_t> frame = line.next_frame();
+    flip(&frame, 4);
+    for (const uint8_t byte : frame) passed += receiver.feed(byte) > 0;
+    accepted += line.send(frame);
+  }
+  std::printf("%d frames with four flipped bits: %d pass the CRC, %d accepted\n", FOUR_FLIPS, passed, accepted);
+  claim(passed <= 16 && accepted <= passed, "four flipped bits pass as rarely as theory says");
+}
+
+// One byte in eight is a zero. A piece of more than 2 bytes has the right CRC by chance once in 65536 times, and must
+// then have the command's type, its length and a possible range: less than once in 10^9 pieces.
+void random_bytes_are_refused() {
+  BadLine line;
+  std::vector<uint8_t> bytes;
+  for (int i = 0; i < RANDOM_BUFFERS; ++i) {
+    bytes.resize(below(101));
+    for (uint8_t& byte : bytes) byte = below(8) == 0 ? 0 : uint8_t(below(256));
+    claim(line.send(bytes) == 0, "random bytes are refused");
+  }
+  std::printf("%d buffers of random bytes: 0 accepted\n", RANDOM_BUFFERS);
+}
+
+void messages_come_back_as_they_were() {
+  for (int i = 0; i < ROUND_TRIPS; ++i) {
+    Receiver receiver;
+    const Command sent = random_command();
+    uint8_t frame[MAX_FRAME + 1], payload_size = 0;
+    const uint8_t size = encode(sent, frame);
+    for (uint8_t k = 0; k < size; ++k) {
+      claim((frame[k] == 0) == (k == size - 1), "the only zero is the last byte");
+      payload_size = receiver.feed(frame[k]);
+    }
+    Command got{};
+    claim(decode(receiver.payload(), payload_size, &got), "a good frame is taken");
+    bool same = got.sequence == sent.sequence && got.flags == sent.flags && got.n == sent.n;
+    for (uint8_t k = 0; k < sent.n; ++k) same = same && got.channels_us[k] == sent.channels_us[k];
+    claim(same && receiver.bad == 0, "a message comes back as it was");
+  }
+  std::printf("%d messages there and back: all the same\n", ROUND_TRIPS);
+}
+
+// Whatever comes, safe slots go out unless ACTIVE, and in ACTIVE no slot leaves its limits or jumps.
+void slots_stay_within_limits() {
+  for (int trace = 0; trace < TRACES; ++trace) {
+    Safety safety;
+    uint32_t now_us = below(2) ? uint32_t(rng()) : 0u - below(3000000);  // half of them wrap
+    uint16_t sequence = uint16_t(below(65536)), before[CHANNELS];
+    bool engage = false;
+    safety.begin(now_us, below(4) == 0);
+    for (int step = 0; step < STEPS_PER_TRACE; ++step) {
+      now_us += below(50) == 0 ? 190000 + below(20000) : below(30000);
+      if (below(12) == 0) engage = !engage;
+      Command command = random_command();
+      sequence = uint16_t(sequence + (below(20) == 0 ? below(65536) : 1));
+      if (below(15) == 0) command.channels_us[below(4)] = uint16_t(below(65536));
+      if (below(3) > 0) safety.frame(now_us, sequence, engage, command.channels_us, below(9) ? CHANNELS : command.n);
+      for (uint8_t i = 0; i < CHANNELS; ++i) before[i] = safety.slots_us()[i];
+      safety.tick(now_us);
+      for (uint8_t i = 0; i < CHANNELS; ++i) {
+        const int slot = safety.slots_us()[i], change = std::abs(slot - before[i]);
+        claim(safety.state() == State::ACTIVE || slot == SAFE_US[i], "safe slots go out unless ACTIVE");
+        claim(slot >= CHANNEL_MIN_US && slot <= CHANNEL_MAX_US, "a slot stays within its limits");
+        claim(i != THROTTLE_CHANNEL || slot <= THROTTLE_CEILING_US, "the throttle stays under its ceiling");
+        claim(safety.state() != State::ACTIVE || change <= SLEW_US, "a slot changes by SLEW_US at most");
+      }
+    }
+  }
+  std::printf("%d traces of %d steps: every slot safe or within its limits\n", TRACES, STEPS_PER_TRACE);
+}
+
+// The timer adds the ticks up: after each frame's 2 (CHANNELS + 1) edges exactly FRAME_US must have passed.
+void frames_are_as_long_as_they_should() {
+  PpmOut ppm;
+  uint16_t slots_us[CHANNELS];
+  uint32_t since_start = 0;
+  ppm.next(slots_us, false);  // the start: the first frame begins a frame later
+  for (int frame = 0; frame < PPM_FRAMES; ++frame) {
+    claim(ppm.at_frame_start() && since_start == (frame ? FRAME_US * TICKS_PER_US : 0u), "a frame lasts FRAME_US");
+    for (uint16_t& slot_us : slots_us) slot_us = uint16_t(CHANNEL_MIN_US + below(CHANNEL_MAX_US - CHANNEL_MIN_US + 1));
+    since_start = 0;
+    for (int edge = 1; edge <= 2 * (CHANNELS + 1); ++edge) {
+      const PpmOut::Edge next = ppm.next(slots_us, false);
+      claim(next.pulse == (edge % 2 == 0), "pulses begin and end in turn");
+      since_start += next.after_ticks;
+      if (edge % 2 == 1) claim(next.after_ticks == GAP_PULSE_US * TICKS_PER_US, "each pulse lasts GAP_PULSE_US");
+    }
+  }
+  claim(ppm.frames() == uint32_t(PPM_FRAMES), "each frame is counted");
+  std::printf("%d PPM frames: pulses and frames exactly as long as configured\n", PPM_FRAMES);
+}
+
+// Noise on both pilot inputs: what is handed out, if anything, has possible slots.
+void noise_makes_no_impossible_pilot() {
+  PilotPpm ppm;
+  PilotSpektrum spektrum;
+  int handed_out = 0;
+  uint32_t now_us = 0;
+  for (int i = 0; i < PILOT_EDGES; ++i) {
+    now_us += below(6) == 0 ? 4000 + below(30000) : 300 + below(2500);
+    const bool good = ppm.edge(uint16_t(now_us * TICKS_PER_US), now_us);
+    handed_out += good;
+    claim(!good || (ppm.pilot.n >= 4 && ppm.pilot.n <= MAX_CHANNELS), "a pilot frame has 4 to 8 slots");
+    for (uint8_t k = 0; good && k < ppm.pilot.n; ++k) {
+      claim(ppm.pilot.channels_us[k] >= 800 && ppm.pilot.channels_us[k] <= 2200, "a pilot's slot is 800 to 2200 us");
+    }
+    spektrum.byte(uint8_t(rng()), now_us, CHANNELS);
+  }
+  std::printf("%d edges of noise: %d by chance like a frame, none impossible\n", PILOT_EDGES, handed_out);
+}
+
+}  // namespace
+
+int main() {
+  broken_frames_are_refused();
+  four_flips_pass_as_rarely_as_theory_says();
+  random_bytes_are_refused();
+  messages_come_back_as_they_were();
+  slots_stay_within_limits();
+  frames_are_as_long_as_they_should();
+  noise_makes_no_impossible_pilot();
+  std::printf("host tests: all good\n");
+  return 0;
+}
