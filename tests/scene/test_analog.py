@@ -30,7 +30,7 @@ def rng() -> np.random.Generator:
 @pytest.mark.parametrize("width", [320, 640])
 @pytest.mark.parametrize("snr_db", [22.0, 26.0, 32.0, 38.0])
 def test_luma_noise_is_what_was_asked(snr_db, width):
-    """S/N = 20 log10(255 / rms) on flat grey; 75,000 pixels know it to 0.03 dB, rounding to levels adds 0.1 at 38 dB."""
+    """S/N = 20 log10(255 / rms) on flat grey; 75,000 pixels know it to 0.03 dB, rounding adds 0.1 at 38 dB."""
     picture = AnalogVideo(snr_db, seed=3, dropouts=0.0).apply(flat(width), 0)
     measured = 20.0 * math.log10(255.0 / luma(picture).std())
     assert measured == pytest.approx(snr_db, abs=0.25)
@@ -85,7 +85,7 @@ def test_colours_run_to_the_right():
 
 
 def test_lines_jitter_as_the_sync_edge_is_noisy(rng):
-    """Slope law: 0.25 us * noise / 0.4, behind a first-order lock of one half: times sqrt((1 - a) / (1 + a)) = 0.577."""
+    """Slope law: 0.25 us * noise / 0.4, behind a first-order lock, a = 0.5: times sqrt((1 - a) / (1 + a)) = 0.577."""
     shifts = np.concatenate([analog.line_shifts_s(480, 26.0, rng) for _ in range(20)])
     by_hand = 0.25e-6 * 10.0 ** (-26.0 / 20.0) / 0.4 * math.sqrt(1.0 / 3.0)
     assert shifts.std() == pytest.approx(by_hand, rel=0.05)

@@ -103,7 +103,7 @@ def test_every_fault_does_what_it_says(clock):
 
 
 def test_noise_has_its_snr(clock):
-    """On the white bars luma would be cut; so by the same picture without: 255 / 10^(20/20) = 25.5 in the middle greys."""
+    """Against the same picture without, below the bar code, where luma would be cut: 255 / 10^(20/20) = 25.5."""
     camera = fake(clock, Fault("noise", 0.0, 1.0, 20.0))
     off = camera.read().astype(float) - camera.picture(0)
     rows = off[60:] @ (0.299, 0.587, 0.114)
