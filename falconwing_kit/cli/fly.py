@@ -59,7 +59,8 @@ class Fly:
     source: Literal["sim", "camera"] = "sim"
     """where images come from"""
     port: str = ""
-    """serial port of the trainer bridge"""
+    """the trainer port that every command goes through: sim (the firmware in a simulated chip) or sim-python (plain
+    Python); none where it is left out"""
     out: Path | None = None
     """folder for log, table and figures; an interrupted study goes on there"""
     logs: bool = False
@@ -95,11 +96,19 @@ class Fly:
             raise InputError(
                 f"--pilot {self.pilot}: this version of the kit has no such pilot yet; take {' or '.join(PILOTS)}"
             )
-        if self.source != "sim" or self.port:
-            what = "--port" if self.port else f"--source {self.source}"
+        if self.source != "sim":
             raise InputError(
-                f"{what}: this version of the kit has no pilot for the real aircraft yet; fly --source sim"
+                f"--source {self.source}: this version of the kit has no pilot for the real aircraft yet;"
+                " fly --source sim"
             )
+        if self.port:
+            from falconwing_kit.flight.through_port import PORTS
+
+            if self.port not in PORTS:
+                raise InputError(
+                    f"--port {self.port}: this version of the kit has no pilot for the real aircraft yet; take"
+                    f" {' or '.join(PORTS)}, or look at a real board with `falconwing bridge --port {self.port}`"
+                )
 
     def _task(self) -> "LandingTask | FollowTask":
         """What is flown; numbers and manoeuvre are checked."""
@@ -119,7 +128,8 @@ class Fly:
         from falconwing_kit.flight.sources import fpv_camera
         from falconwing_kit.flight.trials import Setting
 
-        return Setting(camera=fpv_camera(*_size(self.size)), clock=SimulatedClock if self.headless else WallClock)
+        clock = SimulatedClock if self.headless else WallClock
+        return Setting(camera=fpv_camera(*_size(self.size)), clock=clock, port=self.port)
 
     def _look_into_folders(self, task: "LandingTask | FollowTask", setting: "Setting") -> list[dict[str, Any]] | None:
         """Refuse what does not fit in --out and --against before anything is flown; the trials of --against."""
@@ -159,7 +169,7 @@ class Fly:
 
     def _show(self, name: str, records: Sequence[dict[str, Any]], found: dict[str, Any]) -> None:
         if self.out is not None:
-            from falconwing_kit.flight.trial_figures import write_results
+            from falconwing_kit.flight.judging.trial_figures import write_results
 
             files = write_results(records, found, self.out, f"{name} by {self.pilot}")
         if self.json:
@@ -194,6 +204,14 @@ def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str,
         f"ART: median {found['art_median_ms']:.2g} ms, 95 % of {found['art_steps']} steps within"
         f" {found['art_p95_ms']:.2g} ms ({found['images']}; {found['machine']})"
     )
+    if "port" in records[0]:
+        ports = [record["port"] for record in records]
+        sent, dropped, frames = (
+            sum(p[key] for p in ports) for key in ("commands_sent", "commands_dropped", "ppm_frames")
+        )
+        print(
+            f"through the trainer port ({ports[0]['board']}): {sent} commands, {dropped} dropped; {frames} PPM frames"
+        )
     for record in records:
         if not record["success"]:
             lost = record.get("lost_at_s")

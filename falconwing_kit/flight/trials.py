@@ -22,11 +22,12 @@ from falconwing_kit.control.loops import LINK_DELAY_S
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.flight_log import FlightLogWriter
+from falconwing_kit.flight.judging.statistics import bootstrap_mean, clopper_pearson, mcnemar
 from falconwing_kit.flight.loop import Loop, Pilot, SimulatedClock, Step, WallClock
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
-from falconwing_kit.flight.statistics import bootstrap_mean, clopper_pearson, mcnemar
 from falconwing_kit.flight.tasks import Task, Trial, trial_seed
-from falconwing_kit.flight.world import PoseNoise
+from falconwing_kit.flight.through_port import PortWorld, simulated_board
+from falconwing_kit.flight.world import PoseNoise, SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 
@@ -60,6 +61,7 @@ class Setting:
     camera: PinholeCamera = field(default_factory=fpv_camera)
     clock: type[SimulatedClock] | type[WallClock] = SimulatedClock  # a new one for every flight
     hooks: Sequence[Callable[[Step], None]] = ()
+    port: str = ""  # a simulated board that every command goes through, one of `through_port.PORTS`; "" for none
 
     @property
     def record(self) -> Record:
@@ -67,6 +69,7 @@ class Setting:
         lens = self.camera
         how = {"rendered": self.scene is not None, "size_px": [lens.width, lens.height]}
         how |= {"focal_px": [lens.fx, lens.fy], "centre_px": [lens.cx, lens.cy], "clock": self.clock.__name__}
+        how |= {"port": self.port} if self.port else {}
         return {**how, "scene_digest": None if self.scene is None else _scene_digest(self.scene)}
 
 
@@ -98,18 +101,20 @@ def fly_trial(
     """
     setting = setting or Setting()
     trial = task.trial(trial_seed(number, seed))
-    view = None
-    if setting.scene is not None:
-        view = RenderedView(trial.world, setting.scene, setting.camera, task.airframe.p_body_camera)
-    judge = task.judge(trial, setting.camera, view)
     pilot = make_pilot(trial)
     with ExitStack() as stack:
         writer = stack.enter_context(FlightLogWriter(log)) if log is not None else None
-        states, hooks = MeasuredStates(trial.world), setting.hooks
-        loop = Loop(pilot, trial.world, view, states, trial.leader, setting.clock(), writer, hooks)
+        world = _behind_port(stack, trial.world, setting.port, writer) if setting.port else trial.world
+        view = None
+        if setting.scene is not None:
+            view = RenderedView(world, setting.scene, setting.camera, task.airframe.p_body_camera)
+        judge = task.judge(trial, setting.camera, view)
+        states, hooks = MeasuredStates(world), setting.hooks
+        loop = Loop(pilot, world, view, states, trial.leader, setting.clock(), writer, hooks)
         if writer is not None:
-            writer.metadata({"simulated": "yes", "task": task.name, "seed": trial.seed})
+            writer.metadata({"simulated": "yes", "task": task.name, "seed": trial.seed, "port": setting.port})
         flight = loop.run(trial.duration, judge.watch)
+        through = {"port": world.record} if isinstance(world, PortWorld) else {}
     if flight.reason == "interrupted":
         raise KeyboardInterrupt
     median, high = flight.milliseconds("pilot")
@@ -119,7 +124,14 @@ def fly_trial(
     how = {"reason": flight.reason, "steps": len(flight.t), "skipped": flight.skipped, "faults": flight.faults}
     first_fault = next((dict(event.details) for event in flight.events if event.name == "pilot failed"), None)
     how |= {"first_fault": first_fault} if first_fault else {}
-    return {"trial": number, "seed": trial.seed, **how, **art, **judge.result()}
+    return {"trial": number, "seed": trial.seed, **how, **art, **through, **judge.result()}
+
+
+def _behind_port(stack: ExitStack, world: SimulatedWorld, name: str, log: FlightLogWriter | None) -> PortWorld:
+    """The world behind a simulated board; what happens at the port goes to the log."""
+    board = simulated_board(name)
+    stack.callback(board.close)
+    return stack.enter_context(PortWorld(world, board, on_event=None if log is None else log.event))
 
 
 def fly_trials(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.flight.statistics import bootstrap_mean, clopper_pearson, mcnemar
+from falconwing_kit.flight.judging.statistics import bootstrap_mean, clopper_pearson, mcnemar
 
 # Fisher & Yates' and Geigy's tables of exact 95 % limits, in per cent; the ends follow by hand:
 # all n succeed: low = (a/2)^(1/n); none: high = 1 - (a/2)^(1/n).

@@ -15,9 +15,9 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command, State
 from falconwing_kit.core.page import ACCENT, PREDICTED
+from falconwing_kit.flight.judging.trial_figures import write_results
 from falconwing_kit.flight.sources import fpv_camera
 from falconwing_kit.flight.tasks import LandingTask, Spread, Trial
-from falconwing_kit.flight.trial_figures import write_results
 from falconwing_kit.flight.trials import Setting, compare_pilots, fly_trial, fly_trials, read_trials, summary
 from falconwing_kit.flight.world import PoseNoise
 from falconwing_kit.scene.gaussians import GaussianScene
