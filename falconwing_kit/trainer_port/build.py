@@ -19,13 +19,12 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import write_error
 
 SKETCH = "trainer_bridge"
-ARDUINO_CORE = "/usr/share/arduino/hardware/arduino/avr/cores/arduino/Arduino.h"
 TOOLS = {  # Debian package -> a program or a file that it brings
     "make": "make",
-    "g++": "g++",
+    "gcc": "gcc",
     "gcc-avr": "avr-g++",
     "avr-libc": "/usr/lib/avr/include/avr/io.h",
-    "arduino-core-avr": ARDUINO_CORE,
+    "arduino-core-avr": "/usr/share/arduino/hardware/arduino/avr/cores/arduino/Arduino.h",
     "libsimavr-dev": "/usr/include/simavr/sim_avr.h",
 }
 KEEP_DAYS = 30.0  # older ones are thrown away
@@ -87,19 +86,6 @@ def build_simulator() -> Path:
         _run(["gcc", *options, str(source), "-o", str(product), "-lsimavr"])
 
     return _built("simavr_shim.so", build)
-
-
-def build_host_library() -> Path:
-    """The firmware's `link` and `safety` as a library of this machine, for tests (firmware/host_tests/host_api.h).
-
-    Raises:
-        InputError: a tool is missing, the compiler refused, or the cache folder cannot be written.
-    """
-
-    def build(sources: Path, product: Path) -> None:
-        _run(["make", "-C", str(sources), "host-lib", f"OUT={product.parent}"])
-
-    return _built("libtrainer_bridge.so", build)
 
 
 def _built(name: str, build: Builder, flags: str = "", replace: Path | None = None) -> Path:

@@ -49,7 +49,7 @@ class SimulatedBoard:
         self._sim, self._elf, self._seed = _library(), build_firmware() if elf is None else elf, seed
         self.t = 0.0  # s since it was made; runs on over resets and power cycles
         self._past = 0  # cycles before the power was last switched on
-        self._pilot: Sequence[float] | None = None  # slots [us]
+        self._pilot: tuple[float, ...] = ()  # slots [us]; none: silence
         self._switch_on()
 
     def __enter__(self) -> Self:
@@ -112,11 +112,12 @@ class SimulatedBoard:
         Raises:
             InputError: the slots do not fit into a frame of the pilot's radio.
         """
-        if channels_us is not None and sum(channels_us) + PILOT_PAUSE_US > PILOT_FRAME_US:
-            raise InputError(f"pilot: want slots that fit into a frame of 22 ms with a pause of 4, got {channels_us}")
-        for us in channels_us or ():
+        slots = () if channels_us is None else tuple(channels_us)
+        for us in slots:
             require_range("pilot slot", us, low=2 * PILOT_GAP_US)
-        self._pilot = channels_us
+        if sum(slots) + PILOT_PAUSE_US > PILOT_FRAME_US:
+            raise InputError(f"pilot: want slots that fit into a frame of 22 ms with a pause of 4, got {channels_us}")
+        self._pilot = slots
 
     def pilot_edges(self, t: Sequence[float], levels: Sequence[int]) -> None:
         """Edges on the pilot's pin, for pulses that no radio makes.
@@ -157,8 +158,13 @@ class SimulatedBoard:
         self._chip = None
 
     @property
+    def pin_level(self) -> int:
+        """The PPM pin now, 0 or 1."""
+        return int(self._sim.sim_pin(self._chip))
+
+    @property
     def artefacts(self) -> int:
-        """Pulses of some microseconds that the simulator made beside a wrap of Timer1 and silicon does not: dropped."""
+        """How often libsimavr turned its own PPM pin where Timer1 wrapped, as silicon does not; no frame here has it."""
         return int(self._sim.sim_counter(self._chip, 0))
 
     @property
@@ -183,7 +189,7 @@ class SimulatedBoard:
     def _drive_pilot(self, until: int) -> None:
         """Put the pilot's frames that begin before a cycle on the pin."""
         self._pilot_next = max(self._pilot_next, int(self._sim.sim_cycle(self._chip)) + 1)
-        while self._pilot is not None and self._pilot_next < until:
+        while self._pilot and self._pilot_next < until:
             pulses = PILOT_GAP_US * np.arange(2) + np.cumsum([0.0, *self._pilot])[:, None]
             at = self._pilot_next + np.round(pulses.ravel() * CYCLES_PER_US).astype(np.uint64)
             self._sim.sim_drive_pilot(self._chip, at, np.arange(len(at), dtype=np.uint8) % 2, len(at))
@@ -300,6 +306,7 @@ def _library() -> ctypes.CDLL:
         "sim_run": (ctypes.c_int, [board, cycles]),
         "sim_error": (ctypes.c_char_p, []),
         "sim_cycle": (cycles, [board]),
+        "sim_pin": (ctypes.c_int, [board]),
         "sim_counter": (ctypes.c_uint32, [board, ctypes.c_int]),
         "sim_send": (None, [board, ctypes.c_int, ctypes.c_char_p, size]),
         "sim_receive": (size, [board, ctypes.c_char_p, size]),

@@ -4,10 +4,11 @@
  * (falconwing_kit/trainer_port/simulated_board.py). Time is counted in cycles of 16 MHz since power-on and runs only
  * inside sim_run; a sleeping chip jumps to its next event. Where libsimavr differs from silicon and it matters here:
  *  - its UART counts 11 bits a byte; put right to the 10 bits of 8N1 (uart_pace);
- *  - its receiver holds 63 bytes, silicon two and the one being shifted in; a fourth is lost here too (on_line);
- *  - after a compare match a few ticks before Timer1 wraps it may turn the pin back for some microseconds, until the
- *    interrupt has run. Silicon does not. Such a pulse is dropped and counted, beside a wrap only (log_edge);
- *  - a write to PORTB raises events for PB5 although the timer owns the pin; they are not listened to (on_port);
+ *  - its receiver holds 63 bytes, silicon two (data sheet 22.7.3); here a third is lost, and counted (on_line);
+ *  - its output compare moves the pin at a match, but also where Timer1 wraps and where OCR1A is written, to the
+ *    opposite of what the next match will do. In normal mode silicon does not (data sheet 17.8), so its pin is not
+ *    listened to: each match is, and COM1A says what it does (on_match). What it did at wraps is counted (on_oc_pin);
+ *  - it has no FOC1A, the match by hand (on_force), and a write to PORTB shows on PB5 though the timer owns it (on_port);
  *  - while the chip is reset its pins keep their level; on a bench the resistors decide;
  *  - there is no bootloader: the sketch starts at once.
  */
@@ -22,10 +23,10 @@
 #include "sim_avr.h"
 #include "sim_elf.h"
 
-enum { CLOCK_HZ = 16000000, BAUD = 115200, UARTS = 2, TCCR1A = 0x80, RAM_START = 0x200 };
-enum { BYTE_CYCLES = (CLOCK_HZ * 10 + BAUD / 2) / BAUD, SILICON_RX_BYTES = 3 };
-enum { WRAP_CYCLES = 10 * (CLOCK_HZ / 1000000), LONGEST_RUN = 1000000 };
-enum { JUMP_TO_ITSELF = 0xCFFF };
+enum { CLOCK_HZ = 16000000, UARTS = 2, RAM_START = 0x200 };
+enum { TCCR1A = 0x80, TCCR1C = 0x82, FOC1A = 0x80, TIMER1_COMPA = 17, TIMER1_TICK = 8 };
+enum { NINTHS = 9, BYTE_NINTHS = 12500 }; /* ten bits at 115200 baud are 12500 / 9 cycles of 16 MHz */
+enum { LONGEST_RUN = 1000000, JUMP_TO_ITSELF = 0xCFFF };
 enum { ARTEFACTS, OVERRUNS, WATCHDOG_RESETS, COUNTERS };
 
 typedef struct { /* things that happen at a cycle: bytes of a line or levels of a pin, oldest first */
@@ -40,7 +41,8 @@ typedef struct { /* one serial line towards the chip */
     board *owner;
     avr_uart_t *uart;
     avr_irq_t *input;
-    uint64_t free_at; /* cycle at which the next byte may start */
+    uint8_t waiting, is_waiting; /* the second byte that the receiver holds */
+    uint64_t free_at; /* when the next byte may start, in ninths of a cycle */
     queue bytes;
 } line;
 
@@ -54,7 +56,7 @@ struct board {
     uint32_t counters[COUNTERS];
     uint32_t loop_address; /* byte address of loop() in flash; 0 where the ELF does not name it */
     uint16_t loop_code;    /* its first instruction, while the jump stands there */
-    int hung, pin_level, edge_at_wrap;
+    int hung, pin_level;
     void (*core_reset)(avr_t *);
 };
 
@@ -94,17 +96,28 @@ static void uart_pace(avr_uart_t *uart) { /* data sheet 22.3.1: a bit is 16 (UBR
     uart->cycles_per_byte = 10 * (divider + 1) * (avr_regbit_get(avr, uart->u2x) ? 8 : 16);
 }
 
-static avr_cycle_count_t on_line(avr_t *avr, avr_cycle_count_t when, void *parameter) {
+static void hand_over(line *l) { /* to libsimavr's receiver, one byte at a time and without its own delay */
+    avr_cycle_count_t pace = l->uart->cycles_per_byte;
+    if (!l->is_waiting || l->uart->input.read != l->uart->input.write) return;
+    l->is_waiting = 0;
+    l->uart->cycles_per_byte = 1;
+    avr_raise_irq(l->input, l->waiting);
+    l->uart->cycles_per_byte = pace;
+}
+
+static void on_room(avr_irq_t *irq, uint32_t value, void *parameter) { /* the program has read */
+    (void)irq, (void)value;
+    hand_over(parameter);
+}
+
+static avr_cycle_count_t on_line(avr_t *avr, avr_cycle_count_t when, void *parameter) { /* the end of a byte */
     line *l = parameter;
-    uint16_t waiting = (l->uart->input.write - l->uart->input.read) % 64;
-    (void)when;
-    uart_pace(l->uart);
+    (void)avr, (void)when;
     uint8_t byte = pop(&l->bytes);
-    if (waiting < SILICON_RX_BYTES)
-        avr_raise_irq(l->input, byte);
-    else
+    if (l->is_waiting)
         l->owner->counters[OVERRUNS]++;
-    (void)avr;
+    else
+        l->waiting = byte, l->is_waiting = 1, hand_over(l);
     return is_empty(&l->bytes) ? 0 : next_at(&l->bytes);
 }
 
@@ -117,31 +130,37 @@ static void on_sent(avr_irq_t *irq, uint32_t value, void *parameter) {
 
 /* ---- pins ---- */
 
-static void log_edge(board *b, int level) {
-    queue *edges = &b->edges;
-    uint64_t now = b->avr->cycle;
-    if (level == b->pin_level) return; /* libsimavr repeats itself */
+static void set_pin(board *b, int level) {
+    if (level != b->pin_level) push(&b->edges, b->avr->cycle, level);
     b->pin_level = level;
-    int at_wrap = now - b->timer1->tov_base < WRAP_CYCLES;
-    if (at_wrap && b->edge_at_wrap && !is_empty(edges) && now - edges->at[edges->last - 1] < WRAP_CYCLES) {
-        edges->last--;
-        b->edge_at_wrap = 0;
-        b->counters[ARTEFACTS]++;
-        return;
-    }
-    b->edge_at_wrap = at_wrap;
-    push(edges, now, level);
 }
 
-static void on_compare(avr_irq_t *irq, uint32_t value, void *parameter) {
+static void act_on_match(board *b) { /* table 17-3: COM1A 1 toggles the pin, 2 clears and 3 sets it */
+    int com = b->avr->data[TCCR1A] >> 6;
+    if (com) set_pin(b, com == 1 ? !b->pin_level : com == 3);
+}
+
+static void on_match(avr_irq_t *irq, uint32_t pending, void *parameter) {
     (void)irq;
-    log_edge(parameter, value & 1);
+    if (pending) act_on_match(parameter);
 }
 
-static void on_port(avr_irq_t *irq, uint32_t value, void *parameter) {
+static void on_force(avr_t *avr, avr_io_addr_t address, uint8_t value, void *parameter) {
+    (void)avr, (void)address;
+    if (value & FOC1A) act_on_match(parameter);
+}
+
+static void on_oc_pin(avr_irq_t *irq, uint32_t level, void *parameter) {
     board *b = parameter;
     (void)irq;
-    if (b->avr->data[TCCR1A] >> 6 == 0) log_edge(b, value & 1); /* COM1A = 0: the port owns the pin */
+    int at_wrap = b->avr->cycle - b->timer1->tov_base < TIMER1_TICK;
+    if (at_wrap && (int)(level & 1) != b->pin_level) b->counters[ARTEFACTS]++;
+}
+
+static void on_port(avr_irq_t *irq, uint32_t level, void *parameter) {
+    board *b = parameter;
+    (void)irq;
+    if (b->avr->data[TCCR1A] >> 6 == 0) set_pin(b, level & 1); /* COM1A = 0: the port owns the pin */
 }
 
 static avr_cycle_count_t on_pilot(avr_t *avr, avr_cycle_count_t when, void *parameter) {
@@ -182,7 +201,7 @@ static void on_reset(avr_t *avr) {
     board *b = avr->custom.data;
     if (b->core_reset) b->core_reset(avr);
     if (b->hung) swap_code(b, b->loop_code);
-    b->hung = 0;
+    b->hung = b->lines[0].is_waiting = b->lines[1].is_waiting = 0;
     arm(b);
 }
 
@@ -220,11 +239,15 @@ static void connect_pins(board *b) {
         avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0' + i), &quiet);
         b->lines[i].owner = b;
         b->lines[i].input = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0' + i), UART_IRQ_INPUT);
+        avr_irq_register_notify(b->lines[i].input + (UART_IRQ_OUT_XON - UART_IRQ_INPUT), on_room, &b->lines[i]);
     }
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_sent, b);
-    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_TIMER_GETIRQ('1'), TIMER_IRQ_OUT_COMP), on_compare, b);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_TIMER_GETIRQ('1'), TIMER_IRQ_OUT_COMP), on_oc_pin, b);
+    avr_irq_register_notify(avr_get_interrupt_irq(avr, TIMER1_COMPA) + AVR_INT_IRQ_PENDING, on_match, b);
+    avr_register_io_write(avr, TCCR1C, on_force, b);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), 5), on_port, b);
     b->pilot_pin = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('L'), 0);
+    avr_raise_irq(b->pilot_pin, 1); /* an open input with its pull-up is high */
 }
 
 board *sim_open(const char *elf_path, uint32_t seed) {
@@ -254,12 +277,14 @@ board *sim_open(const char *elf_path, uint32_t seed) {
 
 const char *sim_error(void) { return last_error; }
 uint64_t sim_cycle(const board *b) { return b->avr->cycle; }
+int sim_pin(const board *b) { return b->pin_level; }
 uint32_t sim_counter(const board *b, int which) { return b->counters[which]; }
 
 void sim_send(board *b, int uart, const uint8_t *bytes, size_t count) {
     line *l = &b->lines[uart];
-    if (l->free_at < b->avr->cycle) l->free_at = b->avr->cycle;
-    for (size_t i = 0; i < count; i++, l->free_at += BYTE_CYCLES) push(&l->bytes, l->free_at, bytes[i]);
+    if (l->free_at < b->avr->cycle * NINTHS) l->free_at = b->avr->cycle * NINTHS;
+    for (size_t i = 0; i < count; i++, l->free_at += BYTE_NINTHS) 
+        push(&l->bytes, (l->free_at + BYTE_NINTHS) / NINTHS, bytes[i]);
 }
 
 void sim_drive_pilot(board *b, const uint64_t *at, const uint8_t *levels, size_t count) {
@@ -272,10 +297,9 @@ size_t sim_receive(board *b, uint8_t *bytes, size_t most) { /* what has left the
     return count;
 }
 
-size_t sim_take_edges(board *b, uint64_t *at, uint8_t *levels, size_t most) { /* the last 10 us may yet be dropped */
+size_t sim_take_edges(board *b, uint64_t *at, uint8_t *levels, size_t most) {
     size_t count = 0;
-    for (; count < most && !is_empty(&b->edges) && next_at(&b->edges) + WRAP_CYCLES <= b->avr->cycle; count++)
-        at[count] = next_at(&b->edges), levels[count] = pop(&b->edges);
+    for (; count < most && !is_empty(&b->edges); count++) at[count] = next_at(&b->edges), levels[count] = pop(&b->edges);
     return count;
 }
 
