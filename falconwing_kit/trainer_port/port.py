@@ -26,6 +26,7 @@ SILENT_AFTER = 0.5  # s without a STATUS, which comes 20 times a second
 ENGAGE_WITHIN = 1.0  # s from the edge to ACTIVE; then the edge is tried again
 SYNC_PERIOD, FIRST_SYNCS = 0.5, 8  # s between round trips; the first eight go ten times as fast
 BACK_OFF = (0.25, 4.0)  # s between attempts to open a lost port: the first, doubled up to the last
+IDLE = 0.02  # throttle that turns no motor
 HAND_BACK_FRAMES = 3  # in a burst: one is enough, two may be damaged on the way
 SAFE = Command(throttle=0.0, aileron=0.0, elevator=0.0, rudder=0.0)
 
@@ -101,18 +102,21 @@ class TrainerPort:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def wait_ready(self, timeout: float = 6.0, sleep: Callable[[float], Any] = time.sleep) -> Status:
+    def wait_ready(
+        self, timeout: float = 6.0, sleep: Callable[[float], Any] = time.sleep, calibrated: bool = True
+    ) -> Status:
         """Wait on the ground until the board answers and its clock is known.
 
         Args:
             timeout: at most so long [s]; a Mega that was restarted by the opening needs two.
             sleep: lets time pass [s]; for a simulated board it runs the board.
+            calibrated: False does without the check that calibration and board fit, in order to calibrate.
 
         Returns:
             The newest STATUS.
 
         Raises:
-            InputError: no STATUS came, or the calibration has another number of channels than the board.
+            InputError: no STATUS came, or calibration and board do not fit (see `require_fit`).
         """
         end = self.now() + timeout
         while (self.status is None or not self.clock.synchronised) and self.now() < end:
@@ -123,12 +127,8 @@ class TrainerPort:
                 f"{self.what or 'trainer port'}: want a STATUS from the board, got none in {timeout:g} s; "
                 "is the kit's firmware on it (falconwing firmware build), and is it this port (falconwing find-port)?"
             )
-        wanted, got = len(self.calibration.channels_us(SAFE)), len(self.status.channels_us)
-        if wanted != got:
-            raise InputError(
-                f"calibration: want {got} channels as the board's firmware has, got {wanted}; "
-                "calibrate again, or flash the firmware with CHANNELS in config.h as in the calibration"
-            )
+        if calibrated:
+            require_fit(self.calibration, self.status)
         return self.status
 
     def poll(self) -> None:
@@ -325,6 +325,34 @@ class TrainerPort:
 
     def _event(self, name: str, details: dict[str, Any]) -> None:
         self.events.append(Event(self.now(), name, details))
+
+
+def require_fit(calibration: Calibration, status: Status) -> None:
+    """Refuse a calibration that the board's firmware was not set for.
+
+    What the board sends by itself, for one after a loss, is set when it is flashed. With the sticks in another order
+    its idle throttle would be half of it.
+
+    Args:
+        calibration: of the radio.
+        status: of the board, any but ACTIVE for the check of its safe slots.
+
+    Raises:
+        InputError: the numbers of channels differ, or the board's safe slots would leave the motor on.
+    """
+    wanted, got = len(status.channels_us), calibration.channels
+    if wanted != got:
+        raise InputError(
+            f"calibration: want {wanted} channels as the board's firmware has, got {got}; "
+            "calibrate again, or set CHANNELS in firmware/trainer_bridge/config.h and flash the board"
+        )
+    throttle = calibration.command(status.channels_us).throttle
+    if status.state != "ACTIVE" and throttle > IDLE:
+        raise InputError(
+            f"calibration: want the board's safe slots {status.channels_us} us to stop the motor, got throttle "
+            f"{throttle:.0%}, for the radio has it in channel {calibration.throttle.channel}; change the radio's order "
+            "of channels, or set THROTTLE_CHANNEL and SAFE_US in firmware/trainer_bridge/config.h and flash the board"
+        )
 
 
 def open_port(name: str, calibration: Calibration | None = None) -> TrainerPort:

@@ -7,7 +7,8 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command
-from falconwing_kit.trainer_port.port import BACK_OFF, HAND_BACK_FRAMES, SAFE, SILENT_AFTER, TrainerPort
+from falconwing_kit.trainer_port.port import BACK_OFF, HAND_BACK_FRAMES, SAFE, SILENT_AFTER, TrainerPort, require_fit
+from falconwing_kit.trainer_port.ppm import load_calibration
 from falconwing_kit.trainer_port.protocol import CommandFrame, Deframer, Status, SyncReply, SyncRequest, encode
 
 STICKS = Command(0.5, 0.1, -0.2, 0.3)
@@ -362,6 +363,18 @@ def test_another_number_of_channels_is_refused(board, port):
 
     with pytest.raises(InputError, match="want 6 channels as the board's firmware has, got 4"):
         port.wait_ready(0.1, pass_time)
+
+
+def test_safe_slots_that_would_leave_the_motor_on_are_refused():
+    """By hand: the throttle in channel 2, where the board's safe slot is 1500 us, half throttle. While the board is
+    ACTIVE its slots are somebody's command and say nothing."""
+    shipped = load_calibration()
+    aileron, throttle = replace(shipped.aileron, channel=1), replace(shipped.throttle, channel=2)
+    swapped = replace(shipped, throttle=throttle, aileron=aileron)
+    require_fit(shipped, SAYS)
+    require_fit(swapped, replace(SAYS, state="ACTIVE"))
+    with pytest.raises(InputError, match=r"got throttle 50%, for the radio has it in channel 2; .*SAFE_US"):
+        require_fit(swapped, SAYS)
 
 
 def test_the_safe_command_is_an_idle_motor_and_neutral_sticks():
