@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import math
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -198,6 +199,7 @@ def test_a_sequence_is_sent_modulo_65536():
     """65536 + 3 is 3; NumPy's integers count too."""
     assert encode_command(65539, 0, 0, 0, 0, True) == encode_command(np.int64(3), 0, 0, 0, 0, np.True_)
     assert decode(encode_sync(2**32 + 5)) == SyncRequest(5)
+    assert decode(encode_sync(2**32 - 1)) == SyncRequest(2**32 - 1)
 
 
 @pytest.mark.parametrize("bad", ["no", None, 2, -1, 0.5, math.nan, []])
@@ -277,6 +279,13 @@ def test_a_good_checksum_does_not_excuse_a_wrong_form(library, payload):
     with pytest.raises(InputError):
         decode(framed(payload))
     assert host_library.decode(library, framed(payload)) is None
+
+
+def test_only_the_lowest_flag_engages():
+    """The other seven bits are kept for later versions; they must not engage."""
+    for flags, engage in ((0xFE, False), (0x03, True)):
+        message = decode(framed(bytes([0x01, 7, 0, flags]) + bytes(8)))
+        assert message == CommandFrame(7, engage, (0,) * 4)
 
 
 def test_random_bytes_are_refused_or_read(rng):
@@ -374,10 +383,14 @@ def test_the_frame_behind_garbage_is_read(rng):
 
 
 def test_a_frame_without_end_is_dropped_and_counted_once():
-    """10,000 bytes without a zero are one bad frame and take no memory; two zeros in a row are none."""
-    deframer = Deframer()
-    for _ in range(100):
-        assert deframer.feed(b"\x55" * 100) == []
+    """A million bytes without a zero are one bad frame and are not kept; two zeros in a row are none."""
+    deframer, chunk = Deframer(), b"\x55" * 1000
+    tracemalloc.start()
+    for _ in range(1000):
+        assert deframer.feed(chunk) == []
+    kept, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert kept < 20_000
     assert deframer.feed(b"\0\0\0" + encode(STATUS) + b"\0") == [STATUS]
     assert deframer.bad == 1
 

@@ -180,6 +180,26 @@ def test_power_off_forgets_everything(bench):
     assert bench.deframer.bad == 1
 
 
+def test_a_frame_cut_by_a_power_cycle_is_none(bench):
+    """Its safe slots and last pulse take 5.9 ms: power off 5 ms into the third frame leaves two, 6 ms into it three."""
+    for into, frames in ((0.005, 2), (0.006, 3)):
+        bench.frames.clear()
+        bench.board.power_cycle()
+        bench.run(3 * 0.022 + into)
+        bench.board.power_cycle()
+        bench.run(0.001)
+        assert len(bench.frames) == frames
+
+
+def test_a_pilot_frame_has_the_clock_of_this_boot(bench):
+    """Power comes back at 1 s of virtual time; the fourth frame from there on begins at 66 ms, the third ends at 50."""
+    bench.board.run_until(1.0)
+    bench.board.power_cycle()
+    bench.board.set_pilot((1500,) * 4)
+    bench.run(0.08)
+    assert [pilot.device_time_us for pilot in bench.of(Pilot)] == [2 * 22_000 + 6000]
+
+
 def test_silence_means_no_pulses():
     """With SILENT_AFTER_MS = 1000 the last frame begins before it and nothing follows; the status says so."""
     bench = Bench(PythonBoard(SafetyConfig(silent_after_ms=1000))).engage()
