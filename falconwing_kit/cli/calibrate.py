@@ -23,6 +23,7 @@ from falconwing_kit.trainer_port.port import TrainerPort, open_port, require_fit
 from falconwing_kit.trainer_port.ppm import Calibration, Stick, load_calibration
 
 DEFAULT = Path("trainer_port.toml")
+SIMULATED_PORTS = ("sim", "sim-python")
 MAX_AGE_DAYS = 180  # trims and plugs change; a term later it is measured again
 HOLD_S, HOLDS = 0.6, 5  # how long a stick is held for a reading, and how often that may be tried
 STILL_US = 12  # a stick that is held moves less
@@ -107,7 +108,7 @@ class Calibrate:
         require_place(self.out)
         if self.out.exists() and not self.replace:
             raise InputError(f"{self.out}: want a new file, there is one; add --replace to write over it")
-        if not self.radio and not self.port.startswith("sim"):
+        if not self.radio and self.port not in SIMULATED_PORTS:
             raise InputError('--radio: want the name of your radio, such as "Spektrum NX8", got none')
         with open_port(self.port) as port:
             print(f"{port.what}; the file will be {self.out.resolve()}", file=sys.stderr, flush=True)
@@ -121,8 +122,8 @@ class Calibrate:
     def _show(self, calibration: Calibration) -> None:
         record = {name: stick for name, stick in zip(COMMAND_NAMES, calibration.sticks, strict=True)}
         if self.json:
-            rows = {name: vars(stick) for name, stick in record.items()}
-            print_json({"file": str(self.out.resolve()), "radio": calibration.radio, "sticks": rows})
+            sticks = {name: vars(stick) for name, stick in record.items()}
+            print_json({"file": str(self.out.resolve()), "radio": calibration.radio, "sticks": sticks})
             return
         rows = [(name, s.channel, s.low_us, s.centre_us, s.high_us, s.reversed) for name, s in record.items()]
         head = ("stick", "channel", "low [us]", "centre [us]", "high [us]", "reversed")
@@ -162,7 +163,10 @@ def measure(
             f"calibrate: want the sticks in channels 1 to {channels}, as many as the board sends, got {beyond}; "
             "change the radio's order of channels"
         )
-    calibration = replace(port.calibration, radio=radio, measured=date.today().isoformat(), channels=channels, **found)
+    calibration = replace(
+        port.calibration, radio=radio, measured=date.today().isoformat(), channels=channels,
+        throttle=found["throttle"], aileron=found["aileron"], elevator=found["elevator"], rudder=found["rudder"],
+    )  # fmt: skip
     require_fit(calibration, port.status)
     return calibration
 
@@ -236,10 +240,11 @@ def learn(readings: Mapping[str, Sequence[int]]) -> dict[str, Stick]:
     return found
 
 
-def choose_calibration(path: Path | None = None, radio: str = "", today: date | None = None) -> Calibration:
+def choose_calibration(port: str, path: Path | None = None, radio: str = "", today: date | None = None) -> Calibration:
     """The calibration to fly with; a stale one is refused.
 
     Args:
+        port: what it is for; a simulated radio's is for simulated boards alone.
         path: the file; None takes ./trainer_port.toml where there is one, else the kit's default, with a warning.
         radio: must be the one it was measured on; "" does not ask.
         today: for tests; None is today.
@@ -265,6 +270,8 @@ def choose_calibration(path: Path | None = None, radio: str = "", today: date | 
         stale = ", ".join(f"{name} {old} where the firmware's is {new}" for name, (old, new) in other.items())
     elif radio and radio != calibration.radio:
         stale = f"measured on {calibration.radio or 'no radio'}, not on {radio}"
+    elif calibration.radio == REHEARSED.radio and port not in SIMULATED_PORTS:
+        stale = f"rehearsed with a {calibration.radio}"
     else:
         age = ((today or date.today()) - date.fromisoformat(calibration.measured)).days if calibration.measured else 0
         stale = f"{age} days old" if not 0 <= age <= MAX_AGE_DAYS else ""

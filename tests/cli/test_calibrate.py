@@ -148,7 +148,9 @@ def test_the_rehearsal_writes_a_file_that_other_verbs_take(tmp_path, monkeypatch
     assert run("--port", "sim-python", "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert record["file"] == str(tmp_path / "trainer_port.toml") and record["radio"] == "SIMULATED radio"
-    assert choose_calibration().sticks == load_calibration(tmp_path / "trainer_port.toml").sticks == REHEARSED.sticks
+    assert (
+        choose_calibration("sim").sticks == load_calibration(tmp_path / "trainer_port.toml").sticks == REHEARSED.sticks
+    )
 
 
 @pytest.mark.parametrize(
@@ -183,15 +185,16 @@ def mine(tmp_path, monkeypatch):
 def test_a_fresh_calibration_of_this_radio_is_taken(mine):
     """The file in this folder, without being named."""
     mine()
-    assert choose_calibration(radio="mine").throttle == REHEARSED.throttle
+    assert choose_calibration("COM3", radio="mine").throttle == REHEARSED.throttle
     mine(measured=(date.today() - timedelta(MAX_AGE_DAYS)).isoformat())
-    assert choose_calibration().radio == "mine"
+    assert choose_calibration("sim").radio == "mine"
 
 
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
         ({"radio": "yours"}, "measured on yours, not on mine"),
+        ({"radio": REHEARSED.radio}, "SIMULATED radio"),
         ({"measured": (date.today() - timedelta(MAX_AGE_DAYS + 1)).isoformat()}, "181 days old"),
         ({"measured": (date.today() + timedelta(2)).isoformat()}, "-2 days old"),
         ({"gap_us": 300}, "gap_us 300 where the firmware's is 400"),
@@ -203,14 +206,22 @@ def test_a_stale_calibration_is_refused(mine, changes, sentence):
     """Another radio's, too old, from the future, or for a firmware with another PPM frame."""
     mine(**changes)
     with pytest.raises(InputError, match=sentence):
-        choose_calibration(radio="mine")
+        choose_calibration("COM3", radio="mine")
+
+
+def test_a_rehearsed_calibration_flies_no_real_aircraft(mine):
+    """It fits the simulated radio, and simulated boards alone."""
+    mine(radio=REHEARSED.radio)
+    assert choose_calibration("sim").radio == REHEARSED.radio
+    with pytest.raises(InputError, match="rehearsed with a SIMULATED radio"):
+        choose_calibration("/dev/ttyACM0")
 
 
 def test_without_a_calibration_the_default_is_taken_and_said(tmp_path, monkeypatch):
     """The kit's own values were measured on no radio."""
     monkeypatch.chdir(tmp_path)
     with pytest.warns(UserWarning, match="measured on no radio"):
-        assert choose_calibration() == load_calibration()
+        assert choose_calibration("sim") == load_calibration()
 
 
 def test_every_stick_has_a_pose():
