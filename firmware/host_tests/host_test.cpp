@@ -15,7 +15,8 @@
 
 namespace {
 
-constexpr int BROKEN_FRAMES = 1000000, FOUR_FLIPS = 200000, RANDOM_BUFFERS = 1000000, ROUND_TRIPS = 200000, PILOT_EDGES = 2000000;
+constexpr int BROKEN_FRAMES = 1000000, FOUR_FLIPS = 200000, RANDOM_BUFFERS = 1000000, STRANGE_FRAMES = 300000;
+constexpr int ROUND_TRIPS = 200000, PILOT_EDGES = 2000000;
 constexpr int TRACES = 1000, STEPS_PER_TRACE = 2000, PPM_FRAMES = 100000;
 
 std::mt19937 rng(20261121);  // fixed: every run is the same
@@ -130,6 +131,48 @@ void random_bytes_are_refused() {
   std::printf("%d buffers of random bytes: 0 accepted\n", RANDOM_BUFFERS);
 }
 
+// A frame of any payload, written here once more: COBS by its definition, pieces between zeros with their lengths.
+std::vector<uint8_t> strange_frame(std::vector<uint8_t> payload) {
+  const uint16_t crc = crc16(payload.data(), uint8_t(payload.size()));
+  payload.push_back(uint8_t(crc)), payload.push_back(uint8_t(crc >> 8)), payload.push_back(0);
+  std::vector<uint8_t> frame, piece;
+  for (const uint8_t byte : payload) {
+    if (byte != 0) {
+      piece.push_back(byte);
+      continue;
+    }
+    frame.push_back(uint8_t(piece.size() + 1));
+    frame.insert(frame.end(), piece.begin(), piece.end());
+    piece.clear();
+  }
+  frame.push_back(0);
+  return frame;
+}
+
+// A right CRC around any type, length and content, as a program gone wild would send: nothing is read or written out
+// of its place, and a command needs its length and range still. Only every tenth has sticks that could be a command's.
+void strange_messages_are_refused() {
+  constexpr uint8_t TYPES[] = {Command::TYPE, Sync::TYPE, Status::TYPE, Pilot::TYPE, SyncReply::TYPE, 0x00, 0x7F};
+  for (int i = 0; i < STRANGE_FRAMES; ++i) {
+    std::vector<uint8_t> payload(1 + below(70));
+    for (uint8_t& byte : payload) byte = uint8_t(below(256));
+    payload[0] = TYPES[below(sizeof TYPES)];
+    bool valid = payload[0] == Command::TYPE && payload.size() == 4 + 2 * CHANNELS;
+    for (size_t k = 4; k + 1 < payload.size(); k += 2) {
+      if (i % 10 == 0) payload[k] = uint8_t(below(0x34)), payload[k + 1] = 0x04;  // 1024 to 1075 us
+      const int us = payload[k] | payload[k + 1] << 8;
+      valid = valid && us >= VALID_MIN_US && us <= VALID_MAX_US;
+    }
+    BadLine line;
+    const std::vector<uint8_t> frame = strange_frame(payload);
+    claim(line.send(frame) == valid, "a command is accepted if its length and range are right, and nothing else is");
+    int type = 0;
+    uint32_t values[24];
+    link_decode(frame.data(), int(frame.size()), &type, values);
+  }
+  std::printf("%d messages of any form with a right CRC: only whole commands accepted\n", STRANGE_FRAMES);
+}
+
 void messages_come_back_as_they_were() {
   for (int i = 0; i < ROUND_TRIPS; ++i) {
     Receiver receiver;
@@ -224,6 +267,7 @@ int main() {
   broken_frames_are_refused();
   four_flips_pass_as_rarely_as_theory_says();
   random_bytes_are_refused();
+  strange_messages_are_refused();
   messages_come_back_as_they_were();
   slots_stay_within_limits();
   frames_are_as_long_as_they_should();
