@@ -1,0 +1,214 @@
+"""Frame monitor: speed, and how well either rule tells noise from motion, as curves over the signal-to-noise ratio.
+
+    python -m pytest -m benchmark tests/benchmarks/bench_monitor.py -s          # speed
+    python -m tests.benchmarks.bench_monitor --out DIR                           # curves, on the flights that judge
+    python -m tests.benchmarks.bench_monitor --out DIR --tuning                  # ... on those for choosing settings
+    python -m tests.benchmarks.bench_monitor --out DIR --recorded FLIGHT ...     # and on folders of recorded pictures
+
+Flights and noise are simulated. Times are of this process.
+"""
+
+import argparse
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from falconwing_kit.core.checks import require_file
+from falconwing_kit.core.files import atomic_write, short_name
+from falconwing_kit.scene.analog import AnalogVideo
+from falconwing_kit.vision import FrameMonitor, load_monitor_settings, ssim
+from falconwing_kit.vision.cameras import FakeCamera
+from falconwing_kit.vision.monitor import RULES
+from tests.benchmarks.bench_rollouts import machine
+from tests.vision.flights import PERIOD, TASKS, flown
+
+SNRS_DB = (10.0, 13.0, 16.0, 17.0, 18.0, 19.0, 20.0, 21.0, 23.0, 26.0, 32.0)
+NOISY = 71  # pictures of each flight that are sent over the link: ten times 300 ms
+SOON = 7  # verdicts in the 300 ms after an onset, both ends counted
+STRETCH = 60  # pictures: alerts on clean video are counted in stretches of three seconds
+COUNTS = {"motion": (5, 8), "paper": (5, 5)}  # so many bad ones among so many
+
+
+@pytest.mark.benchmark
+def test_monitor_takes_at_most_20_ms(capsys):
+    """640 x 480, one core: the kit's rule, the paper's, SSIM here and in scikit-image, and the analog link."""
+    import cv2
+    from skimage.metrics import structural_similarity
+
+    cv2.setNumThreads(1)
+    pictures = [FakeCamera(size=(640, 480)).picture(k) for k in range(30)]
+    grey = [picture[..., 1].copy() for picture in pictures]
+    monitors = {rule: FrameMonitor(rule) for rule in RULES}
+    link = AnalogVideo(20.0)
+    jobs = {rule: lambda k, m=m: m.update(pictures[k], PERIOD * k) for rule, m in monitors.items()}
+    jobs["ssim"] = lambda k: ssim(grey[k - 1], grey[k])
+    jobs["scikit-image"] = lambda k: structural_similarity(
+        grey[k - 1], grey[k], gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=255
+    )
+    jobs["analog link"] = lambda k: link.apply(pictures[k], k)
+    took = {name: milliseconds(job, len(pictures)) for name, job in jobs.items()}
+    with capsys.disabled():
+        print(f"\n\n{machine()}\n\n| 640 x 480 | ms of CPU, median | 95 % |\n|---|---|---|")
+        print("\n".join(f"| {name} | {median:.1f} | {high:.1f} |" for name, (median, high) in took.items()))
+        print(f"\nscikit-image / ssim: {took['scikit-image'][0] / took['ssim'][0]:.1f}")
+    assert max(took["motion"][1], took["paper"][0]) <= 20.0
+
+
+def milliseconds(job, repeats: int) -> tuple[float, float]:
+    """Median and 95th percentile of a job's CPU time [ms]; the first two calls warm up."""
+    took = []
+    for k in range(repeats):
+        begin = time.process_time()
+        job(k)
+        took.append(1e3 * (time.process_time() - begin))
+    median, high = np.percentile(took[2:], (50.0, 95.0))
+    return float(median), float(high)
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Of each clean stretch and of each onset of noise, the threshold above which a rule alerts."""
+
+    clean: dict[str, np.ndarray]  # rule -> (stretches,)
+    noisy: dict[str, dict[float, np.ndarray]]  # rule -> SNR [dB] -> (onsets,)
+    clean_after_noise: dict[str, dict[float, np.ndarray]]  # as noisy, but any alert in the whole piece counts
+
+    def detected(self, rule: str, snr_db: float, threshold: float) -> float:
+        """Share of onsets that alert within 300 ms."""
+        return float((self.noisy[rule][snr_db] < threshold).mean())
+
+    def false_alarms(self, rule: str, threshold: float) -> float:
+        """Share of clean stretches of three seconds with an alert."""
+        return float((self.clean[rule] < threshold).mean())
+
+
+def level(similarities: np.ndarray, rule: str) -> float:
+    """The threshold above which a rule alerts: lowest over its windows of the fifth lowest SSIM in them."""
+    frames, window = COUNTS[rule]
+    if len(similarities) < window:
+        return float(np.sort(similarities)[frames - 1])
+    windows = np.lib.stride_tricks.sliding_window_view(similarities, window)
+    return float(np.sort(windows, axis=1)[:, frames - 1].min())
+
+
+def similarities(pictures: list[np.ndarray], rule: str) -> np.ndarray:
+    """(N - 1,) what the monitor's verdicts say."""
+    monitor = FrameMonitor(rule)
+    return np.array([monitor.update(picture, PERIOD * k).ssim for k, picture in enumerate(pictures)][1:])
+
+
+def pieces(values: np.ndarray, length: int) -> list[np.ndarray]:
+    """Stretches of a length; what is left over belongs to the last."""
+    starts = range(0, max(len(values) - length + 1, 1), length)
+    return [values[start : start + length] for start in starts]
+
+
+def measure(judging: bool, size: tuple[int, int]) -> Levels:
+    """Fly, send the pictures over links of all qualities, and find the levels of both rules."""
+    flights = [flown(number, judging, size) for number in range(len(TASKS))]
+    clean = {rule: [level(s, rule) for f in flights for s in pieces(similarities(f, rule), STRETCH)] for rule in RULES}
+    noisy: dict[str, dict[float, list[float]]] = {rule: {snr: [] for snr in SNRS_DB} for rule in RULES}
+    whole: dict[str, dict[float, list[float]]] = {rule: {snr: [] for snr in SNRS_DB} for rule in RULES}
+    for snr_db in SNRS_DB:
+        for number, flight in enumerate(flights):
+            link = AnalogVideo(snr_db, seed=number)
+            pictures = [link.apply(picture, k) for k, picture in enumerate(flight[:NOISY])]
+            for rule in RULES:
+                values = similarities(pictures, rule)
+                noisy[rule][snr_db] += [float(np.sort(s)[COUNTS[rule][0] - 1]) for s in pieces(values, SOON)]
+                whole[rule][snr_db].append(level(values, rule))
+    arrays = [
+        {rule: {snr: np.array(v) for snr, v in of.items()} for rule, of in part.items()} for part in (noisy, whole)
+    ]
+    return Levels({rule: np.array(values) for rule, values in clean.items()}, *arrays)
+
+
+def table(levels: Levels) -> str:
+    """Markdown: at each quality how many onsets alert within 300 ms, by either rule with its shipped threshold."""
+    lines = ["| SNR [dB] | rule | alert within 300 ms | lowest level | highest level |", "|---|---|---|---|---|"]
+    for rule, threshold in thresholds().items():
+        alarms = levels.false_alarms(rule, threshold)
+        lines.append(f"| clean | {rule} | {100 * alarms:.0f} % of 3 s stretches | {levels.clean[rule].min():.2f} | |")
+        for snr_db in SNRS_DB:
+            share = 100 * levels.detected(rule, snr_db, threshold)
+            low, high = levels.clean_after_noise[rule][snr_db].min(), levels.noisy[rule][snr_db].max()
+            lines.append(f"| {snr_db:g} | {rule} | {share:.0f} % | {low:.2f} | {high:.2f} |")
+    usable, lost = levels.clean_after_noise["motion"][26.0].min(), levels.noisy["motion"][16.0].max()
+    middle = f"Half-way between 26 dB, which must pass, and 16 dB, which must not: {0.5 * (usable + lost):.2f}"
+    return "\n".join([*lines, "", middle])
+
+
+def thresholds() -> dict[str, float]:
+    """What ships."""
+    settings = load_monitor_settings()
+    return {"motion": settings.threshold, "paper": settings.paper.threshold}
+
+
+def draw(levels: Levels, path: Path) -> None:
+    """Detection over SNR with the shipped thresholds; and detection against false alarms over all thresholds."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 4.5), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for (rule, threshold), colour in zip(thresholds().items(), ("tab:blue", "tab:red"), strict=True):
+        share = [100 * levels.detected(rule, snr, threshold) for snr in SNRS_DB]
+        alarms = 100 * levels.false_alarms(rule, threshold)
+        left.plot(SNRS_DB, share, "o-", color=colour, label=f"{rule}: SSIM < {threshold:g}")
+        left.axhline(alarms, color=colour, linestyle=":", label=f"{rule}: false alarms on clean video, {alarms:.0f} %")
+    left.set(xlabel="signal-to-noise ratio [dB]", ylabel="alert within 300 ms [% of onsets]", ylim=(-3, 103))
+    steps = np.linspace(0.0, 1.0, 401)
+    for snr_db, shade in zip((16.0, 18.0, 20.0, 23.0), (1.0, 0.75, 0.5, 0.3), strict=True):
+        for rule, colour in zip(RULES, ("tab:blue", "tab:red"), strict=True):
+            alarms = [100 * levels.false_alarms(rule, step) for step in steps]
+            found = [100 * levels.detected(rule, snr_db, step) for step in steps]
+            right.plot(alarms, found, color=colour, alpha=shade, label=f"{rule}, {snr_db:g} dB")
+    right.set(xlabel="clean stretches of 3 s with an alert [%]", ylabel="alert within 300 ms [% of onsets]")
+    for axes in (left, right):
+        axes.legend(fontsize=8)
+        axes.grid(alpha=0.3)
+    figure.suptitle("Frame monitor on simulated flights and a simulated analog link: every threshold on the right")
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png", dpi=120)
+
+
+def recorded(folder: Path) -> str:
+    """One line a rule: how much of a recorded flight, a folder of JPEGs at 20 Hz, is under alert."""
+    import cv2
+
+    pictures = [cv2.cvtColor(cv2.imread(str(p)), cv2.COLOR_BGR2RGB) for p in sorted(folder.glob("*.jpg"))]
+    require_file(folder / "00000.jpg")
+    lines = []
+    for rule, threshold in thresholds().items():
+        monitor = FrameMonitor(rule)
+        verdicts = [monitor.update(picture, PERIOD * k) for k, picture in enumerate(pictures)]
+        alerts = [verdict.alert for verdict in verdicts]
+        begun = sum(now and not before for before, now in zip([False, *alerts], alerts, strict=False))
+        low = sum(verdict.ssim < threshold for verdict in verdicts)
+        lines.append(
+            f"{short_name(folder)}, {rule}: {100 * np.mean(alerts):.0f} % of {len(alerts)} pictures under alert, "
+            f"{begun} alerts, {low} pictures below {threshold:g}"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Fly, print the table, draw the curves."""
+    parser = argparse.ArgumentParser(description="Frame monitor: detection against false alarms")
+    parser.add_argument("--out", type=Path, required=True, help="folder for monitor.png")
+    parser.add_argument("--tuning", action="store_true", help="flights for choosing settings, not those that judge")
+    parser.add_argument("--size", default="320x240", help="of the pictures [px]")
+    parser.add_argument("--recorded", type=Path, nargs="*", default=[], help="folders of recorded pictures")
+    asked = parser.parse_args()
+    width, height = map(int, asked.size.split("x"))
+    asked.out.mkdir(parents=True, exist_ok=True)
+    levels = measure(not asked.tuning, (width, height))
+    print(table(levels))
+    draw(levels, asked.out / "monitor.png")
+    print("\n".join(["", *map(recorded, asked.recorded), f"figure: {short_name(asked.out / 'monitor.png')}"]))
+
+
+if __name__ == "__main__":
+    main()
