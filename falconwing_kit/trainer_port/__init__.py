@@ -1,5 +1,6 @@
 """trainer_port: PPM calibration, serial protocol, safety state machine, boards and the port to the transmitter."""
 
+from falconwing_kit.trainer_port.port import TrainerPort, open_port
 from falconwing_kit.trainer_port.ppm import Calibration, Stick, load_calibration
 from falconwing_kit.trainer_port.protocol import (
     CommandFrame,
@@ -32,6 +33,7 @@ __all__ = [
     "Stick",
     "SyncReply",
     "SyncRequest",
+    "TrainerPort",
     "Verdict",
     "decode",
     "decode_status",
@@ -40,4 +42,5 @@ __all__ = [
     "encode_command",
     "encode_sync",
     "load_calibration",
+    "open_port",
 ]

@@ -173,7 +173,7 @@ def encode(message: Message) -> bytes:
     """Any message as a serial frame with its zero byte, the inverse of `decode`.
 
     Raises:
-        InputError: a number does not fit into its field, or a list of channels has another length than it may.
+        InputError: it is no message, a number does not fit into its field, or there are too many or too few channels.
     """
     match message:
         case CommandFrame():
@@ -190,6 +190,8 @@ def encode(message: Message) -> bytes:
             head = (PILOT, message.device_time_us, message.source, message.rejected, count)
         case SyncReply():
             return _frame(SYNC_REPLY, (SYNC_REPLY, message.token, message.received_us, message.sent_us))
+        case _:
+            raise InputError(f"message: want one of this file's messages, got {type(message).__name__}")
     return _frame(head[0], head, message.channels_us)
 
 

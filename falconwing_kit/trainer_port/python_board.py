@@ -54,6 +54,10 @@ class Board(Protocol):
     kind: str  # what it is, in words for the user
     t: float  # [s] since it was made; runs on over resets and power cycles
 
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
     def write(self, data: bytes) -> None:
         """Put bytes on the wire to the board; from now on they arrive at UART speed."""
 

@@ -218,6 +218,15 @@ def test_channels_must_fit_their_fields(bad):
         encode_channels(1, bad, True)
 
 
+@pytest.mark.parametrize(
+    "bad", ["COMMAND", None, dataclasses.replace(STATUS, state="UP"), SyncReply(-1, 0, 0)], ids=str
+)
+def test_what_is_no_message_is_not_sent(bad):
+    """A text, nothing, a state that there is not, a negative time."""
+    with pytest.raises(InputError, match="want"):
+        encode(bad)
+
+
 def test_a_calibration_of_ones_own_is_used():
     """Throttle and rudder change places, aileron is reversed: by hand from its file's numbers."""
     shipped = load_calibration()
