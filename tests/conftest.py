@@ -1,4 +1,4 @@
-"""Fixtures of this room's tests."""
+"""Fixtures for the tests of all rooms."""
 
 import sys
 
@@ -9,7 +9,7 @@ from tests.trainer_port.ros_master import running_master
 
 @pytest.fixture(scope="session")
 def ros_master(tmp_path_factory):
-    """A real roscore; one for all, because a process can be a ROS node only once."""
+    """The address of a real roscore; one for all, because a process can be a ROS node only once."""
     with running_master(tmp_path_factory.mktemp("ros")) as uri:
         yield uri
         if "rospy" in sys.modules:  # sign off while the master can still hear it
