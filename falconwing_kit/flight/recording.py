@@ -145,7 +145,7 @@ class Recording:
 def record(
     recording: Recording,
     duration: float = math.inf,
-    watch: Callable[[Recording], Any] = lambda recording: None,
+    watch: Callable[[Recording], bool | None] = lambda recording: False,
     pause: Callable[[float], Any] = time.sleep,
 ) -> Counts:
     """Record until time is up or Ctrl-C.
@@ -153,7 +153,7 @@ def record(
     Args:
         recording: ready to go.
         duration: at most so long [s].
-        watch: called after every step.
+        watch: called after every step; True ends the recording.
         pause: lets time pass [s]; for a simulated clock it moves that.
 
     Returns:
@@ -162,7 +162,8 @@ def record(
     with suppress(KeyboardInterrupt):
         while recording.t < duration:
             recording.step()
-            watch(recording)
+            if watch(recording):
+                break
             pause(0.005)
     recording.finish()
     return recording.counts
