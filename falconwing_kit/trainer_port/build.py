@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.files import write_error
+from falconwing_kit.core.files import atomic_write
 
 SKETCH = "trainer_bridge"
 TOOLS = {  # Debian package -> a program or a file that it brings
@@ -101,17 +101,12 @@ def _built(name: str, build: Builder, flags: str = "", replace: Path | None = No
     kept = _cache_folder() / f"{Path(name).stem}-{digest}{Path(name).suffix}"
     if kept.is_file():
         return kept
-    try:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        _forget_old(kept.parent, Path(name))
-        with tempfile.TemporaryDirectory(dir=kept.parent, prefix=".build-") as folder:
-            sources = Path(shutil.copytree(source, Path(folder) / "firmware", ignore=shutil.ignore_patterns("build")))
-            product = Path(folder) / "out" / name
-            product.parent.mkdir()
-            build(sources, product)
-            os.replace(product, kept)
-    except OSError as error:
-        raise write_error(kept, error) from None
+    with tempfile.TemporaryDirectory(prefix="falconwing-") as folder:
+        sources = Path(shutil.copytree(source, Path(folder) / "firmware", ignore=shutil.ignore_patterns("build")))
+        product = Path(folder) / "out" / name
+        product.parent.mkdir()
+        build(sources, product)
+        _keep(product, kept)
     return kept
 
 
@@ -135,9 +130,19 @@ def _run(command: Sequence[str]) -> None:
         raise InputError(f"firmware: want a clean build, got from {command[0]}: {first.strip()}; mend the source")
 
 
-def _forget_old(folder: Path, name: Path) -> None:
+def _keep(product: Path, kept: Path) -> None:
+    """Copy a product to its place, and throw away those of its kind that are old."""
+    try:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{kept.parent}: want a folder to keep what is built, got: {error.strerror}; "
+            "set XDG_CACHE_HOME to a folder that you may write"
+        ) from None
+    with atomic_write(kept) as file:
+        file.write(product.read_bytes())
     oldest = time.time() - KEEP_DAYS * 86400.0
-    for path in folder.glob(f"{name.stem}-*{name.suffix}"):
+    for path in kept.parent.glob(f"{product.stem}-*{product.suffix}"):
         with suppress(OSError):
             if path.stat().st_mtime < oldest:
                 path.unlink()

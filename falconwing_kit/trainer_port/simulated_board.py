@@ -28,7 +28,7 @@ CYCLES_PER_US = CLOCK_HZ // 1_000_000
 SYNC_CYCLES = 3000 * CYCLES_PER_US  # a level held for longer is the pause between two frames; a slot is 2.1 ms at most
 LOST_CYCLES = 40_000 * CYCLES_PER_US  # no frame is longer: behind this one the pulses have stopped
 PILOT_FRAME_US, PILOT_GAP_US, PILOT_PAUSE_US = 22_000, 400, 4000  # of the pilot's simulated radio; idle high
-STEP = 0.001  # s between two looks at the line
+STEP = 0.002  # s between two looks at what the board sent
 ROOM = 4096  # bytes or edges taken from the simulator at a time
 
 
@@ -50,6 +50,10 @@ class SimulatedBoard:
         self.t = 0.0  # s since it was made; runs on over resets and power cycles
         self._past = 0  # cycles before the power was last switched on
         self._pilot: tuple[float, ...] = ()  # slots [us]; none: silence
+        self._chip: int | None = None  # the simulator's own record
+        self._edges: list[int] = []  # cycles, of the frame that is not complete
+        self._at_start = False  # the first of them begins a frame
+        self._pilot_next = 0  # cycle at which the pilot's next frame may begin
         self._switch_on()
 
     def __enter__(self) -> Self:
@@ -164,7 +168,7 @@ class SimulatedBoard:
 
     @property
     def artefacts(self) -> int:
-        """How often libsimavr turned its own PPM pin where Timer1 wrapped, as silicon does not; no frame here has it."""
+        """How often libsimavr turned its own PPM pin where Timer1 wrapped, as silicon does not; no frame shows it."""
         return int(self._sim.sim_counter(self._chip, 0))
 
     @property
@@ -182,9 +186,7 @@ class SimulatedBoard:
         if not self._chip:
             text = self._sim.sim_error().decode(errors="replace").strip()
             raise InputError(f"{self._elf.name}: want a program for the ATmega2560, got: {text}; build it again")
-        self._pilot_next = 0  # cycle at which the pilot's next frame may begin
-        self._edges: list[int] = []  # cycles, of the frame that is not complete
-        self._at_start = False  # the first of them begins a frame
+        self._edges, self._at_start, self._pilot_next = [], False, 0
 
     def _drive_pilot(self, until: int) -> None:
         """Put the pilot's frames that begin before a cycle on the pin."""

@@ -44,7 +44,10 @@ class Bench:
     def send(self, channels_us=FLOWN, engage=True) -> float:
         """A command with the next sequence number; when its last byte will have arrived [s], the line being idle."""
         self.sequence = (self.sequence + 1) % 65536
-        data = encode_channels(self.sequence, channels_us, engage)
+        return self.send_raw(encode_channels(self.sequence, channels_us, engage))
+
+    def send_raw(self, data: bytes) -> float:
+        """Bytes as they are; when the last one will have arrived [s], the line being idle."""
         self.board.write(data)
         return self.board.t + len(data) * BYTE
 

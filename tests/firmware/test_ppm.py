@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from falconwing_kit.trainer_port.build import build_firmware, firmware_folder
-from falconwing_kit.trainer_port.protocol import Pilot, encode_channels
+from falconwing_kit.trainer_port.protocol import Pilot
 from falconwing_kit.trainer_port.simulated_board import SimulatedBoard
-from tests.firmware.chip import BYTE, COMMAND_BYTES, LOOP, SAFE, Bench, require_tools, slots
+from tests.firmware.chip import COMMAND_BYTES, LOOP, SAFE, Bench, require_tools, slots
 
 MICROSECOND = 1.0  # us: the issue's bound on every slot, gap pulse and frame
 JITTER = 0.25  # us: the issue's bound on the standard deviation; an instruction of the simulator takes up to 0.31
@@ -19,8 +19,8 @@ def fly_under_full_load(bench, seconds: float):
     """Commands that change at 20 Hz, and between them garbage that fills the line.
 
     Returns:
-        Frames on the pin, then times [s] and slots (n, 4) [us] of the commands; a frame that began PROGRAM after a time,
-        and before the next, carries them. No slot moves by more than the slew limit, 250 us, from one to the next.
+        Frames on the pin, then times [s] and slots (n, 4) [us] of the commands; a frame that begins PROGRAM after a
+        time, and before the next, carries them. No slot moves by more than the slew limit, 250 us, at a time.
     """
     rng = np.random.default_rng(11)
     bench.engage()
@@ -79,7 +79,7 @@ def test_a_pin_written_by_the_interrupt_fails_that_test(tmp_path):
     require_tools()
     sketch = "trainer_bridge.ino"
     text = (firmware_folder() / "trainer_bridge" / sketch).read_text()
-    late = "static bool pulse_now = false;\nISR(TIMER1_COMPA_vect) {\n  digitalWrite(PPM_OUT_PIN, pulse_now != POLARITY);\n"
+    late = "bool pulse_now = false;\nISR(TIMER1_COMPA_vect) {\n  digitalWrite(PPM_OUT_PIN, pulse_now != POLARITY);\n"
     for old, new in (
         ("ISR(TIMER1_COMPA_vect) {\n", late),
         ("TCCR1A = edge.pulse ? TO_PULSE : TO_IDLE;", "TCCR1A = 0;\n  pulse_now = edge.pulse;"),
@@ -89,7 +89,7 @@ def test_a_pin_written_by_the_interrupt_fails_that_test(tmp_path):
     (tmp_path / sketch).write_text(text)
     with SimulatedBoard(build_firmware(replace=tmp_path)) as board:
         pulses = fly_under_full_load(Bench(board), 3.0)
-    with pytest.raises(AssertionError, match="slot: .* us wrong"):
+    with pytest.raises(AssertionError, match=r"slot: .* us wrong"):
         check_pulses(*pulses)
 
 
@@ -108,7 +108,7 @@ def test_polarity_turns_the_pulses_over(polarity):
     assert abs(idle - 2000) <= 10  # five pulses, each seen to one look of 10 us at either end
 
 
-def test_eight_slots_fit(tmp_path):
+def test_eight_slots_fit():
     """CHANNELS=8: eight slots of 2000 us leave 6 ms of the frame."""
     require_tools()
     with SimulatedBoard(build_firmware(["CHANNELS=8"])) as board:
@@ -211,7 +211,7 @@ def test_a_silent_pilot_is_not_made_up(bench):
 
 
 def spektrum(positions: dict[int, int], phase: int = 0) -> bytes:
-    """A frame of a remote receiver: two bytes of system and fades, seven words of channel (4 bits) and position (11)."""
+    """A remote receiver's frame: two bytes of fades and system, seven words of channel (4 bits) and position (11)."""
     words = [(channel << 11) | position for channel, position in positions.items()] + [0xFFFF] * (7 - len(positions))
     return bytes([phase, 0xB2]) + b"".join(word.to_bytes(2, "big") for word in words)
 
