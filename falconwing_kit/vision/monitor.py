@@ -70,9 +70,7 @@ class MonitorSettings:
 class Verdict:
     """What the monitor says after a frame."""
 
-    ssim: (
-        float  # of this picture and the one before, by the monitor's rule; nan where there is no new picture to compare
-    )
+    ssim: float  # of this picture and the one before, by the monitor's rule; nan where there are not two to compare
     alert: bool  # True: the pilot should take over now
     reason: str  # why, in words; empty without an alert
 
@@ -123,7 +121,9 @@ class FrameMonitor:
         Raises:
             InputError: the picture is no such array, or time ran backward.
         """
-        self._t = require_range("t", t, low=self._t)
+        if require_range("t", t) < self._t:
+            raise InputError(f"t: want no time before the last, {self._t:g}, got {t}; a new flight needs a new monitor")
+        self._t = float(t)
         taken = require_range("image.t", image.t) if isinstance(image, Image) else self._t
         pixels = image.pixels if isinstance(image, Image) else image
         if pixels is not None:
@@ -149,7 +149,9 @@ class FrameMonitor:
         """Against the moved picture before; then what SSIM cannot see."""
         likeness, small = math.nan, None if pixels is None else reduced(pixels, self.settings.width_px)
         grey = None if small is None else _blurred(_grey(small), self.settings.blur_px)
-        if small is not None and grey is not None and not self._is_frozen(grey):
+        if grey is not None and self._is_frozen(grey):
+            likeness = 1.0  # not counted: a picture that comes twice must not hide noise
+        elif small is not None and grey is not None:
             if _comparable(self._before, grey):
                 likeness = motion_ssim(self._before, grey)
             self._note(self._fault(small, likeness))
@@ -162,9 +164,7 @@ class FrameMonitor:
 
     def _is_frozen(self, grey: Pixels) -> bool:
         """Whether a picture is the one before: a live camera has noise, and a flying one moves."""
-        if self._before is None or self._before.shape != grey.shape:
-            return False
-        return _difference(self._before, grey) < self.settings.frozen_levels
+        return _comparable(self._before, grey) and _difference(self._before, grey) < self.settings.frozen_levels
 
     def _fault(self, small: Pixels, likeness: float) -> str:
         """What is wrong with one picture, in words; empty if nothing."""

@@ -126,7 +126,7 @@ def test_a_frozen_picture_alerts_within_300_ms(flying):
     verdicts = watch(flying, [moving(19)] * 10, start=1.0)
     assert first_alert(verdicts) == 4
     assert "old or frozen: no new picture for 0.25 s" in verdicts[4].reason
-    assert math.isnan(verdicts[0].ssim)
+    assert verdicts[0].ssim == pytest.approx(1.0, abs=1e-6)  # equal pictures, by the equation
 
 
 def test_no_picture_at_all_alerts_within_300_ms(flying):
@@ -200,6 +200,14 @@ def test_grey_pictures_and_a_change_of_size():
     verdicts = watch(FrameMonitor(), pictures)
     assert first_alert(verdicts) is None
     assert [k for k, verdict in enumerate(verdicts) if math.isnan(verdict.ssim)] == [0, 10]
+
+
+def test_smallest_pictures_are_judged():
+    """32 pixels a side, also in a strip that would be lower once reduced."""
+    for shape in ((32, 32, 3), (32, 600, 3)):
+        rng = np.random.default_rng(0)
+        pictures = [rng.integers(0, 256, shape, dtype=np.uint8) for _ in range(6)]
+        assert first_alert(watch(FrameMonitor(), pictures)) == 5
 
 
 def test_reduced_pictures_keep_their_means():
