@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 NEW_PIP = "pip>=25"
-KIT, EVERYTHING = ".", ".[labs,hardware,dev]"  # what pip installs for a verb, and for the tests
+KIT, EVERYTHING = ".", ".[labs,dev]"  # what pip installs for a verb, and for the tests
 
 
 def main(words: list[str]) -> int:

@@ -56,7 +56,7 @@ def test_tests_bring_their_extras_and_then_serve_verbs_too(start):
     """The tests' set holds the kit, so a verb afterwards installs nothing; the other way round pip runs again."""
     start.main(["demo"])
     start.main(["test", "-q"])
-    assert start.commands[-2][-1] == ".[labs,hardware,dev]"
+    assert start.commands[-2][-1] == ".[labs,dev]"
     assert start.commands[-1][1:] == ["-m", "pytest", "-q"]
     start.commands.clear()
     start.main(["size"])

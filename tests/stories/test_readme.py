@@ -23,7 +23,7 @@ INLINE = re.compile(r"`((?:falconwing|python3 start\.py|\.venv/bin/\S+) [^`]+)`"
 AROUND = {
     "source .venv/bin/activate",
     "python3 -m venv .venv",
-    '.venv/bin/pip install -c constraints.txt -e ".[labs,hardware,dev]"',
+    '.venv/bin/pip install -c constraints.txt -e ".[labs,dev]"',
     "conda env create -f environment.yml",
     "conda activate falconwing",
 }
