@@ -49,8 +49,8 @@ def recorded(tmp_path_factory):
 
 def test_the_recorded_sticks_are_those_that_landed(recorded):
     """Truth: what the pilot gave in step k, at 50 k ms. Its radio sends a new frame within 22 ms, whose last slot is
-    complete 6 ms later, so at 50 k + 45 ms the log has it, to half a microsecond of 500. A board that hears the first pulses waits for a
-    pause before it believes them: two steps."""
+    complete 6 ms later, so at 50 k + 45 ms the log has it, to half a microsecond of 500. A board that hears the first
+    pulses waits for a pause before it believes them: two steps."""
     approach, given, log = recorded
     assert approach.world.contact.obstacle == "pad"
     for k, command in list(enumerate(given))[2:-1]:
