@@ -10,6 +10,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from cobs import cobs
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.trainer_port import protocol
@@ -95,7 +96,6 @@ def test_stuffing_by_hand():
 
 def test_stuffing_equals_the_library(rng):
     """`cobs` from the Python package index, over data rich in zeros; what it refuses we refuse."""
-    cobs = pytest.importorskip("cobs.cobs")
     for _ in range(3000):
         data = rng.integers(0, 4, rng.integers(1, 60)).astype(np.uint8).tobytes()
         assert cobs_encode(data) == cobs.encode(data)
@@ -219,7 +219,7 @@ def test_channels_must_fit_their_fields(bad):
 
 
 @pytest.mark.parametrize(
-    "bad", ["COMMAND", None, dataclasses.replace(STATUS, state="UP"), SyncReply(-1, 0, 0)], ids=str
+    "bad", ["COMMAND", None, dataclasses.replace(STATUS, state="UP"), SyncReply(-1, 0, 0)], ids=repr
 )
 def test_what_is_no_message_is_not_sent(bad):
     """A text, nothing, a state that there is not, a negative time."""

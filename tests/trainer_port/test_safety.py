@@ -1,13 +1,16 @@
 """Safety state machine: every rule by hand, and the same answers as the firmware's C++ over random traces."""
 
+import dataclasses
+import re
 from collections import Counter
 
 import numpy as np
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.trainer_port import Safety, SafetyConfig, Verdict
-from tests.trainer_port.host_library import HostSafety, build
+from falconwing_kit.trainer_port import Safety, SafetyConfig, Verdict, load_calibration
+from falconwing_kit.trainer_port.ppm import SENT_US, VALID_US
+from tests.trainer_port.host_library import FIRMWARE, HostSafety, build
 
 MS, CLOCK = 1000, 2**32
 SAFE = (1000, 1500, 1500, 1500)
@@ -283,6 +286,20 @@ def test_a_board_that_cannot_be_is_refused():
     """Throttle in a slot that there is not."""
     with pytest.raises(InputError, match="4 to 8 channels"):
         SafetyConfig(throttle_channel=4)
+
+
+def test_settings_are_those_of_the_firmware():
+    """Each default stands in config.h under the same name, and the shipped calibration fits the frame made there."""
+    text = (FIRMWARE / "trainer_bridge" / "config.h").read_text(encoding="utf-8")
+    settings = dict(re.findall(r"^#define (\w+) ([\d, ]+)", text, re.MULTILINE))
+    ours = {field.name.upper(): getattr(SafetyConfig(), field.name) for field in dataclasses.fields(SafetyConfig)}
+    ours["SAFE_SLOTS_US"] = ", ".join(map(str, ours.pop("SAFE_US")))
+    shipped = load_calibration()
+    ours |= {"FRAME_US": shipped.frame_us, "GAP_PULSE_US": shipped.gap_us, "POLARITY": shipped.polarity}
+    assert {name: str(value) for name, value in ours.items()} == {name: settings[name].strip() for name in ours}
+    assert shipped.channels == SafetyConfig().channels
+    assert (SafetyConfig().valid_min_us, SafetyConfig().valid_max_us) == VALID_US
+    assert (SafetyConfig().channel_min_us, SafetyConfig().channel_max_us) == SENT_US
 
 
 # ---- the same traces through the firmware's C++ ----
