@@ -3,8 +3,11 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
+import time
 from base64 import b64encode
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +19,8 @@ from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
 from falconwing_kit.core.frames import rotation_world_body
 from falconwing_kit.core.messages import Command, Image, State
 from falconwing_kit.flight.bag import write_bag
+from falconwing_kit.trainer_port.bus import COMMAND, IMAGE
+from falconwing_kit.trainer_port.ros import RosBus
 
 SYSTEM_PYTHON = "/usr/bin/python3"  # the distribution's, where its rosbag is installed
 START = 1.7e9  # a time of today: seconds since 1970
@@ -92,6 +97,30 @@ def test_images_and_commands_are_what_was_logged(log, tmp_path, rosbag):
         assert (image["header"]["seq"], image["header"]["frame_id"]) == (k + 100, f"camera#{k + 100}")
         assert command["axes"] == pytest.approx([0.05 * k, 0.1, -0.2, 0.3], abs=1e-7)
         assert command["buttons"] == [0, int(k == 3)] and command["header"]["frame_id"] == f"image#{k + 100}"
+
+
+def test_a_played_bag_looks_like_a_flight_to_a_controller(log, tmp_path, ros_master, rosbag):
+    """ROS's own player sends images and commands, and they arrive with the sequences and bytes of the log, in order.
+
+    The newest wins, so a busy machine may miss some of the twenty; half of them and the last must come.
+    """
+    write_bag(tmp_path / "flight.bag", log)
+    play = ["rosbag", "play", "-q", "--wait-for-subscribers", str(tmp_path / "flight.bag"), "--topics", IMAGE, COMMAND]
+    seen, answered, end = [], [], time.monotonic() + 60.0
+    with closing(RosBus()) as bus:
+        images, commands = bus.subscribe(IMAGE), bus.subscribe(COMMAND)
+        with subprocess.Popen(play, start_new_session=True) as played:
+            while played.poll() is None and time.monotonic() < end:
+                seen += [image for image in [images.take(0.01)] if image is not None]
+                answered += [sticks for sticks in [commands.take()] if sticks is not None]
+            if played.poll() is None:
+                os.killpg(played.pid, signal.SIGKILL)
+    assert played.returncode == 0
+    for sequences in ([x.sequence for x in seen], [x.command.image_sequence for x in answered]):
+        assert sequences == sorted(set(sequences)) and len(sequences) >= 10
+        assert 100 <= sequences[0] and sequences[-1] == 119
+    assert all(image.pixels.tobytes() == b"\xff\xd8" + bytes([image.sequence - 100]) * 50 for image in seen)
+    assert not any(sticks.engage for sticks in answered)  # a log does not know it; a played bag flies nothing
 
 
 def test_pose_and_twist_are_those_of_ros_axes(log, tmp_path, rosbag):
