@@ -175,13 +175,15 @@ def pilot_frame(bench, pulses_us) -> None:
 
 STICKS = (1100, 1300, 1700, 1900)
 PULSES = [0, *np.cumsum(STICKS).tolist()]  # us
-DISTURBED = {f"pulse {i} is missing": [p for p in PULSES if p != PULSES[i]] for i in range(5)} | {
-    f"a pulse more at {at} us": sorted([*PULSES, at]) for at in (500, 1750, 3600, 5000, 7500)
-}
+DISTURBED = (
+    {f"pulse {i} is missing": [p for p in PULSES if p != PULSES[i]] for i in range(5)}
+    | {f"a pulse more at {at} us": sorted([*PULSES, at]) for at in (500, 1750, 3600, 5000, 7500)}
+    | {f"pulse 1 stands at {at} us": [0, at, *PULSES[2:]] for at in (600, 1900)}  # slots of 600 and 500 us
+)
 
 
 @pytest.mark.parametrize("pulses", DISTURBED.values(), ids=DISTURBED)
-def test_a_frame_with_a_missing_or_extra_pulse_is_rejected(bench, pulses):
+def test_a_frame_with_a_missing_extra_or_misplaced_pulse_is_rejected(bench, pulses):
     """Six good frames, a disturbed one, six good ones: twelve are there to report, and none says other sticks.
 
     Fewer may be reported, for three teach the number of slots and a frame is ended by the next one's first pulse; so

@@ -27,14 +27,14 @@ class Sent:
 def adversary(rng: np.random.Generator) -> list[tuple[float, int, bool, tuple[int, ...]]]:
     """Commands as (pause before it [s], step of the sequence, engage, slots): mostly engaging, with all that can go
     wrong: pauses around every limit, numbers that stand, fall back or leap, flicker, values out of range."""
-    plan, wish = [], False
-    calm = rng.random() < 0.7  # else anything may follow anything
+    calm = rng.random() < 0.8  # else anything may follow anything
+    plan, wish = [], rng.random() < 0.3  # the first command may ask at once, which is no edge
     for _ in range(COMMANDS):
         gap = 50 if calm and rng.random() < 0.85 else int(rng.choice(GAPS_MS))
-        step = 1 if rng.random() < 0.93 else int(rng.choice([0, -1, 2, 100, 32767, 32768, 40000]))
-        wish = wish if rng.random() < (0.93 if calm else 0.8) else not wish
+        step = 1 if rng.random() < 0.95 else int(rng.choice([0, -1, 2, 100, 32767, 32768, 40000]))
+        wish = rng.random() < ((0.92 if calm else 0.7) if wish else 0.6)
         value = rng.integers(1000, 2001, 4)
-        if rng.random() < 0.06:
+        if rng.random() < 0.04:
             value[rng.integers(4)] = rng.choice([850, 2150, 899, 2101])
         plan.append((gap * 1e-3 + rng.uniform(0, 0.002), step, wish, tuple(value.tolist())))
     return plan

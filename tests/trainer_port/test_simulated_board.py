@@ -79,7 +79,7 @@ def test_edges_stand_where_the_timer_puts_them(probe):
 
 
 def test_a_byte_takes_ten_bits_each_way(probe):
-    """115200 8N1 to the chip, 86.8 us; the chip's own 117647 baud back (UBRR 16, U2X), 85.0 us; 10 us for the program."""
+    """115200 8N1 to the chip, 86.8 us; its own 117647 baud back (UBRR 16, U2X), 85.0 us; 10 us for the program."""
     t = probe.t
     probe.write(b"A")
     probe.run_until(t + BYTE + 85e-6)
