@@ -1,6 +1,7 @@
 """Bag: a flight log in, a ROS 1 bag out, without ROS on this machine.
 
-The topics are those of the ROS adapter, so a bag that `rosbag play` plays looks to a controller like a flight, and:
+The topics are those of the ROS adapter, so a bag that `rosbag play` plays looks to a controller like a flight; its
+commands never ask to engage, so that they fly nothing. And:
 
     /falconwing/pose      geometry_msgs/PoseStamped   the aircraft in "world" with ROS's axes: x nose, y left, z up
     /falconwing/twist     geometry_msgs/TwistStamped  velocity and turn rate, both along the axes of "world"
