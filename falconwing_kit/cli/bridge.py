@@ -262,7 +262,8 @@ def ready_port(name: str, calibration: Path | None, radio: str = "") -> Iterator
         InputError: the port cannot be opened, no board answers, or the calibration is stale or does not fit.
     """
     with open_port(name, choose_calibration(name, calibration, radio)) as port:
-        print(f"{port.what}; a real one that restarts needs two seconds ...", file=sys.stderr, flush=True)
+        wait = "" if port.simulation else "; where it restarts, it answers in two seconds"
+        print(f"{port.what}{wait}", file=sys.stderr, flush=True)
         port.wait_ready()
         yield port
 
