@@ -19,7 +19,7 @@ def ssim(first: Grey, second: Grey) -> float:
     """Mean structural similarity of two images, 1 for the same image.
 
     Equals scikit-image's `structural_similarity` with Gaussian weights, population covariance and a data range of 255
-    to 1e-5, in about a fifth of its time.
+    to 1e-5, in less than a fifth of its time.
 
     Args:
         first: (H, W) grey levels 0..255, at least 11 pixels a side.
