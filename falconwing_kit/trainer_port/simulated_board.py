@@ -53,6 +53,7 @@ class SimulatedBoard:
         self._chip: int | None = None  # the simulator's own record
         self._edges: list[int] = []  # cycles, of the frame that is not complete
         self._at_start = False  # the first of them begins a frame
+        self._most = 4  # edges of a whole frame, as far as seen; no frame has fewer
         self._pilot_next = 0  # cycle at which the pilot's next frame may begin
         self._switch_on()
 
@@ -64,16 +65,16 @@ class SimulatedBoard:
 
     def write(self, data: bytes) -> None:
         """Put bytes on the wire to the board; they arrive one by one at 115200 8N1, behind those already on it."""
-        self._sim.sim_send(self._chip, 0, data, len(data))
+        self._sim.sim_send(self._handle, 0, data, len(data))
 
     def write_spektrum(self, data: bytes) -> None:
         """The same on the line of a Spektrum remote receiver (Serial1, pin 19)."""
-        self._sim.sim_send(self._chip, 1, data, len(data))
+        self._sim.sim_send(self._handle, 1, data, len(data))
 
     def read(self) -> bytes:
         """The bytes that have come from the board since the last call."""
         room, came = ctypes.create_string_buffer(ROOM), b""
-        while count := self._sim.sim_receive(self._chip, room, ROOM):
+        while count := self._sim.sim_receive(self._handle, room, ROOM):
             came += room.raw[:count]
         return came
 
@@ -86,8 +87,8 @@ class SimulatedBoard:
         """
         until = round(require_range("t", t) * CLOCK_HZ) - self._past
         self._drive_pilot(until)
-        state = self._sim.sim_run(self._chip, until) if until > 0 else 0
-        self.t = (self._past + int(self._sim.sim_cycle(self._chip))) / CLOCK_HZ
+        state = self._sim.sim_run(self._handle, until) if until > 0 else 0
+        self.t = (self._past + int(self._sim.sim_cycle(self._handle))) / CLOCK_HZ
         if state:
             text = self._sim.sim_error().decode(errors="replace").strip()
             raise RuntimeError(f"{self._elf.name}: the program stopped at {self.t:.6f} s (state {state}): {text}")
@@ -95,16 +96,17 @@ class SimulatedBoard:
     def ppm_frames(self) -> list[PpmFrame]:
         """The frames that were completed on the pin since the last call; a frame ends where the next one begins."""
         at, levels = np.empty(ROOM, np.uint64), np.empty(ROOM, np.uint8)
-        while count := self._sim.sim_take_edges(self._chip, at, levels, ROOM):
+        while count := self._sim.sim_take_edges(self._handle, at, levels, ROOM):
             self._edges += at[:count].tolist()
         edges = np.array(self._edges, dtype=np.int64)
-        starts = [*range(self._at_start), *(np.flatnonzero(np.diff(edges) > SYNC_CYCLES) + 1)]
+        starts = [*range(self._at_start and len(edges) > 0), *(np.flatnonzero(np.diff(edges) > SYNC_CYCLES) + 1)]
         frames = [self._frame(edges[a:b], int(edges[b])) for a, b in pairwise(starts)]
         if starts:
             self._edges, self._at_start = edges[starts[-1] :].tolist(), True
-            if self._sim.sim_cycle(self._chip) - self._edges[0] > LOST_CYCLES:
-                frames.append(self._frame(edges[starts[-1] :], None))
-                self._edges, self._at_start = [], False
+            now = int(self._sim.sim_cycle(self._handle))
+            if now - self._edges[0] > LOST_CYCLES:
+                frames.append(self._frame(edges[starts[-1] :], now))
+                self._edges = []
         return [frame for frame in frames if frame is not None]
 
     def set_pilot(self, channels_us: Sequence[float] | None) -> None:
@@ -131,7 +133,7 @@ class SimulatedBoard:
             levels: (n,) level from each of them on, 0 or 1.
         """
         at = np.array([round(when * CLOCK_HZ) - self._past for when in t], dtype=np.uint64)
-        self._sim.sim_drive_pilot(self._chip, at, np.array(levels, dtype=np.uint8), len(at))
+        self._sim.sim_drive_pilot(self._handle, at, np.array(levels, dtype=np.uint8), len(at))
 
     def hang(self) -> None:
         """Let the main program hang: the first instruction of loop() becomes a jump to itself, until a reset.
@@ -141,65 +143,72 @@ class SimulatedBoard:
         Raises:
             InputError: the program's symbol table names no loop().
         """
-        if self._sim.sim_hang(self._chip):
+        if self._sim.sim_hang(self._handle):
             raise InputError(f"{self._elf.name}: want a program with a function loop(), its symbol table has none")
 
     def reset(self) -> None:
         """Press the reset button, as a host does that opens the port of a real board; the memory keeps its content."""
-        self._sim.sim_reset(self._chip)
+        self._sim.sim_reset(self._handle)
 
     def power_cycle(self) -> None:
         """Take the power off and put it on again at once: the board forgets everything."""
-        self._past += int(self._sim.sim_cycle(self._chip))
+        self._past += int(self._sim.sim_cycle(self._handle))
         self.close()
         self._seed += 1
         self._switch_on()
 
     def close(self) -> None:
         """Give the simulator's memory back; the board is of no use any more."""
-        if self._chip:
+        if self._chip is not None:
             self._sim.sim_close(self._chip)
         self._chip = None
 
     @property
     def pin_level(self) -> int:
         """The PPM pin now, 0 or 1."""
-        return int(self._sim.sim_pin(self._chip))
+        return int(self._sim.sim_pin(self._handle))
 
     @property
     def artefacts(self) -> int:
         """How often libsimavr turned its own PPM pin where Timer1 wrapped, as silicon does not; no frame shows it."""
-        return int(self._sim.sim_counter(self._chip, 0))
+        return int(self._sim.sim_counter(self._handle, 0))
 
     @property
     def overruns(self) -> int:
         """Bytes to the board that were lost because its program did not fetch them in time."""
-        return int(self._sim.sim_counter(self._chip, 1))
+        return int(self._sim.sim_counter(self._handle, 1))
 
     @property
     def watchdog_resets(self) -> int:
         """How often the watchdog has reset the chip."""
-        return int(self._sim.sim_counter(self._chip, 2))
+        return int(self._sim.sim_counter(self._handle, 2))
 
     def _switch_on(self) -> None:
         self._chip = self._sim.sim_open(os.fsencode(self._elf), self._seed)
-        if not self._chip:
+        if self._chip is None:
             text = self._sim.sim_error().decode(errors="replace").strip()
             raise InputError(f"{self._elf.name}: want a program for the ATmega2560, got: {text}; build it again")
         self._edges, self._at_start, self._pilot_next = [], False, 0
 
+    @property
+    def _handle(self) -> int:
+        if self._chip is None:
+            raise RuntimeError("simulated board: it was closed; make another one")
+        return self._chip
+
     def _drive_pilot(self, until: int) -> None:
         """Put the pilot's frames that begin before a cycle on the pin."""
-        self._pilot_next = max(self._pilot_next, int(self._sim.sim_cycle(self._chip)) + 1)
+        self._pilot_next = max(self._pilot_next, int(self._sim.sim_cycle(self._handle)) + 1)
         while self._pilot and self._pilot_next < until:
             pulses = PILOT_GAP_US * np.arange(2) + np.cumsum([0.0, *self._pilot])[:, None]
             at = self._pilot_next + np.round(pulses.ravel() * CYCLES_PER_US).astype(np.uint64)
-            self._sim.sim_drive_pilot(self._chip, at, np.arange(len(at), dtype=np.uint8) % 2, len(at))
+            self._sim.sim_drive_pilot(self._handle, at, np.arange(len(at), dtype=np.uint8) % 2, len(at))
             self._pilot_next += PILOT_FRAME_US * CYCLES_PER_US
 
-    def _frame(self, edges: NDArray[np.int64], end: int | None) -> PpmFrame | None:
-        """A frame from its edges and the next one's first; None where it was broken off."""
-        if len(edges) < 4 or len(edges) % 2:
+    def _frame(self, edges: NDArray[np.int64], end: int) -> PpmFrame | None:
+        """A frame from its edges and the next one's first; None where a reset broke it off and edges are missing."""
+        self._most = max(self._most, len(edges))
+        if len(edges) < self._most or len(edges) % 2:
             return None
         seconds, us = (edges + self._past) / CLOCK_HZ, edges / CYCLES_PER_US
         return PpmFrame(
@@ -207,7 +216,7 @@ class SimulatedBoard:
             t_slots=seconds[2::2],
             slots_us=np.diff(us[::2]),
             gap_us=us[1::2] - us[::2],
-            frame_us=math.nan if end is None else end / CYCLES_PER_US - float(us[0]),
+            frame_us=float(end / CYCLES_PER_US - us[0]) if end - edges[0] <= LOST_CYCLES else math.nan,
         )
 
 

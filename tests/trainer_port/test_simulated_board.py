@@ -130,6 +130,16 @@ def test_a_file_that_is_no_program_is_said(tmp_path):
             SimulatedBoard(tmp_path / "broken.elf")
 
 
+def test_a_closed_board_says_so(probe_elf):
+    """A sentence, where the C library would crash; closing twice does no harm."""
+    board = SimulatedBoard(probe_elf)
+    board.close()
+    board.close()
+    for use in (board.read, board.ppm_frames, board.hang, lambda: board.write(b"x"), lambda: board.run_until(1.0)):
+        with pytest.raises(RuntimeError, match="it was closed"):
+            use()
+
+
 # What a host may rely on, whatever the board is.
 
 
