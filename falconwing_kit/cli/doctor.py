@@ -22,6 +22,7 @@ _PYTHON = Path(sys.executable)  # as short as it can be typed here
 _PYTHON = _PYTHON.relative_to(Path.cwd()) if _PYTHON.is_relative_to(Path.cwd()) else _PYTHON
 PIP = f"{_PYTHON} -m pip install -c constraints.txt"
 HARDWARE = f'{PIP} -e ".[hardware]"'
+AVR = "make gcc gcc-avr avr-libc arduino-core-avr libsimavr-dev"
 REINSTALL = "delete .venv and type python3 start.py doctor, which installs it again"
 
 
@@ -191,15 +192,16 @@ def _labs() -> str:
 
 
 def _serial() -> str:
-    from serial.tools.list_ports import comports
+    from falconwing_kit.trainer_port.links.usb import find_boards
 
-    ports = [port.device for port in comports() if port.vid is not None]  # boards are on USB
-    if not ports:
+    boards = find_boards()  # the likeliest first
+    if not boards:
         raise RuntimeError("no board on a USB serial port found")
-    closed = [port for port in ports if os.name == "posix" and not os.access(port, os.R_OK | os.W_OK)]
-    if closed:
-        raise RuntimeError(f"found {', '.join(closed)}, but you may not open it")
-    return f"found {', '.join(ports)}; not opened, that could restart the board"
+    if not boards[0].likely:
+        raise RuntimeError(f"found {boards[0].path}, which does not look like a Mega 2560: {boards[0].what}")
+    if not boards[0].may_open:
+        raise RuntimeError(f"found {boards[0].path}, but you may not open it")
+    return f"found {boards[0].path}, {boards[0].what}; not opened, that could restart the board"
 
 
 def _camera() -> str:
@@ -264,14 +266,20 @@ def _sandbox() -> str:
 
 
 def _avr() -> str:
-    with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder, "check.c")
-        program = str(source.with_suffix(".elf"))
-        # Asleep without interrupts is how a program ends for the simulator.
-        source.write_text('int main(void) { __asm__("cli\\n sleep"); return 0; }\n', encoding="ascii")
-        _output(["avr-gcc", "-mmcu=atmega2560", "-o", program, str(source)])
-        _output(["simavr", "-m", "atmega2560", program])
-    return "built a program for the board with avr-gcc and ran it in simavr"
+    from falconwing_kit.trainer_port.build import missing_tools
+    from falconwing_kit.trainer_port.port import TrainerPort
+    from falconwing_kit.trainer_port.simulated_board import SimulatedBoard
+
+    missing = missing_tools()
+    if missing:
+        raise RuntimeError(f"not installed: {', '.join(missing)}")
+    board = SimulatedBoard()
+    try:
+        port = TrainerPort(board, now=lambda: board.t)
+        status = port.wait_ready(sleep=lambda seconds: board.run_until(board.t + seconds))
+    finally:
+        board.close()
+    return f"built the firmware; in a simulated chip it starts and says {status.state}"
 
 
 def _output(command: list[str]) -> str:
@@ -296,10 +304,10 @@ CHECKS: tuple[Check, ...] = (
     Check("flight logs", "demo", _log, REINSTALL),
     Check("control design", "demo", _control, REINSTALL),
     Check("labs", "later", _labs, f'{PIP} -e ".[labs]"'),
-    Check("finding the board", "later", _serial, f"{HARDWARE}; plug it in; on Linux join the group dialout"),
+    Check("finding the board", "now", _serial, f"{HARDWARE}; plug it in; falconwing find-port says more"),
     Check("camera", "later", _camera, f"{HARDWARE}; plug in the camera"),
     Check("reference renderer", "later", _torch, f'{PIP} -e ".[torch]"'),
     Check("rendering on a GPU", "later", _gpu, "needs an NVIDIA GPU, a CUDA build of torch, and gsplat"),
     Check("grading sandbox", "later", _sandbox, "Linux only; Debian or Ubuntu: apt install bubblewrap"),
-    Check("firmware tools", "later", _avr, "Debian or Ubuntu: apt install gcc-avr avr-libc simavr"),
+    Check("firmware tools", "now", _avr, f"Debian or Ubuntu: apt install {AVR}; without, --port sim is plain Python"),
 )

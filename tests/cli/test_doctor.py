@@ -6,6 +6,9 @@ import pytest
 
 from falconwing_kit.cli import doctor
 from falconwing_kit.cli.doctor import Check, Doctor, Finding, examine
+from falconwing_kit.trainer_port import build
+from falconwing_kit.trainer_port.links import usb
+from falconwing_kit.trainer_port.links.usb import FoundBoard
 
 
 def fine() -> str:
@@ -59,3 +62,27 @@ def test_this_machine_runs_the_demo():
     """The tests run on a machine with everything installed, so each part that the demo needs was tried and works."""
     findings = [examine(check) for check in doctor.CHECKS if check.need == "demo"]
     assert [(f.capability, f.detail) for f in findings if f.status != "works"] == []
+
+
+@pytest.mark.parametrize(
+    ("found", "seen"),
+    [
+        ((), "no board on a USB serial port found"),
+        ((FoundBoard("/dev/ttyUSB7", "weather station", False, True, ""),), "does not look like a Mega 2560"),
+        ((FoundBoard("/dev/ttyACM0", "Arduino Mega 2560", True, False, "join"),), "you may not open it"),
+    ],
+)
+def test_a_board_that_cannot_be_used_is_no_board(monkeypatch, found, seen):
+    """Nothing there, another thing, or no right to it: each is said."""
+    monkeypatch.setattr(usb, "find_boards", lambda: list(found))
+    check = next(check for check in doctor.CHECKS if check.capability == "finding the board")
+    finding = examine(check)
+    assert finding.status == "missing" and seen in finding.detail and "falconwing find-port" in finding.mend
+
+
+def test_firmware_tools_are_named_in_full(monkeypatch):
+    """What to install is what the builder asks for, package by package."""
+    check = next(check for check in doctor.CHECKS if check.capability == "firmware tools")
+    assert all(package in check.mend.split() or f"{package};" in check.mend.split() for package in build.TOOLS)
+    monkeypatch.setattr(build, "missing_tools", lambda: ["avr-libc"])
+    assert examine(check).detail == "not installed: avr-libc"

@@ -1,4 +1,4 @@
-"""`falconwing firmware`: every check passes a sound board and fails one that breaks its promise; the program is built."""
+"""`falconwing firmware`: checks pass a sound board and fail one that breaks its promise; the program is built."""
 
 import json
 import os
