@@ -4,7 +4,8 @@
  * (falconwing_kit/trainer_port/simulated_board.py). Time is counted in cycles of 16 MHz since power-on and runs only
  * inside sim_run; a sleeping chip jumps to its next event. Where libsimavr differs from silicon and it matters here:
  *  - its UART counts 11 bits a byte; put right to the 10 bits of 8N1 (uart_pace);
- *  - its receiver holds 63 bytes, silicon two (data sheet 22.7.3); here a third is lost, and counted (on_line);
+ *  - its receiver holds 63 bytes, silicon two, and a third until the next one starts (data sheet 22.7.4); here the
+ *    third is lost, and counted (on_line);
  *  - its output compare moves the pin at a match, but also where Timer1 wraps and where OCR1A is written, to the
  *    opposite of what the next match will do. In normal mode silicon does not (data sheet 17.8), so its pin is not
  *    listened to: each match is, and COM1A says what it does (on_match). What it did at wraps is counted (on_oc_pin);
@@ -283,7 +284,7 @@ uint32_t sim_counter(const board *b, int which) { return b->counters[which]; }
 void sim_send(board *b, int uart, const uint8_t *bytes, size_t count) {
     line *l = &b->lines[uart];
     if (l->free_at < b->avr->cycle * NINTHS) l->free_at = b->avr->cycle * NINTHS;
-    for (size_t i = 0; i < count; i++, l->free_at += BYTE_NINTHS) 
+    for (size_t i = 0; i < count; i++, l->free_at += BYTE_NINTHS)
         push(&l->bytes, (l->free_at + BYTE_NINTHS) / NINTHS, bytes[i]);
 }
 
