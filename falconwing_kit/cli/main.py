@@ -33,7 +33,12 @@ VERBS: tuple[tuple[str, str, str, str], ...] = (
         "Gap",
         "say where a flight disagrees with the model and what is missing",
     ),
-    ("export", "falconwing_kit.cli.logs", "Export", "turn a flight log into a table"),
+    ("bridge", "falconwing_kit.cli.bridge", "Bridge", "watch the trainer port: state, counters, latency, pilot's sticks"),
+    ("record", "falconwing_kit.cli.bridge", "Record", "log the pilot's sticks and the camera's images of a manual flight"),
+    ("find-port", "falconwing_kit.cli.bridge", "FindPort", "list the boards on this machine's serial ports"),
+    ("calibrate", "falconwing_kit.cli.calibrate", "Calibrate", "learn a radio's microseconds, order and directions"),
+    ("firmware", "falconwing_kit.cli.firmware", "Firmware", "build the board's program, or test it in a simulated chip"),
+    ("export", "falconwing_kit.cli.logs", "Export", "turn a flight log into a table, a whole log or a ROS bag"),
     ("replay", "falconwing_kit.cli.logs", "Replay", "show a flight log again, live or as figures"),
 )
 
