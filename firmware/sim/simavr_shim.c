@@ -9,7 +9,8 @@
  *  - its output compare moves the pin at a match, but also where Timer1 wraps and where OCR1A is written, to the
  *    opposite of what the next match will do. In normal mode silicon does not (data sheet 17.8), so its pin is not
  *    listened to: each match is, and COM1A says what it does (on_match). What it did at wraps is counted (on_oc_pin);
- *  - it has no FOC1A, the match by hand (on_force), and a write to PORTB shows on PB5 though the timer owns it (on_port);
+ *  - it has no FOC1A, the match by hand (on_force);
+ *  - a write to PORTB shows on PB5 although the timer owns that pin; not listened to then (on_port);
  *  - while the chip is reset its pins keep their level; on a bench the resistors decide;
  *  - there is no bootloader: the sketch starts at once.
  */
@@ -300,7 +301,8 @@ size_t sim_receive(board *b, uint8_t *bytes, size_t most) { /* what has left the
 
 size_t sim_take_edges(board *b, uint64_t *at, uint8_t *levels, size_t most) {
     size_t count = 0;
-    for (; count < most && !is_empty(&b->edges); count++) at[count] = next_at(&b->edges), levels[count] = pop(&b->edges);
+    for (; count < most && !is_empty(&b->edges); count++)
+        at[count] = next_at(&b->edges), levels[count] = pop(&b->edges);
     return count;
 }
 
