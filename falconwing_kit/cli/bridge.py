@@ -293,7 +293,8 @@ def pilot_sticks(port: TrainerPort) -> list[float]:
 def port_record(port: TrainerPort) -> dict[str, Any]:
     """What there is to know about a port, in the words of the table."""
     status = port.status
-    record: dict[str, Any] = {"board": port.what, "port": port.state, **asdict(port.counters)}
+    record: dict[str, Any] = {"board": port.what, "port": port.state, "engagement": port.engagement}
+    record |= {**asdict(port.counters), "engaged": sum(event.name == "engaged" for event in port.events)}
     if status is None:
         return record
     record |= {"state": status.state, "fault": status.fault, "boot_count": status.boot_count}

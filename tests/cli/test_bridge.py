@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import types
 
@@ -13,8 +14,11 @@ import pytest
 from falconwing_kit.cli.bridge import LiveLine, live_text, pilot_sticks
 from falconwing_kit.cli.main import _run_verb
 from falconwing_kit.core.flight_log import read_flight_log
+from falconwing_kit.core.messages import Command
+from falconwing_kit.trainer_port.bus import COMMAND, Sticks
 from falconwing_kit.trainer_port.links import usb
 from falconwing_kit.trainer_port.port import open_port
+from falconwing_kit.trainer_port.ros import RosBus
 
 VERBS = {"bridge": "Bridge", "record": "Record", "find-port": "FindPort"}
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -179,3 +183,25 @@ def test_an_alert_is_not_overlooked(capsys):
     """On its own line, with the terminal's bell."""
     LiveLine(types.SimpleNamespace(simulation=None), 1.0).alert("the disk is full")
     assert capsys.readouterr().err == "\n\aALERT: the disk is full\n"
+
+
+def test_the_bridge_carries_commands_from_ros_to_the_board(ros_master, capsys):
+    """Against a real ROS master: somebody publishes commands with engage, and at the end the board had them, followed,
+    and was handed back."""
+    bus, stop = RosBus(), threading.Event()
+
+    def publish():
+        while not stop.wait(0.05):
+            bus.publish(COMMAND, Sticks(time.time(), Command(0.5, 0.1, 0.0, 0.0), engage=True))
+
+    publisher = threading.Thread(target=publish)
+    publisher.start()
+    try:
+        assert run("bridge", "--port", "sim-python", "--ros", "--seconds", "4", "--json") == 0
+    finally:
+        stop.set()
+        publisher.join()
+        bus.close()
+    record = json.loads(capsys.readouterr().out)
+    assert record["sent"] > 20 and record["engaged"] >= 1
+    assert record["engagement"] == "dropped"  # handed back at the end

@@ -9,6 +9,7 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command
+from falconwing_kit.trainer_port.build import missing_tools
 from falconwing_kit.trainer_port.links import usb
 from falconwing_kit.trainer_port.links.simulated import STEP, SteppedBoard
 from falconwing_kit.trainer_port.links.usb import SerialLink, find_boards, how_to_open
@@ -146,6 +147,39 @@ def test_a_line_that_goes_away_is_an_event_and_comes_back():
     finally:
         port.close()
         lines[-1].close()
+
+
+@POSIX
+@pytest.mark.skipif(bool(missing_tools()) and not os.environ.get("CI"), reason="tools of the firmware are missing")
+def test_the_port_called_sim_is_the_firmware_behind_real_serial_code():
+    """It follows, through pyserial, pseudo-terminal and simulated chip, and says that it is simulated."""
+    with open_port("sim") as port:
+        port.wait_ready(20.0)
+
+        def flying():
+            port.send(STICKS, engage=True)
+            time.sleep(0.04)
+            port.poll()
+            return port.engagement == "engaged"
+
+        assert wait_for(flying) and port.what == "SIMULATED board, the firmware in a simulated ATmega2560"
+        assert port.status.channels_us == (1500, 1550, 1400, 1650)
+
+
+@POSIX
+def test_a_hand_back_leaves_before_the_port_is_closed():
+    """The last bytes at the other end of a pseudo-terminal, though the port is closed in the same moment."""
+    import pty
+    import tty
+
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    link = SerialLink(os.ttyname(slave))
+    link.write(b"hand back")
+    link.close()
+    assert os.read(master, 100) == b"hand back"
+    os.close(master)
+    os.close(slave)
 
 
 @POSIX

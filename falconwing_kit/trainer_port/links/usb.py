@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from falconwing_kit.core.checks import InputError
 
 BAUD = 115200
+DRAIN_S = 0.1  # s that closing waits for what was written to leave
 WRITE_TIMEOUT = 0.02  # s: four frames; a line that takes longer is stuck
 # Vendor and product numbers of USB: those of the Mega 2560 stand in boards.txt of Arduino's own core for AVR.
 MEGA = {(vendor, product) for vendor, products in {
@@ -116,7 +117,11 @@ class SerialLink:
         return [self._chunks.popleft() for _ in range(len(self._chunks))]
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the port; what was written goes out before, for it may be the hand-back."""
+        end = time.perf_counter() + DRAIN_S
+        with suppress(OSError):
+            while self._port.out_waiting and time.perf_counter() < end:
+                time.sleep(0.002)
         self._open = False
         self._reader.join()
         self._port.close()
