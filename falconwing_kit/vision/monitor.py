@@ -2,7 +2,8 @@
 
 The paper's rule is an alert when the SSIM of consecutive frames is below 0.7 five times in a row. In a turn that rule
 alarms on perfect video, and a frozen or blank picture scores one. So the picture before is first moved to where the
-aircraft's own motion has taken it, and what SSIM cannot see has checks of its own.
+aircraft's own motion has taken it, and what SSIM does not see has checks of its own: fine noise over strong contrasts,
+and pictures that are frozen, old, or of one colour.
 """
 
 import math
@@ -47,6 +48,7 @@ class MonitorSettings:
     width_px: int
     blur_px: float
     threshold: float
+    noise_levels: float
     frames: int
     window: int
     clear_frames: int
@@ -58,9 +60,9 @@ class MonitorSettings:
 
     def __post_init__(self) -> None:
         limits = {
-            "width_px": (MIN_SIDE_PX, 4096), "blur_px": (0.1, 10), "threshold": (0, 1), "frames": (1, self.window),
-            "window": (1, 1000), "clear_frames": (1, 1000), "max_age_s": (0.01, 10), "frozen_levels": (0, 255),
-            "flat_levels": (0, 255), "flat_share": (0, 1),
+            "width_px": (MIN_SIDE_PX, 4096), "blur_px": (0.1, 10), "threshold": (0, 1), "noise_levels": (0, 255),
+            "frames": (1, self.window), "window": (1, 1000), "clear_frames": (1, 1000), "max_age_s": (0.01, 10),
+            "frozen_levels": (0, 255), "flat_levels": (0, 255), "flat_share": (0, 1),
         }  # fmt: skip
         for name, (low, high) in limits.items():
             require_range(name, getattr(self, name), low=low, high=high)
@@ -73,6 +75,7 @@ class Verdict:
     ssim: float  # of this picture and the one before, by the monitor's rule; nan where there are not two to compare
     alert: bool  # True: the pilot should take over now
     reason: str  # why, in words; empty without an alert
+    noise: float = math.nan  # standard deviation of the picture's noise [grey levels]; nan by the paper's rule
 
 
 @cache
@@ -147,33 +150,37 @@ class FrameMonitor:
 
     def _by_motion(self, pixels: Pixels | None, taken: float) -> Verdict:
         """Against the moved picture before; then what SSIM cannot see."""
-        likeness, small = math.nan, None if pixels is None else reduced(pixels, self.settings.width_px)
-        grey = None if small is None else _blurred(_grey(small), self.settings.blur_px)
-        if grey is not None and self._is_frozen(grey):
-            likeness = 1.0  # not counted: a picture that comes twice must not hide noise
-        elif small is not None and grey is not None:
-            if _comparable(self._before, grey):
-                likeness = motion_ssim(self._before, grey)
-            self._note(self._fault(small, likeness))
-            self._before, self._taken = grey, taken
+        likeness = noise = math.nan
+        if pixels is not None:
+            small, noise = reduced(pixels, self.settings.width_px), noise_level(_grey(pixels))
+            grey = _blurred(_grey(small), self.settings.blur_px)
+            if self._is_frozen(grey):
+                likeness = 1.0  # not counted: a picture that comes twice must not hide noise
+            else:
+                if _comparable(self._before, grey):
+                    likeness = motion_ssim(self._before, grey)
+                self._note(self._fault(small, likeness, noise))
+                self._before, self._taken = grey, taken
         age = self._t - (self._t if self._taken is None else self._taken)
         if age > self.settings.max_age_s + 1e-9:
             shown = f"; {self._bad[-1]}" if self._bad and self._bad[-1] else ""
             self._reason, self._good_in_a_row = f"old or frozen: no new picture for {age:.2f} s{shown}", 0
-        return Verdict(likeness, bool(self._reason), self._reason)
+        return Verdict(likeness, bool(self._reason), self._reason, noise)
 
     def _is_frozen(self, grey: Pixels) -> bool:
         """Whether a picture is the one before: a live camera has noise, and a flying one moves."""
         return _comparable(self._before, grey) and _difference(self._before, grey) < self.settings.frozen_levels
 
-    def _fault(self, small: Pixels, likeness: float) -> str:
+    def _fault(self, small: Pixels, likeness: float, noise: float) -> str:
         """What is wrong with one picture, in words; empty if nothing."""
         rule = self.settings
         share, colour = flat_share(small, rule.flat_levels)
         if share > rule.flat_share:
             return f"blank: {100.0 * share:.0f} % of the picture is {colour}"
         if likeness < rule.threshold:
-            return f"noise: SSIM {likeness:.2f}, want {rule.threshold:g}"
+            return f"noise: SSIM {likeness:.2f}, want {rule.threshold:g} or more"
+        if noise > rule.noise_levels:
+            return f"noise: {noise:.0f} grey levels, want {rule.noise_levels:g} or less"
         return ""
 
     def _note(self, fault: str) -> None:
@@ -223,6 +230,22 @@ def motion_ssim(before: Pixels, now: Pixels) -> float:
     seen = (x >= 0.0) & (x <= width - 1.0) & (y >= 0.0) & (y <= height - 1.0)
     seen = seen[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX]
     return float(ssim_map(moved, now)[seen].mean()) if seen.mean() > MIN_SEEN else 0.0
+
+
+def noise_level(grey: Pixels) -> float:
+    """Standard deviation of the noise in one picture [grey levels], where less than half of it is finely textured.
+
+    The mask is zero on planes and along edges, and turns white noise of sigma into one of 6 sigma. [Immerkaer, Fast
+    noise variance estimation, 1996; the median in place of the mean, so that edges do not count]
+
+    Args:
+        grey: (H, W) uint8, as it came: reducing a picture averages noise away.
+    """
+    import cv2
+
+    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+    left = cv2.filter2D(grey, cv2.CV_16S, mask)[1:-1:2, 1:-1:2]
+    return float(np.median(np.abs(left))) / (6.0 * 0.6745)  # 0.6745 sigma: the median of a normal's absolute value
 
 
 def flat_share(pixels: Pixels, levels: float) -> tuple[float, str]:
