@@ -12,7 +12,7 @@ import types
 import pytest
 
 from falconwing_kit.cli.bridge import LiveLine, live_text, pilot_sticks
-from falconwing_kit.cli.main import _run_verb
+from falconwing_kit.cli.main import main
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command
 from falconwing_kit.trainer_port.bus import COMMAND, Sticks
@@ -20,13 +20,12 @@ from falconwing_kit.trainer_port.links import usb
 from falconwing_kit.trainer_port.port import open_port
 from falconwing_kit.trainer_port.ros import RosBus
 
-VERBS = {"bridge": "Bridge", "record": "Record", "find-port": "FindPort"}
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
 
 def run(verb, *words):
     """The verb, as `falconwing VERB WORDS`."""
-    return _run_verb(verb, "falconwing_kit.cli.bridge", VERBS[verb], list(words))
+    return main([verb, *words])
 
 
 @pytest.fixture(autouse=True)
@@ -87,10 +86,7 @@ def test_ctrl_c_ends_cleanly(tmp_path, verb):
     """A table or JSON as usual and exit code 0; a recording's log is whole."""
     words = ["--port", "sim-python", "--json"]
     words += ["--source", "sim", "--seconds", "60"] if verb == "record" else []
-    code = (
-        "import sys; from falconwing_kit.cli.main import _run_verb\n"
-        f"sys.exit(_run_verb({verb!r}, 'falconwing_kit.cli.bridge', {VERBS[verb]!r}, {words!r}))"
-    )
+    code = f"import sys; from falconwing_kit.cli.main import main; sys.exit(main({[verb, *words]!r}))"
     with subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT, text=True
     ) as child:

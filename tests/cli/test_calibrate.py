@@ -9,7 +9,7 @@ import pytest
 
 from falconwing_kit.cli import calibrate
 from falconwing_kit.cli.calibrate import MAX_AGE_DAYS, POSES, REHEARSED, choose_calibration, learn, measure
-from falconwing_kit.cli.main import _run_verb
+from falconwing_kit.cli.main import main
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.config import write_toml
 from falconwing_kit.core.messages import COMMAND_NAMES, Command
@@ -21,7 +21,7 @@ from falconwing_kit.trainer_port.python_board import PythonBoard
 
 def run(*words):
     """The verb, as `falconwing calibrate WORDS`."""
-    return _run_verb("calibrate", "falconwing_kit.cli.calibrate", "Calibrate", list(words))
+    return main(["calibrate", *words])
 
 
 def readings(radio=REHEARSED):

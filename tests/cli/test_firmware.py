@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 
 from falconwing_kit.cli.firmware import CHECKS, FLASH_BUDGET, RAM_BUDGET, try_check
-from falconwing_kit.cli.main import _run_verb
+from falconwing_kit.cli.main import main
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.trainer_port.build import missing_tools
 from falconwing_kit.trainer_port.protocol import CommandFrame, SyncRequest, decode, encode_channels
@@ -106,7 +106,7 @@ def test_every_check_has_a_breaker():
 
 def run(*words):
     """The verb, as `falconwing firmware WORDS`."""
-    return _run_verb("firmware", "falconwing_kit.cli.firmware", "Firmware", list(words))
+    return main(["firmware", *words])
 
 
 @TOOLS

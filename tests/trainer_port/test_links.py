@@ -160,10 +160,9 @@ def test_the_port_called_sim_is_the_firmware_behind_real_serial_code():
             port.send(STICKS, engage=True)
             time.sleep(0.04)
             port.poll()
-            return port.engagement == "engaged"
+            return port.engagement == "engaged" and port.status.channels_us == (1500, 1550, 1400, 1650)
 
         assert wait_for(flying) and port.what == "SIMULATED board, the firmware in a simulated ATmega2560"
-        assert port.status.channels_us == (1500, 1550, 1400, 1650)
 
 
 @POSIX
