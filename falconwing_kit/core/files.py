@@ -3,6 +3,7 @@
 import errno
 import os
 import secrets
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -84,3 +85,11 @@ def write_error(path: str | Path, error: OSError) -> Exception:
     if error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}:
         return InputError(f"{path}: no right to write there; choose another folder")
     return error
+
+
+def cache_folder() -> Path:
+    """Where this system keeps what programs can make again; the folder need not exist."""
+    home = Path.home()
+    places = {"win32": ("LOCALAPPDATA", home / "AppData" / "Local"), "darwin": ("", home / "Library" / "Caches")}
+    variable, usual = places.get(sys.platform, ("XDG_CACHE_HOME", home / ".cache"))
+    return Path(os.environ.get(variable) or usual) / "falconwing"

@@ -7,8 +7,6 @@ little. Light is worked out once and kept in the colours.
 
 import colorsys
 import hashlib
-import os
-import sys
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -20,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.core.files import cache_folder
 from falconwing_kit.scene.formats.ply import SH_C0
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import require_pose
@@ -108,14 +107,6 @@ def load_scene(name: str) -> GaussianScene:
             for older in set(path.parent.glob("arena-*.npz")) - {path}:
                 older.unlink(missing_ok=True)
     return scene if name == "arena" else scene.selected(scene.labelled("leader"))
-
-
-def cache_folder() -> Path:
-    """Where this system keeps what programs can make again; the folder need not exist."""
-    home = Path.home()
-    places = {"win32": ("LOCALAPPDATA", home / "AppData" / "Local"), "darwin": ("", home / "Library" / "Caches")}
-    variable, usual = places.get(sys.platform, ("XDG_CACHE_HOME", home / ".cache"))
-    return Path(os.environ.get(variable) or usual) / "falconwing"
 
 
 def build_arena(seed: int = 0) -> GaussianScene:

@@ -5,7 +5,6 @@ the firmware is a new build, an unchanged one costs nothing.
 """
 
 import hashlib
-import os
 import shutil
 import subprocess
 import sys
@@ -16,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.files import atomic_write, cache_folder
 
 SKETCH = "trainer_bridge"
 TOOLS = {  # Debian package -> a program or a file that it brings
@@ -98,7 +97,7 @@ def _built(name: str, build: Builder, flags: str = "", replace: Path | None = No
         )
     source = firmware_folder()
     digest = _digest([source, replace] if replace else [source], flags)
-    kept = _cache_folder() / f"{Path(name).stem}-{digest}{Path(name).suffix}"
+    kept = cache_folder() / f"{Path(name).stem}-{digest}{Path(name).suffix}"
     if kept.is_file():
         return kept
     with tempfile.TemporaryDirectory(prefix="falconwing-") as folder:
@@ -146,8 +145,3 @@ def _keep(product: Path, kept: Path) -> None:
         with suppress(OSError):
             if path.stat().st_mtime < oldest:
                 path.unlink()
-
-
-def _cache_folder() -> Path:
-    """Where the user's system keeps what programs can make again; the folder need not exist."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "falconwing"

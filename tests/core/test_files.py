@@ -4,11 +4,12 @@ import os
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.files import atomic_write, cache_folder
 
 
 def test_nothing_has_the_name_before_the_end(tmp_path):
@@ -78,3 +79,21 @@ def test_no_right_to_write_is_one_sentence(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="no right to write"), atomic_write(tmp_path / "a.txt", text=True) as file:
         file.write("x")
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("platform", "variable", "path"),
+    [
+        ("linux", "XDG_CACHE_HOME", "{home}/.cache/falconwing"),
+        ("linux", "", "{set}/falconwing"),
+        ("win32", "LOCALAPPDATA", "{home}/AppData/Local/falconwing"),
+        ("darwin", "XDG_CACHE_HOME", "{home}/Library/Caches/falconwing"),
+    ],
+)
+def test_cache_folder_is_the_systems_own(platform, variable, path, monkeypatch, tmp_path):
+    """The XDG base directory specification, Windows' and Apple's guidelines."""
+    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", os.fspath(tmp_path / "set"))
+    monkeypatch.delenv(variable or "LOCALAPPDATA", raising=False)
+    assert cache_folder() == Path(path.format(home=tmp_path, set=tmp_path / "set"))

@@ -1,8 +1,5 @@
 """The arena is a closed hall with pad, marker and leader in their places, and the marker can be read off its images."""
 
-import os
-import sys
-
 import numpy as np
 import pytest
 
@@ -12,7 +9,7 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import pose_matrix, rotation_world_body
 from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose, render
 from falconwing_kit.scene import arena as builder
-from falconwing_kit.scene.arena import MARKER_ID, build_arena, cache_folder, leader_at, load_scene
+from falconwing_kit.scene.arena import MARKER_ID, build_arena, leader_at, load_scene
 
 CAMERA = PinholeCamera.from_fov_deg(640, 480, 77.8)  # the lens of the hall's flights, 0.62 of the width
 VIEWS = [  # x, y, z [m], roll, pitch, yaw [deg]
@@ -295,21 +292,3 @@ def test_cache_that_cannot_be_written_is_no_reason_to_stop(builds, tmp_path):
     """A file stands where the folder should be."""
     (tmp_path / "deep").write_text("in the way")
     assert len(load_scene("arena")) == len(load_scene("arena")) and len(builds) == 2
-
-
-@pytest.mark.parametrize(
-    ("platform", "variable", "path"),
-    [
-        ("linux", "XDG_CACHE_HOME", "{home}/.cache/falconwing"),
-        ("linux", "", "{set}/falconwing"),
-        ("win32", "LOCALAPPDATA", "{home}/AppData/Local/falconwing"),
-        ("darwin", "XDG_CACHE_HOME", "{home}/Library/Caches/falconwing"),
-    ],
-)
-def test_cache_folder_is_the_systems_own(platform, variable, path, monkeypatch, tmp_path):
-    """The XDG base directory specification, Windows' and Apple's guidelines."""
-    monkeypatch.setattr(sys, "platform", platform)
-    monkeypatch.setattr(builder.Path, "home", lambda: tmp_path)
-    monkeypatch.setenv("XDG_CACHE_HOME", os.fspath(tmp_path / "set"))
-    monkeypatch.delenv(variable or "LOCALAPPDATA", raising=False)
-    assert cache_folder() == builder.Path(path.format(home=tmp_path, set=tmp_path / "set"))
