@@ -166,6 +166,23 @@ def test_the_port_called_sim_is_the_firmware_behind_real_serial_code():
 
 
 @POSIX
+def test_a_write_off_the_processor_is_not_a_lost_port(monkeypatch):
+    """pyserial raises its timeout after a good write too, where select came late; the port must not be given up."""
+    import pty
+
+    master, slave = pty.openpty()
+    monkeypatch.setattr(usb, "WRITE_TIMEOUT", 1e-9)  # every write is too late
+    link = SerialLink(os.ttyname(slave))
+    try:
+        link.write(b"abc")
+        assert os.read(master, 10) == b"abc"
+    finally:
+        link.close()
+        os.close(master)
+        os.close(slave)
+
+
+@POSIX
 def test_a_hand_back_leaves_before_the_port_is_closed(monkeypatch):
     """Some drivers throw away what waits when a port is closed, so closing waits until nothing does: the system is
     scripted to say 48, 16 and 0 bytes, and the port is still open when it says 0."""

@@ -11,7 +11,7 @@ from falconwing_kit.core.checks import InputError
 
 BAUD = 115200
 DRAIN_S = 0.1  # s that closing waits for what was written to leave
-WRITE_TIMEOUT = 0.02  # s: four frames; a line that takes longer is stuck
+WRITE_TIMEOUT = 0.02  # s: so long a stuck line may hold up the loop
 # Vendor and product numbers of USB: those of the Mega 2560 stand in boards.txt of Arduino's own core for AVR.
 MEGA = {(vendor, product) for vendor, products in {
     0x2341: (0x0010, 0x0042, 0x0210, 0x0242), 0x2A03: (0x0010, 0x0042),
@@ -103,8 +103,15 @@ class SerialLink:
         self._reader.start()
 
     def write(self, data: bytes) -> None:
-        """Send bytes; OSError where the line is gone or stuck."""
-        self._port.write(data)
+        """Send bytes; OSError where the line is gone.
+
+        A write that took too long is no error: pyserial says so too where this program was only kept off the processor
+        after a good write. Of a line that is really stuck the board's silence tells.
+        """
+        import serial
+
+        with suppress(serial.SerialTimeoutException):
+            self._port.write(data)
 
     def read(self) -> bytes:
         """What has come since the last call; OSError where the line is gone."""
