@@ -1,0 +1,334 @@
+"""Marker pose: an image that shows the ArUco marker -> both camera poses that explain it, and how well each is known.
+
+A flat square seen small or straight on has two poses that look almost alike [Collins & Bartoli, Infinitesimal
+plane-based pose estimation, IJCV 2014]. Both are kept; what the aircraft can have done decides between them
+(`hybrid_state`). Pixel coordinates are the kit's: the first pixel's centre is at (0.5, 0.5).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
+from falconwing_kit.core.frames import pose_matrix
+from falconwing_kit.scene.camera import PinholeCamera
+
+DICTIONARIES = tuple(f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
+# x to the right of who looks at the marker, y up, z out of it: it faces the approach, -x of the world.
+R_WORLD_MARKER: Array = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+CORNER_SIGMA_PX = 0.15  # measured: the hall's digital video, 2 px of freedom left by four corners and one pose
+LEAST_SIDE_PX = 8.0  # below, a bit of a 4 x 4 marker is hardly a pixel wide
+LEAST_FLATNESS = 0.15  # area over longest side squared; below, the marker is seen from too far aside
+LEAST_LIKENESS = 0.85  # correlation with the printed marker; the hall's video has 0.97, its analog link 0.9
+QUIET_CELLS = 0.5  # white around the black square that is compared too, in cells
+SOFT_PX = 0.6  # blur of a lens and of averaging over pixels, given to the printed marker
+UPSCALE = 2.0  # the detector looks for contours, which small markers hardly have
+Pixels = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Marker:
+    """A printed ArUco marker and its place in the world; the default is the hall's.
+
+    Raises:
+        InputError: the dictionary is unknown, it has no such id, or the size is not that of a print.
+    """
+
+    dictionary: str = "DICT_4X4_50"
+    id: int = 7
+    size: float = 0.80  # side of the black square [m]
+    T_world_marker: Array = field(default_factory=lambda: pose_matrix(R_WORLD_MARKER, (0.0, 0.0, 0.75)))  # its centre
+
+    def __post_init__(self) -> None:
+        """Check what was printed."""
+        if self.dictionary not in DICTIONARIES:
+            raise InputError(f"marker: want a dictionary such as DICT_4X4_50, got {self.dictionary!r}")
+        count = int(self.dictionary.rsplit("_", 1)[1])
+        if not 0 <= self.id < count:
+            raise InputError(f"marker: want an id from 0 to {count - 1} in {self.dictionary}, got {self.id}")
+        require_range("marker size", self.size, low=0.01, high=10.0)
+        require_shape("T_world_marker", self.T_world_marker, (4, 4))
+
+    @property
+    def corners(self) -> Array:
+        """(4, 3) corners in marker axes [m]: top left, top right, bottom right, bottom left of who looks at it."""
+        return 0.5 * self.size * np.array([(-1.0, 1.0, 0.0), (1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (-1.0, -1.0, 0.0)])
+
+    @property
+    def p_world_corners(self) -> Array:
+        """(4, 3) the same corners in the world [m]."""
+        return self.corners @ self.T_world_marker[:3, :3].T + self.T_world_marker[:3, 3]
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerPose:
+    """One sight of the marker: four corners, and the two camera poses they allow, the likelier first."""
+
+    corners_px: Array  # (4, 2) u, v, in the order of Marker.corners
+    likeness: float  # correlation of the image with the printed marker, 0..1
+    T_camera_marker: Array  # (2, 4, 4)
+    T_world_camera: Array  # (2, 4, 4)
+    reprojection_px: Array  # (2,) root mean square over the eight coordinates
+    covariance: Array  # (2, 6, 6) of p_world [m] and of a small turn about the camera's axes [rad]
+
+    @property
+    def side_px(self) -> float:
+        """Square root of the marker's area in the image."""
+        return float(np.sqrt(_area(self.corners_px)))
+
+
+def find_marker(
+    image: Pixels,
+    camera: PinholeCamera,
+    marker: Marker | None = None,
+    near_px: Array | None = None,
+    corner_sigma_px: float = CORNER_SIGMA_PX,
+) -> MarkerPose | None:
+    """Look for the marker in an image.
+
+    OpenCV's detector reads the bits; then the printed marker is laid over the image so that the two correlate best
+    [enhanced correlation, Evangelidis & Psarakis, PAMI 2008]. All edges of all bits have their say, which makes the
+    corners about five times as sharp as those of the outline alone, and finds them in noise where the outline breaks.
+
+    Args:
+        image: (H, W, 3) RGB or (H, W) grey, uint8.
+        camera: its intrinsics, of the same size.
+        marker: what to look for; None is the hall's.
+        near_px: (4, 2) where its corners are expected to half a side; looked at where the detector finds nothing.
+        corner_sigma_px: noise of a corner, for the covariance.
+
+    Returns:
+        The sight; None where the marker is not seen, is too small or seen from too far aside.
+
+    Raises:
+        InputError: the image is no picture or not of the camera's size.
+    """
+    marker = Marker() if marker is None else marker
+    grey = _grey(image, camera)
+    start = _detected(grey, marker)
+    if start is None and near_px is not None:
+        start = _searched(grey, marker, require_shape("near_px", near_px, (4, 2)))
+    if start is None:
+        return None
+    corners, likeness = _sharpened(grey, marker, start)
+    if likeness < LEAST_LIKENESS or not _is_good(corners):
+        return None
+    return _poses(corners, likeness, camera, marker, corner_sigma_px)
+
+
+def project_corners(marker: Marker, camera: PinholeCamera, T_world_camera: ArrayLike) -> Array:
+    """Where the marker's corners appear to cameras.
+
+    Args:
+        marker: with its place.
+        camera: the intrinsics.
+        T_world_camera: (..., 4, 4).
+
+    Returns:
+        (..., 4, 2) pixels; nan where a corner is less than 0.1 m in front of the camera.
+    """
+    T = np.asarray(T_world_camera, np.float64)
+    p_camera = (marker.p_world_corners - T[..., None, :3, 3]) @ T[..., :3, :3]
+    depth = np.where(p_camera[..., 2:] > 0.1, p_camera[..., 2:], np.nan)
+    return np.asarray(p_camera[..., :2] / depth * (camera.fx, camera.fy) + (camera.cx, camera.cy))
+
+
+def corner_noise(sights: Iterable[MarkerPose]) -> float:
+    """Noise of one corner coordinate, from what the better pose leaves over.
+
+    Eight coordinates less six numbers of a pose leave two: E[sum of squares] = 2 sigma^2, so the mean square over the
+    eight is sigma^2 / 4. The median of chi-squared with two degrees of freedom is 2 ln 2, which outliers do not move.
+
+    Args:
+        sights: of one camera, at least one.
+
+    Returns:
+        Standard deviation [px].
+
+    Raises:
+        InputError: there is no sight.
+    """
+    left = np.array([8.0 * sight.reprojection_px[0] ** 2 for sight in sights])
+    if len(left) == 0:
+        raise InputError("marker: want at least one sight of it to measure the noise of corners, got none")
+    return float(np.sqrt(np.median(left) / (2.0 * np.log(2.0))))
+
+
+def name_markers(image: Pixels) -> list[tuple[str, int]]:
+    """Which ArUco markers of the usual dictionaries an image shows, for telling what was printed instead.
+
+    Args:
+        image: (H, W, 3) RGB or (H, W) grey, uint8.
+
+    Returns:
+        Dictionary and id of each; the smallest dictionary that knows it.
+    """
+    grey = _grey(image, None)
+    seen: list[tuple[str, int]] = []
+    for bits in (4, 5, 6, 7):
+        for name in (name for name in DICTIONARIES if name.startswith(f"DICT_{bits}")):
+            new = [(name, number) for number, _ in _all_detected(grey, name)]
+            seen += [one for one in new if one[1] not in [n for d, n in seen if d.startswith(f"DICT_{bits}")]]
+    return seen
+
+
+def _grey(image: Pixels, camera: PinholeCamera | None) -> Pixels:
+    """The image as grey, if it is a picture of the camera's size."""
+    import cv2
+
+    got = f"{getattr(image, 'shape', '')} {getattr(image, 'dtype', type(image).__name__)}".strip()
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim not in (2, 3) or not image.size:
+        raise InputError(f"image: want (H, W, 3) or (H, W) uint8, got {got}; decode a JPEG first")
+    if camera is not None and image.shape[:2] != (camera.height, camera.width):
+        raise InputError(f"image: want the camera's {camera.width} x {camera.height} pixels, got {got}; scale the camera")
+    return np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+@cache
+def _detector(dictionary: str) -> Any:
+    import cv2
+
+    settings = cv2.aruco.DetectorParameters()
+    settings.minMarkerPerimeterRate = 0.02
+    settings.adaptiveThreshWinSizeMin, settings.adaptiveThreshWinSizeMax = 3, 33
+    settings.adaptiveThreshWinSizeStep = 6
+    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)), settings)
+
+
+def _all_detected(grey: Pixels, dictionary: str) -> list[tuple[int, Array]]:
+    """Id and corners (4, 2) [px] of all markers of a dictionary."""
+    import cv2
+
+    large = cv2.resize(grey, None, fx=UPSCALE, fy=UPSCALE, interpolation=cv2.INTER_CUBIC)
+    corners, ids, _ = _detector(dictionary).detectMarkers(large)
+    numbers = [] if ids is None else np.ravel(ids).tolist()
+    return [(n, (c[0].astype(np.float64) + 0.5) / UPSCALE) for n, c in zip(numbers, corners, strict=False)]
+
+
+def _detected(grey: Pixels, marker: Marker) -> Array | None:
+    """Corners of the marker by OpenCV's detector; the largest where it is seen twice (a mirror in a window)."""
+    found = [corners for number, corners in _all_detected(grey, marker.dictionary) if number == marker.id]
+    return max(found, key=_area) if found else None
+
+
+@cache
+def _print(dictionary: str, number: int, cell_px: int) -> tuple[Pixels, Array]:
+    """The marker as printed, cell_px pixels a cell, and where its corners are in it (4, 2) [px]."""
+    import cv2
+
+    cells = int(dictionary[5]) + 2  # bits and the black frame
+    fine = 16
+    quiet = round(QUIET_CELLS * fine)
+    drawn = cv2.aruco.generateImageMarker(
+        cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)), number, cells * fine
+    )
+    drawn = cv2.copyMakeBorder(drawn, quiet, quiet, quiet, quiet, cv2.BORDER_CONSTANT, value=255)
+    side = round((cells + 2 * QUIET_CELLS) * cell_px)
+    drawn = cv2.resize(drawn, (side, side), interpolation=cv2.INTER_AREA)
+    low = QUIET_CELLS * cell_px
+    high = low + cells * cell_px
+    return (
+        np.asarray(cv2.GaussianBlur(drawn, (0, 0), SOFT_PX), np.uint8),
+        np.array([(low, low), (high, low), (high, high), (low, high)]),
+    )
+
+
+def _print_for(marker: Marker, corners: Array) -> tuple[Pixels, Array]:
+    """The print at about the size it has in the image."""
+    cells = int(marker.dictionary[5]) + 2
+    return _print(marker.dictionary, marker.id, int(np.clip(round(np.sqrt(_area(corners)) / cells), 2, 16)))
+
+
+def _sharpened(grey: Pixels, marker: Marker, corners: Array) -> tuple[Array, float]:
+    """Corners where the printed marker correlates best with the image, and that correlation; 0 where it gets lost."""
+    import cv2
+
+    drawn, places = _print_for(marker, corners)
+    H = cv2.getPerspectiveTransform((places - 0.5).astype(np.float32), (corners - 0.5).astype(np.float32))
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-5)
+    try:
+        likeness, H = cv2.findTransformECC(drawn, grey, H.astype(np.float32), cv2.MOTION_HOMOGRAPHY, stop, None, 1)
+    except cv2.error:  # "images may be uncorrelated": there is no marker here
+        return corners, 0.0
+    return cv2.perspectiveTransform((places - 0.5)[None], H.astype(np.float64))[0] + 0.5, float(likeness)
+
+
+def _searched(grey: Pixels, marker: Marker, near: Array) -> Array | None:
+    """Corners near expected ones: the print, tilted as expected, shifted to where it correlates best."""
+    import cv2
+
+    height, width = grey.shape
+    reach = 0.6 * np.sqrt(_area(near))
+    low = np.floor(near.min(axis=0) - reach).astype(int)
+    high = np.ceil(near.max(axis=0) + reach).astype(int)
+    if not _is_good(near) or (low < 0).any() or (high > (width, height)).any():
+        return None
+    drawn, places = _print_for(marker, near)
+    corner = np.floor(near.min(axis=0)).astype(int)
+    size = np.ceil(near.max(axis=0)).astype(int) - corner
+    H = cv2.getPerspectiveTransform((places - 0.5).astype(np.float32), (near - corner - 0.5).astype(np.float32))
+    expected = cv2.warpPerspective(drawn, H, size.tolist(), borderMode=cv2.BORDER_REPLICATE)
+    likeness = cv2.matchTemplate(grey[low[1] : high[1], low[0] : high[0]], expected, cv2.TM_CCOEFF_NORMED)
+    _, _, _, best = cv2.minMaxLoc(likeness)
+    return np.asarray(near + (low + best - corner))
+
+
+def _area(corners: Array) -> float:
+    """Area of a quadrangle [px^2], by the shoelace formula."""
+    x, y = np.asarray(corners).T
+    return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
+
+
+def _is_good(corners: Array) -> bool:
+    """Large and flat-on enough for a pose to be read off."""
+    if not np.isfinite(corners).all():
+        return False
+    area, longest = _area(corners), np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max()
+    return area >= LEAST_SIDE_PX**2 and area >= LEAST_FLATNESS * longest**2
+
+
+def _poses(corners: Array, likeness: float, camera: PinholeCamera, marker: Marker, sigma_px: float) -> MarkerPose | None:
+    """The two poses of four corners, and their covariances sigma^2 (J^T J)^-1 with J = d(corners)/d(pose)."""
+    import cv2
+
+    found, turns, places, _ = cv2.solvePnPGeneric(
+        marker.corners, corners, camera.K, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+    )
+    if found < 2 or not (np.isfinite(turns).all() and np.isfinite(places).all()):
+        return None
+    R = np.array([cv2.Rodrigues(turn)[0] for turn in turns[:2]])
+    T_camera_marker = pose_matrix(R, np.array(places[:2])[..., 0])
+    T_world_camera = marker.T_world_marker @ np.linalg.inv(T_camera_marker)
+    seen = project_corners(marker, camera, T_world_camera)
+    if not np.isfinite(seen).all():
+        return None
+    misfit = np.sqrt(((seen - corners) ** 2).mean(axis=(1, 2)))
+    order = np.argsort(misfit)
+    T_camera_marker, T_world_camera = T_camera_marker[order], T_world_camera[order]
+    J = [_corner_jacobian(marker, camera, T) for T in T_world_camera]
+    covariance = np.array([sigma_px**2 * np.linalg.pinv(j.T @ j) for j in J])
+    return MarkerPose(corners, likeness, T_camera_marker, T_world_camera, misfit[order], covariance)
+
+
+def _corner_jacobian(marker: Marker, camera: PinholeCamera, T_world_camera: Array) -> Array:
+    """(8, 6) change of the corners [px] with the camera's place [m] and a turn about its axes [rad]."""
+    R_world_camera = T_world_camera[:3, :3]
+    p_camera = (marker.p_world_corners - T_world_camera[:3, 3]) @ R_world_camera
+    x, y, z = p_camera.T
+    zero = np.zeros_like(z)
+    d_pixel = np.stack(
+        [
+            np.stack([camera.fx / z, zero, -camera.fx * x / z**2], -1),
+            np.stack([zero, camera.fy / z, -camera.fy * y / z**2], -1),
+        ],
+        axis=1,
+    )  # (4, 2, 3) by p_camera
+    # p_camera = R^T (p - c): moving the camera by dc gives -R^T dc, turning it by w about its axes gives p_camera x w.
+    d_turn = np.cross(p_camera[:, :, None], np.eye(3)[None], axisa=1, axisb=1, axisc=1)
+    d_pose = np.concatenate([np.broadcast_to(-R_world_camera.T, (4, 3, 3)), d_turn], axis=2)
+    return np.asarray((d_pixel @ d_pose).reshape(8, 6))

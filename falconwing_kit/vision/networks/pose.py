@@ -1,0 +1,291 @@
+"""Pose network: images (B, 3, H, W) -> where their cameras are, what they look at, and how sure that is.
+
+Two ways lead to a pose. A pose token gives place and sine and cosine of the angles at once, as the paper's iGSplat
+does. Every cell of 8 x 8 pixels also says which point of the hall it shows, a "scene coordinate" [Shotton et al. 2013];
+`fused` then moves the pose until each cell's ray meets its point. Each answer carries a standard deviation.
+
+Parameters of the transformer are named as in the usual ViT files (timm's), so that pretrained ones can be loaded.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+PATCH, CELL = 16, 8  # px; a token sees a patch and answers for its 2 x 2 cells
+STEMS = ("conv", "patch")
+LOG_SIGMA_LOW, LOG_SIGMA_HIGH = math.log(5e-3), math.log(20.0)  # of every standard deviation [m or rad]
+FREEDOM = 3.0  # degrees of freedom of the Student-t that a cell's error follows: some cells are plainly wrong
+FUSE_STEPS = 4  # of Gauss-Newton; the step after these is below a millimetre where cells agree
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How large the network is."""
+
+    width: int = 192  # of the image [px], a multiple of 16, as is the height
+    height: int = 144
+    features: int = 160  # of a token
+    layers: int = 5
+    heads: int = 5
+    stem: str = "conv"  # "patch" for a plain ViT
+
+    @property
+    def tokens(self) -> tuple[int, int]:
+        """Rows and columns of patches."""
+        return self.height // PATCH, self.width // PATCH
+
+
+class Answer(NamedTuple):
+    """What the network says about B images."""
+
+    place: Tensor  # (B, 3) of the camera in the world [m]
+    log_sigma_place: Tensor  # (B, 3) per axis
+    sincos: Tensor  # (B, 3, 2) sine and cosine of roll, pitch, yaw of a body whose nose the camera looks along
+    log_sigma_angle: Tensor  # (B,) [rad]
+    points: Tensor  # (B, K, 3) what the cells show, in the world [m]; row by row
+    log_sigma_points: Tensor  # (B, K)
+
+
+class Attention(nn.Module):
+    """Tokens look at each other [Vaswani et al. 2017, eq. 1]."""
+
+    def __init__(self, features: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.qkv, self.proj = nn.Linear(features, 3 * features), nn.Linear(features, features)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """(B, N, F) -> (B, N, F)."""
+        shape = (*tokens.shape[:2], 3, self.heads, -1)
+        q, k, v = self.qkv(tokens).reshape(shape).permute(2, 0, 3, 1, 4)
+        return self.proj(functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2))
+
+
+class Mlp(nn.Module):
+    """Two layers on each token for itself."""
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.fc1, self.fc2 = nn.Linear(features, 4 * features), nn.Linear(4 * features, features)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """(B, N, F) -> (B, N, F)."""
+        return self.fc2(functional.gelu(self.fc1(tokens)))
+
+
+class Block(nn.Module):
+    """One layer of a vision transformer [Dosovitskiy et al. 2021, eq. 2 and 3]."""
+
+    def __init__(self, features: int, heads: int) -> None:
+        super().__init__()
+        self.norm1, self.norm2 = nn.LayerNorm(features, 1e-6), nn.LayerNorm(features, 1e-6)
+        self.attn, self.mlp = Attention(features, heads), Mlp(features)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """(B, N, F) -> (B, N, F)."""
+        tokens = tokens + self.attn(self.norm1(tokens))
+        return tokens + self.mlp(self.norm2(tokens))
+
+
+class PatchStem(nn.Module):
+    """Patches straight to tokens, as a plain ViT does."""
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.proj = nn.Conv2d(3, features, PATCH, PATCH)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """(B, 3, H, W) -> (B, F, H / 16, W / 16)."""
+        return self.proj(images)
+
+
+class ConvStem(nn.Module):
+    """Patches to tokens by convolutions, which need fewer examples than plain patches [Xiao et al. 2021]."""
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        halves = [(3, 24), (24, 48), (48, 96), (96, features)]
+        self.halves = nn.ModuleList(self._unit(before, after, 2) for before, after in halves)
+        self.same = nn.ModuleList(self._unit(channels, channels, 1) for channels in (48, 96))
+
+    @staticmethod
+    def _unit(before: int, after: int, stride: int) -> nn.Sequential:
+        return nn.Sequential(nn.Conv2d(before, after, 3, stride, 1, bias=False), nn.BatchNorm2d(after), nn.ReLU())
+
+    def forward(self, images: Tensor) -> Tensor:
+        """(B, 3, H, W) -> (B, F, H / 16, W / 16)."""
+        x = self.halves[1](self.halves[0](images))
+        x = self.halves[2](x + self.same[0](x))
+        return self.halves[3](x + self.same[1](x))
+
+
+class PoseNetwork(nn.Module):
+    """Stem, transformer, and the two heads.
+
+    Args:
+        shape: how large.
+        low: (3,) lower corner of the hall [m]; answers are scaled to its box.
+        high: (3,) upper corner.
+    """
+
+    low: Tensor
+    half: Tensor
+
+    def __init__(self, shape: Shape, low: Tensor, high: Tensor) -> None:
+        super().__init__()
+        self.shape, features = shape, shape.features
+        rows, columns = shape.tokens
+        self.patch_embed = (ConvStem if shape.stem == "conv" else PatchStem)(features)
+        self.cls_token = nn.Parameter(torch.zeros(1, 1, features))
+        self.pos_embed = nn.Parameter(0.02 * torch.randn(1, 1 + rows * columns, features))
+        self.blocks = nn.ModuleList(Block(features, shape.heads) for _ in range(shape.layers))
+        self.norm = nn.LayerNorm(features, 1e-6)
+        self.pose_head = nn.Sequential(nn.Linear(features, features), nn.GELU(), nn.Linear(features, 3 + 3 + 6 + 1))
+        self.point_head = nn.Linear(features, (PATCH // CELL) ** 2 * 4)
+        self.log_trust = nn.Parameter(torch.tensor(-3.0))  # cells err together, so each counts less than one
+        self.register_buffer("low", low.float(), persistent=False)
+        self.register_buffer("half", 0.5 * (high - low).float(), persistent=False)
+
+    def forward(self, images: Tensor) -> Answer:
+        """Answer for images (B, 3, H, W), red, green, blue in 0..1."""
+        grid = self.patch_embed(2.0 * images - 1.0)
+        tokens = torch.cat([self.cls_token.expand(len(images), -1, -1), grid.flatten(2).mT], dim=1) + self.pos_embed
+        for block in self.blocks:
+            tokens = block(tokens)
+        tokens = self.norm(tokens)
+        pose, cells = self.pose_head(tokens[:, 0]).float(), self.point_head(tokens[:, 1:]).float()
+        rows, columns = self.shape.tokens
+        side = PATCH // CELL
+        cells = cells.reshape(-1, rows, columns, side, side, 4).transpose(2, 3).reshape(len(images), -1, 4)
+        middle = self.low + self.half
+        return Answer(
+            place=middle + self.half * pose[:, :3],
+            log_sigma_place=pose[:, 3:6].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
+            sincos=pose[:, 6:12].reshape(-1, 3, 2),
+            log_sigma_angle=pose[:, 12].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
+            points=middle + self.half * cells[..., :3],
+            log_sigma_points=cells[..., 3].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
+        )
+
+
+def load_vit(network: PoseNetwork, tensors: dict[str, Tensor]) -> int:
+    """Take over pretrained ViT weights by their usual names; the position grid is stretched to the image's.
+
+    Args:
+        network: with the stem "patch" and the file's number of features and heads; changed in place. Its first layers
+            are taken from the file's first layers.
+        tensors: as in a ViT's safetensors file.
+
+    Returns:
+        How many tensors were taken; the heads have none to take.
+    """
+    own, taken = network.state_dict(), {}
+    for name, tensor in tensors.items():
+        if name == "pos_embed" and tensor.shape[-1] == network.shape.features:
+            side = math.isqrt(tensor.shape[1] - 1)
+            grid = tensor[:, 1:].float().reshape(1, side, side, -1).permute(0, 3, 1, 2)
+            grid = functional.interpolate(grid, network.shape.tokens, mode="bicubic", align_corners=False)
+            tensor = torch.cat([tensor[:, :1].float(), grid.flatten(2).mT], dim=1)
+        if name in own and own[name].shape == tensor.shape:
+            taken[name] = tensor
+    network.load_state_dict(taken, strict=False)
+    return len(taken)
+
+
+def rotations(sincos: Tensor) -> Tensor:
+    """R_world_camera of sines and cosines; core/frames.py says the same in NumPy, where the signs are explained.
+
+    Args:
+        sincos: (B, 3, 2) of roll, pitch, yaw; scaled to length 1 here.
+
+    Returns:
+        (B, 3, 3); its columns are the right wing, the belly and the nose.
+    """
+    sin, cos = functional.normalize(sincos, dim=-1, eps=1e-6).unbind(-1)
+    (sr, sp, sy), (cr, cp, cy) = sin.unbind(-1), cos.unbind(-1)
+    nose = torch.stack([cp * cy, -cp * sy, sp], dim=-1)
+    wing = torch.stack([sr * sp * cy - cr * sy, -sr * sp * sy - cr * cy, -sr * cp], dim=-1)
+    belly = torch.stack([cr * sp * cy + sr * sy, sr * cy - cr * sp * sy, -cr * cp], dim=-1)
+    return torch.stack([wing, belly, nose], dim=-1)
+
+
+def cross_matrix(v: Tensor) -> Tensor:
+    """(..., 3) -> (..., 3, 3), the matrix whose product with w is the cross product v x w."""
+    x, y, z = v.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).reshape(*v.shape[:-1], 3, 3)
+
+
+def turn_between(R: Tensor, R_from: Tensor) -> Tensor:
+    """The turn (B, 3) [rad] in world axes that leads from one rotation to the other, exact to the third order.
+
+    R = exp([w]x) R_from;  w = vee(M - M^T) / 2 * angle / sin(angle) with M = R R_from^T [Murray, Li & Sastry 1994, 2.2]
+    """
+    M = R @ R_from.mT
+    w = 0.5 * torch.stack([M[:, 2, 1] - M[:, 1, 2], M[:, 0, 2] - M[:, 2, 0], M[:, 1, 0] - M[:, 0, 1]], dim=-1)
+    sin = w.norm(dim=-1, keepdim=True)
+    cos = 0.5 * (M.diagonal(dim1=1, dim2=2).sum(-1, keepdim=True) - 1.0)
+    angle = torch.atan2(sin, cos)
+    return torch.where(sin > 1e-4, w * angle / sin.clamp(min=1e-4), w)
+
+
+def fused(answer: Answer, rays: Tensor, log_trust: Tensor, steps: int = FUSE_STEPS) -> tuple[Tensor, Tensor, Tensor]:
+    """The most likely pose, given what the pose token and the cells say.
+
+    A cell's ray d = R ray should meet its point: e = (1 - d d^T)(point - place) = 0, the object-space error of
+    [Lu, Hager & Mjolsness 2000, eq. 19]. Gauss-Newton in place and turn, each cell weighted as Student's t asks
+    [Lange et al. 1989], and the token's answer as a prior. Gradients flow through the last step alone, which at the
+    solution is what the implicit function theorem gives.
+
+    Args:
+        answer: of B images, float32.
+        rays: (K, 3) unit directions of the cells in camera axes.
+        log_trust: () by how much a cell counts less than if it erred alone.
+        steps: of Gauss-Newton.
+
+    Returns:
+        R_world_camera (B, 3, 3), place (B, 3) [m], and information (B, 6, 6) of place [m] and turn in world axes [rad],
+        the inverse of their covariance.
+    """
+    R_head = rotations(answer.sincos)
+    R, place = R_head.detach(), answer.place.detach()
+    prior = torch.exp(-2.0 * torch.cat([answer.log_sigma_place, answer.log_sigma_angle[:, None].expand(-1, 3)], dim=1))
+    step = information = torch.zeros(0)
+    for number in range(steps):
+        last = number == steps - 1
+        with torch.set_grad_enabled(last and torch.is_grad_enabled()):
+            information, pull = _normal_equations(answer, rays @ R.mT, place, log_trust)
+            off = torch.cat([place - answer.place, turn_between(R, R_head)], dim=1)
+            information = information + torch.diag_embed(prior)
+            step = torch.linalg.solve(information, pull - prior * off)
+            place = place + step[:, :3]
+            R = torch.linalg.matrix_exp(cross_matrix(step[:, 3:])) @ R
+    return R, place, information
+
+
+def _normal_equations(answer: Answer, d: Tensor, place: Tensor, log_trust: Tensor) -> tuple[Tensor, Tensor]:
+    """J^T W J (B, 6, 6) and -J^T W e (B, 6) of the cells, with de = -(1 - d d^T) dplace + s [d]x dturn.
+
+    Args:
+        answer: whose points to meet.
+        d: (B, K, 3) the rays in world axes.
+        place: (B, 3) where they begin.
+        log_trust: ().
+    """
+    toward = answer.points - place[:, None]
+    s = (d * toward).sum(-1)
+    e = toward - s[..., None] * d
+    variance = torch.exp(2.0 * answer.log_sigma_points)
+    weight = torch.exp(log_trust) / variance * (FREEDOM + 2.0) / (FREEDOM + (e * e).sum(-1) / variance)
+    across = torch.eye(3, device=d.device) - d[..., :, None] * d[..., None, :]
+    pp = (weight[..., None, None] * across).sum(1)
+    tt = ((weight * s * s)[..., None, None] * across).sum(1)
+    pt = -cross_matrix(((weight * s)[..., None] * d).sum(1))
+    information = torch.cat([torch.cat([pp, pt], dim=2), torch.cat([pt.mT, tt], dim=2)], dim=1)
+    pull = (weight[..., None] * e).sum(1)
+    turn = ((weight * s)[..., None] * torch.linalg.cross(d, e)).sum(1)
+    return information, torch.cat([pull, turn], dim=1)
