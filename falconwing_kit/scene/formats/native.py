@@ -112,7 +112,7 @@ def write_quantised(path: str | Path, scene: Any, points: Mapping[str, ArrayLike
         numbers["point_names"] = np.array(list(points))
     words = {"label_names": np.array(scene.label_names), "source": np.array(scene.source)}
     with atomic_write(path) as file:
-        np.savez_compressed(file, labels=scene.labels, **numbers, **words)
+        np.savez_compressed(file, labels=scene.labels, **numbers, **words)  # type: ignore[arg-type]
 
 
 def write_native(

@@ -49,8 +49,8 @@ def quantise(means: Array32, quaternions: Array32, scales: Array32, opacities: A
     members["opacities"], _ = _steps(opacities, np.float32(0.0), np.float32(1.0), np.uint8)
     dc, rest = sh[:, 0], sh[:, 1:]
     members["dc"], members["dc_range"] = _steps(dc, dc.min(), dc.max(), np.uint16)
-    ends = (rest.min(), rest.max()) if rest.size else (np.float32(0.0), np.float32(0.0))
-    members["rest"], members["rest_range"] = _steps(rest, *ends, np.uint8)
+    low, high = (rest.min(), rest.max()) if rest.size else (np.float32(0.0), np.float32(0.0))
+    members["rest"], members["rest_range"] = _steps(rest, low, high, np.uint8)
     return members
 
 
