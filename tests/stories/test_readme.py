@@ -76,7 +76,7 @@ def test_no_command_escapes():
 
 @pytest.mark.parametrize("line", [line for line in OURS if " demo " not in line])
 def test_command_runs(line, folder, capsys):
-    """Typed as printed, in a folder with a flight and a log; 0 means done, and what --out names is there; no board is a no."""
+    """Typed as printed, in a folder with a flight and a log; 0 means done (no board is a no), and --out is there."""
     words = shlex.split(line)[1:]
     if words[0] == "firmware":
         require_tools()
@@ -164,9 +164,7 @@ def test_links_and_rooms_lead_somewhere():
     """Every file or folder that README names, and no room left out."""
     path = re.compile(r"`((?:falconwing_kit|firmware|hardware|manual|tests)(?:/[\w./]+)?)`")
     targets = [t for t in re.findall(r"\]\(([^)]+)\)", README) if not t.startswith("http")]
-    targets += [
-        path for path in re.findall(r"`((?:falconwing_kit|firmware|hardware|manual|tests)(?:/[\w./]+)?)`", README)
-    ]
+    targets += path.findall(README)
     assert len(targets) > 15
     assert [target for target in targets if not (ROOT / target).exists()] == []
     rooms = {path.parent.name for path in (ROOT / "falconwing_kit").glob("*/__init__.py")}
