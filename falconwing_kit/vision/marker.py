@@ -184,7 +184,9 @@ def _grey(image: Pixels, camera: PinholeCamera | None) -> Pixels:
     if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim not in (2, 3) or not image.size:
         raise InputError(f"image: want (H, W, 3) or (H, W) uint8, got {got}; decode a JPEG first")
     if camera is not None and image.shape[:2] != (camera.height, camera.width):
-        raise InputError(f"image: want the camera's {camera.width} x {camera.height} pixels, got {got}; scale the camera")
+        raise InputError(
+            f"image: want the camera's {camera.width} x {camera.height} pixels, got {got}; scale the camera"
+        )
     return np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
@@ -292,7 +294,9 @@ def _is_good(corners: Array) -> bool:
     return area >= LEAST_SIDE_PX**2 and area >= LEAST_FLATNESS * longest**2
 
 
-def _poses(corners: Array, likeness: float, camera: PinholeCamera, marker: Marker, sigma_px: float) -> MarkerPose | None:
+def _poses(
+    corners: Array, likeness: float, camera: PinholeCamera, marker: Marker, sigma_px: float
+) -> MarkerPose | None:
     """The two poses of four corners, and their covariances sigma^2 (J^T J)^-1 with J = d(corners)/d(pose)."""
     import cv2
 

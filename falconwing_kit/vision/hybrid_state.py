@@ -1,0 +1,435 @@
+"""Hybrid state: a flight's video and commands -> a flight table with sigmas; marker where it is seen, network elsewhere.
+
+    images -> marker (both poses) or network -> implausible ones out -> one choice per frame that fits its neighbours
+           -> smoother over the flight -> marker looked for again where the flight says it must be -> smoother again
+
+The smoother takes the marker's four corners as they are, not a pose made of them: a far marker leaves its own turn
+almost free, which a pose with a covariance says badly. Frames that no sight is near to get no pose.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
+from falconwing_kit.core.flight_table import FlightTable
+from falconwing_kit.core.frames import R_BODY_CAMERA, euler_from_rotation, pose_matrix
+from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.vision.marker import (
+    Marker,
+    MarkerPose,
+    Pixels,
+    corner_noise,
+    find_marker,
+    name_markers,
+    project_corners,
+)
+from falconwing_kit.vision.smoother import Motion, PoseSights, Sights, Smoothed, camera_at, smooth
+
+LEAST_CORNER_SIGMA_PX = 0.1  # however well a few sights agree: the lens is not known better
+MANY = 1e3  # residual in sigmas of a corner that would be behind the camera
+TOP_SPEED, TOP_TURN = 12.0, 5.0  # [m/s], [rad/s]: neighbours that need more are not both right
+STRAY_M, STRAY_RAD = 0.5, 0.3  # beyond that, one sigma
+MOST_DOUBT = 25.0  # chi2 at which one frame's word against another ends
+NEIGHBOUR_S = 1.0  # frames further apart say nothing about each other
+REACH_S = 0.25  # the marker is looked for again so long before and after it was seen
+REJECTED = {4: 23.5, 6: 27.9, 8: 31.8}  # chi2 of k coordinates that noise exceeds once in 10,000 times
+WRONG_SHARE = 0.5  # of marker sights that are nowhere in the room: then the print's size or place is wrong
+
+
+class PoseEstimator(Protocol):
+    """What gives a camera pose for one image: `PoseNet`, or anything alike."""
+
+    def estimate(self, image: Pixels, camera: PinholeCamera) -> Any:
+        """Return something with .T_world_camera (4, 4), .sigma_position [m], .sigma_attitude [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Video:
+    """A recorded flight: frames, and the commands given on them."""
+
+    name: str
+    t: Array  # (N,) [s]
+    commands: Array  # (N, 4) throttle, aileron, elevator, rudder
+    image: Callable[[int], Pixels | None]  # frame 0..N-1 -> (H, W, 3) RGB; None where it was lost
+
+
+@dataclass(frozen=True)
+class HybridSettings:
+    """What is plausible, and what is good enough to be written."""
+
+    room_low: tuple[float, float, float] = (-22.5, -12.0, 0.0)  # the hall [m]
+    room_high: tuple[float, float, float] = (17.5, 8.0, 5.0)
+    longest_gap_s: float = 1.0  # the smoother bridges no longer one: an aircraft turns by half a circle in three
+    most_sigma_position: float = 0.5  # [m]; a frame known worse gets no pose
+    most_sigma_attitude: float = 0.2  # [rad]
+    network_memory_s: float = 0.25  # neighbouring frames look alike and mislead a network alike; so long it errs as one
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not all(low < high for low, high in zip(self.room_low, self.room_high, strict=True)):
+            raise InputError(f"room: want low below high on every axis, got {self.room_low} and {self.room_high}")
+        require_range("longest_gap_s", self.longest_gap_s, low=0.05, high=10.0)
+
+
+@dataclass(frozen=True, eq=False)
+class HybridFlight:
+    """A flight read off its video."""
+
+    table: FlightTable  # smoothed; nan where too little is known; label column `source`
+    measured: FlightTable  # each frame's own pose, marker or network, not smoothed
+    counts: Mapping[str, int]  # frames by what became of them, in words
+    marker: Mapping[int, MarkerPose]  # sights by frame
+    corner_sigma_px: float  # as measured on this flight; nan without sights
+    pieces: tuple[tuple[int, Smoothed], ...] = field(default=())  # first frame and smoothed states of each stretch
+
+
+@dataclass(frozen=True, eq=False)
+class CornerSights:
+    """The marker's corners in images."""
+
+    rows: Any  # (M,) frames
+    corners_px: Array  # (M, 4, 2)
+    sigma_px: float
+    marker: Marker
+    camera: PinholeCamera
+    p_body_camera: Array  # (3,) [m]
+
+    def residuals(self, p_world: Array, attitude: Array) -> Array:
+        """(M, 8) expected minus seen corners, in sigmas."""
+        T_world_camera = pose_matrix(*camera_at(p_world, attitude, self.p_body_camera))
+        expected = project_corners(self.marker, self.camera, T_world_camera)
+        off = (expected - self.corners_px).reshape(len(expected), 8) / self.sigma_px
+        return np.nan_to_num(off, nan=MANY)
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """One pose that a frame allows."""
+
+    T_world_camera: Array  # (4, 4)
+    covariance: Array  # (6, 6) place and turn in world axes
+    doubt: float  # chi2 that speaks against it
+    source: str
+
+
+def estimate_flight(
+    video: Video,
+    camera: PinholeCamera,
+    network: PoseEstimator | None = None,
+    *,
+    marker: Marker | None = None,
+    p_body_camera: Sequence[float] = (0.20, 0.0, 0.0),
+    settings: HybridSettings | None = None,
+    motion: Motion | None = None,
+    progress: Callable[[], None] = lambda: None,
+) -> HybridFlight:
+    """Read the states of a flight off its video.
+
+    Args:
+        video: frames and commands.
+        camera: intrinsics at the size of the frames.
+        network: asked where the marker is not seen; None leaves such frames to the smoother, or without a pose.
+        marker: what was printed and where it stands; None is the hall's.
+        p_body_camera: where the camera sits [m].
+        settings: what is plausible; None takes the hall.
+        motion: how the aircraft moves, loosely.
+        progress: called after each frame.
+
+    Returns:
+        The flight table, and what became of every frame.
+
+    Raises:
+        InputError: no frame gives a pose, or the marker's poses do not fit the room; the text says what was seen.
+    """
+    marker, settings = marker or Marker(), settings or HybridSettings()
+    offset = require_shape("p_body_camera", p_body_camera, (3,))
+    counts: Counter[str] = Counter()
+    sights: dict[int, MarkerPose] = {}
+    asked: dict[int, _Candidate] = {}
+    for frame in range(len(video.t)):
+        image = video.image(frame)
+        progress()
+        if image is None:
+            counts["no image"] += 1
+            continue
+        sight = find_marker(image, camera, marker)
+        if sight is not None and _in_room(sight.T_world_camera, settings).any():
+            sights[frame] = sight
+        elif sight is not None:
+            counts["marker: pose outside the room"] += 1
+        if frame not in sights and network is not None:
+            _ask(network, image, camera, frame, settings, asked, counts)
+    if counts["marker: pose outside the room"] > WRONG_SHARE * max(
+        1, len(sights) + counts["marker: pose outside the room"]
+    ):
+        raise InputError(
+            f"{video.name}: most poses from the marker lie outside the room; want the printed size, now {marker.size:g} m, "
+            "its place and the focal length to be right"
+        )
+    if not sights and not asked:
+        raise InputError(_nothing_seen(video, marker))
+    return _Estimate(video, camera, marker, offset, settings, motion or Motion(), asked).run(sights, counts)
+
+
+def _ask(
+    network: PoseEstimator,
+    image: Pixels,
+    camera: PinholeCamera,
+    frame: int,
+    settings: HybridSettings,
+    asked: dict[int, _Candidate],
+    counts: Counter[str],
+) -> None:
+    """Ask the network about a frame, and keep what it says if it can be true."""
+    said = network.estimate(image, camera)
+    T = np.asarray(said.T_world_camera, np.float64)
+    sizes = np.array([said.sigma_position] * 3 + [said.sigma_attitude] * 3, np.float64)
+    if not (np.isfinite(T).all() and np.isfinite(sizes).all() and (sizes > 0.0).all()):
+        counts["network: no finite pose"] += 1
+    elif not _in_room(T[None], settings).any():
+        counts["network: pose outside the room"] += 1
+    else:
+        covariance = getattr(said, "covariance", None)
+        full = np.diag(sizes**2) if covariance is None else np.asarray(covariance, np.float64)
+        asked[frame] = _Candidate(T, full, 0.0, "network")
+
+
+def _in_room(T_world_camera: Array, settings: HybridSettings) -> Array:
+    """(M,) whether cameras are inside the room and not upside down."""
+    p, down = T_world_camera[:, :3, 3], T_world_camera[:, 2, 1]  # the world's up along the camera's y axis
+    inside = (p > np.array(settings.room_low)) & (p < np.array(settings.room_high))
+    return np.asarray(inside.all(axis=1) & (down < 0.2))
+
+
+def _nothing_seen(video: Video, marker: Marker) -> str:
+    """A sentence that says what the frames show instead of the marker."""
+    others: Counter[tuple[str, int]] = Counter()
+    for frame in np.unique(np.linspace(0, len(video.t) - 1, 20).astype(int)):
+        image = video.image(int(frame))
+        others.update(name_markers(image) if image is not None else [])
+    want = f"{video.name}: want frames that show the marker {marker.dictionary} {marker.id} or a pose network, got none"
+    if not others:
+        return f"{want}; check that it is in view and larger than 8 pixels"
+    (dictionary, number), count = others.most_common(1)[0]
+    return f"{want}; {count} frames show {dictionary} {number}: name it, or print the right one"
+
+
+@dataclass(frozen=True, eq=False)
+class _Estimate:
+    """What one flight's estimate needs throughout."""
+
+    video: Video
+    camera: PinholeCamera
+    marker: Marker
+    p_body_camera: Array
+    settings: HybridSettings
+    motion: Motion
+    asked: Mapping[int, _Candidate]
+
+    def run(self, sights: dict[int, MarkerPose], counts: Counter[str]) -> HybridFlight:
+        """Choose, smooth, look again, smooth again."""
+        chosen, pieces = self._flight(sights)
+        tried: set[int] = set()
+        for _ in range(10):  # each look reaches REACH_S further
+            new = self._look_again(sights, pieces, tried)
+            if not new:
+                break
+            counts["marker found where the flight said it must be"] += len(new)
+            sights = dict(sorted({**sights, **new}.items()))
+            chosen, pieces = self._flight(sights)
+        noise = self._corner_sigma(sights)
+        return HybridFlight(
+            self._table(chosen, pieces, counts), self._measured(chosen), dict(counts), sights, noise, tuple(pieces)
+        )
+
+    def _corner_sigma(self, sights: Mapping[int, MarkerPose]) -> float:
+        return max(corner_noise(sights.values()), LEAST_CORNER_SIGMA_PX) if sights else float("nan")
+
+    def _flight(self, sights: Mapping[int, MarkerPose]) -> tuple[dict[int, _Candidate], list[tuple[int, Smoothed]]]:
+        """One pose per frame, and the smoothed stretches between gaps that are too long."""
+        sigma_px = self._corner_sigma(sights)
+        options = {k: self._options(sight, sigma_px) for k, sight in sights.items()}
+        options.update({k: [one] for k, one in self.asked.items() if k not in options})
+        chosen = _chosen({k: options[k] for k in sorted(options)}, self.video.t)
+        frames = np.array(list(chosen))
+        cuts = np.flatnonzero(np.diff(self.video.t[frames]) > self.settings.longest_gap_s) + 1
+        stretches = [part for part in np.split(frames, cuts) if part[-1] > part[0]]
+        return chosen, [(int(part[0]), self._smooth(part, chosen, sights, sigma_px)) for part in stretches]
+
+    def _options(self, sight: MarkerPose, sigma_px: float) -> list[_Candidate]:
+        """Both poses of a marker, as far as they are in the room."""
+        misfit = 8.0 * (sight.reprojection_px / sigma_px) ** 2
+        ok = _in_room(sight.T_world_camera, self.settings)
+        spread = [_turned_to_world(C, T) for C, T in zip(sight.covariance, sight.T_world_camera, strict=True)]
+        both = [
+            _Candidate(T, C, min(float(chi2), MOST_DOUBT), "marker")
+            for T, C, chi2 in zip(sight.T_world_camera, spread, misfit - misfit[0], strict=True)
+        ]
+        return [one for one, good in zip(both, ok, strict=True) if good]
+
+    def _smooth(
+        self, frames: Array, chosen: Mapping[int, _Candidate], sights: Mapping[int, MarkerPose], sigma_px: float
+    ) -> Smoothed:
+        """The likeliest flight through the sights of one stretch."""
+        first, last = int(frames[0]), int(frames[-1])
+        t = self.video.t[first : last + 1]
+        poses = _body_poses(np.array([chosen[k].T_world_camera for k in frames]), self.p_body_camera)
+        start = np.stack([np.interp(t, self.video.t[frames], column) for column in poses.T], axis=1)
+        return smooth(t, start, self._kinds(frames, first, chosen, sights, sigma_px), self.motion)
+
+    def _kinds(
+        self,
+        frames: Array,
+        first: int,
+        chosen: Mapping[int, _Candidate],
+        sights: Mapping[int, MarkerPose],
+        sigma_px: float,
+    ) -> list[Sights]:
+        seen = [k for k in frames if chosen[k].source == "marker"]
+        said = [k for k in frames if chosen[k].source != "marker"]
+        kinds: list[Sights] = []
+        if seen:
+            corners = np.array([sights[k].corners_px for k in seen])
+            rows = np.array(seen) - first
+            kinds.append(CornerSights(rows, corners, sigma_px, self.marker, self.camera, self.p_body_camera))
+        if said:
+            alike = max(1.0, self.settings.network_memory_s / float(np.median(np.diff(self.video.t))))
+            T, C = (np.array([getattr(chosen[k], name) for k in said]) for name in ("T_world_camera", "covariance"))
+            kinds.append(PoseSights(np.array(said) - first, T, alike * C, self.p_body_camera))
+        return kinds
+
+    def _look_again(
+        self, sights: Mapping[int, MarkerPose], pieces: Sequence[tuple[int, Smoothed]], tried: set[int]
+    ) -> dict[int, MarkerPose]:
+        """Look for the marker in frames where the flight says it must be and the detector saw nothing."""
+        found = {}
+        for first, piece in pieces:
+            for frame, p_world, attitude in self._reached(first, piece):
+                if frame in sights or frame in tried:
+                    continue
+                T_world_camera = pose_matrix(*camera_at(p_world[None], attitude[None], self.p_body_camera))
+                near = project_corners(self.marker, self.camera, T_world_camera)[0]
+                image = self.video.image(frame) if np.isfinite(near).all() else None
+                sight = None if image is None else find_marker(image, self.camera, self.marker, near)
+                if sight is not None and _in_room(sight.T_world_camera, self.settings).any():
+                    found[frame] = sight
+                elif first <= frame < first + len(piece.p_world):
+                    tried.add(frame)
+        return found
+
+    def _reached(self, first: int, piece: Smoothed) -> list[tuple[int, Array, Array]]:
+        """Frames of a stretch and shortly before and after it: number, position, attitude."""
+        t, last = self.video.t, first + len(piece.p_world) - 1
+        reached = [(first + k, piece.p_world[k], piece.attitude[k]) for k in range(len(piece.p_world))]
+        for end, row in ((first, 0), (last, -1)):
+            rate = np.diff(piece.attitude, axis=0)[row] / (t[first + 1] - t[first])
+            for frame in np.flatnonzero(np.abs(t - t[end]) < REACH_S):
+                if not first <= frame <= last:
+                    ahead = t[frame] - t[end]
+                    reached.append(
+                        (
+                            int(frame),
+                            piece.p_world[row] + ahead * piece.v_world[row],
+                            piece.attitude[row] + ahead * rate,
+                        )
+                    )
+        return reached
+
+    def _table(
+        self, chosen: Mapping[int, _Candidate], pieces: Sequence[tuple[int, Smoothed]], counts: Counter[str]
+    ) -> FlightTable:
+        """The smoothed flight as a table, with what became of every frame."""
+        rows = len(self.video.t)
+        state, sigma, source = np.full((rows, 12), np.nan), np.full((rows, 2), np.nan), ["none"] * rows
+        for first, piece in pieces:
+            part = slice(first, first + len(piece.p_world))
+            state[part] = np.concatenate([piece.p_world, piece.attitude, piece.v_world, piece.rates], axis=1)
+            sigma[part] = np.stack([piece.sigma_position, piece.sigma_attitude], axis=1)
+            source[part] = ["bridged"] * len(piece.p_world)
+            kept, rejected = self._judged(chosen, first, piece)
+            for frame in kept:
+                source[frame] = chosen[frame].source
+            for frame in rejected:
+                counts[f"{chosen[frame].source}: does not fit the flight"] += 1
+        poor = ~((sigma[:, 0] < self.settings.most_sigma_position) & (sigma[:, 1] < self.settings.most_sigma_attitude))
+        state[poor] = np.nan
+        counts.update("no pose" if bad else f"pose: {word}" for bad, word in zip(poor, source, strict=True))
+        source = ["none" if bad else word for bad, word in zip(poor, source, strict=True)]
+        extra = {name: state[:, 6 + j] for j, name in enumerate(("vx", "vy", "vz", "p", "q", "r"))}
+        extra |= {
+            "sigma_position": np.where(poor, np.nan, sigma[:, 0]),
+            "sigma_attitude": np.where(poor, np.nan, sigma[:, 1]),
+        }
+        table = FlightTable(self.video.name, self.video.t, state[:, :3], state[:, 3:6], self.video.commands, extra)
+        return replace(table, labels={"source": tuple(source)})
+
+    def _judged(self, chosen: Mapping[int, _Candidate], first: int, piece: Smoothed) -> tuple[list[int], list[int]]:
+        """Frames of a stretch whose sight fits the flight, and those whose sight does not."""
+        inside = [k for k in chosen if first <= k < first + len(piece.p_world)]
+        by_kind = [
+            [k for k in inside if chosen[k].source == "marker"],
+            [k for k in inside if chosen[k].source != "marker"],
+        ]
+        kept, rejected = [], []
+        for frames, chi2 in zip([frames for frames in by_kind if frames], piece.chi2, strict=True):
+            limit = REJECTED[8 if chosen[frames[0]].source == "marker" else 6]
+            for frame, value in zip(frames, chi2, strict=True):
+                (rejected if value > limit else kept).append(frame)
+        return kept, rejected
+
+    def _measured(self, chosen: Mapping[int, _Candidate]) -> FlightTable:
+        """Each frame's own pose."""
+        rows, frames = len(self.video.t), list(chosen)
+        pose, sigma, source = np.full((rows, 6), np.nan), np.full((rows, 2), np.nan), ["none"] * rows
+        pose[frames] = _body_poses(np.array([chosen[k].T_world_camera for k in frames]), self.p_body_camera)
+        for k in frames:
+            variance = np.diag(chosen[k].covariance)
+            sigma[k] = np.sqrt(variance[:3].mean()), np.sqrt(variance[3:].mean())
+            source[k] = chosen[k].source
+        extra = {"sigma_position": sigma[:, 0], "sigma_attitude": sigma[:, 1]}
+        table = FlightTable(self.video.name, self.video.t, pose[:, :3], pose[:, 3:], self.video.commands, extra)
+        return replace(table, labels={"source": tuple(source)})
+
+
+def _turned_to_world(covariance: Array, T_world_camera: Array) -> Array:
+    """A covariance (6, 6) whose turn is about the camera's axes, with the turn about the world's."""
+    turn = np.eye(6)
+    turn[3:, 3:] = T_world_camera[:3, :3]
+    return np.asarray(turn @ covariance @ turn.T)
+
+
+def _body_poses(T_world_camera: Array, p_body_camera: Array) -> Array:
+    """(M, 6) position and unwrapped roll, pitch, yaw of the body from camera poses (M, 4, 4)."""
+    T_world_body = T_world_camera @ np.linalg.inv(pose_matrix(R_BODY_CAMERA, p_body_camera))
+    angles = np.stack(euler_from_rotation(T_world_body[:, :3, :3]), axis=1)
+    return np.concatenate([T_world_body[:, :3, 3], np.unwrap(angles, axis=0)], axis=1)
+
+
+def _chosen(options: Mapping[int, list[_Candidate]], t: Array) -> dict[int, _Candidate]:
+    """One pose per frame: the path with the least doubt in itself and between neighbours (Viterbi 1967)."""
+    frames = list(options)
+    total = [np.array([one.doubt for one in options[frames[0]]])] if frames else []
+    back: list[Any] = []
+    for before, frame in zip(frames, frames[1:], strict=False):
+        step = np.array([[_strain(a, b, t[frame] - t[before]) for a in options[before]] for b in options[frame]])
+        paths = step + total[-1]
+        back.append(np.argmin(paths, axis=1))
+        total.append(paths.min(axis=1) + [one.doubt for one in options[frame]])
+    choice = [int(np.argmin(total[-1]))] if frames else []
+    for pointers in reversed(back):
+        choice.append(int(pointers[choice[-1]]))
+    return {frame: options[frame][j] for frame, j in zip(frames, reversed(choice), strict=True)}
+
+
+def _strain(a: _Candidate, b: _Candidate, dt: float) -> float:
+    """chi2 of a step that no aircraft can make; 0 for one it can."""
+    if dt > NEIGHBOUR_S:
+        return 0.0
+    A, B = a.T_world_camera, b.T_world_camera
+    moved = np.linalg.norm(B[:3, 3] - A[:3, 3]) - TOP_SPEED * dt
+    turned = np.arccos(np.clip(0.5 * (np.trace(A[:3, :3].T @ B[:3, :3]) - 1.0), -1.0, 1.0)) - TOP_TURN * dt
+    return float(min((max(moved, 0.0) / STRAY_M) ** 2 + (max(turned, 0.0) / STRAY_RAD) ** 2, MOST_DOUBT))
