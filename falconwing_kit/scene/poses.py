@@ -4,26 +4,26 @@ pycolmap is the optional extra `capture`. Its database stays in the output folde
 where it was: features and matches are not computed twice.
 """
 
-import sqlite3
-import threading
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from falconwing_kit.core.checks import InputError, require_range
-from falconwing_kit.core.files import short_name
+from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.scene.photo_files import Reconstruction, read_photo, read_reconstruction
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 LEAST_PHOTOS, LEAST_SIDE_PX = 3, 160
 ENOUGH_FEATURES, MAX_FEATURES = 300, 4096  # a photo with fewer finds few partners; more only cost time
 GOOD_SHARE, GOOD_REPROJECTION_PX = 0.95, 0.8  # what a good set of photos reaches
-NOISY = 5.0  # standard deviation of the grain [of 255] above which features are grain
+NOISY = 3.0  # [of 255] grain from row to row; digital photos have less, analog video more
+WALK_OVERLAP = 20  # photos before each that it is compared with, where they follow each other
 DATABASE, MODEL = "colmap.db", "sparse"
 
 Progress = Callable[[str, int, int], None]
@@ -76,21 +76,18 @@ def photos_to_poses(
         raise InputError(f"{out}: want a folder, got a file; choose another name")
     (out / MODEL).mkdir(parents=True, exist_ok=True)
     database = out / DATABASE
-    _require_same_photos(database, names)
     colmap.logging.minloglevel = int(colmap.logging.Level.FATAL)
     colmap.set_random_seed(int(require_range("seed", seed, low=0, high=2**31 - 1)))
-    _extract(
-        colmap,
-        database,
-        photos,
-        names,
-        f"{focal_share * max(width, height)},{width / 2},{height / 2},0",
-        threads,
-        progress,
-    )
-    _match(colmap, database, len(names), walk, threads, progress)
-    models = _map(colmap, database, photos, out / MODEL, len(names), threads, progress)
-    facts = {**photo_facts(database, photos, names), "total": len(names), "models": len(models)}
+    _require_same_photos(colmap, database, names)
+    guess = f"{focal_share * max(width, height)},{width / 2},{height / 2},0"
+    try:
+        _extract(colmap, database, photos, names, guess, threads, progress)
+        _match(colmap, database, names, walk, threads, progress)
+        models = _map(colmap, database, photos, out / MODEL, len(names), threads, progress)
+        features = _features(colmap, database)
+    except RuntimeError as error:  # of the native library: a full disk, or a database that another run is using
+        raise InputError(f"{out}: COLMAP stopped: {str(error).strip().splitlines()[-1][-200:]}") from error
+    facts = {**photo_facts(features, photos, names), "total": len(names), "models": len(models)}
     number, best = max(models.items(), key=lambda item: item[1].num_reg_images(), default=(0, None))
     if best is None or best.num_reg_images() < LEAST_PHOTOS:
         raise InputError(f"{photos}: no reconstruction came out of {len(names)} photos. {' '.join(advice(facts))}")
@@ -127,6 +124,8 @@ def check_photos(folder: str | Path) -> tuple[tuple[str, ...], int, int]:
         raise InputError(f"{folder}: want {LEAST_PHOTOS} or more photos ({', '.join(ENDINGS)}), got {len(paths)}")
     sizes = {}
     for path in paths:
+        if any(letter.isspace() for letter in path.relative_to(folder).as_posix()):
+            raise InputError(f"{short_name(path)}: want names without blanks, for COLMAP's lists; rename the photos")
         try:
             with Image.open(path) as image:
                 sizes[path], turned = image.size, image.getexif().get(0x0112, 1)
@@ -153,29 +152,28 @@ def check_photos(folder: str | Path) -> tuple[tuple[str, ...], int, int]:
     return tuple(path.relative_to(folder).as_posix() for path in paths), *size
 
 
-def photo_facts(database: Path, photos: Path, names: Sequence[str], sample: int = 20) -> dict[str, Any]:
+def photo_facts(features: Sequence[int], photos: Path, names: Sequence[str], sample: int = 20) -> dict[str, Any]:
     """What the photos are like: features in a middling photo, the share of photos with enough, and the grain.
 
     Args:
-        database: COLMAP's, after extraction.
+        features: number of them in each photo.
         photos: their folder.
         names: relative to it.
         sample: how many photos the grain is measured on.
     """
-    counts = np.array([row[0] for row in _query(database, "SELECT rows FROM keypoints")] or [0])
     chosen = [names[k] for k in np.unique(np.linspace(0, len(names) - 1, sample).astype(int))]
     grains = [grain(read_photo(photos / name)) for name in chosen]
     return {
-        "features_median": float(np.median(counts)),
-        "features_enough": float((counts >= ENOUGH_FEATURES).mean()),
+        "features_median": float(np.median(features)),
+        "features_enough": float((np.array(features) >= ENOUGH_FEATURES).mean()),
         "grain": float(np.median(grains)),
     }
 
 
 def grain(image: np.ndarray[Any, Any]) -> float:
-    """Standard deviation of a photo's noise, from its finest differences, which edges hardly reach.
+    """Standard deviation of the noise from row to row: analog video sends each row by itself, so its rows disagree.
 
-    sigma = 1.4826 median |I * N| / 6,  N = [[1, -2, 1], [-2, 4, -2], [1, -2, 1]]      [Immerkaer 1996, with a median]
+    sigma = 1.4826 median |row above - 2 row + row below| / sqrt(6); straight edges and shades hardly reach the median
 
     Args:
         image: (H, W, 3) 0..255.
@@ -184,8 +182,7 @@ def grain(image: np.ndarray[Any, Any]) -> float:
         [of 255].
     """
     grey = image.astype(np.float64).mean(axis=2)
-    rows = grey[:-2] - 2.0 * grey[1:-1] + grey[2:]
-    return float(1.4826 * np.median(np.abs(rows[:, :-2] - 2.0 * rows[:, 1:-1] + rows[:, 2:])) / 6.0)
+    return float(1.4826 * np.median(np.abs(grey[:-2] - 2.0 * grey[1:-1] + grey[2:])) / np.sqrt(6.0))
 
 
 def advice(facts: Mapping[str, Any]) -> list[str]:
@@ -205,7 +202,7 @@ def advice(facts: Mapping[str, Any]) -> list[str]:
         if facts["features_median"] < ENOUGH_FEATURES:
             said.append(
                 f"A middling photo has {facts['features_median']:.0f} features where {ENOUGH_FEATURES} are wanted: "
-                "plain walls, darkness or blur. Show more things in each photo, hold still, and hang posters if need be."
+                "plain walls, darkness or blur. Show more things in each photo, hold still, hang posters if need be."
             )
         if not said:
             said.append(
@@ -245,43 +242,65 @@ def focal_sigma(colmap: Any, model: Any) -> float:
 def _extract(
     colmap: Any, database: Path, photos: Path, names: Sequence[str], camera: str, threads: int, progress: Progress
 ) -> None:
-    """Features of every photo, into the database."""
+    """Features of every photo, into the database; a few photos a call, so that the bar moves and Ctrl-C works."""
     reader = colmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL", camera_params=camera)
     options = colmap.FeatureExtractionOptions(num_threads=threads, use_gpu=False)
     options.sift.max_num_features = MAX_FEATURES
-    ids = [row[0] for row in _query(database, "SELECT camera_id FROM cameras")]
-    if ids:
-        reader.existing_camera_id = ids[0]
-
-    def work(token: Any) -> None:
+    chunk = 4 * threads
+    for start in range(0, len(names), chunk):
+        progress("features", start, len(names))
+        with closing(colmap.Database.open(database)) as opened:
+            cameras = opened.read_all_cameras()
+        if cameras:
+            reader.existing_camera_id = cameras[0].camera_id
         colmap.extract_features(
             database,
             photos,
-            image_names=list(names),
+            image_names=list(names[start : start + chunk]),
             camera_mode=colmap.CameraMode.SINGLE,
             reader_options=reader,
             extraction_options=options,
             device=colmap.Device.cpu,
-            cancellation_token=token,
         )
 
-    _watched(colmap, work, lambda: progress("features", _count(database, "descriptors"), len(names)))
 
-
-def _match(colmap: Any, database: Path, photos: int, walk: bool, threads: int, progress: Progress) -> None:
-    """Matches between photos that pass the epipolar check, into the database."""
+def _match(colmap: Any, database: Path, names: Sequence[str], walk: bool, threads: int, progress: Progress) -> None:
+    """Matches between photos that pass the epipolar check, into the database; one photo with its partners a call."""
     options = colmap.FeatureMatchingOptions(num_threads=threads, use_gpu=False)
-    near = colmap.SequentialPairingOptions(overlap=20, quadratic_overlap=True)
+    listed = database.with_name("pairs.txt")
+    partners = [earlier(number, walk) for number in range(len(names))]
+    done, total = 0, sum(map(len, partners))
+    try:
+        for number, others in enumerate(partners[1:], start=1):
+            with atomic_write(listed, text=True) as file:
+                file.writelines(f"{names[other]} {names[number]}\n" for other in others)
+            colmap.match_image_pairs(
+                database,
+                matching_options=options,
+                pairing_options=colmap.ImportedPairingOptions(match_list_path=listed),
+                device=colmap.Device.cpu,
+            )
+            done += len(others)
+            progress("matches", done, total)
+    finally:
+        listed.unlink(missing_ok=True)
 
-    def work(token: Any) -> None:
-        given = {"matching_options": options, "device": colmap.Device.cpu, "cancellation_token": token}
-        if walk:
-            colmap.match_sequential(database, pairing_options=near, **given)
-        else:
-            colmap.match_exhaustive(database, **given)
 
-    total = photos * (photos - 1) // 2
-    _watched(colmap, work, lambda: progress("matches", _count(database, "two_view_geometries"), 0 if walk else total))
+def earlier(number: int, walk: bool) -> list[int]:
+    """Which earlier photos one is compared with.
+
+    Args:
+        number: of the photo, in the order of names.
+        walk: False: all of them. True: the WALK_OVERLAP before it, and those 32, 64, 128 ... before it, since a walk
+            may come back.
+
+    Returns:
+        Their numbers, rising.
+    """
+    if not walk:
+        return list(range(number))
+    steps = {*range(1, WALK_OVERLAP + 1), *(2**power for power in range(5, 20))}
+    return sorted(number - step for step in steps if step <= number)
 
 
 def _map(
@@ -289,49 +308,27 @@ def _map(
 ) -> Mapping[int, Any]:
     """Every group of photos that could be put together."""
     options = colmap.IncrementalPipelineOptions(num_threads=threads)
-    done, models = [0], {}
-
-    def one_more() -> None:
-        done[0] += 1
-
-    def work(token: Any) -> None:
-        models.update(
-            colmap.incremental_mapping(
-                database, photos, out, options=options, next_image_callback=one_more, cancellation_token=token
-            )
+    done = count(3)  # the first two come together
+    return dict(
+        colmap.incremental_mapping(
+            database,
+            photos,
+            out,
+            options=options,
+            next_image_callback=lambda: progress("poses", min(next(done), total), total),
         )
-
-    _watched(colmap, work, lambda: progress("poses", min(done[0] + 2, total), total))
-    return models
+    )
 
 
-def _watched(colmap: Any, work: Callable[[Any], None], tell: Callable[[], None]) -> None:
-    """Run a long native step in a thread, tell how far it is twice a second, and stop it on Ctrl-C."""
-    token, failures = colmap.CancellationToken(), []
-
-    def run() -> None:
-        try:
-            work(token)
-        except Exception as error:
-            failures.append(error)
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
+def _require_same_photos(colmap: Any, database: Path, names: Sequence[str]) -> None:
+    """Refuse to go on with the database of other photos, or with a file that is none."""
+    if not database.exists():
+        return
     try:
-        while thread.is_alive():
-            thread.join(0.5)
-            tell()
-    except BaseException:
-        token.cancel()
-        thread.join()
-        raise
-    if failures:
-        raise InputError(f"pycolmap stopped: {str(failures[0]).strip().splitlines()[-1][:200]}") from failures[0]
-
-
-def _require_same_photos(database: Path, names: Sequence[str]) -> None:
-    """Refuse to go on with the database of other photos."""
-    known = {row[0] for row in _query(database, "SELECT name FROM images")}
+        with closing(colmap.Database.open(database)) as opened:
+            known = {image.name for image in opened.read_all_images()}
+    except RuntimeError:
+        raise InputError(f"{short_name(database)}: want COLMAP's database, got a damaged file; remove it") from None
     gone = sorted(known - set(names))
     if gone:
         raise InputError(
@@ -340,23 +337,13 @@ def _require_same_photos(database: Path, names: Sequence[str]) -> None:
         )
 
 
-def _count(database: Path, table: str) -> int:
-    return int((_query(database, f"SELECT count(*) FROM {table}") or [(0,)])[0][0])
+def _features(colmap: Any, database: Path) -> list[int]:
+    """How many features each photo has.
 
-
-def _query(database: Path, question: str) -> list[tuple[Any, ...]]:
-    """Rows of a read-only query; none where the database does not exist yet or is being made."""
-    if not database.is_file():
-        return []
-    try:
-        with closing(
-            sqlite3.connect(f"file:{database.resolve().as_posix()}?mode=ro", uri=True, timeout=2.0)
-        ) as connection:
-            return connection.execute(question).fetchall()
-    except sqlite3.OperationalError:
-        return []
-    except sqlite3.DatabaseError:
-        raise InputError(f"{short_name(database)}: want COLMAP's database, got a damaged file; remove it") from None
+    Only COLMAP's own SQLite may open its database in this process: a second library's closing would drop the locks.
+    """
+    with closing(colmap.Database.open(database)) as opened:
+        return [opened.num_keypoints_for_image(image.image_id) for image in opened.read_all_images()]
 
 
 def _pycolmap() -> Any:

@@ -239,12 +239,15 @@ def _bar(is_quiet: bool) -> Iterator[Progress]:
     """A progress bar that begins again with each step."""
     from tqdm import tqdm
 
+    now: dict[str, Any] = {"step": "", "done": 0}
     with tqdm(leave=False, disable=True if is_quiet else None) as bar:
 
         def progress(step: str, done: int, total: int) -> None:
-            if bar.desc != f"{step}: ":
+            if step != now["step"]:
                 bar.reset(total or None)
                 bar.set_description(step, refresh=False)
-            bar.update(max(0, done - bar.n))
+                now.update(step=step, done=0)
+            bar.update(done - now["done"])
+            now["done"] = done
 
         yield progress
