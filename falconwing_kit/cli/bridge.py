@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from falconwing_kit.flight.recording import Recording
 
 LOOK_S = 0.005  # between two looks at the port
+PERIOD_S = 0.05  # between two commands of --move-sticks
 SHOW_S = 0.25  # between two live lines
 LONGEST_S = 1e5  # a day and more; 0 is for ever
 
 
 @dataclass(frozen=True)
 class Bridge:
-    """Show what the board says: state, counters, delay, the pilot's sticks. Commands are sent with --ros alone.
+    """Show what the board says: state, counters, delay, the pilot's sticks. Sends commands only where asked.
 
     Ctrl-C ends it, and hands the sticks back. Exit code 0 where the board answered to the end, else 1.
     """
@@ -42,6 +43,8 @@ class Bridge:
     """refuse a calibration of another radio"""
     ros: bool = False
     """carry commands from ROS to the board, and its status and pilot to ROS"""
+    move_sticks: bool = False
+    """engage, and move aileron, elevator and rudder slowly with the throttle idle: for the bench, propeller off"""
     json: bool = False
     """print JSON instead of a table"""
 
@@ -55,15 +58,15 @@ class Bridge:
             InputError: the port cannot be opened, no board answers, or the calibration does not fit.
         """
         require_range("--seconds", self.seconds, low=0.0, high=LONGEST_S)
+        if self.ros and self.move_sticks:
+            raise InputError("--move-sticks: want it or --ros, for one of them gives the commands; leave one out")
         with ready_port(self.port, self.calibration, self.radio) as port:
             live = LiveLine(port, self.seconds)
             with suppress(KeyboardInterrupt):
                 if self.ros:
                     self._relay(port, live)
                 else:
-                    while not live.over():
-                        port.poll()
-                        time.sleep(LOOK_S)
+                    self._watch(port, live)
             live.end()
             answered, record = port.state == "open", port_record(port)
         if self.json:
@@ -73,6 +76,18 @@ class Bridge:
             print_table(("what", "value"), [(name.replace("_", " "), value) for name, value in flat])
             next_line(f"falconwing record --port {self.port} --out recordings")
         return 0 if answered else 1
+
+    def _watch(self, port: TrainerPort, live: "LiveLine") -> None:
+        """Look, and at 20 Hz send what moves the sticks where that is wanted."""
+        began, sent = time.perf_counter(), 0
+        while not live.over():
+            t = time.perf_counter() - began
+            if self.move_sticks and t >= PERIOD_S * sent:
+                aileron, elevator, rudder = (0.3 * math.sin(2.0 * math.pi * f * t) for f in (0.2, 0.3, 0.5))
+                port.send(Command(0.0, aileron, elevator, rudder), engage=True)
+                sent = int(t / PERIOD_S) + 1
+            port.poll()
+            time.sleep(LOOK_S)
 
     def _relay(self, port: TrainerPort, live: "LiveLine") -> None:
         from falconwing_kit.trainer_port.bus import relay

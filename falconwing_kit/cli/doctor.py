@@ -21,7 +21,6 @@ Need = Literal["demo", "now", "later"]
 _PYTHON = Path(sys.executable)  # as short as it can be typed here
 _PYTHON = _PYTHON.relative_to(Path.cwd()) if _PYTHON.is_relative_to(Path.cwd()) else _PYTHON
 PIP = f"{_PYTHON} -m pip install -c constraints.txt"
-HARDWARE = f'{PIP} -e ".[hardware]"'
 AVR = "make gcc gcc-avr avr-libc arduino-core-avr libsimavr-dev"
 REINSTALL = "delete .venv and type python3 start.py doctor, which installs it again"
 
@@ -304,8 +303,8 @@ CHECKS: tuple[Check, ...] = (
     Check("flight logs", "demo", _log, REINSTALL),
     Check("control design", "demo", _control, REINSTALL),
     Check("labs", "later", _labs, f'{PIP} -e ".[labs]"'),
-    Check("finding the board", "now", _serial, f"{HARDWARE}; plug it in; falconwing find-port says more"),
-    Check("camera", "later", _camera, f"{HARDWARE}; plug in the camera"),
+    Check("finding the board", "now", _serial, "plug it in; falconwing find-port says more"),
+    Check("camera", "later", _camera, "plug in the camera"),
     Check("reference renderer", "later", _torch, f'{PIP} -e ".[torch]"'),
     Check("rendering on a GPU", "later", _gpu, "needs an NVIDIA GPU, a CUDA build of torch, and gsplat"),
     Check("grading sandbox", "later", _sandbox, "Linux only; Debian or Ubuntu: apt install bubblewrap"),

@@ -43,6 +43,22 @@ def test_the_bridge_says_what_the_board_is_and_does(capsys):
     assert record["channels_us"] == [1000, 1500, 1500, 1500] and record["resets"] == 0
 
 
+def test_the_bench_moves_the_sticks_and_never_the_throttle(capsys):
+    """Sines of 0.3 of full stick around 1500 us, 500 us to the end: within 150 us of it; idle is 1000 us."""
+    assert run("bridge", "--port", "sim-python", "--seconds", "1.5", "--move-sticks", "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    throttle, *others = record["channels_us"]
+    assert record["state"] == "ACTIVE" and throttle == 1000
+    assert max(abs(us - 1500) for us in others) > 10
+    assert all(abs(us - 1500) <= 150 for us in others)
+
+
+def test_two_givers_of_commands_are_refused(capsys):
+    """ROS and the bench: one of them."""
+    assert run("bridge", "--port", "sim-python", "--ros", "--move-sticks") == 2
+    assert "leave one out" in capsys.readouterr().err
+
+
 def test_the_bridge_s_table_ends_with_what_to_do_next(capsys):
     """As every verb."""
     assert run("bridge", "--port", "sim-python", "--seconds", "0.2") == 0
