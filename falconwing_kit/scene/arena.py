@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import cache_folder
+from falconwing_kit.scene.edit import move
 from falconwing_kit.scene.formats.ply import SH_C0
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import require_pose
@@ -152,40 +153,10 @@ def leader_at(scene: GaussianScene, T_world_body: ArrayLike | None) -> GaussianS
     Raises:
         InputError: the scene has no leader or nothing else, or the pose is not a rotation with a finite place.
     """
-    from scipy.spatial.transform import Rotation
-
     mask = scene.labelled("leader")
-    if T_world_body is None:
-        return scene.selected(~mask)
-    T_world_body = require_pose("T_world_body", T_world_body)
-    R_world_body, p_world = T_world_body[:3, :3], T_world_body[:3, 3]
-    means, quaternions, sh = scene.means.copy(), scene.quaternions.copy(), scene.sh.copy()
-    means[mask] = scene.means[mask] @ R_world_body.T + p_world
-    turned = Rotation.from_matrix(R_world_body) * Rotation.from_quat(np.roll(scene.quaternions[mask], -1, axis=1))
-    quaternions[mask] = np.roll(turned.as_quat(), 1, axis=1)
-    sh[mask] = _turned_colours(scene.sh[mask], R_world_body)
-    return replace(scene, means=means, quaternions=quaternions, sh=sh)
-
-
-def _turned_colours(sh: NDArray[np.float32], R_world_body: Array) -> NDArray[np.float32]:
-    """Colours (N, K, 3) of what has turned: along d one sees now what was to be seen along R^T d.
-
-    Each degree turns in itself, Y(R^T d) = Y(d) D; D follows from more directions than the degree has harmonics.
-    """
-    if sh.shape[1] == 1:
-        return sh
-    import torch
-
-    from falconwing_kit.scene.renderers.reference import harmonics
-
-    directions = np.random.default_rng(0).normal(size=(64, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    before, after = (harmonics(torch.tensor(d), 16).numpy() for d in (directions @ R_world_body, directions))
-    turned = sh.copy()
-    for degree in range(1, int(np.sqrt(sh.shape[1]))):
-        own = slice(degree**2, (degree + 1) ** 2)
-        turned[:, own] = np.einsum("kj,njc->nkc", np.linalg.lstsq(after[:, own], before[:, own])[0], sh[:, own])
-    return turned
+    return (
+        scene.selected(~mask) if T_world_body is None else move(scene, mask, require_pose("T_world_body", T_world_body))
+    )
 
 
 def _palette(tables: Mapping[str, Any], rng: Random, vary: bool) -> Palette:
