@@ -51,7 +51,7 @@ class PoseNetRecord:
     focal: float  # in image widths
     low: tuple[float, float, float]  # the hall's box [m]
     high: tuple[float, float, float]
-    sigma_scales: tuple[float, float] = (1.0, 1.0)  # of place and turn: what calibration found the network to understate
+    sigma_scales: tuple[float, float] = (1.0, 1.0)  # of place and turn, from calibration
     source: str = ""  # scene and photos it was trained on
     version: int = VERSION
 
@@ -142,12 +142,15 @@ class PoseNet:
         Raises:
             InputError: the image is none or not the camera's, or the camera sees too little of what the network knows.
         """
+        return self.concluded(self.answer(image, camera))[0]
+
+    def answer(self, image: NDArray[np.uint8], camera: PinholeCamera) -> "Answer":
+        """What the network itself says about an image, before cells and token are fused; arguments as `estimate`'s."""
         import torch
 
         image = _require_image(image, camera)
         with torch.no_grad():
-            answer = self.network(self.prepared(torch.from_numpy(image)[None], camera))
-            return self.concluded(answer)[0]
+            return self.network(self.prepared(torch.from_numpy(image)[None], camera))
 
     def prepared(self, images: "Tensor", camera: PinholeCamera) -> "Tensor":
         """Images (B, H, W, 3) of bytes as the network's own camera had taken them: (B, 3, h, w) in 0..1.
@@ -155,14 +158,19 @@ class PoseNet:
         Raises:
             InputError: the camera lacks more than a quarter of the field of view.
         """
-        from torch.nn.functional import interpolate, pad
+        import torch
+        from torch.nn.functional import interpolate
 
         own = self.record.camera
         left, top, right, bottom = _window(camera, own)
-        inside = images[:, max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)].permute(0, 3, 1, 2).float() / 255.0
-        edges = (max(-left, 0), max(right - camera.width, 0), max(-top, 0), max(bottom - camera.height, 0))
-        inside = pad(inside, edges, mode="replicate") if any(edges) else inside
-        return interpolate(inside, (own.height, own.width), mode="bilinear", antialias=True, align_corners=False)
+        columns = torch.arange(left, right, device=images.device).clamp(
+            0, camera.width - 1
+        )  # repeats what lies outside
+        rows = torch.arange(top, bottom, device=images.device).clamp(0, camera.height - 1)
+        if (right - left, bottom - top) != (camera.width, camera.height) or left or top:
+            images = images[:, rows][:, :, columns]
+        small = interpolate(images.permute(0, 3, 1, 2), (own.height, own.width), mode="bilinear", antialias=True)
+        return small.float() / 255.0
 
     def concluded(self, answer: "Answer") -> list[PoseEstimate]:
         """The estimates of a network's answer about B images."""
@@ -170,7 +178,8 @@ class PoseNet:
 
         from falconwing_kit.vision.networks.pose import fused
 
-        R, place, information = fused(answer, torch.from_numpy(self._rays).float(), self.network.log_trust)
+        with torch.no_grad():
+            R, place, information = fused(answer, torch.from_numpy(self._rays).float(), self.network.log_trust)
         scale = np.repeat(self.record.sigma_scales, 3)
         covariances = torch.linalg.inv(information.double()).numpy() * scale * scale[:, None]
         Ts_world_camera = pose_matrix(_orthonormal(R.double().numpy()), place.double().numpy())
@@ -200,7 +209,7 @@ def _window(camera: PinholeCamera, own: PinholeCamera) -> tuple[int, int, int, i
     if min(right, camera.width) <= max(left, 0.0) or seen < (1.0 - MAX_MISSING) * (right - left) * (bottom - top):
         wanted, got = (np.degrees(2.0 * np.arctan(0.5 * lens.width / lens.fx)) for lens in (own, camera))
         raise InputError(
-            f"camera: want at least three quarters of the view that the network was trained on, {wanted:.0f} deg across, "
+            f"camera: want at least three quarters of the view the network was trained on, {wanted:.0f} deg across, "
             f"got {got:.0f} deg; use a wider lens, or train a network for this one"
         )
     return round(left), round(top), round(right), round(bottom)

@@ -1,1 +1,1 @@
-"""networks: the learned parts of vision, in plain torch. Everything here loads torch; files one floor up are the doors."""
+"""networks: the learned parts of vision, in plain torch, which all of this loads; their doors are in vision."""

@@ -133,7 +133,7 @@ class PoseNetwork(nn.Module):
     """
 
     low: Tensor
-    half: Tensor
+    reach: Tensor
 
     def __init__(self, shape: Shape, low: Tensor, high: Tensor) -> None:
         super().__init__()
@@ -148,7 +148,7 @@ class PoseNetwork(nn.Module):
         self.point_head = nn.Linear(features, (PATCH // CELL) ** 2 * 4)
         self.log_trust = nn.Parameter(torch.tensor(-3.0))  # cells err together, so each counts less than one
         self.register_buffer("low", low.float(), persistent=False)
-        self.register_buffer("half", 0.5 * (high - low).float(), persistent=False)
+        self.register_buffer("reach", 0.5 * (high - low).float(), persistent=False)
 
     def forward(self, images: Tensor) -> Answer:
         """Answer for images (B, 3, H, W), red, green, blue in 0..1."""
@@ -161,13 +161,13 @@ class PoseNetwork(nn.Module):
         rows, columns = self.shape.tokens
         side = PATCH // CELL
         cells = cells.reshape(-1, rows, columns, side, side, 4).transpose(2, 3).reshape(len(images), -1, 4)
-        middle = self.low + self.half
+        middle = self.low + self.reach
         return Answer(
-            place=middle + self.half * pose[:, :3],
+            place=middle + self.reach * pose[:, :3],
             log_sigma_place=pose[:, 3:6].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
             sincos=pose[:, 6:12].reshape(-1, 3, 2),
             log_sigma_angle=pose[:, 12].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
-            points=middle + self.half * cells[..., :3],
+            points=middle + self.reach * cells[..., :3],
             log_sigma_points=cells[..., 3].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
         )
 
@@ -261,7 +261,7 @@ def fused(answer: Answer, rays: Tensor, log_trust: Tensor, steps: int = FUSE_STE
             information, pull = _normal_equations(answer, rays @ R.mT, place, log_trust)
             off = torch.cat([place - answer.place, turn_between(R, R_head)], dim=1)
             information = information + torch.diag_embed(prior)
-            step = torch.linalg.solve(information, pull - prior * off)
+            step = torch.linalg.solve_ex(information, pull - prior * off).result  # does not stop a training
             place = place + step[:, :3]
             R = torch.linalg.matrix_exp(cross_matrix(step[:, 3:])) @ R
     return R, place, information
