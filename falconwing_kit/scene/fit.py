@@ -161,7 +161,11 @@ def first_points(
 
 
 def judge_scene(
-    path: Path, reconstruction: Reconstruction, settings: FitSettings, backend: str = "fast"
+    path: Path,
+    reconstruction: Reconstruction,
+    settings: FitSettings,
+    backend: str = "fast",
+    folder: Path | None = None,
 ) -> dict[str, Any]:
     """The figures of a scene file on the held-out photos, drawn by one of the kit's renderers.
 
@@ -170,6 +174,7 @@ def judge_scene(
         reconstruction: that it was trained on.
         settings: of the training, which say what was held out.
         backend: of `render`.
+        folder: of the photos, if they are not where the reconstruction says.
 
     Returns:
         See `training.judge.judge`.
@@ -184,7 +189,8 @@ def judge_scene(
     scene, source = GaussianScene.load(path), reconstruction
     held = np.flatnonzero(hold_out(source.T_world_camera[:, :3, 3], settings.hold_out, settings.seed))
     names, poses = tuple(source.names[number] for number in held), source.T_world_camera[held]
-    photos = load_photos(replace(source, names=names, T_world_camera=poses), settings.width)
+    chosen = replace(source, names=names, T_world_camera=poses, folder=folder or source.folder)
+    photos = load_photos(chosen, settings.width)
     return judge(kit_look(scene, photos, settings.antialiased, backend), photos)
 
 

@@ -1,4 +1,4 @@
-"""A scene's arrays <-> whole numbers of few bits, for scenes that ship: 22 bytes a Gaussian at SH degree 0, 31 at 1.
+"""A scene's arrays <-> whole numbers of few bits, for scenes that ship: 21 bytes a Gaussian at SH degree 0, 30 at 1.
 
 Version 1, the members of the .npz:
 

@@ -13,7 +13,7 @@ from falconwing_kit.scene.training.photos import Photos
 
 WINDOW, SPREAD = 11, 1.5  # [px] of SSIM's window [Wang et al. 2004]
 C1, C2 = 0.01**2, 0.03**2
-POSE_STEPS, POSE_RATE = 100, 1e-3  # of a photo's pose against the finished scene; [m], and what turns that far
+POSE_RATE = 1e-3  # of a photo's pose against the finished scene; [m], and what turns that far
 Look = Callable[[Tensor], Tensor]  # poses (C, 4, 4) -> colours (C, H, W, 3)
 
 
@@ -29,7 +29,7 @@ def ssim(first: Tensor, second: Tensor) -> Tensor:
     """
     x, y = first.movedim(-1, 1), second.movedim(-1, 1)
     maps = torch.cat([x, y, x * x, y * y, x * y], dim=1)
-    down, across = (_window(length, first.device) for length in maps.shape[2:])
+    down, across = (_window(length, first.device, first.dtype) for length in maps.shape[2:])
     maps = down.mT @ (maps @ across)
     mean_x, mean_y, xx, yy, xy = maps.chunk(5, dim=1)
     alike = (2 * mean_x * mean_y + C1) * (2 * (xy - mean_x * mean_y) + C2)
@@ -86,7 +86,7 @@ def shown(colours: Tensor) -> Tensor:
 
 
 def refined_poses(
-    gaussians: GaussianTensors, photos: Photos, draw: Draw, antialiased: bool, extent: float, steps: int = POSE_STEPS
+    gaussians: GaussianTensors, photos: Photos, draw: Draw, antialiased: bool, extent: float, steps: int
 ) -> Tensor:
     """The poses from which a finished scene looks most like the photos, searched for near the photos' own.
 
@@ -122,14 +122,14 @@ def refined_poses(
 
 
 @lru_cache(maxsize=4)
-def _window(length: int, device: torch.device) -> Tensor:
+def _window(length: int, device: torch.device, dtype: torch.dtype) -> Tensor:
     """(length, length - 10) the weighted means along a line as a matrix.
 
     A convolution would be shorter, but GPUs round its products to ten bits unless told otherwise.
     """
     offsets = torch.arange(length)[:, None] - torch.arange(length - WINDOW + 1) - WINDOW // 2
     weights = torch.where(offsets.abs() <= WINDOW // 2, torch.exp(-0.5 * (offsets / SPREAD) ** 2), 0.0)
-    return (weights / weights.sum(dim=0)).to(device)
+    return (weights / weights.sum(dim=0)).to(device, dtype)
 
 
 def _exposed(drawn: Tensor, target: Tensor) -> Tensor:

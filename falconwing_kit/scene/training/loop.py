@@ -25,6 +25,7 @@ RATES = {
 }
 MEANS_FALL, OTHERS_FALL = 0.01, 0.1  # to this part of the rate at the end; others only over the last third
 FULL_COLOUR_FROM = 0.03  # progress at which colours begin to depend on the direction
+SHORT = 3000  # steps; a shorter training takes larger ones
 GROW_FROM, GROW_UNTIL = 0.015, 0.83  # progress between which Gaussians are added and moved [K: 500 to 25,000 of 30,000]
 TURNS = 300  # how often they are, over the whole training [K: every 100 of 30,000 steps]
 STAY = {"exposures": 1.0, "twists": 100.0}  # weights of their squares: what nothing asks for stays 0
@@ -94,6 +95,7 @@ def train(
             f"GPU memory: want room for {len(state.values['means'])} Gaussians and {goal.batch} photos a step, got too "
             "little; give a smaller --batch, --width or --gaussians"
         ) from None
+    keep(state)
     return state
 
 
@@ -183,9 +185,10 @@ def _learning(goal: Goal) -> dict[str, bool]:
 
 def _rates(goal: Goal, progress: float) -> dict[str, float]:
     """Learning rates; more photos a step allow larger ones, by the root [Malladi et al. 2022, scaling rule of Adam]."""
-    fall = OTHERS_FALL ** max(0.0, 3.0 * progress - 2.0)
-    rates = {name: rate * fall * goal.batch**0.5 for name, rate in RATES.items()}
-    return rates | {"means": RATES["means"] * goal.extent * MEANS_FALL**progress * goal.batch**0.5}
+    pace = (goal.batch * max(1.0, SHORT / goal.steps)) ** 0.5
+    fall = pace * OTHERS_FALL ** max(0.0, 3.0 * progress - 2.0)
+    rates = {name: rate * fall for name, rate in RATES.items()}
+    return rates | {"means": RATES["means"] * goal.extent * pace * MEANS_FALL**progress}
 
 
 def _batch(number: int, goal: Goal, photos: int) -> list[int]:

@@ -27,6 +27,7 @@ class FitSettings:
     scale_cost: float = 0.01
     minutes: float = 8.0  # of training at most; it ends smoothly before
     room: tuple[float, ...] = ()  # x, y, z of the lowest and of the highest corner [m]; empty: from cameras and survey
+    pose_steps: int = 100  # of refining each held-out photo's pose, for figures of their own; 0 leaves those out
     seed: int = 0
     backend: str = "auto"  # gsplat, reference, or auto: gsplat where there is a GPU
 
@@ -38,11 +39,13 @@ class FitSettings:
         require_range("hold_out", self.hold_out, low=0.0, high=0.5)
         require_range("ssim_weight", self.ssim_weight, low=0.0, high=1.0)
         require_range("minutes", self.minutes, low=0.01, high=10_000.0)
-        for name in ("opacity_cost", "scale_cost", "seed", "width"):
+        for name in ("opacity_cost", "scale_cost", "pose_steps", "seed", "width"):
             require_range(name, getattr(self, name), low=0.0, high=2**31)
         corners = np.reshape(self.room, (2, 3)) if len(self.room) == 6 else None
         if self.room and (corners is None or not (corners[0] < corners[1]).all()):
             raise InputError(f"room: want x,y,z of the lowest and then of the highest corner, got {self.room}")
 
 
-LEADER = FitSettings(gaussians=5_000, steps=8_000, batch=2, hold_out=0.1, exposures=False, opacity_cost=0.002)
+LEADER = FitSettings(
+    gaussians=5_000, steps=8_000, batch=2, hold_out=0.1, exposures=False, opacity_cost=0.002, pose_steps=0
+)

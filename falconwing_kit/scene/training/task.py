@@ -57,7 +57,6 @@ class Task:
     @property
     def split(self) -> tuple[Photos, Photos]:
         """The photos to train on and those to judge by; where none are held out, the same."""
-
         places = self.photos.Ts_world_camera[:, :3, 3].cpu().numpy()
         held = hold_out(places, self.settings.hold_out, self.settings.seed)
         if len(self.photos) - held.sum() < 2:
@@ -68,7 +67,6 @@ class Task:
     @property
     def goal(self) -> Goal:
         """What the loop is told."""
-
         own = {field.name for field in fields(Goal)}
         told = {name: value for name, value in asdict(self.settings).items() if name in own}
         box = {"low": self.box[0], "high": self.box[1]}
@@ -76,7 +74,6 @@ class Task:
 
     def train(self) -> State:
         """Begin, or go on where an interrupted training stopped, and train."""
-
         self.out.mkdir(parents=True, exist_ok=True)
         learn, _ = self.split
         kept, told = self.out / "training.npz", json.dumps([asdict(self.settings), self.photos.names])
@@ -97,7 +94,6 @@ class Task:
 
     def ship(self, state: State, survey: Survey | None, source: str, label: str = "") -> Fit:
         """Prune, label, write, read back, judge what was read, and write the figures."""
-
         start, settings = time.monotonic(), self.settings
         learn, held = self.split
         gaussians = state.gaussians(settings.sh_degree)
@@ -122,10 +118,8 @@ class Task:
 
     def _figures(self, state: State, shipped: GaussianScene, look: Look, learn: Photos, held: Photos) -> dict[str, Any]:
         """All figures; what is fitted to a held-out photo stands under a name that says so."""
-
         settings, tensors = self.settings, _tensors(shipped, held)
         drawn = self._look(tensors)
-        refined = refined_poses(tensors, held, self.draw, settings.antialiased, self.extent)
         sample = learn.chosen(np.arange(0, len(learn), max(1, len(learn) // 20)))
         images = state.step * settings.batch
         return {
@@ -133,7 +127,7 @@ class Task:
             "photos": {"trained": len(learn), "held_out": list(held.names)},
             "gaussians": {"trained": len(state.values["means"]), "shipped": len(shipped)},
             "held_out": judge(drawn, held),
-            "held_out_after_pose_refinement": judge(drawn, held, refined),
+            "held_out_after_pose_refinement": self._judge_refined(tensors, held),
             "held_out_before_shipping": judge(look, held),
             "held_out_by_fast": self._judge_fast(shipped, held),
             "trained_on": judge(drawn, sample),
@@ -146,14 +140,20 @@ class Task:
 
     def _look(self, gaussians: Any) -> Look:
         """Draws a scene's poses with the training's renderer, on black."""
-
         black = torch.zeros(3, device=gaussians.means.device)
         camera, antialiased = self.photos.camera, self.settings.antialiased
         return lambda poses: self.draw(gaussians, camera, poses, black, antialiased)[0]
 
+    def _judge_refined(self, tensors: GaussianTensors, held: Photos) -> dict[str, Any] | None:
+        """The figures after each held-out photo's pose was moved to where it fits best; None where not asked for."""
+        settings = self.settings
+        if settings.pose_steps == 0:
+            return None
+        refined = refined_poses(tensors, held, self.draw, settings.antialiased, self.extent, settings.pose_steps)
+        return judge(self._look(tensors), held, refined)
+
     def _judge_fast(self, shipped: GaussianScene, held: Photos) -> dict[str, Any] | None:
         """The figures as the kit's fast renderer draws the scene; None where numba is missing."""
-
         if find_spec("numba") is None:
             return None
         return judge(kit_look(shipped, held, self.settings.antialiased, "fast"), held)

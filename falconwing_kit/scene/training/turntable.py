@@ -19,6 +19,7 @@ from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.photo_files import Reconstruction
 from falconwing_kit.scene.render import require_pose
+from falconwing_kit.scene.renderers.reference import GaussianTensors, covariances
 from falconwing_kit.scene.training.photos import Photos, load_photos
 from falconwing_kit.scene.training.settings import CAMERAS
 
@@ -108,7 +109,8 @@ def _covered(places: Array, photos: Photos) -> Array:
 def aircraft_points(scene: GaussianScene) -> dict[str, Array]:
     """The ends of an aircraft in body axes: nose, tail and both wing tips.
 
-    Each is the middle of what lies within a few millimetres of the last solid Gaussian in its direction.
+    Each lies where the furthest solid Gaussian ends, a standard deviation beyond its mean, in the middle of those that
+    reach nearly as far.
 
     Args:
         scene: the aircraft, x nose, y right wing, z belly.
@@ -117,10 +119,12 @@ def aircraft_points(scene: GaussianScene) -> dict[str, Array]:
         (3,) [m] by name.
     """
     solid = scene.selected(scene.opacities > SOLID) if (scene.opacities > SOLID).any() else scene
+    gaussians = GaussianTensors.from_scene(solid, torch.float64)
+    sides = covariances(gaussians.quaternions, gaussians.scales).diagonal(dim1=1, dim2=2).sqrt().numpy()
     ends = {"nose": (0, 1.0), "tail": (0, -1.0), "right_wing_tip": (1, 1.0), "left_wing_tip": (1, -1.0)}
     points = {}
     for name, (axis, sign) in ends.items():
-        along = sign * solid.means[:, axis].astype(np.float64)
-        points[name] = solid.means[along >= along.max() - NEAR_END].mean(axis=0, dtype=np.float64)
-        points[name][axis] = sign * along.max()
+        reach = sign * solid.means[:, axis] + sides[:, axis]
+        points[name] = solid.means[reach >= reach.max() - NEAR_END].mean(axis=0, dtype=np.float64)
+        points[name][axis] = sign * reach.max()
     return points
