@@ -21,6 +21,7 @@ from falconwing_kit.scene.survey.points import MARKER_CORNERS, Numbers, Sighting
 TAPE_SIGMA = 0.01  # [m] what a tape measure is good for
 LEAST_PIXEL_SIGMA = 0.2  # [px] no corner is found better than this, however well a few agree
 FAR_PIXELS = 8.0  # [px] a sighting further than this from where its point must be shows something else
+ROBUST = 3.0  # residuals beyond this many standard deviations pull with a constant force, not with their size
 _DOF = 7
 
 
@@ -94,7 +95,7 @@ def align(reconstruction: Reconstruction, survey: Survey, sightings: Sightings) 
     """Align by surveyed points that photos show: triangulate, fit the similarity, refine it on the pixels.
 
     Minimised over similarity and true places P_j, with P_j measured by tape to TAPE_SIGMA:
-        sum soft_l1(|pixel - project(P_j)|^2 / sigma_px^2) + sum |P_j - survey_j|^2 / TAPE_SIGMA^2
+        sum rho(|pixel - project(P_j)|^2 / sigma_px^2) + sum rho(|P_j - survey_j|^2 / TAPE_SIGMA^2), rho: soft l1
     sigma_px is taken from the residuals themselves. The covariance treats each photo's residuals as one draw, for an
     error of the photo's pose moves all its corners alike [sandwich form; White 1980, clustered by photo].
 
@@ -279,7 +280,7 @@ def _refine(
 
     x = np.zeros(_DOF + 3 * len(names))
     for again in range(3):  # the second and third time with the residuals' own size
-        fit = least_squares(residuals, x, loss="soft_l1", x_scale="jac")
+        fit = least_squares(residuals, x, loss="soft_l1", f_scale=ROBUST, x_scale="jac")
         x, pixels = fit.x, pixel_sigma * fit.fun[: 2 * len(sightings)]
         if again < 2:
             pixel_sigma = max(LEAST_PIXEL_SIGMA, 1.4826 * float(np.median(np.abs(pixels))))
@@ -316,9 +317,7 @@ def _covariance(values: Array, jacobian: Array, sightings: Sightings) -> Array:
     direction that matters here: the larger of the two by trace is taken, for few photos make the first too small.
     """
     count = 2 * len(sightings)
-    values = (
-        values * (1.0 + values**2) ** 0.25
-    )  # scipy scales the Jacobian of soft_l1 by (1 + z)^-3/4, the gradient by -1/2
+    values = values * (1.0 + (values / ROBUST) ** 2) ** 0.25  # scipy scales J by ()^-3/4; the gradient has ()^-1/2
     bread = np.linalg.inv(jacobian.T @ jacobian)
     gradients = (jacobian * values[:, None])[:count].reshape(len(sightings), 2, -1).sum(axis=1)
     by_photo = np.array([gradients[sightings.photos == k].sum(axis=0) for k in np.unique(sightings.photos)])
