@@ -115,7 +115,7 @@ class FrameMonitor:
 
         Args:
             image: (H, W, 3) RGB or (H, W) grey, uint8, 32 pixels a side or more; or an Image, whose own time counts as
-                when it was taken; None where the camera has none. Pictures may come again while there is no newer one.
+                when it was taken (now, where that is later: no clock may make a picture young for ever); None where the camera has none. Pictures may come again while there is no newer one.
             t: now [s], on any clock that runs forward.
 
         Returns:
@@ -127,7 +127,7 @@ class FrameMonitor:
         if require_range("t", t) < self._t:
             raise InputError(f"t: want no time before the last, {self._t:g}, got {t}; a new flight needs a new monitor")
         self._t = float(t)
-        taken = require_range("image.t", image.t) if isinstance(image, Image) else self._t
+        taken = min(require_range("image.t", image.t), self._t) if isinstance(image, Image) else self._t
         pixels = image.pixels if isinstance(image, Image) else image
         if pixels is not None:
             _require_picture(pixels)
@@ -144,7 +144,7 @@ class FrameMonitor:
             if _comparable(self._before, grey):
                 likeness = ssim(self._before, grey)
                 self._bad.append("noise" if likeness < rule.threshold else "")
-            self._before = grey
+            self._before = grey.copy()  # a caller may write its next picture into the same array
         alert = sum(map(bool, self._bad)) >= rule.frames
         return Verdict(likeness, alert, f"noise: SSIM below {rule.threshold:g}, {rule.frames} times" if alert else "")
 

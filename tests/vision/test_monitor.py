@@ -167,6 +167,24 @@ def test_late_pictures_alert():
         assert watch(FrameMonitor(), pictures)[-1].alert == alert
 
 
+def test_pictures_from_the_future_grow_old_all_the_same():
+    """Unix time as a stamp, seconds from the start as now: the frozen picture alerts as any other, at 1.2 s."""
+    monitor = FrameMonitor()
+    watch(monitor, [Image(k, 1.7e9 + 0.05 * k, moving(k)) for k in range(20)])
+    assert first_alert(watch(monitor, [Image(19, 1.7e9 + 0.95, moving(19))] * 10, start=1.0)) == 4
+
+
+@pytest.mark.parametrize("rule", ["motion", "paper"])
+def test_a_buffer_that_is_written_again_hides_no_noise(rule):
+    """A grey camera that reads every picture into the same array; five comparisons of snow are below any threshold."""
+    monitor, buffer, verdicts = FrameMonitor(rule), np.zeros((120, 160), np.uint8), []
+    for k in range(8):
+        buffer[:] = noise(k)[:120, :160, 0]
+        verdicts.append(monitor.update(buffer, 0.05 * k))
+    assert max(verdict.ssim for verdict in verdicts[1:]) < 0.5
+    assert first_alert(verdicts) is not None
+
+
 @pytest.mark.parametrize(("colour", "word"), [((0, 0, 0), "black"), ((20, 30, 220), "blue"), ((128, 128, 128), "grey")])
 def test_a_receiver_without_signal_alerts_within_300_ms(flying, colour, word):
     """One colour, a level of capture noise and a few white words: 7 % of the picture."""
