@@ -11,7 +11,7 @@ import platform
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -129,9 +129,15 @@ def fly_trial(
 
 def _behind_port(stack: ExitStack, world: SimulatedWorld, name: str, log: FlightLogWriter | None) -> PortWorld:
     """The world behind a simulated board; what happens at the port goes to the log."""
+
+    def note(t: float, what: str, details: Mapping[str, Any]) -> None:
+        if log is not None:
+            with suppress(InputError):  # a full disk ends no flight, and the loop, which writes here too, says so
+                log.event(t, what, details)
+
     board = simulated_board(name)
     stack.callback(board.close)
-    return stack.enter_context(PortWorld(world, board, on_event=None if log is None else log.event))
+    return stack.enter_context(PortWorld(world, board, on_event=note))
 
 
 def fly_trials(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.flight_log import read_flight_log
+from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
 from falconwing_kit.core.messages import Command
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.flight.through_port import PORTS, PortWorld, simulated_board
@@ -149,3 +149,16 @@ def test_the_log_tells_what_happened_at_the_port(tmp_path):
     assert log.metadata["port"] == "sim-python"
     assert "engaged" in [event.name for event in log.events]
     assert record["port"]["board"] == PythonBoard.kind
+
+
+def test_a_full_disk_ends_no_flight_through_the_port(tmp_path, monkeypatch):
+    """What the port tells cannot be logged from the first step on: a warning, and the landing is flown to its end."""
+    task = LandingTask()
+
+    def refuse(self, t, name, details=None):
+        raise InputError("flight.mcap: the disk is full")
+
+    monkeypatch.setattr(FlightLogWriter, "event", refuse)
+    with pytest.warns(UserWarning, match="goes on without a log"):
+        record = fly_trial(task, task.expert, 0, setting=Setting(port="sim-python"), log=tmp_path / "flight.mcap")
+    assert record["success"]
