@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING
 from falconwing_kit.cli.show import next_line, print_json, print_table
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from falconwing_kit.demo.approach import Approach
     from falconwing_kit.demo.live_page import LivePage
+    from falconwing_kit.scene.gaussians import GaussianScene
 
 BROWSER_S = 8.0  # a browser gets so long to show the page before the flight begins
 
@@ -24,6 +27,8 @@ class Demo:
 
     out: Path = Path("falconwing_demo")
     """folder for page, figures and models"""
+    scene: str = "arena"
+    """the hall of the approach: the name of a scene that ships, or a scene file in the kit's world"""
     headless: bool = False
     """fly as fast as it can and open nothing in the browser"""
     port: int = 8080
@@ -40,19 +45,22 @@ class Demo:
         Raises:
             KeyboardInterrupt: Ctrl-C; no page is written.
             OSError: the folder cannot be made or written.
-            InputError: the port is out of its range, or a file cannot be written.
+            FileNotFoundError: there is no scene file.
+            InputError: the scene is none, the port is out of its range, or a file cannot be written.
         """
         from tqdm import tqdm
 
+        from falconwing_kit.cli.fly import hall_loader
         from falconwing_kit.demo.recorded import study_recorded_flights, write_recorded_flights
 
+        hall = hall_loader(self.scene)
         self.out.mkdir(parents=True, exist_ok=True)
         with (
             nullcontext() if self.headless else self._open_page() as live,
             tqdm(bar_format="{desc} {elapsed}", leave=False, disable=None) as bar,
         ):
             bar.set_description_str("approach through the hall")
-            approach = self._fly(live)
+            approach = self._fly(hall, live)
             if not self.json:
                 end = "landed on the pad" if approach.result["success"] else approach.flight.reason
                 bar.write(f"approach through the splat hall, SIMULATED: {end}\n")
@@ -81,15 +89,14 @@ class Demo:
             print(f"live page: {live.url}", flush=True)
         return live
 
-    def _fly(self, live: "LivePage | None") -> "Approach":
+    def _fly(self, hall: "Callable[[], GaussianScene]", live: "LivePage | None") -> "Approach":
         """Land, in real time where somebody looks on."""
         from falconwing_kit.demo.approach import PacedClock, fly_approach
-        from falconwing_kit.scene.arena import load_scene
 
         if live is None:
-            return fly_approach(load_scene("arena"), self.out / "approach.mcap")
+            return fly_approach(hall(), self.out / "approach.mcap")
         opened = live.open()
-        scene = load_scene("arena")
+        scene = hall()
         live.set_scene(scene)
         if opened:
             live.wait_for_viewer(BROWSER_S)

@@ -14,6 +14,7 @@ from falconwing_kit.core.checks import InputError, require_range
 if TYPE_CHECKING:
     from falconwing_kit.flight.tasks import FollowTask, LandingTask
     from falconwing_kit.flight.trials import Setting
+    from falconwing_kit.scene.gaussians import GaussianScene
 
 PILOTS = ("expert",)  # those that this version of the kit has
 LATER = ("rgb", "mask", "rgb_mask", "student", "manual")
@@ -54,6 +55,8 @@ class Fly:
     """no page, as fast as it can"""
     no_render: bool = False
     """without images; the expert needs none"""
+    scene: str = "arena"
+    """the hall: the name of a scene that ships, or a scene file in the kit's world"""
     size: str = "320x240"
     """of the camera's image [px]"""
     source: Literal["sim", "camera"] = "sim"
@@ -80,11 +83,12 @@ class Fly:
             InputError: a part of the kit that is not there yet is asked for, or an option is wrong.
         """
         self._refuse_what_is_not_there()
+        hall = hall_loader(self.scene)
         task, setting = self._task(), self._setting()
         other = self._look_into_folders(task, setting)
         from falconwing_kit.flight.trials import compare_pilots, summary
 
-        records = self._fly(task, setting)
+        records = self._fly(task, setting, hall)
         found = summary(records)
         if other is not None:
             found["against"] = compare_pilots(records, other)
@@ -144,10 +148,12 @@ class Fly:
             flown_before(self.out, head | how)
         return None if self.against is None else trials_to_pair(self.against, head)
 
-    def _fly(self, task: "LandingTask | FollowTask", setting: "Setting") -> list[dict[str, Any]]:
+    def _fly(
+        self, task: "LandingTask | FollowTask", setting: "Setting", hall: "Callable[[], GaussianScene]"
+    ) -> list[dict[str, Any]]:
         from falconwing_kit.flight.trials import fly_trials
 
-        with _page(self.headless, not self.no_render) as (scene, hooks), self._progress() as progress:
+        with _page(hall, self.headless, not self.no_render) as (scene, hooks), self._progress() as progress:
             setting = replace(setting, scene=None if self.no_render else scene, hooks=hooks)
             return fly_trials(
                 task, task.expert, self.trials, pilot=self.pilot, seed=self.seed, setting=setting,
@@ -173,11 +179,12 @@ class Fly:
 
             files = write_results(records, found, self.out, f"{name} by {self.pilot}")
         if self.json:
-            print_json({"task": name, "pilot": self.pilot, "simulated": True, **found})
+            print_json({"task": name, "pilot": self.pilot, "scene": self.scene, "simulated": True, **found})
             return
         print_trials(f"SIMULATED: {name} by {self.pilot}", records, found)
         if self.out is None:
-            next_line(f"falconwing fly --task {self.task} --trials 10 --headless --out trials")
+            scene = "" if self.scene == "arena" else f" --scene {self.scene}"
+            next_line(f"falconwing fly --task {self.task}{scene} --trials 10 --headless --out trials")
         else:
             next_line(f"look at {files['paths']} and {files['results']}")
 
@@ -232,23 +239,50 @@ def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str,
         )
 
 
+def hall_loader(name: str) -> "Callable[[], GaussianScene]":
+    """How to get the hall to fly in; a wrong name and a bad file are refused at once, before a page is opened.
+
+    Args:
+        name: a scene file, or the name of a scene that ships; a file of that name goes first.
+
+    Returns:
+        A function that gives the hall. One that ships may have to be built first, which takes a while.
+
+    Raises:
+        FileNotFoundError: there is no file at a path.
+        InputError: the file is no scene, no scene of that name ships, or it is an aircraft alone.
+    """
+    from falconwing_kit.cli.modelling.scene import open_scene
+    from falconwing_kit.scene.arena import SCENES, load_scene
+
+    if name == "leader" and not Path(name).exists():
+        halls = ", ".join(scene for scene in SCENES if scene != name)
+        raise InputError(f"--scene {name}: want a hall to fly in, got an aircraft; take {halls} or a file")
+    if name in SCENES and not Path(name).exists():
+        return lambda: load_scene(name)
+    scene = open_scene(name)
+    if "leader" in scene.label_names and scene.labelled("leader").all():
+        raise InputError(f"--scene {name}: want a hall to fly in, got an aircraft alone; add it to a hall")
+    return lambda: scene
+
+
 @contextmanager
-def _page(headless: bool, render: bool) -> Iterator[tuple[Any, tuple[Callable[..., None], ...]]]:
-    """The arena where somebody looks at it, and the page as a hook."""
+def _page(
+    hall: "Callable[[], GaussianScene]", headless: bool, render: bool
+) -> Iterator[tuple[Any, tuple[Callable[..., None], ...]]]:
+    """The hall where somebody looks at it, and the page as a hook."""
     if headless and not render:
         yield None, ()
         return
-    from falconwing_kit.scene.arena import load_scene
-
     if headless:
-        yield load_scene("arena"), ()
+        yield hall(), ()
         return
     from falconwing_kit.demo.live_page import LivePage
 
     with LivePage() as page:
         print(f"live page: {page.url}", file=sys.stderr, flush=True)
         opened = page.open()
-        scene = load_scene("arena")
+        scene = hall()
         page.set_scene(scene)
         if opened:
             page.wait_for_viewer(BROWSER_S)

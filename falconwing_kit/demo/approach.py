@@ -1,5 +1,6 @@
 """The demo's approach: a landing flown by the loop in the simulated hall -> its log; and figures of any log."""
 
+import html
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -36,6 +37,7 @@ class Approach:
     log: Path
     flight: Flight  # how the loop went
     result: dict[str, Any]  # the judge's: success, ald_m, sink_rate_m_s, ...
+    hall: str = ""  # where the scene came from, in its own words
 
 
 class PacedClock:
@@ -108,7 +110,7 @@ def fly_approach(
         raise write_error(log, error) from None
     finally:
         growing.unlink(missing_ok=True)
-    return Approach(log, flight, judge.result())
+    return Approach(log, flight, judge.result(), scene.source)
 
 
 def mode_at(log: FlightLog, t: float) -> str:
@@ -325,6 +327,7 @@ def approach_record(approach: Approach) -> dict[str, Any]:
     result = {name: value for name, value in approach.result.items() if name != "path_m"}
     return {
         "made_by": "this kit, SIMULATED",
+        "hall": approach.hall,
         "ended": approach.flight.reason,
         "seconds": len(approach.flight.t) * PERIOD,
         **result,
@@ -356,6 +359,7 @@ def approach_part(approach: Approach, folder: Path) -> list[str]:
             "SIMULATION: aircraft, hall and images are computed. The kit's own loop flew, 20 times a second: the view "
             "from the nose rendered from Gaussian splats, a noisy pose, an expert that lands by that pose, a link with "
             f"delay, and a log. {end}, after {flight.t[-1]:.1f} s."
+            + (f" The hall: {html.escape(approach.hall)}." if approach.hall else "")
         ),
         picture(Picture(film, "The whole approach.", "Film of the view from the nose with the path from the side.")),
         picture(Picture(fpv, "What a vision policy will have to land by.", "Six views of the hall and its blue pad.")),

@@ -1,12 +1,17 @@
 """falconwing fly: exit codes, what is printed and written, and one sentence for what is not there yet."""
 
 import json
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from falconwing_kit.cli.main import main
+from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command
+from falconwing_kit.flight.sources import decode_jpeg
 from falconwing_kit.flight.tasks import LandingTask
+from falconwing_kit.scene import GaussianScene
 
 QUICK = ("--headless", "--no-render")
 
@@ -125,6 +130,44 @@ def test_a_file_in_place_of_the_folder_is_wrong_use(tmp_path, capsys):
     (tmp_path / "taken").write_text("")
     assert main(["fly", *QUICK, "--out", str(tmp_path / "taken")]) == 2
     assert "want a folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("stadium", "want a file or a name that ships (arena, "),
+        ("leader", "want a hall to fly in, got an aircraft"),
+        ("plane.npz", "want a hall to fly in, got an aircraft"),
+        ("nowhere.npz", "nowhere.npz"),
+        ("half.npz", "half.npz"),
+    ],
+)
+def test_a_scene_that_is_no_hall_is_wrong_use(name, sentence, tmp_path, monkeypatch, capsys):
+    """Exit 2 and one sentence before a page is opened: no such name or file, half a file, an aircraft alone."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("falconwing_kit.demo.live_page.LivePage", None)
+    plane = GaussianScene([[0, 0, 0]], [[1, 0, 0, 0]], [[0.1] * 3], [0.9], [[[0.5] * 3]], (), ("leader",))
+    plane.save("plane.npz")
+    Path("half.npz").write_bytes(Path("plane.npz").read_bytes()[:300])
+    for verb in ("fly", "demo"):
+        assert main([verb, "--scene", name]) == 2
+        said = capsys.readouterr().err
+        assert sentence in said and len(said.splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["half.npz", "plane.npz"]
+
+
+def test_a_scene_file_is_what_the_camera_sees(tmp_path, monkeypatch, capsys):
+    """One large red cloud for a hall: every image of the log is red and nothing else; the arena has no such view."""
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
+    red = [[[1.77, -1.77, -1.77]]]  # 1/2 + 0.282 * 1.77 = 1
+    GaussianScene([[30, 0, 0]], [[1, 0, 0, 0]], [[9.0] * 3], [0.99], red, (), ("wall",)).save(tmp_path / "fog.npz")
+    words = ["fly", "--headless", "--size", "32x24", "--json", "--out", str(tmp_path / "out")]
+    assert main([*words, "--scene", str(tmp_path / "fog.npz")]) == 1
+    assert json.loads(capsys.readouterr().out)["scene"].endswith("fog.npz")
+    seen = [decode_jpeg(image) for image in read_flight_log(tmp_path / "out" / "trial_000.mcap").images()]
+    assert len(seen) > 2
+    brightest = np.array([pixels.max(axis=(0, 1)) for pixels in seen])
+    assert (brightest[:, 0] > 100).all() and (brightest[:, 1:] < 25).all()  # JPEG shifts colours by a few steps
 
 
 class StandInPage:
