@@ -115,7 +115,8 @@ class FrameMonitor:
 
         Args:
             image: (H, W, 3) RGB or (H, W) grey, uint8, 32 pixels a side or more; or an Image, whose own time counts as
-                when it was taken (now, where that is later: no clock may make a picture young for ever); None where the camera has none. Pictures may come again while there is no newer one.
+                when it was taken (now, where it lies in the future: no clock may keep a picture young for ever); None
+                where the camera has none. Pictures may come again while there is no newer one.
             t: now [s], on any clock that runs forward.
 
         Returns:

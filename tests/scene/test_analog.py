@@ -137,7 +137,7 @@ def test_what_is_no_colour_picture_is_refused(shape):
     """Grey, too small, four channels."""
     with pytest.raises(InputError, match="analog video: want"):
         AnalogVideo(26.0).apply(np.zeros(shape, np.uint8), 0)
-    with pytest.raises(InputError, match="analog video: want .* got \\(\\) list"):
+    with pytest.raises(InputError, match=r"analog video: want .* got \(\) list"):
         AnalogVideo(26.0).apply([[0, 0, 0]], 0)
 
 
