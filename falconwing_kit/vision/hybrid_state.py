@@ -1,4 +1,4 @@
-"""Hybrid state: a flight's video and commands -> a flight table with sigmas; marker where it is seen, network elsewhere.
+"""Hybrid state: a flight's video and commands -> a flight table with sigmas. Marker where it is seen, else network.
 
     images -> marker (both poses) or network -> implausible ones out -> one choice per frame that fits its neighbours
            -> smoother over the flight -> marker looked for again where the flight says it must be -> smoother again
@@ -10,6 +10,7 @@ almost free, which a pose with a covariance says badly. Frames that no sight is 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -32,8 +33,10 @@ from falconwing_kit.vision.smoother import Motion, PoseSights, Sights, Smoothed,
 LEAST_CORNER_SIGMA_PX = 0.1  # however well a few sights agree: the lens is not known better
 MANY = 1e3  # residual in sigmas of a corner that would be behind the camera
 TOP_SPEED, TOP_TURN = 12.0, 5.0  # [m/s], [rad/s]: neighbours that need more are not both right
-STRAY_M, STRAY_RAD = 0.5, 0.3  # beyond that, one sigma
+STRAY_M, STRAY_RAD = 0.5, 0.3  # beyond that, one sigma, with what the poses themselves leave open
+MOST_STRAIN = 4.0  # chi2 of a step that is still believed
 MOST_DOUBT = 25.0  # chi2 at which one frame's word against another ends
+ROOM_SIGMAS = 3.0  # a pose may be outside the room by so many of its own
 NEIGHBOUR_S = 1.0  # frames further apart say nothing about each other
 REACH_S = 0.25  # the marker is looked for again so long before and after it was seen
 REJECTED = {4: 23.5, 6: 27.9, 8: 31.8}  # chi2 of k coordinates that noise exceeds once in 10,000 times
@@ -157,7 +160,7 @@ def estimate_flight(
             counts["no image"] += 1
             continue
         sight = find_marker(image, camera, marker)
-        if sight is not None and _in_room(sight.T_world_camera, settings).any():
+        if sight is not None and _in_room(sight.T_world_camera, sight.covariance, settings).any():
             sights[frame] = sight
         elif sight is not None:
             counts["marker: pose outside the room"] += 1
@@ -167,8 +170,8 @@ def estimate_flight(
         1, len(sights) + counts["marker: pose outside the room"]
     ):
         raise InputError(
-            f"{video.name}: most poses from the marker lie outside the room; want the printed size, now {marker.size:g} m, "
-            "its place and the focal length to be right"
+            f"{video.name}: most poses from the marker lie outside the room; check the printed "
+            f"size, now {marker.size:g} m, its place and the focal length"
         )
     if not sights and not asked:
         raise InputError(_nothing_seen(video, marker))
@@ -190,18 +193,20 @@ def _ask(
     sizes = np.array([said.sigma_position] * 3 + [said.sigma_attitude] * 3, np.float64)
     if not (np.isfinite(T).all() and np.isfinite(sizes).all() and (sizes > 0.0).all()):
         counts["network: no finite pose"] += 1
-    elif not _in_room(T[None], settings).any():
-        counts["network: pose outside the room"] += 1
-    else:
-        covariance = getattr(said, "covariance", None)
-        full = np.diag(sizes**2) if covariance is None else np.asarray(covariance, np.float64)
+        return
+    covariance = getattr(said, "covariance", None)
+    full = np.diag(sizes**2) if covariance is None else np.asarray(covariance, np.float64)
+    if _in_room(T[None], full[None], settings).any():
         asked[frame] = _Candidate(T, full, 0.0, "network")
+    else:
+        counts["network: pose outside the room"] += 1
 
 
-def _in_room(T_world_camera: Array, settings: HybridSettings) -> Array:
-    """(M,) whether cameras are inside the room and not upside down."""
+def _in_room(T_world_camera: Array, covariance: Array, settings: HybridSettings) -> Array:
+    """(M,) whether cameras are inside the room, as far as their places are known, and not upside down."""
     p, down = T_world_camera[:, :3, 3], T_world_camera[:, 2, 1]  # the world's up along the camera's y axis
-    inside = (p > np.array(settings.room_low)) & (p < np.array(settings.room_high))
+    margin = ROOM_SIGMAS * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :3])
+    inside = (p > np.array(settings.room_low) - margin) & (p < np.array(settings.room_high) + margin)
     return np.asarray(inside.all(axis=1) & (down < 0.2))
 
 
@@ -254,8 +259,8 @@ class _Estimate:
         sigma_px = self._corner_sigma(sights)
         options = {k: self._options(sight, sigma_px) for k, sight in sights.items()}
         options.update({k: [one] for k, one in self.asked.items() if k not in options})
-        chosen = _chosen({k: options[k] for k in sorted(options)}, self.video.t)
-        frames = np.array(list(chosen))
+        chosen = _among_neighbours(_chosen({k: options[k] for k in sorted(options)}, self.video.t), self.video.t)
+        frames = np.array(list(chosen), int)
         cuts = np.flatnonzero(np.diff(self.video.t[frames]) > self.settings.longest_gap_s) + 1
         stretches = [part for part in np.split(frames, cuts) if part[-1] > part[0]]
         return chosen, [(int(part[0]), self._smooth(part, chosen, sights, sigma_px)) for part in stretches]
@@ -263,7 +268,7 @@ class _Estimate:
     def _options(self, sight: MarkerPose, sigma_px: float) -> list[_Candidate]:
         """Both poses of a marker, as far as they are in the room."""
         misfit = 8.0 * (sight.reprojection_px / sigma_px) ** 2
-        ok = _in_room(sight.T_world_camera, self.settings)
+        ok = _in_room(sight.T_world_camera, sight.covariance, self.settings)
         spread = [_turned_to_world(C, T) for C, T in zip(sight.covariance, sight.T_world_camera, strict=True)]
         both = [
             _Candidate(T, C, min(float(chi2), MOST_DOUBT), "marker")
@@ -315,7 +320,7 @@ class _Estimate:
                 near = project_corners(self.marker, self.camera, T_world_camera)[0]
                 image = self.video.image(frame) if np.isfinite(near).all() else None
                 sight = None if image is None else find_marker(image, self.camera, self.marker, near)
-                if sight is not None and _in_room(sight.T_world_camera, self.settings).any():
+                if sight is not None and _in_room(sight.T_world_camera, sight.covariance, self.settings).any():
                     found[frame] = sight
                 elif first <= frame < first + len(piece.p_world):
                     tried.add(frame)
@@ -405,8 +410,8 @@ def _turned_to_world(covariance: Array, T_world_camera: Array) -> Array:
 def _body_poses(T_world_camera: Array, p_body_camera: Array) -> Array:
     """(M, 6) position and unwrapped roll, pitch, yaw of the body from camera poses (M, 4, 4)."""
     T_world_body = T_world_camera @ np.linalg.inv(pose_matrix(R_BODY_CAMERA, p_body_camera))
-    angles = np.stack(euler_from_rotation(T_world_body[:, :3, :3]), axis=1)
-    return np.concatenate([T_world_body[:, :3, 3], np.unwrap(angles, axis=0)], axis=1)
+    roll, pitch, yaw = euler_from_rotation(T_world_body[:, :3, :3])
+    return np.column_stack([T_world_body[:, :3, 3], roll, pitch, np.unwrap(yaw)])
 
 
 def _chosen(options: Mapping[int, list[_Candidate]], t: Array) -> dict[int, _Candidate]:
@@ -414,7 +419,7 @@ def _chosen(options: Mapping[int, list[_Candidate]], t: Array) -> dict[int, _Can
     frames = list(options)
     total = [np.array([one.doubt for one in options[frames[0]]])] if frames else []
     back: list[Any] = []
-    for before, frame in zip(frames, frames[1:], strict=False):
+    for before, frame in pairwise(frames):
         step = np.array([[_strain(a, b, t[frame] - t[before]) for a in options[before]] for b in options[frame]])
         paths = step + total[-1]
         back.append(np.argmin(paths, axis=1))
@@ -425,6 +430,19 @@ def _chosen(options: Mapping[int, list[_Candidate]], t: Array) -> dict[int, _Can
     return {frame: options[frame][j] for frame, j in zip(frames, reversed(choice), strict=True)}
 
 
+def _among_neighbours(chosen: dict[int, _Candidate], t: Array) -> dict[int, _Candidate]:
+    """Without poses that an aircraft cannot get to from most of those within half a second; they lead astray."""
+    frames = list(chosen)
+    times = t[frames]
+    kept = {}
+    for k, frame in enumerate(frames):
+        near = [frames[j] for j in np.flatnonzero(np.abs(times - times[k]) < 0.5 * NEIGHBOUR_S) if j != k]
+        strain = [_strain(chosen[frame], chosen[other], abs(t[other] - t[frame])) for other in near]
+        if not near or np.median(strain) < MOST_STRAIN:
+            kept[frame] = chosen[frame]
+    return kept
+
+
 def _strain(a: _Candidate, b: _Candidate, dt: float) -> float:
     """chi2 of a step that no aircraft can make; 0 for one it can."""
     if dt > NEIGHBOUR_S:
@@ -432,4 +450,7 @@ def _strain(a: _Candidate, b: _Candidate, dt: float) -> float:
     A, B = a.T_world_camera, b.T_world_camera
     moved = np.linalg.norm(B[:3, 3] - A[:3, 3]) - TOP_SPEED * dt
     turned = np.arccos(np.clip(0.5 * (np.trace(A[:3, :3].T @ B[:3, :3]) - 1.0), -1.0, 1.0)) - TOP_TURN * dt
-    return float(min((max(moved, 0.0) / STRAY_M) ** 2 + (max(turned, 0.0) / STRAY_RAD) ** 2, MOST_DOUBT))
+    variance = np.diag(a.covariance) + np.diag(b.covariance)
+    chi2 = max(moved, 0.0) ** 2 / (STRAY_M**2 + variance[:3].sum())
+    chi2 += max(turned, 0.0) ** 2 / (STRAY_RAD**2 + variance[3:].sum())
+    return float(min(chi2, MOST_DOUBT))

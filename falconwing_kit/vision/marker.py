@@ -26,6 +26,8 @@ LEAST_FLATNESS = 0.15  # area over longest side squared; below, the marker is se
 LEAST_LIKENESS = 0.85  # correlation with the printed marker; the hall's video has 0.97, its analog link 0.9
 QUIET_CELLS = 0.5  # white around the black square that is compared too, in cells
 SOFT_PX = 0.6  # blur of a lens and of averaging over pixels, given to the printed marker
+INK, PAPER = 0.04, 0.85  # shares of the light they send back
+GAMMA = 2.2  # of cameras: a pixel half black, half white is brighter than grey, which makes black shapes look smaller
 UPSCALE = 2.0  # the detector looks for contours, which small markers hardly have
 Pixels = NDArray[np.uint8]
 
@@ -226,18 +228,15 @@ def _print(dictionary: str, number: int, cell_px: int) -> tuple[Pixels, Array]:
     cells = int(dictionary[5]) + 2  # bits and the black frame
     fine = 16
     quiet = round(QUIET_CELLS * fine)
-    drawn = cv2.aruco.generateImageMarker(
-        cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)), number, cells * fine
-    )
+    bits = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    drawn = cv2.aruco.generateImageMarker(bits, number, cells * fine)
     drawn = cv2.copyMakeBorder(drawn, quiet, quiet, quiet, quiet, cv2.BORDER_CONSTANT, value=255)
+    light = INK + (PAPER - INK) * drawn / 255.0
     side = round((cells + 2 * QUIET_CELLS) * cell_px)
-    drawn = cv2.resize(drawn, (side, side), interpolation=cv2.INTER_AREA)
-    low = QUIET_CELLS * cell_px
-    high = low + cells * cell_px
-    return (
-        np.asarray(cv2.GaussianBlur(drawn, (0, 0), SOFT_PX), np.uint8),
-        np.array([(low, low), (high, low), (high, high), (low, high)]),
-    )
+    light = cv2.GaussianBlur(cv2.resize(light, (side, side), interpolation=cv2.INTER_AREA), (0, 0), SOFT_PX)
+    low, high = QUIET_CELLS * cell_px, (QUIET_CELLS + cells) * cell_px
+    seen = np.asarray(np.rint(255.0 * light ** (1.0 / GAMMA)), np.uint8)
+    return seen, np.array([(low, low), (high, low), (high, high), (low, high)])
 
 
 def _print_for(marker: Marker, corners: Array) -> tuple[Pixels, Array]:

@@ -267,7 +267,7 @@ def _product(A: Array, B: Array) -> Array:
 
 
 def _eliminated(diagonal: Array, beside: Array) -> Array:
-    """(N, 12, 12) inverses of the blocks left on the diagonal after the sweep forward: D(k) = A(k) - B^T D(k-1)^-1 B."""
+    """(N, 12, 12) inverses of the blocks left by the sweep forward: D(k) = A(k) - B^T D(k-1)^-1 B."""
     inverse = np.empty_like(diagonal)
     inverse[0] = np.linalg.inv(diagonal[0])
     for k in range(1, len(diagonal)):
