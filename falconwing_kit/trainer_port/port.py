@@ -105,7 +105,7 @@ class TrainerPort:
     def wait_ready(
         self, timeout: float = 6.0, sleep: Callable[[float], Any] = time.sleep, calibrated: bool = True
     ) -> Status:
-        """Wait on the ground until the board answers and its clock is known.
+        """Wait on the ground until the board answers, its clock is known and it has given up a host that is gone.
 
         Args:
             timeout: at most so long [s]; a Mega that was restarted by the opening needs two.
@@ -119,9 +119,11 @@ class TrainerPort:
             InputError: no STATUS came, or calibration and board do not fit (see `require_fit`).
         """
         end = self.now() + timeout
-        while (self.status is None or not self.clock.synchronised) and self.now() < end:
+        while self.now() < end:
             sleep(0.005)
             self.poll()
+            if self.status is not None and self.clock.synchronised and self.status.state != "ACTIVE":
+                break
         if self.status is None:
             raise InputError(
                 f"{self.what or 'trainer port'}: want a STATUS from the board, got none in {timeout:g} s; "
@@ -158,7 +160,7 @@ class TrainerPort:
         then the edge that it waits for.
 
         Args:
-            command: sticks; what is not finite hands the sticks back.
+            command: sticks; what is not finite, or no command at all, hands the sticks back.
             engage: True where the aircraft shall follow.
 
         Returns:
@@ -170,7 +172,7 @@ class TrainerPort:
             self.engagement, self._asked_from = "asking", self._next
         try:
             channels = self.calibration.channels_us(command)
-        except (ValueError, OverflowError, TypeError) as error:
+        except (ValueError, OverflowError, TypeError, AttributeError) as error:
             self._drop("bad command", {"error": str(error)})
             channels = self.calibration.channels_us(SAFE)
         return self._send_command(channels, self.engagement in ("engaging", "engaged"))
@@ -350,8 +352,9 @@ def require_fit(calibration: Calibration, status: Status) -> None:
     if status.state != "ACTIVE" and throttle > IDLE:
         raise InputError(
             f"calibration: want the board's safe slots {status.channels_us} us to stop the motor, got throttle "
-            f"{throttle:.0%}, for the radio has it in channel {calibration.throttle.channel}; change the radio's order "
-            "of channels, or set THROTTLE_CHANNEL and SAFE_US in firmware/trainer_bridge/config.h and flash the board"
+            f"{throttle:.0%}, for the radio has it in channel {calibration.throttle.channel} and idles at "
+            f"{_idle_us(calibration)} us; change the radio's order of channels or travel, or set THROTTLE_CHANNEL and "
+            "SAFE_SLOTS_US in firmware/trainer_bridge/config.h and flash the board"
         )
 
 
@@ -386,6 +389,11 @@ def open_port(name: str, calibration: Calibration | None = None) -> TrainerPort:
         port = TrainerPort(SerialLink(path), calibration, reopen=lambda: SerialLink(path), what=what)
     port.simulation = simulation
     return port
+
+
+def _idle_us(calibration: Calibration) -> int:
+    """The throttle's slot of a stopped motor [us]."""
+    return calibration.channels_us(SAFE)[calibration.throttle.channel - 1]
 
 
 def _ahead(later: int, earlier: int, wrap: int) -> int:

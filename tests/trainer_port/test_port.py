@@ -198,6 +198,15 @@ def test_sticks_that_are_no_numbers_hand_back(board, port):
     assert port.engagement == "dropped" and "bad command" in [event.name for event in port.events]
 
 
+@pytest.mark.parametrize("nothing", [None, "sticks", (0.5, 0.0, 0.0, 0.0)])
+def test_what_is_no_command_hands_back(board, port, nothing):
+    """A pilot that forgot to return one: the board is told at once, not 200 ms later by silence."""
+    fly(board, port)
+    assert port.send(nothing, engage=True)
+    assert board.commands[-1].channels_us == (1000, 1500, 1500, 1500) and not board.commands[-1].engage
+    assert port.engagement == "dropped"
+
+
 def test_closing_hands_back(board, port):
     """Leaving the block of `with` in flight: the last frame has engage=0, and the line is closed."""
     with port:
@@ -373,8 +382,25 @@ def test_safe_slots_that_would_leave_the_motor_on_are_refused():
     swapped = replace(shipped, throttle=throttle, aileron=aileron)
     require_fit(shipped, SAYS)
     require_fit(swapped, replace(SAYS, state="ACTIVE"))
-    with pytest.raises(InputError, match=r"got throttle 50%, for the radio has it in channel 2; .*SAFE_US"):
+    with pytest.raises(InputError, match=r"got throttle 50%, .* in channel 2 and idles at 1000 us; .*SAFE_SLOTS_US"):
         require_fit(swapped, SAYS)
+
+
+def test_a_host_that_comes_back_at_once_is_checked_too(board):
+    """Its board still is ACTIVE with the last one's slots, and LOST 0.2 s later: only then the safe slots tell."""
+    shipped = load_calibration()
+    aileron, throttle = replace(shipped.aileron, channel=1), replace(shipped.throttle, channel=2)
+    port = TrainerPort(board, replace(shipped, throttle=throttle, aileron=aileron), now=lambda: board.t)
+
+    def pass_time(seconds):
+        board.t += seconds
+        device = round((board.t - 45.0) * 1e6)
+        for frame in board.heard:
+            board.says(SyncReply(frame.token, device - 50, device))
+        board.says(replace(SAYS, device_time_us=device, state="ACTIVE" if board.t < 50.2 else "LOST"))
+
+    with pytest.raises(InputError, match="to stop the motor, got throttle 50%"):
+        port.wait_ready(sleep=pass_time)
 
 
 def test_the_safe_command_is_an_idle_motor_and_neutral_sticks():
