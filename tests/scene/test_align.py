@@ -56,13 +56,15 @@ def noisy(sightings, rng, sigma_px):
     return replace(sightings, pixels=sightings.pixels + sigma_px * rng.standard_normal(sightings.pixels.shape))
 
 
-def test_umeyama_finds_a_planted_similarity():
+@pytest.mark.parametrize("seed", range(6))
+def test_umeyama_finds_a_planted_similarity(seed):
     """Its own inverse; points in a plane too, where a reflection would fit as well but is no motion."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
+    R_planted = Rotation.random(random_state=seed).as_matrix()
     for points in (rng.standard_normal((6, 3)), rng.standard_normal((5, 3)) * (1, 1, 0)):
-        scale, R, t = umeyama(points, SCALE * points @ TURN.T + MOVE)
+        scale, R, t = umeyama(points, SCALE * points @ R_planted.T + MOVE)
         assert scale == pytest.approx(SCALE, rel=1e-9)
-        assert np.allclose(R, TURN, atol=1e-9) and np.allclose(t, MOVE, atol=1e-9)
+        assert np.allclose(R, R_planted, atol=1e-9) and np.allclose(t, MOVE, atol=1e-9)
 
 
 def test_points_in_a_line_are_refused():
@@ -103,6 +105,18 @@ def test_stated_uncertainty_is_the_true_one():
         error = found.points((far - MOVE) @ TURN / SCALE) - far
         ratios.append(float((error**2).sum() / found.sigma(far)[0] ** 2))
     assert 0.5 < np.mean(ratios) < 1.6
+
+
+def test_sigma_is_that_of_drawn_similarities():
+    """Draws of scale, turn and move with a strong correlation, applied as such; 3 % for turns of a degree."""
+    rng = np.random.default_rng(9)
+    spread = 0.01 * rng.standard_normal((7, 7))
+    draws = rng.standard_normal((20000, 7)) @ spread.T
+    p = np.array([4.0, -3.0, 2.0])
+    turned = Rotation.from_rotvec(draws[:, 1:4]).apply(p - MOVE)
+    moved = np.exp(draws[:, :1]) * turned + MOVE + draws[:, 4:]
+    known = Alignment(SCALE, TURN, MOVE, "planted", spread @ spread.T).sigma(p[None])[0]
+    assert known == pytest.approx(np.sqrt(((moved - p) ** 2).sum(axis=1).mean()), rel=0.03)
 
 
 def test_pad_corners_make_the_hall_surer():
