@@ -245,7 +245,8 @@ def choose_calibration(port: str, path: Path | None = None, radio: str = "", tod
 
     Args:
         port: what it is for; a simulated radio's is for simulated boards alone.
-        path: the file; None takes ./trainer_port.toml where there is one, else the kit's default, with a warning.
+        path: the file; None takes ./trainer_port.toml where there is one, else the kit's default, with a warning, as
+            for a file without a date.
         radio: must be the one it was measured on; "" does not ask.
         today: for tests; None is today.
 
@@ -263,7 +264,8 @@ def choose_calibration(port: str, path: Path | None = None, radio: str = "", tod
         return shipped
     path = path or DEFAULT
     calibration = load_calibration(path)
-    frame = {name: getattr(calibration, name) for name in ("channels", "frame_us", "gap_us", "polarity")}
+    # How many channels it has, the board itself will say (require_fit); of its frame it says nothing.
+    frame = {name: getattr(calibration, name) for name in ("frame_us", "gap_us", "polarity")}
     firmware = {name: getattr(shipped, name) for name in frame}
     if frame != firmware:
         other = {name: (frame[name], firmware[name]) for name in frame if frame[name] != firmware[name]}
@@ -278,4 +280,6 @@ def choose_calibration(port: str, path: Path | None = None, radio: str = "", tod
     if stale:
         raise InputError(f"{path}: want a calibration of this radio and firmware, not older than {MAX_AGE_DAYS} days, "
                          f"got one that is stale: {stale}; type falconwing calibrate")  # fmt: skip
+    if not calibration.measured:
+        warn(f"{path}: it does not say when it was measured; before a flight: falconwing calibrate", stacklevel=2)
     return calibration
