@@ -419,6 +419,14 @@ def test_a_reconstruction_that_is_not_aligned_is_refused(taken, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_file_in_the_folders_place_is_left_alone(taken, tmp_path):
+    """The text says so, and the file keeps its words."""
+    (tmp_path / "notes").write_text("mine")
+    with pytest.raises(InputError, match="want a folder to write to, got a file"):
+        fit_scene(taken, tmp_path / "notes", replace(SMALL, steps=1), say=lambda _: None)
+    assert (tmp_path / "notes").read_text() == "mine"
+
+
 def test_a_full_gpu_is_told_in_one_sentence(taken, tmp_path):
     """The renderer fails as torch does when memory runs out."""
 

@@ -126,7 +126,7 @@ def hold_out(places: Array, share: float, seed: int = 0) -> NDArray[np.bool_]:
     count, rng = len(places), np.random.default_rng(seed)
     held = np.zeros(count, bool)
     wanted = min(count - 1, max(1, round(share * count))) if share > 0.0 else 0
-    group = _k_means(np.asarray(places, np.float64), max(2, round(count / PHOTOS_A_PLACE)), rng)
+    group = _k_means(np.asarray(places, np.float32).astype(np.float64), max(2, round(count / PHOTOS_A_PLACE)), rng)
     for number in rng.permutation(group.max() + 1):
         size = np.count_nonzero(group == number)
         if held.sum() + size <= wanted or (not held.any() and size < count and wanted):

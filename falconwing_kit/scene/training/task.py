@@ -4,6 +4,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from falconwing_kit.core.checks import Array, InputError
-from falconwing_kit.core.files import atomic_write, short_name
+from falconwing_kit.core.files import atomic_write, short_name, write_error
 from falconwing_kit.scene.formats.native import read_named_points, write_quantised
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import render
@@ -54,7 +55,7 @@ class Task:
     out: Path
     say: Callable[[str], None]
 
-    @property
+    @cached_property
     def split(self) -> tuple[Photos, Photos]:
         """The photos to train on and those to judge by; where none are held out, the same."""
         places = self.photos.Ts_world_camera[:, :3, 3].cpu().numpy()
@@ -74,7 +75,12 @@ class Task:
 
     def train(self) -> State:
         """Begin, or go on where an interrupted training stopped, and train."""
-        self.out.mkdir(parents=True, exist_ok=True)
+        if self.out.exists() and not self.out.is_dir():
+            raise InputError(f"{short_name(self.out)}: want a folder to write to, got a file; choose another name")
+        try:
+            self.out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise write_error(self.out, error) from None
         learn, _ = self.split
         kept, told = self.out / "training.npz", json.dumps([asdict(self.settings), self.photos.names])
         device = str(self.photos.images.device)
