@@ -166,9 +166,8 @@ def estimate_flight(
             counts["marker: pose outside the room"] += 1
         if frame not in sights and network is not None:
             _ask(network, image, camera, frame, settings, asked, counts)
-    if counts["marker: pose outside the room"] > WRONG_SHARE * max(
-        1, len(sights) + counts["marker: pose outside the room"]
-    ):
+    outside = counts["marker: pose outside the room"]
+    if outside > WRONG_SHARE * (len(sights) + outside):
         raise InputError(
             f"{video.name}: most poses from the marker lie outside the room; check the printed "
             f"size, now {marker.size:g} m, its place and the focal length"
@@ -269,10 +268,9 @@ class _Estimate:
         """Both poses of a marker, as far as they are in the room."""
         misfit = 8.0 * (sight.reprojection_px / sigma_px) ** 2
         ok = _in_room(sight.T_world_camera, sight.covariance, self.settings)
-        spread = [_turned_to_world(C, T) for C, T in zip(sight.covariance, sight.T_world_camera, strict=True)]
         both = [
             _Candidate(T, C, min(float(chi2), MOST_DOUBT), "marker")
-            for T, C, chi2 in zip(sight.T_world_camera, spread, misfit - misfit[0], strict=True)
+            for T, C, chi2 in zip(sight.T_world_camera, sight.covariance, misfit - misfit[0], strict=True)
         ]
         return [one for one, good in zip(both, ok, strict=True) if good]
 
@@ -379,7 +377,8 @@ class _Estimate:
             [k for k in inside if chosen[k].source == "marker"],
             [k for k in inside if chosen[k].source != "marker"],
         ]
-        kept, rejected = [], []
+        kept: list[int] = []
+        rejected: list[int] = []
         for frames, chi2 in zip([frames for frames in by_kind if frames], piece.chi2, strict=True):
             limit = REJECTED[8 if chosen[frames[0]].source == "marker" else 6]
             for frame, value in zip(frames, chi2, strict=True):
@@ -398,13 +397,6 @@ class _Estimate:
         extra = {"sigma_position": sigma[:, 0], "sigma_attitude": sigma[:, 1]}
         table = FlightTable(self.video.name, self.video.t, pose[:, :3], pose[:, 3:], self.video.commands, extra)
         return replace(table, labels={"source": tuple(source)})
-
-
-def _turned_to_world(covariance: Array, T_world_camera: Array) -> Array:
-    """A covariance (6, 6) whose turn is about the camera's axes, with the turn about the world's."""
-    turn = np.eye(6)
-    turn[3:, 3:] = T_world_camera[:3, :3]
-    return np.asarray(turn @ covariance @ turn.T)
 
 
 def _body_poses(T_world_camera: Array, p_body_camera: Array) -> Array:
@@ -448,8 +440,8 @@ def _strain(a: _Candidate, b: _Candidate, dt: float) -> float:
     if dt > NEIGHBOUR_S:
         return 0.0
     A, B = a.T_world_camera, b.T_world_camera
-    moved = np.linalg.norm(B[:3, 3] - A[:3, 3]) - TOP_SPEED * dt
-    turned = np.arccos(np.clip(0.5 * (np.trace(A[:3, :3].T @ B[:3, :3]) - 1.0), -1.0, 1.0)) - TOP_TURN * dt
+    moved = float(np.linalg.norm(B[:3, 3] - A[:3, 3])) - TOP_SPEED * dt
+    turned = float(np.arccos(np.clip(0.5 * (np.trace(A[:3, :3].T @ B[:3, :3]) - 1.0), -1.0, 1.0))) - TOP_TURN * dt
     variance = np.diag(a.covariance) + np.diag(b.covariance)
     chi2 = max(moved, 0.0) ** 2 / (STRAY_M**2 + variance[:3].sum())
     chi2 += max(turned, 0.0) ** 2 / (STRAY_RAD**2 + variance[3:].sum())

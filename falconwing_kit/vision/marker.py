@@ -75,7 +75,7 @@ class MarkerPose:
     T_camera_marker: Array  # (2, 4, 4)
     T_world_camera: Array  # (2, 4, 4)
     reprojection_px: Array  # (2,) root mean square over the eight coordinates
-    covariance: Array  # (2, 6, 6) of p_world [m] and of a small turn about the camera's axes [rad]
+    covariance: Array  # (2, 6, 6) of the camera's place [m] and of a small turn [rad], both in world axes
 
     @property
     def side_px(self) -> float:
@@ -231,7 +231,7 @@ def _print(dictionary: str, number: int, cell_px: int) -> tuple[Pixels, Array]:
     bits = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     drawn = cv2.aruco.generateImageMarker(bits, number, cells * fine)
     drawn = cv2.copyMakeBorder(drawn, quiet, quiet, quiet, quiet, cv2.BORDER_CONSTANT, value=255)
-    light = INK + (PAPER - INK) * drawn / 255.0
+    light: Any = INK + (PAPER - INK) * drawn / 255.0
     side = round((cells + 2 * QUIET_CELLS) * cell_px)
     light = cv2.GaussianBlur(cv2.resize(light, (side, side), interpolation=cv2.INTER_AREA), (0, 0), SOFT_PX)
     low, high = QUIET_CELLS * cell_px, (QUIET_CELLS + cells) * cell_px
@@ -250,13 +250,14 @@ def _sharpened(grey: Pixels, marker: Marker, corners: Array) -> tuple[Array, flo
     import cv2
 
     drawn, places = _print_for(marker, corners)
-    H = cv2.getPerspectiveTransform((places - 0.5).astype(np.float32), (corners - 0.5).astype(np.float32))
+    start = cv2.getPerspectiveTransform((places - 0.5).astype(np.float32), (corners - 0.5).astype(np.float32))
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-5)
     try:
-        likeness, H = cv2.findTransformECC(drawn, grey, H.astype(np.float32), cv2.MOTION_HOMOGRAPHY, stop, None, 1)
+        likeness, H = cv2.findTransformECC(drawn, grey, start.astype(np.float32), cv2.MOTION_HOMOGRAPHY, stop)
     except cv2.error:  # "images may be uncorrelated": there is no marker here
         return corners, 0.0
-    return cv2.perspectiveTransform((places - 0.5)[None], H.astype(np.float64))[0] + 0.5, float(likeness)
+    places = cv2.perspectiveTransform((places - 0.5)[None], np.asarray(H, np.float64))[0] + 0.5
+    return np.asarray(places, np.float64), float(likeness)
 
 
 def _searched(grey: Pixels, marker: Marker, near: Array) -> Array | None:
@@ -319,19 +320,14 @@ def _poses(
 
 
 def _corner_jacobian(marker: Marker, camera: PinholeCamera, T_world_camera: Array) -> Array:
-    """(8, 6) change of the corners [px] with the camera's place [m] and a turn about its axes [rad]."""
-    R_world_camera = T_world_camera[:3, :3]
-    p_camera = (marker.p_world_corners - T_world_camera[:3, 3]) @ R_world_camera
-    x, y, z = p_camera.T
+    """(8, 6) change of the corners [px] with the camera's place [m] and a small turn [rad], both in world axes."""
+    R_world_camera, from_camera = T_world_camera[:3, :3], marker.p_world_corners - T_world_camera[:3, 3]
+    x, y, z = (from_camera @ R_world_camera).T
     zero = np.zeros_like(z)
-    d_pixel = np.stack(
-        [
-            np.stack([camera.fx / z, zero, -camera.fx * x / z**2], -1),
-            np.stack([zero, camera.fy / z, -camera.fy * y / z**2], -1),
-        ],
-        axis=1,
-    )  # (4, 2, 3) by p_camera
-    # p_camera = R^T (p - c): moving the camera by dc gives -R^T dc, turning it by w about its axes gives p_camera x w.
-    d_turn = np.cross(p_camera[:, :, None], np.eye(3)[None], axisa=1, axisb=1, axisc=1)
-    d_pose = np.concatenate([np.broadcast_to(-R_world_camera.T, (4, 3, 3)), d_turn], axis=2)
-    return np.asarray((d_pixel @ d_pose).reshape(8, 6))
+    d_pixel = np.array(
+        [[camera.fx / z, zero, -camera.fx * x / z**2], [zero, camera.fy / z, -camera.fy * y / z**2]]
+    ).transpose(2, 0, 1)  # (4, 2, 3) by p_camera
+    # p_camera = R^T (p - c): moving the camera by dc gives -R^T dc, turning it by w gives R^T ((p - c) x w).
+    d_turn = np.cross(from_camera[:, :, None], np.eye(3)[None], axisa=1, axisb=1, axisc=1)
+    d_world = np.concatenate([np.broadcast_to(-np.eye(3), (4, 3, 3)), d_turn], axis=2)
+    return np.asarray((d_pixel @ R_world_camera.T @ d_world).reshape(8, 6))

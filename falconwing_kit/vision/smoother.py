@@ -53,7 +53,9 @@ class Motion:
 class Sights(Protocol):
     """Measurements of one kind: something that says how far it is off at given poses of the body."""
 
-    rows: Any  # (M,) which frame each belongs to
+    @property
+    def rows(self) -> Any:
+        """(M,) which frame each belongs to."""
 
     def residuals(self, p_world: Array, attitude: Array) -> Array:
         """(M, k) residuals in sigmas at body positions (M, 3) [m] and roll, pitch, yaw (M, 3) [rad]."""
@@ -242,7 +244,7 @@ def _normal_equations(x: Array, t: Array, sights: Sequence[Sights], motion: Moti
     for kind in sights:
         seen = x[kind.rows]
         residual = kind.residuals(seen[:, :3], seen[:, 3:6])
-        J = _derivative(lambda moved, kind=kind: kind.residuals(moved[:, :3], moved[:, 3:]), seen[:, :6])  # type: ignore[misc]
+        J = _derivative(lambda moved, kind=kind: kind.residuals(moved[:, :3], moved[:, 3:]), seen[:, :6])
         k = residual.shape[1]
         weight = np.minimum(1.0, (STUDENT_FREEDOM + k) / (STUDENT_FREEDOM + (residual**2).sum(axis=1)))
         np.add.at(diagonal[:, :6, :6], kind.rows, weight[:, None, None] * _product(J, J))
