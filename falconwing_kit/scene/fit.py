@@ -26,7 +26,7 @@ from falconwing_kit.scene.training.settings import CAMERAS, LEADER, FitSettings
 if TYPE_CHECKING:
     from falconwing_kit.scene.training.task import Fit
 
-ON_FACES = 0.75  # of the points that are added: on the room's floor, walls and ceiling; the others in between
+ON_FACES = 0.9  # of the points that are added: on the room's floor, walls and ceiling; the others in between
 ROOM_MARGIN = 0.5  # [m] beyond the outermost camera and surveyed point
 BEYOND = 0.25  # a scene may reach this part of the room's size beyond it, and below the floor as deep as it is high
 CENTRE_OF_GRAVITY = (0.036, 0.0, 0.0)  # of the leader, in its photos' frame [m]: 0.20 m behind its nose at x = 0.236

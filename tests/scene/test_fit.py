@@ -385,7 +385,7 @@ def test_first_points_lie_in_the_room_and_take_the_colours_nearby():
     assert (points >= ROOM[0]).all() and (points <= ROOM[1]).all()
     assert (taken[points[:, 0] < -0.1] == [255, 0, 0]).all() and (taken[points[:, 0] > 0.1] == [0, 0, 255]).all()
     on_face = np.isclose(points, ROOM[0]) | np.isclose(points, ROOM[1])
-    assert 0.65 < on_face.any(axis=1).mean() < 0.85  # three quarters, of 400
+    assert 0.84 < on_face.any(axis=1).mean() < 0.96  # nine tenths, of 400: 0.015 is a standard deviation
 
 
 # --- refusals ----------------------------------------------------------------------------------------------------
