@@ -149,7 +149,7 @@ def move(scene: GaussianScene, mask: Mask, T_world_asset: ArrayLike) -> Gaussian
     """
     mask, T = _require_mask(scene, mask), require_pose("T_world_asset", T_world_asset)
     _finite("T_world_asset", T[:3, 3])
-    means = scene.means[mask] @ T[:3, :3].T + T[:3, 3]
+    means = scene.means[mask].astype(np.float64) @ T[:3, :3].T + T[:3, 3]
     if np.array_equal(T[:3, :3], np.eye(3)):
         return _changed(scene, mask, means=means)
     quaternions = scene.quaternions[mask] @ _turn_by(T[:3, :3]).T.astype(np.float32)
