@@ -253,7 +253,9 @@ def _sharpened(grey: Pixels, marker: Marker, corners: Array) -> tuple[Array, flo
     start = cv2.getPerspectiveTransform((places - 0.5).astype(np.float32), (corners - 0.5).astype(np.float32))
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-5)
     try:
-        likeness, H = cv2.findTransformECC(drawn, grey, start.astype(np.float32), cv2.MOTION_HOMOGRAPHY, stop)
+        likeness, H = cv2.findTransformECC(  # 1: no further blur, which would make the marker seem smaller
+            drawn, grey, start.astype(np.float32), cv2.MOTION_HOMOGRAPHY, stop, np.full_like(grey, 255), 1
+        )
     except cv2.error:  # "images may be uncorrelated": there is no marker here
         return corners, 0.0
     places = cv2.perspectiveTransform((places - 0.5)[None], np.asarray(H, np.float64))[0] + 0.5
