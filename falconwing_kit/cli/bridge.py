@@ -1,6 +1,7 @@
 """falconwing bridge, record and find-port: the board on a serial port, watched, recorded from, and found."""
 
 import math
+import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 LOOK_S = 0.005  # between two looks at the port
 PERIOD_S = 0.05  # between two commands of --move-sticks
 SHOW_S = 0.25  # between two live lines
+PILOT_SILENT = 0.5  # s without a frame of the pilot's radio, of which 45 come in a second
 LONGEST_S = 1e5  # a day and more; 0 is for ever
 
 
@@ -190,6 +192,8 @@ class Record:
             print_json(record)
             return 0 if complete else 1
         print_table(("what", "value"), list(record.items()))
+        if recording.counts.images == 0:
+            print(f"no image came: is the camera plugged in, and is it {self.camera} (--camera)?")
         if recording.stopped:
             next_line(f"make room, then falconwing export {path} --to mcap --out saved.mcap")
         elif recording.counts.commands == 0:
@@ -251,7 +255,9 @@ class LiveLine:
                 move_sticks(self.port, t)
             if sys.stderr.isatty():
                 counts = "" if recording is None else f"  log {recording.counts.commands}/{recording.counts.images}"
-                print(f"\r{live_text(self.port)}{counts}\x1b[K", end="", file=sys.stderr, flush=True)
+                text = live_text(self.port) + counts
+                room = shutil.get_terminal_size().columns - 1  # a line that wraps cannot be written over
+                print(f"\r{text[:room]}\x1b[K", end="", file=sys.stderr, flush=True)
         return 0.0 < self.seconds <= t
 
     def alert(self, sentence: str) -> None:
@@ -289,16 +295,17 @@ def live_text(port: TrainerPort) -> str:
     if status is None or port.state != "open":
         return f"port {port.state}"
     sticks = " ".join(f"{position:+.2f}" for position in pilot_sticks(port)) or "none"
+    slots = " ".join(map(str, status.channels_us))
     return (
-        f"{status.state}{'' if status.fault == 'none' else ' ' + status.fault}  "
-        f"round trip {1e3 * port.clock.round_trip:.1f} ms  pilot {sticks}  sent {counters.sent} "
-        f"dropped {counters.dropped}  bad {counters.bad + status.bad_frames}  resets {counters.resets}"
+        f"{status.state}{'' if status.fault == 'none' else ' ' + status.fault}  {slots} us  pilot {sticks}  "
+        f"boots {status.boot_count}  frames {status.ppm_frames}  round trip {1e3 * port.clock.round_trip:.1f} ms  "
+        f"sent {counters.sent} dropped {counters.dropped} bad {counters.bad + status.bad_frames}"
     )
 
 
 def pilot_sticks(port: TrainerPort) -> list[float]:
-    """Throttle, aileron, elevator and rudder as the pilot holds them; empty where they are not known."""
-    if port.pilot is None:
+    """Throttle, aileron, elevator and rudder as the pilot holds them; empty where they are not known, or no longer."""
+    if port.pilot is None or port.now() - port.to_host_time(port.pilot.device_time_us) > PILOT_SILENT:
         return []
     with suppress(InputError):
         return [round(position, 3) for position in port.calibration.command(port.pilot.channels_us).vector.tolist()]

@@ -133,7 +133,8 @@ def test_a_recorded_approach_is_a_whole_log(tmp_path, capsys):
 def test_a_camera_that_is_not_there_costs_no_sticks(capsys):
     """The grabber goes on looking for camera 99; the sticks are recorded without images."""
     assert run("record", "--port", "sim-python", "--camera", "99", "--seconds", "0.5") == 0
-    assert "next: falconwing export" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "next: falconwing export" in said and "no image came: is the camera plugged in, and is it 99" in said
 
 
 def test_a_recording_without_sticks_is_no_success(monkeypatch, capsys):
@@ -188,7 +189,25 @@ def test_the_live_line_says_state_delay_and_sticks():
         while port.pilot is None and time.monotonic() < end:
             time.sleep(0.01)
             port.poll()
-        assert live_text(port).startswith("SAFE  round trip ") and "pilot +0." in live_text(port)
+        text = live_text(port)
+        assert text.startswith("SAFE  1000 1500 1500 1500 us  pilot +0.") and "  boots 1  frames " in text
+        with port.simulation.paused() as board:
+            board.set_pilot(None)
+        time.sleep(0.7)
+        port.poll()
+        assert "pilot none" in live_text(port)  # half a second after the radio's last frame
+
+
+def test_the_live_line_fits_the_terminal(monkeypatch, capsys):
+    """One that wraps would leave its first half behind, four times a second; 60 columns, one of them for the cursor."""
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with open_port("sim-python") as port:
+        port.wait_ready()
+        LiveLine(port, 1.0).over()
+    line = capsys.readouterr().err.rsplit("\r", 1)[1]
+    assert line.startswith("SAFE  1000 1500 1500 1500 us") and line.endswith("\x1b[K")
+    assert len(line) - len("\x1b[K") == 59
 
 
 def test_an_alert_is_not_overlooked(capsys):
