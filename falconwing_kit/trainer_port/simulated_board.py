@@ -238,7 +238,9 @@ class BoardOnPty:
             import pty
             import tty
         except ImportError:
-            raise InputError("port: want a system with pseudo-terminals for a simulated board, got Windows") from None
+            raise InputError(
+                "port: want a system with pseudo-terminals for a simulated board, got Windows; take --port sim-python"
+            ) from None
         self._board, self._lock, self._open = board, threading.Lock(), True
         self._master, self._slave = pty.openpty()  # ours stays open: else the line breaks when its user closes it
         tty.setraw(self._slave)

@@ -15,6 +15,7 @@ from falconwing_kit.trainer_port.links.simulated import STEP, SteppedBoard
 from falconwing_kit.trainer_port.links.usb import SerialLink, find_boards, how_to_open
 from falconwing_kit.trainer_port.port import TrainerPort, open_port
 from falconwing_kit.trainer_port.python_board import PythonBoard
+from falconwing_kit.trainer_port.simulated_board import BoardOnPty
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX")
 STICKS = Command(0.5, 0.1, -0.2, 0.3)
@@ -166,6 +167,13 @@ def test_the_port_called_sim_is_the_firmware_behind_real_serial_code():
 
 
 @POSIX
+def test_without_pseudo_terminals_the_sentence_names_the_way_out(monkeypatch):
+    """Windows has no module pty."""
+    monkeypatch.setitem(sys.modules, "pty", None)
+    with pytest.raises(InputError, match="got Windows; take --port sim-python"):
+        BoardOnPty(PythonBoard())
+
+
 def test_a_write_off_the_processor_is_not_a_lost_port(monkeypatch):
     """pyserial raises its timeout after a good write too, where select came late; the port must not be given up."""
     import pty
