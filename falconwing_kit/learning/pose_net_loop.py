@@ -89,6 +89,9 @@ def losses(answer: Answer, views: Views, clear: Tensor, rays: Tensor, log_trust:
     points  Student's t in each cell's point: p(e) ~ sigma^-3 (1 + e^2 / (nu sigma^2))^-(nu + 3)/2
     fused   Student's t in the six numbers of the fused pose, with its own information matrix
 
+    Token and points are weighted by their stated sigma [Seitzer et al. 2022, beta-NLL with beta = 1/2], which leaves
+    the best answers and sigmas where they are; without it what is uncertain at first, the place, hardly learns.
+
     Args:
         answer: about B images.
         views: what they are.
@@ -102,6 +105,7 @@ def losses(answer: Answer, views: Views, clear: Tensor, rays: Tensor, log_trust:
     R, place = views.Ts_world_camera[:, :3, :3], views.Ts_world_camera[:, :3, 3]
     off = answer.place - place
     nll_place = 0.5 * (off * torch.exp(-answer.log_sigma_place)) ** 2 + answer.log_sigma_place
+    nll_place = nll_place * torch.exp(answer.log_sigma_place.detach())
     nose, wing_z, belly_z = R[:, :, 2], R[:, 2, 0], R[:, 2, 1]
     angles = torch.stack(
         [torch.atan2(-wing_z, -belly_z), torch.asin(nose[:, 2].clamp(-1, 1)), torch.atan2(-nose[:, 1], nose[:, 0])],
@@ -110,11 +114,13 @@ def losses(answer: Answer, views: Views, clear: Tensor, rays: Tensor, log_trust:
     wanted = torch.stack([angles.sin(), angles.cos()], dim=-1)
     squares = ((answer.sincos - wanted) ** 2).sum(dim=(1, 2))
     nll_turn = 0.5 * squares * torch.exp(-2.0 * answer.log_sigma_angle) + 3.0 * answer.log_sigma_angle
+    nll_turn = nll_turn * torch.exp(answer.log_sigma_angle.detach())
     loss = {"token": (nll_place.sum(dim=1) + nll_turn).mean(), "points": _points_loss(answer, views, clear, rays)}
     R_fused, place_fused, information = fused(answer, rays, log_trust)
     error = torch.cat([place_fused - place, turn_between(R_fused, R)], dim=1)
     square = torch.einsum("bi,bij,bj->b", error, information, error)
-    loss["fused"] = (0.5 * (FREEDOM + 6.0) * torch.log1p(square / FREEDOM) - 0.5 * torch.logdet(information)).mean()
+    logdet = 2.0 * torch.linalg.cholesky_ex(information).L.diagonal(dim1=1, dim2=2).log().sum(-1)
+    loss["fused"] = (0.5 * (FREEDOM + 6.0) * torch.log1p(square / FREEDOM) - 0.5 * logdet).mean()
     loss["place"] = off.detach().norm(dim=1).mean()
     loss["turn"] = turn_between(rotations(answer.sincos.detach()), R).norm(dim=1).mean()
     return loss
@@ -128,6 +134,7 @@ def _points_loss(answer: Answer, views: Views, clear: Tensor, rays: Tensor) -> T
     points = views.Ts_world_camera[:, None, :3, 3] + reach * (rays @ views.Ts_world_camera[:, :3, :3].mT)
     squares = ((answer.points - points) ** 2).sum(-1) * torch.exp(-2.0 * answer.log_sigma_points)
     nll = 0.5 * (FREEDOM + 3.0) * torch.log1p(squares / FREEDOM) + 3.0 * answer.log_sigma_points
+    nll = nll * torch.exp(answer.log_sigma_points.detach())
     return (nll * counts).sum() / counts.sum().clamp(min=1.0)
 
 
@@ -169,7 +176,7 @@ class Trainer:
         start = time.monotonic()
         generator = torch.Generator(device).manual_seed(self.plan.seed + self.step)
         pool = Pool(self.world, self.plan.pool, np.random.default_rng([self.plan.seed, self.step]))
-        for _ in range(-(-self.plan.first // self.plan.fresh)):
+        for _ in range(-(-self.plan.first // self.plan.fresh) if self.progress < 1.0 else 0):
             pool.grow(self.plan.fresh)
         while self.progress < 1.0:
             pool.grow(self.plan.fresh)

@@ -220,6 +220,16 @@ def cross_matrix(v: Tensor) -> Tensor:
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).reshape(*v.shape[:-1], 3, 3)
 
 
+def turn_by(w: Tensor) -> Tensor:
+    """exp([w]x) (B, 3, 3) of turns (B, 3) [rad], by Rodrigues' formula [Murray, Li & Sastry 1994, eq. 2.14].
+
+    1 + sin(a)/a K + (1 - cos(a))/a^2 K^2,  K = [w]x, a = |w|; the second fraction as sinc(a/2)^2 / 2, safe at 0
+    """
+    K, angle = cross_matrix(w), (w * w).sum(-1).clamp(min=1e-16).sqrt()[:, None, None]
+    half = torch.sinc(angle / (2.0 * math.pi))
+    return torch.eye(3, device=w.device, dtype=w.dtype) + torch.sinc(angle / math.pi) * K + 0.5 * half * half * (K @ K)
+
+
 def turn_between(R: Tensor, R_from: Tensor) -> Tensor:
     """The turn (B, 3) [rad] in world axes that leads from one rotation to the other, exact to the third order.
 
@@ -261,9 +271,9 @@ def fused(answer: Answer, rays: Tensor, log_trust: Tensor, steps: int = FUSE_STE
             information, pull = _normal_equations(answer, rays @ R.mT, place, log_trust)
             off = torch.cat([place - answer.place, turn_between(R, R_head)], dim=1)
             information = information + torch.diag_embed(prior)
-            step = torch.linalg.solve_ex(information, pull - prior * off).result  # does not stop a training
-            place = place + step[:, :3]
-            R = torch.linalg.matrix_exp(cross_matrix(step[:, 3:])) @ R
+            factor = torch.linalg.cholesky_ex(information).L  # of what is no number it makes no exception
+            step = torch.cholesky_solve((pull - prior * off)[..., None], factor)[..., 0]
+            place, R = place + step[:, :3], turn_by(step[:, 3:]) @ R
     return R, place, information
 
 

@@ -1,0 +1,131 @@
+"""Views: what is drawn, seen and told belongs together."""
+
+import numpy as np
+import pytest
+import torch
+
+from falconwing_kit.core.frames import euler_from_rotation
+from falconwing_kit.learning.pose_views import aircraft_poses, finer, from_photos, looker, nearby, take, with_leader
+from falconwing_kit.scene import GaussianScene, load_scene, nose_camera_pose
+from falconwing_kit.vision.pose_net import cell_rays
+from tests.learning.halls import CAMERA, HIGH, LOW, hall, photos_of, world
+
+AHEAD = nose_camera_pose((-5.0, -1.0, 1.5), 0.1, -0.1, 0.2)
+
+
+def points_seen(views):
+    """(N, K, 3) where the cells' rays end, by depth along the camera's axis."""
+    rays, T = cell_rays(CAMERA), views.Ts_world_camera.numpy().astype(np.float64)
+    reach = views.depths.numpy()[..., None] / rays[:, 2:]
+    return T[:, None, :3, 3] + reach * np.einsum("nij,kj->nki", T[:, :3, :3], rays)
+
+
+def test_cells_end_on_the_hall():
+    """The arena's floor is at 0, its ceiling at 5 m, its walls at its box: what a cell sees lies on one of them or on
+    something between; nine of ten lie within 0.3 m of the shell, for splats blend depths at edges."""
+    views = take(world(low=np.array([-20.0, -10, 0.5]), high=np.array([15.0, 6, 4.5])), 30, np.random.default_rng(0))
+    points = points_seen(views)[views.depths.numpy() > 0.0]
+    low, high = np.array([-22.5, -12.0, 0.0]), np.array([17.5, 8.0, 5.0])
+    assert ((points > low - 0.3) & (points < high + 0.3)).mean() > 0.98
+    shell = np.minimum(np.abs(points - low), np.abs(points - high)).min(axis=1)
+    assert (shell < 0.3).mean() > 0.8
+
+
+def test_depths_of_a_floor_are_those_of_its_rays():
+    """By hand 1.5 m above a floor: a ray that falls by d per metre reaches it at 1.5 / d; half a piece is 5 cm."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-3, 3, 0.1), np.arange(-4, 4, 0.1)))
+    flat = np.tile([0.06, 0.06, 0.001], (len(x), 1))
+    means = np.stack([x, y, 0.0 * x], axis=1)
+    floor = GaussianScene(
+        means, np.tile([1, 0, 0, 0], (len(x), 1)), flat, np.full(len(x), 0.99), np.zeros((len(x), 1, 3))
+    )
+    T_world_camera = nose_camera_pose((-2.0, 0.5, 1.5), 0.2, np.radians(-50.0), 0.3)
+    flying = world(look=looker(floor, finer(CAMERA), "fast"), photos=photos_of([T_world_camera]), photo_share=1.0)
+    views = take(flying, 3, np.random.default_rng(2))
+    rays = cell_rays(CAMERA)
+    for depths, T in zip(views.depths.numpy(), views.Ts_world_camera.numpy(), strict=True):
+        fall = -(rays / rays[:, 2:] @ T[:3, :3].T)[:, 2]
+        known = depths > 0.0
+        assert known.mean() > 0.5
+        assert np.median(np.abs(depths - 1.5 / fall)[known]) < 0.05
+
+
+def test_aircraft_are_anywhere_in_the_box_and_head_anywhere():
+    """By the documented distribution: inside by half a metre, roll 25 and pitch 12 deg, every quadrant of headings."""
+    Ts = aircraft_poses(LOW, HIGH, 4000, np.random.default_rng(0))
+    assert (Ts[:, :3, 3] >= LOW + 0.5).all()
+    assert (Ts[:, :3, 3] <= HIGH - 0.5).all()
+    R_body_from_camera = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])  # right, down, forward -> nose, wing, belly
+    roll, pitch, yaw = euler_from_rotation(Ts[:, :3, :3] @ R_body_from_camera)
+    assert np.degrees(roll.std()) == pytest.approx(25.0, rel=0.05)
+    assert np.degrees(pitch.std()) == pytest.approx(12.0, rel=0.05)
+    assert np.histogram(yaw, 4, (-np.pi, np.pi))[0].min() > 900
+
+
+def test_nearby_moves_and_turns_as_far_as_told():
+    """Normal with 0.7 m per axis; a turn of 10 deg about each axis is one of sqrt(3) x 10 deg, root mean square."""
+    moved = nearby(np.tile(AHEAD, (4000, 1, 1)), 0.7, 10.0, np.random.default_rng(0))
+    assert (moved[:, :3, 3] - AHEAD[:3, 3]).std() == pytest.approx(0.7, rel=0.03)
+    cos = 0.5 * (np.einsum("nij,ij->n", moved[:, :3, :3], AHEAD[:3, :3]) - 1.0)
+    assert np.degrees(np.sqrt((np.arccos(cos) ** 2).mean())) == pytest.approx(17.3, rel=0.03)
+
+
+def test_a_photo_turned_is_what_the_hall_shows_there():
+    """The hall rendered from the turned pose is the independent truth: 20 dB are left after resampling at few pixels.
+
+    Turned the wrong way it is 6 dB less or worse; not turned at all, the photo itself comes back to a byte's step.
+    """
+    photos, look = photos_of([AHEAD]), looker(hall(), finer(CAMERA), "fast")
+    turned = nearby(AHEAD[None], 0.0, 6.0, np.random.default_rng(4))
+    back = turned.copy()
+    back[0, :3, :3] = AHEAD[:3, :3] @ turned[0, :3, :3].T @ AHEAD[:3, :3]
+    truth, decibels = look(turned)[0], []
+    for T in (turned, back):
+        drawn = from_photos(torch.full_like(truth, -1.0), CAMERA, T, photos, np.array([0]))
+        seen = (drawn >= 0.0).all(dim=-1)
+        assert 0.6 < seen.float().mean() < 1.0
+        decibels.append(-10.0 * torch.log10(((drawn - truth)[seen] ** 2).mean()))
+    assert decibels[0] > max(20.0, decibels[1] + 6.0)
+    still = from_photos(truth, CAMERA, AHEAD[None], photos, np.array([0]))
+    assert (still - look(AHEAD[None])[0]).abs().max() < 0.01
+
+
+def test_photos_and_their_neighbourhood_are_taken():
+    """With all shares on photos every place is a photo's; with all beside them every place is near one."""
+    photos = photos_of([AHEAD])
+    exact = take(world(photos=photos, photo_share=1.0, near_share=0.0), 6, np.random.default_rng(0))
+    assert len(exact.images) == 6
+    assert np.allclose(exact.Ts_world_camera[:, :3, 3], AHEAD[:3, 3])
+    near = take(world(photos=photos, photo_share=0.0, near_share=1.0), 6, np.random.default_rng(0))
+    distances = np.linalg.norm(near.Ts_world_camera[:, :3, 3].numpy() - AHEAD[:3, 3], axis=1)
+    assert 0.1 < distances.mean() < 3.0
+
+
+def test_a_leader_hides_the_hall_only_where_nothing_hides_it():
+    """A leader 1.5 to 12 m ahead is seen against a hall 100 m away, and not at all through a wall at 0.5 m."""
+    look = looker(load_scene("leader"), finer(CAMERA), "fast")
+    counts = []
+    for distance in (100.0, 0.5):
+        colours, depths = torch.zeros(8, 96, 128, 3), torch.full((8, 96, 128), distance)
+        with_leader(colours, depths, look, CAMERA, np.tile(AHEAD, (8, 1, 1)), np.arange(8), np.random.default_rng(0))
+        counts.append(int((depths == 0.0).sum()))
+        assert ((colours.sum(dim=-1) > 0.0) | (depths > 0.0)).all()
+    assert counts[0] > 50
+    assert counts[1] == 0
+
+
+@pytest.mark.parametrize(("alpha", "depth"), [(0.0, 0.0), (1.0, 0.2)])
+def test_views_that_show_no_hall_are_left_out(alpha, depth):
+    """A renderer that sees nothing, and one with its nose at a wall: none of their views counts."""
+
+    def look(Ts_world_camera):
+        empty = torch.ones(len(Ts_world_camera), 96, 128)
+        return torch.zeros(*empty.shape, 3), alpha * empty, depth * empty
+
+    assert len(take(world(look=look), 5, np.random.default_rng(0)).images) == 0
+
+
+def test_the_same_seed_draws_the_same_views():
+    """A second run must be able to repeat a first."""
+    first, second = (take(world(), 4, np.random.default_rng(7)) for _ in range(2))
+    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
