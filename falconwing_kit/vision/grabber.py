@@ -9,6 +9,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol
@@ -154,7 +155,8 @@ class Grabber:
             except Exception as error:  # whatever a driver throws, the loop flies on
                 self._note(f"{type(error).__name__}: {error}")
             finally:
-                self._camera.close()
+                with suppress(Exception):  # a driver that throws here too must not end the thread
+                    self._camera.close()
             attempts += 1
             self._pause(wait)
             wait = min(2.0 * wait, LONGEST_WAIT)

@@ -136,6 +136,17 @@ def test_whatever_a_driver_throws_it_is_opened_again():
     assert camera.opened == camera.closed == 3
 
 
+def test_a_driver_that_throws_when_it_is_closed_is_opened_again():
+    """Its device is gone, so letting go of it fails as well; twice, and then there are frames."""
+
+    class Gone(Angry):
+        def close(self) -> None:
+            raise OSError("no such device")
+
+    with Grabber(Gone(), pause=lambda seconds: None) as grabbed:
+        assert grabbed.wait(3, PATIENCE)
+
+
 class Short(Angry):
     """Three frames, then the end."""
 
