@@ -1,14 +1,20 @@
 """Views: what is drawn, seen and told belongs together."""
 
+import sys
+import types
+
 import numpy as np
 import pytest
 import torch
 
 from falconwing_kit.core.frames import euler_from_rotation
+from falconwing_kit.learning import pose_views
 from falconwing_kit.learning.pose_views import aircraft_poses, finer, from_photos, looker, nearby, take, with_leader
 from falconwing_kit.scene import GaussianScene, load_scene, nose_camera_pose
+from falconwing_kit.scene.renderers import gsplat_backend
 from falconwing_kit.vision.pose_net import cell_rays
 from tests.learning.halls import CAMERA, HIGH, LOW, hall, photos_of, world
+from tests.scene.test_gsplat_backend import rasterization
 
 AHEAD = nose_camera_pose((-5.0, -1.0, 1.5), 0.1, -0.1, 0.2)
 
@@ -123,6 +129,19 @@ def test_views_that_show_no_hall_are_left_out(alpha, depth):
         return torch.zeros(*empty.shape, 3), alpha * empty, depth * empty
 
     assert len(take(world(look=look), 5, np.random.default_rng(0)).images) == 0
+
+
+def test_gsplat_s_way_gives_what_the_reference_gives(monkeypatch):
+    """A stand-in with gsplat's signature draws by the reference: colours, alpha and depth must come back in place."""
+    monkeypatch.setitem(sys.modules, "gsplat", types.SimpleNamespace(rasterization=rasterization))
+    monkeypatch.setattr(gsplat_backend, "DEVICE", "cpu")
+    monkeypatch.setattr(pose_views, "BATCH", 2)  # five views in three calls
+    few = hall().selected(np.random.default_rng(0).random(len(hall())) < 0.01)
+    Ts = nearby(np.tile(AHEAD, (5, 1, 1)), 0.7, 10.0, np.random.default_rng(0))
+    ours, theirs = (looker(few, CAMERA, backend)(Ts) for backend in ("gsplat", "reference"))
+    for mine, wanted in zip(ours, theirs, strict=True):
+        assert mine.shape == wanted.shape
+        assert torch.allclose(mine, wanted, atol=1e-4)
 
 
 def test_the_same_seed_draws_the_same_views():

@@ -125,6 +125,21 @@ def test_information_is_the_curvature_of_the_cost(net):
     assert np.allclose(np.diag(information), np.add(curvature, prior), rtol=2e-3)
 
 
+def test_cells_come_row_by_row():
+    """By hand for 3 x 4 patches of 2 x 2 cells: the cell in row r, column c is 2 (r mod 2) + c mod 2 in its patch."""
+    network = PoseNetwork(SMALL, -torch.ones(3), torch.ones(3))
+
+    class Counting(torch.nn.Module):
+        def forward(self, tokens):
+            numbers = torch.arange(12.0)[:, None] + 100.0 * torch.arange(4.0).repeat_interleave(4)
+            return numbers[None]
+
+    network.point_head = Counting()
+    said = network(torch.zeros(1, 3, 48, 64)).points[0, :, 0].reshape(6, 8)
+    r, c = torch.meshgrid(torch.arange(6), torch.arange(8), indexing="ij")
+    assert torch.equal(said, (r // 2) * 4 + c // 2 + 100.0 * (2 * (r % 2) + c % 2))
+
+
 def slopes(camera):
     """A picture (H, W, 3) of bytes that tells of each pixel where it looks: 100 + 60 x/z, 100 + 60 y/z."""
     rays = camera.pixel_rays()
