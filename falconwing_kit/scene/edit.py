@@ -153,9 +153,8 @@ def move(scene: GaussianScene, mask: Mask, T_world_asset: ArrayLike) -> Gaussian
     if np.array_equal(T[:3, :3], np.eye(3)):
         return _changed(scene, mask, means=means)
     quaternions = scene.quaternions[mask] @ _turn_by(T[:3, :3]).T.astype(np.float32)
-    return _changed(
-        scene, mask, means=means, quaternions=quaternions, sh=turned_colours(scene.sh[mask], T[:3, :3])
-    )  # fmt: skip
+    sh = turned_colours(scene.sh[mask], T[:3, :3])
+    return _changed(scene, mask, means=means, quaternions=quaternions, sh=sh)
 
 
 def translate(scene: GaussianScene, mask: Mask, offset_world: ArrayLike) -> GaussianScene:
@@ -273,9 +272,12 @@ def draw_appearance(
         InputError: the seed is not a whole number >= 0, or a range is none.
     """
     rng = _rng(seed)
-    ranges = {"scale": (scale, 1e-3), "brightness": (brightness, 0.0), "salt_pepper": (salt_pepper, 0.0)}
-    for name, ((first, last), least) in ranges.items():
-        require_range(name, last, low=require_range(name, first, low=least), high=LARGEST_FACTOR)
+    for name, (first, last), least, most in (
+        ("scale", scale, 1.0 / LARGEST_FACTOR, LARGEST_FACTOR),
+        ("brightness", brightness, 0.0, LARGEST_FACTOR),
+        ("salt_pepper", salt_pepper, 0.0, 1.0),
+    ):
+        require_range(name, last, low=require_range(name, first, low=least), high=most)
     return Appearance(
         scale=float(np.exp(rng.uniform(*np.log(scale)))),
         brightness=float(rng.uniform(*brightness)),

@@ -267,6 +267,7 @@ def test_a_mask_that_is_none_is_refused(scene, name, mask):
         (lambda s, m: salt_and_pepper(s, m, 0.1, -1), "seed"),
         (lambda s, m: salt_and_pepper(s, m, 0.1, 1.5), "seed"),
         (lambda s, m: draw_appearance(0, scale=(2.0, 0.5)), "scale"),
+        (lambda s, m: draw_appearance(0, salt_pepper=(0.0, 1.5)), "salt_pepper"),
         (lambda s, m: delete(s, everything(s)), "cannot be empty"),
         (lambda s, m: duplicate(s, m, (1.0, 0.0, 0.0), "wall"), "new to the scene, got 'wall'"),
         (lambda s, m: rename(s, m, ""), "label_names"),
