@@ -213,7 +213,8 @@ def _low_pass(pixel_s: float) -> Array:
 
 def _require_picture(image: Pixels, earlier: Pixels | None) -> None:
     for picture in (image,) if earlier is None else (image, earlier):
-        shape, kind = getattr(picture, "shape", ()), getattr(picture, "dtype", type(picture).__name__)
+        shape: tuple[int, ...] = getattr(picture, "shape", ())
+        kind = getattr(picture, "dtype", type(picture).__name__)
         if len(shape) != 3 or shape[2] != 3 or kind != np.uint8 or min(shape[:2]) < 16:
             raise InputError(f"analog video: want (H, W, 3) uint8 of 16 pixels or more, got {shape} {kind}")
     if earlier is not None and earlier.shape != image.shape:
