@@ -172,11 +172,12 @@ def _split(photos: Reconstruction, listed: Path | None) -> tuple[NDArray[np.bool
 
 
 def _named(photos: Reconstruction, path: Path) -> NDArray[np.bool_]:
-    """(N,) True for photos named in a file: names anywhere in a JSON file's key "held_out", or one a line."""
+    """(N,) True for photos named in a file: the scene training's figures.json, JSON with a list "held_out", or one a line."""
     text = require_file(path).read_text(encoding="utf-8")
     try:
         found = json.loads(text)
         names = found["held_out"] if isinstance(found, dict) else found
+        names = names["photos"] if isinstance(names, dict) else names
         names = [entry["photo"] if isinstance(entry, dict) else entry for entry in names]
     except json.JSONDecodeError:
         names = text.split()

@@ -53,13 +53,14 @@ def test_one_call_leaves_net_figures_and_a_picture(files, tmp_path, monkeypatch)
 
 
 def test_held_out_photos_can_be_named(files, tmp_path):
-    """A list of lines, JSON with names, and JSON with a table: all hold out the same two."""
+    """Lines, JSON with names or a table, and the scene training's own figures: all hold out the same two."""
     texts = [
         "001.png\n007.png\n",
         '{"held_out": ["001.png", "photos/007.png"]}',
         '[{"photo": "001.png"}, {"photo": "007.png"}]',
     ]
     photos = pose_net_training._aligned(Job(files / "hall.npz", files / "aligned", tmp_path))
+    texts.append('{"held_out": {"psnr_db": 28.0, "photos": [{"photo": "001.png"}, {"photo": "007.png"}]}}')
     for text in texts:
         (tmp_path / "held").write_text(text)
         held, aside = pose_net_training._split(photos, tmp_path / "held")
