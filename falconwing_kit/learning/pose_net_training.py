@@ -172,7 +172,7 @@ def _split(photos: Reconstruction, listed: Path | None) -> tuple[NDArray[np.bool
 
 
 def _named(photos: Reconstruction, path: Path) -> NDArray[np.bool_]:
-    """(N,) True for photos named in a file: the scene training's figures.json, JSON with a list "held_out", or one a line."""
+    """(N,) True for photos named in a file: scene training's figures.json, JSON with a list "held_out", or lines."""
     text = require_file(path).read_text(encoding="utf-8")
     try:
         found = json.loads(text)
