@@ -25,7 +25,7 @@ LEAST_SIDE_PX = 8.0  # below, a bit of a 4 x 4 marker is hardly a pixel wide
 LEAST_FLATNESS = 0.15  # area over longest side squared; below, the marker is seen from too far aside
 LEAST_LIKENESS = 0.85  # correlation with the printed marker; the hall's video has 0.97, its analog link 0.9
 QUIET_CELLS = 0.5  # white around the black square that is compared too, in cells
-SOFT_PX = 0.6  # blur of a lens and of averaging over pixels, given to the printed marker
+SOFT_PX = (0.5, 0.9, 1.4)  # blur of a lens, of averaging over pixels, of an analog link: what fits best is taken
 INK, PAPER = 0.04, 0.85  # shares of the light they send back
 GAMMA = 2.2  # of cameras: a pixel half black, half white is brighter than grey, which makes black shapes look smaller
 UPSCALE = 2.0  # the detector looks for contours, which small markers hardly have
@@ -221,7 +221,7 @@ def _detected(grey: Pixels, marker: Marker) -> Array | None:
 
 
 @cache
-def _print(dictionary: str, number: int, cell_px: int) -> tuple[Pixels, Array]:
+def _print(dictionary: str, number: int, cell_px: int, soft_px: float) -> tuple[Pixels, Array]:
     """The marker as printed, cell_px pixels a cell, and where its corners are in it (4, 2) [px]."""
     import cv2
 
@@ -233,23 +233,34 @@ def _print(dictionary: str, number: int, cell_px: int) -> tuple[Pixels, Array]:
     drawn = cv2.copyMakeBorder(drawn, quiet, quiet, quiet, quiet, cv2.BORDER_CONSTANT, value=255)
     light: Any = INK + (PAPER - INK) * drawn / 255.0
     side = round((cells + 2 * QUIET_CELLS) * cell_px)
-    light = cv2.GaussianBlur(cv2.resize(light, (side, side), interpolation=cv2.INTER_AREA), (0, 0), SOFT_PX)
+    light = cv2.GaussianBlur(cv2.resize(light, (side, side), interpolation=cv2.INTER_AREA), (0, 0), soft_px)
     low, high = QUIET_CELLS * cell_px, (QUIET_CELLS + cells) * cell_px
     seen = np.asarray(np.rint(255.0 * light ** (1.0 / GAMMA)), np.uint8)
     return seen, np.array([(low, low), (high, low), (high, high), (low, high)])
 
 
-def _print_for(marker: Marker, corners: Array) -> tuple[Pixels, Array]:
+def _print_for(marker: Marker, corners: Array, soft_px: float = SOFT_PX[0]) -> tuple[Pixels, Array]:
     """The print at about the size it has in the image."""
     cells = int(marker.dictionary[5]) + 2
-    return _print(marker.dictionary, marker.id, int(np.clip(round(np.sqrt(_area(corners)) / cells), 2, 16)))
+    cell_px = int(np.clip(round(np.sqrt(_area(corners)) / cells), 2, 16))
+    return _print(marker.dictionary, marker.id, cell_px, soft_px)
 
 
 def _sharpened(grey: Pixels, marker: Marker, corners: Array) -> tuple[Array, float]:
     """Corners where the printed marker correlates best with the image, and that correlation; 0 where it gets lost."""
+    best, most = corners, 0.0
+    for soft_px in SOFT_PX:
+        moved, likeness = _laid_over(grey, *_print_for(marker, corners, soft_px), best)
+        if likeness <= most:
+            break
+        best, most = moved, likeness
+    return best, most
+
+
+def _laid_over(grey: Pixels, drawn: Pixels, places: Array, corners: Array) -> tuple[Array, float]:
+    """One print moved from expected corners to where it correlates best."""
     import cv2
 
-    drawn, places = _print_for(marker, corners)
     start = cv2.getPerspectiveTransform((places - 0.5).astype(np.float32), (corners - 0.5).astype(np.float32))
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-5)
     try:
