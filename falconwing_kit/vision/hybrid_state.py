@@ -245,6 +245,8 @@ class _Estimate:
             counts["marker found where the flight said it must be"] += len(new)
             sights = dict(sorted({**sights, **new}.items()))
             chosen, pieces = self._flight(sights)
+        for frame in {*sights, *self.asked} - set(chosen):
+            counts[f"{'marker' if frame in sights else 'network'}: does not fit its neighbours"] += 1
         noise = self._corner_sigma(sights)
         return HybridFlight(
             self._table(chosen, pieces, counts), self._measured(chosen), dict(counts), sights, noise, tuple(pieces)

@@ -1,0 +1,151 @@
+"""Hybrid state: drawn video of a simulated approach -> the states that were flown, sigmas that cover, and refusals."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_body, wrap_angle
+from falconwing_kit.vision.hybrid_state import HybridSettings, Video, estimate_flight
+from falconwing_kit.vision.marker import Marker
+from tests.vision.drawn_marker import CAMERA, view
+
+COUNT = 36
+P_BODY_CAMERA = np.array([0.2, 0.0, 0.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """1.8 s of a banked approach, by formula: 7.5 m/s from 15 m out and 4 m left of the marker, then a turn away."""
+
+    t: np.ndarray
+    p_world: np.ndarray
+    attitude: np.ndarray
+    images: list
+
+    def video(self, images=None):
+        """What `estimate_flight` takes."""
+        images = self.images if images is None else images
+        return Video("approach", self.t, np.zeros((len(self.t), 4)), lambda frame: images[frame])
+
+
+@pytest.fixture(scope="module")
+def approach():
+    """The approach, drawn with some noise; the marker leaves the image in its last third."""
+    rng, t = np.random.default_rng(8), 0.05 * np.arange(COUNT)
+    turn = 0.6 * np.maximum(t - 0.6, 0.0) ** 2  # to the right: more yaw, y falls
+    yaw = 0.2 + turn
+    v_world = 7.5 * np.stack([np.cos(yaw), -np.sin(yaw), 0.04 * np.sin(2.0 * t)], axis=1)
+    p_world = np.array([-14.0, 4.0, 1.6]) + np.concatenate([np.zeros((1, 3)), np.cumsum(0.05 * v_world[:-1], axis=0)])
+    roll = np.arctan(7.5 * np.gradient(yaw, t) / 9.8)  # the coordinated turn
+    attitude = np.stack([roll, 0.04 + 0.0 * t, yaw], axis=1)
+    T = camera_pose(pose_matrix(rotation_world_body(*attitude.T), p_world), P_BODY_CAMERA)
+    return Approach(t, p_world, attitude, [view(pose, rng, noise=3.0) for pose in T])
+
+
+@dataclass
+class Network:
+    """Stands for a pose network: knows the truth, adds noise, and is wild in some frames."""
+
+    approach: Approach
+    wild: tuple = ()
+    sigma: tuple = (0.3, 0.04)
+
+    def estimate(self, image, camera):
+        """The truth of the frame with this image, and noise."""
+        frame = next(k for k, known in enumerate(self.approach.images) if known is image)
+        rng = np.random.default_rng(100 + frame)
+        body = pose_matrix(rotation_world_body(*self.approach.attitude[frame]), self.approach.p_world[frame])
+        T = camera_pose(body, P_BODY_CAMERA)
+        T[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, self.sigma[1], 3)).as_matrix() @ T[:3, :3]
+        T[:3, 3] += rng.normal(0.0, self.sigma[0], 3) + (frame in self.wild) * np.array([4.0, -5.0, 0.5])
+        return SimpleNamespace(T_world_camera=T, sigma_position=self.sigma[0], sigma_attitude=self.sigma[1])
+
+
+def errors(flight, approach):
+    """(N, 3) position and (N, 3) attitude of the table minus the truth."""
+    return flight.table.p_world - approach.p_world, wrap_angle(flight.table.attitude - approach.attitude)
+
+
+def test_the_marker_alone_gives_the_flight_while_it_is_seen(approach):
+    """The truth is the drawing's. Three of four of 95 % within two sigma: a sigma that is too small by half fails."""
+    flight = estimate_flight(approach.video(), CAMERA)
+    seen = flight.table.has_pose
+    assert 10 <= seen.sum() < COUNT
+    position, attitude = errors(flight, approach)
+    sigma = [flight.table.extra[name][seen][:, None] for name in ("sigma_position", "sigma_attitude")]
+    assert (np.abs(position[seen]) < 2.0 * sigma[0]).mean() > 0.85
+    assert (np.abs(attitude[seen]) < 2.0 * sigma[1]).mean() > 0.85
+    assert np.median(np.linalg.norm(position[seen], axis=1)) < 0.3
+    assert set(np.array(flight.table.labels["source"])[~seen]) == {"none"}
+    assert flight.counts["pose: marker"] == sum(word == "marker" for word in flight.table.labels["source"])
+
+
+def test_the_side_is_right_though_the_mirrored_pose_fits_almost_as_well(approach):
+    """The truth is left of the marker, y > 0 while far out; the other solution mirrors it to y < 0."""
+    flight = estimate_flight(approach.video(), CAMERA)
+    far = flight.measured.has_pose & (approach.p_world[:, 0] < -8.0)
+    assert far.sum() >= 3
+    assert (flight.measured.p_world[far, 1] > 0.0).all()
+
+
+def test_the_network_fills_in_where_the_marker_is_not_seen(approach):
+    """With it every frame has a pose; single ones are 0.3 m off per axis, the smoothed ones half of that at most."""
+    flight = estimate_flight(approach.video(), CAMERA, Network(approach))
+    source = np.array(flight.table.labels["source"])
+    assert set(source) == {"marker", "network"} or set(source) == {"marker", "network", "bridged"}
+    assert flight.table.has_pose.all()
+    position, attitude = errors(flight, approach)
+    assert np.sqrt(np.mean(position[source == "network"] ** 2)) < 0.2
+    assert np.degrees(np.sqrt(np.mean(attitude**2))) < 2.5
+    speed = np.linalg.norm([flight.table.extra[name] for name in ("vx", "vy", "vz")], axis=0)
+    assert np.median(speed) == pytest.approx(7.5, abs=0.6)
+
+
+def test_wild_network_poses_are_counted_and_do_no_harm(approach):
+    """Three of its poses are 6 m off: they neither reach the table nor move it by a metre."""
+    flight = estimate_flight(approach.video(), CAMERA, Network(approach, wild=(29, 31, 34)))
+    position, _ = errors(flight, approach)
+    seen = flight.table.has_pose
+    assert seen.sum() >= COUNT - 3
+    assert np.linalg.norm(position[seen], axis=1).max() < 1.0
+    said = "network: does not fit"
+    assert sum(count for words, count in flight.counts.items() if words.startswith(said)) == 3
+
+
+def test_lost_frames_are_counted_and_bridged(approach):
+    """Two frames in the middle of the marker's sights do not come: they keep a row and get a pose."""
+    images = [None if k in (5, 6) else image for k, image in enumerate(approach.images)]
+    flight = estimate_flight(approach.video(images), CAMERA)
+    assert flight.counts["no image"] == 2
+    assert [flight.table.labels["source"][k] for k in (5, 6)] == ["bridged", "bridged"]
+    position, _ = errors(flight, approach)
+    assert (np.abs(position[[5, 6]]) < 0.5).all()
+
+
+def test_an_expected_id_that_is_not_there_is_told_with_what_is(approach):
+    """The frames show id 7; asked for is 3."""
+    with pytest.raises(InputError, match="show DICT_4X4_50 7"):
+        estimate_flight(approach.video(), CAMERA, marker=Marker(id=3))
+
+
+def test_a_wrong_print_size_is_told(approach):
+    """Taken for three times its size the marker seems three times as far, 30 m and more: outside the hall."""
+    with pytest.raises(InputError, match="check the printed"):
+        estimate_flight(approach.video(), CAMERA, marker=Marker(size=2.4))
+
+
+def test_no_marker_and_no_network_is_refused(approach):
+    """Grey frames."""
+    grey = [np.full((240, 320, 3), 128, np.uint8)] * COUNT
+    with pytest.raises(InputError, match="check that it is in view"):
+        estimate_flight(approach.video(grey), CAMERA)
+
+
+def test_a_room_without_inside_is_refused():
+    """Low above high."""
+    with pytest.raises(InputError, match="room: want low below high"):
+        HybridSettings(room_low=(1.0, 0.0, 0.0), room_high=(0.0, 1.0, 1.0))
