@@ -9,7 +9,14 @@ from scipy.spatial.transform import Rotation
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_body, wrap_angle
-from falconwing_kit.vision.hybrid_state import HybridSettings, Video, estimate_flight
+from falconwing_kit.vision.hybrid_state import (
+    HybridSettings,
+    Video,
+    _among_neighbours,
+    _Candidate,
+    _chosen,
+    estimate_flight,
+)
 from falconwing_kit.vision.marker import Marker
 from tests.vision.drawn_marker import CAMERA, view
 
@@ -90,6 +97,51 @@ def test_the_side_is_right_though_the_mirrored_pose_fits_almost_as_well(approach
     far = flight.measured.has_pose & (approach.p_world[:, 0] < -8.0)
     assert far.sum() >= 3
     assert (flight.measured.p_world[far, 1] > 0.0).all()
+
+
+def test_a_near_marker_says_where_the_body_is_not_the_camera(approach):
+    """Less than 6 m away a pose is good to some centimetres; the camera is 20 cm ahead of the body."""
+    flight = estimate_flight(approach.video(), CAMERA)
+    near = flight.measured.has_pose & (approach.p_world[:, 0] > -6.0)
+    assert near.sum() >= 3
+    assert np.linalg.norm((flight.measured.p_world - approach.p_world)[near], axis=1).max() < 0.1
+
+
+def test_a_room_without_the_true_side_leaves_the_mirrored_pose(approach):
+    """Told that there is nothing left of the marker's centre line, only the mirrored solution is left of far sights."""
+    settings = HybridSettings(room_high=(17.5, 0.0, 5.0))
+    flight = estimate_flight(approach.video(), CAMERA, settings=settings)
+    far = flight.measured.has_pose & (approach.p_world[:, 0] < -9.0)
+    assert far.any()
+    assert (flight.measured.p_world[far, 1] < 0.0).all()
+
+
+def candidate(x, doubt=0.0):
+    """A pose at x on a line, known to a millimetre."""
+    T = np.eye(4)
+    T[0, 3] = x
+    return _Candidate(T, 1e-6 * np.eye(6), doubt, "network")
+
+
+def test_the_path_with_the_least_doubt_is_chosen():
+    """By hand: at 12 m/s at most, 0.6 m a frame, the far poses cost (7 - 0.6)^2 / 0.25 and more, cut to 25 a step;
+    the near ones cost their doubt of 4 each."""
+    options = {0: [candidate(0.0)], 1: [candidate(7.0), candidate(0.5, doubt=4.0)], 2: [candidate(1.0)]}
+    chosen = _chosen(options, np.array([0.0, 0.05, 0.1]))
+    assert [chosen[frame].T_world_camera[0, 3] for frame in (0, 1, 2)] == [0.0, 0.5, 1.0]
+
+
+def test_early_doubt_is_carried_along_the_path():
+    """By hand: the path that stays at 20 m begins with a doubt of 9, the one at 0 m ends with 5; a change costs 25."""
+    options = {0: [candidate(20.0, doubt=9.0), candidate(0.0)], 1: [candidate(20.0), candidate(0.0, doubt=5.0)]}
+    chosen = _chosen(options, np.array([0.0, 0.05]))
+    assert [chosen[frame].T_world_camera[0, 3] for frame in (0, 1)] == [0.0, 0.0]
+
+
+def test_a_pose_that_fits_no_neighbour_is_dropped():
+    """Five frames 0.3 m apart and one of them 10 m aside."""
+    chosen = {k: candidate(0.3 * k + (10.0 if k == 2 else 0.0)) for k in range(5)}
+    assert list(_among_neighbours(chosen, 0.05 * np.arange(5))) == [0, 1, 3, 4]
 
 
 def test_the_network_fills_in_where_the_marker_is_not_seen(approach):

@@ -33,23 +33,23 @@ def test_corners_are_where_a_pinhole_puts_them():
     assert corners == pytest.approx(np.array(by_hand), abs=1e-9)
 
 
-@pytest.mark.parametrize("blur_px", [0.0, 0.5, 1.0])
-def test_corners_are_found_to_a_tenth_of_a_pixel(rng, blur_px):
-    """Truth is the drawing's own geometry.
+def test_corners_are_found_to_a_tenth_of_a_pixel_and_the_size_to_half_a_percent(rng):
+    """Truth is the drawing's own geometry; twenty poses, sharp and soft.
 
-    Tolerance: a tenth of a pixel is half of what OpenCV's own refinement reaches on these images; 0.2 % of size is
-    2 cm at 10 m, less than the pose's sigma. Averaging light without gamma makes the marker 2 % too small.
+    Tolerance: a tenth of a pixel is half of what OpenCV's own refinement reaches on these images; half a percent is
+    5 cm at 10 m, less than a pose's sigma. Blending light without gamma makes the marker 1 % too small.
     """
     off, size = [], []
-    for _ in range(30):
+    for k in range(60):
         T = random_pose(rng)
-        seen, true = find_marker(view(T, rng, blur_px=blur_px), CAMERA), project_corners(Marker(), CAMERA, T)
+        seen = find_marker(view(T, rng, blur_px=(0.0, 0.5, 1.0)[k % 3]), CAMERA)
+        true = project_corners(Marker(), CAMERA, T)
         if seen is not None:
             off.append(seen.corners_px - true)
             size.append(seen.side_px / np.sqrt(cv2.contourArea(true.astype(np.float32))))
-    assert len(off) >= 5  # the rest are too far away, beyond the border or too soft for the detector
+    assert len(off) >= 20  # the rest are beyond the border or too soft for the detector
     assert np.sqrt(np.mean(np.square(off))) < 0.1
-    assert np.median(size) == pytest.approx(1.0, abs=0.008)
+    assert np.mean(size) == pytest.approx(1.0, abs=0.005)
 
 
 def test_the_true_pose_lies_within_its_covariance(rng):
