@@ -23,7 +23,12 @@ VERBS: tuple[tuple[str, str, str, str], ...] = (
     ("demo", "falconwing_kit.cli.demo", "Demo", "land in a splat hall, then study recorded flights, one of them real"),
     ("doctor", "falconwing_kit.cli.doctor", "Doctor", "say what works on this machine and how to mend the rest"),
     ("size", "falconwing_kit.cli.modelling.size", "Size", "minimum speed, turn radius and mass budget of an airframe"),
-    ("scene", "falconwing_kit.cli.modelling.scene", "Scene", "build the arena, or say what is in a Gaussian scene"),
+    (
+        "scene",
+        "falconwing_kit.cli.modelling.scene_steps",
+        "Scene",
+        "make scenes: the arena, from photos, edited; inspect them",
+    ),
     ("render", "falconwing_kit.cli.modelling.scene", "Render", "make an image of a Gaussian scene"),
     ("fly", "falconwing_kit.cli.fly", "Fly", "fly a task in simulation, once to look at or often to count"),
     ("identify", "falconwing_kit.cli.modelling.identify", "Identify", "fit the aircraft model to recorded flights"),

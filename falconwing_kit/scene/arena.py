@@ -25,7 +25,7 @@ from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import require_pose
 
 PLAN = Path(__file__).with_name("arena.toml")
-SCENES = ("arena", "leader")  # the names that load_scene knows
+SCENES = ("arena", "hall", "leader")  # the names that load_scene knows
 MARKER_DICTIONARY, MARKER_ID = "DICT_4X4_50", 7  # as in the path-traced hall; the paper names none
 OPACITY = 0.99
 OVERLAP = 0.66  # standard deviation of a surfel by the side of its rectangle: neighbours leave 3 % at the corners
@@ -89,13 +89,16 @@ def load_scene(name: str) -> GaussianScene:
     The arena is built once and kept in the user's cache folder, if it can be; a change of builder or plan replaces it.
 
     Args:
-        name: "arena", the hall as `build_arena` gives it; "leader", the leader alone in its body axes.
+        name: "arena", the hall as `build_arena` gives it; "hall", trained on photos of a path-traced hall, without a
+            leader; "leader", the arena's leader alone in its body axes.
 
     Raises:
         InputError: no scene of that name ships.
     """
     if name not in SCENES:
         raise InputError(f"scene: want a file or a name that ships ({', '.join(SCENES)}), got {str(name)[:80]!r}")
+    if name == "hall":
+        return GaussianScene.load(Path(__file__).parents[1] / "data" / "hall.npz")
     version = hashlib.sha256(Path(__file__).read_bytes() + PLAN.read_bytes()).hexdigest()[:12]
     path = cache_folder() / f"arena-{version}.npz"
     try:

@@ -1,4 +1,4 @@
-"""Figures of README and manual -> hall.jpg, views of the arena, and identify_demo.png, the demo's recorded flights.
+"""Figures of README and manual -> hall.jpg and trained_hall.jpg, views of halls, and identify_demo.png, the demo's flights.
 
     .venv/bin/python manual/figures/make_figures.py
 
@@ -28,6 +28,8 @@ VIEWS = (  # own and leader's x, y, z [m], roll, pitch, yaw [deg]
     ((-10.0, 2.0, 2.0, -15.0, 0.0, 12.0), (-7.6, 1.55, 2.2, 22.0, 6.0, 22.0)),
     ((-4.0, -1.4, 1.0, 4.0, -5.0, 1.0), None),
 )
+APPROACH_PX = (600, 400)
+APPROACH = ((-12.0, 0.5, 1.5, 0.0, -3.0, 0.0), (-6.0, -2.0, 1.2, 0.0, -3.0, 5.0))  # into the trained hall
 FOLDER = Path(__file__).resolve().parent
 SHOWN_S = 10.0  # of the simulated flight: one block of the time that was kept back
 BEFORE_S = 30.0  # of the real flight, before its engine stops
@@ -36,10 +38,11 @@ CHANNELS = ((3, "roll [deg]", 180.0 / np.pi), (4, "pitch [deg]", 180.0 / np.pi),
 
 def main() -> None:
     """Look into the hall, study both flights, and draw them."""
-    hall, demo = FOLDER / "hall.jpg", FOLDER / "identify_demo.png"
+    hall, trained, demo = FOLDER / "hall.jpg", FOLDER / "trained_hall.jpg", FOLDER / "identify_demo.png"
     draw_hall(hall)
+    draw_trained_hall(trained)
     draw_identify_demo(study_recorded_flights(print), demo)
-    for path in (hall, demo):
+    for path in (hall, trained, demo):
         print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
 
 
@@ -49,13 +52,28 @@ def draw_hall(path: Path) -> None:
     Args:
         path: the JPEG to write.
     """
-    import cv2
-
     arena, camera = load_scene("arena"), fpv_camera(*VIEW_PX)
     images = []
     for own, leader in VIEWS:
         scene = leader_at(arena, None if leader is None else body_pose(leader))
         images.append(render(scene, camera, camera_pose(body_pose(own))).rgb)
+    write_strip(path, images)
+
+
+def draw_trained_hall(path: Path) -> None:
+    """Two looks from an approach into the hall that was trained on photos.
+
+    Args:
+        path: the JPEG to write.
+    """
+    hall, camera = load_scene("hall"), fpv_camera(*APPROACH_PX)
+    write_strip(path, [render(hall, camera, camera_pose(body_pose(own))).rgb for own in APPROACH])
+
+
+def write_strip(path: Path, images: list[Any]) -> None:
+    """Images (H, W, 3) of 0..1 side by side as a JPEG."""
+    import cv2
+
     strip = np.concatenate(images, axis=1)
     path.write_bytes(cv2.imencode(".jpg", np.rint(255.0 * strip[..., ::-1]).astype(np.uint8))[1].tobytes())
 

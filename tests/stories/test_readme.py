@@ -134,16 +134,15 @@ def test_picture_is_small_and_can_be_made_again(tmp_path):
     assert ours.read_bytes()[size] == (tmp_path / "again.png").read_bytes()[size]
 
 
-def test_views_of_the_hall_can_be_made_again(tmp_path):
+@pytest.mark.parametrize("name", ["hall", "trained_hall"])
+def test_views_of_the_hall_can_be_made_again(name, tmp_path):
     """The same pixels but for a few grey levels: JPEG, and another processor's rounding."""
     import cv2
 
-    make = figures_of_the_manual()
-    make.draw_hall(tmp_path / "again.jpg")
-    ours, again = (
-        cv2.imread(str(path)).astype(float) for path in (ROOT / "manual/figures/hall.jpg", tmp_path / "again.jpg")
-    )
-    assert (ROOT / "manual/figures/hall.jpg").stat().st_size < 300_000
+    make, picture = figures_of_the_manual(), ROOT / "manual" / "figures" / f"{name}.jpg"
+    getattr(make, f"draw_{name}")(tmp_path / "again.jpg")
+    ours, again = (cv2.imread(str(path)).astype(float) for path in (picture, tmp_path / "again.jpg"))
+    assert picture.stat().st_size < 300_000
     assert np.abs(ours - again).mean() < 1.0
 
 

@@ -78,17 +78,6 @@ class Info:
 
 
 @dataclass(frozen=True)
-class Scene:
-    """Make and inspect Gaussian scenes."""
-
-    step: tyro.conf.OmitSubcommandPrefixes[Build | Info]
-
-    def run(self) -> int:
-        """Do the chosen step; see `Build.run` and `Info.run`."""
-        return self.step.run()
-
-
-@dataclass(frozen=True)
 class Render:
     """Render an image of a scene, as a camera that looks along the nose sees it."""
 
