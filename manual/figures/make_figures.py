@@ -1,4 +1,4 @@
-"""Figures of README and manual -> hall.jpg and trained_hall.jpg, views of halls, and identify_demo.png, the demo's flights.
+"""Figures of README and manual -> hall.jpg and trained_hall.jpg, views of halls; identify_demo.png, the demo's flights.
 
     .venv/bin/python manual/figures/make_figures.py
 
