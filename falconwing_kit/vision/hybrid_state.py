@@ -1,7 +1,8 @@
 """Hybrid state: a flight's video and commands -> a flight table with sigmas. Marker where it is seen, else network.
 
     images -> marker (both poses) or network -> implausible ones out -> one choice per frame that fits its neighbours
-           -> smoother over the flight -> marker looked for again where the flight says it must be -> smoother again
+           -> smoother over the flight -> marker looked for again where the flight says it must be
+           -> with a trained scene: every other frame refined against it, from the one before -> smoother again
 
 The smoother takes the marker's four corners as they are, not a pose made of them: a far marker leaves its own turn
 almost free, which a pose with a covariance says badly. Frames that no sight is near to get no pose.
@@ -19,19 +20,20 @@ from falconwing_kit.core.checks import Array, InputError, require_range, require
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import R_BODY_CAMERA, euler_from_rotation, pose_matrix
 from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.vision.marker import (
     Marker,
     MarkerPose,
     Pixels,
     corner_noise,
     find_marker,
-    name_markers,
     project_corners,
+    seen_instead,
 )
-from falconwing_kit.vision.smoother import Motion, PoseSights, Sights, Smoothed, camera_at, smooth
+from falconwing_kit.vision.refine import track_scene
+from falconwing_kit.vision.smoother import CornerSights, Motion, PoseSights, Sights, Smoothed, camera_at, smooth
 
 LEAST_CORNER_SIGMA_PX = 0.1  # however well a few sights agree: the lens is not known better
-MANY = 1e3  # residual in sigmas of a corner that would be behind the camera
 TOP_SPEED, TOP_TURN = 12.0, 5.0  # [m/s], [rad/s]: neighbours that need more are not both right
 STRAY_M, STRAY_RAD = 0.5, 0.3  # beyond that, one sigma, with what the poses themselves leave open
 MOST_STRAIN = 4.0  # chi2 of a step that is still believed
@@ -69,7 +71,8 @@ class HybridSettings:
     longest_gap_s: float = 1.0  # the smoother bridges no longer one: an aircraft turns by half a circle in three
     most_sigma_position: float = 0.5  # [m]; a frame known worse gets no pose
     most_sigma_attitude: float = 0.2  # [rad]
-    network_memory_s: float = 0.25  # neighbouring frames look alike and mislead a network alike; so long it errs as one
+    # Neighbouring frames look alike and mislead alike: over so long the errors of a source count as one.
+    memory_s: Mapping[str, float] = field(default_factory=lambda: {"network": 1.0, "scene": 0.4})
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -91,25 +94,6 @@ class HybridFlight:
 
 
 @dataclass(frozen=True, eq=False)
-class CornerSights:
-    """The marker's corners in images."""
-
-    rows: Any  # (M,) frames
-    corners_px: Array  # (M, 4, 2)
-    sigma_px: float
-    marker: Marker
-    camera: PinholeCamera
-    p_body_camera: Array  # (3,) [m]
-
-    def residuals(self, p_world: Array, attitude: Array) -> Array:
-        """(M, 8) expected minus seen corners, in sigmas."""
-        T_world_camera = pose_matrix(*camera_at(p_world, attitude, self.p_body_camera))
-        expected = project_corners(self.marker, self.camera, T_world_camera)
-        off = (expected - self.corners_px).reshape(len(expected), 8) / self.sigma_px
-        return np.nan_to_num(off, nan=MANY)
-
-
-@dataclass(frozen=True, eq=False)
 class _Candidate:
     """One pose that a frame allows."""
 
@@ -125,6 +109,7 @@ def estimate_flight(
     network: PoseEstimator | None = None,
     *,
     marker: Marker | None = None,
+    scene: GaussianScene | None = None,
     p_body_camera: Sequence[float] = (0.20, 0.0, 0.0),
     settings: HybridSettings | None = None,
     motion: Motion | None = None,
@@ -137,6 +122,7 @@ def estimate_flight(
         camera: intrinsics at the size of the frames.
         network: asked where the marker is not seen; None leaves such frames to the smoother, or without a pose.
         marker: what was printed and where it stands; None is the hall's.
+        scene: as trained on photos of the room; poses are then followed through it from frame to frame.
         p_body_camera: where the camera sits [m].
         settings: what is plausible; None takes the hall.
         motion: how the aircraft moves, loosely.
@@ -173,8 +159,10 @@ def estimate_flight(
             f"size, now {marker.size:g} m, its place and the focal length"
         )
     if not sights and not asked:
-        raise InputError(_nothing_seen(video, marker))
-    return _Estimate(video, camera, marker, offset, settings, motion or Motion(), asked).run(sights, counts)
+        some = np.unique(np.linspace(0, len(video.t) - 1, 20).astype(int))
+        raise InputError(f"{video.name}: {seen_instead([video.image(int(k)) for k in some], marker)}")
+    estimate = _Estimate(video, camera, marker, offset, settings, motion or Motion(), asked)
+    return estimate.run(sights, counts, scene)
 
 
 def _ask(
@@ -209,19 +197,6 @@ def _in_room(T_world_camera: Array, covariance: Array, settings: HybridSettings)
     return np.asarray(inside.all(axis=1) & (down < 0.2))
 
 
-def _nothing_seen(video: Video, marker: Marker) -> str:
-    """A sentence that says what the frames show instead of the marker."""
-    others: Counter[tuple[str, int]] = Counter()
-    for frame in np.unique(np.linspace(0, len(video.t) - 1, 20).astype(int)):
-        image = video.image(int(frame))
-        others.update(name_markers(image) if image is not None else [])
-    want = f"{video.name}: want frames that show the marker {marker.dictionary} {marker.id} or a pose network, got none"
-    if not others:
-        return f"{want}; check that it is in view and larger than 8 pixels"
-    (dictionary, number), count = others.most_common(1)[0]
-    return f"{want}; {count} frames show {dictionary} {number}: name it, or print the right one"
-
-
 @dataclass(frozen=True, eq=False)
 class _Estimate:
     """What one flight's estimate needs throughout."""
@@ -234,8 +209,8 @@ class _Estimate:
     motion: Motion
     asked: Mapping[int, _Candidate]
 
-    def run(self, sights: dict[int, MarkerPose], counts: Counter[str]) -> HybridFlight:
-        """Choose, smooth, look again, smooth again."""
+    def run(self, sights: dict[int, MarkerPose], counts: Counter[str], scene: GaussianScene | None) -> HybridFlight:
+        """Choose, smooth, look again, follow through the scene, smooth again."""
         chosen, pieces = self._flight(sights)
         tried: set[int] = set()
         for _ in range(10):  # each look reaches REACH_S further
@@ -245,12 +220,29 @@ class _Estimate:
             counts["marker found where the flight said it must be"] += len(new)
             sights = dict(sorted({**sights, **new}.items()))
             chosen, pieces = self._flight(sights)
+        if scene is not None:
+            return replace(self, asked={**self.asked, **self._followed(scene, chosen, pieces)}).run(
+                sights, counts, None
+            )
         for frame in {*sights, *self.asked} - set(chosen):
-            counts[f"{'marker' if frame in sights else 'network'}: does not fit its neighbours"] += 1
+            counts[f"{'marker' if frame in sights else self.asked[frame].source}: does not fit its neighbours"] += 1
         noise = self._corner_sigma(sights)
         return HybridFlight(
             self._table(chosen, pieces, counts), self._measured(chosen), dict(counts), sights, noise, tuple(pieces)
         )
+
+    def _followed(
+        self, scene: GaussianScene, chosen: Mapping[int, _Candidate], pieces: Sequence[tuple[int, Smoothed]]
+    ) -> dict[int, _Candidate]:
+        """Poses that the scene gives, from the smoothed ones at the marker on, and from the network's."""
+        known: dict[int, Array] = {}
+        for first, piece in pieces:
+            T_world_camera = pose_matrix(*camera_at(piece.p_world, piece.attitude, self.p_body_camera))
+            rows = [k for k, one in chosen.items() if one.source == "marker" and 0 <= k - first < len(T_world_camera)]
+            known |= {k: T_world_camera[k - first] for k in rows}
+        guesses = {k: one.T_world_camera for k, one in self.asked.items()}
+        found = track_scene(self.video.image, self.video.t, scene, self.camera, known, guesses)
+        return {k: _Candidate(one.T_world_camera, one.covariance, 0.0, "scene") for k, one in found.items()}
 
     def _corner_sigma(self, sights: Mapping[int, MarkerPose]) -> float:
         return max(corner_noise(sights.values()), LEAST_CORNER_SIGMA_PX) if sights else float("nan")
@@ -302,9 +294,11 @@ class _Estimate:
             rows = np.array(seen) - first
             kinds.append(CornerSights(rows, corners, sigma_px, self.marker, self.camera, self.p_body_camera))
         if said:
-            alike = max(1.0, self.settings.network_memory_s / float(np.median(np.diff(self.video.t))))
+            period = float(np.median(np.diff(self.video.t)))
+            alike = [max(1.0, self.settings.memory_s[chosen[k].source] / period) for k in said]
             T, C = (np.array([getattr(chosen[k], name) for k in said]) for name in ("T_world_camera", "covariance"))
-            kinds.append(PoseSights(np.array(said) - first, T, alike * C, self.p_body_camera))
+            C = C * np.array(alike)[:, None, None]
+            kinds.append(PoseSights(np.array(said) - first, T, C, self.p_body_camera))
         return kinds
 
     def _look_again(

@@ -5,6 +5,7 @@ plane-based pose estimation, IJCV 2014]. Both are kept; what the aircraft can ha
 (`hybrid_state`). Pixel coordinates are the kit's: the first pixel's centre is at (0.5, 0.5).
 """
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cache
@@ -178,6 +179,24 @@ def name_markers(image: Pixels) -> list[tuple[str, int]]:
     return seen
 
 
+def seen_instead(images: Iterable[Pixels | None], marker: Marker) -> str:
+    """A sentence for a video that does not show its marker.
+
+    Args:
+        images: some of its frames, None where one was lost.
+        marker: what was looked for.
+
+    Returns:
+        What was wanted, what the frames show instead, and what to do.
+    """
+    others = Counter(name for image in images if image is not None for name in name_markers(image))
+    want = f"want frames that show the marker {marker.dictionary} {marker.id} or a pose network, got none"
+    if not others:
+        return f"{want}; check that it is in view and larger than {LEAST_SIDE_PX:g} pixels"
+    (dictionary, number), count = others.most_common(1)[0]
+    return f"{want}; {count} frames show {dictionary} {number}: name it, or print the right one"
+
+
 def _grey(image: Pixels, camera: PinholeCamera | None) -> Pixels:
     """The image as grey, if it is a picture of the camera's size."""
     import cv2
@@ -327,20 +346,30 @@ def _poses(
     misfit = np.sqrt(((seen - corners) ** 2).mean(axis=(1, 2)))
     order = np.argsort(misfit)
     T_camera_marker, T_world_camera = T_camera_marker[order], T_world_camera[order]
-    J = [_corner_jacobian(marker, camera, T) for T in T_world_camera]
+    J = [pixel_jacobian(marker.p_world_corners, camera, T) for T in T_world_camera]
     covariance = np.array([sigma_px**2 * np.linalg.pinv(j.T @ j) for j in J])
     return MarkerPose(corners, likeness, T_camera_marker, T_world_camera, misfit[order], covariance)
 
 
-def _corner_jacobian(marker: Marker, camera: PinholeCamera, T_world_camera: Array) -> Array:
-    """(8, 6) change of the corners [px] with the camera's place [m] and a small turn [rad], both in world axes."""
-    R_world_camera, from_camera = T_world_camera[:3, :3], marker.p_world_corners - T_world_camera[:3, 3]
-    x, y, z = (from_camera @ R_world_camera).T
+def pixel_jacobian(p_world: Array, camera: PinholeCamera, T_world_camera: Array) -> Array:
+    """How points move in the image when the camera moves.
+
+    p_camera = R^T (p - c): moving the camera by dc gives -R^T dc, turning it by w gives R^T ((p - c) x w).
+
+    Args:
+        p_world: (K, 3) points in front of the camera [m].
+        camera: the intrinsics.
+        T_world_camera: (4, 4).
+
+    Returns:
+        (2K, 6): u, v of each point [px] by the camera's place [m] and a small turn [rad], both in world axes.
+    """
+    R_world_camera, away = T_world_camera[:3, :3], p_world - T_world_camera[:3, 3]
+    x, y, z = (away @ R_world_camera).T
     zero = np.zeros_like(z)
     d_pixel = np.array(
         [[camera.fx / z, zero, -camera.fx * x / z**2], [zero, camera.fy / z, -camera.fy * y / z**2]]
-    ).transpose(2, 0, 1)  # (4, 2, 3) by p_camera
-    # p_camera = R^T (p - c): moving the camera by dc gives -R^T dc, turning it by w gives R^T ((p - c) x w).
-    d_turn = np.cross(from_camera[:, :, None], np.eye(3)[None], axisa=1, axisb=1, axisc=1)
-    d_world = np.concatenate([np.broadcast_to(-np.eye(3), (4, 3, 3)), d_turn], axis=2)
-    return np.asarray((d_pixel @ R_world_camera.T @ d_world).reshape(8, 6))
+    ).transpose(2, 0, 1)  # (K, 2, 3) by p_camera
+    d_turn = np.cross(away[:, :, None], np.eye(3)[None], axisa=1, axisb=1, axisc=1)
+    d_world = np.concatenate([np.broadcast_to(-np.eye(3), (len(away), 3, 3)), d_turn], axis=2)
+    return np.asarray((d_pixel @ R_world_camera.T @ d_world).reshape(-1, 6))

@@ -21,13 +21,16 @@ from typing import Any, Protocol
 import numpy as np
 
 from falconwing_kit.core.checks import Array, InputError, require_shape
-from falconwing_kit.core.frames import GRAVITY, R_BODY_CAMERA, euler_rates, rotation_world_body
+from falconwing_kit.core.frames import GRAVITY, R_BODY_CAMERA, euler_rates, pose_matrix, rotation_world_body
+from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.vision.marker import Marker, project_corners
 
 STATES = 12  # p_world, roll pitch yaw, v_world, body rates
 STUDENT_FREEDOM = 4.0  # of the sights' tails: a sight five sigmas off counts a sixth
 MAX_STEPS = 60
 TOLERANCE = 1e-3  # of the cost: a step that gains less than this is the last
 LARGEST_PITCH = 1.4  # [rad] the angles' rates are not defined straight up
+MANY = 1e3  # residual in sigmas of a corner that would be behind the camera
 NUDGE = np.array([1e-4] * 3 + [1e-5] * 3 + [1e-4] * 3 + [1e-4] * 3)  # for derivatives by differences
 
 
@@ -79,6 +82,25 @@ class PoseSights:
         turn = Rotation.from_matrix(R_world_camera @ np.swapaxes(self.T_world_camera[:, :3, :3], 1, 2)).as_rotvec()
         off = np.concatenate([moved, turn], axis=1)
         return np.asarray(np.linalg.solve(np.linalg.cholesky(self.covariance), off[..., None])[..., 0])
+
+
+@dataclass(frozen=True, eq=False)
+class CornerSights:
+    """The marker's corners in images."""
+
+    rows: Any  # (M,) frames
+    corners_px: Array  # (M, 4, 2)
+    sigma_px: float
+    marker: Marker
+    camera: PinholeCamera
+    p_body_camera: Array  # (3,) [m]
+
+    def residuals(self, p_world: Array, attitude: Array) -> Array:
+        """(M, 8) expected minus seen corners, in sigmas."""
+        T_world_camera = pose_matrix(*camera_at(p_world, attitude, self.p_body_camera))
+        expected = project_corners(self.marker, self.camera, T_world_camera)
+        off = (expected - self.corners_px).reshape(len(expected), 8) / self.sigma_px
+        return np.nan_to_num(off, nan=MANY)
 
 
 @dataclass(frozen=True, eq=False)

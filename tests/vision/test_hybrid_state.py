@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_body, wrap_angle
+from falconwing_kit.scene.arena import load_scene
+from falconwing_kit.scene.render import render
 from falconwing_kit.vision.hybrid_state import (
     HybridSettings,
     Video,
@@ -39,17 +41,22 @@ class Approach:
         return Video("approach", self.t, np.zeros((len(self.t), 4)), lambda frame: images[frame])
 
 
-@pytest.fixture(scope="module")
-def approach():
-    """The approach, drawn with some noise; the marker leaves the image in its last third."""
-    rng, t = np.random.default_rng(8), 0.05 * np.arange(COUNT)
-    turn = 0.6 * np.maximum(t - 0.6, 0.0) ** 2  # to the right: more yaw, y falls
-    yaw = 0.2 + turn
+def path():
+    """The approach as times, positions, attitudes and camera poses."""
+    t = 0.05 * np.arange(COUNT)
+    yaw = 0.2 + 0.6 * np.maximum(t - 0.6, 0.0) ** 2  # turns to the right: y falls
     v_world = 7.5 * np.stack([np.cos(yaw), -np.sin(yaw), 0.04 * np.sin(2.0 * t)], axis=1)
     p_world = np.array([-14.0, 4.0, 1.6]) + np.concatenate([np.zeros((1, 3)), np.cumsum(0.05 * v_world[:-1], axis=0)])
     roll = np.arctan(7.5 * np.gradient(yaw, t) / 9.8)  # the coordinated turn
     attitude = np.stack([roll, 0.04 + 0.0 * t, yaw], axis=1)
-    T = camera_pose(pose_matrix(rotation_world_body(*attitude.T), p_world), P_BODY_CAMERA)
+    return t, p_world, attitude, camera_pose(pose_matrix(rotation_world_body(*attitude.T), p_world), P_BODY_CAMERA)
+
+
+@pytest.fixture(scope="module")
+def approach():
+    """The approach, drawn with some noise; the marker leaves the image in its last third."""
+    t, p_world, attitude, T = path()
+    rng = np.random.default_rng(8)
     return Approach(t, p_world, attitude, [view(pose, rng, noise=3.0) for pose in T])
 
 
@@ -155,6 +162,23 @@ def test_the_network_fills_in_where_the_marker_is_not_seen(approach):
     assert np.degrees(np.sqrt(np.mean(attitude**2))) < 2.5
     speed = np.linalg.norm([flight.table.extra[name] for name in ("vx", "vy", "vz")], axis=0)
     assert np.median(speed) == pytest.approx(7.5, abs=0.6)
+
+
+def test_a_scene_carries_the_flight_on_from_the_marker():
+    """The same approach through the arena, rendered; after a second the marker is out of sight and there is no
+    network. Simulated. A pose against the scene is good to some centimetres; ten are allowed."""
+    arena = load_scene("arena")
+    arena, rng = arena.selected(~arena.labelled("leader")), np.random.default_rng(9)
+    t, p_world, attitude, T = path()
+    frames = [np.clip(render(arena, CAMERA, pose).rgb + rng.normal(0.0, 0.01, (240, 320, 3)), 0.0, 1.0) for pose in T]
+    flown = Approach(t, p_world, attitude, [(255.0 * rgb).astype(np.uint8) for rgb in frames])
+    flight = estimate_flight(flown.video(), CAMERA, scene=arena)
+    source = np.array(flight.table.labels["source"])
+    assert (source[-6:] == "scene").sum() >= 5
+    assert (source == "marker").sum() >= 5
+    position, attitude_error = errors(flight, flown)
+    assert np.linalg.norm(position[source == "scene"], axis=1).max() < 0.1
+    assert np.degrees(np.abs(attitude_error[source == "scene"])).max() < 1.5
 
 
 def test_wild_network_poses_are_counted_and_do_no_harm(approach):

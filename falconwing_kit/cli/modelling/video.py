@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 
 from falconwing_kit.aircraft.airframe import load_airframe
+from falconwing_kit.cli.modelling.scene import open_scene
 from falconwing_kit.cli.show import next_line, print_json, print_table
 from falconwing_kit.core.checks import Array, InputError, require_file, require_range
 from falconwing_kit.core.files import require_place, short_name
@@ -37,6 +38,8 @@ class Poses:
     """the flight table to write (CSV)"""
     network: str | None = None
     """a pose network: hall, which ships, or a .safetensors file; without it only the marker gives poses"""
+    scene: str | None = None
+    """a trained scene of the room: hall, which ships, or a file; poses are then followed through it"""
     camera: Path | None = None
     """transforms.json of `falconwing scene poses` with the lens; without it --fov-deg counts"""
     fov_deg: float = 77.8
@@ -73,6 +76,7 @@ class Poses:
             self._camera(video),
             self._network(),
             marker=marker,
+            scene=None if self.scene is None else open_scene(self.scene),
             p_body_camera=load_airframe(self.airframe).p_body_camera,
             settings=settings,
             progress=_progress(len(video.t)) if not self.json else lambda: None,
