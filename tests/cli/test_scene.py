@@ -129,7 +129,7 @@ def test_wrong_use_is_one_sentence_and_exit_two(balls, words, text, capsys, tmp_
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["info", "stadium"], "arena, leader"),
+        (["info", "stadium"], "arena, hall, leader"),
         (["info", "nowhere.ply"], "nowhere.ply"),
         (["info", "."], "."),
         (["build", "--seed", "-1"], "seed"),
