@@ -1,7 +1,6 @@
 """Airframe: a TOML file with units in its keys -> one frozen record in SI units."""
 
 import math
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import numpy as np
 
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.config import from_toml
-from falconwing_kit.core.files import short_name
+from falconwing_kit.core.files import shipped_path, short_name
 
 Point = tuple[float, float, float]
 WHEEL_NAMES = ("main_left", "main_right", "tail")
@@ -191,14 +190,7 @@ def default_airframe_path() -> Path:
     Raises:
         FileNotFoundError: it is in neither place.
     """
-    relative = Path("hardware") / "airframe_umx.toml"
-    places = [Path(__file__).parents[2] / relative, Path(sys.prefix) / "share" / "falconwing_kit" / relative]
-    for place in places:
-        if place.is_file():
-            return place
-    raise FileNotFoundError(
-        f"no airframe file at {' or '.join(map(str, places))}; name one (falconwing: --airframe FILE)"
-    )
+    return shipped_path("hardware/airframe_umx.toml", "name one (falconwing: --airframe FILE)")
 
 
 def _require_positive(record: object, *names: str, of: str = "") -> None:

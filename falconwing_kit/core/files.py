@@ -93,3 +93,20 @@ def cache_folder() -> Path:
     places = {"win32": ("LOCALAPPDATA", home / "AppData" / "Local"), "darwin": ("", home / "Library" / "Caches")}
     variable, usual = places.get(sys.platform, ("XDG_CACHE_HOME", home / ".cache"))
     return Path(os.environ.get(variable) or usual) / "falconwing"
+
+
+def shipped_path(relative: str, advice: str) -> Path:
+    """Where a file outside the package is that ships with the kit: beside it in a checkout, else where pip put it.
+
+    Args:
+        relative: such as "hardware/airframe_umx.toml".
+        advice: what to do where it is missing.
+
+    Raises:
+        FileNotFoundError: it is in neither place.
+    """
+    places = [Path(__file__).parents[2] / relative, Path(sys.prefix) / "share" / "falconwing_kit" / relative]
+    for place in places:
+        if place.is_file():
+            return place
+    raise FileNotFoundError(f"no file at {' or '.join(map(str, places))}; {advice}")

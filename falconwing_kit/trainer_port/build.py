@@ -7,7 +7,6 @@ the firmware is a new build, an unchanged one costs nothing.
 import hashlib
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -15,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.files import atomic_write, cache_folder
+from falconwing_kit.core.files import atomic_write, cache_folder, shipped_path
 
 SKETCH = "trainer_bridge"
 TOOLS = {  # Debian package -> a program or a file that it brings
@@ -41,11 +40,8 @@ def firmware_folder() -> Path:
     Raises:
         FileNotFoundError: they are in neither place.
     """
-    places = [Path(__file__).parents[2] / "firmware", Path(sys.prefix) / "share" / "falconwing_kit" / "firmware"]
-    for place in places:
-        if (place / SKETCH / f"{SKETCH}.ino").is_file():
-            return place
-    raise FileNotFoundError(f"no firmware at {' or '.join(map(str, places))}; install the kit from a checkout")
+    sketch = shipped_path(f"firmware/{SKETCH}/{SKETCH}.ino", "install the kit from a checkout")
+    return sketch.parents[1]
 
 
 def build_firmware(defines: Sequence[str] = (), replace: Path | None = None) -> Path:

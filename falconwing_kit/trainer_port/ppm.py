@@ -6,7 +6,6 @@ A PPM frame is a train of short gap pulses; the time from one pulse to the next 
      |_|  ch1 |_|  ch2  |_| ch3|_|  ch4  |_|       pause         |_|      (polarity 1: idle high, pulses low)
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -15,6 +14,7 @@ from pathlib import Path
 
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.config import from_toml
+from falconwing_kit.core.files import shipped_path
 from falconwing_kit.core.messages import COMMAND_NAMES, Command
 
 VALID_US = (900, 2100)  # outside of this the firmware refuses a command (VALID_MIN_US, VALID_MAX_US of config.h)
@@ -155,12 +155,7 @@ def default_calibration_path() -> Path:
     Raises:
         FileNotFoundError: it is in neither place.
     """
-    relative = Path("hardware") / "trainer_port.toml"
-    places = [Path(__file__).parents[2] / relative, Path(sys.prefix) / "share" / "falconwing_kit" / relative]
-    for place in places:
-        if place.is_file():
-            return place
-    raise FileNotFoundError(f"no calibration at {' or '.join(map(str, places))}; name one")
+    return shipped_path("hardware/trainer_port.toml", "name one")
 
 
 def _require_date(text: str) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.files import atomic_write, cache_folder
+from falconwing_kit.core.files import atomic_write, cache_folder, shipped_path
 
 
 def test_nothing_has_the_name_before_the_end(tmp_path):
@@ -97,3 +97,15 @@ def test_cache_folder_is_the_systems_own(platform, variable, path, monkeypatch, 
     monkeypatch.setenv("XDG_CACHE_HOME", os.fspath(tmp_path / "set"))
     monkeypatch.delenv(variable or "LOCALAPPDATA", raising=False)
     assert cache_folder() == Path(path.format(home=tmp_path, set=tmp_path / "set"))
+
+
+def test_what_ships_is_found_beside_the_package_or_under_the_prefix(monkeypatch, tmp_path):
+    """A checkout has it, an install under <prefix>/share; where neither has, both places and the advice are said."""
+    assert shipped_path("hardware/airframe_umx.toml", "").name == "airframe_umx.toml"
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    there = tmp_path / "share" / "falconwing_kit" / "hardware" / "own.toml"
+    with pytest.raises(FileNotFoundError, match=r"own\.toml.* or .*share.*; name one"):
+        shipped_path("hardware/own.toml", "name one")
+    there.parent.mkdir(parents=True)
+    there.touch()
+    assert shipped_path("hardware/own.toml", "name one") == there
