@@ -34,8 +34,9 @@ def running_master(folder: Path) -> Iterator[str]:
         port = free.getsockname()[1]
     uri, saved, path = f"http://127.0.0.1:{port}", {name: os.environ.get(name) for name in NAMES}, list(sys.path)
     os.environ.update({"ROS_MASTER_URI": uri, "ROS_HOME": str(folder), "ROS_IP": "127.0.0.1"})
-    # The system's own tools first: a virtual environment may hold a rosversion that knows nothing of them.
-    system = {**os.environ, "PATH": f"/usr/bin:{os.environ['PATH']}"}
+    # The system's own tools first, for a virtual environment may hold a rosversion that knows nothing of them; and what
+    # roscore says is to reach the file at once.
+    system = {**os.environ, "PATH": f"/usr/bin:{os.environ['PATH']}", "PYTHONUNBUFFERED": "1"}
     with (folder / "roscore.txt").open("wb") as output:
         core = subprocess.Popen(
             ["roscore", "-p", str(port)], stdout=output, stderr=output, start_new_session=True, env=system
