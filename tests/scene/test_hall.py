@@ -55,7 +55,6 @@ def test_the_pad_is_where_aircraft_land(hall):
 
 def test_the_pose_net_that_ships_knows_this_hall(hall):
     """Renders from places of an approach, whose poses are known; on average within a metre and 5 deg of heading."""
-    pytest.importorskip("torch")
     from falconwing_kit.vision import PoseNet
 
     net, off, turned = PoseNet.load("hall"), [], []

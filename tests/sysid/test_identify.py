@@ -171,7 +171,6 @@ def test_calm_flights_of_another_simulator_are_predicted(case):
 def test_coefficients_of_a_jsbsim_aircraft_are_found():
     """JSBSim's aircraft is set up from known coefficients (side force in other axes, an atmosphere, its own servos): in
     the median to 3 %, and four of five intervals hold them."""
-    pytest.importorskip("jsbsim")
     rng = np.random.default_rng(57)
     aircraft = JsbsimAircraft().redrawn(rng, 0.15)
     t, states, sticks = fly_jsbsim(aircraft, figure_eights(rng), 120.0)
