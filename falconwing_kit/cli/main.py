@@ -31,6 +31,12 @@ VERBS: tuple[tuple[str, str, str, str], ...] = (
     ),
     ("render", "falconwing_kit.cli.modelling.scene", "Render", "make an image of a Gaussian scene"),
     ("fly", "falconwing_kit.cli.fly", "Fly", "fly a task in simulation, once to look at or often to count"),
+    (
+        "poses",
+        "falconwing_kit.cli.modelling.video",
+        "Poses",
+        "read a flight's states off its onboard video, for identify",
+    ),
     ("identify", "falconwing_kit.cli.modelling.identify", "Identify", "fit the aircraft model to recorded flights"),
     (
         "gap",
