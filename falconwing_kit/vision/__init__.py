@@ -6,8 +6,12 @@ verdict = FrameMonitor().update(image, t)      # .ssim, .alert, .reason
 
 from falconwing_kit.vision.cameras import FakeCamera, Fault, SimulatedCamera, VideoCamera, VideoFile, open_camera
 from falconwing_kit.vision.grabber import Camera, Grabber, Health
+from falconwing_kit.vision.hybrid_state import HybridFlight, HybridSettings, Video, estimate_flight
+from falconwing_kit.vision.marker import Marker, MarkerPose, find_marker
 from falconwing_kit.vision.monitor import FrameMonitor, MonitorSettings, Verdict, load_monitor_settings
 from falconwing_kit.vision.pose_net import PoseEstimate, PoseNet
+from falconwing_kit.vision.refine import RefinedPose, refine_pose, track_scene
+from falconwing_kit.vision.smoother import Motion, Smoothed, smooth
 from falconwing_kit.vision.ssim import ssim, ssim_map
 
 __all__ = [
@@ -17,15 +21,28 @@ __all__ = [
     "FrameMonitor",
     "Grabber",
     "Health",
+    "HybridFlight",
+    "HybridSettings",
+    "Marker",
+    "MarkerPose",
     "MonitorSettings",
+    "Motion",
     "PoseEstimate",
     "PoseNet",
+    "RefinedPose",
     "SimulatedCamera",
+    "Smoothed",
     "Verdict",
+    "Video",
     "VideoCamera",
     "VideoFile",
+    "estimate_flight",
+    "find_marker",
     "load_monitor_settings",
     "open_camera",
+    "refine_pose",
+    "smooth",
     "ssim",
     "ssim_map",
+    "track_scene",
 ]
