@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.aircraft.effects import CATALOGUE
+from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.calm import CalmBase, know_calm
 from falconwing_kit.gap.close import close_gap, name_since
@@ -83,7 +84,7 @@ def study(batch: list[Case]) -> list[dict[str, Any]]:
     """Fly cases of one aircraft, name each, close its gap, and only then look at the answer."""
     rows: list[dict[str, Any]] = []
     base, known_seconds = None, 0.0
-    for case, (calm, flight, truth) in zip(batch, _fly(batch), strict=True):
+    for case, calm, flight, truth in _fly(batch):
         clock = [time.process_time()]
         if base is None:
             base = know_calm(calm)
@@ -116,14 +117,35 @@ def study(batch: list[Case]) -> list[dict[str, Any]]:
     return rows
 
 
-def _fly(batch: list[Case]) -> Iterator[tuple[FlightTable, FlightTable, dict[str, Any]]]:
+Flown = tuple[Case, FlightTable, FlightTable, dict[str, Any]]
+
+
+def _fly(batch: list[Case]) -> Iterator[Flown]:
     first = batch[0]
     if first.kind == "own":
-        made = hidden_flights(first.seed, [c.effect for c in batch], noise="marker", flight_seconds=60.0)
-        yield from ((own.calm, own.flight, {**own.truth, "kit": own.truth["size"]}) for own in made)
+        yield from _fly_own(batch)
     else:
         case = make_case(first.seed, first.effect, first.noise, first.correlated, **first.options)
-        yield case.calm, case.flight, case.truth
+        yield first, case.calm, case.flight, case.truth
+
+
+def _fly_own(batch: list[Case]) -> list[Flown]:
+    """Flights of the kit's own aircraft; one whose effect leaves no flight inside the hall is left out and said so."""
+    effects = [case.effect for case in batch]
+    while True:
+        try:
+            made = hidden_flights(batch[0].seed, effects, noise="marker", flight_seconds=60.0)
+        except InputError as error:  # names the effect
+            number = next(k for k, effect in enumerate(effects) if f"a flight with {effect} " in str(error))
+            print(f"left out: {batch[number].key}: {error}", flush=True)
+            effects[number] = "none"  # keeps the others' numbers, so their flights
+        else:
+            trials = zip(batch, effects, made, strict=True)
+            return [
+                (case, own.calm, own.flight, {**own.truth, "kit": own.truth["size"]})
+                for case, effect, own in trials
+                if case.effect == effect
+            ]
 
 
 def _answer(naming: Naming, effect: str) -> dict[str, Any]:
