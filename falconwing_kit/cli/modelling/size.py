@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.aircraft.airframe import Airframe, load_airframe
+from falconwing_kit.aircraft.hardware.parts import Item, load_parts, roll_up
 from falconwing_kit.aircraft.sizing import (
     largest_mass,
     level_turn_bank,
@@ -20,6 +22,7 @@ from falconwing_kit.aircraft.sizing import (
     unlisted_mass,
     wing_loading,
 )
+from falconwing_kit.cli.hardware.parts_tables import as_parts, parts_record, print_parts
 from falconwing_kit.cli.show import next_line, print_json, print_table
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import atomic_write
@@ -47,6 +50,7 @@ class Size:
     margin_m: float = 0.0  # of the width, to be left free
     hold_height: bool = False  # judge by the turn that holds its height, not by the paper's formula
     airframe: Path | None = None  # airframe file; the kit's aircraft if not given
+    parts: str | None = None  # list of parts whose mass to take, with balance and cost: "kit" or a CSV file
     json: bool = False  # print JSON instead of tables
     out: Path | None = None  # folder for the figure and the JSON
 
@@ -60,8 +64,11 @@ class Size:
             InputError: a number makes no sense, or the airframe file does not describe an aircraft.
             FileNotFoundError: there is no airframe file.
         """
-        airframe = self._aircraft()
+        items = None if self.parts is None else load_parts(None if self.parts == "kit" else self.parts)
+        airframe = self._aircraft(items)
         record = sizing_record(airframe, self.hall_width_m, self.margin_m)
+        if items is not None:
+            record |= parts_record(items, airframe, load_airframe(self.airframe).mass)
         fits = bool(record["level_turn" if self.hold_height else "paper_turn"]["fits"])
         record["fits"] = fits
         if self.out is not None:
@@ -75,13 +82,15 @@ class Size:
             _print_record(record, self.out)
         return 0 if fits else 1
 
-    def _aircraft(self) -> Airframe:
-        """The airframe of the file with what the options change."""
+    def _aircraft(self, items: Sequence[Item] | None = None) -> Airframe:
+        """The airframe of the file with what the list of parts and the options change."""
         for option in ("mass_g", "wing_area_m2", "cl_max", "bank_deg", "hall_width_m"):
             value, typed = getattr(self, option), "--" + option.replace("_", "-")
             if value is not None and require_range(typed, value) <= 0.0:
                 raise InputError(f"{typed}: want a number above zero, got {value:g}")
         airframe = load_airframe(self.airframe)
+        if items is not None:
+            airframe = replace(airframe, mass=roll_up(items).mass, parts=as_parts(items))
         return replace(
             airframe,
             mass=airframe.mass if self.mass_g is None else self.mass_g / 1000.0,
@@ -208,6 +217,8 @@ def _print_record(record: dict[str, Any], out: Path | None) -> None:
         parts.append(("difference", missing, remark))
     print_table(("part", "mass [g]", "remark"), parts)
     print()
+    if "balance" in record:
+        print_parts(record)
     free = record["hall_width_m"] - record["margin_m"]
     print(f"{'fits' if record['fits'] else 'does NOT fit'} across {free:g} m. {_level_turn_sentence(level)}")
     if out is not None:
