@@ -1,0 +1,1 @@
+"""courses: the verbs that build, check, grade and hand out labs."""
