@@ -1,4 +1,4 @@
-"""`falconwing doctor`: this machine in, a table of what works and how to mend the rest out.
+"""`falconwing doctor`: this machine in, a table of what works and how to mend the rest out; also the checklists.
 
 A row says "works" only after the thing was tried just now.
 """
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 from falconwing_kit.cli.show import next_line, print_json, print_table
+from falconwing_kit.core.checks import InputError
 
 Need = Literal["demo", "now", "later"]
 _PYTHON = Path(sys.executable)  # as short as it can be typed here
@@ -48,20 +49,37 @@ class Finding:
 
 @dataclass(frozen=True)
 class Doctor:
-    """Say what works on this machine and how to mend what does not.
+    """Say what works on this machine and how to mend what does not, or walk through a checklist of the aircraft.
 
-    Exit code 0 if everything that the demo needs works, else 1.
+    Exit code 0 if everything that the demo needs works, or no step of the checklist failed, else 1.
     """
 
     json: bool = False
     """Print JSON instead of a table."""
+    bench: bool = False
+    """walk through the bench test instead, propeller off; without a terminal, print it"""
+    preflight: bool = False
+    """walk through the check before a flight instead"""
+    port: str = ""
+    """serial port of the board for the steps that a checklist does by itself; sim is a SIMULATED one"""
+    camera: str = ""
+    """camera for those steps: number, path or video file; sim is a SIMULATED one"""
+    out: Path | None = None
+    """folder for the checklist's dated record"""
 
     def run(self) -> int:
-        """Try everything once and print the findings.
+        """Try everything once and print the findings, or walk through a checklist.
 
         Returns:
-            0 if what the demo needs works, else 1.
+            0 if what the demo needs works, or no step failed, else 1.
+
+        Raises:
+            InputError: options do not go together, or the record cannot be written.
         """
+        if self.bench or self.preflight:
+            return self._walk()
+        if self.port or self.camera or self.out is not None:
+            raise InputError("--port, --camera, --out: want them with --bench or --preflight; add one of these")
         findings = [examine(check) for check in CHECKS]
         demo_works = all(finding.status == "works" for finding in findings if finding.needed_by_demo)
         if self.json:
@@ -76,6 +94,16 @@ class Doctor:
             "falconwing demo" if demo_works else "mend the first row above that is missing, then falconwing doctor"
         )
         return 0 if demo_works else 1
+
+    def _walk(self) -> int:
+        from falconwing_kit.aircraft.hardware.checklists import load_checklists
+        from falconwing_kit.cli.hardware.walk import Tools, walk
+
+        if self.bench and self.preflight:
+            raise InputError("--bench, --preflight: want one of them, got both; do the bench test first")
+        lists = load_checklists()
+        chosen = lists.bench if self.bench else lists.preflight
+        return walk(chosen, Tools(self.port, self.camera), self.out, self.json)
 
 
 def examine(check: Check) -> Finding:
@@ -128,9 +156,15 @@ def _arrays() -> str:
 
 def _airframe() -> str:
     from falconwing_kit.aircraft.airframe import load_airframe
+    from falconwing_kit.aircraft.hardware.cameras import SHIPPED, load_camera
+    from falconwing_kit.aircraft.hardware.checklists import load_checklists
+    from falconwing_kit.aircraft.hardware.parts import load_parts
 
-    airframe = load_airframe()
-    return f"read {airframe.name}, {airframe.mass * 1e3:.0f} g"
+    airframe, parts = load_airframe(), load_parts()
+    cameras, lists = [load_camera(name) for name in SHIPPED], load_checklists()
+    steps = len(lists.bench.steps) + len(lists.preflight.steps)
+    whole = f"{airframe.name}, {airframe.mass * 1e3:.0f} g"
+    return f"read {whole}, {len(parts)} parts, {len(cameras)} cameras, {steps} steps of checklists"
 
 
 def _plots() -> str:
@@ -249,7 +283,6 @@ def _page() -> str:
 
 
 def _gpu() -> str:
-    from falconwing_kit.core.checks import InputError
     from falconwing_kit.scene.renderers.gsplat_backend import probe
 
     try:

@@ -1,0 +1,67 @@
+"""Checklists: a TOML file -> the steps of the bench test and of the check before a flight, for terminal and manual."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.config import from_toml
+from falconwing_kit.core.files import shipped_path
+
+AUTOMATIC = ("", "board", "sticks", "picture")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing to do and to see."""
+
+    id: str
+    do: str
+    see: str
+    if_not: str  # what to do where it is not seen
+    stop: bool  # nothing after it may be done while it fails
+    automatic: str = ""  # what the computer tries by itself, one of AUTOMATIC; "" asks the person
+
+    def __post_init__(self) -> None:
+        if not self.id.isidentifier() or not (self.do and self.see and self.if_not):
+            raise InputError(f"{self.id!r}: want an id like camera_voltage, and do, see and if_not as sentences")
+        if self.automatic not in AUTOMATIC:
+            wanted = ", ".join(AUTOMATIC[1:])
+            raise InputError(f"{self.id}: automatic: want one of {wanted} or nothing, got {self.automatic!r}")
+
+
+@dataclass(frozen=True)
+class Checklist:
+    """Steps in their order."""
+
+    title: str
+    steps: tuple[Step, ...]
+
+    def __post_init__(self) -> None:
+        ids = [step.id for step in self.steps]
+        twice = [name for name in ids if ids.count(name) > 1]
+        if not ids or twice:
+            raise InputError(f"steps: want at least one and every id once, got {twice or ids}")
+
+
+@dataclass(frozen=True)
+class Checklists:
+    """The lists of a file."""
+
+    bench: Checklist  # propeller off
+    preflight: Checklist  # before each flight
+
+
+def load_checklists(path: str | Path | None = None) -> Checklists:
+    """Read a file of checklists.
+
+    Args:
+        path: the TOML file; None takes the kit's own.
+
+    Returns:
+        Both lists.
+
+    Raises:
+        FileNotFoundError: there is no file.
+        InputError: a key is missing or unknown, or a step says too little.
+    """
+    return from_toml(Checklists, shipped_path("hardware/checklists.toml", "name a file") if path is None else path)
