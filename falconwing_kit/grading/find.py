@@ -8,7 +8,7 @@ them at the top of a file, not inside a function.
 import importlib.util
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -66,6 +66,11 @@ def lab_folder(name: str | Path, labs: str | Path | None = None) -> Path:
     if not found:
         raise InputError(f"{name}: want one of {', '.join(folder.name for folder in folders)}, or a lab's folder")
     return found[0]
+
+
+def chosen_labs(names: Sequence[str], labs: str | Path | None = None) -> list[Path]:
+    """The folders of the labs that were named, or of all; Raises as `lab_folder`."""
+    return [lab_folder(name, labs) for name in names] or lab_folders(labs_folder(labs))
 
 
 def notebook_path(folder: Path, *, solution: bool = False) -> Path:

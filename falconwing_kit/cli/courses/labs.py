@@ -2,56 +2,104 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from falconwing_kit.cli.show import next_line, print_json, print_table
 from falconwing_kit.core.files import short_name
-from falconwing_kit.grading.find import lab_folder, lab_folders, labs_folder
+from falconwing_kit.grading.find import chosen_labs
 
 
 @dataclass(frozen=True)
-class Labs:
-    """Build the labs' notebooks from their sources.
+class Build:
+    """Write the notebooks of the labs from their sources.
 
     Exit code 0 when it was done, or nothing is stale; else 1.
     """
 
-    action: Annotated[Literal["build"], tyro.conf.Positional]
-    """build: write each lab's two notebooks from its lab.py"""
     names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """labs, such as lab03; all if none is named"""
     check: bool = False
-    """build: write nothing, say which notebooks are stale"""
+    """write nothing, say which notebooks are stale"""
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     json: bool = False
     """print JSON instead of a table"""
 
     def run(self) -> int:
-        """Do it.
+        """Build, or only look.
 
         Returns:
-            0 where it is done and well, else 1.
+            0 where the notebooks are now as their sources say; 1 where `check` found stale ones.
 
         Raises:
-            InputError: there is no such lab, or its files cannot be used.
+            InputError: there is no such lab, or its source cannot be used.
         """
-        labs = labs_folder(self.labs)
-        folders = [lab_folder(name, labs) for name in self.names] or lab_folders(labs)
-        return self._build(folders)
-
-    def _build(self, folders: list[Path]) -> int:
         from falconwing_kit.grading.notebooks import stale_notebooks, write_notebooks
 
-        changed = {folder.name: (stale_notebooks if self.check else write_notebooks)(folder) for folder in folders}
-        stale = sum(map(len, changed.values())) if self.check else 0
+        do = stale_notebooks if self.check else write_notebooks
+        changed = {folder.name: do(folder) for folder in chosen_labs(self.names, self.labs)}
+        word, stale = ("stale", sum(map(len, changed.values()))) if self.check else ("written", 0)
         if self.json:
             print_json({name: [short_name(path) for path in paths] for name, paths in changed.items()})
             return int(stale > 0)
-        word = "stale" if self.check else "written"
         rows = [(name, ", ".join(map(short_name, paths)) or "-") for name, paths in changed.items()]
-        print_table(("lab", word), rows, title=f"{len(rows)} labs, {stale} stale notebooks" if self.check else "")
+        print_table(("lab", word), rows, title=f"{stale} stale notebooks" if self.check else "")
         next_line("falconwing labs build" if stale else "falconwing labs selftest")
         return int(stale > 0)
+
+
+@dataclass(frozen=True)
+class Release:
+    """Write what students get: no solutions, no hidden cases, no notes."""
+
+    out: Annotated[Path, tyro.conf.Positional]
+    """a new folder"""
+    names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """labs, such as lab03; all if none is named"""
+    salt: str = ""
+    """your course's secret, which draws its numbers; `grade` needs the same. Without it: the open course's"""
+    roster: Path | None = None
+    """CSV file with a column `student`, for labs that are another for every student; needs --salt"""
+    labs: Path | None = None
+    """the folder with the labs; the checkout's own if not given"""
+    json: bool = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Write the folder.
+
+        Returns:
+            0: it is there.
+
+        Raises:
+            FileNotFoundError: there is no roster.
+            InputError: the folder is not empty, the roster cannot be used, or a lab cannot.
+        """
+        from falconwing_kit.grading.release import read_roster, release
+
+        folders = chosen_labs(self.names, self.labs)
+        students = read_roster(self.roster) if self.roster else []
+        files = release(folders, self.out, self.salt, students)
+        counts = {folder.name: sum(folder.name in path.parts for path in files) for folder in folders}
+        if self.json:
+            print_json({"out": str(self.out), "salted": bool(self.salt), "students": len(students), "files": counts})
+            return 0
+        course = "the course of your salt" if self.salt else "the open course"
+        print_table(("lab", "files"), list(counts.items()), title=f"{self.out}: {course}, {len(students)} students")
+        if self.salt:
+            print("keep the salt to yourself, and keep it: without it nobody can grade these labs")
+        next_line("hand the folder out; later falconwing grade lab01 SUBMISSIONS --out grades")
+        return 0
+
+
+@dataclass(frozen=True)
+class Labs:
+    """Build the labs' notebooks, or hand them out."""
+
+    step: tyro.conf.OmitSubcommandPrefixes[Build | Release]
+
+    def run(self) -> int:
+        """Do the chosen step; see its own `run`."""
+        return self.step.run()
