@@ -71,6 +71,8 @@ class MeasuredStates:
 class RenderedView:
     """SIMULATED images from the aircraft's nose: a Gaussian scene, seen from where the world's aircraft really is.
 
+    A scene with an analog link ("hall_analog") is seen through it; its two fields are of one moment then.
+
     Args:
         world: the simulated world; where it has a leader, the leader is in the image.
         scene: the hall. Its Gaussians labelled "leader" are the leader's; a hall without gets the kit's leader.
@@ -116,7 +118,8 @@ class RenderedView:
         T_world_camera = camera_pose(self.world.state.pose.T_world_body, self.p_body_camera)
         frame = render(scenes, self.camera, T_world_camera, backend=self.backend)
         self.depth = frame.depth
-        return np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
+        picture = np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
+        return picture if self._hall.link is None else self._hall.link.apply(picture, self._sequence)
 
 
 def _hall_and_leader(scene: GaussianScene, with_leader: bool) -> tuple[GaussianScene, GaussianScene | None]:

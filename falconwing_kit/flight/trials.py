@@ -12,7 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +107,8 @@ def fly_trial(
         world = _behind_port(stack, trial.world, setting.port, writer) if setting.port else trial.world
         view = None
         if setting.scene is not None:
-            view = RenderedView(world, setting.scene, setting.camera, task.airframe.p_body_camera)
+            scene = _with_own_noise(setting.scene, trial.seed)
+            view = RenderedView(world, scene, setting.camera, task.airframe.p_body_camera)
         judge = task.judge(trial, setting.camera, view)
         states, hooks = MeasuredStates(world), setting.hooks
         loop = Loop(pilot, world, view, states, trial.leader, setting.clock(), writer, hooks)
@@ -363,7 +364,13 @@ def _difference(before: Mapping[str, Any], head: Mapping[str, Any]) -> str:
 
 def _scene_digest(scene: GaussianScene) -> str:
     arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh, scene.labels)
-    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()[:DIGITS]
+    link = b"" if scene.link is None else repr(scene.link).encode()
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays) + link).hexdigest()[:DIGITS]
+
+
+def _with_own_noise(scene: GaussianScene, seed: int) -> GaussianScene:
+    """The scene whose analog link, if it has one, draws its noise from a trial's seed."""
+    return scene if scene.link is None else replace(scene, link=replace(scene.link, seed=seed))
 
 
 def _wrong_head(head: Any) -> str:

@@ -1,11 +1,14 @@
 """Analog video link: clean picture + signal-to-noise ratio -> the picture as an FM receiver and a capture card give it.
 
 A model of 525-line composite video sent by frequency modulation, after the laws of such links; every step is a small
-function with its source. The result is simulated.
+function with its source. The result is simulated. Where photos show what a link really does, `survey/link.py` measures
+bandwidths and noise on them, and these take the place of the laws: analog.toml keeps such links by the scene's name.
 """
 
 import math
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +35,21 @@ class AnalogVideo:
     snr_db: float  # peak-to-peak luma over rms thermal noise, unweighted [CCIR Rec. 567]; clicks come on top
     seed: int = 0
     dropouts: float = 0.02  # fades a frame, on average
+    dropout_lines: float = DROPOUT_LINES  # mean length of one
+    luma_hz: float = LUMA_HZ
+    chroma_hz: float = CHROMA_HZ
+    chroma_noise: float = 1.0  # times what the law of `smeared` gives
+    noise_s: float = 0.0  # over this time along a line luma noise decays to 1/e, both ways; 0: flat in the luma band
 
     def __post_init__(self) -> None:
         require_range("snr_db", self.snr_db, low=0.0, high=80.0)
         require_range("seed", self.seed, low=0)
         require_range("dropouts", self.dropouts, low=0.0, high=100.0)
+        require_range("dropout_lines", self.dropout_lines, low=1.0, high=1000.0)
+        for name in ("luma_hz", "chroma_hz"):
+            require_range(name, getattr(self, name), low=0.1e6, high=20e6)
+        require_range("chroma_noise", self.chroma_noise, low=0.0, high=100.0)
+        require_range("noise_s", self.noise_s, low=0.0, high=1e-6)
 
     def apply(self, image: Pixels, frame_number: int, earlier: Pixels | None = None) -> Pixels:
         """The picture as it arrives.
@@ -60,12 +73,28 @@ class AnalogVideo:
         pixel_s = LINE_S / width
         shifts = line_shifts_s(height, self.snr_db, rng) / pixel_s
         luma, chroma = split(shifted(image if earlier is None else woven(image, earlier), shifts))
-        noise = luma_noise(luma.shape, self.snr_db, pixel_s, rng)
+        noise = luma_noise(luma.shape, self.snr_db, pixel_s, rng, self.noise_s, self.luma_hz)
         add_clicks(noise, self.snr_db, pixel_s, rng)
-        luma = np.asarray(cv2.add(band_limited(luma, pixel_s), noise, dtype=cv2.CV_8U), np.uint8)  # rounds and cuts
-        chroma = smeared(chroma, self.snr_db, pixel_s, rng)
-        add_dropouts(luma, self.dropouts, rng)
+        luma = band_limited(luma, pixel_s, self.luma_hz)
+        luma = np.asarray(cv2.add(luma, noise, dtype=cv2.CV_8U), np.uint8)  # rounds and cuts
+        chroma = smeared(chroma, self.snr_db, pixel_s, rng, self.chroma_hz, self.chroma_noise)
+        add_dropouts(luma, self.dropouts, rng, self.dropout_lines)
         return joined(luma, chroma)
+
+
+def video_link(name: str) -> AnalogVideo:
+    """A link as measured on photos that came through it.
+
+    Args:
+        name: a table of analog.toml, the name of the scene that is seen through it, such as "hall_analog".
+
+    Raises:
+        InputError: no link of that name ships.
+    """
+    links = tomllib.loads(Path(__file__).with_name("analog.toml").read_text(encoding="utf-8"))
+    if name not in links:
+        raise InputError(f"video link: want one of {', '.join(links)}, got {name!r}")
+    return AnalogVideo(**links[name])
 
 
 def carrier_to_noise(snr_db: float) -> float:
@@ -122,34 +151,55 @@ def joined(luma: Pixels, chroma: Plane) -> Pixels:
     return np.asarray(cv2.cvtColor(cv2.merge([luma, *cv2.split(wide)]), cv2.COLOR_YCrCb2RGB), np.uint8)
 
 
-def band_limited(luma: Pixels, pixel_s: float) -> Pixels:
+def band_limited(luma: Pixels, pixel_s: float, luma_hz: float = LUMA_HZ) -> Pixels:
     """Luma (H, W) behind a low-pass of the luma bandwidth."""
     import cv2
 
-    return np.asarray(cv2.sepFilter2D(luma, -1, _low_pass(pixel_s), np.ones(1)), np.uint8)
+    return np.asarray(cv2.sepFilter2D(luma, -1, _low_pass(pixel_s, luma_hz), np.ones(1)), np.uint8)
 
 
-def smeared(chroma: Plane, snr_db: float, pixel_s: float, rng: np.random.Generator) -> Plane:
+def smeared(
+    chroma: Plane,
+    snr_db: float,
+    pixel_s: float,
+    rng: np.random.Generator,
+    chroma_hz: float = CHROMA_HZ,
+    chroma_noise: float = 1.0,
+) -> Plane:
     """Chroma (H, W / 4, 2) with its noise behind the decoder's first-order low-pass, which drags colours to the right.
 
-    White noise of the luma band, demodulated from both sides of the subcarrier: sd = sd_luma sqrt(2 B_chroma / B_luma).
+    White noise of the luma band, demodulated from both sides of the subcarrier: sd = sd_luma sqrt(2 B_chroma / B_luma),
+    times chroma_noise where a link was measured.
     """
     import cv2
 
-    decay = 1.0 / (1.0 + 2.0 * math.pi * CHROMA_HZ * 4.0 * pixel_s)  # backward Euler keeps the mean lag
+    decay = 1.0 / (1.0 + 2.0 * math.pi * chroma_hz * 4.0 * pixel_s)  # backward Euler keeps the mean lag
     tail = decay ** np.arange(12)
     tail /= tail.sum()
     kernel = np.concatenate([tail[::-1], np.zeros(11)])  # filter2D correlates: the past stands on the left
-    sigma = _sigma(snr_db) * math.sqrt(2.0 * CHROMA_HZ / LUMA_HZ) / np.linalg.norm(tail)
+    sigma = chroma_noise * _sigma(snr_db) * math.sqrt(2.0 * chroma_hz / LUMA_HZ) / np.linalg.norm(tail)
     noise = rng.standard_normal(chroma.shape, np.float32) * np.float32(sigma)
     return np.asarray(cv2.sepFilter2D(chroma + noise, -1, kernel, np.ones(1)), np.float32)
 
 
-def luma_noise(shape: tuple[int, ...], snr_db: float, pixel_s: float, rng: np.random.Generator) -> Plane:
-    """Thermal noise (H, W) [grey levels] of the luma band, flat as emphasis makes it; rms 255 / 10^(snr_db / 20)."""
+def luma_noise(
+    shape: tuple[int, ...],
+    snr_db: float,
+    pixel_s: float,
+    rng: np.random.Generator,
+    noise_s: float = 0.0,
+    luma_hz: float = LUMA_HZ,
+) -> Plane:
+    """Noise (H, W) [grey levels] of the luma band; rms 255 / 10^(snr_db / 20).
+
+    Thermal noise is flat in it, as emphasis makes it. A link that was measured may have it softer: it is then filtered
+    by exp(-|t| / noise_s) along the line too.
+    """
     import cv2
 
-    kernel = _low_pass(pixel_s)
+    kernel = _low_pass(pixel_s, luma_hz)
+    if noise_s:
+        kernel = np.convolve(kernel, np.exp(-np.abs(np.arange(-12, 13)) * pixel_s / noise_s))
     white = rng.standard_normal(shape, np.float32)
     gain = _sigma(snr_db) / np.linalg.norm(kernel)  # a filter leaves its squares' sum of white noise's power
     return np.asarray(cv2.sepFilter2D(white, -1, gain * kernel, np.ones(1)), np.float32)
@@ -189,10 +239,10 @@ def shifted(image: Pixels, shifts_px: Array) -> Pixels:
     return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
 
-def add_dropouts(luma: Pixels, dropouts: float, rng: np.random.Generator) -> None:
+def add_dropouts(luma: Pixels, dropouts: float, rng: np.random.Generator, dropout_lines: float = DROPOUT_LINES) -> None:
     """Fades: bands of lines (H, W) in which nothing but noise arrives; their number is Poisson, lengths geometric."""
     for _ in range(rng.poisson(dropouts)):
-        row, lines = int(rng.integers(0, luma.shape[0])), int(rng.geometric(1.0 / DROPOUT_LINES))
+        row, lines = int(rng.integers(0, luma.shape[0])), int(rng.geometric(1.0 / dropout_lines))
         luma[row : row + lines] = rng.integers(0, 256, luma[row : row + lines].shape, dtype=np.uint8)
 
 
@@ -201,12 +251,12 @@ def _sigma(snr_db: float) -> float:
     return float(255.0 * 10.0 ** (-snr_db / 20.0))
 
 
-def _low_pass(pixel_s: float) -> Array:
+def _low_pass(pixel_s: float, luma_hz: float = LUMA_HZ) -> Array:
     """Filter along a line (15,) whose gain is one half at the luma bandwidth: a sinc in a Hamming window.
 
     A picture too coarse for the band, 320 pixels wide, passes as it is.
     """
-    cycles = min(LUMA_HZ * pixel_s, 0.5)  # per pixel
+    cycles = min(luma_hz * pixel_s, 0.5)  # per pixel
     kernel = 2.0 * cycles * np.sinc(2.0 * cycles * np.arange(-7, 8)) * np.hamming(15)
     return np.asarray(kernel / kernel.sum(), np.float64)
 

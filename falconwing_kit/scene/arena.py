@@ -19,13 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import cache_folder
+from falconwing_kit.scene.analog import video_link
 from falconwing_kit.scene.edit import move
 from falconwing_kit.scene.formats.ply import SH_C0
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import require_pose
 
 PLAN = Path(__file__).with_name("arena.toml")
-SCENES = ("arena", "hall", "leader")  # the names that load_scene knows
+SCENES = ("arena", "hall", "hall_analog", "leader")  # the names that load_scene knows
 MARKER_DICTIONARY, MARKER_ID = "DICT_4X4_50", 7  # as in the path-traced hall; the paper names none
 OPACITY = 0.99
 OVERLAP = 0.66  # standard deviation of a surfel by the side of its rectangle: neighbours leave 3 % at the corners
@@ -90,15 +91,19 @@ def load_scene(name: str) -> GaussianScene:
 
     Args:
         name: "arena", the hall as `build_arena` gives it; "hall", trained on photos of a path-traced hall, without a
-            leader; "leader", the arena's leader alone in its body axes.
+            leader; "hall_analog", the same Gaussians with the analog video link of that hall's photos in `link`;
+            "leader", trained on path-traced turntable photos, in its body axes, with nose, tail and wing tips in
+            `points`.
 
     Raises:
         InputError: no scene of that name ships.
     """
     if name not in SCENES:
         raise InputError(f"scene: want a file or a name that ships ({', '.join(SCENES)}), got {str(name)[:80]!r}")
-    if name == "hall":
-        return GaussianScene.load(Path(__file__).parents[1] / "data" / "hall.npz")
+    if name != "arena":
+        file = "leader.npz" if name == "leader" else "hall.npz"
+        trained = GaussianScene.load(Path(__file__).parents[1] / "data" / file)
+        return replace(trained, link=video_link(name)) if name == "hall_analog" else trained
     version = hashlib.sha256(Path(__file__).read_bytes() + PLAN.read_bytes()).hexdigest()[:12]
     path = cache_folder() / f"arena-{version}.npz"
     try:
@@ -110,7 +115,7 @@ def load_scene(name: str) -> GaussianScene:
             scene.save(path)
             for older in set(path.parent.glob("arena-*.npz")) - {path}:
                 older.unlink(missing_ok=True)
-    return scene if name == "arena" else scene.selected(scene.labelled("leader"))
+    return scene
 
 
 def build_arena(seed: int = 0) -> GaussianScene:
@@ -150,7 +155,8 @@ def leader_at(scene: GaussianScene, T_world_body: ArrayLike | None) -> GaussianS
     move `load_scene("leader")`, which is small, and join it with the hall.
 
     Args:
-        scene: holds Gaussians labelled "leader" in the leader's body axes.
+        scene: holds Gaussians labelled "leader" in the leader's body axes, as the arena does; `with_leader` gives a
+            hall without one.
         T_world_body: (4, 4) of the leader, "world from body"; None takes the leader out.
 
     Raises:
@@ -160,6 +166,12 @@ def leader_at(scene: GaussianScene, T_world_body: ArrayLike | None) -> GaussianS
     return (
         scene.selected(~mask) if T_world_body is None else move(scene, mask, require_pose("T_world_body", T_world_body))
     )
+
+
+def with_leader(scene: GaussianScene) -> GaussianScene:
+    """The scene with a leader in its body axes, for `leader_at`: its own, or else the one that ships."""
+    own = "leader" in scene.label_names and scene.labelled("leader").any()
+    return scene if own else GaussianScene.joined(scene, load_scene("leader"))
 
 
 def _palette(tables: Mapping[str, Any], rng: Random, vary: bool) -> Palette:

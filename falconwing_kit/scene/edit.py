@@ -150,6 +150,8 @@ def move(scene: GaussianScene, mask: Mask, T_world_asset: ArrayLike) -> Gaussian
     mask, T = _require_mask(scene, mask), require_pose("T_world_asset", T_world_asset)
     _finite("T_world_asset", T[:3, 3])
     means = scene.means[mask].astype(np.float64) @ T[:3, :3].T + T[:3, 3]
+    if mask.all():  # named points are those of the whole
+        scene = replace(scene, points={name: T[:3, :3] @ p + T[:3, 3] for name, p in scene.points.items()})
     if np.array_equal(T[:3, :3], np.eye(3)):
         return _changed(scene, mask, means=means)
     quaternions = scene.quaternions[mask] @ _turn_by(T[:3, :3]).T.astype(np.float32)
@@ -207,6 +209,8 @@ def scale(scene: GaussianScene, mask: Mask, factor: float, about_world: ArrayLik
     factor = require_range("factor", factor, low=1.0 / LARGEST_FACTOR, high=LARGEST_FACTOR)
     centre = _centre(scene, mask, about_world)
     means = centre + factor * (scene.means[mask] - centre)
+    if np.all(mask):
+        scene = replace(scene, points={name: centre + factor * (p - centre) for name, p in scene.points.items()})
     return _changed(scene, mask, means=means, scales=factor * scene.scales[mask])
 
 

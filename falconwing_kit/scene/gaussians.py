@@ -1,6 +1,6 @@
 """Gaussian scene: arrays or a file -> a checked set of Gaussians; save, select and join them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import short_name
+from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.formats.native import read_native, write_native
 from falconwing_kit.scene.formats.packed import read_sog, read_splat, read_spz
 from falconwing_kit.scene.formats.ply import SH_COUNTS, Array32, read_ply, write_ply
@@ -47,6 +48,10 @@ class GaussianScene:
     labels: Labels = field(default_factory=lambda: np.zeros(0, np.uint8))  # (N,) numbers of names; empty: all 0
     label_names: tuple[str, ...] = ("scene",)  # what each label is called
     source: str = ""  # where it came from, with the credit that its licence asks for
+    points: Mapping[str, NDArray[Any]] = field(
+        default_factory=dict
+    )  # named places of one asset (3,) [m]: nose, tail ...
+    link: AnalogVideo | None = None  # what the pictures of who flies in it come through; `render` is before it
 
     def __post_init__(self) -> None:
         """Check and convert every field."""
@@ -64,6 +69,8 @@ class GaussianScene:
         object.__setattr__(self, "quaternions", _unit(self.quaternions))
         object.__setattr__(self, "label_names", _names(self.label_names))
         object.__setattr__(self, "labels", _labels(self.labels, len(means), len(self.label_names)))
+        points = {name: _floats(f"point {name}", [place], (1, 3))[0] for name, place in self.points.items()}
+        object.__setattr__(self, "points", points)
 
     def __len__(self) -> int:
         return len(self.means)
@@ -100,8 +107,8 @@ class GaussianScene:
         """Write a scene whole or not at all.
 
         Args:
-            path: a file ending in .npz, which keeps everything to the last bit, or in .ply, which every other tool
-                reads, and which keeps no labels.
+            path: a file ending in .npz, which keeps everything but a link to the last bit, or in .ply, which every
+                other tool reads, and which keeps neither labels nor named points.
 
         Raises:
             InputError: another ending, or the place cannot be written.
@@ -110,7 +117,7 @@ class GaussianScene:
         arrays = (self.means, self.quaternions, self.scales, self.opacities, self.sh)
         suffix = Path(path).suffix.lower()
         if suffix == ".npz":
-            write_native(path, *arrays, self.labels, self.label_names, self.source)
+            write_native(path, *arrays, self.labels, self.label_names, self.source, self.points)
         elif suffix == ".ply":
             write_ply(path, *arrays, self.source)
         else:
@@ -148,7 +155,8 @@ class GaussianScene:
     def joined(cls, *scenes: "GaussianScene") -> "GaussianScene":
         """Several scenes in the same coordinates as one.
 
-        Labels of the same name become one; colours of a lower degree get zeros for what they lack.
+        Labels of the same name become one; colours of a lower degree get zeros for what they lack. Named points are
+        those of one asset and do not go along: keep the asset's own.
 
         Raises:
             InputError: no scenes, or more than 256 different labels.
@@ -159,7 +167,7 @@ class GaussianScene:
         _names(names)  # before the numbers, which would not fit
         numbers = [np.array([names.index(name) for name in scene.label_names], np.uint8) for scene in scenes]
         basis = max(scene.sh.shape[1] for scene in scenes)
-        stacked = {
+        stacked: dict[str, Any] = {
             name: np.concatenate([getattr(scene, name) for scene in scenes])
             for name in ("means", "quaternions", "scales", "opacities")
         }
@@ -168,6 +176,7 @@ class GaussianScene:
             sh=np.concatenate([np.pad(s.sh, ((0, 0), (0, basis - s.sh.shape[1]), (0, 0))) for s in scenes]),
             labels=np.concatenate([table[scene.labels] for table, scene in zip(numbers, scenes, strict=True)]),
             label_names=names,
+            link=next((scene.link for scene in scenes if scene.link is not None), None),
             source="; ".join(dict.fromkeys(scene.source for scene in scenes if scene.source)),
         )
 

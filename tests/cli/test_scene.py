@@ -97,6 +97,32 @@ def test_arena_is_rendered_without_its_leader_unless_it_is_placed(tmp_path, monk
         assert np.abs(cv2.imread("v.png")[..., ::-1] - expected).max() <= 0.51
 
 
+def test_a_hall_without_a_leader_gets_the_one_that_ships(balls):
+    """The image equals that of balls and trained leader put together by hand; without --leader there is none."""
+    camera, T_world_camera = PinholeCamera.from_fov_deg(80, 60, 77.8), nose_camera_pose((0, 0, 1), 0, 0, 0)
+    T_world_leader = pose_matrix(rotation_world_body(0.1, 0.0, 0.2), np.array([1.5, 0.4, 1.1]))
+    leader = leader_at(GaussianScene.joined(GaussianScene.load(balls), load_scene("leader")), T_world_leader)
+    words = ["render", balls, "--pose", "0,0,1,0,0,0", "--size", "80x60", "--out", "v.png"]
+    pose = f"1.5,0.4,1.1,{np.degrees(0.1)},0,{np.degrees(0.2)}"
+    for more, scene in (([], GaussianScene.load(balls)), ([f"--leader={pose}"], leader)):
+        assert main([*words, *more]) == 0
+        expected = 255.0 * render(scene, camera, T_world_camera).rgb
+        assert np.abs(cv2.imread("v.png")[..., ::-1] - expected).max() <= 0.51
+
+
+def test_the_analog_hall_is_the_hall_through_its_link():
+    """38.7 dB are 3 grey levels of rms noise; a seed gives its picture again and another seed another."""
+    words = ["--pose=-12,0.5,1.5,0,-3,0", "--size", "320x240"]
+    pictures = []
+    for scene, more in (("hall", ()), ("hall_analog", ()), ("hall_analog", ()), ("hall_analog", ("--seed", "5"))):
+        assert main(["render", scene, *words, *more, "--out", "v.png"]) == 0
+        pictures.append(cv2.imread("v.png").astype(float) @ (0.114, 0.587, 0.299))
+    clean, noisy, again, other = pictures
+    flat = np.abs(cv2.Laplacian(cv2.GaussianBlur(clean, (0, 0), 2.0), cv2.CV_64F)) < 0.3
+    assert np.std((noisy - clean)[flat]) == pytest.approx(255.0 * 10 ** (-38.7 / 20.0), rel=0.3)
+    assert (noisy == again).all() and (noisy != other).mean() > 0.5
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
@@ -109,7 +135,6 @@ def test_arena_is_rendered_without_its_leader_unless_it_is_placed(tmp_path, monk
         (["--size", "-6x4"], "--size"),
         (["--fov-deg", "180"], "fov_deg"),
         (["--leader", "1,2"], "--leader"),
-        (["--leader", "0,0,0,0,0,0"], "leader"),  # the balls have none
         (["--out", "v.jpg"], ".png"),
         (["--out", "nowhere/v.png"], "nowhere"),
         (["--depth", "v.png"], "--depth"),
@@ -129,7 +154,7 @@ def test_wrong_use_is_one_sentence_and_exit_two(balls, words, text, capsys, tmp_
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["info", "stadium"], "arena, hall, leader"),
+        (["info", "stadium"], "arena, hall, hall_analog, leader"),
         (["info", "nowhere.ply"], "nowhere.ply"),
         (["info", "."], "."),
         (["build", "--seed", "-1"], "seed"),

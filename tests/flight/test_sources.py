@@ -18,6 +18,7 @@ from falconwing_kit.flight.sources import (
     decode_jpeg,
     fpv_camera,
 )
+from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.gaussians import GaussianScene
 
 LEVEL = State.from_vector(np.zeros(9))
@@ -97,6 +98,17 @@ def test_leader_is_seen_where_it_flies_and_left_out_where_there_is_none():
     alone = RenderedView(StillWorld(), scene, fpv_camera()).next(0.0).pixels
     with np.errstate(invalid="ignore"), pytest.warns(RuntimeWarning, match="Mean of empty"):
         assert np.isnan(middle_of(alone, 1)).all()
+
+
+def test_a_scene_with_a_link_is_seen_through_it():
+    """What the link makes of the picture without it, frame by frame; a frame's number draws its noise."""
+    scene, link = balls(((6.0, 0.0, 0.0), RED)), AnalogVideo(30.0, seed=4)
+    plain = RenderedView(StillWorld(), scene, fpv_camera())
+    noisy = RenderedView(StillWorld(), replace(scene, link=link), fpv_camera())
+    clean = plain.next(0.0).pixels
+    first, second = noisy.next(0.0).pixels, noisy.next(0.05).pixels
+    assert (first == link.apply(clean, 1)).all() and (second == link.apply(clean, 2)).all()
+    assert (first != second).any()
 
 
 def test_hall_without_leader_gets_the_kits_own():

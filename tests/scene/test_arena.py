@@ -239,7 +239,7 @@ def test_a_seed_that_is_none_is_refused(seed):
 
 def test_unknown_name_is_told_the_known_ones():
     """The names are those of DESIGN, section 5, as far as they ship."""
-    with pytest.raises(InputError, match="arena, hall, leader"):
+    with pytest.raises(InputError, match="arena, hall, hall_analog, leader"):
         load_scene("stadium")
 
 

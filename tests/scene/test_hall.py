@@ -7,6 +7,8 @@ import pytest
 
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.scene import PinholeCamera, load_scene, nose_camera_pose, render
+from falconwing_kit.scene.analog import video_link
+from falconwing_kit.scene.arena import with_leader
 
 CAMERA = PinholeCamera.from_fov_deg(640, 480, 77.8)  # the lens of the hall's flights
 MARKER = np.array([0.0, 0.0, 0.75])  # its centre, by the hall's survey [m]
@@ -23,6 +25,14 @@ def test_it_is_small_and_labelled(hall):
     assert files("falconwing_kit.data").joinpath("hall.npz").stat().st_size < 8_000_000
     assert set(hall.label_names) == {"rest", "floor", "pad", "marker"}
     assert "path-traced" in hall.source
+
+
+def test_the_analog_hall_is_the_same_hall_seen_through_a_link(hall):
+    """The same Gaussians; the link is that of analog.toml, and stays where the hall gets a leader."""
+    analog = load_scene("hall_analog")
+    assert (analog.means == hall.means).all() and (analog.sh == hall.sh).all()
+    assert hall.link is None and analog.link == video_link("hall_analog")
+    assert with_leader(analog).link == analog.link
 
 
 @pytest.mark.parametrize(("distance", "side"), [(3.0, -0.4), (4.0, 0.0), (5.0, 0.3), (6.0, -0.3)])

@@ -2,7 +2,7 @@
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,7 +14,7 @@ from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import atomic_write, require_place
 from falconwing_kit.core.frames import pose_matrix, rotation_world_body
 from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose, render
-from falconwing_kit.scene.arena import build_arena, leader_at, load_scene
+from falconwing_kit.scene.arena import build_arena, leader_at, load_scene, with_leader
 
 MAX_DEPTH = 65.535  # [m], the largest in a PNG of 16-bit millimetres
 
@@ -94,13 +94,15 @@ class Render:
     backend: Literal["auto", "fast", "reference", "gsplat"] = "auto"
     """which renderer"""
     leader: str | None = None
-    """x,y,z,roll,pitch,yaw of the leader aircraft; without it the hall is rendered alone"""
+    """x,y,z,roll,pitch,yaw of the leader aircraft, the scene's own or the one that ships; without it there is none"""
     depth: Path | None = None
     """a second PNG: depth in millimetres, 16 bits, 0 where nothing is"""
     alpha: Path | None = None
     """a third PNG: how much is covered, white is all"""
     antialiased: bool = False
     """fade Gaussians smaller than a pixel instead of widening them"""
+    seed: int = 0
+    """of the noise of an analog link, for a scene that is seen through one (hall_analog)"""
     json: bool = False
     """print the result as JSON"""
 
@@ -126,7 +128,10 @@ class Render:
         start = time.perf_counter()
         frame = render(scene, camera, nose_camera_pose(p_world, *angles), self.backend, antialiased=self.antialiased)
         seconds = time.perf_counter() - start
-        _write_png(self.out, np.round(255.0 * frame.rgb[..., ::-1]).astype(np.uint8))
+        picture = np.round(255.0 * frame.rgb).astype(np.uint8)
+        if scene.link is not None:
+            picture = replace(scene.link, seed=self.seed).apply(picture, 0)
+        _write_png(self.out, picture[..., ::-1])
         if self.depth is not None:
             _write_png(self.depth, np.round(1000.0 * np.clip(frame.depth, 0.0, MAX_DEPTH)).astype(np.uint16))
         if self.alpha is not None:
@@ -202,7 +207,7 @@ def _with_leader(scene: GaussianScene, pose: str | None) -> GaussianScene:
     """The scene with its leader at a pose; without one the leader is left out, unless the scene is nothing else."""
     if pose is not None:
         p_world, angles = parse_pose("--leader", pose)
-        return leader_at(scene, pose_matrix(rotation_world_body(*angles), p_world))
+        return leader_at(with_leader(scene), pose_matrix(rotation_world_body(*angles), p_world))
     has_both = "leader" in scene.label_names and not scene.labelled("leader").all()
     return leader_at(scene, None) if has_both else scene
 

@@ -55,8 +55,9 @@ def read_native(path: str | Path) -> dict[str, Any]:
     """
     path = require_file(path)
     name, members = short_name(path), zip_members(path, (".npy",))
+    rest = _words_of(name, members) | {"points": _points_of(name, members)}
     if "quantised.npy" not in members:
-        return _arrays(name, members, _ARRAYS) | _words_of(name, members)
+        return _arrays(name, members, _ARRAYS) | rest
     kinds = _QUANTISED | ({"rest": (_BYTES, 3)} if "rest.npy" in members else {})
     numbers = _arrays(name, members, kinds)
     if numbers["quantised"][0] != VERSION:
@@ -65,7 +66,7 @@ def read_native(path: str | Path) -> dict[str, Any]:
     fields = restore(numbers)
     if fields is None:
         raise InputError(f"{name}: want arrays of a quantised scene that fit each other, got others; save it again")
-    return fields | _words_of(name, members)
+    return fields | rest
 
 
 def read_named_points(path: str | Path) -> dict[str, NDArray[np.float32]]:
@@ -82,14 +83,7 @@ def read_named_points(path: str | Path) -> dict[str, NDArray[np.float32]]:
         InputError: the file is damaged.
     """
     path = require_file(path)
-    name, members = short_name(path), zip_members(path, (".npy",))
-    if "points.npy" not in members:
-        return {}
-    arrays = _arrays(name, members, _POINTS)
-    names, points = _decoded(name, arrays["point_names"]), arrays["points"].astype(np.float32)
-    if points.shape != (len(names), 3) or not np.isfinite(points).all():
-        raise InputError(f"{name}: want a place for each of {len(names)} named points, got others; save it again")
-    return dict(zip(names, points, strict=True))
+    return _points_of(short_name(path), zip_members(path, (".npy",)))
 
 
 def write_quantised(path: str | Path, scene: Any, points: Mapping[str, ArrayLike] | None = None) -> None:
@@ -98,7 +92,7 @@ def write_quantised(path: str | Path, scene: Any, points: Mapping[str, ArrayLike
     Args:
         path: the .npz to write; it appears only once it is complete.
         scene: the `GaussianScene`.
-        points: named points (3,) [m] that belong to it.
+        points: named points (3,) [m] that belong to it; None for the scene's own.
 
     Raises:
         InputError: the place cannot be written.
@@ -107,9 +101,7 @@ def write_quantised(path: str | Path, scene: Any, points: Mapping[str, ArrayLike
     numbers = quantise(scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh)
     if numbers["rest"].size == 0:
         del numbers["rest"]  # the reader wants no empty arrays
-    if points:
-        numbers["points"] = np.array(list(points.values()), np.float32)
-        numbers["point_names"] = np.array(list(points))
+    numbers |= _point_arrays(scene.points if points is None else points)
     words = {"label_names": np.array(scene.label_names), "source": np.array(scene.source)}
     with atomic_write(path) as file:
         np.savez_compressed(file, labels=scene.labels, **numbers, **words)  # type: ignore[arg-type]
@@ -125,6 +117,7 @@ def write_native(
     labels: NDArray[np.uint8],
     label_names: tuple[str, ...],
     source: str,
+    points: Mapping[str, ArrayLike],
 ) -> None:
     """Write every field of a scene; reading gives the same bits back.
 
@@ -138,13 +131,14 @@ def write_native(
         labels: (N,) numbers of label names.
         label_names: what each label is called.
         source: where the scene came from.
+        points: named points (3,) [m].
 
     Raises:
         InputError: the place cannot be written.
         FileNotFoundError: the folder does not exist.
     """
     numbers = {"means": means, "quaternions": quaternions, "scales": scales, "opacities": opacities, "sh": sh}
-    words = {"label_names": np.array(label_names), "source": np.array(source)}
+    words = {"label_names": np.array(label_names), "source": np.array(source)} | _point_arrays(points)
     with atomic_write(path) as file:
         np.savez(file, labels=labels, **numbers, **words)  # type: ignore[arg-type]
 
@@ -196,6 +190,24 @@ def _words_of(name: str, members: dict[str, bytes]) -> dict[str, Any]:
     words = _arrays(name, members, _WORDS)
     names, source = (_decoded(name, words[key]) for key in ("label_names", "source"))
     return {"labels": words["labels"], "label_names": tuple(names), "source": source[0]}
+
+
+def _points_of(name: str, members: dict[str, bytes]) -> dict[str, NDArray[np.float32]]:
+    """Named points by name; empty where the file holds none."""
+    if "points.npy" not in members:
+        return {}
+    arrays = _arrays(name, members, _POINTS)
+    names, points = _decoded(name, arrays["point_names"]), arrays["points"].astype(np.float32)
+    if points.shape != (len(names), 3) or not np.isfinite(points).all():
+        raise InputError(f"{name}: want a place for each of {len(names)} named points, got others; save it again")
+    return dict(zip(names, points, strict=True))
+
+
+def _point_arrays(points: Mapping[str, ArrayLike]) -> dict[str, NDArray[Any]]:
+    """The members that hold named points; none where there are none."""
+    if not points:
+        return {}
+    return {"points": np.array(list(points.values()), np.float32), "point_names": np.array(list(points))}
 
 
 def _decoded(name: str, array: NDArray[np.str_]) -> list[str]:
