@@ -1,0 +1,285 @@
+"""Collector: a student's notebook -> the source text that one of its functions needs. Nothing of it is executed.
+
+The function is found by its name, so a cell that was split, copied, moved or deleted does no harm as long as the
+function still stands somewhere in a code cell. With it go, transitively, the notebook's own functions, classes, imports
+and simple assignments that it names; the last definition of a name counts, as in a notebook run from top to bottom.
+"""
+
+import ast
+import builtins
+import json
+import re
+import symtable
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from falconwing_kit.core.checks import InputError, require_file
+
+MAX_FILE, MAX_CODE = 32 << 20, 2 << 20  # bytes of a notebook with its outputs, and of its code alone
+MAX_PIECES = 5_000_000  # commas and brackets in the file: what its values may cost in memory
+MAX_PROBLEMS = 8
+_KNOWN = frozenset(dir(builtins)) | {"__name__", "__file__"}
+_MAGIC = re.compile(r"^([ \t]*)(?:[%!?]|[\w. ]+\?{1,2}[ \t]*$).*$", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell as the student left it.
+
+    Attributes:
+        code: whether it is a code cell; otherwise it is text.
+        text: its source.
+        role: "exercise", "check", "figure" or "answer"; empty for any other cell. The student can change it.
+        name: of which exercise, figure or answer.
+    """
+
+    code: bool
+    text: str
+    role: str = ""
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Notebook:
+    """A student's notebook, read but not run.
+
+    Attributes:
+        cells: in the notebook's order.
+    """
+
+    cells: tuple[Cell, ...]
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """The text of its code cells."""
+        return tuple(cell.text for cell in self.cells if cell.code)
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a function needs, as Python text.
+
+    Attributes:
+        text: empty where the notebook does not define the function.
+        problems: what the student should know, in sentences.
+    """
+
+    text: str
+    problems: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Statement:
+    """A top-level statement of the notebook: what it binds and which of the notebook's names it needs."""
+
+    node: ast.stmt
+    binds: frozenset[str]
+    needs: frozenset[str]
+    kept: bool  # of a kind that is collected
+
+    @property
+    def is_stub(self) -> bool:
+        """Whether it is a function still to be written: nothing but a docstring and raise NotImplementedError."""
+        if not isinstance(self.node, ast.FunctionDef):
+            return False
+        body = [each for each in self.node.body if not (isinstance(each, ast.Expr) and _is_constant(each.value))]
+        return len(body) == 1 and isinstance(body[0], ast.Raise) and "NotImplementedError" in ast.dump(body[0])
+
+
+def read_notebook(path: str | Path) -> Notebook:
+    """Read a notebook file.
+
+    Raises:
+        FileNotFoundError: there is no file.
+        InputError: it is not a notebook, or larger than any honest one.
+    """
+    file = require_file(path)
+    with file.open("rb") as handle:
+        return parse_notebook(handle.read(MAX_FILE + 1), file.name)
+
+
+def parse_notebook(data: bytes, name: str) -> Notebook:
+    """The cells of a notebook.
+
+    Args:
+        data: the file's bytes, which may be anything.
+        name: what the file is called in the messages.
+
+    Raises:
+        InputError: it is not a notebook, or larger than any honest one.
+    """
+    if len(data) > MAX_FILE:
+        raise InputError(
+            f"{name}: want a notebook of at most {MAX_FILE >> 20} MiB; clear its outputs and save it again"
+        )
+    if sum(map(data.count, (b",", b"[", b"{"))) > MAX_PIECES:
+        raise InputError(f"{name}: the notebook holds millions of values; clear its outputs and save it")
+    try:
+        content = json.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError, MemoryError):
+        raise InputError(f"{name}: want a Jupyter notebook, got a file that is not one; save it again") from None
+    cells = content.get("cells") if isinstance(content, dict) else None
+    if not isinstance(cells, list):
+        raise InputError(f"{name}: want a notebook with cells, as Jupyter saves it today, got none; save it again")
+    notebook = Notebook(tuple(_read_cell(cell) for cell in cells if isinstance(cell, dict)))
+    if sum(len(cell.text) for cell in notebook.cells) > MAX_CODE:
+        raise InputError(f"{name}: want at most {MAX_CODE >> 20} MiB of text in the cells; take large data out of them")
+    return notebook
+
+
+def collect(notebook: Notebook, name: str, packages: Iterable[str] = ("numpy",)) -> Source:
+    """The text of a function with all that it names in the notebook.
+
+    Args:
+        notebook: the student's.
+        name: of the function.
+        packages: that it may import, beside `given` and the standard library.
+
+    Returns:
+        Text to be run in the box, and what is wrong with it in words; whatever the notebook holds, nothing is raised.
+    """
+    statements, problems = _statements(notebook)
+    written = [each for each in statements if each.kept and name in each.binds and not each.is_stub]
+    if len(written) > 1:
+        problems.append(f"{name} is written {len(written)} times; the last one counts")
+    if not any(each.kept and name in each.binds for each in statements):
+        return Source("", _first((f"no code cell defines {name}", *problems)))
+    chosen, missing = _closure(statements, name)
+    allowed = {*packages, "given", *sys.stdlib_module_names}
+    lines = []
+    for each in chosen:
+        foreign = sorted(_imported(each.node) - allowed)
+        problems += [f"{name} uses {module}, which the grader does not have" for module in foreign]
+        if not (foreign and isinstance(each.node, ast.Import | ast.ImportFrom)):
+            lines.append(ast.unparse(each.node))
+    defined = frozenset().union(*(each.binds for each in statements))
+    for lost in sorted(missing):
+        where = "inside an if, for, with or try" if lost in defined else "nowhere in the notebook"
+        problems.append(f"{name} uses {lost}, which is defined {where}; the grader does not have it")
+    return Source("\n".join(lines) + "\n", _first(problems))
+
+
+def _first(problems: Iterable[str]) -> tuple[str, ...]:
+    return tuple(problem[:200] for problem in dict.fromkeys(problems))[:MAX_PROBLEMS]
+
+
+def _read_cell(cell: dict[str, Any]) -> Cell:
+    """A cell of the file; whatever is not as it should be counts as empty."""
+    source, metadata = cell.get("source", ""), cell.get("metadata")
+    if isinstance(source, list):
+        source = "".join(line for line in source if isinstance(line, str))
+    text = source if isinstance(source, str) else ""
+    marks = metadata if isinstance(metadata, dict) else {}
+    role = next((each for each in ("exercise", "check", "figure", "answer") if isinstance(marks.get(each), str)), "")
+    return Cell(cell.get("cell_type") == "code", text.replace("\r\n", "\n"), role, marks.get(role, "") if role else "")
+
+
+def _statements(notebook: Notebook) -> tuple[list[_Statement], list[str]]:
+    """The top-level statements of all code cells that are Python, and what is wrong with the other cells."""
+    statements: list[_Statement] = []
+    problems = []
+    for number, text in enumerate(notebook.code, 1):
+        try:
+            statements += [_read_statement(part) for node in _parse(text).body for part in _split(node)]
+        except SyntaxError as error:
+            problems.append(f"code cell {number} is not Python: line {error.lineno}")
+        except (ValueError, RecursionError, MemoryError):
+            problems.append(f"code cell {number} is not Python that the grader can read")
+    return statements, problems
+
+
+def _parse(text: str) -> ast.Module:
+    """A cell's syntax tree, without the lines that only a notebook understands (`%matplotlib`, `!ls`, `name?`)."""
+    try:
+        return ast.parse(text)
+    except SyntaxError:
+        if text.lstrip().startswith("%%") and not text.lstrip().startswith(("%%time", "%%capture")):
+            return ast.Module([], [])  # a cell in another language
+        return ast.parse(_MAGIC.sub(r"\1pass", text))
+
+
+def _split(node: ast.stmt) -> list[ast.stmt]:
+    """A statement, or one import for each module where it imports several."""
+    return [ast.Import([alias]) for alias in node.names] if isinstance(node, ast.Import) else [node]
+
+
+def _read_statement(node: ast.stmt) -> _Statement:
+    kept = isinstance(
+        node, ast.FunctionDef | ast.ClassDef | ast.Import | ast.ImportFrom | ast.Assign | ast.AnnAssign | ast.AugAssign
+    )
+    return _Statement(node, frozenset(_bound(node)), frozenset(_needed(node)), kept)
+
+
+def _bound(node: ast.stmt) -> Iterator[str]:
+    """Names that a statement defines in the notebook; `a[0] = 1` and `a.b = 1` count as part of defining a."""
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        yield node.name
+    elif isinstance(node, ast.Import | ast.ImportFrom):
+        yield from ((alias.asname or alias.name.split(".")[0]) for alias in node.names)
+    else:
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", node)]
+        for inner in (each for target in targets for each in ast.walk(target)):
+            if isinstance(inner, ast.Name) and isinstance(inner.ctx, ast.Store):
+                yield inner.id
+        for target in targets:
+            while isinstance(target, ast.Subscript | ast.Attribute):
+                target = target.value
+            if isinstance(target, ast.Name):
+                yield target.id
+
+
+def _needed(node: ast.stmt) -> Iterator[str]:
+    """Names that a statement takes from outside itself, those inside its functions too."""
+    waiting = [symtable.symtable(ast.unparse(node), "cell", "exec")]
+    while waiting:
+        table = waiting.pop()
+        waiting += table.get_children()
+        for symbol in table.get_symbols():
+            if symbol.is_global() or (table.get_type() == "module" and symbol.is_referenced()):
+                yield symbol.get_name()
+
+
+def _closure(statements: list[_Statement], name: str) -> tuple[list[_Statement], set[str]]:
+    """The statements that a name needs, in the notebook's order, and the names that no statement gives."""
+    written = {bound for each in statements if each.kept and not each.is_stub for bound in each.binds}
+    always = [each for each in statements if each.kept and _imports_all(each.node)]
+    waiting, seen, missing = {name}.union(*(each.needs for each in always)), set(_KNOWN), set()
+    chosen = {id(each) for each in always}
+    while waiting:
+        wanted = waiting.pop()
+        seen.add(wanted)
+        found = [s for s in statements if s.kept and wanted in s.binds and not (s.is_stub and wanted in written)]
+        chosen.update(id(each) for each in found)
+        waiting |= {need for each in found for need in each.needs} - seen
+        if not found:
+            missing.add(wanted)
+    in_order = [each for each in statements if id(each) in chosen]
+    stars = any("*" in each.binds for each in in_order)  # where a missing name may come from
+    return sorted(in_order, key=lambda each: not _is_future(each.node)), set() if stars else missing
+
+
+def _imports_all(node: ast.stmt) -> bool:
+    """Whether it is an import that counts for the whole notebook: `from given import *`, `from __future__ import`."""
+    return isinstance(node, ast.ImportFrom) and (node.names[0].name == "*" or _is_future(node))
+
+
+def _is_future(node: ast.stmt) -> bool:
+    return isinstance(node, ast.ImportFrom) and node.module == "__future__"
+
+
+def _imported(node: ast.stmt) -> set[str]:
+    """Top-level names of the modules that a statement imports, inside its functions too."""
+    modules = set()
+    for inner in ast.walk(node):
+        if isinstance(inner, ast.Import):
+            modules |= {alias.name.split(".")[0] for alias in inner.names}
+        elif isinstance(inner, ast.ImportFrom):
+            modules.add((inner.module or ".").split(".")[0] if not inner.level else ".")
+    return modules
+
+
+def _is_constant(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant)
