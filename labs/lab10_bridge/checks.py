@@ -1,0 +1,348 @@
+"""Lab 10: its exercises, what a student can check, and what a person grades."""
+
+import numpy as np
+from given import CENTRE_US, ENGAGE_FRAMES, GAP_US, HOLD_MS, LOST_MS, switched_on
+
+from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab, same
+
+LEVEL = {"throttle": 0.5, "aileron": 0.0, "elevator": 0.0, "rudder": 0.0}
+
+
+def _slots_us(encode: Function, order: str = "TAER", **sticks: float) -> list[float]:
+    edges = np.asarray(encode({**LEVEL, **sticks}, order, 0), float)
+    return [float(us) for us in np.diff(edges[::2]) % 65536 / 2.0]
+
+
+def _ppm(*frames: tuple[float, ...], first: int = 60000, pause: float = 10000.0) -> np.ndarray:
+    """Ticks of the first edges of frames, with one lone pulse before and behind."""
+    gaps = [pause] + [gap for slots in frames for gap in (*slots, pause)]
+    return (first + np.concatenate([[0], np.cumsum(2.0 * np.array(gaps))])).astype(int) % 65536
+
+
+def _decodes(decode: Function, ticks: np.ndarray, *wanted: tuple[float, ...]) -> bool:
+    return same(decode(ticks, 4), np.array(wanted, float).reshape(-1, 4), 0.0, 1e-9)
+
+
+def _after(step: Function, *inputs: tuple[float, bool, bool, bool], memory: dict | None = None) -> dict:
+    memory = memory or switched_on()
+    for each in inputs:
+        memory = step(memory, *each)
+    return memory
+
+
+OFF, ON, PILOT = (22.0, True, False, False), (22.0, True, True, False), (22.0, True, True, True)
+FLYING = (OFF, *[ON] * ENGAGE_FRAMES)
+
+
+def _silence(ms: float) -> tuple[float, bool, bool, bool]:
+    return (ms, False, True, False)
+
+
+def _is(step: Function, state: str, *inputs: tuple[float, bool, bool, bool]) -> bool:
+    return bool(_after(step, *inputs)["state"] == state)
+
+
+def _keeps_argument(step: Function) -> bool:
+    memory = switched_on()
+    step(memory, *OFF)
+    return memory == switched_on()
+
+
+def _flat(*levels: int) -> np.ndarray:
+    return np.stack([np.full((16, 24), level, np.uint8) for level in levels])
+
+
+def _boards(*signs: int) -> np.ndarray:
+    board = np.indices((16, 24)).sum(axis=0) % 2
+    return np.stack([np.where(board, 125 + 25 * sign, 125 - 25 * sign) for sign in signs]).astype(np.uint8)
+
+
+def _alarms(monitor: Function, images: np.ndarray, count: int, *wanted: int) -> bool:
+    return same(monitor(images, 0.7, count)[1], np.array(wanted))
+
+
+def _half_and_half(monitor: Function) -> bool:
+    """Half of the blocks the same, half flat and brighter: the mean of 1 and 0.92309."""
+    images = _flat(100, 100)
+    images[1, :, 8:16], images[1, :8, :8] = 150, 150
+    return same(monitor(images, 0.7, 5)[0], np.array([0.5 * (1.0 + 30006.5025 / 32506.5025)]))
+
+
+ENCODE = (
+    Check(
+        "sticks in the middle and half throttle: four slots of CENTRE_US, the first edge at start_tick",
+        lambda f: same(_slots_us(f), [CENTRE_US] * 4, 0.0, 1e-6) and int(np.asarray(f(LEVEL, "TAER", 700))[0]) == 700,
+        "Each slot lasts from the start of one pulse to the start of the next; two ticks are a microsecond.",
+    ),
+    Check(
+        "the throttle at 0, 1/4 and 1 gives CENTRE_US - 500, - 250 and + 500 us",
+        lambda f: same(
+            [_slots_us(f, throttle=t)[0] - CENTRE_US for t in (0.0, 0.25, 1.0)], [-500.0, -250.0, 500.0], 0.0, 1e-6
+        ),
+        "The throttle has no middle: map 0..1 to -1..1 first.",
+    ),
+    Check(
+        "a positive stick makes a longer slot: aileron 0.2 gives 100 us more in its own slot, and nowhere else",
+        lambda f: same(_slots_us(f, aileron=0.2), [CENTRE_US, CENTRE_US + 100.0, CENTRE_US, CENTRE_US], 0.0, 1e-6),
+        "Look at the order of the slots and at the sign.",
+    ),
+    Check(
+        'the order is obeyed: with "AETR" the throttle is in slot 3 and the rudder in slot 4',
+        lambda f: same(
+            [us - CENTRE_US for us in _slots_us(f, "AETR", throttle=0.0, aileron=1.0, elevator=-1.0, rudder=0.5)],
+            [500.0, -500.0, -500.0, 250.0],
+            0.0,
+            1e-6,
+        ),
+        "Go through the letters of `order`, not through the sticks.",
+    ),
+    Check(
+        "the pulses are GAP_US wide, ten edges in all, down and up in turn",
+        lambda f: same(np.asarray(f(LEVEL, "TAER", 0), float)[1::2] - f(LEVEL, "TAER", 0)[::2], np.full(5, 2 * GAP_US)),
+        "Five pulses: the last one only ends channel 4. Widths are in ticks, too.",
+    ),
+    Check(
+        "slots are whole microseconds, rounded: aileron 0.0307 is 15 us, and 0.0313 is 16 us",
+        lambda f: same(
+            [_slots_us(f, aileron=a)[1] - CENTRE_US for a in (0.0307, 0.0313, -0.0313)], [15.0, 16.0, -16.0], 0.0, 1e-6
+        ),
+        "Round each slot, to the nearest microsecond; do not cut the decimals off, and do not round ticks.",
+    ),
+    Check(
+        "a stick beyond its end is cut to its end; a throttle below 0 is idle",
+        lambda f: same(
+            [us - CENTRE_US for us in _slots_us(f, throttle=-0.7, aileron=3.0, elevator=-1.4)],
+            [-500.0, 500.0, -500.0, 0.0],
+            0.0,
+            1e-6,
+        ),
+        "Cut every stick to its own limits, before anything else.",
+    ),
+    Check(
+        "a stick that is not a number makes the whole command safe: throttle 0, the others in the middle",
+        lambda f: same(
+            _slots_us(f, throttle=0.9, aileron=0.5, rudder=float("nan")), [CENTRE_US - 500.0, *[CENTRE_US] * 3], 0.0
+        ),
+        "numpy.isfinite tells; it is not enough to replace the one stick.",
+    ),
+    Check(
+        "counts are 0..65535: a frame that starts at 60000 wraps, with the same slots",
+        lambda f: same(
+            np.asarray(f(LEVEL, "TAER", 60000)) - (np.asarray(f(LEVEL, "TAER", 0)) + 60000) % 65536, np.zeros(10)
+        ),
+        "Behind 65535 comes 0, so the remainder by 65536.",
+    ),
+)
+DECODE = (
+    Check(
+        "two clean frames come out as they went in, in microseconds, although the timer wraps",
+        lambda f: _decodes(
+            f,
+            _ppm((1100, 1500, 1900, 1501), (1000, 2000, 1500, 1400)),
+            (1100, 1500, 1900, 1501),
+            (1000, 2000, 1500, 1400),
+        ),
+        "Differences of wrapped counts: take the remainder by 65536. Two ticks are a microsecond.",
+    ),
+    Check(
+        "half a microsecond is not lost: a slot of 1500.5 us stays one",
+        lambda f: _decodes(f, _ppm((1500.5, 1200, 1300, 1400)), (1500.5, 1200, 1300, 1400)),
+        "Do not divide as whole numbers.",
+    ),
+    Check(
+        "a frame cut off at the beginning or at the end of the reading is left out",
+        lambda f: (
+            _decodes(f, _ppm((1100, 1200, 1300, 1400), (1500, 1600, 1700, 1800))[3:], (1500, 1600, 1700, 1800))
+            and _decodes(f, _ppm((1100, 1200, 1300, 1400), (1500, 1600, 1700, 1800))[:-1], (1100, 1200, 1300, 1400))
+        ),
+        "A frame stands between two pauses, and you must have seen both.",
+    ),
+    Check(
+        "a frame with a slot too few or too many is left out, and the next one is read",
+        lambda f: (
+            _decodes(f, _ppm((1100, 1200, 1300), (1500, 1600, 1700, 1800)), (1500, 1600, 1700, 1800))
+            and _decodes(f, _ppm((1100, 1200, 1300, 900, 1000), (1500, 1600, 1700, 1800)), (1500, 1600, 1700, 1800))
+        ),
+        "Count the slots between the pauses.",
+    ),
+    Check(
+        "slots of 800 and 2200 us are good; 799.5, 2200.5 and 3000 us are not",
+        lambda f: (
+            _decodes(f, _ppm((800, 2200, 1500, 1500)), (800, 2200, 1500, 1500))
+            and _decodes(f, _ppm((1500, 799.5, 1500, 1500), (2200.5, 1500, 1500, 1500), (1500, 1500, 1500, 3000)))
+        ),
+        "Compare all slots of a frame with both limits; a limit itself is still good.",
+    ),
+    Check(
+        "a pause of exactly 4000 us is a pause",
+        lambda f: _decodes(f, _ppm((1100, 1200, 1300, 1400), pause=4000.0), (1100, 1200, 1300, 1400)),
+        "PAUSE_US or more.",
+    ),
+    Check(
+        "no good frame gives an array of shape (0, channels), and six channels work as well as four",
+        lambda f: (
+            same(f(_ppm((1100, 1200)), 4), np.zeros((0, 4)))
+            and same(
+                f(_ppm((1100, 1200, 1300, 1400, 1500, 1600)), 6), np.array([[1100.0, 1200, 1300, 1400, 1500, 1600]])
+            )
+        ),
+        "Look at numpy.reshape(-1, channels).",
+    ),
+)
+FAILSAFE = (
+    Check(
+        "off, then five good frames with engage on: ACTIVE at the fifth, not before",
+        lambda f: _is(f, "SAFE", *FLYING[:-1]) and _is(f, "ACTIVE", *FLYING),
+        "Rule 3 arms, rule 4 counts.",
+    ),
+    Check(
+        "a host that has engage on from the start never flies: it must let go first",
+        lambda f: _is(f, "SAFE", *[ON] * 12),
+        "Rule 4: SAFE *and armed*.",
+    ),
+    Check(
+        "frames must be in a row: a missing one starts the count again",
+        lambda f: _is(f, "SAFE", OFF, ON, ON, ON, ON, _silence(22.0), ON) and _is(f, "ACTIVE", *FLYING[:4], *[ON] * 5),
+        "Rule 5: `good` = 0 in SAFE.",
+    ),
+    Check(
+        "silence shorter than HOLD_MS stays ACTIVE; of HOLD_MS it is HOLD; one good frame brings ACTIVE back",
+        lambda f: (
+            _is(f, "ACTIVE", *FLYING, _silence(HOLD_MS - 1.0))
+            and _is(f, "HOLD", *FLYING, _silence(HOLD_MS))
+            and _is(f, "ACTIVE", *FLYING, _silence(HOLD_MS), ON)
+        ),
+        "The age grows with dt_ms, and a limit counts when it is reached.",
+    ),
+    Check(
+        "two short silences with a good frame between them are not one long silence",
+        lambda f: _is(f, "ACTIVE", *FLYING, _silence(0.6 * HOLD_MS), ON, _silence(0.6 * HOLD_MS)),
+        "Rule 1: a valid command sets the age to 0.",
+    ),
+    Check(
+        "silence of LOST_MS is LOST, from HOLD or at once, and commands alone do not bring it back",
+        lambda f: (
+            _is(f, "LOST", *FLYING, _silence(LOST_MS))
+            and _is(f, "HOLD", *FLYING, _silence(HOLD_MS), _silence(LOST_MS - HOLD_MS - 1.0))
+            and _is(f, "LOST", *FLYING, _silence(HOLD_MS), _silence(LOST_MS - HOLD_MS))
+            and _is(f, "LOST", *FLYING, _silence(LOST_MS), *[ON] * 9)
+        ),
+        "LOST ends by rule 2 or 3 only.",
+    ),
+    Check(
+        "engage off is SAFE at once, from ACTIVE, HOLD and LOST; off and five frames later the host flies again",
+        lambda f: (
+            _is(f, "SAFE", *FLYING, OFF)
+            and _is(f, "SAFE", *FLYING, _silence(HOLD_MS), OFF)
+            and _is(f, "ACTIVE", *FLYING, _silence(LOST_MS), *FLYING)
+        ),
+        "Rule 3 does not ask for the state.",
+    ),
+    Check(
+        "the pilot's stick is SAFE in the same step, and the host must let go before it may fly again",
+        lambda f: (
+            _is(f, "SAFE", *FLYING, PILOT)
+            and _is(f, "SAFE", *FLYING, PILOT, *[ON] * 12)
+            and _is(f, "ACTIVE", *FLYING, PILOT, *FLYING)
+            and _is(f, "SAFE", OFF, ON, (22.0, True, False, True), *[ON] * 9)
+        ),
+        "Rule 2 comes before all others, and takes the arming away.",
+    ),
+    Check(
+        "flying uses the arming up: after ACTIVE `armed` is False",
+        lambda f: same([_after(f, *FLYING[:n])["armed"] for n in (3, 6)], [True, False]),
+        "The last sentence of the rules.",
+    ),
+    Check(
+        "engage means nothing without a valid command",
+        lambda f: (
+            _is(f, "ACTIVE", *FLYING, (10.0, False, False, False))
+            and _is(f, "SAFE", *[(9.0, False, False, False)], *[ON] * 9)
+        ),
+        "Ask for `valid` first.",
+    ),
+    Check("the memory that comes in stays as it is", _keeps_argument, "Return a new dictionary."),
+)
+MONITOR = (
+    Check(
+        "the same picture twice has SSIM 1",
+        lambda f: same(f(_boards(1, 1, 1), 0.7, 5)[0], np.ones(2)),
+        "Numerator and denominator must then be equal.",
+    ),
+    Check(
+        "flat grey 100 and flat grey 150: by hand 30006.5025 / 32506.5025 = 0.92309",
+        lambda f: same(f(_flat(100, 150), 0.7, 5)[0], np.array([30006.5025 / 32506.5025])),
+        "With no variance the second factor is 1. 200 + 100 in uint8 is 44: turn into float first.",
+    ),
+    Check(
+        "a chequered board of 100 and 150 and its negative: by hand -1191.4775 / 1308.5225 = -0.91055",
+        lambda f: same(f(_boards(1, -1), 0.7, 5)[0], np.array([-1191.4775 / 1308.5225])),
+        "Variance is 625: divide by the number of pixels, 64. The covariance is negative here.",
+    ),
+    Check(
+        "the picture's value is the mean of its blocks': half of them 1 and half 0.92309",
+        _half_and_half,
+        "Formula per block first, mean last. Look at the order of axes in reshape.",
+    ),
+    Check(
+        "with count = 3 the noise alarm comes at the third bad pair and ends with the first good one",
+        lambda f: _alarms(f, _boards(1, -1, 1, -1, 1, 1, 1), 3, 0, 0, 1, 1, 0, 0),
+        "All of the last `count` pairs; before that many were seen there is no alarm.",
+    ),
+    Check(
+        "with count = 2 the frozen alarm comes at the second pair that does not change",
+        lambda f: _alarms(f, _flat(10, 10, 10, 60, 60, 60), 2, 0, 2, 0, 0, 2),
+        "Code 2, by the mean absolute difference.",
+    ),
+    Check(
+        "a change of half a level or more, up or down, is not frozen",
+        lambda f: (
+            _alarms(
+                f,
+                np.where(np.arange(24) % 2, 1, 0) * np.array([0, 1, 0, 1])[:, None, None] + _flat(90, 90, 90, 90),
+                2,
+                0,
+                0,
+                0,
+            )
+            and _alarms(f, _boards(1, -1, 1), 2, 0, 1)
+        ),
+        "The absolute difference: ups and downs must not cancel.",
+    ),
+    Check(
+        "the threshold counts: the same pictures are noise with 0.95 and are not with 0.9",
+        lambda f: (
+            same(f(_flat(100, 150, 100), 0.95, 2)[1], np.array([0, 1]))
+            and same(f(_flat(100, 150, 100), 0.9, 2)[1], np.array([0, 0]))
+        ),
+        "Use the argument, not 0.7.",
+    ),
+)
+
+LAB = Lab(
+    name="lab10",
+    title="Trainer-port bridge",
+    hours=3.0,
+    exercises=(
+        Exercise("encode_ppm", 18.0, ENCODE),
+        Exercise("decode_ppm", 19.0, DECODE),
+        Exercise("failsafe_state", 20.0, FAILSAFE),
+        Exercise("ssim_monitor", 18.0, MONITOR),
+    ),
+    rubric=(
+        Criterion(
+            "timing", 5.0, "Five pulses, slots labelled; says why the timer's edges are better than a program's."
+        ),
+        Criterion("takeover", 5.0, "SAFE in the very frame of the pilot's stick; LOST stays until the host lets go."),
+        Criterion("monitor", 5.0, "Names the false alarm in the turn and the silence of SSIM on the frozen picture."),
+        Criterion("q1", 3.0, "Both sides: jerks against an old command; 0.7 m in 0.1 s or 14 m in 2 s."),
+        Criterion("q2", 4.0, "The pilot has control; coming back must be a person's deliberate act."),
+        Criterion("q3", 3.0, "False alarm by motion; blind to frozen; a mend for each."),
+    ),
+    constants={
+        "gap_us": (300.0, 450.0, 0),
+        "centre_us": (1470.0, 1540.0, 0),
+        "hold_ms": (70.0, 110.0, 0),
+        "lost_ms": (180.0, 260.0, 0),
+    },
+)

@@ -1,0 +1,394 @@
+# %% [markdown]
+# # Lab 10: the trainer port
+#
+# A computer flies, but a person is responsible. Between the two sits a small board: it takes the computer's commands
+# from a USB cable and gives them to the transmitter's *trainer port*. The pilot's transmitter sends them on to the
+# aircraft (paper, sections II and III). In this lab you write the board's four duties.
+#
+# **You will be able to**
+# - write and read a PPM signal, pulse by pulse, with the timer of a real micro-controller;
+# - design a state machine that hands back when the computer, the cable or the picture fails;
+# - say what the paper's video monitor sees, and what it does not.
+#
+# **Time** 3 hours. **Before** lab 2 (what an image is); no hardware is needed. All data here is **simulated**.
+#
+# **How it works** Write the functions where it says `raise NotImplementedError`. Each has a `check(...)` cell behind
+# it: it tells you what holds and what does not. Run it as often as you like.
+
+# %%
+import numpy as np
+from given import (
+    BLOCK_PX,
+    C1,
+    C2,
+    CENTRE_US,
+    ENGAGE_FRAMES,
+    FRAME_US,
+    FROZEN_LEVELS,
+    GAP_US,
+    HOLD_MS,
+    LOST_MS,
+    PAUSE_US,
+    REACH_US,
+    STICKS,
+    TICKS_PER_US,
+    TIMER,
+    VALID_US,
+    first_edges,
+    plot_frame,
+    plot_monitor,
+    plot_takeover,
+    scene_of_faults,
+    switched_on,
+    video,
+    with_faults,
+)
+
+from falconwing_kit.grading.check import check
+from falconwing_kit.trainer_port import encode_channels
+from falconwing_kit.trainer_port.python_board import PythonBoard
+
+print(
+    f"This course: pulse {GAP_US:g} us, middle {CENTRE_US:g} us, HOLD after {HOLD_MS:g} ms, LOST after {LOST_MS:g} ms"
+)
+
+# %% [markdown]
+# ## 1. One frame on the wire
+#
+# PPM (pulse position modulation) sends all sticks over one wire. The wire rests high. A frame is a train of short low
+# pulses, and **the time from the start of one pulse to the start of the next is a channel**:
+#
+# ```
+# _   _____   _______   ____   _______   _____________________   ___
+#  |_|  ch1 |_|  ch2  |_| ch3|_|  ch4  |_|       pause         |_|
+# ```
+#
+# Four channels need five pulses: the last one only ends channel 4. Then comes a long pause, and after 22 ms the next
+# frame begins.
+#
+# A stick at position $s$, from $-1$ to $1$, makes a slot of $\;T = T_0 + 500\,\mathrm{us}\cdot s\;$ with the middle
+# $T_0$ = `CENTRE_US`, rounded to a whole microsecond. The throttle runs from 0 to 1 and uses the whole slot: 0 is at
+# $T_0 - 500$ us and 1 is at $T_0 + 500$ us.
+#
+# The board makes the edges with a timer. It counts every half microsecond (`TICKS_PER_US` = 2) and has 16 bits:
+# behind 65535 comes 0. To put an edge on the wire, the program writes the count at which it shall happen. So your
+# function returns *counts*, and they wrap.
+#
+# Two rules keep the aircraft safe. A stick beyond its end is cut to its end. If any stick is not a finite number, the
+# whole command cannot be trusted: throttle 0 and the other sticks in the middle.
+
+
+# %% exercise="encode_ppm"
+def encode_ppm(sticks: dict[str, float], order: str, start_tick: int) -> np.ndarray:
+    """Timer counts of all edges of one PPM frame.
+
+    Args:
+        sticks: "throttle" 0..1, and "aileron", "elevator", "rudder" -1..1.
+        order: first letters of the sticks in the order of the slots, such as "TAER" or "AETR".
+        start_tick: count of the first edge, 0..65535.
+
+    Returns:
+        (10,) whole numbers 0..65535: down, up, down, up ... of five pulses, each GAP_US wide.
+    """
+    # BEGIN SOLUTION
+    if not all(np.isfinite(sticks[name]) for name in STICKS):
+        sticks = dict.fromkeys(STICKS, 0.0)
+    positions = {name[0].upper(): float(np.clip(sticks[name], -1.0, 1.0)) for name in STICKS}
+    positions["T"] = 2.0 * max(positions["T"], 0.0) - 1.0
+    slots_us = [round(CENTRE_US + REACH_US * positions[letter]) for letter in order]
+    down = start_tick + TICKS_PER_US * np.concatenate([[0], np.cumsum(slots_us)])
+    up = down + TICKS_PER_US * int(GAP_US)
+    return np.column_stack([down, up]).ravel().astype(int) % TIMER
+    # END SOLUTION
+
+
+# %% check="encode_ppm"
+check(encode_ppm)
+
+# %% [markdown]
+# ## 2. Reading the pilot's sticks
+#
+# The board also listens to the pilot's own PPM. A timer notes its count at the **first edge of each pulse**. Turn
+# these counts back into channels. Three things make it hard: the counts wrap (no gap is longer than one turn of the
+# timer), the reading may begin in the middle of a frame, and the wire is not perfect. A pulse gets lost, or a spark
+# looks like one.
+#
+# The rule: **a gap of `PAUSE_US` or more is a pause. What stands between two pauses is a frame if it has exactly the
+# right number of slots and each of them lies within `VALID_US`.** Everything else is left out. A wrong frame is worse
+# than none: the old one is still there.
+
+
+# %% exercise="decode_ppm"
+def decode_ppm(ticks: np.ndarray, channels: int) -> np.ndarray:
+    """Slots of all good frames in a stream of pulses.
+
+    Args:
+        ticks: (n,) count of the timer at the first edge of each pulse, 0..65535.
+        channels: how many slots a frame has.
+
+    Returns:
+        (frames, channels) slots [us]; (0, channels) where there is no good frame.
+    """
+    # BEGIN SOLUTION
+    gaps_us = (np.diff(ticks) % TIMER) / TICKS_PER_US
+    pauses = np.flatnonzero(gaps_us >= PAUSE_US)
+    frames = []
+    for i in range(len(pauses) - 1):
+        slots = gaps_us[pauses[i] + 1 : pauses[i + 1]]
+        if len(slots) == channels and np.all((slots >= VALID_US[0]) & (slots <= VALID_US[1])):
+            frames.append(slots)
+    return np.array(frames).reshape(-1, channels)
+    # END SOLUTION
+
+
+# %% check="decode_ppm"
+check(decode_ppm)
+
+# %% [markdown]
+# ### See it: one frame, and the timing
+#
+# The left plot is your frame. For the right one, 2000 simulated frames go over the wire twice: once with edges made
+# by the timer itself (they are exact; only the count is rounded), once with edges made by a program that is sometimes
+# late (standard deviation 4 us). Your `decode_ppm` reads both. A radio shows 4 us as a servo that trembles.
+
+# %% figure="timing"
+edges = encode_ppm({"throttle": 0.6, "aileron": -0.4, "elevator": 0.15, "rudder": 0.0}, "TAER", 0)
+slots_us = np.random.default_rng(0).uniform(1000.0, 2000.0, (2000, 4))
+errors_us = {}
+for name, jitter_us in (("by the timer", 0.0), ("by a program", 4.0)):
+    read_us = decode_ppm(first_edges(slots_us, jitter_us, seed=1), 4)
+    errors_us[name] = (read_us - slots_us[1 : len(read_us) + 1]).ravel()
+plot_frame(edges, errors_us)
+
+# %% [markdown]
+# *Alternative text: left, a wire at rest with five short low pulses in the first 7 ms and then the pause, the four slots
+# between them labelled in microseconds; right, slot errors as a histogram, within half a microsecond for the timer
+# and spread over some 15 us on both sides for the program.*
+#
+# The same with faults. How many of 1000 frames does your decoder keep, and is one of them wrong?
+
+# %%
+sent_us = np.round(np.random.default_rng(2).uniform(1000.0, 2000.0, (1000, 4)))
+kept_us = decode_ppm(with_faults(first_edges(sent_us), seed=3), 4)
+wrong = [row for row in kept_us if not (sent_us == row).all(axis=1).any()]
+print(f"{len(kept_us)} of {len(sent_us)} frames kept, {len(wrong)} of them wrong")
+
+# %% [markdown]
+# The kit has a simulated board that speaks the real serial protocol. Commands at 20 Hz go in, and pulses come out.
+# Your decoder reads them. (`falconwing_kit/trainer_port` is the code that flies; look into it.)
+
+# %%
+board = PythonBoard()
+for step in range(40):
+    board.write(encode_channels(step, (1400, 1600, 1500, 1500), engage=step > 5))  # off first, then on
+    board.run_until(0.05 * (step + 1))
+edges_s = [t for frame in board.ppm_frames() for t in (frame.t_start, *frame.t_slots)]
+on_wire_us = decode_ppm(np.round(1e6 * TICKS_PER_US * np.array(edges_s)).astype(int) % TIMER, 4)
+print(f"{len(on_wire_us)} frames in 2 s. First: {on_wire_us[0]}, last: {on_wire_us[-1]} us")
+
+# %% [markdown]
+# ## 3. Who flies?
+#
+# The state machine runs once per PPM frame. It decides whether the computer (the *host*) flies:
+#
+# | state | what goes to the radio |
+# |---|---|
+# | `SAFE` | throttle idle, sticks in the middle |
+# | `ACTIVE` | the host's command |
+# | `HOLD` | the host's last command, once more: a short dropout must not jerk the aircraft |
+# | `LOST` | as `SAFE`, but the host must let go first before it may fly again |
+#
+# It remembers four things in a dictionary: `state`; `armed`, whether the host has let go since it last flew; `good`,
+# how many good frames in a row asked to fly since then; and `age_ms`, the time since the last valid command. The
+# rules, the strongest first:
+#
+# 1. A valid command sets `age_ms` to 0. Without one it grows by the time of the step.
+# 2. **The pilot moved a stick:** `SAFE`, not armed, `good` = 0, whatever else comes in this step. No computer flies
+#    against the pilot. The takeover needs one frame.
+# 3. **A valid command with engage off:** `SAFE`, armed, `good` = 0.
+# 4. **A valid command with engage on:** from `HOLD` back to `ACTIVE`. In `SAFE` and armed: `good` grows by 1, and at
+#    `ENGAGE_FRAMES` the state is `ACTIVE`. Else nothing.
+# 5. **No valid command:** `good` = 0 in `SAFE`. From `ACTIVE` to `HOLD` once `age_ms` is `HOLD_MS` or more; from
+#    `ACTIVE` or `HOLD` to `LOST` once it is `LOST_MS` or more.
+#
+# Flying (`ACTIVE`) uses the arming up: set `armed` to `False` there. So `LOST` can only end by rule 2 or 3.
+
+
+# %% exercise="failsafe_state"
+def failsafe_state(memory: dict, dt_ms: float, valid: bool, engage: bool, pilot_moved: bool) -> dict:
+    """One step of the safety machine.
+
+    Args:
+        memory: "state" (text), "armed" (bool), "good" (int) and "age_ms" (float), as the last step returned it.
+        dt_ms: time since the last step [ms].
+        valid: True if a good command came in this step.
+        engage: what it said; means nothing without a valid command.
+        pilot_moved: True if the pilot moved a stick.
+
+    Returns:
+        The new memory, a dictionary with the same four keys. The old one stays as it is.
+    """
+    # BEGIN SOLUTION
+    state, armed, good = memory["state"], memory["armed"], memory["good"]
+    age_ms = 0.0 if valid else memory["age_ms"] + dt_ms
+    if pilot_moved:
+        state, armed, good = "SAFE", False, 0
+    elif valid and not engage:
+        state, armed, good = "SAFE", True, 0
+    elif valid and state == "HOLD":
+        state = "ACTIVE"
+    elif valid and state == "SAFE" and armed:
+        good += 1
+        if good >= ENGAGE_FRAMES:
+            state, armed = "ACTIVE", False
+    elif not valid and state == "SAFE":
+        good = 0
+    elif not valid and state in ("ACTIVE", "HOLD") and age_ms >= LOST_MS:
+        state = "LOST"
+    elif not valid and state == "ACTIVE" and age_ms >= HOLD_MS:
+        state = "HOLD"
+    return {"state": state, "armed": armed, "good": good, "age_ms": age_ms}
+    # END SOLUTION
+
+
+# %% check="failsafe_state"
+check(failsafe_state)
+
+# %% [markdown]
+# ### See it: dropouts and a takeover
+#
+# Six seconds with a short dropout, a long one, a host that lets go and asks again, and at the end a pilot who moves a
+# stick while the host still wants to fly.
+
+# %% figure="takeover"
+memory, states = switched_on(), []
+for valid, engage, pilot_moved in scene_of_faults():
+    memory = failsafe_state(memory, FRAME_US / 1000.0, valid, engage, pilot_moved)
+    states.append(memory["state"])
+plot_takeover(scene_of_faults(), states)
+
+# %% [markdown]
+# *Alternative text: state over time; it goes from SAFE to ACTIVE, shortly to HOLD and back, then over HOLD to LOST,
+# stays LOST although commands come again, goes over SAFE to ACTIVE after the host let go, and drops to SAFE in the
+# frame in which the pilot moves a stick, for good.*
+
+# %% [markdown]
+# ## 4. Can the picture be trusted?
+#
+# The policy flies by an analog video link. The paper (section III.B) warns the pilot when the *structural similarity*
+# (SSIM) of consecutive pictures is below 0.7 five times in a row. SSIM compares two patches $x$ and $y$ by their
+# means $\mu$, variances $\sigma^2$ and covariance $\sigma_{xy}$ over the pixels (divide by the number of pixels):
+#
+# $$\mathrm{SSIM} = \frac{(2\mu_x\mu_y + C_1)\,(2\sigma_{xy} + C_2)}
+#                        {(\mu_x^2 + \mu_y^2 + C_1)\,(\sigma_x^2 + \sigma_y^2 + C_2)}$$
+#
+# Here a patch is a block of 8 x 8 pixels (`BLOCK_PX`), blocks do not overlap, and the similarity of two pictures is
+# the mean over their blocks. Your monitor has two alarms:
+#
+# - **1, noise:** the SSIM of the last `count` pairs was below `threshold` each time;
+# - **2, frozen:** in the last `count` pairs the two pictures differed by less than `FROZEN_LEVELS` grey levels on
+#   average (mean of the absolute difference) each time. A frozen picture is perfectly similar, so SSIM never sees it.
+#
+# A picture has the type `uint8`. Remember what `200 + 100` is in 8 bits.
+
+
+# %% exercise="ssim_monitor"
+def ssim_monitor(images: np.ndarray, threshold: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Similarity and alarms for each pair of consecutive pictures.
+
+    Args:
+        images: (n, H, W) uint8 grey levels; H and W are multiples of BLOCK_PX.
+        threshold: SSIM below this is noise.
+        count: so many pairs in a row raise an alarm.
+
+    Returns:
+        (n - 1,) SSIM, and (n - 1,) whole numbers: 0 no alarm, 1 noise, 2 frozen.
+    """
+    # BEGIN SOLUTION
+    n, height, width = images.shape
+    grey = images.astype(float)
+    blocks = grey.reshape(n, height // BLOCK_PX, BLOCK_PX, width // BLOCK_PX, BLOCK_PX)
+    mean, variance = blocks.mean(axis=(2, 4)), blocks.var(axis=(2, 4))
+    covariance = (blocks[:-1] * blocks[1:]).mean(axis=(2, 4)) - mean[:-1] * mean[1:]
+    light = (2.0 * mean[:-1] * mean[1:] + C1) / (mean[:-1] ** 2 + mean[1:] ** 2 + C1)
+    structure = (2.0 * covariance + C2) / (variance[:-1] + variance[1:] + C2)
+    ssim = (light * structure).mean(axis=(1, 2))
+    difference = np.abs(np.diff(grey, axis=0)).mean(axis=(1, 2))
+    alarm = np.zeros(n - 1, int)
+    for i in range(count - 1, n - 1):
+        last = slice(i - count + 1, i + 1)
+        if np.all(ssim[last] < threshold):
+            alarm[i] = 1
+        elif np.all(difference[last] < FROZEN_LEVELS):
+            alarm[i] = 2
+    return ssim, alarm
+    # END SOLUTION
+
+
+# %% check="ssim_monitor"
+check(ssim_monitor)
+
+# %% [markdown]
+# ### See it: five seconds of video
+#
+# Simulated video from the arena at 20 Hz. Watch the turn.
+
+# %% figure="monitor"
+images, parts = video()
+ssim, alarm = ssim_monitor(images, 0.7, 5)
+plot_monitor(ssim, alarm, parts, 0.7)
+
+# %% [markdown]
+# *Alternative text: SSIM over time with the parts of the video named below; it is high in straight flight, falls in
+# the turn, falls to about zero while the signal is lost, and is exactly one while the picture is frozen; crosses mark
+# noise alarms and squares mark frozen alarms.*
+
+# %% [markdown]
+# ## Questions
+#
+# **1.** A command is lost now and then. Why does the board hold the last command for a while and not go to idle at
+# once? And why does it not hold it for two seconds? Give a number: how far does the aircraft fly in that time at 7
+# m/s?
+
+# %% [markdown] answer="q1"
+# Single frames get lost all the time; idle at once would shut the throttle and centre the sticks many times a minute,
+# and each jerk disturbs the aircraft more than an old command does. For a tenth of a second the old command is nearly
+# the right one: at 7 m/s the aircraft moves 0.7 m. In two seconds it flies 14 m, most of the hall, and an old roll
+# command would have turned it on its back.
+
+# %% [markdown]
+# **2.** After `LOST` the host's commands come again, with engage on. Why must the board not simply go on?
+
+# %% [markdown] answer="q2"
+# The pilot has taken over in the meantime, or the aircraft is in a state that the host knows nothing of. A computer
+# that comes back by itself takes the aircraft out of the pilot's hands without warning. Letting go and asking again
+# is a deliberate act of a person who sees that it is safe. The host's program may also have hung and now sends old
+# commands.
+
+# %% [markdown]
+# **3.** Look at the turn and at the frozen picture. What would the paper's rule alone (SSIM below 0.7, five times) do
+# in each? What would you change?
+
+# %% [markdown] answer="q3"
+# In the turn consecutive pictures differ because the aircraft turns: perfect video raises the alarm, and pilots learn
+# to ignore it. On the frozen picture SSIM is one, so the rule stays silent while the policy flies blind. Mend: move
+# the old picture by the known or estimated motion before comparing, and check separately whether the picture is new
+# (frozen, too old) and shows anything at all (one colour). The kit's FrameMonitor does both.
+
+# %% [markdown]
+# ## What you can do now
+#
+# You wrote the path from a command to the pulses in the radio, the rules that take the aircraft away from a computer,
+# and an eye on the video. Run `falconwing fly --task landing --port sim-python --headless` to see the whole chain.
+#
+# ## With hardware
+#
+# **Propeller off.** You need an Arduino Mega, its USB cable and an oscilloscope (or a logic analyser).
+#
+# 1. Build and flash the firmware: `falconwing firmware build`, then open `firmware/trainer_bridge` in the Arduino
+#    IDE.
+# 2. Put the probe on pin 11 and find the five pulses. Measure each slot for `1400, 1600, 1500, 1500` and compare with
+#    your `encode_ppm`. Trigger on the first pulse with infinite persistence: how wide is the smear?
+# 3. Pull the USB cable while the board is ACTIVE. How long until the throttle slot is idle?
+#
+# In place of the figures hand in: a photo of the screen with the slots marked, and a video of step 3.
