@@ -174,7 +174,7 @@ def foreign_modules(function: Function, packages: Iterable[str]) -> set[str]:
         function: from the notebook.
         packages: libraries that the lab allows, beside the standard library and `given`.
     """
-    allowed = {*packages, "given", "__main__", *sys.stdlib_module_names}
+    allowed = {*packages, "given", function.__module__, *sys.stdlib_module_names}
     used: set[str] = set()
     seen: set[int] = set()
     waiting = [function]
@@ -187,7 +187,7 @@ def foreign_modules(function: Function, packages: Iterable[str]) -> set[str]:
             used.add(name)
             if isinstance(value, types.FunctionType) and value.__module__ == function.__module__:
                 waiting.append(value)
-    return {name for name in used if name.split(".")[0] not in allowed | {function.__module__}}
+    return {name for name in used if name.split(".")[0] not in allowed}
 
 
 def _named(code: types.CodeType, around: dict[str, Any]) -> Iterator[tuple[str, Any]]:

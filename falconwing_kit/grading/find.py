@@ -120,13 +120,14 @@ def load_module(folder: Path, name: str, constants: Mapping[str, float] | None =
     path = folder / f"{name}.py"
     if not path.is_file():
         raise InputError(f"{path}: want this file of the lab, found none; a lab's folder as handed out has it")
+    before = _NEIGHBOURS[: _NEIGHBOURS.index(name)] if name in _NEIGHBOURS else _NEIGHBOURS
     with _names_for_a_while():
-        for neighbour in _NEIGHBOURS[: _NEIGHBOURS.index(name) if name in _NEIGHBOURS else None]:
-            if (folder / f"{neighbour}.py").is_file():
-                module = _run(folder / f"{neighbour}.py")
-                if neighbour == "given" and constants is not None:
+        for file in (*(folder / f"{neighbour}.py" for neighbour in before), path):
+            if file.is_file():
+                module = _run(file)
+                if file.stem == "given" and constants is not None:
                     module.COHORT.update(constants)
-        return _run(path)
+        return module
 
 
 @contextmanager

@@ -1,0 +1,106 @@
+"""A lab's functions in this process: the solution's, wrong ones, trivial ones, judged without a box and so in no time.
+
+The text that is run is what the grader's collector takes from the notebook, and the arguments come as copies, so only
+the box itself is missing. The box has tests of its own, and every solution goes through it once.
+"""
+
+import copy
+import importlib.util
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from falconwing_kit.grading.collect import Cell, Notebook, collect
+from falconwing_kit.grading.find import load_checks, load_judges, load_module
+from falconwing_kit.grading.lab import Course, Function, Judge, Lab, course_constants
+from falconwing_kit.grading.notebooks import read_cells
+
+ROOT = Path(__file__).resolve().parents[2]
+INSIDE = re.compile(r"# BEGIN SOLUTION\n(.*?)[ \t]*# END SOLUTION", re.DOTALL)
+
+
+class LabHere:
+    """A lab whose functions run in this process.
+
+    Attributes:
+        folder, lab: where it is and what its checks.py says.
+        judges: of each exercise, for the open course or that of the constants.
+    """
+
+    def __init__(self, folder: Path, constants: Mapping[str, float] | None = None) -> None:
+        self.folder, self.lab = folder, load_checks(folder)
+        self.cells = [cell for cell in read_cells(folder / "lab.py") if not cell.markdown]
+        numbers = constants or course_constants(self.lab, "")
+        self.judges: Mapping[str, tuple[Judge, ...]] = load_judges(folder, Course(numbers))
+        self.given: ModuleType = load_module(folder, "given", numbers)
+
+    def function(self, name: str, old: str = "", new: str = "") -> Function:
+        """The solution's function, or a wrong one where `old` of its solution is replaced by `new`."""
+        cells = [Cell(True, replaced(cell.text, old, new) if cell.name == name and cell.kind == "exercise" and old
+                      else cell.for_solution()) for cell in self.cells]  # fmt: skip
+        source = collect(Notebook(tuple(cells)), name, self.lab.packages)
+        assert source.problems == (), source.problems
+        namespace: dict[str, object] = {"__name__": "notebook"}
+        with self._given_importable():
+            exec(compile(source.text, f"{self.folder.name}/{name}", "exec"), namespace)
+        return self.as_called(name, namespace[name])
+
+    def as_called(self, name: str, function: Function) -> Function:
+        """The function on copies of its arguments, through given.py where the exercise says so."""
+        through = self.lab.exercise(name).through
+
+        def called(*arguments):
+            with self._given_importable():
+                arguments = copy.deepcopy(arguments)
+                return getattr(self.given, through)(function, *arguments) if through else function(*arguments)
+
+        called.__name__ = name
+        return called
+
+    def score(self, name: str, function: Function, seed: int = 0) -> float:
+        """The share of hidden cases that the function gets right."""
+        rng = np.random.default_rng([seed, *name.encode()])
+        verdicts = [verdict for judge in self.judges[name] for verdict in judge.verdicts(function, rng)]
+        return sum(map(right, verdicts)) / len(verdicts)
+
+    @contextmanager
+    def _given_importable(self) -> Iterator[None]:
+        before = sys.modules.get("given")
+        sys.modules["given"] = self.given
+        try:
+            yield
+        finally:
+            sys.modules.pop("given")
+            if before is not None:
+                sys.modules["given"] = before
+
+
+def right(verdict) -> bool:
+    """A case, asked; what the function raises is no point."""
+    try:
+        return verdict()
+    except Exception:
+        return False
+
+
+def replaced(text: str, old: str, new: str) -> str:
+    """An exercise's cell with its solution made wrong; `old` must stand there exactly once."""
+    inside = INSIDE.search(text)
+    assert inside is not None and inside[1].count(old) == 1, f"{old!r} stands {inside and inside[1].count(old)} times"
+    return text[: inside.start(1)] + inside[1].replace(old, new) + text[inside.end(1) :]
+
+
+def mutants(lab: Lab) -> Mapping[str, tuple[tuple[str, str, str], ...]]:
+    """The lab's list of wrong solutions; empty where there is none."""
+    path = Path(__file__).parent / "mutants" / f"{lab.name}.py"
+    if not path.is_file():
+        return {}
+    spec = importlib.util.spec_from_file_location(f"mutants_of_{lab.name}", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.MUTANTS
