@@ -69,17 +69,17 @@ def axis_height(camera: CameraHardware) -> float:
 
 def _cheeks(camera: CameraHardware) -> Any:
     """Two cheeks with the camera between them; the base ends where the lens would see it."""
-    from build123d import Circle, Edge, Plane, Polyline, Pos, Sketch, extrude, make_hull
+    from build123d import Circle, Plane, Polyline, Pos, extrude, make_hull
 
     mount, inner, z = camera.mount, camera.body_mm.width + PLAY, axis_height(camera)
     front = camera.body_mm.lens_ahead * math.cos(math.radians(mount.tilt_deg)) - 1.0
-    outlines: list[Edge] = list(Polyline((-FOOT, BASE / 2.0), (FOOT, BASE / 2.0)).edges())
+    outlines = list(Polyline((-FOOT, BASE / 2.0), (FOOT, BASE / 2.0)).edges())
     for ahead, up in mount.holes_mm:
         outlines += (Pos(ahead, z + up) * Circle(_hole(camera) + RING)).edges()
-    outline: Sketch = make_hull(outlines)
-    holes = sum((Pos(ahead, z + up) * _teardrop(_hole(camera)) for ahead, up in mount.holes_mm[1:]),
-                Pos(mount.holes_mm[0][0], z + mount.holes_mm[0][1]) * _teardrop(_hole(camera)))  # fmt: skip
-    cheek = extrude(Plane.XZ * (outline - holes), WALL)  # XZ looks along -y, so it grows that way
+    outline = make_hull(outlines)
+    for ahead, up in mount.holes_mm:
+        outline -= Pos(ahead, z + up) * _teardrop(_hole(camera))
+    cheek = extrude(Plane.XZ * outline, WALL)  # XZ looks along -y, so it grows that way
     solid = _base(-FOOT - TONGUE, front, inner + 2.0 * WALL)
     return solid + Pos(0, -inner / 2.0, 0) * cheek + Pos(0, inner / 2.0 + WALL, 0) * cheek
 
