@@ -1,0 +1,203 @@
+"""Limits that bind: control groups for a box's processes and memory, and an identity without rights for it.
+
+A limit that a process sets itself (worker.py) does not bind root, so a grader started by root gives its rights up
+before the box is made. Control groups, of either version, are used where this system lets us make them.
+"""
+
+import ctypes
+import itertools
+import os
+import signal
+import stat
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+NOBODY = 54321  # user and group of a box that root starts: nobody's, so that it owns nothing
+STAGE = Path("/tmp")  # in the box's own view of the disk, before it is a box
+_PREFIX = "falconwing-"
+_CLONE_NEWNS, _MS_BIND, _MS_REC, _MS_PRIVATE = 0x20000, 0x1000, 0x4000, 0x40000
+_numbers = itertools.count(1)
+
+
+@dataclass(frozen=True)
+class Group:
+    """The control groups of one box.
+
+    Attributes:
+        folders: one for each hierarchy that could be used; none where the system forbids it.
+    """
+
+    folders: tuple[Path, ...]
+
+    def join(self) -> None:
+        """Put the calling process in, and with it all that it starts."""
+        for folder in self.folders:
+            (folder / "cgroup.procs").write_text("0")
+
+    def members(self) -> set[int]:
+        """The processes in it now."""
+        texts = []
+        for folder in self.folders:
+            with suppress(OSError):
+                texts += (folder / "cgroup.procs").read_text().split()
+        return {int(text) for text in texts} - {0}
+
+    def out_of_memory(self) -> bool:
+        """Whether the kernel ended a process of it for its memory."""
+        for folder, name in itertools.product(self.folders, ("memory.oom_control", "memory.events")):
+            with suppress(OSError):
+                if any(line.split()[0] == "oom_kill" and int(line.split()[1]) for line in _lines(folder / name)):
+                    return True
+        return False
+
+    def remove(self, seconds: float = 10.0) -> bool:
+        """End every process in it, wait until all are gone, and remove it; whether that came about in time."""
+        end = time.monotonic() + seconds
+        while members := self.members():
+            for process in members:
+                with suppress(ProcessLookupError):
+                    os.kill(process, signal.SIGKILL)
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.002)
+        return all([_remove(folder) for folder in self.folders])
+
+
+def make_group(processes: int, memory: int) -> Group:
+    """Make the control groups of a box.
+
+    Args:
+        processes: processes and threads together.
+        memory: of all of them, with what they write to the box's temporary files [bytes].
+
+    Returns:
+        A group with a folder for each controller that this system offers us, which may be none.
+    """
+    name = f"{_PREFIX}{os.getpid()}-{next(_numbers)}"
+    limits = {
+        "pids": {"pids.max": processes},
+        "memory": dict.fromkeys(("memory.limit_in_bytes", "memory.memsw.limit_in_bytes", "memory.max"), memory)
+        | {"memory.swap.max": 0},
+    }
+    made = []
+    for parent, controllers in _parents():
+        folder = parent / name
+        with suppress(OSError):
+            folder.mkdir()
+            made.append(folder)
+            for file, limit in itertools.chain.from_iterable(limits[each].items() for each in controllers):
+                if (folder / file).exists():
+                    (folder / file).write_text(str(limit))
+    return Group(tuple(made))
+
+
+def sweep() -> None:
+    """Remove the groups of graders that were killed, with what may still run in them."""
+    for parent, _ in _parents():
+        for folder in parent.glob(f"{_PREFIX}*-*"):
+            owner = folder.name.removeprefix(_PREFIX).split("-")[0]
+            if owner.isdigit() and not Path("/proc", owner).exists():
+                Group((folder,)).remove()
+
+
+def controllers() -> tuple[str, ...]:
+    """The controllers that bind a box here: of "memory" and "pids"."""
+    return tuple(sorted(name for _, names in _parents() for name in names))
+
+
+@lru_cache(maxsize=1)
+def _parents() -> tuple[tuple[Path, tuple[str, ...]], ...]:
+    """Folders where we may make groups, and the controllers that bind there."""
+    found: dict[Path, list[str]] = {}
+    for name in ("pids", "memory"):
+        place = next((place for place in _places(name) if _may_make(place, name)), None)
+        if place is not None:
+            found.setdefault(place, []).append(name)
+    return tuple((place, tuple(names)) for place, names in found.items())
+
+
+def _places(controller: str) -> Iterator[Path]:
+    """Where a controller's groups may be made: under our own group, or at the top."""
+    own = {line.split(":")[1]: line.split(":", 2)[2].lstrip("/") for line in _lines(Path("/proc/self/cgroup"))}
+    for _, mount, kind, options, *_ in (line.split() for line in _lines(Path("/proc/self/mounts"))):
+        if kind == "cgroup" and controller in options.split(","):
+            yield Path(mount) / next((path for names, path in own.items() if controller in names.split(",")), "")
+            yield Path(mount)
+        elif kind == "cgroup2":
+            yield Path(mount)
+            yield Path(mount) / own.get("", "")
+
+
+def _may_make(parent: Path, controller: str) -> bool:
+    """Try it: whether a group made there has the controller's files."""
+    trial = parent / f"{_PREFIX}{os.getpid()}-0"
+    with suppress(OSError):  # version 2 hands a controller down only when told to
+        if controller not in (parent / "cgroup.subtree_control").read_text().split():
+            (parent / "cgroup.subtree_control").write_text(f"+{controller}")
+    try:
+        trial.mkdir()
+    except OSError:
+        return False
+    try:
+        return any((trial / f"{controller}.{name}").exists() for name in ("max", "limit_in_bytes"))
+    finally:
+        _remove(trial)
+
+
+def becoming(group: Group, staged: Sequence[tuple[Path, Path]]) -> Callable[[], None]:
+    """What a new process does before it turns into a box: join its group, and give root's rights up if it has them.
+
+    Args:
+        group: its control groups.
+        staged: only for root: files and folders that are put under STAGE, in that process's own view of the disk
+            alone, since without root's rights it might not reach them: path, path under STAGE.
+    """
+    library = ctypes.CDLL(None, use_errno=True)
+
+    def mount(source: str | None, target: str, kind: str | None, flags: int, options: str | None = None) -> None:
+        words = [None if word is None else word.encode() for word in (source, target, kind, options)]
+        if library.mount(words[0], words[1], words[2], ctypes.c_ulong(flags), words[3]) != 0:
+            raise OSError(ctypes.get_errno(), "mount", target)
+
+    def become() -> None:
+        group.join()
+        if os.geteuid() != 0:
+            return
+        if library.unshare(_CLONE_NEWNS) != 0:
+            raise OSError(ctypes.get_errno(), "unshare")
+        mount(None, "/", None, _MS_REC | _MS_PRIVATE)
+        handles = [os.open(source, os.O_PATH) for source, _ in staged]  # what STAGE covers stays within reach
+        mount("stage", str(STAGE), "tmpfs", 0, "mode=0755,size=1m")
+        for handle, (_, target) in zip(handles, staged, strict=True):
+            target.mkdir() if stat.S_ISDIR(os.fstat(handle).st_mode) else target.touch()
+            mount(f"/proc/self/fd/{handle}", str(target), None, _MS_BIND | _MS_REC)
+            os.close(handle)
+        os.setgroups([])
+        os.setresgid(NOBODY, NOBODY, NOBODY)
+        os.setresuid(NOBODY, NOBODY, NOBODY)
+
+    return become
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text().splitlines()
+    except OSError:
+        return []
+
+
+def _remove(folder: Path) -> bool:
+    """Remove an empty group; the kernel may need a moment to let go of it."""
+    for _ in range(200):
+        try:
+            folder.rmdir()
+            return True
+        except FileNotFoundError:
+            return True
+        except OSError:
+            time.sleep(0.005)
+    return False
