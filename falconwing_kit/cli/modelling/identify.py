@@ -13,7 +13,8 @@ from falconwing_kit.aircraft.model import FORMS, Model, scaled
 from falconwing_kit.cli.show import next_line, print_json, print_table
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import require_place
-from falconwing_kit.core.flight_table import read_flight_table
+from falconwing_kit.core.flight_table import FlightTable, read_flight_table
+from falconwing_kit.sysid.forecast import constant_turn, constant_velocity, forecast
 from falconwing_kit.sysid.identify import BAD_FIT, Identification, identify
 from falconwing_kit.sysid.model_file import read_model, write_model
 from falconwing_kit.sysid.one_step import fit_one_step
@@ -27,8 +28,8 @@ GOOD_CHI2 = 2.0  # held out; above it the model does not describe the flight and
 class Identify:
     """Fit the aircraft model to recorded flights and say how well it predicts time it has not seen.
 
-    Exit code 1 when the model does not describe the flight (held-out chi2 per degree of freedom above 2), or when a
-    stick of the log seems reversed.
+    Exit code 1 when the model does not describe the flight (held-out chi2 per degree of freedom above 2), when a stick
+    of the log seems reversed, or when the start model predicts another flight (--judge) as well.
     """
 
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -47,6 +48,8 @@ class Identify:
     """noise of each position coordinate; estimated if not given"""
     sigma_attitude_deg: float | None = None
     """noise of each attitude angle; estimated if not given"""
+    judge: Path | None = None
+    """another flight of the aircraft, with velocities as `falconwing poses` writes them: predicted one second ahead"""
     one_step: bool = False
     """show the paper's one-step fit beside the result"""
     json: bool = False
@@ -56,7 +59,8 @@ class Identify:
         """Fit, print, and write what was asked for.
 
         Returns:
-            0 where the model describes the flights, 1 where it does not or where a stick seems reversed.
+            0 where the model describes the flights, 1 where it does not, where a stick seems reversed, or where
+            the flight to judge by is predicted no better than by the model one began with.
 
         Raises:
             FileNotFoundError: there is no such flight or model file, or no folder to write into.
@@ -66,7 +70,10 @@ class Identify:
             raise InputError("identify: want at least one flight table, got none; try falconwing identify flight.csv")
         self._require_places()
         tables = [read_flight_table(path) for path in self.flights]
+        other = None if self.judge is None else read_flight_table(self.judge)
         model = self._model()
+        if other is not None:
+            constant_turn(other)  # refuses before the fit what cannot be predicted from
         found = identify(tables, model=model, sigma=self._sigma(), progress=None if self.json else _progress())
         baseline = self._baseline(found) if self.one_step else None
         if self.out is not None:
@@ -77,6 +84,8 @@ class Identify:
             self.figures.mkdir(parents=True, exist_ok=True)
             draw_identification(found, self.figures)
         record = identification_record(found, baseline)
+        if other is not None:
+            record["one_second_ahead"] = one_second_ahead(found.model, model, other)
         if self.json:
             print_json(record)
         else:
@@ -89,7 +98,9 @@ class Identify:
                 f"{GOOD_CHI2:g}; falconwing gap, with a calm flight, says what is missing",
                 file=sys.stderr,
             )
-        return 0 if chi2 <= GOOD_CHI2 and not found.reversed_sticks else 1
+        ahead = record.get("one_second_ahead")
+        is_better = ahead is None or ahead["fitted"]["position_m"] < ahead["start"]["position_m"]
+        return 0 if chi2 <= GOOD_CHI2 and not found.reversed_sticks and is_better else 1
 
     def _require_places(self) -> None:
         """Refuse before the fit what could not be written after it."""
@@ -192,6 +203,27 @@ def identification_record(found: Identification, baseline: dict[str, Any] | None
     return record if baseline is None else {**record, "one_step": baseline}
 
 
+def one_second_ahead(fitted: Model, start: Model, other: FlightTable) -> dict[str, Any]:
+    """How well a flight that nothing was fitted to is predicted, a second ahead on its commands alone.
+
+    Args:
+        fitted: the model to judge.
+        start: the one that its fit began with.
+        other: the flight, with velocities (and rates for the rates form).
+
+    Returns:
+        By forecast (fitted, start, constant_turn, constant_velocity) the root mean square of the distance, position_m,
+        and of the three angles together, attitude_deg; and the flight's name and the number of forecasts.
+
+    Raises:
+        InputError: the flight has no velocities, or no two poses a second apart.
+    """
+    made = {"fitted": forecast(fitted, other), "start": forecast(start, other)}
+    made |= {"constant_turn": constant_turn(other), "constant_velocity": constant_velocity(other)}
+    errors = {name: {"position_m": f.position_m, "attitude_deg": f.attitude_deg} for name, f in made.items()}
+    return {**errors, "flight": other.name, "forecasts": len(made["fitted"].t)}
+
+
 def _print_record(record: dict[str, Any], found: Identification) -> None:
     said = dict.fromkeys(found.uncertainty.not_excited, "NOT EXCITED")
     said |= dict.fromkeys(found.uncertainty.at_bound, "ON ITS BOUND")
@@ -209,6 +241,8 @@ def _print_record(record: dict[str, Any], found: Identification) -> None:
             ("fitted time", train["chi2_per_dof"], found.train.position_m, found.train.attitude_deg, train["windows"]),
         ],
     )
+    if "one_second_ahead" in record:
+        _print_judged(record["one_second_ahead"])
     for name, fitted in record.get("one_step", {}).items():
         chi2 = fitted["held_out_chi2_per_dof"]
         print(f"the paper's one-step fit, {name} differences: chi2 per dof {chi2:.3g} held out")
@@ -220,6 +254,15 @@ def _print_record(record: dict[str, Any], found: Identification) -> None:
     print(f"{record['rows_without_pose']} rows without a pose; fitted in {record['seconds']:.1f} s")
     for sentence in record["warnings"]:
         print(f"warning: {sentence}")
+
+
+def _print_judged(ahead: dict[str, Any]) -> None:
+    """How well another flight is predicted, as a table."""
+    names = ("fitted", "start", "constant_turn", "constant_velocity")
+    rows = [(name.replace("_", " "), ahead[name]["position_m"], ahead[name]["attitude_deg"]) for name in names]
+    title = f"\n{ahead['flight']}, not fitted to: {ahead['forecasts']} forecasts one second ahead, rms"
+    print_table(("forecast", "position [m]", "attitude [deg]"), rows, title=title)
+    print()
 
 
 def _progress() -> Any:
