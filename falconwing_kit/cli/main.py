@@ -66,6 +66,7 @@ VERBS: tuple[tuple[str, str, str, str], ...] = (
     ),
     ("export", "falconwing_kit.cli.logs", "Export", "turn a flight log into a table, a whole log or a ROS bag"),
     ("replay", "falconwing_kit.cli.logs", "Replay", "show a flight log again, live or as figures"),
+    ("check", "falconwing_kit.cli.courses.check", "Check", "run a lab's public checks on your notebook"),
     ("labs", "falconwing_kit.cli.courses.labs", "Labs", "build the labs' notebooks, hand them out, test them"),
 )
 

@@ -12,7 +12,8 @@ A check never stops the notebook and gives no points: it says what to look at. T
 import dis
 import sys
 import types
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -21,10 +22,19 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.grading.collect import Source, collect, read_notebook
 from falconwing_kit.grading.find import lab_folder, load_checks, load_module
 from falconwing_kit.grading.lab import Check, Exercise, Function, Lab
+from falconwing_kit.grading.sandbox.box import Job, StudentError, Worker, in_process
 
 SYMBOLS = {"passed": "✓", "failed": "✗", "not written": "○"}
+_CATEGORIES = {  # of a StudentError that may end the process, as what the function did
+    "timeout": "took too long",
+    "memory": "took too much memory",
+    "died": "ended Python",
+    "bad answer": "gave what is no answer: want numbers, texts, arrays, or tuples, lists and dicts of them",
+}
+_NOT_WRITTEN = ("not written", "missing")
 _PLAIN = {"✓": "+", "✗": "x", "○": "o"}  # for terminals that cannot print the others
 
 
@@ -68,7 +78,7 @@ class _Watched:
     """A student's function that remembers how its last call ended."""
 
     def __init__(self, function: Function) -> None:
-        self.function, self.said, self.raised = function, "", False
+        self.function, self.said, self.raised, self.written = function, "", False, True
 
     def __call__(self, *arguments: Any) -> Any:
         call = f"called with ({', '.join(map(_short, arguments))}) it"
@@ -76,7 +86,9 @@ class _Watched:
         try:
             answer = self.function(*arguments)
         except Exception as error:
-            self.said = f"{call} raised {_in_words(error)}"
+            category = getattr(error, "category", "")  # of a StudentError
+            self.written = not isinstance(error, NotImplementedError) and category not in _NOT_WRITTEN
+            self.said = f"{call} {_CATEGORIES.get(category) or f'raised {_in_words(error)}'}"
             raise
         self.said, self.raised = f"{call} gave {_short(answer)}", False
         return answer
@@ -89,14 +101,16 @@ def _try(each: Check, function: Function) -> Outcome:
             return Outcome(each.claim, "passed")
     except Exception as error:
         unusable = "" if watched.raised else f", which could not be used: {_in_words(error)}"
-    if watched.raised and "NotImplementedError" in watched.said:
+    if not watched.written:
         return Outcome(each.claim, "not written")
     return Outcome(each.claim, "failed", each.hint, watched.said + unusable)
 
 
 def _in_words(error: Exception) -> str:
     """An error as one short line."""
-    text = " ".join(str(error).split())
+    text = " ".join(str(error).split()).removeprefix("exception:")
+    if isinstance(error, StudentError):
+        return text  # the name of what was raised
     return f"{type(error).__name__}: {text[:200]}" if text else type(error).__name__
 
 
@@ -202,6 +216,108 @@ def _named(code: types.CodeType, around: dict[str, Any]) -> Iterator[tuple[str, 
     for inner in code.co_consts:
         if isinstance(inner, types.CodeType):
             yield from _named(inner, around)
+
+
+@dataclass(frozen=True)
+class Report:
+    """One exercise of a notebook file, checked.
+
+    Attributes:
+        name: of the function.
+        outcomes: of its public checks.
+        problems: what the grader would stumble over, in sentences.
+    """
+
+    name: str
+    outcomes: list[Outcome]
+    problems: tuple[str, ...]
+
+
+def check_notebook(folder: Path, notebook: Path) -> list[Report]:
+    """Run a lab's public checks on the functions of a notebook file, in a plain process and without the notebook.
+
+    Args:
+        folder: the lab's.
+        notebook: the file, as it was saved last.
+
+    Returns:
+        One report for each exercise, in the lab's order.
+
+    Raises:
+        FileNotFoundError, InputError: the notebook cannot be read, or the lab's files cannot be used.
+    """
+    lab, cells = load_checks(folder), read_notebook(notebook)
+    sources = {exercise.name: collect(cells, exercise.name, lab.packages) for exercise in lab.exercises}
+    with _Functions(folder, lab, sources) as functions:
+        return [
+            Report(each.name, run_checks(each, functions.function(each.name)), sources[each.name].problems)
+            for each in lab.exercises
+        ]
+
+
+class _Functions:
+    """All functions of a notebook in one process, since loading torch for each would take most of the time.
+
+    A function that ends the process is not called again, and costs the others nothing: they get a new one.
+    """
+
+    def __init__(self, folder: Path, lab: Lab, sources: Mapping[str, Source]) -> None:
+        texts = {name: source.text for name, source in sources.items()}
+        through = {exercise.name: exercise.through for exercise in lab.exercises}
+        loads = [f"import {package}" for package in lab.packages if any(package in text for text in texts.values())]
+        self._job = Job(
+            text="\n".join([*loads, f"TEXTS, THROUGH = {texts!r}, {through!r}", _ASK]),
+            function="ask",
+            folder=folder,
+            packages=lab.packages,
+            seconds=max(exercise.seconds for exercise in lab.exercises),
+            memory_mib=lab.memory_mib,
+        )
+        self._stack = ExitStack()
+        self._worker: Worker | None = None
+        self._ended: dict[str, str] = {}
+
+    def __enter__(self) -> "_Functions":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def function(self, name: str) -> Function:
+        """One of the notebook's functions, to be called."""
+
+        def ask(*arguments: Any) -> Any:
+            if name in self._ended:
+                raise StudentError(self._ended[name])
+            if self._worker is None:
+                self._worker = self._stack.enter_context(in_process(self._job))
+            try:
+                return self._worker.call(name, *arguments)
+            except StudentError as error:
+                if error.category in _CATEGORIES:
+                    self._worker, self._ended[name] = None, error.category
+                raise
+
+        return ask
+
+
+_ASK = """
+import importlib
+
+spaces = {}
+
+
+def ask(name, *arguments):
+    if name not in spaces:
+        spaces[name] = {"__name__": "__main__"}
+        exec(compile(TEXTS[name], name, "exec"), spaces[name])
+    if name not in spaces[name]:
+        raise NotImplementedError
+    function = spaces[name][name]
+    if THROUGH[name]:
+        return getattr(importlib.import_module("given"), THROUGH[name])(function, *arguments)
+    return function(*arguments)
+"""
 
 
 def _as_called(folder: Path, exercise: Exercise, function: Function) -> Function:

@@ -6,9 +6,11 @@ import sys
 import numpy as np
 import pytest
 
-from falconwing_kit.grading.check import check, foreign_modules, printable, run_checks, state_of
+from falconwing_kit.cli.main import main
+from falconwing_kit.grading.check import check, check_notebook, foreign_modules, printable, run_checks, state_of
 from falconwing_kit.grading.lab import Check, Exercise
-from tests.grading.small_lab import write_small_lab
+from falconwing_kit.grading.notebooks import write_notebooks
+from tests.grading.small_lab import SOURCE, write_small_lab
 
 
 @pytest.fixture
@@ -124,3 +126,43 @@ def test_terminal_without_the_symbols_gets_plain_ones(monkeypatch):
     """Windows' old code page has no check mark; a print must not fail for it."""
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding="cp1252"))
     assert printable("✓ ✗ ○") == "+ x o"
+
+
+def notebook_of(folder, weight):
+    """The small lab's notebook with this body of its function; without one, as it is handed out."""
+    source = SOURCE if weight is None else SOURCE.replace('newtons = COHORT["gravity"] * mass\n\n', weight + "\n")
+    (folder / "lab.py").write_text(source)
+    write_notebooks(folder)
+    return folder / "solution" / "lab01.ipynb" if weight is not None else folder / "lab01.ipynb"
+
+
+@pytest.mark.parametrize(
+    ("body", "state", "said"),
+    [
+        ('newtons = COHORT["gravity"] * mass', "passed", ""),
+        ("newtons = 9.0 * mass", "failed", "called with (1) it gave 9"),
+        ('newtons = mass["kg"]', "failed", "called with (1) it raised TypeError"),
+        ("import os; os._exit(0)", "failed", "called with (1) it ended Python"),
+        ("newtons = object()", "failed", "called with (1) it gave what is no answer"),
+        ("from falconwing_kit.core import frames; newtons = 10.0 * mass", "failed", "raised ModuleNotFoundError"),
+        (None, "not written", ""),
+    ],
+)
+def test_notebook_file_is_checked_without_being_run(folder, body, state, said):
+    """By hand, as above; the kit is not there, as with the grader, and the problem says so."""
+    (report,) = check_notebook(folder, notebook_of(folder, body))
+    assert state_of(report.outcomes) == state
+    assert said in report.outcomes[0].said
+    assert any("falconwing_kit" in problem for problem in report.problems) == ("falconwing_kit" in (body or ""))
+
+
+def test_verb_says_progress_in_words_and_by_its_exit_code(folder, capsys):
+    """0 where every exercise passes, else 1; the small lab has one."""
+    assert main(["check", "lab01", "--notebook", str(notebook_of(folder, 'newtons = COHORT["gravity"] * mass'))]) == 0
+    assert "1 of 1 exercises pass their public checks, 0 not started" in capsys.readouterr().out
+    notebook_of(folder, None)
+    assert main(["check", "lab01"]) == 1
+    said = capsys.readouterr().out
+    assert "○ not written  weight" in said and "0 of 1 exercises pass their public checks, 1 not started" in said
+    assert main(["check", "lab01", "--notebook", "nowhere.ipynb"]) == 2
+    assert main(["check", "lab02"]) == 2

@@ -56,9 +56,10 @@ def figures_of_the_manual():
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A folder as the reader has it: the kit's data, an own flight, and an own log of two seconds."""
+    """A folder as the reader has it: the kit's data, an own flight, an own log of two seconds, and lab 1, done."""
     shutil.copytree(data_path("case02_calm.csv").parent, tmp_path / "falconwing_kit" / "data")
     shutil.copy(data_path("case02_calm.csv"), tmp_path / "flight.csv")
+    shutil.copy(ROOT / "labs" / "lab01_sizing" / "solution" / "lab01.ipynb", tmp_path)
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
         for k in range(40):
             log.state(0.05 * k, State.from_vector(np.arange(9.0) / 10.0 + k / 100.0))
