@@ -50,6 +50,11 @@ class Submission:
     sha256: str = ""
     problem: str = ""
 
+    @property
+    def name(self) -> str:
+        """The notebook's file name."""
+        return PurePosixPath(self.members[-1] if self.members else self.file.name).name
+
     def read(self) -> bytes:
         """The notebook's bytes.
 
@@ -211,14 +216,10 @@ def _open_plain(file: Path) -> BinaryIO:
 
 def _chosen(several: list[Submission], lab: str) -> Submission:
     """The one that counts of a student's notebooks: of this lab, readable, the newest."""
-    best = max(several, key=lambda each: (lab in _name(each), not each.problem, each.when, _name(each)))
+    best = max(several, key=lambda each: (lab in each.name, not each.problem, each.when, each.name))
     if len(several) > 1 and not best.problem:
-        return replace(best, problem=f"one of {len(several)} notebooks of this student: {_name(best)[:80]}")
+        return replace(best, problem=f"one of {len(several)} notebooks of this student: {best.name[:80]}")
     return best
-
-
-def _name(each: Submission) -> str:
-    return PurePosixPath(each.members[-1] if each.members else each.file.name).name
 
 
 def _stamped(each: Submission) -> Submission:

@@ -155,6 +155,11 @@ class Worker:
             raise StudentError(self._over)
         return self._ask({"arguments": arguments})
 
+    @property
+    def process(self) -> int:
+        """The number of the process, or of the box around it."""
+        return self._process.pid
+
     def close(self) -> None:
         """End the process and all that it started, and wait until they are gone."""
         self._clock.over.set()

@@ -1,0 +1,129 @@
+"""Records: what a run of the grader leaves in its folder, and how the next run goes on from there.
+
+records.jsonl   one line per graded submission, added at once and never changed; a student's last line counts
+run.json        lab, course and the secret that seeds are drawn from
+gradebook.csv   made from the records, at any time again
+"""
+
+import csv
+import hashlib
+import io
+import json
+import os
+import secrets
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.files import atomic_write, write_error
+
+Record = dict[str, Any]
+RECORDS, RUN, GRADEBOOK = "records.jsonl", "run.json", "gradebook.csv"
+
+
+def open_run(out: Path, lab: str, salt: str, *, sandboxed: bool, go_on: bool) -> str:
+    """Make a run's folder, or find what an earlier run left there.
+
+    Args:
+        out: the folder.
+        lab: "lab03".
+        salt: the course's; only its fingerprint is kept.
+        sandboxed: whether functions run in boxes.
+        go_on: records may be there already.
+
+    Returns:
+        The run's secret.
+
+    Raises:
+        InputError: there are records and `go_on` is False, or they are of another lab or course.
+    """
+    wanted = {"lab": lab, "course": hashlib.sha256(salt.encode()).hexdigest()[:16], "sandboxed": sandboxed}
+    file = out / RUN
+    if (out / RECORDS).exists() and not go_on:
+        raise InputError(f"{out}: want a new folder, found records; say --resume, --regrade or another --out")
+    if not file.exists():
+        out.mkdir(parents=True, exist_ok=True)
+        with atomic_write(file, text=True) as handle:
+            os.chmod(handle.fileno(), 0o600)
+            handle.write(json.dumps(wanted | {"secret": secrets.token_hex(16)}, indent=1) + "\n")
+    try:
+        run: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        secret = str(run.pop("secret"))
+    except (ValueError, KeyError, AttributeError):
+        raise InputError(f"{file}: want what an earlier run wrote, got something else; choose another --out") from None
+    if run != wanted:
+        changed = ", ".join(name for name in wanted if run.get(name) != wanted[name])
+        raise InputError(f"{out}: want the lab, salt and sandbox of its earlier run, got another {changed}")
+    return secret
+
+
+def read_records(out: Path) -> list[Record]:
+    """All records of a folder, in the order of writing; a line that a kill cut short is passed over."""
+    file = out / RECORDS
+    records = []
+    for line in file.read_bytes().split(b"\n") if file.exists() else ():
+        try:
+            record = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(record, dict) and "student" in record:
+            records.append(record)
+    return records
+
+
+def last_records(records: Iterable[Record]) -> dict[str, Record]:
+    """Each student's last record, by student."""
+    last = {record["student"]: record for record in records}
+    return {student: last[student] for student in sorted(last)}
+
+
+def append_record(out: Path, record: Mapping[str, Any]) -> None:
+    """Add a record and see it to the disk.
+
+    Raises:
+        InputError: the disk is full, or the folder may not be written.
+    """
+    file = out / RECORDS
+    line = json.dumps(record, allow_nan=False).encode("ascii") + b"\n"
+    try:
+        with file.open("a+b") as handle:
+            size = handle.seek(0, os.SEEK_END)
+            if size and (handle.seek(size - 1), handle.read(1))[1] != b"\n":
+                line = b"\n" + line  # after a line that a kill cut short
+            handle.write(line)
+            handle.flush()
+            os.fsync(handle.fileno())
+    except OSError as error:
+        raise write_error(file, error) from None
+
+
+def write_gradebook(out: Path, exercises: Sequence[str], records: Iterable[Record]) -> Path:
+    """Write the gradebook.
+
+    Args:
+        out: the folder.
+        exercises: names, in the lab's order.
+        records: of any order; each student's last one counts.
+
+    Returns:
+        Its path. What the machine gives is all that is in it; a person's points are not.
+    """
+    table = io.StringIO()
+    writer = csv.writer(table, lineterminator="\n")
+    writer.writerow(["student", *exercises, "points", "of", "status", "note", "sandboxed"])
+    for student, record in last_records(records).items():
+        done = record["exercises"]
+        points = [done[name]["points"] if name in done else "" for name in exercises]
+        ends = ("points", "of", "status", "problem", "sandboxed")
+        writer.writerow([_cell(value) for value in (student, *points, *(record[each] for each in ends))])
+    with atomic_write(out / GRADEBOOK, text=True) as handle:
+        handle.write(table.getvalue())
+    return out / GRADEBOOK
+
+
+def _cell(value: object) -> object:
+    """A value for a spreadsheet, which takes a text that begins like a formula for one."""
+    if value is None:
+        return ""
+    return f"'{value}" if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r") else value
