@@ -76,46 +76,79 @@ class Bench:
         return in_box(job) if self.sandboxed else in_process(job)
 
 
+@dataclass(frozen=True)
+class Work:
+    """One submission to be graded.
+
+    Attributes:
+        submission: whose notebook is where.
+        seed: a recorded one; empty draws it from the assignment's secret, the student and the notebook.
+    """
+
+    submission: Submission
+    seed: str = ""
+
+
 class JudgeError(Exception):
     """A lab's own judge failed, which is not the student's doing."""
 
 
-def grade_one(submission: Submission, assignment: Assignment, seed: str = "") -> Record:
+def grade_one(work: Work, assignment: Assignment) -> Record:
     """Grade one submission.
 
     Args:
-        submission: whose notebook is where.
+        work: which, and with which seed.
         assignment: what it is judged by.
-        seed: a recorded one; empty draws it from the assignment's secret, the student and the notebook.
 
     Returns:
         Plain texts and numbers: `status` is "graded", "unreadable" (0 points) or "error" (a person must look). The same
-        submission, assignment and seed give the same record, wherever and whenever it is graded.
+        notebook, student, assignment and seed give the same record, wherever and whenever it is graded.
 
     Raises:
         InputError: the lab itself cannot be used.
     """
+    submission = work.submission
     lab = load_checks(assignment.folder)
     course = Course(course_constants(lab, assignment.salt), submission.student, assignment.salt)
     judges = load_judges(assignment.folder, course)
     bench = Bench(assignment.folder, lab, course, assignment.sandboxed)
-    record = _blank(submission, assignment, lab)
+    record = unfinished(work, assignment, lab)
     try:
         data = submission.read()
         record["sha256"] = hashlib.sha256(data).hexdigest()
         notebook = parse_notebook(data, "the notebook")
     except (InputError, OSError, MemoryError) as error:
-        return record | {"status": "unreadable", "problem": str(error)[:300]}
-    record["seed"] = seed or _seed(assignment.secret, submission.student, record["sha256"])
+        return record | {"status": "unreadable", "problem": str(error)[:300], "points": 0.0}
+    record["seed"] = work.seed or _seed(assignment.secret, submission.student, record["sha256"])
     for exercise in lab.exercises:
         source = collect(notebook, exercise.name, lab.packages)
         try:
             result = grade_exercise(bench, exercise, source, judges[exercise.name], record["seed"])
         except (JudgeError, RuntimeError, OSError) as error:
-            return record | {"status": "error", "problem": f"{exercise.name}: {error}"[:300], "points": None}
+            return record | {"problem": f"{exercise.name}: {error}"[:300]}
         record["exercises"][exercise.name] = result
     points = math.fsum(each["points"] for each in record["exercises"].values())
     return record | {"status": "graded", "points": round(points, 4)}
+
+
+def unfinished(work: Work, assignment: Assignment, lab: Lab) -> Record:
+    """The record of a submission that could not be graded: no points, and the status "error"."""
+    submission = work.submission
+    return {
+        "lab": lab.name,
+        "student": submission.student,
+        "notebook": submission.name,
+        "sha256": submission.sha256,
+        "seed": work.seed,
+        "kit": __version__,
+        "numpy": np.__version__,
+        "sandboxed": assignment.sandboxed,
+        "status": "error",
+        "problem": submission.problem,
+        "points": None,
+        "of": total(lab),
+        "exercises": {},
+    }
 
 
 def grade_exercise(bench: Bench, exercise: Exercise, source: Source, judges: Sequence[Judge], seed: str) -> Record:
@@ -226,25 +259,6 @@ def _shape(value: Any) -> Any:
 
 def _missing(*_: Any) -> Any:
     raise StudentError("missing")
-
-
-def _blank(submission: Submission, assignment: Assignment, lab: Lab) -> Record:
-    """A record of which nothing is known yet but whose it is."""
-    return {
-        "lab": lab.name,
-        "student": submission.student,
-        "notebook": submission.name,
-        "sha256": submission.sha256,
-        "seed": "",
-        "kit": __version__,
-        "numpy": np.__version__,
-        "sandboxed": assignment.sandboxed,
-        "status": "",
-        "problem": submission.problem,
-        "points": 0.0,
-        "of": total(lab),
-        "exercises": {},
-    }
 
 
 def _seed(secret: str, student: str, fingerprint: str) -> str:

@@ -1,4 +1,4 @@
-"""Probe: tries to get out of a box in every way a student might -> what it found open. No grading with a hole.
+"""Probe: tries to get out of a box in every way a student might -> what it found open. No grading with a hole."""
 
 import os
 import secrets
