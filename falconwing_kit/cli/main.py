@@ -68,6 +68,8 @@ VERBS: tuple[tuple[str, str, str, str], ...] = (
     ("replay", "falconwing_kit.cli.logs", "Replay", "show a flight log again, live or as figures"),
     ("check", "falconwing_kit.cli.courses.check", "Check", "run a lab's public checks on your notebook"),
     ("labs", "falconwing_kit.cli.courses.labs", "Labs", "build the labs' notebooks, hand them out, test them"),
+    ("grade", "falconwing_kit.cli.courses.grade", "Grade", "grade a class, every function in a box of its own"),
+    ("sandbox", "falconwing_kit.cli.courses.grade", "Sandbox", "try to get out of the grader's box"),
 )
 
 
