@@ -1,0 +1,300 @@
+# %% [markdown]
+# # Lab 3: Splat renderer
+# **From clouds of colour to a picture, in four functions.**
+#
+# The simulator's hall is not made of triangles. It is made of Gaussians: soft ellipsoids, each with a place, a shape, a
+# colour and an opacity. A camera sees each one as a soft ellipse, a *splat*. Laid over each other in the right order,
+# they make the picture. The kit does this with 100 000 of them twenty times a second; you do it with 730, slowly.
+#
+# **You will be able to**
+# - turn what a scene file keeps into a covariance,
+# - project a covariance through a camera, with the derivative of the projection,
+# - lay splats over each other, and say how far away the picture is,
+# - compare your picture with the kit's, and explain every difference.
+#
+# **Time** about 4 hours. **Before** lab 2 (nothing of yours is needed, all is given), the idea of a covariance.
+# **Paper** Section "Photorealistic Simulation via Gaussian Splatting". The scene is simulated.
+
+# %%
+import time
+
+import given
+import matplotlib.pyplot as plt
+import numpy as np
+from given import COHORT
+
+from falconwing_kit.grading.check import check
+
+scene = given.load_scene()
+print("your course:", COHORT)
+for name, array in scene.items():
+    print(f"{name:>16}: {array.shape}")
+
+# %% [markdown]
+# ## 1 The shape of a Gaussian
+# A Gaussian with mean $\mu$ and covariance $\Sigma$ weighs a point $p$ with
+# $\exp\!\big(-\tfrac12 (p-\mu)^{\mathsf T} \Sigma^{-1} (p-\mu)\big)$. A file does not keep $\Sigma$. It keeps three
+# standard deviations along the ellipsoid's own axes, and a rotation $R$ of these axes:
+#
+# $$\Sigma = R \, S \, S^{\mathsf T} R^{\mathsf T}, \qquad S = \mathrm{diag}(s_1, s_2, s_3)$$
+#
+# Two habits of files are yours to undo. The standard deviations are kept as natural *logarithms*, so that training can
+# never make them negative. The rotation is a quaternion $(x, y, z, w)$ of any length but zero. (In this lab's files $w$
+# comes last, as in ROS and SciPy; the kit has it first.) Of length 1, it means
+#
+# $$R = \begin{pmatrix} 1 - 2(y^2 + z^2) & 2(xy - wz) & 2(xz + wy) \\ 2(xy + wz) & 1 - 2(x^2 + z^2) & 2(yz - wx) \\
+# 2(xz - wy) & 2(yz + wx) & 1 - 2(x^2 + y^2) \end{pmatrix}$$
+#
+# Write `cov3d_from_scale_quat`, for all Gaussians at once: no loop is needed.
+
+
+# %% exercise="cov3d_from_scale_quat"
+def cov3d_from_scale_quat(log_scales, quaternions_xyzw):
+    """Covariances of Gaussians from what a file keeps.
+
+    Args:
+        log_scales: (N, 3) natural logarithms of the standard deviations along the ellipsoid's axes [log m].
+        quaternions_xyzw: (N, 4) x, y, z, w, of any length but 0; turn the ellipsoid's axes into the world's.
+
+    Returns:
+        (N, 3, 3) [m^2].
+    """
+    # BEGIN SOLUTION
+    lengths = np.linalg.norm(quaternions_xyzw, axis=1, keepdims=True)
+    x, y, z, w = (quaternions_xyzw / lengths).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    R = np.array(rows).transpose(2, 0, 1)
+    stretched = R * np.exp(log_scales)[:, None, :]
+    return stretched @ stretched.transpose(0, 2, 1)
+    # END SOLUTION
+
+
+# %% check="cov3d_from_scale_quat"
+check(cov3d_from_scale_quat)
+
+# %% [markdown]
+# ## 2 The splat of a Gaussian
+# Graphics programs like another camera than OpenCV: **x right, y up, z backwards**. What it sees has *negative* z. In
+# this lab's camera axes a point appears at
+#
+# $$u = c_x + f_x \frac{x}{-z}, \qquad v = c_y - f_y \frac{y}{-z}$$
+#
+# with $u$ to the right and $v$ down. This is not linear, so the image of a Gaussian is not quite one. But a small cloud
+# sees only the derivative at its mean, the Jacobian $J = \partial(u, v) / \partial(x, y, z)$, a 2 x 3 matrix:
+#
+# $$\Sigma_\mathrm{px} = J \, \Sigma_\mathrm{camera} \, J^{\mathsf T} + b \, I$$
+#
+# The last term blurs each splat to about a pixel, with the variance $b$ [px²]; without it a far splat falls between two
+# pixels and flickers. Work out the six entries of $J$ on paper, signs and all. Two of them are zero.
+#
+# Write `project_gaussians`.
+
+
+# %% exercise="project_gaussians"
+def project_gaussians(means_camera, covs_camera, lens, blur_px2):
+    """Splats of Gaussians: where they are in the picture, and what shape they have.
+
+    Args:
+        means_camera: (N, 3) right, up, backwards [m]; all z < 0.
+        covs_camera: (N, 3, 3) in the same axes [m^2].
+        lens: dict with fx, fy, cx, cy [px].
+        blur_px2: variance that is added in both directions [px^2].
+
+    Returns:
+        (means_px, covs_px): (N, 2) as u, v [px], and (N, 2, 2) [px^2].
+    """
+    # BEGIN SOLUTION
+    x, y, z = means_camera.T
+    u = lens["cx"] - lens["fx"] * x / z
+    v = lens["cy"] + lens["fy"] * y / z
+    J = np.zeros((len(z), 2, 3))
+    J[:, 0, 0] = -lens["fx"] / z
+    J[:, 0, 2] = lens["fx"] * x / z**2
+    J[:, 1, 1] = lens["fy"] / z
+    J[:, 1, 2] = -lens["fy"] * y / z**2
+    covs_px = J @ covs_camera @ J.transpose(0, 2, 1) + blur_px2 * np.eye(2)
+    return np.stack([u, v], axis=1), covs_px
+    # END SOLUTION
+
+
+# %% check="project_gaussians"
+check(project_gaussians)
+
+# %% [markdown]
+# Is the derivative good enough? Take 2000 points of one tilted cloud, project each one exactly, and draw your splat
+# over them.
+
+# %%
+cov = cov3d_from_scale_quat(np.log([[0.4, 0.15, 0.05]]), np.array([[0.2, 0.5, 0.1, 0.8]]))
+mean = np.array([[0.8, 0.5, -4.0]])
+cloud = np.random.default_rng(0).multivariate_normal(mean[0], cov[0], 2000)
+points_px, _ = project_gaussians(cloud, np.zeros((2000, 3, 3)), given.LENS, 0.0)
+means_px, covs_px = project_gaussians(mean, cov, given.LENS, 0.0)
+given.draw_cloud(points_px, means_px[0], covs_px[0])
+plt.show()
+
+# %% [markdown]
+# *In words: a tilted cloud of grey dots, and an ellipse around it that holds most of them, about 86 of 100.* The end of
+# the cloud that is nearest to you reaches a little further out than the ellipse: there the derivative is not enough.
+#
+# ## 3 How much a splat covers of a pixel
+# At the offset $d$ from its mean, a splat of opacity $o$ covers
+#
+# $$\alpha = \min\!\big(0.999,\; o \, e^{-q/2}\big), \qquad q = d^{\mathsf T} \Sigma_\mathrm{px}^{-1} d$$
+#
+# of a pixel. $\sqrt q$ counts standard deviations in the direction of the pixel. A Gaussian never ends, a renderer's
+# must: in your course a splat covers nothing where $\sqrt q$ is larger than `COHORT["cut_sigma"]`.
+#
+# Write `splat_alphas`, for all pixels and all splats at once.
+
+
+# %% exercise="splat_alphas"
+def splat_alphas(pixels, means_px, covs_px, opacities):
+    """How much each splat covers of each pixel.
+
+    Use COHORT["cut_sigma"], where splats end [standard deviations].
+
+    Args:
+        pixels: (P, 2) centres u, v [px].
+        means_px: (N, 2) [px].
+        covs_px: (N, 2, 2) [px^2].
+        opacities: (N,) at the mean, 0..1.
+
+    Returns:
+        alphas (P, N), 0..0.999.
+    """
+    # BEGIN SOLUTION
+    offsets = pixels[:, None, :] - means_px[None, :, :]
+    inverses = np.linalg.inv(covs_px)
+    squares = np.einsum("pni,nij,pnj->pn", offsets, inverses, offsets)
+    alphas = np.minimum(0.999, opacities * np.exp(-0.5 * squares))
+    return np.where(squares <= COHORT["cut_sigma"] ** 2, alphas, 0.0)
+    # END SOLUTION
+
+
+# %% check="splat_alphas"
+check(splat_alphas)
+
+# %% [markdown]
+# ## 4 One over the other
+# Think of splats as stained glass, nearest first. Light $T_i$ of a pixel is left when the $i$-th splat is reached; it
+# takes the share $\alpha_i$ and lets the rest through:
+#
+# $$T_1 = 1, \qquad w_i = \alpha_i T_i, \qquad T_{i+1} = T_i (1 - \alpha_i)$$
+#
+# The colour is $\sum_i w_i c_i$, plus what is left times the background.
+#
+# A pixel also has a depth: that of the splat at which the surface is reached, where $1 - T_{i+1}$ is at least
+# `COHORT["surface_share"]` for the first time. (The kit gives the mean depth of all splats, weighted by $w_i$. At the
+# edge of an aircraft before a wall the mean is a place where nothing is.)
+#
+# Write `alpha_composite`. The splats come in the order of the file: sort them.
+
+
+# %% exercise="alpha_composite"
+def alpha_composite(alphas, colours, depths, background):
+    """Colour and depth of pixels from the splats that cover them.
+
+    Use COHORT["surface_share"], the share of the light at which a surface is reached.
+
+    Args:
+        alphas: (P, N) how much each splat covers of each pixel, 0..0.999.
+        colours: (N, 3) red, green, blue.
+        depths: (N,) distance ahead of the camera [m], in no order.
+        background: (3,) what is seen where nothing covers.
+
+    Returns:
+        (rgb, depth): (P, 3), and (P,) [m], nan where the surface is never reached.
+    """
+    # BEGIN SOLUTION
+    order = np.argsort(depths)
+    alphas, colours, depths = alphas[:, order], colours[order], depths[order]
+    left = np.cumprod(1.0 - alphas, axis=1)
+    arriving = np.concatenate([np.ones((len(alphas), 1)), left[:, :-1]], axis=1)
+    rgb = (alphas * arriving) @ colours + left[:, -1:] * background
+    reached = 1.0 - left >= COHORT["surface_share"]
+    depth = np.where(reached.any(axis=1), depths[np.argmax(reached, axis=1)], np.nan)
+    return rgb, depth
+    # END SOLUTION
+
+
+# %% check="alpha_composite"
+check(alpha_composite)
+
+# %% [markdown]
+# ## 5 The picture
+# All four together. One row of pixels at a time keeps memory small.
+
+
+# %%
+def render_slowly(scene):
+    """Picture (H, W, 3) and depth (H, W) [m] of the scene, with your four functions."""
+    covs = cov3d_from_scale_quat(scene["log_scales"], scene["quaternions_xyzw"])
+    means_camera, covs_camera = given.to_camera(scene["means"], covs, scene["T_world_camera"])
+    means_px, covs_px = project_gaussians(means_camera, covs_camera, given.LENS, given.BLUR_PX2)
+    start, rows, covered = time.perf_counter(), [], 0
+    for pixels in given.pixel_rows():
+        alphas = splat_alphas(pixels, means_px, covs_px, scene["opacities"])
+        rows.append(alpha_composite(alphas, scene["colours"], -means_camera[:, 2], given.BACKGROUND))
+        covered += np.count_nonzero(alphas)
+    asked = given.HEIGHT * given.WIDTH * len(means_px)
+    print(f"{time.perf_counter() - start:.1f} s; {asked / 1e6:.1f} million alphas, {covered / asked:.1%} are not 0")
+    return tuple(np.array(column) for column in zip(*rows, strict=True))
+
+
+# %% figure="render"
+own, depth = render_slowly(scene)
+kit = given.kit_view()
+given.draw_comparison(own, kit)
+plt.show()
+difference = 255.0 * np.abs(own - kit)
+print(f"differs by {difference.mean():.2f}/255 on average, {difference.max():.1f}/255 at most")
+
+# %% [markdown]
+# *In words: twice the same picture of a hall, with a marker, a blue pad, two walls and an aircraft ahead; beside it the
+# difference, which is dark in most places and has faint bright edges where splats end.*
+
+# %%
+own, depth = render_slowly(scene)
+given.draw_depth(depth)
+plt.show()
+
+# %% [markdown]
+# *In words: the same view in colours of distance: the aircraft at 4 m stands out against the wall behind it, the floor
+# runs evenly from near to far, and above the walls there is nothing.*
+#
+# ## Questions
+# **Question 1.** The kit ends a splat where its alpha falls below 1/255; you end it at `COHORT["cut_sigma"]` standard
+# deviations. How large is a splat's alpha where you cut it, in 1/255, for an opacity of 0.97? Does it explain the
+# largest difference you found? How would you test that?
+
+# %% [markdown] answer="q1"
+# o exp(-k²/2) = 0.97 exp(-2.9²/2) = 0.0145, which is 3.7/255. The colour changes by that times the difference between
+# the splat's colour and what is behind it, so a single cut makes less than 3.7/255, and several splats of the same
+# surface, cut at the same pixel, add up to a little more. To test: cut at 3.3, where the alpha is 1/255, and render
+# again; the difference falls below about 1/255.
+
+# %% [markdown]
+# **Question 2.** Your loop asks every splat about every pixel. The hall of the kit has about 150 000 Gaussians, its
+# picture 640 x 480 pixels. How long would your loop take? Which share of the alphas was not zero, and how can a
+# renderer use that?
+
+# %% [markdown] answer="q2"
+# Here 14 million alphas take about 1 s; there 640 * 480 * 150 000 = 4.6e10, some 3300 times as many, so about an hour
+# for one picture. Only 0.9 % of the alphas were not 0 here, and fewer where splats are smaller: each touches few pixels.
+# So renderers cut the picture into tiles, give each tile the list of splats whose box touches it, and stop a pixel when
+# its light is used up. The kit needs about 50 ms.
+
+# %% [markdown]
+# ## What you can do now
+# You have written the whole forward path of a Gaussian-splat renderer. The kit's
+# `falconwing_kit/scene/renderers/reference.py` has the same steps in torch, which adds gradients: with them a scene is
+# *learned* from photos. Look for what it has in addition: near plane, colour that changes with direction, tiles.
+#
+# **Try** moving the camera: change `scene["T_world_camera"]`, its last column is the lens in metres, and render again.
+# A metre to the left or right shows what lies behind the aircraft. Do not go forward: what is behind a camera has to be
+# left out first, and your functions were not asked to.
