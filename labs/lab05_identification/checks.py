@@ -1,0 +1,229 @@
+"""Lab 5's public side: what right residuals, steps, intervals and scores do, in claims that a student can run."""
+
+import math
+
+import numpy as np
+from given import FAR, SIGMA, Z
+
+from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab
+
+Array = np.ndarray
+NAN = math.nan
+
+
+def _near(got: object, wanted: object, rtol: float = 1e-9) -> bool:
+    """Equal shapes and equal numbers to rounding, nan where nan is wanted."""
+    return np.shape(got) == np.shape(wanted) and bool(np.allclose(got, wanted, rtol=rtol, atol=1e-9, equal_nan=True))
+
+
+T = np.array([0.0, 0.1, 0.2, 0.3, 0.5, 0.6])  # a frame at 0.4 s is missing altogether
+
+LOCAL_SLOPE = (
+    Check(
+        "a straight line has its own slope everywhere, also at the ends and at uneven times",
+        lambda f: _near(f(T, 3.0 - 2.0 * T, 2)[0], np.full(6, -2.0)),
+        "At the ends there are fewer rows: take those that exist. Use the times, not the row numbers.",
+    ),
+    Check(
+        "one row to each side of x = t^2: 0.4 in the middle of 0.1, 0.2, 0.3 s, 5/7 where a frame is missing",
+        lambda f: _near(f(T, T**2, 1)[0], [0.1, 0.2, 0.4, 5.0 / 7.0, 31.0 / 35.0, 1.1]),
+        "half counts rows to each side, so three in the middle; tau is the time less the mean of these times.",
+    ),
+    Check(
+        "three rows 0.1 s apart pass 1 / (0.1 sqrt 2) = 7.07 of the noise per second, two rows 14.1",
+        lambda f: _near(f(T, T, 1)[1][:3], [10.0 * math.sqrt(2.0), 5.0 * math.sqrt(2.0), 5.0 * math.sqrt(2.0)]),
+        "The noise is 1 / sqrt(sum tau^2).",
+    ),
+    Check(
+        "a missing value is left out, and a row alone has no slope",
+        lambda f: _near(f(T, np.array([1.0, NAN, 3.0, NAN, NAN, NAN]), 1)[0], [NAN, 10.0, NAN, NAN, NAN, NAN]),
+        "Keep the rows whose x is finite; from fewer than two of them there is no slope.",
+    ),
+    Check(
+        "where a neighbour is missing, tau is taken from the rows that are left",
+        lambda f: _near(
+            [part[2] for part in f(T, np.array([0.0, NAN, 0.4, 0.5, 0.9, 1.0]), 2)],
+            [23.0 / 13.0, 1.0 / math.sqrt(0.13)],
+        ),
+        "Leave missing rows out before you take the mean of the times.",
+    ),
+)  # fmt: skip
+
+
+def _frames(e: Array) -> tuple[Array, Array, Array]:
+    """Predicted, measured and sigma such that the residual in sigmas is e; measured is not zero."""
+    measured = np.broadcast_to(np.array([2.0, 1.5, 0.1]), e.shape)
+    return measured + np.nan_to_num(e) * SIGMA, np.where(np.isfinite(e), measured, NAN), SIGMA
+
+
+SMALL = np.array([[[0.5, -1.0, 1.5]], [[-0.3, 0.2, 0.0]]])
+FAR_OFF = np.array([[[0.5, -4.0 * FAR, 2.0 * FAR], [1.0, 0.0, -1.0]]])
+MISSING = np.array([[[0.5, NAN, 1.0], [1.0, 0.5, -1.0]]])
+
+
+def _left_alone(f: Function) -> bool:
+    predicted, measured, sigma = (part.copy() for part in _frames(MISSING))
+    kept = predicted.copy(), measured.copy()
+    f(predicted, measured, sigma)
+    return np.array_equal(predicted, kept[0]) and np.array_equal(measured, kept[1], equal_nan=True)
+
+
+RESIDUALS = (
+    Check(
+        "small residuals are predicted minus measured, in sigmas, with weight 1 / sigma",
+        lambda f: _near(f(*_frames(SMALL))[0], SMALL) and _near(f(*_frames(SMALL))[1], np.ones((2, 1, 3)) / SIGMA),
+        "Mind the sign, and that each channel has a sigma of its own. Return r and weight.",
+    ),
+    Check(
+        "a channel four times FAR away halves the whole frame, and only that frame",
+        lambda f: _near(f(*_frames(FAR_OFF))[0], FAR_OFF * np.array([[[0.5], [1.0]]])),
+        "The factor is sqrt(FAR / |e|) where |e| is beyond FAR; a frame takes the smallest of its three.",
+    ),
+    Check(
+        "the weight carries the same factor",
+        lambda f: _near(f(*_frames(FAR_OFF))[1], np.array([[[0.5] * 3, [1.0] * 3]]) / SIGMA),
+        "weight = factor / sigma.",
+    ),
+    Check(
+        "a frame with one missing value counts zero in all channels; its neighbour as ever",
+        lambda f: (
+            _near(f(*_frames(MISSING))[0], np.array([[[0.0, 0.0, 0.0], [1.0, 0.5, -1.0]]]))
+            and _near(f(*_frames(MISSING))[1][0, 0], np.zeros(3))
+        ),
+        "0 times nan is nan: replace first, np.where helps. The weight is zero there too.",
+    ),
+    Check("what comes in is left as it was", _left_alone, "measured[...] = 0 changes the caller's array."),
+)
+
+
+def _problem(W: int = 4, R: int = 9, P: int = 2, n: int = 3) -> tuple[Array, ...]:
+    """A small linear problem."""
+    rng = np.random.default_rng(1)
+    return rng.normal(size=(W, R)), rng.normal(size=(W, R, P)), rng.normal(size=(W, R, n))
+
+
+def _recovers(f: Function) -> bool:
+    """Residuals that a known step makes are taken back exactly by its opposite."""
+    _, J_K, J_start = _problem()
+    K, starts = np.array([0.7, -1.2]), np.arange(12.0).reshape(4, 3) - 5.0
+    r = J_K @ K + np.einsum("wrn,wn->wr", J_start, starts)
+    dK, dstart = f(r, J_K, J_start, np.zeros(2), np.full(2, 1e6))
+    return _near(dK, -K, 1e-6) and _near(dstart, -starts, 1e-6)
+
+
+def _smallest(f: Function) -> bool:
+    """At the minimum the gradient to every unknown is zero, the prior's share included."""
+    r, J_K, J_start = _problem()
+    away, sigma = np.array([0.4, -0.3]), np.array([0.5, 0.2])
+    dK, dstart = f(r, J_K, J_start, away, sigma)
+    left = r + J_K @ dK + np.einsum("wrn,wn->wr", J_start, dstart)
+    to_K = np.einsum("wrp,wr->p", J_K, left) + (away + dK) / sigma**2
+    return _near(to_K, np.zeros(2)) and _near(np.einsum("wrn,wr->wn", J_start, left), np.zeros((4, 3)))
+
+
+GAUSS_NEWTON = (
+    Check(
+        "residuals that a step in K and the starts made are taken back exactly",
+        _recovers,
+        "The step is added, so it points against the residuals. Shapes: dK (P,), dstart (W, n).",
+    ),
+    Check(
+        "after the step no unknown can make the sum of squares smaller, the prior counted",
+        _smallest,
+        "The prior adds 1 / sigma^2 to the diagonal and away / sigma^2 to the gradient.",
+    ),
+    Check(
+        "a prior of no width takes K back to it at once",
+        lambda f: _near(f(*_problem(), np.array([0.4, -0.3]), np.full(2, 1e-7))[0], [-0.4, 0.3], 1e-6),
+        "away is the present K minus the one known beforehand: which sign does the step have?",
+    ),
+)
+
+LINE = np.stack([np.ones(6), np.arange(6.0) - 2.5], axis=1)  # columns at right angles: sums of squares 6 and 17.5
+
+
+def _half(f: Function, *arguments: object) -> Array:
+    """Half the width of each interval in units of Z."""
+    ends = np.asarray(f(*arguments))
+    return 0.5 * (ends[:, 1] - ends[:, 0]) / Z
+
+
+K0, R0 = np.array([5.0, -1.0]), np.array([1.0, -1.0, 1.0, 1.0, -1.0, -1.0])
+
+INTERVALS = (
+    Check(
+        "each interval lies around its number, low end first",
+        lambda f: _near(np.mean(f(K0, R0, LINE, 6, 0), axis=1), K0) and np.diff(f(K0, R0, LINE, 6, 0)).min() > 0,
+        "Return (P, 2): K minus and plus something.",
+    ),
+    Check(
+        "six residuals of size 1, two numbers: s^2 = 6/4, half widths Z sqrt(1.5/6) and Z sqrt(1.5/17.5)",
+        lambda f: _near(_half(f, K0, R0, LINE, 6, 0), [math.sqrt(1.5 / 6.0), math.sqrt(1.5 / 17.5)]),
+        "Covariance is s^2 times the inverse of J'J; its diagonal holds variances, not standard deviations.",
+    ),
+    Check(
+        "start states cost freedom, and missing numbers were not measured",
+        lambda f: _near(_half(f, K0, R0, LINE, 6, 1)[0], math.sqrt(2.0 / 6.0))
+        and _near(_half(f, K0, np.append(R0, [0.0, 0.0]), np.append(LINE, [[0, 0], [0, 0]], axis=0), 6, 0)[0], 0.5),
+        "Freedom is measured_count less all unknowns; do not count the rows of r.",
+    ),
+    Check(
+        "numbers that go together have wider intervals than each would have alone",
+        lambda f: _near(_half(f, K0, R0, LINE @ np.array([[1.0, 1.0], [0.0, 1.0]]), 6, 0)[0],
+                        math.sqrt(1.5 / 6.0 + 1.5 / 17.5)),
+        "Invert the whole matrix J'J, then take the diagonal.",
+    ),
+)  # fmt: skip
+
+ERROR = np.zeros((3, 2, 3))
+ERROR[1] = [[0.3, 0.4, 0.02], [0.0, 0.0, 0.0]]
+ERROR[2] = [[-0.6, 0.8, -0.01], [0.0, 1.0, 0.03]]
+BASE = np.arange(18.0).reshape(3, 2, 3)
+HOLED = np.where(np.arange(18).reshape(3, 2, 3) == 14, NAN, BASE)  # the pitch of frame 0 of window 2
+
+HOLDOUT = (
+    Check(
+        "one window held out: errors of 0.5 m and 0 m make 0.354 m; 0.02 rad and 0 make 0.81 deg",
+        lambda f: _near(
+            f(BASE + ERROR, BASE, np.array([0, 1, 2]), np.array([1])),
+            [math.sqrt(0.125), math.degrees(math.sqrt(0.0002))],
+        ),
+        "The position error is a distance; take the root last; the pitch is wanted in degrees.",
+    ),
+    Check(
+        "only windows of passes that were held out count, and a pass may have several windows",
+        lambda f: _near(f(BASE + ERROR, BASE, np.array([7, 4, 4]), np.array([4, 9]))[0], math.sqrt((0.25 + 1 + 1) / 4)),
+        "of_pass says from which pass each window is; np.isin helps.",
+    ),
+    Check(
+        "a frame with a missing pitch does not count for the position either",
+        lambda f: _near(
+            f(BASE + ERROR, HOLED, np.array([0, 1, 2]), np.array([2])), [1.0, math.degrees(0.03)]
+        ),
+        "Keep the frames whose three values are all finite, then take the mean.",
+    ),
+)  # fmt: skip
+
+LAB = Lab(
+    name="lab05",
+    title="System identification",
+    hours=3.0,
+    exercises=(
+        Exercise("local_slope", 12.0, LOCAL_SLOPE),
+        Exercise("residuals", 15.0, RESIDUALS),
+        Exercise("gauss_newton_step", 20.0, GAUSS_NEWTON),
+        Exercise("intervals", 14.0, INTERVALS),
+        Exercise("holdout_score", 14.0, HOLDOUT),
+    ),
+    rubric=(
+        Criterion(
+            "fit",
+            15.0,
+            "Histogram on the Gaussian; the cost has its bottom near 60 ms; the held-out track runs through the "
+            "points. The student says what a wider histogram would mean, and why that window was not fitted.",
+        ),
+        Criterion("q1", 5.0, "Noise in the variable flattens its slope (errors in variables); counts truths inside."),
+        Criterion("q2", 5.0, "Neighbouring rows are not independent; start states are no property of the aircraft."),
+    ),
+    constants={"far_sigmas": (2.0, 4.0, 1), "level_percent": (90.0, 98.0, 0)},
+)
