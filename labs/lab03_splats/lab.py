@@ -285,9 +285,9 @@ plt.show()
 
 # %% [markdown] answer="q2"
 # Here 14 million alphas take about 1 s; there 640 * 480 * 150 000 = 4.6e10, some 3300 times as many, so about an hour
-# for one picture. Only 0.9 % of the alphas were not 0 here, and fewer where splats are smaller: each touches few pixels.
-# So renderers cut the picture into tiles, give each tile the list of splats whose box touches it, and stop a pixel when
-# its light is used up. The kit needs about 50 ms.
+# for one picture. Only 0.9 % of the alphas were not 0 here, and fewer where splats are smaller: each touches few
+# pixels. So renderers cut the picture into tiles, give each tile the list of splats whose box touches it, and stop a
+# pixel when its light is used up. The kit needs about 50 ms.
 
 # %% [markdown]
 # ## What you can do now
