@@ -5,8 +5,7 @@ lab has. So that twelve labs do not get in each other's way, these names exist o
 them at the top of a file, not inside a function.
 """
 
-import importlib.util
-import re
+import ast
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -124,9 +123,7 @@ def load_module(folder: Path, name: str, constants: Mapping[str, float] | None =
     with _names_for_a_while():
         for file in (*(folder / f"{neighbour}.py" for neighbour in before), path):
             if file.is_file():
-                module = _run(file)
-                if file.stem == "given" and constants is not None:
-                    module.COHORT.update(constants)
+                module = _run(file, constants if file.stem == "given" else None)
         return module
 
 
@@ -142,18 +139,32 @@ def _names_for_a_while() -> Iterator[None]:
         sys.modules.update(before)
 
 
-def _run(path: Path) -> ModuleType:
-    """The module of a file, run under its short name."""
-    spec = importlib.util.spec_from_file_location(path.stem, path.resolve())
-    if spec is None or spec.loader is None:
-        raise InputError(f"{path}: want a Python file")
-    module = importlib.util.module_from_spec(spec)
+def _run(path: Path, constants: Mapping[str, float] | None = None) -> ModuleType:
+    """The module of a file, run under its short name; with a course's numbers in place of what COHORT is there."""
+    module = ModuleType(path.stem)
+    module.__file__ = str(path.resolve())
     sys.modules[path.stem] = module
     try:
-        spec.loader.exec_module(module)
+        tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
+        if constants is not None:
+            _put_constants(tree, constants)
+        exec(compile(tree, module.__file__, "exec"), module.__dict__)
     except ModuleNotFoundError:
         raise  # the command line says how to mend a missing library
     except Exception as error:
-        place = re.sub(r"\s+", " ", str(error))
-        raise InputError(f"{path}: running it failed with {type(error).__name__}: {place}; mend the file") from error
+        text = " ".join(str(error).split())
+        raise InputError(f"{path}: running it failed with {type(error).__name__}: {text}; mend the file") from error
     return module
+
+
+def _put_constants(tree: ast.Module, constants: Mapping[str, float]) -> None:
+    """Let a file's COHORT be these numbers from the start, so that what it computes from them is right too."""
+    for node in ast.walk(tree):
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        names = [target.id for target in targets if isinstance(target, ast.Name)]
+        if isinstance(node, ast.Assign | ast.AnnAssign) and "COHORT" in names:
+            numbers = ast.parse(repr(dict(constants)), mode="eval").body
+            node.value = ast.copy_location(numbers, node)
+            ast.fix_missing_locations(tree)
+            return
+    raise ValueError("want an assignment COHORT = ...")

@@ -48,11 +48,14 @@ def test_files_of_a_lab_leave_nothing_behind(folder, monkeypatch):
 
 
 def test_judges_see_the_numbers_of_their_course(folder):
-    """By hand: 3 kg times 7 m/s^2 are 21 N, not the 30 N of the open course."""
+    """By hand: 3 kg times 7 m/s^2 are 21 N, not the 30 N of the open course; what given.py computes follows."""
     (values,) = load_judges(folder, Course({"gravity": 7.0}))["weight"]
     assert values.reference(3.0) == 21.0
     assert load_module(folder, "given").COHORT == {"gravity": 10.0}
-    assert load_module(folder, "given", {"gravity": 7.0}).COHORT == {"gravity": 7.0}
+    with (folder / "given.py").open("a") as file:
+        file.write('TWICE = 2.0 * COHORT["gravity"]\n')
+    given = load_module(folder, "given", {"gravity": 7.0})
+    assert given.COHORT == {"gravity": 7.0} and given.TWICE == 14.0
 
 
 @pytest.mark.parametrize(

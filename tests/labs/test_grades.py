@@ -10,6 +10,7 @@ import pytest
 from falconwing_kit.grading.check import run_checks, state_of
 from falconwing_kit.grading.find import lab_folders, load_checks
 from falconwing_kit.grading.lab import course_constants
+from falconwing_kit.grading.selftest import selftest
 from tests.labs.functions import ROOT, LabHere, mutants
 
 FOLDERS = lab_folders(ROOT / "labs")
@@ -65,6 +66,16 @@ def judged_mutants(folder):
             passed = state_of(run_checks(lab.lab.exercise(name), function)) == "passed"
             results.append(Mutant(folder.name, name, what, lab.score(name, function), passed))
     return tuple(results)
+
+
+@every_lab
+def test_grader_gives_the_solution_all_points_and_the_untouched_notebook_none(folder):
+    """As students' notebooks are graded, in the real box; on every exercise, not only in the sum."""
+    graded = selftest(folder)
+    assert graded.problems == ()
+    assert graded.solution == {exercise.name: exercise.points for exercise in here(folder).lab.exercises}
+    assert graded.untouched == dict.fromkeys(graded.solution, 0.0)
+    assert graded.passed
 
 
 @every_lab

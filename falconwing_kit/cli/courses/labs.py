@@ -1,6 +1,7 @@
 """falconwing labs: the labs' sources -> notebooks, what is handed out to students, a test of the labs themselves."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -95,10 +96,55 @@ class Release:
 
 
 @dataclass(frozen=True)
-class Labs:
-    """Build the labs' notebooks, or hand them out."""
+class Selftest:
+    """Grade the labs' own notebooks as students' would be: solutions get everything, untouched ones nothing.
 
-    step: tyro.conf.OmitSubcommandPrefixes[Build | Release]
+    Exit code 0 when it is so, else 1.
+    """
+
+    names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """labs, such as lab03; all if none is named"""
+    labs: Path | None = None
+    """the folder with the labs; the checkout's own if not given"""
+    unsafe_no_sandbox: bool = False
+    """run the functions in plain processes; they are the labs' own, so no harm is meant"""
+    json: bool = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Grade and say what came out.
+
+        Returns:
+            0 where every lab is graded as it should be, else 1.
+
+        Raises:
+            InputError: there is no such lab, it cannot be used, or there is no sandbox here.
+        """
+        from falconwing_kit.grading.selftest import selftest
+
+        folders = chosen_labs(self.names, self.labs)
+        results = [selftest(folder, sandboxed=not self.unsafe_no_sandbox) for folder in folders]
+        passed = all(result.passed for result in results)
+        if self.json:
+            print_json({"passed": passed, "labs": [asdict(result) for result in results]})
+            return int(not passed)
+        rows = [(r.lab, _percent(r.solution, r.of), _percent(r.untouched, r.of), r.passed) for r in results]
+        print_table(("lab", "solution", "untouched", "as it should be"), rows, title="points of the machine's")
+        for sentence in (f"! {result.lab}: {problem}" for result in results for problem in result.problems):
+            print(sentence)
+        next_line("falconwing labs release OUT" if passed else "mend the labs that are not as they should be")
+        return int(not passed)
+
+
+def _percent(points: Mapping[str, float], of: Mapping[str, float]) -> str:
+    return f"{100.0 * sum(points.values()) / sum(of.values()):.1f} %"
+
+
+@dataclass(frozen=True)
+class Labs:
+    """Build the labs' notebooks, hand them out, or grade the labs' own."""
+
+    step: tyro.conf.OmitSubcommandPrefixes[Build | Release | Selftest]
 
     def run(self) -> int:
         """Do the chosen step; see its own `run`."""
