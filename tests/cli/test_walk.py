@@ -61,6 +61,14 @@ def test_no_at_a_step_that_stops_ends_the_walk(monkeypatch, capsys):
     assert "2/2" not in printed.err and printed.out.rstrip().endswith("next: mend one")
 
 
+def test_automatic_step_without_a_tool_is_asked(monkeypatch, capsys):
+    """No port was given: the person says what the board does, and a no stops the walk as any other."""
+    typed(monkeypatch, "n\ny\n")
+    assert walk(listed("look", "fly", stop=True, automatic="board"), Tools(), as_json=True) == 1
+    steps = json.loads(capsys.readouterr().out)["steps"]
+    assert [(step["result"], step["by"]) for step in steps] == [("NO", "person"), ("not done", "")]
+
+
 def test_without_a_terminal_it_is_printed(monkeypatch, capsys, tmp_path):
     """Every step's words stand there, nothing is waited for, nothing is called done, no file is written."""
     monkeypatch.setattr("sys.stdin", io.StringIO("y\n" * 50))

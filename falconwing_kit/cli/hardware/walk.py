@@ -68,7 +68,10 @@ def walk(checklist: Checklist, tools: Tools, out: Path | None = None, as_json: b
     outcomes: list[Outcome] = []
     for number, step in enumerate(checklist.steps, 1):
         print(f"\n{number}/{len(checklist.steps)} {step.do}\n    see: {step.see}", file=sys.stderr)
-        outcomes.append(_try(step, tools) if step.automatic else _ask(step, asked))
+        outcome = _try(step, tools) if step.automatic else None
+        if outcome is None or (asked and outcome.result == "skipped"):  # without a tool it is the person's to see
+            outcome = _ask(step, asked)
+        outcomes.append(outcome)
         if outcomes[-1].result == "NO":
             print(f"    so: {step.if_not}", file=sys.stderr)
             if step.stop:
