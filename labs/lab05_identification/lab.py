@@ -52,6 +52,9 @@ from falconwing_kit.grading.check import check
 poses, sticks = read_passes()
 train, held = np.arange(12), np.arange(12, 16)  # whole passes are held out, never single rows
 of_pass = np.repeat(np.arange(16), 2)  # two windows are cut from each pass
+measured, trained = windows(poses), np.isin(of_pass, train)
+raw = smoothed = K = GUESS  # until you have something better
+clean, delay = measured, 0.0
 print(f"{len(poses)} passes of {poses.shape[1]} rows; {np.isnan(poses).any(axis=2).sum()} frames gave no pose")
 
 # %% [markdown]
@@ -227,7 +230,6 @@ def fit(measured, commands, K=GUESS, sigma_prior=0.5 * GUESS, rounds=7):
     return K, starts, r.reshape(flat), J_K, J_start
 
 
-measured, trained = windows(poses), np.isin(of_pass, train)
 delays, cost = np.array([0.0, 0.02, 0.04, 0.06, 0.08, 0.10]), []
 for late in delays:
     commands = windows(delayed(sticks, late))
@@ -238,7 +240,7 @@ print(f"the sticks act {1000 * delay:.0f} ms after the log says so")
 
 # %% [markdown]
 # The weights kept the bad frames from doing harm. Now that a good model exists, frames that are more than six standard
-# deviations off it can be told for certain. They go, and the last fit is to clean data.
+# deviations off it can be told for certain. They go.
 
 # %% tags=["last-fit"]
 commands = windows(delayed(sticks, delay))
@@ -246,9 +248,7 @@ K, starts, *_ = fit(measured[trained], commands[trained])
 _, starts, *_ = fit(measured, commands, K, np.full(8, 1e-9))  # K held: only the start states of all windows
 off = np.abs(predict(K, starts, commands) - measured) > 6.0 * SIGMA
 clean = np.where(off.any(axis=2, keepdims=True), np.nan, measured)
-K, starts, r, J_K, J_start = fit(clean[trained], commands[trained])
-count = 3 * np.isfinite(clean[trained]).all(axis=2).sum()
-print(f"{off.any(axis=2).sum()} frames of {len(off) * ROWS} go; {count} numbers are left to fit {len(K) + starts.size}")
+print(f"{off.any(axis=2).sum()} of {len(off) * ROWS} frames go")
 
 # %% [markdown]
 # ## 4. How sure are we?
@@ -288,9 +288,13 @@ def intervals(K, r, J, measured_count, start_count):
 check(intervals)
 
 # %% tags=["table"]
+commands = windows(delayed(sticks, delay))
+K, starts, r, J_K, J_start = fit(clean[trained], commands[trained])
+count = 3 * np.isfinite(clean[trained]).all(axis=2).sum()
 ends = intervals(K, r.ravel(), reduce(J_K, J_start), count, starts.size)
 with open("data/truth.json", encoding="utf-8") as file:
     truth = json.load(file)  # possible only because the data are simulated
+print(f"{count} measured numbers, {len(K) + starts.size} unknowns")
 print(f"{'':4} {'truth':>8} {'raw':>8} {'smoothed':>8} {'yours':>8}   {100 * LEVEL:.0f} % interval")
 for name, unit, *row, (low, high) in zip(NAMES, UNITS, truth["K"].values(), raw, smoothed, K, ends, strict=True):
     print(f"{name:4} " + " ".join(f"{value:8.4f}" for value in row) + f"   {low:7.4f} .. {high:7.4f} {unit}")
