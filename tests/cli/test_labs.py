@@ -1,12 +1,12 @@
 """falconwing labs: builds, hands out and tries labs, and says by its exit code whether they are as they should be."""
 
 import json
-import shutil
 
 import pytest
 
 from falconwing_kit.cli.main import main
 from tests.grading.small_lab import SOURCE, write_small_lab
+from tests.labs.tools import require_box
 
 
 @pytest.fixture
@@ -39,9 +39,9 @@ def test_release_says_what_to_keep(folder, tmp_path, capsys):
     assert "want a new or an empty folder" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(shutil.which("bwrap") is None, reason="wants bubblewrap")
 def test_selftest_finds_a_wrong_solution(folder, capsys):
     """The small lab is fine; with another factor its solution loses every case."""
+    require_box()
     main(["labs", "build"])
     capsys.readouterr()
     assert main(["labs", "selftest"]) == 0
