@@ -74,6 +74,14 @@ def test_first_cell_says_what_when_and_how_long(folder):
     assert all(re.search(word, title.text, re.IGNORECASE) for word in ("time", "before", "able to|goals"))
 
 
+def test_route_names_the_lab_and_its_hours(folder, lab):
+    """One row of labs/README.md: number, folder, and the hours that its checks.py says."""
+    rows = [line.split("|") for line in (ROOT / "labs" / "README.md").read_text(encoding="utf-8").splitlines()]
+    (row,) = [row for row in rows if len(row) > 4 and f"`{folder.name}`" in row[1]]
+    assert row[1].split()[0] == str(int(lab.name[3:]))
+    assert float(row[3]) == lab.hours
+
+
 def test_every_check_has_a_claim_and_a_hint(lab):
     """At least two a function; a claim and a hint that stand once each, since a copy helps nobody."""
     for exercise in lab.exercises:
