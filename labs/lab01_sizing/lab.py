@@ -46,9 +46,10 @@ def mass_budget(parts):
     """What an aircraft weighs and where it balances.
 
     Args:
-        parts: list of tuples (name, count, mass_g, x_mm, inside): how many pieces, the mass of one piece [g], where
-            they sit behind the wing's leading edge [mm], and the name of the part that they are weighed with. Where
-            `inside` is "", the part was weighed alone; all others are already in another part's mass and place.
+        parts: list of tuples (name, count, mass_g, x_mm, inside): how many pieces, the mass of
+            one piece [g], where they sit behind the wing's leading edge [mm], and the name of the
+            part that they are weighed with. Where `inside` is "", the part was weighed alone; all
+            others are already in another part's mass and place.
 
     Returns:
         (total, x_cg): the mass [g], and the centre of gravity behind the leading edge [mm].
@@ -92,7 +93,8 @@ print(f"with the computer: {total:.1f} g, balanced {x_cg:.0f} mm behind the lead
 def min_speed(mass_g, temperature_c):
     """Slowest straight and level flight.
 
-    Use GRAVITY [m/s^2], WING_AREA [m^2], LIFT_COEFFICIENT [-], PRESSURE [Pa] and AIR_GAS_CONSTANT [J/(kg K)].
+    Use GRAVITY [m/s^2], WING_AREA [m^2], LIFT_COEFFICIENT [-], PRESSURE [Pa] and
+    AIR_GAS_CONSTANT [J/(kg K)].
 
     Args:
         mass_g: a number or an array (...) of masses [g].
@@ -154,7 +156,7 @@ def level_turn(v_min, bank_deg):
         bank_deg: bank angle, a number or an array of the same shape [deg], between 0 and 90.
 
     Returns:
-        (n, speed, radius): the load factor [-], the speed flown [m/s] and the radius of the circle [m].
+        (n, speed, radius): load factor [-], speed flown [m/s], radius of the circle [m].
     """
     # BEGIN SOLUTION
     bank = np.radians(bank_deg)
@@ -227,20 +229,28 @@ for bank_deg in (30.0, 45.0, 60.0):
 # Radius over mass, three ways. The horizontal line is half the width of the paper's hall; what lies above it does not
 # fit. The dots are 150 g, the paper's "300 g", and 150 g with its computer of 174 g.
 
+
 # %% figure="radius"
+def paper_radius(mass_g):
+    """The paper's turn: minimum speed of straight flight, bank 30 degrees, its air."""
+    return min_speed(mass_g, paper_temperature_c) ** 2 / (GRAVITY * np.tan(np.pi / 6))
+
+
 masses = np.linspace(50.0, 400.0, 200)
-v_paper, v_hall = min_speed(masses, paper_temperature_c), min_speed(masses, 20.0)
+v_hall = min_speed(masses, 20.0)
 fig, ax = plt.subplots(figsize=(8, 5))
-ax.plot(masses, v_paper**2 / (GRAVITY * np.tan(np.pi / 6)), "--", color=given.BLUE, label="paper, bank 30°")
-ax.plot(masses, level_turn(v_hall, 30.0)[2], "-", color=given.ORANGE, label="level turn with reserve, bank 30°, 20 °C")
-ax.plot(masses, level_turn(v_hall, 60.0)[2], ":", color=given.GREEN, label="level turn with reserve, bank 60°, 20 °C")
+ax.plot(masses, paper_radius(masses), "--", color=given.BLUE, label="paper, bank 30°")
+for bank_deg, style, colour in ((30.0, "-", given.ORANGE), (60.0, ":", given.GREEN)):
+    label = f"level turn with reserve, bank {bank_deg:.0f}°, 20 °C"
+    ax.plot(masses, level_turn(v_hall, bank_deg)[2], style, color=colour, label=label)
 ax.axhline(10.0, color="black", linewidth=1)
 ax.text(400, 10.3, "half of the 20 m hall", ha="right")
 for mass_g, offset in ((150.0, (8, -28)), (300.0, (-76, 8)), (324.0, (8, -28))):
-    radius = min_speed(mass_g, paper_temperature_c) ** 2 / (GRAVITY * np.tan(np.pi / 6))
-    ax.plot(mass_g, radius, "o", color=given.BLUE)
-    ax.annotate(f"{mass_g:.0f} g: {radius:.1f} m", (mass_g, radius), offset, textcoords="offset points")
-ax.set(xlabel="mass [g]", ylabel="turn radius [m]", ylim=(0, 40), title="A heavier aircraft needs a wider hall")
+    dot, text = (mass_g, paper_radius(mass_g)), f"{mass_g:.0f} g: {paper_radius(mass_g):.1f} m"
+    ax.plot(*dot, "o", color=given.BLUE)
+    ax.annotate(text, dot, offset, textcoords="offset points")
+ax.set(xlabel="mass [g]", ylabel="turn radius [m]", ylim=(0, 40))
+ax.set_title("A heavier aircraft needs a wider hall")
 ax.legend()
 plt.show()
 

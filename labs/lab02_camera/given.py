@@ -61,16 +61,18 @@ def undistorted(pixels: Array, lens: dict[str, float]) -> Array:
     return np.asarray(straight * focal + centre)
 
 
-def draw_view(ax: Any, image: NDArray[np.uint8], project: Project) -> None:
+def draw_view(ax: Any, view: dict[str, Any], project: Project) -> None:
     """Draw a view, and over it the map's axes on the marker, the marker's edge and the pad's edge.
 
     Args:
         ax: of matplotlib.
-        image: (H, W, 3).
+        view: one of `load_views`.
         project: points in the map (N, 3) [m] -> pixels (N, 2), nan for what is behind.
     """
-    height, width = image.shape[:2]
-    ax.imshow(image)
+    height, width = view["image"].shape[:2]
+    roll_deg, pitch_deg = np.degrees(view["roll"]), np.degrees(view["pitch"])
+    ax.imshow(view["image"])
+    ax.set_title(f"roll {roll_deg:.0f}°, pitch {pitch_deg:.0f}° (simulated)")
     for edge, colour, style in ((PAD, ORANGE, "-"), (MARKER, GREEN, "--")):
         ax.plot(*project(_along(edge)).T, style, color=colour)
     foot = np.array([0.0, 0.0, 0.75])
@@ -95,7 +97,8 @@ def draw_map(ax: Any, footprints: list[Array], cameras: list[Array]) -> None:
         style = "-." if number else ":"
         ax.plot(points[:, 0], points[:, 1], style, color=BLUE, label=f"floor seen in view {number}")
         ax.plot(place[0], place[1], "s" if number else "o", color=BLUE)
-        ax.annotate(f"camera {number}", (place[0], place[1]), (6, -10), textcoords="offset points")
+        offset = (-52, -4) if number else (6, -4)
+        ax.annotate(f"camera {number}", (place[0], place[1]), offset, textcoords="offset points")
     ax.set(xlim=(-9, 13), ylim=(-16, 19), aspect="equal", xlabel="x, right [m]", ylabel="y, along the runway [m]")
     ax.legend(loc="lower center", fontsize=8)
 

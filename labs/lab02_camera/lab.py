@@ -69,7 +69,7 @@ def rot_from_euler(roll, pitch, heading):
         heading: of the nose, right of north [rad].
 
     Returns:
-        R_map_body (3, 3); columns: nose, right wing and belly in map axes (right, along the runway, up).
+        R_map_body (3, 3); columns: nose, right wing, belly in map axes (right, along, up).
     """
     # BEGIN SOLUTION
     yaw = heading - np.radians(COHORT["runway_heading_deg"])
@@ -197,10 +197,11 @@ def project_points(p_camera, lens):
 
     Args:
         p_camera: (N, 3) points in camera axes [m].
-        lens: dict with fx, fy, cx, cy [px], with the first pixel's centre at (0.5, 0.5), and k1 [-].
+        lens: dict with fx, fy, cx, cy [px], first pixel's centre at (0.5, 0.5), and k1 [-].
 
     Returns:
-        pixels (N, 2): u to the right, v down, with the first pixel's centre at (0, 0); nan, nan where z <= 0.
+        pixels (N, 2): u to the right, v down, with the first pixel's centre at (0, 0);
+            nan, nan where z <= 0.
     """
     # BEGIN SOLUTION
     x, y, z = p_camera.T
@@ -235,7 +236,7 @@ def ground_points(pixels, T_map_camera, lens):
     """Where on the floor, z = 0, the camera looks at each pixel.
 
     Args:
-        pixels: (N, 2) u, v, with the first pixel's centre at (0, 0), of a picture without distortion.
+        pixels: (N, 2) u, v of a picture without distortion, first pixel's centre at (0, 0).
         T_map_camera: (4, 4) pose of the camera, above the floor.
         lens: dict with fx, fy, cx, cy [px], with the first pixel's centre at (0.5, 0.5).
 
@@ -274,8 +275,7 @@ def pose_of(view):
 poses = [pose_of(view) for view in views]
 fig, axes = plt.subplots(1, 3, figsize=(15, 5), width_ratios=[3, 3, 2])
 for ax, view, pose in zip(axes, views, poses, strict=False):
-    given.draw_view(ax, view["image"], lambda p, pose=pose: project_points(map_to_camera(p, pose), lens))
-    ax.set_title(f"roll {np.degrees(view['roll']):.0f}°, pitch {np.degrees(view['pitch']):.0f}° (simulated)")
+    given.draw_view(ax, view, lambda p, pose=pose: project_points(map_to_camera(p, pose), lens))
 seen = [given.undistorted(given.border(view["image"]), lens) for view in views]
 footprints = [ground_points(pixels, pose, lens) for pixels, pose in zip(seen, poses, strict=True)]
 given.draw_map(axes[2], footprints, [pose[:3, 3] for pose in poses])

@@ -53,8 +53,10 @@ def cov3d_from_scale_quat(log_scales, quaternions_xyzw):
     """Covariances of Gaussians from what a file keeps.
 
     Args:
-        log_scales: (N, 3) natural logarithms of the standard deviations along the ellipsoid's axes [log m].
-        quaternions_xyzw: (N, 4) x, y, z, w, of any length but 0; turn the ellipsoid's axes into the world's.
+        log_scales: (N, 3) natural logarithms of the standard deviations [m] along the
+            ellipsoid's axes.
+        quaternions_xyzw: (N, 4) x, y, z, w, of any length but 0; turn the ellipsoid's axes into
+            the world's.
 
     Returns:
         (N, 3, 3) [m^2].
@@ -236,18 +238,18 @@ def render_slowly(scene):
     covs = cov3d_from_scale_quat(scene["log_scales"], scene["quaternions_xyzw"])
     means_camera, covs_camera = given.to_camera(scene["means"], covs, scene["T_world_camera"])
     means_px, covs_px = project_gaussians(means_camera, covs_camera, given.LENS, given.BLUR_PX2)
-    start, rows, covered = time.perf_counter(), [], 0
+    ahead, start, rows, covered = -means_camera[:, 2], time.perf_counter(), [], 0
     for pixels in given.pixel_rows():
         alphas = splat_alphas(pixels, means_px, covs_px, scene["opacities"])
-        rows.append(alpha_composite(alphas, scene["colours"], -means_camera[:, 2], given.BACKGROUND))
+        rows.append(alpha_composite(alphas, scene["colours"], ahead, given.BACKGROUND))
         covered += np.count_nonzero(alphas)
-    asked = given.HEIGHT * given.WIDTH * len(means_px)
-    print(f"{time.perf_counter() - start:.1f} s; {asked / 1e6:.1f} million alphas, {covered / asked:.1%} are not 0")
+    asked, seconds = given.HEIGHT * given.WIDTH * len(means_px), time.perf_counter() - start
+    print(f"{seconds:.1f} s; {asked / 1e6:.1f} million alphas, {covered / asked:.1%} are not 0")
     return tuple(np.array(column) for column in zip(*rows, strict=True))
 
 
 # %% figure="render"
-own, depth = render_slowly(scene)
+own, _ = render_slowly(scene)
 kit = given.kit_view()
 given.draw_comparison(own, kit)
 plt.show()
@@ -259,7 +261,7 @@ print(f"differs by {difference.mean():.2f}/255 on average, {difference.max():.1f
 # difference, which is dark in most places and has faint bright edges where splats end.*
 
 # %%
-own, depth = render_slowly(scene)
+_, depth = render_slowly(scene)
 given.draw_depth(depth)
 plt.show()
 
