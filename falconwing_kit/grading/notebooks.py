@@ -21,8 +21,11 @@ _SOLUTION = re.compile(
     r"^([ \t]*)# BEGIN SOLUTION\n(.*?)^[ \t]*# END SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE | re.DOTALL
 )
 _MARKER = re.compile(r"^[ \t]*# (?:BEGIN|END) SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE)
-# The solution stands one folder below the lab, and JupyterLab starts a notebook in its own folder.
-_GO_TO_THE_LAB = 'import os\n\nif not os.path.exists("given.py"):\n    os.chdir("..")'
+_GO_TO_THE_LAB = """\
+import os
+
+if not os.path.exists("given.py"):  # Jupyter starts in the solution's folder; what it needs lies one folder up
+    os.chdir("..")"""
 
 
 @dataclass(frozen=True)
