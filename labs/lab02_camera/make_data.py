@@ -52,7 +52,8 @@ def main() -> None:
     log = []
     for number, (p_world, *attitude_deg) in enumerate(VIEWS):
         T_world_body = pose_matrix(rotation_world_body(*np.radians(attitude_deg)), p_world)
-        image = bent(render(scene, camera, T_world_body @ T_body_camera, backend="fast").rgb, camera)
+        view = render(scene, camera, T_world_body @ T_body_camera, backend="fast")
+        image = bent(view.rgb.astype(float), camera)
         with atomic_write(DATA / f"view{number}.jpg") as file:
             Image.fromarray((255.0 * np.clip(image, 0.0, 1.0)).round().astype(np.uint8)).save(file, "JPEG", quality=88)
         names = ("roll_deg", "pitch_deg", "off_runway_deg")
