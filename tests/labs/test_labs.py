@@ -59,12 +59,12 @@ def test_notebook_asks_for_what_the_checks_know(folder, lab):
 
 
 def test_solutions_are_short(folder):
-    """Five to twenty-five lines are a student's to write; blank lines and comments do not count."""
+    """Up to twenty-five lines are a student's to write; blank lines and comments do not count."""
     for cell in read_cells(folder / "lab.py"):
         if cell.kind == "exercise":
             inside = cell.text.split("# BEGIN SOLUTION")[1].split("# END SOLUTION")[0]
             lines = [line for line in inside.splitlines() if line.strip() and not line.strip().startswith("#")]
-            assert 3 <= len(lines) <= 25, (cell.name, len(lines))
+            assert 1 <= len(lines) <= 25, (cell.name, len(lines))
 
 
 def test_first_cell_says_what_when_and_how_long(folder):
@@ -91,12 +91,19 @@ def test_every_check_has_a_claim_and_a_hint(lab):
 
 
 def test_given_imports_what_the_box_has(folder, lab):
-    """The box holds the standard library, NumPy, SciPy, and torch in a lab that asks for it."""
+    """The standard library, NumPy and what the lab asks for; functions that draw for the notebook may load more."""
     tree = ast.parse((folder / "given.py").read_text(encoding="utf-8"))
-    names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-    names |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    at_the_top = {name.split(".")[0] for name in names} - sys.stdlib_module_names
-    assert at_the_top <= {"numpy", "scipy", "matplotlib", *lab.packages}
+    assert imported(tree.body) <= {"numpy", *lab.packages}
+    assert imported(ast.walk(tree)) <= {"numpy", *lab.packages, "scipy", "matplotlib", "falconwing_kit"}
+
+
+def imported(nodes):
+    """Names of the libraries that statements import, the standard one left out."""
+    names = []
+    for node in nodes:
+        names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+    return {name.split(".")[0] for name in names} - sys.stdlib_module_names
 
 
 def test_numbers_of_the_course_are_the_open_ones_and_change_with_a_salt(folder, lab):
@@ -109,10 +116,10 @@ def test_numbers_of_the_course_are_the_open_ones_and_change_with_a_salt(folder, 
 
 
 def test_every_exercise_has_its_judges(folder, lab):
-    """Five hidden cases or more each, so that a lucky one is worth little."""
+    """Three hidden cases or more each, so that a lucky one is worth little."""
     judges = load_judges(folder, Course(course_constants(lab, "")))
     for name, several in judges.items():
-        assert sum(getattr(judge, "cases", 0) + getattr(judge, "trials", 0) for judge in several) >= 5, name
+        assert sum(getattr(judge, "cases", 0) + getattr(judge, "trials", 0) for judge in several) >= 3, name
 
 
 def test_release_holds_no_solution_no_hidden_case_and_no_notes(folder, tmp_path):
