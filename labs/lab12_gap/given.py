@@ -1,0 +1,78 @@
+"""Given for lab 12: the candidates with their sizes, the channels, and pictures of a residual map and of evidence."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray
+
+COHORT: dict[str, float] = json.loads((Path(__file__).parent / "cohort.json").read_text(encoding="utf-8"))
+CAUTION = COHORT["caution"]  # evidence must exceed what chance finds on the calm flight by this factor
+LEAST_GAIN = 10.0  # evidence below which nothing is named, and within which two names cannot be told apart
+CUSHION_M = 0.5  # height over which ground effect fades
+
+CHANNELS = ("px", "py", "pz", "roll", "pitch", "yaw")
+BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#777777"  # told apart by colour-blind eyes
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One thing that may be different, and what its size means."""
+
+    meaning: str
+    size: str  # with its unit
+    amplitudes: tuple[str, ...]  # parameters of the model that are zero without it
+    step: float  # a small size, to see what it does
+    largest: float  # that makes sense
+
+
+# Your `augment_model` makes the loads of the first five; the others act on the air or on the sticks, by the kit's code.
+CANDIDATES = {
+    "extra_drag": Candidate("something sticks out into the air", "drag added [1/m]", ("size",), 0.003, 0.1),
+    "thrust_loss": Candidate("the propeller gives less", "share of the thrust lost [-]", ("size",), 0.05, 1.0),
+    "ground_effect": Candidate("a cushion of air near the floor", "share added at the floor [-]", ("size",), 0.1, 2.0),
+    "aileron_loss": Candidate("an aileron moves less", "share of its moment lost [-]", ("size",), 0.05, 1.0),
+    "adverse_yaw": Candidate("aileron pulls the nose out of the turn", "moment [1/m^2]", ("size",), 0.02, 1.0),
+    "wind": Candidate("the air moves", "speed [m/s]", ("wind_x", "wind_y"), 0.1, 5.0),
+    "trim_bias": Candidate("the aileron's neutral moved", "stick, with sign [-]", ("bias_aileron",), 0.02, 0.5),
+    "control_delay": Candidate("the sticks act later", "time [s]", ("control_delay",), 0.02, 0.4),
+    "actuator_lag": Candidate("the servos are slower", "time constant [s]", ("actuator_lag",), 0.02, 0.6),
+    "mass_change": Candidate("the aircraft is heavier", "share of the mass [-]", ("mass_added",), 0.03, 1.0),
+}  # fmt: skip
+LOADS = ("extra_drag", "thrust_loss", "ground_effect", "aileron_loss", "adverse_yaw")
+
+
+def draw_map(axes: Sequence[Any], maps: Mapping[str, tuple[Array, Array]]) -> Any:
+    """Draw residual maps side by side: channels down, bins of a variable across, dark where the excess is large.
+
+    Args:
+        axes: as many as maps.
+        maps: by the variable's name with its unit: edges (B + 1,) and excess (6, B), nan where too few were measured.
+
+    Returns:
+        The last image, for a colour bar.
+    """
+    top = max(1.0, max(float(np.nanmax(excess)) for _, excess in maps.values()))
+    image = None
+    for ax, (label, (edges, excess)) in zip(axes, maps.items(), strict=True):
+        image = ax.imshow(excess, cmap="cividis_r", vmin=0.0, vmax=top, aspect="auto")
+        for (row, column), value in np.ndenumerate(excess):
+            text = "" if np.isnan(value) else f"{value:.1f}"
+            ax.text(column, row, text, ha="center", va="center", fontsize=7, color="w" if value > 0.5 * top else "k")
+        ax.set_xticks(np.arange(len(edges)) - 0.5, [f"{edge:.3g}" for edge in edges], fontsize=7)
+        ax.set(xlabel=label, yticks=range(6), yticklabels=CHANNELS)
+    return image
+
+
+def draw_evidence(ax: Any, gains: Mapping[str, float], threshold: float) -> None:
+    """Bars of evidence, best on top, on a scale that is linear near zero and logarithmic beyond, and the threshold."""
+    names = sorted(gains, key=lambda name: gains[name])
+    ax.barh(names, [gains[name] for name in names], color=BLUE)
+    ax.axvline(threshold, color=ORANGE, ls="--", label=f"threshold {threshold:.0f}")
+    ax.set_xscale("symlog", linthresh=10.0)
+    ax.set(xlabel="evidence: chi2 gained less its price [-]", title="What the candidates explain")
+    ax.legend(fontsize=8, loc="lower right")

@@ -1,0 +1,491 @@
+# %% [markdown]
+# # Lab 12: what is missing in the model?
+#
+# You get two flights of the same aircraft. On the first, the *calm* one, nothing was special. On the second, on another
+# day, **something may have been different**: a wind, a broken aileron, a slow radio, or nothing at all. Every student
+# has another aircraft and another answer. Find it, name it, measure it, add it to the model, and show that the gap
+# between model and flight closes. And do not invent anything: *none* is an answer, and it is worth as much.
+#
+# **You will be able to**
+# - show *where* a model is wrong, against the level of a flight where it is right,
+# - write an effect as a term that plugs into the model,
+# - weigh candidates against each other, while the aircraft's own numbers stay uncertain,
+# - decide by a rule that you fixed before you looked, and give a size with an interval.
+#
+# **Time:** about 4 hours. **Before:** lab 5 (residuals, windows, Gauss-Newton). All flights here are *simulated* by the
+# kit, with the noise of marker poses (3 cm, 0.6 degrees), some bad frames and some missing ones.
+#
+# **Your own flights:** put the `calm.csv` and `flight.csv` that you were given into `data/mine/`. Without them the
+# notebook works on a practice case in `data/`.
+
+# %%
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from given import (
+    BLUE,
+    CANDIDATES,
+    CAUTION,
+    CHANNELS,
+    CUSHION_M,
+    GREEN,
+    GREY,
+    LEAST_GAIN,
+    LOADS,
+    ORANGE,
+    draw_evidence,
+    draw_map,
+)
+
+from falconwing_kit.aircraft import CATALOGUE, Parameter, Term
+from falconwing_kit.core.flight_table import read_flight_table
+from falconwing_kit.grading.check import check
+from falconwing_kit.sysid import (
+    Prior,
+    cut_windows,
+    fit,
+    fit_starts,
+    hold_out,
+    identify,
+    prepare,
+    residuals,
+    score,
+    select,
+    uncertainty,
+)
+
+folder = Path("data/mine") if Path("data/mine/flight.csv").exists() else Path("data")
+calm_table, table = (read_flight_table(folder / name) for name in ("calm.csv", "flight.csv"))
+print(f"{folder}: calm flight {calm_table.duration:.0f} s, flight under test {table.duration:.0f} s")
+
+# %% [markdown]
+# ## 1. The calm aircraft
+#
+# The kit identifies the calm flight as you did in lab 5, in three dimensions with 29 numbers. Then the flight under
+# test is cut into windows of two seconds and fitted **with the calm aircraft's numbers as prior**: an aircraft is not
+# quite the same on another day, so each number may drift by 1 % on top of its uncertainty.
+#
+# Why a prior? Without one the 29 numbers would *swallow* most effects: a little more drag here, a little less aileron
+# there, and nothing seems to be missing.
+
+# %%
+found = identify([calm_table])
+calm_model = found.model
+sure = uncertainty(found.result, found.fitted_windows)
+starts_at = {p.name: p.start for p in calm_model.parameters}
+drift = np.array([0.01 * max(abs(calm_model.values[n]), abs(starts_at[n]), 0.1) for n in sure.names])
+drift[[sure.names.index("delay"), sure.names.index("lag")]] = 0.002  # s
+covariance = sure.covariance + np.diag(drift**2)
+precision, sigma = np.linalg.inv(covariance), np.sqrt(np.diag(covariance))
+spread = dict(zip(sure.names, sigma.tolist(), strict=True))
+prior = Prior(dict(calm_model.values), spread, covariance / np.outer(sigma, sigma))
+
+prepared = prepare(table, found.sigma)
+windows = cut_windows(prepared.flights, calm_model, 2.0)
+starts, _ = fit_starts(calm_model, windows, windows.guess[:, : calm_model.n_states])
+before = fit(calm_model, windows, starts, prior=prior)
+scatter = max(1.0, found.train.chi2)
+gains, calm_gains = {}, np.zeros(3)  # until you have something better
+print(f"calm flight: chi2 per degree of freedom {found.train.chi2:.2f}; flight under test, the model of the calm one: "
+      f"{score(calm_model, windows).chi2:.2f}")  # fmt: skip
+
+# %% [markdown]
+# ## 2. Where does it disagree?
+#
+# Replay both flights in the calm model. Residuals are in units of the noise, so their mean square is 1 where only noise
+# is left. For each of the six channels (px, py, pz, roll, pitch, yaw) and each bin of some variable, take the mean
+# square of the flight **minus that of the calm flight in the same bin**: an excess, in squared sigmas. A bin with fewer
+# than `fewest` measured values, on either flight, says nothing: nan.
+
+
+# %% exercise="residual_map"
+def residual_map(residual, variable, calm_residual, calm_variable, edges, fewest):
+    """Excess of a flight's mean square residual over the calm flight's, by channel and bin.
+
+    Args:
+        residual: (N, C) in sigmas, nan where not measured.
+        variable: (N,) what the rows are sorted by, such as the height.
+        calm_residual: (M, C) the same of the calm flight.
+        calm_variable: (M,).
+        edges: (B + 1,) of the bins, increasing. A value on an inner edge belongs to the bin above it; one on the last
+            edge to the last bin; values outside belong to none.
+        fewest: measured values that a bin needs, in each channel on both flights.
+
+    Returns:
+        (C, B) excess, nan where there are too few.
+    """
+
+    # BEGIN SOLUTION
+    def mean_square(values, at):
+        channels = []
+        for x in values.T:
+            seen = np.isfinite(x)
+            count, _ = np.histogram(at[seen], edges)
+            total, _ = np.histogram(at[seen], edges, weights=x[seen] ** 2)
+            channels.append(np.where(count >= fewest, total / np.maximum(count, 1), np.nan))
+        return np.array(channels)
+
+    return mean_square(residual, variable) - mean_square(calm_residual, calm_variable)
+    # END SOLUTION
+
+
+# %% check="residual_map"
+check(residual_map)
+
+
+# %% figure="map"
+def rows_of(windows, starts=None):
+    """Residuals (rows, 6) in the calm model, and for each row what they may depend on."""
+    residual = score(calm_model, windows, starts).residual
+    residual = np.where(windows.weight > 0.0, residual, np.nan).reshape(-1, 6)
+    pose, sticks = windows.pose.reshape(-1, 6), []
+    for times, number in zip(windows.nodes, windows.flight, strict=True):
+        log = windows.flights[number]
+        memory = np.cumsum(log.commands, axis=0)  # a stick shows in the pose through its mean over the last second
+        mean = (memory - np.roll(memory, 20, axis=0)) / 20.0
+        mean[:20] = log.commands[:20]
+        sticks.append([np.interp(times, log.t - log.t[0], mean[:, k]) for k in (0, 1)])
+    throttle, aileron = np.moveaxis(np.array(sticks), 1, 0).reshape(2, -1)
+    heading = np.degrees(np.angle(np.exp(1j * pose[:, 5])))
+    return residual, {"height [m]": pose[:, 2], "heading [deg]": heading, "throttle [-]": throttle,
+                      "aileron [-]": aileron}  # fmt: skip
+
+
+residual, variables = rows_of(windows, before.starts)
+calm_residual, calm_variables = rows_of(found.windows)
+maps = {}
+for label, values in variables.items():
+    edges = (
+        np.linspace(-180.0, 180.0, 7) if "deg" in label else np.quantile(values[values != 0.0], np.linspace(0, 1, 7))
+    )
+    maps[label] = edges, residual_map(residual, values, calm_residual, calm_variables[label], edges, 30)
+figure, axes = plt.subplots(1, 4, figsize=(13, 3.2), layout="constrained")
+image = draw_map(axes, maps)
+figure.suptitle("Residual map: mean square over that of the calm flight (simulated)")
+figure.colorbar(image, ax=list(axes), label="excess [sigma²]")
+for label, (edges, excess) in maps.items():
+    if np.isfinite(excess).any():
+        channel, column = np.unravel_index(np.nanargmax(excess), excess.shape)
+        print(f"{label:14} largest excess {excess[channel, column]:6.1f} in {CHANNELS[channel]}, from "
+              f"{edges[column]:.2f} to {edges[column + 1]:.2f}")  # fmt: skip
+
+# %% [markdown]
+# *In words:* four tables side by side, one for each variable; rows are the channels, columns the bins, dark cells with
+# white numbers are where the flight disagrees most.
+#
+# What does the map suggest? Write down your guess *now*, before you look at any statistics.
+#
+# ## 3. An effect is a term
+#
+# The model is a sum of terms. An effect is one more. Five of the candidates are loads, a force (X, Y, Z) and a moment
+# (L, M, N) per unit mass and inertia in body axes (x nose, y right, z belly). With the size $s$, the direction of the
+# path $\hat v = (\cos\alpha\cos\beta, \sin\beta, \sin\alpha\cos\beta)$ and that of the lift
+# $\hat l = (\sin\alpha, 0, -\cos\alpha)$:
+#
+# | effect | adds |
+# |---|---|
+# | `extra_drag` | force $-s V^2\,\hat v$ |
+# | `thrust_loss` | force $-s \cdot$ thrust along x |
+# | `ground_effect` | with $n = s\,e^{-h/h_0}$: lift $n V^2 c\,\hat l$, less induced drag $n V^2 c_{Di} c^2\,\hat v$ |
+# | `aileron_loss` | rolling moment $-s V^2 L_a\,\text{aileron}$ |
+# | `adverse_yaw` | yawing moment $-s V^2\,\text{aileron}$ |
+#
+# $h_0$ is `CUSHION_M` of given.py: near the floor the air under the wing cannot get away.
+
+
+# %% exercise="augment_model"
+def augment_model(loads, flow, K, effect, size):
+    """The loads of the model with one effect added.
+
+    Args:
+        loads: (6, N) X, Y, Z [m/s^2] and L, M, N [rad/s^2] without the effect.
+        flow: by name, each (N,): V [m/s], alpha, beta [rad], height [m], c lift over V^2 [1/m], thrust [m/s^2],
+            aileron [-].
+        K: the aircraft's numbers: cDi [m], La [1/m^2].
+        effect: one of LOADS, or "none".
+        size: of the effect, in the unit that CANDIDATES of given.py says.
+
+    Returns:
+        (6, N) the loads with the effect; what came in is left as it was.
+    """
+    # BEGIN SOLUTION
+    V, alpha, beta, c = flow["V"], flow["alpha"], flow["beta"], flow["c"]
+    path = np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    lift = np.array([np.sin(alpha), 0.0 * alpha, -np.cos(alpha)])
+    added = np.zeros_like(loads)
+    if effect == "extra_drag":
+        added[:3] = -size * V**2 * path
+    elif effect == "thrust_loss":
+        added[0] = -size * flow["thrust"]
+    elif effect == "ground_effect":
+        near = size * np.exp(-flow["height"] / CUSHION_M)
+        added[:3] = near * V**2 * (c * lift + K["cDi"] * c**2 * path)
+    elif effect == "aileron_loss":
+        added[3] = -size * V**2 * K["La"] * flow["aileron"]
+    elif effect == "adverse_yaw":
+        added[5] = -size * V**2 * flow["aileron"]
+    return loads + added
+    # END SOLUTION
+
+
+# %% check="augment_model"
+check(augment_model)
+
+# %% [markdown]
+# The next cell plugs your function into the kit's model as a `Term`, with the size as one more parameter. Candidates
+# that act on the air or on the sticks come from the kit's catalogue.
+
+
+# %% tags=["plug"]
+def own_term(effect):
+    """Your `augment_model` as a term of the kit's model."""
+
+    def evaluate(air, K):
+        c = K.cL0 + K.cLa * air.alpha + K.cLe * air.elevator
+        thrust = (K.kT - K.kTV * air.airspeed) * air.throttle
+        flow = {"V": air.airspeed, "alpha": air.alpha, "beta": air.beta, "height": np.maximum(air.height, 0.0), "c": c,
+                "thrust": thrust, "aileron": air.aileron}  # fmt: skip
+        shape = np.broadcast_shapes(*(np.shape(part) for part in flow.values()), np.shape(K.size))
+        flow = {name: np.broadcast_to(part, shape) for name, part in flow.items()}
+        return tuple(augment_model(np.zeros((6, *shape)), flow, K._asdict(), effect, K.size))
+
+    return Term(effect, (Parameter("size", 0.0, -1.0, 5.0, "-", CANDIDATES[effect].meaning),), evaluate)
+
+
+def with_candidate(model, name):
+    """The model with a candidate at size zero; its other parameters, where the kit's has more, stay at zero."""
+    amplitudes = CANDIDATES[name].amplitudes
+    if name in LOADS:
+        return model.adding(own_term(name))
+    effect = next(e for e in CATALOGUE if e.name == name and amplitudes[0] in {p.name for p in e.parameters})
+    model = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.parameters})
+    return model.pinned([p.name for p in effect.parameters if p.name not in amplitudes])
+
+
+def columns_of(name, fitted, windows):
+    """(W, R, A) what the candidate does to the residuals per unit of its size, outside of what start states can do."""
+    model, step, Q = with_candidate(fitted.model, name), CANDIDATES[name].step, np.linalg.qr(fitted.to_start)[0]
+    moved = [residuals(model.with_values({a: step}), windows, fitted.starts) for a in CANDIDATES[name].amplitudes]
+    change = (np.stack(moved, axis=-1) - fitted.residual[..., None]) / step
+    return change - Q @ (Q.transpose(0, 2, 1) @ change)
+
+
+# %% [markdown]
+# ## 4. How much would each candidate explain?
+#
+# Near the fit everything is linear: residuals $r + J\,\Delta K + E\,s$ with the candidate's columns $E$. The 29 numbers
+# stay free under their prior: with $a$ = present $K$ minus the prior's, and $P$ the inverse of the prior's covariance
+# (the calm flight knows some combinations of numbers much better than each alone), minimise
+#
+# $$\chi^2 = \lVert r + J\,\Delta K + E\,s\rVert^2 + (a + \Delta K)^T P\,(a + \Delta K)$$
+#
+# once without the candidate ($s = 0$, only $\Delta K$ free) and once with it. The **gain** is the difference, in units
+# of `scatter` (the calm flight's $\chi^2$ per degree of freedom), **less a price** of $\ln M$ for each number in $s$,
+# with $M$ the number of residuals: more numbers explain more by chance (Schwarz 1978).
+
+
+# %% exercise="score_candidates"
+def score_candidates(r, J, away, precision, candidates, scatter):
+    """Evidence for each candidate, and the size that it would have.
+
+    Args:
+        r: (M,) weighted residuals at the fit without candidates.
+        J: (M, F) their derivatives to the aircraft's numbers.
+        away: (F,) the numbers at the fit minus those of the prior.
+        precision: (F, F) P, the inverse of the prior's covariance.
+        candidates: by name, (M, A) derivatives to the A numbers of the candidate's size.
+        scatter: chi2 per degree of freedom of the calm flight.
+
+    Returns:
+        by name, (1 + A,): the gain, then the size.
+    """
+    # BEGIN SOLUTION
+    F = J.shape[1]
+
+    def gained(columns):
+        normal, gradient = columns.T @ columns, columns.T @ r
+        normal[:F, :F] += precision
+        gradient[:F] += precision @ away
+        step = -np.linalg.solve(normal, gradient)
+        return -gradient @ step, step[F:]
+
+    without, _ = gained(J)
+    answer = {}
+    for name, E in candidates.items():
+        chi2, size = gained(np.hstack([J, E]))
+        answer[name] = np.concatenate([[(chi2 - without) / scatter - E.shape[1] * np.log(len(r))], size])
+    return answer
+    # END SOLUTION
+
+
+# %% check="score_candidates"
+check(score_candidates)
+
+# %% [markdown]
+# The same on three thirds of the calm flight, where nothing is hidden: what comes out there is what *chance* finds.
+
+
+# %% tags=["scan"]
+def scan(fitted, windows, rows, away):
+    """Evidence of every candidate over some windows."""
+    J, r = fitted.reduced[rows], fitted.residual[rows].ravel()
+    columns = {name: columns_of(name, fitted, windows)[rows] for name in CANDIDATES}
+    flat = {name: part.reshape(len(r), -1) for name, part in columns.items()}
+    return score_candidates(r, J.reshape(len(r), -1), away, precision, flat, scatter)
+
+
+K_now = before.model.vector[list(before.free)]
+away = K_now - np.array([prior.mean[before.model.names[i]] for i in before.free])
+scores = scan(before, windows, np.arange(len(windows)), away)
+gains = {name: float(found_here[0]) for name, found_here in scores.items()}
+thirds = np.array_split(np.arange(len(found.fitted_windows)), 3)
+by_chance = [scan(found.result, found.fitted_windows, third, np.zeros(len(away))) for third in thirds]
+calm_gains = np.array([max(one[0] for one in third.values()) for third in by_chance])
+for name, (gain, *size) in sorted(scores.items(), key=lambda pair: -pair[1][0]):
+    print(f"{name:14} gain {gain:8.1f}   size {np.round(size, 4)} {CANDIDATES[name].size}")
+print("best by chance on thirds of the calm flight:", np.round(calm_gains, 1))
+
+# %% [markdown]
+# ## 5. Decide
+#
+# The rule, fixed beforehand: the threshold is `CAUTION` times the largest gain that chance found, and at least
+# `LEAST_GAIN`. If no candidate is above it, the answer is **none**. If the best is above it, everything within less
+# than `LEAST_GAIN` of the best is as good: one name is **named**, several are **ambiguous** and need another flight.
+
+
+# %% exercise="verdict"
+def verdict(gains, calm_gains):
+    """What may be said.
+
+    Args:
+        gains: evidence by candidate.
+        calm_gains: (B,) the best evidence on each part of the calm flight; some may be negative.
+
+    Returns:
+        threshold; "none", "named" or "ambiguous"; and a tuple of the names, best first, empty for "none".
+        CAUTION and LEAST_GAIN are those of given.py.
+    """
+    # BEGIN SOLUTION
+    threshold = max(LEAST_GAIN, CAUTION * float(np.max(calm_gains)))
+    ranked = sorted(gains, key=lambda name: -gains[name])
+    best = gains[ranked[0]]
+    if best <= threshold:
+        return threshold, "none", ()
+    names = tuple(name for name in ranked if gains[name] > best - LEAST_GAIN)
+    return threshold, "named" if len(names) == 1 else "ambiguous", names
+    # END SOLUTION
+
+
+# %% check="verdict"
+check(verdict)
+
+# %% [markdown]
+# ## 6. Add it, fit it, and look at the gap
+#
+# The scan was linear. Now the best candidate goes into the model and everything is fitted again, to two thirds of the
+# flight. The gap is measured on the last third, in blocks that were held out, before and after.
+
+# %% figure="gap"
+threshold, word, names = verdict(gains, calm_gains)
+print(f"threshold {threshold:.1f}: {word} {' or '.join(names)}")
+fitted, kept = hold_out(windows)
+part, apart = select(windows, fitted), select(windows, kept)
+level = {"calm model": score(calm_model, apart).chi2}
+level["another day"] = score(fit(calm_model, part, before.starts[fitted], prior=prior).model, apart).chi2
+finding = {"effect": "none", "size": 0.0, "low": 0.0, "high": 0.0}
+if names:
+    model = with_candidate(calm_model, names[0])
+    amplitudes = CANDIDATES[names[0]].amplitudes
+    model = model.with_values(dict(zip(amplitudes, scores[names[0]][1:], strict=True)))
+    level["with the effect"] = score(fit(model, part, before.starts[fitted], prior=prior).model, apart).chi2
+    after = fit(model, windows, before.starts, prior=prior)
+    sizes = np.array([after.model.values[a] for a in amplitudes])
+    sure = uncertainty(after, windows, prior)
+    size = sizes[0] if len(sizes) == 1 else float(np.linalg.norm(sizes))  # of a wind: its speed
+    along = np.ones(1) if len(sizes) == 1 else sizes / size
+    rows = [sure.names.index(a) for a in amplitudes]
+    half = 1.96 * float(np.sqrt(along @ sure.covariance[np.ix_(rows, rows)] @ along))
+    finding = {"effect": names[0], "size": size, "low": size - half, "high": size + half}
+print(finding)
+
+figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.6), layout="constrained")
+draw_evidence(left, gains, threshold)
+level["calm flight"] = found.train.chi2
+bars = right.bar(list(level), list(level.values()), color=[ORANGE, GREY, BLUE, GREEN][: len(level)], edgecolor="k")
+right.bar_label(bars, fmt="%.2f")
+right.axhline(1.0, color=GREY, ls=":", label="noise alone")
+right.set(yscale="log", ylim=(0.5, 1.5 * max(level.values())), title="The gap on time that was held out")
+right.set_ylabel("chi2 per degree of freedom, 2 s ahead [-]")
+right.yaxis.set_major_formatter("{x:g}")
+right.yaxis.set_minor_formatter("{x:g}")
+right.legend(fontsize=8)
+
+# %% [markdown]
+# *In words:* left, a bar of evidence for every candidate and the threshold as a dashed line. Right, bars of the
+# misfit on time that was held out: with the calm aircraft as it is, with its numbers adapted to another day, with the
+# effect (if one was named), and that of the calm flight itself. The effect has closed the gap where its bar is as low
+# as the last.
+#
+# ## 7. Your finding
+#
+# Look at the map, the evidence and the gap together. Does the size make sense? Then write down what you found. The size
+# is that of `CANDIDATES` in given.py (of a wind its speed, of a trim bias with its sign), low and high are a
+# 95 % interval. For *none* all three are zero. An effect that is not there costs as much as one that is missed; an
+# interval more than 40 % to either side says too little.
+
+
+# %% exercise="my_finding"
+def my_finding():
+    """What was different on the flight under test.
+
+    Returns:
+        dict with "effect" (one of CANDIDATES, or "none"), "size", "low" and "high".
+    """
+    # BEGIN SOLUTION
+    return {"effect": "ground_effect", "size": 0.455, "low": 0.427, "high": 0.483}
+    # END SOLUTION
+
+
+# %% check="my_finding"
+check(my_finding)
+
+# %% [markdown]
+# ## Questions
+#
+# **Question 1.** Which cells of the residual map made you think of your effect (or of none), and which other candidate
+# would have made a similar map? What tells the two apart?
+
+# %% [markdown] answer="q1"
+# On the practice case the two lowest bins of the height stand out, in px and py and less in pitch and yaw; above 1.4 m
+# almost nothing is left. More lift near the floor pulls a banked aircraft into its turn, so it is the place in the hall
+# that is off, more than the height. The lowest throttle stands out too, because low passes are flown with little
+# throttle: a drag or a loss of thrust would make a map like that. They differ in the height panel, since they act at
+# every height; the scan takes both at once and gives them less than nothing.
+
+# %% [markdown]
+# **Question 2.** A friend leaves out the prior: all 29 numbers are free. Which candidates would he miss, and why? And
+# another friend takes the candidate with the largest gain without a threshold: what happens to him on a calm flight?
+
+# %% [markdown] answer="q2"
+# He misses what a number of the aircraft can imitate: a lost aileron is a smaller La and nothing else, extra drag is a
+# larger cD0, a loss of thrust a smaller kT, a trim bias a rolling moment at rest, a delay the delay that the model has
+# anyway. Wind and ground effect stay, because no number makes them. The other friend always names something, because
+# one of ten candidates always has the largest gain: on every calm flight he invents an effect.
+
+# %% [markdown]
+# ## What you can do now
+#
+# You can tell a wrong model from an unlucky flight, name what is missing, or say that nothing is. Compare with the kit,
+# which knows 19 effects, two at a time, and says when it is none of them:
+#
+#     falconwing gap --calm data/calm.csv --flight data/flight.csv --out gap
+#
+# <details><summary>What was hidden in the practice case (not in yours)</summary>
+# A ground effect with 0.45 of the lift added at the floor, and as much of the induced drag lost.
+# </details>
+#
+# **With hardware:** fly two logs of a minute, one calm, and one with a change that a partner makes and does not tell:
+# tape on one aileron, a strip of card under the wing (drag), a fan at one end of the hall, 10 g at the centre of
+# gravity. Export both with `falconwing export --to csv`. The partner checks balance and control throws before every
+# flight, and no change may touch the propeller or the battery's fixing.
