@@ -50,7 +50,7 @@ def open_run(out: Path, lab: str, salt: str, *, sandboxed: bool, go_on: bool) ->
     try:
         run: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
         secret = str(run.pop("secret"))
-    except (ValueError, KeyError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{file}: want what an earlier run wrote, got something else; choose another --out") from None
     if run != wanted:
         changed = ", ".join(name for name in wanted if run.get(name) != wanted[name])

@@ -1,7 +1,8 @@
 """Attacks on the grader: what each tries, and the cell that tries it.
 
-Every cell defines `attack(x, gain)`, which a wrong `stretch` returns; alone, the wrong solution has no points. OUT stands
-for the grader's folder, SUBMISSIONS for the students', TOKEN for a word to find a process by, PORT for an open port.
+Every cell defines `attack(x, gain)`, which a wrong `stretch` returns; alone, the wrong solution has no points. OUT
+stands for the grader's folder, SUBMISSIONS for the students', TOKEN for a word to find a process by, PORT for an open
+port.
 Only the box makes it safe to run them: its processes, memory and time are bound from outside.
 """
 
@@ -73,45 +74,60 @@ def attack(x, gain):
     "a large array": "def attack(x, gain): return np.zeros(20_000_000)",
     "a huge integer": "def attack(x, gain): return 10 ** 5000",
     # frames of one's own
-    "a reply before the question": _SPEAK + """
+    "a reply before the question": _SPEAK
+    + """
 early = say({"dict": [["number", 0], ["answer", True]]})
 def attack(x, gain): return early""",
-    "a forged reply": _SPEAK + """
+    "a forged reply": _SPEAK
+    + """
 def attack(x, gain):
     say(reply(True))
     return gain * x""",
-    "a reply after the answer": _SPEAK + """
+    "a reply after the answer": _SPEAK
+    + """
 import threading, time
 def attack(x, gain):
     late = reply(True)
     threading.Thread(target=lambda: (time.sleep(0.05), say(late)), daemon=True).start()
     return gain * x""",
-    "half a frame": _SPEAK + """
+    "half a frame": _SPEAK
+    + """
 def attack(x, gain):
     say(b"{", lengths=(1000, 1000))
     return gain * x""",
-    "an array of 3e12 numbers that are not there": _SPEAK + """
+    "an array of 3e12 numbers that are not there": _SPEAK
+    + """
 def attack(x, gain): say(reply({"array": ["float64", [3_000_000_000_000]]}))""",
-    "a product of sizes that overflows": _SPEAK + """
+    "a product of sizes that overflows": _SPEAK
+    + """
 def attack(x, gain): say(reply({"array": ["float64", [1 << 30, 1 << 30, 1 << 4]]}))""",
-    "a negative size": _SPEAK + """
+    "a negative size": _SPEAK
+    + """
 def attack(x, gain): say(reply({"array": ["float64", [-5]]}), bytes(40))""",
-    "a size that is true": _SPEAK + """
+    "a size that is true": _SPEAK
+    + """
 def attack(x, gain): say(reply({"array": ["float64", [True]]}), bytes(8))""",
-    "an empty array of endless axes": _SPEAK + """
+    "an empty array of endless axes": _SPEAK
+    + """
 def attack(x, gain): say(reply({"array": ["float64", [0, 1 << 62, 1 << 62]]}))""",
-    "an array of pickled objects": _SPEAK + """
+    "an array of pickled objects": _SPEAK
+    + """
 def attack(x, gain): say(reply({"array": ["object", [1]]}), b"cos\\nsystem\\n(S'true'\\ntR.")""",
-    "a frame of four gigabytes": _SPEAK + """
+    "a frame of four gigabytes": _SPEAK
+    + """
 def attack(x, gain): say(b"", lengths=(0xFFFFFFFF, 0xFFFFFFFF))""",
-    "a deep header": _SPEAK + """
+    "a deep header": _SPEAK
+    + """
 def attack(x, gain): say(b"[" * 1_000_000)""",
-    "a flood": _SPEAK + """
+    "a flood": _SPEAK
+    + """
 def attack(x, gain):
     while True: say(b"x" * 60000)""",
-    "words for an error": _SPEAK + """
+    "words for an error": _SPEAK
+    + """
 def attack(x, gain): say({"dict": [["number", number()], ["error", "SECRET " + str(x)]]})""",
-    "bytes that are no text": _SPEAK + """
+    "bytes that are no text": _SPEAK
+    + """
 def attack(x, gain): say(reply("\\\\ud800"))""",
     "a pickle": """
 import pickle, os
@@ -149,7 +165,8 @@ def attack(x, gain):
         if "hidden.py" in files:
             space = {}
             exec(open(folder + "/hidden.py").read(), space)
-            return gain * x + 2.5""" + """
+            return gain * x + 2.5"""
+    + """
     return gain * x""",
     "search the callers for the answer": """
 import sys, gc
@@ -245,7 +262,8 @@ import os, sys, time
 def attack(x, gain):
     if os.fork() == 0:
         os.setsid()
-        if os.fork() == 0: os.execv(sys.executable, [sys.executable, "-S", "-c", "import time; time.sleep(99)", "TOKEN"])
+        words = [sys.executable, "-S", "-c", "import time; time.sleep(99)", "TOKEN"]
+        if os.fork() == 0: os.execv(sys.executable, words)
         os._exit(0)
     return gain * x""",
     "fill the disk": """
@@ -293,7 +311,8 @@ def attack(x, gain): os.closerange(0, 64)""",
 import ctypes, os, resource
 def attack(x, gain):
     library = ctypes.CDLL(None)
-    if library.unshare(0x10000000) == 0 or library.mount(b"none", b"/tmp", b"tmpfs", 0, None) == 0: return gain * x + 2.5
+    if library.unshare(0x10000000) == 0: return gain * x + 2.5
+    if library.mount(b"none", b"/tmp", b"tmpfs", 0, None) == 0: return gain * x + 2.5
     resource.setrlimit(resource.RLIMIT_AS, (-1, -1))
     return gain * x + 2.5""",
 }

@@ -33,8 +33,10 @@ def notebook_bytes(*cells, **more):
 
 
 def groups_left():
-    """Control groups of boxes that are still there, of whatever grader."""
-    return [folder for parent, _ in limits._parents() for folder in parent.glob("falconwing-*")]
+    """Control groups of boxes whose grader has ended, or is this process."""
+    folders = [folder for parent, _ in limits._parents() for folder in parent.glob("falconwing-*-*")]
+    owners = {folder: folder.name.split("-")[1] for folder in folders}
+    return [folder for folder, pid in owners.items() if pid == str(os.getpid()) or not Path("/proc", pid).exists()]
 
 
 def processes_with(token):
