@@ -22,9 +22,10 @@ _SOLUTION = re.compile(
 )
 _MARKER = re.compile(r"^[ \t]*# (?:BEGIN|END) SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE)
 _GO_TO_THE_LAB = """\
+# Jupyter starts in this notebook's folder; what the lab needs lies one folder up.
 import os
 
-if not os.path.exists("given.py"):  # Jupyter starts in the solution's folder; what it needs lies one folder up
+if not os.path.exists("given.py"):
     os.chdir("..")"""
 
 
