@@ -28,7 +28,7 @@ class Demo:
     out: Path = Path("falconwing_demo")
     """folder for page, figures and models"""
     scene: str = "arena"
-    """the hall of the approach: the name of a scene that ships, or a scene file in the kit's world"""
+    """the hall of the approach: arena, hall, hall_analog, or a scene file in the kit's world"""
     headless: bool = False
     """fly as fast as it can and open nothing in the browser"""
     port: int = 8080

@@ -56,7 +56,7 @@ class Fly:
     no_render: bool = False
     """without images; the expert needs none"""
     scene: str = "arena"
-    """the hall: the name of a scene that ships, or a scene file in the kit's world"""
+    """the hall: arena, hall, hall_analog (seen through an analog link), or a scene file in the kit's world"""
     size: str = "320x240"
     """of the camera's image [px]"""
     source: Literal["sim", "camera"] = "sim"
