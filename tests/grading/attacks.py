@@ -246,11 +246,11 @@ def attack(x, gain):
     for process in (os.getppid(), 1, -1):
         os.kill(process, signal.SIGKILL)""",
     "a fork bomb": """
-import os
+import os, time
 def attack(x, gain):
     while True:
         try: os.fork()
-        except OSError: pass""",
+        except OSError: time.sleep(0.1)""",
     "a thread bomb": """
 import threading, time
 def attack(x, gain):
