@@ -19,6 +19,7 @@ from falconwing_kit.grading.lab import Course, course_constants
 from falconwing_kit.grading.notebooks import build
 
 FILES, FOLDER = ("given.py", "checks.py"), "data"  # of a lab, that go to students as they are
+MIN_SALT = 16  # characters; the kit is public, so a shorter one is found by trying
 INSTRUCTORS = "\n## For instructors"  # the route ends here for students
 _STUDENT = re.compile(r"[A-Za-z0-9_@][A-Za-z0-9_.@+-]{0,63}")
 
@@ -63,10 +64,13 @@ def release(folders: Sequence[Path], out: Path, salt: str = "", students: Sequen
         Every file that was written.
 
     Raises:
-        InputError: `out` holds something already, there are students but no salt, or a lab cannot be used.
+        InputError: `out` holds something already, the salt is short, there are students but no salt, or a lab cannot
+            be used.
     """
     if out.is_file() or (out.is_dir() and any(out.iterdir())):
         raise InputError(f"{out}: want a new or an empty folder, so that nothing else is handed out; choose another")
+    if salt and len(salt) < MIN_SALT:
+        raise InputError(f"--salt: want at least {MIN_SALT} characters that nobody can guess, got {len(salt)}")
     if students and not salt:
         raise InputError("--roster: want a --salt with it; without one every student could draw the others' files")
     part = out.with_name(f".{out.name}.part")

@@ -31,7 +31,7 @@ def test_build_writes_what_check_missed(folder, capsys):
 def test_release_says_what_to_keep(folder, tmp_path, capsys):
     """With a salt and a roster: the lab, and a file of each student's own."""
     (tmp_path / "roster.csv").write_text("student\nann\nbo\n")
-    assert main(["labs", "release", "out", "--salt", "s", "--roster", "roster.csv"]) == 0
+    assert main(["labs", "release", "out", "--salt", "long enough to keep", "--roster", "roster.csv"]) == 0
     said = capsys.readouterr().out
     assert "2 students" in said and "keep the salt" in said
     assert (tmp_path / "out" / "handouts" / "bo" / "lab01_small" / "mine.txt").is_file()

@@ -8,6 +8,8 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.grading.release import read_roster, release
 from tests.grading.small_lab import write_small_lab
 
+SALT = "a secret of ours, long enough"
+
 
 @pytest.fixture
 def folder(tmp_path):
@@ -34,7 +36,7 @@ def test_only_what_students_need_is_handed_out(folder, tmp_path):
 def test_salt_draws_other_numbers_and_the_same_again(folder, tmp_path):
     """The open course has the middle of 9 to 11; two salts differ from it and from each other, one gives the same."""
     numbers = []
-    for number, salt in enumerate(["", "one", "two", "one"]):
+    for number, salt in enumerate(["", SALT, SALT[::-1], SALT]):
         release([folder], tmp_path / str(number), salt)
         numbers.append(json.loads((tmp_path / str(number) / "lab01_small" / "cohort.json").read_text())["gravity"])
     assert numbers[0] == 10.0 and numbers[1] == numbers[3]
@@ -43,13 +45,13 @@ def test_salt_draws_other_numbers_and_the_same_again(folder, tmp_path):
 
 def test_every_student_gets_files_of_their_own(folder, tmp_path):
     """The small lab writes down for whom it was asked."""
-    release([folder], tmp_path / "out", "salt", ["ann", "bo@uni"])
+    release([folder], tmp_path / "out", SALT, ["ann", "bo@uni"])
     mine = tmp_path / "out" / "handouts"
     assert handed_out(mine) == {"ann/lab01_small/mine.txt", "bo@uni/lab01_small/mine.txt"}
-    assert (mine / "bo@uni" / "lab01_small" / "mine.txt").read_text() == "bo@uni salt"
+    assert (mine / "bo@uni" / "lab01_small" / "mine.txt").read_text() == f"bo@uni {SALT}"
 
 
-def test_used_folder_and_roster_without_salt_are_refused(folder, tmp_path):
+def test_used_folder_weak_salt_and_roster_without_salt_are_refused(folder, tmp_path):
     """What already lies there could be a solution; without a salt all files could be drawn by anyone."""
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "solution.txt").write_text("all of it")
@@ -57,6 +59,8 @@ def test_used_folder_and_roster_without_salt_are_refused(folder, tmp_path):
         release([folder], tmp_path / "out")
     with pytest.raises(InputError, match="want a --salt"):
         release([folder], tmp_path / "new", students=["ann"])
+    with pytest.raises(InputError, match="want at least 16 characters"):
+        release([folder], tmp_path / "new", "2027")
     assert handed_out(tmp_path / "out") == {"solution.txt"} and not (tmp_path / "new").exists()
 
 

@@ -33,9 +33,9 @@ class LabHere:
     """
 
     def __init__(self, folder: Path, constants: Mapping[str, float] | None = None) -> None:
-        self.folder, self.lab = folder, load_checks(folder)
+        numbers = constants or course_constants(load_checks(folder), "")
+        self.folder, self.lab = folder, load_module(folder, "checks", numbers).LAB
         self.cells = [cell for cell in read_cells(folder / "lab.py") if not cell.markdown]
-        numbers = constants or course_constants(self.lab, "")
         self.judges: Mapping[str, tuple[Judge, ...]] = load_judges(folder, Course(numbers))
         self.given: ModuleType = load_module(folder, "given", numbers)
 

@@ -91,6 +91,8 @@ class Release:
         print_table(("lab", "files"), list(counts.items()), title=f"{self.out}: {course}, {len(students)} students")
         if self.salt:
             print("keep the salt to yourself, and keep it: without it nobody can grade these labs")
+        if students:
+            print("in handouts each student has a folder; give it to nobody else")
         next_line("hand the folder out; later falconwing grade lab01 SUBMISSIONS --out grades")
         return 0
 
