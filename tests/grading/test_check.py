@@ -10,7 +10,7 @@ from falconwing_kit.cli.main import main
 from falconwing_kit.grading.check import check, check_notebook, foreign_modules, printable, run_checks, state_of
 from falconwing_kit.grading.lab import Check, Exercise
 from falconwing_kit.grading.notebooks import write_notebooks
-from tests.grading.small_lab import SOURCE, write_small_lab
+from tests.grading.small_lab import CHECKS, SOURCE, write_small_lab
 
 
 @pytest.fixture
@@ -154,6 +154,22 @@ def test_notebook_file_is_checked_without_being_run(folder, body, state, said):
     assert state_of(report.outcomes) == state
     assert said in report.outcomes[0].said
     assert any("falconwing_kit" in problem for problem in report.problems) == ("falconwing_kit" in (body or ""))
+
+
+def test_function_that_ends_the_process_costs_the_others_nothing(folder):
+    """Two functions, the first of which ends Python: the second is still right, in a process of its own."""
+    block = CHECKS[CHECKS.index("        Exercise(") : CHECKS.index("    ),\n    (Criterion")]
+    (folder / "checks.py").write_text(CHECKS.replace(block, block + block.replace("weight", "lift")))
+    cells = SOURCE[SOURCE.index('# %% exercise="weight"') : SOURCE.index("# %% figure")]
+    ends = cells.replace('COHORT["gravity"] * mass', "__import__('os')._exit(1)")
+    (folder / "lab.py").write_text(SOURCE.replace(cells, ends + cells.replace("weight", "lift")))
+    write_notebooks(folder)
+    weight, lift = check_notebook(folder, folder / "solution" / "lab01.ipynb")
+    assert [outcome.said for outcome in weight.outcomes] == [
+        "called with (1) it ended Python",
+        "called with (0) it ended Python",
+    ]
+    assert state_of(lift.outcomes) == "passed"
 
 
 def test_verb_says_progress_in_words_and_by_its_exit_code(folder, capsys):
