@@ -52,8 +52,8 @@ class Submission:
 
     @property
     def name(self) -> str:
-        """The notebook's file name."""
-        return PurePosixPath(self.members[-1] if self.members else self.file.name).name
+        """The notebook's file name, as it can be printed."""
+        return _printable(PurePosixPath(self.members[-1] if self.members else self.file.name).name)
 
     def read(self) -> bytes:
         """The notebook's bytes.
@@ -115,7 +115,11 @@ def student_of(path: PurePosixPath) -> str:
         name = path.parts[0]
     else:
         name = re.sub(r"^lab\d+[-_ ]+|[-_ ]+lab\d+$", "", path.stem)
-    return "".join(letter for letter in name if letter.isprintable())[:80].strip() or "unnamed"
+    return _printable(name).strip() or "unnamed"
+
+
+def _printable(name: str) -> str:
+    return "".join(letter for letter in name if letter.isprintable())[:80]
 
 
 def _in_folder(folder: Path) -> Iterator[Submission]:
@@ -218,7 +222,7 @@ def _chosen(several: list[Submission], lab: str) -> Submission:
     """The one that counts of a student's notebooks: of this lab, readable, the newest."""
     best = max(several, key=lambda each: (lab in each.name, not each.problem, each.when, each.name))
     if len(several) > 1 and not best.problem:
-        return replace(best, problem=f"one of {len(several)} notebooks of this student: {best.name[:80]}")
+        return replace(best, problem=f"one of {len(several)} notebooks of this student: {best.name}")
     return best
 
 

@@ -16,7 +16,17 @@ from tests.grading.attacks import ATTACKS
 pytestmark = toys.needs_box
 NAMES = {name: f"attack {number:02}" for number, name in enumerate(ATTACKS)}
 WRONG = "def stretch(x, gain):\n    return attack(x, gain)"
-PLAIN = {"wrong value", "wrong shape", "trial failed", "bad answer", "timeout", "memory", "died", "exception"}
+PLAIN = {
+    "wrong value",
+    "wrong shape",
+    "trial failed",
+    "bad answer",
+    "timeout",
+    "memory",
+    "died",
+    "exception",
+    "missing",
+}
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +44,7 @@ def graded(tmp_path_factory):
         for name, text in ATTACKS.items():
             for word, value in places.items():
                 text = text.replace(word, str(value))
-            cells = (toys.HEAD, text, WRONG, toys.WRONG_BRAKE)
+            cells = (toys.HEAD, text, WRONG)
             (students / f"{NAMES[name]}.ipynb").write_bytes(toys.notebook_bytes(*cells))
         before = _files(students)
         assert Grade(str(toys.LAB), students, out, workers=2, json=True).run() == 0
@@ -76,7 +86,7 @@ def test_good_students_among_them_have_full_marks(graded):
 
 def test_wrong_solution_alone_has_no_points(tmp_path):
     """What the attacks are measured against."""
-    cells = (toys.HEAD, "def attack(x, gain): return gain * x", WRONG, toys.WRONG_BRAKE)
+    cells = (toys.HEAD, "def attack(x, gain): return gain * x", WRONG, "def brake(position, speed): return 0.0")
     (tmp_path / "wrong.ipynb").write_bytes(toys.notebook_bytes(*cells))
     assert Grade(str(toys.LAB), tmp_path / "wrong.ipynb", tmp_path / "out", workers=1, json=True).run() == 0
     assert read_records(tmp_path / "out")[0]["points"] == 0.0

@@ -13,7 +13,6 @@ LAB = Path(__file__).parent / "toy_lab"
 HEAD = "import numpy as np\nfrom given import COHORT"
 STRETCH = 'def stretch(x, gain):\n    return gain * x + COHORT["offset"]'
 BRAKE = "def brake(position, speed):\n    return -4.0 * position - 4.0 * speed"
-WRONG_BRAKE = "def brake(position, speed):\n    return 0.0"
 
 needs_box = pytest.mark.skipif(
     shutil.which("bwrap") is None and not os.environ.get("CI"), reason="bubblewrap is missing: apt install bubblewrap"

@@ -104,6 +104,8 @@ def _plain(value: Any, arrays: list[bytes], depth: int) -> Any:
         return {"array": [array.dtype.name, list(array.shape)]}
     if value is None or isinstance(value, bool | int | float | str):
         return value
+    if isinstance(value, tuple | list | Mapping) and len(value) > MAX_ITEMS:
+        raise FrameError(f"want at most {MAX_ITEMS} values; send numbers as an array")
     if isinstance(value, tuple | list):
         kind = "tuple" if isinstance(value, tuple) else "list"
         return {kind: [_plain(each, arrays, depth + 1) for each in value]}

@@ -19,4 +19,5 @@ LAB = Lab(
     ),
     rubric=(Criterion("figure", 25.0, "anything"),),
     constants={"offset": (2.0, 3.0, 3)},
+    memory_mib=256,
 )
