@@ -74,7 +74,7 @@ def air_data(state, wind_world):
     Returns:
         (3,) airspeed V [m/s], angle of attack alpha [rad], sideslip beta [rad].
 
-    `rotation_world_body(roll, pitch, yaw)` of given.py is lab 2's; mind the order of the three angles in the state.
+    `rotation_world_body(roll, pitch, yaw)` of given.py is lab 2's; mind the order of the angles.
     """
     # BEGIN SOLUTION
     pitch, yaw, roll = state[3:6]
@@ -112,7 +112,8 @@ def body_force(air, command, K):
 
     Args:
         air: (3,) airspeed V [m/s], angle of attack alpha [rad], sideslip beta [rad].
-        command: (4,) throttle 0..1, aileron, elevator, rudder -1..1; only the throttle makes a force here.
+        command: (4,) throttle 0..1, aileron, elevator, rudder -1..1; only the throttle makes a
+            force here.
         K: the aircraft's numbers by name: cL0, cLa, cD0, cDi, cY, kT, kTV.
 
     Returns:
@@ -232,7 +233,8 @@ def fly_one_second(dt):
 
 exact = fly_one_second(0.0005)
 for dt in (0.2, 0.1, 0.05):
-    print(f"step {dt:4.2f} s: error {1e6 * np.linalg.norm(fly_one_second(dt) - exact):8.3f} micrometres")
+    error = np.linalg.norm(fly_one_second(dt) - exact)
+    print(f"step {dt:4.2f} s: error {1e6 * error:8.3f} micrometres")
 
 # %% [markdown]
 # ## 5. Trim: the sticks of a steady climb
@@ -257,7 +259,7 @@ def trim(airspeed, climb_angle, K):
         K: the aircraft's numbers: cL0, cLa, cD0, cDi, kT, kTV, M0, Me, Ma.
 
     Returns:
-        (3,) angle of attack [rad], throttle [-], elevator [-]. They are not limited to the sticks' travel.
+        (3,) angle of attack [rad], throttle [-], elevator [-], not limited to the sticks' travel.
     """
     # BEGIN SOLUTION
     V, alpha = airspeed, 0.0
@@ -328,9 +330,9 @@ side.plot(t, np.degrees(calm[:, 5]) / 10.0, color=GREEN, ls="-.", label="bank [1
 side.set(xlabel="time [s]", ylabel="as the legend says", title="The calm flight")
 side.legend(fontsize=8)
 figure.tight_layout()
-print(
-    f"bank held {np.degrees(bank):.1f} deg at {np.mean(speed[100:]):.2f} m/s: R = V^2 / (g tan bank) = {radius:.2f} m"
-)
+plt.show()
+print(f"bank held {np.degrees(bank):.1f} deg at {np.mean(speed[100:]):.2f} m/s")
+print(f"R = V^2 / (g tan bank) = {radius:.2f} m")
 
 # %% [markdown]
 # *In words:* left, the hall from above with a dotted circle; the solid track of the calm flight lies on it, the dashed

@@ -24,8 +24,8 @@ import numpy as np
 from given import (
     BLUE,
     DT,
-    FARTHEST,
     FAR,
+    FARTHEST,
     GREEN,
     GREY,
     GUESS,
@@ -55,7 +55,8 @@ of_pass = np.repeat(np.arange(16), 2)  # two windows are cut from each pass
 measured, trained = windows(poses), np.isin(of_pass, train)
 raw = smoothed = K = GUESS  # until you have something better
 clean, delay = measured, 0.0
-print(f"{len(poses)} passes of {poses.shape[1]} rows; {np.isnan(poses).any(axis=2).sum()} frames gave no pose")
+missing = np.isnan(poses).any(axis=2).sum()
+print(f"{len(poses)} passes of {poses.shape[1]} rows; {missing} frames gave no pose")
 
 # %% [markdown]
 # ## 1. The paper's way: differentiate
@@ -83,8 +84,8 @@ def local_slope(t, x, half):
         half: rows to each side that count, where there are as many.
 
     Returns:
-        slope (N,) [unit of x per s] and noise (N,) [1/s], the slope's standard deviation over that of x. Both are nan
-        where fewer than two values are known.
+        slope (N,) [unit of x per s] and noise (N,) [1/s], the slope's standard deviation over that
+        of x. Both are nan where fewer than two values are known.
     """
     # BEGIN SOLUTION
     slope, noise = np.full(len(t), np.nan), np.full(len(t), np.nan)
@@ -115,8 +116,8 @@ def differentiated(half):
 
 for half in (1, 4):
     noise = SIGMA[0] * local_slope(t, t, half)[1][20]
-    print(f"slope over {2 * half + 1} rows: noise of the velocity {noise:.2f} m/s, of which one step makes an "
-          f"acceleration's noise of {1.4 * noise / DT:.0f} m/s^2")  # fmt: skip
+    print(f"slope over {2 * half + 1} rows: noise of the velocity {noise:.2f} m/s,")
+    print(f"    of the acceleration from one step to the next {1.4 * noise / DT:.0f} m/s^2")
 raw, smoothed = (fit_one_step(differentiated(half)[train], sticks[train]) for half in (1, 4))
 
 # %% [markdown]
@@ -146,8 +147,8 @@ def residuals(predicted, measured, sigma):
         sigma: (3,) noise of each channel.
 
     Returns:
-        r (W, L, 3): factor * (predicted - measured) / sigma, zero in frames with a missing value; and
-        weight (W, L, 3): factor / sigma, so that d r = weight * d predicted (the factor taken as fixed).
+        r (W, L, 3): factor * (predicted - measured) / sigma, zero in frames with a missing value;
+        weight (W, L, 3): factor / sigma, so that dr = weight * d(predicted), the factor held.
         FAR of given.py is where the factor begins to fall.
     """
     # BEGIN SOLUTION
@@ -226,7 +227,7 @@ def fit(measured, commands, K=GUESS, sigma_prior=0.5 * GUESS, rounds=7):
         J_K = (weight[..., None] * to_K).reshape(*flat, len(K))
         J_start = (weight[..., None] * to_start).reshape(*flat, 5)
         dK, dstart = gauss_newton_step(r.reshape(flat), J_K, J_start, K - prior, sigma_prior)
-        K, starts = K + dK, starts + np.clip(dstart, -FARTHEST, FARTHEST)  # a start is not 5 m from its guess
+        K, starts = K + dK, starts + np.clip(dstart, -FARTHEST, FARTHEST)
     return K, starts, r.reshape(flat), J_K, J_start
 
 
@@ -245,7 +246,8 @@ print(f"the sticks act {1000 * delay:.0f} ms after the log says so")
 # %% tags=["last-fit"]
 commands = windows(delayed(sticks, delay))
 K, starts, *_ = fit(measured[trained], commands[trained])
-_, starts, *_ = fit(measured, commands, K, np.full(8, 1e-9))  # K held: only the start states of all windows
+held_fast = np.full(8, 1e-9)  # a prior of no width: K stays, only start states move
+_, starts, *_ = fit(measured, commands, K, held_fast)
 off = np.abs(predict(K, starts, commands) - measured) > 6.0 * SIGMA
 clean = np.where(off.any(axis=2, keepdims=True), np.nan, measured)
 print(f"{off.any(axis=2).sum()} of {len(off) * ROWS} frames go")
@@ -296,8 +298,10 @@ with open("data/truth.json", encoding="utf-8") as file:
     truth = json.load(file)  # possible only because the data are simulated
 print(f"{count} measured numbers, {len(K) + starts.size} unknowns")
 print(f"{'':4} {'truth':>8} {'raw':>8} {'smoothed':>8} {'yours':>8}   {100 * LEVEL:.0f} % interval")
-for name, unit, *row, (low, high) in zip(NAMES, UNITS, truth["K"].values(), raw, smoothed, K, ends, strict=True):
-    print(f"{name:4} " + " ".join(f"{value:8.4f}" for value in row) + f"   {low:7.4f} .. {high:7.4f} {unit}")
+columns = zip(truth["K"].values(), raw, smoothed, K, strict=True)
+for name, unit, row, (low, high) in zip(NAMES, UNITS, columns, ends, strict=True):
+    numbers = " ".join(f"{value:8.4f}" for value in row)
+    print(f"{name:4} {numbers}   {low:7.4f} .. {high:7.4f} {unit}")
 print(f"the true delay is {1000 * truth['delay']:.0f} ms")
 
 # %% [markdown]
@@ -315,7 +319,7 @@ def holdout_score(predicted, measured, of_pass, held_passes):
 
     Args:
         predicted: (W, L, 3) px, pz [m], pitch [rad].
-        measured: (W, L, 3) the same, nan where a value is missing; a frame counts if all its three are there.
+        measured: (W, L, 3) the same, nan where missing; a frame counts if all its three are there.
         of_pass: (W,) number of the pass from which each window was cut.
         held_passes: (H,) numbers of the passes that were held out.
 
@@ -337,9 +341,9 @@ check(holdout_score)
 
 # %% figure="fit"
 replays, as_logged = {}, windows(sticks)
-for label, numbers in (("guess", GUESS), ("smoothed", smoothed), ("yours", K)):  # "raw" does not fly at all
+for label, numbers in (("guess", GUESS), ("smoothed", smoothed), ("yours", K)):  # "raw" cannot fly
     acting = commands if label == "yours" else as_logged
-    _, again, *_ = fit(clean, acting, numbers, np.full(8, 1e-9))
+    _, again, *_ = fit(clean, acting, numbers, np.full(8, 1e-9))  # only the start states
     replays[label] = predict(numbers, again, acting)
     score = holdout_score(replays[label], clean, of_pass, held)
     print(f"held out, {label:8}: position {100 * score[0]:5.1f} cm, pitch {score[1]:4.2f} deg")
@@ -347,22 +351,27 @@ for label, numbers in (("guess", GUESS), ("smoothed", smoothed), ("yours", K)): 
 figure, (left, middle, right) = plt.subplots(1, 3, figsize=(13, 3.8))
 left.hist(r[r != 0.0], np.linspace(-5, 5, 51), density=True, color=BLUE, alpha=0.6, label="your fit")
 z = np.linspace(-5, 5, 200)
-left.plot(z, np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi), color=ORANGE, ls="--", label="Gaussian, sigma 1")
-left.set(xlabel="residual [sigma]", ylabel="density [-]", title="Residuals of the fit", yscale="log", ylim=(1e-4, 1))
+gaussian = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
+left.plot(z, gaussian, color=ORANGE, ls="--", label="Gaussian, sigma 1")
+left.set(xlabel="residual [sigma]", ylabel="density [-]", title="Residuals of the fit")
+left.set(yscale="log", ylim=(1e-4, 1))
 left.legend(fontsize=8)
 middle.plot(1000 * delays, cost, "o-", color=BLUE)
 middle.axvline(1000 * delay, color=ORANGE, ls="--", label=f"smallest at {1000 * delay:.0f} ms")
-middle.set(xlabel="assumed delay [ms]", ylabel="sum of squared residuals [-]", title="The delay nobody wrote down")
+middle.set(xlabel="assumed delay [ms]", ylabel="sum of squared residuals [-]")
+middle.set_title("The delay nobody wrote down")
 middle.legend(fontsize=8)
 window = 2 * held[1]
 seconds = DT * np.arange(ROWS)
 right.plot(seconds, measured[window, :, 1], ".", color=GREY, label="measured (simulated)")
-right.plot(seconds, replays["guess"][window, :, 1], color=GREEN, ls=":", label="guess")
-right.plot(seconds, replays["smoothed"][window, :, 1], color=ORANGE, ls="--", label="smoothed, one step")
-right.plot(seconds, replays["yours"][window, :, 1], color=BLUE, label="yours")
+heights = {label: replay[window, :, 1] for label, replay in replays.items()}
+right.plot(seconds, heights["guess"], color=GREEN, ls=":", label="guess")
+right.plot(seconds, heights["smoothed"], color=ORANGE, ls="--", label="smoothed, one step")
+right.plot(seconds, heights["yours"], color=BLUE, label="yours")
 right.set(xlabel="time in the window [s]", ylabel="height [m]", title="A window that was held out")
 right.legend(fontsize=8)
 figure.tight_layout()
+plt.show()
 
 # %% [markdown]
 # *In words:* left, a histogram of residuals on a logarithmic scale lies on the Gaussian's parabola, without a tail.

@@ -2,7 +2,11 @@
 
 MUTANTS = {
     "residual_map": (
-        ("calm minus flight", "mean_square(residual, variable) - mean_square(calm_residual, calm_variable)", "mean_square(calm_residual, calm_variable) - mean_square(residual, variable)"),
+        (
+            "calm minus flight",
+            "mean_square(residual, variable) - mean_square(calm_residual, calm_variable)",
+            "-mean_square(residual, variable) + mean_square(calm_residual, calm_variable)",
+        ),
         ("a ratio", "mean_square(residual, variable) - mean", "mean_square(residual, variable) / mean"),
         ("the flight alone", "- mean_square(calm_residual, calm_variable)", "- 1.0"),
         ("sizes, not squares", "weights=x[seen] ** 2", "weights=np.abs(x[seen])"),
@@ -22,7 +26,7 @@ MUTANTS = {
         ("more induced drag", 'c * lift + K["cDi"]', 'c * lift - K["cDi"]'),
         ("ground effect without lift's own size", "(c * lift +", "(lift +"),
         ("lift down", "-np.cos(alpha)])", "np.cos(alpha)])"),
-        ("aileron gained", 'added[3] = -size', 'added[3] = size'),
+        ("aileron gained", "added[3] = -size", "added[3] = size"),
         ("moment in the wrong slot", "added[5] = -size", "added[4] = -size"),
         ("loads replaced", "return loads + added", "return added"),
     ),
@@ -30,7 +34,11 @@ MUTANTS = {
         ("uphill", "step = -np.linalg.solve(normal, gradient)", "step = np.linalg.solve(normal, gradient)"),
         ("no price", " - E.shape[1] * np.log(len(r))", ""),
         ("one price for all", "E.shape[1] * np.log(len(r))", "np.log(len(r))"),
-        ("price divided by the scatter too", "(chi2 - without) / scatter - E.shape[1] * np.log(len(r))", "(chi2 - without - E.shape[1] * np.log(len(r))) / scatter"),
+        (
+            "price divided by the scatter too",
+            "(chi2 - without) / scatter - E.shape[1] * np.log(len(r))",
+            "(chi2 - without - E.shape[1] * np.log(len(r))) / scatter",
+        ),
         ("not in units of the scatter", "(chi2 - without) / scatter", "(chi2 - without)"),
         ("gain over nothing fitted at all", "(chi2 - without)", "(chi2)"),
         ("aircraft's numbers held", "np.hstack([J, E])", "np.hstack([0.0 * J, E])"),
@@ -44,7 +52,11 @@ MUTANTS = {
         ("chance is not looked at", "max(LEAST_GAIN, CAUTION * float(np.max(calm_gains)))", "LEAST_GAIN"),
         ("mean of what chance finds", "np.max(calm_gains)", "np.mean(calm_gains)"),
         ("no caution", "CAUTION * float", "float"),
-        ("no smallest threshold", "max(LEAST_GAIN, CAUTION * float(np.max(calm_gains)))", "CAUTION * float(np.max(calm_gains))"),
+        (
+            "no smallest threshold",
+            "max(LEAST_GAIN, CAUTION * float(np.max(calm_gains)))",
+            "CAUTION * np.max(calm_gains)",
+        ),
         ("worst first", "key=lambda name: -gains[name]", "key=lambda name: gains[name]"),
         ("always one name", "gains[name] > best - LEAST_GAIN)", "gains[name] >= best)"),
         ("in the order of the dict", "for name in ranked if", "for name in gains if"),
@@ -58,4 +70,4 @@ MUTANTS = {
         ("an interval over zero", '"low": 0.427, "high": 0.483', '"low": -0.2, "high": 0.483'),
         ("names the runner-up", '"effect": "ground_effect"', '"effect": "aileron_loss"'),
     ),
-}  # fmt: skip
+}
