@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from given import DOWN_THRUST, GRAVITY, K
@@ -17,7 +18,7 @@ def _state(attitude: Sequence[float] = (0.0, 0.0, 0.0), velocity: Sequence[float
     return np.array([0.0, 0.0, 2.0, *attitude, *velocity])
 
 
-def _near(got: object, wanted: object, atol: float = 1e-9) -> bool:
+def _near(got: Any, wanted: Any, atol: float = 1e-9) -> bool:
     """Equal shapes and equal numbers to rounding."""
     return np.shape(got) == np.shape(wanted) and bool(np.allclose(got, wanted, rtol=1e-9, atol=atol))
 

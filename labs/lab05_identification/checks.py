@@ -1,6 +1,7 @@
 """Lab 5's public side: what right residuals, steps, intervals and scores do, in claims that a student can run."""
 
 import math
+from typing import Any
 
 import numpy as np
 from given import FAR, SIGMA, Z
@@ -11,7 +12,7 @@ Array = np.ndarray
 NAN = math.nan
 
 
-def _near(got: object, wanted: object, rtol: float = 1e-9) -> bool:
+def _near(got: Any, wanted: Any, rtol: float = 1e-9) -> bool:
     """Equal shapes and equal numbers to rounding, nan where nan is wanted."""
     return np.shape(got) == np.shape(wanted) and bool(np.allclose(got, wanted, rtol=rtol, atol=1e-9, equal_nan=True))
 

@@ -13,7 +13,7 @@ Array = np.ndarray
 NAN = math.nan
 
 
-def _near(got: object, wanted: object) -> bool:
+def _near(got: Any, wanted: Any) -> bool:
     """Equal shapes and equal numbers to rounding, nan where nan is wanted."""
     return np.shape(got) == np.shape(wanted) and bool(np.allclose(got, wanted, rtol=1e-7, atol=1e-9, equal_nan=True))
 
@@ -59,7 +59,7 @@ def _added(f: Function, effect: str, size: float, **other: float) -> Array:
     return more[:, 0] if np.allclose(more[:, 0], more[:, 1]) else np.full(6, NAN)
 
 
-def _wanted(force: object = (0.0, 0.0, 0.0), moment: object = (0.0, 0.0, 0.0)) -> Array:
+def _wanted(force: Any = (0.0, 0.0, 0.0), moment: Any = (0.0, 0.0, 0.0)) -> Array:
     return np.concatenate([np.asarray(force, float), np.asarray(moment, float)])
 
 

@@ -91,20 +91,33 @@ def _rounded(table: FlightTable) -> FlightTable:
 
 
 def _right_name(effect: str, size: float, student: Function, rng: np.random.Generator) -> bool:
-    return bool(student()["effect"] == effect)
+    found = _finding(student)
+    return found is not None and found[0] == effect
 
 
 def _right_size(effect: str, size: float, student: Function, rng: np.random.Generator) -> bool:
-    found = student()
-    return bool(found["effect"] == effect and abs(found["size"] - size) <= NEAR * abs(size))
+    found = _finding(student)
+    return found is not None and found[0] == effect and abs(found[1] - size) <= NEAR * abs(size)
 
 
 def _right_interval(effect: str, size: float, student: Function, rng: np.random.Generator) -> bool:
     """It holds the truth, is in order, and is not so wide that it could not help it."""
-    found = student()
-    low, high = found["low"], found["high"]
-    holds = low <= size <= high and low <= found["size"] <= high
-    return bool(found["effect"] == effect and holds and high - low <= 2.0 * WIDEST * abs(size))
+    if (found := _finding(student)) is None or found[0] != effect:
+        return False
+    _, best, low, high = found
+    return low <= size <= high and low <= best <= high and high - low <= 2.0 * WIDEST * abs(size)
+
+
+def _finding(student: Function) -> tuple[str, float, float, float] | None:
+    """What a student found; None where the answer has another form."""
+    answer = student()
+    if not isinstance(answer, dict) or not isinstance(answer.get("effect"), str):
+        return None
+    came = [answer.get(name) for name in ("size", "low", "high")]
+    if not all(isinstance(x, int | float | np.number | np.ndarray) and np.shape(x) == () for x in came):
+        return None
+    size, low, high = (float(np.asarray(x)) if np.asarray(x).dtype.kind in "iuf" else np.nan for x in came)
+    return answer["effect"], size, low, high
 
 
 # The functions --------------------------------------------------------------------------------------------------------
