@@ -18,9 +18,9 @@ from pathlib import Path
 import pytest
 
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.many.run import run_many
 from falconwing_kit.grading.find import lab_folder, load_checks, notebook_path
 from falconwing_kit.grading.judge import Assignment, Work, grade_one
-from falconwing_kit.grading.sandbox.pool import run_many
 from falconwing_kit.grading.submissions import find_submissions
 from tests.benchmarks.bench_rollouts import machine
 from tests.grading import toys

@@ -1,5 +1,6 @@
 """falconwing grade, falconwing sandbox: submissions -> records and a gradebook; the box they run in -> does it hold?"""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -34,6 +35,8 @@ class Grade:
     """folder for the records and the gradebook"""
     workers: int = 2
     """submissions at a time"""
+    cluster: str = ""
+    """address of a scheduler of `distributed` whose workers grade instead, such as tcp://10.0.0.5:8786"""
     resume: bool = False
     """go on with an earlier run: what is graded already is left as it is"""
     regrade: bool = False
@@ -67,7 +70,9 @@ class Grade:
         lab = load_checks(folder)
         found = find_submissions(self.submissions, lab.name)
         boxed = not self.unsafe_no_sandbox
-        if boxed:
+        if boxed and self.cluster:
+            _require_boxes(self.cluster)
+        elif boxed:
             _require_box()
         secret = open_run(self.out, lab.name, self.salt, sandboxed=boxed, go_on=self.resume or self.regrade)
         known = last_records(read_records(self.out))
@@ -84,9 +89,9 @@ class Grade:
         """Grade what is to be graded, record it at once, and count."""
         from tqdm import tqdm
 
+        from falconwing_kit.core.many.run import LostError, run_many
         from falconwing_kit.grading.judge import Work, grade_one, unfinished
         from falconwing_kit.grading.records import append_record
-        from falconwing_kit.grading.sandbox.pool import LostError, run_many
 
         todo, before = [], {each.student: known.get(each.student, {}) for each in found}
         for each in found:
@@ -94,7 +99,7 @@ class Grade:
             if not same or self.regrade:
                 todo.append(Work(each, before[each.student]["seed"] if same else ""))
         changed = 0
-        done = run_many(partial(grade_one, assignment=assignment), todo, self.workers)
+        done = run_many(partial(grade_one, assignment=assignment), todo, self.workers, self.cluster)
         for work, result in tqdm(done, total=len(todo), desc=lab.name, unit="submission", disable=None):
             if isinstance(result, LostError):
                 result = unfinished(work, assignment, lab) | {"problem": str(result)}
@@ -170,7 +175,19 @@ def _require_box() -> None:
     """Refuse to grade in a box that does not hold."""
     from falconwing_kit.grading.sandbox.probe import holes, probe
 
-    found = holes(probe())
+    _refuse_holes(holes(probe()))
+
+
+def _require_boxes(cluster: str) -> None:
+    """Refuse to grade where the box of any worker of a cluster does not hold."""
+    from falconwing_kit.core.many.cluster import on_every_worker
+    from falconwing_kit.grading.sandbox.probe import holes, probe
+
+    tried = on_every_worker(probe, cluster)
+    _refuse_holes([f"{worker}: {hole}" for worker, findings in tried.items() for hole in holes(findings)])
+
+
+def _refuse_holes(found: Sequence[str]) -> None:
     if found:
         advice = "mend it (`falconwing sandbox probe` says more), or accept forged points with --unsafe-no-sandbox"
         raise InputError(f"the box: want it closed, found {len(found)} holes ({'; '.join(found)}); {advice}")

@@ -16,7 +16,7 @@ class LostError(RuntimeError):
     """An item's process ended every time before it had a result."""
 
 
-def run_many(
+def in_processes(
     function: Callable[[Item], Result], items: Sequence[Item], workers: int = 2
 ) -> Iterator[tuple[Item, Result | LostError]]:
     """Do a function on many items, in several processes.
@@ -52,7 +52,7 @@ def run_many(
                     if tries < TRIES:
                         todo.append((item, tries + 1))
                         continue
-                    raised, result = False, LostError("the grader's process ended three times while it graded this")
+                    raised, result = False, LostError("the process that worked on this ended three times")
                 if raised:
                     raise result
                 yield item, result
