@@ -9,6 +9,7 @@ import json
 import os
 import re
 import secrets
+import select
 import shutil
 import signal
 import subprocess
@@ -111,7 +112,7 @@ class Worker:
 
     def __init__(self, job: Job, process: "subprocess.Popen[bytes]", group: limits.Group, **order: Any) -> None:
         self._job, self._process, self._group = job, process, group
-        self._clock, self._over = _Clock(STARTING), ""
+        self._clock, self._over, self._first = _Clock(STARTING), "", -1
         self._watch = threading.Thread(target=self._clock.watch, args=(self._kill,), daemon=True)
         self._order = {"packages": job.used, "seconds": float(job.seconds), "memory_mib": job.memory_mib, **order}
 
@@ -129,6 +130,7 @@ class Worker:
             self.close()
             advice = "`falconwing sandbox probe` may say why"
             raise RuntimeError(f"the box did not start: {error.category}; {advice}") from None
+        self._first = _first_inside(self._process.pid) if self._order["boxed"] else -1
         self._clock.limit, self._clock.spent = 2.0 * self._job.seconds + 5.0, 0.0
         try:
             self._ask({"text": self._job.text, "function": self._job.function, "through": self._job.through})
@@ -165,6 +167,10 @@ class Worker:
         self._clock.over.set()
         self._kill()
         self._process.wait()
+        if self._first >= 0:  # the kernel has ended all others in the box when the first is gone
+            select.select([self._first], [], [], 10.0)
+            os.close(self._first)
+            self._first = -1
         for stream in (self._process.stdin, self._process.stdout):
             with suppress(OSError):
                 stream.close()  # type: ignore[union-attr]
@@ -204,11 +210,23 @@ class Worker:
         return "memory" if self._group.out_of_memory() else "died"
 
     def _kill(self) -> None:
+        if self._first >= 0:
+            with suppress(ProcessLookupError):
+                signal.pidfd_send_signal(self._first, signal.SIGKILL)
         with suppress(ProcessLookupError, PermissionError):
             if hasattr(os, "killpg") and self._process.poll() is None:
                 os.killpg(self._process.pid, signal.SIGKILL)
             else:
                 self._process.kill()
+
+
+def _first_inside(bubblewrap: int) -> int:
+    """A handle on the first process of a box, on which all others depend; -1 where the system does not tell."""
+    try:
+        children = Path(f"/proc/{bubblewrap}/task/{bubblewrap}/children").read_text().split()
+        return os.pidfd_open(int(children[0]))
+    except (OSError, IndexError):
+        return -1
 
 
 def _category(name: object) -> str:
@@ -236,7 +254,7 @@ def in_box(job: Job) -> Worker:
         process = _start(box.words, {}, preexec_fn=become, pass_fds=(cohort,), start_new_session=True)
     finally:
         os.close(cohort)
-    return Worker(job, process, group, processes=PROCESSES, foreign=())
+    return Worker(job, process, group, boxed=True, processes=PROCESSES, foreign=())
 
 
 _OWN_PROCESSES = 8  # bubblewrap's, while it builds the box
@@ -255,7 +273,9 @@ def in_process(job: Job) -> Iterator[Worker]:
             shutil.copytree(job.folder / "data", desk / "data")
         words = [sys.executable, *runtime.PYTHON, str(_CODE[0]), str(desk)]
         process = _start(words, os.environ | runtime.ENVIRONMENT, cwd=desk, start_new_session=True)
-        with Worker(job, process, limits.Group(()), processes=0, foreign=("falconwing_kit",)) as worker_here:
+        with Worker(
+            job, process, limits.Group(()), boxed=False, processes=0, foreign=("falconwing_kit",)
+        ) as worker_here:
             yield worker_here
 
 
