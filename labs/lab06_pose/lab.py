@@ -78,13 +78,14 @@ def marker_pose(corners_px, K, size):
     """Pose of a camera that sees the marker. Use marker_square(size) and homography(xy, uv).
 
     Args:
-        corners_px: (4, 2) pixels (u, v) of the top left, top right, bottom right and bottom left corner.
+        corners_px: (4, 2) pixels (u, v) of the corners: top left, top right, bottom right,
+            bottom left.
         K: (3, 3) matrix of the lens [px].
         size: side of the square [m].
 
     Returns:
-        T_marker_camera (4, 4): columns of its rotation are the camera's axes, its last column the camera's place [m],
-        both in marker axes.
+        T_marker_camera (4, 4): the columns of its rotation are the camera's axes, its last column
+        the camera's place [m], both in marker axes.
     """
     # BEGIN SOLUTION
     A = np.linalg.inv(K) @ homography(marker_square(size), corners_px)
@@ -110,10 +111,11 @@ shows, p_world, p_sfm = photos["shows"], photos["p_world"], photos["p_sfm"]
 
 
 def camera_places(polished):
-    """Where the marker alone puts the 72 cameras (72, 3) in the world [m], with your marker_pose."""
-    poses = [marker_pose(corners_px, K, MARKER_SIZE) for corners_px in photos["corners_px"]]
-    if polished:
-        poses = [polish(T, corners_px) for T, corners_px in zip(poses, photos["corners_px"], strict=True)]
+    """Where your marker_pose puts the 72 cameras in the world, (72, 3) [m]."""
+    poses = []
+    for corners_px in photos["corners_px"]:
+        T_marker_camera = marker_pose(corners_px, K, MARKER_SIZE)
+        poses.append(polish(T_marker_camera, corners_px) if polished else T_marker_camera)
     return np.array([T_WORLD_MARKER @ T for T in poses])[:, :3, 3]
 
 
@@ -122,8 +124,8 @@ def camera_places(polished):
 
 # %% figure="distance"
 distance = np.linalg.norm(p_world[shows] - T_WORLD_MARKER[:3, 3], axis=1)
-error_rough, error = (np.linalg.norm(camera_places(p) - p_world[shows], axis=1) for p in (False, True))
-draw_distance(distance, error_rough, error)
+rough, polished = camera_places(False) - p_world[shows], camera_places(True) - p_world[shows]
+draw_distance(distance, np.linalg.norm(rough, axis=1), np.linalg.norm(polished, axis=1))
 plt.show()
 
 # %% [markdown]
@@ -239,10 +241,12 @@ def reject_outliers(p_from, p_to, candidates):
         candidates: list of similarities (scale, R, t).
 
     Returns:
-        (best, keep): the number of the best candidate in the list, and (N,) booleans, True for pairs to keep.
+        (best, keep): the number of the best candidate in the list, and (N,) booleans, True for
+        pairs to keep.
     """
     # BEGIN SOLUTION
-    misses = np.array([np.linalg.norm(scale * p_from @ R.T + t - p_to, axis=1) for scale, R, t in candidates])
+    off = np.array([scale * p_from @ R.T + t - p_to for scale, R, t in candidates])
+    misses = np.linalg.norm(off, axis=2)
     medians = np.median(misses, axis=1)
     best = int(np.argmin(medians))
     keep = misses[best] <= COHORT["gate"] * medians[best]
@@ -256,7 +260,7 @@ check(reject_outliers)
 
 # %%
 def without_outliers():
-    """The similarity of those photos that agree with the best of 300 candidates, each from four photos."""
+    """The similarity of photos that agree with the best of 300 candidates of four photos each."""
     rng, p_marker = np.random.default_rng(0), camera_places(True)
     sets = [rng.choice(len(shows), 4, replace=False) for _ in range(300)]
     candidates = [fit_similarity(p_sfm[shows[few]], p_marker[few], np.ones(4)) for few in sets]
@@ -276,7 +280,7 @@ report("polished, outliers out")
 
 # %%
 def weighted():
-    """The similarity of all 72 photos, each weighted by its distance Z as the marker itself tells it."""
+    """The similarity of all 72 photos, weighted by their distance Z as the marker tells it."""
     p_marker = camera_places(True)
     Z = np.linalg.norm(p_marker - T_WORLD_MARKER[:3, 3], axis=1)
     return fit_similarity(p_sfm[shows], p_marker, 1.0 / Z**6)
@@ -309,7 +313,8 @@ def triangulate(centres, rays, weights):
         weights: (N,) how much each ray counts.
 
     Returns:
-        (p, misses): the point (3,) and (N,) its distances from the rays, in the unit of the centres.
+        (p, misses): the point (3,), and (N,) its distances from the rays, in the unit of the
+        centres.
     """
     # BEGIN SOLUTION
     d = rays / np.linalg.norm(rays, axis=1, keepdims=True)
@@ -330,7 +335,8 @@ check(triangulate)
 
 # %%
 centres, R_sfm_camera = p_sfm[shows], photos["R_sfm_camera"][shows]
-pixels = np.concatenate([photos["corners_px"], np.ones((len(shows), 4, 1))], axis=2)  # (n, 4, 3): u, v, 1
+ones = np.ones((len(shows), 4, 1))
+pixels = np.concatenate([photos["corners_px"], ones], axis=2)  # (n, 4, 3): u, v, 1
 rays = np.einsum("nij,jk,nck->nci", R_sfm_camera, np.linalg.inv(K), pixels)
 square = np.column_stack([marker_square(MARKER_SIZE), np.zeros(4)])
 corners_world = square @ T_WORLD_MARKER[:3, :3].T + T_WORLD_MARKER[:3, 3]
@@ -342,12 +348,17 @@ def corners_sfm(weights):
 
 
 def corners_weighted():
-    """The similarity of corners that were triangulated again, with the distances of the first time."""
+    """The similarity of corners triangulated again, with the distances of the first time."""
     Z = np.linalg.norm(corners_sfm(all_alike).mean(axis=0) - centres, axis=1)
     return fit_similarity(corners_sfm(1.0 / Z**2), corners_world, np.ones(4))
 
 
-recipes["corners, all alike"] = lambda: fit_similarity(corners_sfm(all_alike), corners_world, np.ones(4))
+def corners_alike():
+    """The similarity of corners from rays that count alike."""
+    return fit_similarity(corners_sfm(all_alike), corners_world, np.ones(4))
+
+
+recipes["corners, all alike"] = corners_alike
 recipes["corners, weights 1/Z²"] = corners_weighted
 report("corners, all alike")
 report("corners, weights 1/Z²")

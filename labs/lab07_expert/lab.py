@@ -92,7 +92,8 @@ def turn(speed, climb, radius):
         radius: R of the path seen from above [m], positive to the right, negative to the left.
 
     Returns:
-        (bank, margin): the bank [rad], right wing down positive, and V over the stall speed of this turn [-].
+        (bank, margin): the bank [rad], right wing down positive, and V over the stall speed of
+        this turn [-].
     """
     # BEGIN SOLUTION
     bank = np.arctan(speed**2 * np.cos(climb) / (GRAVITY * radius))
@@ -174,11 +175,14 @@ check(turn_rates)
 
 # %% exercise="guidance"
 def guidance(p, v, start, end, bank_limit):
-    """Bank that leads to a line and along it. Use APPROACH [rad], PULL [1/m], TURN_GAIN [1/s], GRAVITY [m/s^2].
+    """Bank that leads to a line and along it.
+
+    Use APPROACH [rad], PULL [1/m], TURN_GAIN [1/s] and GRAVITY [m/s^2].
 
     Args:
         p: (2,) where the aircraft is, x and y [m]; y is to the left of x.
-        v: (2,) its velocity over ground, x and y [m/s]; its direction is the course, its length the speed.
+        v: (2,) its velocity over ground, x and y [m/s]; its direction is the course, its length
+            the speed.
         start: (2,) where the line begins [m].
         end: (2,) where it ends [m].
         bank_limit: largest bank [rad].
@@ -254,7 +258,7 @@ model, airframe = rates_model(), load_airframe()
 
 
 def fly(pilot, start, seed, seconds, pad=None):
-    """Fly a pilot from x, y, z [m], scattered by the seed, until it touches something; what happened, by name."""
+    """Fly a pilot from x, y, z [m] until it touches something; what happened, by name."""
     place = Spread(position=0.4, angle=math.radians(4.0), speed=0.4).start(model, start, seed)
     world = SimulatedWorld(model, airframe, place, seed=seed, pad=pad)
     rows = []
@@ -262,7 +266,7 @@ def fly(pilot, start, seed, seconds, pad=None):
         bank, command = pilot(world.measured())
         world.send(world.t, command)
         x = world.state
-        u, _, w = rotation_world_body(x.roll, x.pitch, x.yaw).T @ x.v_world  # along the nose, and out of the belly
+        u, _, w = rotation_world_body(x.roll, x.pitch, x.yaw).T @ x.v_world  # nose, wing, belly
         lift, most = (LIFT_0 + LIFT_SLOPE * alpha for alpha in (math.atan2(w, u), STALL_ALPHA))
         margin = math.sqrt(most / max(lift, 1e-3))
         rows.append((world.t, x.p_world, x.roll, bank, margin, command.vector, -x.v_world[2]))
@@ -287,7 +291,8 @@ class CircuitPilot:
         bank = guidance(p[:2], state.v_world[:2], *leg(self.leg), BANK_LIMIT)
         throttle, self.integral = hold_speed(SPEED - speed, self.integral, LEVEL_THROTTLE)
         rates = turn_rates(bank, state.pitch, speed)
-        return bank, Command.limited(throttle, *self.autopilot.sticks(state, bank, HEIGHT - p[2], rates))
+        sticks = self.autopilot.sticks(state, bank, HEIGHT - p[2], rates)
+        return bank, Command.limited(throttle, *sticks)
 
 
 # %% figure="circuit"
@@ -295,7 +300,8 @@ flight = fly(CircuitPilot(), (-12.0, -8.0, HEIGHT), seed=1, seconds=25.0)
 draw_circuit(flight)
 plt.show()
 touched = flight["contact"].obstacle if flight["contact"] else "nothing"
-print(f"flown {flight['t'][-1]:.1f} s, touched {touched}; smallest stall margin {flight['margin'].min():.2f}")
+print(f"flown {flight['t'][-1]:.1f} s, touched {touched}")
+print(f"smallest stall margin {flight['margin'].min():.2f}")
 
 # %% [markdown]
 # *In words: above left, an oval track around a rectangle of legs, about 3 m inside the walls. The bank swings between
@@ -306,7 +312,7 @@ print(f"flown {flight['t'][-1]:.1f} s, touched {touched}; smallest stall margin 
 # Say below the figure where the stall margin is smallest and why, and what the short right banks are for.
 #
 # ## 6 Flare
-# An approach on a straight slope of 6° at 7 m/s sinks by 0.7 m/s. Landing like that breaks a 150 g airframe's gear. So
+# An approach on a straight slope of 6° at 7 m/s sinks by 0.7 m/s. Landing like that is hard on a light airframe. So
 # shortly before the ground the pilot *flares*: the sink rate falls with the height. Let $h$ be the height of the wheels
 # above the pad [m], $d$ the way to the aim point [m]:
 #
@@ -324,7 +330,7 @@ print(f"flown {flight['t'][-1]:.1f} s, touched {touched}; smallest stall margin 
 def flare(height, distance, speed):
     """Vertical speed for approach and flare.
 
-    Use GLIDE [rad], STEEPEST [rad], SLOPE_GAIN [1/s], FLARE_TIME [s] and COHORT["touch_sink"] [m/s].
+    Use GLIDE [rad], STEEPEST [rad], SLOPE_GAIN [1/s], FLARE_TIME [s], COHORT["touch_sink"] [m/s].
 
     Args:
         height: h, of the wheels above the pad [m].
@@ -332,7 +338,8 @@ def flare(height, distance, speed):
         speed: V [m/s].
 
     Returns:
-        (climb_rate, idle): wanted vertical speed [m/s], upward positive, so mostly negative; and True in the flare.
+        (climb_rate, idle): wanted vertical speed [m/s], upward positive, so mostly negative; and
+        True in the flare.
     """
     # BEGIN SOLUTION
     too_low = distance * math.tan(GLIDE) - height
@@ -370,22 +377,25 @@ class LandingPilot:
         throttle, self.integral = hold_speed(SPEED - speed, self.integral, GLIDE_THROTTLE)
         self.idle = self.idle or flaring
         rates = turn_rates(bank, state.pitch, speed)
-        return bank, Command.limited(
-            0.0 if self.idle else throttle, *self.autopilot.sticks(state, bank, climb_rate, rates)
-        )
+        sticks = self.autopilot.sticks(state, bank, climb_rate, rates)
+        return bank, Command.limited(0.0 if self.idle else throttle, *sticks)
 
 
 # %% figure="landing"
 pilots = {"with your flare": flare, "without": approach_only}
 start = (PAD_START - 20.0, AIM[1], 1.5)
-flights = {name: fly(LandingPilot(vertical), start, 3, 20.0, LandingPad()) for name, vertical in pilots.items()}
+flights = {
+    name: fly(LandingPilot(vertical), start, seed=3, seconds=20.0, pad=LandingPad())
+    for name, vertical in pilots.items()
+}
 draw_landing(flights)
 plt.show()
 for name, flight in flights.items():
-    touch = flight["contact"].touchdown
-    if touch is None:
-        print(f"{name}: no touchdown, it met the {flight['contact'].obstacle}")
+    contact = flight["contact"]
+    if contact is None or contact.touchdown is None:
+        print(f"{name}: no touchdown, touched {contact.obstacle if contact else 'nothing'}")
     else:
+        touch = contact.touchdown
         print(f"{name}: {touch.surface}, {touch.past_threshold:.1f} m past the threshold,", end=" ")
         print(f"sinking {touch.sink_rate:.2f} m/s")
 
@@ -400,12 +410,14 @@ for name, flight in flights.items():
 
 # %%
 for seed in range(10):
-    touch = fly(LandingPilot(flare), start, seed, 20.0, LandingPad())["contact"].touchdown
-    if touch is not None:
-        print(
-            f"start {seed}: {touch.surface}, {100 * touch.absolute_lateral_deviation:3.0f} cm off the centre line, "
-            f"{touch.past_threshold:.1f} m past the threshold, sinking {touch.sink_rate:.2f} m/s"
-        )
+    contact = fly(LandingPilot(flare), start, seed, 20.0, LandingPad())["contact"]
+    touch = contact.touchdown if contact else None
+    if touch is None:
+        print(f"start {seed}: no touchdown")
+    else:
+        aside_cm = 100.0 * touch.absolute_lateral_deviation
+        print(f"start {seed}: {touch.surface}, {aside_cm:.0f} cm off the centre line,", end=" ")
+        print(f"{touch.past_threshold:.1f} m past the threshold, sinking {touch.sink_rate:.2f} m/s")
 
 # %% [markdown]
 # ## Questions

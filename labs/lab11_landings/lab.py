@@ -100,7 +100,7 @@ fig, ax = plt.subplots(figsize=(8, 4))
 ax.plot(rates, coverage(simple_interval, rates, 10, 0.95), "--", color=ORANGE, label="first course")
 ax.plot(rates, coverage(success_interval, rates, 10, 0.95), "-", color=BLUE, label="Wilson")
 ax.axhline(0.95, color="black", linewidth=1)
-ax.set(xlabel="true success rate", ylabel="share of experiments whose interval holds it", ylim=(0, 1.03))
+ax.set(xlabel="true success rate", ylabel="share of intervals that hold it", ylim=(0, 1.03))
 ax.set_title("Ten trials, 95 % promised")
 ax.legend()
 plt.show()
@@ -137,7 +137,7 @@ def ald_summary(success, ald_cm):
         "mean_cm": mean over the landings, nan if there is none,
         "mean_with_zeros_cm": mean over all runs with 0 cm for those that did not land,
         "median_cm": median over the landings, nan if there is none,
-        "close_share": share of all runs that landed at most COHORT["close_cm"] from the centre line.
+        "close_share": share of all runs that landed at most COHORT["close_cm"] off the line.
     """
     # BEGIN SOLUTION
     landings = ald_cm[success]
@@ -184,11 +184,12 @@ def compare_sim_real(sim_cm, real_cm):
 
     Args:
         sim_cm: (n,) deviations in simulation [cm], nan where the run did not land.
-        real_cm: (n,) deviations of the same starts in the hall [cm], nan where the run did not land.
+        real_cm: (n,) deviations of the same starts in the hall [cm], nan likewise.
 
     Returns:
-        (pairs, difference, p): number of runs that landed in both, their mean of real minus sim [cm], and the share of
-        all 2^pairs sign patterns whose mean is at least as large in size, both directions counted.
+        (pairs, difference, p): number of runs that landed in both, their mean of real minus sim
+        [cm], and the share of all 2^pairs sign patterns whose mean is at least as large in size,
+        both directions counted.
     """
     # BEGIN SOLUTION
     differences = (real_cm - sim_cm)[~np.isnan(real_cm - sim_cm)]
@@ -246,7 +247,8 @@ check(landings_to_show)
 # %%
 for rate in (0.5, 0.8, 0.9, 0.99):
     needed = [landings_to_show(rate, failures, 0.95) for failures in (0, 1, 2)]
-    print(f"to show {rate:.0%}: {needed[0]} landings without a failure, {needed[1]} with one, {needed[2]} with two")
+    print(f"to show {rate:.0%}: {needed[0]} landings without a failure,", end=" ")
+    print(f"{needed[1]} with one, {needed[2]} with two")
 
 # %% [markdown]
 # Simulated landings cost nothing but computing time. The kit's expert flew a hundred, from starts drawn as in the paper
@@ -267,7 +269,8 @@ counts = {
     )
 }
 counts["simulated, kit's expert"] = (int(simulated["success"].sum()), len(simulated["success"]))
-draw_landings(table, {name: (k, n, *success_interval(k, n, 0.95)) for name, (k, n) in counts.items()})
+intervals = {name: (k, n, *success_interval(k, n, 0.95)) for name, (k, n) in counts.items()}
+draw_landings(table, intervals)
 plt.show()
 
 # %% [markdown]
