@@ -169,6 +169,7 @@ def draw_ground(path: Path) -> str:
     import schemdraw.elements as elm
 
     drawing = _drawing()
+    drawing.config(fontsize=17)  # the widest of the three: smaller letters could not be read on a page
     for column, row, text in BOXES.values():
         _box(drawing, (7.0 * column, -3.9 * row), WIDE, HIGH, text)
     for start, end, text in JOINTS:

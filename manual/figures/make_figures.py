@@ -1,16 +1,22 @@
-"""Figures of README and manual -> hall.jpg and trained_hall.jpg, views of halls; identify_demo.png, the demo's flights.
+"""Every figure of README and manual, made again -> this folder, each with the same in words beside it (.txt).
 
-    .venv/bin/python manual/figures/make_figures.py
+    .venv/bin/python manual/figures/make_figures.py            all of them, in two minutes
+    .venv/bin/python manual/figures/make_figures.py ppm hall   these
 
-Run it again when the demo's answer changes; about half a minute.
+Drawings are in schematics.py, simulated flights and pictures in flights.py, hardware's own in hardware/. Here: views of
+halls, and what the demo found in recorded flights. Run it again when the demo's answer changes.
 """
 
+import argparse
+import importlib.util
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from falconwing_kit.core.checks import Array
+from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.frames import camera_pose
 from falconwing_kit.core.messages import Pose
 from falconwing_kit.core.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
@@ -36,21 +42,80 @@ BEFORE_S = 30.0  # of the real flight, before its engine stops
 CHANNELS = ((3, "roll [deg]", 180.0 / np.pi), (4, "pitch [deg]", 180.0 / np.pi), (2, "height [m]", 1.0))
 
 
-def main() -> None:
-    """Look into the hall, study both flights, and draw them."""
-    hall, trained, demo = FOLDER / "hall.jpg", FOLDER / "trained_hall.jpg", FOLDER / "identify_demo.png"
-    draw_hall(hall)
-    draw_trained_hall(trained)
-    draw_identify_demo(study_recorded_flights(print), demo)
-    for path in (hall, trained, demo):
-        print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+def main(words: list[str] | None = None) -> int:
+    """Draw the figures that are named, or all.
+
+    Args:
+        words: the command line; None takes the program's own.
+
+    Returns:
+        0.
+    """
+    sys.path.insert(0, str(FOLDER))  # this folder is no package
+    from flights import FLIGHTS
+    from schematics import DRAWINGS
+
+    drawings = {f"{name}.svg": draw for name, draw in DRAWINGS.items()}
+    drawings |= {f"{name}.{'jpg' if name == 'pictures' else 'svg'}": draw for name, draw in FLIGHTS.items()}
+    drawings |= {"hall.jpg": draw_hall, "trained_hall.jpg": draw_trained_hall, "identify_demo.png": draw_demo}
+    parser = argparse.ArgumentParser(description="Figures of README and manual.")
+    names = [*(Path(name).stem for name in drawings), "hardware"]
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(names)}; all where none is given")
+    parser.add_argument("--out", type=Path, default=FOLDER, help="folder to write to")
+    asked = parser.parse_args(words)
+    if set(asked.names) - set(names):
+        parser.error(f"want names of {', '.join(names)}, got {' '.join(set(asked.names) - set(names))}")
+    asked.out.mkdir(parents=True, exist_ok=True)
+    for file, draw in drawings.items():
+        if not asked.names or Path(file).stem in asked.names:
+            said = " ".join(draw(asked.out / file).split())
+            write_words(asked.out / Path(file).with_suffix(".txt"), said)
+            print(f"{file}: {(asked.out / file).stat().st_size / 1000:.0f} kB")
+    if not asked.names or "hardware" in asked.names:
+        draw_hardware(asked.out)
+    return 0
 
 
-def draw_hall(path: Path) -> None:
+def write_words(path: Path, text: str) -> None:
+    """A figure in words."""
+    with atomic_write(path, text=True) as file:
+        file.write(text + "\n")
+
+
+def draw_hardware(out: Path) -> None:
+    """The figures that hardware/ draws from its own files: curves, wiring, bracket.
+
+    Args:
+        out: the folder to write to.
+    """
+    for name in ("draw", "wiring/wiring", "bracket/draw"):
+        spec = importlib.util.spec_from_file_location(Path(name).stem, FOLDER.parents[1] / "hardware" / f"{name}.py")
+        if spec is None or spec.loader is None:
+            raise FileNotFoundError(
+                f"hardware/{name}.py: want the script that draws, found none; take a whole checkout"
+            )
+        script = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(script)
+        script.main(["--out", str(out)])
+
+
+def draw_demo(path: Path) -> str:
+    """Study the demo's flights, draw them, and say what is seen."""
+    draw_identify_demo(study_recorded_flights(print), path)
+    return """Left, ten seconds of a simulated flight of 150 g: roll, pitch and height as measured, dots, and as the model
+        says from two seconds before, lines that lie on the dots. Right, a real aircraft 2 m wide: until its engine stops
+        forecasts stay within the grey band of healthy flight; some seconds after it the forecast of an engine that runs on is metres ahead
+        of the aircraft, while its measured speed falls."""
+
+
+def draw_hall(path: Path) -> str:
     """Three looks from an aircraft's nose side by side: far out, behind a leader, and short of the pad.
 
     Args:
         path: the JPEG to write.
+
+    Returns:
+        The same in words.
     """
     arena, camera = load_scene("arena"), fpv_camera(*VIEW_PX)
     images = []
@@ -58,16 +123,23 @@ def draw_hall(path: Path) -> None:
         scene = leader_at(arena, None if leader is None else body_pose(leader))
         images.append(render(scene, camera, camera_pose(body_pose(own))).rgb)
     write_strip(path, images)
+    return """Three simulated views into a drawn sports hall from an aircraft's nose: far out with the blue pad ahead, in a
+        turn behind another aircraft, and short of the pad beside a square black and white marker."""
 
 
-def draw_trained_hall(path: Path) -> None:
+def draw_trained_hall(path: Path) -> str:
     """Two looks from an approach into the hall that was trained on photos.
 
     Args:
         path: the JPEG to write.
+
+    Returns:
+        The same in words.
     """
     hall, camera = load_scene("hall"), fpv_camera(*APPROACH_PX)
     write_strip(path, [render(hall, camera, camera_pose(body_pose(own))).rgb for own in APPROACH])
+    return """Two simulated views from an approach into the hall trained on path-traced images: windows, posters, boxes, the
+        marker and the blue pad; on the right, closer to the pad, blurred patches hang in the air."""
 
 
 def write_strip(path: Path, images: list[Any]) -> None:
@@ -171,4 +243,4 @@ def draw_real(axes: Any, story: AlfaStory) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

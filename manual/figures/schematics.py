@@ -1,0 +1,295 @@
+"""Drawings of the manual: the kit's own data files -> SVG figures, each with the same in words beside it.
+
+Drawn, none of them a picture taken. They are in greys and dashes, so that a page on a school's printer loses nothing.
+`make_figures.py` calls them; names and words stand in DRAWINGS.
+"""
+
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from falconwing_kit.aircraft.airframe import load_airframe
+from falconwing_kit.aircraft.hardware.parts import load_parts, roll_up
+from falconwing_kit.aircraft.touchdown import LandingPad
+from falconwing_kit.control.guidance import Hall
+from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.messages import COMMAND_NAMES, Command
+from falconwing_kit.trainer_port.ppm import load_calibration
+
+MANUAL = Path(__file__).resolve().parents[1]
+DARK, MIDDLE, LIGHT, PALE = "0.1", "0.45", "0.7", "0.92"
+STEADY = {"svg.fonttype": "none", "svg.hashsalt": "falconwing", "font.size": 9.5, "axes.labelsize": 9.5}
+HALL = Hall()
+
+
+@contextmanager
+def drawing(path: Path, wide: float, high: float, rows: int = 1, columns: int = 1, **grid: Any) -> Iterator[Any]:
+    """Axes [rows, columns] without upper and right frame; the SVG of that size [inch] appears when the block ends."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STEADY):
+        figure = Figure(figsize=(wide, high), layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False, **grid)
+        for each in axes.flat:
+            each.spines[["top", "right"]].set_visible(False)
+        yield axes
+        with atomic_write(path) as file:
+            figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+
+
+def bare(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Axes as a sheet of paper: no frame, no ticks, the same scale both ways."""
+    axes.set(xlim=x, ylim=y, aspect="equal")
+    axes.axis("off")
+
+
+def box(axes: Any, x: float, y: float, text: str, wide: float = 2.3, high: float = 1.0, **look: Any) -> None:
+    """A box with words in it, centred at a place."""
+    from matplotlib.patches import FancyBboxPatch
+
+    look = {"facecolor": "white", "edgecolor": DARK, "linewidth": 1.1, **look}
+    corner = (x - wide / 2.0, y - high / 2.0)
+    axes.add_patch(FancyBboxPatch(corner, wide, high, boxstyle="round,pad=0,rounding_size=0.12", **look))
+    axes.text(x, y, text, ha="center", va="center", fontsize=9.0)
+
+
+def arrow(axes: Any, begin: tuple[float, float], end: tuple[float, float], text: str = "", **look: Any) -> None:
+    """An arrow with words above its middle; `shift` moves them, `bend` curves it."""
+    shift, bend = look.pop("shift", (0.0, 0.13)), look.pop("bend", 0.0)
+    style = {"arrowstyle": "-|>", "color": DARK, "lw": 1.1, "connectionstyle": f"arc3,rad={bend}", **look}
+    axes.annotate("", end, begin, arrowprops={**style, "shrinkA": 0.0, "shrinkB": 0.0})
+    middle = ((begin[0] + end[0]) / 2.0 + shift[0], (begin[1] + end[1]) / 2.0 + shift[1])
+    axes.text(*middle, text, ha="center", va="bottom", fontsize=8.2)
+
+
+def draw_loop(path: Path) -> str:
+    """The 20 Hz loop and its two pairs of ends."""
+    with drawing(path, 6.6, 2.9) as axes:
+        (ax,) = axes.flat
+        bare(ax, (-0.2, 13.4), (-0.4, 5.2))
+        for y, names in ((4.0, ("camera, 5.8 GHz,\nreceiver, capture card", "Arduino board,\ntransmitter, aircraft")),
+                         (0.8, ("splat scene,\nsimulated camera", "the same program,\nmodel of the aircraft"))):  # fmt: skip
+            look = {"facecolor": PALE} if y < 2.0 else {}
+            box(ax, 1.5, y, names[0], 3.2, 1.2, **look)
+            box(ax, 11.7, y, names[1], 3.2, 1.2, **look)
+        for x, text in ((4.3, "frame\nmonitor"), (6.6, "pilot or\ncontroller"), (8.9, "trainer port\nand log")):
+            box(ax, x, 2.4, text, 1.8, 1.0)
+        for y, at in ((4.0, 2.55), (0.8, 2.25)):
+            arrow(ax, (3.1, y), (3.75, at + (0.35 if y > 2.0 else -0.35)), ls="-" if y > 2.0 else "--")
+            arrow(ax, (9.45, at + (0.35 if y > 2.0 else -0.35)), (10.1, y), ls="-" if y > 2.0 else "--")
+        arrow(ax, (5.2, 2.4), (5.7, 2.4))
+        arrow(ax, (7.5, 2.4), (8.0, 2.4))
+        ax.text(6.6, 4.0, "with an aircraft", ha="center", va="center", fontsize=9.5, weight="bold")
+        ax.text(6.6, 0.8, "in simulation", ha="center", va="center", fontsize=9.5, weight="bold")
+        ax.text(6.6, 3.25, "20 times a second, the same program", ha="center", fontsize=8.5)
+    return """The loop that runs 20 times a second. In the middle, the same for both: frame monitor, then pilot or
+        controller, then trainer port and log. With an aircraft the picture comes from camera, 5.8 GHz link, receiver
+        and capture card, and the command goes to the Arduino board, the transmitter and the aircraft. In simulation,
+        dashed, the picture comes from a scene of splats through a simulated camera, and the command goes to the board's
+        same program and a model of the aircraft."""
+
+
+def draw_aircraft(path: Path) -> str:
+    """Where the added parts sit, from the left side and from above."""
+    frame, items = load_airframe(), load_parts()
+    cg, span, chord = 1000.0 * roll_up(items).x_cg, 1000.0 * frame.span, 1000.0 * frame.mean_chord
+    with drawing(path, 6.6, 4.6, 2, 1, height_ratios=[1.0, 2.0]) as axes:
+        side, top = axes.flat
+        bare(side, (-235.0, 385.0), (-95.0, 105.0))
+        bare(top, (-235.0, 385.0), (-385.0, 385.0))
+        side.fill(
+            [-150, -120, -30, 120, 345, 345, 120, -120, -150], [-8, 25, 42, 34, 16, 4, -34, -34, -22], PALE, ec=DARK
+        )
+        side.fill([0, chord, chord, 0], [42, 42, 49, 51], LIGHT, ec=DARK)
+        side.fill([285, 345, 345, 315], [16, 16, 80, 80], PALE, ec=DARK)
+        side.plot([-155, -155], [-60, 50], color=DARK, lw=1.0, ls=":")
+        for x, y, radius in ((-50, -80, 13), (330, -10, 6)):
+            side.plot(x, y, "o", ms=radius, mfc="white", mec=DARK)
+        side.plot([-35, -50], [-34, -74], color=DARK, lw=1.0)
+        top.fill([-150, -140, -30, 345, 345, -30, -140, -150], [-12, -26, -32, -8, 8, 32, 26, 12], PALE, ec=DARK)
+        top.fill([0, chord, chord, 0], [-span / 2, -span / 2, span / 2, span / 2], "white", ec=DARK)
+        top.fill([280, 345, 345, 280], [-115, -115, 115, 115], "white", ec=DARK)
+        for low, high, text in ((190, 335, "aileron"), (40, 185, "flap"), (-185, -40, "flap"), (-335, -190, "aileron")):
+            top.fill([chord - 25, chord, chord, chord - 25], [low, low, high, high], LIGHT, ec=DARK, lw=0.8)
+            top.text(chord + 8, (low + high) / 2, text, va="center", fontsize=8.5)
+        top.text(352, 60, "elevator", va="center", fontsize=8.5)
+        side.text(352, 55, "rudder", va="center", fontsize=8.5)
+        added = (("camera, bracket", -164, (-232, 90)), ("filter and wires", -75, (-80, 90)),
+                 ("battery", -40, (-30, -75)), ("receiver, inside", 30, (60, -75)))  # fmt: skip
+        for text, x, at in added:
+            y = 12 if x < -100 else 0
+            side.plot(x, y, "s", ms=8 if x < -100 else 6, color=DARK)
+            side.annotate(text, (x, y), at, fontsize=8.5, arrowprops={"arrowstyle": "-", "color": MIDDLE})
+            top.plot(x, 0, "s", ms=6, color=DARK)
+        side.annotate(
+            "propeller", (-155, -55), (-232, -92), fontsize=8.5, arrowprops={"arrowstyle": "-", "color": MIDDLE}
+        )
+        top.plot(cg, 0, "o", ms=10, mfc="white", mec=DARK)
+        top.annotate("balance with\nall parts on", (cg, 0), (-232, 300), fontsize=8.5,
+                     arrowprops={"arrowstyle": "-", "color": MIDDLE})  # fmt: skip
+        top.annotate("", (-22, span / 2), (-22, -span / 2), arrowprops={"arrowstyle": "<->", "color": MIDDLE})
+        top.text(-28, -200, f"{span / 10:.0f} cm", ha="right", fontsize=8.5)
+        top.text(170, -330, "nose to the left", fontsize=8.5)
+    return f"""The aircraft, drawn from the left side and from above, nose to the left; outlines are schematic, places
+        along the fuselage are those of the list of parts, partly estimates. At the nose, behind the propeller and above
+        its shaft, sit camera and bracket; behind them filter and wires; the battery in its hatch ahead of the wing; the receiver
+        inside. Seen from above: {span / 10:.0f} cm of wing with ailerons outside and flaps inside, elevator at the
+        tail; the rudder stands on the fin. With all parts on the balance is {cg:.0f} mm behind the wing's leading
+        edge."""
+
+
+def draw_hours(path: Path) -> str:
+    """Minutes of each step of the assembly, added up."""
+    with (MANUAL / "assembly.toml").open("rb") as file:
+        steps = tomllib.load(file)["steps"]
+    ends, total = [], 0
+    with drawing(path, 6.6, 0.9 + 0.2 * len(steps)) as axes:
+        (ax,) = axes.flat
+        for k, step in enumerate(steps):
+            ax.barh(k, step["minutes"], left=total, color=LIGHT, edgecolor=DARK, lw=0.8)
+            at = (total - 5, "right") if total > 200 else (total + step["minutes"] + 5, "left")
+            ax.text(at[0], k, f"{step['title']}, {step['minutes']} min", ha=at[1], va="center", fontsize=8.5)
+            total += step["minutes"]
+            ends.append(total)
+        ax.axvline(600, color=DARK, ls="--", lw=1.0)
+        ax.text(596, 1.0, "paper: under 10 h", ha="right", fontsize=8.5)
+        ax.set(ylim=(len(steps) - 0.4, -0.6), xlim=(0, 620), xlabel="hours of work, estimated", yticks=[])
+        ax.set_xticks([60 * hour for hour in range(0, 11)], [str(hour) for hour in range(0, 11)])
+        ax.spines["left"].set_visible(False)
+    listed = "; ".join(f"{step['title']} {step['minutes']}" for step in steps)
+    return f"""Estimated minutes of each step, one after the other: {listed}. Together {total / 60:.1f} hours; the
+        paper says under 10 hours."""
+
+
+def draw_ppm(path: Path) -> str:
+    """One frame of pulses, throttle idle and the other sticks in the middle, as the shipped settings make it."""
+    calibration = load_calibration(None)
+    slots = calibration.channels_us(Command(0.0, 0.0, 0.0, 0.0))
+    names = sorted(COMMAND_NAMES, key=lambda name: getattr(calibration, name).channel)
+    t, level = [0.0], [1.0]
+    edges = [500.0]
+    for us in slots:
+        edges.append(edges[-1] + us)
+    for edge in [*edges, edges[0] + calibration.frame_us]:
+        t += [edge, edge, edge + calibration.gap_us, edge + calibration.gap_us]
+        level += [1.0, 0.0, 0.0, 1.0]
+    with drawing(path, 6.6, 1.7) as axes:
+        (ax,) = axes.flat
+        ax.plot([us / 1000.0 for us in [*t, t[-1] + 700]], [*level, 1.0], color=DARK, lw=1.3)
+        for k, (name, us) in enumerate(zip(names, slots, strict=True)):
+            low, high = edges[k] / 1000.0, edges[k + 1] / 1000.0
+            ax.annotate("", (high, -0.28), (low, -0.28), arrowprops={"arrowstyle": "<->", "color": MIDDLE})
+            ax.text((low + high) / 2, -0.85, f"{name}\n{us} µs", ha="center", va="center", fontsize=8.5)
+        ax.text(
+            8.6,
+            1.12,
+            f"pause; the next frame {calibration.frame_us / 1000:g} ms after this one",
+            ha="center",
+            fontsize=8.5,
+        )
+        ax.annotate(f"gap pulse {calibration.gap_us} µs", (edges[-1] / 1000 + 0.4, 0.1), (7.3, 0.3), fontsize=8.5,
+                    arrowprops={"arrowstyle": "-", "color": MIDDLE})  # fmt: skip
+        ax.set(ylim=(-1.3, 1.5), xlim=(0.0, 11.0), yticks=[], xlabel="time [ms]")
+        ax.spines["left"].set_visible(False)
+    said = ", ".join(f"{name} {us}" for name, us in zip(names, slots, strict=True))
+    return f"""Pulses on the trainer port with the settings that ship, which no radio has confirmed. The line rests high;
+        short low gap pulses of {calibration.gap_us} microseconds begin each slot. From gap to gap: {said} microseconds, which is
+        throttle idle and the others in the middle. A long pause follows; frames come every
+        {calibration.frame_us / 1000:g} milliseconds."""
+
+
+def draw_safety(path: Path) -> str:
+    """When the board believes the computer."""
+    with drawing(path, 6.6, 2.5) as axes:
+        (ax,) = axes.flat
+        bare(ax, (0.0, 14.2), (-0.9, 4.9))
+        places = {"BOOT": (1.2, 3.3), "SAFE": (5.2, 3.3), "LOST": (12.0, 0.7), "FAULT": (5.2, 0.7)}
+        for name, (x, y) in places.items():
+            box(ax, x, y, name, 2.0, 1.1)
+        box(ax, 12.0, 3.3, "ACTIVE\nthe computer flies", 3.6, 1.1, facecolor=LIGHT)
+        arrow(ax, (2.2, 3.3), (4.2, 3.3), "first tick")
+        arrow(ax, (6.2, 3.55), (10.2, 3.55), "engage switched on,\nthen 5 commands in 0.5 s")
+        arrow(ax, (10.2, 3.0), (6.2, 3.0), "engage off", shift=(0.0, -0.55))
+        arrow(ax, (12.0, 2.75), (12.0, 1.25), "200 ms silence", shift=(1.3, -0.2))
+        arrow(ax, (11.0, 0.9), (6.2, 2.75), "engage off", shift=(1.1, 0.0))
+        arrow(ax, (5.2, 1.25), (5.2, 2.75), "engage off,\n1 s later", shift=(-0.95, -0.35))
+        arrow(ax, (0.4, 0.7), (4.2, 0.7), "from any state", shift=(-0.3, 0.1))
+        ax.text(0.4, -0.2, "5 commands out of\nrange in 1 s, or the\nprogram hung", fontsize=8.2, va="center")
+        ax.text(
+            9.6, -0.6, "outside ACTIVE: throttle idle, sticks in the middle", ha="center", fontsize=8.5, style="italic"
+        )
+    return """States of the board. After BOOT it is SAFE. Engage switched on and then 5 commands within half a second make it
+        ACTIVE, the only state in which the computer moves the slots. Engage off leads back to SAFE. 200 milliseconds of
+        silence lead to LOST; from there engage off leads to SAFE. From any state five commands out of range within a
+        second, or a program that hung, lead to FAULT, which engage off ends one second later. Outside ACTIVE the throttle is
+        idle and the sticks are in the middle."""
+
+
+def draw_surfaces(path: Path) -> str:
+    """Which way each surface must go, seen from behind."""
+    looks = (("aileron stick right", "right aileron UP,\nleft aileron down"), ("elevator stick back", "elevator UP"),
+             ("rudder stick right", "rudder to the RIGHT"))  # fmt: skip
+    with drawing(path, 6.6, 1.9, 1, 3) as axes:
+        for k, (ax, (stick, answer)) in enumerate(zip(axes.flat, looks, strict=True)):
+            bare(ax, (-1.15, 1.15), (-0.75, 0.85))
+            ax.plot([-1.05, 1.05], [0.1, 0.1], color=DARK, lw=2.0)
+            ax.plot(0.0, 0.0, "o", ms=15, mfc=PALE, mec=DARK)
+            ax.plot([0.0, 0.0], [0.1, 0.5], color=DARK, lw=2.0)
+            ax.plot([-0.4, 0.4], [0.28, 0.28], color=DARK, lw=1.4)
+            moved = {"color": DARK, "lw": 1.0, "hatch": "////", "facecolor": "white"}
+            if k == 0:
+                ax.fill_between([0.6, 1.0], [0.1, 0.1], [0.3, 0.3], **moved)
+                ax.fill_between([-1.0, -0.6], [-0.1, -0.1], [0.1, 0.1], **moved)
+            elif k == 1:
+                ax.fill_between([-0.36, 0.36], [0.28, 0.28], [0.42, 0.42], **moved)
+            else:
+                ax.fill_between([0.0, 0.2], [0.2, 0.2], [0.5, 0.5], **moved)
+            ax.set_title(stick, fontsize=9.5)
+            ax.text(0.0, -0.65, answer, ha="center", fontsize=9.0)
+    return """The aircraft from behind, three times. Aileron stick to the right: the right aileron goes up, the left one down.
+        Elevator stick back: the elevator goes up. Rudder stick to the right: the rudder goes to the right."""
+
+
+def draw_lanes(path: Path) -> str:
+    """Where to stand for photos of the hall, and what to measure."""
+    pad = LandingPad()
+    with drawing(path, 6.6, 3.6) as axes:
+        (ax,) = axes.flat
+        hall_from_above(ax)
+        for k, y in enumerate((-8.5, 1.5, 5.5)):
+            ax.plot([HALL.x[0] + 2.0, HALL.x[1] - 2.0], [y, y], color=DARK, lw=1.0, ls="--")
+            ax.plot([x + k % 2 for x in range(-20, 15, 2)], [y] * 18, ">", ms=4.5, color=DARK)
+        for x, y in ((HALL.x[0] + 1.0, HALL.y[0] + 1.0), (HALL.x[0] + 1.0, HALL.y[1] - 1.0),
+                     (HALL.x[1] - 1.0, HALL.y[0] + 1.0), (HALL.x[1] - 1.0, HALL.y[1] - 1.0)):  # fmt: skip
+            ax.plot(x, y, "x", ms=7, color=DARK)
+        corners = [(x, pad.y_centre + side) for x in (pad.x_start, pad.x_start + pad.length) for side in (-1.0, 1.0)]
+        ax.plot(*zip(*corners, strict=True), "o", ms=7, mfc="white", mec=DARK, ls="none")
+        ax.plot([], [], "--", marker=">", ms=4.5, color=DARK, label="photo every step")
+        ax.plot([], [], "x", ms=7, color=DARK, ls="none", label="photos from the corners")
+        ax.plot([], [], "o", ms=7, mfc="white", mec=DARK, ls="none", label="measured by tape")
+        ax.figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8.5)
+    return """The hall from above, 40 by 20 metres, with blue pad and marker at its end. Three dashed lanes run along it;
+        a photo is taken at every step. Crosses in the four corners: photos from there. Circles on the pad's corners:
+        points measured by tape."""
+
+
+def hall_from_above(ax: Any) -> None:
+    """Walls, pad, marker and axes of the kit's hall."""
+    pad = LandingPad()
+    ax.plot([HALL.x[0], HALL.x[1], HALL.x[1], HALL.x[0], HALL.x[0]],
+            [HALL.y[0], HALL.y[0], HALL.y[1], HALL.y[1], HALL.y[0]], color=DARK, lw=1.6)  # fmt: skip
+    ends, half = (pad.x_start, pad.x_start + pad.length), pad.width / 2.0
+    ax.fill_between(ends, pad.y_centre - half, pad.y_centre + half, color=LIGHT, lw=0)
+    ax.text(sum(ends) / 2.0, pad.y_centre, "pad 13 x 2 m", ha="center", va="center", fontsize=8.5)
+    ax.plot([0.0, 0.0], [-0.5, 0.5], color=DARK, lw=4.0)
+    ax.annotate("marker, origin", (0.0, 0.5), (0.0, 2.2), ha="center", fontsize=8.5, arrowprops={"arrowstyle": "-"})
+    ax.set(xlabel="x, landing direction [m]", ylabel="y, left [m]", aspect="equal")
+
+
+DRAWINGS: dict[str, Callable[[Path], str]] = {
+    "loop": draw_loop, "aircraft": draw_aircraft, "hours": draw_hours, "ppm": draw_ppm, "safety": draw_safety,
+    "surfaces": draw_surfaces, "photo_lanes": draw_lanes,
+}  # fmt: skip
