@@ -2,7 +2,7 @@
 # # Lab 8: flying by imitation
 #
 # An expert that knows the state can land (lab 7). The real aircraft has a camera only. So the paper lets a network
-# watch the expert fly and copy it: *behaviour cloning* (paper, section IV). In this lab you build the whole chain in
+# watch the expert fly and copy it: *behaviour cloning* (paper, sections V and VI). In this lab you build the whole chain in
 # small, and meet its best-known trap: **a network that copies almost perfectly, and cannot fly**.
 #
 # **You will be able to**
