@@ -111,6 +111,7 @@ def test_attacks_do_what_they_say(graded):
         "an exception named after the question": "exception",
         "import the reference": "exception:ModuleNotFoundError",
         "endless recursion": "exception:RecursionError",
+        "a reply before the question": "bad answer",
         "not a number": "wrong value",
         "an array of 3e12 numbers that are not there": "bad answer",
     }

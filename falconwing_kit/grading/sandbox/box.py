@@ -28,6 +28,7 @@ from falconwing_kit.grading.sandbox.protocol import FrameError, read_frame, writ
 
 PROCESSES = 16  # that the student's code may have, threads counted
 STARTING = 120.0  # s to start and to load libraries, which is not the student's time
+_OUT_OF_TIME = 24  # Linux's SIGXCPU
 SPARE = 512 << 20  # bytes of a box's memory beyond the student's: interpreter, libraries, temporary files
 # What an error in the box may be called outside: Python's own words; any other name could be a message.
 ERRORS = {
@@ -205,7 +206,7 @@ class Worker:
         """Why the process ended, by how it did."""
         with suppress(subprocess.TimeoutExpired):
             code = self._process.wait(5.0)
-            if code in (-signal.SIGXCPU, 128 + signal.SIGXCPU):
+            if code in (-_OUT_OF_TIME, 128 + _OUT_OF_TIME):
                 return "timeout"
         return "memory" if self._group.out_of_memory() else "died"
 
