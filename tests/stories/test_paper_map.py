@@ -5,6 +5,7 @@ import importlib
 import math
 import re
 import shlex
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -54,7 +55,8 @@ def test_command_is_understood(line, monkeypatch):
     monkeypatch.setattr(getattr(importlib.import_module(module), class_name), "run", lambda settings: 0)
     if words[1:]:
         assert main(words) == 0
-    assert all((ROOT / word).exists() for word in words if word.endswith(".csv"))
+    read = [word for before, word in pairwise(words) if word.endswith(".csv") and before != "--out"]
+    assert all((ROOT / word).exists() for word in read)
 
 
 def test_corrections_add_up():
