@@ -77,21 +77,21 @@ def figures(trial: Trial) -> dict[str, Any]:
     return record
 
 
-def calibrated(net: PoseNet, trial: Trial) -> PoseNet:
-    """The net with standard deviations scaled so that 68 % of a trial lie in their ellipsoids.
+def calibrated(net: PoseNet, *trials: Trial) -> PoseNet:
+    """The net with standard deviations scaled so that at least 68 % of each trial lie in their ellipsoids.
 
     Args:
-        net: whose present scales gave the trial.
-        trial: on images that it was neither trained on nor will be judged by, ten or more.
+        net: whose present scales gave the trials.
+        trials: on images that it was neither trained on nor will be judged by, ten or more in each.
 
     Raises:
-        InputError: the trial is too small.
+        InputError: a trial is too small.
     """
-    if len(trial.position) < MIN_TO_CALIBRATE:
-        got = len(trial.position)
-        raise InputError(f"calibration: want at least {MIN_TO_CALIBRATE} images that were kept aside, got {got}")
+    smallest = min(len(trial.position) for trial in trials)
+    if smallest < MIN_TO_CALIBRATE:
+        raise InputError(f"calibration: want at least {MIN_TO_CALIBRATE} images that were kept aside, got {smallest}")
     share, quantile = next(iter(CHI2_3.items()))
-    factors = np.sqrt(np.quantile(trial.squares, share, axis=0) / quantile)
+    factors = np.max([np.sqrt(np.quantile(trial.squares, share, axis=0) / quantile) for trial in trials], axis=0)
     place, turn = (float(old * new) for old, new in zip(net.record.sigma_scales, factors, strict=True))
     return PoseNet(net.network, replace(net.record, sigma_scales=(place, turn)))
 

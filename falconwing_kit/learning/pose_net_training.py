@@ -111,7 +111,7 @@ def train_pose_net(job: Job) -> dict[str, Any]:
 def judged(
     net: PoseNet, photos: Reconstruction, held: NDArray[np.bool_], aside: NDArray[np.bool_], world: World
 ) -> tuple[PoseNet, dict[str, Trial]]:
-    """Calibrate a net on photos kept aside, or on renders where those are too few, then try it.
+    """Calibrate a net on renders of another appearance and on photos kept aside, if there are enough, then try it.
 
     Args:
         net: as it will ship.
@@ -128,10 +128,10 @@ def judged(
     worse = (randomised(plain.images.float() / 255.0, generator)[0] * 255.0).round().to(torch.uint8)
     Ts_render = plain.Ts_world_camera.cpu().numpy().astype(np.float64)
     renders, others = (images.permute(0, 2, 3, 1).cpu().numpy() for images in (plain.images, worse))
+    known = [try_net(net, others, world.camera, Ts_render)]
     if aside.sum() >= MIN_TO_CALIBRATE:
-        net = calibrated(net, _on_photos(net, photos, aside))
-    else:
-        net = calibrated(net, try_net(net, others, world.camera, Ts_render))
+        known.append(_on_photos(net, photos, aside))
+    net = calibrated(net, *known)
     trials = {name: try_net(net, i, world.camera, Ts_render) for name, i in (("renders", renders), ("worse", others))}
     return net, trials | {"photos": _on_photos(net, photos, held)}
 

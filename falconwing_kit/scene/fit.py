@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import short_name
+from falconwing_kit.scene.align import umeyama
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.scene.photo_files import Reconstruction, read_reconstruction
+from falconwing_kit.scene.photo_files import Reconstruction, read_reconstruction, write_reconstruction
 from falconwing_kit.scene.survey.points import Survey, read_survey
 from falconwing_kit.scene.training.settings import CAMERAS, LEADER, FitSettings
 
@@ -30,6 +31,7 @@ ON_FACES = 0.9  # of the points that are added: on the room's floor, walls and c
 ROOM_MARGIN = 0.5  # [m] beyond the outermost camera and surveyed point
 BEYOND = 0.25  # a scene may reach this part of the room's size beyond it, and below the floor as deep as it is high
 CENTRE_OF_GRAVITY = (0.036, 0.0, 0.0)  # of the leader, in its photos' frame [m]: 0.20 m behind its nose at x = 0.236
+CORRECTED = "corrected"  # folder of the reconstruction with corrected poses
 AIRCRAFT_SIZE = 0.5  # [m] the extent of a turntable scene
 
 
@@ -42,8 +44,9 @@ def fit_scene(
 ) -> "Fit":
     """Train a scene on photos, judge it on places it has not seen, and write it.
 
-    The folder gets scene.npz (quantised, labels rest, floor, pad and marker), figures.json and pairs of held-out photos
-    and renders. While it trains it keeps training.npz there; the same call goes on from it after an interruption.
+    The folder gets scene.npz (quantised, labels rest, floor, pad and marker), figures.json, pairs of held-out photos
+    and renders, and, where poses are learnt, `corrected`: the reconstruction with better poses, to train on once more.
+    While it trains it keeps training.npz there; the same call goes on from it after an interruption.
 
     Args:
         reconstruction: photos with poses in the kit's world.
@@ -78,7 +81,28 @@ def fit_scene(
     deep = np.array([BEYOND, BEYOND, 1.0]) * (room[1] - room[0])
     box = np.stack([room[0] - deep, room[1] + BEYOND * (room[1] - room[0])])
     task = Task(photos, draw, points, colours, box, _extent(source.T_world_camera[:, :3, 3]), settings, out, say)
-    return task.ship(task.train(), survey, f"Gaussian splats trained on photos of {short_name(source.folder)}")
+    state = task.train()
+    if settings.poses:
+        write_reconstruction(out / CORRECTED, corrected(source, task.corrected_poses(state)))
+    return task.ship(state, survey, f"Gaussian splats trained on photos of {short_name(source.folder)}")
+
+
+def corrected(source: Reconstruction, Ts_world_camera: Array) -> Reconstruction:
+    """The reconstruction with poses that training corrected, where the survey put it: as a whole it does not move.
+
+    Args:
+        source: the reconstruction.
+        Ts_world_camera: (n, 4, 4) its poses, each a little off its old place.
+
+    Returns:
+        The same photos and points; the poses moved together by the similarity that brings the cameras' places nearest
+        to where they were.
+    """
+    scale, R, t = umeyama(Ts_world_camera[:, :3, 3], source.T_world_camera[:, :3, 3])
+    poses = Ts_world_camera.copy()
+    poses[:, :3, :3] = R @ poses[:, :3, :3]
+    poses[:, :3, 3] = scale * poses[:, :3, 3] @ R.T + t
+    return replace(source, T_world_camera=poses)
 
 
 def fit_leader(
@@ -183,11 +207,11 @@ def judge_scene(
         InputError: a file is damaged or the backend cannot run here.
     """
     from falconwing_kit.scene.training.judge import judge
-    from falconwing_kit.scene.training.photos import hold_out, load_photos
+    from falconwing_kit.scene.training.photos import held_out, load_photos
     from falconwing_kit.scene.training.task import kit_look
 
     scene, source = GaussianScene.load(path), reconstruction
-    held = np.flatnonzero(hold_out(source.T_world_camera[:, :3, 3], settings.hold_out, settings.seed))
+    held = np.flatnonzero(held_out(source.names, source.T_world_camera[:, :3, 3], settings))
     names, poses = tuple(source.names[number] for number in held), source.T_world_camera[held]
     chosen = replace(source, names=names, T_world_camera=poses, folder=folder or source.folder)
     photos = load_photos(chosen, settings.width)
@@ -218,6 +242,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0 done, 2 wrong use.
     """
+    from falconwing_kit.scene.training.photos import read_names
+
     parser = argparse.ArgumentParser(
         prog="python -m falconwing_kit.scene.fit", description=(__doc__ or "").split("\n")[0]
     )
@@ -225,11 +251,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
     parser.add_argument("--survey", type=Path, help="CSV of measured points: where pad and marker are")
     parser.add_argument("--photos", type=Path, help="where the photos are, if not where the reconstruction says")
-    for field in fields(FitSettings):
+    parser.add_argument("--held-out", type=Path, help="names of the photos to judge by, such as another figures.json")
+    for field in fields(FitSettings)[1:]:
         kind: Any = {bool: _truth, int: int, float: float, str: str}.get(field.type, _numbers)  # type: ignore[arg-type]
         parser.add_argument(f"--{field.name.replace('_', '-')}", type=kind)
     given = {name: value for name, value in vars(parser.parse_args(arguments)).items() if value is not None}
     try:
+        if "held_out" in given:
+            given["judge_by"] = read_names(given.pop("held_out"))
         fit(**{name: given.pop(name) for name in ("source", "out", "survey", "photos") if name in given}, changes=given)
     except (InputError, FileNotFoundError) as error:
         print(error, file=sys.stderr)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from falconwing_kit.cli.modelling.fit import Fit
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose, render
-from falconwing_kit.scene.fit import FitSettings, first_points, fit, fit_scene, judge_scene, main
+from falconwing_kit.scene.fit import FitSettings, corrected, first_points, fit, fit_scene, judge_scene, main
 from falconwing_kit.scene.photo_files import Reconstruction, write_reconstruction
 from falconwing_kit.scene.renderers.reference import GaussianTensors, covariances
 from falconwing_kit.scene.survey.points import Survey
@@ -26,7 +26,7 @@ from falconwing_kit.scene.training import draw as drawing
 from falconwing_kit.scene.training.densify import densify, shared
 from falconwing_kit.scene.training.judge import psnr, ssim
 from falconwing_kit.scene.training.loop import step, train
-from falconwing_kit.scene.training.photos import hold_out, load_photos
+from falconwing_kit.scene.training.photos import held_out, hold_out, load_photos, read_names
 from falconwing_kit.scene.training.ship import contributions, labelled
 from falconwing_kit.scene.training.state import State, begin
 from falconwing_kit.scene.training.task import Task
@@ -119,6 +119,64 @@ def test_a_frame_error_in_the_poses_is_found_out(taken, tmp_path):
     right = fit_scene(taken, tmp_path / "a", short, say=lambda _: None).figures["trained_on"]
     wrong = fit_scene(replace(taken, T_world_camera=turned), tmp_path / "b", short, say=lambda _: None)
     assert wrong.figures["trained_on"]["psnr_db"] < right["psnr_db"] - 2.0
+
+
+def test_wrong_poses_are_corrected_by_what_the_photos_show(taken, tmp_path):
+    """The scene is the true one and every pose is turned by its own 0.3 deg: the turns shrink.
+
+    0.3 deg are a fifth of these photos' pixels and the scene learns too, so a quarter less is all that is asked; a
+    correction with the wrong sign makes them larger. What all share is no fault of theirs and does not count.
+    """
+    settings = replace(SMALL, steps=150, batch=4, poses=True, hold_out=0.0, exposures=False)
+    twists = np.zeros((24, 6))
+    twists[:, :3] = np.random.default_rng(3).normal(size=(24, 3)) * np.radians(0.3)
+    turned = drawing.moved(torch.from_numpy(taken.T_world_camera), torch.from_numpy(twists)).numpy()
+    wrong = replace(taken, T_world_camera=turned)
+    task, scene = task_of(wrong, settings, tmp_path), tensors(small_room())
+    state = begin(small_room().means, np.zeros((len(scene.means), 3), np.uint8), 24, 1, "cpu")
+    state.values |= {"quaternions": scene.quaternions.clone(), "log_scales": scene.scales.log()}
+    state.values |= {"logits": torch.logit(scene.opacities, 1e-4), "dc": scene.sh[:, 0].clone()}
+    state.values["rest"][:, : scene.sh.shape[1] - 1] = scene.sh[:, 1:]
+    train(state, task.photos, task.draw, task.goal)
+    right = corrected(wrong, task.corrected_poses(state)).T_world_camera
+
+    def turns(poses):
+        """How far each pose is turned from the truth, beside what all are [rad]."""
+        relative = poses[:, :3, :3] @ taken.T_world_camera[:, :3, :3].transpose(0, 2, 1)
+        common = Rotation.from_matrix(relative).mean().inv()
+        return (common * Rotation.from_matrix(relative)).magnitude()
+
+    assert np.median(turns(right)) < 0.75 * np.median(turns(turned))
+
+
+def test_corrected_poses_do_not_move_the_hall(taken):
+    """All cameras scaled, turned and shifted together (scipy's rotation) come back to where the survey put them."""
+    R = Rotation.from_euler("zyx", [3.0, -2.0, 1.0], degrees=True).as_matrix()
+    moved = taken.T_world_camera.copy()
+    moved[:, :3, :3] = R @ moved[:, :3, :3]
+    moved[:, :3, 3] = 1.03 * moved[:, :3, 3] @ R.T + [0.3, -0.2, 0.1]
+    assert corrected(taken, moved).T_world_camera == pytest.approx(taken.T_world_camera, abs=1e-9)
+
+
+def test_no_gaussian_grows_beyond_the_largest(taken, tmp_path):
+    """0.15 m, where the first ones of this room are up to 0.3 m large; half precision in the file gives 0.1 %."""
+    done = fit_scene(taken, tmp_path, replace(SMALL, steps=20, largest=0.15), say=lambda _: None)
+    assert done.scene.scales.max() < 0.15 * 1.002
+
+
+def test_photos_to_judge_by_can_be_named(taken, tmp_path):
+    """By a list, by lines, and by the figures of another training; the folder before a name does not count."""
+    (tmp_path / "lines.txt").write_text("03.png\nphotos/07.png\n")
+    (tmp_path / "list.json").write_text('{"held_out": ["03.png", "07.png"]}')
+    (tmp_path / "figures.json").write_text('{"photos": {"held_out": ["03.png", "07.png"]}, "held_out": {}}')
+    for name in ("lines.txt", "list.json", "figures.json"):
+        settings = FitSettings(judge_by=read_names(tmp_path / name))
+        assert np.flatnonzero(held_out(taken.names, taken.T_world_camera[:, :3, 3], settings)).tolist() == [3, 7]
+    (tmp_path / "other.json").write_text('{"photos": 3}')
+    with pytest.raises(InputError, match='want names of photos under "held_out"'):
+        read_names(tmp_path / "other.json")
+    with pytest.raises(InputError, match="want some of the 24 photos, got 0"):
+        held_out(taken.names, taken.T_world_camera[:, :3, 3], FitSettings(judge_by=("x.png",)))
 
 
 def test_an_interrupted_training_goes_on_as_if_it_had_not_been(taken, tmp_path):

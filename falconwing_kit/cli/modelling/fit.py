@@ -8,7 +8,7 @@ import tyro
 
 from falconwing_kit.cli.show import next_line, print_json, print_table
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.scene.fit import fit, judge_scene
+from falconwing_kit.scene.fit import CORRECTED, fit, judge_scene
 from falconwing_kit.scene.photo_files import read_reconstruction
 from falconwing_kit.scene.training.settings import FitSettings
 
@@ -37,6 +37,8 @@ class Fit:
     """CSV name,x,y,z,use: where pad and marker are"""
     photos: Path | None = None
     """folder of the photos, if they are not where the reconstruction says"""
+    held_out: Path | None = None
+    """names of the photos to judge by, such as the figures.json of another training; whole places if not given"""
     room: str | None = None
     """x,y,z of the room's lowest and highest corner in metres; from cameras and survey if not given"""
     gaussians: int | None = None
@@ -52,7 +54,7 @@ class Fit:
     same_exposure: bool = False
     """the photos were taken with one exposure and white balance: learn no gain and offset for each"""
     correct_poses: bool = False
-    """let the photos' poses move a little while training"""
+    """let the photos' poses move a little while training, and write them to the folder `corrected` in --out"""
     antialiased: bool = False
     """train for `render --antialiased`"""
     backend: Literal["auto", "gsplat", "reference"] = "auto"
@@ -86,6 +88,8 @@ class Fit:
             print_json(done.figures)
             return 0
         print_table(HEADERS, [_row(words, done.figures[key]) for key, words in ROWS if done.figures[key]])
+        if self.correct_poses:
+            next_line(f"falconwing scene fit {self.out / CORRECTED} --out ANOTHER")
         next_line(f"look at {self.out / 'pairs'}, then: falconwing scene info {done.path}")
         return 0
 
@@ -111,6 +115,10 @@ class Fit:
             changes["exposures"] = False
         if self.correct_poses:
             changes["poses"] = True
+        if self.held_out is not None:
+            from falconwing_kit.scene.training.photos import read_names
+
+            changes["judge_by"] = read_names(self.held_out)
         if self.room is not None:
             changes["room"] = _corners(self.room)
         return changes

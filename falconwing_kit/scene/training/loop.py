@@ -3,6 +3,7 @@
 [3] Kerbl et al. 2023, 3D Gaussian Splatting; [K] Kheradmand et al. 2024, 3DGS as Markov Chain Monte Carlo.
 """
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -45,6 +46,7 @@ class Goal:
     ssim_weight: float  # of 1 - SSIM against the mean absolute error [3: 0.2]
     opacity_cost: float  # [K: 0.01]
     scale_cost: float  # [K: 0.01]
+    largest: float  # standard deviation that a Gaussian may have [m]; 0: any
     seconds: float  # all must be done by then; the end comes earlier, but smoothly
     low: Array  # (3,) corners of the box that the scene stays in [m]
     high: Array
@@ -130,6 +132,8 @@ def step(state: State, photos: Photos, draw: Draw, goal: Goal, progress: float) 
         wander(state, rates["means"], goal.extent, generator)
         low, high = (torch.as_tensor(corner, dtype=torch.float32, device=device) for corner in (goal.low, goal.high))
         state.values["means"].clamp_(low, high)
+        if goal.largest:
+            state.values["log_scales"].clamp_(max=math.log(goal.largest))
     return total.detach()
 
 
@@ -161,8 +165,8 @@ def loss(
     background = torch.rand(3, generator=generator, device=numbers.device)
     gaussians = state.gaussians(goal.sh_degree if progress >= FULL_COLOUR_FROM else 0)
     exposures, twists = state.values["exposures"][numbers], state.values["twists"][numbers]
-    reach = twists.new_tensor([1.0, 1.0, 1.0, goal.extent, goal.extent, goal.extent])
-    poses = moved(photos.Ts_world_camera[numbers], twists * reach) if goal.poses else photos.Ts_world_camera[numbers]
+    poses = photos.Ts_world_camera[numbers]
+    poses = moved(poses, twists * reach(goal.extent, twists)) if goal.poses else poses
     colours, alphas = draw(gaussians, photos.camera, poses, background, goal.antialiased)
     if goal.exposures:
         colours = colours * exposures[:, None, None, :3].exp() + exposures[:, None, None, 3:]
@@ -176,6 +180,11 @@ def loss(
         total + goal.opacity_cost * gaussians.opacities.mean() + goal.scale_cost * gaussians.scales.mean() / goal.extent
     )
     return total + STAY["exposures"] * (exposures**2).mean() + STAY["twists"] * (twists**2).mean()
+
+
+def reach(extent: float, like: Tensor) -> Tensor:
+    """(6,) what turns the state's twists into turns [rad] and shifts [m]: shifts are kept in extents of the scene."""
+    return like.new_tensor([1.0, 1.0, 1.0, extent, extent, extent])
 
 
 def _learning(goal: Goal) -> dict[str, bool]:

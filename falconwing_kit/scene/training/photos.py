@@ -3,6 +3,7 @@
 Photos are read by Pillow alone, so that a bare GPU machine can train.
 """
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from falconwing_kit.core.checks import Array, InputError, require_file
 from falconwing_kit.core.files import short_name
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.photo_files import Reconstruction
+from falconwing_kit.scene.training.settings import FitSettings
 
 PHOTOS_A_PLACE = 4  # how many photos one place of the hall holds on average when some places are held out
 WORTH_PX = 0.25  # distortion at the corner that is worth the sharpness that resampling costs
@@ -132,6 +134,48 @@ def hold_out(places: Array, share: float, seed: int = 0) -> NDArray[np.bool_]:
         if held.sum() + size <= wanted or (not held.any() and size < count and wanted):
             held |= group == number
     return held
+
+
+def held_out(names: Sequence[str], places: Array, settings: FitSettings) -> NDArray[np.bool_]:
+    """The photos to judge by: those that the settings name, in whatever folder they are, or whole places.
+
+    Args:
+        names: (P,) of all photos.
+        places: (P, 3) where they were taken [m].
+        settings: judge_by, or hold_out and seed.
+
+    Returns:
+        (P,) True for the photos held out.
+
+    Raises:
+        InputError: names are given, and name no photo or so many that fewer than two are left.
+    """
+    if not settings.judge_by:
+        return hold_out(places, settings.hold_out, settings.seed)
+    plain = {Path(name).name for name in settings.judge_by}
+    found = np.array([Path(name).name in plain for name in names], bool)
+    if not found.any() or found.sum() > len(names) - 2:
+        raise InputError(f"names to judge by: want some of the {len(names)} photos, got {found.sum()} of them")
+    return found
+
+
+def read_names(path: Path) -> tuple[str, ...]:
+    """Names of photos in a file: a training's figures.json, JSON with a list "held_out", or lines.
+
+    Raises:
+        FileNotFoundError: nothing is at the path.
+        InputError: it is JSON of another kind.
+    """
+    text = require_file(path).read_text(encoding="utf-8")
+    try:
+        found = json.loads(text)
+        found = found.get("photos", found) if isinstance(found, dict) else found
+        found = found["held_out"] if isinstance(found, dict) else found
+        return tuple(str(name) for name in found)
+    except json.JSONDecodeError:
+        return tuple(text.split())
+    except (KeyError, TypeError):
+        raise InputError(f'{short_name(path)}: want names of photos under "held_out", got other content') from None
 
 
 def _k_means(places: Array, groups: int, rng: np.random.Generator) -> NDArray[np.intp]:

@@ -13,6 +13,7 @@ CAMERAS = "cameras.json"  # the file that makes a folder one of turntable photos
 class FitSettings:
     """How to train; the defaults are for a hall and a GPU."""
 
+    judge_by: tuple[str, ...] = ()  # names of the photos to judge by; empty: drawn by hold_out
     gaussians: int = 200_000  # the largest number
     steps: int = 30_000
     batch: int = 1  # photos a step
@@ -23,8 +24,9 @@ class FitSettings:
     exposures: bool = True  # learn each photo's gain and offset
     poses: bool = False  # correct the poses of the photos that are trained on
     ssim_weight: float = 0.2  # of 1 - SSIM against the mean absolute error
-    opacity_cost: float = 0.01
-    scale_cost: float = 0.01
+    opacity_cost: float = 0.03
+    scale_cost: float = 0.05
+    largest: float = 0.5  # standard deviation that a Gaussian may have [m]: larger ones veil a lens beside them; 0: any
     minutes: float = 8.0  # of training at most; it ends smoothly before
     room: tuple[float, ...] = ()  # x, y, z of the lowest and of the highest corner [m]; empty: from cameras and survey
     pose_steps: int = 100  # of refining each held-out photo's pose, for figures of their own; 0 leaves those out
@@ -39,7 +41,7 @@ class FitSettings:
         require_range("hold_out", self.hold_out, low=0.0, high=0.5)
         require_range("ssim_weight", self.ssim_weight, low=0.0, high=1.0)
         require_range("minutes", self.minutes, low=0.01, high=10_000.0)
-        for name in ("opacity_cost", "scale_cost", "pose_steps", "seed", "width"):
+        for name in ("opacity_cost", "scale_cost", "largest", "pose_steps", "seed", "width"):
             require_range(name, getattr(self, name), low=0.0, high=2**31)
         corners = np.reshape(self.room, (2, 3)) if len(self.room) == 6 else None
         if self.room and (corners is None or not (corners[0] < corners[1]).all()):
@@ -47,5 +49,13 @@ class FitSettings:
 
 
 LEADER = FitSettings(
-    gaussians=5_000, steps=8_000, batch=2, hold_out=0.1, exposures=False, opacity_cost=0.002, pose_steps=0
+    gaussians=5_000,
+    steps=8_000,
+    batch=2,
+    hold_out=0.1,
+    exposures=False,
+    opacity_cost=0.002,
+    scale_cost=0.01,
+    largest=0.0,
+    pose_steps=0,
 )

@@ -20,10 +20,10 @@ from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import render
 from falconwing_kit.scene.renderers.reference import GaussianTensors
 from falconwing_kit.scene.survey.points import Survey
-from falconwing_kit.scene.training.draw import Draw
+from falconwing_kit.scene.training.draw import Draw, moved
 from falconwing_kit.scene.training.judge import Look, judge, refined_poses
-from falconwing_kit.scene.training.loop import Goal, train
-from falconwing_kit.scene.training.photos import Photos, hold_out
+from falconwing_kit.scene.training.loop import Goal, reach, train
+from falconwing_kit.scene.training.photos import Photos, held_out
 from falconwing_kit.scene.training.settings import FitSettings
 from falconwing_kit.scene.training.ship import contributions, labelled, pruned, write_pairs
 from falconwing_kit.scene.training.state import State, begin, to_scene
@@ -59,7 +59,7 @@ class Task:
     def split(self) -> tuple[Photos, Photos]:
         """The photos to train on and those to judge by; where none are held out, the same."""
         places = self.photos.Ts_world_camera[:, :3, 3].cpu().numpy()
-        held = hold_out(places, self.settings.hold_out, self.settings.seed)
+        held = held_out(self.photos.names, places, self.settings)
         if len(self.photos) - held.sum() < 2:
             raise InputError(f"photos: want at least 3, one of them to judge by, got {len(self.photos)}; take more")
         learn = self.photos.chosen(np.flatnonzero(~held))
@@ -97,6 +97,14 @@ class Task:
             )
 
         return train(state, learn, self.draw, self.goal, keep=lambda now: now.save(kept, told), tell=tell)
+
+    def corrected_poses(self, state: State) -> Array:
+        """(P, 4, 4) of all photos, in their order: corrected by the training where they were trained on."""
+        learn, _ = self.split
+        poses = dict(zip(self.photos.names, self.photos.Ts_world_camera.double(), strict=True))
+        twists = state.values["twists"].double() * reach(self.extent, poses[self.photos.names[0]])
+        poses |= dict(zip(learn.names, moved(learn.Ts_world_camera.double(), twists), strict=True))
+        return torch.stack([poses[name] for name in self.photos.names]).cpu().numpy()
 
     def ship(self, state: State, survey: Survey | None, source: str, label: str = "") -> Fit:
         """Prune, label, write, read back, judge what was read, and write the figures."""
