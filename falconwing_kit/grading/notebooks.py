@@ -20,6 +20,7 @@ YOUR_ANSWER = "*Your answer:*"
 _SOLUTION = re.compile(
     r"^([ \t]*)# BEGIN SOLUTION\n(.*?)^[ \t]*# END SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE | re.DOTALL
 )
+_FOR_THE_FORMATTER = re.compile(r"[ \t]*# (?:fmt: (?:skip|off|on)|noqa\b.*)$", re.MULTILINE)  # nothing for students
 _MARKER = re.compile(r"^[ \t]*# (?:BEGIN|END) SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE)
 _GO_TO_THE_LAB = """\
 # Jupyter starts in this notebook's folder; what the lab needs lies one folder up.
@@ -95,7 +96,7 @@ def _cell(source: Path, cell: Any) -> Cell:
     if kinds == ["exercise"] and not re.search(rf"^def {re.escape(name)}\(", cell.source, re.MULTILINE):
         raise InputError(f"{where}: want the function {name} in the exercise of that name")
     return Cell(
-        text=cell.source,
+        text=_FOR_THE_FORMATTER.sub("", cell.source),
         markdown=markdown,
         kind=kinds[0] if kinds else "",
         name=name,

@@ -41,6 +41,12 @@ def test_solution_has_everything_but_the_markers(folder):
     assert not any("SOLUTION" in text for _, text in solution)
 
 
+def test_words_for_the_formatter_are_left_out(folder):
+    """They are for who writes the source; a student would wonder."""
+    (folder / "lab.py").write_text(SOURCE.replace("print(weight(2.0))", "print(weight(2.0))  # fmt: skip"))
+    assert all('"print(weight(2.0))"' in text for text in build(folder).values())
+
+
 def test_notebooks_are_valid_and_keep_what_cells_are_for(folder):
     """nbformat judges the file; the marks are what the grading and the person who grades look for."""
     for text in build(folder).values():
