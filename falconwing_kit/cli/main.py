@@ -69,6 +69,7 @@ VERBS: tuple[tuple[str, str, str, str], ...] = (
     ("check", "falconwing_kit.cli.courses.check", "Check", "run a lab's public checks on your notebook"),
     ("labs", "falconwing_kit.cli.courses.labs", "Labs", "build the labs' notebooks, hand them out, test them"),
     ("grade", "falconwing_kit.cli.courses.grade", "Grade", "grade a class, every function in a box of its own"),
+    ("report", "falconwing_kit.cli.courses.report", "Report", "gradebook, feedback, statistics and rubric of a class"),
     ("sandbox", "falconwing_kit.cli.courses.grade", "Sandbox", "try to get out of the grader's box"),
 )
 

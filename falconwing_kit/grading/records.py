@@ -38,7 +38,7 @@ def open_run(out: Path, lab: str, salt: str, *, sandboxed: bool, go_on: bool) ->
     Raises:
         InputError: there are records and `go_on` is False, or they are of another lab or course.
     """
-    wanted = {"lab": lab, "course": hashlib.sha256(salt.encode()).hexdigest()[:16], "sandboxed": sandboxed}
+    wanted = {"lab": lab, "course": course_mark(salt), "sandboxed": sandboxed}
     file = out / RUN
     if (out / RECORDS).exists() and not go_on:
         raise InputError(f"{out}: want a new folder, found records; say --resume, --regrade or another --out")
@@ -56,6 +56,28 @@ def open_run(out: Path, lab: str, salt: str, *, sandboxed: bool, go_on: bool) ->
         changed = ", ".join(name for name in wanted if run.get(name) != wanted[name])
         raise InputError(f"{out}: want the lab, salt and sandbox of its earlier run, got another {changed}")
     return secret
+
+
+def require_run(out: Path, lab: str, salt: str) -> None:
+    """Refuse a folder that holds no records of this lab in this course.
+
+    Raises:
+        InputError: there are none, or the lab or the salt is another.
+    """
+    try:
+        run = json.loads((out / RUN).read_text(encoding="utf-8"))
+        found = run["lab"], run["course"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(f"{out}: want the folder that `grade --out` wrote, found no run in it") from None
+    if found[0] != lab:
+        raise InputError(f"{out}: want records of {lab}, found those of {found[0]}")
+    if found[1] != course_mark(salt):
+        raise InputError(f"{out}: want the --salt that this lab was graded with, got another one or none")
+
+
+def course_mark(salt: str) -> str:
+    """What is kept of a course's salt."""
+    return hashlib.sha256(salt.encode()).hexdigest()[:16]
 
 
 def read_records(out: Path) -> list[Record]:
@@ -116,13 +138,13 @@ def write_gradebook(out: Path, exercises: Sequence[str], records: Iterable[Recor
         done = record["exercises"]
         points = [done[name]["points"] if name in done else "" for name in exercises]
         ends = ("points", "of", "status", "problem", "sandboxed")
-        writer.writerow([_cell(value) for value in (student, *points, *(record[each] for each in ends))])
+        writer.writerow([spreadsheet_cell(value) for value in (student, *points, *(record[each] for each in ends))])
     with atomic_write(out / GRADEBOOK, text=True) as handle:
         handle.write(table.getvalue())
     return out / GRADEBOOK
 
 
-def _cell(value: object) -> object:
+def spreadsheet_cell(value: object) -> object:
     """A value for a spreadsheet, which takes a text that begins like a formula for one."""
     if value is None:
         return ""
