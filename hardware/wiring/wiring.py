@@ -41,7 +41,7 @@ JOINTS = (  # from, to, by what
     ("pilot", "radio", ""),
     ("radio", "receiver", "2.4 GHz"),
 )
-FONT = {"fontsize": 11, "font": "sans-serif", "lw": 1.4, "margin": 0.6}  # text is wider than schemdraw thinks
+FONT = {"fontsize": 13, "font": "sans-serif", "lw": 1.4, "margin": 0.6}  # text is wider than schemdraw thinks
 
 
 def lead_levels(radio_v: float = 0.0) -> dict[str, float]:

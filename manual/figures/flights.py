@@ -53,11 +53,11 @@ def draw_approach(path: Path) -> str:
         side.fill_between([pad.x_start, pad.x_start + pad.length], 0.0, pad.height, color=LIGHT, lw=0)
         side.set(ylim=(0.0, 2.6), xlabel="x, landing direction [m]", ylabel="height [m]")
     landed = sum(record["success"] for record in records)
-    return f"""Ten simulated landings by the expert that knows its state, not by a camera: {landed} of {LANDINGS} on the pad. Above, the
-        hall from above: from about 20 m before the pad all paths run together onto its centre line. The pilots stand
-        beside the place of the hand-over, left of the path; everybody else stays behind them, at the wall that the
-        flight leaves. Below, from the side: from 1.5 m
-        height down a shallow slope, rounded before the pad."""
+    return f"""Ten simulated landings by the expert that knows its state, not by a camera: {landed} of {LANDINGS} on
+        the pad. Above, the hall from above: from about 20 m before the pad all paths run together onto its centre
+        line. The pilots stand beside the place of the hand-over, left of the path; everybody else stays behind
+        them, at the wall that the flight leaves. Below, from the side: from 1.5 m height down a shallow slope,
+        rounded before the pad."""
 
 
 def draw_sticks(path: Path) -> str:
@@ -78,9 +78,9 @@ def draw_sticks(path: Path) -> str:
         track.plot(*table.p_world[shown][0, :2], "o", ms=6, color=DARK)
         track.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="seen from above")
         track.title.set_fontsize(9.5)
-    return """Half a minute of a simulated flight that identification can use. Left, the four sticks against time, each about
-        its grey middle line: all four move, to both sides, at their own times, quick and slow. Right, the path from
-        above: turns to both sides; the spikes are wild poses, which the fit survives."""
+    return """Half a minute of a simulated flight that identification can use. Left, the four sticks against time,
+        each about its grey middle line: all four move, to both sides, at their own times, quick and slow. Right,
+        the path from above: turns to both sides; the spikes are wild poses, which the fit survives."""
 
 
 def draw_pictures(path: Path) -> str:
@@ -100,8 +100,8 @@ def draw_pictures(path: Path) -> str:
     strip = np.concatenate([part for picture in shown for part in (picture, edge)][:-1], axis=1)
     with atomic_write(path) as file:
         file.write(cv2.imencode(".jpg", strip[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes())
-    return f"""Four simulated pictures of an approach, from left to right, and what the frame monitor said over {FRAMES} of
-        each, 20 a second. {". ".join(said)}."""
+    return f"""Four simulated pictures of an approach, from left to right, and what the frame monitor said over
+        {FRAMES} of each, 20 a second. {". ".join(said)}."""
 
 
 def approach_views() -> list[Pixels]:

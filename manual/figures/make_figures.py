@@ -102,10 +102,10 @@ def draw_hardware(out: Path) -> None:
 def draw_demo(path: Path) -> str:
     """Study the demo's flights, draw them, and say what is seen."""
     draw_identify_demo(study_recorded_flights(print), path)
-    return """Left, ten seconds of a simulated flight of 150 g: roll, pitch and height as measured, dots, and as the model
-        says from two seconds before, lines that lie on the dots. Right, a real aircraft 2 m wide: until its engine stops
-        forecasts stay within the grey band of healthy flight; some seconds after it the forecast of an engine that runs on is metres ahead
-        of the aircraft, while its measured speed falls."""
+    return """Left, ten seconds of a simulated flight of 150 g: roll, pitch and height as measured, dots, and as the
+        model says from two seconds before, lines that lie on the dots. Right, a real aircraft 2 m wide: until its
+        engine stops forecasts stay within the grey band of healthy flight; some seconds after it the forecast of an
+        engine that runs on is metres ahead of the aircraft, while its measured speed falls."""
 
 
 def draw_hall(path: Path) -> str:
@@ -123,8 +123,8 @@ def draw_hall(path: Path) -> str:
         scene = leader_at(arena, None if leader is None else body_pose(leader))
         images.append(render(scene, camera, camera_pose(body_pose(own))).rgb)
     write_strip(path, images)
-    return """Three simulated views into a drawn sports hall from an aircraft's nose: far out with the blue pad ahead, in a
-        turn behind another aircraft, and short of the pad beside a square black and white marker."""
+    return """Three simulated views into a drawn sports hall from an aircraft's nose: far out with the blue pad
+        ahead, in a turn behind another aircraft, and short of the pad beside a square black and white marker."""
 
 
 def draw_trained_hall(path: Path) -> str:
@@ -138,8 +138,8 @@ def draw_trained_hall(path: Path) -> str:
     """
     hall, camera = load_scene("hall"), fpv_camera(*APPROACH_PX)
     write_strip(path, [render(hall, camera, camera_pose(body_pose(own))).rgb for own in APPROACH])
-    return """Two simulated views from an approach into the hall trained on path-traced images: windows, posters, boxes, the
-        marker and the blue pad; on the right, closer to the pad, blurred patches hang in the air."""
+    return """Two simulated views from an approach into the hall trained on path-traced images: windows, posters,
+        boxes, the marker and the blue pad; on the right, closer to the pad, blurred patches hang in the air."""
 
 
 def write_strip(path: Path, images: list[Any]) -> None:

@@ -67,11 +67,12 @@ def arrow(axes: Any, begin: tuple[float, float], end: tuple[float, float], text:
 
 def draw_loop(path: Path) -> str:
     """The 20 Hz loop and its two pairs of ends."""
-    with drawing(path, 6.6, 2.9) as axes:
+    with drawing(path, 6.6, 2.65) as axes:
         (ax,) = axes.flat
         bare(ax, (-0.2, 13.4), (-0.4, 5.2))
-        for y, names in ((4.0, ("camera, 5.8 GHz,\nreceiver, capture card", "Arduino board,\ntransmitter, aircraft")),
-                         (0.8, ("splat scene,\nsimulated camera", "the same program,\nmodel of the aircraft"))):  # fmt: skip
+        real = "camera, 5.8 GHz,\nreceiver, capture card", "Arduino board,\ntransmitter, aircraft"
+        simulated = "splat scene,\nsimulated camera", "the same program,\nmodel of the aircraft"
+        for y, names in ((4.0, real), (0.8, simulated)):
             look = {"facecolor": PALE} if y < 2.0 else {}
             box(ax, 1.5, y, names[0], 3.2, 1.2, **look)
             box(ax, 11.7, y, names[1], 3.2, 1.2, **look)
@@ -86,10 +87,10 @@ def draw_loop(path: Path) -> str:
         ax.text(6.6, 0.8, "in simulation", ha="center", va="center", fontsize=9.5, weight="bold")
         ax.text(6.6, 3.25, "20 times a second, the same program", ha="center", fontsize=8.5)
     return """The loop that runs 20 times a second. In the middle, the same for both: frame monitor, then pilot or
-        controller, then trainer port and log. With an aircraft the picture comes from camera, 5.8 GHz link, receiver
-        and capture card, and the command goes to the Arduino board, the transmitter and the aircraft. In simulation,
-        dashed, the picture comes from a scene of splats through a simulated camera, and the command goes to the board's
-        same program and a model of the aircraft."""
+        controller, then trainer port and log. With an aircraft the picture comes from camera, 5.8 GHz link,
+        receiver and capture card, and the command goes to the Arduino board, the transmitter and the aircraft. In
+        simulation, dashed, the picture comes from a scene of splats through a simulated camera, and the command
+        goes to the board's same program and a model of the aircraft."""
 
 
 def draw_aircraft(path: Path) -> str:
@@ -101,15 +102,15 @@ def draw_aircraft(path: Path) -> str:
         bare(side, (-235.0, 385.0), (-95.0, 105.0))
         bare(top, (-235.0, 385.0), (-385.0, 385.0))
         side.fill(
-            [-150, -120, -30, 120, 345, 345, 120, -120, -150], [-8, 25, 42, 34, 16, 4, -34, -34, -22], PALE, ec=DARK
+            [-182, -150, -30, 120, 345, 345, 120, -140, -182], [-8, 25, 42, 34, 16, 4, -34, -34, -22], PALE, ec=DARK
         )
         side.fill([0, chord, chord, 0], [42, 42, 49, 51], LIGHT, ec=DARK)
         side.fill([285, 345, 345, 315], [16, 16, 80, 80], PALE, ec=DARK)
-        side.plot([-155, -155], [-60, 50], color=DARK, lw=1.0, ls=":")
+        side.plot([-187, -187], [-62, 58], color=DARK, lw=1.0, ls=":")
         for x, y, radius in ((-50, -80, 13), (330, -10, 6)):
             side.plot(x, y, "o", ms=radius, mfc="white", mec=DARK)
         side.plot([-35, -50], [-34, -74], color=DARK, lw=1.0)
-        top.fill([-150, -140, -30, 345, 345, -30, -140, -150], [-12, -26, -32, -8, 8, 32, 26, 12], PALE, ec=DARK)
+        top.fill([-182, -170, -30, 345, 345, -30, -170, -182], [-12, -26, -32, -8, 8, 32, 26, 12], PALE, ec=DARK)
         top.fill([0, chord, chord, 0], [-span / 2, -span / 2, span / 2, span / 2], "white", ec=DARK)
         top.fill([280, 345, 345, 280], [-115, -115, 115, 115], "white", ec=DARK)
         for low, high, text in ((190, 335, "aileron"), (40, 185, "flap"), (-185, -40, "flap"), (-335, -190, "aileron")):
@@ -120,12 +121,12 @@ def draw_aircraft(path: Path) -> str:
         added = (("camera, bracket", -164, (-232, 90)), ("filter and wires", -75, (-80, 90)),
                  ("battery", -40, (-30, -75)), ("receiver, inside", 30, (60, -75)))  # fmt: skip
         for text, x, at in added:
-            y = 12 if x < -100 else 0
+            y = 31 if x < -100 else 0
             side.plot(x, y, "s", ms=8 if x < -100 else 6, color=DARK)
             side.annotate(text, (x, y), at, fontsize=8.5, arrowprops={"arrowstyle": "-", "color": MIDDLE})
             top.plot(x, 0, "s", ms=6, color=DARK)
         side.annotate(
-            "propeller", (-155, -55), (-232, -92), fontsize=8.5, arrowprops={"arrowstyle": "-", "color": MIDDLE}
+            "propeller", (-187, -55), (-232, -92), fontsize=8.5, arrowprops={"arrowstyle": "-", "color": MIDDLE}
         )
         top.plot(cg, 0, "o", ms=10, mfc="white", mec=DARK)
         top.annotate("balance with\nall parts on", (cg, 0), (-232, 300), fontsize=8.5,
@@ -133,12 +134,12 @@ def draw_aircraft(path: Path) -> str:
         top.annotate("", (-22, span / 2), (-22, -span / 2), arrowprops={"arrowstyle": "<->", "color": MIDDLE})
         top.text(-28, -200, f"{span / 10:.0f} cm", ha="right", fontsize=8.5)
         top.text(170, -330, "nose to the left", fontsize=8.5)
-    return f"""The aircraft, drawn from the left side and from above, nose to the left; outlines are schematic, places
-        along the fuselage are those of the list of parts, partly estimates. At the nose, behind the propeller and above
-        its shaft, sit camera and bracket; behind them filter and wires; the battery in its hatch ahead of the wing; the receiver
-        inside. Seen from above: {span / 10:.0f} cm of wing with ailerons outside and flaps inside, elevator at the
-        tail; the rudder stands on the fin. With all parts on the balance is {cg:.0f} mm behind the wing's leading
-        edge."""
+    return f"""The aircraft, drawn from the left side and from above, nose to the left; outlines are schematic,
+        places along the fuselage are those of the list of parts, partly estimates. On the nose, behind the
+        propeller, sit camera and bracket; behind them filter and wires; the battery in its hatch ahead of the wing;
+        the receiver inside. Seen from above: {span / 10:.0f} cm of wing with ailerons outside and flaps inside,
+        elevator at the tail; the rudder stands on the fin. With all parts on the balance is {cg:.0f} mm behind the
+        wing's leading edge."""
 
 
 def draw_hours(path: Path) -> str:
@@ -195,9 +196,9 @@ def draw_ppm(path: Path) -> str:
         ax.set(ylim=(-1.3, 1.5), xlim=(0.0, 11.0), yticks=[], xlabel="time [ms]")
         ax.spines["left"].set_visible(False)
     said = ", ".join(f"{name} {us}" for name, us in zip(names, slots, strict=True))
-    return f"""Pulses on the trainer port with the settings that ship, which no radio has confirmed. The line rests high;
-        short low gap pulses of {calibration.gap_us} microseconds begin each slot. From gap to gap: {said} microseconds, which is
-        throttle idle and the others in the middle. A long pause follows; frames come every
+    return f"""Pulses on the trainer port with the settings that ship, which no radio has confirmed. The line rests
+        high; short low gap pulses of {calibration.gap_us} microseconds begin each slot. From gap to gap: {said}
+        microseconds, which is throttle idle and the others in the middle. A long pause follows; frames come every
         {calibration.frame_us / 1000:g} milliseconds."""
 
 
@@ -221,11 +222,11 @@ def draw_safety(path: Path) -> str:
         ax.text(
             9.6, -0.6, "outside ACTIVE: throttle idle, sticks in the middle", ha="center", fontsize=8.5, style="italic"
         )
-    return """States of the board. After BOOT it is SAFE. Engage switched on and then 5 commands within half a second make it
-        ACTIVE, the only state in which the computer moves the slots. Engage off leads back to SAFE. 200 milliseconds of
-        silence lead to LOST; from there engage off leads to SAFE. From any state five commands out of range within a
-        second, or a program that hung, lead to FAULT, which engage off ends one second later. Outside ACTIVE the throttle is
-        idle and the sticks are in the middle."""
+    return """States of the board. After BOOT it is SAFE. Engage switched on and then 5 commands within half a
+        second make it ACTIVE, the only state in which the computer moves the slots. Engage off leads back to SAFE.
+        200 milliseconds of silence lead to LOST; from there engage off leads to SAFE. From any state five commands
+        out of range within a second, or a program that hung, lead to FAULT, which engage off ends one second later.
+        Outside ACTIVE the throttle is idle and the sticks are in the middle."""
 
 
 def draw_surfaces(path: Path) -> str:
@@ -249,8 +250,9 @@ def draw_surfaces(path: Path) -> str:
                 ax.fill_between([0.0, 0.2], [0.2, 0.2], [0.5, 0.5], **moved)
             ax.set_title(stick, fontsize=9.5)
             ax.text(0.0, -0.65, answer, ha="center", fontsize=9.0)
-    return """The aircraft from behind, three times. Aileron stick to the right: the right aileron goes up, the left one down.
-        Elevator stick back: the elevator goes up. Rudder stick to the right: the rudder goes to the right."""
+    return """The aircraft from behind, three times. Aileron stick to the right: the right aileron goes up, the left
+        one down. Elevator stick back: the elevator goes up. Rudder stick to the right: the rudder goes to the
+        right."""
 
 
 def draw_lanes(path: Path) -> str:
@@ -271,9 +273,9 @@ def draw_lanes(path: Path) -> str:
         ax.plot([], [], "x", ms=7, color=DARK, ls="none", label="photos from the corners")
         ax.plot([], [], "o", ms=7, mfc="white", mec=DARK, ls="none", label="measured by tape")
         ax.figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8.5)
-    return """The hall from above, 40 by 20 metres, with blue pad and marker at its end. Three dashed lanes run along it;
-        a photo is taken at every step. Crosses in the four corners: photos from there. Circles on the pad's corners:
-        points measured by tape."""
+    return """The hall from above, 40 by 20 metres, with blue pad and marker at its end. Three dashed lanes run
+        along it; a photo is taken at every step. Crosses in the four corners: photos from there. Circles on the
+        pad's corners: points measured by tape."""
 
 
 def hall_from_above(ax: Any) -> None:
