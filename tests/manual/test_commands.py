@@ -1,0 +1,105 @@
+"""Every command in the manual is typed here, or named as needing hardware with its rehearsal beside it."""
+
+import io
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from falconwing_kit.cli.main import VERBS, main
+from falconwing_kit.core.flight_log import FlightLogWriter
+from falconwing_kit.core.messages import Command, State
+from falconwing_kit.data import data_path
+from falconwing_kit.trainer_port.links.usb import find_boards
+from tests.firmware.chip import require_tools
+from tests.manual.book import MANUAL, ROOT, commands, elements, page
+
+RUNS = list(dict.fromkeys(line for kind, line in commands() if kind == "runs"))
+# What sets up the reader's machine or needs half a gigabyte: start.py has tests/house/test_start.py, the bracket
+# tests/hardware/test_bracket.py.
+MACHINE = {
+    "python3 start.py demo",
+    '.venv/bin/pip install -c constraints.txt -e ".[cad]"',
+    ".venv/bin/python hardware/bracket/bracket.py mine.toml --out out",
+}
+
+
+NO_COMMANDS = {"source .venv/bin/activate", "python3 start.py", "py start.py demo"}  # in words, or to be completed
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder as the reader has it: the kit's data, a log of two seconds, and lab 1, done."""
+    here = tmp_path_factory.mktemp("reader")
+    shutil.copytree(data_path("case02_calm.csv").parent, here / "falconwing_kit" / "data")
+    shutil.copy(ROOT / "labs" / "lab01_sizing" / "solution" / "lab01.ipynb", here)
+    with FlightLogWriter(here / "flight.mcap") as log:
+        for k in range(40):
+            log.state(0.05 * k, State.from_vector(np.arange(9.0) / 10.0 + k / 100.0))
+            log.command(0.05 * k, Command(0.5, 0.0, 0.1, 0.0))
+    return here
+
+
+def test_no_command_escapes():
+    """Whatever looks like a command, in a block or in a line, was given as one, or is the map's or a mere verb."""
+    known = {line for _, line in commands()}
+    known |= set(re.findall(r"`([^`]+)`", (MANUAL / "03_paper_map.md").read_text("utf-8")))
+    known |= {f"falconwing {name}" for name, *_ in VERBS} | {"falconwing"}
+    known |= {"falconwing size --parts kit"}  # in assembly.toml; typed here because chapter 3 prints it too
+    shown = {found["text"] for found in elements("raw")}
+    typed = re.compile(r"falconwing(?: |$)|python3? |\.venv/|pip |py |source ")
+    assert {text for text in shown if typed.match(text)} - known <= NO_COMMANDS
+    assert "falconwing size --parts kit" in RUNS and len(RUNS) >= 15
+    assert {line for kind, line in commands() if kind == "machine"} == MACHINE
+
+
+@pytest.mark.filterwarnings("ignore:the calibration")
+@pytest.mark.parametrize("line", RUNS)
+def test_command_runs(line, folder, monkeypatch, capsys):
+    """Typed as printed, with no terminal to answer; 0 means done (no board is a no), and what --out names is there."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    words = shlex.split(line)[1:]
+    if words[0] == "firmware" or "sim" in words:
+        require_tools()
+    if words[0] == "calibrate":
+        Path("trainer_port.toml").unlink(missing_ok=True)
+    assert main(words) == (1 if words[0] == "find-port" and not find_boards() else 0)
+    for option in ("--out", "--figures"):
+        if option in words:
+            assert Path(words[words.index(option) + 1]).exists()
+    assert capsys.readouterr().out.count("\n") > 1
+
+
+def test_commands_of_the_photos_are_those_of_their_page():
+    """That page's own test types them in their order, on the path-traced photos that ship."""
+    chapter = (MANUAL / "photos_to_simulator.md").read_text("utf-8")
+    told = [line for kind, line in commands() if kind == "chapter"]
+    assert len(told) >= 6 and [line for line in told if line not in chapter.splitlines()] == []
+
+
+def test_hardware_has_a_rehearsal_beside_it():
+    """Behind every command with a real port stands one of the same verb with a simulated one, and it is typed above."""
+    listed = commands()
+    needing = [k for k, (kind, _) in enumerate(listed) if kind == "hardware"]
+    assert len(needing) >= 7
+    for k in needing:
+        (_, real), (kind, rehearsal) = listed[k], listed[k + 1]
+        assert kind == "runs" and rehearsal.split()[1] == real.split()[1]
+        assert "sim" in rehearsal.split() and " P" in real
+    assert page().text.count("Rehearsal without hardware, simulated:") == len(needing)
+
+
+def test_hardware_commands_are_understood(monkeypatch):
+    """The verb takes these words; nothing is opened."""
+    import importlib
+
+    modules = {name: (module, class_name) for name, module, class_name, _ in VERBS}
+    for kind, line in commands():
+        if kind == "hardware":
+            module, class_name = modules[line.split()[1]]
+            monkeypatch.setattr(getattr(importlib.import_module(module), class_name), "run", lambda settings: 0)
+            assert main(shlex.split(line)[1:]) == 0
