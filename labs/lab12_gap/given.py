@@ -46,6 +46,31 @@ CANDIDATES = {
 LOADS = ("extra_drag", "thrust_loss", "ground_effect", "aileron_loss", "adverse_yaw")
 
 
+def rows_of(residual: Array, windows: Any) -> tuple[Array, dict[str, Array]]:
+    """Residuals row by row, and what they may depend on.
+
+    Args:
+        residual: (W, L, 6) in sigmas.
+        windows: the windows of the kit that were flown.
+
+    Returns:
+        (W * L, 6) residuals, nan where not measured; and by name with its unit, (W * L,) height, heading, and throttle
+        and aileron as means over the last second, since a stick shows in the pose through what it did before.
+    """
+    sticks = []
+    for times, number in zip(windows.nodes, windows.flight, strict=True):
+        log = windows.flights[number]
+        total = np.cumsum(log.commands, axis=0)
+        mean = (total - np.roll(total, 20, axis=0)) / 20.0
+        mean[:20] = log.commands[:20]
+        sticks.append([np.interp(times, log.t - log.t[0], mean[:, k]) for k in (0, 1)])
+    throttle, aileron = np.moveaxis(np.array(sticks), 1, 0).reshape(2, -1)
+    pose = windows.pose.reshape(-1, 6)
+    heading = np.degrees(np.angle(np.exp(1j * pose[:, 5])))
+    known = {"height [m]": pose[:, 2], "heading [deg]": heading, "throttle [-]": throttle, "aileron [-]": aileron}
+    return np.where(windows.weight > 0.0, residual, np.nan).reshape(-1, 6), known
+
+
 def draw_map(axes: Sequence[Any], maps: Mapping[str, tuple[Array, Array]]) -> Any:
     """Draw residual maps side by side: channels down, bins of a variable across, dark where the excess is large.
 
@@ -76,3 +101,15 @@ def draw_evidence(ax: Any, gains: Mapping[str, float], threshold: float) -> None
     ax.set_xscale("symlog", linthresh=10.0)
     ax.set(xlabel="evidence: chi2 gained less its price [-]", title="What the candidates explain")
     ax.legend(fontsize=8, loc="lower right")
+
+
+def draw_gap(ax: Any, level: Mapping[str, float]) -> None:
+    """Bars of the misfit on held-out time, by what was flown; the last is the calm flight's own."""
+    colours = [ORANGE, GREY, BLUE, GREEN] if len(level) == 4 else [ORANGE, GREY, GREEN]
+    ax.bar_label(ax.bar(list(level), list(level.values()), color=colours, edgecolor="k"), fmt="%.2f")
+    ax.axhline(1.0, color=GREY, ls=":", label="noise alone")
+    ax.set(yscale="log", ylim=(0.5, 1.5 * max(level.values())), title="The gap on held-out time")
+    ax.set_ylabel("chi2 per degree of freedom, 2 s ahead [-]")
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_formatter("{x:g}")
+    ax.legend(fontsize=8)

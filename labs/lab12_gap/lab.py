@@ -23,37 +23,13 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from given import (
-    BLUE,
-    CANDIDATES,
-    CAUTION,
-    CHANNELS,
-    CUSHION_M,
-    GREEN,
-    GREY,
-    LEAST_GAIN,
-    LOADS,
-    ORANGE,
-    draw_evidence,
-    draw_map,
-)
+from given import CANDIDATES, CAUTION, CUSHION_M, LEAST_GAIN, LOADS, draw_evidence, draw_gap, draw_map, rows_of
 
+from falconwing_kit import sysid
 from falconwing_kit.aircraft import CATALOGUE, Parameter, Term
 from falconwing_kit.core.flight_table import read_flight_table
 from falconwing_kit.grading.check import check
-from falconwing_kit.sysid import (
-    Prior,
-    cut_windows,
-    fit,
-    fit_starts,
-    hold_out,
-    identify,
-    prepare,
-    residuals,
-    score,
-    select,
-    uncertainty,
-)
+from falconwing_kit.sysid import fit, residuals, score, uncertainty
 
 folder = Path("data/mine") if Path("data/mine/flight.csv").exists() else Path("data")
 calm_table, table = (read_flight_table(folder / name) for name in ("calm.csv", "flight.csv"))
@@ -66,11 +42,10 @@ print(f"{folder}: calm flight {calm_table.duration:.0f} s, flight under test {ta
 # test is cut into windows of two seconds and fitted **with the calm aircraft's numbers as prior**: an aircraft is not
 # quite the same on another day, so each number may drift by 1 % on top of its uncertainty.
 #
-# Why a prior? Without one the 29 numbers would *swallow* most effects: a little more drag here, a little less aileron
-# there, and nothing seems to be missing.
+# Without a prior the 29 numbers would *swallow* most effects: more drag here, less aileron there, nothing missing.
 
 # %%
-found = identify([calm_table])
+found = sysid.identify([calm_table])
 calm_model = found.model
 sure = uncertainty(found.result, found.fitted_windows)
 starts_at = {p.name: p.start for p in calm_model.parameters}
@@ -79,11 +54,11 @@ drift[[sure.names.index("delay"), sure.names.index("lag")]] = 0.002  # s
 covariance = sure.covariance + np.diag(drift**2)
 precision, sigma = np.linalg.inv(covariance), np.sqrt(np.diag(covariance))
 spread = dict(zip(sure.names, sigma.tolist(), strict=True))
-prior = Prior(dict(calm_model.values), spread, covariance / np.outer(sigma, sigma))
+prior = sysid.Prior(dict(calm_model.values), spread, covariance / np.outer(sigma, sigma))
 
-prepared = prepare(table, found.sigma)
-windows = cut_windows(prepared.flights, calm_model, 2.0)
-starts, _ = fit_starts(calm_model, windows, windows.guess[:, : calm_model.n_states])
+prepared = sysid.prepare(table, found.sigma)
+windows = sysid.cut_windows(prepared.flights, calm_model, 2.0)
+starts, _ = sysid.fit_starts(calm_model, windows, windows.guess[:, : calm_model.n_states])
 before = fit(calm_model, windows, starts, prior=prior)
 scatter = max(1.0, found.train.chi2)
 gains, calm_gains = {}, np.zeros(3)  # until you have something better
@@ -136,26 +111,8 @@ check(residual_map)
 
 
 # %% figure="map"
-def rows_of(windows, starts=None):
-    """Residuals (rows, 6) in the calm model, and for each row what they may depend on."""
-    residual = score(calm_model, windows, starts).residual
-    residual = np.where(windows.weight > 0.0, residual, np.nan).reshape(-1, 6)
-    pose, sticks = windows.pose.reshape(-1, 6), []
-    for times, number in zip(windows.nodes, windows.flight, strict=True):
-        log = windows.flights[number]
-        # A stick shows in the pose through its mean over the last second.
-        memory = np.cumsum(log.commands, axis=0)
-        mean = (memory - np.roll(memory, 20, axis=0)) / 20.0
-        mean[:20] = log.commands[:20]
-        sticks.append([np.interp(times, log.t - log.t[0], mean[:, k]) for k in (0, 1)])
-    throttle, aileron = np.moveaxis(np.array(sticks), 1, 0).reshape(2, -1)
-    heading = np.degrees(np.angle(np.exp(1j * pose[:, 5])))
-    return residual, {"height [m]": pose[:, 2], "heading [deg]": heading, "throttle [-]": throttle,
-                      "aileron [-]": aileron}  # fmt: skip
-
-
-residual, variables = rows_of(windows, before.starts)
-calm_residual, calm_variables = rows_of(found.windows)
+residual, variables = rows_of(score(calm_model, windows, before.starts).residual, windows)
+calm_residual, calm_variables = rows_of(score(calm_model, found.windows).residual, found.windows)
 maps = {}
 for label, values in variables.items():
     even = np.quantile(values[values != 0.0], np.linspace(0.0, 1.0, 7))  # as many rows in each bin
@@ -166,17 +123,13 @@ figure, axes = plt.subplots(1, 4, figsize=(13, 3.2), layout="constrained")
 image = draw_map(axes, maps)
 figure.suptitle("Residual map: mean square over that of the calm flight (simulated)")
 figure.colorbar(image, ax=list(axes), label="excess [sigma²]")
-for label, (edges, excess) in maps.items():
-    if np.isfinite(excess).any():
-        channel, column = np.unravel_index(np.nanargmax(excess), excess.shape)
-        print(f"{label:14} largest excess {excess[channel, column]:6.1f} in {CHANNELS[channel]}, from "
-              f"{edges[column]:.2f} to {edges[column + 1]:.2f}")  # fmt: skip
+plt.show()
 
 # %% [markdown]
 # *In words:* four tables side by side, one for each variable; rows are the channels, columns the bins, dark cells with
 # white numbers are where the flight disagrees most.
 #
-# What does the map suggest? Write down your guess *now*, before you look at any statistics.
+# What does the map suggest? Write down your guess *now*, before any statistics.
 #
 # ## 3. An effect is a term
 #
@@ -235,8 +188,7 @@ def augment_model(loads, flow, K, effect, size):
 check(augment_model)
 
 # %% [markdown]
-# The next cell plugs your function into the kit's model as a `Term`, with the size as one more parameter. Candidates
-# that act on the air or on the sticks come from the kit's catalogue.
+# Your function goes into the kit's model as a `Term`. What acts on air or sticks comes from the kit's catalogue.
 
 
 # %% tags=["plug"]
@@ -340,8 +292,7 @@ def scan(fitted, windows, rows, away):
     return score_candidates(r, J.reshape(len(r), -1), away, precision, flat, scatter)
 
 
-K_now = before.model.vector[list(before.free)]
-away = K_now - np.array([prior.mean[before.model.names[i]] for i in before.free])
+away = np.array([before.model.values[name] - prior.mean[name] for name in sure.names])
 scores = scan(before, windows, np.arange(len(windows)), away)
 gains = {name: float(found_here[0]) for name, found_here in scores.items()}
 thirds = np.array_split(np.arange(len(found.fitted_windows)), 3)
@@ -392,8 +343,8 @@ check(verdict)
 # flight. The gap is measured on the last third, in blocks that were held out, before and after.
 
 # %% tags=["fit"]
-fitted, kept = hold_out(windows)
-part, apart = select(windows, fitted), select(windows, kept)
+fitted, kept = sysid.hold_out(windows)
+part, apart = sysid.select(windows, fitted), sysid.select(windows, kept)
 
 
 def left_over(model):
@@ -417,25 +368,18 @@ def measure(name):
 
 # %% figure="gap"
 threshold, word, names = verdict(gains, calm_gains)
-print(f"threshold {threshold:.1f}: {word} {' or '.join(names)}")
 level = {"calm model": score(calm_model, apart).chi2, "another day": left_over(calm_model)}
 finding = {"effect": "none", "size": 0.0, "low": 0.0, "high": 0.0}
 if names:
     model, finding = measure(names[0])
     level["with the effect"] = left_over(model)
 level["calm flight"] = found.train.chi2
-print({key: value if key == "effect" else round(value, 4) for key, value in finding.items()})
+rounded = {key: value if key == "effect" else round(value, 4) for key, value in finding.items()}
+print(f"threshold {threshold:.1f}: {word} {' or '.join(names)}; {rounded}")
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.6), layout="constrained")
 draw_evidence(left, gains, threshold)
-colours = [ORANGE, GREY, BLUE, GREEN] if names else [ORANGE, GREY, GREEN]
-right.bar_label(right.bar(list(level), list(level.values()), color=colours, edgecolor="k"), fmt="%.2f")
-right.axhline(1.0, color=GREY, ls=":", label="noise alone")
-right.set(yscale="log", ylim=(0.5, 1.5 * max(level.values())), title="The gap on held-out time")
-right.set_ylabel("chi2 per degree of freedom, 2 s ahead [-]")
-right.yaxis.set_major_formatter("{x:g}")
-right.yaxis.set_minor_formatter("{x:g}")
-right.legend(fontsize=8)
+draw_gap(right, level)
 plt.show()
 
 # %% [markdown]
@@ -447,10 +391,9 @@ plt.show()
 #
 # ## 7. Your finding
 #
-# Look at the map, the evidence and the gap together. Does the size make sense? Then write down what you found. The size
-# is that of `CANDIDATES` in given.py (of a wind its speed, of a trim bias with its sign), low and high are a
-# 95 % interval. For *none* all three are zero. An effect that is not there costs as much as one that is missed; an
-# interval more than 40 % to either side says too little.
+# Do map, evidence and gap agree? Does the size make sense? Then write down what you found. The size is that of
+# `CANDIDATES` in given.py (of a wind its speed, of a trim bias with its sign), low and high are a 95 % interval. For
+# *none* all three are zero. An interval of more than 40 % to either side says too little.
 
 
 # %% exercise="my_finding"
@@ -476,10 +419,10 @@ check(my_finding)
 
 # %% [markdown] answer="q1"
 # On the practice case the two lowest bins of the height stand out, in px and py and less in pitch and yaw; above 1.4 m
-# almost nothing is left. More lift near the floor pulls a banked aircraft into its turn, so it is the place in the hall
-# that is off, more than the height. The lowest throttle stands out too, because low passes are flown with little
-# throttle: a drag or a loss of thrust would make a map like that. They differ in the height panel, since they act at
-# every height; the scan takes both at once and gives them less than nothing.
+# almost nothing is left. More lift near the floor pulls a banked aircraft into its turn, so it is the place in the
+# hall that is off, more than the height. The lowest throttle stands out too, because low passes are flown with little
+# throttle: a drag or a loss of thrust would make a map like that. But they act at every height, and the height panel
+# is pale above.
 
 # %% [markdown]
 # **Question 2.** A friend leaves out the prior: all 29 numbers are free. Which candidates would he miss, and why? And
@@ -488,8 +431,8 @@ check(my_finding)
 # %% [markdown] answer="q2"
 # He misses what a number of the aircraft can imitate: a lost aileron is a smaller La and nothing else, extra drag is a
 # larger cD0, a loss of thrust a smaller kT, a trim bias a rolling moment at rest, a delay the delay that the model has
-# anyway. Wind and ground effect stay, because no number makes them. The other friend always names something, because
-# one of ten candidates always has the largest gain: on every calm flight he invents an effect.
+# anyway. Wind and ground effect stay: no number makes them. The other friend always names something: one of ten gains
+# is always the largest. On every calm flight he invents an effect.
 
 # %% [markdown]
 # ## What you can do now
@@ -503,7 +446,6 @@ check(my_finding)
 # A ground effect with 0.45 of the lift added at the floor, and as much of the induced drag lost.
 # </details>
 #
-# **With hardware:** fly two logs of a minute, one calm, and one with a change that a partner makes and does not tell:
-# tape on one aileron, a strip of card under the wing (drag), a fan at one end of the hall, 10 g at the centre of
-# gravity. Export both with `falconwing export --to csv`. The partner checks balance and control throws before every
-# flight, and no change may touch the propeller or the battery's fixing.
+# **With hardware:** fly two logs of a minute, one calm, one with a change that a partner makes and does not tell: tape
+# on an aileron, a strip of card (drag), a fan in the hall, 10 g at the centre of gravity. The partner checks balance
+# and throws before every flight; propeller and battery stay as they are. `falconwing export --to csv`, and find it.
