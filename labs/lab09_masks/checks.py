@@ -163,7 +163,7 @@ def _loss(f: Function, logits: list, truth: list) -> float:
 
 
 def _even(f: Function) -> bool:
-    """All logits 0: p = 1/2. One leader pixel of four: entropy (w + 3) ln 2 / 4; overlap (2 * 0.5 + 1) / (2 + 1 + 1)."""
+    """All logits 0: p = 1/2. One leader pixel of four: entropy (w + 3) ln 2 / 4; overlap (1 + 1) / (2 + 1 + 1)."""
     wanted = (POS_WEIGHT + 3.0) * math.log(2.0) / 4.0 + DICE_WEIGHT * (1.0 - 2.0 / 4.0)
     return same(_loss(f, [[[0.0, 0.0], [0.0, 0.0]]], [[[1, 0], [0, 0]]]), wanted)
 
@@ -322,13 +322,13 @@ LAB = Lab(
         Exercise("randomize", 19.0, RANDOM_CHECKS),
     ),
     rubric=(
-        Criterion(
-            "labels", 5.0, "Ellipses sit on the aircraft, too large beside the fuselage; the board cuts one off."
-        ),
+        Criterion("labels", 5.0, "Ellipses sit on the aircraft, inside the rendered outline; the board cuts one off."),
         Criterion(
             "window", 10.0, "Reads IoU and false alarms of both networks; says what got better and what did not."
         ),
-        Criterion("q1", 3.0, "Too large, but centred; harmless for steering, not for measuring."),
+        Criterion(
+            "q1", 3.0, "Smaller than the rendered outline, but centred; harmless for steering, not for measuring."
+        ),
         Criterion("q2", 3.0, "Short cut 'bright and striped'; look-alikes break it without showing the windows."),
         Criterion("q3", 4.0, "Mask holds no hall; wrong masks go unnoticed; RGB + Mask can doubt; time; 30 flights."),
     ),

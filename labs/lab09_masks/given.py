@@ -86,7 +86,11 @@ def new_unet(base: int = 6, seed: int = 0) -> Any:
     class UNet(nn.Module):
         def __init__(self) -> None:
             super().__init__()
-            self.in_full, self.in_half, self.in_quarter = double(3, base), double(base, 2 * base), double(2 * base, 4 * base)
+            self.in_full, self.in_half, self.in_quarter = (
+                double(3, base),
+                double(base, 2 * base),
+                double(2 * base, 4 * base),
+            )
             self.out_half, self.out_full = double(6 * base, 2 * base), double(3 * base, base)
             self.down, self.up, self.last = nn.MaxPool2d(2), nn.Upsample(scale_factor=2), nn.Conv2d(base, 1, 1)
 

@@ -13,7 +13,7 @@ from falconwing_kit.scene import load_scene, render
 from falconwing_kit.scene.arena import leader_at
 from falconwing_kit.scene.editing.masks import COVERED, seen_image
 
-SIZE, FINER = (64, 48), 4  # px; rendered finer by this and averaged: splats are never thinner than a pixel
+SIZE = (64, 48)  # px
 LEVELS = 16  # steps between the grey levels that are kept, so that the file stays small
 RUNWAY, WINDOWS = (-0.4, 2.2), (-2.2, -0.9)  # where the follower looks: yaw from and to [rad], nose right positive
 KINDS = {  # how many, yaw from and to, with a leader
@@ -24,19 +24,9 @@ KINDS = {  # how many, yaw from and to, with a leader
 }
 
 
-def averaged(picture: np.ndarray) -> np.ndarray:
-    """A fine picture (4 H, 4 W, ...) at the size of the camera."""
-    height, width = SIZE[1], SIZE[0]
-    return picture.reshape(height, FINER, width, FINER, *picture.shape[2:]).astype(float).mean(axis=(1, 3))
-
-
 def views(count: int, yaws: tuple[float, float], with_leader: bool, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """Pictures, poses of the leader in camera axes, and exact masks."""
-    hall, leader, camera = (
-        leader_at(load_scene("arena"), None),
-        load_scene("leader"),
-        fpv_camera(FINER * SIZE[0], FINER * SIZE[1]),
-    )
+    hall, leader, camera = leader_at(load_scene("arena"), None), load_scene("leader"), fpv_camera(*SIZE)
     images, poses, masks = [], [], []
     while len(images) < count:
         yaw = rng.uniform(*yaws)
@@ -44,7 +34,7 @@ def views(count: int, yaws: tuple[float, float], with_leader: bool, rng: np.rand
         T_world_camera = camera_pose(
             pose_matrix(rotation_world_body(rng.uniform(-0.4, 0.4), rng.uniform(-0.1, 0.1), yaw), p_world), np.zeros(3)
         )
-        ahead = rng.uniform(1.2, 3.0)
+        ahead = rng.uniform(2.0, 5.0)
         p_camera = ahead * np.array([rng.uniform(-0.55, 0.55), rng.uniform(-0.35, 0.35), 1.0])
         p_leader = T_world_camera[:3, :3] @ p_camera + T_world_camera[:3, 3]
         turned = rotation_world_body(rng.uniform(-0.7, 0.7), rng.uniform(-0.2, 0.2), yaw + rng.uniform(-0.6, 0.6))
@@ -53,8 +43,8 @@ def views(count: int, yaws: tuple[float, float], with_leader: bool, rng: np.rand
             continue
         placed = leader_at(leader, T_world_leader)
         frame = render([hall, placed] if with_leader else hall, camera, T_world_camera)
-        picture = np.asarray(255.0 * averaged(frame.rgb) + 0.5, np.uint8) // LEVELS * LEVELS + LEVELS // 2
-        seen = averaged(seen_image(hall, placed, camera, T_world_camera)) >= COVERED
+        picture = np.asarray(255.0 * frame.rgb + 0.5, np.uint8) // LEVELS * LEVELS + LEVELS // 2
+        seen = seen_image(hall, placed, camera, T_world_camera) >= COVERED
         if with_leader and not seen.any():
             continue  # behind something
         images.append(picture)
@@ -65,20 +55,16 @@ def views(count: int, yaws: tuple[float, float], with_leader: bool, rng: np.rand
 
 def hidden_view() -> dict[str, np.ndarray]:
     """One view in which the marker's board hides a part of the leader, with the depth of the hall without it [m]."""
-    hall, leader, camera = (
-        leader_at(load_scene("arena"), None),
-        load_scene("leader"),
-        fpv_camera(FINER * SIZE[0], FINER * SIZE[1]),
-    )
+    hall, leader, camera = leader_at(load_scene("arena"), None), load_scene("leader"), fpv_camera(*SIZE)
     T_world_camera = camera_pose(pose_matrix(np.diag([1.0, -1.0, -1.0]), np.array([-2.2, 0.0, 0.6])), np.zeros(3))
     T_world_leader = pose_matrix(rotation_world_body(0.5, 0.1, 0.3), np.array([0.9, 0.62, 0.8]))
     placed = leader_at(leader, T_world_leader)
     frame = render([hall, placed], camera, T_world_camera)
     return {
-        "images": np.asarray(255.0 * averaged(frame.rgb) + 0.5, np.uint8)[None],
+        "images": np.asarray(255.0 * frame.rgb + 0.5, np.uint8)[None],
         "poses": (np.linalg.inv(T_world_camera) @ T_world_leader)[None].astype(np.float32),
-        "masks": (averaged(seen_image(hall, placed, camera, T_world_camera)) >= COVERED)[None],
-        "depth": averaged(render(hall, camera, T_world_camera).depth)[None].astype(np.float16),
+        "masks": (seen_image(hall, placed, camera, T_world_camera) >= COVERED)[None],
+        "depth": render(hall, camera, T_world_camera).depth[None].astype(np.float16),
     }
 
 
