@@ -1,10 +1,10 @@
 # %% [markdown]
 # # Lab 12: what is missing in the model?
 #
-# You get two flights of the same aircraft. On the first, the *calm* one, nothing was special. On the second, on another
-# day, **something may have been different**: a wind, a broken aileron, a slow radio, or nothing at all. Every student
-# has another aircraft and another answer. Find it, name it, measure it, add it to the model, and show that the gap
-# between model and flight closes. And do not invent anything: *none* is an answer, and it is worth as much.
+# You get two flights of the same aircraft. On the first, the *calm* one, nothing was special. On the second, on
+# another day, **something may have been different**: a wind, a broken aileron, a slow radio, or nothing at all. Every
+# student has another answer. Find it, name it, measure it, add it to the model, and show that the gap between model
+# and flight closes. And invent nothing: *none* is worth as much.
 #
 # **You will be able to**
 # - show *where* a model is wrong, against the level of a flight where it is right,
