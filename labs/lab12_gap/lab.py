@@ -446,6 +446,6 @@ check(my_finding)
 # A ground effect with 0.45 of the lift added at the floor, and as much of the induced drag lost.
 # </details>
 #
-# **With hardware:** fly two logs of a minute, one calm, one with a change that a partner makes and does not tell: tape
-# on an aileron, a strip of card (drag), a fan in the hall, 10 g at the centre of gravity. The partner checks balance
-# and throws before every flight; propeller and battery stay as they are. `falconwing export --to csv`, and find it.
+# **With hardware:** fly two logs of a minute, one calm, one with a change that a partner makes in secret: tape on an
+# aileron, a strip of card (drag), a fan, 10 g at the centre of gravity. The partner checks balance and throws before
+# every flight; propeller and battery stay as they are.
