@@ -167,9 +167,14 @@ def plot_window(said: Mapping[str, Mapping[str, Array]], frames: tuple[int, ...]
     """For each network a row of pictures towards the windows, two with and two without a leader, and what it marks."""
     import matplotlib.pyplot as plt
 
+    if not said:
+        print("No network yet: run the two cells that train them.")
+        return
     views = {kind: load_views(kind)["images"] for kind in ("unseen", "empty")}
     columns = [(kind, frame) for kind in views for frame in frames]
-    _, grid = plt.subplots(len(said), len(columns), figsize=(11.0, 1.3 * len(said) + 0.3), layout="constrained")
+    _, grid = plt.subplots(
+        len(said), len(columns), squeeze=False, figsize=(11.0, 1.05 * len(said) + 0.3), layout="constrained"
+    )
     for row, (name, kinds) in zip(grid, said.items(), strict=True):
         for axes, (kind, frame) in zip(row, columns, strict=True):
             axes.imshow(views[kind][frame])
