@@ -443,8 +443,7 @@ check(my_finding)
 #     falconwing gap --calm data/calm.csv --flight data/flight.csv --out gap
 #
 # <details><summary>What was hidden in the practice case (not in yours)</summary>
-# A ground effect with 0.45 of the lift added at the floor, and as much of the induced drag lost.
-# </details>
+# A ground effect with 0.45 of the lift added at the floor, and as much of the induced drag lost.</details>
 #
 # **With hardware:** fly two logs of a minute, one calm, one with a change that a partner makes in secret: tape on an
 # aileron, a strip of card (drag), a fan, 10 g at the centre of gravity. The partner checks balance and throws before
