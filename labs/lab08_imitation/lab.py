@@ -2,8 +2,8 @@
 # # Lab 8: flying by imitation
 #
 # An expert that knows the state can land (lab 7). The real aircraft has a camera only. So the paper lets a network
-# watch the expert fly and copy it: *behaviour cloning* (paper, sections V and VI). In this lab you build the whole chain in
-# small, and meet its best-known trap: **a network that copies almost perfectly, and cannot fly**.
+# watch the expert fly and copy it: *behaviour cloning* (paper, sections V and VI). In this lab you build the whole
+# chain in small, and meet its best-known trap: **a network that copies almost perfectly, and cannot fly**.
 #
 # **You will be able to**
 # - turn flights into training data, with the past commands beside each picture;
@@ -334,8 +334,8 @@ plot_drift(tracks, results)
 # error can grow with the square of the flight's length.
 
 # %% [markdown]
-# **2.** The history can make the trap worse. Which wrong rule explains a clean flight's next command very well, and why
-# does noise on the stick spoil exactly this rule?
+# **2.** The history can make the trap worse. Which wrong rule explains a clean flight's next command very well, and
+# why does noise on the stick spoil exactly this rule?
 
 # %% [markdown] answer="q2"
 # "Do what was done a moment ago." The expert's command changes slowly, so copying the newest past command gives a

@@ -161,9 +161,9 @@ for name, jitter_us in (("by the timer", 0.0), ("by a program", 4.0)):
 plot_frame(edges, errors_us)
 
 # %% [markdown]
-# *Alternative text: left, a wire at rest with five short low pulses in the first 7 ms and then the pause, the four slots
-# between them labelled in microseconds; right, slot errors as a histogram, within half a microsecond for the timer
-# and spread over some 15 us on both sides for the program.*
+# *Alternative text: left, a wire at rest with five short low pulses in the first 7 ms and then the pause, the four
+# slots between them labelled in microseconds; right, slot errors as a histogram, within half a microsecond for the
+# timer and spread over some 15 us on both sides for the program.*
 #
 # The same with faults. How many of 1000 frames does your decoder keep, and is one of them wrong?
 
