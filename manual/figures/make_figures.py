@@ -139,7 +139,7 @@ def draw_trained_hall(path: Path) -> str:
     hall, camera = load_scene("hall"), fpv_camera(*APPROACH_PX)
     write_strip(path, [render(hall, camera, camera_pose(body_pose(own))).rgb for own in APPROACH])
     return """Two simulated views from an approach into the hall trained on path-traced images: windows, posters,
-        boxes, the marker and the blue pad; on the right, closer to the pad, blurred patches hang in the air."""
+        boxes, the marker and the blue pad. The floor close by is blurred on the left and sharp on the right."""
 
 
 def write_strip(path: Path, images: list[Any]) -> None:
