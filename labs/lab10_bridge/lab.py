@@ -3,7 +3,7 @@
 #
 # A computer flies, but a person is responsible. Between the two sits a small board: it takes the computer's commands
 # from a USB cable and gives them to the transmitter's *trainer port*. The pilot's transmitter sends them on to the
-# aircraft (paper, sections II and III). In this lab you write the board's four duties.
+# aircraft (paper, section III). In this lab you write the board's four duties.
 #
 # **You will be able to**
 # - write and read a PPM signal, pulse by pulse, with the timer of a real micro-controller;
@@ -275,9 +275,10 @@ plot_takeover(scene_of_faults(), states)
 # %% [markdown]
 # ## 4. Can the picture be trusted?
 #
-# The policy flies by an analog video link. The paper (section III.B) warns the pilot when the *structural similarity*
-# (SSIM) of consecutive pictures is below 0.7 five times in a row. SSIM compares two patches $x$ and $y$ by their
-# means $\mu$, variances $\sigma^2$ and covariance $\sigma_{xy}$ over the pixels (divide by the number of pixels):
+# The policy flies by an analog video link. The paper (section III, *Safety Mechanisms*) warns the pilot when the
+# *structural similarity* (SSIM) of consecutive pictures is below 0.7 five times in a row. SSIM compares two patches
+# $x$ and $y$ by their means $\mu$, variances $\sigma^2$ and covariance $\sigma_{xy}$ over the pixels (divide by the
+# number of pixels):
 #
 # $$\mathrm{SSIM} = \frac{(2\mu_x\mu_y + C_1)\,(2\sigma_{xy} + C_2)}
 #                        {(\mu_x^2 + \mu_y^2 + C_1)\,(\sigma_x^2 + \sigma_y^2 + C_2)}$$
