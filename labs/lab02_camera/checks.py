@@ -180,7 +180,7 @@ LAB = Lab(
                 Check(
                     "where the camera sits turns with the aircraft",
                     _mount_turns,
-                    "p_body_camera is written in body axes; bring it to the map before you add it",
+                    "R_map_body turns both: the camera's axes, and p_body_camera before you add it",
                 ),
             ),
         ),
@@ -234,9 +234,13 @@ LAB = Lab(
     rubric=(
         Criterion(
             "axes",
-            15.0,
-            "both overlays lie on pad and marker, arrows right, along, up; footprints begin before each camera; the "
-            "student says what moved when one thing was broken",
+            11.0,
+            "both overlays lie on pad and marker, arrows right, along, up; footprints begin before each camera",
+        ),
+        Criterion(
+            "axes_reading",
+            4.0,
+            "roll: turned by twice its angle; tilt: all lines lower; k1: a pixel here, many in the corners",
         ),
         Criterion("q1", 5.0, "sign of the roll, angle twice the roll; without the runway's heading all moves sideways"),
         Criterion(

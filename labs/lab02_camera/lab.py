@@ -98,11 +98,11 @@ for name, column in zip(("nose", "right wing", "belly"), R_map_body.T, strict=Tr
 # ## 2 The camera on the aircraft
 # A pose is a rotation and a place in one matrix:
 #
-# $$T_\mathrm{map\,camera} = \begin{pmatrix} R_\mathrm{map\,camera} & p_\mathrm{map} \\ 0\;0\;0 & 1 \end{pmatrix}$$
+# $$T_\mathrm{map\,camera} = \begin{pmatrix} R_\mathrm{map\,camera} & t \\ 0\;0\;0 & 1 \end{pmatrix}$$
 #
-# where $p_\mathrm{map}$ is the lens. The camera sits at `p_body_camera` and looks along the nose, tilted *down* by the
-# angle $\tau$. Untilted, its axes are right wing, belly, nose. Tilted, the optical axis leans from the nose towards the
-# belly, and "down in the picture" leans from the belly towards the tail:
+# where $t$ is the lens, written in the map. The camera sits at `p_body_camera` and looks along the nose, tilted *down*
+# by the angle $\tau$. Untilted, its axes are right wing, belly, nose. Tilted, the optical axis leans from the nose
+# towards the belly, and "down in the picture" leans from the belly towards the tail:
 #
 # ```text
 #        nose
@@ -150,8 +150,8 @@ check(camera_pose)
 #
 # $$p_\mathrm{camera} = R_\mathrm{map\,camera}^{\mathsf T} \, (p_\mathrm{map} - t)$$
 #
-# with the lens at $t$. Points come as rows, (N, 3). Think about which side of `@` the matrix stands on, and test with a
-# number of points that is not 3.
+# with the lens at $t$, in the pose's last column. Points come as rows, (N, 3). Think about which side of `@` the matrix
+# stands on, and test with a number of points that is not 3.
 #
 # Write `map_to_camera`.
 
@@ -285,12 +285,21 @@ plt.show()
 
 # %% [markdown]
 # *In words: two pictures of a sports hall with a blue landing pad and a black and white marker; an outline lies on the
-# edge of the pad, another one on the edge of the marker; three arrows on the marker point right, away from the camera
-# and up. The map beside shows the two cameras before the pad, and the wedge of floor that each one sees.*
+# top edge of the pad, another one on the edge of the marker; three arrows on the marker point right, away from the
+# camera and up. The map beside shows the two cameras before the pad, and the wedge of floor that each one sees, open
+# where its picture shows walls.*
 #
-# Break one thing at a time and look again: change the sign of the roll, leave out $k_1$, leave out the tilt. Then put
-# it back.
-#
+# **Question on the figure.** Break one thing at a time and look again: change the sign of the roll, leave out the tilt,
+# leave out $k_1$ (look closely). Say which lines moved, and which way. Where in the picture would you have noticed
+# $k_1$? Then put everything back.
+
+# %% [markdown] answer="axes_reading"
+# With the sign of the roll changed, pad and marker are turned about the picture's middle, by about twice the roll,
+# against hall and horizon. Without the tilt all lines sink by about f tan(tilt) = 28 px, as if the camera looked too
+# high. Without $k_1$ they move outwards by about a pixel at most: all that is drawn is near the middle. The shift grows
+# with the cube of the distance from it, to about 16 px in the picture's corners.
+
+# %% [markdown]
 # ## Questions
 # **Question 1.** A friend's overlay fits a view without roll well. In a banked view the lines are turned against the
 # picture, by about twice the roll. Which mistake is it? And what would you see if the runway's heading were left out?
