@@ -80,6 +80,16 @@ def test_minutes_stay_under_the_papers_ten_hours():
         minutes = [step["minutes"] for step in tomllib.load(file)["steps"]]
     assert sum(minutes) < 600
     assert f"{sum(minutes) / 60.0:.1f} hours together" in page().text
+    with (MANUAL / "assembly.toml").open("rb") as file:
+        titles = [step["title"] for step in tomllib.load(file)["steps"]]
+    spoken = {
+        1: "install",
+        3: "bracket",
+        6: "filter",
+        8: "balance",
+        9: "trainer lead",
+    }  # of which chapters speak by number
+    assert all(word in titles[number - 1] for number, word in spoken.items())
     with (ROOT / "hardware" / "checklists.toml").open("rb") as file:
         lists = tomllib.load(file)
     ids = [step["id"] for step in lists["preflight"]["steps"]]
