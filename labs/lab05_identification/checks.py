@@ -219,11 +219,21 @@ LAB = Lab(
     rubric=(
         Criterion(
             "fit",
-            15.0,
-            "Histogram on the Gaussian; the cost has its bottom near 60 ms; the held-out track runs through the "
-            "points. The student says what a wider histogram would mean, and why that window was not fitted.",
+            11.0,
+            "Histogram on the Gaussian; the cost has its bottom near 60 ms; the held-out track runs through the points.",
         ),
-        Criterion("q1", 5.0, "Noise in the variable flattens its slope (errors in variables); counts truths inside."),
+        Criterion(
+            "fit_reading",
+            4.0,
+            "A perfect model scores the marker's noise, 4.2 cm and 0.6 deg; says what a wider histogram would mean, "
+            "and why that window was not fitted.",
+        ),
+        Criterion(
+            "q1",
+            5.0,
+            "Noise in the variable flattens Ma (errors in variables); in cLa the same noise is also the change to the "
+            "next step; counts truths inside.",
+        ),
         Criterion("q2", 5.0, "Neighbouring rows are not independent; start states are no property of the aircraft."),
     ),
     constants={"far_sigmas": (2.0, 4.0, 1), "level_percent": (90.0, 98.0, 0)},
