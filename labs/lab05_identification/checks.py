@@ -220,7 +220,7 @@ LAB = Lab(
         Criterion(
             "fit",
             11.0,
-            "Histogram on the Gaussian; the cost has its bottom near 60 ms; the held-out track runs through the points.",
+            "Histogram on the Gaussian; the cost has its bottom near 60 ms; the held-out track follows the points.",
         ),
         Criterion(
             "fit_reading",
