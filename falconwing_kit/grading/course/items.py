@@ -47,7 +47,9 @@ def item_statistics(lab: Lab, records: Sequence[Mapping[str, Any]]) -> list[Item
         One item for each exercise, in the lab's order.
     """
     done = [record["exercises"] for record in records if record["status"] == "graded"]
-    points = np.array([[each[e.name]["points"] for e in lab.exercises] for each in done]).reshape(len(done), -1)
+    points = np.array([[each[e.name]["points"] for e in lab.exercises] for each in done]).reshape(
+        len(done), len(lab.exercises)
+    )
     items = []
     for number, exercise in enumerate(lab.exercises):
         results = [each[exercise.name] for each in done]
