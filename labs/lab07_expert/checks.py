@@ -213,7 +213,8 @@ LAB = Lab(
                 Check(
                     "1 / PULL to the right of it, it turns left by half of APPROACH",
                     _right_of_it,
-                    "with y to the left, right of the direction (x, y) is (y, -x); divide it by its length",
+                    "with y to the left, right of the direction (x, y) is (y, -x); divide it by its length. V is the "
+                    "length of v",
                 ),
                 Check(
                     "the line need not pass through the origin",
@@ -274,14 +275,19 @@ LAB = Lab(
     rubric=(
         Criterion(
             "circuit",
-            8.0,
-            "a track round the legs clear of the walls, bank, margin and sticks; the reading: the margin is smallest "
-            "where turns begin (n), ripples by noise; right banks end an overshoot",
+            5.0,
+            "a track round the legs clear of the walls; bank, margin and sticks",
         ),
         Criterion(
-            "landing",
-            7.0,
-            "both landings; the reading: a flare costs about two metres of pad; a height measured 10 cm too high lets "
+            "circuit_reading",
+            3.0,
+            "the margin is smallest where turns begin (n), ripples by noise; right banks end an overshoot",
+        ),
+        Criterion("landing", 4.0, "both landings, the flare's bend, both sink rates at the pad"),
+        Criterion(
+            "landing_reading",
+            3.0,
+            "a flare costs about two metres of pad; the aircraft answers late; a height measured 10 cm too high lets "
             "it flare late: two metres earlier on the pad and harder",
         ),
         Criterion("q1", 5.0, "q is a product of two factors that both change sign; r and p are not; n > 1 adds to it"),

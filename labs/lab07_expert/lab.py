@@ -17,41 +17,16 @@
 # Autonomous Landing*, Appendix.
 
 # %%
-import math
+import math  # noqa: I001
 
 import matplotlib.pyplot as plt
 import numpy as np
 from given import (
-    AIM,
-    APPROACH,
-    BANK_LIMIT,
-    COHORT,
-    FLARE_TIME,
-    GLIDE,
-    GLIDE_THROTTLE,
-    GRAVITY,
-    HEIGHT,
-    KI,
-    KP,
-    LEVEL_THROTTLE,
-    LIFT_0,
-    LIFT_SLOPE,
-    PAD_HEIGHT,
-    PAD_START,
-    PULL,
-    SLOPE_GAIN,
-    SPEED,
-    STALL_ALPHA,
-    STEEPEST,
-    STEP,
-    TURN_GAIN,
-    WHEELS_BELOW,
-    Autopilot,
-    draw_circuit,
-    draw_landing,
-    is_at_end,
-    leg,
-)
+    AIM, APPROACH, BANK_LIMIT, COHORT, FLARE_TIME, GLIDE, GLIDE_THROTTLE, GRAVITY, HEIGHT, KI,
+    KP, LEVEL_THROTTLE, LIFT_0, LIFT_SLOPE, PAD_HEIGHT, PAD_START, PULL, SLOPE_GAIN, SPEED,
+    STALL_ALPHA, STEEPEST, STEP, TURN_GAIN, WHEELS_BELOW, Autopilot, draw_circuit, draw_landing,
+    is_at_end, leg,
+)  # fmt: skip
 
 from falconwing_kit.aircraft import LandingPad, load_airframe, rates_model
 from falconwing_kit.core.frames import rotation_world_body
@@ -68,7 +43,7 @@ print("your course:", COHORT)
 #
 # ## 1 A turn and its margin
 # An aircraft flies with the speed $V$ along a path that climbs by the angle $\gamma$ and turns. Seen from above, the
-# path has the radius $R$. Only the lift $L$ can bend it. It stands on the path and is banked by $\phi$:
+# path has the radius $R$. Only the lift $L$ can bend it. It stands square to the path, banked by $\phi$:
 #
 # $$L \cos\phi = m g \cos\gamma \qquad\text{(carries)}, \qquad
 # L \sin\phi = m \frac{(V \cos\gamma)^2}{R} \qquad\text{(pulls round)}$$
@@ -156,14 +131,15 @@ check(turn_rates)
 #
 # $$\chi_\mathrm{wanted} = \chi_q - \chi_\infty \frac{2}{\pi} \arctan(k\, e)$$
 #
-# Far to the right it approaches the line at the angle $\chi_\infty$ (`APPROACH`) from the left-turning side; near the
-# line it flies along it. $k$ is `PULL`.
+# Far to the right of the line this course leads back to it, by the angle $\chi_\infty$ (`APPROACH`) to the left of the
+# line's own; near the line it is almost along it. $k$ is `PULL`.
 #
 # ```text
-#   seen from above                       far right: turn towards the line by APPROACH
-#   ------------ start ========== line ==========> end
-#   e > 0 below      \      \     _ near: almost along the line
-#                     \      `- -'
+#   start ================ line ================> end      seen from above
+#                            _ . - '  near: almost along the line
+#                        .'
+#                      /
+#   e > 0 down here   /  far to the right: towards it by APPROACH
 # ```
 #
 # Then turn towards that course. The turn rate shall be `TURN_GAIN` times the course error, and
@@ -291,7 +267,7 @@ class CircuitPilot:
         bank = guidance(p[:2], state.v_world[:2], *leg(self.leg), BANK_LIMIT)
         throttle, self.integral = hold_speed(SPEED - speed, self.integral, LEVEL_THROTTLE)
         rates = turn_rates(bank, state.pitch, speed)
-        sticks = self.autopilot.sticks(state, bank, HEIGHT - p[2], rates)
+        sticks = self.autopilot.sticks(state, bank, HEIGHT - p[2], rates)  # 1 m low: climb at 1 m/s
         return bank, Command.limited(throttle, *sticks)
 
 
@@ -304,13 +280,21 @@ print(f"flown {flight['t'][-1]:.1f} s, touched {touched}")
 print(f"smallest stall margin {flight['margin'].min():.2f}")
 
 # %% [markdown]
-# *In words: above left, an oval track around a rectangle of legs, about 3 m inside the walls. The bank swings between
-# the limit of 40° to the left and some 15° to the right. The stall margin is about 1.36 in straight flight and falls
-# below 1.1 where a turn begins, with ripples from the measurement noise. The sticks stay within their travel, except
-# for the aileron where a turn begins.*
+# *In words, for the open course: above left, an oval track around a rectangle of legs, about 3 m inside the long walls.
+# The wanted bank swings between its limit of 40° to the left and some 15° to the right; the flown one comes a little
+# later and overshoots by some 6°. The stall margin is about 1.36 in straight flight and falls below 1.1 where a turn
+# begins, with ripples from the measurement noise. The sticks stay within their travel, except for the aileron where a
+# turn begins.*
 #
-# Say below the figure where the stall margin is smallest and why, and what the short right banks are for.
-#
+# **Question on the figure.** Where is the stall margin smallest, and why? What are the short right banks for?
+
+# %% [markdown] answer="circuit_reading"
+# It is smallest, about 1.07, some 0.4 s after a turn begins. The elevator pulls at once for the 40° that are wanted,
+# while the bank is only at 20°: for a moment the load factor is larger than in the steady turn, whose margin is 1.36
+# times the root of cos 40°, 1.19. The right banks end an overshoot: the bank dies out too late, the course swings past
+# the leg's, and the aircraft turns back.
+
+# %% [markdown]
 # ## 6 Flare
 # An approach on a straight slope of 6° at 7 m/s sinks by 0.7 m/s. Landing like that is hard on a light airframe. So
 # shortly before the ground the pilot *flares*: the sink rate falls with the height. Let $h$ be the height of the wheels
@@ -400,11 +384,18 @@ for name, flight in flights.items():
         print(f"sinking {touch.sink_rate:.2f} m/s")
 
 # %% [markdown]
-# *In words: both landings follow the same slope. Without flare the wheels meet the pad at about 0.7 m/s. With flare the
-# path bends over the last 30 cm, and they meet it about 2 m further on, at 0.3 m/s.*
+# *In words, for the open course: both landings follow the same slope. Without flare the wheels meet the pad at about
+# 0.7 m/s. With flare the path bends over the last 30 cm, and they meet it about 2 m further on, at 0.3 m/s.*
 #
-# Say below the figure what the flare costs, and what happens if the height is measured 10 cm too high.
-#
+# **Question on the figure.** What does the flare cost? Why is the pad met a little faster than `touch_sink`? And what
+# happens if the height is measured 10 cm too high? (Try it: add 0.1 in `LandingPilot`.)
+
+# %% [markdown] answer="landing_reading"
+# About two metres of the pad. The aircraft answers 0.25 s late: at the pad it still sinks as was asked a little higher
+# up. With the height 10 cm too high all of it comes too late: ten landings meet the pad about two metres earlier than
+# before, half of them at 0.35 to 0.40 m/s.
+
+# %% [markdown]
 # ## 7 Ten landings
 # One landing proves little (lab 11). Ten starts, scattered around the paper's: 20 m before the pad, 1.5 m up.
 
@@ -432,8 +423,9 @@ for seed in range(10):
 
 # %% [markdown]
 # **Question 2.** Commands arrive 50 ms late, and the aircraft answers after another 0.2 to 0.3 s. What would happen
-# with `TURN_GAIN` = 5 instead of 1.8? And where in your controller would a delay of another 100 ms show first? (Try it
-# in `SimulatedWorld(..., delay=0.15)`.)
+# with `TURN_GAIN` = 5 instead of 1.8? And where would a delay of another 100 ms show first: in your functions, or in
+# `Autopilot` below them? (Try both: `TURN_GAIN = 5.0` in a cell of its own, and `delay=0.15` in the `SimulatedWorld` of
+# `fly`. Then put them back.)
 
 # %% [markdown] answer="q2"
 # The course loop may be no faster than what it acts through. With a gain of 5 /s it wants to correct a course error
