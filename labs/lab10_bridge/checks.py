@@ -330,12 +330,13 @@ LAB = Lab(
         Exercise("ssim_monitor", 18.0, MONITOR),
     ),
     rubric=(
+        Criterion("timing", 2.0, "Five pulses, slots labelled; both histograms."),
         Criterion(
-            "timing", 5.0, "Five pulses, slots labelled; says why the timer's edges are better than a program's."
+            "timing_reading", 3.0, "Two edges, root of two, 5.7 us; the timer needs the program only beforehand."
         ),
         Criterion("takeover", 5.0, "SAFE in the very frame of the pilot's stick; LOST stays until the host lets go."),
         Criterion("monitor", 5.0, "Names the false alarm in the turn and the silence of SSIM on the frozen picture."),
-        Criterion("q1", 3.0, "Both sides: jerks against an old command; 0.7 m in 0.1 s or 14 m in 2 s."),
+        Criterion("q1", 3.0, "Both sides: jerks against an old command; 7 m/s times LOST_MS, 14 m in 2 s."),
         Criterion("q2", 4.0, "The pilot has control; coming back must be a person's deliberate act."),
         Criterion("q3", 3.0, "False alarm by motion; blind to frozen; a mend for each."),
     ),

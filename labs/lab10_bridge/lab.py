@@ -3,7 +3,8 @@
 #
 # A computer flies, but a person is responsible. Between the two sits a small board: it takes the computer's commands
 # from a USB cable and gives them to the transmitter's *trainer port*. The pilot's transmitter sends them on to the
-# aircraft (paper, section III). In this lab you write the board's four duties.
+# aircraft (paper, section III). In this lab you write the board's three duties, and the computer's check of
+# the video by which it flies.
 #
 # **You will be able to**
 # - write and read a PPM signal, pulse by pulse, with the timer of a real micro-controller;
@@ -148,8 +149,9 @@ check(decode_ppm)
 # ### See it: one frame, and the timing
 #
 # The left plot is your frame. For the right one, 2000 simulated frames go over the wire twice: once with edges made
-# by the timer itself (they are exact; only the count is rounded), once with edges made by a program that is sometimes
-# late (standard deviation 4 us). Your `decode_ppm` reads both. A radio shows 4 us as a servo that trembles.
+# by the timer itself (they are exact; only the count is rounded), once with edges made by a program that has other work
+# too (each edge a little early or late, standard deviation 4 us). Your `decode_ppm` reads both. On a radio that shows
+# as servos that tremble.
 
 # %% figure="timing"
 edges = encode_ppm({"throttle": 0.6, "aileron": -0.4, "elevator": 0.15, "rudder": 0.0}, "TAER", 0)
@@ -165,7 +167,17 @@ plot_frame(edges, errors_us)
 # slots between them labelled in microseconds; right, slot errors as a histogram, within half a microsecond for the
 # timer and spread over some 15 us on both sides for the program.*
 #
-# The same with faults. How many of 1000 frames does your decoder keep, and is one of them wrong?
+# **Question on the figure.** Each edge of the program is off by 4 us, yet the slots are off by more. Why, and by what
+# factor? And why does the timer do better, though it is the same chip that runs the program?
+
+# %% [markdown] answer="timing_reading"
+# A slot lies between two edges, and both are off: the standard deviation is 4 us times the root of two, 5.7 us. The
+# timer compares its count with the one that the program wrote *beforehand*, and sets the wire by itself. So it does not
+# matter if the program is busy at that moment, as long as it wrote the count in time.
+
+# %% [markdown]
+# Now the same with faults: of the pulses 2 % are lost, and behind 2 % there is a spark. A frame is good if none of its
+# five pulses has either, so expect about $0.98^{10}$ = 82 % of 1000 frames, and none of them wrong.
 
 # %%
 sent_us = np.round(np.random.default_rng(2).uniform(1000.0, 2000.0, (1000, 4)))
@@ -175,7 +187,9 @@ print(f"{len(kept_us)} of {len(sent_us)} frames kept, {len(wrong)} of them wrong
 
 # %% [markdown]
 # The kit has a simulated board that speaks the real serial protocol. Commands at 20 Hz go in, and pulses come out.
-# Your decoder reads them. (`falconwing_kit/trainer_port` is the code that flies; look into it.)
+# Your decoder reads them. (`falconwing_kit/trainer_port` is the code that flies; look into it.) The kit's radio has its
+# middle at 1500 us, whatever your course has. The board starts in `SAFE` (section 3), so the first slots are idle; the
+# first and the last frame are missing, since your decoder has not seen a pause on both sides of them.
 
 # %%
 board = PythonBoard()
@@ -348,14 +362,14 @@ plot_monitor(ssim, alarm, parts, 0.7)
 # ## Questions
 #
 # **1.** A command is lost now and then. Why does the board hold the last command for a while and not go to idle at
-# once? And why does it not hold it for two seconds? Give a number: how far does the aircraft fly in that time at 7
-# m/s?
+# once? And why does it not hold it for two seconds? Give numbers: how far does the aircraft fly at 7 m/s until
+# `LOST_MS`, and how far in two seconds?
 
 # %% [markdown] answer="q1"
 # Single frames get lost all the time; idle at once would shut the throttle and centre the sticks many times a minute,
-# and each jerk disturbs the aircraft more than an old command does. For a tenth of a second the old command is nearly
-# the right one: at 7 m/s the aircraft moves 0.7 m. In two seconds it flies 14 m, most of the hall, and an old roll
-# command would have turned it on its back.
+# and each jerk disturbs the aircraft more than an old command does. For 220 ms the old command is nearly the right
+# one: at 7 m/s the aircraft moves 1.5 m. In two seconds it flies 14 m, most of the hall, and an old roll command would
+# have turned it on its back.
 
 # %% [markdown]
 # **2.** After `LOST` the host's commands come again, with engage on. Why must the board not simply go on?
@@ -388,8 +402,10 @@ plot_monitor(ssim, alarm, parts, 0.7)
 #
 # 1. Build and flash the firmware: `falconwing firmware build`, then open `firmware/trainer_bridge` in the Arduino
 #    IDE.
-# 2. Put the probe on pin 11 and find the five pulses. Measure each slot for `1400, 1600, 1500, 1500` and compare with
-#    your `encode_ppm`. Trigger on the first pulse with infinite persistence: how wide is the smear?
+# 2. Put the probe on pin 11 and find the five pulses. Send 1400, 1600, 1500, 1500 as to the simulated board above: with
+#    `serial.Serial(PORT, 115200)` in its place, 3 s after opening it (that resets the board), and a sleep of 50 ms for
+#    each step. Measure each slot; the board's pulse is 400 us wide, whatever your course has. Trigger on the first pulse
+#    with infinite persistence: how wide is the smear?
 # 3. Pull the USB cable while the board is ACTIVE. How long until the throttle slot is idle?
 #
 # In place of the figures hand in: a photo of the screen with the slots marked, and a video of step 3.
