@@ -97,43 +97,23 @@ def draw_aircraft(path: Path) -> str:
     """Where the added parts sit, from the left side and from above."""
     frame, items = load_airframe(), load_parts()
     cg, span, chord = 1000.0 * roll_up(items).x_cg, 1000.0 * frame.span, 1000.0 * frame.mean_chord
+    place = {item.id: 1000.0 * item.x for item in items if item.x is not None}  # behind the leading edge [mm]
+    added = {
+        "camera, bracket": (place["camera_analog"], 31, (-232, 90)),
+        "filter and wires": ((place["filter_inductor"] + place["wires"]) / 2.0, 0, (-80, 90)),
+        "battery": (place["battery"], 0, (-30, -75)),
+        "receiver, inside": (30.0, 0, (60, -75)),  # the list gives it no place
+    }
     with drawing(path, 6.6, 4.6, 2, 1, height_ratios=[1.0, 2.0]) as axes:
         side, top = axes.flat
-        bare(side, (-235.0, 385.0), (-95.0, 105.0))
-        bare(top, (-235.0, 385.0), (-385.0, 385.0))
-        side.fill(
-            [-182, -150, -30, 120, 345, 345, 120, -140, -182], [-8, 25, 42, 34, 16, 4, -34, -34, -22], PALE, ec=DARK
-        )
-        side.fill([0, chord, chord, 0], [42, 42, 49, 51], LIGHT, ec=DARK)
-        side.fill([285, 345, 345, 315], [16, 16, 80, 80], PALE, ec=DARK)
-        side.plot([-187, -187], [-62, 58], color=DARK, lw=1.0, ls=":")
-        for x, y, radius in ((-50, -80, 13), (330, -10, 6)):
-            side.plot(x, y, "o", ms=radius, mfc="white", mec=DARK)
-        side.plot([-35, -50], [-34, -74], color=DARK, lw=1.0)
-        top.fill([-182, -170, -30, 345, 345, -30, -170, -182], [-12, -26, -32, -8, 8, 32, 26, 12], PALE, ec=DARK)
-        top.fill([0, chord, chord, 0], [-span / 2, -span / 2, span / 2, span / 2], "white", ec=DARK)
-        top.fill([280, 345, 345, 280], [-115, -115, 115, 115], "white", ec=DARK)
-        for low, high, text in ((190, 335, "aileron"), (40, 185, "flap"), (-185, -40, "flap"), (-335, -190, "aileron")):
-            top.fill([chord - 25, chord, chord, chord - 25], [low, low, high, high], LIGHT, ec=DARK, lw=0.8)
-            top.text(chord + 8, (low + high) / 2, text, va="center", fontsize=8.5)
-        top.text(352, 60, "elevator", va="center", fontsize=8.5)
-        side.text(352, 55, "rudder", va="center", fontsize=8.5)
-        added = (("camera, bracket", -164, (-232, 90)), ("filter and wires", -75, (-80, 90)),
-                 ("battery", -40, (-30, -75)), ("receiver, inside", 30, (60, -75)))  # fmt: skip
-        for text, x, at in added:
-            y = 31 if x < -100 else 0
-            side.plot(x, y, "s", ms=8 if x < -100 else 6, color=DARK)
-            side.annotate(text, (x, y), at, fontsize=8.5, arrowprops={"arrowstyle": "-", "color": MIDDLE})
+        from_the_side(side, chord)
+        from_above(top, chord, span)
+        for text, (x, y, at) in added.items():
+            side.plot(x, y, "s", ms=7, color=DARK)
+            pointed_at(side, text, (x, y), at)
             top.plot(x, 0, "s", ms=6, color=DARK)
-        side.annotate(
-            "propeller", (-187, -55), (-232, -92), fontsize=8.5, arrowprops={"arrowstyle": "-", "color": MIDDLE}
-        )
         top.plot(cg, 0, "o", ms=10, mfc="white", mec=DARK)
-        top.annotate("balance with\nall parts on", (cg, 0), (-232, 300), fontsize=8.5,
-                     arrowprops={"arrowstyle": "-", "color": MIDDLE})  # fmt: skip
-        top.annotate("", (-22, span / 2), (-22, -span / 2), arrowprops={"arrowstyle": "<->", "color": MIDDLE})
-        top.text(-28, -200, f"{span / 10:.0f} cm", ha="right", fontsize=8.5)
-        top.text(170, -330, "nose to the left", fontsize=8.5)
+        pointed_at(top, "balance with\nall parts on", (cg, 0), (-232, 300))
     return f"""The aircraft, drawn from the left side and from above, nose to the left; outlines are schematic,
         places along the fuselage are those of the list of parts, partly estimates. On the nose, behind the
         propeller, sit camera and bracket; behind them filter and wires; the battery in its hatch ahead of the wing;
@@ -142,11 +122,45 @@ def draw_aircraft(path: Path) -> str:
         wing's leading edge."""
 
 
+def from_the_side(ax: Any, chord: float) -> None:
+    """Fuselage, wing [mm], fin, wheels and propeller, seen from the left."""
+    bare(ax, (-235.0, 385.0), (-95.0, 105.0))
+    ax.fill([-182, -150, -30, 120, 345, 345, 120, -140, -182], [-8, 25, 42, 34, 16, 4, -34, -34, -22], PALE, ec=DARK)
+    ax.fill([0, chord, chord, 0], [42, 42, 49, 51], LIGHT, ec=DARK)
+    ax.fill([285, 345, 345, 315], [16, 16, 80, 80], PALE, ec=DARK)
+    ax.plot([-187, -187], [-62, 58], color=DARK, lw=1.0, ls=":")
+    for x, y, size in ((-50, -80, 13), (330, -10, 6)):
+        ax.plot(x, y, "o", ms=size, mfc="white", mec=DARK)
+    ax.plot([-35, -50], [-34, -74], color=DARK, lw=1.0)
+    ax.text(352, 55, "rudder", va="center", fontsize=8.5)
+    pointed_at(ax, "propeller", (-187, -55), (-232, -92))
+
+
+def from_above(ax: Any, chord: float, span: float) -> None:
+    """Fuselage, wing [mm], tail and their surfaces."""
+    bare(ax, (-235.0, 385.0), (-385.0, 385.0))
+    ax.fill([-182, -170, -30, 345, 345, -30, -170, -182], [-12, -26, -32, -8, 8, 32, 26, 12], PALE, ec=DARK)
+    ax.fill([0, chord, chord, 0], [-span / 2, -span / 2, span / 2, span / 2], "white", ec=DARK)
+    ax.fill([280, 345, 345, 280], [-115, -115, 115, 115], "white", ec=DARK)
+    for low, high, text in ((190, 335, "aileron"), (40, 185, "flap"), (-185, -40, "flap"), (-335, -190, "aileron")):
+        ax.fill([chord - 25, chord, chord, chord - 25], [low, low, high, high], LIGHT, ec=DARK, lw=0.8)
+        ax.text(chord + 8, (low + high) / 2, text, va="center", fontsize=8.5)
+    ax.text(352, 60, "elevator", va="center", fontsize=8.5)
+    ax.annotate("", (-22, span / 2), (-22, -span / 2), arrowprops={"arrowstyle": "<->", "color": MIDDLE})
+    ax.text(-28, -200, f"{span / 10:.0f} cm", ha="right", fontsize=8.5)
+    ax.text(170, -330, "nose to the left", fontsize=8.5)
+
+
+def pointed_at(ax: Any, text: str, place: tuple[float, float], at: tuple[float, float]) -> None:
+    """Words somewhere with a line to a place."""
+    ax.annotate(text, place, at, fontsize=8.5, arrowprops={"arrowstyle": "-", "color": MIDDLE})
+
+
 def draw_hours(path: Path) -> str:
     """Minutes of each step of the assembly, added up."""
     with (MANUAL / "assembly.toml").open("rb") as file:
         steps = tomllib.load(file)["steps"]
-    ends, total = [], 0
+    total = 0
     with drawing(path, 6.6, 0.9 + 0.2 * len(steps)) as axes:
         (ax,) = axes.flat
         for k, step in enumerate(steps):
@@ -154,7 +168,6 @@ def draw_hours(path: Path) -> str:
             at = (total - 5, "right") if total > 200 else (total + step["minutes"] + 5, "left")
             ax.text(at[0], k, f"{step['title']}, {step['minutes']} min", ha=at[1], va="center", fontsize=8.5)
             total += step["minutes"]
-            ends.append(total)
         ax.axvline(600, color=DARK, ls="--", lw=1.0)
         ax.text(596, 1.0, "paper: under 10 h", ha="right", fontsize=8.5)
         ax.set(ylim=(len(steps) - 0.4, -0.6), xlim=(0, 620), xlabel="hours of work, estimated", yticks=[])
