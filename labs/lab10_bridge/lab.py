@@ -404,8 +404,8 @@ plot_monitor(ssim, alarm, parts, 0.7)
 #    IDE.
 # 2. Put the probe on pin 11 and find the five pulses. Send 1400, 1600, 1500, 1500 as to the simulated board above: with
 #    `serial.Serial(PORT, 115200)` in its place, 3 s after opening it (that resets the board), and a sleep of 50 ms for
-#    each step. Measure each slot; the board's pulse is 400 us wide, whatever your course has. Trigger on the first pulse
-#    with infinite persistence: how wide is the smear?
+#    each step. Measure each slot; the board's pulse is 400 us wide, whatever your course has. Trigger on the first
+#    pulse with infinite persistence: how wide is the smear?
 # 3. Pull the USB cable while the board is ACTIVE. How long until the throttle slot is idle?
 #
 # In place of the figures hand in: a photo of the screen with the slots marked, and a video of step 3.
