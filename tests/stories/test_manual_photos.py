@@ -1,14 +1,17 @@
 """The chapter "Photos to simulator" is true: its commands run in order on the stand-in that ships."""
 
+import json
 import re
 import shlex
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from falconwing_kit.cli.main import main
 from falconwing_kit.scene import GaussianScene, load_scene
+from falconwing_kit.scene.photo_files import read_reconstruction
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAPTER = (ROOT / "manual" / "photos_to_simulator.md").read_text(encoding="utf-8")
@@ -38,6 +41,21 @@ def test_commands_run_in_their_order(tmp_path, monkeypatch, capsys):
     scene = GaussianScene.load("room_scene/scene.npz")
     assert 100 < len(scene) <= 2000 and {"pad", "marker"} <= set(scene.label_names)
     assert Path("room_aligned/alignment.png").is_file() and any(Path("room_scene/pairs").iterdir())
+    check_both_trainings()
+
+
+def check_both_trainings():
+    """The second knows what the first held out, and stands on poses that the first moved by less than 10 cm.
+
+    From miniature photos no pose is bettered; 10 cm, ten times the tape's error, tell a small step from a lost camera.
+    """
+    first, second = (json.loads(Path(name, "figures.json").read_text()) for name in ("room_first", "room_scene"))
+    assert first["photos"]["held_out"] == second["photos"]["held_out"] != []
+    assert first["settings"]["poses"] and not second["settings"]["poses"]
+    before, after = (read_reconstruction(Path(name)) for name in ("room_aligned", "room_first/corrected"))
+    assert before.names == after.names
+    moved = np.linalg.norm(before.T_world_camera[:, :3, 3] - after.T_world_camera[:, :3, 3], axis=1)
+    assert 0.0 < moved.max() < 0.1
 
 
 def test_python_of_the_chapter_is_there():
