@@ -23,7 +23,7 @@ LOCAL_SLOPE = (
     Check(
         "a straight line has its own slope everywhere, also at the ends and at uneven times",
         lambda f: _near(f(T, 3.0 - 2.0 * T, 2)[0], np.full(6, -2.0)),
-        "At the ends there are fewer rows: take those that exist. Use the times, not the row numbers.",
+        "At the ends there are fewer rows: take those that exist. tau counts from their mean time, not from row k.",
     ),
     Check(
         "one row to each side of x = t^2: 0.4 in the middle of 0.1, 0.2, 0.3 s, 5/7 where a frame is missing",
@@ -160,7 +160,7 @@ INTERVALS = (
     Check(
         "six residuals of size 1, two numbers: s^2 = 6/4, half widths Z sqrt(1.5/6) and Z sqrt(1.5/17.5)",
         lambda f: _near(_half(f, K0, R0, LINE, 6, 0), [math.sqrt(1.5 / 6.0), math.sqrt(1.5 / 17.5)]),
-        "Covariance is s^2 times the inverse of J'J; its diagonal holds variances, not standard deviations.",
+        "s^2 is for 6 measured less 2 unknowns; the diagonal of s^2 inv(J'J) holds variances, not standard deviations.",
     ),
     Check(
         "start states cost freedom, and missing numbers were not measured",

@@ -82,7 +82,7 @@ ENCODE = (
         "The throttle has no middle: map 0..1 to -1..1 first.",
     ),
     Check(
-        "a positive stick makes a longer slot: aileron 0.2 gives 100 us more in its own slot, and nowhere else",
+        "a positive stick makes a longer slot: aileron 0.2 gives 100 us more, in its own slot only",
         lambda f: same(_slots_us(f, aileron=0.2), [CENTRE_US, CENTRE_US + 100.0, CENTRE_US, CENTRE_US], 0.0, 1e-6),
         "Look at the order of the slots and at the sign.",
     ),
