@@ -3,8 +3,6 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -18,8 +16,7 @@ from falconwing_kit.core.many.cluster import on_every_worker
 from falconwing_kit.core.many.pool import LostError
 from falconwing_kit.core.many.run import run_many
 from falconwing_kit.core.many.shards import content_key
-
-ROOT = Path(__file__).parents[2]
+from tests import clusters
 
 
 @dataclass(frozen=True)
@@ -114,27 +111,10 @@ def test_result_that_json_cannot_say_is_refused(tmp_path):
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
-    """A scheduler of its own process, on a free port; its address, and how to start a worker."""
+    """A scheduler's address, and how to start a worker."""
     pytest.importorskip("distributed")
-    place = tmp_path_factory.mktemp("cluster")
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    started = []
-
-    def start(*words):
-        program = [sys.executable, "-m", "dask", *words, "--no-dashboard"]
-        started.append(subprocess.Popen(program, cwd=place, env=environment, stderr=subprocess.DEVNULL))
-        return started[-1]
-
-    file = place / "scheduler.json"
-    start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
-    end = time.monotonic() + 60.0
-    while not file.exists() and time.monotonic() < end:
-        time.sleep(0.05)
-    address = json.loads(file.read_text())["address"]
-    yield address, lambda: start("worker", address, "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1")
-    for process in started:
-        process.kill()
-        process.wait()
+    with clusters.running(tmp_path_factory.mktemp("cluster")) as found:
+        yield found
 
 
 def test_cluster_without_workers_is_refused(cluster, monkeypatch):
@@ -152,9 +132,7 @@ def test_cluster_gives_the_same_and_outlives_a_worker(cluster, tmp_path):
     first = start_worker()
     assert by_number(run_many(square, tasks(tmp_path / "calm"), cluster=address, out=tmp_path / "kept")) == RIGHT
     second = start_worker()
-    end = time.monotonic() + 60.0
-    while len(on_every_worker(os.getpid, address)) < 2 and time.monotonic() < end:
-        time.sleep(0.1)
+    clusters.wait_for_workers(address, 2)
     run = run_many(slow_square, tasks(tmp_path / "marks"), cluster=address)
     done = [next(run)]
     first.kill()
@@ -169,9 +147,7 @@ def test_item_that_kills_every_worker_is_given_up(cluster):
     address, start_worker = cluster
     for _ in range(5):
         start_worker()
-    end = time.monotonic() + 60.0
-    while len(on_every_worker(os.getpid, address)) < 5 and time.monotonic() < end:
-        time.sleep(0.1)
+    clusters.wait_for_workers(address, 5)
     results = dict(run_many(kills_worker, range(4), cluster=address))
     assert isinstance(results.pop(3), LostError)
     assert results == {0: 0, 1: 1, 2: 2}
