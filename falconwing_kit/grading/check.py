@@ -119,10 +119,10 @@ def _in_words(error: Exception) -> str:
 
 def _short(value: Any) -> str:
     """A value as a few words on one line; large arrays by their shape."""
-    if isinstance(value, np.ndarray) and value.size > 12:
+    if isinstance(value, np.ndarray) and value.size > 16:
         return f"an array of shape {value.shape}"
     if isinstance(value, np.ndarray | np.generic):
-        return _cut(repr(np.round(value, 6).tolist()) if value.dtype.kind == "f" else repr(value.tolist()))
+        return _cut(np.array2string(np.asarray(value), precision=6, separator=", ", threshold=17, max_line_width=400))
     if isinstance(value, tuple | list) and len(value) <= 6:
         left, right = "()" if isinstance(value, tuple) else "[]"
         return _cut(left + ", ".join(map(_short, value)) + right)
@@ -131,7 +131,7 @@ def _short(value: Any) -> str:
 
 def _cut(text: str) -> str:
     line = " ".join(text.split())
-    return line if len(line) <= 120 else line[:117] + "..."
+    return line if len(line) <= 200 else line[:197] + "..."
 
 
 def check(function: Function) -> None:

@@ -118,7 +118,12 @@ def load_module(folder: Path, name: str, constants: Mapping[str, float] | None =
     """
     path = folder / f"{name}.py"
     if not path.is_file():
-        raise InputError(f"{path}: want this file of the lab, found none; a lab's folder as handed out has it")
+        hint = (
+            "students' folders do not have it; say --labs and a checkout's folder"
+            if name == "hidden"
+            else "take the lab's folder as it was handed out"
+        )
+        raise InputError(f"{path}: want this file of the lab, found none; {hint}")
     before = _NEIGHBOURS[: _NEIGHBOURS.index(name)] if name in _NEIGHBOURS else _NEIGHBOURS
     with _names_for_a_while():
         for file in (*(folder / f"{neighbour}.py" for neighbour in before), path):
