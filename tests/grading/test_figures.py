@@ -50,7 +50,7 @@ def test_stored_picture_comes_out_as_it_is():
     "content",
     [
         None, [], {"cells": 3}, {"cells": [1, {"outputs": [2, {"data": 3}, {"data": {"image/png": 4}}]}]},
-        {"cells": [stored("<script>alert(1)</script>")]}, {"cells": [stored(b64(b"GIF89a" + b"0" * 40))]},
+        {"cells": [stored("<script>alert(1)</script>")]}, {"cells": [stored(b64(b"GIF89a\0\0" + b"\0\0\0\x02" * 9))]},
         {"cells": [stored(b64(png()[:18]))]}, {"cells": [stored(b64(png(60_000, 1)))]},
         {"cells": [stored("A" * 9_000_000)]}, {"cells": [stored(b64(png()) + '" onerror="x')]},
     ],

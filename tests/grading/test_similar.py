@@ -41,6 +41,8 @@ def test_names_numbers_and_layout_do_not_count():
     """The same function in disguise has nearly the same fingerprints; another way to the same answer hardly any."""
     assert share(LOOP, RENAMED) > 0.6
     assert share(LOOP, LOOP.replace("best", "x").replace("0.0", "1.5")) == 1.0
+    undocumented = LOOP.replace('    """The longest step."""\n', "")
+    assert fingerprints(undocumented) == fingerprints(LOOP) and undocumented != LOOP
     assert share(LOOP, ARRAYS) < 0.2
 
 
