@@ -31,9 +31,9 @@ from falconwing_kit.vision import HybridSettings, PoseNet, Video, estimate_fligh
 from tests.scene.hall24 import alignments, reconstruction, survey
 
 ROOM = HybridSettings()
-TOY = FitSettings(
+TOY = FitSettings(  # so few Gaussians cover a hall only if they may be large and need not be faint
     gaussians=2000, steps=200, sh_degree=0, width=64, exposures=False, minutes=5.0, pose_steps=0, backend="reference",
-    room=(*ROOM.room_low, *ROOM.room_high),
+    room=(*ROOM.room_low, *ROOM.room_high), opacity_cost=0.01, scale_cost=0.01, largest=0.0,
 )  # fmt: skip
 BOX = (-18.0, -6.0, 0.5, -2.0, 8.0, 3.0)  # where the photos look and the video flies [m]
 FRAMES = 45  # of the video: the marker is in view in most of them
