@@ -172,9 +172,14 @@ LAB = Lab(
     rubric=(
         Criterion(
             "radius",
-            15.0,
-            "three lines that rise in proportion to mass, the hall's line, labels with units; "
-            "the reading: which masses fit, and that the level turn is wider than the paper's",
+            8.0,
+            "three lines that rise in proportion to mass, the hall's line, labels with units",
+        ),
+        Criterion(
+            "radius_reading",
+            7.0,
+            "150 g fit on the paper's line and at 60 deg, not in the level turn at 30 deg; 300 g nowhere; the level "
+            "turn is wider by the same factor at every mass (1.65 in the open course)",
         ),
         Criterion(
             "q1",

@@ -258,6 +258,16 @@ plt.show()
 # *In words: radius grows in proportion to mass; at a bank of 30° the paper's line crosses half the hall's width at
 # 171 g, the level turn with reserve far earlier, and a bank of 60° buys some of it back.*
 #
+# **Question on the figure.** At which mass does each line leave the hall, and which of the three dotted masses fit, on
+# which line? By how much is the level turn at 30° wider than the paper's, and does that depend on the mass?
+
+# %% [markdown] answer="radius_reading"
+# In the open course the paper's line reaches 10 m at 171 g, the level turn with reserve at 104 g, at a bank of 60° at
+# some 180 g. So 150 g fit on the paper's line and at 60°, but not in the level turn at 30°; 300 g and 324 g fit
+# nowhere. The level turn is 1.65 times as wide as the paper's, at every mass: all lines go through the origin. (Wing
+# tips and clearance are not in the figure yet; they take a part of the 10 m.)
+
+# %% [markdown]
 # The same from above: your turn between the walls, drawn to scale.
 
 # %%
