@@ -203,9 +203,14 @@ LAB = Lab(
     rubric=(
         Criterion(
             "render",
-            15.0,
-            "own picture like the kit's; the difference is shown with its scale and stays within a few 1/255; the "
-            "student says where it is (edges of splats) and why",
+            11.0,
+            "own picture like the kit's; the difference is shown with its scale and stays within a few 1/255",
+        ),
+        Criterion(
+            "render_reading",
+            4.0,
+            "thin curves where splats are cut, as they end at another alpha; a wrong order lights up whole objects, "
+            "half a pixel doubles outlines",
         ),
         Criterion("q1", 5.0, "o exp(-k^2 / 2), about 3.7/255 at 2.9; a test: another cut, look again"),
         Criterion("q2", 5.0, "own time scaled by 4.6e10 alphas; about 1 % not zero; tiles or boxes, stop when full"),

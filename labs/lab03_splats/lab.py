@@ -259,6 +259,15 @@ print(f"differs by {difference.mean():.2f}/255 on average, {difference.max():.1f
 # %% [markdown]
 # *In words: twice the same picture of a hall, with a marker, a blue pad, two walls and an aircraft ahead; beside it the
 # difference, which is dark in most places and has faint bright edges where splats end.*
+#
+# **Question on the figure.** Where in the picture do yours and the kit's differ, and where hardly at all? Why there?
+# How would a wrong order of the splats look, and how a shift by half a pixel?
+
+# %% [markdown] answer="render_reading"
+# They differ along thin curves around the wall, the marker and the pad: there splats end, mine at 2.9 standard
+# deviations, the kit's where the alpha is 1/255, so the kit's reach farther. Inside a surface there is hardly a
+# difference: what is behind the edge of a splat has nearly the same colour. With a wrong order whole objects would
+# light up; a shift by half a pixel would draw every outline twice, bright on both sides.
 
 # %%
 _, depth = render_slowly(scene)
