@@ -260,10 +260,10 @@ LAB = Lab(
     rubric=(
         Criterion(
             "turn",
-            15.0,
-            "Track on the dotted circle, radius within 3 % of V^2 / (g tan bank); height stays within 0.5 m; the "
-            "student reads the drift in the wind off the figure (about 0.8 m each second, to +y).",
+            11.0,
+            "Track on the dotted circle, radius within 3 % of V^2 / (g tan bank); height stays within 0.5 m.",
         ),
+        Criterion("turn_reading", 4.0, "About 4 m to +y in a round, less than the wind's 6 m: ground speed is held."),
         Criterion(
             "q1", 5.0, "Lift 1/cos(bank) times the weight: more alpha, more elevator; induced drag with its square."
         ),

@@ -339,6 +339,17 @@ print(f"R = V^2 / (g tan bank) = {radius:.2f} m")
 # one of the flight in wind leaves it to the left, like a spring pulled out. Right, height, speed and bank over time:
 # all three settle within about two seconds.
 #
+# **Question on the figure.** How far does the flight in the wind drift in one round, and which way? Compare with the
+# wind times the time of a round. (What does the pilot's throttle in given.py hold, the speed through the air or over
+# the ground?)
+
+# %% [markdown] answer="turn_reading"
+# About 4 m towards +y, with the wind, in a round of 7.5 s, and a metre or so back along the runway; the track leaves
+# the hall. The wind alone would carry it 0.8 m/s times 7.5 s, 6 m. It is less, since the pilot holds the speed over
+# the ground: throttle off with the wind behind, on against it. So he flies faster through the air when he flies against
+# the wind, and wins some of it back.
+
+# %% [markdown]
 # ## Questions
 #
 # **Question 1.** Look at throttle and elevator: why does the turn need more of both than straight flight at the same
@@ -355,10 +366,11 @@ print(f"R = V^2 / (g tan bank) = {radius:.2f} m")
 # How do you see that in `air_data`, and what does it mean for a pilot who may not come nearer than 2 m to a wall?
 
 # %% [markdown] answer="q2"
-# No: the forces depend only on the velocity through the air, which `air_data` forms by subtracting the wind. Seen from
-# a balloon that drifts with the wind the aircraft flies the same circle. Over the ground that circle moves with the
-# wind, 0.8 m every second, 6 m in one round of 8 s. The pilot must steepen the bank where the wind carries
-# towards the wall, or aim the circle upwind; a hall 20 m wide has only 1 m to spare beside an 8.7 m circle anyway.
+# No: the forces depend only on the velocity through the air, which `air_data` forms by subtracting the wind. Flown
+# with a steady speed through the air, it is the same circle for a balloon that drifts with the wind. Over the ground
+# it moves with the wind, 0.8 m every second, 6 m in one round of 7.5 s (here 4 m, as the pilot holds the speed over the
+# ground). The pilot must steepen the bank where the wind carries towards the wall, or aim the circle upwind; a hall
+# 20 m wide has only 1 m to spare beside an 8.7 m circle anyway.
 
 # %% [markdown]
 # ## What you can do now
