@@ -259,15 +259,19 @@ LAB = Lab(
     rubric=(
         Criterion(
             "distance",
-            8.0,
-            "both kinds of points and both lines on logarithmic axes; the reading: a single photo is not to be trusted "
-            "beyond 6 to 10 m, with a reason (slope, jumps)",
+            5.0,
+            "both kinds of points and both lines on logarithmic axes",
         ),
         Criterion(
-            "hall",
-            7.0,
-            "all recipes; the reading: weights use what is known about errors, the median needs no knowledge but a "
-            "majority of good photos",
+            "distance_reading",
+            3.0,
+            "a single photo is not to be trusted beyond 6 to 10 m, with a reason (slope, jumps)",
+        ),
+        Criterion("hall", 4.0, "the hall from above with the first and the last recipe, the errors of all recipes"),
+        Criterion(
+            "hall_reading",
+            3.0,
+            "weights use what is known about errors, the median needs no knowledge but a majority of good photos",
         ),
         Criterion("q1", 5.0, "0.38 m and 9.4 m (or: no longer valid); a half and a quarter; a half of both"),
         Criterion(
