@@ -266,9 +266,13 @@ LAB = Lab(
         Exercise("closed_loop_eval", 22.0, LOOP_CHECKS, through="run_closed_loop"),
     ),
     rubric=(
-        Criterion("loss", 5.0, "Reads the held-out curves: the clean pilot's loss is several times lower."),
+        Criterion("loss", 3.0, "Four curves on a logarithmic axis; the clean pilot's held-out loss ends lower."),
+        Criterion("loss_reading", 2.0, "The clean pilot's loss is several times lower, on clean frames only."),
+        Criterion("drift", 6.0, "Three panels of twenty tracks; landings and failures marked and counted."),
         Criterion(
-            "drift", 10.0, "The clean pilot drifts off though its loss is lower; the noisy one comes back. Counts."
+            "drift_reading",
+            4.0,
+            "The clean pilot drifts off though its loss is lower; the noisy one comes back. Counts.",
         ),
         Criterion("q1", 4.0, "Different frames in closed loop (covariate shift); errors feed on themselves."),
         Criterion("q2", 3.0, "Copying the last command; noise separates flown from wanted."),
