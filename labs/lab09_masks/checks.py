@@ -323,9 +323,8 @@ LAB = Lab(
     ),
     rubric=(
         Criterion("labels", 5.0, "Ellipses sit on the aircraft, inside the rendered outline; the board cuts one off."),
-        Criterion(
-            "window", 10.0, "Reads IoU and false alarms of both networks; says what got better and what did not."
-        ),
+        Criterion("window", 5.0, "Both networks' outlines on views with and without leader; IoU and false alarms."),
+        Criterion("window_reading", 5.0, "Unseen views and false alarms got better, seen views did not; own numbers."),
         Criterion(
             "q1", 3.0, "Smaller than the rendered outline, but centred; harmless for steering, not for measuring."
         ),
