@@ -202,9 +202,13 @@ LAB = Lab(
     rubric=(
         Criterion(
             "landings",
-            15.0,
-            "both panels with units, failures shown as failures; the reading: 51 cm is the mean "
-            "of the landings, 41 cm counts failures as 0; 10 of 10 and 8 of 10 overlap widely",
+            8.0,
+            "both panels with units, failures shown as failures",
+        ),
+        Criterion(
+            "landings_reading",
+            7.0,
+            "51 cm is the mean of the landings, 41 cm counts failures as 0; 10 of 10 and 8 of 10 overlap widely",
         ),
         Criterion(
             "q1",

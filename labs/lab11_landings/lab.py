@@ -278,8 +278,15 @@ plt.show()
 # lines for the two means, 51 and 41 cm. Below, bars: 8 of 10 reaches from 0.49 to 0.94, 10 of 10 from 0.72 to 1, and
 # 100 of 100 from 0.96 to 1.*
 #
-# Write below the figure, in two or three sentences, what it shows about the real landings and what it cannot show.
-#
+# **Question on the figure.** In two or three sentences: what does it show about the real landings, and what can it not
+# show? Which of the two lines is the mean of the landings, and what is the other?
+
+# %% [markdown] answer="landings_reading"
+# Eight of ten real runs landed, and these eight touched down 51 cm off the centre line on average; 41 cm counts the two
+# failures as 0. The true rate may be anywhere from 0.49 to 0.94. That overlaps widely with the 0.72 to 1 of ten
+# simulated landings, so ten runs show neither that reality is harder nor that it is alike.
+
+# %% [markdown]
 # ## Questions
 # **Question 1.** The paper gives 41 cm as the mean ALD of the real trials. What would you print, 41 or 51? Which single
 # line would you print in the abstract, so that nobody is misled?
