@@ -37,7 +37,6 @@ print(f"{folder}: calm flight {calm_table.duration:.0f} s, flight under test {ta
 
 # %% [markdown]
 # ## 1. The calm aircraft
-#
 # The kit identifies the calm flight as you did in lab 5, in three dimensions with 29 numbers. Then the flight under
 # test is cut into windows of two seconds and fitted **with the calm aircraft's numbers as prior**: an aircraft is not
 # quite the same on another day, so each number may drift by 1 % on top of its uncertainty.
@@ -68,7 +67,6 @@ print(f"chi2 per degree of freedom in the calm model: calm flight {found.train.c
 
 # %% [markdown]
 # ## 2. Where does it disagree?
-#
 # Replay both flights in the calm model. Residuals are in units of the noise, so their mean square is 1 where only noise
 # is left. For each of the six channels (px, py, pz, roll, pitch, yaw) and each bin of some variable, take the mean
 # square of the flight **minus that of the calm flight in the same bin**: an excess, in squared sigmas. A bin with fewer
@@ -129,10 +127,14 @@ plt.show()
 # *In words:* four tables side by side, one for each variable; rows are the channels, columns the bins, dark cells with
 # white numbers are where the flight disagrees most.
 #
-# What does the map suggest? Write down your guess *now*, before any statistics.
-#
+# **Question on the figure.** Which cells stand out, if any? Write down your guess *now*, before any statistics.
+
+# %% [markdown] answer="map_reading"
+# On the practice case the two lowest bins of the height stand out, in px and py and less in pitch and yaw; above 1.4 m
+# almost nothing is left. The lowest throttle stands out too. My guess: something near the floor.
+
+# %% [markdown]
 # ## 3. An effect is a term
-#
 # The model is a sum of terms. An effect is one more. Five of the candidates are loads, a force (X, Y, Z) and a moment
 # (L, M, N) per unit mass and inertia in body axes (x nose, y right, z belly). With the size $s$, the direction of the
 # path $\hat v = (\cos\alpha\cos\beta, \sin\beta, \sin\alpha\cos\beta)$ and that of the lift
@@ -229,7 +231,6 @@ def columns_of(name, fitted, windows):
 
 # %% [markdown]
 # ## 4. How much would each candidate explain?
-#
 # Near the fit everything is linear: residuals $r + J\,\Delta K + E\,s$ with the candidate's columns $E$. The 29 numbers
 # stay free under their prior: with $a$ = present $K$ minus the prior's, and $P$ the inverse of the prior's covariance
 # (the calm flight knows some combinations of numbers much better than each alone), minimise
@@ -304,7 +305,6 @@ print("best by chance on thirds of the calm flight:", np.round(calm_gains, 1))
 
 # %% [markdown]
 # ## 5. Decide
-#
 # The rule, fixed beforehand: the threshold is `CAUTION` times the largest gain that chance found, and at least
 # `LEAST_GAIN`. If no candidate is above it, the answer is **none**. If the best is above it, everything within less
 # than `LEAST_GAIN` of the best is as good: one name is **named**, several are **ambiguous** and need another flight.
@@ -338,7 +338,6 @@ check(verdict)
 
 # %% [markdown]
 # ## 6. Add it, fit it, and look at the gap
-#
 # The scan was linear. Now the best candidate goes into the model and everything is fitted again, to two thirds of the
 # flight. The gap is measured on the last third, in blocks that were held out, before and after.
 
@@ -385,12 +384,18 @@ plt.show()
 # %% [markdown]
 # *In words:* left, a bar of evidence for every candidate and the threshold as a dashed line. Right, bars of the
 # misfit on time that was held out: with the calm aircraft as it is, with its numbers adapted to another day, with the
-# effect (if one was named), and that of the calm flight itself. The effect has closed the gap where its bar is as low
-# as the last. Compare also the second bar: the aircraft's 29 numbers can bend until the gap nearly closes *without*
-# any effect. What that bending costs, the prior knows and the bar does not show; the evidence counts it.
+# effect (if one was named), and that of the calm flight itself. Where the effect's bar is as low, the gap is closed.
 #
+# **Question on the figure.** What has passed the threshold, and is the gap closed? Or why is it *none*? Why does the
+# second bar, with 29 adapted numbers and *no* effect, not settle it?
+
+# %% [markdown] answer="gap_reading"
+# Only ground effect has passed: some 1100 against 10, all others at or below zero; with it the misfit is as low as in
+# the calm flight. (For *none*: no candidate has passed, so all bars may be luck.) The 29 numbers can bend until the
+# gap nearly closes without any effect. What that costs, the prior knows and the bar does not show; the evidence does.
+
+# %% [markdown]
 # ## 7. Your finding
-#
 # Do map, evidence and gap agree? Does the size make sense? Then write down what you found. The size is that of
 # `CANDIDATES` in given.py (of a wind its speed, of a trim bias with its sign), low and high are a 95 % interval. For
 # *none* all three are zero. An interval of more than 40 % to either side says too little.
@@ -413,16 +418,12 @@ check(my_finding)
 
 # %% [markdown]
 # ## Questions
-#
-# **Question 1.** Which cells of the residual map made you think of your effect (or of none), and which other candidate
-# would have made a similar map? What tells the two apart?
+# **Question 1.** Which other candidate would have made a map like yours, and what tells the two apart?
 
 # %% [markdown] answer="q1"
-# On the practice case the two lowest bins of the height stand out, in px and py and less in pitch and yaw; above 1.4 m
-# almost nothing is left. More lift near the floor pulls a banked aircraft into its turn, so it is the place in the
-# hall that is off, more than the height. The lowest throttle stands out too, because low passes are flown with little
-# throttle: a drag or a loss of thrust would make a map like that. But they act at every height, and the height panel
-# is pale above.
+# More lift near the floor pulls a banked aircraft into its turn, so it is the place in the hall that is off, more than
+# the height. The lowest throttle stands out too, because low passes are flown with little throttle: a drag or a loss
+# of thrust would make a map like that. But they act at every height, and the height panel is pale above.
 
 # %% [markdown]
 # **Question 2.** A friend leaves out the prior: all 29 numbers are free. Which candidates would he miss, and why? And
@@ -436,7 +437,6 @@ check(my_finding)
 
 # %% [markdown]
 # ## What you can do now
-#
 # You can tell a wrong model from an unlucky flight, name what is missing, or say that nothing is. Compare with the kit,
 # which knows 19 effects, two at a time, and says when it is none of them:
 #
