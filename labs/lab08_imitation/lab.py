@@ -327,9 +327,9 @@ plot_drift(tracks, results)
 # Set both beside the figure of the losses.
 
 # %% [markdown] answer="drift_reading"
-# In the open course the expert lands 19, the noisy pilot 18, the clean one 4. Once off the line, the expert and the
-# noisy pilot come back to it; many of the clean pilot's tracks go on outwards, to either side. It is the reverse of
-# the losses: the pilot that copied better on the expert's frames lands far less often.
+# In the open course the expert lands 19, the noisy pilot 18, the clean one 4. Once off the line, the expert and, but
+# for one flight, the noisy pilot come back to it; many of the clean pilot's tracks go on outwards, to either side. It is
+# the reverse of the losses: the pilot that copied better on the expert's frames lands far less often.
 
 # %% [markdown]
 # ### Is it luck?
