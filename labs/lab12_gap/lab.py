@@ -131,7 +131,7 @@ plt.show()
 
 # %% [markdown] answer="map_reading"
 # On the practice case the two lowest bins of the height stand out, in px and py and less in pitch and yaw; above 1.4 m
-# almost nothing is left. The lowest throttle stands out too. My guess: something near the floor.
+# hardly more than 0.2 is left in px and py. The lowest throttle stands out too. My guess: something near the floor.
 
 # %% [markdown]
 # ## 3. An effect is a term
