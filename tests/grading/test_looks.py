@@ -79,3 +79,12 @@ def test_what_cannot_be_read_is_said(lab, tmp_path):
     (submission,) = find_submissions(tmp_path / "ada.ipynb", "lab01")
     found = look(Look(submission), Desk(lab))
     assert "want a Jupyter notebook" in found["problem"] and found == looks.nothing_seen(found["problem"])
+
+
+def test_mended_lab_is_looked_at_again(lab):
+    """Another hint in checks.py is another lab to whoever keeps results; the instructor's own notes are not."""
+    before = looks.lab_mark(lab)
+    (lab / "notes.md").write_text("new notes")
+    assert looks.lab_mark(lab) == before
+    (lab / "checks.py").write_text((lab / "checks.py").read_text().replace("multiply", "multiply by it"))
+    assert looks.lab_mark(lab) != before

@@ -92,7 +92,7 @@ class Report:
         from tqdm import tqdm
 
         from falconwing_kit.core.many.run import LostError, run_many
-        from falconwing_kit.grading.course.looks import Desk, Look, look, nothing_seen
+        from falconwing_kit.grading.course.looks import Desk, Look, lab_mark, look, nothing_seen
         from falconwing_kit.grading.submissions import find_submissions
 
         why = self._no_box()
@@ -108,7 +108,7 @@ class Report:
                 continue
             lost = [name for name, each in record["exercises"].items() if each["right"] < each["cases"]]
             works.append(Look(mine, tuple(lost)))
-        task = partial(look, desk=Desk(folder, self.salt, not why, self.figures == "run"))
+        task = partial(look, desk=Desk(folder, self.salt, not why, self.figures == "run", lab_mark(folder)))
         done = run_many(task, works, self.workers, self.cluster, self.out / "looks")
         looked = {}
         for work, seen in tqdm(done, total=len(works), desc=entries[0].lab.name, unit="submission", disable=None):

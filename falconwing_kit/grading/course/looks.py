@@ -1,5 +1,6 @@
 """Looks: a submission -> what people want to see of it: public checks, figures, answers. It gives no points."""
 
+import hashlib
 import json
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -32,12 +33,14 @@ class Desk:
         salt: the course's; empty for the open course.
         boxed: whether there is a box that holds; without it nothing of a student's is run.
         run: run the notebooks for their figures; otherwise take what they have stored.
+        mark: of the lab's files, so that nothing is kept that was seen with others; see `lab_mark`.
     """
 
     folder: Path
     salt: str = ""
     boxed: bool = True
     run: bool = True
+    mark: str = ""
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,13 @@ def course_lab(desk: Desk) -> tuple[Lab, Mapping[str, float]]:
     constants = course_constants(load_checks(desk.folder), desk.salt)
     lab: Lab = load_module(desk.folder, "checks", constants).LAB
     return lab, constants
+
+
+def lab_mark(folder: Path) -> str:
+    """A fingerprint of what students have of a lab."""
+    data = sorted(path for path in (folder / FOLDER).rglob("*") if path.is_file())
+    files = [path for path in (*(folder / name for name in FILES), notebook_path(folder), *data) if path.is_file()]
+    return hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)).hexdigest()
 
 
 def graded_parts(folder: Path) -> list[Part]:
