@@ -39,6 +39,7 @@ def draw_approach(path: Path) -> str:
     task, pad = LandingTask(), LandingPad()
     records = fly_trials(task, task.expert, LANDINGS, pilot="expert")
     with drawing(path, 6.6, 4.6, 2, 1, height_ratios=[2.4, 1.0], sharex=True) as ((above,), (side,)):
+        above.figure.set_layout_engine("compressed")  # both as wide as the hall: one scale along x
         hall_from_above(above)
         above.set_xlabel("")
         for record in records:

@@ -298,7 +298,7 @@ def hall_from_above(ax: Any) -> None:
             [HALL.y[0], HALL.y[0], HALL.y[1], HALL.y[1], HALL.y[0]], color=DARK, lw=1.6)  # fmt: skip
     ends, half = (pad.x_start, pad.x_start + pad.length), pad.width / 2.0
     ax.fill_between(ends, pad.y_centre - half, pad.y_centre + half, color=LIGHT, lw=0)
-    ax.text(sum(ends) / 2.0, pad.y_centre, "pad 13 x 2 m", ha="center", va="center", fontsize=8.5)
+    ax.text(ends[1] - 1.0, pad.y_centre, "pad 13 x 2 m", ha="right", va="center", fontsize=8.5)
     ax.plot([0.0, 0.0], [-0.5, 0.5], color=DARK, lw=4.0)
     ax.annotate("marker, origin", (0.0, 0.5), (0.0, 2.2), ha="center", fontsize=8.5, arrowprops={"arrowstyle": "-"})
     ax.set(xlabel="x, landing direction [m]", ylabel="y, left [m]", aspect="equal")
