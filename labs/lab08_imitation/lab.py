@@ -328,8 +328,8 @@ plot_drift(tracks, results)
 
 # %% [markdown] answer="drift_reading"
 # In the open course the expert lands 19, the noisy pilot 18, the clean one 4. Once off the line, the expert and, but
-# for one flight, the noisy pilot come back to it; many of the clean pilot's tracks go on outwards, to either side. It is
-# the reverse of the losses: the pilot that copied better on the expert's frames lands far less often.
+# for one flight, the noisy pilot come back to it; many of the clean pilot's tracks go on outwards, to either side.
+# It is the reverse of the losses: the pilot that copied better on the expert's frames lands far less often.
 
 # %% [markdown]
 # ### Is it luck?
