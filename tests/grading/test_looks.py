@@ -47,7 +47,7 @@ def test_without_marks_all_figures_are_shown(lab, tmp_path):
     """Some programs drop a cell's metadata: then whatever the notebook has stored is shown, and it is said."""
     stored = toys.cell("1") | {"outputs": [{"data": {"image/png": b64(png())}}]}
     found = seen(tmp_path, Desk(lab, run=False, boxed=False), stored)
-    assert found["figures"]["line"] == {"images": [b64(png())], "from": "stored, all"}
+    assert found["figures"]["line"] == {"images": [b64(png())], "from": "not run, all"}
     assert found["answers"] == {"q1": ""} and found["checks"] == {}
 
 

@@ -153,6 +153,9 @@ def test_without_a_box_nothing_is_run(graded, tmp_path, monkeypatch, capsys):
     assert Report(str(toys.LAB), graded / "grades", tmp_path / "r", **words).run() == 0
     assert "! network: open: public checks were not run, and figures are as stored" in capsys.readouterr().out
     assert (tmp_path / "r" / "rubric.html").read_text(encoding="utf-8").count("no figure") == 3
+    assert "as stored in the notebook, which was not run" in (tmp_path / "r" / "rubric.html").read_text(
+        encoding="utf-8"
+    )
     assert "A right function does all of this:" in feedback(tmp_path / "r", "bob")
 
 

@@ -143,7 +143,7 @@ class Report:
         pairs, texts = self._alike(folder, lab, looked) if looked else (None, {})
         write_overview(self.out / "report.html", lab, entries, items, pairs, texts)
         if looked and lab.rubric:
-            write_rubric(self.out, lab, graded_parts(folder), entries, looked, ran=self.figures == "run")
+            write_rubric(self.out, lab, graded_parts(folder), entries, looked)
         return pairs
 
     def _alike(

@@ -163,15 +163,16 @@ def _answer(notebook: Notebook, part: Part) -> str:
 def _figures(submission: Submission, data: bytes, desk: Desk, parts: list[Part]) -> dict[str, dict[str, Any]]:
     """The pictures of each figure's cell: those of a fresh run, or where it drew none, those that were stored."""
     wanted = [part.name for part in parts if part.is_figure]
-    ran, stored = None, json.loads(data.decode("utf-8-sig"))
+    ran, stored, kept = None, json.loads(data.decode("utf-8-sig")), "not run"
     if wanted and desk.run and desk.boxed:
+        kept = "stored"
         with _lab_files(desk, submission.student) as files:
             ran = run_notebook(data, files, course_lab(desk)[1])
     figures = {}
     for name in wanted:
-        tries = [(figures_in(ran, name), "run"), (figures_in(stored, name), "stored")]
+        tries = [(figures_in(ran, name), "run"), (figures_in(stored, name), kept)]
         if not any(images for images, _ in tries):  # the cell's mark was lost: whatever the notebook draws
-            tries = [(figures_in(ran), "run, all"), (figures_in(stored), "stored, all")]
+            tries = [(figures_in(ran), "run, all"), (figures_in(stored), f"{kept}, all")]
         images, source = next(((images, how) for images, how in tries if images), ([], "none"))
         figures[name] = {"images": images, "from": source}
     return figures

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from falconwing_kit.core.files import atomic_write
-from falconwing_kit.core.page import paragraph, write_page
+from falconwing_kit.core.page import write_page
 from falconwing_kit.grading.course.gradebook import COMMENT, Entry
 from falconwing_kit.grading.course.looks import Part
 from falconwing_kit.grading.lab import Criterion, Lab
@@ -24,13 +24,15 @@ _FROM = {
     "run": "drawn by running the notebook in the box",
     "stored": "as stored in the notebook; running it again drew none here",
     "run, all": "all figures of the notebook, run in the box: the figure's own cell was not found",
-    "stored, all": "all figures stored in the notebook: the figure's own cell was not found",
+    "stored, all": "all figures stored in the notebook, whose own cell was not found; running it again drew none here",
+    "not run": "as stored in the notebook, which was not run",
+    "not run, all": "all figures stored in the notebook, which was not run: the figure's own cell was not found",
     "none": "no figure",
 }
 
 
 def write_rubric(
-    out: Path, lab: Lab, parts: Sequence[Part], entries: Sequence[Entry], looked: Mapping[str, Looked], *, ran: bool
+    out: Path, lab: Lab, parts: Sequence[Part], entries: Sequence[Entry], looked: Mapping[str, Looked]
 ) -> Path:
     """Write the page, and the figures into a folder beside it.
 
@@ -40,7 +42,6 @@ def write_rubric(
         parts: what is graded, as `looks.graded_parts` says.
         entries: the students' lines, with the points that are known already.
         looked: what was seen of each student's submission.
-        ran: whether notebooks were run for their figures.
 
     Returns:
         The page's path.
@@ -48,9 +49,8 @@ def write_rubric(
     (out / FIGURES).mkdir(parents=True, exist_ok=True)
     shown = [entry for entry in entries if entry.student in looked]
     wanted = "".join(map(_criterion, lab.rubric, parts))
-    how = "" if ran else paragraph("Figures are those stored in the notebooks, which were not run.")
     body = [_student(out, entry, parts, looked[entry.student]) for entry in shown]
-    head = [f"<h1>{html.escape(lab.name)}: what a person grades</h1>", how, f"<dl>{wanted}</dl>", _BAR]
+    head = [f"<h1>{html.escape(lab.name)}: what a person grades</h1>", f"<dl>{wanted}</dl>", _BAR]
     names = json.dumps([each.name for each in lab.rubric]).replace("<", "\\u003c")
     key = json.dumps(f"falconwing rubric {lab.name} {out.resolve().name}").replace("<", "\\u003c")
     script = _SCRIPT.replace("NAMES", names).replace("KEY", key)
