@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from falconwing_kit.cli.main import main
-from falconwing_kit.grading.find import lab_folders, load_checks
+from falconwing_kit.grading.collect import read_notebook
+from falconwing_kit.grading.course.looks import graded_parts
+from falconwing_kit.grading.find import lab_folders, load_checks, notebook_path
 
 LABS = Path(__file__).parents[2] / "labs"
 GUIDE, PLANS, ROUTE = ((LABS / name).read_text("utf-8") for name in ("instructors.md", "course_plans.md", "README.md"))
@@ -46,3 +48,12 @@ def test_plans_add_up_to_the_labs_own_hours():
         assert {n for labs in told for n in labs} == wanted
         for labs, said in zip(told, (float(said) for _, said in rows), strict=True):
             assert said == pytest.approx(sum(hours[n] for n in labs), abs=0.01), labs
+
+
+@pytest.mark.parametrize("folder", lab_folders(LABS), ids=lambda folder: folder.name)
+def test_whatever_a_person_grades_is_a_cell_of_the_notebook(folder):
+    """Otherwise the rubric page would show nothing beside its field; an answer's question stands before it."""
+    marked = {cell.name for cell in read_notebook(notebook_path(folder)).cells if cell.role in ("figure", "answer")}
+    parts = graded_parts(folder)
+    assert {part.name for part in parts} <= marked
+    assert all(part.is_figure or part.question for part in parts) and any(part.is_figure for part in parts)
