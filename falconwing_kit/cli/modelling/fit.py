@@ -37,8 +37,10 @@ class Fit:
     """CSV name,x,y,z,use: where pad and marker are"""
     photos: Path | None = None
     """folder of the photos, if they are not where the reconstruction says"""
+    hold_out: float | None = None
+    """part of the photos to judge by, whole places of them; 0.11 if not given, 0: none"""
     held_out: Path | None = None
-    """names of the photos to judge by, such as the figures.json of another training; whole places if not given"""
+    """names of the photos to judge by instead, such as the figures.json of another training"""
     room: str | None = None
     """x,y,z of the room's lowest and highest corner in metres; from cameras and survey if not given"""
     gaussians: int | None = None
@@ -49,6 +51,8 @@ class Fit:
     """photos a step"""
     width: int | None = None
     """of the images to train on in pixels; the photos' own if not given"""
+    largest: float | None = None
+    """standard deviation that a Gaussian may have in metres; 0.5 if not given, 0: any"""
     minutes: float | None = None
     """of training at most; it ends smoothly before; 8 if not given"""
     same_exposure: bool = False
@@ -108,7 +112,7 @@ class Fit:
     def _changes(self) -> dict[str, Any]:
         """What differs from the settings that a source of this kind has by itself."""
         changes: dict[str, Any] = {"seed": self.seed, "backend": self.backend, "antialiased": self.antialiased}
-        for name in ("gaussians", "steps", "batch", "width", "minutes", "pose_steps"):
+        for name in ("gaussians", "steps", "batch", "width", "largest", "hold_out", "minutes", "pose_steps"):
             if getattr(self, name) is not None:
                 changes[name] = getattr(self, name)
         if self.same_exposure:
