@@ -69,7 +69,7 @@ class Exercise:
 
 @dataclass(frozen=True)
 class Criterion:
-    """Something that a person grades: a figure with its reading, or an answer.
+    """Something that a person grades: a figure, or an answer; a figure's reading is one.
 
     Attributes:
         name: of the notebook's cell, as its `answer` or `figure` says.

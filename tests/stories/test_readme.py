@@ -72,8 +72,8 @@ def folder(tmp_path, monkeypatch):
     """A folder as the reader has it: the kit's data, an own flight, an own log of two seconds, and lab 1, done."""
     shutil.copytree(data_path("case02_calm.csv").parent, tmp_path / "falconwing_kit" / "data")
     shutil.copy(data_path("case02_calm.csv"), tmp_path / "flight.csv")
-    for notebook in ("lab01.ipynb", "submissions/ann.ipynb"):
-        (tmp_path / notebook).parent.mkdir(exist_ok=True)
+    for notebook in ("labs/lab01_sizing/solution/lab01.ipynb", "submissions/ann.ipynb"):
+        (tmp_path / notebook).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / "labs" / "lab01_sizing" / "solution" / "lab01.ipynb", tmp_path / notebook)
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
         for k in range(40):
