@@ -5,6 +5,7 @@ OUT/lab01_sizing/                            notebook, given.py, checks.py, coho
 OUT/handouts/STUDENT/lab12_gap/              files that are another for every student, where a lab has such
 """
 
+import ast
 import csv
 import json
 import re
@@ -18,7 +19,7 @@ from falconwing_kit.grading.find import load_checks, load_module, notebook_path
 from falconwing_kit.grading.lab import Course, course_constants
 from falconwing_kit.grading.notebooks import build
 
-FILES, FOLDER = ("given.py", "checks.py"), "data"  # of a lab, that go to students as they are
+FOLDER = "data"  # of a lab, that goes to students as it is
 MIN_SALT = 16  # characters; the kit is public, so a shorter one is found by trying
 INSTRUCTORS = "\n## For instructors"  # the route ends here for students
 _STUDENT = re.compile(r"[A-Za-z0-9_@][A-Za-z0-9_.@+-]{0,63}")
@@ -98,11 +99,35 @@ def _release_lab(folder: Path, target: Path, salt: str) -> None:
     """One lab's notebook, files, data and numbers."""
     target.mkdir(parents=True)
     _write(target / notebook_path(folder).name, build(folder)[notebook_path(folder)])
-    for name in FILES:
-        shutil.copyfile(require_file(folder / name), target / name)
+    shutil.copyfile(require_file(folder / "given.py"), target / "given.py")
+    _write(target / "checks.py", without_answers(require_file(folder / "checks.py").read_text(encoding="utf-8")))
     if (folder / FOLDER).is_dir():
         shutil.copytree(folder / FOLDER, target / FOLDER, ignore=shutil.ignore_patterns("__pycache__", ".*"))
     _write(target / "cohort.json", cohort_text(folder, salt))
+
+
+def without_answers(checks: str) -> str:
+    """A lab's `checks.py` without what a person looks for: the third argument of every `Criterion` becomes empty.
+
+    Args:
+        checks: the file's text.
+
+    Returns:
+        The text, otherwise the same to the letter.
+    """
+    lines = checks.encode().splitlines(keepends=True)  # ast counts columns in bytes
+    starts = [sum(map(len, lines[:number])) for number in range(len(lines))]
+    spans = []
+    for call in ast.walk(ast.parse(checks)):
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Criterion":
+            told = [*call.args[2:3], *(each.value for each in call.keywords if each.arg == "look_for")]
+            for each in told:
+                end = starts[(each.end_lineno or each.lineno) - 1] + (each.end_col_offset or 0)
+                spans.append((starts[each.lineno - 1] + each.col_offset, end))
+    text = checks.encode()
+    for start, end in sorted(spans, reverse=True):
+        text = text[:start] + b'""' + text[end:]
+    return text.decode()
 
 
 def cohort_text(folder: Path, salt: str = "") -> str:

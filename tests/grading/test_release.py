@@ -5,7 +5,7 @@ import json
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.grading.release import read_roster, release
+from falconwing_kit.grading.release import read_roster, release, without_answers
 from tests.grading.small_lab import write_small_lab
 
 SALT = "a secret of ours, long enough"
@@ -31,6 +31,17 @@ def test_only_what_students_need_is_handed_out(folder, tmp_path):
     assert handed_out(tmp_path / "out") == {"README.md", *lab}
     assert len(files) == 6
     assert (tmp_path / "out" / "README.md").read_text() == "# Route\nfirst this\n"
+
+
+def test_what_a_person_looks_for_is_not_handed_out():
+    """By hand: the words of both criteria go, told by place or by name, and not a letter beside them."""
+    text = """# no \u00fc lost
+LAB = Lab(rubric=(Criterion("\u00fc", 4.0, "a line " "that falls"), Criterion("q1", 6.0, look_for="seven")), hours=2)
+"""
+    wanted = """# no \u00fc lost
+LAB = Lab(rubric=(Criterion("\u00fc", 4.0, ""), Criterion("q1", 6.0, look_for="")), hours=2)
+"""
+    assert without_answers(text) == wanted
 
 
 def test_salt_draws_other_numbers_and_the_same_again(folder, tmp_path):
