@@ -18,7 +18,7 @@ from falconwing_kit.aircraft.airframe import load_airframe
 from falconwing_kit.aircraft.hardware.cameras import load_camera
 from falconwing_kit.aircraft.hardware.parts import load_parts, roll_up
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.files import atomic_write, write_figures
 
 FIGURES = Path(__file__).resolve().parents[1] / "manual" / "figures"
 DARK, LIGHT = "0.1", "0.55"
@@ -146,13 +146,8 @@ def main(words: list[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(description="Figures from the hardware's data files.")
     parser.add_argument("--out", type=Path, default=FIGURES, help="folder to write to")
-    folder = parser.parse_args(words).out
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, draw in FIGURES_MADE.items():
-        sentence = draw(folder / f"{name}.svg")
-        with atomic_write(folder / f"{name}.txt", text=True) as file:
-            file.write(sentence + "\n")
-        print(f"{name}.svg: {(folder / f'{name}.svg').stat().st_size / 1000:.0f} kB")
+    for line in write_figures(parser.parse_args(words).out, FIGURES_MADE):
+        print(line)
     return 0
 
 

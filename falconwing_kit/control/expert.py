@@ -15,7 +15,7 @@ from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.touchdown import LandingPad, wheel_heights
 from falconwing_kit.control.estimate import Observer
 from falconwing_kit.control.guidance import Hall, Path, require_flyable
-from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, Autopilot, path_axes
+from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, Autopilot, course_axes
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.messages import Command, Observation, State
 
@@ -128,10 +128,10 @@ class FollowExpert:
         if self.place is None:
             on_path = self.path.at(s, flown)
             off = state.p_world - on_path.p_world
-            self.place = np.array([s_leader - s, off @ path_axes(on_path.yaw)[1], off[2]])
+            self.place = np.array([s_leader - s, off @ course_axes(on_path.yaw)[1], off[2]])
         late = s_leader - self.place[0] - s
         wanted = self.path.at(s, flown + min(max(GAP_GAIN * late, -GAP_SPEED), GAP_SPEED))
-        aside = self.place[1] * path_axes(wanted.yaw)[1] + (0.0, 0.0, self.place[2])
+        aside = self.place[1] * course_axes(wanted.yaw)[1] + (0.0, 0.0, self.place[2])
         # A place beside the path may lie behind a wall where the path itself does not.
         target = Hall().inside(wanted.p_world + aside, WALL_MARGIN)
         return self._hands.autopilot.command(state, replace(wanted, p_world=target), observation.past_commands)

@@ -12,7 +12,7 @@ from falconwing_kit.aircraft.trim import trim
 from falconwing_kit.control.estimate import FlyingAircraft
 from falconwing_kit.control.expert import WaypointExpert
 from falconwing_kit.control.guidance import Hall
-from falconwing_kit.control.loops import STEP_S, path_axes
+from falconwing_kit.control.loops import STEP_S, course_axes
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.messages import Observation, State
 
@@ -167,7 +167,7 @@ def random_waypoints(rng: np.random.Generator) -> Array:
     """
     for _ in range(TRIES):
         start, yaw = rng.uniform((-21.5, -11.0, 1.2), (16.5, 7.0, 3.8)), rng.uniform(-math.pi, math.pi)
-        behind = start - 6.0 * path_axes(yaw)[0]  # where a follower may begin
+        behind = start - 6.0 * course_axes(yaw)[0]  # where a follower may begin
         bends = [np.zeros(2)]
         for _ in range(10 * KNOTS):
             bend = rng.uniform(-1.0, 1.0, 2) * (0.105, 0.12)

@@ -61,7 +61,7 @@ LONGITUDINAL = Axis(
 
 
 @dataclass(frozen=True)
-class Loop:
+class ClosedLoop:
     """A discrete linear model with its delay and integrals, and the gain that closes it: sticks = -gain @ state."""
 
     axis: Axis
@@ -80,7 +80,7 @@ class Loop:
         return (len(self.A) - len(self.axis.states) - len(self.axis.integrals)) // len(self.axis.sticks)
 
 
-def design_loop(model: Model, axis: Axis, speed: float = SPEED, delay: float = LINK_DELAY_S) -> Loop:
+def design_loop(model: Model, axis: Axis, speed: float = SPEED, delay: float = LINK_DELAY_S) -> ClosedLoop:
     """LQR of one axis around straight level flight, u = -K x with K from the discrete Riccati equation.
 
     The state is augmented by the sticks on their way and by integrals of what must have no steady error [Astrom &
@@ -123,7 +123,7 @@ def design_loop(model: Model, axis: Axis, speed: float = SPEED, delay: float = L
         gain = control.dlqr(A, B, np.diag(sizes**-2.0), np.diag(np.array(list(axis.sticks.values())) ** -2.0))[0]
     except (np.linalg.LinAlgError, ValueError) as error:
         raise InputError(f"model: no gain holds it at {speed:g} m/s ({error}); check the model's values") from None
-    loop = Loop(axis, A, B, np.asarray(gain, np.float64))
+    loop = ClosedLoop(axis, A, B, np.asarray(gain, np.float64))
     if not np.abs(loop.poles).max() < 1.0:
         raise InputError(f"model: no gain holds it at {speed:g} m/s; check the model's values")
     return loop
@@ -265,7 +265,7 @@ class Autopilot:
     def _deviations(self, state: State, wanted: Reference, speed: float, attitude: Array) -> dict[str, float]:
         """Deviations from the reference in axes along its course: x ahead, y left, z up."""
         pitch, crab, p, q, r = attitude
-        ahead, left = path_axes(wanted.yaw)
+        ahead, left = course_axes(wanted.yaw)
         off, v = state.p_world - wanted.p_world, state.v_world
         v_ahead, v_left, off_left = float(v @ ahead), float(v @ left), float(off @ left)
         return {
@@ -278,7 +278,7 @@ class Autopilot:
         }  # fmt: skip
 
 
-def path_axes(yaw: float) -> tuple[Array, Array]:
+def course_axes(yaw: float) -> tuple[Array, Array]:
     """Level unit vectors along a course and to its left.
 
     Args:

@@ -4,7 +4,7 @@ import errno
 import os
 import secrets
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
@@ -47,6 +47,25 @@ def atomic_write(path: str | Path, *, text: bool = False) -> Iterator[IO[Any]]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def write_figures(folder: Path, drawings: Mapping[str, Callable[[Path], str]]) -> Iterator[str]:
+    """Draw figures as SVG, each with a text beside it that says the same.
+
+    Args:
+        folder: to write to, made where it is missing.
+        drawings: name -> what draws it into a path and returns it in words.
+
+    Yields:
+        Name and size of each when it is written, such as "filter.svg: 12 kB".
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, draw in drawings.items():
+        path = folder / f"{name}.svg"
+        words = draw(path)
+        with atomic_write(path.with_suffix(".txt"), text=True) as file:
+            file.write(words + "\n")
+        yield f"{path.name}: {path.stat().st_size / 1000:.0f} kB"
 
 
 def short_name(path: str | Path) -> str:

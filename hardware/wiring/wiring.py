@@ -14,7 +14,7 @@ from typing import Any
 
 from falconwing_kit.aircraft.hardware.cameras import CameraHardware, load_camera
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.files import atomic_write, write_figures
 
 FIGURES = Path(__file__).resolve().parents[2] / "manual" / "figures"
 PPM_PIN, PILOT_PIN = 11, 49  # of the Arduino Mega: OC1A and ICP4
@@ -249,13 +249,8 @@ def main(words: list[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(description="Wiring diagrams as SVG, with a text for each.")
     parser.add_argument("--out", type=Path, default=FIGURES, help="folder to write to")
-    folder = parser.parse_args(words).out
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, draw in FIGURES_MADE.items():
-        sentence = draw(folder / f"{name}.svg")
-        with atomic_write(folder / f"{name}.txt", text=True) as file:
-            file.write(sentence + "\n")
-        print(f"{name}.svg: {(folder / f'{name}.svg').stat().st_size / 1000:.0f} kB")
+    for line in write_figures(parser.parse_args(words).out, FIGURES_MADE):
+        print(line)
     return 0
 
 

@@ -14,8 +14,8 @@ from falconwing_kit.control.loops import (
     Autopilot,
     Reference,
     TrimTable,
+    course_axes,
     design_loop,
-    path_axes,
     with_delay,
 )
 from falconwing_kit.core.checks import InputError
@@ -126,7 +126,7 @@ def test_sticks_work_against_a_deviation(moved, stick, sign, yaw):
     """By hand: left of the path roll right, right wing down roll left, too high nose down, too fast less power."""
     pilot = Autopilot(rates_model())
     steady = trim(rates_model(), 7.0)
-    ahead, left = path_axes(yaw)
+    ahead, left = course_axes(yaw)
     x = steady.state.copy()
     x[4], x[6:9] = yaw, x[6] * ahead
     before = pilot.command(State.from_vector(x), Reference(x[:3].copy(), yaw, 0.0, 7.0, 0.0), NOTHING_SENT)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.files import atomic_write, cache_folder, shipped_path
+from falconwing_kit.core.files import atomic_write, cache_folder, shipped_path, write_figures
 
 
 def test_nothing_has_the_name_before_the_end(tmp_path):
@@ -67,6 +67,16 @@ def test_a_full_disk_is_one_sentence_and_leaves_nothing(tmp_path):
     )
     assert "InputError big.bin: the disk is full" in result.stdout, result.stderr
     assert os.listdir(tmp_path) == []
+
+
+def test_figures_are_written_with_their_words(tmp_path):
+    """By hand: 1600 bytes are 2 kB to the nearest; each is there when it is told, and the next is not drawn yet."""
+    drawings = {name: lambda path: path.write_bytes(b"x" * 1600) and "In words." for name in ("one", "two")}
+    lines = write_figures(tmp_path / "new", drawings)
+    assert next(lines) == "one.svg: 2 kB"
+    assert sorted(os.listdir(tmp_path / "new")) == ["one.svg", "one.txt"]
+    assert list(lines) == ["two.svg: 2 kB"]
+    assert (tmp_path / "new" / "two.txt").read_text() == "In words.\n"
 
 
 def test_no_right_to_write_is_one_sentence(tmp_path, monkeypatch):
