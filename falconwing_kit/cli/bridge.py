@@ -106,6 +106,8 @@ class Bridge:
 class Record:
     """Record the pilot's sticks and the camera's images while the pilot flies by hand, for identification.
 
+    The frame monitor judges every picture; its alarms are said at once and are events of the log.
+
     Ctrl-C ends the recording; a log that was cut short is made whole by falconwing export --to mcap.
     """
 
@@ -176,9 +178,10 @@ class Record:
 
     def _run(self, port: TrainerPort, images: "ImageSource", log: "FlightLogWriter") -> "Recording":
         from falconwing_kit.flight.recording import Recording, record
+        from falconwing_kit.vision.monitor import FrameMonitor
 
         live = LiveLine(port, self.seconds, moves=self.source == "camera")
-        recording = Recording(port, log, images, live.alert)
+        recording = Recording(port, log, images, live.alert, FrameMonitor())
         with suppress(KeyboardInterrupt):
             record(recording, watch=lambda now: live.over(now) or getattr(images, "over", False))
         live.end()

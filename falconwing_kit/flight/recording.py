@@ -18,6 +18,7 @@ from falconwing_kit.core.messages import Command, Image
 from falconwing_kit.flight.loop import ImageSource
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.trainer_port.protocol import Pilot
+from falconwing_kit.vision.monitor import FrameMonitor
 
 IMAGE_WAITS = 0.1  # s: so long an image waits for the command that is to stand before it
 PILOT_SILENT = 0.5  # s without a frame of the pilot's radio, of which 45 come in a second
@@ -30,6 +31,7 @@ class Counts:
     commands: int = 0
     images: int = 0
     events: int = 0
+    alarms: int = 0  # of the frame monitor
 
 
 class Recording:
@@ -42,7 +44,8 @@ class Recording:
         port: ready; its clock is that of the log, which starts at zero now.
         log: opened and closed by the caller.
         images: the camera; None records the sticks alone. Its times are the log's.
-        alert: called with one sentence when recording stops.
+        alert: called with one sentence when recording stops, and when the monitor raises its alarm.
+        monitor: judges every picture; its alarms, and their ends, are events of the log. None judges none.
     """
 
     def __init__(
@@ -51,15 +54,16 @@ class Recording:
         log: FlightLogWriter,
         images: ImageSource | None = None,
         alert: Callable[[str], Any] = lambda sentence: None,
+        monitor: FrameMonitor | None = None,
     ) -> None:
-        self.port, self.log, self.images, self._alert = port, log, images, alert
+        self.port, self.log, self.images, self._alert, self.monitor = port, log, images, alert, monitor
         self.counts, self.stopped = Counts(), ""
         self.command: Command | None = None  # the newest
         self.image: Image | None = None  # the newest
         self._zero = port.now()
         self._recent: deque[Image] = deque(maxlen=60)  # newest first; which of them a command follows
         self._unwritten: deque[Image] = deque()  # oldest first
-        self._pilot_at, self._silent = 0.0, False
+        self._pilot_at, self._silent, self._alarm = 0.0, False, False
         port.pilots.clear()
         self._write(lambda log: log.metadata(_about(port)))
 
@@ -71,7 +75,7 @@ class Recording:
     def step(self) -> None:
         """Read port and camera and write what is new: a command before the image that it names."""
         self.port.poll()
-        self._look()
+        self._judge(self._look())
         while self.port.pilots:
             self._take(self.port.pilots.popleft())
         while self._unwritten and self.t - self._unwritten[0].t > IMAGE_WAITS:
@@ -90,20 +94,40 @@ class Recording:
         while self._unwritten:
             self._write_image(self._unwritten.popleft())
 
-    def _look(self) -> None:
-        """The newest image, where there is a new one; a camera that fails for good is an event, and sticks go on."""
+    def _look(self) -> Image | None:
+        """A new image, where there is one; a camera that fails for good is an event, and sticks go on."""
         if self.images is None:
-            return
+            return None
         try:
             image = self.images.next(self.t)
         except Exception as error:
             self.images = None
             self._event(self.t, "images lost", {"error": f"{type(error).__name__}: {error}"})
+            return None
+        if image is None or (self.image is not None and image.sequence == self.image.sequence):
+            return None
+        self.image = image
+        self._recent.appendleft(image)
+        self._unwritten.append(image)
+        return image
+
+    def _judge(self, image: Image | None) -> None:
+        """Let the monitor say whether one could fly by the picture, or by none; its alarm is said once."""
+        if self.monitor is None:
             return
-        if image is not None and (self.image is None or image.sequence != self.image.sequence):
-            self.image = image
-            self._recent.appendleft(image)
-            self._unwritten.append(image)
+        t = self.t
+        try:
+            verdict = self.monitor.update(image, t)
+        except InputError as error:  # a picture that is too small to judge
+            self.monitor = None
+            self._event(t, "monitor off", {"error": str(error)})
+            return
+        if verdict.alert != self._alarm:
+            self._alarm = verdict.alert
+            self._event(t, "picture alarm" if verdict.alert else "picture clear", {"reason": verdict.reason})
+            if verdict.alert:
+                self.counts.alarms += 1
+                self._alert(f"PICTURE {verdict.reason}")
 
     def _take(self, pilot: Pilot) -> None:
         """Log the sticks of one frame of the pilot's radio, and then the image they name where it is not in yet."""

@@ -122,8 +122,8 @@ def test_ctrl_c_ends_cleanly(tmp_path, verb):
 
 
 def test_a_recorded_approach_is_a_whole_log(tmp_path, capsys):
-    """One second of it, in real time: sticks at some 45 Hz and images at 20 Hz, and the log says simulated."""
-    assert run("record", "--port", "sim-python", "--source", "sim", "--seconds", "1", "--json") == 0
+    """Two seconds of it, in real time: sticks at some 45 Hz and images at 20 Hz, and the log says simulated."""
+    assert run("record", "--port", "sim-python", "--source", "sim", "--seconds", "2", "--json") == 0
     record = json.loads(capsys.readouterr().out)
     log = read_flight_log(record["file"])
     assert log.metadata["simulated"] == "yes" and log.warnings == ()

@@ -18,6 +18,7 @@ from falconwing_kit.flight.recording import Recording, record
 from falconwing_kit.trainer_port.links.simulated import SteppedBoard
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.trainer_port.python_board import PythonBoard
+from falconwing_kit.vision.monitor import FrameMonitor
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 START = 1000.0  # s: what the host's clock says when the recording begins
@@ -144,6 +145,52 @@ def test_a_camera_that_fails_costs_no_sticks(flight):
     log = read_after(flight)
     assert "images lost" in [event.name for event in log.events]
     assert len(log.commands) == pytest.approx(2.0 / 0.022, abs=3)
+
+
+class Grain:
+    """Thirty pictures a second of one wall; from 1 to 2 s each is another noise, from 3 s on none comes."""
+
+    def __init__(self, side: int = 64) -> None:
+        self.draw, self.side = np.random.default_rng(0), side
+        self.wall = np.kron(self.draw.integers(0, 256, (8, 8)), np.ones((8, 8)))
+
+    def next(self, t: float) -> Image | None:
+        if t >= 3.0:
+            return None
+        lit = (
+            self.draw.normal(128.0, 80.0, (64, 64))
+            if 1.0 <= t < 2.0
+            else self.wall + self.draw.normal(0.0, 2.0, (64, 64))
+        )
+        pixels = np.clip(lit, 0.0, 255.0).astype(np.uint8)[: self.side, : self.side]
+        return Image(int(t * 30.0), t, np.repeat(pixels[..., None], 3, axis=2))
+
+
+def test_the_monitors_alarms_are_said_once_and_stand_in_the_log(flight):
+    """Noise from 1 s on is told within the 300 ms that the manual promises, its end within a second; then no picture
+    comes any more, which is told within a second too. The sticks go on."""
+    flight.recording.images, flight.recording.monitor = Grain(), FrameMonitor()
+    flight.run(4.0)
+    log = read_after(flight)
+    told = [
+        (event.name, event.details["reason"].split(":")[0], event.t) for event in log.events if "pict" in event.name
+    ]
+    assert [name for name, *_ in told] == ["picture alarm", "picture clear", "picture alarm"]
+    assert [reason for _, reason, _ in told] == ["noise", "", "old or frozen"]
+    assert [t for *_, t in told] == pytest.approx([1.15, 2.5, 3.5], abs=0.5)
+    assert 1.0 < told[0][2] <= 1.3
+    assert [alert.split(":")[0] for alert in flight.alerts] == ["PICTURE noise", "PICTURE old or frozen"]
+    assert flight.recording.counts.alarms == 2 and len(log.commands) == pytest.approx(4.0 / 0.022, abs=3)
+
+
+def test_a_picture_that_cannot_be_judged_ends_the_monitor_not_the_recording(flight):
+    """16 pixels a side, of which 32 are wanted: one event, and every picture in the log."""
+    flight.recording.images, flight.recording.monitor = Grain(side=16), FrameMonitor()
+    flight.run(1.0)
+    log = read_after(flight)
+    (off,) = [event for event in log.events if event.name == "monitor off"]
+    assert "32" in off.details["error"] and flight.alerts == []
+    assert len(log.image_times) == pytest.approx(30, abs=3)
 
 
 def test_a_radio_with_too_few_channels_is_an_event(flight):
