@@ -18,6 +18,7 @@ from tests.firmware.chip import require_tools
 from tests.manual.book import MANUAL, ROOT, commands, elements, page
 
 RUNS = list(dict.fromkeys(line for kind, line in commands() if kind == "runs"))
+LONG = ("identify", "gap")  # these leave nothing for the commands after them, and README's test types them too
 # What sets up the reader's machine or needs half a gigabyte: start.py has tests/house/test_start.py, the bracket
 # tests/hardware/test_bracket.py.
 MACHINE = {
@@ -57,7 +58,7 @@ def test_no_command_escapes():
 
 
 @pytest.mark.filterwarnings("ignore:the calibration")
-@pytest.mark.parametrize("line", RUNS)
+@pytest.mark.parametrize("line", [line for line in RUNS if line.split()[1] not in LONG])
 def test_command_runs(line, folder, monkeypatch, capsys):
     """Typed as printed, with no terminal to answer; 0 means done (no board is a no), and what --out names is there."""
     monkeypatch.chdir(folder)
@@ -72,6 +73,14 @@ def test_command_runs(line, folder, monkeypatch, capsys):
         if option in words:
             assert Path(words[words.index(option) + 1]).exists()
     assert capsys.readouterr().out.count("\n") > 1
+
+
+def test_long_commands_are_those_of_readme():
+    """But for the place that they write to; tests/stories/test_readme.py types them."""
+    place = re.compile(r"(?<=--out )[\w.]+")
+    left = [place.sub("", line) for line in RUNS if line.split()[1] in LONG]
+    readme = place.sub("", (ROOT / "README.md").read_text("utf-8"))
+    assert len(left) == 2 and all(line in readme for line in left)
 
 
 def test_commands_of_the_photos_are_those_of_their_page():
