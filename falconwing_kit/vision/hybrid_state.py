@@ -21,6 +21,7 @@ from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import R_BODY_CAMERA, euler_from_rotation, pose_matrix
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
+from falconwing_kit.vision.link.wander import corner_covariance, wander_px
 from falconwing_kit.vision.marker import (
     Marker,
     MarkerPose,
@@ -292,7 +293,9 @@ class _Estimate:
         if seen:
             corners = np.array([sights[k].corners_px for k in seen])
             rows = np.array(seen) - first
-            kinds.append(CornerSights(rows, corners, sigma_px, self.marker, self.camera, self.p_body_camera))
+            wander = wander_px(sight.strays_px for sight in sights.values())
+            noise = corner_covariance(corners, sigma_px, wander)
+            kinds.append(CornerSights(rows, corners, noise, self.marker, self.camera, self.p_body_camera))
         if said:
             period = float(np.median(np.diff(self.video.t)))
             alike = [max(1.0, self.settings.memory_s[chosen[k].source] / period) for k in said]

@@ -6,8 +6,8 @@ plane-based pose estimation, IJCV 2014]. Both are kept; what the aircraft can ha
 """
 
 from collections import Counter
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 from falconwing_kit.core.frames import pose_matrix
 from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.vision.link.wander import strays
 
 DICTIONARIES = tuple(f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
 # x to the right of who looks at the marker, y up, z out of it: it faces the approach, -x of the world.
@@ -30,6 +31,7 @@ SOFT_PX = (0.5, 0.9, 1.4)  # blur of a lens, of averaging over pixels, of an ana
 INK, PAPER = 0.04, 0.85  # shares of the light they send back
 GAMMA = 2.2  # of cameras: a pixel half black, half white is brighter than grey, which makes black shapes look smaller
 UPSCALE = 2.0  # the detector looks for contours, which small markers hardly have
+NO_STRAYS: tuple[Array, Array] = (np.empty(0), np.empty(0))
 Pixels = NDArray[np.uint8]
 
 
@@ -77,6 +79,7 @@ class MarkerPose:
     T_world_camera: Array  # (2, 4, 4)
     reprojection_px: Array  # (2,) root mean square over the eight coordinates
     covariance: Array  # (2, 6, 6) of the camera's place [m] and of a small turn [rad], both in world axes
+    strays_px: tuple[Array, Array]  # how far lines of the image lie to the right of the print's, columns below them
 
     @property
     def side_px(self) -> float:
@@ -117,10 +120,11 @@ def find_marker(
         start = _searched(grey, marker, require_shape("near_px", near_px, (4, 2)))
     if start is None:
         return None
-    corners, likeness = _sharpened(grey, marker, start)
+    corners, likeness, soft_px = _sharpened(grey, marker, start)
     if likeness < LEAST_LIKENESS or not _is_good(corners):
         return None
-    return _poses(corners, likeness, camera, marker, corner_sigma_px)
+    sight = _poses(corners, likeness, camera, marker, corner_sigma_px)
+    return None if sight is None else replace(sight, strays_px=_strays(grey, marker, corners, soft_px))
 
 
 def project_corners(marker: Marker, camera: PinholeCamera, T_world_camera: ArrayLike) -> Array:
@@ -265,15 +269,15 @@ def _print_for(marker: Marker, corners: Array, soft_px: float = SOFT_PX[0]) -> t
     return _print(marker.dictionary, marker.id, cell_px, soft_px)
 
 
-def _sharpened(grey: Pixels, marker: Marker, corners: Array) -> tuple[Array, float]:
-    """Corners where the printed marker correlates best with the image, and that correlation; 0 where it gets lost."""
-    best, most = corners, 0.0
+def _sharpened(grey: Pixels, marker: Marker, corners: Array) -> tuple[Array, float, float]:
+    """Corners where the printed marker correlates best with the image, that correlation, 0 where lost, and its blur."""
+    best, most, blur = corners, 0.0, SOFT_PX[0]
     for soft_px in SOFT_PX:
         moved, likeness = _laid_over(grey, *_print_for(marker, corners, soft_px), best)
         if likeness <= most:
             break
-        best, most = moved, likeness
-    return best, most
+        best, most, blur = moved, likeness, soft_px
+    return best, most, blur
 
 
 def _laid_over(grey: Pixels, drawn: Pixels, places: Array, corners: Array) -> tuple[Array, float]:
@@ -292,6 +296,24 @@ def _laid_over(grey: Pixels, drawn: Pixels, places: Array, corners: Array) -> tu
     return np.asarray(places, np.float64), float(likeness)
 
 
+def _strays(grey: Pixels, marker: Marker, corners: Array, soft_px: float) -> tuple[Array, Array]:
+    """How far the image's lines and columns stray from the print laid over it."""
+    low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 2, 0)
+    seen = grey[low[1] : int(corners[:, 1].max()) + 4, low[0] : int(corners[:, 0].max()) + 4]
+    expected, inside = _drawn_at(*_print_for(marker, corners, soft_px), corners - low, seen.shape[::-1])
+    return strays(seen, expected, inside)
+
+
+def _drawn_at(drawn: Pixels, places: Array, corners: Array, size: Sequence[int]) -> tuple[Pixels, NDArray[np.bool_]]:
+    """A print as seen with its corners there, in an image of this size (width, height), and where it covers it."""
+    import cv2
+
+    H = cv2.getPerspectiveTransform((places - 0.5).astype(np.float32), (corners - 0.5).astype(np.float32))
+    seen = cv2.warpPerspective(drawn, H, size, borderMode=cv2.BORDER_REPLICATE)
+    covered = cv2.warpPerspective(np.full_like(drawn, 255), H, size)
+    return np.asarray(seen, np.uint8), np.asarray(covered) == 255
+
+
 def _searched(grey: Pixels, marker: Marker, near: Array) -> Array | None:
     """Corners near expected ones: the print, tilted as expected, shifted to where it correlates best."""
     import cv2
@@ -305,8 +327,7 @@ def _searched(grey: Pixels, marker: Marker, near: Array) -> Array | None:
     drawn, places = _print_for(marker, near)
     corner = np.floor(near.min(axis=0)).astype(int)
     size = np.ceil(near.max(axis=0)).astype(int) - corner
-    H = cv2.getPerspectiveTransform((places - 0.5).astype(np.float32), (near - corner - 0.5).astype(np.float32))
-    expected = cv2.warpPerspective(drawn, H, size.tolist(), borderMode=cv2.BORDER_REPLICATE)
+    expected, _ = _drawn_at(drawn, places, near - corner, size.tolist())
     likeness = cv2.matchTemplate(grey[low[1] : high[1], low[0] : high[0]], expected, cv2.TM_CCOEFF_NORMED)
     _, _, _, best = cv2.minMaxLoc(likeness)
     return np.asarray(near + (low + best - corner))
@@ -348,7 +369,7 @@ def _poses(
     T_camera_marker, T_world_camera = T_camera_marker[order], T_world_camera[order]
     J = [pixel_jacobian(marker.p_world_corners, camera, T) for T in T_world_camera]
     covariance = np.array([sigma_px**2 * np.linalg.pinv(j.T @ j) for j in J])
-    return MarkerPose(corners, likeness, T_camera_marker, T_world_camera, misfit[order], covariance)
+    return MarkerPose(corners, likeness, T_camera_marker, T_world_camera, misfit[order], covariance, NO_STRAYS)
 
 
 def pixel_jacobian(p_world: Array, camera: PinholeCamera, T_world_camera: Array) -> Array:

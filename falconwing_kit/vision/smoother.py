@@ -90,17 +90,17 @@ class CornerSights:
 
     rows: Any  # (M,) frames
     corners_px: Array  # (M, 4, 2)
-    sigma_px: float
+    covariance: Array  # (M, 8, 8) of u1 v1 ... u4 v4 [px^2]
     marker: Marker
     camera: PinholeCamera
     p_body_camera: Array  # (3,) [m]
 
     def residuals(self, p_world: Array, attitude: Array) -> Array:
-        """(M, 8) expected minus seen corners, in sigmas."""
+        """(M, 8): expected minus seen corners, made white by the covariance."""
         T_world_camera = pose_matrix(*camera_at(p_world, attitude, self.p_body_camera))
         expected = project_corners(self.marker, self.camera, T_world_camera)
-        off = (expected - self.corners_px).reshape(len(expected), 8) / self.sigma_px
-        return np.nan_to_num(off, nan=MANY)
+        off = (expected - self.corners_px).reshape(len(expected), 8, 1)
+        return np.nan_to_num(np.linalg.solve(np.linalg.cholesky(self.covariance), off)[..., 0], nan=MANY)
 
 
 @dataclass(frozen=True, eq=False)
