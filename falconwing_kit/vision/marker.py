@@ -27,12 +27,15 @@ LEAST_SIDE_PX = 8.0  # below, a bit of a 4 x 4 marker is hardly a pixel wide
 LEAST_FLATNESS = 0.15  # area over longest side squared; below, the marker is seen from too far aside
 LEAST_LIKENESS = 0.85  # correlation with the printed marker; the hall's video has 0.97, its analog link 0.9
 QUIET_CELLS = 0.5  # white around the black square that is compared too, in cells
-SOFT_PX = (0.5, 0.9, 1.4)  # blur of a lens, of averaging over pixels, of an analog link: what fits best is taken
+SOFT_PX = (0.5, 0.9, 1.4)  # blur of a lens and of averaging over pixels: what fits best is taken
+SMEAR_PX = (0.0, 0.5, 0.8, 1.1, 1.5)  # of an analog link, along lines only: likewise
+LEAST_SPREAD = 0.3  # a Gaussian narrower than that falls between pixels [px of the print]
 INK, PAPER = 0.04, 0.85  # shares of the light they send back
 GAMMA = 2.2  # of cameras: a pixel half black, half white is brighter than grey, which makes black shapes look smaller
 UPSCALE = 2.0  # the detector looks for contours, which small markers hardly have
 NO_STRAYS: tuple[Array, Array] = (np.empty(0), np.empty(0))
 Pixels = NDArray[np.uint8]
+Print = tuple[Pixels, Array]  # a drawn marker, and where its corners are in it (4, 2) [px]
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,11 +123,11 @@ def find_marker(
         start = _searched(grey, marker, require_shape("near_px", near_px, (4, 2)))
     if start is None:
         return None
-    corners, likeness, soft_px = _sharpened(grey, marker, start)
+    corners, likeness, drawn = _sharpened(grey, marker, start)
     if likeness < LEAST_LIKENESS or not _is_good(corners):
         return None
     sight = _poses(corners, likeness, camera, marker, corner_sigma_px)
-    return None if sight is None else replace(sight, strays_px=_strays(grey, marker, corners, soft_px))
+    return None if sight is None else replace(sight, strays_px=_strays(grey, drawn, corners))
 
 
 def project_corners(marker: Marker, camera: PinholeCamera, T_world_camera: ArrayLike) -> Array:
@@ -244,8 +247,8 @@ def _detected(grey: Pixels, marker: Marker) -> Array | None:
 
 
 @cache
-def _print(dictionary: str, number: int, cell_px: int, soft_px: float) -> tuple[Pixels, Array]:
-    """The marker as printed, cell_px pixels a cell, and where its corners are in it (4, 2) [px]."""
+def _print(dictionary: str, number: int, cell_px: int, soft_px: float) -> Print:
+    """The marker as printed, cell_px pixels a cell."""
     import cv2
 
     cells = int(dictionary[5]) + 2  # bits and the black frame
@@ -262,22 +265,49 @@ def _print(dictionary: str, number: int, cell_px: int, soft_px: float) -> tuple[
     return seen, np.array([(low, low), (high, low), (high, high), (low, high)])
 
 
-def _print_for(marker: Marker, corners: Array, soft_px: float = SOFT_PX[0]) -> tuple[Pixels, Array]:
+def _print_for(marker: Marker, corners: Array, soft_px: float = SOFT_PX[0]) -> Print:
     """The print at about the size it has in the image."""
     cells = int(marker.dictionary[5]) + 2
     cell_px = int(np.clip(round(np.sqrt(_area(corners)) / cells), 2, 16))
     return _print(marker.dictionary, marker.id, cell_px, soft_px)
 
 
-def _sharpened(grey: Pixels, marker: Marker, corners: Array) -> tuple[Array, float, float]:
-    """Corners where the printed marker correlates best with the image, that correlation, 0 where lost, and its blur."""
-    best, most, blur = corners, 0.0, SOFT_PX[0]
-    for soft_px in SOFT_PX:
-        moved, likeness = _laid_over(grey, *_print_for(marker, corners, soft_px), best)
-        if likeness <= most:
-            break
-        best, most, blur = moved, likeness, soft_px
-    return best, most, blur
+def _sharpened(grey: Pixels, marker: Marker, corners: Array) -> tuple[Array, float, Print]:
+    """Corners where the printed marker correlates best with the image, that correlation (0 where lost), and the print.
+
+    A print too sharp or too soft seems larger or smaller than it is, one soft in the wrong direction seems turned. From
+    the sharpest on, softer and sharper ones are tried as long as one fits better.
+    """
+    tried: dict[tuple[int, int], tuple[Array, float, Print]] = {}
+    start, best = corners, (0, 0)
+    new = [best]
+    while new:
+        for soft, smear in new:
+            drawn, places = _print_for(marker, corners, SOFT_PX[soft])
+            drawn = _smeared(drawn, places, corners, SMEAR_PX[smear])
+            tried[soft, smear] = (*_laid_over(grey, drawn, places, start), (drawn, places))
+        best = max(tried, key=lambda one: tried[one][1])
+        start = tried[best][0]
+        beside = [(best[0] + a, best[1] + b) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+        new = [(a, b) for a, b in beside if a in range(len(SOFT_PX)) and b in range(len(SMEAR_PX))]
+        new = [one for one in new if one not in tried]
+    return tried[best]
+
+
+def _smeared(drawn: Pixels, places: Array, corners: Array, smear_px: float) -> Pixels:
+    """A print as a link of little bandwidth shows it: soft along the image's lines, and after gamma, not before."""
+    import cv2
+
+    if smear_px == 0.0:
+        return drawn
+    to_print = cv2.getPerspectiveTransform(corners.astype(np.float32), places.astype(np.float32))
+    ends = corners.mean(axis=0) + [(-0.5 * smear_px, 0.0), (0.5 * smear_px, 0.0)]
+    left, right = cv2.perspectiveTransform(ends[None], to_print)[0]
+    reach = int(np.ceil(3.0 * np.linalg.norm(right - left)))
+    v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    spread = np.outer(right - left, right - left) + LEAST_SPREAD**2 * np.eye(2)
+    weight = np.exp(-0.5 * np.einsum("iuv,ij,juv->uv", np.stack([u, v]), np.linalg.inv(spread), np.stack([u, v])))
+    return np.asarray(cv2.filter2D(drawn, -1, weight / weight.sum(), borderType=cv2.BORDER_REPLICATE), np.uint8)
 
 
 def _laid_over(grey: Pixels, drawn: Pixels, places: Array, corners: Array) -> tuple[Array, float]:
@@ -296,11 +326,11 @@ def _laid_over(grey: Pixels, drawn: Pixels, places: Array, corners: Array) -> tu
     return np.asarray(places, np.float64), float(likeness)
 
 
-def _strays(grey: Pixels, marker: Marker, corners: Array, soft_px: float) -> tuple[Array, Array]:
+def _strays(grey: Pixels, drawn: Print, corners: Array) -> tuple[Array, Array]:
     """How far the image's lines and columns stray from the print laid over it."""
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 2, 0)
     seen = grey[low[1] : int(corners[:, 1].max()) + 4, low[0] : int(corners[:, 0].max()) + 4]
-    expected, inside = _drawn_at(*_print_for(marker, corners, soft_px), corners - low, seen.shape[::-1])
+    expected, inside = _drawn_at(*drawn, corners - low, seen.shape[::-1])
     return strays(seen, expected, inside)
 
 
