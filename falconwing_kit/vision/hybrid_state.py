@@ -21,7 +21,7 @@ from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import R_BODY_CAMERA, euler_from_rotation, pose_matrix
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.vision.link.wander import corner_covariance, wander_px
+from falconwing_kit.vision.link.lines import corner_covariance, line_smear_px, wander_px
 from falconwing_kit.vision.marker import (
     Marker,
     MarkerPose,
@@ -140,13 +140,14 @@ def estimate_flight(
     counts: Counter[str] = Counter()
     sights: dict[int, MarkerPose] = {}
     asked: dict[int, _Candidate] = {}
+    smear_px = line_smear_px(np.atleast_3d(image).mean(axis=2) for image in _some_images(video))
     for frame in range(len(video.t)):
         image = video.image(frame)
         progress()
         if image is None:
             counts["no image"] += 1
             continue
-        sight = find_marker(image, camera, marker)
+        sight = find_marker(image, camera, marker, smear_px=smear_px)
         if sight is not None and _in_room(sight.T_world_camera, sight.covariance, settings).any():
             sights[frame] = sight
         elif sight is not None:
@@ -160,10 +161,15 @@ def estimate_flight(
             f"size, now {marker.size:g} m, its place and the focal length"
         )
     if not sights and not asked:
-        some = np.unique(np.linspace(0, len(video.t) - 1, 20).astype(int))
-        raise InputError(f"{video.name}: {seen_instead([video.image(int(k)) for k in some], marker)}")
-    estimate = _Estimate(video, camera, marker, offset, settings, motion or Motion(), asked)
+        raise InputError(f"{video.name}: {seen_instead(_some_images(video), marker)}")
+    estimate = _Estimate(video, camera, marker, offset, settings, motion or Motion(), asked, smear_px)
     return estimate.run(sights, counts, scene)
+
+
+def _some_images(video: Video) -> list[Pixels]:
+    """Twenty frames from all over a video, without those that were lost."""
+    some = np.unique(np.linspace(0, len(video.t) - 1, 20).astype(int))
+    return [image for image in (video.image(int(k)) for k in some) if image is not None]
 
 
 def _ask(
@@ -209,6 +215,7 @@ class _Estimate:
     settings: HybridSettings
     motion: Motion
     asked: Mapping[int, _Candidate]
+    smear_px: float  # of the link, along lines
 
     def run(self, sights: dict[int, MarkerPose], counts: Counter[str], scene: GaussianScene | None) -> HybridFlight:
         """Choose, smooth, look again, follow through the scene, smooth again."""
@@ -316,12 +323,15 @@ class _Estimate:
                 T_world_camera = pose_matrix(*camera_at(p_world[None], attitude[None], self.p_body_camera))
                 near = project_corners(self.marker, self.camera, T_world_camera)[0]
                 image = self.video.image(frame) if np.isfinite(near).all() else None
-                sight = None if image is None else find_marker(image, self.camera, self.marker, near)
+                sight = None if image is None else self._find(image, near)
                 if sight is not None and _in_room(sight.T_world_camera, sight.covariance, self.settings).any():
                     found[frame] = sight
                 elif first <= frame < first + len(piece.p_world):
                     tried.add(frame)
         return found
+
+    def _find(self, image: Pixels, near_px: Array) -> MarkerPose | None:
+        return find_marker(image, self.camera, self.marker, near_px, smear_px=self.smear_px)
 
     def _reached(self, first: int, piece: Smoothed) -> list[tuple[int, Array, Array]]:
         """Frames of a stretch and shortly before and after it: number, position, attitude."""
@@ -332,13 +342,8 @@ class _Estimate:
             for frame in np.flatnonzero(np.abs(t - t[end]) < REACH_S):
                 if not first <= frame <= last:
                     ahead = t[frame] - t[end]
-                    reached.append(
-                        (
-                            int(frame),
-                            piece.p_world[row] + ahead * piece.v_world[row],
-                            piece.attitude[row] + ahead * rate,
-                        )
-                    )
+                    place = piece.p_world[row] + ahead * piece.v_world[row]
+                    reached.append((int(frame), place, piece.attitude[row] + ahead * rate))
         return reached
 
     def _table(
@@ -362,20 +367,15 @@ class _Estimate:
         counts.update("no pose" if bad else f"pose: {word}" for bad, word in zip(poor, source, strict=True))
         source = ["none" if bad else word for bad, word in zip(poor, source, strict=True)]
         extra = {name: state[:, 6 + j] for j, name in enumerate(("vx", "vy", "vz", "p", "q", "r"))}
-        extra |= {
-            "sigma_position": np.where(poor, np.nan, sigma[:, 0]),
-            "sigma_attitude": np.where(poor, np.nan, sigma[:, 1]),
-        }
+        sigma[poor] = np.nan
+        extra |= {"sigma_position": sigma[:, 0], "sigma_attitude": sigma[:, 1]}
         table = FlightTable(self.video.name, self.video.t, state[:, :3], state[:, 3:6], self.video.commands, extra)
         return replace(table, labels={"source": tuple(source)})
 
     def _judged(self, chosen: Mapping[int, _Candidate], first: int, piece: Smoothed) -> tuple[list[int], list[int]]:
         """Frames of a stretch whose sight fits the flight, and those whose sight does not."""
         inside = [k for k in chosen if first <= k < first + len(piece.p_world)]
-        by_kind = [
-            [k for k in inside if chosen[k].source == "marker"],
-            [k for k in inside if chosen[k].source != "marker"],
-        ]
+        by_kind = [[k for k in inside if (chosen[k].source == "marker") == seen] for seen in (True, False)]
         kept: list[int] = []
         rejected: list[int] = []
         for frames, chi2 in zip([frames for frames in by_kind if frames], piece.chi2, strict=True):

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 from falconwing_kit.core.frames import pose_matrix
 from falconwing_kit.scene.camera import PinholeCamera
-from falconwing_kit.vision.link.wander import strays
+from falconwing_kit.vision.link.lines import strays
 
 DICTIONARIES = tuple(f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
 # x to the right of who looks at the marker, y up, z out of it: it faces the approach, -x of the world.
@@ -27,12 +27,12 @@ LEAST_SIDE_PX = 8.0  # below, a bit of a 4 x 4 marker is hardly a pixel wide
 LEAST_FLATNESS = 0.15  # area over longest side squared; below, the marker is seen from too far aside
 LEAST_LIKENESS = 0.85  # correlation with the printed marker; the hall's video has 0.97, its analog link 0.9
 QUIET_CELLS = 0.5  # white around the black square that is compared too, in cells
-SOFT_PX = (0.5, 0.9, 1.4)  # blur of a lens and of averaging over pixels: what fits best is taken
-SMEAR_PX = (0.0, 0.5, 0.8, 1.1, 1.5)  # of an analog link, along lines only: likewise
+SOFT_PX = (0.35, 0.6, 0.9, 1.4)  # blur of a lens and of averaging over pixels: what fits best is taken
 LEAST_SPREAD = 0.3  # a Gaussian narrower than that falls between pixels [px of the print]
 INK, PAPER = 0.04, 0.85  # shares of the light they send back
 GAMMA = 2.2  # of cameras: a pixel half black, half white is brighter than grey, which makes black shapes look smaller
 UPSCALE = 2.0  # the detector looks for contours, which small markers hardly have
+FINE = 2.0  # pixels of a print to one of the image: on fewer a small print's own raster moves its edges
 NO_STRAYS: tuple[Array, Array] = (np.empty(0), np.empty(0))
 Pixels = NDArray[np.uint8]
 Print = tuple[Pixels, Array]  # a drawn marker, and where its corners are in it (4, 2) [px]
@@ -96,6 +96,7 @@ def find_marker(
     marker: Marker | None = None,
     near_px: Array | None = None,
     corner_sigma_px: float = CORNER_SIGMA_PX,
+    smear_px: float = 0.0,
 ) -> MarkerPose | None:
     """Look for the marker in an image.
 
@@ -109,6 +110,7 @@ def find_marker(
         marker: what to look for; None is the hall's.
         near_px: (4, 2) where its corners are expected to half a side; looked at where the detector finds nothing.
         corner_sigma_px: noise of a corner, for the covariance.
+        smear_px: how soft an analog link makes the lines, see `link.lines.line_smear_px`; 0 for a digital camera.
 
     Returns:
         The sight; None where the marker is not seen, is too small or seen from too far aside.
@@ -123,7 +125,7 @@ def find_marker(
         start = _searched(grey, marker, require_shape("near_px", near_px, (4, 2)))
     if start is None:
         return None
-    corners, likeness, drawn = _sharpened(grey, marker, start)
+    corners, likeness, drawn = _sharpened(grey, marker, start, require_range("smear_px", smear_px, low=0.0, high=5.0))
     if likeness < LEAST_LIKENESS or not _is_good(corners):
         return None
     sight = _poses(corners, likeness, camera, marker, corner_sigma_px)
@@ -252,7 +254,7 @@ def _print(dictionary: str, number: int, cell_px: int, soft_px: float) -> Print:
     import cv2
 
     cells = int(dictionary[5]) + 2  # bits and the black frame
-    fine = 16
+    fine = 32
     quiet = round(QUIET_CELLS * fine)
     bits = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     drawn = cv2.aruco.generateImageMarker(bits, number, cells * fine)
@@ -266,40 +268,33 @@ def _print(dictionary: str, number: int, cell_px: int, soft_px: float) -> Print:
 
 
 def _print_for(marker: Marker, corners: Array, soft_px: float = SOFT_PX[0]) -> Print:
-    """The print at about the size it has in the image."""
+    """The print at FINE times the size it has in the image, where it is as soft as given."""
     cells = int(marker.dictionary[5]) + 2
-    cell_px = int(np.clip(round(np.sqrt(_area(corners)) / cells), 2, 16))
-    return _print(marker.dictionary, marker.id, cell_px, soft_px)
+    cell_seen_px = np.sqrt(_area(corners)) / cells
+    cell_px = int(np.clip(round(FINE * cell_seen_px), 4, 32))
+    return _print(marker.dictionary, marker.id, cell_px, round(soft_px * cell_px / cell_seen_px, 1))
 
 
-def _sharpened(grey: Pixels, marker: Marker, corners: Array) -> tuple[Array, float, Print]:
-    """Corners where the printed marker correlates best with the image, that correlation (0 where lost), and the print.
-
-    A print too sharp or too soft seems larger or smaller than it is, one soft in the wrong direction seems turned. From
-    the sharpest on, softer and sharper ones are tried as long as one fits better.
-    """
-    tried: dict[tuple[int, int], tuple[Array, float, Print]] = {}
-    start, best = corners, (0, 0)
-    new = [best]
-    while new:
-        for soft, smear in new:
-            drawn, places = _print_for(marker, corners, SOFT_PX[soft])
-            drawn = _smeared(drawn, places, corners, SMEAR_PX[smear])
-            tried[soft, smear] = (*_laid_over(grey, drawn, places, start), (drawn, places))
-        best = max(tried, key=lambda one: tried[one][1])
-        start = tried[best][0]
-        beside = [(best[0] + a, best[1] + b) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))]
-        new = [(a, b) for a, b in beside if a in range(len(SOFT_PX)) and b in range(len(SMEAR_PX))]
-        new = [one for one in new if one not in tried]
-    return tried[best]
+def _sharpened(grey: Pixels, marker: Marker, corners: Array, smear_px: float) -> tuple[Array, float, Print]:
+    """Corners where the printed marker correlates best with the image, that correlation (0 where lost), and the print."""
+    best, most, print_ = corners, 0.0, _print_for(marker, corners)
+    for soft_px in SOFT_PX:
+        drawn, places = _print_for(marker, corners, soft_px)
+        drawn = _smeared(drawn, places, corners, smear_px)
+        moved, likeness = _laid_over(grey, drawn, places, best)
+        if likeness <= most:
+            break
+        best, most, print_ = moved, likeness, (drawn, places)
+    return best, most, print_
 
 
 def _smeared(drawn: Pixels, places: Array, corners: Array, smear_px: float) -> Pixels:
-    """A print as a link of little bandwidth shows it: soft along the image's lines, and after gamma, not before."""
+    """A print as a link of little bandwidth shows it: soft along the image's lines, and after gamma, not before.
+
+    A print that is as soft across lines as along them fits a marker that is too wide and too low, which looks tilted.
+    """
     import cv2
 
-    if smear_px == 0.0:
-        return drawn
     to_print = cv2.getPerspectiveTransform(corners.astype(np.float32), places.astype(np.float32))
     ends = corners.mean(axis=0) + [(-0.5 * smear_px, 0.0), (0.5 * smear_px, 0.0)]
     left, right = cv2.perspectiveTransform(ends[None], to_print)[0]
