@@ -21,7 +21,8 @@ from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import R_BODY_CAMERA, euler_from_rotation, pose_matrix
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.vision.link.lines import corner_covariance, line_smear_px, wander_px
+from falconwing_kit.vision.link.lines import corner_covariance, wander_px
+from falconwing_kit.vision.link.smear import through_link
 from falconwing_kit.vision.marker import (
     Marker,
     MarkerPose,
@@ -140,14 +141,13 @@ def estimate_flight(
     counts: Counter[str] = Counter()
     sights: dict[int, MarkerPose] = {}
     asked: dict[int, _Candidate] = {}
-    smear_px = line_smear_px(np.atleast_3d(image).mean(axis=2) for image in _some_images(video))
     for frame in range(len(video.t)):
         image = video.image(frame)
         progress()
         if image is None:
             counts["no image"] += 1
             continue
-        sight = find_marker(image, camera, marker, smear_px=smear_px)
+        sight = find_marker(image, camera, marker)
         if sight is not None and _in_room(sight.T_world_camera, sight.covariance, settings).any():
             sights[frame] = sight
         elif sight is not None:
@@ -161,15 +161,11 @@ def estimate_flight(
             f"size, now {marker.size:g} m, its place and the focal length"
         )
     if not sights and not asked:
-        raise InputError(f"{video.name}: {seen_instead(_some_images(video), marker)}")
+        some = np.unique(np.linspace(0, len(video.t) - 1, 20).astype(int))
+        raise InputError(f"{video.name}: {seen_instead([video.image(int(k)) for k in some], marker)}")
+    sights, smear_px = through_link(video.image, sights, camera, marker)
     estimate = _Estimate(video, camera, marker, offset, settings, motion or Motion(), asked, smear_px)
     return estimate.run(sights, counts, scene)
-
-
-def _some_images(video: Video) -> list[Pixels]:
-    """Twenty frames from all over a video, without those that were lost."""
-    some = np.unique(np.linspace(0, len(video.t) - 1, 20).astype(int))
-    return [image for image in (video.image(int(k)) for k in some) if image is not None]
 
 
 def _ask(

@@ -110,7 +110,7 @@ def find_marker(
         marker: what to look for; None is the hall's.
         near_px: (4, 2) where its corners are expected to half a side; looked at where the detector finds nothing.
         corner_sigma_px: noise of a corner, for the covariance.
-        smear_px: how soft an analog link makes the lines, see `link.lines.line_smear_px`; 0 for a digital camera.
+        smear_px: how soft an analog link makes the lines, see `link.smear`; 0 for a digital camera.
 
     Returns:
         The sight; None where the marker is not seen, is too small or seen from too far aside.
@@ -125,11 +125,26 @@ def find_marker(
         start = _searched(grey, marker, require_shape("near_px", near_px, (4, 2)))
     if start is None:
         return None
-    corners, likeness, drawn = _sharpened(grey, marker, start, require_range("smear_px", smear_px, low=0.0, high=5.0))
+    corners, likeness, drawn = _sharpened(grey, marker, start, (require_range("smear_px", smear_px, low=0.0, high=5.0), 0.0))
     if likeness < LEAST_LIKENESS or not _is_good(corners):
         return None
     sight = _poses(corners, likeness, camera, marker, corner_sigma_px)
     return None if sight is None else replace(sight, strays_px=_strays(grey, drawn, corners))
+
+
+def print_likeness(image: Pixels, marker: Marker, corners_px: Array, smear_px: tuple[float, float]) -> float:
+    """Correlation of an image with the print laid over it.
+
+    Args:
+        image: (H, W, 3) RGB or (H, W) grey, uint8.
+        marker: what was printed.
+        corners_px: (4, 2) about where its corners are.
+        smear_px: how soft the print is made along the image's lines, and across them; one of them is 0.
+
+    Returns:
+        0..1; 0 where the print gets lost.
+    """
+    return _sharpened(_grey(image, None), marker, corners_px, smear_px)[1]
 
 
 def project_corners(marker: Marker, camera: PinholeCamera, T_world_camera: ArrayLike) -> Array:
@@ -275,7 +290,9 @@ def _print_for(marker: Marker, corners: Array, soft_px: float = SOFT_PX[0]) -> P
     return _print(marker.dictionary, marker.id, cell_px, round(soft_px * cell_px / cell_seen_px, 1))
 
 
-def _sharpened(grey: Pixels, marker: Marker, corners: Array, smear_px: float) -> tuple[Array, float, Print]:
+def _sharpened(
+    grey: Pixels, marker: Marker, corners: Array, smear_px: tuple[float, float]
+) -> tuple[Array, float, Print]:
     """Corners where the printed marker correlates best with the image, that correlation (0 where lost), and the print."""
     best, most, print_ = corners, 0.0, _print_for(marker, corners)
     for soft_px in SOFT_PX:
@@ -288,15 +305,15 @@ def _sharpened(grey: Pixels, marker: Marker, corners: Array, smear_px: float) ->
     return best, most, print_
 
 
-def _smeared(drawn: Pixels, places: Array, corners: Array, smear_px: float) -> Pixels:
+def _smeared(drawn: Pixels, places: Array, corners: Array, smear_px: tuple[float, float]) -> Pixels:
     """A print as a link of little bandwidth shows it: soft along the image's lines, and after gamma, not before.
 
-    A print that is as soft across lines as along them fits a marker that is too wide and too low, which looks tilted.
+    The sizes are along the image's lines and across them, one of which is 0.
     """
     import cv2
 
     to_print = cv2.getPerspectiveTransform(corners.astype(np.float32), places.astype(np.float32))
-    ends = corners.mean(axis=0) + [(-0.5 * smear_px, 0.0), (0.5 * smear_px, 0.0)]
+    ends = corners.mean(axis=0) + np.outer((-0.5, 0.5), smear_px)
     left, right = cv2.perspectiveTransform(ends[None], to_print)[0]
     reach = int(np.ceil(3.0 * np.linalg.norm(right - left)))
     v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1]

@@ -1,6 +1,6 @@
-"""Lines of an analog picture: how soft they are, how far they stray sideways -> what that makes of a print's corners.
+"""Lines of an analog picture: a known print in it -> how far they stray sideways, and what that makes of its corners.
 
-A link of little bandwidth makes a picture soft along its lines and not across them. And an analog receiver follows noisy sync pulses with a flywheel, so that lines begin early or late, neighbours alike. A
+An analog receiver follows noisy sync pulses with a flywheel, so that lines begin early or late, neighbours alike. A
 small square on such lines is sheared, and a sheared square looks like one that is turned: its corners still fit a pose,
 and what that pose leaves over tells nothing. The print tells: line by line its edges stand left or right of where the
 homography that fits it best wants them, and by more than column by column they stand high or low. A picture that came
@@ -14,37 +14,8 @@ import numpy as np
 from falconwing_kit.core.checks import Array, require_range, require_shape
 
 LINES_ALIKE = 24.0  # over so many lines shifts are alike to 1/e: measured against the trained hall on its analog photos
-SMEARS_PX = np.linspace(0.0, 3.0, 61)  # that are told apart
 LEAST_EDGE = 0.25  # of a middling line's edges; where there are less the shift is a guess
 LEAST_LINES = 6  # that a print must cover: two numbers are fitted to them, and two more read off the rest
-
-
-def line_smear_px(images: Iterable[Array]) -> float:
-    """How much softer pictures are along their lines than across them: the blur that a link adds.
-
-    So much would each have to be blurred across its lines to be as smooth there as along them, smoothness being the
-    mean square of second differences; a Gaussian of s takes exp(-(2 pi f s)^2) of the power at f. The middling picture
-    counts, as one may show things that are striped, or turn quickly.
-
-    Args:
-        images: (H, W) grey levels each.
-
-    Returns:
-        Standard deviation of the blur [px]; 0 where lines are no softer, or there is no picture.
-
-    Raises:
-        InputError: an image is of another shape, or has fewer than eight pixels a side.
-    """
-    sizes = []
-    for image in images:
-        grey = require_shape("image", image, (None, None))
-        require_range("image side", min(grey.shape), low=8)
-        along = np.mean(np.diff(grey, 2, axis=1) ** 2)
-        spectrum = np.abs(np.fft.fft(np.diff(grey, 2, axis=0), axis=0)) ** 2
-        power = spectrum.mean(axis=1) / len(spectrum)  # sums to len times the mean square [Parseval]
-        blurred = np.exp(-((2.0 * np.pi * np.outer(SMEARS_PX, np.fft.fftfreq(len(power)))) ** 2)) @ power / len(power)
-        sizes.append(float(np.interp(-along, -blurred, SMEARS_PX)))
-    return float(np.median(sizes)) if sizes else 0.0
 
 
 def line_likeness(rows: Array) -> Array:
