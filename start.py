@@ -1,7 +1,7 @@
 """Sets up the kit in .venv and runs it: verb and its words in, the verb's exit code out. Standard library only.
 
     python3 start.py demo [--headless] [--out DIR]   land in a splat hall, study recorded flights
-    python3 start.py test [pytest options]           run the tests
+    python3 start.py test [pytest options]           run the tests: all, two at a time; with options, pytest as it is
     python3 start.py VERB ...                        any other verb of falconwing, such as doctor
 
 The first run makes .venv beside this file and installs what constraints.txt names; later runs start at once.
@@ -42,8 +42,26 @@ def main(words: list[str]) -> int:
     if failed:
         return failed
     if verb == "test":
-        return run([venv_program(ROOT, "python"), "-m", "pytest", *options], folder=ROOT)
+        codes = [run(command, folder=ROOT) for command in test_commands(options, cores())]
+        return next((code for code in codes if code), 0)
     return run([venv_program(ROOT, "falconwing"), verb, *options])
+
+
+def test_commands(options: list[str], processors: int) -> list[list[str]]:
+    """What runs the tests: with options or on one processor pytest alone; else all in two steps.
+
+    First two processes share the files of tests, then one runs what needs the machine to itself (tests/alone.py).
+    """
+    pytest = [venv_program(ROOT, "python"), "-m", "pytest"]
+    if options or processors < 2:
+        return [[*pytest, *options]]
+    shared = ["-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "-m", "not benchmark and not alone"]
+    return [[*pytest, *shared], [*pytest, "-m", "alone and not benchmark"]]
+
+
+def cores() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def python_problem(version: tuple[int, ...]) -> str:

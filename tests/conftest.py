@@ -1,10 +1,23 @@
-"""Fixtures for the tests of all rooms."""
+"""Fixtures for the tests of all rooms, and the mark of those that need the machine to themselves."""
 
 import sys
 
 import pytest
 
+from tests.alone import keep_apart, needs_the_machine, place_in_line
 from tests.trainer_port.ros_master import running_master
+
+_CACHE = keep_apart()  # before a test loads numba or torch
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m chooses
+def pytest_collection_modifyitems(items):
+    """Mark what tests/alone.py names; where several processes share the tests, put the longest first."""
+    for item in items:
+        if needs_the_machine(item.path):
+            item.add_marker("alone")
+    if _CACHE is not None:
+        items.sort(key=lambda item: place_in_line(item.path))
 
 
 @pytest.fixture(scope="session")

@@ -63,6 +63,21 @@ def test_tests_bring_their_extras_and_then_serve_verbs_too(start):
     assert len(start.commands) == 1
 
 
+def test_all_tests_run_two_at_a_time_where_there_are_two_cores(start, monkeypatch):
+    """Then those that need the machine alone, whatever came out before; with options or one core pytest has its way."""
+    start.exit_codes["-n"] = 1
+    monkeypatch.setattr(start, "cores", lambda: 2)
+    assert start.main(["test"]) == 1
+    shared, alone = start.commands[-2:]
+    assert shared[1:5] == ["-m", "pytest", "-n", "2"] and "not alone" in shared[-1]
+    assert alone[1:4] == ["-m", "pytest", "-m"] and alone[-1].startswith("alone")
+    assert start.main(["test", "-k", "trim"]) == 0
+    assert start.commands[-1][1:] == ["-m", "pytest", "-k", "trim"]
+    monkeypatch.setattr(start, "cores", lambda: 1)
+    assert start.main(["test"]) == 0
+    assert start.commands[-1][1:] == ["-m", "pytest"]
+
+
 @pytest.mark.parametrize("name", ["pyproject.toml", "constraints.txt"])
 def test_changed_dependencies_are_installed(start, tmp_path, name):
     """A pull that brings other versions must reach the environment, without making it anew."""

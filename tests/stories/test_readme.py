@@ -122,9 +122,10 @@ def test_start_hands_the_verb_over(line, tmp_path, monkeypatch):
     monkeypatch.setattr(start, "run", lambda command, folder=None: run.append(command) or 0)
     verb, *options = shlex.split(line)[2:]
     assert start.main([verb, *options]) == 0
-    handed = ["-m", "pytest", *options] if verb == "test" else [verb, *options]
-    assert run[-1][1:] == handed
-    assert verb == "test" or verb in [name for name, *_ in VERBS]
+    if verb == "test":
+        assert run[-1][1:3] == ["-m", "pytest"] and not options
+    else:
+        assert run[-1][1:] == [verb, *options] and verb in [name for name, *_ in VERBS]
 
 
 def test_demo_says_what_readme_shows():

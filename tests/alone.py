@@ -1,0 +1,74 @@
+"""Which tests need the machine to themselves, which begin first, and how each of several processes keeps to itself.
+
+`python3 start.py test` has two processes share the files of tests; those of ALONE run afterwards, one by one.
+"""
+
+import os
+import tempfile
+from pathlib import Path
+
+TESTS = Path(__file__).parent
+# Files and rooms, and why. Processor time is measured too: beside a busy neighbour a core is slower.
+ALONE = {
+    "cli/test_bridge.py": "a board in real time, and Ctrl-C",
+    "cli/test_calibrate.py": "a board in real time",
+    "demo/test_alfa_gap.py": "the minute-long demo that README's test runs too: in one process it runs once",
+    "demo/test_live_page.py": "a page's server and its browsers",
+    "demo/test_recorded.py": "the same demo",
+    "firmware/test_ros_latency.py": "from image to pulses in real time",
+    "flight/test_bag.py": "ROS plays a flight in real time",
+    "flight/test_loop.py": "a loop on the wall's clock",
+    "flight/test_recording.py": "recordings that are killed as they go",
+    "grading": "the time limits of the box, and processes that no box may leave behind on the machine",
+    "manual/test_commands.py": "commands in real time",
+    "manual/test_manual.py": "processor time",
+    "stories/test_host_killed.py": "a flight in real time",
+    "stories/test_live_demo.py": "a browser beside a flight in real time",
+    "stories/test_readme.py": "commands in real time",
+    "trainer_port/test_bus.py": "ROS",
+    "trainer_port/test_links.py": "a board behind a pseudo-terminal in real time",
+    "trainer_port/test_ros.py": "ROS",
+    "trainer_port/test_simulated_board.py": "a board behind a pseudo-terminal in real time",
+    "vision/test_monitor.py": "processor time",
+}
+# Files that take minutes, longest first: begun late, they would keep one process busy while the other waits.
+LONGEST = (
+    "sysid/test_identify.py",
+    "stories/test_blind_naming.py",
+    "gap/test_name.py",
+    "flight/test_through_port.py",
+    "gap/test_report.py",
+    "labs/test_notebooks.py",
+    "labs/test_grades.py",
+    "aircraft/test_integrate.py",
+    "stories/test_manual_photos.py",
+    "core/test_fuzz.py",
+)
+
+
+def place_in_line(path: Path) -> int:
+    """The order in which several processes take files of tests: the longest first, the others as they come."""
+    name = path.relative_to(TESTS).as_posix() if path.is_relative_to(TESTS) else ""
+    return LONGEST.index(name) if name in LONGEST else len(LONGEST)
+
+
+def needs_the_machine(path: Path) -> bool:
+    """Whether a file of tests is named above, itself or by its room."""
+    parts = path.relative_to(TESTS).parts if path.is_relative_to(TESTS) else ()
+    return any("/".join(parts[:count]) in ALONE for count in (1, 2))
+
+
+def keep_apart() -> tempfile.TemporaryDirectory[str] | None:
+    """Give a process of pytest-xdist one thread, and numba a cache of its own; leave any other process as it is.
+
+    Numba's cache has no lock: two processes that compile a function for different types at once can mix them up.
+
+    Returns:
+        The cache's folder, which goes with this object; None where there is one process only.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER")
+    if worker is None:
+        return None
+    folder = tempfile.TemporaryDirectory(prefix=f"falconwing_numba_{worker}_", ignore_cleanup_errors=True)
+    os.environ.update({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_CACHE_DIR": folder.name})
+    return folder
