@@ -11,6 +11,7 @@ almost free, which a pose with a covariance says badly. Frames that no sight is 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, Protocol
 
@@ -278,8 +279,9 @@ class _Estimate:
         """The likeliest flight through the sights of one stretch."""
         first, last = int(frames[0]), int(frames[-1])
         t = self.video.t[first : last + 1]
-        poses = _body_poses(np.array([chosen[k].T_world_camera for k in frames]), self.p_body_camera)
-        start = np.stack([np.interp(t, self.video.t[frames], column) for column in poses.T], axis=1)
+        known = _well_known(frames, chosen, self.video.t, self.settings.longest_gap_s)
+        poses = _body_poses(np.array([chosen[k].T_world_camera for k in known]), self.p_body_camera)
+        start = np.stack([np.interp(t, self.video.t[known], column) for column in poses.T], axis=1)
         return smooth(t, start, self._kinds(frames, first, chosen, sights, sigma_px), self.motion)
 
     def _kinds(
@@ -311,7 +313,7 @@ class _Estimate:
         self, sights: Mapping[int, MarkerPose], pieces: Sequence[tuple[int, Smoothed]], tried: set[int]
     ) -> dict[int, MarkerPose]:
         """Look for the marker in frames where the flight says it must be and the detector saw nothing."""
-        found = {}
+        found, look = {}, partial(find_marker, camera=self.camera, marker=self.marker, smear_px=self.smear_px)
         for first, piece in pieces:
             for frame, p_world, attitude in self._reached(first, piece):
                 if frame in sights or frame in tried:
@@ -319,15 +321,12 @@ class _Estimate:
                 T_world_camera = pose_matrix(*camera_at(p_world[None], attitude[None], self.p_body_camera))
                 near = project_corners(self.marker, self.camera, T_world_camera)[0]
                 image = self.video.image(frame) if np.isfinite(near).all() else None
-                sight = None if image is None else self._find(image, near)
+                sight = None if image is None else look(image, near_px=near)
                 if sight is not None and _in_room(sight.T_world_camera, sight.covariance, self.settings).any():
                     found[frame] = sight
                 elif first <= frame < first + len(piece.p_world):
                     tried.add(frame)
         return found
-
-    def _find(self, image: Pixels, near_px: Array) -> MarkerPose | None:
-        return find_marker(image, self.camera, self.marker, near_px, smear_px=self.smear_px)
 
     def _reached(self, first: int, piece: Smoothed) -> list[tuple[int, Array, Array]]:
         """Frames of a stretch and shortly before and after it: number, position, attitude."""
@@ -372,8 +371,7 @@ class _Estimate:
         """Frames of a stretch whose sight fits the flight, and those whose sight does not."""
         inside = [k for k in chosen if first <= k < first + len(piece.p_world)]
         by_kind = [[k for k in inside if (chosen[k].source == "marker") == seen] for seen in (True, False)]
-        kept: list[int] = []
-        rejected: list[int] = []
+        kept, rejected = list[int](), list[int]()
         for frames, chi2 in zip([frames for frames in by_kind if frames], piece.chi2, strict=True):
             limit = REJECTED[8 if chosen[frames[0]].source == "marker" else 6]
             for frame, value in zip(frames, chi2, strict=True):
@@ -428,6 +426,14 @@ def _among_neighbours(chosen: dict[int, _Candidate], t: Array) -> dict[int, _Can
         if not near or np.median(strain) < MOST_STRAIN:
             kept[frame] = chosen[frame]
     return kept
+
+
+def _well_known(frames: Array, chosen: Mapping[int, _Candidate], t: Array, gap_s: float) -> Array:
+    """Frames to begin from, without those between better ones whose turn is hardly known: they wind the yaw around."""
+    good = np.array([np.trace(chosen[k].covariance[3:, 3:]) < 3.0 * STRAY_RAD**2 for k in frames])
+    before = np.maximum.accumulate(np.where(good, t[frames], -np.inf))
+    after = np.minimum.accumulate(np.where(good, t[frames], np.inf)[::-1])[::-1]
+    return frames[good | (after - before > gap_s)]
 
 
 def _strain(a: _Candidate, b: _Candidate, dt: float) -> float:

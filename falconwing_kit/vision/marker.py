@@ -82,7 +82,7 @@ class MarkerPose:
     T_world_camera: Array  # (2, 4, 4)
     reprojection_px: Array  # (2,) root mean square over the eight coordinates
     covariance: Array  # (2, 6, 6) of the camera's place [m] and of a small turn [rad], both in world axes
-    strays_px: tuple[Array, Array]  # how far lines of the image lie to the right of the print's, columns below them
+    strays_px: tuple[Array, Array] = NO_STRAYS  # how far the image's lines lie right of the print's, columns below
 
     @property
     def side_px(self) -> float:
@@ -116,16 +116,17 @@ def find_marker(
         The sight; None where the marker is not seen, is too small or seen from too far aside.
 
     Raises:
-        InputError: the image is no picture or not of the camera's size.
+        InputError: the image is no picture or not of the camera's size, or smear_px is out of range.
     """
     marker = Marker() if marker is None else marker
+    require_range("smear_px", smear_px, low=0.0, high=5.0)
     grey = _grey(image, camera)
     start = _detected(grey, marker)
     if start is None and near_px is not None:
         start = _searched(grey, marker, require_shape("near_px", near_px, (4, 2)))
     if start is None:
         return None
-    corners, likeness, drawn = _sharpened(grey, marker, start, (require_range("smear_px", smear_px, low=0.0, high=5.0), 0.0))
+    corners, likeness, drawn = _sharpened(grey, marker, start, (smear_px, 0.0))
     if likeness < LEAST_LIKENESS or not _is_good(corners):
         return None
     sight = _poses(corners, likeness, camera, marker, corner_sigma_px)
@@ -293,16 +294,16 @@ def _print_for(marker: Marker, corners: Array, soft_px: float = SOFT_PX[0]) -> P
 def _sharpened(
     grey: Pixels, marker: Marker, corners: Array, smear_px: tuple[float, float]
 ) -> tuple[Array, float, Print]:
-    """Corners where the printed marker correlates best with the image, that correlation (0 where lost), and the print."""
-    best, most, print_ = corners, 0.0, _print_for(marker, corners)
+    """Corners where a print correlates best with the image, that correlation (0 where lost), and which print."""
+    best, most, fits = corners, 0.0, _print_for(marker, corners)
     for soft_px in SOFT_PX:
         drawn, places = _print_for(marker, corners, soft_px)
         drawn = _smeared(drawn, places, corners, smear_px)
         moved, likeness = _laid_over(grey, drawn, places, best)
         if likeness <= most:
             break
-        best, most, print_ = moved, likeness, (drawn, places)
-    return best, most, print_
+        best, most, fits = moved, likeness, (drawn, places)
+    return best, most, fits
 
 
 def _smeared(drawn: Pixels, places: Array, corners: Array, smear_px: tuple[float, float]) -> Pixels:
@@ -411,7 +412,7 @@ def _poses(
     T_camera_marker, T_world_camera = T_camera_marker[order], T_world_camera[order]
     J = [pixel_jacobian(marker.p_world_corners, camera, T) for T in T_world_camera]
     covariance = np.array([sigma_px**2 * np.linalg.pinv(j.T @ j) for j in J])
-    return MarkerPose(corners, likeness, T_camera_marker, T_world_camera, misfit[order], covariance, NO_STRAYS)
+    return MarkerPose(corners, likeness, T_camera_marker, T_world_camera, misfit[order], covariance)
 
 
 def pixel_jacobian(p_world: Array, camera: PinholeCamera, T_world_camera: Array) -> Array:
