@@ -51,14 +51,19 @@ def test_a_model_from_one_video_foretells_the_other_better_than_its_start(tmp_pa
 def test_marker_and_scene_agree_within_what_they_state() -> None:
     """Every other frame with the marker in view, each way by itself; the marker's corners are no part of the scene's.
 
-    Asked of the digital flight: 90 of 100 in a ball that holds 95 of 100. The analog one misses it and is printed.
+    Asked of the digital flight: 90 of 100 places and attitudes in a ball that holds 95 of 100. The analog one has some
+    23 frames, in which three misses are no rarity (one in nine of such draws), so that its root mean square is asked
+    instead: no axis off by more than a quarter more than is stated, and none stated at twice what it is off.
     """
-    inside = {name: agreement(name) for name in ("calm_1", "calm_2")}
-    assert min(inside["calm_1"]) >= 0.9
+    found = {name: agreement(name) for name in ("calm_1", "calm_2")}
+    assert min(found["calm_1"][0]) >= 0.9
+    for _, sigmas in found.values():
+        assert 0.5 < min(sigmas) <= max(sigmas) < 1.25
 
 
-def agreement(name: str) -> tuple[float, float]:
-    """Shares of frames whose place and attitude by the marker alone lie in the 95 % ball around those by the scene."""
+def agreement(name: str) -> tuple[list[float], list[float]]:
+    """Of place and attitude: the share of frames whose pose by the marker alone lies in the 95 % ball around the one
+    by the scene, and how far off an axis is, root mean square, in sigmas."""
     video, hall = read_video(FLIGHTS / name), load_scene("hall")
     table = estimate_flight(video, CAMERA).table
     seen = np.flatnonzero((np.array(table.labels["source"]) == "marker") & table.has_pose)[::2]
@@ -74,9 +79,9 @@ def agreement(name: str) -> tuple[float, float]:
             both = np.hypot(stated, [found.sigma_position, found.sigma_attitude])
             rows.append((np.linalg.norm(apart[:3, 3]), turn, *both))
     off, sigma = np.hsplit(np.array(rows), 2)
-    place, attitude = (float(share) for share in (off < BALL * sigma).mean(axis=0))
+    inside, sigmas = (off < BALL * sigma).mean(axis=0), np.sqrt(((off / sigma) ** 2).mean(axis=0) / 3.0)
     metres, turned = np.median(off, axis=0)
     print(f"\n{name}: {len(rows)} of {len(seen)} frames; apart {metres:.2f} m, {np.degrees(turned):.1f} deg (median);")
-    print(f"  within 95 % of what both state: place {place:.0%}, attitude {attitude:.0%}; ", end="")
-    print(f"in sigmas {np.sqrt(((off / sigma) ** 2).mean(axis=0) / 3.0).round(1).tolist()} an axis")
-    return place, attitude
+    print(f"  within 95 % of what both state: place {inside[0]:.0%}, attitude {inside[1]:.0%}; ", end="")
+    print(f"in sigmas {sigmas.round(1).tolist()} an axis")
+    return inside.tolist(), sigmas.tolist()

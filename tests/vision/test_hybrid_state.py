@@ -21,6 +21,7 @@ from falconwing_kit.vision.hybrid_state import (
 )
 from falconwing_kit.vision.marker import Marker
 from tests.vision.drawn_marker import CAMERA, view
+from tests.vision.strayed import strayed
 
 COUNT = 36
 P_BODY_CAMERA = np.array([0.2, 0.0, 0.0])
@@ -96,6 +97,22 @@ def test_the_marker_alone_gives_the_flight_while_it_is_seen(approach):
     assert np.median(np.linalg.norm(position[seen], axis=1)) < 0.3
     assert set(np.array(flight.table.labels["source"])[~seen]) == {"none"}
     assert flight.counts["pose: marker"] == sum(word == "marker" for word in flight.table.labels["source"])
+
+
+def test_lines_that_stray_are_told_by_larger_sigmas_that_cover(approach):
+    """The same frames with lines that stray by 0.6 px. At 18 px a marker's top goes against its bottom by about
+    0.6 sqrt(2 - 2 exp(-18 / 24)) = 0.6 px, four times what its corners' noise makes of it: sigmas grow by half at
+    least, and as many as without lie within two of them."""
+    rng = np.random.default_rng(12)
+    clean = estimate_flight(approach.video(), CAMERA)
+    flight = estimate_flight(approach.video([strayed(image, 0.6, rng) for image in approach.images]), CAMERA)
+    seen = flight.table.has_pose
+    assert seen.sum() >= 10
+    _, attitude = errors(flight, approach)
+    sigma = flight.table.extra["sigma_attitude"][seen][:, None]
+    assert (np.abs(attitude[seen]) < 2.0 * sigma).mean() > 0.85
+    marked = np.array(clean.table.labels["source"]) == "marker"
+    assert np.median(sigma) > 1.5 * np.median(clean.table.extra["sigma_attitude"][marked])
 
 
 def test_the_side_is_right_though_the_mirrored_pose_fits_almost_as_well(approach):

@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation
 from falconwing_kit.aircraft.model import rates_model
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import camera_pose, euler_from_rotation, pose_matrix, rotation_world_body, wrap_angle
-from falconwing_kit.vision.smoother import PoseSights, _covariances, _solve, smooth
+from falconwing_kit.vision.marker import Marker, project_corners
+from falconwing_kit.vision.smoother import CornerSights, PoseSights, _covariances, _solve, smooth
 from tests.sysid.simulated import drawn, fly_figure_eights
+from tests.vision.drawn_marker import CAMERA
 
 P_BODY_CAMERA = np.array([0.2, 0.0, 0.0])
 SIGMA = (0.1, np.radians(1.5))  # of the sights: m, rad
@@ -63,6 +65,18 @@ def test_the_block_sweeps_equal_dense_algebra():
     assert _solve(diagonal, beside, right).ravel() == pytest.approx(np.linalg.solve(dense, right.ravel()), rel=1e-6)
     inverse = np.linalg.inv(dense)
     assert _covariances(diagonal, beside) == pytest.approx(np.array([inverse[b, b] for b in block]), rel=1e-6, abs=1e-9)
+
+
+def test_corners_count_by_their_covariance():
+    """chi2 = d^T C^-1 d by NumPy's inverse, for a full covariance drawn as A^T A; the corners are moved by d."""
+    rng = np.random.default_rng(6)
+    p_world, attitude = np.array([[-6.0, 0.3, 1.2]]), np.radians([[10.0, -3.0, 4.0]])
+    T = camera_pose(pose_matrix(rotation_world_body(*attitude.T), p_world), P_BODY_CAMERA)
+    A, d = rng.normal(size=(8, 8)), rng.normal(size=8)
+    corners = project_corners(Marker(), CAMERA, T) + d.reshape(1, 4, 2)
+    sights = CornerSights(np.array([0]), corners, (A.T @ A)[None], Marker(), CAMERA, P_BODY_CAMERA)
+    chi2 = (sights.residuals(p_world, attitude) ** 2).sum()
+    assert chi2 == pytest.approx(d @ np.linalg.inv(A.T @ A) @ d, rel=1e-6)
 
 
 def test_stated_sigma_covers_the_error(flown):
