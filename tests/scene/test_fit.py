@@ -25,7 +25,7 @@ from falconwing_kit.scene.survey.points import Survey
 from falconwing_kit.scene.training import draw as drawing
 from falconwing_kit.scene.training.densify import densify, shared
 from falconwing_kit.scene.training.judge import psnr, ssim
-from falconwing_kit.scene.training.loop import step, train
+from falconwing_kit.scene.training.loop import step, thinned, train
 from falconwing_kit.scene.training.photos import held_out, hold_out, load_photos, read_names
 from falconwing_kit.scene.training.ship import contributions, labelled
 from falconwing_kit.scene.training.state import State, begin
@@ -54,6 +54,16 @@ def small_room():
                 GaussianScene(means, np.tile([1.0, 0, 0, 0], (len(means), 1)), scales, [0.99] * len(means), sh)
             )
     return GaussianScene.joined(*parts)
+
+
+def finished_state(photos):
+    """A training whose Gaussians are those of the room to the last digit."""
+    scene = tensors(small_room())
+    state = begin(small_room().means, np.zeros((len(scene.means), 3), np.uint8), photos, 1, "cpu")
+    state.values |= {"quaternions": scene.quaternions.clone(), "log_scales": scene.scales.log()}
+    state.values |= {"logits": torch.logit(scene.opacities, 1e-4), "dc": scene.sh[:, 0].clone()}
+    state.values["rest"][:, : scene.sh.shape[1] - 1] = scene.sh[:, 1:]
+    return state
 
 
 def poses(count, seed=0):
@@ -132,11 +142,7 @@ def test_wrong_poses_are_corrected_by_what_the_photos_show(taken, tmp_path):
     twists[:, :3] = np.random.default_rng(3).normal(size=(24, 3)) * np.radians(0.3)
     turned = drawing.moved(torch.from_numpy(taken.T_world_camera), torch.from_numpy(twists)).numpy()
     wrong = replace(taken, T_world_camera=turned)
-    task, scene = task_of(wrong, settings, tmp_path), tensors(small_room())
-    state = begin(small_room().means, np.zeros((len(scene.means), 3), np.uint8), 24, 1, "cpu")
-    state.values |= {"quaternions": scene.quaternions.clone(), "log_scales": scene.scales.log()}
-    state.values |= {"logits": torch.logit(scene.opacities, 1e-4), "dc": scene.sh[:, 0].clone()}
-    state.values["rest"][:, : scene.sh.shape[1] - 1] = scene.sh[:, 1:]
+    task, state = task_of(wrong, settings, tmp_path), finished_state(24)
     train(state, task.photos, task.draw, task.goal)
     right = corrected(wrong, task.corrected_poses(state)).T_world_camera
 
@@ -147,6 +153,37 @@ def test_wrong_poses_are_corrected_by_what_the_photos_show(taken, tmp_path):
         return (common * Rotation.from_matrix(relative)).magnitude()
 
     assert np.median(turns(right)) < 0.75 * np.median(turns(turned))
+
+
+def test_held_out_photos_get_poses_that_fit_and_teach_nothing(taken, tmp_path, monkeypatch):
+    """The finished scene is the true one, one photo held out is turned by 0.3 deg: half of that at most is left.
+
+    A wrong sign would double it. Poses that training has not moved and the scene's numbers stay as they are.
+    """
+    monkeypatch.setattr("falconwing_kit.scene.training.task.HELD_OUT_STEPS", 80)
+    twist = torch.zeros(24, 6, dtype=torch.float64)
+    twist[5, 1] = np.radians(0.3)
+    turned = drawing.moved(torch.from_numpy(taken.T_world_camera), twist).numpy()
+    settings = replace(SMALL, poses=True, judge_by=(taken.names[5],))
+    task, state = task_of(replace(taken, T_world_camera=turned), settings, tmp_path), finished_state(23)
+    before = {name: value.clone() for name, value in state.values.items()}
+    found = task.corrected_poses(state)
+    left = Rotation.from_matrix(found[5, :3, :3].T @ taken.T_world_camera[5, :3, :3]).magnitude()
+    assert left < 0.5 * np.radians(0.3)
+    others = np.arange(24) != 5
+    assert found[others] == pytest.approx(taken.T_world_camera[others], abs=1e-6)
+    assert all(torch.equal(value, before[name]) for name, value in state.values.items())
+
+
+def test_left_out_gaussians_are_made_up_for():
+    """A quarter of 100,000 is missing, within five standard deviations of the binomial; the mean stays, as they do."""
+    opacities = torch.full((100_000,), 0.3)
+    thin = thinned(opacities, 0.25, torch.Generator().manual_seed(0))
+    missing = float((thin == 0.0).float().mean())
+    assert missing == pytest.approx(0.25, abs=5.0 * (0.25 * 0.75 / 100_000) ** 0.5)
+    assert thin[thin > 0.0].unique() == pytest.approx(0.4)
+    assert float(thin.mean()) == pytest.approx(0.3, abs=5.0 * 0.4 * (0.25 * 0.75 / 100_000) ** 0.5)
+    assert thinned(opacities, 0.0, torch.Generator()) is opacities
 
 
 def test_corrected_poses_do_not_move_the_hall(taken):

@@ -15,6 +15,7 @@ from falconwing_kit.core.files import require_place
 from falconwing_kit.core.frames import pose_matrix, rotation_world_body
 from falconwing_kit.scene import GaussianScene
 from falconwing_kit.scene import edit as edits
+from falconwing_kit.scene.formats.native import write_quantised
 
 LEADER, PLACED = "leader", "aircraft"  # an aircraft in its body axes, and what it is called once it stands in a hall
 LEVEL = rotation_world_body(0.0, 0.0, 0.0)  # body axes of an aircraft that stands level, nose along x, in the world
@@ -178,6 +179,8 @@ class Edit(Step):
     """the file to write: .npz, which keeps labels, or .ply"""
     then: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """one more step after this: its options without dashes, in quotes; may be given again and again"""
+    small: bool = False
+    """write an .npz in whole numbers of few bits, as `scene fit` does: a quarter of the size"""
     json: bool = False
     """print the result as JSON"""
 
@@ -193,13 +196,15 @@ class Edit(Step):
         """
         if require_place(self.out).suffix.lower() not in (".npz", ".ply"):
             raise InputError(f"{self.out}: want a name ending in .npz or .ply for a scene, got another ending")
+        if self.small and self.out.suffix.lower() != ".npz":
+            raise InputError(f"--small: want --out to end in .npz, which can be small, got {self.out.name}")
         steps: list[Step] = [self, *(parse_step(words) for words in self.then)]
         scene, records = open_scene(self.scene), []
         before = len(scene)
         for step in steps:
             scene, record = step.apply(scene)
             records.append(record)
-        scene.save(self.out)
+        write_quantised(self.out, scene) if self.small else scene.save(self.out)
         self._say({"file": str(self.out), "before": before, "steps": records, "scene": scene_record(scene)})
         return 0
 

@@ -1,6 +1,7 @@
 """The training loop: a state, photos and a way to draw -> a state whose renders look like the photos.
 
-[3] Kerbl et al. 2023, 3D Gaussian Splatting; [K] Kheradmand et al. 2024, 3DGS as Markov Chain Monte Carlo.
+[3] Kerbl et al. 2023, 3D Gaussian Splatting; [K] Kheradmand et al. 2024, 3DGS as Markov Chain Monte Carlo;
+[P] Park et al. 2025, DropGaussian.
 """
 
 import math
@@ -47,6 +48,7 @@ class Goal:
     opacity_cost: float  # [K: 0.01]
     scale_cost: float  # [K: 0.01]
     largest: float  # standard deviation that a Gaussian may have [m]; 0: any
+    dropout: float  # part of the Gaussians left out of a step at the end [P: 0.2]
     seconds: float  # all must be done by then; the end comes earlier, but smoothly
     low: Array  # (3,) corners of the box that the scene stays in [m]
     high: Array
@@ -164,6 +166,7 @@ def loss(
     """
     background = torch.rand(3, generator=generator, device=numbers.device)
     gaussians = state.gaussians(goal.sh_degree if progress >= FULL_COLOUR_FROM else 0)
+    gaussians = gaussians._replace(opacities=thinned(gaussians.opacities, goal.dropout * progress, generator))
     exposures, twists = state.values["exposures"][numbers], state.values["twists"][numbers]
     poses = photos.Ts_world_camera[numbers]
     poses = moved(poses, twists * reach(goal.extent, twists)) if goal.poses else poses
@@ -180,6 +183,26 @@ def loss(
         total + goal.opacity_cost * gaussians.opacities.mean() + goal.scale_cost * gaussians.scales.mean() / goal.extent
     )
     return total + STAY["exposures"] * (exposures**2).mean() + STAY["twists"] * (twists**2).mean()
+
+
+def thinned(opacities: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    """Opacities with a share of the Gaussians left out, and the others made up for them  [P].
+
+    What only one photo asks for often hangs in the air before it, and hides behind others; when these are missing now
+    and then, it has to be right by itself.
+
+    Args:
+        opacities: (N,) 0..1.
+        share: to leave out, below 1.
+        generator: draws which.
+
+    Returns:
+        (N,) the same in the mean.
+    """
+    if share == 0.0:
+        return opacities
+    stay = torch.rand(opacities.shape, generator=generator, device=opacities.device) >= share
+    return opacities * stay / (1.0 - share)
 
 
 def reach(extent: float, like: Tensor) -> Tensor:

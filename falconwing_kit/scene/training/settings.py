@@ -27,6 +27,7 @@ class FitSettings:
     opacity_cost: float = 0.03
     scale_cost: float = 0.05
     largest: float = 0.5  # standard deviation that a Gaussian may have [m]: larger ones veil a lens beside them; 0: any
+    dropout: float = 0.1  # part of the Gaussians that steps near the end do without: those left learn to stand alone
     minutes: float = 8.0  # of training at most; it ends smoothly before
     room: tuple[float, ...] = ()  # x, y, z of the lowest and of the highest corner [m]; empty: from cameras and survey
     pose_steps: int = 100  # of refining each held-out photo's pose, for figures of their own; 0 leaves those out
@@ -39,6 +40,7 @@ class FitSettings:
             require_range(name, getattr(self, name), low=low, high=high)
         require_range("sh_degree", self.sh_degree, low=0, high=3)
         require_range("hold_out", self.hold_out, low=0.0, high=0.5)
+        require_range("dropout", self.dropout, low=0.0, high=0.9)
         require_range("ssim_weight", self.ssim_weight, low=0.0, high=1.0)
         require_range("minutes", self.minutes, low=0.01, high=10_000.0)
         for name in ("opacity_cost", "scale_cost", "largest", "pose_steps", "seed", "width"):
@@ -57,5 +59,6 @@ LEADER = FitSettings(
     opacity_cost=0.002,
     scale_cost=0.01,
     largest=0.0,
+    dropout=0.0,
     pose_steps=0,
 )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import atomic_write, short_name, write_error
@@ -29,6 +30,7 @@ from falconwing_kit.scene.training.ship import contributions, labelled, pruned, 
 from falconwing_kit.scene.training.state import State, begin, to_scene
 from falconwing_kit.scene.training.turntable import aircraft_points
 
+HELD_OUT_STEPS = 200  # of finding the pose of a photo held out, when poses are corrected
 SHOWN = 6  # pairs of photo and render that are written: the worst, the best, and some between
 
 
@@ -99,9 +101,16 @@ class Task:
         return train(state, learn, self.draw, self.goal, keep=lambda now: now.save(kept, told), tell=tell)
 
     def corrected_poses(self, state: State) -> Array:
-        """(P, 4, 4) of all photos, in their order: corrected by the training where they were trained on."""
-        learn, _ = self.split
+        """(P, 4, 4) of all photos, in their order.
+
+        Those of photos trained on as the training moved them; those held out where they fit the finished scene best,
+        which has learnt nothing from them.
+        """
+        learn, held = self.split
         poses = dict(zip(self.photos.names, self.photos.Ts_world_camera.double(), strict=True))
+        if held is not learn:
+            gaussians = state.gaussians(self.settings.sh_degree)
+            poses |= dict(zip(held.names, self._refined(gaussians, held, HELD_OUT_STEPS).double(), strict=True))
         twists = state.values["twists"].double() * reach(self.extent, poses[self.photos.names[0]])
         poses |= dict(zip(learn.names, moved(learn.Ts_world_camera.double(), twists), strict=True))
         return torch.stack([poses[name] for name in self.photos.names]).cpu().numpy()
@@ -160,11 +169,12 @@ class Task:
 
     def _judge_refined(self, tensors: GaussianTensors, held: Photos) -> dict[str, Any] | None:
         """The figures after each held-out photo's pose was moved to where it fits best; None where not asked for."""
-        settings = self.settings
-        if settings.pose_steps == 0:
-            return None
-        refined = refined_poses(tensors, held, self.draw, settings.antialiased, self.extent, settings.pose_steps)
-        return judge(self._look(tensors), held, refined)
+        steps = self.settings.pose_steps
+        return judge(self._look(tensors), held, self._refined(tensors, held, steps)) if steps else None
+
+    def _refined(self, gaussians: GaussianTensors, photos: Photos, steps: int) -> Tensor:
+        """(P, 4, 4) poses of photos where they fit a scene best."""
+        return refined_poses(gaussians, photos, self.draw, self.settings.antialiased, self.extent, steps)
 
     def _judge_fast(self, shipped: GaussianScene, held: Photos) -> dict[str, Any] | None:
         """The figures as the kit's fast renderer draws the scene; None where numba is missing."""
