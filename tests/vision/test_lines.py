@@ -5,7 +5,7 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.vision.link.lines import corner_covariance, strays, wander_px
-from falconwing_kit.vision.marker import Marker, find_marker, project_corners
+from falconwing_kit.vision.marker import Marker, corner_noise, find_marker, project_corners
 from tests.vision.drawn_marker import CAMERA, pose, view
 from tests.vision.strayed import strayed, wandering
 
@@ -77,26 +77,28 @@ def test_corners_on_one_line_go_together_and_only_sideways():
 
 
 def test_a_marker_on_straying_lines_lies_within_its_covariance():
-    """Truth is the drawing's geometry; lines stray by 0.5 px, and the corners' own noise is what is off on straight ones.
+    """Truth is the drawing's geometry; lines stray by 0.5 px. Noise and wander are those of the sights.
 
-    chi2 of eight coordinates has mean 8: within a factor of two. The noise alone says three times too little and more.
-    And the prints tell the 0.5 px, to 0.15.
+    chi2 of eight coordinates has mean 8: within a factor of two. What poses leave over, without wander, says more than
+    twice too little. And the prints tell the 0.5 px, to 0.15.
     """
-    straight, off, true, shifts = [], [], [], []
+    sights, true = [], []
     for k in range(30):
         rng = np.random.default_rng(k)
         T = pose(-6.0 - 0.2 * k, rng.uniform(-1.0, 1.0), 1.4, rng.uniform(-40.0, 40.0))
-        image, corners = view(T, rng, blur_px=0.5), project_corners(Marker(), CAMERA, T)
-        seen = [find_marker(one, CAMERA, near_px=corners) for one in (image, strayed(image, 0.5, rng))]
-        if None not in seen:
-            straight.append(seen[0].corners_px - corners)
-            off.append((seen[1].corners_px - corners).ravel())
+        corners = project_corners(Marker(), CAMERA, T)
+        seen = find_marker(strayed(view(T, rng, blur_px=0.5), 0.5, rng), CAMERA, near_px=corners)
+        if seen is not None:
+            sights.append(seen)
             true.append(corners)
-            shifts.append(seen[1].strays_px)
-    assert len(off) >= 20
-    noise = float(np.std(straight))
-    covariance = corner_covariance(np.array(true), noise, 0.5)
-    chi2 = np.mean([d @ np.linalg.solve(C, d) for d, C in zip(off, covariance, strict=True)])
-    assert 4.0 < chi2 < 16.0
-    assert np.mean(np.square(off)) > 3.0 * noise**2
-    assert wander_px(shifts) == pytest.approx(0.5, abs=0.15)
+    assert len(sights) >= 20
+    noise, wander = corner_noise(sights), wander_px(sight.strays_px for sight in sights)
+    off = np.array([sight.corners_px for sight in sights]) - true
+    mean = {
+        stated: np.mean([d.ravel() @ np.linalg.solve(C, d.ravel()) for d, C in zip(off, covariance, strict=True)])
+        for stated in (0.0, wander)
+        for covariance in [corner_covariance(np.array(true), noise, stated)]
+    }
+    assert 4.0 < mean[wander] < 16.0
+    assert mean[0.0] > 2.0 * 8.0
+    assert wander == pytest.approx(0.5, abs=0.15)
