@@ -17,6 +17,7 @@ from falconwing_kit.vision.hybrid_state import (
     _among_neighbours,
     _Candidate,
     _chosen,
+    _well_known,
     estimate_flight,
 )
 from falconwing_kit.vision.marker import Marker
@@ -160,6 +161,17 @@ def test_early_doubt_is_carried_along_the_path():
     options = {0: [candidate(20.0, doubt=9.0), candidate(0.0)], 1: [candidate(20.0), candidate(0.0, doubt=5.0)]}
     chosen = _chosen(options, np.array([0.0, 0.05]))
     assert [chosen[frame].T_world_camera[0, 3] for frame in (0, 1)] == [0.0, 0.0]
+
+
+def test_a_flight_begins_without_the_turns_that_are_hardly_known():
+    """Frames 1 and 2 know their turn to 40 deg and stand between good ones 0.15 s apart: left out. The last has no good
+    one behind it, and where good ones are further apart than the gap allowed nothing is left out."""
+    vague = np.diag([0.01] * 3 + [np.radians(40.0) ** 2] * 3)
+    chosen = {k: candidate(0.3 * k) for k in range(5)}
+    chosen |= {k: _Candidate(chosen[k].T_world_camera, vague, 0.0, "network") for k in (1, 2, 4)}
+    frames, t = np.arange(5), 0.05 * np.arange(5)
+    assert _well_known(frames, chosen, t, 1.0).tolist() == [0, 3, 4]
+    assert _well_known(frames, chosen, t, 0.1).tolist() == [0, 1, 2, 3, 4]
 
 
 def test_a_pose_that_fits_no_neighbour_is_dropped():

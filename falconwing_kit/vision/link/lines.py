@@ -10,6 +10,7 @@ without such a link has nothing to tell the two apart, and no wander.
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from falconwing_kit.core.checks import Array, require_range, require_shape
 
@@ -30,7 +31,7 @@ def line_likeness(rows: Array) -> Array:
     return np.asarray(np.exp(-np.abs(rows[..., :, None] - rows[..., None, :]) / LINES_ALIKE))
 
 
-def strays(seen: Array, expected: Array, inside: Array) -> tuple[Array, Array]:
+def strays(seen: ArrayLike, expected: ArrayLike, inside: ArrayLike) -> tuple[Array, Array]:
     """How far each line of a picture lies to the right of what is expected, and each column below it.
 
     seen(x) = a expected(x - s) + b for each line: s = sum g (a expected + b - seen) / sum g^2, g the slope of the
@@ -49,14 +50,14 @@ def strays(seen: Array, expected: Array, inside: Array) -> tuple[Array, Array]:
     """
     seen = require_shape("seen", seen, (None, None))
     expected = require_shape("expected", expected, seen.shape)
-    inside = require_shape("inside", inside, seen.shape) > 0.5
-    known = np.stack([expected[inside], np.ones(int(inside.sum()))], axis=1)
-    contrast, brightness = np.linalg.lstsq(known, seen[inside], rcond=None)[0]
+    covered = require_shape("inside", inside, seen.shape) > 0.5
+    known = np.stack([expected[covered], np.ones(int(covered.sum()))], axis=1)
+    contrast, brightness = np.linalg.lstsq(known, seen[covered], rcond=None)[0]
     drawn = contrast * expected + brightness
-    missing = np.where(inside, drawn - seen, 0.0)
+    missing = np.where(covered, drawn - seen, 0.0)
     both = []
     for along in (1, 0):
-        slope = np.where(inside, np.gradient(drawn, axis=along), 0.0)
+        slope = np.where(covered, np.gradient(drawn, axis=along), 0.0)
         edges = (slope**2).sum(axis=along)
         clear = edges > LEAST_EDGE * np.median(edges[edges > 0.0]) if (edges > 0.0).any() else edges > 0.0
         shift = np.full(len(edges), np.nan)
