@@ -3,7 +3,8 @@
     python -m pytest -m benchmark -s tests/benchmarks/bench_hall_photos.py
 
 Wants the path-traced hall's photos in ../shared/data/hall/photos. Their poses are in tests/data/hall_poses: found by
-structure from motion, aligned by tape, and then corrected by a training on all 230 photos, the held-out ones too.
+structure from motion, aligned by tape, and then corrected by a training on the 205 others; those of the 25 are where its
+finished scene looks most like them.
 """
 
 from dataclasses import replace
@@ -28,7 +29,7 @@ pytestmark = [
 
 
 def test_the_hall_looks_like_photos_of_places_it_has_not_seen() -> None:
-    """Wanted: 28 dB in the mean, 24 dB for the worst, SSIM 0.84. The worst is missed and printed."""
+    """Wanted: 28 dB in the mean, 24 dB for the worst, SSIM 0.84."""
     settings = FitSettings(judge_by=read_names(POSES / "held_out.txt"))
     found = judge_scene(
         ROOT / "falconwing_kit" / "data" / "hall.npz", read_reconstruction(POSES), settings, folder=PHOTOS
@@ -38,7 +39,7 @@ def test_the_hall_looks_like_photos_of_places_it_has_not_seen() -> None:
         print(f"| {row['photo']} | {row['psnr_db']:.2f} | {row['ssim']:.3f} |")
     print(f"| mean | {found['psnr_db']:.2f} | {found['ssim']:.3f} |")
     assert len(found["photos"]) == 25
-    assert found["psnr_db"] >= 28.0 and found["ssim"] >= 0.84
+    assert found["psnr_db"] >= 28.0 and found["psnr_worst_db"] >= 24.0 and found["ssim"] >= 0.84
 
 
 def test_the_pose_net_places_them() -> None:
