@@ -66,7 +66,8 @@ class Fit:
     judge: Path | None = None
     """a scene file to judge on the held-out photos, drawn by `fast`, instead of training one"""
     pose_steps: int | None = None
-    """of moving held-out photos to where they fit best, for figures of their own; 100 if not given, 0: none"""
+    """of moving held-out photos to where they fit best, for figures of their own and for `corrected`; 200 if not given,
+    0: none"""
     seed: int = 0
     """of everything that is drawn at random"""
     json: bool = False

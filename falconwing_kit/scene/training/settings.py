@@ -30,7 +30,8 @@ class FitSettings:
     dropout: float = 0.1  # part of the Gaussians that steps near the end do without: those left learn to stand alone
     minutes: float = 8.0  # of training at most; it ends smoothly before
     room: tuple[float, ...] = ()  # x, y, z of the lowest and of the highest corner [m]; empty: from cameras and survey
-    pose_steps: int = 100  # of refining each held-out photo's pose, for figures of their own; 0 leaves those out
+    pose_steps: int = 200  # of finding each held-out photo's pose in the finished scene, for figures of their own and,
+    # where poses are corrected, to judge another training by; 0 leaves them as they are
     seed: int = 0
     backend: str = "auto"  # gsplat, reference, or auto: gsplat where there is a GPU
 

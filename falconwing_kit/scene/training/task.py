@@ -30,7 +30,6 @@ from falconwing_kit.scene.training.ship import contributions, labelled, pruned, 
 from falconwing_kit.scene.training.state import State, begin, to_scene
 from falconwing_kit.scene.training.turntable import aircraft_points
 
-HELD_OUT_STEPS = 200  # of finding the pose of a photo held out, when poses are corrected
 SHOWN = 6  # pairs of photo and render that are written: the worst, the best, and some between
 
 
@@ -104,13 +103,13 @@ class Task:
         """(P, 4, 4) of all photos, in their order.
 
         Those of photos trained on as the training moved them; those held out where they fit the finished scene best,
-        which has learnt nothing from them.
+        which has learnt nothing from them, unless the settings want no steps for that.
         """
         learn, held = self.split
         poses = dict(zip(self.photos.names, self.photos.Ts_world_camera.double(), strict=True))
-        if held is not learn:
+        if held is not learn and self.settings.pose_steps:
             gaussians = state.gaussians(self.settings.sh_degree)
-            poses |= dict(zip(held.names, self._refined(gaussians, held, HELD_OUT_STEPS).double(), strict=True))
+            poses |= dict(zip(held.names, self._refined(gaussians, held).double(), strict=True))
         twists = state.values["twists"].double() * reach(self.extent, poses[self.photos.names[0]])
         poses |= dict(zip(learn.names, moved(learn.Ts_world_camera.double(), twists), strict=True))
         return torch.stack([poses[name] for name in self.photos.names]).cpu().numpy()
@@ -169,12 +168,13 @@ class Task:
 
     def _judge_refined(self, tensors: GaussianTensors, held: Photos) -> dict[str, Any] | None:
         """The figures after each held-out photo's pose was moved to where it fits best; None where not asked for."""
-        steps = self.settings.pose_steps
-        return judge(self._look(tensors), held, self._refined(tensors, held, steps)) if steps else None
+        wanted = self.settings.pose_steps > 0
+        return judge(self._look(tensors), held, self._refined(tensors, held)) if wanted else None
 
-    def _refined(self, gaussians: GaussianTensors, photos: Photos, steps: int) -> Tensor:
+    def _refined(self, gaussians: GaussianTensors, photos: Photos) -> Tensor:
         """(P, 4, 4) poses of photos where they fit a scene best."""
-        return refined_poses(gaussians, photos, self.draw, self.settings.antialiased, self.extent, steps)
+        settings = self.settings
+        return refined_poses(gaussians, photos, self.draw, settings.antialiased, self.extent, settings.pose_steps)
 
     def _judge_fast(self, shipped: GaussianScene, held: Photos) -> dict[str, Any] | None:
         """The figures as the kit's fast renderer draws the scene; None where numba is missing."""
