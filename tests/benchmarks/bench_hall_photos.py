@@ -3,8 +3,8 @@
     python -m pytest -m benchmark -s tests/benchmarks/bench_hall_photos.py
 
 Wants the path-traced hall's photos in ../shared/data/hall/photos. Their poses are in tests/data/hall_poses: found by
-structure from motion, aligned by tape, and then corrected by a training on the 205 others; those of the 25 are where its
-finished scene looks most like them.
+structure from motion, aligned by tape, and then corrected by a training on the 205 others; those of the 25 are where
+its finished scene looks most like them.
 """
 
 from dataclasses import replace

@@ -60,7 +60,7 @@ def test_what_hangs_in_the_air_is_taken_out_and_the_rest_written_small(tmp_path,
     record, scene = edit(capsys, *words, "--small")
     assert record["steps"][0]["gaussians"] == inside.sum() and (tmp_path / "new.npz").stat().st_size < 0.5 * large
     assert len(scene) == (~inside).sum() and cKDTree(scene.means).query(means[~inside])[0].max() < 1e-3
-    with pytest.raises(InputError, match="--small: want --out to end in .npz"):
+    with pytest.raises(InputError, match="--small: want --out to end in"):
         tyro.cli(Edit, args=[*words, "--small", "--out", "new.ply"], config=(tyro.conf.FlagCreatePairsOff,)).run()
 
 
