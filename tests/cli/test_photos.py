@@ -6,9 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from falconwing_kit.cli.modelling.photos import Align, Poses, is_good
+from falconwing_kit.cli.modelling.photos import Align, Poses, check_record, is_good
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.scene.align import Alignment
 from falconwing_kit.scene.photo_files import read_reconstruction, write_reconstruction
+from falconwing_kit.scene.survey.points import Sightings, Survey
+from falconwing_kit.scene.survey.recipe import Alignments
 from tests.scene import hall24
 
 
@@ -46,11 +49,26 @@ def test_aligned_poses_are_written_with_picture_and_figures(raw, tmp_path, capsy
     assert baseline["sigma_max_m"] is None and best["sigma_max_m"] < 0.5 * marker["sigma_max_m"]
     assert best["from_best_max_m"] == 0.0 < marker["from_best_max_m"]
     assert record["not_seen"] == [] and (out / "alignment.png").stat().st_size > 10000
+    by_baseline, _, by_best = record["check"]["recipes"].values()
+    assert by_best["mean_m"] < 0.2 < 0.5 < by_baseline["mean_m"]  # by the tape: nothing was fitted to these corners
+    assert len(record["check"]["points_m"]) + len(record["check"]["not_seen"]) == 28
     assert read_reconstruction(out).aligned
     with pytest.raises(InputError, match="not aligned yet"):
         Align(out, hall24.FOLDER / "survey.csv", tmp_path / "again").run()
     with pytest.raises(InputError, match="another folder"):
         Align(raw, hall24.FOLDER / "survey.csv", raw).run()
+
+
+def test_check_points_are_held_against_the_tape():
+    """By hand: twice the size and 1 m along x bring (1, 1, 1) to (3, 2, 2), 0.5 m above where the tape had it."""
+    best = Alignment(2.0, np.eye(3), np.array([1.0, 0.0, 0.0]), "by hand", np.zeros((7, 7)))
+    names = ("poster_top_left", "poster_top_right")
+    survey = Survey(names, np.array([[3.0, 2.0, 1.5], [0.0, 0.0, 0.0]]), ("check", "check"))
+    found = Alignments(None, None, best, Sightings.join([]))
+    record = check_record(found, {"poster_top_left": np.array([1.0, 1.0, 1.0])}, survey)
+    assert record["recipes"] == {"all surveyed points": {"mean_m": 0.5, "worst_m": 0.5}}
+    assert record["points_m"] == {"poster_top_left": 0.5} and record["not_seen"] == ["poster_top_right"]
+    assert check_record(found, {}, survey)["recipes"] == {}
 
 
 def test_tables_tell_the_same(raw, tmp_path, capsys):
@@ -59,6 +77,7 @@ def test_tables_tell_the_same(raw, tmp_path, capsys):
     assert Align(tmp_path / "out", hall24.FOLDER / "survey.csv", tmp_path / "aligned").run() == 0
     printed = capsys.readouterr().out
     assert "photos with a pose" in printed and "next: falconwing scene align" in printed
+    assert "points kept for checking, off the tape by" in printed
     assert "pad_far_left_top" in printed and "next: falconwing scene fit" in printed
 
 

@@ -94,7 +94,8 @@ class Fit:
             return 0
         print_table(HEADERS, [_row(words, done.figures[key]) for key, words in ROWS if done.figures[key]])
         if self.correct_poses:
-            next_line(f"falconwing scene fit {self.out / CORRECTED} --out ANOTHER")
+            again = f"falconwing scene fit {self.out / CORRECTED} --held-out {self.out / 'figures.json'}"
+            next_line(f"{again}{f' --survey {self.survey}' if self.survey else ''} --out ANOTHER")
         next_line(f"look at {self.out / 'pairs'}, then: falconwing scene info {done.path}")
         return 0
 

@@ -1,6 +1,6 @@
 """`falconwing scene poses` and `scene align`: photos -> where they were taken -> the same in the kit's world."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +22,7 @@ from falconwing_kit.scene.photo_files import (
 from falconwing_kit.scene.poses import GOOD_REPROJECTION_PX, GOOD_SHARE, advice, photos_to_poses
 from falconwing_kit.scene.survey.picture import draw_alignment
 from falconwing_kit.scene.survey.points import Survey, read_clicks, read_survey
-from falconwing_kit.scene.survey.recipe import Alignments, align_photos
+from falconwing_kit.scene.survey.recipe import Alignments, align_photos, check_points
 
 Progress = Callable[[str, int, int], None]
 
@@ -135,12 +135,13 @@ class Align:
         shown = recipes(found)
         draw_alignment(self.out / "alignment.png", reconstruction, survey, shown)
         record = alignment_record(found, reconstruction, survey)
+        record["check"] = check_record(found, check_points(found.best, reconstruction, survey, clicks), survey)
         if self.json:
             print_json({**record, "file": str(path)})
         else:
             _print_alignment(record)
             print(f"poses: {path}, picture: {self.out / 'alignment.png'}")
-            next_line(f"falconwing scene fit {self.out} --out scene.npz")
+            next_line(f"falconwing scene fit {self.out} --survey {self.survey} --out FOLDER")
         return 0
 
 
@@ -194,6 +195,27 @@ def alignment_record(found: Alignments, reconstruction: Reconstruction, survey: 
     }
 
 
+def check_record(found: Alignments, places: Mapping[str, Array], survey: Survey) -> dict[str, Any]:
+    """How far alignments put points kept for checking from where the tape had them, as it goes to JSON.
+
+    Args:
+        found: the alignments.
+        places: by name: (3,) where photos show the points, in the reconstruction's frame.
+        survey: with the points.
+
+    Returns:
+        By recipe mean and worst distance [m]; by point that of the best recipe; and the points that were not seen.
+    """
+    seen = np.array(list(places.values())).reshape(-1, 3)
+    tape = survey.places(places).reshape(-1, 3)
+    miss = {title: np.linalg.norm(a.points(seen) - tape, axis=1) for title, a in recipes(found)} if places else {}
+    return {
+        "recipes": {title: {"mean_m": float(m.mean()), "worst_m": float(m.max())} for title, m in miss.items()},
+        "points_m": dict(zip(places, list(miss.values())[-1].tolist(), strict=True)) if miss else {},
+        "not_seen": [name for name in survey.select("check").names if name not in places],
+    }
+
+
 def _print_poses(report: dict[str, Any], k1: float, title: str) -> None:
     """The report of poses as a table."""
     rows = [
@@ -226,6 +248,15 @@ def _print_alignment(record: dict[str, Any]) -> None:
     print_table(("surveyed point", "photos", "rms [px]"), points)
     for name in record["not_seen"]:
         print(f"not seen in two photos: {name}; click it (--clicks) to use it")
+    check = record["check"]
+    if check["recipes"]:
+        count = len(check["points_m"])
+        print()
+        checked = [(name, cm * r["mean_m"], cm * r["worst_m"]) for name, r in check["recipes"].items()]
+        title = f"{count} of {count + len(check['not_seen'])} points kept for checking, off the tape by"
+        print_table(("recipe", "mean [cm]", "worst [cm]"), checked, title=title)
+        worst = max(check["points_m"], key=lambda name: check["points_m"][name])
+        print(f"worst by all surveyed points: {worst}")
 
 
 def _holds_poses(path: Path) -> bool:

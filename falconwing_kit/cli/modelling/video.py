@@ -37,7 +37,7 @@ class Poses:
     out: Path | None = None
     """the flight table to write (CSV)"""
     network: str | None = None
-    """a pose network: hall, which ships, or a .safetensors file; without it only the marker gives poses"""
+    """a pose network: hall, which ships, or a .safetensors file; asked where marker and scene give no pose"""
     scene: str | None = None
     """a trained scene of the room: hall, which ships, or a file; poses are then followed through it"""
     camera: Path | None = None

@@ -10,8 +10,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from falconwing_kit.core.checks import InputError
-from falconwing_kit.scene.align import Alignment, align, align_by_marker_poses
+from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.scene.align import Alignment, align, align_by_marker_poses, triangulate
 from falconwing_kit.scene.photo_files import Reconstruction
 from falconwing_kit.scene.survey.faces import find_faces
 from falconwing_kit.scene.survey.marker import DICTIONARY, MARKER_ID, find_marker
@@ -82,6 +82,32 @@ def align_photos(
         faces = seen
         best = align(reconstruction, points, found + clicks + faces)
     return Alignments(baseline, marker, best, found + clicks + faces)
+
+
+def check_points(
+    best: Alignment, reconstruction: Reconstruction, survey: Survey, clicks: Sightings | None = None
+) -> dict[str, Array]:
+    """Points kept for checking, where photos show them: their faces are looked for where an alignment expects them.
+
+    Edges are the strongest steps near their place, since most such faces are posters or windows.
+
+    Args:
+        best: the surest alignment; it only says where to look.
+        reconstruction: not aligned.
+        survey: whose points of use "check" nothing was aligned by.
+        clicks: where somebody clicked surveyed points; what was clicked is not looked for.
+
+    Returns:
+        By name: (3,) in the reconstruction's frame, for every point that two or more photos agree on.
+
+    Raises:
+        FileNotFoundError: a photo is gone.
+    """
+    points, clicks = survey.select("check"), Sightings.join([]) if clicks is None else clicks
+    faces = [(names, points.places(names)) for names in points.faces() if not set(names) & set(clicks.names)]
+    seen = find_faces(reconstruction, best, faces, plain=False) if faces else Sightings.join([])
+    found = triangulate(reconstruction, seen + clicks)
+    return {name: place for name, place in found.items() if name in points.names}
 
 
 def _sharpened(
