@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,6 +21,7 @@ from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import R_BODY_CAMERA, euler_from_rotation, pose_matrix
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
+from falconwing_kit.vision.hybrid.choice import MOST_DOUBT, Candidate, among_neighbours, likeliest_path, well_known
 from falconwing_kit.vision.link.lines import corner_covariance, wander_px
 from falconwing_kit.vision.link.smear import through_link
 from falconwing_kit.vision.marker import (
@@ -37,15 +37,12 @@ from falconwing_kit.vision.refine import track_scene
 from falconwing_kit.vision.smoother import CornerSights, Motion, PoseSights, Sights, Smoothed, camera_at, smooth
 
 LEAST_CORNER_SIGMA_PX = 0.1  # however well a few sights agree: the lens is not known better
-TOP_SPEED, TOP_TURN = 12.0, 5.0  # [m/s], [rad/s]: neighbours that need more are not both right
-STRAY_M, STRAY_RAD = 0.5, 0.3  # beyond that, one sigma, with what the poses themselves leave open
-MOST_STRAIN = 4.0  # chi2 of a step that is still believed
-MOST_DOUBT = 25.0  # chi2 at which one frame's word against another ends
 ROOM_SIGMAS = 3.0  # a pose may be outside the room by so many of its own
-NEIGHBOUR_S = 1.0  # frames further apart say nothing about each other
 REACH_S = 0.25  # the marker is looked for again so long before and after it was seen
 REJECTED = {4: 23.5, 6: 27.9, 8: 31.8}  # chi2 of k coordinates that noise exceeds once in 10,000 times
 WRONG_SHARE = 0.5  # of marker sights that are nowhere in the room: then the print's size or place is wrong
+
+CornerNoise = Callable[[Array], Array]  # (M, 4, 2) [px] -> (M, 8, 8) [px^2]
 
 
 class PoseEstimator(Protocol):
@@ -96,16 +93,6 @@ class HybridFlight:
     pieces: tuple[tuple[int, Smoothed], ...] = field(default=())  # first frame and smoothed states of each stretch
 
 
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    """One pose that a frame allows."""
-
-    T_world_camera: Array  # (4, 4)
-    covariance: Array  # (6, 6) place and turn in world axes
-    doubt: float  # chi2 that speaks against it
-    source: str
-
-
 def estimate_flight(
     video: Video,
     camera: PinholeCamera,
@@ -141,7 +128,7 @@ def estimate_flight(
     offset = require_shape("p_body_camera", p_body_camera, (3,))
     counts: Counter[str] = Counter()
     sights: dict[int, MarkerPose] = {}
-    asked: dict[int, _Candidate] = {}
+    asked: dict[int, Candidate] = {}
     for frame in range(len(video.t)):
         image = video.image(frame)
         progress()
@@ -149,7 +136,7 @@ def estimate_flight(
             counts["no image"] += 1
             continue
         sight = find_marker(image, camera, marker)
-        if sight is not None and _in_room(sight.T_world_camera, sight.covariance, settings).any():
+        if sight is not None and _sees_from_room(sight, settings):
             sights[frame] = sight
         elif sight is not None:
             counts["marker: pose outside the room"] += 1
@@ -164,7 +151,9 @@ def estimate_flight(
     if not sights and not asked:
         some = np.unique(np.linspace(0, len(video.t) - 1, 20).astype(int))
         raise InputError(f"{video.name}: {seen_instead([video.image(int(k)) for k in some], marker)}")
-    sights, smear_px = through_link(video.image, sights, camera, marker)
+    again, smear_px = through_link(video.image, sights, camera, marker)
+    sights = {k: sight for k, sight in again.items() if _sees_from_room(sight, settings)}
+    counts.update("marker: pose outside the room" for k in again if k not in sights)
     estimate = _Estimate(video, camera, marker, offset, settings, motion or Motion(), asked, smear_px)
     return estimate.run(sights, counts, scene)
 
@@ -175,7 +164,7 @@ def _ask(
     camera: PinholeCamera,
     frame: int,
     settings: HybridSettings,
-    asked: dict[int, _Candidate],
+    asked: dict[int, Candidate],
     counts: Counter[str],
 ) -> None:
     """Ask the network about a frame, and keep what it says if it can be true."""
@@ -188,7 +177,7 @@ def _ask(
     covariance = getattr(said, "covariance", None)
     full = np.diag(sizes**2) if covariance is None else np.asarray(covariance, np.float64)
     if _in_room(T[None], full[None], settings).any():
-        asked[frame] = _Candidate(T, full, 0.0, "network")
+        asked[frame] = Candidate(T, full, 0.0, "network")
     else:
         counts["network: pose outside the room"] += 1
 
@@ -201,6 +190,11 @@ def _in_room(T_world_camera: Array, covariance: Array, settings: HybridSettings)
     return np.asarray(inside.all(axis=1) & (down < 0.2))
 
 
+def _sees_from_room(sight: MarkerPose, settings: HybridSettings) -> bool:
+    """Whether one of a sight's two poses can be true."""
+    return bool(_in_room(sight.T_world_camera, sight.covariance, settings).any())
+
+
 @dataclass(frozen=True, eq=False)
 class _Estimate:
     """What one flight's estimate needs throughout."""
@@ -211,7 +205,7 @@ class _Estimate:
     p_body_camera: Array
     settings: HybridSettings
     motion: Motion
-    asked: Mapping[int, _Candidate]
+    asked: Mapping[int, Candidate]
     smear_px: float  # of the link, along lines
 
     def run(self, sights: dict[int, MarkerPose], counts: Counter[str], scene: GaussianScene | None) -> HybridFlight:
@@ -237,8 +231,8 @@ class _Estimate:
         )
 
     def _followed(
-        self, scene: GaussianScene, chosen: Mapping[int, _Candidate], pieces: Sequence[tuple[int, Smoothed]]
-    ) -> dict[int, _Candidate]:
+        self, scene: GaussianScene, chosen: Mapping[int, Candidate], pieces: Sequence[tuple[int, Smoothed]]
+    ) -> dict[int, Candidate]:
         """Poses that the scene gives, from the smoothed ones at the marker on, and from the network's."""
         known: dict[int, Array] = {}
         for first, piece in pieces:
@@ -247,50 +241,58 @@ class _Estimate:
             known |= {k: T_world_camera[k - first] for k in rows}
         guesses = {k: one.T_world_camera for k, one in self.asked.items()}
         found = track_scene(self.video.image, self.video.t, scene, self.camera, known, guesses)
-        return {k: _Candidate(one.T_world_camera, one.covariance, 0.0, "scene") for k, one in found.items()}
+        return {k: Candidate(one.T_world_camera, one.covariance, 0.0, "scene") for k, one in found.items()}
 
     def _corner_sigma(self, sights: Mapping[int, MarkerPose]) -> float:
         return max(corner_noise(sights.values()), LEAST_CORNER_SIGMA_PX) if sights else float("nan")
 
-    def _flight(self, sights: Mapping[int, MarkerPose]) -> tuple[dict[int, _Candidate], list[tuple[int, Smoothed]]]:
+    def _flight(self, sights: Mapping[int, MarkerPose]) -> tuple[dict[int, Candidate], list[tuple[int, Smoothed]]]:
         """One pose per frame, and the smoothed stretches between gaps that are too long."""
         sigma_px = self._corner_sigma(sights)
         options = {k: self._options(sight, sigma_px) for k, sight in sights.items()}
         options.update({k: [one] for k, one in self.asked.items() if k not in options})
-        chosen = _among_neighbours(_chosen({k: options[k] for k in sorted(options)}, self.video.t), self.video.t)
+        t = self.video.t
+        chosen = among_neighbours(likeliest_path({k: options[k] for k in sorted(options)}, t), t)
+        if not chosen:
+            raise InputError(
+                f"{self.video.name}: want a frame whose pose lies in the room and fits its neighbours, got "
+                f"{len(options)} with one in the room and none that fits; check the print's size and the frames' times"
+            )
         frames = np.array(list(chosen), int)
-        cuts = np.flatnonzero(np.diff(self.video.t[frames]) > self.settings.longest_gap_s) + 1
+        cuts = np.flatnonzero(np.diff(t[frames]) > self.settings.longest_gap_s) + 1
         stretches = [part for part in np.split(frames, cuts) if part[-1] > part[0]]
-        return chosen, [(int(part[0]), self._smooth(part, chosen, sights, sigma_px)) for part in stretches]
+        wander = wander_px(sight.strays_px for sight in sights.values())
+        noise = partial(corner_covariance, sigma_px=sigma_px, wander=wander)
+        return chosen, [(int(part[0]), self._smooth(part, chosen, sights, noise)) for part in stretches]
 
-    def _options(self, sight: MarkerPose, sigma_px: float) -> list[_Candidate]:
+    def _options(self, sight: MarkerPose, sigma_px: float) -> list[Candidate]:
         """Both poses of a marker, as far as they are in the room."""
         misfit = 8.0 * (sight.reprojection_px / sigma_px) ** 2
         ok = _in_room(sight.T_world_camera, sight.covariance, self.settings)
         both = [
-            _Candidate(T, C, min(float(chi2), MOST_DOUBT), "marker")
+            Candidate(T, C, min(float(chi2), MOST_DOUBT), "marker")
             for T, C, chi2 in zip(sight.T_world_camera, sight.covariance, misfit - misfit[0], strict=True)
         ]
         return [one for one, good in zip(both, ok, strict=True) if good]
 
     def _smooth(
-        self, frames: Array, chosen: Mapping[int, _Candidate], sights: Mapping[int, MarkerPose], sigma_px: float
+        self, frames: Array, chosen: Mapping[int, Candidate], sights: Mapping[int, MarkerPose], noise: CornerNoise
     ) -> Smoothed:
         """The likeliest flight through the sights of one stretch."""
         first, last = int(frames[0]), int(frames[-1])
         t = self.video.t[first : last + 1]
-        known = _well_known(frames, chosen, self.video.t, self.settings.longest_gap_s)
+        known = well_known(frames, chosen, self.video.t, self.settings.longest_gap_s)
         poses = _body_poses(np.array([chosen[k].T_world_camera for k in known]), self.p_body_camera)
         start = np.stack([np.interp(t, self.video.t[known], column) for column in poses.T], axis=1)
-        return smooth(t, start, self._kinds(frames, first, chosen, sights, sigma_px), self.motion)
+        return smooth(t, start, self._kinds(frames, first, chosen, sights, noise), self.motion)
 
     def _kinds(
         self,
         frames: Array,
         first: int,
-        chosen: Mapping[int, _Candidate],
+        chosen: Mapping[int, Candidate],
         sights: Mapping[int, MarkerPose],
-        sigma_px: float,
+        noise: CornerNoise,
     ) -> list[Sights]:
         seen = [k for k in frames if chosen[k].source == "marker"]
         said = [k for k in frames if chosen[k].source != "marker"]
@@ -298,9 +300,7 @@ class _Estimate:
         if seen:
             corners = np.array([sights[k].corners_px for k in seen])
             rows = np.array(seen) - first
-            wander = wander_px(sight.strays_px for sight in sights.values())
-            noise = corner_covariance(corners, sigma_px, wander)
-            kinds.append(CornerSights(rows, corners, noise, self.marker, self.camera, self.p_body_camera))
+            kinds.append(CornerSights(rows, corners, noise(corners), self.marker, self.camera, self.p_body_camera))
         if said:
             period = float(np.median(np.diff(self.video.t)))
             alike = [max(1.0, self.settings.memory_s[chosen[k].source] / period) for k in said]
@@ -322,7 +322,7 @@ class _Estimate:
                 near = project_corners(self.marker, self.camera, T_world_camera)[0]
                 image = self.video.image(frame) if np.isfinite(near).all() else None
                 sight = None if image is None else look(image, near_px=near)
-                if sight is not None and _in_room(sight.T_world_camera, sight.covariance, self.settings).any():
+                if sight is not None and _sees_from_room(sight, self.settings):
                     found[frame] = sight
                 elif first <= frame < first + len(piece.p_world):
                     tried.add(frame)
@@ -342,7 +342,7 @@ class _Estimate:
         return reached
 
     def _table(
-        self, chosen: Mapping[int, _Candidate], pieces: Sequence[tuple[int, Smoothed]], counts: Counter[str]
+        self, chosen: Mapping[int, Candidate], pieces: Sequence[tuple[int, Smoothed]], counts: Counter[str]
     ) -> FlightTable:
         """The smoothed flight as a table, with what became of every frame."""
         rows = len(self.video.t)
@@ -367,7 +367,7 @@ class _Estimate:
         table = FlightTable(self.video.name, self.video.t, state[:, :3], state[:, 3:6], self.video.commands, extra)
         return replace(table, labels={"source": tuple(source)})
 
-    def _judged(self, chosen: Mapping[int, _Candidate], first: int, piece: Smoothed) -> tuple[list[int], list[int]]:
+    def _judged(self, chosen: Mapping[int, Candidate], first: int, piece: Smoothed) -> tuple[list[int], list[int]]:
         """Frames of a stretch whose sight fits the flight, and those whose sight does not."""
         inside = [k for k in chosen if first <= k < first + len(piece.p_world)]
         by_kind = [[k for k in inside if (chosen[k].source == "marker") == seen] for seen in (True, False)]
@@ -378,7 +378,7 @@ class _Estimate:
                 (rejected if value > limit else kept).append(frame)
         return kept, rejected
 
-    def _measured(self, chosen: Mapping[int, _Candidate]) -> FlightTable:
+    def _measured(self, chosen: Mapping[int, Candidate]) -> FlightTable:
         """Each frame's own pose."""
         rows, frames = len(self.video.t), list(chosen)
         pose, sigma, source = np.full((rows, 6), np.nan), np.full((rows, 2), np.nan), ["none"] * rows
@@ -397,53 +397,3 @@ def _body_poses(T_world_camera: Array, p_body_camera: Array) -> Array:
     T_world_body = T_world_camera @ np.linalg.inv(pose_matrix(R_BODY_CAMERA, p_body_camera))
     roll, pitch, yaw = euler_from_rotation(T_world_body[:, :3, :3])
     return np.column_stack([T_world_body[:, :3, 3], roll, pitch, np.unwrap(yaw)])
-
-
-def _chosen(options: Mapping[int, list[_Candidate]], t: Array) -> dict[int, _Candidate]:
-    """One pose per frame: the path with the least doubt in itself and between neighbours (Viterbi 1967)."""
-    frames = list(options)
-    total = [np.array([one.doubt for one in options[frames[0]]])] if frames else []
-    back: list[Any] = []
-    for before, frame in pairwise(frames):
-        step = np.array([[_strain(a, b, t[frame] - t[before]) for a in options[before]] for b in options[frame]])
-        paths = step + total[-1]
-        back.append(np.argmin(paths, axis=1))
-        total.append(paths.min(axis=1) + [one.doubt for one in options[frame]])
-    choice = [int(np.argmin(total[-1]))] if frames else []
-    for pointers in reversed(back):
-        choice.append(int(pointers[choice[-1]]))
-    return {frame: options[frame][j] for frame, j in zip(frames, reversed(choice), strict=True)}
-
-
-def _among_neighbours(chosen: dict[int, _Candidate], t: Array) -> dict[int, _Candidate]:
-    """Without poses that an aircraft cannot get to from most of those within half a second; they lead astray."""
-    frames = list(chosen)
-    times = t[frames]
-    kept = {}
-    for k, frame in enumerate(frames):
-        near = [frames[j] for j in np.flatnonzero(np.abs(times - times[k]) < 0.5 * NEIGHBOUR_S) if j != k]
-        strain = [_strain(chosen[frame], chosen[other], abs(t[other] - t[frame])) for other in near]
-        if not near or np.median(strain) < MOST_STRAIN:
-            kept[frame] = chosen[frame]
-    return kept
-
-
-def _well_known(frames: Array, chosen: Mapping[int, _Candidate], t: Array, gap_s: float) -> Array:
-    """Frames to begin from, without those between better ones whose turn is hardly known: they wind the yaw around."""
-    good = np.array([np.trace(chosen[k].covariance[3:, 3:]) < 3.0 * STRAY_RAD**2 for k in frames])
-    before = np.maximum.accumulate(np.where(good, t[frames], -np.inf))
-    after = np.minimum.accumulate(np.where(good, t[frames], np.inf)[::-1])[::-1]
-    return frames[good | (after - before > gap_s)]
-
-
-def _strain(a: _Candidate, b: _Candidate, dt: float) -> float:
-    """chi2 of a step that no aircraft can make; 0 for one it can."""
-    if dt > NEIGHBOUR_S:
-        return 0.0
-    A, B = a.T_world_camera, b.T_world_camera
-    moved = float(np.linalg.norm(B[:3, 3] - A[:3, 3])) - TOP_SPEED * dt
-    turned = float(np.arccos(np.clip(0.5 * (np.trace(A[:3, :3].T @ B[:3, :3]) - 1.0), -1.0, 1.0))) - TOP_TURN * dt
-    variance = np.diag(a.covariance) + np.diag(b.covariance)
-    chi2 = max(moved, 0.0) ** 2 / (STRAY_M**2 + variance[:3].sum())
-    chi2 += max(turned, 0.0) ** 2 / (STRAY_RAD**2 + variance[3:].sum())
-    return float(min(chi2, MOST_DOUBT))

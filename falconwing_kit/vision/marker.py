@@ -288,7 +288,8 @@ def _print_for(marker: Marker, corners: Array, soft_px: float = SOFT_PX[0]) -> P
     cells = int(marker.dictionary[5]) + 2
     cell_seen_px = np.sqrt(_area(corners)) / cells
     cell_px = int(np.clip(round(FINE * cell_seen_px), 4, 32))
-    return _print(marker.dictionary, marker.id, cell_px, round(soft_px * cell_px / cell_seen_px, 1))
+    drawn_px = max(0.1, round(soft_px * cell_px / cell_seen_px, 1))  # a huge marker's blur must not become 0
+    return _print(marker.dictionary, marker.id, cell_px, drawn_px)
 
 
 def _sharpened(

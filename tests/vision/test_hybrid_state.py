@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -11,17 +12,9 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_body, wrap_angle
 from falconwing_kit.scene.arena import load_scene
 from falconwing_kit.scene.render import render
-from falconwing_kit.vision.hybrid_state import (
-    HybridSettings,
-    Video,
-    _among_neighbours,
-    _Candidate,
-    _chosen,
-    _well_known,
-    estimate_flight,
-)
+from falconwing_kit.vision.hybrid_state import HybridSettings, Video, estimate_flight
 from falconwing_kit.vision.marker import Marker
-from tests.vision.drawn_marker import CAMERA, view
+from tests.vision.drawn_marker import CAMERA, pose, view
 from tests.vision.strayed import strayed
 
 COUNT = 36
@@ -141,45 +134,6 @@ def test_a_room_without_the_true_side_leaves_the_mirrored_pose(approach):
     assert (flight.measured.p_world[far, 1] < 0.0).all()
 
 
-def candidate(x, doubt=0.0):
-    """A pose at x on a line, known to a millimetre."""
-    T = np.eye(4)
-    T[0, 3] = x
-    return _Candidate(T, 1e-6 * np.eye(6), doubt, "network")
-
-
-def test_the_path_with_the_least_doubt_is_chosen():
-    """By hand: at 12 m/s at most, 0.6 m a frame, the far poses cost (7 - 0.6)^2 / 0.25 and more, cut to 25 a step;
-    the near ones cost their doubt of 4 each."""
-    options = {0: [candidate(0.0)], 1: [candidate(7.0), candidate(0.5, doubt=4.0)], 2: [candidate(1.0)]}
-    chosen = _chosen(options, np.array([0.0, 0.05, 0.1]))
-    assert [chosen[frame].T_world_camera[0, 3] for frame in (0, 1, 2)] == [0.0, 0.5, 1.0]
-
-
-def test_early_doubt_is_carried_along_the_path():
-    """By hand: the path that stays at 20 m begins with a doubt of 9, the one at 0 m ends with 5; a change costs 25."""
-    options = {0: [candidate(20.0, doubt=9.0), candidate(0.0)], 1: [candidate(20.0), candidate(0.0, doubt=5.0)]}
-    chosen = _chosen(options, np.array([0.0, 0.05]))
-    assert [chosen[frame].T_world_camera[0, 3] for frame in (0, 1)] == [0.0, 0.0]
-
-
-def test_a_flight_begins_without_the_turns_that_are_hardly_known():
-    """Frames 1 and 2 know their turn to 40 deg and stand between good ones 0.15 s apart: left out. The last has no good
-    one behind it, and where good ones are further apart than the gap allowed nothing is left out."""
-    vague = np.diag([0.01] * 3 + [np.radians(40.0) ** 2] * 3)
-    chosen = {k: candidate(0.3 * k) for k in range(5)}
-    chosen |= {k: _Candidate(chosen[k].T_world_camera, vague, 0.0, "network") for k in (1, 2, 4)}
-    frames, t = np.arange(5), 0.05 * np.arange(5)
-    assert _well_known(frames, chosen, t, 1.0).tolist() == [0, 3, 4]
-    assert _well_known(frames, chosen, t, 0.1).tolist() == [0, 1, 2, 3, 4]
-
-
-def test_a_pose_that_fits_no_neighbour_is_dropped():
-    """Five frames 0.3 m apart and one of them 10 m aside."""
-    chosen = {k: candidate(0.3 * k + (10.0 if k == 2 else 0.0)) for k in range(5)}
-    assert list(_among_neighbours(chosen, 0.05 * np.arange(5))) == [0, 1, 3, 4]
-
-
 def test_the_network_fills_in_where_the_marker_is_not_seen(approach):
     """With it every frame has a pose; single ones are 0.3 m off per axis, the smoothed ones half of that at most."""
     flight = estimate_flight(approach.video(), CAMERA, Network(approach))
@@ -241,6 +195,43 @@ def test_a_wrong_print_size_is_told(approach):
     """Taken for three times its size the marker seems three times as far, 30 m and more: outside the hall."""
     with pytest.raises(InputError, match="check the printed"):
         estimate_flight(approach.video(), CAMERA, marker=Marker(size=2.4))
+
+
+def blurred(xs):
+    """A video that flies along x straight at the marker, blurred by 1.2 px along its lines as a link does."""
+    Ts = [pose(x, 0.4 * (k % 3 - 1), 1.3, 0.0, -3.0, 3.0 * (k % 4)) for k, x in enumerate(xs)]
+    drawn = [view(T, np.random.default_rng(k), blur_px=0.4) for k, T in enumerate(Ts)]
+    images = [cv2.GaussianBlur(image, (0, 0), sigmaX=1.2, sigmaY=1e-3) for image in drawn]
+    return Video("blurred", 0.05 * np.arange(len(xs)), np.zeros((len(xs), 4)), images.__getitem__)
+
+
+X_BLURRED = -12.0 + 0.35 * np.arange(8)
+BEHIND = HybridSettings(room_low=(-9.65, -12.0, 0.0))  # between both readings of the frame at -10.6 m, and 3 sigma
+
+
+def test_a_sight_that_leaves_the_room_with_the_smear_is_counted():
+    """A blurred marker is drawn wide and seems near; read again with the blur, the one at -10.6 m is 0.15 m further
+    away and no longer in a room that ends there. Those nearer to the marker stay."""
+    flight = estimate_flight(blurred(X_BLURRED), CAMERA, settings=BEHIND)
+    assert flight.counts["marker: pose outside the room"] == 1
+    assert len(flight.marker) >= 3
+    assert 4 not in flight.marker
+
+
+def test_no_sight_left_after_the_smear_is_refused():
+    """Nothing but that frame, three times."""
+    video = blurred(X_BLURRED)
+    again = Video("blurred", video.t[:3], video.commands[:3], lambda frame: video.image(4))
+    with pytest.raises(InputError, match=r"blurred: want a frame whose pose lies in the room .* got 0 with"):
+        estimate_flight(again, CAMERA, settings=BEHIND)
+
+
+def test_two_sights_that_contradict_each_other_are_refused():
+    """6 m and 12 m away 0.05 s apart: 120 m/s."""
+    images = [view(pose(x, 0.0, 0.75), np.random.default_rng(0)) for x in (-6.0, -12.0)]
+    video = Video("a leap", np.array([0.0, 0.05]), np.zeros((2, 4)), images.__getitem__)
+    with pytest.raises(InputError, match=r"a leap: want a frame .* got 2 with one .* none that fits; check"):
+        estimate_flight(video, CAMERA)
 
 
 def test_no_marker_and_no_network_is_refused(approach):

@@ -6,6 +6,7 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.scene.arena import load_scene
+from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.render import render
 from falconwing_kit.vision.marker import Marker, MarkerPose, corner_noise, find_marker, name_markers, project_corners
 from tests.vision.drawn_marker import CAMERA, pose, view
@@ -156,6 +157,16 @@ def test_the_arena_shows_the_marker_where_its_plan_puts_it():
     frame = render(load_scene("arena"), CAMERA, T)
     seen = find_marker((255.0 * frame.rgb).astype(np.uint8), CAMERA)
     assert seen.T_world_camera[0, :3, 3] == pytest.approx(T[:3, 3], abs=0.1)
+
+
+def test_a_marker_that_fills_a_large_picture_is_found():
+    """3840 x 2160 pixels, the print drawn by OpenCV 1500 wide, its corners on pixel borders; a tenth of a pixel."""
+    camera = PinholeCamera(2400.0, 2400.0, 1920.0, 1080.0, 3840, 2160)
+    drawn = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), 7, 1500)
+    image = np.full((2160, 3840), 215, np.uint8)
+    image[330:1830, 1170:2670] = np.where(drawn > 0, 215, 70)
+    by_hand = np.array([(1170.0, 330.0), (2670.0, 330.0), (2670.0, 1830.0), (1170.0, 1830.0)])
+    assert find_marker(image, camera).corners_px == pytest.approx(by_hand, abs=0.1)
 
 
 @pytest.mark.parametrize(

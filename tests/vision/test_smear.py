@@ -60,6 +60,15 @@ def test_a_marker_seen_through_a_link_is_no_longer_drawn_wide():
 
 def test_lost_pictures_and_no_sights_leave_no_smear():
     """Nothing to measure."""
-    assert link_smear_px(lambda k: None, {}, Marker()) == 0.0
     _, sights = seen(0.0)
-    assert through_link(lambda k: None, sights, CAMERA, Marker()) == ({}, 0.0)
+    assert link_smear_px(lambda k: None, {}, Marker()) == 0.0
+    assert link_smear_px(lambda k: None, sights, Marker()) == 0.0
+
+
+def test_without_a_smear_sights_stay_as_they_are():
+    """A print that is smeared by 0 px is the one they were found with: the same objects, in a dict of their own."""
+    _, sights = seen(0.0)
+    again, smear = through_link(lambda k: None, sights, CAMERA, Marker())
+    assert smear == 0.0
+    assert again == sights
+    assert again is not sights

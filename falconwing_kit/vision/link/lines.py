@@ -125,6 +125,6 @@ def _shared(shifts: list[Array]) -> float:
         e = P @ shift[rows]
         found += e @ e, (D @ e) @ (D @ e)
         expected += [[np.trace(P), np.trace(PCP)], [np.trace(D @ P @ D.T), np.trace(D @ PCP @ D.T)]]
-    if not expected.any():
+    if not expected[1].any():  # no print, or none with two lines side by side
         return 0.0
     return float(np.linalg.solve(expected, found)[1])

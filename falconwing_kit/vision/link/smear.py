@@ -28,9 +28,11 @@ def through_link(
         marker: what was printed.
 
     Returns:
-        The sights that are found again, and the link's smear [px].
+        The sights that are found again, and the link's smear [px]; without smear the sights as they are.
     """
     smear_px = link_smear_px(image, sights, marker)
+    if smear_px == 0.0:
+        return dict(sights), 0.0
     again: dict[int, MarkerPose] = {}
     for frame, sight in sights.items():
         picture = image(frame)

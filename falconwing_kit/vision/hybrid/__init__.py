@@ -1,0 +1,1 @@
+"""hybrid: the steps of the hybrid state estimate that stand on their own."""
