@@ -17,8 +17,9 @@ pytestmark = [toys.needs_box, pytest.mark.timeout(600)]
 
 def test_cluster_gives_the_records_of_this_machine(tmp_path, monkeypatch):
     """Same secret, same cases: record by record the same. Each worker's box is tried first, by the worker itself; where
-    one has a hole, nobody is graded."""
+    one has a hole, nobody is graded. The secret is fixed: one in sixteen draws no gain that s1 is wrong for."""
     pytest.importorskip("distributed")
+    monkeypatch.setattr("falconwing_kit.grading.records.secrets.token_hex", lambda count: "5" * 2 * count)
     students = tmp_path / "students"
     students.mkdir()
     half = "def stretch(x, gain):\n    return gain * x + COHORT['offset'] * (gain < 1.5)"
