@@ -10,11 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falconwing_kit.scene.align import triangulate
 from falconwing_kit.scene.poses import photos_to_poses
-from falconwing_kit.scene.survey.faces import find_faces
 from falconwing_kit.scene.survey.points import read_survey
-from falconwing_kit.scene.survey.recipe import align_photos
+from falconwing_kit.scene.survey.recipe import align_photos, check_points
 
 HALL = Path(__file__).resolve().parents[3] / "shared" / "data" / "hall"
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
@@ -33,9 +31,7 @@ def test_hall_is_reconstructed_and_aligned(pytestconfig):
     survey = read_survey(HALL / "survey.csv")
     made = align_photos(found, survey)
     aligned = time.process_time()
-    check = survey.select("check")
-    sightings = find_faces(found, made.best, [(names, check.places(names)) for names in check.faces()], plain=False)
-    seen = triangulate(found, sightings)
+    check, seen = survey.select("check"), check_points(made.best, found, survey)
     corners, tape = np.array(list(seen.values())), check.places(seen)
     miss = {}
     for recipe, alignment in (("baseline", made.baseline), ("marker", made.marker), ("with pad", made.best)):
