@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.aircraft.airframe import load_airframe
-from falconwing_kit.aircraft.hardware.cameras import load_camera
-from falconwing_kit.aircraft.hardware.parts import load_parts, roll_up
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write, write_figures
+from falconwing_kit.tools.hardware.cameras import load_camera
+from falconwing_kit.tools.hardware.parts import load_parts, roll_up
 
 FIGURES = Path(__file__).resolve().parents[1] / "manual" / "figures"
 DARK, LIGHT = "0.1", "0.55"

@@ -10,25 +10,25 @@ from pathlib import Path
 TESTS = Path(__file__).parent
 # Files and rooms, and why. Processor time is measured too: beside a busy neighbour a core is slower.
 ALONE = {
-    "cli/test_bridge.py": "a board in real time, and Ctrl-C",
-    "cli/test_calibrate.py": "a board in real time",
-    "demo/test_alfa_gap.py": "the minute-long demo that README's test runs too: in one process it runs once",
-    "demo/test_live_page.py": "a page's server and its browsers",
-    "demo/test_recorded.py": "the same demo",
+    "tools/cli/test_bridge.py": "a board in real time, and Ctrl-C",
+    "tools/cli/test_calibrate.py": "a board in real time",
+    "tools/demo/test_alfa_gap.py": "the minute-long demo that README's test runs too: in one process it runs once",
+    "tools/demo/test_live_page.py": "a page's server and its browsers",
+    "tools/demo/test_recorded.py": "the same demo",
     "firmware/test_ros_latency.py": "from image to pulses in real time",
-    "flight/test_bag.py": "ROS plays a flight in real time",
+    "tools/bridge/test_bag.py": "ROS plays a flight in real time",
     "flight/test_loop.py": "a loop on the wall's clock",
-    "flight/test_recording.py": "recordings that are killed as they go",
-    "grading": "the time limits of the box, and processes that no box may leave behind on the machine",
+    "tools/bridge/test_recording.py": "recordings that are killed as they go",
+    "tools/grading": "the time limits of the box, and processes that no box may leave behind on the machine",
     "manual/test_commands.py": "commands in real time",
     "manual/test_manual.py": "processor time",
     "stories/test_host_killed.py": "a flight in real time",
     "stories/test_live_demo.py": "a browser beside a flight in real time",
     "stories/test_readme.py": "commands in real time",
-    "trainer_port/test_bus.py": "ROS",
+    "tools/bridge/test_bus.py": "ROS",
     "trainer_port/test_links.py": "a board behind a pseudo-terminal in real time",
-    "trainer_port/test_ros.py": "ROS",
-    "trainer_port/test_simulated_board.py": "a board behind a pseudo-terminal in real time",
+    "tools/bridge/test_ros.py": "ROS",
+    "tools/bridge/test_simulated_board.py": "a board behind a pseudo-terminal in real time",
     "vision/test_monitor.py": "processor time",
 }
 # Files that take minutes, longest first: begun late, they would keep one process busy while the other waits.
@@ -36,8 +36,8 @@ LONGEST = (
     "sysid/test_identify.py",
     "stories/test_blind_naming.py",
     "gap/test_name.py",
-    "flight/test_through_port.py",
-    "gap/test_report.py",
+    "tools/bridge/test_through_port.py",
+    "tools/reports/test_gap_report.py",
     "labs/test_notebooks.py",
     "labs/test_grades.py",
     "aircraft/test_integrate.py",
@@ -55,7 +55,7 @@ def place_in_line(path: Path) -> int:
 def needs_the_machine(path: Path) -> bool:
     """Whether a file of tests is named above, itself or by its room."""
     parts = path.relative_to(TESTS).parts if path.is_relative_to(TESTS) else ()
-    return any("/".join(parts[:count]) in ALONE for count in (1, 2))
+    return any("/".join(parts[:count]) in ALONE for count in range(1, len(parts) + 1))
 
 
 def keep_apart() -> tempfile.TemporaryDirectory[str] | None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from falconwing_kit.core.many.cluster import on_every_worker
+from falconwing_kit.tools.jobs.cluster import on_every_worker
 
 ROOT = Path(__file__).parents[1]
 Process = subprocess.Popen[bytes]

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import pytest
 
-from falconwing_kit.cli.main import main
-from falconwing_kit.demo import approach, recorded
-from falconwing_kit.demo.approach import Approach
-from falconwing_kit.demo.recorded import RecordedFlights
+from falconwing_kit.tools.cli.main import main
+from falconwing_kit.tools.demo import approach, recorded
+from falconwing_kit.tools.demo.approach import Approach
+from falconwing_kit.tools.demo.recorded import RecordedFlights
 
 WORDS = ("demo", "--headless", "--out", "out")  # as README prints them
 _FOLDER = tempfile.TemporaryDirectory(prefix="falconwing_demo_", ignore_cleanup_errors=True)

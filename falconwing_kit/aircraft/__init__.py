@@ -26,7 +26,7 @@ from falconwing_kit.aircraft.sizing import (
     unlisted_mass,
     wing_loading,
 )
-from falconwing_kit.aircraft.terms import Flow, Parameter, Term, WindTerm
+from falconwing_kit.aircraft.terms import Flow, Parameter, Term, WindTerm, air_flow
 from falconwing_kit.aircraft.touchdown import (
     LandingPad,
     Touchdown,
@@ -60,6 +60,7 @@ __all__ = [
     "Wheels",
     "WindTerm",
     "acting_commands",
+    "air_flow",
     "default_airframe_path",
     "find_touchdown",
     "fly",

@@ -17,7 +17,7 @@ from falconwing_kit.control.loops import SPEED
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.frames import rotation_world_body
 from falconwing_kit.core.messages import State
-from falconwing_kit.flight.judging.judges import FollowJudge, Judge, LandingJudge
+from falconwing_kit.flight.judges import FollowJudge, Judge, LandingJudge
 from falconwing_kit.flight.loop import Pilot
 from falconwing_kit.flight.sources import RenderedView
 from falconwing_kit.flight.world import SimulatedWorld

@@ -17,7 +17,7 @@ from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.trim import STICK_LIMITS, Trim, trim
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.messages import COMMAND_NAMES
-from falconwing_kit.gap.calm import LEAST_GAIN, CalmBase
+from falconwing_kit.gap.baseline import LEAST_GAIN, CalmBase
 from falconwing_kit.gap.name import Candidate, Naming
 from falconwing_kit.gap.noise import whitened
 from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows

@@ -11,7 +11,7 @@ from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.terms import Parameter
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.flight_table import FlightTable, slice_time
-from falconwing_kit.gap.calm import CalmBase, Progress
+from falconwing_kit.gap.baseline import CalmBase, Progress
 from falconwing_kit.gap.evidence import Reduced, Variant, columns
 from falconwing_kit.gap.name import Candidate, Naming, name_effect
 from falconwing_kit.sysid.fit import FitResult, fit, prior_rows

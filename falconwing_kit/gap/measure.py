@@ -7,7 +7,7 @@ import numpy as np
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.flight_table import nearest_index
-from falconwing_kit.gap.calm import CalmBase
+from falconwing_kit.gap.baseline import CalmBase
 from falconwing_kit.gap.name import Naming
 from falconwing_kit.sysid.prepare import CHANNELS, Flight
 from falconwing_kit.sysid.score import score

@@ -8,7 +8,7 @@ import numpy as np
 
 from falconwing_kit.aircraft.effects import CATALOGUE, Effect
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.gap.calm import CHOICE, LACKING, LEAST_GAIN, CalmBase, Progress, freedom, price_of, unnamed_for
+from falconwing_kit.gap.baseline import CHOICE, LACKING, LEAST_GAIN, CalmBase, Progress, freedom, price_of, unnamed_for
 from falconwing_kit.gap.evidence import Reduced, columns, variants
 from falconwing_kit.gap.noise import whitened
 from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_starts, prior_rows, robust_factor

@@ -22,8 +22,8 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.learning.appearance import randomised
 from falconwing_kit.learning.pose_views import Views, World, take
-from falconwing_kit.vision.networks.pose import CELL, FREEDOM, Answer, PoseNetwork, fused, rotations, turn_between
 from falconwing_kit.vision.pose_net import cell_rays
+from falconwing_kit.vision.pose_network import CELL, FREEDOM, Answer, PoseNetwork, fused, rotations, turn_between
 
 STATE = "training.safetensors"
 WARM, COOL = 0.03, 0.01  # share of the way over which the rate rises; what is left of it at the end

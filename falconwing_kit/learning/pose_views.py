@@ -10,7 +10,7 @@ Where cameras are drawn, in shares that the caller gives:
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -23,8 +23,7 @@ from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import render
-from falconwing_kit.scene.training.photos import Photos
-from falconwing_kit.vision.networks.pose import CELL
+from falconwing_kit.vision.pose_network import CELL
 
 WALL = 0.5  # m, how near to the box's sides an aircraft flies
 TURN_DEG, SHIFT = 10.0, 0.7  # of photographers
@@ -35,6 +34,22 @@ LEADER_NEAR, LEADER_FAR = 1.5, 12.0  # m
 
 # Poses (C, 4, 4) -> colour (C, H, W, 3), alpha (C, H, W) and depth (C, H, W) [m] as tensors on the device.
 Look = Callable[[Array], tuple[Tensor, Tensor, Tensor]]
+
+
+class PosedImages(Protocol):
+    """P images of one camera and where each was taken, such as the photos that a scene was trained on."""
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """Of all images, without distortion."""
+
+    @property
+    def images(self) -> Tensor:
+        """(P, H, W, 3) bytes."""
+
+    @property
+    def Ts_world_camera(self) -> Tensor:
+        """(P, 4, 4) float32."""
 
 
 class Views(NamedTuple):
@@ -53,7 +68,7 @@ class World:
     camera: PinholeCamera  # the network's
     low: Array  # (3,) the box in which aircraft fly [m]
     high: Array
-    photos: Photos | None = None  # to learn from, of the fine camera's size or more
+    photos: PosedImages | None = None  # to learn from, of the fine camera's size or more
     look_leader: Look | None = None  # renders the leader alone, in its body axes
     near_share: float = 0.35  # of views beside photos
     photo_share: float = 0.15  # of views taken from photos
@@ -72,7 +87,7 @@ def looker(scene: GaussianScene, camera: PinholeCamera, backend: str, antialiase
     """
 
     def by_gsplat(Ts_world_camera: Array) -> tuple[Tensor, Tensor, Tensor]:
-        from falconwing_kit.scene.renderers.gsplat_backend import rasterize
+        from falconwing_kit.scene.gsplat_backend import rasterize
 
         parts = [Ts_world_camera[k : k + BATCH] for k in range(0, len(Ts_world_camera), BATCH)]
         with torch.no_grad():
@@ -155,7 +170,7 @@ def nearby(Ts_world_camera: Array, shift: Array | float, turn_deg: float, rng: n
 
 
 def from_photos(
-    renders: Tensor, camera: PinholeCamera, Ts_world_camera: Array, photos: Photos, numbers: NDArray[np.int64]
+    renders: Tensor, camera: PinholeCamera, Ts_world_camera: Array, photos: PosedImages, numbers: NDArray[np.int64]
 ) -> Tensor:
     """Renders (C, H, W, 3) with what photos taken from the same places saw put over them.
 

@@ -1,23 +1,32 @@
 """scene: Gaussian scenes, their files, the arena, the camera that looks at them, and its image.
 
 Nothing here loads torch or numba before `render` is called; what learns through images imports
-`falconwing_kit.scene.renderers.reference` itself.
+`falconwing_kit.scene.reference` itself.
 """
 
+from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.arena import build_arena, leader_at, load_scene
 from falconwing_kit.scene.camera import PinholeCamera, nose_camera_pose
 from falconwing_kit.scene.gaussians import GaussianScene
+from falconwing_kit.scene.masks import COVERED, Ellipsoid, ellipse_mask, seen_image
+from falconwing_kit.scene.native import write_quantised
 from falconwing_kit.scene.render import BACKENDS, Frame, render, require_pose
 
 __all__ = [
     "BACKENDS",
+    "COVERED",
+    "AnalogVideo",
+    "Ellipsoid",
     "Frame",
     "GaussianScene",
     "PinholeCamera",
     "build_arena",
+    "ellipse_mask",
     "leader_at",
     "load_scene",
     "nose_camera_pose",
     "render",
     "require_pose",
+    "seen_image",
+    "write_quantised",
 ]

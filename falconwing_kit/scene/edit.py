@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 from falconwing_kit.core.frames import pose_matrix
-from falconwing_kit.scene.editing.colours import GAMMA, plain_colour, scaled_colours, turned_colours
+from falconwing_kit.scene.colours import GAMMA, plain_colour, scaled_colours, turned_colours
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import require_pose
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import short_name
 from falconwing_kit.scene.analog import AnalogVideo
-from falconwing_kit.scene.formats.native import read_native, write_native
-from falconwing_kit.scene.formats.packed import read_sog, read_splat, read_spz
-from falconwing_kit.scene.formats.ply import SH_COUNTS, Array32, read_ply, write_ply
+from falconwing_kit.scene.native import read_native, write_native
+from falconwing_kit.scene.ply import SH_COUNTS, Array32, read_ply, write_ply
 
 Labels = NDArray[np.uint8]
 
 READERS: dict[str, Callable[[Path], dict[str, Any]]] = {
     ".ply": read_ply,
-    ".splat": read_splat,
-    ".spz": read_spz,
-    ".sog": read_sog,
     ".npz": read_native,
 }
 MAX_LABELS = 256
@@ -93,9 +90,9 @@ class GaussianScene:
         """
         path = Path(path)
         in_folder = path.is_dir() or path.name == "meta.json"
-        read = read_sog if in_folder else READERS.get(path.suffix.lower())
+        read = _reader(".sog" if in_folder else path.suffix.lower())
         if read is None:
-            kinds = ", ".join(READERS)
+            kinds = ", ".join((*READERS, *_more_readers().names))
             raise InputError(f"{short_name(path)}: want a scene ending in {kinds} or a SOG folder, got another ending")
         fields = {"source": short_name(path)} | read(path)
         try:
@@ -179,6 +176,17 @@ class GaussianScene:
             link=next((scene.link for scene in scenes if scene.link is not None), None),
             source="; ".join(dict.fromkeys(scene.source for scene in scenes if scene.source)),
         )
+
+
+def _more_readers() -> EntryPoints:
+    """Readers of further formats that installed packages offer; the kit's own toolbox offers .splat, .spz and .sog."""
+    return entry_points(group="falconwing_kit.scene_readers")
+
+
+def _reader(suffix: str) -> Callable[[Path], dict[str, Any]] | None:
+    """The function that reads files with this ending; None if there is none."""
+    offered = next((point.load for point in _more_readers() if point.name == suffix), lambda: None)
+    return READERS.get(suffix) or offered()
 
 
 def _floats(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array32:

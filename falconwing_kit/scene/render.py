@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 
 from falconwing_kit.core.checks import Array, InputError, require_shape
 from falconwing_kit.scene.camera import PinholeCamera
-from falconwing_kit.scene.formats.ply import Array32
 from falconwing_kit.scene.gaussians import GaussianScene
+from falconwing_kit.scene.ply import Array32
 
 Scenes = tuple[GaussianScene, ...]
 Images = tuple[Array32, Array32, Array32]  # colour, alpha and depth, before the colours are cut to 0..1
@@ -104,7 +104,7 @@ def _reference(
     scenes: Scenes, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool
 ) -> Images:
     try:
-        from falconwing_kit.scene.renderers.reference import render_reference
+        from falconwing_kit.scene.reference import render_reference
     except ModuleNotFoundError as error:
         raise _missing("reference", error) from None
     return render_reference(_joined(scenes), camera, T_world_camera, background, antialiased)
@@ -112,7 +112,7 @@ def _reference(
 
 def _fast(scenes: Scenes, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool) -> Images:
     try:
-        from falconwing_kit.scene.renderers.fast import render_fast
+        from falconwing_kit.scene.fast import render_fast
     except ModuleNotFoundError as error:
         raise _missing("fast", error) from None
     return render_fast(scenes, camera, T_world_camera, background, antialiased)
@@ -121,7 +121,7 @@ def _fast(scenes: Scenes, camera: PinholeCamera, T_world_camera: Array, backgrou
 def _gsplat(
     scenes: Scenes, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool
 ) -> Images:
-    from falconwing_kit.scene.renderers.gsplat_backend import render_gsplat
+    from falconwing_kit.scene.gsplat_backend import render_gsplat
 
     return render_gsplat(_joined(scenes), camera, T_world_camera, background, antialiased)
 

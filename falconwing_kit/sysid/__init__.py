@@ -1,6 +1,5 @@
 """sysid: recorded flights -> the parameters of f_K, their intervals, and an honest score."""
 
-from falconwing_kit.sysid.alfa import AlfaFlight, read_alfa
 from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_starts
 from falconwing_kit.sysid.forecast import Forecasts, constant_turn, constant_velocity, forecast, with_throttle_held
 from falconwing_kit.sysid.identify import Identification, identify
@@ -13,7 +12,6 @@ from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
 
 __all__ = [
     "CHANNELS",
-    "AlfaFlight",
     "FitResult",
     "Flight",
     "Forecasts",
@@ -38,7 +36,6 @@ __all__ = [
     "jacobian",
     "predict",
     "prepare",
-    "read_alfa",
     "read_model",
     "residuals",
     "score",

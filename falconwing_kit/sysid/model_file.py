@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.aircraft.effects import CATALOGUE, Effect
+from falconwing_kit.aircraft.generic import UNNAMED
 from falconwing_kit.aircraft.model import FORMS, Model
 from falconwing_kit.aircraft.terms import FORCES, MOMENTS, QUASI_STEADY_RATES, UNIFORM_WIND, Term, WindTerm
-from falconwing_kit.aircraft.unnamed import UNNAMED
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.config import from_toml, write_toml
 from falconwing_kit.sysid.identify import Identification

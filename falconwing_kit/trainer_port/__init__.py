@@ -1,6 +1,6 @@
 """trainer_port: PPM calibration, serial protocol, safety state machine, boards and the port to the transmitter."""
 
-from falconwing_kit.trainer_port.port import TrainerPort, open_port
+from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.trainer_port.ppm import Calibration, Stick, load_calibration
 from falconwing_kit.trainer_port.protocol import (
     CommandFrame,
@@ -16,17 +16,13 @@ from falconwing_kit.trainer_port.protocol import (
     encode_command,
     encode_sync,
 )
-from falconwing_kit.trainer_port.python_board import Board, PpmFrame, PythonBoard
 from falconwing_kit.trainer_port.safety import Safety, SafetyConfig, Verdict
 
 __all__ = [
-    "Board",
     "Calibration",
     "CommandFrame",
     "Deframer",
     "Pilot",
-    "PpmFrame",
-    "PythonBoard",
     "Safety",
     "SafetyConfig",
     "Status",
@@ -42,5 +38,4 @@ __all__ = [
     "encode_command",
     "encode_sync",
     "load_calibration",
-    "open_port",
 ]

@@ -11,16 +11,13 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command, Event
 from falconwing_kit.trainer_port.clock import DeviceClock
 from falconwing_kit.trainer_port.ppm import Calibration, load_calibration
 from falconwing_kit.trainer_port.protocol import Deframer, Pilot, Status, SyncReply, encode_channels, encode_sync
-
-if TYPE_CHECKING:
-    from falconwing_kit.trainer_port.links.simulated import Simulation
 
 SILENT_AFTER = 0.5  # s without a STATUS, which comes 20 times a second
 ENGAGE_WITHIN = 1.0  # s from the edge to ACTIVE; then the edge is tried again
@@ -81,7 +78,7 @@ class TrainerPort:
     ) -> None:
         self.calibration = load_calibration() if calibration is None else calibration
         self.link, self.now, self.what = link, now, what
-        self.simulation: Simulation | None = None  # the board behind it, where it is none of metal
+        self.simulation: Any = None  # the simulated board, or None for hardware; closed with the port
         self.clock, self.counters = DeviceClock(), Counters()
         self.status: Status | None = None
         self.pilot: Pilot | None = None
@@ -356,39 +353,6 @@ def require_fit(calibration: Calibration, status: Status) -> None:
             f"{_idle_us(calibration)} us; change the radio's order of channels or travel, or set THROTTLE_CHANNEL and "
             "SAFE_SLOTS_US in firmware/trainer_bridge/config.h and flash the board"
         )
-
-
-def open_port(name: str, calibration: Calibration | None = None) -> TrainerPort:
-    """The port of a name, in real time.
-
-    Args:
-        name: a serial port ("/dev/ttyACM0", "COM3"); "sim": the real firmware in a simulated ATmega2560, reached
-            through a pseudo-terminal, or the plain Python board where the tools for it are missing; "sim-python":
-            that one.
-        calibration: sticks to microseconds; None takes the kit's own.
-
-    Returns:
-        The port; its `what` says what it is. Where that is SIMULATED, `simulation` has the board.
-
-    Raises:
-        InputError: the port cannot be opened; the text says how to mend that.
-    """
-    if name not in ("sim", "sim-python"):
-        from falconwing_kit.trainer_port.links.usb import SerialLink
-
-        return TrainerPort(SerialLink(name), calibration, reopen=lambda: SerialLink(name), what=f"board on {name}")
-    from falconwing_kit.trainer_port.links.simulated import SteppedBoard, open_simulation
-
-    simulation, path, kind = open_simulation(name)
-    what = f"SIMULATED board, {kind}"
-    if isinstance(simulation, SteppedBoard):
-        port = TrainerPort(simulation, calibration, what=what)
-    else:
-        from falconwing_kit.trainer_port.links.usb import SerialLink
-
-        port = TrainerPort(SerialLink(path), calibration, reopen=lambda: SerialLink(path), what=what)
-    port.simulation = simulation
-    return port
 
 
 def _idle_us(calibration: Calibration) -> int:

@@ -4,8 +4,6 @@ from falconwing_kit.vision import FrameMonitor
 verdict = FrameMonitor().update(image, t)      # .ssim, .alert, .reason
 """
 
-from falconwing_kit.vision.cameras import FakeCamera, Fault, SimulatedCamera, VideoCamera, VideoFile, open_camera
-from falconwing_kit.vision.grabber import Camera, Grabber, Health
 from falconwing_kit.vision.hybrid_state import HybridFlight, HybridSettings, Video, estimate_flight
 from falconwing_kit.vision.marker import Marker, MarkerPose, find_marker
 from falconwing_kit.vision.monitor import FrameMonitor, MonitorSettings, Verdict, load_monitor_settings
@@ -15,12 +13,7 @@ from falconwing_kit.vision.smoother import Motion, Smoothed, smooth
 from falconwing_kit.vision.ssim import ssim, ssim_map
 
 __all__ = [
-    "Camera",
-    "FakeCamera",
-    "Fault",
     "FrameMonitor",
-    "Grabber",
-    "Health",
     "HybridFlight",
     "HybridSettings",
     "Marker",
@@ -30,16 +23,12 @@ __all__ = [
     "PoseEstimate",
     "PoseNet",
     "RefinedPose",
-    "SimulatedCamera",
     "Smoothed",
     "Verdict",
     "Video",
-    "VideoCamera",
-    "VideoFile",
     "estimate_flight",
     "find_marker",
     "load_monitor_settings",
-    "open_camera",
     "refine_pose",
     "smooth",
     "ssim",

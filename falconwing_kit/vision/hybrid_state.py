@@ -21,9 +21,8 @@ from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import R_BODY_CAMERA, euler_from_rotation, pose_matrix
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.vision.hybrid.choice import MOST_DOUBT, Candidate, among_neighbours, likeliest_path, well_known
-from falconwing_kit.vision.link.lines import corner_covariance, wander_px
-from falconwing_kit.vision.link.smear import through_link
+from falconwing_kit.vision.horizontal_blur import through_link
+from falconwing_kit.vision.line_jitter import corner_covariance, wander_px
 from falconwing_kit.vision.marker import (
     Marker,
     MarkerPose,
@@ -35,6 +34,7 @@ from falconwing_kit.vision.marker import (
 )
 from falconwing_kit.vision.refine import track_scene
 from falconwing_kit.vision.smoother import CornerSights, Motion, PoseSights, Sights, Smoothed, camera_at, smooth
+from falconwing_kit.vision.viterbi import MOST_DOUBT, Candidate, among_neighbours, likeliest_path, well_known
 
 LEAST_CORNER_SIGMA_PX = 0.1  # however well a few sights agree: the lens is not known better
 ROOM_SIGMAS = 3.0  # a pose may be outside the room by so many of its own

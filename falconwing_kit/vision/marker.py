@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 from falconwing_kit.core.frames import pose_matrix
 from falconwing_kit.scene.camera import PinholeCamera
-from falconwing_kit.vision.link.lines import strays
+from falconwing_kit.vision.line_jitter import strays
 
 DICTIONARIES = tuple(f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
 # x to the right of who looks at the marker, y up, z out of it: it faces the approach, -x of the world.

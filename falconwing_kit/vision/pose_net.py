@@ -25,7 +25,7 @@ from falconwing_kit.scene.camera import PinholeCamera
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from falconwing_kit.vision.networks.pose import Answer, PoseNetwork
+    from falconwing_kit.vision.pose_network import Answer, PoseNetwork
 
 NETS = ("hall",)  # the names that ship, as pose_net_NAME.safetensors
 MAX_FILE_BYTES = 256 * 1024**2
@@ -96,7 +96,7 @@ class PoseNet:
             import torch
             from safetensors.torch import load
 
-            from falconwing_kit.vision.networks.pose import PoseNetwork, Shape
+            from falconwing_kit.vision.pose_network import PoseNetwork, Shape
         except ModuleNotFoundError as error:
             raise InputError(f"pose net: want {error.name}, which is missing; run: pip install {error.name}") from None
         try:
@@ -176,7 +176,7 @@ class PoseNet:
         """The estimates of a network's answer about B images."""
         import torch
 
-        from falconwing_kit.vision.networks.pose import fused
+        from falconwing_kit.vision.pose_network import fused
 
         with torch.no_grad():
             R, place, information = fused(answer, torch.from_numpy(self._rays).float(), self.network.log_trust)
@@ -194,7 +194,7 @@ def cell_rays(camera: PinholeCamera) -> Array:
 
     A cell is 8 x 8 pixels; its ray goes through the centre of the pixel right of and below its middle.
     """
-    from falconwing_kit.vision.networks.pose import CELL
+    from falconwing_kit.vision.pose_network import CELL
 
     rays = camera.pixel_rays()[CELL // 2 :: CELL, CELL // 2 :: CELL].reshape(-1, 3)
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))

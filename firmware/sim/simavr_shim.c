@@ -1,7 +1,7 @@
 /* The board in a box: an ELF file, bytes on the serial lines, edges on a pin -> bytes and PPM edges, cycle by cycle.
  *
  * A thin layer over libsimavr 1.6 (Debian: libsimavr-dev), loaded from Python with ctypes
- * (falconwing_kit/trainer_port/simulated_board.py). Time is counted in cycles of 16 MHz since power-on and runs only
+ * (falconwing_kit/tools/bridge/simulated_board.py). Time is counted in cycles of 16 MHz since power-on and runs only
  * inside sim_run; a sleeping chip jumps to its next event. Where libsimavr differs from silicon and it matters here:
  *  - its UART counts 11 bits a byte; put right to the 10 bits of 8N1 (uart_pace);
  *  - its receiver holds 63 bytes, silicon two, and a third until the next one starts (data sheet 22.7.4); here the

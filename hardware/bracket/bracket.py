@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falconwing_kit.aircraft.hardware.cameras import SHIPPED, CameraHardware, load_camera
 from falconwing_kit.core.checks import InputError, require_file
 from falconwing_kit.core.files import atomic_write
+from falconwing_kit.tools.hardware.cameras import SHIPPED, CameraHardware, load_camera
 
 FOLDER = Path(__file__).resolve().parent
 BASE = 1.6  # thickness of the base plate

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from falconwing_kit.aircraft.hardware.cameras import CameraHardware, load_camera
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write, write_figures
+from falconwing_kit.tools.hardware.cameras import CameraHardware, load_camera
 
 FIGURES = Path(__file__).resolve().parents[2] / "manual" / "figures"
 PPM_PIN, PILOT_PIN = 11, 49  # of the Arduino Mega: OC1A and ICP4

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from given import COHORT, GRAVITY
 
-from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
 
 RESERVE, CLEARANCE = COHORT["speed_reserve"], COHORT["wall_clearance"]
 LONE = ("wing", 1, 100.0, 40.0, "")

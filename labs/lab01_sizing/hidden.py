@@ -11,7 +11,7 @@ import numpy as np
 from given import AIR_GAS_CONSTANT, PRESSURE
 
 from falconwing_kit.aircraft import largest_mass, level_turn_radius, level_turn_speed, load_airframe, minimum_speed
-from falconwing_kit.grading.lab import Course, Judge, Values
+from falconwing_kit.tools.grading import Course, Judge, Values
 
 AIRFRAME = load_airframe()
 

@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from given import AIR_GAS_CONSTANT, COHORT, GRAVITY, LIFT_COEFFICIENT, PARTS, PRESSURE, SPAN, WING_AREA
 
-from falconwing_kit.grading.check import check
+from falconwing_kit.tools.grading import check
 
 print("your course:", COHORT)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from given import COHORT, Array
 
-from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
 
 RUNWAY = math.radians(COHORT["runway_heading_deg"])
 HALF, ROOT = 0.5, math.sqrt(0.75)  # sine and cosine of 30 deg

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.core.checks import Array
-from falconwing_kit.core.frames import R_BODY_CAMERA, pose_matrix, rotation_world_body
-from falconwing_kit.grading.lab import Course, Judge, Values
+from falconwing_kit.core import R_BODY_CAMERA, Array, pose_matrix, rotation_world_body
+from falconwing_kit.tools.grading import Course, Judge, Values
 
 R_MAP_WORLD = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # the kit's world: along, left, up
 SHALLOW = 0.03  # slope of a ray that is neither floor nor wall to the last digit; such pixels are not drawn

@@ -20,7 +20,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from given import COHORT
 
-from falconwing_kit.grading.check import check
+from falconwing_kit.tools.grading import check
 
 views, lens, tilt, p_body_camera = given.load_views()
 print("your course:", COHORT)

@@ -9,9 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from falconwing_kit.core.checks import Array
-from falconwing_kit.core.files import atomic_write
-from falconwing_kit.core.frames import R_BODY_CAMERA, pose_matrix, rotation_world_body
+from falconwing_kit.core import R_BODY_CAMERA, Array, atomic_write, pose_matrix, rotation_world_body
 from falconwing_kit.scene import PinholeCamera, leader_at, load_scene, render
 
 DATA = Path(__file__).parent / "data"

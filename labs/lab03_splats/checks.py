@@ -5,7 +5,7 @@ import math
 import numpy as np
 from given import COHORT
 
-from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
 
 CUT, SHARE = COHORT["cut_sigma"], COHORT["surface_share"]
 LENS = {"fx": 100.0, "fy": 200.0, "cx": 80.0, "cy": 60.0}

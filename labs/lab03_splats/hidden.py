@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from falconwing_kit.core.checks import Array
-from falconwing_kit.grading.lab import Course, Judge, Values
+from falconwing_kit.core import Array
 from falconwing_kit.scene import PinholeCamera
+from falconwing_kit.tools.grading import Course, Judge, Values
 
 TO_OPENCV = np.array([1.0, -1.0, -1.0])  # right, up, backwards -> right, down, forward
 STEP = 1e-4  # of the differences [m]; their error is about 1e-8 of the derivative

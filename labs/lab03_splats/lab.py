@@ -23,7 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from given import COHORT
 
-from falconwing_kit.grading.check import check
+from falconwing_kit.tools.grading import check
 
 scene = given.load_scene()
 print("your course:", COHORT)
@@ -303,7 +303,7 @@ plt.show()
 # %% [markdown]
 # ## What you can do now
 # You have written the whole forward path of a Gaussian-splat renderer. The kit's
-# `falconwing_kit/scene/renderers/reference.py` has the same steps in torch, which adds gradients: with them a scene is
+# `falconwing_kit/scene/reference.py` has the same steps in torch, which adds gradients: with them a scene is
 # *learned* from photos. Look for what it has in addition: near plane, colour that changes with direction, tiles.
 #
 # **Try** moving the camera: change `scene["T_world_camera"]`, its last column is the lens in metres, and render again.

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from falconwing_kit.core.checks import Array
-from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core import Array, atomic_write
 from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose, render
 
 DATA = Path(__file__).parent / "data"

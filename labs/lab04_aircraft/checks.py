@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from given import DOWN_THRUST, GRAVITY, K
 
-from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab
 
 Array = np.ndarray
 CALM = np.zeros(3)

@@ -7,9 +7,9 @@ from typing import Any
 import given
 import numpy as np
 
-from falconwing_kit.aircraft.integrate import step_batch
-from falconwing_kit.core.frames import GRAVITY
-from falconwing_kit.grading.lab import Course, Judge, Values
+from falconwing_kit.aircraft import step_batch
+from falconwing_kit.core import GRAVITY
+from falconwing_kit.tools.grading import Course, Judge, Values
 
 Array = np.ndarray
 FLIP = np.diag([1.0, -1.0, -1.0])

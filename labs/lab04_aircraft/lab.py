@@ -33,7 +33,7 @@ from given import (
     vertical_flight,
 )
 
-from falconwing_kit.grading.check import check
+from falconwing_kit.tools.grading import check
 
 # %% [markdown]
 # ## 1. What the aircraft feels: the air

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from given import FAR, SIGMA, Z
 
-from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab
 
 Array = np.ndarray
 NAN = math.nan

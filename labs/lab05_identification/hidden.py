@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.grading.lab import Course, Judge, Values
+from falconwing_kit.tools.grading import Course, Judge, Values
 
 Array = np.ndarray
 SIGMA = np.array([0.03, 0.05, 0.012])

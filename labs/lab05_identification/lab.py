@@ -47,7 +47,7 @@ from given import (
     windows,
 )
 
-from falconwing_kit.grading.check import check
+from falconwing_kit.tools.grading import check
 
 poses, sticks = read_passes()
 train, held = np.arange(12), np.arange(12, 16)  # whole passes are held out, never single rows

@@ -10,9 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from falconwing_kit.aircraft.integrate import roll_out
-from falconwing_kit.aircraft.model import Model, paper_model
-from falconwing_kit.aircraft.trim import trim
+from falconwing_kit.aircraft import Model, paper_model, roll_out, trim
 
 HERE = Path(__file__).parent
 TRUTH = {"cL0": 0.083, "cLa": 1.47, "cD0": 0.0185, "cDi": 0.22, "kT": 9.6, "M0": 0.112, "Me": 0.33, "Ma": 1.12}

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from given import COHORT, K, marker_square
 
-from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
 
 GATE = COHORT["gate"]
 FACING = np.diag([1.0, -1.0, -1.0])  # R_marker_camera of a camera that looks straight at the marker

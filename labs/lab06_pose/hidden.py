@@ -7,9 +7,9 @@ import numpy as np
 from scipy.linalg import null_space, polar
 from scipy.spatial.transform import Rotation
 
-from falconwing_kit.core.frames import pose_matrix
-from falconwing_kit.grading.lab import Course, Judge, Values
-from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.core import pose_matrix
+from falconwing_kit.scene import PinholeCamera
+from falconwing_kit.tools.grading import Course, Judge, Values
 
 
 def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:

@@ -32,7 +32,7 @@ from given import (
     read_photos,
 )
 
-from falconwing_kit.grading.check import check
+from falconwing_kit.tools.grading import check
 
 print("your course:", COHORT)
 photos = read_photos()
@@ -416,8 +416,8 @@ plt.show()
 # %% [markdown]
 # ## What you can do now
 # You can put a camera's world where it belongs, and say how well. `falconwing scene poses` and `falconwing scene align`
-# do it for your own hall's photos; `falconwing_kit/scene/align.py` keeps the recipe that fails beside the one that
-# works, and refines all seven numbers on the pixels.
+# do it for your own hall's photos; `falconwing_kit/tools/capture/align.py` keeps the recipe that fails beside the one
+# that works, and refines all seven numbers on the pixels.
 #
 # **With hardware.** Print a marker (DICT_4X4_50, id 7) and measure its black square. Photograph it from 1, 2, 4 and 8
 # m, straight on and from 30° aside, five photos each, with the tape on the floor. Detect it with OpenCV, compute the

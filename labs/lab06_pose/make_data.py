@@ -15,12 +15,16 @@ from pathlib import Path
 
 import numpy as np
 
-from falconwing_kit.core.files import atomic_write
-from falconwing_kit.scene.photo_files import read_photo, read_reconstruction
-from falconwing_kit.scene.poses import photos_to_poses
-from falconwing_kit.scene.survey.marker import find_marker
-from falconwing_kit.scene.survey.points import MARKER_CORNERS, read_survey
-from falconwing_kit.scene.survey.recipe import align_photos
+from falconwing_kit.core import atomic_write
+from falconwing_kit.tools.capture import (
+    MARKER_CORNERS,
+    align_photos,
+    find_marker,
+    photos_to_poses,
+    read_photo,
+    read_reconstruction,
+    read_survey,
+)
 
 DATA = Path(__file__).parent / "data"
 CROP = (80, 60)  # half width and half height of the two pictures [px]

@@ -21,7 +21,7 @@ from given import (
     TURN_GAIN,
 )
 
-from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
 
 MOST_LIFT = LIFT_0 + LIFT_SLOPE * STALL_ALPHA  # of the course's wing, over mass and speed squared [1/m]
 SOFT = COHORT["touch_sink"]

@@ -38,11 +38,9 @@ from given import (
 )
 
 from falconwing_kit.aircraft import LandingPad, load_airframe, rates_model
-from falconwing_kit.core.frames import rotation_world_body
-from falconwing_kit.core.messages import Command
-from falconwing_kit.flight import SimulatedWorld
-from falconwing_kit.flight.tasks import Spread
-from falconwing_kit.grading.lab import Course, Function, Judge, Trials, Values
+from falconwing_kit.core import Command, rotation_world_body
+from falconwing_kit.flight import SimulatedWorld, Spread
+from falconwing_kit.tools.grading import Course, Function, Judge, Trials, Values
 
 MODEL, AIRFRAME, PAD = rates_model(), load_airframe(), LandingPad()
 SCATTER = Spread(position=0.4, angle=math.radians(4.0), speed=0.4)

@@ -29,11 +29,11 @@ from given import (
 )  # fmt: skip
 
 from falconwing_kit.aircraft import LandingPad, load_airframe, rates_model
-from falconwing_kit.core.frames import rotation_world_body
-from falconwing_kit.core.messages import Command
+from falconwing_kit.core import rotation_world_body
+from falconwing_kit.core import Command
 from falconwing_kit.flight import SimulatedWorld
-from falconwing_kit.flight.tasks import Spread
-from falconwing_kit.grading.check import check
+from falconwing_kit.flight import Spread
+from falconwing_kit.tools.grading import check
 
 print("your course:", COHORT)
 

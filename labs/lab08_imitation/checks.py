@@ -3,7 +3,7 @@
 import numpy as np
 from given import CLIP_NORM, TURN_WEIGHT
 
-from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
 
 COUNT, TWO = np.arange(1.0, 7.0), np.array([0, 4])  # six commands, two flights: 1 2 3 4 and 5 6
 RGB = np.zeros((2, 2, 3, 3), np.uint8)  # two pictures, 2 rows, 3 columns

@@ -110,8 +110,8 @@ def test_starts(flights: int = 20, seed: int = 99) -> Array:
 
 def camera_view(scene: Any) -> Callable[[Flight], Array]:
     """Pictures (30, 40, 3) uint8 from the nose of a flight in a scene, by the kit's renderer."""
-    from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_body
-    from falconwing_kit.flight.sources import fpv_camera
+    from falconwing_kit.core import camera_pose, pose_matrix, rotation_world_body
+    from falconwing_kit.flight import fpv_camera
     from falconwing_kit.scene import render
 
     camera = fpv_camera(40, 30)

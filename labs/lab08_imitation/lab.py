@@ -32,8 +32,8 @@ from given import (
     test_starts,
 )
 
-from falconwing_kit.grading.check import check
 from falconwing_kit.scene import GaussianScene
+from falconwing_kit.tools.grading import check
 
 print(f"This course: a full turn weighs {1 + TURN_WEIGHT:g} times as much as straight flight, clip at {CLIP_NORM:g}")
 

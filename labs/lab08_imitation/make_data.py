@@ -9,8 +9,7 @@ import numpy as np
 from given import STEP_S, Flight, camera_view, expert
 from scipy.spatial.transform import Rotation
 
-from falconwing_kit.scene import GaussianScene, load_scene
-from falconwing_kit.scene.formats.native import write_quantised
+from falconwing_kit.scene import GaussianScene, load_scene, write_quantised
 
 DATA = Path(__file__).parent / "data"
 CELL, PAD_CELL = 0.7, 0.25  # side of the cells whose Gaussians become one [m]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from given import DICE_WEIGHT, GAMMA, MIN_PIXELS, POS_WEIGHT
 
-from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
 
 FREE = np.full((40, 60), np.inf)  # nothing hides anything
 BALL, MIDDLE = np.full(3, 1.0), np.zeros(3)

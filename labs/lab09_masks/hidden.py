@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from falconwing_kit.grading.lab import Course, Function, Judge, Trials, Values, same
-from falconwing_kit.scene import PinholeCamera
-from falconwing_kit.scene.editing.masks import Ellipsoid, ellipse_mask
+from falconwing_kit.scene import Ellipsoid, PinholeCamera, ellipse_mask
+from falconwing_kit.tools.grading import Course, Function, Judge, Trials, Values, same
 
 
 def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:

@@ -37,7 +37,7 @@ from given import (
     to_tensor,
 )
 
-from falconwing_kit.grading.check import check
+from falconwing_kit.tools.grading import check
 
 print(f"This course: a pixel of the leader weighs {POS_WEIGHT:g}, the overlap weighs {DICE_WEIGHT:g}")
 

@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_body
-from falconwing_kit.flight.sources import fpv_camera
-from falconwing_kit.scene import load_scene, render
-from falconwing_kit.scene.arena import leader_at
-from falconwing_kit.scene.editing.masks import COVERED, seen_image
+from falconwing_kit.core import camera_pose, pose_matrix, rotation_world_body
+from falconwing_kit.flight import fpv_camera
+from falconwing_kit.scene import COVERED, leader_at, load_scene, render, seen_image
 
 SIZE = (64, 48)  # px
 LEVELS = 16  # steps between the grey levels that are kept, so that the file stays small

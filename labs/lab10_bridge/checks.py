@@ -3,7 +3,7 @@
 import numpy as np
 from given import CENTRE_US, ENGAGE_FRAMES, GAP_US, HOLD_MS, LOST_MS, switched_on
 
-from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
 
 LEVEL = {"throttle": 0.5, "aileron": 0.0, "elevator": 0.0, "rudder": 0.0}
 

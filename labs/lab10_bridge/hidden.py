@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.grading.lab import Course, Function, Judge, Trials, Values
-from falconwing_kit.trainer_port.ppm import Stick
+from falconwing_kit.tools.grading import Course, Function, Judge, Trials, Values
+from falconwing_kit.trainer_port import Stick
 
 NAMES = {"T": "throttle", "A": "aileron", "E": "elevator", "R": "rudder"}
 STEPS = 160  # of one trace of the safety machine

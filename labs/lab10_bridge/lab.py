@@ -45,9 +45,9 @@ from given import (
     with_faults,
 )
 
-from falconwing_kit.grading.check import check
+from falconwing_kit.tools.bridge import PythonBoard
+from falconwing_kit.tools.grading import check
 from falconwing_kit.trainer_port import encode_channels
-from falconwing_kit.trainer_port.python_board import PythonBoard
 
 print(
     f"This course: pulse {GAP_US:g} us, middle {CENTRE_US:g} us, HOLD after {HOLD_MS:g} ms, LOST after {LOST_MS:g} ms"

@@ -9,10 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_body
-from falconwing_kit.flight.sources import fpv_camera
-from falconwing_kit.scene import load_scene, render
-from falconwing_kit.scene.analog import AnalogVideo
+from falconwing_kit.core import camera_pose, pose_matrix, rotation_world_body
+from falconwing_kit.flight import fpv_camera
+from falconwing_kit.scene import AnalogVideo, load_scene, render
 
 PARTS = (("straight", 20), ("turn", 16), ("straight", 14), ("signal lost", 16), ("good again", 14), ("frozen", 20))
 SPEED, STEP_S, TURN = 7.0, 0.05, math.radians(60.0)  # m/s, s, rad/s

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from given import COHORT
 
-from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
 
 CLOSE = COHORT["close_cm"]
 NAN = math.nan

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from falconwing_kit.grading.lab import Course, Judge, Values
+from falconwing_kit.tools.grading import Course, Judge, Values
 
 NAN = float("nan")
 

@@ -31,7 +31,7 @@ from given import (
     z_value,
 )
 
-from falconwing_kit.grading.check import check
+from falconwing_kit.tools.grading import check
 
 print("your course:", COHORT)
 table = read_paper()
@@ -311,7 +311,7 @@ plt.show()
 # ## What you can do now
 # You can read a table of ten trials and say what it shows. `falconwing fly --task landing --pilot expert --trials 20`
 # gives you a table of your own; the kit prints exact (Clopper-Pearson) intervals, which are a little wider than
-# Wilson's. `falconwing_kit/flight/judging/statistics.py` is short; compare.
+# Wilson's. `falconwing_kit/tools/trials/statistics.py` is short; compare.
 #
 # **With hardware.** Put chalk or flour on the wheels and land by hand, ten times, on a strip of 13 x 2 m. Decide before
 # the first flight what counts as success and who measures. Hand in the table, with failures in it, your own figure, and

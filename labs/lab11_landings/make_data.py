@@ -8,8 +8,9 @@ takes about a minute and needs the kit.
 import csv
 from pathlib import Path
 
-from falconwing_kit.core.files import atomic_write
-from falconwing_kit.flight import LandingTask, fly_trials
+from falconwing_kit.core import atomic_write
+from falconwing_kit.flight import LandingTask
+from falconwing_kit.tools.trials import fly_trials
 
 DATA = Path(__file__).parent / "data"
 HEADER = ("run", "sim_expert_cm", "sim_vision_cm", "real_vision_cm")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from given import CANDIDATES, CAUTION, CUSHION_M
 
-from falconwing_kit.grading.lab import Check, Criterion, Exercise, Function, Lab
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab
 
 Array = np.ndarray
 NAN = math.nan

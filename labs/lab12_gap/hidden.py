@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 from given import CANDIDATES, LEAST_GAIN, LOADS
 
-from falconwing_kit.aircraft.effects import CATALOGUE
-from falconwing_kit.aircraft.terms import air_flow
-from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.flight_table import FlightTable, write_flight_table
-from falconwing_kit.gap.hidden import HiddenCase, hidden_case, hidden_seed
-from falconwing_kit.grading.lab import Course, Function, Judge, Trials, Values
+from falconwing_kit.aircraft import CATALOGUE, air_flow
+from falconwing_kit.core import FlightTable, InputError, write_flight_table
+from falconwing_kit.tools.grading import Course, Function, Judge, Trials, Values
+from falconwing_kit.tools.trials import HiddenCase, hidden_case, hidden_seed
 
 Array = np.ndarray
 

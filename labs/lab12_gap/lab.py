@@ -27,9 +27,9 @@ from given import CANDIDATES, CAUTION, CUSHION_M, LEAST_GAIN, LOADS, draw_eviden
 
 from falconwing_kit import sysid
 from falconwing_kit.aircraft import CATALOGUE, Parameter, Term
-from falconwing_kit.core.flight_table import read_flight_table
-from falconwing_kit.grading.check import check
+from falconwing_kit.core import read_flight_table
 from falconwing_kit.sysid import fit, residuals, score, uncertainty
+from falconwing_kit.tools.grading import check
 
 folder = Path("data/mine") if Path("data/mine/flight.csv").exists() else Path("data")
 calm_table, table = (read_flight_table(folder / name) for name in ("calm.csv", "flight.csv"))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hidden import handout
 
-from falconwing_kit.grading.lab import Course
+from falconwing_kit.tools.grading import Course
 
 
 def main() -> None:

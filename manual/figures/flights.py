@@ -19,9 +19,9 @@ from falconwing_kit.core.messages import COMMAND_NAMES, Pose
 from falconwing_kit.data import data_path
 from falconwing_kit.flight.sources import fpv_camera
 from falconwing_kit.flight.tasks import LandingTask
-from falconwing_kit.flight.trials import fly_trials
 from falconwing_kit.scene import load_scene, render
 from falconwing_kit.scene.analog import AnalogVideo
+from falconwing_kit.tools.trials.trials import fly_trials
 from falconwing_kit.vision import FrameMonitor
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # this folder is no package

@@ -19,14 +19,14 @@ from falconwing_kit.core.checks import Array
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.frames import camera_pose
 from falconwing_kit.core.messages import Pose
-from falconwing_kit.core.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
-from falconwing_kit.demo.alfa_story import AlfaStory
-from falconwing_kit.demo.recorded import RecordedFlights, study_recorded_flights
 from falconwing_kit.flight.sources import fpv_camera
 from falconwing_kit.scene import leader_at, load_scene, render
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.score import select
 from falconwing_kit.sysid.shooting import fly_windows
+from falconwing_kit.tools.demo.alfa_story import AlfaStory
+from falconwing_kit.tools.demo.recorded import RecordedFlights, study_recorded_flights
+from falconwing_kit.tools.reports.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
 
 VIEW_PX = (400, 300)
 VIEWS = (  # own and leader's x, y, z [m], roll, pitch, yaw [deg]

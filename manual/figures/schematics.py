@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from falconwing_kit.aircraft.airframe import load_airframe
-from falconwing_kit.aircraft.hardware.parts import load_parts, roll_up
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.control.guidance import Hall
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.messages import COMMAND_NAMES, Command
+from falconwing_kit.tools.hardware.parts import load_parts, roll_up
 from falconwing_kit.trainer_port.ppm import load_calibration
 
 MANUAL = Path(__file__).resolve().parents[1]

@@ -26,7 +26,7 @@ from falconwing_kit.aircraft.model import Model, state_rates
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import euler_rates, up_in_body
-from falconwing_kit.gap.calm import CalmBase, know_calm
+from falconwing_kit.gap.baseline import CalmBase, know_calm
 from falconwing_kit.gap.evidence import variants
 from falconwing_kit.sysid.fit import prior_rows
 from falconwing_kit.sysid.prepare import FEWEST_SAMPLES, LOCAL_SPAN_S, MOST_SAMPLES, Flight, prepare

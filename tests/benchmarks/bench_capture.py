@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falconwing_kit.scene.poses import photos_to_poses
-from falconwing_kit.scene.survey.points import read_survey
-from falconwing_kit.scene.survey.recipe import align_photos, check_points
+from falconwing_kit.tools.capture.poses import photos_to_poses
+from falconwing_kit.tools.capture.survey.points import read_survey
+from falconwing_kit.tools.capture.survey.recipe import align_photos, check_points
 
 HALL = Path(__file__).resolve().parents[3] / "shared" / "data" / "hall"
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]

@@ -18,12 +18,12 @@ from pathlib import Path
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.many.run import run_many
-from falconwing_kit.grading.find import lab_folder, load_checks, notebook_path
-from falconwing_kit.grading.judge import Assignment, Work, grade_one
-from falconwing_kit.grading.submissions import find_submissions
+from falconwing_kit.tools.grading.find import lab_folder, load_checks, notebook_path
+from falconwing_kit.tools.grading.judge import Assignment, Work, grade_one
+from falconwing_kit.tools.grading.submissions import find_submissions
+from falconwing_kit.tools.jobs.run import run_many
 from tests.benchmarks.bench_rollouts import machine
-from tests.grading import toys
+from tests.tools.grading import toys
 
 OTHERS = {"nbgrader 0.9.6, one after the other": 2.6, "otter-grader 7.0.0, `otter run`": 11.0}  # s a submission
 GOALS = {"numpy": 180.0, "torch": 2700.0}  # s for 200 submissions on two cores

@@ -18,7 +18,7 @@ import pytest
 
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.scene import GaussianScene, PinholeCamera, leader_at, load_scene, nose_camera_pose, render
-from falconwing_kit.scene.renderers.gsplat_backend import DEVICE, probe, rasterize, render_gsplat
+from falconwing_kit.scene.gsplat_backend import DEVICE, probe, rasterize, render_gsplat
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1200)]  # gsplat compiles for minutes at first use
 TRAINED = Path(__file__).resolve().parents[3] / "shared/data/splat/playbot_lod2_125k"

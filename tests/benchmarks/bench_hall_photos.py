@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from falconwing_kit.learning.pose_net_figures import figures, try_net
-from falconwing_kit.scene.fit import FitSettings, judge_scene
-from falconwing_kit.scene.photo_files import read_reconstruction
-from falconwing_kit.scene.training.photos import held_out, load_photos, read_names
+from falconwing_kit.tools.capture.fit import FitSettings, judge_scene
+from falconwing_kit.tools.capture.photo_files import read_reconstruction
+from falconwing_kit.tools.capture.training.photos import held_out, load_photos, read_names
 from falconwing_kit.vision import PoseNet
 
 ROOT = Path(__file__).resolve().parents[2]

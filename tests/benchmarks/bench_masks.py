@@ -17,15 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from falconwing_kit.cli.modelling.scene import open_scene
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.files import short_name
 from falconwing_kit.core.frames import pose_matrix, rotation_world_body
-from falconwing_kit.core.page import ACCENT, PREDICTED, figure
 from falconwing_kit.flight.sources import fpv_camera
 from falconwing_kit.scene import GaussianScene, leader_at, nose_camera_pose, render
 from falconwing_kit.scene.arena import HALL_HIGH, HALL_LOW
-from falconwing_kit.scene.editing.masks import (
+from falconwing_kit.scene.masks import (
     COVERED,
     Ellipsoid,
     Mask,
@@ -35,6 +33,8 @@ from falconwing_kit.scene.editing.masks import (
     painted,
     seen_image,
 )
+from falconwing_kit.tools.cli.scene import open_scene
+from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, figure
 from tests.benchmarks.bench_rollouts import machine
 
 BINS_M = (1.5, 3.0, 5.0, 8.0, 14.0)

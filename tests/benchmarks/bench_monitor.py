@@ -19,8 +19,8 @@ import pytest
 from falconwing_kit.core.checks import require_file
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.scene.analog import AnalogVideo
+from falconwing_kit.tools.devices.cameras import FakeCamera
 from falconwing_kit.vision import FrameMonitor, load_monitor_settings, ssim
-from falconwing_kit.vision.cameras import FakeCamera
 from falconwing_kit.vision.monitor import RULES
 from tests.benchmarks.bench_rollouts import machine
 from tests.vision.flights import PERIOD, TASKS, flown

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from falconwing_kit.scene import PinholeCamera
-from falconwing_kit.vision.networks.pose import PoseNetwork, Shape
 from falconwing_kit.vision.pose_net import PoseNet, PoseNetRecord
+from falconwing_kit.vision.pose_network import PoseNetwork, Shape
 
 CAMERA = PinholeCamera(396.8, 396.8, 320.0, 240.0, 640, 480)
 LOW, HIGH = (-22.5, -12.0, 0.0), (17.5, 8.0, 5.0)

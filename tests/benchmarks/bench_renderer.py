@@ -22,8 +22,7 @@ import pytest
 from numba import njit
 
 from falconwing_kit.core.checks import Array
-from falconwing_kit.scene import GaussianScene, PinholeCamera, leader_at, load_scene, nose_camera_pose
-from falconwing_kit.scene.renderers import fast
+from falconwing_kit.scene import GaussianScene, PinholeCamera, fast, leader_at, load_scene, nose_camera_pose
 from tests.benchmarks.bench_rollouts import machine
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1200)]
@@ -61,7 +60,7 @@ def around(scene: GaussianScene, angle: float) -> Array:
 
 def test_milliseconds_a_frame(views: dict[str, list[View]], capsys: pytest.CaptureFixture[str]) -> None:
     """Prints the table of times; asserts only that what was timed was a picture."""
-    from falconwing_kit.scene.renderers.reference import render_reference
+    from falconwing_kit.scene.reference import render_reference
 
     lines = ["| scene | size | wall, ms | CPU, ms | reference, CPU ms | times |", "|---|---|---|---|---|---|"]
     for name, seen in views.items():
@@ -115,7 +114,7 @@ def test_first_frame_and_memory_of_half_a_million(tmp_path: Path, capsys: pytest
 HALF_A_MILLION = """
 import time, numpy as np
 from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose
-from falconwing_kit.scene.renderers import fast
+from falconwing_kit.scene import fast
 def held():
     return next(int(line.split()[1]) / 1e3 for line in open("/proc/self/status") if line.startswith("VmHWM"))
 camera, pose = PinholeCamera.from_fov_deg(640, 480, 80.0), nose_camera_pose((-10.0, 0.0, 1.5), 0.0, 0.0, 0.1)

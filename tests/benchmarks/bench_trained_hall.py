@@ -58,7 +58,7 @@ def test_the_pose_net_that_ships_takes_at_most_15_ms() -> None:
 
 def test_training_costs_little_more_than_gsplat_by_itself(tmp_path: Path) -> None:
     """Prints photos and Gaussians a second of `fit_scene`, and of gsplat drawing the result with gradients."""
-    from falconwing_kit.scene.renderers.gsplat_backend import probe
+    from falconwing_kit.scene.gsplat_backend import probe
 
     try:
         probe()
@@ -66,7 +66,7 @@ def test_training_costs_little_more_than_gsplat_by_itself(tmp_path: Path) -> Non
         pytest.skip(str(error))
     import torch
 
-    from falconwing_kit.scene.fit import FitSettings, fit_scene
+    from falconwing_kit.tools.capture.fit import FitSettings, fit_scene
 
     settings = FitSettings(gaussians=200_000, steps=STEPS, minutes=5.0, pose_steps=0, backend="gsplat")
     begin = time.perf_counter()
@@ -83,7 +83,7 @@ def renders_as_photos(folder: Path) -> Any:
     """Views of the hall as aligned photos, with some of its Gaussians for points."""
     from PIL import Image
 
-    from falconwing_kit.scene.photo_files import Reconstruction
+    from falconwing_kit.tools.capture.photo_files import Reconstruction
 
     hall, rng = load_scene("hall"), np.random.default_rng(0)
     folder.mkdir()

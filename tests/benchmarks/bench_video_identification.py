@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falconwing_kit.cli.main import main
-from falconwing_kit.cli.modelling.video import read_video
 from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_body
 from falconwing_kit.scene import PinholeCamera, load_scene
+from falconwing_kit.tools.cli.main import main
+from falconwing_kit.tools.cli.video import read_video
 from falconwing_kit.vision import estimate_flight, refine_pose
 
 FLIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "hall" / "flights"

@@ -23,10 +23,10 @@ import numpy as np
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.gap.calm import CalmBase, know_calm
+from falconwing_kit.gap.baseline import CalmBase, know_calm
 from falconwing_kit.gap.close import close_gap, name_since
-from falconwing_kit.gap.hidden import hidden_flights
 from falconwing_kit.gap.name import Naming, name_effect
+from falconwing_kit.tools.trials.hidden import hidden_flights
 from tests.hidden_effects import IN_CATALOGUE, OUTSIDE
 from tests.hidden_flights import make_case
 

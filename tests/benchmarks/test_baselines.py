@@ -17,7 +17,7 @@ from falconwing_kit.aircraft.model import paper_model
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import FlightTable, read_flight_table
 from falconwing_kit.core.frames import euler_from_rotation, rotation_world_body
-from falconwing_kit.gap.calm import CalmBase, know_calm
+from falconwing_kit.gap.baseline import CalmBase, know_calm
 from falconwing_kit.sysid.prepare import prepare
 from tests.benchmarks.baselines import (
     TREATMENTS,

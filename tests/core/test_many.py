@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.many.cluster import on_every_worker
-from falconwing_kit.core.many.pool import LostError
-from falconwing_kit.core.many.run import run_many
-from falconwing_kit.core.many.shards import content_key
+from falconwing_kit.tools.jobs.cluster import on_every_worker
+from falconwing_kit.tools.jobs.pool import LostError
+from falconwing_kit.tools.jobs.run import run_many
+from falconwing_kit.tools.jobs.shards import content_key
 from tests import clusters
 
 
@@ -119,7 +119,7 @@ def cluster(tmp_path_factory):
 
 def test_cluster_without_workers_is_refused(cluster, monkeypatch):
     """The sentence says how to start one; and another how to start a scheduler."""
-    monkeypatch.setattr("falconwing_kit.core.many.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("falconwing_kit.tools.jobs.cluster.PATIENCE", 0.5)
     with pytest.raises(InputError, match=r"want workers at this scheduler, found none; start `dask scheduler`"):
         list(run_many(square, [1], cluster=cluster[0]))
     with pytest.raises(InputError, match="none answers"):

@@ -5,9 +5,9 @@ import os
 import numpy as np
 import pytest
 
-from falconwing_kit.trainer_port.build import missing_tools
+from falconwing_kit.tools.bridge.build import missing_tools
+from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
 from falconwing_kit.trainer_port.protocol import Deframer, Status, encode_channels
-from falconwing_kit.trainer_port.simulated_board import SimulatedBoard
 
 BYTE = 10 / 115200  # s: start bit, eight bits, stop bit
 COMMAND_BYTES = 16  # four channels: 14, one of COBS, the zero

@@ -2,7 +2,7 @@
 
 import pytest
 
-from falconwing_kit.trainer_port.simulated_board import SimulatedBoard
+from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
 from tests.firmware.chip import Bench, require_tools
 
 

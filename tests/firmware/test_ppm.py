@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from falconwing_kit.trainer_port.build import build_firmware, firmware_folder
+from falconwing_kit.tools.bridge.build import build_firmware, firmware_folder
+from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
 from falconwing_kit.trainer_port.protocol import Pilot
-from falconwing_kit.trainer_port.simulated_board import SimulatedBoard
 from tests.firmware.chip import COMMAND_BYTES, LOOP, SAFE, Bench, require_tools, slots
 
 MICROSECOND = 1.0  # us: the bound on every slot, gap pulse and frame

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from falconwing_kit.core.messages import Image
-from falconwing_kit.trainer_port.bus import IMAGE, STATUS, relay
-from falconwing_kit.trainer_port.port import open_port
+from falconwing_kit.tools.bridge.bus import IMAGE, STATUS, relay
+from falconwing_kit.tools.bridge.open_port import open_port
+from falconwing_kit.tools.bridge.ros import RosBus
 from falconwing_kit.trainer_port.ppm import load_calibration
-from falconwing_kit.trainer_port.ros import RosBus
 from tests.firmware.chip import require_tools
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,8 +30,8 @@ LIMIT_MS, ATTEMPTS = 40.0, 3
 CONTROLLER = f"""
 import time
 from falconwing_kit.core.messages import Command
-from falconwing_kit.trainer_port.bus import COMMAND, IMAGE, Sticks
-from falconwing_kit.trainer_port.ros import RosBus
+from falconwing_kit.tools.bridge.bus import COMMAND, IMAGE, Sticks
+from falconwing_kit.tools.bridge.ros import RosBus
 bus = RosBus("controller")
 while bus.listeners(COMMAND) == 0: time.sleep(0.01)
 images = bus.subscribe(IMAGE)

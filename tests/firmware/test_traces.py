@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
 from falconwing_kit.trainer_port.protocol import Status, encode_channels
 from falconwing_kit.trainer_port.safety import Safety
-from falconwing_kit.trainer_port.simulated_board import SimulatedBoard
 from tests.firmware.chip import Bench, is_safe, require_tools, slots
 
 TRACES, COMMANDS = 30, 60

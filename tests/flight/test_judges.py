@@ -11,7 +11,7 @@ from falconwing_kit.aircraft.touchdown import Touchdown
 from falconwing_kit.control.leader import LeaderPath
 from falconwing_kit.core.frames import camera_pose
 from falconwing_kit.core.messages import Command, State
-from falconwing_kit.flight.judging.judges import (
+from falconwing_kit.flight.judges import (
     FollowJudge,
     LandingJudge,
     in_hull,

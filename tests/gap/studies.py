@@ -5,12 +5,12 @@ from functools import cache
 import numpy as np
 
 from falconwing_kit.aircraft.effects import CATALOGUE
+from falconwing_kit.aircraft.generic import UNNAMED
 from falconwing_kit.aircraft.model import Model, rates_model
-from falconwing_kit.aircraft.unnamed import UNNAMED
 from falconwing_kit.core.flight_table import FlightTable, read_flight_table
 from falconwing_kit.data import data_path
-from falconwing_kit.gap.calm import CalmBase, know_calm
-from falconwing_kit.gap.report import GapStudy, study_gap
+from falconwing_kit.gap.baseline import CalmBase, know_calm
+from falconwing_kit.tools.reports.gap_report import GapStudy, study_gap
 from tests.sysid.simulated import drawn, fly_figure_eights, measured
 
 EFFECTS = {effect.name: effect for effect in (*CATALOGUE, *UNNAMED)}

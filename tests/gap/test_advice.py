@@ -9,7 +9,7 @@ import pytest
 from falconwing_kit.aircraft.integrate import roll_out
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.gap.advice import MANOEUVRES, TRIED_S, Advice, advise, manoeuvre_windows, next_flight, noncentrality
-from falconwing_kit.gap.calm import CalmBase
+from falconwing_kit.gap.baseline import CalmBase
 from falconwing_kit.gap.name import Naming, name_effect
 from falconwing_kit.sysid.fit import fit, fit_starts
 from falconwing_kit.sysid.shooting import Windows, fly_windows

@@ -5,7 +5,7 @@ import pytest
 
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.flight_table import slice_time
-from falconwing_kit.gap.calm import know_calm
+from falconwing_kit.gap.baseline import know_calm
 from falconwing_kit.gap.name import name_effect
 from tests.gap.studies import EFFECTS, own_aircraft, own_base, own_flight, shipped, wind_study
 from tests.sysid.simulated import fly_figure_eights, measured

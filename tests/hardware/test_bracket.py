@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falconwing_kit.aircraft.hardware.cameras import load_camera
-from falconwing_kit.aircraft.hardware.parts import load_parts
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.hardware.cameras import load_camera
+from falconwing_kit.tools.hardware.parts import load_parts
 
 ROOT = Path(__file__).resolve().parents[2]
 BOTH = ("analog", "digital")

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from falconwing_kit.aircraft.hardware.cameras import load_camera
-from falconwing_kit.aircraft.hardware.parts import balance_move, load_parts, roll_up
-from falconwing_kit.cli.main import main
+from falconwing_kit.tools.cli.main import main
+from falconwing_kit.tools.hardware.cameras import load_camera
+from falconwing_kit.tools.hardware.parts import balance_move, load_parts, roll_up
 
 ROOT = Path(__file__).resolve().parents[2]
 GUIDE = (ROOT / "hardware" / "README.md").read_text(encoding="utf-8")

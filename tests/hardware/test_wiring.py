@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falconwing_kit.aircraft.hardware.cameras import load_camera
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.hardware.cameras import load_camera
 
 ROOT = Path(__file__).resolve().parents[2]
 FIGURES = ROOT / "manual" / "figures"
@@ -96,7 +96,7 @@ def test_planted_resistor_is_seen(monkeypatch):
 
 def test_every_thing_on_the_ground_is_in_the_list_of_parts():
     """What the ground station's figure joins can be bought from hardware/parts.csv."""
-    from falconwing_kit.aircraft.hardware.parts import load_parts
+    from falconwing_kit.tools.hardware.parts import load_parts
 
     ground = {item.id for item in load_parts() if item.used_in == "ground"}
     assert {"video_receiver", "capture_card", "computer", "trainer_board", "trainer_lead", "transmitter"} <= ground

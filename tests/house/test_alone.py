@@ -23,7 +23,7 @@ def test_what_is_named_is_there():
 
 def test_what_takes_the_machine_is_named():
     """Its source speaks of ROS, a browser, a terminal's board, the wall's clock, processor time, a box, the demo."""
-    tests = [path for room in ROOMS for path in room.glob("test_*.py")]
+    tests = [path for room in ROOMS for path in room.rglob("test_*.py")]
     taking = [path for path in tests if SIGNS.search(path.read_text(encoding="utf-8"))]
     assert len(taking) > 10
     assert [path for path in taking if not needs_the_machine(path)] == []
@@ -31,7 +31,7 @@ def test_what_takes_the_machine_is_named():
 
 def test_a_room_is_named_with_its_files():
     """By hand: grading is named as a room, a room of which one file is named has others."""
-    assert needs_the_machine(TESTS / "grading" / "test_box.py")
+    assert needs_the_machine(TESTS / "tools" / "grading" / "test_box.py")
     assert needs_the_machine(TESTS / "vision" / "test_monitor.py")
     assert not needs_the_machine(TESTS / "vision" / "test_monitor_flights.py")
 
@@ -45,7 +45,7 @@ def test_the_longest_are_first_in_line():
 
 def test_both_steps_are_all_the_tests():
     """pytest's own collection of tests/house and a file that is alone: what the one step leaves the other takes."""
-    places = ["tests/house/test_start.py", "tests/trainer_port/test_bus.py"]
+    places = ["tests/house/test_start.py", "tests/tools/bridge/test_bus.py"]
     found = [collected(marks, places) for marks in ("not benchmark and not alone", "alone and not benchmark")]
     assert {name.split("::")[0] for name in found[0]} == {places[0]}
     assert {name.split("::")[0] for name in found[1]} == {places[1]}

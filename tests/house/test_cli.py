@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import pytest
 
-from falconwing_kit.cli import main as command
-from falconwing_kit.cli.main import VERBS, main
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.cli import main as command
+from falconwing_kit.tools.cli.main import VERBS, main
 
-PRESENT = [verb[0] for verb in VERBS if importlib.util.find_spec(verb[1])]
+PRESENT = [verb[0] for verb in VERBS if importlib.util.find_spec(f"falconwing_kit.tools.cli.{verb[1]}")]
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def probe(monkeypatch):
     """The probe as the verb `probe`."""
     module = types.ModuleType("probe_verb")
     module.Probe = Probe
-    monkeypatch.setitem(sys.modules, "probe_verb", module)
+    monkeypatch.setitem(sys.modules, "falconwing_kit.tools.cli.probe_verb", module)
     monkeypatch.setattr(command, "VERBS", (*VERBS, ("probe", "probe_verb", "Probe", "fails as told")))
 
 

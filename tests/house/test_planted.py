@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.house.test_docs import doc_problems
-from tests.house.test_floors import import_problems, size_problems
+from tests.house.test_floors import folder_problems, import_problems, lab_problems
 from tests.house.test_names import frame_problems
 from tests.house.test_public import PRIVATE, text_problems
 
@@ -16,15 +16,20 @@ PLANTS = {
     "upward in a function": (
         import_problems,
         "core",
-        "def late() -> None:\n    from falconwing_kit.cli import main\n",
-        "core (floor 0) imports cli (floor 6)",
+        "def late() -> None:\n    from falconwing_kit.tools.cli import main\n",
+        "core (floor 0) imports tools (floor 5)",
     ),
     "upward from the package": (import_problems, "aircraft", "from falconwing_kit import sysid\n", "upward"),
     "sideways": (import_problems, "aircraft", "from falconwing_kit.scene import camera\n", "sideways"),
     "relative": (import_problems, "core", "from . import frames\n", "relative"),
     "star": (import_problems, "aircraft", "from falconwing_kit.core.frames import *\n", "star"),
     "unknown room": (import_problems, "core", "import falconwing_kit.attic\n", "attic"),
-    "long file": (size_problems, "data", "x = 1\n" * 451, "452 lines"),
+    "toolbox in the book": (
+        import_problems,
+        "gap",
+        "from falconwing_kit.tools.trials import hidden\n",
+        "imports tools",
+    ),
     "mis-met maps": (frame_problems, "core", "p = T_world_body @ T_camera_body\n", "body meets camera"),
     "mis-met vector": (frame_problems, "core", "v = R_world_body @ v_world[0]\n", "body meets world"),
     "mis-met chain": (frame_problems, "core", "x = T_world_body @ T_body_camera @ p_world\n", "camera meets world"),
@@ -57,15 +62,27 @@ def test_planted_fault_is_reported(copy, fault):
     assert reason in reports[0]
 
 
-def test_crowded_room_without_a_door_is_reported(copy):
-    """Ten files are the most a room may hold, and only a folder with `__init__.py` is installed."""
+def test_room_without_a_door_is_reported(copy):
+    """Only a folder with `__init__.py` is installed."""
     attic = copy / "falconwing_kit" / "attic"
     attic.mkdir()
-    for number in range(11):
-        (attic / f"file_{number}.py").write_text('"""A file."""\n')
-    reports = size_problems(copy)
-    assert "attic: 11 files, at most 10" in reports
-    assert "attic: no __init__.py" in reports
+    (attic / "file.py").write_text('"""A file."""\n')
+    assert folder_problems(copy) == ["falconwing_kit/attic: no __init__.py"]
+
+
+def test_lab_that_reaches_behind_a_face_is_reported(tmp_path):
+    """By hand: two faces, and two paths behind them."""
+    lab = tmp_path / "labs" / "lab99_attic"
+    lab.mkdir(parents=True)
+    (lab / "lab.py").write_text(
+        "from falconwing_kit.core import Pose\nfrom falconwing_kit.tools.grading import check\n"
+        "from falconwing_kit.core.frames import pose_matrix\nfrom falconwing_kit.tools.grading.lab import Lab\n"
+    )
+    problems = lab_problems(tmp_path)
+    assert [problem.split(": ")[0] for problem in problems] == [
+        "labs/lab99_attic/lab.py:3",
+        "labs/lab99_attic/lab.py:4",
+    ]
 
 
 def test_right_products_are_not_reported(tmp_path):

@@ -15,10 +15,10 @@ from types import ModuleType
 
 import numpy as np
 
-from falconwing_kit.grading.collect import Cell, Notebook, collect
-from falconwing_kit.grading.find import load_checks, load_judges, load_module
-from falconwing_kit.grading.lab import Course, Function, Judge, Lab, course_constants
-from falconwing_kit.grading.notebooks import read_cells
+from falconwing_kit.tools.grading.collect import Cell, Notebook, collect
+from falconwing_kit.tools.grading.find import load_checks, load_judges, load_module
+from falconwing_kit.tools.grading.lab import Course, Function, Judge, Lab, course_constants
+from falconwing_kit.tools.grading.notebooks import read_cells
 
 ROOT = Path(__file__).resolve().parents[2]
 INSIDE = re.compile(r"# BEGIN SOLUTION\n(.*?)[ \t]*# END SOLUTION", re.DOTALL)

@@ -20,8 +20,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from falconwing_kit.grading.find import lab_folder, notebook_path
-from falconwing_kit.grading.release import release
+from falconwing_kit.tools.grading.find import lab_folder, notebook_path
+from falconwing_kit.tools.grading.release import release
 
 ROOT = Path(__file__).resolve().parents[2]
 WAIT_S = 180.0  # for a server, a page or a notebook on a busy machine

@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from falconwing_kit.grading.check import run_checks, state_of
-from falconwing_kit.grading.find import lab_folders, load_checks
-from falconwing_kit.grading.lab import course_constants
-from falconwing_kit.grading.selftest import selftest
+from falconwing_kit.tools.grading.find import lab_folders, load_checks
+from falconwing_kit.tools.grading.lab import course_constants
+from falconwing_kit.tools.grading.public_checks import run_checks, state_of
+from falconwing_kit.tools.grading.selftest import selftest
 from tests.labs.functions import ROOT, LabHere, mutants
 from tests.labs.tools import require_box
 

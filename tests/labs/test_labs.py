@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from falconwing_kit.grading.find import lab_folders, load_checks, load_judges, notebook_path
-from falconwing_kit.grading.lab import Course, course_constants
-from falconwing_kit.grading.notebooks import read_cells, stale_notebooks
-from falconwing_kit.grading.release import release
+from falconwing_kit.tools.grading.find import lab_folders, load_checks, load_judges, notebook_path
+from falconwing_kit.tools.grading.lab import Course, course_constants
+from falconwing_kit.tools.grading.notebooks import read_cells, stale_notebooks
+from falconwing_kit.tools.grading.release import release
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = lab_folders(ROOT / "labs")

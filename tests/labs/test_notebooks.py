@@ -2,8 +2,8 @@
 
 import pytest
 
-from falconwing_kit.grading.check import SYMBOLS
-from falconwing_kit.grading.find import lab_folders, load_checks, notebook_path
+from falconwing_kit.tools.grading.find import lab_folders, load_checks, notebook_path
+from falconwing_kit.tools.grading.public_checks import SYMBOLS
 from tests.labs.run_notebook import ROOT, run_notebook
 
 FOLDERS = lab_folders(ROOT / "labs")

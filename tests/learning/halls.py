@@ -9,8 +9,8 @@ from PIL import Image
 from falconwing_kit.learning.pose_views import World, finer, looker
 from falconwing_kit.scene import PinholeCamera, load_scene, render
 from falconwing_kit.scene.arena import leader_at
-from falconwing_kit.scene.photo_files import Reconstruction, write_reconstruction
-from falconwing_kit.scene.training.photos import Photos
+from falconwing_kit.tools.capture.photo_files import Reconstruction, write_reconstruction
+from falconwing_kit.tools.capture.training.photos import Photos
 
 CAMERA = PinholeCamera(39.68, 39.68, 32.0, 24.0, 64, 48)
 LOW, HIGH = np.array([-6.0, -5.0, 0.5]), np.array([2.0, 3.0, 3.5])

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.learning.pose_net_figures import Trial, calibrated, figures, try_net
-from falconwing_kit.vision.networks.pose import Answer, PoseNetwork, Shape, rotations
 from falconwing_kit.vision.pose_net import PoseNet, PoseNetRecord
+from falconwing_kit.vision.pose_network import Answer, PoseNetwork, Shape, rotations
 from tests.learning.halls import CAMERA, HIGH, LOW
 
 SHAPE = Shape(width=64, height=48, features=16, layers=1, heads=1)

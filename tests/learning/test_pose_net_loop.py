@@ -9,8 +9,8 @@ from falconwing_kit.learning import pose_net_loop
 from falconwing_kit.learning.pose_net_loop import STATE, Plan, Trainer, losses
 from falconwing_kit.learning.pose_views import take
 from falconwing_kit.scene import nose_camera_pose
-from falconwing_kit.vision.networks.pose import Answer, PoseNetwork, Shape, fused, rotations, turn_between
 from falconwing_kit.vision.pose_net import cell_rays
+from falconwing_kit.vision.pose_network import Answer, PoseNetwork, Shape, fused, rotations, turn_between
 from tests.learning.halls import CAMERA, HIGH, LOW, photos_of, world
 
 SHAPE = Shape(width=64, height=48, features=48, layers=2, heads=3)

@@ -10,8 +10,7 @@ import torch
 from falconwing_kit.core.frames import euler_from_rotation
 from falconwing_kit.learning import pose_views
 from falconwing_kit.learning.pose_views import aircraft_poses, finer, from_photos, looker, nearby, take, with_leader
-from falconwing_kit.scene import GaussianScene, load_scene, nose_camera_pose
-from falconwing_kit.scene.renderers import gsplat_backend
+from falconwing_kit.scene import GaussianScene, gsplat_backend, load_scene, nose_camera_pose
 from falconwing_kit.vision.pose_net import cell_rays
 from tests.learning.halls import CAMERA, HIGH, LOW, hall, photos_of, world
 from tests.scene.test_gsplat_backend import rasterization

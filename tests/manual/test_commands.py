@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falconwing_kit.cli.main import VERBS, main
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Command, State
 from falconwing_kit.data import data_path
-from falconwing_kit.trainer_port.links.usb import find_boards
+from falconwing_kit.tools.cli.main import VERBS, main
+from falconwing_kit.trainer_port.usb import find_boards
 from tests.firmware.chip import require_tools
 from tests.manual.book import MANUAL, ROOT, commands, elements, page
 
@@ -106,7 +106,7 @@ def test_hardware_commands_are_understood(monkeypatch):
     """The verb takes these words; nothing is opened."""
     import importlib
 
-    modules = {name: (module, class_name) for name, module, class_name, _ in VERBS}
+    modules = {name: (f"falconwing_kit.tools.cli.{module}", class_name) for name, module, class_name, _ in VERBS}
     for kind, line in commands():
         if kind == "hardware":
             module, class_name = modules[line.split()[1]]

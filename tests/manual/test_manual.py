@@ -7,7 +7,7 @@ import tomllib
 
 import pytest
 
-from falconwing_kit.aircraft.hardware.parts import load_parts, roll_up
+from falconwing_kit.tools.hardware.parts import load_parts, roll_up
 from tests.manual.book import MANUAL, ROOT, Page, commands, cost_s, elements, html, page, pdf, pdf_objects, script
 
 FIGURES = MANUAL / "figures"

@@ -5,10 +5,10 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from falconwing_kit.scene.photo_files import Reconstruction
-from falconwing_kit.scene.poses import photos_to_poses
-from falconwing_kit.scene.survey.points import Survey, read_survey
-from falconwing_kit.scene.survey.recipe import Alignments, align_photos
+from falconwing_kit.tools.capture.photo_files import Reconstruction
+from falconwing_kit.tools.capture.poses import photos_to_poses
+from falconwing_kit.tools.capture.survey.points import Survey, read_survey
+from falconwing_kit.tools.capture.survey.recipe import Alignments, align_photos
 
 FOLDER = Path(__file__).parents[1] / "data" / "hall24"
 

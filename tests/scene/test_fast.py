@@ -17,9 +17,8 @@ from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose
-from falconwing_kit.scene.renderers import fast
-from falconwing_kit.scene.renderers.fast import render_fast
+from falconwing_kit.scene import GaussianScene, PinholeCamera, fast, nose_camera_pose
+from falconwing_kit.scene.fast import render_fast
 
 ROOT = Path(__file__).resolve().parents[2]
 KIT = ROOT / "falconwing_kit"
@@ -138,7 +137,7 @@ def test_hall_is_that_of_the_reference():
     """The torch renderer in float64: the two must agree as both agree with gsplat."""
     import torch
 
-    from falconwing_kit.scene.renderers.reference import render_reference
+    from falconwing_kit.scene.reference import render_reference
 
     camera, scene = PinholeCamera.from_fov_deg(160, 120, 120.0), hall(9)
     require_close(

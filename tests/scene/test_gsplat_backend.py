@@ -11,9 +11,8 @@ import pytest
 import torch
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose, render
-from falconwing_kit.scene.renderers import gsplat_backend
-from falconwing_kit.scene.renderers.reference import GaussianTensors, render_reference, render_tensors
+from falconwing_kit.scene import GaussianScene, PinholeCamera, gsplat_backend, nose_camera_pose, render
+from falconwing_kit.scene.reference import GaussianTensors, render_reference, render_tensors
 
 CAMERA = PinholeCamera(50.0, 60.0, 7.5, 5.0, 16, 11)
 POSE = nose_camera_pose((0.5, 0.1, 1.0), 0.2, 0.05, 0.1)

@@ -37,8 +37,8 @@ def test_its_axes_are_the_bodys(leader):
 @pytest.mark.skipif(not TURNTABLE.is_dir(), reason="wants the path-traced turntable photos of the shared data")
 def test_it_looks_like_a_photo_it_did_not_learn(leader):
     """Photo 028 was held out. On black, 37 dB is what the worst of nine had; a mirrored wing would leave about 20."""
-    from falconwing_kit.scene.fit import CENTRE_OF_GRAVITY
-    from falconwing_kit.scene.training.turntable import load_turntable
+    from falconwing_kit.tools.capture.fit import CENTRE_OF_GRAVITY
+    from falconwing_kit.tools.capture.training.turntable import load_turntable
 
     photos = load_turntable(TURNTABLE, CENTRE_OF_GRAVITY)
     row = photos.names.index("028.png")

@@ -6,7 +6,7 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import pose_matrix, rotation_world_body
 from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose, render
-from falconwing_kit.scene.editing.masks import Ellipsoid, alpha_image, ellipse_mask, overlap, painted, seen_image
+from falconwing_kit.scene.masks import Ellipsoid, alpha_image, ellipse_mask, overlap, painted, seen_image
 
 CAMERA = PinholeCamera(100.0, 110.0, 70.0, 55.0, 160, 120)
 ORIGIN = nose_camera_pose((0.0, 0.0, 0.0), 0.0, 0.0, 0.0)  # looks along world x

@@ -7,7 +7,7 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.scene import GaussianScene
-from falconwing_kit.scene.formats.native import read_named_points, write_quantised
+from falconwing_kit.scene.native import read_named_points, write_quantised
 from tests.scene.packing import zipped
 from tests.scene.test_gaussians import fields
 from tests.scene.test_native import npy

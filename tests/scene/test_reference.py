@@ -11,8 +11,8 @@ import torch
 from scipy.special import sph_harm_y
 
 from falconwing_kit.scene import GaussianScene, PinholeCamera
-from falconwing_kit.scene.renderers import reference as reference_module
-from falconwing_kit.scene.renderers.reference import (
+from falconwing_kit.scene import reference as reference_module
+from falconwing_kit.scene.reference import (
     GaussianTensors,
     harmonics,
     project,

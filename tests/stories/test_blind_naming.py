@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.effects import CATALOGUE, EFFECT_NAMES
-from falconwing_kit.gap.calm import know_calm
-from falconwing_kit.gap.hidden import HiddenCase, hidden_flights
+from falconwing_kit.gap.baseline import know_calm
 from falconwing_kit.gap.name import Naming, name_effect
+from falconwing_kit.tools.trials.hidden import HiddenCase, hidden_flights
 from tests.hidden_flights import HiddenCase as JsbsimCase
 from tests.hidden_flights import make_case
 

@@ -6,12 +6,12 @@ import re
 import numpy as np
 import pytest
 
-from falconwing_kit.cli.main import main
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.flight_table import read_flight_table, slice_time
 from falconwing_kit.core.messages import Command, Image, State
 from falconwing_kit.data import data_path
 from falconwing_kit.sysid.model_file import read_model
+from falconwing_kit.tools.cli.main import main
 
 FLIGHT = data_path("case02_calm.csv")
 

@@ -15,10 +15,10 @@ import pytest
 
 from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log, recover
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
-from falconwing_kit.trainer_port.links.usb import SerialLink
+from falconwing_kit.tools.bridge.simulated_board import BoardOnPty, SimulatedBoard
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.trainer_port.ppm import load_calibration
-from falconwing_kit.trainer_port.simulated_board import BoardOnPty, SimulatedBoard
+from falconwing_kit.trainer_port.usb import SerialLink
 from tests.firmware.chip import require_tools
 
 FINAL = -4.0  # m before the pad
@@ -29,7 +29,7 @@ from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import State
 from falconwing_kit.flight.loop import Loop, WallClock
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
-from falconwing_kit.trainer_port.links.usb import SerialLink
+from falconwing_kit.trainer_port.usb import SerialLink
 from falconwing_kit.trainer_port.port import TrainerPort
 
 class Field:

@@ -20,9 +20,9 @@ import pytest
 from PIL import Image as Picture
 
 from falconwing_kit.core.messages import Command, Image, State
-from falconwing_kit.demo.live_page import LivePage
 from falconwing_kit.flight.loop import Step
 from falconwing_kit.scene.arena import load_scene
+from falconwing_kit.tools.demo.live_page import LivePage
 
 ROOT = Path(__file__).resolve().parents[2]
 WAIT_MS = 120_000  # of anything in the browser: software drawing on a busy machine is slow
@@ -126,7 +126,7 @@ def demo(tmp_path):
     words = [
         sys.executable,
         "-m",
-        "falconwing_kit.cli.main",
+        "falconwing_kit.tools.cli.main",
         "demo",
         "--port",
         str(port),

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falconwing_kit.cli.main import main
 from falconwing_kit.scene import GaussianScene, load_scene
-from falconwing_kit.scene.photo_files import read_reconstruction
+from falconwing_kit.tools.capture.photo_files import read_reconstruction
+from falconwing_kit.tools.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAPTER = (ROOT / "manual" / "photos_to_simulator.md").read_text(encoding="utf-8")

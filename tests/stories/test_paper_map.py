@@ -12,8 +12,8 @@ import pytest
 
 from falconwing_kit.aircraft.airframe import load_airframe
 from falconwing_kit.aircraft.sizing import level_turn_radius, level_turn_speed, minimum_speed, paper_turn_radius
-from falconwing_kit.cli.main import VERBS, main
 from falconwing_kit.core.messages import COMMAND_NAMES, STATE_NAMES
+from falconwing_kit.tools.cli.main import VERBS, main
 
 ROOT = Path(__file__).resolve().parents[2]
 MAP = (ROOT / "manual" / "03_paper_map.md").read_text(encoding="utf-8")
@@ -50,7 +50,7 @@ def test_every_name_and_file_in_the_map_exists():
 def test_command_is_understood(line, monkeypatch):
     """The verb takes these words; what it then does is tested with the verb. Files that it names are there."""
     words = shlex.split(line)[1:]
-    modules = {name: (module, class_name) for name, module, class_name, _ in VERBS}
+    modules = {name: (f"falconwing_kit.tools.cli.{module}", class_name) for name, module, class_name, _ in VERBS}
     module, class_name = modules[words[0]]
     monkeypatch.setattr(getattr(importlib.import_module(module), class_name), "run", lambda settings: 0)
     if words[1:]:

@@ -15,18 +15,18 @@ import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.model import rates_model
-from falconwing_kit.cli.modelling.video import read_video
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import GRAVITY, R_BODY_CAMERA, pose_matrix, rotation_world_body
 from falconwing_kit.data import data_path
-from falconwing_kit.learning import pose_net_training
 from falconwing_kit.learning.pose_net_loop import Plan
 from falconwing_kit.scene import GaussianScene, PinholeCamera, render
-from falconwing_kit.scene.align import apply
 from falconwing_kit.scene.edit import move
-from falconwing_kit.scene.fit import FitSettings, fit_scene
-from falconwing_kit.scene.photo_files import Reconstruction, write_reconstruction
 from falconwing_kit.sysid.forecast import constant_velocity, forecast
+from falconwing_kit.tools.capture import pose_net_training
+from falconwing_kit.tools.capture.align import apply
+from falconwing_kit.tools.capture.fit import FitSettings, fit_scene
+from falconwing_kit.tools.capture.photo_files import Reconstruction, write_reconstruction
+from falconwing_kit.tools.cli.video import read_video
 from falconwing_kit.vision import HybridSettings, PoseNet, Video, estimate_flight, hybrid_state, smoother
 from tests.scene.hall24 import alignments, reconstruction, survey
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falconwing_kit.cli.main import VERBS, main
 from falconwing_kit.core.flight_csv import LABEL_COLUMN, OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Command, State
 from falconwing_kit.data import data_path
-from falconwing_kit.grading.find import load_checks
-from falconwing_kit.grading.records import append_record, open_run
-from falconwing_kit.trainer_port.links.usb import find_boards
+from falconwing_kit.tools.cli.main import VERBS, main
+from falconwing_kit.tools.grading.find import load_checks
+from falconwing_kit.tools.grading.records import append_record, open_run
+from falconwing_kit.trainer_port.usb import find_boards
 from tests.demo_run import WORDS, demo_run
 from tests.firmware.chip import require_tools
 from tests.labs.tools import require_box

@@ -9,13 +9,14 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command
-from falconwing_kit.trainer_port.build import missing_tools
-from falconwing_kit.trainer_port.links import usb
-from falconwing_kit.trainer_port.links.simulated import STEP, SteppedBoard
-from falconwing_kit.trainer_port.links.usb import SerialLink, find_boards, how_to_open
-from falconwing_kit.trainer_port.port import TrainerPort, open_port
-from falconwing_kit.trainer_port.python_board import PythonBoard
-from falconwing_kit.trainer_port.simulated_board import BoardOnPty
+from falconwing_kit.tools.bridge.build import missing_tools
+from falconwing_kit.tools.bridge.open_port import open_port
+from falconwing_kit.tools.bridge.python_board import PythonBoard
+from falconwing_kit.tools.bridge.simulated_board import BoardOnPty
+from falconwing_kit.tools.bridge.simulated_link import STEP, SteppedBoard
+from falconwing_kit.trainer_port import usb
+from falconwing_kit.trainer_port.port import TrainerPort
+from falconwing_kit.trainer_port.usb import SerialLink, find_boards, how_to_open
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX")
 STICKS = Command(0.5, 0.1, -0.2, 0.3)
@@ -111,7 +112,7 @@ def test_device_time_is_known_to_a_millisecond_in_virtual_time(flown):
 @POSIX
 def test_the_serial_code_flies_a_board_behind_a_pseudo_terminal():
     """Real pyserial, real time: engages, gets the pilot's sticks, and hands back; no figures, for it is wall clock."""
-    from falconwing_kit.trainer_port.simulated_board import BoardOnPty
+    from falconwing_kit.tools.bridge.simulated_board import BoardOnPty
 
     with BoardOnPty(PythonBoard()) as line, TrainerPort(SerialLink(line.path)) as port:
         port.wait_ready(20.0)
@@ -133,7 +134,7 @@ def test_the_serial_code_flies_a_board_behind_a_pseudo_terminal():
 @POSIX
 def test_a_line_that_goes_away_is_an_event_and_comes_back():
     """The pseudo-terminal is closed under the port, as by unplugging; a second one is opened in its place."""
-    from falconwing_kit.trainer_port.simulated_board import BoardOnPty
+    from falconwing_kit.tools.bridge.simulated_board import BoardOnPty
 
     lines = [BoardOnPty(PythonBoard())]
     port = TrainerPort(SerialLink(lines[0].path), reopen=lambda: SerialLink(lines[-1].path))

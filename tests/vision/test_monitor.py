@@ -14,8 +14,8 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Image
 from falconwing_kit.scene.analog import AnalogVideo
+from falconwing_kit.tools.devices.cameras import FakeCamera
 from falconwing_kit.vision import FrameMonitor, Verdict, load_monitor_settings
-from falconwing_kit.vision.cameras import FakeCamera
 from falconwing_kit.vision.monitor import flat_share, motion_ssim, noise_level, reduced
 from falconwing_kit.vision.ssim import ssim
 

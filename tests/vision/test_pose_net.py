@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import R_BODY_CAMERA, rotation_world_body
 from falconwing_kit.scene import PinholeCamera
-from falconwing_kit.vision.networks.pose import (
+from falconwing_kit.vision.pose_net import PoseNet, PoseNetRecord, cell_rays
+from falconwing_kit.vision.pose_network import (
     Answer,
     PoseNetwork,
     Shape,
@@ -20,7 +21,6 @@ from falconwing_kit.vision.networks.pose import (
     turn_between,
     turn_by,
 )
-from falconwing_kit.vision.pose_net import PoseNet, PoseNetRecord, cell_rays
 
 LOW, HIGH = (-10.0, -5.0, 0.0), (10.0, 5.0, 4.0)
 SMALL = Shape(width=64, height=48, features=32, layers=1, heads=2)

@@ -1,1 +1,0 @@
-"""courses: the verbs that build, check, grade and hand out labs."""

@@ -1,1 +1,0 @@
-"""hardware: tables of the list of parts, and checklists walked at the terminal."""

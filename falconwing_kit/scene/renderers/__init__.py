@@ -1,1 +1,0 @@
-"""renderers: a Gaussian scene and a camera -> an image, three ways; `scene/render.py` chooses."""

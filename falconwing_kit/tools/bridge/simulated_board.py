@@ -1,0 +1,334 @@
+"""Simulated board: bytes and pilot's pulses in, the real firmware in a simulated ATmega2560, bytes and PPM frames out.
+
+The chip is libsimavr's, cycle by cycle, behind a small C library (firmware/sim/simavr_shim.c says where it differs from
+silicon). Time is virtual and runs only in `run_until`: a test is exact, the same every time, and faster than a clock.
+`BoardOnPty` ties a board to the wall clock and to a serial port that any program can open.
+"""
+
+import ctypes
+import math
+import os
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from itertools import pairwise
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falconwing_kit.core.checks import InputError, require_range
+from falconwing_kit.tools.bridge.build import build_firmware, build_simulator
+from falconwing_kit.tools.bridge.python_board import Board, PpmFrame
+
+CLOCK_HZ = 16_000_000
+CYCLES_PER_US = CLOCK_HZ // 1_000_000
+SYNC_CYCLES = 3000 * CYCLES_PER_US  # a level held for longer is the pause between two frames; a slot is 2.1 ms at most
+LOST_CYCLES = 40_000 * CYCLES_PER_US  # no frame is longer: behind this one the pulses have stopped
+PILOT_FRAME_US, PILOT_GAP_US, PILOT_PAUSE_US = 22_000, 400, 4000  # of the pilot's simulated radio; idle high
+STEP = 0.002  # s between two looks at what the board sent
+ROOM = 4096  # bytes or edges taken from the simulator at a time
+
+
+class SimulatedBoard:
+    """The firmware, as flashed, in a simulated ATmega2560.
+
+    Args:
+        elf: the program; None builds the kit's.
+        seed: draws what stands in the chip's memory when the power comes.
+
+    Raises:
+        InputError: a tool is missing (the sentence names the package), or the file is no program for this chip.
+    """
+
+    kind = "the firmware in a simulated ATmega2560"
+
+    def __init__(self, elf: Path | None = None, *, seed: int = 1) -> None:
+        self._sim, self._elf, self._seed = _library(), build_firmware() if elf is None else elf, seed
+        self.t = 0.0  # s since it was made; runs on over resets and power cycles
+        self._past = 0  # cycles before the power was last switched on
+        self._pilot: tuple[float, ...] = ()  # slots [us]; none: silence
+        self._chip: int | None = None  # the simulator's own record
+        self._edges: list[int] = []  # cycles, of the frame that is not complete
+        self._at_start = False  # the first of them begins a frame
+        self._most = 4  # edges of a whole frame, as far as seen; no frame has fewer
+        self._pilot_next = 0  # cycle at which the pilot's next frame may begin
+        self._switch_on()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def write(self, data: bytes) -> None:
+        """Put bytes on the wire to the board; they arrive one by one at 115200 8N1, behind those already on it."""
+        self._sim.sim_send(self._handle, 0, data, len(data))
+
+    def write_spektrum(self, data: bytes) -> None:
+        """The same on the line of a Spektrum remote receiver (Serial1, pin 19)."""
+        self._sim.sim_send(self._handle, 1, data, len(data))
+
+    def read(self) -> bytes:
+        """The bytes that have come from the board since the last call."""
+        room, came = ctypes.create_string_buffer(ROOM), b""
+        while count := self._sim.sim_receive(self._handle, room, ROOM):
+            came += room.raw[:count]
+        return came
+
+    def run_until(self, t: float) -> None:
+        """Let virtual time run to t [s]; nothing happens if it is there already.
+
+        Raises:
+            InputError: t is not finite.
+            RuntimeError: the program crashed or went to sleep for ever.
+        """
+        until = round(require_range("t", t) * CLOCK_HZ) - self._past
+        self._drive_pilot(until)
+        state = self._sim.sim_run(self._handle, until) if until > 0 else 0
+        self.t = (self._past + int(self._sim.sim_cycle(self._handle))) / CLOCK_HZ
+        if state:
+            text = self._sim.sim_error().decode(errors="replace").strip()
+            raise RuntimeError(f"{self._elf.name}: the program stopped at {self.t:.6f} s (state {state}): {text}")
+
+    def ppm_frames(self) -> list[PpmFrame]:
+        """The frames that were completed on the pin since the last call; a frame ends where the next one begins."""
+        at, levels = np.empty(ROOM, np.uint64), np.empty(ROOM, np.uint8)
+        while count := self._sim.sim_take_edges(self._handle, at, levels, ROOM):
+            self._edges += at[:count].tolist()
+        edges = np.array(self._edges, dtype=np.int64)
+        starts = [*range(self._at_start and len(edges) > 0), *(np.flatnonzero(np.diff(edges) > SYNC_CYCLES) + 1)]
+        frames = [self._frame(edges[a:b], int(edges[b])) for a, b in pairwise(starts)]
+        if starts:
+            self._edges, self._at_start = edges[starts[-1] :].tolist(), True
+            now = int(self._sim.sim_cycle(self._handle))
+            if now - self._edges[0] > LOST_CYCLES:
+                frames.append(self._frame(edges[starts[-1] :], now))
+                self._edges = []
+        return [frame for frame in frames if frame is not None]
+
+    def set_pilot(self, channels_us: Sequence[float] | None) -> None:
+        """PPM on the pilot's pin from now on; a frame that is on its way is finished as it began.
+
+        Args:
+            channels_us: (n,) [us], or None for silence.
+
+        Raises:
+            InputError: the slots do not fit into a frame of the pilot's radio.
+        """
+        slots = () if channels_us is None else tuple(channels_us)
+        for us in slots:
+            require_range("pilot slot", us, low=2 * PILOT_GAP_US)
+        if sum(slots) + PILOT_PAUSE_US > PILOT_FRAME_US:
+            raise InputError(f"pilot: want slots that fit into a frame of 22 ms with a pause of 4, got {channels_us}")
+        self._pilot = slots
+
+    def pilot_edges(self, t: Sequence[float], levels: Sequence[int]) -> None:
+        """Edges on the pilot's pin, for pulses that no radio makes.
+
+        Args:
+            t: (n,) rising times from now on [s].
+            levels: (n,) level from each of them on, 0 or 1.
+        """
+        at = np.array([round(when * CLOCK_HZ) - self._past for when in t], dtype=np.uint64)
+        self._sim.sim_drive_pilot(self._handle, at, np.array(levels, dtype=np.uint8), len(at))
+
+    def hang(self) -> None:
+        """Let the main program hang: the first instruction of loop() becomes a jump to itself, until a reset.
+
+        Interrupts go on as they would. The instruction is changed in the simulated flash memory; the file is not.
+
+        Raises:
+            InputError: the program's symbol table names no loop().
+        """
+        if self._sim.sim_hang(self._handle):
+            raise InputError(f"{self._elf.name}: want a program with a function loop(), its symbol table has none")
+
+    def reset(self) -> None:
+        """Press the reset button, as a host does that opens the port of a real board; the memory keeps its content."""
+        self._sim.sim_reset(self._handle)
+
+    def power_cycle(self) -> None:
+        """Take the power off and put it on again at once: the board forgets everything."""
+        self._past += int(self._sim.sim_cycle(self._handle))
+        self.close()
+        self._seed += 1
+        self._switch_on()
+
+    def close(self) -> None:
+        """Give the simulator's memory back; the board is of no use any more."""
+        if self._chip is not None:
+            self._sim.sim_close(self._chip)
+        self._chip = None
+
+    @property
+    def pin_level(self) -> int:
+        """The PPM pin now, 0 or 1."""
+        return int(self._sim.sim_pin(self._handle))
+
+    @property
+    def artefacts(self) -> int:
+        """How often libsimavr turned its own PPM pin where Timer1 wrapped, as silicon does not; no frame shows it."""
+        return int(self._sim.sim_counter(self._handle, 0))
+
+    @property
+    def overruns(self) -> int:
+        """Bytes to the board that were lost because its program did not fetch them in time."""
+        return int(self._sim.sim_counter(self._handle, 1))
+
+    @property
+    def watchdog_resets(self) -> int:
+        """How often the watchdog has reset the chip."""
+        return int(self._sim.sim_counter(self._handle, 2))
+
+    def _switch_on(self) -> None:
+        self._chip = self._sim.sim_open(os.fsencode(self._elf), self._seed)
+        if self._chip is None:
+            text = self._sim.sim_error().decode(errors="replace").strip()
+            raise InputError(f"{self._elf.name}: want a program for the ATmega2560, got: {text}; build it again")
+        self._edges, self._at_start, self._pilot_next = [], False, 0
+
+    @property
+    def _handle(self) -> int:
+        if self._chip is None:
+            raise RuntimeError("simulated board: it was closed; make another one")
+        return self._chip
+
+    def _drive_pilot(self, until: int) -> None:
+        """Put the pilot's frames that begin before a cycle on the pin."""
+        self._pilot_next = max(self._pilot_next, int(self._sim.sim_cycle(self._handle)) + 1)
+        while self._pilot and self._pilot_next < until:
+            pulses = PILOT_GAP_US * np.arange(2) + np.cumsum([0.0, *self._pilot])[:, None]
+            at = self._pilot_next + np.round(pulses.ravel() * CYCLES_PER_US).astype(np.uint64)
+            self._sim.sim_drive_pilot(self._handle, at, np.arange(len(at), dtype=np.uint8) % 2, len(at))
+            self._pilot_next += PILOT_FRAME_US * CYCLES_PER_US
+
+    def _frame(self, edges: NDArray[np.int64], end: int) -> PpmFrame | None:
+        """A frame from its edges and the next one's first; None where a reset broke it off and edges are missing."""
+        self._most = max(self._most, len(edges))
+        if len(edges) < self._most or len(edges) % 2:
+            return None
+        seconds, us = (edges + self._past) / CLOCK_HZ, edges / CYCLES_PER_US
+        return PpmFrame(
+            t_start=float(seconds[0]),
+            t_slots=seconds[2::2],
+            slots_us=np.diff(us[::2]),
+            gap_us=us[1::2] - us[::2],
+            frame_us=float(end / CYCLES_PER_US - us[0]) if end - edges[0] <= LOST_CYCLES else math.nan,
+        )
+
+
+class BoardOnPty:
+    """A board in step with the wall clock, behind a pseudo-terminal that opens like any serial port (POSIX only).
+
+    A thread runs it and carries bytes both ways; what is written reaches the board at the time it was written, to about
+    a millisecond. The board is used by one at a time: `with line.paused() as board`.
+
+    Args:
+        board: a board in virtual time; it is closed with the line.
+
+    Raises:
+        InputError: this system has no pseudo-terminals.
+    """
+
+    def __init__(self, board: Board) -> None:
+        try:
+            import pty
+            import tty
+        except ImportError:
+            raise InputError(
+                "port: want a system with pseudo-terminals for a simulated board, got Windows; take --port sim-python"
+            ) from None
+        self._board, self._lock, self._open = board, threading.Lock(), True
+        self._master, self._slave = pty.openpty()  # ours stays open: else the line breaks when its user closes it
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        self.worst_lag = 0.0  # [s] that the board was behind the wall clock
+        self.error: Exception | None = None  # why it stopped by itself
+        self._zero = time.perf_counter() - board.t
+        self._thread = threading.Thread(target=self._run, name=f"runs {self.path}", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @contextmanager
+    def paused(self) -> Iterator[Board]:
+        """The board, while its time stands; it catches up afterwards."""
+        with self._lock:
+            yield self._board
+
+    def ppm_frames(self) -> list[PpmFrame]:
+        """As the board's own."""
+        with self._lock:
+            return self._board.ppm_frames()
+
+    def to_host_time(self, t: float) -> float:
+        """A time of the board [s] on the clock of `time.perf_counter` [s]."""
+        return self._zero + t
+
+    def close(self) -> None:
+        """Stop the thread, close the line and the board."""
+        self._open = False
+        self._thread.join()
+        if self._master >= 0:
+            os.close(self._master)
+            os.close(self._slave)
+            self._board.close()
+        self._master = -1
+
+    def _run(self) -> None:
+        import select
+
+        while self._open:
+            ready, _, _ = select.select([self._master], [], [], STEP)
+            now = time.perf_counter() - self._zero
+            try:
+                with self._lock:
+                    self._board.run_until(now)
+                    if ready:
+                        self._board.write(os.read(self._master, ROOM))
+                    came = self._board.read()
+                self._pass_on(came)
+            except (OSError, RuntimeError) as error:
+                self.error = error
+                return
+            self.worst_lag = max(self.worst_lag, time.perf_counter() - self._zero - now)
+
+    def _pass_on(self, came: bytes) -> None:
+        """To whoever has the line open; where nobody reads, bytes are lost as on a real one."""
+        if came:
+            with suppress(BlockingIOError):
+                os.write(self._master, came)
+
+
+def _library() -> ctypes.CDLL:
+    """The simulator, built where it is not there yet."""
+    sim = ctypes.CDLL(str(build_simulator()))
+    board, size, cycles = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_uint64
+    at, levels = np.ctypeslib.ndpointer(np.uint64), np.ctypeslib.ndpointer(np.uint8)
+    functions: dict[str, tuple[object, list[object]]] = {
+        "sim_open": (board, [ctypes.c_char_p, ctypes.c_uint32]),
+        "sim_close": (None, [board]),
+        "sim_run": (ctypes.c_int, [board, cycles]),
+        "sim_error": (ctypes.c_char_p, []),
+        "sim_cycle": (cycles, [board]),
+        "sim_pin": (ctypes.c_int, [board]),
+        "sim_counter": (ctypes.c_uint32, [board, ctypes.c_int]),
+        "sim_send": (None, [board, ctypes.c_int, ctypes.c_char_p, size]),
+        "sim_receive": (size, [board, ctypes.c_char_p, size]),
+        "sim_drive_pilot": (None, [board, at, levels, size]),
+        "sim_take_edges": (size, [board, at, levels, size]),
+        "sim_hang": (ctypes.c_int, [board]),
+        "sim_reset": (None, [board]),
+    }
+    for name, (result, arguments) in functions.items():
+        function = getattr(sim, name)
+        function.restype, function.argtypes = result, arguments
+    return sim

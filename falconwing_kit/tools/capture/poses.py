@@ -1,0 +1,357 @@
+"""Photos to poses: a folder of photos of one place -> Reconstruction, by COLMAP's structure from motion (pycolmap).
+
+pycolmap is the optional extra `capture`. Its database stays in the output folder, so a run that was stopped goes on
+where it was: features and matches are not computed twice.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from falconwing_kit.core.checks import InputError, require_range
+from falconwing_kit.core.files import atomic_write, short_name
+from falconwing_kit.tools.capture.photo_files import Reconstruction, read_photo, read_reconstruction
+
+ENDINGS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
+LEAST_PHOTOS, LEAST_SIDE_PX = 3, 160
+ENOUGH_FEATURES, MAX_FEATURES = 300, 4096  # a photo with fewer finds few partners; more only cost time
+GOOD_SHARE, GOOD_REPROJECTION_PX = 0.95, 0.8  # what a good set of photos reaches
+NOISY = 3.0  # [of 255] grain from row to row; digital photos have less, analog video more
+WALK_OVERLAP = 20  # photos before each that it is compared with, where they follow each other
+DATABASE, MODEL = "colmap.db", "sparse"
+
+Progress = Callable[[str, int, int], None]
+
+
+def quiet(step: str, done: int, total: int) -> None:
+    """Progress that tells nobody."""
+
+
+def photos_to_poses(
+    photos: str | Path,
+    out: str | Path,
+    *,
+    focal_share: float = 0.6,
+    walk: bool = False,
+    threads: int = 1,
+    seed: int = 0,
+    progress: Progress = quiet,
+) -> Reconstruction:
+    """Find where each photo was taken.
+
+    SIFT features, matches between all pairs (or neighbours only), incremental mapping with one shared camera whose
+    focal length and k1 are refined [Schonberger & Frahm 2016, Structure-from-Motion Revisited].
+
+    Args:
+        photos: a folder; photos in folders inside it count too.
+        out: for the database and COLMAP's model; made where it is missing. Another run with the same photos goes on.
+        focal_share: first guess of the focal length, as a share of the longer side; 10 % off does no harm.
+        walk: True: the photos follow each other by name as frames of a video do; only near ones are compared. False:
+            each is compared with each, which takes time with the square of their number.
+        threads: for all steps; with 1 a run gives the same again.
+        seed: of the random draws in matching and mapping.
+        progress: called with step, done and total.
+
+    Returns:
+        Poses of the photos that found their place; report has registered, total, reprojection_px, focal_px,
+        focal_sigma_px, points, features_median, grain and advice.
+
+    Raises:
+        FileNotFoundError: there is no such folder.
+        InputError: pycolmap is missing, the photos cannot be used together, or nothing could be reconstructed; the
+            text says what to do.
+    """
+    colmap = _pycolmap()
+    focal_share = require_range("focal_share", focal_share, low=0.2, high=5.0)
+    threads = int(require_range("threads", threads, low=1, high=256))
+    photos, out = Path(photos).resolve(), Path(out)
+    names, width, height = check_photos(photos)
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: want a folder, got a file; choose another name")
+    (out / MODEL).mkdir(parents=True, exist_ok=True)
+    database = out / DATABASE
+    colmap.logging.minloglevel = int(colmap.logging.Level.FATAL)
+    colmap.set_random_seed(int(require_range("seed", seed, low=0, high=2**31 - 1)))
+    _require_same_photos(colmap, database, names)
+    guess = f"{focal_share * max(width, height)},{width / 2},{height / 2},0"
+    try:
+        _extract(colmap, database, photos, names, guess, threads, progress)
+        _match(colmap, database, names, walk, threads, progress)
+        models = _map(colmap, database, photos, out / MODEL, len(names), threads, progress)
+        features = _features(colmap, database)
+    except RuntimeError as error:  # of the native library: a full disk, or a database that another run is using
+        raise InputError(f"{out}: COLMAP stopped: {str(error).strip().splitlines()[-1][-200:]}") from error
+    facts = {**photo_facts(features, photos, names), "total": len(names), "models": len(models)}
+    number, best = max(models.items(), key=lambda item: item[1].num_reg_images(), default=(0, None))
+    if best is None or best.num_reg_images() < LEAST_PHOTOS:
+        raise InputError(f"{photos}: no reconstruction came out of {len(names)} photos. {' '.join(advice(facts))}")
+    progress("focal uncertainty", 0, 1)
+    camera = next(iter(best.cameras.values()))
+    facts |= {"focal_px": float(camera.params[0]), "focal_sigma_px": focal_sigma(colmap, best)}
+    found = read_reconstruction(out / MODEL / str(number))
+    report = {**found.report, **facts}
+    return replace(found, folder=photos, report={**report, "advice": advice(report)})
+
+
+def check_photos(folder: str | Path) -> tuple[tuple[str, ...], int, int]:
+    """Look at every photo before hours are spent on them.
+
+    Args:
+        folder: with photos.
+
+    Returns:
+        Their names relative to the folder, sorted, and the width and height they share [px].
+
+    Raises:
+        FileNotFoundError: there is no such folder.
+        InputError: there are too few, one is unreadable, small, turned by its EXIF note, or of another size.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileNotFoundError(
+            f"{folder}: want a folder of photos, found {'a file' if folder.exists() else 'nothing'}"
+        )
+    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file())
+    if len(paths) < LEAST_PHOTOS:
+        raise InputError(f"{folder}: want {LEAST_PHOTOS} or more photos ({', '.join(ENDINGS)}), got {len(paths)}")
+    sizes = {}
+    for path in paths:
+        if any(letter.isspace() for letter in path.relative_to(folder).as_posix()):
+            raise InputError(f"{short_name(path)}: want names without blanks, for COLMAP's lists; rename the photos")
+        try:
+            with Image.open(path) as image:
+                sizes[path], turned = image.size, image.getexif().get(0x0112, 1)
+                image.draft("L", (8, 8))  # JPEG: decode an eighth only, enough to see that it is whole
+                image.load()
+        except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
+            raise InputError(
+                f"{short_name(path)}: want a photo, got a file that is damaged or none; remove it"
+            ) from None
+        if turned not in (0, 1):
+            raise InputError(
+                f"{short_name(path)}: want photos as the sensor took them, got one that its EXIF note turns; hold the "
+                "camera level for all photos, or remove that note from all (exiftool -Orientation= *)"
+            )
+    (size, count), *others = Counter(sizes.values()).most_common()
+    if others:
+        odd = next(path for path, other in sizes.items() if other != size)
+        raise InputError(
+            f"{short_name(odd)}: want all photos of one size, got {sizes[odd][0]}x{sizes[odd][1]} beside {count} of "
+            f"{size[0]}x{size[1]}; leave out those that were cropped or taken with another camera or zoom"
+        )
+    if min(size) < LEAST_SIDE_PX:
+        raise InputError(f"{folder}: want photos of {LEAST_SIDE_PX} px or more on each side, got {size[0]}x{size[1]}")
+    return tuple(path.relative_to(folder).as_posix() for path in paths), *size
+
+
+def photo_facts(features: Sequence[int], photos: Path, names: Sequence[str], sample: int = 20) -> dict[str, Any]:
+    """What the photos are like: features in a middling photo, the share of photos with enough, and the grain.
+
+    Args:
+        features: number of them in each photo.
+        photos: their folder.
+        names: relative to it.
+        sample: how many photos the grain is measured on.
+    """
+    chosen = [names[k] for k in np.unique(np.linspace(0, len(names) - 1, sample).astype(int))]
+    grains = [grain(read_photo(photos / name)) for name in chosen]
+    return {
+        "features_median": float(np.median(features)),
+        "features_enough": float((np.array(features) >= ENOUGH_FEATURES).mean()),
+        "grain": float(np.median(grains)),
+    }
+
+
+def grain(image: np.ndarray[Any, Any]) -> float:
+    """Standard deviation of the noise from row to row: analog video sends each row by itself, so its rows disagree.
+
+    sigma = 1.4826 median |row above - 2 row + row below| / sqrt(6); straight edges and shades hardly reach the median
+
+    Args:
+        image: (H, W, 3) 0..255.
+
+    Returns:
+        [of 255].
+    """
+    grey = image.astype(np.float64).mean(axis=2)
+    return float(1.4826 * np.median(np.abs(grey[:-2] - 2.0 * grey[1:-1] + grey[2:])) / np.sqrt(6.0))
+
+
+def advice(facts: Mapping[str, Any]) -> list[str]:
+    """What to do about a reconstruction that is not good, in sentences; empty for a good one.
+
+    Args:
+        facts: the report of `photos_to_poses`.
+    """
+    registered, total = facts.get("registered", 0), facts["total"]
+    said = []
+    if registered < GOOD_SHARE * total:
+        if facts["grain"] > NOISY:
+            said.append(
+                f"The photos are grainy ({facts['grain']:.0f} of 255), as analog video is: features are then mostly "
+                "noise. Use a digital camera, more light, or the mean of several frames of a still view."
+            )
+        if facts["features_median"] < ENOUGH_FEATURES:
+            said.append(
+                f"A middling photo has {facts['features_median']:.0f} features where {ENOUGH_FEATURES} are wanted: "
+                "plain walls, darkness or blur. Show more things in each photo, hold still, hang posters if need be."
+            )
+        if not said:
+            said.append(
+                "Photos overlap too little: let each show two thirds of what the one before showed, walk in an arc "
+                "rather than turn on the spot, and join the places by photos from between."
+            )
+        if facts.get("models", 1) > 1:
+            said.append(f"The photos fell into {facts['models']} groups that share no view; the largest was kept.")
+    if facts.get("reprojection_px", 0.0) > GOOD_REPROJECTION_PX:
+        said.append(
+            f"Points miss by {facts['reprojection_px']:.2f} px where {GOOD_REPROJECTION_PX} is good: blur, a rolling "
+            "shutter, zoom that changed, or things that moved."
+        )
+    return said
+
+
+def focal_sigma(colmap: Any, model: Any) -> float:
+    """Standard deviation of the focal length from the bundle adjustment's covariance [px]; nan where it has none.
+
+    Args:
+        colmap: the module pycolmap.
+        model: its reconstruction.
+    """
+    config = colmap.BundleAdjustmentConfig()
+    for number in model.reg_image_ids():
+        config.add_image(number)
+    config.fix_gauge(colmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    adjuster = colmap.create_default_ceres_bundle_adjuster(colmap.BundleAdjustmentOptions(), config, model)
+    options = colmap.BACovarianceOptions(params=colmap.BACovarianceOptionsParams.ALL)
+    covariance = colmap.estimate_ba_covariance(options, model, adjuster)
+    found = None if covariance is None else covariance.get_other_params_cov(next(iter(model.cameras.values())).params)
+    if found is None:
+        return float("nan")
+    return float(np.sqrt(found[0, 0]) * model.compute_mean_reprojection_error())
+
+
+def _extract(
+    colmap: Any, database: Path, photos: Path, names: Sequence[str], camera: str, threads: int, progress: Progress
+) -> None:
+    """Features of every photo, into the database; a few photos a call, so that the bar moves and Ctrl-C works."""
+    reader = colmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL", camera_params=camera)
+    options = colmap.FeatureExtractionOptions(num_threads=threads, use_gpu=False)
+    options.sift.max_num_features = MAX_FEATURES
+    chunk = 4 * threads
+    for start in range(0, len(names), chunk):
+        progress("features", start, len(names))
+        with closing(colmap.Database.open(database)) as opened:
+            cameras = opened.read_all_cameras()
+        if cameras:
+            reader.existing_camera_id = cameras[0].camera_id
+        colmap.extract_features(
+            database,
+            photos,
+            image_names=list(names[start : start + chunk]),
+            camera_mode=colmap.CameraMode.SINGLE,
+            reader_options=reader,
+            extraction_options=options,
+            device=colmap.Device.cpu,
+        )
+
+
+def _match(colmap: Any, database: Path, names: Sequence[str], walk: bool, threads: int, progress: Progress) -> None:
+    """Matches between photos that pass the epipolar check, into the database; one photo with its partners a call."""
+    options = colmap.FeatureMatchingOptions(num_threads=threads, use_gpu=False)
+    listed = database.with_name("pairs.txt")
+    partners = [earlier(number, walk) for number in range(len(names))]
+    done, total = 0, sum(map(len, partners))
+    try:
+        for number, others in enumerate(partners[1:], start=1):
+            with atomic_write(listed, text=True) as file:
+                file.writelines(f"{names[other]} {names[number]}\n" for other in others)
+            colmap.match_image_pairs(
+                database,
+                matching_options=options,
+                pairing_options=colmap.ImportedPairingOptions(match_list_path=listed),
+                device=colmap.Device.cpu,
+            )
+            done += len(others)
+            progress("matches", done, total)
+    finally:
+        listed.unlink(missing_ok=True)
+
+
+def earlier(number: int, walk: bool) -> list[int]:
+    """Which earlier photos one is compared with.
+
+    Args:
+        number: of the photo, in the order of names.
+        walk: False: all of them. True: the WALK_OVERLAP before it, and those 32, 64, 128 ... before it, since a walk
+            may come back.
+
+    Returns:
+        Their numbers, rising.
+    """
+    if not walk:
+        return list(range(number))
+    steps = {*range(1, WALK_OVERLAP + 1), *(2**power for power in range(5, 20))}
+    return sorted(number - step for step in steps if step <= number)
+
+
+def _map(
+    colmap: Any, database: Path, photos: Path, out: Path, total: int, threads: int, progress: Progress
+) -> Mapping[int, Any]:
+    """Every group of photos that could be put together."""
+    options = colmap.IncrementalPipelineOptions(num_threads=threads)
+    done = count(3)  # the first two come together
+    return dict(
+        colmap.incremental_mapping(
+            database,
+            photos,
+            out,
+            options=options,
+            next_image_callback=lambda: progress("poses", min(next(done), total), total),
+        )
+    )
+
+
+def _require_same_photos(colmap: Any, database: Path, names: Sequence[str]) -> None:
+    """Refuse to go on with the database of other photos, or with a file that is none."""
+    if not database.exists():
+        return
+    try:
+        with closing(colmap.Database.open(database)) as opened:
+            known = {image.name for image in opened.read_all_images()}
+    except RuntimeError:
+        raise InputError(f"{short_name(database)}: want COLMAP's database, got a damaged file; remove it") from None
+    gone = sorted(known - set(names))
+    if gone:
+        raise InputError(
+            f"{short_name(database)}: it knows photos that are not there any more, such as {gone[0][:60]}; write to "
+            "another folder, or remove this file to begin again"
+        )
+
+
+def _features(colmap: Any, database: Path) -> list[int]:
+    """How many features each photo has.
+
+    Only COLMAP's own SQLite may open its database in this process: a second library's closing would drop the locks.
+    """
+    with closing(colmap.Database.open(database)) as opened:
+        return [opened.num_keypoints_for_image(image.image_id) for image in opened.read_all_images()]
+
+
+def _pycolmap() -> Any:
+    try:
+        import pycolmap
+    except ImportError:
+        raise InputError(
+            "pycolmap: want this library for poses from photos, it is not installed; "
+            "pip install 'falconwing-kit[capture]', or make a COLMAP model or a transforms.json elsewhere and give that"
+        ) from None
+    return pycolmap

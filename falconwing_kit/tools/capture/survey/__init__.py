@@ -1,0 +1,1 @@
+"""what is measured on photos to align them with the world."""

@@ -1,0 +1,1 @@
+"""photos with poses -> a trained Gaussian scene. Each file here loads torch."""

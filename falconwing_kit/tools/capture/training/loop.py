@@ -1,0 +1,232 @@
+"""The training loop: a state, photos and a way to draw -> a state whose renders look like the photos.
+
+[3] Kerbl et al. 2023, 3D Gaussian Splatting; [K] Kheradmand et al. 2024, 3DGS as Markov Chain Monte Carlo;
+[P] Park et al. 2025, DropGaussian.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.tools.capture.training.densify import densify, wander
+from falconwing_kit.tools.capture.training.draw import Draw, moved
+from falconwing_kit.tools.capture.training.judge import ssim
+from falconwing_kit.tools.capture.training.photos import Photos
+from falconwing_kit.tools.capture.training.state import State
+
+# Learning rates of 3D Gaussian Splatting; places are in extents of the scene, photos' rows per photo.
+RATES = {
+    **{"means": 1.6e-4, "quaternions": 1e-3, "log_scales": 5e-3, "logits": 5e-2, "dc": 2.5e-3, "rest": 1.25e-4},
+    **{"exposures": 1e-3, "twists": 1e-5},
+}
+MEANS_FALL, OTHERS_FALL = 0.01, 0.1  # to this part of the rate at the end; others only over the last third
+FULL_COLOUR_FROM = 0.03  # progress at which colours begin to depend on the direction
+SHORT = 3000  # steps; a shorter training takes larger ones
+GROW_FROM, GROW_UNTIL = 0.015, 0.83  # progress between which Gaussians are added and moved [K: 500 to 25,000 of 30,000]
+TURNS = 300  # how often they are, over the whole training [K: every 100 of 30,000 steps]
+STAY = {"exposures": 1.0, "twists": 100.0}  # weights of their squares: what nothing asks for stays 0
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a training aims at."""
+
+    gaussians: int  # the largest number of Gaussians
+    steps: int
+    batch: int  # photos a step
+    sh_degree: int
+    antialiased: bool
+    exposures: bool  # learn gains and offsets of each photo
+    poses: bool  # learn small corrections of the photos' poses
+    ssim_weight: float  # of 1 - SSIM against the mean absolute error [3: 0.2]
+    opacity_cost: float  # [K: 0.01]
+    scale_cost: float  # [K: 0.01]
+    largest: float  # standard deviation that a Gaussian may have [m]; 0: any
+    dropout: float  # part of the Gaussians left out of a step at the end [P: 0.2]
+    seconds: float  # all must be done by then; the end comes earlier, but smoothly
+    low: Array  # (3,) corners of the box that the scene stays in [m]
+    high: Array
+    extent: float  # size of the space the photos were taken from [m]
+    seed: int
+
+
+def train(
+    state: State,
+    photos: Photos,
+    draw: Draw,
+    goal: Goal,
+    *,
+    keep: Callable[[State], None] = lambda _: None,
+    tell: Callable[[State, float], None] = lambda *_: None,
+) -> State:
+    """Train until the steps are done or the time is up.
+
+    Each step draws its random numbers from the seed and its own number, so that a training that was interrupted goes
+    on as if it had not been.
+
+    Args:
+        state: to begin or to go on with; changed in place.
+        photos: to learn from.
+        draw: the renderer.
+        goal: what to do.
+        keep: called now and then with a state that is worth keeping.
+        tell: called with the state and the last loss after each twentieth of the way.
+
+    Returns:
+        The state at the end.
+
+    Raises:
+        InputError: the GPU's memory does not suffice.
+    """
+    every, spent, start = max(1, goal.steps // 20), state.seconds, time.monotonic()
+    try:
+        while (progress := max(state.step / goal.steps, state.seconds / goal.seconds)) < 1.0:
+            loss = step(state, photos, draw, goal, progress)
+            state.step += 1
+            state.seconds = spent + time.monotonic() - start
+            if state.step % every == 0:
+                tell(state, float(loss))
+            if state.step % (2 * every) == 0:
+                keep(state)
+    except torch.cuda.OutOfMemoryError:
+        raise InputError(
+            f"GPU memory: want room for {len(state.values['means'])} Gaussians and {goal.batch} photos a step, got too "
+            "little; give a smaller --batch, --width or --gaussians"
+        ) from None
+    keep(state)
+    return state
+
+
+def step(state: State, photos: Photos, draw: Draw, goal: Goal, progress: float) -> Tensor:
+    """Draw some photos, compare, move every number a little, and now and then grow.
+
+    Args:
+        state: changed in place.
+        photos: to learn from.
+        draw: the renderer.
+        goal: what to do.
+        progress: 0..1, sets the learning rates and what may happen.
+
+    Returns:
+        The loss before the step.
+    """
+    device = state.values["means"].device
+    generator = torch.Generator(device).manual_seed(1_000_003 * goal.seed + state.step)
+    numbers = torch.as_tensor(_batch(state.step, goal, len(photos)), device=device)
+    names = [name for name, learns in _learning(goal).items() if learns and state.values[name].numel()]
+    for name in names:
+        state.values[name].requires_grad_(True)
+    total = loss(state, photos, draw, goal, progress, numbers, generator)
+    gradients = torch.autograd.grad(total, [state.values[name] for name in names], allow_unused=True)
+    for name in names:
+        state.values[name] = state.values[name].detach()
+    rates = _rates(goal, progress)
+    with torch.no_grad():
+        state.adam(dict(zip(names, gradients, strict=True)), rates)
+        if GROW_FROM < progress < GROW_UNTIL and state.step % max(1, goal.steps // TURNS) == 0:
+            densify(state, goal.gaussians, generator)
+        wander(state, rates["means"], goal.extent, generator)
+        low, high = (torch.as_tensor(corner, dtype=torch.float32, device=device) for corner in (goal.low, goal.high))
+        state.values["means"].clamp_(low, high)
+        if goal.largest:
+            state.values["log_scales"].clamp_(max=math.log(goal.largest))
+    return total.detach()
+
+
+def loss(
+    state: State,
+    photos: Photos,
+    draw: Draw,
+    goal: Goal,
+    progress: float,
+    numbers: Tensor,
+    generator: torch.Generator,
+) -> Tensor:
+    """(1 - w) |render - photo| + w (1 - SSIM) [3, eq. 7] + costs of opacity and size [K, eq. 10] + alpha's error.
+
+    The background is of a random colour: whoever leaves a hole is found out.
+
+    Args:
+        state: the Gaussians and what photos learn.
+        photos: to compare with.
+        draw: the renderer.
+        goal: the weights.
+        progress: 0..1, sets the colours' degree.
+        numbers: (C,) which photos.
+        generator: draws the background.
+
+    Returns:
+        A number.
+    """
+    background = torch.rand(3, generator=generator, device=numbers.device)
+    gaussians = state.gaussians(goal.sh_degree if progress >= FULL_COLOUR_FROM else 0)
+    gaussians = gaussians._replace(opacities=thinned(gaussians.opacities, goal.dropout * progress, generator))
+    exposures, twists = state.values["exposures"][numbers], state.values["twists"][numbers]
+    poses = photos.Ts_world_camera[numbers]
+    poses = moved(poses, twists * reach(goal.extent, twists)) if goal.poses else poses
+    colours, alphas = draw(gaussians, photos.camera, poses, background, goal.antialiased)
+    if goal.exposures:
+        colours = colours * exposures[:, None, None, :3].exp() + exposures[:, None, None, 3:]
+    targets, target_alphas = photos.targets(numbers, background)
+    colours = torch.where(photos.inside[..., None], colours, targets)
+    total = (1.0 - goal.ssim_weight) * (colours - targets).abs().mean()
+    total = total + goal.ssim_weight * (1.0 - ssim(colours, targets).mean())
+    if target_alphas is not None:
+        total = total + (alphas - target_alphas).abs().mean()
+    total = (
+        total + goal.opacity_cost * gaussians.opacities.mean() + goal.scale_cost * gaussians.scales.mean() / goal.extent
+    )
+    return total + STAY["exposures"] * (exposures**2).mean() + STAY["twists"] * (twists**2).mean()
+
+
+def thinned(opacities: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    """Opacities with a share of the Gaussians left out, and the others made up for them  [P].
+
+    What only one photo asks for often hangs in the air before it, and hides behind others; when these are missing now
+    and then, it has to be right by itself.
+
+    Args:
+        opacities: (N,) 0..1.
+        share: to leave out, below 1.
+        generator: draws which.
+
+    Returns:
+        (N,) the same in the mean.
+    """
+    if share == 0.0:
+        return opacities
+    stay = torch.rand(opacities.shape, generator=generator, device=opacities.device) >= share
+    return opacities * stay / (1.0 - share)
+
+
+def reach(extent: float, like: Tensor) -> Tensor:
+    """(6,) what turns the state's twists into turns [rad] and shifts [m]: shifts are kept in extents of the scene."""
+    return like.new_tensor([1.0, 1.0, 1.0, extent, extent, extent])
+
+
+def _learning(goal: Goal) -> dict[str, bool]:
+    """Which values learn."""
+    return {name: True for name in RATES} | {"exposures": goal.exposures, "twists": goal.poses}
+
+
+def _rates(goal: Goal, progress: float) -> dict[str, float]:
+    """Learning rates; more photos a step allow larger ones, by the root [Malladi et al. 2022, scaling rule of Adam]."""
+    pace = (goal.batch * max(1.0, SHORT / goal.steps)) ** 0.5
+    fall = pace * OTHERS_FALL ** max(0.0, 3.0 * progress - 2.0)
+    rates = {name: rate * fall for name, rate in RATES.items()}
+    return rates | {"means": RATES["means"] * goal.extent * pace * MEANS_FALL**progress}
+
+
+def _batch(number: int, goal: Goal, photos: int) -> list[int]:
+    """Numbers of the photos of a step: every photo once, in a new order each time round."""
+    places = range(number * goal.batch, (number + 1) * goal.batch)
+    orders = {
+        turn: np.random.default_rng([goal.seed, turn]).permutation(photos) for turn in {p // photos for p in places}
+    }
+    return [int(orders[place // photos][place % photos]) for place in places]

@@ -1,0 +1,232 @@
+"""Photos for training: files, a camera and poses -> images as torch tensors, and which ones are held out.
+
+Photos are read by Pillow alone, so that a bare GPU machine can train.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from falconwing_kit.core.checks import Array, InputError, require_file
+from falconwing_kit.core.files import short_name
+from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.tools.capture.photo_files import Reconstruction
+from falconwing_kit.tools.capture.training.settings import FitSettings
+
+PHOTOS_A_PLACE = 4  # how many photos one place of the hall holds on average when some places are held out
+WORTH_PX = 0.25  # distortion at the corner that is worth the sharpness that resampling costs
+TURNS = 50  # of k-means, far more than it takes
+
+
+@dataclass(frozen=True, eq=False)
+class Photos:
+    """Images of one camera without distortion, and where each was taken."""
+
+    names: tuple[str, ...]  # (P,)
+    camera: PinholeCamera
+    images: Tensor  # (P, H, W, 3) bytes; where there is alpha, times alpha
+    alphas: Tensor | None  # (P, H, W) bytes, how much of each pixel the object covers; None: photos show all there is
+    inside: Tensor  # (H, W) bool, False where the lens left nothing to compare with
+    Ts_world_camera: Tensor  # (P, 4, 4) float32, OpenCV axes
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def chosen(self, numbers: Sequence[int] | NDArray[Any]) -> "Photos":
+        """The photos of some numbers, in that order."""
+        rows = torch.as_tensor(np.asarray(numbers, dtype=np.int64), device=self.images.device)
+        alphas = None if self.alphas is None else self.alphas[rows]
+        names = tuple(self.names[int(number)] for number in numbers)
+        return replace(
+            self, names=names, images=self.images[rows], alphas=alphas, Ts_world_camera=self.Ts_world_camera[rows]
+        )
+
+    def targets(self, numbers: Tensor, background: Tensor) -> tuple[Tensor, Tensor | None]:
+        """What a render in front of a background should look like.
+
+        Args:
+            numbers: (C,) of photos.
+            background: (3,) red, green, blue.
+
+        Returns:
+            Colour (C, H, W, 3) 0..1, and alpha (C, H, W) 0..1 where the photos have one.
+        """
+        images = self.images[numbers].float() / 255.0
+        if self.alphas is None:
+            return images, None
+        alphas = self.alphas[numbers].float() / 255.0
+        return images + (1.0 - alphas)[..., None] * background, alphas
+
+
+def load_photos(source: Reconstruction, width: int = 0, device: str = "cpu", with_alpha: bool = False) -> Photos:
+    """Read photos, make them smaller if wished, and take the lens's distortion out where it can be seen.
+
+    Args:
+        source: the photos, their camera and poses.
+        width: [px] of the images to train on; 0 leaves them as they are.
+        device: where the tensors go.
+        with_alpha: want RGBA images of an object.
+
+    Raises:
+        FileNotFoundError: a photo is missing.
+        InputError: a photo cannot be read, has another size, or no alpha where it is wanted; or width is too small.
+    """
+    small, k1 = scaled(source.camera, width), source.k1
+    images = np.empty((len(source), small.height, small.width, 4 if with_alpha else 3), np.uint8)
+    for number in range(len(source)):
+        images[number] = _read(source.path(number), source.camera, small, with_alpha)
+    tensor = torch.from_numpy(images)
+    inside = torch.ones(small.height, small.width, dtype=torch.bool)
+    corner_slope = np.hypot(0.5 * small.width / small.fx, 0.5 * small.height / small.fy)
+    if abs(k1) * corner_slope**3 * small.fx > WORTH_PX:
+        tensor, inside = _straightened(tensor, small, k1)
+    return Photos(
+        source.names,
+        small,
+        tensor[..., :3].contiguous().to(device),
+        tensor[..., 3].contiguous().to(device) if with_alpha else None,
+        inside.to(device),
+        torch.tensor(source.T_world_camera, dtype=torch.float32, device=device),
+    )
+
+
+def scaled(camera: PinholeCamera, width: int) -> PinholeCamera:
+    """The camera of the same photos at another width [px]; 0 leaves it as it is.
+
+    Raises:
+        InputError: the width is not 0 and not 16 px up to the photos' own.
+    """
+    if width == 0 or width == camera.width:
+        return camera
+    if not 16 <= width <= camera.width:
+        raise InputError(f"width: want 16 to {camera.width} px, the photos' own, or 0 for that, got {width}")
+    height = max(16, round(camera.height * width / camera.width))
+    across, down = width / camera.width, height / camera.height
+    return PinholeCamera(camera.fx * across, camera.fy * down, camera.cx * across, camera.cy * down, width, height)
+
+
+def hold_out(places: Array, share: float, seed: int = 0) -> NDArray[np.bool_]:
+    """Choose photos to judge by: whole neighbourhoods of places, so that none has a twin among those trained on.
+
+    Places are grouped by k-means, four photos a group on average; groups are then drawn until they hold the share.
+
+    Args:
+        places: (P, 3) where the photos were taken [m].
+        share: of the photos, 0 to 0.5; 0 holds none out.
+        seed: draws the groups.
+
+    Returns:
+        (P,) True for the photos held out: at least one and never all, unless the share is 0.
+    """
+    count, rng = len(places), np.random.default_rng(seed)
+    held = np.zeros(count, bool)
+    wanted = min(count - 1, max(1, round(share * count))) if share > 0.0 else 0
+    group = _k_means(np.asarray(places, np.float32).astype(np.float64), max(2, round(count / PHOTOS_A_PLACE)), rng)
+    for number in rng.permutation(group.max() + 1):
+        size = np.count_nonzero(group == number)
+        if held.sum() + size <= wanted or (not held.any() and size < count and wanted):
+            held |= group == number
+    return held
+
+
+def held_out(names: Sequence[str], places: Array, settings: FitSettings) -> NDArray[np.bool_]:
+    """The photos to judge by: those that the settings name, in whatever folder they are, or whole places.
+
+    Args:
+        names: (P,) of all photos.
+        places: (P, 3) where they were taken [m].
+        settings: judge_by, or hold_out and seed.
+
+    Returns:
+        (P,) True for the photos held out.
+
+    Raises:
+        InputError: names are given, and name no photo or so many that fewer than two are left.
+    """
+    if not settings.judge_by:
+        return hold_out(places, settings.hold_out, settings.seed)
+    plain = {Path(name).name for name in settings.judge_by}
+    found = np.array([Path(name).name in plain for name in names], bool)
+    if not found.any() or found.sum() > len(names) - 2:
+        raise InputError(f"names to judge by: want some of the {len(names)} photos, got {found.sum()} of them")
+    return found
+
+
+def read_names(path: Path) -> tuple[str, ...]:
+    """Names of photos in a file: a training's figures.json, JSON with a list "held_out", or lines.
+
+    Raises:
+        FileNotFoundError: nothing is at the path.
+        InputError: it is JSON of another kind.
+    """
+    text = require_file(path).read_text(encoding="utf-8")
+    try:
+        found = json.loads(text)
+        found = found.get("photos", found) if isinstance(found, dict) else found
+        found = found["held_out"] if isinstance(found, dict) else found
+        return tuple(str(name) for name in found)
+    except json.JSONDecodeError:
+        return tuple(text.split())
+    except (KeyError, TypeError):
+        raise InputError(f'{short_name(path)}: want names of photos under "held_out", got other content') from None
+
+
+def _k_means(places: Array, groups: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """(P,) the group of each place [Lloyd 1982; first centres after Arthur & Vassilvitskii 2007, k-means++]."""
+    centres = places[rng.integers(len(places))][None]
+    for _ in range(min(groups, len(places)) - 1):
+        far = ((places[:, None] - centres) ** 2).sum(axis=2).min(axis=1)
+        if far.sum() == 0.0:
+            break
+        centres = np.concatenate([centres, places[rng.choice(len(places), p=far / far.sum())][None]])
+    for _ in range(TURNS):
+        group = ((places[:, None] - centres) ** 2).sum(axis=2).argmin(axis=1)
+        members = [places[group == number] for number in range(len(centres))]
+        centres = np.array([own.mean(axis=0) if len(own) else old for own, old in zip(members, centres, strict=True)])
+    return np.asarray(((places[:, None] - centres) ** 2).sum(axis=2).argmin(axis=1))
+
+
+def _read(path: Path, camera: PinholeCamera, small: PinholeCamera, with_alpha: bool) -> NDArray[np.uint8]:
+    """One photo (H, W, 3), or (H, W, 4) with its colours times alpha, in the size of the small camera."""
+    from PIL import Image
+
+    require_file(path)
+    try:
+        with Image.open(path) as file:
+            has_alpha = "A" in file.getbands()
+            image = file.convert("RGBa" if with_alpha else "RGB")  # RGBa: colours times alpha, so that edges stay clean
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        raise InputError(
+            f"{short_name(path)}: want a photo, got a damaged or other file; replace or remove it"
+        ) from None
+    if with_alpha and not has_alpha:
+        raise InputError(f"{short_name(path)}: want an image with alpha (RGBA), got none; cut the object out")
+    if image.size != (camera.width, camera.height):
+        wanted, turned = f"{camera.width} x {camera.height}", image.size == (camera.height, camera.width)
+        hint = "it was turned; turn it back" if turned else "the poses belong to another size; reconstruct again"
+        raise InputError(f"{short_name(path)}: want {wanted} px, got {image.size[0]} x {image.size[1]}: {hint}")
+    if (small.width, small.height) != image.size:
+        bands = [band.resize((small.width, small.height), Image.Resampling.BOX) for band in image.split()]
+        return np.stack([np.asarray(band) for band in bands], axis=-1)
+    return np.frombuffer(image.tobytes(), np.uint8).reshape(small.height, small.width, -1)
+
+
+def _straightened(images: Tensor, camera: PinholeCamera, k1: float) -> tuple[Tensor, Tensor]:
+    """The images (P, H, W, B) as a lens without distortion had taken them, and where (H, W) there was something."""
+    x, y = torch.from_numpy(camera.pixel_rays()[..., :2]).float().unbind(-1)
+    factor = 1.0 + k1 * (x * x + y * y)
+    u, v = camera.fx * x * factor + camera.cx, camera.fy * y * factor + camera.cy
+    grid = torch.stack([2.0 * u / camera.width - 1.0, 2.0 * v / camera.height - 1.0], dim=-1)[None]
+    straight = torch.empty_like(images)
+    for number, image in enumerate(images):
+        bands = image.permute(2, 0, 1)[None].float()
+        drawn = torch.nn.functional.grid_sample(bands, grid, "bicubic", "border", align_corners=False)
+        straight[number] = drawn[0].permute(1, 2, 0).round().clamp(0, 255).to(torch.uint8)
+    return straight, (grid[0].abs() <= 1.0).all(dim=-1)

@@ -1,0 +1,109 @@
+"""Making a trained scene ready to ship: Gaussians and a survey -> fewer Gaussians, each with its label."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from falconwing_kit.core.checks import Array
+from falconwing_kit.core.files import atomic_write
+from falconwing_kit.scene.gaussians import GaussianScene
+from falconwing_kit.scene.ply import SH_C0
+from falconwing_kit.scene.reference import GaussianTensors
+from falconwing_kit.tools.capture.survey.points import Survey
+from falconwing_kit.tools.capture.training.draw import Draw
+from falconwing_kit.tools.capture.training.judge import Look, shown
+from falconwing_kit.tools.capture.training.photos import Photos
+
+LABELS = ("rest", "floor", "pad", "marker")
+LEAST_PIXELS = 1.0  # what covers less than this in all photos together is not missed
+FLOOR_HEIGHT = 0.05  # [m] what is lower is floor, or its mirror image below it
+MARGIN = 0.05  # [m] around the pad
+BORDER = 0.15  # [m] of white around the marker's black square, and how deep its board may be
+
+
+def contributions(gaussians: GaussianTensors, photos: Photos, draw: Draw, antialiased: bool) -> Tensor:
+    """How many pixels each Gaussian makes up in all photos together.
+
+    A render is sum_i w_i c_i, so the gradient of its sum with respect to a Gaussian's colour is the sum of its weights.
+
+    Args:
+        gaussians: the scene.
+        photos: from which it is seen.
+        draw: the renderer.
+        antialiased: as the scene was trained.
+
+    Returns:
+        (N,) [px].
+    """
+    grey = torch.zeros(len(gaussians.means), 1, 3, device=gaussians.means.device, requires_grad=True)
+    plain = GaussianTensors(*(tensor.detach() for tensor in gaussians))._replace(sh=grey)
+    total = torch.zeros(len(gaussians.means), device=grey.device)
+    for pose in photos.Ts_world_camera:
+        colours, _ = draw(plain, photos.camera, pose[None], pose.new_zeros(3), antialiased)
+        (gradient,) = torch.autograd.grad(colours[..., 0].sum(), [grey])
+        total += gradient[:, 0, 0] / SH_C0
+    return total
+
+
+def pruned(gaussians: GaussianTensors, pixels: Tensor) -> GaussianTensors:
+    """The Gaussians that make up at least a pixel; all of them where none does."""
+    keep = pixels >= LEAST_PIXELS
+    keep = keep if bool(keep.any()) else torch.ones_like(keep)
+    return GaussianTensors(*(tensor.detach()[keep] for tensor in gaussians))
+
+
+def labelled(scene: GaussianScene, survey: Survey | None) -> GaussianScene:
+    """The scene with the labels rest, floor, pad and marker, by where the survey says these are.
+
+    Args:
+        scene: in the kit's world, floor at z = 0.
+        survey: whose points called marker_corner_... and pad_... span marker and pad; None labels the floor alone.
+
+    Returns:
+        The same Gaussians with labels.
+    """
+    numbers = np.zeros(len(scene), np.uint8)
+    numbers[scene.means[:, 2] < FLOOR_HEIGHT] = LABELS.index("floor")
+    for name, prefix, margin in (("pad", "pad_", MARGIN), ("marker", "marker_corner_", BORDER)):
+        corners = [n for n in survey.names if n.startswith(prefix)] if survey is not None else []
+        if survey is not None and corners:
+            numbers[_in_box(scene.means, survey.places(corners), margin)] = LABELS.index(name)
+    return replace(scene, labels=numbers, label_names=LABELS)
+
+
+def _in_box(means: NDArray[np.float32], corners: Array, margin: float) -> NDArray[np.bool_]:
+    """(N,) which places lie in the box around corners; a box on the floor reaches down to it."""
+    low, high = corners.min(axis=0) - margin, corners.max(axis=0) + margin
+    low[2] = min(low[2], -margin) if np.ptp(corners[:, 2]) < 1e-6 else low[2]
+    return np.asarray(((means >= low) & (means <= high)).all(axis=1))
+
+
+@torch.no_grad()
+def write_pairs(folder: Path, look: Look, photos: Photos, names: Sequence[str]) -> None:
+    """Write photo and render side by side, for a person to look at.
+
+    Args:
+        folder: made where it is missing; gets one PNG a photo.
+        look: draws poses.
+        photos: the truth.
+        names: of the photos to write.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    from PIL import Image
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, name in enumerate(photos.names):
+        if name not in names:
+            continue
+        drawn = shown(look(photos.Ts_world_camera[number : number + 1]))[0]
+        target = photos.targets(torch.tensor([number], device=drawn.device), drawn.new_zeros(3))[0][0]
+        pair = (torch.cat([target, drawn], dim=1) * 255.0).round().to(torch.uint8).cpu().numpy()
+        with atomic_write(folder / f"{Path(name).stem}.png") as file:
+            Image.fromarray(pair).save(file, format="PNG")

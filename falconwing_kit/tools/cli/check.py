@@ -1,0 +1,75 @@
+"""falconwing check: a student's notebook -> which public checks of the lab its functions pass, and what to look at."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+from falconwing_kit.tools.grading.find import lab_folder, load_checks, notebook_path
+from falconwing_kit.tools.grading.public_checks import SYMBOLS, Report, check_notebook, printable, state_of
+
+
+@dataclass(frozen=True)
+class Check:
+    """Run a lab's public checks on your notebook, as it was saved last.
+
+    Exit code 0 when every exercise passes, else 1. The grading asks for more than these checks.
+    """
+
+    lab: Annotated[str, tyro.conf.Positional]
+    """such as lab03, or the lab's folder"""
+    notebook: Path | None = None
+    """your notebook; the one in the lab's folder if not given"""
+    labs: Path | None = None
+    """the folder with the labs; the one around you, or the checkout's own, if not given"""
+    json: bool = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Check and say what came out.
+
+        Returns:
+            0 where all public checks passed, else 1.
+
+        Raises:
+            FileNotFoundError: there is no notebook.
+            InputError: there is no such lab, or the notebook cannot be read.
+        """
+        folder = lab_folder(self.lab, self.labs)
+        reports = check_notebook(folder, self.notebook or notebook_path(folder))
+        states = [state_of(report.outcomes) for report in reports]
+        if self.json:
+            print_json({"lab": folder.name, "exercises": [_record(report) for report in reports]})
+        else:
+            _print_reports(folder, reports, states)
+        return int(set(states) != {"passed"})
+
+
+def _record(report: Report) -> dict[str, object]:
+    """A report as it goes to JSON."""
+    return asdict(report) | {"state": state_of(report.outcomes)}
+
+
+def _print_reports(folder: Path, reports: list[Report], states: list[str]) -> None:
+    lab = load_checks(folder)
+    rows = []
+    for report, state in zip(reports, states, strict=True):
+        passed = sum(outcome.state == "passed" for outcome in report.outcomes)
+        rows.append((printable(f"{SYMBOLS[state]} {state}"), report.name, f"{passed} of {len(report.outcomes)}"))
+    print_table(("", "exercise", "public checks passed"), rows, title=f"{folder.name}: {lab.title}")
+    for report, state in zip(reports, states, strict=True):
+        failed = [outcome for outcome in report.outcomes if outcome.state == "failed"]
+        for outcome in failed:
+            print(printable(f"{SYMBOLS['failed']} {report.name}: {outcome.claim}"))
+            print(*(f"    {words}" for words in (outcome.said, outcome.hint) if words), sep="\n")
+        for problem in report.problems if state != "not written" else ():
+            print(f"! {problem}")
+    counts = f"{states.count('passed')} of {len(states)} exercises pass their public checks"
+    print(f"{counts}, {states.count('not written')} not started")
+    if set(states) == {"passed"}:
+        next_line("answer the questions and hand the notebook in; the grading has hidden cases beside these checks")
+    else:
+        first = next(i for i, state in enumerate(states) if state != "passed")
+        next_line(f"{'write' if states[first] == 'not written' else 'mend'} {reports[first].name}")

@@ -1,0 +1,135 @@
+"""falconwing demo: an approach flown live, then the kit's main job on recorded flights, as one page with figures."""
+
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from falconwing_kit.scene.gaussians import GaussianScene
+    from falconwing_kit.tools.demo.approach import Approach
+    from falconwing_kit.tools.demo.live_page import LivePage
+
+BROWSER_S = 8.0  # a browser gets so long to show the page before the flight begins
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Fly an approach in a simulated hall, live in the browser; then model two aircraft from recorded flights, one of
+    them real, and find and name what the models lack.
+
+    Needs no network, GPU or aircraft and takes about a minute and a half.
+    """
+
+    out: Path = Path("falconwing_demo")
+    """folder for page, figures and models"""
+    scene: str = "arena"
+    """the hall of the approach: arena, hall, hall_analog, or a scene file in the kit's world"""
+    headless: bool = False
+    """fly as fast as it can and open nothing in the browser"""
+    port: int = 8080
+    """where to serve the live page; the next free one where it is taken"""
+    json: bool = False
+    """print JSON instead of tables"""
+
+    def run(self) -> int:
+        """Fly, study the recorded flights and write the page.
+
+        Returns:
+            0: the page is written.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C; no page is written.
+            OSError: the folder cannot be made or written.
+            FileNotFoundError: there is no scene file.
+            InputError: the scene is none, the port is out of its range, or a file cannot be written.
+        """
+        from tqdm import tqdm
+
+        from falconwing_kit.tools.cli.fly import hall_loader
+        from falconwing_kit.tools.demo.recorded import study_recorded_flights, write_recorded_flights
+
+        hall = hall_loader(self.scene)
+        self.out.mkdir(parents=True, exist_ok=True)
+        with (
+            nullcontext() if self.headless else self._open_page() as live,
+            tqdm(bar_format="{desc} {elapsed}", leave=False, disable=None) as bar,
+        ):
+            bar.set_description_str("approach through the hall")
+            approach = self._fly(hall, live)
+            if not self.json:
+                end = "landed on the pad" if approach.result["success"] else approach.flight.reason
+                bar.write(f"approach through the splat hall, SIMULATED: {end}\n")
+            found = study_recorded_flights(bar.set_description_str)
+            bar.set_description_str("page and figures")
+            record = write_recorded_flights(found, self.out, approach)
+        page = (self.out / "index.html").resolve()
+        if self.json:
+            print_json({**record, "page": str(page)})
+        else:
+            _print_record(record)
+            print(f"\npage: {page}")
+            next_line("falconwing identify YOUR_FLIGHT.csv --out model.toml --figures figures")
+        if not self.headless:
+            import webbrowser
+
+            webbrowser.open(page.as_uri())
+        return 0
+
+    def _open_page(self) -> "LivePage":
+        """Serve the live page at once, before anything that takes long."""
+        from falconwing_kit.tools.demo.live_page import LivePage
+
+        live = LivePage(port=self.port)
+        if not self.json:
+            print(f"live page: {live.url}", flush=True)
+        return live
+
+    def _fly(self, hall: "Callable[[], GaussianScene]", live: "LivePage | None") -> "Approach":
+        """Land, in real time where somebody looks on."""
+        from falconwing_kit.tools.demo.approach import PacedClock, fly_approach
+
+        if live is None:
+            return fly_approach(hall(), self.out / "approach.mcap")
+        opened = live.open()
+        scene = hall()
+        live.set_scene(scene)
+        if opened:
+            live.wait_for_viewer(BROWSER_S)
+        return fly_approach(scene, self.out / "approach.mcap", (live.show,), PacedClock())
+
+
+def _print_record(record: dict) -> None:
+    small, real = record["simulated_flight"], record["real_flight"]
+    rows = [("multiple shooting", small["held_out_chi2_per_dof"])]
+    rows += [(f"one step, {name} (the paper's loss)", chi2) for name, chi2 in small["one_step_chi2_per_dof"].items()]
+    title = "150 g aircraft, SIMULATED by an independent simulator: two seconds ahead, held-out time"
+    print_table(("fit", "chi2 per dof (1 = only noise left)"), rows, title=title)
+    gap = small["gap"]
+    names = " or ".join(gap["effects"]).replace("_", " ") or "nothing"
+    print(f"another flight of it: {gap['verdict']}, {names} (truth: {', '.join(gap['truth']['effects'])})")
+    print(
+        "chi2 per dof of its held-out time: " + ", ".join(f"{value:.2f} {when}" for when, value in gap["gap"].items())
+    )
+    print()
+    forecasts = real["one_second_ahead_before_failure"].items()
+    title = "2 m aircraft, REAL flight (ALFA): one second ahead, held-out time before the engine fails"
+    errors = [(name, f["position_m"], f["attitude_deg"]) for name, f in forecasts]
+    print_table(("forecast", "position [m]", "attitude [deg]"), errors, title=title)
+    parts, failure = real["parts_from_measurement_s"], real["failure_time_s"]
+    if parts is None:
+        print("after the failure the healthy model's forecasts stay ordinary")
+    else:
+        print(
+            f"engine off at {failure:.1f} s; the healthy model's forecasts part from the measurement at {parts:.1f} s"
+        )
+    gap, since = real["gap"], real["gap"]["since"]
+    names = " or ".join(sorted(gap["effects"])).replace("_", " ") or "nothing"
+    print(f"told nothing of the engine: {gap['verdict']}, {names}")
+    print(
+        f"thrust loss since {since['value']:.1f} s, with 95 % between {since['low95']:.1f} and {since['high95']:.1f} s"
+    )

@@ -1,0 +1,345 @@
+"""`falconwing doctor`: this machine in, a table of what works and how to mend the rest out; also the checklists.
+
+A row says "works" only after the thing was tried just now.
+"""
+
+import importlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+
+Need = Literal["demo", "now", "later"]
+_PYTHON = Path(sys.executable)  # as short as it can be typed here
+_PYTHON = _PYTHON.relative_to(Path.cwd()) if _PYTHON.is_relative_to(Path.cwd()) else _PYTHON
+PIP = f"{_PYTHON} -m pip install -c constraints.txt"
+AVR = "make gcc gcc-avr avr-libc arduino-core-avr libsimavr-dev"
+REINSTALL = "delete .venv and type python3 start.py doctor, which installs it again"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One capability and how to find out about it."""
+
+    capability: str
+    need: Need  # the demo needs it; a verb or a lab uses it now; a part of the kit that is still to come will
+    attempt: Callable[[], str]  # tries it: returns what was seen, raises if it does not work
+    mend: str  # what to do when it does not
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What came out of one check."""
+
+    capability: str
+    status: Literal["works", "missing", "not needed yet"]
+    needed_by_demo: bool
+    detail: str
+    mend: str  # empty when it works
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Say what works on this machine and how to mend what does not, or walk through a checklist of the aircraft.
+
+    Exit code 0 if everything that the demo needs works, or no step of the checklist failed, else 1.
+    """
+
+    json: bool = False
+    """Print JSON instead of a table."""
+    bench: bool = False
+    """walk through the bench test instead, propeller off; without a terminal, print it"""
+    preflight: bool = False
+    """walk through the check before a flight instead"""
+    port: str = ""
+    """serial port of the board for the steps that a checklist does by itself; sim is a SIMULATED one"""
+    camera: str = ""
+    """camera for those steps: number, path or video file; sim is a SIMULATED one"""
+    out: Path | None = None
+    """folder for the checklist's dated record"""
+
+    def run(self) -> int:
+        """Try everything once and print the findings, or walk through a checklist.
+
+        Returns:
+            0 if what the demo needs works, or no step failed, else 1.
+
+        Raises:
+            InputError: options do not go together, or the record cannot be written.
+        """
+        if self.bench or self.preflight:
+            return self._walk()
+        if self.port or self.camera or self.out is not None:
+            raise InputError("--port, --camera, --out: want them with --bench or --preflight; add one of these")
+        findings = [examine(check) for check in CHECKS]
+        demo_works = all(finding.status == "works" for finding in findings if finding.needed_by_demo)
+        if self.json:
+            print_json({"demo_works": demo_works, "findings": [asdict(finding) for finding in findings]})
+            return 0 if demo_works else 1
+        print_table(("capability", "status", "seen"), [(f.capability, f.status, f.detail) for f in findings])
+        broken = [finding for finding in findings if finding.mend]
+        if broken:
+            print()
+            print_table(("to mend", "do this"), [(f.capability, f.mend) for f in broken])
+        next_line(
+            "falconwing demo" if demo_works else "mend the first row above that is missing, then falconwing doctor"
+        )
+        return 0 if demo_works else 1
+
+    def _walk(self) -> int:
+        from falconwing_kit.tools.cli.walk import Tools, walk
+        from falconwing_kit.tools.hardware.checklists import load_checklists
+
+        if self.bench and self.preflight:
+            raise InputError("--bench, --preflight: want one of them, got both; do the bench test first")
+        lists = load_checklists()
+        chosen = lists.bench if self.bench else lists.preflight
+        return walk(chosen, Tools(self.port, self.camera), self.out, self.json)
+
+
+def examine(check: Check) -> Finding:
+    """Try one capability.
+
+    Args:
+        check: what to try.
+
+    Returns:
+        What was seen; a part that is still to come is never called missing.
+    """
+    try:
+        return Finding(check.capability, "works", check.need == "demo", check.attempt(), "")
+    except Exception as error:  # whatever breaks here is the finding
+        text = f"{error.name} is not installed" if isinstance(error, ModuleNotFoundError) else str(error)
+        lines = text.splitlines() or [type(error).__name__]
+        status: Literal["missing", "not needed yet"] = "not needed yet" if check.need == "later" else "missing"
+        return Finding(check.capability, status, check.need == "demo", lines[0], check.mend)
+
+
+def _python() -> str:
+    if sys.version_info[:2] < (3, 11):  # noqa: UP036 - a copied folder can be run by any Python
+        raise RuntimeError(f"want 3.11 or newer, this is {platform.python_version()}")
+    return f"{platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores"
+
+
+def _folder() -> str:
+    with tempfile.NamedTemporaryFile(dir=".") as file:
+        file.write(b"falconwing")
+        file.flush()
+        if Path(file.name).stat().st_size != len(b"falconwing"):
+            raise OSError("a file written here does not have its size")
+    free_mb = shutil.disk_usage(".").free / 1e6
+    if free_mb < 200.0:
+        raise OSError(f"want 200 MB for figures and logs, {free_mb:.0f} MB are free")
+    return f"wrote a file in this folder; {free_mb / 1e3:.1f} GB free"
+
+
+def _arrays() -> str:
+    import numpy as np
+    import scipy
+    from scipy.optimize import least_squares
+
+    x = np.linspace(0.0, 1.0, 20)
+    slope, offset = least_squares(lambda k: k[0] * x + k[1] - (3.0 * x + 2.0), [0.0, 0.0]).x
+    if abs(slope - 3.0) + abs(offset - 2.0) > 1e-6:
+        raise RuntimeError(f"fitted a line of slope 3 and offset 2 as {slope:.3g} and {offset:.3g}")
+    return f"numpy {np.__version__}, scipy {scipy.__version__}; fitted a line"
+
+
+def _airframe() -> str:
+    from falconwing_kit.aircraft.airframe import load_airframe
+    from falconwing_kit.tools.hardware.cameras import SHIPPED, load_camera
+    from falconwing_kit.tools.hardware.checklists import load_checklists
+    from falconwing_kit.tools.hardware.parts import load_parts
+
+    airframe, parts = load_airframe(), load_parts()
+    cameras, lists = [load_camera(name) for name in SHIPPED], load_checklists()
+    steps = len(lists.bench.steps) + len(lists.preflight.steps)
+    whole = f"{airframe.name}, {airframe.mass * 1e3:.0f} g"
+    return f"read {whole}, {len(parts)} parts, {len(cameras)} cameras, {steps} steps of checklists"
+
+
+def _plots() -> str:
+    import io
+
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    picture = io.BytesIO()
+    figure = Figure()
+    figure.subplots().plot([0, 1])
+    figure.savefig(picture, format="png")
+    if not picture.getvalue().startswith(b"\x89PNG"):
+        raise RuntimeError("the figure is not a PNG")
+    return f"matplotlib {matplotlib.__version__}; drew a figure"
+
+
+def _compiler() -> str:
+    import numba
+
+    total = numba.njit(lambda n: n * (n + 1) // 2)
+    if total(10) != 55:
+        raise RuntimeError("compiled code computes a wrong sum")
+    return f"numba {numba.__version__}; compiled and ran a function"
+
+
+def _log() -> str:
+    import io
+
+    import mcap
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    file = io.BytesIO()
+    writer = Writer(file)
+    writer.start()
+    channel = writer.register_channel(topic="check", message_encoding="json", schema_id=0)
+    writer.add_message(channel_id=channel, log_time=1, publish_time=1, data=b"{}")
+    writer.finish()
+    file.seek(0)
+    if [message.data for _, _, message in make_reader(file).iter_messages()] != [b"{}"]:
+        raise RuntimeError("a log does not read back as written")
+    return f"mcap {mcap.__version__}; wrote and read a log"
+
+
+def _control() -> str:
+    import control
+
+    gain, _, _ = control.lqr([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0], [0.0, 1.0]], [[1.0]])
+    if abs(gain[0, 0] - 1.0) + abs(gain[0, 1] - 3.0**0.5) > 1e-6:  # the double integrator's gains by hand
+        raise RuntimeError(f"the double integrator's LQR gains are 1 and 1.732, got {gain}")
+    return f"control {control.__version__}; designed an LQR"
+
+
+def _labs() -> str:
+    importlib.import_module("jupyterlab")
+    return f"jupyterlab {_output([sys.executable, '-m', 'jupyterlab', '--version'])} answers"
+
+
+def _serial() -> str:
+    from falconwing_kit.trainer_port.usb import find_boards
+
+    boards = find_boards()  # the likeliest first
+    if not boards:
+        raise RuntimeError("no board on a USB serial port found")
+    if not boards[0].likely:
+        raise RuntimeError(f"found {boards[0].path}, which does not look like a Mega 2560: {boards[0].what}")
+    if not boards[0].may_open:
+        raise RuntimeError(f"found {boards[0].path}, but you may not open it")
+    return f"found {boards[0].path}, {boards[0].what}; not opened, that could restart the board"
+
+
+def _camera() -> str:
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")  # a missing camera is no news to print
+    import cv2
+
+    names = sorted(str(path) for path in Path("/dev").glob("video*")) if sys.platform == "linux" else ["0"]
+    for name in names:
+        camera = cv2.VideoCapture(int(name) if name.isdigit() else name)
+        seen, image = camera.read()
+        camera.release()
+        if seen:
+            return f"camera {name} gave an image of {image.shape[1]} x {image.shape[0]}"
+    raise RuntimeError("no camera gave an image")
+
+
+def _torch() -> str:
+    import torch
+
+    if float((torch.ones(2, 2) @ torch.ones(2, 2)).sum()) != 8.0:
+        raise RuntimeError("a product of matrices is wrong")
+    return f"torch {torch.__version__}; multiplied matrices on the CPU"
+
+
+def _rendering() -> str:
+    import numpy as np
+
+    from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose, render
+
+    one = np.ones((1, 3), np.float32)
+    ahead, upright = np.array([[2, 0, 0]], np.float32), np.array([[1, 0, 0, 0]], np.float32)
+    white = GaussianScene(ahead, upright, 0.5 * one, np.array([0.9], np.float32), 1.77 * one[None])
+    frame = render(white, PinholeCamera.from_fov_deg(9, 9, 60.0), nose_camera_pose((0.0, 0.0, 0.0), 0.0, 0.0, 0.0))
+    if not 0.88 < float(frame.rgb[4, 4].min()) < 0.91:
+        raise RuntimeError("a white splat of opacity 0.9 has another colour")
+    return "drew a Gaussian on the CPU"
+
+
+def _page() -> str:
+    import socket
+
+    import viser
+
+    with socket.create_server(("127.0.0.1", 0)):
+        return f"viser {viser.__version__}; this machine serves pages to itself"
+
+
+def _gpu() -> str:
+    from falconwing_kit.scene.gsplat_backend import probe
+
+    try:
+        probe()
+    except InputError as error:
+        raise RuntimeError(str(error).split(";")[0]) from None
+    return "gsplat drew a Gaussian on the GPU"
+
+
+def _sandbox() -> str:
+    _output(["bwrap", "--ro-bind", "/", "/", "--unshare-all", "--die-with-parent", "true"])
+    return f"{_output(['bwrap', '--version'])} ran a program without network"
+
+
+def _avr() -> str:
+    from falconwing_kit.tools.bridge.build import missing_tools
+    from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
+    from falconwing_kit.trainer_port.port import TrainerPort
+
+    missing = missing_tools()
+    if missing:
+        raise RuntimeError(f"not installed: {', '.join(missing)}")
+    board = SimulatedBoard()
+    try:
+        port = TrainerPort(board, now=lambda: board.t)
+        status = port.wait_ready(sleep=lambda seconds: board.run_until(board.t + seconds))
+    finally:
+        board.close()
+    return f"built the firmware; in a simulated chip it starts and says {status.state}"
+
+
+def _output(command: list[str]) -> str:
+    """First line of what a program prints; raises if it is not there or fails."""
+    if shutil.which(command[0]) is None:
+        raise RuntimeError(f"{command[0]} is not installed")
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    if done.returncode != 0:
+        raise RuntimeError((done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1])
+    return (done.stdout.strip() or done.stderr.strip() or "no output").splitlines()[0]
+
+
+CHECKS: tuple[Check, ...] = (
+    Check("Python", "demo", _python, "install Python 3.11 or newer, delete .venv and run start.py with it"),
+    Check("this folder", "demo", _folder, "change to a folder that you may write to, on a disk with room"),
+    Check("arrays and fits", "demo", _arrays, REINSTALL),
+    Check("airframe data", "demo", _airframe, "run from a checkout of the kit that has its hardware folder"),
+    Check("figures", "demo", _plots, REINSTALL),
+    Check("fast roll-outs", "demo", _compiler, REINSTALL),
+    Check("rendering", "demo", _rendering, REINSTALL),
+    Check("live page", "demo", _page, REINSTALL),
+    Check("flight logs", "demo", _log, REINSTALL),
+    Check("control design", "demo", _control, REINSTALL),
+    Check("labs", "later", _labs, f'{PIP} -e ".[labs]"'),
+    Check("finding the board", "now", _serial, "plug it in; falconwing find-port says more"),
+    Check("camera", "later", _camera, "plug in the camera"),
+    Check("reference renderer", "later", _torch, f'{PIP} -e ".[torch]"'),
+    Check("rendering on a GPU", "later", _gpu, "needs an NVIDIA GPU, a CUDA build of torch, and gsplat"),
+    Check("grading sandbox", "later", _sandbox, "Linux only; Debian or Ubuntu: apt install bubblewrap"),
+    Check("firmware tools", "now", _avr, f"Debian or Ubuntu: apt install {AVR}; without, --port sim is plain Python"),
+)

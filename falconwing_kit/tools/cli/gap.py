@@ -1,0 +1,84 @@
+"""falconwing gap: a calm flight and a flight that surprises -> where they disagree, what is missing, the gap closed."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.flight_table import read_flight_table
+from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Find where a flight disagrees with the calm aircraft, name the missing effect, and show the gap close.
+
+    Writes report.json, report.html, its figures, model.toml and, where an effect is named, model_with_effect.toml.
+    Exit code 0 when an effect is named or nothing is missing, 1 when the answer is ambiguous or outside the catalogue.
+    """
+
+    calm: Path
+    """flight table (CSV) of a flight without surprise, a minute or two"""
+    flight: Path
+    """flight table (CSV) of the same aircraft when something was different"""
+    out: Path
+    """folder for page, figures, record and models; made where it is missing"""
+    json: bool = False
+    """print JSON instead of tables"""
+
+    def run(self) -> int:
+        """Study both flights, write the report and print the answer.
+
+        Returns:
+            0 where the verdict is named or none, 1 where it is ambiguous or outside.
+
+        Raises:
+            FileNotFoundError: there is no such flight.
+            InputError: a flight cannot be used, or the folder is a file.
+        """
+        if self.out.exists() and not self.out.is_dir():
+            raise InputError(f"--out {self.out}: want a folder, got a file; choose another name")
+        tables = read_flight_table(self.calm), read_flight_table(self.flight)
+        record = self._study(*tables)
+        page = self.out / "report.html"
+        if self.json:
+            print_json({**record, "page": str(page)})
+        else:
+            print_gap(record)
+            print(f"page: {page}")
+            next_line(record["next_flight"])
+        return 0 if record["verdict"] in ("named", "none") else 1
+
+    def _study(self, calm: Any, flight: Any) -> dict[str, Any]:
+        from tqdm import tqdm
+
+        from falconwing_kit.tools.reports.gap_report import gap_report
+
+        with tqdm(bar_format="{desc} {elapsed}", leave=False, disable=True if self.json else None) as bar:
+            return gap_report(calm, flight, self.out, bar.set_description_str)
+
+
+def print_gap(record: dict[str, Any]) -> None:
+    """Print the answer as tables.
+
+    Args:
+        record: as of gap.report.gap_record.
+    """
+    print(f"verdict: {record['verdict']}. {record['headline']}")
+    sizes = [(name, p["value"], p["low95"], p["high95"], p["unit"]) for name, p in record["parameters"].items()]
+    if sizes:
+        print_table(("parameter", "value", "low 95 %", "high 95 %", "unit"), sizes)
+    print()
+    best = [(r["effect"], r["gain"], r["probability"]) for r in record["ranking"][:4]]
+    print_table(("effect", "evidence", "probability"), best, title=f"evidence, {record['threshold']:.0f} needed")
+    print()
+    rmse = record["gap_rmse"]
+    rows = [
+        (label, record["gap"][key], rmse["position_m"][key], rmse["attitude_deg"][key])
+        for key, label in (("before", "without the effect"), ("after", "with what was found"), ("calm", "calm flight"))
+    ]
+    print_table(
+        ("2 s ahead, held-out", "chi2 per dof", "position [m]", "attitude [deg]"), rows,
+    )  # fmt: skip
+    for sentence in record["warnings"]:
+        print(f"warning: {sentence}")

@@ -1,0 +1,153 @@
+"""falconwing labs: the labs' sources -> notebooks, what is handed out to students, a test of the labs themselves."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from falconwing_kit.core.files import short_name
+from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+from falconwing_kit.tools.grading.find import chosen_labs
+
+
+@dataclass(frozen=True)
+class Build:
+    """Write the notebooks of the labs from their sources.
+
+    Exit code 0 when it was done, or nothing is stale; else 1.
+    """
+
+    names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """labs, such as lab03; all if none is named"""
+    check: bool = False
+    """write nothing, say which notebooks are stale"""
+    labs: Path | None = None
+    """the folder with the labs; the checkout's own if not given"""
+    json: bool = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Build, or only look.
+
+        Returns:
+            0 where the notebooks are now as their sources say; 1 where `check` found stale ones.
+
+        Raises:
+            InputError: there is no such lab, or its source cannot be used.
+        """
+        from falconwing_kit.tools.grading.notebooks import stale_notebooks, write_notebooks
+
+        do = stale_notebooks if self.check else write_notebooks
+        changed = {folder.name: do(folder) for folder in chosen_labs(self.names, self.labs)}
+        word, stale = ("stale", sum(map(len, changed.values()))) if self.check else ("written", 0)
+        if self.json:
+            print_json({name: [short_name(path) for path in paths] for name, paths in changed.items()})
+            return int(stale > 0)
+        rows = [(name, ", ".join(map(short_name, paths)) or "-") for name, paths in changed.items()]
+        print_table(("lab", word), rows, title=f"{stale} stale notebooks" if self.check else "")
+        next_line("falconwing labs build" if stale else "falconwing labs selftest")
+        return int(stale > 0)
+
+
+@dataclass(frozen=True)
+class Release:
+    """Write what students get: no solutions, no hidden cases, no notes."""
+
+    out: Annotated[Path, tyro.conf.Positional]
+    """a new folder"""
+    names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """labs, such as lab03; all if none is named"""
+    salt: str = ""
+    """your course's secret, which draws its numbers; `grade` needs the same. Without it: the open course's"""
+    roster: Path | None = None
+    """CSV file with a column `student`, for labs that are another for every student; needs --salt"""
+    labs: Path | None = None
+    """the folder with the labs; the checkout's own if not given"""
+    json: bool = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Write the folder.
+
+        Returns:
+            0: it is there.
+
+        Raises:
+            FileNotFoundError: there is no roster.
+            InputError: the folder is not empty, the roster cannot be used, or a lab cannot.
+        """
+        from falconwing_kit.tools.grading.release import read_roster, release
+
+        folders = chosen_labs(self.names, self.labs)
+        students = read_roster(self.roster) if self.roster else []
+        files = release(folders, self.out, self.salt, students)
+        counts = {folder.name: sum(folder.name in path.parts for path in files) for folder in folders}
+        if self.json:
+            print_json({"out": str(self.out), "salted": bool(self.salt), "students": len(students), "files": counts})
+            return 0
+        course = "the course of your salt" if self.salt else "the open course"
+        print_table(("lab", "files"), list(counts.items()), title=f"{self.out}: {course}, {len(students)} students")
+        if self.salt:
+            print("keep the salt to yourself, and keep it: without it nobody can grade these labs")
+        if students:
+            print("in handouts each student has a folder; give it to nobody else")
+        next_line("hand the folder out; later falconwing grade lab01 SUBMISSIONS --out grades")
+        return 0
+
+
+@dataclass(frozen=True)
+class Selftest:
+    """Grade the labs' own notebooks as students' would be: solutions get everything, untouched ones nothing.
+
+    Exit code 0 when it is so, else 1.
+    """
+
+    names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """labs, such as lab03; all if none is named"""
+    labs: Path | None = None
+    """the folder with the labs; the checkout's own if not given"""
+    unsafe_no_sandbox: bool = False
+    """run the functions in plain processes; they are the labs' own, so no harm is meant"""
+    json: bool = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Grade and say what came out.
+
+        Returns:
+            0 where every lab is graded as it should be, else 1.
+
+        Raises:
+            InputError: there is no such lab, it cannot be used, or there is no sandbox here.
+        """
+        from falconwing_kit.tools.grading.selftest import selftest
+
+        folders = chosen_labs(self.names, self.labs)
+        results = [selftest(folder, sandboxed=not self.unsafe_no_sandbox) for folder in folders]
+        passed = all(result.passed for result in results)
+        if self.json:
+            print_json({"passed": passed, "labs": [asdict(result) for result in results]})
+            return int(not passed)
+        rows = [(r.lab, _percent(r.solution, r.of), _percent(r.untouched, r.of), r.passed) for r in results]
+        print_table(("lab", "solution", "untouched", "as it should be"), rows, title="points of the machine's")
+        for sentence in (f"! {result.lab}: {problem}" for result in results for problem in result.problems):
+            print(sentence)
+        next_line("falconwing labs release OUT" if passed else "mend the labs that are not as they should be")
+        return int(not passed)
+
+
+def _percent(points: Mapping[str, float], of: Mapping[str, float]) -> str:
+    return f"{100.0 * sum(points.values()) / sum(of.values()):.1f} %"
+
+
+@dataclass(frozen=True)
+class Labs:
+    """Build the labs' notebooks, hand them out, or grade the labs' own."""
+
+    step: tyro.conf.OmitSubcommandPrefixes[Build | Release | Selftest]
+
+    def run(self) -> int:
+        """Do the chosen step; see its own `run`."""
+        return self.step.run()

@@ -1,0 +1,257 @@
+"""falconwing poses: a recorded flight's video and commands -> a flight table with sigmas, for `falconwing identify`."""
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from falconwing_kit.aircraft.airframe import load_airframe
+from falconwing_kit.core.checks import Array, InputError, require_file, require_range
+from falconwing_kit.core.files import require_place, short_name
+from falconwing_kit.core.flight_log import read_flight_log, to_flight_table
+from falconwing_kit.core.flight_table import nearest_index, write_flight_table
+from falconwing_kit.core.messages import COMMAND_NAMES
+from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.tools.cli.scene import open_scene
+from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+from falconwing_kit.vision.hybrid_state import HybridFlight, HybridSettings, Video, estimate_flight
+from falconwing_kit.vision.marker import Marker, Pixels
+
+COLUMNS = ("t", "frame", *COMMAND_NAMES)
+LEAST_POSES = 60  # 3 s at 20 Hz: what `identify` wants at least
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Read the states of a flight off its onboard video: marker, pose network, smoother.
+
+    Exit code 1 where the video gives poses for less than 3 s, too little to identify anything.
+    """
+
+    video: Annotated[Path, tyro.conf.Positional]
+    """a folder with commands.csv (t,frame,throttle,aileron,elevator,rudder) and the frames, or a flight log (MCAP)"""
+    out: Path | None = None
+    """the flight table to write (CSV)"""
+    network: str | None = None
+    """a pose network: hall, which ships, or a .safetensors file; asked where marker and scene give no pose"""
+    scene: str | None = None
+    """a trained scene of the room: hall, which ships, or a file; poses are then followed through it"""
+    camera: Path | None = None
+    """transforms.json of `falconwing scene poses` with the lens; without it --fov-deg counts"""
+    fov_deg: float = 77.8
+    """field of view from the left to the right edge; 77.8 is that of the hall's flights"""
+    marker: str = "DICT_4X4_50,7,0.80"
+    """dictionary, id and side of the black square in metres"""
+    marker_place: str = "0,0,0.75"
+    """the marker's centre in the world; it stands upright and faces the approach"""
+    room: str = "-22.5,-12,0,17.5,8,5"
+    """lowest and highest x,y,z of the room [m]"""
+    airframe: Path | None = None
+    """an airframe file, for where the camera sits; without it the kit's own aircraft"""
+    measured: bool = False
+    """write each frame's own pose instead of the smoothed flight"""
+    json: bool = False
+    """print the result as JSON"""
+
+    def run(self) -> int:
+        """Estimate, write and say what became of every frame.
+
+        Returns:
+            0 where there is enough to identify, 1 where there is not.
+
+        Raises:
+            FileNotFoundError: there is no video, lens or network file, or no folder to write into.
+            InputError: an option makes no sense, the video cannot be used, or it shows no marker.
+        """
+        if self.out is not None:
+            require_place(self.out)
+        marker, settings = self._marker(), self._settings()
+        video = read_video(self.video)
+        flight = estimate_flight(
+            video,
+            self._camera(video),
+            self._network(),
+            marker=marker,
+            scene=None if self.scene is None else open_scene(self.scene),
+            p_body_camera=load_airframe(self.airframe).p_body_camera,
+            settings=settings,
+            progress=_progress(len(video.t)) if not self.json else lambda: None,
+        )
+        table = flight.measured if self.measured else flight.table
+        if self.out is not None:
+            write_flight_table(self.out, table)
+        record = poses_record(flight)
+        if self.json:
+            print_json(record)
+        else:
+            _print_record(record)
+            next_line(f"falconwing identify {self.out}" if self.out else "--out flight.csv keeps the table")
+        return 0 if int(table.has_pose.sum()) >= LEAST_POSES else 1
+
+    def _marker(self) -> Marker:
+        words = self.marker.split(",")
+        if len(words) != 3:
+            raise InputError(f"--marker: want dictionary,id,size such as DICT_4X4_50,7,0.80, got {self.marker!r}")
+        number, size = _numbers("--marker", ",".join(words[1:]), 2)
+        T_world_marker = Marker().T_world_marker
+        T_world_marker[:3, 3] = _numbers("--marker-place", self.marker_place, 3)
+        return Marker(words[0].strip(), int(number), size, T_world_marker)
+
+    def _settings(self) -> HybridSettings:
+        x0, y0, z0, x1, y1, z1 = _numbers("--room", self.room, 6)
+        return HybridSettings(room_low=(x0, y0, z0), room_high=(x1, y1, z1))
+
+    def _network(self) -> Any:
+        if self.network is None:
+            return None
+        from falconwing_kit.vision.pose_net import PoseNet
+
+        return PoseNet.load(self.network)
+
+    def _camera(self, video: Video) -> PinholeCamera:
+        """The lens at the size of the video's frames."""
+        image = next((image for image in map(video.image, range(len(video.t))) if image is not None), None)
+        if image is None:
+            raise InputError(f"{video.name}: want frames that can be read, got none; check the names in commands.csv")
+        height, width = image.shape[:2]
+        if self.camera is None:
+            return PinholeCamera.from_fov_deg(width, height, self.fov_deg)
+        from falconwing_kit.tools.capture.photo_files import read_reconstruction
+
+        return scaled_camera(read_reconstruction(self.camera).camera, width, height)
+
+
+def scaled_camera(camera: PinholeCamera, width: int, height: int) -> PinholeCamera:
+    """The same lens with frames of another size.
+
+    Args:
+        camera: as the photos were taken.
+        width: of the frames [px].
+        height: of the frames [px].
+
+    Raises:
+        InputError: the frames have another shape, so that they cannot show the same field of view.
+    """
+    scale = width / camera.width
+    if abs(height - scale * camera.height) > 1.0:
+        raise InputError(
+            f"camera: want frames of the shape of {camera.width} x {camera.height}, got {width} x {height}; "
+            "give --fov-deg instead"
+        )
+    return PinholeCamera(scale * camera.fx, scale * camera.fy, scale * camera.cx, scale * camera.cy, width, height)
+
+
+def read_video(path: Path) -> Video:
+    """Read a recorded flight: its frames stay on the disk until they are asked for.
+
+    Args:
+        path: a folder with commands.csv and the frames it names, or a flight log with images.
+
+    Raises:
+        FileNotFoundError: there is no such folder or file.
+        InputError: commands.csv lacks a column or holds what is no number, or the log has no images.
+    """
+    return _from_folder(path) if path.is_dir() else _from_log(require_file(path))
+
+
+def _from_folder(folder: Path) -> Video:
+    name = short_name(require_file(folder / "commands.csv"))
+    with (folder / "commands.csv").open(encoding="utf-8", newline="") as file:
+        reader = csv.DictReader(file)
+        missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
+        if missing:
+            raise InputError(f"{name}: want the columns {', '.join(COLUMNS)}, got none for {missing[0]}")
+        rows = list(reader)
+    try:
+        numbers = np.array([[float(row[column]) for column in ("t", *COMMAND_NAMES)] for row in rows], np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: want a number in every cell but frame, got another; look for cut lines") from None
+    if len(rows) < 2 or not np.isfinite(numbers).all() or not (np.diff(numbers[:, 0]) > 0.0).all():
+        raise InputError(f"{name}: want two rows or more of finite numbers whose time increases, got others")
+    frames = [folder / str(row["frame"]) for row in rows]
+    outside = [path for path in frames if folder.resolve() not in path.resolve().parents]
+    if outside:
+        raise InputError(f"{name}: want frames in the folder of the file, got {outside[0].name}; use plain file names")
+    return Video(folder.name, numbers[:, 0], numbers[:, 1:], lambda frame: _read_image(frames[frame]))
+
+
+def _from_log(path: Path) -> Video:
+    log = read_flight_log(path)
+    images = {image.t: image.pixels for image in log.images()}
+    if not images:
+        raise InputError(f"{path.name}: want a log with images, got none; record with a camera")
+    table = to_flight_table(log)
+    times = np.array(sorted(images))
+    nearest = times[nearest_index(times, table.t)]
+    return Video(path.name, table.t, table.commands, lambda frame: _decoded(images[nearest[frame]]))
+
+
+def _read_image(path: Path) -> Pixels | None:
+    """A frame as RGB; None where the file is gone or damaged."""
+    return _decoded(np.frombuffer(path.read_bytes(), np.uint8)) if path.is_file() else None
+
+
+def _decoded(data: Any) -> Pixels | None:
+    import cv2
+
+    picture = cv2.imdecode(np.asarray(data, np.uint8), cv2.IMREAD_COLOR) if len(data) else None
+    return None if picture is None else np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def poses_record(flight: HybridFlight) -> dict[str, Any]:
+    """A flight's estimate as plain numbers for JSON.
+
+    Args:
+        flight: the estimate.
+
+    Returns:
+        Keys flight, frames, with_pose, counts, marker_sights, corner_sigma_px, and the medians of both sigmas.
+    """
+    table = flight.table
+    seen = table.has_pose
+    position, attitude = (table.extra[name][seen] for name in ("sigma_position", "sigma_attitude"))
+    return {
+        "flight": table.name,
+        "frames": len(table.t),
+        "with_pose": int(seen.sum()),
+        "marker_sights": len(flight.marker),
+        "corner_sigma_px": flight.corner_sigma_px,
+        "sigma_position_m": _median(position),
+        "sigma_attitude_deg": math.degrees(_median(attitude)),
+        "counts": dict(sorted(flight.counts.items())),
+    }
+
+
+def _print_record(record: dict[str, Any]) -> None:
+    share = 100.0 * record["with_pose"] / record["frames"]
+    title = f"{record['flight']}: {record['with_pose']} of {record['frames']} frames have a pose ({share:.0f} %)"
+    print_table(("frames", "count"), list(record["counts"].items()), title=title)
+    print(
+        f"smoothed: median sigma {100 * record['sigma_position_m']:.0f} cm and {record['sigma_attitude_deg']:.1f} deg; "
+        f"a marker's corner is known to {record['corner_sigma_px']:.2f} px"
+    )
+
+
+def _median(values: Array) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
+
+
+def _numbers(name: str, text: str, count: int) -> list[float]:
+    try:
+        values = [require_range(name, float(word)) for word in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        raise InputError(f"{name}: want {count} numbers with commas between them, got {text!r}")
+    return values
+
+
+def _progress(frames: int) -> Any:
+    """A bar on standard error."""
+    from tqdm import tqdm
+
+    return tqdm(total=frames, unit="frame", leave=False, disable=None).update

@@ -1,0 +1,369 @@
+"""The demo's approach: a landing flown by the loop in the simulated hall -> its log; and figures of any log."""
+
+import html
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falconwing_kit.aircraft.touchdown import LandingPad
+from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.core.files import atomic_write, short_name, write_error
+from falconwing_kit.core.flight_log import FlightLog, FlightLogWriter, read_flight_log, to_flight_table
+from falconwing_kit.core.flight_table import FlightTable
+from falconwing_kit.flight.loop import PERIOD, Clock, Flight, Loop, SimulatedClock, Step
+from falconwing_kit.flight.sources import ROUNDING, MeasuredStates, RenderedView, decode_jpeg, fpv_camera, log_start
+from falconwing_kit.flight.tasks import LandingTask, trial_seed
+from falconwing_kit.scene.gaussians import GaussianScene
+from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, QUIET, Picture, figure, paragraph, picture
+
+FIGURES = ("flight_fpv.png", "flight_path.png", "flight_sticks.png", "flight_film.png")
+PAD_BLUE = "#3d6fd6"
+STRIP = 6  # images in the strip
+FILM_HZ, FILM_COLOURS = 10.0, 256  # a film of about a megabyte
+FILM_FRAMES = 200  # that many at most: a long flight has fewer a second, and its film fits any memory
+FILM_MAP = 300  # width of the maps beside the view [px]
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """A landing in the simulated hall."""
+
+    log: Path
+    flight: Flight  # how the loop went
+    result: dict[str, Any]  # the judge's: success, ald_m, sink_rate_m_s, ...
+    hall: str = ""  # where the scene came from, in its own words
+
+
+class PacedClock:
+    """Real time that waits for a slow machine: no step is left out, so a flight is the same on every machine.
+
+    Args:
+        speed: how fast time runs; below 1 is slow motion.
+    """
+
+    def __init__(self, speed: float = 1.0) -> None:
+        self._speed = speed
+
+    def start(self) -> None:
+        """Now is zero."""
+        self._t, self._due = 0.0, time.perf_counter()
+
+    def now(self) -> float:
+        """Time of the flight [s]; it stands still between two steps."""
+        return self._t
+
+    def wait_until(self, t: float) -> None:
+        """Sleep until time t [s] is due; a step that came late shifts all that follow."""
+        self._due = max(self._due + (t - self._t) / self._speed, time.perf_counter())
+        time.sleep(max(0.0, self._due - time.perf_counter()))
+        self._t = max(self._t, t)
+
+
+def fly_approach(
+    scene: GaussianScene,
+    log: Path,
+    hooks: Sequence[Callable[[Step], None]] = (),
+    clock: Clock | None = None,
+    seed: int = 0,
+) -> Approach:
+    """Let the expert land by state, with the view from the nose rendered and everything logged.
+
+    Args:
+        scene: the hall.
+        log: the MCAP file to write; an older one is replaced once the flight is over, and kept where it is cut short.
+        hooks: shown every step.
+        clock: None for simulated time, as fast as it can.
+        seed: which of the frozen starts, about 20 m out and 1.5 m up.
+
+    Returns:
+        How it went.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C.
+        InputError: the log cannot be written.
+        FileNotFoundError: its folder does not exist.
+    """
+    task = LandingTask()
+    trial, camera = task.trial(trial_seed(0, seed)), fpv_camera()
+    view = RenderedView(trial.world, scene, camera, task.airframe.p_body_camera)
+    judge = task.judge(trial, camera, view)
+    growing = log.with_name(f".{log.name}.part")
+    growing.unlink(missing_ok=True)
+    try:
+        with FlightLogWriter(growing) as writer:
+            writer.metadata({"simulated": "yes", "task": task.name, "pilot": "expert, by state", "seed": trial.seed})
+            loop = Loop(
+                task.expert(trial), trial.world, view, MeasuredStates(trial.world), clock=clock or SimulatedClock(),
+                log=writer, hooks=tuple(hooks),
+            )  # fmt: skip
+            flight = loop.run(trial.duration, judge.watch)
+        if flight.reason == "interrupted":
+            raise KeyboardInterrupt
+        os.replace(growing, log)
+    except OSError as error:
+        raise write_error(log, error) from None
+    finally:
+        growing.unlink(missing_ok=True)
+    return Approach(log, flight, judge.result(), scene.source)
+
+
+def mode_at(log: FlightLog, t: float) -> str:
+    """The pilot's mode at a time since the log's start [s], as its log tells; empty where it does not."""
+    now = log_start(log) + t + ROUNDING
+    return next((str(word) for begin, word in reversed(_modes(log)) if begin <= now), "")
+
+
+def _modes(log: FlightLog) -> list[tuple[float, Any]]:
+    return [(event.t, event.details.get("mode", "")) for event in log.events if event.name == "mode"]
+
+
+def is_simulated(log: FlightLog) -> bool:
+    """Whether a log says of itself that it was simulated."""
+    return log.metadata.get("simulated") == "yes"
+
+
+def draw_flight(path: Path, folder: Path) -> tuple[Path, ...]:
+    """Write the figures of a flight from its log.
+
+    Args:
+        path: the log (MCAP), with poses.
+        folder: where the figures go; it must exist.
+
+    Returns:
+        flight_path.png and flight_sticks.png, and where there are images flight_fpv.png and flight_film.png too.
+
+    Raises:
+        FileNotFoundError: there is no log.
+        InputError: the log cannot be read, or has no poses to draw.
+    """
+    log = read_flight_log(path)
+    table = to_flight_table(log)
+    if table.has_pose.sum() < 2:
+        raise InputError(f"{short_name(path)}: want a log with at least two poses to draw, got {table.has_pose.sum()}")
+    what = "SIMULATION" if is_simulated(log) else "FLIGHT"
+    fpv, along, sticks, film = (folder / name for name in FIGURES)
+    draw_path(table, along, what)
+    draw_sticks(table, _modes(log), sticks, what)
+    if not len(log.image_times):
+        return along, sticks
+    draw_strip(log, table, fpv, what)
+    draw_film(log, table, film, what)
+    return fpv, along, sticks, film
+
+
+def draw_strip(log: FlightLog, table: FlightTable, path: Path, what: str) -> None:
+    """What the camera saw at a few places, evenly along the way.
+
+    Args:
+        log: the flight.
+        table: the same as a table.
+        path: the PNG to write.
+        what: SIMULATION or FLIGHT.
+    """
+    rows = np.flatnonzero(table.has_pose)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(table.p_world[rows], axis=0), axis=1))])
+    chosen = [rows[np.argmin(np.abs(way - part * way[-1]))] for part in np.arange(STRIP) / STRIP]
+    seen = dict(_images_at(log, table.t[chosen]))
+    with figure(path, 2, STRIP // 2, (8.0, 4.5)) as axes:
+        for ax, row in zip(axes.flat, chosen, strict=True):
+            x, _, height = table.p_world[row]
+            if float(table.t[row]) in seen:
+                ax.imshow(seen[float(table.t[row])])
+            ax.set_title(f"{table.t[row]:.1f} s: x {x:.1f} m, height {height:.2f} m")
+            ax.set_axis_off()
+        axes[0, 0].figure.suptitle(f"{what}: the view from the nose", x=0.01, ha="left", fontweight="bold")
+
+
+def draw_path(table: FlightTable, path: Path, what: str) -> None:
+    """The path from above and from the side, with the pad.
+
+    Args:
+        table: the flight.
+        path: the PNG to write.
+        what: SIMULATION or FLIGHT.
+    """
+    from matplotlib.patches import Rectangle
+
+    pad = LandingPad()
+    x, y, z = table.p_world[table.has_pose].T
+    with figure(path, 2, 1, (11.0, 4.8), sharex=True, height_ratios=[1.0, 1.0]) as axes:
+        above, aside = axes[:, 0]
+        low = pad.y_centre - pad.width / 2.0
+        above.add_patch(Rectangle((pad.x_start, low), pad.length, pad.width, color=PAD_BLUE, alpha=0.55, lw=0))
+        aside.add_patch(Rectangle((pad.x_start, 0.0), pad.length, pad.height, color=PAD_BLUE, alpha=0.8, lw=0))
+        above.axhline(pad.y_centre, color=QUIET, lw=0.8, ls=":")
+        for ax, across, label in ((above, y, "y, to the left [m]"), (aside, z, "height [m]")):
+            ax.plot(x, across, color=ACCENT, lw=2.0)
+            ax.plot(x[[0]], across[[0]], "o", color=ACCENT, ms=5)
+            ax.plot(x[[-1]], across[[-1]], "s", color=ACCENT, ms=5)
+            ax.set_ylabel(label)
+        above.set_ylim(min(y.min(), low) - 0.8, max(y.max(), low + pad.width) + 0.8)
+        aside.set_ylim(0.0, 1.15 * max(float(z.max()), 0.5))
+        above.set_title(f"{what}: path from above and from the side; dot: start, square: end, blue: the pad")
+        aside.set_xlabel("x, along the runway [m]")
+
+
+def draw_sticks(table: FlightTable, modes: Sequence[tuple[float, Any]], path: Path, what: str) -> None:
+    """Sticks, height and speed over time, with the pilot's modes.
+
+    Args:
+        table: the flight.
+        modes: when each began [s], and its name.
+        path: the PNG to write.
+        what: SIMULATION or FLIGHT.
+    """
+    with figure(path, 3, 1, (11.0, 6.2), sharex=True, height_ratios=[1.5, 1.0, 1.0]) as axes:
+        sticks, height, speed = axes[:, 0]
+        looks = (
+            ("throttle", QUIET, "-"),
+            ("aileron", PREDICTED, "-"),
+            ("elevator", ACCENT, "-"),
+            ("rudder", PREDICTED, ":"),
+        )
+        for values, (name, colour, line) in zip(table.commands.T, looks, strict=True):
+            sticks.step(table.t, values, where="post", color=colour, ls=line, lw=1.6, label=name)
+        sticks.set_ylim(-1.05, 1.05)
+        sticks.set_ylabel("sticks [-]")
+        sticks.legend(loc="upper right", ncols=4)
+        sticks.set_title(f"{what}: sticks, height and speed")
+        height.plot(table.t, table.p_world[:, 2], color=PREDICTED, lw=1.8)
+        speed.plot(table.t, speeds(table), color=ACCENT, lw=1.8)
+        for ax, label in ((height, "height [m]"), (speed, "speed [m/s]")):
+            ax.set_ylim(bottom=0.0)
+            ax.set_ylabel(label)
+        for begin, word in modes:
+            for ax in axes[:, 0]:
+                ax.axvline(begin, color=QUIET, lw=0.8, ls="--")
+            sticks.annotate(str(word), (begin, -1.0), (4, 2), textcoords="offset points", fontsize=9, color=QUIET)
+        speed.set_xlabel("time [s]")
+
+
+def speeds(table: FlightTable) -> Array:
+    """Speed over ground (N,) [m/s], from logged velocities or else from positions."""
+    if all(name in table.extra for name in ("vx", "vy", "vz")):
+        return np.asarray(np.sqrt(sum(table.extra[name] ** 2 for name in ("vx", "vy", "vz"))))
+    return np.asarray(np.linalg.norm(np.gradient(table.p_world, table.t, axis=0), axis=1))
+
+
+def draw_film(log: FlightLog, table: FlightTable, path: Path, what: str) -> None:
+    """A film in the flight's own time: the view from the nose, and beside it the way from above and from the side.
+
+    Args:
+        log: the flight.
+        table: the same as a table.
+        path: the animated PNG to write; one palette for all of its images keeps it small.
+        what: SIMULATION or FLIGHT.
+    """
+    from PIL import Image as Drawing
+
+    rows = np.flatnonzero(table.has_pose)
+    begin, end = table.t[rows[0]], table.t[rows[-1]]
+    period = max(1.0 / FILM_HZ, (end - begin) / FILM_FRAMES)
+    wanted = np.arange(begin, end + 1e-6, period)[:FILM_FRAMES]
+    rows = np.unique(rows[np.searchsorted(table.t[rows], wanted - 1e-6).clip(max=len(rows) - 1)])
+    row_at = {float(table.t[row]): int(row) for row in rows}
+
+    def frames(times: Sequence[float]) -> Iterator[tuple[float, Any]]:
+        for t, pixels in _images_at(log, times):
+            yield t, _film_frame(pixels, table, row_at[t], what)
+
+    few = [*row_at][:: max(1, len(row_at) // 8)]
+    samples = np.concatenate([np.asarray(frame)[::4, ::4].copy() for _, frame in frames(few)])
+    palette = Drawing.fromarray(samples).quantize(FILM_COLOURS)
+    film = {t: frame.quantize(palette=palette, dither=Drawing.Dither.NONE) for t, frame in frames([*row_at])}
+    first, *others = (film[t] for t in sorted(film))
+    with atomic_write(path) as handle:
+        first.save(handle, "PNG", save_all=True, append_images=others, duration=1e3 * period, loop=0, optimize=True)
+
+
+def _film_frame(pixels: NDArray[np.uint8], table: FlightTable, row: int, what: str) -> Any:
+    """One image of the film: the view, and beside it the way so far from above and from the side."""
+    from PIL import Image as Drawing
+    from PIL import ImageDraw, ImageFont
+
+    high, wide = pixels.shape[:2]
+    sheet = Drawing.new("RGB", (wide + FILM_MAP, high), "white")
+    sheet.paste(Drawing.fromarray(pixels), (0, 0))
+    pen, font, pad = ImageDraw.Draw(sheet), ImageFont.load_default(15), LandingPad()
+    x, y, z = table.p_world[table.has_pose].T
+    so_far = table.p_world[: row + 1][table.has_pose[: row + 1]]
+    low, right = min(float(x.min()), pad.x_start) - 1.0, max(float(x.max()), pad.x_start + pad.length) + 1.0
+    begin, edge = pad.x_start, pad.width / 2.0
+    across = max(float(np.abs(y - pad.y_centre).max()), edge) + 0.3
+    views = (  # which axis, where in the sheet its 0 and its scale are, and the pad's extent along it
+        (1, 0.40 * high, 0.20 * high / across, pad.y_centre, (-edge, edge)),
+        (2, 0.95 * high, 0.30 * high / max(float(z.max()), 1.0), 0.0, (0.0, pad.height)),
+    )
+    for axis, zero, scale, middle, (bottom, top) in views:
+
+        def place(along: float, over: float, zero: float = zero, scale: float = scale) -> tuple[float, float]:
+            return wide + (along - low) / (right - low) * FILM_MAP, zero - scale * over
+
+        pen.rectangle((*place(begin, top), *place(begin + pad.length, bottom)), fill=PAD_BLUE)
+        pen.line((*place(low, 0.0), *place(right, 0.0)), fill="#bbbbbb")
+        pen.line([place(p[0], p[axis] - middle) for p in so_far], fill=ACCENT, width=2)
+        u, v = place(so_far[-1, 0], so_far[-1, axis] - middle)
+        pen.ellipse((u - 4, v - 4, u + 4, v + 4), fill=ACCENT)
+    pen.text((wide + 10, 6), f"{what}  {table.t[row]:.1f} s", fill="black", font=font)
+    pen.text((wide + 10, 26), "from above", fill=QUIET, font=font)
+    pen.text((wide + 10, 0.56 * high), f"from the side: {so_far[-1, 2]:.2f} m", fill=QUIET, font=font)
+    return sheet
+
+
+def _images_at(log: FlightLog, times: Iterable[float]) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+    """The images taken at some times of a table, each with its time, one by one: a log may hold more than memory."""
+    wanted = {float(t) for t in times}
+    return ((image.t, decode_jpeg(image)) for image in log.images() if image.t in wanted)
+
+
+def approach_record(approach: Approach) -> dict[str, Any]:
+    """The approach as plain numbers, for demo.json."""
+    result = {name: value for name, value in approach.result.items() if name != "path_m"}
+    return {
+        "made_by": "this kit, SIMULATED",
+        "hall": approach.hall,
+        "ended": approach.flight.reason,
+        "seconds": len(approach.flight.t) * PERIOD,
+        **result,
+    }
+
+
+def approach_part(approach: Approach, folder: Path) -> list[str]:
+    """The approach on the demo's page.
+
+    Args:
+        approach: the landing.
+        folder: where `draw_flight` left its figures.
+
+    Returns:
+        HTML in reading order.
+    """
+    result, flight = approach.result, approach.flight
+    fpv, along, sticks, film = (folder / name for name in FIGURES)
+    if result["success"]:
+        end = (
+            f"It touched down on the pad {100.0 * result['ald_m']:.0f} cm beside its centre line, sinking "
+            f"{result['sink_rate_m_s']:.2f} m/s at {result['speed_m_s']:.1f} m/s"
+        )
+    else:
+        end = f"<strong>It did not land on the pad</strong> ({flight.reason})"
+    return [
+        '<h2><span class="tag simulated">simulated</span>An approach in the splat hall</h2>',
+        paragraph(
+            "SIMULATION: aircraft, hall and images are computed. The kit's own loop flew, 20 times a second: the view "
+            "from the nose rendered from Gaussian splats, a noisy pose, an expert that lands by that pose, a link with "
+            f"delay, and a log. {end}, after {flight.t[-1]:.1f} s."
+            + (f" The hall: {html.escape(approach.hall)}." if approach.hall else "")
+        ),
+        picture(Picture(film, "The whole approach.", "Film of the view from the nose with the path from the side.")),
+        picture(Picture(fpv, "What a vision policy will have to land by.", "Six views of the hall and its blue pad.")),
+        picture(Picture(along, "Poses as the expert knew them, with their noise.", "Path from above and from aside.")),
+        picture(Picture(sticks, "Dashed: a new mode of the expert.", "Sticks, height and speed over time.")),
+        paragraph(f"Fly it again: <code>falconwing replay {approach.log.name}</code>"),
+    ]

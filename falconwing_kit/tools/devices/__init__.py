@@ -1,0 +1,1 @@
+"""cameras and frame grabbers."""

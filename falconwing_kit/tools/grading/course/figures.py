@@ -1,0 +1,140 @@
+"""Figures: a submitted notebook -> the pictures that its cells draw, by running it in a box or as they were stored.
+
+The kernel runs inside the box, with the kit and the libraries that students have, without network, home, other
+submissions, solutions or hidden cases. Whatever comes out is only shown to a person.
+"""
+
+import base64
+import binascii
+import importlib.util
+import json
+import os
+import signal
+import struct
+import subprocess
+import tempfile
+import threading
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import falconwing_kit
+from falconwing_kit.core.files import shipped_path
+from falconwing_kit.tools.grading.course import in_box
+from falconwing_kit.tools.grading.sandbox import limits, runtime
+
+NEEDED = ("nbclient", "ipykernel", "matplotlib", "numpy")
+PROCESSES, MEMORY, SECONDS = 160, 3 << 30, 400.0  # of a notebook's box: threads counted, bytes, s
+MAX_OUT, MAX_PNG, MAX_SIDE, MAX_FIGURES = 24 << 20, 2 << 20, 4000, 4  # bytes, bytes, px, per cell
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def run_notebook(data: bytes, lab_files: Mapping[Path, str], constants: Mapping[str, float]) -> dict[str, Any] | None:
+    """Run a notebook in a box of its own.
+
+    Args:
+        data: the notebook's bytes, which may be anything.
+        lab_files: what lies beside it: path on the disk, name in the box.
+        constants: of the course.
+
+    Returns:
+        What the notebook became, as far as `figures_in` looks at it; None where it did not run.
+
+    Raises:
+        InputError: there is no bubblewrap here, or a library is missing.
+    """
+    with tempfile.TemporaryFile() as notebook, tempfile.TemporaryFile() as cohort:
+        notebook.write(data)
+        cohort.write(json.dumps(dict(constants)).encode())
+        for handle in (notebook, cohort):
+            handle.seek(0)
+        desk = runtime.DESK
+        files = {notebook.fileno(): desk / "notebook.ipynb", cohort.fileno(): desk / "cohort.json"}
+        own = _libraries() | {path: desk / name for path, name in lab_files.items()}
+        box = runtime.box_command(("numpy",), own, files, Path(in_box.__file__).name)
+        group = limits.make_group(PROCESSES, MEMORY)
+        become, out = limits.becoming(group, box.staged), subprocess.PIPE
+        process = subprocess.Popen(
+            box.words, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL, env={}, preexec_fn=become,
+            pass_fds=tuple(files), start_new_session=True,
+        )  # fmt: skip
+    return _what_it_says(process, group)
+
+
+def missing_for_running() -> list[str]:
+    """Libraries without which no notebook runs here."""
+    return [name for name in NEEDED if importlib.util.find_spec(name) is None]
+
+
+def _libraries() -> dict[Path, Path]:
+    """The kit and every folder with libraries that a notebook needs: path outside, path inside."""
+    kit = Path(falconwing_kit.__file__).resolve().parent
+    hardware = shipped_path("hardware/airframe_umx.toml", "install the kit again").parent
+    places = dict.fromkeys(Path(str(spec.origin)).parents[1] for spec in map(importlib.util.find_spec, NEEDED) if spec)
+    own = {place.resolve(): runtime.BOX / f"site{number}" for number, place in enumerate(places)}
+    own |= {kit: runtime.BOX / "kit" / kit.name, hardware: runtime.BOX / "kit" / "hardware"}
+    script = Path(in_box.__file__)
+    return own | {script: runtime.BOX / script.name}
+
+
+def _what_it_says(process: "subprocess.Popen[bytes]", group: limits.Group) -> dict[str, Any] | None:
+    """The box's answer, if it is small enough and comes in time; then all that is in the box ends."""
+
+    def end() -> None:
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+    watch = threading.Timer(SECONDS, end)
+    watch.start()
+    try:
+        said = process.stdout.read(MAX_OUT + 1)  # type: ignore[union-attr]
+    finally:
+        watch.cancel()
+        end()
+        process.communicate()
+        group.remove()
+    if len(said) > MAX_OUT:
+        return None
+    with suppress(ValueError, RecursionError):
+        content = json.loads(said)
+        return content if isinstance(content, dict) else None
+    return None
+
+
+def figures_in(content: Any, name: str = "") -> list[str]:
+    """The pictures that a notebook's cells drew.
+
+    Args:
+        content: a notebook as its JSON says, or what `run_notebook` gives; anything may come.
+        name: of a figure's cell; empty for all cells.
+
+    Returns:
+        PNG files in base64, of a size that a browser can show; others are left out.
+    """
+    cells = content.get("cells") if isinstance(content, dict) else None
+    found: list[str] = []
+    for cell in cells if isinstance(cells, list) else []:
+        metadata, outputs = (cell.get(key) if isinstance(cell, dict) else None for key in ("metadata", "outputs"))
+        if name and not (isinstance(metadata, dict) and metadata.get("figure") == name):
+            continue
+        for output in outputs if isinstance(outputs, list) else []:
+            image = output.get("data") if isinstance(output, dict) else None
+            text = image.get("image/png") if isinstance(image, dict) else None
+            text = "".join(map(str, text)) if isinstance(text, list) else text
+            clean = _clean_png(text) if isinstance(text, str) else ""
+            found += [clean] if clean else []
+    return found[:MAX_FIGURES]
+
+
+def _clean_png(text: str) -> str:
+    """The picture in base64 again if it is a PNG that a page can hold; else nothing."""
+    if len(text) > 2 * MAX_PNG:
+        return ""
+    try:
+        data = base64.b64decode("".join(text.split()), validate=True)
+        width, height = struct.unpack(">II", data[16:24])
+    except (binascii.Error, ValueError, struct.error):
+        return ""
+    fits = data.startswith(_PNG) and len(data) <= MAX_PNG and 0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE
+    return base64.b64encode(data).decode("ascii") if fits else ""

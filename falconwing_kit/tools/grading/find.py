@@ -1,0 +1,175 @@
+"""Labs on the disk: a name in, its folder, its checks and its judges out.
+
+A lab's Python files are loaded by their path, under their own short names (`given`, `checks`, `hidden`), which every
+lab has. So that twelve labs do not get in each other's way, these names exist only while a file is being loaded: import
+them at the top of a file, not inside a function.
+"""
+
+import ast
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.grading.lab import Course, Judge, Lab
+
+_NEIGHBOURS = ("given", "checks", "hidden")  # a lab's files that import each other, in the order of loading
+
+
+def labs_folder(path: str | Path | None = None) -> Path:
+    """The folder that holds the labs.
+
+    Args:
+        path: where it is; None looks here, in `labs` here, one folder up (in a lab's own folder), and beside the kit.
+
+    Returns:
+        A folder with at least one lab in it.
+
+    Raises:
+        InputError: there is no lab there.
+    """
+    here = Path.cwd()
+    places = [here, here / "labs", here.parent, Path(__file__).parents[3] / "labs"] if path is None else [Path(path)]
+    for place in places:
+        if lab_folders(place):
+            return place
+    looked = ", ".join(str(place) for place in places)
+    raise InputError(f"labs: want a folder with labs such as lab01_sizing, found none in {looked}; say --labs FOLDER")
+
+
+def lab_folders(labs: Path) -> list[Path]:
+    """The labs in a folder, by number; a lab is a folder such as `lab01_sizing` that holds `checks.py`."""
+    found = labs.glob("lab[0-9][0-9]_*/checks.py")
+    return sorted(checks.parent for checks in found)
+
+
+def lab_folder(name: str | Path, labs: str | Path | None = None) -> Path:
+    """The folder of one lab.
+
+    Args:
+        name: "lab03", "lab03_splats", or a lab's folder itself.
+        labs: where the labs are, as in `labs_folder`.
+
+    Returns:
+        The folder, which holds `checks.py`.
+
+    Raises:
+        InputError: there is no such lab; the sentence names those there are.
+    """
+    if (Path(name) / "checks.py").is_file():
+        return Path(name)
+    folders = lab_folders(labs_folder(labs))
+    found = [folder for folder in folders if str(name) in (folder.name, folder.name.split("_")[0])]
+    if not found:
+        raise InputError(f"{name}: want one of {', '.join(folder.name for folder in folders)}, or a lab's folder")
+    return found[0]
+
+
+def chosen_labs(names: Sequence[str], labs: str | Path | None = None) -> list[Path]:
+    """The folders of the labs that were named, or of all; Raises as `lab_folder`."""
+    return [lab_folder(name, labs) for name in names] or lab_folders(labs_folder(labs))
+
+
+def notebook_path(folder: Path, *, solution: bool = False) -> Path:
+    """Where a lab's notebook is: the student's `lab03_splats/lab03.ipynb`, or the one in `solution`."""
+    name = f"{folder.resolve().name.split('_')[0]}.ipynb"
+    return folder / "solution" / name if solution else folder / name
+
+
+def load_checks(folder: Path) -> Lab:
+    """What students know of a lab: LAB of its `checks.py`.
+
+    Raises:
+        InputError: the file is missing, cannot be run, or has no LAB.
+    """
+    lab = getattr(load_module(folder, "checks"), "LAB", None)
+    if not isinstance(lab, Lab):
+        raise InputError(f"{folder / 'checks.py'}: want LAB, a falconwing_kit.tools.grading.lab.Lab, got {lab!r}")
+    return lab
+
+
+def load_judges(folder: Path, course: Course) -> Mapping[str, tuple[Judge, ...]]:
+    """How a lab's exercises are judged: what `judges(course)` of its `hidden.py` says.
+
+    The lab's `given.py` sees the numbers of this course meanwhile, not those of the `cohort.json` beside it.
+
+    Raises:
+        InputError: the file is missing (students do not get it), cannot be run, or leaves an exercise out.
+    """
+    wanted = {exercise.name for exercise in load_checks(folder).exercises}
+    judges: Mapping[str, tuple[Judge, ...]] = load_module(folder, "hidden", course.constants).judges(course)
+    if set(judges) != wanted:
+        raise InputError(f"{folder / 'hidden.py'}: want judges of {sorted(wanted)}, got {sorted(judges)}")
+    return judges
+
+
+def load_module(folder: Path, name: str, constants: Mapping[str, float] | None = None) -> ModuleType:
+    """A lab's file as a module; it finds its neighbours, and nothing of it stays behind for the next lab.
+
+    Args:
+        folder: the lab's.
+        name: "given", "checks" or "hidden".
+        constants: a course's numbers, which take the place of those in `given.COHORT`.
+
+    Raises:
+        InputError: the file is missing, or running it failed.
+    """
+    path = folder / f"{name}.py"
+    if not path.is_file():
+        hint = (
+            "students' folders do not have it; say --labs and a checkout's folder"
+            if name == "hidden"
+            else "take the lab's folder as it was handed out"
+        )
+        raise InputError(f"{path}: want this file of the lab, found none; {hint}")
+    before = _NEIGHBOURS[: _NEIGHBOURS.index(name)] if name in _NEIGHBOURS else _NEIGHBOURS
+    with _names_for_a_while():
+        for file in (*(folder / f"{neighbour}.py" for neighbour in before), path):
+            if file.is_file():
+                module = _run(file, constants if file.stem == "given" else None)
+        return module
+
+
+@contextmanager
+def _names_for_a_while() -> Iterator[None]:
+    """Free the names of a lab's files, and give them back as they were."""
+    before = {name: sys.modules.pop(name) for name in _NEIGHBOURS if name in sys.modules}
+    try:
+        yield
+    finally:
+        for name in _NEIGHBOURS:
+            sys.modules.pop(name, None)
+        sys.modules.update(before)
+
+
+def _run(path: Path, constants: Mapping[str, float] | None = None) -> ModuleType:
+    """The module of a file, run under its short name; with a course's numbers in place of what COHORT is there."""
+    module = ModuleType(path.stem)
+    module.__file__ = str(path.resolve())
+    sys.modules[path.stem] = module
+    try:
+        tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
+        if constants is not None:
+            _put_constants(tree, constants)
+        exec(compile(tree, module.__file__, "exec"), module.__dict__)
+    except ModuleNotFoundError:
+        raise  # the command line says how to mend a missing library
+    except Exception as error:
+        text = " ".join(str(error).split())
+        raise InputError(f"{path}: running it failed with {type(error).__name__}: {text}; mend the file") from error
+    return module
+
+
+def _put_constants(tree: ast.Module, constants: Mapping[str, float]) -> None:
+    """Let a file's COHORT be these numbers from the start, so that what it computes from them is right too."""
+    for node in ast.walk(tree):
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        names = [target.id for target in targets if isinstance(target, ast.Name)]
+        if isinstance(node, ast.Assign | ast.AnnAssign) and "COHORT" in names:
+            numbers = ast.parse(repr(dict(constants)), mode="eval").body
+            node.value = ast.copy_location(numbers, node)
+            ast.fix_missing_locations(tree)
+            return
+    raise ValueError("want an assignment COHORT = ...")

@@ -1,0 +1,265 @@
+"""Judge: one submission -> its record. What is right, with which seed and for how many points is known only here.
+
+The student's function runs in a box of its own for every exercise; here its answers are compared, on cases that nobody
+has seen before. A record says how many cases were right and in which way the others failed, never what was asked or
+answered.
+"""
+
+import hashlib
+import hmac
+import math
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from falconwing_kit import __version__
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.grading.collect import Source, collect, parse_notebook
+from falconwing_kit.tools.grading.find import load_checks, load_judges
+from falconwing_kit.tools.grading.lab import Course, Exercise, Function, Judge, Lab, Values, course_constants, total
+from falconwing_kit.tools.grading.sandbox.box import Job, StudentError, Worker, in_box, in_process
+from falconwing_kit.tools.grading.submissions import Submission
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """What all submissions of a run have in common.
+
+    Attributes:
+        folder: of the lab.
+        salt: the course's; empty for the open course.
+        secret: of the run; each submission's seed is drawn from it.
+        sandboxed: each function in a box; otherwise in a plain process, which stops nobody.
+    """
+
+    folder: Path
+    salt: str = ""
+    secret: str = ""
+    sandboxed: bool = True
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Where functions are judged.
+
+    Attributes:
+        folder: of the lab.
+        lab: what its `checks.py` says.
+        course: whose constants stand in the box.
+        sandboxed: in a box; otherwise in a plain process.
+    """
+
+    folder: Path
+    lab: Lab
+    course: Course
+    sandboxed: bool = True
+
+    def box(self, exercise: Exercise, text: str) -> AbstractContextManager[Worker]:
+        """A fresh box for a function of an exercise."""
+        job = Job(
+            text,
+            exercise.name,
+            self.folder,
+            self.course.constants,
+            exercise.through,
+            self.lab.packages,
+            exercise.seconds,
+            self.lab.memory_mib,
+        )
+        return in_box(job) if self.sandboxed else in_process(job)
+
+
+@dataclass(frozen=True)
+class Work:
+    """One submission to be graded.
+
+    Attributes:
+        submission: whose notebook is where.
+        seed: a recorded one; empty draws it from the assignment's secret, the student and the notebook.
+    """
+
+    submission: Submission
+    seed: str = ""
+
+
+class JudgeError(Exception):
+    """A lab's own judge failed, which is not the student's doing."""
+
+
+def grade_one(work: Work, assignment: Assignment) -> Record:
+    """Grade one submission.
+
+    Args:
+        work: which, and with which seed.
+        assignment: what it is judged by.
+
+    Returns:
+        Plain texts and numbers: `status` is "graded", "unreadable" (0 points) or "error" (a person must look). The same
+        notebook, student, assignment and seed give the same record, wherever and whenever it is graded.
+
+    Raises:
+        InputError: the lab itself cannot be used.
+    """
+    submission = work.submission
+    lab = load_checks(assignment.folder)
+    course = Course(course_constants(lab, assignment.salt), submission.student, assignment.salt)
+    judges = load_judges(assignment.folder, course)
+    bench = Bench(assignment.folder, lab, course, assignment.sandboxed)
+    record = unfinished(work, assignment, lab)
+    try:
+        data = submission.read()
+        record["sha256"] = hashlib.sha256(data).hexdigest()
+        notebook = parse_notebook(data, "the notebook")
+    except (InputError, OSError, MemoryError) as error:
+        return record | {"status": "unreadable", "problem": str(error)[:300], "points": 0.0}
+    record["seed"] = work.seed or _seed(assignment.secret, submission.student, record["sha256"])
+    for exercise in lab.exercises:
+        source = collect(notebook, exercise.name, lab.packages)
+        try:
+            result = grade_exercise(bench, exercise, source, judges[exercise.name], record["seed"])
+        except (JudgeError, RuntimeError, OSError) as error:
+            return record | {"problem": f"{exercise.name}: {error}"[:300]}
+        record["exercises"][exercise.name] = result
+    points = math.fsum(each["points"] for each in record["exercises"].values())
+    return record | {"status": "graded", "points": round(points, 4)}
+
+
+def unfinished(work: Work, assignment: Assignment, lab: Lab) -> Record:
+    """The record of a submission that could not be graded: no points, and the status "error"."""
+    submission = work.submission
+    return {
+        "lab": lab.name,
+        "student": submission.student,
+        "notebook": submission.name,
+        "sha256": submission.sha256,
+        "seed": work.seed,
+        "kit": __version__,
+        "numpy": np.__version__,
+        "sandboxed": assignment.sandboxed,
+        "status": "error",
+        "problem": submission.problem,
+        "points": None,
+        "of": total(lab),
+        "exercises": {},
+    }
+
+
+def grade_exercise(bench: Bench, exercise: Exercise, source: Source, judges: Sequence[Judge], seed: str) -> Record:
+    """Judge what a student wrote for one exercise, in a fresh box.
+
+    Args:
+        bench: lab, course, and kind of box.
+        exercise: which.
+        source: the student's, from `collect`.
+        judges: of the exercise.
+        seed: of the submission, any text; the cases follow from it and the exercise's name.
+
+    Returns:
+        `right` of `cases`, `points` of `of`, `categories` (how many cases failed in which way) and `problems`.
+
+    Raises:
+        JudgeError: the lab's judge failed.
+        RuntimeError: the box could not be made.
+    """
+    digest = hashlib.sha256(f"{seed}/{exercise.name}".encode()).digest()
+    rng = np.random.default_rng(int.from_bytes(digest, "big"))
+    if source.text:
+        with bench.box(exercise, source.text) as worker:
+            results = judge(worker.call, judges, rng)
+    else:
+        results = judge(_missing, judges, rng)
+    right = results.count("right")
+    return {
+        "points": round(exercise.points * right / max(len(results), 1), 4),
+        "of": exercise.points,
+        "right": right,
+        "cases": len(results),
+        "categories": dict(sorted(Counter(each for each in results if each != "right").items())),
+        "problems": list(source.problems),
+    }
+
+
+def judge(function: Function, judges: Sequence[Judge], rng: np.random.Generator) -> list[str]:
+    """Ask a function all hidden cases of an exercise.
+
+    Args:
+        function: answers, or raises StudentError.
+        judges: of the exercise.
+        rng: draws the cases.
+
+    Returns:
+        For each case "right", or in which way it failed: "wrong value", "wrong shape", "trial failed", "bad answer", or
+        a category of StudentError.
+
+    Raises:
+        JudgeError: drawing a case or finding its right answer failed.
+    """
+    results = []
+    for each in judges:
+        watched = _Watched(function, each)
+        try:
+            verdicts = watched.judge.verdicts(watched, rng)
+        except Exception as error:
+            raise JudgeError(f"the judge cannot draw its cases: {type(error).__name__}") from error
+        results += [watched.outcome(verdict) for verdict in verdicts]
+    return results
+
+
+class _Watched:
+    """A student's function and a judge, watched for how a case failed."""
+
+    def __init__(self, function: Function, each: Judge) -> None:
+        self.function, self.answer, self.wanted = function, None, None
+        self.is_values = isinstance(each, Values)
+        self.reference = each.reference if isinstance(each, Values) else None
+        self.judge: Judge = replace(each, reference=self._right_answer) if isinstance(each, Values) else each
+
+    def __call__(self, *arguments: Any) -> Any:
+        self.answer = None
+        self.answer = self.function(*arguments)
+        return self.answer
+
+    def _right_answer(self, *arguments: Any) -> Any:
+        try:
+            self.wanted = self.reference(*arguments)  # type: ignore[misc]
+        except Exception as error:
+            raise JudgeError(f"the judge does not know its own answer: {type(error).__name__}") from error
+        return self.wanted
+
+    def outcome(self, verdict: Function) -> str:
+        try:
+            if verdict() is True:
+                return "right"
+        except StudentError as error:
+            return error.category
+        except JudgeError:
+            raise
+        except Exception:  # whatever came made our own arithmetic fail
+            return "bad answer"
+        if not self.is_values:
+            return "trial failed"
+        return "wrong value" if _shape(self.answer) == _shape(self.wanted) else "wrong shape"
+
+
+def _shape(value: Any) -> Any:
+    """What a value is made of, without its numbers."""
+    if isinstance(value, tuple | list):
+        return [_shape(each) for each in value]
+    if isinstance(value, dict):
+        return {key: _shape(each) for key, each in value.items()}
+    return np.shape(value) if isinstance(value, int | float | np.ndarray | np.generic) else type(value)
+
+
+def _missing(*_: Any) -> Any:
+    raise StudentError("missing")
+
+
+def _seed(secret: str, student: str, fingerprint: str) -> str:
+    return hmac.new(secret.encode(), f"{student}/{fingerprint}".encode(), "sha256").hexdigest()[:32]

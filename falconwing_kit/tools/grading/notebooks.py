@@ -1,0 +1,176 @@
+"""One source, two notebooks: a lab's `lab.py` in, the text of the student's and of the solution's notebook out.
+
+The source is jupytext's py:percent: every cell begins with `# %%`, and words behind it say what the cell is for:
+`exercise="min_speed"`, `check="min_speed"`, `figure="radius"`, `[markdown] answer="q1"`, `tags=["solution"]`. What
+stands between `# BEGIN SOLUTION` and `# END SOLUTION` of an exercise is for the student to write.
+"""
+
+import json
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.files import atomic_write
+from falconwing_kit.tools.grading.find import notebook_path
+
+KINDS = ("exercise", "check", "figure", "answer")
+YOUR_ANSWER = "*Your answer:*"
+_SOLUTION = re.compile(
+    r"^([ \t]*)# BEGIN SOLUTION\n(.*?)^[ \t]*# END SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE | re.DOTALL
+)
+_FOR_THE_FORMATTER = re.compile(r"[ \t]*# (?:fmt: (?:skip|off|on)|noqa\b.*)$", re.MULTILINE)  # nothing for students
+_MARKER = re.compile(r"^[ \t]*# (?:BEGIN|END) SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE)
+_GO_TO_THE_LAB = """\
+# Jupyter starts in this notebook's folder; what the lab needs lies one folder up.
+import os
+
+if not os.path.exists("given.py"):
+    os.chdir("..")"""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a lab's source.
+
+    Attributes:
+        text: as written, with the markers of the solution.
+        markdown: text for people; otherwise Python.
+        kind, name: what it is for: one of KINDS and its name, such as "exercise" and "min_speed"; else empty.
+        solution_only: left out of the student's notebook.
+    """
+
+    text: str
+    markdown: bool = False
+    kind: str = ""
+    name: str = ""
+    solution_only: bool = False
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    def for_student(self) -> str:
+        """The text with the student's part left to write."""
+        if self.kind == "answer":
+            return YOUR_ANSWER
+        left = f'raise NotImplementedError("write {self.name}")\n'
+        return _SOLUTION.sub(lambda found: found[1] + left, self.text).rstrip("\n")
+
+    def for_solution(self) -> str:
+        """The text with the solution, without its markers."""
+        return _MARKER.sub("", self.text).rstrip("\n")
+
+
+def read_cells(source: Path) -> list[Cell]:
+    """The cells of a lab's source.
+
+    Args:
+        source: `lab.py`.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        InputError: a cell is marked in a way that cannot be meant.
+    """
+    import jupytext
+
+    if not source.is_file():
+        raise FileNotFoundError(f"{source}: want the lab's source, found none")
+    notebook = jupytext.reads(source.read_text(encoding="utf-8"), fmt="py:percent")
+    cells = [_cell(source, cell) for cell in notebook.cells]
+    names = [(cell.kind, cell.name) for cell in cells if cell.kind]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise InputError(f"{source}: want every name once, got twice: {' '.join(sorted(twice)[0])}")
+    return cells
+
+
+def _cell(source: Path, cell: Any) -> Cell:
+    metadata = {key: cell.metadata[key] for key in (*KINDS, "tags") if key in cell.metadata}
+    markdown, kinds = cell.cell_type == "markdown", [kind for kind in KINDS if kind in metadata]
+    name = str(metadata[kinds[0]]) if kinds else ""
+    where = f"{source}: the cell {name or cell.source.strip().splitlines()[:1]}"
+    if len(kinds) > 1 or (kinds and markdown != (kinds[0] == "answer")):
+        raise InputError(f"{where}: want one of {KINDS}, and answers alone in markdown, got {kinds}")
+    written = len(_SOLUTION.findall(cell.source))
+    if written != int(kinds == ["exercise"]) or len(_MARKER.findall(cell.source)) != 2 * written:
+        raise InputError(f"{where}: want BEGIN SOLUTION and END SOLUTION once in an exercise and nowhere else")
+    if kinds == ["exercise"] and not re.search(rf"^def {re.escape(name)}\(", cell.source, re.MULTILINE):
+        raise InputError(f"{where}: want the function {name} in the exercise of that name")
+    return Cell(
+        text=_FOR_THE_FORMATTER.sub("", cell.source),
+        markdown=markdown,
+        kind=kinds[0] if kinds else "",
+        name=name,
+        solution_only="solution" in metadata.get("tags", ()),
+        metadata=metadata,
+    )
+
+
+def build(folder: Path) -> dict[Path, str]:
+    """Both notebooks of a lab, as text, without outputs.
+
+    Args:
+        folder: the lab's, with `lab.py` in it.
+
+    Returns:
+        For the path of each notebook what shall stand in it; the same source always gives the same text.
+
+    Raises:
+        FileNotFoundError, InputError: as `read_cells`.
+    """
+    cells = read_cells(folder / "lab.py")
+    student = [(cell, cell.for_student()) for cell in cells if not cell.solution_only]
+    solution = [(cell, cell.for_solution()) for cell in cells]
+    start = Cell(_GO_TO_THE_LAB, solution_only=True)
+    solution.insert(1, (start, start.text))  # below the title
+    return {
+        notebook_path(folder): notebook_text(student),
+        notebook_path(folder, solution=True): notebook_text(solution),
+    }
+
+
+def notebook_text(cells: list[tuple[Cell, str]]) -> str:
+    """A notebook's file: format 4.5, as JupyterLab writes it, with ids that count the cells."""
+    record = {
+        "cells": [_cell_record(number, cell, text) for number, (cell, text) in enumerate(cells)],
+        "metadata": {
+            "kernelspec": {"display_name": "Python 3 (ipykernel)", "language": "python", "name": "python3"},
+            "language_info": {"name": "python"},
+        },
+        "nbformat": 4,
+        "nbformat_minor": 5,
+    }
+    return json.dumps(record, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+
+
+def _cell_record(number: int, cell: Cell, text: str) -> dict[str, Any]:
+    record: dict[str, Any] = {
+        "cell_type": "markdown" if cell.markdown else "code",
+        "id": f"cell-{number:02d}",
+        "metadata": cell.metadata,
+        "source": text.splitlines(keepends=True),
+    }
+    return record if cell.markdown else record | {"execution_count": None, "outputs": []}
+
+
+def write_notebooks(folder: Path) -> list[Path]:
+    """Write a lab's notebooks where they are missing or stale.
+
+    Returns:
+        What was written.
+
+    Raises:
+        FileNotFoundError, InputError: as `read_cells`, or a file cannot be written.
+    """
+    written = stale_notebooks(folder)
+    for path, text in build(folder).items():
+        if path in written:
+            path.parent.mkdir(exist_ok=True)
+            with atomic_write(path, text=True) as handle:
+                handle.write(text)
+    return written
+
+
+def stale_notebooks(folder: Path) -> list[Path]:
+    """The lab's notebooks that are not what its source says, be they missing, old or edited by hand."""
+    texts = build(folder)
+    return [p for p, text in texts.items() if not p.is_file() or p.read_text(encoding="utf-8") != text]

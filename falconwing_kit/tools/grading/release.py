@@ -1,0 +1,155 @@
+"""What an instructor hands out: labs and a roster in, a folder for the students out, without solutions or hidden cases.
+
+OUT/README.md                                the route
+OUT/lab01_sizing/                            notebook, given.py, checks.py, cohort.json, data/
+OUT/handouts/STUDENT/lab12_gap/              files that are another for every student, where a lab has such
+"""
+
+import ast
+import csv
+import json
+import re
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from falconwing_kit.core.checks import InputError, require_file
+from falconwing_kit.core.files import atomic_write
+from falconwing_kit.tools.grading.find import load_checks, load_module, notebook_path
+from falconwing_kit.tools.grading.lab import Course, course_constants
+from falconwing_kit.tools.grading.notebooks import build
+
+FOLDER = "data"  # of a lab, that goes to students as it is
+MIN_SALT = 16  # characters; the kit is public, so a shorter one is found by trying
+INSTRUCTORS = "\n## For instructors"  # the route ends here for students
+_STUDENT = re.compile(r"[A-Za-z0-9_@][A-Za-z0-9_.@+-]{0,63}")
+
+
+def read_roster(path: Path) -> list[str]:
+    """Who takes the course.
+
+    Args:
+        path: a CSV file with a column `student`, such as a learning platform's user names; others are passed over.
+
+    Returns:
+        The names, in the file's order.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        InputError: it has no such column, names one twice, or a name cannot be a folder's.
+    """
+    require_file(path)
+    with path.open(encoding="utf-8-sig", newline="") as handle:
+        reader = csv.DictReader(handle)
+        if "student" not in (reader.fieldnames or ()):
+            raise InputError(f"{path}: want a column called student, got {', '.join(reader.fieldnames or ['nothing'])}")
+        students = [(row["student"] or "").strip() for row in reader]
+    for student in students:
+        if not _STUDENT.fullmatch(student):
+            raise InputError(f"{path}: want user names of letters, digits and . _ @ + -, got {student!r}")
+        if students.count(student) > 1:
+            raise InputError(f"{path}: want every student once, got {student} more often; mend the list")
+    return students
+
+
+def release(folders: Sequence[Path], out: Path, salt: str = "", students: Sequence[str] = ()) -> list[Path]:
+    """Write what students get, whole or not at all.
+
+    Args:
+        folders: of the labs.
+        out: a folder that does not exist yet, or is empty.
+        salt: the instructor's secret, which draws this course's numbers; empty gives the open course's.
+        students: who gets files of their own.
+
+    Returns:
+        Every file that was written.
+
+    Raises:
+        InputError: `out` holds something already, the salt is short, there are students but no salt, or a lab cannot
+            be used.
+    """
+    if out.is_file() or (out.is_dir() and any(out.iterdir())):
+        raise InputError(f"{out}: want a new or an empty folder, so that nothing else is handed out; choose another")
+    if salt and len(salt) < MIN_SALT:
+        raise InputError(f"--salt: want at least {MIN_SALT} characters that nobody can guess, got {len(salt)}")
+    if students and not salt:
+        raise InputError("--roster: want a --salt with it; without one every student could draw the others' files")
+    part = out.with_name(f".{out.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    try:
+        for folder in folders:
+            _release_lab(folder, part / folder.name, salt)
+            _release_handouts(folder, part / "handouts", salt, students)
+        _write(part / "README.md", route_for_students(folders[0].parent / "README.md"))
+        if out.is_dir():
+            out.rmdir()
+        part.rename(out)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return sorted(path for path in out.rglob("*") if path.is_file())
+
+
+def route_for_students(readme: Path) -> str:
+    """The route without its part for instructors; a line that says what this is where there is no route."""
+    text = readme.read_text(encoding="utf-8") if readme.is_file() else "# Labs of the FalconWing kit\n"
+    return text.split(INSTRUCTORS)[0].rstrip() + "\n"
+
+
+def _release_lab(folder: Path, target: Path, salt: str) -> None:
+    """One lab's notebook, files, data and numbers."""
+    target.mkdir(parents=True)
+    _write(target / notebook_path(folder).name, build(folder)[notebook_path(folder)])
+    shutil.copyfile(require_file(folder / "given.py"), target / "given.py")
+    _write(target / "checks.py", without_answers(require_file(folder / "checks.py").read_text(encoding="utf-8")))
+    if (folder / FOLDER).is_dir():
+        shutil.copytree(folder / FOLDER, target / FOLDER, ignore=shutil.ignore_patterns("__pycache__", ".*"))
+    _write(target / "cohort.json", cohort_text(folder, salt))
+
+
+def without_answers(checks: str) -> str:
+    """A lab's `checks.py` without what a person looks for: the third argument of every `Criterion` becomes empty.
+
+    Args:
+        checks: the file's text.
+
+    Returns:
+        The text, otherwise the same to the letter.
+    """
+    lines = checks.encode().splitlines(keepends=True)  # ast counts columns in bytes
+    starts = [sum(map(len, lines[:number])) for number in range(len(lines))]
+    spans = []
+    for call in ast.walk(ast.parse(checks)):
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Criterion":
+            told = [*call.args[2:3], *(each.value for each in call.keywords if each.arg == "look_for")]
+            for each in told:
+                end = starts[(each.end_lineno or each.lineno) - 1] + (each.end_col_offset or 0)
+                spans.append((starts[each.lineno - 1] + each.col_offset, end))
+    text = checks.encode()
+    for start, end in sorted(spans, reverse=True):
+        text = text[:start] + b'""' + text[end:]
+    return text.decode()
+
+
+def cohort_text(folder: Path, salt: str = "") -> str:
+    """What stands in a lab's `cohort.json` for a course."""
+    return json.dumps(course_constants(load_checks(folder), salt), indent=1) + "\n"
+
+
+def _release_handouts(folder: Path, target: Path, salt: str, students: Sequence[str]) -> None:
+    """Every student's own files, where the lab's `hidden.py` has a function `handout` that writes them."""
+    if not students:
+        return
+    constants = course_constants(load_checks(folder), salt)
+    handout = getattr(load_module(folder, "hidden", constants), "handout", None)
+    if handout is None:
+        return
+    for student in students:
+        place = target / student / folder.name
+        place.mkdir(parents=True)
+        handout(Course(constants, student, salt), place)
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path, text=True) as handle:
+        handle.write(text)

@@ -1,0 +1,293 @@
+"""Box: a student's source text -> a function that can be called, which runs in a process that can do nothing else.
+
+`in_box` makes the grader's box with bubblewrap: no network, no home, no kit, no rights, limits that bind. `in_process`
+makes a plain process for a student's own check, on any system. Both run the same worker.py and speak the same protocol.
+"""
+
+import builtins
+import json
+import os
+import re
+import secrets
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from falconwing_kit.tools.grading.sandbox import limits, protocol, runtime, worker
+from falconwing_kit.tools.grading.sandbox.protocol import FrameError, read_frame, write_frame
+
+PROCESSES = 16  # that the student's code may have, threads counted
+STARTING = 120.0  # s to start and to load libraries, which is not the student's time
+_OUT_OF_TIME = 24  # Linux's SIGXCPU
+SPARE = 512 << 20  # bytes of a box's memory beyond the student's: interpreter, libraries, temporary files
+# What an error in the box may be called outside: Python's own words; any other name could be a message.
+ERRORS = {
+    name
+    for name, kind in vars(builtins).items()
+    if isinstance(kind, type) and issubclass(kind, Exception) and not issubclass(kind, OSError | Warning)
+} | {"OSError", "SystemExit", "LinAlgError"}
+
+
+class StudentError(Exception):
+    """The student's function gave no answer.
+
+    Attributes:
+        category: "missing", "not written", "exception:TypeError" (a name of ERRORS) or plain "exception", "timeout",
+            "memory", "died" or "bad answer". Never the student's own words.
+    """
+
+    def __init__(self, category: str) -> None:
+        super().__init__(category)
+        self.category = category
+
+
+@dataclass(frozen=True)
+class Job:
+    """One function to be run.
+
+    Attributes:
+        text: source that defines it, as `collect` gives it.
+        function: its name.
+        folder: the lab's; of it only `given.py` and `data` are seen.
+        constants: the course's, which stand in the box's `cohort.json`; None for the lab's own file.
+        through: function of `given.py` that is called in its place, with it as the first argument.
+        packages: "numpy", "scipy", "torch".
+        seconds: of computing, for all calls together [s]; waiting ends after about twice that.
+        memory_mib: beyond what its libraries take [MiB].
+    """
+
+    text: str
+    function: str
+    folder: Path
+    constants: Mapping[str, float] | None = None
+    through: str = ""
+    packages: tuple[str, ...] = ("numpy",)
+    seconds: float = 10.0
+    memory_mib: int = 1024
+
+    @property
+    def used(self) -> tuple[str, ...]:
+        """The packages that the source or `given` names, to be loaded before the student's time begins."""
+        given = self.folder / "given.py"
+        texts = self.text + (given.read_text(encoding="utf-8") if given.is_file() else "")
+        named = {name for name in self.packages if re.search(rf"\b(?:import|from) {name}\b", texts)}
+        return tuple(dict.fromkeys(("numpy", *sorted(named))))
+
+
+@dataclass
+class _Clock:
+    """The time that the other side has taken, and may take [s]."""
+
+    limit: float
+    spent: float = 0.0
+    since: float | None = None
+    late: bool = False
+    over: threading.Event = field(default_factory=threading.Event)
+
+    def watch(self, end: Callable[[], None]) -> None:
+        """End the process when it takes too long."""
+        while not self.over.wait(0.05):
+            since = self.since
+            if since is not None and self.spent + time.monotonic() - since > self.limit:
+                self.late = True
+                end()
+                return
+
+
+class Worker:
+    """A function in a process of its own: a context manager, whose `call` asks the function.
+
+    The process is ended when the context is left, when it takes too long, and when it says what the protocol does not
+    allow; then every further call raises what the first one did.
+    """
+
+    def __init__(self, job: Job, process: "subprocess.Popen[bytes]", group: limits.Group, **order: Any) -> None:
+        self._job, self._process, self._group = job, process, group
+        self._clock, self._over, self._first = _Clock(STARTING), "", -1
+        self._watch = threading.Thread(target=self._clock.watch, args=(self._kill,), daemon=True)
+        self._order = {"packages": job.used, "seconds": float(job.seconds), "memory_mib": job.memory_mib, **order}
+
+    def __enter__(self) -> "Worker":
+        """Start it and run the source.
+
+        Raises:
+            RuntimeError: the process did not come up, which is not the student's doing.
+            StudentError: running the source failed, or it does not define the function; raised by the first `call`.
+        """
+        self._watch.start()
+        try:
+            self._ask(self._order)
+        except StudentError as error:
+            self.close()
+            advice = "`falconwing sandbox probe` may say why"
+            raise RuntimeError(f"the box did not start: {error.category}; {advice}") from None
+        self._first = _first_inside(self._process.pid) if self._order["boxed"] else -1
+        self._clock.limit, self._clock.spent = 2.0 * self._job.seconds + 5.0, 0.0
+        try:
+            self._ask({"text": self._job.text, "function": self._job.function, "through": self._job.through})
+        except StudentError as error:
+            self._over = error.category
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def call(self, *arguments: Any) -> Any:
+        """Ask the function.
+
+        Args:
+            arguments: numbers, texts, arrays, and tuples, lists and dicts of them.
+
+        Returns:
+            Its answer, of the same kinds; everything else about it is unknown.
+
+        Raises:
+            StudentError: there is no answer.
+        """
+        if self._over:
+            raise StudentError(self._over)
+        return self._ask({"arguments": arguments})
+
+    @property
+    def process(self) -> int:
+        """The number of the process, or of the box around it."""
+        return self._process.pid
+
+    def close(self) -> None:
+        """End the process and all that it started, and wait until they are gone."""
+        self._clock.over.set()
+        self._kill()
+        self._process.wait()
+        if self._first >= 0:  # the kernel has ended all others in the box when the first is gone
+            select.select([self._first], [], [], 10.0)
+            os.close(self._first)
+            self._first = -1
+        for stream in (self._process.stdin, self._process.stdout):
+            with suppress(OSError):
+                stream.close()  # type: ignore[union-attr]
+        self._group.remove()
+
+    def _ask(self, message: dict[str, Any]) -> Any:
+        """Send a message and take its answer; the other side proves with the number that it has read the message."""
+        number = secrets.randbits(53)
+        self._clock.since = time.monotonic()
+        try:
+            write_frame(self._process.stdin, {**message, "number": number})  # type: ignore[arg-type]
+            reply = read_frame(self._process.stdout)  # type: ignore[arg-type]
+        except FrameError:
+            self._fail("bad answer")
+        except (EOFError, OSError):
+            self._fail(self._why_gone())
+        finally:
+            self._clock.spent += time.monotonic() - self._clock.since
+            self._clock.since = None
+        if not isinstance(reply, dict) or reply.get("number") != number or len(reply) != 2:
+            self._fail("bad answer")
+        if "answer" in reply:
+            return reply["answer"]
+        raise StudentError(_category(reply.get("error")))
+
+    def _fail(self, category: str) -> None:
+        self._kill()
+        self._over = "timeout" if self._clock.late else category
+        raise StudentError(self._over)
+
+    def _why_gone(self) -> str:
+        """Why the process ended, by how it did."""
+        with suppress(subprocess.TimeoutExpired):
+            code = self._process.wait(5.0)
+            if code in (-_OUT_OF_TIME, 128 + _OUT_OF_TIME):
+                return "timeout"
+        return "memory" if self._group.out_of_memory() else "died"
+
+    def _kill(self) -> None:
+        if self._first >= 0:
+            with suppress(ProcessLookupError):
+                signal.pidfd_send_signal(self._first, signal.SIGKILL)
+        with suppress(ProcessLookupError, PermissionError):
+            if hasattr(os, "killpg") and self._process.poll() is None:
+                os.killpg(self._process.pid, signal.SIGKILL)
+            else:
+                self._process.kill()
+
+
+def _first_inside(bubblewrap: int) -> int:
+    """A handle on the first process of a box, on which all others depend; -1 where the system does not tell."""
+    try:
+        children = Path(f"/proc/{bubblewrap}/task/{bubblewrap}/children").read_text().split()
+        return os.pidfd_open(int(children[0]))
+    except (OSError, IndexError):
+        return -1
+
+
+def _category(name: object) -> str:
+    """What an error's name means; only names of a fixed list come out."""
+    special = {"NotImplementedError": "not written", "MemoryError": "memory", "_MissingError": "missing"}
+    if not isinstance(name, str) or name == "bad answer":
+        return "bad answer"
+    return special.get(name) or (f"exception:{name}" if name in ERRORS else "exception")
+
+
+def in_box(job: Job) -> Worker:
+    """A box for a function.
+
+    Raises:
+        InputError: there is no bubblewrap here, or a library is missing.
+    """
+    own = {job.folder.resolve() / name: runtime.DESK / name for name in ("given.py", "data")}
+    own |= {path: runtime.BOX / path.name for path in _CODE}
+    cohort = os.memfd_create("cohort")
+    try:
+        os.pwrite(cohort, _cohort(job), 0)
+        box = runtime.box_command(job.packages, own, {cohort: runtime.DESK / "cohort.json"}, _CODE[0].name)
+        group = limits.make_group(PROCESSES + _OWN_PROCESSES, (job.memory_mib << 20) + SPARE)
+        become = limits.becoming(group, box.staged)
+        process = _start(box.words, {}, preexec_fn=become, pass_fds=(cohort,), start_new_session=True)
+    finally:
+        os.close(cohort)
+    return Worker(job, process, group, boxed=True, processes=PROCESSES, foreign=())
+
+
+_OWN_PROCESSES = 8  # bubblewrap's, while it builds the box
+_CODE = tuple(Path(module.__file__ or "") for module in (worker, protocol))
+
+
+@contextmanager
+def in_process(job: Job) -> Iterator[Worker]:
+    """A plain process for a function, with a copy of the lab's `given.py` and data; for one's own code only."""
+    with tempfile.TemporaryDirectory(prefix="falconwing-") as name:
+        desk = Path(name)
+        (desk / "cohort.json").write_bytes(_cohort(job))
+        if (job.folder / "given.py").is_file():
+            shutil.copyfile(job.folder / "given.py", desk / "given.py")
+        if (job.folder / "data").is_dir():
+            shutil.copytree(job.folder / "data", desk / "data")
+        words = [sys.executable, *runtime.PYTHON, str(_CODE[0]), str(desk)]
+        process = _start(words, os.environ | runtime.ENVIRONMENT, cwd=desk, start_new_session=True)
+        with Worker(
+            job, process, limits.Group(()), boxed=False, processes=0, foreign=("falconwing_kit",)
+        ) as worker_here:
+            yield worker_here
+
+
+def _start(words: Sequence[str], environment: Mapping[str, str], **options: Any) -> "subprocess.Popen[bytes]":
+    pipe = subprocess.PIPE
+    return subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, env=environment, **options)
+
+
+def _cohort(job: Job) -> bytes:
+    """What the lab's `cohort.json` says in this course."""
+    if job.constants is not None:
+        return json.dumps(dict(job.constants)).encode()
+    file = job.folder / "cohort.json"
+    return file.read_bytes() if file.is_file() else b"{}"

@@ -1,0 +1,246 @@
+"""Probe: tries to get out of a box in every way a student might -> what it found open. No grading with a hole."""
+
+import os
+import secrets
+import socket
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import falconwing_kit
+from falconwing_kit.tools.grading.sandbox import limits, runtime
+from falconwing_kit.tools.grading.sandbox.box import PROCESSES, Job, StudentError, in_box
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was tried.
+
+    Attributes:
+        name: what.
+        closed: whether the box held.
+        said: what was found, for a person.
+    """
+
+    name: str
+    closed: bool
+    said: str
+
+
+# What runs in the box. Each function returns what it could do that it must not, as a text; empty if nothing.
+_PAYLOAD = """
+import ctypes, os, socket, subprocess, sys, time
+
+def tried(name, *arguments):
+    return globals()[name](*arguments)
+
+def network(port):
+    found = [name for _, name in socket.if_nameindex() if name != "lo"]
+    try:
+        socket.create_connection(("127.0.0.1", port), 2.0)
+        found.append("a port of this machine")
+    except OSError:
+        pass
+    return " ".join(found)
+
+def files(paths, home, wanted):
+    seen = [path for path in paths if os.path.exists(path)]
+    inside = set(os.listdir(home)) if os.path.isdir(home) else set()
+    return " ".join(seen + sorted(inside - set(wanted)))
+
+def modules(names):
+    found = []
+    for name in names:
+        try:
+            __import__(name)
+            found.append(name)
+        except ImportError:
+            pass
+    return " ".join(found)
+
+def environment(known):
+    return " ".join(sorted(set(os.environ) - set(known)))
+
+def writing(folders):
+    found = []
+    for folder in folders:
+        try:
+            with open(os.path.join(folder, "probe"), "w") as handle:
+                handle.write("x")
+            found += [folder] if folder != "/tmp" else []  # the only one that is its own
+        except OSError:
+            pass
+    return " ".join(found)
+
+def rights():
+    found = []
+    library = ctypes.CDLL(None)
+    if library.unshare(0x10000000) == 0 or library.unshare(0x20000) == 0:
+        found.append("a namespace of its own")
+    if library.mount(b"none", b"/tmp", b"tmpfs", 0, None) == 0:
+        found.append("mounting")
+    try:
+        os.setuid(0)
+        found.append("root")
+    except OSError:
+        pass
+    status = open("/proc/self/status").read()
+    if "NoNewPrivs:\\t1" not in status or "CapEff:\\t0000000000000000" not in status:
+        found.append("new rights")
+    return " ".join(found)
+
+def others():
+    seen = [name for name in os.listdir("/proc") if name.isdigit()]
+    return f"{len(seen)} processes" if len(seen) > 3 else ""
+
+def filling(limit):
+    written = 0
+    try:
+        for number in range(40):
+            with open(f"/tmp/{number}", "wb", buffering=0) as handle:
+                for _ in range(4):
+                    written += handle.write(bytes(1 << 20))
+    except OSError:
+        pass
+    return f"{written >> 20} MiB" if written > limit else ""
+
+def forking(limit):
+    alive = 0
+    try:
+        for _ in range(4 * limit):
+            if os.fork() == 0:
+                time.sleep(60)
+                os._exit(0)
+            alive += 1
+    except OSError:
+        pass
+    return f"{alive} processes" if alive > limit else ""
+
+def memory(mib):
+    block = bytearray(mib << 20)
+    block[::4096] = bytes(len(block[::4096]))
+    return f"{mib} MiB"
+
+def endless():
+    while True:
+        pass
+
+def daemon(token):
+    if os.fork() == 0:
+        os.setsid()
+        if os.fork() == 0:
+            os.execv(sys.executable, [sys.executable, "-S", "-c", "import time; time.sleep(60)", token])
+        os._exit(0)
+    time.sleep(0.3)
+    return ""
+"""
+
+
+def probe() -> list[Finding]:
+    """Try everything, in boxes like a student's.
+
+    Returns:
+        A finding for each; the box holds if all are closed. Where no box can be made, that is the only finding.
+
+    Raises:
+        InputError: bubblewrap is missing.
+    """
+    with tempfile.TemporaryDirectory(prefix="falconwing-probe-") as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        (folder / "secret").write_text("only for the grader")
+        try:
+            return [*_walls(folder), *_bounds(folder), _leftover(folder)]
+        except (RuntimeError, OSError) as error:
+            return [Finding("making a box", False, str(error))]
+
+
+def holes(findings: list[Finding]) -> list[str]:
+    """Those that are open, as texts."""
+    return [f"{each.name}: {each.said}" for each in findings if not each.closed]
+
+
+def _walls(folder: Path) -> Iterator[Finding]:
+    """What can be seen and written from inside."""
+    kit, home = Path(falconwing_kit.__file__).parent, Path.home()
+    python = runtime.find_runtime(("numpy",))
+    needed = {str(place.relative_to(home).parts[0]) for _, place in python.mounts if place.is_relative_to(home)}
+    paths = [folder / "secret", kit / "__init__.py", kit.parent / "labs", "/etc/passwd", "/etc/shadow", "/var", "/sys"]
+    places = ["/", "/box", "/box/desk", "/usr", "/etc", "/dev", "/dev/shm", "/proc/sys", str(folder), str(home)]
+    with _listening() as port, in_box(_job(folder)) as box:
+        for name, what, *arguments in (
+            ("network", "network", port),
+            ("files of this machine", "files", [str(path) for path in paths], str(home), sorted(needed)),
+            ("the kit and the judge", "modules", ["falconwing_kit.tools.grading", "checks", "hidden"]),
+            ("environment", "environment", [*runtime.ENVIRONMENT, "PWD", "LC_CTYPE"]),
+            ("writing", "writing", places),
+            ("rights", "rights"),
+            ("other processes", "others"),
+        ):
+            found = box.call(what, *arguments)
+            yield Finding(name, found == "", str(found) or "nothing to be had")
+        owner = _owner(box.process)
+        yield Finding("identity", owner != 0, "root" if owner == 0 else f"user {owner}, without rights")
+
+
+def _bounds(folder: Path) -> Iterator[Finding]:
+    """What can be used up from inside; one box each, since some of them die of it."""
+    bound = runtime.TEMPORARY
+    for name, what, argument, good in (
+        ("disk", "filling", bound, f"ends at {bound >> 20} MiB"),
+        ("processes", "forking", PROCESSES, f"ends at {PROCESSES}"),
+        ("memory", "memory", 512, "ends at the lab's limit"),
+        ("time", "endless", None, "ends at the exercise's limit"),
+    ):
+        with in_box(_job(folder)) as box:
+            try:
+                found = str(box.call(what, *([] if argument is None else [argument])))
+            except StudentError as error:
+                fits = error.category in ("memory", "timeout", "died")
+                found = "" if fits else error.category
+        yield Finding(name, found == "", found or good)
+    groups = " and ".join(limits.controllers())
+    yield Finding(
+        "control groups", True, f"bind {groups}" if groups else "not to be had here; each process is bound alone"
+    )
+
+
+def _leftover(folder: Path) -> Finding:
+    """Whether a process that leaves its parents outlives its box."""
+    token = secrets.token_hex(16)
+    with in_box(_job(folder)) as box:
+        box.call("daemon", token)
+        started = _running(token)
+    left = _running(token)
+    said = "nothing stays" if started and not left else "a process stays" if left else "could not be tried"
+    return Finding("after the end", bool(started) and not left, said)
+
+
+def _job(folder: Path) -> Job:
+    return Job(_PAYLOAD, "tried", folder, seconds=1.0, memory_mib=128)
+
+
+def _running(token: str) -> list[str]:
+    """Processes of this machine with a word in their command line."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            if token.encode() in file.read_bytes():
+                found.append(file.parent.name)
+        except OSError:
+            continue
+    return found
+
+
+def _owner(process: int) -> int:
+    """The user that a process belongs to, as this machine counts."""
+    return os.stat(f"/proc/{process}").st_uid
+
+
+@contextmanager
+def _listening() -> Iterator[int]:
+    """A port of this machine that answers."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]

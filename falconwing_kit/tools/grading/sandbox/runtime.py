@@ -1,0 +1,166 @@
+"""What a box holds: this Python's interpreter, standard library and a few libraries -> read-only mounts, and no more.
+
+It works for a system's Python, one built in a home folder, and a virtual environment of either: the box gets the
+interpreter behind the environment, and of the environment only the folders of the libraries that a lab asks for.
+"""
+
+import importlib.util
+import os
+import shutil
+import sys
+import sysconfig
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.grading.sandbox.limits import STAGE
+
+BOX, PACKAGES, DESK = Path("/box"), Path("/box/packages"), Path("/box/desk")  # inside
+PYTHON = ("-s", "-P", "-B")  # nothing of the user's or of the folder that it starts in, and no files left behind
+ENVIRONMENT = {
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+    **{"HOME": "/tmp", "TMPDIR": "/tmp", "LANG": "C.UTF-8", "PYTHONHASHSEED": "0"},
+}
+TEMPORARY = 64 << 20  # bytes of the only folder that can be written
+_TORCH_IMPORTS = ("typing_extensions", "filelock", "sympy", "mpmath", "networkx", "jinja2", "markupsafe", "fsspec")
+# What a library needs beside its own folder: more folders of its wheel, and libraries that it imports itself.
+_BRINGS = {
+    "numpy": ("numpy.libs",),
+    "scipy": ("scipy.libs",),
+    "torch": ("torch.libs", "torchgen", "functorch", "nvidia", "triton", *_TORCH_IMPORTS),
+}
+
+
+@dataclass(frozen=True)
+class Runtime:
+    """A Python for the box.
+
+    Attributes:
+        python: path of the interpreter, the same inside and outside.
+        mounts: what is seen inside, read-only: path outside, path inside.
+        links: symbolic links inside: target, path.
+        emptied: folders inside that are covered by empty ones, since they hold libraries.
+    """
+
+    python: Path
+    mounts: tuple[tuple[Path, Path], ...]
+    links: tuple[tuple[str, Path], ...]
+    emptied: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class Command:
+    """How to make a box.
+
+    Attributes:
+        words: bubblewrap's command line.
+        staged: what root's grader puts where the box's user can reach it, see `limits.becoming`: path, path there.
+    """
+
+    words: tuple[str, ...]
+    staged: tuple[tuple[Path, Path], ...]
+
+
+def box_command(packages: tuple[str, ...], own: Mapping[Path, Path], files: Mapping[int, Path], script: str) -> Command:
+    """bubblewrap's words for a box that runs a script.
+
+    Args:
+        packages: of "numpy", "scipy", "torch".
+        own: what else it sees, read-only: path outside, path inside; what does not exist is left out.
+        files: open files whose content it sees: number, path inside.
+        script: name of a file in BOX.
+
+    Raises:
+        InputError: there is no bubblewrap, or a library is not installed.
+    """
+    program = shutil.which("bwrap")
+    if program is None:
+        raise InputError("bwrap: want bubblewrap for the box, found none; Debian or Ubuntu: apt install bubblewrap")
+    python = find_runtime(packages)
+    words = [program, *_WALLS]
+    staged: list[tuple[Path, Path]] = []
+    for source, target in (*python.mounts, *((here, there) for here, there in own.items() if here.exists())):
+        if os.geteuid() == 0 and not source.is_relative_to("/usr") and not source.is_relative_to("/etc"):
+            staged.append((source, STAGE / str(len(staged))))
+            source = staged[-1][1]
+        words += ["--ro-bind", str(source), str(target)]
+    for link, path in python.links:
+        words += ["--symlink", link, str(path)]
+    for path in python.emptied:
+        words += ["--size", "4096", "--tmpfs", str(path), "--remount-ro", str(path)]
+    for number, path in files.items():
+        words += ["--ro-bind-data", str(number), str(path)]
+    words += ["--proc", "/proc", "--dev", "/dev", "--remount-ro", "/dev"]
+    words += ["--size", str(TEMPORARY), "--tmpfs", "/tmp", "--remount-ro", "/", "--chdir", str(DESK)]
+    for name, value in ENVIRONMENT.items():
+        words += ["--setenv", name, value]
+    words += ["--", str(python.python), *PYTHON, "-S", str(BOX / script), str(PACKAGES), str(DESK)]
+    return Command(tuple(words), tuple(staged))
+
+
+_WALLS = (
+    *("--unshare-all", "--unshare-user", "--disable-userns", "--uid", "1000", "--gid", "1000", "--cap-drop", "ALL"),
+    *("--clearenv", "--new-session", "--die-with-parent", "--hostname", "box", "--dir", str(DESK)),
+)
+
+
+@lru_cache(maxsize=8)
+def find_runtime(packages: tuple[str, ...]) -> Runtime:
+    """The Python that runs this, with some of its libraries.
+
+    Args:
+        packages: of "numpy", "scipy", "torch"; NumPy is always there.
+
+    Raises:
+        InputError: a library is not installed.
+    """
+    python = Path(getattr(sys, "_base_executable", sys.executable)).resolve()
+    folders = list(_library_folders())
+    links = [(os.readlink(path), path) for path in _SYSTEM if path.is_symlink()]
+    installed = [mount for name in dict.fromkeys(("numpy", *packages)) for mount in _package(name)]
+    emptied = [
+        found
+        for folder in folders
+        for pattern in ("site-packages", "dist-packages")
+        for found in (*folder.glob(pattern), *folder.glob(f"python3*/{pattern}"))
+    ]
+    return Runtime(python, ((python, python), *((f, f) for f in folders), *installed), tuple(links), tuple(emptied))
+
+
+_SYSTEM = (Path("/lib"), Path("/lib64"), Path("/usr/lib64"))
+
+
+def _library_folders() -> Iterator[Path]:
+    """Folders of the standard library and of the shared libraries that it is linked to; no folder holds another."""
+    prefix, standard = Path(sys.base_prefix).resolve(), Path(os.__file__).resolve().parent
+    several = sysconfig.get_config_var("MULTIARCH") or ""
+    system = [folder / several for folder in (Path("/usr/lib"), Path("/lib"))] if several else []
+    if not any(folder.is_dir() for folder in system):
+        system = [Path("/usr/lib")]
+    wanted = [*system, Path("/usr/lib64"), Path("/lib64"), Path("/etc/alternatives"), standard]
+    wanted += [] if prefix == Path("/usr") else [prefix / "lib"]
+    wanted += Path("/lib").glob("ld-linux*")  # the loader, where it does not stand in a folder of its own
+    found = sorted({folder.resolve() for folder in wanted if folder.exists()})
+    yield from (folder for folder in found if not any(other in folder.parents for other in found))
+
+
+def _package(name: str) -> Iterator[tuple[Path, Path]]:
+    """A library's folder and those that it brings along, to be mounted beside each other."""
+    home = _place(name)
+    if home is None:
+        raise InputError(f"{name}: want it installed, since the lab's functions may use it; `falconwing doctor` helps")
+    others = [home.parent / each if "." in each else _place(each) for each in _BRINGS.get(name, ())]
+    for place in (home, *others):
+        if place is not None and place.exists():
+            yield place.resolve(), PACKAGES / place.name
+
+
+def _place(name: str) -> Path | None:
+    """Where a module is, without importing it; None where it is not installed."""
+    spec = importlib.util.find_spec(name)
+    if spec is None:
+        return None
+    folders: Sequence[str] = list(spec.submodule_search_locations or ())
+    return Path(folders[0]) if folders else Path(str(spec.origin))

@@ -1,0 +1,64 @@
+"""Selftest: a lab's own notebooks, graded as a student's would be: the solution gets all points, the untouched none."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from falconwing_kit.tools.grading.find import load_checks, notebook_path
+from falconwing_kit.tools.grading.judge import Assignment, Work, grade_one
+from falconwing_kit.tools.grading.submissions import Submission
+
+
+@dataclass(frozen=True)
+class SelfTest:
+    """How a lab's own notebooks were graded.
+
+    Attributes:
+        lab: its folder's name.
+        solution, untouched: points of each exercise, by name.
+        of: points there are of each exercise.
+        problems: what the grader said of the solution, and why something could not be graded.
+    """
+
+    lab: str
+    solution: Mapping[str, float]
+    untouched: Mapping[str, float]
+    of: Mapping[str, float]
+    problems: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the solution got everything and the untouched notebook nothing, on every exercise."""
+        nothing = dict.fromkeys(self.of, 0.0)
+        return self.solution == self.of and self.untouched == nothing and not self.problems
+
+
+def selftest(folder: Path, *, sandboxed: bool = True) -> SelfTest:
+    """Grade a lab's solution and its untouched notebook.
+
+    Args:
+        folder: the lab's, with both notebooks built.
+        sandboxed: each function in a box, as students' are.
+
+    Raises:
+        InputError: the lab cannot be used, or there is no sandbox here.
+    """
+    assignment = Assignment(folder, sandboxed=sandboxed)
+    solution, untouched = (
+        grade_one(Work(Submission("", notebook_path(folder, solution=done)), seed="selftest"), assignment)
+        for done in (True, False)
+    )
+    said = [record["problem"] for record in (solution, untouched)]
+    said += [problem for result in solution["exercises"].values() for problem in result["problems"]]
+    said += [
+        f"{name} fails: {what} in {count} of {result['cases']} cases"
+        for name, result in solution["exercises"].items()
+        for what, count in result["categories"].items()
+    ]
+    return SelfTest(
+        lab=folder.name,
+        solution={name: result["points"] for name, result in solution["exercises"].items()},
+        untouched={name: result["points"] for name, result in untouched["exercises"].items()},
+        of={exercise.name: exercise.points for exercise in load_checks(folder).exercises},
+        problems=tuple(filter(None, said)),
+    )

@@ -1,0 +1,1 @@
+"""the parts list, cameras, checklists and the power filter."""

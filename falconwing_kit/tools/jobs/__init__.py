@@ -1,0 +1,1 @@
+"""work on several processes or a cluster, with results kept between runs."""

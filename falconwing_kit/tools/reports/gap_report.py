@@ -1,0 +1,444 @@
+"""The report: a calm flight and a flight that surprises -> report.json, figures and a page read in three minutes."""
+
+import html
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from falconwing_kit.aircraft.effects import CATALOGUE
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.flight_table import FlightTable, nominal_rate_hz
+from falconwing_kit.gap.advice import headline, next_flight
+from falconwing_kit.gap.baseline import LACKING, LEAST_GAIN, CalmBase, know_calm
+from falconwing_kit.gap.close import Closed, Onset, close_gap, name_since
+from falconwing_kit.gap.measure import VARIABLES, Replay, Spot, replay_calm, replay_flight, residual_map
+from falconwing_kit.gap.name import STRAINED, Naming
+from falconwing_kit.sysid.model_file import write_fitted, write_model
+from falconwing_kit.sysid.score import Score
+from falconwing_kit.tools.reports.gap_plots import CHANNEL_WORDS, IN_PLOTS, draw_gap
+from falconwing_kit.tools.reports.page import Picture, paragraph, picture, table, write_page
+
+SHORTEST_S = 20.0
+SAME_RATE = 0.1  # relative: cameras of one kind differ by less
+LEAST_PROBABILITY, MOST_PROBABILITY = 0.001, 0.999  # 45 cases of independent aircraft say no more than that
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class GapStudy:
+    """All that was found about a gap."""
+
+    base: CalmBase
+    naming: Naming
+    closed: Closed
+    calm_replay: Replay
+    flight_replay: Replay
+    spots: tuple[Spot, ...]
+    names: tuple[str, str]  # the calm flight, the flight under test
+    since: Onset | None = None  # when it set in; naming and closing are then of the time after it
+    seconds: dict[str, float] = field(default_factory=dict)  # per stage
+
+
+def gap_report(
+    calm: FlightTable, flight: FlightTable, out: str | Path | None = None, progress: Progress = lambda stage: None
+) -> dict[str, Any]:
+    """Find where a flight disagrees with the calm aircraft, name what is missing and close the gap.
+
+    Args:
+        calm: a flight without surprise.
+        flight: a flight of the same aircraft that surprises.
+        out: folder for report.json, report.html, figures and models; made where it is missing. None writes nothing.
+        progress: called with the name of each stage.
+
+    Returns:
+        The record that stands in report.json.
+
+    Raises:
+        InputError: a flight cannot be used.
+    """
+    study = study_gap(calm, flight, progress)
+    return gap_record(study) if out is None else write_gap(study, Path(out), progress)
+
+
+def study_gap(calm: FlightTable, flight: FlightTable, progress: Progress = lambda stage: None) -> GapStudy:
+    """Do all the work of a report, write nothing.
+
+    Args:
+        calm: a flight without surprise.
+        flight: the flight under test.
+        progress: called with the name of each stage.
+
+    Returns:
+        What was found.
+
+    Raises:
+        InputError: a flight cannot be used.
+    """
+    require_pair(calm, flight)
+    clock = [time.perf_counter()]
+    base = know_calm(calm, progress)
+    clock.append(time.perf_counter())
+    naming, since = name_since(base, flight, progress=progress)
+    clock.append(time.perf_counter())
+    progress("closing the gap")
+    closed = close_gap(base, naming)
+    clock.append(time.perf_counter())
+    progress("where it disagrees")
+    replays = replay_calm(base), replay_flight(base, naming)
+    spots = residual_map(replays[1], replays[0])
+    clock.append(time.perf_counter())
+    seconds = dict(zip(("calm", "name", "close", "measure"), np.diff(clock).tolist(), strict=True))
+    return GapStudy(base, naming, closed, *replays, spots, (calm.name, flight.name), since, seconds)
+
+
+def require_pair(calm: FlightTable, flight: FlightTable) -> None:
+    """Refuse flights that cannot give an answer.
+
+    Args:
+        calm: a flight without surprise.
+        flight: the flight under test.
+
+    Raises:
+        InputError: too short, no poses, sticks that never move, or different rates.
+    """
+    for what, one in (("calm flight", calm), ("flight", flight)):
+        if len(one.t) < 2 or one.duration < SHORTEST_S:
+            raise InputError(
+                f"{what} {one.name}: want at least {SHORTEST_S:.0f} s, got {one.duration:.1f} s; fly longer, a minute "
+                "or two is good"
+            )
+        if not one.has_pose.any():
+            raise InputError(f"{what} {one.name}: want poses, got none in {len(one.t)} rows; was the marker in view?")
+        if np.all(np.ptp(one.commands, axis=0) < 1e-6):
+            raise InputError(
+                f"{what} {one.name}: want sticks that move, got the same values in every row; log the commands too"
+            )
+    rates = nominal_rate_hz(calm), nominal_rate_hz(flight)
+    if abs(rates[0] - rates[1]) > SAME_RATE * min(rates):
+        raise InputError(
+            f"rates: want both flights at one rate, since the noise learned on one judges the other; got "
+            f"{rates[0]:.3g} Hz ({calm.name}) and {rates[1]:.3g} Hz ({flight.name}); record both with the same camera "
+            "or resample the faster one"
+        )
+
+
+def gap_record(study: GapStudy) -> dict[str, Any]:
+    """What was found as plain numbers: the fixed keys of report.json, then details.
+
+    Args:
+        study: what was found.
+
+    Returns:
+        The record; SI units, angles in radians except where a key says deg.
+    """
+    base, naming, closed = study.base, study.naming, study.closed
+    scores = {"before": closed.before, "after": closed.after, "calm": closed.calm}
+    found = base.found
+    return {
+        "verdict": naming.verdict,
+        "effects": [c.effect.name for c in naming.chosen],
+        "ranking": _ranking(naming),
+        "parameters": {
+            name: {"value": s.value, "low95": s.low95, "high95": s.high95, "unit": s.unit}
+            for name, s in closed.parameters.items()
+        },
+        "where": [
+            {"channel": s.channel, "variable": s.variable, "from": s.low, "to": s.high, "excess": s.excess}
+            for s in study.spots
+        ],
+        "gap": {name: s.chi2 for name, s in scores.items()},
+        "gap_rmse": {
+            "position_m": {name: s.position_m for name, s in scores.items()},
+            "attitude_deg": {name: s.attitude_deg for name, s in scores.items()},
+        },
+        "next_flight": next_flight(base, naming),
+        "since": _since(study),
+        "headline": headline(naming),
+        "flights": {"calm": study.names[0], "flight": study.names[1]},
+        "threshold": naming.threshold,
+        "gap_details": {
+            "before_with_parameters_free": closed.before_free.chi2,
+            "after_with_parameters_held": closed.after_pinned.chi2,
+            "windows": closed.before.windows,
+            "held_out": not closed.seen,
+        },
+        "strain": naming.strain,
+        "unnamed": {"load": naming.unnamed.effect.name, "gain": float(naming.unnamed.gain)},
+        "added_to_base": list(_added(base)),
+        "noise": {
+            "position_m": float(found.sigma[:3].mean()),
+            "attitude_deg": float(np.degrees(found.sigma[3:].mean())),
+            "slow_share": list(base.noise.share),
+            "slow_time_s": list(base.noise.time),
+        },
+        "warnings": _warnings(study),
+        "seconds": study.seconds,
+    }
+
+
+def _since(study: GapStudy) -> dict[str, float] | None:
+    since = study.since
+    return {"value": since.time, "low95": since.low95, "high95": since.high95} if since else None
+
+
+def _ranking(naming: Naming) -> list[dict[str, Any]]:
+    """Every effect of the catalogue with its evidence and probability, best first.
+
+    Evidence is minus twice a log likelihood, so exp(gain / 2) weighs the models [Kass & Raftery 1995], "nothing" with
+    a gain of 0 among them, and where the verdict is outside what has no name. Where chance on the calm flight finds
+    more than it should, gains are scaled down by as much.
+    """
+    tempered = 0.5 * LEAST_GAIN / naming.threshold
+    nameless = max(naming.unnamed.gain, naming.ranking[0].gain + naming.threshold)
+    others = 0.0, nameless if naming.verdict == "outside" else -np.inf
+    logs = np.array([*others, *(c.gain for c in naming.ranking)]) * tempered
+    weights = np.exp(logs - logs.max())
+    shares = np.clip(weights / weights.sum(), LEAST_PROBABILITY, MOST_PROBABILITY)[2:]
+    rows = []
+    for candidate, share in zip(naming.ranking, shares, strict=True):
+        row = {"effect": candidate.effect.name, "gain": float(candidate.gain), "probability": float(share)}
+        twins = [e.name for e in CATALOGUE if e.same_as == candidate.effect.name]
+        rows += [row, *({**row, "effect": twin, "same_as": candidate.effect.name} for twin in twins)]
+    return rows
+
+
+def _warnings(study: GapStudy) -> list[str]:
+    said = [f"calm flight: {w}" for w in study.base.found.warnings]
+    said += [f"flight: {w}" for w in study.naming.prepared.warnings]
+    if added := _added(study.base):
+        said.append(f"the calm flight showed loads that the model's terms lack; added to the base: {', '.join(added)}")
+    if study.closed.seen:
+        said.append("the flight is too short to hold anything back; before and after are on the fitted time")
+    if study.naming.strain > STRAINED:
+        said.append(_strained(study))
+    return said
+
+
+def _added(base: CalmBase) -> tuple[str, ...]:
+    """The loads without a name that the base model was completed with."""
+    had = {term.name for term in base.found.model.terms}
+    return tuple(term.name for term in base.result.model.terms if term.name not in had)
+
+
+def _strained(study: GapStudy) -> str:
+    return (
+        f"the calm flight's model does not fit the aircraft of this flight: its parameters would have to move by "
+        f"{math.sqrt(study.naming.strain):.0f} times what another day explains; are both flights of the same aircraft?"
+    )
+
+
+def write_gap(study: GapStudy, folder: Path, progress: Progress = lambda stage: None) -> dict[str, Any]:
+    """Write report.json, report.html, figures, model.toml and, where something is named, model_with_effect.toml.
+
+    Args:
+        study: what was found.
+        folder: where to; made where it is missing.
+        progress: called with the name of each stage.
+
+    Returns:
+        The record that stands in report.json.
+    """
+    progress("page and figures")
+    began = time.perf_counter()
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = draw_gap(study.naming, study.closed, study.flight_replay, study.calm_replay, study.spots, folder)
+    write_model(folder / "model.toml", study.base.found)
+    closed, base = study.closed, study.base
+    if study.naming.verdict == "named" and closed.model is not None and closed.sure is not None:
+        write_fitted(
+            folder / "model_with_effect.toml", closed.model, closed.sure, flights=study.names,
+            train_chi2=study.naming.left + base.chi2, held_out_chi2=closed.after.chi2, sigma=base.found.sigma,
+        )  # fmt: skip
+    study.seconds["write"] = time.perf_counter() - began
+    record = gap_record(study)
+    write_page(folder / "report.html", f"FalconWing gap: {headline(study.naming)}", _page(study, record, figures))
+    with atomic_write(folder / "report.json", text=True) as handle:
+        json.dump(record, handle, indent=2, allow_nan=False)
+    return record
+
+
+def _page(study: GapStudy, record: dict[str, Any], figures: dict[str, Path]) -> list[str]:
+    naming = study.naming
+    return [
+        f"<h1>{headline(naming)}</h1>",
+        paragraph(f"{html.escape(study.names[1])}, judged by {html.escape(study.names[0])}", "lead"),
+        *(paragraph(text) for text in _verdict(study, record)),
+        *([paragraph(_set_in(study.since))] if study.since else []),
+        _sizes(study),
+        "<h2>Where it disagrees</h2>",
+        paragraph(_where(study)),
+        picture(Picture(
+            figures["map"], "The hall from above. Colour says how far the calm flight's model is off after flying up "
+            "to two seconds on the logged sticks alone; 1 is the noise of the poses.",
+            "Map of residuals over the hall for the calm flight and the flight.",
+        )),
+        picture(Picture(
+            figures["where"], "The same residuals against the variables they go with. The grey band is what chance "
+            "makes of a calm flight.", "Residuals against variables, flight beside calm flight.",
+        )),
+        "<h2>What it could be</h2>",
+        paragraph(_contest(study, record)),
+        picture(Picture(figures["ranking"], "Evidence for each effect, after everything the parameters of the "
+                        "aircraft can explain on another day.", "Bars of evidence for each effect.")),
+        "<h2>Before and after</h2>",
+        paragraph(_before_after(study)),
+        picture(Picture(figures["closed"], "Prediction errors two seconds ahead on time that no fit has seen.",
+                        "Bars of prediction error before, after and of the calm flight.")),
+        "<h2>What to fly next</h2>",
+        paragraph(_sentence(record["next_flight"])),
+        _small_print(record),
+    ]  # fmt: skip
+
+
+def _verdict(study: GapStudy, record: dict[str, Any]) -> list[str]:
+    """The answer in one or two paragraphs."""
+    naming, gap = study.naming, record["gap"]
+    if naming.verdict == "named":
+        texts = [f"<strong>{_plain(c.effect.name)}</strong>. {c.effect.physics}" for c in naming.chosen]
+        if any(c.effect.name == "control_delay" for c in naming.chosen):
+            texts.append("Late time stamps of the images look exactly the same; a test on the bench tells which it is.")
+        return texts
+    if naming.verdict == "ambiguous":
+        alternatives = "; or ".join(
+            f"<strong>{_plain(c.effect.name)}</strong>: {c.effect.physics}" for c in naming.chosen
+        )
+        return [f"One of these explains the flight, and this flight cannot tell which: {alternatives}"]
+    if naming.verdict == "none":
+        return [
+            f"The flight agrees with the calm one: two seconds ahead the calm flight's model is off by a chi2 of "
+            f"{gap['before']:.2f} per degree of freedom, against {gap['calm']:.2f} on the calm flight itself. "
+            "No effect of the catalogue explains more than chance would. A smaller effect may still be there."
+        ]
+    texts = [
+        "The flight disagrees with the calm one by more than chance, and no effect of the catalogue explains enough of "
+        "it to be named. Do not trust the first of the ranking below; see where the disagreement sits instead."
+    ]
+    if _has_a_load(naming):
+        texts.append(
+            f"What explains it best is a <strong>{naming.unnamed.effect.name}</strong> (evidence "
+            f"{naming.unnamed.gain:.0f}), which no entry of the catalogue makes. What could make such a "
+            f"{naming.unnamed.effect.name.split()[0]} on this aircraft?"
+        )
+    return [*texts, *([_sentence(_strained(study))] if study.naming.strain > STRAINED else [])]
+
+
+def _has_a_load(naming: Naming) -> bool:
+    """Whether a load without a name explains more than every effect does."""
+    return naming.unnamed.gain > max(LACKING, naming.ranking[0].gain)
+
+
+def _set_in(since: Onset) -> str:
+    return (
+        f"It was not there from the start: it set in at <strong>{since.time:.1f} s</strong> of the flight's clock, "
+        f"with 95 % between {since.low95:.1f} and {since.high95:.1f} s. All that follows is about the time after it."
+    )
+
+
+def _sizes(study: GapStudy) -> str:
+    rows = [
+        (
+            size.meaning,
+            f"{size.value:.3g}",
+            f"{size.low95:.3g} to {size.high95:.3g}",
+            "" if size.unit == "-" else size.unit,
+        )
+        for size in study.closed.parameters.values()
+    ]
+    return table("How large it is", ("what", "value", "95 % interval", "unit"), rows) if rows else ""
+
+
+def _where(study: GapStudy) -> str:
+    if not study.spots:
+        return "Nowhere: no channel stands out over any variable by more than chance."
+    level, calm_level = (float(np.nanmean(r.residual**2)) for r in (study.flight_replay, study.calm_replay))
+    texts = []
+    for spot in study.spots[:3]:
+        if spot.standing_out > 0.0:
+            scale, unit = IN_PLOTS.get(spot.variable, (1.0, VARIABLES[spot.variable]))
+            unit = "" if unit == "-" else f" {unit}"
+            at = f"with {spot.variable} from {spot.low * scale:.2g} to {spot.high * scale:.2g}{unit}"
+        else:
+            at = "all the time alike"
+        texts.append(f"{CHANNEL_WORDS[spot.channel].lower()} {at} (excess {spot.excess:.2g})")
+    return (
+        f"Over the whole flight the mean square residual is {level:.2g} squared sigmas of the pose noise, on the calm "
+        f"flight {calm_level:.2g}. Most of it is in {'; '.join(texts)}; excess is what is over the calm flight's."
+    )
+
+
+def _contest(study: GapStudy, record: dict[str, Any]) -> str:
+    first, *others = record["ranking"]
+    second = next((r for r in others if "same_as" not in r), None)
+    text = (
+        f"{len(record['ranking'])} effects were tried; {record['threshold']:.0f} of evidence are needed so that it is "
+        f"not chance. {_plain(first['effect'])} has most: {first['gain']:.0f}, probability "
+        f"{_percent(first['probability'])}. "
+    )
+    if second is not None:
+        text += f"Next comes {_plain(second['effect']).lower()} with {second['gain']:.0f}. "
+    if len(study.naming.chosen) == 2 and study.naming.verdict == "named":
+        added = study.naming.chosen[1]
+        text += f"On top of the first, {_plain(added.effect.name).lower()} explains another {added.gain:.0f}. "
+    return text + "A difference of 10 between two effects is very strong; less leaves both in the race."
+
+
+def _before_after(study: GapStudy) -> str:
+    closed = study.closed
+    if study.naming.verdict in ("none", "outside"):
+        return (
+            f"Nothing was added, so nothing changes: {_error(closed.before)} before and after, {_error(closed.calm)} "
+            "on the calm flight."
+        )
+    over_before, over_after = closed.before.chi2 - closed.calm.chi2, closed.after.chi2 - closed.calm.chi2
+    share = f" That is {100.0 * (1.0 - over_after / over_before):.0f} % of the gap." if over_before > 0.05 else ""
+    which = "with the first alternative" if study.naming.verdict == "ambiguous" else "with the effect"
+    return (
+        f"Without the effect the model is off by {_error(closed.before)}; {which} by {_error(closed.after)}; "
+        f"the calm flight leaves {_error(closed.calm)}.{share} Holding the aircraft's own parameters as on the "
+        f"calm flight gives a chi2 of {closed.after_pinned.chi2:.2f}; letting them move without any effect, "
+        f"{closed.before_free.chi2:.2f}."
+    )
+
+
+def _small_print(record: dict[str, Any]) -> str:
+    noise, warnings = record["noise"], record["warnings"]
+    listed = "".join(f"<li>{html.escape(w)}</li>" for w in warnings)
+    slow = "; ".join(
+        f"{100 * share:.0f} % of it slow over {seconds:.1f} s in {half}" if share else f"none of it slow in {half}"
+        for share, seconds, half in zip(
+            noise["slow_share"], noise["slow_time_s"], ("position", "attitude"), strict=True
+        )
+    )
+    return (
+        f"<details><summary>Noise, warnings and time ({len(warnings)} warnings)</summary>"
+        + paragraph(
+            f"Pose noise {100 * noise['position_m']:.1f} cm and {noise['attitude_deg']:.2f}&deg;; {slow}. "
+            f"Computed in {sum(record['seconds'].values()):.0f} s."
+        )
+        + (f"<ul>{listed}</ul>" if listed else "")
+        + "</details>"
+    )
+
+
+def _error(score: Score) -> str:
+    return f"chi2 {score.chi2:.2f} ({100 * score.position_m:.1f} cm, {score.attitude_deg:.2f}&deg;)"
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ").capitalize()
+
+
+def _percent(probability: float) -> str:
+    return "over 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
+
+
+def _sentence(text: str) -> str:
+    return html.escape(text[0].upper() + text[1:] + ("" if text.endswith((".", "?")) else "."))

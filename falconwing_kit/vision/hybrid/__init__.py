@@ -1,1 +1,0 @@
-"""hybrid: the steps of the hybrid state estimate that stand on their own."""

@@ -1,1 +1,0 @@
-"""link: what a video link does to the pictures that poses are read off."""

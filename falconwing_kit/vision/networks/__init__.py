@@ -1,1 +1,0 @@
-"""networks: the learned parts of vision, in plain torch, which all of this loads; their doors are in vision."""

@@ -1,0 +1,238 @@
+"""`falconwing bridge`, `record` and `find-port`: by the words on the command line, with boards that are simulated."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import types
+
+import pytest
+
+from falconwing_kit.core.flight_log import read_flight_log
+from falconwing_kit.core.messages import Command
+from falconwing_kit.tools.bridge.bus import COMMAND, Sticks
+from falconwing_kit.tools.bridge.open_port import open_port
+from falconwing_kit.tools.bridge.ros import RosBus
+from falconwing_kit.tools.cli.bridge import LiveLine, live_text, pilot_sticks
+from falconwing_kit.tools.cli.main import main
+from falconwing_kit.trainer_port import usb
+
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+
+
+def run(verb, *words):
+    """The verb, as `falconwing VERB WORDS`."""
+    return main([verb, *words])
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """A folder without a calibration."""
+    monkeypatch.chdir(tmp_path)
+
+
+def test_the_bridge_says_what_the_board_is_and_does(capsys):
+    """A simulated board is called so; it stands in SAFE, for nobody sent a command; its pilot's sticks are seen."""
+    assert run("bridge", "--port", "sim-python", "--seconds", "0.6", "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["board"].startswith("SIMULATED board") and record["state"] == "SAFE" and record["sent"] == 0
+    assert 0.0 <= record["pilot_throttle"] <= 1.0 and record["board_ppm_frames"] > 10
+    assert record["channels_us"] == [1000, 1500, 1500, 1500] and record["resets"] == 0
+
+
+def test_the_bench_moves_the_sticks_and_never_the_throttle(capsys):
+    """Sines of 0.3 of full stick around 1500 us, 500 us to the end: within 150 us of it; idle is 1000 us."""
+    assert run("bridge", "--port", "sim-python", "--seconds", "1.5", "--move-sticks", "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    throttle, *others = record["channels_us"]
+    assert record["state"] == "ACTIVE" and throttle == 1000
+    assert max(abs(us - 1500) for us in others) > 10
+    assert all(abs(us - 1500) <= 150 for us in others)
+
+
+def test_two_givers_of_commands_are_refused(capsys):
+    """ROS and the bench: one of them."""
+    assert run("bridge", "--port", "sim-python", "--ros", "--move-sticks") == 2
+    assert "leave one out" in capsys.readouterr().err
+
+
+def test_the_bridge_s_table_ends_with_what_to_do_next(capsys):
+    """As every verb."""
+    assert run("bridge", "--port", "sim-python", "--seconds", "0.2") == 0
+    said = capsys.readouterr()
+    assert said.out.splitlines()[-1] == "next: falconwing record --port sim-python --out recordings"
+    assert "measured on no radio" in said.err
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX")
+def test_without_avr_tools_a_plain_board_takes_the_place_and_says_so(monkeypatch, capsys):
+    """Through the real serial code; the sentence names the packages."""
+    from falconwing_kit.tools.bridge import build
+
+    monkeypatch.setattr(build, "missing_tools", lambda: ["gcc-avr", "libsimavr-dev"])
+    assert run("bridge", "--port", "sim", "--seconds", "0.2", "--json") == 0
+    said = capsys.readouterr()
+    assert "apt install gcc-avr libsimavr-dev" in said.err and "plain Python" in json.loads(said.out)["board"]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["bridge", "--port", "nowhere"], "nowhere: want a serial port"),
+        (["bridge", "--port", "sim-python", "--seconds", "-1"], "--seconds: want a finite number"),
+        (["bridge", "--port", "sim-python", "--calibration", "absent.toml"], "absent.toml"),
+        (["record", "--port", "COM3", "--source", "sim"], "--source sim: want a simulated board"),
+        (["record", "--port", "sim-python", "--out", "file"], "--out file: want a folder"),
+        (["record", "--port", "sim-python", "--camera", "absent.avi", "--seconds", "1"], "absent.avi"),
+    ],
+)
+def test_wrong_words_are_one_sentence(tmp_path, capsys, words, sentence):
+    """Exit code 2, nothing flown."""
+    (tmp_path / "file").write_text("")
+    assert run(*words) == 2
+    assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C is a signal on POSIX")
+@pytest.mark.parametrize("verb", ["bridge", "record"])
+def test_ctrl_c_ends_cleanly(tmp_path, verb):
+    """A table or JSON as usual and exit code 0; a recording's log is whole."""
+    words = ["--port", "sim-python", "--json"]
+    words += ["--source", "sim", "--seconds", "60"] if verb == "record" else []
+    code = f"import sys; from falconwing_kit.tools.cli.main import main; sys.exit(main({[verb, *words]!r}))"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT, text=True
+    ) as child:
+        while "SIMULATED board" not in child.stderr.readline():
+            pass
+        end = time.monotonic() + 60.0
+        while verb == "record" and time.monotonic() < end and not list(tmp_path.glob("recordings/*.mcap")):
+            time.sleep(0.05)
+        time.sleep(0.5)
+        child.send_signal(signal.SIGINT)
+        out, _ = child.communicate(timeout=60)
+    assert child.returncode == 0
+    record = json.loads(out)
+    assert "SIMULATED" in record["board"]
+    if verb == "record":
+        assert read_flight_log(record["file"]).warnings == ()
+
+
+def test_a_recorded_approach_is_a_whole_log(tmp_path, capsys):
+    """Two seconds of it, in real time: sticks at some 45 Hz and images at 20 Hz, and the log says simulated."""
+    assert run("record", "--port", "sim-python", "--source", "sim", "--seconds", "2", "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    log = read_flight_log(record["file"])
+    assert log.metadata["simulated"] == "yes" and log.warnings == ()
+    assert len(log.commands) == record["commands"] > 20 and len(log.image_times) == record["images"] > 5
+
+
+def test_a_camera_that_is_not_there_costs_no_sticks(capsys):
+    """The grabber goes on looking for camera 99; the sticks are recorded without images."""
+    assert run("record", "--port", "sim-python", "--camera", "99", "--seconds", "0.5") == 0
+    said = capsys.readouterr().out
+    assert "next: falconwing export" in said and "no image came: is the camera plugged in, and is it 99" in said
+
+
+def test_a_recording_without_sticks_is_no_success(monkeypatch, capsys):
+    """The radio is off: exit code 1, and where to look."""
+    from falconwing_kit.tools.cli import bridge
+
+    monkeypatch.setattr(bridge, "move_sticks", lambda port, t: None)
+    assert run("record", "--port", "sim-python", "--camera", "99", "--seconds", "0.4") == 1
+    assert "no sticks came" in capsys.readouterr().out
+
+
+@pytest.fixture
+def boards(monkeypatch):
+    """Sets what is on USB."""
+
+    def put(*found):
+        monkeypatch.setattr(usb, "find_boards", lambda: list(found))
+
+    return put
+
+
+MEGA = usb.FoundBoard("/dev/ttyACM0", "Arduino Mega 2560", True, True, "")
+CLOSED = usb.FoundBoard("/dev/ttyACM0", "Arduino Mega 2560", True, False, "sudo usermod -aG dialout $USER")
+OTHER = usb.FoundBoard("/dev/ttyUSB7", "weather station", False, True, "")
+
+
+@pytest.mark.parametrize(
+    ("found", "code", "text"),
+    [
+        ([MEGA, OTHER], 0, "next: falconwing bridge --port /dev/ttyACM0"),
+        ([CLOSED], 0, "sudo usermod -aG dialout $USER"),
+        ([OTHER], 1, "weather station"),
+        ([], 1, "no board on a USB serial port found"),
+    ],
+)
+def test_find_port_answers(boards, capsys, found, code, text):
+    """0 where one may be the Mega, 1 where none; with what to do."""
+    boards(*found)
+    assert run("find-port") == code
+    assert text in capsys.readouterr().out
+    assert run("find-port", "--json") == code
+    assert len(json.loads(capsys.readouterr().out)["boards"]) == len(found)
+
+
+def test_the_live_line_says_state_delay_and_sticks():
+    """What a person looks at in flight; a port that is not there yet is said to wait."""
+    with open_port("sim-python") as port:
+        assert live_text(port) == "port waiting" and pilot_sticks(port) == []
+        port.wait_ready()
+        assert not LiveLine(port, 100.0).over()
+        end = time.monotonic() + 20.0
+        while port.pilot is None and time.monotonic() < end:
+            time.sleep(0.01)
+            port.poll()
+        text = live_text(port)
+        assert text.startswith("SAFE  1000 1500 1500 1500 us  pilot +0.") and "  boots 1  frames " in text
+        with port.simulation.paused() as board:
+            board.set_pilot(None)
+        time.sleep(0.7)
+        port.poll()
+        assert "pilot none" in live_text(port)  # half a second after the radio's last frame
+
+
+def test_the_live_line_fits_the_terminal(monkeypatch, capsys):
+    """One that wraps would leave its first half behind, four times a second; 60 columns, one of them for the cursor."""
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with open_port("sim-python") as port:
+        port.wait_ready()
+        LiveLine(port, 1.0).over()
+    line = capsys.readouterr().err.rsplit("\r", 1)[1]
+    assert line.startswith("SAFE  1000 1500 1500 1500 us") and line.endswith("\x1b[K")
+    assert len(line) - len("\x1b[K") == 59
+
+
+def test_an_alert_is_not_overlooked(capsys):
+    """On its own line, with the terminal's bell."""
+    LiveLine(types.SimpleNamespace(simulation=None), 1.0).alert("the disk is full")
+    assert capsys.readouterr().err == "\n\aALERT: the disk is full\n"
+
+
+def test_the_bridge_carries_commands_from_ros_to_the_board(ros_master, capsys):
+    """Against a real ROS master: somebody publishes commands with engage, and at the end the board had them, followed,
+    and was handed back."""
+    bus, stop = RosBus(), threading.Event()
+
+    def publish():
+        while not stop.wait(0.05):
+            bus.publish(COMMAND, Sticks(time.time(), Command(0.5, 0.1, 0.0, 0.0), engage=True))
+
+    publisher = threading.Thread(target=publish)
+    publisher.start()
+    try:
+        assert run("bridge", "--port", "sim-python", "--ros", "--seconds", "4", "--json") == 0
+    finally:
+        stop.set()
+        publisher.join()
+        bus.close()
+    record = json.loads(capsys.readouterr().out)
+    assert record["sent"] > 20 and record["engaged"] >= 1
+    assert record["engagement"] == "dropped"  # handed back at the end

@@ -1,0 +1,237 @@
+"""falconwing fly: exit codes, what is printed and written, and one sentence for what is not there yet."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from falconwing_kit.core.flight_log import read_flight_log
+from falconwing_kit.core.messages import Command
+from falconwing_kit.flight.sources import decode_jpeg
+from falconwing_kit.flight.tasks import LandingTask
+from falconwing_kit.scene import GaussianScene
+from falconwing_kit.tools.cli.main import main
+
+QUICK = ("--headless", "--no-render")
+
+
+class Dive:
+    """A pilot that leaves everything alone: the aircraft comes down before the pad."""
+
+    def act(self, observation) -> Command:
+        return Command(0.0, 0.0, -1.0, 0.0)
+
+
+@pytest.mark.parametrize("pilot", ["rgb", "mask", "rgb_mask", "student", "manual"])
+def test_pilots_that_are_not_there_yet_are_wrong_use(pilot, capsys):
+    """Exit 2 and one sentence, before anything is flown."""
+    assert main(["fly", "--pilot", pilot]) == 2
+    said = capsys.readouterr().err
+    assert said == (
+        f"falconwing: --pilot {pilot}: this version of the kit has no such pilot yet; take expert\n"
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("words", [("--source", "camera"), ("--port", "COM3")])
+def test_the_real_aircraft_is_not_there_yet(words, capsys):
+    """The expert needs a state that no camera gives yet."""
+    assert main(["fly", *words]) == 2
+    assert "no pilot for the real aircraft yet" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--size", "320"), "want WIDTHxHEIGHT"),
+        (("--size", "0x0"), "want WIDTHxHEIGHT"),
+        (("--trials", "0"), "trials: want a finite number"),
+        (("--task", "follow", "--manoeuvre", "loop"), "manoeuvre: want one of left_turn_s_descent"),
+        (("--manoeuvre", "loop"), "--manoeuvre loop: want it with --task follow only, got --task landing"),
+        (("--seed", "-1"), "seed: want a finite number"),
+        (("--against", "nowhere"), "found none there"),
+    ],
+)
+def test_wrong_options_are_wrong_use(words, sentence, monkeypatch, capsys):
+    """Exit 2, one sentence, and before a page is opened: there is none to open."""
+    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", None)
+    assert main(["fly", "--no-render", *words]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert len(said.splitlines()) == 1
+
+
+def test_a_landing_leaves_log_table_and_figures(tmp_path, capsys):
+    """Exit 0; everything under --out; the last line says what next."""
+    out = tmp_path / "new" / "out"
+    assert main(["fly", *QUICK, "--seed", "500", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("SIMULATED: landing by expert\nsuccess: 1 of 1")
+    assert said.splitlines()[-1].startswith("next: ")
+    names = {path.name for path in out.iterdir()}
+    assert names == {"trial_000.mcap", "trials.jsonl", "trials.csv", "summary.json", "paths.png", "results.png"}
+    assert [path.name for path in tmp_path.iterdir()] == ["new"]
+
+
+def test_a_failed_task_exits_1_and_pairs_are_compared(tmp_path, monkeypatch, capsys):
+    """The expert lands twice, the dive never: exit 1, pairs 2, and the other one won both. p = 2 (1/2)^2."""
+    words = ["fly", *QUICK, "--seed", "500", "--trials", "2"]
+    assert main([*words, "--out", str(tmp_path / "expert"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["successes"] == 2
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
+    assert main([*words, "--against", str(tmp_path / "expert"), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert (found["successes"], found["simulated"]) == (0, True)
+    assert found["against"] == {"pairs": 2, "only_first": 0, "only_second": 2, "p_value": 0.5}
+    assert main([*words, "--against", str(tmp_path / "expert")]) == 1
+    said = capsys.readouterr().out
+    assert "trial 0: touched floor" in said
+    assert "McNemar p = 0.5" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--task", "follow"), "task 'landing' instead of 'follow left_turn_s_descent'"),
+        (("--seed", "501"), "list 500 instead of 501"),
+    ],
+)
+def test_other_tasks_and_starts_are_not_paired_or_mixed(words, told, tmp_path, monkeypatch, capsys):
+    """A landing of list 500 is kept; a chase or another list is no pair of it and does not go on there.
+
+    Found before anything is flown: there is no page to open.
+    """
+    kept = str(tmp_path / "kept")
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
+    assert main(["fly", *QUICK, "--seed", "500", "--out", kept]) == 1
+    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", None)
+    for option in ("--against", "--out"):
+        capsys.readouterr()
+        assert main(["fly", "--seed", "500", *words, option, kept]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith(f"falconwing: {option} ")
+        assert told in said
+        assert len(said.splitlines()) == 1
+
+
+def test_a_study_with_other_images_is_found_before_it_flies(tmp_path, monkeypatch, capsys):
+    """Flown without images as fast as it can; with images, or in real time, it is another study."""
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
+    assert main(["fly", *QUICK, "--out", str(tmp_path)]) == 1
+    monkeypatch.setattr("falconwing_kit.tools.trials.trials.fly_trials", None)
+    monkeypatch.setattr("falconwing_kit.tools.cli.fly._page", None)
+    for words, told in ((("--headless",), "rendered False"), (("--no-render",), "clock 'SimulatedClock'")):
+        assert main(["fly", *words, "--out", str(tmp_path)]) == 2
+        assert told in capsys.readouterr().err
+
+
+def test_a_file_in_place_of_the_folder_is_wrong_use(tmp_path, capsys):
+    """Found before anything is flown."""
+    (tmp_path / "taken").write_text("")
+    assert main(["fly", *QUICK, "--out", str(tmp_path / "taken")]) == 2
+    assert "want a folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("stadium", "want a file or a name that ships (arena, "),
+        ("leader", "want a hall to fly in, got an aircraft"),
+        ("plane.npz", "want a hall to fly in, got an aircraft"),
+        ("nowhere.npz", "nowhere.npz"),
+        ("half.npz", "half.npz"),
+    ],
+)
+def test_a_scene_that_is_no_hall_is_wrong_use(name, sentence, tmp_path, monkeypatch, capsys):
+    """Exit 2 and one sentence before a page is opened: no such name or file, half a file, an aircraft alone."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", None)
+    plane = GaussianScene([[0, 0, 0]], [[1, 0, 0, 0]], [[0.1] * 3], [0.9], [[[0.5] * 3]], (), ("leader",))
+    plane.save("plane.npz")
+    Path("half.npz").write_bytes(Path("plane.npz").read_bytes()[:300])
+    for verb in ("fly", "demo"):
+        assert main([verb, "--scene", name]) == 2
+        said = capsys.readouterr().err
+        assert sentence in said and len(said.splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["half.npz", "plane.npz"]
+
+
+def test_a_scene_file_is_what_the_camera_sees(tmp_path, monkeypatch, capsys):
+    """One large red cloud for a hall: every image of the log is red and nothing else; the arena has no such view."""
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
+    red = [[[1.77, -1.77, -1.77]]]  # 1/2 + 0.282 * 1.77 = 1
+    GaussianScene([[30, 0, 0]], [[1, 0, 0, 0]], [[9.0] * 3], [0.99], red, (), ("wall",)).save(tmp_path / "fog.npz")
+    words = ["fly", "--headless", "--size", "32x24", "--json", "--out", str(tmp_path / "out")]
+    assert main([*words, "--scene", str(tmp_path / "fog.npz")]) == 1
+    assert json.loads(capsys.readouterr().out)["scene"].endswith("fog.npz")
+    seen = [decode_jpeg(image) for image in read_flight_log(tmp_path / "out" / "trial_000.mcap").images()]
+    assert len(seen) > 2
+    brightest = np.array([pixels.max(axis=(0, 1)) for pixels in seen])
+    assert (brightest[:, 0] > 100).all() and (brightest[:, 1:] < 25).all()  # JPEG shifts colours by a few steps
+
+
+class StandInPage:
+    """A page without a browser that counts the steps it is shown."""
+
+    url, shown = "http://127.0.0.1:8080", 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def open(self) -> bool:
+        return False
+
+    def set_scene(self, scene) -> None:
+        self.scene = scene
+
+    def show(self, step) -> None:
+        type(self).shown += 1
+
+
+def test_without_headless_a_page_is_shown_the_flight_in_real_time(monkeypatch, capsys):
+    """Every step flown is shown; the page's address does not disturb the JSON. How the dive ends is not asked here."""
+    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", StandInPage)
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
+    assert main(["fly", "--no-render", "--json"]) == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out)["trials"] == 1
+    assert "live page: http://127.0.0.1:8080" in said.err
+    assert StandInPage.shown > 2
+
+
+FOLLOW = ("--task", "follow", "--headless", "--seed", "500")
+
+
+def test_the_expert_follows_with_images(capsys):
+    """4 m behind, the leader's outline of 0.047 m^2 is 29 px of a 160 x 120 image (f = 99 px): locked throughout."""
+    assert main(["fly", *FOLLOW, "--size", "160x120", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["images"].startswith("160x120 images by ")
+    assert found["task"] == "follow left_turn_s_descent"
+    assert found["locked_share"]["mean"] == 1.0
+
+
+def test_a_leader_too_small_in_the_image_is_lost_at_once(tmp_path, capsys):
+    """The same outline is 1.2 px of a 32 x 24 image (f = 20 px), fewer than the six that a lock needs.
+
+    What a chase keeps can be taken up again: the second time nothing is left to fly.
+    """
+    words = ["fly", *FOLLOW, "--size", "32x24", "--no-render", "--out", str(tmp_path)]
+    assert main(words) == 1
+    assert main(words) == 1
+    said = capsys.readouterr().out
+    assert "trial 0: duration, lock lost at 0.00 s" in said
+    assert "\nocclusion not judged: no images\n" in said
+
+
+def test_a_landing_needs_no_judge_of_occlusion_and_says_what_its_times_are_of(capsys):
+    """Flown without images too, but nothing can hide the pad: only the run time tells that there were none."""
+    assert main(["fly", *QUICK, "--seed", "500"]) == 0
+    said = capsys.readouterr().out
+    assert "occlusion" not in said
+    (told,) = (line for line in said.splitlines() if line.startswith("ART: "))
+    assert " steps within " in told
+    assert "(no images; " in told

@@ -1,0 +1,156 @@
+"""`falconwing export` and `replay`: what becomes of a flight log, by the words on the command line."""
+
+import json
+import shutil
+import webbrowser
+
+import numpy as np
+import pytest
+
+from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
+from falconwing_kit.core.flight_table import read_flight_table
+from falconwing_kit.core.messages import Command, Image, State
+from falconwing_kit.tools.cli.main import main
+from falconwing_kit.tools.demo import live_page
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Ten frames, each command with its own throttle; beside it the log as it stands in mid-flight."""
+    path = tmp_path / "flight.mcap"
+    with FlightLogWriter(path) as writer:
+        for k in range(10):
+            writer.state(0.05 * k, State.from_vector(np.arange(9.0) / 10.0 + k / 100.0), image_sequence=k)
+            writer.command(
+                0.05 * k + 0.03, Command(0.1 * k, 0.0, 0.0, 0.0, k), Image(k, 0.05 * k, np.zeros(9, np.uint8))
+            )
+        shutil.copy(path, tmp_path / "interrupted.mcap")
+    return path
+
+
+def test_a_log_becomes_a_table(log, tmp_path, capsys):
+    """Ten rows with their poses and commands; the last line says what to type next."""
+    assert main(["export", str(log), "--out", str(tmp_path / "flight.csv")]) == 0
+    table = read_flight_table(tmp_path / "flight.csv")
+    assert table.commands[:, 0] == pytest.approx([0.1 * k for k in range(10)]) and table.has_pose.all()
+    assert capsys.readouterr().out.splitlines()[-1].startswith("next: falconwing identify")
+
+
+def test_an_interrupted_log_becomes_a_whole_one(log, tmp_path, capsys):
+    """All that was recorded is there, the interruption is said, and the new log has none."""
+    (tmp_path / "saved").mkdir()
+    assert (
+        main(["export", str(tmp_path / "interrupted.mcap"), "--to", "mcap", "--out", str(tmp_path / "saved"), "--json"])
+        == 0
+    )
+    report = json.loads(capsys.readouterr().out)
+    saved = read_flight_log(tmp_path / "saved" / "interrupted.mcap")
+    assert report["command"] == len(saved.commands) == 10 and "closing record" in report["warnings"][0]
+    assert saved.warnings == ()
+
+
+def test_an_interrupted_log_becomes_a_bag(log, tmp_path, capsys):
+    """Ten of each by hand, as the library that wrote the bag reads it; the interruption is said."""
+    from rosbags.rosbag1 import Reader
+
+    assert main(["export", str(tmp_path / "interrupted.mcap"), "--to", "bag", "--out", str(tmp_path), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert "closing record" in report["warnings"][0]
+    with Reader(tmp_path / "interrupted.bag") as bag:
+        counts = {topic: info.msgcount for topic, info in bag.topics.items()}
+    assert counts == {f"/falconwing/{name}": 10 for name in ("image", "command", "pose", "twist")}
+    assert {topic: report[topic] for topic in counts} == counts
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["absent.mcap", "--out", "a.csv"], "absent.mcap"),
+        (["flight.mcap", "--out", "flight.mcap"], "another name"),
+        (["flight.mcap", "--out", "none/a.csv"], "want a folder"),
+        (["flight.mcap", "--out", "none/a.bag", "--to", "bag"], "want a folder"),
+        (["notes.txt", "--out", "a.csv"], "want a flight log in MCAP format"),
+    ],
+)
+def test_wrong_use_is_one_sentence_and_exit_2(log, tmp_path, monkeypatch, capsys, words, sentence):
+    """Nothing is written and the log is as before."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "notes.txt").write_text("no log")
+    before = sorted(tmp_path.iterdir())
+    assert main(["export", *words]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error and error.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
+    assert len(read_flight_log(log).commands) == 10
+
+
+@pytest.fixture
+def flown(tmp_path):
+    """A short flight with views, each of one grey, and a mode that changes."""
+    with FlightLogWriter(tmp_path / "flown.mcap") as writer:
+        writer.metadata({"simulated": "yes"})
+        for k in range(20):
+            state = State(np.array([0.3 * k, -2.0, 1.0]), 0.0, 0.0, 0.0, np.array([6.0, 0.0, 0.0]))
+            writer.state(0.05 * k, state, image_sequence=k)
+            writer.command(
+                0.05 * k,
+                Command(0.05 * k, 0.0, 0.0, 0.0, k),
+                Image(k, 0.05 * k, np.full((24, 32, 3), 10 * k, np.uint8)),
+            )
+            if k in (0, 10):
+                writer.event(0.05 * k, "mode", {"mode": ("approach", "flare")[k // 10]})
+    return tmp_path / "flown.mcap"
+
+
+def test_replay_draws_the_figures_of_the_demo(flown, tmp_path, capsys):
+    """Headless: the four figures in a folder that was not there; the last line says what to type next."""
+    assert main(["replay", str(flown), "--headless", "--out", str(tmp_path / "figures")]) == 0
+    assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == [
+        "flight_film.png", "flight_fpv.png", "flight_path.png", "flight_sticks.png",
+    ]  # fmt: skip
+    assert capsys.readouterr().out.splitlines()[-1].startswith("next: falconwing export")
+
+
+def test_replay_shows_every_step_of_the_log(flown, monkeypatch, capsys):
+    """Each step reaches the page once: sticks, modes and views as logged; the page says whose flight it is."""
+    shown, banners = [], []
+    furnish = live_page.LivePage.__init__
+
+    def begin(page, scene, port, banner):
+        banners.append(banner)
+        furnish(page, scene, port, banner)
+
+    monkeypatch.setattr(live_page.LivePage, "__init__", begin)
+    monkeypatch.setattr(live_page.LivePage, "set_scene", lambda page, scene: None)
+    monkeypatch.setattr(live_page.LivePage, "show", lambda page, step: shown.append(step))
+    monkeypatch.setattr(webbrowser, "open", lambda url: False)
+    assert main(["replay", str(flown), "--once", "--speed", "0.5", "--port", "18431"]) == 0
+    assert banners == ["REPLAY of a SIMULATION"]
+    assert len(shown) == 20  # also on a busy machine: time waits for it
+    for k, step in enumerate(shown):
+        assert step.command.throttle == pytest.approx(0.05 * k)
+        assert step.mode == ("approach", "flare")[k >= 10]
+        assert abs(float(step.image.pixels.mean()) - 10 * k) <= 2.0
+        assert step.state.p_world[0] == pytest.approx(0.3 * k)
+    assert "live page: http://127.0.0.1:" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["absent.mcap"], "absent.mcap: want a file, found nothing there"),
+        (["absent.mcap", "--headless"], "absent.mcap: want a file, found nothing there"),
+        (["flown.mcap", "--speed", "0"], "speed: want a finite number in"),
+        (["flown.mcap", "--port", "80"], "port: want a finite number in"),
+        (["flown.mcap", "--headless", "--out", "flown.mcap"], "--out flown.mcap: want a folder, got a file"),
+    ],
+)
+def test_replay_of_nothing_is_one_sentence_and_exit_2(flown, tmp_path, monkeypatch, capsys, words, sentence):
+    """Nothing is opened or written."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(webbrowser, "open", lambda url: pytest.fail("a browser was opened"))
+    before = sorted(tmp_path.iterdir())
+    assert main(["replay", *words]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error and error.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before

@@ -1,0 +1,210 @@
+"""Box: a function answers from inside; what it uses up is bound; the box the probe tries is closed."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.grading.sandbox import limits, probe, runtime
+from falconwing_kit.tools.grading.sandbox.box import Job, StudentError, in_box, in_process
+from tests.tools.grading import toys
+
+BOXES = {"in_process": in_process, "in_box": in_box}
+
+
+def job(text, **more):
+    return Job(text, "f", toys.LAB, **{"seconds": 1.0, "memory_mib": 128, **more})
+
+
+@pytest.fixture(params=["in_process", pytest.param("in_box", marks=toys.needs_box)])
+def box(request):
+    """Both kinds: the grader's and the student's own."""
+    return BOXES[request.param]
+
+
+def category(box, text, *arguments, **more):
+    """The category of a call that gives no answer."""
+    with box(job(text, **more)) as worker, pytest.raises(StudentError) as failed:
+        worker.call(*arguments)
+    return failed.value.category
+
+
+def test_function_answers_like_a_local_one(box):
+    """By hand: 3 x + 2.5 of the course's number, and the constants given instead of the lab's."""
+    text = "from given import COHORT\ndef f(x, what):\n    return 3 * x + COHORT['offset'], {'what': what}"
+    with box(job(text)) as worker:
+        for _ in range(3):
+            numbers, words = worker.call(np.arange(3.0), "β")
+            np.testing.assert_array_equal(numbers, [2.5, 5.5, 8.5])
+            assert words == {"what": "β"}
+    with box(job(text, constants={"offset": 1.0})) as worker:
+        assert worker.call(1.0, "")[0] == 4.0
+
+
+def test_function_can_be_called_through_another(box):
+    """`twice` of given.py: 3 (3 x) = 9 x."""
+    with box(job("def f(x):\n    return 3 * x", through="twice")) as worker:
+        assert worker.call(2.0) == 18.0
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("def g(): pass", "missing"),
+        ("f = 3", "missing"),
+        ("def f(): raise NotImplementedError('write f')", "not written"),
+        ("def f(): return 1 / 0", "exception:ZeroDivisionError"),
+        ("1 / 0\ndef f(): pass", "exception:ZeroDivisionError"),
+        ("def f(:", "exception:SyntaxError"),
+        ("class OwnError(Exception): pass\ndef f(): raise OwnError", "exception"),
+        ("def f(): raise MemoryError", "memory"),
+        ("def f(): return object()", "bad answer"),
+        ("import os\ndef f(): os._exit(0)", "died"),
+        ("import falconwing_kit\ndef f(): return 1", "exception:ModuleNotFoundError"),
+    ],
+)
+def test_failures_have_a_category(box, text, wanted):
+    """The list in StudentError's docstring."""
+    assert category(box, text) == wanted
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of one's own are Linux's")
+def test_time_and_memory_are_bound(box):
+    """1 s of computing, 128 MiB: a loop and 1 GiB are too much; the loop ends well before a minute of waiting."""
+    begin = time.monotonic()
+    assert category(box, "def f():\n    while True: pass") == "timeout"
+    assert time.monotonic() - begin < 60.0
+    assert category(box, "def f(): return len(bytearray(1 << 30))") == "memory"
+
+
+def test_after_a_failure_the_next_call_still_answers(box):
+    """An exception ends a call, not the box; a box that ended says again why."""
+    text = "import os\ndef f(x):\n    if x > 1: os._exit(0)\n    return 1 / x"
+    with box(job(text)) as worker:
+        with pytest.raises(StudentError, match="ZeroDivisionError"):
+            worker.call(0)
+        assert worker.call(1) == 1.0
+        for _ in range(2):
+            with pytest.raises(StudentError, match="died"):
+                worker.call(2)
+
+
+def test_prints_and_inputs_go_nowhere(box):
+    """The pipe to the grader is not the program's output."""
+    with box(job("def f():\n    print('x' * 100000)\n    return input.__name__")) as worker:
+        assert worker.call() == "input"
+
+
+def test_draws_without_a_seed_are_the_same_each_time(box):
+    """Else a regrade could not be bit-identical; sets of texts too are in the same order."""
+    text = (
+        "import numpy as np, random\ndef f(): return np.random.rand(), random.random(), ''.join({'a', 'b', 'c', 'd'})"
+    )
+    answers = []
+    for _ in range(2):
+        with box(job(text)) as worker:
+            answers.append(worker.call())
+    assert answers[0] == answers[1]
+
+
+@toys.needs_box
+def test_nothing_outlives_a_box():
+    """A child that left its parents; and the control groups."""
+    token = "token-of-test-box"
+    text = (
+        "import os, sys, time\ndef f():\n    if os.fork() == 0:\n        os.setsid()\n"
+        f"        os.execv(sys.executable, [sys.executable, '-S', '-c', 'import time; time.sleep(99)', {token!r}])\n"
+        "    time.sleep(0.3)\n    return 1"
+    )
+    with in_box(job(text)) as worker:
+        assert worker.call() == 1
+        assert len(toys.processes_with(token)) == 1
+    assert toys.processes_with(token) == []
+    assert toys.groups_left() == []
+
+
+@toys.needs_box
+def test_box_ends_with_a_grader_that_is_killed():
+    """The grader is killed while a function sleeps: its box is gone, and the next grader sweeps its groups."""
+    code = (
+        "from pathlib import Path\nfrom falconwing_kit.tools.grading.sandbox.box import Job, in_box\n"
+        'text = \'import os, sys\\ndef f(t): os.execv(sys.executable, [sys.executable, "-S", "-c", '
+        '"import time; time.sleep(99)", t])\'\n'
+        f"box = in_box(Job(text, 'f', Path({str(toys.LAB)!r}))).__enter__()\nprint(box.process, flush=True)\n"
+        "box.call('token-of-killed-grader')"
+    )
+    grader = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=Path(__file__).parents[3])
+    assert grader.stdout.readline()
+    _wait(lambda: len(toys.processes_with("token-of-killed-grader")) >= 2)  # the grader's own words hold it too
+    grader.kill()
+    grader.wait()
+    grader.stdout.close()
+    _wait(lambda: not toys.processes_with("token-of-killed-grader"))
+    limits.sweep()
+    assert toys.groups_left() == []
+
+
+def _wait(fulfilled):
+    end = time.monotonic() + 30.0
+    while not fulfilled():
+        assert time.monotonic() < end, "it did not come about in 30 s"
+        time.sleep(0.05)
+
+
+@toys.needs_box
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() != 0, reason="root alone can make control groups anywhere"
+)
+def test_groups_bind_what_limits_do_not():
+    """Twelve children of 100 MiB each stay below one's own limit of 128; the box's memory ends some of them."""
+    if limits.controllers() != ("memory", "pids"):
+        pytest.skip("this system does not let root make control groups")
+    text = (
+        "import os, time\ndef f():\n    for _ in range(12):\n        if os.fork() == 0:\n"
+        "            kept = bytearray(b'x') * (100 << 20)\n            time.sleep(2)\n            os._exit(0)\n"
+        "    return sum(os.wait()[1] == 9 for _ in range(12))"
+    )
+    with in_box(job(text)) as worker:
+        try:
+            assert worker.call() > 0
+        except StudentError as error:
+            assert error.category == "memory"  # the kernel chose the one that had started them
+
+
+@toys.needs_box
+def test_probe_finds_no_hole():
+    """On a machine with bubblewrap every attempt fails."""
+    findings = probe.probe()
+    assert probe.holes(findings) == []
+    assert len(findings) >= 12
+
+
+def test_probe_sees_holes_where_there_are_some(tmp_path):
+    """The same attempts in a plain process: it has a network, files, an environment, and may write."""
+    (tmp_path / "secret").write_text("x")
+    plain = Job(probe._PAYLOAD, "tried", tmp_path, seconds=1.0, memory_mib=128)
+    with probe._listening() as port, in_process(plain) as worker:
+        assert "a port of this machine" in worker.call("network", port)
+        assert worker.call("files", [str(tmp_path / "secret")], "/nowhere", []) == str(tmp_path / "secret")
+        assert "PATH" in worker.call("environment", [])
+        assert str(tmp_path) in worker.call("writing", [str(tmp_path)])
+        assert worker.call("modules", ["json"]) == "json"
+
+
+@toys.needs_box
+def test_holes_stop_the_probe_from_being_green(tmp_path, monkeypatch):
+    """A box that shares the network, made so on purpose, is found out, and nothing else is."""
+    monkeypatch.setattr(runtime, "_WALLS", (*runtime._WALLS, "--share-net"))
+    assert [hole.split(":")[0] for hole in probe.holes(list(probe._walls(tmp_path)))] == ["network"]
+
+
+def test_without_bubblewrap_the_sentence_says_what_to_install(monkeypatch):
+    """An empty PATH has none."""
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(InputError, match="apt install bubblewrap"):
+        in_box(job("def f(): pass"))

@@ -1,0 +1,146 @@
+"""Judge: right answers count, others say how they failed, and our own mistakes are not the student's."""
+
+import json
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from falconwing_kit.tools.grading.find import load_checks
+from falconwing_kit.tools.grading.judge import Assignment, JudgeError, Work, grade_one, judge
+from falconwing_kit.tools.grading.lab import Trials, Values
+from falconwing_kit.tools.grading.sandbox.box import StudentError
+from falconwing_kit.tools.grading.submissions import Submission, find_submissions
+from tests.tools.grading import toys
+
+DOUBLE = Values(lambda rng: (rng.normal(size=3),), lambda x: 2.0 * x, cases=3)
+
+
+def ways(function, *judges):
+    return judge(function, judges or (DOUBLE,), np.random.default_rng(0))
+
+
+def silent(*_):
+    raise StudentError("timeout")
+
+
+@pytest.mark.parametrize(
+    ("function", "way"),
+    [
+        (lambda x: 2.0 * x, "right"),
+        (lambda x: x + x + 1e-12, "right"),
+        (lambda x: -2.0 * x, "wrong value"),
+        (lambda x: 2.0 * x + np.nan, "wrong value"),
+        (lambda x: 2.0 * x[:2], "wrong shape"),
+        (lambda x: (2.0 * x,), "wrong shape"),
+        (lambda x: "SECRET", "wrong shape"),
+        (lambda x: None, "wrong shape"),
+        (silent, "timeout"),
+    ],
+)
+def test_every_case_says_how_it_failed(function, way):
+    """By hand, three cases each."""
+    assert ways(function) == [way] * 3
+
+
+def test_trials_pass_or_fail():
+    """Two of four streams draw above a half with this seed or not; the answer of a text breaks our own arithmetic."""
+    trials = Trials(lambda f, rng: bool(f(1.0) + 1.0 == 3.0), trials=2)
+    assert ways(lambda x: 2.0 * x, trials) == ["right"] * 2
+    assert ways(lambda x: 3.0 * x, trials) == ["trial failed"] * 2
+    assert ways(lambda x: "text", trials) == ["bad answer"] * 2
+
+
+def test_truth_that_is_not_true_is_not_right():
+    """A plant of ours must say True; an array of ones is no verdict."""
+    assert ways(lambda x: x, Trials(lambda f, rng: np.ones(3), trials=1)) == ["trial failed"]
+
+
+def test_question_can_not_be_changed_by_the_answerer():
+    """The right answer is found before the function gets its arguments."""
+
+    def clears(x):
+        x[:] = 0.0
+        return x
+
+    assert ways(clears) == ["wrong value"] * 3
+
+
+@pytest.mark.parametrize("broken", ["draw", "reference"])
+def test_judges_own_failure_is_no_students_mistake(broken):
+    """A division by zero of ours must not cost anyone points."""
+    with pytest.raises(JudgeError, match="ZeroDivisionError"):
+        ways(lambda x: x, replace(DOUBLE, **{broken: lambda *_: 1 / 0}))
+
+
+@pytest.fixture
+def handed_in(tmp_path):
+    """Grades a notebook of cells in plain processes."""
+
+    def grade(*cells, seed="", secret="s", name="ada.ipynb", data=None):
+        (tmp_path / name).write_bytes(toys.notebook_bytes(*cells) if data is None else data)
+        (submission,) = find_submissions(tmp_path / name, "lab00")
+        return grade_one(Work(submission, seed), Assignment(toys.LAB, "", secret, sandboxed=False))
+
+    return grade
+
+
+def test_points_are_shares_of_cases(handed_in):
+    """stretch wrong for gains above 1.5, which this seed draws for some of its four cases; brake right: 25 points."""
+    half = "def stretch(x, gain):\n    return gain * x + COHORT['offset'] * (gain < 1.5)"
+    record = handed_in(toys.HEAD, half, toys.BRAKE, seed="2")
+    stretch = record["exercises"]["stretch"]
+    assert 0 < stretch["right"] < stretch["cases"] == 4
+    assert stretch["points"] == 50.0 * stretch["right"] / 4
+    assert stretch["categories"] == {"wrong value": 4 - stretch["right"]}
+    assert record["points"] == stretch["points"] + 25.0
+    assert (record["of"], record["status"], record["sandboxed"]) == (75.0, "graded", False)
+
+
+def test_same_seed_gives_the_same_record_and_another_other_cases(handed_in):
+    """Bit-identical, as a regrade must be; 20 seeds of a threshold in the middle are not all alike."""
+    half = "def stretch(x, gain):\n    return gain * x + COHORT['offset'] * (gain < 1.5)"
+    first = handed_in(toys.HEAD, half, seed="1")
+    assert json.dumps(handed_in(toys.HEAD, half, seed="1")) == json.dumps(first)
+    assert len({handed_in(toys.HEAD, half, seed=str(n))["points"] for n in range(6)}) > 1
+
+
+def test_seed_follows_from_secret_student_and_notebook(handed_in):
+    """A student who hands in the same file under another name gets other cases; nobody can know them beforehand."""
+    seeds = {
+        handed_in(toys.HEAD)["seed"],
+        handed_in(toys.HEAD, secret="t")["seed"],
+        handed_in(toys.HEAD, name="bob.ipynb")["seed"],
+        handed_in(toys.HEAD, "1")["seed"],
+    }
+    assert len(seeds) == 4
+    assert handed_in(toys.HEAD)["seed"] in seeds
+
+
+def test_untouched_and_missing_functions_have_no_points(handed_in):
+    """The stub says so itself; a missing function too, for every case."""
+    record = handed_in(toys.HEAD, "def stretch(x, gain):\n    raise NotImplementedError('write stretch')")
+    assert record["points"] == 0.0
+    assert record["exercises"]["stretch"]["categories"] == {"not written": 4}
+    assert record["exercises"]["brake"]["categories"] == {"missing": 3}
+    assert record["exercises"]["brake"]["problems"] == ["no code cell defines brake"]
+
+
+def test_unreadable_notebook_is_recorded(handed_in):
+    """No points, the reason, and the file's fingerprint."""
+    record = handed_in(data=b"{")
+    assert (record["status"], record["points"], len(record["sha256"])) == ("unreadable", 0.0, 64)
+    assert "want a Jupyter notebook" in record["problem"]
+
+
+def test_work_and_assignment_can_be_sent():
+    """What a cluster needs: all of it can be pickled, and comes back equal."""
+    work = (Work(Submission("ada", toys.LAB / "x.ipynb", ("a.ipynb",), (1.0,))), Assignment(toys.LAB, "s", "t"))
+    assert pickle.loads(pickle.dumps(work)) == work
+    assert pickle.loads(pickle.dumps(grade_one)) is grade_one
+
+
+def test_toy_lab_sums_to_its_points():
+    """75 for the machine, as in every lab."""
+    assert sum(exercise.points for exercise in load_checks(toys.LAB).exercises) == 75.0

@@ -1,0 +1,80 @@
+"""Likeness: disguises do not hide a copy, another idea is not one, and what all have weighs nothing."""
+
+import textwrap
+
+from falconwing_kit.tools.grading.course.similar import compare_class, fingerprints, kit_functions, similar_pairs
+from tests.tools.grading import toys
+from tests.tools.grading.classes import LAB
+
+LOOP = textwrap.dedent('''
+    def path(points, limit):
+        """The longest step."""
+        best = 0.0
+        for here, there in zip(points[:-1], points[1:]):
+            step = np.hypot(there[0] - here[0], there[1] - here[1])
+            if step > best and step < limit:
+                best = step
+        return best / limit
+''')
+RENAMED = textwrap.dedent("""
+    def path(p: np.ndarray, most: float = 3) -> float:
+        # my own work
+        m = 7
+        for a, b in zip(p[:-2],
+                        p[2:]):
+            d = np.hypot(b[1] - a[1], b[0] - a[0])
+            if d > m and d < most: m = d
+        return m / most
+""")
+ARRAYS = textwrap.dedent("""
+    def path(points, limit):
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        return steps[steps < limit].max(initial=0.0) / limit
+""")
+
+
+def share(a, b):
+    return len(fingerprints(a) & fingerprints(b)) / min(len(fingerprints(a)), len(fingerprints(b)))
+
+
+def test_names_numbers_and_layout_do_not_count():
+    """The same function in disguise has nearly the same fingerprints; another way to the same answer hardly any."""
+    assert share(LOOP, RENAMED) > 0.6
+    assert share(LOOP, LOOP.replace("best", "x").replace("0.0", "1.5")) == 1.0
+    undocumented = LOOP.replace('    """The longest step."""\n', "")
+    assert fingerprints(undocumented) == fingerprints(LOOP) and undocumented != LOOP
+    assert share(LOOP, ARRAYS) < 0.2
+
+
+def test_what_is_no_python_has_none():
+    """Whatever a student hands in."""
+    assert [fingerprints(text) for text in ("", "def (", "x = 1", "(" * 5000 + ")" * 5000)] == [frozenset()] * 4
+
+
+def test_common_code_weighs_less_than_rare_code():
+    """Eight of ten have the same loop, two another function: the two stand above every pair of the eight."""
+    now = {f"s{n}": fingerprints(LOOP) for n in range(8)} | {f"copy{n}": fingerprints(ARRAYS) for n in range(2)}
+    pairs = {(p.left, p.right): p for p in similar_pairs("path", now, {}, {})}
+    assert pairs["copy0", "copy1"].share == 1.0
+    assert len(pairs) == 28 + 1  # of eight, and of two
+    pieces = {name: len(fingerprints(text)) for name, text in (("loop", LOOP), ("arrays", ARRAYS))}
+    rare = pairs["copy0", "copy1"].weight / pieces["arrays"]
+    common = pairs["s0", "s1"].weight / pieces["loop"]
+    assert rare > 5.0 * common  # by hand log2(11 / 2) = 2.46 and log2(11 / 8) = 0.46
+
+
+def test_copy_of_the_kit_and_of_an_earlier_class_is_found(tmp_path):
+    """A function of the kit under another name, and last year's: both stand in the list, with both texts."""
+    name, text = next((n, t) for n, t in kit_functions().items() if n == "grading.lab.course_constants")
+    copied = text.replace("course_constants", "stretch").replace("share", "d")
+    (tmp_path / "old_dan.ipynb").write_bytes(toys.notebook_bytes(LOOP.replace("path", "brake")))
+    now = {
+        "eve": {"stretch": copied, "brake": RENAMED.replace("path", "brake")},
+        "ada": {"stretch": ARRAYS, "brake": ""},
+    }
+    found, texts = compare_class(toys.LAB, LAB, now, tmp_path)
+    listed = {(each.left, each.right): each.functions for each in found}
+    assert listed["eve", f"kit: {name}"] == "stretch 100 %"
+    assert listed["eve", "before: old_dan"].startswith("brake ")
+    assert not [pair for pair in listed if pair[0] == "ada"]
+    assert "def brake(points" in texts["brake", "before: old_dan"] and texts["stretch", f"kit: {name}"] == text

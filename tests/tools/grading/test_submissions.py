@@ -1,0 +1,172 @@
+"""Submissions: who handed in what, from folders and platforms' zips; links and names that lead out are not followed."""
+
+import io
+import os
+import stat
+import zipfile
+from pathlib import PurePosixPath
+
+import pytest
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.grading import submissions
+from falconwing_kit.tools.grading.submissions import find_submissions, student_of
+from tests.tools.grading import toys
+
+GOOD = toys.notebook_bytes(toys.STRETCH)
+
+
+def zipped(entries):
+    """A zip of names and contents; a name may be a ZipInfo."""
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in entries:
+            archive.writestr(name, content)
+    return data.getvalue()
+
+
+def found_in(path, lab="lab03"):
+    return {each.student: each for each in find_submissions(path, lab)}
+
+
+@pytest.mark.parametrize(
+    ("path", "student"),
+    [
+        ("ada.ipynb", "ada"),
+        ("lab03_ada.ipynb", "ada"),
+        ("ada-lab03.ipynb", "ada"),
+        ("ada/lab03.ipynb", "ada"),
+        ("ada/week 3/lab03.ipynb", "ada"),
+        ("Ada Lovelace_4711_assignsubmission_file_/lab03.ipynb", "Ada Lovelace_4711"),
+        ("export/Ada Lovelace_4711_assignsubmission_file/lab03.ipynb", "Ada Lovelace_4711"),
+        ("lovelaceada_123_456_lab03.ipynb", "lovelaceada_123"),
+        ("lovelaceada_LATE_123_456_lab03-2.ipynb", "lovelaceada_123"),
+        ("lovelaceada_123_456_work/lab03.ipynb", "lovelaceada_123"),
+        ("a\nda\u202e.ipynb", "ada"),
+        ("\n.ipynb", "unnamed"),
+    ],
+)
+def test_students_are_told_apart_by_their_files(path, student):
+    """The names that Moodle and Canvas give, and plain ones; by hand. Control characters do not reach a terminal."""
+    assert student_of(PurePosixPath(path)) == student
+
+
+def test_one_notebook_is_one_student(tmp_path):
+    """What is read is what is on the disk."""
+    (tmp_path / "ada.ipynb").write_bytes(GOOD)
+    (one,) = find_submissions(tmp_path / "ada.ipynb", "lab03")
+    assert (one.student, one.problem, one.read()) == ("ada", "", GOOD)
+
+
+def test_folder_of_files_folders_and_zips(tmp_path):
+    """One student each; other files are passed over."""
+    (tmp_path / "ada.ipynb").write_bytes(GOOD)
+    (tmp_path / "bob" / ".ipynb_checkpoints").mkdir(parents=True)
+    (tmp_path / "bob" / "work.ipynb").write_bytes(GOOD)
+    (tmp_path / "bob" / ".ipynb_checkpoints" / "work.ipynb").write_bytes(b"old")
+    (tmp_path / "eve.zip").write_bytes(zipped([("inner/lab03.ipynb", GOOD), ("__MACOSX/._lab03.ipynb", b"x")]))
+    (tmp_path / "readme.txt").write_text("x")
+    found = found_in(tmp_path)
+    assert {name: each.read() for name, each in found.items()} == dict.fromkeys(("ada", "bob", "eve"), GOOD)
+    assert len({each.sha256 for each in found.values()}) == 1
+
+
+def test_platforms_zips(tmp_path):
+    """Moodle's folders, Canvas's flat names, and a student's own zip inside."""
+    export = tmp_path / "export.zip"
+    export.write_bytes(
+        zipped(
+            [
+                ("Ada_1_assignsubmission_file_/lab03.ipynb", GOOD),
+                ("Bob_2_assignsubmission_file_/all.zip", zipped([("deep/down/lab03.ipynb", GOOD)])),
+                ("evemallory_3_9_lab03.ipynb", GOOD),
+            ]
+        )
+    )
+    assert {name: each.read() for name, each in found_in(export).items()} == dict.fromkeys(
+        ("Ada_1", "Bob_2", "evemallory_3"), GOOD
+    )
+
+
+def test_labs_own_name_counts_then_the_newest(tmp_path):
+    """By hand: of lab02, lab03 and scratch, lab03; of two without it the later one; it is said."""
+    for student, names in {"ada": ("lab02", "lab03", "scratch"), "bob": ("first", "second")}.items():
+        (tmp_path / student).mkdir()
+        for when, name in enumerate(names):
+            file = tmp_path / student / f"{name}.ipynb"
+            file.write_bytes(GOOD)
+            os.utime(file, (1e9 + when, 1e9 + when))
+    found = found_in(tmp_path)
+    assert (found["ada"].name, found["bob"].name) == ("lab03.ipynb", "second.ipynb")
+    assert "one of 3 notebooks" in found["ada"].problem
+
+
+def test_links_are_not_followed(tmp_path):
+    """A link to a file and one to a folder of the grader's, on the disk and in a zip."""
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside" / "hidden.ipynb").write_bytes(GOOD)
+    students = tmp_path / "students"
+    students.mkdir()
+    (students / "ada.ipynb").symlink_to(tmp_path / "outside" / "hidden.ipynb")
+    (students / "bob").symlink_to(tmp_path / "outside")
+    link = zipfile.ZipInfo("eve/lab03.ipynb")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    (students / "eve.zip").write_bytes(zipped([(link, "/etc/passwd")]))
+    found = found_in(students)
+    assert sorted(found) == ["ada", "eve"]
+    for each in found.values():
+        assert "link" in each.problem
+        assert each.sha256 == ""
+        with pytest.raises(InputError, match="link"):
+            each.read()
+
+
+@pytest.mark.parametrize("name", ["../../ada.ipynb", "/etc/ada.ipynb", "C:/ada.ipynb", "..\\ada.ipynb"])
+def test_names_that_lead_out_of_a_zip_are_refused(tmp_path, name):
+    """Zip slip; nothing is unpacked in any case, so nothing appears beside the zip either."""
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "export.zip").write_bytes(zipped([(name, GOOD)]))
+    (each,) = find_submissions(tmp_path / "in" / "export.zip", "lab03")
+    assert "leads out" in each.problem
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["export.zip", "in"]
+
+
+def test_zip_bombs_are_not_read(tmp_path, monkeypatch):
+    """A megabyte of zeros is a kilobyte in a zip; a cap of 1000 bytes stands for the real one. The others are read."""
+    monkeypatch.setattr(submissions, "MAX_FILE", 1000)
+    entries = [
+        ("bomb.ipynb", bytes(1 << 20)),
+        ("nested.zip", zipped([("x.ipynb", bytes(1 << 22))])),
+        ("ada.ipynb", b"{}"),
+    ]
+    (tmp_path / "export.zip").write_bytes(zipped(entries))
+    found = found_in(tmp_path / "export.zip")
+    assert found["ada"].read() == b"{}"
+    assert "at most" in found["bomb"].problem
+    assert found["bomb"].sha256 == ""
+
+
+def test_damaged_and_locked_files_are_reported(tmp_path):
+    """A cut zip, a zip that is none, one in one in one, a pipe; a good one among them is found."""
+    good = zipped([("lab03.ipynb", GOOD)])
+    (tmp_path / "cut.zip").write_bytes(good[: len(good) // 2])
+    (tmp_path / "none.zip").write_bytes(b"PK")
+    (tmp_path / "nest.zip").write_bytes(zipped([("a.zip", zipped([("b.zip", good)]))]))
+    flipped = bytearray(good)
+    flipped[60] ^= 0xFF  # in the compressed bytes: the zip's own sum no longer fits
+    (tmp_path / "flipped.zip").write_bytes(bytes(flipped))
+    os.mkfifo(tmp_path / "pipe.ipynb")
+    (tmp_path / "ada.ipynb").write_bytes(GOOD)
+    found = found_in(tmp_path)
+    assert sorted(found) == ["ada", "cut", "flipped", "nest", "none", "pipe"]
+    assert [name for name, each in found.items() if not each.problem] == ["ada"]
+
+
+@pytest.mark.parametrize("make", ["nothing", "empty"])
+def test_nothing_to_grade_is_said(tmp_path, make):
+    """Wrong use, in one sentence."""
+    place = tmp_path / make
+    if make == "empty":
+        place.mkdir()
+    with pytest.raises(InputError, match="want"):
+        find_submissions(place, "lab03")
