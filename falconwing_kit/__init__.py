@@ -1,3 +1,3 @@
 """FalconWing kit: recorded flights and airframe data in, an aircraft model and its honest error out."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

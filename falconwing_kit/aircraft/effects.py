@@ -57,7 +57,7 @@ def _both(a: tuple[Any, ...], b: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def _lift_coefficient(air: Any, K: Any) -> Any:
-    return K.cL0 + K.cLa * air.alpha + K.cLe * air.elevator
+    return K.cL_0 + K.cL_alpha * air.alpha + K.cL_de * air.elevator
 
 
 def fan_jet(px: Any, py: Any, height: Any, time: Any, K: Any) -> tuple[Any, Any, Any]:
@@ -91,7 +91,9 @@ def ground_effect(air: Any, K: Any) -> tuple[Any, ...]:
     near = np.exp(-np.maximum(air.height, 0.0) / GROUND_EFFECT_HEIGHT_M)
     coefficient = _lift_coefficient(air, K)
     lift = _lift_along(air, air.airspeed * air.airspeed * coefficient * K.ground_lift * near)
-    return _both(lift, _drag_along(air, -air.airspeed * K.cDi * coefficient * coefficient * K.ground_drag * near))
+    return _both(
+        lift, _drag_along(air, -air.airspeed * K.cD_induced * coefficient * coefficient * K.ground_drag * near)
+    )
 
 
 def extra_drag(air: Any, K: Any) -> tuple[Any, ...]:
@@ -118,7 +120,7 @@ def flap(air: Any, K: Any) -> tuple[Any, ...]:
         Loads.
     """
     lift = _lift_along(air, air.airspeed * air.airspeed * K.flap_lift)
-    induced = K.cDi * K.flap_lift * (2.0 * (K.cL0 + K.cLa * air.alpha) + K.flap_lift)
+    induced = K.cD_induced * K.flap_lift * (2.0 * (K.cL_0 + K.cL_alpha * air.alpha) + K.flap_lift)
     return _both(lift, _drag_along(air, air.airspeed * (K.flap_drag + induced)))
 
 
@@ -176,7 +178,7 @@ def adverse_yaw(air: Any, K: Any) -> tuple[Any, ...]:
 
 
 def aileron_loss(air: Any, K: Any) -> tuple[Any, ...]:
-    """Part of the aileron's effect is gone: La (1 - loss).
+    """Part of the aileron's effect is gone: L_da (1 - loss).
 
     Args:
         air: the flow.
@@ -185,7 +187,7 @@ def aileron_loss(air: Any, K: Any) -> tuple[Any, ...]:
     Returns:
         Loads.
     """
-    return 0.0, 0.0, 0.0, -air.airspeed * air.airspeed * K.aileron_lost * K.La * air.aileron, 0.0, 0.0
+    return 0.0, 0.0, 0.0, -air.airspeed * air.airspeed * K.aileron_lost * K.L_da * air.aileron, 0.0, 0.0
 
 
 def mass_change(air: Any, K: Any) -> tuple[Any, ...]:
@@ -198,10 +200,10 @@ def mass_change(air: Any, K: Any) -> tuple[Any, ...]:
     Returns:
         Loads.
     """
-    V, c = air.airspeed, K.cL0 + K.cLa * air.alpha
+    V, c = air.airspeed, K.cL_0 + K.cL_alpha * air.alpha
     lift = _lift_along(air, V * V * _lift_coefficient(air, K))
-    drag = _drag_along(air, V * (K.cD0 + K.cDi * c * c + K.cDb * air.beta * air.beta))
-    side = V * V * (K.cYr * air.rudder - K.cY * air.beta)
+    drag = _drag_along(air, V * (K.cD_0 + K.cD_induced * c * c + K.cD_beta * air.beta * air.beta))
+    side = V * V * (K.cY_beta * air.beta + K.cY_dr * air.rudder)
     thrust = (K.kT - K.kTV * V) * air.throttle
     less = -K.mass_added / (1.0 + K.mass_added)
     return (
@@ -223,7 +225,7 @@ def cg_shift(air: Any, K: Any) -> tuple[Any, ...]:
         Loads.
     """
     lever = air.airspeed * air.airspeed * K.cg_moment
-    side = K.cYr * air.rudder - K.cY * air.beta
+    side = K.cY_beta * air.beta + K.cY_dr * air.rudder
     return 0.0, 0.0, 0.0, 0.0, lever * _lift_coefficient(air, K), lever * (1.0 - K.Jz) / (1.0 + K.Jy) * side
 
 
@@ -239,7 +241,7 @@ def stall(air: Any, K: Any) -> tuple[Any, ...]:
     """
     width = 0.035
     beyond = width * np.logaddexp(0.0, (air.alpha - K.stall_alpha) / width)
-    lost = K.stall_loss * K.cLa * beyond
+    lost = K.stall_loss * K.cL_alpha * beyond
     lift = _lift_along(air, -air.airspeed * air.airspeed * lost)
     return _both(lift, _drag_along(air, air.airspeed * lost * np.tan(np.minimum(np.maximum(air.alpha, 0.0), 1.0))))
 

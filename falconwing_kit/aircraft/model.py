@@ -164,7 +164,7 @@ def paper_model() -> Model:
         The model at its starting values.
     """
     model = _assemble("paper", FORCES + QUASI_STEADY_RATES)
-    zero = ("cLe", "cYr", "cDb", "delay", "lag")
+    zero = ("cL_de", "cY_dr", "cD_beta", "delay", "lag")
     return model.with_values(dict.fromkeys(zero, 0.0)).pinned(zero)
 
 
@@ -180,9 +180,9 @@ def rates_model() -> Model:
 FORMS: dict[Form, Callable[[], Model]] = {"paper": paper_model, "rates": rates_model}
 
 
-_WING = ("cL0", "cLa", "cLe", "cD0", "cDb", "cY", "cYr")
-_QUASI_STEADY = ("L0", "La", "Lb", "M0", "Me", "Ma", "N0", "Nr", "Nb")
-_DAMPING = ("Lp", "Lr", "Mq", "Nrr", "Np")
+_WING = ("cL_0", "cL_alpha", "cL_de", "cD_0", "cD_beta", "cY_beta", "cY_dr")
+_QUASI_STEADY = ("L_0", "L_da", "L_beta", "M_0", "M_de", "M_alpha", "N_0", "N_dr", "N_beta")
+_DAMPING = ("L_p", "L_r", "M_q", "N_r", "N_p")
 
 
 def scaled(model: Model, mass: float, wing_area: float, span: float) -> Model:
@@ -206,7 +206,7 @@ def scaled(model: Model, mass: float, wing_area: float, span: float) -> Model:
     """
     loading = require_range("wing_area", wing_area, low=1e-4) / require_range("mass", mass, low=1e-4) * 0.150 / 0.076
     length = require_range("span", span, low=1e-2) / 0.70
-    factors = dict.fromkeys(_WING, loading) | {"cDi": 1.0 / loading, "kTV": loading**0.5}
+    factors = dict.fromkeys(_WING, loading) | {"cD_induced": 1.0 / loading, "kTV": loading**0.5}
     factors |= dict.fromkeys(_QUASI_STEADY, 1.0 / length if model.form == "paper" else length**-2)
     factors |= dict.fromkeys(_DAMPING, 1.0 / length)
 

@@ -5,6 +5,21 @@ cannot separate mass from air density times wing area: a force is an acceleratio
 acceleration [rad/s^2]. Each function is plain arithmetic on numbers or arrays, so the same source runs batched in
 NumPy and compiled for a single flight.
 
+Symbols and signs are those of Beard & McLain, Small Unmanned Aircraft, ch. 4 and 5:
+
+    c        lower case: c = rho S C / (2 m) with the textbook's C, so that force per mass = V^2 c; cL_alpha in
+             1/(m rad) is rho S C_L_alpha / (2 m). cD_induced multiplies the lift squared.
+    L M N    rolling, pitching and yawing moment per inertia, divided by V^2, or by V where a body rate multiplies it,
+             as the term's formula shows
+    _0       at zero angles, rates and commands; _alpha _beta of an angle [1/rad]; _p _q _r of a body rate
+    _da      of full aileron, _de of full elevator, _dr of full rudder
+    Jx Jy Jz (Iyy - Izz)/Ixx, (Izz - Ixx)/Iyy, (Ixx - Iyy)/Izz
+
+An ordinary stable aircraft has L_beta, L_p, M_alpha, M_q, N_r and cY_beta below zero and N_beta above, as in the
+textbook. What elevator and rudder do has the other sign: the kit's commands are positive for right wing down, nose up
+and nose right, so L_da, M_de and N_dr are above zero. A positive elevator deflection of the textbook lowers the nose
+and a positive rudder deflection turns it left: its C_m_de and C_n_dr are below zero (and C_L_de, C_Y_dr change alike).
+
 To add an effect: write one function `effect(air, K) -> loads`, list its parameters in a `Term`, add it to the tuple.
 """
 
@@ -109,50 +124,52 @@ def air_flow(velocity_body, rates, position, time, command):  # type: ignore[no-
 
 
 def lift(air, K):  # type: ignore[no-untyped-def]
-    """Lift of the whole aircraft, linear below stall: L/m = V^2 (cL0 + cLa alpha + cLe elevator).
+    """Lift of the whole aircraft, linear below stall: L/m = V^2 (cL_0 + cL_alpha alpha + cL_de elevator).
 
     It acts at right angles to the flight path in the plane of symmetry [Beard & McLain, eq. 4.6].
 
     Args:
         air: the flow.
-        K: parameters cL0, cLa, cLe.
+        K: parameters cL_0, cL_alpha, cL_de.
 
     Returns:
         Loads.
     """
-    force = air.airspeed * air.airspeed * (K.cL0 + K.cLa * air.alpha + K.cLe * air.elevator)
+    force = air.airspeed * air.airspeed * (K.cL_0 + K.cL_alpha * air.alpha + K.cL_de * air.elevator)
     along = np.sqrt(air.u * air.u + air.w * air.w + 0.01)
     return force * air.w / along, 0.0, -force * air.u / along, 0.0, 0.0, 0.0
 
 
 def drag(air, K):  # type: ignore[no-untyped-def]
-    """Drag against the flight path: D/m = V^2 (cD0 + cDi c^2 + cDb beta^2), c = cL0 + cLa alpha.
+    """Drag against the flight path: D/m = V^2 (cD_0 + cD_induced c^2 + cD_beta beta^2), c = cL_0 + cL_alpha alpha.
 
     A parabolic polar, and the fuselage's drag in a sideslip [Beard & McLain, eq. 4.11].
 
     Args:
         air: the flow.
-        K: parameters cD0, cDi, cDb, cL0, cLa.
+        K: parameters cD_0, cD_induced, cD_beta, cL_0, cL_alpha.
 
     Returns:
         Loads.
     """
-    lift_coefficient = K.cL0 + K.cLa * air.alpha
-    per_speed = air.airspeed * (K.cD0 + K.cDi * lift_coefficient * lift_coefficient + K.cDb * air.beta * air.beta)
+    lift_coefficient = K.cL_0 + K.cL_alpha * air.alpha
+    per_speed = air.airspeed * (
+        K.cD_0 + K.cD_induced * lift_coefficient * lift_coefficient + K.cD_beta * air.beta * air.beta
+    )
     return -per_speed * air.u, -per_speed * air.v, -per_speed * air.w, 0.0, 0.0, 0.0
 
 
 def side_force(air, K):  # type: ignore[no-untyped-def]
-    """Side force of fuselage and fin along the right wing: Y/m = V^2 (-cY beta + cYr rudder) [Beard & McLain, 4.14].
+    """Side force along the right wing: Y/m = V^2 (cY_beta beta + cY_dr rudder) [Beard & McLain, eq. 4.14].
 
     Args:
         air: the flow.
-        K: parameters cY, cYr.
+        K: parameters cY_beta, cY_dr.
 
     Returns:
         Loads.
     """
-    return 0.0, air.airspeed * air.airspeed * (K.cYr * air.rudder - K.cY * air.beta), 0.0, 0.0, 0.0, 0.0
+    return 0.0, air.airspeed * air.airspeed * (K.cY_beta * air.beta + K.cY_dr * air.rudder), 0.0, 0.0, 0.0, 0.0
 
 
 def thrust(air, K):  # type: ignore[no-untyped-def]
@@ -168,15 +185,15 @@ def thrust(air, K):  # type: ignore[no-untyped-def]
     return (K.kT - K.kTV * air.airspeed) * air.throttle, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
-# Moments of the rate-augmented form -------------------------------------------------------------------------------
+# Moments of the 12-state model -----------------------------------------------------------------------------------
 
 
 def roll_moment(air, K):  # type: ignore[no-untyped-def]
-    """Rolling: dp/dt = V^2 (L0 + La aileron + Lb beta) - V Lp p + V Lr r [Beard & McLain, eq. 5.10].
+    """Rolling: dp/dt = V^2 (L_0 + L_da aileron + L_beta beta) + V L_p p + V L_r r [Beard & McLain, eq. 5.10].
 
     Args:
         air: the flow.
-        K: parameters L0, La, Lb, Lp, Lr.
+        K: parameters L_0, L_da, L_beta, L_p, L_r.
 
     Returns:
         Loads.
@@ -186,32 +203,32 @@ def roll_moment(air, K):  # type: ignore[no-untyped-def]
         0.0,
         0.0,
         0.0,
-        V * (V * (K.L0 + K.La * air.aileron + K.Lb * air.beta) - K.Lp * air.p + K.Lr * air.r),
+        V * (V * (K.L_0 + K.L_da * air.aileron + K.L_beta * air.beta) + K.L_p * air.p + K.L_r * air.r),
         0.0,
         0.0,
     )
 
 
 def pitch_moment(air, K):  # type: ignore[no-untyped-def]
-    """Pitching: dq/dt = V^2 (M0 + Me elevator - Ma alpha) - V Mq q [Beard & McLain, eq. 5.11].
+    """Pitching: dq/dt = V^2 (M_0 + M_de elevator + M_alpha alpha) + V M_q q [Beard & McLain, eq. 5.11].
 
     Args:
         air: the flow.
-        K: parameters M0, Me, Ma, Mq.
+        K: parameters M_0, M_de, M_alpha, M_q.
 
     Returns:
         Loads.
     """
     V = air.airspeed
-    return 0.0, 0.0, 0.0, 0.0, V * (V * (K.M0 + K.Me * air.elevator - K.Ma * air.alpha) - K.Mq * air.q), 0.0
+    return 0.0, 0.0, 0.0, 0.0, V * (V * (K.M_0 + K.M_de * air.elevator + K.M_alpha * air.alpha) + K.M_q * air.q), 0.0
 
 
 def yaw_moment(air, K):  # type: ignore[no-untyped-def]
-    """Yawing: dr/dt = V^2 (N0 + Nr rudder + Nb beta) - V Nrr r - V Np p [Beard & McLain, eq. 5.12].
+    """Yawing: dr/dt = V^2 (N_0 + N_dr rudder + N_beta beta) + V N_r r + V N_p p [Beard & McLain, eq. 5.12].
 
     Args:
         air: the flow.
-        K: parameters N0, Nr, Nb, Nrr, Np.
+        K: parameters N_0, N_dr, N_beta, N_r, N_p.
 
     Returns:
         Loads.
@@ -223,7 +240,7 @@ def yaw_moment(air, K):  # type: ignore[no-untyped-def]
         0.0,
         0.0,
         0.0,
-        V * (V * (K.N0 + K.Nr * air.rudder + K.Nb * air.beta) - K.Nrr * air.r - K.Np * air.p),
+        V * (V * (K.N_0 + K.N_dr * air.rudder + K.N_beta * air.beta) + K.N_r * air.r + K.N_p * air.p),
     )
 
 
@@ -240,26 +257,30 @@ def gyroscopic_moment(air, K):  # type: ignore[no-untyped-def]
     return 0.0, 0.0, 0.0, K.Jx * air.q * air.r, K.Jy * air.p * air.r, K.Jz * air.p * air.q
 
 
-# Rates of the paper's nine-state form -----------------------------------------------------------------------------
+# Rates of the 9-state model ----------------------------------------------------------------------------------------
 
 
 def quasi_steady_rates(air, K):  # type: ignore[no-untyped-def]
     """Body rates that follow the sticks at once; the moment slots hold p, q, r [rad/s].
 
-    p = V (L0 + La aileron + Lb beta), q = V (M0 + Me elevator - Ma alpha), r = V (N0 + Nr rudder + Nb beta):
-    the moments above with their angular accelerations set to zero [paper, Section IV-B: nine states, no rates].
+        p = V (L_0 + L_da aileron + L_beta beta)
+        q = V (M_0 + M_de elevator + M_alpha alpha)
+        r = V (N_0 + N_dr rudder + N_beta beta)
+
+    The moments above with their angular accelerations set to zero [paper, Section IV-B: nine states, no rates].
 
     Args:
         air: the flow.
-        K: parameters L0, La, Lb, M0, Me, Ma, N0, Nr, Nb, each [1/m] (per radian where it multiplies an angle).
+        K: parameters L_0, L_da, L_beta, M_0, M_de, M_alpha, N_0, N_dr, N_beta, each [1/m] (per radian where it
+            multiplies an angle).
 
     Returns:
         Loads with body rates in place of moments.
     """
     V = air.airspeed
-    p = V * (K.L0 + K.La * air.aileron + K.Lb * air.beta)
-    q = V * (K.M0 + K.Me * air.elevator - K.Ma * air.alpha)
-    r = V * (K.N0 + K.Nr * air.rudder + K.Nb * air.beta)
+    p = V * (K.L_0 + K.L_da * air.aileron + K.L_beta * air.beta)
+    q = V * (K.M_0 + K.M_de * air.elevator + K.M_alpha * air.alpha)
+    r = V * (K.N_0 + K.N_dr * air.rudder + K.N_beta * air.beta)
     return 0.0, 0.0, 0.0, p, q, r
 
 
@@ -280,45 +301,45 @@ def uniform_wind(px, py, height, time, K):  # type: ignore[no-untyped-def]
 
 
 # Each parameter: name, start, low, high, unit, meaning. Starts are a 150 g aircraft at 7 m/s; bounds are wide enough
-# for aircraft from 50 g to 10 kg. Signs are such that an ordinary stable aircraft has positive numbers (Lb negative).
+# for aircraft from 50 g to 10 kg. Signs are those of the textbook, as the head of this file says.
 
 _LIFT = (
-    Parameter("cL0", 0.078, -0.2, 0.6, "1/m", "lift at zero angle of attack"),
-    Parameter("cLa", 1.40, 0.05, 6.0, "1/(m rad)", "lift slope"),
-    Parameter("cLe", 0.0, -1.0, 1.0, "1/m", "lift of full elevator"),
+    Parameter("cL_0", 0.078, -0.2, 0.6, "1/m", "lift at zero angle of attack"),
+    Parameter("cL_alpha", 1.40, 0.05, 6.0, "1/(m rad)", "lift slope"),
+    Parameter("cL_de", 0.0, -1.0, 1.0, "1/m", "lift of full elevator"),
 )
 _DRAG = (
-    Parameter("cD0", 0.0155, 0.0, 0.3, "1/m", "drag at zero lift"),
-    Parameter("cDi", 0.2, 0.0, 10.0, "m", "induced drag per lift squared"),
+    Parameter("cD_0", 0.0155, 0.0, 0.3, "1/m", "drag at zero lift"),
+    Parameter("cD_induced", 0.2, 0.0, 10.0, "m", "induced drag per lift squared"),
 )
-_SIDESLIP_DRAG = (Parameter("cDb", 0.05, -3.0, 5.0, "1/(m rad^2)", "drag in a sideslip"),)
+_SIDESLIP_DRAG = (Parameter("cD_beta", 0.05, -3.0, 5.0, "1/(m rad^2)", "drag in a sideslip"),)
 _SIDE = (
-    Parameter("cY", 0.25, -0.5, 4.0, "1/(m rad)", "side force of sideslip"),
-    Parameter("cYr", 0.0, -1.0, 1.0, "1/m", "side force of full rudder"),
+    Parameter("cY_beta", -0.25, -4.0, 0.5, "1/(m rad)", "side force of sideslip"),
+    Parameter("cY_dr", 0.0, -1.0, 1.0, "1/m", "side force of full rudder"),
 )
 _THRUST = (
     Parameter("kT", 9.0, 0.0, 60.0, "m/s^2", "thrust at full throttle, standing"),
     Parameter("kTV", 0.5, -2.0, 8.0, "1/s", "thrust lost with speed"),
 )
 _ROLL = (
-    Parameter("L0", 0.0, -1.0, 1.0, "1/m^2", "rolling moment at rest"),
-    Parameter("La", 0.75, 0.0, 10.0, "1/m^2", "rolling moment of full aileron"),
-    Parameter("Lb", -0.30, -10.0, 3.0, "1/(m^2 rad)", "dihedral effect"),
-    Parameter("Lp", 2.0, 0.05, 15.0, "1/m", "roll damping"),
-    Parameter("Lr", 0.3, -4.0, 6.0, "1/m", "roll due to yaw rate"),
+    Parameter("L_0", 0.0, -1.0, 1.0, "1/m^2", "rolling moment at zero angles"),
+    Parameter("L_da", 0.75, 0.0, 10.0, "1/m^2", "rolling moment of full aileron"),
+    Parameter("L_beta", -0.30, -10.0, 3.0, "1/(m^2 rad)", "dihedral effect, stable below zero"),
+    Parameter("L_p", -2.0, -15.0, -0.05, "1/m", "roll damping, stable below zero"),
+    Parameter("L_r", 0.3, -4.0, 6.0, "1/m", "roll due to yaw rate"),
 )
 _PITCH = (
-    Parameter("M0", 0.17, -1.0, 2.0, "1/m^2", "pitching moment at rest"),
-    Parameter("Me", 0.6, 0.0, 6.0, "1/m^2", "pitching moment of full elevator"),
-    Parameter("Ma", 2.0, -1.0, 20.0, "1/(m^2 rad)", "pitch stiffness"),
-    Parameter("Mq", 1.1, 0.0, 12.0, "1/m", "pitch damping"),
+    Parameter("M_0", 0.17, -1.0, 2.0, "1/m^2", "pitching moment at zero angles"),
+    Parameter("M_de", 0.6, 0.0, 6.0, "1/m^2", "pitching moment of full elevator"),
+    Parameter("M_alpha", -2.0, -20.0, 1.0, "1/(m^2 rad)", "pitch stiffness, stable below zero"),
+    Parameter("M_q", -1.1, -12.0, 0.0, "1/m", "pitch damping, stable below zero"),
 )
 _YAW = (
-    Parameter("N0", 0.0, -1.0, 1.0, "1/m^2", "yawing moment at rest"),
-    Parameter("Nr", 0.23, -0.5, 4.0, "1/m^2", "yawing moment of full rudder"),
-    Parameter("Nb", 0.73, -1.0, 10.0, "1/(m^2 rad)", "weathercock stiffness"),
-    Parameter("Nrr", 0.4, -0.5, 8.0, "1/m", "yaw damping"),
-    Parameter("Np", 0.05, -3.0, 3.0, "1/m", "yaw due to roll rate"),
+    Parameter("N_0", 0.0, -1.0, 1.0, "1/m^2", "yawing moment at zero angles"),
+    Parameter("N_dr", 0.23, -0.5, 4.0, "1/m^2", "yawing moment of full rudder"),
+    Parameter("N_beta", 0.73, -1.0, 10.0, "1/(m^2 rad)", "weathercock stiffness, stable above zero"),
+    Parameter("N_r", -0.4, -8.0, 0.5, "1/m", "yaw damping, stable below zero"),
+    Parameter("N_p", -0.05, -3.0, 3.0, "1/m", "yaw due to roll rate"),
 )
 _GYROSCOPIC = (
     Parameter("Jx", -0.5, -1.5, 0.5, "-", "(Iyy - Izz)/Ixx"),
@@ -326,15 +347,15 @@ _GYROSCOPIC = (
     Parameter("Jz", -0.4, -1.5, 0.8, "-", "(Ixx - Iyy)/Izz"),
 )
 _QUASI_STEADY = (
-    Parameter("L0", 0.0, -1.0, 1.0, "1/m", "roll rate at rest"),
-    Parameter("La", 0.37, 0.0, 4.0, "1/m", "roll rate of full aileron"),
-    Parameter("Lb", -0.15, -4.0, 2.0, "1/(m rad)", "roll rate of sideslip"),
-    Parameter("M0", 0.106, -1.0, 1.0, "1/m", "pitch rate at rest"),
-    Parameter("Me", 0.35, 0.0, 4.0, "1/m", "pitch rate of full elevator"),
-    Parameter("Ma", 1.2, -0.5, 8.0, "1/(m rad)", "pitch rate against angle of attack"),
-    Parameter("N0", 0.0, -1.0, 1.0, "1/m", "yaw rate at rest"),
-    Parameter("Nr", 0.25, -0.5, 2.0, "1/m", "yaw rate of full rudder"),
-    Parameter("Nb", 0.8, -0.5, 6.0, "1/(m rad)", "yaw rate of sideslip"),
+    Parameter("L_0", 0.0, -1.0, 1.0, "1/m", "roll rate at zero angles"),
+    Parameter("L_da", 0.37, 0.0, 4.0, "1/m", "roll rate of full aileron"),
+    Parameter("L_beta", -0.15, -4.0, 2.0, "1/(m rad)", "roll rate of sideslip"),
+    Parameter("M_0", 0.106, -1.0, 1.0, "1/m", "pitch rate at zero angles"),
+    Parameter("M_de", 0.35, 0.0, 4.0, "1/m", "pitch rate of full elevator"),
+    Parameter("M_alpha", -1.2, -8.0, 0.5, "1/(m rad)", "pitch rate of angle of attack"),
+    Parameter("N_0", 0.0, -1.0, 1.0, "1/m", "yaw rate at zero angles"),
+    Parameter("N_dr", 0.25, -0.5, 2.0, "1/m", "yaw rate of full rudder"),
+    Parameter("N_beta", 0.8, -0.5, 6.0, "1/(m rad)", "yaw rate of sideslip"),
 )
 WIND_PARAMETERS = (
     Parameter("wind_x", 0.0, -15.0, 15.0, "m/s", "wind along world x"),

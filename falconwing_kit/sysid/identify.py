@@ -24,9 +24,9 @@ BETTER = 10.0  # chi2 by which another end of a fit must win to be taken
 BAD_FIT = 4.0  # chi2 per degree of freedom that no pose noise explains
 # Stick, column of the commands, the moment or rate it makes, what a positive one does.
 STICKS = (
-    ("aileron", 1, "La", "right wing down"),
-    ("elevator", 2, "Me", "nose up"),
-    ("rudder", 3, "Nr", "nose right"),
+    ("aileron", 1, "L_da", "right wing down"),
+    ("elevator", 2, "M_de", "nose up"),
+    ("rudder", 3, "N_dr", "nose right"),
 )
 SLIGHT = 0.1  # of an ordinary effect: a stick that does less has no sign to speak of
 AS_GOOD = 1.05  # times the misfit: a log with sticks turned round that fits no worse than this is the better log

@@ -16,6 +16,16 @@ from falconwing_kit.core.config import from_toml, write_toml
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.uncertainty import Uncertainty
 
+VERSION = 2  # of the file as it is written
+# A file without a version is of version 1: other symbols, and those that are -1 here with the other sign.
+VERSION_1 = {
+    "cL0": ("cL_0", 1), "cLa": ("cL_alpha", 1), "cLe": ("cL_de", 1),
+    "cD0": ("cD_0", 1), "cDi": ("cD_induced", 1), "cDb": ("cD_beta", 1), "cY": ("cY_beta", -1), "cYr": ("cY_dr", 1),
+    "L0": ("L_0", 1), "La": ("L_da", 1), "Lb": ("L_beta", 1), "Lp": ("L_p", -1), "Lr": ("L_r", 1),
+    "M0": ("M_0", 1), "Me": ("M_de", 1), "Ma": ("M_alpha", -1), "Mq": ("M_q", -1),
+    "N0": ("N_0", 1), "Nr": ("N_dr", 1), "Nb": ("N_beta", 1), "Nrr": ("N_r", -1), "Np": ("N_p", -1),
+}  # fmt: skip
+
 KNOWN_TERMS: tuple[Term | WindTerm, ...] = (*FORCES, *MOMENTS, *QUASI_STEADY_RATES, UNIFORM_WIND)
 
 
@@ -63,6 +73,7 @@ class _File:
     parameters: Mapping[str, _Parameter]
     covariance: _Covariance
     effects: tuple[str, ...] = ()
+    version: int = 1
 
 
 def write_model(path: str | Path, found: Identification) -> None:
@@ -114,7 +125,7 @@ def write_fitted(
     effects = tuple(e.name for e in model.effects)
     names = tuple(t.name for t in model.terms) + tuple(w.name for w in model.winds)
     terms = tuple(name for name in names if name not in effects)
-    write_toml(path, _File(model.form, terms, fit, parameters, _Covariance(sure.names, matrix), effects))
+    write_toml(path, _File(model.form, terms, fit, parameters, _Covariance(sure.names, matrix), effects, VERSION))
 
 
 def read_model(
@@ -122,7 +133,7 @@ def read_model(
     known: tuple[Term | WindTerm, ...] = KNOWN_TERMS,
     catalogue: tuple[Effect, ...] = (*CATALOGUE, *UNNAMED),
 ) -> ModelFile:
-    """Read a model file.
+    """Read a model file of this version or an earlier one.
 
     Args:
         path: the TOML file.
@@ -134,10 +145,10 @@ def read_model(
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: the file is not a model, names an unknown term, effect or parameter, or its numbers do not fit
-            together.
+        InputError: the file is not a model or of a later version, names an unknown term, effect or parameter, or its
+            numbers do not fit together.
     """
-    file = from_toml(_File, path)
+    file = _as_written_today(from_toml(_File, path), path)
     if file.form not in FORMS:
         raise InputError(f"{Path(path).name}: form: want one of {', '.join(FORMS)}, got {file.form!r}")
     terms = _named(file.terms, {t.name: t for t in known}, "terms", path)
@@ -159,6 +170,33 @@ def read_model(
         model, parameters=tuple(replace(p, low=bounds[p.name].low, high=bounds[p.name].high) for p in model.parameters)
     )
     return ModelFile(model, file.covariance.names, _covariance(file, path), file.fit.flights, _sigma(file))
+
+
+def _as_written_today(file: _File, path: str | Path) -> _File:
+    """A file of version 1 with today's symbols and signs; one of today's version as it is."""
+    if file.version == VERSION:
+        return file
+    if file.version != 1:
+        raise InputError(
+            f"{Path(path).name}: version: expected 1 or {VERSION}, got {file.version}: install a newer falconwing-kit"
+        )
+    parameters: dict[str, _Parameter] = {}
+    for name, p in file.parameters.items():
+        today, sign = VERSION_1.get(name, (name, 1))
+        if today in parameters:
+            raise InputError(f"{Path(path).name}: parameters: expected {today!r} once, got it by two names: remove one")
+        parameters[today] = p if sign > 0 else _negated(p)
+    fitted = [VERSION_1.get(name, (name, 1)) for name in file.covariance.names]
+    signs = np.array([sign for _, sign in fitted])
+    matrix = signs[:, None] * _covariance(file, path) * signs  # cov(-a, b) = -cov(a, b)
+    covariance = _Covariance(tuple(name for name, _ in fitted), tuple(map(tuple, matrix.tolist())))
+    return replace(file, parameters=parameters, covariance=covariance, version=VERSION)
+
+
+def _negated(p: _Parameter) -> _Parameter:
+    """The parameter with the other sign: its bounds and the ends of its interval change places."""
+    low95, high95 = (None if end is None else 0.0 - end for end in (p.high95, p.low95))
+    return replace(p, value=0.0 - p.value, low=0.0 - p.high, high=0.0 - p.low, low95=low95, high95=high95)
 
 
 def _named(names: tuple[str, ...], known: Mapping[str, Any], what: str, path: str | Path) -> list[Any]:

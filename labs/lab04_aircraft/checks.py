@@ -85,7 +85,7 @@ def _lift_and_drag(f: Function) -> bool:
 
 def _drag_opposes(f: Function) -> bool:
     """In a slip without lift and side force what remains lies against the path."""
-    K0 = {**K, "cL0": -K["cLa"] * 0.08, "cY": 0.0}
+    K0 = {**K, "cL_0": -K["cL_alpha"] * 0.08, "cY_beta": 0.0}
     path = np.array([math.cos(0.08) * math.cos(0.3), math.sin(0.3), math.sin(0.08) * math.cos(0.3)])
     return _near(f(np.array([7.0, 0.08, 0.3]), IDLE, K0), -49.0 * 0.0155 * path)
 
@@ -94,7 +94,7 @@ BODY_FORCE = (
     Check(
         "at 8 m/s and alpha 0.05: lift 9.47 m/s^2 across the path, drag 1.27 m/s^2 against it",
         _lift_and_drag,
-        "c = cL0 + cLa alpha; V counts squared; c counts squared in the drag.",
+        "c = cL_0 + cL_alpha alpha; V counts squared; c counts squared in the drag.",
     ),
     Check(
         "twice the speed, four times the force without thrust",
@@ -105,9 +105,10 @@ BODY_FORCE = (
     Check(
         "wind on the right cheek pushes the aircraft to the left",
         lambda f: _near(
-            (np.asarray(f(FORCE_AIR, IDLE, K)) - f(FORCE_AIR, IDLE, {**K, "cY": 0.0})), [0.0, -49.0 * 0.25 * 0.1, 0.0]
+            (np.asarray(f(FORCE_AIR, IDLE, K)) - f(FORCE_AIR, IDLE, {**K, "cY_beta": 0.0})),
+            [0.0, -49.0 * 0.25 * 0.1, 0.0],
         ),
-        "The side force is -V^2 cY beta along y.",
+        "The side force is V^2 cY_beta beta along y, and cY_beta is negative.",
     ),
     Check(
         "full throttle at 7 m/s adds 5.5 m/s^2 along the propeller's axis, which points down in front",
@@ -216,11 +217,11 @@ RK4 = (
 def _balanced(f: Function, V: float, climb: float) -> bool:
     """The answer put back into the two force balances and the pitch rate."""
     alpha, throttle, elevator = f(V, climb, K)
-    c, T = K["cL0"] + K["cLa"] * alpha, (K["kT"] - K["kTV"] * V) * throttle
-    drag, tilt = V**2 * (K["cD0"] + K["cDi"] * c**2), alpha - DOWN_THRUST
+    c, T = K["cL_0"] + K["cL_alpha"] * alpha, (K["kT"] - K["kTV"] * V) * throttle
+    drag, tilt = V**2 * (K["cD_0"] + K["cD_induced"] * c**2), alpha - DOWN_THRUST
     along = T * math.cos(tilt) - drag - GRAVITY * math.sin(climb)
     across = V**2 * c + T * math.sin(tilt) - GRAVITY * math.cos(climb)
-    return _near([along, across, K["M0"] + K["Me"] * elevator - K["Ma"] * alpha], [0.0, 0.0, 0.0], atol=1e-7)
+    return _near([along, across, K["M_0"] + K["M_de"] * elevator + K["M_alpha"] * alpha], [0.0, 0.0, 0.0], atol=1e-7)
 
 
 TRIM = (
@@ -242,7 +243,7 @@ TRIM = (
     Check(
         "slower flight takes more elevator, a steeper climb more throttle",
         lambda f: f(6.0, 0.0, K)[2] > f(8.0, 0.0, K)[2] and f(7.0, 0.2, K)[1] > f(7.0, 0.0, K)[1],
-        "Check the signs of Ma and of g sin(gamma).",
+        "Check the signs of M_alpha and of g sin(gamma).",
     ),
 )
 
@@ -250,6 +251,7 @@ LAB = Lab(
     name="lab04",
     title="The aircraft model",
     hours=3.0,
+    notebook_since="0.2",  # the model's symbols are the textbook's since then
     exercises=(
         Exercise("air_data", 15.0, AIR_DATA),
         Exercise("body_force", 20.0, BODY_FORCE),

@@ -15,13 +15,13 @@ DOWN_THRUST = np.radians(COHORT["down_thrust_deg"])  # rad, how far the propelle
 
 # A 150 g aircraft with 0.076 m^2 of wing. Forces are per unit mass: rho S CLa / 2m = 1.3 * 0.076 * 4.3 / 0.3 = 1.4.
 K: dict[str, float] = {
-    "cL0": 0.078, "cLa": 1.40,  # lift: 1/m, 1/(m rad)
-    "cD0": 0.0155, "cDi": 0.2,  # drag: 1/m, m
-    "cY": 0.25,  # side force of sideslip: 1/(m rad)
+    "cL_0": 0.078, "cL_alpha": 1.40,  # lift: 1/m, 1/(m rad)
+    "cD_0": 0.0155, "cD_induced": 0.2,  # drag: 1/m, m
+    "cY_beta": -0.25,  # side force of sideslip: 1/(m rad)
     "kT": 9.0, "kTV": 0.5,  # thrust: m/s^2, 1/s
-    "La": 0.37, "Lb": -0.15,  # roll rate of aileron and sideslip: 1/m, 1/(m rad)
-    "M0": 0.106, "Me": 0.35, "Ma": 1.2,  # pitch rate at rest, of elevator, against alpha: 1/m, 1/m, 1/(m rad)
-    "Nr": 0.25, "Nb": 0.8,  # yaw rate of rudder and sideslip: 1/m, 1/(m rad)
+    "L_da": 0.37, "L_beta": -0.15,  # roll rate of aileron and sideslip: 1/m, 1/(m rad)
+    "M_0": 0.106, "M_de": 0.35, "M_alpha": -1.2,  # pitch rate at alpha 0, of elevator, of alpha: 1/m, 1/m, 1/(m rad)
+    "N_dr": 0.25, "N_beta": 0.8,  # yaw rate of rudder and sideslip: 1/m, 1/(m rad)
 }  # fmt: skip
 
 HALL = (40.0, 20.0)  # m, length and width
@@ -47,7 +47,7 @@ def rotation_world_body(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def body_rates(air: Array, command: Array, K: dict[str, float]) -> Array:
-    """Body rates that follow the sticks at once: p = V (La aileron + Lb beta), and so on [paper, Section IV-B].
+    """Body rates that follow the sticks at once: p = V (L_da aileron + L_beta beta), and so on [paper, Section IV-B].
 
     Args:
         air: (3,) airspeed V [m/s], angle of attack alpha [rad], sideslip beta [rad].
@@ -60,9 +60,9 @@ def body_rates(air: Array, command: Array, K: dict[str, float]) -> Array:
     V, alpha, beta = air
     _, aileron, elevator, rudder = command
     return V * np.array([
-        K["La"] * aileron + K["Lb"] * beta,
-        K["M0"] + K["Me"] * elevator - K["Ma"] * alpha,
-        K["Nr"] * rudder + K["Nb"] * beta,
+        K["L_da"] * aileron + K["L_beta"] * beta,
+        K["M_0"] + K["M_de"] * elevator + K["M_alpha"] * alpha,
+        K["N_dr"] * rudder + K["N_beta"] * beta,
     ])  # fmt: skip
 
 

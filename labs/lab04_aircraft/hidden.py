@@ -66,10 +66,10 @@ def _body_force(air: Array, command: Array, K: Mapping[str, float], tilt: float)
     from scipy.spatial.transform import Rotation
 
     V, alpha, beta = air
-    c = K["cL0"] + K["cLa"] * alpha
-    in_path = Rotation.from_euler("z", beta).apply([-(K["cD0"] + K["cDi"] * c * c), 0.0, 0.0]) - [0.0, 0.0, c]
+    c = K["cL_0"] + K["cL_alpha"] * alpha
+    in_path = Rotation.from_euler("z", beta).apply([-(K["cD_0"] + K["cD_induced"] * c * c), 0.0, 0.0]) - [0.0, 0.0, c]
     thrust = Rotation.from_euler("y", -tilt).apply([(K["kT"] - K["kTV"] * V) * command[0], 0.0, 0.0])
-    aerodynamic = Rotation.from_euler("y", -alpha).apply(in_path) - [0.0, K["cY"] * beta, 0.0]
+    aerodynamic = Rotation.from_euler("y", -alpha).apply(in_path) + np.array([0.0, K["cY_beta"] * beta, 0.0])
     return np.asarray(V * V * aerodynamic + thrust)
 
 
@@ -118,6 +118,6 @@ def _trim(airspeed: float, climb_angle: float, K: Mapping[str, float], tilt: flo
         alpha, throttle, elevator = unknown
         force = _body_force(np.array([airspeed, alpha, 0.0]), np.array([throttle, 0, 0, 0]), K, tilt)
         in_world = FLIP @ Rotation.from_euler("y", climb_angle + alpha).apply(force) - [0.0, 0.0, GRAVITY]
-        return np.array([in_world[0], in_world[2], K["M0"] + K["Me"] * elevator - K["Ma"] * alpha])
+        return np.array([in_world[0], in_world[2], K["M_0"] + K["M_de"] * elevator + K["M_alpha"] * alpha])
 
     return np.asarray(root(unbalanced, [0.08, 0.4, 0.0], tol=1e-12).x)

@@ -92,13 +92,14 @@ check(air_data)
 # ## 2. Forces
 #
 # All forces are **per unit mass**, so they are accelerations [m/s²]. (From poses alone nobody can tell a heavy aircraft
-# with a large wing from a light one with a small wing.) With $c = c_{L0} + c_{L\alpha}\,\alpha$:
+# with a large wing from a light one with a small wing.) With $c = c_{L_0} + c_{L_\alpha}\,\alpha$,
+# and $c_{D_i}$ for `cD_induced`:
 #
 # | force | size | direction in body axes |
 # |---|---|---|
 # | lift | $V^2 c$ | $(\sin\alpha,\ 0,\ -\cos\alpha)$: at right angles to the path, up |
-# | drag | $V^2 (c_{D0} + c_{Di}\,c^2)$ | against the path $(\cos\alpha\cos\beta,\ \sin\beta,\ \sin\alpha\cos\beta)$ |
-# | side force | $-V^2 c_Y\,\beta$ | along y, the right wing |
+# | drag | $V^2 (c_{D_0} + c_{D_i}\,c^2)$ | against the path $(\cos\alpha\cos\beta,\ \sin\beta,\ \sin\alpha\cos\beta)$ |
+# | side force | $V^2 c_{Y_\beta}\,\beta$, with $c_{Y_\beta} < 0$ | along y, the right wing |
 # | thrust | $(k_T - k_{TV} V)\cdot$ throttle | along the propeller's axis |
 #
 # One thing is special about *this* aircraft: as on many models, the propeller's axis points **down in front** by a few
@@ -114,18 +115,18 @@ def body_force(air, command, K):
         air: (3,) airspeed V [m/s], angle of attack alpha [rad], sideslip beta [rad].
         command: (4,) throttle 0..1, aileron, elevator, rudder -1..1; only the throttle makes a
             force here.
-        K: the aircraft's numbers by name: cL0, cLa, cD0, cDi, cY, kT, kTV.
+        K: the aircraft's numbers by name: cL_0, cL_alpha, cD_0, cD_induced, cY_beta, kT, kTV.
 
     Returns:
         (3,) force per unit mass in body axes [m/s^2]; gravity is not a part of it.
     """
     # BEGIN SOLUTION
     V, alpha, beta = air
-    c = K["cL0"] + K["cLa"] * alpha
+    c = K["cL_0"] + K["cL_alpha"] * alpha
     lift = V**2 * c * np.array([np.sin(alpha), 0.0, -np.cos(alpha)])
     path = np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
-    drag = -(V**2) * (K["cD0"] + K["cDi"] * c**2) * path
-    side = np.array([0.0, -(V**2) * K["cY"] * beta, 0.0])
+    drag = -(V**2) * (K["cD_0"] + K["cD_induced"] * c**2) * path
+    side = np.array([0.0, V**2 * K["cY_beta"] * beta, 0.0])
     axis = np.array([np.cos(DOWN_THRUST), 0.0, np.sin(DOWN_THRUST)])
     thrust = (K["kT"] - K["kTV"] * V) * command[0] * axis
     return lift + drag + side + thrust
@@ -244,9 +245,9 @@ for dt in (0.2, 0.1, 0.05):
 #
 # $$T\cos(\alpha - \tau) = D + g\sin\gamma, \qquad L + T\sin(\alpha - \tau) = g\cos\gamma$$
 #
-# and the pitch rate is zero: $M_0 + M_e\,\text{elevator} - M_\alpha\,\alpha = 0$. The second equation has $\alpha$ in
-# $L$, and weakly in $D$ and $T$. So guess $\alpha$, compute $T$, solve for a better $\alpha$, and repeat until it
-# stays: each round makes the error about twenty times smaller.
+# and the pitch rate is zero: $M_0 + M_{\delta_e}\,\text{elevator} + M_\alpha\,\alpha = 0$. The second equation has
+# $\alpha$ in $L$, and weakly in $D$ and $T$. So guess $\alpha$, compute $T$, solve for a better $\alpha$, and repeat
+# until it stays: each round makes the error about twenty times smaller.
 
 
 # %% exercise="trim"
@@ -256,7 +257,7 @@ def trim(airspeed, climb_angle, K):
     Args:
         airspeed: V [m/s].
         climb_angle: gamma [rad], positive upward.
-        K: the aircraft's numbers: cL0, cLa, cD0, cDi, kT, kTV, M0, Me, Ma.
+        K: the aircraft's numbers: cL_0, cL_alpha, cD_0, cD_induced, kT, kTV, M_0, M_de, M_alpha.
 
     Returns:
         (3,) angle of attack [rad], throttle [-], elevator [-], not limited to the sticks' travel.
@@ -264,13 +265,13 @@ def trim(airspeed, climb_angle, K):
     # BEGIN SOLUTION
     V, alpha = airspeed, 0.0
     for _ in range(60):
-        c = K["cL0"] + K["cLa"] * alpha
-        drag = V**2 * (K["cD0"] + K["cDi"] * c**2)
+        c = K["cL_0"] + K["cL_alpha"] * alpha
+        drag = V**2 * (K["cD_0"] + K["cD_induced"] * c**2)
         thrust = (drag + GRAVITY * np.sin(climb_angle)) / np.cos(alpha - DOWN_THRUST)
         lift = GRAVITY * np.cos(climb_angle) - thrust * np.sin(alpha - DOWN_THRUST)
-        alpha = (lift / V**2 - K["cL0"]) / K["cLa"]
+        alpha = (lift / V**2 - K["cL_0"]) / K["cL_alpha"]
     throttle = thrust / (K["kT"] - K["kTV"] * V)
-    elevator = (K["Ma"] * alpha - K["M0"]) / K["Me"]
+    elevator = -(K["M_0"] + K["M_alpha"] * alpha) / K["M_de"]
     return np.array([alpha, throttle, elevator])
     # END SOLUTION
 

@@ -209,6 +209,7 @@ LAB = Lab(
     name="lab05",
     title="System identification",
     hours=3.0,
+    notebook_since="0.2",  # the model's symbols are the textbook's since then
     exercises=(
         Exercise("local_slope", 12.0, LOCAL_SLOPE),
         Exercise("residuals", 15.0, RESIDUALS),
@@ -231,8 +232,8 @@ LAB = Lab(
         Criterion(
             "q1",
             5.0,
-            "Noise in the variable flattens Ma (errors in variables); in cLa the same noise is also the change to the "
-            "next step; counts truths inside.",
+            "Noise in the variable flattens M_alpha (errors in variables); in cL_alpha the same noise is also the "
+            "change to the next step; counts truths inside.",
         ),
         Criterion("q2", 5.0, "Neighbouring rows are not independent; start states are no property of the aircraft."),
     ),

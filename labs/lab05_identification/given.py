@@ -16,9 +16,10 @@ Z = NormalDist().inv_cdf(0.5 + 0.5 * LEVEL)  # a Gaussian lies within Z sigmas o
 
 GRAVITY, DT, K_TV = 9.8, 0.05, 0.5  # m/s^2; s between frames; thrust lost with speed [1/s], known from a bench
 SIGMA = np.array([0.03, 0.03, np.radians(0.6)])  # noise of px, pz [m] and pitch [rad]: marker poses
-NAMES = ("cL0", "cLa", "cD0", "cDi", "kT", "M0", "Me", "Ma")
+NAMES = ("cL_0", "cL_alpha", "cD_0", "cD_induced", "kT", "M_0", "M_de", "M_alpha")
 UNITS = ("1/m", "1/(m rad)", "1/m", "m", "m/s^2", "1/m", "1/m", "1/(m rad)")
-GUESS = np.array([0.06, 1.1, 0.03, 0.3, 7.0, 0.08, 0.25, 0.8])  # from a drawing of the aircraft: 30 % off or so
+GUESS = np.array([0.06, 1.1, 0.03, 0.3, 7.0, 0.08, 0.25, -0.8])  # from a drawing of the aircraft: 30 % off or so
+PRIOR_SIGMA = 0.5 * np.abs(GUESS)  # how well the guess is known
 STEPS = np.array([0.05, 0.05, 0.01, 0.1, 0.1])  # of derivatives to a start state: m, m, rad, m/s, m/s
 FARTHEST = 20.0 * STEPS  # that a start state may move in one round
 ROWS, FIRST = 41, 4  # rows of a window: 2 s and one row; where the first window of a pass begins
@@ -36,17 +37,17 @@ def plane_rate(x: Array, command: Array, K: Array) -> Array:
     Returns:
         (5, ...) the time derivative.
     """
-    cL0, cLa, cD0, cDi, kT, M0, Me, Ma = K
+    cL_0, cL_alpha, cD_0, cD_induced, kT, M_0, M_de, M_alpha = K
     _, _, pitch, vx, vz = x
     V, path = np.hypot(vx, vz), np.arctan2(vz, vx)
     alpha = pitch - path
-    c = cL0 + cLa * alpha
-    lift, drag = V**2 * c, V**2 * (cD0 + cDi * c**2)
+    c = cL_0 + cL_alpha * alpha
+    lift, drag = V**2 * c, V**2 * (cD_0 + cD_induced * c**2)
     thrust = (kT - K_TV * V) * command[0]
     along, across = thrust * np.cos(alpha) - drag, thrust * np.sin(alpha) + lift
     ax = along * np.cos(path) - across * np.sin(path)
     az = along * np.sin(path) + across * np.cos(path) - GRAVITY
-    return np.stack(np.broadcast_arrays(vx, vz, V * (M0 + Me * command[1] - Ma * alpha), ax, az))
+    return np.stack(np.broadcast_arrays(vx, vz, V * (M_0 + M_de * command[1] + M_alpha * alpha), ax, az))
 
 
 def step(x: Array, command: Array, K: Array) -> Array:
@@ -176,5 +177,5 @@ def fit_one_step(states: Array, commands: Array) -> Array:
     def mismatch(K: Array) -> Array:
         return (step(now, command, K) - after).ravel()
 
-    bounds = (np.zeros(8), 10.0 * GUESS)  # beyond them is no aircraft
-    return np.asarray(least_squares(mismatch, GUESS, bounds=bounds, x_scale=GUESS).x)
+    bounds = (np.minimum(0.0, 10.0 * GUESS), np.maximum(0.0, 10.0 * GUESS))  # beyond them is no aircraft
+    return np.asarray(least_squares(mismatch, GUESS, bounds=bounds, x_scale=np.abs(GUESS)).x)

@@ -32,6 +32,7 @@ from given import (
     LEVEL,
     NAMES,
     ORANGE,
+    PRIOR_SIGMA,
     ROWS,
     SIGMA,
     UNITS,
@@ -222,7 +223,7 @@ check(gauss_newton_step)
 
 
 # %% tags=["fit"]
-def fit(measured, commands, K=GUESS, sigma_prior=0.5 * GUESS, rounds=7):
+def fit(measured, commands, K=GUESS, sigma_prior=PRIOR_SIGMA, rounds=7):
     """K, start states, residuals (W, R) and derivatives after some rounds."""
     prior, starts, flat = K, start_guess(measured), (len(measured), -1)
     for _ in range(rounds):
@@ -398,19 +399,20 @@ plt.show()
 # ## Questions
 #
 # **Question 1.** Compare the four columns of the table. Which numbers does the paper's way get most wrong, and in which
-# direction? Explain by noise in the *angle of attack* why Ma comes out too small, and why cLa comes out near
-# $1/(V\,\Delta t) = 2.8$ (at $V$ = 7.1 m/s). Then look at your intervals: does the truth lie in about as many of them
-# as `LEVEL` promises?
+# direction? Explain by noise in the *angle of attack* why M_alpha comes out too near zero, and why cL_alpha comes out
+# near $1/(V\,\Delta t) = 2.8$ (at $V$ = 7.1 m/s). Then look at your intervals: does the truth lie in about as many of
+# them as `LEVEL` promises?
 
 # %% [markdown] answer="q1"
-# Raw differences: four numbers stand on their bound of zero, among them Ma and Me; that is no aircraft. The angle of
-# attack is pitch minus the direction of a noisy velocity. A regression on a noisy variable flattens its slope, however
-# many rows there are, because noise makes the variable look larger than it is: so Ma goes to zero. In the lift the same
-# error works the other way. A vz that is too low by n makes the angle of attack too large by n / V, and the next step
-# rises by n. A lift of V^2 cLa (n / V) in a time dt does just that if cLa = 1 / (V dt) = 2.8: the fit found the noise,
-# not the wing. Smoothed: better, but cD0 is 23 % too small and Ma 27 % too large. A straight line cuts corners, and no
-# one-step fit sees the delay. At 94 % one expects 7 or 8 of the eight true values inside the intervals; here it is 8.
-# (Numbers that go together, such as cL0, M0 and Ma, also err together.)
+# Raw differences: four numbers stand on their bound of zero, among them M_alpha and M_de; that is no aircraft. The
+# angle of attack is pitch minus the direction of a noisy velocity. A regression on a noisy variable flattens its slope,
+# however many rows there are, because noise makes the variable look larger than it is: so M_alpha goes to zero. In the
+# lift the same error works the other way. A vz that is too low by n makes the angle of attack too large by n / V, and
+# the next step rises by n. A lift of V^2 cL_alpha (n / V) in a time dt does just that if cL_alpha = 1 / (V dt) = 2.8:
+# the fit found the noise, not the wing. Smoothed: better, but cD_0 is 23 % too small and M_alpha 27 % too large (in
+# size). A straight line cuts corners, and no one-step fit sees the delay. At 94 % one expects 7 or 8 of the eight true
+# values inside the intervals; here it is 8.
+# (Numbers that go together, such as cL_0, M_0 and M_alpha, also err together.)
 
 # %% [markdown]
 # **Question 2.** Why are whole passes held out, and not every fifth row? And why may the start states of held-out

@@ -13,7 +13,16 @@ import numpy as np
 from falconwing_kit.aircraft import Model, paper_model, roll_out, trim
 
 HERE = Path(__file__).parent
-TRUTH = {"cL0": 0.083, "cLa": 1.47, "cD0": 0.0185, "cDi": 0.22, "kT": 9.6, "M0": 0.112, "Me": 0.33, "Ma": 1.12}
+TRUTH = {
+    "cL_0": 0.083,
+    "cL_alpha": 1.47,
+    "cD_0": 0.0185,
+    "cD_induced": 0.22,
+    "kT": 9.6,
+    "M_0": 0.112,
+    "M_de": 0.33,
+    "M_alpha": -1.12,
+}
 DELAY, FINE, PER_ROW = 0.06, 0.01, 5  # s; s of an integration step; steps a row
 PASSES, ROWS = 16, 86
 SIGMA = np.array([0.03, 0.03, np.radians(0.6)])  # m, m, rad

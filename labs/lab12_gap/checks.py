@@ -46,7 +46,7 @@ RESIDUAL_MAP = (
 )
 
 FLOW = {"V": 7.0, "alpha": 0.1, "beta": 0.2, "height": CUSHION_M, "c": 0.2, "thrust": 3.0, "aileron": 0.5}
-NUMBERS = {"cDi": 0.2, "La": 0.75}
+NUMBERS = {"cD_induced": 0.2, "L_da": 0.75}
 BEFORE = np.arange(12.0).reshape(6, 2) - 4.0
 PATH = np.array([math.cos(0.1) * math.cos(0.2), math.sin(0.2), math.sin(0.1) * math.cos(0.2)])
 LIFT = np.array([math.sin(0.1), 0.0, -math.cos(0.1)])
@@ -82,7 +82,7 @@ AUGMENT = (
     Check(
         "ground effect of 0.4 half a metre up: 0.4 / e of the lift more, and of the induced drag less",
         lambda f: _near(_added(f, "ground_effect", 0.4), _wanted(0.4 / math.e * 49.0 * (0.2 * LIFT + 0.008 * PATH))),
-        "Induced drag is V^2 cDi c^2; less of it pushes forward along the path.",
+        "Induced drag is V^2 cD_induced c^2; less of it pushes forward along the path.",
     ),
     Check(
         "the cushion is whole at the floor and gone at five metres",
@@ -95,7 +95,7 @@ AUGMENT = (
     Check(
         "aileron lost: a rolling moment against the aileron's own",
         lambda f: _near(_added(f, "aileron_loss", 0.3), _wanted(moment=(-0.3 * 49.0 * 0.75 * 0.5, 0.0, 0.0))),
-        "It is a share of V^2 La aileron; loads[3] is the rolling moment.",
+        "It is a share of V^2 L_da aileron; loads[3] is the rolling moment.",
     ),
     Check(
         "adverse yaw: right aileron turns the nose to the left",
@@ -229,6 +229,7 @@ LAB = Lab(
     name="lab12",
     title="What is missing in the model?",
     hours=4.0,
+    notebook_since="0.2",  # the model's symbols are the textbook's since then
     exercises=(
         Exercise("residual_map", 15.0, RESIDUAL_MAP),
         Exercise("augment_model", 15.0, AUGMENT),

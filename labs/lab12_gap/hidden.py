@@ -165,7 +165,7 @@ def _draw_loads(name: str, rng: np.random.Generator) -> tuple[Any, ...]:
     spans = {"V": (6.0, 9.0), "alpha": (-0.05, 0.2), "beta": (-0.2, 0.2), "height": (0.1, 2.5), "c": (0.1, 0.35),
              "thrust": (1.0, 5.0), "aileron": (-0.9, 0.9)}  # fmt: skip
     flow = {key: rng.uniform(*span, size=6) for key, span in spans.items()}
-    K = {"cDi": rng.uniform(0.1, 0.4), "La": rng.uniform(0.5, 1.0)}
+    K = {"cD_induced": rng.uniform(0.1, 0.4), "L_da": rng.uniform(0.5, 1.0)}
     return 3.0 * rng.normal(size=(6, 6)), flow, K, name, rng.uniform(0.2, 0.6)
 
 
@@ -184,7 +184,7 @@ def _loads(loads: Array, flow: Mapping[str, Array], K: Mapping[str, float], effe
         velocity, (nothing,) * 3, (nothing, nothing, flow["height"]), nothing, (1.0, flow["aileron"], 0.0, 0.0)
     )
     air = air._replace(airspeed=V)
-    numbers = {"cL0": flow["c"], "cLa": 0.0, "cLe": 0.0, "kT": flow["thrust"], "kTV": 0.0, **K}
+    numbers = {"cL_0": flow["c"], "cL_alpha": 0.0, "cL_de": 0.0, "kT": flow["thrust"], "kTV": 0.0, **K}
     term = next(entry.term for entry in CATALOGUE if entry.name == effect and entry.term)
     added = term.evaluate(air, SimpleNamespace(**numbers, **dict.fromkeys(_IN_KIT[effect], size)))
     return loads + np.stack([part + nothing for part in added])

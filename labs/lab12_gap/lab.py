@@ -159,7 +159,7 @@ def augment_model(loads, flow, K, effect, size):
         loads: (6, N) X, Y, Z [m/s^2] and L, M, N [rad/s^2] without the effect.
         flow: by name, each (N,): V [m/s], alpha, beta [rad], height [m], c lift over V^2 [1/m],
             thrust [m/s^2], aileron [-].
-        K: the aircraft's numbers: cDi [m], La [1/m^2].
+        K: the aircraft's numbers: cD_induced [m], L_da [1/m^2].
         effect: one of LOADS, or "none".
         size: of the effect, in the unit that CANDIDATES of given.py says.
 
@@ -177,9 +177,9 @@ def augment_model(loads, flow, K, effect, size):
         added[0] = -size * flow["thrust"]
     elif effect == "ground_effect":
         near = size * np.exp(-flow["height"] / CUSHION_M)
-        added[:3] = near * V**2 * (c * lift + K["cDi"] * c**2 * path)
+        added[:3] = near * V**2 * (c * lift + K["cD_induced"] * c**2 * path)
     elif effect == "aileron_loss":
-        added[3] = -size * V**2 * K["La"] * flow["aileron"]
+        added[3] = -size * V**2 * K["L_da"] * flow["aileron"]
     elif effect == "adverse_yaw":
         added[5] = -size * V**2 * flow["aileron"]
     return loads + added
@@ -198,7 +198,7 @@ def own_term(effect):
     """Your `augment_model` as a term of the kit's model."""
 
     def evaluate(air, K):
-        c = K.cL0 + K.cLa * air.alpha + K.cLe * air.elevator
+        c = K.cL_0 + K.cL_alpha * air.alpha + K.cL_de * air.elevator
         thrust = (K.kT - K.kTV * air.airspeed) * air.throttle
         flow = {"V": air.airspeed, "alpha": air.alpha, "beta": air.beta, "c": c, "thrust": thrust,
                 "height": np.maximum(air.height, 0.0), "aileron": air.aileron}  # fmt: skip
@@ -430,10 +430,10 @@ check(my_finding)
 # another friend takes the candidate with the largest gain without a threshold: what happens to him on a calm flight?
 
 # %% [markdown] answer="q2"
-# He misses what a number of the aircraft can imitate: a lost aileron is a smaller La and nothing else, extra drag is a
-# larger cD0, a loss of thrust a smaller kT, a trim bias a rolling moment at rest, a delay the delay that the model has
-# anyway. Wind and ground effect stay: no number makes them. The other friend always names something: one of ten gains
-# is always the largest. On every calm flight he invents an effect.
+# He misses what a number of the aircraft can imitate: a lost aileron is a smaller L_da and nothing else, extra drag is
+# a larger cD_0, a loss of thrust a smaller kT, a trim bias a rolling moment at zero, a delay the delay that the model
+# has anyway. Wind and ground effect stay: no number makes them. The other friend always names something: one of ten
+# gains is always the largest. On every calm flight he invents an effect.
 
 # %% [markdown]
 # ## What you can do now

@@ -195,7 +195,7 @@ def test_a_fan_jet_fades_as_a_bell():
 def test_ground_effect_by_hand():
     """At 0.5 ln 2 = 0.34657 m half of what is on the floor is left: lift more by 49.01 * 0.2 * 0.4 / 2 = 1.960, induced
     drag less by 49 * 0.5 * 0.2^2 * 0.3 / 2 = 0.147. Below the floor is as on it, and ten metres up nothing is left."""
-    K = {"cL0": 0.2, "cDi": 0.5, "ground_lift": 0.4, "ground_drag": 0.3}
+    K = {"cL_0": 0.2, "cD_induced": 0.5, "ground_lift": 0.4, "ground_drag": 0.3}
     near = loads("ground_effect", flow(height=0.5 * np.log(2.0)), **K)
     assert near == pytest.approx((0.147, 0.0, -1.960, 0.0, 0.0, 0.0), abs=1e-3)
     on_floor, below, above = (loads("ground_effect", flow(height=height), **K) for height in (0.0, -0.3, 10.0))
@@ -207,8 +207,8 @@ def test_on_the_floor_lift_may_double_and_induced_drag_may_vanish():
     """What shares of one mean, at any angle of attack: the model's own lift once more, and its
     drag taken back."""
     air = flows_at_random()._replace(height=0.0)
-    found = loads("ground_effect", air, cD0=0.0, cDb=0.0, ground_lift=1.0, ground_drag=1.0)
-    assert found == pytest.approx(total([terms.lift], air) - total([terms.drag], air, cD0=0.0, cDb=0.0), abs=1e-10)
+    found = loads("ground_effect", air, cD_0=0.0, cD_beta=0.0, ground_lift=1.0, ground_drag=1.0)
+    assert found == pytest.approx(total([terms.lift], air) - total([terms.drag], air, cD_0=0.0, cD_beta=0.0), abs=1e-10)
 
 
 def test_extra_drag_by_hand():
@@ -219,14 +219,14 @@ def test_extra_drag_by_hand():
 
 def test_flap_by_hand():
     """Lift 49 * 0.1 = 4.90; drag 49 (0.05 + 2 (0.3^2 - 0.2^2)) = 49 * 0.15 = 7.35."""
-    found = loads("flap", flow(), cL0=0.2, cDi=2.0, flap_lift=0.1, flap_drag=0.05)
+    found = loads("flap", flow(), cL_0=0.2, cD_induced=2.0, flap_lift=0.1, flap_drag=0.05)
     assert found == pytest.approx((-7.35, 0.0, -4.90, 0.0, 0.0, 0.0), abs=2e-3)
 
 
 def test_a_flap_moves_the_aircraft_along_its_polar():
-    """The law: lift and drag with the flap are those of a wing whose cL0 and cD0 are larger, at any angle."""
+    """The law: lift and drag with the flap are those of a wing whose cL_0 and cD_0 are larger, at any angle."""
     air = flows_at_random()
-    out, clean = {"cL0": 0.078 + 0.12, "cD0": 0.0155 + 0.01}, {"cL0": 0.078, "cD0": 0.0155}
+    out, clean = {"cL_0": 0.078 + 0.12, "cD_0": 0.0155 + 0.01}, {"cL_0": 0.078, "cD_0": 0.0155}
     parts = [terms.lift, terms.drag]
     want = total(parts, air, **out) - total(parts, air, **clean)
     assert loads("flap", air, **clean, flap_lift=0.12, flap_drag=0.01) == pytest.approx(want, abs=1e-10)
@@ -255,7 +255,7 @@ def test_a_full_battery_sags_not():
 def test_mass_change_by_hand():
     """A quarter more mass takes a fifth of each force: of lift 9.80, drag 49 (0.02 + 0.5 * 0.2^2) = 1.96, thrust 2.75;
     the rest of the nose's forces is -0.2 (2.75 - 1.96) = -0.158, lift loses 1.96."""
-    K = {"cL0": 0.2, "cD0": 0.02, "cDi": 0.5, "mass_added": 0.25}
+    K = {"cL_0": 0.2, "cD_0": 0.02, "cD_induced": 0.5, "mass_added": 0.25}
     found = loads("mass_change", flow(throttle=0.5), **THRUST, **K)
     assert found == pytest.approx((-0.158, 0.0, 1.960, 0.0, 0.0, 0.0), abs=2e-3)
 
@@ -264,7 +264,7 @@ def test_mass_change_by_hand():
 def test_newton_with_another_mass(added):
     """The law: force over mass. All forces of the model together shrink by 1 / (1 + mu), moments are left alone."""
     air, parts = flows_at_random(), [term.evaluate for term in terms.FORCES]
-    K = {"cLe": 0.1, "cYr": 0.2}
+    K = {"cL_de": 0.1, "cY_dr": 0.2}
     whole = total(parts, air, **K)
     found = whole + loads("mass_change", air, **K, mass_added=added)
     assert found == pytest.approx(whole / (1.0 + added), abs=1e-10)
@@ -273,14 +273,14 @@ def test_newton_with_another_mass(added):
 def test_stall_by_hand():
     """u = 8, w = 6: alpha = 0.6435, far beyond 0.2: 0.5 * 1.4 * 0.4435 = 0.31045 is lost, times 100.01 31.05 m/s^2.
     Lift leans 0.6 forward and 0.8 up, so nose -18.63, belly +24.84; drag 31.05 * 0.75 takes 18.63 and 13.97 more."""
-    found = loads("stall", flow(u=8.0, w=6.0), cLa=1.4, stall_alpha=0.2, stall_loss=0.5)
+    found = loads("stall", flow(u=8.0, w=6.0), cL_alpha=1.4, stall_alpha=0.2, stall_loss=0.5)
     assert found == pytest.approx((-37.26, 0.0, 10.87, 0.0, 0.0, 0.0), abs=0.02)
 
 
 def test_a_stall_begins_smoothly():
     """At the angle itself the step of 2 deg has passed ln 2: 0.035 ln 2 * 1.4 * 0.5 * 49 = 0.832; 8 deg below (four
     steps) exp(-4) of a step is left."""
-    K = {"cLa": 1.4, "stall_loss": 0.5}
+    K = {"cL_alpha": 1.4, "stall_loss": 0.5}
     at = flow(u=7.0 * np.cos(0.2), w=7.0 * np.sin(0.2))
     found = loads("stall", at, **K, stall_alpha=0.2)
     assert np.hypot(found[0], found[2]) == pytest.approx(0.832 / np.cos(0.2), rel=2e-3)  # lift and drag tan(alpha)
@@ -305,11 +305,11 @@ def test_adverse_yaw_by_hand():
 
 def test_aileron_loss_by_hand():
     """Two fifths of 49.01 * 0.75 * 0.5 = 18.38 are gone; at a loss of one the stick does nothing."""
-    found = loads("aileron_loss", flow(aileron=0.5), La=0.75, aileron_lost=0.4)
+    found = loads("aileron_loss", flow(aileron=0.5), L_da=0.75, aileron_lost=0.4)
     assert found == pytest.approx((0.0, 0.0, 0.0, -7.352, 0.0, 0.0), abs=1e-3)
-    alone = {"L0": 0.0, "Lb": 0.0, "Lp": 0.0, "Lr": 0.0, "La": 0.75}
+    alone = {"L_0": 0.0, "L_beta": 0.0, "L_p": 0.0, "L_r": 0.0, "L_da": 0.75}
     rest = total([terms.roll_moment], flow(aileron=0.5), **alone) + loads(
-        "aileron_loss", flow(aileron=0.5), La=0.75, aileron_lost=1.0
+        "aileron_loss", flow(aileron=0.5), L_da=0.75, aileron_lost=1.0
     )
     assert rest == pytest.approx(np.zeros(6), abs=1e-12)
 
@@ -318,7 +318,7 @@ def test_cg_shift_is_a_lever_over_two_inertias():
     """0.15 kg, Ixx, Iyy, Izz = 2, 3, 4.5 g m^2, mass 2 cm behind: lift turns with 0.15 * 0.02 / 0.003 = 1 of L/m, side
     force with 0.003 / 0.0045 = 2/3 of Y/m. L/m = 49.01 (0.2 + 0.1 * 0.5), Y/m = 49.01 (0.4 * 0.4) [m/s^2]."""
     Ixx, Iyy, Izz = 2e-3, 3e-3, 4.5e-3
-    K = {"Jy": (Izz - Ixx) / Iyy, "Jz": (Ixx - Iyy) / Izz, "cL0": 0.2, "cLe": 0.1, "cY": 0.0, "cYr": 0.4}
+    K = {"Jy": (Izz - Ixx) / Iyy, "Jz": (Ixx - Iyy) / Izz, "cL_0": 0.2, "cL_de": 0.1, "cY_beta": 0.0, "cY_dr": 0.4}
     found = loads("cg_shift", flow(**FROM_THE_RIGHT, elevator=0.5, rudder=0.4), **K, cg_moment=0.15 * 0.02 / Iyy)
     assert found == pytest.approx((0.0, 0.0, 0.0, 0.0, 12.25, 5.228), abs=5e-3)
 

@@ -128,7 +128,7 @@ def test_one_start_and_many_commands_fly_as_each_alone(backend, rng):
 
 def test_parameters_may_differ_within_a_batch(rng):
     """A record of arrays flies each aircraft with its own values, as fits do."""
-    heavy, light = rates_model(), rates_model().with_values({"cL0": 0.1, "kT": 8.0})
+    heavy, light = rates_model(), rates_model().with_values({"cL_0": 0.1, "kT": 8.0})
     start, mean = flights(heavy, rng, count=2, steps=1)
     rates, both = state_rates("rates", heavy.terms, ()), np.array([heavy.vector, light.vector]).T
     K = type(heavy.K)(*both)

@@ -14,7 +14,7 @@ from falconwing_kit.core.checks import InputError
 from tests.jsbsim_aircraft import JsbsimAircraft, figure_eights, fly_jsbsim
 
 DT = 0.025
-RATES = (("L", "0ab"), ("M", "0ea"), ("N", "0rb"))  # of each rate: at rest, its stick, its angle
+RATES = (("L", ("0", "da", "beta")), ("M", ("0", "de", "alpha")), ("N", ("0", "dr", "beta")))  # zero, command, angle
 ROUNDING = 1e-11  # 80 steps of numbers up to 20, each right to 1e-16, in flights that double small errors a few times
 
 
@@ -37,12 +37,14 @@ def flights(model, rng, count=20, steps=80):
 
 
 def test_the_paper_form_has_nine_states_and_sixteen_unknowns():
-    """Nine states are the paper's; 16 by count: cL0 cLa, cD0 cDi, cY, kT kTV, and three for each of three rates."""
+    """Nine states are the paper's; 16 by count: two of lift, two of drag, cY_beta, kT kTV, three a rate."""
     model = paper_model()
     free = {p.name for p in model.parameters if p.low < p.high}
     assert model.n_states == 9
     assert len(free) == 7 + 9
-    assert free == {"cL0", "cLa", "cD0", "cDi", "cY", "kT", "kTV"} | {k + n for k, ns in RATES for n in ns}
+    assert free == {"cL_0", "cL_alpha", "cD_0", "cD_induced", "cY_beta", "kT", "kTV"} | {
+        f"{k}_{n}" for k, ns in RATES for n in ns
+    }
 
 
 def test_the_rates_form_has_twelve_states_and_29_unknowns():
@@ -51,7 +53,7 @@ def test_the_rates_form_has_twelve_states_and_29_unknowns():
     free = {p.name for p in model.parameters if p.low < p.high}
     assert model.n_states == 12
     assert len(free) == 9 + 14 + 3 + 1 + 2
-    assert {"cLe", "cYr", "cDb", "Jx", "Jy", "Jz", "delay", "lag"} < free
+    assert {"cL_de", "cY_dr", "cD_beta", "Jx", "Jy", "Jz", "delay", "lag"} < free
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -66,23 +68,23 @@ def test_vector_and_names_say_the_same(form):
 def test_a_change_leaves_the_old_model_alone():
     """A frozen record: a change returns a new one."""
     old = rates_model()
-    new = old.with_values({"cL0": 0.5})
-    assert (old.values["cL0"], new.values["cL0"]) == (0.078, 0.5)
-    assert new.values["cLa"] == old.values["cLa"]
+    new = old.with_values({"cL_0": 0.5})
+    assert (old.values["cL_0"], new.values["cL_0"]) == (0.078, 0.5)
+    assert new.values["cL_alpha"] == old.values["cL_alpha"]
 
 
 def test_an_unknown_name_is_told_with_the_known_ones():
     """A typo must not become a parameter that nothing reads."""
-    with pytest.raises(InputError, match=r"'cL1'.*cL0"):
-        rates_model().with_values({"cL1": 0.1})
+    with pytest.raises(InputError, match=r"'cL_1'.*cL_0"):
+        rates_model().with_values({"cL_1": 0.1})
 
 
 def test_a_pinned_parameter_has_no_room():
     """Bounds that meet at the present value are what every fit leaves out."""
-    model = rates_model().with_values({"Lp": 3.0}).pinned(["Lp"])
+    model = rates_model().with_values({"L_p": -3.0}).pinned(["L_p"])
     bounds = {p.name: (p.low, p.high) for p in model.parameters}
-    assert bounds["Lp"] == (3.0, 3.0)
-    assert bounds["Lr"] == (-4.0, 6.0)
+    assert bounds["L_p"] == (-3.0, -3.0)
+    assert bounds["L_r"] == (-4.0, 6.0)
 
 
 def test_an_added_force_accelerates_by_its_size():
@@ -214,7 +216,7 @@ def test_place_and_heading_do_not_matter(form, rng):
 
 def side_force_in_wind_axes(air, K):
     """As JSBSim has it: at right angles to the wind, where the kit's lies along the right wing."""
-    force = air.airspeed**2 * (K.cYr * air.rudder - K.cY * air.beta)
+    force = air.airspeed**2 * (K.cY_beta * air.beta + K.cY_dr * air.rudder)
     forward, right = -np.sin(air.beta), np.cos(air.beta)
     return force * forward * np.cos(air.alpha), force * right, force * forward * np.sin(air.alpha), 0.0, 0.0, 0.0
 
@@ -229,7 +231,7 @@ def errors_against_jsbsim(seed, step, wind_axes):
         terms = tuple(
             replace(x, evaluate=side_force_in_wind_axes) if x.name == "side_force" else x for x in model.terms
         )
-        model = replace(model, terms=terms).with_values({"cDb": model.values["cDb"] + model.values["cY"]})
+        model = replace(model, terms=terms).with_values({"cD_beta": model.values["cD_beta"] - model.values["cY_beta"]})
     substeps = 10  # of 5 ms, so that what is left is not the kit's integration
     edges = np.arange(100 * substeps + 1) * 0.05 / substeps
     mean, swing = acting_commands(t, sticks, edges, model.values["delay"], model.values["lag"])

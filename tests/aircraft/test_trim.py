@@ -24,7 +24,7 @@ def rng():
 def lopsided(form):
     """An aircraft that needs every stick and some sideslip to fly straight."""
     model = FORMS[form]()
-    return model.with_values({"L0": 0.01, "N0": -0.01, "cLe": 0.05, "cYr": 0.1})
+    return model.with_values({"L_0": 0.01, "N_0": -0.01, "cL_de": 0.05, "cY_dr": 0.1})
 
 
 def held(model, steady, seconds):
@@ -98,8 +98,8 @@ def test_the_ball_stays_in_the_middle(form):
 def test_thrust_pays_for_drag_and_climb(climb):
     """Law of energy: thrust along the path = drag + g sin(climb); lift does no work. Drag written out here."""
     steady, K = trim(rates_model(), V, climb), rates_model().K
-    lift, airspeed = K.cL0 + K.cLa * steady.alpha, np.sqrt(V**2 + 0.01)
-    drag = airspeed * V * (K.cD0 + K.cDi * lift**2)
+    lift, airspeed = K.cL_0 + K.cL_alpha * steady.alpha, np.sqrt(V**2 + 0.01)
+    drag = airspeed * V * (K.cD_0 + K.cD_induced * lift**2)
     thrust = (K.kT - K.kTV * airspeed) * steady.command[0]
     assert thrust * np.cos(steady.alpha) == pytest.approx(drag + 9.8 * np.sin(climb), abs=1e-7)
 
@@ -174,7 +174,7 @@ def test_what_cannot_be_flown_is_said_with_the_limit(form, wanted, words):
 def test_an_aircraft_without_ailerons_is_said():
     """No stick balances a rolling moment, so some acceleration stays."""
     with pytest.raises(InputError, match=r"needs rudder|no balance"):
-        trim(rates_model().with_values({"La": 0.0, "L0": 0.2}), V)
+        trim(rates_model().with_values({"L_da": 0.0, "L_0": 0.2}), V)
 
 
 def test_modes_are_those_of_the_form_with_rates():
@@ -244,7 +244,7 @@ def test_small_deviations_follow_the_eigenvalues(form):
 
 
 def test_the_modes_have_the_frequencies_of_textbook_formulas():
-    """Roll: 1 / (V Lp). Short period: V sqrt(Ma + Mq cLa). Both within 3 %, as weak couplings are left out there.
+    """Roll: -1 / (V L_p). Short period: V sqrt(-M_alpha - M_q cL_alpha). Both within 3 %: weak couplings are left out.
 
     [Beard & McLain, sec. 5.6; lift and pitch damping per unit mass and inertia]
     """
@@ -252,17 +252,19 @@ def test_the_modes_have_the_frequencies_of_textbook_formulas():
     found = {mode.name: mode for mode in modes(linearise(model, trim(model, V))[0])}
     K = model.K
     assert set(found) == {"short period", "phugoid", "Dutch roll", "roll", "spiral"}
-    assert found["roll"].time_constant == pytest.approx(1.0 / (V * K.Lp), rel=0.03)
-    assert found["short period"].natural_frequency == pytest.approx(V * np.sqrt(K.Ma + K.Mq * K.cLa), rel=0.03)
-    assert found["Dutch roll"].natural_frequency == pytest.approx(V * np.sqrt(K.Nb + K.Nrr * K.cY), rel=0.2)
+    assert found["roll"].time_constant == pytest.approx(-1.0 / (V * K.L_p), rel=0.03)
+    assert found["short period"].natural_frequency == pytest.approx(
+        V * np.sqrt(-K.M_alpha - K.M_q * K.cL_alpha), rel=0.03
+    )
+    assert found["Dutch roll"].natural_frequency == pytest.approx(V * np.sqrt(K.N_beta + K.N_r * K.cY_beta), rel=0.2)
 
 
 def test_the_phugoid_trades_height_for_speed():
     """Lanchester: sqrt(2) g / V when it is slow beside the short period; an aircraft with stiff pitch and no drag."""
     model = rates_model().with_values(
-        {"Ma": 15.0, "Mq": 0.3, "M0": 0.0, "cL0": 9.8 / 25.0**2, "cD0": 0.002, "kTV": 0.0}
+        {"M_alpha": -15.0, "M_q": -0.3, "M_0": 0.0, "cL_0": 9.8 / 25.0**2, "cD_0": 0.002, "kTV": 0.0}
     )
-    fast = 25.0  # held by cL0 alone, so that pitch and angle of attack are small
+    fast = 25.0  # held by cL_0 alone, so that pitch and angle of attack are small
     found = {mode.name: mode for mode in modes(linearise(model, trim(model, fast))[0])}
     assert found["phugoid"].natural_frequency == pytest.approx(np.sqrt(2.0) * 9.8 / fast, rel=0.05)
     assert abs(found["phugoid"].damping) < 0.1

@@ -23,7 +23,7 @@ from tests.sysid.recorded import CASES, calm_flight
 from tests.sysid.simulated import drawn, fly_figure_eights, measured
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
-ADDED = ("Jx", "Jy", "Jz", "cDb", "delay", "lag")  # beyond the 23 parameters of the plain rates form
+ADDED = ("Jx", "Jy", "Jz", "cD_beta", "delay", "lag")  # beyond the 23 parameters of the plain rates form
 
 
 def flights(count: int, seconds: float, seed: int) -> list[tuple[Model, FlightTable]]:

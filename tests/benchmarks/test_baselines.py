@@ -35,7 +35,10 @@ from tests.gap.studies import EFFECTS, own_aircraft, own_base, own_flight
 from tests.sysid.recorded import FOLDER
 from tests.sysid.simulated import DT, fly_figure_eights, measured
 
-PLANTED = {"adverse_yaw": {"adverse_yaw": 0.08}, "extra_drag": {"drag_added": 0.015}}  # a third of Nr, as much as cD0
+PLANTED = {
+    "adverse_yaw": {"adverse_yaw": 0.08},
+    "extra_drag": {"drag_added": 0.015},
+}  # a third of N_dr, as much as cD_0
 
 
 @cache

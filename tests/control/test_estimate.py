@@ -87,7 +87,7 @@ def test_observer_is_nearer_the_truth_than_the_poses(rng):
 def test_observer_stays_near_with_another_aircraft(rng):
     """A fifth less aileron, a tenth less thrust: the poses hold the twin within 10 cm and 3 deg."""
     values = rates_model().values
-    other = rates_model().with_values({"La": 0.8 * values["La"], "kT": 0.9 * values["kT"]})
+    other = rates_model().with_values({"L_da": 0.8 * values["L_da"], "kT": 0.9 * values["kT"]})
     errors = np.abs(observed(rng, (0.01, np.radians(0.7)), other)[10:])
     assert errors[:, :3].max() < 0.1 and np.degrees(errors[:, 3:6].max()) < 3.0
 

@@ -149,6 +149,6 @@ def test_what_cannot_be_held_is_refused_in_a_sentence():
     with pytest.raises(InputError, match="throttle"):
         Autopilot(rates_model().with_values({"kT": 0.5}))
     with pytest.raises(InputError, match="trim"):
-        Autopilot(rates_model().with_values({"Me": 0.0, "M0": 0.9}))
+        Autopilot(rates_model().with_values({"M_de": 0.0, "M_0": 0.9}))
     with pytest.raises(InputError, match="delay"):
         Autopilot(rates_model(), delay=-1.0)

@@ -12,7 +12,7 @@ from falconwing_kit.sysid.shooting import Windows, cut_windows
 from tests.gap.studies import EFFECTS, own_aircraft, own_flight
 from tests.sysid.simulated import MARKER
 
-FREE = ("cD0", "kT", "N0")
+FREE = ("cD_0", "kT", "N_0")
 
 
 def prior() -> Prior:

@@ -54,9 +54,9 @@ def test_flight_becomes_a_model_and_three_figures(identified):
 def test_found_model_is_an_ordinary_aircraft(identified):
     """Signs from flight mechanics: lift grows with incidence, every rotation is damped, sticks act as they should."""
     K = read_model(identified / "model.toml").model.K
-    assert min(K.cLa, K.Lp, K.Mq, K.Nrr, K.Ma, K.Nb) > 0.0
-    assert min(K.La, K.Me, K.Nr, K.kT) > 0.0
-    assert K.Lb < 0.0
+    assert min(K.cL_alpha, K.N_beta) > 0.0
+    assert max(K.cY_beta, K.L_beta, K.L_p, K.M_alpha, K.M_q, K.N_r) < 0.0
+    assert min(K.L_da, K.M_de, K.N_dr, K.kT) > 0.0
 
 
 def test_going_on_from_a_model_finds_the_same_flight_as_good(identified, capsys):

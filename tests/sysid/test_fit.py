@@ -14,7 +14,7 @@ from falconwing_kit.sysid.shooting import cut_windows, fly_windows, pose_residua
 from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
 
 SIGMA = np.array([MARKER[0]] * 3 + [MARKER[1]] * 3)
-SMALL = ("La", "Me", "Ma", "Nr")  # free in the small problems
+SMALL = ("L_da", "M_de", "M_alpha", "N_dr")  # free in the small problems
 
 
 def simulated(form, seconds, seed, noise=MARKER):
@@ -102,35 +102,35 @@ def test_the_minimum_is_scipys(small):
     found = fit(start, windows, starts, tolerance=1e-9)
     assert found.cost == pytest.approx(cost, rel=1e-6)
     assert {n: found.model.values[n] for n in SMALL} == pytest.approx(want, rel=1e-4)
-    assert abs(found.model.values["La"] / start.values["La"] - 1.0) > 0.02  # it did move
+    assert abs(found.model.values["L_da"] / start.values["L_da"] - 1.0) > 0.02  # it did move
 
 
 def test_bounds_hold_and_the_rest_settles_as_in_scipy(small):
-    """The truth lies below what is allowed for Ma: it stops exactly on its bound, the others where SciPy puts them."""
+    """The truth lies above what is allowed for M_alpha: it stops on its bound, the others where SciPy puts them."""
     start, windows, starts = small
-    low = start.values["Ma"]
-    parameters = tuple(replace(p, low=low, high=3.0 * low) if p.name == "Ma" else p for p in start.parameters)
-    bounded = replace(start, parameters=parameters).with_values({"Ma": 1.2 * low})
+    high = start.values["M_alpha"]
+    parameters = tuple(replace(p, low=3.0 * high, high=high) if p.name == "M_alpha" else p for p in start.parameters)
+    bounded = replace(start, parameters=parameters).with_values({"M_alpha": 1.2 * high})
     want, cost = scipy_fit(bounded, windows, starts)
     found = fit(bounded, windows, starts, tolerance=1e-9)
-    assert found.model.values["Ma"] == low
+    assert found.model.values["M_alpha"] == high
     assert found.cost == pytest.approx(cost, rel=1e-5)
     assert {n: found.model.values[n] for n in SMALL} == pytest.approx(want, rel=1e-3)
 
 
 def test_a_prior_pulls_as_in_scipy(small):
-    """Mean 20 % above, 1 % wide, La and Me known together: rows in SciPy's sum of squares, the same minimum."""
+    """Mean 20 % above, 1 % wide, L_da and M_de known together: rows in SciPy's sum of squares, the same minimum."""
     start, windows, starts = small
     correlation = np.eye(4)
     correlation[0, 1] = correlation[1, 0] = 0.8
     mean = {n: 1.2 * start.values[n] for n in SMALL}
-    prior = Prior(mean, {n: 0.01 * mean[n] for n in SMALL}, correlation)
+    prior = Prior(mean, {n: 0.01 * abs(mean[n]) for n in SMALL}, correlation)
     want, cost = scipy_fit(start, windows, starts, prior)
     found = fit(start, windows, starts, prior=prior, tolerance=1e-9)
     free = fit(start, windows, starts, tolerance=1e-9)
     assert found.cost == pytest.approx(cost, rel=1e-6)
     assert {n: found.model.values[n] for n in SMALL} == pytest.approx(want, rel=1e-4)
-    assert found.model.values["Me"] > 1.01 * free.model.values["Me"]
+    assert found.model.values["M_de"] > 1.01 * free.model.values["M_de"]
 
 
 def test_a_prior_weighs_like_gaussian_theory(small):
@@ -152,8 +152,8 @@ def test_a_prior_weighs_like_gaussian_theory(small):
 def test_a_sharp_prior_wins(small):
     """In the limit the prior's mean is the answer."""
     start, windows, starts = small
-    prior = Prior({"Me": 0.5}, {"Me": 1e-9})
-    assert fit(start, windows, starts, prior=prior).model.values["Me"] == pytest.approx(0.5, abs=1e-7)
+    prior = Prior({"M_de": 0.5}, {"M_de": 1e-9})
+    assert fit(start, windows, starts, prior=prior).model.values["M_de"] == pytest.approx(0.5, abs=1e-7)
 
 
 def test_start_states_alone_are_scipys_too(small):
@@ -224,7 +224,7 @@ def test_a_bad_start_gets_to_the_same_minimum(small):
     """Two parameters off by a factor of two, a cost a thousand times higher: the end is the same."""
     start, windows, starts = small
     near = fit(start, windows, starts, tolerance=1e-6)
-    far = start.with_values({"La": 2.0 * start.values["La"], "Ma": 0.5 * start.values["Ma"]})
+    far = start.with_values({"L_da": 2.0 * start.values["L_da"], "M_alpha": 0.5 * start.values["M_alpha"]})
     found = fit(far, windows, starts, tolerance=1e-6)
     assert np.sum(residuals(far, windows, starts) ** 2) > 1e3 * near.cost
     assert found.converged and found.cost == pytest.approx(near.cost, rel=1e-6)
@@ -266,7 +266,7 @@ def test_far_residuals_count_linearly(small):
 
 
 def test_an_outlier_does_not_pull_once_weighed_down(small):
-    """One pose 3 m off: plain squares move Me by several sigmas, weighed squares by less than one."""
+    """One pose 3 m off: plain squares move M_de by several sigmas, weighed squares by less than one."""
     start, windows, starts = small
     clean = fit(start, windows, starts)
     sigma = 1.0 / np.sqrt(np.einsum("wif,wif->f", clean.reduced, clean.reduced))
@@ -276,8 +276,8 @@ def test_an_outlier_does_not_pull_once_weighed_down(small):
     plain = fit(clean.model, spoiled, clean.starts)
     weighed = spoiled.weighted(robust_factor(residuals(clean.model, spoiled, clean.starts), spoiled))
     robust = fit(clean.model, weighed, clean.starts)
-    i = [start.names[k] for k in clean.free].index("Me")
-    pulled = [abs(f.model.values["Me"] - clean.model.values["Me"]) / sigma[i] for f in (plain, robust)]
+    i = [start.names[k] for k in clean.free].index("M_de")
+    pulled = [abs(f.model.values["M_de"] - clean.model.values["M_de"]) / sigma[i] for f in (plain, robust)]
     assert pulled[0] > 2.0 > 1.0 > pulled[1]
 
 
@@ -288,5 +288,5 @@ def test_the_paper_form_fits_its_own_flights():
     found = fit(paper_model(), windows, starts)
     freedom = windows.count - 16 - 9 * len(windows)
     assert found.cost / freedom == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / freedom))
-    for name in ("La", "Me", "Nr", "cLa"):
+    for name in ("L_da", "M_de", "N_dr", "cL_alpha"):
         assert found.model.values[name] == pytest.approx(truth.values[name], rel=0.05)

@@ -231,7 +231,7 @@ def test_what_is_held_out_does_not_teach():
 def test_a_given_model_is_where_it_starts_and_what_it_holds():
     """Pinned parameters keep their value to the last bit and have no interval; the others still fit."""
     truth, _, table = example_flight()
-    pinned = ("Jx", "Jy", "Jz", "cDb", "delay", "lag")
+    pinned = ("Jx", "Jy", "Jz", "cD_beta", "delay", "lag")
     model = truth.pinned(pinned)
     found = identify([table], model=model)
     assert {n: found.model.values[n] for n in pinned} == {n: truth.values[n] for n in pinned}
@@ -298,8 +298,8 @@ def test_a_flight_that_excites_little_is_said_to():
     truth = drawn(rates_model(), rng)
     flown = fly_figure_eights([truth], 41.0, rng, shake=0.0, held=(3,))
     found = identify([measured(flown, rng)])
-    assert {"Nr", "cYr"} <= set(found.uncertainty.not_excited)
-    for name in ("Nr", "cYr"):
+    assert {"N_dr", "cY_dr"} <= set(found.uncertainty.not_excited)
+    for name in ("N_dr", "cY_dr"):
         said = [s for s in found.warnings if s.startswith(f"{name} ")]
         assert len(said) == 1 and "excited" in said[0]
     assert found.reversed_sticks == ()

@@ -115,15 +115,15 @@ def test_delay_and_lag_stay_as_they_are(perfect):
     found = fit_one_step(start, [flight], smoothed=True)
     assert (found.values["delay"], found.values["lag"]) == (0.07, 0.05)
     assert found.parameters == start.parameters
-    assert found.values["La"] != start.values["La"]
+    assert found.values["L_da"] != start.values["L_da"]
 
 
 def test_bounds_hold(perfect):
     """A lower bound above the truth: the value ends there or above."""
     truth, flight = perfect
-    bound = 1.3 * truth.values["La"]
-    parameters = tuple(replace(p, low=bound) if p.name == "La" else p for p in truth.parameters)
-    assert fit_one_step(replace(truth, parameters=parameters), [flight], smoothed=True).values["La"] >= bound
+    bound = 1.3 * truth.values["L_da"]
+    parameters = tuple(replace(p, low=bound) if p.name == "L_da" else p for p in truth.parameters)
+    assert fit_one_step(replace(truth, parameters=parameters), [flight], smoothed=True).values["L_da"] >= bound
 
 
 def test_fewer_steps_give_nearly_the_same(perfect):
@@ -131,8 +131,8 @@ def test_fewer_steps_give_nearly_the_same(perfect):
     truth, flight = perfect
     start = FORMS[truth.form]().with_values({n: truth.values[n] for n in ("delay", "lag")})
     some = fit_one_step(start, [flight], smoothed=True, most=150)
-    assert some.values["cLa"] == pytest.approx(truth.values["cLa"], rel=1e-3)
-    assert some.values["Me"] == pytest.approx(truth.values["Me"], rel=1e-3)
+    assert some.values["cL_alpha"] == pytest.approx(truth.values["cL_alpha"], rel=1e-3)
+    assert some.values["M_de"] == pytest.approx(truth.values["M_de"], rel=1e-3)
 
 
 def test_states_that_run_away_do_not_end_the_fit(perfect):

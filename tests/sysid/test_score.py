@@ -68,7 +68,7 @@ def test_noise_taken_twice_as_large_scores_a_quarter(flight):
 def test_a_wrong_aircraft_scores_worse(flight):
     """10 % less pitch stiffness and 5 % less roll control: what the start states cannot hide shows."""
     truth, windows = flight
-    wrong = truth.with_values({"Ma": 0.9 * truth.values["Ma"], "La": 0.95 * truth.values["La"]})
+    wrong = truth.with_values({"M_alpha": 0.9 * truth.values["M_alpha"], "L_da": 0.95 * truth.values["L_da"]})
     assert score(wrong, windows).chi2 > 2.0 * score(truth, windows).chi2
 
 

@@ -191,7 +191,7 @@ def test_a_noise_filter_mixes_rows_of_one_channel(perfect):
 def test_a_flight_that_runs_away_has_infinite_residuals():
     """Numbers overflow without a word; the cost says infinity, never nan, so that a fit steps back."""
     windows = cut_windows([flight(10.0)], paper_model())
-    wild = paper_model().with_values({"cD0": -1e6})
+    wild = paper_model().with_values({"cD_0": -1e6})
     residual = pose_residuals(residuals(wild, windows, windows.guess[:, :9]), windows)
     assert np.isinf(residual).any() and not np.isnan(residual).any()
 
@@ -256,7 +256,13 @@ def test_changes_are_differences_of_residuals(noisy):
     """`residuals` of each set of values one at a time, less those of the present ones: forces, moments and both stick
     parameters, alone and together. Start states stay, so what holds them does not change."""
     truth, windows, starts = noisy
-    sets = ({"cLa": 1.6, "Nr": 0.3}, {"delay": 0.06}, {}, {"lag": 0.08, "delay": 0.05, "kT": 8.0}, {"delay": 0.06})
+    sets = (
+        {"cL_alpha": 1.6, "N_dr": 0.3},
+        {"delay": 0.06},
+        {},
+        {"lag": 0.08, "delay": 0.05, "kT": 8.0},
+        {"delay": 0.06},
+    )
     moved = [truth.with_values(values) for values in sets]
     found = changes(truth, windows, starts, np.column_stack([model.vector for model in moved]))
     want = [residuals(model, windows, starts) - residuals(truth, windows, starts) for model in moved]
@@ -270,7 +276,7 @@ def test_a_change_that_runs_away_is_infinite_for_itself_alone():
     """As a cost, never nan; the set beside it is what it is alone."""
     windows = cut_windows([flight(10.0)], paper_model())
     base, starts = paper_model(), windows.guess[:, :9]
-    sets = [base.with_values(values).vector for values in ({"cD0": -1e6}, {"cLa": 1.6})]
+    sets = [base.with_values(values).vector for values in ({"cD_0": -1e6}, {"cL_alpha": 1.6})]
     found = changes(base, windows, starts, np.column_stack(sets))
     assert np.isposinf(found[0]).any() and not np.isnan(found[0]).any()
     assert np.array_equal(found[1:], changes(base, windows, starts, sets[1][:, None]))
@@ -302,7 +308,7 @@ def test_the_paper_form_has_derivatives_too():
     truth = drawn(paper_model(), rng)
     windows = cut_windows(prepare(measured(fly_figure_eights([truth], 10.0, rng), rng), SIGMA).flights, truth)
     starts = windows.guess[:, :9]
-    column = truth.names.index("La")
+    column = truth.names.index("L_da")
     _, found, to_start = jacobian(truth, windows, starts, [column])
     step = np.zeros(len(truth.names))
     step[column] = 1e-4

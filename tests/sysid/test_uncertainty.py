@@ -75,9 +75,9 @@ def test_a_prior_adds_its_information(fitted):
 
 def test_interval_is_1_96_sigma_to_either_side():
     """The normal distribution's 97.5 % point; a held parameter has no width."""
-    sure = Uncertainty(("La",), np.array([[0.04]]), 1.0, (), (), ())
-    assert sure.sigma == pytest.approx({"La": 0.2})
-    assert sure.interval("La", 1.0) == pytest.approx((1.0 - 0.392, 1.0 + 0.392))
+    sure = Uncertainty(("L_da",), np.array([[0.04]]), 1.0, (), (), ())
+    assert sure.sigma == pytest.approx({"L_da": 0.2})
+    assert sure.interval("L_da", 1.0) == pytest.approx((1.0 - 0.392, 1.0 + 0.392))
     assert sure.interval("kT", 9.0) == (9.0, 9.0)
 
 
@@ -108,8 +108,8 @@ def test_few_windows_say_nothing_of_correlation(fitted):
 
 
 def test_a_stick_that_never_moves_is_told(flown):
-    """Rudder at zero for a minute: its yawing moment Nr and side force cYr do nothing. These two are named, the others
-    are known about as well as with it (weathercock Nb and the like lose some of their excitation), all stay finite."""
+    """Rudder at zero for a minute: its yawing moment N_dr and side force cY_dr do nothing. These two are named, the
+    others are known about as well as with it (N_beta and the like lose some excitation), all stay finite."""
     truth, whole = flown
     held = fly_figure_eights([truth], 60.0, np.random.default_rng(6), held=(3,))
     sure = []
@@ -117,9 +117,9 @@ def test_a_stick_that_never_moves_is_told(flown):
         windows = windows_of(flight, np.random.default_rng(7))
         sure.append(uncertainty(fit(truth, windows, windows.guess), windows))
     moving, still = sure
-    assert not {"Nr", "cYr"} & set(moving.not_excited)
-    assert {"Nr", "cYr"} <= set(still.not_excited) <= {"Nr", "cYr", "cDb"}
-    others = [n for n in truth.names if n not in ("Nr", "cYr")]
+    assert not {"N_dr", "cY_dr"} & set(moving.not_excited)
+    assert {"N_dr", "cY_dr"} <= set(still.not_excited) <= {"N_dr", "cY_dr", "cD_beta"}
+    others = [n for n in truth.names if n not in ("N_dr", "cY_dr")]
     ratio = [still.sigma[n] / moving.sigma[n] for n in others]
     assert np.isfinite(still.covariance).all()
     assert 0.5 < np.median(ratio) < 2.0
@@ -128,25 +128,25 @@ def test_a_stick_that_never_moves_is_told(flown):
 def test_what_ends_on_its_bound_is_told(flown):
     """Drag is not allowed below twice its true value: it ends there and its interval does not hold."""
     truth, whole = flown
-    low = 2.0 * truth.values["cD0"]
-    parameters = tuple(replace(p, low=low) if p.name == "cD0" else p for p in truth.parameters)
+    low = 2.0 * truth.values["cD_0"]
+    parameters = tuple(replace(p, low=low) if p.name == "cD_0" else p for p in truth.parameters)
     windows = windows_of(whole, np.random.default_rng(2))
-    found = fit(replace(truth, parameters=parameters).with_values({"cD0": 1.2 * low}), windows, windows.guess)
+    found = fit(replace(truth, parameters=parameters).with_values({"cD_0": 1.2 * low}), windows, windows.guess)
     sure = uncertainty(found, windows)
-    assert found.model.values["cD0"] == low
-    assert "cD0" in sure.at_bound and "La" not in sure.at_bound
+    assert found.model.values["cD_0"] == low
+    assert "cD_0" in sure.at_bound and "L_da" not in sure.at_bound
 
 
 def test_twins_are_told_with_their_correlation(fitted):
-    """Roll is fast: in the time of one frame its rate settles at La / Lp, so the two come as a pair. The number is that
-    of the covariance."""
+    """Roll is fast: in the time of one frame its rate settles at -L_da / L_p, so the two come as a pair. The number is
+    that of the covariance."""
     windows, found = fitted
     sure = uncertainty(found, windows)
     pairs = {frozenset(pair[:2]): pair[2] for pair in sure.correlated}
-    i, j = sure.names.index("La"), sure.names.index("Lp")
+    i, j = sure.names.index("L_da"), sure.names.index("L_p")
     want = sure.covariance[i, j] / np.sqrt(sure.covariance[i, i] * sure.covariance[j, j])
-    assert pairs[frozenset(("La", "Lp"))] == pytest.approx(want)
-    assert want > 0.95 and min(abs(r) for r in pairs.values()) > 0.95
+    assert pairs[frozenset(("L_da", "L_p"))] == pytest.approx(want)
+    assert want < -0.95 and min(abs(r) for r in pairs.values()) > 0.95
     assert [abs(r) for *_, r in sure.correlated] == sorted((abs(r) for *_, r in sure.correlated), reverse=True)
 
 

@@ -153,7 +153,8 @@ def suiting(model: Model, catalogue: Sequence[Effect] = CATALOGUE) -> tuple[Effe
     """Effects that mean something of their own in a model with quasi-steady rates: forces without a moment.
 
     Its rates follow sticks and flow at once, so that a moment written as angular acceleration does not fit, and a
-    moved neutral is the same as other L0, M0, N0. A load that an effect does not have is a plain zero in its formula.
+    moved neutral is the same as other L_0, M_0, N_0. A load that an effect does not have is a plain zero in its
+    formula.
 
     Args:
         model: the base model.

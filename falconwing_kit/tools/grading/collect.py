@@ -21,7 +21,10 @@ from falconwing_kit.core.checks import InputError, require_file
 MAX_FILE, MAX_CODE = 32 << 20, 2 << 20  # bytes of a notebook with its outputs, and of its code alone
 MAX_PIECES = 5_000_000  # commas and brackets in the file: what its values may cost in memory
 MAX_PROBLEMS = 8
+KIT_KEY = "falconwing_kit"  # of a notebook's metadata: the kit's version that made it
 _KNOWN = frozenset(dir(builtins)) | {"__name__", "__file__"}
+_VERSION = re.compile(r"(\d{1,4})\.(\d{1,4})")
+_VERSION_BELOW_TITLE = re.compile(r"^\*Notebook of falconwing-kit (\d{1,4}\.\d{1,4})\.\*$", re.MULTILINE)
 _MAGIC = re.compile(r"^([ \t]*)(?:[%!?]|[\w. ]+\?{1,2}[ \t]*$).*$", re.MULTILINE)
 
 
@@ -48,9 +51,11 @@ class Notebook:
 
     Attributes:
         cells: in the notebook's order.
+        kit: the version of the kit that made it; those before 0.2 did not write it.
     """
 
     cells: tuple[Cell, ...]
+    kit: str = "0.1"
 
     @property
     def code(self) -> tuple[str, ...]:
@@ -124,10 +129,39 @@ def parse_notebook(data: bytes, name: str) -> Notebook:
     cells = content.get("cells") if isinstance(content, dict) else None
     if not isinstance(cells, list):
         raise InputError(f"{name}: want a notebook with cells, as Jupyter saves it today, got none; save it again")
-    notebook = Notebook(tuple(_read_cell(cell) for cell in cells if isinstance(cell, dict)))
+    read = tuple(_read_cell(cell) for cell in cells if isinstance(cell, dict))
+    notebook = Notebook(read, _kit_of(content.get("metadata"), read))
     if sum(len(cell.text) for cell in notebook.cells) > MAX_CODE:
         raise InputError(f"{name}: want at most {MAX_CODE >> 20} MiB of text in the cells; take large data out of them")
     return notebook
+
+
+def require_notebook_of(notebook: Notebook, since: str, name: str) -> None:
+    """Raise InputError unless a notebook was made by a kit whose notebook of this lab still fits its checks.
+
+    Args:
+        notebook: the student's.
+        since: the lab's `notebook_since`; empty for any.
+        name: what the file is called in the message.
+    """
+    if since and _numbers(notebook.kit) < _numbers(since):
+        raise InputError(
+            f"{name}: expected a notebook of falconwing-kit {since}, got one of {notebook.kit}: "
+            "download the new notebook and copy your answers over"
+        )
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(map(int, version.split(".")[:2]))
+
+
+def _kit_of(metadata: Any, cells: Iterable[Cell]) -> str:
+    """The kit's version by the notebook's metadata, or by the line below its title where metadata were lost."""
+    written = metadata.get(KIT_KEY) if isinstance(metadata, dict) else None
+    if isinstance(written, str) and _VERSION.fullmatch(written):
+        return written
+    lines = (_VERSION_BELOW_TITLE.search(cell.text) for cell in cells if not cell.code)
+    return next((line[1] for line in lines if line), Notebook.kit)
 
 
 def collect(notebook: Notebook, name: str, packages: Iterable[str] = ("numpy",)) -> Source:

@@ -19,7 +19,7 @@ import numpy as np
 
 from falconwing_kit import __version__
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.grading.collect import Source, collect, parse_notebook
+from falconwing_kit.tools.grading.collect import Source, collect, parse_notebook, require_notebook_of
 from falconwing_kit.tools.grading.find import load_checks, load_judges
 from falconwing_kit.tools.grading.lab import Course, Exercise, Function, Judge, Lab, Values, course_constants, total
 from falconwing_kit.tools.grading.sandbox.box import Job, StudentError, Worker, in_box, in_process
@@ -117,6 +117,7 @@ def grade_one(work: Work, assignment: Assignment) -> Record:
         data = submission.read()
         record["sha256"] = hashlib.sha256(data).hexdigest()
         notebook = parse_notebook(data, "the notebook")
+        require_notebook_of(notebook, lab.notebook_since, submission.name)
     except (InputError, OSError, MemoryError) as error:
         return record | {"status": "unreadable", "problem": str(error)[:300], "points": 0.0}
     record["seed"] = work.seed or _seed(assignment.secret, submission.student, record["sha256"])

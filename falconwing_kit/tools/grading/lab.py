@@ -95,6 +95,8 @@ class Lab:
         constants: numbers that differ from course to course: lowest, highest, decimals.
         packages: libraries that a student's functions may use, beside the standard library's mathematics and `given`.
         memory_mib: that they may take.
+        notebook_since: version of the kit, such as "0.2", whose notebook was the first with the names that the checks
+            use today; an older notebook is refused. Empty for any.
     """
 
     name: str
@@ -105,6 +107,7 @@ class Lab:
     constants: Mapping[str, tuple[float, float, int]] = field(default_factory=dict)
     packages: tuple[str, ...] = ("numpy",)
     memory_mib: int = 1024
+    notebook_since: str = ""
 
     def exercise(self, name: str) -> Exercise:
         """The exercise of this name; KeyError if there is none."""

@@ -7,16 +7,19 @@ stands between `# BEGIN SOLUTION` and `# END SOLUTION` of an exercise is for the
 
 import json
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from falconwing_kit import __version__
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write
+from falconwing_kit.tools.grading.collect import KIT_KEY
 from falconwing_kit.tools.grading.find import notebook_path
 
 KINDS = ("exercise", "check", "figure", "answer")
 YOUR_ANSWER = "*Your answer:*"
+KIT = ".".join(__version__.split(".")[:2])  # what a notebook says of the kit it was made by
 _SOLUTION = re.compile(
     r"^([ \t]*)# BEGIN SOLUTION\n(.*?)^[ \t]*# END SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE | re.DOTALL
 )
@@ -117,7 +120,7 @@ def build(folder: Path) -> dict[Path, str]:
     Raises:
         FileNotFoundError, InputError: as `read_cells`.
     """
-    cells = read_cells(folder / "lab.py")
+    cells = _with_version(read_cells(folder / "lab.py"))
     student = [(cell, cell.for_student()) for cell in cells if not cell.solution_only]
     solution = [(cell, cell.for_solution()) for cell in cells]
     start = Cell(_GO_TO_THE_LAB, solution_only=True)
@@ -128,11 +131,21 @@ def build(folder: Path) -> dict[Path, str]:
     }
 
 
+def _with_version(cells: list[Cell]) -> list[Cell]:
+    """The cells with the kit's version below the title, where a program that drops a notebook's metadata leaves it."""
+    first = next((i for i, cell in enumerate(cells) if cell.markdown and not cell.kind), None)
+    if first is None:
+        return cells
+    title = replace(cells[first], text=f"{cells[first].text.rstrip()}\n\n*Notebook of falconwing-kit {KIT}.*")
+    return [*cells[:first], title, *cells[first + 1 :]]
+
+
 def notebook_text(cells: list[tuple[Cell, str]]) -> str:
     """A notebook's file: format 4.5, as JupyterLab writes it, with ids that count the cells."""
     record = {
         "cells": [_cell_record(number, cell, text) for number, (cell, text) in enumerate(cells)],
         "metadata": {
+            KIT_KEY: KIT,
             "kernelspec": {"display_name": "Python 3 (ipykernel)", "language": "python", "name": "python3"},
             "language_info": {"name": "python"},
         },

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.grading.collect import Source, collect, read_notebook
+from falconwing_kit.tools.grading.collect import Source, collect, read_notebook, require_notebook_of
 from falconwing_kit.tools.grading.find import lab_folder, load_checks, load_module
 from falconwing_kit.tools.grading.lab import Check, Exercise, Function, Lab
 from falconwing_kit.tools.grading.sandbox.box import Job, StudentError, Worker, in_process
@@ -247,9 +247,11 @@ def check_notebook(folder: Path, notebook: Path) -> list[Report]:
         One report for each exercise, in the lab's order.
 
     Raises:
-        FileNotFoundError, InputError: the notebook cannot be read, or the lab's files cannot be used.
+        FileNotFoundError, InputError: the notebook cannot be read or is one of an older kit, or the lab's files cannot
+            be used.
     """
     lab, cells = load_checks(folder), read_notebook(notebook)
+    require_notebook_of(cells, lab.notebook_since, notebook.name)
     sources = {exercise.name: collect(cells, exercise.name, lab.packages) for exercise in lab.exercises}
     with _Functions(folder, lab, sources) as functions:
         return [

@@ -23,7 +23,7 @@ MUTANTS = {
         ("thrust gained", 'added[0] = -size * flow["thrust"]', 'added[0] = size * flow["thrust"]'),
         ("cushion grows with height", 'np.exp(-flow["height"] / CUSHION_M)', 'np.exp(flow["height"] / CUSHION_M)'),
         ("cushion of a metre", 'np.exp(-flow["height"] / CUSHION_M)', 'np.exp(-flow["height"])'),
-        ("more induced drag", 'c * lift + K["cDi"]', 'c * lift - K["cDi"]'),
+        ("more induced drag", 'c * lift + K["cD_induced"]', 'c * lift - K["cD_induced"]'),
         ("ground effect without lift's own size", "(c * lift +", "(lift +"),
         ("lift down", "-np.cos(alpha)])", "np.cos(alpha)])"),
         ("aileron gained", "added[3] = -size", "added[3] = size"),

@@ -106,7 +106,7 @@ def test_tables_say_what_was_found_and_what_to_type_next(short, tmp_path, capsys
     assert main(["identify", short]) == 0
     printed = capsys.readouterr()
     rows = {line.split()[0]: line.split() for line in printed.out.splitlines() if line.strip()}
-    for name in ("cLa", "kT", "La", "delay"):
+    for name in ("cL_alpha", "kT", "L_da", "delay"):
         value, low, high = map(float, rows[name][1:4])
         assert low <= value <= high and len(rows[name]) > 5
     assert rows["held-out"] == ["held-out", "time", "-", "-", "-", "0"]
@@ -184,8 +184,8 @@ def test_a_reversed_stick_is_a_no(tmp_path, capsys):
     printed = capsys.readouterr().out
     sentence = "warning: elevator seems reversed: want positive elevator = nose up"
     assert sum(line.startswith(sentence) for line in printed.splitlines()) == 1
-    assert any(line.startswith("Me ") and line.endswith("ON ITS BOUND") for line in printed.splitlines())
-    assert read_model(tmp_path / "model.toml").model.values["Me"] == 0.0
+    assert any(line.startswith("M_de ") and line.endswith("ON ITS BOUND") for line in printed.splitlines())
+    assert read_model(tmp_path / "model.toml").model.values["M_de"] == 0.0
 
 
 @pytest.mark.parametrize(

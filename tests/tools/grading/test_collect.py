@@ -5,7 +5,7 @@ import json
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.grading.collect import MAX_FILE, collect, parse_notebook, read_notebook
+from falconwing_kit.tools.grading.collect import MAX_FILE, collect, parse_notebook, read_notebook, require_notebook_of
 from tests.tools.grading import toys
 
 
@@ -162,6 +162,42 @@ def test_odd_cells_are_passed_over():
     ]
     data = b"\xef\xbb\xbf" + json.dumps({"cells": cells}).encode()
     assert "return x" in collect(parse_notebook(data, "a.ipynb"), "f").text
+
+
+@pytest.mark.parametrize(
+    ("metadata", "line", "kit"),
+    [
+        ({"falconwing_kit": "0.2"}, "", "0.2"),
+        ({"falconwing_kit": "0.10"}, "*Notebook of falconwing-kit 0.2.*", "0.10"),
+        ({}, "*Notebook of falconwing-kit 0.2.*", "0.2"),
+        (None, "*Notebook of falconwing-kit 0.2.*", "0.2"),
+        ({"falconwing_kit": 2}, "", "0.1"),
+        ({"falconwing_kit": "0.2; rm"}, "", "0.1"),
+        ({"falconwing_kit": "9" * 9999 + ".0"}, "", "0.1"),
+        ({}, "", "0.1"),
+        ([], "Notebook of falconwing-kit 0.2", "0.1"),
+    ],
+)
+def test_a_notebook_says_which_kit_made_it(metadata, line, kit):
+    """By its metadata, else by the line below the title; 0.1 wrote neither."""
+    data = toys.notebook_bytes(toys.cell(f"# Lab\n\n{line}", "markdown"), "x = 1", metadata=metadata)
+    assert parse_notebook(data, "a.ipynb").kit == kit
+
+
+@pytest.mark.parametrize(("kit", "fits"), [("0.1", False), ("0.2", True), ("0.10", True), ("1.0", True)])
+def test_a_notebook_of_an_older_kit_is_refused_in_one_sentence(kit, fits):
+    """Versions are numbers, not texts: 0.10 is newer than 0.2. A lab that names no version takes any notebook."""
+    notebook = parse_notebook(toys.notebook_bytes("x = 1", metadata={"falconwing_kit": kit}), "lab04.ipynb")
+    require_notebook_of(notebook, "", "lab04.ipynb")
+    if fits:
+        require_notebook_of(notebook, "0.2", "lab04.ipynb")
+        return
+    with pytest.raises(InputError) as refusal:
+        require_notebook_of(notebook, "0.2", "lab04.ipynb")
+    assert str(refusal.value) == (
+        "lab04.ipynb: expected a notebook of falconwing-kit 0.2, got one of 0.1: "
+        "download the new notebook and copy your answers over"
+    )
 
 
 def test_cells_know_their_role(tmp_path):

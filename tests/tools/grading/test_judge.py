@@ -2,7 +2,9 @@
 
 import json
 import pickle
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -132,6 +134,23 @@ def test_unreadable_notebook_is_recorded(handed_in):
     record = handed_in(data=b"{")
     assert (record["status"], record["points"], len(record["sha256"])) == ("unreadable", 0.0, 64)
     assert "want a Jupyter notebook" in record["problem"]
+
+
+def test_notebook_of_an_older_kit_is_recorded_in_one_sentence(tmp_path):
+    """Lab 4's own solution has all points; as 0.1 built it, without a version, it has none and the reason is said."""
+    folder = Path(__file__).parents[3] / "labs" / "lab04_aircraft"
+    new = (folder / "solution" / "lab04.ipynb").read_text()
+    old = json.loads(re.sub(r"\*Notebook of falconwing-kit [0-9.]+\*", "", new)) | {"metadata": {}}
+    records = []
+    for text in (new, json.dumps(old)):
+        (tmp_path / "lab04.ipynb").write_text(text)
+        (submission,) = find_submissions(tmp_path / "lab04.ipynb", "lab04")
+        records.append(grade_one(Work(submission, "1"), Assignment(folder, "", "s", sandboxed=False)))
+    assert [(each["status"], each["points"]) for each in records] == [("graded", 75.0), ("unreadable", 0.0)]
+    assert records[1]["problem"] == (
+        "lab04.ipynb: expected a notebook of falconwing-kit 0.2, got one of 0.1: "
+        "download the new notebook and copy your answers over"
+    )
 
 
 def test_work_and_assignment_can_be_sent():

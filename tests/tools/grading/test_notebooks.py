@@ -5,7 +5,9 @@ import json
 import nbformat
 import pytest
 
+from falconwing_kit import __version__
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.grading.collect import parse_notebook
 from falconwing_kit.tools.grading.notebooks import build, read_cells, stale_notebooks, write_notebooks
 from tests.tools.grading.small_lab import SOURCE, write_small_lab
 
@@ -55,6 +57,16 @@ def test_notebooks_are_valid_and_keep_what_cells_are_for(folder):
         marks = [dict(cell.metadata) for cell in notebook.cells if cell.metadata]
         assert {"exercise": "weight"} in marks and {"figure": "line"} in marks and {"answer": "q1"} in marks
         assert all(not cell.get("outputs") for cell in notebook.cells)
+
+
+def test_notebooks_carry_the_kits_version(folder):
+    """In the metadata, and below the title for whoever reads it or drops the metadata: the first two numbers of it."""
+    version = ".".join(__version__.split(".")[:2])
+    for text in build(folder).values():
+        assert json.loads(text)["metadata"]["falconwing_kit"] == version
+        assert sources(text)[0][1].endswith(f"\n\n*Notebook of falconwing-kit {version}.*")
+        stripped = json.dumps(json.loads(text) | {"metadata": {}}).encode()
+        assert parse_notebook(text.encode(), "a").kit == parse_notebook(stripped, "a").kit == version
 
 
 def test_stale_notebooks_are_told_and_mended(folder):

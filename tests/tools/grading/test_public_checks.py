@@ -1,11 +1,14 @@
 """A check says in words what holds and what to look at, and never stops the notebook."""
 
 import io
+import json
+import re
 import sys
 
 import numpy as np
 import pytest
 
+from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.tools.grading.lab import Check, Exercise
 from falconwing_kit.tools.grading.notebooks import write_notebooks
@@ -161,6 +164,17 @@ def test_notebook_file_is_checked_without_being_run(folder, body, state, said):
     assert state_of(report.outcomes) == state
     assert said in report.outcomes[0].said
     assert any("falconwing_kit" in problem for problem in report.problems) == ("falconwing_kit" in (body or ""))
+
+
+def test_notebook_of_an_older_kit_is_refused(folder):
+    """A lab whose names changed in 0.2, and a notebook as 0.1 built it: without a version."""
+    (folder / "checks.py").write_text(CHECKS.replace("    constants=", '    notebook_since="0.2",\n    constants=', 1))
+    file = notebook_of(folder, 'newtons = COHORT["gravity"] * mass')
+    assert [state_of(report.outcomes) for report in check_notebook(folder, file)] == ["passed"]
+    text = re.sub(r"(\\n)*\*Notebook of falconwing-kit [0-9.]+\*", "", file.read_text())
+    file.write_text(json.dumps(json.loads(text) | {"metadata": {}}))
+    with pytest.raises(InputError, match=r"^lab01\.ipynb: expected a notebook of falconwing-kit 0\.2, got one of 0\.1"):
+        check_notebook(folder, file)
 
 
 def test_function_that_ends_the_process_costs_the_others_nothing(folder):
