@@ -77,7 +77,7 @@ class JsbsimAircraft:
         return replace(self, **drawn)
 
     def kit_model(self, step: float = STEP) -> Model:
-        """The kit's rate-augmented model of the same aircraft: its coefficients per unit mass and inertia.
+        """The kit's 12-state model of the same aircraft: its coefficients per unit mass and inertia.
 
         For a `cg_back` of zero. Exact but for two things. A side force along the wind axes' y leans forward by the
         sideslip: to second order it takes CYb off the sideslip drag. And JSBSim answers half an integration step late:

@@ -1,8 +1,8 @@
 """Model f_K: a tuple of named terms and their parameter values -> the rate of change of the state.
 
-Two forms share everything but their rates:
-    paper  nine states, body rates follow the sticks at once [paper, Section IV-B]
-    rates  twelve states, body rates have their own dynamics, which a real 150 g aircraft needs
+Two models share everything but their body rates; files and options name them by `form`:
+    "paper"  the 9-state model: body rates follow the commands at once [paper, Section IV-B]
+    "rates"  the 12-state model: body rates have their own dynamics, which a real 150 g aircraft needs
 """
 
 from collections import namedtuple
@@ -44,7 +44,7 @@ class Model:
 
     @property
     def n_states(self) -> int:
-        """9 in the paper's form, 12 with body rates."""
+        """9 without body rates, 12 with them."""
         return 9 if self.form == "paper" else 12
 
     @property
@@ -158,7 +158,7 @@ class Model:
 
 
 def paper_model() -> Model:
-    """The paper's nine-state form with quasi-steady rates: 16 parameters, plus delay and lag held at zero.
+    """The paper's 9-state model with quasi-steady rates: 16 parameters, plus delay and lag held at zero.
 
     Returns:
         The model at its starting values.
@@ -169,7 +169,7 @@ def paper_model() -> Model:
 
 
 def rates_model() -> Model:
-    """The rate-augmented form: 23 parameters, inertia coupling, sideslip drag, servo lag and delay (29 in all).
+    """The 12-state model: 23 parameters, inertia coupling, sideslip drag, servo lag and delay (29 in all).
 
     Returns:
         The model at its starting values.

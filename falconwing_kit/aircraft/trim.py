@@ -150,7 +150,7 @@ def linearise(model: Model, trim: Trim, dt: float | None = None) -> tuple[Array,
         A (n_states, n_states) in the order of STATE_NAMES and B (n_states, 4) in the order of COMMAND_NAMES.
 
     Raises:
-        InputError: the trim is of another form of the model, or the step is not within 0.1 ms and 1 s.
+        InputError: the trim is of the other model, 9-state or 12-state, or the step is not within 0.1 ms and 1 s.
     """
     n = model.n_states
     state, command = require_shape("trim.state", trim.state, (n,)), require_shape("trim.command", trim.command, (4,))
@@ -173,15 +173,15 @@ def modes(A: Array) -> tuple[Mode, ...]:
     a pair that does not swing gives two entries of one name.
 
     Args:
-        A: (12, 12) of `linearise` in continuous time, straight flight along world x, the rate-augmented form.
+        A: (12, 12) of `linearise` in continuous time, straight flight along world x, the 12-state model.
 
     Returns:
         The modes, fastest first within each motion.
 
     Raises:
-        InputError: A has another shape; the paper's nine states have no body rates and so not these modes.
+        InputError: A has another shape; the 9-state model has no body rates and so not these modes.
     """
-    A = require_shape("A (straight flight, rate-augmented form, continuous time)", A, (12, 12))
+    A = require_shape("A (straight flight, 12-state model, continuous time)", A, (12, 12))
     long = _eigenvalues(A, ("pitch", "vx", "vz", "q"))
     # The eigenvalue nearest zero is the heading, which nothing pulls back.
     side = _eigenvalues(A, ("yaw", "roll", "vy", "p", "r"))[:-1]

@@ -88,7 +88,7 @@ def design_loop(model: Model, axis: Axis, speed: float = SPEED, delay: float = L
     Systems, 3rd ed., sec. 2.3: sampling a system with delay].
 
     Args:
-        model: the aircraft in the rate-augmented form; its own delay and lag count as delay.
+        model: the aircraft's 12-state model; its own delay and lag count as delay.
         axis: `LATERAL` or `LONGITUDINAL`.
         speed: [m/s].
         delay: from a command to its arrival at the aircraft [s].
@@ -103,7 +103,7 @@ def design_loop(model: Model, axis: Axis, speed: float = SPEED, delay: float = L
 
     if model.form != "rates":
         raise InputError(
-            "model: want the rate-augmented form (rates_model), the paper's nine states have no body rates"
+            "model: expected the 12-state model (rates_model), got the 9-state model, which has no body rates"
         )
     require_range("delay", delay, low=0.0, high=0.5)
     total = delay + max(model.values.get("delay", 0.0), 0.0) + max(model.values.get("lag", 0.0), 0.0)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from falconwing_kit.core.checks import Array, require_range, require_shape
 from falconwing_kit.core.frames import pose_matrix, rotation_world_body
 
-# Order of the state vector: the paper's nine, then the body rates of the rate-augmented form.
+# Order of the state vector: the paper's nine, then the body rates of the 12-state model.
 STATE_NAMES = ("px", "py", "pz", "pitch", "yaw", "roll", "vx", "vy", "vz", "p", "q", "r")
 COMMAND_NAMES = ("throttle", "aileron", "elevator", "rudder")
 

@@ -47,12 +47,12 @@ class Forecasts:
 def forecast(model: Model, table: FlightTable, horizon: float = 1.0) -> Forecasts:
     """Fly the model from every measured state over the horizon on the logged commands.
 
-    The start state is what the log says at that moment (pose, velocity and, in the rates form, body rates); the
+    The start state is what the log says at that moment (pose, velocity and, in the 12-state model, body rates); the
     commands over the horizon are known inputs.
 
     Args:
         model: the aircraft.
-        table: a log with columns vx, vy, vz (and p, q, r for the rates form).
+        table: a log with columns vx, vy, vz (and p, q, r for the 12-state model).
         horizon: how far ahead [s].
 
     Returns:

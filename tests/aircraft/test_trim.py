@@ -180,7 +180,7 @@ def test_an_aircraft_without_ailerons_is_said():
 def test_modes_are_those_of_the_form_with_rates():
     """Nine states have no rates to swing with."""
     model = paper_model()
-    with pytest.raises(InputError, match=r"rate-augmented.*\(12, 12\), got \(9, 9\)"):
+    with pytest.raises(InputError, match=r"12-state model.*\(12, 12\), got \(9, 9\)"):
         modes(linearise(model, trim(model, V))[0])
 
 

@@ -23,7 +23,7 @@ from tests.sysid.recorded import CASES, calm_flight
 from tests.sysid.simulated import drawn, fly_figure_eights, measured
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
-ADDED = ("Jx", "Jy", "Jz", "cD_beta", "delay", "lag")  # beyond the 23 parameters of the plain rates form
+ADDED = ("Jx", "Jy", "Jz", "cD_beta", "delay", "lag")  # beyond the 23 parameters of the plain 12-state model
 
 
 def flights(count: int, seconds: float, seed: int) -> list[tuple[Model, FlightTable]]:
@@ -115,7 +115,7 @@ def test_coverage_of_the_intervals(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_calm_cases(capsys: pytest.CaptureFixture[str]) -> None:
     """The ten calm flights of the independent simulator: held-out chi2 per degree of freedom, both forms."""
-    rows = ["| calm flight | rates form | paper form |", "|---|---|---|"]
+    rows = ["| calm flight | 12-state model | 9-state model |", "|---|---|---|"]
     for case in CASES:
         chi2 = [identify([calm_flight(case)], model=m).held_out for m in (rates_model(), paper_model())]
         rows.append(f"| {case} | {chi2[0].chi2:.2f} | {chi2[1].chi2:.0f} |" if all(chi2) else f"| {case} | - | - |")

@@ -156,7 +156,7 @@ def test_sparse_regression_by_hand():
 
 
 def test_base_without_body_rates_is_refused():
-    """The nine-state form has no angular accelerations to compare."""
+    """The 9-state model has no angular accelerations to compare."""
     base = replace(clean_base(), result=replace(clean_base().result, model=paper_model()))
     with pytest.raises(InputError, match="body rates"):
         effect_regression(base, clean_flight(None, 30.0, 43))

@@ -147,7 +147,7 @@ def test_steady_circle_turns_by_the_law():
 def test_what_no_expert_can_fly_is_refused():
     """A model without body rates or thrust, and a hairpin of waypoints."""
     hairpin = np.array([[-18.0, -2.0, 1.5], [0.0, -2.0, 1.5], [-18.0, 0.0, 1.5]])
-    with pytest.raises(InputError, match="rate-augmented"):
+    with pytest.raises(InputError, match="12-state model"):
         LandingExpert(paper_model(), AIRFRAME, PAD)
     with pytest.raises(InputError, match="throttle"):
         LandingExpert(rates_model().with_values({"kT": 0.1}), AIRFRAME, PAD)

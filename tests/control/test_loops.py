@@ -144,7 +144,7 @@ def test_sticks_work_against_a_deviation(moved, stick, sign, yaw):
 
 def test_what_cannot_be_held_is_refused_in_a_sentence():
     """No body rates, no thrust, no elevator: each says what is wrong."""
-    with pytest.raises(InputError, match="rate-augmented"):
+    with pytest.raises(InputError, match="12-state model"):
         Autopilot(paper_model())
     with pytest.raises(InputError, match="throttle"):
         Autopilot(rates_model().with_values({"kT": 0.5}))

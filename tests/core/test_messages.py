@@ -20,7 +20,7 @@ def test_state_vector_has_the_order_of_the_paper():
 
 
 def test_nine_states_have_no_body_rates():
-    """The paper's form."""
+    """The paper's states."""
     assert State.from_vector(np.arange(9.0)).vector.tolist() == [*range(9), 0, 0, 0]
 
 

@@ -28,7 +28,7 @@ def perfect(request):
 
 @pytest.fixture(scope="module")
 def noisy():
-    """A noisy flight of 12 s of the rates form: the aircraft, its windows, and start states a little off."""
+    """A noisy flight of 12 s of the 12-state model: the aircraft, its windows, and start states a little off."""
     rng = np.random.default_rng(4)
     truth = drawn(rates_model(), rng)
     table = measured(fly_figure_eights([truth], 12.0, rng), rng, missing=0.05)
@@ -59,7 +59,7 @@ def test_windows_follow_each_other_without_overlap():
 
 @pytest.mark.parametrize(("form", "per_row"), [("paper", 1), ("rates", 2)])
 def test_integration_steps_end_at_rows(form, per_row):
-    """50 ms steps in the paper's form, 25 ms with body rates; steps before a window are for the servos alone."""
+    """50 ms steps in the 9-state model, 25 ms in the 12-state model; steps before a window are for the servos alone."""
     windows = cut_windows([flight(10.0)], FORMS[form]())
     at_rows = windows.edges[:, windows.early :: per_row]
     assert windows.substeps == per_row

@@ -39,7 +39,7 @@ class Identify:
     figures: Path | None = None
     """folder for three figures: predicted against measured, residuals, intervals"""
     form: Literal["rates", "paper"] = "rates"
-    """rates: body rates have their own dynamics; paper: the paper's nine states"""
+    """rates: the 12-state model, body rates have their own dynamics; paper: the paper's 9-state model"""
     start: Path | None = None
     """a model file to start from, instead of a 150 g aircraft"""
     airframe: Path | None = None
@@ -209,7 +209,7 @@ def one_second_ahead(fitted: Model, start: Model, other: FlightTable) -> dict[st
     Args:
         fitted: the model to judge.
         start: the one that its fit began with.
-        other: the flight, with velocities (and rates for the rates form).
+        other: the flight, with velocities (and rates for the 12-state model).
 
     Returns:
         By forecast (fitted, start, constant_turn, constant_velocity) the root mean square of the distance, position_m,

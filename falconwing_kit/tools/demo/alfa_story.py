@@ -46,7 +46,7 @@ class AlfaStory:
 
 
 def tell_alfa_story(progress: Callable[[str], None] = lambda stage: None) -> AlfaStory:
-    """Fit the paper's nine-state form in a uniform wind to the healthy part and forecast all of the flight.
+    """Fit the paper's 9-state model in a uniform wind to the healthy part and forecast all of the flight.
 
     Args:
         progress: called with the name of each stage.
@@ -107,7 +107,7 @@ def alfa_start(facts: dict[str, Any]) -> Model:
         facts: the table beside the flight: aircraft size and logged wind.
 
     Returns:
-        The nine-state form; delay, lag and the thrust's loss with speed are held, since this log cannot tell them.
+        The 9-state model; delay, lag and the thrust's loss with speed are held, since this log cannot tell them.
     """
     aircraft = facts["aircraft"]
     model = scaled(paper_model(), aircraft["mass"], aircraft["wing_area"], aircraft["span"])

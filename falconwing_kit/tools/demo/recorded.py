@@ -292,7 +292,7 @@ def _alfa_part(alfa: AlfaStory, folder: Path) -> list[str]:
         paragraph(
             "A 2 m foam Carbon-Z T-28 under an autopilot, 132 s from the ALFA dataset. Its log mixes rates (attitude "
             "2.5 a second, servo pulses 2.9, velocity 19), it weighs thirty times as much as ours, and there is wind: "
-            f"the fit finds {math.hypot(*wind):.1f} m/s. The kit's nine-state form starts from our aircraft, scaled to "
+            f"the fit finds {math.hypot(*wind):.1f} m/s. The kit's 9-state model starts from our aircraft, scaled to "
             "this size."
         ),
         picture(Picture(
