@@ -303,11 +303,11 @@ ends = intervals(K, r.ravel(), reduce(J_K, J_start), count, starts.size)
 with open("data/truth.json", encoding="utf-8") as file:
     truth = json.load(file)  # possible only because the data are simulated
 print(f"{count} measured numbers, {len(K) + starts.size} unknowns")
-print(f"{'':4} {'truth':>8} {'raw':>8} {'smoothed':>8} {'yours':>8}   {100 * LEVEL:.0f} % interval")
+print(f"{'':10} {'truth':>8} {'raw':>8} {'smoothed':>8} {'yours':>8}   {100 * LEVEL:.0f} % interval")
 columns = zip(truth["K"].values(), raw, smoothed, K, strict=True)
 for name, unit, row, (low, high) in zip(NAMES, UNITS, columns, ends, strict=True):
     numbers = " ".join(f"{value:8.4f}" for value in row)
-    print(f"{name:4} {numbers}   {low:7.4f} .. {high:7.4f} {unit}")
+    print(f"{name:10} {numbers}   {low:7.4f} .. {high:7.4f} {unit}")
 print(f"the true delay is {1000 * truth['delay']:.0f} ms")
 
 # %% [markdown]
