@@ -3,7 +3,7 @@
 from falconwing_kit.control.estimate import FlyingAircraft, Observer
 from falconwing_kit.control.expert import FollowExpert, LandingExpert, WaypointExpert, landing_path
 from falconwing_kit.control.guidance import Hall, Path, require_flyable
-from falconwing_kit.control.leader import MANOEUVRES, LeaderPath, leader_path
+from falconwing_kit.control.leader import LeaderPath, leader_path
 from falconwing_kit.control.loops import (
     LATERAL,
     LONGITUDINAL,
@@ -16,6 +16,7 @@ from falconwing_kit.control.loops import (
     design_loop,
     with_delay,
 )
+from falconwing_kit.control.manoeuvres import MANOEUVRES
 
 __all__ = [
     "LATERAL",

@@ -2,7 +2,8 @@
 
 from falconwing_kit.flight.loop import Flight, Loop, SimulatedClock, Step, WallClock
 from falconwing_kit.flight.sources import MeasuredStates, RecordedImages, RenderedView, fpv_camera
-from falconwing_kit.flight.tasks import FollowTask, LandingTask, Spread, trial_seed
+from falconwing_kit.flight.tasks import FollowTask, LandingTask
+from falconwing_kit.flight.trial import Spread, trial_seed
 from falconwing_kit.flight.world import Contact, PoseFilter, PoseNoise, SimulatedWorld
 
 __all__ = [

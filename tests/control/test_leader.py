@@ -1,12 +1,35 @@
 """Leaders: inside the hall, the same again by seed, and each does what its name says."""
 
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.model import rates_model
+from falconwing_kit.control import manoeuvres
 from falconwing_kit.control.guidance import Hall
-from falconwing_kit.control.leader import MANOEUVRES, bent, leader_path
+from falconwing_kit.control.leader import leader_path
+from falconwing_kit.control.manoeuvres import MANOEUVRES
+from falconwing_kit.control.plan import Manoeuvre, Plan, curve_points, manoeuvre_table
 from falconwing_kit.core.checks import InputError
+
+# SHA-256 of the states at seed 3, rounded to 1e-6 (the same on other processors): recorded data, from the code before
+# the number of a manoeuvre stood in its own file.
+RECORDED = {
+    "left_turn_s_descent": "31ffeddb107415da",
+    "right_turn_s_ascent": "0d2833599842c39a",
+    "right_turn_sharp_climb": "1876d7ad7292bc63",
+    "figure_eight": "1e9d68e22cecd8fe",
+    "random_waypoints": "2a0c97b6e9558ee6",
+}
+SLALOM = Plan((-16.0, 0.0, 2.0), 0.0, (0.0, 5.0, 10.0, 20.0), (0.0, 0.05, -0.05, 0.0), (0.0,) * 4)
+
+
+def states_digest(name):
+    """Of the states of seed 3; + 0.0 makes minus zero zero."""
+    return hashlib.sha256((np.round(leader_path(name, 3).states, 6) + 0.0).tobytes()).hexdigest()[:16]
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +87,7 @@ def test_curve_from_its_curvature_is_a_circle():
     """A right quarter of 10 m radius from the origin along world x ends at (10, -10); 10 % up over 15.7 m is 1.57 m."""
     quarter = 5.0 * np.pi
     s = np.array([0.0, quarter])
-    points = bent(0.0, s, np.full(2, 0.1), np.full(2, np.arctan(0.1)))
+    points = curve_points(0.0, s, np.full(2, 0.1), np.full(2, np.arctan(0.1)))
     ways = np.arange(len(points))
     expected = np.column_stack([10 * np.sin(ways / 10), 10 * (np.cos(ways / 10) - 1), 0.1 * ways])
     assert points == pytest.approx(expected, abs=1e-3)  # midpoint rule in steps of 0.1 m
@@ -76,3 +99,45 @@ def test_unknown_or_impossible_manoeuvres_are_refused():
         leader_path("loop")
     with pytest.raises(InputError, match="throttle"):
         leader_path("right_turn_sharp_climb", model=rates_model().with_values({"kT": 5.0}))
+
+
+@pytest.mark.parametrize("place", [None, 0, 2, 5], ids=["as it is", "front", "middle", "end"])
+def test_a_new_manoeuvre_changes_no_other_leader(place, monkeypatch):
+    """The recorded flights, with a slalom nowhere, before, among and after the five; the slalom itself flies too."""
+    table = list(MANOEUVRES.items())
+    if place is not None:
+        table.insert(place, ("slalom", Manoeuvre("slalom", "to and fro", SLALOM.waypoints)))
+    monkeypatch.setattr("falconwing_kit.control.leader.MANOEUVRES", dict(table))
+    assert {name: states_digest(name) for name in RECORDED} == RECORDED
+    if place is not None:
+        assert states_digest("slalom") not in RECORDED.values()
+
+
+def test_the_number_of_a_manoeuvre_is_its_own():
+    """The first five keep theirs; a later one has the CRC-32 of its name: 0xCBF43926 of "123456789" [ITU V.42]."""
+    assert {name: manoeuvre.number for name, manoeuvre in MANOEUVRES.items()} == {n: k for k, n in enumerate(RECORDED)}
+    assert Manoeuvre("123456789", "", SLALOM.waypoints).number == 0xCBF43926
+
+
+@pytest.mark.parametrize("taken", [{"frozen_number": 3}, {"name": "figure_eight"}], ids=lambda taken: next(iter(taken)))
+def test_a_name_or_number_that_is_taken_is_refused(taken):
+    """One sentence with both names and the way out."""
+    slalom = replace(Manoeuvre("slalom", "", SLALOM.waypoints), **taken)
+    with pytest.raises(InputError, match=r"figure_eight.*choose another name"):
+        manoeuvre_table([*MANOEUVRES.values(), slalom])
+
+
+def test_every_file_of_the_folder_is_a_manoeuvre_under_its_own_name():
+    """By hand: the folder's files."""
+    files = Path(manoeuvres.__file__).parent.glob("*.py")
+    assert set(MANOEUVRES) == {path.stem for path in files} - {"__init__"}
+    assert all(manoeuvre.summary for manoeuvre in MANOEUVRES.values())
+
+
+def test_the_digest_of_a_path_sees_name_waypoints_and_states(paths):
+    """Each changed by 2 mm, past the rounding; a change of a nanometre, as between processors, is not seen."""
+    path = paths["figure_eight", 0]
+    for changed in ({"manoeuvre": "other"}, {"waypoints": path.waypoints + 2e-3}, {"states": path.states + 2e-3}):
+        assert replace(path, **changed).digest != path.digest
+    middle = np.round(path.states, 3)  # away from the edges of rounding
+    assert replace(path, states=middle + 1e-9).digest == replace(path, states=middle).digest

@@ -1,14 +1,19 @@
 """Tasks: starts are drawn as written, from frozen seeds, and are the same for every pilot."""
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from falconwing_kit.control.leader import MANOEUVRES, leader_path
+from falconwing_kit.control.leader import leader_path
+from falconwing_kit.control.manoeuvres import MANOEUVRES
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import rotation_world_body
-from falconwing_kit.flight.tasks import BEHIND, FollowTask, LandingTask, trial_seed
+from falconwing_kit.flight import tasks
+from falconwing_kit.flight.tasks import TASKS, FollowTask, LandingTask, trial_seed
+from falconwing_kit.flight.tasks.follow import BEHIND
 
 TRAINING = range(200)  # seeds that never judge
 
@@ -83,7 +88,7 @@ def test_a_leader_and_its_follower_draw_apart(manoeuvre, monkeypatch):
         leads.append(rng.uniform(-1.0, 1.0, 7))
         raise InputError("drawn")
 
-    monkeypatch.setitem(MANOEUVRES, manoeuvre, only_draw)
+    monkeypatch.setitem(MANOEUVRES, manoeuvre, replace(MANOEUVRES[manoeuvre], waypoints=only_draw))
     for seed in range(50):
         with pytest.raises(InputError, match="drawn"):
             leader_path(manoeuvre, seed)
@@ -100,3 +105,13 @@ def test_what_cannot_be_flown_is_refused():
     landing = LandingTask().trial(1)
     with pytest.raises(InputError, match="with a leader"):
         FollowTask("figure_eight").expert(landing)
+
+
+def test_every_file_of_the_folder_is_a_task_under_its_own_name():
+    """By hand: the folder's files. An entry makes a task whose name begins with the word of the command line."""
+    folder = Path(tasks.__file__).parent
+    assert set(TASKS) == {path.stem for path in folder.glob("*.py")} - {"__init__"}
+    for name, entry in TASKS.items():
+        task = entry.make(entry.manoeuvre) if entry.manoeuvre else entry.make()
+        assert entry.name == name == task.name.split()[0]
+        assert (task.leader(0) is None) == (entry.manoeuvre == "")

@@ -6,18 +6,31 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import tyro
+
+from falconwing_kit.control.manoeuvres import MANOEUVRES
 from falconwing_kit.core.checks import InputError, require_range
+from falconwing_kit.flight.tasks import TASKS, TRIAL_SEEDS
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 if TYPE_CHECKING:
-    from falconwing_kit.flight.tasks import FollowTask, LandingTask
+    from falconwing_kit.flight.tasks import Task
     from falconwing_kit.scene.gaussians import GaussianScene
     from falconwing_kit.tools.trials.trials import Setting
 
+    TaskName = str
+else:
+    TaskName = Literal[tuple(TASKS)]  # as the command line offers them
+
 PILOTS = ("expert",)  # those that this version of the kit has
 LATER = ("rgb", "mask", "rgb_mask", "student", "manual")
+TASK_HELP = "; ".join(f"{task.name}: {task.summary}" for task in TASKS.values())
+MANOEUVRE_HELP = "what the leader flies ({}); {}".format(
+    ", ".join(f"{task.manoeuvre} where --task {task.name} names none" for task in TASKS.values() if task.manoeuvre),
+    "; ".join(f"{manoeuvre.name}: {manoeuvre.summary}" for manoeuvre in MANOEUVRES.values()),
+)
 BROWSER_S = 8.0  # what a browser may take to show the page before the flight begins
 UNITS = {  # of the summary: what a row is called, and the factor to its unit
     "ald_m": ("ALD of landings [cm]", 100.0),
@@ -40,15 +53,12 @@ class Fly:
     Exit code 0 when every trial succeeded, 1 when one failed.
     """
 
-    task: Literal["landing", "follow"] = "landing"
-    """land on the pad, or keep a leader in view"""
+    task: Annotated[TaskName, tyro.conf.arg(help=TASK_HELP)] = "landing"
     pilot: Literal["expert", "rgb", "mask", "rgb_mask", "student", "manual"] = "expert"
     """who flies; the expert knows the state"""
     trials: int = 1
     """how many, each from its own start of the frozen list"""
-    manoeuvre: str = ""
-    """what the leader to follow flies: left_turn_s_descent (where none is given), right_turn_s_ascent,
-    right_turn_sharp_climb, figure_eight or random_waypoints"""
+    manoeuvre: Annotated[str, tyro.conf.arg(help=MANOEUVRE_HELP)] = ""
     seed: int = 0
     """which list of starts and noise; the same for two pilots makes pairs"""
     headless: bool = False
@@ -114,17 +124,21 @@ class Fly:
                     f" {' or '.join(PORTS)}, or look at a real board with `falconwing bridge --port {self.port}`"
                 )
 
-    def _task(self) -> "LandingTask | FollowTask":
+    def _task(self) -> "Task":
         """What is flown; numbers and manoeuvre are checked."""
-        from falconwing_kit.flight.tasks import TRIAL_SEEDS, FollowTask, LandingTask
-
         require_range("--trials", self.trials, low=1, high=TRIAL_SEEDS)
         require_range("--seed", self.seed, low=0, high=TRIAL_SEEDS - 1)
-        if self.task == "follow":
-            return FollowTask(self.manoeuvre or "left_turn_s_descent")
+        if self.task not in TASKS:
+            raise InputError(f"--task {self.task}: want one of {', '.join(TASKS)}")
+        entry = TASKS[self.task]
+        if entry.manoeuvre:
+            return entry.make(self.manoeuvre or entry.manoeuvre)
         if self.manoeuvre:
-            raise InputError(f"--manoeuvre {self.manoeuvre}: want it with --task follow only, got --task {self.task}")
-        return LandingTask()
+            with_leader = " or ".join(task.name for task in TASKS.values() if task.manoeuvre)
+            raise InputError(
+                f"--manoeuvre {self.manoeuvre}: want it with --task {with_leader} only, got --task {self.task}"
+            )
+        return entry.make()
 
     def _setting(self) -> "Setting":
         """How it is flown, before there is a page and a scene."""
@@ -135,7 +149,7 @@ class Fly:
         clock = SimulatedClock if self.headless else WallClock
         return Setting(camera=fpv_camera(*_size(self.size)), clock=clock, port=self.port)
 
-    def _look_into_folders(self, task: "LandingTask | FollowTask", setting: "Setting") -> list[dict[str, Any]] | None:
+    def _look_into_folders(self, task: "Task", setting: "Setting") -> list[dict[str, Any]] | None:
         """Refuse what does not fit in --out and --against before anything is flown; the trials of --against."""
         from falconwing_kit.tools.trials.trials import flown_before, study_head, trials_to_pair
 
@@ -148,9 +162,7 @@ class Fly:
             flown_before(self.out, head | how)
         return None if self.against is None else trials_to_pair(self.against, head)
 
-    def _fly(
-        self, task: "LandingTask | FollowTask", setting: "Setting", hall: "Callable[[], GaussianScene]"
-    ) -> list[dict[str, Any]]:
+    def _fly(self, task: "Task", setting: "Setting", hall: "Callable[[], GaussianScene]") -> list[dict[str, Any]]:
         from falconwing_kit.tools.trials.trials import fly_trials
 
         with _page(hall, self.headless, not self.no_render) as (scene, hooks), self._progress() as progress:

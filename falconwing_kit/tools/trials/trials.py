@@ -24,7 +24,7 @@ from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.flight.loop import Loop, Pilot, SimulatedClock, Step, WallClock
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
-from falconwing_kit.flight.tasks import Task, Trial, trial_seed
+from falconwing_kit.flight.trial import Task, Trial, trial_seed
 from falconwing_kit.flight.world import PoseNoise, SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
@@ -36,7 +36,9 @@ TRIALS = "trials.jsonl"
 NO_IMAGES = "no images"
 PATHS = ("path_m", "leader_path_m")
 DIGITS = 16  # of a digest
+LEADER = "leader_digest"  # in the head of a study with a leader; earlier versions of the kit wrote none
 DIGESTS = {  # key of a head -> what differs where it differs
+    LEADER: "another leader's path",
     "task_digest": "another duration, spread, noise, delay, model or airframe",
     "scene_digest": "another scene",
 }
@@ -176,11 +178,11 @@ def fly_trials(
     """
     setting = setting or Setting()
     require_range("trials", count, low=1, high=10_000)
-    head = study_head(task, pilot, seed) | setting.record
-    folder = None if out is None else Path(out)
+    head, folder, records = {}, None if out is None else Path(out), []
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-    records = [] if folder is None else flown_before(folder, head)
+        head = study_head(task, pilot, seed) | setting.record
+        records = flown_before(folder, head)
     for number in range(len(records), count):
         log = _log_path(folder, number) if folder is not None and logs else None
         records.append(fly_trial(task, make_pilot, number, seed, setting, log))
@@ -194,7 +196,9 @@ def study_head(task: Task, pilot: str, seed: int = 0) -> Record:
     """What is flown, by whom and from which starts, apart from images and clock.
 
     The digest tells tasks of one name apart by their repr, which of the kit's tasks, as of any dataclass, holds all
-    fields; of another task it tells what its repr tells. The world's default noise and delay are in it too.
+    fields; of another task it tells what its repr tells. The world's default noise and delay are in it too, and of a
+    task with a leader the path that it flies in the first trial, which has a digest of its own so that a changed leader
+    is named.
 
     Args:
         task: what is to be done.
@@ -202,12 +206,14 @@ def study_head(task: Task, pilot: str, seed: int = 0) -> Record:
         seed: which list of starts and noise.
 
     Returns:
-        simulated, task, pilot, list, task_digest.
+        simulated, task, pilot, list, leader_digest where there is a leader, task_digest.
     """
+    leader = task.leader(trial_seed(0, seed))
+    shown = {} if leader is None else {LEADER: leader.digest[:DIGITS]}
     with np.printoptions(threshold=sys.maxsize, precision=17):
         told = re.sub(r" at 0x[0-9a-fA-F]+", "", repr((task, PoseNoise(), LINK_DELAY_S)))
-    digest = hashlib.sha256(told.encode()).hexdigest()[:DIGITS]
-    return {"simulated": True, "task": task.name, "pilot": pilot, "list": seed, "task_digest": digest}
+    digest = hashlib.sha256((told + shown.get(LEADER, "")).encode()).hexdigest()[:DIGITS]
+    return {"simulated": True, "task": task.name, "pilot": pilot, "list": seed, **shown, "task_digest": digest}
 
 
 def flown_before(folder: Path, head: Mapping[str, Any]) -> list[Record]:
@@ -357,6 +363,8 @@ def _mean(records: Sequence[Mapping[str, Any]], key: str) -> Record:
 def _difference(before: Mapping[str, Any], head: Mapping[str, Any]) -> str:
     """The first thing of a head that was otherwise before; empty where all is the same."""
     for key, value in head.items():
+        if key == LEADER and key not in before:
+            return "no digest of the leader's path, as earlier versions of the kit wrote them"
         if before.get(key) != value:
             return DIGESTS.get(key) or f"{key} {before.get(key)!r} instead of {value!r}"
     return ""

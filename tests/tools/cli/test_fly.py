@@ -6,11 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from falconwing_kit.control.manoeuvres import MANOEUVRES
+from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command
 from falconwing_kit.flight.sources import decode_jpeg
-from falconwing_kit.flight.tasks import LandingTask
+from falconwing_kit.flight.tasks import TASKS, LandingTask
 from falconwing_kit.scene import GaussianScene
+from falconwing_kit.tools.cli.fly import Fly
 from falconwing_kit.tools.cli.main import main
 
 QUICK = ("--headless", "--no-render")
@@ -59,6 +62,23 @@ def test_wrong_options_are_wrong_use(words, sentence, monkeypatch, capsys):
     said = capsys.readouterr().err
     assert sentence in said
     assert len(said.splitlines()) == 1
+
+
+def test_help_lists_the_tables(capsys, monkeypatch):
+    """Every task and manoeuvre with its summary, read from the tables; a terminal wide enough breaks no line."""
+    monkeypatch.setenv("COLUMNS", "2000")
+    with pytest.raises(SystemExit):
+        main(["fly", "--help"])
+    said = capsys.readouterr().out
+    for table in (TASKS, MANOEUVRES):
+        for name, entry in table.items():
+            assert f"{name}: {entry.summary}" in said
+
+
+def test_an_unknown_task_in_python_is_one_sentence():
+    """The command line offers only those that are there; a Python call can say anything."""
+    with pytest.raises(InputError, match="--task loop: want one of follow, landing"):
+        Fly(task="loop").run()
 
 
 def test_a_landing_leaves_log_table_and_figures(tmp_path, capsys):

@@ -11,16 +11,29 @@ import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.airframe import load_airframe
+from falconwing_kit.control.manoeuvres import MANOEUVRES
+from falconwing_kit.control.manoeuvres.right_turn_sharp_climb import PLAN
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command, State
 from falconwing_kit.flight.sources import fpv_camera
-from falconwing_kit.flight.tasks import LandingTask, Spread, Trial
+from falconwing_kit.flight.tasks import FollowTask, LandingTask, Spread, Trial
 from falconwing_kit.flight.world import PoseNoise
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.tools.reports.page import ACCENT, PREDICTED
 from falconwing_kit.tools.trials.trial_figures import write_results
-from falconwing_kit.tools.trials.trials import Setting, compare_pilots, fly_trial, fly_trials, read_trials, summary
+from falconwing_kit.tools.trials.trials import (
+    TRIALS,
+    Setting,
+    compare_pilots,
+    flown_before,
+    fly_trial,
+    fly_trials,
+    read_trials,
+    study_head,
+    summary,
+    trials_to_pair,
+)
 
 
 class ToyWorld:
@@ -48,6 +61,9 @@ class ToyTask:
 
     def __init__(self) -> None:
         self.made: list[int] = []
+
+    def leader(self, seed: int) -> None:
+        """It follows nobody."""
 
     def trial(self, seed: int) -> Trial:
         self.made.append(seed)
@@ -136,6 +152,47 @@ def test_a_task_of_the_same_name_with_other_numbers_is_not_mixed_in(tmp_path, ch
     with pytest.raises(InputError, match="got trials with another duration, spread, noise, delay, model or airframe"):
         fly_trials(replace(NOMINAL, **changed), steady, 2, pilot="steady", out=tmp_path)
     assert len(read_trials(tmp_path)[1]) == 1
+
+
+CLIMB = "right_turn_sharp_climb"
+
+
+def lower(rng):
+    """The climb's waypoints, 0.1 m lower."""
+    return PLAN.waypoints(rng) - (0.0, 0.0, 0.1)
+
+
+def test_a_leader_that_flies_otherwise_is_another_study(tmp_path, monkeypatch):
+    """The climb 0.1 m lower, or drawn by another number: neither goes on in the folder nor pairs with it, by name.
+
+    A manoeuvre added in front of the table changes nothing.
+    """
+    task = FollowTask(CLIMB)
+    head = study_head(task, "steady")
+    fly_trials(task, steady, 1, pilot="steady", out=tmp_path)
+    kept = MANOEUVRES[CLIMB]
+    table = {"new": replace(kept, name="new", frozen_number=None), **MANOEUVRES}
+    monkeypatch.setattr("falconwing_kit.control.leader.MANOEUVRES", table)
+    assert study_head(task, "steady") == head
+    assert len(trials_to_pair(tmp_path, head)) == 1
+    for change in ({"waypoints": lower}, {"frozen_number": 9}):
+        table[CLIMB] = replace(kept, **change)
+        other = study_head(task, "steady")
+        assert other["task_digest"] != head["task_digest"]
+        for refuse in (flown_before, trials_to_pair):
+            with pytest.raises(InputError, match="got trials with another leader's path; choose another folder"):
+                refuse(tmp_path, other)
+
+
+def test_a_study_of_an_earlier_version_without_the_leaders_digest_says_so(tmp_path):
+    """Its head has no leader_digest: whether its leader flew the same is not known, and the sentence says that."""
+    fly_trials(FollowTask(CLIMB), steady, 1, pilot="steady", out=tmp_path)
+    head, *records = (tmp_path / TRIALS).read_text().splitlines()
+    old = {key: value for key, value in json.loads(head).items() if key != "leader_digest"}
+    (tmp_path / TRIALS).write_text("\n".join([json.dumps(old), *records]) + "\n")
+    for refuse in (flown_before, trials_to_pair):
+        with pytest.raises(InputError, match="no digest of the leader's path, as earlier versions of the kit wrote"):
+            refuse(tmp_path, study_head(FollowTask(CLIMB), "steady"))
 
 
 @pytest.mark.parametrize("world", ["PoseNoise", "LINK_DELAY_S"])

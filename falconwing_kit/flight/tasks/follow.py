@@ -1,0 +1,72 @@
+"""Following: a manoeuvre and a seed -> a world 4 m behind the leader, its judge, and the expert that follows."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from falconwing_kit.aircraft.airframe import Airframe, load_airframe
+from falconwing_kit.aircraft.model import Model, rates_model
+from falconwing_kit.control.expert import FollowExpert
+from falconwing_kit.control.leader import LeaderPath, leader_path
+from falconwing_kit.control.manoeuvres import MANOEUVRES
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.flight.judges import FollowJudge, Judge
+from falconwing_kit.flight.loop import Pilot
+from falconwing_kit.flight.sources import RenderedView
+from falconwing_kit.flight.trial import Spread, TaskEntry, Trial
+from falconwing_kit.flight.world import SimulatedWorld
+from falconwing_kit.scene.camera import PinholeCamera
+
+BEHIND = 4.0  # m: where a follower begins
+SPREAD = Spread(position=0.5, angle=math.radians(5.0), speed=0.5)  # of its start
+
+
+@dataclass(frozen=True)
+class FollowTask:
+    """Keep a leader in view through one manoeuvre, beginning about 4 m behind it."""
+
+    manoeuvre: str
+    model: Model = field(default_factory=rates_model)
+    airframe: Airframe = field(default_factory=load_airframe)
+    spread: Spread = SPREAD
+
+    def __post_init__(self) -> None:
+        if self.manoeuvre not in MANOEUVRES:
+            raise InputError(f"manoeuvre: want one of {', '.join(MANOEUVRES)}, got {self.manoeuvre!r}")
+
+    @property
+    def name(self) -> str:
+        """The task with its manoeuvre."""
+        return f"follow {self.manoeuvre}"
+
+    def leader(self, seed: int) -> LeaderPath:
+        """The path to follow."""
+        return leader_path(self.manoeuvre, seed=seed, model=self.model)
+
+    def trial(self, seed: int) -> Trial:
+        """The world of a seed."""
+        leader = self.leader(seed)
+        first = leader.state(0.0)
+        forward = first.v_world / np.linalg.norm(first.v_world)
+        yaw = math.atan2(-forward[1], forward[0])
+        start = self.spread.start(self.model, first.p_world - BEHIND * forward, seed, yaw)
+        world = SimulatedWorld(self.model, self.airframe, start, seed=seed, leader=leader)
+        return Trial(seed, world, leader, leader.duration)
+
+    def judge(self, trial: Trial, camera: PinholeCamera, view: RenderedView | None = None) -> Judge:
+        """The judge of a chase, in the images of a camera; a view also shows what hides the leader."""
+        return FollowJudge(trial.world, _leader(trial), self.airframe, camera, view)
+
+    def expert(self, trial: Trial) -> Pilot:
+        """The pilot that follows by both states."""
+        return FollowExpert(self.model, self.airframe, _leader(trial))
+
+
+def _leader(trial: Trial) -> LeaderPath:
+    if trial.leader is None:
+        raise InputError("trial: want one with a leader to follow, got one without; make it by the task's own `trial`")
+    return trial.leader
+
+
+TASK = TaskEntry("follow", "keep a leader in view", FollowTask, manoeuvre="left_turn_s_descent")

@@ -1,0 +1,53 @@
+"""Landing: a trial's seed -> a world 20 m before the pad, the judge of its touchdown, and the expert that lands."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from falconwing_kit.aircraft.airframe import Airframe, load_airframe
+from falconwing_kit.aircraft.model import Model, rates_model
+from falconwing_kit.aircraft.touchdown import LandingPad
+from falconwing_kit.control.expert import LandingExpert
+from falconwing_kit.flight.judges import Judge, LandingJudge
+from falconwing_kit.flight.loop import Pilot
+from falconwing_kit.flight.sources import RenderedView
+from falconwing_kit.flight.trial import Spread, TaskEntry, Trial
+from falconwing_kit.flight.world import SimulatedWorld
+from falconwing_kit.scene.camera import PinholeCamera
+
+OUT, HEIGHT = 20.0, 1.5  # m: where a landing begins, before the pad and above the floor
+SPREAD = Spread(position=1.0, angle=math.radians(10.0), speed=1.0)  # of its start
+
+
+@dataclass(frozen=True)
+class LandingTask:
+    """Land on the pad from about 20 m before it and 1.5 m up, as in the paper."""
+
+    model: Model = field(default_factory=rates_model)
+    airframe: Airframe = field(default_factory=load_airframe)
+    pad: LandingPad = field(default_factory=LandingPad)
+    spread: Spread = SPREAD
+    duration: float = 12.0  # [s]
+    name = "landing"
+
+    def leader(self, seed: int) -> None:
+        """There is none."""
+
+    def trial(self, seed: int) -> Trial:
+        """The world of a seed."""
+        nominal = np.array([self.pad.x_start - OUT, self.pad.y_centre, HEIGHT])
+        start = self.spread.start(self.model, nominal, seed)
+        world = SimulatedWorld(self.model, self.airframe, start, seed=seed, pad=self.pad)
+        return Trial(seed, world, None, self.duration)
+
+    def judge(self, trial: Trial, camera: PinholeCamera, view: RenderedView | None = None) -> Judge:
+        """The judge of a landing; the camera does not matter to it."""
+        return LandingJudge(trial.world)
+
+    def expert(self, trial: Trial) -> Pilot:
+        """The pilot that lands by state."""
+        return LandingExpert(self.model, self.airframe, self.pad)
+
+
+TASK = TaskEntry("landing", "land on the pad", LandingTask)
