@@ -60,7 +60,7 @@ def read_colmap(folder: str | Path) -> dict[str, Any]:
             ) from None
     cameras, images, (points, colours, errors, lengths) = parts
     missing = {image[1] for image in images} - set(cameras)
-    poses = np.array([_pose(image[0]) for image in images]).reshape(-1, 4, 4)
+    poses = _poses([image[0] for image in images])
     if missing or not (np.isfinite(poses).all() and np.isfinite(points).all()):
         raise InputError(f"{short_name(folder)}: want images with known cameras and finite poses, got others")
     return {
@@ -71,20 +71,20 @@ def read_colmap(folder: str | Path) -> dict[str, Any]:
     }
 
 
-def _pose(values: tuple[float, ...]) -> Array:
-    """T_world_camera from COLMAP's qw qx qy qz tx ty tz, which is "camera from world"."""
-    w, x, y, z = np.array(values[:4]) / np.linalg.norm(values[:4])
-    R_camera_world = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    T_world_camera = np.eye(4)
-    T_world_camera[:3, :3] = R_camera_world.T
-    T_world_camera[:3, 3] = -R_camera_world.T @ np.array(values[4:])
-    return T_world_camera
+def _poses(rows: list[tuple[float, ...]]) -> Array:
+    """Ts_world_camera (N, 4, 4) from COLMAP's qw qx qy qz tx ty tz, "camera from world"; nan where q is no rotation."""
+    from scipy.spatial.transform import Rotation
+
+    values = np.array(rows, np.float64).reshape(-1, 7)
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(values[:, :4], axis=1)
+    usable = np.isfinite(lengths) & (lengths > 0.0)
+    Ts_world_camera = np.full((len(values), 4, 4), np.nan)
+    Rs_world_camera = Rotation.from_quat(values[usable, :4], scalar_first=True).inv()
+    Ts_world_camera[usable, :3, :3] = Rs_world_camera.as_matrix()
+    Ts_world_camera[usable, :3, 3] = -Rs_world_camera.apply(values[usable, 4:])
+    Ts_world_camera[usable, 3] = 0.0, 0.0, 0.0, 1.0
+    return Ts_world_camera
 
 
 class _Bytes:
@@ -166,6 +166,8 @@ def _text_images(lines: list[str]) -> list[tuple[Any, ...]]:
     for line in lines[::2]:  # every second line lists where the image sees points
         if line.strip():
             _, *pose, camera, name = line.split(maxsplit=9)
+            if len(pose) != 7:
+                raise ValueError(line)
             images.append((tuple(float(word) for word in pose), int(camera), name.strip()))
     return images
 

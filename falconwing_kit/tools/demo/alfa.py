@@ -170,15 +170,15 @@ def _attitude(imu: _Topic, late: Array) -> tuple[Array, Array]:
     The logged quaternion turns nose-left-up vectors into east-north-up ones. Moving by at most 25 ms costs less than
     0.2 deg at 10 rad/s^2.
     """
-    x, y, z, w = (imu.values[:, :4] / np.linalg.norm(imu.values[:, :4], axis=1, keepdims=True)).T
-    columns_enu = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    ).transpose(2, 0, 1)
-    R_world_body = world_from_enu(columns_enu).transpose(0, 2, 1) @ R_BODY_ROS
+    from scipy.spatial.transform import Rotation
+
+    quaternions = imu.values[:, :4]  # x, y, z, w
+    if not quaternions.any(axis=1).all():
+        raise InputError(
+            f"{_TOPICS['imu'][0]}: want attitudes as quaternions, got one of length 0; copy the file again"
+        )
+    axes_enu = Rotation.from_quat(quaternions).as_matrix().transpose(0, 2, 1)  # rows: where each body axis points
+    R_world_body = world_from_enu(axes_enu).transpose(0, 2, 1) @ R_BODY_ROS
     attitude = np.column_stack(euler_from_rotation(R_world_body))
     rates_body = imu.values[:, 4:] @ R_BODY_ROS
     rates = np.column_stack(euler_rates(R_world_body[:, 2].T, *rates_body.T))

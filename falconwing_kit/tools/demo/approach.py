@@ -1,6 +1,5 @@
 """The demo's approach: a landing flown by the loop in the simulated hall -> its log; and figures of any log."""
 
-import html
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -20,8 +19,9 @@ from falconwing_kit.flight.loop import PERIOD, Clock, Flight, Loop, SimulatedClo
 from falconwing_kit.flight.sources import ROUNDING, MeasuredStates, RenderedView, decode_jpeg, fpv_camera, log_start
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, QUIET, Picture, figure, paragraph, picture
+from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, QUIET, figure, render
 
+PART = Path(__file__).with_name("approach.html.j2")
 FIGURES = ("flight_fpv.png", "flight_path.png", "flight_sticks.png", "flight_film.png")
 PAD_BLUE = "#3d6fd6"
 STRIP = 6  # images in the strip
@@ -334,7 +334,7 @@ def approach_record(approach: Approach) -> dict[str, Any]:
     }
 
 
-def approach_part(approach: Approach, folder: Path) -> list[str]:
+def approach_part(approach: Approach, folder: Path) -> str:
     """The approach on the demo's page.
 
     Args:
@@ -342,28 +342,10 @@ def approach_part(approach: Approach, folder: Path) -> list[str]:
         folder: where `draw_flight` left its figures.
 
     Returns:
-        HTML in reading order.
+        HTML.
     """
-    result, flight = approach.result, approach.flight
     fpv, along, sticks, film = (folder / name for name in FIGURES)
-    if result["success"]:
-        end = (
-            f"It touched down on the pad {100.0 * result['ald_m']:.0f} cm beside its centre line, sinking "
-            f"{result['sink_rate_m_s']:.2f} m/s at {result['speed_m_s']:.1f} m/s"
-        )
-    else:
-        end = f"<strong>It did not land on the pad</strong> ({flight.reason})"
-    return [
-        '<h2><span class="tag simulated">simulated</span>An approach in the splat hall</h2>',
-        paragraph(
-            "SIMULATION: aircraft, hall and images are computed. The kit's own loop flew, 20 times a second: the view "
-            "from the nose rendered from Gaussian splats, a noisy pose, an expert that lands by that pose, a link with "
-            f"delay, and a log. {end}, after {flight.t[-1]:.1f} s."
-            + (f" The hall: {html.escape(approach.hall)}." if approach.hall else "")
-        ),
-        picture(Picture(film, "The whole approach.", "Film of the view from the nose with the path from the side.")),
-        picture(Picture(fpv, "What a vision policy will have to land by.", "Six views of the hall and its blue pad.")),
-        picture(Picture(along, "Poses as the expert knew them, with their noise.", "Path from above and from aside.")),
-        picture(Picture(sticks, "Dashed: a new mode of the expert.", "Sticks, height and speed over time.")),
-        paragraph(f"Fly it again: <code>falconwing replay {approach.log.name}</code>"),
-    ]
+    return render(
+        PART, result=approach.result, reason=approach.flight.reason, seconds=approach.flight.t[-1], hall=approach.hall,
+        log=approach.log.name, fpv=fpv, along=along, sticks=sticks, film=film,
+    )  # fmt: skip

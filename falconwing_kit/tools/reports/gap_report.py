@@ -1,6 +1,5 @@
 """The report: a calm flight and a flight that surprises -> report.json, figures and a page read in three minutes."""
 
-import html
 import json
 import math
 import time
@@ -23,8 +22,9 @@ from falconwing_kit.gap.name import STRAINED, Naming
 from falconwing_kit.sysid.model_file import write_fitted, write_model
 from falconwing_kit.sysid.score import Score
 from falconwing_kit.tools.reports.gap_plots import CHANNEL_WORDS, IN_PLOTS, draw_gap
-from falconwing_kit.tools.reports.page import Picture, paragraph, picture, table, write_page
+from falconwing_kit.tools.reports.page import write_page
 
+PAGE = Path(__file__).with_name("gap_report.html.j2")
 SHORTEST_S = 20.0
 SAME_RATE = 0.1  # relative: cameras of one kind differ by less
 LEAST_PROBABILITY, MOST_PROBABILITY = 0.001, 0.999  # 45 cases of independent aircraft say no more than that
@@ -259,91 +259,16 @@ def write_gap(study: GapStudy, folder: Path, progress: Progress = lambda stage: 
         )  # fmt: skip
     study.seconds["write"] = time.perf_counter() - began
     record = gap_record(study)
-    write_page(folder / "report.html", f"FalconWing gap: {headline(study.naming)}", _page(study, record, figures))
+    write_page(folder / "report.html", PAGE, figures=figures, **_page(study, record))
     with atomic_write(folder / "report.json", text=True) as handle:
         json.dump(record, handle, indent=2, allow_nan=False)
     return record
 
 
-def _page(study: GapStudy, record: dict[str, Any], figures: dict[str, Path]) -> list[str]:
+def _page(study: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
+    """What the page's template names, besides the figures."""
     naming = study.naming
-    return [
-        f"<h1>{headline(naming)}</h1>",
-        paragraph(f"{html.escape(study.names[1])}, judged by {html.escape(study.names[0])}", "lead"),
-        *(paragraph(text) for text in _verdict(study, record)),
-        *([paragraph(_set_in(study.since))] if study.since else []),
-        _sizes(study),
-        "<h2>Where it disagrees</h2>",
-        paragraph(_where(study)),
-        picture(Picture(
-            figures["map"], "The hall from above. Colour says how far the calm flight's model is off after flying up "
-            "to two seconds on the logged sticks alone; 1 is the noise of the poses.",
-            "Map of residuals over the hall for the calm flight and the flight.",
-        )),
-        picture(Picture(
-            figures["where"], "The same residuals against the variables they go with. The grey band is what chance "
-            "makes of a calm flight.", "Residuals against variables, flight beside calm flight.",
-        )),
-        "<h2>What it could be</h2>",
-        paragraph(_contest(study, record)),
-        picture(Picture(figures["ranking"], "Evidence for each effect, after everything the parameters of the "
-                        "aircraft can explain on another day.", "Bars of evidence for each effect.")),
-        "<h2>Before and after</h2>",
-        paragraph(_before_after(study)),
-        picture(Picture(figures["closed"], "Prediction errors two seconds ahead on time that no fit has seen.",
-                        "Bars of prediction error before, after and of the calm flight.")),
-        "<h2>What to fly next</h2>",
-        paragraph(_sentence(record["next_flight"])),
-        _small_print(record),
-    ]  # fmt: skip
-
-
-def _verdict(study: GapStudy, record: dict[str, Any]) -> list[str]:
-    """The answer in one or two paragraphs."""
-    naming, gap = study.naming, record["gap"]
-    if naming.verdict == "named":
-        texts = [f"<strong>{_plain(c.effect.name)}</strong>. {c.effect.physics}" for c in naming.chosen]
-        if any(c.effect.name == "control_delay" for c in naming.chosen):
-            texts.append("Late time stamps of the images look exactly the same; a test on the bench tells which it is.")
-        return texts
-    if naming.verdict == "ambiguous":
-        alternatives = "; or ".join(
-            f"<strong>{_plain(c.effect.name)}</strong>: {c.effect.physics}" for c in naming.chosen
-        )
-        return [f"One of these explains the flight, and this flight cannot tell which: {alternatives}"]
-    if naming.verdict == "none":
-        return [
-            f"The flight agrees with the calm one: two seconds ahead the calm flight's model is off by a chi2 of "
-            f"{gap['before']:.2f} per degree of freedom, against {gap['calm']:.2f} on the calm flight itself. "
-            "No effect of the catalogue explains more than chance would. A smaller effect may still be there."
-        ]
-    texts = [
-        "The flight disagrees with the calm one by more than chance, and no effect of the catalogue explains enough of "
-        "it to be named. Do not trust the first of the ranking below; see where the disagreement sits instead."
-    ]
-    if _has_a_load(naming):
-        texts.append(
-            f"What explains it best is a <strong>{naming.unnamed.effect.name}</strong> (evidence "
-            f"{naming.unnamed.gain:.0f}), which no entry of the catalogue makes. What could make such a "
-            f"{naming.unnamed.effect.name.split()[0]} on this aircraft?"
-        )
-    return [*texts, *([_sentence(_strained(study))] if study.naming.strain > STRAINED else [])]
-
-
-def _has_a_load(naming: Naming) -> bool:
-    """Whether a load without a name explains more than every effect does."""
-    return naming.unnamed.gain > max(LACKING, naming.ranking[0].gain)
-
-
-def _set_in(since: Onset) -> str:
-    return (
-        f"It was not there from the start: it set in at <strong>{since.time:.1f} s</strong> of the flight's clock, "
-        f"with 95 % between {since.low95:.1f} and {since.high95:.1f} s. All that follows is about the time after it."
-    )
-
-
-def _sizes(study: GapStudy) -> str:
-    rows = [
+    sizes = [
         (
             size.meaning,
             f"{size.value:.3g}",
@@ -352,7 +277,25 @@ def _sizes(study: GapStudy) -> str:
         )
         for size in study.closed.parameters.values()
     ]
-    return table("How large it is", ("what", "value", "95 % interval", "unit"), rows) if rows else ""
+    return {
+        "record": record,
+        "verdict": naming.verdict,
+        "chosen": naming.chosen,
+        "load": naming.unnamed if _has_a_load(naming) else None,
+        "strained": _sentence(_strained(study)) if naming.strain > STRAINED else "",
+        "since": study.since,
+        "sizes": sizes,
+        "where": _where(study),
+        "contest": _contest(study, record),
+        "before_after": _before_after(study),
+        "next_flight": _sentence(record["next_flight"]),
+        "slow": _slow(record["noise"]),
+    }
+
+
+def _has_a_load(naming: Naming) -> bool:
+    """Whether a load without a name explains more than every effect does."""
+    return naming.unnamed.gain > max(LACKING, naming.ranking[0].gain)
 
 
 def _where(study: GapStudy) -> str:
@@ -408,28 +351,17 @@ def _before_after(study: GapStudy) -> str:
     )
 
 
-def _small_print(record: dict[str, Any]) -> str:
-    noise, warnings = record["noise"], record["warnings"]
-    listed = "".join(f"<li>{html.escape(w)}</li>" for w in warnings)
-    slow = "; ".join(
+def _slow(noise: dict[str, Any]) -> str:
+    """How much of the pose noise changes slowly."""
+    halves = zip(noise["slow_share"], noise["slow_time_s"], ("position", "attitude"), strict=True)
+    return "; ".join(
         f"{100 * share:.0f} % of it slow over {seconds:.1f} s in {half}" if share else f"none of it slow in {half}"
-        for share, seconds, half in zip(
-            noise["slow_share"], noise["slow_time_s"], ("position", "attitude"), strict=True
-        )
-    )
-    return (
-        f"<details><summary>Noise, warnings and time ({len(warnings)} warnings)</summary>"
-        + paragraph(
-            f"Pose noise {100 * noise['position_m']:.1f} cm and {noise['attitude_deg']:.2f}&deg;; {slow}. "
-            f"Computed in {sum(record['seconds'].values()):.0f} s."
-        )
-        + (f"<ul>{listed}</ul>" if listed else "")
-        + "</details>"
+        for share, seconds, half in halves
     )
 
 
 def _error(score: Score) -> str:
-    return f"chi2 {score.chi2:.2f} ({100 * score.position_m:.1f} cm, {score.attitude_deg:.2f}&deg;)"
+    return f"chi2 {score.chi2:.2f} ({100 * score.position_m:.1f} cm, {score.attitude_deg:.2f}°)"
 
 
 def _plain(name: str) -> str:
@@ -441,4 +373,4 @@ def _percent(probability: float) -> str:
 
 
 def _sentence(text: str) -> str:
-    return html.escape(text[0].upper() + text[1:] + ("" if text.endswith((".", "?")) else "."))
+    return text[0].upper() + text[1:] + ("" if text.endswith((".", "?")) else ".")

@@ -1,10 +1,9 @@
-"""What all pages and figures share: parts -> one HTML file that needs no network; axes in one look -> a PNG."""
+"""What all pages and figures share: a template -> one HTML file that needs no network; axes in one look -> a PNG."""
 
 import base64
-import html
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,110 +27,59 @@ STYLE: Any = {
     "legend.frameon": False,
     "figure.constrained_layout.use": True,
 }
-CSS = """
-:root { --ink: #222; --quiet: #666; --line: #ddd; --blue: #0b5394; --rust: #c1440e; }
-body { font: 16px/1.55 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; color: var(--ink);
-       margin: 0 auto; max-width: 62rem; padding: 2rem 1.2rem 4rem; }
-h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 .3rem; }
-h2 { font-size: 1.35rem; margin: 3rem 0 .4rem; padding-top: 1rem; border-top: 1px solid var(--line); }
-p.lead { font-size: 1.1rem; color: var(--quiet); margin-top: 0; }
-p { max-width: 46rem; }
-.tag { display: inline-block; font-size: .8rem; font-weight: 600; padding: .1rem .55rem; border-radius: 1rem;
-       border: 1px solid currentColor; margin-right: .5rem; }
-.simulated { color: var(--blue); } .measured { color: var(--rust); }
-table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; }
-caption { text-align: left; font-weight: 600; padding-bottom: .3rem; }
-th, td { text-align: right; padding: .25rem .9rem; border-bottom: 1px solid var(--line); }
-th:first-child, td:first-child { text-align: left; padding-left: 0; }
-tr.best td { font-weight: 700; }
-figure { margin: 1.4rem 0; } figure img { width: 100%; height: auto; }
-figcaption { color: var(--quiet); font-size: .93rem; max-width: 46rem; }
-details { margin: 1rem 0; } summary { cursor: pointer; color: var(--blue); }
-code { background: #f4f4f4; padding: .08rem .3rem; border-radius: .2rem; }
-pre { background: #f4f4f4; padding: .7rem 1rem; overflow-x: auto; }
-footer { margin-top: 3rem; padding-top: 1rem; border-top: 1px solid var(--line); color: var(--quiet);
-         font-size: .9rem; }
-@media print { h2 { break-before: page; } }
-"""
+FRAME = Path(__file__).parent  # of page.html.j2, which every page extends, and parts.html.j2 with table and picture
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A figure with what it shows in words."""
-
-    path: Path
-    caption: str
-    alt: str  # for who cannot see it
-
-
-def paragraph(text: str, kind: str = "") -> str:
-    """A paragraph; the text may hold inline HTML.
+def render(template: Path, **values: Any) -> str:
+    """HTML of a template and its values; values are text, and what is markup in them is escaped.
 
     Args:
-        text: its words.
-        kind: a class of the style sheet, or none.
+        template: a Jinja template; it may extend page.html.j2 and import from parts.html.j2.
+        values: what it names.
 
     Returns:
-        HTML.
+        HTML, marked as such for a page that holds it.
+
+    Raises:
+        jinja2.UndefinedError: the template names a value that is not given.
     """
-    return f'<p class="{kind}">{text}</p>' if kind else f"<p>{text}</p>"
+    from markupsafe import Markup
+
+    return Markup(_environment(template.parent).get_template(template.name).render(values))
 
 
-def table(caption: str, headers: Sequence[str], rows: Sequence[Sequence[str]], best: int | None = None) -> str:
-    """A table whose first column names the rows.
-
-    Args:
-        caption: what it shows.
-        headers: one per column, with units.
-        rows: texts, each as long as the headers.
-        best: the row to set in bold, if any.
-
-    Returns:
-        HTML.
-    """
-    head = "".join(f'<th scope="col">{html.escape(h)}</th>' for h in headers)
-    body = "".join(
-        f"<tr{' class=best' if i == best else ''}>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>"
-        for i, row in enumerate(rows)
-    )
-    return (
-        f"<table><caption>{html.escape(caption)}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    )
-
-
-def picture(shown: Picture) -> str:
-    """A figure, embedded.
-
-    Args:
-        shown: file, caption and text alternative.
-
-    Returns:
-        HTML.
-    """
-    data = base64.b64encode(shown.path.read_bytes()).decode("ascii")
-    return (
-        f'<figure><img alt="{html.escape(shown.alt, quote=True)}" src="data:image/png;base64,{data}">'
-        f"<figcaption>{shown.caption}</figcaption></figure>"
-    )
-
-
-def write_page(path: Path, title: str, parts: Sequence[str]) -> None:
-    """Write the page, whole or not at all.
+def write_page(path: Path, template: Path, **values: Any) -> None:
+    """Write the page of a template and its values, whole or not at all; `render` says what they may be.
 
     Args:
         path: the HTML file.
-        title: of the window.
-        parts: HTML in reading order.
+        template: the page's template.
+        values: what it names.
     """
-    text = (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html.escape(title)}</title><style>{CSS}</style></head><body><main>"
-        + "\n".join(parts)
-        + "</main></body></html>\n"
-    )
+    text = render(template, **values)
     with atomic_write(path, text=True) as handle:
         handle.write(text)
+
+
+@cache
+def _environment(folder: Path) -> Any:
+    """Templates of a folder and of this one, with two filters: a number by a format, a PNG as a `data:` address."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader([folder, FRAME]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"number": format, "embedded": _embedded}
+    return environment
+
+
+def _embedded(path: Path) -> str:
+    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
 
 @contextmanager

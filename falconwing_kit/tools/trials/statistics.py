@@ -13,8 +13,7 @@ RESAMPLES = 10_000
 def clopper_pearson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
     """Exact interval of a success rate: no true rate outside of it makes the count less likely than its tail allows.
 
-    low  = Beta(a/2; k, n - k + 1),  high = Beta(1 - a/2; k + 1, n - k),  a = 1 - confidence
-    [Clopper & Pearson 1934, Biometrika 26, in its beta form]
+    P(X >= k | low) = P(X <= k | high) = (1 - confidence) / 2   [Clopper & Pearson 1934, Biometrika 26]
 
     Args:
         successes: k, 0 to n.
@@ -27,14 +26,12 @@ def clopper_pearson(successes: int, trials: int, confidence: float = 0.95) -> tu
     Raises:
         InputError: the counts do not fit, or the confidence is not between 0 and 1.
     """
-    from scipy.stats import beta
+    from scipy.stats import binomtest
 
     n = _count("trials", trials, low=1)
     k = _count("successes", successes, high=n)
-    tail = 0.5 * (1.0 - require_range("confidence", confidence, low=0.01, high=0.9999))
-    low = float(beta.ppf(tail, k, n - k + 1)) if k > 0 else 0.0
-    high = float(beta.ppf(1.0 - tail, k + 1, n - k)) if k < n else 1.0
-    return low, high
+    interval = binomtest(k, n).proportion_ci(require_range("confidence", confidence, low=0.01, high=0.9999), "exact")
+    return float(interval.low), float(interval.high)
 
 
 def bootstrap_mean(values: ArrayLike, confidence: float = 0.95, seed: int = 0) -> tuple[float, float]:
@@ -53,15 +50,16 @@ def bootstrap_mean(values: ArrayLike, confidence: float = 0.95, seed: int = 0) -
     Raises:
         InputError: a value is not finite, or the confidence is not between 0 and 1.
     """
+    from scipy.stats import bootstrap
+
     x = np.asarray(values, np.float64).ravel()
     if not np.isfinite(x).all():
         raise InputError("values: want finite numbers, got nan or infinity; leave out trials that have none")
-    tail = 50.0 * (1.0 - require_range("confidence", confidence, low=0.01, high=0.9999))
+    level = require_range("confidence", confidence, low=0.01, high=0.9999)
     if x.size < 2:
         return float("nan"), float("nan")
-    draws = np.random.default_rng(seed).integers(0, x.size, (RESAMPLES, x.size))
-    low, high = np.percentile(x[draws].mean(axis=1), (tail, 100.0 - tail))
-    return float(low), float(high)
+    found = bootstrap((x,), np.mean, n_resamples=RESAMPLES, confidence_level=level, method="percentile", rng=seed)
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
 def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> float:

@@ -176,7 +176,7 @@ def test_film_of_a_long_flight_needs_no_more_memory(tmp_path, monkeypatch):
 
 def test_page_part_says_simulation_and_where_it_touched_down(approach, figures):
     """Four figures with words for who cannot see them; the record's number in centimetres."""
-    text = "\n".join(approach_part(approach, approach.log.parent))
+    text = approach_part(approach, approach.log.parent)
     assert "SIMULATION" in text and text.count("<img ") == 4
     assert f"on the pad {100.0 * approach_record(approach)['ald_m']:.0f} cm beside" in text
     assert "The hall: simulated hall, built from arena.toml" in text  # the scene's own words, so that a hall is named
@@ -185,7 +185,7 @@ def test_page_part_says_simulation_and_where_it_touched_down(approach, figures):
 def test_missed_landing_is_owned_up_to(approach, figures):
     """No centimetres where nothing was touched."""
     missed = SimpleNamespace(log=approach.log, result={"success": False}, flight=approach.flight, hall="")
-    text = "\n".join(approach_part(missed, approach.log.parent))
+    text = approach_part(missed, approach.log.parent)
     assert "It did not land on the pad" in text and "beside its centre line" not in text
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from falconwing_kit.gap.close import Onset
 from falconwing_kit.sysid.model_file import read_model
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.tools.demo import approach, recorded
@@ -131,7 +132,7 @@ def test_page_owns_up_to_the_attitude_after_the_failure(run):
     after = story.told.t > story.failure_time + 1.0
     off = np.degrees(np.sqrt(np.mean(np.sum(story.told.error_attitude[after] ** 2, axis=1))))
     assert off > 20.0
-    assert f"off by {off:.0f}&deg; rms" in (run.out / "index.html").read_text()
+    assert f"{off:.0f}° rms one second ahead" in (run.out / "index.html").read_text(encoding="utf-8")
 
 
 def test_warnings_are_text_and_no_markup(run, tmp_path):
@@ -140,6 +141,32 @@ def test_warnings_are_text_and_no_markup(run, tmp_path):
     recorded.write_recorded_flights(replace(run.found, small=small), tmp_path)
     page = (tmp_path / "index.html").read_text()
     assert "&lt;b&gt;a.csv&lt;/b&gt;: 3 &lt; 4 &amp; so on" in page and "<b>a.csv" not in page
+
+
+@pytest.mark.parametrize(
+    ("verdict", "parts_at", "words"),
+    [
+        ("named", None, ("<strong>Missing: NAME.</strong>", "never leave what is ordinary")),
+        ("none", 120.0, ("No effect explains more", "At 120.0 s")),
+        ("ambiguous", 120.0, ("Missing: NAME or NAME; these poses", "further ahead than in any healthy moment")),
+    ],
+)
+def test_page_has_words_for_every_outcome(run, tmp_path, verdict, parts_at, words):
+    """The same findings under each verdict of the real flight, with an onset of the wind and without a landing."""
+    first, *others = run.found.alfa_gap.suspects
+    suspects = (first, *([first] if verdict == "ambiguous" else []), *(replace(s, gain=-1e6) for s in others))
+    wind = run.found.small_gap.naming.chosen[0].effect
+    found = replace(
+        run.found,
+        small_gap=replace(run.found.small_gap, since=Onset(wind, 12.3, 11.0, 13.0, 40.0, None)),
+        alfa=replace(run.found.alfa, parts_at=parts_at),
+        alfa_gap=replace(run.found.alfa_gap, verdict=verdict, suspects=suspects),
+    )
+    recorded.write_recorded_flights(found, tmp_path)
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    name = first.effect.name.replace("_", " ")
+    assert all(each.replace("NAME", name) in page for each in (*words, "It set in at 12.3 s"))
+    assert "splat hall" not in page and page_problems(page) == []
 
 
 @pytest.mark.parametrize(("name", "flight"), [("150g", "case08_calm.csv"), ("alfa", "alfa_engine_failure.csv")])

@@ -10,9 +10,12 @@ import pytest
 from falconwing_kit.aircraft.effects import EFFECT_NAMES
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import read_flight_table, slice_time
+from falconwing_kit.gap.close import Onset
+from falconwing_kit.gap.name import STRAINED
 from falconwing_kit.sysid.model_file import read_model
 from falconwing_kit.tools.reports.gap_report import gap_record, gap_report, require_pair, write_gap
 from tests.gap.studies import shipped, wind_study
+from tests.tools.reports.test_page import page_problems
 
 CASES = Path(__file__).resolve().parents[4] / "shared" / "data" / "flights"
 ALWAYS = ("case03", "case04", "case05", "case09")  # the other six run with `-m benchmark`
@@ -72,6 +75,24 @@ def test_report_is_written_whole_and_the_model_reads_back(tmp_path):
     assert model.values["wind_y"] == pytest.approx(record["parameters"]["wind_y"]["value"], rel=1e-6)
     assert [e.name for e in model.effects] == ["wind"]
     assert read_model(tmp_path / "model.toml").model.effects == ()
+
+
+def test_page_says_since_when_and_why_nothing_is_named(tmp_path):
+    """Outside, on an aircraft that does not fit, with a load that explains more and from a time on: each is said."""
+    study = wind_study()
+    effect = study.naming.ranking[0].effect
+    load = replace(study.naming.unnamed, gain=study.naming.ranking[0].gain + 50.0)
+    naming = replace(study.naming, verdict="outside", chosen=(), strain=10.0 * STRAINED, unnamed=load)
+    closed = replace(study.closed, after=study.closed.before, parameters={})
+    onset = Onset(effect, 12.34, 11.0, 13.0, 40.0, None)
+    names = ("<i>calm</i>.csv", "<i>flight</i>.csv")
+    write_gap(replace(study, naming=naming, closed=closed, since=onset, names=names), tmp_path)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "set in at <strong>12.3 s</strong>" in page
+    assert f"<strong>{load.effect.name}</strong> (evidence {load.gain:.0f})" in page
+    assert page.count("are both flights of the same aircraft?") == 2  # in the text and among the warnings
+    assert "<i>" not in page and "&lt;i&gt;flight&lt;/i&gt;.csv, judged by" in page
+    assert page_problems(page) == []
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,26 @@
 """The page is one file that needs no network, can be read without seeing, and shows text as it was written."""
 
 import base64
+import itertools
+import tomllib
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
+from jinja2 import UndefinedError
 
-from falconwing_kit.tools.reports.page import Picture, paragraph, picture, table, write_page
+import falconwing_kit
+from falconwing_kit.tools.reports.page import render, write_page
 
+PAGE = """{% extends "page.html.j2" %}{% from "parts.html.j2" import picture, table %}
+{% block title %}{{ words }}{% endblock %}
+{% block main %}
+<h1>Title</h1><p class="lead">Text</p>
+{{ table(words, (words, words), [(words, words)], best=0) }}
+{% call picture(png, alt=words) %}A caption with <em>words</em>.{% endcall %}
+{% endblock %}
+"""
+TABLE = '{% from "parts.html.j2" import table %}{{ table("T", ("fit", "error"), rows, best=1) }}'
 FETCHING = ("src", "srcset", "data", "poster", "action", "background", "manifest")
 NEVER_CLOSED = ("meta", "img", "br")
 
@@ -65,11 +79,22 @@ def png(tmp_path):
     return path
 
 
-def test_page_needs_nothing_but_itself(png, tmp_path):
+@pytest.fixture
+def template(tmp_path):
+    """A file with a template's text, in a folder of its own."""
+    names = (tmp_path / f"template{number}.html.j2" for number in itertools.count())
+
+    def write(text):
+        path = next(names)
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_page_needs_nothing_but_itself(png, template, tmp_path):
     """Every element stands in a page of each kind; the rules are those of a file that is opened without a network."""
-    shown = Picture(png, "A caption with <em>words</em>.", "what it shows")
-    parts = ["<h1>Title</h1>", paragraph("Text", "lead"), table("T", ("a", "b"), [("1", "2")], best=0), picture(shown)]
-    write_page(tmp_path / "page.html", "A title", parts)
+    write_page(tmp_path / "page.html", template(PAGE), png=png, words="words")
     assert page_problems((tmp_path / "page.html").read_text(encoding="utf-8")) == []
 
 
@@ -91,39 +116,59 @@ def test_planted_fault_is_seen(planted, problem):
     assert page_problems('<p>see <a href="https://example.org">there</a></p>') == []
 
 
-def test_picture_carries_its_file_to_the_byte(png):
+def test_picture_carries_its_file_to_the_byte(png, template):
     """Base64 is undone with the standard library."""
-    ((_, attributes),) = [each for each in Reader(picture(Picture(png, "caption", "alt"))).tags if each[0] == "img"]
+    page = Reader(render(template(PAGE), png=png, words="words"))
+    ((_, attributes),) = [each for each in page.tags if each[0] == "img"]
     kind, data = attributes["src"].split(",")
     assert kind == "data:image/png;base64"
     assert base64.b64decode(data, validate=True) == png.read_bytes()
 
 
-def test_words_come_out_as_they_went_in(png, tmp_path):
+def test_words_come_out_as_they_went_in(png, template, tmp_path):
     """HTML's own signs in every place that takes plain text; a parser must give them back and see no new element."""
     words = """<b>"5 < 6" & 'more'</b>"""
-    html = table(words, (words, words), [(words, words)]) + picture(Picture(png, "caption", words))
-    write_page(tmp_path / "page.html", words, [html])
+    write_page(tmp_path / "page.html", template(PAGE), png=png, words=words)
     page = Reader((tmp_path / "page.html").read_text(encoding="utf-8"))
-    assert "b" not in [tag for tag, _ in page.tags]
+    assert "b" not in [tag for tag, _ in page.tags] and "em" in [tag for tag, _ in page.tags]
     for place, count in (("caption", 1), ("th", 2), ("td", 2), ("title", 1)):
         assert page.text_in(place) == [words] * count, place
     assert [attributes["alt"] for tag, attributes in page.tags if tag == "img"] == [words]
 
 
-def test_table_keeps_its_order_and_marks_one_row():
+def test_part_of_a_page_is_escaped_once(template):
+    """What `render` gives may stand in another template as it is; a text beside it may not."""
+    part = render(template("<em>{{ words }}</em>"), words="a < b")
+    both = render(template("{{ part }} {{ text }}"), part=part, text="<em>")
+    assert both == "<em>a &lt; b</em> &lt;em&gt;"
+
+
+def test_table_keeps_its_order_and_marks_one_row(template):
     """Two by two cells, read row by row; the second row is the best."""
-    page = Reader(table("T", ("fit", "error"), [("one", "1.0"), ("two", "0.5")], best=1))
+    page = Reader(render(template(TABLE), rows=[("one", "1.0"), ("two", "0.5")]))
     assert page.text_in("th") == ["fit", "error"]
     assert page.text_in("td") == ["one", "1.0", "two", "0.5"]
     assert [attributes.get("class") for tag, attributes in page.tags if tag == "tr"] == [None, None, "best"]
 
 
-def test_page_is_written_whole_or_not_at_all(tmp_path):
-    """A part that is no text stops the page; the page of before stays and nothing lies beside it."""
-    path = tmp_path / "page.html"
-    write_page(path, "old", ["<p>old</p>"])
+def test_page_is_written_whole_or_not_at_all(png, template, tmp_path):
+    """A value that is not given stops the page; the page of before stays and nothing lies beside it."""
+    path = tmp_path / "pages" / "page.html"
+    path.parent.mkdir()
+    write_page(path, template(PAGE), png=png, words="old")
     before = path.read_bytes()
-    with pytest.raises(TypeError):
-        write_page(path, "new", ["<p>new</p>", None])
-    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+    with pytest.raises(UndefinedError, match="words"):
+        write_page(path, template(PAGE), png=png)
+    assert path.read_bytes() == before and list(path.parent.iterdir()) == [path]
+
+
+def test_every_template_of_the_kit_ships_with_it():
+    """The build's pattern for package data covers them, and each is named by the code beside it or by another one."""
+    package = Path(falconwing_kit.__file__).parent
+    shipped = tomllib.loads((package.parent / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["*"]
+    templates = sorted(package.rglob("*.j2"))
+    assert templates and "*.j2" in shipped
+    for template in templates:
+        assert (template.parent / "__init__.py").is_file(), f"{template}: not in a package, so it would not ship"
+        beside = [path for kind in ("*.py", "*.j2") for path in template.parent.glob(kind) if path != template]
+        assert any(template.name in path.read_text(encoding="utf-8") for path in beside), f"{template}: nobody uses it"

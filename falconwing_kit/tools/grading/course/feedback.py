@@ -5,16 +5,15 @@ student's function could have hidden the question in its answer. What a function
 which run in boxes of their own that never see a hidden case.
 """
 
-import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from falconwing_kit.tools.grading.course.gradebook import Entry
-from falconwing_kit.tools.grading.lab import Exercise
 from falconwing_kit.tools.grading.public_checks import SYMBOLS
-from falconwing_kit.tools.reports.page import paragraph, table, write_page
+from falconwing_kit.tools.reports.page import write_page
 
+PAGE = Path(__file__).with_name("feedback.html.j2")
 MEANING = {  # of a category in a record
     "wrong value": "gave an answer of the right form with wrong numbers",
     "wrong shape": "gave an answer of another shape or kind than asked for",
@@ -56,24 +55,28 @@ def write_feedback(path: Path, entry: Entry, checks: Mapping[str, Sequence[Seque
             function said); None where they were not run.
     """
     lab, record = entry.lab, entry.record
-    parts = [f"<h1>{html.escape(f'{lab.name}: {lab.title}')}</h1>", paragraph(html.escape(_summary(entry)), "lead")]
-    if record["problem"]:
-        parts.append(paragraph(f"Note: {html.escape(record['problem'])}"))
     done = record["exercises"]
-    rows = [
+    functions = [
         (each.name, f"{done[each.name]['points']:g}", f"{each.points:g}", in_words(done[each.name]))
         for each in lab.exercises
         if each.name in done
     ]
-    if rows:
-        parts.append(table("Functions, graded by the machine", ("function", "points", "of", "what happened"), rows))
-    for exercise in lab.exercises:
-        if exercise.name in done and done[exercise.name]["right"] < done[exercise.name]["cases"]:
-            found = None if checks is None else checks.get(exercise.name)
-            parts += _exercise(exercise, done[exercise.name], found)
-    parts += _by_person(entry)
-    parts.append(_FOOT.format(lab=lab.name))
-    write_page(path, f"{lab.name}: {entry.student}", [_STYLE, *parts])
+    lost = [
+        {
+            "name": each.name,
+            "problems": done[each.name]["problems"],
+            "outcomes": None if checks is None else checks.get(each.name),
+            "claims": [check.claim for check in each.checks],
+        }
+        for each in lab.exercises
+        if each.name in done and done[each.name]["right"] < done[each.name]["cases"]
+    ]
+    given = entry.person.points
+    by_person = [(each.name, f"{given[each.name]:g}", f"{each.points:g}") for each in lab.rubric if each.name in given]
+    write_page(
+        path, PAGE, lab=lab, student=entry.student, summary=_summary(entry), problem=record["problem"],
+        functions=functions, lost=lost, symbols=SYMBOLS, by_person=by_person, comment=entry.person.comment,
+    )  # fmt: skip
 
 
 def _summary(entry: Entry) -> str:
@@ -82,42 +85,3 @@ def _summary(entry: Entry) -> str:
     if entry.total is None:
         return f"{entry.student}: {entry.machine:g} points for the functions; a person's points are still to come."
     return f"{entry.student}: {entry.total:g} of {entry.of:g} points."
-
-
-def _exercise(exercise: Exercise, result: Mapping[str, Any], outcomes: Sequence[Sequence[str]] | None) -> list[str]:
-    """What to look at in a function that lost points."""
-    parts = [f"<h2>{html.escape(exercise.name)}</h2>"]
-    parts += [paragraph(f"! {html.escape(problem)}") for problem in result["problems"]]
-    if outcomes is None:
-        claims = "".join(f"<li>{html.escape(check.claim)}</li>" for check in exercise.checks)
-        return [*parts, paragraph("A right function does all of this:"), f'<ul class="checks">{claims}</ul>']
-    lines = []
-    for claim, state, hint, said in outcomes:
-        more = "".join(f"<br>{html.escape(words)}" for words in (said, hint) if words)
-        lines.append(f"<li><b>{SYMBOLS[state]} {state}:</b> {html.escape(claim)}{more}</li>")
-    parts.append(f'<ul class="checks">{"".join(lines)}</ul>')
-    if all(state == "passed" for _, state, *_ in outcomes):
-        parts.append(
-            paragraph("All public checks passed, and hidden cases did not: think of limits, signs and shapes.")
-        )
-    return parts
-
-
-def _by_person(entry: Entry) -> list[str]:
-    """Figures and answers, as far as they are graded."""
-    given = entry.person.points
-    rows = [(each.name, f"{given[each.name]:g}", f"{each.points:g}") for each in entry.lab.rubric if each.name in given]
-    if not rows:
-        return []
-    parts = [table("Figures and answers, graded by a person", ("part", "points", "of"), rows)]
-    if entry.person.comment:
-        parts.append(f"<blockquote>{html.escape(entry.person.comment)}</blockquote>")
-    return parts
-
-
-_STYLE = """<style>td:last-child, th:last-child { text-align: left; }
-ul.checks { list-style: none; padding-left: 0; max-width: 46rem; } ul.checks li { margin: .5rem 0; }
-blockquote { white-space: pre-wrap; border-left: 3px solid #999; margin: 1rem 0; padding-left: 1rem; }</style>"""
-_FOOT = """<footer>Hidden cases are drawn afresh, so there is no list of them; a function that is right, and not only
-right for the examples, gets them all. <code>falconwing check {lab}</code> runs the public checks at home. If you think
-that the grading is wrong, ask: every submission can be graded again on the very same cases.</footer>"""
