@@ -1,11 +1,12 @@
-"""Sets up the kit in .venv and runs it: verb and its words in, the verb's exit code out. Standard library only.
+"""Sets up the kit in .venv and runs it: verb and its words in, the verb's exit code out. Standard
+library only.
 
     python3 start.py demo [--headless] [--out DIR]   land in a splat hall, study recorded flights
     python3 start.py test [pytest options]           run the tests: all, two at a time; with options, pytest as it is
     python3 start.py VERB ...                        any other verb of falconwing, such as doctor
 
-The first run makes .venv beside this file and installs what constraints.txt names; later runs start at once.
-An interrupted installation is mended when the same command is typed again.
+The first run makes .venv beside this file and installs what constraints.txt names; later runs start
+at once. An interrupted installation is mended when the same command is typed again.
 """
 
 from __future__ import annotations
@@ -50,12 +51,21 @@ def main(words: list[str]) -> int:
 def test_commands(options: list[str], processors: int) -> list[list[str]]:
     """What runs the tests: with options or on one processor pytest alone; else all in two steps.
 
-    First two processes share the files of tests, then one runs what needs the machine to itself (tests/alone.py).
+    First two processes share the files of tests, then one runs what needs the machine to itself
+    (tests/alone.py).
     """
     pytest = [venv_program(ROOT, "python"), "-m", "pytest"]
     if options or processors < 2:
         return [[*pytest, *options]]
-    shared = ["-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "-m", "not benchmark and not alone"]
+    shared = [
+        "-n",
+        "2",
+        "--dist",
+        "loadfile",
+        "--no-loadscope-reorder",
+        "-m",
+        "not benchmark and not alone",
+    ]
     return [[*pytest, *shared], [*pytest, "-m", "alone and not benchmark"]]
 
 
@@ -68,7 +78,7 @@ def python_problem(version: tuple[int, ...]) -> str:
     """What is wrong with a Python of this version; empty if nothing."""
     if version >= (3, 11):
         return ""
-    return f"want Python 3.11 or newer, this is {version[0]}.{version[1]}; install one and type python3.11 start.py"
+    return f"expected Python 3.11 or newer, this is {version[0]}.{version[1]}; install one and type python3.11 start.py"
 
 
 def install(root: Path, target: str) -> int:
@@ -87,12 +97,15 @@ def install(root: Path, target: str) -> int:
     python, half_done = venv_program(root, "python"), root / ".venv" / "half_done"
     if half_done.exists() or not answers([python, "-m", "pip", "--version"]):
         if not (importlib.util.find_spec("venv") and importlib.util.find_spec("ensurepip")):
-            return refuse("this Python cannot make virtual environments; on Debian or Ubuntu: apt install python3-venv")
+            return refuse(
+                "this Python cannot make virtual environments; on Debian or Ubuntu: apt install python3-venv"
+            )
         failed = run([sys.executable, "-m", "venv", "--clear", str(root / ".venv")])
         if failed:
             return failed
     pip = [python, "-m", "pip", "install", "--disable-pip-version-check"]
-    half_done.touch()  # stays if this is killed: pip would take a half-written library for a whole one
+    # stays if this is killed: pip would take a half-written library for a whole one
+    half_done.touch()
     # The pip of an older Python needs many minutes to add to an environment that is filled already.
     failed = run([*pip, NEW_PIP]) or run([*pip, "-c", "constraints.txt", "-e", target], folder=root)
     if failed < 128:  # pip ended by itself and cleaned up
@@ -129,7 +142,9 @@ def answers(command: list[str]) -> bool:
 
 def run(command: list[str], folder: Path | None = None) -> int:
     """Say the command, run it and return its exit code."""
-    print("$", subprocess.list2cmdline(command), file=sys.stderr, flush=True)  # stdout is the command's own
+    print(
+        "$", subprocess.list2cmdline(command), file=sys.stderr, flush=True
+    )  # stdout is the command's own
     try:
         code = subprocess.run(command, cwd=folder, check=False).returncode
     except OSError as error:

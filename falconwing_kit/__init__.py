@@ -1,3 +1,5 @@
-"""FalconWing kit: recorded flights and airframe data in, an aircraft model and its honest error out."""
+"""FalconWing kit: recorded flights and airframe data in, an aircraft model and its honest error
+out.
+"""
 
 __version__ = "0.2.0"

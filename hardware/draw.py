@@ -1,4 +1,5 @@
-"""Figures of the manual from the data files: what the camera's filter keeps out, and where the parts weigh.
+"""Figures of the manual from the data files: what the camera's filter keeps out, and where the
+parts weigh.
 
     .venv/bin/python hardware/draw.py
 
@@ -30,7 +31,8 @@ STEADY = {
 
 
 def draw_filter(path: Path) -> str:
-    """How strong ripple is behind the filter, against its frequency, with the damping resistor and without.
+    """How strong ripple is behind the filter, against its frequency, with the damping resistor and
+    without.
 
     Args:
         path: the SVG to write.
@@ -41,11 +43,18 @@ def draw_filter(path: Path) -> str:
     camera = load_camera("analog")
     parts, load = camera.power_filter, camera.supply.load_ohm
     if parts is None:
-        raise InputError(f"{camera.name}: want a camera with a power_filter to draw, got one without")
+        raise InputError(
+            f"{camera.name}: expected a camera with a power_filter to draw, got one without"
+        )
     bare, frequency = replace(parts, damping_ohm=0.0), np.logspace(2.0, 5.3, 300)
     figure, axes = _figure(6.4, 3.2)
-    for each, style, label in ((parts, "-", f"with {parts.damping_ohm:g} Ω"), (bare, "--", "without it")):
-        axes.semilogx(frequency / 1e3, -each.attenuation_db(frequency, load), style, color=DARK, label=label)
+    for each, style, label in (
+        (parts, "-", f"with {parts.damping_ohm:g} Ω"),
+        (bare, "--", "without it"),
+    ):
+        axes.semilogx(
+            frequency / 1e3, -each.attenuation_db(frequency, load), style, color=DARK, label=label
+        )
     noise = float(-parts.attenuation_db(1e3 * parts.switching_khz, load))
     axes.plot(parts.switching_khz, noise, "o", color=DARK)
     text = f"speed controller,\n{parts.switching_khz:g} kHz: {noise:.0f} dB"
@@ -66,7 +75,8 @@ def draw_filter(path: Path) -> str:
 
 
 def draw_balance(path: Path) -> str:
-    """Where each part weighs along the fuselage, and the centre of gravity as bought and with everything on.
+    """Where each part weighs along the fuselage, and the centre of gravity as bought and with
+    everything on.
 
     Args:
         path: the SVG to write.
@@ -96,7 +106,9 @@ def draw_balance(path: Path) -> str:
         (cg_mm, f"all on, {cg_mm:.0f} mm"),
     )
     for k, (x_mm, text) in enumerate(marks):
-        axes.plot(x_mm, 0.0, "o", markersize=10, color=DARK, markerfacecolor="white" if k == 0 else DARK)
+        axes.plot(
+            x_mm, 0.0, "o", markersize=10, color=DARK, markerfacecolor="white" if k == 0 else DARK
+        )
         axes.annotate(text, (x_mm, -0.25), xytext=(60 - 170 * k, -32), textcoords="offset points",
                       arrowprops={"arrowstyle": "-", "color": DARK})  # fmt: skip
     axes.set(

@@ -1,10 +1,11 @@
-"""The manual, built: manual.typ and what it reads -> manual.pdf and manual.html, offline, in a few seconds.
+"""The manual, built: manual.typ and what it reads -> manual.pdf and manual.html, offline, in a few
+seconds.
 
     .venv/bin/python manual/build.py              into build/manual
     .venv/bin/python manual/build.py --out here
 
-Needs the extra `manual` (typst, one wheel). Both files are products and not kept in git. Figures are taken as they are;
-figures/make_figures.py makes them again.
+Needs the extra `manual` (typst, one wheel). Both files are products and not kept in git. Figures
+are taken as they are; figures/make_figures.py makes them again.
 """
 
 import argparse
@@ -26,12 +27,17 @@ def main(words: list[str] | None = None) -> int:
         0 done, 1 typst is missing or the source has a mistake.
     """
     parser = argparse.ArgumentParser(description="Build the manual as PDF and HTML.")
-    parser.add_argument("--out", type=Path, default=ROOT / "build" / "manual", help="folder to write to")
+    parser.add_argument(
+        "--out", type=Path, default=ROOT / "build" / "manual", help="folder to write to"
+    )
     out = parser.parse_args(words).out
     try:
         pages = build(out)
     except ModuleNotFoundError as missing:
-        print(f'manual: want {missing.name}, got none; pip install -c constraints.txt -e ".[manual]"', file=sys.stderr)
+        print(
+            f'manual: expected {missing.name}, got none; pip install -c constraints.txt -e ".[manual]"',
+            file=sys.stderr,
+        )
         return 1
     except RuntimeError as mistake:
         print(f"manual: {mistake}", file=sys.stderr)

@@ -1,6 +1,8 @@
-"""Which tests need the machine to themselves, which begin first, and how each of several processes keeps to itself.
+"""Which tests need the machine to themselves, which begin first, and how each of several processes
+keeps to itself.
 
-`python3 start.py test` has two processes share the files of tests; those of ALONE run afterwards, one by one.
+`python3 start.py test` has two processes share the files of tests; those of ALONE run afterwards,
+one by one.
 """
 
 import os
@@ -8,7 +10,8 @@ import tempfile
 from pathlib import Path
 
 TESTS = Path(__file__).parent
-# Files and rooms, and why. Processor time is measured too: beside a busy neighbour a core is slower.
+# Files and rooms, and why. Processor time is measured too: beside a busy neighbour a core is
+# slower.
 ALONE = {
     "tools/cli/test_bridge.py": "a board in real time, and Ctrl-C",
     "tools/cli/test_calibrate.py": "a board in real time",
@@ -31,7 +34,8 @@ ALONE = {
     "tools/bridge/test_simulated_board.py": "a board behind a pseudo-terminal in real time",
     "vision/test_monitor.py": "processor time",
 }
-# Files that take minutes, longest first: begun late, they would keep one process busy while the other waits.
+# Files that take minutes, longest first: begun late, they would keep one process busy while the
+# other waits.
 LONGEST = (
     "sysid/test_identify.py",
     "stories/test_blind_naming.py",
@@ -47,7 +51,9 @@ LONGEST = (
 
 
 def place_in_line(path: Path) -> int:
-    """The order in which several processes take files of tests: the longest first, the others as they come."""
+    """The order in which several processes take files of tests: the longest first, the others as
+    they come.
+    """
     name = path.relative_to(TESTS).as_posix() if path.is_relative_to(TESTS) else ""
     return LONGEST.index(name) if name in LONGEST else len(LONGEST)
 
@@ -59,9 +65,11 @@ def needs_the_machine(path: Path) -> bool:
 
 
 def keep_apart() -> tempfile.TemporaryDirectory[str] | None:
-    """Give a process of pytest-xdist one thread, and numba a cache of its own; leave any other process as it is.
+    """Give a process of pytest-xdist one thread, and numba a cache of its own; leave any other
+    process as it is.
 
-    Numba's cache has no lock: two processes that compile a function for different types at once can mix them up.
+    Numba's cache has no lock: two processes that compile a function for different types at once can
+    mix them up.
 
     Returns:
         The cache's folder, which goes with this object; None where there is one process only.
@@ -69,6 +77,10 @@ def keep_apart() -> tempfile.TemporaryDirectory[str] | None:
     worker = os.environ.get("PYTEST_XDIST_WORKER")
     if worker is None:
         return None
-    folder = tempfile.TemporaryDirectory(prefix=f"falconwing_numba_{worker}_", ignore_cleanup_errors=True)
-    os.environ.update({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_CACHE_DIR": folder.name})
+    folder = tempfile.TemporaryDirectory(
+        prefix=f"falconwing_numba_{worker}_", ignore_cleanup_errors=True
+    )
+    os.environ.update(
+        {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_CACHE_DIR": folder.name}
+    )
     return folder

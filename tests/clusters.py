@@ -1,4 +1,6 @@
-"""A cluster for tests: a scheduler and workers of `distributed`, each a process of its own, on free ports."""
+"""A cluster for tests: a scheduler and workers of `distributed`, each a process of its own, on free
+ports.
+"""
 
 import json
 import os
@@ -9,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from falconwing_kit.tools.jobs.cluster import on_every_worker
+from falconwing_kit.tools.jobs.cluster import run_on_every_worker
 
 ROOT = Path(__file__).parents[1]
 Process = subprocess.Popen[bytes]
@@ -23,7 +25,9 @@ def running(place: Path) -> Iterator[tuple[str, Callable[[], Process]]]:
 
     def start(*words: str) -> Process:
         program = [sys.executable, "-m", "dask", *words, "--no-dashboard", "--host", "127.0.0.1"]
-        started.append(subprocess.Popen(program, cwd=place, env=environment, stderr=subprocess.DEVNULL))
+        started.append(
+            subprocess.Popen(program, cwd=place, env=environment, stderr=subprocess.DEVNULL)
+        )
         return started[-1]
 
     try:
@@ -47,4 +51,4 @@ def wait_for(ready: Callable[[], bool], seconds: float = 60.0) -> None:
 
 def wait_for_workers(address: str, count: int) -> None:
     """Until a scheduler has so many workers."""
-    wait_for(lambda: len(on_every_worker(os.getpid, address)) >= count)
+    wait_for(lambda: len(run_on_every_worker(os.getpid, address)) >= count)

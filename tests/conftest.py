@@ -12,7 +12,9 @@ _CACHE = keep_apart()  # before a test loads numba or torch
 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(items):
-    """Mark what tests/alone.py names; where several processes share the tests, put the longest first."""
+    """Mark what tests/alone.py names; where several processes share the tests, put the longest
+    first.
+    """
     for item in items:
         if needs_the_machine(item.path):
             item.add_marker("alone")

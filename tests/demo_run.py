@@ -1,4 +1,6 @@
-"""One run of `falconwing demo` that all tests of its files and words share: it takes a minute and a half."""
+"""One run of `falconwing demo` that all tests of its files and words share: it takes a minute and a
+half.
+"""
 
 import contextlib
 import io
@@ -41,8 +43,14 @@ def demo_run() -> DemoRun:
         contextlib.redirect_stdout(printed),
         contextlib.redirect_stderr(complained),
     ):
-        patch.setattr(recorded, "study_recorded_flights", lambda progress: kept.append(study(progress)) or kept[0])
+        patch.setattr(
+            recorded,
+            "study_recorded_flights",
+            lambda progress: kept.append(study(progress)) or kept[0],
+        )
         patch.setattr(approach, "fly_approach", lambda *how: flown.append(fly(*how)) or flown[0])
         code = main(WORDS)
     landing = replace(flown[0], log=folder / "out" / flown[0].log.name)
-    return DemoRun(code, folder / "out", printed.getvalue(), complained.getvalue(), kept[0], landing)
+    return DemoRun(
+        code, folder / "out", printed.getvalue(), complained.getvalue(), kept[0], landing
+    )

@@ -1,7 +1,9 @@
-"""Hidden effects: an aircraft and a size -> what changes in JSBSim, on the sticks or in the measured poses.
+"""Hidden effects: an aircraft and a size -> what changes in JSBSim, on the sticks or in the
+measured poses.
 
-They act on JSBSim's own properties and share no code with the kit's catalogue; three are in no catalogue. Sizes have
-the names of the labelled gap cases where those have one. North is the kit's +x, east its -y.
+They act on JSBSim's own properties and share no code with the kit's catalogue; three are in no
+catalogue. Sizes have the names of the labelled gap cases where those have one. North is the kit's
++x, east its -y.
 """
 
 from collections.abc import Callable
@@ -10,15 +12,30 @@ from typing import Any
 
 import numpy as np
 
-from tests.jsbsim_aircraft import EARTH_RADIUS, FOOT, SEA_LEVEL_DENSITY, STEP, STICKS, Array, BeforeStep, JsbsimAircraft
+from tests.jsbsim_aircraft import (
+    EARTH_RADIUS,
+    FOOT,
+    SEA_LEVEL_DENSITY,
+    STEP,
+    STICKS,
+    Array,
+    BeforeStep,
+    JsbsimAircraft,
+)
 
-Draw = Callable[[np.random.Generator, float, JsbsimAircraft], dict[str, Any]]  # rng, size -> the sizes by name
-LEAD = 10.0  # s flown before the table begins, so that nothing of the start remains; the battery sags from here on
+Draw = Callable[
+    [np.random.Generator, float, JsbsimAircraft], dict[str, Any]
+]  # rng, size -> the sizes by name
+# s flown before the table begins, so that nothing of the start remains; the battery sags from here
+# on
+LEAD = 10.0
 
 
 @dataclass(frozen=True)
 class Acting:
-    """What an effect changes: the aircraft, something before each step, or how the poses are measured."""
+    """What an effect changes: the aircraft, something before each step, or how the poses are
+    measured.
+    """
 
     aircraft: JsbsimAircraft
     before_step: BeforeStep | None = None
@@ -37,7 +54,8 @@ class HiddenEffect:
     in_kit: Callable[[JsbsimAircraft, Any], dict[str, float]] = lambda aircraft, size: {}
 
 
-# Effects on the aircraft ------------------------------------------------------------------------------------------
+# Effects on the aircraft
+# ------------------------------------------------------------------------------------------
 
 
 def _wind(aircraft: JsbsimAircraft, size: Any) -> Acting:
@@ -45,7 +63,10 @@ def _wind(aircraft: JsbsimAircraft, size: Any) -> Acting:
 
 
 def _blow(fdm: Any, north: float, east: float) -> None:
-    fdm["atmosphere/wind-north-fps"], fdm["atmosphere/wind-east-fps"] = float(north) / FOOT, float(east) / FOOT
+    fdm["atmosphere/wind-north-fps"], fdm["atmosphere/wind-east-fps"] = (
+        float(north) / FOOT,
+        float(east) / FOOT,
+    )
 
 
 def _fan_jet(aircraft: JsbsimAircraft, size: Any) -> Acting:
@@ -53,7 +74,9 @@ def _fan_jet(aircraft: JsbsimAircraft, size: Any) -> Acting:
 
     def before_step(t: float, fdm: Any) -> None:
         x, y = _place(fdm)
-        share = np.exp(-0.5 * ((x - size["at"][0]) ** 2 + (y - size["at"][1]) ** 2) / size["radius"] ** 2)
+        share = np.exp(
+            -0.5 * ((x - size["at"][0]) ** 2 + (y - size["at"][1]) ** 2) / size["radius"] ** 2
+        )
         _blow(fdm, north * share, east * share)
 
     return Acting(aircraft, before_step)
@@ -68,7 +91,9 @@ def _ground_effect(aircraft: JsbsimAircraft, size: Any) -> Acting:
         near = size["ge"] * np.exp(-max(fdm["position/h-sl-ft"] * FOOT, 0.0) / 0.5)
         for name in ("CL0", "CLa", "CLde"):
             fdm[f"falcon/{name}"] = getattr(aircraft, name) * (1.0 + near)
-        fdm["falcon/k"] = aircraft.k * (1.0 - size["less_drag"] * min(near, 1.0)) / (1.0 + near) ** 2
+        fdm["falcon/k"] = (
+            aircraft.k * (1.0 - size["less_drag"] * min(near, 1.0)) / (1.0 + near) ** 2
+        )
 
     return Acting(aircraft, before_step)
 
@@ -76,7 +101,10 @@ def _ground_effect(aircraft: JsbsimAircraft, size: Any) -> Acting:
 def _battery_sag(aircraft: JsbsimAircraft, size: Any) -> Acting:
     def before_step(t: float, fdm: Any) -> None:
         left = 1.0 - size["sag"] * max(t - LEAD, 0.0) / 60.0
-        fdm["falcon/thrust"], fdm["falcon/thrust_per_speed"] = aircraft.thrust * left, aircraft.thrust_per_speed * left
+        fdm["falcon/thrust"], fdm["falcon/thrust_per_speed"] = (
+            aircraft.thrust * left,
+            aircraft.thrust_per_speed * left,
+        )
 
     return Acting(aircraft, before_step)
 
@@ -110,12 +138,16 @@ def _stall(aircraft: JsbsimAircraft, size: Any) -> Acting:
     def before_step(t: float, fdm: Any) -> None:
         alpha = fdm["aero/alpha-rad"]
         lost = size["loss"] * aircraft.CLa * max(alpha - size["alpha"], 0.0)
-        fdm["falcon/CL0"], fdm["falcon/CD0"] = aircraft.CL0 - lost, aircraft.CD0 + lost * np.tan(min(alpha, 1.0))
+        fdm["falcon/CL0"], fdm["falcon/CD0"] = (
+            aircraft.CL0 - lost,
+            aircraft.CD0 + lost * np.tan(min(alpha, 1.0)),
+        )
 
     return Acting(aircraft, before_step)
 
 
-# Effects on the sticks, each as it passes to its servo --------------------------------------------------------------
+# Effects on the sticks, each as it passes to its servo
+# --------------------------------------------------------------
 
 
 def _on_sticks(aircraft: JsbsimAircraft, change: Callable[[Array], Array]) -> Acting:
@@ -149,7 +181,8 @@ def _deadband(aircraft: JsbsimAircraft, size: Any) -> Acting:
     return _on_sticks(aircraft, lambda sticks: np.where(np.abs(sticks) > band, sticks, 0.0))
 
 
-# Effects that no catalogue holds ------------------------------------------------------------------------------------
+# Effects that no catalogue holds
+# ------------------------------------------------------------------------------------
 
 
 def _gust_field(aircraft: JsbsimAircraft, size: Any) -> Acting:
@@ -157,7 +190,9 @@ def _gust_field(aircraft: JsbsimAircraft, size: Any) -> Acting:
 
     def before_step(t: float, fdm: Any) -> None:
         x, y = 2.0 * np.pi * np.array(_place(fdm)) / size["wavelength"]
-        _blow(fdm, size["gust"] * np.sin(y + size["phase"]), size["gust"] * np.sin(x + size["phase"]))
+        _blow(
+            fdm, size["gust"] * np.sin(y + size["phase"]), size["gust"] * np.sin(x + size["phase"])
+        )
 
     return Acting(aircraft, before_step)
 
@@ -178,13 +213,16 @@ def _elevator_play(aircraft: JsbsimAircraft, size: Any) -> Acting:
 
     def change(sticks: Array) -> Array:
         nonlocal position
-        position = min(max(position, sticks[2] - 0.5 * size["play"]), sticks[2] + 0.5 * size["play"])
+        position = min(
+            max(position, sticks[2] - 0.5 * size["play"]), sticks[2] + 0.5 * size["play"]
+        )
         return np.array([sticks[0], sticks[1], position, sticks[3]])
 
     return _on_sticks(aircraft, change)
 
 
-# The table of all -----------------------------------------------------------------------------------------------------
+# The table of all
+# -----------------------------------------------------------------------------------------------------
 
 
 def _force_per_mass(a: JsbsimAircraft) -> float:
@@ -217,7 +255,8 @@ def _whole_steps(seconds: float) -> float:
 EFFECTS: dict[str, HiddenEffect] = {
     "none": HiddenEffect(lambda a, s: Acting(a), (1.0, 1.0), 1.0, lambda rng, size, a: {}),
     "wind": HiddenEffect(
-        _wind, (0.05, 0.3), 1.2, lambda rng, size, a: {"wind": _direction(rng, size)},  # m/s north, east
+        # m/s north, east
+        _wind, (0.05, 0.3), 1.2, lambda rng, size, a: {"wind": _direction(rng, size)},
         lambda a, s: {"wind_x": s["wind"][0], "wind_y": -s["wind"][1]},
     ),
     "fan_jet": HiddenEffect(
@@ -227,7 +266,8 @@ EFFECTS: dict[str, HiddenEffect] = {
             "jet_radius": s["radius"],
         },
     ),
-    "ground_effect": HiddenEffect(  # CL (1 + ge exp(-h / 0.5 m)), and of the induced drag none or some of it less
+    # CL (1 + ge exp(-h / 0.5 m)), and of the induced drag none or some of it less
+    "ground_effect": HiddenEffect(
         _ground_effect, (0.2, 0.5), 0.8, lambda rng, size, a: {"ge": size, "less_drag": float(rng.uniform(0.0, 1.0))},
         lambda a, s: {"ground_lift": s["ge"]},
     ),

@@ -1,7 +1,9 @@
-"""Hidden cases: seed -> a calm flight and a flight with an effect in it, flown by the JSBSim aircraft, and the answer.
+"""Hidden cases: seed -> a calm flight and a flight with an effect in it, flown by the JSBSim
+aircraft, and the answer.
 
-Each case is another aircraft (coefficients spread by 15 %), the flight on another day (redrawn by 1 %). Simulated, not
-measured. `python -m tests.hidden_flights OUT --cases 20 --seed 7` writes flight tables as in the labelled gap cases.
+Each case is another aircraft (coefficients spread by 15 %), the flight on another day (redrawn by 1
+%). Simulated, not measured. `python -m tests.hidden_flights OUT --cases 20 --seed 7` writes flight
+tables as in the labelled gap cases.
 """
 
 import argparse
@@ -19,15 +21,31 @@ from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.flight_table import FlightTable, write_flight_table
 from falconwing_kit.core.frames import euler_from_rotation, rotation_world_body, wrap_angle
 from tests.hidden_effects import EFFECTS, IN_CATALOGUE, LEAD, OUTSIDE, Acting, HiddenEffect
-from tests.jsbsim_aircraft import HEIGHT, ROW, SPEED, Array, JsbsimAircraft, Pilot, figure_eights, fly_jsbsim
+from tests.jsbsim_aircraft import (
+    HEIGHT,
+    ROW,
+    SPEED,
+    Array,
+    JsbsimAircraft,
+    Pilot,
+    figure_eights,
+    fly_jsbsim,
+)
 
 NOISE = {  # standard deviation per axis [m], [rad]
     "marker": (0.03, np.radians(0.6)), "hybrid": (0.10, np.radians(1.3)), "net": (0.26, np.radians(3.0)),
 }  # fmt: skip
 CORRELATION, OUTLIERS, MISSING = 0.5, 0.005, 0.01  # s, shares of the poses
-HALL = np.array([19.5, 14.5, 8.0])  # m: a flight that leaves it, or touches the floor, is flown anew
-ATTEMPTS, SAME_SIZE = 40, 10  # a size is tried ten times before it is drawn anew, or large effects would get rare
-Flown = tuple[Array, Array, Array]  # t (N,), true states (N, 12), sticks (N, 4); LEAD comes before the table
+HALL = np.array(
+    [19.5, 14.5, 8.0]
+)  # m: a flight that leaves it, or touches the floor, is flown anew
+ATTEMPTS, SAME_SIZE = (
+    40,
+    10,
+)  # a size is tried ten times before it is drawn anew, or large effects would get rare
+Flown = tuple[
+    Array, Array, Array
+]  # t (N,), true states (N, 12), sticks (N, 4); LEAD comes before the table
 
 
 @dataclass(frozen=True)
@@ -36,7 +54,9 @@ class HiddenCase:
 
     calm: FlightTable
     flight: FlightTable
-    truth: dict[str, Any]  # effect, noise, correlated_noise, size, kit (the kit's parameters), measurement, seed
+    truth: dict[
+        str, Any
+    ]  # effect, noise, correlated_noise, size, kit (the kit's parameters), measurement, seed
     true_states: tuple[Array, Array] = field(repr=False)  # (N, 12) of both flights, as they were
     aircraft: JsbsimAircraft  # of the flight, without the effect
 
@@ -50,23 +70,27 @@ def make_case(
 
     Args:
         seed: of everything that is drawn.
-        effect: a name of EFFECTS, or several joined by "+"; None draws one of the catalogue, or none.
+        effect: a name of EFFECTS, or several joined by "+"; None draws one of the catalogue, or
+            none.
         noise: a name of NOISE.
         correlated: half of the noise's variance is AR(1) with 0.5 s.
-        size: sizes by name, as in truth["size"]; None draws them, log-uniform from just visible to plain.
+        size: sizes by name, as in truth["size"]; None draws them, log-uniform from just visible to
+            plain.
         calm_seconds: length of the calm flight [s].
         flight_seconds: length of the flight with the effect [s].
         one_way: circle to the left only, in both flights.
         excitation: how much the pilot shakes the sticks; 1 excites everything.
-        pose_bias: amplitude of a pose error that is a smooth function of place and the same in both flights [m];
-            of angles as many radians as the noise has for so many metres.
+        pose_bias: amplitude of a pose error that is a smooth function of place and the same in both
+            flights [m]; of angles as many radians as the noise has for so many metres.
         jitter: stamps are off by up to this much [s].
     """
     if effect is None:
         effect = str(np.random.default_rng([seed, 99]).choice(["none", *IN_CATALOGUE]))
     names = effect.split("+")
     if unknown := [name for name in names if name not in EFFECTS]:
-        raise InputError(f"effect: want names of {', '.join(EFFECTS)}, or some joined by +, got {unknown[0]!r}")
+        raise InputError(
+            f"effect: expected names of {', '.join(EFFECTS)}, or some joined by +, got {unknown[0]!r}"
+        )
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([seed, attempt])
         calm_aircraft = JsbsimAircraft().redrawn(rng, 0.15)
@@ -82,7 +106,7 @@ def make_case(
             break
     else:
         raise InputError(
-            f"seed {seed}: want a flight with {effect} that stays in the hall, got none in {ATTEMPTS}; "
+            f"seed {seed}: expected a flight with {effect} that stays in the hall, got none in {ATTEMPTS}; "
             "take a smaller size"
         )
     camera = _Camera(rng, noise, correlated, pose_bias, jitter)
@@ -92,7 +116,10 @@ def make_case(
         "measurement": {"pose_bias": pose_bias, "jitter": jitter, "one_way": one_way, "excitation": excitation},
         "outside": any(name in OUTSIDE for name in names), "seed": seed,
     }  # fmt: skip
-    tables = camera.table("calm.csv", calm, acting[0]), camera.table("flight.csv", flight, acting[1])
+    tables = (
+        camera.table("calm.csv", calm, acting[0]),
+        camera.table("flight.csv", flight, acting[1]),
+    )
     return HiddenCase(*tables, truth, (_after_lead(calm[1]), _after_lead(flight[1])), aircraft)
 
 
@@ -104,10 +131,14 @@ def _after_lead(rows: Array) -> Array:
     return rows[round(LEAD / ROW) :]
 
 
-def _drawn_size(effect: HiddenEffect, rng: np.random.Generator, noise: str, aircraft: JsbsimAircraft) -> dict[str, Any]:
+def _drawn_size(
+    effect: HiddenEffect, rng: np.random.Generator, noise: str, aircraft: JsbsimAircraft
+) -> dict[str, Any]:
     marker, net = effect.small
     small = {"marker": marker, "hybrid": np.sqrt(marker * net), "net": net}[noise]
-    return effect.draw(rng, float(np.exp(rng.uniform(np.log(small), np.log(effect.plain)))), aircraft)
+    return effect.draw(
+        rng, float(np.exp(rng.uniform(np.log(small), np.log(effect.plain)))), aircraft
+    )
 
 
 def _together(aircraft: JsbsimAircraft, names: list[str], sizes: list[dict[str, Any]]) -> Acting:
@@ -125,20 +156,26 @@ def _together(aircraft: JsbsimAircraft, names: list[str], sizes: list[dict[str, 
     return Acting(aircraft, before_step if steps else None, (float(tilt[0]), float(tilt[1])), late)
 
 
-# Flying ---------------------------------------------------------------------------------------------------------------
+# Flying
+# ---------------------------------------------------------------------------------------------------------------
 
 
-def _fly(acting: Acting, rng: np.random.Generator, seconds: float, one_way: bool, shake: float) -> Flown | None:
+def _fly(
+    acting: Acting, rng: np.random.Generator, seconds: float, one_way: bool, shake: float
+) -> Flown | None:
     """The flight, or None if it left the hall."""
     pilot = _up_and_down(figure_eights(rng, shake, one_way), rng, seconds + LEAD)
-    t, states, sticks = fly_jsbsim(acting.aircraft, pilot, LEAD + seconds, before_step=acting.before_step)
+    t, states, sticks = fly_jsbsim(
+        acting.aircraft, pilot, LEAD + seconds, before_step=acting.before_step
+    )
     place = _after_lead(states)[:, :3]
     inside = np.isfinite(states).all() and (np.abs(place) < HALL).all() and place[:, 2].min() > 0.05
     return (t, states, sticks) if inside else None
 
 
 def _up_and_down(pilot: Pilot, rng: np.random.Generator, seconds: float) -> Pilot:
-    """The pilot with changing wishes: a low pass (0.4 to 1 m) every 12 s or so, slower and faster times.
+    """The pilot with changing wishes: a low pass (0.4 to 1 m) every 12 s or so, slower and faster
+    times.
 
     He is shown a height and a speed that are off by what they shall differ from the ones he holds.
     """
@@ -150,25 +187,43 @@ def _up_and_down(pilot: Pilot, rng: np.random.Generator, seconds: float) -> Pilo
     def shown(t: float, state: Array) -> Array:
         seen = state.copy()
         soon = state[2] + 0.6 * state[8]  # height in 0.6 s: the floor must not be touched
-        seen[2] += np.max(down * np.exp(-(((t - passes) / 3.0) ** 2))) - 0.3 - 2.0 * max(0.8 - soon, 0.0)
+        seen[2] += (
+            np.max(down * np.exp(-(((t - passes) / 3.0) ** 2))) - 0.3 - 2.0 * max(0.8 - soon, 0.0)
+        )
         seen[6:8] *= SPEED / (SPEED + 0.3 + 0.7 * np.sin(2.0 * np.pi * t / period + phase))
         return pilot(t, seen)
 
     return shown
 
 
-# Measuring ------------------------------------------------------------------------------------------------------------
+# Measuring
+# ------------------------------------------------------------------------------------------------------------
 
 
 class _Camera:
-    """Measures poses with errors of its own, the same map of place-dependent errors for every flight."""
+    """Measures poses with errors of its own, the same map of place-dependent errors for every
+    flight.
+    """
 
-    def __init__(self, rng: np.random.Generator, noise: str, correlated: bool, pose_bias: float, jitter: float) -> None:
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        noise: str,
+        correlated: bool,
+        pose_bias: float,
+        jitter: float,
+    ) -> None:
         self.rng, self.correlated, self.jitter = rng, correlated, jitter
         self.sigma = np.repeat(NOISE[noise], 3)
         self.bias = pose_bias * self.sigma / self.sigma[0]
         directions = rng.normal(size=(3, 6))
-        self.waves = 2.0 * np.pi / rng.uniform(5.0, 15.0, 6) * directions / np.linalg.norm(directions, axis=0)
+        self.waves = (
+            2.0
+            * np.pi
+            / rng.uniform(5.0, 15.0, 6)
+            * directions
+            / np.linalg.norm(directions, axis=0)
+        )
         self.phase = rng.uniform(0.0, 2.0 * np.pi, 6)
 
     def table(self, name: str, flown: Flown, acting: Acting) -> FlightTable:
@@ -179,10 +234,17 @@ class _Camera:
         turned = rotation_world_body(acting.tilt[1], acting.tilt[0], 0.0)
         R_body_camera = rotation_world_body(0.0, 0.0, 0.0).T @ turned
         R_world_camera = rotation_world_body(poses[:, 5], poses[:, 3], poses[:, 4]) @ R_body_camera
-        error, stamps = self._error(poses[:, :3]), self.rng.uniform(-self.jitter, self.jitter, len(when))
+        error, stamps = (
+            self._error(poses[:, :3]),
+            self.rng.uniform(-self.jitter, self.jitter, len(when)),
+        )
         attitude = wrap_angle(np.stack(euler_from_rotation(R_world_camera), axis=1) + error[:, 3:])
         return FlightTable(
-            name, np.round(when - when[0] + stamps, 5), poses[:, :3] + error[:, :3], attitude, _after_lead(sticks)
+            name,
+            np.round(when - when[0] + stamps, 5),
+            poses[:, :3] + error[:, :3],
+            attitude,
+            _after_lead(sticks),
         )
 
     def _error(self, p_world: Array) -> Array:
@@ -207,7 +269,8 @@ def _slow(count: int, rng: np.random.Generator) -> Array:
     return error
 
 
-# Command line ---------------------------------------------------------------------------------------------------------
+# Command line
+# ---------------------------------------------------------------------------------------------------------
 
 
 def write_cases(out: Path, cases: dict[str, HiddenCase]) -> None:
@@ -226,16 +289,24 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--cases", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--effect", nargs="*", default=[None], help="in turn; two at once as a+b; default: drawn")
-    parser.add_argument("--noise", nargs="*", default=["marker", "hybrid"], choices=list(NOISE), help="in turn")
-    parser.add_argument("--correlated", type=float, default=1 / 3, help="share of cases with correlated noise")
+    parser.add_argument(
+        "--effect", nargs="*", default=[None], help="in turn; two at once as a+b; default: drawn"
+    )
+    parser.add_argument(
+        "--noise", nargs="*", default=["marker", "hybrid"], choices=list(NOISE), help="in turn"
+    )
+    parser.add_argument(
+        "--correlated", type=float, default=1 / 3, help="share of cases with correlated noise"
+    )
     parser.add_argument("--pose-bias", type=float, default=0.0, help="[m]")
     parser.add_argument("--jitter", type=float, default=0.0, help="[s]")
     parser.add_argument("--one-way", action="store_true")
     parser.add_argument("--excitation", type=float, default=1.0)
     asked = parser.parse_args()
     cases = {}
-    for k, noise, effect in zip(range(asked.cases), cycle(asked.noise), cycle(asked.effect), strict=False):
+    for k, noise, effect in zip(
+        range(asked.cases), cycle(asked.noise), cycle(asked.effect), strict=False
+    ):
         cases[f"case{k:02d}"] = make_case(
             asked.seed + k, effect, noise, (k * asked.correlated) % 1.0 + asked.correlated >= 1.0 - 1e-9,
             one_way=asked.one_way, excitation=asked.excitation, pose_bias=asked.pose_bias, jitter=asked.jitter,

@@ -1,12 +1,14 @@
-"""An aircraft that is not ours: JSBSim's six degrees of freedom with linear aerodynamics and servos. For tests only.
+"""An aircraft that is not ours: JSBSim's six degrees of freedom with linear aerodynamics and
+servos. For tests only.
 
-JSBSim shares no code with the kit: other equations (quaternions, a round Earth, wind axes), other frames and units
-(north-east-down, feet, pounds), another integration (multistep). The Earth is made not to turn and to pull with the
-kit's 9.8 m/s^2. What still differs from the kit's model: the side force lies along the wind axes' y, the usual choice,
-where the kit has the right wing; air density falls by 1e-4 per metre of height; pure numbers at low airspeed.
+JSBSim shares no code with the kit: other equations (quaternions, a round Earth, wind axes), other
+frames and units (north-east-down, feet, pounds), another integration (multistep). The Earth is made
+not to turn and to pull with the kit's 9.8 m/s^2. What still differs from the kit's model: the side
+force lies along the wind axes' y, the usual choice, where the kit has the right wing; air density
+falls by 1e-4 per metre of height; pure numbers at low airspeed.
 
-Every coefficient is the property `falcon/<name>` and can be changed in flight by `before_step`, as can JSBSim's own
-(`atmosphere/wind-north-fps`). That is the place to hide effects.
+Every coefficient is the property `falcon/<name>` and can be changed in flight by `before_step`, as
+can JSBSim's own (`atmosphere/wind-north-fps`). That is the place to hide effects.
 """
 
 import tempfile
@@ -22,9 +24,16 @@ from falconwing_kit.core.frames import GRAVITY
 
 Array = np.ndarray
 Pilot = Callable[[float, Array], Array]  # t, state (12,) -> sticks (4,)
-BeforeStep = Callable[[float, Any], None]  # t, JSBSim's FGFDMExec; called before each integration step
+BeforeStep = Callable[
+    [float, Any], None
+]  # t, JSBSim's FGFDMExec; called before each integration step
 
-FOOT, POUND, EARTH_RADIUS, SEA_LEVEL_DENSITY = 0.3048, 4.4482216152605, 6_378_137.0, 1.225  # m, N, m, kg/m^3
+FOOT, POUND, EARTH_RADIUS, SEA_LEVEL_DENSITY = (
+    0.3048,
+    4.4482216152605,
+    6_378_137.0,
+    1.225,
+)  # m, N, m, kg/m^3
 STICKS = ("throttle", "aileron", "elevator", "rudder")
 ROW, STEP = 0.05, 0.005  # s between rows of a flight, and between integration steps
 RADIUS, HEIGHT, SPEED = 4.5, 2.2, 7.0  # what the pilot holds: of the two circles [m], [m], [m/s]
@@ -32,7 +41,9 @@ RADIUS, HEIGHT, SPEED = 4.5, 2.2, 7.0  # what the pilot holds: of the two circle
 
 @dataclass(frozen=True)
 class JsbsimAircraft:
-    """Sizes [kg, m, kg m^2] and coefficients on wing area, span and chord; a full stick is 1. 150 g by default."""
+    """Sizes [kg, m, kg m^2] and coefficients on wing area, span and chord; a full stick is 1. 150 g
+    by default.
+    """
 
     mass: float = 0.15
     wing_area: float = 0.076
@@ -70,21 +81,34 @@ class JsbsimAircraft:
     cg_back: float = 0.0  # centre of gravity behind the point where the aerodynamic forces act [m]
 
     def redrawn(self, rng: np.random.Generator, spread: float) -> "JsbsimAircraft":
-        """The same aircraft, each inertia and coefficient times exp(spread * normal); its sizes and delay stay."""
+        """The same aircraft, each inertia and coefficient times exp(spread * normal); its sizes and
+        delay stay.
+        """
         kept = ("mass", "wing_area", "span", "chord", "delay", "cg_back")
-        drawn = {k: float(v * np.exp(spread * rng.normal())) for k, v in asdict(self).items() if k not in kept}
-        drawn["Izz"] = min(drawn["Izz"], 0.97 * (drawn["Ixx"] + drawn["Iyy"]))  # as of any solid body
+        drawn = {
+            k: float(v * np.exp(spread * rng.normal()))
+            for k, v in asdict(self).items()
+            if k not in kept
+        }
+        drawn["Izz"] = min(
+            drawn["Izz"], 0.97 * (drawn["Ixx"] + drawn["Iyy"])
+        )  # as of any solid body
         return replace(self, **drawn)
 
     def kit_model(self, step: float = STEP) -> Model:
-        """The kit's 12-state model of the same aircraft: its coefficients per unit mass and inertia.
+        """The kit's 12-state model of the same aircraft: its coefficients per unit mass and
+        inertia.
 
-        For a `cg_back` of zero. Exact but for two things. A side force along the wind axes' y leans forward by the
-        sideslip: to second order it takes CYb off the sideslip drag. And JSBSim answers half an integration step late:
-        a stick acts on the accelerations of the next step, of which its servo filter (Tustin) takes half back.
+        For a `cg_back` of zero. Exact but for two things. A side force along the wind axes' y leans
+        forward by the sideslip: to second order it takes CYb off the sideslip drag. And JSBSim
+        answers half an integration step late: a stick acts on the accelerations of the next step,
+        of which its servo filter (Tustin) takes half back.
         """
         force = 0.5 * SEA_LEVEL_DENSITY * self.wing_area / self.mass
-        roll, yaw = (0.5 * SEA_LEVEL_DENSITY * self.wing_area * self.span / inertia for inertia in (self.Ixx, self.Izz))
+        roll, yaw = (
+            0.5 * SEA_LEVEL_DENSITY * self.wing_area * self.span / inertia
+            for inertia in (self.Ixx, self.Izz)
+        )
         pitch = 0.5 * SEA_LEVEL_DENSITY * self.wing_area * self.chord / self.Iyy
         half_span, half_chord = 0.5 * self.span, 0.5 * self.chord
         return rates_model().with_values({
@@ -114,7 +138,8 @@ def fly_jsbsim(
         aircraft: what flies.
         pilot: (t, state) -> sticks; `playback` and `figure_eights` make two.
         seconds: length of the flight.
-        start: (12,) start state in the kit's frames, servos settled at the first sticks; None: level at speed.
+        start: (12,) start state in the kit's frames, servos settled at the first sticks; None:
+            level at speed.
         step: JSBSim's integration step [s], a whole fraction of 50 ms.
         before_step: called before every step with the time and JSBSim; may set any property.
 
@@ -122,7 +147,9 @@ def fly_jsbsim(
         t (N,) [s], states (N, 12) in the order of STATE_NAMES (yaw unwrapped), sticks (N, 4).
     """
     rows, per_row = round(seconds / ROW) + 1, round(ROW / step)
-    begin = np.array([0.0, 0.0, HEIGHT, 0.1, 0.0, 0.0, SPEED, *[0.0] * 5]) if start is None else start
+    begin = (
+        np.array([0.0, 0.0, HEIGHT, 0.1, 0.0, 0.0, SPEED, *[0.0] * 5]) if start is None else start
+    )
     t, states, sticks = np.arange(rows) * ROW, np.empty((rows, 12)), np.empty((rows, 4))
     states[0], sticks[0] = begin, pilot(0.0, begin)
     fdm = new_fdm(aircraft, begin, sticks[0], step)
@@ -146,16 +173,23 @@ def playback(sticks: Array) -> Pilot:
 
 
 def figure_eights(rng: np.random.Generator, shake: float = 1.0, one_way: bool = False) -> Pilot:
-    """A pilot who flies figure eights in a hall of 40 x 20 m and shakes all sticks. A new one for each flight.
+    """A pilot who flies figure eights in a hall of 40 x 20 m and shakes all sticks. A new one for
+    each flight.
 
     Args:
         rng: draws frequencies (0.15 to 1.6 Hz) and phases of the shaking.
         shake: 1 excites every parameter within a minute or two, 0 not at all.
         one_way: circle to the left only.
     """
-    frequency, phase = 2.0 * np.pi * rng.uniform(0.15, 1.6, (6, 4)), rng.uniform(0.0, 2.0 * np.pi, (6, 4))
+    frequency, phase = (
+        2.0 * np.pi * rng.uniform(0.15, 1.6, (6, 4)),
+        rng.uniform(0.0, 2.0 * np.pi, (6, 4)),
+    )
     amplitude = shake * np.array([0.035, 0.07, 0.06, 0.08])
-    side, far = 1.0, False  # left around the circle at +x, right around the one at -x; they touch at the origin
+    side, far = (
+        1.0,
+        False,
+    )  # left around the circle at +x, right around the one at -x; they touch at the origin
     trim = 0.2  # of the elevator, found on the way, so that any drawn aircraft holds its height
 
     def pilot(t: float, state: Array) -> Array:
@@ -184,7 +218,9 @@ def figure_eights(rng: np.random.Generator, shake: float = 1.0, one_way: bool = 
 
 
 def new_fdm(aircraft: JsbsimAircraft, start: Array, sticks: Array, step: float = STEP) -> Any:
-    """JSBSim with the aircraft in it, at a state (12,) in the kit's frames, its servos settled at sticks (4,)."""
+    """JSBSim with the aircraft in it, at a state (12,) in the kit's frames, its servos settled at
+    sticks (4,).
+    """
     import jsbsim
 
     jsbsim.FGJSBBase().debug_lvl = 0
@@ -198,13 +234,24 @@ def new_fdm(aircraft: JsbsimAircraft, start: Array, sticks: Array, step: float =
         fdm.load_planet(str(folder / "planet.xml"), False)
         fdm.set_aircraft_path(name)
         fdm.load_model("falcon")
-    # Adams-Bashforth of fourth order (5) and, for the attitude, of second (3); the default is Euler in places.
-    _set(fdm, "simulation/integrator/{}", ("rate/rotational", "rate/translational", "position/translational"), [5] * 3)
+    # Adams-Bashforth of fourth order (5) and, for the attitude, of second (3); the default is Euler
+    # in places.
+    _set(
+        fdm,
+        "simulation/integrator/{}",
+        ("rate/rotational", "rate/translational", "position/translational"),
+        [5] * 3,
+    )
     fdm["simulation/integrator/position/rotational"] = 3
     x, y, height, pitch, yaw, roll, vx, vy, vz, *rates = start
     _set(fdm, "ic/{}-rad", ("lat-gc", "long-gc"), (x / EARTH_RADIUS, -y / EARTH_RADIUS))
     _set(fdm, "ic/{}-rad", ("theta", "psi-true", "phi"), (pitch, yaw, roll))
-    _set(fdm, "ic/{}", ("h-sl-ft", "vn-fps", "ve-fps", "vd-fps"), np.array([height, vx, -vy, -vz]) / FOOT)
+    _set(
+        fdm,
+        "ic/{}",
+        ("h-sl-ft", "vn-fps", "ve-fps", "vd-fps"),
+        np.array([height, vx, -vy, -vz]) / FOOT,
+    )
     _set(fdm, "ic/{}-rad_sec", "pqr", rates)
     _set(fdm, "falcon/{}-stick", STICKS, sticks)
     fdm["falcon/servo"] = 2.0 / step  # with this bandwidth the filters settle in two rounds
@@ -217,7 +264,9 @@ def new_fdm(aircraft: JsbsimAircraft, start: Array, sticks: Array, step: float =
 def kit_state(fdm: Any) -> Array:
     """The state (12,) in the kit's frames: world x north, y west, z up."""
     angles = [fdm[f"attitude/{name}-rad"] for name in ("theta", "psi", "phi")]
-    north, east, down = (fdm[f"velocities/v-{name}-fps"] * FOOT for name in ("north", "east", "down"))
+    north, east, down = (
+        fdm[f"velocities/v-{name}-fps"] * FOOT for name in ("north", "east", "down")
+    )
     x, y = fdm["position/lat-gc-rad"] * EARTH_RADIUS, -fdm["position/long-gc-rad"] * EARTH_RADIUS
     rates = [fdm[f"velocities/{name}-rad_sec"] for name in "pqr"]
     return np.array([x, y, fdm["position/h-sl-ft"] * FOOT, *angles, north, -east, -down, *rates])
@@ -228,13 +277,19 @@ def _set(fdm: Any, pattern: str, names: Any, values: Any) -> None:
         fdm[pattern.format(name)] = float(value)
 
 
-# The aircraft as JSBSim reads it ----------------------------------------------------------------------------------
+# The aircraft as JSBSim reads it
+# ----------------------------------------------------------------------------------
 
 PLANET_XML = f"""<planet name="still"><semimajor_axis unit="M">{EARTH_RADIUS}</semimajor_axis>
 <semiminor_axis unit="M">{EARTH_RADIUS}</semiminor_axis><rotation_rate unit="RAD/SEC">0</rotation_rate>
 <GM unit="M3/SEC2">{GRAVITY * EARTH_RADIUS**2}</GM><J2>0</J2></planet>"""
 
-ALPHA, BETA, SPAN, CHORD = "aero/alpha-rad", "aero/beta-rad", "aero/bi2vel", "aero/ci2vel"  # b / 2V and c / 2V
+ALPHA, BETA, SPAN, CHORD = (
+    "aero/alpha-rad",
+    "aero/beta-rad",
+    "aero/bi2vel",
+    "aero/ci2vel",
+)  # b / 2V and c / 2V
 P, Q, R = (f"velocities/{rate}-rad_sec" for rate in "pqr")
 AILERON, ELEVATOR, RUDDER = (f"falcon/{name}" for name in STICKS[1:])
 PRESSURE_AREA, CL = ("aero/qbar-psf", "metrics/Sw-sqft"), "falcon/CL"
@@ -248,7 +303,10 @@ AXES: dict[
         ("metrics/bw-ft",),
         {"Cl0": (), "Clda": (AILERON,), "Clb": (BETA,), "Clp": (P, SPAN), "Clr": (R, SPAN)},
     ),
-    "PITCH": (("metrics/cbarw-ft",), {"Cm0": (), "Cmde": (ELEVATOR,), "Cma": (ALPHA,), "Cmq": (Q, CHORD)}),
+    "PITCH": (
+        ("metrics/cbarw-ft",),
+        {"Cm0": (), "Cmde": (ELEVATOR,), "Cma": (ALPHA,), "Cmq": (Q, CHORD)},
+    ),
     "YAW": (
         ("metrics/bw-ft",),
         {"Cn0": (), "Cndr": (RUDDER,), "Cnb": (BETA,), "Cnr": (R, SPAN), "Cnp": (P, SPAN)},
@@ -258,13 +316,20 @@ AXES: dict[
 
 def product(*factors: str | float) -> str:
     """JSBSim's product of properties and numbers."""
-    tags = (f"<property>{f}</property>" if isinstance(f, str) else f"<value>{f!r}</value>" for f in factors)
+    tags = (
+        f"<property>{f}</property>" if isinstance(f, str) else f"<value>{f!r}</value>"
+        for f in factors
+    )
     return f"<product>{''.join(tags)}</product>"
 
 
 def aircraft_xml(aircraft: JsbsimAircraft) -> str:
-    """Sizes, a property for each coefficient, four servos, thrust as an external force, aerodynamics as sums."""
-    properties = "".join(f'<property value="{v!r}">falcon/{k}</property>' for k, v in asdict(aircraft).items())
+    """Sizes, a property for each coefficient, four servos, thrust as an external force,
+    aerodynamics as sums.
+    """
+    properties = "".join(
+        f'<property value="{v!r}">falcon/{k}</property>' for k, v in asdict(aircraft).items()
+    )
     servos = "".join(
         f'<lag_filter name="falcon/{name}"><input>falcon/{name}-stick</input><c1>falcon/servo</c1></lag_filter>'
         for name in STICKS

@@ -1,19 +1,29 @@
-"""aircraft: airframe and sizing, the model f_K as a sum of terms, its integration, trim and touchdown."""
+"""aircraft: airframe and sizing, the model f_K as a sum of terms, its integration, trim and
+touchdown.
+"""
 
 from falconwing_kit.aircraft.airframe import (
     WHEEL_NAMES,
     Aero,
     Airframe,
+    AirframePart,
     Inertia,
-    Part,
     Wheels,
     default_airframe_path,
     load_airframe,
 )
 from falconwing_kit.aircraft.effects import CATALOGUE, EFFECT_NAMES, Effect
-from falconwing_kit.aircraft.inputs import acting_commands
+from falconwing_kit.aircraft.inputs import actuator_response
 from falconwing_kit.aircraft.integrate import ROLL_OUTS, fly, roll_out, step_batch
-from falconwing_kit.aircraft.model import FORMS, Model, in_wind, paper_model, rates_model, scaled, state_rates
+from falconwing_kit.aircraft.model import (
+    FORMS,
+    Model,
+    add_uniform_wind,
+    paper_model,
+    rates_model,
+    scale_model,
+    state_rates,
+)
 from falconwing_kit.aircraft.sizing import (
     largest_mass,
     level_turn_bank,
@@ -36,7 +46,7 @@ from falconwing_kit.aircraft.touchdown import (
     wheel_positions,
     wheel_velocities,
 )
-from falconwing_kit.aircraft.trim import Mode, Trim, linearise, modes, stepper, to_nlsys, trim
+from falconwing_kit.aircraft.trim import Mode, Trim, discrete_step, linearise, modes, to_nlsys, trim
 
 __all__ = [
     "CATALOGUE",
@@ -46,6 +56,7 @@ __all__ = [
     "WHEEL_NAMES",
     "Aero",
     "Airframe",
+    "AirframePart",
     "Effect",
     "Flow",
     "Inertia",
@@ -53,18 +64,18 @@ __all__ = [
     "Mode",
     "Model",
     "Parameter",
-    "Part",
     "Term",
     "Touchdown",
     "Trim",
     "Wheels",
     "WindTerm",
-    "acting_commands",
+    "actuator_response",
+    "add_uniform_wind",
     "air_flow",
     "default_airframe_path",
+    "discrete_step",
     "find_touchdown",
     "fly",
-    "in_wind",
     "largest_mass",
     "level_turn_bank",
     "level_turn_radius",
@@ -79,10 +90,9 @@ __all__ = [
     "paper_turn_radius",
     "rates_model",
     "roll_out",
-    "scaled",
+    "scale_model",
     "state_rates",
     "step_batch",
-    "stepper",
     "to_nlsys",
     "trim",
     "turn_radius",

@@ -15,7 +15,7 @@ WHEEL_NAMES = ("main_left", "main_right", "tail")
 
 
 @dataclass(frozen=True)
-class Part:
+class AirframePart:
     """One thing that was weighed."""
 
     name: str
@@ -52,7 +52,9 @@ class Wheels:
     def __post_init__(self) -> None:
         _require_finite(self, *WHEEL_NAMES)
         if not self.main_left[1] < self.main_right[1]:
-            raise InputError("wheels: want main_left left of main_right (body y points right); swap the two")
+            raise InputError(
+                "wheels: expected main_left left of main_right (body y points right); swap the two"
+            )
 
     @property
     def points_body(self) -> Array:
@@ -74,7 +76,9 @@ class Inertia:
         require_range("Ixz", self.Ixz)
         largest, others = max(self.Ixx, self.Iyy, self.Izz), self.Ixx + self.Iyy + self.Izz
         if 2.0 * largest > others or self.Ixz**2 >= self.Ixx * self.Izz:
-            raise InputError("inertia: no solid body has these moments (the largest exceeds the sum of the other two)")
+            raise InputError(
+                "inertia: no solid body has these moments (the largest exceeds the sum of the other two)"
+            )
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ class Airframe:
     air_density: float  # rho [kg/m^3], of the air it flies in
     bank_limit: float  # [rad], largest bank of a planned turn
     p_body_camera: Point  # where the camera sits [m]
-    parts: tuple[Part, ...]
+    parts: tuple[AirframePart, ...]
     aero: Aero
     wheels: Wheels
     inertia: Inertia
@@ -98,11 +102,15 @@ class Airframe:
         _require_positive(self, "mass", "wing_area", "span", "length", "air_density")
         _require_finite(self, "p_body_camera")
         if not 0.0 < self.bank_limit < math.pi / 2:
-            raise InputError(f"bank limit: want an angle between 0 and 90 deg, got {math.degrees(self.bank_limit):g}")
+            raise InputError(
+                f"bank limit: expected an angle between 0 and 90 deg, got {math.degrees(self.bank_limit):g}"
+            )
         names = [part.name for part in self.parts]
         for part in self.parts:
             if names.count(part.name) > 1:
-                raise InputError(f"parts: want every name once, got {part.name!r} twice; rename one")
+                raise InputError(
+                    f"parts: expected every name once, got {part.name!r} twice; rename one"
+                )
             if part.inside and (part.inside not in names or part.inside == part.name):
                 raise InputError(
                     f"parts: {part.name!r} is inside {part.inside!r}, which is not another part of the list"
@@ -115,9 +123,13 @@ class Airframe:
 
     @property
     def corners_body(self) -> Array:
-        """Nose, tail and wing tips (4, 3) in body axes [m]; the camera sits on the nose. The fin is left out."""
+        """Nose, tail and wing tips (4, 3) in body axes [m]; the camera sits on the nose. The fin is
+        left out.
+        """
         nose, tip = self.p_body_camera[0], self.span / 2.0
-        return np.array([(nose, 0.0, 0.0), (nose - self.length, 0.0, 0.0), (0.0, tip, 0.0), (0.0, -tip, 0.0)])
+        return np.array(
+            [(nose, 0.0, 0.0), (nose - self.length, 0.0, 0.0), (0.0, tip, 0.0), (0.0, -tip, 0.0)]
+        )
 
     @property
     def parts_mass(self) -> float:
@@ -161,7 +173,8 @@ def load_airframe(path: str | Path | None = None) -> Airframe:
 
     Raises:
         FileNotFoundError: there is no file at the path.
-        InputError: the file is not TOML, a key is missing or unknown, or the values make no aircraft.
+        InputError: the file is not TOML, a key is missing or unknown, or the values make no
+            aircraft.
     """
     path = default_airframe_path() if path is None else path
     file = from_toml(_AirframeFile, path)
@@ -175,7 +188,9 @@ def load_airframe(path: str | Path | None = None) -> Airframe:
             air_density=file.air_density_kg_m3,
             bank_limit=math.radians(file.bank_limit_deg),
             p_body_camera=file.p_body_camera_m,
-            parts=tuple(Part(row.name, row.mass_g / 1000.0, row.inside) for row in file.parts),
+            parts=tuple(
+                AirframePart(row.name, row.mass_g / 1000.0, row.inside) for row in file.parts
+            ),
             aero=file.aero,
             wheels=file.wheels_m,
             inertia=file.inertia_kg_m2,
@@ -185,7 +200,8 @@ def load_airframe(path: str | Path | None = None) -> Airframe:
 
 
 def default_airframe_path() -> Path:
-    """Where the kit's own aircraft is described: in a checkout beside the package, else where the install put it.
+    """Where the kit's own aircraft is described: in a checkout beside the package, else where the
+    install put it.
 
     Raises:
         FileNotFoundError: it is in neither place.
@@ -197,7 +213,7 @@ def _require_positive(record: object, *names: str, of: str = "") -> None:
     for name in names:
         value = require_range(name + of, getattr(record, name))
         if value <= 0.0:
-            raise InputError(f"{name}{of}: want a positive number, got {value:g}")
+            raise InputError(f"{name}{of}: expected a positive number, got {value:g}")
 
 
 def _require_finite(record: object, *names: str) -> None:

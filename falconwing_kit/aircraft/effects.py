@@ -1,7 +1,9 @@
-"""Effects a flight may show and the base model lacks: each named, with its formula, units, bounds and source.
+"""Effects a flight may show and the base model lacks: each named, with its formula, units, bounds
+and source.
 
-An effect plugs in at one of three points: the sticks before they act, a force, moment or wind, or the measured pose.
-Each has the interface of a term, so that adding one to the model or to this catalogue is one function and its entry.
+An effect plugs in at one of three points: the sticks before they act, a force, moment or wind, or
+the measured pose. Each has the interface of a term, so that adding one to the model or to this
+catalogue is one function and its entry.
 """
 
 from collections.abc import Callable
@@ -25,16 +27,26 @@ class Effect:
     parameters: tuple[Parameter, ...]
     term: Term | None = None  # force or moment
     wind: WindTerm | None = None
-    sticks: Callable[[Array, Array, Any], Array] | None = None  # (t, commands (N, 4), K) -> commands
+    sticks: Callable[[Array, Array, Any], Array] | None = (
+        None  # (t, commands (N, 4), K) -> commands
+    )
     pose: bool = False  # acts on the measured attitude
     starts: tuple[dict[str, float], ...] = ()  # further points a fit should begin at
-    shape: tuple[str, ...] = ()  # parameters that say where or when, and mean nothing while the amplitude is zero
-    contains: tuple[str, ...] = ()  # effects that this one becomes at some of its values; no rival to them
-    essential: tuple[str, ...] = ()  # parameters without which it is one of those, or nothing with a name
-    gradual: bool = False  # grows by itself from the start of the flight: what sets in at once is another effect
+    shape: tuple[
+        str, ...
+    ] = ()  # parameters that say where or when, and mean nothing while the amplitude is zero
+    contains: tuple[
+        str, ...
+    ] = ()  # effects that this one becomes at some of its values; no rival to them
+    essential: tuple[
+        str, ...
+    ] = ()  # parameters without which it is one of those, or nothing with a name
+    # grows by itself from the start of the flight: what sets in at once is another effect
+    gradual: bool = False
     acts_on: tuple[
         str, ...
-    ] = ()  # what its loads or its error go to: two that share one may be each other's formula error
+        # what its loads or its error go to: two that share one may be each other's formula error
+    ] = ()
     same_as: str = ""  # another effect with the same dynamics: no flight can tell them apart
 
     @property
@@ -61,7 +73,8 @@ def _lift_coefficient(air: Any, K: Any) -> Any:
 
 
 def fan_jet(px: Any, py: Any, height: Any, time: Any, K: Any) -> tuple[Any, Any, Any]:
-    """A round stream of air: (jet_x, jet_y) exp(-d^2 / 2 R^2), d the level distance from its middle.
+    """A round stream of air: (jet_x, jet_y) exp(-d^2 / 2 R^2), d the level distance from its
+    middle.
 
     Args:
         px: (...) [m].
@@ -79,11 +92,13 @@ def fan_jet(px: Any, py: Any, height: Any, time: Any, K: Any) -> tuple[Any, Any,
 
 
 def ground_effect(air: Any, K: Any) -> tuple[Any, ...]:
-    """Lift grows and induced drag falls near the floor, both as exp(-h / 0.5 m) [McCormick, Aerodynamics, ch. 7].
+    """Lift grows and induced drag falls near the floor, both as exp(-h / 0.5 m) [McCormick,
+    Aerodynamics, ch. 7].
 
     Args:
         air: the flow.
-        K: parameters ground_lift and ground_drag, shares of lift added and of induced drag lost at the floor.
+        K: parameters ground_lift and ground_drag, shares of lift added and of induced drag lost at
+            the floor.
 
     Returns:
         Loads.
@@ -92,7 +107,10 @@ def ground_effect(air: Any, K: Any) -> tuple[Any, ...]:
     coefficient = _lift_coefficient(air, K)
     lift = _lift_along(air, air.airspeed * air.airspeed * coefficient * K.ground_lift * near)
     return _both(
-        lift, _drag_along(air, -air.airspeed * K.cD_induced * coefficient * coefficient * K.ground_drag * near)
+        lift,
+        _drag_along(
+            air, -air.airspeed * K.cD_induced * coefficient * coefficient * K.ground_drag * near
+        ),
     )
 
 
@@ -110,7 +128,8 @@ def extra_drag(air: Any, K: Any) -> tuple[Any, ...]:
 
 
 def flap(air: Any, K: Any) -> tuple[Any, ...]:
-    """A flap is out: more lift at the same angle, the induced drag of it, and drag of its own [Raymer, ch. 12].
+    """A flap is out: more lift at the same angle, the induced drag of it, and drag of its own
+    [Raymer, ch. 12].
 
     Args:
         air: the flow.
@@ -147,11 +166,19 @@ def battery_sag(air: Any, K: Any) -> tuple[Any, ...]:
     Returns:
         Loads.
     """
-    return -K.sag * air.time / 60.0 * (K.kT - K.kTV * air.airspeed) * air.throttle, 0.0, 0.0, 0.0, 0.0, 0.0
+    return (
+        -K.sag * air.time / 60.0 * (K.kT - K.kTV * air.airspeed) * air.throttle,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
 
 
 def propeller_torque(air: Any, K: Any) -> tuple[Any, ...]:
-    """The propeller turns the aircraft: rolling and yawing moment with thrust [Phillips, Mechanics of Flight, ch. 2].
+    """The propeller turns the aircraft: rolling and yawing moment with thrust [Phillips, Mechanics
+    of Flight, ch. 2].
 
     Args:
         air: the flow.
@@ -165,7 +192,8 @@ def propeller_torque(air: Any, K: Any) -> tuple[Any, ...]:
 
 
 def adverse_yaw(air: Any, K: Any) -> tuple[Any, ...]:
-    """Aileron pulls the nose the other way: dr/dt = -V^2 k aileron [Etkin & Reid, Dynamics of Flight, ch. 3].
+    """Aileron pulls the nose the other way: dr/dt = -V^2 k aileron [Etkin & Reid, Dynamics of
+    Flight, ch. 3].
 
     Args:
         air: the flow.
@@ -187,7 +215,14 @@ def aileron_loss(air: Any, K: Any) -> tuple[Any, ...]:
     Returns:
         Loads.
     """
-    return 0.0, 0.0, 0.0, -air.airspeed * air.airspeed * K.aileron_lost * K.L_da * air.aileron, 0.0, 0.0
+    return (
+        0.0,
+        0.0,
+        0.0,
+        -air.airspeed * air.airspeed * K.aileron_lost * K.L_da * air.aileron,
+        0.0,
+        0.0,
+    )
 
 
 def mass_change(air: Any, K: Any) -> tuple[Any, ...]:
@@ -212,25 +247,35 @@ def mass_change(air: Any, K: Any) -> tuple[Any, ...]:
 
 
 def cg_shift(air: Any, K: Any) -> tuple[Any, ...]:
-    """The centre of gravity moved back, and air forces turn the aircraft about it: lift nose up, side force sideways.
+    """The centre of gravity moved back, and air forces turn the aircraft about it: lift nose up,
+    side force sideways.
 
-    dq/dt = s L/m, dr/dt = s (Iyy/Izz) Y/m, with Iyy/Izz = (1 - Jz)/(1 + Jy) from the inertia coupling
-    [Beard & McLain, eq. 3.17].
+    dq/dt = s L/m, dr/dt = s (Iyy/Izz) Y/m, with Iyy/Izz = (1 - Jz)/(1 + Jy) from the inertia
+    coupling [Beard & McLain, eq. 3.17].
 
     Args:
         air: the flow.
-        K: parameters cg_moment s [1/m], lever over squared radius of gyration in pitch, positive back; Jy and Jz.
+        K: parameters cg_moment s [1/m], lever over squared radius of gyration in pitch, positive
+            back; Jy and Jz.
 
     Returns:
         Loads.
     """
     lever = air.airspeed * air.airspeed * K.cg_moment
     side = K.cY_beta * air.beta + K.cY_dr * air.rudder
-    return 0.0, 0.0, 0.0, 0.0, lever * _lift_coefficient(air, K), lever * (1.0 - K.Jz) / (1.0 + K.Jy) * side
+    return (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        lever * _lift_coefficient(air, K),
+        lever * (1.0 - K.Jz) / (1.0 + K.Jy) * side,
+    )
 
 
 def stall(air: Any, K: Any) -> tuple[Any, ...]:
-    """Beyond an angle of attack the lift grows no more and drag comes: smooth step of 2 deg [Beard & McLain, eq. 4.10].
+    """Beyond an angle of attack the lift grows no more and drag comes: smooth step of 2 deg [Beard
+    & McLain, eq. 4.10].
 
     Args:
         air: the flow.
@@ -243,7 +288,10 @@ def stall(air: Any, K: Any) -> tuple[Any, ...]:
     beyond = width * np.logaddexp(0.0, (air.alpha - K.stall_alpha) / width)
     lost = K.stall_loss * K.cL_alpha * beyond
     lift = _lift_along(air, -air.airspeed * air.airspeed * lost)
-    return _both(lift, _drag_along(air, air.airspeed * lost * np.tan(np.minimum(np.maximum(air.alpha, 0.0), 1.0))))
+    return _both(
+        lift,
+        _drag_along(air, air.airspeed * lost * np.tan(np.minimum(np.maximum(air.alpha, 0.0), 1.0))),
+    )
 
 
 def trim_bias(t: Array, commands: Array, K: Any) -> Array:
@@ -261,7 +309,8 @@ def trim_bias(t: Array, commands: Array, K: Any) -> Array:
 
 
 def deadband(t: Array, commands: Array, K: Any) -> Array:
-    """Small stick movements do nothing: what is within the band counts as neutral, the rest is not shifted.
+    """Small stick movements do nothing: what is within the band counts as neutral, the rest is not
+    shifted.
 
     Args:
         t: (N,) [s], unused.
@@ -269,7 +318,8 @@ def deadband(t: Array, commands: Array, K: Any) -> Array:
         K: parameter deadband, a share of full stick.
 
     Returns:
-        (N, 4); throttle as it was. The edge is smooth over a tenth of the band so that a fit can find it.
+        (N, 4); throttle as it was. The edge is smooth over a tenth of the band so that a fit can
+        find it.
     """
     size = np.abs(commands[:, 1:])
     width = 0.1 * K.deadband + 1e-6
@@ -355,7 +405,8 @@ CATALOGUE: tuple[Effect, ...] = (
         (Parameter("actuator_lag", 0.02, 0.0, 0.6, "s", "time constant added to servo and propeller"),),
         starts=({"actuator_lag": 0.1},), acts_on=_STICKS,
     ),
-    Effect(  # the same effect in its other form: not the servo itself is slower, something follows it slowly
+    # the same effect in its other form: not the servo itself is slower, something follows it slowly
+    Effect(
         "actuator_lag", "What follows the servos, a linkage or the motor, has become slow.",
         (Parameter("lag_in_series", 0.02, 0.0, 0.6, "s", "time constant of what follows the servo"),),
         starts=({"lag_in_series": 0.1},), acts_on=_STICKS,

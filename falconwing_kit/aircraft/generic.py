@@ -1,7 +1,8 @@
-"""Surprises without a name: a force or a moment that goes with one variable of the flight, or sticks that linger.
+"""Surprises without a name: a force or a moment that goes with one variable of the flight, or
+sticks that linger.
 
-They are what an effect outside the catalogue looks like to first order. Where one of them explains a flight better than
-every named effect does, no name is safe.
+They are what an effect outside the catalogue looks like to first order. Where one of them explains
+a flight better than every named effect does, no name is safe.
 """
 
 from collections.abc import Callable
@@ -13,60 +14,72 @@ from falconwing_kit.aircraft.effects import GROUND_EFFECT_HEIGHT_M, Effect
 from falconwing_kit.aircraft.terms import Parameter, Term
 from falconwing_kit.core.checks import Array
 
-# Variable -> its value in a flow, in numbers around one for a 150 g aircraft at 7 m/s; aerodynamic loads go with V^2.
-VARIABLES: dict[str, Callable[[Any], Any]] = {
-    "airspeed": lambda air: _pressure(air),
-    "angle of attack": lambda air: _pressure(air) * 5.0 * air.alpha,
-    "angle of attack squared": lambda air: _pressure(air) * 25.0 * air.alpha * air.alpha,
-    "sideslip": lambda air: _pressure(air) * 10.0 * air.beta,
-    "sideslip squared": lambda air: _pressure(air) * 100.0 * air.beta * air.beta,
+# Variable -> its value in a flow, in numbers around one for a 150 g aircraft at 7 m/s; aerodynamic
+# loads go with V^2.
+REGRESSORS: dict[str, Callable[[Any], Any]] = {
+    "airspeed": lambda air: _dynamic_pressure(air),
+    "angle of attack": lambda air: _dynamic_pressure(air) * 5.0 * air.alpha,
+    "angle of attack squared": lambda air: _dynamic_pressure(air) * 25.0 * air.alpha * air.alpha,
+    "sideslip": lambda air: _dynamic_pressure(air) * 10.0 * air.beta,
+    "sideslip squared": lambda air: _dynamic_pressure(air) * 100.0 * air.beta * air.beta,
     "roll rate": lambda air: air.airspeed / 7.0 * air.p,
     "pitch rate": lambda air: air.airspeed / 7.0 * air.q,
     "yaw rate": lambda air: air.airspeed / 7.0 * air.r,
-    "aileron": lambda air: _pressure(air) * 3.0 * air.aileron,
-    "elevator": lambda air: _pressure(air) * 3.0 * air.elevator,
-    "rudder": lambda air: _pressure(air) * 3.0 * air.rudder,
+    "aileron": lambda air: _dynamic_pressure(air) * 3.0 * air.aileron,
+    "elevator": lambda air: _dynamic_pressure(air) * 3.0 * air.elevator,
+    "rudder": lambda air: _dynamic_pressure(air) * 3.0 * air.rudder,
     "throttle": lambda air: air.throttle,
     "throttle and airspeed": lambda air: air.throttle * air.airspeed / 7.0,
     "throttle and aileron": lambda air: 3.0 * air.throttle * air.aileron,
     "throttle and elevator": lambda air: 3.0 * air.throttle * air.elevator,
-    "height": lambda air: _pressure(air) * np.exp(-np.maximum(air.height, 0.0) / GROUND_EFFECT_HEIGHT_M),
-    "time": lambda air: _pressure(air) * air.time / 60.0,
+    "height": lambda air: (
+        _dynamic_pressure(air) * np.exp(-np.maximum(air.height, 0.0) / GROUND_EFFECT_HEIGHT_M)
+    ),
+    "time": lambda air: _dynamic_pressure(air) * air.time / 60.0,
     "throttle and time": lambda air: air.throttle * air.time / 60.0,
-    "place along x": lambda air: _pressure(air) * 0.1 * air.px,
-    "place along y": lambda air: _pressure(air) * 0.1 * air.py,
+    "place along x": lambda air: _dynamic_pressure(air) * 0.1 * air.px,
+    "place along y": lambda air: _dynamic_pressure(air) * 0.1 * air.py,
 }
 
 
-def _pressure(air: Any) -> Any:
+def _dynamic_pressure(air: Any) -> Any:
     return air.airspeed * air.airspeed / 49.0
 
 
-def _unnamed(variable: str, turning: bool) -> Effect:
+def _generic_load(variable: str, rotational: bool) -> Effect:
     """A force (or a moment) along all three body axes in proportion to a variable."""
-    value, kind, unit = VARIABLES[variable], *(("moment", "rad/s^2") if turning else ("force", "m/s^2"))
+    value, kind, unit = (
+        REGRESSORS[variable],
+        *(("moment", "rad/s^2") if rotational else ("force", "m/s^2")),
+    )
     names = tuple(f"{kind}_{variable.replace(' ', '_')}_{axis}" for axis in "xyz")
     parameters = tuple(
-        Parameter(name, 0.2, -100.0, 100.0, unit, f"{kind} about or along body {name[-1]} with {variable}")
+        Parameter(
+            name, 0.2, -100.0, 100.0, unit, f"{kind} about or along body {name[-1]} with {variable}"
+        )
         for name in names
     )
 
     def evaluate(air: Any, K: Any) -> tuple[Any, ...]:
         size = value(air)
         loads = tuple(getattr(K, name) * size for name in names)
-        return (0.0, 0.0, 0.0, *loads) if turning else (*loads, 0.0, 0.0, 0.0)
+        return (0.0, 0.0, 0.0, *loads) if rotational else (*loads, 0.0, 0.0, 0.0)
 
     name = f"{kind} with {variable}"
-    return Effect(name, f"A {name} that the model lacks.", parameters, term=Term(name, parameters, evaluate))
+    return Effect(
+        name, f"A {name} that the model lacks.", parameters, term=Term(name, parameters, evaluate)
+    )
 
 
-def lingering(t: Array, commands: Array, K: Any) -> Array:
-    """Sticks that act in part one and two frames later, whatever delays or smooths them: a filter of two taps.
+def fir_input_filter(t: Array, commands: Array, K: Any) -> Array:
+    """Sticks that act in part one and two frames later, whatever delays or smooths them: a filter
+    of two taps.
 
     Args:
         t: (N,) [s], unused.
         commands: (N, 4).
-        K: parameters stick_memory_1 and stick_memory_2, shares of the command one and two frames before.
+        K: parameters stick_memory_1 and stick_memory_2, shares of the command one and two frames
+            before.
 
     Returns:
         (N, 4).
@@ -75,10 +88,12 @@ def lingering(t: Array, commands: Array, K: Any) -> Array:
     return commands + K.stick_memory_1 * once + K.stick_memory_2 * twice
 
 
-MEMORY = Effect(
+INPUT_FILTER = Effect(
     "memory of the sticks", "The sticks act later or more slowly than the model has it.",
     tuple(Parameter(f"stick_memory_{k}", 0.1, -2.0, 2.0, "-", f"share acting {k} frames later") for k in (1, 2)),
-    sticks=lingering,
+    sticks=fir_input_filter,
 )  # fmt: skip
-LOADS: tuple[Effect, ...] = tuple(_unnamed(variable, turning) for variable in VARIABLES for turning in (False, True))
-UNNAMED: tuple[Effect, ...] = (*LOADS, MEMORY)
+GENERIC_LOADS: tuple[Effect, ...] = tuple(
+    _generic_load(variable, rotational) for variable in REGRESSORS for rotational in (False, True)
+)
+GENERIC_EFFECTS: tuple[Effect, ...] = (*GENERIC_LOADS, INPUT_FILTER)

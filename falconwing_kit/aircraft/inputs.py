@@ -1,4 +1,6 @@
-"""Input map: stick positions as logged -> control positions as they act, after radio delay and servo lag."""
+"""Input map: stick positions as logged -> control positions as they act, after radio delay and
+servo lag.
+"""
 
 import numpy as np
 
@@ -11,42 +13,50 @@ INPUT_PARAMETERS = (
 )
 
 
-def acting_commands(t: Array, commands: Array, edges: Array, delay: float, lag: float) -> tuple[Array, Array]:
-    """Logged commands -> control positions over each integration step, as a mean and a linear swing.
+def actuator_response(
+    t: Array, commands: Array, edges: Array, delay: float, lag: float
+) -> tuple[Array, Array]:
+    """Logged commands -> control positions over each integration step, as a mean and a linear
+    swing.
 
-    A command acts from its own time stamp plus the delay until the next one; a first-order servo follows it,
-    lag dy/dt = u - y. Mean and first moment over each step are exact while at most one command changes per step.
-    Both are needed: the mean makes the result a continuous function of the delay, which a fit needs, and without the
-    moment a delay is found some milliseconds late, since commands change at the same phase of every step.
+    A command acts from its own time stamp plus the delay until the next one; a first-order servo
+    follows it, lag dy/dt = u - y. Mean and first moment over each step are exact while at most one
+    command changes per step. Both are needed: the mean makes the result a continuous function of
+    the delay, which a fit needs, and without the moment a delay is found some milliseconds late,
+    since commands change at the same phase of every step.
 
     Args:
-        t: (N,) time of each command [s], increasing; before the first, the first is taken to have acted always.
+        t: (N,) time of each command [s], increasing; before the first, the first is taken to have
+            acted always.
         commands: (N, 4).
         edges: (..., S + 1) ends of the integration steps [s], increasing along the last axis.
         delay: from the logged command to the servo [s], >= 0.
         lag: time constant of the servo [s], >= 0.
 
     Returns:
-        mean (..., S, 4) and swing (..., S, 4): the position runs from mean - swing to mean + swing over the step. The
-        servo is settled at the first step, so begin some steps early where it matters.
+        mean (..., S, 4) and swing (..., S, 4): the position runs from mean - swing to mean + swing
+        over the step. The servo is settled at the first step, so begin some steps early where it
+        matters.
     """
     when = edges - delay
     row = np.clip(np.searchsorted(t, when, side="right") - 1, 0, len(t) - 1)
-    area = np.concatenate([np.zeros((1, 4)), np.cumsum(commands[:-1] * np.diff(t)[:, None], axis=0)])
-    reached = area[row] + (when - t[row])[..., None] * commands[row]
+    area = np.concatenate(
+        [np.zeros((1, 4)), np.cumsum(commands[:-1] * np.diff(t)[:, None], axis=0)]
+    )
+    command_integral = area[row] + (when - t[row])[..., None] * commands[row]
     duration = np.diff(edges, axis=-1)[..., None]
-    mean = np.diff(reached, axis=-2) / duration
+    mean = np.diff(command_integral, axis=-2) / duration
     before, after = commands[row[..., :-1]], commands[row[..., 1:]]
     changed = (row[..., 1:] > row[..., :-1])[..., None]
     since = np.where(changed, (when[..., 1:] - t[row[..., 1:]])[..., None], 0.0)
     moment = 0.5 * (after - before) * since * (duration - since)
     if lag > 1e-6:
-        kept, kept_since = np.exp(-duration / lag), np.exp(-since / lag)
-        pushed = before * (kept_since - kept) + after * (1.0 - kept_since)
+        decay, decay_since = np.exp(-duration / lag), np.exp(-since / lag)
+        forcing = before * (decay_since - decay) + after * (1.0 - decay_since)
         position = np.empty((*edges.shape, 4))
         position[..., 0, :] = mean[..., 0, :]
         for k in range(duration.shape[-2]):
-            position[..., k + 1, :] = kept[..., k, :] * position[..., k, :] + pushed[..., k, :]
+            position[..., k + 1, :] = decay[..., k, :] * position[..., k, :] + forcing[..., k, :]
         begin, end = position[..., :-1, :], position[..., 1:, :]
         # Integrate y = u - lag dy/dt over the step, and the same times the time from its middle.
         mean = mean - lag / duration * (end - begin)
@@ -54,7 +64,9 @@ def acting_commands(t: Array, commands: Array, edges: Array, delay: float, lag: 
     return mean, 6.0 * moment / duration**2
 
 
-def lag_again(mean: Array, swing: Array, durations: Array, lag: float) -> tuple[Array, Array]:
+def second_order_lag(
+    mean: Array, slope: Array, durations: Array, lag: float
+) -> tuple[Array, Array]:
     """A second servo in series: first-order lag of positions that change linearly over each step.
 
     Args:
@@ -67,15 +79,15 @@ def lag_again(mean: Array, swing: Array, durations: Array, lag: float) -> tuple[
         mean and swing after the lag, each (..., S, 4); settled at the first step.
     """
     if lag < 1e-6:
-        return mean, swing
+        return mean, slope
     duration = durations[..., None]
-    kept, behind = np.exp(-duration / lag), 2.0 * lag / duration * swing
+    decay, behind = np.exp(-duration / lag), 2.0 * lag / duration * slope
     position = np.empty((*mean.shape[:-2], mean.shape[-2] + 1, mean.shape[-1]))
     position[..., 0, :] = mean[..., 0, :]
     for k in range(mean.shape[-2]):
-        m, s, b = mean[..., k, :], swing[..., k, :], behind[..., k, :]
-        position[..., k + 1, :] = m + s - b + (position[..., k, :] - (m - s - b)) * kept[..., k, :]
+        m, s, b = mean[..., k, :], slope[..., k, :], behind[..., k, :]
+        position[..., k + 1, :] = m + s - b + (position[..., k, :] - (m - s - b)) * decay[..., k, :]
     begin, end = position[..., :-1, :], position[..., 1:, :]
     after = mean - lag / duration * (end - begin)
-    moment = swing * duration**2 / 6.0 - lag * duration * (0.5 * (begin + end) - after)
+    moment = slope * duration**2 / 6.0 - lag * duration * (0.5 * (begin + end) - after)
     return after, 6.0 * moment / duration**2

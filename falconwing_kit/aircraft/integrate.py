@@ -1,4 +1,6 @@
-"""Integration: a model, a start state and commands -> the flight. Runge-Kutta of fourth order, batched or compiled."""
+"""Integration: a model, a start state and commands -> the flight. Runge-Kutta of fourth order,
+batched or compiled.
+"""
 
 from collections.abc import Callable
 from functools import cache
@@ -14,7 +16,13 @@ SUBSTEPS = {"paper": 1, "rates": 2}  # per 50 ms; body rates need the shorter st
 
 
 def step_batch(
-    rates: Any, K: Any, time: Any, x: Array, command: Array, duration: Any, swing: Array | None = None
+    rates: Any,
+    K: Any,
+    time: Any,
+    x: Array,
+    command: Array,
+    duration: Any,
+    slope: Array | None = None,
 ) -> Array:
     """One Runge-Kutta step of many aircraft at once.
 
@@ -25,13 +33,14 @@ def step_batch(
         x: (n_states, ...) states, SI.
         command: (4, ...) mean control positions during the step.
         duration: (...) step length [s].
-        swing: (4, ...) the positions run from command - swing to command + swing; None where they are constant.
+        swing: (4, ...) the positions run from command - swing to command + swing; None where they
+            are constant.
 
     Returns:
         (n_states, ...) states after the step.
     """
     half = 0.5 * duration
-    first, last = (command, command) if swing is None else (command - swing, command + swing)
+    first, last = (command, command) if slope is None else (command - slope, command + slope)
     k1 = _stack(rates(time, x, first, K), x)
     k2 = _stack(rates(time + half, x + half * k1, command, K), x)
     k3 = _stack(rates(time + half, x + half * k2, command, K), x)
@@ -52,7 +61,9 @@ def _stack(rates: tuple[Any, ...], like: Array) -> Array:
     return stacked
 
 
-def roll_out_batch(model: Model, start: Array, commands: Array, dt: float, swing: Array | None = None) -> Array:
+def roll_out_batch(
+    model: Model, start: Array, commands: Array, dt: float, slope: Array | None = None
+) -> Array:
     """Fly many aircraft through given commands, all advanced together in NumPy (the readable one).
 
     Args:
@@ -70,17 +81,20 @@ def roll_out_batch(model: Model, start: Array, commands: Array, dt: float, swing
     flown = np.empty((commands.shape[1] + 1, *x.shape))
     flown[0] = x
     means = np.ascontiguousarray(commands.transpose(1, 2, 0))
-    swings = None if swing is None else np.ascontiguousarray(swing.transpose(1, 2, 0))
+    slopes = None if slope is None else np.ascontiguousarray(slope.transpose(1, 2, 0))
     for k, mean in enumerate(means):
-        x = step_batch(rates, K, k * dt, x, mean, dt, None if swings is None else swings[k])
+        x = step_batch(rates, K, k * dt, x, mean, dt, None if slopes is None else slopes[k])
         flown[k + 1] = x
     return np.ascontiguousarray(flown.transpose(2, 0, 1))
 
 
-def roll_out_compiled(model: Model, start: Array, commands: Array, dt: float, swing: Array | None = None) -> Array:
+def roll_out_compiled(
+    model: Model, start: Array, commands: Array, dt: float, slope: Array | None = None
+) -> Array:
     """The same as `roll_out_batch`, one aircraft after the other in code compiled by numba.
 
-    Equal to rounding; much faster for a single flight, at the price of some seconds of compiling at the first call.
+    Equal to rounding; much faster for a single flight, at the price of some seconds of compiling at
+    the first call.
 
     Args:
         model: the aircraft.
@@ -92,35 +106,42 @@ def roll_out_compiled(model: Model, start: Array, commands: Array, dt: float, sw
     Returns:
         (B, T + 1, n_states).
     """
-    fly = _compiled_flight(model.form, model.terms, model.winds)
+    fly = _compile_flight(model.form, model.terms, model.winds)
     flown = np.empty((start.shape[0], commands.shape[1] + 1, start.shape[1]))
-    swings = np.zeros_like(commands) if swing is None else swing
-    for one_start, means, changes, out in zip(start, commands, swings, flown, strict=True):
-        fly(one_start, np.ascontiguousarray(means), np.ascontiguousarray(changes), dt, model.K, out)
+    slopes = np.zeros_like(commands) if slope is None else slope
+    for one_start, means, half_changes, out in zip(start, commands, slopes, flown, strict=True):
+        fly(
+            one_start,
+            np.ascontiguousarray(means),
+            np.ascontiguousarray(half_changes),
+            dt,
+            model.K,
+            out,
+        )
     return flown
 
 
-def _compiled(function: Any) -> Any:
+def _compile(function: Any) -> Any:
     """numba's twin of a function, and of the functions of its module that it calls."""
     from numba import njit
 
     theirs = function.__globals__
     names = (n for n in function.__code__.co_names if isinstance(theirs.get(n), FunctionType))
-    called = {name: _compiled(theirs[name]) for name in names if theirs[name] is not function}
+    called = {name: _compile(theirs[name]) for name in names if theirs[name] is not function}
     if not called:
         return njit(function)
     return njit(FunctionType(function.__code__, {**theirs, **called}, function.__name__))
 
 
 @cache
-def _compiled_flight(form: Any, terms: Any, winds: Any) -> Any:
+def _compile_flight(form: Any, terms: Any, winds: Any) -> Any:
     from numba import njit
 
-    f = state_rates(form, terms, winds, _compiled)
+    f = state_rates(form, terms, winds, _compile)
     n = 9 if form == "paper" else 12
 
     @njit
-    def fly(start, means, swings, dt, K, out):  # type: ignore[no-untyped-def]
+    def fly(start, means, slopes, dt, K, out):  # type: ignore[no-untyped-def]
         x, shifted, total = start.copy(), np.empty(n), np.empty(n)
         out[0] = x
         for step in range(means.shape[0]):
@@ -128,7 +149,7 @@ def _compiled_flight(form: Any, terms: Any, winds: Any) -> Any:
             shifted[:] = x
             for stage in range(4):
                 part = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-                command = means[step] + (2.0 * part - 1.0) * swings[step]
+                command = means[step] + (2.0 * part - 1.0) * slopes[step]
                 rates = f((step + part) * dt, shifted, command, K)
                 weight = 1.0 if stage in (0, 3) else 2.0
                 next_ahead = dt if stage == 2 else 0.5 * dt
@@ -149,7 +170,12 @@ ROLL_OUTS: dict[str, Callable[[Model, Array, Array, float, Array | None], Array]
 
 
 def roll_out(
-    model: Model, start: Array, commands: Array, dt: float, backend: str = "batch", swing: Array | None = None
+    model: Model,
+    start: Array,
+    commands: Array,
+    dt: float,
+    backend: str = "batch",
+    slope: Array | None = None,
 ) -> Array:
     """Fly one or many aircraft through control positions that act as given (no delay, no lag).
 
@@ -159,7 +185,8 @@ def roll_out(
         commands: (T, 4) or (B, T, 4) in the order of COMMAND_NAMES, each held for one step.
         dt: step length [s], > 0.
         backend: "batch" (NumPy) or "compiled" (numba).
-        swing: shape of commands; positions run from commands - swing to commands + swing over each step.
+        swing: shape of commands; positions run from commands - swing to commands + swing over each
+            step.
 
     Returns:
         (T + 1, n_states) or (B, T + 1, n_states); row 0 is the start.
@@ -168,22 +195,26 @@ def roll_out(
         InputError: a shape does not fit, the step is not positive, or the backend is unknown.
     """
     if backend not in ROLL_OUTS:
-        raise InputError(f"backend: want one of {', '.join(ROLL_OUTS)}, got {backend!r}")
+        raise InputError(f"backend: expected one of {', '.join(ROLL_OUTS)}, got {backend!r}")
     require_range("dt", dt, low=1e-6, high=1.0)
     starts = require_shape("start", np.atleast_2d(start), (None, model.n_states))
     steps = np.asarray(commands, np.float64)
     steps = require_shape("commands", steps if steps.ndim == 3 else steps[None], (None, None, 4))
     count = max(len(starts), len(steps))
     if {len(starts), len(steps)} - {1, count}:
-        raise InputError(f"start and commands: want equal batches, got {len(starts)} and {len(steps)}")
+        raise InputError(
+            f"start and commands: expected equal batches, got {len(starts)} and {len(steps)}"
+        )
     starts = np.broadcast_to(starts, (count, model.n_states))
     full = (count, *steps.shape[1:])
-    changes = None
-    if swing is not None:
-        changes = np.asarray(swing, np.float64)
-        changes = require_shape("swing", changes if changes.ndim == 3 else changes[None], steps.shape)
-        changes = np.broadcast_to(changes, full)
-    flown = ROLL_OUTS[backend](model, starts, np.broadcast_to(steps, full), dt, changes)
+    half_changes = None
+    if slope is not None:
+        half_changes = np.asarray(slope, np.float64)
+        half_changes = require_shape(
+            "slope", half_changes if half_changes.ndim == 3 else half_changes[None], steps.shape
+        )
+        half_changes = np.broadcast_to(half_changes, full)
+    flown = ROLL_OUTS[backend](model, starts, np.broadcast_to(steps, full), dt, half_changes)
     return flown if np.ndim(start) == 2 or np.ndim(commands) == 3 else flown[0]
 
 
@@ -204,13 +235,15 @@ def fly(model: Model, start: Array, t: Array, commands: Array, backend: str = "b
         InputError: times are not uniform, or a shape does not fit.
     """
     t = require_shape("t", t, (None,))
-    sticks = require_shape("commands", commands, (len(t), 4))
+    control_inputs = require_shape("commands", commands, (len(t), 4))
     dt = float(np.mean(np.diff(t))) if len(t) > 1 else 0.05
     if len(t) > 2 and np.ptp(np.diff(t)) > 1e-3 * dt:
-        raise InputError("t: want evenly spaced times, got uneven ones; resample the flight table first")
+        raise InputError(
+            "t: expected evenly spaced times, got uneven ones; resample the flight table first"
+        )
     substeps = max(1, round(SUBSTEPS[model.form] * dt / 0.05))
     edges = t[0] + dt / substeps * np.arange((len(t) - 1) * substeps + 1)
     if len(t) == 1:
         return require_shape("start", start, (model.n_states,))[None]
-    mean, swing = model.acting(t, sticks, edges, model.K)
-    return roll_out(model, start, mean, dt / substeps, backend, swing)[::substeps]
+    mean, slope = model.actuator_positions(t, control_inputs, edges, model.K)
+    return roll_out(model, start, mean, dt / substeps, backend, slope)[::substeps]

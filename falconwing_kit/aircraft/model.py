@@ -2,7 +2,8 @@
 
 Two models share everything but their body rates; files and options name them by `form`:
     "paper"  the 9-state model: body rates follow the commands at once [paper, Section IV-B]
-    "rates"  the 12-state model: body rates have their own dynamics, which a real 150 g aircraft needs
+    "rates"  the 12-state model: body rates have their own dynamics, which a real 150 g aircraft
+    needs
 """
 
 from collections import namedtuple
@@ -14,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from falconwing_kit.aircraft.effects import Effect
-from falconwing_kit.aircraft.inputs import INPUT_PARAMETERS, acting_commands, lag_again
+from falconwing_kit.aircraft.inputs import INPUT_PARAMETERS, actuator_response, second_order_lag
 from falconwing_kit.aircraft.terms import (
     FORCES,
     MOMENTS,
@@ -40,7 +41,9 @@ class Model:
     winds: tuple[WindTerm, ...] = ()
     parameters: tuple[Parameter, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
-    effects: tuple[Effect, ...] = ()  # those that act on sticks or measured poses; the others are among the terms
+    effects: tuple[
+        Effect, ...
+    ] = ()  # those that act on sticks or measured poses; the others are among the terms
 
     @property
     def n_states(self) -> int:
@@ -60,7 +63,7 @@ class Model:
     @property
     def K(self) -> Any:
         """The parameter values as a record with one field a name, as terms read them."""
-        return record_of(self.names)(*(float(self.values[name]) for name in self.names))
+        return parameter_record(self.names)(*(float(self.values[name]) for name in self.names))
 
     def with_values(self, values: Mapping[str, float]) -> "Model":
         """The same model with some values changed.
@@ -76,21 +79,21 @@ class Model:
         """
         unknown = [name for name in values if name not in self.values]
         if unknown:
-            raise InputError(f"parameter {unknown[0]!r}: want one of {', '.join(self.names)}")
+            raise InputError(f"parameter {unknown[0]!r}: expected one of {', '.join(self.names)}")
         return replace(self, values={**self.values, **{k: float(v) for k, v in values.items()}})
 
     def with_vector(self, vector: Array) -> "Model":
         """The same model with all values changed; vector (P,) in the order of `names`."""
         return replace(self, values=dict(zip(self.names, map(float, vector), strict=True)))
 
-    def pinned(self, names: Iterable[str]) -> "Model":
+    def with_fixed(self, names: Iterable[str]) -> "Model":
         """The same model with some parameters held at their present value in every fit."""
-        held = set(names)
-        unknown = held.difference(self.values)
+        fixed = set(names)
+        unknown = fixed.difference(self.values)
         if unknown:
-            raise InputError(f"parameter {min(unknown)!r}: want one of {', '.join(self.names)}")
+            raise InputError(f"parameter {min(unknown)!r}: expected one of {', '.join(self.names)}")
         parameters = tuple(
-            replace(p, low=self.values[p.name], high=self.values[p.name]) if p.name in held else p
+            replace(p, low=self.values[p.name], high=self.values[p.name]) if p.name in fixed else p
             for p in self.parameters
         )
         return replace(self, parameters=parameters)
@@ -102,7 +105,9 @@ class Model:
         own = tuple(p.name for effect in self.effects if effect.sticks for p in effect.parameters)
         return tuple(name for name in self.names if name in known or name in own)
 
-    def acting(self, t: Array, commands: Array, edges: Array, K: Any) -> tuple[Array, Array]:
+    def actuator_positions(
+        self, t: Array, commands: Array, edges: Array, K: Any
+    ) -> tuple[Array, Array]:
         """Logged commands -> control positions over each integration step, through all input maps.
 
         Args:
@@ -112,15 +117,17 @@ class Model:
             K: parameter record of this model.
 
         Returns:
-            mean and swing, each (..., S, 4), as `acting_commands`.
+            mean and swing, each (..., S, 4), as `actuator_response`.
         """
         for effect in self.effects:
             if effect.sticks is not None:
                 commands = effect.sticks(t, commands, K)
         delay = K.delay + getattr(K, "control_delay", 0.0)
         lag = K.lag + getattr(K, "actuator_lag", 0.0)
-        mean, swing = acting_commands(t, commands, edges, max(delay, 0.0), max(lag, 0.0))
-        return lag_again(mean, swing, np.diff(edges, axis=-1), getattr(K, "lag_in_series", 0.0))
+        mean, slope = actuator_response(t, commands, edges, max(delay, 0.0), max(lag, 0.0))
+        return second_order_lag(
+            mean, slope, np.diff(edges, axis=-1), getattr(K, "lag_in_series", 0.0)
+        )
 
     def with_effect(self, effect: Effect) -> "Model":
         """The same model with an effect added, its parameters at their starting values.
@@ -131,7 +138,7 @@ class Model:
         Returns:
             A new model.
         """
-        model = self.adding(*(part for part in (effect.term, effect.wind) if part is not None))
+        model = self.with_terms(*(part for part in (effect.term, effect.wind) if part is not None))
         new = tuple(p for p in effect.parameters if p.name not in model.values)
         return replace(
             model,
@@ -140,7 +147,7 @@ class Model:
             effects=(*model.effects, effect),
         )
 
-    def adding(self, *terms: Term | WindTerm) -> "Model":
+    def with_terms(self, *terms: Term | WindTerm) -> "Model":
         """The same model with terms added at their starting values."""
         present = {t.name for t in self.terms} | {w.name for w in self.winds}
         twice = [t.name for t in terms if t.name in present]
@@ -158,23 +165,25 @@ class Model:
 
 
 def paper_model() -> Model:
-    """The paper's 9-state model with quasi-steady rates: 16 parameters, plus delay and lag held at zero.
+    """The paper's 9-state model with quasi-steady rates: 16 parameters, plus delay and lag held at
+    zero.
 
     Returns:
         The model at its starting values.
     """
-    model = _assemble("paper", FORCES + QUASI_STEADY_RATES)
+    model = _assemble_model("paper", FORCES + QUASI_STEADY_RATES)
     zero = ("cL_de", "cY_dr", "cD_beta", "delay", "lag")
-    return model.with_values(dict.fromkeys(zero, 0.0)).pinned(zero)
+    return model.with_values(dict.fromkeys(zero, 0.0)).with_fixed(zero)
 
 
 def rates_model() -> Model:
-    """The 12-state model: 23 parameters, inertia coupling, sideslip drag, servo lag and delay (29 in all).
+    """The 12-state model: 23 parameters, inertia coupling, sideslip drag, servo lag and delay (29
+    in all).
 
     Returns:
         The model at its starting values.
     """
-    return _assemble("rates", FORCES + MOMENTS)
+    return _assemble_model("rates", FORCES + MOMENTS)
 
 
 FORMS: dict[Form, Callable[[], Model]] = {"paper": paper_model, "rates": rates_model}
@@ -185,12 +194,13 @@ _QUASI_STEADY = ("L_0", "L_da", "L_beta", "M_0", "M_de", "M_alpha", "N_0", "N_dr
 _DAMPING = ("L_p", "L_r", "M_q", "N_r", "N_p")
 
 
-def scaled(model: Model, mass: float, wing_area: float, span: float) -> Model:
+def scale_model(model: Model, mass: float, wing_area: float, span: float) -> Model:
     """Starting values and bounds for an aircraft of another size, by dynamic similarity.
 
-    Forces per mass go with wing area / mass, rates with 1 / span, moments with 1 / span^2, thrust per mass stays and
-    its loss with speed goes with 1 / speed, speed with sqrt(mass / wing area) [Raymer, Aircraft Design, ch. 5: scaling
-    laws of similar aircraft]. These are where a fit begins, no claim about the aircraft.
+    Forces per mass go with wing area / mass, rates with 1 / span, moments with 1 / span^2, thrust
+    per mass stays and its loss with speed goes with 1 / speed, speed with sqrt(mass / wing area)
+    [Raymer, Aircraft Design, ch. 5: scaling laws of similar aircraft]. These are where a fit
+    begins, no claim about the aircraft.
 
     Args:
         model: a model at the starting values of the 150 g aircraft (0.076 m^2, 0.70 m).
@@ -204,7 +214,12 @@ def scaled(model: Model, mass: float, wing_area: float, span: float) -> Model:
     Raises:
         InputError: a number is not positive.
     """
-    loading = require_range("wing_area", wing_area, low=1e-4) / require_range("mass", mass, low=1e-4) * 0.150 / 0.076
+    loading = (
+        require_range("wing_area", wing_area, low=1e-4)
+        / require_range("mass", mass, low=1e-4)
+        * 0.150
+        / 0.076
+    )
     length = require_range("span", span, low=1e-2) / 0.70
     factors = dict.fromkeys(_WING, loading) | {"cD_induced": 1.0 / loading, "kTV": loading**0.5}
     factors |= dict.fromkeys(_QUASI_STEADY, 1.0 / length if model.form == "paper" else length**-2)
@@ -218,7 +233,7 @@ def scaled(model: Model, mass: float, wing_area: float, span: float) -> Model:
     return replace(model, parameters=tuple(map(resize, model.parameters)), values=values)
 
 
-def in_wind(model: Model, wind_x: float = 0.0, wind_y: float = 0.0) -> Model:
+def add_uniform_wind(model: Model, wind_x: float = 0.0, wind_y: float = 0.0) -> Model:
     """The model in a uniform wind whose two components are parameters.
 
     Args:
@@ -229,44 +244,53 @@ def in_wind(model: Model, wind_x: float = 0.0, wind_y: float = 0.0) -> Model:
     Returns:
         A new model.
     """
-    return model.adding(UNIFORM_WIND).with_values({"wind_x": wind_x, "wind_y": wind_y})
+    return model.with_terms(UNIFORM_WIND).with_values({"wind_x": wind_x, "wind_y": wind_y})
 
 
-def _assemble(form: Form, terms: tuple[Term, ...]) -> Model:
+def _assemble_model(form: Form, terms: tuple[Term, ...]) -> Model:
     parameters = tuple(p for term in terms for p in term.parameters) + INPUT_PARAMETERS
     return Model(form, terms, (), parameters, {p.name: p.start for p in parameters})
 
 
 @cache
-def record_of(names: tuple[str, ...]) -> Any:
+def parameter_record(names: tuple[str, ...]) -> Any:
     """A named tuple class with these fields, one class per set of names."""
     return namedtuple("K", names)
 
 
-def _same(function: Any) -> Any:
+def _identity(function: Any) -> Any:
     return function
 
 
 @cache
-def state_rates(form: Form, terms: tuple[Term, ...], winds: tuple[WindTerm, ...], compiler: Any = _same) -> Any:
+def state_rates(
+    form: Form, terms: tuple[Term, ...], winds: tuple[WindTerm, ...], compiler: Any = _identity
+) -> Any:
     """Build the function (time, x, command, K) -> dx/dt of a model's terms.
 
-    x is indexed by state first: x[i] is a number or an array, in the order of STATE_NAMES; command[i] likewise in the
-    order of COMMAND_NAMES. Position moves with the velocity, velocity with gravity and the turned forces, attitude
-    with the body rates [Beard & McLain, eqs. 3.14-3.17]. Wind enters as air-relative velocity.
+    x is indexed by state first: x[i] is a number or an array, in the order of STATE_NAMES;
+        command[i] likewise in the
+    order of COMMAND_NAMES. Position moves with the velocity, velocity with gravity and the turned
+    forces, attitude with the body rates [Beard & McLain, eqs. 3.14-3.17]. Wind enters as
+    air-relative velocity.
 
     Args:
         form: "paper" or "rates".
         terms: forces and moments.
         winds: parts of the wind.
-        compiler: applied to every function; numba.njit makes the compiled twin from this same source.
+        compiler: applied to every function; numba.njit makes the compiled twin from this same
+            source.
 
     Returns:
         The function; its result is a tuple of 9 or 12 numbers or arrays.
     """
     loads_of = _sum_of([compiler(t.evaluate) for t in terms], compiler)
     wind_of = _wind_of([compiler(w.evaluate) for w in winds], compiler)
-    rotation, angle_rates, flow_of = compiler(rotation_entries), compiler(euler_rates), compiler(air_flow)
+    rotation, angle_rates, flow_of = (
+        compiler(rotation_entries),
+        compiler(euler_rates),
+        compiler(air_flow),
+    )
     second_order = form == "rates"
     gravity = GRAVITY
 
@@ -290,7 +314,20 @@ def state_rates(form: Form, terms: tuple[Term, ...], winds: tuple[WindTerm, ...]
         vz_dot = row_z[0] * fx + row_z[1] * fy + row_z[2] * fz - gravity
         if second_order:
             roll_dot, pitch_dot, yaw_dot = angle_rates(row_z, p, q, r)
-            return x[6], x[7], x[8], pitch_dot, yaw_dot, roll_dot, vx_dot, vy_dot, vz_dot, mx, my, mz
+            return (
+                x[6],
+                x[7],
+                x[8],
+                pitch_dot,
+                yaw_dot,
+                roll_dot,
+                vx_dot,
+                vy_dot,
+                vz_dot,
+                mx,
+                my,
+                mz,
+            )
         roll_dot, pitch_dot, yaw_dot = angle_rates(row_z, mx, my, mz)
         return x[6], x[7], x[8], pitch_dot, yaw_dot, roll_dot, vx_dot, vy_dot, vz_dot
 
@@ -298,8 +335,10 @@ def state_rates(form: Form, terms: tuple[Term, ...], winds: tuple[WindTerm, ...]
 
 
 def _sum_of(functions: list[Any], compiler: Any) -> Any:
-    """One function that adds the loads of all; pairwise where it is compiled, so that a compiler sees plain calls."""
-    if compiler is _same:
+    """One function that adds the loads of all; pairwise where it is compiled, so that a compiler
+    sees plain calls.
+    """
+    if compiler is _identity:
         return lambda air, K: _sum_arrays([evaluate(air, K) for evaluate in functions])
     first = functions[0]
     if len(functions) == 1:

@@ -1,8 +1,9 @@
-"""Sizing: a mass, a bank and a hall -> how slow the aircraft can fly, how tight it turns, how heavy it may be.
+"""Sizing: a mass, a bank and a hall -> how slow the aircraft can fly, how tight it turns, how heavy
+it may be.
 
-The paper's appendix takes the turn at the minimum speed of level flight. A banked wing must lift more than the weight,
-so a level turn at full lift is faster and wider; `paper_turn_radius` and `level_turn_radius` are the two answers. All
-functions take numbers or arrays and broadcast them.
+The paper's appendix takes the turn at the minimum speed of level flight. A banked wing must lift
+more than the weight, so a level turn at full lift is faster and wider; `paper_turn_radius` and
+`level_turn_radius` are the two answers. All functions take numbers or arrays and broadcast them.
 """
 
 import numpy as np
@@ -28,8 +29,10 @@ def minimum_speed(mass: ArrayLike, airframe: Airframe) -> Array:
     Raises:
         InputError: a mass is not positive.
     """
-    weight = _positive("mass", mass) * GRAVITY
-    return np.sqrt(weight / (0.5 * airframe.air_density * airframe.wing_area * airframe.aero.CL_max))
+    weight = _require_positive("mass", mass) * GRAVITY
+    return np.sqrt(
+        weight / (0.5 * airframe.air_density * airframe.wing_area * airframe.aero.CL_max)
+    )
 
 
 def turn_radius(speed: ArrayLike, bank: ArrayLike) -> Array:
@@ -47,13 +50,17 @@ def turn_radius(speed: ArrayLike, bank: ArrayLike) -> Array:
     Raises:
         InputError: a speed is not positive or a bank is out of its interval.
     """
-    return np.asarray(_positive("speed", speed) ** 2 / (GRAVITY * np.tan(_bank(bank))))
+    return np.asarray(
+        _require_positive("speed", speed) ** 2 / (GRAVITY * np.tan(_require_bank(bank)))
+    )
 
 
 def paper_turn_radius(mass: ArrayLike, airframe: Airframe, bank: ArrayLike | None = None) -> Array:
-    """Smallest turn radius as the paper gives it: the minimum speed of straight flight, put into the turn.
+    """Smallest turn radius as the paper gives it: the minimum speed of straight flight, put into
+    the turn.
 
-    Flown so, the wing lifts only cos(phi) of the weight and the aircraft sinks; see `level_turn_radius`.
+    Flown so, the wing lifts only cos(phi) of the weight and the aircraft sinks; see
+    `level_turn_radius`.
 
     Args:
         mass: (...) [kg], > 0.
@@ -83,7 +90,7 @@ def load_factor(bank: ArrayLike) -> Array:
     Raises:
         InputError: a bank is out of its interval.
     """
-    return np.asarray(1.0 / np.cos(_bank(bank)))
+    return np.asarray(1.0 / np.cos(_require_bank(bank)))
 
 
 def level_turn_speed(mass: ArrayLike, airframe: Airframe, bank: ArrayLike | None = None) -> Array:
@@ -102,7 +109,9 @@ def level_turn_speed(mass: ArrayLike, airframe: Airframe, bank: ArrayLike | None
     Raises:
         InputError: a mass is not positive or a bank is out of (0, pi/2).
     """
-    return minimum_speed(mass, airframe) * np.sqrt(load_factor(airframe.bank_limit if bank is None else bank))
+    return minimum_speed(mass, airframe) * np.sqrt(
+        load_factor(airframe.bank_limit if bank is None else bank)
+    )
 
 
 def level_turn_radius(mass: ArrayLike, airframe: Airframe, bank: ArrayLike | None = None) -> Array:
@@ -141,7 +150,7 @@ def level_turn_bank(mass: ArrayLike, airframe: Airframe, radius: ArrayLike) -> A
     Raises:
         InputError: a mass or a radius is not positive.
     """
-    sine = minimum_speed(mass, airframe) ** 2 / (GRAVITY * _positive("radius", radius))
+    sine = minimum_speed(mass, airframe) ** 2 / (GRAVITY * _require_positive("radius", radius))
     return np.arcsin(np.where(sine < 1.0, sine, np.nan))
 
 
@@ -158,7 +167,7 @@ def wing_loading(mass: ArrayLike, airframe: Airframe) -> Array:
     Raises:
         InputError: a mass is not positive.
     """
-    return np.asarray(_positive("mass", mass) * GRAVITY / airframe.wing_area)
+    return np.asarray(_require_positive("mass", mass) * GRAVITY / airframe.wing_area)
 
 
 def largest_mass(
@@ -178,19 +187,20 @@ def largest_mass(
         hall_width: (...) [m].
         airframe: air density, wing area, largest lift coefficient.
         bank: phi (...) [rad]; None takes the airframe's bank limit.
-        margin: part of the width the circle must leave free, both sides together [m], >= 0. R is the path of the
-            centre of gravity, so a wing tip alone needs span * cos(phi).
+        margin: part of the width the circle must leave free, both sides together [m], >= 0. R is
+            the path of the centre of gravity, so a wing tip alone needs span * cos(phi).
         hold_height: False as in the paper, True for a turn that holds its height.
 
     Returns:
         m (...) [kg].
 
     Raises:
-        InputError: the margin is negative or leaves nothing of the width, or a bank is out of (0, pi/2).
+        InputError: the margin is negative or leaves nothing of the width, or a bank is out of (0,
+            pi/2).
     """
     free = np.asarray(hall_width, np.float64) - require_range("margin", margin, low=0.0)
-    radius = _positive("hall width less the margin", free) / 2.0
-    phi = _bank(airframe.bank_limit if bank is None else bank)
+    radius = _require_positive("hall width less the margin", free) / 2.0
+    phi = _require_bank(airframe.bank_limit if bank is None else bank)
     lift_per_speed = 0.5 * airframe.air_density * airframe.wing_area * airframe.aero.CL_max
     return np.asarray(lift_per_speed * radius * (np.sin(phi) if hold_height else np.tan(phi)))
 
@@ -202,21 +212,22 @@ def unlisted_mass(airframe: Airframe) -> float:
         airframe: mass and parts.
 
     Returns:
-        [kg]; negative where the parts weigh more than the whole, as with the paper's 150 g against 137 + 9 + 5 = 151 g.
+        [kg]; negative where the parts weigh more than the whole, as with the paper's 150 g against
+        137 + 9 + 5 = 151 g.
     """
     return airframe.mass - airframe.parts_mass
 
 
-def _positive(name: str, values: ArrayLike) -> Array:
+def _require_positive(name: str, values: ArrayLike) -> Array:
     """The values as float64, refused unless all are finite and above zero."""
     array = np.asarray(values, np.float64)
     if not np.all(np.isfinite(array) & (array > 0.0)):
-        raise InputError(f"{name}: want positive numbers, got {array}")
+        raise InputError(f"{name}: expected positive numbers, got {array}")
     return array
 
 
-def _bank(values: ArrayLike) -> Array:
+def _require_bank(values: ArrayLike) -> Array:
     """Bank angles, refused unless all are inside (0, pi/2)."""
-    if np.any(_positive("bank", values) >= np.pi / 2):
-        raise InputError(f"bank: want angles below 90 deg, got {np.degrees(values)} deg")
+    if np.any(_require_positive("bank", values) >= np.pi / 2):
+        raise InputError(f"bank: expected angles below 90 deg, got {np.degrees(values)} deg")
     return np.asarray(values, np.float64)

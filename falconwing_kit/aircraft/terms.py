@@ -1,9 +1,9 @@
 """Terms of f_K: the air flow at the aircraft -> forces and moments, one function a term.
 
-The model is the sum of the terms in a plain tuple. Every value is per unit mass (or inertia), because poses alone
-cannot separate mass from air density times wing area: a force is an acceleration [m/s^2], a moment an angular
-acceleration [rad/s^2]. Each function is plain arithmetic on numbers or arrays, so the same source runs batched in
-NumPy and compiled for a single flight.
+The model is the sum of the terms in a plain tuple. Every value is per unit mass (or inertia),
+because poses alone cannot separate mass from air density times wing area: a force is an
+acceleration [m/s^2], a moment an angular acceleration [rad/s^2]. Each function is plain arithmetic
+on numbers or arrays, so the same source runs batched in NumPy and compiled for a single flight.
 
 Symbols and signs are those of Beard & McLain, Small Unmanned Aircraft, ch. 4 and 5:
 
@@ -15,12 +15,14 @@ Symbols and signs are those of Beard & McLain, Small Unmanned Aircraft, ch. 4 an
     _da      of full aileron, _de of full elevator, _dr of full rudder
     Jx Jy Jz (Iyy - Izz)/Ixx, (Izz - Ixx)/Iyy, (Ixx - Iyy)/Izz
 
-An ordinary stable aircraft has L_beta, L_p, M_alpha, M_q, N_r and cY_beta below zero and N_beta above, as in the
-textbook. What elevator and rudder do has the other sign: the kit's commands are positive for right wing down, nose up
-and nose right, so L_da, M_de and N_dr are above zero. A positive elevator deflection of the textbook lowers the nose
-and a positive rudder deflection turns it left: its C_m_de and C_n_dr are below zero (and C_L_de, C_Y_dr change alike).
+An ordinary stable aircraft has L_beta, L_p, M_alpha, M_q, N_r and cY_beta below zero and N_beta
+above, as in the textbook. What elevator and rudder do has the other sign: the kit's commands are
+positive for right wing down, nose up and nose right, so L_da, M_de and N_dr are above zero. A
+positive elevator deflection of the textbook lowers the nose and a positive rudder deflection turns
+it left: its C_m_de and C_n_dr are below zero (and C_L_de, C_Y_dr change alike).
 
-To add an effect: write one function `effect(air, K) -> loads`, list its parameters in a `Term`, add it to the tuple.
+To add an effect: write one function `effect(air, K) -> loads`, list its parameters in a `Term`, add
+it to the tuple.
 """
 
 from collections.abc import Callable
@@ -29,7 +31,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-Loads = tuple[Any, Any, Any, Any, Any, Any]  # force x, y, z [m/s^2] and moment x, y, z [rad/s^2], body axes
+Loads = tuple[
+    Any, Any, Any, Any, Any, Any
+]  # force x, y, z [m/s^2] and moment x, y, z [rad/s^2], body axes
 
 
 @dataclass(frozen=True)
@@ -77,15 +81,18 @@ class Term:
 
 @dataclass(frozen=True)
 class WindTerm:
-    """A named part of the wind: (wind_x, wind_y, wind_z) in the world = evaluate(px, py, height, time, K) [m/s]."""
+    """A named part of the wind: (wind_x, wind_y, wind_z) in the world = evaluate(px, py, height,
+    time, K) [m/s].
+    """
 
     name: str
     parameters: tuple[Parameter, ...]
     evaluate: Callable[[Any, Any, Any, Any, Any], tuple[Any, Any, Any]]
 
 
-def air_flow(velocity_body, rates, position, time, command):  # type: ignore[no-untyped-def]
-    """Airspeed and flow angles of an air-relative body velocity [Beard & McLain, Small Unmanned Aircraft, eq. 2.8].
+def air_flow(velocity_body, rates, position, time, command):
+    """Airspeed and flow angles of an air-relative body velocity [Beard & McLain, Small Unmanned
+    Aircraft, eq. 2.8].
 
     Args:
         velocity_body: u, v, w through the air, body axes, each (...) [m/s].
@@ -120,11 +127,13 @@ def air_flow(velocity_body, rates, position, time, command):  # type: ignore[no-
     )
 
 
-# Forces -----------------------------------------------------------------------------------------------------------
+# Forces
+# -----------------------------------------------------------------------------------------------------------
 
 
-def lift(air, K):  # type: ignore[no-untyped-def]
-    """Lift of the whole aircraft, linear below stall: L/m = V^2 (cL_0 + cL_alpha alpha + cL_de elevator).
+def lift(air, K):
+    """Lift of the whole aircraft, linear below stall: L/m = V^2 (cL_0 + cL_alpha alpha + cL_de
+    elevator).
 
     It acts at right angles to the flight path in the plane of symmetry [Beard & McLain, eq. 4.6].
 
@@ -140,8 +149,9 @@ def lift(air, K):  # type: ignore[no-untyped-def]
     return force * air.w / along, 0.0, -force * air.u / along, 0.0, 0.0, 0.0
 
 
-def drag(air, K):  # type: ignore[no-untyped-def]
-    """Drag against the flight path: D/m = V^2 (cD_0 + cD_induced c^2 + cD_beta beta^2), c = cL_0 + cL_alpha alpha.
+def drag(air, K):
+    """Drag against the flight path: D/m = V^2 (cD_0 + cD_induced c^2 + cD_beta beta^2), c = cL_0 +
+    cL_alpha alpha.
 
     A parabolic polar, and the fuselage's drag in a sideslip [Beard & McLain, eq. 4.11].
 
@@ -154,13 +164,16 @@ def drag(air, K):  # type: ignore[no-untyped-def]
     """
     lift_coefficient = K.cL_0 + K.cL_alpha * air.alpha
     per_speed = air.airspeed * (
-        K.cD_0 + K.cD_induced * lift_coefficient * lift_coefficient + K.cD_beta * air.beta * air.beta
+        K.cD_0
+        + K.cD_induced * lift_coefficient * lift_coefficient
+        + K.cD_beta * air.beta * air.beta
     )
     return -per_speed * air.u, -per_speed * air.v, -per_speed * air.w, 0.0, 0.0, 0.0
 
 
-def side_force(air, K):  # type: ignore[no-untyped-def]
-    """Side force along the right wing: Y/m = V^2 (cY_beta beta + cY_dr rudder) [Beard & McLain, eq. 4.14].
+def side_force(air, K):
+    """Side force along the right wing: Y/m = V^2 (cY_beta beta + cY_dr rudder) [Beard & McLain, eq.
+    4.14].
 
     Args:
         air: the flow.
@@ -169,11 +182,19 @@ def side_force(air, K):  # type: ignore[no-untyped-def]
     Returns:
         Loads.
     """
-    return 0.0, air.airspeed * air.airspeed * (K.cY_beta * air.beta + K.cY_dr * air.rudder), 0.0, 0.0, 0.0, 0.0
+    return (
+        0.0,
+        air.airspeed * air.airspeed * (K.cY_beta * air.beta + K.cY_dr * air.rudder),
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
 
 
-def thrust(air, K):  # type: ignore[no-untyped-def]
-    """Thrust along the nose, falling with speed: T/m = (kT - kTV V) throttle [Beard & McLain, eq. 4.18, linearised].
+def thrust(air, K):
+    """Thrust along the nose, falling with speed: T/m = (kT - kTV V) throttle [Beard & McLain, eq.
+    4.18, linearised].
 
     Args:
         air: the flow.
@@ -185,11 +206,13 @@ def thrust(air, K):  # type: ignore[no-untyped-def]
     return (K.kT - K.kTV * air.airspeed) * air.throttle, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
-# Moments of the 12-state model -----------------------------------------------------------------------------------
+# Moments of the 12-state model
+# -----------------------------------------------------------------------------------
 
 
-def roll_moment(air, K):  # type: ignore[no-untyped-def]
-    """Rolling: dp/dt = V^2 (L_0 + L_da aileron + L_beta beta) + V L_p p + V L_r r [Beard & McLain, eq. 5.10].
+def roll_moment(air, K):
+    """Rolling: dp/dt = V^2 (L_0 + L_da aileron + L_beta beta) + V L_p p + V L_r r [Beard & McLain,
+    eq. 5.10].
 
     Args:
         air: the flow.
@@ -203,14 +226,18 @@ def roll_moment(air, K):  # type: ignore[no-untyped-def]
         0.0,
         0.0,
         0.0,
-        V * (V * (K.L_0 + K.L_da * air.aileron + K.L_beta * air.beta) + K.L_p * air.p + K.L_r * air.r),
+        V
+        * (
+            V * (K.L_0 + K.L_da * air.aileron + K.L_beta * air.beta) + K.L_p * air.p + K.L_r * air.r
+        ),
         0.0,
         0.0,
     )
 
 
-def pitch_moment(air, K):  # type: ignore[no-untyped-def]
-    """Pitching: dq/dt = V^2 (M_0 + M_de elevator + M_alpha alpha) + V M_q q [Beard & McLain, eq. 5.11].
+def pitch_moment(air, K):
+    """Pitching: dq/dt = V^2 (M_0 + M_de elevator + M_alpha alpha) + V M_q q [Beard & McLain, eq.
+    5.11].
 
     Args:
         air: the flow.
@@ -220,11 +247,19 @@ def pitch_moment(air, K):  # type: ignore[no-untyped-def]
         Loads.
     """
     V = air.airspeed
-    return 0.0, 0.0, 0.0, 0.0, V * (V * (K.M_0 + K.M_de * air.elevator + K.M_alpha * air.alpha) + K.M_q * air.q), 0.0
+    return (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        V * (V * (K.M_0 + K.M_de * air.elevator + K.M_alpha * air.alpha) + K.M_q * air.q),
+        0.0,
+    )
 
 
-def yaw_moment(air, K):  # type: ignore[no-untyped-def]
-    """Yawing: dr/dt = V^2 (N_0 + N_dr rudder + N_beta beta) + V N_r r + V N_p p [Beard & McLain, eq. 5.12].
+def yaw_moment(air, K):
+    """Yawing: dr/dt = V^2 (N_0 + N_dr rudder + N_beta beta) + V N_r r + V N_p p [Beard & McLain,
+    eq. 5.12].
 
     Args:
         air: the flow.
@@ -240,12 +275,14 @@ def yaw_moment(air, K):  # type: ignore[no-untyped-def]
         0.0,
         0.0,
         0.0,
-        V * (V * (K.N_0 + K.N_dr * air.rudder + K.N_beta * air.beta) + K.N_r * air.r + K.N_p * air.p),
+        V
+        * (V * (K.N_0 + K.N_dr * air.rudder + K.N_beta * air.beta) + K.N_r * air.r + K.N_p * air.p),
     )
 
 
-def gyroscopic_moment(air, K):  # type: ignore[no-untyped-def]
-    """Inertia coupling of the three rates: (Jx q r, Jy p r, Jz p q) [Euler's equations; Beard & McLain, eq. 3.17].
+def gyroscopic_moment(air, K):
+    """Inertia coupling of the three rates: (Jx q r, Jy p r, Jz p q) [Euler's equations; Beard &
+    McLain, eq. 3.17].
 
     Args:
         air: the flow.
@@ -257,22 +294,24 @@ def gyroscopic_moment(air, K):  # type: ignore[no-untyped-def]
     return 0.0, 0.0, 0.0, K.Jx * air.q * air.r, K.Jy * air.p * air.r, K.Jz * air.p * air.q
 
 
-# Rates of the 9-state model ----------------------------------------------------------------------------------------
+# Rates of the 9-state model
+# ----------------------------------------------------------------------------------------
 
 
-def quasi_steady_rates(air, K):  # type: ignore[no-untyped-def]
+def quasi_steady_rates(air, K):
     """Body rates that follow the sticks at once; the moment slots hold p, q, r [rad/s].
 
         p = V (L_0 + L_da aileron + L_beta beta)
         q = V (M_0 + M_de elevator + M_alpha alpha)
         r = V (N_0 + N_dr rudder + N_beta beta)
 
-    The moments above with their angular accelerations set to zero [paper, Section IV-B: nine states, no rates].
+    The moments above with their angular accelerations set to zero [paper, Section IV-B: nine
+    states, no rates].
 
     Args:
         air: the flow.
-        K: parameters L_0, L_da, L_beta, M_0, M_de, M_alpha, N_0, N_dr, N_beta, each [1/m] (per radian where it
-            multiplies an angle).
+        K: parameters L_0, L_da, L_beta, M_0, M_de, M_alpha, N_0, N_dr, N_beta, each [1/m] (per
+            radian where it multiplies an angle).
 
     Returns:
         Loads with body rates in place of moments.
@@ -284,7 +323,7 @@ def quasi_steady_rates(air, K):  # type: ignore[no-untyped-def]
     return 0.0, 0.0, 0.0, p, q, r
 
 
-def uniform_wind(px, py, height, time, K):  # type: ignore[no-untyped-def]
+def uniform_wind(px, py, height, time, K):
     """The same level wind everywhere: (wind_x, wind_y, 0).
 
     Args:
@@ -300,8 +339,9 @@ def uniform_wind(px, py, height, time, K):  # type: ignore[no-untyped-def]
     return K.wind_x, K.wind_y, 0.0
 
 
-# Each parameter: name, start, low, high, unit, meaning. Starts are a 150 g aircraft at 7 m/s; bounds are wide enough
-# for aircraft from 50 g to 10 kg. Signs are those of the textbook, as the head of this file says.
+# Each parameter: name, start, low, high, unit, meaning. Starts are a 150 g aircraft at 7 m/s;
+# bounds are wide enough for aircraft from 50 g to 10 kg. Signs are those of the textbook, as the
+# head of this file says.
 
 _LIFT = (
     Parameter("cL_0", 0.078, -0.2, 0.6, "1/m", "lift at zero angle of attack"),
@@ -337,7 +377,9 @@ _PITCH = (
 _YAW = (
     Parameter("N_0", 0.0, -1.0, 1.0, "1/m^2", "yawing moment at zero angles"),
     Parameter("N_dr", 0.23, -0.5, 4.0, "1/m^2", "yawing moment of full rudder"),
-    Parameter("N_beta", 0.73, -1.0, 10.0, "1/(m^2 rad)", "weathercock stiffness, stable above zero"),
+    Parameter(
+        "N_beta", 0.73, -1.0, 10.0, "1/(m^2 rad)", "weathercock stiffness, stable above zero"
+    ),
     Parameter("N_r", -0.4, -8.0, 0.5, "1/m", "yaw damping, stable below zero"),
     Parameter("N_p", -0.05, -3.0, 3.0, "1/m", "yaw due to roll rate"),
 )

@@ -1,7 +1,9 @@
-"""Touchdown: a flown path and the wheels' places -> which wheel met the ground first, where, when and how hard.
+"""Touchdown: a flown path and the wheels' places -> which wheel met the ground first, where, when
+and how hard.
 
-Geometry only. There is no ground reaction: the path is taken as it was flown or simulated, nothing pushes back, and
-what it does after the first contact has no meaning. Wing tips and propeller are not looked at.
+Geometry only. There is no ground reaction: the path is taken as it was flown or simulated, nothing
+pushes back, and what it does after the first contact has no meaning. Wing tips and propeller are
+not looked at.
 """
 
 from dataclasses import dataclass
@@ -16,13 +18,17 @@ from falconwing_kit.core.frames import body_rates, euler_rates, rotation_world_b
 
 Surface = Literal["pad", "pad edge", "floor"]
 
-_LOOKS = np.arange(1, 17) / 16.0  # where within a step between two samples contact is looked for
-_ON_TOP = 1e-6  # a wheel within this of the pad's top stands on it [m]
+_CHECK_FRACTIONS = (
+    np.arange(1, 17) / 16.0
+)  # where within a step between two samples contact is looked for
+_CONTACT_TOLERANCE = 1e-6  # a wheel within this of the pad's top stands on it [m]
 
 
 @dataclass(frozen=True)
 class LandingPad:
-    """The raised pad, a box on the floor along the world's x axis; by default where it lies in the hall."""
+    """The raised pad, a box on the floor along the world's x axis; by default where it lies in the
+    hall.
+    """
 
     x_start: float = 1.0  # its threshold, the edge an approach crosses first [m]
     y_centre: float = -2.0  # its centre line [m]; the marker stands at y = 0
@@ -52,7 +58,9 @@ class Touchdown:
     pitch: float  # [rad], nose up positive
     yaw: float  # [rad], nose right of the runway positive
     lateral_offset: float  # of the centre of gravity from the pad's centre line, positive left [m]
-    past_threshold: float  # of the wheel along the runway from the pad's threshold, negative short of it [m]
+    past_threshold: (
+        float  # of the wheel along the runway from the pad's threshold, negative short of it [m]
+    )
 
     @property
     def on_pad(self) -> bool:
@@ -61,12 +69,15 @@ class Touchdown:
 
     @property
     def absolute_lateral_deviation(self) -> float:
-        """The paper's ALD of this touchdown [m]. Average it over landings only: a failure has none, not zero."""
+        """The paper's ALD of this touchdown [m]. Average it over landings only: a failure has none,
+        not zero.
+        """
         return abs(self.lateral_offset)
 
 
 def pad_height(p_world: ArrayLike, pad: LandingPad | None) -> Array:
-    """Height of the ground below a point: the pad's top over the pad, its border included, else the floor.
+    """Height of the ground below a point: the pad's top over the pad, its border included, else the
+    floor.
 
     Args:
         p_world: (..., 3) [m].
@@ -135,17 +146,20 @@ def wheel_heights(states: ArrayLike, airframe: Airframe, pad: LandingPad | None 
     return _heights(wheel_positions(states, airframe), pad)
 
 
-def find_touchdown(t: ArrayLike, states: ArrayLike, airframe: Airframe, pad: LandingPad) -> Touchdown | None:
+def find_touchdown(
+    t: ArrayLike, states: ArrayLike, airframe: Airframe, pad: LandingPad
+) -> Touchdown | None:
     """The first contact of a wheel after all wheels were off the ground.
 
-    Between two samples everything follows the cubic through both values with both rates. On a smooth path its error is
-    at most dt^4 / 384 times the fourth derivative: at 20 Hz and a brisk pitch oscillation (0.1 rad at 10 rad/s, wheel
-    at 0.3 m) 5 micrometres in height. A contact shorter than a sixteenth of a step can be missed.
+    Between two samples everything follows the cubic through both values with both rates. On a
+    smooth path its error is at most dt^4 / 384 times the fourth derivative: at 20 Hz and a brisk
+    pitch oscillation (0.1 rad at 10 rad/s, wheel at 0.3 m) 5 micrometres in height. A contact
+    shorter than a sixteenth of a step can be missed.
 
     Args:
         t: (n,) time of the samples [s], increasing.
-        states: (n, 9 or 12) in the order of STATE_NAMES, SI. Rows of nine get their body rates from differences of the
-            attitude, so noise of the attitude reaches the sink rate.
+        states: (n, 9 or 12) in the order of STATE_NAMES, SI. Rows of nine get their body rates from
+            differences of the attitude, so noise of the attitude reaches the sink rate.
         airframe: where the wheels sit.
         pad: the pad, `LandingPad()` for the hall's.
 
@@ -167,14 +181,20 @@ def find_touchdown(t: ArrayLike, states: ArrayLike, airframe: Airframe, pad: Lan
 
 
 def _paths(t: ArrayLike, states: ArrayLike, airframe: Airframe) -> tuple[Array, Array, Array]:
-    """Times (n,), then values and rates (n, 5, 3): three wheels, centre of gravity, and pitch, yaw, roll unwrapped."""
+    """Times (n,), then values and rates (n, 5, 3): three wheels, centre of gravity, and pitch, yaw,
+    roll unwrapped.
+    """
     x = _states(states, 9, 12)
     x = require_shape("states", x, (None, x.shape[-1]))
     times = require_shape("t", t, (len(x),))
     if not (np.isfinite(times).all() and np.isfinite(x).all()):
-        raise InputError("states: want finite numbers, got nan or infinity; cut the flight at its gaps first")
+        raise InputError(
+            "states: expected finite numbers, got nan or infinity; cut the flight at its gaps first"
+        )
     if len(times) < 2 or np.any(np.diff(times) <= 0.0):
-        raise InputError("t: want two or more samples with increasing times; sort the rows and drop repeated ones")
+        raise InputError(
+            "t: expected two or more samples with increasing times; sort the rows and drop repeated ones"
+        )
     angles = np.unwrap(x[:, 3:6], axis=0)
     pitch, yaw, roll = angles.T
     if x.shape[1] == 9:
@@ -183,22 +203,30 @@ def _paths(t: ArrayLike, states: ArrayLike, airframe: Airframe) -> tuple[Array, 
     row_z = rotation_world_body(roll, pitch, yaw)[:, 2].T
     roll_rate, pitch_rate, yaw_rate = euler_rates(row_z, *x[:, 9:12].T)
     angle_rates = np.stack([pitch_rate, yaw_rate, roll_rate], axis=-1)
-    values = np.concatenate([wheel_positions(x, airframe), x[:, None, 0:3], angles[:, None]], axis=1)
-    rates = np.concatenate([wheel_velocities(x, airframe), x[:, None, 6:9], angle_rates[:, None]], axis=1)
+    values = np.concatenate(
+        [wheel_positions(x, airframe), x[:, None, 0:3], angles[:, None]], axis=1
+    )
+    rates = np.concatenate(
+        [wheel_velocities(x, airframe), x[:, None, 6:9], angle_rates[:, None]], axis=1
+    )
     return times, values, rates
 
 
 def _cubic(fraction: ArrayLike, values: Array, rates: Array, dt: float) -> tuple[Array, Array]:
-    """Values and rates (..., 5, 3) at fractions (...) of the step between two samples (2, 5, 3) [Hermite's cubic]."""
+    """Values and rates (..., 5, 3) at fractions (...) of the step between two samples (2, 5, 3)
+    [Hermite's cubic].
+    """
     s = np.asarray(fraction, np.float64)[..., None, None]
     mean_rate = (values[1] - values[0]) / dt
-    bend = 3.0 * mean_rate - 2.0 * rates[0] - rates[1]
-    twist = rates[0] + rates[1] - 2.0 * mean_rate
-    value = values[0] + dt * s * (rates[0] + s * (bend + s * twist))
-    return value, rates[0] + s * (2.0 * bend + 3.0 * s * twist)
+    quadratic = 3.0 * mean_rate - 2.0 * rates[0] - rates[1]
+    cubic = rates[0] + rates[1] - 2.0 * mean_rate
+    value = values[0] + dt * s * (rates[0] + s * (quadratic + s * cubic))
+    return value, rates[0] + s * (2.0 * quadratic + 3.0 * s * cubic)
 
 
-def _contact_within(values: Array, rates: Array, dt: float, pad: LandingPad) -> tuple[float, int] | None:
+def _contact_within(
+    values: Array, rates: Array, dt: float, pad: LandingPad
+) -> tuple[float, int] | None:
     """The fraction of the step at which a first wheel touches, and which one; None where none does."""
     if np.min(values[:, :3, 2]) - dt * np.max(np.abs(rates[:, :3, 2])) > pad.height:
         return None  # too high to come down within this step
@@ -206,12 +234,14 @@ def _contact_within(values: Array, rates: Array, dt: float, pad: LandingPad) -> 
     def heights(fraction: ArrayLike) -> Array:
         return _heights(_cubic(fraction, values, rates, dt)[0][..., :3, :], pad)
 
-    touches = np.any(heights(_LOOKS) <= 0.0, axis=-1)
+    touches = np.any(heights(_CHECK_FRACTIONS) <= 0.0, axis=-1)
     if not touches.any():
         return None
-    late = float(_LOOKS[np.argmax(touches)])
-    early = late - float(_LOOKS[0])
-    for _ in range(50):  # halve down to rounding; heights jump at the pad's edge, which bisection does not mind
+    late = float(_CHECK_FRACTIONS[np.argmax(touches)])
+    early = late - float(_CHECK_FRACTIONS[0])
+    for _ in range(
+        50
+    ):  # halve down to rounding; heights jump at the pad's edge, which bisection does not mind
         middle = 0.5 * (early + late)
         early, late = (early, middle) if np.any(heights(middle) <= 0.0) else (middle, late)
     return late, int(np.argmin(heights(late)))
@@ -222,7 +252,7 @@ def _touchdown(t: float, wheel: int, values: Array, rates: Array, pad: LandingPa
     p_world_wheel, p_world, (pitch, yaw, roll) = values[wheel], values[3], values[4]
     surface: Surface = "floor"
     if _is_over(p_world_wheel, pad):
-        surface = "pad" if p_world_wheel[2] > pad.height - _ON_TOP else "pad edge"
+        surface = "pad" if p_world_wheel[2] > pad.height - _CONTACT_TOLERANCE else "pad edge"
     return Touchdown(
         t=float(t),
         wheel=WHEEL_NAMES[wheel],
@@ -257,5 +287,7 @@ def _states(states: ArrayLike, *lengths: int) -> Array:
     """The states as float64, refused unless the last axis has one of the lengths."""
     x = np.asarray(states, np.float64)
     if x.ndim == 0 or x.shape[-1] not in lengths:
-        raise InputError(f"states: want {' or '.join(map(str, lengths))} numbers a row, got shape {x.shape}")
+        raise InputError(
+            f"states: expected {' or '.join(map(str, lengths))} numbers a row, got shape {x.shape}"
+        )
     return x

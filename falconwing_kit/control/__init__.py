@@ -1,8 +1,8 @@
 """control: the expert pilot, its loops and guidance, and the leaders that others follow."""
 
-from falconwing_kit.control.estimate import FlyingAircraft, Observer
+from falconwing_kit.control.estimate import Observer, SimulatedAircraft
 from falconwing_kit.control.expert import FollowExpert, LandingExpert, WaypointExpert, landing_path
-from falconwing_kit.control.guidance import Hall, Path, require_flyable
+from falconwing_kit.control.guidance import Hall, ReferencePath, require_flyable
 from falconwing_kit.control.leader import LeaderPath, leader_path
 from falconwing_kit.control.loops import (
     LATERAL,
@@ -12,9 +12,9 @@ from falconwing_kit.control.loops import (
     ClosedLoop,
     Reference,
     TrimTable,
+    augment_delay,
     course_axes,
     design_loop,
-    with_delay,
 )
 from falconwing_kit.control.manoeuvres import MANOEUVRES
 
@@ -25,20 +25,20 @@ __all__ = [
     "Autopilot",
     "Axis",
     "ClosedLoop",
-    "FlyingAircraft",
     "FollowExpert",
     "Hall",
     "LandingExpert",
     "LeaderPath",
     "Observer",
-    "Path",
     "Reference",
+    "ReferencePath",
+    "SimulatedAircraft",
     "TrimTable",
     "WaypointExpert",
+    "augment_delay",
     "course_axes",
     "design_loop",
     "landing_path",
     "leader_path",
     "require_flyable",
-    "with_delay",
 ]

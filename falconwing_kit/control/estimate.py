@@ -1,4 +1,6 @@
-"""Estimate: noisy measured states and the commands sent -> the state as the model of the aircraft understands it."""
+"""Estimate: noisy measured states and the commands sent -> the state as the model of the aircraft
+understands it.
+"""
 
 import math
 from functools import lru_cache
@@ -8,35 +10,46 @@ import numpy as np
 from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
 from falconwing_kit.aircraft.model import Model, state_rates
 from falconwing_kit.aircraft.trim import linearise, trim
-from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, STEP_S, model_parts
+from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, STEP_S, model_key
 from falconwing_kit.core.checks import Array, require_range
 from falconwing_kit.core.messages import State
 
-REMEMBERED = 400  # commands: 20 s at 20 Hz, far longer than any delay
-SETTLED_S = 0.6  # a servo of 30 ms has forgotten where it was
+COMMAND_HISTORY = 400  # commands: 20 s at 20 Hz, far longer than any delay
+SETTLING_S = 0.6  # a servo of 30 ms has forgotten where it was
 LONGEST_GAP_S = 0.5  # the observer begins anew after a longer one
-POSE_NOISE = (0.01, math.radians(0.7))  # that an observer expects, per axis [m], [rad]
-SURPRISE = (0.05, 0.1)  # what the model does not foresee in one step of 50 ms: velocity [m/s], body rates [rad/s]
+MEASUREMENT_SIGMA = (0.01, math.radians(0.7))  # that an observer expects, per axis [m], [rad]
+PROCESS_SIGMA = (
+    0.05,
+    0.1,
+)  # what the model does not foresee in one step of 50 ms: velocity [m/s], body rates [rad/s]
 
 
-class FlyingAircraft:
+class SimulatedAircraft:
     """A model in flight: commands go in and act late, the true state comes out."""
 
-    def __init__(self, model: Model, start: State, delay: float = LINK_DELAY_S, t: float = 0.0) -> None:
+    def __init__(
+        self, model: Model, start: State, delay: float = LINK_DELAY_S, t: float = 0.0
+    ) -> None:
         """Begin at t [s]; the first command is taken to have acted before."""
         self.t, self.x = t, start.vector[: model.n_states].copy()
-        self._model, self._delay, self._K = model, require_range("delay", delay, low=0.0, high=1.0), model.K
+        self._model, self._delay, self._K = (
+            model,
+            require_range("delay", delay, low=0.0, high=1.0),
+            model.K,
+        )
         self._rates = state_rates(model.form, model.terms, model.winds)
         self._times: list[float] = []
-        self._sticks: list[Array] = []
+        self._commands: list[Array] = []
         late = (model.values.get(name, 0.0) for name in ("actuator_lag", "lag_in_series"))
-        self._memory = SETTLED_S + 12.0 * max(late)
+        self._memory = SETTLING_S + 12.0 * max(late)
 
-    def send(self, t: float, sticks: Array) -> None:
-        """Give stick positions (4,) at a time [s] not before the last ones; they arrive `delay` later."""
+    def send(self, t: float, commands: Array) -> None:
+        """Give stick positions (4,) at a time [s] not before the last ones; they arrive `delay`
+        later.
+        """
         self._times.append(t + self._delay)
-        self._sticks.append(np.asarray(sticks, np.float64))
-        del self._times[:-REMEMBERED], self._sticks[:-REMEMBERED]
+        self._commands.append(np.asarray(commands, np.float64))
+        del self._times[:-COMMAND_HISTORY], self._commands[:-COMMAND_HISTORY]
 
     def advance(self, t: float) -> None:
         """Fly until t [s]; with no command yet, the sticks are neutral and the throttle idle."""
@@ -47,26 +60,32 @@ class FlyingAircraft:
         before = math.ceil(self._memory / dt)
         edges = self.t + dt * np.arange(-before, steps + 1, dtype=np.float64)
         times = np.array(self._times or [0.0])
-        sticks = np.array(self._sticks or [np.zeros(4)])
+        commands = np.array(self._commands or [np.zeros(4)])
         recent = max(int(np.searchsorted(times, edges[0] - 1.0, side="right")) - 1, 0)
-        mean, swing = self._model.acting(times[recent:], sticks[recent:], edges, self._K)
+        mean, slope = self._model.actuator_positions(
+            times[recent:], commands[recent:], edges, self._K
+        )
         x = self.x[:, None]
         for k in range(before, before + steps):
-            x = step_batch(self._rates, self._K, edges[k], x, mean[k, :, None], dt, swing[k, :, None])
+            x = step_batch(
+                self._rates, self._K, edges[k], x, mean[k, :, None], dt, slope[k, :, None]
+            )
         self.t, self.x = t, x[:, 0]
 
 
 class Observer:
-    """A twin of the aircraft that flies along under the same commands and is pulled towards each measured pose.
+    """A twin of the aircraft that flies along under the same commands and is pulled towards each
+    measured pose.
 
-    x = f(x, u) + L (pose - pose of x), L the gain of the stationary Kalman filter of the model around level flight
-    [Astrom & Murray, Feedback Systems, sec. 8.2-8.4: observers and Kalman filtering].
+    x = f(x, u) + L (pose - pose of x), L the gain of the stationary Kalman filter of the model
+    around level flight [Astrom & Murray, Feedback Systems, sec. 8.2-8.4: observers and Kalman
+    filtering].
     """
 
     def __init__(self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S) -> None:
         """Design the gain; InputError where the model cannot be trimmed."""
-        self._model, self._delay, self._gain = model, delay, _kalman_gain(*model_parts(model), speed)
-        self._twin: FlyingAircraft | None = None
+        self._model, self._delay, self._gain = model, delay, _kalman_gain(*model_key(model), speed)
+        self._estimate: SimulatedAircraft | None = None
 
     def update(self, t: float, measured: State, sent: Array) -> State:
         """Take in what was measured.
@@ -79,23 +98,23 @@ class Observer:
         Returns:
             The estimate.
         """
-        twin = self._twin
-        if twin is None or not 0.0 <= t - twin.t <= LONGEST_GAP_S:
-            self._twin = FlyingAircraft(self._model, measured, self._delay, t)
+        estimate = self._estimate
+        if estimate is None or not 0.0 <= t - estimate.t <= LONGEST_GAP_S:
+            self._estimate = SimulatedAircraft(self._model, measured, self._delay, t)
             return measured
-        if t == twin.t:
-            return State.from_vector(twin.x)
-        twin.send(twin.t, sent)
-        twin.advance(t)
-        turned = _turned(float(twin.x[4]))
-        off = measured.vector[:6] - twin.x[:6]
-        off[3:] = (off[3:] + np.pi) % (2.0 * np.pi) - np.pi
-        twin.x = twin.x + turned @ self._gain @ turned[:6, :6].T @ off
-        return State.from_vector(twin.x)
+        if t == estimate.t:
+            return State.from_vector(estimate.x)
+        estimate.send(estimate.t, sent)
+        estimate.advance(t)
+        rotation = _course_rotation(float(estimate.x[4]))
+        innovation = measured.vector[:6] - estimate.x[:6]
+        innovation[3:] = (innovation[3:] + np.pi) % (2.0 * np.pi) - np.pi
+        estimate.x = estimate.x + rotation @ self._gain @ rotation[:6, :6].T @ innovation
+        return State.from_vector(estimate.x)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Begin anew at the next update."""
-        self._twin = None
+        self._estimate = None
 
 
 @lru_cache(maxsize=32)
@@ -106,13 +125,19 @@ def _kalman_gain(form, terms, winds, parameters, values, speed):  # type: ignore
     model = Model(form, terms, winds, parameters, dict(values))
     A, _ = linearise(model, trim(model, speed), STEP_S)
     G, C = np.eye(12)[:, 6:], np.eye(12)[:6]
-    surprise, noise = (np.diag(np.repeat(np.square(sigmas), 3)) for sigmas in (SURPRISE, POSE_NOISE))
-    P = np.asarray(control.dlqe(A, G, C, surprise, noise)[1], np.float64)  # before the pose is taken in
-    return P @ C.T @ np.linalg.inv(C @ P @ C.T + noise)
+    process_noise, measurement_noise = (
+        np.diag(np.repeat(np.square(sigmas), 3)) for sigmas in (PROCESS_SIGMA, MEASUREMENT_SIGMA)
+    )
+    P = np.asarray(
+        control.dlqe(A, G, C, process_noise, measurement_noise)[1], np.float64
+    )  # before the pose is taken in
+    return P @ C.T @ np.linalg.inv(C @ P @ C.T + measurement_noise)
 
 
-def _turned(yaw: float) -> Array:
-    """(12, 12) from axes along the nose's course to the world: positions and velocities turn, angles and rates stay."""
+def _course_rotation(yaw: float) -> Array:
+    """(12, 12) from axes along the nose's course to the world: positions and velocities turn,
+    angles and rates stay.
+    """
     c, s = math.cos(yaw), math.sin(yaw)
     R = np.eye(12)
     for first in (0, 6):

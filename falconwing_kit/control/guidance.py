@@ -1,4 +1,6 @@
-"""Guidance: points in the hall -> a smooth path, and where the aircraft is along it -> the reference to hold."""
+"""Guidance: points in the hall -> a smooth path, and where the aircraft is along it -> the
+reference to hold.
+"""
 
 import math
 from dataclasses import dataclass
@@ -10,8 +12,11 @@ from falconwing_kit.core.checks import Array, InputError, require_shape
 from falconwing_kit.core.frames import GRAVITY
 
 SPACING = 0.1  # m between the samples of a path
-CLIMB_LIMIT = math.radians(12.0)  # of a planned path; at half throttle the aircraft climbs by 10 deg
-PREVIEW_S = 0.2  # bank and climb are those of the path so far ahead: delay, servo and the aircraft's own answer
+CLIMB_LIMIT = math.radians(
+    12.0
+)  # of a planned path; at half throttle the aircraft climbs by 10 deg
+# bank and climb are those of the path so far ahead: delay, servo and the aircraft's own answer
+PREVIEW_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -24,7 +29,8 @@ class Hall:
     beams: float = 4.65  # their underside; whoever flies above it hits one sooner or later
 
     def margin(self, p_world: Array) -> Array:
-        """How far points are from the nearest wall or the beams under the ceiling; negative outside.
+        """How far points are from the nearest wall or the beams under the ceiling; negative
+        outside.
 
         Args:
             p_world: (..., 3) [m].
@@ -33,7 +39,12 @@ class Hall:
             (...) [m].
         """
         p = np.asarray(p_world, np.float64)
-        sides = (p[..., 0] - self.x[0], self.x[1] - p[..., 0], p[..., 1] - self.y[0], self.y[1] - p[..., 1])
+        sides = (
+            p[..., 0] - self.x[0],
+            self.x[1] - p[..., 0],
+            p[..., 1] - self.y[0],
+            self.y[1] - p[..., 1],
+        )
         return np.minimum.reduce([*sides, self.beams - p[..., 2]])
 
     def inside(self, p_world: Array, margin: float) -> Array:
@@ -50,7 +61,7 @@ class Hall:
         return np.clip(p_world, low + margin, high - margin)
 
 
-class Path:
+class ReferencePath:
     """A smooth curve through points, sampled by its length; straight on beyond its ends."""
 
     def __init__(self, p_world: Array) -> None:
@@ -60,11 +71,15 @@ class Path:
         points = require_shape("path points", p_world, (None, 3))
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if len(points) < 2 or not np.isfinite(points).all() or steps.min() < 1e-3:
-            raise InputError("path: want two or more different, finite points; remove repeated ones")
+            raise InputError(
+                "path: expected two or more different, finite points; remove repeated ones"
+            )
         chord = np.concatenate([[0.0], np.cumsum(steps)])
         curve = CubicSpline(chord, points, bc_type="not-a-knot")
         fine = np.linspace(0.0, chord[-1], max(int(chord[-1] / 0.01), 2))
-        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve(fine), axis=0), axis=1))])
+        length = np.concatenate(
+            [[0.0], np.cumsum(np.linalg.norm(np.diff(curve(fine), axis=0), axis=1))]
+        )
         self.s = np.linspace(0.0, length[-1], max(round(length[-1] / SPACING), 1) + 1)
         u = np.interp(self.s, length, fine)
         d1, d2 = curve(u, 1), curve(u, 2)
@@ -81,20 +96,24 @@ class Path:
         return float(self.s[-1])
 
     def nearest(self, p_world: Array, near: float | None = None) -> float:
-        """Where along the path a point is; only 3 m around `near` are looked at, so that crossings do not confuse.
+        """Where along the path a point is; only 3 m around `near` are looked at, so that crossings
+        do not confuse.
 
         Args:
             p_world: (3,) [m].
             near: where it was last [m]; None looks at the whole path.
 
         Returns:
-            Length from the path's first point [m]; negative before it, beyond the length after its end.
+            Length from the path's first point [m]; negative before it, beyond the length after its
+            end.
         """
         near_enough = slice(None) if near is None else self._window(near)
         level = self.p_world[near_enough, :2] - p_world[:2]
         i = int(np.argmin(np.einsum("ij,ij->i", level, level))) + (near_enough.start or 0)
         ahead = np.array([math.cos(self.yaw[i]), -math.sin(self.yaw[i])])
-        beyond = float((p_world[:2] - self.p_world[i, :2]) @ ahead) / max(math.cos(self.climb[i]), 0.1)
+        beyond = float((p_world[:2] - self.p_world[i, :2]) @ ahead) / max(
+            math.cos(self.climb[i]), 0.1
+        )
         inner = 0 < i < len(self.s) - 1
         return float(self.s[i]) + (min(max(beyond, -SPACING), SPACING) if inner else beyond)
 
@@ -106,8 +125,8 @@ class Path:
     def at(self, s: float, speed: float) -> Reference:
         """The reference at a place of the path.
 
-        The bank is that of a coordinated turn, tan(bank) = V^2 cos(climb)^2 curvature / g [Beard & McLain, Small
-        Unmanned Aircraft, eq. 9.14 with yaw rate = V cos(climb) curvature].
+        The bank is that of a coordinated turn, tan(bank) = V^2 cos(climb)^2 curvature / g [Beard &
+        McLain, Small Unmanned Aircraft, eq. 9.14 with yaw rate = V cos(climb) curvature].
 
         Args:
             s: length from the first point [m]; straight on before 0 and beyond the end.
@@ -117,9 +136,14 @@ class Path:
             The reference.
         """
         inside = min(max(s, 0.0), self.length)
-        yaw, slope = float(np.interp(inside, self.s, self.yaw)), float(np.interp(inside, self.s, self.climb))
+        yaw, slope = (
+            float(np.interp(inside, self.s, self.yaw)),
+            float(np.interp(inside, self.s, self.climb)),
+        )
         p = np.array([np.interp(inside, self.s, self.p_world[:, axis]) for axis in range(3)])
-        along = np.array([math.cos(yaw) * math.cos(slope), -math.sin(yaw) * math.cos(slope), math.sin(slope)])
+        along = np.array(
+            [math.cos(yaw) * math.cos(slope), -math.sin(yaw) * math.cos(slope), math.sin(slope)]
+        )
         ahead = s + speed * PREVIEW_S
         climb = float(np.interp(ahead, self.s, self.climb))
         curvature = float(np.interp(ahead, self.s, self.curvature, left=0.0, right=0.0))
@@ -127,7 +151,7 @@ class Path:
         return Reference(p + (s - inside) * along, yaw, climb, speed, bank)
 
 
-def require_flyable(path: Path, speed: float, bank_limit: float) -> None:
+def require_flyable(path: ReferencePath, speed: float, bank_limit: float) -> None:
     """Raise InputError where a path turns tighter or climbs steeper than the aircraft should.
 
     Args:
@@ -144,6 +168,6 @@ def require_flyable(path: Path, speed: float, bank_limit: float) -> None:
         if abs(angle[worst]) > limit + 1e-9:
             x, y, z = path.p_world[worst]
             raise InputError(
-                f"waypoints: want at most {math.degrees(limit):.0f} deg of {what}, the path needs "
+                f"waypoints: expected at most {math.degrees(limit):.0f} deg of {what}, the path needs "
                 f"{math.degrees(abs(angle[worst])):.0f} deg at ({x:.1f}, {y:.1f}, {z:.1f}) m; lay them wider or flatter"
             )

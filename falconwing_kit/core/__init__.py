@@ -3,7 +3,13 @@
 from falconwing_kit.core.checks import Array, InputError, require_file, require_range, require_shape
 from falconwing_kit.core.config import from_toml, load_toml, write_toml
 from falconwing_kit.core.files import atomic_write
-from falconwing_kit.core.flight_log import FlightLog, FlightLogWriter, read_flight_log, recover, to_flight_table
+from falconwing_kit.core.flight_log import (
+    FlightLog,
+    FlightLogWriter,
+    read_flight_log,
+    recover,
+    to_flight_table,
+)
 from falconwing_kit.core.flight_table import (
     FlightTable,
     fill_missing_rows,

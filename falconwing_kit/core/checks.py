@@ -10,13 +10,16 @@ Array = NDArray[np.float64]
 
 
 class InputError(ValueError):
-    """A file or an argument the user gave is wrong; the text says what was wanted, what came and what to do.
+    """A file or an argument the user gave is wrong; the text says what was wanted, what came and
+    what to do.
 
     The command line prints it as one sentence and exits with 2.
     """
 
 
-def require_range(name: str, value: float, *, low: float = -math.inf, high: float = math.inf) -> float:
+def require_range(
+    name: str, value: float, *, low: float = -math.inf, high: float = math.inf
+) -> float:
     """Return the value if it is finite and within [low, high].
 
     Args:
@@ -34,9 +37,9 @@ def require_range(name: str, value: float, *, low: float = -math.inf, high: floa
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: want a number, got {value!r}") from None
+        raise InputError(f"{name}: expected a number, got {value!r}") from None
     if not math.isfinite(number) or not low <= number <= high:
-        raise InputError(f"{name}: want a finite number in [{low:g}, {high:g}], got {value}")
+        raise InputError(f"{name}: expected a finite number in [{low:g}, {high:g}], got {value}")
     return number
 
 
@@ -57,12 +60,16 @@ def require_shape(name: str, array: ArrayLike, shape: tuple[int | None, ...]) ->
     try:
         values = np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: want an array of numbers of shape {_shape_text(shape)}") from None
+        raise InputError(
+            f"{name}: expected an array of numbers of shape {_shape_text(shape)}"
+        ) from None
     fits = values.ndim == len(shape) and all(
         want is None or want == got for want, got in zip(shape, values.shape, strict=True)
     )
     if not fits:
-        raise InputError(f"{name}: want shape {_shape_text(shape)}, got {_shape_text(values.shape)}")
+        raise InputError(
+            f"{name}: expected shape {_shape_text(shape)}, got {_shape_text(values.shape)}"
+        )
     return values
 
 
@@ -75,7 +82,7 @@ def require_file(path: str | Path) -> Path:
     found = Path(path)
     if not found.is_file():
         kind = "a folder" if found.is_dir() else "nothing"
-        raise FileNotFoundError(f"{found}: want a file, found {kind} there; check the path")
+        raise FileNotFoundError(f"{found}: expected a file, found {kind} there; check the path")
     return found
 
 

@@ -1,4 +1,6 @@
-"""Configuration: a TOML file <-> a frozen dataclass; what is unknown, missing or of another type is named."""
+"""Configuration: a TOML file <-> a frozen dataclass; what is unknown, missing or of another type is
+named.
+"""
 
 import dataclasses
 import difflib
@@ -37,13 +39,19 @@ def load_toml(path: str | Path) -> dict[str, Any]:
     path = require_file(path)
     name = short_name(path)
     if path.stat().st_size > MAX_FILE_BYTES:
-        raise InputError(f"{name}: want a TOML file of at most {MAX_FILE_BYTES >> 10} KiB, got a larger one")
+        raise InputError(
+            f"{name}: expected a TOML file of at most {MAX_FILE_BYTES >> 10} KiB, got a larger one"
+        )
     try:
         return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except UnicodeDecodeError:
-        raise InputError(f"{name}: want a TOML file in UTF-8, got other bytes; save it as UTF-8 text") from None
+        raise InputError(
+            f"{name}: expected a TOML file in UTF-8, got other bytes; save it as UTF-8 text"
+        ) from None
     except RecursionError:
-        raise InputError(f"{name}: want a TOML file, got brackets nested too deep to read") from None
+        raise InputError(
+            f"{name}: expected a TOML file, got brackets nested too deep to read"
+        ) from None
     except ValueError as error:
         raise InputError(f"{name}: this is not TOML: {error}") from None
 
@@ -51,8 +59,8 @@ def load_toml(path: str | Path) -> dict[str, Any]:
 def from_toml(cls: type[Record], source: str | Path | Mapping[str, Any]) -> Record:
     """Fill a dataclass from a TOML file or from a mapping such as one of its tables.
 
-    Fields may be float (whole numbers are taken too), int, str, bool, a dataclass, a tuple, a mapping from str, or
-    any of these or None. A field with a default may be left out.
+    Fields may be float (whole numbers are taken too), int, str, bool, a dataclass, a tuple, a
+    mapping from str, or any of these or None. A field with a default may be left out.
 
     Args:
         cls: the dataclass.
@@ -63,12 +71,13 @@ def from_toml(cls: type[Record], source: str | Path | Mapping[str, Any]) -> Reco
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: a key is unknown or missing, or a value has another type; the text gives the full key.
+        InputError: a key is unknown or missing, or a value has another type; the text gives the
+            full key.
     """
     if isinstance(source, Mapping):
-        return _record(cls, source, "")
+        return _build_record(cls, source, "")
     try:
-        return _record(cls, load_toml(source), "")
+        return _build_record(cls, load_toml(source), "")
     except InputError as error:
         name = short_name(source)
         raise error if str(error).startswith(name) else InputError(f"{name}: {error}") from None
@@ -87,81 +96,96 @@ def write_toml(path: str | Path, record: Any) -> None:
     """
     import tomli_w
 
-    text = tomli_w.dumps(_plain(record))
+    text = tomli_w.dumps(_to_toml(record))
     with atomic_write(path, text=True) as file:
         file.write(text)
 
 
-def _record(cls: type[Record], values: Any, key: str) -> Record:
+def _build_record(cls: type[Record], values: Any, key: str) -> Record:
     """The dataclass with its fields from the values; key is the path of the table they stand in."""
     if not isinstance(values, Mapping):
-        raise InputError(f"{key}: want a table [{key}], got {_short(values)}")
+        raise InputError(f"{key}: expected a table [{key}], got {_shorten(values)}")
     hints = typing.get_type_hints(cls)
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}  # type: ignore[arg-type]
     for name in values:
         if name not in fields:
             close = difflib.get_close_matches(str(name)[:100], fields, n=1)
             hint = f"perhaps you meant {close[0]!r}" if close else f"known are {', '.join(fields)}"
-            raise InputError(f"unknown key {_join(key, str(name)[:100])!r}; {hint}")
+            raise InputError(f"unknown key {_join_key(key, str(name)[:100])!r}; {hint}")
     no_default = dataclasses.MISSING
-    needed = [n for n, field in fields.items() if field.default is no_default and field.default_factory is no_default]
-    missing = [_join(key, name) for name in needed if name not in values]
+    needed = [
+        n
+        for n, field in fields.items()
+        if field.default is no_default and field.default_factory is no_default
+    ]
+    missing = [_join_key(key, name) for name in needed if name not in values]
     if missing:
         raise InputError(f"missing key {', '.join(map(repr, missing))}; add it")
-    filled = {name: _value(hints[name], value, _join(key, name)) for name, value in values.items()}
+    filled = {
+        name: _convert_value(hints[name], value, _join_key(key, name))
+        for name, value in values.items()
+    }
     try:
         return cls(**filled)
     except ValueError as error:
         raise InputError(f"{key}: {error}" if key else str(error)) from None
 
 
-def _value(kind: Any, value: Any, key: str) -> Any:
+def _convert_value(kind: Any, value: Any, key: str) -> Any:
     """The value as the annotated type wants it."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind):
-        return _record(typing.cast(type[Any], kind), value, key)
+        return _build_record(typing.cast(type[Any], kind), value, key)
     if origin in (typing.Union, types.UnionType):
-        wanted = next(choice for choice in inner if choice is not type(None))
-        return None if value is None else _value(wanted, value, key)
+        expected_type = next(choice for choice in inner if choice is not type(None))
+        return None if value is None else _convert_value(expected_type, value, key)
     if origin is tuple:
-        return _tuple(inner, value, key)
+        return _convert_tuple(inner, value, key)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         if not isinstance(value, Mapping):
-            raise InputError(f"{key}: want a table [{key}], got {_short(value)}")
-        return {str(name): _value(inner[1], item, _join(key, str(name)[:100])) for name, item in value.items()}
+            raise InputError(f"{key}: expected a table [{key}], got {_shorten(value)}")
+        return {
+            str(name): _convert_value(inner[1], item, _join_key(key, str(name)[:100]))
+            for name, item in value.items()
+        }
     whole = isinstance(value, int) and not isinstance(value, bool)
     if kind is float and (whole or isinstance(value, float)) and abs(value) < 1e300:
         return float(value)
     if kind is not float and type(value) is kind:
         return value
-    raise InputError(f"{key}: want {_WORDS.get(kind, kind)}, got {_short(value)}")
+    raise InputError(f"{key}: expected {_WORDS.get(kind, kind)}, got {_shorten(value)}")
 
 
-def _tuple(inner: tuple[Any, ...], value: Any, key: str) -> tuple[Any, ...]:
+def _convert_tuple(inner: tuple[Any, ...], value: Any, key: str) -> tuple[Any, ...]:
     if not isinstance(value, (list, tuple)):
-        raise InputError(f"{key}: want a list [...], got {_short(value)}")
+        raise InputError(f"{key}: expected a list [...], got {_shorten(value)}")
     kinds = [inner[0]] * len(value) if inner[-1] is Ellipsis else list(inner)
     if len(kinds) != len(value):
-        raise InputError(f"{key}: want {len(kinds)} values, got {len(value)}")
-    return tuple(_value(kind, item, f"{key}[{i}]") for i, (kind, item) in enumerate(zip(kinds, value, strict=True)))
+        raise InputError(f"{key}: expected {len(kinds)} values, got {len(value)}")
+    return tuple(
+        _convert_value(kind, item, f"{key}[{i}]")
+        for i, (kind, item) in enumerate(zip(kinds, value, strict=True))
+    )
 
 
-def _plain(value: Any) -> Any:
+def _to_toml(value: Any) -> Any:
     """The value in TOML's own types."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return _plain({field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
+        return _to_toml(
+            {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        )
     if isinstance(value, Mapping):
-        return {str(name): _plain(item) for name, item in value.items() if item is not None}
+        return {str(name): _to_toml(item) for name, item in value.items() if item is not None}
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
-    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
+    return [_to_toml(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def _join(key: str, name: str) -> str:
+def _join_key(key: str, name: str) -> str:
     return f"{key}.{name}" if key else name
 
 
-def _short(value: Any) -> str:
+def _shorten(value: Any) -> str:
     """A value for a message, not endless."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)

@@ -11,15 +11,16 @@ from typing import IO, Any
 
 from falconwing_kit.core.checks import InputError
 
-_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 @contextmanager
 def atomic_write(path: str | Path, *, text: bool = False) -> Iterator[IO[Any]]:
     """Open a file that takes its name only once it is complete and on the disk.
 
-    What is written goes to a temporary name in the same folder. When the block ends well, the file is flushed to the
-    disk and renamed; when it fails, the temporary file is removed and an older file at the path stays as it was.
+    What is written goes to a temporary name in the same folder. When the block ends well, the file
+    is flushed to the disk and renamed; when it fails, the temporary file is removed and an older
+    file at the path stays as it was.
 
     Args:
         path: where the finished file shall be; its folder must exist.
@@ -33,9 +34,11 @@ def atomic_write(path: str | Path, *, text: bool = False) -> Iterator[IO[Any]]:
         FileNotFoundError: the folder of the path does not exist.
     """
     target = Path(path)
-    require_place(target)
+    require_writable_path(target)
     temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.part")
-    how: dict[str, Any] = {"mode": "x", "encoding": "utf-8", "newline": "\n"} if text else {"mode": "xb"}
+    how: dict[str, Any] = (
+        {"mode": "x", "encoding": "utf-8", "newline": "\n"} if text else {"mode": "xb"}
+    )
     try:
         with temporary.open(**how) as handle:
             yield handle
@@ -69,13 +72,16 @@ def write_figures(folder: Path, drawings: Mapping[str, Callable[[Path], str]]) -
 
 
 def short_name(path: str | Path) -> str:
-    """A file's name with its folder's, such as "case00/calm.csv": enough to know it, the same on every machine."""
+    """A file's name with its folder's, such as "case00/calm.csv": enough to know it, the same on
+    every machine.
+    """
     path = Path(path)
     return f"{path.parent.name}/{path.name}" if path.parent.name else path.name
 
 
-def require_place(path: str | Path) -> Path:
-    """Return the path if a file could be written there: its folder exists and it is not a folder itself.
+def require_writable_path(path: str | Path) -> Path:
+    """Return the path if a file could be written there: its folder exists and it is not a folder
+    itself.
 
     Raises:
         InputError: the path is a folder.
@@ -83,14 +89,19 @@ def require_place(path: str | Path) -> Path:
     """
     target = Path(path)
     if target.is_dir() or not target.name:
-        raise InputError(f"{target}: want the name of a file to write, got a folder; add a file name")
+        raise InputError(
+            f"{target}: expected the name of a file to write, got a folder; add a file name"
+        )
     if not target.parent.is_dir():
-        raise FileNotFoundError(f"{target}: want a folder at {target.parent}, found none; make it first")
+        raise FileNotFoundError(
+            f"{target}: expected a folder at {target.parent}, found none; make it first"
+        )
     return target
 
 
 def write_error(path: str | Path, error: OSError) -> Exception:
-    """The error to raise when writing a file failed: one sentence for a full disk or a forbidden place.
+    """The error to raise when writing a file failed: one sentence for a full disk or a forbidden
+    place.
 
     Args:
         path: the file that was being written.
@@ -99,8 +110,10 @@ def write_error(path: str | Path, error: OSError) -> Exception:
     Returns:
         An InputError where the reason is the disk or the rights; any other error as it came.
     """
-    if error.errno in _NO_ROOM:
-        return InputError(f"{path}: the disk is full and writing stopped; free some space or write elsewhere")
+    if error.errno in _DISK_FULL:
+        return InputError(
+            f"{path}: the disk is full and writing stopped; free some space or write elsewhere"
+        )
     if error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}:
         return InputError(f"{path}: no right to write there; choose another folder")
     return error
@@ -109,13 +122,17 @@ def write_error(path: str | Path, error: OSError) -> Exception:
 def cache_folder() -> Path:
     """Where this system keeps what programs can make again; the folder need not exist."""
     home = Path.home()
-    places = {"win32": ("LOCALAPPDATA", home / "AppData" / "Local"), "darwin": ("", home / "Library" / "Caches")}
+    places = {
+        "win32": ("LOCALAPPDATA", home / "AppData" / "Local"),
+        "darwin": ("", home / "Library" / "Caches"),
+    }
     variable, usual = places.get(sys.platform, ("XDG_CACHE_HOME", home / ".cache"))
     return Path(os.environ.get(variable) or usual) / "falconwing"
 
 
 def shipped_path(relative: str, advice: str) -> Path:
-    """Where a file outside the package is that ships with the kit: beside it in a checkout, else where pip put it.
+    """Where a file outside the package is that ships with the kit: beside it in a checkout, else
+    where pip put it.
 
     Args:
         relative: such as "hardware/airframe_umx.toml".
@@ -124,7 +141,10 @@ def shipped_path(relative: str, advice: str) -> Path:
     Raises:
         FileNotFoundError: it is in neither place.
     """
-    places = [Path(__file__).parents[2] / relative, Path(sys.prefix) / "share" / "falconwing_kit" / relative]
+    places = [
+        Path(__file__).parents[2] / relative,
+        Path(sys.prefix) / "share" / "falconwing_kit" / relative,
+    ]
     for place in places:
         if place.is_file():
             return place

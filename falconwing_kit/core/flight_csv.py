@@ -1,4 +1,6 @@
-"""Flight CSV: a text file that anybody may have written -> checked columns, or one sentence that says what is wrong."""
+"""Flight CSV: a text file that anybody may have written -> checked columns, or one sentence that
+says what is wrong.
+"""
 
 from array import array
 from collections.abc import Iterator
@@ -19,9 +21,12 @@ OPTIONAL_COLUMNS = ("vx", "vy", "vz", "p", "q", "r", "airspeed", "sigma_position
 LABEL_COLUMN = "source"
 MAX_FILE_BYTES = 512 * 1024**2  # about 80 hours at 20 Hz
 MAX_LINE_BYTES = 64 * 1024
-FEW_ROWS = 3  # this many rows, or one in a hundred, may have a bad time stamp before the file is refused
-FAR = 0.1  # a command this far outside its range is not rounding but another unit
-SOME_SHARE = 0.05  # single outliers are allowed; when this share of the angles is too large the unit is wrong
+MAX_BAD_ROWS = (
+    3  # this many rows, or one in a hundred, may have a bad time stamp before the file is refused
+)
+MAX_COMMAND_EXCESS = 0.1  # a command this far outside its range is not rounding but another unit
+# single outliers are allowed; when this share of the angles is too large the unit is wrong
+MAX_OUTLIER_SHARE = 0.05
 
 
 @dataclass(frozen=True)
@@ -51,13 +56,15 @@ def read_flight_csv(path: str | Path) -> dict[str, Any]:
     name = short_name(path)
     size = path.stat().st_size
     if size > MAX_FILE_BYTES:
-        raise InputError(f"{name}: want a flight table of at most {MAX_FILE_BYTES >> 20} MiB, got {size >> 20} MiB")
+        raise InputError(
+            f"{name}: expected a flight table of at most {MAX_FILE_BYTES >> 20} MiB, got {size >> 20} MiB"
+        )
     with path.open("rb") as file:
         cells = _read_cells(name, file, _read_header(name, file))
     warnings = cells.warnings
-    extra, labels = _sort_unknown(cells, warnings)
-    _refuse_infinite(name, cells, extra, warnings)
-    keep = _increasing(name, cells.numbers["t"], cells.lines, warnings)
+    extra, labels = _sort_unknown_columns(cells, warnings)
+    _check_finite(name, cells, extra, warnings)
+    keep = _increasing_rows(name, cells.numbers["t"], cells.lines, warnings)
     numbers = {column: values[keep] for column, values in cells.numbers.items()}
     pose = _poses(name, numbers, warnings)
     return {
@@ -77,7 +84,7 @@ def _lines(name: str, file: BinaryIO) -> Iterator[bytes]:
     while line := file.readline(MAX_LINE_BYTES + 1):
         if len(line) > MAX_LINE_BYTES or b"\0" in line:
             raise InputError(
-                f"{name}: want lines of numbers and commas, got binary data or an endless line; is it a CSV file?"
+                f"{name}: expected lines of numbers and commas, got binary data or an endless line; is it a CSV file?"
             )
         yield line
 
@@ -86,7 +93,9 @@ def _decode(name: str, line: bytes, number: int) -> str:
     try:
         return line.decode("utf-8-sig" if number == 1 else "utf-8").strip("\r\n")
     except UnicodeDecodeError:
-        raise InputError(f"{name}: line {number} is not UTF-8 text; save the table as UTF-8 CSV") from None
+        raise InputError(
+            f"{name}: line {number} is not UTF-8 text; save the table as UTF-8 CSV"
+        ) from None
 
 
 def _read_header(name: str, file: BinaryIO) -> list[str]:
@@ -94,23 +103,42 @@ def _read_header(name: str, file: BinaryIO) -> list[str]:
     raw = next(_lines(name, file), b"")
     first = _decode(name, raw, 1)
     if not first.strip():
-        raise InputError(f"{name}: want a header line t,px,py,..., got an empty {'line' if raw else 'file'}")
+        raise InputError(
+            f"{name}: expected a header line t,px,py,..., got an empty {'line' if raw else 'file'}"
+        )
     for mark, word in ((";", "semicolons"), ("\t", "tabs"), (" ", "spaces")):
         if "," not in first and mark in first.strip():
-            raise InputError(f"{name}: columns are separated by {word}, want commas; export the table again")
-    columns = [column.strip().strip('"') or f"column_{place}" for place, column in enumerate(first.split(","), start=1)]
-    repeated = sorted({column for column in columns if columns.count(column) > 1}) if len(columns) < 1000 else []
+            raise InputError(
+                f"{name}: columns are separated by {word}, want commas; export the table again"
+            )
+    columns = [
+        column.strip().strip('"') or f"column_{place}"
+        for place, column in enumerate(first.split(","), start=1)
+    ]
+    repeated = (
+        sorted({column for column in columns if columns.count(column) > 1})
+        if len(columns) < 1000
+        else []
+    )
     if len(set(columns)) < len(columns):
-        raise InputError(f"{name}: want each column once, got {_list(repeated or columns)} more than once")
+        raise InputError(
+            f"{name}: expected each column once, got {_name_list(repeated or columns)} more than once"
+        )
     missing = [column for column in REQUIRED_COLUMNS if column not in columns]
     if missing:
-        raise InputError(f"{name}: missing column {_list(missing)}; the header has {_list(columns)}")
+        raise InputError(
+            f"{name}: missing column {_name_list(missing)}; the header has {_name_list(columns)}"
+        )
     return columns
 
 
 def _read_cells(name: str, file: BinaryIO, columns: list[str]) -> _Cells:
     """All rows, numbers apart from words."""
-    numeric = [place for place, column in enumerate(columns) if column in REQUIRED_COLUMNS + OPTIONAL_COLUMNS]
+    numeric = [
+        place
+        for place, column in enumerate(columns)
+        if column in REQUIRED_COLUMNS + OPTIONAL_COLUMNS
+    ]
     others = [place for place, column in enumerate(columns) if place not in numeric]
     flat, lines, warnings = array("d"), array("q"), list[str]()
     words: dict[str, list[str]] = {columns[place]: [] for place in others}
@@ -135,23 +163,27 @@ def _read_cells(name: str, file: BinaryIO, columns: list[str]) -> _Cells:
             word = row[place].strip()
             words[columns[place]].append(seen.setdefault(word, word))
     if not lines:
-        raise InputError(f"{name}: want at least one row of numbers below the header, got none")
+        raise InputError(f"{name}: expected at least one row of numbers below the header, got none")
     table = np.frombuffer(flat, dtype=np.float64).reshape(len(lines), len(numeric))
     known = {columns[place]: table[:, i].copy() for i, place in enumerate(numeric)}
     return _Cells(known, words, np.frombuffer(lines, dtype=np.int64), warnings)
 
 
-def _row_of_numbers(name: str, line: int, row: list[str], columns: list[str], numeric: list[int]) -> list[float]:
+def _row_of_numbers(
+    name: str, line: int, row: list[str], columns: list[str], numeric: list[int]
+) -> list[float]:
     """The numeric cells of a row; an empty cell is nan."""
     if len(row) != len(columns):
-        raise InputError(f"{name}: line {line} has {len(row)} cells, want {len(columns)} as in the header")
+        raise InputError(
+            f"{name}: line {line} has {len(row)} cells, want {len(columns)} as in the header"
+        )
     try:
         return [float(row[place]) for place in numeric]
     except ValueError:
         for place in numeric:
             if row[place].strip() and not _is_number(row[place]):
                 raise InputError(
-                    f"{name}: line {line}, column {columns[place]}: want a number or nan, got {row[place][:40]!r}"
+                    f"{name}: line {line}, column {columns[place]}: expected a number or nan, got {row[place][:40]!r}"
                 ) from None
         return [float(row[place]) if row[place].strip() else np.nan for place in numeric]
 
@@ -164,9 +196,15 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _sort_unknown(cells: _Cells, warnings: list[str]) -> tuple[dict[str, Array], dict[str, list[str]]]:
-    """Numeric columns beside the required ones, and columns of words; unknown ones are kept and named."""
-    extra = {column: cells.numbers[column] for column in OPTIONAL_COLUMNS if column in cells.numbers}
+def _sort_unknown_columns(
+    cells: _Cells, warnings: list[str]
+) -> tuple[dict[str, Array], dict[str, list[str]]]:
+    """Numeric columns beside the required ones, and columns of words; unknown ones are kept and
+    named.
+    """
+    extra = {
+        column: cells.numbers[column] for column in OPTIONAL_COLUMNS if column in cells.numbers
+    }
     labels = {}
     for column, words in cells.words.items():
         try:
@@ -177,35 +215,41 @@ def _sort_unknown(cells: _Cells, warnings: list[str]) -> tuple[dict[str, Array],
             labels[column] = words
     unknown = [column for column in cells.words if column != LABEL_COLUMN]
     if unknown:
-        warnings.append(f"unknown column {_list(unknown)} kept beside the flight table's own")
+        warnings.append(f"unknown column {_name_list(unknown)} kept beside the flight table's own")
     return extra, labels
 
 
-def _refuse_infinite(name: str, cells: _Cells, extra: dict[str, Array], warnings: list[str]) -> None:
+def _check_finite(name: str, cells: _Cells, extra: dict[str, Array], warnings: list[str]) -> None:
     for column in REQUIRED_COLUMNS:
         infinite = np.isinf(cells.numbers[column])
         if infinite.any():
             line = cells.lines[np.argmax(infinite)]
-            raise InputError(f"{name}: line {line}, column {column}: want a finite number or nan, got infinity")
+            raise InputError(
+                f"{name}: line {line}, column {column}: expected a finite number or nan, got infinity"
+            )
     for column, values in extra.items():
         if np.isinf(values).any():
             extra[column] = np.where(np.isinf(values), np.nan, values)
             warnings.append(f"infinite values in column {column} are taken as nan")
 
 
-def _increasing(name: str, t: Array, lines: NDArray[np.int64], warnings: list[str]) -> NDArray[np.int64]:
+def _increasing_rows(
+    name: str, t: Array, lines: NDArray[np.int64], warnings: list[str]
+) -> NDArray[np.int64]:
     """Rows whose time is later than that of every row before."""
     latest = np.fmax.accumulate(np.concatenate([[-np.inf], t]))[:-1]
     good = t > latest
     bad = np.flatnonzero(~good)
-    if len(bad) > max(FEW_ROWS, len(t) // 100) or not good.any():
+    if len(bad) > max(MAX_BAD_ROWS, len(t) // 100) or not good.any():
         row = bad[0]
         raise InputError(
             f"{name}: time must increase from row to row, but {len(bad)} of {len(t)} rows stand still, go back or have "
             f"no time, first line {lines[row]}: t = {t[row]:g} after {latest[row]:g}; sort the rows or cut the file"
         )
     if len(bad):
-        warnings.append(f"rows dropped because time did not increase: {len(bad)}, the first in line {lines[bad[0]]}")
+        warnings.append(
+            f"rows dropped because time did not increase: {len(bad)}, the first in line {lines[bad[0]]}"
+        )
     return np.flatnonzero(good)
 
 
@@ -215,7 +259,9 @@ def _poses(name: str, numbers: dict[str, Array], warnings: list[str]) -> Array:
     measured = np.isfinite(pose)
     partial = measured.any(axis=1) & ~measured.all(axis=1)
     if partial.any():
-        warnings.append(f"rows with only part of a pose, taken as rows without one: {partial.sum()}")
+        warnings.append(
+            f"rows with only part of a pose, taken as rows without one: {partial.sum()}"
+        )
         pose[partial] = np.nan
     if np.isnan(pose).all():
         warnings.append("no row has a pose")
@@ -227,42 +273,55 @@ def _poses(name: str, numbers: dict[str, Array], warnings: list[str]) -> Array:
 def _check_radians(name: str, attitude: Array, warnings: list[str]) -> None:
     """Refuse degrees; an unwrapped yaw may pass many turns, but it starts within one."""
     tilted = (np.abs(attitude[:, :2]) > 2.0 * np.pi).any(axis=1)
-    turned = np.abs(attitude[:, 2]) > 4.0 * np.pi
-    unwrapped = abs(attitude[0, 2]) <= 2.0 * np.pi and np.abs(np.diff(attitude[:, 2])).max(initial=0.0) < 4.0 * np.pi
-    if tilted.mean() > SOME_SHARE or (turned.mean() > SOME_SHARE and not unwrapped):
+    yaw_excess = np.abs(attitude[:, 2]) > 4.0 * np.pi
+    unwrapped = (
+        abs(attitude[0, 2]) <= 2.0 * np.pi
+        and np.abs(np.diff(attitude[:, 2])).max(initial=0.0) < 4.0 * np.pi
+    )
+    if tilted.mean() > MAX_OUTLIER_SHARE or (
+        yaw_excess.mean() > MAX_OUTLIER_SHARE and not unwrapped
+    ):
         largest = np.abs(attitude).max()
         raise InputError(
             f"{name}: roll, pitch or yaw reach {largest:.3g}, which looks like degrees; convert to radians"
         )
-    if turned.mean() > SOME_SHARE:
-        warnings.append("yaw goes on beyond two turns and is taken as unwrapped; if it is in degrees convert it first")
+    if yaw_excess.mean() > MAX_OUTLIER_SHARE:
+        warnings.append(
+            "yaw goes on beyond two turns and is taken as unwrapped; if it is in degrees convert it first"
+        )
 
 
-def _commands(name: str, numbers: dict[str, Array], lines: NDArray[np.int64], warnings: list[str]) -> Array:
+def _commands(
+    name: str, numbers: dict[str, Array], lines: NDArray[np.int64], warnings: list[str]
+) -> Array:
     """Commands of every row: held where one is missing, cut where one is barely out of range."""
-    held = []
+    filled = []
     for column, low in (("throttle", 0.0), ("aileron", -1.0), ("elevator", -1.0), ("rudder", -1.0)):
         values = numbers[column]
         known = np.isfinite(values)
         if not known[0]:
-            raise InputError(f"{name}: line {lines[0]}, column {column}: the first row must have a command, got nan")
+            raise InputError(
+                f"{name}: line {lines[0]}, column {column}: the first row must have a command, got nan"
+            )
         if not known.all():
             warnings.append(f"rows without {column}, held from the row before: {(~known).sum()}")
             values = values[np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))]
         excess = np.maximum(values - 1.0, low - values)
         worst = int(np.argmax(excess))
-        if excess[worst] > FAR:
+        if excess[worst] > MAX_COMMAND_EXCESS:
             raise InputError(
-                f"{name}: line {lines[worst]}: want {column} in {low:g}..1, got {values[worst]:g}: looks like "
+                f"{name}: line {lines[worst]}: expected {column} in {low:g}..1, got {values[worst]:g}: looks like "
                 "microseconds, percent or a throttle of -1..1; convert it first"
             )
         if excess[worst] > 0.0:
-            warnings.append(f"rows with {column} slightly outside {low:g}..1, which was cut: {(excess > 0.0).sum()}")
-        held.append(np.clip(values, low, 1.0))
-    return np.column_stack(held)
+            warnings.append(
+                f"rows with {column} slightly outside {low:g}..1, which was cut: {(excess > 0.0).sum()}"
+            )
+        filled.append(np.clip(values, low, 1.0))
+    return np.column_stack(filled)
 
 
-def _list(names: list[str], most: int = 12) -> str:
+def _name_list(names: list[str], most: int = 12) -> str:
     """Names in one line, not endless."""
     shown = ", ".join(name[:40] for name in names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"

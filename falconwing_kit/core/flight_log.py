@@ -1,8 +1,10 @@
-"""Flight log: images, commands, states and events of a flight <-> an MCAP file that survives a crash.
+"""Flight log: images, commands, states and events of a flight <-> an MCAP file that survives a
+crash.
 
-While flying the file is not chunked and every record is handed to the system at once, so a killed program loses no
-record; once a second the system is told to put it on the disk, so a lost battery costs about a second. At a clean end
-the file is packed into compressed chunks with an index. Foxglove, PlotJuggler and others open it.
+While flying the file is not chunked and every record is handed to the system at once, so a killed
+program loses no record; once a second the system is told to put it on the disk, so a lost battery
+costs about a second. At a clean end the file is packed into compressed chunks with an index.
+Foxglove, PlotJuggler and others open it.
 """
 
 import json
@@ -20,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falconwing_kit.core.checks import Array, InputError, require_range
-from falconwing_kit.core.files import require_place, short_name, write_error
+from falconwing_kit.core.files import require_writable_path, short_name, write_error
 from falconwing_kit.core.flight_table import FlightTable, nearest_index
-from falconwing_kit.core.mcap_records import read_records, rewrite
+from falconwing_kit.core.mcap_records import read_mcap_records, rewrite
 from falconwing_kit.core.messages import COMMAND_NAMES, STATE_NAMES, Command, Event, Image, State
 
 IMAGE, COMMAND, STATE, EVENT = TOPICS = ("/image", "/command", "/state", "/event")
@@ -31,7 +33,11 @@ MAX_TIME_S = 1.8e10  # what 64 bits of nanoseconds hold
 
 
 COLUMNS: dict[str, dict[str, Any]] = {  # of each JSON topic, with their JSON types
-    COMMAND: {**dict.fromkeys(COMMAND_NAMES, "number"), "image_sequence": "integer", "saturated": "boolean"},
+    COMMAND: {
+        **dict.fromkeys(COMMAND_NAMES, "number"),
+        "image_sequence": "integer",
+        "saturated": "boolean",
+    },
     STATE: {**{name: ["number", "null"] for name in STATE_NAMES}, "image_sequence": "integer"},
     EVENT: {"name": "string", "details": "object"},
 }
@@ -60,7 +66,7 @@ class FlightLog:
 
     def images(self) -> Iterator[Image]:
         """The images in the order they were logged, their pixels as JPEG bytes (n,)."""
-        for topic, message in _messages(self.path, [], {}):
+        for topic, message in _read_messages(self.path, [], {}):
             if topic == IMAGE:
                 pixels = np.frombuffer(message.data, dtype=np.uint8)
                 yield Image(sequence=message.sequence, t=message.log_time / 1e9, pixels=pixels)
@@ -77,21 +83,23 @@ class Recovery:
 class FlightLogWriter:
     """Writes a flight log: `with FlightLogWriter(path) as log: log.command(t, command)`.
 
-    When a method returns, its record survives a kill of the program. Times are seconds on one clock, not negative.
+    When a method returns, its record survives a kill of the program. Times are seconds on one
+    clock, not negative.
 
     Args:
         path: the file to write; it must not exist, for a log is never overwritten.
 
     Raises:
-        InputError: from every method, when the disk is full or a value is not finite; what was logged before stays.
+        InputError: from every method, when the disk is full or a value is not finite; what was
+            logged before stays.
         FileNotFoundError: the folder does not exist.
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = require_place(path)
+        self.path = require_writable_path(path)
         if self.path.exists():
             raise InputError(
-                f"{self.path}: want a new file, for a flight log is never overwritten; choose another name"
+                f"{self.path}: expected a new file, for a flight log is never overwritten; choose another name"
             )
 
     def __enter__(self) -> "FlightLogWriter":
@@ -107,7 +115,9 @@ class FlightLogWriter:
             raise write_error(self.path, error) from None
         self._closing = threading.Event()
         self._error: OSError | None = None
-        self._sync = threading.Thread(target=self._sync_often, name="flight log to disk", daemon=True)
+        self._sync = threading.Thread(
+            target=self._sync_periodically, name="flight log to disk", daemon=True
+        )
         self._sync.start()
         return self
 
@@ -115,10 +125,11 @@ class FlightLogWriter:
         """Log one camera frame.
 
         Args:
-            image: with pixels (height, width, 3) RGB, which are packed as JPEG here (needs OpenCV), or JPEG (n,).
+            image: with pixels (height, width, 3) RGB, which are packed as JPEG here (needs OpenCV),
+                or JPEG (n,).
         """
         if not 0 <= image.sequence < 2**32:
-            raise InputError(f"image sequence: want a count from 0, got {image.sequence}")
+            raise InputError(f"image sequence: expected a count from 0, got {image.sequence}")
         self._write(IMAGE, image.t, image.jpeg, image.sequence)
 
     def command(self, t: float, command: Command, image: Image | None = None) -> None:
@@ -127,8 +138,8 @@ class FlightLogWriter:
         Args:
             t: when it was given [s].
             command: what was given.
-            image: the image it answers, logged right after it where that was not done before: if the disk fills up
-                in between, the command is the one to have.
+            image: the image it answers, logged right after it where that was not done before: if
+                the disk fills up in between, the command is the one to have.
         """
         self._write_json(COMMAND, t, command.record)
         if image is not None:
@@ -160,17 +171,21 @@ class FlightLogWriter:
         Args:
             record: names and values; values are kept as text.
         """
-        self._guarded(lambda: self._writer.add_metadata("flight", {str(k): str(v) for k, v in record.items()}))
+        self._write_guarded(
+            lambda: self._writer.add_metadata("flight", {str(k): str(v) for k, v in record.items()})
+        )
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._closing.set()
         self._sync.join()
         try:
-            self._guarded(self._writer.finish)
+            self._write_guarded(self._writer.finish)
             os.fsync(self._file.fileno())
         except (InputError, OSError) as failure:
             if kind is None:
-                raise write_error(self.path, failure) if isinstance(failure, OSError) else failure from None
+                raise (
+                    write_error(self.path, failure) if isinstance(failure, OSError) else failure
+                ) from None
             return
         finally:
             with suppress(OSError):  # whatever the disk refused was reported above
@@ -184,7 +199,9 @@ class FlightLogWriter:
         """Announce a topic, with a JSON schema unless it holds images; its number in the file."""
         if topic not in COLUMNS:
             return int(self._writer.register_channel(topic, "jpeg", schema_id=0))
-        properties = {name: {"type": kind} for name, kind in {"t": "number", **COLUMNS[topic]}.items()}
+        properties = {
+            name: {"type": kind} for name, kind in {"t": "number", **COLUMNS[topic]}.items()
+        }
         schema = json.dumps({"type": "object", "properties": properties}).encode()
         number = self._writer.register_schema(topic[1:], "jsonschema", schema)
         return int(self._writer.register_channel(topic, "json", number))
@@ -192,17 +209,23 @@ class FlightLogWriter:
     def _write_json(self, topic: str, t: float, values: Mapping[str, Any]) -> None:
         t = require_range("t", t, low=0.0, high=MAX_TIME_S)
         try:
-            data = json.dumps({"t": t, **values}, allow_nan=False, default=lambda array: array.tolist()).encode()
+            data = json.dumps(
+                {"t": t, **values}, allow_nan=False, default=lambda array: array.tolist()
+            ).encode()
         except (AttributeError, TypeError, ValueError) as error:
-            raise InputError(f"flight log {topic}: want texts and finite numbers, got {values} ({error})") from None
+            raise InputError(
+                f"flight log {topic}: expected texts and finite numbers, got {values} ({error})"
+            ) from None
         self._write(topic, t, data, 0)
 
     def _write(self, topic: str, t: float, data: bytes, sequence: int) -> None:
         nanoseconds = round(require_range("t", t, low=0.0, high=MAX_TIME_S) * 1e9)
         channel = self._channels[topic]
-        self._guarded(lambda: self._writer.add_message(channel, nanoseconds, data, nanoseconds, sequence))
+        self._write_guarded(
+            lambda: self._writer.add_message(channel, nanoseconds, data, nanoseconds, sequence)
+        )
 
-    def _guarded(self, write: Callable[[], None]) -> None:
+    def _write_guarded(self, write: Callable[[], None]) -> None:
         """Write and hand over to the system; after a disk's first refusal nothing more is written."""
         try:
             if self._error is not None:
@@ -213,8 +236,10 @@ class FlightLogWriter:
             self._error = error
             raise write_error(self.path, error) from None
 
-    def _sync_often(self) -> None:
-        """Put the file on the disk once a second, in its own thread: a slow disk must not delay the loop."""
+    def _sync_periodically(self) -> None:
+        """Put the file on the disk once a second, in its own thread: a slow disk must not delay the
+        loop.
+        """
         while not self._closing.wait(SYNC_PERIOD_S):
             try:
                 os.fsync(self._file.fileno())
@@ -240,12 +265,15 @@ def read_flight_log(path: str | Path) -> FlightLog:
     metadata: dict[str, str] = {}
     unreadable: Counter[str] = Counter()
     found: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
-    for topic, message in _messages(path, warnings, metadata):
+    for topic, message in _read_messages(path, warnings, metadata):
         try:
             found[topic].append(_parse(topic, message))
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             unreadable[topic] += 1
-    warnings += [f"records of {topic} that could not be understood: {count}" for topic, count in unreadable.items()]
+    warnings += [
+        f"records of {topic} that could not be understood: {count}"
+        for topic, count in unreadable.items()
+    ]
     return FlightLog(
         path=Path(path),
         command_times=np.array([t for t, _ in found[COMMAND]], dtype=np.float64),
@@ -273,10 +301,13 @@ def recover(path: str | Path, out: str | Path) -> Recovery:
 
     Raises:
         FileNotFoundError: there is no log, or no folder for the new file.
-        InputError: the log is not MCAP, the two paths are the same, or the new file cannot be written.
+        InputError: the log is not MCAP, the two paths are the same, or the new file cannot be
+            written.
     """
     if Path(out).resolve() == Path(path).resolve():
-        raise InputError(f"{out}: want another name than the log's own, so that the damaged log is kept")
+        raise InputError(
+            f"{out}: expected another name than the log's own, so that the damaged log is kept"
+        )
     warnings: list[str] = []
     counts = rewrite(path, out, warnings)
     return Recovery(counts, tuple(f"{short_name(path)}: {sentence}" for sentence in warnings))
@@ -285,9 +316,9 @@ def recover(path: str | Path, out: str | Path) -> Recovery:
 def to_flight_table(log: FlightLog) -> FlightTable:
     """The log as one row per frame: states as poses, and the command that answered each frame.
 
-    Rows are the images, or the states where there are no images, or the commands alone. A state or a command that
-    names its image goes to that row. Where none does, the row takes the state nearest in time, at most half a frame
-    away, and the last command given.
+    Rows are the images, or the states where there are no images, or the commands alone. A state or
+    a command that names its image goes to that row. Where none does, the row takes the state
+    nearest in time, at most half a frame away, and the last command given.
 
     Args:
         log: the flight.
@@ -300,12 +331,16 @@ def to_flight_table(log: FlightLog) -> FlightTable:
     """
     name = short_name(log.path)
     if not log.commands:
-        raise InputError(f"{name}: want a log with commands, got none; a flight table needs them")
-    times, sequences = _frames(log)
+        raise InputError(
+            f"{name}: expected a log with commands, got none; a flight table needs them"
+        )
+    times, sequences = _frame_rows(log)
     command_row = _command_rows(log, times, sequences)
     flown = command_row >= 0  # rows before the first command cannot stand in a flight table
     if not flown.any():
-        raise InputError(f"{name}: want a frame after the first command, got none; the log is too short for a table")
+        raise InputError(
+            f"{name}: expected a frame after the first command, got none; the log is too short for a table"
+        )
     warnings = log.warnings
     if not flown.all():
         warnings += (f"{name}: frames left out because no command was given yet: {(~flown).sum()}",)
@@ -316,7 +351,11 @@ def to_flight_table(log: FlightLog) -> FlightTable:
         vectors = np.array([state.vector for state in log.states])
         columns[state_row >= 0] = vectors[state_row[state_row >= 0]]
     # A state without velocities or rates holds zeros there, which must not pass for measurements.
-    extra = {column: columns[:, i] for i, column in enumerate(STATE_NAMES) if i >= 6 and np.nansum(columns[:, i] ** 2)}
+    extra = {
+        column: columns[:, i]
+        for i, column in enumerate(STATE_NAMES)
+        if i >= 6 and np.nansum(columns[:, i] ** 2)
+    }
     return FlightTable(
         name=name,
         t=times,
@@ -328,7 +367,7 @@ def to_flight_table(log: FlightLog) -> FlightTable:
     )
 
 
-def _frames(log: FlightLog) -> tuple[Array, NDArray[np.int64]]:
+def _frame_rows(log: FlightLog) -> tuple[Array, NDArray[np.int64]]:
     """Times and image sequence numbers of the rows, in order of time."""
     if len(log.image_times):
         times, sequences = log.image_times, log.image_sequences
@@ -340,15 +379,19 @@ def _frames(log: FlightLog) -> tuple[Array, NDArray[np.int64]]:
     return times, sequences[first]
 
 
-def _answering(sequences: NDArray[np.int64], answers: NDArray[np.int64]) -> NDArray[np.int64]:
+def _match_sequences(sequences: NDArray[np.int64], answers: NDArray[np.int64]) -> NDArray[np.int64]:
     """For each frame the first record that names it, -1 where none does."""
-    row_of = {int(sequence): row for row, sequence in reversed(list(enumerate(answers))) if sequence >= 0}
+    row_of = {
+        int(sequence): row for row, sequence in reversed(list(enumerate(answers))) if sequence >= 0
+    }
     return np.array([row_of.get(int(sequence), -1) for sequence in sequences], dtype=np.int64)
 
 
 def _command_rows(log: FlightLog, times: Array, sequences: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For each frame the command that answers it or else the last one given, -1 where there is none yet."""
-    rows = _answering(sequences, log.command_sequences)
+    """For each frame the command that answers it or else the last one given, -1 where there is none
+    yet.
+    """
+    rows = _match_sequences(sequences, log.command_sequences)
     order = np.argsort(log.command_times, kind="stable")
     last = np.searchsorted(log.command_times[order], times, side="right") - 1
     return np.where(rows >= 0, rows, np.where(last >= 0, order[last], -1))
@@ -356,22 +399,26 @@ def _command_rows(log: FlightLog, times: Array, sequences: NDArray[np.int64]) ->
 
 def _state_rows(log: FlightLog, times: Array, sequences: NDArray[np.int64]) -> NDArray[np.int64]:
     """For each frame the state that names it or else the nearest in time, -1 where there is none."""
-    rows = _answering(sequences, log.state_sequences)
+    rows = _match_sequences(sequences, log.state_sequences)
     if not log.states:
         return rows
     half_frame = 0.5 * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     order = np.argsort(log.state_times, kind="stable")
     nearest = order[nearest_index(log.state_times[order], times)]
-    close = (np.abs(log.state_times[nearest] - times) <= half_frame) & (log.state_sequences[nearest] < 0)
+    close = (np.abs(log.state_times[nearest] - times) <= half_frame) & (
+        log.state_sequences[nearest] < 0
+    )
     return np.where(rows >= 0, rows, np.where(close, nearest, -1))
 
 
-def _messages(path: str | Path, warnings: list[str], metadata: dict[str, str]) -> Iterator[tuple[str, Any]]:
+def _read_messages(
+    path: str | Path, warnings: list[str], metadata: dict[str, str]
+) -> Iterator[tuple[str, Any]]:
     """Messages of the topics that we know, each with its topic."""
     from mcap.records import Channel, Message, Metadata
 
     topics: dict[int, str] = {}
-    for record in read_records(path, warnings):
+    for record in read_mcap_records(path, warnings):
         if isinstance(record, Channel):
             topics.setdefault(record.id, record.topic)
         elif isinstance(record, Metadata):
@@ -386,7 +433,7 @@ def _parse(topic: str, message: Any) -> Any:
         return message.log_time / 1e9, message.sequence
     record = json.loads(message.data)
     if not isinstance(record, dict):
-        raise InputError("want a JSON object")
+        raise InputError("expected a JSON object")
     t = require_range("t", record["t"], low=0.0, high=MAX_TIME_S)
     if topic == COMMAND:
         return t, Command.from_record(record)

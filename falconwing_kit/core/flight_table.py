@@ -1,4 +1,6 @@
-"""Flight table: one CSV row per camera frame <-> times, poses and commands as arrays; split, slice and resample."""
+"""Flight table: one CSV row per camera frame <-> times, poses and commands as arrays; split, slice
+and resample.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -9,13 +11,23 @@ from numpy.typing import NDArray
 
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 from falconwing_kit.core.files import atomic_write
-from falconwing_kit.core.flight_csv import LABEL_COLUMN, OPTIONAL_COLUMNS, REQUIRED_COLUMNS, read_flight_csv
+from falconwing_kit.core.flight_csv import (
+    LABEL_COLUMN,
+    OPTIONAL_COLUMNS,
+    REQUIRED_COLUMNS,
+    read_flight_csv,
+)
 from falconwing_kit.core.frames import wrap_angle
 
 MAX_STEP = 1.5  # nominal periods; a longer step between two rows is a gap
-FASTEST_CAMERA_S, SLOWEST_CAMERA_S = 0.005, 0.5  # between frames, 200 to 2 Hz; what is a thousand times slower is not
-FEWEST_ROWS = 10  # to judge the unit of time by
-MAX_GROWTH = 100  # a grid with more than this many rows per row of the table comes from a wrong time stamp
+MIN_CAMERA_PERIOD_S, MAX_CAMERA_PERIOD_S = (
+    0.005,
+    0.5,
+)  # between frames, 200 to 2 Hz; what is a thousand times slower is not
+MIN_ROWS = 10  # to judge the unit of time by
+MAX_GROWTH = (
+    100  # a grid with more than this many rows per row of the table comes from a wrong time stamp
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +35,8 @@ class FlightTable:
     """One flight, one row per camera frame.
 
     Raises:
-        InputError: shapes do not fit each other, or time does not increase, or a command is not finite.
+        InputError: shapes do not fit each other, or time does not increase, or a command is not
+            finite.
     """
 
     name: str  # where it came from, "case00/calm.csv"
@@ -48,12 +61,14 @@ class FlightTable:
             require_shape(f"{self.name}: {name}", array, shape)
         for name, words in self.labels.items():
             if len(words) != rows:
-                raise InputError(f"{self.name}: {name}: want {rows} words, got {len(words)}")
+                raise InputError(f"{self.name}: {name}: expected {rows} words, got {len(words)}")
         if rows == 0 or not np.isfinite(self.t).all() or not (np.diff(self.t) > 0.0).all():
-            raise InputError(f"{self.name}: want at least one row and a finite time that increases from row to row")
+            raise InputError(
+                f"{self.name}: expected at least one row and a finite time that increases from row to row"
+            )
         if not np.isfinite(self.commands).all():
             raise InputError(
-                f"{self.name}: want finite commands in every row; hold the one before where one is missing"
+                f"{self.name}: expected finite commands in every row; hold the one before where one is missing"
             )
 
     @property
@@ -64,7 +79,9 @@ class FlightTable:
     @property
     def has_pose(self) -> NDArray[np.bool_]:
         """(N,) True where the frame gave a pose."""
-        return np.asarray(np.isfinite(self.p_world).all(axis=1) & np.isfinite(self.attitude).all(axis=1))
+        return np.asarray(
+            np.isfinite(self.p_world).all(axis=1) & np.isfinite(self.attitude).all(axis=1)
+        )
 
     @property
     def missing_share(self) -> float:
@@ -105,11 +122,17 @@ def write_flight_table(path: str | Path, table: FlightTable) -> None:
     unknown = [name for name in table.extra if name not in OPTIONAL_COLUMNS]
     words = sorted(table.labels, key=lambda name: name != LABEL_COLUMN)
     known = np.column_stack(
-        [table.t, table.p_world, table.attitude, table.commands, *(table.extra[name] for name in optional + unknown)]
+        [
+            table.t,
+            table.p_world,
+            table.attitude,
+            table.commands,
+            *(table.extra[name] for name in optional + unknown),
+        ]
     )
     with atomic_write(path, text=True) as file:
         file.write(",".join([*REQUIRED_COLUMNS, *optional, *unknown, *words]) + "\n")
-        for row, row_words in zip(known, _rows_of_words(table, words), strict=True):
+        for row, row_words in zip(known, _label_rows(table, words), strict=True):
             file.write(",".join([*map(repr, row.tolist()), *row_words]) + "\n")
 
 
@@ -120,7 +143,9 @@ def nominal_rate_hz(table: FlightTable) -> float:
         InputError: the table has a single row.
     """
     if len(table.t) < 2:
-        raise InputError(f"{table.name}: want at least two rows to know the frame rate, got {len(table.t)}")
+        raise InputError(
+            f"{table.name}: expected at least two rows to know the frame rate, got {len(table.t)}"
+        )
     return float(1.0 / np.median(np.diff(table.t)))
 
 
@@ -137,15 +162,18 @@ def slice_time(table: FlightTable, t0: float, t1: float) -> FlightTable:
     """
     rows = np.flatnonzero((table.t >= t0) & (table.t < t1))
     if len(rows) == 0:
-        raise InputError(f"{table.name}: want rows from {t0:g} to {t1:g} s, got a flight from {_span(table)}")
-    return _take(table, rows)
+        raise InputError(
+            f"{table.name}: expected rows from {t0:g} to {t1:g} s, got a flight from {_time_range_text(table)}"
+        )
+    return _select_rows(table, rows)
 
 
 def resample(table: FlightTable, rate_hz: float) -> FlightTable:
     """The flight on a uniform grid that starts at its first row; gaps stay gaps.
 
-    Commands and words are held from the row before. Poses and other numbers are interpolated only between measured
-    neighbours at most 1.5 nominal periods apart (angles the short way round), elsewhere they are nan.
+    Commands and words are held from the row before. Poses and other numbers are interpolated only
+    between measured neighbours at most 1.5 nominal periods apart (angles the short way round),
+    elsewhere they are nan.
 
     Args:
         table: the flight.
@@ -158,11 +186,11 @@ def resample(table: FlightTable, rate_hz: float) -> FlightTable:
         InputError: the rate is not positive or the grid would be absurdly long.
     """
     require_range("rate_hz", rate_hz, low=1e-6)
-    _require_rows(table, table.duration * rate_hz)
+    _require_plausible_rows(table, table.duration * rate_hz)
     period = 1.0 / nominal_rate_hz(table)
     grid = table.t[0] + np.arange(int(table.duration * rate_hz + 1e-6) + 1) / rate_hz
-    # A grid time that meets a row but for rounding, say of stamps to 10 us, is that row: a measured pose beside a
-    # gap must not be lost.
+    # A grid time that meets a row but for rounding, say of stamps to 10 us, is that row: a measured
+    # pose beside a gap must not be lost.
     nearest = table.t[nearest_index(table.t, grid)]
     query = np.where(np.abs(nearest - grid) < 1e-3 * period, nearest, grid)
     held = np.searchsorted(table.t, query, side="right") - 1
@@ -171,7 +199,7 @@ def resample(table: FlightTable, rate_hz: float) -> FlightTable:
         return _interpolate(table.t, values, query, MAX_STEP * period, angle)
 
     return replace(
-        _take(table, held, grid),
+        _select_rows(table, held, grid),
         p_world=np.column_stack([column(values) for values in table.p_world.T]),
         attitude=np.column_stack([column(values, angle=True) for values in table.attitude.T]),
         extra={name: column(values) for name, values in table.extra.items()},
@@ -179,7 +207,8 @@ def resample(table: FlightTable, rate_hz: float) -> FlightTable:
 
 
 def fill_missing_rows(table: FlightTable, rate_hz: float | None = None) -> FlightTable:
-    """Insert rows without a pose where frames are missing, so that no step is longer than 1.5 nominal periods.
+    """Insert rows without a pose where frames are missing, so that no step is longer than 1.5
+    nominal periods.
 
     Inserted rows hold the command of the row before; measured rows keep their own time stamps.
 
@@ -193,8 +222,10 @@ def fill_missing_rows(table: FlightTable, rate_hz: float | None = None) -> Fligh
     Raises:
         InputError: the rate is not positive or absurdly many rows would be needed.
     """
-    rate_hz = nominal_rate_hz(table) if rate_hz is None else require_range("rate_hz", rate_hz, low=1e-6)
-    _require_rows(table, table.duration * rate_hz)
+    rate_hz = (
+        nominal_rate_hz(table) if rate_hz is None else require_range("rate_hz", rate_hz, low=1e-6)
+    )
+    _require_plausible_rows(table, table.duration * rate_hz)
     periods = np.diff(table.t) * rate_hz
     copies = np.append(np.where(periods > MAX_STEP, np.rint(periods), 1.0).astype(np.int64), 1)
     first = np.concatenate([[0], np.cumsum(copies)[:-1]])
@@ -203,19 +234,23 @@ def fill_missing_rows(table: FlightTable, rate_hz: float | None = None) -> Fligh
     measured = place_in_gap == 0
     step = np.append(np.diff(table.t), 0.0) / copies
     return replace(
-        _take(table, row, table.t[row] + place_in_gap * step[row]),
+        _select_rows(table, row, table.t[row] + place_in_gap * step[row]),
         p_world=np.where(measured[:, None], table.p_world[row], np.nan),
         attitude=np.where(measured[:, None], table.attitude[row], np.nan),
-        extra={name: np.where(measured, values[row], np.nan) for name, values in table.extra.items()},
+        extra={
+            name: np.where(measured, values[row], np.nan) for name, values in table.extra.items()
+        },
     )
 
 
 def split_by_time(
     table: FlightTable, test_share: float = 0.3, block_s: float = 10.0
 ) -> tuple[tuple[FlightTable, ...], tuple[FlightTable, ...]]:
-    """Split a flight into blocks to fit on and blocks to judge on; always the same blocks, evenly spread.
+    """Split a flight into blocks to fit on and blocks to judge on; always the same blocks, evenly
+    spread.
 
-    Neighbouring frames are nearly equal, so samples are never shuffled: whole blocks of time are held out. A flight
+    Neighbouring frames are nearly equal, so samples are never shuffled: whole blocks of time are
+        held out. A flight
     too short for blocks of block_s gets shorter ones, so that both parts have at least one.
 
     Args:
@@ -227,22 +262,29 @@ def split_by_time(
         Train blocks (adjoining ones merged) and test blocks, both in order of time.
 
     Raises:
-        InputError: the share or the length is out of range, or the flight is too short or too full of holes.
+        InputError: the share or the length is out of range, or the flight is too short or too full
+            of holes.
     """
     share = require_range("test_share", test_share, low=0.01, high=0.99)
     require_range("block_s", block_s, low=1e-3)
-    _require_rows(table, table.duration / block_s)
-    blocks = max(round(table.duration / block_s), int(np.ceil(1.0 / min(share, 1.0 - share) - 1e-9)))
+    _require_plausible_rows(table, table.duration / block_s)
+    blocks = max(
+        round(table.duration / block_s), int(np.ceil(1.0 / min(share, 1.0 - share) - 1e-9))
+    )
     counted = np.floor(np.arange(blocks + 1) * share + 0.5 + 1e-9)
     is_test = np.diff(counted) > 0.0
-    block = np.minimum(((table.t - table.t[0]) * blocks / max(table.duration, 1e-12)).astype(np.int64), blocks - 1)
+    block = np.minimum(
+        ((table.t - table.t[0]) * blocks / max(table.duration, 1e-12)).astype(np.int64), blocks - 1
+    )
     part = np.where(is_test[block], block, -1)
     starts = np.flatnonzero(np.diff(part, prepend=-2) != 0)
-    pieces = [np.arange(a, b) for a, b in zip(starts, [*starts[1:], len(part)], strict=True)]
-    train = tuple(_take(table, rows) for rows in pieces if part[rows[0]] < 0)
-    test = tuple(_take(table, rows) for rows in pieces if part[rows[0]] >= 0)
+    segments = [np.arange(a, b) for a, b in zip(starts, [*starts[1:], len(part)], strict=True)]
+    train = tuple(_select_rows(table, rows) for rows in segments if part[rows[0]] < 0)
+    test = tuple(_select_rows(table, rows) for rows in segments if part[rows[0]] >= 0)
     if not train or not test or len(table.t) < 2 * blocks:
-        raise InputError(f"{table.name}: too short to split: got {len(table.t)} rows over {table.duration:g} s")
+        raise InputError(
+            f"{table.name}: too short to split: got {len(table.t)} rows over {table.duration:g} s"
+        )
     return train, test
 
 
@@ -262,19 +304,23 @@ def nearest_index(t: Array, query: Array) -> NDArray[np.int64]:
 
 
 def _require_seconds(table: FlightTable) -> None:
-    """Refuse times that are those of a camera only if they are in a thousandth, millionth or billionth of a second."""
-    if len(table.t) < FEWEST_ROWS:
+    """Refuse times that are those of a camera only if they are in a thousandth, millionth or
+    billionth of a second.
+    """
+    if len(table.t) < MIN_ROWS:
         return
     step = float(np.median(np.diff(table.t)))
     for unit, of_a_second in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
-        if FASTEST_CAMERA_S <= step / of_a_second <= SLOWEST_CAMERA_S:
+        if MIN_CAMERA_PERIOD_S <= step / of_a_second <= MAX_CAMERA_PERIOD_S:
             raise InputError(
-                f"{table.name}: time looks like {unit}: want seconds, got rows {step:g} apart; "
+                f"{table.name}: time looks like {unit}: expected seconds, got rows {step:g} apart; "
                 f"divide the column t by {of_a_second:g}"
             )
 
 
-def _take(table: FlightTable, rows: NDArray[np.int64], t: Array | None = None) -> FlightTable:
+def _select_rows(
+    table: FlightTable, rows: NDArray[np.int64], t: Array | None = None
+) -> FlightTable:
     """The given rows, at their own times or at new ones."""
     return replace(
         table,
@@ -288,7 +334,9 @@ def _take(table: FlightTable, rows: NDArray[np.int64], t: Array | None = None) -
 
 
 def _interpolate(t: Array, values: Array, query: Array, max_gap: float, angle: bool) -> Array:
-    """Linear interpolation of (N,) values with nan holes; nan where the measured neighbours are too far apart."""
+    """Linear interpolation of (N,) values with nan holes; nan where the measured neighbours are too
+    far apart.
+    """
     measured = np.flatnonzero(np.isfinite(values))
     if len(measured) == 0:
         return np.full(len(query), np.nan)
@@ -305,19 +353,21 @@ def _interpolate(t: Array, values: Array, query: Array, max_gap: float, angle: b
     return np.where(inside & (gap <= max_gap), result, np.nan)
 
 
-def _rows_of_words(table: FlightTable, names: list[str]) -> Iterable[tuple[str, ...]]:
-    return zip(*(table.labels[name] for name in names), strict=True) if names else [()] * len(table.t)
+def _label_rows(table: FlightTable, names: list[str]) -> Iterable[tuple[str, ...]]:
+    return (
+        zip(*(table.labels[name] for name in names), strict=True) if names else [()] * len(table.t)
+    )
 
 
-def _require_rows(table: FlightTable, rows: float) -> None:
+def _require_plausible_rows(table: FlightTable, rows: float) -> None:
     """Refuse a grid so long that the table cannot explain it."""
     most = MAX_GROWTH * (1000 + len(table.t))
     if not rows <= most:
         raise InputError(
-            f"{table.name}: {_span(table)} in {len(table.t)} rows would become {rows:.3g} rows, more than {most}; "
+            f"{table.name}: {_time_range_text(table)} in {len(table.t)} rows would become {rows:.3g} rows, more than {most}; "
             "a time stamp is wrong, or cut the flight with slice_time first"
         )
 
 
-def _span(table: FlightTable) -> str:
+def _time_range_text(table: FlightTable) -> str:
     return f"{table.t[0]:g} to {table.t[-1]:g} s"

@@ -1,13 +1,15 @@
-"""Frames: attitude angles and vectors -> the same in world, body or camera axes. Only this file knows the sign flips.
+"""Frames: attitude angles and vectors -> the same in world, body or camera axes. Only this file
+knows the sign flips.
 
 world   x along the runway in the landing direction, y left, z up, origin on the floor under the marker
 body    x nose, y right wing, z belly (the textbook's aircraft axes)
 camera  x right, y down, z forward (OpenCV)
 
-Textbooks write attitude against north-east-down axes. Ours is that frame turned by half a turn about x, so
+Textbooks write attitude against north-east-down axes. Ours is that frame turned by half a turn
+about x, so
 R_world_body = diag(1, -1, -1) @ Rz(yaw) @ Ry(pitch) @ Rx(roll)   [Stevens, Lewis & Johnson, Aircraft Control
-and Simulation, 3rd ed., eq. 1.3-20, with our flip in front]. Roll is positive right wing down, pitch nose up,
-yaw nose right.
+and Simulation, 3rd ed., eq. 1.3-20, with our flip in front]. Roll is positive right wing down,
+pitch nose up, yaw nose right.
 """
 
 import numpy as np
@@ -32,14 +34,17 @@ def rotation_world_body(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Ar
         R_world_body (..., 3, 3); columns are nose, right wing and belly in the world.
     """
     entries = rotation_entries(*np.broadcast_arrays(roll, pitch, yaw))
-    R_world_body = np.stack([np.stack(np.broadcast_arrays(*row), axis=-1) for row in entries], axis=-2)
+    R_world_body = np.stack(
+        [np.stack(np.broadcast_arrays(*row), axis=-1) for row in entries], axis=-2
+    )
     return R_world_body.astype(np.float64)
 
 
 def rotation_entries(roll, pitch, yaw):  # type: ignore[no-untyped-def]
     """The nine entries of R_world_body, row by row, each of the angles' shape.
 
-    The aircraft model uses this form: on batches it is several times faster than stacked matrices, and
+    The aircraft model uses this form: on batches it is several times faster than stacked matrices,
+        and
     it is plain arithmetic that also compiles.
 
     Args:
@@ -50,7 +55,8 @@ def rotation_entries(roll, pitch, yaw):  # type: ignore[no-untyped-def]
     Returns:
         Three rows of three entries, each (...).
     """
-    # Sine and cosine from the tangent of half the angle: one vectorised call instead of two slow ones, equal to 1e-15.
+    # Sine and cosine from the tangent of half the angle: one vectorised call instead of two slow
+    # ones, equal to 1e-15.
     half_roll, half_pitch, half_yaw = np.tan(0.5 * roll), np.tan(0.5 * pitch), np.tan(0.5 * yaw)
     over_roll, over_pitch, over_yaw = (
         1.0 / (1.0 + half_roll * half_roll),
@@ -77,7 +83,8 @@ def rotation_entries(roll, pitch, yaw):  # type: ignore[no-untyped-def]
 
 
 def euler_from_rotation(R_world_body: ArrayLike) -> tuple[Array, Array, Array]:
-    """Roll, pitch and yaw of a rotation; the inverse of `rotation_world_body` away from pitch = +-90 deg.
+    """Roll, pitch and yaw of a rotation; the inverse of `rotation_world_body` away from pitch =
+    +-90 deg.
 
     Args:
         R_world_body: (..., 3, 3).
@@ -95,8 +102,9 @@ def euler_from_rotation(R_world_body: ArrayLike) -> tuple[Array, Array, Array]:
 def euler_rates(row_z, p, q, r):  # type: ignore[no-untyped-def]
     """Rates of the attitude angles from body rates [Stevens, Lewis & Johnson, eq. 1.4-4].
 
-    Written with the last row of the rotation, (sin pitch, -sin roll cos pitch, -cos roll cos pitch), which the caller
-    has already: it saves four sines and cosines on every evaluation of the aircraft model.
+    Written with the last row of the rotation, (sin pitch, -sin roll cos pitch, -cos roll cos
+    pitch), which the caller has already: it saves four sines and cosines on every evaluation of the
+    aircraft model.
 
     Args:
         row_z: last row of R_world_body, three entries of shape (...), pitch away from +-90 deg.
@@ -129,7 +137,11 @@ def up_in_body(roll: ArrayLike, pitch: ArrayLike) -> tuple[Array, Array, Array]:
 
 
 def body_rates(
-    roll: ArrayLike, pitch: ArrayLike, roll_rate: ArrayLike, pitch_rate: ArrayLike, yaw_rate: ArrayLike
+    roll: ArrayLike,
+    pitch: ArrayLike,
+    roll_rate: ArrayLike,
+    pitch_rate: ArrayLike,
+    yaw_rate: ArrayLike,
 ) -> tuple[Array, Array, Array]:
     """Body rates from the rates of the attitude angles; the inverse of `euler_rates`.
 
@@ -144,7 +156,9 @@ def body_rates(
         p, q, r, each (...) [rad/s].
     """
     roll, pitch = np.asarray(roll, np.float64), np.asarray(pitch, np.float64)
-    roll_rate, pitch_rate, yaw_rate = (np.asarray(x, np.float64) for x in (roll_rate, pitch_rate, yaw_rate))
+    roll_rate, pitch_rate, yaw_rate = (
+        np.asarray(x, np.float64) for x in (roll_rate, pitch_rate, yaw_rate)
+    )
     p = roll_rate - np.sin(pitch) * yaw_rate
     q = np.cos(roll) * pitch_rate + np.sin(roll) * np.cos(pitch) * yaw_rate
     r = np.cos(roll) * np.cos(pitch) * yaw_rate - np.sin(roll) * pitch_rate
@@ -193,7 +207,9 @@ def camera_pose(T_world_body: ArrayLike, p_body_camera: ArrayLike = (0.0, 0.0, 0
     return np.asarray(np.asarray(T_world_body, np.float64) @ T_body_camera)
 
 
-def euler_from_ned(roll_ned: ArrayLike, pitch_ned: ArrayLike, heading_ned: ArrayLike) -> tuple[Array, Array, Array]:
+def euler_from_ned(
+    roll_ned: ArrayLike, pitch_ned: ArrayLike, heading_ned: ArrayLike
+) -> tuple[Array, Array, Array]:
     """Attitude as autopilots log it (against north-east-down) -> ours, with world x = north.
 
     The two frames differ by half a turn about x, which leaves the three angles as they are.
@@ -206,7 +222,11 @@ def euler_from_ned(roll_ned: ArrayLike, pitch_ned: ArrayLike, heading_ned: Array
     Returns:
         roll, pitch, yaw, each (...) [rad].
     """
-    return np.asarray(roll_ned, np.float64), np.asarray(pitch_ned, np.float64), np.asarray(heading_ned, np.float64)
+    return (
+        np.asarray(roll_ned, np.float64),
+        np.asarray(pitch_ned, np.float64),
+        np.asarray(heading_ned, np.float64),
+    )
 
 
 def world_from_enu(v_enu: ArrayLike) -> Array:

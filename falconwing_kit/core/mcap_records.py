@@ -1,8 +1,10 @@
-"""MCAP: a log file, whole, cut or damaged -> the records that can be read; and those records rewritten as a whole file.
+"""MCAP: a log file, whole, cut or damaged -> the records that can be read; and those records
+rewritten as a whole file.
 
-The mcap library reads a damaged length field as an order to allocate that much, and its indexed reader refuses every
-file without its end. Here the records are framed by hand, so nothing larger than the file explains is ever allocated,
-and the library parses what is inside a frame. Format: https://mcap.dev/spec (opcode, 8-byte length, body).
+The mcap library reads a damaged length field as an order to allocate that much, and its indexed
+reader refuses every file without its end. Here the records are framed by hand, so nothing larger
+than the file explains is ever allocated, and the library parses what is inside a frame. Format:
+https://mcap.dev/spec (opcode, 8-byte length, body).
 """
 
 import struct
@@ -22,7 +24,7 @@ MAX_COMPRESSION = 200  # a chunk that claims to unpack to more than this ratio i
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
 
 
-def read_records(path: str | Path, warnings: list[str]) -> Iterator[Any]:
+def read_mcap_records(path: str | Path, warnings: list[str]) -> Iterator[Any]:
     """Read a log from its start up to its end or to the first damage.
 
     Args:
@@ -42,8 +44,10 @@ def read_records(path: str | Path, warnings: list[str]) -> Iterator[Any]:
     with path.open("rb") as file:
         if file.read(len(MAGIC)) != MAGIC:
             what = "another kind of file" if size else "an empty file"
-            raise InputError(f"{short_name(path)}: want a flight log in MCAP format, got {what}; check the path")
-        for opcode, body in _frames(file, size - len(MAGIC), warnings):
+            raise InputError(
+                f"{short_name(path)}: expected a flight log in MCAP format, got {what}; check the path"
+            )
+        for opcode, body in _read_frames(file, size - len(MAGIC), warnings):
             records = _parse_frame(opcode, body)
             bad += records is None
             yield from records or ()
@@ -52,7 +56,8 @@ def read_records(path: str | Path, warnings: list[str]) -> Iterator[Any]:
 
 
 def rewrite(source: str | Path, target: str | Path, warnings: list[str]) -> Counter[str]:
-    """Write what can be read of a log as a complete one: in compressed chunks, with the index that viewers want.
+    """Write what can be read of a log as a complete one: in compressed chunks, with the index that
+    viewers want.
 
     Args:
         source: a log, whole, cut or damaged.
@@ -75,16 +80,22 @@ def rewrite(source: str | Path, target: str | Path, warnings: list[str]) -> Coun
     with atomic_write(target) as file:
         writer = Writer(file)
         writer.start(profile="falconwing")
-        for record in read_records(source, warnings):
+        for record in read_mcap_records(source, warnings):
             if isinstance(record, Schema) and record.id not in schemas:
-                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+                schemas[record.id] = writer.register_schema(
+                    record.name, record.encoding, record.data
+                )
             elif isinstance(record, Channel) and record.id not in channels:
                 schema = schemas.get(record.schema_id, 0)
-                number = writer.register_channel(record.topic, record.message_encoding, schema, record.metadata)
+                number = writer.register_channel(
+                    record.topic, record.message_encoding, schema, record.metadata
+                )
                 channels[record.id] = number, record.topic
             elif isinstance(record, Message) and record.channel_id in channels:
                 number, topic = channels[record.channel_id]
-                writer.add_message(number, record.log_time, record.data, record.publish_time, record.sequence)
+                writer.add_message(
+                    number, record.log_time, record.data, record.publish_time, record.sequence
+                )
                 counts[topic] += 1
             elif isinstance(record, Metadata):
                 writer.add_metadata(record.name, record.metadata)
@@ -92,8 +103,12 @@ def rewrite(source: str | Path, target: str | Path, warnings: list[str]) -> Coun
     return counts
 
 
-def _frames(file: BinaryIO, remaining: int, warnings: list[str]) -> Iterator[tuple[int, bytes]]:
-    """Opcode and body of each record up to the end of the data; a length beyond the file's end is damage."""
+def _read_frames(
+    file: BinaryIO, remaining: int, warnings: list[str]
+) -> Iterator[tuple[int, bytes]]:
+    """Opcode and body of each record up to the end of the data; a length beyond the file's end is
+    damage.
+    """
     while remaining >= 9:
         opcode, length = struct.unpack("<BQ", file.read(9))
         if opcode == _DATA_END and length == 4:
@@ -103,11 +118,15 @@ def _frames(file: BinaryIO, remaining: int, warnings: list[str]) -> Iterator[tup
         remaining -= 9 + length
         yield opcode, file.read(length)
     lost = f"; its last {remaining} bytes cannot be read" if remaining else ""
-    warnings.append(f"the log ends without its closing record, so writing it was interrupted or it was cut{lost}")
+    warnings.append(
+        f"the log ends without its closing record, so writing it was interrupted or it was cut{lost}"
+    )
 
 
 def _parse_frame(opcode: int, body: bytes) -> list[Any] | None:
-    """The records in a frame: one, many for a chunk, none for kinds that hold no data, None if it is damaged."""
+    """The records in a frame: one, many for a chunk, none for kinds that hold no data, None if it
+    is damaged.
+    """
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
     from mcap.records import Channel, Chunk, Message, Metadata, Schema
@@ -126,17 +145,17 @@ def _parse_frame(opcode: int, body: bytes) -> list[Any] | None:
 
 def _parse_chunk(chunk: Any) -> list[Any] | None:
     """The records in a chunk, None if its frames do not fill it."""
-    data = _unpack(chunk)
+    data = _decompress(chunk)
     if data is None:
         return None
-    frames = list(_frames(BytesIO(data), len(data), []))
+    frames = list(_read_frames(BytesIO(data), len(data), []))
     if sum(9 + len(body) for _, body in frames) != len(data):
         return None
     parsed = [_parse_frame(opcode, body) for opcode, body in frames if opcode != _CHUNK]
     return [record for records in parsed for record in records or ()]
 
 
-def _unpack(chunk: Any) -> bytes | None:
+def _decompress(chunk: Any) -> bytes | None:
     """The bytes of a chunk, None where they are not what the chunk promises."""
     import lz4.frame  # type: ignore[import-untyped]
     import zstandard

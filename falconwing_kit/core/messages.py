@@ -1,4 +1,6 @@
-"""Messages: what one block of the loop hands to the next. Frozen records with units and frames, nothing else."""
+"""Messages: what one block of the loop hands to the next. Frozen records with units and frames,
+nothing else.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -88,18 +90,26 @@ class State:
             KeyError: a name is missing.
         """
         values = [record[name] for name in STATE_NAMES]
-        numbers = [np.nan if x is None else require_range(name, x) for name, x in zip(STATE_NAMES, values, strict=True)]
+        numbers = [
+            np.nan if x is None else require_range(name, x)
+            for name, x in zip(STATE_NAMES, values, strict=True)
+        ]
         return cls.from_vector(np.array(numbers))
 
     @property
     def vector(self) -> Array:
         """(12,) in the order of STATE_NAMES, SI."""
-        return np.concatenate([self.p_world, [self.pitch, self.yaw, self.roll], self.v_world, self.rates_body])
+        return np.concatenate(
+            [self.p_world, [self.pitch, self.yaw, self.roll], self.v_world, self.rates_body]
+        )
 
     @property
     def record(self) -> dict[str, float | None]:
         """Names and numbers, as JSON holds them: None for nan."""
-        return {name: x if np.isfinite(x) else None for name, x in zip(STATE_NAMES, self.vector.tolist(), strict=True)}
+        return {
+            name: x if np.isfinite(x) else None
+            for name, x in zip(STATE_NAMES, self.vector.tolist(), strict=True)
+        }
 
     @property
     def pose(self) -> Pose:
@@ -109,7 +119,9 @@ class State:
 
 @dataclass(frozen=True)
 class Command:
-    """Stick positions: throttle 0..1, the others -1..1; positive is right wing down, nose up, nose right."""
+    """Stick positions: throttle 0..1, the others -1..1; positive is right wing down, nose up, nose
+    right.
+    """
 
     throttle: float
     aileron: float
@@ -119,8 +131,13 @@ class Command:
     saturated: bool = False  # True where a limit acted
 
     @classmethod
-    def limited(
-        cls, throttle: float, aileron: float, elevator: float, rudder: float, image_sequence: int = -1
+    def clip(
+        cls,
+        throttle: float,
+        aileron: float,
+        elevator: float,
+        rudder: float,
+        image_sequence: int = -1,
     ) -> "Command":
         """A command within its limits; `saturated` says whether a limit acted.
 
@@ -137,10 +154,22 @@ class Command:
         Raises:
             InputError: a value is not finite.
         """
-        sticks = (throttle, aileron, elevator, rudder)
-        wanted = [require_range(name, value) for name, value in zip(COMMAND_NAMES, sticks, strict=True)]
-        cut = [min(max(value, low), 1.0) for value, low in zip(wanted, (0.0, -1.0, -1.0, -1.0), strict=True)]
-        return cls(cut[0], cut[1], cut[2], cut[3], image_sequence, saturated=cut != wanted)
+        values = (throttle, aileron, elevator, rudder)
+        wanted = [
+            require_range(name, value) for name, value in zip(COMMAND_NAMES, values, strict=True)
+        ]
+        clipped = [
+            min(max(value, low), 1.0)
+            for value, low in zip(wanted, (0.0, -1.0, -1.0, -1.0), strict=True)
+        ]
+        return cls(
+            clipped[0],
+            clipped[1],
+            clipped[2],
+            clipped[3],
+            image_sequence,
+            saturated=clipped != wanted,
+        )
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "Command":
@@ -153,9 +182,11 @@ class Command:
             InputError: a value is not a finite number.
             KeyError: a name is missing.
         """
-        sticks = [require_range(name, record[name]) for name in COMMAND_NAMES]
-        sequence = int(require_range("image_sequence", record["image_sequence"], low=-1, high=2**32))
-        return cls(sticks[0], sticks[1], sticks[2], sticks[3], sequence, bool(record["saturated"]))
+        values = [require_range(name, record[name]) for name in COMMAND_NAMES]
+        sequence = int(
+            require_range("image_sequence", record["image_sequence"], low=-1, high=2**32)
+        )
+        return cls(values[0], values[1], values[2], values[3], sequence, bool(record["saturated"]))
 
     @property
     def vector(self) -> Array:
@@ -165,8 +196,12 @@ class Command:
     @property
     def record(self) -> dict[str, float | int | bool]:
         """Names and values, as JSON holds them."""
-        sticks = {name: float(getattr(self, name)) for name in COMMAND_NAMES}
-        return {**sticks, "image_sequence": int(self.image_sequence), "saturated": bool(self.saturated)}
+        values = {name: float(getattr(self, name)) for name in COMMAND_NAMES}
+        return {
+            **values,
+            "image_sequence": int(self.image_sequence),
+            "saturated": bool(self.saturated),
+        }
 
 
 @dataclass(frozen=True)
@@ -180,7 +215,9 @@ class Event:
 
 @dataclass(frozen=True)
 class Observation:
-    """What a controller gets: the newest image, the commands it gave, and the state where one is known."""
+    """What a controller gets: the newest image, the commands it gave, and the state where one is
+    known.
+    """
 
     t: float  # [s]
     image: Image | None

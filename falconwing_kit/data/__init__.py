@@ -1,4 +1,6 @@
-"""Shipped data: the name of a recorded or simulated flight -> its file. README.md says where each comes from."""
+"""Shipped data: the name of a recorded or simulated flight -> its file. README.md says where each
+comes from.
+"""
 
 from pathlib import Path
 
@@ -26,5 +28,5 @@ def data_path(name: str) -> Path:
         InputError: nothing of that name ships; the text lists what does.
     """
     if name not in shipped_names():
-        raise InputError(f"data: want one of {', '.join(shipped_names())}, got {name!r}")
+        raise InputError(f"data: expected one of {', '.join(shipped_names())}, got {name!r}")
     return _FOLDER / name

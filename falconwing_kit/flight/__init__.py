@@ -1,6 +1,6 @@
 """flight: the simulated world, image sources, the 20 Hz loop, its tasks and their judges."""
 
-from falconwing_kit.flight.loop import Flight, Loop, SimulatedClock, Step, WallClock
+from falconwing_kit.flight.loop import Loop, LoopResult, LoopStep, SimulatedClock, WallClock
 from falconwing_kit.flight.sources import MeasuredStates, RecordedImages, RenderedView, fpv_camera
 from falconwing_kit.flight.tasks import FollowTask, LandingTask
 from falconwing_kit.flight.trial import Spread, trial_seed
@@ -8,10 +8,11 @@ from falconwing_kit.flight.world import Contact, PoseFilter, PoseNoise, Simulate
 
 __all__ = [
     "Contact",
-    "Flight",
     "FollowTask",
     "LandingTask",
     "Loop",
+    "LoopResult",
+    "LoopStep",
     "MeasuredStates",
     "PoseFilter",
     "PoseNoise",
@@ -20,7 +21,6 @@ __all__ = [
     "SimulatedClock",
     "SimulatedWorld",
     "Spread",
-    "Step",
     "WallClock",
     "fpv_camera",
     "trial_seed",

@@ -1,7 +1,9 @@
-"""The loop: images and states in, commands out, 20 times a second; the same loop for simulation and hardware.
+"""The loop: images and states in, commands out, 20 times a second; the same loop for simulation and
+hardware.
 
-Only its two ends change: where images and states come from, and where commands go. Whatever goes wrong in a pilot, the
-aircraft gets neutral sticks and an idle motor instead of an exception; and so it does when the flight is over.
+Only its two ends change: where images and states come from, and where commands go. Whatever goes
+wrong in a pilot, the aircraft gets neutral sticks and an idle motor instead of an exception; and so
+it does when the flight is over.
 """
 
 import math
@@ -21,17 +23,21 @@ from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Command, Event, Image, Observation, State
 
-PERIOD = 0.05  # s: the paper's 20 Hz
+CONTROL_PERIOD = 0.05  # s: the paper's 20 Hz
 HISTORY = 30  # past commands that a pilot sees, as in the paper
 SAFE_COMMAND = Command(throttle=0.0, aileron=0.0, elevator=0.0, rudder=0.0)
-LATEST = 0.5  # periods: a step later than this is skipped, so that two steps are never closer than this
+MAX_LATENESS = (
+    0.5  # periods: a step later than this is skipped, so that two steps are never closer than this
+)
 
 
 class ImageSource(Protocol):
     """Where images come from."""
 
     def next(self, t: float) -> Image | None:
-        """The newest image at time t [s]; None where there is none, an exception where there will be none again."""
+        """The newest image at time t [s]; None where there is none, an exception where there will
+        be none again.
+        """
 
 
 class StateSource(Protocol):
@@ -101,7 +107,7 @@ class SimulatedClock:
 
 
 @dataclass(frozen=True)
-class Step:
+class LoopStep:
     """What happened in one step, for hooks."""
 
     t: float  # [s]
@@ -113,14 +119,18 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
+class LoopResult:
     """How the loop went."""
 
-    reason: str  # why it ended: "duration", "interrupted", "pilot failed", or the word of what ended it
+    reason: (
+        str  # why it ended: "duration", "interrupted", "pilot failed", or the word of what ended it
+    )
     t: Array  # (n,) deadlines of the steps flown [s]
     lateness: Array  # (n,) by which each step began after its deadline [s]
     skipped: int  # steps that were too late to fly
-    seconds: Mapping[str, Array]  # (n,) for each stage: images, states, pilot, send, log, hooks [s of real time]
+    seconds: Mapping[
+        str, Array
+    ]  # (n,) for each stage: images, states, pilot, send, log, hooks [s of real time]
     events: tuple[Event, ...]
 
     @property
@@ -134,7 +144,9 @@ class Flight:
         return (len(self.t) - 1) / float(self.t[-1] - self.t[0]) if len(self.t) > 1 else math.nan
 
     def milliseconds(self, stage: str) -> tuple[float, float]:
-        """Median and 95th percentile of a stage [ms]; "lateness" gives the jitter of the schedule. nan for no steps."""
+        """Median and 95th percentile of a stage [ms]; "lateness" gives the jitter of the schedule.
+        nan for no steps.
+        """
         values = self.lateness if stage == "lateness" else self.seconds.get(stage, np.zeros(0))
         if len(values) == 0:
             return math.nan, math.nan
@@ -142,11 +154,14 @@ class Flight:
         return float(median), float(high)
 
 
-def deadlines(clock: Clock, duration: float, period: float = PERIOD) -> Iterator[tuple[int, float]]:
-    """Wait for one deadline k * period after the other; they are absolute, so errors of waiting never add up.
+def deadlines(
+    clock: Clock, duration: float, period: float = CONTROL_PERIOD
+) -> Iterator[tuple[int, float]]:
+    """Wait for one deadline k * period after the other; they are absolute, so errors of waiting
+    never add up.
 
-    A step that is late by up to half a period is flown at once. What is later is left out, and the next deadline is
-    waited for: steps are never made up for in a burst.
+    A step that is late by up to half a period is flown at once. What is later is left out, and the
+    next deadline is waited for: steps are never made up for in a burst.
 
     Args:
         clock: already started.
@@ -160,17 +175,18 @@ def deadlines(clock: Clock, duration: float, period: float = PERIOD) -> Iterator
     while k * period < duration:
         clock.wait_until(k * period)
         yield k, clock.now() - k * period
-        k = max(k + 1, math.ceil(clock.now() / period - LATEST))
+        k = max(k + 1, math.ceil(clock.now() / period - MAX_LATENESS))
 
 
 @dataclass
 class Loop:
     """One flight: sources, a pilot, a sink, a clock, a log and hooks; `run` flies it.
 
-    A pilot that raises or answers with something else than finite sticks costs the step: the safe command is sent and
-    an event logged. A hook that raises is dropped, a log whose disk is full and a pilot's `mode` as well, and the
-    flight goes on. A source or sink that raises ends the flight and the error is raised. However a flight ends, the
-    safe command is the last one sent.
+    A pilot that raises or answers with something else than finite sticks costs the step: the safe
+        command is sent and
+    an event logged. A hook that raises is dropped, a log whose disk is full and a pilot's `mode` as
+    well, and the flight goes on. A source or sink that raises ends the flight and the error is
+    raised. However a flight ends, the safe command is the last one sent.
     """
 
     pilot: Pilot
@@ -180,11 +196,13 @@ class Loop:
     leader: StateSource | None = None  # only shown to hooks; the pilot has to see it
     clock: Clock = field(default_factory=SimulatedClock)
     log: FlightLogWriter | None = None  # opened and closed by the caller
-    hooks: Sequence[Callable[[Step], None]] = ()
-    period: float = PERIOD  # [s]
+    hooks: Sequence[Callable[[LoopStep], None]] = ()
+    period: float = CONTROL_PERIOD  # [s]
     faults_allowed: int = 20  # steps in a row without a command before the flight ends: one second
 
-    def run(self, duration: float, ended: Callable[[Step], str] = lambda step: "") -> Flight:
+    def run(
+        self, duration: float, ended: Callable[[LoopStep], str] = lambda step: ""
+    ) -> LoopResult:
         """Fly until something ends it, Ctrl-C too; then send the safe command.
 
         Args:
@@ -203,21 +221,21 @@ class Loop:
         run, reason = _Run(self), "duration"
         self.clock.start()
         try:
-            with _ctrl_c() as asked_to_end:
+            with _ctrl_c() as stop_requested:
                 for k, lateness in deadlines(self.clock, duration, self.period):
-                    word = ended(run.step(k * self.period, lateness))
-                    if asked_to_end.is_set():
+                    stop_reason = ended(run.step(k * self.period, lateness))
+                    if stop_requested.is_set():
                         raise KeyboardInterrupt
-                    if word or run.faults_in_a_row > self.faults_allowed:
-                        reason = word or "pilot failed"
+                    if stop_reason or run.faults_in_a_row > self.faults_allowed:
+                        reason = stop_reason or "pilot failed"
                         break
                 else:
                     self.clock.wait_until(duration)  # the last step's command holds to its end
-                run.let_go()
+                run.send_safe_command()
         except KeyboardInterrupt:
-            run.leave(reason := "interrupted", "Ctrl-C")
+            run.abort(reason := "interrupted", "Ctrl-C")
         except Exception as error:
-            run.leave("failed", _sentence(error))
+            run.abort("failed", _error_text(error))
             raise
         run.event("ended", {"reason": reason, "steps": len(run.times), "skipped": run.skipped})
         return run.flight(reason)
@@ -235,35 +253,39 @@ class _Run:
         self.seconds: dict[str, list[float]] = defaultdict(list)
         self.events: list[Event] = []
         self.faults_in_a_row = 0
-        self.mode, self.silent = "", False
+        self.mode, self.mode_failed = "", False
 
-    def step(self, t: float, lateness: float) -> Step:
+    def step(self, t: float, lateness: float) -> LoopStep:
         """Look, ask the pilot, send, and only then log and show."""
         loop = self.loop
         self.times.append(t)
         self.lateness.append(lateness)
-        with self.timed("images"):
+        with self.time_stage("images"):
             new_image = loop.images.next(t) if loop.images else None
-        if new_image is not None and self.image is not None and new_image.sequence == self.image.sequence:
+        if (
+            new_image is not None
+            and self.image is not None
+            and new_image.sequence == self.image.sequence
+        ):
             new_image = None
         self.image = new_image or self.image
-        with self.timed("states"):
+        with self.time_stage("states"):
             state = loop.states.state(t) if loop.states else None
         observation = Observation(t, self.image, self.past_commands, state)
-        with self.timed("pilot"):
+        with self.time_stage("pilot"):
             command = self.ask(observation)
-        with self.timed("send"):
+        with self.time_stage("send"):
             loop.sink.send(t, command)
         self.past_commands = np.vstack([self.past_commands[1:], command.vector])
         leader = loop.leader.state(t) if loop.leader else None
-        step = Step(t, self.image, state, command, self.ask_mode(), leader)
-        with self.timed("log"):
+        step = LoopStep(t, self.image, state, command, self.read_mode(), leader)
+        with self.time_stage("log"):
             self.write(lambda log: _log_step(log, loop.clock.now(), step, new_image))
             if step.mode != self.mode:
                 self.event("mode", {"mode": step.mode})
                 self.mode = step.mode
-        with self.timed("hooks"):
-            self.show(step)
+        with self.time_stage("hooks"):
+            self.call_hooks(step)
         return step
 
     def ask(self, observation: Observation) -> Command:
@@ -272,27 +294,29 @@ class _Run:
         try:
             answer = self.loop.pilot.act(observation)
             if not isinstance(answer, Command):
-                raise TypeError(f"want a Command, got {type(answer).__name__}")
-            command = Command.limited(*answer.vector.tolist())
+                raise TypeError(f"expected a Command, got {type(answer).__name__}")
+            command = Command.clip(*answer.vector.tolist())
         except Exception as error:
             self.faults_in_a_row += 1
-            self.event("pilot failed", {"error": _sentence(error)})
+            self.event("pilot failed", {"error": _error_text(error)})
             return replace(SAFE_COMMAND, image_sequence=sequence)
         self.faults_in_a_row = 0
-        return replace(command, image_sequence=sequence, saturated=command.saturated or bool(answer.saturated))
+        return replace(
+            command, image_sequence=sequence, saturated=command.saturated or bool(answer.saturated)
+        )
 
-    def ask_mode(self) -> str:
+    def read_mode(self) -> str:
         """The pilot's word for what it is doing; where asking raises, it is not asked again."""
-        if self.silent:
+        if self.mode_failed:
             return ""
         try:
             return str(getattr(self.loop.pilot, "mode", ""))
         except Exception as error:
-            self.silent = True
-            self.event("mode dropped", {"error": _sentence(error)})
+            self.mode_failed = True
+            self.event("mode dropped", {"error": _error_text(error)})
             return ""
 
-    def show(self, step: Step) -> None:
+    def call_hooks(self, step: LoopStep) -> None:
         """Call the hooks; one that raises is not called again."""
         for hook in list(self.hooks):
             try:
@@ -300,16 +324,19 @@ class _Run:
             except Exception as error:
                 self.hooks.remove(hook)
                 self.event(
-                    "hook dropped", {"hook": getattr(hook, "__qualname__", str(hook)), "error": _sentence(error)}
+                    "hook dropped",
+                    {"hook": getattr(hook, "__qualname__", str(hook)), "error": _error_text(error)},
                 )
 
-    def leave(self, name: str, why: str) -> None:
-        """Let go before an error or Ctrl-C ends the flight; what fails here must not hide the reason."""
+    def abort(self, name: str, why: str) -> None:
+        """Let go before an error or Ctrl-C ends the flight; what fails here must not hide the
+        reason.
+        """
         with suppress(Exception):
-            self.let_go()
+            self.send_safe_command()
         self.event(name, {"why": why})
 
-    def let_go(self) -> None:
+    def send_safe_command(self) -> None:
         """The safe command, for what was sent last holds for ever."""
         self.loop.sink.send(self.loop.clock.now(), SAFE_COMMAND)
         self.write(lambda log: log.command(self.loop.clock.now(), SAFE_COMMAND))
@@ -331,7 +358,7 @@ class _Run:
             warn(f"{error}; the flight goes on without a log", stacklevel=2)
 
     @contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
+    def time_stage(self, stage: str) -> Iterator[None]:
         """Add the real time that a block takes to its stage."""
         begin = time.perf_counter()
         yield
@@ -342,39 +369,48 @@ class _Run:
         """Deadlines between the first and the last step that were not flown."""
         return round(self.times[-1] / self.loop.period) + 1 - len(self.times) if self.times else 0
 
-    def flight(self, reason: str) -> Flight:
+    def flight(self, reason: str) -> LoopResult:
         """The record of the flight."""
         seconds = {stage: np.array(values) for stage, values in self.seconds.items()}
-        return Flight(reason, np.array(self.times), np.array(self.lateness), self.skipped, seconds, tuple(self.events))
+        return LoopResult(
+            reason,
+            np.array(self.times),
+            np.array(self.lateness),
+            self.skipped,
+            seconds,
+            tuple(self.events),
+        )
 
 
 @contextmanager
 def _ctrl_c() -> Iterator[threading.Event]:
-    """Ctrl-C asks for an end after the step, so that it cuts no record of the log; a second one does not wait."""
-    asked = threading.Event()
+    """Ctrl-C asks for an end after the step, so that it cuts no record of the log; a second one
+    does not wait.
+    """
+    stop_event = threading.Event()
 
     def ask(signal_number: int, frame: Any) -> None:
-        if asked.is_set():
+        if stop_event.is_set():
             raise KeyboardInterrupt
-        asked.set()
+        stop_event.set()
 
-    ours = threading.current_thread() is threading.main_thread()
-    if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield asked  # somebody else minds Ctrl-C
+    is_main_thread = threading.current_thread() is threading.main_thread()
+    if not is_main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield stop_event  # somebody else minds Ctrl-C
         return
     signal.signal(signal.SIGINT, ask)
     try:
-        yield asked
+        yield stop_event
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def _log_step(log: FlightLogWriter, now: float, step: Step, new_image: Image | None) -> None:
+def _log_step(log: FlightLogWriter, now: float, step: LoopStep, new_image: Image | None) -> None:
     """The command first: if the disk fills up in between, it is the one to have."""
     log.command(now, step.command, new_image)
     if step.state is not None:
         log.state(step.t, step.state, step.command.image_sequence)
 
 
-def _sentence(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"

@@ -1,4 +1,6 @@
-"""Trials: a frozen seed and a spread -> the start and world of one flight; what makes a task, and its table entry."""
+"""Trials: a frozen seed and a spread -> the start and world of one flight; what makes a task, and
+its table entry.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,14 +17,14 @@ from falconwing_kit.control.loops import SPEED
 from falconwing_kit.core.checks import require_range
 from falconwing_kit.core.frames import rotation_world_body
 from falconwing_kit.core.messages import State
-from falconwing_kit.flight.judges import Judge
+from falconwing_kit.flight.judges import FlightEvaluator
 from falconwing_kit.flight.loop import Pilot
 from falconwing_kit.flight.sources import RenderedView
 from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
 
-# The frozen seeds of trials: number k of `--seed s` is TRIAL_SEEDS * (s + 1) + k, for every pilot the same. Seeds below
-# TRIAL_SEEDS are for training and tuning and never judge.
+# The frozen seeds of trials: number k of `--seed s` is TRIAL_SEEDS * (s + 1) + k, for every pilot
+# the same. Seeds below TRIAL_SEEDS are for training and tuning and never judge.
 TRIAL_SEEDS = 10_000
 
 
@@ -49,7 +51,9 @@ class Spread:
     angle: float  # roll, pitch and yaw [rad]
     speed: float  # [m/s]
 
-    def start(self, model: Model, p_world: ArrayLike, seed: int, yaw: float = 0.0, speed: float = SPEED) -> State:
+    def start(
+        self, model: Model, p_world: ArrayLike, seed: int, yaw: float = 0.0, speed: float = SPEED
+    ) -> State:
         """A start around a trimmed flight; the velocity turns with the nose.
 
         Args:
@@ -75,7 +79,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Trial:
+class TrialSetup:
     """The world of one trial, at its start."""
 
     seed: int
@@ -84,7 +88,7 @@ class Trial:
     duration: float  # [s], at most
 
 
-class Task(Protocol):
+class FlightTask(Protocol):
     """What can be flown and judged."""
 
     @property
@@ -98,13 +102,15 @@ class Task(Protocol):
     def leader(self, seed: int) -> LeaderPath | None:
         """The leader of a seed; None for a task without one. A study's digest is taken of it."""
 
-    def trial(self, seed: int) -> Trial:
+    def trial(self, seed: int) -> TrialSetup:
         """The world of a seed; the same for every pilot."""
 
-    def judge(self, trial: Trial, camera: PinholeCamera, view: RenderedView | None = None) -> Judge:
+    def judge(
+        self, trial: TrialSetup, camera: PinholeCamera, view: RenderedView | None = None
+    ) -> FlightEvaluator:
         """Who judges it, in the images of a camera."""
 
-    def expert(self, trial: Trial) -> Pilot:
+    def expert(self, trial: TrialSetup) -> Pilot:
         """The pilot that does it by state."""
 
 
@@ -114,5 +120,9 @@ class TaskEntry:
 
     name: str  # as `fly --task` takes it
     summary: str  # as `fly --help` shows it
-    make: Callable[..., Task]  # with the leader's manoeuvre where there is one, else with nothing
-    manoeuvre: str = ""  # what the leader flies where none is given; empty for a task without a leader
+    make: Callable[
+        ..., FlightTask
+    ]  # with the leader's manoeuvre where there is one, else with nothing
+    manoeuvre: str = (
+        ""  # what the leader flies where none is given; empty for a task without a leader
+    )

@@ -1,7 +1,8 @@
-"""Simulated world: commands come in late, the aircraft flies -> truth, measured state, leader and first contact.
+"""Simulated world: commands come in late, the aircraft flies -> truth, measured state, leader and
+first contact.
 
-Everything here is simulated. Noise depends on the seed and the frame's number alone, so that flights with the same seed
-start and are measured alike whoever flies.
+Everything here is simulated. Noise depends on the seed and the frame's number alone, so that
+flights with the same seed start and are measured alike whoever flies.
 """
 
 import math
@@ -13,7 +14,7 @@ import numpy as np
 from falconwing_kit.aircraft.airframe import Airframe
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.touchdown import LandingPad, Touchdown, find_touchdown, pad_height
-from falconwing_kit.control.estimate import FlyingAircraft
+from falconwing_kit.control.estimate import SimulatedAircraft
 from falconwing_kit.control.guidance import Hall
 from falconwing_kit.control.loops import LINK_DELAY_S, STEP_S
 from falconwing_kit.core.checks import Array, InputError, require_range
@@ -24,13 +25,18 @@ Obstacle = Literal["pad", "pad edge", "floor", "wall", "ceiling", "leader"]
 
 CLEARANCE = 1.0  # m between the two centres of gravity; nearer counts as a collision
 NO_PAD = LandingPad(length=0.0, width=0.0, height=0.0)
-POSITION_JERK, ATTITUDE_JERK = 8.0, 15.0  # white jerk of a small aircraft [m/s^3, rad/s^3, each times sqrt(s)]
+POSITION_JERK, ATTITUDE_JERK = (
+    8.0,
+    15.0,
+)  # white jerk of a small aircraft [m/s^3, rad/s^3, each times sqrt(s)]
 WARM_UP = 40  # frames that the filter has seen before the flight begins
 
 
 @dataclass(frozen=True)
 class PoseNoise:
-    """White noise of a measured pose, standard deviation per axis; the default is a good marker's at close range."""
+    """White noise of a measured pose, standard deviation per axis; the default is a good marker's
+    at close range.
+    """
 
     position: float = 0.01  # [m]
     attitude: float = math.radians(0.7)  # [rad]
@@ -47,10 +53,12 @@ class Contact:
     t: float  # [s]
     obstacle: Obstacle
     p_world: Array  # (3,) the centre of gravity [m]
-    touchdown: Touchdown | None = None  # where wheels met pad or floor; None where something else was first
+    touchdown: Touchdown | None = (
+        None  # where wheels met pad or floor; None where something else was first
+    )
 
 
-class Leader(Protocol):
+class LeaderTrajectory(Protocol):
     """What the world asks of a leader."""
 
     def state(self, t: float) -> State:
@@ -60,8 +68,10 @@ class Leader(Protocol):
 class PoseFilter:
     """Poses, one by one -> position, attitude, and the velocities and rates they tell of.
 
-    A Kalman filter for each of the six channels: value, rate and acceleration, driven by white jerk [Bar-Shalom, Li &
-    Kirubarajan, Estimation with Applications to Tracking and Navigation, sec. 6.2.3: white-noise jerk model].
+    A Kalman filter for each of the six channels: value, rate and acceleration, driven by white jerk
+        [Bar-Shalom, Li &
+    Kirubarajan, Estimation with Applications to Tracking and Navigation, sec. 6.2.3: white-noise
+    jerk model].
     """
 
     def __init__(self, noise: PoseNoise) -> None:
@@ -74,7 +84,9 @@ class PoseFilter:
         self._jerk = np.repeat((POSITION_JERK, ATTITUDE_JERK), 3)
 
     def update(self, t: float, pose: Array) -> State:
-        """Take in a pose (6,): p_world [m], roll, pitch, yaw [rad] at t [s]; give the state as known now."""
+        """Take in a pose (6,): p_world [m], roll, pitch, yaw [rad] at t [s]; give the state as
+        known now.
+        """
         if self._t is None:
             self._x[0], self._P = pose, np.diag((1.0, 100.0, 100.0))[:, :, None] * np.ones(6)
         else:
@@ -99,7 +111,11 @@ class PoseFilter:
     def _predict(self, dt: float) -> None:
         F = np.array([[1.0, dt, dt * dt / 2.0], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
         Q = np.array(
-            [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
+            [
+                [dt**5 / 20, dt**4 / 8, dt**3 / 6],
+                [dt**4 / 8, dt**3 / 3, dt**2 / 2],
+                [dt**3 / 6, dt**2 / 2, dt],
+            ]
         )
         self._x = F @ self._x
         self._P = np.einsum("ij,jkc,lk->ilc", F, self._P, F) + Q[:, :, None] * self._jerk**2
@@ -110,7 +126,7 @@ class SimulatedWorld:
 
     def __init__(
         self, model: Model, airframe: Airframe, start: State, *, seed: int,
-        pad: LandingPad | None = None, leader: Leader | None = None, hall: Hall | None = None,
+        pad: LandingPad | None = None, leader: LeaderTrajectory | None = None, hall: Hall | None = None,
         noise: PoseNoise | None = None, delay: float = LINK_DELAY_S,
     ) -> None:  # fmt: skip
         """Begin at t = 0.
@@ -130,10 +146,17 @@ class SimulatedWorld:
             InputError: the start is not finite, or an argument is out of its range.
         """
         if not np.isfinite(start.vector).all():
-            raise InputError("start: want a finite state, got nan or infinity; give all of its numbers")
+            raise InputError(
+                "start: expected a finite state, got nan or infinity; give all of its numbers"
+            )
         self.contact: Contact | None = None
-        self._aircraft = FlyingAircraft(model, start, delay)
-        self._airframe, self._pad, self._leader, self._hall = airframe, pad or NO_PAD, leader, hall or Hall()
+        self._aircraft = SimulatedAircraft(model, start, delay)
+        self._airframe, self._pad, self._leader, self._hall = (
+            airframe,
+            pad or NO_PAD,
+            leader,
+            hall or Hall(),
+        )
         self._noise, self._seed = noise or PoseNoise(), int(require_range("seed", seed, low=0))
         self._t, self._filter = 0.0, PoseFilter(self._noise)
         self._measured = self._warm_up()
@@ -158,7 +181,9 @@ class SimulatedWorld:
         self._aircraft.send(t, command.vector)
 
     def measured(self) -> State:
-        """The state as an estimator knows it: the noisy pose of this frame, velocities and rates by `PoseFilter`."""
+        """The state as an estimator knows it: the noisy pose of this frame, velocities and rates by
+        `PoseFilter`.
+        """
         return self._measured
 
     def advance(self, t: float) -> None:
@@ -181,7 +206,11 @@ class SimulatedWorld:
         start = self.state
         for k in range(-WARM_UP, 0):
             earlier = State(
-                start.p_world + k * STEP_S * start.v_world, start.pitch, start.yaw, start.roll, start.v_world
+                start.p_world + k * STEP_S * start.v_world,
+                start.pitch,
+                start.yaw,
+                start.roll,
+                start.v_world,
             )
             self._measure(k, earlier)
         return self._measure(0, start)
@@ -189,24 +218,35 @@ class SimulatedWorld:
     def _measure(self, frame: int, state: State) -> State:
         rng = np.random.default_rng([self._seed, frame + WARM_UP])
         sigma = np.repeat((self._noise.position, self._noise.attitude), 3)
-        pose = np.array([*state.p_world, state.roll, state.pitch, state.yaw]) + sigma * rng.normal(size=6)
+        pose = np.array([*state.p_world, state.roll, state.pitch, state.yaw]) + sigma * rng.normal(
+            size=6
+        )
         known = self._filter.update(frame * STEP_S, pose)
         return State(pose[:3], pose[4], pose[5], pose[3], known.v_world, known.rates_body)
 
     def _corners(self, p_world: Array, roll: float, pitch: float, yaw: float) -> Array:
         """Nose, tail and wing tips (4, 3) [m]."""
-        return np.asarray(p_world + self._airframe.corners_body @ rotation_world_body(roll, pitch, yaw).T)
+        return np.asarray(
+            p_world + self._airframe.corners_body @ rotation_world_body(roll, pitch, yaw).T
+        )
 
     def _contact(self, t_before: float, x_before: Array) -> Contact | None:
-        """What was touched first since the last look: where wheels came down, nothing else had touched until then."""
+        """What was touched first since the last look: where wheels came down, nothing else had
+        touched until then.
+        """
         x, t = self._aircraft.x, self._t
         p_world, attitude = x[:3], (x[5], x[3], x[4])  # roll, pitch, yaw
-        touchdown = find_touchdown((t_before, t), np.stack([x_before, x]), self._airframe, self._pad)
+        touchdown = find_touchdown(
+            (t_before, t), np.stack([x_before, x]), self._airframe, self._pad
+        )
         if touchdown is not None:
             t, p_world = touchdown.t, touchdown.p_world
             attitude = (touchdown.bank, touchdown.pitch, touchdown.yaw)
         corners = self._corners(p_world, *attitude)
-        if self._leader is not None and np.linalg.norm(self._leader.state(t).p_world - p_world) < CLEARANCE:
+        if (
+            self._leader is not None
+            and np.linalg.norm(self._leader.state(t).p_world - p_world) < CLEARANCE
+        ):
             return Contact(t, "leader", p_world)
         before = self._corners(x_before[:3], x_before[5], x_before[3], x_before[4])
         ground = pad_height(corners, self._pad)
@@ -219,7 +259,9 @@ class SimulatedWorld:
             "ceiling": corners[:, 2].max() > self._hall.beams,
             "wall": self._hall.margin(corners * (1.0, 1.0, 0.0)).min() < 0.0,
         }
-        first = next((Contact(t, obstacle, p_world) for obstacle, yes in touched.items() if yes), None)
+        first = next(
+            (Contact(t, obstacle, p_world) for obstacle, hits in touched.items() if hits), None
+        )
         if first is None and touchdown is not None:
             return Contact(t, touchdown.surface, p_world, touchdown)
         return first

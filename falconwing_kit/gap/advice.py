@@ -1,6 +1,8 @@
-"""Advice: a verdict -> one honest sentence about it, and which manoeuvre of a small library to fly next.
+"""Advice: a verdict -> one honest sentence about it, and which manoeuvre of a small library to fly
+next.
 
-The base model flies every manoeuvre: its Fisher matrix, added to the flight's own, says what it would tell.
+The base model flies every manoeuvre: its Fisher matrix, added to the flight's own, says what it
+would tell.
 """
 
 import math
@@ -14,37 +16,55 @@ import numpy as np
 
 from falconwing_kit.aircraft.effects import Effect
 from falconwing_kit.aircraft.model import Model
-from falconwing_kit.aircraft.trim import STICK_LIMITS, Trim, trim
+from falconwing_kit.aircraft.trim import COMMAND_LIMITS, Trim, trim
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.messages import COMMAND_NAMES
-from falconwing_kit.gap.baseline import LEAST_GAIN, CalmBase
-from falconwing_kit.gap.name import Candidate, Naming
-from falconwing_kit.gap.noise import whitened
+from falconwing_kit.gap.baseline import VERY_STRONG_EVIDENCE, NominalModel
+from falconwing_kit.gap.name import EffectCandidate, Naming
+from falconwing_kit.gap.noise import whiten
 from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
-from falconwing_kit.sysid.prepare import Flight
-from falconwing_kit.sysid.shooting import EARLY_ROWS, FIRST_ROW, Windows, changes, cut_windows, fly_windows, jacobian
+from falconwing_kit.sysid.prepare import PreparedFlight
+from falconwing_kit.sysid.shooting import (
+    FIRST_ROW,
+    WARMUP_ROWS,
+    Windows,
+    cut_windows,
+    finite_differences,
+    fly_windows,
+    jacobian,
+)
 from falconwing_kit.sysid.uncertainty import ordinary_size
 
-PARTED = 2.0 * LEAST_GAIN  # chi2 to be added: what is ahead by a margin today may have to fall behind by one
-TRIED_S = 30.0  # what a manoeuvre tells is compared after this time
-SECONDS = np.geomspace(2.0, 600.0, 16)  # where the growth of evidence is computed; who needs more needs another idea
-STEEPEST = math.radians(75.0)  # of pitch and roll; where a leg ends steeper, its pilot would not have waited so long
-SPOTS = np.array([[0, 0], [1, 1], [-1, -1], [1, -1], [-1, 1]])  # of the hall, where legs are flown in turn
+SEPARATION_CHI2 = (
+    2.0 * VERY_STRONG_EVIDENCE
+)  # chi2 to be added: what is ahead by a margin today may have to fall behind by one
+COMPARISON_S = 30.0  # what a manoeuvre tells is compared after this time
+SECONDS = np.geomspace(
+    2.0, 600.0, 16
+)  # where the growth of evidence is computed; who needs more needs another idea
+MAX_ANGLE = math.radians(
+    75.0
+)  # of pitch and roll; where a leg ends steeper, its pilot would not have waited so long
+LEG_OFFSETS = np.array(
+    [[0, 0], [1, 1], [-1, -1], [1, -1], [-1, 1]]
+)  # of the hall, where legs are flown in turn
 
-Stick = Callable[[Array], Any]  # time since the start of a leg [s] -> what is added to the trimmed stick
+InputSignal = Callable[
+    [Array], Any
+]  # time since the start of a leg [s] -> what is added to the trimmed stick
 
 
-def doublets(size: float) -> Stick:
+def doublet_input(size: float) -> InputSignal:
     """One way, the other, and a rest, 0.3 s each, again and again."""
     return lambda t: np.array([0.0, size, -size])[np.round(t / 0.3 - 0.4).astype(int) % 3]
 
 
-def step(size: float) -> Stick:
+def step_input(size: float) -> InputSignal:
     """A step after half a second, held."""
     return lambda t: size * (t >= 0.5)
 
 
-def shake(size: float, frequency_hz: float) -> Stick:
+def sine_input(size: float, frequency_hz: float) -> InputSignal:
     """To and fro, smoothly."""
     return lambda t: size * np.sin(2.0 * np.pi * frequency_hz * t)
 
@@ -53,13 +73,15 @@ def shake(size: float, frequency_hz: float) -> Stick:
 class Leg:
     """Two seconds of a manoeuvre: a trimmed start, and what the sticks do from there."""
 
-    sticks: Mapping[str, Stick] = field(default_factory=dict)  # names of COMMAND_NAMES
+    sticks: Mapping[str, InputSignal] = field(default_factory=dict)  # names of COMMAND_NAMES
     speed: float = 1.0  # share of the usual speed
     height: float = 2.0  # [m]
     bank: float = 0.0  # [rad], positive right wing down
     heading: float = 0.0  # of the flight over the floor [rad], from x to the left
     glide: bool = False  # throttle closed, and the nose lowered until the speed stays
-    beside: float | None = None  # passes the place looked at, so far to its left [m]; None: all over the hall
+    beside: float | None = (
+        None  # passes the place looked at, so far to its left [m]; None: all over the hall
+    )
     later: float = 0.0  # after the other legs [s]
 
 
@@ -70,44 +92,49 @@ class Manoeuvre:
     name: str
     how: str  # as the pilot hears it after "fly"
     legs: tuple[Leg, ...]
-    shows: Mapping[str, str] = field(default_factory=dict)  # effect -> why it shows here as others do not
+    shows: Mapping[str, str] = field(
+        default_factory=dict
+    )  # effect -> why it shows here as others do not
 
 
-def _both_ways(*legs: Leg) -> tuple[Leg, ...]:
+def _both_directions(*legs: Leg) -> tuple[Leg, ...]:
     return (*legs, *(replace(leg, heading=leg.heading + math.pi) for leg in legs))
 
 
-_POWER = (*(Leg({"throttle": step(s)}, speed=v) for v in (0.9, 1.1) for s in (0.3, -0.15)), Leg(height=3.5, glide=True))
+_POWER = (
+    *(Leg({"throttle": step_input(s)}, speed=v) for v in (0.9, 1.1) for s in (0.3, -0.15)),
+    Leg(height=3.5, glide=True),
+)
 MANOEUVRES = (
     Manoeuvre("aileron doublets", "quick aileron doublets, half and full, with the rudder still",
-              _both_ways(*(Leg({"aileron": doublets(s)}) for s in (0.4, -0.4, 0.8, -0.8))),
+              _both_directions(*(Leg({"aileron": doublet_input(s)}) for s in (0.4, -0.4, 0.8, -0.8))),
               {"adverse_yaw": "aileron alone turns the nose", "control_delay": "a delay moves each edge",
                "actuator_lag": "a slow servo rounds each edge"}),
     Manoeuvre("elevator doublets", "elevator doublets at a slow and at a fast speed",
-              _both_ways(*(Leg({"elevator": doublets(s)}, v) for v in (0.85, 1.2) for s in (0.25, -0.25))),
+              _both_directions(*(Leg({"elevator": doublet_input(s)}, v) for v in (0.85, 1.2) for s in (0.25, -0.25))),
               {"cg_shift": "its pull goes with the lift, the elevator's does not"}),
     Manoeuvre("rudder doublets", "rudder doublets with the aileron still",
-              _both_ways(*(Leg({"rudder": doublets(s)}) for s in (0.5, -0.5)))),
+              _both_directions(*(Leg({"rudder": doublet_input(s)}) for s in (0.5, -0.5)))),
     Manoeuvre("throttle steps", "throttle steps with the wings level and the hands off the other sticks",
-              _both_ways(*_POWER[:4]), {"propeller_torque": "nothing but thrust turns the aircraft then"}),
+              _both_directions(*_POWER[:4]), {"propeller_torque": "nothing but thrust turns the aircraft then"}),
     Manoeuvre("glides", "glides with the throttle closed, slow and fast, and throttle steps at the same speeds",
-              _both_ways(*(Leg(speed=v, height=3.5, glide=True) for v in (0.85, 1.0, 1.2)), *_POWER[:4]),
+              _both_directions(*(Leg(speed=v, height=3.5, glide=True) for v in (0.85, 1.0, 1.2)), *_POWER[:4]),
               {"extra_drag": "drag slows a glide too", "thrust_loss": "a weak propeller does not slow a glide",
                "battery_sag": "an empty battery does not slow a glide"}),
     Manoeuvre("low passes", "low passes at 0.4 m right after level flight at 2 m, at the same speed and throttle",
-              _both_ways(Leg(height=0.4), Leg(height=2.0), Leg({"elevator": doublets(0.1)}, height=0.6)),
+              _both_directions(Leg(height=0.4), Leg(height=2.0), Leg({"elevator": doublet_input(0.1)}, height=0.6)),
               {"ground_effect": "only the cushion over the floor fades with height"}),
     Manoeuvre("slow flight", "slow flight, wings level, down to the first mushing",
-              _both_ways(*(Leg({"elevator": doublets(s)}, v) for v in (0.85, 0.75, 0.68) for s in (0.1, -0.1))),
+              _both_directions(*(Leg({"elevator": doublet_input(s)}, v) for v in (0.85, 0.75, 0.68) for s in (0.1, -0.1))),
               {"stall": "it begins at high angles of attack only"}),
-    Manoeuvre("fast flight", "fast flight, wings level", _both_ways(*(Leg(speed=v) for v in (1.2, 1.35))),
+    Manoeuvre("fast flight", "fast flight, wings level", _both_directions(*(Leg(speed=v) for v in (1.2, 1.35))),
               {"extra_drag": "drag grows with the square of speed"}),
     Manoeuvre("speed sweep", "a sweep from the slowest safe speed to the fastest, wings level",
-              _both_ways(*(Leg(speed=v) for v in (0.75, 0.9, 1.05, 1.2, 1.35))),
+              _both_directions(*(Leg(speed=v) for v in (0.75, 0.9, 1.05, 1.2, 1.35))),
               {"flap": "its lift grows with speed", "cg_shift": "each speed needs another elevator",
                "camera_tilt": "a tilted camera shows the same angle at any speed"}),
     Manoeuvre("steep turns", "steep turns to the left and to the right at one speed",
-              _both_ways(*(Leg(bank=math.radians(b)) for b in (-50.0, -35.0, 35.0, 50.0))),
+              _both_directions(*(Leg(bank=math.radians(b)) for b in (-50.0, -35.0, 35.0, 50.0))),
               {"mass_change": "weight bends every path less", "camera_tilt": "a tilted camera turns with the body"}),
     Manoeuvre("circles", "wide circles through all headings, to the left and to the right",
               tuple(Leg(bank=math.radians(b), heading=k * math.pi / 2.0) for b in (-25.0, 25.0) for k in range(4)),
@@ -116,21 +143,21 @@ MANOEUVRES = (
               tuple(Leg(heading=k * math.pi / 2.0, beside=b) for k in range(4) for b in (-1.5, 0.0, 1.5)),
               {"fan_jet": "a stream is felt in one place only", "wind": "a wind is the same beside it"}),
     Manoeuvre("shaking", "fast stick shaking, up to two a second, beside steps that are held",
-              (*(Leg({stick: shake(0.4, f)}) for stick in COMMAND_NAMES[1:] for f in (1.0, 2.0)),
-               *(Leg({stick: step(s)}) for stick, s in (("aileron", 0.15), ("elevator", 0.2), ("rudder", 0.3)))),
+              (*(Leg({channel: sine_input(0.4, f)}) for channel in COMMAND_NAMES[1:] for f in (1.0, 2.0)),
+               *(Leg({channel: step_input(s)}) for channel, s in (("aileron", 0.15), ("elevator", 0.2), ("rudder", 0.3)))),
               {"control_delay": "a delay shifts slow and fast movements alike",
                "actuator_lag": "a slow servo also makes the fast ones smaller"}),
     Manoeuvre("hands off", "straight flight with the hands off the sticks, at a slow and at a fast speed",
-              _both_ways(*(Leg(speed=v) for v in (0.8, 1.2))),
+              _both_directions(*(Leg(speed=v) for v in (0.8, 1.2))),
               {"trim_bias": "a bent trim turns the aircraft faster with speed"}),
     Manoeuvre("small movements", "small movements of aileron, elevator and rudder beside large ones",
-              tuple(Leg({stick: shake(s, 0.7)}) for stick in COMMAND_NAMES[1:] for s in (0.06, 0.12, 0.5)),
+              tuple(Leg({channel: sine_input(s, 0.7)}) for channel in COMMAND_NAMES[1:] for s in (0.06, 0.12, 0.5)),
               {"deadband": "a dead band eats the small ones only"}),
     Manoeuvre("early and late", "the same throttle steps and glides early in a flight and again two minutes later",
               (*_POWER, *(replace(leg, later=120.0) for leg in _POWER)),
               {"battery_sag": "only a battery gets worse meanwhile"}),
 )  # fmt: skip
-ONE_CLASS = (
+INDISTINGUISHABLE = (
     "no flight parts a control delay from late time stamps; on the bench, film a control surface and the stick "
     "together and compare the stamps"
 )
@@ -142,15 +169,23 @@ class Advice:
 
     manoeuvre: Manoeuvre
     chi2: float = math.nan  # by which alternatives would part in TRIED_S
-    seconds: float = math.nan  # until they part by PARTED; inf where the longest of SECONDS do not suffice
-    narrower: float = math.nan  # where none are to be parted: share by which the widest interval shrinks in TRIED_S
+    seconds: float = (
+        math.nan
+    )  # until they part by PARTED; inf where the longest of SECONDS do not suffice
+    shrinkage: float = (
+        math.nan
+    )  # where none are to be parted: share by which the widest interval shrinks in TRIED_S
     widest: str = ""  # parameter with that 95 % interval
 
 
 def manoeuvre_windows(
-    base: CalmBase, like: Windows, place: Array | None = None, manoeuvres: Sequence[Manoeuvre] = MANOEUVRES
+    base: NominalModel,
+    like: Windows,
+    place: Array | None = None,
+    manoeuvres: Sequence[Manoeuvre] = MANOEUVRES,
 ) -> tuple[Windows, tuple[Manoeuvre, ...]]:
-    """Manoeuvres as windows, with the poses that the base model flies and the pose noise of the calm flight.
+    """Manoeuvres as windows, with the poses that the base model flies and the pose noise of the
+    calm flight.
 
     Args:
         base: the aircraft without surprise.
@@ -159,19 +194,24 @@ def manoeuvre_windows(
         manoeuvres: what to fly.
 
     Returns:
-        The windows, a leg each, and the manoeuvres that this aircraft can fly, which windows.flight counts.
+        The windows, a leg each, and the manoeuvres that this aircraft can fly, which windows.flight
+        counts.
 
     Raises:
         InputError: it can fly none of them.
     """
     model = base.result.model
     rows, interval = like.nodes.shape[1], float(np.median(np.diff(like.nodes)))
-    low, high = np.percentile(like.guess[:, :2], [5.0, 95.0], axis=0)
-    usual = float(np.median(np.linalg.norm(base.windows.guess[:, 6:9], axis=1)))
+    low, high = np.percentile(like.initial_guess[:, :2], [5.0, 95.0], axis=0)
+    usual = float(np.median(np.linalg.norm(base.windows.initial_guess[:, 6:9], axis=1)))
 
     @cache
     def trimmed(speed: float, bank: float, height: float, glide: bool) -> Trim:
-        return _glide(model, speed * usual, height) if glide else trim(model, speed * usual, 0.0, bank, height)
+        return (
+            _trim_glide(model, speed * usual, height)
+            if glide
+            else trim(model, speed * usual, 0.0, bank, height)
+        )
 
     flights, flown = [], []
     for m in manoeuvres:
@@ -179,36 +219,71 @@ def manoeuvre_windows(
             trims = [trimmed(leg.speed, leg.bank, leg.height, leg.glide) for leg in m.legs]
         except InputError:
             continue  # beyond a limit of this aircraft
-        middles = 0.5 * (low + high) + 0.25 * (high - low) * SPOTS[np.arange(len(m.legs)) % len(SPOTS)]
-        at = [q if leg.beside is None or place is None else place for q, leg in zip(middles, m.legs, strict=True)]
-        flights.append(_flight(m, trims, at, rows, interval, base.found.sigma))
+        middles = (
+            0.5 * (low + high)
+            + 0.25 * (high - low) * LEG_OFFSETS[np.arange(len(m.legs)) % len(LEG_OFFSETS)]
+        )
+        at = [
+            q if leg.beside is None or place is None else place
+            for q, leg in zip(middles, m.legs, strict=True)
+        ]
+        flights.append(_build_flight(m, trims, at, rows, interval, base.found.sigma))
         flown.append(m)
     if not flown:
-        raise InputError("manoeuvres: want one that the calm flight's model can be trimmed for, got none; check it")
-    windows = whitened(cut_windows(flights, model, rows * interval), base.noise)
-    return replace(windows, pose=fly_windows(model, windows, windows.guess[:, : model.n_states])), tuple(flown)
+        raise InputError(
+            "manoeuvres: expected one that the calm flight's model can be trimmed for, got none; check it"
+        )
+    windows = whiten(cut_windows(flights, model, rows * interval), base.noise)
+    return replace(
+        windows, pose=fly_windows(model, windows, windows.initial_guess[:, : model.n_states])
+    ), tuple(flown)
 
 
-def _flight(
-    manoeuvre: Manoeuvre, trims: Sequence[Trim], middles: Sequence[Array], rows: int, interval: float, sigma: Array
-) -> Flight:
-    """One manoeuvre: its legs, each from its own trimmed start and after a pause in which this trim was held."""
+def _build_flight(
+    manoeuvre: Manoeuvre,
+    trims: Sequence[Trim],
+    middles: Sequence[Array],
+    rows: int,
+    interval: float,
+    sigma: Array,
+) -> PreparedFlight:
+    """One manoeuvre: its legs, each from its own trimmed start and after a pause in which this trim
+    was held.
+    """
     count = FIRST_ROW + rows * len(trims)
-    t, smooth, commands = interval * np.arange(count, dtype=np.float64), np.zeros((count, 12)), np.empty((count, 4))
+    t, state_estimate, commands = (
+        interval * np.arange(count, dtype=np.float64),
+        np.zeros((count, 12)),
+        np.empty((count, 4)),
+    )
     commands[:FIRST_ROW] = trims[0].command
     for k, (leg, steady, middle) in enumerate(zip(manoeuvre.legs, trims, middles, strict=True)):
         mine = slice(FIRST_ROW + k * rows, FIRST_ROW + (k + 1) * rows)
-        commands[mine.start - 1 : mine.stop] = steady.command  # the row before acts until the leg begins
-        for stick, move in leg.sticks.items():
-            commands[mine, COMMAND_NAMES.index(stick)] += move(interval * np.arange(rows, dtype=np.float64))
-        smooth[mine.start] = _start(steady.state, leg, middle, 0.5 * rows * interval)
-        t[mine] += leg.later + k * EARLY_ROWS * interval
-    np.clip(commands, *np.transpose(STICK_LIMITS), out=commands)
-    return Flight(manoeuvre.name, t, np.zeros((count, 6)), commands, sigma, smooth, np.zeros_like(smooth))
+        commands[mine.start - 1 : mine.stop] = (
+            steady.command
+        )  # the row before acts until the leg begins
+        for channel, move in leg.sticks.items():
+            commands[mine, COMMAND_NAMES.index(channel)] += move(
+                interval * np.arange(rows, dtype=np.float64)
+            )
+        state_estimate[mine.start] = _leg_start(steady.state, leg, middle, 0.5 * rows * interval)
+        t[mine] += leg.later + k * WARMUP_ROWS * interval
+    np.clip(commands, *np.transpose(COMMAND_LIMITS), out=commands)
+    return PreparedFlight(
+        manoeuvre.name,
+        t,
+        np.zeros((count, 6)),
+        commands,
+        sigma,
+        state_estimate,
+        np.zeros_like(state_estimate),
+    )
 
 
-def _start(state: Array, leg: Leg, middle: Array, half_time: float) -> Array:
-    """(12,) a trimmed state turned to its heading, and moved so that straight flight leads through the middle."""
+def _leg_start(state: Array, leg: Leg, middle: Array, half_time: float) -> Array:
+    """(12,) a trimmed state turned to its heading, and moved so that straight flight leads through
+    the middle.
+    """
     x = np.zeros(12)
     x[: len(state)] = state
     along = np.array([math.cos(leg.heading), math.sin(leg.heading)])
@@ -219,7 +294,7 @@ def _start(state: Array, leg: Leg, middle: Array, half_time: float) -> Array:
     return x
 
 
-def _glide(model: Model, speed: float, height: float) -> Trim:
+def _trim_glide(model: Model, speed: float, height: float) -> Trim:
     """Trim with the throttle closed: what it needs falls almost linearly with the climb angle."""
     level, down = (trim(model, speed, climb, 0.0, height) for climb in (0.0, -0.03))
     to_idle = 0.03 * level.command[0] / (level.command[0] - down.command[0])
@@ -250,8 +325,10 @@ def noncentrality(gram: Array, signal: Array, free: np.ndarray, prior: Array) ->
 
 
 @dataclass(frozen=True)
-class _Outlook:
-    """What a flight told and each manoeuvre would tell of C columns: P parameters, then each effect as found."""
+class _ExperimentDesign:
+    """What a flight told and each manoeuvre would tell of C columns: P parameters, then each effect
+    as found.
+    """
 
     manoeuvres: tuple[Manoeuvre, ...]
     known: Array  # (C, C) products of the columns over the flight
@@ -260,103 +337,176 @@ class _Outlook:
     names: tuple[str, ...]  # (P,) parameters, the aircraft's and then the effects'
     sizes: Array  # (P,) ordinary sizes of these
     effects: tuple[Effect, ...]
-    scatter: float  # chi2 is counted in units of this
+    reduced_chi2: float  # chi2 is counted in units of this
 
     @classmethod
     def of(
-        cls, base: CalmBase, flown: FitResult, windows: Windows, prior: Prior | None, found: Sequence[Candidate] = ()
-    ) -> "_Outlook":
+        cls,
+        base: NominalModel,
+        flown: FitResult,
+        windows: Windows,
+        prior: Prior | None,
+        found: Sequence[EffectCandidate] = (),
+    ) -> "_ExperimentDesign":
         """From a fit without the effects to a flight, and the effects as found."""
         model, free = base.result.model, flown.free
-        bounds = {p.name: (p.low, p.high) for c in found for p in c.effect.parameters}  # a linear scan knows none
-        found = [replace(c, values={n: float(np.clip(v, *bounds[n])) for n, v in c.values.items()}) for c in found]
-        jets = [np.array([c.values["jet_at_x"], c.values["jet_at_y"]]) for c in found if "jet_at_x" in c.values]
+        bounds = {
+            p.name: (p.low, p.high) for c in found for p in c.effect.parameters
+        }  # a linear scan knows none
+        found = [
+            replace(c, values={n: float(np.clip(v, *bounds[n])) for n, v in c.values.items()})
+            for c in found
+        ]
+        jets = [
+            np.array([c.values["jet_at_x"], c.values["jet_at_y"]])
+            for c in found
+            if "jet_at_x" in c.values
+        ]
         ahead, manoeuvres = manoeuvre_windows(base, windows, jets[0] if jets else None)
-        starts = ahead.guess[:, : model.n_states]
-        legs = _products(model, ahead, starts, *jacobian(model, ahead, starts, free)[1:], found)
-        rates = np.stack([legs[ahead.flight == k].sum(axis=0) / (2.0 * len(m.legs)) for k, m in enumerate(manoeuvres)])
-        gentle = np.all(np.abs(ahead.pose[..., 3:5]) < STEEPEST, axis=(1, 2))
+        initial_states = ahead.initial_guess[:, : model.n_states]
+        legs = _gram_matrices(
+            model, ahead, initial_states, *jacobian(model, ahead, initial_states, free)[1:], found
+        )
+        rates = np.stack(
+            [
+                legs[ahead.flight == k].sum(axis=0) / (2.0 * len(m.legs))
+                for k, m in enumerate(manoeuvres)
+            ]
+        )
+        gentle = np.all(np.abs(ahead.pose[..., 3:5]) < MAX_ANGLE, axis=(1, 2))
         can = np.array([k for k in range(len(rates)) if gentle[ahead.flight == k].all()], dtype=int)
-        known = _products(flown.model, windows, flown.starts, flown.to_free, flown.to_start, found).sum(axis=0)
+        known = _gram_matrices(
+            flown.model,
+            windows,
+            flown.initial_states,
+            flown.parameter_jacobian,
+            flown.initial_state_jacobian,
+            found,
+        ).sum(axis=0)
         own = [(model.parameters[i], model.vector[i]) for i in free]
         all_of = own + [(p, c.values[p.name]) for c in found for p in c.effect.parameters]
         rows, _ = prior_rows(model, free, prior)
         return cls(
             tuple(manoeuvres[k] for k in can), known, rates[can], np.pad(rows.T @ rows, (0, len(all_of) - len(own))),
             tuple(p.name for p, _ in all_of), np.array([ordinary_size(*pair) for pair in all_of]),
-            tuple(c.effect for c in found), base.scatter,
+            tuple(c.effect for c in found), base.reduced_chi2,
         )  # fmt: skip
 
-    def parting(self) -> tuple[Advice, ...]:
+    def discriminability(self) -> tuple[Advice, ...]:
         """How soon the effect as found could not pass for another, the worst of all pairs."""
-        times = np.append(SECONDS, TRIED_S)
+        times = np.append(SECONDS, COMPARISON_S)
         ahead = self.known + times[:, None, None] * self.rates[:, None]
         added = [
             self._difference(true, fitted, ahead) - self._difference(true, fitted, self.known)
             for true, fitted in permutations(range(len(self.effects)), 2)
-            if self.effects[true].name not in self.effects[fitted].contains  # it is that with more freedom, at a price
+            if self.effects[true].name
+            not in self.effects[fitted].contains  # it is that with more freedom, at a price
         ]
         worst = np.min(added, axis=0)
-        reached = [float(np.interp(PARTED, np.maximum.accumulate(c[:-1]), SECONDS, right=np.inf)) for c in worst]
-        table = [Advice(m, float(c[-1]), s) for m, c, s in zip(self.manoeuvres, worst, reached, strict=True)]
+        reached = [
+            float(np.interp(SEPARATION_CHI2, np.maximum.accumulate(c[:-1]), SECONDS, right=np.inf))
+            for c in worst
+        ]
+        table = [
+            Advice(m, float(c[-1]), s)
+            for m, c, s in zip(self.manoeuvres, worst, reached, strict=True)
+        ]
         return tuple(sorted(table, key=lambda a: (a.seconds, -a.chi2)))
 
     def _difference(self, true: int, fitted: int, gram: Array) -> Array:
-        """Expected chi2 (...) by which one effect, there as found, is fitted worse by another than by itself."""
+        """Expected chi2 (...) by which one effect, there as found, is fitted worse by another than
+        by itself.
+        """
         signal = np.zeros(gram.shape[-1])
         signal[len(self.names) + true], signal[len(self.names) + fitted] = 1.0, -1.0
         others = {p.name for k, e in enumerate(self.effects) if k != fitted for p in e.parameters}
         free = np.array([i for i, name in enumerate(self.names) if name not in others])
-        return noncentrality(gram, signal, free, self.prior) / self.scatter
+        return noncentrality(gram, signal, free, self.prior) / self.reduced_chi2
 
-    def narrowing(self, wanted: Sequence[str]) -> tuple[Advice, ...]:
+    def interval_reduction(self, wanted: Sequence[str]) -> tuple[Advice, ...]:
         """By how much the widest interval of some parameters shrinks."""
         at = [self.names.index(name) for name in wanted]
-        now, after = self._widths(self.known)[at], self._widths(self.known + TRIED_S * self.rates)[:, at].max(axis=1)
+        now, after = (
+            self._widths(self.known)[at],
+            self._widths(self.known + COMPARISON_S * self.rates)[:, at].max(axis=1),
+        )
         widest = wanted[int(np.argmax(now))]
-        narrower = (1.0 - after / now.max()).tolist()
-        table = [Advice(m, narrower=n, widest=widest) for m, n in zip(self.manoeuvres, narrower, strict=True)]
-        return tuple(sorted(table, key=lambda a: -a.narrower))
+        shrinkage = (1.0 - after / now.max()).tolist()
+        table = [
+            Advice(m, shrinkage=n, widest=widest)
+            for m, n in zip(self.manoeuvres, shrinkage, strict=True)
+        ]
+        return tuple(sorted(table, key=lambda a: -a.shrinkage))
 
     def _widths(self, gram: Array) -> Array:
         """(..., P) half 95 % intervals in ordinary sizes."""
         n = len(self.names)
-        normal = gram[..., :n, :n] / self.scatter + self.prior
+        normal = gram[..., :n, :n] / self.reduced_chi2 + self.prior
         scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", normal), 1e-30))
         even = normal * scale[..., :, None] * scale[..., None, :] + 1e-9 * np.eye(n)
-        return np.asarray(1.96 * np.sqrt(np.einsum("...ii->...i", np.linalg.inv(even))) * scale / self.sizes)
+        return np.asarray(
+            1.96 * np.sqrt(np.einsum("...ii->...i", np.linalg.inv(even))) * scale / self.sizes
+        )
 
 
-def _products(
-    model: Model, windows: Windows, starts: Array, to_free: Array, to_start: Array, found: Sequence[Candidate]
+def _gram_matrices(
+    model: Model,
+    windows: Windows,
+    initial_states: Array,
+    parameter_jacobian: Array,
+    initial_state_jacobian: Array,
+    found: Sequence[EffectCandidate],
 ) -> Array:
     """(W, C, C) products of the columns in each window, outside of what its start state can do."""
-    of_effects = [_changes(model, windows, starts, c) for c in found]
-    columns = np.concatenate([to_free, *(c[..., 1:] for c in of_effects), *(c[..., :1] for c in of_effects)], axis=-1)
-    columns, to_start = (np.nan_to_num(c, posinf=0.0, neginf=0.0) for c in (columns, to_start))
-    Q, _ = np.linalg.qr(to_start)
-    columns = columns - Q @ (Q.transpose(0, 2, 1) @ columns)
-    return np.asarray(columns.transpose(0, 2, 1) @ columns)
+    of_effects = [_effect_sensitivities(model, windows, initial_states, c) for c in found]
+    sensitivities = np.concatenate(
+        [parameter_jacobian, *(c[..., 1:] for c in of_effects), *(c[..., :1] for c in of_effects)],
+        axis=-1,
+    )
+    sensitivities, initial_state_jacobian = (
+        np.nan_to_num(c, posinf=0.0, neginf=0.0) for c in (sensitivities, initial_state_jacobian)
+    )
+    Q, _ = np.linalg.qr(initial_state_jacobian)
+    sensitivities = sensitivities - Q @ (Q.transpose(0, 2, 1) @ sensitivities)
+    return np.asarray(sensitivities.transpose(0, 2, 1) @ sensitivities)
 
 
-def _changes(model: Model, windows: Windows, starts: Array, found: Candidate) -> Array:
-    """(W, R, 1 + A) what an effect does as found, and per unit of each of its parameters from there.
+def _effect_sensitivities(
+    model: Model, windows: Windows, initial_states: Array, found: EffectCandidate
+) -> Array:
+    """(W, R, 1 + A) what an effect does as found, and per unit of each of its parameters from
+    there.
 
-    A force is taken at a tenth of its size: in a fit start states give way, which keeps it far more linear than this
-    flight from held ones. What acts on sticks keeps its size: a short delay is a lag, half a dead band another one.
+    A force is taken at a tenth of its size: in a fit start states give way, which keeps it far more
+        linear than this
+    flight from held ones. What acts on sticks keeps its size: a short delay is a lag, half a dead
+    band another one.
     """
     effect, share = found.effect, 0.1 if found.effect.term or found.effect.wind else 1.0
     absent = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.amplitudes})
     small = {p.name: share * found.values[p.name] for p in effect.amplitudes}
     there = absent.with_values({**found.values, **small})
-    v, steps = there.values, {p.name: 0.1 * ordinary_size(p, found.values[p.name]) for p in effect.parameters}
-    beside = [there.with_values({n: v[n] + h * (share if n in small else 1.0)}).vector for n, h in steps.items()]
+    v, steps = (
+        there.values,
+        {p.name: 0.1 * ordinary_size(p, found.values[p.name]) for p in effect.parameters},
+    )
+    beside = [
+        there.with_values({n: v[n] + h * (share if n in small else 1.0)}).vector
+        for n, h in steps.items()
+    ]
     with np.errstate(invalid="ignore"):  # a flight that ran away
-        at, *moved = changes(absent, windows, starts, np.stack([there.vector, *beside], axis=1)) / share
-        return np.stack([at, *((m - at) / h for m, h in zip(moved, steps.values(), strict=True))], axis=-1)
+        at, *moved = (
+            finite_differences(
+                absent, windows, initial_states, np.stack([there.vector, *beside], axis=1)
+            )
+            / share
+        )
+        return np.stack(
+            [at, *((m - at) / h for m, h in zip(moved, steps.values(), strict=True))], axis=-1
+        )
 
 
-def advise(base: CalmBase, naming: Naming) -> tuple[Advice, ...]:
+def advise(base: NominalModel, naming: Naming) -> tuple[Advice, ...]:
     """What every manoeuvre of the library would tell after a flight, the best first.
 
     Args:
@@ -364,23 +514,31 @@ def advise(base: CalmBase, naming: Naming) -> tuple[Advice, ...]:
         naming: the answer for the flight.
 
     Returns:
-        Ambiguous: how soon the alternatives part. Named: how much better the effect's size is known. None: the same
-        for what the calm flight hardly moved. Empty where no flight can do it, or the model can fly no manoeuvre.
+        Ambiguous: how soon the alternatives part. Named: how much better the effect's size is
+            known. None: the same
+        for what the calm flight hardly moved. Empty where no flight can do it, or the model can fly
+        no manoeuvre.
     """
-    found, weak = naming.chosen, _hardly_moved(base) if naming.verdict == "none" else []
-    if not (weak or naming.verdict in ("named", "ambiguous")) or _one_class(found):
+    found, weak = naming.chosen, _weakly_excited(base) if naming.verdict == "none" else []
+    if not (weak or naming.verdict in ("named", "ambiguous")) or _is_indistinguishable(found):
         return ()
     try:
         if weak:
-            return _Outlook.of(base, base.result, base.windows, None).narrowing(weak)
-        outlook = _Outlook.of(base, naming.before, naming.windows, base.prior, found)
+            return _ExperimentDesign.of(base, base.result, base.windows, None).interval_reduction(
+                weak
+            )
+        design = _ExperimentDesign.of(base, naming.before, naming.windows, base.prior, found)
     except InputError:
         return ()
     wanted = [p.name for c in found for p in c.effect.parameters]
-    return outlook.parting() if naming.verdict == "ambiguous" else outlook.narrowing(wanted)
+    return (
+        design.discriminability()
+        if naming.verdict == "ambiguous"
+        else design.interval_reduction(wanted)
+    )
 
 
-def next_flight(base: CalmBase, naming: Naming) -> str:
+def next_flight(base: NominalModel, naming: Naming) -> str:
     """What to fly next.
 
     Args:
@@ -397,54 +555,64 @@ def next_flight(base: CalmBase, naming: Naming) -> str:
         )
     best = next(iter(advise(base, naming)), None)
     if naming.verdict == "none":
-        shy = f"; the calm flight hardly moved {_listed(_hardly_moved(base)[:4])}: fly {_narrows(best)}" if best else ""
+        shy = (
+            f"; the calm flight hardly moved {_join_names(_weakly_excited(base)[:4])}: fly {_shrinkage_text(best)}"
+            if best
+            else ""
+        )
         return (
             "nothing needs to be parted; a smaller effect would show in a longer flight with larger and faster "
             f"movements of every stick, a sweep of speed, low passes and turns both ways{shy}"
         )
-    if _one_class(naming.chosen):
-        return ONE_CLASS
+    if _is_indistinguishable(naming.chosen):
+        return INDISTINGUISHABLE
     if best is None:
         return "fly the same again, longer, with larger movements of every stick and at more speeds and heights"
     if naming.verdict == "ambiguous":
-        return _to_part([c.effect.name for c in naming.chosen], best)
-    known = f"; {ONE_CLASS}" if any(c.effect.name == "control_delay" for c in naming.chosen) else ""
-    return f"to know the size better, fly {_narrows(best)}{known}"
+        return _discrimination_text([c.effect.name for c in naming.chosen], best)
+    known = (
+        f"; {INDISTINGUISHABLE}"
+        if any(c.effect.name == "control_delay" for c in naming.chosen)
+        else ""
+    )
+    return f"to know the size better, fly {_shrinkage_text(best)}{known}"
 
 
 def headline(naming: Naming) -> str:
     """The verdict in a few words."""
     names = [c.effect.name for c in naming.chosen]
     return {
-        "named": f"Missing: {_listed(names, 'and')}",
-        "ambiguous": f"Missing: {_listed(names, 'or')}, this flight does not tell which",
+        "named": f"Missing: {_join_names(names, 'and')}",
+        "ambiguous": f"Missing: {_join_names(names, 'or')}, this flight does not tell which",
         "none": "Nothing is missing that this flight could show",
         "outside": "Something is missing, and it is not in the catalogue",
     }[naming.verdict]
 
 
-def _to_part(names: Sequence[str], best: Advice) -> str:
+def _discrimination_text(names: Sequence[str], best: Advice) -> str:
     reasons = ", ".join(best.manoeuvre.shows[n] for n in names if n in best.manoeuvre.shows)
     fly = f"fly {best.manoeuvre.how}{': ' if reasons else ''}{reasons}"
     if math.isinf(best.seconds):
-        return f"{SECONDS[-1] / 60.0:.0f} min of one manoeuvre would not part {_listed(names)}; the best of all, {fly}"
-    return f"to part {_listed(names)}, {10 * math.ceil(best.seconds / 10.0)} s should do: {fly}"
+        return f"{SECONDS[-1] / 60.0:.0f} min of one manoeuvre would not part {_join_names(names)}; the best of all, {fly}"
+    return f"to part {_join_names(names)}, {10 * math.ceil(best.seconds / 10.0)} s should do: {fly}"
 
 
-def _narrows(best: Advice) -> str:
+def _shrinkage_text(best: Advice) -> str:
     name = best.widest.replace("_", " ")
-    return f"{best.manoeuvre.how}; {TRIED_S:.0f} s narrow the interval of {name} by {100.0 * best.narrower:.0f} %"
+    return f"{best.manoeuvre.how}; {COMPARISON_S:.0f} s narrow the interval of {name} by {100.0 * best.shrinkage:.0f} %"
 
 
-def _one_class(found: Sequence[Candidate]) -> bool:
+def _is_indistinguishable(found: Sequence[EffectCandidate]) -> bool:
     """Whether one of the effects has exactly the dynamics of another."""
     return any(c.effect.same_as for c in found)
 
 
-def _hardly_moved(base: CalmBase) -> list[str]:
+def _weakly_excited(base: NominalModel) -> list[str]:
     return [n for n in base.found.uncertainty.not_excited if n not in ("delay", "lag")]
 
 
-def _listed(names: Sequence[str], word: str = "and") -> str:
+def _join_names(names: Sequence[str], word: str = "and") -> str:
     plain = [name.replace("_", " ") for name in names]
-    return f" {word} ".join([", ".join(plain[:-1]), plain[-1]]) if len(plain) > 1 else "".join(plain)
+    return (
+        f" {word} ".join([", ".join(plain[:-1]), plain[-1]]) if len(plain) > 1 else "".join(plain)
+    )

@@ -1,4 +1,6 @@
-"""Closing the gap: a flight -> since when it surprises, how large the named effect is, and how much the gap closes."""
+"""Closing the gap: a flight -> since when it surprises, how large the named effect is, and how much
+the gap closes.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,24 +13,26 @@ from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.terms import Parameter
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.flight_table import FlightTable, slice_time
-from falconwing_kit.gap.baseline import CalmBase, Progress
-from falconwing_kit.gap.evidence import Reduced, Variant, columns
-from falconwing_kit.gap.name import Candidate, Naming, name_effect
+from falconwing_kit.gap.baseline import NominalModel, Progress
+from falconwing_kit.gap.evidence import EffectVariant, SchurComplement, sensitivities
+from falconwing_kit.gap.name import EffectCandidate, Naming, name_effect
 from falconwing_kit.sysid.fit import FitResult, fit, prior_rows
-from falconwing_kit.sysid.score import BLOCK_S, Score, hold_out, score, select
-from falconwing_kit.sysid.shooting import Windows, changes
+from falconwing_kit.sysid.score import BLOCK_S, PredictionScore, score, select_windows, split_blocks
+from falconwing_kit.sysid.shooting import Windows, finite_differences
 from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
 
-SINCE = "acts_since"  # parameter of an effect that sets in: from this time of the flight on [s]
-TRIED_LATER = 5  # effects that may have set in during the flight: the best of those that act all along
-SHORTEST_LATER_S = 8.0  # of flight after a change: four windows, fewer do not carry a name
+ONSET = "acts_since"  # parameter of an effect that sets in: from this time of the flight on [s]
+ONSET_CANDIDATES = (
+    5  # effects that may have set in during the flight: the best of those that act all along
+)
+MIN_AFTER_ONSET_S = 8.0  # of flight after a change: four windows, fewer do not carry a name
 LIKELIHOOD_DROP = 3.84  # of twice the log likelihood at the ends of a 95 % interval [Wilks 1938]
-ROUNDS = 4  # fits at ever better times before the time is taken as found
-FAR = 1e6  # sigmas: of a flight that ran away
+MAX_ONSET_ITERATIONS = 4  # fits at ever better times before the time is taken as found
+DIVERGED_RESIDUAL = 1e6  # sigmas: of a flight that ran away
 
 
 @dataclass(frozen=True)
-class Size:
+class ParameterEstimate:
     """One parameter of an effect with its 95 % interval."""
 
     value: float
@@ -46,31 +50,40 @@ class Onset:
     time: float  # on the flight's clock [s]
     low95: float
     high95: float
-    gain: float  # evidence over the base model: chi2 in units of the scatter, less the price of parameters and time
-    result: FitResult  # the effect acts from then on, so that its size rests on the time after it alone
+    # evidence over the base model: chi2 in units of the scatter, less the price of parameters and
+    # time
+    delta_bic: float
+    result: (
+        FitResult  # the effect acts from then on, so that its size rests on the time after it alone
+    )
 
 
 @dataclass(frozen=True)
-class Closed:
+class GapClosure:
     """The gap before and after, two seconds ahead on time that no fit has seen."""
 
-    before: Score  # the calm flight's model
-    after: Score  # with the effect, fitted to the rest of the flight under the calm flight's prior
-    calm: Score  # the calm flight's own held-out time: what noise and base model leave
-    before_free: Score  # without the effect, parameters free under the prior: what another day would explain
-    after_pinned: Score  # with the effect, the aircraft's parameters held at the calm flight's values
-    parameters: dict[str, Size]  # of the effect, from the fit to all of the flight
-    model: Model | None  # the calm model with the effect, fitted to all of the flight; None where nothing is named
-    sure: Uncertainty | None  # of that model
+    before: PredictionScore  # the calm flight's model
+    # with the effect, fitted to the rest of the flight under the calm flight's prior
+    after: PredictionScore
+    calm: PredictionScore  # the calm flight's own held-out time: what noise and base model leave
+    # without the effect, parameters free under the prior: what another day would explain
+    before_with_free_parameters: PredictionScore
+    # with the effect, the aircraft's parameters held at the calm flight's values
+    after_with_fixed_parameters: PredictionScore
+    parameters: dict[str, ParameterEstimate]  # of the effect, from the fit to all of the flight
+    model: (
+        Model | None
+    )  # the calm model with the effect, fitted to all of the flight; None where nothing is named
+    confidence: Uncertainty | None  # of that model
     seen: bool  # True where the flight was too short to hold anything back
     held_out: np.ndarray  # which windows were scored
 
 
-def close_gap(base: CalmBase, naming: Naming) -> Closed:
+def close_gap(base: NominalModel, naming: Naming) -> GapClosure:
     """Add what was named to the model and score it on time it was not fitted to.
 
-    About 30 % of the flight in blocks of 10 s (shorter ones on a short flight) is held out. Of an ambiguous set the
-    first alternative is added.
+    About 30 % of the flight in blocks of 10 s (shorter ones on a short flight) is held out. Of an
+    ambiguous set the first alternative is added.
 
     Args:
         base: the aircraft without surprise.
@@ -80,31 +93,56 @@ def close_gap(base: CalmBase, naming: Naming) -> Closed:
         The gap before and after; where nothing is named after equals before.
     """
     calm_model = base.result.model
-    plain = base.as_measured(naming.windows)
+    plain = base.with_measurement_weights(naming.windows)
     fitted, scored = _split(plain)
     seen = len(scored) == 0
     if seen:
         fitted = scored = np.arange(len(plain))
-    apart = select(plain, scored)
+    apart = select_windows(plain, scored)
 
-    def refit(model: Model, whole: FitResult) -> Score:
-        result = fit(model, select(naming.windows, fitted), whole.starts[fitted], prior=base.prior, iterations=15)
-        return score(result.model, apart, whole.starts[scored])
+    def refit(model: Model, whole: FitResult) -> PredictionScore:
+        result = fit(
+            model,
+            select_windows(naming.windows, fitted),
+            whole.initial_states[fitted],
+            prior=base.prior,
+            iterations=15,
+        )
+        return score(result.model, apart, whole.initial_states[scored])
 
-    before = score(calm_model, apart, naming.before.starts[scored])
-    before_free = refit(calm_model, naming.before)
-    calm = _calm_level(base)
-    last = naming.chosen[0 if naming.verdict == "ambiguous" else -1].result if naming.chosen else None
+    before = score(calm_model, apart, naming.before.initial_states[scored])
+    before_with_free_parameters = refit(calm_model, naming.before)
+    calm = _baseline_score(base)
+    last = (
+        naming.chosen[0 if naming.verdict == "ambiguous" else -1].result if naming.chosen else None
+    )
     if last is None:
-        return Closed(before, before, calm, before_free, before, {}, None, None, seen, scored)
+        return GapClosure(
+            before, before, calm, before_with_free_parameters, before, {}, None, None, seen, scored
+        )
     after = refit(last.model, last)
-    pinned = last.model.with_values(calm_model.values).pinned(calm_model.names)
-    sure = uncertainty(last, naming.windows, base.prior)
-    sizes = {name: size for candidate in naming.chosen for name, size in _sizes(base, naming, candidate).items()}
-    return Closed(before, after, calm, before_free, refit(pinned, last), sizes, last.model, sure, seen, scored)
+    fixed = last.model.with_values(calm_model.values).with_fixed(calm_model.names)
+    confidence = uncertainty(last, naming.windows, base.prior)
+    sizes = {
+        name: size
+        for candidate in naming.chosen
+        for name, size in _sizes(base, naming, candidate).items()
+    }
+    return GapClosure(
+        before,
+        after,
+        calm,
+        before_with_free_parameters,
+        refit(fixed, last),
+        sizes,
+        last.model,
+        confidence,
+        seen,
+        scored,
+    )
 
 
-def _calm_level(base: CalmBase) -> Score:
+def _baseline_score(base: NominalModel) -> PredictionScore:
     """The calm flight's own held-out time, by the base model as it was completed."""
     found = base.found
     known = found.held_out or found.train
@@ -112,41 +150,52 @@ def _calm_level(base: CalmBase) -> Score:
         return known
     kept = found.held_out_index
     rest = np.setdiff1d(np.arange(len(found.windows)), kept)
-    trained = fit(base.result.model, select(base.windows, rest), base.result.starts[rest])
-    return score(trained.model, select(found.windows, kept), base.result.starts[kept])
+    trained = fit(
+        base.result.model, select_windows(base.windows, rest), base.result.initial_states[rest]
+    )
+    return score(
+        trained.model, select_windows(found.windows, kept), base.result.initial_states[kept]
+    )
 
 
-def _sizes(base: CalmBase, naming: Naming, candidate: Candidate) -> dict[str, Size]:
-    """An effect's parameters from the last fit that has them: that of all effects where several were named."""
+def _sizes(
+    base: NominalModel, naming: Naming, candidate: EffectCandidate
+) -> dict[str, ParameterEstimate]:
+    """An effect's parameters from the last fit that has them: that of all effects where several
+    were named.
+    """
     last = naming.chosen[-1].result if naming.verdict == "named" else candidate.result
     if last is None:
         return {}
-    sure = uncertainty(last, naming.windows, base.prior)
+    confidence = uncertainty(last, naming.windows, base.prior)
     sizes = {}
     for p in candidate.effect.parameters:
         value = last.model.values[p.name]
-        low, high = sure.interval(p.name, value)
-        sizes[p.name] = Size(value, low, high, p.unit, p.meaning)
+        low, high = confidence.interval(p.name, value)
+        sizes[p.name] = ParameterEstimate(value, low, high, p.unit, p.meaning)
     return sizes
 
 
 def _split(windows: Windows) -> tuple[np.ndarray, np.ndarray]:
-    """Whole blocks for fitting and for scoring; blocks are shorter than usual where there would be fewer than four."""
+    """Whole blocks for fitting and for scoring; blocks are shorter than usual where there would be
+    fewer than four.
+    """
     begins = windows.nodes[:, 0]
-    return hold_out(windows, block_s=min(BLOCK_S, max(float(np.ptp(begins)) / 3.01, 1.0)))
+    return split_blocks(windows, block_s=min(BLOCK_S, max(float(np.ptp(begins)) / 3.01, 1.0)))
 
 
-def name_since(
-    base: CalmBase,
+def name_with_onset(
+    base: NominalModel,
     flight: FlightTable,
     catalogue: Sequence[Effect] = CATALOGUE,
     progress: Progress = lambda stage: None,
 ) -> tuple[Naming, Onset | None]:
-    """Name what a flight shows, on the time after it set in where it clearly set in during the flight.
+    """Name what a flight shows, on the time after it set in where it clearly set in during the
+    flight.
 
-    An effect that acts in a part of the flight only is diluted over all of it, and parameters bend to meet it halfway.
-    So where some effect explains the flight far better from a time on than any does all along, that time is found and
-    the flight after it is judged anew, by all effects alike.
+    An effect that acts in a part of the flight only is diluted over all of it, and parameters bend
+    to meet it halfway. So where some effect explains the flight far better from a time on than any
+    does all along, that time is found and the flight after it is judged anew, by all effects alike.
 
     Args:
         base: the aircraft without surprise.
@@ -155,7 +204,8 @@ def name_since(
         progress: called with the name of each stage.
 
     Returns:
-        The verdict, and when the effect set in; None where it was there all along or that is not clear.
+        The verdict, and when the effect set in; None where it was there all along or that is not
+        clear.
 
     Raises:
         InputError: the flight cannot be used.
@@ -164,13 +214,13 @@ def name_since(
     if naming.verdict == "none":
         return naming, None
     progress("since when")
-    onset = find_onset(base, naming.windows, naming.before, naming.ranking[:TRIED_LATER])
-    named = sum(c.gain for c in naming.chosen if naming.verdict == "named")
-    explained = max(naming.ranking[0].gain, named, naming.unnamed.gain)
-    if onset is None or onset.gain < explained + naming.threshold:
+    onset = find_onset(base, naming.windows, naming.before, naming.ranking[:ONSET_CANDIDATES])
+    named = sum(c.delta_bic for c in naming.chosen if naming.verdict == "named")
+    explained = max(naming.ranking[0].delta_bic, named, naming.generic.delta_bic)
+    if onset is None or onset.delta_bic < explained + naming.threshold:
         return naming, None
     later = slice_time(flight, onset.time, np.inf)
-    if later.duration < SHORTEST_LATER_S:
+    if later.duration < MIN_AFTER_ONSET_S:
         return naming, None
     again = name_effect(base, later, catalogue, progress)
     if again.verdict not in ("named", "ambiguous"):
@@ -180,12 +230,15 @@ def name_since(
     return again, onset
 
 
-def find_onset(base: CalmBase, windows: Windows, before: FitResult, found: Sequence[Candidate]) -> Onset | None:
+def find_onset(
+    base: NominalModel, windows: Windows, before: FitResult, found: Sequence[EffectCandidate]
+) -> Onset | None:
     """Which of some effects explains the flight best from some time on, and since when.
 
-    A likelihood over effect and time: first from the score test at every window's start, with aircraft parameters and
-    start states eliminated; then around the best at every row from a full fit, which is repeated until it stays there.
-    It holds for one step up; an effect that comes and goes is not looked for.
+    A likelihood over effect and time: first from the score test at every window's start, with
+        aircraft parameters and
+    start states eliminated; then around the best at every row from a full fit, which is repeated
+    until it stays there. It holds for one step up; an effect that comes and goes is not looked for.
 
     Args:
         base: the aircraft without surprise.
@@ -194,69 +247,99 @@ def find_onset(base: CalmBase, windows: Windows, before: FitResult, found: Seque
         found: the effects, as they explain the flight when they act all along.
 
     Returns:
-        The onset, or None where no effect is left that can be switched on in midflight (delay, lag, camera cannot).
+        The onset, or None where no effect is left that can be switched on in midflight (delay, lag,
+        camera cannot).
     """
-    windows, before = _on_one_clock(base, windows, before)
-    guess = _scan_times(base, windows, before, found)
-    if guess is None:
+    windows, before = _join_segments(base, windows, before)
+    initial_guess = _scan_onsets(base, windows, before, found)
+    if initial_guess is None:
         return None
-    gated, bounds = guess.effect, {p.name: p for p in guess.effect.parameters}
-    values = {n: float(np.clip(v, bounds[n].low, bounds[n].high)) for n, v in guess.values.items()}
-    model, starts = before.model.with_effect(gated).with_values(values).pinned([SINCE]), before.starts
-    for _ in range(ROUNDS):
-        result = fit(model, windows, starts, prior=base.prior, iterations=15)
-        times, cost = _profile(base, windows, result)
-        time, starts = float(times[np.argmin(cost)]), result.starts
-        if cost.min() > result.cost - 0.1 * base.scatter:
+    gated, bounds = initial_guess.effect, {p.name: p for p in initial_guess.effect.parameters}
+    values = {
+        n: float(np.clip(v, bounds[n].low, bounds[n].high)) for n, v in initial_guess.values.items()
+    }
+    model, initial_states = (
+        before.model.with_effect(gated).with_values(values).with_fixed([ONSET]),
+        before.initial_states,
+    )
+    for _ in range(MAX_ONSET_ITERATIONS):
+        result = fit(model, windows, initial_states, prior=base.prior, iterations=15)
+        times, cost = _profile_likelihood(base, windows, result)
+        time, initial_states = float(times[np.argmin(cost)]), result.initial_states
+        if cost.min() > result.cost - 0.1 * base.reduced_chi2:
             break
-        model = before.model.with_effect(gated).with_values({**result.model.values, SINCE: time}).pinned([SINCE])
-    inside = np.flatnonzero(cost < cost.min() + LIKELIHOOD_DROP * base.scatter)
+        model = (
+            before.model.with_effect(gated)
+            .with_values({**result.model.values, ONSET: time})
+            .with_fixed([ONSET])
+        )
+    inside = np.flatnonzero(cost < cost.min() + LIKELIHOOD_DROP * base.reduced_chi2)
     low, high = times[max(inside[0] - 1, 0)], times[min(inside[-1] + 1, len(times) - 1)]
     clock, price = float(windows.flights[0].t[0]), float(np.log(windows.count))
-    gain = (before.cost - result.cost) / base.scatter - price * len(gated.parameters)
+    delta_bic = (before.cost - result.cost) / base.reduced_chi2 - price * len(gated.parameters)
     effect = next(c.effect for c in found if c.effect.name == gated.name)
-    return Onset(effect, clock + time, clock + float(low), clock + float(high), gain, result)
+    return Onset(effect, clock + time, clock + float(low), clock + float(high), delta_bic, result)
 
 
-def _on_one_clock(base: CalmBase, windows: Windows, before: FitResult) -> tuple[Windows, FitResult]:
+def _join_segments(
+    base: NominalModel, windows: Windows, before: FitResult
+) -> tuple[Windows, FitResult]:
     """Stretches of a flight that was cut where frames were missing, as one flight again."""
     if len(windows.flights) == 1:
         return windows, before
     flights = windows.flights
-    t, pose, commands, smooth, rates = (
+    t, pose, commands, state_estimate, rates = (
         np.concatenate([getattr(f, name) for f in flights])
-        for name in ("t", "pose", "commands", "smooth", "smooth_rates")
+        for name in ("t", "pose", "commands", "state_estimate", "state_derivatives")
     )
-    whole = replace(flights[0], t=t, pose=pose, commands=commands, smooth=smooth, smooth_rates=rates)
+    whole = replace(
+        flights[0],
+        t=t,
+        pose=pose,
+        commands=commands,
+        state_estimate=state_estimate,
+        state_derivatives=rates,
+    )
     later = np.array([f.t[0] - flights[0].t[0] for f in flights])[windows.flight][:, None]
     joined = replace(
         windows, nodes=windows.nodes + later, edges=windows.edges + later, flight=np.zeros_like(windows.flight),
         flights=(whole,),
     )  # fmt: skip
-    return joined, fit(before.model, joined, before.starts, prior=base.prior)
+    return joined, fit(before.model, joined, before.initial_states, prior=base.prior)
 
 
-def _scan_times(base: CalmBase, windows: Windows, before: FitResult, found: Sequence[Candidate]) -> Candidate | None:
+def _scan_onsets(
+    base: NominalModel, windows: Windows, before: FitResult, found: Sequence[EffectCandidate]
+) -> EffectCandidate | None:
     """The best effect at the best window's start, by linear evidence."""
     if len(windows) < 3:
         return None
-    reduced, first, last = Reduced.of(before, base.prior, base.scatter), windows.nodes[0, 0], windows.nodes[-1, -1]
-    best: Candidate | None = None
+    reduced, first, last = (
+        SchurComplement.of(before, base.prior, base.reduced_chi2),
+        windows.nodes[0, 0],
+        windows.nodes[-1, -1],
+    )
+    best: EffectCandidate | None = None
     for known in found:
         effect = known.effect
         if effect.gradual or not (effect.term or effect.wind or effect.sticks):
             continue
-        gated = acting_since(effect, float(first), float(last))
-        usual = {p.name: known.values[p.name] if p.name in effect.shape else p.start for p in effect.parameters}
-        tried = [Variant(gated, {**usual, SINCE: float(t)}) for t in windows.nodes[1:, 0]]
-        for score_ in map(reduced.score, columns(before.model, windows, before.starts, tried)):
-            gain = score_.gain - len(gated.parameters) * float(np.log(windows.count))
-            if best is None or gain > best.gain:
-                best = Candidate(gated, gain, score_.gain, score_.values, None)
+        gated = with_onset(effect, float(first), float(last))
+        usual = {
+            p.name: known.values[p.name] if p.name in effect.shape else p.start
+            for p in effect.parameters
+        }
+        tried = [EffectVariant(gated, {**usual, ONSET: float(t)}) for t in windows.nodes[1:, 0]]
+        for score_ in map(
+            reduced.score, sensitivities(before.model, windows, before.initial_states, tried)
+        ):
+            delta_bic = score_.delta_chi2 - len(gated.parameters) * float(np.log(windows.count))
+            if best is None or delta_bic > best.delta_bic:
+                best = EffectCandidate(gated, delta_bic, score_.delta_chi2, score_.values, None)
     return best
 
 
-def acting_since(effect: Effect, first: float, last: float) -> Effect:
+def with_onset(effect: Effect, first: float, last: float) -> Effect:
     """The same effect, absent before a time that is a parameter of its own.
 
     Args:
@@ -267,51 +350,76 @@ def acting_since(effect: Effect, first: float, last: float) -> Effect:
     Returns:
         An effect with one parameter more, `acts_since` [s].
     """
-    since = Parameter(SINCE, 0.5 * (first + last), first, last, "s", "time from which on it acts")
-    parameters, term, wind, sticks = (*effect.parameters, since), effect.term, effect.wind, effect.sticks
+    since = Parameter(ONSET, 0.5 * (first + last), first, last, "s", "time from which on it acts")
+    parameters, term, wind, sticks = (
+        (*effect.parameters, since),
+        effect.term,
+        effect.wind,
+        effect.sticks,
+    )
 
     def loads(air: Any, K: Any) -> tuple[Any, ...]:
-        return _switched(term.evaluate(air, K), air.time >= K.acts_since) if term else ()
+        return _gate(term.evaluate(air, K), air.time >= K.acts_since) if term else ()
 
     def moving(px: Any, py: Any, height: Any, time: Any, K: Any) -> Any:
-        return _switched(wind.evaluate(px, py, height, time, K), time >= K.acts_since) if wind else ()
+        return _gate(wind.evaluate(px, py, height, time, K), time >= K.acts_since) if wind else ()
 
-    def moved(t: Array, commands: Array, K: Any) -> Array:
-        return np.where((t >= K.acts_since)[:, None], sticks(t, commands, K), commands) if sticks else commands
+    def differences(t: Array, commands: Array, K: Any) -> Array:
+        return (
+            np.where((t >= K.acts_since)[:, None], sticks(t, commands, K), commands)
+            if sticks
+            else commands
+        )
 
     return replace(
         effect,
         parameters=parameters,
         term=replace(term, parameters=parameters, evaluate=loads) if term else None,
         wind=replace(wind, parameters=parameters, evaluate=moving) if wind else None,
-        sticks=moved if sticks else None,
-        shape=(*effect.shape, SINCE),
+        sticks=differences if sticks else None,
+        shape=(*effect.shape, ONSET),
     )
 
 
-def _switched(parts: tuple[Any, ...], on: Any) -> tuple[Any, ...]:
+def _gate(parts: tuple[Any, ...], on: Any) -> tuple[Any, ...]:
     return tuple(part if type(part) is float and part == 0.0 else on * part for part in parts)
 
 
-def _profile(base: CalmBase, windows: Windows, result: FitResult) -> tuple[Array, Array]:
-    """Cost over the time an effect sets in, at every row within two windows of a fit, all else free to first order."""
-    here, at = result.model.values[SINCE], result.model.names.index(SINCE)
+def _profile_likelihood(
+    base: NominalModel, windows: Windows, result: FitResult
+) -> tuple[Array, Array]:
+    """Cost over the time an effect sets in, at every row within two windows of a fit, all else free
+    to first order.
+    """
+    here, at = result.model.values[ONSET], result.model.names.index(ONSET)
     rows = np.unique(windows.nodes[1:-1])
     reach = 2.0 * float(windows.nodes[0, -1] - windows.nodes[0, 0])
     times = np.unique(np.append(rows[np.abs(rows - here) < reach], here))
     near = np.flatnonzero((windows.nodes[:, -1] > times[0]) & (windows.nodes[:, 0] < times[-1]))
     values = np.repeat(result.model.vector[:, None], len(times), axis=1)
     values[at] = times
-    moved = changes(result.model, select(windows, near), result.starts[near], values)
-    moved = np.nan_to_num(moved, posinf=FAR, neginf=-FAR)
-    reduced = Reduced.of(result, base.prior, base.scatter)
+    differences = finite_differences(
+        result.model, select_windows(windows, near), result.initial_states[near], values
+    )
+    differences = np.nan_to_num(differences, posinf=DIVERGED_RESIDUAL, neginf=-DIVERGED_RESIDUAL)
+    reduced = SchurComplement.of(result, base.prior, base.reduced_chi2)
     Q, K, rest = reduced.Q[near], reduced.K, reduced.residual
-    after = rest[near] + moved - np.einsum("win,cwn->cwi", Q, np.einsum("win,cwi->cwn", Q, moved))
+    after = (
+        rest[near]
+        + differences
+        - np.einsum("win,cwn->cwi", Q, np.einsum("win,cwi->cwn", Q, differences))
+    )
     known, mean = prior_rows(result.model, result.free, base.prior)
     pull = known @ (result.model.vector[list(result.free)] - mean)
     shift = np.einsum("wif,cwi->cf", K[near], after - rest[near], optimize=True)
     gradient = shift + np.einsum("wif,wi->f", K, rest, optimize=True) + known.T @ pull
     normal = np.einsum("wif,wig->fg", K, K, optimize=True) + reduced.prior
-    normal += np.diag(1e-9 * np.diag(normal) + 1e-30)  # an effect may do nothing here, as the ground's at 50 m
-    cost = np.sum(after**2, axis=(1, 2)) - np.sum(rest[near] ** 2) + np.sum(rest**2) + np.sum(pull**2)
-    return times, np.asarray(cost - np.sum(gradient.T * np.linalg.solve(normal, gradient.T), axis=0))
+    normal += np.diag(
+        1e-9 * np.diag(normal) + 1e-30
+    )  # an effect may do nothing here, as the ground's at 50 m
+    cost = (
+        np.sum(after**2, axis=(1, 2)) - np.sum(rest[near] ** 2) + np.sum(rest**2) + np.sum(pull**2)
+    )
+    return times, np.asarray(
+        cost - np.sum(gradient.T * np.linalg.solve(normal, gradient.T), axis=0)
+    )

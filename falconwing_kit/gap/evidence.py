@@ -1,7 +1,9 @@
-"""Evidence: a fit and the residual changes an effect would make -> how much chi2 the effect would explain.
+"""Evidence: a fit and the residual changes an effect would make -> how much chi2 the effect would
+explain.
 
-All derivatives exist already where a fit ended. An effect adds a few columns; eliminating start states and aircraft
-parameters, which stay free under their prior, leaves a problem as small as the effect (score test, Rao 1948).
+All derivatives exist already where a fit ended. An effect adds a few columns; eliminating start
+states and aircraft parameters, which stay free under their prior, leaves a problem as small as the
+effect (score test, Rao 1948).
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,15 +15,17 @@ from falconwing_kit.aircraft.effects import Effect
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.core.checks import Array
 from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
-from falconwing_kit.sysid.shooting import Windows, changes
+from falconwing_kit.sysid.shooting import Windows, finite_differences
 
-TOGETHER = 8  # effects in one model: more would each fly the others' terms at zero
-UNSEEN = 1e-4  # share of what an effect does that parameters and start states cannot: below it there is no evidence
+BATCH_SIZE = 8  # effects in one model: more would each fly the others' terms at zero
+# share of what an effect does that parameters and start states cannot: below it there is no
+# evidence
+MIN_EIGENVALUE = 1e-4
 JET_COLUMNS, JET_ROWS = 7, 4  # grid of places where a stream of air is looked for
 
 
 @dataclass(frozen=True)
-class Variant:
+class EffectVariant:
     """An effect at one place, angle or delay: what a scan tries."""
 
     effect: Effect
@@ -29,23 +33,23 @@ class Variant:
 
 
 @dataclass(frozen=True)
-class Columns:
+class Sensitivities:
     """What a variant would do to the residuals, per unit of each amplitude."""
 
-    variant: Variant
-    change: Array  # (W, R, A)
+    variant: EffectVariant
+    derivative: Array  # (W, R, A)
 
 
 @dataclass(frozen=True)
-class Score:
+class ScoreTest:
     """Linear evidence for a variant."""
 
-    variant: Variant
-    gain: float  # chi2 it would explain
+    variant: EffectVariant
+    delta_chi2: float  # chi2 it would explain
     values: dict[str, float]  # amplitudes it would take
 
 
-def variants(catalogue: Sequence[Effect], windows: Windows) -> Iterator[Variant]:
+def effect_variants(catalogue: Sequence[Effect], windows: Windows) -> Iterator[EffectVariant]:
     """Every effect at every place a scan should try it.
 
     Args:
@@ -61,10 +65,12 @@ def variants(catalogue: Sequence[Effect], windows: Windows) -> Iterator[Variant]
         usual = {p.name: p.start for p in effect.parameters}
         places = _jet_places(windows) if "jet_at_x" in usual else ({}, *effect.starts)
         for place in places:
-            yield Variant(effect, {**usual, **place})
+            yield EffectVariant(effect, {**usual, **place})
 
 
-def columns(model: Model, windows: Windows, starts: Array, tried: Sequence[Variant]) -> list[Columns]:
+def sensitivities(
+    model: Model, windows: Windows, starts: Array, tried: Sequence[EffectVariant]
+) -> list[Sensitivities]:
     """Change of the residuals by each amplitude, as a secant to the variant's own size.
 
     Args:
@@ -77,45 +83,55 @@ def columns(model: Model, windows: Windows, starts: Array, tried: Sequence[Varia
         The columns of each.
     """
     effects = list({id(v.effect): v.effect for v in tried}.values())
-    found: dict[int, Columns] = {}
-    for k in range(0, len(effects), TOGETHER):
-        part = effects[k : k + TOGETHER]
+    found: dict[int, Sensitivities] = {}
+    for k in range(0, len(effects), BATCH_SIZE):
+        part = effects[k : k + BATCH_SIZE]
         mine = [v for v in tried if any(v.effect is e for e in part)]
-        found |= dict(zip(map(id, mine), _columns(model, windows, starts, part, mine), strict=True))
+        found |= dict(
+            zip(
+                map(id, mine), _batch_sensitivities(model, windows, starts, part, mine), strict=True
+            )
+        )
     return [found[id(v)] for v in tried]
 
 
-def _columns(
-    model: Model, windows: Windows, starts: Array, effects: Sequence[Effect], tried: Sequence[Variant]
-) -> list[Columns]:
+def _batch_sensitivities(
+    model: Model,
+    windows: Windows,
+    starts: Array,
+    effects: Sequence[Effect],
+    tried: Sequence[EffectVariant],
+) -> list[Sensitivities]:
     """The same for a few effects, all of whose variants fly together."""
     for effect in effects:
         model = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.amplitudes})
     cases = [
-        model.with_values({**v.values, **{q.name: 0.0 for q in v.effect.amplitudes}, p.name: v.values[p.name]}).vector
+        model.with_values(
+            {**v.values, **{q.name: 0.0 for q in v.effect.amplitudes}, p.name: v.values[p.name]}
+        ).vector
         for v in tried
         for p in v.effect.amplitudes
     ]
-    moved = iter(changes(model, windows, starts, np.stack(cases, axis=1)))
+    differences = iter(finite_differences(model, windows, starts, np.stack(cases, axis=1)))
     return [
-        Columns(v, np.nan_to_num(np.stack([next(moved) / v.values[p.name] for p in v.effect.amplitudes], axis=-1),
+        Sensitivities(v, np.nan_to_num(np.stack([next(differences) / v.values[p.name] for p in v.effect.amplitudes], axis=-1),
                                  posinf=0.0, neginf=0.0))
         for v in tried
     ]  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Reduced:
+class SchurComplement:
     """A fit with its start states eliminated."""
 
     Q: Array  # (W, R, n) basis of what start states can do
     K: Array  # (W, R, F) parameter derivatives outside it
     residual: Array  # (W, R) outside it
     prior: Array  # (F, F) precision of the prior
-    scatter: float  # chi2 per degree of freedom
+    reduced_chi2: float  # chi2 per degree of freedom
 
     @classmethod
-    def of(cls, result: FitResult, prior: Prior | None, scatter: float) -> "Reduced":
+    def of(cls, result: FitResult, prior: Prior | None, reduced_chi2: float) -> "SchurComplement":
         """Eliminate the start states of a fit.
 
         Args:
@@ -126,13 +142,17 @@ class Reduced:
         Returns:
             The reduced problem.
         """
-        Q, _ = np.linalg.qr(result.to_start)
+        Q, _ = np.linalg.qr(result.initial_state_jacobian)
         rows, _ = prior_rows(result.model, result.free, prior)
         return cls(
-            Q, _outside(Q, result.to_free), _outside(Q, result.residual[..., None])[..., 0], rows.T @ rows, scatter
+            Q,
+            _project_out(Q, result.parameter_jacobian),
+            _project_out(Q, result.residual[..., None])[..., 0],
+            rows.T @ rows,
+            reduced_chi2,
         )
 
-    def score(self, effect: Columns) -> Score:
+    def score(self, effect: Sensitivities) -> ScoreTest:
         """Linear evidence for an effect over all windows.
 
         Args:
@@ -141,13 +161,20 @@ class Reduced:
         Returns:
             chi2 gained in units of the scatter, and the amplitudes.
         """
-        return _score(self, effect.variant, _outside(self.Q, effect.change), np.arange(len(self.Q)), self.prior, None)
+        return _score_test(
+            self,
+            effect.variant,
+            _project_out(self.Q, effect.derivative),
+            np.arange(len(self.Q)),
+            self.prior,
+            None,
+        )
 
-    def block_gains(self, effects: Sequence[Columns], blocks: int = 3) -> Array:
+    def block_delta_chi2(self, effects: Sequence[Sensitivities], blocks: int = 3) -> Array:
         """Evidence that the same effects show on parts of a calm flight, where there is none.
 
-        The parameters are known from the other parts alone, as they are from another flight; what is found here comes
-        from noise and from what the base model lacks.
+        The parameters are known from the other parts alone, as they are from another flight; what
+        is found here comes from noise and from what the base model lacks.
 
         Args:
             effects: columns at this fit.
@@ -156,26 +183,35 @@ class Reduced:
         Returns:
             (E, blocks) chi2 in units of the scatter.
         """
-        outside = [_outside(self.Q, e.change) for e in effects]
+        projected = [_project_out(self.Q, e.derivative) for e in effects]
         part = np.array_split(np.arange(len(self.Q)), blocks)
-        gains = np.empty((len(effects), blocks))
+        delta_chi2_blocks = np.empty((len(effects), blocks))
         for b, inside in enumerate(part):
             others = np.setdiff1d(np.arange(len(self.Q)), inside)
-            known = np.einsum("wif,wig->fg", self.K[others], self.K[others], optimize=True) + self.prior
+            known = (
+                np.einsum("wif,wig->fg", self.K[others], self.K[others], optimize=True) + self.prior
+            )
             known += 1e-9 * np.diag(np.diag(known))
             shift = -np.linalg.solve(
                 known, np.einsum("wif,wi->f", self.K[others], self.residual[others], optimize=True)
             )
-            for e, (effect, E) in enumerate(zip(effects, outside, strict=True)):
-                gains[e, b] = _score(self, effect.variant, E, inside, known, shift).gain
-        return gains
+            for e, (effect, E) in enumerate(zip(effects, projected, strict=True)):
+                delta_chi2_blocks[e, b] = _score_test(
+                    self, effect.variant, E, inside, known, shift
+                ).delta_chi2
+        return delta_chi2_blocks
 
 
-def _score(
-    fit: Reduced, variant: Variant, outside: Array, inside: np.ndarray, precision: Array, shift: Array | None
-) -> Score:
+def _score_test(
+    fit: SchurComplement,
+    variant: EffectVariant,
+    projected: Array,
+    inside: np.ndarray,
+    precision: Array,
+    shift: Array | None,
+) -> ScoreTest:
     """Score test over some windows with the parameters known to a precision around a shifted mean."""
-    E, K, r = outside[inside], fit.K[inside], fit.residual[inside]
+    E, K, r = projected[inside], fit.K[inside], fit.residual[inside]
     if shift is not None:
         r = r + K @ shift
     A = np.einsum("wif,wig->fg", K, K, optimize=True) + precision
@@ -187,14 +223,18 @@ def _score(
     S, pull = D - B.T @ across[:, :-1], g_E - B.T @ across[:, -1]
     size = np.sqrt(np.maximum(np.diag(D), 1e-30))
     seen, along = np.linalg.eigh(S / np.outer(size, size))
-    along = along[:, seen > UNSEEN] / size[:, None]  # the others are what parameters do already
-    step = -along @ ((along.T @ pull) / seen[seen > UNSEEN])
+    along = (
+        along[:, seen > MIN_EIGENVALUE] / size[:, None]
+    )  # the others are what parameters do already
+    step = -along @ ((along.T @ pull) / seen[seen > MIN_EIGENVALUE])
     names = [p.name for p in variant.effect.amplitudes]
-    gain = float(max(-pull @ step, 0.0)) / fit.scatter
-    return Score(variant, gain, {**variant.values, **dict(zip(names, step.tolist(), strict=True))})
+    delta_chi2 = float(max(-pull @ step, 0.0)) / fit.reduced_chi2
+    return ScoreTest(
+        variant, delta_chi2, {**variant.values, **dict(zip(names, step.tolist(), strict=True))}
+    )
 
 
-def _outside(Q: Array, J: Array) -> Array:
+def _project_out(Q: Array, J: Array) -> Array:
     return np.asarray(J - Q @ (Q.transpose(0, 2, 1) @ J))
 
 

@@ -1,4 +1,6 @@
-"""Measuring the gap: a flight replayed in a model -> residuals, and where they exceed those of the calm flight."""
+"""Measuring the gap: a flight replayed in a model -> residuals, and where they exceed those of the
+calm flight.
+"""
 
 from dataclasses import dataclass
 
@@ -7,9 +9,9 @@ import numpy as np
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.flight_table import nearest_index
-from falconwing_kit.gap.baseline import CalmBase
+from falconwing_kit.gap.baseline import NominalModel
 from falconwing_kit.gap.name import Naming
-from falconwing_kit.sysid.prepare import CHANNELS, Flight
+from falconwing_kit.sysid.prepare import CHANNELS, PreparedFlight
 from falconwing_kit.sysid.score import score
 from falconwing_kit.sysid.shooting import Windows, cut_windows
 
@@ -18,49 +20,56 @@ VARIABLES: dict[str, str] = {  # what a residual may depend on, and its unit
     "throttle": "-", "aileron": "-", "elevator": "-", "rudder": "-",
 }  # fmt: skip
 BINS = 6
-FEWEST_WINDOWS = 8  # in a bin; from fewer no scatter can be told
-STICK_MEMORY_S = 1.0  # a stick acts on the pose through what it did before: its mean over this time counts
-FALSE_SPOTS = 0.01  # chance that a calm flight shows any spot at all
-MOST_SPOTS = 12
+MIN_WINDOWS = 8  # in a bin; from fewer no scatter can be told
+INPUT_AVERAGING_S = (
+    1.0  # a stick acts on the pose through what it did before: its mean over this time counts
+)
+FALSE_ALARM_PROBABILITY = 0.01  # chance that a calm flight shows any spot at all
+MAX_RESIDUAL_BINS = 12
 
 
 @dataclass(frozen=True)
-class Replay:
+class FlightReplay:
     """A flight flown again in a model, two seconds at a time from re-estimated starts."""
 
     t: Array  # (W, L) since the start of the flight [s]
-    residual: Array  # (W, L, 6) predicted minus measured in sigmas of the pose noise, nan where not measured
+    # (W, L, 6) predicted minus measured in sigmas of the pose noise, nan where not measured
+    residual: Array
     variables: dict[str, Array]  # (W, L) each, the keys of VARIABLES
 
 
 @dataclass(frozen=True)
-class Profile:
-    """Mean square residual of one channel against one variable, flight beside calm; B bins, nan where too few."""
+class ResidualProfile:
+    """Mean square residual of one channel against one variable, flight beside calm; B bins, nan
+    where too few.
+    """
 
     edges: Array  # (B + 1,) in the variable's unit
     flight: Array  # (B,) [sigma^2]
     calm: Array  # (B,) the calm flight's in the same bin, or over all of it where it was not there
-    error: Array  # (B,) by how much the two would differ by chance if the flight were calm, one standard deviation
+    # (B,) by how much the two would differ by chance if the flight were calm, one standard
+    # deviation
+    error: Array
 
     @property
-    def excess(self) -> Array:
+    def excess_chi2(self) -> Array:
         """(B,) flight minus calm [sigma^2]."""
         return self.flight - self.calm
 
 
 @dataclass(frozen=True)
-class Spot:
+class ResidualBin:
     """A range of a variable in which one channel is off by more than on the calm flight."""
 
     channel: str
     variable: str
     low: float
     high: float
-    excess: float  # mean square over the calm flight's [sigma^2]
-    standing_out: float  # the same less what the rest of the flight shows, less two standard errors
+    excess_chi2: float  # mean square over the calm flight's [sigma^2]
+    contrast: float  # the same less what the rest of the flight shows, less two standard errors
 
 
-def replay(model: Model, windows: Windows, starts: Array | None = None) -> Replay:
+def replay(model: Model, windows: Windows, initial_states: Array | None = None) -> FlightReplay:
     """Fly a flight again in a model.
 
     Args:
@@ -71,7 +80,7 @@ def replay(model: Model, windows: Windows, starts: Array | None = None) -> Repla
     Returns:
         Residuals and what they may depend on, row by row.
     """
-    residual = score(model, windows, starts).residual
+    residual = score(model, windows, initial_states).residual
     known = {name: np.empty_like(windows.nodes) for name in VARIABLES}
     for number, flight in enumerate(windows.flights):
         mine = windows.flight == number
@@ -79,64 +88,71 @@ def replay(model: Model, windows: Windows, starts: Array | None = None) -> Repla
         rows = nearest_index(flight.t - flight.t[0], windows.nodes[mine].ravel())
         for name, values in of_rows.items():
             known[name][mine] = values[rows].reshape(-1, windows.nodes.shape[1])
-    return Replay(known["time"], np.where(windows.weight > 0.0, residual, np.nan), known)
+    return FlightReplay(known["time"], np.where(windows.weight > 0.0, residual, np.nan), known)
 
 
-def replay_calm(base: CalmBase) -> Replay:
+def replay_baseline(base: NominalModel) -> FlightReplay:
     """The calm flight in its own model."""
-    return replay(base.result.model, base.found.windows, base.result.starts)
+    return replay(base.result.model, base.found.windows, base.result.initial_states)
 
 
-def replay_flight(base: CalmBase, naming: Naming, model: Model | None = None) -> Replay:
+def replay_flight(base: NominalModel, naming: Naming, model: Model | None = None) -> FlightReplay:
     """The flight under test in a model.
 
     Args:
         base: the aircraft without surprise.
         naming: the flight.
-        model: None for the calm flight's own, or where nothing is missing for the same on another day: coefficients
-            drift by a percent, and that is no gap.
+        model: None for the calm flight's own, or where nothing is missing for the same on another
+            day: coefficients drift by a percent, and that is no gap.
 
     Returns:
         The replay.
     """
     model = model or (naming.before.model if naming.verdict == "none" else base.result.model)
-    return replay(model, cut_windows(naming.prepared.flights, model), naming.before.starts)
+    return replay(model, cut_windows(naming.prepared.flights, model), naming.before.initial_states)
 
 
-def residual_map(flight: Replay, calm: Replay) -> tuple[Spot, ...]:
+def residual_map(flight: FlightReplay, calm: FlightReplay) -> tuple[ResidualBin, ...]:
     """Where a flight's residuals exceed the calm flight's.
 
-    Every channel is binned over every variable; a bin counts where its excess would come by chance in fewer than one
-    of a hundred calm flights, all bins taken together [Bonferroni; one-sided t test on windows]. Neighbouring bins
-    that count and lie in the upper half of the profile are joined.
+    Every channel is binned over every variable; a bin counts where its excess would come by chance
+    in fewer than one of a hundred calm flights, all bins taken together [Bonferroni; one-sided t
+    test on windows]. Neighbouring bins that count and lie in the upper half of the profile are
+    joined.
 
     Args:
         flight: the flight under test.
         calm: the calm flight in its own model.
 
     Returns:
-        At most one spot per channel and variable, those that stand out most from the rest of the flight first; a
-        channel that is off everywhere alike gives one spot over all the time.
+        At most one spot per channel and variable, those that stand out most from the rest of the
+        flight first; a channel that is off everywhere alike gives one spot over all the time.
     """
     from scipy.stats import t as student
 
     profiles = {(c, v): profile(flight, calm, c, v) for c in CHANNELS for v in VARIABLES}
-    tests = sum(int(np.isfinite(p.excess).sum()) for p in profiles.values())
-    needed = student.isf(FALSE_SPOTS / max(tests, 1), max(len(calm.t) - 1, 1))
-    spots = []
+    tests = sum(int(np.isfinite(p.excess_chi2).sum()) for p in profiles.values())
+    needed = student.isf(FALSE_ALARM_PROBABILITY / max(tests, 1), max(len(calm.t) - 1, 1))
+    residual_bins = []
     for channel in CHANNELS:
         found = []
         for variable in VARIABLES:
             p = profiles[channel, variable]
-            counts = np.nan_to_num(p.excess / p.error, nan=-np.inf) > needed
+            counts = np.nan_to_num(p.excess_chi2 / p.error, nan=-np.inf) > needed
             if counts.any():
-                found.append(_spot(p, counts, channel, variable))
-        standing_out = [spot for spot in found if spot.standing_out > 0.0]
-        spots += standing_out or ([_everywhere(profiles[channel, "time"], channel)] if found else [])
-    return tuple(sorted(spots, key=lambda s: (-s.standing_out, -s.excess))[:MOST_SPOTS])
+                found.append(_residual_bin(p, counts, channel, variable))
+        contrast = [residual_bin for residual_bin in found if residual_bin.contrast > 0.0]
+        residual_bins += contrast or (
+            [_whole_flight_bin(profiles[channel, "time"], channel)] if found else []
+        )
+    return tuple(
+        sorted(residual_bins, key=lambda s: (-s.contrast, -s.excess_chi2))[:MAX_RESIDUAL_BINS]
+    )
 
 
-def profile(flight: Replay, calm: Replay, channel: str, variable: str) -> Profile:
+def profile(
+    flight: FlightReplay, calm: FlightReplay, channel: str, variable: str
+) -> ResidualProfile:
     """Mean square residual of one channel against one variable.
 
     Args:
@@ -146,7 +162,8 @@ def profile(flight: Replay, calm: Replay, channel: str, variable: str) -> Profil
         variable: one of VARIABLES.
 
     Returns:
-        The profile; bins hold equally many rows of the flight (of the circle where the variable is the heading).
+        The profile; bins hold equally many rows of the flight (of the circle where the variable is
+        the heading).
     """
     at = CHANNELS.index(channel)
     values = flight.variables[variable]
@@ -155,30 +172,37 @@ def profile(flight: Replay, calm: Replay, channel: str, variable: str) -> Profil
     else:
         edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
     mean, rows = _bins(flight.residual[..., at], values, edges)
-    whole, per_row = _scatter(calm.residual[..., at])
+    whole, per_row = _baseline_statistics(calm.residual[..., at])
     calm_mean, calm_rows = _bins(calm.residual[..., at], calm.variables[variable], edges)
     elsewhere = np.isnan(calm_mean) | (variable == "time")
     calm_mean = np.where(elsewhere, whole, calm_mean)
     calm_rows = np.where(elsewhere, np.isfinite(calm.residual[..., at]).sum(), calm_rows)
-    return Profile(edges, mean, calm_mean, per_row * np.sqrt(1.0 / np.maximum(rows, 1) + 1.0 / calm_rows))
+    return ResidualProfile(
+        edges, mean, calm_mean, per_row * np.sqrt(1.0 / np.maximum(rows, 1) + 1.0 / calm_rows)
+    )
 
 
 def _bins(residual: Array, values: Array, edges: Array) -> tuple[Array, np.ndarray]:
-    """Mean square in each bin, nan where fewer than FEWEST_WINDOWS reach into it, and its number of rows."""
+    """Mean square in each bin, nan where fewer than FEWEST_WINDOWS reach into it, and its number of
+    rows.
+    """
     inside = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0))
     inside[(values < edges[0]) | (values > edges[-1])] = -1
-    seen = (inside[..., None] == np.arange(len(edges) - 1)) & np.isfinite(residual)[..., None]  # (W, L, B)
+    seen = (inside[..., None] == np.arange(len(edges) - 1)) & np.isfinite(residual)[
+        ..., None
+    ]  # (W, L, B)
     squares = np.where(seen, np.nan_to_num(residual)[..., None] ** 2, 0.0).sum(axis=(0, 1))
     rows = seen.sum(axis=(0, 1))
-    enough = seen.any(axis=1).sum(axis=0) >= FEWEST_WINDOWS
+    enough = seen.any(axis=1).sum(axis=0) >= MIN_WINDOWS
     return np.where(enough, squares / np.maximum(rows, 1), np.nan), rows
 
 
-def _scatter(residual: Array) -> tuple[float, float]:
-    """Mean square of a calm channel (W, L), and the standard deviation that one row adds to a mean of many.
+def _baseline_statistics(residual: Array) -> tuple[float, float]:
+    """Mean square of a calm channel (W, L), and the standard deviation that one row adds to a mean
+    of many.
 
-    Rows within a window go together, so the scatter is that between windows; taking the rows of a bin for spread over
-    many windows errs to the safe side.
+    Rows within a window go together, so the scatter is that between windows; taking the rows of a
+    bin for spread over many windows errs to the safe side.
     """
     rows = np.isfinite(residual).sum(axis=1)
     squares = np.nansum(residual**2, axis=1)
@@ -187,45 +211,58 @@ def _scatter(residual: Array) -> tuple[float, float]:
     return float(mean), float(np.sqrt(spread / max(rows.sum(), 1)))
 
 
-def _spot(p: Profile, counts: np.ndarray, channel: str, variable: str) -> Spot:
-    """The bin that stands out most, with its neighbours that count and lie in the upper half of the profile."""
-    sure = np.where(counts, p.excess - 2.0 * p.error, -np.inf)
-    low = high = int(np.argmax(sure))
-    known = np.nan_to_num(p.excess, nan=np.nanmin(p.excess))
-    alike = counts & (known >= 0.5 * (p.excess[low] + known.min()))
-    while low > 0 and alike[low - 1]:
+def _residual_bin(
+    p: ResidualProfile, counts: np.ndarray, channel: str, variable: str
+) -> ResidualBin:
+    """The bin that stands out most, with its neighbours that count and lie in the upper half of the
+    profile.
+    """
+    lower_bound = np.where(counts, p.excess_chi2 - 2.0 * p.error, -np.inf)
+    low = high = int(np.argmax(lower_bound))
+    known = np.nan_to_num(p.excess_chi2, nan=np.nanmin(p.excess_chi2))
+    joined = counts & (known >= 0.5 * (p.excess_chi2[low] + known.min()))
+    while low > 0 and joined[low - 1]:
         low -= 1
-    while high < len(alike) - 1 and alike[high + 1]:
+    while high < len(joined) - 1 and joined[high + 1]:
         high += 1
-    inside = np.zeros(len(alike), dtype=bool)
+    inside = np.zeros(len(joined), dtype=bool)
     inside[low : high + 1] = True
-    rest = p.excess[~inside & np.isfinite(p.excess)]
-    excess = float(p.excess[inside].mean())
+    rest = p.excess_chi2[~inside & np.isfinite(p.excess_chi2)]
+    excess_chi2 = float(p.excess_chi2[inside].mean())
     error = float(np.sqrt(np.mean(p.error[inside] ** 2) / inside.sum()))
-    stands_out = excess - max(float(rest.mean()), 0.0) - 2.0 * error if len(rest) else 0.0
-    return Spot(channel, variable, float(p.edges[low]), float(p.edges[high + 1]), excess, stands_out)
+    stands_out = excess_chi2 - max(float(rest.mean()), 0.0) - 2.0 * error if len(rest) else 0.0
+    return ResidualBin(
+        channel, variable, float(p.edges[low]), float(p.edges[high + 1]), excess_chi2, stands_out
+    )
 
 
-def _everywhere(p: Profile, channel: str) -> Spot:
+def _whole_flight_bin(p: ResidualProfile, channel: str) -> ResidualBin:
     """A channel that is off all the time alike."""
-    return Spot(channel, "time", float(p.edges[0]), float(p.edges[-1]), float(np.nanmean(p.excess)), 0.0)
+    return ResidualBin(
+        channel,
+        "time",
+        float(p.edges[0]),
+        float(p.edges[-1]),
+        float(np.nanmean(p.excess_chi2)),
+        0.0,
+    )
 
 
-def _variables(flight: Flight) -> dict[str, Array]:
+def _variables(flight: PreparedFlight) -> dict[str, Array]:
     """The variables at every row of a flight, from the locally smoothed poses and the sticks."""
     t = flight.t - flight.t[0]
-    velocity = flight.smooth[:, 6:9]
-    rows = max(1, round(STICK_MEMORY_S / float(np.median(np.diff(t)))))
-    sticks = np.stack([np.convolve(np.pad(c, (rows - 1, 0), mode="edge"), np.ones(rows) / rows, "valid")
+    velocity = flight.state_estimate[:, 6:9]
+    rows = max(1, round(INPUT_AVERAGING_S / float(np.median(np.diff(t)))))
+    mean_commands = np.stack([np.convolve(np.pad(c, (rows - 1, 0), mode="edge"), np.ones(rows) / rows, "valid")
                        for c in flight.commands.T])  # fmt: skip
     return {
         "time": flight.t,
-        "x": flight.smooth[:, 0],
-        "y": flight.smooth[:, 1],
-        "height": flight.smooth[:, 2],
+        "x": flight.state_estimate[:, 0],
+        "y": flight.state_estimate[:, 1],
+        "height": flight.state_estimate[:, 2],
         "speed": np.linalg.norm(velocity, axis=1),
         "climb": velocity[:, 2],
         "heading": np.arctan2(velocity[:, 1], velocity[:, 0]),
-        "bank": flight.smooth[:, 5],
-        **dict(zip(("throttle", "aileron", "elevator", "rudder"), sticks, strict=True)),
+        "bank": flight.state_estimate[:, 5],
+        **dict(zip(("throttle", "aileron", "elevator", "rudder"), mean_commands, strict=True)),
     }

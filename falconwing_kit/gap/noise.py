@@ -1,9 +1,11 @@
-"""Pose noise: residuals of the calm flight -> how much of the noise is slow, and a filter that makes it white.
+"""Pose noise: residuals of the calm flight -> how much of the noise is slow, and a filter that
+makes it white.
 
-Camera poses are wrong in a correlated way: the same view gives the same error a moment later. Taken for white, such
-noise looks like small forces and raises false alarms. We model each half of the pose (position, attitude) as white
-noise plus a slow part, cov(lag) = s exp(-|lag| / tau), and find s and tau by restricted likelihood, which knows that
-free start states have eaten part of the slow noise already [Patterson & Thompson 1971; Harville 1974].
+Camera poses are wrong in a correlated way: the same view gives the same error a moment later. Taken
+for white, such noise looks like small forces and raises false alarms. We model each half of the
+pose (position, attitude) as white noise plus a slow part, cov(lag) = s exp(-|lag| / tau), and find
+s and tau by restricted likelihood, which knows that free start states have eaten part of the slow
+noise already [Patterson & Thompson 1971; Harville 1974].
 """
 
 from dataclasses import dataclass, replace
@@ -15,12 +17,12 @@ from falconwing_kit.sysid.fit import FitResult
 from falconwing_kit.sysid.shooting import Windows, pose_residuals
 
 SHARES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
-MOSTLY_MEASURED = 0.8  # share of rows with a pose that a filter over rows needs
+MIN_MEASURED_SHARE = 0.8  # share of rows with a pose that a filter over rows needs
 TIMES_S = (0.15, 0.3, 0.5, 0.8, 1.3)
 
 
 @dataclass(frozen=True)
-class PoseNoise:
+class PoseNoiseModel:
     """How the pose noise is correlated in time; the two halves are position and attitude."""
 
     share: tuple[float, float]  # of the variance that is slow
@@ -44,7 +46,7 @@ class PoseNoise:
         return np.stack(filters)
 
 
-def find_pose_noise(result: FitResult, windows: Windows) -> PoseNoise:
+def find_pose_noise(result: FitResult, windows: Windows) -> PoseNoiseModel:
     """Find the share and the time of the slow noise in the residuals of a good fit.
 
     Args:
@@ -52,29 +54,33 @@ def find_pose_noise(result: FitResult, windows: Windows) -> PoseNoise:
         windows: the windows it was fitted to.
 
     Returns:
-        The noise with the largest restricted likelihood on a grid, found half by half; white where most rows have no
-        pose, since nothing is known of what happens between those that have one.
+        The noise with the largest restricted likelihood on a grid, found half by half; white where
+        most rows have no pose, since nothing is known of what happens between those that have one.
     """
-    if np.mean(windows.weight > 0.0) < MOSTLY_MEASURED:
-        return PoseNoise((0.0, 0.0), (0.5, 0.5))
+    if np.mean(windows.weight > 0.0) < MIN_MEASURED_SHARE:
+        return PoseNoiseModel((0.0, 0.0), (0.5, 0.5))
     interval = float(np.median(np.diff(windows.nodes)))
     shape = windows.weight.shape
     residual = pose_residuals(result.residual, windows)
-    slopes = result.to_start[:, : windows.weight[0].size].reshape(*shape, -1)
-    best = PoseNoise((0.0, 0.0), (0.5, 0.5))
+    slopes = result.initial_state_jacobian[:, : windows.weight[0].size].reshape(*shape, -1)
+    best = PoseNoiseModel((0.0, 0.0), (0.5, 0.5))
     best_cost = _restricted_cost(best, residual, slopes, windows, interval)
     for _ in range(2):
         for half in (0, 1):
             for share in SHARES:
                 for time in TIMES_S if share else TIMES_S[:1]:
-                    trial = replace(best, share=_put(best.share, half, share), time=_put(best.time, half, time))
+                    trial = replace(
+                        best,
+                        share=_replace_half(best.share, half, share),
+                        time=_replace_half(best.time, half, time),
+                    )
                     cost = _restricted_cost(trial, residual, slopes, windows, interval)
                     if cost < best_cost:
                         best, best_cost = trial, cost
     return best
 
 
-def whitened(windows: Windows, noise: PoseNoise) -> Windows:
+def whiten(windows: Windows, noise: PoseNoiseModel) -> Windows:
     """The same windows, compared through the filter that makes the noise white.
 
     Args:
@@ -86,22 +92,31 @@ def whitened(windows: Windows, noise: PoseNoise) -> Windows:
     """
     if noise.share == (0.0, 0.0):
         return windows
-    return replace(windows, whitening=noise.whitening(windows.nodes.shape[1], float(np.median(np.diff(windows.nodes)))))
+    return replace(
+        windows,
+        whitening=noise.whitening(windows.nodes.shape[1], float(np.median(np.diff(windows.nodes)))),
+    )
 
 
-def _put(pair: tuple[float, float], half: int, value: float) -> tuple[float, float]:
+def _replace_half(pair: tuple[float, float], half: int, value: float) -> tuple[float, float]:
     return (value, pair[1]) if half == 0 else (pair[0], value)
 
 
-def _restricted_cost(noise: PoseNoise, residual: Array, slopes: Array, windows: Windows, interval: float) -> float:
+def _restricted_cost(
+    noise: PoseNoiseModel, residual: Array, slopes: Array, windows: Windows, interval: float
+) -> float:
     """-2 log restricted likelihood, up to a constant, with a common free variance."""
     filters = noise.whitening(residual.shape[1], interval)
     count = len(residual)
     white = np.einsum("klm,wmk->wlk", filters, residual, optimize=True).reshape(count, -1)
-    J = np.einsum("klm,wmkn->wlkn", filters, slopes, optimize=True).reshape(count, white.shape[1], -1)
+    J = np.einsum("klm,wmkn->wlkn", filters, slopes, optimize=True).reshape(
+        count, white.shape[1], -1
+    )
     Q, R = np.linalg.qr(J)
-    left = np.sum(white**2) - np.sum(np.einsum("win,wi->wn", Q, white) ** 2)
+    residual_squares = np.sum(white**2) - np.sum(np.einsum("win,wi->wn", Q, white) ** 2)
     log_filter = -2.0 * sum(float(np.sum(np.log(np.diag(f)))) for f in filters) * count
     log_starts = 2.0 * float(np.sum(np.log(np.abs(np.einsum("wnn->wn", R)) + 1e-300)))
-    freedom = windows.count - count * J.shape[2]
-    return float(freedom * np.log(left / freedom) + log_filter + log_starts)
+    degrees_of_freedom = windows.count - count * J.shape[2]
+    return float(
+        degrees_of_freedom * np.log(residual_squares / degrees_of_freedom) + log_filter + log_starts
+    )

@@ -1,1 +1,3 @@
-"""learning: training networks on what the simulator shows. Each file here loads torch; importing the room does not."""
+"""learning: training networks on what the simulator shows. Each file here loads torch; importing
+the room does not.
+"""

@@ -1,4 +1,6 @@
-"""Judging a pose net: views with known poses -> errors and whether its stated uncertainty holds; and calibrating it."""
+"""Judging a pose net: views with known poses -> errors and whether its stated uncertainty holds;
+and calibrating it.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -17,7 +19,7 @@ MIN_TO_CALIBRATE = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class PoseErrors:
     """Errors of a net on N images."""
 
     position: Array  # (N,) [m]
@@ -28,7 +30,9 @@ class Trial:
     token_yaw: Array  # (N,) [rad]
 
 
-def try_net(net: PoseNet, images: Iterable[NDArray[np.uint8]], camera: PinholeCamera, Ts_world_camera: Array) -> Trial:
+def evaluate_poses(
+    net: PoseNet, images: Iterable[NDArray[np.uint8]], camera: PinholeCamera, Ts_world_camera: Array
+) -> PoseErrors:
     """Let a net estimate poses that are known.
 
     Args:
@@ -43,42 +47,65 @@ def try_net(net: PoseNet, images: Iterable[NDArray[np.uint8]], camera: PinholeCa
     rows = []
     for image, T_world_camera in zip(images, Ts_world_camera, strict=True):
         answer = net.answer(image, camera)
-        estimate = net.concluded(answer)[0]
+        estimate = net.pose_estimates(answer)[0]
         R = estimate.T_world_camera[:3, :3]
-        place, turn = estimate.T_world_camera[:3, 3] - T_world_camera[:3, 3], _turn(R, T_world_camera[:3, :3])
-        ours, truth = (np.array(euler_from_rotation(M @ R_BODY_CAMERA.T)) for M in (R, T_world_camera[:3, :3]))
+        place, turn = (
+            estimate.T_world_camera[:3, 3] - T_world_camera[:3, 3],
+            _rotation_vector(R, T_world_camera[:3, :3]),
+        )
+        ours, truth = (
+            np.array(euler_from_rotation(M @ R_BODY_CAMERA.T)) for M in (R, T_world_camera[:3, :3])
+        )
         C = estimate.covariance
-        squares = [e @ np.linalg.solve(part, e) for e, part in ((place, C[:3, :3]), (turn, C[3:, 3:]))]
+        squares = [
+            e @ np.linalg.solve(part, e) for e, part in ((place, C[:3, :3]), (turn, C[3:, 3:]))
+        ]
         token_off = np.linalg.norm(answer.place[0].numpy() - T_world_camera[:3, 3])
         token_yaw = wrap_angle(np.arctan2(*answer.sincos[0, 2].numpy()) - truth[2])
         own = [np.linalg.norm(place), *wrap_angle(ours - truth), np.linalg.norm(turn), *squares]
         rows.append([*own, token_off, token_yaw])
     if not rows:
-        raise InputError("images: want at least one to judge by, got none")
+        raise InputError("images: expected at least one to judge by, got none")
     table = np.array(rows)
-    return Trial(table[:, 0], table[:, 1:4], table[:, 4], table[:, 5:7], table[:, 7], table[:, 8])
+    return PoseErrors(
+        table[:, 0], table[:, 1:4], table[:, 4], table[:, 5:7], table[:, 7], table[:, 8]
+    )
 
 
-def figures(trial: Trial) -> dict[str, Any]:
-    """Errors in metres and degrees, and the shares of images that lie in the stated 68 and 95 % ellipsoids."""
-    yaw = np.degrees(np.abs(trial.angles[:, 2]))
-    rotation, tilt = np.degrees(trial.rotation), np.degrees(np.abs(trial.angles[:, :2]).max(axis=1))
+def error_figures(errors: PoseErrors) -> dict[str, Any]:
+    """Errors in metres and degrees, and the shares of images that lie in the stated 68 and 95 %
+    ellipsoids.
+    """
+    yaw = np.degrees(np.abs(errors.angles[:, 2]))
+    rotation, tilt = (
+        np.degrees(errors.rotation),
+        np.degrees(np.abs(errors.angles[:, :2]).max(axis=1)),
+    )
     record: dict[str, Any] = {"images": len(yaw)}
-    for name, values in (("position_m", trial.position), ("yaw_deg", yaw), ("tilt_deg", tilt), ("turn_deg", rotation)):
+    for name, values in (
+        ("position_m", errors.position),
+        ("yaw_deg", yaw),
+        ("tilt_deg", tilt),
+        ("turn_deg", rotation),
+    ):
         record[name] = {"median": float(np.median(values)), "mean": float(values.mean())}
         record[name]["p90"] = float(np.quantile(values, 0.9))
     record["token_alone"] = {
-        "position_m": float(np.median(trial.token_position)),
-        "yaw_deg": float(np.degrees(np.median(np.abs(trial.token_yaw)))),
+        "position_m": float(np.median(errors.token_position)),
+        "yaw_deg": float(np.degrees(np.median(np.abs(errors.token_yaw)))),
     }
     for column, name in enumerate(("position", "attitude")):
-        inside = {f"{share:.0%}": float((trial.squares[:, column] < q).mean()) for share, q in CHI2_3.items()}
+        inside = {
+            f"{share:.0%}": float((errors.squares[:, column] < q).mean())
+            for share, q in CHI2_3.items()
+        }
         record[f"{name}_in_stated"] = inside
     return record
 
 
-def calibrated(net: PoseNet, *trials: Trial) -> PoseNet:
-    """The net with standard deviations scaled so that at least 68 % of each trial lie in their ellipsoids.
+def calibrate_sigmas(net: PoseNet, *trials: PoseErrors) -> PoseNet:
+    """The net with standard deviations scaled so that at least 68 % of each trial lie in their
+    ellipsoids.
 
     Args:
         net: whose present scales gave the trials.
@@ -87,17 +114,26 @@ def calibrated(net: PoseNet, *trials: Trial) -> PoseNet:
     Raises:
         InputError: a trial is too small.
     """
-    smallest = min(len(trial.position) for trial in trials)
+    smallest = min(len(errors.position) for errors in trials)
     if smallest < MIN_TO_CALIBRATE:
-        raise InputError(f"calibration: want at least {MIN_TO_CALIBRATE} images that were kept aside, got {smallest}")
+        raise InputError(
+            f"calibration: expected at least {MIN_TO_CALIBRATE} images that were kept aside, got {smallest}"
+        )
     share, quantile = next(iter(CHI2_3.items()))
-    factors = np.max([np.sqrt(np.quantile(trial.squares, share, axis=0) / quantile) for trial in trials], axis=0)
-    place, turn = (float(old * new) for old, new in zip(net.record.sigma_scales, factors, strict=True))
+    factors = np.max(
+        [np.sqrt(np.quantile(errors.squares, share, axis=0) / quantile) for errors in trials],
+        axis=0,
+    )
+    place, turn = (
+        float(old * new) for old, new in zip(net.record.sigma_scales, factors, strict=True)
+    )
     return PoseNet(net.network, replace(net.record, sigma_scales=(place, turn)))
 
 
-def _turn(R: Array, R_from: Array) -> Array:
-    """(3,) the turn in world axes from one rotation to the other [rad]; at half a turn its axis is arbitrary."""
+def _rotation_vector(R: Array, R_from: Array) -> Array:
+    """(3,) the turn in world axes from one rotation to the other [rad]; at half a turn its axis is
+    arbitrary.
+    """
     M = R @ R_from.T
     w = 0.5 * np.array([M[2, 1] - M[1, 2], M[0, 2] - M[2, 0], M[1, 0] - M[0, 1]])
     sin, cos = np.linalg.norm(w), 0.5 * (np.trace(M) - 1.0)

@@ -8,13 +8,13 @@ from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.arena import build_arena, leader_at, load_scene
 from falconwing_kit.scene.camera import PinholeCamera, nose_camera_pose
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.scene.masks import COVERED, Ellipsoid, ellipse_mask, seen_image
+from falconwing_kit.scene.masks import MASK_THRESHOLD, Ellipsoid, ellipse_mask, visible_alpha_image
 from falconwing_kit.scene.native import write_quantised
 from falconwing_kit.scene.render import BACKENDS, Frame, render, require_pose
 
 __all__ = [
     "BACKENDS",
-    "COVERED",
+    "MASK_THRESHOLD",
     "AnalogVideo",
     "Ellipsoid",
     "Frame",
@@ -27,6 +27,6 @@ __all__ = [
     "nose_camera_pose",
     "render",
     "require_pose",
-    "seen_image",
+    "visible_alpha_image",
     "write_quantised",
 ]

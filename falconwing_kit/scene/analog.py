@@ -1,8 +1,10 @@
-"""Analog video link: clean picture + signal-to-noise ratio -> the picture as an FM receiver and a capture card give it.
+"""Analog video link: clean picture + signal-to-noise ratio -> the picture as an FM receiver and a
+capture card give it.
 
-A model of 525-line composite video sent by frequency modulation, after the laws of such links; every step is a small
-function with its source. The result is simulated. Where photos show what a link really does, `survey/link.py` measures
-bandwidths and noise on them, and these take the place of the laws: analog.toml keeps such links by the scene's name.
+A model of 525-line composite video sent by frequency modulation, after the laws of such links;
+every step is a small function with its source. The result is simulated. Where photos show what a
+link really does, `survey/link.py` measures bandwidths and noise on them, and these take the place
+of the laws: analog.toml keeps such links by the scene's name.
 """
 
 import math
@@ -15,13 +17,22 @@ from numpy.typing import NDArray
 
 from falconwing_kit.core.checks import Array, InputError, require_range
 
-LINE_S, FRAME_S = 52.66e-6, 1.0 / 29.97  # seen part of a line, and two fields [ITU-R BT.1700, 525 lines]
+LINE_S, FRAME_S = (
+    52.66e-6,
+    1.0 / 29.97,
+)  # seen part of a line, and two fields [ITU-R BT.1700, 525 lines]
 LUMA_HZ, CHROMA_HZ = 4.2e6, 0.6e6  # bandwidths; chroma as plain decoders have it [ITU-R BT.1700]
 DEVIATION_HZ = 3.5e6  # peak, of a usual 5.8 GHz video sender
-RISE_S, SYNC_SHARE = 0.25e-6, 0.4  # a sync edge behind the luma filter, and its height over that of white (40 of 100)
+RISE_S, SYNC_SHARE = (
+    0.25e-6,
+    0.4,
+)  # a sync edge behind the luma filter, and its height over that of white (40 of 100)
 SYNC_HZ = 0.5e6  # the sync separator's own low-pass
 CLICK_DECAY_S = 0.3e-6  # the tail that de-emphasis leaves behind a click
-LOCK, TEAR_LOCK = 0.5, 0.85  # share of its error that the line oscillator keeps from line to line; after a lost lock
+LOCK, TEAR_LOCK = (
+    0.5,
+    0.85,
+)  # share of its error that the line oscillator keeps from line to line; after a lost lock
 DROPOUT_LINES = 6.0  # mean length of a fade
 
 Pixels = NDArray[np.uint8]
@@ -32,14 +43,16 @@ Plane = NDArray[np.float32]
 class AnalogVideo:
     """A link with one quality; the same seed and frame number give the same picture."""
 
-    snr_db: float  # peak-to-peak luma over rms thermal noise, unweighted [CCIR Rec. 567]; clicks come on top
+    # peak-to-peak luma over rms thermal noise, unweighted [CCIR Rec. 567]; clicks come on top
+    snr_db: float
     seed: int = 0
     dropouts: float = 0.02  # fades a frame, on average
     dropout_lines: float = DROPOUT_LINES  # mean length of one
     luma_hz: float = LUMA_HZ
     chroma_hz: float = CHROMA_HZ
-    chroma_noise: float = 1.0  # times what the law of `smeared` gives
-    noise_s: float = 0.0  # over this time along a line luma noise decays to 1/e, both ways; 0: flat in the luma band
+    chroma_noise: float = 1.0  # times what the law of `low_pass_chroma` gives
+    # over this time along a line luma noise decays to 1/e, both ways; 0: flat in the luma band
+    noise_s: float = 0.0
 
     def __post_init__(self) -> None:
         require_range("snr_db", self.snr_db, low=0.0, high=80.0)
@@ -57,7 +70,8 @@ class AnalogVideo:
         Args:
             image: (H, W, 3) uint8 RGB, at least 16 pixels a side.
             frame_number: from 0; each has its own noise.
-            earlier: (H, W, 3) the view 1/60 s before, which the other field shows; None for a scene at rest.
+            earlier: (H, W, 3) the view 1/60 s before, which the other field shows; None for a scene
+                at rest.
 
         Returns:
             (H, W, 3) uint8 RGB.
@@ -68,32 +82,39 @@ class AnalogVideo:
         import cv2
 
         _require_picture(image, earlier)
-        rng = np.random.default_rng([self.seed, int(require_range("frame_number", frame_number, low=0))])
+        rng = np.random.default_rng(
+            [self.seed, int(require_range("frame_number", frame_number, low=0))]
+        )
         height, width = image.shape[:2]
         pixel_s = LINE_S / width
         shifts = line_shifts_s(height, self.snr_db, rng) / pixel_s
-        luma, chroma = split(shifted(image if earlier is None else woven(image, earlier), shifts))
+        luma, chroma = to_luma_chroma(
+            shift_lines(image if earlier is None else interlace(image, earlier), shifts)
+        )
         noise = luma_noise(luma.shape, self.snr_db, pixel_s, rng, self.noise_s, self.luma_hz)
         add_clicks(noise, self.snr_db, pixel_s, rng)
-        luma = band_limited(luma, pixel_s, self.luma_hz)
+        luma = low_pass_luma(luma, pixel_s, self.luma_hz)
         luma = np.asarray(cv2.add(luma, noise, dtype=cv2.CV_8U), np.uint8)  # rounds and cuts
-        chroma = smeared(chroma, self.snr_db, pixel_s, rng, self.chroma_hz, self.chroma_noise)
+        chroma = low_pass_chroma(
+            chroma, self.snr_db, pixel_s, rng, self.chroma_hz, self.chroma_noise
+        )
         add_dropouts(luma, self.dropouts, rng, self.dropout_lines)
-        return joined(luma, chroma)
+        return to_rgb(luma, chroma)
 
 
 def video_link(name: str) -> AnalogVideo:
     """A link as measured on photos that came through it.
 
     Args:
-        name: a table of analog.toml, the name of the scene that is seen through it, such as "hall_analog".
+        name: a table of analog.toml, the name of the scene that is seen through it, such as
+            "hall_analog".
 
     Raises:
         InputError: no link of that name ships.
     """
     links = tomllib.loads(Path(__file__).with_name("analog.toml").read_text(encoding="utf-8"))
     if name not in links:
-        raise InputError(f"video link: want one of {', '.join(links)}, got {name!r}")
+        raise InputError(f"video link: expected one of {', '.join(links)}, got {name!r}")
     return AnalogVideo(**links[name])
 
 
@@ -107,21 +128,27 @@ def carrier_to_noise(snr_db: float) -> float:
 
 
 def clicks_per_frame(snr_db: float) -> float:
-    """How often noise turns the carrier once around in a frame, which is seen as a short bright or dark streak.
+    """How often noise turns the carrier once around in a frame, which is seen as a short bright or
+    dark streak.
 
-    B / sqrt(12) erfc(sqrt(C/N)) a second, B = 2 (deviation + bandwidth)  [Rice, Noise in FM receivers, 1963; Carson]
+    B / sqrt(12) erfc(sqrt(C/N)) a second, B = 2 (deviation + bandwidth)  [Rice, Noise in FM
+    receivers, 1963; Carson]
     """
     channel_hz = 2.0 * (DEVIATION_HZ + LUMA_HZ)
     return channel_hz / math.sqrt(12.0) * math.erfc(math.sqrt(carrier_to_noise(snr_db))) * FRAME_S
 
 
 def tear_chance(snr_db: float) -> float:
-    """Chance that a line's sync pulse is missed: noise behind the separator's low-pass exceeds half of the pulse."""
-    noise = 10.0 ** (-snr_db / 20.0) * math.sqrt(SYNC_HZ / LUMA_HZ)  # of white's height; flat noise scales with band
+    """Chance that a line's sync pulse is missed: noise behind the separator's low-pass exceeds half
+    of the pulse.
+    """
+    noise = 10.0 ** (-snr_db / 20.0) * math.sqrt(
+        SYNC_HZ / LUMA_HZ
+    )  # of white's height; flat noise scales with band
     return 0.5 * math.erfc(0.5 * SYNC_SHARE / noise / math.sqrt(2.0))
 
 
-def woven(image: Pixels, earlier: Pixels) -> Pixels:
+def interlace(image: Pixels, earlier: Pixels) -> Pixels:
     """Interlace: the odd lines are those of the field before.
 
     Args:
@@ -133,32 +160,38 @@ def woven(image: Pixels, earlier: Pixels) -> Pixels:
     return out
 
 
-def split(image: Pixels) -> tuple[Pixels, Plane]:
-    """Luma (H, W), and chroma (H, W / 4, 2), which carries no finer detail than that [ITU-R BT.601]."""
+def to_luma_chroma(image: Pixels) -> tuple[Pixels, Plane]:
+    """Luma (H, W), and chroma (H, W / 4, 2), which carries no finer detail than that [ITU-R
+    BT.601].
+    """
     import cv2
 
     colours = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2YCrCb), np.uint8)
-    chroma = cv2.resize(colours, (max(image.shape[1] // 4, 1), image.shape[0]), interpolation=cv2.INTER_AREA)
+    chroma = cv2.resize(
+        colours, (max(image.shape[1] // 4, 1), image.shape[0]), interpolation=cv2.INTER_AREA
+    )
     return colours[..., 0], chroma[..., 1:].astype(np.float32)
 
 
-def joined(luma: Pixels, chroma: Plane) -> Pixels:
+def to_rgb(luma: Pixels, chroma: Plane) -> Pixels:
     """The RGB picture (H, W, 3) of luma (H, W) and chroma (H, W / 4, 2)."""
     import cv2
 
     narrow = np.clip(chroma + 0.5, 0.0, 255.0).astype(np.uint8)
     wide = cv2.resize(narrow, luma.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return np.asarray(cv2.cvtColor(cv2.merge([luma, *cv2.split(wide)]), cv2.COLOR_YCrCb2RGB), np.uint8)
+    return np.asarray(
+        cv2.cvtColor(cv2.merge([luma, *cv2.split(wide)]), cv2.COLOR_YCrCb2RGB), np.uint8
+    )
 
 
-def band_limited(luma: Pixels, pixel_s: float, luma_hz: float = LUMA_HZ) -> Pixels:
+def low_pass_luma(luma: Pixels, pixel_s: float, luma_hz: float = LUMA_HZ) -> Pixels:
     """Luma (H, W) behind a low-pass of the luma bandwidth."""
     import cv2
 
     return np.asarray(cv2.sepFilter2D(luma, -1, _low_pass(pixel_s, luma_hz), np.ones(1)), np.uint8)
 
 
-def smeared(
+def low_pass_chroma(
     chroma: Plane,
     snr_db: float,
     pixel_s: float,
@@ -166,18 +199,26 @@ def smeared(
     chroma_hz: float = CHROMA_HZ,
     chroma_noise: float = 1.0,
 ) -> Plane:
-    """Chroma (H, W / 4, 2) with its noise behind the decoder's first-order low-pass, which drags colours to the right.
+    """Chroma (H, W / 4, 2) with its noise behind the decoder's first-order low-pass, which drags
+    colours to the right.
 
-    White noise of the luma band, demodulated from both sides of the subcarrier: sd = sd_luma sqrt(2 B_chroma / B_luma),
+    White noise of the luma band, demodulated from both sides of the subcarrier: sd = sd_luma sqrt(2
+        B_chroma / B_luma),
     times chroma_noise where a link was measured.
     """
     import cv2
 
-    decay = 1.0 / (1.0 + 2.0 * math.pi * chroma_hz * 4.0 * pixel_s)  # backward Euler keeps the mean lag
+    decay = 1.0 / (
+        1.0 + 2.0 * math.pi * chroma_hz * 4.0 * pixel_s
+    )  # backward Euler keeps the mean lag
     tail = decay ** np.arange(12)
     tail /= tail.sum()
-    kernel = np.concatenate([tail[::-1], np.zeros(11)])  # filter2D correlates: the past stands on the left
-    sigma = chroma_noise * _sigma(snr_db) * math.sqrt(2.0 * chroma_hz / LUMA_HZ) / np.linalg.norm(tail)
+    kernel = np.concatenate(
+        [tail[::-1], np.zeros(11)]
+    )  # filter2D correlates: the past stands on the left
+    sigma = (
+        chroma_noise * _sigma(snr_db) * math.sqrt(2.0 * chroma_hz / LUMA_HZ) / np.linalg.norm(tail)
+    )
     noise = rng.standard_normal(chroma.shape, np.float32) * np.float32(sigma)
     return np.asarray(cv2.sepFilter2D(chroma + noise, -1, kernel, np.ones(1)), np.float32)
 
@@ -192,8 +233,8 @@ def luma_noise(
 ) -> Plane:
     """Noise (H, W) [grey levels] of the luma band; rms 255 / 10^(snr_db / 20).
 
-    Thermal noise is flat in it, as emphasis makes it. A link that was measured may have it softer: it is then filtered
-    by exp(-|t| / noise_s) along the line too.
+    Thermal noise is flat in it, as emphasis makes it. A link that was measured may have it softer:
+    it is then filtered by exp(-|t| / noise_s) along the line too.
     """
     import cv2
 
@@ -201,12 +242,16 @@ def luma_noise(
     if noise_s:
         kernel = np.convolve(kernel, np.exp(-np.abs(np.arange(-12, 13)) * pixel_s / noise_s))
     white = rng.standard_normal(shape, np.float32)
-    gain = _sigma(snr_db) / np.linalg.norm(kernel)  # a filter leaves its squares' sum of white noise's power
+    gain = _sigma(snr_db) / np.linalg.norm(
+        kernel
+    )  # a filter leaves its squares' sum of white noise's power
     return np.asarray(cv2.sepFilter2D(white, -1, gain * kernel, np.ones(1)), np.float32)
 
 
 def add_clicks(noise: Plane, snr_db: float, pixel_s: float, rng: np.random.Generator) -> None:
-    """Add streaks to the noise (H, W): as high as white, of either sign, with the tail of de-emphasis to the right."""
+    """Add streaks to the noise (H, W): as high as white, of either sign, with the tail of
+    de-emphasis to the right.
+    """
     height, width = noise.shape
     number = rng.poisson(clicks_per_frame(snr_db))
     rows, columns = rng.integers(0, height, number), rng.integers(0, width, number)
@@ -218,7 +263,8 @@ def add_clicks(noise: Plane, snr_db: float, pixel_s: float, rng: np.random.Gener
 
 
 def line_shifts_s(height: int, snr_db: float, rng: np.random.Generator) -> Array:
-    """How late each line begins (H,) [s]: its oscillator follows noisy sync edges, and runs free where one is missed.
+    """How late each line begins (H,) [s]: its oscillator follows noisy sync edges, and runs free
+    where one is missed.
 
     An edge is timed to rise time * noise / its height. [slope of the edge; first-order lock]
     """
@@ -229,21 +275,31 @@ def line_shifts_s(height: int, snr_db: float, rng: np.random.Generator) -> Array
     return np.asarray(jitter + np.convolve(jumps, TEAR_LOCK ** np.arange(40))[:height], np.float64)
 
 
-def shifted(image: Pixels, shifts_px: Array) -> Pixels:
-    """Each line (H, W, 3) moved to the right by its shift (H,) [px]; what is moved in repeats the edge."""
+def shift_lines(image: Pixels, shifts_px: Array) -> Pixels:
+    """Each line (H, W, 3) moved to the right by its shift (H,) [px]; what is moved in repeats the
+    edge.
+    """
     import cv2
 
     height, width = image.shape[:2]
     x = np.arange(width, dtype=np.float32) - shifts_px.astype(np.float32)[:, None]
     y = np.repeat(np.arange(height, dtype=np.float32)[:, None], width, axis=1)
-    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(
+        cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8
+    )
 
 
-def add_dropouts(luma: Pixels, dropouts: float, rng: np.random.Generator, dropout_lines: float = DROPOUT_LINES) -> None:
-    """Fades: bands of lines (H, W) in which nothing but noise arrives; their number is Poisson, lengths geometric."""
+def add_dropouts(
+    luma: Pixels, dropouts: float, rng: np.random.Generator, dropout_lines: float = DROPOUT_LINES
+) -> None:
+    """Fades: bands of lines (H, W) in which nothing but noise arrives; their number is Poisson,
+    lengths geometric.
+    """
     for _ in range(rng.poisson(dropouts)):
         row, lines = int(rng.integers(0, luma.shape[0])), int(rng.geometric(1.0 / dropout_lines))
-        luma[row : row + lines] = rng.integers(0, 256, luma[row : row + lines].shape, dtype=np.uint8)
+        luma[row : row + lines] = rng.integers(
+            0, 256, luma[row : row + lines].shape, dtype=np.uint8
+        )
 
 
 def _sigma(snr_db: float) -> float:
@@ -252,7 +308,8 @@ def _sigma(snr_db: float) -> float:
 
 
 def _low_pass(pixel_s: float, luma_hz: float = LUMA_HZ) -> Array:
-    """Filter along a line (15,) whose gain is one half at the luma bandwidth: a sinc in a Hamming window.
+    """Filter along a line (15,) whose gain is one half at the luma bandwidth: a sinc in a Hamming
+    window.
 
     A picture too coarse for the band, 320 pixels wide, passes as it is.
     """
@@ -266,6 +323,10 @@ def _require_picture(image: Pixels, earlier: Pixels | None) -> None:
         shape: tuple[int, ...] = getattr(picture, "shape", ())
         kind = getattr(picture, "dtype", type(picture).__name__)
         if len(shape) != 3 or shape[2] != 3 or kind != np.uint8 or min(shape[:2]) < 16:
-            raise InputError(f"analog video: want (H, W, 3) uint8 of 16 pixels or more, got {shape} {kind}")
+            raise InputError(
+                f"analog video: expected (H, W, 3) uint8 of 16 pixels or more, got {shape} {kind}"
+            )
     if earlier is not None and earlier.shape != image.shape:
-        raise InputError(f"earlier: want the size of the image, {image.shape}, got {earlier.shape}")
+        raise InputError(
+            f"earlier: expected the size of the image, {image.shape}, got {earlier.shape}"
+        )

@@ -1,4 +1,6 @@
-"""Camera: intrinsics and a pose -> pixel rays, and points -> pixels. OpenCV axes, pixel centres at +0.5."""
+"""Camera: intrinsics and a pose -> pixel rays, and points -> pixels. OpenCV axes, pixel centres at
++0.5.
+"""
 
 from dataclasses import dataclass
 
@@ -14,13 +16,14 @@ MAX_FOCAL_PX = 1e7
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A camera without distortion: x right, y down, z forward; the first pixel's centre is at (0.5, 0.5).
+    """A camera without distortion: x right, y down, z forward; the first pixel's centre is at (0.5,
+    0.5).
 
     u = fx x/z + cx,  v = fy y/z + cy      [Hartley & Zisserman, Multiple View Geometry, eq. 6.3]
 
     Raises:
-        InputError: a focal length is not positive, the principal point is not finite, or the size is not a
-            whole number of pixels from 1 to 16384.
+        InputError: a focal length is not positive, the principal point is not finite, or the size
+            is not a whole number of pixels from 1 to 16384.
     """
 
     fx: float  # focal length in pixel widths
@@ -39,7 +42,7 @@ class PinholeCamera:
         for name in ("width", "height"):
             side = require_range(name, getattr(self, name), low=1, high=MAX_SIDE_PX)
             if side != int(side):
-                raise InputError(f"{name}: want a whole number of pixels, got {side:g}")
+                raise InputError(f"{name}: expected a whole number of pixels, got {side:g}")
             object.__setattr__(self, name, int(side))
 
     @classmethod
@@ -57,7 +60,9 @@ class PinholeCamera:
             InputError: a number is out of its range.
         """
         half_angle = np.deg2rad(require_range("fov_deg", fov_deg, low=1.0, high=175.0)) / 2.0
-        focal = 0.5 * require_range("width", width, low=1, high=MAX_SIDE_PX) / float(np.tan(half_angle))
+        focal = (
+            0.5 * require_range("width", width, low=1, high=MAX_SIDE_PX) / float(np.tan(half_angle))
+        )
         return cls(focal, focal, 0.5 * width, 0.5 * height, width, height)
 
     @property
@@ -83,8 +88,8 @@ class PinholeCamera:
             T_world_camera: (4, 4), "world from camera".
 
         Returns:
-            Pixels (N, 2) as u, v [px], nan for a point that is not in front of the camera; and the depth (N,)
-            along the camera's z axis [m].
+            Pixels (N, 2) as u, v [px], nan for a point that is not in front of the camera; and the
+            depth (N,) along the camera's z axis [m].
 
         Raises:
             InputError: a shape is wrong.
@@ -92,14 +97,20 @@ class PinholeCamera:
         p_world = require_shape("p_world", p_world, (None, 3))
         T_world_camera = require_shape("T_world_camera", T_world_camera, (4, 4))
         R_world_camera = T_world_camera[:3, :3]
-        p_camera = (p_world - T_world_camera[:3, 3]) @ R_world_camera  # rows: the transposed map, that is the inverse
+        p_camera = (
+            p_world - T_world_camera[:3, 3]
+        ) @ R_world_camera  # rows: the transposed map, that is the inverse
         depth = p_camera[:, 2]
         in_front = np.where(depth > 0.0, depth, np.nan)[:, None]
         return p_camera[:, :2] / in_front * (self.fx, self.fy) + (self.cx, self.cy), depth
 
 
 def nose_camera_pose(
-    p_world: ArrayLike, roll: float, pitch: float, yaw: float, p_body_camera: ArrayLike = (0.0, 0.0, 0.0)
+    p_world: ArrayLike,
+    roll: float,
+    pitch: float,
+    yaw: float,
+    p_body_camera: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Array:
     """T_world_camera of a camera that looks along the nose of a body.
 
@@ -116,11 +127,16 @@ def nose_camera_pose(
     Raises:
         InputError: a shape is wrong or a number is not finite.
     """
-    angles = [require_range(name, value) for name, value in (("roll", roll), ("pitch", pitch), ("yaw", yaw))]
+    angles = [
+        require_range(name, value)
+        for name, value in (("roll", roll), ("pitch", pitch), ("yaw", yaw))
+    ]
     p_world, p_body_camera = (
         require_shape("p_world", p_world, (3,)),
         require_shape("p_body_camera", p_body_camera, (3,)),
     )
     if not (np.isfinite(p_world).all() and np.isfinite(p_body_camera).all()):
-        raise InputError(f"p_world, p_body_camera: want finite numbers, got {p_world} and {p_body_camera}")
+        raise InputError(
+            f"p_world, p_body_camera: expected finite numbers, got {p_world} and {p_body_camera}"
+        )
     return camera_pose(pose_matrix(rotation_world_body(*angles), p_world), p_body_camera)

@@ -12,13 +12,14 @@ GAMMA = 2.2  # a screen's light is the 2.2th power of its numbers
 DIRECTIONS = 64  # more than the 16 harmonics of degree 0 to 3, so that they settle a rotation
 
 
-def turned_colours(sh: Array32, R: Array) -> Array32:
+def rotate_sh(sh: Array32, R: Array) -> Array32:
     """Colours of what has turned: along d one sees now what was to be seen along R^T d.
 
     sh'_j = sum_k D_jk sh_k,  Y_k(R^T d) = sum_j Y_j(d) D_jk
 
-    Each degree turns in itself [Ivanic & Ruedenberg 1996, Rotation Matrices for Real Spherical Harmonics]; its D is
-    exact, as it solves the second equation in more directions than there are harmonics.
+    Each degree turns in itself [Ivanic & Ruedenberg 1996, Rotation Matrices for Real Spherical
+    Harmonics]; its D is exact, as it solves the second equation in more directions than there are
+    harmonics.
 
     Args:
         sh: (N, K, 3), K = 1, 4, 9 or 16.
@@ -39,10 +40,11 @@ def turned_colours(sh: Array32, R: Array) -> Array32:
     return turned
 
 
-def scaled_colours(sh: Array32, factors: ArrayLike) -> Array32:
+def scale_sh(sh: Array32, factors: ArrayLike) -> Array32:
     """Colours times a factor, from every side.
 
-    rgb = 1/2 + sum_k sh_k Y_k,  so  f rgb = 1/2 + sum_k sh'_k Y_k  with  sh'_k = f sh_k, and sh'_0 += (f - 1) / (2 Y_0)
+    rgb = 1/2 + sum_k sh_k Y_k,  so  f rgb = 1/2 + sum_k sh'_k Y_k  with  sh'_k = f sh_k, and sh'_0
+    += (f - 1) / (2 Y_0)
 
     Args:
         sh: (N, K, 3).
@@ -57,7 +59,7 @@ def scaled_colours(sh: Array32, factors: ArrayLike) -> Array32:
     return scaled
 
 
-def plain_colour(sh: Array32, rgb: ArrayLike) -> Array32:
+def constant_sh(sh: Array32, rgb: ArrayLike) -> Array32:
     """One colour from every side.
 
     Args:
@@ -81,9 +83,9 @@ def _directions() -> Array:
 
 def _basis(directions: Array) -> Array:
     """The harmonics that the renderer uses (n, 16) in directions (n, 3)."""
-    from falconwing_kit.scene.fast import harmonics
+    from falconwing_kit.scene.fast import fill_spherical_harmonics
 
     basis = np.empty((len(directions), SH_COUNTS[-1]))
     for direction, row in zip(directions, basis, strict=True):
-        harmonics(SH_COUNTS[-1], *direction, row)
+        fill_spherical_harmonics(SH_COUNTS[-1], *direction, row)
     return basis

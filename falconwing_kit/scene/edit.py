@@ -1,9 +1,11 @@
 """Editing: a Gaussian scene and what to change of it -> a new scene; the old one stays as it was.
 
-    choose  ->  add  translate  rotate  scale  move  duplicate  rename  relight  salt_and_pepper  delete
+    choose  ->  add  translate  rotate  scale  move  duplicate  rename  relight  salt_and_pepper
+    delete
 
-What is edited is told by a mask (N,), which `choose` makes from a label or a box. What was added under a name is found
-again by it. The label "leader" is kept for an aircraft in its body axes that waits to be placed (`leader_at`).
+What is edited is told by a mask (N,), which `select_gaussians` makes from a label or a box. What
+was added under a name is found again by it. The label "leader" is kept for an aircraft in its body
+axes that waits to be placed (`leader_at`).
 """
 
 from dataclasses import dataclass, replace
@@ -14,14 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 from falconwing_kit.core.frames import pose_matrix
-from falconwing_kit.scene.colours import GAMMA, plain_colour, scaled_colours, turned_colours
+from falconwing_kit.scene.colours import GAMMA, constant_sh, rotate_sh, scale_sh
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import require_pose
 
 Mask = NDArray[np.bool_]
 NO_LABELS = ("scene",)  # the only name in a scene whose file kept none
-FARTHEST = 1e6  # m; nothing is moved beyond
-LARGEST_FACTOR = 1e3  # of sizes and of light
+MAX_DISTANCE = 1e6  # m; nothing is moved beyond
+MAX_SCALE_FACTOR = 1e3  # of sizes and of light
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,12 @@ class Appearance:
     seed: int = 0  # which of them
 
 
-def choose(scene: GaussianScene, label: str = "", low: ArrayLike | None = None, high: ArrayLike | None = None) -> Mask:
+def select_gaussians(
+    scene: GaussianScene,
+    label: str = "",
+    low: ArrayLike | None = None,
+    high: ArrayLike | None = None,
+) -> Mask:
     """Gaussians by label, by box or by both.
 
     Args:
@@ -50,15 +57,19 @@ def choose(scene: GaussianScene, label: str = "", low: ArrayLike | None = None, 
         InputError: there is no such label, the corners are none, or nothing is chosen.
     """
     if label and label not in scene.label_names and scene.label_names == NO_LABELS:
-        raise InputError(f"label: want a scene with labels, got one without, where nothing is a {label!r}; name a box")
+        raise InputError(
+            f"label: expected a scene with labels, got one without, where nothing is a {label!r}; name a box"
+        )
     mask = scene.labelled(label) if label else np.ones(len(scene), bool)
     if low is not None or high is not None:
-        firsts = _finite("low", np.full(3, -FARTHEST) if low is None else low)
-        lasts = _finite("high", np.full(3, FARTHEST) if high is None else high)
+        firsts = _finite("low", np.full(3, -MAX_DISTANCE) if low is None else low)
+        lasts = _finite("high", np.full(3, MAX_DISTANCE) if high is None else high)
         for x, first, last in zip(scene.means.T, firsts, lasts, strict=True):
             mask &= (x >= first) & (x <= last)
     if not mask.any():
-        raise InputError(f"choice: want some Gaussians, got none{f' called {label}' if label else ''} in that place")
+        raise InputError(
+            f"choice: expected some Gaussians, got none{f' called {label}' if label else ''} in that place"
+        )
     return np.asarray(mask)
 
 
@@ -76,14 +87,21 @@ def add(scene: GaussianScene, asset: GaussianScene, name: str = "") -> GaussianS
         N + M Gaussians, the asset's last.
 
     Raises:
-        InputError: the asset has neither labels nor a name, or the scene has Gaussians of such a name already.
+        InputError: the asset has neither labels nor a name, or the scene has Gaussians of such a
+            name already.
     """
     if not name and asset.label_names == NO_LABELS:
-        raise InputError("asset: want labels or a name for it, got none: its file keeps no labels; give it a name")
+        raise InputError(
+            "asset: expected labels or a name for it, got none: its file keeps no labels; give it a name"
+        )
     named = _without_unused_names(rename(asset, np.ones(len(asset), bool), name) if name else asset)
-    taken = [own for own in named.label_names if own in scene.label_names and scene.labelled(own).any()]
+    taken = [
+        own for own in named.label_names if own in scene.label_names and scene.labelled(own).any()
+    ]
     if taken:
-        raise InputError(f"name: want one that is new to the scene, got {taken[0]!r}; delete that or take another name")
+        raise InputError(
+            f"name: expected one that is new to the scene, got {taken[0]!r}; delete that or take another name"
+        )
     return GaussianScene.joined(scene, named)
 
 
@@ -100,7 +118,9 @@ def delete(scene: GaussianScene, mask: Mask) -> GaussianScene:
     return _without_unused_names(scene.selected(~_require_mask(scene, mask)), scene)
 
 
-def duplicate(scene: GaussianScene, mask: Mask, offset_world: ArrayLike, name: str = "") -> GaussianScene:
+def duplicate(
+    scene: GaussianScene, mask: Mask, offset_world: ArrayLike, name: str = ""
+) -> GaussianScene:
     """The scene with a copy of some of its Gaussians, shifted.
 
     Args:
@@ -151,12 +171,14 @@ def move(scene: GaussianScene, mask: Mask, T_world_asset: ArrayLike) -> Gaussian
     _finite("T_world_asset", T[:3, 3])
     means = scene.means[mask].astype(np.float64) @ T[:3, :3].T + T[:3, 3]
     if mask.all():  # named points are those of the whole
-        scene = replace(scene, points={name: T[:3, :3] @ p + T[:3, 3] for name, p in scene.points.items()})
+        scene = replace(
+            scene, points={name: T[:3, :3] @ p + T[:3, 3] for name, p in scene.points.items()}
+        )
     if np.array_equal(T[:3, :3], np.eye(3)):
-        return _changed(scene, mask, means=means)
-    quaternions = scene.quaternions[mask] @ _turn_by(T[:3, :3]).T.astype(np.float32)
-    sh = turned_colours(scene.sh[mask], T[:3, :3])
-    return _changed(scene, mask, means=means, quaternions=quaternions, sh=sh)
+        return _replace_rows(scene, mask, means=means)
+    quaternions = scene.quaternions[mask] @ _quaternion_operator(T[:3, :3]).T.astype(np.float32)
+    sh = rotate_sh(scene.sh[mask], T[:3, :3])
+    return _replace_rows(scene, mask, means=means, quaternions=quaternions, sh=sh)
 
 
 def translate(scene: GaussianScene, mask: Mask, offset_world: ArrayLike) -> GaussianScene:
@@ -173,7 +195,9 @@ def translate(scene: GaussianScene, mask: Mask, offset_world: ArrayLike) -> Gaus
     return move(scene, mask, pose_matrix(np.eye(3), _finite("offset_world", offset_world)))
 
 
-def rotate(scene: GaussianScene, mask: Mask, R_world: ArrayLike, about_world: ArrayLike | None = None) -> GaussianScene:
+def rotate(
+    scene: GaussianScene, mask: Mask, R_world: ArrayLike, about_world: ArrayLike | None = None
+) -> GaussianScene:
     """The scene with a part of it turned where it is.
 
     p' = c + R (p - c)
@@ -192,7 +216,9 @@ def rotate(scene: GaussianScene, mask: Mask, R_world: ArrayLike, about_world: Ar
     return move(scene, mask, pose_matrix(R, centre - R @ centre))
 
 
-def scale(scene: GaussianScene, mask: Mask, factor: float, about_world: ArrayLike | None = None) -> GaussianScene:
+def scale(
+    scene: GaussianScene, mask: Mask, factor: float, about_world: ArrayLike | None = None
+) -> GaussianScene:
     """The scene with a part of it larger or smaller.
 
     p' = c + s (p - c), and every standard deviation times s
@@ -206,12 +232,14 @@ def scale(scene: GaussianScene, mask: Mask, factor: float, about_world: ArrayLik
     Raises:
         InputError: the mask or the place is none, or the factor is not within 0.001 and 1000.
     """
-    factor = require_range("factor", factor, low=1.0 / LARGEST_FACTOR, high=LARGEST_FACTOR)
+    factor = require_range("factor", factor, low=1.0 / MAX_SCALE_FACTOR, high=MAX_SCALE_FACTOR)
     centre = _centre(scene, mask, about_world)
     means = centre + factor * (scene.means[mask] - centre)
     if np.all(mask):
-        scene = replace(scene, points={name: centre + factor * (p - centre) for name, p in scene.points.items()})
-    return _changed(scene, mask, means=means, scales=factor * scene.scales[mask])
+        scene = replace(
+            scene, points={name: centre + factor * (p - centre) for name, p in scene.points.items()}
+        )
+    return _replace_rows(scene, mask, means=means, scales=factor * scene.scales[mask])
 
 
 def relight(
@@ -219,8 +247,8 @@ def relight(
 ) -> GaussianScene:
     """The scene with a part of it in other light.
 
-    The factors are those of light. What is on the screen is its 1 / 2.2th power, so twice the light is 1.37 times the
-    number.  rgb' = (brightness gain)^(1 / 2.2) rgb
+    The factors are those of light. What is on the screen is its 1 / 2.2th power, so twice the light
+    is 1.37 times the number.  rgb' = (brightness gain)^(1 / 2.2) rgb
 
     Args:
         scene: N Gaussians.
@@ -232,12 +260,16 @@ def relight(
         InputError: the mask is none, or a factor is not within 0 and 1000.
     """
     mask, gain = _require_mask(scene, mask), require_shape("gain", gain, (3,))
-    light = [require_range("brightness, gain", brightness * g, low=0.0, high=LARGEST_FACTOR) for g in gain]
-    return _changed(scene, mask, sh=scaled_colours(scene.sh[mask], np.power(light, 1.0 / GAMMA)))
+    light = [
+        require_range("brightness, gain", brightness * g, low=0.0, high=MAX_SCALE_FACTOR)
+        for g in gain
+    ]
+    return _replace_rows(scene, mask, sh=scale_sh(scene.sh[mask], np.power(light, 1.0 / GAMMA)))
 
 
 def salt_and_pepper(scene: GaussianScene, mask: Mask, share: float, seed: int = 0) -> GaussianScene:
-    """The scene with a share of a part's Gaussians white or black, by the toss of a coin [the paper, Robustness].
+    """The scene with a share of a part's Gaussians white or black, by the toss of a coin [the
+    paper, Robustness].
 
     Args:
         scene: N Gaussians.
@@ -252,7 +284,7 @@ def salt_and_pepper(scene: GaussianScene, mask: Mask, share: float, seed: int = 
     rows, rng = np.flatnonzero(_require_mask(scene, mask)), _rng(seed)
     rows = rng.permutation(rows)[: round(share * len(rows))]
     grey = np.repeat(rng.integers(0, 2, (len(rows), 1)), 3, axis=1)
-    return _changed(scene, rows, sh=plain_colour(scene.sh[rows], grey))
+    return _replace_rows(scene, rows, sh=constant_sh(scene.sh[rows], grey))
 
 
 def draw_appearance(
@@ -277,8 +309,8 @@ def draw_appearance(
     """
     rng = _rng(seed)
     for name, (first, last), least, most in (
-        ("scale", scale, 1.0 / LARGEST_FACTOR, LARGEST_FACTOR),
-        ("brightness", brightness, 0.0, LARGEST_FACTOR),
+        ("scale", scale, 1.0 / MAX_SCALE_FACTOR, MAX_SCALE_FACTOR),
+        ("brightness", brightness, 0.0, MAX_SCALE_FACTOR),
         ("salt_pepper", salt_pepper, 0.0, 1.0),
     ):
         require_range(name, last, low=require_range(name, first, low=least), high=most)
@@ -290,14 +322,17 @@ def draw_appearance(
     )
 
 
-def dress(scene: GaussianScene, mask: Mask, look: Appearance, about_world: ArrayLike | None = None) -> GaussianScene:
+def apply_appearance(
+    scene: GaussianScene, mask: Mask, look: Appearance, about_world: ArrayLike | None = None
+) -> GaussianScene:
     """The scene with a part of it in another look.
 
     Args:
         scene: N Gaussians.
         mask: (N,) the part.
         look: size, light and noise.
-        about_world: (3,) the place that stays when the size changes [m]; None for the middle of the part's box.
+        about_world: (3,) the place that stays when the size changes [m]; None for the middle of the
+            part's box.
 
     Raises:
         InputError: the mask, the place or a number of the look is none.
@@ -312,7 +347,7 @@ def centre_of(scene: GaussianScene, mask: Mask) -> Array:
     return 0.5 * (means.min(axis=0) + means.max(axis=0)).astype(np.float64)
 
 
-def _changed(scene: GaussianScene, rows: Any, **parts: Any) -> GaussianScene:
+def _replace_rows(scene: GaussianScene, rows: Any, **parts: Any) -> GaussianScene:
     """The scene with other numbers for some Gaussians: those of a mask, or of row numbers."""
     arrays = {name: getattr(scene, name).copy() for name in parts}
     for name, part in parts.items():
@@ -320,8 +355,10 @@ def _changed(scene: GaussianScene, rows: Any, **parts: Any) -> GaussianScene:
     return replace(scene, **arrays)
 
 
-def _turn_by(R: Array) -> Array:
-    """(4, 4) that turns quaternions w x y z by a rotation: the product with its quaternion, from the left."""
+def _quaternion_operator(R: Array) -> Array:
+    """(4, 4) that turns quaternions w x y z by a rotation: the product with its quaternion, from
+    the left.
+    """
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(R).as_quat()
@@ -334,8 +371,11 @@ def _centre(scene: GaussianScene, mask: Mask, about_world: ArrayLike | None) -> 
     return middle if about_world is None else _finite("about_world", about_world)
 
 
-def _without_unused_names(scene: GaussianScene, before: GaussianScene | None = None) -> GaussianScene:
-    """The scene without names that nothing carries; where there is a scene before, only those that were in use in it.
+def _without_unused_names(
+    scene: GaussianScene, before: GaussianScene | None = None
+) -> GaussianScene:
+    """The scene without names that nothing carries; where there is a scene before, only those that
+    were in use in it.
 
     The numbers of the other labels close up.
     """
@@ -345,29 +385,35 @@ def _without_unused_names(scene: GaussianScene, before: GaussianScene | None = N
     if not lost.any():
         return scene
     names = tuple(name for name, gone in zip(scene.label_names, lost, strict=True) if not gone)
-    return replace(scene, labels=(np.cumsum(~lost) - 1).astype(np.uint8)[scene.labels], label_names=names)
+    return replace(
+        scene, labels=(np.cumsum(~lost) - 1).astype(np.uint8)[scene.labels], label_names=names
+    )
 
 
 def _require_mask(scene: GaussianScene, mask: Mask) -> Mask:
     """The mask, if it chooses some of the scene's Gaussians."""
     chosen = np.asarray(mask)
     if chosen.dtype != np.bool_ or chosen.shape != (len(scene),):
-        raise InputError(f"mask: want ({len(scene)},) of True and False, got {chosen.shape} of {chosen.dtype}")
+        raise InputError(
+            f"mask: expected ({len(scene)},) of True and False, got {chosen.shape} of {chosen.dtype}"
+        )
     if not chosen.any():
-        raise InputError("mask: want at least one Gaussian to edit, got none; choose by another label or box")
+        raise InputError(
+            "mask: expected at least one Gaussian to edit, got none; choose by another label or box"
+        )
     return chosen
 
 
 def _finite(name: str, place: ArrayLike) -> Array:
     """A place or shift (3,) [m] of finite numbers."""
     values = require_shape(name, place, (3,))
-    if not (np.abs(values) <= FARTHEST).all():  # which nan is not either
-        raise InputError(f"{name}: want finite numbers within {FARTHEST:g} m, got {values}")
+    if not (np.abs(values) <= MAX_DISTANCE).all():  # which nan is not either
+        raise InputError(f"{name}: expected finite numbers within {MAX_DISTANCE:g} m, got {values}")
     return values
 
 
 def _rng(seed: int) -> np.random.Generator:
     """Random numbers from a seed."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"seed: want a whole number >= 0, got {seed!r}")
+        raise InputError(f"seed: expected a whole number >= 0, got {seed!r}")
     return np.random.default_rng(seed)

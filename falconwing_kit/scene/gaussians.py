@@ -28,8 +28,8 @@ MAX_LABELS = 256
 class GaussianScene:
     """A scene as N coloured clouds [Kerbl et al. 2023, 3D Gaussian Splatting, eq. 4 and 6].
 
-    G(x) = exp(-1/2 (x - mean)^T Sigma^-1 (x - mean)),  Sigma = R S S R^T,  R from the quaternion, S = diag(scales)
-    rgb(d) = 1/2 + sum_k sh[k] Y_k(d), d from the camera to the mean, Y_0 = 0.2821
+    G(x) = exp(-1/2 (x - mean)^T Sigma^-1 (x - mean)),  Sigma = R S S R^T,  R from the quaternion, S
+    = diag(scales) rgb(d) = 1/2 + sum_k sh[k] Y_k(d), d from the camera to the mean, Y_0 = 0.2821
 
     Quaternions are brought to length 1; everything else must be right as it comes.
 
@@ -42,31 +42,52 @@ class GaussianScene:
     scales: Array32  # (N, 3) standard deviations along the cloud's axes [m], > 0
     opacities: Array32  # (N,) at the mean, 0..1
     sh: Array32  # (N, K, 3) colour coefficients of red, green, blue; K = 1, 4, 9 or 16
-    labels: Labels = field(default_factory=lambda: np.zeros(0, np.uint8))  # (N,) numbers of names; empty: all 0
+    labels: Labels = field(
+        default_factory=lambda: np.zeros(0, np.uint8)
+    )  # (N,) numbers of names; empty: all 0
     label_names: tuple[str, ...] = ("scene",)  # what each label is called
     source: str = ""  # where it came from, with the credit that its licence asks for
     points: Mapping[str, NDArray[Any]] = field(
         default_factory=dict
     )  # named places of one asset (3,) [m]: nose, tail ...
-    link: AnalogVideo | None = None  # what the pictures of who flies in it come through; `render` is before it
+    link: AnalogVideo | None = (
+        None  # what the pictures of who flies in it come through; `render` is before it
+    )
 
     def __post_init__(self) -> None:
         """Check and convert every field."""
         means = _floats("means", self.means, (None, 3))
         if len(means) == 0:
-            raise InputError("scene: want at least one Gaussian, got none; check the file or the selection")
-        shapes = {"means": (3,), "quaternions": (4,), "scales": (3,), "opacities": (), "sh": (None, 3)}
+            raise InputError(
+                "scene: expected at least one Gaussian, got none; check the file or the selection"
+            )
+        shapes = {
+            "means": (3,),
+            "quaternions": (4,),
+            "scales": (3,),
+            "opacities": (),
+            "sh": (None, 3),
+        }
         for name, shape in shapes.items():
             object.__setattr__(self, name, _floats(name, getattr(self, name), (len(means), *shape)))
         if self.sh.shape[1] not in SH_COUNTS:
             got = self.sh.shape[1]
-            raise InputError(f"sh: want 1, 4, 9 or 16 coefficients (degree 0 to 3), got {got}; cut it to such a degree")
+            raise InputError(
+                f"sh: expected 1, 4, 9 or 16 coefficients (degree 0 to 3), got {got}; cut it to such a degree"
+            )
         _require_each("scales", self.scales > 0.0, "numbers > 0 (metres, not logarithms)")
-        _require_each("opacities", (self.opacities >= 0.0) & (self.opacities <= 1.0), "numbers in 0..1 (not logits)")
+        _require_each(
+            "opacities",
+            (self.opacities >= 0.0) & (self.opacities <= 1.0),
+            "numbers in 0..1 (not logits)",
+        )
         object.__setattr__(self, "quaternions", _unit(self.quaternions))
         object.__setattr__(self, "label_names", _names(self.label_names))
         object.__setattr__(self, "labels", _labels(self.labels, len(means), len(self.label_names)))
-        points = {name: _floats(f"point {name}", [place], (1, 3))[0] for name, place in self.points.items()}
+        points = {
+            name: _floats(f"point {name}", [place], (1, 3))[0]
+            for name, place in self.points.items()
+        }
         object.__setattr__(self, "points", points)
 
     def __len__(self) -> int:
@@ -74,26 +95,32 @@ class GaussianScene:
 
     @classmethod
     def load(cls, path: str | Path) -> "GaussianScene":
-        """Read a scene: .ply (3DGS or compressed), .splat, .spz, .sog, a folder with SOG's meta.json, or .npz.
+        """Read a scene: .ply (3DGS or compressed), .splat, .spz, .sog, a folder with SOG's
+        meta.json, or .npz.
 
-        Every format gives the coordinates that a .ply of the same scene has; SPZ, which keeps other axes, is turned.
+        Every format gives the coordinates that a .ply of the same scene has; SPZ, which keeps other
+        axes, is turned.
 
         Args:
             path: the file or folder; the ending says which format it is.
 
         Returns:
-            The scene; all labels are 0 and the source is the file's name where the format holds neither.
+            The scene; all labels are 0 and the source is the file's name where the format holds
+            neither.
 
         Raises:
             FileNotFoundError: there is no file.
-            InputError: the file is damaged or of another kind, or holds something else than Gaussians.
+            InputError: the file is damaged or of another kind, or holds something else than
+                Gaussians.
         """
         path = Path(path)
         in_folder = path.is_dir() or path.name == "meta.json"
         read = _reader(".sog" if in_folder else path.suffix.lower())
         if read is None:
             kinds = ", ".join((*READERS, *_more_readers().names))
-            raise InputError(f"{short_name(path)}: want a scene ending in {kinds} or a SOG folder, got another ending")
+            raise InputError(
+                f"{short_name(path)}: expected a scene ending in {kinds} or a SOG folder, got another ending"
+            )
         fields = {"source": short_name(path)} | read(path)
         try:
             return cls(**fields)
@@ -104,8 +131,8 @@ class GaussianScene:
         """Write a scene whole or not at all.
 
         Args:
-            path: a file ending in .npz, which keeps everything but a link to the last bit, or in .ply, which every
-                other tool reads, and which keeps neither labels nor named points.
+            path: a file ending in .npz, which keeps everything but a link to the last bit, or in
+                .ply, which every other tool reads, and which keeps neither labels nor named points.
 
         Raises:
             InputError: another ending, or the place cannot be written.
@@ -118,7 +145,9 @@ class GaussianScene:
         elif suffix == ".ply":
             write_ply(path, *arrays, self.source)
         else:
-            raise InputError(f"{short_name(path)}: want a name ending in .npz or .ply for a scene, got another ending")
+            raise InputError(
+                f"{short_name(path)}: expected a name ending in .npz or .ply for a scene, got another ending"
+            )
 
     def labelled(self, *names: str) -> NDArray[np.bool_]:
         """(N,) True for the Gaussians that carry one of the labels.
@@ -128,7 +157,9 @@ class GaussianScene:
         """
         for name in names:
             if name not in self.label_names:
-                raise InputError(f"label: want one of {', '.join(self.label_names)}, got {name!r}")
+                raise InputError(
+                    f"label: expected one of {', '.join(self.label_names)}, got {name!r}"
+                )
         return np.isin(self.labels, [self.label_names.index(name) for name in names])
 
     def selected(self, mask: ArrayLike) -> "GaussianScene":
@@ -142,27 +173,36 @@ class GaussianScene:
         """
         chosen = np.asarray(mask)
         if chosen.dtype != np.bool_ or chosen.shape != (len(self),):
-            raise InputError(f"mask: want ({len(self)},) of True and False, got {chosen.shape} of {chosen.dtype}")
+            raise InputError(
+                f"mask: expected ({len(self)},) of True and False, got {chosen.shape} of {chosen.dtype}"
+            )
         names = ("means", "quaternions", "scales", "opacities", "sh", "labels")
         if not chosen.any():
-            raise InputError("mask: want at least one Gaussian to stay, got none; a scene cannot be empty")
-        return replace(self, **{name: getattr(self, name).compress(chosen, axis=0) for name in names})
+            raise InputError(
+                "mask: expected at least one Gaussian to stay, got none; a scene cannot be empty"
+            )
+        return replace(
+            self, **{name: getattr(self, name).compress(chosen, axis=0) for name in names}
+        )
 
     @classmethod
     def joined(cls, *scenes: "GaussianScene") -> "GaussianScene":
         """Several scenes in the same coordinates as one.
 
-        Labels of the same name become one; colours of a lower degree get zeros for what they lack. Named points are
-        those of one asset and do not go along: keep the asset's own.
+        Labels of the same name become one; colours of a lower degree get zeros for what they lack.
+        Named points are those of one asset and do not go along: keep the asset's own.
 
         Raises:
             InputError: no scenes, or more than 256 different labels.
         """
         if not scenes:
-            raise InputError("scenes: want at least one scene to join, got none")
+            raise InputError("scenes: expected at least one scene to join, got none")
         names = tuple(dict.fromkeys(name for scene in scenes for name in scene.label_names))
         _names(names)  # before the numbers, which would not fit
-        numbers = [np.array([names.index(name) for name in scene.label_names], np.uint8) for scene in scenes]
+        numbers = [
+            np.array([names.index(name) for name in scene.label_names], np.uint8)
+            for scene in scenes
+        ]
         basis = max(scene.sh.shape[1] for scene in scenes)
         stacked: dict[str, Any] = {
             name: np.concatenate([getattr(scene, name) for scene in scenes])
@@ -170,8 +210,12 @@ class GaussianScene:
         }
         return cls(
             **stacked,
-            sh=np.concatenate([np.pad(s.sh, ((0, 0), (0, basis - s.sh.shape[1]), (0, 0))) for s in scenes]),
-            labels=np.concatenate([table[scene.labels] for table, scene in zip(numbers, scenes, strict=True)]),
+            sh=np.concatenate(
+                [np.pad(s.sh, ((0, 0), (0, basis - s.sh.shape[1]), (0, 0))) for s in scenes]
+            ),
+            labels=np.concatenate(
+                [table[scene.labels] for table, scene in zip(numbers, scenes, strict=True)]
+            ),
             label_names=names,
             link=next((scene.link for scene in scenes if scene.link is not None), None),
             source="; ".join(dict.fromkeys(scene.source for scene in scenes if scene.source)),
@@ -179,7 +223,9 @@ class GaussianScene:
 
 
 def _more_readers() -> EntryPoints:
-    """Readers of further formats that installed packages offer; the kit's own toolbox offers .splat, .spz and .sog."""
+    """Readers of further formats that installed packages offer; the kit's own toolbox offers
+    .splat, .spz and .sog.
+    """
     return entry_points(group="falconwing_kit.scene_readers")
 
 
@@ -196,9 +242,13 @@ def _floats(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Arra
         with np.errstate(over="ignore"):
             array = np.ascontiguousarray(values, dtype=np.float32)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: want an array of numbers of shape {wanted}") from None
-    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
-        raise InputError(f"{name}: want shape {wanted}, one row for each of the means, got {array.shape}")
+        raise InputError(f"{name}: expected an array of numbers of shape {wanted}") from None
+    if array.ndim != len(shape) or any(
+        want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
+    ):
+        raise InputError(
+            f"{name}: expected shape {wanted}, one row for each of the means, got {array.shape}"
+        )
     _require_each(name, np.isfinite(array), "finite numbers")
     return array
 
@@ -208,7 +258,9 @@ def _require_each(name: str, good: NDArray[np.bool_], what: str) -> None:
     if good.all():
         return
     bad = len(good) - np.count_nonzero(good.all(axis=tuple(range(1, good.ndim))))
-    raise InputError(f"{name}: want {what}, got others in {bad} of {len(good)} Gaussians; repair or remove those")
+    raise InputError(
+        f"{name}: expected {what}, got others in {bad} of {len(good)} Gaussians; repair or remove those"
+    )
 
 
 def _unit(quaternions: Array32) -> Array32:
@@ -217,16 +269,24 @@ def _unit(quaternions: Array32) -> Array32:
         return quaternions  # the usual case, in a tenth of the time
     length = np.linalg.norm(quaternions.astype(np.float64), axis=1, keepdims=True)
     _require_each("quaternions", length > 1e-12, "rotations other than 0, 0, 0, 0")
-    return np.where(np.abs(length - 1.0) < 1e-6, quaternions, quaternions / length).astype(np.float32)
+    return np.where(np.abs(length - 1.0) < 1e-6, quaternions, quaternions / length).astype(
+        np.float32
+    )
 
 
 def _names(label_names: tuple[str, ...]) -> tuple[str, ...]:
     """The names of labels as a tuple, each once."""
     names = tuple(label_names)
-    if not 0 < len(names) <= MAX_LABELS or not all(isinstance(name, str) and name for name in names):
-        raise InputError(f"label_names: want 1 to {MAX_LABELS} words, got {len(names)}, of which each must be one")
+    if not 0 < len(names) <= MAX_LABELS or not all(
+        isinstance(name, str) and name for name in names
+    ):
+        raise InputError(
+            f"label_names: expected 1 to {MAX_LABELS} words, got {len(names)}, of which each must be one"
+        )
     if len(set(names)) != len(names):
-        raise InputError("label_names: want every name once; give two kinds of things two names")
+        raise InputError(
+            "label_names: expected every name once; give two kinds of things two names"
+        )
     return names
 
 
@@ -236,9 +296,11 @@ def _labels(labels: ArrayLike, count: int, kinds: int) -> Labels:
     if numbers.size == 0:
         return np.zeros(count, np.uint8)
     if numbers.shape != (count,) or numbers.dtype.kind not in "ui":
-        raise InputError(f"labels: want ({count},) whole numbers, got {numbers.shape} of {numbers.dtype}")
+        raise InputError(
+            f"labels: expected ({count},) whole numbers, got {numbers.shape} of {numbers.dtype}"
+        )
     if numbers.min() < 0 or numbers.max() >= kinds:
         raise InputError(
-            f"labels: want 0 to {kinds - 1}, numbers of the label names, got {numbers.min()} to {numbers.max()}"
+            f"labels: expected 0 to {kinds - 1}, numbers of the label names, got {numbers.min()} to {numbers.max()}"
         )
     return numbers.astype(np.uint8)

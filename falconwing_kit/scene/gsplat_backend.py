@@ -1,4 +1,6 @@
-"""gsplat backend: a Gaussian scene and a camera pose -> images from gsplat's CUDA kernels, where they can run."""
+"""gsplat backend: a Gaussian scene and a camera pose -> images from gsplat's CUDA kernels, where
+they can run.
+"""
 
 from functools import cache, lru_cache
 from typing import Any
@@ -11,11 +13,9 @@ from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import Images
 
-SCENES_KEPT = 4  # on the GPU: 125,000 Gaussians of degree 2 are 19 MB
+MAX_CACHED_SCENES = 4  # on the GPU: 125,000 Gaussians of degree 2 are 19 MB
 DEVICE = "cuda"
-HELP = (
-    "it wants an NVIDIA GPU with its CUDA toolkit, and: pip install torch gsplat==1.5.3; backend 'fast' runs anywhere"
-)
+HELP = "it wants an NVIDIA GPU with its CUDA toolkit, and: pip install torch gsplat==1.5.3; backend 'fast' runs anywhere"
 
 
 def render_gsplat(
@@ -42,14 +42,20 @@ def render_gsplat(
     Raises:
         InputError: gsplat cannot run here; the text says why and what it wants.
     """
-    probe()
-    colours, alphas = rasterize(scene, camera, np.asarray(T_world_camera)[None], background, antialiased)
+    probe_gsplat()
+    colours, alphas = rasterize(
+        scene, camera, np.asarray(T_world_camera)[None], background, antialiased
+    )
     image = colours[0].cpu().numpy()
     return image[..., :3], alphas[0, ..., 0].cpu().numpy(), image[..., 3]
 
 
 def rasterize(
-    scene: GaussianScene, camera: PinholeCamera, Ts_world_camera: ArrayLike, background: ArrayLike, antialiased: bool
+    scene: GaussianScene,
+    camera: PinholeCamera,
+    Ts_world_camera: ArrayLike,
+    background: ArrayLike,
+    antialiased: bool,
 ) -> tuple[Any, Any]:
     """Many poses in one call, which costs little more than one; the images stay on the GPU.
 
@@ -68,13 +74,20 @@ def rasterize(
 
     Ts_camera_world = np.linalg.inv(np.asarray(Ts_world_camera))
     count = len(Ts_camera_world)
-    small = (Ts_camera_world, np.tile(camera.K, (count, 1, 1)), np.tile(np.asarray(background), (count, 1)))
-    viewmats, Ks, backgrounds = (torch.tensor(array, dtype=torch.float32, device=DEVICE) for array in small)
+    small = (
+        Ts_camera_world,
+        np.tile(camera.K, (count, 1, 1)),
+        np.tile(np.asarray(background), (count, 1)),
+    )
+    viewmats, Ks, backgrounds = (
+        torch.tensor(array, dtype=torch.float32, device=DEVICE) for array in small
+    )
     means, quaternions, scales, opacities, sh = _tensors(scene)
     colours, alphas, _ = rasterization(
         *(means, quaternions, scales, opacities, sh, viewmats, Ks, camera.width, camera.height),
         sh_degree=int(sh.shape[1] ** 0.5) - 1,
-        packed=False,  # holds where no Gaussian is in view, and is the quicker one for a scene that fits
+        # holds where no Gaussian is in view, and is the quicker one for a scene that fits
+        packed=False,
         backgrounds=backgrounds,
         render_mode="RGB+ED",
         rasterize_mode="antialiased" if antialiased else "classic",
@@ -83,24 +96,32 @@ def rasterize(
 
 
 @cache
-def probe() -> None:
-    """Render one Gaussian, the only sure way to find out; the first time, gsplat may compile for minutes.
+def probe_gsplat() -> None:
+    """Render one Gaussian, the only sure way to find out; the first time, gsplat may compile for
+    minutes.
 
     Raises:
         InputError: that failed.
     """
     one = GaussianScene([[0, 0, 1]], [[1, 0, 0, 0]], [[0.1, 0.1, 0.1]], [1.0], np.zeros((1, 1, 3)))  # type: ignore[arg-type]
     try:
-        _, alphas = rasterize(one, PinholeCamera(8, 8, 4, 4, 8, 8), np.eye(4)[None], np.zeros(3), False)
+        _, alphas = rasterize(
+            one, PinholeCamera(8, 8, 4, 4, 8, 8), np.eye(4)[None], np.zeros(3), False
+        )
         seen = float(alphas.max())
-    except Exception as error:  # gsplat fails in many ways: missing library, compiler, driver, None instead of a module
+    # gsplat fails in many ways: missing library, compiler, driver, None instead of a module
+    except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InputError(f"backend: want gsplat to render one Gaussian, got: {reason}; {HELP}") from None
+        raise InputError(
+            f"backend: expected gsplat to render one Gaussian, got: {reason}; {HELP}"
+        ) from None
     if not 0.5 < seen < 1.0:
-        raise InputError(f"backend: want gsplat to render one Gaussian, got one of alpha {seen:.3g}; {HELP}")
+        raise InputError(
+            f"backend: expected gsplat to render one Gaussian, got one of alpha {seen:.3g}; {HELP}"
+        )
 
 
-@lru_cache(maxsize=SCENES_KEPT)
+@lru_cache(maxsize=MAX_CACHED_SCENES)
 def _tensors(scene: GaussianScene) -> tuple[Any, ...]:
     """The scene's arrays on the GPU; scenes are frozen and known by identity."""
     import torch

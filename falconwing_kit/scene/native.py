@@ -1,10 +1,12 @@
-"""The kit's own scene file: a NumPy .npz with every array of a scene, its labels and its source; and safe unzipping.
+"""The kit's own scene file: a NumPy .npz with every array of a scene, its labels and its source;
+and safe unzipping.
 
-It comes in two kinds, which one reader tells apart: of full precision, and quantised for scenes that ship (the layout
-stands in `quantised.py`). Either may hold named points of what it shows, such as wing tips.
+It comes in two kinds, which one reader tells apart: of full precision, and quantised for scenes
+that ship (the layout stands in `quantised.py`). Either may hold named points of what it shows, such
+as wing tips.
 
-A zip's directory may promise anything, and so may the header of an array in it. Both are checked against the size of
-the file before anything is unpacked; nothing is ever unpickled.
+A zip's directory may promise anything, and so may the header of an array in it. Both are checked
+against the size of the file before anything is unpacked; nothing is ever unpickled.
 """
 
 import math
@@ -23,18 +25,35 @@ from falconwing_kit.core.checks import InputError, require_file
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.scene.quantised import VERSION, quantise, restore
 
-MAX_COMPRESSION = 200  # what claims to unpack to more than this many times the file is damaged or hostile
+MAX_COMPRESSION = (
+    200  # what claims to unpack to more than this many times the file is damaged or hostile
+)
 FREE_BYTES = 1024 * 1024  # below this nobody asks
 _FLOATS, _LABELS, _LETTERS = r"<f[48]", r"\|u1", r"<U\d{1,7}"
 _BYTES, _SHORTS = r"\|u1", "<u2"
 _ARRAYS = {  # name: what NumPy calls its numbers, and how many axes it has
-    **{"means": (_FLOATS, 2), "quaternions": (_FLOATS, 2), "scales": (_FLOATS, 2), "opacities": (_FLOATS, 1)},
+    **{
+        "means": (_FLOATS, 2),
+        "quaternions": (_FLOATS, 2),
+        "scales": (_FLOATS, 2),
+        "opacities": (_FLOATS, 1),
+    },
     "sh": (_FLOATS, 3),
 }
 _WORDS = {"labels": (_LABELS, 1), "label_names": (_LETTERS, 1), "source": (_LETTERS, 0)}
 _QUANTISED = {
-    **{"quantised": (_BYTES, 1), "means": (_SHORTS, 2), "means_range": (_FLOATS, 2), "quaternions": ("<u4", 1)},
-    **{"scales": (_BYTES, 2), "scales_range": (_FLOATS, 1), "opacities": (_BYTES, 1), "dc": (_SHORTS, 2)},
+    **{
+        "quantised": (_BYTES, 1),
+        "means": (_SHORTS, 2),
+        "means_range": (_FLOATS, 2),
+        "quaternions": ("<u4", 1),
+    },
+    **{
+        "scales": (_BYTES, 2),
+        "scales_range": (_FLOATS, 1),
+        "opacities": (_BYTES, 1),
+        "dc": (_SHORTS, 2),
+    },
     **{"dc_range": (_FLOATS, 1), "rest_range": (_FLOATS, 1)},
 }
 _POINTS = {"points": (_FLOATS, 2), "point_names": (_LETTERS, 1)}
@@ -62,10 +81,14 @@ def read_native(path: str | Path) -> dict[str, Any]:
     numbers = _arrays(name, members, kinds)
     if numbers["quantised"][0] != VERSION:
         got = numbers["quantised"][0]
-        raise InputError(f"{name}: want a quantised scene of version {VERSION}, got {got}; use a newer kit")
+        raise InputError(
+            f"{name}: expected a quantised scene of version {VERSION}, got {got}; use a newer kit"
+        )
     fields = restore(numbers)
     if fields is None:
-        raise InputError(f"{name}: want arrays of a quantised scene that fit each other, got others; save it again")
+        raise InputError(
+            f"{name}: expected arrays of a quantised scene that fit each other, got others; save it again"
+        )
     return fields | rest
 
 
@@ -86,8 +109,11 @@ def read_named_points(path: str | Path) -> dict[str, NDArray[np.float32]]:
     return _points_of(short_name(path), zip_members(path, (".npy",)))
 
 
-def write_quantised(path: str | Path, scene: Any, points: Mapping[str, ArrayLike] | None = None) -> None:
-    """Write a scene in whole numbers of few bits, about a tenth of the size of a .ply; reading is as for any scene.
+def write_quantised(
+    path: str | Path, scene: Any, points: Mapping[str, ArrayLike] | None = None
+) -> None:
+    """Write a scene in whole numbers of few bits, about a tenth of the size of a .ply; reading is
+    as for any scene.
 
     Args:
         path: the .npz to write; it appears only once it is complete.
@@ -137,8 +163,16 @@ def write_native(
         InputError: the place cannot be written.
         FileNotFoundError: the folder does not exist.
     """
-    numbers = {"means": means, "quaternions": quaternions, "scales": scales, "opacities": opacities, "sh": sh}
-    words = {"label_names": np.array(label_names), "source": np.array(source)} | _point_arrays(points)
+    numbers = {
+        "means": means,
+        "quaternions": quaternions,
+        "scales": scales,
+        "opacities": opacities,
+        "sh": sh,
+    }
+    words = {"label_names": np.array(label_names), "source": np.array(source)} | _point_arrays(
+        points
+    )
     with atomic_write(path) as file:
         np.savez(file, labels=labels, **numbers, **words)  # type: ignore[arg-type]
 
@@ -161,27 +195,48 @@ def zip_members(path: Path, endings: tuple[str, ...]) -> dict[str, bytes]:
     try:
         with zipfile.ZipFile(path) as archive:
             wanted = [info for info in archive.infolist() if info.filename.endswith(endings)]
-            known = all(info.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for info in wanted)
+            known = all(
+                info.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for info in wanted
+            )
             fair = known and sum(info.file_size for info in wanted) <= limit
             for info in wanted if fair else ():
                 with archive.open(info) as member:
                     members[info.filename] = member.read(info.file_size + 1)
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, struct.error, RuntimeError, ValueError, OverflowError):
-        raise InputError(f"{name}: want a whole zip, got a damaged or encrypted one; copy or save it again") from None
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        OSError,
+        struct.error,
+        RuntimeError,
+        ValueError,
+        OverflowError,
+    ):
+        raise InputError(
+            f"{name}: expected a whole zip, got a damaged or encrypted one; copy or save it again"
+        ) from None
     if not fair or any(len(members[info.filename]) != info.file_size for info in wanted):
-        raise InputError(f"{name}: want stored or deflated members of the sizes it tells, got others; save it again")
+        raise InputError(
+            f"{name}: expected stored or deflated members of the sizes it tells, got others; save it again"
+        )
     return members
 
 
-def _arrays(name: str, members: dict[str, bytes], kinds: Mapping[str, tuple[str, int]]) -> dict[str, Any]:
+def _arrays(
+    name: str, members: dict[str, bytes], kinds: Mapping[str, tuple[str, int]]
+) -> dict[str, Any]:
     """Several arrays of a scene file, each of its kind and number of axes."""
     arrays = {}
     for key, (kind, axes) in kinds.items():
         if f"{key}.npy" not in members:
-            raise InputError(f"{name}: want a scene of the kit with the array {key}, which is missing; save it again")
+            raise InputError(
+                f"{name}: expected a scene of the kit with the array {key}, which is missing; save it again"
+            )
         arrays[key] = _array(members[f"{key}.npy"], kind, axes)
         if arrays[key] is None:
-            raise InputError(f"{name}: want {key} as the kit saves it, with {axes} axes, got other bytes; save again")
+            raise InputError(
+                f"{name}: expected {key} as the kit saves it, with {axes} axes, got other bytes; save again"
+            )
     return arrays
 
 
@@ -199,7 +254,9 @@ def _points_of(name: str, members: dict[str, bytes]) -> dict[str, NDArray[np.flo
     arrays = _arrays(name, members, _POINTS)
     names, points = _decoded(name, arrays["point_names"]), arrays["points"].astype(np.float32)
     if points.shape != (len(names), 3) or not np.isfinite(points).all():
-        raise InputError(f"{name}: want a place for each of {len(names)} named points, got others; save it again")
+        raise InputError(
+            f"{name}: expected a place for each of {len(names)} named points, got others; save it again"
+        )
     return dict(zip(names, points, strict=True))
 
 
@@ -207,7 +264,10 @@ def _point_arrays(points: Mapping[str, ArrayLike]) -> dict[str, NDArray[Any]]:
     """The members that hold named points; none where there are none."""
     if not points:
         return {}
-    return {"points": np.array(list(points.values()), np.float32), "point_names": np.array(list(points))}
+    return {
+        "points": np.array(list(points.values()), np.float32),
+        "point_names": np.array(list(points)),
+    }
 
 
 def _decoded(name: str, array: NDArray[np.str_]) -> list[str]:
@@ -215,19 +275,27 @@ def _decoded(name: str, array: NDArray[np.str_]) -> list[str]:
     try:
         return _words(array)
     except UnicodeDecodeError:
-        raise InputError(f"{name}: want words in label_names and source, got other bytes; save it again") from None
+        raise InputError(
+            f"{name}: expected words in label_names and source, got other bytes; save it again"
+        ) from None
 
 
 def _array(data: bytes, kind: str, axes: int) -> NDArray[Any] | None:
     """The array of an .npy file, None if it is another one or does not fill the file.
 
-    The header is compared with what NumPy writes; NumPy's own reader would evaluate it as an expression.
+    The header is compared with what NumPy writes; NumPy's own reader would evaluate it as an
+    expression.
     """
-    wanted = rf"\{{'descr': '({kind})', 'fortran_order': False, 'shape': \(([\d, ]{{0,40}})\), \}} *\n"
+    wanted = (
+        rf"\{{'descr': '({kind})', 'fortran_order': False, 'shape': \(([\d, ]{{0,40}})\), \}} *\n"
+    )
     header = re.match(rb"\x93NUMPY\x01\x00.." + wanted.encode(), data, re.DOTALL)
     if header is None:
         return None
-    dtype, shape = np.dtype(header[1].decode()), tuple(int(length) for length in re.findall(rb"\d+", header[2]))
+    dtype, shape = (
+        np.dtype(header[1].decode()),
+        tuple(int(length) for length in re.findall(rb"\d+", header[2])),
+    )
     whole = len(shape) == axes and 0 < dtype.itemsize * math.prod(shape) == len(data) - header.end()
     return np.ndarray(shape, dtype, buffer=data, offset=header.end()).copy() if whole else None
 
@@ -236,4 +304,6 @@ def _words(array: NDArray[np.str_]) -> list[str]:
     """The words of an array, decoded letter by letter: NumPy lets through what no letter has."""
     size = array.dtype.itemsize
     data = array.tobytes()
-    return [data[at : at + size].decode("utf-32-le").rstrip("\0") for at in range(0, len(data), size)]
+    return [
+        data[at : at + size].decode("utf-32-le").rstrip("\0") for at in range(0, len(data), size)
+    ]

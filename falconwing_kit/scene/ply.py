@@ -1,10 +1,13 @@
-"""PLY: a 3DGS .ply or a PlayCanvas compressed .ply -> arrays of Gaussians; and arrays -> a 3DGS .ply.
+"""PLY: a 3DGS .ply or a PlayCanvas compressed .ply -> arrays of Gaussians; and arrays -> a 3DGS
+.ply.
 
-The plain layout is that of Inria's and nerfstudio's exports: 32-bit floats, scales as logarithms, opacity as logit, the
-quaternion w first, f_rest all red, then all green, then all blue. The compressed one packs chunks of 256 Gaussians
-between their least and greatest values. https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/ply
+The plain layout is that of Inria's and nerfstudio's exports: 32-bit floats, scales as logarithms,
+opacity as logit, the quaternion w first, f_rest all red, then all green, then all blue. The
+compressed one packs chunks of 256 Gaussians between their least and greatest values.
+https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/ply
 
-The header is text that may promise anything; nothing is allocated before the file proves long enough.
+The header is text that may promise anything; nothing is allocated before the file proves long
+enough.
 """
 
 from pathlib import Path
@@ -26,7 +29,14 @@ CHUNK = 256
 
 _TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "<i2", "ushort": "<u2", "int": "<i4", "uint": "<u4"},
-    **{"int8": "i1", "uint8": "u1", "int16": "<i2", "uint16": "<u2", "int32": "<i4", "uint32": "<u4"},
+    **{
+        "int8": "i1",
+        "uint8": "u1",
+        "int16": "<i2",
+        "uint16": "<u2",
+        "int32": "<i4",
+        "uint32": "<u4",
+    },
     **{"float": "<f4", "double": "<f8", "float32": "<f4", "float64": "<f8"},
 }
 _MEANS, _DC = ("x", "y", "z"), ("f_dc_0", "f_dc_1", "f_dc_2")
@@ -41,8 +51,8 @@ def read_ply(path: str | Path) -> dict[str, Any]:
         path: a binary little-endian file.
 
     Returns:
-        means (N, 3), quaternions (N, 4), scales (N, 3), opacities (N,), sh (N, K, 3) as `GaussianScene` has them, not
-        yet checked; and source, where a comment of the file tells it.
+        means (N, 3), quaternions (N, 4), scales (N, 3), opacities (N,), sh (N, K, 3) as
+        `GaussianScene` has them, not yet checked; and source, where a comment of the file tells it.
 
     Raises:
         FileNotFoundError: there is no file.
@@ -53,9 +63,15 @@ def read_ply(path: str | Path) -> dict[str, Any]:
     promised, start, source = _read_header(data, name)
     elements = _map_elements(data, promised, start, name)
     if "vertex" not in elements:
-        raise InputError(f"{name}: want an element called vertex, found {', '.join(elements) or 'none'}")
+        raise InputError(
+            f"{name}: expected an element called vertex, found {', '.join(elements) or 'none'}"
+        )
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused with the scene
-        fields = _unpack_chunks(elements, name) if "chunk" in elements else _unpack_floats(elements["vertex"], name)
+        fields = (
+            _unpack_chunks(elements, name)
+            if "chunk" in elements
+            else _unpack_floats(elements["vertex"], name)
+        )
     return fields | ({"source": source} if source else {})
 
 
@@ -86,11 +102,31 @@ def write_ply(
     count, rest = len(means), 3 * (sh.shape[1] - 1)
     with np.errstate(divide="ignore"):
         logit = np.clip(
-            np.log(opacities.astype(np.float64)) - np.log1p(-opacities.astype(np.float64)), -MAX_LOGIT, MAX_LOGIT
+            np.log(opacities.astype(np.float64)) - np.log1p(-opacities.astype(np.float64)),
+            -MAX_LOGIT,
+            MAX_LOGIT,
         )
-    names = (*_MEANS, "nx", "ny", "nz", *_DC, *(f"f_rest_{k}" for k in range(rest)), "opacity", *_SCALES, *_QUATERNION)
+    names = (
+        *_MEANS,
+        "nx",
+        "ny",
+        "nz",
+        *_DC,
+        *(f"f_rest_{k}" for k in range(rest)),
+        "opacity",
+        *_SCALES,
+        *_QUATERNION,
+    )
     channel_major = sh[:, 1:].transpose(0, 2, 1).reshape(count, rest)
-    columns = (means, np.zeros((count, 3)), sh[:, 0], channel_major, logit[:, None], np.log(scales), quaternions)
+    columns = (
+        means,
+        np.zeros((count, 3)),
+        sh[:, 0],
+        channel_major,
+        logit[:, None],
+        np.log(scales),
+        quaternions,
+    )
     header = [
         "ply",
         "format binary_little_endian 1.0",
@@ -104,8 +140,11 @@ def write_ply(
         file.write(np.concatenate(columns, axis=1).astype("<f4").tobytes())
 
 
-def quaternions_from_smallest_three(small: NDArray[np.floating[Any]], largest: NDArray[np.integer[Any]]) -> Array32:
-    """Put back the component that compressed formats leave out: the largest, made positive by turning the sign.
+def quaternions_from_smallest_three(
+    small: NDArray[np.floating[Any]], largest: NDArray[np.integer[Any]]
+) -> Array32:
+    """Put back the component that compressed formats leave out: the largest, made positive by
+    turning the sign.
 
     largest = sqrt(1 - a^2 - b^2 - c^2), as a unit quaternion has it
 
@@ -119,19 +158,23 @@ def quaternions_from_smallest_three(small: NDArray[np.floating[Any]], largest: N
     places = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
     quaternions = np.empty((len(small), 4), np.float32)
     np.put_along_axis(quaternions, places, small.astype(np.float32), axis=1)
-    left_out = np.sqrt(np.maximum(0.0, 1.0 - (small**2).sum(axis=1, keepdims=True))).astype(np.float32)
+    left_out = np.sqrt(np.maximum(0.0, 1.0 - (small**2).sum(axis=1, keepdims=True))).astype(
+        np.float32
+    )
     np.put_along_axis(quaternions, np.asarray(largest, np.int64)[:, None], left_out, axis=1)
     return quaternions
 
 
 def _read_header(data: bytes, name: str) -> tuple[dict[str, tuple[int, dict[str, str]]], int, str]:
-    """Elements with their row counts and property types, where the rows start, and the source from the comments."""
+    """Elements with their row counts and property types, where the rows start, and the source from
+    the comments.
+    """
     end = data.find(b"end_header", 0, MAX_HEADER_BYTES)
     start = data.find(b"\n", max(end, 0), MAX_HEADER_BYTES + 16) + 1
     if not data.startswith(b"ply") or end < 0 or start == 0:
         what = "a PLY header without its end" if data.startswith(b"ply") else "another kind of file"
         raise InputError(
-            f"{name}: want a .ply with 3D Gaussians, got {what if data else 'an empty file'}; check the path"
+            f"{name}: expected a .ply with 3D Gaussians, got {what if data else 'an empty file'}; check the path"
         )
     elements: dict[str, tuple[int, dict[str, str]]] = {}
     source: list[str] = []
@@ -142,16 +185,24 @@ def _read_header(data: bytes, name: str) -> tuple[dict[str, tuple[int, dict[str,
             case ["format", "binary_little_endian", "1.0"] | ["comment" | "obj_info", *_] | []:
                 pass
             case ["format", kind, *_]:
-                raise InputError(f"{name}: want a binary_little_endian .ply, got {kind[:40]}; save it again as binary")
-            case ["element", label, count] if count.isdecimal() and len(count) < 16 and label not in elements:
+                raise InputError(
+                    f"{name}: expected a binary_little_endian .ply, got {kind[:40]}; save it again as binary"
+                )
+            case ["element", label, count] if (
+                count.isdecimal() and len(count) < 16 and label not in elements
+            ):
                 elements[label] = (int(count), {})
             case ["property", kind, label] if kind in _TYPES and elements:
                 columns = elements[next(reversed(elements))][1]
                 if label in columns:
-                    raise InputError(f"{name}: want every property once, got {label[:40]!r} twice")
+                    raise InputError(
+                        f"{name}: expected every property once, got {label[:40]!r} twice"
+                    )
                 columns[label] = _TYPES[kind]
             case _:
-                raise InputError(f"{name}: want elements of plain numbers in the header, got the line {line[:80]!r}")
+                raise InputError(
+                    f"{name}: expected elements of plain numbers in the header, got the line {line[:80]!r}"
+                )
     return elements, start, "\n".join(source)
 
 
@@ -165,7 +216,7 @@ def _map_elements(
         size, left = count * row.itemsize, len(data) - start
         if size > left or not columns:
             raise InputError(
-                f"{name}: want {count} rows of {row.itemsize} bytes for {label[:40]}, got {left} bytes; it was cut"
+                f"{name}: expected {count} rows of {row.itemsize} bytes for {label[:40]}, got {left} bytes; it was cut"
             )
         elements[label] = np.ndarray((count,), row, buffer=data, offset=start)
         start += size
@@ -180,16 +231,24 @@ def _unpack_floats(vertices: NDArray[np.void], name: str) -> dict[str, Any]:
         "quaternions": _columns(vertices, _QUATERNION, name),
         "scales": np.exp(_columns(vertices, _SCALES, name)),
         "opacities": 1.0 / (1.0 + np.exp(-logit)),
-        "sh": _join_sh(_columns(vertices, _DC, name), _columns(vertices, _rest_names(vertices, name), name)),
+        "sh": _join_sh(
+            _columns(vertices, _DC, name), _columns(vertices, _rest_names(vertices, name), name)
+        ),
     }
 
 
 def _unpack_chunks(elements: dict[str, NDArray[np.void]], name: str) -> dict[str, Any]:
-    """Gaussians of a compressed .ply: fractions between the least and greatest value in their chunk."""
+    """Gaussians of a compressed .ply: fractions between the least and greatest value in their
+    chunk.
+    """
     vertices, chunks = elements["vertex"], elements["chunk"]
     kinds = {column: kind for column, kind, *_ in vertices.dtype.descr}
-    if any(kinds.get(column) != "<u4" for column in _PACKED) or len(chunks) != -(-len(vertices) // CHUNK):
-        raise InputError(f"{name}: want {', '.join(_PACKED)} and a chunk for each {CHUNK} Gaussians; save it again")
+    if any(kinds.get(column) != "<u4" for column in _PACKED) or len(chunks) != -(
+        -len(vertices) // CHUNK
+    ):
+        raise InputError(
+            f"{name}: expected {', '.join(_PACKED)} and a chunk for each {CHUNK} Gaussians; save it again"
+        )
     position, rotation, scale, color = (vertices[column] for column in _PACKED)
     chunk = np.arange(len(vertices)) // CHUNK
 
@@ -199,7 +258,9 @@ def _unpack_chunks(elements: dict[str, NDArray[np.void]], name: str) -> dict[str
         return low * (1.0 - fractions) + high * fractions
 
     rgba = _fractions(color, (8, 8, 8, 8))
-    has_range = "min_r" in (chunks.dtype.names or ())  # older files have none, and colours from 0 to 1
+    has_range = "min_r" in (
+        chunks.dtype.names or ()
+    )  # older files have none, and colours from 0 to 1
     rgb = between(rgba[:, :3], ("r", "g", "b")) if has_range else rgba[:, :3]
     rest = np.zeros((len(vertices), 0), np.float32)
     if "sh" in elements:
@@ -207,30 +268,44 @@ def _unpack_chunks(elements: dict[str, NDArray[np.void]], name: str) -> dict[str
     return {
         "means": between(_fractions(position, (11, 10, 11)), _MEANS),
         "quaternions": quaternions_from_smallest_three(
-            (_fractions(rotation, (2, 10, 10, 10))[:, 1:] - 0.5) * np.float32(np.sqrt(2.0)), rotation >> 30
+            (_fractions(rotation, (2, 10, 10, 10))[:, 1:] - 0.5) * np.float32(np.sqrt(2.0)),
+            rotation >> 30,
         ),
-        "scales": np.exp(between(_fractions(scale, (11, 10, 11)), ("scale_x", "scale_y", "scale_z"))),
+        "scales": np.exp(
+            between(_fractions(scale, (11, 10, 11)), ("scale_x", "scale_y", "scale_z"))
+        ),
         "opacities": rgba[:, 3],
         "sh": _join_sh((rgb - 0.5) / np.float32(SH_C0), rest),
     }
 
 
 def _fractions(words: NDArray[np.uint32], widths: tuple[int, ...]) -> Array32:
-    """(N, len(widths)) bit fields of 32-bit words from the top bit down, as fractions of their greatest values."""
+    """(N, len(widths)) bit fields of 32-bit words from the top bit down, as fractions of their
+    greatest values.
+    """
     shifts = 32 - np.cumsum(widths)
     greatest = [(1 << width) - 1 for width in widths]
-    fields = [(words >> int(shift) & top) / np.float32(top) for shift, top in zip(shifts, greatest, strict=True)]
+    fields = [
+        (words >> int(shift) & top) / np.float32(top)
+        for shift, top in zip(shifts, greatest, strict=True)
+    ]
     return np.stack(fields, axis=-1, dtype=np.float32)
 
 
 def _unpack_sh(rows: NDArray[np.void], count: int, name: str) -> Array32:
-    """(N, 3 (K - 1)) coefficients -4..4 from bytes: the middle of their 256 steps, and the ends exactly."""
+    """(N, 3 (K - 1)) coefficients -4..4 from bytes: the middle of their 256 steps, and the ends
+    exactly.
+    """
     columns = _rest_names(rows, name)
     if len(rows) != count or any(rows.dtype[column] != np.uint8 for column in columns):
-        raise InputError(f"{name}: want a row of bytes in sh for each of {count} Gaussians, got others; save it again")
+        raise InputError(
+            f"{name}: expected a row of bytes in sh for each of {count} Gaussians, got others; save it again"
+        )
     steps = _columns(rows, columns, name)
     middle = (steps + 0.5) / 256.0
-    return (np.where(steps == 0.0, 0.0, np.where(steps == 255.0, 1.0, middle)) * 8.0 - 4.0).astype(np.float32)
+    return (np.where(steps == 0.0, 0.0, np.where(steps == 255.0, 1.0, middle)) * 8.0 - 4.0).astype(
+        np.float32
+    )
 
 
 def _rest_names(rows: NDArray[np.void], name: str) -> tuple[str, ...]:
@@ -239,7 +314,9 @@ def _rest_names(rows: NDArray[np.void], name: str) -> tuple[str, ...]:
     names = tuple(f"f_rest_{k}" for k in range(len(found)))
     if len(found) not in (0, 9, 24, 45) or set(names) != found:
         got = f"got {len(found)}" if set(names) == found else f"got {min(found - set(names))[:40]}"
-        raise InputError(f"{name}: want 0, 9, 24 or 45 properties from f_rest_0 on (colour of degree 0 to 3), {got}")
+        raise InputError(
+            f"{name}: expected 0, 9, 24 or 45 properties from f_rest_0 on (colour of degree 0 to 3), {got}"
+        )
     return names
 
 
@@ -248,7 +325,7 @@ def _columns(rows: NDArray[np.void], names: tuple[str, ...], name: str) -> Array
     missing = [column for column in names if column not in (rows.dtype.names or ())]
     if missing:
         raise InputError(
-            f"{name}: want 3D Gaussians, but the property {missing[0]} is missing; a point cloud or a mesh is no splat"
+            f"{name}: expected 3D Gaussians, but the property {missing[0]} is missing; a point cloud or a mesh is no splat"
         )
     if not names:
         return np.zeros((len(rows), 0), np.float32)
@@ -257,4 +334,6 @@ def _columns(rows: NDArray[np.void], names: tuple[str, ...], name: str) -> Array
 
 def _join_sh(dc: Array32, rest: Array32) -> Array32:
     """(N, K, 3) from the constant part (N, 3) and the channel-major rest (N, 3 (K - 1))."""
-    return np.concatenate([dc[:, None], rest.reshape(len(dc), 3, rest.shape[1] // 3).transpose(0, 2, 1)], axis=1)
+    return np.concatenate(
+        [dc[:, None], rest.reshape(len(dc), 3, rest.shape[1] // 3).transpose(0, 2, 1)], axis=1
+    )

@@ -1,4 +1,5 @@
-"""A scene's arrays <-> whole numbers of few bits, for scenes that ship: 21 bytes a Gaussian at SH degree 0, 30 at 1.
+"""A scene's arrays <-> whole numbers of few bits, for scenes that ship: 21 bytes a Gaussian at SH
+degree 0, 30 at 1.
 
 Version 1, the members of the .npz:
 
@@ -23,12 +24,16 @@ from numpy.typing import NDArray
 from falconwing_kit.scene.ply import Array32, quaternions_from_smallest_three
 
 VERSION = 1
-MAX_LOG_SCALE = 80.0  # a float32 has no larger exponential that is finite; a file that asks for more is damaged
+MAX_LOG_SCALE = (
+    80.0  # a float32 has no larger exponential that is finite; a file that asks for more is damaged
+)
 _BITS_LARGEST, _STEPS_ROTATION = 30, 1023
 Numbers = NDArray[np.integer[Any]]
 
 
-def quantise(means: Array32, quaternions: Array32, scales: Array32, opacities: Array32, sh: Array32) -> dict[str, Any]:
+def quantise(
+    means: Array32, quaternions: Array32, scales: Array32, opacities: Array32, sh: Array32
+) -> dict[str, Any]:
     """Round every array of a scene to whole numbers.
 
     Args:
@@ -42,7 +47,9 @@ def quantise(means: Array32, quaternions: Array32, scales: Array32, opacities: A
         The members of the file by name, without labels and source.
     """
     members: dict[str, Any] = {"quantised": np.array([VERSION], np.uint8)}
-    members["means"], members["means_range"] = _steps(means, means.min(axis=0), means.max(axis=0), np.uint16)
+    members["means"], members["means_range"] = _steps(
+        means, means.min(axis=0), means.max(axis=0), np.uint16
+    )
     members["quaternions"] = _pack_rotations(quaternions)
     logs = np.log(scales)
     members["scales"], members["scales_range"] = _steps(logs, logs.min(), logs.max(), np.uint8)
@@ -58,18 +65,29 @@ def restore(members: dict[str, Any]) -> dict[str, Any] | None:
     """Undo `quantise`, to within half a step.
 
     Args:
-        members: as `quantise` gives them, of the right types and numbers of axes; `rest` may be missing.
+        members: as `quantise` gives them, of the right types and numbers of axes; `rest` may be
+            missing.
 
     Returns:
-        means, quaternions, scales, opacities and sh as float32, None if the members do not fit each other.
+        means, quaternions, scales, opacities and sh as float32, None if the members do not fit each
+        other.
     """
     count = len(members["means"])
     shapes = {"means": (3,), "quaternions": (), "scales": (3,), "opacities": (), "dc": (3,)}
     rest = members.get("rest", np.zeros((count, 0, 3), np.uint8))
     fits = all(members[name].shape == (count, *shape) for name, shape in shapes.items())
     ends = [members[f"{name}_range"] for name in ("means", "scales", "dc", "rest")]
-    finite = all(len(pair) == 2 and np.isfinite(pair).all() for pair in ends) and np.abs(ends[1]).max() < MAX_LOG_SCALE
-    if not (fits and finite and ends[0].shape == (2, 3) and rest.shape[0] == count and rest.shape[2] == 3):
+    finite = (
+        all(len(pair) == 2 and np.isfinite(pair).all() for pair in ends)
+        and np.abs(ends[1]).max() < MAX_LOG_SCALE
+    )
+    if not (
+        fits
+        and finite
+        and ends[0].shape == (2, 3)
+        and rest.shape[0] == count
+        and rest.shape[2] == 3
+    ):
         return None
     dc = _values(members["dc"], ends[2])[:, None]
     return {
@@ -100,8 +118,17 @@ def _pack_rotations(quaternions: Array32) -> NDArray[np.uint32]:
     sign = np.sign(np.take_along_axis(quaternions, largest[:, None], axis=1))
     places = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
     small = np.take_along_axis(quaternions * sign, places, axis=1)
-    steps = np.round((small * np.sqrt(0.5) + 0.5) * _STEPS_ROTATION).clip(0, _STEPS_ROTATION).astype(np.uint32)
-    packed = (largest.astype(np.uint32) << _BITS_LARGEST) | (steps[:, 0] << 20) | (steps[:, 1] << 10) | steps[:, 2]
+    steps = (
+        np.round((small * np.sqrt(0.5) + 0.5) * _STEPS_ROTATION)
+        .clip(0, _STEPS_ROTATION)
+        .astype(np.uint32)
+    )
+    packed = (
+        (largest.astype(np.uint32) << _BITS_LARGEST)
+        | (steps[:, 0] << 20)
+        | (steps[:, 1] << 10)
+        | steps[:, 2]
+    )
     return np.asarray(packed, np.uint32)
 
 

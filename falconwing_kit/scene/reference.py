@@ -1,4 +1,5 @@
-"""Reference renderer: Gaussians and a camera pose as torch tensors -> images with gradients, a function per equation.
+"""Reference renderer: Gaussians and a camera pose as torch tensors -> images with gradients, a
+function per equation.
 
 The conventions are those of gsplat's "classic" mode, to the letter; the equations are those of
 [K] Kerbl et al. 2023, 3D Gaussian Splatting for Real-Time Radiance Field Rendering;
@@ -6,9 +7,9 @@ The conventions are those of gsplat's "classic" mode, to the letter; the equatio
 [Y] Ye et al. 2024, gsplat: An Open-Source Library for Gaussian Splatting;
 [M] Yu et al. 2023, Mip-Splatting.
 
-Which Gaussians are drawn, in which order, and where a pixel is full is decided without gradients; everything else has
-one, with respect to every tensor of the scene, to the pose and to the background. All tensors have one dtype, float32
-or float64, and that is what is computed in.
+Which Gaussians are drawn, in which order, and where a pixel is full is decided without gradients;
+everything else has one, with respect to every tensor of the scene, to the pose and to the
+background. All tensors have one dtype, float32 or float64, and that is what is computed in.
 """
 
 import math
@@ -26,13 +27,19 @@ from falconwing_kit.scene.render import Images
 
 NEAR, FAR = 0.01, 1e10  # depths that are drawn [m]
 BLUR_PX = 0.3  # added to both variances of a splat, which makes it about a pixel wide [px^2]
-FIELD_MARGIN = 0.3  # the slope of a ray is cut this part of the half field of view beyond the image's edge
+FIELD_MARGIN = (
+    0.3  # the slope of a ray is cut this part of the half field of view beyond the image's edge
+)
 MAX_ALPHA, MIN_ALPHA = 0.999, 1.0 / 255.0
-MAX_SIGMA = 10.0  # alpha is below 1/255 from 5.6 on; exp of more gives denormal numbers, which are slow
+MAX_SIGMA = (
+    10.0  # alpha is below 1/255 from 5.6 on; exp of more gives denormal numbers, which are slow
+)
 MIN_TRANSMITTANCE = 1e-4
 TILE_PX = 16
 CHUNK = 256  # splats that a tile takes at once: 16 x 16 x 256 numbers stay in the processor's cache
-REMEMBERED = 50_000  # splats in tiles whose numbers are kept for the gradients, about 10 kB each
+MAX_SAVED_SPLATS = (
+    50_000  # splats in tiles whose numbers are kept for the gradients, about 10 kB each
+)
 
 
 class GaussianTensors(NamedTuple):
@@ -45,7 +52,9 @@ class GaussianTensors(NamedTuple):
     sh: Tensor  # (N, K, 3) colour coefficients
 
     @classmethod
-    def from_scene(cls, scene: GaussianScene, dtype: torch.dtype = torch.float32) -> "GaussianTensors":
+    def from_scene(
+        cls, scene: GaussianScene, dtype: torch.dtype = torch.float32
+    ) -> "GaussianTensors":
         """Copies of a scene's arrays, of the dtype that is to be computed in."""
         arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh)
         return cls(*(torch.tensor(array, dtype=dtype) for array in arrays))
@@ -84,9 +93,13 @@ def render_reference(
     Returns:
         Colour (H, W, 3), not cut at 1, alpha (H, W) and expected depth (H, W) [m], as float32.
     """
-    pose, behind = (torch.tensor(np.asarray(array), dtype=dtype) for array in (T_world_camera, background))
+    pose, behind = (
+        torch.tensor(np.asarray(array), dtype=dtype) for array in (T_world_camera, background)
+    )
     with torch.no_grad():
-        images = render_tensors(GaussianTensors.from_scene(scene, dtype), camera, pose, behind, antialiased)
+        images = render_tensors(
+            GaussianTensors.from_scene(scene, dtype), camera, pose, behind, antialiased
+        )
     rgb, alpha, depth = (image.numpy().astype(np.float32, copy=False) for image in images)
     return rgb, alpha, depth
 
@@ -98,24 +111,28 @@ def render_tensors(
     background: Tensor,
     antialiased: bool = False,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Render with gradients: `project`, then `composite`.
+    """Render with gradients: `project_gaussians`, then `composite`.
 
     Args:
         gaussians: the scene.
         camera: the intrinsics and the image's size.
-        T_world_camera: (4, 4) a rigid pose; its gradient is that of the twelve numbers of rotation and place.
+        T_world_camera: (4, 4) a rigid pose; its gradient is that of the twelve numbers of rotation
+            and place.
         background: (3,) red, green, blue.
         antialiased: fade what is smaller than a pixel.
 
     Returns:
         Colour (H, W, 3), alpha (H, W) and expected depth (H, W) [m], 0 where alpha is 0.
     """
-    splats = project(gaussians, camera, T_world_camera, antialiased)
+    splats = project_gaussians(gaussians, camera, T_world_camera, antialiased)
     return composite(splats, camera.width, camera.height, background)
 
 
-def project(
-    gaussians: GaussianTensors, camera: PinholeCamera, T_world_camera: Tensor, antialiased: bool = False
+def project_gaussians(
+    gaussians: GaussianTensors,
+    camera: PinholeCamera,
+    T_world_camera: Tensor,
+    antialiased: bool = False,
 ) -> Splats:
     """From Gaussians in the world to splats in the image.
 
@@ -130,13 +147,20 @@ def project(
     """
     p_camera = view_transform(gaussians.means, T_world_camera)
     in_front = ((p_camera[:, 2] >= NEAR) & (p_camera[:, 2] <= FAR)).nonzero()[:, 0]
-    near, p_camera = GaussianTensors(*(tensor[in_front] for tensor in gaussians)), p_camera[in_front]
-    sharp = image_covariances(covariances(near.quaternions, near.scales), p_camera, T_world_camera, camera)
-    blurred = sharp + BLUR_PX * torch.eye(2).to(sharp)
-    opacities = near.opacities * compensations(sharp, blurred) if antialiased else near.opacities
+    near, p_camera = (
+        GaussianTensors(*(tensor[in_front] for tensor in gaussians)),
+        p_camera[in_front],
+    )
+    unblurred = image_covariances(
+        covariances(near.quaternions, near.scales), p_camera, T_world_camera, camera
+    )
+    blurred = unblurred + BLUR_PX * torch.eye(2).to(unblurred)
+    opacities = (
+        near.opacities * compensations(unblurred, blurred) if antialiased else near.opacities
+    )
     means_px = image_means(p_camera, camera)
     radii_px = radii(blurred, opacities)
-    seen = touches_image(means_px, radii_px, camera) & (determinants(blurred) > 0.0)
+    seen = intersects_image(means_px, radii_px, camera) & (determinants(blurred) > 0.0)
     drawn = seen.nonzero()[:, 0]
     drawn = drawn[torch.argsort(p_camera[drawn, 2], stable=True)]
     return Splats(
@@ -161,7 +185,9 @@ def view_transform(p_world: Tensor, T_world_camera: Tensor) -> Tensor:
         (N, 3) [m].
     """
     R_world_camera = T_world_camera[:3, :3]
-    return (p_world - T_world_camera[:3, 3]) @ R_world_camera  # rows: the transposed map, that is the inverse
+    return (
+        p_world - T_world_camera[:3, 3]
+    ) @ R_world_camera  # rows: the transposed map, that is the inverse
 
 
 def covariances(quaternions: Tensor, scales: Tensor) -> Tensor:
@@ -186,7 +212,8 @@ def covariances(quaternions: Tensor, scales: Tensor) -> Tensor:
 
 
 def image_means(p_camera: Tensor, camera: PinholeCamera) -> Tensor:
-    """Where the means appear: u = fx x/z + cx,  v = fy y/z + cy; the first pixel's centre is (0.5, 0.5)  [Y].
+    """Where the means appear: u = fx x/z + cx,  v = fy y/z + cy; the first pixel's centre is (0.5,
+    0.5)  [Y].
 
     Args:
         p_camera: (N, 3) in front of the camera [m].
@@ -220,8 +247,9 @@ def image_covariances(
 def projection_jacobians(p_camera: Tensor, camera: PinholeCamera) -> Tensor:
     """How the image moves with the point: J = d(u, v) / d(x, y, z)  [Z, eq. 29].
 
-    J = [[fx/z, 0, -fx x/z^2], [0, fy/z, -fy y/z^2]], where the slopes x/z and y/z are cut 0.3 of half the field of view
-    beyond the image's edge: far out, the linearised projection would blow a Gaussian up over the whole image  [Y].
+    J = [[fx/z, 0, -fx x/z^2], [0, fy/z, -fy y/z^2]], where the slopes x/z and y/z are cut 0.3 of
+    half the field of view beyond the image's edge: far out, the linearised projection would blow a
+    Gaussian up over the whole image  [Y].
 
     Args:
         p_camera: (N, 3) in front of the camera [m].
@@ -233,10 +261,21 @@ def projection_jacobians(p_camera: Tensor, camera: PinholeCamera) -> Tensor:
     x, y, z = p_camera.unbind(1)
     margin_x = FIELD_MARGIN * 0.5 * camera.width / camera.fx
     margin_y = FIELD_MARGIN * 0.5 * camera.height / camera.fy
-    slope_x = (x / z).clamp(-camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)
-    slope_y = (y / z).clamp(-camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y)
+    slope_x = (x / z).clamp(
+        -camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x
+    )
+    slope_y = (y / z).clamp(
+        -camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y
+    )
     zero = torch.zeros_like(z)
-    rows = (camera.fx / z, zero, -camera.fx * slope_x / z, zero, camera.fy / z, -camera.fy * slope_y / z)
+    rows = (
+        camera.fx / z,
+        zero,
+        -camera.fx * slope_x / z,
+        zero,
+        camera.fy / z,
+        -camera.fy * slope_y / z,
+    )
     return torch.stack(rows, dim=1).reshape(-1, 2, 3)
 
 
@@ -258,8 +297,9 @@ def conics(blurred: Tensor) -> Tensor:
     return entries / determinants(blurred)[:, None]
 
 
-def compensations(sharp: Tensor, blurred: Tensor) -> Tensor:
-    """How much fainter a splat must be for the blur to keep its light: sqrt(det Sigma' / det(Sigma' + 0.3 I))  [M].
+def compensations(unblurred: Tensor, blurred: Tensor) -> Tensor:
+    """How much fainter a splat must be for the blur to keep its light: sqrt(det Sigma' / det(Sigma'
+    + 0.3 I))  [M].
 
     Args:
         sharp: (N, 2, 2) covariances before the blur [px^2].
@@ -268,14 +308,15 @@ def compensations(sharp: Tensor, blurred: Tensor) -> Tensor:
     Returns:
         (N,) 0..1; at least 1e-6, invisible, because the root has no slope at 0.
     """
-    return (determinants(sharp) / determinants(blurred)).clamp(min=1e-12).sqrt()
+    return (determinants(unblurred) / determinants(blurred)).clamp(min=1e-12).sqrt()
 
 
 @torch.no_grad()
 def radii(blurred: Tensor, opacities: Tensor) -> Tensor:
     """Half the box that holds every pixel of alpha >= 1/255, in whole pixels.
 
-    o exp(-sigma) >= 1/255 where sigma <= ln(255 o), an ellipse that reaches sqrt(2 ln(255 o)) standard deviations far.
+    o exp(-sigma) >= 1/255 where sigma <= ln(255 o), an ellipse that reaches sqrt(2 ln(255 o))
+    standard deviations far.
 
     Args:
         blurred: (N, 2, 2) [px^2].
@@ -289,7 +330,7 @@ def radii(blurred: Tensor, opacities: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def touches_image(means_px: Tensor, radii_px: Tensor, camera: PinholeCamera) -> Tensor:
+def intersects_image(means_px: Tensor, radii_px: Tensor, camera: PinholeCamera) -> Tensor:
     """Which boxes, not empty, reach into the image.
 
     Args:
@@ -306,7 +347,8 @@ def touches_image(means_px: Tensor, radii_px: Tensor, camera: PinholeCamera) -> 
 
 
 def colours(sh: Tensor, towards_world: Tensor) -> Tensor:
-    """Colour of each Gaussian as seen from the camera: max(0, 1/2 + sum_k sh_k Y_k(d))  [K, section 4].
+    """Colour of each Gaussian as seen from the camera: max(0, 1/2 + sum_k sh_k Y_k(d))  [K, section
+    4].
 
     Args:
         sh: (N, K, 3) coefficients.
@@ -316,14 +358,15 @@ def colours(sh: Tensor, towards_world: Tensor) -> Tensor:
         (N, 3) >= 0.
     """
     directions = torch.nn.functional.normalize(towards_world, dim=1)
-    basis = harmonics(directions, sh.shape[1])
+    basis = spherical_harmonics(directions, sh.shape[1])
     return (0.5 + (basis[:, :, None] * sh).sum(dim=1)).clamp(min=0.0)
 
 
-def harmonics(directions: Tensor, count: int) -> Tensor:
+def spherical_harmonics(directions: Tensor, count: int) -> Tensor:
     """Real spherical harmonics Y_k(d), degree by degree, from order -degree to degree.
 
-    The sign is that of 3D Gaussian Splatting's files: odd orders carry a minus (Condon and Shortley's phase).
+    The sign is that of 3D Gaussian Splatting's files: odd orders carry a minus (Condon and
+    Shortley's phase).
 
     Args:
         directions: (N, 3) of length 1, world.
@@ -354,10 +397,14 @@ def harmonics(directions: Tensor, count: int) -> Tensor:
             -math.sqrt(35 / 32) * x * (xx - 3 * yy),
         ],
     ]
-    return torch.stack([basis for degree in degrees for basis in degree][:count], dim=1) / math.sqrt(math.pi)
+    return torch.stack(
+        [basis for degree in degrees for basis in degree][:count], dim=1
+    ) / math.sqrt(math.pi)
 
 
-def composite(splats: Splats, width: int, height: int, background: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def composite(
+    splats: Splats, width: int, height: int, background: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
     """Lay the splats over each other, tile by tile, so that memory stays small  [K, section 6].
 
     Args:
@@ -367,18 +414,27 @@ def composite(splats: Splats, width: int, height: int, background: Tensor) -> tu
         background: (3,) red, green, blue.
 
     Returns:
-        Colour (H, W, 3) = sum_i w_i c_i + (1 - alpha) background, alpha (H, W) = sum_i w_i, and the expected depth
-        (H, W) = sum_i w_i z_i / alpha [m], 0 where alpha is 0; gsplat calls it "ED".
+        Colour (H, W, 3) = sum_i w_i c_i + (1 - alpha) background, alpha (H, W) = sum_i w_i, and the
+        expected depth (H, W) = sum_i w_i z_i / alpha [m], 0 where alpha is 0; gsplat calls it "ED".
     """
-    low, high = (splats.means_px - splats.radii_px).detach(), (splats.means_px + splats.radii_px).detach()
+    low, high = (
+        (splats.means_px - splats.radii_px).detach(),
+        (splats.means_px + splats.radii_px).detach(),
+    )
     columns = torch.cat(
         [
-            *(splats.means_px, splats.conics, splats.opacities[:, None], splats.colours, splats.depths[:, None]),
+            *(
+                splats.means_px,
+                splats.conics,
+                splats.opacities[:, None],
+                splats.colours,
+                splats.depths[:, None],
+            ),
             torch.ones_like(splats.depths)[:, None],
         ],
         dim=1,
     )
-    rows, laid = [], 0
+    rows, composited = [], 0
     for top in range(0, height, TILE_PX):
         v = torch.arange(top, min(top + TILE_PX, height)).to(columns) + 0.5
         in_row = ((high[:, 1] > v[0]) & (low[:, 1] < v[-1])).nonzero()[:, 0]
@@ -387,9 +443,13 @@ def composite(splats: Splats, width: int, height: int, background: Tensor) -> tu
         for left in range(0, width, TILE_PX):
             u = torch.arange(left, min(left + TILE_PX, width)).to(columns) + 0.5
             in_tile = ((row_high > u[0]) & (row_low < u[-1])).nonzero()[:, 0]
-            laid += len(in_tile)
+            composited += len(in_tile)
             tile = row.index_select(0, in_tile)
-            tiles.append(blend(tile, u, v) if laid <= REMEMBERED else _blend_frugally(tile, u, v))
+            tiles.append(
+                blend_tile(tile, u, v)
+                if composited <= MAX_SAVED_SPLATS
+                else blend_checkpointed(tile, u, v)
+            )
         rows.append(torch.cat(tiles, dim=1))
     sums = torch.cat(rows, dim=0)
     alpha = sums[:, :, 4]
@@ -397,18 +457,22 @@ def composite(splats: Splats, width: int, height: int, background: Tensor) -> tu
     return rgb, alpha, sums[:, :, 3] / alpha.clamp(min=1e-10)
 
 
-def _blend_frugally(columns: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """`blend`, whose numbers are not kept for the gradients but worked out again on the way back."""
-    return checkpoint(blend, columns, u, v, use_reentrant=False, preserve_rng_state=False)
+def blend_checkpointed(columns: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """`blend_tile`, whose numbers are not kept for the gradients but worked out again on the way
+    back.
+    """
+    return checkpoint(blend_tile, columns, u, v, use_reentrant=False, preserve_rng_state=False)
 
 
-def blend(columns: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """One tile: sum_i w_i (r, g, b, z, 1),  w_i = alpha_i T_i,  T_i = prod_{j<i} (1 - alpha_j)  [K, eq. 2 and 3].
+def blend_tile(columns: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """One tile: sum_i w_i (r, g, b, z, 1),  w_i = alpha_i T_i,  T_i = prod_{j<i} (1 - alpha_j)  [K,
+    eq. 2 and 3].
 
     A splat that would leave T <= 1e-4 behind it is not laid any more, nor any behind it.
 
     Args:
-        columns: (M, 11) mean u, v; conic uu, uv, vv; opacity; red, green, blue, depth, 1; nearest first.
+        columns: (M, 11) mean u, v; conic uu, uv, vv; opacity; red, green, blue, depth, 1; nearest
+            first.
         u: (w,) centres of the tile's pixels [px].
         v: (h,) [px].
 
@@ -429,19 +493,22 @@ def blend(columns: Tensor, u: Tensor, v: Tensor) -> Tensor:
 
 
 def alphas(columns: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """How much each splat covers of each pixel: alpha = min(0.999, o exp(-sigma)), 0 below 1/255  [K; Y].
+    """How much each splat covers of each pixel: alpha = min(0.999, o exp(-sigma)), 0 below 1/255
+    [K; Y].
 
     sigma = 1/2 (uu du^2 + vv dv^2) + uv du dv, du and dv from the mean to the pixel's centre
 
     Args:
-        columns: (M, 11) as in `blend`.
+        columns: (M, 11) as in `blend_tile`.
         u: (w,) [px].
         v: (h,) [px].
 
     Returns:
         (M, h, w).
     """
-    mean_u, mean_v, uu, uv, vv, opacity = (column[:, None, None] for column in columns[:, :6].unbind(1))
+    mean_u, mean_v, uu, uv, vv, opacity = (
+        column[:, None, None] for column in columns[:, :6].unbind(1)
+    )
     du, dv = u - mean_u, v[:, None] - mean_v
     sigma = 0.5 * uu * du * du + 0.5 * vv * dv * dv + uv * du * dv
     alpha = (opacity * torch.exp(-sigma.clamp(max=MAX_SIGMA))).clamp(max=MAX_ALPHA)

@@ -1,4 +1,6 @@
-"""The renderer's door: a Gaussian scene and a camera pose -> colour, alpha and depth per pixel, by any backend."""
+"""The renderer's door: a Gaussian scene and a camera pose -> colour, alpha and depth per pixel, by
+any backend.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,7 +14,9 @@ from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.ply import Array32
 
 Scenes = tuple[GaussianScene, ...]
-Images = tuple[Array32, Array32, Array32]  # colour, alpha and depth, before the colours are cut to 0..1
+Images = tuple[
+    Array32, Array32, Array32
+]  # colour, alpha and depth, before the colours are cut to 0..1
 MAX_SKEW = 1e-4  # a rotation kept in float32 and multiplied a few times is this close to a true one
 
 
@@ -22,7 +26,9 @@ class Frame:
 
     rgb: Array32  # (H, W, 3) red, green, blue in 0..1, over the background
     alpha: Array32  # (H, W) how much of the background is covered, 0..1
-    depth: Array32  # (H, W) along the camera's z axis, the mean over what covers the pixel [m]; 0 where nothing does
+    # (H, W) along the camera's z axis, the mean over what covers the pixel [m]; 0 where nothing
+    # does
+    depth: Array32
 
 
 def render(
@@ -36,26 +42,36 @@ def render(
     """Render a scene, by the conventions of gsplat's "classic" mode.
 
     Args:
-        scene: the Gaussians; or several scenes, drawn as if joined: a hall that rests and an aircraft that moves.
+        scene: the Gaussians; or several scenes, drawn as if joined: a hall that rests and an
+            aircraft that moves.
         camera: the intrinsics and the image's size.
-        T_world_camera: (4, 4) the pose, "world from camera", camera axes x right, y down, z forward.
-        backend: "reference" (torch, the readable one), "fast" (numba), "gsplat" (CUDA) or "auto", which is "fast".
+        T_world_camera: (4, 4) the pose, "world from camera", camera axes x right, y down, z
+            forward.
+        backend: "reference" (torch, the readable one), "fast" (numba), "gsplat" (CUDA) or "auto",
+            which is "fast".
         background: (3,) red, green, blue behind the scene, 0..1.
-        antialiased: fade a Gaussian that is smaller than a pixel instead of widening it; for scenes trained so.
+        antialiased: fade a Gaussian that is smaller than a pixel instead of widening it; for scenes
+            trained so.
 
     Returns:
         The frame. Colours above 1, which a trained scene can have, are cut to 1 as a camera would.
 
     Raises:
-        InputError: an argument is wrong, or the backend cannot run here; the text says what would help.
+        InputError: an argument is wrong, or the backend cannot run here; the text says what would
+            help.
     """
     scenes = (scene,) if isinstance(scene, GaussianScene) else _require_scenes(scene)
     if not isinstance(camera, PinholeCamera):
-        raise InputError(f"camera: want a PinholeCamera, got {type(camera).__name__}")
+        raise InputError(f"camera: expected a PinholeCamera, got {type(camera).__name__}")
     if not isinstance(backend, str) or backend not in BACKENDS:
-        raise InputError(f"backend: want one of {', '.join(BACKENDS)}, got {backend!r}")
-    T_world_camera, background = require_pose("T_world_camera", T_world_camera), _require_colour(background)
-    rgb, alpha, depth = BACKENDS[backend](scenes, camera, T_world_camera, background, bool(antialiased))
+        raise InputError(f"backend: expected one of {', '.join(BACKENDS)}, got {backend!r}")
+    T_world_camera, background = (
+        require_pose("T_world_camera", T_world_camera),
+        _require_colour(background),
+    )
+    rgb, alpha, depth = BACKENDS[backend](
+        scenes, camera, T_world_camera, background, bool(antialiased)
+    )
     return Frame(np.clip(rgb, 0.0, 1.0, out=rgb), alpha, depth)
 
 
@@ -63,7 +79,9 @@ def _require_scenes(scenes: Sequence[GaussianScene]) -> Scenes:
     """Several scenes as a tuple."""
     several = tuple(scenes) if isinstance(scenes, list | tuple) else ()
     if not several or not all(isinstance(scene, GaussianScene) for scene in several):
-        raise InputError(f"scene: want a GaussianScene, got {type(scenes).__name__}; GaussianScene.load reads a file")
+        raise InputError(
+            f"scene: expected a GaussianScene, got {type(scenes).__name__}; GaussianScene.load reads a file"
+        )
     return several
 
 
@@ -72,7 +90,8 @@ def _joined(scenes: Scenes) -> GaussianScene:
 
 
 def require_pose(name: str, pose: ArrayLike) -> Array:
-    """Return a pose as float64 if it is one: finite, a rotation and a place, with the last row 0 0 0 1.
+    """Return a pose as float64 if it is one: finite, a rotation and a place, with the last row 0 0
+    0 1.
 
     Args:
         name: what the pose is called in the message.
@@ -83,12 +102,18 @@ def require_pose(name: str, pose: ArrayLike) -> Array:
     """
     T = require_shape(name, pose, (4, 4))
     if not np.isfinite(T).all():
-        raise InputError(f"{name}: want finite numbers, got {np.count_nonzero(~np.isfinite(T))} that are not")
+        raise InputError(
+            f"{name}: expected finite numbers, got {np.count_nonzero(~np.isfinite(T))} that are not"
+        )
     if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
-        raise InputError(f"{name}: want the last row 0 0 0 1, got {T[3]}; is the matrix transposed?")
+        raise InputError(
+            f"{name}: expected the last row 0 0 0 1, got {T[3]}; is the matrix transposed?"
+        )
     R = T[:3, :3]
     if np.abs(R.T @ R - np.eye(3)).max() > MAX_SKEW or np.linalg.det(R) < 0.0:
-        raise InputError(f"{name}: want a rotation in the first three columns, got one that stretches or mirrors")
+        raise InputError(
+            f"{name}: expected a rotation in the first three columns, got one that stretches or mirrors"
+        )
     return T
 
 
@@ -96,12 +121,18 @@ def _require_colour(background: ArrayLike) -> Array:
     """The background as three numbers in 0..1."""
     colour = require_shape("background", background, (3,))
     if not ((colour >= 0.0) & (colour <= 1.0)).all():
-        raise InputError(f"background: want red, green and blue in 0..1, got {colour}; divide bytes by 255")
+        raise InputError(
+            f"background: expected red, green and blue in 0..1, got {colour}; divide bytes by 255"
+        )
     return colour
 
 
 def _reference(
-    scenes: Scenes, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool
+    scenes: Scenes,
+    camera: PinholeCamera,
+    T_world_camera: Array,
+    background: Array,
+    antialiased: bool,
 ) -> Images:
     try:
         from falconwing_kit.scene.reference import render_reference
@@ -110,7 +141,13 @@ def _reference(
     return render_reference(_joined(scenes), camera, T_world_camera, background, antialiased)
 
 
-def _fast(scenes: Scenes, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool) -> Images:
+def _fast(
+    scenes: Scenes,
+    camera: PinholeCamera,
+    T_world_camera: Array,
+    background: Array,
+    antialiased: bool,
+) -> Images:
     try:
         from falconwing_kit.scene.fast import render_fast
     except ModuleNotFoundError as error:
@@ -119,7 +156,11 @@ def _fast(scenes: Scenes, camera: PinholeCamera, T_world_camera: Array, backgrou
 
 
 def _gsplat(
-    scenes: Scenes, camera: PinholeCamera, T_world_camera: Array, background: Array, antialiased: bool
+    scenes: Scenes,
+    camera: PinholeCamera,
+    T_world_camera: Array,
+    background: Array,
+    antialiased: bool,
 ) -> Images:
     from falconwing_kit.scene.gsplat_backend import render_gsplat
 
@@ -128,7 +169,9 @@ def _gsplat(
 
 def _missing(backend: str, error: ModuleNotFoundError) -> InputError:
     """The sentence for a library that is not installed."""
-    return InputError(f"backend: want {error.name} for {backend!r}, which is missing; run: pip install {error.name}")
+    return InputError(
+        f"backend: expected {error.name} for {backend!r}, which is missing; run: pip install {error.name}"
+    )
 
 
 BACKENDS: dict[str, Callable[[Scenes, PinholeCamera, Array, Array, bool], Images]] = {

@@ -1,4 +1,6 @@
-"""Forecasts: a model + a log with velocities -> where the aircraft is one second later, beside two simple guesses."""
+"""Forecasts: a model + a log with velocities -> where the aircraft is one second later, beside two
+simple guesses.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -10,7 +12,9 @@ from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import GRAVITY, wrap_angle
 
-TOLERANCE_S = 0.25  # a pose this close to the wanted horizon will do; the forecast is made for its own time
+TOLERANCE_S = (
+    0.25  # a pose this close to the wanted horizon will do; the forecast is made for its own time
+)
 
 
 @dataclass(frozen=True)
@@ -33,22 +37,26 @@ class Forecasts:
         """Root mean square of the three angle errors together."""
         return float(np.degrees(np.sqrt(np.mean(np.sum(self.error_attitude**2, axis=1)))))
 
-    def between(self, t0: float, t1: float) -> "Forecasts":
+    def within(self, t0: float, t1: float) -> "Forecasts":
         """Those whose end has t0 <= t < t1 [s]; the first of them start up to a horizon before t0."""
-        return self.chosen((self.t >= t0) & (self.t < t1))
+        return self.subset((self.t >= t0) & (self.t < t1))
 
-    def chosen(self, index: np.ndarray) -> "Forecasts":
+    def subset(self, index: np.ndarray) -> "Forecasts":
         """Those at these indices or where this mask is true."""
         return Forecasts(
-            self.start[index], self.end[index], self.t[index], self.error_position[index], self.error_attitude[index]
+            self.start[index],
+            self.end[index],
+            self.t[index],
+            self.error_position[index],
+            self.error_attitude[index],
         )
 
 
 def forecast(model: Model, table: FlightTable, horizon: float = 1.0) -> Forecasts:
     """Fly the model from every measured state over the horizon on the logged commands.
 
-    The start state is what the log says at that moment (pose, velocity and, in the 12-state model, body rates); the
-    commands over the horizon are known inputs.
+    The start state is what the log says at that moment (pose, velocity and, in the 12-state model,
+    body rates); the commands over the horizon are known inputs.
 
     Args:
         model: the aircraft.
@@ -67,13 +75,13 @@ def forecast(model: Model, table: FlightTable, horizon: float = 1.0) -> Forecast
     steps = max(1, round(horizon / 0.05) * SUBSTEPS[model.form])
     begin = table.t[start]
     edges = begin[:, None] + span[:, None] * np.arange(-steps // 2, steps + 1) / steps
-    mean, swing = model.acting(table.t, table.commands, edges, model.K)
-    mean, swing = (part[:, -steps:].transpose(1, 2, 0) for part in (mean, swing))
+    mean, slope = model.actuator_positions(table.t, table.commands, edges, model.K)
+    mean, slope = (part[:, -steps:].transpose(1, 2, 0) for part in (mean, slope))
     rates, K = state_rates(model.form, model.terms, model.winds), model.K
     with np.errstate(all="ignore"):
         for k in range(steps):
-            x = step_batch(rates, K, begin + k * span / steps, x, mean[k], span / steps, swing[k])
-    return _compared(table, start, end, x[:3].T, x[[5, 3, 4]].T)
+            x = step_batch(rates, K, begin + k * span / steps, x, mean[k], span / steps, slope[k])
+    return _forecast_errors(table, start, end, x[:3].T, x[[5, 3, 4]].T)
 
 
 def constant_velocity(table: FlightTable, horizon: float = 1.0) -> Forecasts:
@@ -92,11 +100,12 @@ def constant_velocity(table: FlightTable, horizon: float = 1.0) -> Forecasts:
     start, end = _pairs(table, horizon)
     x = _logged_states(table, 9)[start]
     span = (table.t[end] - table.t[start])[:, None]
-    return _compared(table, start, end, x[:, :3] + span * x[:, 6:9], table.attitude[start])
+    return _forecast_errors(table, start, end, x[:, :3] + span * x[:, 6:9], table.attitude[start])
 
 
 def constant_turn(table: FlightTable, horizon: float = 1.0) -> Forecasts:
-    """The better guess: constant speed and climb on the circle that belongs to the bank, yaw rate g tan(roll) / V.
+    """The better guess: constant speed and climb on the circle that belongs to the bank, yaw rate g
+    tan(roll) / V.
 
     Args:
         table: a log with columns vx, vy, vz.
@@ -116,12 +125,14 @@ def constant_turn(table: FlightTable, horizon: float = 1.0) -> Forecasts:
     turn = -yaw_rate * span  # of the course, counted to the left as world y is
     half = np.sinc(turn / (2.0 * np.pi)) * span  # chord of the arc over speed
     course = np.arctan2(x[:, 7], x[:, 6]) + 0.5 * turn
-    moved = np.stack([speed * half * np.cos(course), speed * half * np.sin(course), x[:, 8] * span], axis=1)
+    displacement = np.stack(
+        [speed * half * np.cos(course), speed * half * np.sin(course), x[:, 8] * span], axis=1
+    )
     attitude = table.attitude[start] + np.stack([0.0 * span, 0.0 * span, yaw_rate * span], axis=1)
-    return _compared(table, start, end, x[:, :3] + moved, attitude)
+    return _forecast_errors(table, start, end, x[:, :3] + displacement, attitude)
 
 
-def with_throttle_held(table: FlightTable, since: float, over: float = 20.0) -> FlightTable:
+def hold_throttle(table: FlightTable, since: float, over: float = 20.0) -> FlightTable:
     """The log as if the throttle had stayed where it was: its mean over the seconds before.
 
     Args:
@@ -142,14 +153,14 @@ def _pairs(table: FlightTable, horizon: float) -> tuple[np.ndarray, np.ndarray]:
     """Rows with a pose and rows with a pose about a horizon later."""
     rows = np.flatnonzero(table.has_pose)
     if len(rows) < 2:
-        raise InputError(f"{table.name}: want poses to forecast from, got {len(rows)}")
+        raise InputError(f"{table.name}: expected poses to forecast from, got {len(rows)}")
     wanted = table.t[rows] + horizon
     after = np.clip(np.searchsorted(table.t[rows], wanted), 1, len(rows) - 1)
     nearer = np.abs(table.t[rows[after - 1]] - wanted) < np.abs(table.t[rows[after]] - wanted)
     end = rows[np.where(nearer, after - 1, after)]
     good = np.abs(table.t[end] - wanted) <= min(TOLERANCE_S, 0.5 * horizon)
     if not good.any():
-        raise InputError(f"{table.name}: want poses {horizon:g} s apart, got none")
+        raise InputError(f"{table.name}: expected poses {horizon:g} s apart, got none")
     return rows[good], end[good]
 
 
@@ -158,14 +169,16 @@ def _logged_states(table: FlightTable, n_states: int) -> Array:
     missing = [name for name in names if name not in table.extra]
     if missing:
         raise InputError(
-            f"{table.name}: want logged columns {', '.join(names)} to forecast from, got none for {missing[0]}"
+            f"{table.name}: expected logged columns {', '.join(names)} to forecast from, got none for {missing[0]}"
         )
     motion = np.stack([table.extra[name] for name in names], axis=1)
     return np.concatenate([table.p_world, table.attitude[:, [1, 2, 0]], motion], axis=1)
 
 
-def _compared(table: FlightTable, start: np.ndarray, end: np.ndarray, p_world: Array, attitude: Array) -> Forecasts:
-    wrong = p_world - table.p_world[end]
-    turned = wrap_angle(attitude - table.attitude[end])
-    good = np.isfinite(wrong).all(axis=1) & np.isfinite(turned).all(axis=1)
-    return Forecasts(start, end, table.t[end], wrong, turned).chosen(good)
+def _forecast_errors(
+    table: FlightTable, start: np.ndarray, end: np.ndarray, p_world: Array, attitude: Array
+) -> Forecasts:
+    position_error = p_world - table.p_world[end]
+    attitude_error = wrap_angle(attitude - table.attitude[end])
+    good = np.isfinite(position_error).all(axis=1) & np.isfinite(attitude_error).all(axis=1)
+    return Forecasts(start, end, table.t[end], position_error, attitude_error).subset(good)

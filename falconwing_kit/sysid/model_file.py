@@ -1,4 +1,6 @@
-"""Model file: an identification <-> TOML with values, units, bounds, covariance and the flights it was fitted on."""
+"""Model file: an identification <-> TOML with values, units, bounds, covariance and the flights it
+was fitted on.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -8,16 +10,24 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.aircraft.effects import CATALOGUE, Effect
-from falconwing_kit.aircraft.generic import UNNAMED
+from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
 from falconwing_kit.aircraft.model import FORMS, Model
-from falconwing_kit.aircraft.terms import FORCES, MOMENTS, QUASI_STEADY_RATES, UNIFORM_WIND, Term, WindTerm
+from falconwing_kit.aircraft.terms import (
+    FORCES,
+    MOMENTS,
+    QUASI_STEADY_RATES,
+    UNIFORM_WIND,
+    Term,
+    WindTerm,
+)
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.config import from_toml, write_toml
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.uncertainty import Uncertainty
 
 VERSION = 2  # of the file as it is written
-# A file without a version is of version 1: other symbols, and those that are -1 here with the other sign.
+# A file without a version is of version 1: other symbols, and those that are -1 here with the other
+# sign.
 VERSION_1 = {
     "cL0": ("cL_0", 1), "cLa": ("cL_alpha", 1), "cLe": ("cL_de", 1),
     "cD0": ("cD_0", 1), "cDi": ("cD_induced", 1), "cDb": ("cD_beta", 1), "cY": ("cY_beta", -1), "cYr": ("cY_dr", 1),
@@ -86,16 +96,16 @@ def write_model(path: str | Path, found: Identification) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    write_fitted(
+    write_fitted_model(
         path, found.model, found.uncertainty, flights=found.names, train_chi2=found.train.chi2,
         held_out_chi2=found.held_out.chi2 if found.held_out else None, sigma=found.sigma,
     )  # fmt: skip
 
 
-def write_fitted(
+def write_fitted_model(
     path: str | Path,
     model: Model,
-    sure: Uncertainty,
+    confidence: Uncertainty,
     *,
     flights: tuple[str, ...],
     train_chi2: float,
@@ -118,20 +128,37 @@ def write_fitted(
     """
     parameters = {}
     for p in model.parameters:
-        low95, high95 = sure.interval(p.name, model.values[p.name]) if p.name in sure.names else (None, None)
-        parameters[p.name] = _Parameter(model.values[p.name], p.unit, p.low, p.high, p.meaning, low95, high95)
+        low95, high95 = (
+            confidence.interval(p.name, model.values[p.name])
+            if p.name in confidence.names
+            else (None, None)
+        )
+        parameters[p.name] = _Parameter(
+            model.values[p.name], p.unit, p.low, p.high, p.meaning, low95, high95
+        )
     fit = _Fit(flights, train_chi2, held_out_chi2, tuple(map(float, sigma)))
-    matrix = tuple(tuple(float(f"{c:.6g}") for c in row) for row in sure.covariance)
+    matrix = tuple(tuple(float(f"{c:.6g}") for c in row) for row in confidence.covariance)
     effects = tuple(e.name for e in model.effects)
     names = tuple(t.name for t in model.terms) + tuple(w.name for w in model.winds)
     terms = tuple(name for name in names if name not in effects)
-    write_toml(path, _File(model.form, terms, fit, parameters, _Covariance(sure.names, matrix), effects, VERSION))
+    write_toml(
+        path,
+        _File(
+            model.form,
+            terms,
+            fit,
+            parameters,
+            _Covariance(confidence.names, matrix),
+            effects,
+            VERSION,
+        ),
+    )
 
 
 def read_model(
     path: str | Path,
     known: tuple[Term | WindTerm, ...] = KNOWN_TERMS,
-    catalogue: tuple[Effect, ...] = (*CATALOGUE, *UNNAMED),
+    catalogue: tuple[Effect, ...] = (*CATALOGUE, *GENERIC_EFFECTS),
 ) -> ModelFile:
     """Read a model file of this version or an earlier one.
 
@@ -145,31 +172,41 @@ def read_model(
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: the file is not a model or of a later version, names an unknown term, effect or parameter, or its
-            numbers do not fit together.
+        InputError: the file is not a model or of a later version, names an unknown term, effect or
+            parameter, or its numbers do not fit together.
     """
     file = _as_written_today(from_toml(_File, path), path)
     if file.form not in FORMS:
-        raise InputError(f"{Path(path).name}: form: want one of {', '.join(FORMS)}, got {file.form!r}")
-    terms = _named(file.terms, {t.name: t for t in known}, "terms", path)
-    # One name may stand for two effects with parameters of their own: the one whose parameters the file has counts.
+        raise InputError(
+            f"{Path(path).name}: form: expected one of {', '.join(FORMS)}, got {file.form!r}"
+        )
+    terms = _look_up(file.terms, {t.name: t for t in known}, "terms", path)
+    # One name may stand for two effects with parameters of their own: the one whose parameters the
+    # file has counts.
     by_fit = sorted(catalogue, key=lambda e: all(p.name in file.parameters for p in e.parameters))
-    effects = _named(file.effects, {e.name: e for e in by_fit}, "effects", path)
+    effects = _look_up(file.effects, {e.name: e for e in by_fit}, "effects", path)
     base = FORMS[file.form]()
     own = {t.name for t in base.terms}
-    model = base.adding(*(term for term in terms if term.name not in own))
+    model = base.with_terms(*(term for term in terms if term.name not in own))
     for effect in effects:
         model = model.with_effect(effect)
     missing = [name for name in model.names if name not in file.parameters]
     if missing or len(file.parameters) != len(model.names):
         odd = missing[0] if missing else next(n for n in file.parameters if n not in model.values)
-        raise InputError(f"{Path(path).name}: parameters: want {', '.join(model.names)}; {odd!r} does not fit")
+        raise InputError(
+            f"{Path(path).name}: parameters: expected {', '.join(model.names)}; {odd!r} does not fit"
+        )
     model = model.with_values({name: p.value for name, p in file.parameters.items()})
     bounds = file.parameters
     model = replace(
-        model, parameters=tuple(replace(p, low=bounds[p.name].low, high=bounds[p.name].high) for p in model.parameters)
+        model,
+        parameters=tuple(
+            replace(p, low=bounds[p.name].low, high=bounds[p.name].high) for p in model.parameters
+        ),
     )
-    return ModelFile(model, file.covariance.names, _covariance(file, path), file.fit.flights, _sigma(file))
+    return ModelFile(
+        model, file.covariance.names, _covariance(file, path), file.fit.flights, _sigma(file)
+    )
 
 
 def _as_written_today(file: _File, path: str | Path) -> _File:
@@ -184,7 +221,9 @@ def _as_written_today(file: _File, path: str | Path) -> _File:
     for name, p in file.parameters.items():
         today, sign = VERSION_1.get(name, (name, 1))
         if today in parameters:
-            raise InputError(f"{Path(path).name}: parameters: expected {today!r} once, got it by two names: remove one")
+            raise InputError(
+                f"{Path(path).name}: parameters: expected {today!r} once, got it by two names: remove one"
+            )
         parameters[today] = p if sign > 0 else _negated(p)
     fitted = [VERSION_1.get(name, (name, 1)) for name in file.covariance.names]
     signs = np.array([sign for _, sign in fitted])
@@ -196,13 +235,19 @@ def _as_written_today(file: _File, path: str | Path) -> _File:
 def _negated(p: _Parameter) -> _Parameter:
     """The parameter with the other sign: its bounds and the ends of its interval change places."""
     low95, high95 = (None if end is None else 0.0 - end for end in (p.high95, p.low95))
-    return replace(p, value=0.0 - p.value, low=0.0 - p.high, high=0.0 - p.low, low95=low95, high95=high95)
+    return replace(
+        p, value=0.0 - p.value, low=0.0 - p.high, high=0.0 - p.low, low95=low95, high95=high95
+    )
 
 
-def _named(names: tuple[str, ...], known: Mapping[str, Any], what: str, path: str | Path) -> list[Any]:
+def _look_up(
+    names: tuple[str, ...], known: Mapping[str, Any], what: str, path: str | Path
+) -> list[Any]:
     unknown = [name for name in names if name not in known]
     if unknown:
-        raise InputError(f"{Path(path).name}: {what}: want names out of {', '.join(known)}, got {unknown[0]!r}")
+        raise InputError(
+            f"{Path(path).name}: {what}: expected names out of {', '.join(known)}, got {unknown[0]!r}"
+        )
     return [known[name] for name in names]
 
 
@@ -210,10 +255,10 @@ def _covariance(file: _File, path: str | Path) -> Array:
     names, rows = file.covariance.names, file.covariance.matrix
     if any(len(row) != len(names) for row in rows) or len(rows) != len(names):
         raise InputError(
-            f"{Path(path).name}: covariance: want {len(names)} rows of {len(names)} numbers, got another shape"
+            f"{Path(path).name}: covariance: expected {len(names)} rows of {len(names)} numbers, got another shape"
         )
     if any(name not in file.parameters for name in names):
-        raise InputError(f"{Path(path).name}: covariance: want names of parameters, got others")
+        raise InputError(f"{Path(path).name}: covariance: expected names of parameters, got others")
     return np.array(rows).reshape(len(names), len(names))
 
 

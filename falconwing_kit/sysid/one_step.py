@@ -1,10 +1,11 @@
-"""The paper's identification: least squares on the next state. The baseline that struggles, and why.
+"""The paper's identification: least squares on the next state. The baseline that struggles, and
+why.
 
 K* = argmin sum |f_K(x_t, u_t) - x_{t+1}|^2   [paper, Section IV-B]
 
-Velocities are differences of measured poses, so their noise is sqrt(2) sigma / dt: 0.85 m/s for 3 cm at 20 Hz. That
-noise stands in the state on the right as well as in the target on the left, which biases every parameter
-(errors in variables). Smoothing first helps and brings a bias of its own.
+Velocities are differences of measured poses, so their noise is sqrt(2) sigma / dt: 0.85 m/s for 3
+cm at 20 Hz. That noise stands in the state on the right as well as in the target on the left, which
+biases every parameter (errors in variables). Smoothing first helps and brings a bias of its own.
 """
 
 from collections.abc import Sequence
@@ -12,17 +13,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from falconwing_kit.aircraft.inputs import acting_commands
+from falconwing_kit.aircraft.inputs import actuator_response
 from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
-from falconwing_kit.aircraft.model import Model, record_of, state_rates
+from falconwing_kit.aircraft.model import Model, parameter_record, state_rates
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.frames import body_rates
-from falconwing_kit.sysid.prepare import Flight
+from falconwing_kit.sysid.prepare import PreparedFlight
 
-FAR = 1e3  # what a step that ran away counts as, so that its square stays a number [m, m/s, rad, rad/s]
+# what a step that ran away counts as, so that its square stays a number [m, m/s, rad, rad/s]
+DIVERGED_RESIDUAL = 1e3
 
 
-def differentiated_states(flight: Flight) -> Array:
+def differentiated_states(flight: PreparedFlight) -> Array:
     """States from raw differences of poses, as the paper forms them.
 
     Args:
@@ -38,7 +40,13 @@ def differentiated_states(flight: Flight) -> Array:
 
 
 @np.errstate(all="ignore")
-def fit_one_step(model: Model, flights: Sequence[Flight], *, smoothed: bool = False, most: int | None = None) -> Model:
+def fit_one_step(
+    model: Model,
+    flights: Sequence[PreparedFlight],
+    *,
+    smoothed: bool = False,
+    most: int | None = None,
+) -> Model:
     """Fit K by the paper's loss: predict each next state from the one before.
 
     Args:
@@ -55,46 +63,70 @@ def fit_one_step(model: Model, flights: Sequence[Flight], *, smoothed: bool = Fa
     """
     from scipy.optimize import least_squares
 
-    held = model.pinned(("delay", "lag"))
-    free = [i for i, p in enumerate(held.parameters) if p.high > p.low]
-    steps = [_steps(held, flight, smoothed) for flight in flights]
-    before, after, acting, duration = (np.concatenate(p, axis=-1) for p in zip(*steps, strict=True))
+    fixed_model = model.with_fixed(("delay", "lag"))
+    free = [i for i, p in enumerate(fixed_model.parameters) if p.high > p.low]
+    steps = [_steps(fixed_model, flight, smoothed) for flight in flights]
+    before, after, actuator_positions, duration = (
+        np.concatenate(p, axis=-1) for p in zip(*steps, strict=True)
+    )
     if most is not None and before.shape[1] > most:
         some = np.linspace(0, before.shape[1] - 1, most).astype(int)
-        before, after, acting, duration = before[:, some], after[:, some], acting[:, some], duration[some]
+        before, after, actuator_positions, duration = (
+            before[:, some],
+            after[:, some],
+            actuator_positions[:, some],
+            duration[some],
+        )
     if before.shape[1] < 3 * len(free):
-        raise InputError(f"flight: want at least {3 * len(free)} pairs of neighbouring poses, got {before.shape[1]}")
-    low, high = (np.array([getattr(held.parameters[i], side) for i in free]) for side in ("low", "high"))
-    start = np.clip(held.vector[free], low, high)
+        raise InputError(
+            f"flight: expected at least {3 * len(free)} pairs of neighbouring poses, got {before.shape[1]}"
+        )
+    low, high = (
+        np.array([getattr(fixed_model.parameters[i], side) for i in free])
+        for side in ("low", "high")
+    )
+    start = np.clip(fixed_model.vector[free], low, high)
 
-    def mismatch(values: Array) -> Array:
-        vector = held.vector
+    def one_step_residuals(values: Array) -> Array:
+        vector = fixed_model.vector
         vector[free] = values
         with np.errstate(all="ignore"):
-            predicted = _advance(held, vector, before, acting, duration)
-        return np.clip(np.nan_to_num(predicted - after, nan=FAR), -FAR, FAR).ravel()
+            predicted = _advance(fixed_model, vector, before, actuator_positions, duration)
+        return np.clip(
+            np.nan_to_num(predicted - after, nan=DIVERGED_RESIDUAL),
+            -DIVERGED_RESIDUAL,
+            DIVERGED_RESIDUAL,
+        ).ravel()
 
-    scale = np.array([max(abs(held.parameters[i].start), 0.1) for i in free])
+    scale = np.array([max(abs(fixed_model.parameters[i].start), 0.1) for i in free])
     loss = "soft_l1" if smoothed else "linear"
-    found = least_squares(mismatch, start, bounds=(low, high), x_scale=scale, loss=loss, max_nfev=30)
-    vector = held.vector
+    found = least_squares(
+        one_step_residuals, start, bounds=(low, high), x_scale=scale, loss=loss, max_nfev=30
+    )
+    vector = fixed_model.vector
     vector[free] = found.x
     return replace(model, values=dict(zip(model.names, map(float, vector), strict=True)))
 
 
-def _steps(model: Model, flight: Flight, smoothed: bool) -> tuple[Array, Array, Array, Array]:
-    states = flight.smooth if smoothed else differentiated_states(flight)
+def _steps(
+    model: Model, flight: PreparedFlight, smoothed: bool
+) -> tuple[Array, Array, Array, Array]:
+    states = flight.state_estimate if smoothed else differentiated_states(flight)
     states = states[:, : model.n_states]
     t = flight.t[: len(states)] - flight.t[0]
     good = np.asarray(np.isfinite(states).all(axis=1))
     pairs = np.flatnonzero(good[:-1] & good[1:])
-    acting, _ = acting_commands(t, flight.commands[: len(t)], t, model.values["delay"], model.values["lag"])
-    return states[pairs].T, states[pairs + 1].T, acting[pairs].T, np.diff(t)[pairs]
+    actuator_positions, _ = actuator_response(
+        t, flight.commands[: len(t)], t, model.values["delay"], model.values["lag"]
+    )
+    return states[pairs].T, states[pairs + 1].T, actuator_positions[pairs].T, np.diff(t)[pairs]
 
 
-def _advance(model: Model, vector: Array, x: Array, acting: Array, duration: Array) -> Array:
-    K = record_of(model.names)(*map(float, vector))
+def _advance(
+    model: Model, vector: Array, x: Array, actuator_positions: Array, duration: Array
+) -> Array:
+    K = parameter_record(model.names)(*map(float, vector))
     substeps, rates = SUBSTEPS[model.form], state_rates(model.form, model.terms, model.winds)
     for _ in range(substeps):
-        x = step_batch(rates, K, 0.0, x, acting, duration / substeps)
+        x = step_batch(rates, K, 0.0, x, actuator_positions, duration / substeps)
     return x

@@ -1,8 +1,9 @@
-"""Multiple shooting: flights cut into short windows + a model -> predicted poses and their derivatives.
+"""Multiple shooting: flights cut into short windows + a model -> predicted poses and their
+derivatives.
 
-Each window starts from its own free state and flies on the logged commands alone; only measured poses are compared.
-No velocity is ever differentiated from noisy poses, which is what ruins the one-step fit
-[Bock & Plitt 1984; Jategaonkar, Flight Vehicle System Identification, ch. 4].
+Each window starts from its own free state and flies on the logged commands alone; only measured
+poses are compared. No velocity is ever differentiated from noisy poses, which is what ruins the
+one-step fit [Bock & Plitt 1984; Jategaonkar, Flight Vehicle System Identification, ch. 4].
 """
 
 from collections.abc import Sequence
@@ -12,18 +13,26 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
-from falconwing_kit.aircraft.model import Model, record_of, state_rates
+from falconwing_kit.aircraft.model import Model, parameter_record, state_rates
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.frames import euler_rates, up_in_body
-from falconwing_kit.sysid.prepare import Flight
+from falconwing_kit.sysid.prepare import PreparedFlight
 
-POSE_ROWS = [0, 1, 2, 5, 3, 4]  # rows of a state that a pose shows, in the order of prepare.CHANNELS
-EARLY_ROWS = 20  # rows of commands before a window that servo lag and delay can reach back to
+POSE_ROWS = [
+    0,
+    1,
+    2,
+    5,
+    3,
+    4,
+]  # rows of a state that a pose shows, in the order of prepare.CHANNELS
+WARMUP_ROWS = 20  # rows of commands before a window that servo lag and delay can reach back to
 FIRST_ROW = 10  # of a flight: what was commanded before it is not known
 CHUNK = 8192  # aircraft advanced together; their arrays stay in the processor's cache
-# A start state is free, but not to leave its local estimate by more than an aircraft could be wrong about: metres,
-# tens of degrees. Against tens of poses this weighs nothing; where a window has a handful it keeps the fit on the map.
-START_SIGMA = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0])
+# A start state is free, but not to leave its local estimate by more than an aircraft could be wrong
+# about: metres, tens of degrees. Against tens of poses this weighs nothing; where a window has a
+# handful it keeps the fit on the map.
+INITIAL_STATE_SIGMA = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0])
 STATE_STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
 
 
@@ -34,12 +43,14 @@ class Windows:
     nodes: Array  # (W, L) time of each row, since the start of its flight [s]
     pose: Array  # (W, L, 6) measured, zero where missing [m, rad]
     weight: Array  # (W, L, 6) 1/sigma, zero where missing
-    edges: Array  # (W, E + S + 1) integration steps, E of them before the window, since the start of the flight [s]
-    early: int  # E
+    # (W, E + S + 1) integration steps, E of them before the window, since the start of the flight
+    # [s]
+    edges: Array
+    warmup_steps: int  # E
     substeps: int  # integration steps per row
     flight: np.ndarray  # (W,) which flight
-    flights: tuple[Flight, ...]
-    guess: Array  # (W, 12) start states from the local cubics
+    flights: tuple[PreparedFlight, ...]
+    initial_guess: Array  # (W, 12) start states from the local cubics
     whitening: Array | None = None  # (6, L, L) makes time-correlated pose noise white, or None
 
     def __len__(self) -> int:
@@ -50,7 +61,7 @@ class Windows:
         """Number of measured pose components."""
         return int(np.count_nonzero(self.weight))
 
-    def acting(self, model: Model, vector: Array) -> Array:
+    def actuator_positions(self, model: Model, vector: Array) -> Array:
         """Control positions over each integration step.
 
         Args:
@@ -60,19 +71,21 @@ class Windows:
         Returns:
             (S, 2, 4, W) mean and swing of each step.
         """
-        K = record_of(model.names)(*map(float, vector))
+        K = parameter_record(model.names)(*map(float, vector))
         steps = np.empty((2, len(self), self.edges.shape[1] - 1, 4))
         for number, flight in enumerate(self.flights):
             mine = self.flight == number
-            steps[:, mine] = model.acting(flight.t - flight.t[0], flight.commands, self.edges[mine], K)
-        return np.ascontiguousarray(steps[:, :, self.early :].transpose(2, 0, 3, 1))
+            steps[:, mine] = model.actuator_positions(
+                flight.t - flight.t[0], flight.commands, self.edges[mine], K
+            )
+        return np.ascontiguousarray(steps[:, :, self.warmup_steps :].transpose(2, 0, 3, 1))
 
-    def weighted(self, factor: Array) -> "Windows":
+    def scale_weights(self, factor: Array) -> "Windows":
         """The same windows with every weight multiplied by factor (W, L, 6)."""
         return replace(self, weight=self.weight * factor)
 
 
-def cut_windows(flights: Sequence[Flight], model: Model, seconds: float = 2.0) -> Windows:
+def cut_windows(flights: Sequence[PreparedFlight], model: Model, seconds: float = 2.0) -> Windows:
     """Cut flights into windows that follow each other without overlap.
 
     Args:
@@ -91,41 +104,61 @@ def cut_windows(flights: Sequence[Flight], model: Model, seconds: float = 2.0) -
     substeps = max(1, round(SUBSTEPS[model.form] * interval / 0.05))
     parts: list[tuple[Array, ...]] = []
     for number, flight in enumerate(flights):
-        begins = np.arange(FIRST_ROW, len(flight.t) - rows + 1, rows)
-        if len(begins):
-            parts.append(_cut_one(flight, begins, rows, substeps, number))
+        first_rows = np.arange(FIRST_ROW, len(flight.t) - rows + 1, rows)
+        if len(first_rows):
+            parts.append(_cut_flight(flight, first_rows, rows, substeps, number))
     if not parts:
         longest = max(f.duration for f in flights)
         raise InputError(
-            f"flight: want at least {seconds + FIRST_ROW * interval:.1f} s in one piece, got {longest:.1f} s"
+            f"flight: expected at least {seconds + FIRST_ROW * interval:.1f} s in one piece, got {longest:.1f} s"
         )
-    nodes, pose, weight, edges, flight_number, guess = (np.concatenate(p) for p in zip(*parts, strict=True))
-    filled = np.count_nonzero(weight, axis=(1, 2)) >= 0.5 * min(np.max(np.count_nonzero(weight, axis=(1, 2))), rows * 6)
+    nodes, pose, weight, edges, flight_number, initial_guess = (
+        np.concatenate(p) for p in zip(*parts, strict=True)
+    )
+    filled = np.count_nonzero(weight, axis=(1, 2)) >= 0.5 * min(
+        np.max(np.count_nonzero(weight, axis=(1, 2))), rows * 6
+    )
     if not filled.any():
-        raise InputError("flight: want windows with at least half of their poses, got none")
-    early = EARLY_ROWS * substeps
+        raise InputError("flight: expected windows with at least half of their poses, got none")
+    warmup_steps = WARMUP_ROWS * substeps
     return Windows(
-        nodes[filled], pose[filled], weight[filled], edges[filled], early, substeps,
-        flight_number[filled], tuple(flights), guess[filled],
+        nodes[filled], pose[filled], weight[filled], edges[filled], warmup_steps, substeps,
+        flight_number[filled], tuple(flights), initial_guess[filled],
     )  # fmt: skip
 
 
-def _cut_one(flight: Flight, begins: np.ndarray, rows: int, substeps: int, number: int) -> tuple[Array, ...]:
-    index = begins[:, None] + np.arange(rows)
+def _cut_flight(
+    flight: PreparedFlight, first_rows: np.ndarray, rows: int, substeps: int, number: int
+) -> tuple[Array, ...]:
+    index = first_rows[:, None] + np.arange(rows)
     t = flight.t - flight.t[0]
     interval = float(np.median(np.diff(t)))
     nodes = t[index]
     between = np.arange(substeps) / substeps
-    inner = (nodes[:, :-1, None] + np.diff(nodes)[:, :, None] * between).reshape(len(begins), -1)
-    before = nodes[:, :1] - interval / substeps * np.arange(EARLY_ROWS * substeps, 0, -1)
+    inner = (nodes[:, :-1, None] + np.diff(nodes)[:, :, None] * between).reshape(
+        len(first_rows), -1
+    )
+    before = nodes[:, :1] - interval / substeps * np.arange(WARMUP_ROWS * substeps, 0, -1)
     edges = np.concatenate([before, inner, nodes[:, -1:]], axis=1)
     pose = flight.pose[index]
     weight = np.where(np.isfinite(pose), 1.0 / flight.sigma, 0.0)
-    return nodes, np.nan_to_num(pose), weight, edges, np.full(len(begins), number), flight.smooth[begins]
+    return (
+        nodes,
+        np.nan_to_num(pose),
+        weight,
+        edges,
+        np.full(len(first_rows), number),
+        flight.state_estimate[first_rows],
+    )
 
 
 def predict(
-    model: Model, windows: Windows, starts: Array, values: Array, acting: Array, sticks: np.ndarray | None = None
+    model: Model,
+    windows: Windows,
+    initial_states: Array,
+    values: Array,
+    actuator_positions: Array,
+    variant_index: np.ndarray | None = None,
 ) -> Array:
     """Fly every window once for each of C columns of start states and parameter values.
 
@@ -134,27 +167,34 @@ def predict(
         windows: W windows.
         starts: (n_states, C, W) start states.
         values: (P, C) parameter values; delay and lag have acted already.
-        acting: (S, 2, 4, A, W) mean and swing of the control positions in each integration step, in A variants.
+        acting: (S, 2, 4, A, W) mean and swing of the control positions in each integration step, in
+            A variants.
         sticks: (C,) which variant each column flies on; None where there is but one.
 
     Returns:
         (L, 6, C, W) predicted poses at the windows' rows, order of CHANNELS.
     """
     rates = state_rates(model.form, model.terms, model.winds)
-    steps = np.diff(windows.edges[:, windows.early :], axis=1).T
-    begin = windows.edges[:, windows.early :].T
-    n_columns, n_windows = starts.shape[1:]
+    steps = np.diff(windows.edges[:, windows.warmup_steps :], axis=1).T
+    begin = windows.edges[:, windows.warmup_steps :].T
+    n_columns, n_windows = initial_states.shape[1:]
     poses = np.empty((windows.nodes.shape[1], 6, n_columns, n_windows))
     varied = np.ptp(values, axis=1) > 0.0
-    K = record_of(model.names)(*(v[:, None] if many else float(v[0]) for v, many in zip(values, varied, strict=True)))
+    K = parameter_record(model.names)(
+        *(v[:, None] if many else float(v[0]) for v, many in zip(values, varied, strict=True))
+    )
     width = max(1, CHUNK // n_columns)
     for a in range(0, n_windows, width):
         part = slice(a, a + width)
-        x = np.ascontiguousarray(starts[:, :, part])
+        x = np.ascontiguousarray(initial_states[:, :, part])
         poses[0, :, :, part] = x[POSE_ROWS]
         for k in range(len(steps)):
-            mean, swing = acting[k, ..., part] if sticks is None else acting[k, ..., part][:, :, sticks]
-            x = step_batch(rates, K, begin[k, part], x, mean, steps[k, part], swing)
+            mean, slope = (
+                actuator_positions[k, ..., part]
+                if variant_index is None
+                else actuator_positions[k, ..., part][:, :, variant_index]
+            )
+            x = step_batch(rates, K, begin[k, part], x, mean, steps[k, part], slope)
             if (k + 1) % windows.substeps == 0:
                 poses[(k + 1) // windows.substeps, :, :, part] = x[POSE_ROWS]
     if any(effect.pose for effect in model.effects):
@@ -163,12 +203,14 @@ def predict(
 
 
 def _tilt_camera(poses: Array, K: Any) -> None:
-    """Turn predicted attitudes by a small rotation in the body, in place: the camera looks elsewhere."""
+    """Turn predicted attitudes by a small rotation in the body, in place: the camera looks
+    elsewhere.
+    """
     up = up_in_body(poses[:, 3], poses[:, 4])
     poses[:, 3:] += np.stack(euler_rates(up, K.tilt_roll, K.tilt_pitch, 0.0 * poses[:, 3]), axis=1)
 
 
-def residuals(model: Model, windows: Windows, starts: Array) -> Array:
+def residuals(model: Model, windows: Windows, initial_states: Array) -> Array:
     """Weighted difference between predicted and measured poses.
 
     Args:
@@ -177,15 +219,21 @@ def residuals(model: Model, windows: Windows, starts: Array) -> Array:
         starts: (W, n_states).
 
     Returns:
-        (W, L * 6 + n_states): poses, zero where one is missing and infinite where the flight ran away; then how far
-        the start states are from their local estimates.
+        (W, L * 6 + n_states): poses, zero where one is missing and infinite where the flight ran
+        away; then how far the start states are from their local estimates.
     """
-    poses = fly_windows(model, windows, starts).transpose(1, 2, 0)[:, :, None]
+    poses = fly_windows(model, windows, initial_states).transpose(1, 2, 0)[:, :, None]
     with np.errstate(all="ignore"):
-        return np.concatenate([_weigh(windows, poses)[0], _strayed(windows, starts)], axis=1)
+        return np.concatenate(
+            [
+                _normalise_residuals(windows, poses)[0],
+                _initial_state_residuals(windows, initial_states),
+            ],
+            axis=1,
+        )
 
 
-def fly_windows(model: Model, windows: Windows, starts: Array) -> Array:
+def fly_windows(model: Model, windows: Windows, initial_states: Array) -> Array:
     """Predicted poses of every window at all of its rows, measured or not.
 
     Args:
@@ -196,9 +244,11 @@ def fly_windows(model: Model, windows: Windows, starts: Array) -> Array:
     Returns:
         (W, L, 6) in the order of CHANNELS; not finite where the flight ran away.
     """
-    acting = windows.acting(model, model.vector)[:, :, :, None]
+    actuator_positions = windows.actuator_positions(model, model.vector)[:, :, :, None]
     with np.errstate(all="ignore"):
-        poses = predict(model, windows, starts.T[:, None, :], model.vector[:, None], acting)
+        poses = predict(
+            model, windows, initial_states.T[:, None, :], model.vector[:, None], actuator_positions
+        )
     return np.ascontiguousarray(poses[:, :, 0].transpose(2, 0, 1))
 
 
@@ -215,14 +265,21 @@ def pose_residuals(residual: Array, windows: Windows) -> Array:
     return residual[:, : windows.weight[0].size].reshape(windows.weight.shape)
 
 
-def _strayed(windows: Windows, starts: Array) -> Array:
-    n = starts.shape[1]
-    away = (starts - windows.guess[:, :n]) / START_SIGMA[:n]
-    away[:, 4] -= 2.0 * np.pi / START_SIGMA[4] * np.round(away[:, 4] * START_SIGMA[4] / (2.0 * np.pi))
-    return away
+def _initial_state_residuals(windows: Windows, initial_states: Array) -> Array:
+    n = initial_states.shape[1]
+    deviation = (initial_states - windows.initial_guess[:, :n]) / INITIAL_STATE_SIGMA[:n]
+    deviation[:, 4] -= (
+        2.0
+        * np.pi
+        / INITIAL_STATE_SIGMA[4]
+        * np.round(deviation[:, 4] * INITIAL_STATE_SIGMA[4] / (2.0 * np.pi))
+    )
+    return deviation
 
 
-def jacobian(model: Model, windows: Windows, starts: Array, free: Sequence[int]) -> tuple[Array, Array, Array]:
+def jacobian(
+    model: Model, windows: Windows, initial_states: Array, free: Sequence[int]
+) -> tuple[Array, Array, Array]:
     """Residuals and their derivatives by batched forward differences.
 
     All perturbed aircraft of all windows fly together, which is why plain NumPy is fast enough.
@@ -234,28 +291,38 @@ def jacobian(model: Model, windows: Windows, starts: Array, free: Sequence[int])
         free: which parameters move, as indices into model.names.
 
     Returns:
-        residual (W, R) as of `residuals`; derivative to the free parameters (W, R, F), per unit of each parameter;
-        derivative to the start states (W, R, n_states).
+        residual (W, R) as of `residuals`; derivative to the free parameters (W, R, F), per unit of
+        each parameter; derivative to the start states (W, R, n_states).
     """
     mapped = model.input_names
-    steps = np.array([1e-3 if model.names[i] in mapped else 1e-5 * _size(model, i) for i in free])
+    steps = np.array(
+        [1e-3 if model.names[i] in mapped else 1e-5 * _parameter_scale(model, i) for i in free]
+    )
     n_states, n_free = model.n_states, len(free)
     columns = 1 + n_free + n_states
     values = np.repeat(model.vector[:, None], columns, axis=1)
-    start_columns = np.repeat(starts.T[:, None, :], columns, axis=1)
+    state_columns = np.repeat(initial_states.T[:, None, :], columns, axis=1)
     values[list(free), range(1, 1 + n_free)] += steps
     for i in range(n_states):
-        start_columns[i, 1 + n_free + i] += STATE_STEPS[i]
-    at_base, moved = _moved(model, windows, start_columns, values)
+        state_columns[i, 1 + n_free + i] += STATE_STEPS[i]
+    at_base, moved = _perturbed_residuals(model, windows, state_columns, values)
     moved /= np.concatenate([steps, STATE_STEPS[:n_states]])[:, None, None]
     moved = np.moveaxis(moved, 0, -1)
     of_starts = np.zeros((len(windows), n_states, n_free + n_states))
-    of_starts[:, range(n_states), range(n_free, n_free + n_states)] = 1.0 / START_SIGMA[:n_states]
+    of_starts[:, range(n_states), range(n_free, n_free + n_states)] = (
+        1.0 / INITIAL_STATE_SIGMA[:n_states]
+    )
     moved = np.concatenate([moved, of_starts], axis=1)
-    return np.concatenate([at_base, _strayed(windows, starts)], axis=1), moved[..., :n_free], moved[..., n_free:]
+    return (
+        np.concatenate([at_base, _initial_state_residuals(windows, initial_states)], axis=1),
+        moved[..., :n_free],
+        moved[..., n_free:],
+    )
 
 
-def changes(model: Model, windows: Windows, starts: Array, values: Array) -> Array:
+def finite_differences(
+    model: Model, windows: Windows, initial_states: Array, values: Array
+) -> Array:
     """How far residuals move when parameters take other values, many sets of them flown together.
 
     Args:
@@ -265,30 +332,44 @@ def changes(model: Model, windows: Windows, starts: Array, values: Array) -> Arr
         values: (P, C) parameter values, one set a column.
 
     Returns:
-        (C, W, R) as of `residuals`: those at the other values less those at the present ones, infinite where a flight
-        ran away.
+        (C, W, R) as of `residuals`: those at the other values less those at the present ones,
+        infinite where a flight ran away.
     """
     values = np.column_stack([model.vector, values])
-    start_columns = np.repeat(starts.T[:, None, :], values.shape[1], axis=1)
-    _, moved = _moved(model, windows, start_columns, values)
-    return np.concatenate([moved, np.zeros((*moved.shape[:2], starts.shape[1]))], axis=2)
+    state_columns = np.repeat(initial_states.T[:, None, :], values.shape[1], axis=1)
+    _, moved = _perturbed_residuals(model, windows, state_columns, values)
+    return np.concatenate([moved, np.zeros((*moved.shape[:2], initial_states.shape[1]))], axis=2)
 
 
-def _moved(model: Model, windows: Windows, start_columns: Array, values: Array) -> tuple[Array, Array]:
-    """Pose residuals of the first column (W, L * 6) and what the others differ from them (C - 1, W, L * 6)."""
+def _perturbed_residuals(
+    model: Model, windows: Windows, state_columns: Array, values: Array
+) -> tuple[Array, Array]:
+    """Pose residuals of the first column (W, L * 6) and what the others differ from them (C - 1, W,
+    L * 6).
+    """
     mapped = [model.names.index(name) for name in model.input_names]
-    acting, sticks = [windows.acting(model, values[:, 0])], np.zeros(values.shape[1], dtype=int)
+    actuator_positions, variant_index = (
+        [windows.actuator_positions(model, values[:, 0])],
+        np.zeros(values.shape[1], dtype=int),
+    )
     for column in np.flatnonzero((values[mapped] != values[mapped][:, :1]).any(axis=0)):
-        sticks[column] = len(acting)
-        acting.append(windows.acting(model, values[:, column]))
+        variant_index[column] = len(actuator_positions)
+        actuator_positions.append(windows.actuator_positions(model, values[:, column]))
     with np.errstate(all="ignore"):
-        variants = np.stack(acting, axis=3)
-        poses = predict(model, windows, start_columns, values, variants, sticks if len(acting) > 1 else None)
-        weighed = _weigh(windows, poses)
+        variants = np.stack(actuator_positions, axis=3)
+        poses = predict(
+            model,
+            windows,
+            state_columns,
+            values,
+            variants,
+            variant_index if len(actuator_positions) > 1 else None,
+        )
+        weighed = _normalise_residuals(windows, poses)
         return weighed[0], weighed[1:] - weighed[0]
 
 
-def _weigh(windows: Windows, poses: Array) -> Array:
+def _normalise_residuals(windows: Windows, poses: Array) -> Array:
     """(L, 6, C, W) predicted poses -> (C, W, L * 6) weighted residuals; angles by the shorter way."""
     difference = poses.transpose(2, 3, 0, 1) - windows.pose
     angles = difference[..., 3:]
@@ -300,5 +381,5 @@ def _weigh(windows: Windows, poses: Array) -> Array:
     return difference.reshape(*difference.shape[:2], -1)
 
 
-def _size(model: Model, i: int) -> float:
+def _parameter_scale(model: Model, i: int) -> float:
     return max(abs(model.vector[i]), abs(model.parameters[i].start), 0.1)

@@ -1,4 +1,6 @@
-"""Uncertainty: a finished fit -> 95 % intervals, correlations, and which parameters this flight did not excite."""
+"""Uncertainty: a finished fit -> 95 % intervals, correlations, and which parameters this flight did
+not excite.
+"""
 
 from dataclasses import dataclass
 
@@ -10,7 +12,9 @@ from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
 from falconwing_kit.sysid.shooting import Windows
 
 HIGH_CORRELATION = 0.95
-WEAK_SHARE = 0.5  # an interval wider than this share of the value (or of an ordinary value) says little
+WEAK_SHARE = (
+    0.5  # an interval wider than this share of the value (or of an ordinary value) says little
+)
 
 
 @dataclass(frozen=True)
@@ -38,9 +42,9 @@ class Uncertainty:
 def uncertainty(result: FitResult, windows: Windows, prior: Prior | None = None) -> Uncertainty:
     """Covariance of the fitted parameters from the curvature of the cost.
 
-    cov = f s^2 (J'J)^-1 with s^2 = chi2 per degree of freedom [Jategaonkar, eq. 4.44]. The factor f compares the
-    scatter of the windows' gradients with what white residuals would give; time-correlated pose noise raises it
-    [White 1980; Liang & Zeger 1986, clustered by window].
+    cov = f s^2 (J'J)^-1 with s^2 = chi2 per degree of freedom [Jategaonkar, eq. 4.44]. The factor f
+    compares the scatter of the windows' gradients with what white residuals would give;
+    time-correlated pose noise raises it [White 1980; Liang & Zeger 1986, clustered by window].
 
     Args:
         result: the finished fit.
@@ -50,21 +54,23 @@ def uncertainty(result: FitResult, windows: Windows, prior: Prior | None = None)
     Returns:
         The uncertainty of the parameters that were free.
     """
-    model, J = result.model, result.reduced
+    model, J = result.model, result.reduced_jacobian
     names = tuple(model.names[i] for i in result.free)
-    freedom = max(windows.count - len(names) - J.shape[0] * model.n_states, 1)
-    s2 = float(np.sum(result.residual**2)) / freedom
+    degrees_of_freedom = max(windows.count - len(names) - J.shape[0] * model.n_states, 1)
+    s2 = float(np.sum(result.residual**2)) / degrees_of_freedom
     normal = np.einsum("wif,wig->fg", J, J, optimize=True)
-    known, _ = prior_rows(model, result.free, prior)
-    inverse = _inverse(normal / max(s2, 1e-12) + known.T @ known)
+    prior_factor, _ = prior_rows(model, result.free, prior)
+    inverse = _inverse(normal / max(s2, 1e-12) + prior_factor.T @ prior_factor)
     inflation = _inflation(J, result.residual, inverse / max(s2, 1e-12), s2)
     covariance = inverse * inflation
     values = {n: model.values[n] for n in names}
     sigma = np.sqrt(np.diag(covariance))
-    known_as = {p.name: p for p in model.parameters}
-    at_bound = tuple(n for n in names if _at_bound(known_as[n], values[n]))
+    parameter_of = {p.name: p for p in model.parameters}
+    at_bound = tuple(n for n in names if _at_bound(parameter_of[n], values[n]))
     half = dict(zip(names, 1.96 * sigma, strict=True))
-    weak = tuple(n for n in names if half[n] > WEAK_SHARE * ordinary_size(known_as[n], values[n]))
+    weak = tuple(
+        n for n in names if half[n] > WEAK_SHARE * ordinary_size(parameter_of[n], values[n])
+    )
     correlation = covariance / np.outer(sigma, sigma)
     pairs = [
         (names[i], names[j], float(correlation[i, j]))
@@ -72,20 +78,28 @@ def uncertainty(result: FitResult, windows: Windows, prior: Prior | None = None)
         for j in range(i)
         if abs(correlation[i, j]) > HIGH_CORRELATION
     ]
-    return Uncertainty(names, covariance, inflation, tuple(sorted(pairs, key=lambda p: -abs(p[2]))), weak, at_bound)
+    return Uncertainty(
+        names, covariance, inflation, tuple(sorted(pairs, key=lambda p: -abs(p[2]))), weak, at_bound
+    )
 
 
 def ordinary_size(parameter: Parameter, value: float) -> float:
-    """What counts as a full-sized value of a parameter, its unit: the found, the usual, or a part of its range."""
+    """What counts as a full-sized value of a parameter, its unit: the found, the usual, or a part
+    of its range.
+    """
     return max(abs(value), abs(parameter.start) or 0.05 * (parameter.high - parameter.low))
 
 
 def _at_bound(parameter: Parameter, value: float) -> bool:
-    return min(value - parameter.low, parameter.high - value) < 1e-6 * (parameter.high - parameter.low)
+    return min(value - parameter.low, parameter.high - value) < 1e-6 * (
+        parameter.high - parameter.low
+    )
 
 
 def _inverse(matrix: Array) -> Array:
-    """Inverse of a symmetric positive matrix whose rows differ by orders of magnitude; flat directions stay finite."""
+    """Inverse of a symmetric positive matrix whose rows differ by orders of magnitude; flat
+    directions stay finite.
+    """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-30))
     values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
     inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T
@@ -98,7 +112,7 @@ def _inflation(J: Array, residual: Array, inverse: Array, s2: float) -> float:
     clusters = len(gradients)
     if clusters < 8:
         return 1.0
-    scatter = gradients.T @ gradients * clusters / max(clusters - 1, 1)
-    clustered = np.diag(inverse @ scatter @ inverse)
+    gradient_scatter = gradients.T @ gradients * clusters / max(clusters - 1, 1)
+    clustered = np.diag(inverse @ gradient_scatter @ inverse)
     white = np.diag(inverse) * s2
     return max(1.0, float(np.mean(clustered / np.maximum(white, 1e-30))))

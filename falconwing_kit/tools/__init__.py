@@ -1,1 +1,3 @@
-"""tools: what is used and not read (command line, grading, capture, bridge, ...); the book never imports it."""
+"""tools: what is used and not read (command line, grading, capture, bridge, ...); the book never
+imports it.
+"""

@@ -1,11 +1,13 @@
-"""trainer_port: PPM calibration, serial protocol, safety state machine, boards and the port to the transmitter."""
+"""trainer_port: PPM calibration, serial protocol, safety state machine, boards and the port to the
+transmitter.
+"""
 
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.trainer_port.ppm import Calibration, Stick, load_calibration
 from falconwing_kit.trainer_port.protocol import (
     CommandFrame,
     Deframer,
-    Pilot,
+    PilotFrame,
     Status,
     SyncReply,
     SyncRequest,
@@ -16,21 +18,21 @@ from falconwing_kit.trainer_port.protocol import (
     encode_command,
     encode_sync,
 )
-from falconwing_kit.trainer_port.safety import Safety, SafetyConfig, Verdict
+from falconwing_kit.trainer_port.safety import Safety, SafetyConfig, SafetyDecision
 
 __all__ = [
     "Calibration",
     "CommandFrame",
     "Deframer",
-    "Pilot",
+    "PilotFrame",
     "Safety",
     "SafetyConfig",
+    "SafetyDecision",
     "Status",
     "Stick",
     "SyncReply",
     "SyncRequest",
     "TrainerPort",
-    "Verdict",
     "decode",
     "decode_status",
     "encode",

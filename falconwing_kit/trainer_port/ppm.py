@@ -1,6 +1,8 @@
-"""PPM calibration: stick positions <-> microseconds in the slots of a PPM frame. Order, reversal and limits live here.
+"""PPM calibration: stick positions <-> microseconds in the slots of a PPM frame. Order, reversal
+and limits live here.
 
-A PPM frame is a train of short gap pulses; the time from one pulse to the next is a channel, and a long pause ends it:
+A PPM frame is a train of short gap pulses; the time from one pulse to the next is a channel, and a
+long pause ends it:
 
     _   _____   _______   ____   _______   _____________________   _____
      |_|  ch1 |_|  ch2  |_| ch3|_|  ch4  |_|       pause         |_|      (polarity 1: idle high, pulses low)
@@ -17,10 +19,13 @@ from falconwing_kit.core.config import from_toml
 from falconwing_kit.core.files import shipped_path
 from falconwing_kit.core.messages import COMMAND_NAMES, Command
 
-VALID_US = (900, 2100)  # outside of this the firmware refuses a command (VALID_MIN_US, VALID_MAX_US of config.h)
+VALID_US = (
+    900,
+    2100,
+)  # outside of this the firmware refuses a command (VALID_MIN_US, VALID_MAX_US of config.h)
 SENT_US = (1000, 2000)  # to this it cuts what it sends (CHANNEL_MIN_US, CHANNEL_MAX_US)
-PAUSE_US = (4000, 19000)  # pauses that radios with EdgeTX take for the end of a frame
-SPARE_US = 1500  # slots that no stick uses
+SYNC_GAP_US = (4000, 19000)  # pauses that radios with EdgeTX take for the end of a frame
+UNUSED_CHANNEL_US = 1500  # slots that no stick uses
 
 
 @dataclass(frozen=True)
@@ -31,26 +36,34 @@ class Stick:
     low_us: int  # [us] at the end that gives fewer
     centre_us: int  # [us] in the middle; of the throttle, at half throttle
     high_us: int  # [us] at the end that gives more
-    reversed: bool = False  # True: the positive end (full throttle, right, nose up) is the one that gives fewer
+    reversed: bool = (
+        False  # True: the positive end (full throttle, right, nose up) is the one that gives fewer
+    )
 
     def __post_init__(self) -> None:
         low, high = VALID_US
         if not low <= self.low_us < self.centre_us < self.high_us <= high:
             raise InputError(
-                f"want low_us < centre_us < high_us within {low}..{high} us, "
+                f"expected low_us < centre_us < high_us within {low}..{high} us, "
                 f"got {self.low_us}, {self.centre_us}, {self.high_us}; measure again or correct the file"
             )
 
     def to_us(self, position: float) -> int:
-        """Microseconds, to the nearest whole one, of a stick at -1..1: straight lines from the centre to both ends."""
+        """Microseconds, to the nearest whole one, of a stick at -1..1: straight lines from the
+        centre to both ends.
+        """
         side = -position if self.reversed else position
         reach = self.high_us - self.centre_us if side >= 0.0 else self.centre_us - self.low_us
         return round(self.centre_us + side * reach)
 
     def to_position(self, us: float) -> float:
-        """Where the stick is, -1..1 and beyond where the microseconds are beyond its ends: the inverse of `to_us`."""
+        """Where the stick is, -1..1 and beyond where the microseconds are beyond its ends: the
+        inverse of `to_us`.
+        """
         offset = us - self.centre_us
-        side = offset / (self.high_us - self.centre_us if offset >= 0.0 else self.centre_us - self.low_us)
+        side = offset / (
+            self.high_us - self.centre_us if offset >= 0.0 else self.centre_us - self.low_us
+        )
         return -side if self.reversed else side
 
 
@@ -74,16 +87,20 @@ class Calibration:
         require_range("channels", self.channels, low=4, high=8)
         require_range("gap_us", self.gap_us, low=100, high=VALID_US[0] - 100)
         if self.polarity not in (0, 1):
-            raise InputError(f"polarity: want 1 (idle high) or 0 (idle low), got {self.polarity}")
-        shortest, longest = (self.frame_us - self.channels * us for us in reversed(SENT_US))
-        if shortest < PAUSE_US[0] or longest > PAUSE_US[1]:
             raise InputError(
-                f"frame_us: want a pause of {PAUSE_US[0]}..{PAUSE_US[1]} us behind {self.channels} channels, "
+                f"polarity: expected 1 (idle high) or 0 (idle low), got {self.polarity}"
+            )
+        shortest, longest = (self.frame_us - self.channels * us for us in reversed(SENT_US))
+        if shortest < SYNC_GAP_US[0] or longest > SYNC_GAP_US[1]:
+            raise InputError(
+                f"frame_us: expected a pause of {SYNC_GAP_US[0]}..{SYNC_GAP_US[1]} us behind {self.channels} channels, "
                 f"got {shortest}..{longest} us; change frame_us or channels"
             )
         slots = [stick.channel for stick in self.sticks]
         if len(set(slots)) < len(slots) or not 1 <= min(slots) <= max(slots) <= self.channels:
-            raise InputError(f"channel: want four different slots of 1..{self.channels}, got {slots}; correct the file")
+            raise InputError(
+                f"channel: expected four different slots of 1..{self.channels}, got {slots}; correct the file"
+            )
 
     @property
     def sticks(self) -> tuple[Stick, Stick, Stick, Stick]:
@@ -102,9 +119,14 @@ class Calibration:
         Raises:
             InputError: a stick is not finite.
         """
-        cut = Command.limited(*(getattr(command, name) for name in COMMAND_NAMES))
-        positions = (2.0 * cut.throttle - 1.0, cut.aileron, cut.elevator, cut.rudder)
-        slots = [SPARE_US] * self.channels
+        clipped = Command.clip(*(getattr(command, name) for name in COMMAND_NAMES))
+        positions = (
+            2.0 * clipped.throttle - 1.0,
+            clipped.aileron,
+            clipped.elevator,
+            clipped.rudder,
+        )
+        slots = [UNUSED_CHANNEL_US] * self.channels
         for stick, position in zip(self.sticks, positions, strict=True):
             slots[stick.channel - 1] = stick.to_us(position)
         return tuple(slots)
@@ -124,10 +146,10 @@ class Calibration:
         needed = max(stick.channel for stick in self.sticks)
         if len(channels_us) < needed:
             raise InputError(
-                f"channels: want at least {needed}, got {len(channels_us)}; does the radio send PPM of four?"
+                f"channels: expected at least {needed}, got {len(channels_us)}; does the radio send PPM of four?"
             )
         at = [stick.to_position(channels_us[stick.channel - 1]) for stick in self.sticks]
-        return Command.limited(0.5 * (at[0] + 1.0), at[1], at[2], at[3])
+        return Command.clip(0.5 * (at[0] + 1.0), at[1], at[2], at[3])
 
 
 def load_calibration(path: str | Path | None = None) -> Calibration:
@@ -138,7 +160,8 @@ def load_calibration(path: str | Path | None = None) -> Calibration:
 
     Raises:
         FileNotFoundError: there is no file at the path.
-        InputError: the file is not TOML, a key is missing or unknown, or the values make no PPM frame.
+        InputError: the file is not TOML, a key is missing or unknown, or the values make no PPM
+            frame.
     """
     return from_toml(Calibration, default_calibration_path() if path is None else path)
 
@@ -150,7 +173,8 @@ def shipped_calibration() -> Calibration:
 
 
 def default_calibration_path() -> Path:
-    """Where the calibration that ships is: in a checkout beside the package, else where the install put it.
+    """Where the calibration that ships is: in a checkout beside the package, else where the install
+    put it.
 
     Raises:
         FileNotFoundError: it is in neither place.
@@ -163,4 +187,6 @@ def _require_date(text: str) -> None:
         if text:
             date.fromisoformat(text)
     except ValueError:
-        raise InputError(f'measured: want a day such as "2026-03-01", or "" for never, got {text!r}') from None
+        raise InputError(
+            f'measured: expected a day such as "2026-03-01", or "" for never, got {text!r}'
+        ) from None

@@ -1,4 +1,5 @@
-"""Safety state machine: commands and ticks with their times -> what goes out in the PPM slots. The reference model.
+"""Safety state machine: commands and ticks with their times -> what goes out in the PPM slots. The
+reference model.
 
                           first tick
                    BOOT -------------> SAFE <------------ engage = 0 ------------+
@@ -10,15 +11,17 @@
     any state -- 5 commands out of range within 1 s --> FAULT (range)        watchdog reset --> FAULT (stall)
     FAULT -- engage = 0, at least 1 s after the last violation and after boot --> SAFE
 
-Only ACTIVE lets the host's channels out; every other state sends throttle idle and the other sticks neutral. The
-firmware holds the same machine in C++ (firmware/trainer_bridge/safety.cpp); the two were written apart from the same
-rules, and tests hold them side by side. What those rules left open is settled so:
+Only ACTIVE lets the host's channels out; every other state sends throttle idle and the other sticks
+neutral. The firmware holds the same machine in C++ (firmware/trainer_bridge/safety.cpp); the two
+were written apart from the same rules, and tests hold them side by side. What those rules left open
+is settled so:
 
 - A command out of range is a violation whatever its sequence says: the range is looked at before the sequence.
 - The edge and its five frames count in SAFE only; commands that come in BOOT are accepted, and no more.
 - A limit is reached when its time has passed in full: 200 ms after a frame is a loss, 199.999 ms is none.
 - Times are the board's microseconds in 32 bits and wrap after 71 minutes, so whatever can grow older than that is
-  forgotten (or, where it is silence or the end of a rest, remembered) at the tick that sees its limit reached.
+  forgotten (or, where it is silence or the end of a rest, remembered) at the tick that sees its
+  limit reached.
 - Silence, once it has begun, lasts until a valid frame comes, in FAULT too; it begins in SAFE and LOST only.
 """
 
@@ -32,7 +35,7 @@ SECOND_US = 1_000_000
 CLOCK = 2**32  # the board's microseconds wrap here
 
 
-class Verdict(IntEnum):
+class SafetyDecision(IntEnum):
     """What became of a command; the numbers are those of the firmware's host library."""
 
     ACCEPTED = 0
@@ -61,9 +64,12 @@ class SafetyConfig:
     range_fault_frames: int = 5
 
     def __post_init__(self) -> None:
-        if not 4 <= self.channels <= len(self.safe_us) or not 0 <= self.throttle_channel < self.channels:
+        if (
+            not 4 <= self.channels <= len(self.safe_us)
+            or not 0 <= self.throttle_channel < self.channels
+        ):
             raise InputError(
-                f"board: want 4 to {len(self.safe_us)} channels, the throttle's among them counted from 0, "
+                f"board: expected 4 to {len(self.safe_us)} channels, the throttle's among them counted from 0, "
                 f"got {self.channels} and {self.throttle_channel}"
             )
 
@@ -74,9 +80,13 @@ def elapsed_us(now_us: int, since_us: int) -> int:
 
 
 class Safety:
-    """The state machine. `frame` takes each COMMAND with a good CRC, `tick` runs once per PPM frame."""
+    """The state machine. `frame` takes each COMMAND with a good CRC, `tick` runs once per PPM
+    frame.
+    """
 
-    def __init__(self, config: SafetyConfig | None = None, now_us: int = 0, *, watchdog_reset: bool = False) -> None:
+    def __init__(
+        self, config: SafetyConfig | None = None, now_us: int = 0, *, watchdog_reset: bool = False
+    ) -> None:
         """Boot.
 
         Args:
@@ -90,15 +100,20 @@ class Safety:
         self.last_sequence: int | None = None  # of the last valid frame
         self.silent = False
         self.slots_us = self.config.safe_us[: self.config.channels]  # sent last
-        self._wanted_us = self.slots_us
+        self._target_us = self.slots_us
         self._engage: bool | None = None  # flag of the last valid frame
         self._valid_us: int | None = None  # when it came
         self._edge_us: int | None = None  # when the edge came, while it counts
         self._engaged_frames = 0  # from the edge on
         self._violations, self._first_violation_us = 0, 0  # within one second
-        self._resting, self._rest_us = True, now_us  # less than a second after boot or after the last violation
+        self._resting, self._rest_us = (
+            True,
+            now_us,
+        )  # less than a second after boot or after the last violation
 
-    def frame(self, now_us: int, sequence: int, engage: bool, channels_us: Sequence[int]) -> Verdict:
+    def frame(
+        self, now_us: int, sequence: int, engage: bool, channels_us: Sequence[int]
+    ) -> SafetyDecision:
         """Take a command.
 
         Args:
@@ -110,23 +125,28 @@ class Safety:
         Returns:
             What became of it; only ACCEPTED moves the sequence and renews the countdown.
         """
-        self._forget(now_us)
+        self._expire_timers(now_us)
         if len(channels_us) != self.config.channels:
-            return Verdict.FORM
-        if not all(self.config.valid_min_us <= us <= self.config.valid_max_us for us in channels_us):
-            self._violate(now_us)
-            return Verdict.RANGE
-        if self.last_sequence is not None and not 1 <= (sequence - self.last_sequence) % 65536 <= 32767:
-            return Verdict.SEQUENCE
+            return SafetyDecision.FORM
+        if not all(
+            self.config.valid_min_us <= us <= self.config.valid_max_us for us in channels_us
+        ):
+            self._count_violation(now_us)
+            return SafetyDecision.RANGE
+        if (
+            self.last_sequence is not None
+            and not 1 <= (sequence - self.last_sequence) % 65536 <= 32767
+        ):
+            return SafetyDecision.SEQUENCE
         is_edge = engage and self._engage is not None and not self._engage
         self.last_sequence, self._engage, self._valid_us = sequence, engage, now_us
-        self._wanted_us = tuple(channels_us)
+        self._target_us = tuple(channels_us)
         self.silent = False
         if engage:
-            self._engaged(now_us, is_edge)
+            self._process_engage(now_us, is_edge)
         else:
-            self._handed_back()
-        return Verdict.ACCEPTED
+            self._process_hand_back()
+        return SafetyDecision.ACCEPTED
 
     def tick(self, now_us: int) -> tuple[int, ...] | None:
         """Begin a PPM frame.
@@ -137,18 +157,24 @@ class Safety:
         Returns:
             (channels,) [us] that go out in this frame; None: no pulses.
         """
-        self._forget(now_us)
+        self._expire_timers(now_us)
         if self.state == "BOOT":
             self.state = "SAFE"
-        if self.state == "ACTIVE" and self._valid_is_older(now_us, self.config.host_timeout_ms):
+        if self.state == "ACTIVE" and self._is_timed_out(now_us, self.config.host_timeout_ms):
             self.state = "LOST"
         if self.config.silent_after_ms and self.state in ("SAFE", "LOST"):
-            self.silent = self.silent or self._valid_is_older(now_us, self.config.silent_after_ms)
-        self.slots_us = self._limited() if self.state == "ACTIVE" else self.config.safe_us[: self.config.channels]
+            self.silent = self.silent or self._is_timed_out(now_us, self.config.silent_after_ms)
+        self.slots_us = (
+            self._limit_slots()
+            if self.state == "ACTIVE"
+            else self.config.safe_us[: self.config.channels]
+        )
         return None if self.silent else self.slots_us
 
-    def _engaged(self, now_us: int, is_edge: bool) -> None:
-        """A valid frame with engage = 1: in SAFE the edge and four more make ACTIVE, elsewhere it does nothing."""
+    def _process_engage(self, now_us: int, is_edge: bool) -> None:
+        """A valid frame with engage = 1: in SAFE the edge and four more make ACTIVE, elsewhere it
+        does nothing.
+        """
         if self.state != "SAFE":
             return
         if is_edge:
@@ -158,13 +184,13 @@ class Safety:
             if self._engaged_frames >= self.config.engage_frames:
                 self.state, self._edge_us = "ACTIVE", None
 
-    def _handed_back(self) -> None:
+    def _process_hand_back(self) -> None:
         """A valid frame with engage = 0: always the way to SAFE, from a fault only after a rest."""
         self._edge_us = None
         if self.state in ("ACTIVE", "LOST") or (self.state == "FAULT" and not self._resting):
             self.state, self.fault = "SAFE", "none"
 
-    def _violate(self, now_us: int) -> None:
+    def _count_violation(self, now_us: int) -> None:
         """A command out of range: the fifth within a second is a fault."""
         if self._violations == 0:
             self._first_violation_us = now_us
@@ -173,11 +199,11 @@ class Safety:
         if self._violations >= self.config.range_fault_frames:
             self.state, self.fault, self._edge_us = "FAULT", "range", None
 
-    def _forget(self, now_us: int) -> None:
+    def _expire_timers(self, now_us: int) -> None:
         """Let go of what is too old to count."""
         if self._edge_us is not None and (
             elapsed_us(now_us, self._edge_us) >= self.config.engage_window_ms * 1000
-            or self._valid_is_older(now_us, self.config.host_timeout_ms)
+            or self._is_timed_out(now_us, self.config.host_timeout_ms)
         ):
             self._edge_us = None
         if self._violations and elapsed_us(now_us, self._first_violation_us) >= SECOND_US:
@@ -185,15 +211,17 @@ class Safety:
         if self._resting and elapsed_us(now_us, self._rest_us) >= SECOND_US:
             self._resting = False
 
-    def _valid_is_older(self, now_us: int, limit_ms: int) -> bool:
+    def _is_timed_out(self, now_us: int, limit_ms: int) -> bool:
         """Whether there was a valid frame, and the last one is so long ago."""
         return self._valid_us is not None and elapsed_us(now_us, self._valid_us) >= limit_ms * 1000
 
-    def _limited(self) -> tuple[int, ...]:
-        """What the host wants, within the limits of each channel and at most a slew away from what was sent last."""
+    def _limit_slots(self) -> tuple[int, ...]:
+        """What the host wants, within the limits of each channel and at most a slew away from what
+        was sent last.
+        """
         c = self.config
         slots = []
-        for channel, (sent, wanted) in enumerate(zip(self.slots_us, self._wanted_us, strict=True)):
+        for channel, (sent, wanted) in enumerate(zip(self.slots_us, self._target_us, strict=True)):
             ceiling = c.throttle_ceiling_us if channel == c.throttle_channel else c.channel_max_us
             target = min(max(wanted, c.channel_min_us), c.channel_max_us, ceiling)
             slots.append(min(max(target, sent - c.slew_us), sent + c.slew_us))

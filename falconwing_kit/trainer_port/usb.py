@@ -12,15 +12,20 @@ from falconwing_kit.core.checks import InputError
 BAUD = 115200
 DRAIN_S = 0.1  # s that closing waits for what was written to leave
 WRITE_TIMEOUT = 0.02  # s: so long a stuck line may hold up the loop
-# Vendor and product numbers of USB: those of the Mega 2560 stand in boards.txt of Arduino's own core for AVR.
+# Vendor and product numbers of USB: those of the Mega 2560 stand in boards.txt of Arduino's own
+# core for AVR.
 MEGA = {(vendor, product) for vendor, products in {
     0x2341: (0x0010, 0x0042, 0x0210, 0x0242), 0x2A03: (0x0010, 0x0042),
 }.items() for product in products}  # fmt: skip
-BRIDGES = {(0x1A86, 0x7523): "CH340", (0x0403, 0x6001): "FT232R", (0x10C4, 0xEA60): "CP2102"}  # on copies of the Mega
+BRIDGES = {
+    (0x1A86, 0x7523): "CH340",
+    (0x0403, 0x6001): "FT232R",
+    (0x10C4, 0xEA60): "CP2102",
+}  # on copies of the Mega
 
 
 @dataclass(frozen=True)
-class FoundBoard:
+class SerialBoard:
     """One serial port with something on USB behind it."""
 
     path: str  # what to give to --port
@@ -30,7 +35,7 @@ class FoundBoard:
     mend: str  # what to do where not; empty where it is well
 
 
-def find_boards() -> list[FoundBoard]:
+def find_boards() -> list[SerialBoard]:
     """Serial ports on USB, the likeliest first; none is opened, for that could restart a board."""
     from serial.tools.list_ports import comports
 
@@ -44,11 +49,19 @@ def find_boards() -> list[FoundBoard]:
             what = f"perhaps a copy of the Mega 2560 (it has a {BRIDGES[key]})"
         may_open = os.name != "posix" or os.access(port.device, os.R_OK | os.W_OK)
         likely = key in MEGA or key in BRIDGES
-        found.append(FoundBoard(port.device, what, likely, may_open, "" if may_open else how_to_open(port.device)))
+        found.append(
+            SerialBoard(
+                port.device,
+                what,
+                likely,
+                may_open,
+                "" if may_open else permission_advice(port.device),
+            )
+        )
     return sorted(found, key=lambda board: (not board.likely, "perhaps" in board.what, board.path))
 
 
-def how_to_open(path: str) -> str:
+def permission_advice(path: str) -> str:
     """What a person can do so that a port opens."""
     if os.name != "posix":
         return "close other programs that use it, and look into the device manager for its name"
@@ -72,9 +85,10 @@ def _join_group(path: str) -> str:
 class SerialLink:
     """A serial port; a thread reads it and stamps what comes, so that a slow loop spoils no time.
 
-    A Mega restarts when its DTR line goes on, and sends no PPM for two seconds then. Linux and macOS turn it on when a
-    port is opened and off when it is closed, unless told (HUPCL off) to leave it: then only the first opening after
-    plugging in restarts the board, and a program that was killed can come back without. On Windows DTR stays off.
+    A Mega restarts when its DTR line goes on, and sends no PPM for two seconds then. Linux and
+    macOS turn it on when a port is opened and off when it is closed, unless told (HUPCL off) to
+    leave it: then only the first opening after plugging in restarts the board, and a program that
+    was killed can come back without. On Windows DTR stays off.
 
     Args:
         path: of the port.
@@ -93,19 +107,22 @@ class SerialLink:
         try:
             self._port.open()
         except OSError as error:
-            raise InputError(f"{path}: want a serial port to open, got: {error}; {how_to_open(path)}") from None
+            raise InputError(
+                f"{path}: expected a serial port to open, got: {error}; {permission_advice(path)}"
+            ) from None
         if os.name == "posix":
             _leave_dtr_on(self._port.fileno())
         self._chunks: deque[tuple[float, bytes]] = deque()
         self._error: OSError | None = None
         self._open = True
-        self._reader = threading.Thread(target=self._read_on, name=f"reads {path}", daemon=True)
+        self._reader = threading.Thread(target=self._read_loop, name=f"reads {path}", daemon=True)
         self._reader.start()
 
     def write(self, data: bytes) -> None:
         """Send bytes; OSError where the line is gone.
 
-        A write that took too long is no error: pyserial says so too where this program was only kept off the processor
+        A write that took too long is no error: pyserial says so too where this program was only
+            kept off the processor
         after a good write. Of a line that is really stuck the board's silence tells.
         """
         import serial
@@ -133,13 +150,18 @@ class SerialLink:
         self._reader.join()
         self._port.close()
 
-    def _read_on(self) -> None:
+    def _read_loop(self) -> None:
         try:
             while self._open:
                 data = self._port.read(1)
                 if data:
-                    self._chunks.append((time.perf_counter(), data + self._port.read(self._port.in_waiting)))
-        except (OSError, TypeError) as error:  # pyserial has no file number any more where the port went away
+                    self._chunks.append(
+                        (time.perf_counter(), data + self._port.read(self._port.in_waiting))
+                    )
+        except (
+            OSError,
+            TypeError,
+        ) as error:  # pyserial has no file number any more where the port went away
             self._error = error if isinstance(error, OSError) else OSError("the port went away")
 
 

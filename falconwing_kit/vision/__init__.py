@@ -6,14 +6,20 @@ verdict = FrameMonitor().update(image, t)      # .ssim, .alert, .reason
 
 from falconwing_kit.vision.hybrid_state import HybridFlight, HybridSettings, Video, estimate_flight
 from falconwing_kit.vision.marker import Marker, MarkerPose, find_marker
-from falconwing_kit.vision.monitor import FrameMonitor, MonitorSettings, Verdict, load_monitor_settings
+from falconwing_kit.vision.monitor import (
+    FrameMonitor,
+    FrameVerdict,
+    MonitorSettings,
+    load_monitor_settings,
+)
 from falconwing_kit.vision.pose_net import PoseEstimate, PoseNet
 from falconwing_kit.vision.refine import RefinedPose, refine_pose, track_scene
-from falconwing_kit.vision.smoother import Motion, Smoothed, smooth
+from falconwing_kit.vision.smoother import Motion, SmoothedTrajectory, smooth
 from falconwing_kit.vision.ssim import ssim, ssim_map
 
 __all__ = [
     "FrameMonitor",
+    "FrameVerdict",
     "HybridFlight",
     "HybridSettings",
     "Marker",
@@ -23,8 +29,7 @@ __all__ = [
     "PoseEstimate",
     "PoseNet",
     "RefinedPose",
-    "Smoothed",
-    "Verdict",
+    "SmoothedTrajectory",
     "Video",
     "estimate_flight",
     "find_marker",

@@ -1,10 +1,12 @@
-"""Lines of an analog picture: a known print in it -> how far they stray sideways, and what that makes of its corners.
+"""Lines of an analog picture: a known print in it -> how far they stray sideways, and what that
+makes of its corners.
 
-An analog receiver follows noisy sync pulses with a flywheel, so that lines begin early or late, neighbours alike. A
-small square on such lines is sheared, and a sheared square looks like one that is turned: its corners still fit a pose,
-and what that pose leaves over tells nothing. The print tells: line by line its edges stand left or right of where the
-homography that fits it best wants them, and by more than column by column they stand high or low. A picture that came
-without such a link has nothing to tell the two apart, and no wander.
+An analog receiver follows noisy sync pulses with a flywheel, so that lines begin early or late,
+neighbours alike. A small square on such lines is sheared, and a sheared square looks like one that
+is turned: its corners still fit a pose, and what that pose leaves over tells nothing. The print
+tells: line by line its edges stand left or right of where the homography that fits it best wants
+them, and by more than column by column they stand high or low. A picture that came without such a
+link has nothing to tell the two apart, and no wander.
 """
 
 from collections.abc import Iterable
@@ -14,13 +16,17 @@ from numpy.typing import ArrayLike
 
 from falconwing_kit.core.checks import Array, require_range, require_shape
 
-LINES_ALIKE = 24.0  # over so many lines shifts are alike to 1/e: measured against the trained hall on its analog photos
-LEAST_EDGE = 0.25  # of a middling line's edges; where there are less the shift is a guess
-LEAST_LINES = 6  # that a print must cover: two numbers are fitted to them, and two more read off the rest
+# over so many lines shifts are alike to 1/e: measured against the trained hall on its analog photos
+CORRELATION_LINES = 24.0
+MIN_EDGE = 0.25  # of a middling line's edges; where there are less the shift is a guess
+MIN_LINES = (
+    6  # that a print must cover: two numbers are fitted to them, and two more read off the rest
+)
 
 
-def line_likeness(rows: Array) -> Array:
-    """Correlation of the shifts of lines, exp(-|difference| / LINES_ALIKE) [first-order lock of a line oscillator].
+def line_correlation(rows: Array) -> Array:
+    """Correlation of the shifts of lines, exp(-|difference| / LINES_ALIKE) [first-order lock of a
+    line oscillator].
 
     Args:
         rows: (..., K) which lines.
@@ -28,14 +34,18 @@ def line_likeness(rows: Array) -> Array:
     Returns:
         (..., K, K).
     """
-    return np.asarray(np.exp(-np.abs(rows[..., :, None] - rows[..., None, :]) / LINES_ALIKE))
+    return np.asarray(np.exp(-np.abs(rows[..., :, None] - rows[..., None, :]) / CORRELATION_LINES))
 
 
-def strays(seen: ArrayLike, expected: ArrayLike, inside: ArrayLike) -> tuple[Array, Array]:
-    """How far each line of a picture lies to the right of what is expected, and each column below it.
+def line_and_column_shifts(
+    seen: ArrayLike, expected: ArrayLike, inside: ArrayLike
+) -> tuple[Array, Array]:
+    """How far each line of a picture lies to the right of what is expected, and each column below
+    it.
 
-    seen(x) = a expected(x - s) + b for each line: s = sum g (a expected + b - seen) / sum g^2, g the slope of the
-    first along the line [Lucas & Kanade, An iterative image registration technique, 1981, in one dimension].
+    seen(x) = a expected(x - s) + b for each line: s = sum g (a expected + b - seen) / sum g^2, g
+    the slope of the first along the line [Lucas & Kanade, An iterative image registration
+    technique, 1981, in one dimension].
 
     Args:
         seen: (H, W) grey levels.
@@ -59,31 +69,36 @@ def strays(seen: ArrayLike, expected: ArrayLike, inside: ArrayLike) -> tuple[Arr
     for along in (1, 0):
         slope = np.where(covered, np.gradient(drawn, axis=along), 0.0)
         edges = (slope**2).sum(axis=along)
-        clear = edges > LEAST_EDGE * np.median(edges[edges > 0.0]) if (edges > 0.0).any() else edges > 0.0
+        clear = (
+            edges > MIN_EDGE * np.median(edges[edges > 0.0]) if (edges > 0.0).any() else edges > 0.0
+        )
         shift = np.full(len(edges), np.nan)
         shift[clear] = (slope * missing).sum(axis=along)[clear] / edges[clear]
         both.append(shift)
     return both[0], both[1]
 
 
-def wander_px(sights: Iterable[tuple[Array, Array]]) -> float:
+def sync_jitter_px(detections: Iterable[tuple[Array, Array]]) -> float:
     """Wander of a video's lines: what lines stray that neighbours share, less what columns do.
 
     A print's own misfit and the picture's noise move lines and columns; a link moves lines.
 
     Args:
-        sights: shifts of lines and of columns (see `strays`) of each sight of a print.
+        sights: shifts of lines and of columns (see `line_and_column_shifts`) of each sight of a
+            print.
 
     Returns:
-        Standard deviation of a line's shift [px]; 0 where lines stray no more than columns, or too few are seen.
+        Standard deviation of a line's shift [px]; 0 where lines stray no more than columns, or too
+        few are seen.
     """
-    pairs = list(sights)
-    lines, columns = (_shared([pair[which] for pair in pairs]) for which in (0, 1))
+    pairs = list(detections)
+    lines, columns = (_shared_variance([pair[which] for pair in pairs]) for which in (0, 1))
     return float(np.sqrt(max(lines - columns, 0.0)))
 
 
-def corner_covariance(corners_px: Array, sigma_px: float, wander: float) -> Array:
-    """Covariance of the corners u1 v1 ... u4 v4 of squares: noise of each, and what their lines share sideways.
+def corner_covariance(corners_px: Array, sigma_px: float, sync_jitter: float) -> Array:
+    """Covariance of the corners u1 v1 ... u4 v4 of squares: noise of each, and what their lines
+    share sideways.
 
     Args:
         corners_px: (M, 4, 2).
@@ -98,17 +113,19 @@ def corner_covariance(corners_px: Array, sigma_px: float, wander: float) -> Arra
     """
     corners_px = require_shape("corners_px", corners_px, (None, 4, 2))
     require_range("sigma_px", sigma_px, low=1e-6)
-    require_range("wander", wander, low=0.0)
+    require_range("sync_jitter", sync_jitter, low=0.0)
     covariance = np.broadcast_to(sigma_px**2 * np.eye(8), (len(corners_px), 8, 8)).copy()
-    covariance[:, ::2, ::2] += wander**2 * line_likeness(corners_px[..., 1])
+    covariance[:, ::2, ::2] += sync_jitter**2 * line_correlation(corners_px[..., 1])
     return covariance
 
 
-def _shared(shifts: list[Array]) -> float:
-    """Variance of the shift that neighbours share [px^2], from lines whose mean and slope the homography took out.
+def _shared_variance(shifts: list[Array]) -> float:
+    """Variance of the shift that neighbours share [px^2], from lines whose mean and slope the
+    homography took out.
 
-    e = P (white noise of variance r + shared shift of variance s), P the projection that takes out mean and slope.
-    Two sums of squares are set equal to what they are on average [method of moments; Searle, Variance components]:
+    e = P (white noise of variance r + shared shift of variance s), P the projection that takes out
+    mean and slope. Two sums of squares are set equal to what they are on average [method of
+    moments; Searle, Variance components]:
 
         |e|^2      = r tr P     + s tr(P C)          C = line_likeness
         |D e|^2    = r tr(D P D^T) + s tr(D P C P D^T)     D: differences of neighbours
@@ -116,11 +133,11 @@ def _shared(shifts: list[Array]) -> float:
     found, expected = np.zeros(2), np.zeros((2, 2))
     for shift in shifts:
         rows = np.flatnonzero(np.isfinite(shift))
-        if len(rows) < LEAST_LINES:
+        if len(rows) < MIN_LINES:
             continue
         line = np.linalg.qr(np.stack([np.ones(len(rows)), rows - rows.mean()], axis=1))[0]
         P = np.eye(len(rows)) - line @ line.T
-        PCP = P @ line_likeness(rows.astype(float)) @ P
+        PCP = P @ line_correlation(rows.astype(float)) @ P
         D = np.diff(np.eye(len(rows)), axis=0)[np.diff(rows) == 1]
         e = P @ shift[rows]
         found += e @ e, (D @ e) @ (D @ e)

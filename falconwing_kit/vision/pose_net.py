@@ -1,11 +1,12 @@
-"""iGSplat: one image -> where its camera was, and how sure that is. The network is in networks/pose.py.
+"""iGSplat: one image -> where its camera was, and how sure that is. The network is in
+networks/pose.py.
 
     from falconwing_kit.vision import PoseNet
     estimate = PoseNet.load("hall").estimate(image, camera)
     estimate.T_world_camera, estimate.sigma_position, estimate.sigma_attitude
 
-It knows one hall, the one it was trained in (learning/pose_net_training.py), and one field of view; other cameras are
-cropped or padded to that.
+It knows one hall, the one it was trained in (learning/pose_net_training.py), and one field of view;
+other cameras are cropped or padded to that.
 """
 
 import json
@@ -25,7 +26,7 @@ from falconwing_kit.scene.camera import PinholeCamera
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from falconwing_kit.vision.pose_network import Answer, PoseNetwork
+    from falconwing_kit.vision.pose_network import PoseNetOutput, PoseNetwork
 
 NETS = ("hall",)  # the names that ship, as pose_net_NAME.safetensors
 MAX_FILE_BYTES = 256 * 1024**2
@@ -35,7 +36,9 @@ VERSION = 1
 
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
-    """A camera's pose and its uncertainty; the standard deviations are root mean squares over the three axes."""
+    """A camera's pose and its uncertainty; the standard deviations are root mean squares over the
+    three axes.
+    """
 
     T_world_camera: Array  # (4, 4), "world from camera"
     sigma_position: float  # of each axis [m]
@@ -90,27 +93,43 @@ class PoseNet:
         if str(name) in NETS:
             path = Path(str(files("falconwing_kit.data") / f"pose_net_{name}.safetensors"))
         if path.suffix != ".safetensors":
-            raise InputError(f"pose net: want a .safetensors file or a name that ships ({', '.join(NETS)}), got {name}")
+            raise InputError(
+                f"pose net: expected a .safetensors file or a name that ships ({', '.join(NETS)}), got {name}"
+            )
         data = require_file(path).read_bytes()
         try:
             import torch
             from safetensors.torch import load
 
-            from falconwing_kit.vision.pose_network import PoseNetwork, Shape
+            from falconwing_kit.vision.pose_network import PoseNetShape, PoseNetwork
         except ModuleNotFoundError as error:
-            raise InputError(f"pose net: want {error.name}, which is missing; run: pip install {error.name}") from None
+            raise InputError(
+                f"pose net: expected {error.name}, which is missing; run: pip install {error.name}"
+            ) from None
         try:
             if len(data) > MAX_FILE_BYTES:
                 raise ValueError
-            length = int.from_bytes(data[:8], "little")  # the format begins with the length of its JSON header
-            record = PoseNetRecord(**json.loads(json.loads(data[8 : 8 + length])["__metadata__"]["pose_net"]))
-            network = PoseNetwork(Shape(**record.shape), torch.tensor(record.low), torch.tensor(record.high))
-            network.load_state_dict({key: tensor.float() for key, tensor in load(data).items()}, strict=False)
+            length = int.from_bytes(
+                data[:8], "little"
+            )  # the format begins with the length of its JSON header
+            record = PoseNetRecord(
+                **json.loads(json.loads(data[8 : 8 + length])["__metadata__"]["pose_net"])
+            )
+            network = PoseNetwork(
+                PoseNetShape(**record.shape), torch.tensor(record.low), torch.tensor(record.high)
+            )
+            network.load_state_dict(
+                {key: tensor.float() for key, tensor in load(data).items()}, strict=False
+            )
             complete = set(load(data)) >= {key for key, _ in network.named_parameters()}
         except Exception:  # a damaged file can fail anywhere on this way
-            raise InputError(f"{short_name(path)}: want weights of a pose net, got a damaged or other file") from None
+            raise InputError(
+                f"{short_name(path)}: expected weights of a pose net, got a damaged or other file"
+            ) from None
         if record.version != VERSION or not complete:
-            raise InputError(f"{short_name(path)}: want a pose net of version {VERSION}, got another; use a newer kit")
+            raise InputError(
+                f"{short_name(path)}: expected a pose net of version {VERSION}, got another; use a newer kit"
+            )
         return cls(network, record)
 
     def save(self, path: str | Path) -> None:
@@ -123,7 +142,9 @@ class PoseNet:
         from safetensors.torch import save
 
         if Path(path).suffix != ".safetensors":
-            raise InputError(f"{short_name(path)}: want a name ending in .safetensors for weights, got another")
+            raise InputError(
+                f"{short_name(path)}: expected a name ending in .safetensors for weights, got another"
+            )
         tensors = {
             key: tensor.half() if tensor.dtype == torch.float32 and "running" not in key else tensor
             for key, tensor in self.network.state_dict().items()
@@ -140,12 +161,15 @@ class PoseNet:
             camera: which took it.
 
         Raises:
-            InputError: the image is none or not the camera's, or the camera sees too little of what the network knows.
+            InputError: the image is none or not the camera's, or the camera sees too little of what
+                the network knows.
         """
-        return self.concluded(self.answer(image, camera))[0]
+        return self.pose_estimates(self.answer(image, camera))[0]
 
-    def answer(self, image: NDArray[np.uint8], camera: PinholeCamera) -> "Answer":
-        """What the network itself says about an image, before cells and token are fused; arguments as `estimate`'s."""
+    def answer(self, image: NDArray[np.uint8], camera: PinholeCamera) -> "PoseNetOutput":
+        """What the network itself says about an image, before cells and token are fused; arguments
+        as `estimate`'s.
+        """
         import torch
 
         image = _require_image(image, camera)
@@ -153,7 +177,8 @@ class PoseNet:
             return self.network(self.prepared(torch.from_numpy(image)[None], camera))
 
     def prepared(self, images: "Tensor", camera: PinholeCamera) -> "Tensor":
-        """Images (B, H, W, 3) of bytes as the network's own camera had taken them: (B, 3, h, w) in 0..1.
+        """Images (B, H, W, 3) of bytes as the network's own camera had taken them: (B, 3, h, w) in
+        0..1.
 
         Raises:
             InputError: the camera lacks more than a quarter of the field of view.
@@ -169,22 +194,31 @@ class PoseNet:
         rows = torch.arange(top, bottom, device=images.device).clamp(0, camera.height - 1)
         if (right - left, bottom - top) != (camera.width, camera.height) or left or top:
             images = images[:, rows][:, :, columns]
-        small = interpolate(images.permute(0, 3, 1, 2), (own.height, own.width), mode="bilinear", antialias=True)
+        small = interpolate(
+            images.permute(0, 3, 1, 2), (own.height, own.width), mode="bilinear", antialias=True
+        )
         return small.float() / 255.0
 
-    def concluded(self, answer: "Answer") -> list[PoseEstimate]:
+    def pose_estimates(self, answer: "PoseNetOutput") -> list[PoseEstimate]:
         """The estimates of a network's answer about B images."""
         import torch
 
-        from falconwing_kit.vision.pose_network import fused
+        from falconwing_kit.vision.pose_network import fuse_pose
 
         with torch.no_grad():
-            R, place, information = fused(answer, torch.from_numpy(self._rays).float(), self.network.log_trust)
+            R, place, information = fuse_pose(
+                answer, torch.from_numpy(self._rays).float(), self.network.log_trust
+            )
         scale = np.repeat(self.record.sigma_scales, 3)
         covariances = torch.linalg.inv(information.double()).numpy() * scale * scale[:, None]
         Ts_world_camera = pose_matrix(_orthonormal(R.double().numpy()), place.double().numpy())
         return [
-            PoseEstimate(T, float(np.sqrt(np.trace(C[:3, :3]) / 3.0)), float(np.sqrt(np.trace(C[3:, 3:]) / 3.0)), C)
+            PoseEstimate(
+                T,
+                float(np.sqrt(np.trace(C[:3, :3]) / 3.0)),
+                float(np.sqrt(np.trace(C[3:, 3:]) / 3.0)),
+                C,
+            )
             for T, C in zip(Ts_world_camera, covariances, strict=True)
         ]
 
@@ -192,7 +226,8 @@ class PoseNet:
 def cell_rays(camera: PinholeCamera) -> Array:
     """(K, 3) unit directions in camera axes that the network's cells look along, row by row.
 
-    A cell is 8 x 8 pixels; its ray goes through the centre of the pixel right of and below its middle.
+    A cell is 8 x 8 pixels; its ray goes through the centre of the pixel right of and below its
+    middle.
     """
     from falconwing_kit.vision.pose_network import CELL
 
@@ -201,15 +236,23 @@ def cell_rays(camera: PinholeCamera) -> Array:
 
 
 def _window(camera: PinholeCamera, own: PinholeCamera) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom edge [px], in a camera's image, of what the network's camera would see."""
+    """Left, top, right and bottom edge [px], in a camera's image, of what the network's camera
+    would see.
+    """
     across, down = camera.fx / own.fx, camera.fy / own.fy
     left, right = camera.cx - across * own.cx, camera.cx + across * (own.width - own.cx)
     top, bottom = camera.cy - down * own.cy, camera.cy + down * (own.height - own.cy)
-    seen = (min(right, camera.width) - max(left, 0.0)) * (min(bottom, camera.height) - max(top, 0.0))
-    if min(right, camera.width) <= max(left, 0.0) or seen < (1.0 - MAX_MISSING) * (right - left) * (bottom - top):
-        wanted, got = (np.degrees(2.0 * np.arctan(0.5 * lens.width / lens.fx)) for lens in (own, camera))
+    seen = (min(right, camera.width) - max(left, 0.0)) * (
+        min(bottom, camera.height) - max(top, 0.0)
+    )
+    if min(right, camera.width) <= max(left, 0.0) or seen < (1.0 - MAX_MISSING) * (right - left) * (
+        bottom - top
+    ):
+        wanted, got = (
+            np.degrees(2.0 * np.arctan(0.5 * lens.width / lens.fx)) for lens in (own, camera)
+        )
         raise InputError(
-            f"camera: want at least three quarters of the view the network was trained on, {wanted:.0f} deg across, "
+            f"camera: expected at least three quarters of the view the network was trained on, {wanted:.0f} deg across, "
             f"got {got:.0f} deg; use a wider lens, or train a network for this one"
         )
     return round(left), round(top), round(right), round(bottom)
@@ -219,10 +262,14 @@ def _require_image(image: NDArray[np.uint8], camera: PinholeCamera) -> NDArray[n
     """The image, if it is one and the camera's."""
     image = np.asarray(image)
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
-        raise InputError(f"image: want (H, W, 3) of bytes, red, green, blue, got {image.shape} of {image.dtype}")
+        raise InputError(
+            f"image: expected (H, W, 3) of bytes, red, green, blue, got {image.shape} of {image.dtype}"
+        )
     if image.shape[:2] != (camera.height, camera.width):
         want, got = f"{camera.width} x {camera.height}", f"{image.shape[1]} x {image.shape[0]}"
-        raise InputError(f"image: want the camera's size, {want} px, got {got}; scale the camera as the image")
+        raise InputError(
+            f"image: expected the camera's size, {want} px, got {got}; scale the camera as the image"
+        )
     require_range("image's shorter side [px]", min(image.shape[:2]), low=32)
     return np.ascontiguousarray(image)
 

@@ -1,10 +1,13 @@
-"""Pose network: images (B, 3, H, W) -> where their cameras are, what they look at, and how sure that is.
+"""Pose network: images (B, 3, H, W) -> where their cameras are, what they look at, and how sure
+that is.
 
-Two ways lead to a pose. A pose token gives place and sine and cosine of the angles at once, as the paper's iGSplat
-does. Every cell of 8 x 8 pixels also says which point of the hall it shows, a "scene coordinate" [Shotton et al. 2013];
-`fused` then moves the pose until each cell's ray meets its point. Each answer carries a standard deviation.
+Two ways lead to a pose. A pose token gives place and sine and cosine of the angles at once, as the
+paper's iGSplat does. Every cell of 8 x 8 pixels also says which point of the hall it shows, a
+"scene coordinate" [Shotton et al. 2013]; `fuse_pose` then moves the pose until each cell's ray
+meets its point. Each answer carries a standard deviation.
 
-Parameters of the transformer are named as in the usual ViT files (timm's), so that pretrained ones can be loaded.
+Parameters of the transformer are named as in the usual ViT files (timm's), so that pretrained ones
+can be loaded.
 """
 
 import math
@@ -17,13 +20,17 @@ from torch.nn import functional
 
 PATCH, CELL = 16, 8  # px; a token sees a patch and answers for its 2 x 2 cells
 STEMS = ("conv", "patch")
-LOG_SIGMA_LOW, LOG_SIGMA_HIGH = math.log(5e-3), math.log(20.0)  # of every standard deviation [m or rad]
-FREEDOM = 3.0  # degrees of freedom of the Student-t that a cell's error follows: some cells are plainly wrong
-FUSE_STEPS = 4  # of Gauss-Newton; the step after these is below a millimetre where cells agree
+LOG_SIGMA_LOW, LOG_SIGMA_HIGH = (
+    math.log(5e-3),
+    math.log(20.0),
+)  # of every standard deviation [m or rad]
+# degrees of freedom of the Student-t that a cell's error follows: some cells are plainly wrong
+STUDENT_T_DOF = 3.0
+FUSION_STEPS = 4  # of Gauss-Newton; the step after these is below a millimetre where cells agree
 
 
 @dataclass(frozen=True)
-class Shape:
+class PoseNetShape:
     """How large the network is."""
 
     width: int = 192  # of the image [px], a multiple of 16, as is the height
@@ -39,12 +46,13 @@ class Shape:
         return self.height // PATCH, self.width // PATCH
 
 
-class Answer(NamedTuple):
+class PoseNetOutput(NamedTuple):
     """What the network says about B images."""
 
     place: Tensor  # (B, 3) of the camera in the world [m]
     log_sigma_place: Tensor  # (B, 3) per axis
-    sincos: Tensor  # (B, 3, 2) sine and cosine of roll, pitch, yaw of a body whose nose the camera looks along
+    # (B, 3, 2) sine and cosine of roll, pitch, yaw of a body whose nose the camera looks along
+    sincos: Tensor
     log_sigma_angle: Tensor  # (B,) [rad]
     points: Tensor  # (B, K, 3) what the cells show, in the world [m]; row by row
     log_sigma_points: Tensor  # (B, K)
@@ -62,7 +70,9 @@ class Attention(nn.Module):
         """(B, N, F) -> (B, N, F)."""
         shape = (*tokens.shape[:2], 3, self.heads, -1)
         q, k, v = self.qkv(tokens).reshape(shape).permute(2, 0, 3, 1, 4)
-        return self.proj(functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2))
+        return self.proj(
+            functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
+        )
 
 
 class Mlp(nn.Module):
@@ -104,7 +114,9 @@ class PatchStem(nn.Module):
 
 
 class ConvStem(nn.Module):
-    """Patches to tokens by convolutions, which need fewer examples than plain patches [Xiao et al. 2021]."""
+    """Patches to tokens by convolutions, which need fewer examples than plain patches [Xiao et al.
+    2021].
+    """
 
     def __init__(self, features: int) -> None:
         super().__init__()
@@ -114,7 +126,9 @@ class ConvStem(nn.Module):
 
     @staticmethod
     def _unit(before: int, after: int, stride: int) -> nn.Sequential:
-        return nn.Sequential(nn.Conv2d(before, after, 3, stride, 1, bias=False), nn.BatchNorm2d(after), nn.ReLU())
+        return nn.Sequential(
+            nn.Conv2d(before, after, 3, stride, 1, bias=False), nn.BatchNorm2d(after), nn.ReLU()
+        )
 
     def forward(self, images: Tensor) -> Tensor:
         """(B, 3, H, W) -> (B, F, H / 16, W / 16)."""
@@ -135,7 +149,7 @@ class PoseNetwork(nn.Module):
     low: Tensor
     reach: Tensor
 
-    def __init__(self, shape: Shape, low: Tensor, high: Tensor) -> None:
+    def __init__(self, shape: PoseNetShape, low: Tensor, high: Tensor) -> None:
         super().__init__()
         self.shape, features = shape, shape.features
         rows, columns = shape.tokens
@@ -144,25 +158,36 @@ class PoseNetwork(nn.Module):
         self.pos_embed = nn.Parameter(0.02 * torch.randn(1, 1 + rows * columns, features))
         self.blocks = nn.ModuleList(Block(features, shape.heads) for _ in range(shape.layers))
         self.norm = nn.LayerNorm(features, 1e-6)
-        self.pose_head = nn.Sequential(nn.Linear(features, features), nn.GELU(), nn.Linear(features, 3 + 3 + 6 + 1))
+        self.pose_head = nn.Sequential(
+            nn.Linear(features, features), nn.GELU(), nn.Linear(features, 3 + 3 + 6 + 1)
+        )
         self.point_head = nn.Linear(features, (PATCH // CELL) ** 2 * 4)
-        self.log_trust = nn.Parameter(torch.tensor(-3.0))  # cells err together, so each counts less than one
+        self.log_trust = nn.Parameter(
+            torch.tensor(-3.0)
+        )  # cells err together, so each counts less than one
         self.register_buffer("low", low.float(), persistent=False)
         self.register_buffer("reach", 0.5 * (high - low).float(), persistent=False)
 
-    def forward(self, images: Tensor) -> Answer:
+    def forward(self, images: Tensor) -> PoseNetOutput:
         """Answer for images (B, 3, H, W), red, green, blue in 0..1."""
         grid = self.patch_embed(2.0 * images - 1.0)
-        tokens = torch.cat([self.cls_token.expand(len(images), -1, -1), grid.flatten(2).mT], dim=1) + self.pos_embed
+        tokens = (
+            torch.cat([self.cls_token.expand(len(images), -1, -1), grid.flatten(2).mT], dim=1)
+            + self.pos_embed
+        )
         for block in self.blocks:
             tokens = block(tokens)
         tokens = self.norm(tokens)
         pose, cells = self.pose_head(tokens[:, 0]).float(), self.point_head(tokens[:, 1:]).float()
         rows, columns = self.shape.tokens
         side = PATCH // CELL
-        cells = cells.reshape(-1, rows, columns, side, side, 4).transpose(2, 3).reshape(len(images), -1, 4)
+        cells = (
+            cells.reshape(-1, rows, columns, side, side, 4)
+            .transpose(2, 3)
+            .reshape(len(images), -1, 4)
+        )
         middle = self.low + self.reach
-        return Answer(
+        return PoseNetOutput(
             place=middle + self.reach * pose[:, :3],
             log_sigma_place=pose[:, 3:6].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
             sincos=pose[:, 6:12].reshape(-1, 3, 2),
@@ -173,11 +198,12 @@ class PoseNetwork(nn.Module):
 
 
 def load_vit(network: PoseNetwork, tensors: dict[str, Tensor]) -> int:
-    """Take over pretrained ViT weights by their usual names; the position grid is stretched to the image's.
+    """Take over pretrained ViT weights by their usual names; the position grid is stretched to the
+    image's.
 
     Args:
-        network: with the stem "patch" and the file's number of features and heads; changed in place. Its first layers
-            are taken from the file's first layers.
+        network: with the stem "patch" and the file's number of features and heads; changed in
+            place. Its first layers are taken from the file's first layers.
         tensors: as in a ViT's safetensors file.
 
     Returns:
@@ -188,7 +214,9 @@ def load_vit(network: PoseNetwork, tensors: dict[str, Tensor]) -> int:
         if name == "pos_embed" and tensor.shape[-1] == network.shape.features:
             side = math.isqrt(tensor.shape[1] - 1)
             grid = tensor[:, 1:].float().reshape(1, side, side, -1).permute(0, 3, 1, 2)
-            grid = functional.interpolate(grid, network.shape.tokens, mode="bicubic", align_corners=False)
+            grid = functional.interpolate(
+                grid, network.shape.tokens, mode="bicubic", align_corners=False
+            )
             tensor = torch.cat([tensor[:, :1].float(), grid.flatten(2).mT], dim=1)
         if name in own and own[name].shape == tensor.shape:
             taken[name] = tensor
@@ -197,7 +225,8 @@ def load_vit(network: PoseNetwork, tensors: dict[str, Tensor]) -> int:
 
 
 def rotations(sincos: Tensor) -> Tensor:
-    """R_world_camera of sines and cosines; core/frames.py says the same in NumPy, where the signs are explained.
+    """R_world_camera of sines and cosines; core/frames.py says the same in NumPy, where the signs
+    are explained.
 
     Args:
         sincos: (B, 3, 2) of roll, pitch, yaw; scaled to length 1 here.
@@ -220,36 +249,49 @@ def cross_matrix(v: Tensor) -> Tensor:
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).reshape(*v.shape[:-1], 3, 3)
 
 
-def turn_by(w: Tensor) -> Tensor:
-    """exp([w]x) (B, 3, 3) of turns (B, 3) [rad], by Rodrigues' formula [Murray, Li & Sastry 1994, eq. 2.14].
+def so3_exp(w: Tensor) -> Tensor:
+    """exp([w]x) (B, 3, 3) of turns (B, 3) [rad], by Rodrigues' formula [Murray, Li & Sastry 1994,
+    eq. 2.14].
 
-    1 + sin(a)/a K + (1 - cos(a))/a^2 K^2,  K = [w]x, a = |w|; the second fraction as sinc(a/2)^2 / 2, safe at 0
+    1 + sin(a)/a K + (1 - cos(a))/a^2 K^2,  K = [w]x, a = |w|; the second fraction as sinc(a/2)^2 /
+    2, safe at 0
     """
     K, angle = cross_matrix(w), (w * w).sum(-1).clamp(min=1e-16).sqrt()[:, None, None]
     half = torch.sinc(angle / (2.0 * math.pi))
-    return torch.eye(3, device=w.device, dtype=w.dtype) + torch.sinc(angle / math.pi) * K + 0.5 * half * half * (K @ K)
+    return (
+        torch.eye(3, device=w.device, dtype=w.dtype)
+        + torch.sinc(angle / math.pi) * K
+        + 0.5 * half * half * (K @ K)
+    )
 
 
-def turn_between(R: Tensor, R_from: Tensor) -> Tensor:
-    """The turn (B, 3) [rad] in world axes that leads from one rotation to the other, exact to the third order.
+def so3_log_between(R: Tensor, R_from: Tensor) -> Tensor:
+    """The turn (B, 3) [rad] in world axes that leads from one rotation to the other, exact to the
+    third order.
 
-    R = exp([w]x) R_from;  w = vee(M - M^T) / 2 * angle / sin(angle) with M = R R_from^T [Murray, Li & Sastry 1994, 2.2]
+    R = exp([w]x) R_from;  w = vee(M - M^T) / 2 * angle / sin(angle) with M = R R_from^T [Murray, Li
+    & Sastry 1994, 2.2]
     """
     M = R @ R_from.mT
-    w = 0.5 * torch.stack([M[:, 2, 1] - M[:, 1, 2], M[:, 0, 2] - M[:, 2, 0], M[:, 1, 0] - M[:, 0, 1]], dim=-1)
+    w = 0.5 * torch.stack(
+        [M[:, 2, 1] - M[:, 1, 2], M[:, 0, 2] - M[:, 2, 0], M[:, 1, 0] - M[:, 0, 1]], dim=-1
+    )
     sin = w.norm(dim=-1, keepdim=True)
     cos = 0.5 * (M.diagonal(dim1=1, dim2=2).sum(-1, keepdim=True) - 1.0)
     angle = torch.atan2(sin, cos)
     return torch.where(sin > 1e-4, w * angle / sin.clamp(min=1e-4), w)
 
 
-def fused(answer: Answer, rays: Tensor, log_trust: Tensor, steps: int = FUSE_STEPS) -> tuple[Tensor, Tensor, Tensor]:
+def fuse_pose(
+    output: PoseNetOutput, rays: Tensor, log_trust: Tensor, steps: int = FUSION_STEPS
+) -> tuple[Tensor, Tensor, Tensor]:
     """The most likely pose, given what the pose token and the cells say.
 
-    A cell's ray d = R ray should meet its point: e = (1 - d d^T)(point - place) = 0, the object-space error of
-    [Lu, Hager & Mjolsness 2000, eq. 19]. Gauss-Newton in place and turn, each cell weighted as Student's t asks
-    [Lange et al. 1989], and the token's answer as a prior. Gradients flow through the last step alone, which at the
-    solution is what the implicit function theorem gives.
+    A cell's ray d = R ray should meet its point: e = (1 - d d^T)(point - place) = 0, the
+    object-space error of [Lu, Hager & Mjolsness 2000, eq. 19]. Gauss-Newton in place and turn, each
+    cell weighted as Student's t asks [Lange et al. 1989], and the token's answer as a prior.
+    Gradients flow through the last step alone, which at the solution is what the implicit function
+    theorem gives.
 
     Args:
         answer: of B images, float32.
@@ -258,27 +300,35 @@ def fused(answer: Answer, rays: Tensor, log_trust: Tensor, steps: int = FUSE_STE
         steps: of Gauss-Newton.
 
     Returns:
-        R_world_camera (B, 3, 3), place (B, 3) [m], and information (B, 6, 6) of place [m] and turn in world axes [rad],
-        the inverse of their covariance.
+        R_world_camera (B, 3, 3), place (B, 3) [m], and information (B, 6, 6) of place [m] and turn
+        in world axes [rad], the inverse of their covariance.
     """
-    R_head = rotations(answer.sincos)
-    R, place = R_head.detach(), answer.place.detach()
-    prior = torch.exp(-2.0 * torch.cat([answer.log_sigma_place, answer.log_sigma_angle[:, None].expand(-1, 3)], dim=1))
+    R_head = rotations(output.sincos)
+    R, place = R_head.detach(), output.place.detach()
+    prior = torch.exp(
+        -2.0
+        * torch.cat([output.log_sigma_place, output.log_sigma_angle[:, None].expand(-1, 3)], dim=1)
+    )
     step = information = torch.zeros(0)
     for number in range(steps):
         last = number == steps - 1
         with torch.set_grad_enabled(last and torch.is_grad_enabled()):
-            information, pull = _normal_equations(answer, rays @ R.mT, place, log_trust)
-            off = torch.cat([place - answer.place, turn_between(R, R_head)], dim=1)
+            information, pull = _normal_equations(output, rays @ R.mT, place, log_trust)
+            off = torch.cat([place - output.place, so3_log_between(R, R_head)], dim=1)
             information = information + torch.diag_embed(prior)
-            factor = torch.linalg.cholesky_ex(information).L  # of what is no number it makes no exception
+            factor = torch.linalg.cholesky_ex(
+                information
+            ).L  # of what is no number it makes no exception
             step = torch.cholesky_solve((pull - prior * off)[..., None], factor)[..., 0]
-            place, R = place + step[:, :3], turn_by(step[:, 3:]) @ R
+            place, R = place + step[:, :3], so3_exp(step[:, 3:]) @ R
     return R, place, information
 
 
-def _normal_equations(answer: Answer, d: Tensor, place: Tensor, log_trust: Tensor) -> tuple[Tensor, Tensor]:
-    """J^T W J (B, 6, 6) and -J^T W e (B, 6) of the cells, with de = -(1 - d d^T) dplace + s [d]x dturn.
+def _normal_equations(
+    output: PoseNetOutput, d: Tensor, place: Tensor, log_trust: Tensor
+) -> tuple[Tensor, Tensor]:
+    """J^T W J (B, 6, 6) and -J^T W e (B, 6) of the cells, with de = -(1 - d d^T) dplace + s [d]x
+    dturn.
 
     Args:
         answer: whose points to meet.
@@ -286,11 +336,16 @@ def _normal_equations(answer: Answer, d: Tensor, place: Tensor, log_trust: Tenso
         place: (B, 3) where they begin.
         log_trust: ().
     """
-    toward = answer.points - place[:, None]
+    toward = output.points - place[:, None]
     s = (d * toward).sum(-1)
     e = toward - s[..., None] * d
-    variance = torch.exp(2.0 * answer.log_sigma_points)
-    weight = torch.exp(log_trust) / variance * (FREEDOM + 2.0) / (FREEDOM + (e * e).sum(-1) / variance)
+    variance = torch.exp(2.0 * output.log_sigma_points)
+    weight = (
+        torch.exp(log_trust)
+        / variance
+        * (STUDENT_T_DOF + 2.0)
+        / (STUDENT_T_DOF + (e * e).sum(-1) / variance)
+    )
     across = torch.eye(3, device=d.device) - d[..., :, None] * d[..., None, :]
     pp = (weight[..., None, None] * across).sum(1)
     tt = ((weight * s * s)[..., None, None] * across).sum(1)

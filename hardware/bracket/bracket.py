@@ -3,9 +3,9 @@
     .venv/bin/python hardware/bracket/bracket.py                 both cameras of the kit, into this folder
     .venv/bin/python hardware/bracket/bracket.py mine.toml       your own, measured into a copy of camera_analog.toml
 
-Millimetres; x forward as the lens looks, y left, z up, the print bed is z = 0. Print as it lies, without support: every
-hole that lies sideways has a roof of 45 degrees. Building needs the extra `cad` (build123d); what is measured from the
-STL needs NumPy alone.
+Millimetres; x forward as the lens looks, y left, z up, the print bed is z = 0. Print as it lies,
+without support: every hole that lies sideways has a roof of 45 degrees. Building needs the extra
+`cad` (build123d); what is measured from the STL needs NumPy alone.
 """
 
 import argparse
@@ -29,9 +29,17 @@ PLAY = 0.4  # camera between its cheeks, both sides together
 HOLE_PLAY = 0.2  # hole over screw
 FREE = 0.5  # between the tilted camera and the base
 FOOT = 8.0  # half the length of a cheek where it meets the base
-TONGUE, SLOT, SLOT_LENGTH = 16.0, 2.6, 12.0  # the base goes on behind, with two slots for a strap of 10 mm
+TONGUE, SLOT, SLOT_LENGTH = (
+    16.0,
+    2.6,
+    12.0,
+)  # the base goes on behind, with two slots for a strap of 10 mm
 POST = 7.0  # width of a post of the plate mount
-RIB, RIB_LENGTH, RIB_SHARE = 1.6, 10.0, 0.75  # rib behind a post: thickness, length on the base, height over the post's
+RIB, RIB_LENGTH, RIB_SHARE = (
+    1.6,
+    10.0,
+    0.75,
+)  # rib behind a post: thickness, length on the base, height over the post's
 PLA_G_PER_MM3 = 1.24e-3  # data sheets of PLA filament
 LARGEST_G = 5.0  # the paper's bracket
 
@@ -51,7 +59,8 @@ def build(camera: CameraHardware) -> Any:
 
 
 def axis_height(camera: CameraHardware) -> float:
-    """Height of the lens axis over the print bed, at no tilt: the camera's lowest corner clears the base at any tilt.
+    """Height of the lens axis over the print bed, at no tilt: the camera's lowest corner clears the
+    base at any tilt.
 
     z = base + free + max over tilt of (h/2 cos(tilt) + d sin(tilt))      [a corner's height as the box turns]
 
@@ -85,7 +94,9 @@ def _cheeks(camera: CameraHardware) -> Any:
 
 
 def _plate(camera: CameraHardware) -> Any:
-    """Two posts that a circuit board is screwed to from the front; ribs on their outer edges leave room for nuts."""
+    """Two posts that a circuit board is screwed to from the front; ribs on their outer edges leave
+    room for nuts.
+    """
     from build123d import Align, Box, Plane, Polygon, Pos, Rot, extrude
 
     z, holes = axis_height(camera), camera.mount.holes_mm
@@ -97,7 +108,10 @@ def _plate(camera: CameraHardware) -> Any:
     rib = extrude(Plane.XZ * Polygon(*slope, align=None), RIB / 2.0, both=True)
     for right in columns:
         edge = math.copysign((POST - RIB) / 2.0, right)
-        solid += Pos(-WALL / 2.0, -right, 0) * Box(WALL, POST, top, align=on_bed) + Pos(0, -right - edge, 0) * rib
+        solid += (
+            Pos(-WALL / 2.0, -right, 0) * Box(WALL, POST, top, align=on_bed)
+            + Pos(0, -right - edge, 0) * rib
+        )
     drill = Rot(0, 0, 90) * extrude(Plane.XZ * _teardrop(_hole(camera)), 2.0 * WALL, both=True)
     for right, up in holes:
         solid -= Pos(0, -right, z + up) * drill
@@ -105,7 +119,9 @@ def _plate(camera: CameraHardware) -> Any:
 
 
 def _base(back: float, front: float, width: float, strap: bool = True) -> Any:
-    """The plate on the fuselage: foam tape below, and two slots that a strap around the fuselage goes through."""
+    """The plate on the fuselage: foam tape below, and two slots that a strap around the fuselage
+    goes through.
+    """
     from build123d import Align, Box, Pos
 
     on_bed = (Align.CENTER, Align.CENTER, Align.MIN)
@@ -126,7 +142,9 @@ def _teardrop(radius: float) -> Any:
     """A circle with a roof of 45 degrees on top (+y of the sketch), which prints without support."""
     from build123d import Circle, Polygon
 
-    touch = radius / math.sqrt(2.0)  # where tangents of 45 degrees leave the circle; they meet at twice that height
+    touch = radius / math.sqrt(
+        2.0
+    )  # where tangents of 45 degrees leave the circle; they meet at twice that height
     return Circle(radius) + Polygon((-touch, touch), (touch, touch), (0.0, 2.0 * touch), align=None)
 
 
@@ -145,7 +163,8 @@ def write(solid: Any, step: Path, stl: Path) -> None:
 
 
 def read_stl(path: str | Path) -> Mesh:
-    """Triangles of a binary STL: 80 bytes, their number, and for each a normal, three corners and two bytes.
+    """Triangles of a binary STL: 80 bytes, their number, and for each a normal, three corners and
+    two bytes.
 
     Args:
         path: the file.
@@ -160,19 +179,25 @@ def read_stl(path: str | Path) -> Mesh:
     content = require_file(path).read_bytes()
     count = int.from_bytes(content[80:84], "little")
     if len(content) < 84 or len(content) != 84 + 50 * count or count == 0:
-        raise InputError(f"{Path(path).name}: want a binary STL, got {len(content)} bytes for {count} triangles")
+        raise InputError(
+            f"{Path(path).name}: expected a binary STL, got {len(content)} bytes for {count} triangles"
+        )
     facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
     return np.frombuffer(content, facet, offset=84)["corners"].astype(np.float64)
 
 
 def volume(mesh: Mesh) -> float:
-    """Volume [mm^3] inside triangles (N, 3, 3): the sum of their tetrahedra with the origin, a . (b x c) / 6."""
+    """Volume [mm^3] inside triangles (N, 3, 3): the sum of their tetrahedra with the origin, a . (b
+    x c) / 6.
+    """
     a, b, c = mesh[:, 0], mesh[:, 1], mesh[:, 2]
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
 
 def overhang_deg(mesh: Mesh) -> float:
-    """Steepest overhang [deg] of triangles (N, 3, 3): 0 a wall, 90 a ceiling; what lies on the bed does not count."""
+    """Steepest overhang [deg] of triangles (N, 3, 3): 0 a wall, 90 a ceiling; what lies on the bed
+    does not count.
+    """
     normal = np.cross(mesh[:, 1] - mesh[:, 0], mesh[:, 2] - mesh[:, 0])
     area = np.linalg.norm(normal, axis=1)
     on_bed = np.all(mesh[:, :, 2] < mesh[..., 2].min() + 1e-3, axis=1)
@@ -196,7 +221,9 @@ def crossings(mesh: Mesh, axis: int, first: float, second: float) -> Mesh:
     others = [k for k in range(3) if k != axis]
     flat = mesh[:, :, others] - np.array([first, second])
     turned = np.roll(flat, -1, axis=1)
-    side = flat[..., 0] * turned[..., 1] - flat[..., 1] * turned[..., 0]  # of each edge; weight of the corner opposite
+    side = (
+        flat[..., 0] * turned[..., 1] - flat[..., 1] * turned[..., 0]
+    )  # of each edge; weight of the corner opposite
     total = side.sum(axis=1)
     hit = (np.abs(total) > 1e-12) & (np.all(side > 0.0, axis=1) | np.all(side < 0.0, axis=1))
     weight = np.roll(side[hit], -1, axis=1) / total[hit, None]

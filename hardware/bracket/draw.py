@@ -1,4 +1,5 @@
-"""Picture of the brackets for the manual: both STL files -> manual/figures/bracket.png, drawn by NumPy alone.
+"""Picture of the brackets for the manual: both STL files -> manual/figures/bracket.png, drawn by
+NumPy alone.
 
 .venv/bin/python hardware/bracket/draw.py
 """
@@ -16,7 +17,11 @@ from falconwing_kit.core.files import atomic_write
 
 FOLDER = Path(__file__).resolve().parent
 FIGURES = FOLDER.parents[1] / "manual" / "figures"
-SIDE, MARGIN, SMOOTH = 420, 20, 3  # pixels of one picture, around it, and drawn for each pixel that is kept
+SIDE, MARGIN, SMOOTH = (
+    420,
+    20,
+    3,
+)  # pixels of one picture, around it, and drawn for each pixel that is kept
 SUN = np.array([0.35, -0.45, 0.82])  # where the light comes from: ahead, right, above
 TURN_DEG, LIFT_DEG = 40.0, 28.0  # seen from ahead and right, from above
 
@@ -35,7 +40,9 @@ def picture(mesh: Mesh) -> NDArray[np.uint8]:
     turn, lift = np.radians([TURN_DEG, LIFT_DEG])
     toward = np.array([np.cos(turn) * np.cos(lift), -np.sin(turn) * np.cos(lift), np.sin(lift)])
     right = np.cross([0.0, 0.0, 1.0], toward) / np.cos(lift)
-    seen = mesh @ np.stack([right, -np.cross(toward, right), toward]).T  # to the right, down, to the eye
+    seen = (
+        mesh @ np.stack([right, -np.cross(toward, right), toward]).T
+    )  # to the right, down, to the eye
     low, high = seen.reshape(-1, 3).min(axis=0), seen.reshape(-1, 3).max(axis=0)
     pixels = SMOOTH * SIDE
     scale = (pixels - 2 * SMOOTH * MARGIN) / max(high[:2] - low[:2])
@@ -93,8 +100,12 @@ def main(words: list[str] | None = None) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     meshes = [bracket.read_stl(FOLDER / f"bracket_{name}.stl") for name in ("analog", "digital")]
     with atomic_write(folder / "bracket.png") as file:
-        Image.fromarray(np.hstack([picture(mesh) for mesh in meshes])).save(file, format="PNG", optimize=True)
-    sizes = [" x ".join(f"{side:.0f}" for side in np.ptp(mesh.reshape(-1, 3), axis=0)) for mesh in meshes]
+        Image.fromarray(np.hstack([picture(mesh) for mesh in meshes])).save(
+            file, format="PNG", optimize=True
+        )
+    sizes = [
+        " x ".join(f"{side:.0f}" for side in np.ptp(mesh.reshape(-1, 3), axis=0)) for mesh in meshes
+    ]
     masses = [f"{bracket.PLA_G_PER_MM3 * bracket.volume(mesh):.1f} g" for mesh in meshes]
     text = f"""
         Two printed brackets, drawn from their STL files. Left, for the analog camera, {sizes[0]} mm, {masses[0]} in

@@ -1,9 +1,10 @@
-"""Wiring diagrams: camera file and firmware pins -> three SVG figures of the manual, each with a text beside it.
+"""Wiring diagrams: camera file and firmware pins -> three SVG figures of the manual, each with a
+text beside it.
 
     .venv/bin/python hardware/wiring/wiring.py
 
-Values of the filter come from hardware/camera_analog.toml, those of the trainer lead from the constants below, which
-are the ones of firmware/README.md. Needs the extra `manual` (schemdraw).
+Values of the filter come from hardware/camera_analog.toml, those of the trainer lead from the
+constants below, which are the ones of firmware/README.md. Needs the extra `manual` (schemdraw).
 """
 
 import argparse
@@ -41,20 +42,27 @@ JOINTS = (  # from, to, by what
     ("pilot", "radio", ""),
     ("radio", "receiver", "2.4 GHz"),
 )
-FONT = {"fontsize": 13, "font": "sans-serif", "lw": 1.4, "margin": 0.6}  # text is wider than schemdraw thinks
+FONT = {
+    "fontsize": 13,
+    "font": "sans-serif",
+    "lw": 1.4,
+    "margin": 0.6,
+}  # text is wider than schemdraw thinks
 
 
 def lead_levels(radio_v: float = 0.0) -> dict[str, float]:
     """Voltages and currents of the trainer lead, pin 11 high.
 
-    Open: V = 5 R2 / (R1 + R2).  Radio at V_r: the divider is a source of that voltage behind R1 || R2, the protection
+    Open: V = 5 R2 / (R1 + R2).  Radio at V_r: the divider is a source of that voltage behind R1 ||
+        R2, the protection
     resistor in series; I = (V_r - V) / (R1 || R2 + R3).                       [Thevenin, textbook]
 
     Args:
         radio_v: what a radio that drives its jack as well puts on the tip [V].
 
     Returns:
-        tip_v: open; into_lead_a: current from the radio's tip into the lead [A]; pilot_pin_a: current into the pilot
+        tip_v: open; into_lead_a: current from the radio's tip into the lead [A]; pilot_pin_a:
+            current into the pilot
         pin's own diode if the radio's output had that voltage and the board 5 V [A].
     """
     tip_v = PIN_V * DIVIDER_BOTTOM / (DIVIDER_TOP + DIVIDER_BOTTOM)
@@ -77,7 +85,9 @@ def draw_camera(path: Path, camera: CameraHardware) -> str:
 
     parts = camera.power_filter
     if parts is None:
-        raise InputError(f"{camera.name}: want a camera with a power_filter to draw, got one without")
+        raise InputError(
+            f"{camera.name}: expected a camera with a power_filter to draw, got one without"
+        )
     drawing = _drawing()
     battery = drawing.add(elm.Battery().up().reverse().label("2S LiPo\n6.0 to 8.4 V", loc="top"))
     drawing.add(elm.Line().right(2.2).at(battery.end))
@@ -88,7 +98,12 @@ def draw_camera(path: Path, camera: CameraHardware) -> str:
     node = drawing.add(elm.Dot())
     drawing.add(elm.Line().right(2.6).label("+", loc="right"))
     right = drawing.here
-    drawing.add(elm.Capacitor(polar=True).down().at(node.center).label(f"{parts.capacitance_uf:g} µF\n16 V", loc="bot"))
+    drawing.add(
+        elm.Capacitor(polar=True)
+        .down()
+        .at(node.center)
+        .label(f"{parts.capacitance_uf:g} µF\n16 V", loc="bot")
+    )
     low = drawing.add(elm.Dot())
     drawing.add(elm.Line().left().tox(battery.start))
     drawing.add(elm.Line().right(2.6).at(low.center).label("−", loc="right"))
@@ -122,7 +137,10 @@ def draw_trainer(path: Path) -> str:
     import schemdraw.elements as elm
 
     drawing, open_v = _drawing(), lead_levels()["tip_v"]
-    shared_ma, pilot_ma = 1e3 * lead_levels(5.0)["into_lead_a"], 1e3 * lead_levels(9.0)["pilot_pin_a"]
+    shared_ma, pilot_ma = (
+        1e3 * lead_levels(5.0)["into_lead_a"],
+        1e3 * lead_levels(9.0)["pilot_pin_a"],
+    )
     names = [("11", f"pin {PPM_PIN}"), ("gnd", "GND"), ("49", f"pin {PILOT_PIN}"), ("rst", "RESET")]
     pins = {name: (0.0, -2.6 * k) for k, (name, _) in enumerate(names)}
     _box(drawing, (-4.2, -9.0), 4.2, 10.2, "Arduino\nMega 2560")
@@ -133,7 +151,9 @@ def draw_trainer(path: Path) -> str:
     drawing.add(elm.Resistor().right().label("1 kΩ", loc="top"))
     drawing.add(elm.Line().right(1.0))
     drawing.add(
-        elm.Dot(open=True).label(f"tip of a 3.5 mm mono plug,\n{open_v:.2f} V, to the trainer port", loc="right")
+        elm.Dot(open=True).label(
+            f"tip of a 3.5 mm mono plug,\n{open_v:.2f} V, to the trainer port", loc="right"
+        )
     )
     drawing.add(elm.Resistor().down().at(node.center).toy(pins["gnd"]).label("2 kΩ", loc="bot"))
     low = drawing.add(elm.Dot())
@@ -142,7 +162,9 @@ def draw_trainer(path: Path) -> str:
     drawing.add(elm.Dot(open=True).label("sleeve of the plug", loc="right"))
     drawing.add(elm.Resistor().right().at(pins["49"]).label("4.7 kΩ", loc="top"))
     drawing.add(elm.Line().right(4.0))
-    drawing.add(elm.Dot(open=True).label("radio's output (tip),\nto measure and record", loc="right"))
+    drawing.add(
+        elm.Dot(open=True).label("radio's output (tip),\nto measure and record", loc="right")
+    )
     drawing.add(elm.Capacitor(polar=True).right().at(pins["rst"]))
     drawing.add(elm.Line().right(1.0))
     drawing.add(elm.Ground().label("10 µF, once flashed", loc="right"))
@@ -169,14 +191,19 @@ def draw_ground(path: Path) -> str:
     import schemdraw.elements as elm
 
     drawing = _drawing()
-    drawing.config(fontsize=17)  # the widest of the three: smaller letters could not be read on a page
+    drawing.config(
+        fontsize=17
+    )  # the widest of the three: smaller letters could not be read on a page
     for column, row, text in BOXES.values():
         _box(drawing, (7.0 * column, -3.9 * row), WIDE, HIGH, text)
     for start, end, text in JOINTS:
         (a, b, _), (c, d, _) = BOXES[start], BOXES[end]
         ways = (c > a) - (c < a), (b > d) - (b < d)  # to the right, up
         from_end, to_end = (
-            (7.0 * k + WIDE / 2.0 * (1 + side * ways[0]), -3.9 * m + HIGH / 2.0 * (1 + side * ways[1]))
+            (
+                7.0 * k + WIDE / 2.0 * (1 + side * ways[0]),
+                -3.9 * m + HIGH / 2.0 * (1 + side * ways[1]),
+            )
             for k, m, side in ((a, b, 1), (c, d, -1))
         )
         line = elm.Arrow().at(from_end).to(to_end).linestyle("--" if "GHz" in text else "-")

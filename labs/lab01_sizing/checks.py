@@ -5,7 +5,7 @@ import math
 import numpy as np
 from given import COHORT, GRAVITY
 
-from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_same_answer
 
 RESERVE, CLEARANCE = COHORT["speed_reserve"], COHORT["wall_clearance"]
 LONE = ("wing", 1, 100.0, 40.0, "")
@@ -13,70 +13,85 @@ LONE = ("wing", 1, 100.0, 40.0, "")
 
 def _counts_pieces(mass_budget: Function) -> bool:
     """By hand: 100 + 3 * 10 = 130 g, moments 4000 - 3 * 10 * 25 = 3250 g mm, 3250 / 130 = 25 mm."""
-    return same(mass_budget([LONE, ("screw", 3, 10.0, -25.0, "")]), (130.0, 25.0))
+    return is_same_answer(mass_budget([LONE, ("screw", 3, 10.0, -25.0, "")]), (130.0, 25.0))
 
 
 def _skips_what_is_inside(mass_budget: Function) -> bool:
-    """By hand: the motor is weighed with the wing, so only the wing counts, wherever the motor sits."""
-    return same(mass_budget([LONE, ("motor", 2, 30.0, -90.0, "wing")]), (100.0, 40.0))
+    """By hand: the motor is weighed with the wing, so only the wing counts, wherever the motor
+    sits.
+    """
+    return is_same_answer(mass_budget([LONE, ("motor", 2, 30.0, -90.0, "wing")]), (100.0, 40.0))
 
 
 def _orders_do_not_matter(mass_budget: Function) -> bool:
-    parts = [LONE, ("tail", 2, 7.0, 300.0, ""), ("servo", 1, 4.0, 30.0, "tail"), ("nose", 1, 20.0, -100.0, "")]
+    parts = [
+        LONE,
+        ("tail", 2, 7.0, 300.0, ""),
+        ("servo", 1, 4.0, 30.0, "tail"),
+        ("nose", 1, 20.0, -100.0, ""),
+    ]
     forward, backward = mass_budget(parts), mass_budget(parts[::-1])
-    return same(forward, (134.0, 6200.0 / 134.0)) and same(backward, (134.0, 6200.0 / 134.0))
+    return is_same_answer(forward, (134.0, 6200.0 / 134.0)) and is_same_answer(
+        backward, (134.0, 6200.0 / 134.0)
+    )
 
 
 def _paper_speed(min_speed: Function) -> bool:
     """By hand: at 20 deg C rho = 1.2041; V^2 = 2 * 0.15 * 9.8 / (1.2041 * 0.076 * 0.6) = 53.545."""
-    return same(min_speed(150.0, 20.0), 7.3174, rtol=1e-4)
+    return is_same_answer(min_speed(150.0, 20.0), 7.3174, rtol=1e-4)
 
 
 def _four_times_the_mass(min_speed: Function) -> bool:
     """V ~ sqrt(m); an array comes back as an array of its shape."""
     speeds = np.asarray(min_speed(np.array([[40.0, 160.0], [360.0, 640.0]]), 5.0))
-    return same(speeds / speeds[0, 0], np.array([[1.0, 2.0], [3.0, 4.0]]))
+    return is_same_answer(speeds / speeds[0, 0], np.array([[1.0, 2.0], [3.0, 4.0]]))
 
 
 def _warm_air_is_thin(min_speed: Function) -> bool:
     """Gay-Lussac: twice the absolute temperature, half the density, sqrt(2) times the speed."""
     cold, warm = -73.15, 126.85
-    return same(min_speed(80.0, warm) / min_speed(80.0, cold), math.sqrt(2.0))
+    return is_same_answer(min_speed(80.0, warm) / min_speed(80.0, cold), math.sqrt(2.0))
 
 
 def _sixty_degrees(level_turn: Function) -> bool:
     """By hand: cos 60 = 1/2, so n = 2; V = k * 7 * sqrt 2; R = 2 * 49 k^2 / (9.8 tan 60)."""
     radius = 2.0 * 49.0 * RESERVE**2 / (GRAVITY * math.sqrt(3.0))
-    return same(level_turn(7.0, 60.0), (2.0, 7.0 * RESERVE * math.sqrt(2.0), radius))
+    return is_same_answer(level_turn(7.0, 60.0), (2.0, 7.0 * RESERVE * math.sqrt(2.0), radius))
 
 
 def _lift_carries_and_pulls(level_turn: Function) -> bool:
     """Pythagoras: (n g)^2 = g^2 + (V^2 / R)^2, whatever the reserve."""
     n, speed, radius = level_turn(np.array([5.0, 7.0, 9.0]), np.array([20.0, 35.0, 50.0]))
-    return same((n * GRAVITY) ** 2, GRAVITY**2 + (speed**2 / radius) ** 2)
+    return is_same_answer((n * GRAVITY) ** 2, GRAVITY**2 + (speed**2 / radius) ** 2)
 
 
 def _shallow_turn(level_turn: Function) -> bool:
     """Limit: hardly banked, n = 1 and the speed is the reserve times the slowest one."""
     n, speed, _ = level_turn(6.0, 0.01)
-    return same((n, speed), (1.0, 6.0 * RESERVE), rtol=1e-6)
+    return is_same_answer((n, speed), (1.0, 6.0 * RESERVE), rtol=1e-6)
 
 
 def _room_by_hand(max_mass: Function) -> bool:
-    """By hand: bank 30, A = 0.03 kg/m, and a width that leaves 2 R = 16 m: m = 0.03 * 8 * 0.5 / k^2 kg."""
+    """By hand: bank 30, A = 0.03 kg/m, and a width that leaves 2 R = 16 m: m = 0.03 * 8 * 0.5 / k^2
+    kg.
+    """
     width = 16.0 + 0.7 * math.cos(math.pi / 6.0) + 2.0 * CLEARANCE
-    return same(max_mass(width, 30.0, 0.03), 120.0 / RESERVE**2)
+    return is_same_answer(max_mass(width, 30.0, 0.03), 120.0 / RESERVE**2)
 
 
 def _two_rooms_differ_by_their_width(max_mass: Function) -> bool:
-    """Mass is proportional to what the width leaves: steps of 2 m give equal steps of mass, sin(bank) A 1000 / k^2."""
+    """Mass is proportional to what the width leaves: steps of 2 m give equal steps of mass,
+    sin(bank) A 1000 / k^2.
+    """
     masses = np.asarray(max_mass(np.array([12.0, 14.0, 16.0]), 50.0, 0.02))
-    return same(np.diff(masses), np.full(2, 20.0 * math.sin(math.radians(50.0)) / RESERVE**2))
+    return is_same_answer(
+        np.diff(masses), np.full(2, 20.0 * math.sin(math.radians(50.0)) / RESERVE**2)
+    )
 
 
 def _too_narrow(max_mass: Function) -> bool:
     """No mass is negative: a corridor narrower than wing and clearance carries nothing."""
-    return same(max_mass(np.array([0.3, 0.5]), 30.0, 0.03), np.zeros(2))
+    return is_same_answer(max_mass(np.array([0.3, 0.5]), 30.0, 0.03), np.zeros(2))
 
 
 LAB = Lab(

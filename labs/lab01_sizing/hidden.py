@@ -1,6 +1,8 @@
-"""Lab 1, instructors only: what the functions are judged against. The kit's own sizing, in other units and another way.
+"""Lab 1, instructors only: what the functions are judged against. The kit's own sizing, in other
+units and another way.
 
-The kit knows no reserve: to fly k times faster than the slowest turn is to turn with 1 / k^2 of the lift coefficient.
+The kit knows no reserve: to fly k times faster than the slowest turn is to turn with 1 / k^2 of the
+lift coefficient.
 """
 
 from collections.abc import Mapping
@@ -10,7 +12,13 @@ from typing import Any
 import numpy as np
 from given import AIR_GAS_CONSTANT, PRESSURE
 
-from falconwing_kit.aircraft import largest_mass, level_turn_radius, level_turn_speed, load_airframe, minimum_speed
+from falconwing_kit.aircraft import (
+    largest_mass,
+    level_turn_radius,
+    level_turn_speed,
+    load_airframe,
+    minimum_speed,
+)
 from falconwing_kit.tools.grading import Course, Judge, Values
 
 AIRFRAME = load_airframe()
@@ -54,14 +62,22 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
 
 
 def _draw_parts(rng: np.random.Generator) -> tuple[Any, ...]:
-    """A wing and more parts, of which some are inside one another; no piece stands alone, so counts matter."""
+    """A wing and more parts, of which some are inside one another; no piece stands alone, so counts
+    matter.
+    """
     names = ["wing", *(f"part {i}" for i in range(int(rng.integers(4, 9))))]
     inside = ["", *rng.choice(["", *names[1:3]], len(names) - 1)]
     inside[1:5] = ["", names[2], "", "wing"]
     numbers = [
-        (int(rng.integers(2, 5)), float(rng.uniform(5.0, 30.0)), float(rng.uniform(-200.0, 400.0))) for _ in names
+        (int(rng.integers(2, 5)), float(rng.uniform(5.0, 30.0)), float(rng.uniform(-200.0, 400.0)))
+        for _ in names
     ]
-    return ([(name, *three, str(within)) for name, three, within in zip(names, numbers, inside, strict=True)],)
+    return (
+        [
+            (name, *three, str(within))
+            for name, three, within in zip(names, numbers, inside, strict=True)
+        ],
+    )
 
 
 def _budget(parts: list[tuple[str, int, float, float, str]]) -> tuple[float, float]:

@@ -20,7 +20,16 @@
 import given
 import matplotlib.pyplot as plt
 import numpy as np
-from given import AIR_GAS_CONSTANT, COHORT, GRAVITY, LIFT_COEFFICIENT, PARTS, PRESSURE, SPAN, WING_AREA
+from given import (
+    AIR_GAS_CONSTANT,
+    COHORT,
+    GRAVITY,
+    LIFT_COEFFICIENT,
+    PARTS,
+    PRESSURE,
+    SPAN,
+    WING_AREA,
+)
 
 from falconwing_kit.tools.grading import check
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from given import COHORT, Array
 
-from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_same_answer
 
 RUNWAY = math.radians(COHORT["runway_heading_deg"])
 HALF, ROOT = 0.5, math.sqrt(0.75)  # sine and cosine of 30 deg
@@ -19,49 +19,63 @@ def _columns(nose: list[float], wing: list[float], belly: list[float]) -> Array:
 
 def _along_the_runway(rot: Function) -> bool:
     """By hand: level, along the runway: nose along (y), right wing right (x), belly down."""
-    return same(rot(0.0, 0.0, RUNWAY), _columns([0, 1, 0], [1, 0, 0], [0, 0, -1]))
+    return is_same_answer(rot(0.0, 0.0, RUNWAY), _columns([0, 1, 0], [1, 0, 0], [0, 0, -1]))
 
 
 def _yaw_right(rot: Function) -> bool:
     """By hand: 30 deg to the right of the runway, nose half right; the right wing swings back."""
-    return same(rot(0.0, 0.0, RUNWAY + THIRTY), _columns([HALF, ROOT, 0], [ROOT, -HALF, 0], [0, 0, -1]))
+    return is_same_answer(
+        rot(0.0, 0.0, RUNWAY + THIRTY), _columns([HALF, ROOT, 0], [ROOT, -HALF, 0], [0, 0, -1])
+    )
 
 
 def _pitch_up(rot: Function) -> bool:
     """By hand: nose up 30 deg: the nose half up, the belly half forward."""
-    return same(rot(0.0, THIRTY, RUNWAY), _columns([0, ROOT, HALF], [1, 0, 0], [0, HALF, -ROOT]))
+    return is_same_answer(
+        rot(0.0, THIRTY, RUNWAY), _columns([0, ROOT, HALF], [1, 0, 0], [0, HALF, -ROOT])
+    )
 
 
 def _roll_right(rot: Function) -> bool:
     """By hand: right wing half down, the belly half left."""
-    return same(rot(THIRTY, 0.0, RUNWAY), _columns([0, 1, 0], [ROOT, 0, -HALF], [-HALF, 0, -ROOT]))
+    return is_same_answer(
+        rot(THIRTY, 0.0, RUNWAY), _columns([0, 1, 0], [ROOT, 0, -HALF], [-HALF, 0, -ROOT])
+    )
 
 
 def _order(rot: Function) -> bool:
-    """By hand: 30 deg right, then 30 deg up, rolled by 90: the nose stays, the right wing takes the belly's place."""
+    """By hand: 30 deg right, then 30 deg up, rolled by 90: the nose stays, the right wing takes the
+    belly's place.
+    """
     nose = [HALF * ROOT, ROOT * ROOT, HALF]
     belly_before = [HALF * HALF, ROOT * HALF, -ROOT]
-    return same(rot(QUARTER, THIRTY, RUNWAY + THIRTY), _columns(nose, belly_before, [-ROOT, HALF, 0]))
+    return is_same_answer(
+        rot(QUARTER, THIRTY, RUNWAY + THIRTY), _columns(nose, belly_before, [-ROOT, HALF, 0])
+    )
 
 
 def _untilted(pose: Function) -> bool:
     """By hand: body axes as the map's, no tilt: columns are right wing (y), belly (z), nose (x)."""
     T = pose(np.eye(3), np.array([1.0, 2.0, 3.0]), np.zeros(3), 0.0)
-    return same(T, np.array([[0, 0, 1, 1], [1, 0, 0, 2], [0, 1, 0, 3], [0, 0, 0, 1.0]]))
+    return is_same_answer(T, np.array([[0, 0, 1, 1], [1, 0, 0, 2], [0, 1, 0, 3], [0, 0, 0, 1.0]]))
 
 
 def _tilted(pose: Function) -> bool:
-    """By hand: 30 deg down: the axis is nose cos + belly sin, the picture's down is belly cos - nose sin."""
+    """By hand: 30 deg down: the axis is nose cos + belly sin, the picture's down is belly cos -
+    nose sin.
+    """
     T = pose(np.eye(3), np.zeros(3), np.zeros(3), THIRTY)
-    return same(T[:3, :3], np.array([[0, -HALF, ROOT], [1, 0, 0], [0, ROOT, HALF]]))
+    return is_same_answer(T[:3, :3], np.array([[0, -HALF, ROOT], [1, 0, 0], [0, ROOT, HALF]]))
 
 
 def _mount_turns(pose: Function) -> bool:
-    """By hand: body x points to the map's y, body y to its -x: 0.2 ahead and 0.1 right is 0.2 along and 0.1 left."""
+    """By hand: body x points to the map's y, body y to its -x: 0.2 ahead and 0.1 right is 0.2 along
+    and 0.1 left.
+    """
     R_map_body = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     T = pose(R_map_body, np.array([5.0, 0.0, 1.0]), np.array([0.2, 0.1, 0.0]), 0.3)
     looks = np.array([0.0, math.cos(0.3), math.sin(0.3)])
-    return same(T[:3, 3], np.array([4.9, 0.2, 1.0])) and same(T[:3, 2], looks)
+    return is_same_answer(T[:3, 3], np.array([4.9, 0.2, 1.0])) and is_same_answer(T[:3, 2], looks)
 
 
 def _pose() -> tuple[Array, Array]:
@@ -74,15 +88,17 @@ def _pose() -> tuple[Array, Array]:
 
 def _itself(to_camera: Function) -> bool:
     T, _ = _pose()
-    return same(to_camera(T[None, :3, 3], T), np.zeros((1, 3)))
+    return is_same_answer(to_camera(T[None, :3, 3], T), np.zeros((1, 3)))
 
 
 def _ahead(to_camera: Function) -> bool:
-    """Points built as the lens plus so much of each axis must come back as that much; N = 3 is the treacherous one."""
+    """Points built as the lens plus so much of each axis must come back as that much; N = 3 is the
+    treacherous one.
+    """
     T, R = _pose()
     wanted = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 3.0], [0.0, -1.5, 4.0]])
     built = np.array([T[:3, 3] + a * R[:, 0] + b * R[:, 1] + c * R[:, 2] for a, b, c in wanted])
-    return same(to_camera(built, T), wanted)
+    return is_same_answer(to_camera(built, T), wanted)
 
 
 def _keeps_distances(to_camera: Function) -> bool:
@@ -90,48 +106,65 @@ def _keeps_distances(to_camera: Function) -> bool:
     T, _ = _pose()
     p = np.array([[1.0, 2.0, 3.0], [4.0, -1.0, 0.0], [0.0, 0.0, 7.0], [2.0, 2.0, 2.0]])
     q = np.asarray(to_camera(p, T))
-    return same(np.linalg.norm(np.diff(q, axis=0), axis=1), np.linalg.norm(np.diff(p, axis=0), axis=1))
+    return is_same_answer(
+        np.linalg.norm(np.diff(q, axis=0), axis=1), np.linalg.norm(np.diff(p, axis=0), axis=1)
+    )
 
 
 def _axis_point(project: Function) -> bool:
     """By hand: the axis meets the picture at (cx, cy) - 1/2, at any depth."""
-    return same(project(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 9.0]]), LENS), np.array([[100.0, 80.0]] * 2))
+    return is_same_answer(
+        project(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 9.0]]), LENS), np.array([[100.0, 80.0]] * 2)
+    )
 
 
 def _bent_by_hand(project: Function) -> bool:
-    """By hand: slopes (0.5, -0.5), r^2 = 0.5, factor 0.9: u = 100 + 200 * 0.45, v = 80 - 300 * 0.45."""
-    return same(project(np.array([[1.0, -1.0, 2.0]]), LENS), np.array([[190.0, -55.0]]))
+    """By hand: slopes (0.5, -0.5), r^2 = 0.5, factor 0.9: u = 100 + 200 * 0.45, v = 80 - 300 *
+    0.45.
+    """
+    return is_same_answer(project(np.array([[1.0, -1.0, 2.0]]), LENS), np.array([[190.0, -55.0]]))
 
 
 def _behind(project: Function) -> bool:
     """By hand: what is behind is nan in both; the others stay: slopes (1, 0), factor 0.8."""
     nan = float("nan")
     points = np.array([[1.0, 0.0, -1.0], [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
-    return same(project(points, LENS), np.array([[nan, nan], [260.0, 80.0], [nan, nan]]))
+    return is_same_answer(project(points, LENS), np.array([[nan, nan], [260.0, 80.0], [nan, nan]]))
 
 
 def _looking_down() -> Array:
-    """2 m above (3, 4), looking straight down, right in the picture is right, down in the picture is back."""
-    return np.array([[1.0, 0.0, 0.0, 3.0], [0.0, -1.0, 0.0, 4.0], [0.0, 0.0, -1.0, 2.0], [0.0, 0.0, 0.0, 1.0]])
+    """2 m above (3, 4), looking straight down, right in the picture is right, down in the picture
+    is back.
+    """
+    return np.array(
+        [[1.0, 0.0, 0.0, 3.0], [0.0, -1.0, 0.0, 4.0], [0.0, 0.0, -1.0, 2.0], [0.0, 0.0, 0.0, 1.0]]
+    )
 
 
 def _straight_down(ground: Function) -> bool:
     """By hand: 100 px right with f = 200 at 2 m is 1 m right; 150 px down with f = 300 is 1 m back."""
     pixels = np.array([[100.0, 80.0], [200.0, 80.0], [100.0, 230.0], [200.0, 230.0]])
     wanted = np.array([[3.0, 4.0, 0.0], [4.0, 4.0, 0.0], [3.0, 3.0, 0.0], [4.0, 3.0, 0.0]])
-    return same(ground(pixels, _looking_down(), LENS), wanted)
+    return is_same_answer(ground(pixels, _looking_down(), LENS), wanted)
 
 
 def _looking_ahead() -> Array:
     """1.5 m above the origin, level, looking along the runway."""
-    return np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 1.5], [0.0, 0.0, 0.0, 1.0]])
+    return np.array(
+        [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 1.5], [0.0, 0.0, 0.0, 1.0]]
+    )
 
 
 def _horizon(ground: Function) -> bool:
-    """By hand: level, 150 px below the middle with f = 300 is a slope of 1/2, 3 m ahead; above, there is no floor."""
+    """By hand: level, 150 px below the middle with f = 300 is a slope of 1/2, 3 m ahead; above,
+    there is no floor.
+    """
     nan = float("nan")
     pixels = np.array([[100.0, 230.0], [100.0, 20.0], [200.0, 230.0]])
-    return same(ground(pixels, _looking_ahead(), LENS), np.array([[0.0, 3.0, 0.0], [nan] * 3, [1.5, 3.0, 0.0]]))
+    return is_same_answer(
+        ground(pixels, _looking_ahead(), LENS),
+        np.array([[0.0, 3.0, 0.0], [nan] * 3, [1.5, 3.0, 0.0]]),
+    )
 
 
 LAB = Lab(
@@ -154,8 +187,16 @@ LAB = Lab(
                     _yaw_right,
                     "positive yaw is to the right; which column is the nose?",
                 ),
-                Check("nose up by 30 deg, it rises", _pitch_up, "the map's third row is up, the textbook's is down"),
-                Check("rolled by 30 deg, the right wing drops", _roll_right, "look at the second column's last entry"),
+                Check(
+                    "nose up by 30 deg, it rises",
+                    _pitch_up,
+                    "the map's third row is up, the textbook's is down",
+                ),
+                Check(
+                    "rolled by 30 deg, the right wing drops",
+                    _roll_right,
+                    "look at the second column's last entry",
+                ),
                 Check(
                     "a roll does not move the nose, whatever came before",
                     _order,
@@ -188,13 +229,21 @@ LAB = Lab(
             "map_to_camera",
             15.0,
             (
-                Check("the camera sees itself at 0, 0, 0", _itself, "subtract the lens before you turn"),
+                Check(
+                    "the camera sees itself at 0, 0, 0",
+                    _itself,
+                    "subtract the lens before you turn",
+                ),
                 Check(
                     "a point so far right, down and ahead comes back as these numbers",
                     _ahead,
                     "the inverse of a rotation is its transpose; with points in rows the matrix changes sides",
                 ),
-                Check("distances between points stay", _keeps_distances, "one shift and one rotation, nothing else"),
+                Check(
+                    "distances between points stay",
+                    _keeps_distances,
+                    "one shift and one rotation, nothing else",
+                ),
             ),
         ),
         Exercise(
@@ -211,7 +260,11 @@ LAB = Lab(
                     _bent_by_hand,
                     "divide by z first; r^2 is of the slopes, the same factor for both",
                 ),
-                Check("what is not in front is nan, and only that", _behind, "np.where on z, before you divide"),
+                Check(
+                    "what is not in front is nan, and only that",
+                    _behind,
+                    "np.where on z, before you divide",
+                ),
             ),
         ),
         Exercise(
@@ -242,9 +295,15 @@ LAB = Lab(
             4.0,
             "roll: turned by twice its angle; tilt: all lines lower; k1: a pixel here, many in the corners",
         ),
-        Criterion("q1", 5.0, "sign of the roll, angle twice the roll; without the runway's heading all moves sideways"),
         Criterion(
-            "q2", 5.0, "2.5 mrad or 2.5 cm at 10 m; no for landing, yes for renders and for fits, as it has a sign"
+            "q1",
+            5.0,
+            "sign of the roll, angle twice the roll; without the runway's heading all moves sideways",
+        ),
+        Criterion(
+            "q2",
+            5.0,
+            "2.5 mrad or 2.5 cm at 10 m; no for landing, yes for renders and for fits, as it has a sign",
         ),
     ),
     constants={"runway_heading_deg": (20.0, 60.0, 0)},

@@ -1,7 +1,8 @@
 """Make lab 2's data again: python labs/lab02_camera/make_data.py
 
-Two views from the kit's simulated hall, as an aircraft on its approach would see it through a lens that bends straight
-lines, and the autopilot's log beside each. Needs the kit, which knows the frames; the lab's exercises stay in the lab.
+Two views from the kit's simulated hall, as an aircraft on its approach would see it through a lens
+that bends straight lines, and the autopilot's log beside each. Needs the kit, which knows the
+frames; the lab's exercises stay in the lab.
 """
 
 import json
@@ -16,14 +17,17 @@ DATA = Path(__file__).parent / "data"
 LENS = {"fx": 198.4, "fy": 198.4, "cx": 160.0, "cy": 120.0, "k1": -0.08}
 WIDTH, HEIGHT, FINER = 320, 240, 3  # the views are averaged from a picture that many times finer
 TILT_DEG, P_BODY_CAMERA = 8.0, (0.2, 0.0, 0.0)
-VIEWS = (  # where the aircraft is in the kit's world [m], roll, pitch, and yaw from the runway [deg]
+# where the aircraft is in the kit's world [m], roll, pitch, and yaw from the runway [deg]
+VIEWS = (
     ((-6.0, -3.2, 1.7), 14.0, 3.0, -7.0),
     ((-5.0, 2.2, 2.4), -18.0, -2.0, 24.0),
 )
 
 
 def bent(image: Array, camera: PinholeCamera) -> Array:
-    """What a lens with k1 makes of a picture (H, W, 3) of a lens without, at the size of the views (H, W, 3)."""
+    """What a lens with k1 makes of a picture (H, W, 3) of a lens without, at the size of the views
+    (H, W, 3).
+    """
     rows, columns = np.mgrid[: FINER * HEIGHT, : FINER * WIDTH]
     x_bent = ((columns + 0.5) / FINER - LENS["cx"]) / LENS["fx"]
     y_bent = ((rows + 0.5) / FINER - LENS["cy"]) / LENS["fy"]
@@ -45,7 +49,9 @@ def main() -> None:
     width, height = int(FINER * WIDTH * margin), int(FINER * HEIGHT * margin)
     camera = PinholeCamera(focal, focal, width / 2.0, height / 2.0, width, height)
     tilt = np.radians(TILT_DEG)
-    R_body_level = np.array([[np.cos(tilt), 0.0, -np.sin(tilt)], [0.0, 1.0, 0.0], [np.sin(tilt), 0.0, np.cos(tilt)]])
+    R_body_level = np.array(
+        [[np.cos(tilt), 0.0, -np.sin(tilt)], [0.0, 1.0, 0.0], [np.sin(tilt), 0.0, np.cos(tilt)]]
+    )
     T_body_camera = pose_matrix(R_body_level @ R_BODY_CAMERA, P_BODY_CAMERA)
     log = []
     for number, (p_world, *attitude_deg) in enumerate(VIEWS):
@@ -53,7 +59,9 @@ def main() -> None:
         view = render(scene, camera, T_world_body @ T_body_camera, backend="fast")
         image = bent(view.rgb.astype(float), camera)
         with atomic_write(DATA / f"view{number}.jpg") as file:
-            Image.fromarray((255.0 * np.clip(image, 0.0, 1.0)).round().astype(np.uint8)).save(file, "JPEG", quality=88)
+            Image.fromarray((255.0 * np.clip(image, 0.0, 1.0)).round().astype(np.uint8)).save(
+                file, "JPEG", quality=88
+            )
         names = ("roll_deg", "pitch_deg", "off_runway_deg")
         p_map = [-p_world[1], p_world[0], p_world[2]]  # the kit's y points left, the map's x right
         log.append({"p_map": p_map, **dict(zip(names, attitude_deg, strict=True))})

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from given import COHORT
 
-from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_same_answer
 
 CUT, SHARE = COHORT["cut_sigma"], COHORT["surface_share"]
 LENS = {"fx": 100.0, "fy": 200.0, "cx": 80.0, "cy": 60.0}
@@ -15,22 +15,36 @@ BACK = np.array([0.2, 0.4, 0.6])
 
 def _unturned(cov3d: Function) -> bool:
     """By hand: not turned (w = 1, last), standard deviations 1, 2, 3: variances 1, 4, 9."""
-    return same(cov3d(np.log([[1.0, 2.0, 3.0]]), np.array([[0.0, 0.0, 0.0, 1.0]])), np.diag([1.0, 4.0, 9.0])[None])
+    return is_same_answer(
+        cov3d(np.log([[1.0, 2.0, 3.0]]), np.array([[0.0, 0.0, 0.0, 1.0]])),
+        np.diag([1.0, 4.0, 9.0])[None],
+    )
 
 
 def _turned(cov3d: Function) -> bool:
-    """By hand: s = 2, 1, 1 turned by 30 deg about z: xx = 4 c^2 + s^2 = 3.25, yy = 1.75, xy = 3 s c > 0."""
+    """By hand: s = 2, 1, 1 turned by 30 deg about z: xx = 4 c^2 + s^2 = 3.25, yy = 1.75, xy = 3 s c
+    > 0.
+    """
     half = math.radians(15.0)
     xy = 3.0 * 0.5 * math.sqrt(0.75)
     wanted = np.array([[[3.25, xy, 0.0], [xy, 1.75, 0.0], [0.0, 0.0, 1.0]]])
-    return same(cov3d(np.log([[2.0, 1.0, 1.0]]), np.array([[0.0, 0.0, math.sin(half), math.cos(half)]])), wanted)
+    return is_same_answer(
+        cov3d(np.log([[2.0, 1.0, 1.0]]), np.array([[0.0, 0.0, math.sin(half), math.cos(half)]])),
+        wanted,
+    )
 
 
 def _any_length(cov3d: Function) -> bool:
     """Law: q, 3 q and -q are one rotation."""
     q, log_scales = np.array([[0.1, -0.7, 0.3, 0.6]]), np.array([[0.2, -0.5, -1.0]])
-    one, three, minus = (cov3d(log_scales, factor * q / np.linalg.norm(q)) for factor in (1.0, 3.0, -1.0))
-    return same(three, one) and same(minus, one) and np.asarray(one).shape == (1, 3, 3)
+    one, three, minus = (
+        cov3d(log_scales, factor * q / np.linalg.norm(q)) for factor in (1.0, 3.0, -1.0)
+    )
+    return (
+        is_same_answer(three, one)
+        and is_same_answer(minus, one)
+        and np.asarray(one).shape == (1, 3, 3)
+    )
 
 
 def _keeps_volume(cov3d: Function) -> bool:
@@ -41,82 +55,115 @@ def _keeps_volume(cov3d: Function) -> bool:
     )
     cov = np.asarray(cov3d(log_scales, q))
     volume = np.exp(2.0 * log_scales.sum(axis=1))
-    return same(np.linalg.det(cov), volume) and same(cov, cov.transpose(0, 2, 1))
+    return is_same_answer(np.linalg.det(cov), volume) and is_same_answer(
+        cov, cov.transpose(0, 2, 1)
+    )
 
 
 def _straight_ahead(project: Function) -> bool:
-    """By hand: at 2 m, 1 m is 50 px across and 100 px down; blur 0.5; right and down is right and up turned over."""
+    """By hand: at 2 m, 1 m is 50 px across and 100 px down; blur 0.5; right and down is right and
+    up turned over.
+    """
     cov = np.array([[[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.5]]])
     covs_px = np.array([[[2500 * 0.04 + 0.5, -5000 * 0.01], [-5000 * 0.01, 10000 * 0.09 + 0.5]]])
-    return same(project(AHEAD, cov, LENS, 0.5), (np.array([[80.0, 60.0]]), covs_px))
+    return is_same_answer(project(AHEAD, cov, LENS, 0.5), (np.array([[80.0, 60.0]]), covs_px))
 
 
 def _right_and_up(project: Function) -> bool:
     """By hand: 1 m right and 0.5 m up at 2 m: 50 px right of the middle and 50 px above it."""
     means_px, _ = project(np.array([[1.0, 0.5, -2.0]]), np.eye(3)[None], LENS, 0.3)
-    return same(means_px, np.array([[130.0, 10.0]]))
+    return is_same_answer(means_px, np.array([[130.0, 10.0]]))
 
 
 def _towards_us(project: Function) -> bool:
-    """By hand: only deep, 1 m^2, at (1, 0.5, -2): J's last column is (100 / 4, -200 * 0.5 / 4) = (25, -25)."""
+    """By hand: only deep, 1 m^2, at (1, 0.5, -2): J's last column is (100 / 4, -200 * 0.5 / 4) =
+    (25, -25).
+    """
     deep = np.diag([0.0, 0.0, 1.0])[None]
     _, covs_px = project(np.array([[1.0, 0.5, -2.0]]), deep, LENS, 0.0)
-    return same(covs_px, np.array([[[625.0, -625.0], [-625.0, 625.0]]]))
+    return is_same_answer(covs_px, np.array([[[625.0, -625.0], [-625.0, 625.0]]]))
 
 
 def _mixed(project: Function) -> bool:
-    """By hand: J = [[50, 0, 25], [0, -100, -25]]; xz = 0.1 adds 2 * 50 * 25 * 0.1 to uu, -50 * 25 * 0.1 to uv."""
+    """By hand: J = [[50, 0, 25], [0, -100, -25]]; xz = 0.1 adds 2 * 50 * 25 * 0.1 to uu, -50 * 25 *
+    0.1 to uv.
+    """
     cov = np.array([[[1.0, 0.0, 0.1], [0.0, 1.0, 0.0], [0.1, 0.0, 1.0]]])
     _, covs_px = project(np.array([[1.0, 0.5, -2.0]]), cov, LENS, 0.0)
     wanted = np.array([[[2500 + 250 + 625, -125 - 625], [-125 - 625, 10000 + 625]]], dtype=float)
-    return same(covs_px, wanted)
+    return is_same_answer(covs_px, wanted)
 
 
 def _one_sigma(alphas: Function) -> bool:
     """By hand: variances 4 and 9: at 2 px across or 3 px down q = 1, at both q = 2."""
     pixels = np.array([[5.0, 5.0], [7.0, 5.0], [5.0, 2.0], [7.0, 8.0]])
     got = alphas(pixels, np.array([[5.0, 5.0]]), np.diag([4.0, 9.0])[None], np.array([0.8]))
-    return same(got, 0.8 * np.exp([[0.0], [-0.5], [-0.5], [-1.0]]))
+    return is_same_answer(got, 0.8 * np.exp([[0.0], [-0.5], [-0.5], [-1.0]]))
 
 
 def _slanted(alphas: Function) -> bool:
-    """By hand: [[2, 1], [1, 2]] has the inverse [[2, -1], [-1, 2]] / 3: q = 2/3 along (1, 1), 2 along (1, -1)."""
+    """By hand: [[2, 1], [1, 2]] has the inverse [[2, -1], [-1, 2]] / 3: q = 2/3 along (1, 1), 2
+    along (1, -1).
+    """
     pixels = np.array([[1.0, 1.0], [1.0, -1.0]])
-    got = alphas(pixels, np.zeros((2, 2)), np.array([[[2.0, 1.0], [1.0, 2.0]], np.eye(2)]), np.array([0.5, 0.9]))
-    return same(got, np.array([[0.5, 0.9], [0.5, 0.9]]) * np.exp([[-1.0 / 3.0, -1.0], [-1.0, -1.0]]))
+    got = alphas(
+        pixels,
+        np.zeros((2, 2)),
+        np.array([[[2.0, 1.0], [1.0, 2.0]], np.eye(2)]),
+        np.array([0.5, 0.9]),
+    )
+    return is_same_answer(
+        got, np.array([[0.5, 0.9], [0.5, 0.9]]) * np.exp([[-1.0 / 3.0, -1.0], [-1.0, -1.0]])
+    )
 
 
 def _ends(alphas: Function) -> bool:
-    """By hand: just inside the cut there is something, just outside nothing; standard deviation 2 px."""
+    """By hand: just inside the cut there is something, just outside nothing; standard deviation 2
+    px.
+    """
     inside, outside = 2.0 * CUT - 0.01, 2.0 * CUT + 0.01
-    got = alphas(np.array([[inside, 0.0], [0.0, outside]]), np.zeros((1, 2)), 4.0 * np.eye(2)[None], np.array([0.9]))
-    return same(got, np.array([[0.9 * math.exp(-0.125 * inside**2)], [0.0]]))
+    got = alphas(
+        np.array([[inside, 0.0], [0.0, outside]]),
+        np.zeros((1, 2)),
+        4.0 * np.eye(2)[None],
+        np.array([0.9]),
+    )
+    return is_same_answer(got, np.array([[0.9 * math.exp(-0.125 * inside**2)], [0.0]]))
 
 
 def _never_full(alphas: Function) -> bool:
     """By hand: a solid splat covers 0.999 at its mean, and 0.9 at q = -2 ln 0.9."""
     pixels = np.array([[3.0, 4.0], [3.0, 4.0 + math.sqrt(-2.0 * math.log(0.9))]])
-    return same(alphas(pixels, np.array([[3.0, 4.0]]), np.eye(2)[None], np.ones(1)), np.array([[0.999], [0.9]]))
+    return is_same_answer(
+        alphas(pixels, np.array([[3.0, 4.0]]), np.eye(2)[None], np.ones(1)),
+        np.array([[0.999], [0.9]]),
+    )
 
 
 def _two_layers(composite: Function) -> bool:
     """By hand: half red before half green before the background: 1/2, 1/4 and 1/4."""
     rgb, _ = composite(np.array([[0.5, 0.5]]), np.eye(3)[:2], np.array([1.0, 2.0]), BACK)
-    return same(rgb, np.array([[0.5, 0.25, 0.0]]) + 0.25 * BACK)
+    return is_same_answer(rgb, np.array([[0.5, 0.25, 0.0]]) + 0.25 * BACK)
 
 
 def _order_of_the_file(composite: Function) -> bool:
     """By hand: the nearest comes last in the file: 0.8 green before 0.5 red."""
     rgb, depth = composite(np.array([[0.5, 0.8]]), np.eye(3)[:2], np.array([7.0, 3.0]), np.zeros(3))
-    return same(rgb, np.array([[0.1, 0.8, 0.0]])) and same(depth, np.array([3.0]))
+    return is_same_answer(rgb, np.array([[0.1, 0.8, 0.0]])) and is_same_answer(
+        depth, np.array([3.0])
+    )
 
 
 def _surface_depth(composite: Function) -> bool:
-    """By hand: the share is reached by the first, by the first two together, or never, which is nan."""
+    """By hand: the share is reached by the first, by the first two together, or never, which is
+    nan.
+    """
     much, little = SHARE + 0.05, SHARE - 0.1
     alphas = np.array([[much, 0.1, 0.1], [little, 0.4, 0.9], [0.1, 0.1, 0.1]])
     rgb, depth = composite(alphas, np.ones((3, 3)), np.array([2.0, 4.0, 6.0]), np.ones(3))
-    return same(rgb, np.ones((3, 3))) and same(depth, np.array([2.0, 4.0, float("nan")]))
+    return is_same_answer(rgb, np.ones((3, 3))) and is_same_answer(
+        depth, np.array([2.0, 4.0, float("nan")])
+    )
 
 
 LAB = Lab(
@@ -138,8 +185,16 @@ LAB = Lab(
                     _turned,
                     "R S S^T R^T: a transposed R turns the other way",
                 ),
-                Check("q, 3 q and -q give the same", _any_length, "bring each quaternion to length 1, each by its own"),
-                Check("turning keeps the volume, and the result is symmetric", _keeps_volume, "is your R a rotation?"),
+                Check(
+                    "q, 3 q and -q give the same",
+                    _any_length,
+                    "bring each quaternion to length 1, each by its own",
+                ),
+                Check(
+                    "turning keeps the volume, and the result is symmetric",
+                    _keeps_volume,
+                    "is your R a rotation?",
+                ),
             ),
         ),
         Exercise(
@@ -152,14 +207,20 @@ LAB = Lab(
                     "fx for u, fy for v; the blur is added to both variances; what leans up right in space is uv < 0",
                 ),
                 Check(
-                    "right and up of the axis is right and up in the picture", _right_and_up, "ahead is -z, and z < 0"
+                    "right and up of the axis is right and up in the picture",
+                    _right_and_up,
+                    "ahead is -z, and z < 0",
                 ),
                 Check(
                     "a cloud that is only deep is drawn out from the middle",
                     _towards_us,
                     "the third column of J: derive x / -z by z, with its sign",
                 ),
-                Check("a cloud that leans in depth, by hand", _mixed, "J Sigma J^T with all entries of J in place"),
+                Check(
+                    "a cloud that leans in depth, by hand",
+                    _mixed,
+                    "J Sigma J^T with all entries of J in place",
+                ),
             ),
         ),
         Exercise(
@@ -167,15 +228,23 @@ LAB = Lab(
             20.0,
             (
                 Check(
-                    "one standard deviation away it is exp(-1/2) of the opacity", _one_sigma, "q / 2, with q squared"
+                    "one standard deviation away it is exp(-1/2) of the opacity",
+                    _one_sigma,
+                    "q / 2, with q squared",
                 ),
                 Check(
                     "a slanted splat reaches further along its slant; each splat has its own column",
                     _slanted,
                     "d^T Sigma^-1 d with the whole inverse, for each pixel and each splat",
                 ),
-                Check("it ends at the course's number of standard deviations", _ends, "compare sqrt(q) with cut_sigma"),
-                Check("even a solid splat covers 0.999 at most", _never_full, "the smaller of the two"),
+                Check(
+                    "it ends at the course's number of standard deviations",
+                    _ends,
+                    "compare sqrt(q) with cut_sigma",
+                ),
+                Check(
+                    "even a solid splat covers 0.999 at most", _never_full, "the smaller of the two"
+                ),
             ),
         ),
         Exercise(
@@ -212,8 +281,14 @@ LAB = Lab(
             "thin curves where splats are cut, as they end at another alpha; a wrong order lights up whole objects, "
             "half a pixel doubles outlines",
         ),
-        Criterion("q1", 5.0, "o exp(-k^2 / 2), about 3.7/255 at 2.9; a test: another cut, look again"),
-        Criterion("q2", 5.0, "own time scaled by 4.6e10 alphas; about 1 % not zero; tiles or boxes, stop when full"),
+        Criterion(
+            "q1", 5.0, "o exp(-k^2 / 2), about 3.7/255 at 2.9; a test: another cut, look again"
+        ),
+        Criterion(
+            "q2",
+            5.0,
+            "own time scaled by 4.6e10 alphas; about 1 % not zero; tiles or boxes, stop when full",
+        ),
     ),
     constants={"cut_sigma": (2.6, 3.2, 1), "surface_share": (0.4, 0.6, 2)},
 )

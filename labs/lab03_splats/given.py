@@ -1,4 +1,6 @@
-"""Lab 3, what is given: your course's numbers, a small simulated scene, its way into camera axes, and drawing."""
+"""Lab 3, what is given: your course's numbers, a small simulated scene, its way into camera axes,
+and drawing.
+"""
 
 import json
 from pathlib import Path
@@ -10,7 +12,12 @@ from numpy.typing import NDArray
 FOLDER = Path(__file__).parent
 COHORT: dict[str, float] = json.loads((FOLDER / "cohort.json").read_text(encoding="utf-8"))
 
-LENS = {"fx": 100.0, "fy": 100.0, "cx": 80.0, "cy": 60.0}  # [px], the first pixel's centre at (0.5, 0.5)
+LENS = {
+    "fx": 100.0,
+    "fy": 100.0,
+    "cx": 80.0,
+    "cy": 60.0,
+}  # [px], the first pixel's centre at (0.5, 0.5)
 WIDTH, HEIGHT = 160, 120  # [px]
 BLUR_PX2 = 0.3  # what the kit adds to a splat's variances, which makes it about a pixel wide [px^2]
 BACKGROUND = np.array([0.5, 0.5, 0.5])  # where nothing is
@@ -22,8 +29,9 @@ def load_scene() -> dict[str, Array]:
     """The small scene, as a file keeps it.
 
     Returns:
-        means (N, 3) in the kit's world, x along the runway, y left, z up [m]; quaternions_xyzw (N, 4); log_scales
-        (N, 3); opacities (N,); colours (N, 3); T_world_camera (4, 4) of a camera whose axes are right, up, backwards.
+        means (N, 3) in the kit's world, x along the runway, y left, z up [m]; quaternions_xyzw (N,
+        4); log_scales (N, 3); opacities (N,); colours (N, 3); T_world_camera (4, 4) of a camera
+        whose axes are right, up, backwards.
     """
     with np.load(FOLDER / "data" / "scene.npz") as arrays:
         return {name: arrays[name].astype(float) for name in arrays.files}
@@ -38,7 +46,9 @@ def kit_view() -> Array:
 def to_camera(means: Array, covs: Array, T_world_camera: Array) -> tuple[Array, Array]:
     """Gaussians in camera axes, as in lab 2: means (N, 3) [m] and covariances (N, 3, 3) [m^2]."""
     R_camera_world = T_world_camera[:3, :3].T
-    return (means - T_world_camera[:3, 3]) @ R_camera_world.T, R_camera_world @ covs @ R_camera_world.T
+    return (
+        means - T_world_camera[:3, 3]
+    ) @ R_camera_world.T, R_camera_world @ covs @ R_camera_world.T
 
 
 def pixel_rows() -> Array:
@@ -61,7 +71,13 @@ def draw_cloud(points_px: Array, mean_px: Array, cov_px: Array) -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 100)
     circle = np.stack([np.cos(angle), np.sin(angle)])
     ellipse = mean_px[:, None] + 2.0 * np.linalg.cholesky(cov_px) @ circle
-    ax.plot(*points_px.T, ".", markersize=2, color="#999999", label="points of the cloud, projected one by one")
+    ax.plot(
+        *points_px.T,
+        ".",
+        markersize=2,
+        color="#999999",
+        label="points of the cloud, projected one by one",
+    )
     ax.plot(*ellipse, color="#D55E00", linewidth=2, label="your splat, two standard deviations")
     ax.set(xlabel="u [px]", ylabel="v [px]", aspect="equal", title="One Gaussian in the picture")
     ax.invert_yaxis()
@@ -69,14 +85,18 @@ def draw_cloud(points_px: Array, mean_px: Array, cov_px: Array) -> None:
 
 
 def draw_comparison(own: Array, kit: Array, brightest: float = 5.0) -> None:
-    """Draw your picture, the kit's (H, W, 3), and the difference on a scale that ends at so many 1/255."""
+    """Draw your picture, the kit's (H, W, 3), and the difference on a scale that ends at so many
+    1/255.
+    """
     import matplotlib.pyplot as plt
 
     fig, axes = plt.subplots(1, 3, figsize=(15, 4), layout="constrained")
     for ax, image, title in zip(axes, (own, kit), ("yours", "the kit's"), strict=False):
         ax.imshow(np.clip(image, 0.0, 1.0))
         ax.set_title(title + " (simulated)")
-    shown = axes[2].imshow(255.0 * np.abs(own - kit).max(axis=2), cmap="viridis", vmin=0.0, vmax=brightest)
+    shown = axes[2].imshow(
+        255.0 * np.abs(own - kit).max(axis=2), cmap="viridis", vmin=0.0, vmax=brightest
+    )
     axes[2].set_title("difference")
     fig.colorbar(shown, ax=axes[2], extend="max", label="largest of the three colours [1/255]")
     for ax in axes:

@@ -1,6 +1,7 @@
 """Lab 3, instructors only: what the functions are judged against.
 
-SciPy's rotations, the kit's camera with its derivative taken by differences, and pictures laid from the back.
+SciPy's rotations, the kit's camera with its derivative taken by differences, and pictures laid from
+the back.
 """
 
 from collections.abc import Mapping
@@ -32,11 +33,19 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
         """Offsets in the axes of each splat: whitened by the root of its covariance."""
         columns = []
         for mean, cov, opacity in zip(means_px, covs_px, opacities, strict=True):
-            distance = np.linalg.norm(np.linalg.solve(np.linalg.cholesky(cov), (pixels - mean).T), axis=0)
-            columns.append(np.where(distance > cut, 0.0, np.clip(opacity * np.exp(-(distance**2) / 2), 0.0, 0.999)))
+            distance = np.linalg.norm(
+                np.linalg.solve(np.linalg.cholesky(cov), (pixels - mean).T), axis=0
+            )
+            columns.append(
+                np.where(
+                    distance > cut, 0.0, np.clip(opacity * np.exp(-(distance**2) / 2), 0.0, 0.999)
+                )
+            )
         return np.stack(columns, axis=1)
 
-    def composite(alphas: Array, colours: Array, depths: Array, background: Array) -> tuple[Array, Array]:
+    def composite(
+        alphas: Array, colours: Array, depths: Array, background: Array
+    ) -> tuple[Array, Array]:
         """The painter's way: from the farthest to the nearest, each over what is there."""
         rgb = np.tile(background, (len(alphas), 1))
         near_first = sorted(range(len(depths)), key=lambda i: float(depths[i]))
@@ -63,12 +72,16 @@ def _surface(alphas: Array, depths: Array, near_first: list[int], share: float) 
 
 def _draw_shapes(rng: np.random.Generator) -> tuple[Any, ...]:
     count = int(rng.integers(4, 8))
-    return rng.uniform(-1.5, 0.7, (count, 3)), rng.normal(size=(count, 4)) + rng.choice([-2.0, 2.0], (count, 4))
+    return rng.uniform(-1.5, 0.7, (count, 3)), rng.normal(size=(count, 4)) + rng.choice(
+        [-2.0, 2.0], (count, 4)
+    )
 
 
 def _covariances(log_scales: Array, quaternions_xyzw: Array) -> Array:
     axes = Rotation.from_quat(quaternions_xyzw).as_matrix()  # brings them to length 1
-    return np.asarray(sum(np.exp(2.0 * log_scales[:, k, None, None]) * _outer(axes[:, :, k]) for k in range(3)))
+    return np.asarray(
+        sum(np.exp(2.0 * log_scales[:, k, None, None]) * _outer(axes[:, :, k]) for k in range(3))
+    )
 
 
 def _outer(vectors: Array) -> Array:
@@ -80,24 +93,37 @@ def _draw_gaussians(rng: np.random.Generator) -> tuple[Any, ...]:
     z = -rng.uniform(1.5, 9.0, count)
     means = np.stack([*(rng.uniform(-0.8, 0.8, (2, count)) * z), z], axis=1)
     roots = rng.normal(scale=0.3, size=(count, 3, 3))
-    lens = {"fx": rng.uniform(80.0, 300.0), "fy": rng.uniform(80.0, 300.0), "cx": rng.uniform(50.0, 99.0)}
+    lens = {
+        "fx": rng.uniform(80.0, 300.0),
+        "fy": rng.uniform(80.0, 300.0),
+        "cx": rng.uniform(50.0, 99.0),
+    }
     lens = {name: float(value) for name, value in (lens | {"cy": rng.uniform(30.0, 80.0)}).items()}
     return means, roots @ roots.transpose(0, 2, 1), lens, float(rng.uniform(0.1, 2.0))
 
 
-def _project(means_camera: Array, covs_camera: Array, lens: dict[str, float], blur_px2: float) -> tuple[Array, Array]:
+def _project(
+    means_camera: Array, covs_camera: Array, lens: dict[str, float], blur_px2: float
+) -> tuple[Array, Array]:
     camera = PinholeCamera(**lens, width=160, height=120)
 
     def pixels(points: Array) -> Array:
         return camera.project(points * TO_OPENCV, np.eye(4))[0]
 
     steps = STEP * np.eye(3)
-    J = np.stack([(pixels(means_camera + s) - pixels(means_camera - s)) / (2.0 * STEP) for s in steps], axis=2)
-    return pixels(means_camera), np.einsum("nai,nij,nbj->nab", J, covs_camera, J) + blur_px2 * np.eye(2)
+    J = np.stack(
+        [(pixels(means_camera + s) - pixels(means_camera - s)) / (2.0 * STEP) for s in steps],
+        axis=2,
+    )
+    return pixels(means_camera), np.einsum(
+        "nai,nij,nbj->nab", J, covs_camera, J
+    ) + blur_px2 * np.eye(2)
 
 
 def _draw_splats(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Pixels on, near and far from every splat; one splat is solid, so that the largest alpha shows."""
+    """Pixels on, near and far from every splat; one splat is solid, so that the largest alpha
+    shows.
+    """
     count = int(rng.integers(3, 6))
     roots = rng.normal(scale=4.0, size=(count, 2, 2)) + np.diag([3.0, 1.0])
     means = rng.uniform(0.0, 20.0, (count, 2))
@@ -114,5 +140,12 @@ def _unit(vectors: Array) -> Array:
 def _draw_layers(rng: np.random.Generator) -> tuple[Any, ...]:
     """Pixels that are hardly covered, half covered and full; depths in no order."""
     count = int(rng.integers(4, 8))
-    alphas = rng.uniform(0.0, 1.0, (6, count)) * np.array([[0.02], [0.5], [0.5], [0.8], [0.999], [0.05]])
-    return alphas, rng.uniform(0.0, 1.0, (count, 3)), rng.uniform(1.0, 20.0, count), rng.uniform(0.0, 1.0, 3)
+    alphas = rng.uniform(0.0, 1.0, (6, count)) * np.array(
+        [[0.02], [0.5], [0.5], [0.8], [0.999], [0.05]]
+    )
+    return (
+        alphas,
+        rng.uniform(0.0, 1.0, (count, 3)),
+        rng.uniform(1.0, 20.0, count),
+        rng.uniform(0.0, 1.0, 3),
+    )

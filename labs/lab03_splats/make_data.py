@@ -1,7 +1,8 @@
 """Make lab 3's data again: python labs/lab03_splats/make_data.py
 
-A hall of some hundred Gaussians, small enough for a slow renderer, in the way files keep them (scales as logarithms,
-quaternions x y z w), and what the kit's reference renderer makes of it. All of it is simulated.
+A hall of some hundred Gaussians, small enough for a slow renderer, in the way files keep them
+(scales as logarithms, quaternions x y z w), and what the kit's reference renderer makes of it. All
+of it is simulated.
 """
 
 from pathlib import Path
@@ -17,10 +18,21 @@ POSE = nose_camera_pose((-7.0, -1.6, 1.9), *np.radians((8.0, -6.0, -5.0)))
 OVERLAP, THICKNESS = 0.55, 0.01  # standard deviation of a piece by its side, and across it [m]
 SH_C0 = 0.28209479177387814  # Y_0, the spherical harmonic of degree 0
 FIELD = 1.25  # what lies further out than this part of the half field of view is left out
-MARKER = ("########", "#..##..#", "#.#..#.#", "##.##.##", "##.##.##", "#.#..#.#", "#..##..#", "########")
+MARKER = (
+    "########",
+    "#..##..#",
+    "#.#..#.#",
+    "##.##.##",
+    "##.##.##",
+    "#.#..#.#",
+    "#..##..#",
+    "########",
+)
 
 
-def sheet(corner: Array, u: Array, v: Array, size: float, colours: Array, rng: np.random.Generator) -> list[Array]:
+def sheet(
+    corner: Array, u: Array, v: Array, size: float, colours: Array, rng: np.random.Generator
+) -> list[Array]:
     """Gaussians that tile a flat sheet: means, quaternions w x y z, scales, colours.
 
     Args:
@@ -38,7 +50,12 @@ def sheet(corner: Array, u: Array, v: Array, size: float, colours: Array, rng: n
     turn = Rotation.from_matrix(np.column_stack([u, v, np.cross(u, v)])).as_quat(scalar_first=True)
     scales = np.tile([OVERLAP * size, OVERLAP * size, THICKNESS], (len(means), 1))
     grain = 1.0 + 0.08 * rng.normal(size=(len(means), 1))
-    return [means, np.tile(turn, (len(means), 1)), scales, np.clip(colours.reshape(-1, 3) * grain, 0.0, 1.0)]
+    return [
+        means,
+        np.tile(turn, (len(means), 1)),
+        scales,
+        np.clip(colours.reshape(-1, 3) * grain, 0.0, 1.0),
+    ]
 
 
 def plain(rows: int, columns: int, colour: tuple[float, float, float]) -> Array:
@@ -64,7 +81,12 @@ def aircraft(place: Array) -> list[Array]:
 def hall(rng: np.random.Generator) -> list[Array]:
     """Floor, pad, two walls, marker and aircraft, as columns."""
     x, y, z = np.eye(3)
-    oak, blue, plaster, panels = (0.72, 0.53, 0.33), (0.09, 0.27, 0.76), (0.86, 0.83, 0.76), (0.62, 0.45, 0.28)
+    oak, blue, plaster, panels = (
+        (0.72, 0.53, 0.33),
+        (0.09, 0.27, 0.76),
+        (0.86, 0.83, 0.76),
+        (0.62, 0.45, 0.28),
+    )
     wall = np.concatenate([plain(2, 20, panels), plain(3, 20, plaster)])
     side = np.concatenate([plain(2, 24, panels), plain(3, 24, plaster)])
     side[2:4, 1::4] = side[2:4, 2::4] = (0.75, 0.88, 0.98)  # windows
@@ -88,9 +110,13 @@ def main() -> None:
     limits = FIELD * np.array([CAMERA.width / CAMERA.fx, CAMERA.height / CAMERA.fy]) / 2.0
     seen = (p_camera[:, 2] > 1.0) & (np.abs(p_camera[:, :2] / p_camera[:, 2:]) < limits).all(axis=1)
     shuffled = np.random.default_rng(4).permutation(np.flatnonzero(seen))  # files are not sorted
-    means, quaternions, scales, colours = (column[shuffled] for column in (means, quaternions, scales, colours))
+    means, quaternions, scales, colours = (
+        column[shuffled] for column in (means, quaternions, scales, colours)
+    )
     opacities = np.full(len(means), 0.97)
-    scene = GaussianScene(means, quaternions, scales, opacities, ((colours - 0.5) / SH_C0)[:, None, :])
+    scene = GaussianScene(
+        means, quaternions, scales, opacities, ((colours - 0.5) / SH_C0)[:, None, :]
+    )
     view = render(scene, CAMERA, POSE, backend="reference", background=(0.5, 0.5, 0.5))
     arrays = {
         "means": means.astype(np.float32),
@@ -98,7 +124,8 @@ def main() -> None:
         "log_scales": np.log(scales).astype(np.float32),
         "opacities": opacities.astype(np.float32),
         "colours": colours.astype(np.float32),
-        "T_world_camera": POSE @ np.diag([1.0, -1.0, -1.0, 1.0]),  # the lab's camera: right, up, backwards
+        "T_world_camera": POSE
+        @ np.diag([1.0, -1.0, -1.0, 1.0]),  # the lab's camera: right, up, backwards
     }
     with atomic_write(DATA / "scene.npz") as file:
         np.savez_compressed(file, **arrays)

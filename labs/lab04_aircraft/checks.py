@@ -13,19 +13,28 @@ Array = np.ndarray
 CALM = np.zeros(3)
 
 
-def _state(attitude: Sequence[float] = (0.0, 0.0, 0.0), velocity: Sequence[float] = (7.0, 0.0, 0.0)) -> Array:
+def _state(
+    attitude: Sequence[float] = (0.0, 0.0, 0.0), velocity: Sequence[float] = (7.0, 0.0, 0.0)
+) -> Array:
     """A state at 2 m height; attitude is pitch, yaw, roll."""
     return np.array([0.0, 0.0, 2.0, *attitude, *velocity])
 
 
 def _near(got: Any, wanted: Any, atol: float = 1e-9) -> bool:
     """Equal shapes and equal numbers to rounding."""
-    return np.shape(got) == np.shape(wanted) and bool(np.allclose(got, wanted, rtol=1e-9, atol=atol))
+    return np.shape(got) == np.shape(wanted) and bool(
+        np.allclose(got, wanted, rtol=1e-9, atol=atol)
+    )
 
 
 def _unturned(f: Function) -> bool:
     """The same flow when heading, velocity and wind are turned together about the vertical."""
-    velocity, wind, c, s = np.array([6.0, 1.0, -0.5]), np.array([0.5, -0.7, 0.2]), math.cos(0.8), math.sin(0.8)
+    velocity, wind, c, s = (
+        np.array([6.0, 1.0, -0.5]),
+        np.array([0.5, -0.7, 0.2]),
+        math.cos(0.8),
+        math.sin(0.8),
+    )
     R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # nose right is clockwise from above
     here = f(_state((0.2, 0.3, 0.4), velocity.tolist()), wind)
     return _near(f(_state((0.2, 1.1, 0.4), (R @ velocity).tolist()), R @ wind), here)
@@ -49,13 +58,16 @@ AIR_DATA = (
     ),
     Check(
         "6 m/s ahead, 2 to the right and 3 down: V = 7, tan(alpha) = 3/6, sin(beta) = 2/7",
-        lambda f: _near(f(_state(velocity=(6.0, -2.0, -3.0)), CALM), [7.0, math.atan(0.5), math.asin(2 / 7)]),
+        lambda f: _near(
+            f(_state(velocity=(6.0, -2.0, -3.0)), CALM), [7.0, math.atan(0.5), math.asin(2 / 7)]
+        ),
         "World y is left and z up, body y is right and z down. Sideslip is the arcsine of v / V.",
     ),
     Check(
         "banked 90 degrees to the right, a sideways path is an angle of attack",
         lambda f: _near(
-            f(_state((0.0, 0.0, math.pi / 2), (7.0, 1.0, 0.0)), CALM), [math.sqrt(50), math.atan(1 / 7), 0]
+            f(_state((0.0, 0.0, math.pi / 2), (7.0, 1.0, 0.0)), CALM),
+            [math.sqrt(50), math.atan(1 / 7), 0],
         ),
         "The belly then points to the left. Check the order of the angles in the state.",
     ),
@@ -67,7 +79,11 @@ AIR_DATA = (
         ),
         "Velocity through the air is velocity over the ground less that of the air.",
     ),
-    Check("turning flight and wind together about the vertical changes nothing", _unturned, "Is the wind turned too?"),
+    Check(
+        "turning flight and wind together about the vertical changes nothing",
+        _unturned,
+        "Is the wind turned too?",
+    ),
 )
 
 FORCE_AIR = np.array([7.0, 0.08, 0.1])
@@ -78,7 +94,10 @@ def _lift_and_drag(f: Function) -> bool:
     """Two degrees and a half by hand: force across and along the path without sideslip."""
     alpha, V = 0.05, 8.0
     x, y, z = f(np.array([V, alpha, 0.0]), IDLE, K)
-    across, along = x * math.sin(alpha) - z * math.cos(alpha), x * math.cos(alpha) + z * math.sin(alpha)
+    across, along = (
+        x * math.sin(alpha) - z * math.cos(alpha),
+        x * math.cos(alpha) + z * math.sin(alpha),
+    )
     c = 0.078 + 1.40 * 0.05
     return _near([across, along, y], [64.0 * c, -64.0 * (0.0155 + 0.2 * c**2), 0.0])
 
@@ -98,10 +117,16 @@ BODY_FORCE = (
     ),
     Check(
         "twice the speed, four times the force without thrust",
-        lambda f: _near(f(np.array([14.0, 0.08, 0.1]), IDLE, K), 4.0 * np.asarray(f(FORCE_AIR, IDLE, K))),
+        lambda f: _near(
+            f(np.array([14.0, 0.08, 0.1]), IDLE, K), 4.0 * np.asarray(f(FORCE_AIR, IDLE, K))
+        ),
         "Every aerodynamic force goes with the square of the speed.",
     ),
-    Check("in a slip drag lies against the path", _drag_opposes, "The path has a part along y, sin(beta)."),
+    Check(
+        "in a slip drag lies against the path",
+        _drag_opposes,
+        "The path has a part along y, sin(beta).",
+    ),
     Check(
         "wind on the right cheek pushes the aircraft to the left",
         lambda f: _near(
@@ -128,7 +153,11 @@ NO_RATES = np.zeros(3)
 def _turns_level(f: Function) -> bool:
     """A level coordinated turn: rates that are a turn about the vertical alone change only the yaw."""
     pitch, roll, turn = 0.1, 0.6, 0.8
-    about_down = [-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll)]
+    about_down = [
+        -math.sin(pitch),
+        math.cos(pitch) * math.sin(roll),
+        math.cos(pitch) * math.cos(roll),
+    ]
     got = f(_state((pitch, 1.0, roll)), LEVEL_FORCE, turn * np.array(about_down))
     return _near(got[3:6], [0.0, turn, 0.0])
 
@@ -146,7 +175,9 @@ STATE_RATE = (
     ),
     Check(
         "banked 90 degrees to the right, lift pulls to the right: along -y",
-        lambda f: _near(f(_state((0.0, 0.0, math.pi / 2)), LEVEL_FORCE, NO_RATES)[6:], [0.0, -GRAVITY, -GRAVITY]),
+        lambda f: _near(
+            f(_state((0.0, 0.0, math.pi / 2)), LEVEL_FORCE, NO_RATES)[6:], [0.0, -GRAVITY, -GRAVITY]
+        ),
         "Body vectors are turned into the world by R_world_body itself; the order in the state is pitch, yaw, roll.",
     ),
     Check(
@@ -170,7 +201,9 @@ STATE_RATE = (
 )
 
 NOTHING, ONE = np.zeros((1, 1)), np.ones((1, 1))
-CHAIN = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # each the integral of the one before
+CHAIN = np.array(
+    [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+)  # each the integral of the one before
 INTO_FIRST, X0 = np.array([[1.0], [0.0], [0.0]]), np.array([1.0, 2.0, 3.0])
 
 
@@ -193,7 +226,9 @@ def _leaves_alone(f: Function) -> bool:
 RK4 = (
     Check(
         "one step of dx/dt = x gives 65/24, the first five terms of e",
-        lambda f: _near(_end(f, ONE, NOTHING, np.ones(1), np.zeros(1), np.zeros(1), 1.0), [65.0 / 24.0]),
+        lambda f: _near(
+            _end(f, ONE, NOTHING, np.ones(1), np.zeros(1), np.zeros(1), 1.0), [65.0 / 24.0]
+        ),
         "The weights are 1, 2, 2, 1 over 6; k2 and k3 look half a step ahead, each with the slope before it.",
     ),
     Check(
@@ -221,7 +256,11 @@ def _balanced(f: Function, V: float, climb: float) -> bool:
     drag, tilt = V**2 * (K["cD_0"] + K["cD_induced"] * c**2), alpha - DOWN_THRUST
     along = T * math.cos(tilt) - drag - GRAVITY * math.sin(climb)
     across = V**2 * c + T * math.sin(tilt) - GRAVITY * math.cos(climb)
-    return _near([along, across, K["M_0"] + K["M_de"] * elevator + K["M_alpha"] * alpha], [0.0, 0.0, 0.0], atol=1e-7)
+    return _near(
+        [along, across, K["M_0"] + K["M_de"] * elevator + K["M_alpha"] * alpha],
+        [0.0, 0.0, 0.0],
+        atol=1e-7,
+    )
 
 
 TRIM = (
@@ -265,11 +304,21 @@ LAB = Lab(
             11.0,
             "Track on the dotted circle, radius within 3 % of V^2 / (g tan bank); height stays within 0.5 m.",
         ),
-        Criterion("turn_reading", 4.0, "About 4 m to +y in a round, less than the wind's 6 m: ground speed is held."),
         Criterion(
-            "q1", 5.0, "Lift 1/cos(bank) times the weight: more alpha, more elevator; induced drag with its square."
+            "turn_reading",
+            4.0,
+            "About 4 m to +y in a round, less than the wind's 6 m: ground speed is held.",
         ),
-        Criterion("q2", 5.0, "Same turn through the air, the circle drifts with it; what the pilot must do at a wall."),
+        Criterion(
+            "q1",
+            5.0,
+            "Lift 1/cos(bank) times the weight: more alpha, more elevator; induced drag with its square.",
+        ),
+        Criterion(
+            "q2",
+            5.0,
+            "Same turn through the air, the circle drifts with it; what the pilot must do at a wall.",
+        ),
     ),
     constants={"down_thrust_deg": (1.0, 4.0, 1)},
 )

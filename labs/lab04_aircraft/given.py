@@ -1,4 +1,6 @@
-"""Given for lab 4: the aircraft's numbers, its body rates, a pilot, small plants, and pictures of a flight."""
+"""Given for lab 4: the aircraft's numbers, its body rates, a pilot, small plants, and pictures of a
+flight.
+"""
 
 import json
 from collections.abc import Callable
@@ -9,27 +11,39 @@ import numpy as np
 
 Array = np.ndarray
 
-COHORT: dict[str, float] = json.loads((Path(__file__).parent / "cohort.json").read_text(encoding="utf-8"))
+COHORT: dict[str, float] = json.loads(
+    (Path(__file__).parent / "cohort.json").read_text(encoding="utf-8")
+)
 GRAVITY = 9.8  # m/s^2, as in the paper's appendix
-DOWN_THRUST = np.radians(COHORT["down_thrust_deg"])  # rad, how far the propeller's axis points down in front
+DOWN_THRUST = np.radians(
+    COHORT["down_thrust_deg"]
+)  # rad, how far the propeller's axis points down in front
 
-# A 150 g aircraft with 0.076 m^2 of wing. Forces are per unit mass: rho S CLa / 2m = 1.3 * 0.076 * 4.3 / 0.3 = 1.4.
+# A 150 g aircraft with 0.076 m^2 of wing. Forces are per unit mass: rho S CLa / 2m = 1.3 * 0.076 *
+# 4.3 / 0.3 = 1.4.
 K: dict[str, float] = {
     "cL_0": 0.078, "cL_alpha": 1.40,  # lift: 1/m, 1/(m rad)
     "cD_0": 0.0155, "cD_induced": 0.2,  # drag: 1/m, m
     "cY_beta": -0.25,  # side force of sideslip: 1/(m rad)
     "kT": 9.0, "kTV": 0.5,  # thrust: m/s^2, 1/s
     "L_da": 0.37, "L_beta": -0.15,  # roll rate of aileron and sideslip: 1/m, 1/(m rad)
-    "M_0": 0.106, "M_de": 0.35, "M_alpha": -1.2,  # pitch rate at alpha 0, of elevator, of alpha: 1/m, 1/m, 1/(m rad)
+    # pitch rate at alpha 0, of elevator, of alpha: 1/m, 1/m, 1/(m rad)
+    "M_0": 0.106, "M_de": 0.35, "M_alpha": -1.2,
     "N_dr": 0.25, "N_beta": 0.8,  # yaw rate of rudder and sideslip: 1/m, 1/(m rad)
 }  # fmt: skip
 
 HALL = (40.0, 20.0)  # m, length and width
-BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#777777"  # told apart by colour-blind eyes
+BLUE, ORANGE, GREEN, GREY = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#777777",
+)  # told apart by colour-blind eyes
 
 
 def rotation_world_body(roll: float, pitch: float, yaw: float) -> Array:
-    """Lab 2's rotation: turns body vectors (x nose, y right wing, z belly) into world vectors (z up).
+    """Lab 2's rotation: turns body vectors (x nose, y right wing, z belly) into world vectors (z
+    up).
 
     Args:
         roll: [rad], positive right wing down.
@@ -47,7 +61,8 @@ def rotation_world_body(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def body_rates(air: Array, command: Array, K: dict[str, float]) -> Array:
-    """Body rates that follow the sticks at once: p = V (L_da aileron + L_beta beta), and so on [paper, Section IV-B].
+    """Body rates that follow the sticks at once: p = V (L_da aileron + L_beta beta), and so on
+    [paper, Section IV-B].
 
     Args:
         air: (3,) airspeed V [m/s], angle of attack alpha [rad], sideslip beta [rad].
@@ -67,7 +82,8 @@ def body_rates(air: Array, command: Array, K: dict[str, float]) -> Array:
 
 
 def vertical_flight(x: Array, u: Array) -> Array:
-    """A point that flies in a vertical plane, to try an integrator on [Lanchester 1908, with thrust and drag].
+    """A point that flies in a vertical plane, to try an integrator on [Lanchester 1908, with thrust
+    and drag].
 
     Args:
         x: (4,) speed V [m/s], climb angle [rad], distance [m], height [m].
@@ -86,7 +102,13 @@ def vertical_flight(x: Array, u: Array) -> Array:
 
 
 def step_linear(
-    rk4_step: Callable[..., Array], A: Array, B: Array, x: Array, u_now: Array, u_next: Array, dt: float
+    rk4_step: Callable[..., Array],
+    A: Array,
+    B: Array,
+    x: Array,
+    u_now: Array,
+    u_next: Array,
+    dt: float,
 ) -> tuple[Array, Array]:
     """Your `rk4_step` applied to dx/dt = A x + B u; checks and grader call it through this.
 
@@ -120,11 +142,15 @@ def pilot(state: Array, bank: float, level: Array) -> Array:
     pull = 1.0 / np.cos(roll)  # in a turn the wing carries this many times the weight
     elevator = level[2] + 1.55 * (pull - 1.0) + 0.35 * sink + 0.10 * (2.0 - state[2])
     throttle = level[1] + 0.10 * (pull**2 - 1.0) + 0.3 * (7.0 - np.linalg.norm(state[6:]))
-    return np.clip([throttle, 2.5 * (bank - roll), elevator, 0.77 * roll], [0.0, -1.0, -1.0, -1.0], 1.0)
+    return np.clip(
+        [throttle, 2.5 * (bank - roll), elevator, 0.77 * roll], [0.0, -1.0, -1.0, -1.0], 1.0
+    )
 
 
 def hall_axes(ax: Any, title: str) -> None:
     """Draw the hall's walls from above and name the axes."""
     x, y = HALL[0] / 2.0, HALL[1] / 2.0
     ax.plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=GREY, lw=1)
-    ax.set(xlabel="x, along the runway [m]", ylabel="y, to the left [m]", title=title, aspect="equal")
+    ax.set(
+        xlabel="x, along the runway [m]", ylabel="y, to the left [m]", title=title, aspect="equal"
+    )

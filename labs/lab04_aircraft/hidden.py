@@ -1,4 +1,6 @@
-"""Lab 4's hidden side: random flights, and the same physics by other routes (scipy's rotations, linear systems)."""
+"""Lab 4's hidden side: random flights, and the same physics by other routes (scipy's rotations,
+linear systems).
+"""
 
 from collections.abc import Mapping
 from functools import partial
@@ -35,7 +37,9 @@ def _turn(state: Array) -> Any:
 
 
 def _draw_state(rng: np.random.Generator) -> Array:
-    """A state within 0.6 rad of pitch and 1.2 rad of roll, any yaw, flying about where its nose points."""
+    """A state within 0.6 rad of pitch and 1.2 rad of roll, any yaw, flying about where its nose
+    points.
+    """
     attitude = [rng.uniform(-0.6, 0.6), rng.uniform(-3.1, 3.1), rng.uniform(-1.2, 1.2)]
     state = np.concatenate([rng.uniform(-8.0, 8.0, 2), [2.0], attitude, np.zeros(3)])
     v_body = np.array([rng.uniform(5.0, 10.0), *rng.uniform(-1.5, 1.5, 2)])
@@ -67,9 +71,15 @@ def _body_force(air: Array, command: Array, K: Mapping[str, float], tilt: float)
 
     V, alpha, beta = air
     c = K["cL_0"] + K["cL_alpha"] * alpha
-    in_path = Rotation.from_euler("z", beta).apply([-(K["cD_0"] + K["cD_induced"] * c * c), 0.0, 0.0]) - [0.0, 0.0, c]
-    thrust = Rotation.from_euler("y", -tilt).apply([(K["kT"] - K["kTV"] * V) * command[0], 0.0, 0.0])
-    aerodynamic = Rotation.from_euler("y", -alpha).apply(in_path) + np.array([0.0, K["cY_beta"] * beta, 0.0])
+    in_path = Rotation.from_euler("z", beta).apply(
+        [-(K["cD_0"] + K["cD_induced"] * c * c), 0.0, 0.0]
+    ) - [0.0, 0.0, c]
+    thrust = Rotation.from_euler("y", -tilt).apply(
+        [(K["kT"] - K["kTV"] * V) * command[0], 0.0, 0.0]
+    )
+    aerodynamic = Rotation.from_euler("y", -alpha).apply(in_path) + np.array(
+        [0.0, K["cY_beta"] * beta, 0.0]
+    )
     return np.asarray(V * V * aerodynamic + thrust)
 
 
@@ -92,17 +102,28 @@ def _state_rate(state: Array, force_body: Array, rates_body: Array) -> Array:
 
 def _draw_step(rng: np.random.Generator) -> tuple[Any, ...]:
     A, B = rng.normal(size=(3, 3)), rng.normal(size=(3, 2))
-    return A, B, rng.normal(size=3), rng.normal(size=2), rng.normal(size=2), float(rng.uniform(0.2, 0.6))
+    return (
+        A,
+        B,
+        rng.normal(size=3),
+        rng.normal(size=2),
+        rng.normal(size=2),
+        float(rng.uniform(0.2, 0.6)),
+    )
 
 
-def _step(A: Array, B: Array, x: Array, u_now: Array, u_next: Array, dt: float) -> tuple[Array, Array]:
-    """The kit's own step, which takes the middle of the input and half of its change; x stays as it was."""
+def _step(
+    A: Array, B: Array, x: Array, u_now: Array, u_next: Array, dt: float
+) -> tuple[Array, Array]:
+    """The kit's own step, which takes the middle of the input and half of its change; x stays as it
+    was.
+    """
 
     def rates(time: float, x: Array, u: Array, K: None) -> Array:
         return A @ x + B @ u
 
-    middle, swing = 0.5 * (u_now + u_next)[:, None], 0.5 * (u_next - u_now)[:, None]
-    return step_batch(rates, None, 0.0, x[:, None], middle, dt, swing)[:, 0], x.copy()
+    middle, slope = 0.5 * (u_now + u_next)[:, None], 0.5 * (u_next - u_now)[:, None]
+    return step_batch(rates, None, 0.0, x[:, None], middle, dt, slope)[:, 0], x.copy()
 
 
 def _draw_climb(rng: np.random.Generator) -> tuple[Any, ...]:
@@ -116,8 +137,16 @@ def _trim(airspeed: float, climb_angle: float, K: Mapping[str, float], tilt: flo
 
     def unbalanced(unknown: Array) -> Array:
         alpha, throttle, elevator = unknown
-        force = _body_force(np.array([airspeed, alpha, 0.0]), np.array([throttle, 0, 0, 0]), K, tilt)
-        in_world = FLIP @ Rotation.from_euler("y", climb_angle + alpha).apply(force) - [0.0, 0.0, GRAVITY]
-        return np.array([in_world[0], in_world[2], K["M_0"] + K["M_de"] * elevator + K["M_alpha"] * alpha])
+        force = _body_force(
+            np.array([airspeed, alpha, 0.0]), np.array([throttle, 0, 0, 0]), K, tilt
+        )
+        in_world = FLIP @ Rotation.from_euler("y", climb_angle + alpha).apply(force) - [
+            0.0,
+            0.0,
+            GRAVITY,
+        ]
+        return np.array(
+            [in_world[0], in_world[2], K["M_0"] + K["M_de"] * elevator + K["M_alpha"] * alpha]
+        )
 
     return np.asarray(root(unbalanced, [0.08, 0.4, 0.0], tol=1e-12).x)

@@ -1,4 +1,6 @@
-"""Lab 5's public side: what right residuals, steps, intervals and scores do, in claims that a student can run."""
+"""Lab 5's public side: what right residuals, steps, intervals and scores do, in claims that a
+student can run.
+"""
 
 import math
 from typing import Any
@@ -14,7 +16,9 @@ NAN = math.nan
 
 def _near(got: Any, wanted: Any, rtol: float = 1e-9) -> bool:
     """Equal shapes and equal numbers to rounding, nan where nan is wanted."""
-    return np.shape(got) == np.shape(wanted) and bool(np.allclose(got, wanted, rtol=rtol, atol=1e-9, equal_nan=True))
+    return np.shape(got) == np.shape(wanted) and bool(
+        np.allclose(got, wanted, rtol=rtol, atol=1e-9, equal_nan=True)
+    )
 
 
 T = np.array([0.0, 0.1, 0.2, 0.3, 0.5, 0.6])  # a frame at 0.4 s is missing altogether
@@ -72,7 +76,10 @@ def _left_alone(f: Function) -> bool:
 RESIDUALS = (
     Check(
         "small residuals are predicted minus measured, in sigmas, with weight 1 / sigma",
-        lambda f: _near(f(*_frames(SMALL))[0], SMALL) and _near(f(*_frames(SMALL))[1], np.ones((2, 1, 3)) / SIGMA),
+        lambda f: (
+            _near(f(*_frames(SMALL))[0], SMALL)
+            and _near(f(*_frames(SMALL))[1], np.ones((2, 1, 3)) / SIGMA)
+        ),
         "Mind the sign, and that each channel has a sigma of its own. Return r and weight.",
     ),
     Check(
@@ -93,7 +100,11 @@ RESIDUALS = (
         ),
         "0 times nan is nan: replace first, np.where helps. The weight is zero there too.",
     ),
-    Check("what comes in is left as it was", _left_alone, "measured[...] = 0 changes the caller's array."),
+    Check(
+        "what comes in is left as it was",
+        _left_alone,
+        "measured[...] = 0 changes the caller's array.",
+    ),
 )
 
 
@@ -119,7 +130,9 @@ def _smallest(f: Function) -> bool:
     dK, dstart = f(r, J_K, J_start, away, sigma)
     left = r + J_K @ dK + np.einsum("wrn,wn->wr", J_start, dstart)
     to_K = np.einsum("wrp,wr->p", J_K, left) + (away + dK) / sigma**2
-    return _near(to_K, np.zeros(2)) and _near(np.einsum("wrn,wr->wn", J_start, left), np.zeros((4, 3)))
+    return _near(to_K, np.zeros(2)) and _near(
+        np.einsum("wrn,wr->wn", J_start, left), np.zeros((4, 3))
+    )
 
 
 GAUSS_NEWTON = (
@@ -135,12 +148,16 @@ GAUSS_NEWTON = (
     ),
     Check(
         "a prior of no width takes K back to it at once",
-        lambda f: _near(f(*_problem(), np.array([0.4, -0.3]), np.full(2, 1e-7))[0], [-0.4, 0.3], 1e-6),
+        lambda f: _near(
+            f(*_problem(), np.array([0.4, -0.3]), np.full(2, 1e-7))[0], [-0.4, 0.3], 1e-6
+        ),
         "away is the present K minus the one known beforehand: which sign does the step have?",
     ),
 )
 
-LINE = np.stack([np.ones(6), np.arange(6.0) - 2.5], axis=1)  # columns at right angles: sums of squares 6 and 17.5
+LINE = np.stack(
+    [np.ones(6), np.arange(6.0) - 2.5], axis=1
+)  # columns at right angles: sums of squares 6 and 17.5
 
 
 def _half(f: Function, *arguments: object) -> Array:
@@ -180,7 +197,9 @@ ERROR = np.zeros((3, 2, 3))
 ERROR[1] = [[0.3, 0.4, 0.02], [0.0, 0.0, 0.0]]
 ERROR[2] = [[-0.6, 0.8, -0.01], [0.0, 1.0, 0.03]]
 BASE = np.arange(18.0).reshape(3, 2, 3)
-HOLED = np.where(np.arange(18).reshape(3, 2, 3) == 14, NAN, BASE)  # the pitch of frame 0 of window 2
+HOLED = np.where(
+    np.arange(18).reshape(3, 2, 3) == 14, NAN, BASE
+)  # the pitch of frame 0 of window 2
 
 HOLDOUT = (
     Check(
@@ -235,7 +254,11 @@ LAB = Lab(
             "Noise in the variable flattens M_alpha (errors in variables); in cL_alpha the same noise is also the "
             "change to the next step; counts truths inside.",
         ),
-        Criterion("q2", 5.0, "Neighbouring rows are not independent; start states are no property of the aircraft."),
+        Criterion(
+            "q2",
+            5.0,
+            "Neighbouring rows are not independent; start states are no property of the aircraft.",
+        ),
     ),
     constants={"far_sigmas": (2.0, 4.0, 1), "level_percent": (90.0, 98.0, 0)},
 )

@@ -1,4 +1,6 @@
-"""Given for lab 5: flight in a vertical plane with unknown numbers, the logs, derivatives, and the paper's own fit."""
+"""Given for lab 5: flight in a vertical plane with unknown numbers, the logs, derivatives, and the
+paper's own fit.
+"""
 
 import json
 from pathlib import Path
@@ -12,22 +14,38 @@ HERE = Path(__file__).parent
 COHORT: dict[str, float] = json.loads((HERE / "cohort.json").read_text(encoding="utf-8"))
 FAR = COHORT["far_sigmas"]  # residuals beyond this many standard deviations lose weight
 LEVEL = COHORT["level_percent"] / 100.0  # of the intervals
-Z = NormalDist().inv_cdf(0.5 + 0.5 * LEVEL)  # a Gaussian lies within Z sigmas of its mean with this probability
+Z = NormalDist().inv_cdf(
+    0.5 + 0.5 * LEVEL
+)  # a Gaussian lies within Z sigmas of its mean with this probability
 
-GRAVITY, DT, K_TV = 9.8, 0.05, 0.5  # m/s^2; s between frames; thrust lost with speed [1/s], known from a bench
+GRAVITY, DT, K_TV = (
+    9.8,
+    0.05,
+    0.5,
+)  # m/s^2; s between frames; thrust lost with speed [1/s], known from a bench
 SIGMA = np.array([0.03, 0.03, np.radians(0.6)])  # noise of px, pz [m] and pitch [rad]: marker poses
 NAMES = ("cL_0", "cL_alpha", "cD_0", "cD_induced", "kT", "M_0", "M_de", "M_alpha")
 UNITS = ("1/m", "1/(m rad)", "1/m", "m", "m/s^2", "1/m", "1/m", "1/(m rad)")
-GUESS = np.array([0.06, 1.1, 0.03, 0.3, 7.0, 0.08, 0.25, -0.8])  # from a drawing of the aircraft: 30 % off or so
+GUESS = np.array(
+    [0.06, 1.1, 0.03, 0.3, 7.0, 0.08, 0.25, -0.8]
+)  # from a drawing of the aircraft: 30 % off or so
 PRIOR_SIGMA = 0.5 * np.abs(GUESS)  # how well the guess is known
-STEPS = np.array([0.05, 0.05, 0.01, 0.1, 0.1])  # of derivatives to a start state: m, m, rad, m/s, m/s
+STEPS = np.array(
+    [0.05, 0.05, 0.01, 0.1, 0.1]
+)  # of derivatives to a start state: m, m, rad, m/s, m/s
 FARTHEST = 20.0 * STEPS  # that a start state may move in one round
 ROWS, FIRST = 41, 4  # rows of a window: 2 s and one row; where the first window of a pass begins
-BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#777777"  # told apart by colour-blind eyes
+BLUE, ORANGE, GREEN, GREY = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#777777",
+)  # told apart by colour-blind eyes
 
 
 def plane_rate(x: Array, command: Array, K: Array) -> Array:
-    """dx/dt of the aircraft in a vertical plane, wings level: lab 4's model without its sideways half.
+    """dx/dt of the aircraft in a vertical plane, wings level: lab 4's model without its sideways
+    half.
 
     Args:
         x: (5, ...) px, pz [m], pitch [rad], vx, vz [m/s]; z up.
@@ -47,7 +65,9 @@ def plane_rate(x: Array, command: Array, K: Array) -> Array:
     along, across = thrust * np.cos(alpha) - drag, thrust * np.sin(alpha) + lift
     ax = along * np.cos(path) - across * np.sin(path)
     az = along * np.sin(path) + across * np.cos(path) - GRAVITY
-    return np.stack(np.broadcast_arrays(vx, vz, V * (M_0 + M_de * command[1] + M_alpha * alpha), ax, az))
+    return np.stack(
+        np.broadcast_arrays(vx, vz, V * (M_0 + M_de * command[1] + M_alpha * alpha), ax, az)
+    )
 
 
 def step(x: Array, command: Array, K: Array) -> Array:
@@ -103,14 +123,16 @@ def read_passes() -> tuple[Array, Array]:
     """The logs: straight passes through the hall, simulated, a row every DT.
 
     Returns:
-        poses (passes, rows, 3) px, pz [m], pitch [rad], nan where a frame gave none; sticks (passes, rows, 2).
+        poses (passes, rows, 3) px, pz [m], pitch [rad], nan where a frame gave none; sticks
+        (passes, rows, 2).
     """
     with np.load(HERE / "data" / "passes.npz") as file:
         return file["poses"], file["sticks"]
 
 
 def delayed(sticks: Array, delay: float) -> Array:
-    """Mean position of the control surfaces during each step when they act some time later than the log says.
+    """Mean position of the control surfaces during each step when they act some time later than the
+    log says.
 
     Args:
         sticks: (..., rows, 2) as logged, each held until the next.
@@ -126,7 +148,9 @@ def delayed(sticks: Array, delay: float) -> Array:
 
 
 def windows(values: Array) -> Array:
-    """Cut passes (passes, rows, ...) into windows of ROWS rows, two a pass: (2 * passes, ROWS, ...)."""
+    """Cut passes (passes, rows, ...) into windows of ROWS rows, two a pass: (2 * passes, ROWS,
+    ...).
+    """
     pairs = (values[:, FIRST : FIRST + ROWS], values[:, FIRST + ROWS - 1 : FIRST + 2 * ROWS - 1])
     return np.stack(pairs, axis=1).reshape(-1, ROWS, *values.shape[2:])
 
@@ -147,23 +171,33 @@ def start_guess(measured: Array) -> Array:
 
 
 def reduce(weighted_to_K: Array, weighted_to_start: Array) -> Array:
-    """What K does to the residuals that no start state can do: (W, R, 8) and (W, R, 5) -> (W * R, 8)."""
+    """What K does to the residuals that no start state can do: (W, R, 8) and (W, R, 5) -> (W * R,
+    8).
+    """
     Q, _ = np.linalg.qr(weighted_to_start)
-    return (weighted_to_K - Q @ (Q.transpose(0, 2, 1) @ weighted_to_K)).reshape(-1, weighted_to_K.shape[-1])
+    return (weighted_to_K - Q @ (Q.transpose(0, 2, 1) @ weighted_to_K)).reshape(
+        -1, weighted_to_K.shape[-1]
+    )
 
 
 def plausible(poses: Array) -> Array:
-    """Poses (passes, rows, 3) with frames that are far off their neighbours' median set to nan, as by hand."""
-    spans = np.lib.stride_tricks.sliding_window_view(np.pad(poses, ((0, 0), (3, 3), (0, 0)), "edge"), 7, axis=1)
+    """Poses (passes, rows, 3) with frames that are far off their neighbours' median set to nan, as
+    by hand.
+    """
+    spans = np.lib.stride_tricks.sliding_window_view(
+        np.pad(poses, ((0, 0), (3, 3), (0, 0)), "edge"), 7, axis=1
+    )
     off = np.abs(poses - np.nanmedian(spans, axis=3)) > np.array([0.6, 0.3, 0.2])
     return np.where(off.any(axis=2, keepdims=True), np.nan, poses)
 
 
 def fit_one_step(states: Array, commands: Array) -> Array:
-    """The paper's fit: the K that predicts each next state from the one before [paper, Section IV-B, equation for K*].
+    """The paper's fit: the K that predicts each next state from the one before [paper, Section
+    IV-B, equation for K*].
 
     Args:
-        states: (passes, rows, 5) with velocities from differentiated poses; rows with nan are left out.
+        states: (passes, rows, 5) with velocities from differentiated poses; rows with nan are left
+            out.
         commands: (passes, rows, 2).
 
     Returns:
@@ -177,5 +211,8 @@ def fit_one_step(states: Array, commands: Array) -> Array:
     def mismatch(K: Array) -> Array:
         return (step(now, command, K) - after).ravel()
 
-    bounds = (np.minimum(0.0, 10.0 * GUESS), np.maximum(0.0, 10.0 * GUESS))  # beyond them is no aircraft
+    bounds = (
+        np.minimum(0.0, 10.0 * GUESS),
+        np.maximum(0.0, 10.0 * GUESS),
+    )  # beyond them is no aircraft
     return np.asarray(least_squares(mismatch, GUESS, bounds=bounds, x_scale=np.abs(GUESS)).x)

@@ -1,4 +1,6 @@
-"""Lab 5's hidden side: random problems, solved by other routes (design matrices, dense least squares, loops, SVD)."""
+"""Lab 5's hidden side: random problems, solved by other routes (design matrices, dense least
+squares, loops, SVD).
+"""
 
 from collections.abc import Mapping
 from functools import partial
@@ -17,9 +19,13 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
     far, level = course.constants["far_sigmas"], course.constants["level_percent"] / 100.0
     return {
         "local_slope": (Values(_draw_log, _slope, cases=10, rtol=1e-6, atol=1e-8),),
-        "residuals": (Values(partial(_draw_frames, far=far), partial(_residuals, far=far), cases=10),),
+        "residuals": (
+            Values(partial(_draw_frames, far=far), partial(_residuals, far=far), cases=10),
+        ),
         "gauss_newton_step": (Values(_draw_problem, _dense_step, cases=10, rtol=1e-5, atol=1e-7),),
-        "intervals": (Values(_draw_fit, partial(_intervals, level=level), cases=10, rtol=1e-5, atol=1e-8),),
+        "intervals": (
+            Values(_draw_fit, partial(_intervals, level=level), cases=10, rtol=1e-5, atol=1e-8),
+        ),
         "holdout_score": (Values(_draw_windows, _score, cases=10),),
     }
 
@@ -67,10 +73,18 @@ def _residuals(predicted: Array, measured: Array, sigma: Array, far: float) -> t
 def _draw_problem(rng: np.random.Generator) -> tuple[Any, ...]:
     W, R, P, n = 5, 14, 3, 4
     away, sigma = rng.normal(size=P), rng.uniform(0.1, 1.0, P)
-    return rng.normal(size=(W, R)), rng.normal(size=(W, R, P)), rng.normal(size=(W, R, n)), away, sigma
+    return (
+        rng.normal(size=(W, R)),
+        rng.normal(size=(W, R, P)),
+        rng.normal(size=(W, R, n)),
+        away,
+        sigma,
+    )
 
 
-def _dense_step(r: Array, J_K: Array, J_start: Array, away: Array, sigma_prior: Array) -> tuple[Array, Array]:
+def _dense_step(
+    r: Array, J_K: Array, J_start: Array, away: Array, sigma_prior: Array
+) -> tuple[Array, Array]:
     """All unknowns in one dense least-squares problem."""
     from scipy.linalg import block_diag, lstsq
 
@@ -82,19 +96,26 @@ def _dense_step(r: Array, J_K: Array, J_start: Array, away: Array, sigma_prior: 
 
 
 def _draw_fit(rng: np.random.Generator) -> tuple[Any, ...]:
-    K, J = rng.normal(size=4), rng.normal(size=(80, 4)) @ rng.normal(size=(4, 4)) + 0.5 * rng.normal(size=(80, 4))
+    K, J = (
+        rng.normal(size=4),
+        rng.normal(size=(80, 4)) @ rng.normal(size=(4, 4)) + 0.5 * rng.normal(size=(80, 4)),
+    )
     r = rng.uniform(0.5, 2.0) * rng.normal(size=80)
     missing = rng.choice(80, 12, replace=False)
     r[missing], J[missing] = 0.0, 0.0
     return K, r, J, 68, int(rng.integers(5, 20))
 
 
-def _intervals(K: Array, r: Array, J: Array, measured_count: int, start_count: int, level: float) -> Array:
+def _intervals(
+    K: Array, r: Array, J: Array, measured_count: int, start_count: int, level: float
+) -> Array:
     """Variances from the singular values, the quantile from scipy."""
     from scipy.stats import norm
 
     _, size, along = np.linalg.svd(J, full_matrices=False)
-    variance = np.sum((along.T / size) ** 2, axis=1) * (r @ r) / (measured_count - K.size - start_count)
+    variance = (
+        np.sum((along.T / size) ** 2, axis=1) * (r @ r) / (measured_count - K.size - start_count)
+    )
     half = norm.ppf(0.5 * (1.0 + level)) * np.sqrt(variance)
     return np.column_stack([K - half, K + half])
 

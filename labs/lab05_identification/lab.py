@@ -112,7 +112,9 @@ t = DT * np.arange(poses.shape[1])
 def differentiated(half):
     """(passes, rows, 5) states with velocities from slopes over `half` rows to each side."""
     looked_through = plausible(poses)  # the paper removes implausible frames by hand
-    rates = [[local_slope(t, one[:, channel], half)[0] for channel in (0, 1)] for one in looked_through]
+    rates = [
+        [local_slope(t, one[:, channel], half)[0] for channel in (0, 1)] for one in looked_through
+    ]
     return np.concatenate([looked_through, np.transpose(rates, (0, 2, 1))], axis=2)
 
 
@@ -228,9 +230,9 @@ def fit(measured, commands, K=GUESS, sigma_prior=PRIOR_SIGMA, rounds=7):
     prior, starts, flat = K, start_guess(measured), (len(measured), -1)
     for _ in range(rounds):
         r, weight = residuals(predict(K, starts, commands), measured, SIGMA)
-        to_K, to_start = sensitivities(K, starts, commands)
+        to_K, initial_state_jacobian = sensitivities(K, starts, commands)
         J_K = (weight[..., None] * to_K).reshape(*flat, len(K))
-        J_start = (weight[..., None] * to_start).reshape(*flat, 5)
+        J_start = (weight[..., None] * initial_state_jacobian).reshape(*flat, 5)
         dK, dstart = gauss_newton_step(r.reshape(flat), J_K, J_start, K - prior, sigma_prior)
         K, starts = K + dK, starts + np.clip(dstart, -FARTHEST, FARTHEST)
     return K, starts, r.reshape(flat), J_K, J_start
@@ -303,7 +305,9 @@ ends = intervals(K, r.ravel(), reduce(J_K, J_start), count, starts.size)
 with open("data/truth.json", encoding="utf-8") as file:
     truth = json.load(file)  # possible only because the data are simulated
 print(f"{count} measured numbers, {len(K) + starts.size} unknowns")
-print(f"{'':10} {'truth':>8} {'raw':>8} {'smoothed':>8} {'yours':>8}   {100 * LEVEL:.0f} % interval")
+print(
+    f"{'':10} {'truth':>8} {'raw':>8} {'smoothed':>8} {'yours':>8}   {100 * LEVEL:.0f} % interval"
+)
 columns = zip(truth["K"].values(), raw, smoothed, K, strict=True)
 for name, unit, row, (low, high) in zip(NAMES, UNITS, columns, ends, strict=True):
     numbers = " ".join(f"{value:8.4f}" for value in row)
@@ -355,7 +359,9 @@ for label, numbers in (("guess", GUESS), ("smoothed", smoothed), ("yours", K)): 
     print(f"held out, {label:8}: position {100 * score[0]:5.1f} cm, pitch {score[1]:4.2f} deg")
 
 figure, (left, middle, right) = plt.subplots(1, 3, figsize=(13, 3.8))
-left.hist(r[r != 0.0], np.linspace(-5, 5, 51), density=True, color=BLUE, alpha=0.6, label="your fit")
+left.hist(
+    r[r != 0.0], np.linspace(-5, 5, 51), density=True, color=BLUE, alpha=0.6, label="your fit"
+)
 z = np.linspace(-5, 5, 200)
 gaussian = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
 left.plot(z, gaussian, color=ORANGE, ls="--", label="Gaussian, sigma 1")

@@ -1,8 +1,10 @@
-"""Make lab 5's logs again: the kit's own aircraft flies straight passes through the hall. Simulated, not measured.
+"""Make lab 5's logs again: the kit's own aircraft flies straight passes through the hall.
+Simulated, not measured.
 
     python labs/lab05_identification/make_data.py
 
-The truth is integrated by the kit in steps of 10 ms, three-dimensional; the lab's plane model knows nothing of it.
+The truth is integrated by the kit in steps of 10 ms, three-dimensional; the lab's plane model knows
+nothing of it.
 """
 
 import json
@@ -40,7 +42,9 @@ def main() -> None:
     poses[bad > 0.97] = np.nan
     poses[3, 30:36] = np.nan  # a burst of analog noise
     (HERE / "data").mkdir(exist_ok=True)
-    np.savez_compressed(HERE / "data" / "passes.npz", poses=np.round(poses, 5), sticks=np.round(sticks, 4))
+    np.savez_compressed(
+        HERE / "data" / "passes.npz", poses=np.round(poses, 5), sticks=np.round(sticks, 4)
+    )
     text = json.dumps({"K": TRUTH, "delay": DELAY, "simulated": True}, indent=1)
     (HERE / "data" / "truth.json").write_text(text + "\n", encoding="utf-8")
 
@@ -60,7 +64,12 @@ def fly_pass(model: Model, rng: np.random.Generator, speed: float) -> tuple[np.n
         shake = np.sin(frequency * k * FINE * PER_ROW + phase).sum(axis=0)
         command = steady.command.copy()
         command[0] += 0.16 * shake[0] + 0.2 * (speed - np.hypot(state[6], state[8]))
-        command[2] += 0.13 * shake[1] + 0.5 * (steady.state[3] - state[3]) + 0.05 * (2.2 - state[2]) - 0.1 * state[8]
+        command[2] += (
+            0.13 * shake[1]
+            + 0.5 * (steady.state[3] - state[3])
+            + 0.05 * (2.2 - state[2])
+            - 0.1 * state[8]
+        )
         command = np.clip(command, [0.0, -1.0, -1.0, -1.0], 1.0)
         poses[k], sticks[k] = state[[0, 2, 3]], command[[0, 2]]
         for _ in range(PER_ROW):

@@ -1,4 +1,6 @@
-"""Lab 6, what is given: photos with their places, the lens, the marker, a homography, a polish, and the figures."""
+"""Lab 6, what is given: photos with their places, the lens, the marker, a homography, a polish, and
+the figures.
+"""
 
 import csv
 import json
@@ -7,26 +9,37 @@ from typing import Any
 
 import numpy as np
 
-COHORT: dict[str, float] = json.loads((Path(__file__).parent / "cohort.json").read_text(encoding="utf-8"))
+COHORT: dict[str, float] = json.loads(
+    (Path(__file__).parent / "cohort.json").read_text(encoding="utf-8")
+)
 DATA = Path(__file__).parent / "data"
 
-K = np.array([[396.66, 0.0, 320.0], [0.0, 396.66, 240.0], [0.0, 0.0, 1.0]])  # of the camera [px], no distortion
+K = np.array(
+    [[396.66, 0.0, 320.0], [0.0, 396.66, 240.0], [0.0, 0.0, 1.0]]
+)  # of the camera [px], no distortion
 MARKER_SIZE = 0.80  # side of the black square [m]
 CORNER_NOISE_PX = 0.3  # of a corner that OpenCV's detector finds in these photos
-# Marker axes: x to the right of who looks at it, y up, z out of it. It faces the approach, -x of the world; its centre
-# is 0.75 m above the floor.
-T_WORLD_MARKER = np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.75], [0.0, 0.0, 0.0, 1.0]])
+# Marker axes: x to the right of who looks at it, y up, z out of it. It faces the approach, -x of
+# the world; its centre is 0.75 m above the floor.
+T_WORLD_MARKER = np.array(
+    [[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.75], [0.0, 0.0, 0.0, 1.0]]
+)
 
-BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"  # told apart by colour-blind eyes too (Okabe and Ito)
+BLUE, ORANGE, GREEN = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+)  # told apart by colour-blind eyes too (Okabe and Ito)
 
 
 def read_photos() -> dict[str, Any]:
     """All 230 photos of the hall (path-traced), and the 72 of them that show the marker.
 
     Returns:
-        "p_sfm" (230, 3) and "R_sfm_camera" (230, 3, 3): pose of each photo by structure from motion, in its own axes
-        and unit; "p_world" (230, 3): reference [m]; "shows": (72,) numbers of the photos that show the marker;
-        "corners_px": (72, 4, 2) where: top left, top right, bottom right, bottom left of the black square.
+        "p_sfm" (230, 3) and "R_sfm_camera" (230, 3, 3): pose of each photo by structure from
+        motion, in its own axes and unit; "p_world" (230, 3): reference [m]; "shows": (72,) numbers
+        of the photos that show the marker; "corners_px": (72, 4, 2) where: top left, top right,
+        bottom right, bottom left of the black square.
     """
     names, cameras = _table("cameras.csv")
     seen, corners = _table("sightings.csv")
@@ -53,7 +66,8 @@ def marker_square(size: float) -> np.ndarray:
 def homography(xy: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """The 3 x 3 matrix H, with H[2, 2] = 1, that maps four points of a plane to four pixels.
 
-    (u, v, 1) ~ H (x, y, 1): each point gives two equations that are linear in the other eight entries.
+    (u, v, 1) ~ H (x, y, 1): each point gives two equations that are linear in the other eight
+    entries.
 
     Args:
         xy: (4, 2) in the plane.
@@ -64,12 +78,18 @@ def homography(xy: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """
     rows = []
     for (x, y), (u, v) in zip(xy, uv, strict=True):
-        rows += [[x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y], [0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y]]
+        rows += [
+            [x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y],
+            [0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y],
+        ]
     return np.append(np.linalg.solve(np.array(rows), np.ravel(uv)), 1.0).reshape(3, 3)
 
 
-def polish(T_marker_camera: np.ndarray, corners_px: np.ndarray, size: float = MARKER_SIZE) -> np.ndarray:
-    """Move a camera until the marker's corners appear where they were found, by Gauss and Newton's least squares.
+def polish(
+    T_marker_camera: np.ndarray, corners_px: np.ndarray, size: float = MARKER_SIZE
+) -> np.ndarray:
+    """Move a camera until the marker's corners appear where they were found, by Gauss and Newton's
+    least squares.
 
     Args:
         T_marker_camera: (4, 4) a rough pose.
@@ -141,9 +161,25 @@ def draw_distance(distance: np.ndarray, rough: np.ndarray, polished: np.ndarray)
     ax.loglog(distance, polished, "o", mfc="none", color=BLUE, label="polished")
     z = np.geomspace(2.8, 24.0, 50)
     focal = K[0, 0]
-    ax.loglog(z, z**2 * CORNER_NOISE_PX / (focal * MARKER_SIZE), ":", color="black", label="along the view: ~ Z²")
-    ax.loglog(z, z**3 * CORNER_NOISE_PX / (focal * MARKER_SIZE**2), "--", color="black", label="across it: ~ Z³")
-    ax.set(xlabel="distance from the marker [m]", ylabel="error of the camera's place [m]", ylim=(0.01, 40.0))
+    ax.loglog(
+        z,
+        z**2 * CORNER_NOISE_PX / (focal * MARKER_SIZE),
+        ":",
+        color="black",
+        label="along the view: ~ Z²",
+    )
+    ax.loglog(
+        z,
+        z**3 * CORNER_NOISE_PX / (focal * MARKER_SIZE**2),
+        "--",
+        color="black",
+        label="across it: ~ Z³",
+    )
+    ax.set(
+        xlabel="distance from the marker [m]",
+        ylabel="error of the camera's place [m]",
+        ylim=(0.01, 40.0),
+    )
     ax.set_xticks([3, 4, 6, 8, 10, 15, 20], ["3", "4", "6", "8", "10", "15", "20"])
     ax.set_xticks([], minor=True)
     ax.grid(alpha=0.3)
@@ -161,26 +197,47 @@ def draw_hall(p_world: np.ndarray, placed: dict[str, np.ndarray]) -> None:
 
     fig: Any = plt.figure(figsize=(10, 7.5), layout="constrained")
     above, bars = fig.subplots(2, 1, height_ratios=(2.2, 1.0))
-    above.plot([-22.5, 17.5, 17.5, -22.5, -22.5], [-12.0, -12.0, 8.0, 8.0, -12.0], color="black", label="wall")
+    above.plot(
+        [-22.5, 17.5, 17.5, -22.5, -22.5],
+        [-12.0, -12.0, 8.0, 8.0, -12.0],
+        color="black",
+        label="wall",
+    )
     above.fill([1.0, 14.0, 14.0, 1.0], [-3.0, -3.0, -1.0, -1.0], color="#9fc5e8", label="pad")
     above.plot([0.0, 0.0], [-0.4, 0.4], color=GREEN, linewidth=5, label="marker")
     names = list(placed)
     for name, colour, look in ((names[0], ORANGE, "x"), (names[-1], BLUE, "o")):
         p = placed[name]
-        above.plot(*np.stack([p_world[:, :2], p[:, :2]]).transpose(2, 0, 1), color=colour, linewidth=0.7)
+        above.plot(
+            *np.stack([p_world[:, :2], p[:, :2]]).transpose(2, 0, 1), color=colour, linewidth=0.7
+        )
         above.plot(p[:, 0], p[:, 1], look, color=colour, markersize=4, label=f"placed: {name}")
-    above.plot(p_world[:, 0], p_world[:, 1], ".", color="black", markersize=4, label="where they were taken")
-    above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-27.0, 21.0), ylim=(-15.0, 11.0))
+    above.plot(
+        p_world[:, 0],
+        p_world[:, 1],
+        ".",
+        color="black",
+        markersize=4,
+        label="where they were taken",
+    )
+    above.set(
+        xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-27.0, 21.0), ylim=(-15.0, 11.0)
+    )
     above.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
     for row, p in enumerate(placed.values()):
         miss = np.linalg.norm(p - p_world, axis=1)
         bars.plot([miss.mean(), miss.max()], [row, row], "-", color="0.6")
         bars.plot(miss.mean(), row, "o", color=BLUE, label="mean" if row == 0 else None)
-        bars.plot(miss.max(), row, "|", color=ORANGE, markersize=14, label="largest" if row == 0 else None)
+        bars.plot(
+            miss.max(), row, "|", color=ORANGE, markersize=14, label="largest" if row == 0 else None
+        )
         bars.text(1.15 * miss.max(), row, f"{miss.mean():.2f} / {miss.max():.2f} m", va="center")
     bars.set_xscale("log")
     bars.set(
-        xlabel="error over all photos [m]", yticks=range(len(placed)), ylim=(len(placed) - 0.5, -0.5), xlim=(0.05, 60.0)
+        xlabel="error over all photos [m]",
+        yticks=range(len(placed)),
+        ylim=(len(placed) - 0.5, -0.5),
+        xlim=(0.05, 60.0),
     )
     bars.set_yticklabels(names)
     bars.legend(loc="lower right", fontsize="small")

@@ -1,4 +1,6 @@
-"""Lab 6, instructors only: the same answers by other ways: polar decomposition, Horn's quaternion, stacked rays."""
+"""Lab 6, instructors only: the same answers by other ways: polar decomposition, Horn's quaternion,
+stacked rays.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -38,14 +40,18 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
 
 
 def _draw_corners(rng: np.random.Generator) -> tuple[Any, ...]:
-    """A camera somewhere in front of the marker that looks at it, with a noise that leaves no exact pose."""
+    """A camera somewhere in front of the marker that looks at it, with a noise that leaves no exact
+    pose.
+    """
     size, way = float(rng.uniform(0.3, 1.2)), rng.uniform(4.0, 9.0)
     aside = np.radians(rng.uniform(15.0, 50.0) * rng.choice([-1.0, 1.0], 2))
     turn = Rotation.from_euler("yx", aside) * Rotation.from_euler("z", rng.uniform(-0.5, 0.5))
     R_marker_camera = turn.as_matrix() @ np.diag([1.0, -1.0, -1.0])
     p_marker = -R_marker_camera[:, 2] * size * way + size * rng.uniform(-0.5, 0.5, 3)
     focal = rng.uniform(300.0, 900.0)
-    lens = PinholeCamera(focal, 1.2 * focal, rng.uniform(250.0, 400.0), rng.uniform(150.0, 300.0), 640, 480)
+    lens = PinholeCamera(
+        focal, 1.2 * focal, rng.uniform(250.0, 400.0), rng.uniform(150.0, 300.0), 640, 480
+    )
     corners = lens.project(_square(size), pose_matrix(R_marker_camera, p_marker))[0]
     return corners + rng.normal(0.0, 0.3, (4, 2)), lens.K, size
 
@@ -55,10 +61,14 @@ def _square(size: float) -> Any:
 
 
 def _pose(corners_px: Any, K: Any, size: float) -> Any:
-    """From the null space of the nine-column system, each point's ray x H point = 0, and the polar decomposition."""
+    """From the null space of the nine-column system, each point's ray x H point = 0, and the polar
+    decomposition.
+    """
     rays = np.column_stack([corners_px, np.ones(4)]) @ np.linalg.inv(K).T
     plane = np.add(_square(size), (0.0, 0.0, 1.0))
-    rows = [np.kron(np.cross(np.eye(3), ray)[:2], point) for ray, point in zip(rays, plane, strict=True)]
+    rows = [
+        np.kron(np.cross(np.eye(3), ray)[:2], point) for ray, point in zip(rays, plane, strict=True)
+    ]
     A = null_space(np.concatenate(rows))[:, 0].reshape(3, 3)
     A *= 2.0 * np.sign(A[2, 2]) / np.linalg.norm(A[:, :2], axis=0).sum()
     R_camera_marker = polar(np.column_stack([A[:, :2], np.cross(A[:, 0], A[:, 1])]))[0]
@@ -66,7 +76,9 @@ def _pose(corners_px: Any, K: Any, size: float) -> Any:
 
 
 def _draw_clouds(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Points with noise, weights of which one is zero; some clouds are mirrored, some flat as a marker."""
+    """Points with noise, weights of which one is zero; some clouds are mirrored, some flat as a
+    marker.
+    """
     count = int(rng.integers(6, 20))
     p_from = rng.normal(0.0, 1.0, (count, 3)) * (3.0, 2.0, 1.0) + rng.uniform(-5.0, 5.0, 3)
     kind = rng.choice(["plain", "mirrored", "flat"])
@@ -74,14 +86,20 @@ def _draw_clouds(rng: np.random.Generator) -> tuple[Any, ...]:
         p_from[:, 2] = 1.0
     seen = p_from * (1.0, 1.0, -1.0) if kind == "mirrored" else p_from
     turned = Rotation.random(rng=rng).apply(seen)
-    p_to = rng.uniform(0.3, 4.0) * turned + rng.uniform(-5.0, 5.0, 3) + rng.normal(0.0, 0.03, (count, 3))
+    p_to = (
+        rng.uniform(0.3, 4.0) * turned
+        + rng.uniform(-5.0, 5.0, 3)
+        + rng.normal(0.0, 0.03, (count, 3))
+    )
     weights = rng.uniform(0.2, 3.0, count)
     weights[0] = 0.0
     return p_from, p_to, weights
 
 
 def _horn(p_from: Any, p_to: Any, weights: Any) -> tuple[float, Any, Any]:
-    """Horn 1987: the unit quaternion is the eigenvector of the largest eigenvalue of a symmetric 4 x 4 matrix."""
+    """Horn 1987: the unit quaternion is the eigenvector of the largest eigenvalue of a symmetric 4
+    x 4 matrix.
+    """
     means = [np.average(p, axis=0, weights=weights) for p in (p_from, p_to)]
     a, b = p_from - means[0], p_to - means[1]
     M = np.einsum("n,ni,nj->ij", weights, a, b)
@@ -94,9 +112,15 @@ def _horn(p_from: Any, p_to: Any, weights: Any) -> tuple[float, Any, Any]:
 
 
 def _draw_candidates(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Good and wrong candidates; a third of the points are off, by amounts from below the gate to far beyond it."""
+    """Good and wrong candidates; a third of the points are off, by amounts from below the gate to
+    far beyond it.
+    """
     count = int(rng.integers(24, 40))
-    truth = float(rng.uniform(0.5, 3.0)), Rotation.random(rng=rng).as_matrix(), rng.uniform(-5.0, 5.0, 3)
+    truth = (
+        float(rng.uniform(0.5, 3.0)),
+        Rotation.random(rng=rng).as_matrix(),
+        rng.uniform(-5.0, 5.0, 3),
+    )
     p_from = rng.uniform(-5.0, 5.0, (count, 3))
     p_to = truth[0] * p_from @ truth[1].T + truth[2] + rng.normal(0.0, 0.1, (count, 3))
     off = 10.0 ** rng.uniform(-0.6, 1.8, (count // 3, 1))
@@ -104,8 +128,15 @@ def _draw_candidates(rng: np.random.Generator) -> tuple[Any, ...]:
     candidates = []
     for _ in range(int(rng.integers(5, 9))):
         turn = Rotation.from_rotvec(rng.normal(0.0, 0.03, 3)).as_matrix()
-        candidates.append((truth[0] * rng.uniform(0.95, 1.05), turn @ truth[1], truth[2] + rng.normal(0.0, 0.2, 3)))
-    # One that is drawn towards the outliers: the mean of its misses is smaller than that of the better ones.
+        candidates.append(
+            (
+                truth[0] * rng.uniform(0.95, 1.05),
+                turn @ truth[1],
+                truth[2] + rng.normal(0.0, 0.2, 3),
+            )
+        )
+    # One that is drawn towards the outliers: the mean of its misses is smaller than that of the
+    # better ones.
     pull = np.mean(p_to - (truth[0] * p_from @ truth[1].T + truth[2]), axis=0)
     candidates.insert(int(rng.integers(0, 5)), (truth[0], truth[1], truth[2] + pull))
     return p_from, p_to, candidates
@@ -131,10 +162,14 @@ def _draw_rays(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _meeting(centres: Any, rays: Any, weights: Any) -> tuple[Any, Any]:
-    """|d x (p - c)| is the distance from a ray, linear in p: one overdetermined system, and a least-squares solver."""
+    """|d x (p - c)| is the distance from a ray, linear in p: one overdetermined system, and a
+    least-squares solver.
+    """
     d = _unit(rays)
     crosses = np.array([np.cross(one, np.eye(3)).T for one in d])  # crosses @ v = d x v
     right = np.cross(d, centres)
     root = np.sqrt(weights)
-    p = np.linalg.lstsq((crosses * root[:, None, None]).reshape(-1, 3), (right * root[:, None]).ravel(), rcond=None)[0]
+    p = np.linalg.lstsq(
+        (crosses * root[:, None, None]).reshape(-1, 3), (right * root[:, None]).ravel(), rcond=None
+    )[0]
     return p, np.linalg.norm(np.cross(d, p - centres), axis=1)

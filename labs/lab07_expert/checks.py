@@ -21,9 +21,11 @@ from given import (
     TURN_GAIN,
 )
 
-from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_same_answer
 
-MOST_LIFT = LIFT_0 + LIFT_SLOPE * STALL_ALPHA  # of the course's wing, over mass and speed squared [1/m]
+MOST_LIFT = (
+    LIFT_0 + LIFT_SLOPE * STALL_ALPHA
+)  # of the course's wing, over mass and speed squared [1/m]
 SOFT = COHORT["touch_sink"]
 ORIGIN, EAST, NORTH = np.zeros(2), np.array([10.0, 0.0]), np.array([0.0, 10.0])
 
@@ -31,134 +33,157 @@ ORIGIN, EAST, NORTH = np.zeros(2), np.array([10.0, 0.0]), np.array([0.0, 10.0])
 def _bank_45(turn: Function) -> bool:
     """By hand: V^2 = g R makes tan(bank) = 1, n = sqrt 2, V_stall^2 = sqrt 2 g / most."""
     margin = 6.0 / math.sqrt(math.sqrt(2.0) * GRAVITY / MOST_LIFT)
-    return same(turn(6.0, 0.0, 36.0 / GRAVITY), (math.pi / 4.0, margin))
+    return is_same_answer(turn(6.0, 0.0, 36.0 / GRAVITY), (math.pi / 4.0, margin))
 
 
 def _left_turn(turn: Function) -> bool:
     """By hand: to the left the bank is -45 deg, and the wing works as hard as to the right."""
     right, left = turn(6.0, 0.0, 36.0 / GRAVITY), turn(6.0, 0.0, -36.0 / GRAVITY)
-    return same(left, (-math.pi / 4.0, right[1]))
+    return is_same_answer(left, (-math.pi / 4.0, right[1]))
 
 
 def _climbing_turn(turn: Function) -> bool:
     """By hand: climbing by 60 deg, cos = 1/2, and R = V^2 / (2 g): 45 deg again, n = (1/2) sqrt 2."""
     margin = 6.0 / math.sqrt(0.5 * math.sqrt(2.0) * GRAVITY / MOST_LIFT)
-    return same(turn(6.0, math.pi / 3.0, 18.0 / GRAVITY), (math.pi / 4.0, margin))
+    return is_same_answer(turn(6.0, math.pi / 3.0, 18.0 / GRAVITY), (math.pi / 4.0, margin))
 
 
 def _almost_straight(turn: Function) -> bool:
     """Limit: an endless radius needs no bank, and the margin grows in proportion to the speed."""
     slow, fast = turn(5.0, 0.0, 1e12), turn(10.0, 0.0, 1e12)
-    return same((slow[0], fast[1] / slow[1]), (0.0, 2.0), atol=1e-9) and same(
+    return is_same_answer((slow[0], fast[1] / slow[1]), (0.0, 2.0), atol=1e-9) and is_same_answer(
         slow[1], 5.0 / math.sqrt(GRAVITY / MOST_LIFT)
     )
 
 
 def _level_nose(turn_rates: Function) -> bool:
-    """By hand: at 45 deg and V = g the turn rate is 1 rad/s, shared by q and r; to the left only r turns round."""
+    """By hand: at 45 deg and V = g the turn rate is 1 rad/s, shared by q and r; to the left only r
+    turns round.
+    """
     half = math.sqrt(0.5)
     right, left = turn_rates(math.pi / 4.0, 0.0, GRAVITY), turn_rates(-math.pi / 4.0, 0.0, GRAVITY)
-    return same(right, (0.0, half, half)) and same(left, (0.0, half, -half))
+    return is_same_answer(right, (0.0, half, half)) and is_same_answer(left, (0.0, half, -half))
 
 
 def _one_turn(turn_rates: Function) -> bool:
     """A law: p, q, r are one vector of length g tan(bank) / V, whatever the pitch."""
     rates = [turn_rates(0.6, pitch, 6.5) for pitch in (-0.4, 0.0, 0.7)]
     lengths = [math.sqrt(sum(float(rate) ** 2 for rate in each)) for each in rates]
-    return same(lengths, [GRAVITY * math.tan(0.6) / 6.5] * 3)
+    return is_same_answer(lengths, [GRAVITY * math.tan(0.6) / 6.5] * 3)
 
 
 def _nose_up(turn_rates: Function) -> bool:
-    """By hand: nose up by 30 deg in a right turn, the belly's axis leans forward: p = -1/2 of the turn rate."""
+    """By hand: nose up by 30 deg in a right turn, the belly's axis leans forward: p = -1/2 of the
+    turn rate.
+    """
     p, q, r = turn_rates(math.pi / 4.0, math.pi / 6.0, GRAVITY)
-    return same((p, q, r), (-0.5, math.sqrt(0.375), math.sqrt(0.375)))
+    return is_same_answer((p, q, r), (-0.5, math.sqrt(0.375), math.sqrt(0.375)))
 
 
 def _on_the_line(guidance: Function) -> bool:
     """By hand: on the line and along it there is nothing to do, whatever its direction."""
-    on = [guidance(0.3 * end, 0.7 * end, ORIGIN, end, 0.7) for end in (EAST, NORTH, -EAST, -NORTH, EAST + NORTH)]
-    return same([float(bank) for bank in on], [0.0] * 5, atol=1e-9)
+    on = [
+        guidance(0.3 * end, 0.7 * end, ORIGIN, end, 0.7)
+        for end in (EAST, NORTH, -EAST, -NORTH, EAST + NORTH)
+    ]
+    return is_same_answer([float(bank) for bank in on], [0.0] * 5, atol=1e-9)
 
 
 def _right_of_it(guidance: Function) -> bool:
-    """By hand: 1 / k to the right (y negative along +x) the arc tangent is 45 deg: course -APPROACH / 2, bank left."""
+    """By hand: 1 / k to the right (y negative along +x) the arc tangent is 45 deg: course -APPROACH
+    / 2, bank left.
+    """
     p, v = np.array([3.0, -1.0 / PULL]), np.array([2.0, 0.0])
     wanted = math.atan(2.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
     mirrored = guidance(p * (1.0, -1.0), v, ORIGIN, EAST, 1.0)
-    return same((guidance(p, v, ORIGIN, EAST, 1.0), mirrored), (wanted, -wanted))
+    return is_same_answer((guidance(p, v, ORIGIN, EAST, 1.0), mirrored), (wanted, -wanted))
 
 
 def _line_that_begins_elsewhere(guidance: Function) -> bool:
     """By hand: the line runs along +y through x = 5; an aircraft at x = 5 + 1 / k is to its right."""
     start, end, p = np.array([5.0, 2.0]), np.array([5.0, 4.0]), np.array([5.0 + 1.0 / PULL, -7.0])
     wanted = math.atan(3.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
-    return same(guidance(p, np.array([0.0, 3.0]), start, end, 1.4), wanted)
+    return is_same_answer(guidance(p, np.array([0.0, 3.0]), start, end, 1.4), wanted)
 
 
 def _short_way_round(guidance: Function) -> bool:
-    """By hand: the line leads to -x. From 10 deg left of it, that is the course 170 deg, turn 10 deg to the right."""
+    """By hand: the line leads to -x. From 10 deg left of it, that is the course 170 deg, turn 10
+    deg to the right.
+    """
     c, s = math.cos(math.radians(170.0)), math.sin(math.radians(170.0))
     wanted = math.atan(3.0 * TURN_GAIN * math.radians(10.0) / GRAVITY)
     towards, back = (guidance(ORIGIN, 3.0 * np.array([c, y]), ORIGIN, -EAST, 1.4) for y in (-s, s))
-    return same((towards, back), (wanted, -wanted))
+    return is_same_answer((towards, back), (wanted, -wanted))
 
 
 def _stays_within(guidance: Function) -> bool:
-    """By hand: across the line at 9 m/s it wants more than the limit, and gets the limit, on both sides."""
+    """By hand: across the line at 9 m/s it wants more than the limit, and gets the limit, on both
+    sides.
+    """
     both = [guidance(ORIGIN, np.array([0.0, v]), ORIGIN, EAST, 0.3) for v in (9.0, -9.0)]
-    return same([float(bank) for bank in both], [0.3, -0.3])
+    return is_same_answer([float(bank) for bank in both], [0.3, -0.3])
 
 
 def _one_step(hold_speed: Function) -> bool:
     """By hand: one step adds error * STEP to the sum before it is used."""
     new = 0.4 - 0.5 * STEP
-    return same(hold_speed(-0.5, 0.4, 0.5), (0.5 - 0.5 * KP + KI * new, new))
+    return is_same_answer(hold_speed(-0.5, 0.4, 0.5), (0.5 - 0.5 * KP + KI * new, new))
 
 
 def _does_not_wind_up(hold_speed: Function) -> bool:
     """By hand: far too slow, full throttle and the sum stays; far too fast, idle and the sum stays."""
-    return same((hold_speed(9.0, 0.2, 0.3), hold_speed(-9.0, -0.2, 0.3)), ((1.0, 0.2), (0.0, -0.2)))
+    return is_same_answer(
+        (hold_speed(9.0, 0.2, 0.3), hold_speed(-9.0, -0.2, 0.3)), ((1.0, 0.2), (0.0, -0.2))
+    )
 
 
 def _winds_down(hold_speed: Function) -> bool:
-    """By hand: at full throttle by an old sum, but too fast already: the sum must shrink. And the mirror image."""
+    """By hand: at full throttle by an old sum, but too fast already: the sum must shrink. And the
+    mirror image.
+    """
     large = 5.0 / KI
     high, low = hold_speed(-0.4, large, 0.2), hold_speed(0.4, -large, 0.8)
-    return same((high, low), ((1.0, large - 0.4 * STEP), (0.0, -large + 0.4 * STEP)))
+    return is_same_answer((high, low), ((1.0, large - 0.4 * STEP), (0.0, -large + 0.4 * STEP)))
 
 
 def _throttle_with_the_old_sum(hold_speed: Function) -> bool:
     """By hand: just below full throttle with the old sum, just above with the new one."""
     error = 1.0
     base = 1.0 - KP * error - 0.5 * KI * error * STEP
-    return same(hold_speed(error, 0.0, base), (base + KP * error, 0.0))
+    return is_same_answer(hold_speed(error, 0.0, base), (base + KP * error, 0.0))
 
 
 def _on_the_slope(flare: Function) -> bool:
     """By hand: high above the flare and on the slope: V sin(glide) down, motor running."""
-    return same(flare(20.0 * math.tan(GLIDE), 20.0, 7.0), (-7.0 * math.sin(GLIDE), False))
+    return is_same_answer(flare(20.0 * math.tan(GLIDE), 20.0, 7.0), (-7.0 * math.sin(GLIDE), False))
 
 
 def _below_and_above_the_slope(flare: Function) -> bool:
-    """By hand: 0.3 m below the slope it sinks 0.3 * gain less, 5 m below not at all; 5 m above as steep as allowed."""
+    """By hand: 0.3 m below the slope it sinks 0.3 * gain less, 5 m below not at all; 5 m above as
+    steep as allowed.
+    """
     slope = 60.0 * math.tan(GLIDE)
     wanted = -(7.0 * math.sin(GLIDE) - 0.3 * SLOPE_GAIN)
     got = [flare(slope + off, 60.0, 7.0)[0] for off in (-0.3, -5.0, 5.0)]
-    return same([float(rate) for rate in got], [wanted, 0.0, -7.0 * math.sin(STEEPEST)])
+    return is_same_answer([float(rate) for rate in got], [wanted, 0.0, -7.0 * math.sin(STEEPEST)])
 
 
 def _soft_at_the_end(flare: Function) -> bool:
-    """By hand: at the pad only the touchdown's sink rate is left, a little higher that plus h / tau; below as at it."""
+    """By hand: at the pad only the touchdown's sink rate is left, a little higher that plus h /
+    tau; below as at it.
+    """
     height = 0.1 * FLARE_TIME
     got = [flare(h, height / math.tan(GLIDE), 7.0) for h in (0.0, height, -0.2)]
-    return same(got, [(-SOFT, True), (-SOFT - 0.1, True), (-SOFT, True)])
+    return is_same_answer(got, [(-SOFT, True), (-SOFT - 0.1, True), (-SOFT, True)])
 
 
 def _less_of_both(flare: Function) -> bool:
-    """By hand: near the pad but so far below the slope that the approach sinks less than the flare would."""
+    """By hand: near the pad but so far below the slope that the approach sinks less than the flare
+    would.
+    """
     rate, idle = flare(0.3, 0.3 / math.tan(GLIDE) + 10.0, 7.0)
     wanted = -max(7.0 * math.sin(GLIDE) - 10.0 * math.tan(GLIDE) * SLOPE_GAIN, 0.0)
-    return same((rate, idle), (wanted, False), atol=1e-9)
+    return is_same_answer((rate, idle), (wanted, False), atol=1e-9)
 
 
 LAB = Lab(
@@ -175,7 +200,11 @@ LAB = Lab(
                     _bank_45,
                     "divide the two equations of the lift; V_stall^2 (c_0 + c_alpha alpha_stall) = n g",
                 ),
-                Check("to the left the bank is negative and the margin the same", _left_turn, "keep the radius's sign"),
+                Check(
+                    "to the left the bank is negative and the margin the same",
+                    _left_turn,
+                    "keep the radius's sign",
+                ),
                 Check(
                     "a climbing turn: cos(climb) once in the bank, once in n",
                     _climbing_turn,
@@ -197,8 +226,16 @@ LAB = Lab(
                     _level_nose,
                     "the turn rate is g tan(bank) / V and has the bank's sign",
                 ),
-                Check("the three are one vector, whatever the pitch", _one_turn, "cos(pitch) belongs to q and to r"),
-                Check("nose up in a right turn, p is negative", _nose_up, "look at the sign and the angle in p"),
+                Check(
+                    "the three are one vector, whatever the pitch",
+                    _one_turn,
+                    "cos(pitch) belongs to q and to r",
+                ),
+                Check(
+                    "nose up in a right turn, p is negative",
+                    _nose_up,
+                    "look at the sign and the angle in p",
+                ),
             ),
         ),
         Exercise(
@@ -222,16 +259,26 @@ LAB = Lab(
                     "e is measured from `start`, across the line's unit direction",
                 ),
                 Check(
-                    "it turns the short way round", _short_way_round, "bring the error between -pi and pi before use"
+                    "it turns the short way round",
+                    _short_way_round,
+                    "bring the error between -pi and pi before use",
                 ),
-                Check("the bank stays within its limit on both sides", _stays_within, "limit the bank, not the course"),
+                Check(
+                    "the bank stays within its limit on both sides",
+                    _stays_within,
+                    "limit the bank, not the course",
+                ),
             ),
         ),
         Exercise(
             "hold_speed",
             15.0,
             (
-                Check("one step, by hand", _one_step, "add error * STEP to the sum first, then use the new sum"),
+                Check(
+                    "one step, by hand",
+                    _one_step,
+                    "add error * STEP to the sum first, then use the new sum",
+                ),
                 Check(
                     "at a limit that the error pushes into, the sum stands still",
                     _does_not_wind_up,
@@ -253,7 +300,11 @@ LAB = Lab(
             "flare",
             15.0,
             (
-                Check("on the slope, V sin(GLIDE) down, motor running", _on_the_slope, "mind the sign: climb rate"),
+                Check(
+                    "on the slope, V sin(GLIDE) down, motor running",
+                    _on_the_slope,
+                    "mind the sign: climb rate",
+                ),
                 Check(
                     "below the slope it sinks less, above it more, within limits",
                     _below_and_above_the_slope,
@@ -290,7 +341,11 @@ LAB = Lab(
             "a flare costs about two metres of pad; the aircraft answers late; a height measured 10 cm too high lets "
             "it flare late: two metres earlier on the pad and harder",
         ),
-        Criterion("q1", 5.0, "q is a product of two factors that both change sign; r and p are not; n > 1 adds to it"),
+        Criterion(
+            "q1",
+            5.0,
+            "q is a product of two factors that both change sign; r and p are not; n > 1 adds to it",
+        ),
         Criterion(
             "q2",
             5.0,
@@ -298,5 +353,9 @@ LAB = Lab(
             "the innermost loops and the flare",
         ),
     ),
-    constants={"approach_deg": (50.0, 70.0, 0), "stall_alpha_deg": (10.0, 14.0, 1), "touch_sink": (0.15, 0.25, 2)},
+    constants={
+        "approach_deg": (50.0, 70.0, 0),
+        "stall_alpha_deg": (10.0, 14.0, 1),
+        "touch_sink": (0.15, 0.25, 2),
+    },
 )

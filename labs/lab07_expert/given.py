@@ -1,4 +1,6 @@
-"""Lab 7, what is given: numbers of the aircraft and of your course, the innermost loop, the figures."""
+"""Lab 7, what is given: numbers of the aircraft and of your course, the innermost loop, the
+figures.
+"""
 
 import json
 import math
@@ -7,14 +9,19 @@ from typing import Any
 
 import numpy as np
 
-COHORT: dict[str, float] = json.loads((Path(__file__).parent / "cohort.json").read_text(encoding="utf-8"))
+COHORT: dict[str, float] = json.loads(
+    (Path(__file__).parent / "cohort.json").read_text(encoding="utf-8")
+)
 
 GRAVITY = 9.81  # g [m/s^2]
 STEP = 0.05  # between two commands [s]: 20 Hz
 SPEED = 7.0  # that is flown [m/s]
-# Lift over mass is V^2 (LIFT_0 + LIFT_SLOPE alpha), alpha the angle of attack [rad]: the kit's 150 g aircraft.
+# Lift over mass is V^2 (LIFT_0 + LIFT_SLOPE alpha), alpha the angle of attack [rad]: the kit's 150
+# g aircraft.
 LIFT_0, LIFT_SLOPE = 0.078, 1.4  # [1/m], [1/(m rad)]
-STALL_ALPHA = math.radians(COHORT["stall_alpha_deg"])  # where the flow leaves your course's wing [rad]; an estimate
+STALL_ALPHA = math.radians(
+    COHORT["stall_alpha_deg"]
+)  # where the flow leaves your course's wing [rad]; an estimate
 
 APPROACH = math.radians(COHORT["approach_deg"])  # angle at which a far line is approached [rad]
 PULL = 0.3  # k, how soon it turns along the line [1/m]
@@ -24,30 +31,43 @@ BANK_LIMIT = math.radians(40.0)
 KP, KI = 0.35, 0.25  # throttle for each m/s of missing speed, and for each m/s kept up for a second
 LEVEL_THROTTLE, GLIDE_THROTTLE = 0.21, 0.05  # what straight flights need
 
-GLIDE, STEEPEST = math.radians(6.0), math.radians(9.0)  # slope of the approach, and the steepest one allowed [rad]
+GLIDE, STEEPEST = (
+    math.radians(6.0),
+    math.radians(9.0),
+)  # slope of the approach, and the steepest one allowed [rad]
 SLOPE_GAIN = 1.0  # vertical speed for each metre off the slope [1/s]
 FLARE_TIME = 1.2  # in which the height falls to 1/e in the flare [s]
 WHEELS_BELOW = 0.11  # the centre of gravity [m]
 
-WAYPOINTS = np.array([[-12.0, -8.0], [9.0, -8.0], [9.0, 4.0], [-12.0, 4.0]])  # of the circuit, x and y [m]
+WAYPOINTS = np.array(
+    [[-12.0, -8.0], [9.0, -8.0], [9.0, 4.0], [-12.0, 4.0]]
+)  # of the circuit, x and y [m]
 HEIGHT = 2.0  # of the circuit [m]
 TURN_AHEAD = 6.5  # a leg ends so far before its waypoint: about a turn's radius [m]
 PAD_START, PAD_LENGTH, PAD_Y, PAD_HEIGHT = 1.0, 13.0, -2.0, 0.1  # the landing pad, along x [m]
 AIM = np.array([PAD_START + 4.0, PAD_Y])  # where the approach's slope meets the pad, x and y [m]
 
-BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"  # told apart by colour-blind eyes too (Okabe and Ito)
+BLUE, ORANGE, GREEN = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+)  # told apart by colour-blind eyes too (Okabe and Ito)
 
 
 class Autopilot:
-    """The innermost loop: bank, vertical speed and body rates that are wanted -> aileron, elevator, rudder.
+    """The innermost loop: bank, vertical speed and body rates that are wanted -> aileron, elevator,
+    rudder.
 
-    Each stick is what the steady turn needs, plus a share of what is missing. You need not change it.
+    Each stick is what the steady turn needs, plus a share of what is missing. You need not change
+    it.
     """
 
     def __init__(self) -> None:
         self._sum, self._climb, self._bend = 0.0, 0.0, 0.0
 
-    def sticks(self, state: Any, bank: float, climb_rate: float, rates: Any) -> tuple[float, float, float]:
+    def sticks(
+        self, state: Any, bank: float, climb_rate: float, rates: Any
+    ) -> tuple[float, float, float]:
         """Aileron, elevator and rudder, -1..1.
 
         Args:
@@ -57,16 +77,22 @@ class Autopilot:
             rates: wanted p, q, r [rad/s].
         """
         speed = max(float(np.linalg.norm(state.v_world)), 4.0)
-        climb, climbing = (math.asin(min(max(v / speed, -0.5), 0.5)) for v in (climb_rate, state.v_world[2]))
+        climb, climbing = (
+            math.asin(min(max(v / speed, -0.5), 0.5)) for v in (climb_rate, state.v_world[2])
+        )
         bank, missing = min(max(bank, -1.2), 1.2), climb - climbing
-        self._bend += 0.4 * ((climb - self._climb) / STEP - self._bend)  # how fast the path shall bend upward [rad/s]
+        self._bend += 0.4 * (
+            (climb - self._climb) / STEP - self._bend
+        )  # how fast the path shall bend upward [rad/s]
         self._sum, self._climb = min(max(self._sum + STEP * missing, -0.15), 0.15), climb
         n = math.cos(climb) / math.cos(bank) + speed * self._bend / GRAVITY
         alpha = (n * GRAVITY / speed**2 - LIFT_0) / LIFT_SLOPE
         pitch_missing = climb + alpha * math.cos(bank) - state.pitch
         p_missing, q_missing, r_missing = np.subtract(rates, state.rates_body)
         aileron = 1.5 * (bank - state.roll) + 0.03 * p_missing - 0.12 * math.tan(bank)
-        elevator = (2.0 * alpha - 0.17) / 0.6 + 0.45 * rates[1] + 1.5 * pitch_missing + missing + self._sum
+        elevator = (
+            (2.0 * alpha - 0.17) / 0.6 + 0.45 * rates[1] + 1.5 * pitch_missing + missing + self._sum
+        )
         rudder = 0.244 * rates[2] + 0.05 * r_missing
         return aileron, elevator + 0.03 * q_missing, rudder
 
@@ -85,14 +111,19 @@ def draw_circuit(flight: dict[str, np.ndarray]) -> None:
     """Track, bank, stall margin and sticks of a flight round the circuit.
 
     Args:
-        flight: by name, (n,) or (n, 3): "t" [s], "p_world" [m], "roll" [rad], "bank" wanted [rad], "margin" [-],
-            "sticks" (n, 4).
+        flight: by name, (n,) or (n, 3): "t" [s], "p_world" [m], "roll" [rad], "bank" wanted [rad],
+            "margin" [-], "sticks" (n, 4).
     """
     import matplotlib.pyplot as plt
 
     fig: Any = plt.figure(figsize=(11, 8), layout="constrained")
     above, bank, margin, sticks = fig.subplots(2, 2, width_ratios=(1.2, 1.0)).ravel()
-    above.plot([-22.5, 17.5, 17.5, -22.5, -22.5], [-12.0, -12.0, 8.0, 8.0, -12.0], color="black", label="wall")
+    above.plot(
+        [-22.5, 17.5, 17.5, -22.5, -22.5],
+        [-12.0, -12.0, 8.0, 8.0, -12.0],
+        color="black",
+        label="wall",
+    )
     above.plot(*np.vstack([WAYPOINTS, WAYPOINTS[:1]]).T, "--", color=ORANGE, label="legs")
     above.plot(flight["p_world"][:, 0], flight["p_world"][:, 1], color=BLUE, label="flown")
     above.plot(*flight["p_world"][0, :2], "o", color=BLUE, label="start")
@@ -103,7 +134,9 @@ def draw_circuit(flight: dict[str, np.ndarray]) -> None:
     margin.plot(flight["t"], flight["margin"], color=BLUE, label="speed over stall speed")
     margin.axhline(1.0, color="black", linestyle=":", label="stall")
     margin.set(xlabel="time [s]", ylabel="stall margin [-]", ylim=(0.9, 1.7))
-    for column, (name, line) in enumerate((("throttle", "-"), ("aileron", "--"), ("elevator", "-."), ("rudder", ":"))):
+    for column, (name, line) in enumerate(
+        (("throttle", "-"), ("aileron", "--"), ("elevator", "-."), ("rudder", ":"))
+    ):
         sticks.plot(flight["t"], flight["sticks"][:, column], line, label=name)
     sticks.set(xlabel="time [s]", ylabel="sticks, share of full travel", ylim=(-1.05, 1.05))
     for ax in (above, bank, margin, sticks):
@@ -122,7 +155,9 @@ def draw_landing(flights: dict[str, dict[str, np.ndarray]]) -> None:
     height, sink = fig.subplots(2, 1, sharex=True)
     pad = [PAD_START, PAD_START + PAD_LENGTH]
     height.fill_between(pad, 0.0, PAD_HEIGHT, color="#9fc5e8", label="pad")
-    for (name, flight), colour, line in zip(flights.items(), (BLUE, ORANGE), ("-", "--"), strict=False):
+    for (name, flight), colour, line in zip(
+        flights.items(), (BLUE, ORANGE), ("-", "--"), strict=False
+    ):
         x, z = flight["p_world"][:, 0], flight["p_world"][:, 2]
         height.plot(x, z - WHEELS_BELOW, line, color=colour, label=name)
         height.plot(x[-1], z[-1] - WHEELS_BELOW, "o", color=colour)

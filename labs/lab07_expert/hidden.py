@@ -1,4 +1,5 @@
-"""Lab 7, instructors only: vectors and rotations as references, and the kit's simulated aircraft as the plant.
+"""Lab 7, instructors only: vectors and rotations as references, and the kit's simulated aircraft as
+the plant.
 
 In a trial the student's one function flies the aircraft together with references of the others.
 """
@@ -45,9 +46,13 @@ from falconwing_kit.tools.grading import Course, Function, Judge, Trials, Values
 MODEL, AIRFRAME, PAD = rates_model(), load_airframe(), LandingPad()
 SCATTER = Spread(position=0.4, angle=math.radians(4.0), speed=0.4)
 LEGS, LEGS_TIME = 3, 8.5  # of the circuit, and the time for them [s]; the reference takes 7
-SOFTER_BY = 0.25  # a flare may touch down so much harder than wanted [m/s]; without one it is 0.5 harder
+SOFTER_BY = (
+    0.25  # a flare may touch down so much harder than wanted [m/s]; without one it is 0.5 harder
+)
 
-Pilot = Callable[[Any], Command | None]  # measured state -> command; None where an answer was no number
+Pilot = Callable[
+    [Any], Command | None
+]  # measured state -> command; None where an answer was no number
 
 
 def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
@@ -100,15 +105,25 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
 
 
 def _draw_turn(rng: np.random.Generator) -> tuple[Any, ...]:
-    return rng.uniform(5.0, 12.0), rng.uniform(-0.5, 0.5), rng.uniform(3.0, 25.0) * rng.choice([-1.0, 1.0])
+    return (
+        rng.uniform(5.0, 12.0),
+        rng.uniform(-0.5, 0.5),
+        rng.uniform(3.0, 25.0) * rng.choice([-1.0, 1.0]),
+    )
 
 
 def _draw_attitude(rng: np.random.Generator) -> tuple[Any, ...]:
-    return rng.uniform(0.1, 1.1) * rng.choice([-1.0, 1.0]), rng.uniform(-0.6, 0.6), rng.uniform(5.0, 12.0)
+    return (
+        rng.uniform(0.1, 1.1) * rng.choice([-1.0, 1.0]),
+        rng.uniform(-0.6, 0.6),
+        rng.uniform(5.0, 12.0),
+    )
 
 
 def _rates(bank: float, pitch: float, speed: float) -> tuple[float, ...]:
-    """The turn is a vector that points down in the world; the kit's rotation writes it in body axes."""
+    """The turn is a vector that points down in the world; the kit's rotation writes it in body
+    axes.
+    """
     turn_world = np.array([0.0, 0.0, -GRAVITY * math.tan(bank) / speed])
     return tuple(float(rate) for rate in rotation_world_body(bank, pitch, 0.7).T @ turn_world)
 
@@ -126,20 +141,28 @@ def _draw_line(rng: np.random.Generator, approach: float) -> tuple[Any, ...]:
 
 
 def _course_error(p: Any, v: Any, start: Any, end: Any, approach: float) -> float:
-    """With complex numbers x + i y: the angle between the wanted course and the flown one, right positive."""
+    """With complex numbers x + i y: the angle between the wanted course and the flown one, right
+    positive.
+    """
     line, flown, off = (complex(*each) for each in (end - start, v, p - start))
     left = (off * line.conjugate()).imag / abs(line)
     wanted = line * cmath.exp(-1j * approach * math.atan(PULL * left) * 2.0 / math.pi)
     return -cmath.phase(wanted * flown.conjugate())
 
 
-def _bank(p: Any, v: Any, start: Any, end: Any, bank_limit: float, approach: float = APPROACH) -> float:
-    wanted = math.atan(math.hypot(*v) * TURN_GAIN * _course_error(p, v, start, end, approach) / GRAVITY)
+def _bank(
+    p: Any, v: Any, start: Any, end: Any, bank_limit: float, approach: float = APPROACH
+) -> float:
+    wanted = math.atan(
+        math.hypot(*v) * TURN_GAIN * _course_error(p, v, start, end, approach) / GRAVITY
+    )
     return float(np.clip(wanted, -bank_limit, bank_limit))
 
 
 def _draw_speed(rng: np.random.Generator) -> tuple[Any, ...]:
-    """A third each: in between, pushed into a limit, at a limit by the sum alone while the error leads back."""
+    """A third each: in between, pushed into a limit, at a limit by the sum alone while the error
+    leads back.
+    """
     error, base = rng.uniform(0.2, 0.8) * rng.choice([-1.0, 1.0]), rng.uniform(0.3, 0.6)
     kind = rng.choice(["between", "pushed", "back"])
     if kind == "between":
@@ -182,7 +205,7 @@ def _flies_the_legs(guidance: Function, rng: np.random.Generator) -> bool:
             return None
         throttle, integral = _throttle(SPEED - speed, integral, LEVEL_THROTTLE)
         sticks = autopilot.sticks(state, bank, HEIGHT - p[2], _rates(bank, state.pitch, speed))
-        return Command.limited(throttle, *sticks)
+        return Command.clip(throttle, *sticks)
 
     world = _flown(pilot, (*points[0], HEIGHT), rng, LEGS_TIME)
     return world is not None and world.contact is None and legs >= LEGS
@@ -196,13 +219,17 @@ def _lands(flare: Function, rng: np.random.Generator, hardest: float) -> bool:
         nonlocal integral, idle
         p, speed = state.p_world, float(np.linalg.norm(state.v_world))
         answer = flare(p[2] - PAD_HEIGHT - WHEELS_BELOW, AIM[0] - p[0], speed)
-        if not isinstance(answer, tuple | list) or len(answer) != 2 or (climb := _number(answer[0])) is None:
+        if (
+            not isinstance(answer, tuple | list)
+            or len(answer) != 2
+            or (climb := _number(answer[0])) is None
+        ):
             return None
         idle = idle or bool(answer[1] is True or answer[1] == 1)
         bank = _bank(p[:2], state.v_world[:2], AIM - (40.0, 0.0), AIM, 0.5 * BANK_LIMIT)
         throttle, integral = _throttle(SPEED - speed, integral, GLIDE_THROTTLE)
         sticks = autopilot.sticks(state, bank, climb, _rates(bank, state.pitch, speed))
-        return Command.limited(0.0 if idle else throttle, *sticks)
+        return Command.clip(0.0 if idle else throttle, *sticks)
 
     world = _flown(pilot, (PAD_START - 20.0, AIM[1], 1.5), rng, 10.0, PAD)
     touchdown = world.contact.touchdown if world is not None and world.contact is not None else None
@@ -210,7 +237,11 @@ def _lands(flare: Function, rng: np.random.Generator, hardest: float) -> bool:
 
 
 def _flown(
-    pilot: Pilot, start: Any, rng: np.random.Generator, seconds: float, pad: LandingPad | None = None
+    pilot: Pilot,
+    start: Any,
+    rng: np.random.Generator,
+    seconds: float,
+    pad: LandingPad | None = None,
 ) -> SimulatedWorld | None:
     """The world after a flight, 20 commands a second; None where the pilot gave none."""
     seed = int(rng.integers(1, 10_000))
@@ -226,6 +257,10 @@ def _flown(
 
 def _number(answer: Any) -> float | None:
     """The answer as a number, if it is a finite one."""
-    if not isinstance(answer, int | float | np.number | np.ndarray) or np.ndim(answer) or not np.isfinite(answer):
+    if (
+        not isinstance(answer, int | float | np.number | np.ndarray)
+        or np.ndim(answer)
+        or not np.isfinite(answer)
+    ):
         return None
     return float(answer)

@@ -268,7 +268,7 @@ class CircuitPilot:
         throttle, self.integral = hold_speed(SPEED - speed, self.integral, LEVEL_THROTTLE)
         rates = turn_rates(bank, state.pitch, speed)
         sticks = self.autopilot.sticks(state, bank, HEIGHT - p[2], rates)  # 1 m low: climb at 1 m/s
-        return bank, Command.limited(throttle, *sticks)
+        return bank, Command.clip(throttle, *sticks)
 
 
 # %% figure="circuit"
@@ -362,7 +362,7 @@ class LandingPilot:
         self.idle = self.idle or flaring
         rates = turn_rates(bank, state.pitch, speed)
         sticks = self.autopilot.sticks(state, bank, climb_rate, rates)
-        return bank, Command.limited(0.0 if self.idle else throttle, *sticks)
+        return bank, Command.clip(0.0 if self.idle else throttle, *sticks)
 
 
 # %% figure="landing"

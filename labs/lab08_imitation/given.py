@@ -1,4 +1,5 @@
-"""Lab 8, given: the course's numbers, a simulated approach, its expert, the flights' data, a small network, plots.
+"""Lab 8, given: the course's numbers, a simulated approach, its expert, the flights' data, a small
+network, plots.
 
 torch is imported only where it is needed, so that the exercises without it stay quick.
 """
@@ -13,25 +14,37 @@ import numpy as np
 
 HERE = Path(__file__).parent
 COHORT: dict[str, float] = json.loads((HERE / "cohort.json").read_text(encoding="utf-8"))
-TURN_WEIGHT = COHORT["turn_weight"]  # how much more a full turn counts in the loss than flying straight [-]
+TURN_WEIGHT = COHORT[
+    "turn_weight"
+]  # how much more a full turn counts in the loss than flying straight [-]
 CLIP_NORM = COHORT["clip_norm"]  # longest gradient that a step may use [-]
 
 HISTORY = 10  # past commands that the network sees: half a second
 SPEED, STEP_S, GRAVITY = 7.0, 0.05, 9.81  # [m/s], [s], [m/s^2]
 BANK, LAG_S = math.radians(35.0), 0.25  # roll at full aileron [rad], and how slowly it comes [s]
-START_X, TOUCH_X, CENTRE_Y = -17.0, 4.5, -2.0  # where the approach begins and ends, and the pad's centre line [m]
+START_X, TOUCH_X, CENTRE_Y = (
+    -17.0,
+    4.5,
+    -2.0,
+)  # where the approach begins and ends, and the pad's centre line [m]
 PAD_HALF = 1.0  # half the pad's width [m]
 LOST_M, LOST_YAW = 6.0, 1.2  # farther off, or turned farther, and the flight is lost [m], [rad]
 GUST = 0.3  # size of the test flights' gusts, in full ailerons
 
-BLUE, ORANGE, GREEN, PINK = "#0072B2", "#D55E00", "#009E73", "#CC79A7"  # distinct for colour-blind eyes as well
+BLUE, ORANGE, GREEN, PINK = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+)  # distinct for colour-blind eyes as well
 STYLES = {"expert": (GREEN, ":"), "clean": (ORANGE, "--"), "noisy": (BLUE, "-")}
 
 Array = np.ndarray
 
 
 class Flight:
-    """SIMULATED: one approach at constant speed down a straight glide. The pilot has the aileron only.
+    """SIMULATED: one approach at constant speed down a straight glide. The pilot has the aileron
+    only.
 
     Args:
         offset: from the centre line at the start, positive left of it [m].
@@ -42,10 +55,25 @@ class Flight:
     """
 
     def __init__(
-        self, offset: float, yaw: float, wind: float, seed: float, look: Callable[["Flight"], Array] | None = None
+        self,
+        offset: float,
+        yaw: float,
+        wind: float,
+        seed: float,
+        look: Callable[["Flight"], Array] | None = None,
     ) -> None:
-        self.x, self.offset, self.yaw, self.roll, self.wind = START_X, float(offset), float(yaw), 0.0, float(wind)
-        self._look, self._gust, self._draws = look, 0.0, np.random.default_rng(int(seed)) if seed >= 0 else None
+        self.x, self.offset, self.yaw, self.roll, self.wind = (
+            START_X,
+            float(offset),
+            float(yaw),
+            0.0,
+            float(wind),
+        )
+        self._look, self._gust, self._draws = (
+            look,
+            0.0,
+            np.random.default_rng(int(seed)) if seed >= 0 else None,
+        )
 
     @property
     def lost(self) -> bool:
@@ -80,7 +108,9 @@ class Flight:
 
 
 def expert(flight: Flight) -> float:
-    """The aileron of a pilot who sees the state: turn towards the line, the more the farther off, and roll for that."""
+    """The aileron of a pilot who sees the state: turn towards the line, the more the farther off,
+    and roll for that.
+    """
     wanted_yaw = min(max(0.25 * flight.offset, -0.35), 0.35)
     roll = 1.8 * (wanted_yaw - flight.yaw) * SPEED / GRAVITY
     return min(max(roll / BANK, -1.0), 1.0)
@@ -90,19 +120,25 @@ def load_flights(kind: str) -> dict[str, Array]:
     """SIMULATED flights of the expert.
 
     Args:
-        kind: "clean": the expert flew alone. "noisy": somebody shook the stick meanwhile. "held_out": clean, not for
-            training.
+        kind: "clean": the expert flew alone. "noisy": somebody shook the stick meanwhile.
+            "held_out": clean, not for training.
 
     Returns:
-        "images" (n, 30, 40, 3) uint8; "flown" (n,) aileron that the aircraft got; "expert" (n,) aileron that the expert
-        wanted; "offset" (n,) [m]; "starts" (flights,) number of each flight's first frame.
+        "images" (n, 30, 40, 3) uint8; "flown" (n,) aileron that the aircraft got; "expert" (n,)
+        aileron that the expert wanted; "offset" (n,) [m]; "starts" (flights,) number of each
+        flight's first frame.
     """
     with np.load(HERE / "data" / "flights.npz", allow_pickle=False) as file:
-        return {name: file[f"{kind}_{name}"] for name in ("images", "flown", "expert", "offset", "starts")}
+        return {
+            name: file[f"{kind}_{name}"]
+            for name in ("images", "flown", "expert", "offset", "starts")
+        }
 
 
 def test_starts(flights: int = 20, seed: int = 99) -> Array:
-    """Starts of test flights (flights, 4): offset [m], yaw [rad], wind [m/s] and the gusts' seed; new to everybody."""
+    """Starts of test flights (flights, 4): offset [m], yaw [rad], wind [m/s] and the gusts' seed;
+    new to everybody.
+    """
     rng = np.random.default_rng(seed)
     low, high = np.array([-1.0, -0.08, -0.3]), np.array([1.0, 0.08, 0.3])
     return np.column_stack([rng.uniform(low, high, (flights, 3)), np.arange(flights)])
@@ -119,13 +155,19 @@ def camera_view(scene: Any) -> Callable[[Flight], Array]:
     def look(flight: Flight) -> Array:
         p_world = np.array([flight.x, CENTRE_Y + flight.offset, flight.height])
         T_world_body = pose_matrix(rotation_world_body(flight.roll, -0.07, flight.yaw), p_world)
-        return np.asarray(255.0 * render(scene, camera, camera_pose(T_world_body, np.zeros(3))).rgb + 0.5, np.uint8)
+        return np.asarray(
+            255.0 * render(scene, camera, camera_pose(T_world_body, np.zeros(3))).rgb + 0.5,
+            np.uint8,
+        )
 
     return look
 
 
-def new_network(channels: Sequence[int] = (8, 16, 16), hidden: int = 32, history: int = HISTORY, seed: int = 0) -> Any:
-    """A network for pictures of 40 x 30 and past commands: (n, 3, 30, 40) and (n, history) -> (n,) aileron.
+def new_network(
+    channels: Sequence[int] = (8, 16, 16), hidden: int = 32, history: int = HISTORY, seed: int = 0
+) -> Any:
+    """A network for pictures of 40 x 30 and past commands: (n, 3, 30, 40) and (n, history) -> (n,)
+    aileron.
 
     Args:
         channels: of the convolutions, each of which halves the picture.
@@ -144,12 +186,16 @@ def new_network(channels: Sequence[int] = (8, 16, 16), hidden: int = 32, history
         layers += [nn.Conv2d(before, after, 3, stride=2, padding=1), nn.ReLU()]
         height, width = (height + 1) // 2, (width + 1) // 2
     eye = nn.Sequential(*layers, nn.Flatten())
-    head = nn.Sequential(nn.Linear(channels[-1] * height * width + history, hidden), nn.ReLU(), nn.Linear(hidden, 1))
+    head = nn.Sequential(
+        nn.Linear(channels[-1] * height * width + history, hidden), nn.ReLU(), nn.Linear(hidden, 1)
+    )
     return _TwoInputs(eye, head)
 
 
 def _TwoInputs(eye: Any, head: Any) -> Any:
-    """A module of two arguments: what the eye makes of the picture goes with the history into the head."""
+    """A module of two arguments: what the eye makes of the picture goes with the history into the
+    head.
+    """
     import torch
 
     class TwoInputs(torch.nn.Module):
@@ -164,13 +210,20 @@ def _TwoInputs(eye: Any, head: Any) -> Any:
 
 
 def run_bc_steps(
-    function: Callable[..., Any], weights: list[Array], images: Array, history: Array, labels: Array, rate: float
+    function: Callable[..., Any],
+    weights: list[Array],
+    images: Array,
+    history: Array,
+    labels: Array,
+    rate: float,
 ) -> dict[str, Any]:
-    """Calls `bc_loss_step` as the training does, on a tiny network, once for each batch, with plain gradient descent.
+    """Calls `bc_loss_step` as the training does, on a tiny network, once for each batch, with plain
+    gradient descent.
 
     Args:
         function: bc_loss_step.
-        weights: [(hidden, pixels + k), (hidden,), (1, hidden), (1,)] of two layers with a tanh between.
+        weights: [(hidden, pixels + k), (hidden,), (1, hidden), (1,)] of two layers with a tanh
+            between.
         images: (steps, n, 3, H, W).
         history: (steps, n, k).
         labels: (steps, n).
@@ -183,7 +236,9 @@ def run_bc_steps(
 
     torch.set_num_threads(1)
     hidden, inputs = weights[0].shape
-    head = torch.nn.Sequential(torch.nn.Linear(inputs, hidden), torch.nn.Tanh(), torch.nn.Linear(hidden, 1)).double()
+    head = torch.nn.Sequential(
+        torch.nn.Linear(inputs, hidden), torch.nn.Tanh(), torch.nn.Linear(hidden, 1)
+    ).double()
     with torch.no_grad():
         for parameter, values in zip(head.parameters(), weights, strict=True):
             parameter.copy_(torch.tensor(np.asarray(values, float)))
@@ -191,11 +246,22 @@ def run_bc_steps(
     optimiser = torch.optim.SGD(network.parameters(), lr=rate)
     losses = []
     for batch in zip(images, history, labels, strict=True):
-        losses.append(float(function(network, optimiser, *(torch.tensor(np.asarray(each, float)) for each in batch))))
-    return {"losses": np.array(losses), "weights": [each.detach().numpy().copy() for each in head.parameters()]}
+        losses.append(
+            float(
+                function(
+                    network, optimiser, *(torch.tensor(np.asarray(each, float)) for each in batch)
+                )
+            )
+        )
+    return {
+        "losses": np.array(losses),
+        "weights": [each.detach().numpy().copy() for each in head.parameters()],
+    }
 
 
-def run_closed_loop(function: Callable[..., Any], gains: Array, memory: Array, starts: Array) -> Mapping[str, Any]:
+def run_closed_loop(
+    function: Callable[..., Any], gains: Array, memory: Array, starts: Array
+) -> Mapping[str, Any]:
     """Calls `closed_loop_eval` with a linear policy and without pictures.
 
     Args:
@@ -218,7 +284,9 @@ def plot_flights(data: Mapping[str, Array], title: str) -> None:
     first, last = data["starts"][:2]
     figure = plt.figure(figsize=(11.0, 3.4), layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=(1, 1.5))
-    for axes, frame in zip(above.subplots(1, 8), np.linspace(first, last - 1, 8).astype(int), strict=True):
+    for axes, frame in zip(
+        above.subplots(1, 8), np.linspace(first, last - 1, 8).astype(int), strict=True
+    ):
         axes.imshow(data["images"][frame])
         axes.set_title(f"{STEP_S * (frame - first):.1f} s", fontsize=8)
         axes.axis("off")
@@ -236,11 +304,23 @@ def plot_losses(losses: Mapping[str, tuple[list[float], list[float]]]) -> None:
     _, axes = plt.subplots(figsize=(7.0, 3.4), layout="constrained")
     for name, (own, held_out) in losses.items():
         colour, line = STYLES[name]
-        axes.plot(range(1, len(own) + 1), own, color=colour, lw=0.8, ls=line, label=f"{name}: own flights")
         axes.plot(
-            range(1, len(own) + 1), held_out, color=colour, lw=2.2, ls=line, label=f"{name}: held-out clean flights"
+            range(1, len(own) + 1), own, color=colour, lw=0.8, ls=line, label=f"{name}: own flights"
         )
-    axes.set(xlabel="epoch [-]", ylabel="loss [-]", yscale="log", title="Open loop: how well the expert is copied")
+        axes.plot(
+            range(1, len(own) + 1),
+            held_out,
+            color=colour,
+            lw=2.2,
+            ls=line,
+            label=f"{name}: held-out clean flights",
+        )
+    axes.set(
+        xlabel="epoch [-]",
+        ylabel="loss [-]",
+        yscale="log",
+        title="Open loop: how well the expert is copied",
+    )
     axes.legend(fontsize=8)
 
 
@@ -248,12 +328,18 @@ def plot_drift(tracks: Mapping[str, list[Array]], results: Mapping[str, Mapping[
     """Tracks of the test flights, one panel for each pilot."""
     import matplotlib.pyplot as plt
 
-    _, row = plt.subplots(1, len(tracks), figsize=(11.0, 3.4), sharex=True, sharey=True, layout="constrained")
+    _, row = plt.subplots(
+        1, len(tracks), figsize=(11.0, 3.4), sharex=True, sharey=True, layout="constrained"
+    )
     for axes, (name, flights) in zip(np.atleast_1d(row), tracks.items(), strict=True):
         axes.add_patch(plt.Rectangle((1.0, -PAD_HALF), 13.0, 2 * PAD_HALF, color="0.85"))
         for track, landed in zip(flights, results[name]["landed"], strict=True):
             axes.plot(track[:, 0], track[:, 1], color=STYLES[name][0], ls=STYLES[name][1], lw=1.0)
             axes.plot(*track[-1], "ko" if landed else "kx", ms=4)
         count = int(np.sum(results[name]["landed"]))
-        axes.set(title=f"{name}: {count} of {len(flights)} land", xlabel="along the runway [m]", ylim=(-6.5, 6.5))
+        axes.set(
+            title=f"{name}: {count} of {len(flights)} land",
+            xlabel="along the runway [m]",
+            ylim=(-6.5, 6.5),
+        )
     np.atleast_1d(row)[0].set_ylabel("right of the line  -  offset [m]  -  left")

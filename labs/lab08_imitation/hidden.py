@@ -1,4 +1,6 @@
-"""Lab 8, for instructors: the hidden cases and their references, written apart from the lab's solution."""
+"""Lab 8, for instructors: the hidden cases and their references, written apart from the lab's
+solution.
+"""
 
 from collections.abc import Mapping
 from functools import partial
@@ -11,7 +13,11 @@ from falconwing_kit.tools.grading import Course, Judge, Values
 
 def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
     """The judges of each exercise."""
-    learn = partial(_descend, turn_weight=course.constants["turn_weight"], clip_norm=course.constants["clip_norm"])
+    learn = partial(
+        _descend,
+        turn_weight=course.constants["turn_weight"],
+        clip_norm=course.constants["clip_norm"],
+    )
     return {
         "history_window": (Values(_commands, _history, cases=20),),
         "make_dataset": (Values(_frames, _dataset, cases=12, rtol=1e-5, atol=1e-6),),
@@ -43,25 +49,47 @@ def _history(commands: np.ndarray, starts: np.ndarray, k: int) -> np.ndarray:
 def _frames(rng: np.random.Generator) -> tuple[Any, ...]:
     n, height, width, k = (int(rng.integers(2, 7)) for _ in range(4))
     images = rng.integers(0, 256, (n, height, width + height, 3), dtype=np.uint8)
-    return images, rng.uniform(-1.0, 1.0, (n, k)), rng.uniform(-1.0, 1.0, n), bool(rng.random() < 0.8)
+    return (
+        images,
+        rng.uniform(-1.0, 1.0, (n, k)),
+        rng.uniform(-1.0, 1.0, n),
+        bool(rng.random() < 0.8),
+    )
 
 
-def _dataset(images: np.ndarray, history: np.ndarray, labels: np.ndarray, mirror: bool) -> tuple[np.ndarray, ...]:
+def _dataset(
+    images: np.ndarray, history: np.ndarray, labels: np.ndarray, mirror: bool
+) -> tuple[np.ndarray, ...]:
     """Channel by channel, picture by picture, by a table of grey levels."""
     levels = np.linspace(-1.0, 1.0, 256)
     pictures = [np.stack([levels[image[..., c]] for c in range(3)]) for image in images]
     if not mirror:
         return np.array(pictures), history, labels
     pictures += [np.stack([np.fliplr(plane) for plane in picture]) for picture in pictures]
-    return np.array(pictures), np.vstack([history, -1.0 * history]), np.hstack([labels, -1.0 * labels])
+    return (
+        np.array(pictures),
+        np.vstack([history, -1.0 * history]),
+        np.hstack([labels, -1.0 * labels]),
+    )
 
 
 def _batches(rng: np.random.Generator) -> tuple[Any, ...]:
     """Tiny networks and batches; some gradients are longer than the clip and some are shorter."""
-    steps, n, k, side, hidden = 3, int(rng.integers(2, 7)), int(rng.integers(1, 4)), 2, int(rng.integers(2, 5))
+    steps, n, k, side, hidden = (
+        3,
+        int(rng.integers(2, 7)),
+        int(rng.integers(1, 4)),
+        2,
+        int(rng.integers(2, 5)),
+    )
     inputs = 3 * side * side + k
-    weights = [rng.normal(0.0, 0.4, shape) for shape in ((hidden, inputs), (hidden,), (1, hidden), (1,))]
-    images, history = rng.uniform(-1.0, 1.0, (steps, n, 3, side, side)), rng.uniform(-1.0, 1.0, (steps, n, k))
+    weights = [
+        rng.normal(0.0, 0.4, shape) for shape in ((hidden, inputs), (hidden,), (1, hidden), (1,))
+    ]
+    images, history = (
+        rng.uniform(-1.0, 1.0, (steps, n, 3, side, side)),
+        rng.uniform(-1.0, 1.0, (steps, n, k)),
+    )
     labels = rng.uniform(-1.0, 1.0, (steps, n)) * np.array([1.0, 0.1, 1.0])[:, None]
     return weights, images, history, labels, float(rng.uniform(0.05, 0.3))
 
@@ -81,7 +109,12 @@ def _descend(
         losses.append(float(share @ error**2))
         by_answer = 2.0 * share * error
         by_units = np.outer(by_answer, B[0]) * (1.0 - units**2)
-        gradients = [by_units.T @ inputs, by_units.sum(axis=0), (by_answer @ units)[None], np.array([by_answer.sum()])]
+        gradients = [
+            by_units.T @ inputs,
+            by_units.sum(axis=0),
+            (by_answer @ units)[None],
+            np.array([by_answer.sum()]),
+        ]
         length = np.sqrt(sum(np.sum(g**2) for g in gradients))
         # The clip of torch divides by the length plus 1e-6.
         step = rate * min(1.0, clip_norm / (length + 1e-6))
@@ -104,7 +137,9 @@ def _pilots(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _landings(gains: np.ndarray, memory: np.ndarray, starts: np.ndarray) -> dict[str, Any]:
-    """All flights at once, as columns; the plant is written out again, and what is over stays as it is."""
+    """All flights at once, as columns; the plant is written out again, and what is over stays as it
+    is.
+    """
     n, k = len(starts), len(memory)
     offset, yaw, wind = (starts[:, i].astype(float) for i in range(3))
     draws = np.array([np.random.default_rng(int(seed)).normal(size=400) for seed in starts[:, 3]])

@@ -35,7 +35,9 @@ from given import (
 from falconwing_kit.scene import GaussianScene
 from falconwing_kit.tools.grading import check
 
-print(f"This course: a full turn weighs {1 + TURN_WEIGHT:g} times as much as straight flight, clip at {CLIP_NORM:g}")
+print(
+    f"This course: a full turn weighs {1 + TURN_WEIGHT:g} times as much as straight flight, clip at {CLIP_NORM:g}"
+)
 
 # %% [markdown]
 # ## The task
@@ -114,7 +116,11 @@ def make_dataset(
     if not mirror:
         return pictures, history, labels
     flipped = pictures[:, :, :, ::-1]
-    return np.concatenate([pictures, flipped]), np.concatenate([history, -history]), np.concatenate([labels, -labels])
+    return (
+        np.concatenate([pictures, flipped]),
+        np.concatenate([history, -history]),
+        np.concatenate([labels, -labels]),
+    )
     # END SOLUTION
 
 
@@ -189,7 +195,9 @@ def tensors(kind: str, mirror: bool) -> list[torch.Tensor]:
     return [torch.tensor(np.ascontiguousarray(each), dtype=torch.float32) for each in arrays]
 
 
-def train(kind: str, epochs: int = 40, seed: int = 0) -> tuple[torch.nn.Module, list[float], list[float]]:
+def train(
+    kind: str, epochs: int = 40, seed: int = 0
+) -> tuple[torch.nn.Module, list[float], list[float]]:
     """A network that learnt from the flights of a kind, and its losses after each epoch: own and held-out."""
     images, history, labels = tensors(kind, mirror=True)
     new_images, new_history, new_labels = tensors("held_out", mirror=False)
@@ -197,7 +205,14 @@ def train(kind: str, epochs: int = 40, seed: int = 0) -> tuple[torch.nn.Module, 
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
     for _ in range(epochs):
         batches = torch.randperm(len(labels)).split(64)
-        own.append(np.mean([bc_loss_step(network, optimiser, images[b], history[b], labels[b]) for b in batches]))
+        own.append(
+            np.mean(
+                [
+                    bc_loss_step(network, optimiser, images[b], history[b], labels[b])
+                    for b in batches
+                ]
+            )
+        )
         with torch.no_grad():
             error = network(new_images, new_history) - new_labels
             held_out.append(float(((1.0 + TURN_WEIGHT * new_labels.abs()) * error**2).mean()))
@@ -288,7 +303,9 @@ def vision(network: torch.nn.Module):
     def policy(image: np.ndarray, history: np.ndarray) -> float:
         arrays = make_dataset(image[None], history[None], np.zeros(1), mirror=False)
         with torch.no_grad():
-            return float(network(*(torch.tensor(each, dtype=torch.float32) for each in arrays[:2]))[0])
+            return float(
+                network(*(torch.tensor(each, dtype=torch.float32) for each in arrays[:2]))[0]
+            )
 
     return policy
 
@@ -307,7 +324,9 @@ def fly_all(pilot) -> tuple[dict, list[np.ndarray]]:
         return flying[0]
 
     policy = vision(pilot) if pilot else lambda image, history: expert(flying[0])
-    return closed_loop_eval(policy, begin, test_starts(), HISTORY), [np.array(track) for track in tracks]
+    return closed_loop_eval(policy, begin, test_starts(), HISTORY), [
+        np.array(track) for track in tracks
+    ]
 
 
 # %% figure="drift"
@@ -316,7 +335,9 @@ results["expert"], tracks["expert"] = fly_all(None)
 for kind, network in pilots.items():
     results[kind], tracks[kind] = fly_all(network)
 for kind, result in results.items():
-    print(f"{kind:6s} lands {100 * result['success']:3.0f} %, mean deviation of the landed {result['ald']:.2f} m")
+    print(
+        f"{kind:6s} lands {100 * result['success']:3.0f} %, mean deviation of the landed {result['ald']:.2f} m"
+    )
 plot_drift(tracks, results)
 
 # %% [markdown]

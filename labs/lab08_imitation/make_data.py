@@ -1,4 +1,5 @@
-"""Makes the lab's data: a coarse copy of the arena for small pictures, and SIMULATED flights of the expert in it.
+"""Makes the lab's data: a coarse copy of the arena for small pictures, and SIMULATED flights of the
+expert in it.
 
 python labs/lab08_imitation/make_data.py
 """
@@ -14,11 +15,17 @@ from falconwing_kit.scene import GaussianScene, load_scene, write_quantised
 DATA = Path(__file__).parent / "data"
 CELL, PAD_CELL = 0.7, 0.25  # side of the cells whose Gaussians become one [m]
 LEVELS = 16  # steps between the grey levels that are kept, so that the file stays small
-FLIGHTS = {"clean": (8, 1, 0.0), "noisy": (8, 1, 0.6), "held_out": (4, 2, 0.0)}  # how many, seed of the starts, shake
+FLIGHTS = {
+    "clean": (8, 1, 0.0),
+    "noisy": (8, 1, 0.6),
+    "held_out": (4, 2, 0.0),
+}  # how many, seed of the starts, shake
 
 
 def coarse(scene: GaussianScene) -> GaussianScene:
-    """A scene without its leader in which the Gaussians of each cell that face alike are one, with their moments."""
+    """A scene without its leader in which the Gaussians of each cell that face alike are one, with
+    their moments.
+    """
     scene = scene.selected(~scene.labelled("leader"))
     rotations = Rotation.from_quat(scene.quaternions[:, [1, 2, 3, 0]]).as_matrix()
     facing = np.abs(rotations[np.arange(len(scene)), :, scene.scales.argmin(axis=1)]).argmax(axis=1)
@@ -31,23 +38,37 @@ def coarse(scene: GaussianScene) -> GaussianScene:
     def mean(values: np.ndarray) -> np.ndarray:
         flat = values.reshape(len(values), -1)
         sums = [np.bincount(cell, area * column, cells) for column in flat.T]
-        return np.array(sums).T.reshape(cells, *values.shape[1:]) / total.reshape(cells, *[1] * (values.ndim - 1))
+        return np.array(sums).T.reshape(cells, *values.shape[1:]) / total.reshape(
+            cells, *[1] * (values.ndim - 1)
+        )
 
     total = np.bincount(cell, area, cells)
     means = mean(scene.means)
     spread, away = rotations * scene.scales[:, None, :], scene.means - means[cell]
-    variances, axes = np.linalg.eigh(mean(spread @ spread.transpose(0, 2, 1) + away[:, :, None] * away[:, None, :]))
+    variances, axes = np.linalg.eigh(
+        mean(spread @ spread.transpose(0, 2, 1) + away[:, :, None] * away[:, None, :])
+    )
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
     quaternions = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
     labels = np.zeros(cells, np.uint8)
     labels[cell] = scene.labels
     scales, opacities = np.sqrt(np.maximum(variances, 1e-6)), np.full(cells, 0.99)
-    fields = (means, quaternions, scales, opacities, mean(scene.sh[:, :1]), labels, scene.label_names)
+    fields = (
+        means,
+        quaternions,
+        scales,
+        opacities,
+        mean(scene.sh[:, :1]),
+        labels,
+        scene.label_names,
+    )
     return GaussianScene(*fields, source="coarse copy of the kit's arena")
 
 
 def fly(scene: GaussianScene, flights: int, seed: int, shake: float) -> dict[str, np.ndarray]:
-    """Flights of the expert; `shake` is the size of a slow random stick motion on top of it [full ailerons]."""
+    """Flights of the expert; `shake` is the size of a slow random stick motion on top of it [full
+    ailerons].
+    """
     look, rng = camera_view(scene), np.random.default_rng(seed)
     starts = np.column_stack([rng.uniform(-0.6, 0.6, flights), rng.uniform(-0.08, 0.08, flights)])
     log: dict[str, list] = {name: [] for name in ("images", "flown", "expert", "offset", "starts")}
@@ -61,7 +82,9 @@ def fly(scene: GaussianScene, flights: int, seed: int, shake: float) -> dict[str
             log["expert"].append(expert(flight))
             log["flown"].append(min(max(log["expert"][-1] + noise, -1.0), 1.0))
             flight.fly(log["flown"][-1])
-    print(f"{flights} flights, {STEP_S * len(log['flown']):.0f} s, touchdown at {log['offset'][-1]:+.2f} m in the last")
+    print(
+        f"{flights} flights, {STEP_S * len(log['flown']):.0f} s, touchdown at {log['offset'][-1]:+.2f} m in the last"
+    )
     return {name: np.array(values) for name, values in log.items()}
 
 

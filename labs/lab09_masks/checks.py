@@ -5,7 +5,7 @@ import math
 import numpy as np
 from given import DICE_WEIGHT, GAMMA, MIN_PIXELS, POS_WEIGHT
 
-from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_same_answer
 
 FREE = np.full((40, 60), np.inf)  # nothing hides anything
 BALL, MIDDLE = np.full(3, 1.0), np.zeros(3)
@@ -29,10 +29,12 @@ def _covers(f: Function, wanted: list[tuple[int, int]], *arguments: object) -> b
 
 
 def _disc(f: Function) -> bool:
-    """A ball of radius 1 at 5 m: tangents at tan^2 = 1 / (25 - 1), so with f = 60 a disc of radius 12.247 px."""
+    """A ball of radius 1 at 5 m: tangents at tan^2 = 1 / (25 - 1), so with f = 60 a disc of radius
+    12.247 px.
+    """
     row, column = np.indices((40, 60)) + 0.5
     wanted = (column - 30.0) ** 2 + (row - 20.0) ** 2 <= 60.0**2 / 24.0
-    return same(f(_pose(0, 0, 5), MIDDLE, BALL, 60.0, FREE), wanted)
+    return is_same_answer(f(_pose(0, 0, 5), MIDDLE, BALL, 60.0, FREE), wanted)
 
 
 def _span(mask: np.ndarray) -> tuple[int, int]:
@@ -59,7 +61,13 @@ MASK_CHECKS = (
     Check(
         "a speck 0.3 m to the right and 0.1 m down at 2 m, f = 100 px: columns 44 and 45, rows 24 and 25",
         lambda f: _covers(
-            f, [(24, 44), (24, 45), (25, 44), (25, 45)], _pose(0.3, 0.1, 2.0), MIDDLE, SPECK, 100.0, FREE
+            f,
+            [(24, 44), (24, 45), (25, 44), (25, 45)],
+            _pose(0.3, 0.1, 2.0),
+            MIDDLE,
+            SPECK,
+            100.0,
+            FREE,
         ),
         "x goes right with the columns, y goes down with the rows; the middle is at W/2 and H/2.",
     ),
@@ -93,7 +101,11 @@ MASK_CHECKS = (
     ),
     Check(
         "away from the picture's middle too, depth is along z, not along the ray",
-        lambda f: bool(np.asarray(f(_pose(2.4, 0, 10), MIDDLE, 0.2 * BALL, 100.0, np.full((40, 60), 9.95)))[20, 54]),
+        lambda f: bool(
+            np.asarray(f(_pose(2.4, 0, 10), MIDDLE, 0.2 * BALL, 100.0, np.full((40, 60), 9.95)))[
+                20, 54
+            ]
+        ),
         "With d = (.., .., 1) the s of s d is the depth.",
     ),
 )
@@ -107,8 +119,10 @@ def _boxes(*boxes: tuple[int, int, int, int]) -> np.ndarray:
     return masks
 
 
-def _rates(f: Function, got: np.ndarray, truth: np.ndarray, overlap: list[float], alarm: list[bool]) -> bool:
-    return same(f(0.2 + 0.6 * got, truth, 0.5), (np.array(overlap), np.array(alarm)))
+def _rates(
+    f: Function, got: np.ndarray, truth: np.ndarray, overlap: list[float], alarm: list[bool]
+) -> bool:
+    return is_same_answer(f(0.2 + 0.6 * got, truth, 0.5), (np.array(overlap), np.array(alarm)))
 
 
 NOTHING = (0, 0, 0, 0)
@@ -126,7 +140,13 @@ IOU_CHECKS = (
     ),
     Check(
         "nothing there and nothing marked: IoU 1, no alarm",
-        lambda f: _rates(f, _boxes(NOTHING, (0, 2, 0, 2)), _boxes(NOTHING, (0, 2, 0, 2)), [1.0, 1.0], [False, False]),
+        lambda f: _rates(
+            f,
+            _boxes(NOTHING, (0, 2, 0, 2)),
+            _boxes(NOTHING, (0, 2, 0, 2)),
+            [1.0, 1.0],
+            [False, False],
+        ),
         "0 / 0 is your decision here.",
     ),
     Check(
@@ -143,13 +163,17 @@ IOU_CHECKS = (
     Check(
         "where a leader is, a wrong mark is no false alarm; a missed leader has IoU 0",
         lambda f: _rates(
-            f, _boxes((0, 4, 0, 4), NOTHING), _boxes((5, 7, 5, 7), (0, 2, 0, 2)), [0.0, 0.0], [False, False]
+            f,
+            _boxes((0, 4, 0, 4), NOTHING),
+            _boxes((5, 7, 5, 7), (0, 2, 0, 2)),
+            [0.0, 0.0],
+            [False, False],
         ),
         "A false alarm needs an empty truth.",
     ),
     Check(
         "the threshold is obeyed, and a probability equal to it is not marked",
-        lambda f: same(
+        lambda f: is_same_answer(
             f(np.array([[[0.3, 0.4, 0.9, 0.3]]]), np.array([[[True, True, True, False]]]), 0.3),
             (np.array([2 / 3]), np.array([False])),
         ),
@@ -163,28 +187,38 @@ def _loss(f: Function, logits: list, truth: list) -> float:
 
 
 def _even(f: Function) -> bool:
-    """All logits 0: p = 1/2. One leader pixel of four: entropy (w + 3) ln 2 / 4; overlap (1 + 1) / (2 + 1 + 1)."""
+    """All logits 0: p = 1/2. One leader pixel of four: entropy (w + 3) ln 2 / 4; overlap (1 + 1) /
+    (2 + 1 + 1).
+    """
     wanted = (POS_WEIGHT + 3.0) * math.log(2.0) / 4.0 + DICE_WEIGHT * (1.0 - 2.0 / 4.0)
-    return same(_loss(f, [[[0.0, 0.0], [0.0, 0.0]]], [[[1, 0], [0, 0]]]), wanted)
+    return is_same_answer(_loss(f, [[[0.0, 0.0], [0.0, 0.0]]], [[[1, 0], [0, 0]]]), wanted)
 
 
 def _two_pictures(f: Function) -> bool:
-    """Sure and right in the first, sure and wrong in the second: overlaps (2 + 1) / (2 + 1) = 1 and 1 / (1 + 1 + 1)."""
+    """Sure and right in the first, sure and wrong in the second: overlaps (2 + 1) / (2 + 1) = 1 and
+    1 / (1 + 1 + 1).
+    """
     wrong = 40.0 * (POS_WEIGHT + 1.0) / 4.0
     got = _loss(f, [[[40.0, -40.0]], [[40.0, -40.0]]], [[[1, 0]], [[0, 1]]])
-    return same(got, wrong + DICE_WEIGHT * 0.5 * (1.0 - 1.0 / 3.0))
+    return is_same_answer(got, wrong + DICE_WEIGHT * 0.5 * (1.0 - 1.0 / 3.0))
 
 
 def _gradient(f: Function) -> bool:
-    """Logits 0 and truth 1, 0: D = 2/3, dD/dp = 4/9 and -2/9, dp/dz = 1/4; the entropy gives -w/4 and 1/4."""
+    """Logits 0 and truth 1, 0: D = 2/3, dD/dp = 4/9 and -2/9, dp/dz = 1/4; the entropy gives -w/4
+    and 1/4.
+    """
     wanted = [-POS_WEIGHT / 4.0 - DICE_WEIGHT / 9.0, 0.25 + DICE_WEIGHT / 18.0]
-    return same(f(np.zeros((1, 1, 2)), np.array([[[1.0, 0.0]]]))["gradient"], np.array([[wanted]]))
+    return is_same_answer(
+        f(np.zeros((1, 1, 2)), np.array([[[1.0, 0.0]]]))["gradient"], np.array([[wanted]])
+    )
 
 
 LOSS_CHECKS = (
     Check(
         "sure and right costs nothing: logits 40 on the leader and -40 elsewhere give 0",
-        lambda f: same(_loss(f, [[[40.0, -40.0], [-40.0, -40.0]]], [[[1, 0], [0, 0]]]), 0.0, 0.0, 1e-9),
+        lambda f: is_same_answer(
+            _loss(f, [[[40.0, -40.0], [-40.0, -40.0]]], [[[1, 0], [0, 0]]]), 0.0, 0.0, 1e-9
+        ),
         "p is the sigmoid of the logit; the Dice part is then 1 - 1.",
     ),
     Check(
@@ -199,12 +233,12 @@ LOSS_CHECKS = (
     ),
     Check(
         "an empty picture, rightly left empty, costs nothing",
-        lambda f: same(_loss(f, [[[-40.0, -40.0]]], [[[0, 0]]]), 0.0, 0.0, 1e-9),
+        lambda f: is_same_answer(_loss(f, [[[-40.0, -40.0]]], [[[0, 0]]]), 0.0, 0.0, 1e-9),
         "This is what the two 1s are for.",
     ),
     Check(
         "logits of 800 with the wrong sign give a finite loss",
-        lambda f: same(
+        lambda f: is_same_answer(
             _loss(f, [[[800.0]]], [[[0]]]) + _loss(f, [[[-800.0]]], [[[1]]]),
             800.0 * (1.0 + POS_WEIGHT) + DICE_WEIGHT * (0.5 + 0.5),
         ),
@@ -228,13 +262,18 @@ def _picture() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _made(
-    f: Function, patch: object = ((10, 20, 30),), corner: tuple[int, int] = (0, 0), **changes: object
+    f: Function,
+    patch: object = ((10, 20, 30),),
+    corner: tuple[int, int] = (0, 0),
+    **changes: object,
 ) -> np.ndarray:
     image, mask = _picture()
     how = {**PLAIN, "draws": np.full((6, 8), 0.5), **changes}
     pixels = np.array(patch, float)
     patch = pixels.reshape(1, 1, 3) if pixels.size == 3 else pixels
-    return np.asarray(f(image, mask, how["tint"], how["brightness"], how["salt"], how["draws"], patch, corner))
+    return np.asarray(
+        f(image, mask, how["tint"], how["brightness"], how["salt"], how["draws"], patch, corner)
+    )
 
 
 def _is(f: Function, at: tuple[int, int], rgb: tuple[int, int, int], **how: object) -> bool:
@@ -253,7 +292,10 @@ BIG = np.full((3, 4, 3), 7.0)
 RANDOM_CHECKS = (
     Check(
         "a patch of one pixel at (1, 5) changes that pixel only",
-        lambda f: _is(f, (1, 5), (10, 20, 30), corner=(1, 5)) and _is(f, (5, 1), (100, 150, 200), corner=(1, 5)),
+        lambda f: (
+            _is(f, (1, 5), (10, 20, 30), corner=(1, 5))
+            and _is(f, (5, 1), (100, 150, 200), corner=(1, 5))
+        ),
         "Row first, then column.",
     ),
     Check(
@@ -297,18 +339,33 @@ RANDOM_CHECKS = (
     ),
     Check(
         "twice the light multiplies all numbers by 2 ** (1 / GAMMA) = 1.3703, rounded and cut at 255",
-        lambda f: _is(f, (0, 1), (137, 206, 255), brightness=2.0) and _is(f, (2, 3), (137, 206, 255), brightness=2.0),
+        lambda f: (
+            _is(f, (0, 1), (137, 206, 255), brightness=2.0)
+            and _is(f, (2, 3), (137, 206, 255), brightness=2.0)
+        ),
         "Gamma; then clip, then round.",
     ),
     Check(
         "the order: white salt in half the light is 255 * 0.5 ** (1 / GAMMA) = 186, and the tint leaves salt alone",
         lambda f: (
-            _is(f, (2, 3), (186, 186, 186), salt=0.2, draws=np.ones((6, 8)), brightness=0.5, tint=np.full(3, 0.5))
+            _is(
+                f,
+                (2, 3),
+                (186, 186, 186),
+                salt=0.2,
+                draws=np.ones((6, 8)),
+                brightness=0.5,
+                tint=np.full(3, 0.5),
+            )
             and round(255 * 0.5 ** (1 / GAMMA)) == 186
         ),
         "Tint, salt, then light.",
     ),
-    Check("the picture that came in stays as it is", _keeps_image, "astype makes a copy; assignment does not."),
+    Check(
+        "the picture that came in stays as it is",
+        _keeps_image,
+        "astype makes a copy; assignment does not.",
+    ),
 )
 
 LAB = Lab(
@@ -322,14 +379,36 @@ LAB = Lab(
         Exercise("randomize", 19.0, RANDOM_CHECKS),
     ),
     rubric=(
-        Criterion("labels", 5.0, "Ellipses sit on the aircraft, inside the rendered outline; the board cuts one off."),
-        Criterion("window", 5.0, "Both networks' outlines on views with and without leader; IoU and false alarms."),
-        Criterion("window_reading", 5.0, "Unseen views and false alarms got better, seen views did not; own numbers."),
         Criterion(
-            "q1", 3.0, "Smaller than the rendered outline, but centred; harmless for steering, not for measuring."
+            "labels",
+            5.0,
+            "Ellipses sit on the aircraft, inside the rendered outline; the board cuts one off.",
         ),
-        Criterion("q2", 3.0, "Short cut 'bright and striped'; look-alikes break it without showing the windows."),
-        Criterion("q3", 4.0, "Mask holds no hall; wrong masks go unnoticed; RGB + Mask can doubt; time; 30 flights."),
+        Criterion(
+            "window",
+            5.0,
+            "Both networks' outlines on views with and without leader; IoU and false alarms.",
+        ),
+        Criterion(
+            "window_reading",
+            5.0,
+            "Unseen views and false alarms got better, seen views did not; own numbers.",
+        ),
+        Criterion(
+            "q1",
+            3.0,
+            "Smaller than the rendered outline, but centred; harmless for steering, not for measuring.",
+        ),
+        Criterion(
+            "q2",
+            3.0,
+            "Short cut 'bright and striped'; look-alikes break it without showing the windows.",
+        ),
+        Criterion(
+            "q3",
+            4.0,
+            "Mask holds no hall; wrong masks go unnoticed; RGB + Mask can doubt; time; 30 flights.",
+        ),
     ),
     constants={"pos_weight": (4.0, 12.0, 1), "dice_weight": (0.5, 1.5, 2)},
     packages=("numpy", "torch"),

@@ -1,4 +1,5 @@
-"""Lab 9, given: the course's numbers, simulated views, what is drawn for a randomised picture, a small U-Net, plots.
+"""Lab 9, given: the course's numbers, simulated views, what is drawn for a randomised picture, a
+small U-Net, plots.
 
 torch is imported only where it is needed, so that the exercises without it stay quick.
 """
@@ -12,17 +13,26 @@ import numpy as np
 
 HERE = Path(__file__).parent
 COHORT: dict[str, float] = json.loads((HERE / "cohort.json").read_text(encoding="utf-8"))
-POS_WEIGHT = COHORT["pos_weight"]  # how much more a pixel of the leader counts than one of the hall [-]
+POS_WEIGHT = COHORT[
+    "pos_weight"
+]  # how much more a pixel of the leader counts than one of the hall [-]
 DICE_WEIGHT = COHORT["dice_weight"]  # of the overlap's part of the loss [-]
 
 FOCAL_PX = 0.62 * 64  # focal length of the follower's lens for pictures 64 pixels wide [px]
 CENTRE_BODY = np.array([-0.072, 0.0, -0.006])  # middle of the leader's box, in its body axes [m]
-HALF_AXES = np.array([0.272, 0.349, 0.113])  # from there to nose and tail, wing tips, top and bottom [m]
+HALF_AXES = np.array(
+    [0.272, 0.349, 0.113]
+)  # from there to nose and tail, wing tips, top and bottom [m]
 NEVER = np.full((48, 64), np.inf)  # depth of a hall in which nothing hides the leader [m]
 MIN_PIXELS = 6  # fewer do not count as an aircraft [px]
 GAMMA = 2.2  # light is the 2.2th power of a screen's numbers
 
-BLUE, ORANGE, GREEN, PINK = "#0072B2", "#D55E00", "#009E73", "#CC79A7"  # distinct for colour-blind eyes as well
+BLUE, ORANGE, GREEN, PINK = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+)  # distinct for colour-blind eyes as well
 
 Array = np.ndarray
 
@@ -31,19 +41,27 @@ def load_views(kind: str) -> dict[str, Array]:
     """SIMULATED views from the follower's camera.
 
     Args:
-        kind: "train", "seen": along the runway and to the wall with the posters. "unseen": towards the windows.
-            "empty": towards the windows, without a leader. "hidden": one view, a part of the leader behind a board.
+        kind: "train", "seen": along the runway and to the wall with the posters. "unseen": towards
+            the windows. "empty": towards the windows, without a leader. "hidden": one view, a part
+            of the leader behind a board.
 
     Returns:
-        "images" (n, 48, 64, 3) uint8; "poses" (n, 4, 4), T_camera_body of the leader, camera axes x right, y down, z
-        forward; "masks" (n, 48, 64) bool, exact, rendered; with "hidden" also "depth" (n, 48, 64) of the hall [m].
+        "images" (n, 48, 64, 3) uint8; "poses" (n, 4, 4), T_camera_body of the leader, camera axes x
+        right, y down, z forward; "masks" (n, 48, 64) bool, exact, rendered; with "hidden" also
+        "depth" (n, 48, 64) of the hall [m].
     """
     with np.load(HERE / "data" / "views.npz", allow_pickle=False) as file:
-        return {name.removeprefix(f"{kind}_"): file[name] for name in file.files if name.startswith(f"{kind}_")}
+        return {
+            name.removeprefix(f"{kind}_"): file[name]
+            for name in file.files
+            if name.startswith(f"{kind}_")
+        }
 
 
 def look_alike(rng: np.random.Generator) -> Array:
-    """A bright panel with bars, of random size, colours and grain (h, w, 3), 0..255: no leader, but like one."""
+    """A bright panel with bars, of random size, colours and grain (h, w, 3), 0..255: no leader, but
+    like one.
+    """
     height, width = rng.integers(5, 22), rng.integers(5, 26)
     panel = rng.integers(130, 256) + rng.integers(-25, 26, 3)
     bars = rng.integers(0, 256) + rng.integers(-25, 26, 3)
@@ -54,7 +72,9 @@ def look_alike(rng: np.random.Generator) -> Array:
 
 
 def draw(rng: np.random.Generator, look_alike_only: bool = False) -> dict[str, Any]:
-    """Random numbers for one call of `randomize`, by the names of its arguments; or only another look-alike."""
+    """Random numbers for one call of `randomize`, by the names of its arguments; or only another
+    look-alike.
+    """
     changes = {"tint": np.ones(3), "brightness": 1.0, "salt": 0.0}
     if not look_alike_only:
         changes = {
@@ -67,10 +87,12 @@ def draw(rng: np.random.Generator, look_alike_only: bool = False) -> dict[str, A
 
 
 def new_unet(base: int = 6, seed: int = 0) -> Any:
-    """A small U-Net: pictures (n, 3, H, W) in -1..1 -> logits (n, H, W); H and W are multiples of 4.
+    """A small U-Net: pictures (n, 3, H, W) in -1..1 -> logits (n, H, W); H and W are multiples of
+    4.
 
     Args:
-        base: channels at full size; twice and four times as many at half and quarter size. It can grow.
+        base: channels at full size; twice and four times as many at half and quarter size. It can
+            grow.
         seed: of the weights to start from.
     """
     import torch
@@ -80,7 +102,10 @@ def new_unet(base: int = 6, seed: int = 0) -> Any:
     torch.set_num_threads(1)
 
     def double(before: int, after: int) -> nn.Module:
-        first, second = nn.Conv2d(before, after, 3, padding=1), nn.Conv2d(after, after, 3, padding=1)
+        first, second = (
+            nn.Conv2d(before, after, 3, padding=1),
+            nn.Conv2d(after, after, 3, padding=1),
+        )
         return nn.Sequential(first, nn.ReLU(), second, nn.ReLU())
 
     class UNet(nn.Module):
@@ -92,7 +117,11 @@ def new_unet(base: int = 6, seed: int = 0) -> Any:
                 double(2 * base, 4 * base),
             )
             self.out_half, self.out_full = double(6 * base, 2 * base), double(3 * base, base)
-            self.down, self.up, self.last = nn.MaxPool2d(2), nn.Upsample(scale_factor=2), nn.Conv2d(base, 1, 1)
+            self.down, self.up, self.last = (
+                nn.MaxPool2d(2),
+                nn.Upsample(scale_factor=2),
+                nn.Conv2d(base, 1, 1),
+            )
 
         def forward(self, images: Any) -> Any:
             full = self.in_full(images)
@@ -139,14 +168,18 @@ def run_mask_loss(function: Callable[..., Any], logits: Array, truth: Array) -> 
     return {"loss": float(loss.detach()), "gradient": at.grad.numpy().copy()}
 
 
-def plot_labels(views: Mapping[str, Array], made: Array, title: str, frames: tuple[int, ...] = (0, 1, 2, 3, 4)) -> None:
+def plot_labels(
+    views: Mapping[str, Array], made: Array, title: str, frames: tuple[int, ...] = (0, 1, 2, 3, 4)
+) -> None:
     """Pictures with the outline of the made masks (solid) and of the exact ones (dashed)."""
     import matplotlib.pyplot as plt
 
     _, row = plt.subplots(1, len(frames), figsize=(11.0, 2.2), layout="constrained", squeeze=False)
     for axes, frame in zip(row[0], frames, strict=True):
         axes.imshow(views["images"][frame])
-        axes.contour(views["masks"][frame], levels=[0.5], colors=ORANGE, linestyles="--", linewidths=1.2)
+        axes.contour(
+            views["masks"][frame], levels=[0.5], colors=ORANGE, linestyles="--", linewidths=1.2
+        )
         if made[frame].any():
             axes.contour(made[frame], levels=[0.5], colors=BLUE, linewidths=1.5)
         axes.axis("off")
@@ -163,8 +196,12 @@ def plot_randomised(pictures: list[Array]) -> None:
         axes.axis("off")
 
 
-def plot_window(said: Mapping[str, Mapping[str, Array]], frames: tuple[int, ...] = (0, 1, 2, 3)) -> None:
-    """For each network a row of pictures towards the windows, two with and two without a leader, and what it marks."""
+def plot_window(
+    said: Mapping[str, Mapping[str, Array]], frames: tuple[int, ...] = (0, 1, 2, 3)
+) -> None:
+    """For each network a row of pictures towards the windows, two with and two without a leader,
+    and what it marks.
+    """
     import matplotlib.pyplot as plt
 
     if not said:
@@ -173,7 +210,11 @@ def plot_window(said: Mapping[str, Mapping[str, Array]], frames: tuple[int, ...]
     views = {kind: load_views(kind)["images"] for kind in ("unseen", "empty")}
     columns = [(kind, frame) for kind in views for frame in frames]
     _, grid = plt.subplots(
-        len(said), len(columns), squeeze=False, figsize=(11.0, 1.05 * len(said) + 0.3), layout="constrained"
+        len(said),
+        len(columns),
+        squeeze=False,
+        figsize=(11.0, 1.05 * len(said) + 0.3),
+        layout="constrained",
     )
     for row, (name, kinds) in zip(grid, said.items(), strict=True):
         for axes, (kind, frame) in zip(row, columns, strict=True):

@@ -1,4 +1,6 @@
-"""Lab 9, for instructors: the hidden cases and their references, written apart from the lab's solution."""
+"""Lab 9, for instructors: the hidden cases and their references, written apart from the lab's
+solution.
+"""
 
 from collections.abc import Mapping
 from functools import partial
@@ -8,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from falconwing_kit.scene import Ellipsoid, PinholeCamera, ellipse_mask
-from falconwing_kit.tools.grading import Course, Function, Judge, Trials, Values, same
+from falconwing_kit.tools.grading import Course, Function, Judge, Trials, Values, is_same_answer
 
 
 def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
@@ -24,11 +26,17 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
 
 def _ellipsoids(rng: np.random.Generator) -> tuple[Any, ...]:
     """A body in the picture, partly hidden in most cases."""
-    height, width, focal = int(rng.integers(20, 40)), int(rng.integers(30, 60)), float(rng.uniform(30.0, 60.0))
+    height, width, focal = (
+        int(rng.integers(20, 40)),
+        int(rng.integers(30, 60)),
+        float(rng.uniform(30.0, 60.0)),
+    )
     T, z = np.eye(4), float(rng.uniform(3.0, 8.0))
     T[:3, :3] = Rotation.random(random_state=int(rng.integers(2**31))).as_matrix()
     half_axes, centre = rng.uniform(0.2, 1.0, 3), rng.uniform(-0.5, 0.5, 3)
-    at = np.array([rng.uniform(-0.3, 0.3) * width / focal * z, rng.uniform(-0.3, 0.3) * height / focal * z, z])
+    at = np.array(
+        [rng.uniform(-0.3, 0.3) * width / focal * z, rng.uniform(-0.3, 0.3) * height / focal * z, z]
+    )
     T[:3, 3] = at - T[:3, :3] @ centre
     depth = np.full((height, width), np.inf)
     if rng.random() < 0.7:
@@ -41,13 +49,21 @@ def _before_and_behind(student: Function, rng: np.random.Generator) -> bool:
     T, *others = _ellipsoids(rng)
     behind = T.copy()
     behind[2, 3] -= 2.0 * (T[2, 3] + T[2, :3] @ others[0])
-    return all(same(student(pose, *others), _by_conic(pose, *others)) for pose in (T, behind))
+    return all(
+        is_same_answer(student(pose, *others), _by_conic(pose, *others)) for pose in (T, behind)
+    )
 
 
 def _by_conic(
-    T_camera_body: np.ndarray, centre_body: np.ndarray, half_axes: np.ndarray, focal_px: float, hall_depth: np.ndarray
+    T_camera_body: np.ndarray,
+    centre_body: np.ndarray,
+    half_axes: np.ndarray,
+    focal_px: float,
+    hall_depth: np.ndarray,
 ) -> np.ndarray:
-    """The outline by the kit's dual conic; the depth by the quadric (s d, 1)^T Q (s d, 1) = 0 and numpy.roots."""
+    """The outline by the kit's dual conic; the depth by the quadric (s d, 1)^T Q (s d, 1) = 0 and
+    numpy.roots.
+    """
     height, width = hall_depth.shape
     camera = PinholeCamera(focal_px, focal_px, width / 2, height / 2, width, height)
     mask = ellipse_mask(Ellipsoid(centre_body, half_axes), T_camera_body, camera, np.eye(4))
@@ -78,7 +94,9 @@ def _marks(rng: np.random.Generator) -> tuple[Any, ...]:
     return probability, truth, threshold
 
 
-def _by_sets(probability: np.ndarray, truth: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+def _by_sets(
+    probability: np.ndarray, truth: np.ndarray, threshold: float
+) -> tuple[np.ndarray, np.ndarray]:
     """With sets of pixels."""
     overlaps, alarms = [], []
     for said, is_leader in zip(probability, truth, strict=True):
@@ -95,20 +113,29 @@ def _logits(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _loss(logits: np.ndarray, truth: np.ndarray, w: float, share: float) -> dict[str, Any]:
-    """Loss and gradient by hand: ln p = -ln(1 + e^-z) by logaddexp, p' = p (1 - p), quotient rule for the overlap."""
+    """Loss and gradient by hand: ln p = -ln(1 + e^-z) by logaddexp, p' = p (1 - p), quotient rule
+    for the overlap.
+    """
     p = np.exp(-np.logaddexp(0.0, -logits))
     each = w * truth * np.logaddexp(0.0, -logits) + (1.0 - truth) * np.logaddexp(0.0, logits)
     top = np.array([2.0 * np.vdot(a, m) + 1.0 for a, m in zip(p, truth, strict=True)])
     bottom = np.array([a.sum() + m.sum() + 1.0 for a, m in zip(p, truth, strict=True)])
     by_entropy = (-w * truth * (1.0 - p) + (1.0 - truth) * p) / p.size
-    by_p = -(2.0 * truth * bottom[:, None, None] - top[:, None, None]) / bottom[:, None, None] ** 2 / len(p)
+    by_p = (
+        -(2.0 * truth * bottom[:, None, None] - top[:, None, None])
+        / bottom[:, None, None] ** 2
+        / len(p)
+    )
     loss = float(np.mean(each) + share * np.mean(1.0 - top / bottom))
     return {"loss": loss, "gradient": by_entropy + share * by_p * p * (1.0 - p)}
 
 
 def _changes(rng: np.random.Generator) -> tuple[Any, ...]:
     height, width = int(rng.integers(8, 14)), int(rng.integers(10, 18))
-    image, mask = rng.integers(0, 256, (height, width, 3), dtype=np.uint8), np.zeros((height, width), bool)
+    image, mask = (
+        rng.integers(0, 256, (height, width, 3), dtype=np.uint8),
+        np.zeros((height, width), bool),
+    )
     top, left = int(rng.integers(1, 4)), int(rng.integers(1, 5))
     mask[top : top + 4, left : left + 5] = True
     patch = rng.uniform(0.0, 255.0, (*rng.integers(2, 9, 2), 3))
@@ -116,7 +143,16 @@ def _changes(rng: np.random.Generator) -> tuple[Any, ...]:
     if rng.random() < 0.5:
         corner = (top - 1, left - 1)
     tint, brightness = rng.uniform(0.6, 1.2, 3), float(rng.uniform(0.5, 2.0))
-    return image, mask, tint, brightness, float(rng.uniform(0.1, 0.6)), rng.random((height, width)), patch, corner
+    return (
+        image,
+        mask,
+        tint,
+        brightness,
+        float(rng.uniform(0.1, 0.6)),
+        rng.random((height, width)),
+        patch,
+        corner,
+    )
 
 
 def _pixel_by_pixel(
@@ -134,5 +170,7 @@ def _pixel_by_pixel(
                 colour = [0.0 if draws[i, j] < salt / 2 else 255.0] * 3
         elif 0 <= row < patch.shape[0] and 0 <= column < patch.shape[1]:
             colour = list(patch[row, column])
-        made[i, j] = [round(min(max(level * brightness ** (1.0 / 2.2), 0.0), 255.0)) for level in colour]
+        made[i, j] = [
+            round(min(max(level * brightness ** (1.0 / 2.2), 0.0), 255.0)) for level in colour
+        ]
     return made

@@ -39,7 +39,9 @@ from given import (
 
 from falconwing_kit.tools.grading import check
 
-print(f"This course: a pixel of the leader weighs {POS_WEIGHT:g}, the overlap weighs {DICE_WEIGHT:g}")
+print(
+    f"This course: a pixel of the leader weighs {POS_WEIGHT:g}, the overlap weighs {DICE_WEIGHT:g}"
+)
 
 # %% [markdown]
 # ## 1. Labels for nothing: the ellipsoid
@@ -63,7 +65,11 @@ print(f"This course: a pixel of the leader weighs {POS_WEIGHT:g}, the overlap we
 
 # %% exercise="ellipsoid_mask"
 def ellipsoid_mask(
-    T_camera_body: np.ndarray, centre_body: np.ndarray, half_axes: np.ndarray, focal_px: float, hall_depth: np.ndarray
+    T_camera_body: np.ndarray,
+    centre_body: np.ndarray,
+    half_axes: np.ndarray,
+    focal_px: float,
+    hall_depth: np.ndarray,
 ) -> np.ndarray:
     """Pixels that see an ellipsoid.
 
@@ -80,7 +86,10 @@ def ellipsoid_mask(
     # BEGIN SOLUTION
     height, width = hall_depth.shape
     row, column = np.indices((height, width)) + 0.5
-    rays = np.stack([(column - width / 2) / focal_px, (row - height / 2) / focal_px, np.ones((height, width))], axis=-1)
+    rays = np.stack(
+        [(column - width / 2) / focal_px, (row - height / 2) / focal_px, np.ones((height, width))],
+        axis=-1,
+    )
     R_camera_body, p_camera = T_camera_body[:3, :3], T_camera_body[:3, 3]
     e = rays @ R_camera_body / half_axes
     o = (-p_camera @ R_camera_body - centre_body) / half_axes
@@ -131,7 +140,9 @@ plot_labels(board, behind, "Behind the board", frames=(0,))
 
 
 # %% exercise="iou"
-def iou(probability: np.ndarray, truth: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+def iou(
+    probability: np.ndarray, truth: np.ndarray, threshold: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Overlap and false alarms of many pictures.
 
     Args:
@@ -191,10 +202,15 @@ def mask_loss(logits: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
         The loss, a tensor without axes that `backward()` works on.
     """
     # BEGIN SOLUTION
-    log_leader, log_hall = torch.nn.functional.logsigmoid(logits), torch.nn.functional.logsigmoid(-logits)
+    log_leader, log_hall = (
+        torch.nn.functional.logsigmoid(logits),
+        torch.nn.functional.logsigmoid(-logits),
+    )
     entropy = -(POS_WEIGHT * truth * log_leader + (1.0 - truth) * log_hall).mean()
     p = torch.sigmoid(logits)
-    overlap = (2.0 * (p * truth).sum(dim=(1, 2)) + 1.0) / (p.sum(dim=(1, 2)) + truth.sum(dim=(1, 2)) + 1.0)
+    overlap = (2.0 * (p * truth).sum(dim=(1, 2)) + 1.0) / (
+        p.sum(dim=(1, 2)) + truth.sum(dim=(1, 2)) + 1.0
+    )
     return entropy + DICE_WEIGHT * (1.0 - overlap).mean()
     # END SOLUTION
 
@@ -312,11 +328,17 @@ networks["randomised"] = train(randomised=True)
 
 # %% figure="window"
 truths = {kind: load_views(kind)["masks"] for kind in ("seen", "unseen", "empty")}
-said = {name: {k: probabilities(net, load_views(k)["images"]) for k in truths} for name, net in networks.items()}
+said = {
+    name: {k: probabilities(net, load_views(k)["images"]) for k in truths}
+    for name, net in networks.items()
+}
 for name, kinds in said.items():
     score = {kind: iou(kinds[kind], truths[kind], 0.5) for kind in truths}
     alarms = score["empty"][1]
-    print(f"{name:10s} mean IoU: seen {score['seen'][0].mean():.2f}, unseen {score['unseen'][0].mean():.2f}", end="; ")
+    print(
+        f"{name:10s} mean IoU: seen {score['seen'][0].mean():.2f}, unseen {score['unseen'][0].mean():.2f}",
+        end="; ",
+    )
     print(f"false alarms in {alarms.sum()} of {len(alarms)} empty views")
 plot_window(said)
 

@@ -3,7 +3,7 @@
 import numpy as np
 from given import CENTRE_US, ENGAGE_FRAMES, GAP_US, HOLD_MS, LOST_MS, switched_on
 
-from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_same_answer
 
 LEVEL = {"throttle": 0.5, "aileron": 0.0, "elevator": 0.0, "rudder": 0.0}
 
@@ -20,10 +20,12 @@ def _ppm(*frames: tuple[float, ...], first: int = 60000, pause: float = 10000.0)
 
 
 def _decodes(decode: Function, ticks: np.ndarray, *wanted: tuple[float, ...]) -> bool:
-    return same(decode(ticks, 4), np.array(wanted, float).reshape(-1, 4), 0.0, 1e-9)
+    return is_same_answer(decode(ticks, 4), np.array(wanted, float).reshape(-1, 4), 0.0, 1e-9)
 
 
-def _after(step: Function, *inputs: tuple[float, bool, bool, bool], memory: dict | None = None) -> dict:
+def _after(
+    step: Function, *inputs: tuple[float, bool, bool, bool], memory: dict | None = None
+) -> dict:
     memory = memory or switched_on()
     for each in inputs:
         memory = step(memory, *each)
@@ -54,42 +56,60 @@ def _flat(*levels: int) -> np.ndarray:
 
 def _boards(*signs: int) -> np.ndarray:
     board = np.indices((16, 24)).sum(axis=0) % 2
-    return np.stack([np.where(board, 125 + 25 * sign, 125 - 25 * sign) for sign in signs]).astype(np.uint8)
+    return np.stack([np.where(board, 125 + 25 * sign, 125 - 25 * sign) for sign in signs]).astype(
+        np.uint8
+    )
 
 
 def _alarms(monitor: Function, images: np.ndarray, count: int, *wanted: int) -> bool:
-    return same(monitor(images, 0.7, count)[1], np.array(wanted))
+    return is_same_answer(monitor(images, 0.7, count)[1], np.array(wanted))
 
 
 def _half_and_half(monitor: Function) -> bool:
     """Half of the blocks the same, half flat and brighter: the mean of 1 and 0.92309."""
     images = _flat(100, 100)
     images[1, :, 8:16], images[1, :8, :8] = 150, 150
-    return same(monitor(images, 0.7, 5)[0], np.array([0.5 * (1.0 + 30006.5025 / 32506.5025)]))
+    return is_same_answer(
+        monitor(images, 0.7, 5)[0], np.array([0.5 * (1.0 + 30006.5025 / 32506.5025)])
+    )
 
 
 ENCODE = (
     Check(
         "sticks in the middle and half throttle: four slots of CENTRE_US, the first edge at start_tick",
-        lambda f: same(_slots_us(f), [CENTRE_US] * 4, 0.0, 1e-6) and int(np.asarray(f(LEVEL, "TAER", 700))[0]) == 700,
+        lambda f: (
+            is_same_answer(_slots_us(f), [CENTRE_US] * 4, 0.0, 1e-6)
+            and int(np.asarray(f(LEVEL, "TAER", 700))[0]) == 700
+        ),
         "Each slot lasts from the start of one pulse to the start of the next; two ticks are a microsecond.",
     ),
     Check(
         "the throttle at 0, 1/4 and 1 gives CENTRE_US - 500, - 250 and + 500 us",
-        lambda f: same(
-            [_slots_us(f, throttle=t)[0] - CENTRE_US for t in (0.0, 0.25, 1.0)], [-500.0, -250.0, 500.0], 0.0, 1e-6
+        lambda f: is_same_answer(
+            [_slots_us(f, throttle=t)[0] - CENTRE_US for t in (0.0, 0.25, 1.0)],
+            [-500.0, -250.0, 500.0],
+            0.0,
+            1e-6,
         ),
         "The throttle has no middle: map 0..1 to -1..1 first.",
     ),
     Check(
         "a positive stick makes a longer slot: aileron 0.2 gives 100 us more, in its own slot only",
-        lambda f: same(_slots_us(f, aileron=0.2), [CENTRE_US, CENTRE_US + 100.0, CENTRE_US, CENTRE_US], 0.0, 1e-6),
+        lambda f: is_same_answer(
+            _slots_us(f, aileron=0.2),
+            [CENTRE_US, CENTRE_US + 100.0, CENTRE_US, CENTRE_US],
+            0.0,
+            1e-6,
+        ),
         "Look at the order of the slots and at the sign.",
     ),
     Check(
         'the order is obeyed: with "AETR" the throttle is in slot 3 and the rudder in slot 4',
-        lambda f: same(
-            [us - CENTRE_US for us in _slots_us(f, "AETR", throttle=0.0, aileron=1.0, elevator=-1.0, rudder=0.5)],
+        lambda f: is_same_answer(
+            [
+                us - CENTRE_US
+                for us in _slots_us(f, "AETR", throttle=0.0, aileron=1.0, elevator=-1.0, rudder=0.5)
+            ],
             [500.0, -500.0, -500.0, 250.0],
             0.0,
             1e-6,
@@ -98,19 +118,25 @@ ENCODE = (
     ),
     Check(
         "the pulses are GAP_US wide, ten edges in all, down and up in turn",
-        lambda f: same(np.asarray(f(LEVEL, "TAER", 0), float)[1::2] - f(LEVEL, "TAER", 0)[::2], np.full(5, 2 * GAP_US)),
+        lambda f: is_same_answer(
+            np.asarray(f(LEVEL, "TAER", 0), float)[1::2] - f(LEVEL, "TAER", 0)[::2],
+            np.full(5, 2 * GAP_US),
+        ),
         "Five pulses: the last one only ends channel 4. Widths are in ticks, too.",
     ),
     Check(
         "slots are whole microseconds, rounded: aileron 0.0307 is 15 us, and 0.0313 is 16 us",
-        lambda f: same(
-            [_slots_us(f, aileron=a)[1] - CENTRE_US for a in (0.0307, 0.0313, -0.0313)], [15.0, 16.0, -16.0], 0.0, 1e-6
+        lambda f: is_same_answer(
+            [_slots_us(f, aileron=a)[1] - CENTRE_US for a in (0.0307, 0.0313, -0.0313)],
+            [15.0, 16.0, -16.0],
+            0.0,
+            1e-6,
         ),
         "Round each slot, to the nearest microsecond; do not cut the decimals off, and do not round ticks.",
     ),
     Check(
         "a stick beyond its end is cut to its end; a throttle below 0 is idle",
-        lambda f: same(
+        lambda f: is_same_answer(
             [us - CENTRE_US for us in _slots_us(f, throttle=-0.7, aileron=3.0, elevator=-1.4)],
             [-500.0, 500.0, -500.0, 0.0],
             0.0,
@@ -120,15 +146,18 @@ ENCODE = (
     ),
     Check(
         "a stick that is not a number makes the whole command safe: throttle 0, the others in the middle",
-        lambda f: same(
-            _slots_us(f, throttle=0.9, aileron=0.5, rudder=float("nan")), [CENTRE_US - 500.0, *[CENTRE_US] * 3], 0.0
+        lambda f: is_same_answer(
+            _slots_us(f, throttle=0.9, aileron=0.5, rudder=float("nan")),
+            [CENTRE_US - 500.0, *[CENTRE_US] * 3],
+            0.0,
         ),
         "numpy.isfinite tells; it is not enough to replace the one stick.",
     ),
     Check(
         "counts are 0..65535: a frame that starts at 60000 wraps, with the same slots",
-        lambda f: same(
-            np.asarray(f(LEVEL, "TAER", 60000)) - (np.asarray(f(LEVEL, "TAER", 0)) + 60000) % 65536, np.zeros(10)
+        lambda f: is_same_answer(
+            np.asarray(f(LEVEL, "TAER", 60000)) - (np.asarray(f(LEVEL, "TAER", 0)) + 60000) % 65536,
+            np.zeros(10),
         ),
         "Behind 65535 comes 0, so the remainder by 65536.",
     ),
@@ -152,16 +181,30 @@ DECODE = (
     Check(
         "a frame cut off at the beginning or at the end of the reading is left out",
         lambda f: (
-            _decodes(f, _ppm((1100, 1200, 1300, 1400), (1500, 1600, 1700, 1800))[3:], (1500, 1600, 1700, 1800))
-            and _decodes(f, _ppm((1100, 1200, 1300, 1400), (1500, 1600, 1700, 1800))[:-1], (1100, 1200, 1300, 1400))
+            _decodes(
+                f,
+                _ppm((1100, 1200, 1300, 1400), (1500, 1600, 1700, 1800))[3:],
+                (1500, 1600, 1700, 1800),
+            )
+            and _decodes(
+                f,
+                _ppm((1100, 1200, 1300, 1400), (1500, 1600, 1700, 1800))[:-1],
+                (1100, 1200, 1300, 1400),
+            )
         ),
         "A frame stands between two pauses, and you must have seen both.",
     ),
     Check(
         "a frame with a slot too few or too many is left out, and the next one is read",
         lambda f: (
-            _decodes(f, _ppm((1100, 1200, 1300), (1500, 1600, 1700, 1800)), (1500, 1600, 1700, 1800))
-            and _decodes(f, _ppm((1100, 1200, 1300, 900, 1000), (1500, 1600, 1700, 1800)), (1500, 1600, 1700, 1800))
+            _decodes(
+                f, _ppm((1100, 1200, 1300), (1500, 1600, 1700, 1800)), (1500, 1600, 1700, 1800)
+            )
+            and _decodes(
+                f,
+                _ppm((1100, 1200, 1300, 900, 1000), (1500, 1600, 1700, 1800)),
+                (1500, 1600, 1700, 1800),
+            )
         ),
         "Count the slots between the pauses.",
     ),
@@ -169,21 +212,29 @@ DECODE = (
         "slots of 800 and 2200 us are good; 799.5, 2200.5 and 3000 us are not",
         lambda f: (
             _decodes(f, _ppm((800, 2200, 1500, 1500)), (800, 2200, 1500, 1500))
-            and _decodes(f, _ppm((1500, 799.5, 1500, 1500), (2200.5, 1500, 1500, 1500), (1500, 1500, 1500, 3000)))
+            and _decodes(
+                f,
+                _ppm(
+                    (1500, 799.5, 1500, 1500), (2200.5, 1500, 1500, 1500), (1500, 1500, 1500, 3000)
+                ),
+            )
         ),
         "Compare all slots of a frame with both limits; a limit itself is still good.",
     ),
     Check(
         "a pause of exactly 4000 us is a pause",
-        lambda f: _decodes(f, _ppm((1100, 1200, 1300, 1400), pause=4000.0), (1100, 1200, 1300, 1400)),
+        lambda f: _decodes(
+            f, _ppm((1100, 1200, 1300, 1400), pause=4000.0), (1100, 1200, 1300, 1400)
+        ),
         "PAUSE_US or more.",
     ),
     Check(
         "no good frame gives an array of shape (0, channels), and six channels work as well as four",
         lambda f: (
-            same(f(_ppm((1100, 1200)), 4), np.zeros((0, 4)))
-            and same(
-                f(_ppm((1100, 1200, 1300, 1400, 1500, 1600)), 6), np.array([[1100.0, 1200, 1300, 1400, 1500, 1600]])
+            is_same_answer(f(_ppm((1100, 1200)), 4), np.zeros((0, 4)))
+            and is_same_answer(
+                f(_ppm((1100, 1200, 1300, 1400, 1500, 1600)), 6),
+                np.array([[1100.0, 1200, 1300, 1400, 1500, 1600]]),
             )
         ),
         "Look at numpy.reshape(-1, channels).",
@@ -202,7 +253,10 @@ FAILSAFE = (
     ),
     Check(
         "frames must be in a row: a missing one starts the count again",
-        lambda f: _is(f, "SAFE", OFF, ON, ON, ON, ON, _silence(22.0), ON) and _is(f, "ACTIVE", *FLYING[:4], *[ON] * 5),
+        lambda f: (
+            _is(f, "SAFE", OFF, ON, ON, ON, ON, _silence(22.0), ON)
+            and _is(f, "ACTIVE", *FLYING[:4], *[ON] * 5)
+        ),
         "Rule 5: `good` = 0 in SAFE.",
     ),
     Check(
@@ -250,7 +304,7 @@ FAILSAFE = (
     ),
     Check(
         "flying uses the arming up: after ACTIVE `armed` is False",
-        lambda f: same([_after(f, *FLYING[:n])["armed"] for n in (3, 6)], [True, False]),
+        lambda f: is_same_answer([_after(f, *FLYING[:n])["armed"] for n in (3, 6)], [True, False]),
         "The last sentence of the rules.",
     ),
     Check(
@@ -266,17 +320,19 @@ FAILSAFE = (
 MONITOR = (
     Check(
         "the same picture twice has SSIM 1",
-        lambda f: same(f(_boards(1, 1, 1), 0.7, 5)[0], np.ones(2)),
+        lambda f: is_same_answer(f(_boards(1, 1, 1), 0.7, 5)[0], np.ones(2)),
         "Numerator and denominator must then be equal.",
     ),
     Check(
         "flat grey 100 and flat grey 150: by hand 30006.5025 / 32506.5025 = 0.92309",
-        lambda f: same(f(_flat(100, 150), 0.7, 5)[0], np.array([30006.5025 / 32506.5025])),
+        lambda f: is_same_answer(
+            f(_flat(100, 150), 0.7, 5)[0], np.array([30006.5025 / 32506.5025])
+        ),
         "With no variance the second factor is 1. 200 + 100 in uint8 is 44: turn into float first.",
     ),
     Check(
         "a chequered board of 100 and 150 and its negative: by hand -1191.4775 / 1308.5225 = -0.91055",
-        lambda f: same(f(_boards(1, -1), 0.7, 5)[0], np.array([-1191.4775 / 1308.5225])),
+        lambda f: is_same_answer(f(_boards(1, -1), 0.7, 5)[0], np.array([-1191.4775 / 1308.5225])),
         "Variance is 625: divide by the number of pixels, 64. The covariance is negative here.",
     ),
     Check(
@@ -299,7 +355,8 @@ MONITOR = (
         lambda f: (
             _alarms(
                 f,
-                np.where(np.arange(24) % 2, 1, 0) * np.array([0, 1, 0, 1])[:, None, None] + _flat(90, 90, 90, 90),
+                np.where(np.arange(24) % 2, 1, 0) * np.array([0, 1, 0, 1])[:, None, None]
+                + _flat(90, 90, 90, 90),
                 2,
                 0,
                 0,
@@ -312,8 +369,8 @@ MONITOR = (
     Check(
         "the threshold counts: the same pictures are noise with 0.95 and are not with 0.9",
         lambda f: (
-            same(f(_flat(100, 150, 100), 0.95, 2)[1], np.array([0, 1]))
-            and same(f(_flat(100, 150, 100), 0.9, 2)[1], np.array([0, 0]))
+            is_same_answer(f(_flat(100, 150, 100), 0.95, 2)[1], np.array([0, 1]))
+            and is_same_answer(f(_flat(100, 150, 100), 0.9, 2)[1], np.array([0, 0]))
         ),
         "Use the argument, not 0.7.",
     ),
@@ -332,12 +389,26 @@ LAB = Lab(
     rubric=(
         Criterion("timing", 2.0, "Five pulses, slots labelled; both histograms."),
         Criterion(
-            "timing_reading", 3.0, "Two edges, root of two, 5.7 us; the timer needs the program only beforehand."
+            "timing_reading",
+            3.0,
+            "Two edges, root of two, 5.7 us; the timer needs the program only beforehand.",
         ),
-        Criterion("takeover", 5.0, "SAFE in the very frame of the pilot's stick; LOST stays until the host lets go."),
-        Criterion("monitor", 5.0, "Names the false alarm in the turn and the silence of SSIM on the frozen picture."),
-        Criterion("q1", 3.0, "Both sides: jerks against an old command; 7 m/s times LOST_MS, 14 m in 2 s."),
-        Criterion("q2", 4.0, "The pilot has control; coming back must be a person's deliberate act."),
+        Criterion(
+            "takeover",
+            5.0,
+            "SAFE in the very frame of the pilot's stick; LOST stays until the host lets go.",
+        ),
+        Criterion(
+            "monitor",
+            5.0,
+            "Names the false alarm in the turn and the silence of SSIM on the frozen picture.",
+        ),
+        Criterion(
+            "q1", 3.0, "Both sides: jerks against an old command; 7 m/s times LOST_MS, 14 m in 2 s."
+        ),
+        Criterion(
+            "q2", 4.0, "The pilot has control; coming back must be a person's deliberate act."
+        ),
         Criterion("q3", 3.0, "False alarm by motion; blind to frozen; a mend for each."),
     ),
     constants={

@@ -1,4 +1,6 @@
-"""Lab 10, given: the course's numbers, a wire with faults, a radio link with dropouts, the video, and the plots."""
+"""Lab 10, given: the course's numbers, a wire with faults, a radio link with dropouts, the video,
+and the plots.
+"""
 
 import json
 from pathlib import Path
@@ -26,9 +28,16 @@ STICKS = ("throttle", "aileron", "elevator", "rudder")
 
 BLOCK_PX = 8  # side of a block [px]
 C1, C2 = (0.01 * 255.0) ** 2, (0.03 * 255.0) ** 2  # of SSIM, for grey levels 0..255
-FROZEN_LEVELS = 0.5  # two pictures that differ by less on average are the same picture [grey levels]
+FROZEN_LEVELS = (
+    0.5  # two pictures that differ by less on average are the same picture [grey levels]
+)
 
-BLUE, ORANGE, GREEN, PINK = "#0072B2", "#D55E00", "#009E73", "#CC79A7"  # distinct for colour-blind eyes as well
+BLUE, ORANGE, GREEN, PINK = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+)  # distinct for colour-blind eyes as well
 
 Memory = dict[str, Any]
 
@@ -55,7 +64,9 @@ def first_edges(frames_us: np.ndarray, jitter_us: float = 0.0, seed: int = 0) ->
     return np.round(TICKS_PER_US * times_us).astype(np.int64) % TIMER
 
 
-def with_faults(ticks: np.ndarray, seed: int, lost: float = 0.02, extra: float = 0.02) -> np.ndarray:
+def with_faults(
+    ticks: np.ndarray, seed: int, lost: float = 0.02, extra: float = 0.02
+) -> np.ndarray:
     """SIMULATED: the same reading with pulses lost, and with sparks that look like pulses.
 
     Args:
@@ -86,7 +97,9 @@ def video() -> tuple[np.ndarray, list[tuple[int, int, str]]]:
     with np.load(HERE / "data" / "video.npz", allow_pickle=False) as file:
         images, firsts, names = file["images"], file["firsts"], file["names"]
     lasts = [*firsts[1:], len(images)]
-    return images, [(int(a), int(b), str(what)) for a, b, what in zip(firsts, lasts, names, strict=True)]
+    return images, [
+        (int(a), int(b), str(what)) for a, b, what in zip(firsts, lasts, names, strict=True)
+    ]
 
 
 def plot_frame(edges: np.ndarray, errors_us: dict[str, np.ndarray]) -> None:
@@ -98,27 +111,46 @@ def plot_frame(edges: np.ndarray, errors_us: dict[str, np.ndarray]) -> None:
     """
     import matplotlib.pyplot as plt
 
-    _, (wire, spread) = plt.subplots(1, 2, figsize=(11.0, 3.4), width_ratios=(3, 2), layout="constrained")
+    _, (wire, spread) = plt.subplots(
+        1, 2, figsize=(11.0, 3.4), width_ratios=(3, 2), layout="constrained"
+    )
     ms = np.unwrap(edges.astype(float), period=TIMER) / TICKS_PER_US / 1000.0
     levels = np.tile([0, 1], len(ms) // 2)
     wire.step([-1.0, *ms, 10.0], [1, *levels, 1], where="post", color=BLUE)
     for number, (a, b) in enumerate(zip(ms[0:-2:2], ms[2::2], strict=True), 1):
-        wire.text(0.5 * (a + b), 1.12, f"ch {number}\n{1000.0 * (b - a):.0f} us", ha="center", fontsize=8)
+        wire.text(
+            0.5 * (a + b), 1.12, f"ch {number}\n{1000.0 * (b - a):.0f} us", ha="center", fontsize=8
+        )
     wire.set(xlabel="time [ms]", ylabel="level of the wire [-]", ylim=(-0.2, 1.6), yticks=(0, 1))
     wire.set_title(f"One PPM frame; the pause lasts until {FRAME_US / 1000.0:g} ms")
-    for (name, errors), colour, line in zip(errors_us.items(), (BLUE, ORANGE), ("-", "--"), strict=False):
+    for (name, errors), colour, line in zip(
+        errors_us.items(), (BLUE, ORANGE), ("-", "--"), strict=False
+    ):
         label = f"{name}: sd {np.std(errors):.1f} us"
-        spread.hist(errors, bins=np.arange(-25.25, 25.5, 0.5), histtype="step", color=colour, ls=line, label=label)
-    spread.set(xlabel="error of a slot [us]", ylabel="slots [-]", yscale="log", title="Timing (simulated)")
+        spread.hist(
+            errors,
+            bins=np.arange(-25.25, 25.5, 0.5),
+            histtype="step",
+            color=colour,
+            ls=line,
+            label=label,
+        )
+    spread.set(
+        xlabel="error of a slot [us]", ylabel="slots [-]", yscale="log", title="Timing (simulated)"
+    )
     spread.legend(fontsize=8)
 
 
 def scene_of_faults() -> list[tuple[bool, bool, bool]]:
-    """Six seconds at one step per PPM frame: (valid, engage, pilot moved), with two dropouts and a takeover."""
+    """Six seconds at one step per PPM frame: (valid, engage, pilot moved), with two dropouts and a
+    takeover.
+    """
     steps = [(True, False, False)] * 10 + [(True, True, False)] * 50
     steps += [(False, False, False)] * 6 + [(True, True, False)] * 34  # a short dropout
     steps += [(False, False, False)] * 20 + [(True, True, False)] * 30  # a long one
-    steps += [(True, False, False)] * 10 + [(True, True, False)] * 60  # the host lets go and asks again
+    steps += [(True, False, False)] * 10 + [
+        (True, True, False)
+    ] * 60  # the host lets go and asks again
     return [*steps, (True, True, True), *[(True, True, False)] * 40]  # the pilot moves a stick
 
 
@@ -131,10 +163,17 @@ def plot_takeover(steps: list[tuple[bool, bool, bool]], states: list[str]) -> No
     """
     import matplotlib.pyplot as plt
 
-    _, (above, below) = plt.subplots(2, 1, figsize=(11.0, 4.4), sharex=True, height_ratios=(2, 1), layout="constrained")
+    _, (above, below) = plt.subplots(
+        2, 1, figsize=(11.0, 4.4), sharex=True, height_ratios=(2, 1), layout="constrained"
+    )
     t = np.arange(len(states)) * FRAME_US * 1e-6
     above.step(t, [STATES.index(state) for state in states], where="post", color=BLUE)
-    above.set(ylabel="state", yticks=range(4), yticklabels=STATES, title="Who flies (simulated host and pilot)")
+    above.set(
+        ylabel="state",
+        yticks=range(4),
+        yticklabels=STATES,
+        title="Who flies (simulated host and pilot)",
+    )
     above.grid(alpha=0.3)
     rows = {"valid command": [s[0] for s in steps], "host engages": [s[1] for s in steps]}
     for row, ((name, on), colour) in enumerate(zip(rows.items(), (GREEN, ORANGE), strict=True)):
@@ -147,7 +186,9 @@ def plot_takeover(steps: list[tuple[bool, bool, bool]], states: list[str]) -> No
     below.set(xlabel="time [s]", ylabel="on or off", yticks=[])
 
 
-def plot_monitor(ssim: np.ndarray, alarm: np.ndarray, parts: list[tuple[int, int, str]], threshold: float) -> None:
+def plot_monitor(
+    ssim: np.ndarray, alarm: np.ndarray, parts: list[tuple[int, int, str]], threshold: float
+) -> None:
     """SSIM and alarms along the video.
 
     Args:
@@ -162,10 +203,25 @@ def plot_monitor(ssim: np.ndarray, alarm: np.ndarray, parts: list[tuple[int, int
     t = 0.05 * np.arange(1, len(ssim) + 1)
     axes.plot(t, ssim, color=BLUE, label="SSIM to the picture before")
     axes.axhline(threshold, color="black", ls=":", label=f"threshold {threshold:g}")
-    for code, colour, marker, name in ((1, ORANGE, "x", "alarm: noise"), (2, PINK, "s", "alarm: frozen")):
-        axes.plot(t[alarm == code], np.full((alarm == code).sum(), 1.06), marker, color=colour, ms=5, label=name)
+    for code, colour, marker, name in (
+        (1, ORANGE, "x", "alarm: noise"),
+        (2, PINK, "s", "alarm: frozen"),
+    ):
+        axes.plot(
+            t[alarm == code],
+            np.full((alarm == code).sum(), 1.06),
+            marker,
+            color=colour,
+            ms=5,
+            label=name,
+        )
     for first, last, what in parts:
         axes.axvline(0.05 * first, color="0.7", lw=0.8)
         axes.text(0.025 * (first + last), -0.13, what, ha="center", fontsize=8)
-    axes.set(xlabel="time [s]", ylabel="SSIM [-]", ylim=(-0.2, 1.15), title="Frame monitor on simulated video, 20 Hz")
+    axes.set(
+        xlabel="time [s]",
+        ylabel="SSIM [-]",
+        ylim=(-0.2, 1.15),
+        title="Frame monitor on simulated video, 20 Hz",
+    )
     axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))

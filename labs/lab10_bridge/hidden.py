@@ -1,4 +1,6 @@
-"""Lab 10, for instructors: the hidden cases and their references, written apart from the lab's solution."""
+"""Lab 10, for instructors: the hidden cases and their references, written apart from the lab's
+solution.
+"""
 
 import math
 from collections.abc import Mapping
@@ -19,9 +21,15 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
     gap_us, centre_us = int(course.constants["gap_us"]), int(course.constants["centre_us"])
     hold_ms, lost_ms = course.constants["hold_ms"], course.constants["lost_ms"]
     return {
-        "encode_ppm": (Values(_sticks, partial(_edges, gap_us=gap_us, centre_us=centre_us), cases=24, rtol=0.0),),
+        "encode_ppm": (
+            Values(
+                _sticks, partial(_edges, gap_us=gap_us, centre_us=centre_us), cases=24, rtol=0.0
+            ),
+        ),
         "decode_ppm": (Values(_stream, _frames_by_machine, cases=24, rtol=0.0),),
-        "failsafe_state": (Trials(partial(_same_states, hold_ms=hold_ms, lost_ms=lost_ms), trials=20),),
+        "failsafe_state": (
+            Trials(partial(_same_states, hold_ms=hold_ms, lost_ms=lost_ms), trials=20),
+        ),
         "ssim_monitor": (Values(_pictures, _by_loops, cases=16, rtol=1e-7, atol=1e-9),),
     }
 
@@ -37,7 +45,9 @@ def _sticks(rng: np.random.Generator) -> tuple[Any, ...]:
     return sticks, "".join(rng.permutation(list("TAER"))), int(rng.integers(65536))
 
 
-def _edges(sticks: dict[str, float], order: str, start_tick: int, gap_us: int, centre_us: int) -> np.ndarray:
+def _edges(
+    sticks: dict[str, float], order: str, start_tick: int, gap_us: int, centre_us: int
+) -> np.ndarray:
     """By the kit's calibration of a radio, then tick by tick."""
     if not all(map(math.isfinite, sticks.values())):
         sticks = {name: 0.0 for name in sticks}
@@ -55,7 +65,9 @@ def _edges(sticks: dict[str, float], order: str, start_tick: int, gap_us: int, c
 
 
 def _stream(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Frames of one radio with lost pulses and sparks, from somewhere in the first frame on; two at least are good."""
+    """Frames of one radio with lost pulses and sparks, from somewhere in the first frame on; two at
+    least are good.
+    """
     channels = int(rng.integers(4, 8))
     gaps: list[float] = [float(rng.integers(2000, 9000))]
     good = rng.permutation([True, True, *(rng.random(6) < 0.5)])
@@ -70,7 +82,9 @@ def _stream(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _spoilt(slots: list[float], rng: np.random.Generator) -> list[float]:
-    """A frame with a pulse lost (two slots in one), a spark (one slot in two), both, a bad slot, or one too many."""
+    """A frame with a pulse lost (two slots in one), a spark (one slot in two), both, a bad slot, or
+    one too many.
+    """
     fault, at = int(rng.integers(5)), int(rng.integers(len(slots) - 1))
     if fault in (0, 2):
         slots = [*slots[:at], slots[at] + slots[at + 1], *slots[at + 2 :]]
@@ -95,21 +109,38 @@ def _frames_by_machine(ticks: np.ndarray, channels: int) -> np.ndarray:
             if us < 4000.0:
                 slots.append(us)
             else:
-                if began and len(slots) == channels and min(slots) >= 800.0 and max(slots) <= 2200.0:
+                if (
+                    began
+                    and len(slots) == channels
+                    and min(slots) >= 800.0
+                    and max(slots) <= 2200.0
+                ):
                     frames.append(slots)
                 slots, began = [], True
         before = tick
     return np.array(frames, float) if frames else np.zeros((0, channels))
 
 
-def _trace(rng: np.random.Generator, hold_ms: float, lost_ms: float) -> list[tuple[float, bool, bool, bool]]:
-    """A host that flies, falls silent for a while, lets go; a pilot who steps in; and steps of uneven length."""
-    steps: list[tuple[float, bool, bool, bool]] = [(22.0, True, False, False), *[(22.0, True, True, False)] * 6]
+def _trace(
+    rng: np.random.Generator, hold_ms: float, lost_ms: float
+) -> list[tuple[float, bool, bool, bool]]:
+    """A host that flies, falls silent for a while, lets go; a pilot who steps in; and steps of
+    uneven length.
+    """
+    steps: list[tuple[float, bool, bool, bool]] = [
+        (22.0, True, False, False),
+        *[(22.0, True, True, False)] * 6,
+    ]
     while len(steps) < STEPS:
         what, n, dt = int(rng.integers(8)), int(rng.integers(3, 9)), float(rng.integers(18, 27))
         engage, asks = bool(rng.random() < 0.5), [(dt, True, True, False)] * n
-        if what < 2:  # silent for exactly as long as a limit or a little shorter, all at once or in two parts
-            limit, first = float(rng.choice([hold_ms, lost_ms])) - float(rng.integers(2)), float(rng.integers(1, 50))
+        if (
+            what < 2
+        ):  # silent for exactly as long as a limit or a little shorter, all at once or in two parts
+            limit, first = (
+                float(rng.choice([hold_ms, lost_ms])) - float(rng.integers(2)),
+                float(rng.integers(1, 50)),
+            )
             parts = [limit] if rng.random() < 0.5 else [first, limit - first]
             steps += [(part, False, engage, False) for part in parts] + asks * (rng.random() < 0.6)
         elif what == 2:
@@ -119,13 +150,18 @@ def _trace(rng: np.random.Generator, hold_ms: float, lost_ms: float) -> list[tup
         elif what == 4:
             steps += [(dt, True, False, False)] * int(rng.integers(1, 3))
         elif what == 5:  # off, and nearly enough good frames
-            steps += [(dt, True, False, False), *[(dt, True, True, False)] * int(rng.integers(3, 5))]
+            steps += [
+                (dt, True, False, False),
+                *[(dt, True, True, False)] * int(rng.integers(3, 5)),
+            ]
         else:
             steps += [(dt, True, False, False)] * (rng.random() < 0.7) + asks
     return steps
 
 
-def _same_states(student: Function, rng: np.random.Generator, hold_ms: float, lost_ms: float) -> bool:
+def _same_states(
+    student: Function, rng: np.random.Generator, hold_ms: float, lost_ms: float
+) -> bool:
     memory: Any = {"state": "SAFE", "armed": False, "good": 0, "age_ms": 0.0}
     history: list[tuple[float, bool, bool, bool]] = []
     wanted = "SAFE"
@@ -138,8 +174,12 @@ def _same_states(student: Function, rng: np.random.Generator, hold_ms: float, lo
     return True
 
 
-def _state(before: str, history: list[tuple[float, bool, bool, bool]], hold_ms: float, lost_ms: float) -> str:
-    """The state now, from the state before and from all that has happened: no counters, only looking back."""
+def _state(
+    before: str, history: list[tuple[float, bool, bool, bool]], hold_ms: float, lost_ms: float
+) -> str:
+    """The state now, from the state before and from all that has happened: no counters, only
+    looking back.
+    """
     _, valid, engage, pilot_moved = history[-1]
     if pilot_moved or (valid and not engage):
         return "SAFE"
@@ -150,19 +190,31 @@ def _state(before: str, history: list[tuple[float, bool, bool, bool]], hold_ms: 
                 break
             silence = dt_ms + silence
         if before in ("ACTIVE", "HOLD"):
-            return "LOST" if silence >= lost_ms else "HOLD" if silence >= hold_ms or before == "HOLD" else "ACTIVE"
+            return (
+                "LOST"
+                if silence >= lost_ms
+                else "HOLD"
+                if silence >= hold_ms or before == "HOLD"
+                else "ACTIVE"
+            )
         return before
     if before == "HOLD":
         return "ACTIVE"
     if before != "SAFE":
         return before
-    last = history[-6:]  # five in a row that asked to fly, and before them the host let go with nobody at the sticks
-    asked = all(was_valid and was_engaged and not moved for _, was_valid, was_engaged, moved in last[-5:])
+    last = history[
+        -6:
+    ]  # five in a row that asked to fly, and before them the host let go with nobody at the sticks
+    asked = all(
+        was_valid and was_engaged and not moved for _, was_valid, was_engaged, moved in last[-5:]
+    )
     return "ACTIVE" if asked and len(history) > 5 and _armed(history[:-5]) else "SAFE"
 
 
 def _armed(history: list[tuple[float, bool, bool, bool]]) -> bool:
-    """Whether the last word of host or pilot that counts was a host that let go; frames that ask do not change it."""
+    """Whether the last word of host or pilot that counts was a host that let go; frames that ask do
+    not change it.
+    """
     for _, valid, engage, pilot_moved in reversed(history):
         if pilot_moved:
             return False
@@ -172,8 +224,14 @@ def _armed(history: list[tuple[float, bool, bool, bool]]) -> bool:
 
 
 def _pictures(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Runs of calm, noisy, half noisy and frozen pictures; similarities stay far from the threshold."""
-    height, width, count = 8 * int(rng.integers(2, 5)), 16 * int(rng.integers(1, 3)), int(rng.integers(2, 6))
+    """Runs of calm, noisy, half noisy and frozen pictures; similarities stay far from the
+    threshold.
+    """
+    height, width, count = (
+        8 * int(rng.integers(2, 5)),
+        16 * int(rng.integers(1, 3)),
+        int(rng.integers(2, 6)),
+    )
     coarse = rng.integers(30, 226, (height // 4, width // 4))
     base = np.kron(coarse, np.ones((4, 4)))
     pictures = [base]
@@ -181,7 +239,9 @@ def _pictures(rng: np.random.Generator) -> tuple[Any, ...]:
         for _ in range(int(rng.integers(1, count + 3))):
             picture = base + rng.normal(0.0, 6.0, base.shape) if kind < 3 else pictures[-1]
             snow = (0, width, width // 2, 0)[kind]  # columns
-            picture = np.concatenate([rng.uniform(0.0, 255.0, (height, snow)), picture[:, snow:]], axis=1)
+            picture = np.concatenate(
+                [rng.uniform(0.0, 255.0, (height, snow)), picture[:, snow:]], axis=1
+            )
             pictures.append(picture)
     images = np.clip(np.round(pictures), 0, 255).astype(np.uint8)
     return images, float(rng.choice([rng.uniform(0.2, 0.28), rng.uniform(0.72, 0.8)])), count
@@ -197,7 +257,9 @@ def _by_loops(images: np.ndarray, threshold: float, count: int) -> tuple[np.ndar
                 a, b = (image[row : row + 8, column : column + 8].ravel() for image in (x, y))
                 (aa, ab), (_, bb) = np.cov(a, b, bias=True)
                 top = (2 * a.mean() * b.mean() + 6.5025) * (2 * ab + 58.5225)
-                values.append(top / ((a.mean() ** 2 + b.mean() ** 2 + 6.5025) * (aa + bb + 58.5225)))
+                values.append(
+                    top / ((a.mean() ** 2 + b.mean() ** 2 + 6.5025) * (aa + bb + 58.5225))
+                )
         ssim.append(math.fsum(values) / len(values))
         noisy = noisy + 1 if ssim[-1] < threshold else 0
         still = still + 1 if np.abs(x - y).mean() < 0.5 else 0

@@ -194,7 +194,9 @@ print(f"{len(kept_us)} of {len(sent_us)} frames kept, {len(wrong)} of them wrong
 # %%
 board = PythonBoard()
 for step in range(40):
-    board.write(encode_channels(step, (1400, 1600, 1500, 1500), engage=step > 5))  # off first, then on
+    board.write(
+        encode_channels(step, (1400, 1600, 1500, 1500), engage=step > 5)
+    )  # off first, then on
     board.run_until(0.05 * (step + 1))
 edges_s = [t for frame in board.ppm_frames() for t in (frame.t_start, *frame.t_slots)]
 on_wire_us = decode_ppm(np.round(1e6 * TICKS_PER_US * np.array(edges_s)).astype(int) % TIMER, 4)
@@ -229,7 +231,9 @@ print(f"{len(on_wire_us)} frames in 2 s. First: {on_wire_us[0]}, last: {on_wire_
 
 
 # %% exercise="failsafe_state"
-def failsafe_state(memory: dict, dt_ms: float, valid: bool, engage: bool, pilot_moved: bool) -> dict:
+def failsafe_state(
+    memory: dict, dt_ms: float, valid: bool, engage: bool, pilot_moved: bool
+) -> dict:
     """One step of the safety machine.
 
     Args:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from given import COHORT
 
-from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, same
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_same_answer
 
 CLOSE = COHORT["close_cm"]
 NAN = math.nan
@@ -13,7 +13,7 @@ NAN = math.nan
 
 def _eight_of_ten(success_interval: Function) -> bool:
     """By hand: z^2 = 3.8415; (0.8 + 0.19207 -+ 1.95996 sqrt(0.016 + 0.0096037)) / 1.38415."""
-    return same(success_interval(8, 10, 0.95), (0.490163, 0.943318), rtol=0.0, atol=1e-5)
+    return is_same_answer(success_interval(8, 10, 0.95), (0.490163, 0.943318), rtol=0.0, atol=1e-5)
 
 
 def _ten_of_ten(success_interval: Function) -> bool:
@@ -21,61 +21,83 @@ def _ten_of_ten(success_interval: Function) -> bool:
     z2 = 1.644854**2
     all_good, none_good = success_interval(10, 10, 0.90), success_interval(0, 10, 0.90)
     low = 10.0 / (10.0 + z2)
-    return same(all_good, (low, 1.0), atol=1e-6) and same(none_good, (0.0, 1.0 - low), atol=1e-6)
+    return is_same_answer(all_good, (low, 1.0), atol=1e-6) and is_same_answer(
+        none_good, (0.0, 1.0 - low), atol=1e-6
+    )
 
 
 def _solves_the_score_equation(success_interval: Function) -> bool:
     """Its definition: at both ends the observed share lies z standard deviations of that rate away."""
     ends = np.array(success_interval(13, 37, 0.99))
     distance = (13 / 37 - ends) / np.sqrt(ends * (1.0 - ends) / 37)
-    return same(distance, np.array([2.575829, -2.575829]), rtol=1e-5)
+    return is_same_answer(distance, np.array([2.575829, -2.575829]), rtol=1e-5)
 
 
 def _misses_are_no_zeros(ald_summary: Function) -> bool:
     """By hand: (20 + 40 + 90) / 3 = 50, and 150 / 5 = 30; the middle one is 40."""
-    got = ald_summary(np.array([True, False, True, True, False]), np.array([20.0, NAN, 40.0, 90.0, NAN]))
+    got = ald_summary(
+        np.array([True, False, True, True, False]), np.array([20.0, NAN, 40.0, 90.0, NAN])
+    )
     keys = ("landed", "mean_cm", "mean_with_zeros_cm", "median_cm")
-    return same(tuple(got[key] for key in keys), (3, 50.0, 30.0, 40.0))
+    return is_same_answer(tuple(got[key] for key in keys), (3, 50.0, 30.0, 40.0))
 
 
 def _a_mark_beside_the_pad(ald_summary: Function) -> bool:
     """By hand: the second run missed the pad and left a mark at 130 cm; only 10 and 30 cm count."""
     got = ald_summary(np.array([True, False, True]), np.array([10.0, 130.0, 30.0]))
     keys = ("landed", "mean_cm", "mean_with_zeros_cm", "median_cm")
-    return same(tuple(got[key] for key in keys), (2, 20.0, 40.0 / 3.0, 20.0))
+    return is_same_answer(tuple(got[key] for key in keys), (2, 20.0, 40.0 / 3.0, 20.0))
 
 
 def _close_share_counts_all_runs(ald_summary: Function) -> bool:
-    """By hand: of four runs one is close, one is exactly as far as allowed, one too far, one missed the pad."""
+    """By hand: of four runs one is close, one is exactly as far as allowed, one too far, one missed
+    the pad.
+    """
     ald_cm = np.array([CLOSE - 5.0, CLOSE, CLOSE + 5.0, 1.0])
-    return same(ald_summary(np.array([True, True, True, False]), ald_cm)["close_share"], 0.5)
+    return is_same_answer(
+        ald_summary(np.array([True, True, True, False]), ald_cm)["close_share"], 0.5
+    )
 
 
 def _nobody_landed(ald_summary: Function) -> bool:
     """No landing, no deviation: nan, not 0; and the answer has the five names, no more."""
     with np.errstate(all="ignore"):
         got = ald_summary(np.array([False, False]), np.array([NAN, 120.0]))
-    wanted = {"landed": 0, "mean_cm": NAN, "mean_with_zeros_cm": 0.0, "median_cm": NAN, "close_share": 0.0}
-    return same(got, wanted)
+    wanted = {
+        "landed": 0,
+        "mean_cm": NAN,
+        "mean_with_zeros_cm": 0.0,
+        "median_cm": NAN,
+        "close_share": 0.0,
+    }
+    return is_same_answer(got, wanted)
 
 
 def _three_pairs(compare_sim_real: Function) -> bool:
-    """By hand: differences 1, 2, 3; of the 8 sign patterns only + + + and - - - reach 2 in size: p = 2 / 8."""
-    return same(compare_sim_real(np.array([1.0, 2.0, 3.0]), np.array([2.0, 4.0, 6.0])), (3, 2.0, 0.25))
+    """By hand: differences 1, 2, 3; of the 8 sign patterns only + + + and - - - reach 2 in size: p
+    = 2 / 8.
+    """
+    return is_same_answer(
+        compare_sim_real(np.array([1.0, 2.0, 3.0]), np.array([2.0, 4.0, 6.0])), (3, 2.0, 0.25)
+    )
 
 
 def _only_pairs(compare_sim_real: Function) -> bool:
     """By hand: runs 2 and 3 have no partner; differences -4 and 1 leave mean -1.5, p = 4 / 4."""
     sim, real = np.array([5.0, NAN, 3.0, 2.0]), np.array([1.0, 9.0, NAN, 3.0])
-    return same(compare_sim_real(sim, real), (2, -1.5, 1.0))
+    return is_same_answer(compare_sim_real(sim, real), (2, -1.5, 1.0))
 
 
 def _papers_pairs(compare_sim_real: Function) -> bool:
-    """Counted by hand from the table: eight pairs that sum to 100 cm; 46 of the 256 sign patterns reach that size."""
+    """Counted by hand from the table: eight pairs that sum to 100 cm; 46 of the 256 sign patterns
+    reach that size.
+    """
     sim = np.array([54.0, 4.0, 38.0, 12.0, 32.0, 74.0, 21.0, 79.0, 32.0, 23.0])
     real = np.array([35.0, 45.0, NAN, 40.0, 40.0, 70.0, 20.0, 80.0, 78.0, NAN])
     forth, back = compare_sim_real(sim, real), compare_sim_real(real, sim)
-    return same(forth, (8, 12.5, 46.0 / 256.0)) and same(back, (8, -12.5, 46.0 / 256.0))
+    return is_same_answer(forth, (8, 12.5, 46.0 / 256.0)) and is_same_answer(
+        back, (8, -12.5, 46.0 / 256.0)
+    )
 
 
 def _arguments_stay(compare_sim_real: Function) -> bool:
@@ -83,23 +105,29 @@ def _arguments_stay(compare_sim_real: Function) -> bool:
     sim, real = np.array([5.0, NAN, 3.0]), np.array([1.0, 9.0, 8.0])
     before = sim.copy(), real.copy()
     compare_sim_real(sim, real)
-    return same((sim, real), before)
+    return is_same_answer((sim, real), before)
 
 
 def _no_failure(landings_to_show: Function) -> bool:
-    """By hand: without a failure n >= z^2 rate / (1 - rate): 3.8415 * 9 = 34.6 gives 35; 3.8415 * 1 gives 4."""
-    return same((landings_to_show(0.9, 0, 0.95), landings_to_show(0.5, 0, 0.95)), (35, 4))
+    """By hand: without a failure n >= z^2 rate / (1 - rate): 3.8415 * 9 = 34.6 gives 35; 3.8415 * 1
+    gives 4.
+    """
+    return is_same_answer((landings_to_show(0.9, 0, 0.95), landings_to_show(0.5, 0, 0.95)), (35, 4))
 
 
 def _two_failures(landings_to_show: Function) -> bool:
-    """By hand at 80 %: z = 1.28155, z sqrt(0.8 * 0.2) = 0.51262; n = 20 leaves 0.1 < 0.11463, n = 21 0.10476 < 0.11186,
-    n = 22 0.10909 < 0.10929, n = 23 0.11304 > 0.10689."""
-    return same(landings_to_show(0.8, 2, 0.80), 23)
+    """By hand at 80 %: z = 1.28155, z sqrt(0.8 * 0.2) = 0.51262; n = 20 leaves 0.1 < 0.11463, n =
+    21 0.10476 < 0.11186, n = 22 0.10909 < 0.10929, n = 23 0.11304 > 0.10689.
+    """
+    return is_same_answer(landings_to_show(0.8, 2, 0.80), 23)
 
 
 def _costs_of_failures(landings_to_show: Function) -> bool:
     """Each failure, each nine of the rate and each nine of the confidence costs landings."""
-    counts = [landings_to_show(*case) for case in ((0.7, 0, 0.9), (0.7, 1, 0.9), (0.85, 1, 0.9), (0.85, 1, 0.99))]
+    counts = [
+        landings_to_show(*case)
+        for case in ((0.7, 0, 0.9), (0.7, 1, 0.9), (0.85, 1, 0.9), (0.85, 1, 0.99))
+    ]
     return all(isinstance(n, int | np.integer) for n in counts) and counts == sorted(set(counts))
 
 
@@ -164,7 +192,11 @@ LAB = Lab(
                     _three_pairs,
                     "real minus sim; both signs count, so take the size of each pattern's mean",
                 ),
-                Check("a run without a partner does not count", _only_pairs, "keep runs where both have a number"),
+                Check(
+                    "a run without a partner does not count",
+                    _only_pairs,
+                    "keep runs where both have a number",
+                ),
                 Check(
                     "the paper's table: 8 pairs, +12.5 cm, p = 46 / 256",
                     _papers_pairs,

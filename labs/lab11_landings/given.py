@@ -1,4 +1,6 @@
-"""Lab 11, what is given: the two tables of landings, normal quantiles, your course's number, and the figure."""
+"""Lab 11, what is given: the two tables of landings, normal quantiles, your course's number, and
+the figure.
+"""
 
 import csv
 import json
@@ -9,19 +11,29 @@ from typing import Any
 
 import numpy as np
 
-COHORT: dict[str, float] = json.loads((Path(__file__).parent / "cohort.json").read_text(encoding="utf-8"))
+COHORT: dict[str, float] = json.loads(
+    (Path(__file__).parent / "cohort.json").read_text(encoding="utf-8")
+)
 DATA = Path(__file__).parent / "data"
 
-BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"  # told apart by colour-blind eyes too (Okabe and Ito)
+BLUE, ORANGE, GREEN = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+)  # told apart by colour-blind eyes too (Okabe and Ito)
 
 
 def z_value(confidence: float) -> float:
-    """How many standard deviations around the mean hold this share of a normal distribution: 0.95 gives 1.96."""
+    """How many standard deviations around the mean hold this share of a normal distribution: 0.95
+    gives 1.96.
+    """
     return NormalDist().inv_cdf(0.5 + 0.5 * confidence)
 
 
 def read_paper() -> dict[str, np.ndarray]:
-    """The paper's table of landings: run, sim_expert_cm, sim_vision_cm, real_vision_cm, each (10,); nan: not landed."""
+    """The paper's table of landings: run, sim_expert_cm, sim_vision_cm, real_vision_cm, each (10,);
+    nan: not landed.
+    """
     return _columns("landings.csv")
 
 
@@ -44,7 +56,8 @@ def simple_interval(successes: float, trials: float, confidence: float) -> tuple
 
 
 def coverage(interval: Any, rates: np.ndarray, trials: int, confidence: float) -> np.ndarray:
-    """How often an interval holds the true rate: all outcomes of the trials, each with its binomial probability.
+    """How often an interval holds the true rate: all outcomes of the trials, each with its binomial
+    probability.
 
     Args:
         interval: a function (successes, trials, confidence) -> (low, high).
@@ -58,12 +71,16 @@ def coverage(interval: Any, rates: np.ndarray, trials: int, confidence: float) -
     held = np.zeros(len(rates))
     for successes in range(trials + 1):
         low, high = interval(successes, trials, confidence)
-        chance = math.comb(trials, successes) * rates**successes * (1.0 - rates) ** (trials - successes)
+        chance = (
+            math.comb(trials, successes) * rates**successes * (1.0 - rates) ** (trials - successes)
+        )
         held += chance * ((low <= rates) & (rates <= high))
     return held
 
 
-def draw_landings(table: dict[str, np.ndarray], intervals: dict[str, tuple[int, int, float, float]]) -> None:
+def draw_landings(
+    table: dict[str, np.ndarray], intervals: dict[str, tuple[int, int, float, float]]
+) -> None:
     """Deviation of every run, simulated and real, and success rates with their intervals.
 
     Args:
@@ -80,7 +97,12 @@ def draw_landings(table: dict[str, np.ndarray], intervals: dict[str, tuple[int, 
     runs.plot(run, real, "s", color=ORANGE, label="real, vision")
     lost = np.isnan(real)
     runs.plot(
-        run[lost], np.full(lost.sum(), 106.0), "x", color=ORANGE, markersize=10, label="real, not landed: no value"
+        run[lost],
+        np.full(lost.sum(), 106.0),
+        "x",
+        color=ORANGE,
+        markersize=10,
+        label="real, not landed: no value",
     )
     for value, line, what in (
         (np.nanmean(real), "-", "mean of the real landings"),
@@ -89,11 +111,22 @@ def draw_landings(table: dict[str, np.ndarray], intervals: dict[str, tuple[int, 
         runs.axhline(value, color=ORANGE, linestyle=line, label=f"{what}: {value:.1f} cm")
     runs.axhline(100.0, color="black", linewidth=1)
     runs.text(0.6, 101.0, "edge of the pad", va="bottom")
-    runs.set(xlabel="run", ylabel="absolute lateral deviation [cm]", xticks=run, xlim=(0.5, 10.5), ylim=(0, 112))
+    runs.set(
+        xlabel="run",
+        ylabel="absolute lateral deviation [cm]",
+        xticks=run,
+        xlim=(0.5, 10.5),
+        ylim=(0, 112),
+    )
     runs.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small")
     for row, (name, (good, trials, low, high)) in enumerate(intervals.items()):
         colour = ORANGE if name.startswith("real") else BLUE
         rates.plot([low, high], [row, row], color=colour, linewidth=3)
         rates.plot(good / trials, row, "s" if name.startswith("real") else "o", color=colour)
         rates.text(low - 0.01, row, f"{name}: {good} of {trials} ", ha="right", va="center")
-    rates.set(xlabel="success rate with its interval", xlim=(0.0, 1.02), yticks=[], ylim=(len(intervals) - 0.5, -0.5))
+    rates.set(
+        xlabel="success rate with its interval",
+        xlim=(0.0, 1.02),
+        yticks=[],
+        ylim=(len(intervals) - 0.5, -0.5),
+    )

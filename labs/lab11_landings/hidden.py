@@ -1,4 +1,6 @@
-"""Lab 11, instructors only: the same numbers in other ways: roots of a quadratic, masked arrays, sums pair by pair."""
+"""Lab 11, instructors only: the same numbers in other ways: roots of a quadratic, masked arrays,
+sums pair by pair.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -23,7 +25,9 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
     close_cm = course.constants["close_cm"]
 
     def runs(rng: np.random.Generator) -> tuple[Any, ...]:
-        """Runs of which some failed, half of those with a mark beside the pad; one landed exactly on the limit."""
+        """Runs of which some failed, half of those with a mark beside the pad; one landed exactly
+        on the limit.
+        """
         count = int(rng.integers(8, 16))
         success = np.ones(count, bool)
         success[rng.permutation(count)[: int(rng.integers(2, 5))]] = False
@@ -40,7 +44,9 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
             "landed": count,
             "mean_cm": float(landed.sum()) / count if count else NAN,
             "mean_with_zeros_cm": float(landed.sum()) / runs,
-            "median_cm": 0.5 * float(ordered[(count - 1) // 2] + ordered[count // 2]) if count else NAN,
+            "median_cm": 0.5 * float(ordered[(count - 1) // 2] + ordered[count // 2])
+            if count
+            else NAN,
             "close_share": sum(bool(value <= close_cm) for value in landed) / runs,
         }
 
@@ -59,7 +65,9 @@ def _draw_counts(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _interval(successes: int, trials: int, confidence: float) -> tuple[float, float]:
-    """Wilson: the rates whose own standard deviation puts the share z away, (share - p)^2 = z^2 p (1 - p) / n."""
+    """Wilson: the rates whose own standard deviation puts the share z away, (share - p)^2 = z^2 p
+    (1 - p) / n.
+    """
     share, z2 = successes / trials, norm.isf(0.5 * (1.0 - confidence)) ** 2
     ends = np.roots([1.0 + z2 / trials, -2.0 * share - z2 / trials, share**2])
     low, high = np.sort(ends.real)
@@ -89,7 +97,11 @@ def _compared(sim_cm: Any, real_cm: Any) -> tuple[int, float, float]:
 def _draw_target(rng: np.random.Generator) -> tuple[Any, ...]:
     """Away from cases where the last landing only just suffices."""
     while True:
-        case = float(rng.uniform(0.6, 0.97)), int(rng.integers(0, 6)), float(rng.choice([0.8, 0.9, 0.95, 0.99]))
+        case = (
+            float(rng.uniform(0.6, 0.97)),
+            int(rng.integers(0, 6)),
+            float(rng.choice([0.8, 0.9, 0.95, 0.99])),
+        )
         exact = _needed_exact(*case)
         if 1e-4 < exact % 1.0 < 1.0 - 1e-4:
             return case
@@ -100,6 +112,8 @@ def _needed(rate: float, failures: int, confidence: float) -> int:
 
 
 def _needed_exact(rate: float, failures: int, confidence: float) -> float:
-    """(n - f) / n - p = z sqrt(p (1 - p) / n) is a quadratic in sqrt(n): (1 - p) s^2 - z sqrt(p (1 - p)) s - f = 0."""
+    """(n - f) / n - p = z sqrt(p (1 - p) / n) is a quadratic in sqrt(n): (1 - p) s^2 - z sqrt(p (1
+    - p)) s - f = 0.
+    """
     b = norm.isf(0.5 * (1.0 - confidence)) * np.sqrt(rate * (1.0 - rate))
     return float(((b + np.sqrt(b**2 + 4.0 * (1.0 - rate) * failures)) / (2.0 * (1.0 - rate))) ** 2)

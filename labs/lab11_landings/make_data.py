@@ -1,4 +1,5 @@
-"""Write the data of lab 11: the paper's table of landings, and a hundred landings of the kit's own simulated expert.
+"""Write the data of lab 11: the paper's table of landings, and a hundred landings of the kit's own
+simulated expert.
 
     python labs/lab11_landings/make_data.py
 
@@ -14,7 +15,8 @@ from falconwing_kit.tools.trials import fly_trials
 
 DATA = Path(__file__).parent / "data"
 HEADER = ("run", "sim_expert_cm", "sim_vision_cm", "real_vision_cm")
-PAPER = (  # "Controller Performance for Landing Case Study"; None: not landed on the pad, so no deviation
+# "Controller Performance for Landing Case Study"; None: not landed on the pad, so no deviation
+PAPER = (
     (1, 42, 54, 35),
     (2, 1, 4, 45),
     (3, 14, 38, None),
@@ -31,11 +33,17 @@ SIMULATED = 100  # landings of the kit's expert, in the frozen order of its tria
 
 def main() -> None:
     """Write both tables."""
-    write("landings.csv", HEADER, [["" if value is None else value for value in row] for row in PAPER])
+    write(
+        "landings.csv", HEADER, [["" if value is None else value for value in row] for row in PAPER]
+    )
     task = LandingTask()
     flown = fly_trials(task, task.expert, SIMULATED, pilot="expert")
     rows = [
-        [record["trial"], int(record["success"]), "" if record["ald_m"] is None else f"{100 * record['ald_m']:.1f}"]
+        [
+            record["trial"],
+            int(record["success"]),
+            "" if record["ald_m"] is None else f"{100 * record['ald_m']:.1f}",
+        ]
         for record in flown
     ]
     write("kit_expert_simulated.csv", ("trial", "success", "ald_cm"), rows)

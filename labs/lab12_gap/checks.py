@@ -1,4 +1,6 @@
-"""Lab 12's public side: what maps, terms, evidence, a verdict and a finding are like when they are right."""
+"""Lab 12's public side: what maps, terms, evidence, a verdict and a finding are like when they are
+right.
+"""
 
 import math
 from collections.abc import Mapping
@@ -15,10 +17,16 @@ NAN = math.nan
 
 def _near(got: Any, wanted: Any) -> bool:
     """Equal shapes and equal numbers to rounding, nan where nan is wanted."""
-    return np.shape(got) == np.shape(wanted) and bool(np.allclose(got, wanted, rtol=1e-7, atol=1e-9, equal_nan=True))
+    return np.shape(got) == np.shape(wanted) and bool(
+        np.allclose(got, wanted, rtol=1e-7, atol=1e-9, equal_nan=True)
+    )
 
 
-AT, CALM_AT, EDGES = np.array([0.0, 0.5, 1.0, 2.0, 2.5]), np.array([0.1, 0.2, 1.5, 1.6]), np.array([0.0, 1.0, 2.0])
+AT, CALM_AT, EDGES = (
+    np.array([0.0, 0.5, 1.0, 2.0, 2.5]),
+    np.array([0.1, 0.2, 1.5, 1.6]),
+    np.array([0.0, 1.0, 2.0]),
+)
 RESIDUAL = np.array([[1.0, 1.0], [3.0, NAN], [2.0, 0.0], [4.0, 2.0], [100.0, 100.0]])
 CALM = np.array([[1.0, 2.0], [1.0, 2.0], [2.0, 1.0], [2.0, 1.0]])
 
@@ -38,14 +46,30 @@ RESIDUAL_MAP = (
         lambda f: (
             _near(f(RESIDUAL, AT, CALM, CALM_AT, EDGES, 2), [[4.0, 6.0], [NAN, 1.0]])
             and _near(
-                f(np.repeat(RESIDUAL[:, :1], 2, 0), np.repeat(AT, 2), CALM[:, :1], CALM_AT, EDGES, 3), [[NAN, NAN]]
+                f(
+                    np.repeat(RESIDUAL[:, :1], 2, 0),
+                    np.repeat(AT, 2),
+                    CALM[:, :1],
+                    CALM_AT,
+                    EDGES,
+                    3,
+                ),
+                [[NAN, NAN]],
             )
         ),
         "Count measured values of this channel in this bin: exactly `fewest` are enough.",
     ),
 )
 
-FLOW = {"V": 7.0, "alpha": 0.1, "beta": 0.2, "height": CUSHION_M, "c": 0.2, "thrust": 3.0, "aileron": 0.5}
+FLOW = {
+    "V": 7.0,
+    "alpha": 0.1,
+    "beta": 0.2,
+    "height": CUSHION_M,
+    "c": 0.2,
+    "thrust": 3.0,
+    "aileron": 0.5,
+}
 NUMBERS = {"cD_induced": 0.2, "L_da": 0.75}
 BEFORE = np.arange(12.0).reshape(6, 2) - 4.0
 PATH = np.array([math.cos(0.1) * math.cos(0.2), math.sin(0.2), math.sin(0.1) * math.cos(0.2)])
@@ -66,7 +90,10 @@ def _wanted(force: Any = (0.0, 0.0, 0.0), moment: Any = (0.0, 0.0, 0.0)) -> Arra
 AUGMENT = (
     Check(
         "nothing is added for none, and nothing at size zero",
-        lambda f: _near(_added(f, "none", 0.3), np.zeros(6)) and _near(_added(f, "ground_effect", 0.0), np.zeros(6)),
+        lambda f: (
+            _near(_added(f, "none", 0.3), np.zeros(6))
+            and _near(_added(f, "ground_effect", 0.0), np.zeros(6))
+        ),
         "Add to the loads that came in, do not replace them.",
     ),
     Check(
@@ -81,25 +108,35 @@ AUGMENT = (
     ),
     Check(
         "ground effect of 0.4 half a metre up: 0.4 / e of the lift more, and of the induced drag less",
-        lambda f: _near(_added(f, "ground_effect", 0.4), _wanted(0.4 / math.e * 49.0 * (0.2 * LIFT + 0.008 * PATH))),
+        lambda f: _near(
+            _added(f, "ground_effect", 0.4),
+            _wanted(0.4 / math.e * 49.0 * (0.2 * LIFT + 0.008 * PATH)),
+        ),
         "Induced drag is V^2 cD_induced c^2; less of it pushes forward along the path.",
     ),
     Check(
         "the cushion is whole at the floor and gone at five metres",
         lambda f: (
-            _near(_added(f, "ground_effect", 0.4, height=0.0), math.e * _added(f, "ground_effect", 0.4))
+            _near(
+                _added(f, "ground_effect", 0.4, height=0.0),
+                math.e * _added(f, "ground_effect", 0.4),
+            )
             and np.abs(_added(f, "ground_effect", 0.4, height=5.0)).max() < 1e-3
         ),
         "exp(-h / CUSHION_M): it fades with height.",
     ),
     Check(
         "aileron lost: a rolling moment against the aileron's own",
-        lambda f: _near(_added(f, "aileron_loss", 0.3), _wanted(moment=(-0.3 * 49.0 * 0.75 * 0.5, 0.0, 0.0))),
+        lambda f: _near(
+            _added(f, "aileron_loss", 0.3), _wanted(moment=(-0.3 * 49.0 * 0.75 * 0.5, 0.0, 0.0))
+        ),
         "It is a share of V^2 L_da aileron; loads[3] is the rolling moment.",
     ),
     Check(
         "adverse yaw: right aileron turns the nose to the left",
-        lambda f: _near(_added(f, "adverse_yaw", 0.1), _wanted(moment=(0.0, 0.0, -0.1 * 49.0 * 0.5))),
+        lambda f: _near(
+            _added(f, "adverse_yaw", 0.1), _wanted(moment=(0.0, 0.0, -0.1 * 49.0 * 0.5))
+        ),
         "loads[5] is the yawing moment, positive nose right.",
     ),
 )
@@ -110,16 +147,30 @@ UNIT = np.eye(M)
 R = np.array([3.0, -4.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
-def _score(f: Function, J: Array, away: Array, precision: Array, E: Array, scatter: float = 1.0, r: Array = R) -> Array:
+def _score(
+    f: Function,
+    J: Array,
+    away: Array,
+    precision: Array,
+    E: Array,
+    scatter: float = 1.0,
+    r: Array = R,
+) -> Array:
     """The answer for one candidate."""
     answer: Mapping[str, Any] = f(r, J, away, precision, {"it": E}, scatter)
     return np.asarray(answer["it"]) if set(answer) == {"it"} else np.zeros(0)
 
 
 def _tight(f: Function) -> bool:
-    """J = E = e0, r0 = 3, P = 1: dK = -1.5 leaves a cost of 4.5, the candidate alone makes it 0. The same turned."""
-    turned = np.array([[0.5, 0.2], [0.2, 0.9]])  # two that go together: 0.5 - 0.2^2 / 0.9 is left for the first
-    return _near(_score(f, UNIT[:, :1], np.zeros(1), np.eye(1), UNIT[:, :1]), [4.5 - math.log(M), -3.0]) and _near(
+    """J = E = e0, r0 = 3, P = 1: dK = -1.5 leaves a cost of 4.5, the candidate alone makes it 0.
+    The same turned.
+    """
+    turned = np.array(
+        [[0.5, 0.2], [0.2, 0.9]]
+    )  # two that go together: 0.5 - 0.2^2 / 0.9 is left for the first
+    return _near(
+        _score(f, UNIT[:, :1], np.zeros(1), np.eye(1), UNIT[:, :1]), [4.5 - math.log(M), -3.0]
+    ) and _near(
         _score(f, np.column_stack([UNIT[:, 0], 0.0 * R]), np.zeros(2), turned, UNIT[:, :1])[0],
         9.0 / (1.0 + 1.0 / (0.5 - 0.04 / 0.9)) - math.log(M),
     )
@@ -170,7 +221,8 @@ VERDICT = (
     Check(
         "one far ahead: named",
         lambda f: (
-            tuple(f({"extra_drag": 40.0, "wind": 300.0, "mass_change": -3.0}, QUIET)) == (10.0, "named", ("wind",))
+            tuple(f({"extra_drag": 40.0, "wind": 300.0, "mass_change": -3.0}, QUIET))
+            == (10.0, "named", ("wind",))
         ),
         "Names are a tuple, also if there is only one.",
     ),
@@ -185,7 +237,10 @@ VERDICT = (
     ),
     Check(
         "three within 10 of the best: ambiguous, best first",
-        lambda f: tuple(f({"a": 92.0, "b": 50.0, "c": 99.0, "d": 90.5}, QUIET)) == (10.0, "ambiguous", ("c", "a", "d")),
+        lambda f: (
+            tuple(f({"a": 92.0, "b": 50.0, "c": 99.0, "d": 90.5}, QUIET))
+            == (10.0, "ambiguous", ("c", "a", "d"))
+        ),
         "Sort by the gain, largest first; take those that are less than LEAST_GAIN behind the best.",
     ),
 )
@@ -210,7 +265,9 @@ def _sensible(f: Function) -> bool:
 FINDING = (
     Check(
         "the answer has an effect of the list (or none), a size, a low and a high end",
-        lambda f: set(f()) == {"effect", "size", "low", "high"} and f()["effect"] in {"none", *CANDIDATES},
+        lambda f: (
+            set(f()) == {"effect", "size", "low", "high"} and f()["effect"] in {"none", *CANDIDATES}
+        ),
         "A dict with these four names; the effect is written as in CANDIDATES.",
     ),
     Check(
@@ -239,11 +296,23 @@ LAB = Lab(
     ),
     rubric=(
         Criterion("map", 4.0, "Map drawn: four variables, six channels, a scale."),
-        Criterion("map_reading", 4.0, "Points at the cells that stand out (or says that none does), and guesses."),
+        Criterion(
+            "map_reading",
+            4.0,
+            "Points at the cells that stand out (or says that none does), and guesses.",
+        ),
         Criterion("gap", 4.0, "Evidence with the threshold and gap drawn; after is near calm."),
-        Criterion("gap_reading", 3.0, "Passed and closed, or a 'none' defended by the threshold; bending has a cost."),
+        Criterion(
+            "gap_reading",
+            3.0,
+            "Passed and closed, or a 'none' defended by the threshold; bending has a cost.",
+        ),
         Criterion("q1", 5.0, "One rival with a similar map, and what separates them."),
-        Criterion("q2", 5.0, "Numbers that imitate an effect swallow it; the largest of many gains is never zero."),
+        Criterion(
+            "q2",
+            5.0,
+            "Numbers that imitate an effect swallow it; the largest of many gains is never zero.",
+        ),
     ),
     constants={"caution": (2.5, 3.5, 1)},
 )

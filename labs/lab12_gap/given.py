@@ -1,4 +1,6 @@
-"""Given for lab 12: the candidates with their sizes, the channels, and pictures of a residual map and of evidence."""
+"""Given for lab 12: the candidates with their sizes, the channels, and pictures of a residual map
+and of evidence.
+"""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -10,13 +12,24 @@ import numpy as np
 
 Array = np.ndarray
 
-COHORT: dict[str, float] = json.loads((Path(__file__).parent / "cohort.json").read_text(encoding="utf-8"))
-CAUTION = COHORT["caution"]  # evidence must exceed what chance finds on the calm flight by this factor
-LEAST_GAIN = 10.0  # evidence below which nothing is named, and within which two names cannot be told apart
+COHORT: dict[str, float] = json.loads(
+    (Path(__file__).parent / "cohort.json").read_text(encoding="utf-8")
+)
+CAUTION = COHORT[
+    "caution"
+]  # evidence must exceed what chance finds on the calm flight by this factor
+LEAST_GAIN = (
+    10.0  # evidence below which nothing is named, and within which two names cannot be told apart
+)
 CUSHION_M = 0.5  # height over which ground effect fades
 
 CHANNELS = ("px", "py", "pz", "roll", "pitch", "yaw")
-BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#777777"  # told apart by colour-blind eyes
+BLUE, ORANGE, GREEN, GREY = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#777777",
+)  # told apart by colour-blind eyes
 
 
 @dataclass(frozen=True)
@@ -30,7 +43,8 @@ class Candidate:
     largest: float  # that makes sense
 
 
-# Your `augment_model` makes the loads of the first five; the others act on the air or on the sticks, by the kit's code.
+# Your `augment_model` makes the loads of the first five; the others act on the air or on the
+# sticks, by the kit's code.
 CANDIDATES = {
     "extra_drag": Candidate("something sticks out into the air", "drag added [1/m]", ("size",), 0.003, 0.1),
     "thrust_loss": Candidate("the propeller gives less", "share of the thrust lost [-]", ("size",), 0.05, 1.0),
@@ -54,8 +68,9 @@ def rows_of(residual: Array, windows: Any) -> tuple[Array, dict[str, Array]]:
         windows: the windows of the kit that were flown.
 
     Returns:
-        (W * L, 6) residuals, nan where not measured; and by name with its unit, (W * L,) height, heading, and throttle
-        and aileron as means over the last second, since a stick shows in the pose through what it did before.
+        (W * L, 6) residuals, nan where not measured; and by name with its unit, (W * L,) height,
+        heading, and throttle and aileron as means over the last second, since a stick shows in the
+        pose through what it did before.
     """
     sticks = []
     for times, number in zip(windows.nodes, windows.flight, strict=True):
@@ -67,16 +82,23 @@ def rows_of(residual: Array, windows: Any) -> tuple[Array, dict[str, Array]]:
     throttle, aileron = np.moveaxis(np.array(sticks), 1, 0).reshape(2, -1)
     pose = windows.pose.reshape(-1, 6)
     heading = np.degrees(np.angle(np.exp(1j * pose[:, 5])))
-    known = {"height [m]": pose[:, 2], "heading [deg]": heading, "throttle [-]": throttle, "aileron [-]": aileron}
+    known = {
+        "height [m]": pose[:, 2],
+        "heading [deg]": heading,
+        "throttle [-]": throttle,
+        "aileron [-]": aileron,
+    }
     return np.where(windows.weight > 0.0, residual, np.nan).reshape(-1, 6), known
 
 
 def draw_map(axes: Sequence[Any], maps: Mapping[str, tuple[Array, Array]]) -> Any:
-    """Draw residual maps side by side: channels down, bins of a variable across, dark where the excess is large.
+    """Draw residual maps side by side: channels down, bins of a variable across, dark where the
+    excess is large.
 
     Args:
         axes: as many as maps.
-        maps: by the variable's name with its unit: edges (B + 1,) and excess (6, B), nan where too few were measured.
+        maps: by the variable's name with its unit: edges (B + 1,) and excess (6, B), nan where too
+            few were measured.
 
     Returns:
         The last image, for a colour bar.
@@ -87,14 +109,24 @@ def draw_map(axes: Sequence[Any], maps: Mapping[str, tuple[Array, Array]]) -> An
         image = ax.imshow(excess, cmap="cividis_r", vmin=0.0, vmax=top, aspect="auto")
         for (row, column), value in np.ndenumerate(excess):
             text = "" if np.isnan(value) else f"{value:.1f}"
-            ax.text(column, row, text, ha="center", va="center", fontsize=7, color="w" if value > 0.5 * top else "k")
+            ax.text(
+                column,
+                row,
+                text,
+                ha="center",
+                va="center",
+                fontsize=7,
+                color="w" if value > 0.5 * top else "k",
+            )
         ax.set_xticks(np.arange(len(edges)) - 0.5, [f"{edge:.3g}" for edge in edges], fontsize=7)
         ax.set(xlabel=label, yticks=range(6), yticklabels=CHANNELS)
     return image
 
 
 def draw_evidence(ax: Any, gains: Mapping[str, float], threshold: float) -> None:
-    """Bars of evidence, best on top, on a scale that is linear near zero and logarithmic beyond, and the threshold."""
+    """Bars of evidence, best on top, on a scale that is linear near zero and logarithmic beyond,
+    and the threshold.
+    """
     names = sorted(gains, key=lambda name: gains[name])
     ax.barh(names, [gains[name] for name in names], color=BLUE)
     ax.axvline(threshold, color=ORANGE, ls="--", label=f"threshold {threshold:.0f}")
@@ -106,7 +138,9 @@ def draw_evidence(ax: Any, gains: Mapping[str, float], threshold: float) -> None
 def draw_gap(ax: Any, level: Mapping[str, float]) -> None:
     """Bars of the misfit on held-out time, by what was flown; the last is the calm flight's own."""
     colours = [ORANGE, GREY, BLUE, GREEN] if len(level) == 4 else [ORANGE, GREY, GREEN]
-    ax.bar_label(ax.bar(list(level), list(level.values()), color=colours, edgecolor="k"), fmt="%.2f")
+    ax.bar_label(
+        ax.bar(list(level), list(level.values()), color=colours, edgecolor="k"), fmt="%.2f"
+    )
     ax.axhline(1.0, color=GREY, ls=":", label="noise alone")
     ax.set(yscale="log", ylim=(0.5, 1.5 * max(level.values())), title="The gap on held-out time")
     ax.set_ylabel("chi2 per degree of freedom, 2 s ahead [-]")

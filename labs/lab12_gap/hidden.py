@@ -27,8 +27,12 @@ SIZES = {
     "ground_effect": (0.35, 0.8), "thrust_loss": (0.28, 0.42), "adverse_yaw": (0.06, 0.18),
     "aileron_loss": (0.24, 0.35), "trim_bias": (0.10, 0.18), "control_delay": (0.04, 0.11),
 }  # fmt: skip
-NEAR, WIDEST = 0.25, 0.4  # share of the true size that a size may be off, and that an interval may reach to each side
-PATIENCE = 1.6  # an honest 95 % interval misses one time in twenty; so much wider, three sigmas, hardly ever
+NEAR, WIDEST = (
+    0.25,
+    0.4,
+)  # share of the true size that a size may be off, and that an interval may reach to each side
+# an honest 95 % interval misses one time in twenty; so much wider, three sigmas, hardly ever
+PATIENCE = 1.6
 SMOOTHED = 2e-3  # the kit's lift divides by sqrt(u^2 + w^2 + 0.01), 1e-4 of it at 7 m/s
 
 
@@ -39,19 +43,25 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
     return {
         "residual_map": (Values(_draw_residuals, _map, cases=10),),
         "augment_model": tuple(
-            Values(partial(_draw_loads, name), _loads, cases=3, rtol=SMOOTHED, atol=SMOOTHED) for name in LOADS
+            Values(partial(_draw_loads, name), _loads, cases=3, rtol=SMOOTHED, atol=SMOOTHED)
+            for name in LOADS
         ),
         "score_candidates": (Values(_draw_problem, _scores, cases=10, rtol=1e-5, atol=1e-6),),
-        "verdict": (Values(_draw_gains, partial(_verdict, caution=course.constants["caution"]), cases=15),),
+        "verdict": (
+            Values(_draw_gains, partial(_verdict, caution=course.constants["caution"]), cases=15),
+        ),
         "my_finding": tuple(Trials(partial(part, effect, size), trials=1) for part in right),
     }
 
 
-# One hidden effect a student ------------------------------------------------------------------------------------------
+# One hidden effect a student
+# ------------------------------------------------------------------------------------------
 
 
 def truth(course: Course) -> tuple[str, float]:
-    """What is hidden in a student's flight: the effect's name and its size; the practice case's without a salt."""
+    """What is hidden in a student's flight: the effect's name and its size; the practice case's
+    without a salt.
+    """
     if not course.salt:
         return OPEN_TRUTH
     rng = np.random.default_rng([hidden_seed(course.student, course.salt), 12])
@@ -86,16 +96,24 @@ def handout(course: Course, folder: Path) -> None:
 
 
 def _flown(seed: int, effect: str, parameters: Mapping[str, float]) -> HiddenCase:
-    """The case of the first aircraft from this seed on that stays in the hall with the effect; not every one can."""
+    """The case of the first aircraft from this seed on that stays in the hall with the effect; not
+    every one can.
+    """
     for number in range(seed, seed + AIRCRAFT):
         with suppress(InputError):
-            return hidden_case(number, effect, size=parameters, calm_seconds=CALM_S, flight_seconds=FLIGHT_S)
-    raise InputError(f"seed {seed}: want a flight with {effect} in the hall, got none of {AIRCRAFT}; change the salt")
+            return hidden_case(
+                number, effect, size=parameters, calm_seconds=CALM_S, flight_seconds=FLIGHT_S
+            )
+    raise InputError(
+        f"seed {seed}: expected a flight with {effect} in the hall, got none of {AIRCRAFT}; change the salt"
+    )
 
 
 def _rounded(table: FlightTable) -> FlightTable:
     """Four decimals: far below the noise, and a third of the size."""
-    parts = {name: np.round(getattr(table, name), 4) for name in ("p_world", "attitude", "commands")}
+    parts = {
+        name: np.round(getattr(table, name), 4) for name in ("p_world", "attitude", "commands")
+    }
     return replace(table, **parts)
 
 
@@ -110,7 +128,9 @@ def _right_size(effect: str, size: float, student: Function, rng: np.random.Gene
 
 
 def _right_interval(effect: str, size: float, student: Function, rng: np.random.Generator) -> bool:
-    """It holds the truth, but for bad luck, is in order, and is not so wide that it could not help it."""
+    """It holds the truth, but for bad luck, is in order, and is not so wide that it could not help
+    it.
+    """
     if (found := _finding(student)) is None or found[0] != effect:
         return False
     _, best, low, high = found
@@ -125,13 +145,18 @@ def _finding(student: Function) -> tuple[str, float, float, float] | None:
     if not isinstance(answer, dict) or not isinstance(answer.get("effect"), str):
         return None
     came = [answer.get(name) for name in ("size", "low", "high")]
-    if not all(isinstance(x, int | float | np.number | np.ndarray) and np.shape(x) == () for x in came):
+    if not all(
+        isinstance(x, int | float | np.number | np.ndarray) and np.shape(x) == () for x in came
+    ):
         return None
-    size, low, high = (float(np.asarray(x)) if np.asarray(x).dtype.kind in "iuf" else np.nan for x in came)
+    size, low, high = (
+        float(np.asarray(x)) if np.asarray(x).dtype.kind in "iuf" else np.nan for x in came
+    )
     return answer["effect"], size, low, high
 
 
-# The functions --------------------------------------------------------------------------------------------------------
+# The functions
+# --------------------------------------------------------------------------------------------------------
 
 
 def _draw_residuals(rng: np.random.Generator) -> tuple[Any, ...]:
@@ -144,7 +169,9 @@ def _draw_residuals(rng: np.random.Generator) -> tuple[Any, ...]:
     return residual, variable, calm, calm_variable, edges, int(rng.integers(4, 12))
 
 
-def _map(residual: Array, variable: Array, calm: Array, calm_variable: Array, edges: Array, fewest: int) -> Array:
+def _map(
+    residual: Array, variable: Array, calm: Array, calm_variable: Array, edges: Array, fewest: int
+) -> Array:
     """scipy's binned means of the squares, channel by channel."""
     from scipy.stats import binned_statistic
 
@@ -175,16 +202,31 @@ _IN_KIT = {  # the kit's parameters that take the size
 }  # fmt: skip
 
 
-def _loads(loads: Array, flow: Mapping[str, Array], K: Mapping[str, float], effect: str, size: float) -> Array:
+def _loads(
+    loads: Array, flow: Mapping[str, Array], K: Mapping[str, float], effect: str, size: float
+) -> Array:
     """The kit's own term of the effect, at coefficients that give this lift and this thrust."""
     V, alpha, beta = flow["V"], flow["alpha"], flow["beta"]
-    velocity = V * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    velocity = V * np.array(
+        [np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)]
+    )
     nothing = np.zeros_like(V)
     air = air_flow(
-        velocity, (nothing,) * 3, (nothing, nothing, flow["height"]), nothing, (1.0, flow["aileron"], 0.0, 0.0)
+        velocity,
+        (nothing,) * 3,
+        (nothing, nothing, flow["height"]),
+        nothing,
+        (1.0, flow["aileron"], 0.0, 0.0),
     )
     air = air._replace(airspeed=V)
-    numbers = {"cL_0": flow["c"], "cL_alpha": 0.0, "cL_de": 0.0, "kT": flow["thrust"], "kTV": 0.0, **K}
+    numbers = {
+        "cL_0": flow["c"],
+        "cL_alpha": 0.0,
+        "cL_de": 0.0,
+        "kT": flow["thrust"],
+        "kTV": 0.0,
+        **K,
+    }
     term = next(entry.term for entry in CATALOGUE if entry.name == effect and entry.term)
     added = term.evaluate(air, SimpleNamespace(**numbers, **dict.fromkeys(_IN_KIT[effect], size)))
     return loads + np.stack([part + nothing for part in added])
@@ -192,16 +234,32 @@ def _loads(loads: Array, flow: Mapping[str, Array], K: Mapping[str, float], effe
 
 def _draw_problem(rng: np.random.Generator) -> tuple[Any, ...]:
     M, F = 90, 4
-    candidates = {name: rng.normal(size=(M, width)) for name, width in (("drag", 1), ("wind", 2), ("lag", 1))}
+    candidates = {
+        name: rng.normal(size=(M, width)) for name, width in (("drag", 1), ("wind", 2), ("lag", 1))
+    }
     r = rng.normal(size=M) + candidates["wind"] @ rng.normal(size=2)
     root = np.diag(rng.uniform(2.0, 8.0, F)) + rng.normal(size=(F, F))
-    return r, rng.normal(size=(M, F)), rng.normal(size=F), root.T @ root, candidates, float(rng.uniform(1, 2))
+    return (
+        r,
+        rng.normal(size=(M, F)),
+        rng.normal(size=F),
+        root.T @ root,
+        candidates,
+        float(rng.uniform(1, 2)),
+    )
 
 
 def _scores(
-    r: Array, J: Array, away: Array, precision: Array, candidates: Mapping[str, Array], scatter: float
+    r: Array,
+    J: Array,
+    away: Array,
+    precision: Array,
+    candidates: Mapping[str, Array],
+    scatter: float,
 ) -> dict[str, Array]:
-    """Dense least squares with the prior as further rows, once without and once with each candidate."""
+    """Dense least squares with the prior as further rows, once without and once with each
+    candidate.
+    """
 
     root = np.linalg.cholesky(precision).T  # precision = root' root
 
@@ -221,7 +279,9 @@ def _scores(
 
 
 def _draw_gains(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Three kinds in turn by chance: nothing above the threshold, one alone, or some too close to call."""
+    """Three kinds in turn by chance: nothing above the threshold, one alone, or some too close to
+    call.
+    """
     calm = rng.uniform(-8.0, 12.0, 3)
     names = [str(name) for name in rng.permutation(list(CANDIDATES))[:6]]
     kind = rng.integers(3)
@@ -229,11 +289,16 @@ def _draw_gains(rng: np.random.Generator) -> tuple[Any, ...]:
     gains = {name: float(top - rng.uniform(15.0, 60.0)) for name in names}
     gains[names[2]] = float(top)
     if kind == 2:
-        gains[names[0]], gains[names[4]] = float(top - rng.uniform(0.5, 4.0)), float(top - rng.uniform(5.0, 9.0))
+        gains[names[0]], gains[names[4]] = (
+            float(top - rng.uniform(0.5, 4.0)),
+            float(top - rng.uniform(5.0, 9.0)),
+        )
     return gains, calm
 
 
-def _verdict(gains: Mapping[str, float], calm_gains: Array, caution: float) -> tuple[float, str, tuple[str, ...]]:
+def _verdict(
+    gains: Mapping[str, float], calm_gains: Array, caution: float
+) -> tuple[float, str, tuple[str, ...]]:
     threshold = max([LEAST_GAIN, *(caution * gain for gain in calm_gains.tolist())])
     ranked = sorted(gains.items(), key=lambda pair: -pair[1])
     if ranked[0][1] <= threshold:

@@ -23,7 +23,17 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from given import CANDIDATES, CAUTION, CUSHION_M, LEAST_GAIN, LOADS, draw_evidence, draw_gap, draw_map, rows_of
+from given import (
+    CANDIDATES,
+    CAUTION,
+    CUSHION_M,
+    LEAST_GAIN,
+    LOADS,
+    draw_evidence,
+    draw_gap,
+    draw_map,
+    rows_of,
+)
 
 from falconwing_kit import sysid
 from falconwing_kit.aircraft import CATALOGUE, Parameter, Term
@@ -33,7 +43,9 @@ from falconwing_kit.tools.grading import check
 
 folder = Path("data/mine") if Path("data/mine/flight.csv").exists() else Path("data")
 calm_table, table = (read_flight_table(folder / name) for name in ("calm.csv", "flight.csv"))
-print(f"{folder}: calm flight {calm_table.duration:.0f} s, flight under test {table.duration:.0f} s")
+print(
+    f"{folder}: calm flight {calm_table.duration:.0f} s, flight under test {table.duration:.0f} s"
+)
 
 # %% [markdown]
 # ## 1. The calm aircraft
@@ -46,19 +58,23 @@ print(f"{folder}: calm flight {calm_table.duration:.0f} s, flight under test {ta
 # %%
 found = sysid.identify([calm_table])
 calm_model = found.model
-sure = uncertainty(found.result, found.fitted_windows)
+confidence = uncertainty(found.result, found.fitted_windows)
 starts_at = {p.name: p.start for p in calm_model.parameters}
-drift = np.array([0.01 * max(abs(calm_model.values[n]), abs(starts_at[n]), 0.1) for n in sure.names])
-drift[[sure.names.index("delay"), sure.names.index("lag")]] = 0.002  # s
-covariance = sure.covariance + np.diag(drift**2)
+drift = np.array(
+    [0.01 * max(abs(calm_model.values[n]), abs(starts_at[n]), 0.1) for n in confidence.names]
+)
+drift[[confidence.names.index("delay"), confidence.names.index("lag")]] = 0.002  # s
+covariance = confidence.covariance + np.diag(drift**2)
 precision, sigma = np.linalg.inv(covariance), np.sqrt(np.diag(covariance))
-spread = dict(zip(sure.names, sigma.tolist(), strict=True))
+spread = dict(zip(confidence.names, sigma.tolist(), strict=True))
 prior = sysid.Prior(dict(calm_model.values), spread, covariance / np.outer(sigma, sigma))
 
 prepared = sysid.prepare(table, found.sigma)
 windows = sysid.cut_windows(prepared.flights, calm_model, 2.0)
-starts, _ = sysid.fit_starts(calm_model, windows, windows.guess[:, : calm_model.n_states])
-before = fit(calm_model, windows, starts, prior=prior)
+initial_states, _ = sysid.fit_initial_states(
+    calm_model, windows, windows.initial_guess[:, : calm_model.n_states]
+)
+before = fit(calm_model, windows, initial_states, prior=prior)
 scatter = max(1.0, found.train.chi2)
 gains, calm_gains = {}, np.zeros(3)  # until you have something better
 print(f"chi2 per degree of freedom in the calm model: calm flight {found.train.chi2:.2f}, "
@@ -109,7 +125,7 @@ check(residual_map)
 
 
 # %% figure="map"
-residual, variables = rows_of(score(calm_model, windows, before.starts).residual, windows)
+residual, variables = rows_of(score(calm_model, windows, before.initial_states).residual, windows)
 calm_residual, calm_variables = rows_of(score(calm_model, found.windows).residual, found.windows)
 maps = {}
 for label, values in variables.items():
@@ -206,26 +222,31 @@ def own_term(effect):
         flow = {name: np.broadcast_to(part, shape) for name, part in flow.items()}
         return tuple(augment_model(np.zeros((6, *shape)), flow, K._asdict(), effect, K.size))
 
-    return Term(effect, (Parameter("size", 0.0, -1.0, 5.0, "-", CANDIDATES[effect].meaning),), evaluate)
+    return Term(
+        effect, (Parameter("size", 0.0, -1.0, 5.0, "-", CANDIDATES[effect].meaning),), evaluate
+    )
 
 
 def with_candidate(model, name):
     """The model with a candidate at size zero; where the kit's has more parameters, they stay zero."""
     amplitudes = CANDIDATES[name].amplitudes
     if name in LOADS:
-        return model.adding(own_term(name))
+        return model.with_terms(own_term(name))
     effects = (e for e in CATALOGUE if e.name == name)
     effect = next(e for e in effects if amplitudes[0] in {p.name for p in e.parameters})
     model = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.parameters})
-    return model.pinned([p.name for p in effect.parameters if p.name not in amplitudes])
+    return model.with_fixed([p.name for p in effect.parameters if p.name not in amplitudes])
 
 
 def columns_of(name, fitted, windows):
     """(W, R, A) what a size of one does to the residuals, beyond what start states can do."""
     model, step = with_candidate(fitted.model, name), CANDIDATES[name].step
     moved = [model.with_values({amplitude: step}) for amplitude in CANDIDATES[name].amplitudes]
-    moved = np.stack([residuals(one, windows, fitted.starts) for one in moved], axis=-1)
-    change, (Q, _) = (moved - fitted.residual[..., None]) / step, np.linalg.qr(fitted.to_start)
+    moved = np.stack([residuals(one, windows, fitted.initial_states) for one in moved], axis=-1)
+    change, (Q, _) = (
+        (moved - fitted.residual[..., None]) / step,
+        np.linalg.qr(fitted.initial_state_jacobian),
+    )
     return change - Q @ (Q.transpose(0, 2, 1) @ change)
 
 
@@ -287,17 +308,19 @@ check(score_candidates)
 # %% tags=["scan"]
 def scan(fitted, windows, rows, away):
     """Evidence of every candidate over some windows."""
-    J, r = fitted.reduced[rows], fitted.residual[rows].ravel()
+    J, r = fitted.reduced_jacobian[rows], fitted.residual[rows].ravel()
     columns = {name: columns_of(name, fitted, windows)[rows] for name in CANDIDATES}
     flat = {name: part.reshape(len(r), -1) for name, part in columns.items()}
     return score_candidates(r, J.reshape(len(r), -1), away, precision, flat, scatter)
 
 
-away = np.array([before.model.values[name] - prior.mean[name] for name in sure.names])
+away = np.array([before.model.values[name] - prior.mean[name] for name in confidence.names])
 scores = scan(before, windows, np.arange(len(windows)), away)
 gains = {name: float(found_here[0]) for name, found_here in scores.items()}
 thirds = np.array_split(np.arange(len(found.fitted_windows)), 3)
-by_chance = [scan(found.result, found.fitted_windows, third, np.zeros(len(away))) for third in thirds]
+by_chance = [
+    scan(found.result, found.fitted_windows, third, np.zeros(len(away))) for third in thirds
+]
 calm_gains = np.array([max(one[0] for one in third.values()) for third in by_chance])
 for name, (gain, *size) in sorted(scores.items(), key=lambda pair: -pair[1][0]):
     print(f"{name:14} gain {gain:8.1f}   size {np.round(size, 4)} {CANDIDATES[name].size}")
@@ -342,13 +365,13 @@ check(verdict)
 # flight. The gap is measured on the last third, in blocks that were held out, before and after.
 
 # %% tags=["fit"]
-fitted, kept = sysid.hold_out(windows)
-part, apart = sysid.select(windows, fitted), sysid.select(windows, kept)
+fitted, kept = sysid.split_blocks(windows)
+part, apart = sysid.select_windows(windows, fitted), sysid.select_windows(windows, kept)
 
 
 def left_over(model):
     """chi2 per degree of freedom on the time held out, after a fit to the rest."""
-    return score(fit(model, part, before.starts[fitted], prior=prior).model, apart).chi2
+    return score(fit(model, part, before.initial_states[fitted], prior=prior).model, apart).chi2
 
 
 def measure(name):
@@ -356,12 +379,12 @@ def measure(name):
     amplitudes = CANDIDATES[name].amplitudes
     model = with_candidate(calm_model, name)
     model = model.with_values(dict(zip(amplitudes, scores[name][1:], strict=True)))
-    after = fit(model, windows, before.starts, prior=prior)
-    sure = uncertainty(after, windows, prior)
+    after = fit(model, windows, before.initial_states, prior=prior)
+    confidence = uncertainty(after, windows, prior)
     sizes = np.array([after.model.values[a] for a in amplitudes])
     size = float(sizes[0] if len(sizes) == 1 else np.linalg.norm(sizes))  # of a wind: its speed
-    along, rows = sizes / size, [sure.names.index(a) for a in amplitudes]
-    half = 1.96 * float(np.sqrt(along @ sure.covariance[np.ix_(rows, rows)] @ along))
+    along, rows = sizes / size, [confidence.names.index(a) for a in amplitudes]
+    half = 1.96 * float(np.sqrt(along @ confidence.covariance[np.ix_(rows, rows)] @ along))
     return model, {"effect": name, "size": size, "low": size - half, "high": size + half}
 
 

@@ -1,4 +1,5 @@
-"""Simulated flights and pictures for the manual: the kit's own loop, scenes and monitor -> figures with their words.
+"""Simulated flights and pictures for the manual: the kit's own loop, scenes and monitor -> figures
+with their words.
 
 Every one is simulated and says so. `make_figures.py` calls them; names and words stand in FLIGHTS.
 """
@@ -38,7 +39,10 @@ def draw_approach(path: Path) -> str:
     """Ten landings of the expert, from above and from the side."""
     task, pad = LandingTask(), LandingPad()
     records = fly_trials(task, task.expert, LANDINGS, pilot="expert")
-    with drawing(path, 6.6, 4.6, 2, 1, height_ratios=[2.4, 1.0], sharex=True) as ((above,), (side,)):
+    with drawing(path, 6.6, 4.6, 2, 1, height_ratios=[2.4, 1.0], sharex=True) as (
+        (above,),
+        (side,),
+    ):
         above.figure.set_layout_engine("compressed")  # both as wide as the hall: one scale along x
         hall_from_above(above)
         above.set_xlabel("")
@@ -47,11 +51,19 @@ def draw_approach(path: Path) -> str:
             above.plot(x, y, color=DARK, lw=0.8)
             side.plot(x, z, color=DARK, lw=0.8)
         above.plot([-19.8, -19.8], [2.0, 8.0], color=MIDDLE, ls=":")
-        above.text(-17.6, 5.0, "both pilots; everybody else\nbehind the dotted line", va="center", fontsize=8.5)
+        above.text(
+            -17.6,
+            5.0,
+            "both pilots; everybody else\nbehind the dotted line",
+            va="center",
+            fontsize=8.5,
+        )
         above.plot(-18.6, 5.0, "^", ms=8, color=DARK)
         above.annotate("hand over", (pad.x_start - 20.0, pad.y_centre), (-19.0, -7.0), ha="center", fontsize=8.5,
                        arrowprops={"arrowstyle": "-|>", "color": MIDDLE})  # fmt: skip
-        side.fill_between([pad.x_start, pad.x_start + pad.length], 0.0, pad.height, color=LIGHT, lw=0)
+        side.fill_between(
+            [pad.x_start, pad.x_start + pad.length], 0.0, pad.height, color=LIGHT, lw=0
+        )
         side.set(ylim=(0.0, 2.6), xlabel="x, landing direction [m]", ylabel="height [m]")
     landed = sum(record["success"] for record in records)
     return f"""Ten simulated landings by the expert that knows its state, not by a camera: {landed} of {LANDINGS} on
@@ -61,7 +73,7 @@ def draw_approach(path: Path) -> str:
         rounded before the pad."""
 
 
-def draw_sticks(path: Path) -> str:
+def draw_control_inputs(path: Path) -> str:
     """Sticks and ground track of a flight that can be identified."""
     table = read_flight_table(data_path("case02_calm.csv"))
     shown = (table.t >= SHOWN_S[0]) & (table.t <= SHOWN_S[1])
@@ -100,7 +112,9 @@ def draw_pictures(path: Path) -> str:
     edge = np.full((PICTURE_PX[1], 8, 3), 255, np.uint8)
     strip = np.concatenate([part for picture in shown for part in (picture, edge)][:-1], axis=1)
     with atomic_write(path) as file:
-        file.write(cv2.imencode(".jpg", strip[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes())
+        file.write(
+            cv2.imencode(".jpg", strip[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes()
+        )
     return f"""Four simulated pictures of an approach, from left to right, and what the frame monitor said over
         {FRAMES} of each, 20 a second. {". ".join(said)}."""
 
@@ -124,8 +138,10 @@ KINDS: dict[str, Callable[[Pixels, int], Any]] = {
     "clean": lambda picture, k: picture,
     "noise at 14 dB": lambda picture, k: BAD.apply(picture, k),
     "frozen": lambda picture, k: approach_views()[min(k, 4)],
-    "blue screen of a receiver without signal": lambda picture, k: np.full_like(picture, (20, 30, 160)),
+    "blue screen of a receiver without signal": lambda picture, k: np.full_like(
+        picture, (20, 30, 160)
+    ),
 }
 FLIGHTS: dict[str, Callable[[Path], str]] = {
-    "approach": draw_approach, "sticks": draw_sticks, "pictures": draw_pictures,
+    "approach": draw_approach, "sticks": draw_control_inputs, "pictures": draw_pictures,
 }  # fmt: skip

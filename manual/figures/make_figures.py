@@ -1,10 +1,12 @@
-"""Every figure of README and manual, made again -> this folder, each with the same in words beside it (.txt).
+"""Every figure of README and manual, made again -> this folder, each with the same in words beside
+it (.txt).
 
     .venv/bin/python manual/figures/make_figures.py            all of them, in two minutes
     .venv/bin/python manual/figures/make_figures.py ppm hall   these
 
-Drawings are in schematics.py, simulated flights and pictures in flights.py, hardware's own in hardware/. Here: views of
-halls, and what the demo found in recorded flights. Run it again when the demo's answer changes.
+Drawings are in schematics.py, simulated flights and pictures in flights.py, hardware's own in
+hardware/. Here: views of halls, and what the demo found in recorded flights. Run it again when the
+demo's answer changes.
 """
 
 import argparse
@@ -22,9 +24,9 @@ from falconwing_kit.core.messages import Pose
 from falconwing_kit.flight.sources import fpv_camera
 from falconwing_kit.scene import leader_at, load_scene, render
 from falconwing_kit.sysid.identify import Identification
-from falconwing_kit.sysid.score import select
+from falconwing_kit.sysid.score import select_windows
 from falconwing_kit.sysid.shooting import fly_windows
-from falconwing_kit.tools.demo.alfa_story import AlfaStory
+from falconwing_kit.tools.demo.alfa_story import AlfaAnalysis
 from falconwing_kit.tools.demo.recorded import RecordedFlights, study_recorded_flights
 from falconwing_kit.tools.reports.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
 
@@ -35,11 +37,18 @@ VIEWS = (  # own and leader's x, y, z [m], roll, pitch, yaw [deg]
     ((-4.0, -1.4, 1.0, 4.0, -5.0, 1.0), None),
 )
 APPROACH_PX = (600, 400)
-APPROACH = ((-12.0, 0.5, 1.5, 0.0, -3.0, 0.0), (-6.0, -2.0, 1.2, 0.0, -3.0, 5.0))  # into the trained hall
+APPROACH = (
+    (-12.0, 0.5, 1.5, 0.0, -3.0, 0.0),
+    (-6.0, -2.0, 1.2, 0.0, -3.0, 5.0),
+)  # into the trained hall
 FOLDER = Path(__file__).resolve().parent
 SHOWN_S = 10.0  # of the simulated flight: one block of the time that was kept back
 BEFORE_S = 30.0  # of the real flight, before its engine stops
-CHANNELS = ((3, "roll [deg]", 180.0 / np.pi), (4, "pitch [deg]", 180.0 / np.pi), (2, "height [m]", 1.0))
+CHANNELS = (
+    (3, "roll [deg]", 180.0 / np.pi),
+    (4, "pitch [deg]", 180.0 / np.pi),
+    (2, "height [m]", 1.0),
+)
 
 
 def main(words: list[str] | None = None) -> int:
@@ -56,15 +65,25 @@ def main(words: list[str] | None = None) -> int:
     from schematics import DRAWINGS
 
     drawings = {f"{name}.svg": draw for name, draw in DRAWINGS.items()}
-    drawings |= {f"{name}.{'jpg' if name == 'pictures' else 'svg'}": draw for name, draw in FLIGHTS.items()}
-    drawings |= {"hall.jpg": draw_hall, "trained_hall.jpg": draw_trained_hall, "identify_demo.png": draw_demo}
+    drawings |= {
+        f"{name}.{'jpg' if name == 'pictures' else 'svg'}": draw for name, draw in FLIGHTS.items()
+    }
+    drawings |= {
+        "hall.jpg": draw_hall,
+        "trained_hall.jpg": draw_trained_hall,
+        "identify_demo.png": draw_demo,
+    }
     parser = argparse.ArgumentParser(description="Figures of README and manual.")
     names = [*(Path(name).stem for name in drawings), "hardware"]
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(names)}; all where none is given")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help=f"of {', '.join(names)}; all where none is given"
+    )
     parser.add_argument("--out", type=Path, default=FOLDER, help="folder to write to")
     asked = parser.parse_args(words)
     if set(asked.names) - set(names):
-        parser.error(f"want names of {', '.join(names)}, got {' '.join(set(asked.names) - set(names))}")
+        parser.error(
+            f"expected names of {', '.join(names)}, got {' '.join(set(asked.names) - set(names))}"
+        )
     asked.out.mkdir(parents=True, exist_ok=True)
     for file, draw in drawings.items():
         if not asked.names or Path(file).stem in asked.names:
@@ -89,10 +108,12 @@ def draw_hardware(out: Path) -> None:
         out: the folder to write to.
     """
     for name in ("draw", "wiring/wiring", "bracket/draw"):
-        spec = importlib.util.spec_from_file_location(Path(name).stem, FOLDER.parents[1] / "hardware" / f"{name}.py")
+        spec = importlib.util.spec_from_file_location(
+            Path(name).stem, FOLDER.parents[1] / "hardware" / f"{name}.py"
+        )
         if spec is None or spec.loader is None:
             raise FileNotFoundError(
-                f"hardware/{name}.py: want the script that draws, found none; take a whole checkout"
+                f"hardware/{name}.py: expected the script that draws, found none; take a whole checkout"
             )
         script = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(script)
@@ -109,7 +130,8 @@ def draw_demo(path: Path) -> str:
 
 
 def draw_hall(path: Path) -> str:
-    """Three looks from an aircraft's nose side by side: far out, behind a leader, and short of the pad.
+    """Three looks from an aircraft's nose side by side: far out, behind a leader, and short of the
+    pad.
 
     Args:
         path: the JPEG to write.
@@ -147,7 +169,9 @@ def write_strip(path: Path, images: list[Any]) -> None:
     import cv2
 
     strip = np.concatenate(images, axis=1)
-    path.write_bytes(cv2.imencode(".jpg", np.rint(255.0 * strip[..., ::-1]).astype(np.uint8))[1].tobytes())
+    path.write_bytes(
+        cv2.imencode(".jpg", np.rint(255.0 * strip[..., ::-1]).astype(np.uint8))[1].tobytes()
+    )
 
 
 def body_pose(pose: tuple[float, ...]) -> Array:
@@ -179,11 +203,15 @@ def draw_simulated(axes: Any, found: Identification) -> None:
         ValueError: the flight is too short to keep time back.
     """
     if found.held_out is None:
-        raise ValueError("figure: want a flight with time kept back, got one that is too short; take a longer one")
-    windows = select(found.windows, found.held_out_index)
+        raise ValueError(
+            "figure: expected a flight with time kept back, got one that is too short; take a longer one"
+        )
+    windows = select_windows(found.windows, found.held_out_index)
     begin = windows.nodes[0, 0]
     block = np.flatnonzero(windows.nodes[:, -1] < begin + SHOWN_S + 0.5)
-    predicted = fly_windows(found.train_model, select(windows, block), found.held_out.starts[block])
+    predicted = fly_windows(
+        found.train_model, select_windows(windows, block), found.held_out.initial_states[block]
+    )
     for ax, (channel, label, scale) in zip(axes, CHANNELS, strict=True):
         for k, poses in zip(block, predicted[..., channel] * scale, strict=True):
             t, seen = windows.nodes[k], windows.weight[k, :, channel] > 0
@@ -200,7 +228,7 @@ def draw_simulated(axes: Any, found: Identification) -> None:
     axes[0].legend(loc="lower right", fontsize=8.0, borderaxespad=0.0, labelspacing=0.2)
 
 
-def draw_real(axes: Any, story: AlfaStory) -> None:
+def draw_real(axes: Any, story: AlfaAnalysis) -> None:
     """How far forecasts run ahead of the real aircraft around its engine's failure, and its speed.
 
     Args:
@@ -220,13 +248,22 @@ def draw_real(axes: Any, story: AlfaStory) -> None:
     for name, line, colour, width, label in looks:
         t, error = story.running[name]
         ahead.plot(t[t > begin], error[t > begin], line, color=colour, lw=width, label=label)
-    ahead.axhspan(-story.ordinary_error, story.ordinary_error, color="#eeeeee", zorder=0)
+    ahead.axhspan(-story.nominal_error, story.nominal_error, color="#eeeeee", zorder=0)
     text = "grey: what healthy flight showed"
-    ahead.annotate(text, (begin, -story.ordinary_error), (4, 5), textcoords="offset points", fontsize=8.5, color=QUIET)
-    if story.parts_at is not None:
-        ahead.axvline(story.parts_at, color=QUIET, lw=1.0, ls="-.")
-        late = f"{story.parts_at - story.failure_time:.1f} s later\nit shows"
-        ahead.annotate(late, (story.parts_at, -0.45), (6, 0), textcoords="offset points", fontsize=8.5)
+    ahead.annotate(
+        text,
+        (begin, -story.nominal_error),
+        (4, 5),
+        textcoords="offset points",
+        fontsize=8.5,
+        color=QUIET,
+    )
+    if story.detection_time is not None:
+        ahead.axvline(story.detection_time, color=QUIET, lw=1.0, ls="-.")
+        late = f"{story.detection_time - story.failure_time:.1f} s later\nit shows"
+        ahead.annotate(
+            late, (story.detection_time, -0.45), (6, 0), textcoords="offset points", fontsize=8.5
+        )
     ahead.set_title("Real, 2 m wide: one second ahead")
     ahead.set_ylabel("ahead of the aircraft [m]")
     ahead.tick_params(labelbottom=False)

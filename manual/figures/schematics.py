@@ -1,7 +1,8 @@
-"""Drawings of the manual: the kit's own data files -> SVG figures, each with the same in words beside it.
+"""Drawings of the manual: the kit's own data files -> SVG figures, each with the same in words
+beside it.
 
-Drawn, none of them a picture taken. They are in greys and dashes, so that a page on a school's printer loses nothing.
-`make_figures.py` calls them; names and words stand in DRAWINGS.
+Drawn, none of them a picture taken. They are in greys and dashes, so that a page on a school's
+printer loses nothing. `make_figures.py` calls them; names and words stand in DRAWINGS.
 """
 
 import tomllib
@@ -20,13 +21,22 @@ from falconwing_kit.trainer_port.ppm import load_calibration
 
 MANUAL = Path(__file__).resolve().parents[1]
 DARK, MIDDLE, LIGHT, PALE = "0.1", "0.45", "0.7", "0.92"
-STEADY = {"svg.fonttype": "none", "svg.hashsalt": "falconwing", "font.size": 9.5, "axes.labelsize": 9.5}
+STEADY = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "falconwing",
+    "font.size": 9.5,
+    "axes.labelsize": 9.5,
+}
 HALL = Hall()
 
 
 @contextmanager
-def drawing(path: Path, wide: float, high: float, rows: int = 1, columns: int = 1, **grid: Any) -> Iterator[Any]:
-    """Axes [rows, columns] without upper and right frame; the SVG of that size [inch] appears when the block ends."""
+def drawing(
+    path: Path, wide: float, high: float, rows: int = 1, columns: int = 1, **grid: Any
+) -> Iterator[Any]:
+    """Axes [rows, columns] without upper and right frame; the SVG of that size [inch] appears when
+    the block ends.
+    """
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -46,20 +56,32 @@ def bare(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
     axes.axis("off")
 
 
-def box(axes: Any, x: float, y: float, text: str, wide: float = 2.3, high: float = 1.0, **look: Any) -> None:
+def box(
+    axes: Any, x: float, y: float, text: str, wide: float = 2.3, high: float = 1.0, **look: Any
+) -> None:
     """A box with words in it, centred at a place."""
     from matplotlib.patches import FancyBboxPatch
 
     look = {"facecolor": "white", "edgecolor": DARK, "linewidth": 1.1, **look}
     corner = (x - wide / 2.0, y - high / 2.0)
-    axes.add_patch(FancyBboxPatch(corner, wide, high, boxstyle="round,pad=0,rounding_size=0.12", **look))
+    axes.add_patch(
+        FancyBboxPatch(corner, wide, high, boxstyle="round,pad=0,rounding_size=0.12", **look)
+    )
     axes.text(x, y, text, ha="center", va="center", fontsize=9.0)
 
 
-def arrow(axes: Any, begin: tuple[float, float], end: tuple[float, float], text: str = "", **look: Any) -> None:
+def arrow(
+    axes: Any, begin: tuple[float, float], end: tuple[float, float], text: str = "", **look: Any
+) -> None:
     """An arrow with words above its middle; `shift` moves them, `bend` curves it."""
     shift, bend = look.pop("shift", (0.0, 0.13)), look.pop("bend", 0.0)
-    style = {"arrowstyle": "-|>", "color": DARK, "lw": 1.1, "connectionstyle": f"arc3,rad={bend}", **look}
+    style = {
+        "arrowstyle": "-|>",
+        "color": DARK,
+        "lw": 1.1,
+        "connectionstyle": f"arc3,rad={bend}",
+        **look,
+    }
     axes.annotate("", end, begin, arrowprops={**style, "shrinkA": 0.0, "shrinkB": 0.0})
     middle = ((begin[0] + end[0]) / 2.0 + shift[0], (begin[1] + end[1]) / 2.0 + shift[1])
     axes.text(*middle, text, ha="center", va="bottom", fontsize=8.2)
@@ -76,11 +98,22 @@ def draw_loop(path: Path) -> str:
             look = {"facecolor": PALE} if y < 2.0 else {}
             box(ax, 1.5, y, names[0], 3.2, 1.2, **look)
             box(ax, 11.7, y, names[1], 3.2, 1.2, **look)
-        for x, text in ((4.3, "frame\nmonitor"), (6.6, "pilot or\ncontroller"), (8.9, "trainer port\nand log")):
+        for x, text in (
+            (4.3, "frame\nmonitor"),
+            (6.6, "pilot or\ncontroller"),
+            (8.9, "trainer port\nand log"),
+        ):
             box(ax, x, 2.4, text, 1.8, 1.0)
         for y, at in ((4.0, 2.55), (0.8, 2.25)):
-            arrow(ax, (3.1, y), (3.75, at + (0.35 if y > 2.0 else -0.35)), ls="-" if y > 2.0 else "--")
-            arrow(ax, (9.45, at + (0.35 if y > 2.0 else -0.35)), (10.1, y), ls="-" if y > 2.0 else "--")
+            arrow(
+                ax, (3.1, y), (3.75, at + (0.35 if y > 2.0 else -0.35)), ls="-" if y > 2.0 else "--"
+            )
+            arrow(
+                ax,
+                (9.45, at + (0.35 if y > 2.0 else -0.35)),
+                (10.1, y),
+                ls="-" if y > 2.0 else "--",
+            )
         arrow(ax, (5.2, 2.4), (5.7, 2.4))
         arrow(ax, (7.5, 2.4), (8.0, 2.4))
         ax.text(6.6, 4.0, "with an aircraft", ha="center", va="center", fontsize=9.5, weight="bold")
@@ -97,7 +130,9 @@ def draw_aircraft(path: Path) -> str:
     """Where the added parts sit, from the left side and from above."""
     frame, items = load_airframe(), load_parts()
     cg, span, chord = 1000.0 * roll_up(items).x_cg, 1000.0 * frame.span, 1000.0 * frame.mean_chord
-    place = {item.id: 1000.0 * item.x for item in items if item.x is not None}  # behind the leading edge [mm]
+    place = {
+        item.id: 1000.0 * item.x for item in items if item.x is not None
+    }  # behind the leading edge [mm]
     added = {
         "camera, bracket": (place["camera_analog"], 31, (-232, 90)),
         "filter and wires": ((place["filter_inductor"] + place["wires"]) / 2.0, 0, (-80, 90)),
@@ -125,7 +160,12 @@ def draw_aircraft(path: Path) -> str:
 def from_the_side(ax: Any, chord: float) -> None:
     """Fuselage, wing [mm], fin, wheels and propeller, seen from the left."""
     bare(ax, (-235.0, 385.0), (-95.0, 105.0))
-    ax.fill([-182, -150, -30, 120, 345, 345, 120, -140, -182], [-8, 25, 42, 34, 16, 4, -34, -34, -22], PALE, ec=DARK)
+    ax.fill(
+        [-182, -150, -30, 120, 345, 345, 120, -140, -182],
+        [-8, 25, 42, 34, 16, 4, -34, -34, -22],
+        PALE,
+        ec=DARK,
+    )
     ax.fill([0, chord, chord, 0], [42, 42, 49, 51], LIGHT, ec=DARK)
     ax.fill([285, 345, 345, 315], [16, 16, 80, 80], PALE, ec=DARK)
     ax.plot([-187, -187], [-62, 58], color=DARK, lw=1.0, ls=":")
@@ -139,14 +179,28 @@ def from_the_side(ax: Any, chord: float) -> None:
 def from_above(ax: Any, chord: float, span: float) -> None:
     """Fuselage, wing [mm], tail and their surfaces."""
     bare(ax, (-235.0, 385.0), (-385.0, 385.0))
-    ax.fill([-182, -170, -30, 345, 345, -30, -170, -182], [-12, -26, -32, -8, 8, 32, 26, 12], PALE, ec=DARK)
+    ax.fill(
+        [-182, -170, -30, 345, 345, -30, -170, -182],
+        [-12, -26, -32, -8, 8, 32, 26, 12],
+        PALE,
+        ec=DARK,
+    )
     ax.fill([0, chord, chord, 0], [-span / 2, -span / 2, span / 2, span / 2], "white", ec=DARK)
     ax.fill([280, 345, 345, 280], [-115, -115, 115, 115], "white", ec=DARK)
-    for low, high, text in ((190, 335, "aileron"), (40, 185, "flap"), (-185, -40, "flap"), (-335, -190, "aileron")):
-        ax.fill([chord - 25, chord, chord, chord - 25], [low, low, high, high], LIGHT, ec=DARK, lw=0.8)
+    for low, high, text in (
+        (190, 335, "aileron"),
+        (40, 185, "flap"),
+        (-185, -40, "flap"),
+        (-335, -190, "aileron"),
+    ):
+        ax.fill(
+            [chord - 25, chord, chord, chord - 25], [low, low, high, high], LIGHT, ec=DARK, lw=0.8
+        )
         ax.text(chord + 8, (low + high) / 2, text, va="center", fontsize=8.5)
     ax.text(352, 60, "elevator", va="center", fontsize=8.5)
-    ax.annotate("", (-22, span / 2), (-22, -span / 2), arrowprops={"arrowstyle": "<->", "color": MIDDLE})
+    ax.annotate(
+        "", (-22, span / 2), (-22, -span / 2), arrowprops={"arrowstyle": "<->", "color": MIDDLE}
+    )
     ax.text(-28, -200, f"{span / 10:.0f} cm", ha="right", fontsize=8.5)
     ax.text(170, -330, "nose to the left", fontsize=8.5)
 
@@ -166,11 +220,23 @@ def draw_hours(path: Path) -> str:
         for k, step in enumerate(steps):
             ax.barh(k, step["minutes"], left=total, color=LIGHT, edgecolor=DARK, lw=0.8)
             at = (total - 5, "right") if total > 200 else (total + step["minutes"] + 5, "left")
-            ax.text(at[0], k, f"{step['title']}, {step['minutes']} min", ha=at[1], va="center", fontsize=8.5)
+            ax.text(
+                at[0],
+                k,
+                f"{step['title']}, {step['minutes']} min",
+                ha=at[1],
+                va="center",
+                fontsize=8.5,
+            )
             total += step["minutes"]
         ax.axvline(600, color=DARK, ls="--", lw=1.0)
         ax.text(596, 1.0, "paper: under 10 h", ha="right", fontsize=8.5)
-        ax.set(ylim=(len(steps) - 0.4, -0.6), xlim=(0, 620), xlabel="hours of work, estimated", yticks=[])
+        ax.set(
+            ylim=(len(steps) - 0.4, -0.6),
+            xlim=(0, 620),
+            xlabel="hours of work, estimated",
+            yticks=[],
+        )
         ax.set_xticks([60 * hour for hour in range(0, 11)], [str(hour) for hour in range(0, 11)])
         ax.spines["left"].set_visible(False)
     listed = "; ".join(f"{step['title']} {step['minutes']}" for step in steps)
@@ -179,7 +245,9 @@ def draw_hours(path: Path) -> str:
 
 
 def draw_ppm(path: Path) -> str:
-    """One frame of pulses, throttle idle and the other sticks in the middle, as the shipped settings make it."""
+    """One frame of pulses, throttle idle and the other sticks in the middle, as the shipped
+    settings make it.
+    """
     calibration = load_calibration(None)
     slots = calibration.channels_us(Command(0.0, 0.0, 0.0, 0.0))
     names = sorted(COMMAND_NAMES, key=lambda name: getattr(calibration, name).channel)
@@ -195,8 +263,12 @@ def draw_ppm(path: Path) -> str:
         ax.plot([us / 1000.0 for us in [*t, t[-1] + 700]], [*level, 1.0], color=DARK, lw=1.3)
         for k, (name, us) in enumerate(zip(names, slots, strict=True)):
             low, high = edges[k] / 1000.0, edges[k + 1] / 1000.0
-            ax.annotate("", (high, -0.28), (low, -0.28), arrowprops={"arrowstyle": "<->", "color": MIDDLE})
-            ax.text((low + high) / 2, -0.85, f"{name}\n{us} µs", ha="center", va="center", fontsize=8.5)
+            ax.annotate(
+                "", (high, -0.28), (low, -0.28), arrowprops={"arrowstyle": "<->", "color": MIDDLE}
+            )
+            ax.text(
+                (low + high) / 2, -0.85, f"{name}\n{us} µs", ha="center", va="center", fontsize=8.5
+            )
         ax.text(
             8.6,
             1.12,
@@ -231,9 +303,20 @@ def draw_safety(path: Path) -> str:
         arrow(ax, (11.0, 0.9), (6.2, 2.75), "engage off", shift=(1.1, 0.0))
         arrow(ax, (5.2, 1.25), (5.2, 2.75), "engage off,\n1 s later", shift=(-0.95, -0.35))
         arrow(ax, (0.4, 0.7), (4.2, 0.7), "from any state", shift=(-0.3, 0.1))
-        ax.text(0.4, -0.2, "5 commands out of\nrange in 1 s, or the\nprogram hung", fontsize=8.2, va="center")
         ax.text(
-            9.6, -0.6, "outside ACTIVE: throttle idle, sticks in the middle", ha="center", fontsize=8.5, style="italic"
+            0.4,
+            -0.2,
+            "5 commands out of\nrange in 1 s, or the\nprogram hung",
+            fontsize=8.2,
+            va="center",
+        )
+        ax.text(
+            9.6,
+            -0.6,
+            "outside ACTIVE: throttle idle, sticks in the middle",
+            ha="center",
+            fontsize=8.5,
+            style="italic",
         )
     return """States of the board. After BOOT it is SAFE. Engage switched on and then 5 commands within half a
         second make it ACTIVE, the only state in which the computer moves the slots. Engage off leads back to SAFE.
@@ -280,7 +363,11 @@ def draw_lanes(path: Path) -> str:
         for x, y in ((HALL.x[0] + 1.0, HALL.y[0] + 1.0), (HALL.x[0] + 1.0, HALL.y[1] - 1.0),
                      (HALL.x[1] - 1.0, HALL.y[0] + 1.0), (HALL.x[1] - 1.0, HALL.y[1] - 1.0)):  # fmt: skip
             ax.plot(x, y, "x", ms=7, color=DARK)
-        corners = [(x, pad.y_centre + side) for x in (pad.x_start, pad.x_start + pad.length) for side in (-1.0, 1.0)]
+        corners = [
+            (x, pad.y_centre + side)
+            for x in (pad.x_start, pad.x_start + pad.length)
+            for side in (-1.0, 1.0)
+        ]
         ax.plot(*zip(*corners, strict=True), "o", ms=7, mfc="white", mec=DARK, ls="none")
         ax.plot([], [], "--", marker=">", ms=4.5, color=DARK, label="photo every step")
         ax.plot([], [], "x", ms=7, color=DARK, ls="none", label="photos from the corners")
@@ -300,7 +387,14 @@ def hall_from_above(ax: Any) -> None:
     ax.fill_between(ends, pad.y_centre - half, pad.y_centre + half, color=LIGHT, lw=0)
     ax.text(ends[1] - 1.0, pad.y_centre, "pad 13 x 2 m", ha="right", va="center", fontsize=8.5)
     ax.plot([0.0, 0.0], [-0.5, 0.5], color=DARK, lw=4.0)
-    ax.annotate("marker, origin", (0.0, 0.5), (0.0, 2.2), ha="center", fontsize=8.5, arrowprops={"arrowstyle": "-"})
+    ax.annotate(
+        "marker, origin",
+        (0.0, 0.5),
+        (0.0, 2.2),
+        ha="center",
+        fontsize=8.5,
+        arrowprops={"arrowstyle": "-"},
+    )
     ax.set(xlabel="x, landing direction [m]", ylabel="y, left [m]", aspect="equal")
 
 

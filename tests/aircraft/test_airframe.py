@@ -27,7 +27,9 @@ def load(table: dict, folder: Path) -> Airframe:
 
 
 def test_shipped_airframe_has_the_papers_numbers_in_si():
-    """Paper, hardware section and appendix: 150 g, 0.076 m2, 70 cm, C 0.6, rho 1.3, 30 deg. Conversions by hand."""
+    """Paper, hardware section and appendix: 150 g, 0.076 m2, 70 cm, C 0.6, rho 1.3, 30 deg.
+    Conversions by hand.
+    """
     umx = load_airframe()
     assert umx.mass == pytest.approx(0.150, rel=1e-12)
     assert (umx.wing_area, umx.span, umx.air_density, umx.aero.CL_max) == (0.076, 0.70, 1.3, 0.6)
@@ -47,14 +49,20 @@ def test_mean_chord_is_area_over_span():
 
 
 def test_receiver_inside_the_airframe_is_not_counted_twice():
-    """By hand from the paper: 137 + 9 + 5 = 151 g; with the 13.5 g receiver added it would be 164.5 g."""
+    """By hand from the paper: 137 + 9 + 5 = 151 g; with the 13.5 g receiver added it would be 164.5
+    g.
+    """
     assert load_airframe().parts_mass == pytest.approx(0.151, rel=1e-12)
 
 
 def test_inertia_follows_the_stated_radii_of_gyration():
-    """By hand: 0.15 kg times (0.25 * 0.35 m)^2, (0.38 * 0.26 m)^2, (0.39 * 0.305 m)^2; the file keeps three digits."""
+    """By hand: 0.15 kg times (0.25 * 0.35 m)^2, (0.38 * 0.26 m)^2, (0.39 * 0.305 m)^2; the file
+    keeps three digits.
+    """
     inertia = load_airframe().inertia
-    assert (inertia.Ixx, inertia.Iyy, inertia.Izz) == pytest.approx((1.1484e-3, 1.4642e-3, 2.1224e-3), rel=5e-3)
+    assert (inertia.Ixx, inertia.Iyy, inertia.Izz) == pytest.approx(
+        (1.1484e-3, 1.4642e-3, 2.1224e-3), rel=5e-3
+    )
 
 
 def test_every_number_of_the_shipped_file_says_where_it_comes_from():

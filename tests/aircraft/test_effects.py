@@ -1,4 +1,6 @@
-"""Effects: each entry of the catalogue against numbers worked by hand, laws, and signs that a pilot knows."""
+"""Effects: each entry of the catalogue against numbers worked by hand, laws, and signs that a pilot
+knows.
+"""
 
 from types import SimpleNamespace
 
@@ -12,29 +14,51 @@ from falconwing_kit.aircraft.terms import air_flow
 from falconwing_kit.core.frames import GRAVITY
 
 EFFECTS = {effect.name: effect for effect in CATALOGUE}
-SERVO, LINKAGE = (effect for effect in CATALOGUE if effect.name == "actuator_lag")  # one effect in two forms
-STICKS = np.random.default_rng(5).uniform(-1.0, 1.0, (50, 4)) * [0.5, 1.0, 1.0, 1.0] + [0.5, 0.0, 0.0, 0.0]
+SERVO, LINKAGE = (
+    effect for effect in CATALOGUE if effect.name == "actuator_lag"
+)  # one effect in two forms
+STICKS = np.random.default_rng(5).uniform(-1.0, 1.0, (50, 4)) * [0.5, 1.0, 1.0, 1.0] + [
+    0.5,
+    0.0,
+    0.0,
+    0.0,
+]
 TIMES, EDGES = np.arange(50) * 0.05, np.arange(99) * 0.025  # rows of sticks, integration steps [s]
-FROM_BELOW, FROM_THE_RIGHT = {"u": 5.6, "w": 4.2}, {"u": 5.6, "v": 4.2}  # 7 m/s, and not along the nose alone
+FROM_BELOW, FROM_THE_RIGHT = (
+    {"u": 5.6, "w": 4.2},
+    {"u": 5.6, "v": 4.2},
+)  # 7 m/s, and not along the nose alone
 THRUST = {"kT": 9.0, "kTV": 0.5}  # at 7 m/s (9 - 3.5) m/s^2 times throttle
 
 
-def flow(u=7.0, v=0.0, w=0.0, height=2.0, time=4.0, throttle=0.0, aileron=0.0, elevator=0.0, rudder=0.0):
-    return air_flow((u, v, w), (0.3, 0.2, 0.1), (1.0, 2.0, height), time, (throttle, aileron, elevator, rudder))
+def flow(
+    u=7.0, v=0.0, w=0.0, height=2.0, time=4.0, throttle=0.0, aileron=0.0, elevator=0.0, rudder=0.0
+):
+    return air_flow(
+        (u, v, w), (0.3, 0.2, 0.1), (1.0, 2.0, height), time, (throttle, aileron, elevator, rudder)
+    )
 
 
 def flows_at_random(count=200):
-    """Ordinary and wild flight, 3 to 13 m/s, on the floor and up to 2 m above; a Flow of arrays (count,)."""
+    """Ordinary and wild flight, 3 to 13 m/s, on the floor and up to 2 m above; a Flow of arrays
+    (count,).
+    """
     rng = np.random.default_rng(7)
     u, v, w = rng.uniform([[3.0], [-3.0], [-3.0]], [[12.0], [3.0], [4.0]], (3, count))
     sticks = rng.uniform([[0.0], [-1.0], [-1.0], [-1.0]], 1.0, (4, count))
-    return air_flow((u, v, w), rng.normal(size=(3, count)), rng.uniform(0.0, 2.0, (3, count)), 30.0, sticks)
+    return air_flow(
+        (u, v, w), rng.normal(size=(3, count)), rng.uniform(0.0, 2.0, (3, count)), 30.0, sticks
+    )
 
 
 def loads(name, air, **K):
-    """(6, ...) of the effect in the model of the kit's own aircraft, with the values that matter given."""
+    """(6, ...) of the effect in the model of the kit's own aircraft, with the values that matter
+    given.
+    """
     model = rates_model().with_effect(EFFECTS[name])
-    return np.stack(np.broadcast_arrays(*EFFECTS[name].term.evaluate(air, model.with_values(K).K), air.u))[:-1]
+    return np.stack(
+        np.broadcast_arrays(*EFFECTS[name].term.evaluate(air, model.with_values(K).K), air.u)
+    )[:-1]
 
 
 def total(parts, air, **K):
@@ -48,7 +72,8 @@ def zeroed(effect):
     return rates_model().with_effect(effect).with_values({p.name: 0.0 for p in effect.amplitudes})
 
 
-# The catalogue ----------------------------------------------------------------------------------------------------
+# The catalogue
+# ----------------------------------------------------------------------------------------------------
 
 
 def test_the_nineteen_names_are_there():
@@ -74,8 +99,9 @@ def test_an_entry_refers_to_what_exists(effect):
 
 @pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.name)
 def test_starts_lie_within_bounds_and_absence_too(effect):
-    """A fit that begins outside its bounds is refused; one that cannot reach zero could not say that nothing is
-    there; one that begins at zero would not feel parameters that say where or when."""
+    """A fit that begins outside its bounds is refused; one that cannot reach zero could not say
+    that nothing is there; one that begins at zero would not feel parameters that say where or when.
+    """
     for p in effect.parameters:
         for start in (p.start, *(s[p.name] for s in effect.starts if p.name in s)):
             assert p.low <= start <= p.high, p.name
@@ -92,36 +118,52 @@ def test_every_parameter_has_its_own_name():
 
 
 def test_every_entry_has_one_place_where_it_acts():
-    """Forces, wind, sticks, poses, or the model's own delay and lag; only another effect's twin has none."""
+    """Forces, wind, sticks, poses, or the model's own delay and lag; only another effect's twin has
+    none.
+    """
     for effect in CATALOGUE:
         of_sticks = set(rates_model().with_effect(effect).input_names) - {"delay", "lag"}
-        assert sum(map(bool, (effect.term, effect.wind, of_sticks, effect.pose))) == (0 if effect.same_as else 1), (
-            effect.name
-        )
+        assert sum(map(bool, (effect.term, effect.wind, of_sticks, effect.pose))) == (
+            0 if effect.same_as else 1
+        ), effect.name
         assert bool(effect.parameters) == (not effect.same_as), effect.name
 
 
 @pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.name)
 def test_at_amplitude_zero_nothing_is_there(effect):
-    """No load, no wind, sticks to the last bit: the model is the one without the effect, wherever the shape lies."""
+    """No load, no wind, sticks to the last bit: the model is the one without the effect, wherever
+    the shape lies.
+    """
     K, air = zeroed(effect).K, flows_at_random()
     if effect.term:
         assert all(np.all(load == 0.0) for load in effect.term.evaluate(air, K))
     if effect.wind:
-        assert all(np.all(part == 0.0) for part in effect.wind.evaluate(air.px, air.py, air.height, 30.0, K))
-    acting = zeroed(effect).acting(TIMES, STICKS, EDGES, K)
-    assert np.array_equal(acting, rates_model().acting(TIMES, STICKS, EDGES, rates_model().K))
+        assert all(
+            np.all(part == 0.0)
+            for part in effect.wind.evaluate(air.px, air.py, air.height, 30.0, K)
+        )
+    actuator_positions = zeroed(effect).actuator_positions(TIMES, STICKS, EDGES, K)
+    assert np.array_equal(
+        actuator_positions, rates_model().actuator_positions(TIMES, STICKS, EDGES, rates_model().K)
+    )
 
 
-@pytest.mark.parametrize("effect", [e for e in CATALOGUE if e.parameters and not e.pose], ids=lambda e: e.name)
+@pytest.mark.parametrize(
+    "effect", [e for e in CATALOGUE if e.parameters and not e.pose], ids=lambda e: e.name
+)
 def test_every_parameter_acts(effect):
-    """One that changes nothing was forgotten in the formula. Each moves a load, a wind or a stick by more than 1e-4."""
+    """One that changes nothing was forgotten in the formula. Each moves a load, a wind or a stick
+    by more than 1e-4.
+    """
     model, air = rates_model().with_effect(effect), flows_at_random()
 
     def everything(K):
         of_air = effect.term.evaluate(air, K) if effect.term else ()
         wind = effect.wind.evaluate(air.px, air.py, air.height, 30.0, K) if effect.wind else ()
-        return [np.ravel(part) for part in (*of_air, *wind, *model.acting(TIMES, STICKS, EDGES, K))]
+        return [
+            np.ravel(part)
+            for part in (*of_air, *wind, *model.actuator_positions(TIMES, STICKS, EDGES, K))
+        ]
 
     for p in effect.parameters:
         moved = everything(model.with_values({p.name: model.values[p.name] + 0.05}).K)
@@ -130,25 +172,34 @@ def test_every_parameter_acts(effect):
 
 
 def test_amplitudes_are_all_that_is_not_shape():
-    """By meaning: a jet has two components and a place; a stall has a share and an angle where it begins."""
+    """By meaning: a jet has two components and a place; a stall has a share and an angle where it
+    begins.
+    """
     assert [p.name for p in EFFECTS["fan_jet"].amplitudes] == ["jet_x", "jet_y"]
     assert [p.name for p in EFFECTS["stall"].amplitudes] == ["stall_loss"]
     assert EFFECTS["wind"].amplitudes == EFFECTS["wind"].parameters
 
 
 def test_every_effect_says_what_it_acts_on():
-    """The forces, moments, sticks, air or camera of its formula; a stamp that is late acts as the delay does."""
+    """The forces, moments, sticks, air or camera of its formula; a stamp that is late acts as the
+    delay does.
+    """
     assert all(effect.acts_on or effect.same_as for effect in CATALOGUE)
     assert EFFECTS["control_delay"].acts_on == EFFECTS["actuator_lag"].acts_on
     assert not set(EFFECTS["wind"].acts_on) & set(EFFECTS["control_delay"].acts_on)
 
 
 def test_an_effect_that_contains_another_can_become_it():
-    """A jet that is wide next to the distance is a wind, to 1 - exp(-0.5 (0.1/8)^2) < 1e-4; a flap that lifts nothing
-    is extra drag, and what makes it a flap is what `essential` names."""
+    """A jet that is wide next to the distance is a wind, to 1 - exp(-0.5 (0.1/8)^2) < 1e-4; a flap
+    that lifts nothing is extra drag, and what makes it a flap is what `essential` names.
+    """
     jet = SimpleNamespace(jet_x=2.0, jet_y=-1.0, jet_at_x=0.0, jet_at_y=0.0, jet_radius=8.0)
-    wind = EFFECTS["wind"].wind.evaluate(0.1, 0.0, 1.0, 0.0, SimpleNamespace(wind_x=2.0, wind_y=-1.0))
-    assert EFFECTS["fan_jet"].wind.evaluate(0.1, 0.0, 1.0, 0.0, jet) == pytest.approx(wind, abs=2e-4)
+    wind = EFFECTS["wind"].wind.evaluate(
+        0.1, 0.0, 1.0, 0.0, SimpleNamespace(wind_x=2.0, wind_y=-1.0)
+    )
+    assert EFFECTS["fan_jet"].wind.evaluate(0.1, 0.0, 1.0, 0.0, jet) == pytest.approx(
+        wind, abs=2e-4
+    )
     air = flows_at_random()
     flap = loads("flap", air, flap_lift=0.0, flap_drag=0.03)
     assert flap == pytest.approx(loads("extra_drag", air, drag_added=0.03), abs=1e-12)
@@ -161,7 +212,8 @@ def test_late_images_are_the_delay_that_no_flight_tells_apart():
     assert [e.name for e in CATALOGUE if e.same_as] == ["time_offset"]
 
 
-# Air that moves ---------------------------------------------------------------------------------------------------
+# Air that moves
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_wind_is_the_same_everywhere():
@@ -171,17 +223,27 @@ def test_wind_is_the_same_everywhere():
         assert EFFECTS["wind"].wind.evaluate(*place, K) == (1.5, -0.5, 0.0)
 
 
-@pytest.mark.parametrize(("name", "wind"), [("wind", {"wind_x": 7.0}), ("fan_jet", {"jet_x": 7.0, "jet_y": 0.0})])
+@pytest.mark.parametrize(
+    ("name", "wind"), [("wind", {"wind_x": 7.0}), ("fan_jet", {"jet_x": 7.0, "jet_y": 0.0})]
+)
 def test_a_tail_wind_as_fast_as_the_aircraft_leaves_gravity_alone(name, wind):
-    """No air past the wings, no lift: free fall. The airspeed is kept at 0.1 m/s, which leaves 0.01 m/s^2 of lift."""
-    model = rates_model().with_effect(EFFECTS[name]).with_values({p: 0.0 for p in ("wind_y",) if name == "wind"} | wind)
+    """No air past the wings, no lift: free fall. The airspeed is kept at 0.1 m/s, which leaves 0.01
+    m/s^2 of lift.
+    """
+    model = (
+        rates_model()
+        .with_effect(EFFECTS[name])
+        .with_values({p: 0.0 for p in ("wind_y",) if name == "wind"} | wind)
+    )
     x = np.array([0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 7.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     change = state_rates("rates", model.terms, model.winds)(0.0, x, np.zeros(4), model.K)
     assert change[6:9] == pytest.approx((0.0, 0.0, -GRAVITY), abs=0.01)
 
 
 def test_a_fan_jet_fades_as_a_bell():
-    """Full in its middle; exp(-1/2) = 0.60653 at one radius, here 0.7 and 2.4 m away of 2.5; nothing ten metres off."""
+    """Full in its middle; exp(-1/2) = 0.60653 at one radius, here 0.7 and 2.4 m away of 2.5;
+    nothing ten metres off.
+    """
     K = SimpleNamespace(jet_x=2.0, jet_y=-1.0, jet_at_x=3.0, jet_at_y=4.0, jet_radius=2.5)
     jet = EFFECTS["fan_jet"].wind.evaluate
     assert jet(3.0, 4.0, 1.0, 0.0, K) == (2.0, -1.0, 0.0)
@@ -189,16 +251,21 @@ def test_a_fan_jet_fades_as_a_bell():
     assert jet(13.0, 4.0, 1.0, 0.0, K) == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
 
 
-# Forces; 1e-3 to 2e-2 of the numbers is the 0.1 m/s that keeps the flow angles defined -----------------------------
+# Forces; 1e-3 to 2e-2 of the numbers is the 0.1 m/s that keeps the flow angles defined
+# -----------------------------
 
 
 def test_ground_effect_by_hand():
-    """At 0.5 ln 2 = 0.34657 m half of what is on the floor is left: lift more by 49.01 * 0.2 * 0.4 / 2 = 1.960, induced
-    drag less by 49 * 0.5 * 0.2^2 * 0.3 / 2 = 0.147. Below the floor is as on it, and ten metres up nothing is left."""
+    """At 0.5 ln 2 = 0.34657 m half of what is on the floor is left: lift more by 49.01 * 0.2 * 0.4
+    / 2 = 1.960, induced drag less by 49 * 0.5 * 0.2^2 * 0.3 / 2 = 0.147. Below the floor is as on
+    it, and ten metres up nothing is left.
+    """
     K = {"cL_0": 0.2, "cD_induced": 0.5, "ground_lift": 0.4, "ground_drag": 0.3}
     near = loads("ground_effect", flow(height=0.5 * np.log(2.0)), **K)
     assert near == pytest.approx((0.147, 0.0, -1.960, 0.0, 0.0, 0.0), abs=1e-3)
-    on_floor, below, above = (loads("ground_effect", flow(height=height), **K) for height in (0.0, -0.3, 10.0))
+    on_floor, below, above = (
+        loads("ground_effect", flow(height=height), **K) for height in (0.0, -0.3, 10.0)
+    )
     assert on_floor == pytest.approx(2.0 * near, abs=1e-9) and np.array_equal(on_floor, below)
     assert above == pytest.approx(np.zeros(6), abs=1e-6)
 
@@ -208,11 +275,15 @@ def test_on_the_floor_lift_may_double_and_induced_drag_may_vanish():
     drag taken back."""
     air = flows_at_random()._replace(height=0.0)
     found = loads("ground_effect", air, cD_0=0.0, cD_beta=0.0, ground_lift=1.0, ground_drag=1.0)
-    assert found == pytest.approx(total([terms.lift], air) - total([terms.drag], air, cD_0=0.0, cD_beta=0.0), abs=1e-10)
+    assert found == pytest.approx(
+        total([terms.lift], air) - total([terms.drag], air, cD_0=0.0, cD_beta=0.0), abs=1e-10
+    )
 
 
 def test_extra_drag_by_hand():
-    """u = 8, w = 6 m/s: 100.01 * 0.03 = 3.0 along the wind, of which 0.8 on the nose and 0.6 on the belly."""
+    """u = 8, w = 6 m/s: 100.01 * 0.03 = 3.0 along the wind, of which 0.8 on the nose and 0.6 on the
+    belly.
+    """
     found = loads("extra_drag", flow(u=8.0, w=6.0), drag_added=0.03)
     assert found == pytest.approx((-2.4, 0.0, -1.8, 0.0, 0.0, 0.0), abs=1e-3)
 
@@ -224,16 +295,20 @@ def test_flap_by_hand():
 
 
 def test_a_flap_moves_the_aircraft_along_its_polar():
-    """The law: lift and drag with the flap are those of a wing whose cL_0 and cD_0 are larger, at any angle."""
+    """The law: lift and drag with the flap are those of a wing whose cL_0 and cD_0 are larger, at
+    any angle.
+    """
     air = flows_at_random()
     out, clean = {"cL_0": 0.078 + 0.12, "cD_0": 0.0155 + 0.01}, {"cL_0": 0.078, "cD_0": 0.0155}
     parts = [terms.lift, terms.drag]
     want = total(parts, air, **out) - total(parts, air, **clean)
-    assert loads("flap", air, **clean, flap_lift=0.12, flap_drag=0.01) == pytest.approx(want, abs=1e-10)
+    assert loads("flap", air, **clean, flap_lift=0.12, flap_drag=0.01) == pytest.approx(
+        want, abs=1e-10
+    )
 
 
 @pytest.mark.parametrize(
-    ("name", "K", "want"),
+    ("name", "K", "expected"),
     [
         ("thrust_loss", {"thrust_lost": 0.2}, -0.55),  # a fifth of 5.5 * 0.5
         ("thrust_loss", {"thrust_lost": 1.0}, -2.75),  # all of it
@@ -244,17 +319,23 @@ def test_lost_thrust_by_hand(name, K, want):
     """Thrust is (9 - 0.5 * 7) / 2 = 2.75 m/s^2 at half throttle and 7 m/s."""
     found = loads(name, flow(**FROM_BELOW, throttle=0.5, time=30.0), **THRUST, **K)
     assert found == pytest.approx((want, 0.0, 0.0, 0.0, 0.0, 0.0), abs=1e-3)
-    assert loads(name, flow(throttle=0.0, time=30.0), **THRUST, **K) == pytest.approx(np.zeros(6), abs=1e-12)
+    assert loads(name, flow(throttle=0.0, time=30.0), **THRUST, **K) == pytest.approx(
+        np.zeros(6), abs=1e-12
+    )
 
 
 def test_a_full_battery_sags_not():
     """At the start of the flight nothing is lost yet."""
-    assert loads("battery_sag", flow(throttle=0.5, time=0.0), sag=0.5) == pytest.approx(np.zeros(6), abs=1e-12)
+    assert loads("battery_sag", flow(throttle=0.5, time=0.0), sag=0.5) == pytest.approx(
+        np.zeros(6), abs=1e-12
+    )
 
 
 def test_mass_change_by_hand():
-    """A quarter more mass takes a fifth of each force: of lift 9.80, drag 49 (0.02 + 0.5 * 0.2^2) = 1.96, thrust 2.75;
-    the rest of the nose's forces is -0.2 (2.75 - 1.96) = -0.158, lift loses 1.96."""
+    """A quarter more mass takes a fifth of each force: of lift 9.80, drag 49 (0.02 + 0.5 * 0.2^2) =
+    1.96, thrust 2.75; the rest of the nose's forces is -0.2 (2.75 - 1.96) = -0.158, lift loses
+    1.96.
+    """
     K = {"cL_0": 0.2, "cD_0": 0.02, "cD_induced": 0.5, "mass_added": 0.25}
     found = loads("mass_change", flow(throttle=0.5), **THRUST, **K)
     assert found == pytest.approx((-0.158, 0.0, 1.960, 0.0, 0.0, 0.0), abs=2e-3)
@@ -262,7 +343,9 @@ def test_mass_change_by_hand():
 
 @pytest.mark.parametrize("added", [-0.2, 0.5])
 def test_newton_with_another_mass(added):
-    """The law: force over mass. All forces of the model together shrink by 1 / (1 + mu), moments are left alone."""
+    """The law: force over mass. All forces of the model together shrink by 1 / (1 + mu), moments
+    are left alone.
+    """
     air, parts = flows_at_random(), [term.evaluate for term in terms.FORCES]
     K = {"cL_de": 0.1, "cY_dr": 0.2}
     whole = total(parts, air, **K)
@@ -271,29 +354,41 @@ def test_newton_with_another_mass(added):
 
 
 def test_stall_by_hand():
-    """u = 8, w = 6: alpha = 0.6435, far beyond 0.2: 0.5 * 1.4 * 0.4435 = 0.31045 is lost, times 100.01 31.05 m/s^2.
-    Lift leans 0.6 forward and 0.8 up, so nose -18.63, belly +24.84; drag 31.05 * 0.75 takes 18.63 and 13.97 more."""
+    """u = 8, w = 6: alpha = 0.6435, far beyond 0.2: 0.5 * 1.4 * 0.4435 = 0.31045 is lost, times
+    100.01 31.05 m/s^2. Lift leans 0.6 forward and 0.8 up, so nose -18.63, belly +24.84; drag 31.05
+    * 0.75 takes 18.63 and 13.97 more.
+    """
     found = loads("stall", flow(u=8.0, w=6.0), cL_alpha=1.4, stall_alpha=0.2, stall_loss=0.5)
     assert found == pytest.approx((-37.26, 0.0, 10.87, 0.0, 0.0, 0.0), abs=0.02)
 
 
 def test_a_stall_begins_smoothly():
-    """At the angle itself the step of 2 deg has passed ln 2: 0.035 ln 2 * 1.4 * 0.5 * 49 = 0.832; 8 deg below (four
-    steps) exp(-4) of a step is left."""
+    """At the angle itself the step of 2 deg has passed ln 2: 0.035 ln 2 * 1.4 * 0.5 * 49 = 0.832; 8
+    deg below (four steps) exp(-4) of a step is left.
+    """
     K = {"cL_alpha": 1.4, "stall_loss": 0.5}
     at = flow(u=7.0 * np.cos(0.2), w=7.0 * np.sin(0.2))
     found = loads("stall", at, **K, stall_alpha=0.2)
-    assert np.hypot(found[0], found[2]) == pytest.approx(0.832 / np.cos(0.2), rel=2e-3)  # lift and drag tan(alpha)
+    assert np.hypot(found[0], found[2]) == pytest.approx(
+        0.832 / np.cos(0.2), rel=2e-3
+    )  # lift and drag tan(alpha)
     below = loads("stall", at, **K, stall_alpha=0.34)
     assert np.hypot(below[0], below[2]) < 0.03 * np.hypot(found[0], found[2])
 
 
-# Moments ----------------------------------------------------------------------------------------------------------
+# Moments
+# ----------------------------------------------------------------------------------------------------------
 
 
 def test_propeller_torque_goes_with_thrust():
     """2.75 m/s^2 of thrust times -0.4 and 0.2 1/m."""
-    found = loads("propeller_torque", flow(**FROM_BELOW, throttle=0.5), **THRUST, torque_roll=-0.4, torque_yaw=0.2)
+    found = loads(
+        "propeller_torque",
+        flow(**FROM_BELOW, throttle=0.5),
+        **THRUST,
+        torque_roll=-0.4,
+        torque_yaw=0.2,
+    )
     assert found == pytest.approx((0.0, 0.0, 0.0, -1.10, 0.0, 0.55), abs=1e-3)
 
 
@@ -315,23 +410,40 @@ def test_aileron_loss_by_hand():
 
 
 def test_cg_shift_is_a_lever_over_two_inertias():
-    """0.15 kg, Ixx, Iyy, Izz = 2, 3, 4.5 g m^2, mass 2 cm behind: lift turns with 0.15 * 0.02 / 0.003 = 1 of L/m, side
-    force with 0.003 / 0.0045 = 2/3 of Y/m. L/m = 49.01 (0.2 + 0.1 * 0.5), Y/m = 49.01 (0.4 * 0.4) [m/s^2]."""
+    """0.15 kg, Ixx, Iyy, Izz = 2, 3, 4.5 g m^2, mass 2 cm behind: lift turns with 0.15 * 0.02 /
+    0.003 = 1 of L/m, side force with 0.003 / 0.0045 = 2/3 of Y/m. L/m = 49.01 (0.2 + 0.1 * 0.5),
+    Y/m = 49.01 (0.4 * 0.4) [m/s^2].
+    """
     Ixx, Iyy, Izz = 2e-3, 3e-3, 4.5e-3
-    K = {"Jy": (Izz - Ixx) / Iyy, "Jz": (Ixx - Iyy) / Izz, "cL_0": 0.2, "cL_de": 0.1, "cY_beta": 0.0, "cY_dr": 0.4}
-    found = loads("cg_shift", flow(**FROM_THE_RIGHT, elevator=0.5, rudder=0.4), **K, cg_moment=0.15 * 0.02 / Iyy)
+    K = {
+        "Jy": (Izz - Ixx) / Iyy,
+        "Jz": (Ixx - Iyy) / Izz,
+        "cL_0": 0.2,
+        "cL_de": 0.1,
+        "cY_beta": 0.0,
+        "cY_dr": 0.4,
+    }
+    found = loads(
+        "cg_shift",
+        flow(**FROM_THE_RIGHT, elevator=0.5, rudder=0.4),
+        **K,
+        cg_moment=0.15 * 0.02 / Iyy,
+    )
     assert found == pytest.approx((0.0, 0.0, 0.0, 0.0, 12.25, 5.228), abs=5e-3)
 
 
 def test_mass_behind_makes_less_stable():
-    """A pilot knows: tail-heavy, more angle of attack raises the nose, and wind from the right turns it left, away."""
+    """A pilot knows: tail-heavy, more angle of attack raises the nose, and wind from the right
+    turns it left, away.
+    """
     K = {"cg_moment": 0.5}
     raised = loads("cg_shift", flow(w=1.0), **K)[4] - loads("cg_shift", flow(), **K)[4]
     turned = loads("cg_shift", flow(v=1.0), **K)[5] - loads("cg_shift", flow(), **K)[5]
     assert raised > 0.5 and turned < -0.5
 
 
-# Sticks, servos and camera ----------------------------------------------------------------------------------------
+# Sticks, servos and camera
+# ----------------------------------------------------------------------------------------
 
 
 def test_trim_bias_moves_each_stick_by_its_own():
@@ -342,14 +454,19 @@ def test_trim_bias_moves_each_stick_by_its_own():
 
 
 def test_a_deadband_swallows_small_sticks_only():
-    """Within half of the band less than 1 % passes, beyond one and a half all but 1 %, unshifted, to either side; at
-    its edge a half by definition. The throttle has no band."""
+    """Within half of the band less than 1 % passes, beyond one and a half all but 1 %, unshifted,
+    to either side; at its edge a half by definition. The throttle has no band.
+    """
     K = SimpleNamespace(deadband=0.1)
     pass_of = EFFECTS["deadband"].sticks
     small, large = np.array([[0.03, 0.05, -0.05, 0.02]]), np.array([[0.03, 0.15, -0.4, 1.0]])
-    assert pass_of(TIMES[:1], small, K) == pytest.approx(np.array([[0.03, 0.0, 0.0, 0.0]]), abs=0.01 * 0.05)
+    assert pass_of(TIMES[:1], small, K) == pytest.approx(
+        np.array([[0.03, 0.0, 0.0, 0.0]]), abs=0.01 * 0.05
+    )
     assert pass_of(TIMES[:1], large, K) == pytest.approx(large, rel=0.01)
-    assert pass_of(TIMES[:1], np.full((1, 4), 0.1), K)[0, 1:] == pytest.approx(np.full(3, 0.05), abs=1e-6)
+    assert pass_of(TIMES[:1], np.full((1, 4), 0.1), K)[0, 1:] == pytest.approx(
+        np.full(3, 0.05), abs=1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -366,24 +483,38 @@ def test_a_deadband_swallows_small_sticks_only():
     ],
 )
 def test_delay_and_lag_add_to_those_of_the_model(effect, K, plain):
-    """By meaning of the words: the same sticks as of an aircraft with the sum, to rounding of the sum."""
+    """By meaning of the words: the same sticks as of an aircraft with the sum, to rounding of the
+    sum.
+    """
     model, base = rates_model().with_effect(effect), rates_model()
-    found = np.stack(model.acting(TIMES, STICKS, EDGES, model.with_values(K).K))
-    assert found == pytest.approx(np.stack(base.acting(TIMES, STICKS, EDGES, base.with_values(plain).K)), abs=1e-9)
+    found = np.stack(model.actuator_positions(TIMES, STICKS, EDGES, model.with_values(K).K))
+    assert found == pytest.approx(
+        np.stack(base.actuator_positions(TIMES, STICKS, EDGES, base.with_values(plain).K)), abs=1e-9
+    )
 
 
 def test_what_follows_the_servo_is_slow_after_it():
-    """Sticks jump by one at 1 s; servo 50 ms and linkage 50 ms in series: after 2 lags 1 - 3 exp(-2) = 0.594 is
-    reached, where a single lag of 100 ms reached 1 - exp(-1) = 0.632. Steps of 5 ms end within 0.01 of that."""
+    """Sticks jump by one at 1 s; servo 50 ms and linkage 50 ms in series: after 2 lags 1 - 3
+    exp(-2) = 0.594 is reached, where a single lag of 100 ms reached 1 - exp(-1) = 0.632. Steps of 5
+    ms end within 0.01 of that.
+    """
     model = rates_model().with_effect(LINKAGE)
-    t, commands, edges = np.array([0.0, 1.0]), np.array([[0.0] * 4, [1.0] * 4]), np.arange(0.0, 1.5, 0.005)
+    t, commands, edges = (
+        np.array([0.0, 1.0]),
+        np.array([[0.0] * 4, [1.0] * 4]),
+        np.arange(0.0, 1.5, 0.005),
+    )
     K = model.with_values({"delay": 0.0, "lag": 0.05, "lag_in_series": 0.05}).K
-    mean, swing = model.acting(t, commands, edges, K)
-    assert (mean + swing)[np.searchsorted(edges, 1.0999) - 1, 1] == pytest.approx(1.0 - 3.0 * np.exp(-2.0), abs=0.01)
+    mean, slope = model.actuator_positions(t, commands, edges, K)
+    assert (mean + slope)[np.searchsorted(edges, 1.0999) - 1, 1] == pytest.approx(
+        1.0 - 3.0 * np.exp(-2.0), abs=0.01
+    )
 
 
 def test_a_camera_tilt_turns_the_picture_alone():
-    """It acts on measured poses, so that no load, wind or stick knows of it; up and about the nose, to either side."""
+    """It acts on measured poses, so that no load, wind or stick knows of it; up and about the nose,
+    to either side.
+    """
     tilt = EFFECTS["camera_tilt"]
     assert tilt.pose and [p.name for p in tilt.parameters] == ["tilt_pitch", "tilt_roll"]
     assert all(p.low == -p.high and p.unit == "rad" for p in tilt.parameters)

@@ -1,4 +1,6 @@
-"""Loads without a name: each goes with its one variable, along three axes, forces and moments apart."""
+"""Loads without a name: each goes with its one variable, along three axes, forces and moments
+apart.
+"""
 
 from types import SimpleNamespace
 
@@ -6,7 +8,13 @@ import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.effects import CATALOGUE
-from falconwing_kit.aircraft.generic import LOADS, MEMORY, UNNAMED, VARIABLES, lingering
+from falconwing_kit.aircraft.generic import (
+    GENERIC_EFFECTS,
+    GENERIC_LOADS,
+    INPUT_FILTER,
+    REGRESSORS,
+    fir_input_filter,
+)
 from falconwing_kit.aircraft.model import FORMS, rates_model
 from falconwing_kit.aircraft.terms import Flow
 
@@ -32,7 +40,10 @@ BY_HAND = {
     "throttle and airspeed": (0.5 * 2, {"throttle", "airspeed"}),
     "throttle and aileron": (3 * 0.5 * 0.1, {"throttle", "aileron"}),
     "throttle and elevator": (3 * 0.5 * 0.2, {"throttle", "elevator"}),
-    "height": (4 * np.exp(-1.0), {"airspeed", "height"}),  # at half a metre, where the cushion has faded to 1/e
+    "height": (
+        4 * np.exp(-1.0),
+        {"airspeed", "height"},
+    ),  # at half a metre, where the cushion has faded to 1/e
     "time": (4 * 0.5, {"airspeed", "time"}),
     "throttle and time": (0.5 * 0.5, {"throttle", "time"}),
     "place along x": (4 * 0.1 * 4, {"airspeed", "px"}),
@@ -48,72 +59,102 @@ def loads(effect, sizes, air=AIR):
 
 def test_every_variable_has_a_force_and_a_moment():
     """By count: two for each, and each says in its name which it is and with what it goes."""
-    assert set(VARIABLES) == set(BY_HAND)
-    assert [e.name for e in LOADS] == [f"{kind} with {v}" for v in VARIABLES for kind in ("force", "moment")]
+    assert set(REGRESSORS) == set(BY_HAND)
+    assert [e.name for e in GENERIC_LOADS] == [
+        f"{kind} with {v}" for v in REGRESSORS for kind in ("force", "moment")
+    ]
 
 
-@pytest.mark.parametrize("variable", VARIABLES)
+@pytest.mark.parametrize("variable", REGRESSORS)
 def test_a_variable_is_worth_what_its_name_says(variable):
     """By hand at twice the ordinary speed, AIR above."""
-    assert VARIABLES[variable](AIR) == pytest.approx(BY_HAND[variable][0], rel=1e-12)
+    assert REGRESSORS[variable](AIR) == pytest.approx(BY_HAND[variable][0], rel=1e-12)
 
 
-@pytest.mark.parametrize("variable", VARIABLES)
+@pytest.mark.parametrize("variable", REGRESSORS)
 def test_a_load_goes_with_its_own_variable_and_no_other(variable):
-    """Each field of the flow is moved alone: only those in the name, and the air's pressure, may change the load."""
-    force, moment = (e for e in LOADS if e.name.split(" with ")[1] == variable)
+    """Each field of the flow is moved alone: only those in the name, and the air's pressure, may
+    change the load.
+    """
+    force, moment = (e for e in GENERIC_LOADS if e.name.split(" with ")[1] == variable)
     for field in Flow._fields:
         moved = AIR._replace(**{field: 1.3 * getattr(AIR, field)})
         for effect in (force, moment):
-            same = np.array_equal(loads(effect, (1.0, 2.0, 3.0), moved), loads(effect, (1.0, 2.0, 3.0)))
+            same = np.array_equal(
+                loads(effect, (1.0, 2.0, 3.0), moved), loads(effect, (1.0, 2.0, 3.0))
+            )
             assert same == (field not in BY_HAND[variable][1]), (effect.name, field)
 
 
-@pytest.mark.parametrize("effect", LOADS, ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", GENERIC_LOADS, ids=lambda e: e.name)
 def test_each_parameter_acts_along_its_own_axis(effect):
-    """1, 2 and 3 along x, y and z times the variable; a force turns nothing, a moment pushes nothing."""
+    """1, 2 and 3 along x, y and z times the variable; a force turns nothing, a moment pushes
+    nothing.
+    """
     value = BY_HAND[effect.name.split(" with ")[1]][0] * np.array([1.0, 2.0, 3.0])
     want = [*value, 0.0, 0.0, 0.0] if effect.name.startswith("force") else [0.0, 0.0, 0.0, *value]
     assert loads(effect, (1.0, 2.0, 3.0)) == pytest.approx(np.array(want), rel=1e-12)
     assert [p.name[-2:] for p in effect.parameters] == ["_x", "_y", "_z"]
-    assert {p.unit for p in effect.parameters} == {"m/s^2" if effect.name.startswith("force") else "rad/s^2"}
+    assert {p.unit for p in effect.parameters} == {
+        "m/s^2" if effect.name.startswith("force") else "rad/s^2"
+    }
 
 
-@pytest.mark.parametrize("effect", LOADS, ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", GENERIC_LOADS, ids=lambda e: e.name)
 def test_loads_are_linear_in_their_parameters(effect):
     """By definition of linear: of sums and multiples, for a hundred flows at once; nothing at zero."""
     rng = np.random.default_rng(7)
     air = Flow(*rng.uniform(0.1, 2.0, (len(Flow._fields), 100)))
     a, b = rng.normal(size=(2, 3))
     together = loads(effect, 2.0 * a - 3.0 * b, air)
-    assert together == pytest.approx(2.0 * loads(effect, a, air) - 3.0 * loads(effect, b, air), abs=1e-9)
-    assert np.all(loads(effect, (0.0, 0.0, 0.0), air) == 0.0) and np.abs(together).max(axis=1).min() == 0.0
+    assert together == pytest.approx(
+        2.0 * loads(effect, a, air) - 3.0 * loads(effect, b, air), abs=1e-9
+    )
+    assert (
+        np.all(loads(effect, (0.0, 0.0, 0.0), air) == 0.0)
+        and np.abs(together).max(axis=1).min() == 0.0
+    )
     assert np.ptp(together, axis=1).max() > 1e-3  # and it does act
 
 
 def test_no_name_is_taken_twice():
-    """Neither an effect's nor a parameter's, here, in the catalogue or in a model: two of one name would be one."""
-    effects = [e.name for e in LOADS]
-    parameters = [p.name for e in LOADS for p in e.parameters]
+    """Neither an effect's nor a parameter's, here, in the catalogue or in a model: two of one name
+    would be one.
+    """
+    effects = [e.name for e in GENERIC_LOADS]
+    parameters = [p.name for e in GENERIC_LOADS for p in e.parameters]
     terms = {term.name for form in FORMS.values() for term in form().terms}
-    assert len(set(effects)) == len(effects) and not set(effects) & ({e.name for e in CATALOGUE} | terms)
-    known = {p.name for e in CATALOGUE for p in e.parameters} | {n for form in FORMS.values() for n in form().names}
+    assert len(set(effects)) == len(effects) and not set(effects) & (
+        {e.name for e in CATALOGUE} | terms
+    )
+    known = {p.name for e in CATALOGUE for p in e.parameters} | {
+        n for form in FORMS.values() for n in form().names
+    }
     assert len(set(parameters)) == len(parameters) and not set(parameters) & known
 
 
-@pytest.mark.parametrize("effect", LOADS, ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", GENERIC_LOADS, ids=lambda e: e.name)
 def test_a_fit_may_begin_and_may_say_nothing(effect):
-    """Starts within bounds and off zero, zero within bounds, room to both sides; the model takes all three."""
+    """Starts within bounds and off zero, zero within bounds, room to both sides; the model takes
+    all three.
+    """
     for p in effect.parameters:
         assert p.low < 0.0 < p.start < p.high and p.low == -p.high and p.name.isidentifier()
     model = rates_model().with_effect(effect)
-    assert model.names[-3:] == tuple(p.name for p in effect.parameters) and model.terms[-1] is effect.term
+    assert (
+        model.names[-3:] == tuple(p.name for p in effect.parameters)
+        and model.terms[-1] is effect.term
+    )
 
 
 def test_sticks_that_linger_by_hand():
-    """A step from 0 to 1 of which a quarter comes one frame later and an eighth two: 0, 5/8, 7/8, 1."""
+    """A step from 0 to 1 of which a quarter comes one frame later and an eighth two: 0, 5/8, 7/8,
+    1.
+    """
     step = np.repeat([[0.0], [0.0], [1.0], [1.0], [1.0]], 4, axis=1)
     K = SimpleNamespace(stick_memory_1=0.25, stick_memory_2=0.125)
-    moved = lingering(np.arange(5) * 0.05, step, K)
-    assert moved == pytest.approx(np.repeat([[0.0], [0.0], [0.625], [0.875], [1.0]], 4, axis=1), abs=1e-12)
-    assert (*LOADS, MEMORY) == UNNAMED
+    moved = fir_input_filter(np.arange(5) * 0.05, step, K)
+    assert moved == pytest.approx(
+        np.repeat([[0.0], [0.0], [0.625], [0.875], [1.0]], 4, axis=1), abs=1e-12
+    )
+    assert (*GENERIC_LOADS, INPUT_FILTER) == GENERIC_EFFECTS

@@ -1,4 +1,6 @@
-"""Integration: both backends against scipy's own solver, against each other and against shifted commands."""
+"""Integration: both backends against scipy's own solver, against each other and against shifted
+commands.
+"""
 
 from itertools import pairwise
 
@@ -8,7 +10,13 @@ from scipy.integrate import solve_ivp
 
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.integrate import ROLL_OUTS, SUBSTEPS, fly, roll_out, step_batch
-from falconwing_kit.aircraft.model import FORMS, in_wind, paper_model, rates_model, state_rates
+from falconwing_kit.aircraft.model import (
+    FORMS,
+    add_uniform_wind,
+    paper_model,
+    rates_model,
+    state_rates,
+)
 from falconwing_kit.aircraft.terms import Parameter, Term, WindTerm
 from falconwing_kit.core.checks import InputError
 
@@ -21,12 +29,21 @@ def swelling_wind(px, py, height, time, K):
     return K.swell * time, 0.0, 0.0
 
 
-PUSH = Term("push", (Parameter("rise", 2.0, 0.0, 5.0, "m/s^3", "forward push that grows with time"),), rising_push)
+PUSH = Term(
+    "push",
+    (Parameter("rise", 2.0, 0.0, 5.0, "m/s^3", "forward push that grows with time"),),
+    rising_push,
+)
 SWELL = WindTerm(
-    "swell", (Parameter("swell", 1.5, 0.0, 5.0, "m/s^2", "tail wind that grows with time"),), swelling_wind
+    "swell",
+    (Parameter("swell", 1.5, 0.0, 5.0, "m/s^2", "tail wind that grows with time"),),
+    swelling_wind,
 )
 # Few variants, each used by several tests: every one costs some seconds of compiling.
-MODELS = {"paper": in_wind(paper_model(), 0.5, -0.3).adding(PUSH, SWELL), "rates": rates_model()}
+MODELS = {
+    "paper": add_uniform_wind(paper_model(), 0.5, -0.3).with_terms(PUSH, SWELL),
+    "rates": rates_model(),
+}
 
 
 @pytest.fixture
@@ -41,15 +58,19 @@ def flights(model, rng, count=3, steps=40):
     return start, np.array([0.4, 0.0, 0.1, 0.0]) + rng.normal(0.0, 0.1, (count, steps, 4))
 
 
-def by_scipy(model, start, mean, swing, dt):
-    """The flight of one aircraft by an eighth-order method to 1e-12, its controls linear within each step."""
+def by_scipy(model, start, mean, slope, dt):
+    """The flight of one aircraft by an eighth-order method to 1e-12, its controls linear within
+    each step.
+    """
     rates, x, flown = state_rates(model.form, model.terms, model.winds), start, [start]
-    for k, (middle, half) in enumerate(zip(mean, swing, strict=True)):
+    for k, (middle, half) in enumerate(zip(mean, slope, strict=True)):
 
-        def slope(t, x, k=k, middle=middle, half=half):
+        def state_derivative(t, x, k=k, middle=middle, half=half):
             return np.array(rates(t, x, middle + half * (2.0 * (t / dt - k) - 1.0), model.K), float)
 
-        x = solve_ivp(slope, (k * dt, (k + 1) * dt), x, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+        x = solve_ivp(
+            state_derivative, (k * dt, (k + 1) * dt), x, "DOP853", rtol=1e-12, atol=1e-12
+        ).y[:, -1]
         flown.append(x)
     return np.array(flown)
 
@@ -57,24 +78,30 @@ def by_scipy(model, start, mean, swing, dt):
 @pytest.mark.parametrize("backend", ROLL_OUTS)
 @pytest.mark.parametrize("form", FORMS)
 def test_flight_is_that_of_scipys_solver(form, backend, rng):
-    """scipy's DOP853 to 1e-12, swings, wind and time included; a mode of 18 rad/s leaves 40 (18 h)^5 / 120 = 6e-8."""
+    """scipy's DOP853 to 1e-12, swings, wind and time included; a mode of 18 rad/s leaves 40 (18
+    h)^5 / 120 = 6e-8.
+    """
     model = MODELS[form]
     start, mean = flights(model, rng, count=1)
-    swing = rng.normal(0.0, 0.05, mean.shape)
-    flown = roll_out(model, start, mean, 0.0025, backend, swing)[0]
-    assert np.abs(flown - by_scipy(model, start[0], mean[0], swing[0], 0.0025)).max() < 1e-7
+    slope = rng.normal(0.0, 0.05, mean.shape)
+    flown = roll_out(model, start, mean, 0.0025, backend, slope)[0]
+    assert np.abs(flown - by_scipy(model, start[0], mean[0], slope[0], 0.0025)).max() < 1e-7
 
 
 @pytest.mark.parametrize("backend", ROLL_OUTS)
 @pytest.mark.parametrize("form", FORMS)
 def test_halving_the_step_divides_the_error_by_sixteen(form, backend, rng):
-    """Order four of the classical Runge-Kutta method, against 1/16 of the step; Euler would give 2, midpoint 4."""
+    """Order four of the classical Runge-Kutta method, against 1/16 of the step; Euler would give 2,
+    midpoint 4.
+    """
     model = MODELS[form]
     start, _ = flights(model, rng, count=1)
     sticks = np.array([0.4, 0.05, 0.1, -0.05])
 
     def end(step):
-        return roll_out(model, start, np.tile(sticks, (1, round(0.6 / step), 1)), step, backend)[0, -1]
+        return roll_out(model, start, np.tile(sticks, (1, round(0.6 / step), 1)), step, backend)[
+            0, -1
+        ]
 
     exact = end(0.02 / 16)
     errors = [np.abs(end(step) - exact).max() for step in (0.02, 0.01, 0.005)]
@@ -84,18 +111,24 @@ def test_halving_the_step_divides_the_error_by_sixteen(form, backend, rng):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_compiled_equals_batch_to_rounding(form, rng):
-    """The same arithmetic; 40 steps of numbers near 10 leave 1e-12, twice over for a spiral that grows."""
+    """The same arithmetic; 40 steps of numbers near 10 leave 1e-12, twice over for a spiral that
+    grows.
+    """
     model = MODELS[form]
     start, mean = flights(model, rng)
-    for swing in (None, rng.normal(0.0, 0.05, mean.shape)):
-        one = roll_out(model, start, mean, 0.025, "batch", swing)
-        other = roll_out(model, start, mean, 0.025, "compiled", swing)
+    for slope in (None, rng.normal(0.0, 0.05, mean.shape)):
+        one = roll_out(model, start, mean, 0.025, "batch", slope)
+        other = roll_out(model, start, mean, 0.025, "compiled", slope)
         assert np.abs(one - other).max() < 1e-11
 
 
-@pytest.mark.parametrize("effect", [e for e in CATALOGUE if e.term or e.wind], ids=lambda effect: effect.name)
+@pytest.mark.parametrize(
+    "effect", [e for e in CATALOGUE if e.term or e.wind], ids=lambda effect: effect.name
+)
 def test_every_effect_flies_compiled_as_in_batch(effect, rng):
-    """The same arithmetic, with every load and wind of the catalogue in the model at its starting value."""
+    """The same arithmetic, with every load and wind of the catalogue in the model at its starting
+    value.
+    """
     model = MODELS["rates"].with_effect(effect)
     start, mean = flights(model, rng, count=2)
     one, other = (roll_out(model, start, mean, 0.025, backend) for backend in ROLL_OUTS)
@@ -104,7 +137,9 @@ def test_every_effect_flies_compiled_as_in_batch(effect, rng):
 
 @pytest.mark.parametrize("backend", ROLL_OUTS)
 def test_time_runs_with_the_steps(backend):
-    """By hand: a push 2 t with nothing else gives vx = t^2, px = t^3 / 3, exact for a fourth-order method."""
+    """By hand: a push 2 t with nothing else gives vx = t^2, px = t^3 / 3, exact for a fourth-order
+    method.
+    """
     model = MODELS["paper"]
     model = model.with_vector(np.zeros(len(model.names))).with_values({"rise": 2.0})
     flown = roll_out(model, np.zeros(9), np.zeros((20, 4)), 0.05, backend)
@@ -134,18 +169,28 @@ def test_parameters_may_differ_within_a_batch(rng):
     K = type(heavy.K)(*both)
     after = step_batch(rates, K, 0.0, start.T, mean[:, 0].T, 0.025)
     for k, model in enumerate((heavy, light)):
-        assert after[:, k] == pytest.approx(roll_out(model, start[k], mean[k], 0.025)[-1], abs=1e-14)
+        assert after[:, k] == pytest.approx(
+            roll_out(model, start[k], mean[k], 0.025)[-1], abs=1e-14
+        )
 
 
 @pytest.mark.parametrize("backend", ROLL_OUTS)
 @pytest.mark.parametrize("form", FORMS)
 def test_logged_sticks_act_a_row_later_with_a_delay_of_a_row(form, backend, rng):
-    """By meaning of the word: flown with the table moved by one row and no delay, it is the same flight."""
+    """By meaning of the word: flown with the table moved by one row and no delay, it is the same
+    flight.
+    """
     t, sticks = np.arange(30) * 0.05, np.array([0.4, 0.0, 0.1, 0.0]) + rng.normal(0.0, 0.1, (30, 4))
     model = MODELS[form].with_values({"delay": 0.05, "lag": 0.0})
     start = flights(model, rng)[0][0]
     late = fly(model, start, t, sticks, backend)
-    moved = fly(model.with_values({"delay": 0.0}), start, t, np.concatenate([sticks[:1], sticks[:-1]]), backend)
+    moved = fly(
+        model.with_values({"delay": 0.0}),
+        start,
+        t,
+        np.concatenate([sticks[:1], sticks[:-1]]),
+        backend,
+    )
     assert late.shape == (30, model.n_states)
     assert np.abs(late - moved).max() < 1e-10
 
@@ -162,9 +207,11 @@ def test_flying_takes_the_stated_substeps(form, rng):
 
 
 def test_a_servo_lag_shows_in_the_flight(rng):
-    """scipy's solver with the servo as four more states, 50 ms lag and 20 ms delay; both models hold sticks by rows.
+    """scipy's solver with the servo as four more states, 50 ms lag and 20 ms delay; both models
+    hold sticks by rows.
 
-    The kit replaces the servo's curve within 25 ms by mean and slope: that leaves 2e-6 m; one step a row leaves 3e-5.
+    The kit replaces the servo's curve within 25 ms by mean and slope: that leaves 2e-6 m; one step
+    a row leaves 3e-5.
     """
     model = rates_model().with_values({"delay": 0.02, "lag": 0.05})
     t, sticks = np.arange(31) * 0.05, np.array([0.4, 0.0, 0.1, 0.0]) + rng.normal(0.0, 0.1, (31, 4))
@@ -186,25 +233,35 @@ def test_a_servo_lag_shows_in_the_flight(rng):
     assert np.abs(error[:, 3:6]).max() < 1e-5
 
 
-# Saying no --------------------------------------------------------------------------------------------------------
+# Saying no
+# --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"start": np.zeros(9)}, r"start: want shape \(any, 12\), got \(1, 9\)"),
-        ({"start": np.zeros((2, 12)), "commands": np.zeros((3, 5, 4))}, "equal batches, got 2 and 3"),
-        ({"commands": np.zeros((5, 3))}, r"commands: want shape .*4.*got \(1, 5, 3\)"),
-        ({"commands": np.zeros(4)}, "commands: want shape"),
-        ({"dt": 0.0}, "dt: want a finite number"),
-        ({"dt": float("nan")}, "dt: want a finite number"),
-        ({"backend": "fast"}, "backend: want one of batch, compiled, got 'fast'"),
-        ({"swing": np.zeros((4, 4))}, "swing: want shape"),
+        ({"start": np.zeros(9)}, r"start: expected shape \(any, 12\), got \(1, 9\)"),
+        (
+            {"start": np.zeros((2, 12)), "commands": np.zeros((3, 5, 4))},
+            "equal batches, got 2 and 3",
+        ),
+        ({"commands": np.zeros((5, 3))}, r"commands: expected shape .*4.*got \(1, 5, 3\)"),
+        ({"commands": np.zeros(4)}, "commands: expected shape"),
+        ({"dt": 0.0}, "dt: expected a finite number"),
+        ({"dt": float("nan")}, "dt: expected a finite number"),
+        ({"backend": "fast"}, "backend: expected one of batch, compiled, got 'fast'"),
+        ({"slope": np.zeros((4, 4))}, "slope: expected shape"),
     ],
 )
 def test_a_wrong_shape_is_told_in_one_sentence(change, words):
     """What was wanted and what came."""
-    right = {"start": np.zeros(12), "commands": np.zeros((5, 4)), "dt": 0.025, "backend": "batch", "swing": None}
+    right = {
+        "start": np.zeros(12),
+        "commands": np.zeros((5, 4)),
+        "dt": 0.025,
+        "backend": "batch",
+        "slope": None,
+    }
     with pytest.raises(InputError, match=words):
         roll_out(rates_model(), **{**right, **change})
 
@@ -219,7 +276,7 @@ def test_uneven_times_are_refused():
 
 def test_times_and_commands_must_have_one_row_each():
     """A row of sticks for each time."""
-    with pytest.raises(InputError, match=r"commands: want shape \(10, 4\), got \(9, 4\)"):
+    with pytest.raises(InputError, match=r"commands: expected shape \(10, 4\), got \(9, 4\)"):
         fly(rates_model(), np.zeros(12), np.arange(10) * 0.05, np.zeros((9, 4)))
 
 

@@ -1,4 +1,6 @@
-"""Model f_K: laws of mechanics and symmetries that hold for any parameters, and an aircraft we did not make."""
+"""Model f_K: laws of mechanics and symmetries that hold for any parameters, and an aircraft we did
+not make.
+"""
 
 from dataclasses import replace
 
@@ -6,16 +8,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from falconwing_kit.aircraft.inputs import acting_commands
+from falconwing_kit.aircraft.inputs import actuator_response
 from falconwing_kit.aircraft.integrate import roll_out
-from falconwing_kit.aircraft.model import FORMS, in_wind, paper_model, rates_model
+from falconwing_kit.aircraft.model import FORMS, add_uniform_wind, paper_model, rates_model
 from falconwing_kit.aircraft.terms import Parameter, Term, WindTerm
 from falconwing_kit.core.checks import InputError
 from tests.jsbsim_aircraft import JsbsimAircraft, figure_eights, fly_jsbsim
 
 DT = 0.025
-RATES = (("L", ("0", "da", "beta")), ("M", ("0", "de", "alpha")), ("N", ("0", "dr", "beta")))  # zero, command, angle
-ROUNDING = 1e-11  # 80 steps of numbers up to 20, each right to 1e-16, in flights that double small errors a few times
+RATES = (
+    ("L", ("0", "da", "beta")),
+    ("M", ("0", "de", "alpha")),
+    ("N", ("0", "dr", "beta")),
+)  # zero, command, angle
+# 80 steps of numbers up to 20, each right to 1e-16, in flights that double small errors a few times
+ROUNDING = 1e-11
 
 
 @pytest.fixture
@@ -24,8 +31,12 @@ def rng():
 
 
 def flights(model, rng, count=20, steps=80):
-    """(count, n) start states and (count, steps, 4) sticks of ordinary flight: 2 s, banked up to 30 deg."""
-    spread = np.array([5.0, 5.0, 1.0, 0.1, 3.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5])[: model.n_states]
+    """(count, n) start states and (count, steps, 4) sticks of ordinary flight: 2 s, banked up to 30
+    deg.
+    """
+    spread = np.array([5.0, 5.0, 1.0, 0.1, 3.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5])[
+        : model.n_states
+    ]
     start = rng.normal(0.0, 1.0, (count, model.n_states)) * spread
     start[:, 6] += 7.0 * np.cos(start[:, 4])
     start[:, 7] -= 7.0 * np.sin(start[:, 4])
@@ -33,11 +44,14 @@ def flights(model, rng, count=20, steps=80):
     return start, sticks
 
 
-# What the model is made of ----------------------------------------------------------------------------------------
+# What the model is made of
+# ----------------------------------------------------------------------------------------
 
 
 def test_the_paper_form_has_nine_states_and_sixteen_unknowns():
-    """Nine states are the paper's; 16 by count: two of lift, two of drag, cY_beta, kT kTV, three a rate."""
+    """Nine states are the paper's; 16 by count: two of lift, two of drag, cY_beta, kT kTV, three a
+    rate.
+    """
     model = paper_model()
     free = {p.name for p in model.parameters if p.low < p.high}
     assert model.n_states == 9
@@ -48,7 +62,9 @@ def test_the_paper_form_has_nine_states_and_sixteen_unknowns():
 
 
 def test_the_rates_form_has_twelve_states_and_29_unknowns():
-    """By count: 9 of the forces, 14 of the moments, 3 of inertia coupling, sideslip drag, delay and lag."""
+    """By count: 9 of the forces, 14 of the moments, 3 of inertia coupling, sideslip drag, delay and
+    lag.
+    """
     model = rates_model()
     free = {p.name for p in model.parameters if p.low < p.high}
     assert model.n_states == 12
@@ -61,7 +77,9 @@ def test_vector_and_names_say_the_same(form):
     """The inverse of each other."""
     model = FORMS[form]()
     assert dict(zip(model.names, model.vector, strict=True)) == dict(model.values)
-    assert model.with_vector(model.vector + 1.0).vector == pytest.approx(model.vector + 1.0, abs=0.0)
+    assert model.with_vector(model.vector + 1.0).vector == pytest.approx(
+        model.vector + 1.0, abs=0.0
+    )
     assert [getattr(model.K, name) for name in model.names] == list(model.vector)
 
 
@@ -81,23 +99,29 @@ def test_an_unknown_name_is_told_with_the_known_ones():
 
 def test_a_pinned_parameter_has_no_room():
     """Bounds that meet at the present value are what every fit leaves out."""
-    model = rates_model().with_values({"L_p": -3.0}).pinned(["L_p"])
+    model = rates_model().with_values({"L_p": -3.0}).with_fixed(["L_p"])
     bounds = {p.name: (p.low, p.high) for p in model.parameters}
     assert bounds["L_p"] == (-3.0, -3.0)
     assert bounds["L_r"] == (-4.0, 6.0)
 
 
 def test_an_added_force_accelerates_by_its_size():
-    """By hand: 2 m/s^2 to the right wing of a level aircraft is -2 m/s^2 along world y, which points left."""
+    """By hand: 2 m/s^2 to the right wing of a level aircraft is -2 m/s^2 along world y, which
+    points left.
+    """
     push = Term(
-        "push", (Parameter("push", 2.0, 0.0, 5.0, "m/s^2", "to the right"),), lambda air, K: (0, K.push, 0, 0, 0, 0)
+        "push",
+        (Parameter("push", 2.0, 0.0, 5.0, "m/s^2", "to the right"),),
+        lambda air, K: (0, K.push, 0, 0, 0, 0),
     )
     for form in FORMS:
         still = FORMS[form]()
         start, sticks = np.zeros(still.n_states), np.zeros((1, 4))
         start[6] = 7.0
-        pushed = still.adding(push)
-        gained = roll_out(pushed, start, sticks, 1e-3)[-1] - roll_out(still, start, sticks, 1e-3)[-1]
+        pushed = still.with_terms(push)
+        gained = (
+            roll_out(pushed, start, sticks, 1e-3)[-1] - roll_out(still, start, sticks, 1e-3)[-1]
+        )
         assert gained[7] == pytest.approx(-2e-3, rel=2e-3)  # of which drag takes some at once
         assert pushed.names == (*still.names, "push")
 
@@ -105,21 +129,26 @@ def test_an_added_force_accelerates_by_its_size():
 def test_winds_add_up():
     """1 m/s in the model's uniform wind and 0.5 from a second one blow like 1.5."""
     gust = WindTerm(
-        "gust", (Parameter("gust", 0.5, 0.0, 5.0, "m/s", ""),), lambda px, py, height, time, K: (K.gust, 0, 0)
+        "gust",
+        (Parameter("gust", 0.5, 0.0, 5.0, "m/s", ""),),
+        lambda px, py, height, time, K: (K.gust, 0, 0),
     )
     start, sticks = np.zeros(12), np.full((40, 4), 0.1)
     start[6] = 7.0
-    two = roll_out(in_wind(rates_model(), 1.0).adding(gust), start, sticks, DT)
-    one = roll_out(in_wind(rates_model(), 1.5), start, sticks, DT)
+    two = roll_out(add_uniform_wind(rates_model(), 1.0).with_terms(gust), start, sticks, DT)
+    one = roll_out(add_uniform_wind(rates_model(), 1.5), start, sticks, DT)
     assert np.abs(two - one).max() < ROUNDING
 
 
-# Laws -------------------------------------------------------------------------------------------------------------
+# Laws
+# -------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", FORMS)
 def test_without_air_it_flies_a_parabola(form, rng):
-    """Newton: v0 t - g t^2 / 2 with g = 9.8, momentum changed by gravity alone. Exact for Runge-Kutta."""
+    """Newton: v0 t - g t^2 / 2 with g = 9.8, momentum changed by gravity alone. Exact for
+    Runge-Kutta.
+    """
     model = FORMS[form]()
     model = model.with_vector(np.zeros(len(model.names)))
     start, sticks = flights(model, rng)
@@ -141,10 +170,11 @@ def test_without_air_the_paper_form_does_not_turn(rng):
 
 
 def test_free_spin_keeps_energy_and_angular_momentum(rng):
-    """Euler: without torque, the energy and the angular momentum as a vector in the world stay as they are.
+    """Euler: without torque, the energy and the angular momentum as a vector in the world stay as
+    they are.
 
-    Inertias are those of a real body; attitude is turned into a matrix by scipy. 1 ms steps at 2 rad/s leave
-    (2e-3)^4 of the start after 1 s.
+    Inertias are those of a real body; attitude is turned into a matrix by scipy. 1 ms steps at 2
+    rad/s leave (2e-3)^4 of the start after 1 s.
     """
     inertia = np.array([1.15, 1.46, 2.12])
     Ix, Iy, Iz = inertia
@@ -156,14 +186,17 @@ def test_free_spin_keeps_energy_and_angular_momentum(rng):
     flown = roll_out(model, start, np.zeros((1000, 4)), 1e-3)
     spin = inertia * flown[..., 9:]
     energy = (spin * flown[..., 9:]).sum(axis=-1)
-    turned = Rotation.from_euler("ZYX", flown[..., [4, 3, 5]].reshape(-1, 3)).apply(spin.reshape(-1, 3))
+    turned = Rotation.from_euler("ZYX", flown[..., [4, 3, 5]].reshape(-1, 3)).apply(
+        spin.reshape(-1, 3)
+    )
     turned = turned.reshape(spin.shape)
     assert energy == pytest.approx(np.repeat(energy[:, :1], 1001, axis=1), rel=1e-10)
     assert np.abs(turned - turned[:, :1]).max() < 1e-9
     assert np.abs(flown[..., 9:] - start[:, None, 9:]).max() > 0.1  # it does tumble
 
 
-# Symmetries -------------------------------------------------------------------------------------------------------
+# Symmetries
+# -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -175,7 +208,7 @@ def test_a_uniform_wind_carries_the_flight_along(form, rng):
     still = roll_out(model, start, sticks, DT)
     carried = start.copy()
     carried[:, 6:9] += wind
-    windy = roll_out(in_wind(model, wind[0], wind[1]), carried, sticks, DT)
+    windy = roll_out(add_uniform_wind(model, wind[0], wind[1]), carried, sticks, DT)
     t = np.arange(81)[:, None] * DT
     assert windy[..., :3] == pytest.approx(still[..., :3] + wind * t, abs=1e-9)
     assert windy[..., 6:9] == pytest.approx(still[..., 6:9] + wind, abs=1e-9)
@@ -184,7 +217,9 @@ def test_a_uniform_wind_carries_the_flight_along(form, rng):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_left_and_right_are_mirror_images(form, rng):
-    """A symmetric aircraft in a mirror flies the mirrored flight: y, yaw, roll, p, r, aileron, rudder change sign."""
+    """A symmetric aircraft in a mirror flies the mirrored flight: y, yaw, roll, p, r, aileron,
+    rudder change sign.
+    """
     model = FORMS[form]()
     mirror = np.array([1, -1, 1, 1, -1, -1, 1, -1, 1, -1, 1, -1])[: model.n_states]
     start, sticks = flights(model, rng)
@@ -195,10 +230,14 @@ def test_left_and_right_are_mirror_images(form, rng):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_place_and_heading_do_not_matter(form, rng):
-    """The world has no preferred heading: started elsewhere and turned by 1 rad, the flight is moved and turned."""
+    """The world has no preferred heading: started elsewhere and turned by 1 rad, the flight is
+    moved and turned.
+    """
     model = FORMS[form]()
     start, sticks = flights(model, rng)
-    turn = np.array([[np.cos(1.0), np.sin(1.0)], [-np.sin(1.0), np.cos(1.0)]])  # to the right, as yaw counts
+    turn = np.array(
+        [[np.cos(1.0), np.sin(1.0)], [-np.sin(1.0), np.cos(1.0)]]
+    )  # to the right, as yaw counts
 
     def moved(x):
         y = x.copy()
@@ -211,41 +250,56 @@ def test_place_and_heading_do_not_matter(form, rng):
     assert np.abs(roll_out(model, moved(start), sticks, DT) - moved(flown)).max() < ROUNDING
 
 
-# An independent aircraft ------------------------------------------------------------------------------------------
+# An independent aircraft
+# ------------------------------------------------------------------------------------------
 
 
 def side_force_in_wind_axes(air, K):
     """As JSBSim has it: at right angles to the wind, where the kit's lies along the right wing."""
     force = air.airspeed**2 * (K.cY_beta * air.beta + K.cY_dr * air.rudder)
     forward, right = -np.sin(air.beta), np.cos(air.beta)
-    return force * forward * np.cos(air.alpha), force * right, force * forward * np.sin(air.alpha), 0.0, 0.0, 0.0
+    return (
+        force * forward * np.cos(air.alpha),
+        force * right,
+        force * forward * np.sin(air.alpha),
+        0.0,
+        0.0,
+        0.0,
+    )
 
 
 def errors_against_jsbsim(seed, step, wind_axes):
-    """How far the kit's model is from JSBSim's flight: position to 2 s and 5 s [m], attitude to 2 s and 5 s [rad]."""
+    """How far the kit's model is from JSBSim's flight: position to 2 s and 5 s [m], attitude to 2 s
+    and 5 s [rad].
+    """
     rng = np.random.default_rng(seed)
     aircraft = JsbsimAircraft().redrawn(rng, 0.15)
     t, flown, sticks = fly_jsbsim(aircraft, figure_eights(rng), 5.0, step=step)
     model = aircraft.kit_model(step)
     if wind_axes:
         terms = tuple(
-            replace(x, evaluate=side_force_in_wind_axes) if x.name == "side_force" else x for x in model.terms
+            replace(x, evaluate=side_force_in_wind_axes) if x.name == "side_force" else x
+            for x in model.terms
         )
-        model = replace(model, terms=terms).with_values({"cD_beta": model.values["cD_beta"] - model.values["cY_beta"]})
+        model = replace(model, terms=terms).with_values(
+            {"cD_beta": model.values["cD_beta"] - model.values["cY_beta"]}
+        )
     substeps = 10  # of 5 ms, so that what is left is not the kit's integration
     edges = np.arange(100 * substeps + 1) * 0.05 / substeps
-    mean, swing = acting_commands(t, sticks, edges, model.values["delay"], model.values["lag"])
-    error = roll_out(model, flown[0], mean, 0.05 / substeps, swing=swing)[::substeps] - flown
+    mean, slope = actuator_response(t, sticks, edges, model.values["delay"], model.values["lag"])
+    error = roll_out(model, flown[0], mean, 0.05 / substeps, slope=slope)[::substeps] - flown
     position, attitude = np.linalg.norm(error[:, :3], axis=1), np.abs(error[:, 3:6]).max(axis=1)
     return position[:41].max(), position.max(), attitude[:41].max(), attitude.max()
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_equations_are_those_of_jsbsim(seed):
-    """JSBSim flies the same aircraft (coefficients drawn with 15 % spread) within 1 cm over 5 s of figure eights.
+    """JSBSim flies the same aircraft (coefficients drawn with 15 % spread) within 1 cm over 5 s of
+    figure eights.
 
-    JSBSim at 0.5 ms; the side force in its axes. What is left: 0.1 m/s in the kit's airspeed and the density of the
-    air at 2 m, each 2e-4 of all forces, and the integration: 5 mm and 0.5 mrad seen, on a path of 35 m.
+    JSBSim at 0.5 ms; the side force in its axes. What is left: 0.1 m/s in the kit's airspeed and
+    the density of the air at 2 m, each 2e-4 of all forces, and the integration: 5 mm and 0.5 mrad
+    seen, on a path of 35 m.
     """
     _, position, _, attitude = errors_against_jsbsim(seed, 0.0005, wind_axes=True)
     assert position < 0.01
@@ -255,7 +309,9 @@ def test_equations_are_those_of_jsbsim(seed):
 @pytest.mark.parametrize("seed", range(4))
 def test_the_kit_form_follows_jsbsim_at_its_usual_step(seed):
     """As labs use it: 5 ms steps, side force along the right wing, which differs by
-    the square of sideslip and its product with rudder. Within 4 cm, 0.7 deg over 2 s: 3.3 cm, 0.6 deg in 12 flights."""
+    the square of sideslip and its product with rudder. Within 4 cm, 0.7 deg over 2 s: 3.3 cm, 0.6
+    deg in 12 flights.
+    """
     position, _, attitude, _ = errors_against_jsbsim(seed, 0.005, wind_axes=False)
     assert position < 0.04
     assert attitude < np.radians(0.7)

@@ -15,26 +15,37 @@ MASS = np.array([0.150, 0.300, 0.324])
 
 
 def test_minimum_speed_is_the_papers():
-    """Paper, appendix, recomputed by hand: 7.04, 9.96 and 10.35 m/s for 150, 300 and 324 g; half the last digit."""
+    """Paper, appendix, recomputed by hand: 7.04, 9.96 and 10.35 m/s for 150, 300 and 324 g; half
+    the last digit.
+    """
     np.testing.assert_allclose(sizing.minimum_speed(MASS, UMX), [7.04, 9.96, 10.35], atol=0.005)
 
 
 def test_paper_turn_radius_is_the_papers():
-    """Paper, appendix, recomputed by hand: 8.77 m (150 g), 17.53 m (300 g) and 18.93 m (324 g); half the last digit."""
-    np.testing.assert_allclose(sizing.paper_turn_radius(MASS, UMX), [8.77, 17.53, 18.93], atol=0.005)
+    """Paper, appendix, recomputed by hand: 8.77 m (150 g), 17.53 m (300 g) and 18.93 m (324 g);
+    half the last digit.
+    """
+    np.testing.assert_allclose(
+        sizing.paper_turn_radius(MASS, UMX), [8.77, 17.53, 18.93], atol=0.005
+    )
 
 
 def test_lift_at_minimum_speed_carries_the_weight():
-    """Law: 1/2 rho V^2 S C = m g with the appendix's 1.3, 0.076, 0.6 and 9.8 written out; rounding only."""
+    """Law: 1/2 rho V^2 S C = m g with the appendix's 1.3, 0.076, 0.6 and 9.8 written out; rounding
+    only.
+    """
     speed = sizing.minimum_speed(MASS, UMX)
     np.testing.assert_allclose(0.5 * 1.3 * speed**2 * 0.076 * 0.6, MASS * 9.8, rtol=1e-12)
 
 
 def test_speed_grows_with_the_root_of_mass_and_radius_with_mass():
-    """Law: V ~ sqrt(m) and R ~ m, so four times the mass is twice the speed and four times the radius."""
+    """Law: V ~ sqrt(m) and R ~ m, so four times the mass is twice the speed and four times the
+    radius.
+    """
     four = np.array([0.1, 0.4])
     speed, paper, level = (
-        law(four, UMX) for law in (sizing.minimum_speed, sizing.paper_turn_radius, sizing.level_turn_radius)
+        law(four, UMX)
+        for law in (sizing.minimum_speed, sizing.paper_turn_radius, sizing.level_turn_radius)
     )
     np.testing.assert_allclose(
         [speed[1] / speed[0], paper[1] / paper[0], level[1] / level[0]], [2.0, 4.0, 4.0], rtol=1e-12
@@ -52,16 +63,22 @@ def test_load_factor_at_60_degrees_is_two():
 
 
 def test_level_turn_balances_weight_and_centripetal_force():
-    """Newton: at the level turn's own speed and full lift, L cos(phi) = m g and L sin(phi) = m V^2 / R."""
+    """Newton: at the level turn's own speed and full lift, L cos(phi) = m g and L sin(phi) = m V^2
+    / R.
+    """
     bank = np.radians([10.0, 30.0, 60.0])
     speed = sizing.level_turn_speed(0.15, UMX, bank)
     lift = 0.5 * 1.3 * speed**2 * 0.076 * 0.6
     np.testing.assert_allclose(lift * np.cos(bank), 0.15 * 9.8, rtol=1e-12)
-    np.testing.assert_allclose(lift * np.sin(bank), 0.15 * speed**2 / sizing.level_turn_radius(0.15, UMX, bank))
+    np.testing.assert_allclose(
+        lift * np.sin(bank), 0.15 * speed**2 / sizing.level_turn_radius(0.15, UMX, bank)
+    )
 
 
 def test_holding_height_widens_the_papers_turn_by_the_load_factor():
-    """By hand at 30 deg and 150 g: 8.765 m * 1.1547 = 10.12 m, so the full circle no longer fits 20 m."""
+    """By hand at 30 deg and 150 g: 8.765 m * 1.1547 = 10.12 m, so the full circle no longer fits 20
+    m.
+    """
     assert sizing.level_turn_radius(0.150, UMX) == pytest.approx(10.12, abs=0.005)
 
 
@@ -105,7 +122,9 @@ def test_arrays_broadcast():
     bank = np.radians([20.0, 40.0])
     radius = sizing.level_turn_radius(MASS[:, None], UMX, bank)
     assert radius.shape == (3, 2)
-    assert radius[2, 1] == pytest.approx(float(sizing.level_turn_radius(0.324, UMX, bank[1])), rel=1e-12)
+    assert radius[2, 1] == pytest.approx(
+        float(sizing.level_turn_radius(0.324, UMX, bank[1])), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(

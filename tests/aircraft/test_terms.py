@@ -1,4 +1,6 @@
-"""Terms: each force and moment against numbers worked by hand, signs that a pilot knows, and the law of energy."""
+"""Terms: each force and moment against numbers worked by hand, signs that a pilot knows, and the
+law of energy.
+"""
 
 from types import SimpleNamespace
 
@@ -16,7 +18,9 @@ def rng():
     return np.random.default_rng(7)
 
 
-def flow(u=7.0, v=0.0, w=0.0, rates=(0.0, 0.0, 0.0), throttle=0.0, aileron=0.0, elevator=0.0, rudder=0.0):
+def flow(
+    u=7.0, v=0.0, w=0.0, rates=(0.0, 0.0, 0.0), throttle=0.0, aileron=0.0, elevator=0.0, rudder=0.0
+):
     return air_flow((u, v, w), rates, (1.0, 2.0, 3.0), 4.0, (throttle, aileron, elevator, rudder))
 
 
@@ -34,7 +38,8 @@ def states_at_random(model, rng, count=200):
 
 
 def test_angles_of_the_flow_by_hand():
-    """Belly and nose equally into the wind: atan(1) = 45 deg; 3 m/s from the right of 5: asin(3/5) = 36.87 deg.
+    """Belly and nose equally into the wind: atan(1) = 45 deg; 3 m/s from the right of 5: asin(3/5)
+    = 36.87 deg.
 
     The 0.1 m/s kept against division by zero changes the second by less than 1e-3.
     """
@@ -57,33 +62,47 @@ def test_the_flow_carries_motion_place_and_sticks():
 
 
 def test_lift_by_hand():
-    """49.01 (0.1 + 2 * 0.1 * 0.5) = 9.802 up, at alpha 0 that is against belly z; 1e-3 for the 0.1 m/s."""
+    """49.01 (0.1 + 2 * 0.1 * 0.5) = 9.802 up, at alpha 0 that is against belly z; 1e-3 for the 0.1
+    m/s.
+    """
     loads = terms.lift(flow(elevator=0.5), values(cL_0=0.1, cL_alpha=2.0, cL_de=0.2))
     assert loads == pytest.approx((0.0, 0.0, -9.802, 0.0, 0.0, 0.0), abs=2e-3)
 
 
 def test_lift_grows_with_alpha_and_leans_forward():
-    """u = 8, w = 6: V^2 = 100.01, alpha = atan(0.75) = 0.6435; turned by it, lift has 0.6 forward and 0.8 up."""
+    """u = 8, w = 6: V^2 = 100.01, alpha = atan(0.75) = 0.6435; turned by it, lift has 0.6 forward
+    and 0.8 up.
+    """
     x, y, z, *moments = terms.lift(flow(u=8.0, w=6.0), values(cL_0=0.0, cL_alpha=1.0, cL_de=0.0))
     assert (x, y, z) == pytest.approx((0.6 * 64.356, 0.0, -0.8 * 64.356), abs=1e-2)
     assert moments == [0.0, 0.0, 0.0]
 
 
 def test_drag_by_hand():
-    """u = 8, w = 6 m/s: D = 100.01 (0.02 + 0.5 * 0.6435^2) = 22.71 along the wind, which is 0.8 nose and 0.6 belly."""
-    loads = terms.drag(flow(u=8.0, w=6.0), values(cD_0=0.02, cD_induced=0.5, cD_beta=9.0, cL_0=0.0, cL_alpha=1.0))
+    """u = 8, w = 6 m/s: D = 100.01 (0.02 + 0.5 * 0.6435^2) = 22.71 along the wind, which is 0.8
+    nose and 0.6 belly.
+    """
+    loads = terms.drag(
+        flow(u=8.0, w=6.0), values(cD_0=0.02, cD_induced=0.5, cD_beta=9.0, cL_0=0.0, cL_alpha=1.0)
+    )
     assert loads[:3] == pytest.approx((-18.17, 0.0, -13.63), abs=0.02)
     assert loads[3:] == (0.0, 0.0, 0.0)
 
 
 def test_sideslip_adds_drag():
-    """u = 8, v = 6 m/s: beta = 0.6435, D = 100.01 * 0.3 * 0.4141 = 12.42; 0.8 along the nose, 0.6 along the wing."""
-    loads = terms.drag(flow(u=8.0, v=6.0), values(cD_0=0.0, cD_induced=0.0, cD_beta=0.3, cL_0=0.0, cL_alpha=1.0))
+    """u = 8, v = 6 m/s: beta = 0.6435, D = 100.01 * 0.3 * 0.4141 = 12.42; 0.8 along the nose, 0.6
+    along the wing.
+    """
+    loads = terms.drag(
+        flow(u=8.0, v=6.0), values(cD_0=0.0, cD_induced=0.0, cD_beta=0.3, cL_0=0.0, cL_alpha=1.0)
+    )
     assert loads[:3] == pytest.approx((-9.94, -7.45, 0.0), abs=0.01)
 
 
 def test_side_force_by_hand():
-    """Wind on the right cheek pushes left, right rudder pushes right: 25.01 (0.2 * 0.5 - 0.4 * 0.6435) = -3.936."""
+    """Wind on the right cheek pushes left, right rudder pushes right: 25.01 (0.2 * 0.5 - 0.4 *
+    0.6435) = -3.936.
+    """
     loads = terms.side_force(flow(u=4.0, v=3.0, rudder=0.5), values(cY_beta=-0.4, cY_dr=0.2))
     assert loads == pytest.approx((0.0, -3.936, 0.0, 0.0, 0.0, 0.0), abs=3e-3)
 
@@ -95,7 +114,9 @@ def test_thrust_by_hand():
 
 
 def test_moments_by_hand():
-    """At V = 7: roll 49.01 (.1 + .5 * .2) - 7 * 2 * .3 + 7 * .4 * .5; pitch and yaw likewise; 1e-2 for the 0.1 m/s."""
+    """At V = 7: roll 49.01 (.1 + .5 * .2) - 7 * 2 * .3 + 7 * .4 * .5; pitch and yaw likewise; 1e-2
+    for the 0.1 m/s.
+    """
     air = flow(rates=(0.3, 0.4, 0.5), aileron=0.2, elevator=0.3, rudder=-0.4)
     roll = terms.roll_moment(air, values(L_0=0.1, L_da=0.5, L_beta=-1.0, L_p=-2.0, L_r=0.4))
     pitch = terms.pitch_moment(air, values(M_0=0.1, M_de=0.5, M_alpha=-2.0, M_q=-1.5))
@@ -106,15 +127,29 @@ def test_moments_by_hand():
 
 
 def test_quasi_steady_rates_by_hand():
-    """At V = 7: p = 7 (.1 + .5 * .2), q = 7 (.1 + .5 * .3), r = 7 (.1 - .5 * .4); 1e-3 for the 0.1 m/s."""
-    K = values(L_0=0.1, L_da=0.5, L_beta=-1.0, M_0=0.1, M_de=0.5, M_alpha=-2.0, N_0=0.1, N_dr=0.5, N_beta=1.0)
+    """At V = 7: p = 7 (.1 + .5 * .2), q = 7 (.1 + .5 * .3), r = 7 (.1 - .5 * .4); 1e-3 for the 0.1
+    m/s.
+    """
+    K = values(
+        L_0=0.1,
+        L_da=0.5,
+        L_beta=-1.0,
+        M_0=0.1,
+        M_de=0.5,
+        M_alpha=-2.0,
+        N_0=0.1,
+        N_dr=0.5,
+        N_beta=1.0,
+    )
     loads = terms.quasi_steady_rates(flow(aileron=0.2, elevator=0.3, rudder=-0.4), K)
     assert loads == pytest.approx((0, 0, 0, 1.4, 1.75, -0.7), abs=1e-3)
 
 
 @pytest.mark.parametrize("form", FORMS)
 def test_the_aircraft_is_stable_as_pilots_call_it(form):
-    """Nose above the path: it comes down. Wind from the right: the nose turns right into it, and it rolls left."""
+    """Nose above the path: it comes down. Wind from the right: the nose turns right into it, and it
+    rolls left.
+    """
     model = FORMS[form]().with_values({"M_0": 0.0})
     moments = model.terms[4:] if form == "rates" else model.terms[4:5]
     nose_high = np.sum([term.evaluate(flow(w=0.7), model.K) for term in moments], axis=0)
@@ -147,7 +182,9 @@ def test_a_glide_loses_energy_to_drag_alone(form, rng):
     K = model.K
     x, sticks = states_at_random(model, rng)
     sticks[0] = 0.0
-    x_dot = np.stack(np.broadcast_arrays(*state_rates(model.form, model.terms, ())(0.0, x, sticks, K)))
+    x_dot = np.stack(
+        np.broadcast_arrays(*state_rates(model.form, model.terms, ())(0.0, x, sticks, K))
+    )
     power = (x[6:9] * x_dot[6:9]).sum(axis=0) + GRAVITY * x_dot[2]
     v_squared = (x[6:9] ** 2).sum(axis=0)
     alpha, beta = flow_angles_from_vectors(x)
@@ -159,7 +196,9 @@ def test_a_glide_loses_energy_to_drag_alone(form, rng):
 
 
 def flow_angles_from_vectors(x):
-    """alpha and beta from scalar products of the velocity with the axes of the aircraft, by scipy's rotations."""
+    """alpha and beta from scalar products of the velocity with the axes of the aircraft, by scipy's
+    rotations.
+    """
     from scipy.spatial.transform import Rotation
 
     # The textbook's north-east-down attitude; world y and z point the other way.
@@ -170,7 +209,9 @@ def flow_angles_from_vectors(x):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_every_parameter_acts(form, rng):
-    """A name in the list that changes nothing would be a term that was forgotten; delay and lag act on the sticks."""
+    """A name in the list that changes nothing would be a term that was forgotten; delay and lag act
+    on the sticks.
+    """
     model = FORMS[form]()
     x, sticks = states_at_random(model, rng)
     rates = state_rates(model.form, model.terms, ())

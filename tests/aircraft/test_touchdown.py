@@ -8,11 +8,19 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from falconwing_kit.aircraft.airframe import Wheels, load_airframe
-from falconwing_kit.aircraft.touchdown import LandingPad, find_touchdown, pad_height, wheel_heights, wheel_velocities
+from falconwing_kit.aircraft.touchdown import (
+    LandingPad,
+    find_touchdown,
+    pad_height,
+    wheel_heights,
+    wheel_velocities,
+)
 from falconwing_kit.core.checks import InputError
 
 # Wheel places of our own, so the hand calculations hold whatever the shipped file says.
-WHEELS = Wheels(main_left=(0.05, -0.08, 0.11), main_right=(0.05, 0.08, 0.11), tail=(-0.30, 0.0, 0.04))
+WHEELS = Wheels(
+    main_left=(0.05, -0.08, 0.11), main_right=(0.05, 0.08, 0.11), tail=(-0.30, 0.0, 0.04)
+)
 AIRFRAME = replace(load_airframe(), wheels=WHEELS)
 PAD = LandingPad()  # x 1 to 14, y -3 to -1, top at 0.1 m
 T = np.arange(0.0, 2.0, 0.05)
@@ -24,7 +32,9 @@ def rng():
 
 
 def flight(t=T, columns=9, **channels):
-    """States (n, columns) that are zero but for the given channels, each a number or an array like t."""
+    """States (n, columns) that are zero but for the given channels, each a number or an array like
+    t.
+    """
     names = ("px", "py", "pz", "pitch", "yaw", "roll", "vx", "vy", "vz", "p", "q", "r")
     states = np.zeros((len(t), columns))
     for name, values in channels.items():
@@ -33,12 +43,16 @@ def flight(t=T, columns=9, **channels):
 
 
 def fall(t, height):
-    """A level drop from rest: pz and vz of g = 9.8 m/s^2, CG starting so that the main wheels are `height` up."""
+    """A level drop from rest: pz and vz of g = 9.8 m/s^2, CG starting so that the main wheels are
+    `height` up.
+    """
     return {"pz": height + 0.11 - 4.9 * t**2, "vz": -9.8 * t}
 
 
 def test_dropped_wheels_meet_the_floor_when_the_parabola_says():
-    """By hand: 4.9 t^2 = 1 m gives t = 0.451754 s and sink 9.8 t = 4.427189 m/s; a cubic holds a parabola exactly."""
+    """By hand: 4.9 t^2 = 1 m gives t = 0.451754 s and sink 9.8 t = 4.427189 m/s; a cubic holds a
+    parabola exactly.
+    """
     touch = find_touchdown(T, flight(px=-10.0, **fall(T, 1.0)), AIRFRAME, PAD)
     assert (touch.wheel, touch.surface, touch.on_pad) == ("main_left", "floor", False)
     assert (touch.t, touch.sink_rate) == pytest.approx((0.4517540, 4.4271887), abs=1e-7)
@@ -53,7 +67,9 @@ def test_over_the_pad_the_same_drop_ends_a_tenth_of_a_metre_higher():
 
 
 def test_where_it_came_down_is_told_from_centre_line_and_threshold():
-    """By hand: y = -2.4 is 0.4 m right of the centre line -2.0; the wheel at 3.05 is 2.05 m past the threshold 1.0."""
+    """By hand: y = -2.4 is 0.4 m right of the centre line -2.0; the wheel at 3.05 is 2.05 m past
+    the threshold 1.0.
+    """
     touch = find_touchdown(T, flight(px=3.0, py=-2.4, **fall(T, 1.0)), AIRFRAME, PAD)
     assert touch.lateral_offset == pytest.approx(-0.4, abs=1e-12)
     assert touch.absolute_lateral_deviation == pytest.approx(0.4, abs=1e-12)
@@ -62,14 +78,18 @@ def test_where_it_came_down_is_told_from_centre_line_and_threshold():
 
 def test_speed_is_that_of_the_aircraft_at_contact():
     """By hand: 7 m/s ahead and 4.2 m/s down make sqrt(49 + 17.64) = 8.163333 m/s."""
-    touch = find_touchdown(T, flight(px=2.0 + 7.0 * T, py=-2.0, vx=7.0, **fall(T, 1.0)), AIRFRAME, PAD)
+    touch = find_touchdown(
+        T, flight(px=2.0 + 7.0 * T, py=-2.0, vx=7.0, **fall(T, 1.0)), AIRFRAME, PAD
+    )
     assert touch.speed == pytest.approx(8.163333, abs=1e-6)
     assert touch.past_threshold == pytest.approx(1.0 + 7.0 * 0.4285714 + 0.05, abs=1e-6)
 
 
 @pytest.mark.parametrize(("bank_deg", "wheel"), [(10.0, "main_right"), (-10.0, "main_left")])
 def test_the_low_wheel_touches_first(bank_deg, wheel):
-    """By hand: at 10 deg the low wheel hangs 0.08 sin + 0.11 cos = 0.122221 m below the CG, sinking 0.5 m/s."""
+    """By hand: at 10 deg the low wheel hangs 0.08 sin + 0.11 cos = 0.122221 m below the CG, sinking
+    0.5 m/s.
+    """
     states = flight(px=-10.0, roll=np.radians(bank_deg), pz=0.6222207 - 0.5 * T, vz=-0.5)
     touch = find_touchdown(T, states, AIRFRAME, PAD)
     assert touch.wheel == wheel
@@ -79,7 +99,8 @@ def test_the_low_wheel_touches_first(bank_deg, wheel):
 
 @pytest.mark.parametrize("columns", [9, 12])
 def test_a_roll_towards_the_low_wheel_adds_to_its_sink_rate(columns):
-    """By hand: v + omega x r with p = 10 deg/s at 10 deg: 0.5 + p (0.08 cos - 0.11 sin) = 0.510417 m/s, six digits.
+    """By hand: v + omega x r with p = 10 deg/s at 10 deg: 0.5 + p (0.08 cos - 0.11 sin) = 0.510417
+    m/s, six digits.
 
     Rows of nine take p from differences of a roll that grows evenly, which is exact.
     """
@@ -92,7 +113,9 @@ def test_a_roll_towards_the_low_wheel_adds_to_its_sink_rate(columns):
 
 
 def test_nose_high_the_tail_wheel_touches_first():
-    """By hand at 15 deg: tail 0.30 sin + 0.04 cos = 0.116283 m below the CG, main 0.11 cos - 0.05 sin = 0.093310 m."""
+    """By hand at 15 deg: tail 0.30 sin + 0.04 cos = 0.116283 m below the CG, main 0.11 cos - 0.05
+    sin = 0.093310 m.
+    """
     states = flight(px=-10.0, pitch=np.radians(15.0), pz=0.616283 - 0.5 * T, vz=-0.5)
     touch = find_touchdown(T, states, AIRFRAME, PAD)
     assert touch.wheel == "tail"
@@ -101,16 +124,24 @@ def test_nose_high_the_tail_wheel_touches_first():
 
 
 def test_wheel_velocity_of_a_pitching_aircraft():
-    """By hand: q = 1 rad/s nose up lifts the main wheels 0.05 m ahead at 0.05 m/s and sinks the tail at 0.30 m/s."""
+    """By hand: q = 1 rad/s nose up lifts the main wheels 0.05 m ahead at 0.05 m/s and sinks the
+    tail at 0.30 m/s.
+    """
     state = flight(np.zeros(1), columns=12, q=1.0)[0]
-    np.testing.assert_allclose(wheel_velocities(state, AIRFRAME)[:, 2], [0.05, 0.05, -0.30], atol=1e-15)
+    np.testing.assert_allclose(
+        wheel_velocities(state, AIRFRAME)[:, 2], [0.05, 0.05, -0.30], atol=1e-15
+    )
 
 
 def test_wheel_below_the_pads_top_runs_into_its_edge():
-    """By hand: wheels 0.05 m up at 5 m/s reach the threshold after (1.0 + 1.0 - 0.05) / 5 = 0.39 s; no landing."""
+    """By hand: wheels 0.05 m up at 5 m/s reach the threshold after (1.0 + 1.0 - 0.05) / 5 = 0.39 s;
+    no landing.
+    """
     touch = find_touchdown(T, flight(px=-1.0 + 5.0 * T, py=-2.0, pz=0.16, vx=5.0), AIRFRAME, PAD)
     assert (touch.surface, touch.on_pad) == ("pad edge", False)
-    assert (touch.t, touch.past_threshold, touch.sink_rate) == pytest.approx((0.39, 0.0, 0.0), abs=1e-9)
+    assert (touch.t, touch.past_threshold, touch.sink_rate) == pytest.approx(
+        (0.39, 0.0, 0.0), abs=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -123,14 +154,18 @@ def test_wheel_below_the_pads_top_runs_into_its_edge():
     ],
 )
 def test_beside_the_pad_only_the_wheel_over_it_counts(py, wheel, surface):
-    """By hand: left wheel at y + 0.08, right wheel at y - 0.08, pad from -3 to -1; level, so both hang equally low."""
+    """By hand: left wheel at y + 0.08, right wheel at y - 0.08, pad from -3 to -1; level, so both
+    hang equally low.
+    """
     touch = find_touchdown(T, flight(px=5.0, py=py, **fall(T, 1.0)), AIRFRAME, PAD)
     assert (touch.wheel, touch.surface) == (wheel, surface)
 
 
 def test_border_belongs_to_the_pad():
     """Definition: on the very edge the pad carries; a micrometre outside it is the floor."""
-    points = np.array([[1.0, -1.0, 0.0], [14.0, -3.0, 0.0], [1.0 - 1e-6, -2.0, 0.0], [5.0, -1.0 + 1e-6, 0.0]])
+    points = np.array(
+        [[1.0, -1.0, 0.0], [14.0, -3.0, 0.0], [1.0 - 1e-6, -2.0, 0.0], [5.0, -1.0 + 1e-6, 0.0]]
+    )
     np.testing.assert_array_equal(pad_height(points, PAD), [0.1, 0.1, 0.0, 0.0])
     np.testing.assert_array_equal(pad_height(points, None), np.zeros(4))
 
@@ -143,9 +178,13 @@ def test_flying_on_is_no_touchdown():
 
 
 def test_touch_and_go_between_two_samples_is_found():
-    """By hand: 20 (t - 0.025)^2 - 0.005 above the pad is positive at 0 and 0.05 s, first zero at 0.025 - 0.015811 s."""
+    """By hand: 20 (t - 0.025)^2 - 0.005 above the pad is positive at 0 and 0.05 s, first zero at
+    0.025 - 0.015811 s.
+    """
     t = np.array([0.0, 0.05])
-    states = flight(t, px=5.0, py=-2.0, pz=0.21 + 20.0 * (t - 0.025) ** 2 - 0.005, vz=40.0 * (t - 0.025))
+    states = flight(
+        t, px=5.0, py=-2.0, pz=0.21 + 20.0 * (t - 0.025) ** 2 - 0.005, vz=40.0 * (t - 0.025)
+    )
     assert find_touchdown(t, states, AIRFRAME, PAD).t == pytest.approx(0.0091886, abs=1e-7)
 
 
@@ -161,11 +200,15 @@ def test_answer_does_not_depend_on_how_the_path_is_sampled(rng):
     """Law: a parabola is one curve however unevenly it is sampled; rounding only."""
     t = np.sort(rng.uniform(0.0, 1.0, 30))
     touch = find_touchdown(t, flight(t, px=-10.0, **fall(t, 1.0)), AIRFRAME, PAD)
-    assert (touch.t, touch.sink_rate) == pytest.approx((1.0 / np.sqrt(4.9), np.sqrt(19.6)), rel=1e-9)
+    assert (touch.t, touch.sink_rate) == pytest.approx(
+        (1.0 / np.sqrt(4.9), np.sqrt(19.6)), rel=1e-9
+    )
 
 
 def test_yaw_across_half_a_turn_makes_no_spin():
-    """Symmetry: touching down in a slow turn through yaw = pi is the same turn through zero, half a turn later."""
+    """Symmetry: touching down in a slow turn through yaw = pi is the same turn through zero, half a
+    turn later.
+    """
     turn, touches = 0.5 * (T - 1.0), []
     for start in (0.0, np.pi):
         yaw = (start + turn + np.pi) % (2.0 * np.pi) - np.pi
@@ -180,13 +223,17 @@ def test_yaw_across_half_a_turn_makes_no_spin():
 def test_oscillating_approach_agrees_with_an_independent_root_finder():
     """SciPy's rotations and brentq on the exact path, sampled at 20 Hz for the kit.
 
-    The cubic is within 5 micrometres (dt^4 / 384 of the fourth derivative at 0.1 rad, 10 rad/s), so at 0.6 m/s
-    within 10 microseconds; three times that is allowed, and 1 mm/s in the sink rate.
+    The cubic is within 5 micrometres (dt^4 / 384 of the fourth derivative at 0.1 rad, 10 rad/s), so
+    at 0.6 m/s within 10 microseconds; three times that is allowed, and 1 mm/s in the sink rate.
     """
     points = np.array([WHEELS.main_left, WHEELS.main_right, WHEELS.tail])
 
     def pose(t):
-        angles = [0.3 + 0.2 * t, 0.08 + 0.1 * np.sin(10.0 * t), 0.1 * np.cos(7.0 * t)]  # yaw, pitch, roll
+        angles = [
+            0.3 + 0.2 * t,
+            0.08 + 0.1 * np.sin(10.0 * t),
+            0.1 * np.cos(7.0 * t),
+        ]  # yaw, pitch, roll
         turn = np.diag([1.0, -1.0, -1.0]) @ Rotation.from_euler("ZYX", angles).as_matrix()
         return np.array([-10.0 + 7.0 * t, 0.5 * t, 0.9 - 0.6 * t]), angles, turn
 
@@ -197,7 +244,9 @@ def test_oscillating_approach_agrees_with_an_independent_root_finder():
     states = []
     for t in T:
         p, (yaw, pitch, roll), turn = pose(t)
-        spin = turn.T @ (pose(t + 1e-6)[2] - pose(t - 1e-6)[2]) / 2e-6  # skew matrix of the body rates
+        spin = (
+            turn.T @ (pose(t + 1e-6)[2] - pose(t - 1e-6)[2]) / 2e-6
+        )  # skew matrix of the body rates
         states.append([*p, pitch, yaw, roll, 7.0, 0.5, -0.6, spin[2, 1], spin[0, 2], spin[1, 0]])
     dense = np.arange(0.0, 2.0, 1e-4)
     first = next(t for t in dense if wheel_z(t).min() <= 0.0)
@@ -225,7 +274,7 @@ def test_heights_of_a_batch():
     ("t", "states", "words"),
     [
         (T, np.zeros((len(T), 10)), "9 or 12"),
-        (T[:-1], flight(pz=1.0), "t: want shape"),
+        (T[:-1], flight(pz=1.0), "t: expected shape"),
         (T, flight(pz=np.nan), "finite"),
         (T[::-1], flight(pz=1.0), "increasing"),
         (T[:1], flight(T[:1], pz=1.0), "two or more"),

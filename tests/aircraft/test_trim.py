@@ -1,4 +1,6 @@
-"""Trim and linear models: steady flights stay steady, laws of turning, scipy and python-control as judges."""
+"""Trim and linear models: steady flights stay steady, laws of turning, scipy and python-control as
+judges.
+"""
 
 import numpy as np
 import pytest
@@ -6,9 +8,15 @@ from scipy.linalg import expm
 from scipy.optimize import approx_fprime
 
 from falconwing_kit.aircraft.integrate import SUBSTEPS, roll_out
-from falconwing_kit.aircraft.model import FORMS, in_wind, paper_model, rates_model, state_rates
+from falconwing_kit.aircraft.model import (
+    FORMS,
+    add_uniform_wind,
+    paper_model,
+    rates_model,
+    state_rates,
+)
 from falconwing_kit.aircraft.terms import Parameter, Term, WindTerm
-from falconwing_kit.aircraft.trim import linearise, modes, stepper, to_nlsys, trim
+from falconwing_kit.aircraft.trim import discrete_step, linearise, modes, to_nlsys, trim
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import rotation_world_body
 from tests.jsbsim_aircraft import JsbsimAircraft, fly_jsbsim, playback
@@ -30,13 +38,17 @@ def lopsided(form):
 def held(model, steady, seconds):
     """The flight with the sticks held at the trim, 10 ms steps."""
     steps = round(seconds / 0.01)
-    return np.arange(steps + 1) * 0.01, roll_out(model, steady.state, np.tile(steady.command, (steps, 1)), 0.01)
+    return np.arange(steps + 1) * 0.01, roll_out(
+        model, steady.state, np.tile(steady.command, (steps, 1)), 0.01
+    )
 
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("make", [lambda form: FORMS[form](), lopsided])
 def test_straight_flight_stays_straight(form, make):
-    """Newton: in balance nothing changes but the place, by V t at constant height. A spiral grows 1e-15 by e^1."""
+    """Newton: in balance nothing changes but the place, by V t at constant height. A spiral grows
+    1e-15 by e^1.
+    """
     steady = trim(make(form), V)
     t, flown = held(make(form), steady, 5.0)
     assert np.abs(flown[:, 3:] - steady.state[3:]).max() < 1e-9
@@ -45,9 +57,12 @@ def test_straight_flight_stays_straight(form, make):
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize(("bank_deg", "climb_deg"), [(30.0, 0.0), (-25.0, 5.0), (20.0, -5.0), (0.0, 9.0)])
+@pytest.mark.parametrize(
+    ("bank_deg", "climb_deg"), [(30.0, 0.0), (-25.0, 5.0), (20.0, -5.0), (0.0, 9.0)]
+)
 def test_a_turn_is_a_helix(form, bank_deg, climb_deg):
-    """Kinematics: speed, bank and pitch stay; heading turns by turn_rate t; height changes by V sin(climb) t.
+    """Kinematics: speed, bank and pitch stay; heading turns by turn_rate t; height changes by V
+    sin(climb) t.
 
     The level path is a circle of radius V cos(climb) / turn_rate.
     """
@@ -63,7 +78,9 @@ def test_a_turn_is_a_helix(form, bank_deg, climb_deg):
         radius = V * np.cos(np.radians(climb_deg)) / steady.turn_rate
         # A turn to the right has its centre on the right, which is against world y.
         across = np.array([flown[0, 7], -flown[0, 6]]) / np.hypot(*flown[0, 6:8])
-        assert np.hypot(*(flown[:, :2] - radius * across).T) == pytest.approx(np.full(len(t), abs(radius)), abs=1e-5)
+        assert np.hypot(*(flown[:, :2] - radius * across).T) == pytest.approx(
+            np.full(len(t), abs(radius)), abs=1e-5
+        )
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -71,32 +88,45 @@ def test_a_turn_is_a_helix(form, bank_deg, climb_deg):
 def test_a_level_turn_goes_by_g_tan_bank(form, bank_deg):
     """Balance of forces in a plane at right angles to the nose, where nothing pushes sideways.
 
-    Along lift: g cos(pitch) + a sin(pitch) sin(drift) = f cos(bank), across: a cos(drift) = f sin(bank), with
-    a = V turn_rate and drift the angle from nose to path. To first order that is the g tan(bank) / V of every book.
+    Along lift: g cos(pitch) + a sin(pitch) sin(drift) = f cos(bank), across: a cos(drift) = f
+        sin(bank), with
+    a = V turn_rate and drift the angle from nose to path. To first order that is the g tan(bank) /
+    V of every book.
     """
     model, bank = lopsided(form), np.radians(bank_deg)
     steady = trim(model, V, 0.0, bank)
     pitch, drift = steady.state[3], -np.arctan2(steady.state[7], steady.state[6])
-    rate = 9.8 * np.tan(bank) * np.cos(pitch) / (V * (np.cos(drift) - np.sin(drift) * np.sin(pitch) * np.tan(bank)))
+    rate = (
+        9.8
+        * np.tan(bank)
+        * np.cos(pitch)
+        / (V * (np.cos(drift) - np.sin(drift) * np.sin(pitch) * np.tan(bank)))
+    )
     assert steady.turn_rate == pytest.approx(rate, rel=1e-9)
     assert steady.turn_rate == pytest.approx(9.8 * np.tan(bank) / V, rel=0.03)
 
 
 @pytest.mark.parametrize("form", FORMS)
 def test_the_ball_stays_in_the_middle(form):
-    """Coordinated: a pendulum in the aircraft, moved by velocity's change and gravity, hangs along its belly."""
+    """Coordinated: a pendulum in the aircraft, moved by velocity's change and gravity, hangs along
+    its belly.
+    """
     model = lopsided(form)
     steady = trim(model, V, 0.05, 0.5)
     _, flown = held(model, steady, 0.02)
     acceleration = (flown[1, 6:9] - flown[0, 6:9]) / 0.01
-    felt = rotation_world_body(flown[0, 5], flown[0, 3], flown[0, 4]).T @ (acceleration + np.array([0.0, 0.0, 9.8]))
+    felt = rotation_world_body(flown[0, 5], flown[0, 3], flown[0, 4]).T @ (
+        acceleration + np.array([0.0, 0.0, 9.8])
+    )
     assert abs(felt[1]) < 0.05  # of 11 m/s^2; 10 ms of turning
     assert felt[2] < -9.0
 
 
 @pytest.mark.parametrize("climb", [-0.08, 0.0, 0.3])
 def test_thrust_pays_for_drag_and_climb(climb):
-    """Law of energy: thrust along the path = drag + g sin(climb); lift does no work. Drag written out here."""
+    """Law of energy: thrust along the path = drag + g sin(climb); lift does no work. Drag written
+    out here.
+    """
     steady, K = trim(rates_model(), V, climb), rates_model().K
     lift, airspeed = K.cL_0 + K.cL_alpha * steady.alpha, np.sqrt(V**2 + 0.01)
     drag = airspeed * V * (K.cD_0 + K.cD_induced * lift**2)
@@ -117,12 +147,14 @@ def test_left_and_right_trims_are_mirror_images(form):
 @pytest.mark.parametrize("form", FORMS)
 def test_wind_shifts_the_velocity_and_nothing_else(form):
     """Galileo: the air does not know that it moves; a turn in wind still turns steadily in the air."""
-    still, model = trim(FORMS[form](), V, 0.0, 0.4), in_wind(FORMS[form](), 1.0, -0.5)
+    still, model = trim(FORMS[form](), V, 0.0, 0.4), add_uniform_wind(FORMS[form](), 1.0, -0.5)
     windy = trim(model, V, 0.0, 0.4)
     assert windy.command == pytest.approx(still.command, abs=1e-9)
     assert windy.state[6:9] - still.state[6:9] == pytest.approx([1.0, -0.5, 0.0], abs=1e-9)
     _, flown = held(model, windy, 3.0)
-    assert np.linalg.norm(flown[:, 6:9] - [1.0, -0.5, 0.0], axis=1) == pytest.approx(np.full(301, V), abs=1e-6)
+    assert np.linalg.norm(flown[:, 6:9] - [1.0, -0.5, 0.0], axis=1) == pytest.approx(
+        np.full(301, V), abs=1e-6
+    )
 
 
 def test_terms_are_taken_at_the_height():
@@ -132,13 +164,15 @@ def test_terms_are_taken_at_the_height():
         (Parameter("rise", 1.0, 0.0, 5.0, "1/s^2", ""),),
         lambda air, K: (0, 0, -K.rise * air.height, 0, 0, 0),
     )
-    model = rates_model().adding(buoyant)
+    model = rates_model().with_terms(buoyant)
     assert trim(model, V, height=1.0).alpha > trim(model, V, height=2.0).alpha + 0.01
 
 
 @pytest.mark.parametrize("bank_deg", [0.0, 30.0])
 def test_the_trim_holds_in_jsbsim(bank_deg):
-    """An independent aircraft started at the kit's trim flies on for 2 s: height within 2 cm, bank within 1 deg."""
+    """An independent aircraft started at the kit's trim flies on for 2 s: height within 2 cm, bank
+    within 1 deg.
+    """
     aircraft = JsbsimAircraft()
     steady = trim(aircraft.kit_model(), V, 0.0, np.radians(bank_deg), height=2.2)
     t, flown, _ = fly_jsbsim(aircraft, playback(steady.command[None]), 2.0, start=steady.state)
@@ -147,7 +181,8 @@ def test_the_trim_holds_in_jsbsim(bank_deg):
     assert flown[:, 4] == pytest.approx(steady.turn_rate * t, abs=np.radians(1.0))
 
 
-# Saying no --------------------------------------------------------------------------------------------------------
+# Saying no
+# --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -155,14 +190,17 @@ def test_the_trim_holds_in_jsbsim(bank_deg):
     ("wanted", "words"),
     [
         ({"airspeed": 15.0}, r"15 m/s.*needs throttle 2\.\d+, which ends at 1"),
-        ({"airspeed": V, "climb_angle": 0.8}, r"climb 45\.8 deg.*needs throttle 1\.\d+, which ends at 1"),
+        (
+            {"airspeed": V, "climb_angle": 0.8},
+            r"climb 45\.8 deg.*needs throttle 1\.\d+, which ends at 1",
+        ),
         ({"airspeed": V, "climb_angle": -0.2}, r"needs throttle -0\.\d+, which ends at 0"),
         ({"airspeed": V, "bank": 1.25}, r"bank 71\.6 deg.*needs elevator \d.*which ends at 1"),
         ({"airspeed": 2.5}, "angle of attack at its limit of 34 deg"),
-        ({"airspeed": 0.0}, "airspeed: want a finite number"),
-        ({"airspeed": float("nan")}, "airspeed: want a finite number"),
-        ({"airspeed": V, "bank": 1.6}, "bank: want a finite number"),
-        ({"airspeed": V, "climb_angle": 1.6}, "climb_angle: want a finite number"),
+        ({"airspeed": 0.0}, "airspeed: expected a finite number"),
+        ({"airspeed": float("nan")}, "airspeed: expected a finite number"),
+        ({"airspeed": V, "bank": 1.6}, "bank: expected a finite number"),
+        ({"airspeed": V, "climb_angle": 1.6}, "climb_angle: expected a finite number"),
     ],
 )
 def test_what_cannot_be_flown_is_said_with_the_limit(form, wanted, words):
@@ -186,17 +224,18 @@ def test_modes_are_those_of_the_form_with_rates():
 
 def test_a_trim_of_the_other_form_is_refused():
     """Nine states are not twelve."""
-    with pytest.raises(InputError, match=r"trim.state: want shape \(12\), got \(9\)"):
+    with pytest.raises(InputError, match=r"trim.state: expected shape \(12\), got \(9\)"):
         linearise(rates_model(), trim(paper_model(), V))
 
 
 def test_a_step_of_zero_is_refused():
     """It would divide by it."""
-    with pytest.raises(InputError, match="dt: want a finite number"):
+    with pytest.raises(InputError, match="dt: expected a finite number"):
         to_nlsys(rates_model(), 0.0)
 
 
-# Linear models ----------------------------------------------------------------------------------------------------
+# Linear models
+# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -207,8 +246,12 @@ def test_slopes_are_those_of_scipy(form, bank):
     steady = trim(model, V, 0.0, bank)
     A, B = linearise(model, steady)
     rates = state_rates(model.form, model.terms, ())
-    by_state = approx_fprime(steady.state, lambda x: np.array(rates(0.0, x, steady.command, model.K), float))
-    by_stick = approx_fprime(steady.command, lambda u: np.array(rates(0.0, steady.state, u, model.K), float))
+    by_state = approx_fprime(
+        steady.state, lambda x: np.array(rates(0.0, x, steady.command, model.K), float)
+    )
+    by_stick = approx_fprime(
+        steady.command, lambda u: np.array(rates(0.0, steady.state, u, model.K), float)
+    )
     assert np.abs(A - by_state).max() < 2e-5
     assert np.abs(B - by_stick).max() < 2e-5
     assert np.abs(A).max() > 1.0
@@ -216,7 +259,9 @@ def test_slopes_are_those_of_scipy(form, bank):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_the_discrete_model_is_the_exponential_of_the_continuous_one(form):
-    """Theory of linear systems: expm([[A, B], [0, 0]] dt). Runge-Kutta leaves (18 * 0.05)^5 / 120 of e^-0.9: 1 %."""
+    """Theory of linear systems: expm([[A, B], [0, 0]] dt). Runge-Kutta leaves (18 * 0.05)^5 / 120
+    of e^-0.9: 1 %.
+    """
     model = lopsided(form)
     steady = trim(model, V)
     A, B = linearise(model, steady)
@@ -229,7 +274,8 @@ def test_the_discrete_model_is_the_exponential_of_the_continuous_one(form):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_small_deviations_follow_the_eigenvalues(form):
-    """Theory: from the trim plus 1e-5 times an eigenvector v, the flight deviates by Re(1e-5 v exp(lambda t)).
+    """Theory: from the trim plus 1e-5 times an eigenvector v, the flight deviates by Re(1e-5 v
+    exp(lambda t)).
 
     Second-order terms are 1e-5 of that, Runge-Kutta at 10 ms less.
     """
@@ -238,13 +284,16 @@ def test_small_deviations_follow_the_eigenvalues(form):
     values, vectors = np.linalg.eig(linearise(model, steady)[0])
     still = held(model, steady, 0.5)[1]
     for value, vector in zip(values, vectors.T, strict=True):
-        t, flown = held(model, type(steady)(**{**vars(steady), "state": steady.state + 1e-5 * vector.real}), 0.5)
+        t, flown = held(
+            model, type(steady)(**{**vars(steady), "state": steady.state + 1e-5 * vector.real}), 0.5
+        )
         want = 1e-5 * (vector * np.exp(value * t[:, None])).real
         assert np.abs(flown - still - want).max() < 2e-3 * 1e-5
 
 
 def test_the_modes_have_the_frequencies_of_textbook_formulas():
-    """Roll: -1 / (V L_p). Short period: V sqrt(-M_alpha - M_q cL_alpha). Both within 3 %: weak couplings are left out.
+    """Roll: -1 / (V L_p). Short period: V sqrt(-M_alpha - M_q cL_alpha). Both within 3 %: weak
+    couplings are left out.
 
     [Beard & McLain, sec. 5.6; lift and pitch damping per unit mass and inertia]
     """
@@ -256,13 +305,24 @@ def test_the_modes_have_the_frequencies_of_textbook_formulas():
     assert found["short period"].natural_frequency == pytest.approx(
         V * np.sqrt(-K.M_alpha - K.M_q * K.cL_alpha), rel=0.03
     )
-    assert found["Dutch roll"].natural_frequency == pytest.approx(V * np.sqrt(K.N_beta + K.N_r * K.cY_beta), rel=0.2)
+    assert found["Dutch roll"].natural_frequency == pytest.approx(
+        V * np.sqrt(K.N_beta + K.N_r * K.cY_beta), rel=0.2
+    )
 
 
 def test_the_phugoid_trades_height_for_speed():
-    """Lanchester: sqrt(2) g / V when it is slow beside the short period; an aircraft with stiff pitch and no drag."""
+    """Lanchester: sqrt(2) g / V when it is slow beside the short period; an aircraft with stiff
+    pitch and no drag.
+    """
     model = rates_model().with_values(
-        {"M_alpha": -15.0, "M_q": -0.3, "M_0": 0.0, "cL_0": 9.8 / 25.0**2, "cD_0": 0.002, "kTV": 0.0}
+        {
+            "M_alpha": -15.0,
+            "M_q": -0.3,
+            "M_0": 0.0,
+            "cL_0": 9.8 / 25.0**2,
+            "cD_0": 0.002,
+            "kTV": 0.0,
+        }
     )
     fast = 25.0  # held by cL_0 alone, so that pitch and angle of attack are small
     found = {mode.name: mode for mode in modes(linearise(model, trim(model, fast))[0])}
@@ -271,9 +331,12 @@ def test_the_phugoid_trades_height_for_speed():
 
 
 def test_a_mode_is_told_in_frequency_damping_and_time():
-    """By hand: -3 +- 4i has frequency 5, damping 0.6, time constant 1/3; growing modes have negative ones."""
+    """By hand: -3 +- 4i has frequency 5, damping 0.6, time constant 1/3; growing modes have
+    negative ones.
+    """
     A = np.zeros((12, 12))
-    # pitch, q swing with -3 +- 4i; vx, vz with -1 +- 1i; roll, vy with 2 and -5; p, r with -7 +- 1i; yaw stays.
+    # pitch, q swing with -3 +- 4i; vx, vz with -1 +- 1i; roll, vy with 2 and -5; p, r with -7 +-
+    # 1i; yaw stays.
     for rows, block in (
         ((3, 10), [[-3, 4], [-4, -3]]),
         ((6, 8), [[-1, 1], [-1, -1]]),
@@ -283,13 +346,18 @@ def test_a_mode_is_told_in_frequency_damping_and_time():
     A[5, 5], A[7, 7] = 2.0, -5.0
     found = {mode.name: mode for mode in modes(A)}
     period = found["short period"]
-    assert (period.natural_frequency, period.damping, period.time_constant) == pytest.approx((5.0, 0.6, 1.0 / 3.0))
+    assert (period.natural_frequency, period.damping, period.time_constant) == pytest.approx(
+        (5.0, 0.6, 1.0 / 3.0)
+    )
     assert found["phugoid"].eigenvalue == pytest.approx(-1 + 1j)
     assert found["Dutch roll"].eigenvalue == pytest.approx(-7 + 1j)
-    assert (found["roll"].time_constant, found["spiral"].time_constant) == pytest.approx((0.2, -0.5))
+    assert (found["roll"].time_constant, found["spiral"].time_constant) == pytest.approx(
+        (0.2, -0.5)
+    )
 
 
-# python-control ---------------------------------------------------------------------------------------------------
+# python-control
+# ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -298,17 +366,25 @@ def test_python_control_flies_the_same_flight(form, rng):
     import control
 
     push = Term(
-        "push", (Parameter("rise", 0.3, 0.0, 5.0, "m/s^3", ""),), lambda air, K: (K.rise * air.time, 0, 0, 0, 0, 0)
+        "push",
+        (Parameter("rise", 0.3, 0.0, 5.0, "m/s^3", ""),),
+        lambda air, K: (K.rise * air.time, 0, 0, 0, 0, 0),
     )
     swell = WindTerm(
-        "swell", (Parameter("swell", 0.2, 0.0, 5.0, "m/s^2", ""),), lambda px, py, h, t, K: (0, K.swell * t, 0)
+        "swell",
+        (Parameter("swell", 0.2, 0.0, 5.0, "m/s^2", ""),),
+        lambda px, py, h, t, K: (0, K.swell * t, 0),
     )
-    model = lopsided(form).adding(push, swell)
+    model = lopsided(form).with_terms(push, swell)
     start = trim(model, V).state
     sticks = np.array([0.3, 0.0, 0.05, 0.0]) + rng.normal(0.0, 0.05, (60, 4))
-    response = control.input_output_response(to_nlsys(model, 0.05), np.arange(60) * 0.05, sticks.T, start)
+    response = control.input_output_response(
+        to_nlsys(model, 0.05), np.arange(60) * 0.05, sticks.T, start
+    )
     substeps = SUBSTEPS[form]
-    flown = roll_out(model, start, np.repeat(sticks[:-1], substeps, axis=0), 0.05 / substeps)[::substeps]
+    flown = roll_out(model, start, np.repeat(sticks[:-1], substeps, axis=0), 0.05 / substeps)[
+        ::substeps
+    ]
     assert np.abs(response.outputs.T - flown).max() < 1e-12
     assert np.abs(response.states.T - flown).max() < 1e-12
 
@@ -336,9 +412,12 @@ def test_python_control_linearises_to_the_same_matrices(form):
 def test_the_stepper_moves_many_aircraft_at_once(rng):
     """The same arithmetic, column by column."""
     model = rates_model()
-    x, sticks = trim(model, V).state[:, None] + rng.normal(0.0, 0.1, (12, 5)), rng.uniform(0.0, 0.5, (4, 5))
-    together = stepper(model)(0.0, x, sticks)
+    x, sticks = (
+        trim(model, V).state[:, None] + rng.normal(0.0, 0.1, (12, 5)),
+        rng.uniform(0.0, 0.5, (4, 5)),
+    )
+    together = discrete_step(model)(0.0, x, sticks)
     for k in range(5):
         assert together[:, k] == pytest.approx(
-            stepper(model)(0.0, x[:, k : k + 1], sticks[:, k : k + 1])[:, 0], abs=1e-14
+            discrete_step(model)(0.0, x[:, k : k + 1], sticks[:, k : k + 1])[:, 0], abs=1e-14
         )

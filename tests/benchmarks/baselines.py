@@ -1,17 +1,20 @@
-"""Baselines for naming: a calm base and a flight -> the effect that common practice would name, or none.
+"""Baselines for naming: a calm base and a flight -> the effect that common practice would name, or
+none.
 
-Both recipes get the same flights, the same aircraft with the same prior, and the same catalogue as the kit. They differ
-in the loss: accelerations from smoothed poses are a linear regression on what each effect would add to them.
+Both recipes get the same flights, the same aircraft with the same prior, and the same catalogue as
+the kit. They differ in the loss: accelerations from smoothed poses are a linear regression on what
+each effect would add to them.
 
-    stepwise  forward selection by partial F, the first column to enter is the name [Klein & Morelli, Aircraft System
-              Identification, ch. 5]
+    stepwise  forward selection by partial F, the first column to enter is the name [Klein &
+              Morelli, Aircraft System Identification, ch. 5]
     pysindy   sequentially thresholded least squares as PySINDy does it [Brunton, Proctor & Kutz 2016]
 
-We made them as good as we could: outliers count little before anything is differentiated; the model's accelerations
-pass the smoother's own low-pass before they are compared, which takes away most of the smoothing bias; each channel
-counts by what the calm flight leaves in it; the base model is refitted under the kit's prior, or held; of each effect
-only the place that explains most stands in the library, and of columns that correlate by more than 0.9 PySINDy sees
-only the better. Neighbouring rows share poses, so F is larger than chance allows, as in the common practice. To pick
+We made them as good as we could: outliers count little before anything is differentiated; the
+model's accelerations pass the smoother's own low-pass before they are compared, which takes away
+most of the smoothing bias; each channel counts by what the calm flight leaves in it; the base model
+is refitted under the kit's prior, or held; of each effect only the place that explains most stands
+in the library, and of columns that correlate by more than 0.9 PySINDy sees only the better.
+Neighbouring rows share poses, so F is larger than chance allows, as in the common practice. To pick
 a threshold in hindsight, over the flights that are judged, favours a baseline.
 """
 
@@ -26,15 +29,47 @@ from falconwing_kit.aircraft.model import Model, state_rates
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import euler_rates, up_in_body
-from falconwing_kit.gap.baseline import CalmBase, know_calm
-from falconwing_kit.gap.evidence import variants
+from falconwing_kit.gap.baseline import NominalModel, identify_baseline
+from falconwing_kit.gap.evidence import effect_variants
 from falconwing_kit.sysid.fit import prior_rows
-from falconwing_kit.sysid.prepare import FEWEST_SAMPLES, LOCAL_SPAN_S, MOST_SAMPLES, Flight, prepare
+from falconwing_kit.sysid.prepare import (
+    LOCAL_SPAN_S,
+    MAX_SAMPLES,
+    MIN_SAMPLES,
+    PreparedFlight,
+    prepare,
+)
 from falconwing_kit.sysid.shooting import FIRST_ROW, cut_windows
 
 F_TO_ENTER = 20.0  # the book's, five times what chance needs at 95 %
-F_LEVELS = (F_TO_ENTER, 30.0, 50.0, 70.0, 100.0, 150.0, 200.0, 300.0, 500.0, 700.0, 1000.0, 1500.0, 2000.0)
-THRESHOLDS = (0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0)  # rms of a column's part, in calm sigmas
+F_LEVELS = (
+    F_TO_ENTER,
+    30.0,
+    50.0,
+    70.0,
+    100.0,
+    150.0,
+    200.0,
+    300.0,
+    500.0,
+    700.0,
+    1000.0,
+    1500.0,
+    2000.0,
+)
+THRESHOLDS = (
+    0.02,
+    0.03,
+    0.05,
+    0.07,
+    0.1,
+    0.15,
+    0.2,
+    0.3,
+    0.5,
+    0.7,
+    1.0,
+)  # rms of a column's part, in calm sigmas
 COLLINEAR = 0.9  # beyond it two columns are one to a regression [Klein & Morelli, ch. 5]
 Treatment = Literal["refitted", "held"]  # of the base model's parameters on the flight under test
 TREATMENTS: tuple[Treatment, ...] = ("refitted", "held")
@@ -46,7 +81,9 @@ class Answer:
 
     verdict: Literal["named", "none"]
     name: str  # "none" where nothing is named
-    ranking: tuple[tuple[str, float], ...]  # effects, best first: partial F, or share of the explained residual
+    ranking: tuple[
+        tuple[str, float], ...
+    ]  # effects, best first: partial F, or share of the explained residual
 
 
 @dataclass(frozen=True)
@@ -56,11 +93,14 @@ class Regression:
     residual: Array  # (M,) measured minus base model, in sigmas of the calm flight
     columns: Array  # (M, C) change by each amplitude, root mean square 1
     names: tuple[str, ...]  # (C,) the effect of each column
-    freedom: int  # rows less the parameters refitted
+    degrees_of_freedom: int  # rows less the parameters refitted
 
 
 def stepwise_name(
-    calm: FlightTable, flight: FlightTable, enter: float = F_TO_ENTER, treatment: Treatment = "refitted"
+    calm: FlightTable,
+    flight: FlightTable,
+    enter: float = F_TO_ENTER,
+    treatment: Treatment = "refitted",
 ) -> Answer:
     """Name an effect by stepwise regression: the first column that enters.
 
@@ -76,10 +116,12 @@ def stepwise_name(
     Raises:
         InputError: a flight cannot be used.
     """
-    return first_to_enter(effect_regression(know_calm(calm), flight, treatment), enter)
+    return first_to_enter(effect_regression(identify_baseline(calm), flight, treatment), enter)
 
 
-def pysindy_name(calm: FlightTable, flight: FlightTable, treatment: Treatment = "refitted") -> dict[float, Answer]:
+def pysindy_name(
+    calm: FlightTable, flight: FlightTable, treatment: Treatment = "refitted"
+) -> dict[float, Answer]:
     """Name an effect by PySINDy's STLSQ, once for every threshold.
 
     Args:
@@ -88,16 +130,19 @@ def pysindy_name(calm: FlightTable, flight: FlightTable, treatment: Treatment = 
         treatment: of the base model's parameters.
 
     Returns:
-        Threshold -> answer; the ranking holds each surviving effect's share of the explained residual.
+        Threshold -> answer; the ranking holds each surviving effect's share of the explained
+        residual.
 
     Raises:
         InputError: a flight cannot be used.
     """
-    regression = effect_regression(know_calm(calm), flight, treatment)
+    regression = effect_regression(identify_baseline(calm), flight, treatment)
     return {threshold: sparse(regression, threshold) for threshold in THRESHOLDS}
 
 
-def baseline_answers(base: CalmBase, flight: FlightTable, pysindy: bool = True) -> dict[str, str]:
+def baseline_answers(
+    base: NominalModel, flight: FlightTable, pysindy: bool = True
+) -> dict[str, str]:
     """What every baseline names, with the calm flight known already.
 
     Args:
@@ -106,8 +151,9 @@ def baseline_answers(base: CalmBase, flight: FlightTable, pysindy: bool = True) 
         pysindy: ask PySINDy too, which is an extra of its own.
 
     Returns:
-        Effect or "none" by "stepwise" (F-to-enter 20), "stepwise@<F>" and "pysindy@<threshold>"; the same with
-        "_held" before the @ where the base model's parameters stay as they were on the calm flight.
+        Effect or "none" by "stepwise" (F-to-enter 20), "stepwise@<F>" and "pysindy@<threshold>";
+        the same with "_held" before the @ where the base model's parameters stay as they were on
+        the calm flight.
 
     Raises:
         InputError: the flight cannot be used.
@@ -118,11 +164,14 @@ def baseline_answers(base: CalmBase, flight: FlightTable, pysindy: bool = True) 
         mark = "_held" if treatment == "held" else ""
         answers |= {f"stepwise{mark}@{F:g}": first_to_enter(regression, F).name for F in F_LEVELS}
         if pysindy:
-            answers |= {f"pysindy{mark}@{least:g}": sparse(regression, least).name for least in THRESHOLDS}
+            answers |= {
+                f"pysindy{mark}@{least:g}": sparse(regression, least).name for least in THRESHOLDS
+            }
     return {"stepwise": answers[f"stepwise@{F_TO_ENTER:g}"], **answers}
 
 
-# The two recipes --------------------------------------------------------------------------------------------------
+# The two recipes
+# --------------------------------------------------------------------------------------------------
 
 
 def first_to_enter(regression: Regression, enter: float = F_TO_ENTER) -> Answer:
@@ -137,7 +186,7 @@ def first_to_enter(regression: Regression, enter: float = F_TO_ENTER) -> Answer:
     """
     explained = _alone(regression.columns, regression.residual)
     left = np.sum(regression.residual**2) - explained
-    F = explained / np.maximum(left / max(regression.freedom - 1, 1), 1e-300)
+    F = explained / np.maximum(left / max(regression.degrees_of_freedom - 1, 1), 1e-300)
     largest = {name: 0.0 for name in regression.names}
     for name, value in zip(regression.names, F.tolist(), strict=True):
         largest[name] = max(largest[name], value)
@@ -147,14 +196,16 @@ def first_to_enter(regression: Regression, enter: float = F_TO_ENTER) -> Answer:
 def sparse(regression: Regression, threshold: float) -> Answer:
     """PySINDy's sequentially thresholded least squares on all columns at once.
 
-    Least squares shares the explained sum of squares among columns: coefficient times (column . residual).
+    Least squares shares the explained sum of squares among columns: coefficient times (column .
+        residual).
 
     Args:
         regression: M rows, C columns.
         threshold: columns with a smaller coefficient are dropped, again and again.
 
     Returns:
-        The effect with the largest share of what the surviving columns explain, or none where none survives.
+        The effect with the largest share of what the surviving columns explain, or none where none
+        survives.
     """
     import warnings
 
@@ -201,21 +252,22 @@ def _separable(columns: Array, residual: Array) -> list[int]:
     return kept
 
 
-# The regression ---------------------------------------------------------------------------------------------------
+# The regression
+# ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Flown:
     """A flight as the base model sees it, and what other models would change."""
 
-    flights: tuple[Flight, ...]
+    flights: tuple[PreparedFlight, ...]
     model: Model
     sticks: tuple[Array, ...]  # (N, 4) control positions of each stretch
     at: Array  # (N, 6) accelerations of the model
     sigma: Array  # (6,) what one counts of each channel [m/s^2, rad/s^2]
 
     @classmethod
-    def of(cls, flights: Sequence[Flight], model: Model, sigma: Array) -> "Flown":
+    def of(cls, flights: Sequence[PreparedFlight], model: Model, sigma: Array) -> "Flown":
         """Prepared stretches of one flight, with the base model evaluated."""
         sticks = control_positions(model, flights)
         return cls(tuple(flights), model, sticks, accelerations(model, flights, sticks), sigma)
@@ -231,16 +283,21 @@ class Flown:
             other.values[name] == self.model.values[name] for name in other.input_names
         )
         sticks = self.sticks if same else control_positions(other, self.flights)
-        return np.asarray(((accelerations(other, self.flights, sticks) - self.at) / self.sigma).ravel())
+        return np.asarray(
+            ((accelerations(other, self.flights, sticks) - self.at) / self.sigma).ravel()
+        )
 
 
-def effect_regression(base: CalmBase, flight: FlightTable, treatment: Treatment = "refitted") -> Regression:
+def effect_regression(
+    base: NominalModel, flight: FlightTable, treatment: Treatment = "refitted"
+) -> Regression:
     """Accelerations that the base model does not explain, and the columns of all effects.
 
     Args:
         base: the aircraft without surprise.
         flight: the flight under test.
-        treatment: "refitted" lets the base model's parameters move under the prior the kit has; "held" does not.
+        treatment: "refitted" lets the base model's parameters move under the prior the kit has;
+            "held" does not.
 
     Returns:
         The regression, linear and angular accelerations together.
@@ -250,30 +307,40 @@ def effect_regression(base: CalmBase, flight: FlightTable, treatment: Treatment 
     """
     model = base.result.model
     if model.form != "rates":
-        raise InputError(f"base model: want the form with body rates, got {model.form!r}; identify with form='rates'")
-    calm = Flown.of([f for prepared in base.found.prepared for f in prepared.flights], model, np.ones(6))
+        raise InputError(
+            f"base model: expected the form with body rates, got {model.form!r}; identify with form='rates'"
+        )
+    calm = Flown.of(
+        [f for prepared in base.found.prepared for f in prepared.flights], model, np.ones(6)
+    )
     sigma = 1.4826 * np.median(np.abs(calm.residual.reshape(-1, 6)), axis=0)
     flown = Flown.of(prepare(flight, base.found.sigma).flights, model, sigma)
     y, (names, places, X) = flown.residual, _effect_columns(flown)
-    freedom = len(y)
+    degrees_of_freedom = len(y)
     if treatment == "refitted":
         free = tuple(i for i, p in enumerate(model.parameters) if p.high > p.low)
-        known, _ = prior_rows(model, free, base.prior)  # as further measurements: mixed estimation [Theil 1963]
+        known, _ = prior_rows(
+            model, free, base.prior
+        )  # as further measurements: mixed estimation [Theil 1963]
         K = np.concatenate([_parameter_columns(flown, free), known])
         Q, _ = np.linalg.qr(K / np.linalg.norm(K, axis=0))
         beyond = np.concatenate([np.column_stack([X, y]), np.zeros((len(known), len(names) + 1))])
         beyond -= Q @ (Q.T @ beyond)
         X, y = beyond[:, :-1], beyond[:, -1]
-        freedom -= len(free)
+        degrees_of_freedom -= len(free)
     best = _best_places(names, places, X, y)
     X = X[:, best] / np.sqrt(np.mean(X[:, best] ** 2, axis=0))
-    return Regression(y, X, tuple(names[k] for k in best), freedom)
+    return Regression(y, X, tuple(names[k] for k in best), degrees_of_freedom)
 
 
 def _effect_columns(flown: Flown) -> tuple[list[str], list[int], Array]:
-    """Name, number of the place tried, and column (M, C) of each amplitude: a secant to the variant's own size."""
+    """Name, number of the place tried, and column (M, C) of each amplitude: a secant to the
+    variant's own size.
+    """
     names, places, columns = [], [], []
-    for place, variant in enumerate(variants(CATALOGUE, cut_windows(flown.flights, flown.model))):
+    for place, variant in enumerate(
+        effect_variants(CATALOGUE, cut_windows(flown.flights, flown.model))
+    ):
         absent = {p.name: 0.0 for p in variant.effect.amplitudes}
         without = flown.model.with_effect(variant.effect).with_values({**variant.values, **absent})
         for p in variant.effect.amplitudes:
@@ -289,16 +356,26 @@ def _parameter_columns(flown: Flown, free: Sequence[int]) -> Array:
     model, columns = flown.model, []
     for i in free:
         name, value = model.names[i], model.values[model.names[i]]
-        step = 1e-3 if name in model.input_names else 1e-4 * max(abs(value), abs(model.parameters[i].start), 0.1)
+        step = (
+            1e-3
+            if name in model.input_names
+            else 1e-4 * max(abs(value), abs(model.parameters[i].start), 0.1)
+        )
         columns.append(flown.change(model.with_values({name: value + step})) / step)
     return np.stack(columns, axis=1)
 
 
-def _best_places(names: Sequence[str], places: Sequence[int], columns: Array, residual: Array) -> list[int]:
-    """Of each effect the columns of the place that explains most by itself; what two effects share is the simpler's."""
+def _best_places(
+    names: Sequence[str], places: Sequence[int], columns: Array, residual: Array
+) -> list[int]:
+    """Of each effect the columns of the place that explains most by itself; what two effects share
+    is the simpler's.
+    """
     best: dict[str, tuple[float, list[int]]] = {}
     for place in dict.fromkeys(places):
-        mine = [k for k, p in enumerate(places) if p == place and np.any(np.abs(columns[:, k]) > 1e-9)]
+        mine = [
+            k for k, p in enumerate(places) if p == place and np.any(np.abs(columns[:, k]) > 1e-9)
+        ]
         if not mine:
             continue
         Q, _ = np.linalg.qr(columns[:, mine])
@@ -310,22 +387,26 @@ def _best_places(names: Sequence[str], places: Sequence[int], columns: Array, re
     return [k for i, k in enumerate(chosen) if not np.any(alike[i, :i] > 1.0 - 1e-9)]
 
 
-# Accelerations ----------------------------------------------------------------------------------------------------
+# Accelerations
+# ----------------------------------------------------------------------------------------------------
 
 
-def measured_accelerations(flights: Sequence[Flight]) -> Array:
+def measured_accelerations(flights: Sequence[PreparedFlight]) -> Array:
     """Second derivatives of the local cubics.
 
     Args:
         flights: prepared stretches.
 
     Returns:
-        (N, 6) of the velocity in the world [m/s^2] and of the body rates [rad/s^2], away from the stretches' ends.
+        (N, 6) of the velocity in the world [m/s^2] and of the body rates [rad/s^2], away from the
+        stretches' ends.
     """
-    return np.concatenate([flight.smooth_rates[_inner(flight), 6:] for flight in flights])
+    return np.concatenate([flight.state_derivatives[_inner(flight), 6:] for flight in flights])
 
 
-def accelerations(model: Model, flights: Sequence[Flight], sticks: Sequence[Array]) -> Array:
+def accelerations(
+    model: Model, flights: Sequence[PreparedFlight], sticks: Sequence[Array]
+) -> Array:
     """The same of a model at the smoothed states, as the smoother would show them.
 
     Args:
@@ -345,7 +426,7 @@ def accelerations(model: Model, flights: Sequence[Flight], sticks: Sequence[Arra
     return np.concatenate(parts)
 
 
-def control_positions(model: Model, flights: Sequence[Flight]) -> tuple[Array, ...]:
+def control_positions(model: Model, flights: Sequence[PreparedFlight]) -> tuple[Array, ...]:
     """Mean control positions over the time that each row stands for.
 
     Args:
@@ -360,15 +441,15 @@ def control_positions(model: Model, flights: Sequence[Flight]) -> tuple[Array, .
         t = flight.t - flight.t[0]
         between = 0.5 * (t[1:] + t[:-1])
         edges = np.concatenate([[2.0 * t[0] - between[0]], between, [2.0 * t[-1] - between[-1]]])
-        positions.append(model.acting(t, flight.commands, edges, model.K)[0])
+        positions.append(model.actuator_positions(t, flight.commands, edges, model.K)[0])
     return tuple(positions)
 
 
 def smoother_low_pass(half: int) -> Array:
     """What a local cubic's second derivative does to the true acceleration.
 
-    The derivative is a weighted sum of 2 h + 1 poses [Savitzky & Golay 1964]. Summed twice, its weights are those with
-    which it averages second differences, that is accelerations.
+    The derivative is a weighted sum of 2 h + 1 poses [Savitzky & Golay 1964]. Summed twice, its
+    weights are those with which it averages second differences, that is accelerations.
 
     Args:
         half: h, samples on each side.
@@ -381,23 +462,29 @@ def smoother_low_pass(half: int) -> Array:
     return np.asarray(np.cumsum(np.cumsum(second_derivative))[:-2])
 
 
-def _half(flight: Flight) -> int:
+def _half(flight: PreparedFlight) -> int:
     """Samples on each side of a local cubic, as `prepare` takes them."""
     interval = float(np.median(np.diff(flight.t)))
-    return int(np.clip(round(LOCAL_SPAN_S / interval), FEWEST_SAMPLES - 1, MOST_SAMPLES - 1)) // 2
+    return int(np.clip(round(LOCAL_SPAN_S / interval), MIN_SAMPLES - 1, MAX_SAMPLES - 1)) // 2
 
 
-def _inner(flight: Flight) -> slice:
+def _inner(flight: PreparedFlight) -> slice:
     """Rows whose cubics are centred and whose early commands are known."""
     return slice(FIRST_ROW + _half(flight), len(flight.t) - _half(flight))
 
 
-def _at_smoothed_states(model: Model, flight: Flight, time: Array, sticks: Array) -> Array:
-    """(6, N) accelerations; a tilted camera measures attitude, rates and their derivatives in its own axes."""
-    K, x = model.K, flight.smooth.T.copy()
-    tilt = np.array([K.tilt_roll, K.tilt_pitch, 0.0]) if any(e.pose for e in model.effects) else None
+def _at_smoothed_states(model: Model, flight: PreparedFlight, time: Array, sticks: Array) -> Array:
+    """(6, N) accelerations; a tilted camera measures attitude, rates and their derivatives in its
+    own axes.
+    """
+    K, x = model.K, flight.state_estimate.T.copy()
+    tilt = (
+        np.array([K.tilt_roll, K.tilt_pitch, 0.0]) if any(e.pose for e in model.effects) else None
+    )
     if tilt is not None:
-        roll, pitch, yaw = euler_rates(up_in_body(x[5], x[3]), *(0.0 * x[0] + angle for angle in tilt))
+        roll, pitch, yaw = euler_rates(
+            up_in_body(x[5], x[3]), *(0.0 * x[0] + angle for angle in tilt)
+        )
         x[3:6] -= np.stack([pitch, yaw, roll])
         x[9:] += np.cross(tilt, x[9:].T).T
     rates: tuple[Any, ...] = state_rates(model.form, model.terms, model.winds)(time, x, sticks.T, K)

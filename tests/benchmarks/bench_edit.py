@@ -1,9 +1,10 @@
-"""Editing: milliseconds of every edit of a leader of 5000 Gaussians in a hall of 200 000, and of all of them.
+"""Editing: milliseconds of every edit of a leader of 5000 Gaussians in a hall of 200 000, and of
+all of them.
 
     python -m pytest -m benchmark tests/benchmarks/bench_edit.py -s
 
-Times are this process's, the median of nine. The bar is that of the peers' Edit API, 4 ms an edit on a GPU [FalconGym
-2.0]; here it is one core. The table is Markdown.
+Times are this process's, the median of nine. The bar is that of the peers' Edit API, 4 ms an edit
+on a GPU [FalconGym 2.0]; here it is one core. The table is Markdown.
 """
 
 import time
@@ -40,7 +41,7 @@ def edits(whole: GaussianScene, mask: edit.Mask) -> dict[str, Callable[[], Any]]
     """Every edit of one part, ready to run."""
     hall, asset = (whole.selected(whole.labelled(name)) for name in ("hall", "leader"))
     return {
-        "choose": lambda: edit.choose(whole, "leader"),
+        "choose": lambda: edit.select_gaussians(whole, "leader"),
         "add": lambda: edit.add(hall, asset, "leader"),
         "translate": lambda: edit.translate(whole, mask, (1.0, 2.0, 3.0)),
         "rotate": lambda: edit.rotate(whole, mask, T_WORLD_LEADER[:3, :3]),
@@ -49,7 +50,7 @@ def edits(whole: GaussianScene, mask: edit.Mask) -> dict[str, Callable[[], Any]]
         "duplicate": lambda: edit.duplicate(whole, mask, (1.0, 0.0, 0.0), "copy"),
         "relight": lambda: edit.relight(whole, mask, 0.5),
         "salt_and_pepper": lambda: edit.salt_and_pepper(whole, mask, 0.3),
-        "dress": lambda: edit.dress(whole, mask, LOOK),
+        "dress": lambda: edit.apply_appearance(whole, mask, LOOK),
         "delete": lambda: edit.delete(whole, whole.labelled("leader")),
     }
 
@@ -67,16 +68,25 @@ def milliseconds(work: Callable[[], Any]) -> float:
 
 @pytest.mark.benchmark
 def test_edits_take_milliseconds(capsys):
-    """Prints the table; the assertion is loose, as machines differ: no edit of the leader takes a tenth of a second."""
+    """Prints the table; the assertion is loose, as machines differ: no edit of the leader takes a
+    tenth of a second.
+    """
     columns = {}
     for degree in (0, 1, 3):
         whole = scene(degree)
-        for part, mask in (("leader", whole.labelled("leader")), ("all", np.ones(len(whole), bool))):
+        for part, mask in (
+            ("leader", whole.labelled("leader")),
+            ("all", np.ones(len(whole), bool)),
+        ):
             runs = edits(whole, mask)
-            columns[f"{part}, degree {degree}"] = {name: milliseconds(work) for name, work in runs.items()}
+            columns[f"{part}, degree {degree}"] = {
+                name: milliseconds(work) for name, work in runs.items()
+            }
     lines = [f"| edit | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
     for name in runs:
-        lines.append(f"| {name} | " + " | ".join(f"{column[name]:.1f}" for column in columns.values()) + " |")
+        lines.append(
+            f"| {name} | " + " | ".join(f"{column[name]:.1f}" for column in columns.values()) + " |"
+        )
     with capsys.disabled():
         print(f"\n\nms an edit, {HALL + LEADER} Gaussians; {machine()}\n\n" + "\n".join(lines))
     assert max(columns["leader, degree 1"].values()) < 100.0

@@ -1,9 +1,10 @@
-"""The loop: simulated seconds per second of a landing with rendered images, time per stage, and the rate in real time.
+"""The loop: simulated seconds per second of a landing with rendered images, time per stage, and the
+rate in real time.
 
     python -m pytest -m benchmark tests/benchmarks/bench_loop.py
 
-Wall times are of this machine and whatever else runs on it; CPU times are of this process over all its threads. The
-table is Markdown.
+Wall times are of this machine and whatever else runs on it; CPU times are of this process over all
+its threads. The table is Markdown.
 """
 
 import os
@@ -16,7 +17,7 @@ from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Command, State
 from falconwing_kit.flight.loop import Loop, WallClock
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
-from falconwing_kit.flight.tasks import FollowTask, LandingTask, Task
+from falconwing_kit.flight.tasks import FlightTask, FollowTask, LandingTask
 from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene.arena import load_scene
 from tests.benchmarks.bench_rollouts import machine
@@ -50,7 +51,10 @@ class TimedWorld:
 def test_landing_with_images(capsys, tmp_path):
     """Prints the table; asserts only that the flights that were timed did what they should."""
     stages = " | ".join(f"{stage} [ms a step]" for stage in ("render", "pilot", "world", "log"))
-    lines = [f"| headless flight | simulated s per s | per s of CPU | {stages} |", "|---|---|---|---|---|---|---|"]
+    lines = [
+        f"| headless flight | simulated s per s | per s of CPU | {stages} |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for size in SIZES:
         lines.append(row("landing", LandingTask(), size, tmp_path))
     lines.append(row("following", FollowTask("left_turn_s_descent"), (320, 240), tmp_path))
@@ -60,16 +64,20 @@ def test_landing_with_images(capsys, tmp_path):
         print("\n".join([*lines, "", real]))
 
 
-def row(name: str, task: Task, size: tuple[int, int], folder) -> str:
+def row(name: str, task: FlightTask, size: tuple[int, int], folder) -> str:
     """One line: medians over flights."""
-    figures = np.array([flown(task, size, seed, folder / f"{name}_{size[0]}_{seed}.mcap") for seed in SEEDS])
+    figures = np.array(
+        [flown(task, size, seed, folder / f"{name}_{size[0]}_{seed}.mcap") for seed in SEEDS]
+    )
     per_wall, per_cpu, *stages = np.median(figures, axis=0)
     cells = " | ".join(f"{ms:.2f}" for ms in stages)
     return f"| {name}, {size[0]} x {size[1]} | {per_wall:.2f} | {per_cpu:.2f} | {cells} |"
 
 
-def flown(task: Task, size: tuple[int, int], seed: int, log) -> tuple[float, ...]:
-    """Simulated seconds per second of wall and of CPU, then ms a step of rendering, pilot, world and log."""
+def flown(task: FlightTask, size: tuple[int, int], seed: int, log) -> tuple[float, ...]:
+    """Simulated seconds per second of wall and of CPU, then ms a step of rendering, pilot, world
+    and log.
+    """
     trial = task.trial(seed)
     world, camera = TimedWorld(trial.world), fpv_camera(*size)
     view = RenderedView(world, load_scene("arena"), camera, task.airframe.p_body_camera)
@@ -81,8 +89,15 @@ def flown(task: Task, size: tuple[int, int], seed: int, log) -> tuple[float, ...
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     assert judge.result()["success"]
     seconds = len(flight.t) * loop.period
-    images, pilot_time, log_time = (float(flight.seconds[stage].sum()) for stage in ("images", "pilot", "log"))
-    stages = (images - world.seconds, pilot_time, world.seconds, log_time)  # the view flies the world before it looks
+    images, pilot_time, log_time = (
+        float(flight.seconds[stage].sum()) for stage in ("images", "pilot", "log")
+    )
+    stages = (
+        images - world.seconds,
+        pilot_time,
+        world.seconds,
+        log_time,
+    )  # the view flies the world before it looks
     return (seconds / wall, seconds / cpu, *(1e3 * stage / len(flight.t) for stage in stages))
 
 
@@ -93,7 +108,9 @@ def real_time(folder) -> str:
     view = RenderedView(trial.world, load_scene("arena"), camera, task.airframe.p_body_camera)
     judge, pilot = task.judge(trial, camera, view), task.expert(trial)
     with FlightLogWriter(folder / "real_time.mcap") as log:
-        loop = Loop(pilot, trial.world, view, MeasuredStates(trial.world), clock=WallClock(), log=log)
+        loop = Loop(
+            pilot, trial.world, view, MeasuredStates(trial.world), clock=WallClock(), log=log
+        )
         flight = loop.run(trial.duration, judge.watch)
     assert judge.result()["success"]
     median, high = flight.milliseconds("lateness")

@@ -1,9 +1,10 @@
-"""Roll-outs: how many steps a second the aircraft model takes on one core, beside JSBSim in the same run.
+"""Roll-outs: how many steps a second the aircraft model takes on one core, beside JSBSim in the
+same run.
 
     python -m pytest -m benchmark tests/benchmarks/bench_rollouts.py
 
-Times are CPU seconds of this process over all its threads, the best of five: other work on the machine and further
-cores do not count. The table is Markdown, ready for README.
+Times are CPU seconds of this process over all its threads, the best of five: other work on the
+machine and further cores do not count. The table is Markdown, ready for README.
 """
 
 import os
@@ -34,7 +35,9 @@ def test_rollouts_per_second(capsys: pytest.CaptureFixture[str]) -> None:
 
     aircraft = JsbsimAircraft()
     theirs = jsbsim_steps_per_second(aircraft) * STEP / ROW
-    lines = ["| aircraft model | flights at once | its step | steps/s | 50 ms of flight /s | against JSBSim |"]
+    lines = [
+        "| aircraft model | flights at once | its step | steps/s | 50 ms of flight /s | against JSBSim |"
+    ]
     lines += ["|---|---|---|---|---|---|", row("JSBSim, run() only", 1, STEP, theirs, theirs)]
     compile_times = []
     for model in (paper_model(), aircraft.kit_model()):
@@ -45,7 +48,11 @@ def test_rollouts_per_second(capsys: pytest.CaptureFixture[str]) -> None:
             lines.append(row(f"{model.form} form, {backend}", count, step, ours, theirs))
     versions = f"NumPy {np.__version__}, numba {numba.__version__}, JSBSim {jsbsim.__version__}"
     with capsys.disabled():
-        print(f"\n\n{machine()}, {versions}; one core.", f"Compiling once: {', '.join(compile_times)}.\n", sep="\n")
+        print(
+            f"\n\n{machine()}, {versions}; one core.",
+            f"Compiling once: {', '.join(compile_times)}.\n",
+            sep="\n",
+        )
         print("\n".join(lines))
 
 
@@ -63,7 +70,9 @@ def si(value: float) -> str:
 
 
 def steps_per_second(model: Model, backend: str, count: int, steps: int) -> float:
-    """Integration steps a second of `roll_out`, all flights together, from straight flight with held sticks."""
+    """Integration steps a second of `roll_out`, all flights together, from straight flight with
+    held sticks.
+    """
     steady = trim(model, 7.0)
     starts, sticks = np.tile(steady.state, (count, 1)), np.tile(steady.command, (count, steps, 1))
     step = ROW / SUBSTEPS[model.form]
@@ -74,7 +83,9 @@ def steps_per_second(model: Model, backend: str, count: int, steps: int) -> floa
 
 
 def jsbsim_steps_per_second(aircraft: JsbsimAircraft) -> float:
-    """JSBSim's own loop, the same aircraft from the same state, sticks held, nothing read or written."""
+    """JSBSim's own loop, the same aircraft from the same state, sticks held, nothing read or
+    written.
+    """
     steady, count = trim(aircraft.kit_model(), 7.0), 40_000
     flights = [new_fdm(aircraft, steady.state, steady.command) for _ in range(5)]
 
@@ -108,7 +119,9 @@ def machine() -> str:
     cpu, info = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
     if info.is_file():
         names = [
-            line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")
+            line.split(":", 1)[1].strip()
+            for line in info.read_text().splitlines()
+            if line.startswith("model name")
         ]
         cpu = names[0] if names else cpu
     return f"{cpu}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"

@@ -1,10 +1,12 @@
-"""How well the gap workflow names: flights made from fresh seeds -> one line of JSON each, and a table.
+"""How well the gap workflow names: flights made from fresh seeds -> one line of JSON each, and a
+table.
 
     python -m tests.benchmarks.gap_study independent --seed 20000 --out independent.jsonl
 
-Kinds: independent (JSBSim aircraft, every effect in turn, named with the full catalogue and again with the true effect
-withheld), calm (nothing hidden), pairs (two effects at once), outside (effects in no catalogue), own (the kit's own
-aircraft, 60 s). All flights are simulated. A file that exists is gone on with, so a study can be stopped and resumed.
+Kinds: independent (JSBSim aircraft, every effect in turn, named with the full catalogue and again
+with the true effect withheld), calm (nothing hidden), pairs (two effects at once), outside (effects
+in no catalogue), own (the kit's own aircraft, 60 s). All flights are simulated. A file that exists
+is gone on with, so a study can be stopped and resumed.
 """
 
 import argparse
@@ -23,8 +25,8 @@ import numpy as np
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.gap.baseline import CalmBase, know_calm
-from falconwing_kit.gap.close import close_gap, name_since
+from falconwing_kit.gap.baseline import NominalModel, identify_baseline
+from falconwing_kit.gap.close import close_gap, name_with_onset
 from falconwing_kit.gap.name import Naming, name_effect
 from falconwing_kit.tools.trials.hidden import hidden_flights
 from tests.hidden_effects import IN_CATALOGUE, OUTSIDE
@@ -58,10 +60,16 @@ class Case:
 
 
 def cases(kind: str, seed: int, count: int | None, withheld: int) -> Iterator[Case]:
-    """The cases of a study; every third flight with time-correlated noise, every second of the calm ones."""
-    effects = {"independent": IN_CATALOGUE, "calm": ("none",), "pairs": PAIRS, "outside": OUTSIDE, "own": IN_CATALOGUE}[
-        kind
-    ]
+    """The cases of a study; every third flight with time-correlated noise, every second of the calm
+    ones.
+    """
+    effects = {
+        "independent": IN_CATALOGUE,
+        "calm": ("none",),
+        "pairs": PAIRS,
+        "outside": OUTSIDE,
+        "own": IN_CATALOGUE,
+    }[kind]
     noises = {"pairs": ("marker", "hybrid"), "own": ("marker",)}.get(kind, NOISES)
     usual = {
         "independent": 5 * len(IN_CATALOGUE),
@@ -76,8 +84,18 @@ def cases(kind: str, seed: int, count: int | None, withheld: int) -> Iterator[Ca
         noise = noises[(k if kind in ("calm", "outside") else round_) % len(noises)]
         correlated = k % 2 == 1 if kind == "calm" else kind != "own" and (k + round_) % 3 == 2
         options = {"pose_bias": (0.0, 0.0, 0.03)[k % 3]} if kind == "calm" else {}
-        number = round_ if kind == "own" else k  # own: all effects of a round are flown by one aircraft
-        yield Case(kind, seed + number, effect, noise, correlated, kind == "independent" and k < withheld, options)
+        number = (
+            round_ if kind == "own" else k
+        )  # own: all effects of a round are flown by one aircraft
+        yield Case(
+            kind,
+            seed + number,
+            effect,
+            noise,
+            correlated,
+            kind == "independent" and k < withheld,
+            options,
+        )
 
 
 def study(batch: list[Case]) -> list[dict[str, Any]]:
@@ -87,10 +105,10 @@ def study(batch: list[Case]) -> list[dict[str, Any]]:
     for case, calm, flight, truth in _fly(batch):
         clock = [time.process_time()]
         if base is None:
-            base = know_calm(calm)
+            base = identify_baseline(calm)
             known_seconds = time.process_time() - clock[0]
         clock = [time.process_time()]
-        naming, _ = name_since(base, flight)
+        naming, _ = name_with_onset(base, flight)
         clock.append(time.process_time())
         closed = close_gap(base, naming)
         clock.append(time.process_time())
@@ -108,7 +126,7 @@ def study(batch: list[Case]) -> list[dict[str, Any]]:
         known = _merged(case.effect)
         if case.withhold:
             rest = [e for e in CATALOGUE if e.name != known]
-            row["withheld"] = _answer(name_since(base, flight, rest)[0], case.effect)
+            row["withheld"] = _answer(name_with_onset(base, flight, rest)[0], case.effect)
         if case.kind == "own":
             row["detectable"] = _detectable(base, flight, known)
         if case.kind in BASELINED:
@@ -130,13 +148,17 @@ def _fly(batch: list[Case]) -> Iterator[Flown]:
 
 
 def _fly_own(batch: list[Case]) -> list[Flown]:
-    """Flights of the kit's own aircraft; one whose effect leaves no flight inside the hall is left out and said so."""
+    """Flights of the kit's own aircraft; one whose effect leaves no flight inside the hall is left
+    out and said so.
+    """
     effects = [case.effect for case in batch]
     while True:
         try:
             made = hidden_flights(batch[0].seed, effects, noise="marker", flight_seconds=60.0)
         except InputError as error:  # names the effect
-            number = next(k for k, effect in enumerate(effects) if f"a flight with {effect} " in str(error))
+            number = next(
+                k for k, effect in enumerate(effects) if f"a flight with {effect} " in str(error)
+            )
             print(f"left out: {batch[number].key}: {error}", flush=True)
             effects[number] = "none"  # keeps the others' numbers, so their flights
         else:
@@ -154,10 +176,10 @@ def _answer(naming: Naming, effect: str) -> dict[str, Any]:
     true = _merged(effect)
     return {
         "verdict": naming.verdict, "effects": names,
-        "ranking": [[c.effect.name, round(c.gain, 1)] for c in naming.ranking[:4]],
+        "ranking": [[c.effect.name, round(c.delta_bic, 1)] for c in naming.ranking[:4]],
         "place": order.index(true) + 1 if true in order else None,
-        "threshold": naming.threshold, "excess": naming.excess, "left": naming.left, "strain": naming.strain,
-        "unnamed": [naming.unnamed.effect.name, round(naming.unnamed.gain, 1)],
+        "threshold": naming.threshold, "excess": naming.excess_chi2, "left": naming.left, "strain": naming.mahalanobis,
+        "unnamed": [naming.generic.effect.name, round(naming.generic.delta_bic, 1)],
     }  # fmt: skip
 
 
@@ -166,15 +188,15 @@ def _merged(effect: str) -> str:
     return effect.replace("time_offset", "control_delay")
 
 
-def _detectable(base: CalmBase, flight: FlightTable, effect: str) -> float:
+def _detectable(base: NominalModel, flight: FlightTable, effect: str) -> float:
     """chi2 by which the true model beats the base model on held-out time, both fitted to the rest."""
     alone = name_effect(base, flight, [e for e in CATALOGUE if e.name == effect])
     closed = close_gap(base, replace(alone, verdict="named", chosen=alone.ranking[:1]))
     components = np.count_nonzero(alone.windows.weight[closed.held_out])
-    return float((closed.before_free.chi2 - closed.after.chi2) * components)
+    return float((closed.before_with_free_parameters.chi2 - closed.after.chi2) * components)
 
 
-def _baselines(base: CalmBase, flight: FlightTable) -> dict[str, str]:
+def _baselines(base: NominalModel, flight: FlightTable) -> dict[str, str]:
     try:
         from tests.benchmarks.baselines import baseline_answers
     except ImportError:  # PySINDy comes with the extra `bench`
@@ -182,7 +204,8 @@ def _baselines(base: CalmBase, flight: FlightTable) -> dict[str, str]:
     return baseline_answers(base, flight)
 
 
-# Judging --------------------------------------------------------------------------------------------------------------
+# Judging
+# --------------------------------------------------------------------------------------------------------------
 
 
 def points(row: dict[str, Any], effect: str) -> float:
@@ -224,8 +247,12 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
         f"{'+'.join(r['effects'])} {r['ranking'][:2]} unnamed {r['unnamed']} left {r['left']:.3f} of {r['excess']:.3f}"
         for r in rows if not right_or_outside(r)
     ]  # fmt: skip
-    seconds = {stage: np.median([r["seconds"][stage] for r in rows]) for stage in rows[0]["seconds"]}
-    lines.append("  CPU seconds, median: " + ", ".join(f"{stage} {s:.1f}" for stage, s in seconds.items()))
+    seconds = {
+        stage: np.median([r["seconds"][stage] for r in rows]) for stage in rows[0]["seconds"]
+    }
+    lines.append(
+        "  CPU seconds, median: " + ", ".join(f"{stage} {s:.1f}" for stage, s in seconds.items())
+    )
     return lines
 
 
@@ -266,10 +293,14 @@ def _accuracy(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _beside_baselines(rows: list[dict[str, Any]]) -> list[str]:
-    """Top-1 of each baseline on the same flights; whoever picks a threshold from this table picks it in hindsight."""
+    """Top-1 of each baseline on the same flights; whoever picks a threshold from this table picks
+    it in hindsight.
+    """
     lines = []
     for name in sorted({name for r in rows for name in r.get("baselines", ())}):
-        right = sum(r["baselines"].get(name) in (r["effect"], _merged(r["effect"])) for r in rows) / len(rows)
+        right = sum(
+            r["baselines"].get(name) in (r["effect"], _merged(r["effect"])) for r in rows
+        ) / len(rows)
         lines.append(f"  baseline {name}: right {right:.3f}")
     return lines
 
@@ -280,22 +311,37 @@ def main() -> None:
     parser.add_argument("kind", choices=("independent", "calm", "pairs", "outside", "own"))
     parser.add_argument("--seed", type=int, required=True, help="of the first flight")
     parser.add_argument("--cases", type=int, default=None)
-    parser.add_argument("--withheld", type=int, default=38, help="this many of the independent ones again without")
+    parser.add_argument(
+        "--withheld", type=int, default=38, help="this many of the independent ones again without"
+    )
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, required=True, help="JSON lines; gone on with where it exists")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="JSON lines; gone on with where it exists"
+    )
     asked = parser.parse_args()
     if asked.kind in BASELINED and find_spec("pysindy") is None:
-        parser.error("want pysindy to compare with; run: pip install -c constraints.txt -e '.[dev,bench]'")
-    done = [json.loads(line) for line in asked.out.read_text().splitlines()] if asked.out.exists() else []
+        parser.error(
+            "expected pysindy to compare with; run: pip install -c constraints.txt -e '.[dev,bench]'"
+        )
+    done = (
+        [json.loads(line) for line in asked.out.read_text().splitlines()]
+        if asked.out.exists()
+        else []
+    )
     known = {row["key"] for row in done}
-    left = [c for c in cases(asked.kind, asked.seed, asked.cases, asked.withheld) if c.key not in known]
+    left = [
+        c for c in cases(asked.kind, asked.seed, asked.cases, asked.withheld) if c.key not in known
+    ]
     with ProcessPoolExecutor(asked.workers) as pool, asked.out.open("a") as file:
         batches = [list(cases) for _, cases in groupby(left, key=lambda c: c.seed)]
         for job in as_completed([pool.submit(study, batch) for batch in batches]):
             for row in job.result():
                 done.append(row)
                 file.write(json.dumps(row) + "\n")
-                print(f"{len(done)} {row['key']}: {row['verdict']} {'+'.join(row['effects'])}", flush=True)
+                print(
+                    f"{len(done)} {row['key']}: {row['verdict']} {'+'.join(row['effects'])}",
+                    flush=True,
+                )
             file.flush()
     print("\n".join(summary([r for r in done if r["kind"] == asked.kind])))
 

@@ -1,4 +1,6 @@
-"""The study's own judgement: what counts as right, as half and as wrong, by the rules written in README."""
+"""The study's own judgement: what counts as right, as half and as wrong, by the rules written in
+README.
+"""
 
 import json
 
@@ -18,7 +20,13 @@ from tests.hidden_effects import IN_CATALOGUE
         ("wind+flap", "named", ["flap", "wind"], 1.0, False),
         ("wind+flap", "named", ["flap"], 0.0, False),  # says too little, and nothing wrong
         ("wind", "ambiguous", ["flap", "wind", "stall"], 0.5, False),
-        ("wind", "ambiguous", ["flap", "wind", "stall", "deadband"], 0.0, False),  # more than three say nothing
+        (
+            "wind",
+            "ambiguous",
+            ["flap", "wind", "stall", "deadband"],
+            0.0,
+            False,
+        ),  # more than three say nothing
         ("wind", "ambiguous", ["flap", "stall"], 0.0, True),
         ("wind", "none", [], 0.0, False),
         ("wind", "outside", [], 0.0, False),
@@ -35,8 +43,10 @@ def test_an_answer_is_judged_by_what_it_says(effect, verdict, found, worth, wron
 
 
 def test_cases_meet_every_effect_and_every_noise_with_seeds_of_their_own():
-    """Counted: 95 flights of the other simulator, all 19 effects, three noises, a third with slow noise, no seed twice;
-    calm flights half with slow noise; the kit's own aircraft fly all effects of a round on one seed."""
+    """Counted: 95 flights of the other simulator, all 19 effects, three noises, a third with slow
+    noise, no seed twice; calm flights half with slow noise; the kit's own aircraft fly all effects
+    of a round on one seed.
+    """
     independent = list(cases("independent", 100, None, 38))
     assert len({c.seed for c in independent}) == 95
     assert {c.effect for c in independent} == set(IN_CATALOGUE)

@@ -1,4 +1,6 @@
-"""Estimate: the stepwise flight equals the whole one, and the observer is nearer the truth than what was measured."""
+"""Estimate: the stepwise flight equals the whole one, and the observer is nearer the truth than
+what was measured.
+"""
 
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.integrate import fly
 from falconwing_kit.aircraft.model import rates_model
 from falconwing_kit.aircraft.trim import trim
-from falconwing_kit.control.estimate import FlyingAircraft, Observer
+from falconwing_kit.control.estimate import Observer, SimulatedAircraft
 from falconwing_kit.core.messages import State
 
 
@@ -23,7 +25,8 @@ def shaken(rng, steady, n):
 
 @pytest.mark.parametrize("effect", [None, "deadband", "actuator_lag", "battery_sag"])
 def test_stepwise_flight_equals_the_whole_flight(rng, effect):
-    """Judge: `fly`, which takes all commands at once; the link's 50 ms are put into its model's own delay.
+    """Judge: `fly`, which takes all commands at once; the link's 50 ms are put into its model's own
+    delay.
 
     To 1e-6: the stepwise flight forgets what the servo did 0.6 s (e^-20) ago.
     """
@@ -34,7 +37,7 @@ def test_stepwise_flight_equals_the_whole_flight(rng, effect):
     t = 0.05 * np.arange(61)
     sticks = shaken(rng, steady, len(t))
     whole = fly(model.with_values({"delay": model.values["delay"] + 0.05}), steady.state, t, sticks)
-    aircraft = FlyingAircraft(model, State.from_vector(steady.state), delay=0.05)
+    aircraft = SimulatedAircraft(model, State.from_vector(steady.state), delay=0.05)
     for now, next_t, u in zip(t[:-1], t[1:], sticks, strict=False):
         aircraft.send(now, u)
         aircraft.advance(next_t)
@@ -43,11 +46,16 @@ def test_stepwise_flight_equals_the_whole_flight(rng, effect):
 
 
 def test_uneven_steps_fly_the_same(rng):
-    """A late frame splits the way differently; commands keep their times. To 1e-3: other Runge-Kutta steps."""
+    """A late frame splits the way differently; commands keep their times. To 1e-3: other
+    Runge-Kutta steps.
+    """
     steady = trim(rates_model(), 7.0)
     ends = []
-    for times in (np.arange(0.05, 1.01, 0.05), np.array([0.05, 0.12, 0.2, 0.31, 0.5, 0.55, 0.7, 0.93, 1.0])):
-        aircraft = FlyingAircraft(rates_model(), State.from_vector(steady.state))
+    for times in (
+        np.arange(0.05, 1.01, 0.05),
+        np.array([0.05, 0.12, 0.2, 0.31, 0.5, 0.55, 0.7, 0.93, 1.0]),
+    ):
+        aircraft = SimulatedAircraft(rates_model(), State.from_vector(steady.state))
         aircraft.send(0.0, steady.command)
         aircraft.send(0.05, steady.command + np.array([0.1, 0.05, -0.05, 0.05]))
         for t in times:
@@ -59,7 +67,10 @@ def test_uneven_steps_fly_the_same(rng):
 def observed(rng, noise, truth_model, seconds=4.0):
     """Errors (n, 12) of the observer on a shaken flight, from poses with noise [m], [rad]."""
     steady = trim(rates_model(), 7.0)
-    aircraft, observer = FlyingAircraft(truth_model, State.from_vector(steady.state)), Observer(rates_model())
+    aircraft, observer = (
+        SimulatedAircraft(truth_model, State.from_vector(steady.state)),
+        Observer(rates_model()),
+    )
     sticks, errors = shaken(rng, steady, round(seconds / 0.05)), []
     sent = np.zeros(4)
     for k, u in enumerate(sticks):
@@ -77,8 +88,10 @@ def test_a_perfect_twin_flies_the_same_flight(rng):
 
 
 def test_observer_is_nearer_the_truth_than_the_poses(rng):
-    """Kalman: below the measured 1 cm and 0.7 deg; velocities below what differences would give, 0.01 sqrt(2) / 0.05 s
-    = 0.28 m/s, by more than half, rates below 0.0122 sqrt(2) / 0.05 = 0.35 rad/s likewise."""
+    """Kalman: below the measured 1 cm and 0.7 deg; velocities below what differences would give,
+    0.01 sqrt(2) / 0.05 s = 0.28 m/s, by more than half, rates below 0.0122 sqrt(2) / 0.05 = 0.35
+    rad/s likewise.
+    """
     rms = np.sqrt(np.mean(observed(rng, (0.01, np.radians(0.7)), rates_model())[10:] ** 2, axis=0))
     assert (rms[:3] < 0.009).all() and (rms[3:6] < np.radians(0.6)).all()
     assert (rms[6:9] < 0.14).all() and (rms[9:] < 0.17).all()
@@ -93,10 +106,12 @@ def test_observer_stays_near_with_another_aircraft(rng):
 
 
 def test_observer_begins_anew_after_a_gap():
-    """What was measured is taken as it is at the start, after a second of nothing, and after forgetting."""
+    """What was measured is taken as it is at the start, after a second of nothing, and after
+    forgetting.
+    """
     observer, first = Observer(rates_model()), State.from_vector(trim(rates_model(), 7.0).state)
     moved = State.from_vector(first.vector + np.r_[5.0, np.zeros(11)])
     assert observer.update(0.0, first, np.zeros(4)) is first
     assert observer.update(1.0, moved, np.zeros(4)) is moved
-    observer.forget()
+    observer.reset()
     assert observer.update(1.05, first, np.zeros(4)) is first

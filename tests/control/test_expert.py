@@ -1,4 +1,6 @@
-"""Experts in the simulated world: they land, follow and fly waypoints, and hold level without a state."""
+"""Experts in the simulated world: they land, follow and fly waypoints, and hold level without a
+state.
+"""
 
 import math
 
@@ -9,7 +11,13 @@ from falconwing_kit.aircraft.airframe import load_airframe
 from falconwing_kit.aircraft.model import paper_model, rates_model
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.aircraft.trim import trim
-from falconwing_kit.control.expert import NO_STATE, FollowExpert, LandingExpert, WaypointExpert, landing_path
+from falconwing_kit.control.expert import (
+    NO_STATE,
+    FollowExpert,
+    LandingExpert,
+    WaypointExpert,
+    landing_path,
+)
 from falconwing_kit.control.leader import leader_path
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Observation, State
@@ -42,10 +50,11 @@ def fly(world, pilot, seconds):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_expert_lands_softly_on_the_pad(seed):
-    """From 20 m before the pad and 1.5 m up, each place within 1 m, 10 deg and 1 m/s, drawn by the seed.
+    """From 20 m before the pad and 1.5 m up, each place within 1 m, 10 deg and 1 m/s, drawn by the
+    seed.
 
-    On the pad; within half a metre of a centre line that has 1 m on each side; softer than 0.6 m/s, which is a drop
-    from 2 cm (v^2 / 2g); less than 5 deg of bank.
+    On the pad; within half a metre of a centre line that has 1 m on each side; softer than 0.6 m/s,
+    which is a drop from 2 cm (v^2 / 2g); less than 5 deg of bank.
     """
     draw = np.random.default_rng(seed).uniform(-1.0, 1.0, 5)
     start = cruising(np.array([-19.0, -2.0, 1.5]) + draw[:3], 10.0 * draw[3], 7.0 + draw[4])
@@ -59,21 +68,31 @@ def test_expert_lands_softly_on_the_pad(seed):
 
 
 def test_landing_path_touches_where_it_aims():
-    """Geometry: over the threshold it is above the pad; the wheels' height crosses the pad's top 3.5 m past it, at a
-    slope of 0.035; far out it descends by 4 deg."""
+    """Geometry: over the threshold it is above the pad; the wheels' height crosses the pad's top
+    3.5 m past it, at a slope of 0.035; far out it descends by 4 deg.
+    """
     path, flare = landing_path(AIRFRAME, PAD)
     standing = PAD.height + AIRFRAME.wheels.main_left[2]
     touch = path.at(path.nearest(np.array([PAD.x_start + 3.5, PAD.y_centre, 0.0])), 7.0)
     assert touch.p_world[2] == pytest.approx(standing, abs=1e-3)
-    assert math.tan(touch.climb) == pytest.approx(-0.035, abs=0.01)  # the climb is that of 1.4 m ahead
+    assert math.tan(touch.climb) == pytest.approx(
+        -0.035, abs=0.01
+    )  # the climb is that of 1.4 m ahead
     assert math.degrees(path.at(flare - 10.0, 7.0).climb) == pytest.approx(-4.0, abs=0.05)
-    assert path.at(path.nearest(np.array([PAD.x_start, PAD.y_centre, 0.0])), 7.0).p_world[2] > standing + 0.15
+    assert (
+        path.at(path.nearest(np.array([PAD.x_start, PAD.y_centre, 0.0])), 7.0).p_world[2]
+        > standing + 0.15
+    )
 
 
 def test_landed_means_idle_and_neutral():
-    """With the wheels in the pad's top the expert lets go, and stays so: higher up, unseen or half seen."""
+    """With the wheels in the pad's top the expert lets go, and stays so: higher up, unseen or half
+    seen.
+    """
     expert = LandingExpert(rates_model(), AIRFRAME, PAD)
-    down, higher, half_seen = (cruising((6.0, -2.0, height)) for height in (PAD.height, 0.5, np.nan))
+    down, higher, half_seen = (
+        cruising((6.0, -2.0, height)) for height in (PAD.height, 0.5, np.nan)
+    )
     for k, state in enumerate((down, higher, None, half_seen, higher)):
         command = expert.act(Observation(0.05 * k, None, np.zeros((30, 4)), state))
         assert expert.mode == "landed" and not command.vector.any()
@@ -83,7 +102,11 @@ def test_landed_means_idle_and_neutral():
 def test_without_a_state_it_holds_level_and_says_so(lost):
     """The sticks of level trim, solved here anew; with a state again it flies on."""
     steady = trim(rates_model(), 7.0)
-    unknown = None if lost is None else State.from_vector(np.where(np.arange(12) == 4, np.nan, steady.state))
+    unknown = (
+        None
+        if lost is None
+        else State.from_vector(np.where(np.arange(12) == 4, np.nan, steady.state))
+    )
     leader = leader_path("left_turn_s_descent")
     line = np.array([[-19.0, -2.0, 2.0], [0.0, -2.0, 2.0]])
     for expert in (
@@ -98,19 +121,27 @@ def test_without_a_state_it_holds_level_and_says_so(lost):
         assert expert.mode != NO_STATE
 
 
-@pytest.mark.parametrize("manoeuvre", ["left_turn_s_descent", "right_turn_s_ascent", "right_turn_sharp_climb"])
+@pytest.mark.parametrize(
+    "manoeuvre", ["left_turn_s_descent", "right_turn_s_ascent", "right_turn_sharp_climb"]
+)
 def test_follower_keeps_its_place_on_the_leaders_path(manoeuvre):
-    """Beginning 4 m behind on the path: each later place is where the leader was about 4 m of way before.
+    """Beginning 4 m behind on the path: each later place is where the leader was about 4 m of way
+    before.
 
-    Mean error below half the paper's 0.72 m (its expert, on what it was tuned on), and never a collision.
+    Mean error below half the paper's 0.72 m (its expert, on what it was tuned on), and never a
+    collision.
     """
     leader = leader_path(manoeuvre, seed=3)
     start = leader.state(0.0)
-    follower = State.from_vector(start.vector - np.concatenate([4.0 * start.v_world / 7.0, np.zeros(9)]))
+    follower = State.from_vector(
+        start.vector - np.concatenate([4.0 * start.v_world / 7.0, np.zeros(9)])
+    )
     world = SimulatedWorld(rates_model(), AIRFRAME, follower, seed=3, leader=leader)
     states, modes = fly(world, FollowExpert(rates_model(), AIRFRAME, leader), leader.duration)
     assert world.contact is None and set(modes) == {"follow"}
-    ways = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(leader.states[:, :3], axis=0), axis=1))])
+    ways = np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(leader.states[:, :3], axis=0), axis=1))]
+    )
     n = min(len(states), len(ways))
     due = ways[:n] - 4.0
     places = np.column_stack([np.interp(due, ways, leader.states[:, i]) for i in range(3)])
@@ -119,7 +150,9 @@ def test_follower_keeps_its_place_on_the_leaders_path(manoeuvre):
 
 
 def test_waypoints_are_passed():
-    """A gentle S through four points, from noisy poses: each is passed within 0.4 m, then straight on."""
+    """A gentle S through four points, from noisy poses: each is passed within 0.4 m, then straight
+    on.
+    """
     points = np.array([[-18.0, -2.0, 1.5], [-10.0, -1.0, 2.0], [-2.0, -3.5, 2.5], [7.0, -3.0, 2.0]])
     world = SimulatedWorld(rates_model(), AIRFRAME, cruising(points[0]), seed=1)
     states, modes = fly(world, WaypointExpert(rates_model(), AIRFRAME, points), 4.5)
@@ -129,12 +162,15 @@ def test_waypoints_are_passed():
 
 
 def test_steady_circle_turns_by_the_law():
-    """d(yaw)/dt = g tan(roll) / V, of the true flight on a circle of 10 m once it is steady, within 2 %.
+    """d(yaw)/dt = g tan(roll) / V, of the true flight on a circle of 10 m once it is steady, within
+    2 %.
 
     The law leaves out cos(pitch) (0.4 %) and takes bank and speed as constant.
     """
     u = np.linspace(0.0, 2.0 * np.pi, 64)
-    circle = np.column_stack([-2.5 + 9.0 * np.sin(u), 7.0 + 9.0 * (np.cos(u) - 1.0), np.full(64, 2.0)])
+    circle = np.column_stack(
+        [-2.5 + 9.0 * np.sin(u), 7.0 + 9.0 * (np.cos(u) - 1.0), np.full(64, 2.0)]
+    )
     world = SimulatedWorld(rates_model(), AIRFRAME, cruising(circle[0]), seed=2)
     states, _ = fly(world, WaypointExpert(rates_model(), AIRFRAME, circle), 6.0)
     steady = states[40:]

@@ -15,8 +15,8 @@ from falconwing_kit.control.manoeuvres import MANOEUVRES
 from falconwing_kit.control.plan import Manoeuvre, Plan, curve_points, manoeuvre_table
 from falconwing_kit.core.checks import InputError
 
-# SHA-256 of the states at seed 3, rounded to 1e-6 (the same on other processors): recorded data, from the code before
-# the number of a manoeuvre stood in its own file.
+# SHA-256 of the states at seed 3, rounded to 1e-6 (the same on other processors): recorded data,
+# from the code before the number of a manoeuvre stood in its own file.
 RECORDED = {
     "left_turn_s_descent": "31ffeddb107415da",
     "right_turn_s_ascent": "0d2833599842c39a",
@@ -29,7 +29,9 @@ SLALOM = Plan((-16.0, 0.0, 2.0), 0.0, (0.0, 5.0, 10.0, 20.0), (0.0, 0.05, -0.05,
 
 def states_digest(name):
     """Of the states of seed 3; + 0.0 makes minus zero zero."""
-    return hashlib.sha256((np.round(leader_path(name, 3).states, 6) + 0.0).tobytes()).hexdigest()[:16]
+    return hashlib.sha256((np.round(leader_path(name, 3).states, 6) + 0.0).tobytes()).hexdigest()[
+        :16
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,9 @@ def paths():
 
 
 def test_leaders_stay_inside_the_hall(paths):
-    """Walls and beams of the 40 x 20 x 5 m hall; a span is 0.7 m, so half a metre is wing tip and some air."""
+    """Walls and beams of the 40 x 20 x 5 m hall; a span is 0.7 m, so half a metre is wing tip and
+    some air.
+    """
     for path in paths.values():
         assert Hall().margin(path.states[:, :3]).min() > 0.5, path.manoeuvre
         assert path.states[:, 2].min() > 0.5, path.manoeuvre
@@ -48,7 +52,9 @@ def test_same_seed_same_bits_and_another_seed_another_path(paths):
     """Flown twice in this process."""
     for name in ("left_turn_s_descent", "random_waypoints"):
         assert np.array_equal(leader_path(name, 0).states, paths[name, 0].states)
-        assert not np.array_equal(paths[name, 0].states, paths[name, 1].states[: len(paths[name, 0].states)])
+        assert not np.array_equal(
+            paths[name, 0].states, paths[name, 1].states[: len(paths[name, 0].states)]
+        )
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -72,7 +78,8 @@ def test_each_manoeuvre_does_what_it_is_called(paths, seed):
 
 
 def test_state_is_continuous_and_its_velocity_is_its_motion(paths):
-    """Calculus: between and beyond samples, central differences of the place over 2 ms give the velocity.
+    """Calculus: between and beyond samples, central differences of the place over 2 ms give the
+    velocity.
 
     To 0.05 m/s: velocity is interpolated by straight lines, off by a dt^2 / 8 of its bend.
     """
@@ -84,7 +91,9 @@ def test_state_is_continuous_and_its_velocity_is_its_motion(paths):
 
 
 def test_curve_from_its_curvature_is_a_circle():
-    """A right quarter of 10 m radius from the origin along world x ends at (10, -10); 10 % up over 15.7 m is 1.57 m."""
+    """A right quarter of 10 m radius from the origin along world x ends at (10, -10); 10 % up over
+    15.7 m is 1.57 m.
+    """
     quarter = 5.0 * np.pi
     s = np.array([0.0, quarter])
     points = curve_points(0.0, s, np.full(2, 0.1), np.full(2, np.arctan(0.1)))
@@ -103,7 +112,9 @@ def test_unknown_or_impossible_manoeuvres_are_refused():
 
 @pytest.mark.parametrize("place", [None, 0, 2, 5], ids=["as it is", "front", "middle", "end"])
 def test_a_new_manoeuvre_changes_no_other_leader(place, monkeypatch):
-    """The recorded flights, with a slalom nowhere, before, among and after the five; the slalom itself flies too."""
+    """The recorded flights, with a slalom nowhere, before, among and after the five; the slalom
+    itself flies too.
+    """
     table = list(MANOEUVRES.items())
     if place is not None:
         table.insert(place, ("slalom", Manoeuvre("slalom", "to and fro", SLALOM.waypoints)))
@@ -114,12 +125,18 @@ def test_a_new_manoeuvre_changes_no_other_leader(place, monkeypatch):
 
 
 def test_the_number_of_a_manoeuvre_is_its_own():
-    """The first five keep theirs; a later one has the CRC-32 of its name: 0xCBF43926 of "123456789" [ITU V.42]."""
-    assert {name: manoeuvre.number for name, manoeuvre in MANOEUVRES.items()} == {n: k for k, n in enumerate(RECORDED)}
+    """The first five keep theirs; a later one has the CRC-32 of its name: 0xCBF43926 of "123456789"
+    [ITU V.42].
+    """
+    assert {name: manoeuvre.number for name, manoeuvre in MANOEUVRES.items()} == {
+        n: k for k, n in enumerate(RECORDED)
+    }
     assert Manoeuvre("123456789", "", SLALOM.waypoints).number == 0xCBF43926
 
 
-@pytest.mark.parametrize("taken", [{"frozen_number": 3}, {"name": "figure_eight"}], ids=lambda taken: next(iter(taken)))
+@pytest.mark.parametrize(
+    "taken", [{"frozen_number": 3}, {"name": "figure_eight"}], ids=lambda taken: next(iter(taken))
+)
 def test_a_name_or_number_that_is_taken_is_refused(taken):
     """One sentence with both names and the way out."""
     slalom = replace(Manoeuvre("slalom", "", SLALOM.waypoints), **taken)
@@ -135,9 +152,15 @@ def test_every_file_of_the_folder_is_a_manoeuvre_under_its_own_name():
 
 
 def test_the_digest_of_a_path_sees_name_waypoints_and_states(paths):
-    """Each changed by 2 mm, past the rounding; a change of a nanometre, as between processors, is not seen."""
+    """Each changed by 2 mm, past the rounding; a change of a nanometre, as between processors, is
+    not seen.
+    """
     path = paths["figure_eight", 0]
-    for changed in ({"manoeuvre": "other"}, {"waypoints": path.waypoints + 2e-3}, {"states": path.states + 2e-3}):
+    for changed in (
+        {"manoeuvre": "other"},
+        {"waypoints": path.waypoints + 2e-3},
+        {"states": path.states + 2e-3},
+    ):
         assert replace(path, **changed).digest != path.digest
     middle = np.round(path.states, 3)  # away from the edges of rounding
     assert replace(path, states=middle + 1e-9).digest == replace(path, states=middle).digest

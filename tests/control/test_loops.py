@@ -1,4 +1,6 @@
-"""Loops: stable by an independent model, delay by brute force, Riccati by SciPy, turns by the law of turning."""
+"""Loops: stable by an independent model, delay by brute force, Riccati by SciPy, turns by the law
+of turning.
+"""
 
 import numpy as np
 import pytest
@@ -14,9 +16,9 @@ from falconwing_kit.control.loops import (
     Autopilot,
     Reference,
     TrimTable,
+    augment_delay,
     course_axes,
     design_loop,
-    with_delay,
 )
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import GRAVITY
@@ -28,7 +30,9 @@ NOTHING_SENT = np.zeros((30, 4))
 
 @pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
 def test_closed_loop_poles_lie_inside_the_unit_circle(axis):
-    """Discrete stability. Its slowest pole, the integral's, should still fall to 1/e within eight seconds."""
+    """Discrete stability. Its slowest pole, the integral's, should still fall to 1/e within eight
+    seconds.
+    """
     size = np.abs(design_loop(rates_model(), axis).poles)
     assert size.max() < np.exp(-STEP_S / 8.0)
 
@@ -36,7 +40,8 @@ def test_closed_loop_poles_lie_inside_the_unit_circle(axis):
 @pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
 @pytest.mark.parametrize("delay", [0.03, 0.05, 0.1])
 def test_loop_is_stable_with_a_real_servo_and_link(axis, delay):
-    """Independent of the design's model: 10 ms steps, the link's delay as a queue, the servo as a first-order lag.
+    """Independent of the design's model: 10 ms steps, the link's delay as a queue, the servo as a
+    first-order lag.
 
     Designed for 50 ms and flown with 30, 50 and 100 ms.
     """
@@ -44,20 +49,26 @@ def test_loop_is_stable_with_a_real_servo_and_link(axis, delay):
     loop = design_loop(model, axis)
     A, B = linearise(model, trim(model, 7.0))
     rows = [STATE_NAMES.index(name) for name in axis.states]
-    columns = [COMMAND_NAMES.index(name) for name in axis.sticks]
+    columns = [COMMAND_NAMES.index(name) for name in axis.control_inputs]
     A, B = A[np.ix_(rows, rows)], B[np.ix_(rows, columns)]
     n, m, lag = len(A), 2, model.values["lag"]
-    servo = np.block([[A, B, np.zeros((n, m))], [np.zeros((m, n)), -np.eye(m) / lag, np.eye(m) / lag]])
+    servo = np.block(
+        [[A, B, np.zeros((n, m))], [np.zeros((m, n)), -np.eye(m) / lag, np.eye(m) / lag]]
+    )
     step = expm(np.vstack([servo, np.zeros((m, n + 2 * m))]) * fine)[: n + m]
     wait = round((delay + model.values["delay"]) / fine)
     picked = [list(axis.states).index(name) for name in axis.integrals]
 
     rng = np.random.default_rng(1)
-    x, sent, total = np.concatenate([0.1 * rng.normal(size=n), np.zeros(m)]), [np.zeros(m)] * 20, np.zeros(len(picked))
+    x, sent, total = (
+        np.concatenate([0.1 * rng.normal(size=n), np.zeros(m)]),
+        [np.zeros(m)] * 20,
+        np.zeros(len(picked)),
+    )
     start = np.linalg.norm(x)
     for k in range(round(20.0 / fine)):
         if k % round(STEP_S / fine) == 0:
-            past = [sent[-1 - j * round(STEP_S / fine)] for j in range(loop.steps_late)]
+            past = [sent[-1 - j * round(STEP_S / fine)] for j in range(loop.delay_steps)]
             held = -loop.gain @ np.concatenate([x[:n], *past, total])
             total = total + STEP_S * x[picked]
         sent.append(held)
@@ -69,9 +80,13 @@ def test_loop_is_stable_with_a_real_servo_and_link(axis, delay):
 def test_gain_solves_the_riccati_equation(axis):
     """K = (R + B'PB)^-1 B'PA with P of SciPy's own solver."""
     loop = design_loop(rates_model(), axis)
-    late = loop.steps_late * len(axis.sticks)
-    Q = np.diag([s**-2 for s in axis.states.values()] + [0.0] * late + [s**-2 for s in axis.integrals.values()])
-    R = np.diag([s**-2 for s in axis.sticks.values()])
+    late = loop.delay_steps * len(axis.control_inputs)
+    Q = np.diag(
+        [s**-2 for s in axis.states.values()]
+        + [0.0] * late
+        + [s**-2 for s in axis.integrals.values()]
+    )
+    R = np.diag([s**-2 for s in axis.control_inputs.values()])
     P = solve_discrete_are(loop.A, loop.B, Q, R)
     expected = np.linalg.solve(R + loop.B.T @ P @ loop.B, loop.B.T @ P @ loop.A)
     assert loop.gain == pytest.approx(expected, rel=1e-6, abs=1e-8)
@@ -79,14 +94,16 @@ def test_gain_solves_the_riccati_equation(axis):
 
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.05, 0.07, 0.1, 0.13])
 def test_sampled_delay_equals_brute_force(delay):
-    """A double integrator with friction under random sticks, in exact steps of 10 ms with the delay as a queue."""
+    """A double integrator with friction under random sticks, in exact steps of 10 ms with the delay
+    as a queue.
+    """
     A, B = np.array([[0.0, 1.0], [0.0, -2.0]]), np.array([[0.0], [3.0]])
-    sampled_A, sampled_B = with_delay(A, B, delay)
+    sampled_A, sampled_B = augment_delay(A, B, delay)
     step = expm(np.block([[A, B], [np.zeros((1, 3))]]) * 0.01)
-    sticks = np.random.default_rng(2).normal(size=40)
-    acting = np.concatenate([np.zeros(round(delay / 0.01)), np.repeat(sticks, 5)])
+    control_inputs = np.random.default_rng(2).normal(size=40)
+    acting = np.concatenate([np.zeros(round(delay / 0.01)), np.repeat(control_inputs, 5)])
     x, z = np.zeros(2), np.zeros(len(sampled_A))
-    for k, u in enumerate(sticks):
+    for k, u in enumerate(control_inputs):
         z = sampled_A @ z + sampled_B @ [u]
         for j in range(5):
             x = (step @ np.append(x, acting[5 * k + j]))[:2]
@@ -94,7 +111,8 @@ def test_sampled_delay_equals_brute_force(delay):
 
 
 def test_fed_forward_turns_obey_the_law_of_turning():
-    """d(yaw)/dt = g tan(bank) / V; a turning aircraft's rates are p = -w sin(pitch), q and r as w turns with bank.
+    """d(yaw)/dt = g tan(bank) / V; a turning aircraft's rates are p = -w sin(pitch), q and r as w
+    turns with bank.
 
     Level turns within 1 %: the law has cos(pitch), whose cosine at 5 deg is 0.996.
     """
@@ -109,8 +127,8 @@ def test_fed_forward_turns_obey_the_law_of_turning():
 def test_table_gives_the_trim_itself_at_its_knots():
     """Interpolation passes through what was solved."""
     steady = trim(rates_model(), 7.0, 0.0, float(TABLE_BANKS[-1]))
-    sticks, attitude = TrimTable(rates_model()).at(7.0, 0.0, float(TABLE_BANKS[-1]))
-    assert sticks == pytest.approx(steady.command, abs=1e-9)
+    control_inputs, attitude = TrimTable(rates_model()).at(7.0, 0.0, float(TABLE_BANKS[-1]))
+    assert control_inputs == pytest.approx(steady.command, abs=1e-9)
     assert attitude[0] == pytest.approx(steady.state[3], abs=1e-9)
 
 
@@ -123,13 +141,17 @@ def test_table_gives_the_trim_itself_at_its_knots():
 )  # fmt: skip
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
 def test_sticks_work_against_a_deviation(moved, stick, sign, yaw):
-    """By hand: left of the path roll right, right wing down roll left, too high nose down, too fast less power."""
+    """By hand: left of the path roll right, right wing down roll left, too high nose down, too fast
+    less power.
+    """
     pilot = Autopilot(rates_model())
     steady = trim(rates_model(), 7.0)
     ahead, left = course_axes(yaw)
     x = steady.state.copy()
     x[4], x[6:9] = yaw, x[6] * ahead
-    before = pilot.command(State.from_vector(x), Reference(x[:3].copy(), yaw, 0.0, 7.0, 0.0), NOTHING_SENT)
+    before = pilot.command(
+        State.from_vector(x), Reference(x[:3].copy(), yaw, 0.0, 7.0, 0.0), NOTHING_SENT
+    )
     assert before.vector == pytest.approx(steady.command, abs=1e-6)
     wanted = Reference(x[:3].copy(), yaw, 0.0, 7.0, 0.0)
     name, size = moved

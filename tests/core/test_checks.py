@@ -19,10 +19,12 @@ def test_range_returns_the_number(value):
     assert require_range("x", value, low=0.0, high=1.0) == float(value)
 
 
-@pytest.mark.parametrize("value", [-1e-12, 1.0000001, math.nan, math.inf, -math.inf, "two", None, [1.0]])
+@pytest.mark.parametrize(
+    "value", [-1e-12, 1.0000001, math.nan, math.inf, -math.inf, "two", None, [1.0]]
+)
 def test_range_refuses_what_is_outside_or_no_number(value):
     """Each is outside [0, 1] or not a finite number; the text must name the value's name."""
-    with pytest.raises(InputError, match="throttle: want"):
+    with pytest.raises(InputError, match="throttle: expected"):
         require_range("throttle", value, low=0.0, high=1.0)
 
 
@@ -40,7 +42,7 @@ def test_shape_takes_any_length_for_none():
 @pytest.mark.parametrize("array", [[1.0, 2.0], [[1.0, 2.0]], "abc", [[1.0], [2.0, 3.0]], 5.0])
 def test_shape_refuses_others(array):
     """None of them is (any, 3)."""
-    with pytest.raises(InputError, match=r"p: want .*\(any, 3\)"):
+    with pytest.raises(InputError, match=r"p: expected .*\(any, 3\)"):
         require_shape("p", array, (None, 3))
 
 

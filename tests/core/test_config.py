@@ -62,7 +62,9 @@ def toml(tmp_path):
 def test_good_file_fills_the_dataclass(toml):
     """Each value as typed above; whole numbers serve as floats, defaults stand in."""
     plane = from_toml(Plane, toml(GOOD))
-    assert plane == Plane("umx", Wing(1.0), 4, True, (0.1, 0.0, -0.2), (Wing(0.5),), None, {"CL0": 0.3})
+    assert plane == Plane(
+        "umx", Wing(1.0), 4, True, (0.1, 0.0, -0.2), (Wing(0.5),), None, {"CL0": 0.3}
+    )
     assert isinstance(plane.wing.span, float) and isinstance(plane.center[1], float)
 
 
@@ -77,9 +79,15 @@ def test_what_is_written_is_read_back(toml, tmp_path):
 def test_arrays_are_written_as_lists(tmp_path):
     """A covariance is an array; numbers come back to the last bit."""
     covariance = np.array([[1.0, 1 / 3], [1 / 3, 2.0]])
-    write_toml(tmp_path / "model.toml", {"covariance": covariance, "n": np.int64(3), "x": np.float64(0.1)})
+    write_toml(
+        tmp_path / "model.toml", {"covariance": covariance, "n": np.int64(3), "x": np.float64(0.1)}
+    )
     back = load_toml(tmp_path / "model.toml")
-    assert np.array_equal(np.array(back["covariance"]), covariance) and back["n"] == 3 and back["x"] == 0.1
+    assert (
+        np.array_equal(np.array(back["covariance"]), covariance)
+        and back["n"] == 3
+        and back["x"] == 0.1
+    )
 
 
 @pytest.mark.parametrize(
@@ -90,22 +98,26 @@ def test_arrays_are_written_as_lists(tmp_path):
         ("channels = 4", "channels = 4\nzzzz = 1", "unknown key 'zzzz'; known are name, wing"),
         ("channels = 4\n", "", "missing key 'channels'; add it"),
         ("span = 1\n", "", "missing key 'wing.span'"),
-        ("span = 1\n", 'span = "wide"\n', "wing.span: want a finite number, got 'wide'"),
-        ("span = 1\n", "span = true\n", "wing.span: want a finite number, got True"),
-        ("span = 1\n", "span = inf\n", "wing.span: want a finite number, got inf"),
-        ("span = 1\n", "span = nan\n", "wing.span: want a finite number, got nan"),
-        ("span = 1\n", f"span = 1{'0' * 400}\n", "wing.span: want a finite number, got a huge number"),
-        ("span = 1\n", "span = -1\n", "wing: span: want a finite number in"),
-        ("channels = 4", "channels = 4.5", "channels: want a whole number, got 4.5"),
-        ("channels = 4", "channels = true", "channels: want a whole number, got True"),
-        ("indoor = true", "indoor = 1", "indoor: want true or false, got 1"),
-        ('name = "umx"', "name = 3", "name: want a text, got 3"),
-        ("[0.1, 0, -0.2]", "[0.1, 0]", "center: want 3 values, got 2"),
-        ("[0.1, 0, -0.2]", '[0.1, "a", 0]', r"center\[1\]: want a finite number, got 'a'"),
-        ("[0.1, 0, -0.2]", "1.0", r"center: want a list \[...\], got 1.0"),
-        ("span = 0.5", "span = []", r"tips\[0\].span: want a finite number, got a list of 0"),
-        ("[wing]\nspan = 1\n", "wing = 3\n", r"wing: want a table \[wing\], got 3"),
-        ("[values]\nCL0 = 0.3", "[values]\nCL0 = []", "values.CL0: want a finite number"),
+        ("span = 1\n", 'span = "wide"\n', "wing.span: expected a finite number, got 'wide'"),
+        ("span = 1\n", "span = true\n", "wing.span: expected a finite number, got True"),
+        ("span = 1\n", "span = inf\n", "wing.span: expected a finite number, got inf"),
+        ("span = 1\n", "span = nan\n", "wing.span: expected a finite number, got nan"),
+        (
+            "span = 1\n",
+            f"span = 1{'0' * 400}\n",
+            "wing.span: expected a finite number, got a huge number",
+        ),
+        ("span = 1\n", "span = -1\n", "wing: span: expected a finite number in"),
+        ("channels = 4", "channels = 4.5", "channels: expected a whole number, got 4.5"),
+        ("channels = 4", "channels = true", "channels: expected a whole number, got True"),
+        ("indoor = true", "indoor = 1", "indoor: expected true or false, got 1"),
+        ('name = "umx"', "name = 3", "name: expected a text, got 3"),
+        ("[0.1, 0, -0.2]", "[0.1, 0]", "center: expected 3 values, got 2"),
+        ("[0.1, 0, -0.2]", '[0.1, "a", 0]', r"center\[1\]: expected a finite number, got 'a'"),
+        ("[0.1, 0, -0.2]", "1.0", r"center: expected a list \[...\], got 1.0"),
+        ("span = 0.5", "span = []", r"tips\[0\].span: expected a finite number, got a list of 0"),
+        ("[wing]\nspan = 1\n", "wing = 3\n", r"wing: expected a table \[wing\], got 3"),
+        ("[values]\nCL0 = 0.3", "[values]\nCL0 = []", "values.CL0: expected a finite number"),
         ("[wing]", "[wing", "this is not TOML: .*line 6"),
     ],
 )
@@ -127,7 +139,9 @@ def test_each_mistake_is_named_with_its_key(toml, old, new, sentence):
     ],
 )
 def test_files_that_are_no_configuration(toml, data, sentence):
-    """Other bytes, brackets without end, a number of 5000 digits, a file too large for a configuration."""
+    """Other bytes, brackets without end, a number of 5000 digits, a file too large for a
+    configuration.
+    """
     with pytest.raises(InputError, match=sentence):
         load_toml(toml(data))
 

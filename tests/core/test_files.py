@@ -13,7 +13,9 @@ from falconwing_kit.core.files import atomic_write, cache_folder, shipped_path, 
 
 
 def test_nothing_has_the_name_before_the_end(tmp_path):
-    """While the block runs the old content stands; afterwards the new one, and nothing else is in the folder."""
+    """While the block runs the old content stands; afterwards the new one, and nothing else is in
+    the folder.
+    """
     target = tmp_path / "a.txt"
     target.write_text("old")
     with atomic_write(target, text=True) as file:
@@ -38,7 +40,10 @@ def test_folder_as_target_and_missing_folder_are_said(tmp_path):
     """Both are the user's mistakes and get a sentence each."""
     with pytest.raises(InputError, match="got a folder"), atomic_write(tmp_path):
         pass
-    with pytest.raises(FileNotFoundError, match="want a folder"), atomic_write(tmp_path / "none" / "a.txt"):
+    with (
+        pytest.raises(FileNotFoundError, match="expected a folder"),
+        atomic_write(tmp_path / "none" / "a.txt"),
+    ):
         pass
 
 
@@ -47,12 +52,18 @@ def run_with_full_disk(program: str, folder) -> subprocess.CompletedProcess[str]
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))\n"
     command = [sys.executable, "-c", limit + textwrap.dedent(program)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60)
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60
+    )
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the system's file size limit exists on POSIX only")
+@pytest.mark.skipif(
+    sys.platform == "win32", reason="the system's file size limit exists on POSIX only"
+)
 def test_a_full_disk_is_one_sentence_and_leaves_nothing(tmp_path):
-    """The kernel itself refuses the write; the user sees the path and what to do, the folder stays empty."""
+    """The kernel itself refuses the write; the user sees the path and what to do, the folder stays
+    empty.
+    """
     result = run_with_full_disk(
         """
         from falconwing_kit.core.files import atomic_write
@@ -70,8 +81,12 @@ def test_a_full_disk_is_one_sentence_and_leaves_nothing(tmp_path):
 
 
 def test_figures_are_written_with_their_words(tmp_path):
-    """By hand: 1600 bytes are 2 kB to the nearest; each is there when it is told, and the next is not drawn yet."""
-    drawings = {name: lambda path: path.write_bytes(b"x" * 1600) and "In words." for name in ("one", "two")}
+    """By hand: 1600 bytes are 2 kB to the nearest; each is there when it is told, and the next is
+    not drawn yet.
+    """
+    drawings = {
+        name: lambda path: path.write_bytes(b"x" * 1600) and "In words." for name in ("one", "two")
+    }
     lines = write_figures(tmp_path / "new", drawings)
     assert next(lines) == "one.svg: 2 kB"
     assert sorted(os.listdir(tmp_path / "new")) == ["one.svg", "one.txt"]
@@ -86,7 +101,10 @@ def test_no_right_to_write_is_one_sentence(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied", str(target))
 
     monkeypatch.setattr(os, "replace", refuse)
-    with pytest.raises(InputError, match="no right to write"), atomic_write(tmp_path / "a.txt", text=True) as file:
+    with (
+        pytest.raises(InputError, match="no right to write"),
+        atomic_write(tmp_path / "a.txt", text=True) as file,
+    ):
         file.write("x")
     assert os.listdir(tmp_path) == []
 
@@ -110,7 +128,9 @@ def test_cache_folder_is_the_systems_own(platform, variable, path, monkeypatch, 
 
 
 def test_what_ships_is_found_beside_the_package_or_under_the_prefix(monkeypatch, tmp_path):
-    """A checkout has it, an install under <prefix>/share; where neither has, both places and the advice are said."""
+    """A checkout has it, an install under <prefix>/share; where neither has, both places and the
+    advice are said.
+    """
     assert shipped_path("hardware/airframe_umx.toml", "").name == "airframe_umx.toml"
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     there = tmp_path / "share" / "falconwing_kit" / "hardware" / "own.toml"

@@ -14,7 +14,12 @@ import pytest
 
 from falconwing_kit.core import flight_log
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log, recover, to_flight_table
+from falconwing_kit.core.flight_log import (
+    FlightLogWriter,
+    read_flight_log,
+    recover,
+    to_flight_table,
+)
 from falconwing_kit.core.messages import Command, Image, State
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -54,7 +59,9 @@ def whole(tmp_path):
 
 @pytest.fixture
 def interrupted(tmp_path):
-    """The same 20 frames as they stand in the file in mid-flight, and the file's size after each command."""
+    """The same 20 frames as they stand in the file in mid-flight, and the file's size after each
+    command.
+    """
     sizes = []
     with FlightLogWriter(tmp_path / "flying.mcap") as log:
         for k in range(20):
@@ -86,7 +93,9 @@ def test_everything_comes_back(whole):
 
 
 def test_another_library_reads_the_closed_log(whole):
-    """The mcap library's own indexed reader, which needs index and summary, finds the same 61 records."""
+    """The mcap library's own indexed reader, which needs index and summary, finds the same 61
+    records.
+    """
     from mcap.reader import make_reader
 
     with whole.open("rb") as file:
@@ -100,18 +109,24 @@ def test_another_library_reads_the_closed_log(whole):
         "/state": 20,
         "/event": 1,
     }
-    assert schemas == {"command", "state", "event"} and {chunk.compression for chunk in chunks} == {"zstd"}
+    assert schemas == {"command", "state", "event"} and {chunk.compression for chunk in chunks} == {
+        "zstd"
+    }
 
 
 def test_command_is_written_before_its_image(interrupted):
     """When both arrive together: if the disk fills up in between, the command is the one to have."""
     data = interrupted[0].read_bytes()
     for k in range(20):
-        assert data.index(json.dumps(command(k).record)[1:-1].encode()) < data.index(picture(k).pixels.tobytes())
+        assert data.index(json.dumps(command(k).record)[1:-1].encode()) < data.index(
+            picture(k).pixels.tobytes()
+        )
 
 
 def test_raw_pixels_are_packed_as_jpeg(tmp_path):
-    """A grey image comes back grey within JPEG's rounding, red stays red: OpenCV's order of colours is the other."""
+    """A grey image comes back grey within JPEG's rounding, red stays red: OpenCV's order of colours
+    is the other.
+    """
     import cv2
 
     pixels = np.zeros((16, 16, 3), np.uint8)
@@ -128,7 +143,9 @@ def test_unknown_numbers_stay_unknown(tmp_path):
     vector = np.array([1.0, np.nan, 3, 4, 5, 6, 7, 8, 9])
     with FlightLogWriter(tmp_path / "a.mcap") as log:
         log.state(0.0, State.from_vector(vector))
-    assert np.array_equal(read_flight_log(tmp_path / "a.mcap").states[0].vector[:9], vector, equal_nan=True)
+    assert np.array_equal(
+        read_flight_log(tmp_path / "a.mcap").states[0].vector[:9], vector, equal_nan=True
+    )
 
 
 def test_an_error_in_flight_still_closes_the_log(tmp_path):
@@ -153,7 +170,10 @@ def test_a_disk_too_full_to_pack_keeps_the_recording(tmp_path, monkeypatch):
         raise InputError("the disk is full")
 
     monkeypatch.setattr(flight_log, "rewrite", refuse)
-    with pytest.warns(UserWarning, match="stays unpacked"), FlightLogWriter(tmp_path / "a.mcap") as log:
+    with (
+        pytest.warns(UserWarning, match="stays unpacked"),
+        FlightLogWriter(tmp_path / "a.mcap") as log,
+    ):
         fly(log, range(3))
     log = read_flight_log(tmp_path / "a.mcap")
     assert len(log.commands) == 3 and log.warnings == ()
@@ -162,11 +182,14 @@ def test_a_disk_too_full_to_pack_keeps_the_recording(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("write", "sentence"),
     [
-        (lambda log: log.command(np.nan, command(0)), "t: want a finite number"),
-        (lambda log: log.command(-1.0, command(0)), "t: want a finite number"),
-        (lambda log: log.command(0.0, Command(np.nan, 0.0, 0.0, 0.0)), "want texts and finite numbers"),
-        (lambda log: log.event(0.0, "x", {"what": object()}), "want texts and finite numbers"),
-        (lambda log: log.image(Image(-1, 0.0, np.zeros(3, np.uint8))), "want a count from 0"),
+        (lambda log: log.command(np.nan, command(0)), "t: expected a finite number"),
+        (lambda log: log.command(-1.0, command(0)), "t: expected a finite number"),
+        (
+            lambda log: log.command(0.0, Command(np.nan, 0.0, 0.0, 0.0)),
+            "expected texts and finite numbers",
+        ),
+        (lambda log: log.event(0.0, "x", {"what": object()}), "expected texts and finite numbers"),
+        (lambda log: log.image(Image(-1, 0.0, np.zeros(3, np.uint8))), "expected a count from 0"),
     ],
 )
 def test_senseless_records_are_refused(tmp_path, write, sentence):
@@ -198,9 +221,13 @@ with FlightLogWriter(sys.argv[1]) as log:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is POSIX")
-@pytest.mark.parametrize(("frames", "pause"), [(1, -1), (7, -1), (40, -1), (111, -1), (300, -1), (25, 24)])
+@pytest.mark.parametrize(
+    ("frames", "pause"), [(1, -1), (7, -1), (40, -1), (111, -1), (300, -1), (25, 24)]
+)
 def test_a_kill_loses_no_acknowledged_command(tmp_path, frames, pause):
-    """A program is killed while it writes at full speed, or right after a command: what it acknowledged is there."""
+    """A program is killed while it writes at full speed, or right after a command: what it
+    acknowledged is there.
+    """
     path = tmp_path / "killed.mcap"
     program = [sys.executable, "-c", WRITER, str(path), str(pause)]
     with subprocess.Popen(program, stdout=subprocess.PIPE, env=ENVIRONMENT, text=True) as child:
@@ -213,14 +240,18 @@ def test_a_kill_loses_no_acknowledged_command(tmp_path, frames, pause):
     assert "interrupted" in log.warnings[0]
     assert os.listdir(tmp_path) == ["killed.mcap"]
     report = recover(path, tmp_path / "saved.mcap")
-    assert report.counts["/command"] == len(log.commands) and report.counts["/image"] == len(log.image_times)
+    assert report.counts["/command"] == len(log.commands) and report.counts["/image"] == len(
+        log.image_times
+    )
     assert read_flight_log(tmp_path / "saved.mcap").warnings == ()
 
 
 def test_a_cut_log_keeps_all_whole_records(interrupted, tmp_path):
-    """Cut at 200 places: command k is there exactly if the cut lies behind the size the file had after it.
+    """Cut at 200 places: command k is there exactly if the cut lies behind the size the file had
+    after it.
 
-    The command stands before its image, so the image's own bytes may be cut: sizes are those before the image.
+    The command stands before its image, so the image's own bytes may be cut: sizes are those before
+    the image.
     """
     path, sizes = interrupted
     data = path.read_bytes()
@@ -242,7 +273,7 @@ def test_a_cut_packed_log_reads_or_says_why(whole, tmp_path):
     for cut in np.linspace(0, len(data), 200).astype(int):
         (tmp_path / "cut.mcap").write_bytes(data[:cut])
         if cut < 8:
-            with pytest.raises(InputError, match="want a flight log in MCAP format"):
+            with pytest.raises(InputError, match="expected a flight log in MCAP format"):
                 read_flight_log(tmp_path / "cut.mcap")
         else:
             log = read_flight_log(tmp_path / "cut.mcap")
@@ -251,9 +282,13 @@ def test_a_cut_packed_log_reads_or_says_why(whole, tmp_path):
     assert counts[-1] == 20 and counts == sorted(counts)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the system's file size limit exists on POSIX only")
+@pytest.mark.skipif(
+    sys.platform == "win32", reason="the system's file size limit exists on POSIX only"
+)
 def test_a_full_disk_in_flight_is_one_sentence_and_keeps_the_log(tmp_path):
-    """The kernel refuses to let the file grow beyond 20,000 bytes; what was acknowledged before can be read."""
+    """The kernel refuses to let the file grow beyond 20,000 bytes; what was acknowledged before can
+    be read.
+    """
     program = """if True:
         import resource
         resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
@@ -270,7 +305,12 @@ def test_a_full_disk_in_flight_is_one_sentence_and_keeps_the_log(tmp_path):
             print(type(error).__name__, error)
         """
     result = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     *acknowledged, sentence = result.stdout.splitlines()
     assert sentence.startswith("InputError full.mcap: the disk is full"), result.stderr
@@ -283,7 +323,9 @@ def test_a_full_disk_in_flight_is_one_sentence_and_keeps_the_log(tmp_path):
 
 
 def test_length_fields_of_all_sizes_allocate_nothing(interrupted, tmp_path):
-    """A record that claims 2^16 .. 2^63 bytes more than there are: reading stops there, with a warning."""
+    """A record that claims 2^16 .. 2^63 bytes more than there are: reading stops there, with a
+    warning.
+    """
     path, sizes = interrupted
     data = bytearray(path.read_bytes())
     for power in (16, 31, 32, 40, 62, 63):
@@ -295,14 +337,18 @@ def test_length_fields_of_all_sizes_allocate_nothing(interrupted, tmp_path):
 
 def chunk_record(data: bytes, claimed: int, compression: bytes = b"zstd") -> bytes:
     """A chunk record written by hand from the specification."""
-    body = struct.pack("<QQQI", 0, 0, claimed, 0) + struct.pack("<I", len(compression)) + compression
+    body = (
+        struct.pack("<QQQI", 0, 0, claimed, 0) + struct.pack("<I", len(compression)) + compression
+    )
     body += struct.pack("<Q", len(data)) + data
     return struct.pack("<BQ", 0x06, len(body)) + body
 
 
 @pytest.mark.parametrize("claimed", [2**63, 2**31, 1_000_000_000, 1000])
 def test_a_decompression_bomb_does_not_go_off(tmp_path, claimed):
-    """1 GB of zeros packed by zstd to 30 kB, with honest and dishonest sizes: left out, and little memory used."""
+    """1 GB of zeros packed by zstd to 30 kB, with honest and dishonest sizes: left out, and little
+    memory used.
+    """
     import tracemalloc
 
     import zstandard
@@ -341,7 +387,9 @@ def test_a_record_that_is_no_json_is_left_out(interrupted, tmp_path):
     data = interrupted[0].read_bytes()
     (tmp_path / "spoilt.mcap").write_bytes(data.replace(b'"throttle": 0.5', b'"throttle"! 0.5', 1))
     log = read_flight_log(tmp_path / "spoilt.mcap")
-    assert len(log.commands) == 19 and "records of /command that could not be understood: 1" in " ".join(log.warnings)
+    assert len(
+        log.commands
+    ) == 19 and "records of /command that could not be understood: 1" in " ".join(log.warnings)
 
 
 @pytest.mark.parametrize("compression", ["lz4", ""])
@@ -350,10 +398,14 @@ def test_chunks_of_other_writers_are_read(tmp_path, compression):
     import lz4.frame
 
     body = json.dumps({"t": 1.0, **command(3).record}).encode()
-    channel = struct.pack("<HH", 1, 0) + b"".join(struct.pack("<I", len(x)) + x for x in (b"/command", b"json"))
+    channel = struct.pack("<HH", 1, 0) + b"".join(
+        struct.pack("<I", len(x)) + x for x in (b"/command", b"json")
+    )
     channel += struct.pack("<I", 0)
     message = struct.pack("<HIQQ", 1, 0, 10**9, 10**9) + body
-    records = b"".join(struct.pack("<BQ", op, len(x)) + x for op, x in ((0x04, channel), (0x05, message)))
+    records = b"".join(
+        struct.pack("<BQ", op, len(x)) + x for op, x in ((0x04, channel), (0x05, message))
+    )
     packed = lz4.frame.compress(records) if compression else records
     chunk = bytearray(chunk_record(packed, len(records), compression.encode()))
     chunk[9 + 24 : 9 + 28] = struct.pack("<I", zlib.crc32(records))
@@ -361,7 +413,9 @@ def test_chunks_of_other_writers_are_read(tmp_path, compression):
     assert read_flight_log(tmp_path / "other.mcap").commands == (command(3),)
 
 
-@pytest.mark.parametrize(("content", "word"), [(b"", "an empty file"), (b"t,px,py\n" * 9, "another kind of file")])
+@pytest.mark.parametrize(
+    ("content", "word"), [(b"", "an empty file"), (b"t,px,py\n" * 9, "another kind of file")]
+)
 def test_other_files_are_refused(tmp_path, content, word):
     """One sentence; the file's name is in it."""
     (tmp_path / "a.mcap").write_bytes(content)
@@ -379,12 +433,18 @@ def test_recovering_keeps_the_damaged_log(interrupted):
 
 
 def test_table_has_one_row_per_image_with_its_own_command(whole):
-    """By hand: row k has the time of image k, state k and the command that answers image k, given 30 ms later."""
+    """By hand: row k has the time of image k, state k and the command that answers image k, given
+    30 ms later.
+    """
     table = to_flight_table(read_flight_log(whole))
     assert table.t == pytest.approx([100.0 + 0.05 * k for k in range(20)], abs=1e-9)
     assert table.commands[:, 1] == pytest.approx([0.01 * k for k in range(20)], abs=1e-15)
     assert table.p_world[2].tolist() == [2.0, 3.0, 4.0]
-    assert table.attitude[2].tolist() == [7.0, 5.0, 6.0]  # roll, pitch, yaw; the state has pitch, yaw, roll
+    assert table.attitude[2].tolist() == [
+        7.0,
+        5.0,
+        6.0,
+    ]  # roll, pitch, yaw; the state has pitch, yaw, roll
     assert table.extra["vx"][2] == 8.0 and "p" not in table.extra and table.warnings == ()
 
 
@@ -395,11 +455,18 @@ def test_frames_without_state_have_no_pose(tmp_path):
             log.command(picture(k).t + 0.03, command(k), picture(k))
             if k != 1:
                 log.state(picture(k).t, state(k), image_sequence=k)
-    assert to_flight_table(read_flight_log(tmp_path / "a.mcap")).has_pose.tolist() == [True, False, True, True]
+    assert to_flight_table(read_flight_log(tmp_path / "a.mcap")).has_pose.tolist() == [
+        True,
+        False,
+        True,
+        True,
+    ]
 
 
 def test_without_sequence_numbers_time_decides(tmp_path):
-    """A pilot flies by hand at 10 Hz: frames take the last command given and the state nearest in time."""
+    """A pilot flies by hand at 10 Hz: frames take the last command given and the state nearest in
+    time.
+    """
     with FlightLogWriter(tmp_path / "a.mcap") as log:
         for k in range(6):
             log.image(Image(k, 0.05 * k, np.zeros(3, np.uint8)))
@@ -420,7 +487,9 @@ def test_without_images_the_states_are_the_rows(tmp_path):
             log.state(0.05 * k, state(k), image_sequence=k)
             log.command(0.05 * k, command(k))
     table = to_flight_table(read_flight_log(tmp_path / "a.mcap"))
-    assert table.has_pose.all() and table.commands[:, 1] == pytest.approx([0.01 * k for k in range(5)])
+    assert table.has_pose.all() and table.commands[:, 1] == pytest.approx(
+        [0.01 * k for k in range(5)]
+    )
 
 
 def test_repeated_image_stamps_do_not_break_the_table(tmp_path):
@@ -435,5 +504,5 @@ def test_a_log_without_commands_gives_no_table(tmp_path):
     """A flight table needs commands; the sentence says so."""
     with FlightLogWriter(tmp_path / "a.mcap") as log:
         log.state(0.0, state(0))
-    with pytest.raises(InputError, match="want a log with commands"):
+    with pytest.raises(InputError, match="expected a log with commands"):
         to_flight_table(read_flight_log(tmp_path / "a.mcap"))

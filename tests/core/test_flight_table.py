@@ -20,7 +20,9 @@ from falconwing_kit.core.flight_table import (
 )
 
 HEADER = "t,px,py,pz,roll,pitch,yaw,throttle,aileron,elevator,rudder"
-ROWS = [f"{k * 0.05:.2f},{0.35 * k:.2f},1.0,2.0,0.1,0.05,0.2,0.5,0.01,-0.02,0.03" for k in range(20)]
+ROWS = [
+    f"{k * 0.05:.2f},{0.35 * k:.2f},1.0,2.0,0.1,0.05,0.2,0.5,0.01,-0.02,0.03" for k in range(20)
+]
 
 
 @pytest.fixture
@@ -74,7 +76,9 @@ def test_order_of_columns_does_not_matter(csv):
     """The header names the columns, not their place."""
     backwards = [",".join(reversed(row.split(","))) for row in ROWS]
     header = ",".join(reversed(HEADER.split(",")))
-    assert np.array_equal(read_flight_table(csv(backwards, header)).p_world, read_flight_table(csv(ROWS)).p_world)
+    assert np.array_equal(
+        read_flight_table(csv(backwards, header)).p_world, read_flight_table(csv(ROWS)).p_world
+    )
 
 
 def test_windows_file_reads_the_same(csv):
@@ -105,19 +109,25 @@ def test_half_a_pose_counts_as_none(csv):
 def test_optional_and_unknown_columns_are_kept(csv):
     """Numbers as arrays, words as words; only what is unknown is named."""
     header = HEADER + ",vx,source,battery,pilot"
-    rows = [f"{row},{k},{'marker' if k % 2 else 'hybrid'},{7.4 - k},anna" for k, row in enumerate(ROWS)]
+    rows = [
+        f"{row},{k},{'marker' if k % 2 else 'hybrid'},{7.4 - k},anna" for k, row in enumerate(ROWS)
+    ]
     table = read_flight_table(csv(rows, header))
     assert table.extra["vx"].tolist() == list(range(20))
     assert table.extra["battery"][0] == 7.4
     assert table.labels["source"][:2] == ("hybrid", "marker") and table.labels["pilot"][5] == "anna"
-    assert len(table.warnings) == 1 and "battery, pilot" in table.warnings[0] and "vx" not in table.warnings[0]
+    assert (
+        len(table.warnings) == 1
+        and "battery, pilot" in table.warnings[0]
+        and "vx" not in table.warnings[0]
+    )
 
 
 def test_cut_last_line_is_dropped_with_a_warning(csv):
     """The file ends in the middle of a row, at each of its last 30 bytes.
 
-    Only a cut inside the last number leaves a row that looks whole, and nobody can tell that from a file without a
-    final line end.
+    Only a cut inside the last number leaves a row that looks whole, and nobody can tell that from a
+    file without a final line end.
     """
     whole = "\n".join([HEADER, *ROWS]) + "\n"
     for cut in range(2, 32):
@@ -165,14 +175,19 @@ def test_a_file_that_is_no_flight_table_is_refused(csv, content, sentence):
 @pytest.mark.parametrize(
     ("row", "column", "cell", "sentence"),
     [
-        (4, "px", "far", "line 6, column px: want a number or nan, got 'far'"),
+        (4, "px", "far", "line 6, column px: expected a number or nan, got 'far'"),
         (4, "px", "1.0.0", "line 6, column px"),
-        (4, "px", "inf", "line 6, column px: want a finite number or nan, got infinity"),
-        (4, "pitch", "1e999", "line 6, column pitch: want a finite number"),
+        (4, "px", "inf", "line 6, column px: expected a finite number or nan, got infinity"),
+        (4, "pitch", "1e999", "line 6, column pitch: expected a finite number"),
         (0, "aileron", "nan", "line 2, column aileron: the first row must have a command"),
-        (4, "throttle", "1500", "line 6: want throttle in 0..1, got 1500: looks like microseconds"),
-        (4, "throttle", "-1", "want throttle in 0..1, got -1: looks like"),
-        (4, "elevator", "50", "want elevator in -1..1, got 50"),
+        (
+            4,
+            "throttle",
+            "1500",
+            "line 6: expected throttle in 0..1, got 1500: looks like microseconds",
+        ),
+        (4, "throttle", "-1", "expected throttle in 0..1, got -1: looks like"),
+        (4, "elevator", "50", "expected elevator in -1..1, got 50"),
     ],
 )
 def test_a_wrong_cell_is_refused_with_its_line(csv, row, column, cell, sentence):
@@ -181,12 +196,21 @@ def test_a_wrong_cell_is_refused_with_its_line(csv, row, column, cell, sentence)
         read_flight_table(csv(edited(row, column, cell)))
 
 
-@pytest.mark.parametrize(("unit", "size"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)])
+@pytest.mark.parametrize(
+    ("unit", "size"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)]
+)
 def test_another_unit_of_time_is_recognised(csv, unit, size):
-    """Rows of cameras of 5 to 60 Hz, counted from a large start as clocks do. Rows 3 s apart may be slow telemetry."""
+    """Rows of cameras of 5 to 60 Hz, counted from a large start as clocks do. Rows 3 s apart may be
+    slow telemetry.
+    """
     for rate_hz in (5, 20, 60):
-        with pytest.raises(InputError, match=f"flight.csv: time looks like {unit}: want seconds, .* divide the column"):
-            read_flight_table(csv([f"{1e9 + size / rate_hz * k!r}{row[4:]}" for k, row in enumerate(ROWS)]))
+        with pytest.raises(
+            InputError,
+            match=f"flight.csv: time looks like {unit}: expected seconds, .* divide the column",
+        ):
+            read_flight_table(
+                csv([f"{1e9 + size / rate_hz * k!r}{row[4:]}" for k, row in enumerate(ROWS)])
+            )
     slow = [f"{3.0 * k!r}{row[4:]}" for k, row in enumerate(ROWS)]
     assert nominal_rate_hz(read_flight_table(csv(slow))) == pytest.approx(1.0 / 3.0)
 
@@ -256,7 +280,9 @@ def test_degrees_are_refused(csv):
 
 
 def test_unwrapped_yaw_is_read_with_a_warning(csv):
-    """Circling ten turns in radians is possible, and so is a straight flight in degrees: only a person can tell."""
+    """Circling ten turns in radians is possible, and so is a straight flight in degrees: only a
+    person can tell.
+    """
     rows = [row.replace(",0.1,0.05,0.2,", f",0.5,0.05,{3.0 * k},") for k, row in enumerate(ROWS)]
     table = read_flight_table(csv(rows))
     assert table.attitude[-1, 2] == 57.0 and "unwrapped" in table.warnings[0]
@@ -290,7 +316,10 @@ def test_what_is_written_is_read_back_to_the_last_bit(tmp_path):
     back = read_flight_table(tmp_path / "b.csv")
     for name in ("t", "p_world", "attitude", "commands"):
         assert np.array_equal(getattr(back, name), getattr(table, name), equal_nan=True)
-    assert all(np.array_equal(back.extra[name], extra[name]) for name in extra) and back.labels == labels
+    assert (
+        all(np.array_equal(back.extra[name], extra[name]) for name in extra)
+        and back.labels == labels
+    )
     assert (tmp_path / "b.csv").read_text().split("\n")[0] == HEADER + ",vx,q,battery,source"
     assert os.listdir(tmp_path) == ["b.csv"]
 
@@ -298,13 +327,13 @@ def test_what_is_written_is_read_back_to_the_last_bit(tmp_path):
 def test_columns_must_belong_together():
     """A table made in Python is checked as well."""
     t = np.arange(3.0)
-    with pytest.raises(InputError, match="p_world: want shape"):
+    with pytest.raises(InputError, match="p_world: expected shape"):
         table_of(t, p_world=np.zeros((2, 3)))
     with pytest.raises(InputError, match="time that increases"):
         table_of([0.0, 1.0, 1.0])
     with pytest.raises(InputError, match="finite commands"):
         table_of(t, commands=np.full((3, 4), np.nan))
-    with pytest.raises(InputError, match="source: want 3 words"):
+    with pytest.raises(InputError, match="source: expected 3 words"):
         table_of(t, labels={"source": ("a",)})
 
 
@@ -321,17 +350,21 @@ def test_slice_takes_its_start_and_leaves_its_end():
     """Neighbouring slices share no row."""
     table = table_of(np.arange(10) * 0.5)
     assert slice_time(table, 1.0, 2.0).t.tolist() == [1.0, 1.5]
-    with pytest.raises(InputError, match="want rows from 9 to 10 s"):
+    with pytest.raises(InputError, match="expected rows from 9 to 10 s"):
         slice_time(table, 9.0, 10.0)
 
 
 def test_resampling_keeps_straight_lines_and_holds_commands():
-    """By hand: position 7 t stays 7 t between neighbours; commands are those of the last row before."""
+    """By hand: position 7 t stays 7 t between neighbours; commands are those of the last row
+    before.
+    """
     t = np.array([0.0, 0.05, 0.1, 0.15])
     fine = resample(table_of(t), 40.0)
     assert fine.t == pytest.approx(np.arange(7) * 0.025, abs=1e-15)
     assert fine.p_world[:, 0] == pytest.approx(7.0 * fine.t, abs=1e-14)
-    assert fine.commands[:, 1] == pytest.approx(np.sin([0, 0, 0.05, 0.05, 0.1, 0.1, 0.15]), abs=1e-15)
+    assert fine.commands[:, 1] == pytest.approx(
+        np.sin([0, 0, 0.05, 0.05, 0.1, 0.1, 0.15]), abs=1e-15
+    )
 
 
 def test_resampling_at_the_own_rate_changes_nothing():
@@ -342,11 +375,15 @@ def test_resampling_at_the_own_rate_changes_nothing():
     table = table_of(t, p_world=p_world)
     same = resample(table, 30.0)
     assert np.array_equal(np.isnan(same.p_world), np.isnan(p_world))
-    assert np.nanmax(np.abs(same.p_world - p_world)) < 1e-5 * 3  # stamps moved by 5 us at up to 3 m/s
+    assert (
+        np.nanmax(np.abs(same.p_world - p_world)) < 1e-5 * 3
+    )  # stamps moved by 5 us at up to 3 m/s
 
 
 def test_gaps_stay_gaps():
-    """A pose missing at 0.10 s and frames missing from 0.30 to 0.40 s: nothing is made up in between."""
+    """A pose missing at 0.10 s and frames missing from 0.30 to 0.40 s: nothing is made up in
+    between.
+    """
     t = np.delete(np.arange(12) * 0.05, [6, 7, 8])
     p_world = np.column_stack([7.0 * t, 0 * t, 0 * t])
     p_world[2] = np.nan
@@ -365,11 +402,15 @@ def test_angles_are_interpolated_the_short_way_round():
 
 
 def test_missing_rows_are_inserted_and_measured_ones_kept():
-    """By hand: from 0.10 to 0.26 s are 3.2 periods of 50 ms, so two rows at thirds; the jitter at 0.30 stays."""
+    """By hand: from 0.10 to 0.26 s are 3.2 periods of 50 ms, so two rows at thirds; the jitter at
+    0.30 stays.
+    """
     t = [0.0, 0.05, 0.10, 0.26, 0.30, 0.35, 0.40]
     table = table_of(t, extra={"battery": np.arange(7.0)}, labels={"source": tuple("abcdefg")})
     full = fill_missing_rows(table)
-    assert full.t == pytest.approx([0.0, 0.05, 0.10, 0.10 + 0.16 / 3, 0.10 + 0.32 / 3, 0.26, 0.30, 0.35, 0.40])
+    assert full.t == pytest.approx(
+        [0.0, 0.05, 0.10, 0.10 + 0.16 / 3, 0.10 + 0.32 / 3, 0.26, 0.30, 0.35, 0.40]
+    )
     assert set(t) <= set(full.t)
     assert np.isnan(full.p_world[3:5]).all() and np.isfinite(full.p_world[[0, 1, 2, 5, 6]]).all()
     assert np.array_equal(full.commands[3:5], np.array([table.commands[2]] * 2))
@@ -389,7 +430,11 @@ def test_after_filling_no_step_is_long():
 def test_a_wrong_stamp_does_not_ask_for_endless_rows():
     """Ten thousand years at 20 Hz."""
     table = table_of([0.0, 0.05, 0.1, 3e11])
-    for run in (lambda: resample(table, 20.0), lambda: fill_missing_rows(table), lambda: split_by_time(table)):
+    for run in (
+        lambda: resample(table, 20.0),
+        lambda: fill_missing_rows(table),
+        lambda: split_by_time(table),
+    ):
         with pytest.raises(InputError, match="a time stamp is wrong"):
             run()
 
@@ -416,7 +461,10 @@ def test_every_row_goes_to_one_side_in_whole_blocks(share, tests):
     table = table_of(np.arange(2400) * 0.05)
     train, test = split_by_time(table, share)
     assert len(test) == tests
-    assert all(9.9 <= block.duration <= 10.0 and len(block.t) == pytest.approx(200, abs=1) for block in test)
+    assert all(
+        9.9 <= block.duration <= 10.0 and len(block.t) == pytest.approx(200, abs=1)
+        for block in test
+    )
     rows = np.concatenate([block.t for block in (*train, *test)])
     assert np.array_equal(np.sort(rows), table.t)
     assert all(np.diff(block.t).max() < 0.051 for block in (*train, *test))

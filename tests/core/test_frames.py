@@ -30,7 +30,11 @@ def rng():
 @pytest.fixture
 def angles(rng):
     """200 attitudes, pitch kept 0.1 rad from straight up and down."""
-    return rng.uniform(-np.pi, np.pi, 200), rng.uniform(-1.47, 1.47, 200), rng.uniform(-np.pi, np.pi, 200)
+    return (
+        rng.uniform(-np.pi, np.pi, 200),
+        rng.uniform(-1.47, 1.47, 200),
+        rng.uniform(-np.pi, np.pi, 200),
+    )
 
 
 def elementary(axis: str, angle: float) -> np.ndarray:
@@ -53,7 +57,12 @@ def test_rotation_is_orthonormal_and_right_handed(angles):
 def test_rotation_is_the_product_of_elementary_ones(angles):
     """R_world_body = diag(1, -1, -1) Rz(yaw) Ry(pitch) Rx(roll), multiplied out here."""
     for roll, pitch, yaw in zip(*angles, strict=True):
-        product = np.diag([1, -1, -1]) @ elementary("z", yaw) @ elementary("y", pitch) @ elementary("x", roll)
+        product = (
+            np.diag([1, -1, -1])
+            @ elementary("z", yaw)
+            @ elementary("y", pitch)
+            @ elementary("x", roll)
+        )
         assert np.abs(rotation_world_body(roll, pitch, yaw) - product).max() < ROUNDING
         assert np.abs(np.array(rotation_entries(roll, pitch, yaw)) - product).max() < ROUNDING
 
@@ -72,10 +81,22 @@ def test_level_flight_along_the_runway():
 @pytest.mark.parametrize(
     ("attitude", "v_body", "v_world"),
     [
-        ((0.3, 0.0, 0.0), [0, 1, 0], [0, -np.cos(0.3), -np.sin(0.3)]),  # roll right: the right wing goes down
+        (
+            (0.3, 0.0, 0.0),
+            [0, 1, 0],
+            [0, -np.cos(0.3), -np.sin(0.3)],
+        ),  # roll right: the right wing goes down
         ((0.0, 0.3, 0.0), [1, 0, 0], [np.cos(0.3), 0, np.sin(0.3)]),  # pitch up: the nose rises
-        ((0.0, 0.0, 0.3), [1, 0, 0], [np.cos(0.3), -np.sin(0.3), 0]),  # yaw right: the nose turns to -y
-        ((0.0, 0.0, np.pi / 2), [0, 1, 0], [-1, 0, 0]),  # nose to -y: the right wing points back along the runway
+        (
+            (0.0, 0.0, 0.3),
+            [1, 0, 0],
+            [np.cos(0.3), -np.sin(0.3), 0],
+        ),  # yaw right: the nose turns to -y
+        (
+            (0.0, 0.0, np.pi / 2),
+            [0, 1, 0],
+            [-1, 0, 0],
+        ),  # nose to -y: the right wing points back along the runway
         ((np.pi, 0.0, 0.0), [0, 0, 1], [0, 0, 1]),  # on its back: the belly looks up
     ],
 )
@@ -85,7 +106,9 @@ def test_signs_worked_by_hand(attitude, v_body, v_world):
 
 
 def test_euler_rates_match_the_derivative_of_the_rotation(angles, rng):
-    """Law: dR/dt = R [w]x with w = (p, q, r) in body axes; the left side by central difference, error O(h^2)."""
+    """Law: dR/dt = R [w]x with w = (p, q, r) in body axes; the left side by central difference,
+    error O(h^2).
+    """
     roll, pitch, yaw = angles
     p, q, r = rng.uniform(-1.0, 1.0, (3, 200))
     roll_rate, pitch_rate, yaw_rate = euler_rates(rotation_entries(*angles)[2], p, q, r)
@@ -109,9 +132,11 @@ def test_body_rates_invert_euler_rates(angles, rng):
 
 @pytest.mark.parametrize("roll", [-0.5, 0.2, 0.7])
 def test_coordinated_turn_needs_g_over_v_tan_roll(roll):
-    """Force balance: lift along minus belly holds the weight and bends the path; no other force, flight level.
+    """Force balance: lift along minus belly holds the weight and bends the path; no other force,
+    flight level.
 
-    m g = L cos(roll) and the horizontal part of the lift is m V d(heading)/dt; all vectors from R_world_body alone.
+    m g = L cos(roll) and the horizontal part of the lift is m V d(heading)/dt; all vectors from
+    R_world_body alone.
     """
     speed = 7.0
     lift_direction = rotation_world_body(roll, 0.0, 0.4) @ np.array([0.0, 0.0, -1.0])
@@ -126,27 +151,39 @@ def test_coordinated_turn_needs_g_over_v_tan_roll(roll):
 def test_turning_level_shows_in_the_body_rates():
     """By hand: level turn with yaw rate w gives p = 0, q = w sin(roll), r = w cos(roll)."""
     p, q, r = body_rates(0.5, 0.0, 0.0, 0.0, 1.2)
-    assert [float(p), float(q), float(r)] == pytest.approx([0.0, 1.2 * np.sin(0.5), 1.2 * np.cos(0.5)], abs=1e-15)
+    assert [float(p), float(q), float(r)] == pytest.approx(
+        [0.0, 1.2 * np.sin(0.5), 1.2 * np.cos(0.5)], abs=1e-15
+    )
 
 
 def test_camera_looks_along_the_nose():
     """By hand: camera z is the nose, x the right wing, y the belly; 2 m ahead is 2 m ahead."""
     T_world_body = pose_matrix(rotation_world_body(0.0, 0.0, 0.0), [1.0, 2.0, 3.0])
     T_world_camera = camera_pose(T_world_body, [0.1, 0.0, 0.0])
-    assert T_world_camera @ [0.0, 0.0, 2.0, 1.0] == pytest.approx([3.1, 2.0, 3.0, 1.0], abs=ROUNDING)
-    assert T_world_camera @ [1.0, 0.0, 0.0, 1.0] == pytest.approx([1.1, 1.0, 3.0, 1.0], abs=ROUNDING)
-    assert T_world_camera @ [0.0, 1.0, 0.0, 1.0] == pytest.approx([1.1, 2.0, 2.0, 1.0], abs=ROUNDING)
+    assert T_world_camera @ [0.0, 0.0, 2.0, 1.0] == pytest.approx(
+        [3.1, 2.0, 3.0, 1.0], abs=ROUNDING
+    )
+    assert T_world_camera @ [1.0, 0.0, 0.0, 1.0] == pytest.approx(
+        [1.1, 1.0, 3.0, 1.0], abs=ROUNDING
+    )
+    assert T_world_camera @ [0.0, 1.0, 0.0, 1.0] == pytest.approx(
+        [1.1, 2.0, 2.0, 1.0], abs=ROUNDING
+    )
     assert np.linalg.det(R_BODY_CAMERA) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("angle", "want"), [(np.pi, -np.pi), (-np.pi, -np.pi), (7.0, 7.0 - 2 * np.pi), (0.5, 0.5)])
+@pytest.mark.parametrize(
+    ("angle", "expected"), [(np.pi, -np.pi), (-np.pi, -np.pi), (7.0, 7.0 - 2 * np.pi), (0.5, 0.5)]
+)
 def test_wrap_keeps_the_angle_in_one_turn(angle, want):
     """By hand, on the half-open interval [-pi, pi)."""
     assert float(wrap_angle(angle)) == pytest.approx(want, abs=1e-15)
 
 
 def test_world_from_north_east_down_keeps_the_angles():
-    """With x = north, a nose to the east is 90 deg clockwise from north and turned right: the same yaw, nose to -y."""
+    """With x = north, a nose to the east is 90 deg clockwise from north and turned right: the same
+    yaw, nose to -y.
+    """
     roll, pitch, yaw = euler_from_ned(0.1, 0.2, np.pi / 2)
     assert (float(roll), float(pitch), float(yaw)) == (0.1, 0.2, np.pi / 2)
     nose_world = rotation_world_body(0.0, 0.0, yaw)[:, 0]
@@ -160,7 +197,9 @@ def test_world_from_east_north_up():
 
 
 def test_up_in_body_is_the_last_row_of_the_rotation(rng):
-    """By definition: up is the world's third axis, and R_world_body turns body vectors into world ones."""
+    """By definition: up is the world's third axis, and R_world_body turns body vectors into world
+    ones.
+    """
     roll, pitch, yaw = rng.uniform(-1.2, 1.2, (3, 50))
     R = rotation_world_body(roll, pitch, yaw)
     assert np.allclose(np.stack(up_in_body(roll, pitch), axis=-1), R[:, 2], atol=1e-14)

@@ -1,7 +1,9 @@
-"""Fuzzing: 12,000 damaged files go through the readers; each is read or refused in one sentence, in little memory.
+"""Fuzzing: 12,000 damaged files go through the readers; each is read or refused in one sentence, in
+little memory.
 
-A mutation draws from the kinds that real damage and real malice take: flipped bytes, cut ends, blocks twice or gone,
-garbage in between, absurd numbers, giant length fields. Every case is reproducible from its number.
+A mutation draws from the kinds that real damage and real malice take: flipped bytes, cut ends,
+blocks twice or gone, garbage in between, absurd numbers, giant length fields. Every case is
+reproducible from its number.
 """
 
 import dataclasses
@@ -16,19 +18,65 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.config import from_toml
-from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log, recover, to_flight_table
+from falconwing_kit.core.flight_log import (
+    FlightLogWriter,
+    read_flight_log,
+    recover,
+    to_flight_table,
+)
 from falconwing_kit.core.flight_table import read_flight_table
 from falconwing_kit.core.messages import Command, Image, State
 
 FILES = 3000  # of each of the four kinds
-# Python keeps a cell of two bytes as an object of some 50, and a thousand open brackets are a thousand nested calls.
+# Python keeps a cell of two bytes as an object of some 50, and a thousand open brackets are a
+# thousand nested calls.
 BYTES_PER_FILE_BYTE, BYTES_AT_LEAST = 50, 512 * 1024
 
 WEIRD = [
-    *(b"nan", b"inf", b"-inf", b"1e999", b"-1e308", b"9" * 400, b"0x10", b"1_000", b"--1", b"1.2.3", b"", b" "),
-    *(b",", b",,,,", b";", b"\n", b"\r", b"\n\n\n", b'"', b"'", b"#", b"=", b"[", b"]" * 9, b"[[" * 500, b"{" * 500),
-    *(b"\0", b"\xff\xfe", b"\xef\xbb\xbf", b"\xf0\x9f\x9b\xa9", b"true", b"1979-05-27T07:32:00Z", b"\\u0000", b"\x1f"),
-    *(struct.pack("<Q", n) for n in (0, 1, 2**16, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**63, 2**64 - 1)),
+    *(
+        b"nan",
+        b"inf",
+        b"-inf",
+        b"1e999",
+        b"-1e308",
+        b"9" * 400,
+        b"0x10",
+        b"1_000",
+        b"--1",
+        b"1.2.3",
+        b"",
+        b" ",
+    ),
+    *(
+        b",",
+        b",,,,",
+        b";",
+        b"\n",
+        b"\r",
+        b"\n\n\n",
+        b'"',
+        b"'",
+        b"#",
+        b"=",
+        b"[",
+        b"]" * 9,
+        b"[[" * 500,
+        b"{" * 500,
+    ),
+    *(
+        b"\0",
+        b"\xff\xfe",
+        b"\xef\xbb\xbf",
+        b"\xf0\x9f\x9b\xa9",
+        b"true",
+        b"1979-05-27T07:32:00Z",
+        b"\\u0000",
+        b"\x1f",
+    ),
+    *(
+        struct.pack("<Q", n)
+        for n in (0, 1, 2**16, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**63, 2**64 - 1)
+    ),
     *(struct.pack("<I", n) for n in (2**31, 2**32 - 1)),
 ]
 
@@ -98,7 +146,11 @@ def csv_seed() -> bytes:
     for k in range(20):
         pose = ["nan"] * 6 if k == 7 else [f"{x:.4f}" for x in rng.uniform(-1, 1, 6)]
         sticks = [f"{x:.3f}" for x in rng.uniform(0, 1, 4)]
-        lines.append(",".join([f"{k * 0.05:.3f}", *pose, *sticks, "7.0", "7.4", "marker" if k % 2 else "hybrid"]))
+        lines.append(
+            ",".join(
+                [f"{k * 0.05:.3f}", *pose, *sticks, "7.0", "7.4", "marker" if k % 2 else "hybrid"]
+            )
+        )
     return "\n".join(lines).encode() + b"\n"
 
 
@@ -130,12 +182,18 @@ def fuzz(read: Callable[[], object], path, seed: bytes, first: int) -> Counter[s
                 outcomes["read"] += 1
             except (InputError, FileNotFoundError) as error:
                 sentence = str(error)
-                assert len(sentence) < 2000 and "\n" not in sentence, f"mutation {number}: {sentence[:3000]}"
+                assert len(sentence) < 2000 and "\n" not in sentence, (
+                    f"mutation {number}: {sentence[:3000]}"
+                )
                 outcomes["refused"] += 1
             except Exception as error:
-                raise AssertionError(f"mutation {number} of {path.name} ends in {error!r}") from error
+                raise AssertionError(
+                    f"mutation {number} of {path.name} ends in {error!r}"
+                ) from error
             peak = tracemalloc.get_traced_memory()[1] - before
-            assert peak < BYTES_PER_FILE_BYTE * len(data) + BYTES_AT_LEAST, f"mutation {number}: {peak} of {len(data)}"
+            assert peak < BYTES_PER_FILE_BYTE * len(data) + BYTES_AT_LEAST, (
+                f"mutation {number}: {peak} of {len(data)}"
+            )
     finally:
         tracemalloc.stop()
     return outcomes

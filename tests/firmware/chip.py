@@ -1,4 +1,6 @@
-"""A bench for the simulated chip: a board that is engaged, fed and asked as a host does it, in virtual time."""
+"""A bench for the simulated chip: a board that is engaged, fed and asked as a host does it, in
+virtual time.
+"""
 
 import os
 
@@ -13,14 +15,19 @@ BYTE = 10 / 115200  # s: start bit, eight bits, stop bit
 COMMAND_BYTES = 16  # four channels: 14, one of COBS, the zero
 LOOP = 0.05  # s between two commands
 SAFE = (1000, 1500, 1500, 1500)
-FLOWN = (1250, 1600, 1400, 1500)  # within one slew of SAFE in every slot, so that one frame goes all the way
+FLOWN = (
+    1250,
+    1600,
+    1400,
+    1500,
+)  # within one slew of SAFE in every slot, so that one frame goes all the way
 
 
 def require_tools() -> None:
     """Skip where the chip's tools are missing, but fail in CI: there they have to be."""
     if missing := missing_tools():
         (pytest.fail if os.environ.get("CI") else pytest.skip)(
-            f"want Debian's {' '.join(missing)} for a simulated chip"
+            f"expected Debian's {' '.join(missing)} for a simulated chip"
         )
 
 
@@ -42,7 +49,9 @@ class Bench:
         self.messages += self._deframer.feed(self.board.read())
 
     def send(self, channels_us=FLOWN, engage=True) -> float:
-        """A command with the next sequence number; when its last byte will have arrived [s], the line being idle."""
+        """A command with the next sequence number; when its last byte will have arrived [s], the
+        line being idle.
+        """
         self.sequence = (self.sequence + 1) % 65536
         return self.send_raw(encode_channels(self.sequence, channels_us, engage))
 
@@ -59,7 +68,9 @@ class Bench:
         return arrived
 
     def engage(self) -> float:
-        """Hand back, then the edge and five commands; ACTIVE afterwards. When the last command had arrived [s]."""
+        """Hand back, then the edge and five commands; ACTIVE afterwards. When the last command had
+        arrived [s].
+        """
         self.fly(1, SAFE, engage=False)
         arrived = self.fly(6)
         assert self.status().state == "ACTIVE"

@@ -6,13 +6,17 @@ import pytest
 from falconwing_kit.trainer_port.protocol import encode_channels
 from tests.firmware.chip import BYTE, FLOWN, LOOP, SAFE, is_safe, slots
 
-SAFE_WITHIN = 0.225  # s: the issue's bound, 200 ms of countdown and one frame of 22 ms, and 3 to spare
+SAFE_WITHIN = (
+    0.225  # s: the issue's bound, 200 ms of countdown and one frame of 22 ms, and 3 to spare
+)
 TOO_EARLY = 0.2  # s: before the countdown has run out nothing may be lost
 PHASES = 23  # of the last command against the frames
 
 
 def time_to_safe(bench, last: float) -> float:
-    """From the last command's arrival to the first edge of the first safe frame; the board ran long enough [s]."""
+    """From the last command's arrival to the first edge of the first safe frame; the board ran long
+    enough [s].
+    """
     frames = bench.board.ppm_frames()
     safe = np.array([is_safe(frame) for frame in frames])
     first = int(np.flatnonzero(safe)[0])
@@ -22,7 +26,9 @@ def time_to_safe(bench, last: float) -> float:
 
 
 def test_without_a_host_the_slots_are_safe_within_225_ms(bench):
-    """The host stops at 23 phases of the 22 ms frame; the slots must hold for 200 ms and be safe at 225."""
+    """The host stops at 23 phases of the 22 ms frame; the slots must hold for 200 ms and be safe at
+    225.
+    """
     times = []
     for k in range(PHASES):
         bench.engage()
@@ -47,7 +53,8 @@ def test_a_host_that_comes_back_asks_again_from_the_start(bench):
 
 
 def test_a_hung_program_is_safe_within_225_ms_and_tells_afterwards(bench):
-    """loop() never returns; the interrupt's countdown does it, then the watchdog resets and the fault shows.
+    """loop() never returns; the interrupt's countdown does it, then the watchdog resets and the
+    fault shows.
 
     A stall takes engage=0 at least a second after the boot to end; sooner it stays.
     """
@@ -65,7 +72,9 @@ def test_a_hung_program_is_safe_within_225_ms_and_tells_afterwards(bench):
         bench.wait(0.6)
         assert bench.board.watchdog_resets == resets + 1
         frames = bench.board.ppm_frames()
-        assert {len(frame.slots_us) for frame in frames} == {4}, "what the reset broke off is no frame"
+        assert {len(frame.slots_us) for frame in frames} == {4}, (
+            "what the reset broke off is no frame"
+        )
         safe = [frame.t_start for frame in frames if is_safe(frame)]
         followed = [frame.t_start for frame in frames if not is_safe(frame)]
         assert safe[0] > followed[-1]
@@ -83,12 +92,16 @@ def test_a_hung_program_is_safe_within_225_ms_and_tells_afterwards(bench):
 
 
 def test_a_power_cycle_is_a_first_boot(bench):
-    """Memory holds anything after power-on: the boot count must be 1 all the same, and 2 after the reset button."""
+    """Memory holds anything after power-on: the boot count must be 1 all the same, and 2 after the
+    reset button.
+    """
     for seed in range(5):
         bench.board.power_cycle()
         bench.wait(0.2)
         status = bench.status()
-        assert (status.boot_count, status.reset_cause, status.fault) == (1, 0x01, "none"), f"power cycle {seed}"
+        assert (status.boot_count, status.reset_cause, status.fault) == (1, 0x01, "none"), (
+            f"power cycle {seed}"
+        )
     bench.board.reset()
     bench.wait(0.2)
     status = bench.status()
@@ -104,7 +117,9 @@ def feed(bench, frames: list[bytes], at_a_time: int = 32) -> None:
 
 
 def test_none_of_10000_corrupt_frames_is_accepted(bench):
-    """One to four bits of a good command turned over, its closing zero included; each is the next in sequence."""
+    """One to four bits of a good command turned over, its closing zero included; each is the next
+    in sequence.
+    """
     rng, frames = np.random.default_rng(7), []
     for k in range(10_000):
         frame = np.frombuffer(encode_channels(k + 1, FLOWN, engage=True), np.uint8)
@@ -121,13 +136,21 @@ def test_none_of_10000_corrupt_frames_is_accepted(bench):
 
 
 def test_none_of_10000_replayed_or_stuck_sequences_is_accepted(bench):
-    """Half repeat the last number, half one of the 32768 behind it; they do not keep the host alive either."""
+    """Half repeat the last number, half one of the 32768 behind it; they do not keep the host alive
+    either.
+    """
     rng = np.random.default_rng(8)
     bench.sequence = 1000
     bench.engage()
     accepted, last = bench.status().accepted, bench.sequence
     old = [last if k % 2 else last - int(rng.integers(0, 32769)) for k in range(10_000)]
-    feed(bench, [encode_channels(sequence % 65536, (1400, 1400, 1400, 1400), engage=True) for sequence in old])
+    feed(
+        bench,
+        [
+            encode_channels(sequence % 65536, (1400, 1400, 1400, 1400), engage=True)
+            for sequence in old
+        ],
+    )
     status = bench.status()
     assert (status.accepted, status.last_sequence) == (accepted, last)
     assert status.bad_sequence == 10_000
@@ -136,9 +159,13 @@ def test_none_of_10000_replayed_or_stuck_sequences_is_accepted(bench):
     assert bench.status().accepted == accepted + 1
 
 
-@pytest.mark.parametrize("garbage", [b"\x01", b"\xff" * 300, bytes(range(1, 256)), b"\x10\x01\x05\x00\x00\x02"])
+@pytest.mark.parametrize(
+    "garbage", [b"\x01", b"\xff" * 300, bytes(range(1, 256)), b"\x10\x01\x05\x00\x00\x02"]
+)
 def test_the_next_good_frame_after_garbage_is_taken(bench, garbage):
-    """One zero ends whatever it was. Without it the garbage takes one frame with it, and the one after is taken."""
+    """One zero ends whatever it was. Without it the garbage takes one frame with it, and the one
+    after is taken.
+    """
     bench.board.write(garbage + b"\0")
     bench.wait(LOOP)
     bench.fly(1)
@@ -151,7 +178,9 @@ def test_the_next_good_frame_after_garbage_is_taken(bench, garbage):
 
 
 def test_a_broken_host_is_a_fault(bench):
-    """Five commands out of range within a second; it takes engage=0 a second after the last to end it."""
+    """Five commands out of range within a second; it takes engage=0 a second after the last to end
+    it.
+    """
     bench.engage()
     bench.fly(4, (850, 1500, 1500, 1500))
     assert bench.status().fault == "none"

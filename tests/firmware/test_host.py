@@ -1,4 +1,6 @@
-"""The firmware's thinking part on this computer: under sanitizers, and its pulses and pilots worked out by hand."""
+"""The firmware's thinking part on this computer: under sanitizers, and its pulses and pilots worked
+out by hand.
+"""
 
 import ctypes
 import os
@@ -19,7 +21,9 @@ def make(target, out):
     """`make` in firmware/, into a folder of the test's."""
     missing = [tool for tool in ("make", "g++") if shutil.which(tool) is None]
     if missing:
-        (pytest.fail if os.environ.get("CI") else pytest.skip)(f"{' and '.join(missing)} missing: apt-get install them")
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(
+            f"{' and '.join(missing)} missing: apt-get install them"
+        )
     command = ["make", "-s", "-C", str(FIRMWARE), target, f"OUT={out}"]
     return subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
 
@@ -37,7 +41,9 @@ def library(tmp_path_factory):
 
 
 def test_a_million_broken_frames_are_refused_under_sanitizers(tmp_path):
-    """AddressSanitizer and UndefinedBehaviorSanitizer are independent; what must be 0 is told in host_test.cpp."""
+    """AddressSanitizer and UndefinedBehaviorSanitizer are independent; what must be 0 is told in
+    host_test.cpp.
+    """
     done = make("host-test", tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "1000000 broken frames: 0 accepted, each good frame after one accepted" in done.stdout
@@ -68,11 +74,22 @@ class Pulses:
 
 
 def test_a_frame_is_what_the_drawing_says(library):
-    """By hand: 400 us of pulse and the rest of each slot; the pause is 22000 - (1000 + 1500 + 1234 + 2000) - 400."""
+    """By hand: 400 us of pulse and the rest of each slot; the pause is 22000 - (1000 + 1500 + 1234
+    + 2000) - 400.
+    """
     pulses = Pulses(library)
     assert pulses.next() == (22000, True)
     assert [pulses.next() for _ in range(10)] == [
-        *[(400, False), (600, True), (400, False), (1100, True), (400, False), (834, True), (400, False), (1600, True)],
+        *[
+            (400, False),
+            (600, True),
+            (400, False),
+            (1100, True),
+            (400, False),
+            (834, True),
+            (400, False),
+            (1600, True),
+        ],
         *[(400, False), (22000 - 5734 - 400, True)],
     ]
     assert pulses.at_start
@@ -80,7 +97,9 @@ def test_a_frame_is_what_the_drawing_says(library):
 
 
 def test_silence_finishes_its_frame_and_ends_with_a_whole_one(library):
-    """Half a frame is worse than none: pulses stop at a frame's end, and come back at the next start."""
+    """Half a frame is worse than none: pulses stop at a frame's end, and come back at the next
+    start.
+    """
     pulses = Pulses(library)
     pulses.next()
     assert [pulses.next(silent=True)[1] for _ in range(10)] == [False, True] * 4 + [False, False]
@@ -96,19 +115,30 @@ def test_silence_finishes_its_frame_and_ends_with_a_whole_one(library):
 class PilotPulses:
     """Falling edges into the firmware's PPM decoder; the capture register wraps as the chip's does."""
 
-    def __init__(self, library, start_us=4_294_900_000):  # near the end of the clock's 32 bits: it wraps in the test
-        self._library, self._self, self.now = library, ctypes.c_void_p(library.pilot_ppm_new()), start_us
+    def __init__(
+        self, library, start_us=4_294_900_000
+    ):  # near the end of the clock's 32 bits: it wraps in the test
+        self._library, self._self, self.now = (
+            library,
+            ctypes.c_void_p(library.pilot_ppm_new()),
+            start_us,
+        )
 
     def edge(self, after_us):
         """An edge a while after the one before: the frame it completed, or ()."""
         self.now += after_us
         channels = (ctypes.c_uint16 * 8)()
-        ticks, now = ctypes.c_uint16(round(2 * self.now) % 65536), ctypes.c_uint32(int(self.now) % 2**32)
+        ticks, now = (
+            ctypes.c_uint16(round(2 * self.now) % 65536),
+            ctypes.c_uint32(int(self.now) % 2**32),
+        )
         n = self._library.pilot_ppm_edge(self._self, ticks, now, channels)
         return tuple(channels[:n])
 
     def frame(self, slots, pause_us=None):
-        """A frame's edges after its pause: the frame that the first of them completed, which is the one before."""
+        """A frame's edges after its pause: the frame that the first of them completed, which is the
+        one before.
+        """
         got = self.edge(FRAME_US - sum(STICKS) if pause_us is None else pause_us)
         assert [self.edge(slot) for slot in slots] == [()] * len(slots)
         return got
@@ -131,12 +161,20 @@ def pilot(library):
 def test_the_number_of_slots_is_learnt_from_three_frames(library, n):
     """Radios send four to eight; the fourth pause ends the third whole frame."""
     pilot, sticks = PilotPulses(library), tuple(1100 + 100 * k for k in range(n))
-    assert [pilot.frame(sticks, 22000 - sum(sticks)) for _ in range(5)] == [(), (), (), sticks, sticks]
+    assert [pilot.frame(sticks, 22000 - sum(sticks)) for _ in range(5)] == [
+        (),
+        (),
+        (),
+        sticks,
+        sticks,
+    ]
 
 
 @pytest.mark.parametrize("lost", range(5))
 def test_a_missing_pulse_loses_its_frame_only(pilot, lost):
-    """Two slots run together are over 2200 us; the first or last pulse takes a slot away, and the pause grows."""
+    """Two slots run together are over 2200 us; the first or last pulse takes a slot away, and the
+    pause grows.
+    """
     edges = [0, *accumulate(STICKS)]
     del edges[lost]
     before = pilot.edge(FRAME_US - sum(STICKS) + edges[0])
@@ -159,7 +197,9 @@ def test_an_extra_pulse_loses_its_frame_only(pilot, at_us):
 
 
 def test_a_lost_signal_makes_no_frame_of_what_was_before(pilot):
-    """32.768 ms after an edge the timer shows the same number again: 33.768 ms must not look like a slot of 1 ms."""
+    """32.768 ms after an edge the timer shows the same number again: 33.768 ms must not look like a
+    slot of 1 ms.
+    """
     assert pilot.edge(33768) == ()
     assert [pilot.edge(slot) for slot in STICKS] == [()] * 4
     assert pilot.frame(STICKS) == STICKS
@@ -178,14 +218,20 @@ class Spektrum:
     """Bytes into the firmware's decoder of remote receivers, at 115200 baud."""
 
     def __init__(self, library):
-        self._library, self._self, self.now = library, ctypes.c_void_p(library.pilot_spektrum_new()), 0
+        self._library, self._self, self.now = (
+            library,
+            ctypes.c_void_p(library.pilot_spektrum_new()),
+            0,
+        )
 
     def frame(self, data, pause_us=11000):
         """What a frame's bytes completed, or ()."""
         channels, got = (ctypes.c_uint16 * 8)(), ()
         self.now += pause_us
         for value in data:
-            n = self._library.pilot_spektrum_byte(self._self, value, ctypes.c_uint32(self.now), 4, channels)
+            n = self._library.pilot_spektrum_byte(
+                self._self, value, ctypes.c_uint32(self.now), 4, channels
+            )
             got = got or tuple(channels[:n])
             self.now += 87
         return got
@@ -200,7 +246,8 @@ def spektrum_frame(words):
     return b"\0\xb2" + b"".join(word.to_bytes(2, "big") for word in [*words, *[0xFFFF] * 7][:7])
 
 
-# Channel number << 11 | position. Ends and middle of the stick in Spektrum's text: 903 us + position x 1194 / 2048.
+# Channel number << 11 | position. Ends and middle of the stick in Spektrum's text: 903 us +
+# position x 1194 / 2048.
 WORDS = (0 << 11 | 0, 1 << 11 | 1024, 2 << 11 | 2047, 3 << 11 | 512)
 WORDS_US = (903, 1500, 2096, 1201)
 
@@ -211,7 +258,9 @@ def test_spektrum_frame_by_hand(library):
 
 
 def test_spektrum_channels_may_come_in_two_frames(library):
-    """With more than seven channels a radio sends them in turns; nothing is told before all four are known."""
+    """With more than seven channels a radio sends them in turns; nothing is told before all four
+    are known.
+    """
     spektrum = Spektrum(library)
     assert spektrum.frame(spektrum_frame(WORDS[:2])) == ()
     assert spektrum.frame(spektrum_frame(WORDS[2:])) == WORDS_US
@@ -227,7 +276,9 @@ def test_spektrum_channels_may_come_in_two_frames(library):
     ],
 )
 def test_broken_spektrum_frames_are_refused(library, data):
-    """There is no checksum, so the form has to do: 16 bytes, each channel once, no channel above 11."""
+    """There is no checksum, so the form has to do: 16 bytes, each channel once, no channel above
+    11.
+    """
     spektrum = Spektrum(library)
     assert spektrum.frame(data) == ()
     assert spektrum.frame(spektrum_frame(WORDS)) == WORDS_US

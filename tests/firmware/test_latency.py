@@ -1,4 +1,6 @@
-"""How long a command takes from its first byte to the first edge of the frame that carries it, in virtual time."""
+"""How long a command takes from its first byte to the first edge of the frame that carries it, in
+virtual time.
+"""
 
 import numpy as np
 
@@ -10,8 +12,9 @@ FRAME = 0.022  # s
 def test_a_command_is_on_the_pin_within_30_ms_and_mostly_24(bench):
     """The law: 16 bytes at 115200 baud, then a wait for the next frame that is uniform over 22 ms.
 
-    So between 1.4 and 23.4 ms, 12.4 on average, 22.3 at 95 %; the program may add a millisecond. The bounds are the
-    issue's. 400 commands at random phases; the wait's mean is known to 22 / sqrt(12 * 400) = 0.3 ms.
+    So between 1.4 and 23.4 ms, 12.4 on average, 22.3 at 95 %; the program may add a millisecond.
+    The bounds are the issue's. 400 commands at random phases; the wait's mean is known to 22 /
+    sqrt(12 * 400) = 0.3 ms.
     """
     rng = np.random.default_rng(5)
     bench.engage()

@@ -5,11 +5,12 @@ import pytest
 
 from falconwing_kit.tools.bridge.build import build_firmware, firmware_folder
 from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
-from falconwing_kit.trainer_port.protocol import Pilot
+from falconwing_kit.trainer_port.protocol import PilotFrame
 from tests.firmware.chip import COMMAND_BYTES, LOOP, SAFE, Bench, require_tools, slots
 
 MICROSECOND = 1.0  # us: the issue's bound on every slot, gap pulse and frame
-JITTER = 0.25  # us: the issue's bound on the standard deviation; an instruction of the simulator takes up to 0.31
+# us: the issue's bound on the standard deviation; an instruction of the simulator takes up to 0.31
+JITTER = 0.25
 PROGRAM = 0.0005  # s that the program may take from a command's last byte to its slots
 GAP_US, FRAME_US = 400, 22000
 LINE_BYTES = 576  # what 115200 8N1 carries in 50 ms
@@ -19,8 +20,9 @@ def fly_under_full_load(bench, seconds: float):
     """Commands that change at 20 Hz, and between them garbage that fills the line.
 
     Returns:
-        Frames on the pin, then times [s] and slots (n, 4) [us] of the commands; a frame that begins PROGRAM after a
-        time, and before the next, carries them. No slot moves by more than the slew limit, 250 us, at a time.
+        Frames on the pin, then times [s] and slots (n, 4) [us] of the commands; a frame that begins
+        PROGRAM after a time, and before the next, carries them. No slot moves by more than the slew
+        limit, 250 us, at a time.
     """
     rng = np.random.default_rng(11)
     bench.engage()
@@ -37,7 +39,9 @@ def fly_under_full_load(bench, seconds: float):
 
 
 def check_pulses(frames, times, commands) -> None:
-    """Every slot, gap pulse and frame within a microsecond of what it should be, and no jitter to speak of."""
+    """Every slot, gap pulse and frame within a microsecond of what it should be, and no jitter to
+    speak of.
+    """
     frames = [frame for frame in frames if frame.t_start > times[0] + PROGRAM]
     assert len(frames) > 0.95 * (times[-1] - times[0]) / 0.022
     for frame in frames:
@@ -56,12 +60,14 @@ def check_pulses(frames, times, commands) -> None:
 
 
 def test_pulses_are_right_to_a_microsecond_while_the_line_is_full(bench):
-    """What was commanded is what is on the pin, in 1,000 frames; every command is taken, and nothing else.
+    """What was commanded is what is on the pin, in 1,000 frames; every command is taken, and
+    nothing else.
 
-    By hand: 1,000 frames of 22 ms are 22 s. What libsimavr does at wraps of the timer (30 a second) and silicon does
-    not is not on the pin here. It happens where an edge comes so shortly before a wrap that its interrupt has not run:
-    at most 60 us of 32.8 ms once a frame and 10 us nine times, so 1000 * 0.67 * 150 / 22000 = 5 times; 15 is beyond
-    chance (1 in 10,000).
+    By hand: 1,000 frames of 22 ms are 22 s. What libsimavr does at wraps of the timer (30 a second)
+        and silicon does
+    not is not on the pin here. It happens where an edge comes so shortly before a wrap that its
+    interrupt has not run: at most 60 us of 32.8 ms once a frame and 10 us nine times, so 1000 *
+    0.67 * 150 / 22000 = 5 times; 15 is beyond chance (1 in 10,000).
     """
     frames, times, commands = fly_under_full_load(bench, 22.5)
     assert len(frames) >= 1000
@@ -75,7 +81,9 @@ def test_pulses_are_right_to_a_microsecond_while_the_line_is_full(bench):
 
 
 def test_a_pin_written_by_the_interrupt_fails_that_test(tmp_path):
-    """The mutation: the timer lets go of the pin and the interrupt writes it, late by whatever holds it up."""
+    """The mutation: the timer lets go of the pin and the interrupt writes it, late by whatever
+    holds it up.
+    """
     require_tools()
     sketch = "trainer_bridge.ino"
     text = (firmware_folder() / "trainer_bridge" / sketch).read_text()
@@ -122,7 +130,9 @@ def test_eight_slots_fit():
 
 
 def test_silence_is_no_pulse_and_no_half_frame():
-    """SILENT_AFTER_MS=1000: the last frame is whole, then the pin is still until a valid command comes."""
+    """SILENT_AFTER_MS=1000: the last frame is whole, then the pin is still until a valid command
+    comes.
+    """
     require_tools()
     with SimulatedBoard(build_firmware(["SILENT_AFTER_MS=1000"])) as board:
         bench = Bench(board)
@@ -141,16 +151,17 @@ def test_silence_is_no_pulse_and_no_half_frame():
 # The pilot's pulses, captured.
 
 
-def pilots(bench) -> list[Pilot]:
+def pilots(bench) -> list[PilotFrame]:
     """The pilot frames reported so far."""
-    return [message for message in bench.messages if isinstance(message, Pilot)]
+    return [message for message in bench.messages if isinstance(message, PilotFrame)]
 
 
 @pytest.mark.parametrize("n", [4, 6, 8])
 def test_captured_slots_are_right_to_a_microsecond(bench, n):
     """Sixty frames with slots at random, in whole microseconds as the report has them.
 
-    The timer counts half microseconds; the simulator sees an edge up to an instruction, 0.3 us, late.
+    The timer counts half microseconds; the simulator sees an edge up to an instruction, 0.3 us,
+    late.
     """
     rng, given = np.random.default_rng(n), []
     for _ in range(60):
@@ -178,16 +189,20 @@ PULSES = [0, *np.cumsum(STICKS).tolist()]  # us
 DISTURBED = (
     {f"pulse {i} is missing": [p for p in PULSES if p != PULSES[i]] for i in range(5)}
     | {f"a pulse more at {at} us": sorted([*PULSES, at]) for at in (500, 1750, 3600, 5000, 7500)}
-    | {f"pulse 1 stands at {at} us": [0, at, *PULSES[2:]] for at in (600, 1900)}  # slots of 600 and 500 us
+    | {
+        f"pulse 1 stands at {at} us": [0, at, *PULSES[2:]] for at in (600, 1900)
+    }  # slots of 600 and 500 us
 )
 
 
 @pytest.mark.parametrize("pulses", DISTURBED.values(), ids=DISTURBED)
 def test_a_frame_with_a_missing_extra_or_misplaced_pulse_is_rejected(bench, pulses):
-    """Six good frames, a disturbed one, six good ones: twelve are there to report, and none says other sticks.
+    """Six good frames, a disturbed one, six good ones: twelve are there to report, and none says
+    other sticks.
 
-    Fewer may be reported, for three teach the number of slots and a frame is ended by the next one's first pulse; so
-    the frame before a missing first pulse may go too. 7500 us is 1.5 ms behind the last pulse: a fifth slot.
+    Fewer may be reported, for three teach the number of slots and a frame is ended by the next
+    one's first pulse; so the frame before a missing first pulse may go too. 7500 us is 1.5 ms
+    behind the last pulse: a fifth slot.
     """
     for frame in [PULSES] * 6 + [pulses] + [PULSES] * 6:
         pilot_frame(bench, frame)
@@ -213,27 +228,37 @@ def test_a_silent_pilot_is_not_made_up(bench):
 
 
 def spektrum(positions: dict[int, int], phase: int = 0) -> bytes:
-    """A remote receiver's frame: two bytes of fades and system, seven words of channel (4 bits) and position (11)."""
-    words = [(channel << 11) | position for channel, position in positions.items()] + [0xFFFF] * (7 - len(positions))
+    """A remote receiver's frame: two bytes of fades and system, seven words of channel (4 bits) and
+    position (11).
+    """
+    words = [(channel << 11) | position for channel, position in positions.items()] + [0xFFFF] * (
+        7 - len(positions)
+    )
     return bytes([phase, 0xB2]) + b"".join(word.to_bytes(2, "big") for word in words)
 
 
 def test_spektrum_positions_become_microseconds(bench):
-    """Spektrum's Remote Receiver Interfacing: positions 0, 1024 and 2047 of 2048 are 903, 1500 and 2097 us."""
+    """Spektrum's Remote Receiver Interfacing: positions 0, 1024 and 2047 of 2048 are 903, 1500 and
+    2097 us.
+    """
     for _ in range(5):
         bench.board.write_spektrum(spektrum({0: 0, 1: 1024, 2: 2047, 3: 341}))
         bench.wait(0.022)
     taken = pilots(bench)
     assert len(taken) >= 4
     assert {pilot.source for pilot in taken} == {1}
-    assert taken[-1].channels_us == pytest.approx((903, 1500, 2097, 903 + 1194 * 341 / 2048), abs=MICROSECOND)
+    assert taken[-1].channels_us == pytest.approx(
+        (903, 1500, 2097, 903 + 1194 * 341 / 2048), abs=MICROSECOND
+    )
 
 
 def test_spektrum_garbage_gives_no_sticks(bench):
-    """200 frames at random and cut short: a channel's number twice or above 11 is refused, and counted.
+    """200 frames at random and cut short: a channel's number twice or above 11 is refused, and
+    counted.
 
-    Seven random words have seven different numbers below 12, or are unused, in about 3 % of frames (by hand: 12/16 *
-    11/16 * ... * 6/16 = 1.5 % without 0xFFFF), and these cannot be told: there is no checksum. Bound: 10 % of 200.
+    Seven random words have seven different numbers below 12, or are unused, in about 3 % of frames
+    (by hand: 12/16 * 11/16 * ... * 6/16 = 1.5 % without 0xFFFF), and these cannot be told: there is
+    no checksum. Bound: 10 % of 200.
     """
     rng = np.random.default_rng(3)
     for k in range(200):

@@ -1,7 +1,9 @@
-"""From an image on a ROS topic to pulses on the pin, in real time: what a flight of the board through ROS would see.
+"""From an image on a ROS topic to pulses on the pin, in real time: what a flight of the board
+through ROS would see.
 
-Image -> ROS -> a controller in a process of its own -> ROS -> relay -> pyserial -> pseudo-terminal -> the real firmware
-in a simulated ATmega2560 -> PPM. The board is simulated, the clock is the wall's.
+Image -> ROS -> a controller in a process of its own -> ROS -> relay -> pyserial -> pseudo-terminal
+-> the real firmware in a simulated ATmega2560 -> PPM. The board is simulated, the clock is the
+wall's.
 """
 
 import math
@@ -26,7 +28,8 @@ ROOT = Path(__file__).resolve().parents[2]
 IMAGES, PERIOD = 300, 0.05
 CODES = 200  # images are told apart by so many positions of one stick, a microsecond each
 LIMIT_MS, ATTEMPTS = 40.0, 3
-# The most trivial pilot: the rudder says which image it answers; image 0 hands the sticks back, all others engage.
+# The most trivial pilot: the rudder says which image it answers; image 0 hands the sticks back, all
+# others engage.
 CONTROLLER = f"""
 import time
 from falconwing_kit.core.messages import Command
@@ -45,14 +48,18 @@ while True:
 
 @pytest.fixture(scope="module")
 def bridge(ros_master):
-    """A simulated board with a port on its pseudo-terminal, a relay, a ROS bus, and the controller's process."""
+    """A simulated board with a port on its pseudo-terminal, a relay, a ROS bus, and the
+    controller's process.
+    """
     require_tools()
     bus, port, ended = RosBus("camera"), open_port("sim"), threading.Event()
     port.wait_ready()
     relaying = threading.Thread(target=relay, args=(port, bus, ended.is_set))
     relaying.start()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen([sys.executable, "-c", CONTROLLER], cwd=ROOT, env=environment) as controller:
+    with subprocess.Popen(
+        [sys.executable, "-c", CONTROLLER], cwd=ROOT, env=environment
+    ) as controller:
         yield bus, port
         controller.kill()
     ended.set()
@@ -63,19 +70,26 @@ def bridge(ros_master):
 
 
 def test_image_to_pulses_takes_40_ms_at_most(bridge):
-    """95 of 100 images are answered on the pin within 40 ms, first edge to last slot included; 40 is the requirement.
+    """95 of 100 images are answered on the pin within 40 ms, first edge to last slot included; 40
+    is the requirement.
 
-    By the frame: 1.4 ms of serial line, 0 to 22 ms until the next frame begins, 5 to 8 ms until its last slot is
-    complete, so some 27 ms at the 95th percentile, and the rest is for ROS. An image that is lost counts as for ever.
-    The clock is the wall's, and other programs on the machine can only add to what is measured: one attempt of three
-    must keep the limit. All are printed.
+    By the frame: 1.4 ms of serial line, 0 to 22 ms until the next frame begins, 5 to 8 ms until its
+        last slot is
+    complete, so some 27 ms at the 95th percentile, and the rest is for ROS. An image that is lost
+    counts as for ever. The clock is the wall's, and other programs on the machine can only add to
+    what is measured: one attempt of three must keep the limit. All are printed.
     """
     bus, port = bridge
     for attempt in range(ATTEMPTS):
         await_engaged(bus, port)
         to_edge, to_last_slot, lag = measure(bus, port.simulation)
-        print(f"\nattempt {attempt + 1}: load {os.getloadavg()[0]:.1f}, chip up to {lag:.0f} ms behind the clock")
-        for what, ms in (("first edge of its frame", to_edge), ("last slot complete", to_last_slot)):
+        print(
+            f"\nattempt {attempt + 1}: load {os.getloadavg()[0]:.1f}, chip up to {lag:.0f} ms behind the clock"
+        )
+        for what, ms in (
+            ("first edge of its frame", to_edge),
+            ("last slot complete", to_last_slot),
+        ):
             median, p95, worst = np.percentile(ms, (50, 95, 100), method="higher")
             print(f"image -> {what}: median {median:.1f}, p95 {p95:.1f}, max {worst:.1f} ms")
         if p95 <= LIMIT_MS:
@@ -85,14 +99,18 @@ def test_image_to_pulses_takes_40_ms_at_most(bridge):
 
 
 def test_when_images_stop_the_board_goes_safe_and_says_so_on_ros(bridge):
-    """Nothing on the way repeats a command: the board is LOST, idle with the others in the middle, and reports it."""
+    """Nothing on the way repeats a command: the board is LOST, idle with the others in the middle,
+    and reports it.
+    """
     bus, port = bridge
     await_engaged(bus, port)
     reports = bus.subscribe(STATUS)
     end = time.monotonic() + 30.0
     while (report := reports.take(1.0)) is None or report.status.state != "LOST":
         assert time.monotonic() < end, (report, port.status)
-    assert report.status.channels_us == (1000, 1500, 1500, 1500) and abs(report.t - time.time()) < 30.0
+    assert (
+        report.status.channels_us == (1000, 1500, 1500, 1500) and abs(report.t - time.time()) < 30.0
+    )
     assert port.engagement == "dropped"
 
 
@@ -114,8 +132,9 @@ def publish(bus, sequence):
 
 
 def measure(bus, board):
-    """Publish images at 20 Hz; (N,) ms from each to the first edge and to the last slot of its first frame, and the
-    simulator's worst lag [ms]."""
+    """Publish images at 20 Hz; (N,) ms from each to the first edge and to the last slot of its
+    first frame, and the simulator's worst lag [ms].
+    """
     wall = time.time() - time.perf_counter()
     board.ppm_frames()
     board.worst_lag, begin, stamps = 0.0, time.perf_counter(), []
@@ -130,13 +149,18 @@ def measure(bus, board):
     lasts = np.array([board.to_host_time(frame.t_slots[-1]) for frame in frames]) + wall
     first = [first_frame(codes, edges, k % CODES, t) for k, t in enumerate(stamps[:IMAGES], 1)]
     to_edge, to_last_slot = (
-        1e3 * np.array([math.inf if n is None else at[n] - t for n, t in zip(first, stamps, strict=False)])
+        1e3
+        * np.array(
+            [math.inf if n is None else at[n] - t for n, t in zip(first, stamps, strict=False)]
+        )
         for at in (edges, lasts)
     )
     return to_edge, to_last_slot, 1e3 * board.worst_lag
 
 
 def first_frame(codes, edges, code, t):
-    """Index of the first frame after an image with its code, within what the codes can tell apart; None if none."""
+    """Index of the first frame after an image with its code, within what the codes can tell apart;
+    None if none.
+    """
     found = np.flatnonzero((codes == code) & (edges >= t) & (edges < t + 0.5 * CODES * PERIOD))
     return int(found[0]) if len(found) else None

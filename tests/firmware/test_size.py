@@ -1,4 +1,6 @@
-"""The firmware as a program: it fits the chip with room to spare, and a config.h that cannot work does not compile."""
+"""The firmware as a program: it fits the chip with room to spare, and a config.h that cannot work
+does not compile.
+"""
 
 import re
 import shutil
@@ -20,13 +22,19 @@ def build(out: Path, target: str, defines: str = "") -> subprocess.CompletedProc
     return subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
 
 
-@pytest.mark.parametrize("defines", ["", "-DCHANNELS=8 -DSILENT_AFTER_MS=1000 -DPOLARITY=0 -DPILOT_SOURCE=0"])
+@pytest.mark.parametrize(
+    "defines", ["", "-DCHANNELS=8 -DSILENT_AFTER_MS=1000 -DPOLARITY=0 -DPILOT_SOURCE=0"]
+)
 def test_program_takes_less_than_16_kib_and_2_kib(tmp_path, defines):
-    """Limits of the design; counted by avr-size. -Wall -Wextra -Werror: one warning of avr-g++ ends the build."""
+    """Limits of the design; counted by avr-size. -Wall -Wextra -Werror: one warning of avr-g++ ends
+    the build.
+    """
     done = build(tmp_path, "size", defines)
     assert done.returncode == 0, done.stderr
     program, data = (int(n) for n in re.findall(r"(?:Program|Data): +(\d+) bytes", done.stdout))
-    assert 4000 < program < FLASH  # 4000: the Arduino core alone takes nearly so much, so less were not our program
+    assert (
+        4000 < program < FLASH
+    )  # 4000: the Arduino core alone takes nearly so much, so less were not our program
     assert 300 < data < RAM  # 300: the core's buffers of two serial ports
 
 
@@ -64,7 +72,9 @@ def test_settings_that_cannot_work_do_not_compile(defines, why):
 
 
 def test_arduino_ide_can_compile_the_sketch(tmp_path):
-    """The IDE puts <Arduino.h> before the sketch and a prototype of every function before its first one."""
+    """The IDE puts <Arduino.h> before the sketch and a prototype of every function before its first
+    one.
+    """
     require_tools()
     sketch = (FIRMWARE / "trainer_bridge/trainer_bridge.ino").read_text(encoding="utf-8")
     functions = re.findall(r"^((?:void|bool|uint16_t) \w+\([^)]*\)) \{", sketch, re.MULTILINE)
@@ -74,12 +84,29 @@ def test_arduino_ide_can_compile_the_sketch(tmp_path):
     source = f"#include <Arduino.h>\n{head}{prototypes}constexpr uint8_t PPM_OUT_PIN{tail}"
     (tmp_path / "sketch.cpp").write_text(source, encoding="utf-8")
     done = subprocess.run(
-        ["make", "-n", "-B", "-C", FIRMWARE, "elf", f"OUT={tmp_path}"], capture_output=True, text=True, check=True
+        ["make", "-n", "-B", "-C", FIRMWARE, "elf", f"OUT={tmp_path}"],
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    line = next(line for line in done.stdout.splitlines() if "trainer_bridge.ino.o" in line and "-x c++" in line)
-    options = [word for word in line.split() if word.startswith(("-m", "-O", "-D", "-W", "-f", "-std"))]
+    line = next(
+        line
+        for line in done.stdout.splitlines()
+        if "trainer_bridge.ino.o" in line and "-x c++" in line
+    )
+    options = [
+        word for word in line.split() if word.startswith(("-m", "-O", "-D", "-W", "-f", "-std"))
+    ]
     folders = [line.split()[i + 1] for i, word in enumerate(line.split()) if word == "-I"]
     includes = [f"-I{folder}" for folder in [*folders, FIRMWARE / "trainer_bridge"]]
-    command = ["avr-g++", *options, *includes, "-c", tmp_path / "sketch.cpp", "-o", tmp_path / "sketch.o"]
+    command = [
+        "avr-g++",
+        *options,
+        *includes,
+        "-c",
+        tmp_path / "sketch.cpp",
+        "-o",
+        tmp_path / "sketch.o",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr

@@ -25,8 +25,10 @@ class Sent:
 
 
 def adversary(rng: np.random.Generator) -> list[tuple[float, int, bool, tuple[int, ...]]]:
-    """Commands as (pause before it [s], step of the sequence, engage, slots): mostly engaging, with all that can go
-    wrong: pauses around every limit, numbers that stand, fall back or leap, flicker, values out of range."""
+    """Commands as (pause before it [s], step of the sequence, engage, slots): mostly engaging, with
+    all that can go wrong: pauses around every limit, numbers that stand, fall back or leap,
+    flicker, values out of range.
+    """
     calm = rng.random() < 0.8  # else anything may follow anything
     plan, wish = [], rng.random() < 0.3  # the first command may ask at once, which is no edge
     for _ in range(COMMANDS):
@@ -52,23 +54,31 @@ def fly_chip(bench, plan) -> tuple[list[Sent], list, Status]:
     return sent, bench.board.ppm_frames(), bench.status()
 
 
-def fly_model(sent: list[Sent], ticks_us: list[int], delay_us: int) -> tuple[list[tuple[int, ...] | None], Safety]:
-    """What the model puts out at each tick, where every command takes effect so long after its arrival."""
+def fly_model(
+    sent: list[Sent], ticks_us: list[int], delay_us: int
+) -> tuple[list[tuple[int, ...] | None], Safety]:
+    """What the model puts out at each tick, where every command takes effect so long after its
+    arrival.
+    """
     model, waiting, out = Safety(), list(sent), []
     for tick in ticks_us:
         while waiting and waiting[0].arrived_us + delay_us <= tick:
             command = waiting.pop(0)
-            model.frame(command.arrived_us + delay_us, command.sequence, command.engage, command.channels_us)
+            model.frame(
+                command.arrived_us + delay_us, command.sequence, command.engage, command.channels_us
+            )
         out.append(model.tick(tick))
     return out, model
 
 
 def test_the_chip_does_what_the_rules_say():
-    """Every frame on the pin has the model's slots to a microsecond, and the last status its state and counts.
+    """Every frame on the pin has the model's slots to a microsecond, and the last status its state
+    and counts.
 
-    The model was written from the rules, not from the firmware. A command's arrival is known to the time that the
-    program takes; a trace in which that decides is not judged, and the model itself tells which: early and late differ.
-    With 60 commands of 0.4 ms in frames of 22 ms that is rarer than one in two, so at least half must be left.
+    The model was written from the rules, not from the firmware. A command's arrival is known to the
+    time that the program takes; a trace in which that decides is not judged, and the model itself
+    tells which: early and late differ. With 60 commands of 0.4 ms in frames of 22 ms that is rarer
+    than one in two, so at least half must be left.
     """
     require_tools()
     judged, followed = 0, 0
@@ -83,7 +93,9 @@ def test_the_chip_does_what_the_rules_say():
         judged += 1
         wrong = np.abs(slots(frames) - np.array(early)).max(axis=1)
         k = int(wrong.argmax())
-        assert wrong[k] <= 1.0, f"{seed}: {frames[k].slots_us} at {frames[k].t_start:.3f} s, want {early[k]}"
+        assert wrong[k] <= 1.0, (
+            f"{seed}: {frames[k].slots_us} at {frames[k].t_start:.3f} s, want {early[k]}"
+        )
         assert (status.state, status.fault) == (model.state, model.fault), f"trace {seed}"
         assert status.last_sequence == (model.last_sequence or 0), f"trace {seed}"
         followed += not all(is_safe(frame) for frame in frames)

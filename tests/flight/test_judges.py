@@ -12,22 +12,24 @@ from falconwing_kit.control.leader import LeaderPath
 from falconwing_kit.core.frames import camera_pose
 from falconwing_kit.core.messages import Command, State
 from falconwing_kit.flight.judges import (
-    FollowJudge,
-    LandingJudge,
-    in_hull,
+    FollowEvaluator,
+    LandingEvaluator,
+    is_in_hull,
     is_locked,
     path_coordinates,
     tracking_errors,
     visible_pixels,
 )
-from falconwing_kit.flight.loop import Step
+from falconwing_kit.flight.loop import LoopStep
 from falconwing_kit.flight.sources import fpv_camera
 from falconwing_kit.flight.world import Contact
 
 AIRFRAME = load_airframe()
 LEVEL = State.from_vector(np.zeros(9))
 FROM_ORIGIN = camera_pose(np.array(LEVEL.pose.T_world_body))  # looks along x from the origin
-OUTLINE_M2 = 0.5 * (0.70 + 0.16) * 0.11  # seen from behind: a trapezium, wing tips above, main wheels below
+OUTLINE_M2 = (
+    0.5 * (0.70 + 0.16) * 0.11
+)  # seen from behind: a trapezium, wing tips above, main wheels below
 
 
 def at(x: float, y: float, z: float, **angles: float) -> State:
@@ -36,14 +38,18 @@ def at(x: float, y: float, z: float, **angles: float) -> State:
 
 @pytest.mark.parametrize("distance", [4.0, 8.0, 12.0])
 def test_visible_area_is_that_of_the_trapezium_of_tips_and_wheels(distance):
-    """Area times (focal length / distance)^2; the wheels are 5 cm nearer, and pixels are counted whole: 3 %."""
+    """Area times (focal length / distance)^2; the wheels are 5 cm nearer, and pixels are counted
+    whole: 3 %.
+    """
     camera = fpv_camera(1920, 1440)
     pixels = visible_pixels(camera, FROM_ORIGIN, at(distance, 0.0, 0.0), AIRFRAME)
     assert pixels == pytest.approx(OUTLINE_M2 * (0.62 * 1920 / distance) ** 2, rel=0.03)
 
 
 def test_from_the_side_the_leader_is_as_long_as_its_body():
-    """Yawed by 90 deg: nose to tail 0.52 m along the image, 0.20 m of it right of the centre (nose right)."""
+    """Yawed by 90 deg: nose to tail 0.52 m along the image, 0.20 m of it right of the centre (nose
+    right).
+    """
     camera, leader = fpv_camera(1920, 1440), at(8.0, 0.0, 0.0, yaw=np.pi / 2)
     scale = 0.62 * 1920 / 8.0
     left_only = np.full((1440, 1920), 20.0, np.float32)
@@ -53,7 +59,9 @@ def test_from_the_side_the_leader_is_as_long_as_its_body():
     corners = np.array([(0.20, 0.0), (0.05, 0.11), (-0.30, 0.04), (-0.32, 0.0)])
     x, y = corners.T
     area = 0.5 * abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1)))
-    assert whole == pytest.approx(area * scale**2, rel=0.08)  # its wheels are up to 8 cm nearer or farther
+    assert whole == pytest.approx(
+        area * scale**2, rel=0.08
+    )  # its wheels are up to 8 cm nearer or farther
     assert visible_pixels(camera, FROM_ORIGIN, leader, AIRFRAME, left_only) < 0.75 * whole
 
 
@@ -65,7 +73,10 @@ def test_from_the_side_the_leader_is_as_long_as_its_body():
         (at(30.0, 0.0, 0.0), False),  # 2.1 px
         (at(-8.0, 0.0, 0.0), False),  # behind
         (at(8.0, 8.0 * 0.5 / 0.62 - 0.1, 0.0), True),  # centre 0.1 m inside the left edge
-        (at(8.0, 8.0 * 0.5 / 0.62 + 0.1, 0.0), False),  # centre 0.1 m outside, a wing tip still inside
+        (
+            at(8.0, 8.0 * 0.5 / 0.62 + 0.1, 0.0),
+            False,
+        ),  # centre 0.1 m outside, a wing tip still inside
         (at(8.0, 0.0, 8.0 * 0.375 / 0.62 + 0.1), False),  # above the upper edge
     ],
     ids=["near", "far", "too far", "behind", "left edge", "beyond the left edge", "above"],
@@ -76,24 +87,33 @@ def test_lock_needs_the_centre_inside_in_front_and_six_pixels(leader, locked):
 
 
 def test_what_is_nearer_hides_the_leader():
-    """Leader 8 m ahead. A wall at 4 m: nothing is seen. A wall 20 m off, or the leader itself at 8 m: all of it."""
+    """Leader 8 m ahead. A wall at 4 m: nothing is seen. A wall 20 m off, or the leader itself at 8
+    m: all of it.
+    """
     camera, leader = fpv_camera(), at(8.0, 0.0, 0.0)
     free = visible_pixels(camera, FROM_ORIGIN, leader, AIRFRAME)
-    for distance, seen in ((4.0, 0), (8.0, free), (20.0, free), (0.0, free)):  # 0: nothing rendered there
+    for distance, seen in (
+        (4.0, 0),
+        (8.0, free),
+        (20.0, free),
+        (0.0, free),
+    ):  # 0: nothing rendered there
         depth = np.full((240, 320), distance, np.float32)
         assert visible_pixels(camera, FROM_ORIGIN, leader, AIRFRAME, depth) == seen
         assert is_locked(camera, FROM_ORIGIN, leader, AIRFRAME, depth) is (seen > 0)
     half = np.full((240, 320), 20.0, np.float32)
     half[:, 160:] = 4.0
-    assert visible_pixels(camera, FROM_ORIGIN, leader, AIRFRAME, half) == free // 2  # the outline is its own mirror
+    assert (
+        visible_pixels(camera, FROM_ORIGIN, leader, AIRFRAME, half) == free // 2
+    )  # the outline is its own mirror
 
 
 def test_hull_of_a_square_with_a_point_inside():
     """Points by eye: the corner point inside changes nothing, a line of corners has no inside."""
     corners = np.array([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0), (1.0, 2.0)])
     points = np.array([(2.0, 2.0), (0.1, 3.9), (4.1, 2.0), (-0.1, -0.1), (3.9, 0.1)])
-    assert in_hull(points, corners).tolist() == [True, True, False, False, True]
-    assert not in_hull(points, np.array([(0.0, 0.0), (1.0, 1.0), (2.0, 2.0)])).any()
+    assert is_in_hull(points, corners).tolist() == [True, True, False, False, True]
+    assert not is_in_hull(points, np.array([(0.0, 0.0), (1.0, 1.0), (2.0, 2.0)])).any()
 
 
 def straight(n: int, x: float = 0.0, y: float = 0.0, z: float = 2.0) -> np.ndarray:
@@ -109,15 +129,20 @@ def errors(leader: np.ndarray, follower: np.ndarray, path: np.ndarray) -> list[f
 def test_a_constant_offset_is_no_error():
     """4 m behind, 0.5 m to the side and below, all the way: every error is 0."""
     path = straight(200, x=-20.0)
-    assert errors(straight(60), straight(60, x=-4.0, y=0.5, z=1.5), path) == pytest.approx([0.0] * 3, abs=1e-9)
+    assert errors(straight(60), straight(60, x=-4.0, y=0.5, z=1.5), path) == pytest.approx(
+        [0.0] * 3, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize(
-    ("axis", "ate_d"), [(0, 0.5), (1, 0.5 * (np.sqrt(17.0) - 4.0)), (2, 0.5 * (np.sqrt(17.0) - 4.0))]
+    ("axis", "ate_d"),
+    [(0, 0.5), (1, 0.5 * (np.sqrt(17.0) - 4.0)), (2, 0.5 * (np.sqrt(17.0) - 4.0))],
 )
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_step_of_a_metre_for_half_of_the_time_is_half_a_metre(axis, sign, ate_d):
-    """4 m behind; in the second half 1 m off along one axis. The distance changes by 1 m or by sqrt(17) - 4."""
+    """4 m behind; in the second half 1 m off along one axis. The distance changes by 1 m or by
+    sqrt(17) - 4.
+    """
     follower = straight(60, x=-4.0)
     follower[30:, axis] += sign
     found = errors(straight(60), follower, straight(200, x=-20.0))
@@ -126,7 +151,9 @@ def test_a_step_of_a_metre_for_half_of_the_time_is_half_a_metre(axis, sign, ate_
 
 def circle(angle: np.ndarray, radius: np.ndarray | float = 10.0) -> np.ndarray:
     """A level turn to the right around the origin, 2 m up."""
-    return np.column_stack([radius * np.cos(angle), -radius * np.sin(angle), np.full(len(angle), 2.0)])
+    return np.column_stack(
+        [radius * np.cos(angle), -radius * np.sin(angle), np.full(len(angle), 2.0)]
+    )
 
 
 def course(angle: np.ndarray) -> np.ndarray:
@@ -135,7 +162,8 @@ def course(angle: np.ndarray) -> np.ndarray:
 
 
 def test_who_follows_the_same_circle_at_the_same_distance_has_no_error():
-    """Circle of 10 m, 4 m of arc behind. A chain of 0.35 m pieces leaves its circle by 0.35^2 / 80 = 1.5 mm.
+    """Circle of 10 m, 4 m of arc behind. A chain of 0.35 m pieces leaves its circle by 0.35^2 / 80
+    = 1.5 mm.
 
     One metre further out for half of the time is 0.5 m, in a turn too.
     """
@@ -145,13 +173,18 @@ def test_who_follows_the_same_circle_at_the_same_distance_has_no_error():
     assert list(found.values()) == pytest.approx([0.0] * 3, abs=0.004)
     outside = circle(when - 0.4, np.where(np.arange(100) < 50, 10.0, 11.0))
     found = tracking_errors(leader, course(when), outside, path)
-    assert (found["ate_m"], found["ate_path_m"]) == (pytest.approx(0.5, abs=0.005), pytest.approx(0.5, abs=0.005))
+    assert (found["ate_m"], found["ate_path_m"]) == (
+        pytest.approx(0.5, abs=0.005),
+        pytest.approx(0.5, abs=0.005),
+    )
 
 
 def test_entering_a_turn_is_seen_in_the_path_frame_and_not_along_the_path():
-    """60 frames straight, then 80 on a circle of 10 m; always 4 m of path behind, twelve frames of 0.35 m.
+    """60 frames straight, then 80 on a circle of 10 m; always 4 m of path behind, twelve frames of
+    0.35 m.
 
-    On the circle the follower stands R sin(0.4) behind and R (1 - cos(0.4)) beside the course, at first 4 m behind:
+    On the circle the follower stands R sin(0.4) behind and R (1 - cos(0.4)) beside the course, at
+    first 4 m behind:
     |D - D(0)| = hypot(4 - 3.894, 0.789) = 0.796, in at least 68 and at most 80 of 120 frames, less while it enters.
     """
     angle = np.concatenate([np.zeros(60), 0.035 * np.arange(80)])
@@ -172,13 +205,17 @@ def test_path_coordinates_are_along_left_and_up():
 
 
 def test_a_path_that_crosses_itself_is_followed_in_order():
-    """Out along x, back across it: at the crossing the place is the one that comes next, not the earlier one."""
+    """Out along x, back across it: at the crossing the place is the one that comes next, not the
+    earlier one.
+    """
     out = np.column_stack([np.arange(0.0, 20.1, 0.5), np.zeros(41), np.zeros(41)])
     back = np.column_stack([np.linspace(20.0, 5.0, 40), np.linspace(0.0, 6.0, 40), np.zeros(40)])
     over = np.column_stack([np.full(20, 5.0), np.linspace(5.5, -5.5, 20), np.zeros(20)])
     path = np.concatenate([out, back[1:], over])
     along = path_coordinates(path, path)[:, 0]
-    assert along == pytest.approx(np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]))
+    assert along == pytest.approx(
+        np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    )
 
 
 def still_world(**fields):
@@ -193,14 +230,16 @@ def straight_leader(n: int) -> LeaderPath:
 
 
 def fly_behind(offsets: dict[int, float], n: int = 41, contact_at: int | None = None):
-    """A judge's result of following 4 m behind; at some steps the follower's nose points away by an angle."""
+    """A judge's result of following 4 m behind; at some steps the follower's nose points away by an
+    angle.
+    """
     world = still_world()
-    judge, words = FollowJudge(world, straight_leader(n), AIRFRAME, fpv_camera()), []
+    judge, words = FollowEvaluator(world, straight_leader(n), AIRFRAME, fpv_camera()), []
     for k in range(n):
         world.t, world.state = 0.05 * k, at(0.35 * k, 0.0, 2.0, yaw=offsets.get(k, 0.0))
         if k == contact_at:
             world.contact = Contact(world.t, "wall", world.state.p_world)
-        words.append(judge.watch(Step(world.t, None, None, Command(0, 0, 0, 0), "", None)))
+        words.append(judge.watch(LoopStep(world.t, None, None, Command(0, 0, 0, 0), "", None)))
     return judge.result(), words
 
 
@@ -214,7 +253,9 @@ def test_lock_in_all_frames_is_success():
 
 
 def test_one_frame_without_lock_is_a_failure_and_ends_the_error():
-    """The nose 1 rad away at frame 10 (half the field is 0.68): 40 of 41 locked, lost at 0.5 s, errors end there."""
+    """The nose 1 rad away at frame 10 (half the field is 0.68): 40 of 41 locked, lost at 0.5 s,
+    errors end there.
+    """
     result, _ = fly_behind({10: 1.0})
     assert (result["success"], result["lost_at_s"]) == (False, pytest.approx(0.5))
     assert result["locked_share"] == pytest.approx(40 / 41)
@@ -233,17 +274,23 @@ def test_touching_something_is_a_failure_with_a_word():
 def touchdown(surface: str) -> Touchdown:
     numbers = {"sink_rate": 0.4, "speed": 6.5, "bank": 0.05, "pitch": 0.1, "yaw": 0.0}
     place = np.array([4.0, -2.3, 0.1])
-    return Touchdown(3.0, "main_left", surface, place, place, lateral_offset=-0.3, past_threshold=3.0, **numbers)
+    return Touchdown(
+        3.0, "main_left", surface, place, place, lateral_offset=-0.3, past_threshold=3.0, **numbers
+    )
 
 
 @pytest.mark.parametrize(
-    ("surface", "success", "ald"), [("pad", True, 0.3), ("floor", False, None), ("pad edge", False, None)]
+    ("surface", "success", "ald"),
+    [("pad", True, 0.3), ("floor", False, None), ("pad edge", False, None)],
 )
 def test_only_a_touchdown_on_the_pad_counts_and_has_a_deviation(surface, success, ald):
     """30 cm right of the centre line: ALD 0.30 m on the pad, none elsewhere - never zero."""
     world = still_world(contact=Contact(3.0, surface, np.zeros(3), touchdown(surface)))
-    judge = LandingJudge(world)
-    assert judge.watch(Step(3.0, None, None, Command(0, 0, 0, 0), "", None)) == f"touched {surface}"
+    judge = LandingEvaluator(world)
+    assert (
+        judge.watch(LoopStep(3.0, None, None, Command(0, 0, 0, 0), "", None))
+        == f"touched {surface}"
+    )
     result = judge.result()
     assert (result["success"], result["ald_m"]) == (success, ald)
     assert (result["lateral_offset_m"], result["sink_rate_m_s"]) == (-0.3, 0.4)
@@ -252,6 +299,6 @@ def test_only_a_touchdown_on_the_pad_counts_and_has_a_deviation(surface, success
 
 def test_a_flight_that_touches_no_ground_is_no_landing():
     """Still in the air at the end, or into the wall."""
-    assert LandingJudge(still_world()).result() == {"success": False, "path_m": []}
+    assert LandingEvaluator(still_world()).result() == {"success": False, "path_m": []}
     wall = still_world(contact=Contact(3.0, "wall", np.zeros(3)))
-    assert LandingJudge(wall).result()["success"] is False
+    assert LandingEvaluator(wall).result()["success"] is False

@@ -15,7 +15,9 @@ MODES = ("approach", "flare")
 
 
 class HandClock:
-    """A clock that the test moves: waiting ends `late` after the deadline, and work takes the times given."""
+    """A clock that the test moves: waiting ends `late` after the deadline, and work takes the times
+    given.
+    """
 
     def __init__(self, late: float = 0.0) -> None:
         self.late, self.t = late, 0.0
@@ -94,7 +96,9 @@ def test_deadlines_do_not_drift():
     ],
 )
 def test_a_step_that_is_too_late_is_skipped(work, flown):
-    """Deadlines by hand; only the first step works so long. Never two steps closer than half a period."""
+    """Deadlines by hand; only the first step works so long. Never two steps closer than half a
+    period.
+    """
     clock, seen = HandClock(), []
     for k, _ in deadlines(clock, 0.25):
         seen.append((k, clock.now()))
@@ -118,7 +122,9 @@ def test_skipped_steps_and_jitter_are_counted():
 
 
 def test_simulated_time_is_exact_and_wall_time_is_not_early():
-    """20 steps a second by the period, and at 1.0 s the safe command; a real clock may be late, never early."""
+    """20 steps a second by the period, and at 1.0 s the safe command; a real clock may be late,
+    never early.
+    """
     sink = Recorder()
     flight = Loop(Pilot(), sink).run(1.0)
     assert [t for t, _ in sink.sent] == pytest.approx(0.05 * np.arange(21), abs=1e-12)
@@ -129,7 +135,8 @@ def test_simulated_time_is_exact_and_wall_time_is_not_early():
 
 
 def test_log_holds_every_step_and_commands_name_their_image(tmp_path):
-    """Ten steps, an image every second one: 10 commands and states, 5 images, answers 0 0 1 1 ... by hand.
+    """Ten steps, an image every second one: 10 commands and states, 5 images, answers 0 0 1 1 ...
+    by hand.
 
     After them the safe command, which answers no image.
     """
@@ -174,7 +181,10 @@ def test_nonsense_of_a_pilot_becomes_the_safe_command(nonsense, tmp_path):
     sink = Recorder()
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
         flight = Loop(Pilot(step2=nonsense), sink, log=log).run(0.25)
-    assert [k for k, (_, command) in enumerate(sink.sent) if not command.vector.any()] == [2, 5]  # 5: the flight's end
+    assert [k for k, (_, command) in enumerate(sink.sent) if not command.vector.any()] == [
+        2,
+        5,
+    ]  # 5: the flight's end
     assert (flight.faults, flight.reason, len(flight.t)) == (1, "duration", 5)
     events = read_flight_log(tmp_path / "flight.mcap").events
     assert [event.name for event in events] == ["mode", "pilot failed", "ended"]
@@ -190,7 +200,9 @@ def test_sticks_beyond_their_ends_are_cut_and_marked():
 
 
 def test_a_pilot_that_never_recovers_ends_the_flight():
-    """Three faults in a row are allowed, the fourth is one too many; a fault in between starts the count again."""
+    """Three faults in a row are allowed, the fourth is one too many; a fault in between starts the
+    count again.
+    """
     failing = {f"step{k}": None for k in (1, 2, 3, 5, 6, 7, 8)}
     flight = Loop(Pilot(**failing), Recorder(), faults_allowed=3).run(5.0)
     assert (flight.reason, len(flight.t), flight.faults) == ("pilot failed", 9, 7)
@@ -214,13 +226,21 @@ def test_a_hook_that_raises_is_dropped_and_the_flight_goes_on():
 def test_a_change_of_mode_is_logged_once():
     """A hook sets the mode of the next step: "approach" from t = 0.05 on, "flare" after t = 0.2."""
     pilot = Pilot()
-    flight = Loop(pilot, Recorder(), hooks=(lambda step: setattr(pilot, "mode", MODES[step.t > 0.19]),)).run(0.5)
+    flight = Loop(
+        pilot, Recorder(), hooks=(lambda step: setattr(pilot, "mode", MODES[step.t > 0.19]),)
+    ).run(0.5)
     modes = [(event.t, event.details["mode"]) for event in flight.events if event.name == "mode"]
-    assert modes == [(0.0, "cruise"), (pytest.approx(0.05), "approach"), (pytest.approx(0.25), "flare")]
+    assert modes == [
+        (0.0, "cruise"),
+        (pytest.approx(0.05), "approach"),
+        (pytest.approx(0.25), "flare"),
+    ]
 
 
 def test_ctrl_c_ends_the_flight_with_the_log_whole(tmp_path):
-    """A real interrupt in step 3: that step is finished, the safe command follows, and every record can be read."""
+    """A real interrupt in step 3: that step is finished, the safe command follows, and every record
+    can be read.
+    """
     sink = Recorder()
 
     def interrupt():
@@ -265,7 +285,9 @@ def test_a_source_that_breaks_ends_the_flight_safely():
 
 
 def test_a_full_disk_costs_the_log_and_not_the_flight(monkeypatch, tmp_path):
-    """The third command cannot be written: a warning, and all ten steps are flown, the safe command after them."""
+    """The third command cannot be written: a warning, and all ten steps are flown, the safe command
+    after them.
+    """
     sink, written = Recorder(), []
 
     def refuse(self, t, command, image=None):
@@ -274,7 +296,10 @@ def test_a_full_disk_costs_the_log_and_not_the_flight(monkeypatch, tmp_path):
             raise InputError("flight.mcap: the disk is full")
 
     monkeypatch.setattr(FlightLogWriter, "command", refuse)
-    with FlightLogWriter(tmp_path / "flight.mcap") as log, pytest.warns(UserWarning, match="goes on without a log"):
+    with (
+        FlightLogWriter(tmp_path / "flight.mcap") as log,
+        pytest.warns(UserWarning, match="goes on without a log"),
+    ):
         Loop(Pilot(), sink, log=log).run(0.5)
     assert len(written) == 3
     assert len(sink.sent) == 11 and sink.sent[-1][1] == SAFE_COMMAND
@@ -288,12 +313,16 @@ def test_a_flight_ends_by_the_word_of_its_task():
 
 @pytest.mark.parametrize(
     ("ended", "reason", "t"),
-    [(lambda step: "", "duration", 0.22), (lambda step: "landed" * (step.t > 0.14), "landed", 0.15)],
+    [
+        (lambda step: "", "duration", 0.22),
+        (lambda step: "landed" * (step.t > 0.14), "landed", 0.15),
+    ],
 )
 def test_the_last_command_of_a_flight_is_the_safe_one(ended, reason, t, tmp_path):
     """A sink holds what came last for ever: an open throttle must not be it. Sent once, and logged.
 
-    When time is up at 0.22 s, the fifth step's command has held to there; a word ends the fourth step, at 0.15 s.
+    When time is up at 0.22 s, the fifth step's command has held to there; a word ends the fourth
+    step, at 0.15 s.
     """
     sink = Recorder()
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
@@ -307,7 +336,9 @@ def test_the_last_command_of_a_flight_is_the_safe_one(ended, reason, t, tmp_path
 
 
 def test_a_sink_that_refuses_the_last_command_is_no_normal_end():
-    """The link breaks when all five steps are flown: who called must hear that the aircraft was not let go."""
+    """The link breaks when all five steps are flown: who called must hear that the aircraft was not
+    let go.
+    """
 
     class Broken(Recorder):
         def send(self, t, command):

@@ -1,4 +1,6 @@
-"""Sources: where a ball must appear in a rendered image, by hand; and a recorded log gives back what went in."""
+"""Sources: where a ball must appear in a rendered image, by hand; and a recorded log gives back
+what went in.
+"""
 
 from dataclasses import replace
 
@@ -42,7 +44,9 @@ def at(x: float, y: float, z: float) -> State:
     return replace(LEVEL, p_world=np.array([x, y, z]))
 
 
-def balls(*coloured: tuple, labels: tuple[int, ...] = (0,), names: tuple[str, ...] = ("hall",)) -> GaussianScene:
+def balls(
+    *coloured: tuple, labels: tuple[int, ...] = (0,), names: tuple[str, ...] = ("hall",)
+) -> GaussianScene:
     """Opaque balls of 5 cm at places with colours."""
     n = len(coloured)
     return GaussianScene(
@@ -57,7 +61,9 @@ def balls(*coloured: tuple, labels: tuple[int, ...] = (0,), names: tuple[str, ..
 
 
 def middle_of(pixels: np.ndarray, channel: int) -> np.ndarray:
-    """Where a colour is: the mean place [px] of pixels in which one channel is well above the others."""
+    """Where a colour is: the mean place [px] of pixels in which one channel is well above the
+    others.
+    """
     others = np.delete(pixels.astype(int), channel, axis=2).max(axis=2)
     rows, columns = np.nonzero(pixels[..., channel] - others > 60)
     return np.array([columns.mean() + 0.5, rows.mean() + 0.5])
@@ -65,27 +71,37 @@ def middle_of(pixels: np.ndarray, channel: int) -> np.ndarray:
 
 @pytest.mark.parametrize("width", [160, 320, 640])
 def test_focal_length_is_062_of_the_width(width):
-    """Half the width over the focal length is tan(half the field): 0.5 / 0.62, which is 38.9 deg, in every size."""
+    """Half the width over the focal length is tan(half the field): 0.5 / 0.62, which is 38.9 deg,
+    in every size.
+    """
     camera = fpv_camera(width, width * 3 // 4)
     assert camera.fx == pytest.approx(0.62 * width, rel=1e-12)
     assert (camera.fy, camera.cx, camera.cy) == pytest.approx((camera.fx, width / 2, width * 3 / 8))
 
 
 def test_ball_appears_where_the_pinhole_law_puts_it():
-    """5 m ahead, 1 m left, 0.5 m up; camera 0.2 m ahead: u = 160 - 198.4 / 4.8, v = 120 - 99.2 / 4.8. Half a pixel."""
+    """5 m ahead, 1 m left, 0.5 m up; camera 0.2 m ahead: u = 160 - 198.4 / 4.8, v = 120 - 99.2 /
+    4.8. Half a pixel.
+    """
     world = StillWorld(at(-5.0, 2.0, 1.0))
     view = RenderedView(world, balls(((0.0, 3.0, 1.5), RED)), fpv_camera(), (0.2, 0.0, 0.0))
     image = view.next(0.35)
     assert (image.pixels.shape, image.pixels.dtype) == ((240, 320, 3), np.uint8)
-    assert middle_of(image.pixels, 0) == pytest.approx([160 - 198.4 / 4.8, 120 - 99.2 / 4.8], abs=0.5)
+    assert middle_of(image.pixels, 0) == pytest.approx(
+        [160 - 198.4 / 4.8, 120 - 99.2 / 4.8], abs=0.5
+    )
     assert (image.sequence, image.t, world.flown) == (0, 0.35, [0.35])
     assert view.next(0.40).sequence == 1
     assert view.depth.max() == pytest.approx(4.8, abs=0.05)
 
 
 def test_leader_is_seen_where_it_flies_and_left_out_where_there_is_none():
-    """Green leader 4 m ahead, then 1 m to the right of there: 198.4 / 4 px further right. Without one: no green."""
-    scene = balls(((6.0, 2.0, 0.0), RED), ((0.0, 0.0, 0.0), GREEN), labels=(0, 1), names=("hall", "leader"))
+    """Green leader 4 m ahead, then 1 m to the right of there: 198.4 / 4 px further right. Without
+    one: no green.
+    """
+    scene = balls(
+        ((6.0, 2.0, 0.0), RED), ((0.0, 0.0, 0.0), GREEN), labels=(0, 1), names=("hall", "leader")
+    )
     before = scene.means.copy()
     world = StillWorld(leader=at(4.0, 0.0, 0.0))
     view = RenderedView(world, scene, fpv_camera())
@@ -101,7 +117,9 @@ def test_leader_is_seen_where_it_flies_and_left_out_where_there_is_none():
 
 
 def test_a_scene_with_a_link_is_seen_through_it():
-    """What the link makes of the picture without it, frame by frame; a frame's number draws its noise."""
+    """What the link makes of the picture without it, frame by frame; a frame's number draws its
+    noise.
+    """
     scene, link = balls(((6.0, 0.0, 0.0), RED)), AnalogVideo(30.0, seed=4)
     plain = RenderedView(StillWorld(), scene, fpv_camera())
     noisy = RenderedView(StillWorld(), replace(scene, link=link), fpv_camera())
@@ -112,9 +130,13 @@ def test_a_scene_with_a_link_is_seen_through_it():
 
 
 def test_hall_without_leader_gets_the_kits_own():
-    """The aircraft 2 m ahead is 0.70 m wide: 198.4 * 0.70 / 2 = 69 px, a tenth more or less for its rounded tips."""
+    """The aircraft 2 m ahead is 0.70 m wide: 198.4 * 0.70 / 2 = 69 px, a tenth more or less for its
+    rounded tips.
+    """
     empty = balls(((6.0, 2.0, 0.0), RED))
-    pixels = RenderedView(StillWorld(leader=at(2.0, 0.0, 0.0)), empty, fpv_camera()).next(0.0).pixels
+    pixels = (
+        RenderedView(StillWorld(leader=at(2.0, 0.0, 0.0)), empty, fpv_camera()).next(0.0).pixels
+    )
     columns = np.nonzero(pixels[100:140, 100:220].max(axis=(0, 2)) > 40)[0]
     assert np.ptp(columns) + 1 == pytest.approx(69.0, abs=7.0)
 
@@ -166,17 +188,24 @@ def test_a_log_flown_again_by_the_same_loop_gives_its_commands_images_and_states
     """
     sink, steps = Sink(), []
     pilot = RecordedPilot(recorded)
-    loop = Loop(pilot, sink, RecordedImages(recorded), RecordedStates(recorded), hooks=(steps.append,))
+    loop = Loop(
+        pilot, sink, RecordedImages(recorded), RecordedStates(recorded), hooks=(steps.append,)
+    )
     loop.run(pilot.duration)
-    assert [command.aileron for command in sink.sent] == pytest.approx([*(0.01 * np.arange(10)), 0.0])
+    assert [command.aileron for command in sink.sent] == pytest.approx(
+        [*(0.01 * np.arange(10)), 0.0]
+    )
     assert [step.image.sequence for step in steps] == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
-    assert [float(step.image.pixels.mean()) for step in steps[::2]] == pytest.approx([0, 10, 20, 30, 40], abs=2.0)
+    assert [float(step.image.pixels.mean()) for step in steps[::2]] == pytest.approx(
+        [0, 10, 20, 30, 40], abs=2.0
+    )
     assert [step.state.roll for step in steps] == pytest.approx(0.01 * np.arange(1, 11))
 
 
 @pytest.mark.parametrize("start", [0.0, 300.0, 1.7e9])
 def test_a_clock_of_any_start_is_replayed_from_its_beginning(tmp_path, start):
-    """Seconds since boot or since 1970: by hand, image 0 and the first state are there at 0, the last command at 0.2.
+    """Seconds since boot or since 1970: by hand, image 0 and the first state are there at 0, the
+    last command at 0.2.
 
     Times are compared to a microsecond: in 1.7e9 s a double has a quarter of one left.
     """
@@ -184,12 +213,16 @@ def test_a_clock_of_any_start_is_replayed_from_its_beginning(tmp_path, start):
         for k in range(5):
             t = start + 0.05 * k
             log.state(t, at(float(k), 0.0, 0.0))
-            log.command(t, Command(0.5, 0.1 * k, 0.0, 0.0, k), Image(k, t, np.zeros((8, 8, 3), np.uint8)))
+            log.command(
+                t, Command(0.5, 0.1 * k, 0.0, 0.0, k), Image(k, t, np.zeros((8, 8, 3), np.uint8))
+            )
     pilot, sink, steps = RecordedPilot(tmp_path / "flight.mcap"), Sink(), []
     images, states = (kind(tmp_path / "flight.mcap") for kind in (RecordedImages, RecordedStates))
     assert pilot.duration == pytest.approx(0.2, abs=1e-6)
     Loop(pilot, sink, images, states, hooks=(steps.append,)).run(pilot.duration + 0.04)
-    assert [command.aileron for command in sink.sent[:5]] == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
+    assert [command.aileron for command in sink.sent[:5]] == pytest.approx(
+        [0.0, 0.1, 0.2, 0.3, 0.4]
+    )
     assert [step.image.sequence for step in steps] == [0, 1, 2, 3, 4]
     assert [step.image.t for step in steps] == pytest.approx([0.0, 0.05, 0.1, 0.15, 0.2], abs=1e-6)
     assert [step.state.p_world[0] for step in steps] == [0.0, 1.0, 2.0, 3.0, 4.0]
@@ -209,7 +242,9 @@ def test_before_the_first_record_there_is_none(tmp_path):
 
 
 def test_colours_keep_their_order_through_a_log(tmp_path):
-    """Red goes in, red comes out: OpenCV's order is the other one. JPEG keeps a flat colour to a few levels."""
+    """Red goes in, red comes out: OpenCV's order is the other one. JPEG keeps a flat colour to a
+    few levels.
+    """
     with FlightLogWriter(tmp_path / "red.mcap") as log:
         log.image(Image(0, 0.0, np.full((16, 16, 3), (220, 30, 60), np.uint8)))
     (image,) = read_flight_log(tmp_path / "red.mcap").images()
@@ -218,7 +253,7 @@ def test_colours_keep_their_order_through_a_log(tmp_path):
 
 def test_damaged_images_and_empty_logs_are_refused(tmp_path):
     """One sentence each."""
-    with pytest.raises(InputError, match="want a JPEG"):
+    with pytest.raises(InputError, match="expected a JPEG"):
         decode_jpeg(Image(0, 0.0, np.arange(50, dtype=np.uint8)))
     with FlightLogWriter(tmp_path / "empty.mcap"):
         pass

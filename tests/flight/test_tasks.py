@@ -25,16 +25,20 @@ def starts(task, seeds=TRAINING):
 
 
 def test_the_list_of_seeds_is_frozen():
-    """Results are compared on it: 10,000 + k, the next list 20,000 + k; nothing below 10,000 ever judges."""
+    """Results are compared on it: 10,000 + k, the next list 20,000 + k; nothing below 10,000 ever
+    judges.
+    """
     assert [trial_seed(k) for k in (0, 1, 99)] == [10_000, 10_001, 10_099]
     assert trial_seed(3, seed=1) == 20_003
     for number, seed in ((-1, 0), (10_000, 0), (0, -1)):
-        with pytest.raises(InputError, match="want a finite number"):
+        with pytest.raises(InputError, match="expected a finite number"):
             trial_seed(number, seed)
 
 
 def test_landings_begin_20_m_out_and_within_their_spread():
-    """+-1 m on each axis, +-10 deg on each angle, +-1 m/s: 200 even draws come near both ends, none beyond."""
+    """+-1 m on each axis, +-10 deg on each angle, +-1 m/s: 200 even draws come near both ends, none
+    beyond.
+    """
     states, nominal = starts(LandingTask())
     off = np.array([state.p_world - nominal for state in states])
     angles = np.array([(state.roll, state.yaw) for state in states])
@@ -48,7 +52,9 @@ def test_landings_begin_20_m_out_and_within_their_spread():
 
 
 def test_the_velocity_turns_with_the_nose():
-    """Angle of attack and sideslip are those of the trimmed flight in every start: a disturbed path, not a stall."""
+    """Angle of attack and sideslip are those of the trimmed flight in every start: a disturbed
+    path, not a stall.
+    """
     states, _ = starts(LandingTask(), range(20))
     flow = []
     for state in states:
@@ -68,7 +74,9 @@ def test_same_seed_same_start_and_noise_for_every_pilot():
 
 
 def test_a_follower_begins_behind_its_leader_with_its_speed():
-    """BEHIND metres back along the leader's course, +-0.5 m on each axis, the nose within 5 deg of the course."""
+    """BEHIND metres back along the leader's course, +-0.5 m on each axis, the nose within 5 deg of
+    the course.
+    """
     trial = FollowTask("left_turn_s_descent").trial(7)
     leader, own = trial.leader.state(0.0), trial.world.state
     course = leader.v_world / np.linalg.norm(leader.v_world)
@@ -80,8 +88,10 @@ def test_a_follower_begins_behind_its_leader_with_its_speed():
 
 @pytest.mark.parametrize("manoeuvre", MANOEUVRES)
 def test_a_leader_and_its_follower_draw_apart(manoeuvre, monkeypatch):
-    """Where one starts tells nothing of the other: over 50 seeds no number of the start is one of the leader's first
-    seven, and the three places are uncorrelated (|r| < 4 / sqrt(150) = 0.33; the same draws give 1)."""
+    """Where one starts tells nothing of the other: over 50 seeds no number of the start is one of
+    the leader's first seven, and the three places are uncorrelated (|r| < 4 / sqrt(150) = 0.33; the
+    same draws give 1).
+    """
     task, shifts, leads = FollowTask(manoeuvre), [], []
 
     def only_draw(rng):
@@ -92,7 +102,9 @@ def test_a_leader_and_its_follower_draw_apart(manoeuvre, monkeypatch):
     for seed in range(50):
         with pytest.raises(InputError, match="drawn"):
             leader_path(manoeuvre, seed)
-        shifts.append(task.spread.start(task.model, np.zeros(3), seed).p_world / task.spread.position)
+        shifts.append(
+            task.spread.start(task.model, np.zeros(3), seed).p_world / task.spread.position
+        )
     shift, lead = np.array(shifts), np.array(leads)
     assert np.abs(shift[:, :, None] - lead[:, None, :]).min() > 1e-9
     assert abs(np.corrcoef(shift.ravel(), lead[:, :3].ravel())[0, 1]) < 0.33
@@ -100,7 +112,7 @@ def test_a_leader_and_its_follower_draw_apart(manoeuvre, monkeypatch):
 
 def test_what_cannot_be_flown_is_refused():
     """A manoeuvre nobody knows; a chase without a leader."""
-    with pytest.raises(InputError, match="manoeuvre: want one of"):
+    with pytest.raises(InputError, match="manoeuvre: expected one of"):
         FollowTask("loop")
     landing = LandingTask().trial(1)
     with pytest.raises(InputError, match="with a leader"):
@@ -108,7 +120,9 @@ def test_what_cannot_be_flown_is_refused():
 
 
 def test_every_file_of_the_folder_is_a_task_under_its_own_name():
-    """By hand: the folder's files. An entry makes a task whose name begins with the word of the command line."""
+    """By hand: the folder's files. An entry makes a task whose name begins with the word of the
+    command line.
+    """
     folder = Path(tasks.__file__).parent
     assert set(TASKS) == {path.stem for path in folder.glob("*.py")} - {"__init__"}
     for name, entry in TASKS.items():

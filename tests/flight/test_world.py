@@ -15,7 +15,7 @@ from falconwing_kit.core.messages import Command, State
 from falconwing_kit.flight.world import PoseFilter, PoseNoise, SimulatedWorld
 
 AIRFRAME, STEADY = load_airframe(), trim(rates_model(), 7.0)
-LEVEL = Command.limited(*STEADY.command)
+LEVEL = Command.clip(*STEADY.command)
 SILENT = PoseNoise(0.0, 0.0)
 
 
@@ -50,7 +50,9 @@ class Standing:
 
 @pytest.mark.parametrize("delay", [0.0, 0.05, 0.1])
 def test_a_command_acts_after_the_delay(delay):
-    """Full aileron at 0.5 s: nothing moves before delay + the model's own 0.02 s are over, and it does right after."""
+    """Full aileron at 0.5 s: nothing moves before delay + the model's own 0.02 s are over, and it
+    does right after.
+    """
     world = SimulatedWorld(rates_model(), AIRFRAME, cruising((0.0, -2.0, 2.0)), seed=1, delay=delay)
     flown(world, seconds=0.5)
     world.send(world.t, Command(LEVEL.throttle, 1.0, LEVEL.elevator, 0.0))
@@ -76,11 +78,15 @@ def test_noise_depends_on_seed_and_frame_alone():
 
 
 def test_measured_pose_has_the_noise_that_was_asked_for():
-    """Standard deviation of 600 numbers per kind within 10 % (three sigma of an estimated deviation are 9 %)."""
+    """Standard deviation of 600 numbers per kind within 10 % (three sigma of an estimated deviation
+    are 9 %).
+    """
     noise = PoseNoise(position=0.02, attitude=math.radians(1.0))
     errors = []
     for seed in range(10):
-        world = SimulatedWorld(rates_model(), AIRFRAME, cruising((-10.0, -2.0, 2.0)), seed=seed, noise=noise)
+        world = SimulatedWorld(
+            rates_model(), AIRFRAME, cruising((-10.0, -2.0, 2.0)), seed=seed, noise=noise
+        )
         for k in range(20):
             world.send(world.t, LEVEL)
             world.advance((k + 1) * 0.05)
@@ -91,23 +97,34 @@ def test_measured_pose_has_the_noise_that_was_asked_for():
 
 
 def test_estimated_velocities_beat_differences_of_poses():
-    """Differences of white noise have sigma sqrt(2) / 0.05 s: 0.28 m/s at 1 cm, 0.35 rad/s at 0.7 deg. In level flight
-    the filter is better by a third, and at the very start as good as later: it ran before."""
+    """Differences of white noise have sigma sqrt(2) / 0.05 s: 0.28 m/s at 1 cm, 0.35 rad/s at 0.7
+    deg. In level flight the filter is better by a third, and at the very start as good as later: it
+    ran before.
+    """
     errors = []
     for seed in range(10):
-        world, measured = flown(SimulatedWorld(rates_model(), AIRFRAME, cruising((-10.0, -2.0, 2.0)), seed=seed))
+        world, measured = flown(
+            SimulatedWorld(rates_model(), AIRFRAME, cruising((-10.0, -2.0, 2.0)), seed=seed)
+        )
         errors.append(measured[:, 6:] - STEADY.state[6:])
         assert world.state.vector[6:] == pytest.approx(STEADY.state[6:], abs=1e-6)
-    rms, first = np.sqrt(np.mean(np.square(errors), axis=(0, 1))), np.sqrt(np.mean(np.square(errors)[:, 0], axis=0))
+    rms, first = (
+        np.sqrt(np.mean(np.square(errors), axis=(0, 1))),
+        np.sqrt(np.mean(np.square(errors)[:, 0], axis=0)),
+    )
     assert (rms[:3] < 0.19).all() and (rms[3:] < 0.23).all()
     assert (first < 2.5 * rms).all()
 
 
 def test_filter_follows_a_parabola_and_a_yaw_beyond_half_a_turn():
-    """Constant acceleration leaves a filter of white jerk no steady error; yaw at 2 rad/s passes pi without a jump."""
+    """Constant acceleration leaves a filter of white jerk no steady error; yaw at 2 rad/s passes pi
+    without a jump.
+    """
     follow = PoseFilter(PoseNoise())
     for t in np.arange(0.0, 4.0, 0.05):
-        state = follow.update(t, np.array([t * t, 7.0 * t, 2.0, 0.0, 0.0, (2.0 * t + np.pi) % (2.0 * np.pi) - np.pi]))
+        state = follow.update(
+            t, np.array([t * t, 7.0 * t, 2.0, 0.0, 0.0, (2.0 * t + np.pi) % (2.0 * np.pi) - np.pi])
+        )
     assert state.v_world == pytest.approx([2.0 * t, 7.0, 0.0], abs=1e-2)
     assert state.rates_body == pytest.approx([0.0, 0.0, 2.0], abs=1e-2)
 
@@ -121,7 +138,9 @@ def test_filter_follows_a_parabola_and_a_yaw_beyond_half_a_turn():
     ],
 )  # fmt: skip
 def test_what_is_touched_ends_the_flight(start, obstacle):
-    """Placed by hand before each: pad 1..14 m and 0.1 m high, walls of the hall, beams at 4.65 m under its ceiling."""
+    """Placed by hand before each: pad 1..14 m and 0.1 m high, walls of the hall, beams at 4.65 m
+    under its ceiling.
+    """
     world, _ = flown(SimulatedWorld(rates_model(), AIRFRAME, start, seed=1, pad=LandingPad()))
     assert world.contact.obstacle == obstacle
     assert (world.contact.touchdown is None) == (obstacle in ("wall", "ceiling"))
@@ -132,28 +151,39 @@ def test_what_is_touched_ends_the_flight(start, obstacle):
 
 @pytest.mark.parametrize("sink", [-1.0, -4.0], ids=["slowly", "within a step"])
 @pytest.mark.parametrize(("x", "obstacle"), [(3.0, "pad"), (-9.0, "floor")])
-@pytest.mark.parametrize("attitude", [{"roll": 45.0}, {"roll": -45.0}, {"pitch": -60.0}, {"pitch": 75.0}], ids=str)
+@pytest.mark.parametrize(
+    "attitude", [{"roll": 45.0}, {"roll": -45.0}, {"pitch": -60.0}, {"pitch": 75.0}], ids=str
+)
 def test_a_wing_tip_nose_or_tail_that_touches_first_is_no_landing(attitude, x, obstacle, sink):
-    """How deep below the centre of gravity, by hand: at 45 deg of bank a tip 0.25 m and a wheel 0.13; 60 deg nose down
-    the nose 0.17 and a main wheel 0.10; 75 deg nose up the tail 0.309 and its wheel 0.300. At 4 m/s a step is 0.2 m.
+    """How deep below the centre of gravity, by hand: at 45 deg of bank a tip 0.25 m and a wheel
+    0.13; 60 deg nose down the nose 0.17 and a main wheel 0.10; 75 deg nose up the tail 0.309 and
+    its wheel 0.300. At 4 m/s a step is 0.2 m.
     """
     depth = {-60.0: 0.173, 75.0: 0.309}.get(attitude.get("pitch"), 0.247)
     angles = {"pitch": 0.0} | {name: math.radians(degrees) for name, degrees in attitude.items()}
     start = cruising((x, -2.0, 0.1 * (obstacle == "pad") + depth + 0.02), vx=1.0, vz=sink, **angles)
-    world, _ = flown(SimulatedWorld(rates_model(), AIRFRAME, start, seed=1, pad=LandingPad()), seconds=0.2)
+    world, _ = flown(
+        SimulatedWorld(rates_model(), AIRFRAME, start, seed=1, pad=LandingPad()), seconds=0.2
+    )
     assert (world.contact.obstacle, world.contact.touchdown) == (obstacle, None)
 
 
 def test_a_wing_tip_runs_into_the_side_of_the_pad():
-    """Left tip 15 deg down at 0.08 m, a hand from the edge at y = -3: pad 0.1 m high, wheels 4 cm above the floor."""
+    """Left tip 15 deg down at 0.08 m, a hand from the edge at y = -3: pad 0.1 m high, wheels 4 cm
+    above the floor.
+    """
     start = cruising((3.0, -3.44, 0.17), roll=math.radians(-15.0), vy=4.0, vz=0.0)
-    world, _ = flown(SimulatedWorld(rates_model(), AIRFRAME, start, seed=1, pad=LandingPad()), seconds=0.2)
+    world, _ = flown(
+        SimulatedWorld(rates_model(), AIRFRAME, start, seed=1, pad=LandingPad()), seconds=0.2
+    )
     assert (world.contact.obstacle, world.contact.touchdown) == ("pad edge", None)
 
 
 def test_no_pad_is_bare_floor():
     """The same sink over the pad's place ends lower."""
-    world, _ = flown(SimulatedWorld(rates_model(), AIRFRAME, cruising((3.0, -2.0, 0.4), vz=-2.0), seed=1))
+    world, _ = flown(
+        SimulatedWorld(rates_model(), AIRFRAME, cruising((3.0, -2.0, 0.4), vz=-2.0), seed=1)
+    )
     assert world.contact.obstacle == "floor"
     assert world.contact.touchdown.p_world_wheel[2] == pytest.approx(0.0, abs=1e-6)
 
@@ -162,18 +192,28 @@ def test_a_leader_nearer_than_a_metre_is_a_collision():
     """Passing 0.9 m beside it touches, 1.1 m does not; `leader_state` is where it is."""
     for beside, touched in ((0.9, True), (1.1, False)):
         leader = Standing((0.0, -2.0 + beside, 2.0))
-        world = SimulatedWorld(rates_model(), AIRFRAME, cruising((-4.0, -2.0, 2.0)), seed=1, leader=leader)
+        world = SimulatedWorld(
+            rates_model(), AIRFRAME, cruising((-4.0, -2.0, 2.0)), seed=1, leader=leader
+        )
         flown(world)
         assert (world.contact is not None and world.contact.obstacle == "leader") == touched
         assert np.array_equal(world.leader_state.p_world, leader.p_world)
-    assert SimulatedWorld(rates_model(), AIRFRAME, cruising((0.0, 0.0, 2.0)), seed=1).leader_state is None
+    assert (
+        SimulatedWorld(rates_model(), AIRFRAME, cruising((0.0, 0.0, 2.0)), seed=1).leader_state
+        is None
+    )
 
 
 def test_effects_of_the_catalogue_fly():
     """A sudden wind to the left pushes a trimmed aircraft there; trim bias on the sticks turns it."""
-    still = flown(SimulatedWorld(rates_model(), AIRFRAME, cruising((-10.0, -2.0, 2.0)), seed=1))[0].state
+    still = flown(SimulatedWorld(rates_model(), AIRFRAME, cruising((-10.0, -2.0, 2.0)), seed=1))[
+        0
+    ].state
     moved = {}
-    for name, values in (("wind", {"wind_x": 0.0, "wind_y": 1.0}), ("trim_bias", {"bias_aileron": 0.1})):
+    for name, values in (
+        ("wind", {"wind_x": 0.0, "wind_y": 1.0}),
+        ("trim_bias", {"bias_aileron": 0.1}),
+    ):
         effect = next(e for e in CATALOGUE if e.name == name)
         model = rates_model().with_effect(effect).with_values(values)
         world = SimulatedWorld(model, AIRFRAME, cruising((-10.0, -2.0, 2.0)), seed=1)
@@ -184,7 +224,9 @@ def test_effects_of_the_catalogue_fly():
 
 def test_without_noise_the_pose_is_the_truth():
     """Noise of zero."""
-    world, _ = flown(SimulatedWorld(rates_model(), AIRFRAME, cruising((-10.0, -2.0, 2.0)), seed=1, noise=SILENT))
+    world, _ = flown(
+        SimulatedWorld(rates_model(), AIRFRAME, cruising((-10.0, -2.0, 2.0)), seed=1, noise=SILENT)
+    )
     assert world.measured().vector[:6] == pytest.approx(world.state.vector[:6], abs=1e-12)
 
 

@@ -1,19 +1,21 @@
-"""Flights whose gap is known, studied once for all tests of this room: shipped ones and own aircraft."""
+"""Flights whose gap is known, studied once for all tests of this room: shipped ones and own
+aircraft.
+"""
 
 from functools import cache
 
 import numpy as np
 
 from falconwing_kit.aircraft.effects import CATALOGUE
-from falconwing_kit.aircraft.generic import UNNAMED
+from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
 from falconwing_kit.aircraft.model import Model, rates_model
 from falconwing_kit.core.flight_table import FlightTable, read_flight_table
 from falconwing_kit.data import data_path
-from falconwing_kit.gap.baseline import CalmBase, know_calm
+from falconwing_kit.gap.baseline import NominalModel, identify_baseline
 from falconwing_kit.tools.reports.gap_report import GapStudy, study_gap
 from tests.sysid.simulated import drawn, fly_figure_eights, measured
 
-EFFECTS = {effect.name: effect for effect in (*CATALOGUE, *UNNAMED)}
+EFFECTS = {effect.name: effect for effect in (*CATALOGUE, *GENERIC_EFFECTS)}
 
 
 @cache
@@ -35,9 +37,9 @@ def own_aircraft() -> Model:
 
 
 @cache
-def own_base() -> CalmBase:
+def own_base() -> NominalModel:
     """What 90 s of calm flight tell of it."""
-    return know_calm(own_flight(None, 90.0, 11))
+    return identify_baseline(own_flight(None, 90.0, 11))
 
 
 @cache

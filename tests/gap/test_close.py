@@ -1,4 +1,6 @@
-"""Closing: the named effect brings the model back to what calm flight leaves, from the time on at which it set in."""
+"""Closing: the named effect brings the model back to what calm flight leaves, from the time on at
+which it set in.
+"""
 
 from dataclasses import replace
 
@@ -6,9 +8,9 @@ import numpy as np
 import pytest
 
 from falconwing_kit.core.flight_table import FlightTable, slice_time
-from falconwing_kit.gap.close import acting_since, close_gap, find_onset, name_since
-from falconwing_kit.gap.name import Candidate, name_effect
-from falconwing_kit.sysid.fit import FitResult, fit, fit_starts
+from falconwing_kit.gap.close import close_gap, find_onset, name_with_onset, with_onset
+from falconwing_kit.gap.name import EffectCandidate, name_effect
+from falconwing_kit.sysid.fit import FitResult, fit, fit_initial_states
 from falconwing_kit.sysid.prepare import prepare
 from falconwing_kit.sysid.shooting import Windows, cut_windows
 from tests.gap.studies import EFFECTS, own_aircraft, own_base, own_flight, wind_study
@@ -21,14 +23,18 @@ def test_gap_closes_with_the_wind():
     over = closed.before.chi2 - closed.calm.chi2
     assert over > 3.0
     assert closed.after.chi2 - closed.calm.chi2 < 0.1 * over
-    assert closed.after_pinned.chi2 - closed.calm.chi2 < 0.1 * over
-    assert closed.before_free.chi2 - closed.calm.chi2 > 0.5 * over  # parameters alone do not close it
+    assert closed.after_with_fixed_parameters.chi2 - closed.calm.chi2 < 0.1 * over
+    assert (
+        closed.before_with_free_parameters.chi2 - closed.calm.chi2 > 0.5 * over
+    )  # parameters alone do not close it
     assert closed.after.position_m < closed.before.position_m
     assert not closed.seen
 
 
 def test_sizes_hold_the_truth():
-    """The wind that was planted: 0.0924 m/s along x and 0.4370 along y; its 95 % interval is 0.007 wide to a side."""
+    """The wind that was planted: 0.0924 m/s along x and 0.4370 along y; its 95 % interval is 0.007
+    wide to a side.
+    """
     sizes = wind_study().closed.parameters
     for name, truth in (("wind_x", 0.0924), ("wind_y", 0.4370)):
         assert sizes[name].low95 < truth < sizes[name].high95
@@ -45,7 +51,9 @@ def test_scored_windows_are_whole_blocks_of_time():
 
 
 def test_short_calm_flight_changes_nothing():
-    """Nothing is missing in 24 s of calm flight, so after is before; shorter blocks still leave time to score."""
+    """Nothing is missing in 24 s of calm flight, so after is before; shorter blocks still leave
+    time to score.
+    """
     naming = name_effect(own_base(), own_flight(None, 24.0, 31))
     closed = close_gap(own_base(), naming)
     assert naming.verdict == "none"
@@ -56,8 +64,9 @@ def test_short_calm_flight_changes_nothing():
 
 
 def failing(name: str, since: float, seconds: float, seed: int, **values: float) -> FlightTable:
-    """A flight of the own aircraft in which an effect sets in: its loads are cut off before, by a formula of the test's
-    own on 10 ms steps."""
+    """A flight of the own aircraft in which an effect sets in: its loads are cut off before, by a
+    formula of the test's own on 10 ms steps.
+    """
     effect, rng = EFFECTS[name], np.random.default_rng(seed)
     part = effect.term or effect.wind
     clock = (lambda air, K: air.time) if effect.term else (lambda px, py, height, time, K: time)
@@ -74,18 +83,32 @@ def fitted(flight: FlightTable) -> tuple[Windows, FitResult]:
     """The base model under its prior, fitted to a flight."""
     model = own_base().result.model
     windows = cut_windows(prepare(flight, own_base().found.sigma).flights, model)
-    return windows, fit(model, windows, fit_starts(model, windows, windows.guess)[0], prior=own_base().prior)
+    return windows, fit(
+        model,
+        windows,
+        fit_initial_states(model, windows, windows.initial_guess)[0],
+        prior=own_base().prior,
+    )
 
 
-def possible(*names: str) -> list[Candidate]:
+def possible(*names: str) -> list[EffectCandidate]:
     """Effects of which nothing is known yet."""
-    return [Candidate(EFFECTS[n], 0.0, 0.0, {p.name: p.start for p in EFFECTS[n].parameters}, None) for n in names]
+    return [
+        EffectCandidate(
+            EFFECTS[n], 0.0, 0.0, {p.name: p.start for p in EFFECTS[n].parameters}, None
+        )
+        for n in names
+    ]
 
 
 def test_failure_in_midflight_is_named_dated_and_sized():
-    """40 % of the thrust goes at 22.4 s of 45 s: over all of the flight that looks like no effect of the catalogue, or
-    like a battery; on the time after it, it has its name, and its size within its 95 % interval, doubled."""
-    naming, since = name_since(own_base(), failing("thrust_loss", 22.4, 45.0, 43, thrust_lost=0.4))
+    """40 % of the thrust goes at 22.4 s of 45 s: over all of the flight that looks like no effect
+    of the catalogue, or like a battery; on the time after it, it has its name, and its size within
+    its 95 % interval, doubled.
+    """
+    naming, since = name_with_onset(
+        own_base(), failing("thrust_loss", 22.4, 45.0, 43, thrust_lost=0.4)
+    )
     assert (naming.verdict, [c.effect.name for c in naming.chosen]) == ("named", ["thrust_loss"])
     assert since is not None and since.effect.name == "thrust_loss"
     assert since.low95 <= since.time <= since.high95
@@ -98,37 +121,53 @@ def test_failure_in_midflight_is_named_dated_and_sized():
 
 @pytest.mark.parametrize(
     ("name", "since", "seed", "values"),
-    [("wind", 26.15, 42, {"wind_x": 0.5, "wind_y": -0.3}), ("adverse_yaw", 17.3, 41, {"adverse_yaw": 0.08})],
+    [
+        ("wind", 26.15, 42, {"wind_x": 0.5, "wind_y": -0.3}),
+        ("adverse_yaw", 17.3, 41, {"adverse_yaw": 0.08}),
+    ],
 )
 def test_onset_is_found_to_a_fraction_of_a_window(name, since, seed, values):
-    """Planted inside a window of 2 s; 0.3 s is three of its standard deviations at most. Of three effects it is this
-    one, its size rests on the time after, and both beat the effect all along by more than any name needs."""
+    """Planted inside a window of 2 s; 0.3 s is three of its standard deviations at most. Of three
+    effects it is this one, its size rests on the time after, and both beat the effect all along by
+    more than any name needs.
+    """
     windows, before = fitted(failing(name, since, 45.0, seed, **values))
-    onset = find_onset(own_base(), windows, before, possible("extra_drag", name, "propeller_torque"))
+    onset = find_onset(
+        own_base(), windows, before, possible("extra_drag", name, "propeller_torque")
+    )
     assert onset is not None and onset.effect.name == name
     assert onset.time == pytest.approx(since, abs=0.3)
     assert onset.low95 <= onset.time <= onset.high95 and onset.high95 - onset.low95 < 1.0
     for parameter, value in values.items():
         assert onset.result.model.values[parameter] == pytest.approx(value, rel=0.2)
     all_along = before.model.with_effect(EFFECTS[name])
-    whole = fit(all_along, windows, before.starts, prior=own_base().prior)
-    assert onset.gain > (before.cost - whole.cost) / own_base().scatter + 100.0
+    whole = fit(all_along, windows, before.initial_states, prior=own_base().prior)
+    assert onset.delta_bic > (before.cost - whole.cost) / own_base().reduced_chi2 + 100.0
 
 
 def test_effect_of_the_whole_flight_gets_no_onset():
-    """The shipped case's wind blows from the first second on (its truth.json): a later start explains less."""
+    """The shipped case's wind blows from the first second on (its truth.json): a later start
+    explains less.
+    """
     study = wind_study()
     onset = find_onset(study.base, study.naming.windows, study.naming.before, study.naming.chosen)
-    assert onset is not None and onset.gain < study.naming.chosen[0].gain + study.naming.threshold
+    assert (
+        onset is not None
+        and onset.delta_bic < study.naming.chosen[0].delta_bic + study.naming.threshold
+    )
     assert study.since is None
 
 
 def test_onset_keeps_the_flights_clock_over_a_pause():
-    """The same flight without its rows from 9 to 13 s, so that it falls in two stretches, and with a clock that begins
-    at 100 s: the wind still sets in at 126.15 s."""
+    """The same flight without its rows from 9 to 13 s, so that it falls in two stretches, and with
+    a clock that begins at 100 s: the wind still sets in at 126.15 s.
+    """
     flight = failing("wind", 26.15, 45.0, 42, wind_x=0.5, wind_y=-0.3)
     torn = slice_time(flight, 0.0, 9.0), slice_time(flight, 13.0, np.inf)
-    rows = {n: np.concatenate([getattr(f, n) for f in torn]) for n in ("p_world", "attitude", "commands")}
+    rows = {
+        n: np.concatenate([getattr(f, n) for f in torn])
+        for n in ("p_world", "attitude", "commands")
+    }
     torn_flight = replace(flight, t=100.0 + np.concatenate([f.t for f in torn]), extra={}, **rows)
     windows, before = fitted(torn_flight)
     assert len(windows.flights) == 2
@@ -139,12 +178,17 @@ def test_onset_keeps_the_flights_clock_over_a_pause():
 def test_what_cannot_be_switched_on_has_no_onset():
     """A delay, a lag and the camera act on more than the present moment's sticks and loads."""
     windows, before = fitted(own_flight(None, 24.0, 31))
-    assert find_onset(own_base(), windows, before, possible("control_delay", "actuator_lag", "camera_tilt")) is None
+    assert (
+        find_onset(
+            own_base(), windows, before, possible("control_delay", "actuator_lag", "camera_tilt")
+        )
+        is None
+    )
 
 
 def test_sticks_move_from_the_onset_on_only():
     """By hand: neutral moved by 0.2 from 1 s on, at 0, 1 and 2 s."""
-    late = acting_since(EFFECTS["trim_bias"], 0.0, 2.0)
+    late = with_onset(EFFECTS["trim_bias"], 0.0, 2.0)
     model = own_aircraft().with_effect(late).with_values({"acts_since": 1.0, "bias_aileron": 0.2})
     moved = late.sticks(np.array([0.0, 1.0, 2.0]), np.zeros((3, 4)), model.K)
     assert moved[:, 1] == pytest.approx([0.0, 0.2, 0.2])

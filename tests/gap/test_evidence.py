@@ -5,8 +5,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from falconwing_kit.gap.evidence import Columns, Reduced, Variant, columns, variants
-from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_starts
+from falconwing_kit.gap.evidence import (
+    EffectVariant,
+    SchurComplement,
+    Sensitivities,
+    effect_variants,
+    sensitivities,
+)
+from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_initial_states
 from falconwing_kit.sysid.prepare import prepare
 from falconwing_kit.sysid.shooting import Windows, cut_windows
 from tests.gap.studies import EFFECTS, own_aircraft, own_flight
@@ -25,31 +31,34 @@ def prior() -> Prior:
 def base_fit(effect: str, **values: float) -> tuple[FitResult, Windows]:
     """The own aircraft with three free parameters, fitted to 20 s with an effect it does not have."""
     model = own_aircraft()
-    model = model.pinned([name for name in model.names if name not in FREE])
+    model = model.with_fixed([name for name in model.names if name not in FREE])
     flights = prepare(own_flight(effect, 20.0, 21, **values), np.repeat(MARKER, 3)).flights
     windows = cut_windows(flights, model)
-    starts, _ = fit_starts(model, windows, windows.guess)
-    return fit(model, windows, starts, prior=prior(), tolerance=1e-4), windows
+    initial_states, _ = fit_initial_states(model, windows, windows.initial_guess)
+    return fit(model, windows, initial_states, prior=prior(), tolerance=1e-4), windows
 
 
-def column(effect: str, result: FitResult, windows: Windows) -> Columns:
+def column(effect: str, result: FitResult, windows: Windows) -> Sensitivities:
     """The effect's columns at its ordinary size."""
-    usual = Variant(EFFECTS[effect], {p.name: p.start for p in EFFECTS[effect].parameters})
-    return columns(result.model, windows, result.starts, [usual])[0]
+    usual = EffectVariant(EFFECTS[effect], {p.name: p.start for p in EFFECTS[effect].parameters})
+    return sensitivities(result.model, windows, result.initial_states, [usual])[0]
 
 
 @pytest.mark.parametrize(
-    ("effect", "values"), [("wind", {"wind_x": 0.05, "wind_y": -0.05}), ("adverse_yaw", {"adverse_yaw": 0.03})]
+    ("effect", "values"),
+    [("wind", {"wind_x": 0.05, "wind_y": -0.05}), ("adverse_yaw", {"adverse_yaw": 0.03})],
 )
 def test_linear_gain_is_the_chi2_a_fit_gains(effect, values):
-    """A small effect acts linearly, so the score test and the refit agree; 10 % covers the curvature."""
+    """A small effect acts linearly, so the score test and the refit agree; 10 % covers the
+    curvature.
+    """
     result, windows = base_fit(effect, **values)
-    score = Reduced.of(result, prior(), 1.0).score(column(effect, result, windows))
+    score = SchurComplement.of(result, prior(), 1.0).score(column(effect, result, windows))
     start = result.model.with_effect(EFFECTS[effect]).with_values(dict.fromkeys(values, 0.0))
-    refitted = fit(start, windows, result.starts, prior=prior(), tolerance=1e-4)
+    refitted = fit(start, windows, result.initial_states, prior=prior(), tolerance=1e-4)
     drop = result.cost - refitted.cost
     assert drop > 50.0
-    assert score.gain == pytest.approx(drop, rel=0.1)
+    assert score.delta_chi2 == pytest.approx(drop, rel=0.1)
     for name in values:
         assert score.values[name] == pytest.approx(
             refitted.model.values[name], abs=0.1 * max(map(abs, values.values()))
@@ -57,31 +66,43 @@ def test_linear_gain_is_the_chi2_a_fit_gains(effect, values):
 
 
 def test_eliminated_problem_equals_the_dense_one():
-    """numpy.linalg.lstsq on the whole problem, all start states at once, gives the same drop of chi2."""
+    """numpy.linalg.lstsq on the whole problem, all start states at once, gives the same drop of
+    chi2.
+    """
     result, windows = base_fit("wind", wind_x=0.05, wind_y=-0.05)
     effect = column("wind", result, windows)
-    count, rows, n = result.to_start.shape
-    starts = np.zeros((count * rows, count * n))
+    count, rows, n = result.initial_state_jacobian.shape
+    initial_states = np.zeros((count * rows, count * n))
     for w in range(count):
-        starts[w * rows : (w + 1) * rows, w * n : (w + 1) * n] = result.to_start[w]
+        initial_states[w * rows : (w + 1) * rows, w * n : (w + 1) * n] = (
+            result.initial_state_jacobian[w]
+        )
     precision = np.diag([1.0 / prior().sigma[result.model.names[i]] for i in result.free])
-    K = np.vstack([result.to_free.reshape(count * rows, -1), precision])
-    E = np.vstack([effect.change.reshape(count * rows, -1), np.zeros((len(precision), 2))])
-    starts = np.vstack([starts, np.zeros((len(precision), starts.shape[1]))])
-    mean = np.array([result.model.vector[i] - prior().mean[result.model.names[i]] for i in result.free])
+    K = np.vstack([result.parameter_jacobian.reshape(count * rows, -1), precision])
+    E = np.vstack([effect.derivative.reshape(count * rows, -1), np.zeros((len(precision), 2))])
+    initial_states = np.vstack(
+        [initial_states, np.zeros((len(precision), initial_states.shape[1]))]
+    )
+    mean = np.array(
+        [result.model.vector[i] - prior().mean[result.model.names[i]] for i in result.free]
+    )
     right = -np.concatenate([result.residual.ravel(), precision @ mean])
 
     def chi2(A: np.ndarray) -> float:
         return float(np.sum((A @ np.linalg.lstsq(A, right, rcond=None)[0] - right) ** 2))
 
-    drop = chi2(np.hstack([starts, K])) - chi2(np.hstack([starts, K, E]))
-    assert Reduced.of(result, prior(), 1.0).score(effect).gain == pytest.approx(drop, rel=0.01)  # as converged as it is
+    drop = chi2(np.hstack([initial_states, K])) - chi2(np.hstack([initial_states, K, E]))
+    assert SchurComplement.of(result, prior(), 1.0).score(effect).delta_chi2 == pytest.approx(
+        drop, rel=0.01
+    )  # as converged as it is
 
 
 def test_a_scan_leaves_out_what_another_effect_stands_for():
-    """A late time stamp is a control delay: one class, tried once. A stream of air is looked for in many places."""
+    """A late time stamp is a control delay: one class, tried once. A stream of air is looked for in
+    many places.
+    """
     _, windows = base_fit("wind", wind_x=0.05, wind_y=-0.05)
-    names = [v.effect.name for v in variants(tuple(EFFECTS.values()), windows)]
+    names = [v.effect.name for v in effect_variants(tuple(EFFECTS.values()), windows)]
     assert "time_offset" not in names
     assert names.count("fan_jet") == 28  # 7 by 4
     assert set(names) == set(EFFECTS) - {"time_offset"}

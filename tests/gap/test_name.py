@@ -1,11 +1,13 @@
-"""Naming: what was planted is named, what was not is not, and what cannot be named is not given another name."""
+"""Naming: what was planted is named, what was not is not, and what cannot be named is not given
+another name.
+"""
 
 import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.flight_table import slice_time
-from falconwing_kit.gap.baseline import know_calm
+from falconwing_kit.gap.baseline import identify_baseline
 from falconwing_kit.gap.name import name_effect
 from tests.gap.studies import EFFECTS, own_aircraft, own_base, own_flight, shipped, wind_study
 from tests.sysid.simulated import fly_figure_eights, measured
@@ -18,21 +20,28 @@ def test_wind_of_an_independent_aircraft_is_named_with_its_size():
     assert [c.effect.name for c in naming.chosen] == ["wind"]
     assert naming.chosen[0].values["wind_x"] == pytest.approx(0.0924, abs=0.05)
     assert naming.chosen[0].values["wind_y"] == pytest.approx(0.4370, abs=0.05)
-    assert naming.ranking[0].gain > 10.0 * naming.threshold
+    assert naming.ranking[0].delta_bic > 10.0 * naming.threshold
 
 
 def test_second_half_of_a_calm_flight_shows_nothing():
-    """One flight of one aircraft with nothing changed, cut in two at a minute: there is nothing to name."""
+    """One flight of one aircraft with nothing changed, cut in two at a minute: there is nothing to
+    name.
+    """
     calm = shipped("case02_calm")
     half = calm.t[0] + 0.5 * calm.duration
-    naming = name_effect(know_calm(slice_time(calm, -np.inf, half)), slice_time(calm, half, np.inf))
+    naming = name_effect(
+        identify_baseline(slice_time(calm, -np.inf, half)), slice_time(calm, half, np.inf)
+    )
     assert naming.verdict == "none"
     assert naming.chosen == ()
 
 
 @pytest.mark.parametrize(
     ("effect", "values"),
-    [("adverse_yaw", {"adverse_yaw": 0.08}), ("propeller_torque", {"torque_roll": 0.6, "torque_yaw": -0.4})],
+    [
+        ("adverse_yaw", {"adverse_yaw": 0.08}),
+        ("propeller_torque", {"torque_roll": 0.6, "torque_yaw": -0.4}),
+    ],
 )
 def test_planted_effect_is_named_with_its_size(effect, values):
     """Own aircraft, 45 s, an effect well above its limit: named, with its size within 20 %."""
@@ -43,20 +52,22 @@ def test_planted_effect_is_named_with_its_size(effect, values):
 
 
 def test_weak_effect_beside_a_strong_one_is_named_too():
-    """Own aircraft, 45 s, half a metre per second of wind and an aileron that moves 15 % less: two names, each with its
-    size, though the wind explains three hundred times more."""
+    """Own aircraft, 45 s, half a metre per second of wind and an aileron that moves 15 % less: two
+    names, each with its size, though the wind explains three hundred times more.
+    """
     rng = np.random.default_rng(46)
     model = own_aircraft().with_effect(EFFECTS["wind"]).with_effect(EFFECTS["aileron_loss"])
     model = model.with_values({"wind_x": -0.3, "wind_y": 0.4, "aileron_lost": 0.15})
     naming = name_effect(own_base(), measured(fly_figure_eights([model], 45.0, rng), rng))
     assert [c.effect.name for c in naming.chosen] == ["wind", "aileron_loss"]
-    assert naming.chosen[0].gain > 300.0 * naming.chosen[1].gain
+    assert naming.chosen[0].delta_bic > 300.0 * naming.chosen[1].delta_bic
     assert naming.chosen[1].values["aileron_lost"] == pytest.approx(0.15, rel=0.2)
 
 
 def test_error_of_the_first_formula_is_no_second_effect():
-    """Servos that have become slow in a way no entry describes, two lags one after the other: one name for it, not a
-    delay beside a lag."""
+    """Servos that have become slow in a way no entry describes, two lags one after the other: one
+    name for it, not a delay beside a lag.
+    """
     rng = np.random.default_rng(47)
     first, second = (e for e in CATALOGUE if e.name == "actuator_lag")
     model = own_aircraft().with_effect(first).with_effect(second)
@@ -68,35 +79,47 @@ def test_error_of_the_first_formula_is_no_second_effect():
 def test_withheld_effect_gets_no_other_name():
     """Adverse yaw without its entry in the catalogue stays unnamed."""
     catalogue = [e for e in CATALOGUE if e.name != "adverse_yaw"]
-    naming = name_effect(own_base(), own_flight("adverse_yaw", 45.0, 41, adverse_yaw=0.08), catalogue)
+    naming = name_effect(
+        own_base(), own_flight("adverse_yaw", 45.0, 41, adverse_yaw=0.08), catalogue
+    )
     assert naming.verdict in ("none", "outside")
 
 
 def test_drag_without_its_entry_is_no_flap():
-    """A flap that lifts nothing is drag by another name: withheld drag stays unnamed, and looks like a force that goes
-    with airspeed."""
+    """A flap that lifts nothing is drag by another name: withheld drag stays unnamed, and looks
+    like a force that goes with airspeed.
+    """
     catalogue = [e for e in CATALOGUE if e.name != "extra_drag"]
     naming = name_effect(own_base(), own_flight("extra_drag", 45.0, 42, drag_added=0.02), catalogue)
     assert (naming.verdict, naming.chosen) == ("outside", ())
-    assert naming.unnamed.effect.name == "force with airspeed"
+    assert naming.generic.effect.name == "force with airspeed"
 
 
 def test_load_that_no_entry_makes_is_outside():
-    """A thrust line off the centre of gravity: a pitching moment with throttle, which trim alone would half explain."""
-    planted = {f"moment_throttle_{axis}": value for axis, value in zip("xyz", (0.0, 3.0, 0.0), strict=True)}
+    """A thrust line off the centre of gravity: a pitching moment with throttle, which trim alone
+    would half explain.
+    """
+    planted = {
+        f"moment_throttle_{axis}": value for axis, value in zip("xyz", (0.0, 3.0, 0.0), strict=True)
+    }
     naming = name_effect(own_base(), own_flight("moment with throttle", 45.0, 43, **planted))
     assert (naming.verdict, naming.chosen) == ("outside", ())
-    assert naming.unnamed.effect.name.startswith("moment with throttle")
-    assert naming.unnamed.gain > 2.0 * naming.ranking[0].gain
+    assert naming.generic.effect.name.startswith("moment with throttle")
+    assert naming.generic.delta_bic > 2.0 * naming.ranking[0].delta_bic
 
 
 def test_base_takes_in_what_the_calm_flight_shows_it_to_lack():
-    """An aircraft whose propeller blows over its elevator, on both days: the wash goes into the base, not into a name.
+    """An aircraft whose propeller blows over its elevator, on both days: the wash goes into the
+    base, not into a name.
 
-    The wash planted adds 5 rad/s^2 at full throttle and a third of full elevator, a fifth of the elevator's own moment.
+    The wash planted adds 5 rad/s^2 at full throttle and a third of full elevator, a fifth of the
+    elevator's own moment.
     """
-    wash = {f"moment_throttle_and_elevator_{axis}": value for axis, value in zip("xyz", (0.0, 5.0, 0.0), strict=True)}
-    base = know_calm(own_flight("moment with throttle and elevator", 90.0, 44, **wash))
+    wash = {
+        f"moment_throttle_and_elevator_{axis}": value
+        for axis, value in zip("xyz", (0.0, 5.0, 0.0), strict=True)
+    }
+    base = identify_baseline(own_flight("moment with throttle and elevator", 90.0, 44, **wash))
     added = [term.name for term in base.result.model.terms if term.name in EFFECTS]
     assert added == ["moment with throttle and elevator"]
     assert base.result.model.values["moment_throttle_and_elevator_y"] == pytest.approx(5.0, rel=0.2)

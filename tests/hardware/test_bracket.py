@@ -1,4 +1,6 @@
-"""The camera bracket: what is committed is what the script makes, it fits its camera, weighs little, and prints."""
+"""The camera bracket: what is committed is what the script makes, it fits its camera, weighs
+little, and prints.
+"""
 
 import importlib.util
 from dataclasses import replace
@@ -26,7 +28,9 @@ CUBE = np.array(
 
 def script():
     """hardware/bracket/bracket.py as a module."""
-    spec = importlib.util.spec_from_file_location("bracket", ROOT / "hardware" / "bracket" / "bracket.py")
+    spec = importlib.util.spec_from_file_location(
+        "bracket", ROOT / "hardware" / "bracket" / "bracket.py"
+    )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -50,8 +54,9 @@ def size(mesh):
 
 
 def fits(mesh, camera):
-    """Whether the camera's screws go through, sit in solid rings, and the camera has its room: measured by lines
-    through the triangles, not from the script's own numbers."""
+    """Whether the camera's screws go through, sit in solid rings, and the camera has its room:
+    measured by lines through the triangles, not from the script's own numbers.
+    """
     mount, z = camera.mount, mesh[..., 2].max()
     across = 1 if mount.kind == "cheeks" else 0
     axis_z = bracket.axis_height(camera)
@@ -66,14 +71,17 @@ def fits(mesh, camera):
                 answers.append((len(cuts) >= 2 and len(cuts) % 2 == 0) if there else len(cuts) == 0)
                 if there and across == 1:
                     answers.append(
-                        len(cuts) == 4 and camera.body_mm.width < cuts[2] - cuts[1] < camera.body_mm.width + 1
+                        len(cuts) == 4
+                        and camera.body_mm.width < cuts[2] - cuts[1] < camera.body_mm.width + 1
                     )
     return all(answers) and z > axis_z
 
 
 def test_measures_of_a_cube_are_those_by_hand():
-    """Volume 1, size 1; its top looks up, its walls hang over by 0 deg, its bottom lies on the bed. Lifted by half a
-    bed's triangle, the bottom is a ceiling: 90 deg. A line through it goes in at 0 and out at 1."""
+    """Volume 1, size 1; its top looks up, its walls hang over by 0 deg, its bottom lies on the bed.
+    Lifted by half a bed's triangle, the bottom is a ceiling: 90 deg. A line through it goes in at 0
+    and out at 1.
+    """
     assert bracket.volume(CUBE) == pytest.approx(1.0)
     assert bracket.overhang_deg(CUBE) == pytest.approx(0.0)
     lower = CUBE[:1] - np.array([0.0, 0.0, 3.0])
@@ -92,8 +100,10 @@ def test_slope_of_a_wedge_is_found():
 
 @pytest.mark.parametrize("name", BOTH)
 def test_committed_bracket_is_what_the_script_makes(name, tmp_path):
-    """Made again from the camera file: volume to a thousandth, the box to a hundredth of a millimetre, the STEP read
-    back by the CAD kernel to the same volume. An STL of 0.01 mm loses less than a thousandth."""
+    """Made again from the camera file: volume to a thousandth, the box to a hundredth of a
+    millimetre, the STEP read back by the CAD kernel to the same volume. An STL of 0.01 mm loses
+    less than a thousandth.
+    """
     from build123d import import_step
 
     ours, again = committed(name), built(load_camera(name), tmp_path)
@@ -126,7 +136,9 @@ def test_bracket_fits_its_camera(name):
 
 
 def test_base_is_out_of_the_picture():
-    """Tilted down as far as it goes, the front of the lens is still ahead of the base, so the base is behind it."""
+    """Tilted down as far as it goes, the front of the lens is still ahead of the base, so the base
+    is behind it.
+    """
     camera = load_camera()
     lens = camera.body_mm.lens_ahead * np.cos(np.radians(camera.mount.tilt_deg))
     assert committed("analog")[..., 0].max() < lens
@@ -142,7 +154,9 @@ def test_base_is_out_of_the_picture():
     ],
 )
 def test_bracket_of_another_camera_does_not_fit_but_is_made(change, tmp_path):
-    """A value changed in the camera's file: the committed bracket no longer fits, and a new one does."""
+    """A value changed in the camera's file: the committed bracket no longer fits, and a new one
+    does.
+    """
     camera = load_camera()
     for part, values in change.items():
         camera = replace(camera, **{part: replace(getattr(camera, part), **values)})
@@ -171,5 +185,5 @@ def test_broken_stl_is_one_sentence(tmp_path):
     whole = (ROOT / "hardware" / "bracket" / "bracket_analog.stl").read_bytes()
     for content in (whole[:-7], b"solid bracket\nendsolid\n" * 9, b""):
         (tmp_path / "cut.stl").write_bytes(content)
-        with pytest.raises(InputError, match="want a binary STL"):
+        with pytest.raises(InputError, match="expected a binary STL"):
             bracket.read_stl(tmp_path / "cut.stl")

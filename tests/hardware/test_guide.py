@@ -23,7 +23,9 @@ def test_commands_are_found():
 
 
 @pytest.mark.filterwarnings("ignore:the calibration")
-@pytest.mark.parametrize("line", [line for line in COMMANDS if len(line.split()) > 2 or line == "falconwing size"])
+@pytest.mark.parametrize(
+    "line", [line for line in COMMANDS if len(line.split()) > 2 or line == "falconwing size"]
+)
 def test_command_runs(line, tmp_path, monkeypatch):
     """As printed, in an empty folder, without a terminal."""
     monkeypatch.chdir(tmp_path)
@@ -35,7 +37,9 @@ def test_files_of_the_table_are_there():
     """Every file or folder that is named, and no data file left out."""
     rows = [line.split("|")[1] for line in GUIDE.splitlines() if line.startswith("| `")]
     named = set(re.findall(r"`([\w./]+)`", " ".join(rows)))
-    there = {path.name for path in (ROOT / "hardware").iterdir() if path.suffix in (".csv", ".toml")}
+    there = {
+        path.name for path in (ROOT / "hardware").iterdir() if path.suffix in (".csv", ".toml")
+    }
     assert there <= named and all((ROOT / "hardware" / name).exists() for name in named)
     links = re.findall(r"\]\(([^)]+)\)", GUIDE)
     assert len(links) >= 5 and all((ROOT / "hardware" / link).exists() for link in links)
@@ -52,7 +56,9 @@ def test_numbers_are_those_of_the_list():
 
 
 def test_numbers_are_those_of_the_filter():
-    """Corner, attenuation, peaks with and without the resistor, voltage lost, and the better capacitor, as printed."""
+    """Corner, attenuation, peaks with and without the resistor, voltage lost, and the better
+    capacitor, as printed.
+    """
     camera = load_camera()
     parts, load = camera.power_filter, camera.supply.load_ohm
     assert f"{parts.corner_hz / 1000.0:.2f} kHz, and at {parts.switching_khz:g} kHz" in GUIDE
@@ -63,4 +69,6 @@ def test_numbers_are_those_of_the_filter():
     assert f"costs {1000.0 * parts.series_ohm * camera.supply.current_a:.0f} mV" in GUIDE
     polymer = replace(parts, esr_ohm=0.010, damping_ohm=0.47)
     assert f"gives {float(polymer.attenuation_db(24e3, load)):.0f} dB" in GUIDE
-    assert polymer.peak_db(load) < 1.0 < replace(polymer, damping_ohm=parts.damping_ohm).peak_db(load)
+    assert (
+        polymer.peak_db(load) < 1.0 < replace(polymer, damping_ohm=parts.damping_ohm).peak_db(load)
+    )

@@ -10,9 +10,14 @@ import pytest
 
 from tests.alone import ALONE, LONGEST, TESTS, keep_apart, needs_the_machine, place_in_line
 
-# What a test takes that there is once on a machine, that lives in real time, or that many take and takes minutes.
-SIGNS = re.compile(r"\b(?:ros_master|playwright|BoardOnPty|WallClock|process_time|in_box|demo_run)\b")
-ROOMS = [folder for folder in TESTS.iterdir() if folder.name not in ("benchmarks", "house")]  # these only speak of them
+# What a test takes that there is once on a machine, that lives in real time, or that many take and
+# takes minutes.
+SIGNS = re.compile(
+    r"\b(?:ros_master|playwright|BoardOnPty|WallClock|process_time|in_box|demo_run)\b"
+)
+ROOMS = [
+    folder for folder in TESTS.iterdir() if folder.name not in ("benchmarks", "house")
+]  # these only speak of them
 
 
 def test_what_is_named_is_there():
@@ -22,7 +27,9 @@ def test_what_is_named_is_there():
 
 
 def test_what_takes_the_machine_is_named():
-    """Its source speaks of ROS, a browser, a terminal's board, the wall's clock, processor time, a box, the demo."""
+    """Its source speaks of ROS, a browser, a terminal's board, the wall's clock, processor time, a
+    box, the demo.
+    """
     tests = [path for room in ROOMS for path in room.rglob("test_*.py")]
     taking = [path for path in tests if SIGNS.search(path.read_text(encoding="utf-8"))]
     assert len(taking) > 10
@@ -44,9 +51,14 @@ def test_the_longest_are_first_in_line():
 
 
 def test_both_steps_are_all_the_tests():
-    """pytest's own collection of tests/house and a file that is alone: what the one step leaves the other takes."""
+    """pytest's own collection of tests/house and a file that is alone: what the one step leaves the
+    other takes.
+    """
     places = ["tests/house/test_start.py", "tests/tools/bridge/test_bus.py"]
-    found = [collected(marks, places) for marks in ("not benchmark and not alone", "alone and not benchmark")]
+    found = [
+        collected(marks, places)
+        for marks in ("not benchmark and not alone", "alone and not benchmark")
+    ]
     assert {name.split("::")[0] for name in found[0]} == {places[0]}
     assert {name.split("::")[0] for name in found[1]} == {places[1]}
     assert set(found[0] + found[1]) == set(collected("not benchmark", places))
@@ -55,14 +67,22 @@ def test_both_steps_are_all_the_tests():
 def collected(marks: str, places: list[str]) -> list[str]:
     """The tests that pytest would run in some files."""
     words = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-m", marks, *places]
-    done = subprocess.run(words, cwd=TESTS.parent, capture_output=True, text=True, timeout=120, check=True)
+    done = subprocess.run(
+        words, cwd=TESTS.parent, capture_output=True, text=True, timeout=120, check=True
+    )
     return [line for line in done.stdout.splitlines() if "::" in line]
 
 
 @pytest.mark.parametrize(("worker", "own"), [(None, False), ("gw1", True)])
 def test_a_process_of_several_has_its_own_cache(monkeypatch, worker, own):
-    """One thread and a folder that is there, as long as somebody holds it; one process alone keeps what is set."""
-    monkeypatch.setattr(os, "environ", {"OMP_NUM_THREADS": "3"} | ({"PYTEST_XDIST_WORKER": worker} if worker else {}))
+    """One thread and a folder that is there, as long as somebody holds it; one process alone keeps
+    what is set.
+    """
+    monkeypatch.setattr(
+        os,
+        "environ",
+        {"OMP_NUM_THREADS": "3"} | ({"PYTEST_XDIST_WORKER": worker} if worker else {}),
+    )
     held = keep_apart()
     assert (held is not None) == own
     assert os.environ["OMP_NUM_THREADS"] == ("1" if own else "3")

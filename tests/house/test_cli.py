@@ -11,7 +11,9 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.cli import main as command
 from falconwing_kit.tools.cli.main import VERBS, main
 
-PRESENT = [verb[0] for verb in VERBS if importlib.util.find_spec(f"falconwing_kit.tools.cli.{verb[1]}")]
+PRESENT = [
+    verb[0] for verb in VERBS if importlib.util.find_spec(f"falconwing_kit.tools.cli.{verb[1]}")
+]
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class Probe:
     def run(self) -> int:
         """Raise what was asked for, or say that the answer is no."""
         faults = {
-            "input": InputError("mass: want a positive number, got -1"),
+            "input": InputError("mass: expected a positive number, got -1"),
             "missing": FileNotFoundError("no flight at nowhere.csv"),
             "disk": OSError(28, "No space left on device", "model.toml"),
             "library": ModuleNotFoundError("No module named 'cv2'", name="cv2"),
@@ -41,7 +43,9 @@ def probe(monkeypatch):
     module = types.ModuleType("probe_verb")
     module.Probe = Probe
     monkeypatch.setitem(sys.modules, "falconwing_kit.tools.cli.probe_verb", module)
-    monkeypatch.setattr(command, "VERBS", (*VERBS, ("probe", "probe_verb", "Probe", "fails as told")))
+    monkeypatch.setattr(
+        command, "VERBS", (*VERBS, ("probe", "probe_verb", "Probe", "fails as told"))
+    )
 
 
 @pytest.mark.parametrize("verb", PRESENT)
@@ -87,10 +91,14 @@ def test_unknown_option_is_wrong_use(probe):
     [
         ("ok", 0, ""),
         ("no", 1, ""),
-        ("input", 2, "falconwing: mass: want a positive number, got -1\n"),
+        ("input", 2, "falconwing: mass: expected a positive number, got -1\n"),
         ("missing", 2, "falconwing: no flight at nowhere.csv\n"),
         ("disk", 2, "falconwing: model.toml: No space left on device\n"),
-        ("library", 2, "falconwing: the library cv2 is not installed; `falconwing doctor` says how to mend it\n"),
+        (
+            "library",
+            2,
+            "falconwing: the library cv2 is not installed; `falconwing doctor` says how to mend it\n",
+        ),
         ("keys", 130, "interrupted\n"),
     ],
 )

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-# Plain arithmetic that NumPy runs and numba compiles carries no types and says so on its `def` line.
+# Plain arithmetic that NumPy runs and numba compiles carries no types and says so on its `def`
+# line.
 UNTYPED_MARK = "# type: ignore[no-untyped-def]"
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -31,25 +32,40 @@ def doc_problems(tree: Path) -> list[str]:
             if not ast.get_docstring(node):
                 problems.append(f"{where}:{node.lineno}: {name} has no docstring")
             if isinstance(node, Function) and untyped(node) and not marked(node, source):
-                problems.append(f"{where}:{node.lineno}: {name} has no type for {', '.join(untyped(node))}")
+                problems.append(
+                    f"{where}:{node.lineno}: {name} has no type for {', '.join(untyped(node))}"
+                )
     return problems
 
 
 def public_things(module: ast.Module) -> Iterator[tuple[str, ast.ClassDef | Function]]:
-    """Public classes and functions of a module and public methods of its public classes, with their names."""
+    """Public classes and functions of a module and public methods of its public classes, with their
+    names.
+    """
     for node in module.body:
         if isinstance(node, ast.ClassDef | Function) and not node.name.startswith("_"):
             yield node.name, node
             if isinstance(node, ast.ClassDef):
                 methods = [inner for inner in node.body if isinstance(inner, Function)]
-                yield from ((f"{node.name}.{m.name}", m) for m in methods if not m.name.startswith("_"))
+                yield from (
+                    (f"{node.name}.{m.name}", m) for m in methods if not m.name.startswith("_")
+                )
 
 
 def untyped(function: Function) -> list[str]:
     """Names of the arguments without a type, and "return" if what comes out has none."""
     spec = function.args
-    arguments = [*spec.posonlyargs, *spec.args, *spec.kwonlyargs, *filter(None, (spec.vararg, spec.kwarg))]
-    names = [each.arg for each in arguments if each.annotation is None and each.arg not in ("self", "cls")]
+    arguments = [
+        *spec.posonlyargs,
+        *spec.args,
+        *spec.kwonlyargs,
+        *filter(None, (spec.vararg, spec.kwarg)),
+    ]
+    names = [
+        each.arg
+        for each in arguments
+        if each.annotation is None and each.arg not in ("self", "cls")
+    ]
     return names + (["return"] if function.returns is None else [])
 
 

@@ -1,4 +1,6 @@
-"""The book and the toolbox: imports run downward, the book never imports the toolbox, labs import faces only."""
+"""The book and the toolbox: imports run downward, the book never imports the toolbox, labs import
+faces only.
+"""
 
 import ast
 from collections.abc import Iterator
@@ -17,7 +19,9 @@ FLOOR_OF = {room: number for number, rooms in enumerate(FLOORS) for room in room
 
 
 def test_imports_run_downward():
-    """The floors are those of DESIGN.md, section 2; the toolbox stands on top, so no book file imports it."""
+    """The floors are those of DESIGN.md, section 2; the toolbox stands on top, so no book file
+    imports it.
+    """
     assert import_problems(ROOT) == []
 
 
@@ -27,7 +31,9 @@ def test_every_folder_is_installed():
 
 
 def test_labs_import_faces():
-    """A face is a room's `__init__`, or that of a folder of the toolbox; what stands behind it may move."""
+    """A face is a room's `__init__`, or that of a folder of the toolbox; what stands behind it may
+    move.
+    """
     assert lab_problems(ROOT) == []
 
 
@@ -60,9 +66,13 @@ def lab_problems(tree: Path) -> list[str]:
     for path in sorted((tree / "labs").glob("*/*.py")):
         for line, imported in imports(path):
             parts = imported.split(".")
-            deepest = 4 if parts[1:2] == ["tools"] else 3  # falconwing_kit.room.name or falconwing_kit.tools.room.name
+            deepest = (
+                4 if parts[1:2] == ["tools"] else 3
+            )  # falconwing_kit.room.name or falconwing_kit.tools.room.name
             if parts[0] == "falconwing_kit" and len(parts) > deepest:
-                problems.append(f"{path.relative_to(tree).as_posix()}:{line}: {imported}; import it from its room")
+                problems.append(
+                    f"{path.relative_to(tree).as_posix()}:{line}: {imported}; import it from its room"
+                )
     return problems
 
 
@@ -72,7 +82,9 @@ def room_of(path: Path) -> str:
 
 
 def imports(path: Path) -> Iterator[tuple[int, str]]:
-    """Line and dotted name of every import in a file, those inside functions too; "." and "*" stay visible."""
+    """Line and dotted name of every import in a file, those inside functions too; "." and "*" stay
+    visible.
+    """
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)

@@ -12,7 +12,8 @@ ROOMS = sorted(path.parent.name for path in (ROOT / "falconwing_kit").glob("*/__
 
 
 @pytest.mark.parametrize(
-    "module", ["falconwing_kit", "falconwing_kit.tools.cli.main", *(f"falconwing_kit.{r}" for r in ROOMS)]
+    "module",
+    ["falconwing_kit", "falconwing_kit.tools.cli.main", *(f"falconwing_kit.{r}" for r in ROOMS)],
 )
 def test_import_loads_no_heavy_library(module):
     """A fresh Python says itself which modules it loaded."""
@@ -21,7 +22,13 @@ def test_import_loads_no_heavy_library(module):
 
 def test_help_of_the_command_loads_no_numpy():
     """The list of verbs is plain text; NumPy alone would cost more than the rest of it."""
-    assert loaded("from falconwing_kit.tools.cli.main import main; main(['--help'])", ("numpy", "scipy", "tyro")) == []
+    assert (
+        loaded(
+            "from falconwing_kit.tools.cli.main import main; main(['--help'])",
+            ("numpy", "scipy", "tyro"),
+        )
+        == []
+    )
 
 
 def test_a_loaded_library_is_seen():
@@ -38,6 +45,11 @@ def loaded(statement: str, names: tuple[str, ...]) -> list[str]:
     """Which of the named modules a fresh Python holds after a statement."""
     code = f"import sys; {statement}; print('loaded', *[name for name in {names!r} if name in sys.modules])"
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120, check=True
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
     )
     return done.stdout.splitlines()[-1].split()[1:]

@@ -1,7 +1,8 @@
-"""Names carry frames: in a product the inner frames must meet, and the result is called what the product gives.
+"""Names carry frames: in a product the inner frames must meet, and the result is called what the
+product gives.
 
-`T_world_body @ T_body_camera` meets at body and is `T_world_camera`; `R_world_body @ v_world` does not meet.
-What cannot be read from the names is passed over.
+`T_world_body @ T_body_camera` meets at body and is `T_world_camera`; `R_world_body @ v_world` does
+not meet. What cannot be read from the names is passed over.
 """
 
 import ast
@@ -16,7 +17,9 @@ VECTOR = re.compile(r"_?(?:p|v)s?_([a-z0-9]+)(?:_.*)?", re.IGNORECASE)
 
 
 class Frames(NamedTuple):
-    """What a name or a product says: a map takes `inner` vectors to `outer` ones, a vector has one frame."""
+    """What a name or a product says: a map takes `inner` vectors to `outer` ones, a vector has one
+    frame.
+    """
 
     outer: str | None
     inner: str | None
@@ -102,7 +105,9 @@ def turned(frames: Frames) -> Frames:
 
 
 def product(left: Frames, right: Frames) -> Frames:
-    """The frames of a product; rows of vectors may stand on the left, as in `v_body @ R_world_body.T`."""
+    """The frames of a product; rows of vectors may stand on the left, as in `v_body @
+    R_world_body.T`.
+    """
     if left.is_vector:
         return Frames(right.inner, right.inner, True)
     if right.is_vector:

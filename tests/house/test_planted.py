@@ -19,8 +19,18 @@ PLANTS = {
         "def late() -> None:\n    from falconwing_kit.tools.cli import main\n",
         "core (floor 0) imports tools (floor 5)",
     ),
-    "upward from the package": (import_problems, "aircraft", "from falconwing_kit import sysid\n", "upward"),
-    "sideways": (import_problems, "aircraft", "from falconwing_kit.scene import camera\n", "sideways"),
+    "upward from the package": (
+        import_problems,
+        "aircraft",
+        "from falconwing_kit import sysid\n",
+        "upward",
+    ),
+    "sideways": (
+        import_problems,
+        "aircraft",
+        "from falconwing_kit.scene import camera\n",
+        "sideways",
+    ),
     "relative": (import_problems, "core", "from . import frames\n", "relative"),
     "star": (import_problems, "aircraft", "from falconwing_kit.core.frames import *\n", "star"),
     "unknown room": (import_problems, "core", "import falconwing_kit.attic\n", "attic"),
@@ -30,22 +40,71 @@ PLANTS = {
         "from falconwing_kit.tools.trials import hidden\n",
         "imports tools",
     ),
-    "mis-met maps": (frame_problems, "core", "p = T_world_body @ T_camera_body\n", "body meets camera"),
-    "mis-met vector": (frame_problems, "core", "v = R_world_body @ v_world[0]\n", "body meets world"),
-    "mis-met chain": (frame_problems, "core", "x = T_world_body @ T_body_camera @ p_world\n", "camera meets world"),
-    "mis-met transpose": (frame_problems, "core", "v = self.R_world_body.T @ state.v_body\n", "world meets body"),
-    "mis-met row vectors": (frame_problems, "core", "v = vs_world @ Rs_world_body.T\n", "world meets body"),
-    "misnamed result": (frame_problems, "core", "T_world_marker = T_world_body @ T_body_camera\n", "is called"),
-    "undocumented function": (doc_problems, "core", "def open_door(width: float) -> None:\n    pass\n", "open_door"),
-    "undocumented method": (doc_problems, "core", 'class A:\n    """A."""\n    def b(self) -> None: ...\n', "A.b"),
-    "untyped argument": (doc_problems, "core", 'def door(width) -> None:\n    """Open."""\n', "width"),
+    "mis-met maps": (
+        frame_problems,
+        "core",
+        "p = T_world_body @ T_camera_body\n",
+        "body meets camera",
+    ),
+    "mis-met vector": (
+        frame_problems,
+        "core",
+        "v = R_world_body @ v_world[0]\n",
+        "body meets world",
+    ),
+    "mis-met chain": (
+        frame_problems,
+        "core",
+        "x = T_world_body @ T_body_camera @ p_world\n",
+        "camera meets world",
+    ),
+    "mis-met transpose": (
+        frame_problems,
+        "core",
+        "v = self.R_world_body.T @ state.v_body\n",
+        "world meets body",
+    ),
+    "mis-met row vectors": (
+        frame_problems,
+        "core",
+        "v = vs_world @ Rs_world_body.T\n",
+        "world meets body",
+    ),
+    "misnamed result": (
+        frame_problems,
+        "core",
+        "T_world_marker = T_world_body @ T_body_camera\n",
+        "is called",
+    ),
+    "undocumented function": (
+        doc_problems,
+        "core",
+        "def open_door(width: float) -> None:\n    pass\n",
+        "open_door",
+    ),
+    "undocumented method": (
+        doc_problems,
+        "core",
+        'class A:\n    """A."""\n    def b(self) -> None: ...\n',
+        "A.b",
+    ),
+    "untyped argument": (
+        doc_problems,
+        "core",
+        'def door(width) -> None:\n    """Open."""\n',
+        "width",
+    ),
 }
 
 
 @pytest.fixture
 def copy(tmp_path):
     """The kit's source in a folder of its own."""
-    shutil.copytree(ROOT / "falconwing_kit", tmp_path / "falconwing_kit", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        ROOT / "falconwing_kit",
+        tmp_path / "falconwing_kit",
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
     return tmp_path
 
 

@@ -1,4 +1,6 @@
-"""What is public stays public: no machine's paths, no package index, no unfinished marks, no large files."""
+"""What is public stays public: no machine's paths, no package index, no unfinished marks, no large
+files.
+"""
 
 import re
 import subprocess
@@ -8,7 +10,9 @@ ROOT = Path(__file__).resolve().parents[2]
 MAX_FILE_MB, MAX_TREE_MB = 16.0, 150.0
 # Written in pieces, so that this file does not hold what it looks for.
 PRIVATE = {
-    "path of one machine": r"(?<![\w.])/(?:wor" + r"k|roo" + r"t|home/\w+|Users/\w+)/|[A-Z]:\\Users\\",
+    "path of one machine": r"(?<![\w.])/(?:wor"
+    + r"k|roo"
+    + r"t|home/\w+|Users/\w+)/|[A-Z]:\\Users\\",
     "package index": r"(?:--(?:extra-)?index-" + r"url|--find-" + r"links|--trusted-" + r"host)\b",
     "unfinished mark": r"\b(?:TO" + r"DO|FIX" + r"ME)\b",
 }
@@ -28,9 +32,17 @@ def tracked_files(tree: Path) -> list[Path]:
     """Files that git knows; in a copy without git, all but hidden folders."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=tree, capture_output=True, check=False)
     if listed.returncode == 0 and listed.stdout:
-        return [tree / name for name in listed.stdout.decode().split("\0") if name and (tree / name).is_file()]
+        return [
+            tree / name
+            for name in listed.stdout.decode().split("\0")
+            if name and (tree / name).is_file()
+        ]
     hidden = (".git", ".venv", "__pycache__")
-    return [path for path in tree.rglob("*") if path.is_file() and not any(part in hidden for part in path.parts)]
+    return [
+        path
+        for path in tree.rglob("*")
+        if path.is_file() and not any(part in hidden for part in path.parts)
+    ]
 
 
 def text_problems(tree: Path, files: list[Path]) -> list[str]:
@@ -55,6 +67,10 @@ def text_problems(tree: Path, files: list[Path]) -> list[str]:
 def size_problems(tree: Path, files: list[Path]) -> list[str]:
     """Files that are too large, and the tree if it is."""
     sizes = {path: path.stat().st_size / 1e6 for path in files}
-    problems = [f"{p.relative_to(tree).as_posix()}: {mb:.1f} MB" for p, mb in sizes.items() if mb >= MAX_FILE_MB]
+    problems = [
+        f"{p.relative_to(tree).as_posix()}: {mb:.1f} MB"
+        for p, mb in sizes.items()
+        if mb >= MAX_FILE_MB
+    ]
     total = sum(sizes.values())
     return problems + ([f"the tree: {total:.0f} MB"] if total >= MAX_TREE_MB else [])

@@ -13,7 +13,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture
 def start(tmp_path, monkeypatch):
-    """start.py as a module that works in a folder of its own and writes down its commands instead of running them."""
+    """start.py as a module that works in a folder of its own and writes down its commands instead
+    of running them.
+    """
     spec = importlib.util.spec_from_file_location("start_under_test", ROOT / "start.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -53,7 +55,9 @@ def test_second_run_only_hands_over(start):
 
 
 def test_tests_bring_their_extras_and_then_serve_verbs_too(start):
-    """The tests' set holds the kit, so a verb afterwards installs nothing; the other way round pip runs again."""
+    """The tests' set holds the kit, so a verb afterwards installs nothing; the other way round pip
+    runs again.
+    """
     start.main(["demo"])
     start.main(["test", "-q"])
     assert start.commands[-2][-1] == ".[labs,dev]"
@@ -64,7 +68,9 @@ def test_tests_bring_their_extras_and_then_serve_verbs_too(start):
 
 
 def test_all_tests_run_two_at_a_time_where_there_are_two_cores(start, monkeypatch):
-    """Then those that need the machine alone, whatever came out before; with options or one core pytest has its way."""
+    """Then those that need the machine alone, whatever came out before; with options or one core
+    pytest has its way.
+    """
     start.exit_codes["-n"] = 1
     monkeypatch.setattr(start, "cores", lambda: 2)
     assert start.main(["test"]) == 1
@@ -89,7 +95,9 @@ def test_changed_dependencies_are_installed(start, tmp_path, name):
 
 
 def test_interrupted_install_goes_on_and_its_exit_code_comes_out(start, capsys):
-    """pip fails: its code comes out, the verb is not run, no stamp stays; the next run goes on with pip."""
+    """pip fails: its code comes out, the verb is not run, no stamp stays; the next run goes on with
+    pip.
+    """
     start.exit_codes["install"] = 7
     assert start.main(["demo"]) == 7
     assert "same command again" in capsys.readouterr().err
@@ -100,7 +108,9 @@ def test_interrupted_install_goes_on_and_its_exit_code_comes_out(start, capsys):
 
 
 def test_killed_install_starts_from_an_empty_environment(start, monkeypatch):
-    """A library that was half written when pip was killed looks installed to pip; only a new environment is sure."""
+    """A library that was half written when pip was killed looks installed to pip; only a new
+    environment is sure.
+    """
 
     def killed(command, folder=None):
         raise KeyboardInterrupt
@@ -123,7 +133,9 @@ def test_exit_code_of_the_verb_comes_out(start):
     assert start.main(["doctor"]) == 1
 
 
-@pytest.mark.parametrize(("version", "fine"), [((3, 10), False), ((2, 7), False), ((3, 11), True), ((3, 13), True)])
+@pytest.mark.parametrize(
+    ("version", "fine"), [((3, 10), False), ((2, 7), False), ((3, 11), True), ((3, 13), True)]
+)
 def test_old_python_is_refused_in_one_sentence(start, monkeypatch, capsys, version, fine):
     """3.11 is the first that reads TOML by itself; the sentence names both versions."""
     monkeypatch.setattr(start.sys, "version_info", (*version, 0))
@@ -148,7 +160,11 @@ def test_command_is_said_and_signal_counts_as_in_a_shell():
         if "kill" in program and sys.platform == "win32":
             continue
         done = subprocess.run(
-            [sys.executable, "-c", code.format("0", program)], cwd=ROOT, capture_output=True, text=True, check=True
+            [sys.executable, "-c", code.format("0", program)],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         assert done.stderr.startswith(f"$ {sys.executable} -c ")
         assert done.stdout == f"{expected}\n"
@@ -157,7 +173,9 @@ def test_command_is_said_and_signal_counts_as_in_a_shell():
 @pytest.mark.parametrize(("words", "code"), [(["--help"], 0), ([], 2)])
 def test_help_names_both_commands(words, code):
     """Run for real; help alone installs nothing."""
-    done = subprocess.run([sys.executable, "start.py", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "start.py", *words], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == code
     assert "start.py demo" in done.stdout
     assert "start.py test" in done.stdout

@@ -1,7 +1,9 @@
-"""A lab's functions in this process: the solution's, wrong ones, trivial ones, judged without a box and so in no time.
+"""A lab's functions in this process: the solution's, wrong ones, trivial ones, judged without a box
+and so in no time.
 
-The text that is run is what the grader's collector takes from the notebook, and the arguments come as copies, so only
-the box itself is missing. The box has tests of its own, and every solution goes through it once.
+The text that is run is what the grader's collector takes from the notebook, and the arguments come
+as copies, so only the box itself is missing. The box has tests of its own, and every solution goes
+through it once.
 """
 
 import copy
@@ -15,7 +17,7 @@ from types import ModuleType
 
 import numpy as np
 
-from falconwing_kit.tools.grading.collect import Cell, Notebook, collect
+from falconwing_kit.tools.grading.collect import Notebook, SubmittedCell, collect_source
 from falconwing_kit.tools.grading.find import load_checks, load_judges, load_module
 from falconwing_kit.tools.grading.lab import Course, Function, Judge, Lab, course_constants
 from falconwing_kit.tools.grading.notebooks import read_cells
@@ -41,9 +43,9 @@ class LabHere:
 
     def function(self, name: str, old: str = "", new: str = "") -> Function:
         """The solution's function, or a wrong one where `old` of its solution is replaced by `new`."""
-        cells = [Cell(True, replaced(cell.text, old, new) if cell.name == name and cell.kind == "exercise" and old
+        cells = [SubmittedCell(True, replaced(cell.text, old, new) if cell.name == name and cell.kind == "exercise" and old
                       else cell.for_solution()) for cell in self.cells]  # fmt: skip
-        source = collect(Notebook(tuple(cells)), name, self.lab.packages)
+        source = collect_source(Notebook(tuple(cells)), name, self.lab.packages)
         assert source.problems == (), source.problems
         namespace: dict[str, object] = {"__name__": "notebook"}
         with self._given_importable():
@@ -57,7 +59,11 @@ class LabHere:
         def called(*arguments):
             with self._given_importable():
                 arguments = copy.deepcopy(arguments)
-                return getattr(self.given, through)(function, *arguments) if through else function(*arguments)
+                return (
+                    getattr(self.given, through)(function, *arguments)
+                    if through
+                    else function(*arguments)
+                )
 
         called.__name__ = name
         return called
@@ -65,7 +71,9 @@ class LabHere:
     def score(self, name: str, function: Function, seed: int = 0) -> float:
         """The share of hidden cases that the function gets right."""
         rng = np.random.default_rng([seed, *name.encode()])
-        verdicts = [verdict for judge in self.judges[name] for verdict in judge.verdicts(function, rng)]
+        verdicts = [
+            verdict for judge in self.judges[name] for verdict in judge.verdicts(function, rng)
+        ]
         return sum(map(right, verdicts)) / len(verdicts)
 
     @contextmanager
@@ -91,7 +99,9 @@ def right(verdict) -> bool:
 def replaced(text: str, old: str, new: str) -> str:
     """An exercise's cell with its solution made wrong; `old` must stand there exactly once."""
     inside = INSIDE.search(text)
-    assert inside is not None and inside[1].count(old) == 1, f"{old!r} stands {inside and inside[1].count(old)} times"
+    assert inside is not None and inside[1].count(old) == 1, (
+        f"{old!r} stands {inside and inside[1].count(old)} times"
+    )
     return text[: inside.start(1)] + inside[1].replace(old, new) + text[inside.end(1) :]
 
 

@@ -1,8 +1,10 @@
-"""Opens a student's notebook in JupyterLab in headless Chromium, runs all cells and takes a picture to look at.
+"""Opens a student's notebook in JupyterLab in headless Chromium, runs all cells and takes a picture
+to look at.
 
     python -m tests.labs.open_in_jupyterlab lab01 --out pictures [--solution]
 
-The lab is released into a folder of its own first, as students get it. Needs Debian's `chromium` and Playwright.
+The lab is released into a folder of its own first, as students get it. Needs Debian's `chromium`
+and Playwright.
 """
 
 import argparse
@@ -29,18 +31,31 @@ WAIT_S = 180.0  # for a server, a page or a notebook on a busy machine
 
 @contextmanager
 def jupyterlab(folder: Path) -> Iterator[str]:
-    """A JupyterLab server in a folder; gives its address without path, such as http://127.0.0.1:8890, and its token."""
+    """A JupyterLab server in a folder; gives its address without path, such as
+    http://127.0.0.1:8890, and its token.
+    """
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     token = secrets.token_hex(16)
     home = folder.parent / "jupyter_home"
-    quiet = home / "settings" / "@jupyterlab" / "apputils-extension" / "notification.jupyterlab-settings"
+    quiet = (
+        home
+        / "settings"
+        / "@jupyterlab"
+        / "apputils-extension"
+        / "notification.jupyterlab-settings"
+    )
     quiet.parent.mkdir(parents=True)
     quiet.write_text('{"fetchNews": "false", "checkForUpdates": false}')
     words = ["--no-browser", "--ip=127.0.0.1", f"--port={port}", "--ServerApp.port_retries=0"]
     words += ["--allow-root"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
-    own = {"JUPYTER_TOKEN": token, "JUPYTER_CONFIG_DIR": str(home), "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    own = {
+        "JUPYTER_TOKEN": token,
+        "JUPYTER_CONFIG_DIR": str(home),
+        "PYTHONPATH": str(ROOT),
+        "OMP_NUM_THREADS": "1",
+    }
     own["JUPYTERLAB_SETTINGS_DIR"] = str(home / "settings")
     server = subprocess.Popen(
         [sys.executable, "-m", "jupyterlab", *words],
@@ -133,8 +148,12 @@ def run_to_the_end(page, saved: str) -> bool:
 
 
 def main() -> int:
-    """Release, open, run, take the picture; 0 where only NotImplementedError was raised and nobody complained."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Release, open, run, take the picture; 0 where only NotImplementedError was raised and nobody
+    complained.
+    """
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("lab")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--solution", action="store_true")
@@ -150,7 +169,9 @@ def main() -> int:
             shutil.copyfile(notebook_path(folder, solution=True), notebook)
         name = f"{notebook.stem}{'_solution' if asked.solution else ''}"
         with jupyterlab(handed_out) as address:
-            seen = open_and_run(address, notebook.relative_to(handed_out).as_posix(), asked.out / f"{name}.png")
+            seen = open_and_run(
+                address, notebook.relative_to(handed_out).as_posix(), asked.out / f"{name}.png"
+            )
     print(json.dumps(seen, indent=2))
     allowed = set() if asked.solution else {"NotImplementedError"}
     return int(not set(seen["errors"]) <= allowed or bool(seen["complained"]))

@@ -1,4 +1,6 @@
-"""Runs a lab's notebook top to bottom in a kernel of its own, as a student would, in the lab's folder."""
+"""Runs a lab's notebook top to bottom in a kernel of its own, as a student would, in the lab's
+folder.
+"""
 
 import os
 from pathlib import Path
@@ -19,7 +21,8 @@ def run_notebook(text: str, folder: Path, *, go_on: bool = False) -> list[Simple
         go_on: run the cells after one that failed too.
 
     Returns:
-        Code cells in order: `kind` and `name` as in the lab's source, `printed`, `pictures` (how many), `errors`
+        Code cells in order: `kind` and `name` as in the lab's source, `printed`, `pictures` (how
+            many), `errors`
         (the names of what was raised).
     """
     notebook = nbformat.reads(text, as_version=4)
@@ -45,8 +48,12 @@ def _seen(cell: nbformat.NotebookNode) -> SimpleNamespace:
         kind=kinds[0] if kinds else "",
         name=cell.metadata[kinds[0]] if kinds else "",
         source=cell.source,
-        printed="".join(each.text for each in outputs if each.output_type == "stream" and each.name == "stdout"),
-        complained="".join(each.text for each in outputs if each.output_type == "stream" and each.name == "stderr"),
+        printed="".join(
+            each.text for each in outputs if each.output_type == "stream" and each.name == "stdout"
+        ),
+        complained="".join(
+            each.text for each in outputs if each.output_type == "stream" and each.name == "stderr"
+        ),
         pictures=sum("image/png" in each.get("data", {}) for each in outputs),
         errors=[each.ename for each in outputs if each.output_type == "error"],
     )

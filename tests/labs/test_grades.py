@@ -1,4 +1,6 @@
-"""Grades are fair: solutions get everything with any seed, wrong or trivial answers do not, no student is surprised."""
+"""Grades are fair: solutions get everything with any seed, wrong or trivial answers do not, no
+student is surprised.
+"""
 
 from dataclasses import dataclass
 from functools import cache
@@ -8,7 +10,7 @@ import pytest
 
 from falconwing_kit.tools.grading.find import lab_folders, load_checks
 from falconwing_kit.tools.grading.lab import course_constants
-from falconwing_kit.tools.grading.public_checks import run_checks, state_of
+from falconwing_kit.tools.grading.public_checks import exercise_state, run_checks
 from falconwing_kit.tools.grading.selftest import selftest
 from tests.labs.functions import ROOT, LabHere, mutants
 from tests.labs.tools import require_box
@@ -30,7 +32,9 @@ TRIVIAL = {
 every_lab = pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 pytestmark = [
     pytest.mark.timeout(600),
-    pytest.mark.filterwarnings("ignore::RuntimeWarning"),  # wrong solutions divide by zero as they like
+    pytest.mark.filterwarnings(
+        "ignore::RuntimeWarning"
+    ),  # wrong solutions divide by zero as they like
 ]
 
 
@@ -63,7 +67,7 @@ def judged_mutants(folder):
     for name, wrong in mutants(lab.lab).items():
         for what, old, new in wrong:
             function = lab.function(name, old, new)
-            passed = state_of(run_checks(lab.lab.exercise(name), function)) == "passed"
+            passed = exercise_state(run_checks(lab.lab.exercise(name), function)) == "passed"
             results.append(Mutant(folder.name, name, what, lab.score(name, function), passed))
     return tuple(results)
 
@@ -74,7 +78,9 @@ def test_grader_gives_the_solution_all_points_and_the_untouched_notebook_none(fo
     require_box()
     graded = selftest(folder)
     assert graded.problems == ()
-    assert graded.solution == {exercise.name: exercise.points for exercise in here(folder).lab.exercises}
+    assert graded.solution == {
+        exercise.name: exercise.points for exercise in here(folder).lab.exercises
+    }
     assert graded.untouched == dict.fromkeys(graded.solution, 0.0)
     assert graded.passed
 
@@ -85,7 +91,9 @@ def test_solution_gets_everything_with_twenty_other_seeds(folder):
     lab = here(folder)
     for exercise in lab.lab.exercises:
         function = lab.function(exercise.name)
-        assert [lab.score(exercise.name, function, seed) for seed in SEEDS] == [1.0] * len(SEEDS), exercise.name
+        assert [lab.score(exercise.name, function, seed) for seed in SEEDS] == [1.0] * len(SEEDS), (
+            exercise.name
+        )
 
 
 @every_lab
@@ -102,18 +110,22 @@ def test_solution_passes_every_public_check(folder):
 def test_trivial_answer_gets_nothing(folder, answer):
     """Who always answers the same, or gives back what came, is right in no case."""
     lab = here(folder)
-    scores = {e.name: lab.score(e.name, lab.as_called(e.name, TRIVIAL[answer])) for e in lab.lab.exercises}
+    scores = {
+        e.name: lab.score(e.name, lab.as_called(e.name, TRIVIAL[answer])) for e in lab.lab.exercises
+    }
     assert {name: score for name, score in scores.items() if score} == {}
 
 
 @every_lab
 def test_solution_gets_everything_in_a_salted_course(folder):
-    """Other numbers of the course, drawn by a secret: neither judges nor public checks may hold the open course's."""
+    """Other numbers of the course, drawn by a secret: neither judges nor public checks may hold the
+    open course's.
+    """
     lab = LabHere(folder, course_constants(load_checks(folder), "a secret"))
     for exercise in lab.lab.exercises:
         function = lab.function(exercise.name)
         assert lab.score(exercise.name, function) == 1.0, exercise.name
-        assert state_of(run_checks(exercise, function)) == "passed", exercise.name
+        assert exercise_state(run_checks(exercise, function)) == "passed", exercise.name
 
 
 @every_lab
@@ -131,9 +143,12 @@ def test_there_are_three_mutants_or_more_for_every_exercise(folder):
     listed = mutants(lab)
     assert set(listed) == {exercise.name for exercise in lab.exercises}
     for name, wrong in listed.items():
-        assert len({what for what, *_ in wrong}) == len({tuple(change) for _, *change in wrong}) == len(wrong) >= 3, (
-            name
-        )
+        assert (
+            len({what for what, *_ in wrong})
+            == len({tuple(change) for _, *change in wrong})
+            == len(wrong)
+            >= 3
+        ), name
 
 
 @every_lab
@@ -147,7 +162,9 @@ def test_mutants_of_the_lab_lose_points_and_expect_it(folder):
 
 
 def test_mutants_of_all_labs_lose_points_and_expect_it():
-    """The course's promise: 95 % of wrong solutions lose points, and for 95 % the public checks said so."""
+    """The course's promise: 95 % of wrong solutions lose points, and for 95 % the public checks
+    said so.
+    """
     found = [mutant for folder in FOLDERS for mutant in judged_mutants(folder)]
     assert sum(mutant.score < 1.0 for mutant in found) >= 0.95 * len(found)
     assert sum(mutant.expected for mutant in found) >= 0.95 * len(found)

@@ -1,4 +1,6 @@
-"""Every lab is whole: its files, its points, notebooks that are what the source says, nothing that gives it away."""
+"""Every lab is whole: its files, its points, notebooks that are what the source says, nothing that
+gives it away.
+"""
 
 import ast
 import json
@@ -41,7 +43,9 @@ def test_notebooks_are_what_the_source_says(folder):
 
 
 def test_points_are_75_and_25(lab):
-    """75 of the machine and 25 of a person, three to five exercises; facts of the course, from its plan."""
+    """75 of the machine and 25 of a person, three to five exercises; facts of the course, from its
+    plan.
+    """
     assert sum(exercise.points for exercise in lab.exercises) == 75.0
     assert sum(criterion.points for criterion in lab.rubric) == 25.0
     assert 3 <= len(lab.exercises) <= 5
@@ -49,13 +53,18 @@ def test_points_are_75_and_25(lab):
 
 
 def test_notebook_asks_for_what_the_checks_know(folder, lab):
-    """Each exercise with its check, each criterion with its figure or answer, in the same words in both files."""
+    """Each exercise with its check, each criterion with its figure or answer, in the same words in
+    both files.
+    """
     cells = read_cells(folder / "lab.py")
     named = {
-        kind: [cell.name for cell in cells if cell.kind == kind] for kind in ("exercise", "check", "figure", "answer")
+        kind: [cell.name for cell in cells if cell.kind == kind]
+        for kind in ("exercise", "check", "figure", "answer")
     }
     assert named["exercise"] == named["check"] == [exercise.name for exercise in lab.exercises]
-    assert sorted(named["figure"] + named["answer"]) == sorted(criterion.name for criterion in lab.rubric)
+    assert sorted(named["figure"] + named["answer"]) == sorted(
+        criterion.name for criterion in lab.rubric
+    )
 
 
 def test_solutions_are_short(folder):
@@ -63,7 +72,11 @@ def test_solutions_are_short(folder):
     for cell in read_cells(folder / "lab.py"):
         if cell.kind == "exercise":
             inside = cell.text.split("# BEGIN SOLUTION")[1].split("# END SOLUTION")[0]
-            lines = [line for line in inside.splitlines() if line.strip() and not line.strip().startswith("#")]
+            lines = [
+                line
+                for line in inside.splitlines()
+                if line.strip() and not line.strip().startswith("#")
+            ]
             assert 1 <= len(lines) <= 25, (cell.name, len(lines))
 
 
@@ -71,12 +84,17 @@ def test_first_cell_says_what_when_and_how_long(folder):
     """A student knows before the start: what is learnt, the time, what is needed before."""
     title = read_cells(folder / "lab.py")[0]
     assert title.markdown and title.text.startswith("# ")
-    assert all(re.search(word, title.text, re.IGNORECASE) for word in ("time", "before", "able to|goals"))
+    assert all(
+        re.search(word, title.text, re.IGNORECASE) for word in ("time", "before", "able to|goals")
+    )
 
 
 def test_route_names_the_lab_and_its_hours(folder, lab):
     """One row of labs/README.md: number, folder, and the hours that its checks.py says."""
-    rows = [line.split("|") for line in (ROOT / "labs" / "README.md").read_text(encoding="utf-8").splitlines()]
+    rows = [
+        line.split("|")
+        for line in (ROOT / "labs" / "README.md").read_text(encoding="utf-8").splitlines()
+    ]
     (row,) = [row for row in rows if len(row) > 4 and f"`{folder.name}`" in row[1]]
     assert row[1].split()[0] == str(int(lab.name[3:]))
     assert float(row[3]) == lab.hours
@@ -91,10 +109,18 @@ def test_every_check_has_a_claim_and_a_hint(lab):
 
 
 def test_given_imports_what_the_box_has(folder, lab):
-    """The standard library, NumPy and what the lab asks for; functions that draw for the notebook may load more."""
+    """The standard library, NumPy and what the lab asks for; functions that draw for the notebook
+    may load more.
+    """
     tree = ast.parse((folder / "given.py").read_text(encoding="utf-8"))
     assert imported(tree.body) <= {"numpy", *lab.packages}
-    assert imported(ast.walk(tree)) <= {"numpy", *lab.packages, "scipy", "matplotlib", "falconwing_kit"}
+    assert imported(ast.walk(tree)) <= {
+        "numpy",
+        *lab.packages,
+        "scipy",
+        "matplotlib",
+        "falconwing_kit",
+    }
 
 
 def imported(nodes):
@@ -119,13 +145,21 @@ def test_every_exercise_has_its_judges(folder, lab):
     """Three hidden cases or more each, so that a lucky one is worth little."""
     judges = load_judges(folder, Course(course_constants(lab, "")))
     for name, several in judges.items():
-        assert sum(getattr(judge, "cases", 0) + getattr(judge, "trials", 0) for judge in several) >= 3, name
+        assert (
+            sum(getattr(judge, "cases", 0) + getattr(judge, "trials", 0) for judge in several) >= 3
+        ), name
 
 
 def test_release_holds_no_solution_no_hidden_case_and_no_notes(folder, tmp_path):
-    """Every line that stands only between solution markers is looked for in every file that is handed out."""
+    """Every line that stands only between solution markers is looked for in every file that is
+    handed out.
+    """
     files = release([folder], tmp_path / "out")
-    names = {path.relative_to(tmp_path / "out" / folder.name).parts[0] for path in files if folder.name in path.parts}
+    names = {
+        path.relative_to(tmp_path / "out" / folder.name).parts[0]
+        for path in files
+        if folder.name in path.parts
+    }
     assert names <= {notebook_path(folder).name, "given.py", "checks.py", "cohort.json", "data"}
     secret, shown = set(), set()
     for cell in read_cells(folder / "lab.py"):

@@ -1,4 +1,6 @@
-"""Every lab's notebooks run as they are handed out: the solution to its end, the untouched one as far as it can."""
+"""Every lab's notebooks run as they are handed out: the solution to its end, the untouched one as
+far as it can.
+"""
 
 import pytest
 
@@ -8,7 +10,10 @@ from tests.labs.run_notebook import ROOT, run_notebook
 
 FOLDERS = lab_folders(ROOT / "labs")
 
-pytestmark = [pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name), pytest.mark.timeout(600)]
+pytestmark = [
+    pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name),
+    pytest.mark.timeout(600),
+]
 
 
 def test_solution_runs_to_its_end_with_its_figures_and_every_check_passed(folder):
@@ -19,7 +24,9 @@ def test_solution_runs_to_its_end_with_its_figures_and_every_check_passed(folder
     assert set(checked) == {exercise.name for exercise in lab.exercises}
     for name, printed in checked.items():
         count = len(lab.exercise(name).checks)
-        assert printed.startswith(f"{SYMBOLS['passed']} {name}: {count} of {count} public checks passed"), printed
+        assert printed.startswith(
+            f"{SYMBOLS['passed']} {name}: {count} of {count} public checks passed"
+        ), printed
         assert "!" not in printed, printed
     figures = [cell for cell in cells if cell.kind == "figure"]
     assert figures and all(cell.pictures for cell in figures)
@@ -27,9 +34,18 @@ def test_solution_runs_to_its_end_with_its_figures_and_every_check_passed(folder
 
 
 def test_untouched_notebook_only_says_what_is_not_written(folder):
-    """Nothing but NotImplementedError is raised, and a check cell says in words that its function waits."""
+    """Nothing but NotImplementedError is raised, and a check cell says in words that its function
+    waits.
+    """
     cells = run_notebook(notebook_path(folder).read_text(encoding="utf-8"), folder, go_on=True)
-    raised = {(error, cell.source) for cell in cells for error in cell.errors if error != "NotImplementedError"}
+    raised = {
+        (error, cell.source)
+        for cell in cells
+        for error in cell.errors
+        if error != "NotImplementedError"
+    }
     assert raised == set()
     checks = [cell for cell in cells if cell.kind == "check"]
-    assert checks and all(f"{cell.name}: not written yet" in cell.printed and not cell.errors for cell in checks)
+    assert checks and all(
+        f"{cell.name}: not written yet" in cell.printed and not cell.errors for cell in checks
+    )

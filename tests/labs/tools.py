@@ -1,4 +1,6 @@
-"""Programs beside Python that the tests of labs need: in CI a missing one fails, elsewhere it skips."""
+"""Programs beside Python that the tests of labs need: in CI a missing one fails, elsewhere it
+skips.
+"""
 
 import os
 import shutil
@@ -9,4 +11,6 @@ import pytest
 def require_box() -> None:
     """Bubblewrap, which makes the grader's box."""
     if shutil.which("bwrap") is None:
-        (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)("want bubblewrap for the box, found none")
+        (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(
+            "expected bubblewrap for the box, found none"
+        )

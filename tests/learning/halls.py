@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from falconwing_kit.learning.pose_views import World, finer, looker
+from falconwing_kit.learning.pose_views import ViewSource, make_renderer, upscale_camera
 from falconwing_kit.scene import PinholeCamera, load_scene, render
 from falconwing_kit.scene.arena import leader_at
 from falconwing_kit.tools.capture.photo_files import Reconstruction, write_reconstruction
@@ -24,17 +24,26 @@ def hall():
 
 def world(**changes):
     """The corner around the marker, by the CPU's renderer."""
-    given = {"look": looker(hall(), finer(CAMERA), "fast"), "camera": CAMERA, "low": LOW, "high": HIGH}
-    return World(**(given | changes))
+    given = {
+        "render_hall": make_renderer(hall(), upscale_camera(CAMERA), "fast"),
+        "camera": CAMERA,
+        "low": LOW,
+        "high": HIGH,
+    }
+    return ViewSource(**(given | changes))
 
 
 def photos_of(Ts_world_camera):
     """Renders as if they were photos, of the fine camera's size."""
-    camera = finer(CAMERA)
-    images = np.stack([np.round(255.0 * render(hall(), camera, T).rgb).astype(np.uint8) for T in Ts_world_camera])
+    camera = upscale_camera(CAMERA)
+    images = np.stack(
+        [np.round(255.0 * render(hall(), camera, T).rgb).astype(np.uint8) for T in Ts_world_camera]
+    )
     names = tuple(f"{k:03}.png" for k in range(len(images)))
     poses = torch.from_numpy(np.asarray(Ts_world_camera)).float()
-    return Photos(names, camera, torch.from_numpy(images), None, torch.ones(96, 128, dtype=torch.bool), poses)
+    return Photos(
+        names, camera, torch.from_numpy(images), None, torch.ones(96, 128, dtype=torch.bool), poses
+    )
 
 
 def write_photos(folder, Ts_world_camera, aligned=True):
@@ -43,5 +52,7 @@ def write_photos(folder, Ts_world_camera, aligned=True):
     (folder / "photos").mkdir(parents=True)
     for name, image in zip(photos.names, photos.images.numpy(), strict=True):
         Image.fromarray(image).save(folder / "photos" / name)
-    found = Reconstruction(photos.camera, photos.names, folder / "photos", np.asarray(Ts_world_camera), aligned=aligned)
+    found = Reconstruction(
+        photos.camera, photos.names, folder / "photos", np.asarray(Ts_world_camera), aligned=aligned
+    )
     return write_reconstruction(folder, found)

@@ -1,4 +1,6 @@
-"""The loop: losses that are smallest at the truth, a training that learns, and one that goes on after a stop."""
+"""The loop: losses that are smallest at the truth, a training that learns, and one that goes on
+after a stop.
+"""
 
 import numpy as np
 import pytest
@@ -6,15 +8,22 @@ import torch
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.learning import pose_net_loop
-from falconwing_kit.learning.pose_net_loop import STATE, Plan, Trainer, losses
-from falconwing_kit.learning.pose_views import take
+from falconwing_kit.learning.pose_net_loop import STATE, PoseNetTrainer, TrainSchedule, losses
+from falconwing_kit.learning.pose_views import sample_views
 from falconwing_kit.scene import nose_camera_pose
 from falconwing_kit.vision.pose_net import cell_rays
-from falconwing_kit.vision.pose_network import Answer, PoseNetwork, Shape, fused, rotations, turn_between
+from falconwing_kit.vision.pose_network import (
+    PoseNetOutput,
+    PoseNetShape,
+    PoseNetwork,
+    fuse_pose,
+    rotations,
+    so3_log_between,
+)
 from tests.learning.halls import CAMERA, HIGH, LOW, photos_of, world
 
-SHAPE = Shape(width=64, height=48, features=48, layers=2, heads=3)
-QUICK = Plan(steps=6, minutes=10.0, batch=4, fresh=2, pool=20, first=4)
+SHAPE = PoseNetShape(width=64, height=48, features=48, layers=2, heads=3)
+QUICK = TrainSchedule(steps=6, minutes=10.0, batch=4, fresh=2, pool=20, first=4)
 RAYS = torch.from_numpy(cell_rays(CAMERA)).float()
 
 
@@ -25,22 +34,26 @@ def network(seed=0):
 
 @pytest.fixture(scope="module")
 def views():
-    return take(world(), 6, np.random.default_rng(0))
+    return sample_views(world(), 6, np.random.default_rng(0))
 
 
 def truth_about(views):
-    """What a perfect network would say, by the views' own poses and depths; angles by SciPy's Euler sequence."""
+    """What a perfect network would say, by the views' own poses and depths; angles by SciPy's Euler
+    sequence.
+    """
     from scipy.spatial.transform import Rotation
 
     T = views.Ts_world_camera.numpy().astype(np.float64)
-    R_ned_body = np.diag([1.0, -1, -1]) @ T[:, :3, :3] @ np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    R_ned_body = (
+        np.diag([1.0, -1, -1]) @ T[:, :3, :3] @ np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    )
     yaw, pitch, roll = Rotation.from_matrix(R_ned_body).as_euler("ZYX").T
     angles = torch.from_numpy(np.stack([roll, pitch, yaw], axis=1)).float()
     rays = RAYS.numpy()
     reach = np.where(views.depths.numpy() > 0.0, views.depths.numpy(), 1.0)[..., None] / rays[:, 2:]
     points = T[:, None, :3, 3] + reach * np.einsum("nij,kj->nki", T[:, :3, :3], rays)
     count = len(T)
-    return Answer(
+    return PoseNetOutput(
         place=views.Ts_world_camera[:, :3, 3].clone(),
         log_sigma_place=torch.full((count, 3), np.log(0.3)),
         sincos=torch.stack([angles.sin(), angles.cos()], dim=-1),
@@ -64,21 +77,29 @@ def test_every_loss_is_smallest_at_the_truth(views, what):
     generator = torch.Generator().manual_seed(0)
     for _ in range(5):
         value = getattr(truth, what)
-        pushed = truth._replace(**{what: value + 0.1 * torch.randn(value.shape, generator=generator)})
+        pushed = truth._replace(
+            **{what: value + 0.1 * torch.randn(value.shape, generator=generator)}
+        )
         assert loss_of(pushed, views)[name] > best[name] + 1e-3
         assert loss_of(pushed, views)["fused"] > best["fused"]
 
 
 def test_token_loss_is_the_gaussian_s(views):
-    """By hand for one sigma of 0.3 in x: half of the squared number of sigmas, times the sigma as its weight."""
+    """By hand for one sigma of 0.3 in x: half of the squared number of sigmas, times the sigma as
+    its weight.
+    """
     truth = truth_about(views)
     off = truth._replace(place=truth.place + torch.tensor([0.3, 0.0, 0.0]))
-    assert float(loss_of(off, views)["token"] - loss_of(truth, views)["token"]) == pytest.approx(0.15, abs=1e-4)
+    assert float(loss_of(off, views)["token"] - loss_of(truth, views)["token"]) == pytest.approx(
+        0.15, abs=1e-4
+    )
 
 
 @pytest.mark.parametrize(("sigma", "wish"), [(0.2, -1), (0.3, 0), (0.45, 1)])
 def test_best_sigma_is_the_error(views, sigma, wish):
-    """By hand: for an error of 0.3 m in each axis a sigma of 0.3 m wants to stay, a smaller one to grow, and so on."""
+    """By hand: for an error of 0.3 m in each axis a sigma of 0.3 m wants to stay, a smaller one to
+    grow, and so on.
+    """
     truth = truth_about(views)
     log_sigma = torch.full_like(truth.place, np.log(sigma)).requires_grad_(True)
     off = truth._replace(place=truth.place + 0.3, log_sigma_place=log_sigma)
@@ -95,77 +116,102 @@ def test_hidden_cells_do_not_count(views):
     astray[:, :10] += 3.0
     clear = torch.ones(len(views.images), 48, 64, dtype=torch.bool)
     first, second = (
-        losses(truth._replace(points=p), hidden, clear, RAYS, torch.tensor(-3.0)) for p in (truth.points, astray)
+        losses(truth._replace(points=p), hidden, clear, RAYS, torch.tensor(-3.0))
+        for p in (truth.points, astray)
     )
     assert torch.equal(first["points"], second["points"])
     clear[:, :8] = False  # the upper row of cells
     astray = truth.points.clone()
     astray[:, :8] += 3.0
     first, second = (
-        losses(truth._replace(points=p), views, clear, RAYS, torch.tensor(-3.0)) for p in (truth.points, astray)
+        losses(truth._replace(points=p), views, clear, RAYS, torch.tensor(-3.0))
+        for p in (truth.points, astray)
     )
     assert torch.equal(first["points"], second["points"])
 
 
 def test_training_in_miniature_learns():
-    """Near one photo, 0.7 m and 10 deg per axis around it: fresh views are placed and turned better than by the photo's
-    own pose, which is the best guess without looking; a flipped sign or axis anywhere makes it worse than that."""
+    """Near one photo, 0.7 m and 10 deg per axis around it: fresh views are placed and turned better
+    than by the photo's own pose, which is the best guess without looking; a flipped sign or axis
+    anywhere makes it worse than that.
+    """
     ahead = nose_camera_pose((-5.0, -1.0, 1.5), 0.1, -0.1, 0.2)
     near = world(photos=photos_of([ahead]), photo_share=0.1, near_share=0.9)
-    plan, told = Plan(steps=200, minutes=10.0, batch=24, fresh=2, pool=2000, first=150, rate=2e-3), []
-    trained = Trainer(network(), near, plan).run(told.append)
-    views = take(world(photos=photos_of([ahead]), photo_share=0.0, near_share=1.0), 80, np.random.default_rng(99))
+    plan, told = (
+        TrainSchedule(steps=200, minutes=10.0, batch=24, fresh=2, pool=2000, first=150, rate=2e-3),
+        [],
+    )
+    trained = PoseNetTrainer(network(), near, plan).run(told.append)
+    views = sample_views(
+        world(photos=photos_of([ahead]), photo_share=0.0, near_share=1.0),
+        80,
+        np.random.default_rng(99),
+    )
     with torch.no_grad():
         answer = trained(views.images.float() / 255.0)
-        R, place, _ = fused(answer, RAYS, trained.log_trust)
+        R, place, _ = fuse_pose(answer, RAYS, trained.log_trust)
     guess = torch.from_numpy(ahead).float()
     R_truth, truth = views.Ts_world_camera[:, :3, :3], views.Ts_world_camera[:, :3, 3]
     for R_said, said in ((rotations(answer.sincos), answer.place), (R, place)):
         turn, blind = (
-            turn_between(R_truth, each).norm(dim=1).median() for each in (R_said, guess[:3, :3].expand_as(R))
+            so3_log_between(R_truth, each).norm(dim=1).median()
+            for each in (R_said, guess[:3, :3].expand_as(R))
         )
         assert turn < 0.6 * blind
-        assert (said - truth).norm(dim=1).median() < 0.9 * (guess[:3, 3] - truth).norm(dim=1).median()
+        assert (said - truth).norm(dim=1).median() < 0.9 * (guess[:3, 3] - truth).norm(
+            dim=1
+        ).median()
     assert len(told) == 2
 
 
 def test_an_interrupted_training_goes_on(tmp_path, monkeypatch):
-    """Stopped in its fourth step, it does the remaining three, not six, and keeps what it had learnt."""
-    monkeypatch.setattr(pose_net_loop, "KEEP_S", -1.0)  # keep every step
+    """Stopped in its fourth step, it does the remaining three, not six, and keeps what it had
+    learnt.
+    """
+    monkeypatch.setattr(pose_net_loop, "SAVE_PERIOD_S", -1.0)  # keep every step
     whole, calls = world(), []
 
     def stopping(Ts_world_camera):
         calls.append(len(Ts_world_camera))
         if len(calls) == 2 + 4:  # two for the first views, then one a step
             raise KeyboardInterrupt
-        return whole.look(Ts_world_camera)
+        return whole.render_hall(Ts_world_camera)
 
     with pytest.raises(KeyboardInterrupt):
-        Trainer(network(), world(look=stopping), QUICK, tmp_path).run()
-    second = Trainer(network(seed=1), world(), QUICK, tmp_path)
+        PoseNetTrainer(network(), world(render_hall=stopping), QUICK, tmp_path).run()
+    second = PoseNetTrainer(network(seed=1), world(), QUICK, tmp_path)
     second.run()
     assert second.step == QUICK.steps
-    third = Trainer(network(seed=2), world(), QUICK, tmp_path)
+    third = PoseNetTrainer(network(seed=2), world(), QUICK, tmp_path)
     done = third.run()
     assert third.step == QUICK.steps
     assert all(
-        torch.equal(a, b) for a, b in zip(done.state_dict().values(), second.average.state_dict().values(), strict=True)
+        torch.equal(a, b)
+        for a, b in zip(
+            done.state_dict().values(), second.average.state_dict().values(), strict=True
+        )
     )
 
 
 def test_another_plan_and_a_damaged_state_are_refused(tmp_path):
     """A kept state is of one plan and one network."""
-    Trainer(network(), world(), QUICK, tmp_path).run()
-    with pytest.raises(InputError, match="want the settings"):
-        Trainer(network(), world(), Plan(steps=7, batch=4, fresh=2, pool=20, first=4), tmp_path).run()
+    PoseNetTrainer(network(), world(), QUICK, tmp_path).run()
+    with pytest.raises(InputError, match="expected the settings"):
+        PoseNetTrainer(
+            network(), world(), TrainSchedule(steps=7, batch=4, fresh=2, pool=20, first=4), tmp_path
+        ).run()
     (tmp_path / STATE).write_bytes((tmp_path / STATE).read_bytes()[:1000])
     with pytest.raises(InputError, match="damaged"):
-        Trainer(network(), world(), QUICK, tmp_path).run()
+        PoseNetTrainer(network(), world(), QUICK, tmp_path).run()
 
 
 def test_time_ends_a_training_too():
     """With no minutes to go, one step is enough to see that; the pool must not be waited for."""
-    trainer = Trainer(network(), world(), Plan(steps=1000, minutes=1e-4, batch=4, fresh=2, pool=20, first=4))
+    trainer = PoseNetTrainer(
+        network(),
+        world(),
+        TrainSchedule(steps=1000, minutes=1e-4, batch=4, fresh=2, pool=20, first=4),
+    )
     trainer.run()
     assert trainer.step < 10
 
@@ -177,5 +223,5 @@ def test_a_scene_without_a_hall_is_refused():
         empty = torch.zeros(len(Ts_world_camera), 96, 128)
         return torch.zeros(*empty.shape, 3), empty, empty
 
-    with pytest.raises(InputError, match="want views that show a hall"):
-        Trainer(network(), world(look=nothing), QUICK).run()
+    with pytest.raises(InputError, match="expected views that show a hall"):
+        PoseNetTrainer(network(), world(render_hall=nothing), QUICK).run()

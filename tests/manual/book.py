@@ -44,10 +44,14 @@ def cost_s():
 
 @cache
 def elements(selector):
-    """What typst finds in the source: a label such as "<command>", or a kind of element such as "enum"."""
+    """What typst finds in the source: a label such as "<command>", or a kind of element such as
+    "enum".
+    """
     import typst
 
-    return json.loads(typst.query(str(MANUAL / "manual.typ"), selector, **script("build.py").where()))
+    return json.loads(
+        typst.query(str(MANUAL / "manual.typ"), selector, **script("build.py").where())
+    )
 
 
 def commands():
@@ -57,7 +61,9 @@ def commands():
 
 @cache
 def pdf_objects():
-    """Everything in the PDF that can be read: its own bytes and every compressed stream of objects, as text."""
+    """Everything in the PDF that can be read: its own bytes and every compressed stream of objects,
+    as text.
+    """
     parts = [pdf()]
     for stream in re.findall(rb"stream\r?\n(.*?)\r?\nendstream", pdf(), re.DOTALL):
         try:

@@ -1,4 +1,6 @@
-"""Every command in the manual is typed here, or named as needing hardware with its rehearsal beside it."""
+"""Every command in the manual is typed here, or named as needing hardware with its rehearsal beside
+it.
+"""
 
 import io
 import re
@@ -18,9 +20,12 @@ from tests.firmware.chip import require_tools
 from tests.manual.book import MANUAL, ROOT, commands, elements, page
 
 RUNS = list(dict.fromkeys(line for kind, line in commands() if kind == "runs"))
-LONG = ("identify", "gap")  # these leave nothing for the commands after them, and README's test types them too
-# What sets up the reader's machine or needs half a gigabyte: start.py has tests/house/test_start.py, the bracket
-# tests/hardware/test_bracket.py.
+LONG = (
+    "identify",
+    "gap",
+)  # these leave nothing for the commands after them, and README's test types them too
+# What sets up the reader's machine or needs half a gigabyte: start.py has
+# tests/house/test_start.py, the bracket tests/hardware/test_bracket.py.
 MACHINE = {
     "python3 start.py demo",
     '.venv/bin/pip install -c constraints.txt -e ".[cad]"',
@@ -28,7 +33,11 @@ MACHINE = {
 }
 
 
-NO_COMMANDS = {"source .venv/bin/activate", "python3 start.py", "py start.py demo"}  # in words, or to be completed
+NO_COMMANDS = {
+    "source .venv/bin/activate",
+    "python3 start.py",
+    "py start.py demo",
+}  # in words, or to be completed
 
 
 @pytest.fixture(scope="module")
@@ -45,11 +54,15 @@ def folder(tmp_path_factory):
 
 
 def test_no_command_escapes():
-    """Whatever looks like a command, in a block or in a line, was given as one, or is the map's or a mere verb."""
+    """Whatever looks like a command, in a block or in a line, was given as one, or is the map's or
+    a mere verb.
+    """
     known = {line for _, line in commands()}
     known |= set(re.findall(r"`([^`]+)`", (MANUAL / "03_paper_map.md").read_text("utf-8")))
     known |= {f"falconwing {name}" for name, *_ in VERBS} | {"falconwing"}
-    known |= {"falconwing size --parts kit"}  # in assembly.toml; typed here because chapter 3 prints it too
+    known |= {
+        "falconwing size --parts kit"
+    }  # in assembly.toml; typed here because chapter 3 prints it too
     shown = {found["text"] for found in elements("raw")}
     typed = re.compile(r"falconwing(?: |$)|python3? |\.venv/|pip |py |source ")
     assert {text for text in shown if typed.match(text)} - known <= NO_COMMANDS
@@ -60,7 +73,9 @@ def test_no_command_escapes():
 @pytest.mark.filterwarnings("ignore:the calibration")
 @pytest.mark.parametrize("line", [line for line in RUNS if line.split()[1] not in LONG])
 def test_command_runs(line, folder, monkeypatch, capsys):
-    """Typed as printed, with no terminal to answer; 0 means done (no board is a no), and what --out names is there."""
+    """Typed as printed, with no terminal to answer; 0 means done (no board is a no), and what --out
+    names is there.
+    """
     monkeypatch.chdir(folder)
     monkeypatch.setattr("sys.stdin", io.StringIO())
     words = shlex.split(line)[1:]
@@ -91,7 +106,9 @@ def test_commands_of_the_photos_are_those_of_their_page():
 
 
 def test_hardware_has_a_rehearsal_beside_it():
-    """Behind every command with a real port stands one of the same verb with a simulated one, and it is typed above."""
+    """Behind every command with a real port stands one of the same verb with a simulated one, and
+    it is typed above.
+    """
     listed = commands()
     needing = [k for k, (kind, _) in enumerate(listed) if kind == "hardware"]
     assert len(needing) >= 7
@@ -106,9 +123,14 @@ def test_hardware_commands_are_understood(monkeypatch):
     """The verb takes these words; nothing is opened."""
     import importlib
 
-    modules = {name: (f"falconwing_kit.tools.cli.{module}", class_name) for name, module, class_name, _ in VERBS}
+    modules = {
+        name: (f"falconwing_kit.tools.cli.{module}", class_name)
+        for name, module, class_name, _ in VERBS
+    }
     for kind, line in commands():
         if kind == "hardware":
             module, class_name = modules[line.split()[1]]
-            monkeypatch.setattr(getattr(importlib.import_module(module), class_name), "run", lambda settings: 0)
+            monkeypatch.setattr(
+                getattr(importlib.import_module(module), class_name), "run", lambda settings: 0
+            )
             assert main(shlex.split(line)[1:]) == 0

@@ -5,13 +5,19 @@ import re
 from tests.manual.book import MANUAL, ROOT, script
 
 GALLERY = (MANUAL / "gallery.md").read_text(encoding="utf-8")
-ENTRY = re.compile(r"^!\[([^\]]+)\]\(figures/([\w.]+)\)\n\n`([^`]+)`\n\n(.*?)\n\n", re.MULTILINE | re.DOTALL)
+ENTRY = re.compile(
+    r"^!\[([^\]]+)\]\(figures/([\w.]+)\)\n\n`([^`]+)`\n\n(.*?)\n\n", re.MULTILINE | re.DOTALL
+)
 
 
 def test_every_figure_is_shown_once_in_its_own_words():
     """The folder's pictures against the page; the words are those of the file beside the picture."""
     entries = ENTRY.findall(GALLERY)
-    pictures = {path.name for path in (MANUAL / "figures").iterdir() if path.suffix in (".svg", ".png", ".jpg")}
+    pictures = {
+        path.name
+        for path in (MANUAL / "figures").iterdir()
+        if path.suffix in (".svg", ".png", ".jpg")
+    }
     assert len(entries) == len(pictures) >= 12 and {name for _, name, _, _ in entries} == pictures
     for alt, name, _, words in entries:
         said = (MANUAL / "figures" / name).with_suffix(".txt").read_text(encoding="utf-8").strip()

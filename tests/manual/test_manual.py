@@ -8,7 +8,19 @@ import tomllib
 import pytest
 
 from falconwing_kit.tools.hardware.parts import load_parts, roll_up
-from tests.manual.book import MANUAL, ROOT, Page, commands, cost_s, elements, html, page, pdf, pdf_objects, script
+from tests.manual.book import (
+    MANUAL,
+    ROOT,
+    Page,
+    commands,
+    cost_s,
+    elements,
+    html,
+    page,
+    pdf,
+    pdf_objects,
+    script,
+)
 
 FIGURES = MANUAL / "figures"
 CHAPTERS = [
@@ -27,7 +39,9 @@ def test_one_command_writes_both(tmp_path, capsys):
     """The files begin as the formats' specifications say, and the program names them."""
     assert script("build.py").main(["--out", str(tmp_path / "new")]) == 0
     assert (tmp_path / "new" / "manual.pdf").read_bytes().startswith(b"%PDF-")
-    assert (tmp_path / "new" / "manual.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert (
+        (tmp_path / "new" / "manual.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    )
     assert "manual.html" in capsys.readouterr().out
 
 
@@ -53,7 +67,9 @@ def test_length_is_that_of_the_paper():
 
 
 def test_steps_are_the_same_in_both_forms():
-    """List items of the HTML and tagged ones of the PDF, against the source; nothing may vanish from one."""
+    """List items of the HTML and tagged ones of the PDF, against the source; nothing may vanish
+    from one.
+    """
     items = [parents for _, parents in page().all("li") if "nav" not in parents]
     numbered = [parents for parents in items if parents[-1] == "ol"]
     assert len(numbered) == in_lists() > 80
@@ -75,7 +91,9 @@ def test_steps_from_data_are_all_there():
 
 
 def test_minutes_stay_under_the_papers_ten_hours():
-    """Added by hand here; the page says the same, and the checklists' lengths that other steps speak of."""
+    """Added by hand here; the page says the same, and the checklists' lengths that other steps
+    speak of.
+    """
     with (MANUAL / "assembly.toml").open("rb") as file:
         minutes = [step["minutes"] for step in tomllib.load(file)["steps"]]
     assert sum(minutes) < 600
@@ -98,13 +116,18 @@ def test_minutes_stay_under_the_papers_ten_hours():
 
 
 def test_every_figure_has_words_and_is_in_both():
-    """Twelve or more, each with its file's words as text alternative, a picture in the HTML and tagged in the PDF."""
+    """Twelve or more, each with its file's words as text alternative, a picture in the HTML and
+    tagged in the PDF.
+    """
     images, figures = page().all("img"), elements("image")
     assert len(images) == len(figures) >= 12
     named = re.findall(r'#fig\("([^"]+)"', all_chapters())
     assert len(named) == len(set(named)) == len(images)
     for (attributes, _), name in zip(images, named, strict=True):
-        assert attributes["alt"] == (FIGURES / name).with_suffix(".txt").read_text(encoding="utf-8").strip()
+        assert (
+            attributes["alt"]
+            == (FIGURES / name).with_suffix(".txt").read_text(encoding="utf-8").strip()
+        )
         assert len(attributes["alt"]) > 80 and attributes["src"].startswith("data:image/")
     assert len(re.findall(r"/S\s*/Figure\b", pdf_objects())) == len(images)
     assert len(re.findall(r"/Alt\s*[(<]", pdf_objects())) >= len(images)
@@ -133,10 +156,18 @@ def test_tables_of_parts_are_the_list():
 
 def test_map_of_the_paper_is_printed_as_it_stands():
     """Every cell of its tables, code marks and subscripts taken off, stands in the HTML."""
-    rows = [line for line in (MANUAL / "03_paper_map.md").read_text("utf-8").splitlines() if line.startswith("| ")]
+    rows = [
+        line
+        for line in (MANUAL / "03_paper_map.md").read_text("utf-8").splitlines()
+        if line.startswith("| ")
+    ]
     squeezed = re.sub(r"[\s_{}]", "", page().text)
     cells = [cell.strip() for row in rows for cell in row.strip("|").split("|")]
-    missing = [c for c in cells if re.sub(r"[\s_{}`]", "", c.replace('"', "")) not in re.sub('[“”"]', "", squeezed)]
+    missing = [
+        c
+        for c in cells
+        if re.sub(r"[\s_{}`]", "", c.replace('"', "")) not in re.sub('[“”"]', "", squeezed)
+    ]
     assert len(cells) > 150 and missing == []
 
 
@@ -148,35 +179,50 @@ def test_paths_in_the_manual_lead_somewhere():
 
 
 def test_no_sentence_claims_a_photograph():
-    """Figures and captions say drawn, computed or simulated; none says that it was taken with a camera."""
+    """Figures and captions say drawn, computed or simulated; none says that it was taken with a
+    camera.
+    """
     words = [path.read_text("utf-8") for path in FIGURES.glob("*.txt")]
     words += re.findall(r"<figcaption>(.*?)</figcaption>", html(), re.DOTALL)
-    claim = re.compile(r"\b(photograph|photo of|snapshot|taken with|shot (?:of|by|with))", re.IGNORECASE)
+    claim = re.compile(
+        r"\b(photograph|photo of|snapshot|taken with|shot (?:of|by|with))", re.IGNORECASE
+    )
     assert len(words) > 30 and [text for text in words if claim.search(text)] == []
     renders = re.findall(r'#fig\("([^"]+\.(?:jpg|png))"[^\[]*\[(.*?)\]', all_chapters(), re.DOTALL)
     assert len(renders) >= 5
-    assert [name for name, text in renders if not re.search(r"[Ss]imulated|[Cc]omputed", text)] == []
+    assert [
+        name for name, text in renders if not re.search(r"[Ss]imulated|[Cc]omputed", text)
+    ] == []
 
 
 def test_nothing_is_fetched_when_it_is_read_or_built():
     """The HTML asks no other machine; the source imports no package."""
     assert [a for a, _ in page().all("script") + page().all("link")] == []
     assert not re.search(r'(?:src|href)="https?:', html())
-    sources = [path.read_text("utf-8") for path in [*MANUAL.glob("*.typ"), *MANUAL.glob("chapters/*.typ")]]
+    sources = [
+        path.read_text("utf-8") for path in [*MANUAL.glob("*.typ"), *MANUAL.glob("chapters/*.typ")]
+    ]
     assert len(sources) == 9 and not any("@preview" in text for text in sources)
 
 
 def test_honest_status_is_said_before_anything_is_bought():
     """On the first chapter's page, and again at the end."""
     first = page().text[: page().text.index("2 Safety", 1500)]
-    assert "No aircraft has been built by this manual" in first and "no camera pilot comes with this version" in first
+    assert (
+        "No aircraft has been built by this manual" in first
+        and "no camera pilot comes with this version" in first
+    )
 
 
 def test_counter_sees_what_is_missing():
     """The reader of HTML by a page written by hand: two steps, one image without words."""
     small = Page("<nav><ol><li>a</li></ol></nav><ol><li>b<img src='x'></li><li>c</li></ol>")
     assert [parents[-1] for _, parents in small.all("li")] == ["ol", "ol", "ol"]
-    assert [a.get("alt") for a, _ in small.all("img")] == [None] and small.text.split() == ["a", "b", "c"]
+    assert [a.get("alt") for a, _ in small.all("img")] == [None] and small.text.split() == [
+        "a",
+        "b",
+        "c",
+    ]
     assert pdf().startswith(b"%PDF-") and commands()
 
 
@@ -185,20 +231,26 @@ def all_chapters():
     return "".join(path.read_text("utf-8") for path in sorted(MANUAL.glob("chapters/*.typ")))
 
 
-@pytest.mark.parametrize("name", ["loop", "aircraft", "hours", "ppm", "safety", "surfaces", "photo_lanes", "sticks"])
+@pytest.mark.parametrize(
+    "name", ["loop", "aircraft", "hours", "ppm", "safety", "surfaces", "photo_lanes", "sticks"]
+)
 def test_drawings_are_what_the_command_makes(name, tmp_path):
     """Letter by letter; numbers to a hundredth of a point, for another machine rounds another way."""
     assert script("figures/make_figures.py").main([name, "--out", str(tmp_path)]) == 0
     number = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
     for kind in ("svg", "txt"):
-        ours, again = ((folder / f"{name}.{kind}").read_text("utf-8") for folder in (FIGURES, tmp_path))
+        ours, again = (
+            (folder / f"{name}.{kind}").read_text("utf-8") for folder in (FIGURES, tmp_path)
+        )
         assert number.sub("#", ours) == number.sub("#", again)
         values = [[float(text) for text in number.findall(content)] for content in (ours, again)]
         assert values[0] == pytest.approx(values[1], abs=1e-2)
 
 
 def test_monitor_says_of_the_pictures_what_the_caption_says(tmp_path):
-    """Drawn again: clean no alarm, the other three an alarm, in the pictures that the caption counts."""
+    """Drawn again: clean no alarm, the other three an alarm, in the pictures that the caption
+    counts.
+    """
     assert script("figures/make_figures.py").main(["pictures", "--out", str(tmp_path)]) == 0
     said = (tmp_path / "pictures.txt").read_text("utf-8")
     alarms = re.findall(r"alarm in picture (\d+)", said)
@@ -210,4 +262,4 @@ def test_a_wrong_figure_is_refused(capsys):
     """One sentence and exit code 2, argparse's own."""
     with pytest.raises(SystemExit) as end:
         script("figures/make_figures.py").main(["nothing"])
-    assert end.value.code == 2 and "want names of" in capsys.readouterr().err
+    assert end.value.code == 2 and "expected names of" in capsys.readouterr().err

@@ -1,4 +1,6 @@
-"""24 photos of the path-traced hall: from files to an alignment, once for all tests that look at the result."""
+"""24 photos of the path-traced hall: from files to an alignment, once for all tests that look at
+the result.
+"""
 
 import shutil
 import tempfile

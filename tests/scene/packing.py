@@ -1,4 +1,6 @@
-"""Scene files packed by hand, byte by byte from each format's specification; no line is shared with the readers."""
+"""Scene files packed by hand, byte by byte from each format's specification; no line is shared with
+the readers.
+"""
 
 import gzip
 import io
@@ -18,7 +20,10 @@ def ply_bytes(elements, body, format_line="format binary_little_endian 1.0", com
     """A PLY from (name, count, [(type, property), ...]) of its elements and the rows as bytes."""
     lines = ["ply", format_line, *comments]
     for name, count, properties in elements:
-        lines += [f"element {name} {count}", *(f"property {kind} {label}" for kind, label in properties)]
+        lines += [
+            f"element {name} {count}",
+            *(f"property {kind} {label}" for kind, label in properties),
+        ]
     return "\n".join([*lines, "end_header", ""]).encode() + body
 
 
@@ -30,11 +35,18 @@ def plain_ply(rows, rest=0, **how):
 
 
 def compressed_ply(chunks, words, sh=None, colors=True):
-    """A PlayCanvas .ply from rows of 18 (or 12) floats per chunk, four words per Gaussian, and rows of SH bytes."""
-    axes = [f"{end}_{kind}{axis}" for kind in ("", "scale_") for end in ("min", "max") for axis in "xyz"]
+    """A PlayCanvas .ply from rows of 18 (or 12) floats per chunk, four words per Gaussian, and rows
+    of SH bytes.
+    """
+    axes = [
+        f"{end}_{kind}{axis}" for kind in ("", "scale_") for end in ("min", "max") for axis in "xyz"
+    ]
     axes += [f"{end}_{axis}" for end in ("min", "max") for axis in "rgb"] if colors else []
     packed = [("uint", f"packed_{what}") for what in ("position", "rotation", "scale", "color")]
-    elements = [("chunk", len(chunks), [("float", axis) for axis in axes]), ("vertex", len(words), packed)]
+    elements = [
+        ("chunk", len(chunks), [("float", axis) for axis in axes]),
+        ("vertex", len(words), packed),
+    ]
     body = b"".join(struct.pack(f"<{len(axes)}f", *row) for row in chunks)
     body += b"".join(struct.pack("<4I", *row) for row in words)
     if sh is not None:
@@ -44,7 +56,18 @@ def compressed_ply(chunks, words, sh=None, colors=True):
 
 
 def spz_payload(
-    version, positions, opacities, colors, scales, rotations, sh=b"", *, count=1, degree=0, bits=12, flags=0
+    version,
+    positions,
+    opacities,
+    colors,
+    scales,
+    rotations,
+    sh=b"",
+    *,
+    count=1,
+    degree=0,
+    bits=12,
+    flags=0,
 ):
     """The inside of an SPZ: its header of 16 bytes and its six arrays."""
     header = b"NGSP" + struct.pack("<IIBBBB", version, count, degree, bits, flags, 0)
@@ -66,16 +89,24 @@ def webp(pixels):
     import cv2
 
     bgra = np.asarray(pixels, np.uint8)[..., [2, 1, 0, 3]]
-    done, data = cv2.imencode(".webp", bgra, [cv2.IMWRITE_WEBP_QUALITY, 101])  # above 100 is lossless
+    done, data = cv2.imencode(
+        ".webp", bgra, [cv2.IMWRITE_WEBP_QUALITY, 101]
+    )  # above 100 is lossless
     assert done
     return data.tobytes()
 
 
 def sog_files(rng=None):
-    """The files of a SOG: one known Gaussian with SH degree 1, then seven of noise if there is an `rng`."""
+    """The files of a SOG: one known Gaussian with SH degree 1, then seven of noise if there is an
+    `rng`.
+    """
 
     def image(first, low=0):
-        pixels = np.full((2, 4, 4), 255, np.uint8) if rng is None else rng.integers(low, 256, (2, 4, 4), dtype=np.uint8)
+        pixels = (
+            np.full((2, 4, 4), 255, np.uint8)
+            if rng is None
+            else rng.integers(low, 256, (2, 4, 4), dtype=np.uint8)
+        )
         pixels[..., 3] |= 252  # alpha 0 would let the encoder change the colours
         pixels[0, 0] = first
         return webp(pixels)
@@ -92,7 +123,11 @@ def sog_files(rng=None):
     meta = {
         "version": 2,
         "count": 1 if rng is None else 8,
-        "means": {"mins": [0, -np.log(2), -1], "maxs": [np.log(4), 0, 1], "files": ["means_l.webp", "means_u.webp"]},
+        "means": {
+            "mins": [0, -np.log(2), -1],
+            "maxs": [np.log(4), 0, 1],
+            "files": ["means_l.webp", "means_u.webp"],
+        },
         "scales": {"codebook": [-2, 0, 1], "files": ["scales.webp"]},
         "quats": {"files": ["quats.webp"]},
         "sh0": {"codebook": [-1, 0, 2], "files": ["sh0.webp"]},

@@ -1,4 +1,6 @@
-"""The arena is a closed hall with pad, marker and leader in their places, and the marker can be read off its images."""
+"""The arena is a closed hall with pad, marker and leader in their places, and the marker can be
+read off its images.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose,
 from falconwing_kit.scene import arena as builder
 from falconwing_kit.scene.arena import MARKER_ID, build_arena, leader_at, load_scene
 
-CAMERA = PinholeCamera.from_fov_deg(640, 480, 77.8)  # the lens of the hall's flights, 0.62 of the width
+CAMERA = PinholeCamera.from_fov_deg(
+    640, 480, 77.8
+)  # the lens of the hall's flights, 0.62 of the width
 VIEWS = [  # x, y, z [m], roll, pitch, yaw [deg]
     (-20.0, -2.0, 1.5, 0.0, -3.0, 0.0),
     (-5.0, -1.0, 1.0, 5.0, 0.0, 20.0),
@@ -44,7 +48,9 @@ def test_same_seed_gives_the_same_bits(arena):
 
 
 def test_another_seed_changes_the_walls_and_leaves_pad_and_marker_in_place(arena):
-    """The plan: only finishes marked `varies` and posters change; a hue turned by 0.15 or more is no rounding."""
+    """The plan: only finishes marked `varies` and posters change; a hue turned by 0.15 or more is
+    no rounding.
+    """
     other = build_arena(1)
     for label in ("pad", "marker", "leader", "floor"):
         mine, yours = (scene.selected(scene.labelled(label)) for scene in (arena, other))
@@ -65,7 +71,9 @@ def test_another_seed_changes_the_walls_and_leaves_pad_and_marker_in_place(arena
     ],
 )
 def test_walls_stand_where_the_design_says(hall, pose, distance):
-    """DESIGN, section 3: 40 x 20 x 5 m, x from -22.5, y from -12. 2 %: what shows through gaps lies a metre behind."""
+    """DESIGN, section 3: 40 x 20 x 5 m, x from -22.5, y from -12. 2 %: what shows through gaps lies
+    a metre behind.
+    """
     depth = look(hall, pose).depth[230:250, 310:330]
     assert np.median(depth) == pytest.approx(distance, rel=0.02, abs=0.03)
 
@@ -77,7 +85,9 @@ def test_no_view_has_a_hole(hall, pose):
 
 
 def test_pad_lies_where_aircraft_land(arena):
-    """The place is that of `LandingPad`, by which touchdowns are judged; surfels end within 2 cm of the border."""
+    """The place is that of `LandingPad`, by which touchdowns are judged; surfels end within 2 cm of
+    the border.
+    """
     pad, means = LandingPad(), arena.means[arena.labelled("pad")]
     low = [pad.x_start, pad.y_centre - pad.width / 2, 0.0]
     high = [pad.x_start + pad.length, pad.y_centre + pad.width / 2, pad.height]
@@ -89,7 +99,9 @@ def test_pad_is_blue_where_the_geometry_says(hall):
     """Points on the pad's top and beside it: blue leads red by far on the pad alone."""
     pose = (-8.0, -2.0, 1.5, 0.0, -5.0, 0.0)
     rgb = look(hall, pose).rgb
-    points = np.array([[x, y, 0.1] for x in (3.3, 7.4, 11.6) for y in (-2.7, -2.0, -1.3, 0.5, -4.5)])
+    points = np.array(
+        [[x, y, 0.1] for x in (3.3, 7.4, 11.6) for y in (-2.7, -2.0, -1.3, 0.5, -4.5)]
+    )
     pixels, _ = CAMERA.project(points, nose_camera_pose(pose[:3], *np.deg2rad(pose[3:])))
     red, _, blue = rgb[pixels[:, 1].astype(int), pixels[:, 0].astype(int)].T
     on_pad = np.abs(points[:, 1] + 2.0) < 1.0
@@ -97,13 +109,16 @@ def test_pad_is_blue_where_the_geometry_says(hall):
 
 
 def test_court_line_is_straight_and_in_its_place(hall):
-    """The plan: a white line at x = -2.5 from y = -9.5 to 5.5; all along it outshines the wood 15 cm beside it."""
+    """The plan: a white line at x = -2.5 from y = -9.5 to 5.5; all along it outshines the wood 15
+    cm beside it.
+    """
     pose = (-4.5, -2.0, 2.5, 0.0, -50.0, 0.0)
     grey = look(hall, pose).rgb.mean(axis=2)
     y = np.arange(-3.5, -0.4, 0.25)
     line, beside = (
         CAMERA.project(
-            np.column_stack([np.full(len(y), x), y, 0 * y]), nose_camera_pose(pose[:3], *np.deg2rad(pose[3:]))
+            np.column_stack([np.full(len(y), x), y, 0 * y]),
+            nose_camera_pose(pose[:3], *np.deg2rad(pose[3:])),
         )[0].astype(int)
         for x in (-2.5, -2.65)
     )
@@ -112,19 +127,27 @@ def test_court_line_is_straight_and_in_its_place(hall):
 
 @pytest.mark.parametrize("yaw_deg", [-120.0, -90.0, -60.0])
 def test_a_beam_overhead_does_not_veil_what_is_ahead(hall, yaw_deg):
-    """Geometry: 0.45 m below the beam at x = 0 and level, what is 5 to 25 deg below the horizon is the wall at y = -12.
+    """Geometry: 0.45 m below the beam at x = 0 and level, what is 5 to 25 deg below the horizon is
+    the wall at y = -12.
 
-    By hand, a pixel's ray meets that wall at the depth 7.5 m / (-v), v the ray's part along the wall's normal for one
-    metre ahead; between the wall bars and the pipe nothing stands before it. A large piece close to the camera
-    once spread over half the image, as the local affine projection of Gaussians allows.
+    By hand, a pixel's ray meets that wall at the depth 7.5 m / (-v), v the ray's part along the
+    wall's normal for one metre ahead; between the wall bars and the pipe nothing stands before it.
+    A large piece close to the camera once spread over half the image, as the local affine
+    projection of Gaussians allows.
     """
     T_world_camera = nose_camera_pose((-0.5, -4.5, 4.2), 0.0, 0.0, np.deg2rad(-yaw_deg))
     depth = render(hall, CAMERA, T_world_camera).depth
     u, v = np.meshgrid(np.arange(40, 600, 15), np.arange(260, 420, 8))
-    rays = np.stack([(u + 0.5 - CAMERA.cx) / CAMERA.fx, (v + 0.5 - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
+    rays = np.stack(
+        [(u + 0.5 - CAMERA.cx) / CAMERA.fx, (v + 0.5 - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)],
+        axis=-1,
+    )
     along_y = (rays @ T_world_camera[:3, :3].T)[..., 1]
     wall = 7.5 / -along_y
-    x, z = (start + wall * (rays @ T_world_camera[:3, :3].T)[..., i] for i, start in ((0, -0.5), (2, 4.2)))
+    x, z = (
+        start + wall * (rays @ T_world_camera[:3, :3].T)[..., i]
+        for i, start in ((0, -0.5), (2, 4.2))
+    )
     meets = (along_y < -0.2) & (abs(x) < 12.0) & (z > 2.7) & (z < 3.7)
     assert meets.sum() > 40
     assert np.all(depth[v, u][meets] > 0.9 * wall[meets])
@@ -133,34 +156,47 @@ def test_a_beam_overhead_does_not_veil_what_is_ahead(hall, yaw_deg):
 @pytest.mark.parametrize("distance", [3.0, 5.0, 7.0, 10.0])
 @pytest.mark.parametrize("side", [-0.4, 0.0, 0.3])
 def test_marker_is_found_and_its_pose_is_right(hall, distance, side):
-    """OpenCV's detector and solvePnP against the pose that was asked for: 5 % of the distance, as issue 4 wants.
+    """OpenCV's detector and solvePnP against the pose that was asked for: 5 % of the distance, as
+    issue 4 wants.
 
-    A square that faces the camera looks the same tilted a little either way: its attitude enters the image in second
-    order only. So straight ahead the angle is asked for up to 5 m, from the side up to 10 m (32 pixels wide).
+    A square that faces the camera looks the same tilted a little either way: its attitude enters
+        the image in second
+    order only. So straight ahead the angle is asked for up to 5 m, from the side up to 10 m (32
+    pixels wide).
     """
     import cv2
 
     p_world = np.array([-distance * np.cos(side), distance * np.sin(side), 1.2])
     T_world_camera = nose_camera_pose(p_world, 0.1, -0.03, side + 0.1)
-    grey = cv2.cvtColor((255.0 * render(hall, CAMERA, T_world_camera).rgb).astype(np.uint8), cv2.COLOR_RGB2GRAY)
+    grey = cv2.cvtColor(
+        (255.0 * render(hall, CAMERA, T_world_camera).rgb).astype(np.uint8), cv2.COLOR_RGB2GRAY
+    )
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, settings).detectMarkers(grey)
     assert ids is not None and ids.ravel().tolist() == [MARKER_ID]
-    square = 0.4 * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
-    image = corners[0].reshape(4, 2).astype(float) + 0.5  # OpenCV counts from the first pixel's centre
+    square = 0.4 * np.array(
+        [[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]]
+    )
+    image = (
+        corners[0].reshape(4, 2).astype(float) + 0.5
+    )  # OpenCV counts from the first pixel's centre
     _, turn, p_camera = cv2.solvePnP(square, image, CAMERA.K, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
     expected = (np.array([0.0, 0.0, 0.75]) - p_world) @ T_world_camera[:3, :3]
     assert np.linalg.norm(p_camera.ravel() - expected) < 0.05 * np.linalg.norm(expected)
     if distance <= 5.0 or side != 0.0:
-        R_world_marker = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # x right, y up, z to us
+        R_world_marker = np.array(
+            [[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+        )  # x right, y up, z to us
         wrong = cv2.Rodrigues(turn)[0] @ (T_world_camera[:3, :3].T @ R_world_marker).T
         assert np.degrees(np.arccos((np.trace(wrong) - 1.0) / 2.0)) < 5.0
 
 
 def test_leader_has_the_size_of_the_aircraft(arena):
-    """The airframe file: span 0.70 m, tyres 0.11 m below the centre of gravity; a surfel's centre is within 1 cm."""
+    """The airframe file: span 0.70 m, tyres 0.11 m below the centre of gravity; a surfel's centre
+    is within 1 cm.
+    """
     airframe = load_airframe(default_airframe_path())
     means = arena.means[arena.labelled("leader")]
     assert np.ptp(means[:, 1]) == pytest.approx(0.70, abs=0.01)
@@ -180,21 +216,30 @@ def test_leader_flies_nose_ahead_and_fin_up(arena):
 
 
 def test_leader_is_seen_where_it_is_placed(arena, hall):
-    """Pinhole by hand: 4 m ahead and 0.5 m to the right it is at u = 320 + 0.62 * 640 * 0.5 / 4 = 370."""
+    """Pinhole by hand: 4 m ahead and 0.5 m to the right it is at u = 320 + 0.62 * 640 * 0.5 / 4 =
+    370.
+    """
     pose = (-10.0, -2.0, 1.5, 0.0, 0.0, 0.0)
     T_world_leader = pose_matrix(np.diag([1.0, -1.0, -1.0]), np.array([-6.0, -2.5, 1.5]))
-    changed = np.abs(look(leader_at(arena, T_world_leader), pose).rgb - look(hall, pose).rgb).max(axis=2) > 0.1
+    changed = (
+        np.abs(look(leader_at(arena, T_world_leader), pose).rgb - look(hall, pose).rgb).max(axis=2)
+        > 0.1
+    )
     rows, columns = np.nonzero(changed)
     assert columns.mean() == pytest.approx(370, abs=4) and rows.mean() == pytest.approx(240, abs=8)
     assert np.ptp(columns) == pytest.approx(0.62 * 640 * 0.70 / 4.0, rel=0.15)
 
 
 def test_moving_leader_and_camera_together_leaves_the_image(arena):
-    """A law of rigid motion, for colours up to degree 3; 2 of 255 steps for 32-bit rounding at cut-offs."""
+    """A law of rigid motion, for colours up to degree 3; 2 of 255 steps for 32-bit rounding at
+    cut-offs.
+    """
     rng = np.random.default_rng(5)
     leader = arena.selected(arena.labelled("leader"))
     sh = np.concatenate([leader.sh, rng.normal(size=(len(leader), 15, 3)) * 0.2], axis=1)
-    leader = GaussianScene(leader.means, leader.quaternions, leader.scales, leader.opacities, sh, (), ("leader",))
+    leader = GaussianScene(
+        leader.means, leader.quaternions, leader.scales, leader.opacities, sh, (), ("leader",)
+    )
     T_leader_camera = nose_camera_pose((-1.0, 0.2, 0.1), 0.2, 0.1, 0.15)
     T_world_leader = pose_matrix(rotation_world_body(0.7, -0.4, 2.1), np.array([3.0, -1.0, 2.0]))
     camera = PinholeCamera.from_fov_deg(120, 90, 60.0)
@@ -206,17 +251,23 @@ def test_moving_leader_and_camera_together_leaves_the_image(arena):
 
 
 def test_colour_of_degree_one_turns_by_hand(arena):
-    """By hand: Y_1 = (-y, z, -x); turned 90 deg from x to y, what faced x faces y: c1' = c3, c3' = -c1."""
+    """By hand: Y_1 = (-y, z, -x); turned 90 deg from x to y, what faced x faces y: c1' = c3, c3' =
+    -c1.
+    """
     leader = arena.selected(arena.labelled("leader"))
     sh = np.zeros((len(leader), 4, 3))
     sh[:, 1], sh[:, 2], sh[:, 3] = 0.1, 0.2, 0.3
-    leader = GaussianScene(leader.means, leader.quaternions, leader.scales, leader.opacities, sh, (), ("leader",))
+    leader = GaussianScene(
+        leader.means, leader.quaternions, leader.scales, leader.opacities, sh, (), ("leader",)
+    )
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     turned = leader_at(leader, pose_matrix(turn, np.zeros(3))).sh
     np.testing.assert_allclose(turned[0, 1:, 0], [0.3, 0.2, -0.1], atol=1e-6)
 
 
-@pytest.mark.parametrize("pose", [np.eye(3), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), np.nan), 2.0 * np.eye(4)])
+@pytest.mark.parametrize(
+    "pose", [np.eye(3), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), np.nan), 2.0 * np.eye(4)]
+)
 def test_a_pose_that_is_none_is_refused(arena, pose):
     """Wrong shape, mirrored, not finite, stretched."""
     with pytest.raises(InputError, match="T_world_body"):
@@ -225,7 +276,9 @@ def test_a_pose_that_is_none_is_refused(arena, pose):
 
 def test_a_scene_without_leader_is_refused(hall):
     """The text says what labels there are."""
-    plain = GaussianScene(hall.means[:9], hall.quaternions[:9], hall.scales[:9], hall.opacities[:9], hall.sh[:9])
+    plain = GaussianScene(
+        hall.means[:9], hall.quaternions[:9], hall.scales[:9], hall.opacities[:9], hall.sh[:9]
+    )
     with pytest.raises(InputError, match="leader"):
         leader_at(plain, np.eye(4))
 
@@ -256,19 +309,29 @@ def builds(arena, monkeypatch, tmp_path):
 def test_arena_is_built_once_and_then_read(builds, tmp_path):
     """The second call finds the file that the first one wrote, and reads the same bits."""
     first, second = load_scene("arena"), load_scene("arena")
-    assert len(builds) == 1 and np.array_equal(first.means, second.means) and np.array_equal(first.sh, second.sh)
+    assert (
+        len(builds) == 1
+        and np.array_equal(first.means, second.means)
+        and np.array_equal(first.sh, second.sh)
+    )
     assert len(list((tmp_path / "deep" / "cache").iterdir())) == 1
 
 
 def test_only_the_newest_arena_is_kept(builds, tmp_path):
-    """Ten megabytes of each version would add up: the file of another builder goes, what is no arena stays."""
+    """Ten megabytes of each version would add up: the file of another builder goes, what is no
+    arena stays.
+    """
     folder = tmp_path / "deep" / "cache"
     folder.mkdir(parents=True)
     for name in ("arena-0123456789ab.npz", "arena-ba9876543210.npz", "notes.txt"):
         (folder / name).write_text("of another builder")
     load_scene("arena")
     kept = {path.name for path in folder.iterdir()}
-    assert len(kept) == 2 and "notes.txt" in kept and not kept & {"arena-0123456789ab.npz", "arena-ba9876543210.npz"}
+    assert (
+        len(kept) == 2
+        and "notes.txt" in kept
+        and not kept & {"arena-0123456789ab.npz", "arena-ba9876543210.npz"}
+    )
     load_scene("arena")
     assert len(builds) == 1  # its own file is the one that stayed
 

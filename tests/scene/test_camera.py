@@ -22,10 +22,22 @@ def test_field_of_view_reaches_from_edge_to_edge():
     [
         ((10, 0, 1), (0, 0, 0), (320, 240)),  # straight ahead
         ((10, 1, 1), (0, 0, 0), (288, 240)),  # world y is left: 320 / 10 pixels
-        ((10, 0, 2), (0, 0, 0), (320, 208)),  # up in the world is up in the image, where v is smaller
+        (
+            (10, 0, 2),
+            (0, 0, 0),
+            (320, 208),
+        ),  # up in the world is up in the image, where v is smaller
         ((10, 0, 2), (math.pi / 2, 0, 0), (288, 240)),  # right wing down: up is at the left wing
-        ((0, -10, 1), (0, 0, math.pi / 2), (320, 240)),  # yaw to the right: the nose points to world -y
-        ((10, 0, 1), (0, math.atan(0.5), 0), (320, 400)),  # nose up: what was ahead sinks by 320 / 2
+        (
+            (0, -10, 1),
+            (0, 0, math.pi / 2),
+            (320, 240),
+        ),  # yaw to the right: the nose points to world -y
+        (
+            (10, 0, 1),
+            (0, math.atan(0.5), 0),
+            (320, 400),
+        ),  # nose up: what was ahead sinks by 320 / 2
     ],
 )
 def test_nose_camera_sees_where_the_body_points(p_world, attitude, pixel):
@@ -36,13 +48,17 @@ def test_nose_camera_sees_where_the_body_points(p_world, attitude, pixel):
 
 
 def test_mount_moves_the_camera_along_the_body():
-    """By hand: a camera 0.1 m ahead and 0.2 m towards the belly of a level body at 1 m sits at (0.1, 0, 0.8)."""
+    """By hand: a camera 0.1 m ahead and 0.2 m towards the belly of a level body at 1 m sits at
+    (0.1, 0, 0.8).
+    """
     T_world_camera = nose_camera_pose((0, 0, 1), 0, 0, 0, p_body_camera=(0.1, 0, 0.2))
     assert np.allclose(T_world_camera[:3, 3], [0.1, 0.0, 0.8], atol=1e-12)
 
 
 def test_rays_and_projection_are_inverse():
-    """A point along the ray of a pixel's centre appears there, at its depth; the first centre is at (0.5, 0.5)."""
+    """A point along the ray of a pixel's centre appears there, at its depth; the first centre is at
+    (0.5, 0.5).
+    """
     camera = PinholeCamera(50.0, 60.0, 3.0, 2.5, 7, 5)
     rays = camera.pixel_rays()
     assert rays.shape == (5, 7, 3)
@@ -91,7 +107,7 @@ def test_what_is_not_in_front_has_no_pixel():
 )
 def test_impossible_cameras_are_refused_by_name(numbers, name):
     """Each is the user's mistake and gets a sentence that names it."""
-    with pytest.raises(InputError, match=f"^{name}: want"):
+    with pytest.raises(InputError, match=f"^{name}: expected"):
         PinholeCamera(*numbers)
 
 

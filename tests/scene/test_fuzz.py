@@ -1,7 +1,9 @@
-"""Fuzzing: 10,800 damaged scenes go through the readers; each is read or refused in one sentence, in little memory.
+"""Fuzzing: 10,800 damaged scenes go through the readers; each is read or refused in one sentence,
+in little memory.
 
-Damage outside hits the file as it lies on the disk, where checksums catch most of it. Damage inside hits the content,
-and the file is packed again with checksums that fit: what a broken program writes, or a hostile one.
+Damage outside hits the file as it lies on the disk, where checksums catch most of it. Damage inside
+hits the content, and the file is packed again with checksums that fit: what a broken program
+writes, or a hostile one.
 """
 
 import tracemalloc
@@ -19,13 +21,17 @@ from tests.scene.packing import compressed_ply, gzipped, plain_ply, sog_files, s
 from tests.scene.test_gaussians import fields
 
 FILES = 1200  # of each of the nine kinds
-# Readers may unpack a megabyte unasked, which is some 50,000 Gaussians of 200 to 400 bytes while they are put together.
+# Readers may unpack a megabyte unasked, which is some 50,000 Gaussians of 200 to 400 bytes while
+# they are put together.
 BYTES_PER_FILE_BYTE, BYTES_AT_LEAST = 100, 24 * 1024**2
 
 
 def splat(rng: np.random.Generator) -> bytes:
     """Eight Gaussians of 32 bytes."""
-    rows = [np.concatenate([rng.normal(size=3), rng.uniform(0.1, 1, 3)]).astype("<f4").tobytes() for _ in range(8)]
+    rows = [
+        np.concatenate([rng.normal(size=3), rng.uniform(0.1, 1, 3)]).astype("<f4").tobytes()
+        for _ in range(8)
+    ]
     return b"".join(row + rng.integers(0, 256, 8, np.uint8).tobytes() for row in rows)
 
 
@@ -44,7 +50,9 @@ def packed_ply(rng: np.random.Generator) -> bytes:
         *[0] * 3,
         *[1] * 3,
     ]
-    return compressed_ply([chunk], rng.integers(0, 2**32, (4, 4)), sh=rng.integers(0, 256, (4, 9)).tolist())
+    return compressed_ply(
+        [chunk], rng.integers(0, 2**32, (4, 4)), sh=rng.integers(0, 256, (4, 9)).tolist()
+    )
 
 
 def spz(rng: np.random.Generator) -> bytes:
@@ -65,7 +73,9 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
     if rng.integers(2):
         return mutate(data, rng)
     flipped = np.frombuffer(data, np.uint8).copy()
-    flipped[rng.integers(0, len(data), rng.integers(1, 9))] ^= np.uint8(1) << rng.integers(8, dtype=np.uint8)
+    flipped[rng.integers(0, len(data), rng.integers(1, 9))] ^= np.uint8(1) << rng.integers(
+        8, dtype=np.uint8
+    )
     return flipped.tobytes()
 
 
@@ -81,7 +91,9 @@ def inside(files: dict[str, bytes]) -> Callable[[np.random.Generator], bytes]:
 
 
 def fuzz(path, damage: Callable[[np.random.Generator], bytes], first: int) -> Counter[str]:
-    """Read FILES damaged files, count the outcomes, and watch the memory of every third, for watching is slow."""
+    """Read FILES damaged files, count the outcomes, and watch the memory of every third, for
+    watching is slow.
+    """
     outcomes: Counter[str] = Counter()
     for number in range(first, first + FILES):
         data = damage(np.random.default_rng(number))
@@ -93,19 +105,25 @@ def fuzz(path, damage: Callable[[np.random.Generator], bytes], first: int) -> Co
             outcomes["read"] += 1
         except (InputError, FileNotFoundError) as error:
             sentence = str(error)
-            assert len(sentence) < 1000 and "\n" not in sentence, f"mutation {number}: {sentence[:3000]}"
+            assert len(sentence) < 1000 and "\n" not in sentence, (
+                f"mutation {number}: {sentence[:3000]}"
+            )
             outcomes["refused"] += 1
         except Exception as error:
             raise AssertionError(f"mutation {number} of {path.name} ends in {error!r}") from error
         finally:
             peak = tracemalloc.get_traced_memory()[1]
             tracemalloc.stop()
-        assert peak < BYTES_PER_FILE_BYTE * len(data) + BYTES_AT_LEAST, f"mutation {number}: {peak} of {len(data)}"
+        assert peak < BYTES_PER_FILE_BYTE * len(data) + BYTES_AT_LEAST, (
+            f"mutation {number}: {peak} of {len(data)}"
+        )
     assert outcomes["read"] + outcomes["refused"] == FILES
     return outcomes
 
 
-@pytest.mark.parametrize(("seed", "ending"), [(ply, ".ply"), (packed_ply, ".ply"), (splat, ".splat")])
+@pytest.mark.parametrize(
+    ("seed", "ending"), [(ply, ".ply"), (packed_ply, ".ply"), (splat, ".splat")]
+)
 def test_files_without_checksums(tmp_path, seed, ending):
     """Much damage to plain numbers cannot be seen; both outcomes must happen."""
     whole = seed(np.random.default_rng(0))

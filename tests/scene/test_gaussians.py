@@ -27,7 +27,9 @@ def changed(name, index, value):
 
 
 def test_numbers_are_float32_and_rotations_have_length_one():
-    """The length is 1 by definition; (0, 0, 0, 2) turns as (0, 0, 0, 1) does, so tolerance is float32 rounding."""
+    """The length is 1 by definition; (0, 0, 0, 2) turns as (0, 0, 0, 1) does, so tolerance is
+    float32 rounding.
+    """
     scene = GaussianScene(**changed("quaternions", 1, (0, 0, 0, 2)))
     for name in ("means", "quaternions", "scales", "opacities", "sh"):
         assert getattr(scene, name).dtype == np.float32
@@ -39,29 +41,29 @@ def test_numbers_are_float32_and_rotations_have_length_one():
 @pytest.mark.parametrize(
     ("numbers", "sentence"),
     [
-        (fields(count=0), "scene: want at least one Gaussian, got none"),
-        (changed("means", (1, 2), np.nan), "means: want finite numbers, got others in 1 of 3"),
-        (changed("sh", (0, 0, 0), np.inf), "sh: want finite"),
-        (changed("means", (0, 0), 1e300), "means: want finite"),  # too large for float32
-        (changed("quaternions", 0, 0.0), "quaternions: want rotations other than"),
-        (changed("scales", (2, 0), -0.1), "scales: want numbers > 0"),
-        (changed("scales", (2, 0), 0.0), "scales: want numbers > 0"),
-        (changed("opacities", 0, 1.5), "opacities: want numbers in 0..1"),
-        (fields(basis=5), "sh: want 1, 4, 9 or 16 coefficients"),
-        (fields(basis=25), "sh: want 1, 4, 9 or 16 coefficients"),
-        (fields() | {"means": np.zeros((3, 2))}, "means: want shape"),
-        (fields() | {"quaternions": np.ones((4, 4))}, "quaternions: want shape"),
-        (fields() | {"opacities": np.ones((3, 1))}, "opacities: want shape"),
-        (fields() | {"sh": np.ones((3, 3))}, "sh: want shape"),
-        (fields() | {"scales": "small"}, "scales: want an array of numbers"),
-        (fields() | {"means": [[1, 2], [3]]}, "means: want an array of numbers"),
-        (fields() | {"labels": np.array([0, 1, 0])}, "labels: want 0 to 0"),
-        (fields() | {"labels": np.array([0, -1, 0])}, "labels: want 0 to 0"),
-        (fields() | {"labels": np.zeros(2, int)}, "labels: want"),
-        (fields() | {"labels": np.zeros(3)}, "labels: want"),
-        (fields() | {"label_names": ()}, "label_names: want 1 to 256"),
-        (fields() | {"label_names": ("pad", "pad")}, "label_names: want every name once"),
-        (fields() | {"label_names": ("pad", "")}, "label_names: want"),
+        (fields(count=0), "scene: expected at least one Gaussian, got none"),
+        (changed("means", (1, 2), np.nan), "means: expected finite numbers, got others in 1 of 3"),
+        (changed("sh", (0, 0, 0), np.inf), "sh: expected finite"),
+        (changed("means", (0, 0), 1e300), "means: expected finite"),  # too large for float32
+        (changed("quaternions", 0, 0.0), "quaternions: expected rotations other than"),
+        (changed("scales", (2, 0), -0.1), "scales: expected numbers > 0"),
+        (changed("scales", (2, 0), 0.0), "scales: expected numbers > 0"),
+        (changed("opacities", 0, 1.5), "opacities: expected numbers in 0..1"),
+        (fields(basis=5), "sh: expected 1, 4, 9 or 16 coefficients"),
+        (fields(basis=25), "sh: expected 1, 4, 9 or 16 coefficients"),
+        (fields() | {"means": np.zeros((3, 2))}, "means: expected shape"),
+        (fields() | {"quaternions": np.ones((4, 4))}, "quaternions: expected shape"),
+        (fields() | {"opacities": np.ones((3, 1))}, "opacities: expected shape"),
+        (fields() | {"sh": np.ones((3, 3))}, "sh: expected shape"),
+        (fields() | {"scales": "small"}, "scales: expected an array of numbers"),
+        (fields() | {"means": [[1, 2], [3]]}, "means: expected an array of numbers"),
+        (fields() | {"labels": np.array([0, 1, 0])}, "labels: expected 0 to 0"),
+        (fields() | {"labels": np.array([0, -1, 0])}, "labels: expected 0 to 0"),
+        (fields() | {"labels": np.zeros(2, int)}, "labels: expected"),
+        (fields() | {"labels": np.zeros(3)}, "labels: expected"),
+        (fields() | {"label_names": ()}, "label_names: expected 1 to 256"),
+        (fields() | {"label_names": ("pad", "pad")}, "label_names: expected every name once"),
+        (fields() | {"label_names": ("pad", "")}, "label_names: expected"),
     ],
 )
 def test_each_mistake_gets_one_sentence(numbers, sentence):
@@ -73,7 +75,9 @@ def test_each_mistake_gets_one_sentence(numbers, sentence):
 
 def test_selecting_keeps_rows_and_their_order():
     """By hand: the first and third row stay, with their labels."""
-    scene = GaussianScene(**fields(), labels=np.array([0, 1, 1]), label_names=("arena", "pad"), source="by hand")
+    scene = GaussianScene(
+        **fields(), labels=np.array([0, 1, 1]), label_names=("arena", "pad"), source="by hand"
+    )
     part = scene.selected(np.array([True, False, True]))
     for name in ("means", "quaternions", "scales", "opacities", "sh", "labels"):
         assert np.array_equal(getattr(part, name), getattr(scene, name)[[0, 2]])
@@ -85,20 +89,26 @@ def test_selecting_keeps_rows_and_their_order():
 @pytest.mark.parametrize("mask", [[True, False], [0, 1, 2], [False] * 3])
 def test_masks_that_mean_nothing_are_refused(mask):
     """Too short, numbers of rows instead of truth, and nothing left."""
-    with pytest.raises(InputError, match=r"^mask: want"):
+    with pytest.raises(InputError, match=r"^mask: expected"):
         GaussianScene(**fields()).selected(np.array(mask))
 
 
 def test_unknown_label_is_named_with_the_known_ones():
     """The sentence lists what there is."""
-    with pytest.raises(InputError, match="want one of scene, got 'leader'"):
+    with pytest.raises(InputError, match="expected one of scene, got 'leader'"):
         GaussianScene(**fields()).labelled("leader")
 
 
 def test_joining_merges_labels_by_name_and_pads_colours():
-    """By hand: "pad" is 1 in the first scene and 0 in the second, and stays one label; degree 0 gets zeros."""
-    first = GaussianScene(**fields(2, 4), labels=np.array([0, 1]), label_names=("arena", "pad"), source="a")
-    second = GaussianScene(**fields(2, 1, seed=1), labels=np.array([0, 1]), label_names=("pad", "leader"), source="b")
+    """By hand: "pad" is 1 in the first scene and 0 in the second, and stays one label; degree 0
+    gets zeros.
+    """
+    first = GaussianScene(
+        **fields(2, 4), labels=np.array([0, 1]), label_names=("arena", "pad"), source="a"
+    )
+    second = GaussianScene(
+        **fields(2, 1, seed=1), labels=np.array([0, 1]), label_names=("pad", "leader"), source="b"
+    )
     both = GaussianScene.joined(first, second, second)
     assert both.label_names == ("arena", "pad", "leader")
     assert both.labels.tolist() == [0, 1, 1, 2, 1, 2]
@@ -114,14 +124,19 @@ def test_joining_nothing_or_too_many_labels_is_refused():
     with pytest.raises(InputError, match="at least one scene"):
         GaussianScene.joined()
     names = tuple(f"thing {k}" for k in range(256))
-    with pytest.raises(InputError, match="label_names: want 1 to 256"):
-        GaussianScene.joined(GaussianScene(**fields(), label_names=names), GaussianScene(**fields()))
+    with pytest.raises(InputError, match="label_names: expected 1 to 256"):
+        GaussianScene.joined(
+            GaussianScene(**fields(), label_names=names), GaussianScene(**fields())
+        )
 
 
 def test_other_endings_and_missing_files_are_said(tmp_path):
     """Reading and saving name the endings; what is not there is not found."""
     (tmp_path / "a.obj").write_bytes(b"")
-    with pytest.raises(InputError, match=r"want a scene ending in \.ply, \.splat, \.spz, \.sog, \.npz or a SOG folder"):
+    with pytest.raises(
+        InputError,
+        match=r"expected a scene ending in \.ply, \.splat, \.spz, \.sog, \.npz or a SOG folder",
+    ):
         GaussianScene.load(tmp_path / "a.obj")
     with pytest.raises(InputError, match=r"ending in \.npz or \.ply"):
         GaussianScene(**fields()).save(tmp_path / "a.spz")
@@ -136,5 +151,5 @@ def test_empty_files_are_refused_by_name(tmp_path):
     """Nothing in a file is no scene, in any format."""
     for ending in (".ply", ".splat", ".spz", ".sog", ".npz", ".PLY"):
         (tmp_path / f"a{ending}").write_bytes(b"")
-        with pytest.raises(InputError, match=f"a{ending}: .*want"):
+        with pytest.raises(InputError, match=f"a{ending}: .*expected"):
             GaussianScene.load(tmp_path / f"a{ending}")

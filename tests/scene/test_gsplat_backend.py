@@ -1,4 +1,5 @@
-"""The gsplat backend where there is no GPU: its sentences, and its arguments by a stand-in for the library.
+"""The gsplat backend where there is no GPU: its sentences, and its arguments by a stand-in for the
+library.
 
 The real library is compared in tests/benchmarks/bench_gsplat_backend.py.
 """
@@ -11,7 +12,13 @@ import pytest
 import torch
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.scene import GaussianScene, PinholeCamera, gsplat_backend, nose_camera_pose, render
+from falconwing_kit.scene import (
+    GaussianScene,
+    PinholeCamera,
+    gsplat_backend,
+    nose_camera_pose,
+    render,
+)
 from falconwing_kit.scene.reference import GaussianTensors, render_reference, render_tensors
 
 CAMERA = PinholeCamera(50.0, 60.0, 7.5, 5.0, 16, 11)
@@ -22,7 +29,9 @@ def scene():
     rng = np.random.default_rng(6)
     means = rng.normal(size=(20, 3)) * 0.2 + (2.5, 0.0, 1.0)
     quaternions, scales = rng.normal(size=(20, 4)), rng.uniform(0.05, 0.2, (20, 3))
-    return GaussianScene(means, quaternions, scales, rng.uniform(0.3, 0.9, 20), rng.normal(size=(20, 9, 3)) * 0.1)
+    return GaussianScene(
+        means, quaternions, scales, rng.uniform(0.3, 0.9, 20), rng.normal(size=(20, 9, 3)) * 0.1
+    )
 
 
 def rasterization(
@@ -41,15 +50,25 @@ def rasterization(
     render_mode="RGB",
     rasterize_mode="classic",
 ):
-    """gsplat 1.5.3's function with its names, shapes and frames, as its documentation has them, drawn in torch."""
+    """gsplat 1.5.3's function with its names, shapes and frames, as its documentation has them,
+    drawn in torch.
+    """
     assert render_mode == "RGB+ED" and colors.shape[1] == (sh_degree + 1) ** 2
-    assert viewmats.shape[1:] == (4, 4) and Ks.shape[1:] == (3, 3) and backgrounds.shape == (len(viewmats), 3)
+    assert (
+        viewmats.shape[1:] == (4, 4)
+        and Ks.shape[1:] == (3, 3)
+        and backgrounds.shape == (len(viewmats), 3)
+    )
     tensors = GaussianTensors(means, quats, scales, opacities, colors)
     colours, alphas = [], []
     for viewmat, K, background in zip(viewmats, Ks, backgrounds, strict=True):
-        camera = PinholeCamera(K[0, 0].item(), K[1, 1].item(), K[0, 2].item(), K[1, 2].item(), width, height)
+        camera = PinholeCamera(
+            K[0, 0].item(), K[1, 1].item(), K[0, 2].item(), K[1, 2].item(), width, height
+        )
         pose = torch.linalg.inv(viewmat)
-        rgb, alpha, depth = render_tensors(tensors, camera, pose, background, rasterize_mode == "antialiased")
+        rgb, alpha, depth = render_tensors(
+            tensors, camera, pose, background, rasterize_mode == "antialiased"
+        )
         colours.append(torch.cat([rgb, depth[..., None]], dim=-1))
         alphas.append(alpha[..., None])
     return torch.stack(colours), torch.stack(alphas), {}
@@ -57,7 +76,9 @@ def rasterization(
 
 @pytest.fixture
 def stand_in(monkeypatch):
-    """A module gsplat that renders on the CPU; what was remembered of the real one is forgotten before and after."""
+    """A module gsplat that renders on the CPU; what was remembered of the real one is forgotten
+    before and after.
+    """
     gsplat = types.ModuleType("gsplat")
     gsplat.rasterization = rasterization
     monkeypatch.setitem(sys.modules, "gsplat", gsplat)
@@ -68,13 +89,15 @@ def stand_in(monkeypatch):
 
 
 def forget():
-    gsplat_backend.probe.cache_clear()
+    gsplat_backend.probe_gsplat.cache_clear()
     gsplat_backend._tensors.cache_clear()
 
 
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_arguments_reach_gsplat_in_its_frames(stand_in, antialiased):
-    """The stand-in inverts the view matrix and draws with the reference, which gsplat's own images have tested."""
+    """The stand-in inverts the view matrix and draws with the reference, which gsplat's own images
+    have tested.
+    """
     got = gsplat_backend.render_gsplat(scene(), CAMERA, POSE, (0.1, 0.2, 0.3), antialiased)
     expected = render_reference(scene(), CAMERA, POSE, (0.1, 0.2, 0.3), antialiased)
     assert expected[1].max() > 0.5
@@ -95,7 +118,9 @@ def test_many_poses_go_in_one_call(stand_in):
 
 
 def test_a_scene_goes_to_the_gpu_once(stand_in):
-    """The loop draws the same scene 20 times a second; another scene of the same numbers is another scene."""
+    """The loop draws the same scene 20 times a second; another scene of the same numbers is another
+    scene.
+    """
     one = scene()
     assert gsplat_backend._tensors(one) is gsplat_backend._tensors(one)
     assert gsplat_backend._tensors(one) is not gsplat_backend._tensors(scene())
@@ -111,13 +136,18 @@ def black(*args, **kwargs):
 
 
 @pytest.mark.parametrize(
-    ("broken", "reason"), [(none_instead, "NoneType"), (black, "one of alpha 0")], ids=["no kernels", "black"]
+    ("broken", "reason"),
+    [(none_instead, "NoneType"), (black, "one of alpha 0")],
+    ids=["no kernels", "black"],
 )
 def test_gsplat_that_cannot_render_is_said_in_one_sentence(stand_in, broken, reason):
-    """Without CUDA gsplat imports and fails at the first call; a driver that draws nothing is told too."""
+    """Without CUDA gsplat imports and fails at the first call; a driver that draws nothing is told
+    too.
+    """
     stand_in.rasterization = broken
     with pytest.raises(
-        InputError, match=rf"^backend: want gsplat to render one Gaussian, got.*{reason}.*'fast' runs"
+        InputError,
+        match=rf"^backend: expected gsplat to render one Gaussian, got.*{reason}.*'fast' runs",
     ) as caught:
         render(scene(), CAMERA, POSE, backend="gsplat")
     assert "\n" not in str(caught.value)

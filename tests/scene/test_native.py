@@ -80,22 +80,30 @@ class Bomb:
     ("name", "content", "sentence"),
     [
         ("means.npy", None, "the array means, which is missing"),
-        ("means.npy", b"not an array", "want means as the kit saves it"),
-        ("means.npy", npy(np.zeros((40, 3), "<i4")), "want means as the kit saves it"),
-        ("means.npy", npy(np.zeros((40, 3, 1), "<f4")), "want means .* with 2 axes"),
-        ("means.npy", npy(np.zeros((40, 3), "<f4"))[:-4], "want means"),
-        ("means.npy", npy(np.zeros((40, 3), "<f4")) + b"more", "want means"),
-        ("means.npy", npy(np.zeros((40, 3), "<f4")).replace(b"(40, 3)", b"(99, 3)"), "want means"),
-        ("means.npy", npy(np.zeros((40, 3), "<f4")).replace(b"(40, 3)", b"(-4, 3)"), "want means"),
-        ("means.npy", npy(np.asfortranarray(np.zeros((40, 3), "<f4"))), "want means"),
-        ("means.npy", npy(np.zeros((39, 3), "<f4")), "quaternions: want shape"),
-        ("labels.npy", npy(np.full(40, 7, np.uint8)), "labels: want 0 to 1"),
-        ("label_names.npy", npy(np.array([Bomb()], object)), "want label_names as"),
-        ("source.npy", pickle.dumps(Bomb()), "want source as"),
+        ("means.npy", b"not an array", "expected means as the kit saves it"),
+        ("means.npy", npy(np.zeros((40, 3), "<i4")), "expected means as the kit saves it"),
+        ("means.npy", npy(np.zeros((40, 3, 1), "<f4")), "expected means .* with 2 axes"),
+        ("means.npy", npy(np.zeros((40, 3), "<f4"))[:-4], "expected means"),
+        ("means.npy", npy(np.zeros((40, 3), "<f4")) + b"more", "expected means"),
+        (
+            "means.npy",
+            npy(np.zeros((40, 3), "<f4")).replace(b"(40, 3)", b"(99, 3)"),
+            "expected means",
+        ),
+        (
+            "means.npy",
+            npy(np.zeros((40, 3), "<f4")).replace(b"(40, 3)", b"(-4, 3)"),
+            "expected means",
+        ),
+        ("means.npy", npy(np.asfortranarray(np.zeros((40, 3), "<f4"))), "expected means"),
+        ("means.npy", npy(np.zeros((39, 3), "<f4")), "quaternions: expected shape"),
+        ("labels.npy", npy(np.full(40, 7, np.uint8)), "labels: expected 0 to 1"),
+        ("label_names.npy", npy(np.array([Bomb()], object)), "expected label_names as"),
+        ("source.npy", pickle.dumps(Bomb()), "expected source as"),
         (
             "source.npy",
             npy(np.array("abc")).replace(b"c\0\0\0", b"\xff\xff\xff\xff"),
-            "want words in label_names and source",
+            "expected words in label_names and source",
         ),
     ],
 )
@@ -112,13 +120,17 @@ def test_each_damage_gets_its_sentence(tmp_path, name, content, sentence):
 
 
 def test_bombs_and_torn_zips_are_refused(tmp_path):
-    """Zeros deflate to a thousandth: 16 MB in 16 kB are over the limit of 200 times. A cut zip has no directory."""
+    """Zeros deflate to a thousandth: 16 MB in 16 kB are over the limit of 200 times. A cut zip has
+    no directory.
+    """
     with pytest.raises(InputError, match="members of the sizes it tells"):
         load(tmp_path, members(tmp_path) | {"means.npy": bytes(16_000_000)}, zipfile.ZIP_DEFLATED)
-    with pytest.raises(InputError, match="want stored or deflated members"):  # Python unpacks LZMA without a limit
+    with pytest.raises(
+        InputError, match="expected stored or deflated members"
+    ):  # Python unpacks LZMA without a limit
         load(tmp_path, members(tmp_path), zipfile.ZIP_LZMA)
     whole = zipped(members(tmp_path))
     for damaged in (whole[:-30], b"PK\x03\x04" + whole[40:], whole[:200] + bytes(8) + whole[208:]):
         (tmp_path / "a.npz").write_bytes(damaged)
-        with pytest.raises(InputError, match=r"/a\.npz: want"):
+        with pytest.raises(InputError, match=r"/a\.npz: expected"):
             GaussianScene.load(tmp_path / "a.npz")

@@ -1,4 +1,6 @@
-"""Scenes in whole numbers of few bits: half a step is all that is lost, and nothing in the file is trusted."""
+"""Scenes in whole numbers of few bits: half a step is all that is lost, and nothing in the file is
+trusted.
+"""
 
 import zipfile
 
@@ -13,7 +15,10 @@ from tests.scene.test_gaussians import fields
 from tests.scene.test_native import npy
 
 SCENE = GaussianScene(
-    **fields(300, 4), labels=np.arange(300) % 3, label_names=("rest", "floor", "Landefläche"), source="simulated"
+    **fields(300, 4),
+    labels=np.arange(300) % 3,
+    label_names=("rest", "floor", "Landefläche"),
+    source="simulated",
 )
 
 
@@ -25,7 +30,9 @@ def back(tmp_path):
 
 @pytest.mark.parametrize("name, bits", [("means", 16), ("opacities", 8)])
 def test_values_come_back_within_half_a_step(back, name, bits):
-    """By hand: 2^bits - 1 steps from end to end, so half of one is the largest error; float32 adds a millionth."""
+    """By hand: 2^bits - 1 steps from end to end, so half of one is the largest error; float32 adds
+    a millionth.
+    """
     values = getattr(SCENE, name)
     span = np.ptp(values, axis=0) if name == "means" else 1.0
     off = np.abs(getattr(back, name) - values)
@@ -34,7 +41,9 @@ def test_values_come_back_within_half_a_step(back, name, bits):
 
 
 def test_scales_and_colours_come_back_within_half_a_step(back):
-    """By hand: 255 steps of the logarithm of scales and of the further colours, 65535 of the first colour."""
+    """By hand: 255 steps of the logarithm of scales and of the further colours, 65535 of the first
+    colour.
+    """
     logs = np.log(SCENE.scales)
     assert np.abs(np.log(back.scales) - logs).max() <= 0.5 * np.ptp(logs) / 255 * 1.01
     for part, steps in ((slice(0, 1), 65535), (slice(1, None), 255)):
@@ -43,8 +52,9 @@ def test_scales_and_colours_come_back_within_half_a_step(back):
 
 
 def test_rotations_come_back_within_a_third_of_a_degree(back):
-    """By hand: three components in steps of sqrt(2)/1023, each off by half of one, and the fourth, at least as large as
-    any, off by at most their sum: |dq| <= sqrt(3 + 9) * 0.5 sqrt(2)/1023 = 0.0024, and a turn is twice that: 0.27 deg.
+    """By hand: three components in steps of sqrt(2)/1023, each off by half of one, and the fourth,
+    at least as large as any, off by at most their sum: |dq| <= sqrt(3 + 9) * 0.5 sqrt(2)/1023 =
+    0.0024, and a turn is twice that: 0.27 deg.
     """
     aligned = np.abs((back.quaternions * SCENE.quaternions).sum(axis=1)).clip(max=1.0)
     assert np.degrees(2.0 * np.arccos(aligned)).max() < 0.27
@@ -58,13 +68,17 @@ def test_labels_names_and_source_are_kept(back):
 
 
 def test_a_scene_without_further_colours_is_kept(tmp_path):
-    """Degree 0 has no further coefficients: the array is left out of the file and comes back with none."""
+    """Degree 0 has no further coefficients: the array is left out of the file and comes back with
+    none.
+    """
     write_quantised(tmp_path / "a.npz", GaussianScene(**fields(5, 1)))
     assert GaussianScene.load(tmp_path / "a.npz").sh.shape == (5, 1, 3)
 
 
 def test_200_000_gaussians_fit_into_8_megabytes(tmp_path):
-    """By hand: 6 + 4 + 3 + 1 + 6 + 9 + 1 = 30 bytes each; random numbers do not compress, real ones do."""
+    """By hand: 6 + 4 + 3 + 1 + 6 + 9 + 1 = 30 bytes each; random numbers do not compress, real ones
+    do.
+    """
     write_quantised(tmp_path / "a.npz", GaussianScene(**fields(20_000, 4)))
     assert (tmp_path / "a.npz").stat().st_size < 30 * 20_000 * 1.01 + 4000
 
@@ -99,7 +113,9 @@ def test_each_damage_gets_its_sentence(tmp_path, name, content, words):
     with zipfile.ZipFile(tmp_path / "whole.npz") as archive:
         files = {member: archive.read(member) for member in archive.namelist()}
     files.pop(name)
-    (tmp_path / "a.npz").write_bytes(zipped(files | ({name: content} if content else {}), zipfile.ZIP_STORED))
+    (tmp_path / "a.npz").write_bytes(
+        zipped(files | ({name: content} if content else {}), zipfile.ZIP_STORED)
+    )
     with pytest.raises(InputError, match=words) as caught:
         GaussianScene.load(tmp_path / "a.npz")
     assert "\n" not in str(caught.value)

@@ -1,4 +1,6 @@
-"""The renderer's door: every backend draws what was worked out by hand, and every wrong argument gets its sentence."""
+"""The renderer's door: every backend draws what was worked out by hand, and every wrong argument
+gets its sentence.
+"""
 
 import math
 import sys
@@ -30,20 +32,26 @@ def test_every_backend_is_tried():
 
 @pytest.mark.parametrize("backend", ON_THIS_MACHINE)
 def test_ball_by_hand(backend):
-    """Variances (50 x 0.1 / 2)^2 + 0.3 across and (60 x 0.1 / 2)^2 + 0.3 down; tolerance is an exp fitted to 7e-6."""
+    """Variances (50 x 0.1 / 2)^2 + 0.3 across and (60 x 0.1 / 2)^2 + 0.3 down; tolerance is an exp
+    fitted to 7e-6.
+    """
     frame = render(ball(), CAMERA, AHEAD, backend=backend, background=(0.0, 0.0, 1.0))
     v, u = np.mgrid[-3:4, -4:5]
     alpha = 0.8 * np.exp(-u * u / (2 * 6.55) - v * v / (2 * 9.3))
     assert (frame.rgb.shape, frame.alpha.shape, frame.depth.shape) == ((7, 9, 3), (7, 9), (7, 9))
     assert frame.rgb.dtype == frame.alpha.dtype == frame.depth.dtype == np.float32
     assert np.allclose(frame.alpha, alpha, atol=2e-5)
-    assert np.allclose(frame.rgb, alpha[..., None] * [1, 0.5, 0.25] + (1 - alpha[..., None]) * [0, 0, 1], atol=4e-5)
+    assert np.allclose(
+        frame.rgb, alpha[..., None] * [1, 0.5, 0.25] + (1 - alpha[..., None]) * [0, 0, 1], atol=4e-5
+    )
     assert np.allclose(frame.depth, 2.0, rtol=1e-5)
 
 
 @pytest.mark.parametrize("backend", ON_THIS_MACHINE)
 def test_antialiased_reaches_the_backend(backend):
-    """By hand: the peak is fainter by the root of the determinants' ratio, 6.25 x 9 before and 6.55 x 9.3 after."""
+    """By hand: the peak is fainter by the root of the determinants' ratio, 6.25 x 9 before and 6.55
+    x 9.3 after.
+    """
     frame = render(ball(), CAMERA, AHEAD, backend=backend, antialiased=True)
     assert frame.alpha[3, 4] == pytest.approx(0.8 * math.sqrt(6.25 * 9.0 / (6.55 * 9.3)), abs=2e-5)
 
@@ -57,7 +65,9 @@ def test_colours_are_cut_like_a_camera_s(backend):
 
 @pytest.mark.parametrize("fov_deg", [3.0, 60.0, 120.0, 170.0])
 def test_backends_see_one_hall(fov_deg):
-    """The fast one equals the reference to 60 dB, the project's bar, amid Gaussians on all sides, of degree 3."""
+    """The fast one equals the reference to 60 dB, the project's bar, amid Gaussians on all sides,
+    of degree 3.
+    """
     rng = np.random.default_rng(5)
     scene = GaussianScene(
         rng.normal(size=(2000, 3)) * (4, 2, 4),
@@ -68,7 +78,9 @@ def test_backends_see_one_hall(fov_deg):
     )
     camera = PinholeCamera.from_fov_deg(100, 70, fov_deg)
     pose = nose_camera_pose((0.1, 0.2, 0.3), 0.3, -0.1, 0.8)
-    exact, quick = (render(scene, camera, pose, backend, (0.2, 0.4, 0.6)) for backend in ("reference", "fast"))
+    exact, quick = (
+        render(scene, camera, pose, backend, (0.2, 0.4, 0.6)) for backend in ("reference", "fast")
+    )
     assert exact.alpha.mean() > 0.3
     assert np.mean((exact.rgb - quick.rgb) ** 2) < 1e-6
     solid = exact.alpha > 0.5
@@ -85,23 +97,29 @@ def changed(row, column, value):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"scene": "arena"}, "scene: want a GaussianScene, got str"),
-        ({"camera": (50, 60, 4, 3, 9, 7)}, "camera: want a PinholeCamera, got tuple"),
-        ({"backend": "opengl"}, "backend: want one of auto, fast, reference, gsplat, got 'opengl'"),
-        ({"backend": None}, "backend: want one of .*, got None"),
-        ({"backend": ["fast"]}, "backend: want one of .*, got "),
-        ({"T_world_camera": np.eye(3)}, r"T_world_camera: want shape \(4, 4\), got \(3, 3\)"),
-        ({"T_world_camera": "here"}, "T_world_camera: want an array of numbers"),
-        ({"T_world_camera": changed(0, 3, math.nan)}, "T_world_camera: want finite numbers, got 1 that are not"),
-        ({"T_world_camera": AHEAD.T}, "T_world_camera: want the last row 0 0 0 1"),
-        ({"T_world_camera": np.diag([2.0, 2.0, 2.0, 1.0])}, "T_world_camera: want a rotation"),
-        ({"T_world_camera": np.diag([1.0, 1.0, -1.0, 1.0])}, "T_world_camera: want a rotation"),
-        ({"T_world_camera": changed(0, 0, 1e-3)}, "T_world_camera: want a rotation"),
-        ({"background": 0.5}, r"background: want shape \(3\), got \(\)"),
-        ({"background": (0, 0, 255)}, "background: want red, green and blue in 0..1"),
-        ({"background": (0, 0, -0.1)}, "background: want red, green and blue in 0..1"),
-        ({"background": (0, 0, math.nan)}, "background: want red, green and blue in 0..1"),
-        ({"background": "black"}, "background: want an array of numbers"),
+        ({"scene": "arena"}, "scene: expected a GaussianScene, got str"),
+        ({"camera": (50, 60, 4, 3, 9, 7)}, "camera: expected a PinholeCamera, got tuple"),
+        (
+            {"backend": "opengl"},
+            "backend: expected one of auto, fast, reference, gsplat, got 'opengl'",
+        ),
+        ({"backend": None}, "backend: expected one of .*, got None"),
+        ({"backend": ["fast"]}, "backend: expected one of .*, got "),
+        ({"T_world_camera": np.eye(3)}, r"T_world_camera: expected shape \(4, 4\), got \(3, 3\)"),
+        ({"T_world_camera": "here"}, "T_world_camera: expected an array of numbers"),
+        (
+            {"T_world_camera": changed(0, 3, math.nan)},
+            "T_world_camera: expected finite numbers, got 1 that are not",
+        ),
+        ({"T_world_camera": AHEAD.T}, "T_world_camera: expected the last row 0 0 0 1"),
+        ({"T_world_camera": np.diag([2.0, 2.0, 2.0, 1.0])}, "T_world_camera: expected a rotation"),
+        ({"T_world_camera": np.diag([1.0, 1.0, -1.0, 1.0])}, "T_world_camera: expected a rotation"),
+        ({"T_world_camera": changed(0, 0, 1e-3)}, "T_world_camera: expected a rotation"),
+        ({"background": 0.5}, r"background: expected shape \(3\), got \(\)"),
+        ({"background": (0, 0, 255)}, "background: expected red, green and blue in 0..1"),
+        ({"background": (0, 0, -0.1)}, "background: expected red, green and blue in 0..1"),
+        ({"background": (0, 0, math.nan)}, "background: expected red, green and blue in 0..1"),
+        ({"background": "black"}, "background: expected an array of numbers"),
     ],
 )
 def test_each_wrong_argument_gets_its_sentence(change, sentence):
@@ -126,16 +144,22 @@ def test_missing_library_is_said_with_its_remedy(monkeypatch, backend, module, l
     """None in sys.modules is Python's own way to make an import fail as if nothing were installed."""
     monkeypatch.delitem(sys.modules, f"falconwing_kit.scene.renderers.{module}", raising=False)
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(InputError, match=f"want {library} for .*; run: pip install {library}"):
+    with pytest.raises(InputError, match=f"expected {library} for .*; run: pip install {library}"):
         render(ball(), CAMERA, AHEAD, backend=backend)
 
 
 @pytest.mark.parametrize("backend", ON_THIS_MACHINE)
 def test_several_scenes_are_drawn_as_one(backend):
-    """Two balls, one before the other, apart and joined: the definition. Neither hides the other whole."""
-    near, far = ball((0.2, 0.9, 0.1)), replace(ball(), means=np.array([[3.0, 0.1, 1.0]], np.float32))
+    """Two balls, one before the other, apart and joined: the definition. Neither hides the other
+    whole.
+    """
+    near, far = (
+        ball((0.2, 0.9, 0.1)),
+        replace(ball(), means=np.array([[3.0, 0.1, 1.0]], np.float32)),
+    )
     apart, joined = (
-        render(scenes, CAMERA, AHEAD, backend) for scenes in ((far, near), GaussianScene.joined(far, near))
+        render(scenes, CAMERA, AHEAD, backend)
+        for scenes in ((far, near), GaussianScene.joined(far, near))
     )
     assert np.array_equal(apart.rgb, joined.rgb)
     assert np.array_equal(apart.depth, joined.depth)

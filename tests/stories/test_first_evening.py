@@ -1,4 +1,6 @@
-"""A newcomer's first evening, by the words on the command line: flight in, model out, and what to trust of it."""
+"""A newcomer's first evening, by the words on the command line: flight in, model out, and what to
+trust of it.
+"""
 
 import json
 import re
@@ -31,7 +33,10 @@ def asked(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
 def identified(tmp_path_factory):
     """A model and three figures of a flight that ships."""
     folder = tmp_path_factory.mktemp("identified")
-    assert run("identify", FLIGHT, "--out", folder / "model.toml", "--figures", folder / "figures") == 0
+    assert (
+        run("identify", FLIGHT, "--out", folder / "model.toml", "--figures", folder / "figures")
+        == 0
+    )
     return folder
 
 
@@ -52,7 +57,9 @@ def test_flight_becomes_a_model_and_three_figures(identified):
 
 
 def test_found_model_is_an_ordinary_aircraft(identified):
-    """Signs from flight mechanics: lift grows with incidence, every rotation is damped, sticks act as they should."""
+    """Signs from flight mechanics: lift grows with incidence, every rotation is damped, sticks act
+    as they should.
+    """
     K = read_model(identified / "model.toml").model.K
     assert min(K.cL_alpha, K.N_beta) > 0.0
     assert max(K.cY_beta, K.L_beta, K.L_p, K.M_alpha, K.M_q, K.N_r) < 0.0
@@ -60,22 +67,29 @@ def test_found_model_is_an_ordinary_aircraft(identified):
 
 
 def test_going_on_from_a_model_finds_the_same_flight_as_good(identified, capsys):
-    """The second fit starts where the first ended; less than a tenth of the noise variance may change."""
+    """The second fit starts where the first ended; less than a tenth of the noise variance may
+    change.
+    """
     held_out = [
-        asked(capsys, "identify", FLIGHT, *more)["held_out"]["chi2_per_dof"] for more in ((), ("--start", "model.toml"))
+        asked(capsys, "identify", FLIGHT, *more)["held_out"]["chi2_per_dof"]
+        for more in ((), ("--start", "model.toml"))
     ]
     assert held_out[0] == pytest.approx(held_out[1], abs=0.1)
     assert max(held_out) < 1.3  # the release's goal
 
 
 def test_own_log_becomes_a_table_and_a_model(tmp_path, capsys):
-    """A shipped flight, flown into a log as the loop would: a command for each image, a pose where there was one.
+    """A shipped flight, flown into a log as the loop would: a command for each image, a pose where
+    there was one.
 
-    The exported table must hold the same to the last bit but for times, which a log keeps in nanoseconds.
+    The exported table must hold the same to the last bit but for times, which a log keeps in
+    nanoseconds.
     """
     table = slice_time(read_flight_table(FLIGHT), 0.0, 45.0)
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
-        for k, (t, p, (roll, pitch, yaw)) in enumerate(zip(table.t, table.p_world, table.attitude, strict=True)):
+        for k, (t, p, (roll, pitch, yaw)) in enumerate(
+            zip(table.t, table.p_world, table.attitude, strict=True)
+        ):
             image = Image(k, t, np.zeros(100, np.uint8))
             if table.has_pose[k]:
                 log.state(t, State(p, pitch, yaw, roll, np.zeros(3)), image_sequence=k)
@@ -91,9 +105,13 @@ def test_own_log_becomes_a_table_and_a_model(tmp_path, capsys):
     assert record["held_out"]["chi2_per_dof"] < 1.3
 
 
-@pytest.mark.parametrize(("mass_g", "speed", "radius", "code"), [(150, 7.04, 8.77, 0), (324, 10.35, 18.9, 1)])
+@pytest.mark.parametrize(
+    ("mass_g", "speed", "radius", "code"), [(150, 7.04, 8.77, 0), (324, 10.35, 18.9, 1)]
+)
 def test_size_answers_whether_it_fits_the_hall(capsys, mass_g, speed, radius, code):
-    """The paper's appendix by hand: V^2 = 2 m g / (rho S C), R = V^2 / (g tan 30 deg); 2 R against 20 m."""
+    """The paper's appendix by hand: V^2 = 2 m g / (rho S C), R = V^2 / (g tan 30 deg); 2 R against
+    20 m.
+    """
     assert run("size", "--mass-g", mass_g, "--json") == code
     record = json.loads(capsys.readouterr().out)
     assert record["minimum_speed_m_per_s"] == pytest.approx(speed, abs=0.01)
@@ -112,21 +130,25 @@ def test_doctor_ends_well_and_says_what_to_type_next(capsys):
     ("make", "sentence"),
     [
         (lambda text: text.replace("aileron", "roll_stick", 1), "missing column aileron"),
-        (lambda text: text.replace(",", ";"), "want commas"),
+        (lambda text: text.replace(",", ";"), "expected commas"),
         (lambda text: "", "got an empty file"),
-        (lambda text: text.splitlines()[0] + "\n", "want at least one row"),
-        (lambda text: "\n".join(text.splitlines()[:2]), "want at least two rows"),
+        (lambda text: text.splitlines()[0] + "\n", "expected at least one row"),
+        (lambda text: "\n".join(text.splitlines()[:2]), "expected at least two rows"),
         (lambda text: degrees(text), "looks like degrees; convert to radians"),
-        (lambda text: sticks(text, 0.5), "want sticks that move"),
+        (lambda text: sticks(text, 0.5), "expected sticks that move"),
         (lambda text: sticks(text, 1500.0), "looks like microseconds"),
     ],
 )
 def test_ordinary_mistake_is_one_sentence_and_exit_2(tmp_path, capsys, make, sentence):
-    """Each mistake is made in a flight that is fine; the sentence must say what it is, and no model is written."""
+    """Each mistake is made in a flight that is fine; the sentence must say what it is, and no model
+    is written.
+    """
     flight = tmp_path / "flight.csv"
     flight.write_text(make(FLIGHT.read_text()))
     assert run("identify", flight, "--out", tmp_path / "model.toml") == 2
-    said = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")]
+    said = [
+        line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")
+    ]
     assert len(said) == 1 and sentence in said[0]
     assert not (tmp_path / "model.toml").exists()
 
@@ -145,4 +167,9 @@ def sticks(text: str, value: float) -> str:
     """The table with every stick at one value in every row."""
     head, *rows = (line.split(",") for line in text.splitlines())
     first = head.index("throttle")
-    return "\n".join(",".join(row) for row in [head, *(row[:first] + [str(value)] * 4 for row in rows)]) + "\n"
+    return (
+        "\n".join(
+            ",".join(row) for row in [head, *(row[:first] + [str(value)] * 4 for row in rows)]
+        )
+        + "\n"
+    )

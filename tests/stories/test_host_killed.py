@@ -1,8 +1,10 @@
-"""The host is killed on final: the board goes safe, the aircraft glides without its motor, the log tells the story.
+"""The host is killed on final: the board goes safe, the aircraft glides without its motor, the log
+tells the story.
 
-Two programs, in real time. This one is the field: the firmware in a simulated chip behind a pseudo-terminal, and the
-simulated aircraft that flies on what its pin says. The other is the host: it reads the state, flies the kit's loop with
-the expert, sends its commands through the serial port, writes the log, and is killed with SIGKILL.
+Two programs, in real time. This one is the field: the firmware in a simulated chip behind a
+pseudo-terminal, and the simulated aircraft that flies on what its pin says. The other is the host:
+it reads the state, flies the kit's loop with the expert, sends its commands through the serial
+port, writes the log, and is killed with SIGKILL.
 """
 
 import json
@@ -82,11 +84,15 @@ def tell(host, world):
 
 
 def test_a_killed_host_leaves_a_safe_board_and_a_log(line, tmp_path):
-    """Safety rules: 200 ms after the last command the slots are safe; the next host is told LOST, not obeyed."""
+    """Safety rules: 200 ms after the last command the slots are safe; the next host is told LOST,
+    not obeyed.
+    """
     world = LandingTask().trial(trial_seed(0)).world
     log_path, killed = tmp_path / "flight.mcap", 0.0
     command = [sys.executable, "-c", HOST, line.path, str(log_path)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as host:
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as host:
         try:
             tell(host, world)
             while host.stdout.readline().strip() != "engaged":
@@ -106,9 +112,11 @@ def test_a_killed_host_leaves_a_safe_board_and_a_log(line, tmp_path):
             killed = time.perf_counter()
     assert world.contact is None
     time.sleep(0.6)
-    with line.paused() as board:
+    with line.pause() as board:
         frames, pin = board.ppm_frames(), [line.to_host_time(board.t)]
-    safe = [f for f in frames if f.slots_us == pytest.approx([1000.0, 1500.0, 1500.0, 1500.0], abs=1.0)]
+    safe = [
+        f for f in frames if f.slots_us == pytest.approx([1000.0, 1500.0, 1500.0, 1500.0], abs=1.0)
+    ]
     flown = [f for f in frames if f not in safe]
     first_safe = line.to_host_time(safe[0].t_start)
     assert first_safe - killed < TIMEOUT
@@ -128,9 +136,16 @@ def test_a_killed_host_leaves_a_safe_board_and_a_log(line, tmp_path):
     assert log.states[-1].p_world[0] == pytest.approx(FINAL, abs=1.0)
 
     # The next host hears what happened, and its engaging is no silent resumption.
-    with FlightLogWriter(tmp_path / "next.mcap") as next_log, TrainerPort(SerialLink(line.path)) as port:
+    with (
+        FlightLogWriter(tmp_path / "next.mcap") as next_log,
+        TrainerPort(SerialLink(line.path)) as port,
+    ):
         assert port.wait_ready().state == "LOST"
         for event in port.events:
             next_log.event(0.0, event.name, event.details)
-    told = [event.details for event in read_flight_log(tmp_path / "next.mcap").events if event.name == "board"]
+    told = [
+        event.details
+        for event in read_flight_log(tmp_path / "next.mcap").events
+        if event.name == "board"
+    ]
     assert told[0]["state"] == "LOST"

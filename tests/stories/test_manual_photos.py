@@ -15,7 +15,11 @@ from falconwing_kit.tools.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAPTER = (ROOT / "manual" / "photos_to_simulator.md").read_text(encoding="utf-8")
-COMMANDS = [line for block in re.findall(r"^```sh\n(.*?)^```", CHAPTER, re.M | re.S) for line in block.splitlines()]
+COMMANDS = [
+    line
+    for block in re.findall(r"^```sh\n(.*?)^```", CHAPTER, re.M | re.S)
+    for line in block.splitlines()
+]
 
 
 def test_every_path_leads_somewhere():
@@ -26,7 +30,9 @@ def test_every_path_leads_somewhere():
 
 @pytest.mark.timeout(900)
 def test_commands_run_in_their_order(tmp_path, monkeypatch, capsys):
-    """Typed as printed, in a folder with what the repository has: each says 0, and what it promised is there."""
+    """Typed as printed, in a folder with what the repository has: each says 0, and what it promised
+    is there.
+    """
     for name in ("falconwing_kit/data/hall_clip", "tests/data/hall24"):
         shutil.copytree(ROOT / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)
@@ -45,14 +51,20 @@ def test_commands_run_in_their_order(tmp_path, monkeypatch, capsys):
 
 
 def check_both_trainings():
-    """The second knows what the first held out, and stands on poses that the first moved by less than 10 cm.
+    """The second knows what the first held out, and stands on poses that the first moved by less
+    than 10 cm.
 
-    From miniature photos no pose is bettered; 10 cm, ten times the tape's error, tell a small step from a lost camera.
+    From miniature photos no pose is bettered; 10 cm, ten times the tape's error, tell a small step
+    from a lost camera.
     """
-    first, second = (json.loads(Path(name, "figures.json").read_text()) for name in ("room_first", "room_scene"))
+    first, second = (
+        json.loads(Path(name, "figures.json").read_text()) for name in ("room_first", "room_scene")
+    )
     assert first["photos"]["held_out"] == second["photos"]["held_out"] != []
     assert first["settings"]["poses"] and not second["settings"]["poses"]
-    before, after = (read_reconstruction(Path(name)) for name in ("room_aligned", "room_first/corrected"))
+    before, after = (
+        read_reconstruction(Path(name)) for name in ("room_aligned", "room_first/corrected")
+    )
     assert before.names == after.names
     moved = np.linalg.norm(before.T_world_camera[:, :3, 3] - after.T_world_camera[:, :3, 3], axis=1)
     assert 0.0 < moved.max() < 0.1

@@ -1,4 +1,6 @@
-"""The map of the paper is true: what it names exists, its commands are understood, its corrections add up."""
+"""The map of the paper is true: what it names exists, its commands are understood, its corrections
+add up.
+"""
 
 import ast
 import importlib
@@ -11,7 +13,12 @@ from pathlib import Path
 import pytest
 
 from falconwing_kit.aircraft.airframe import load_airframe
-from falconwing_kit.aircraft.sizing import level_turn_radius, level_turn_speed, minimum_speed, paper_turn_radius
+from falconwing_kit.aircraft.sizing import (
+    level_turn_radius,
+    level_turn_speed,
+    minimum_speed,
+    paper_turn_radius,
+)
 from falconwing_kit.core.messages import COMMAND_NAMES, STATE_NAMES
 from falconwing_kit.tools.cli.main import VERBS, main
 
@@ -36,7 +43,10 @@ def defined_names() -> set[str]:
 
 def test_every_name_and_file_in_the_map_exists():
     """Names against the source, read with the standard library; files and folders against the tree."""
-    known, places = defined_names(), [ROOT, ROOT / "falconwing_kit", ROOT / "falconwing_kit" / "data"]
+    known, places = (
+        defined_names(),
+        [ROOT, ROOT / "falconwing_kit", ROOT / "falconwing_kit" / "data"],
+    )
     missing = []
     for words in set(QUOTED) - set(COMMANDS):
         if "/" in words or words.endswith((".csv", ".toml", ".md")):
@@ -48,11 +58,18 @@ def test_every_name_and_file_in_the_map_exists():
 
 @pytest.mark.parametrize("line", sorted(set(COMMANDS)))
 def test_command_is_understood(line, monkeypatch):
-    """The verb takes these words; what it then does is tested with the verb. Files that it names are there."""
+    """The verb takes these words; what it then does is tested with the verb. Files that it names
+    are there.
+    """
     words = shlex.split(line)[1:]
-    modules = {name: (f"falconwing_kit.tools.cli.{module}", class_name) for name, module, class_name, _ in VERBS}
+    modules = {
+        name: (f"falconwing_kit.tools.cli.{module}", class_name)
+        for name, module, class_name, _ in VERBS
+    }
     module, class_name = modules[words[0]]
-    monkeypatch.setattr(getattr(importlib.import_module(module), class_name), "run", lambda settings: 0)
+    monkeypatch.setattr(
+        getattr(importlib.import_module(module), class_name), "run", lambda settings: 0
+    )
     if words[1:]:
         assert main(words) == 0
     read = [word for before, word in pairwise(words) if word.endswith(".csv") and before != "--out"]
@@ -60,10 +77,14 @@ def test_command_is_understood(line, monkeypatch):
 
 
 def test_corrections_add_up():
-    """Recomputed from the paper's own table, its masses and its appendix, and each written in the map."""
+    """Recomputed from the paper's own table, its masses and its appendix, and each written in the
+    map.
+    """
     landings_cm = [35, 45, 40, 40, 70, 20, 80, 78]  # Table II, real world, the eight successes
     assert (sum(landings_cm), sum(landings_cm) / 8, round(sum(landings_cm) / 10)) == (408, 51.0, 41)
-    assert round(100.0 * 0.025 ** (1.0 / 30.0), 1) == 88.4  # exact two-sided 95 % bound of 30 out of 30: p^30 = 0.025
+    assert (
+        round(100.0 * 0.025 ** (1.0 / 30.0), 1) == 88.4
+    )  # exact two-sided 95 % bound of 30 out of 30: p^30 = 0.025
     assert round(100.0 * math.cos(math.radians(30.0))) == 87
     assert (137 + 9 + 5, 150 + 174) == (151, 324)
     airframe = load_airframe()

@@ -1,4 +1,6 @@
-"""README is true: its commands run, its figures are what the demo says, its tables name what is there."""
+"""README is true: its commands run, its figures are what the demo says, its tables name what is
+there.
+"""
 
 import importlib.util
 import re
@@ -51,7 +53,9 @@ STARTS = [line for line in commands() if line.startswith("python3 start.py")]
 
 def figures_of_the_manual():
     """The script that draws them, as a module."""
-    spec = importlib.util.spec_from_file_location("make_figures", ROOT / "manual" / "figures" / "make_figures.py")
+    spec = importlib.util.spec_from_file_location(
+        "make_figures", ROOT / "manual" / "figures" / "make_figures.py"
+    )
     make = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(make)
     return make
@@ -61,20 +65,33 @@ def grade_by_hand(out):
     """What a run of the grader leaves, for one student of lab 1 who could do half of everything."""
     lab = load_checks(ROOT / "labs" / "lab01_sizing")
     half = {"right": 1, "cases": 2, "categories": {"wrong value": 1}, "problems": []}
-    exercises = {each.name: half | {"points": each.points / 2.0, "of": each.points} for each in lab.exercises}
-    told = {"student": "ada", "sha256": "", "status": "graded", "problem": "", "points": 37.5, "of": 75.0}
+    exercises = {
+        each.name: half | {"points": each.points / 2.0, "of": each.points} for each in lab.exercises
+    }
+    told = {
+        "student": "ada",
+        "sha256": "",
+        "status": "graded",
+        "problem": "",
+        "points": 37.5,
+        "of": 75.0,
+    }
     open_run(out, "lab01", "", sandboxed=True, go_on=False)
     append_record(out, told | {"sandboxed": True, "exercises": exercises})
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A folder as the reader has it: the kit's data, an own flight, an own log of two seconds, and lab 1, done."""
+    """A folder as the reader has it: the kit's data, an own flight, an own log of two seconds, and
+    lab 1, done.
+    """
     shutil.copytree(data_path("case02_calm.csv").parent, tmp_path / "falconwing_kit" / "data")
     shutil.copy(data_path("case02_calm.csv"), tmp_path / "flight.csv")
     for notebook in ("labs/lab01_sizing/solution/lab01.ipynb", "submissions/ann.ipynb"):
         (tmp_path / notebook).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / "labs" / "lab01_sizing" / "solution" / "lab01.ipynb", tmp_path / notebook)
+        shutil.copy(
+            ROOT / "labs" / "lab01_sizing" / "solution" / "lab01.ipynb", tmp_path / notebook
+        )
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
         for k in range(40):
             log.state(0.05 * k, State.from_vector(np.arange(9.0) / 10.0 + k / 100.0))
@@ -84,15 +101,21 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_no_command_escapes():
-    """Each is one of the kit's own or one that we know not to be; the check sees both places where commands stand."""
+    """Each is one of the kit's own or one that we know not to be; the check sees both places where
+    commands stand.
+    """
     assert set(commands()) - set(OURS) - set(STARTS) == AROUND
     assert len(OURS) > 6 and len(STARTS) == 2
-    assert INLINE.findall("type `falconwing size --mass-g 150` or `falconwing_kit`") == ["falconwing size --mass-g 150"]
+    assert INLINE.findall("type `falconwing size --mass-g 150` or `falconwing_kit`") == [
+        "falconwing size --mass-g 150"
+    ]
 
 
 @pytest.mark.parametrize("line", [line for line in OURS if " demo " not in line])
 def test_command_runs(line, folder, capsys):
-    """Typed as printed, in a folder with a flight and a log; 0 means done (no board is a no), and --out is there."""
+    """Typed as printed, in a folder with a flight and a log; 0 means done (no board is a no), and
+    --out is there.
+    """
     words = shlex.split(line)[1:]
     if words[0] == "firmware":
         require_tools()
@@ -131,8 +154,9 @@ def test_start_hands_the_verb_over(line, tmp_path, monkeypatch):
 def test_demo_says_what_readme_shows():
     """The block of README against a fresh run, line by line.
 
-    Words must be the same. Numbers may differ by a quarter: another processor rounds differently, which the one-step
-    fit on raw differences makes large; a change of the answer is larger than that.
+    Words must be the same. Numbers may differ by a quarter: another processor rounds differently,
+    which the one-step fit on raw differences makes large; a change of the answer is larger than
+    that.
     """
     (line,) = [line for line in OURS if " demo " in line]
     run = demo_run()
@@ -146,7 +170,9 @@ def test_demo_says_what_readme_shows():
 
 
 def test_picture_is_small_and_can_be_made_again(tmp_path):
-    """From what the demo found, to the same size in pixels; 300 kB are a second on a slow connection."""
+    """From what the demo found, to the same size in pixels; 300 kB are a second on a slow
+    connection.
+    """
     make = figures_of_the_manual()
     make.draw_identify_demo(demo_run().found, tmp_path / "again.png")
     ours = ROOT / "manual" / "figures" / "identify_demo.png"
@@ -162,14 +188,18 @@ def test_views_of_the_hall_can_be_made_again(name, tmp_path):
 
     make, picture = figures_of_the_manual(), ROOT / "manual" / "figures" / f"{name}.jpg"
     getattr(make, f"draw_{name}")(tmp_path / "again.jpg")
-    ours, again = (cv2.imread(str(path)).astype(float) for path in (picture, tmp_path / "again.jpg"))
+    ours, again = (
+        cv2.imread(str(path)).astype(float) for path in (picture, tmp_path / "again.jpg")
+    )
     assert picture.stat().st_size < 300_000
     assert np.abs(ours - again).mean() < 1.0
 
 
 def test_every_verb_stands_in_readme():
     """A verb that nobody is told of does not exist for a newcomer."""
-    assert {shlex.split(line)[1] for line in OURS + STARTS} >= {name for name, *_ in VERBS} - {"demo"}
+    assert {shlex.split(line)[1] for line in OURS + STARTS} >= {name for name, *_ in VERBS} - {
+        "demo"
+    }
 
 
 def test_columns_are_those_of_the_reader():
@@ -188,7 +218,9 @@ def test_links_and_rooms_lead_somewhere():
     assert len(targets) > 15
     assert [target for target in targets if not (ROOT / target).exists()] == []
     rooms = {path.parent.name for path in (ROOT / "falconwing_kit").glob("*/__init__.py")}
-    assert rooms == {target.split("/")[1] for target in targets if re.fullmatch(r"falconwing_kit/\w+", target)}
+    assert rooms == {
+        target.split("/")[1] for target in targets if re.fullmatch(r"falconwing_kit/\w+", target)
+    }
 
 
 def test_speeds_come_with_their_machine_and_command():

@@ -1,4 +1,6 @@
-"""Ten flights of an independent simulator (JSBSim): two ship with the kit, the rest lie beside the checkout or not."""
+"""Ten flights of an independent simulator (JSBSim): two ship with the kit, the rest lie beside the
+checkout or not.
+"""
 
 from pathlib import Path
 
@@ -18,5 +20,7 @@ def calm_flight(case: str) -> FlightTable:
         return read_flight_table(data_path(shipped))
     path = FOLDER / case / "calm.csv"
     if not path.is_file():
-        pytest.skip(f"{case} does not ship with the kit and is not beside this checkout: {path} is missing")
+        pytest.skip(
+            f"{case} does not ship with the kit and is not beside this checkout: {path} is missing"
+        )
     return read_flight_table(path)

@@ -1,7 +1,8 @@
-"""Simulated flights with known parameters: models in, true states and noisy flight tables out. Simulated, not measured.
+"""Simulated flights with known parameters: models in, true states and noisy flight tables out.
+Simulated, not measured.
 
-What a fit must find is put in by other means than it is taken out: a servo solved in closed form on 10 ms steps, a
-pilot in the loop, noise from a seeded generator.
+What a fit must find is put in by other means than it is taken out: a servo solved in closed form on
+10 ms steps, a pilot in the loop, noise from a seeded generator.
 """
 
 from dataclasses import dataclass
@@ -10,11 +11,14 @@ from functools import cache
 import numpy as np
 
 from falconwing_kit.aircraft.integrate import step_batch
-from falconwing_kit.aircraft.model import Model, rates_model, record_of, state_rates
+from falconwing_kit.aircraft.model import Model, parameter_record, rates_model, state_rates
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.sysid.identify import Identification, identify
 
-DT, FINE = 0.05, 5  # s between rows; integration steps a row, so 10 ms: two and a half times finer than the fit's
+DT, FINE = (
+    0.05,
+    5,
+)  # s between rows; integration steps a row, so 10 ms: two and a half times finer than the fit's
 MARKER = (0.03, float(np.radians(0.6)))  # m, rad: pose noise per axis of the printed marker
 CORRELATION_S = 0.5  # of slow pose noise
 RADIUS, HEIGHT, SPEED = 4.5, 2.2, 7.0  # what the pilot holds: of the two circles [m], [m], [m/s]
@@ -31,7 +35,9 @@ class Flown:
 
 
 def drawn(model: Model, rng: np.random.Generator, spread: float = 0.15) -> Model:
-    """Another aircraft: each free parameter times exp(spread * normal), or 0.1 * spread * normal where it is zero."""
+    """Another aircraft: each free parameter times exp(spread * normal), or 0.1 * spread * normal
+    where it is zero.
+    """
     free = [p.name for p in model.parameters if p.low < p.high]
     normal = rng.normal(size=(2, len(free)))
     return model.with_values({
@@ -44,7 +50,8 @@ def fly_figure_eights(
     models: list[Model], seconds: float, rng: np.random.Generator,
     shake: float = 1.0, jitter: float = 0.0, lost: float = 0.0, held: tuple[int, ...] = (),
 ) -> Flown:  # fmt: skip
-    """A pilot flies figure eights of some 40 m by 30 m and shakes all sticks; one aircraft per model, all of one form.
+    """A pilot flies figure eights of some 40 m by 30 m and shakes all sticks; one aircraft per
+    model, all of one form.
 
     Args:
         models: the aircraft.
@@ -56,14 +63,20 @@ def fly_figure_eights(
         held: sticks that stay at zero, by their number.
     """
     first, count, rows = models[0], len(models), round(seconds / DT) + 1
-    K = record_of(first.names)(*np.array([m.vector for m in models]).T)
-    rates, pilot = state_rates(first.form, first.terms, first.winds), _figure_eights(rng, count, shake, held)
+    K = parameter_record(first.names)(*np.array([m.vector for m in models]).T)
+    rates, pilot = (
+        state_rates(first.form, first.terms, first.winds),
+        _figure_eights(rng, count, shake, held),
+    )
     t = np.arange(rows) * DT + rng.uniform(-jitter, jitter, rows)
     asleep = (rng.random(rows) < lost) & (t > DT)
     x = np.zeros((first.n_states, count))
     x[2], x[3], x[6] = HEIGHT, 0.1, SPEED
     states, sticks = np.empty((rows, *x.shape)), np.empty((rows, 4, count))
-    position, lag = pilot(0.0, x), np.maximum(K.lag, 1e-9)  # of the servos, settled at the first sticks
+    position, lag = (
+        pilot(0.0, x),
+        np.maximum(K.lag, 1e-9),
+    )  # of the servos, settled at the first sticks
     for k in range(rows):
         states[k], sticks[k] = x, sticks[k - 1] if asleep[k] else pilot(t[k], x)
         if k == rows - 1:
@@ -71,24 +84,36 @@ def fly_figure_eights(
         h = (t[k + 1] - t[k]) / FINE
         for now in t[k] + h * np.arange(FINE):
             before, after, old = _arriving(t, sticks, k, now + 1e-9 - K.delay, h)
-            turned = after + (before + (position - before) * np.exp(-old / lag) - after) * np.exp(-(h - old) / lag)
+            turned = after + (before + (position - before) * np.exp(-old / lag) - after) * np.exp(
+                -(h - old) / lag
+            )
             mean = (before * old + after * (h - old) - lag * (turned - position)) / h
-            swing = np.where(lag > h, 0.5 * (turned - position), 0.0)  # a servo without lag jumps and stays
-            x = step_batch(rates, K, now, x, mean, h, swing)
+            slope = np.where(
+                lag > h, 0.5 * (turned - position), 0.0
+            )  # a servo without lag jumps and stays
+            x = step_batch(rates, K, now, x, mean, h, slope)
             position = turned
     return Flown(t, states.transpose(2, 0, 1), sticks.transpose(2, 0, 1), asleep)
 
 
 def _arriving(t, sticks, k, sent, h):
-    """Sticks (4, B) that reach the servos at the start and the end of a step, and how long the first act (B,)."""
+    """Sticks (4, B) that reach the servos at the start and the end of a step, and how long the
+    first act (B,).
+    """
     row = np.clip(np.searchsorted(t, sent, side="right") - 1, 0, k)
     each = np.arange(len(row))
     until_next = np.where(sent < t[0], h, t[row + 1] - sent)
-    return sticks[row, :, each].T, sticks[np.minimum(row + 1, k), :, each].T, np.minimum(until_next, h)
+    return (
+        sticks[row, :, each].T,
+        sticks[np.minimum(row + 1, k), :, each].T,
+        np.minimum(until_next, h),
+    )
 
 
 def _figure_eights(rng, count, shake, held):
-    """The pilot: sees the true states (n, B), returns sticks (4, B); left around one circle, right around the other."""
+    """The pilot: sees the true states (n, B), returns sticks (4, B); left around one circle, right
+    around the other.
+    """
     frequency = 2.0 * np.pi * rng.uniform(0.15, 1.6, (6, 4, count))
     phase = rng.uniform(0.0, 2.0 * np.pi, (6, 4, count))
     amplitude = shake * np.array([0.035, 0.07, 0.06, 0.08])[:, None]
@@ -137,7 +162,9 @@ def measured(
     """
     seen = ~flown.lost
     states, count = flown.states[which, seen], int(seen.sum())
-    error = np.sqrt(1.0 - slow) * rng.normal(size=(count, 6)) + np.sqrt(slow) * correlated(count, rng)
+    error = np.sqrt(1.0 - slow) * rng.normal(size=(count, 6)) + np.sqrt(slow) * correlated(
+        count, rng
+    )
     p_world = states[:, :3] + noise[0] * error[:, :3]
     angles = states[:, [5, 3, 4]] + noise[1] * error[:, 3:]
     off, lost = rng.random(count) < outliers, rng.random(count) < missing
@@ -159,7 +186,9 @@ def correlated(count: int, rng: np.random.Generator) -> np.ndarray:
 
 @cache
 def example_flight() -> tuple[Model, Flown, FlightTable]:
-    """A 60 s flight with marker noise, some outliers and lost frames: the aircraft, the truth, the table."""
+    """A 60 s flight with marker noise, some outliers and lost frames: the aircraft, the truth, the
+    table.
+    """
     rng = np.random.default_rng(2)
     truth = drawn(rates_model(), rng)
     flown = fly_figure_eights([truth], 60.0, rng)
@@ -168,5 +197,7 @@ def example_flight() -> tuple[Model, Flown, FlightTable]:
 
 @cache
 def example_found() -> Identification:
-    """What `identify` makes of the example flight; computed once for all tests that need some identification."""
+    """What `identify` makes of the example flight; computed once for all tests that need some
+    identification.
+    """
     return identify([example_flight()[2]])

@@ -1,4 +1,6 @@
-"""The fit against known truth, against SciPy's optimiser on the same problem, and against dense linear algebra."""
+"""The fit against known truth, against SciPy's optimiser on the same problem, and against dense
+linear algebra.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -8,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from falconwing_kit.aircraft.model import FORMS, paper_model, rates_model
-from falconwing_kit.sysid.fit import Prior, fit, fit_starts, robust_factor
+from falconwing_kit.sysid.fit import Prior, fit, fit_initial_states, sqrt_huber_weight
 from falconwing_kit.sysid.prepare import prepare
 from falconwing_kit.sysid.shooting import cut_windows, fly_windows, pose_residuals, residuals
 from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
@@ -26,54 +28,73 @@ def simulated(form, seconds, seed, noise=MARKER):
 
 
 def with_free(model, names):
-    return model.pinned([name for name in model.names if name not in names])
+    return model.with_fixed([name for name in model.names if name not in names])
 
 
 @pytest.fixture(scope="module")
 def small():
-    """8 s of noisy flight, three windows, four free parameters 10 % off: the start, its windows, start states."""
+    """8 s of noisy flight, three windows, four free parameters 10 % off: the start, its windows,
+    start states.
+    """
     truth, windows = simulated("paper", 8.0, seed=12)
     start = with_free(truth.with_values({name: 1.1 * truth.values[name] for name in SMALL}), SMALL)
-    return start, windows, windows.guess[:, :9]
+    return start, windows, windows.initial_guess[:, :9]
 
 
-def scipy_fit(model, windows, starts, prior=None):
-    """The same sum of squares, handed to SciPy: trust region, dense differences, nothing eliminated."""
+def scipy_fit(model, windows, initial_states, prior=None):
+    """The same sum of squares, handed to SciPy: trust region, dense differences, nothing
+    eliminated.
+    """
     free = [i for i, p in enumerate(model.parameters) if p.low < p.high]
-    shape = starts.shape
+    shape = initial_states.shape
 
     def everything(z):
         vector = model.vector
         vector[free] = z[: len(free)]
-        rows = [residuals(model.with_vector(vector), windows, z[len(free) :].reshape(shape)).ravel()]
+        rows = [
+            residuals(model.with_vector(vector), windows, z[len(free) :].reshape(shape)).ravel()
+        ]
         if prior is not None:
             names = [model.names[i] for i in free]
             away = np.array([vector[model.names.index(n)] - prior.mean[n] for n in names])
             sigma = np.array([prior.sigma[n] for n in names])
             correlation = np.eye(len(names)) if prior.correlation is None else prior.correlation
-            rows.append(np.linalg.cholesky(np.linalg.inv(correlation * np.outer(sigma, sigma))).T @ away)
+            rows.append(
+                np.linalg.cholesky(np.linalg.inv(correlation * np.outer(sigma, sigma))).T @ away
+            )
         return np.concatenate(rows)
 
-    wide = np.full(starts.size, np.inf)
-    low, high = (np.array([getattr(model.parameters[i], side) for i in free]) for side in ("low", "high"))
+    wide = np.full(initial_states.size, np.inf)
+    low, high = (
+        np.array([getattr(model.parameters[i], side) for i in free]) for side in ("low", "high")
+    )
     bounds = (np.concatenate([low, -wide]), np.concatenate([high, wide]))
-    begin = np.concatenate([np.clip(model.vector[free], low, high), starts.ravel()])
-    found = least_squares(everything, begin, "2-point", bounds, x_scale="jac", xtol=1e-9, ftol=1e-10, gtol=1e-9)
+    begin = np.concatenate([np.clip(model.vector[free], low, high), initial_states.ravel()])
+    found = least_squares(
+        everything, begin, "2-point", bounds, x_scale="jac", xtol=1e-9, ftol=1e-10, gtol=1e-9
+    )
     return dict(zip([model.names[i] for i in free], found.x, strict=False)), 2.0 * found.cost
 
 
-# Known truth ------------------------------------------------------------------------------------------------------
+# Known truth
+# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", FORMS)
 def test_parameters_of_a_noiseless_flight_come_back(form):
-    """The inverse of a prediction: poses predicted with known parameters give these back to 1e-4 from a start 15 % off
-    in each (standard deviation). Where the usual value is zero: 1e-4 of a twentieth of the range."""
+    """The inverse of a prediction: poses predicted with known parameters give these back to 1e-4
+    from a start 15 % off in each (standard deviation). Where the usual value is zero: 1e-4 of a
+    twentieth of the range.
+    """
     truth, windows = simulated(form, 30.0, seed=10)
-    windows = replace(windows, pose=fly_windows(truth, windows, windows.guess[:, : truth.n_states]))
+    windows = replace(
+        windows, pose=fly_windows(truth, windows, windows.initial_guess[:, : truth.n_states])
+    )
     start = FORMS[form]()
-    starts, _ = fit_starts(start, windows, windows.guess[:, : truth.n_states])
-    found = fit(start, windows, starts, tolerance=1e-9)
+    initial_states, _ = fit_initial_states(
+        start, windows, windows.initial_guess[:, : truth.n_states]
+    )
+    found = fit(start, windows, initial_states, tolerance=1e-9)
     size = np.array([abs(p.start) or max(0.05 * (p.high - p.low), 1e-9) for p in truth.parameters])
     assert found.converged and found.cost < 1e-6
     off = np.abs(found.model.vector - truth.vector) / size
@@ -81,139 +102,168 @@ def test_parameters_of_a_noiseless_flight_come_back(form):
 
 
 def test_a_finer_simulation_gives_nearly_the_same():
-    """Simulated with 10 ms steps and another servo: what a 25 ms step gets wrong moves ordinary parameters by less than
-    1e-3, and delay and lag by less than 0.1 ms."""
+    """Simulated with 10 ms steps and another servo: what a 25 ms step gets wrong moves ordinary
+    parameters by less than 1e-3, and delay and lag by less than 0.1 ms.
+    """
     truth, windows = simulated("rates", 60.0, seed=11, noise=(0.0, 0.0))
-    starts, _ = fit_starts(truth, windows, windows.guess)
-    found = fit(rates_model(), windows, starts, tolerance=1e-6).model
+    initial_states, _ = fit_initial_states(truth, windows, windows.initial_guess)
+    found = fit(rates_model(), windows, initial_states, tolerance=1e-6).model
     off = {n: found.values[n] - truth.values[n] for n in truth.names}
     assert max(abs(off["delay"]), abs(off["lag"])) < 1e-4
     ordinary = [p.name for p in truth.parameters if p.start and p.name not in ("delay", "lag")]
-    assert {n: abs(off[n]) < 1e-3 * abs(truth.values[n]) for n in ordinary} == dict.fromkeys(ordinary, True)
+    assert {n: abs(off[n]) < 1e-3 * abs(truth.values[n]) for n in ordinary} == dict.fromkeys(
+        ordinary, True
+    )
 
 
-# An independent optimiser -----------------------------------------------------------------------------------------
+# An independent optimiser
+# -----------------------------------------------------------------------------------------
 
 
 def test_the_minimum_is_scipys(small):
-    """SciPy's least_squares on the same residuals ends at the same place: cost to 1e-6, parameters to 1e-4."""
-    start, windows, starts = small
-    want, cost = scipy_fit(start, windows, starts)
-    found = fit(start, windows, starts, tolerance=1e-9)
+    """SciPy's least_squares on the same residuals ends at the same place: cost to 1e-6, parameters
+    to 1e-4.
+    """
+    start, windows, initial_states = small
+    want, cost = scipy_fit(start, windows, initial_states)
+    found = fit(start, windows, initial_states, tolerance=1e-9)
     assert found.cost == pytest.approx(cost, rel=1e-6)
     assert {n: found.model.values[n] for n in SMALL} == pytest.approx(want, rel=1e-4)
     assert abs(found.model.values["L_da"] / start.values["L_da"] - 1.0) > 0.02  # it did move
 
 
 def test_bounds_hold_and_the_rest_settles_as_in_scipy(small):
-    """The truth lies above what is allowed for M_alpha: it stops on its bound, the others where SciPy puts them."""
-    start, windows, starts = small
+    """The truth lies above what is allowed for M_alpha: it stops on its bound, the others where
+    SciPy puts them.
+    """
+    start, windows, initial_states = small
     high = start.values["M_alpha"]
-    parameters = tuple(replace(p, low=3.0 * high, high=high) if p.name == "M_alpha" else p for p in start.parameters)
+    parameters = tuple(
+        replace(p, low=3.0 * high, high=high) if p.name == "M_alpha" else p
+        for p in start.parameters
+    )
     bounded = replace(start, parameters=parameters).with_values({"M_alpha": 1.2 * high})
-    want, cost = scipy_fit(bounded, windows, starts)
-    found = fit(bounded, windows, starts, tolerance=1e-9)
+    want, cost = scipy_fit(bounded, windows, initial_states)
+    found = fit(bounded, windows, initial_states, tolerance=1e-9)
     assert found.model.values["M_alpha"] == high
     assert found.cost == pytest.approx(cost, rel=1e-5)
     assert {n: found.model.values[n] for n in SMALL} == pytest.approx(want, rel=1e-3)
 
 
 def test_a_prior_pulls_as_in_scipy(small):
-    """Mean 20 % above, 1 % wide, L_da and M_de known together: rows in SciPy's sum of squares, the same minimum."""
-    start, windows, starts = small
+    """Mean 20 % above, 1 % wide, L_da and M_de known together: rows in SciPy's sum of squares, the
+    same minimum.
+    """
+    start, windows, initial_states = small
     correlation = np.eye(4)
     correlation[0, 1] = correlation[1, 0] = 0.8
     mean = {n: 1.2 * start.values[n] for n in SMALL}
     prior = Prior(mean, {n: 0.01 * abs(mean[n]) for n in SMALL}, correlation)
-    want, cost = scipy_fit(start, windows, starts, prior)
-    found = fit(start, windows, starts, prior=prior, tolerance=1e-9)
-    free = fit(start, windows, starts, tolerance=1e-9)
+    want, cost = scipy_fit(start, windows, initial_states, prior)
+    found = fit(start, windows, initial_states, prior=prior, tolerance=1e-9)
+    free = fit(start, windows, initial_states, tolerance=1e-9)
     assert found.cost == pytest.approx(cost, rel=1e-6)
     assert {n: found.model.values[n] for n in SMALL} == pytest.approx(want, rel=1e-4)
     assert found.model.values["M_de"] > 1.01 * free.model.values["M_de"]
 
 
 def test_a_prior_weighs_like_gaussian_theory(small):
-    """Near the minimum the problem is linear: K + (N + P)^-1 P (mean - K), with N of the data and P of the prior."""
-    start, windows, starts = small
-    free = fit(start, windows, starts, tolerance=1e-9)
-    N = np.einsum("wif,wig->fg", free.reduced, free.reduced)
+    """Near the minimum the problem is linear: K + (N + P)^-1 P (mean - K), with N of the data and P
+    of the prior.
+    """
+    start, windows, initial_states = small
+    free = fit(start, windows, initial_states, tolerance=1e-9)
+    N = np.einsum("wif,wig->fg", free.reduced_jacobian, free.reduced_jacobian)
     K = np.array([free.model.values[n] for n in SMALL])
     sigma = 1.0 / np.sqrt(np.diag(N))
     mean = K + 0.5 * sigma
     prior = Prior(dict(zip(SMALL, mean, strict=True)), dict(zip(SMALL, sigma, strict=True)))
     P = np.diag(sigma**-2.0)
     want = K + np.linalg.solve(N + P, P @ (mean - K))
-    found = fit(start, windows, starts, prior=prior, tolerance=1e-9)
+    found = fit(start, windows, initial_states, prior=prior, tolerance=1e-9)
     moved = np.array([found.model.values[n] for n in SMALL]) - K
     assert moved == pytest.approx(want - K, abs=0.02 * np.abs(want - K).max())
 
 
 def test_a_sharp_prior_wins(small):
     """In the limit the prior's mean is the answer."""
-    start, windows, starts = small
+    start, windows, initial_states = small
     prior = Prior({"M_de": 0.5}, {"M_de": 1e-9})
-    assert fit(start, windows, starts, prior=prior).model.values["M_de"] == pytest.approx(0.5, abs=1e-7)
+    assert fit(start, windows, initial_states, prior=prior).model.values["M_de"] == pytest.approx(
+        0.5, abs=1e-7
+    )
 
 
 def test_start_states_alone_are_scipys_too(small):
     """K held: nine unknowns per window, from states up to 1 m, 0.2 rad and 1 m/s off. It stops at a
     thousandth of the cost."""
-    start, windows, guess = small
-    truth = start.pinned(start.names)
+    start, windows, initial_guess = small
+    truth = start.with_fixed(start.names)
     rng = np.random.default_rng(1)
-    starts = guess + rng.uniform(-1.0, 1.0, guess.shape) * np.repeat([1.0, 0.2, 1.0], 3)
-    found, residual = fit_starts(truth, windows, starts)
-    _, cost = scipy_fit(truth, windows, guess)
+    initial_states = initial_guess + rng.uniform(-1.0, 1.0, initial_guess.shape) * np.repeat(
+        [1.0, 0.2, 1.0], 3
+    )
+    found, residual = fit_initial_states(truth, windows, initial_states)
+    _, cost = scipy_fit(truth, windows, initial_guess)
     assert np.sum(residual**2) == pytest.approx(cost, rel=1e-3)
     assert residual == pytest.approx(residuals(truth, windows, found), abs=1e-9)
 
 
-# Linear algebra ---------------------------------------------------------------------------------------------------
+# Linear algebra
+# ---------------------------------------------------------------------------------------------------
 
 
 def dense(found):
-    """The whole Jacobian as one matrix: free parameters first, then the start states, window by window."""
-    n_windows, n_rows, n_free = found.to_free.shape
-    n = found.to_start.shape[2]
+    """The whole Jacobian as one matrix: free parameters first, then the start states, window by
+    window.
+    """
+    n_windows, n_rows, n_free = found.parameter_jacobian.shape
+    n = found.initial_state_jacobian.shape[2]
     J = np.zeros((n_windows * n_rows, n_free + n_windows * n))
     for w in range(n_windows):
         rows = slice(w * n_rows, (w + 1) * n_rows)
-        J[rows, :n_free] = found.to_free[w]
-        J[rows, n_free + w * n : n_free + (w + 1) * n] = found.to_start[w]
+        J[rows, :n_free] = found.parameter_jacobian[w]
+        J[rows, n_free + w * n : n_free + (w + 1) * n] = found.initial_state_jacobian[w]
     return J
 
 
 def test_eliminating_start_states_equals_the_whole_problem(small):
-    """NumPy on the dense matrix: the inverse's block of K is the inverse of the reduced normal matrix (Schur)."""
-    start, windows, starts = small
-    found = fit(start, windows, starts)
+    """NumPy on the dense matrix: the inverse's block of K is the inverse of the reduced normal
+    matrix (Schur).
+    """
+    start, windows, initial_states = small
+    found = fit(start, windows, initial_states)
     J = dense(found)
     scale = 1.0 / np.linalg.norm(J, axis=0)
     inverse = np.linalg.inv((J * scale).T @ (J * scale)) * np.outer(scale, scale)
-    reduced = np.einsum("wif,wig->fg", found.reduced, found.reduced)
-    assert np.linalg.inv(reduced) == pytest.approx(inverse[:4, :4], rel=1e-6)
+    reduced_jacobian = np.einsum("wif,wig->fg", found.reduced_jacobian, found.reduced_jacobian)
+    assert np.linalg.inv(reduced_jacobian) == pytest.approx(inverse[:4, :4], rel=1e-6)
 
 
 def test_one_step_is_the_gauss_newton_step_of_the_whole_problem(small):
-    """One iteration: K moves by the first entries of the dense least-squares solution, start states by the rest."""
-    start, windows, starts = small
-    before = fit(start, windows, starts, iterations=0)
+    """One iteration: K moves by the first entries of the dense least-squares solution, start states
+    by the rest.
+    """
+    start, windows, initial_states = small
+    before = fit(start, windows, initial_states, iterations=0)
     step = np.linalg.lstsq(dense(before), -before.residual.ravel(), rcond=None)[0]
-    after = fit(start, windows, starts, iterations=1)
+    after = fit(start, windows, initial_states, iterations=1)
     free = list(after.free)
     assert after.model.vector[free] - start.vector[free] == pytest.approx(step[:4], rel=1e-5)
-    assert after.starts - starts == pytest.approx(step[4:].reshape(starts.shape), rel=1e-4, abs=1e-6)
+    assert after.initial_states - initial_states == pytest.approx(
+        step[4:].reshape(initial_states.shape), rel=1e-4, abs=1e-6
+    )
     assert (before.iterations, before.converged, after.iterations) == (0, False, 1)
 
 
-# Ways and means ---------------------------------------------------------------------------------------------------
+# Ways and means
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_what_is_held_does_not_move(small):
     """Bounds that meet: not a digit changes, also through a prior that speaks of it."""
-    start, windows, starts = small
-    found = fit(start, windows, starts, prior=Prior({"kT": 1.0}, {"kT": 0.1}))
+    start, windows, initial_states = small
+    found = fit(start, windows, initial_states, prior=Prior({"kT": 1.0}, {"kT": 0.1}))
     assert {n: v for n, v in found.model.values.items() if n not in SMALL} == {
         n: v for n, v in start.values.items() if n not in SMALL
     }
@@ -222,19 +272,27 @@ def test_what_is_held_does_not_move(small):
 
 def test_a_bad_start_gets_to_the_same_minimum(small):
     """Two parameters off by a factor of two, a cost a thousand times higher: the end is the same."""
-    start, windows, starts = small
-    near = fit(start, windows, starts, tolerance=1e-6)
-    far = start.with_values({"L_da": 2.0 * start.values["L_da"], "M_alpha": 0.5 * start.values["M_alpha"]})
-    found = fit(far, windows, starts, tolerance=1e-6)
-    assert np.sum(residuals(far, windows, starts) ** 2) > 1e3 * near.cost
+    start, windows, initial_states = small
+    near = fit(start, windows, initial_states, tolerance=1e-6)
+    far = start.with_values(
+        {"L_da": 2.0 * start.values["L_da"], "M_alpha": 0.5 * start.values["M_alpha"]}
+    )
+    found = fit(far, windows, initial_states, tolerance=1e-6)
+    assert np.sum(residuals(far, windows, initial_states) ** 2) > 1e3 * near.cost
     assert found.converged and found.cost == pytest.approx(near.cost, rel=1e-6)
 
 
 def test_every_step_lowers_the_cost_and_is_told(small):
     """Steps that do not are taken back; the caller hears of the others by number."""
-    start, windows, starts = small
+    start, windows, initial_states = small
     told = []
-    found = fit(start, windows, starts, tolerance=1e-6, on_step=lambda i, chi2: told.append((i, chi2)))
+    found = fit(
+        start,
+        windows,
+        initial_states,
+        tolerance=1e-6,
+        on_step=lambda i, chi2: told.append((i, chi2)),
+    )
     assert [i for i, _ in told] == list(range(1, found.iterations + 1))
     chi2 = [c for _, c in told]
     assert all(b < a for a, b in pairwise(chi2))
@@ -242,50 +300,64 @@ def test_every_step_lowers_the_cost_and_is_told(small):
 
 
 def test_a_known_linearisation_saves_only_time(small):
-    """Weights changed by a factor: residual and derivatives follow by multiplication, nothing needs to be flown."""
-    start, windows, starts = small
+    """Weights changed by a factor: residual and derivatives follow by multiplication, nothing needs
+    to be flown.
+    """
+    start, windows, initial_states = small
     factor = np.random.default_rng(0).uniform(0.3, 1.0, windows.weight.shape)
-    first = fit(start, windows, starts)
-    linear = first.reweighted(factor)
-    quick = fit(first.model, windows.weighted(factor), first.starts, linear=linear)
-    plain = fit(first.model, windows.weighted(factor), first.starts)
+    first = fit(start, windows, initial_states)
+    linear = first.reweight(factor)
+    quick = fit(first.model, windows.scale_weights(factor), first.initial_states, linear=linear)
+    plain = fit(first.model, windows.scale_weights(factor), first.initial_states)
     assert quick.cost == pytest.approx(plain.cost, rel=1e-9)
-    assert linear[0] == pytest.approx(residuals(first.model, windows.weighted(factor), first.starts), abs=1e-9)
+    assert linear[0] == pytest.approx(
+        residuals(first.model, windows.scale_weights(factor), first.initial_states), abs=1e-9
+    )
 
 
 def test_far_residuals_count_linearly(small):
-    """Huber by hand: within 3 sigma nothing changes; 12 sigma weighs as sqrt(3 / 12) = 1/2, so its square is 36."""
+    """Huber by hand: within 3 sigma nothing changes; 12 sigma weighs as sqrt(3 / 12) = 1/2, so its
+    square is 36.
+    """
     _, windows, _ = small
     residual = np.zeros((len(windows), 240 + 9))
     residual[0, :4] = [0.5, -3.0, 12.0, -12.0]
     residual[1, 240:] = 50.0  # start states are not poses
-    factor = robust_factor(residual, windows)
+    factor = sqrt_huber_weight(residual, windows)
     assert factor.ravel()[:4] == pytest.approx([1.0, 1.0, 0.5, 0.5])
     assert (factor.ravel()[4:] == 1.0).all()
     assert pose_residuals(residual, windows)[0, 0, 2] == 12.0
 
 
 def test_an_outlier_does_not_pull_once_weighed_down(small):
-    """One pose 3 m off: plain squares move M_de by several sigmas, weighed squares by less than one."""
-    start, windows, starts = small
-    clean = fit(start, windows, starts)
-    sigma = 1.0 / np.sqrt(np.einsum("wif,wif->f", clean.reduced, clean.reduced))
+    """One pose 3 m off: plain squares move M_de by several sigmas, weighed squares by less than
+    one.
+    """
+    start, windows, initial_states = small
+    clean = fit(start, windows, initial_states)
+    sigma = 1.0 / np.sqrt(np.einsum("wif,wif->f", clean.reduced_jacobian, clean.reduced_jacobian))
     poses = windows.pose.copy()
     poses[1, 20, 2] += 3.0
     spoiled = replace(windows, pose=poses)
-    plain = fit(clean.model, spoiled, clean.starts)
-    weighed = spoiled.weighted(robust_factor(residuals(clean.model, spoiled, clean.starts), spoiled))
-    robust = fit(clean.model, weighed, clean.starts)
+    plain = fit(clean.model, spoiled, clean.initial_states)
+    weighed = spoiled.scale_weights(
+        sqrt_huber_weight(residuals(clean.model, spoiled, clean.initial_states), spoiled)
+    )
+    robust = fit(clean.model, weighed, clean.initial_states)
     i = [start.names[k] for k in clean.free].index("M_de")
-    pulled = [abs(f.model.values["M_de"] - clean.model.values["M_de"]) / sigma[i] for f in (plain, robust)]
+    pulled = [
+        abs(f.model.values["M_de"] - clean.model.values["M_de"]) / sigma[i] for f in (plain, robust)
+    ]
     assert pulled[0] > 2.0 > 1.0 > pulled[1]
 
 
 def test_the_paper_form_fits_its_own_flights():
-    """Noise of 3 cm and 0.6 deg over 60 s: control gains within 5 %, the cost that of noise (1 per component)."""
+    """Noise of 3 cm and 0.6 deg over 60 s: control gains within 5 %, the cost that of noise (1 per
+    component).
+    """
     truth, windows = simulated("paper", 60.0, seed=14)
-    starts, _ = fit_starts(paper_model(), windows, windows.guess[:, :9])
-    found = fit(paper_model(), windows, starts)
+    initial_states, _ = fit_initial_states(paper_model(), windows, windows.initial_guess[:, :9])
+    found = fit(paper_model(), windows, initial_states)
     freedom = windows.count - 16 - 9 * len(windows)
     assert found.cost / freedom == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / freedom))
     for name in ("L_da", "M_de", "N_dr", "cL_alpha"):

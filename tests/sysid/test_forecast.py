@@ -15,7 +15,7 @@ from falconwing_kit.sysid.forecast import (
     constant_turn,
     constant_velocity,
     forecast,
-    with_throttle_held,
+    hold_throttle,
 )
 from tests.sysid.simulated import drawn, fly_figure_eights
 
@@ -33,13 +33,17 @@ def table(t, p_world, attitude, velocity, rates=None, commands=None):
 
 
 def straight():
-    """7 m/s along x, 1 m/s to the right, climbing at 0.5 m/s, banked by 0.3 rad: its attitude stays."""
+    """7 m/s along x, 1 m/s to the right, climbing at 0.5 m/s, banked by 0.3 rad: its attitude
+    stays.
+    """
     velocity = np.tile([7.0, -1.0, 0.5], (len(T), 1))
     return table(T, velocity * T[:, None], np.tile([0.3, 0.1, 0.0], (len(T), 1)), velocity)
 
 
 def circle(bank=0.5, speed=7.0, climb=0.4):
-    """A level turn to the right by the textbook: yaw rate g tan(bank) / V, radius V^2 / (g tan(bank)), climbing."""
+    """A level turn to the right by the textbook: yaw rate g tan(bank) / V, radius V^2 / (g
+    tan(bank)), climbing.
+    """
     rate = GRAVITY * np.tan(bank) / speed
     yaw = 2.5 + rate * T  # to the right, so the course in the world, counted to the left, falls
     radius = speed / rate
@@ -48,12 +52,14 @@ def circle(bank=0.5, speed=7.0, climb=0.4):
     return table(T, p_world, np.column_stack([0.0 * T + bank, 0.0 * T + 0.1, yaw]), velocity)
 
 
-# Simple guesses ---------------------------------------------------------------------------------------------------
+# Simple guesses
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_constant_velocity_is_exact_on_a_straight_line():
-    """By hand: nothing turns and nothing accelerates. 181 rows have one a second later, and the five after them one
-    within the 0.25 s that a horizon may be short."""
+    """By hand: nothing turns and nothing accelerates. 181 rows have one a second later, and the
+    five after them one within the 0.25 s that a horizon may be short.
+    """
     found = constant_velocity(straight())
     assert len(found.start) == 186
     assert found.position_m < 1e-9 and found.attitude_deg < 1e-6
@@ -64,28 +70,35 @@ def test_constant_velocity_leaves_a_circle_on_its_tangent():
     R sqrt((a - sin a)^2 + (1 - cos a)^2), and yaw by a."""
     rate = GRAVITY * np.tan(0.5) / 7.0
     radius = 7.0 / rate
-    found = constant_velocity(circle()).chosen(np.arange(181))
-    assert found.position_m == pytest.approx(radius * np.hypot(rate - np.sin(rate), 1.0 - np.cos(rate)), rel=1e-6)
+    found = constant_velocity(circle()).subset(np.arange(181))
+    assert found.position_m == pytest.approx(
+        radius * np.hypot(rate - np.sin(rate), 1.0 - np.cos(rate)), rel=1e-6
+    )
     assert found.attitude_deg == pytest.approx(np.degrees(rate), rel=1e-6)
 
 
 @pytest.mark.parametrize("bank", [0.5, -0.7, 0.01, 1e-4])
 @pytest.mark.parametrize("horizon", [0.5, 1.0, 2.0])
 def test_constant_turn_is_exact_on_a_circle(bank, horizon):
-    """Law of the level turn, left and right, more than half way round; with hardly any bank nearly a line."""
+    """Law of the level turn, left and right, more than half way round; with hardly any bank nearly
+    a line.
+    """
     found = constant_turn(circle(bank), horizon)
     assert found.position_m < 1e-6 and found.attitude_deg < 1e-5
 
 
 def test_constant_turn_takes_a_bank_for_a_turn():
-    """On a straight line flown with one wing low, it turns the wrong way: by hand, yaw is off by g tan(0.3) t / V."""
+    """On a straight line flown with one wing low, it turns the wrong way: by hand, yaw is off by g
+    tan(0.3) t / V.
+    """
     found = constant_turn(straight())
     rate = GRAVITY * np.tan(0.3) / np.hypot(7.0, 1.0)
     assert found.error_attitude[:181, 2] == pytest.approx(np.full(181, rate), rel=1e-9)
     assert (found.error_position[:181, 1] < -1.0).all()  # to the right
 
 
-# The model --------------------------------------------------------------------------------------------------------
+# The model
+# --------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module", params=sorted(FORMS))
@@ -94,13 +107,17 @@ def own(request):
     model = drawn(FORMS[request.param](), np.random.default_rng(61))
     flown = fly_figure_eights([model], 20.0, np.random.default_rng(62))
     states, sticks = flown.states[0], flown.sticks[0]
-    again = fly(model, states[0], flown.t, sticks)  # with the kit's own steps, so that nothing is left over
+    again = fly(
+        model, states[0], flown.t, sticks
+    )  # with the kit's own steps, so that nothing is left over
     rates = again[:, 9:] if model.form == "rates" else None
     return model, table(flown.t, again[:, :3], again[:, [5, 3, 4]], again[:, 6:9], rates, sticks)
 
 
 def test_the_model_forecasts_its_own_flight(own):
-    """The inverse of a simulation: 1 mm and 0.01 deg over a second; what was commanded before counts through lag."""
+    """The inverse of a simulation: 1 mm and 0.01 deg over a second; what was commanded before
+    counts through lag.
+    """
     model, log = own
     found = forecast(model, log)
     assert found.position_m < 1e-3 and found.attitude_deg < 0.01
@@ -113,17 +130,21 @@ def test_a_forecast_ends_where_it_says(own):
     model, log = own
     found = forecast(model, log, 0.5)
     assert len(found.start) == 396
-    found = found.chosen(np.arange(391))
+    found = found.subset(np.arange(391))
     assert log.t[found.end] - log.t[found.start] == pytest.approx(np.full(len(found.start), 0.5))
     assert found.t == pytest.approx(log.t[found.end])
-    moved = replace(log, p_world=np.where(np.arange(len(log.t))[:, None] == 300, log.p_world + 1.0, log.p_world))
+    moved = replace(
+        log, p_world=np.where(np.arange(len(log.t))[:, None] == 300, log.p_world + 1.0, log.p_world)
+    )
     hit = forecast(model, moved, 0.5)
     assert hit.error_position[hit.end == 300] == pytest.approx(-np.ones((1, 3)), abs=1e-3)
     assert hit.error_position[hit.start == 300] == pytest.approx(np.ones((1, 3)), abs=1e-3)
 
 
 def test_sparse_poses_are_matched_to_the_nearest(own):
-    """A pose every fourth row: a horizon of 0.9 s ends at the pose 0.8 or 1.0 s later and is made for that time."""
+    """A pose every fourth row: a horizon of 0.9 s ends at the pose 0.8 or 1.0 s later and is made
+    for that time.
+    """
     model, log = own
     seen = np.arange(len(log.t)) % 4 == 0
     sparse = replace(log, p_world=np.where(seen[:, None], log.p_world, np.nan))
@@ -133,29 +154,36 @@ def test_sparse_poses_are_matched_to_the_nearest(own):
 
 
 def test_commands_after_the_start_count(own):
-    """They are known inputs: with the throttle held at its mean, the forecast of the same flight is off."""
+    """They are known inputs: with the throttle held at its mean, the forecast of the same flight is
+    off.
+    """
     model, log = own
-    held = with_throttle_held(log, since=10.0, over=5.0)
+    held = hold_throttle(log, since=10.0, over=5.0)
     mean = log.commands[(log.t >= 5.0) & (log.t < 10.0), 0].mean()
     assert (held.commands[log.t >= 10.0, 0] == mean).all()
     assert np.array_equal(held.commands[log.t < 10.0], log.commands[log.t < 10.0])
     assert np.array_equal(held.commands[:, 1:], log.commands[:, 1:])
-    before, after = (forecast(model, held).between(*span).position_m for span in ((0.0, 9.9), (10.0, 20.0)))
+    before, after = (
+        forecast(model, held).within(*span).position_m for span in ((0.0, 9.9), (10.0, 20.0))
+    )
     assert before < 1e-3 < 0.005 < after
 
 
-# Numbers and refusals ---------------------------------------------------------------------------------------------
+# Numbers and refusals
+# ---------------------------------------------------------------------------------------------
 
 
 def test_root_mean_squares_by_hand():
-    """Distances of 3, 4, 0 (a 3-4-0 and two axis errors): sqrt((25 + 4 + 1) / 3); angles alike, in degrees."""
+    """Distances of 3, 4, 0 (a 3-4-0 and two axis errors): sqrt((25 + 4 + 1) / 3); angles alike, in
+    degrees.
+    """
     errors = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 2.0], [1.0, 0.0, 0.0]])
     rows = np.arange(3)
     found = Forecasts(rows, rows + 1, np.array([1.0, 2.0, 3.0]), errors, np.radians(errors))
     assert found.position_m == pytest.approx(np.sqrt(10.0))
     assert found.attitude_deg == pytest.approx(np.sqrt(10.0))
-    assert found.chosen(rows > 0).position_m == pytest.approx(np.sqrt(2.5))
-    assert found.between(1.5, 3.0).t.tolist() == [2.0]
+    assert found.subset(rows > 0).position_m == pytest.approx(np.sqrt(2.5))
+    assert found.within(1.5, 3.0).t.tolist() == [2.0]
 
 
 @pytest.mark.parametrize("missing", ["vx", "vz", "q"])
@@ -166,7 +194,7 @@ def test_a_log_without_velocities_is_refused(own, missing):
     if missing == "q" and model.form == "paper":
         assert len(forecast(model, short).start) > 0
         return
-    with pytest.raises(InputError, match=f"want logged columns .*, got none for {missing}"):
+    with pytest.raises(InputError, match=f"expected logged columns .*, got none for {missing}"):
         forecast(model, short)
 
 
@@ -179,12 +207,12 @@ def test_guesses_need_velocities_too(guess):
 
 def test_poses_too_close_or_too_few_are_refused():
     """Nothing lies 60 s ahead in a flight of 10 s; one pose has nothing ahead at all."""
-    with pytest.raises(InputError, match="want poses 60 s apart, got none"):
+    with pytest.raises(InputError, match="expected poses 60 s apart, got none"):
         constant_velocity(straight(), 60.0)
     lonely = straight()
     p_world = np.full_like(lonely.p_world, np.nan)
     p_world[7] = 1.0
-    with pytest.raises(InputError, match="want poses to forecast from, got 1"):
+    with pytest.raises(InputError, match="expected poses to forecast from, got 1"):
         constant_velocity(replace(lonely, p_world=p_world))
 
 

@@ -1,4 +1,6 @@
-"""Identification as a whole: parameters, intervals and scores on flights whose truth is known, ours and JSBSim's."""
+"""Identification as a whole: parameters, intervals and scores on flights whose truth is known, ours
+and JSBSim's.
+"""
 
 import re
 import warnings
@@ -11,10 +13,17 @@ from falconwing_kit.aircraft.model import paper_model, rates_model
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import slice_time
 from falconwing_kit.sysid.fit import Prior
-from falconwing_kit.sysid.identify import identify, refit
+from falconwing_kit.sysid.identify import identify, refit_model
 from tests.jsbsim_aircraft import JsbsimAircraft, figure_eights, fly_jsbsim
 from tests.sysid.recorded import CASES, calm_flight
-from tests.sysid.simulated import Flown, drawn, example_flight, example_found, fly_figure_eights, measured
+from tests.sysid.simulated import (
+    Flown,
+    drawn,
+    example_flight,
+    example_found,
+    fly_figure_eights,
+    measured,
+)
 
 
 def covered(found, truth):
@@ -30,7 +39,9 @@ def median_error(found, truth):
 
 @pytest.fixture(scope="module")
 def twelve():
-    """Twelve aircraft, two minutes each, marker noise, 0.5 % outliers, 1 % lost: truth, table, identification."""
+    """Twelve aircraft, two minutes each, marker noise, 0.5 % outliers, 1 % lost: truth, table,
+    identification.
+    """
     rng = np.random.default_rng(51)
     truths = [drawn(rates_model(), rng) for _ in range(12)]
     flown = fly_figure_eights(truths, 120.0, rng)
@@ -38,33 +49,48 @@ def twelve():
     return [(truth, table, identify([table])) for truth, table in zip(truths, tables, strict=True)]
 
 
-# Simulated flights ------------------------------------------------------------------------------------------------
+# Simulated flights
+# ------------------------------------------------------------------------------------------------
 
 
 def test_intervals_of_95_percent_hold_the_truth(twelve):
-    """What the word means, on 12 x 29 intervals: 85 to 100 %, and none of the 29 is wrong in more than a third."""
+    """What the word means, on 12 x 29 intervals: 85 to 100 %, and none of the 29 is wrong in more
+    than a third.
+    """
     hits = np.array([covered(found, truth) for truth, _, found in twelve])
     assert 0.85 <= hits.mean() <= 1.0
     assert hits.mean(axis=0).min() >= 2.0 / 3.0
 
 
 def test_intervals_are_not_wide_for_nothing(twelve):
-    """Half of the parameters are known to 7 % or better after two minutes; errors spread as the intervals say: the
-    median of |error| / sigma is 0.67 for a Gaussian, here of twelve flights 0.5 to 0.9."""
-    widths = [1.96 * f.uncertainty.sigma[n] / abs(t.values[n]) for t, _, f in twelve for n in t.names]
-    scaled = [(f.model.values[n] - t.values[n]) / f.uncertainty.sigma[n] for t, _, f in twelve for n in t.names]
+    """Half of the parameters are known to 7 % or better after two minutes; errors spread as the
+    intervals say: the median of |error| / sigma is 0.67 for a Gaussian, here of twelve flights 0.5
+    to 0.9.
+    """
+    widths = [
+        1.96 * f.uncertainty.sigma[n] / abs(t.values[n]) for t, _, f in twelve for n in t.names
+    ]
+    scaled = [
+        (f.model.values[n] - t.values[n]) / f.uncertainty.sigma[n]
+        for t, _, f in twelve
+        for n in t.names
+    ]
     assert np.median(widths) < 0.07
     assert 0.5 < np.median(np.abs(scaled)) < 0.9
 
 
 def test_two_minutes_give_half_of_the_parameters_to_3_percent(twelve):
-    """Ten minutes give 1 % (the goal), and errors go with one over the root of the time: 2.2 % in the median."""
+    """Ten minutes give 1 % (the goal), and errors go with one over the root of the time: 2.2 % in
+    the median.
+    """
     assert np.median([median_error(found, truth) for truth, _, found in twelve]) < 0.03
 
 
 def test_held_out_time_is_predicted_to_its_noise(twelve):
-    """The fitted form is the true one: chi2 per degree of freedom is 1. The noise is estimated some percent high, as
-    outliers and fast motion widen the differences it is estimated from, so 0.8 to 1.1."""
+    """The fitted form is the true one: chi2 per degree of freedom is 1. The noise is estimated some
+    percent high, as outliers and fast motion widen the differences it is estimated from, so 0.8 to
+    1.1.
+    """
     for _, _, found in twelve:
         assert 0.8 < found.held_out.chi2 < 1.1
         assert found.sigma[:3].mean() == pytest.approx(0.03, rel=0.15)
@@ -72,15 +98,19 @@ def test_held_out_time_is_predicted_to_its_noise(twelve):
 
 
 def test_lost_frames_are_counted_and_outliers_found(twelve):
-    """Lost: exactly those planted. Outliers: 0.5 % of 2,401 rows are 12 (Poisson: 4 to 24 in 12 flights)."""
+    """Lost: exactly those planted. Outliers: 0.5 % of 2,401 rows are 12 (Poisson: 4 to 24 in 12
+    flights).
+    """
     for _, table, found in twelve:
         assert sum(p.missing for p in found.prepared) == (~table.has_pose).sum() > 0
         assert 4 <= sum(p.outliers for p in found.prepared) <= 28
 
 
 def test_poses_a_little_off_count_less():
-    """Ten heights 5 sigma off are below the six that make an outlier. Huber by hand: in the final fit they weigh about
-    sqrt(3 / 5) = 0.77 (0.65 to 1, since their own noise is one sigma), nearly all others exactly 1."""
+    """Ten heights 5 sigma off are below the six that make an outlier. Huber by hand: in the final
+    fit they weigh about sqrt(3 / 5) = 0.77 (0.65 to 1, since their own noise is one sigma), nearly
+    all others exactly 1.
+    """
     _, _, table = example_flight()
     p_world = table.p_world.copy()
     planted = 100 + 100 * np.arange(10)
@@ -96,8 +126,10 @@ def test_poses_a_little_off_count_less():
 
 
 def test_slow_pose_noise_widens_the_intervals():
-    """Half of the variance correlated over 0.5 s: the white part alone would promise too much. Inflated, the intervals
-    still hold four fifths of the truth; uninflated ones, 1.8 times narrower, would not."""
+    """Half of the variance correlated over 0.5 s: the white part alone would promise too much.
+    Inflated, the intervals still hold four fifths of the truth; uninflated ones, 1.8 times
+    narrower, would not.
+    """
     rng = np.random.default_rng(52)
     truths = [drawn(rates_model(), rng) for _ in range(3)]
     flown = fly_figure_eights(truths, 120.0, rng)
@@ -108,8 +140,9 @@ def test_slow_pose_noise_widens_the_intervals():
 
 
 def test_jitter_and_missing_rows_do_no_harm():
-    """Frames come up to 10 ms early or late, 3 % never come and have no row: without noise the aircraft comes back as
-    exactly as from an even clock, each parameter to 1 % of its usual value."""
+    """Frames come up to 10 ms early or late, 3 % never come and have no row: without noise the
+    aircraft comes back as exactly as from an even clock, each parameter to 1 % of its usual value.
+    """
     rng = np.random.default_rng(53)
     truth = drawn(rates_model(), rng)
     flown = fly_figure_eights([truth], 60.0, rng, jitter=0.01, lost=0.03)
@@ -122,8 +155,9 @@ def test_jitter_and_missing_rows_do_no_harm():
 
 
 def test_noise_jitter_and_missing_rows_together():
-    """The same with marker noise: four fifths of the intervals hold the truth; noise looks larger, as jitter is motion
-    by chance, so chi2 may be as low as 0.5."""
+    """The same with marker noise: four fifths of the intervals hold the truth; noise looks larger,
+    as jitter is motion by chance, so chi2 may be as low as 0.5.
+    """
     rng = np.random.default_rng(54)
     truth = drawn(rates_model(), rng)
     flown = fly_figure_eights([truth], 60.0, rng, jitter=0.01, lost=0.03)
@@ -133,7 +167,9 @@ def test_noise_jitter_and_missing_rows_together():
 
 
 def test_two_flights_together_know_more_than_one():
-    """Twice the data: sigmas shrink by about the root of two, and the names of both flights are kept."""
+    """Twice the data: sigmas shrink by about the root of two, and the names of both flights are
+    kept.
+    """
     truth, _, table = example_flight()
     rng = np.random.default_rng(55)
     second = measured(fly_figure_eights([truth], 60.0, rng), rng)
@@ -146,31 +182,39 @@ def test_two_flights_together_know_more_than_one():
 
 
 def test_paper_form_on_flights_of_that_form():
-    """Sixteen parameters of a nine-state aircraft: intervals hold, chi2 is noise, delay and lag are not fitted."""
+    """Sixteen parameters of a nine-state aircraft: intervals hold, chi2 is noise, delay and lag are
+    not fitted.
+    """
     rng = np.random.default_rng(56)
     truths = [drawn(paper_model(), rng) for _ in range(2)]
     flown = fly_figure_eights(truths, 60.0, rng)
-    found = [identify([measured(flown, rng, i, outliers=0.005, missing=0.01)], "paper") for i in range(2)]
+    found = [
+        identify([measured(flown, rng, i, outliers=0.005, missing=0.01)], "paper") for i in range(2)
+    ]
     assert all(len(f.uncertainty.names) == 16 and "delay" not in f.uncertainty.names for f in found)
     assert np.mean([covered(f, t) for f, t in zip(found, truths, strict=True)]) >= 0.85
     assert all(0.8 < f.held_out.chi2 < 1.1 for f in found)
 
 
-# Flights that are not ours ----------------------------------------------------------------------------------------
+# Flights that are not ours
+# ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_calm_flights_of_another_simulator_are_predicted(case):
-    """The project's goal: held out, two seconds ahead, chi2 per degree of freedom at most 1.3, outliers, lost frames
-    and slow noise included. JSBSim flew them; below 0.8 the noise would be overrated."""
+    """The project's goal: held out, two seconds ahead, chi2 per degree of freedom at most 1.3,
+    outliers, lost frames and slow noise included. JSBSim flew them; below 0.8 the noise would be
+    overrated.
+    """
     found = identify([calm_flight(case)])
     assert 0.8 < found.held_out.chi2 <= 1.3
     assert found.result.converged and found.held_out.windows >= 15
 
 
 def test_coefficients_of_a_jsbsim_aircraft_are_found():
-    """JSBSim's aircraft is set up from known coefficients (side force in other axes, an atmosphere, its own servos): in
-    the median to 3 %, and four of five intervals hold them."""
+    """JSBSim's aircraft is set up from known coefficients (side force in other axes, an atmosphere,
+    its own servos): in the median to 3 %, and four of five intervals hold them.
+    """
     rng = np.random.default_rng(57)
     aircraft = JsbsimAircraft().redrawn(rng, 0.15)
     t, states, sticks = fly_jsbsim(aircraft, figure_eights(rng), 120.0)
@@ -180,11 +224,14 @@ def test_coefficients_of_a_jsbsim_aircraft_are_found():
     assert covered(found, aircraft.kit_model()).mean() > 0.8
 
 
-# What goes in comes out -------------------------------------------------------------------------------------------
+# What goes in comes out
+# -------------------------------------------------------------------------------------------
 
 
 def test_the_same_flight_gives_the_same_bits():
-    """No clock, no chance, no order of a set: values, covariance and scores are equal to the last bit."""
+    """No clock, no chance, no order of a set: values, covariance and scores are equal to the last
+    bit.
+    """
     first, again = example_found(), identify([example_flight()[2]])
     assert again is not first
     assert again.model.vector.tobytes() == first.model.vector.tobytes()
@@ -196,20 +243,26 @@ def test_the_same_flight_gives_the_same_bits():
 
 @pytest.mark.parametrize("times", [0.75, 1.5])
 def test_a_given_noise_is_kept(times):
-    """Also where it is wrong: 1.5 times too large makes chi2 smaller by 1.5 squared, values hardly change."""
+    """Also where it is wrong: 1.5 times too large makes chi2 smaller by 1.5 squared, values hardly
+    change.
+    """
     truth, _, table = example_flight()
     sigma = times * np.array([0.03] * 3 + [np.radians(0.6)] * 3)
     found, plain = identify([table], sigma=sigma), example_found()
     assert np.array_equal(found.sigma, sigma)
     ratio = np.mean(plain.sigma / sigma) ** 2
     assert found.held_out.chi2 / plain.held_out.chi2 == pytest.approx(ratio, rel=0.1)
-    off = [abs(found.model.values[n] - plain.model.values[n]) / plain.uncertainty.sigma[n] for n in truth.names]
+    off = [
+        abs(found.model.values[n] - plain.model.values[n]) / plain.uncertainty.sigma[n]
+        for n in truth.names
+    ]
     assert np.median(off) < 0.3
 
 
 def test_what_is_held_out_does_not_teach():
-    """Other noise in the held-out block: the model that predicts it stays (to the fit's tolerance, 0.3 sigma), the one
-    fitted to everything moves by a share of a sigma."""
+    """Other noise in the held-out block: the model that predicts it stays (to the fit's tolerance,
+    0.3 sigma), the one fitted to everything moves by a share of a sigma.
+    """
     truth, flown, table = example_flight()
     sigma = np.array([0.03] * 3 + [np.radians(0.6)] * 3)
     rng = np.random.default_rng(58)
@@ -229,19 +282,26 @@ def test_what_is_held_out_does_not_teach():
 
 
 def test_a_given_model_is_where_it_starts_and_what_it_holds():
-    """Pinned parameters keep their value to the last bit and have no interval; the others still fit."""
+    """Pinned parameters keep their value to the last bit and have no interval; the others still
+    fit.
+    """
     truth, _, table = example_flight()
-    pinned = ("Jx", "Jy", "Jz", "cD_beta", "delay", "lag")
-    model = truth.pinned(pinned)
+    fixed = ("Jx", "Jy", "Jz", "cD_beta", "delay", "lag")
+    model = truth.with_fixed(fixed)
     found = identify([table], model=model)
-    assert {n: found.model.values[n] for n in pinned} == {n: truth.values[n] for n in pinned}
-    assert set(found.uncertainty.names) == set(truth.names) - set(pinned) and len(found.uncertainty.names) == 23
+    assert {n: found.model.values[n] for n in fixed} == {n: truth.values[n] for n in fixed}
+    assert (
+        set(found.uncertainty.names) == set(truth.names) - set(fixed)
+        and len(found.uncertainty.names) == 23
+    )
     assert found.interval("Jx") == (truth.values["Jx"], truth.values["Jx"])
     assert covered(found, truth).mean() >= 0.85
 
 
 def test_a_prior_pulls_its_parameter():
-    """kT known to 0.1 %: the value obeys, and thrust lost with speed, its twin, is known better for it."""
+    """kT known to 0.1 %: the value obeys, and thrust lost with speed, its twin, is known better for
+    it.
+    """
     truth, _, table = example_flight()
     prior = Prior({"kT": truth.values["kT"]}, {"kT": 1e-3 * truth.values["kT"]})
     found, plain = identify([table], prior=prior), example_found()
@@ -252,7 +312,7 @@ def test_a_prior_pulls_its_parameter():
 def test_refitting_the_found_model_changes_nothing():
     """It is at its minimum already: no parameter moves by more than 0.3 of its sigma."""
     found = example_found()
-    again = refit(found, found.model)
+    again = refit_model(found, found.model)
     size = np.array([found.uncertainty.sigma[n] for n in found.uncertainty.names])
     free = list(again.free)
     assert np.abs((again.model.vector - found.model.vector)[free] / size).max() < 0.3
@@ -262,7 +322,10 @@ def test_refitting_the_found_model_changes_nothing():
 def test_stages_are_told_in_order():
     """For a progress bar: names a person understands, with a finite chi2."""
     told = []
-    identify([slice_time(example_flight()[2], 0.0, 41.0)], progress=lambda stage, chi2: told.append((stage, chi2)))
+    identify(
+        [slice_time(example_flight()[2], 0.0, 41.0)],
+        progress=lambda stage, chi2: told.append((stage, chi2)),
+    )
     stages = [stage for stage, _ in told]
     assert list(dict.fromkeys(stages)) == [
         "short windows", "full windows", "weights updated", "held out", "all windows",
@@ -270,7 +333,8 @@ def test_stages_are_told_in_order():
     assert np.isfinite([chi2 for _, chi2 in told]).all()
 
 
-# Saying no, and saying how much -----------------------------------------------------------------------------------
+# Saying no, and saying how much
+# -----------------------------------------------------------------------------------
 
 
 def test_a_short_flight_is_fitted_and_said_to_be_short():
@@ -282,18 +346,25 @@ def test_a_short_flight_is_fitted_and_said_to_be_short():
 
 
 def test_the_wrong_form_is_said_to_be_wrong():
-    """A light aircraft with hidden body rates cannot be the paper's nine-state one: chi2 far above 4, in words, and not
-    in NumPy's words about overflow in flights that ran away on the way."""
+    """A light aircraft with hidden body rates cannot be the paper's nine-state one: chi2 far above
+    4, in words, and not in NumPy's words about overflow in flights that ran away on the way.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = identify([slice_time(example_flight()[2], 0.0, 41.0)], "paper")
     assert found.held_out.chi2 > 4.0
-    said = [s for s in found.warnings if re.search(r"does not describe this flight: chi2 .* is \d", s)]
-    assert len(said) == 1 and all(word in said[0] for word in ("axes", "signs", "units", "another aircraft", "wind"))
+    said = [
+        s for s in found.warnings if re.search(r"does not describe this flight: chi2 .* is \d", s)
+    ]
+    assert len(said) == 1 and all(
+        word in said[0] for word in ("axes", "signs", "units", "another aircraft", "wind")
+    )
 
 
 def test_a_flight_that_excites_little_is_said_to():
-    """Autopilot only, rudder fixed: its side force and yawing moment are named, each in one sentence."""
+    """Autopilot only, rudder fixed: its side force and yawing moment are named, each in one
+    sentence.
+    """
     rng = np.random.default_rng(59)
     truth = drawn(rates_model(), rng)
     flown = fly_figure_eights([truth], 41.0, rng, shake=0.0, held=(3,))
@@ -302,7 +373,7 @@ def test_a_flight_that_excites_little_is_said_to():
     for name in ("N_dr", "cY_dr"):
         said = [s for s in found.warnings if s.startswith(f"{name} ")]
         assert len(said) == 1 and "excited" in said[0]
-    assert found.reversed_sticks == ()
+    assert found.reversed_channels == ()
 
 
 def _with_stick(table, column, values):
@@ -314,17 +385,18 @@ def _with_stick(table, column, values):
 @pytest.mark.parametrize(
     ("column", "sentence"),
     [
-        (1, "aileron seems reversed: want positive aileron = right wing down"),
-        (2, "elevator seems reversed: want positive elevator = nose up"),
-        (3, "rudder seems reversed: want positive rudder = nose right"),
+        (1, "aileron seems reversed: expected positive aileron = right wing down"),
+        (2, "elevator seems reversed: expected positive elevator = nose up"),
+        (3, "rudder seems reversed: expected positive rudder = nose right"),
     ],
 )
 def test_a_stick_of_the_other_sign_is_named(column, sentence):
-    """One column of the log turned round here: that stick is named, no other, and where to look. A parameter that
-    ends on its bound for it is said to in one sentence, which says all."""
+    """One column of the log turned round here: that stick is named, no other, and where to look. A
+    parameter that ends on its bound for it is said to in one sentence, which says all.
+    """
     table = slice_time(example_flight()[2], 0.0, 20.0)
     found = identify([_with_stick(table, column, -table.commands[:, column])])
-    assert found.reversed_sticks == (sentence.split()[0],)
+    assert found.reversed_channels == (sentence.split()[0],)
     said = [s for s in found.warnings if "reversed" in s]
     assert len(said) == 1 and said[0].startswith(sentence)
     assert said[0].endswith("the fit wants the other sign; check the sign in your log")
@@ -335,16 +407,20 @@ def test_a_stick_of_the_other_sign_is_named(column, sentence):
 
 def test_sticks_of_the_right_sign_are_not_called_reversed(twelve):
     """Thirteen flights whose logs are as the aircraft flew."""
-    assert [f.reversed_sticks for f in (example_found(), *(found for _, _, found in twelve))] == [()] * 13
+    assert [f.reversed_channels for f in (example_found(), *(found for _, _, found in twelve))] == [
+        ()
+    ] * 13
 
 
 @pytest.mark.parametrize("column", [2, 3])
 def test_a_stick_that_does_nothing_is_not_called_reversed(column):
-    """The elevator (the rudder) column of another half minute: neither sign of it explains anything."""
+    """The elevator (the rudder) column of another half minute: neither sign of it explains
+    anything.
+    """
     table = slice_time(example_flight()[2], 0.0, 20.0)
     other = slice_time(example_flight()[2], 30.0, 60.0).commands[: len(table.t), column]
     found = identify([_with_stick(table, column, other)])
-    assert found.reversed_sticks == ()
+    assert found.reversed_channels == ()
 
 
 def _constant_sticks(table):
@@ -363,11 +439,17 @@ def _standing(table):
 @pytest.mark.parametrize(
     ("spoil", "sentence"),
     [
-        (_constant_sticks, "want sticks that move, got the same values in every row"),
-        (_standing, r"want an aircraft that flies, got a median speed of 0\.\d+ m/s"),
-        (lambda table: slice_time(table, 0.0, 2.5), "want at least 3 s of poses without a break"),
-        (lambda table: slice_time(table, 0.0, 3.5), "want at least .* got"),
-        (lambda table: replace(table, p_world=np.full_like(table.p_world, np.nan)), "want at least 3 s of poses"),
+        (_constant_sticks, "expected sticks that move, got the same values in every row"),
+        (_standing, r"expected an aircraft that flies, got a median speed of 0\.\d+ m/s"),
+        (
+            lambda table: slice_time(table, 0.0, 2.5),
+            "expected at least 3 s of poses without a break",
+        ),
+        (lambda table: slice_time(table, 0.0, 3.5), "expected at least .* got"),
+        (
+            lambda table: replace(table, p_world=np.full_like(table.p_world, np.nan)),
+            "expected at least 3 s of poses",
+        ),
     ],
 )
 def test_flights_that_cannot_be_identified_are_refused(spoil, sentence):
@@ -379,5 +461,5 @@ def test_flights_that_cannot_be_identified_are_refused(spoil, sentence):
 
 def test_no_flight_is_refused():
     """An empty list is a mistake of the caller."""
-    with pytest.raises(InputError, match="want at least one flight table, got none"):
+    with pytest.raises(InputError, match="expected at least one flight table, got none"):
         identify([])

@@ -9,11 +9,11 @@ import pytest
 
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.integrate import roll_out
-from falconwing_kit.aircraft.model import FORMS, in_wind, rates_model
+from falconwing_kit.aircraft.model import FORMS, add_uniform_wind, rates_model
 from falconwing_kit.aircraft.terms import air_flow
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.config import write_toml
-from falconwing_kit.sysid.model_file import read_model, write_fitted, write_model
+from falconwing_kit.sysid.model_file import read_model, write_fitted_model, write_model
 from falconwing_kit.sysid.uncertainty import Uncertainty
 from tests.core.test_fuzz import mutate
 from tests.sysid.simulated import example_found
@@ -36,11 +36,14 @@ def edited(path, old, new):
     return path
 
 
-# Round trip -------------------------------------------------------------------------------------------------------
+# Round trip
+# -------------------------------------------------------------------------------------------------------
 
 
 def test_what_was_written_comes_back(path):
-    """Inverse of each other: values, bounds, names, noise and flights to the last bit, covariance to six digits."""
+    """Inverse of each other: values, bounds, names, noise and flights to the last bit, covariance
+    to six digits.
+    """
     found, read = example_found(), read_model(path)
     assert dict(read.model.values) == dict(found.model.values)
     assert read.model.parameters == found.model.parameters
@@ -54,12 +57,16 @@ def test_the_read_model_flies_the_same_flight(path):
     """The same bits in, the same bits out."""
     start, sticks = np.zeros(12), np.full((40, 4), 0.1)
     start[[2, 6]] = 2.0, 7.0
-    flown = [roll_out(m, start, sticks, 0.025) for m in (example_found().model, read_model(path).model)]
+    flown = [
+        roll_out(m, start, sticks, 0.025) for m in (example_found().model, read_model(path).model)
+    ]
     assert np.array_equal(*flown)
 
 
 def test_the_file_says_what_its_numbers_are(path):
-    """For people and other programs: plain TOML with units, bounds, intervals, scores and the flights' names."""
+    """For people and other programs: plain TOML with units, bounds, intervals, scores and the
+    flights' names.
+    """
     content = tomllib.loads(path.read_text())
     found = example_found()
     kT = content["parameters"]["kT"]
@@ -74,13 +81,20 @@ def test_the_file_says_what_its_numbers_are(path):
 @pytest.mark.parametrize("windy", [False, True])
 def test_every_form_and_the_wind_come_back(tmp_path, form, windy):
     """Terms are named in the file; held parameters have no interval; bounds are those of the model."""
-    model = in_wind(FORMS[form](), 0.5, -0.25) if windy else FORMS[form]()
-    model = model.pinned(["kT"])
-    sure = Uncertainty(("L_da",), np.array([[1e-4]]), 1.0, (), (), ())
-    write_model(tmp_path / "m.toml", replace(example_found(), model=model, uncertainty=sure, held_out=None))
+    model = add_uniform_wind(FORMS[form](), 0.5, -0.25) if windy else FORMS[form]()
+    model = model.with_fixed(["kT"])
+    confidence = Uncertainty(("L_da",), np.array([[1e-4]]), 1.0, (), (), ())
+    write_model(
+        tmp_path / "m.toml",
+        replace(example_found(), model=model, uncertainty=confidence, held_out=None),
+    )
     read = read_model(tmp_path / "m.toml")
     assert dict(read.model.values) == dict(model.values)
-    assert (read.model.parameters, read.model.terms, read.model.winds) == (model.parameters, model.terms, model.winds)
+    assert (read.model.parameters, read.model.terms, read.model.winds) == (
+        model.parameters,
+        model.terms,
+        model.winds,
+    )
     assert (read.names, read.covariance.tolist()) == (("L_da",), [[1e-4]])
     assert "low95" not in tomllib.loads((tmp_path / "m.toml").read_text())["parameters"]["kT"]
 
@@ -90,8 +104,8 @@ def test_every_effect_comes_back(tmp_path, effect):
     """A model with an effect has it after reading, too: its values, bounds and functions."""
     model = rates_model().with_effect(effect)
     model = model.with_values({p.name: 0.5 * (p.low + p.high) for p in effect.parameters})
-    sure = Uncertainty(("L_da",), np.array([[1e-4]]), 1.0, (), (), ())
-    write_model(tmp_path / "m.toml", replace(example_found(), model=model, uncertainty=sure))
+    confidence = Uncertainty(("L_da",), np.array([[1e-4]]), 1.0, (), (), ())
+    write_model(tmp_path / "m.toml", replace(example_found(), model=model, uncertainty=confidence))
     read = read_model(tmp_path / "m.toml").model
     assert (dict(read.values), read.parameters) == (dict(model.values), model.parameters)
     assert (read.effects, read.terms, read.winds) == (model.effects, model.terms, model.winds)
@@ -106,9 +120,12 @@ def test_without_noise_it_is_unknown(path):
     assert np.isnan(read_model(path).sigma).all() and len(read_model(path).sigma) == 6
 
 
-# Files of version 1 -----------------------------------------------------------------------------------------------
+# Files of version 1
+# -----------------------------------------------------------------------------------------------
 
-OLD = Path(__file__).parents[1] / "data"  # written by falconwing-kit 0.1 from case02_calm.csv, one file a form
+OLD = (
+    Path(__file__).parents[1] / "data"
+)  # written by falconwing-kit 0.1 from case02_calm.csv, one file a form
 NEGATED = ("cY_beta", "L_p", "M_alpha", "M_q", "N_r", "N_p")
 
 
@@ -116,14 +133,18 @@ def old_moments(V, rates, angles, commands, K):
     """Angular accelerations by the formulas of version 1, with its symbols and signs."""
     (p, q, r), (alpha, beta), (aileron, elevator, rudder) = rates, angles, commands
     return (
-        V * (V * (K["L0"] + K["La"] * aileron + K["Lb"] * beta) - K["Lp"] * p + K["Lr"] * r) + K["Jx"] * q * r,
+        V * (V * (K["L0"] + K["La"] * aileron + K["Lb"] * beta) - K["Lp"] * p + K["Lr"] * r)
+        + K["Jx"] * q * r,
         V * (V * (K["M0"] + K["Me"] * elevator - K["Ma"] * alpha) - K["Mq"] * q) + K["Jy"] * p * r,
-        V * (V * (K["N0"] + K["Nr"] * rudder + K["Nb"] * beta) - K["Nrr"] * r - K["Np"] * p) + K["Jz"] * p * q,
+        V * (V * (K["N0"] + K["Nr"] * rudder + K["Nb"] * beta) - K["Nrr"] * r - K["Np"] * p)
+        + K["Jz"] * p * q,
     )
 
 
 def test_an_old_file_has_todays_symbols_and_signs():
-    """By hand from the file's text: L_p = -Lp and so on, bounds change places, the rudder's Nr is N_dr, Nrr is -N_r."""
+    """By hand from the file's text: L_p = -Lp and so on, bounds change places, the rudder's Nr is
+    N_dr, Nrr is -N_r.
+    """
     read = read_model(OLD / "model_version1_rates.toml")
     values, bounds = read.model.values, {p.name: (p.low, p.high) for p in read.model.parameters}
     old = tomllib.loads((OLD / "model_version1_rates.toml").read_text())["parameters"]
@@ -138,13 +159,22 @@ def test_an_old_file_has_todays_symbols_and_signs():
     for name, before in pairs.items():
         sign = -1.0 if name in NEGATED else 1.0
         assert values[name] == sign * old[before]["value"]
-        assert bounds[name] == tuple(sorted((sign * old[before]["low"], sign * old[before]["high"])))
-    assert [round(values[name], 3) for name in ("L_p", "M_alpha", "N_dr", "N_r")] == [-3.691, -2.018, 0.490, -0.460]
+        assert bounds[name] == tuple(
+            sorted((sign * old[before]["low"], sign * old[before]["high"]))
+        )
+    assert [round(values[name], 3) for name in ("L_p", "M_alpha", "N_dr", "N_r")] == [
+        -3.691,
+        -2.018,
+        0.490,
+        -0.460,
+    ]
     assert bounds["M_alpha"] == (-20.0, 1.0) and bounds["M_q"] == (-12.0, 0.0)
 
 
 def test_an_old_covariance_changes_sign_with_one_of_the_two():
-    """cov(-a, b) = -cov(a, b) and cov(-a, -b) = cov(a, b), for pairs of either kind; variances stay."""
+    """cov(-a, b) = -cov(a, b) and cov(-a, -b) = cov(a, b), for pairs of either kind; variances
+    stay.
+    """
     read = read_model(OLD / "model_version1_rates.toml")
     old = tomllib.loads((OLD / "model_version1_rates.toml").read_text())["covariance"]
     matrix, was = np.array(old["matrix"]), old["names"].index
@@ -159,13 +189,17 @@ def test_an_old_covariance_changes_sign_with_one_of_the_two():
 
 
 def test_an_old_file_flies_as_before():
-    """Moments and side force by the formulas of version 1, from the numbers as they stand in the file."""
+    """Moments and side force by the formulas of version 1, from the numbers as they stand in the
+    file.
+    """
     read = read_model(OLD / "model_version1_rates.toml").model
     content = tomllib.loads((OLD / "model_version1_rates.toml").read_text())["parameters"]
     K = {name: entry["value"] for name, entry in content.items()}
     rates, command = (0.3, -0.4, 0.5), (0.6, 0.2, -0.1, 0.3)
     air = air_flow((7.0, 0.8, 0.5), rates, (0.0, 0.0, 2.0), 0.0, command)
-    loads = np.sum([np.array(term.evaluate(air, read.K), dtype=float) for term in read.terms], axis=0)
+    loads = np.sum(
+        [np.array(term.evaluate(air, read.K), dtype=float) for term in read.terms], axis=0
+    )
     assert loads[3:] == pytest.approx(
         old_moments(air.airspeed, rates, (air.alpha, air.beta), command[1:], K), rel=1e-12
     )
@@ -174,27 +208,53 @@ def test_an_old_file_flies_as_before():
 
 
 def test_an_old_file_of_the_nine_state_model_flies_as_before():
-    """The rates by the formulas of version 1, from the numbers in the file; what was fixed at zero stays so."""
+    """The rates by the formulas of version 1, from the numbers in the file; what was fixed at zero
+    stays so.
+    """
     read = read_model(OLD / "model_version1_paper.toml").model
     content = tomllib.loads((OLD / "model_version1_paper.toml").read_text())["parameters"]
     K = {name: entry["value"] for name, entry in content.items()}
     air = air_flow((7.0, 0.8, 0.5), (0.0, 0.0, 0.0), (0.0, 0.0, 2.0), 0.0, (0.6, 0.2, -0.1, 0.3))
-    loads = np.sum([np.array(term.evaluate(air, read.K), dtype=float) for term in read.terms], axis=0)
+    loads = np.sum(
+        [np.array(term.evaluate(air, read.K), dtype=float) for term in read.terms], axis=0
+    )
     V, alpha, beta = air.airspeed, air.alpha, air.beta
-    p, q = V * (K["L0"] + K["La"] * 0.2 + K["Lb"] * beta), V * (K["M0"] - K["Me"] * 0.1 - K["Ma"] * alpha)
-    assert loads[3:] == pytest.approx((p, q, V * (K["N0"] + K["Nr"] * 0.3 + K["Nb"] * beta)), rel=1e-12)
-    assert {p.name for p in read.parameters if p.low == p.high == 0.0} == {"cL_de", "cY_dr", "cD_beta", "delay", "lag"}
+    p, q = (
+        V * (K["L0"] + K["La"] * 0.2 + K["Lb"] * beta),
+        V * (K["M0"] - K["Me"] * 0.1 - K["Ma"] * alpha),
+    )
+    assert loads[3:] == pytest.approx(
+        (p, q, V * (K["N0"] + K["Nr"] * 0.3 + K["Nb"] * beta)), rel=1e-12
+    )
+    assert {p.name for p in read.parameters if p.low == p.high == 0.0} == {
+        "cL_de",
+        "cY_dr",
+        "cD_beta",
+        "delay",
+        "lag",
+    }
 
 
 def test_an_old_file_is_written_as_todays(tmp_path):
     """Read, written and read again: version 2 and the same model."""
     old = read_model(OLD / "model_version1_rates.toml")
-    sure = Uncertainty(old.names, old.covariance, 1.0, (), (), ())
+    confidence = Uncertainty(old.names, old.covariance, 1.0, (), (), ())
     path = tmp_path / "new.toml"
-    write_fitted(path, old.model, sure, flights=old.flights, train_chi2=1.0, held_out_chi2=None, sigma=old.sigma)
+    write_fitted_model(
+        path,
+        old.model,
+        confidence,
+        flights=old.flights,
+        train_chi2=1.0,
+        held_out_chi2=None,
+        sigma=old.sigma,
+    )
     new = read_model(path)
     assert tomllib.loads(path.read_text())["version"] == 2
-    assert (new.model.parameters, dict(new.model.values)) == (old.model.parameters, dict(old.model.values))
+    assert (new.model.parameters, dict(new.model.values)) == (
+        old.model.parameters,
+        dict(old.model.values),
+    )
     assert np.array_equal(new.covariance, old.covariance)
 
 
@@ -203,24 +263,39 @@ def test_a_parameter_by_both_names_is_refused(tmp_path):
     text = (OLD / "model_version1_paper.toml").read_text()
     entry = '\n[parameters.M_alpha]\nvalue = -1.0\nunit = "1/m"\nlow = -2.0\nhigh = 0.0\n'
     (tmp_path / "m.toml").write_text(text + entry)
-    with pytest.raises(InputError, match=r"m\.toml: parameters: expected 'M_alpha' once, got it by two names"):
+    with pytest.raises(
+        InputError, match=r"m\.toml: parameters: expected 'M_alpha' once, got it by two names"
+    ):
         read_model(tmp_path / "m.toml")
 
 
-# Refused ----------------------------------------------------------------------------------------------------------
+# Refused
+# ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ('form = "rates"', 'form = "glider"', "form: want one of paper, rates, got 'glider'"),
-        ('"drag"', '"magic"', r"terms: want names out of .*drag.*, got 'magic'"),
-        ("effects = []", 'effects = ["magic"]', "effects: want names out of .*wind.*, got 'magic'"),
-        ("[parameters.cL_alpha]", "[parameters.cL_x]", "parameters: want .*'cL_alpha' does not fit"),
+        ('form = "rates"', 'form = "glider"', "form: expected one of paper, rates, got 'glider'"),
+        ('"drag"', '"magic"', r"terms: expected names out of .*drag.*, got 'magic'"),
+        (
+            "effects = []",
+            'effects = ["magic"]',
+            "effects: expected names out of .*wind.*, got 'magic'",
+        ),
+        (
+            "[parameters.cL_alpha]",
+            "[parameters.cL_x]",
+            "parameters: expected .*'cL_alpha' does not fit",
+        ),
         ("[parameters.kT]\nvalue = ", "[parameters.kT]\nvalue = nan #", "parameters.kT.value"),
         ("[parameters.kT]\nvalue = ", '[parameters.kT]\nvalue = "much" #', "parameters.kT.value"),
         ("[parameters.kT]\nvalue", "[parameters.kT]\nworth", "worth"),
-        ("version = 2", "version = 3", "version: expected 1 or 2, got 3: install a newer falconwing-kit"),
+        (
+            "version = 2",
+            "version = 3",
+            "version: expected 1 or 2, got 3: install a newer falconwing-kit",
+        ),
         ("version = 2", "version = 0", "version: expected 1 or 2, got 0"),
         ("[fit]", "[fits]", "fits"),
         ("[covariance]", "[covariances]", "covariances"),
@@ -235,12 +310,16 @@ def test_a_wrong_entry_is_named(path, old, new, sentence):
 
 def test_a_parameter_too_many_is_named(path):
     """A parameter that no term of the form reads."""
-    path.write_text(path.read_text() + '\n[parameters.extra]\nvalue = 1.0\nunit = "-"\nlow = 0.0\nhigh = 2.0\n')
+    path.write_text(
+        path.read_text() + '\n[parameters.extra]\nvalue = 1.0\nunit = "-"\nlow = 0.0\nhigh = 2.0\n'
+    )
     with pytest.raises(InputError, match="'extra' does not fit"):
         read_model(path)
 
 
-@pytest.mark.parametrize("change", ["row missing", "number missing", "name unknown", "name missing"])
+@pytest.mark.parametrize(
+    "change", ["row missing", "number missing", "name unknown", "name missing"]
+)
 def test_a_covariance_of_another_shape_is_refused(path, change):
     """29 names want 29 rows of 29 numbers, of parameters that are there."""
     content = tomllib.loads(path.read_text())
@@ -254,7 +333,9 @@ def test_a_covariance_of_another_shape_is_refused(path, change):
     else:
         covariance["names"][0] = "cXX"
     write_toml(path, content)
-    wanted = "names of parameters" if change == "name unknown" else r"want \d+ rows of \d+ numbers"
+    wanted = (
+        "names of parameters" if change == "name unknown" else r"expected \d+ rows of \d+ numbers"
+    )
     with pytest.raises(InputError, match=f"model.toml: covariance: .*{wanted}"):
         read_model(path)
 
@@ -276,11 +357,12 @@ def test_no_file_is_no_file(tmp_path):
 
 
 def test_damaged_files_are_read_or_refused_in_a_sentence(tmp_path):
-    """2,000 mutations of a file with few parameters: the only exception is an InputError of one line, and what is read
-    is a model of finite numbers."""
-    sure = Uncertainty(("L_da", "kT"), np.diag([1e-4, 1e-2]), 1.0, (), (), ())
+    """2,000 mutations of a file with few parameters: the only exception is an InputError of one
+    line, and what is read is a model of finite numbers.
+    """
+    confidence = Uncertainty(("L_da", "kT"), np.diag([1e-4, 1e-2]), 1.0, (), (), ())
     path = tmp_path / "m.toml"
-    write_model(path, replace(example_found(), model=FORMS["paper"](), uncertainty=sure))
+    write_model(path, replace(example_found(), model=FORMS["paper"](), uncertainty=confidence))
     whole, outcomes = path.read_bytes(), {"read": 0, "refused": 0}
     for number in range(DAMAGED):
         path.write_bytes(mutate(whole, np.random.default_rng(number)))
@@ -289,6 +371,8 @@ def test_damaged_files_are_read_or_refused_in_a_sentence(tmp_path):
             assert np.isfinite(read.model.vector).all() and np.isfinite(read.covariance).all()
             outcomes["read"] += 1
         except InputError as error:
-            assert str(error).count("\n") == 0 and len(str(error)) < 2000, f"mutation {number}: {error}"
+            assert str(error).count("\n") == 0 and len(str(error)) < 2000, (
+                f"mutation {number}: {error}"
+            )
             outcomes["refused"] += 1
     assert sum(outcomes.values()) == DAMAGED and min(outcomes.values()) > DAMAGED // 100, outcomes

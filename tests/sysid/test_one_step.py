@@ -1,17 +1,19 @@
-"""The paper's one-step fit: exact on perfect states, ruined by differentiated noise, as the paper's recipe is."""
+"""The paper's one-step fit: exact on perfect states, ruined by differentiated noise, as the paper's
+recipe is.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from falconwing_kit.aircraft.inputs import acting_commands
+from falconwing_kit.aircraft.inputs import actuator_response
 from falconwing_kit.aircraft.integrate import roll_out
 from falconwing_kit.aircraft.model import FORMS, paper_model, rates_model
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import body_rates
 from falconwing_kit.sysid.one_step import differentiated_states, fit_one_step
-from falconwing_kit.sysid.prepare import Flight
+from falconwing_kit.sysid.prepare import PreparedFlight
 from tests.sysid.simulated import drawn, example_flight, example_found
 
 SIGMA = np.full(6, 0.01)
@@ -21,18 +23,24 @@ def flight_of(t, states, commands):
     """A prepared flight whose smooth states are the true ones."""
     full = np.zeros((len(t), 12))
     full[:, : states.shape[1]] = states
-    return Flight("true", t, states[:, [0, 1, 2, 5, 3, 4]], commands, SIGMA, full, 0.0 * full)
+    return PreparedFlight(
+        "true", t, states[:, [0, 1, 2, 5, 3, 4]], commands, SIGMA, full, 0.0 * full
+    )
 
 
 @pytest.fixture(scope="module", params=sorted(FORMS))
 def perfect(request):
-    """20 s of random sticks flown by the fit's own steps: the aircraft and its flight with the true states."""
+    """20 s of random sticks flown by the fit's own steps: the aircraft and its flight with the true
+    states.
+    """
     rng = np.random.default_rng(8)
     truth = drawn(FORMS[request.param](), rng)
     t = np.arange(401) * 0.05
-    sticks = np.repeat(np.array([0.4, 0.0, 0.1, 0.0]) + rng.normal(0.0, 0.08, (101, 4)), 4, axis=0)[:401]
+    sticks = np.repeat(np.array([0.4, 0.0, 0.1, 0.0]) + rng.normal(0.0, 0.08, (101, 4)), 4, axis=0)[
+        :401
+    ]
     edges = t
-    mean, _ = acting_commands(t, sticks, edges, truth.values["delay"], truth.values["lag"])
+    mean, _ = actuator_response(t, sticks, edges, truth.values["delay"], truth.values["lag"])
     substeps = 2 if request.param == "rates" else 1
     start = np.zeros(truth.n_states)
     start[[2, 3, 6]] = 30.0, 0.1, 7.0
@@ -41,7 +49,9 @@ def perfect(request):
 
 
 def test_perfect_states_give_the_aircraft_back(perfect):
-    """The inverse of a prediction: states without noise, delay and lag known. 1e-3 because SciPy stops at 1e-8."""
+    """The inverse of a prediction: states without noise, delay and lag known. 1e-3 because SciPy
+    stops at 1e-8.
+    """
     truth, flight = perfect
     start = FORMS[truth.form]().with_values({n: truth.values[n] for n in ("delay", "lag")})
     found = fit_one_step(start, [flight], smoothed=True)
@@ -51,7 +61,9 @@ def test_perfect_states_give_the_aircraft_back(perfect):
 
 
 def test_differences_of_a_straight_line_are_its_velocity():
-    """By hand: 3 m/s forward, 1 m/s up, and a turn of 0.5 rad/s wings level, which is r = 0.5 alone."""
+    """By hand: 3 m/s forward, 1 m/s up, and a turn of 0.5 rad/s wings level, which is r = 0.5
+    alone.
+    """
     t = np.arange(60) * 0.05
     states = np.zeros((60, 9))
     states[:, 0], states[:, 2], states[:, 4] = 3.0 * t, 2.0 + t, 0.5 * t
@@ -62,7 +74,9 @@ def test_differences_of_a_straight_line_are_its_velocity():
 
 
 def test_differences_turn_centimetres_into_metres_a_second():
-    """Errors propagate: the difference of two poses with 3 cm each over 50 ms has sqrt(2) 0.03 / 0.05 = 0.85 m/s."""
+    """Errors propagate: the difference of two poses with 3 cm each over 50 ms has sqrt(2) 0.03 /
+    0.05 = 0.85 m/s.
+    """
     rng = np.random.default_rng(0)
     t = np.arange(20_001) * 0.05
     states = np.zeros((len(t), 9))
@@ -77,7 +91,9 @@ def test_differences_know_body_rates_from_angle_rates(perfect):
     states = np.zeros((20, 9))
     states[:, 4], states[:, 5] = 1.5 * t, 0.6
     found = differentiated_states(flight_of(t, states, np.zeros((20, 4))))[:, 9:]
-    assert found == pytest.approx(np.tile([0.0, 1.5 * np.sin(0.6), 1.5 * np.cos(0.6)], (19, 1)), abs=1e-9)
+    assert found == pytest.approx(
+        np.tile([0.0, 1.5 * np.sin(0.6), 1.5 * np.cos(0.6)], (19, 1)), abs=1e-9
+    )
     assert body_rates(0.6, 0.0, 0.0, 0.0, 1.5) == pytest.approx(found[0])
 
 
@@ -91,8 +107,10 @@ def test_a_missing_pose_spoils_its_two_differences_only():
 
 
 def test_marker_noise_ruins_it_where_shooting_holds():
-    """Recorded in a prototype on 10 minutes: 157 % median error for raw differences, 8.5 % smoothed, 0.33 % shooting.
-    On a flight of one minute, raw differences are at least 20 times worse than shooting."""
+    """Recorded in a prototype on 10 minutes: 157 % median error for raw differences, 8.5 %
+    smoothed, 0.33 % shooting. On a flight of one minute, raw differences are at least 20 times
+    worse than shooting.
+    """
     truth, _, _ = example_flight()
     found = example_found()
     flights = [flight for p in found.prepared for flight in p.flights]
@@ -102,7 +120,9 @@ def test_marker_noise_ruins_it_where_shooting_holds():
         values = np.array([model.values[n] for n in truth.names if n not in ("delay", "lag")])
         return float(np.median(np.abs(values / want - 1.0)))
 
-    raw, smoothed = (median_error(fit_one_step(rates_model(), flights, smoothed=s)) for s in (False, True))
+    raw, smoothed = (
+        median_error(fit_one_step(rates_model(), flights, smoothed=s)) for s in (False, True)
+    )
     shooting = median_error(found.model)
     assert raw > 20.0 * shooting
     assert raw > smoothed > 2.0 * shooting
@@ -123,7 +143,10 @@ def test_bounds_hold(perfect):
     truth, flight = perfect
     bound = 1.3 * truth.values["L_da"]
     parameters = tuple(replace(p, low=bound) if p.name == "L_da" else p for p in truth.parameters)
-    assert fit_one_step(replace(truth, parameters=parameters), [flight], smoothed=True).values["L_da"] >= bound
+    assert (
+        fit_one_step(replace(truth, parameters=parameters), [flight], smoothed=True).values["L_da"]
+        >= bound
+    )
 
 
 def test_fewer_steps_give_nearly_the_same(perfect):
@@ -136,12 +159,15 @@ def test_fewer_steps_give_nearly_the_same(perfect):
 
 
 def test_states_that_run_away_do_not_end_the_fit(perfect):
-    """Poses that jump by 100 m between two frames are 2 km/s; what that flies to overflows, and the answer is still a
-    model within its bounds."""
+    """Poses that jump by 100 m between two frames are 2 km/s; what that flies to overflows, and the
+    answer is still a model within its bounds.
+    """
     truth, flight = perfect
-    states = flight.smooth.copy()
+    states = flight.state_estimate.copy()
     states[100:110, 6:] = 2000.0 * np.array([1.0, -1.0, 1.0, 0.5, -0.5, 0.5])
-    found = fit_one_step(FORMS[truth.form](), [replace(flight, smooth=states)], smoothed=True)
+    found = fit_one_step(
+        FORMS[truth.form](), [replace(flight, state_estimate=states)], smoothed=True
+    )
     assert all(p.low <= found.values[p.name] <= p.high for p in found.parameters)
 
 
@@ -150,5 +176,7 @@ def test_too_few_poses_are_refused():
     t = np.arange(20) * 0.05
     states = np.zeros((20, 9))
     states[:, 0], states[:, 6] = 7.0 * t, 7.0
-    with pytest.raises(InputError, match="want at least 48 pairs of neighbouring poses, got 18"):
+    with pytest.raises(
+        InputError, match="expected at least 48 pairs of neighbouring poses, got 18"
+    ):
         fit_one_step(paper_model(), [flight_of(t, states, np.zeros((20, 4)))])

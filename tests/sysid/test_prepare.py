@@ -1,4 +1,6 @@
-"""Preparing a flight: noise, outliers, gaps and turns, against what was planted and against recorded-file facts."""
+"""Preparing a flight: noise, outliers, gaps and turns, against what was planted and against
+recorded-file facts.
+"""
 
 from dataclasses import replace
 
@@ -19,7 +21,9 @@ def rng():
 
 
 def path(t):
-    """(N, 6) smooth poses as an aircraft's: circles of 5 m in 4.5 s, up and down, yaw turning on and on."""
+    """(N, 6) smooth poses as an aircraft's: circles of 5 m in 4.5 s, up and down, yaw turning on
+    and on.
+    """
     circling = 1.4 * t
     return np.column_stack([
         5.0 * np.sin(circling), 5.0 * np.cos(circling), 2.0 + 0.5 * np.sin(0.9 * t),
@@ -39,20 +43,25 @@ def noisy(rng, seconds=60.0, sigma=SIGMA):
     return t, path(t) + sigma * rng.normal(size=(len(t), 6))
 
 
-# Noise ------------------------------------------------------------------------------------------------------------
+# Noise
+# ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sigma", [0.003, 0.03, 0.3])
 def test_noise_on_a_smooth_curve_is_found(rng, sigma):
-    """The number that was planted; a median of 20,000 correlated differences scatters by 1.3 %, so 5 % is 4 sigma."""
+    """The number that was planted; a median of 20,000 correlated differences scatters by 1.3 %, so
+    5 % is 4 sigma.
+    """
     t = np.arange(20_000) * 0.05
     found = difference_noise(path(t) + rng.normal(0.0, sigma, (len(t), 6)))
     assert found == pytest.approx(np.full(6, sigma), rel=0.05)
 
 
 def test_outliers_hardly_raise_the_noise(rng):
-    """By hand: one pose in a hundred far off spoils 5 % of the fourth differences, so the median of the others' sizes
-    is taken at 0.5/0.95 = 52.6 %: 0.716 against 0.674 sigma, 6 % more. Without robustness it would be 30 times more."""
+    """By hand: one pose in a hundred far off spoils 5 % of the fourth differences, so the median of
+    the others' sizes is taken at 0.5/0.95 = 52.6 %: 0.716 against 0.674 sigma, 6 % more. Without
+    robustness it would be 30 times more.
+    """
     t = np.arange(20_000) * 0.05
     samples = path(t) + rng.normal(0.0, 0.03, (len(t), 6))
     samples[50::100] += 10.0
@@ -73,7 +82,9 @@ def test_slow_noise_is_mostly_not_seen(rng):
 
 @pytest.mark.parametrize("case", ["case01", "case02", "case03"])
 def test_noise_of_recorded_flights_is_what_their_readme_says(case):
-    """JSBSim's flights carry 3 cm and 0.6 deg, white; 0.5 % outliers add 3 % and fast motion adds some more."""
+    """JSBSim's flights carry 3 cm and 0.6 deg, white; 0.5 % outliers add 3 % and fast motion adds
+    some more.
+    """
     found = prepare(calm_flight(case)).sigma
     assert found[:3].mean() == pytest.approx(0.03, rel=0.1)
     assert np.degrees(found[3:].mean()) == pytest.approx(0.6, rel=0.1)
@@ -83,7 +94,9 @@ def test_given_noise_is_used_before_logged_before_estimated(rng):
     """A value given in the call wins over the table's columns, these over the estimate."""
     t, pose = noisy(rng)
     plain = table(t, pose)
-    logged = table(t, pose, sigma_position=np.full(len(t), 0.05), sigma_attitude=np.full(len(t), 0.02))
+    logged = table(
+        t, pose, sigma_position=np.full(len(t), 0.05), sigma_attitude=np.full(len(t), 0.02)
+    )
     assert prepare(plain).sigma == pytest.approx(SIGMA, rel=0.2)
     assert prepare(logged).sigma == pytest.approx([0.05] * 3 + [0.02] * 3, rel=1e-12)
     assert prepare(logged, np.full(6, 0.07)).sigma == pytest.approx(np.full(6, 0.07), rel=1e-12)
@@ -94,22 +107,30 @@ def test_given_noise_is_used_before_logged_before_estimated(rng):
 def test_perfect_poses_still_have_some_noise():
     """A weight of one over zero would break every fit: 1 mm and 1 mrad at least."""
     t = np.arange(400) * 0.05
-    assert prepare(table(t, np.tile([1.0, 2.0, 3.0, 0.1, 0.2, 0.3], (400, 1)))).sigma == pytest.approx(np.full(6, 1e-3))
+    assert prepare(
+        table(t, np.tile([1.0, 2.0, 3.0, 0.1, 0.2, 0.3], (400, 1)))
+    ).sigma == pytest.approx(np.full(6, 1e-3))
 
 
-# Outliers ---------------------------------------------------------------------------------------------------------
+# Outliers
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_poses_off_by_metres_are_set_aside_and_good_ones_kept(rng):
-    """Planted: 1 % of the positions 1 to 5 m off, another 1 % of the attitudes 30 to 90 deg off, three of them beside
-    each other. All must go; of the good halves at most 1 % may go with them."""
+    """Planted: 1 % of the positions 1 to 5 m off, another 1 % of the attitudes 30 to 90 deg off,
+    three of them beside each other. All must go; of the good halves at most 1 % may go with them.
+    """
     t, pose = noisy(rng, 120.0)
     rows = rng.permutation(len(t))[:48]
     off_position, off_attitude = np.append(rows[:24], [700, 701, 702]), rows[24:]
     away = rng.normal(size=(27, 3))
-    pose[off_position, :3] += away / np.linalg.norm(away, axis=1, keepdims=True) * rng.uniform(1.0, 5.0, (27, 1))
+    pose[off_position, :3] += (
+        away / np.linalg.norm(away, axis=1, keepdims=True) * rng.uniform(1.0, 5.0, (27, 1))
+    )
     turned = np.zeros((24, 3))
-    turned[np.arange(24), rng.integers(0, 3, 24)] = rng.choice([-1, 1], 24) * np.radians(rng.uniform(30.0, 90.0, 24))
+    turned[np.arange(24), rng.integers(0, 3, 24)] = rng.choice([-1, 1], 24) * np.radians(
+        rng.uniform(30.0, 90.0, 24)
+    )
     pose[off_attitude, 3:] += turned
     done = prepare(table(t, pose))
     kept = np.isfinite(done.flights[0].pose)
@@ -122,7 +143,9 @@ def test_poses_off_by_metres_are_set_aside_and_good_ones_kept(rng):
 
 
 def test_a_clean_flight_loses_nothing(rng):
-    """Six sigmas: of 14,400 Gaussian numbers 3e-5 are expected beyond; allow the local cubics' doubt: two rows."""
+    """Six sigmas: of 14,400 Gaussian numbers 3e-5 are expected beyond; allow the local cubics'
+    doubt: two rows.
+    """
     assert prepare(table(*noisy(rng, 120.0))).outliers <= 2
 
 
@@ -143,11 +166,14 @@ def test_half_a_turn_more_is_not_an_outlier(rng):
     assert prepare(table(t, pose)).outliers <= 2
 
 
-# Turns ------------------------------------------------------------------------------------------------------------
+# Turns
+# ------------------------------------------------------------------------------------------------------------
 
 
 def test_yaw_goes_on_and_on_through_pi(rng):
-    """The path turns by 84 rad; the prepared yaw follows it up to whole turns, also past three poses that look back."""
+    """The path turns by 84 rad; the prepared yaw follows it up to whole turns, also past three
+    poses that look back.
+    """
     t, pose = noisy(rng)
     truth = path(t)[:, 5]
     pose[[300, 301, 700], 5] += np.pi - 0.2
@@ -156,14 +182,19 @@ def test_yaw_goes_on_and_on_through_pi(rng):
     seen = np.isfinite(turns)
     assert np.abs(turns[seen] - np.round(turns[0])).max() < 0.02  # six sigmas of noise
     assert not seen[[300, 301, 700]].any() and seen.sum() >= len(t) - 5
-    assert np.abs(flight.smooth[:, 4] - truth - 2.0 * np.pi * np.round(turns[0])).max() < 0.1
+    assert (
+        np.abs(flight.state_estimate[:, 4] - truth - 2.0 * np.pi * np.round(turns[0])).max() < 0.1
+    )
 
 
-# Rows -------------------------------------------------------------------------------------------------------------
+# Rows
+# -------------------------------------------------------------------------------------------------------------
 
 
 def test_single_missing_frames_become_empty_rows(rng):
-    """20 Hz without rows 100, 200, 201: the rows are back, without a pose, with the command of the row before."""
+    """20 Hz without rows 100, 200, 201: the rows are back, without a pose, with the command of the
+    row before.
+    """
     t, pose = noisy(rng, 30.0)
     commands = np.column_stack([np.arange(len(t)) / len(t)] * 4)
     kept = np.delete(np.arange(len(t)), [100, 200, 201])
@@ -177,7 +208,9 @@ def test_single_missing_frames_become_empty_rows(rng):
 
 @pytest.mark.parametrize(("removed", "pieces"), [(4, 1), (5, 2)])
 def test_a_long_gap_cuts_the_flight(rng, removed, pieces):
-    """Four frames lost are a step of 0.25 s, which is still one flight; five are 0.3 s, in which sticks are unknown."""
+    """Four frames lost are a step of 0.25 s, which is still one flight; five are 0.3 s, in which
+    sticks are unknown.
+    """
     t, pose = noisy(rng, 30.0)
     kept = np.delete(np.arange(len(t)), np.arange(300, 300 + removed))
     done = prepare(table(t[kept], pose[kept]))
@@ -191,10 +224,15 @@ def test_a_stretch_shorter_than_three_seconds_is_dropped(rng):
     t, pose = noisy(rng, 30.0)
     kept = (t < 12.0) | ((t > 13.0) & (t < 15.0)) | (t > 16.0)
     done = prepare(table(t[kept], pose[kept]))
-    assert [(round(f.t[0], 2), round(f.t[-1], 2)) for f in done.flights] == [(0.0, 11.95), (16.05, 30.0)]
+    assert [(round(f.t[0], 2), round(f.t[-1], 2)) for f in done.flights] == [
+        (0.0, 11.95),
+        (16.05, 30.0),
+    ]
 
 
-@pytest.mark.parametrize("case", ["two seconds", "no pose at all", "no pose in most rows", "gaps everywhere"])
+@pytest.mark.parametrize(
+    "case", ["two seconds", "no pose at all", "no pose in most rows", "gaps everywhere"]
+)
 def test_a_flight_that_cannot_be_used_is_refused_in_a_sentence(rng, case):
     """The sentence names the flight and says what was wanted and what came."""
     t, pose = noisy(rng, 2.0 if case == "two seconds" else 20.0)
@@ -205,49 +243,60 @@ def test_a_flight_that_cannot_be_used_is_refused_in_a_sentence(rng, case):
     elif case == "gaps everywhere":
         kept = np.arange(len(t)) % 40 < 30
         t, pose = t[kept], pose[kept]
-    with pytest.raises(InputError, match=r"^made: want at least 3 s of poses .*; \d+ of \d+ rows have no pose$"):
+    with pytest.raises(
+        InputError, match=r"^made: expected at least 3 s of poses .*; \d+ of \d+ rows have no pose$"
+    ):
         prepare(table(t, pose))
 
 
-# The local estimate of the state ----------------------------------------------------------------------------------
+# The local estimate of the state
+# ----------------------------------------------------------------------------------
 
 
 def test_local_slope_is_as_sharp_as_theory_allows(rng):
-    """Least squares, by NumPy's pseudo-inverse: the slope of a cubic through 13 samples has sigma 0.19 sigma/dt, which
-    is 0.114 m/s for 3 cm (raw differences have 0.85). Robust weights and the curve's bend may add a quarter."""
+    """Least squares, by NumPy's pseudo-inverse: the slope of a cubic through 13 samples has sigma
+    0.19 sigma/dt, which is 0.114 m/s for 3 cm (raw differences have 0.85). Robust weights and the
+    curve's bend may add a quarter.
+    """
     t, pose = noisy(rng, 120.0)
     s = np.arange(-6, 7) * 0.05
     theory = np.linalg.norm(np.linalg.pinv(np.vander(s, 4, increasing=True))[1]) * 0.03
     assert theory == pytest.approx(0.114, rel=0.01)
-    found = prepare(table(t, pose)).flights[0].smooth[20:-20, 6:9]
+    found = prepare(table(t, pose)).flights[0].state_estimate[20:-20, 6:9]
     truth = (path(t + 1e-6) - path(t - 1e-6))[20:-20, :3] / 2e-6
     assert (found - truth).std(axis=0) == pytest.approx(np.full(3, theory), rel=0.25)
 
 
 def test_local_state_of_a_banked_turn():
-    """Kinematics of a level turn by hand: p = 0, q = yaw' sin(roll), r = yaw' cos(roll); centripetal acceleration
-    v^2 / radius towards the centre. Noiseless, so only the cubic's bend is left: 1e-3."""
+    """Kinematics of a level turn by hand: p = 0, q = yaw' sin(roll), r = yaw' cos(roll);
+    centripetal acceleration v^2 / radius towards the centre. Noiseless, so only the cubic's bend is
+    left: 1e-3.
+    """
     t = np.arange(400) * 0.05
     roll, turn = 0.6, 1.2
     pose = np.column_stack([
         5.0 * np.sin(turn * t), 5.0 * np.cos(turn * t), 0 * t + 2.0, 0 * t + roll, 0 * t, turn * t
     ])  # fmt: skip
     flight = prepare(table(t, pose)).flights[0]
-    middle = flight.smooth[20:-20]
+    middle = flight.state_estimate[20:-20]
     want = [0.0, turn * np.sin(roll), turn * np.cos(roll)]
     assert np.abs(middle[:, 9:] - want).max() < 1e-3
-    assert np.linalg.norm(middle[:, 6:9], axis=1) == pytest.approx(np.full(len(middle), 6.0), rel=1e-3)
-    inward = -flight.smooth_rates[20:-20, 6:8] / (5.0 * turn**2)
+    assert np.linalg.norm(middle[:, 6:9], axis=1) == pytest.approx(
+        np.full(len(middle), 6.0), rel=1e-3
+    )
+    inward = -flight.state_derivatives[20:-20, 6:8] / (5.0 * turn**2)
     assert inward == pytest.approx(pose[20:-20, :2] / 5.0, abs=0.02)
 
 
 def test_logged_velocities_are_taken_where_there_are_some(rng):
     """Start guesses: the log's own numbers, and the derivative in rows where the log has none."""
     t, pose = noisy(rng)
-    logged = {name: np.full(len(t), 10.0 + i) for i, name in enumerate(("vx", "vy", "vz", "p", "q", "r"))}
+    logged = {
+        name: np.full(len(t), 10.0 + i) for i, name in enumerate(("vx", "vy", "vz", "p", "q", "r"))
+    }
     logged["vy"][50:60] = np.nan
-    plain = prepare(table(t, pose)).flights[0].smooth
-    found = prepare(table(t, pose, **logged)).flights[0].smooth
+    plain = prepare(table(t, pose)).flights[0].state_estimate
+    found = prepare(table(t, pose, **logged)).flights[0].state_estimate
     want = np.tile(np.arange(10.0, 16.0), (len(t), 1))
     want[50:60, 1] = plain[50:60, 7]
     assert np.array_equal(found[:, 6:], want)
@@ -260,7 +309,9 @@ def test_channels_are_positions_then_roll_pitch_yaw(rng):
     flight = prepare(table(t, pose)).flights[0]
     assert CHANNELS == ("px", "py", "pz", "roll", "pitch", "yaw")
     assert flight.pose == pytest.approx(pose, abs=1e-9)
-    assert flight.smooth[20:-20, :6] == pytest.approx(pose[20:-20][:, [0, 1, 2, 4, 5, 3]], abs=2e-3)
+    assert flight.state_estimate[20:-20, :6] == pytest.approx(
+        pose[20:-20][:, [0, 1, 2, 4, 5, 3]], abs=2e-3
+    )
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 50.0])

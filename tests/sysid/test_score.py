@@ -7,7 +7,7 @@ import pytest
 
 from falconwing_kit.aircraft.model import rates_model
 from falconwing_kit.sysid.prepare import prepare
-from falconwing_kit.sysid.score import hold_out, score, select
+from falconwing_kit.sysid.score import score, select_windows, split_blocks
 from falconwing_kit.sysid.shooting import cut_windows, fly_windows, residuals
 from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
 
@@ -24,8 +24,9 @@ def flight():
 
 
 def test_the_true_aircraft_scores_one(flight):
-    """Only noise of the known size is left: chi2 per degree of freedom is 1 within four standard errors, in all and,
-    with six times fewer numbers, in each channel."""
+    """Only noise of the known size is left: chi2 per degree of freedom is 1 within four standard
+    errors, in all and, with six times fewer numbers, in each channel.
+    """
     truth, windows = flight
     found = score(truth, windows)
     freedom = windows.count - 12 * len(windows)
@@ -36,8 +37,9 @@ def test_the_true_aircraft_scores_one(flight):
 
 
 def test_metres_and_degrees_are_those_of_the_noise(flight):
-    """By hand: 3 cm per axis is a distance of sqrt(3) 3 cm and 0.6 deg per angle is 0.6 deg, a little less since the
-    start states follow the noise (12 of 240 numbers a window)."""
+    """By hand: 3 cm per axis is a distance of sqrt(3) 3 cm and 0.6 deg per angle is 0.6 deg, a
+    little less since the start states follow the noise (12 of 240 numbers a window).
+    """
     truth, windows = flight
     found = score(truth, windows)
     less = np.sqrt(1.0 - 12.0 / 240.0)
@@ -50,7 +52,7 @@ def test_missing_poses_do_not_count(flight):
     truth, windows = flight
     factor = np.ones_like(windows.weight)
     factor[:, ::2] = 0.0
-    thinned = windows.weighted(factor)
+    thinned = windows.scale_weights(factor)
     found = score(truth, thinned)
     freedom = thinned.count - 12 * len(windows)
     assert found.chi2 == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / freedom))
@@ -60,7 +62,10 @@ def test_missing_poses_do_not_count(flight):
 def test_noise_taken_twice_as_large_scores_a_quarter(flight):
     """chi2 goes with one over sigma squared; metres do not change."""
     truth, windows = flight
-    once, twice = score(truth, windows), score(truth, windows.weighted(np.full_like(windows.weight, 0.5)))
+    once, twice = (
+        score(truth, windows),
+        score(truth, windows.scale_weights(np.full_like(windows.weight, 0.5))),
+    )
     assert twice.chi2 == pytest.approx(0.25 * once.chi2, rel=0.01)
     assert twice.position_m == pytest.approx(once.position_m, rel=0.01)
 
@@ -68,28 +73,33 @@ def test_noise_taken_twice_as_large_scores_a_quarter(flight):
 def test_a_wrong_aircraft_scores_worse(flight):
     """10 % less pitch stiffness and 5 % less roll control: what the start states cannot hide shows."""
     truth, windows = flight
-    wrong = truth.with_values({"M_alpha": 0.9 * truth.values["M_alpha"], "L_da": 0.95 * truth.values["L_da"]})
+    wrong = truth.with_values(
+        {"M_alpha": 0.9 * truth.values["M_alpha"], "L_da": 0.95 * truth.values["L_da"]}
+    )
     assert score(wrong, windows).chi2 > 2.0 * score(truth, windows).chi2
 
 
 def test_residuals_are_of_the_start_states_found(flight):
-    """What is handed back fits together: flying from `starts` gives `residual`; better starts are not needed."""
+    """What is handed back fits together: flying from `initial_states` gives `residual`; better
+    starts are not needed.
+    """
     truth, windows = flight
     found = score(truth, windows)
-    poses = fly_windows(truth, windows, found.starts)
+    poses = fly_windows(truth, windows, found.initial_states)
     difference = poses - windows.pose
     difference[..., 5] -= 2.0 * np.pi * np.round(difference[..., 5] / (2.0 * np.pi))
     assert found.residual == pytest.approx(difference * windows.weight, abs=1e-6)
-    again = score(truth, windows, found.starts)
+    again = score(truth, windows, found.initial_states)
     assert again.chi2 == pytest.approx(found.chi2, rel=1e-3)
 
 
-# What is held out -------------------------------------------------------------------------------------------------
+# What is held out
+# -------------------------------------------------------------------------------------------------
 
 
-def windows_at(starts, flight=None):
+def windows_at(initial_states, flight=None):
     """Windows of 2 s that begin at these times; nothing else of them matters."""
-    nodes = np.asarray(starts, float)[:, None] + np.arange(40) * 0.05
+    nodes = np.asarray(initial_states, float)[:, None] + np.arange(40) * 0.05
     empty = np.zeros((len(nodes), 1))
     number = np.zeros(len(nodes), int) if flight is None else np.asarray(flight)
     from falconwing_kit.sysid.shooting import Windows
@@ -98,9 +108,11 @@ def windows_at(starts, flight=None):
 
 
 def test_held_out_blocks_by_hand():
-    """120 s from 0.5 s on are twelve blocks of five windows; three in ten are kept: the fourth, seventh and tenth."""
+    """120 s from 0.5 s on are twelve blocks of five windows; three in ten are kept: the fourth,
+    seventh and tenth.
+    """
     windows = windows_at(0.5 + 2.0 * np.arange(60))
-    fitted, kept = hold_out(windows)
+    fitted, kept = split_blocks(windows)
     assert kept.tolist() == [*range(15, 20), *range(30, 35), *range(45, 50)]
     assert sorted([*fitted, *kept]) == list(range(60))
 
@@ -108,7 +120,7 @@ def test_held_out_blocks_by_hand():
 def test_neighbours_of_held_out_time_are_whole_blocks(flight):
     """No block of 10 s has windows on both sides: neighbouring samples are alike."""
     _, windows = flight
-    fitted, kept = hold_out(windows)
+    fitted, kept = split_blocks(windows)
     block = ((windows.nodes[:, 0] - windows.nodes[0, 0]) // 10.0).astype(int)
     assert not set(block[fitted]) & set(block[kept])
     assert 0.2 < len(kept) / len(windows) < 0.4
@@ -116,7 +128,7 @@ def test_neighbours_of_held_out_time_are_whole_blocks(flight):
 
 def test_a_short_flight_has_nothing_to_hold_out():
     """30 s: three blocks of which three in ten are none."""
-    fitted, kept = hold_out(windows_at(0.5 + 2.0 * np.arange(15)))
+    fitted, kept = split_blocks(windows_at(0.5 + 2.0 * np.arange(15)))
     assert (len(fitted), len(kept)) == (15, 0)
 
 
@@ -124,9 +136,9 @@ def test_select_takes_all_that_belongs_to_a_window(flight):
     """The residuals of chosen windows are the chosen residuals."""
     truth, windows = flight
     index = np.array([3, 30, 7])
-    chosen = select(windows, index)
+    chosen = select_windows(windows, index)
     assert len(chosen) == 3
-    whole = residuals(truth, windows, windows.guess)
-    assert residuals(truth, chosen, chosen.guess) == pytest.approx(whole[index], abs=1e-9)
+    whole = residuals(truth, windows, windows.initial_guess)
+    assert residuals(truth, chosen, chosen.initial_guess) == pytest.approx(whole[index], abs=1e-9)
     moved = replace(windows, nodes=windows.nodes + 100.0)
-    assert select(moved, index).nodes[0, 0] == pytest.approx(windows.nodes[3, 0] + 100.0)
+    assert select_windows(moved, index).nodes[0, 0] == pytest.approx(windows.nodes[3, 0] + 100.0)

@@ -8,8 +8,15 @@ import pytest
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.model import FORMS, paper_model, rates_model
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.sysid.prepare import Flight, prepare
-from falconwing_kit.sysid.shooting import changes, cut_windows, fly_windows, jacobian, pose_residuals, residuals
+from falconwing_kit.sysid.prepare import PreparedFlight, prepare
+from falconwing_kit.sysid.shooting import (
+    cut_windows,
+    finite_differences,
+    fly_windows,
+    jacobian,
+    pose_residuals,
+    residuals,
+)
 from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
 
 SIGMA = np.array([MARKER[0]] * 3 + [MARKER[1]] * 3)
@@ -17,7 +24,9 @@ SIGMA = np.array([MARKER[0]] * 3 + [MARKER[1]] * 3)
 
 @pytest.fixture(scope="module", params=sorted(FORMS))
 def perfect(request):
-    """A noiseless simulated flight of 40 s: the aircraft, its windows, the true start state of each window."""
+    """A noiseless simulated flight of 40 s: the aircraft, its windows, the true start state of each
+    window.
+    """
     rng = np.random.default_rng(3)
     truth = drawn(FORMS[request.param](), rng)
     flown = fly_figure_eights([truth], 40.0, rng)
@@ -28,12 +37,18 @@ def perfect(request):
 
 @pytest.fixture(scope="module")
 def noisy():
-    """A noisy flight of 12 s of the 12-state model: the aircraft, its windows, and start states a little off."""
+    """A noisy flight of 12 s of the 12-state model: the aircraft, its windows, and start states a
+    little off.
+    """
     rng = np.random.default_rng(4)
     truth = drawn(rates_model(), rng)
     table = measured(fly_figure_eights([truth], 12.0, rng), rng, missing=0.05)
     windows = cut_windows(prepare(table, SIGMA).flights, truth)
-    return truth, windows, windows.guess + 0.01 * rng.normal(size=windows.guess.shape)
+    return (
+        truth,
+        windows,
+        windows.initial_guess + 0.01 * rng.normal(size=windows.initial_guess.shape),
+    )
 
 
 def flight(seconds, begin=0.0, name="made", period=0.05):
@@ -41,14 +56,17 @@ def flight(seconds, begin=0.0, name="made", period=0.05):
     t = begin + np.arange(round(seconds / period) + 1) * period
     pose = 1000.0 * begin + np.arange(len(t))[:, None] + np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     state = np.tile(np.array([0, 0, 2, 0.1, 0, 0, 7, 0, 0, 0, 0, 0.0]), (len(t), 1))
-    return Flight(name, t, pose, np.full((len(t), 4), 0.3), SIGMA, state, 0.0 * state)
+    return PreparedFlight(name, t, pose, np.full((len(t), 4), 0.3), SIGMA, state, 0.0 * state)
 
 
-# Windows ----------------------------------------------------------------------------------------------------------
+# Windows
+# ----------------------------------------------------------------------------------------------------------
 
 
 def test_windows_follow_each_other_without_overlap():
-    """By hand: 20 s at 20 Hz are 401 rows; less the first ten, nine windows of 40 rows fit; each row is used once."""
+    """By hand: 20 s at 20 Hz are 401 rows; less the first ten, nine windows of 40 rows fit; each
+    row is used once.
+    """
     windows = cut_windows([flight(20.0)], rates_model())
     assert windows.nodes.shape == (9, 40)
     assert windows.nodes.ravel() == pytest.approx(np.arange(10, 370) * 0.05, abs=1e-12)
@@ -59,13 +77,17 @@ def test_windows_follow_each_other_without_overlap():
 
 @pytest.mark.parametrize(("form", "per_row"), [("paper", 1), ("rates", 2)])
 def test_integration_steps_end_at_rows(form, per_row):
-    """50 ms steps in the 9-state model, 25 ms in the 12-state model; steps before a window are for the servos alone."""
+    """50 ms steps in the 9-state model, 25 ms in the 12-state model; steps before a window are for
+    the servos alone.
+    """
     windows = cut_windows([flight(10.0)], FORMS[form]())
-    at_rows = windows.edges[:, windows.early :: per_row]
+    at_rows = windows.edges[:, windows.warmup_steps :: per_row]
     assert windows.substeps == per_row
     assert at_rows == pytest.approx(windows.nodes, abs=1e-12)
     assert np.diff(windows.edges, axis=1) == pytest.approx(0.05 / per_row, abs=1e-12)
-    assert windows.nodes[0, 0] - windows.edges[0, 0] == pytest.approx(1.0)  # twice the longest delay and lag
+    assert windows.nodes[0, 0] - windows.edges[0, 0] == pytest.approx(
+        1.0
+    )  # twice the longest delay and lag
 
 
 def test_windows_do_not_cross_from_one_flight_to_the_next():
@@ -74,7 +96,9 @@ def test_windows_do_not_cross_from_one_flight_to_the_next():
     assert windows.flight.tolist() == [0, 0, 1, 1]
     assert np.ptp(windows.pose[..., 0], axis=1) == pytest.approx(np.full(4, 39.0))
     assert (windows.pose[2:, :, 0] > 7000.0).all() and (windows.pose[:2, :, 0] < 1000.0).all()
-    assert windows.nodes[2:] == pytest.approx(windows.nodes[:2], abs=1e-9)  # since the start of each flight
+    assert windows.nodes[2:] == pytest.approx(
+        windows.nodes[:2], abs=1e-9
+    )  # since the start of each flight
 
 
 def test_windows_do_not_cross_a_gap():
@@ -97,13 +121,17 @@ def test_a_missing_pose_has_no_weight():
     one.pose[60:65, :3] = np.nan
     windows = cut_windows([one], rates_model())
     gone = windows.weight == 0.0
-    assert np.argwhere(gone).tolist() == [[1, row, axis] for row in range(10, 15) for axis in range(3)]
+    assert np.argwhere(gone).tolist() == [
+        [1, row, axis] for row in range(10, 15) for axis in range(3)
+    ]
     assert windows.count == len(windows) * 240 - 15
     assert (windows.pose[gone] == 0.0).all()
 
 
 def test_a_window_with_too_few_poses_is_left_out():
-    """21 of 40 poses are missing in the second window, 20 in the third: the second goes, the third stays."""
+    """21 of 40 poses are missing in the second window, 20 in the third: the second goes, the third
+    stays.
+    """
     one = flight(10.0)
     one.pose[50:71] = np.nan
     one.pose[90:110] = np.nan
@@ -113,15 +141,18 @@ def test_a_window_with_too_few_poses_is_left_out():
 
 def test_too_short_a_flight_is_refused():
     """By hand: 2 s and ten rows before them are 2.5 s."""
-    with pytest.raises(InputError, match=r"want at least 2\.5 s in one piece, got 2\.0 s"):
+    with pytest.raises(InputError, match=r"expected at least 2\.5 s in one piece, got 2\.0 s"):
         cut_windows([flight(2.0)], rates_model())
 
 
-# Predictions ------------------------------------------------------------------------------------------------------
+# Predictions
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_the_true_aircraft_from_the_true_state_predicts_the_true_poses(perfect):
-    """Simulated with 10 ms steps; the fit's 25 (rates) or 50 ms (paper) cost less than 1 mm and 1 mrad over 2 s."""
+    """Simulated with 10 ms steps; the fit's 25 (rates) or 50 ms (paper) cost less than 1 mm and 1
+    mrad over 2 s.
+    """
     truth, windows, states = perfect
     error = fly_windows(truth, windows, states) - windows.pose
     error[..., 3:] = (error[..., 3:] + np.pi) % (2.0 * np.pi) - np.pi
@@ -159,29 +190,48 @@ def test_each_flight_flies_on_its_own_sticks(perfect):
     assert np.abs(parts[0].commands - parts[1].commands).max() > 0.1
     together = cut_windows(parts, truth)
     n = truth.n_states
-    alone = [residuals(truth, w, w.guess[:, :n]) for w in (cut_windows([p], truth) for p in parts)]
-    assert np.array_equal(residuals(truth, together, together.guess[:, :n]), np.concatenate(alone))
+    alone = [
+        residuals(truth, w, w.initial_guess[:, :n])
+        for w in (cut_windows([p], truth) for p in parts)
+    ]
+    assert np.array_equal(
+        residuals(truth, together, together.initial_guess[:, :n]), np.concatenate(alone)
+    )
 
 
 def test_delay_is_a_shift_of_the_sticks(noisy):
     """By definition: commands logged one row later and 50 ms less delay are the same flight."""
-    truth, windows, starts = noisy
-    early = windows.flights[0]
-    late = replace(early, commands=np.concatenate([early.commands[:1], early.commands[:-1]]))
+    truth, windows, initial_states = noisy
+    warmup_steps = windows.flights[0]
+    late = replace(
+        warmup_steps,
+        commands=np.concatenate([warmup_steps.commands[:1], warmup_steps.commands[:-1]]),
+    )
     slow = truth.with_values({"delay": 0.07})
     quick = truth.with_values({"delay": 0.02})
     shifted = replace(windows, flights=(late,))
-    assert residuals(quick, shifted, starts) == pytest.approx(residuals(slow, windows, starts), abs=1e-6)
-    assert np.abs(residuals(quick, windows, starts) - residuals(slow, windows, starts)).max() > 0.5
+    assert residuals(quick, shifted, initial_states) == pytest.approx(
+        residuals(slow, windows, initial_states), abs=1e-6
+    )
+    assert (
+        np.abs(
+            residuals(quick, windows, initial_states) - residuals(slow, windows, initial_states)
+        ).max()
+        > 0.5
+    )
 
 
 def test_a_noise_filter_mixes_rows_of_one_channel(perfect):
-    """By definition: each channel's residuals times its matrix; here differences of neighbouring rows of the height."""
+    """By definition: each channel's residuals times its matrix; here differences of neighbouring
+    rows of the height.
+    """
     truth, windows, states = perfect
     filters = np.tile(np.eye(40), (6, 1, 1))
     filters[2, 1:, :-1] -= np.eye(39)
     plain = pose_residuals(residuals(truth, windows, states + 0.01), windows)
-    filtered = pose_residuals(residuals(truth, replace(windows, whitening=filters), states + 0.01), windows)
+    filtered = pose_residuals(
+        residuals(truth, replace(windows, whitening=filters), states + 0.01), windows
+    )
     want = plain.copy()
     want[:, 1:, 2] = np.diff(plain[..., 2], axis=1)
     assert filtered == pytest.approx(want, rel=1e-9, abs=1e-9)
@@ -192,19 +242,26 @@ def test_a_flight_that_runs_away_has_infinite_residuals():
     """Numbers overflow without a word; the cost says infinity, never nan, so that a fit steps back."""
     windows = cut_windows([flight(10.0)], paper_model())
     wild = paper_model().with_values({"cD_0": -1e6})
-    residual = pose_residuals(residuals(wild, windows, windows.guess[:, :9]), windows)
+    residual = pose_residuals(residuals(wild, windows, windows.initial_guess[:, :9]), windows)
     assert np.isinf(residual).any() and not np.isnan(residual).any()
 
 
 def test_start_states_are_held_loosely(noisy):
-    """The last residuals are the distance from the local estimate: 1 m, 0.3 rad, 3 m/s and 3 rad/s are one sigma."""
+    """The last residuals are the distance from the local estimate: 1 m, 0.3 rad, 3 m/s and 3 rad/s
+    are one sigma.
+    """
     truth, windows, _ = noisy
     away = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0])
-    assert residuals(truth, windows, windows.guess)[:, 240:] == pytest.approx(np.zeros((len(windows), 12)), abs=1e-12)
-    assert residuals(truth, windows, windows.guess + away)[:, 240:] == pytest.approx(np.ones((len(windows), 12)))
+    assert residuals(truth, windows, windows.initial_guess)[:, 240:] == pytest.approx(
+        np.zeros((len(windows), 12)), abs=1e-12
+    )
+    assert residuals(truth, windows, windows.initial_guess + away)[:, 240:] == pytest.approx(
+        np.ones((len(windows), 12))
+    )
 
 
-# Derivatives ------------------------------------------------------------------------------------------------------
+# Derivatives
+# ------------------------------------------------------------------------------------------------------
 
 
 def central(function, x, steps):
@@ -219,12 +276,18 @@ def central(function, x, steps):
 
 
 def test_derivatives_to_all_parameters_equal_central_differences(noisy):
-    """Central differences of `residuals`, one parameter at a time. Forward differences of 1e-5 are right to 1e-3 of a
-    column's length; delay and lag, whose step is 1 ms of smooth but bent curves, to 2 %."""
-    truth, windows, starts = noisy
+    """Central differences of `residuals`, one parameter at a time. Forward differences of 1e-5 are
+    right to 1e-3 of a column's length; delay and lag, whose step is 1 ms of smooth but bent curves,
+    to 2 %.
+    """
+    truth, windows, initial_states = noisy
     free = range(len(truth.names))
-    _, found, _ = jacobian(truth, windows, starts, free)
-    want = central(lambda v: residuals(truth.with_vector(v), windows, starts), truth.vector, np.full(29, 1e-4))
+    _, found, _ = jacobian(truth, windows, initial_states, free)
+    want = central(
+        lambda v: residuals(truth.with_vector(v), windows, initial_states),
+        truth.vector,
+        np.full(29, 1e-4),
+    )
     size = np.linalg.norm(want, axis=(0, 1))
     off = np.linalg.norm(found - want, axis=(0, 1)) / size
     allowed = [0.02 if name in ("delay", "lag") else 1e-3 for name in truth.names]
@@ -234,28 +297,38 @@ def test_derivatives_to_all_parameters_equal_central_differences(noisy):
 
 def test_derivatives_to_start_states_equal_central_differences(noisy):
     """The same for the twelve start states, of all windows at once since each touches only its own."""
-    truth, windows, starts = noisy
-    _, _, found = jacobian(truth, windows, starts, ())
-    want = central(lambda move: residuals(truth, windows, starts + move), np.zeros(12), np.full(12, 1e-5))
+    truth, windows, initial_states = noisy
+    _, _, found = jacobian(truth, windows, initial_states, ())
+    want = central(
+        lambda move: residuals(truth, windows, initial_states + move),
+        np.zeros(12),
+        np.full(12, 1e-5),
+    )
     off = np.linalg.norm(found - want, axis=(0, 1)) / np.linalg.norm(want, axis=(0, 1))
     assert off.max() < 1e-3
 
 
 def test_a_subset_of_parameters_gives_the_same_columns(noisy):
-    """Which parameters move is a choice of columns, nothing else; the residual is that of `residuals`."""
-    truth, windows, starts = noisy
-    residual, everything, to_start = jacobian(truth, windows, starts, range(29))
+    """Which parameters move is a choice of columns, nothing else; the residual is that of
+    `residuals`.
+    """
+    truth, windows, initial_states = noisy
+    residual, everything, initial_state_jacobian = jacobian(
+        truth, windows, initial_states, range(29)
+    )
     some = [3, 28, 0]  # with lag, whose column flies on sticks of its own
-    _, columns, same = jacobian(truth, windows, starts, some)
+    _, columns, same = jacobian(truth, windows, initial_states, some)
     assert columns == pytest.approx(everything[..., some], rel=1e-9, abs=1e-6)
-    assert same == pytest.approx(to_start, rel=1e-9, abs=1e-6)
-    assert residual == pytest.approx(residuals(truth, windows, starts), rel=1e-9, abs=1e-9)
+    assert same == pytest.approx(initial_state_jacobian, rel=1e-9, abs=1e-6)
+    assert residual == pytest.approx(residuals(truth, windows, initial_states), rel=1e-9, abs=1e-9)
 
 
 def test_changes_are_differences_of_residuals(noisy):
-    """`residuals` of each set of values one at a time, less those of the present ones: forces, moments and both stick
-    parameters, alone and together. Start states stay, so what holds them does not change."""
-    truth, windows, starts = noisy
+    """`residuals` of each set of values one at a time, less those of the present ones: forces,
+    moments and both stick parameters, alone and together. Start states stay, so what holds them
+    does not change.
+    """
+    truth, windows, initial_states = noisy
     sets = (
         {"cL_alpha": 1.6, "N_dr": 0.3},
         {"delay": 0.06},
@@ -264,8 +337,13 @@ def test_changes_are_differences_of_residuals(noisy):
         {"delay": 0.06},
     )
     moved = [truth.with_values(values) for values in sets]
-    found = changes(truth, windows, starts, np.column_stack([model.vector for model in moved]))
-    want = [residuals(model, windows, starts) - residuals(truth, windows, starts) for model in moved]
+    found = finite_differences(
+        truth, windows, initial_states, np.column_stack([model.vector for model in moved])
+    )
+    want = [
+        residuals(model, windows, initial_states) - residuals(truth, windows, initial_states)
+        for model in moved
+    ]
     assert found.shape == (5, len(windows), 240 + 12)
     assert found == pytest.approx(np.stack(want), rel=1e-9, abs=1e-9)
     assert np.abs(found).max(axis=(1, 2))[[0, 1, 3, 4]].min() > 1.0 and not found[2].any()
@@ -275,43 +353,56 @@ def test_changes_are_differences_of_residuals(noisy):
 def test_a_change_that_runs_away_is_infinite_for_itself_alone():
     """As a cost, never nan; the set beside it is what it is alone."""
     windows = cut_windows([flight(10.0)], paper_model())
-    base, starts = paper_model(), windows.guess[:, :9]
+    base, initial_states = paper_model(), windows.initial_guess[:, :9]
     sets = [base.with_values(values).vector for values in ({"cD_0": -1e6}, {"cL_alpha": 1.6})]
-    found = changes(base, windows, starts, np.column_stack(sets))
+    found = finite_differences(base, windows, initial_states, np.column_stack(sets))
     assert np.isposinf(found[0]).any() and not np.isnan(found[0]).any()
-    assert np.array_equal(found[1:], changes(base, windows, starts, sets[1][:, None]))
+    assert np.array_equal(
+        found[1:], finite_differences(base, windows, initial_states, sets[1][:, None])
+    )
 
 
 def test_a_tilted_camera_sees_other_angles(noisy):
-    """By hand, banked by 60 deg with the nose level: a camera turned up by 0.02 rad adds 0.02 cos 60 of pitch and
-    0.02 sin 60 of yaw; one turned about the nose adds roll."""
+    """By hand, banked by 60 deg with the nose level: a camera turned up by 0.02 rad adds 0.02 cos
+    60 of pitch and 0.02 sin 60 of yaw; one turned about the nose adds roll.
+    """
     truth, windows, _ = noisy
     tilt = next(effect for effect in CATALOGUE if effect.pose)
     plain = truth.with_effect(tilt).with_values({"tilt_pitch": 0.0, "tilt_roll": 0.0})
-    starts = windows.guess.copy()
-    starts[:, 3], starts[:, 5] = 0.0, np.pi / 3.0
-    straight = fly_windows(plain, windows, starts)
+    initial_states = windows.initial_guess.copy()
+    initial_states[:, 3], initial_states[:, 5] = 0.0, np.pi / 3.0
+    straight = fly_windows(plain, windows, initial_states)
 
     def seen(values):
-        return (fly_windows(plain.with_values(values), windows, starts) - straight)[:, 0]
+        return (fly_windows(plain.with_values(values), windows, initial_states) - straight)[:, 0]
 
-    up, over = seen({"tilt_pitch": 0.02, "tilt_roll": 0.0}), seen({"tilt_pitch": 0.0, "tilt_roll": 0.03})
+    up, over = (
+        seen({"tilt_pitch": 0.02, "tilt_roll": 0.0}),
+        seen({"tilt_pitch": 0.0, "tilt_roll": 0.03}),
+    )
     want = np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.02 * np.sin(np.pi / 3.0)])
     assert up == pytest.approx(np.broadcast_to(want, up.shape), abs=1e-12)
-    assert over == pytest.approx(np.broadcast_to([0.0, 0.0, 0.0, 0.03, 0.0, 0.0], over.shape), abs=1e-12)
-    assert np.array_equal(straight, fly_windows(truth, windows, starts))
+    assert over == pytest.approx(
+        np.broadcast_to([0.0, 0.0, 0.0, 0.03, 0.0, 0.0], over.shape), abs=1e-12
+    )
+    assert np.array_equal(straight, fly_windows(truth, windows, initial_states))
 
 
 def test_the_paper_form_has_derivatives_too():
     """Nine start states, and a quasi-steady parameter that its flight excites."""
     rng = np.random.default_rng(6)
     truth = drawn(paper_model(), rng)
-    windows = cut_windows(prepare(measured(fly_figure_eights([truth], 10.0, rng), rng), SIGMA).flights, truth)
-    starts = windows.guess[:, :9]
+    windows = cut_windows(
+        prepare(measured(fly_figure_eights([truth], 10.0, rng), rng), SIGMA).flights, truth
+    )
+    initial_states = windows.initial_guess[:, :9]
     column = truth.names.index("L_da")
-    _, found, to_start = jacobian(truth, windows, starts, [column])
+    _, found, initial_state_jacobian = jacobian(truth, windows, initial_states, [column])
     step = np.zeros(len(truth.names))
     step[column] = 1e-4
-    up, down = (residuals(truth.with_vector(truth.vector + s * step), windows, starts) for s in (1, -1))
+    up, down = (
+        residuals(truth.with_vector(truth.vector + s * step), windows, initial_states)
+        for s in (1, -1)
+    )
     assert found[..., 0] == pytest.approx((up - down) / 2e-4, abs=1e-3 * np.abs(found).max())
-    assert to_start.shape == (len(windows), 240 + 9, 9)
+    assert initial_state_jacobian.shape == (len(windows), 240 + 9, 9)

@@ -1,4 +1,6 @@
-"""Intervals: covariance against dense linear algebra, inflation against white and slow noise, and what is flagged."""
+"""Intervals: covariance against dense linear algebra, inflation against white and slow noise, and
+what is flagged.
+"""
 
 from dataclasses import replace
 
@@ -35,88 +37,108 @@ def fitted(flown):
     """The fit of its first 20 s to white noise: windows and result."""
     truth, whole = flown
     windows = windows_of(whole, np.random.default_rng(1), seconds=20.0)
-    return windows, fit(truth, windows, windows.guess)
+    return windows, fit(truth, windows, windows.initial_guess)
 
 
 def test_covariance_is_the_inverse_of_the_whole_normal_matrix(fitted):
-    """By hand with NumPy: all unknowns together (29 parameters, 12 start states a window), chi2 per degree of freedom
-    times the inverse, its block of the parameters, times the inflation."""
+    """By hand with NumPy: all unknowns together (29 parameters, 12 start states a window), chi2 per
+    degree of freedom times the inverse, its block of the parameters, times the inflation.
+    """
     windows, found = fitted
-    sure = uncertainty(found, windows)
-    n_windows, n_rows, n_free = found.to_free.shape
+    confidence = uncertainty(found, windows)
+    n_windows, n_rows, n_free = found.parameter_jacobian.shape
     J = np.zeros((n_windows * n_rows, n_free + 12 * n_windows))
-    J[:, :n_free] = found.to_free.reshape(-1, n_free)
+    J[:, :n_free] = found.parameter_jacobian.reshape(-1, n_free)
     for w in range(n_windows):
-        J[w * n_rows : (w + 1) * n_rows, n_free + 12 * w : n_free + 12 * (w + 1)] = found.to_start[w]
+        J[w * n_rows : (w + 1) * n_rows, n_free + 12 * w : n_free + 12 * (w + 1)] = (
+            found.initial_state_jacobian[w]
+        )
     scale = 1.0 / np.linalg.norm(J, axis=0)
     inverse = np.linalg.inv((J * scale).T @ (J * scale)) * np.outer(scale, scale)
     s2 = np.sum(found.residual**2) / (windows.count - n_free - 12 * n_windows)
-    want = inverse[:n_free, :n_free] * s2 * sure.inflation
+    want = inverse[:n_free, :n_free] * s2 * confidence.inflation
     size = np.sqrt(np.outer(np.diag(want), np.diag(want)))
-    assert sure.covariance / size == pytest.approx(want / size, abs=1e-5)
-    assert sure.names == found.model.names
+    assert confidence.covariance / size == pytest.approx(want / size, abs=1e-5)
+    assert confidence.names == found.model.names
 
 
 def test_a_prior_adds_its_information(fitted):
-    """Gauss: the inverse of the covariance is that of the data plus that of the prior, here of two known together."""
+    """Gauss: the inverse of the covariance is that of the data plus that of the prior, here of two
+    known together.
+    """
     windows, found = fitted
     plain = uncertainty(found, windows)
     correlation = np.array([[1.0, 0.9], [0.9, 1.0]])
     sigma = {"kT": 0.5, "kTV": 0.05}
     prior = Prior({n: found.model.values[n] for n in sigma}, sigma, correlation)
-    sure = uncertainty(found, windows, prior)
+    confidence = uncertainty(found, windows, prior)
     added = np.zeros_like(plain.covariance)
     at = [plain.names.index(n) for n in sigma]
-    added[np.ix_(at, at)] = np.linalg.inv(correlation * np.outer(list(sigma.values()), list(sigma.values())))
+    added[np.ix_(at, at)] = np.linalg.inv(
+        correlation * np.outer(list(sigma.values()), list(sigma.values()))
+    )
     want = np.linalg.inv(np.linalg.inv(plain.covariance / plain.inflation) + added)
-    assert np.diag(sure.covariance) / sure.inflation == pytest.approx(np.diag(want), rel=1e-4)
-    assert sure.sigma["kT"] < 0.9 * plain.sigma["kT"]
+    assert np.diag(confidence.covariance) / confidence.inflation == pytest.approx(
+        np.diag(want), rel=1e-4
+    )
+    assert confidence.sigma["kT"] < 0.9 * plain.sigma["kT"]
 
 
 def test_interval_is_1_96_sigma_to_either_side():
     """The normal distribution's 97.5 % point; a held parameter has no width."""
-    sure = Uncertainty(("L_da",), np.array([[0.04]]), 1.0, (), (), ())
-    assert sure.sigma == pytest.approx({"L_da": 0.2})
-    assert sure.interval("L_da", 1.0) == pytest.approx((1.0 - 0.392, 1.0 + 0.392))
-    assert sure.interval("kT", 9.0) == (9.0, 9.0)
+    confidence = Uncertainty(("L_da",), np.array([[0.04]]), 1.0, (), (), ())
+    assert confidence.sigma == pytest.approx({"L_da": 0.2})
+    assert confidence.interval("L_da", 1.0) == pytest.approx((1.0 - 0.392, 1.0 + 0.392))
+    assert confidence.interval("kT", 9.0) == (9.0, 9.0)
 
 
 def test_inflation_is_about_one_for_white_noise(flown):
-    """White residuals scatter the windows' gradients as theory says: at most 1.3 on three minutes' noise."""
+    """White residuals scatter the windows' gradients as theory says: at most 1.3 on three minutes'
+    noise.
+    """
     truth, whole = flown
     found = []
     for seed in range(3):
         windows = windows_of(whole, np.random.default_rng(seed))
-        found.append(uncertainty(fit(truth, windows, windows.guess), windows).inflation)
+        found.append(uncertainty(fit(truth, windows, windows.initial_guess), windows).inflation)
     assert min(found) >= 1.0
     assert np.mean(found) < 1.3
 
 
 def test_inflation_grows_with_slow_noise(flown):
-    """Half of the variance correlated over 0.5 s: neighbouring poses no longer count as independent. Ten of them act
-    alike, so by hand the variance of a slow parameter grows up to tenfold on that half."""
+    """Half of the variance correlated over 0.5 s: neighbouring poses no longer count as
+    independent. Ten of them act alike, so by hand the variance of a slow parameter grows up to
+    tenfold on that half.
+    """
     truth, whole = flown
     windows = windows_of(whole, np.random.default_rng(0), slow=0.5)
-    assert 2.0 < uncertainty(fit(truth, windows, windows.guess), windows).inflation < 12.0
+    assert 2.0 < uncertainty(fit(truth, windows, windows.initial_guess), windows).inflation < 12.0
 
 
 def test_few_windows_say_nothing_of_correlation(fitted):
     """Below eight windows the scatter of gradients is itself unknown: no inflation."""
     windows, found = fitted
-    few = replace(found, residual=found.residual[:7], to_free=found.to_free[:7], to_start=found.to_start[:7])
+    few = replace(
+        found,
+        residual=found.residual[:7],
+        parameter_jacobian=found.parameter_jacobian[:7],
+        initial_state_jacobian=found.initial_state_jacobian[:7],
+    )
     assert uncertainty(few, windows).inflation == 1.0
 
 
 def test_a_stick_that_never_moves_is_told(flown):
-    """Rudder at zero for a minute: its yawing moment N_dr and side force cY_dr do nothing. These two are named, the
-    others are known about as well as with it (N_beta and the like lose some excitation), all stay finite."""
+    """Rudder at zero for a minute: its yawing moment N_dr and side force cY_dr do nothing. These
+    two are named, the others are known about as well as with it (N_beta and the like lose some
+    excitation), all stay finite.
+    """
     truth, whole = flown
     held = fly_figure_eights([truth], 60.0, np.random.default_rng(6), held=(3,))
-    sure = []
+    confidence = []
     for flight in (whole, held):
         windows = windows_of(flight, np.random.default_rng(7))
-        sure.append(uncertainty(fit(truth, windows, windows.guess), windows))
-    moving, still = sure
+        confidence.append(uncertainty(fit(truth, windows, windows.initial_guess), windows))
+    moving, still = confidence
     assert not {"N_dr", "cY_dr"} & set(moving.not_excited)
     assert {"N_dr", "cY_dr"} <= set(still.not_excited) <= {"N_dr", "cY_dr", "cD_beta"}
     others = [n for n in truth.names if n not in ("N_dr", "cY_dr")]
@@ -131,29 +153,45 @@ def test_what_ends_on_its_bound_is_told(flown):
     low = 2.0 * truth.values["cD_0"]
     parameters = tuple(replace(p, low=low) if p.name == "cD_0" else p for p in truth.parameters)
     windows = windows_of(whole, np.random.default_rng(2))
-    found = fit(replace(truth, parameters=parameters).with_values({"cD_0": 1.2 * low}), windows, windows.guess)
-    sure = uncertainty(found, windows)
+    found = fit(
+        replace(truth, parameters=parameters).with_values({"cD_0": 1.2 * low}),
+        windows,
+        windows.initial_guess,
+    )
+    confidence = uncertainty(found, windows)
     assert found.model.values["cD_0"] == low
-    assert "cD_0" in sure.at_bound and "L_da" not in sure.at_bound
+    assert "cD_0" in confidence.at_bound and "L_da" not in confidence.at_bound
 
 
 def test_twins_are_told_with_their_correlation(fitted):
-    """Roll is fast: in the time of one frame its rate settles at -L_da / L_p, so the two come as a pair. The number is
-    that of the covariance."""
+    """Roll is fast: in the time of one frame its rate settles at -L_da / L_p, so the two come as a
+    pair. The number is that of the covariance.
+    """
     windows, found = fitted
-    sure = uncertainty(found, windows)
-    pairs = {frozenset(pair[:2]): pair[2] for pair in sure.correlated}
-    i, j = sure.names.index("L_da"), sure.names.index("L_p")
-    want = sure.covariance[i, j] / np.sqrt(sure.covariance[i, i] * sure.covariance[j, j])
+    confidence = uncertainty(found, windows)
+    pairs = {frozenset(pair[:2]): pair[2] for pair in confidence.correlated}
+    i, j = confidence.names.index("L_da"), confidence.names.index("L_p")
+    want = confidence.covariance[i, j] / np.sqrt(
+        confidence.covariance[i, i] * confidence.covariance[j, j]
+    )
     assert pairs[frozenset(("L_da", "L_p"))] == pytest.approx(want)
     assert want < -0.95 and min(abs(r) for r in pairs.values()) > 0.95
-    assert [abs(r) for *_, r in sure.correlated] == sorted((abs(r) for *_, r in sure.correlated), reverse=True)
+    assert [abs(r) for *_, r in confidence.correlated] == sorted(
+        (abs(r) for *_, r in confidence.correlated), reverse=True
+    )
 
 
 @pytest.mark.parametrize(
-    ("start", "low", "high", "value", "want"),
-    [(2.0, 0.0, 10.0, 3.0, 3.0), (2.0, 0.0, 10.0, -0.5, 2.0), (0.0, -1.0, 1.0, 0.01, 0.1), (0.0, -1.0, 1.0, 0.3, 0.3)],
+    ("start", "low", "high", "value", "expected"),
+    [
+        (2.0, 0.0, 10.0, 3.0, 3.0),
+        (2.0, 0.0, 10.0, -0.5, 2.0),
+        (0.0, -1.0, 1.0, 0.01, 0.1),
+        (0.0, -1.0, 1.0, 0.3, 0.3),
+    ],
 )
 def test_ordinary_size_by_hand(start, low, high, value, want):
-    """The larger of the found and the usual value; where the usual is zero, a twentieth of the range."""
+    """The larger of the found and the usual value; where the usual is zero, a twentieth of the
+    range.
+    """
     assert ordinary_size(Parameter("x", start, low, high, "-", ""), value) == pytest.approx(want)

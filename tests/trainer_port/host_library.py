@@ -1,4 +1,5 @@
-"""The firmware's link and safety, compiled for this computer: C++ -> the same calls as the Python twin has.
+"""The firmware's link and safety, compiled for this computer: C++ -> the same calls as the Python
+twin has.
 
 `make -C firmware host-lib` builds it; what it offers is told by firmware/host_tests/host_api.h.
 """
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from falconwing_kit.trainer_port import Verdict
+from falconwing_kit.trainer_port import SafetyDecision
 from falconwing_kit.trainer_port.protocol import FAULTS, STATES
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
@@ -37,15 +38,25 @@ def build(out: Path, defines: str = "") -> ctypes.CDLL:
 class HostSafety:
     """The firmware's state machine with the names of `Safety`."""
 
-    def __init__(self, library: ctypes.CDLL, now_us: int = 0, *, watchdog_reset: bool = False) -> None:
+    def __init__(
+        self, library: ctypes.CDLL, now_us: int = 0, *, watchdog_reset: bool = False
+    ) -> None:
         self._library, self._channels = library, library.config_channels()
-        self._self = ctypes.c_void_p(library.safety_new(ctypes.c_uint32(now_us), int(watchdog_reset)))
+        self._self = ctypes.c_void_p(
+            library.safety_new(ctypes.c_uint32(now_us), int(watchdog_reset))
+        )
         self.slots_us: tuple[int, ...] = ()
 
-    def frame(self, now_us: int, sequence: int, engage: bool, channels_us: Sequence[int]) -> Verdict:
+    def frame(
+        self, now_us: int, sequence: int, engage: bool, channels_us: Sequence[int]
+    ) -> SafetyDecision:
         channels = (ctypes.c_uint16 * len(channels_us))(*channels_us)
         now, number = ctypes.c_uint32(now_us), ctypes.c_uint16(sequence)
-        return Verdict(self._library.safety_frame(self._self, now, number, int(engage), channels, len(channels_us)))
+        return SafetyDecision(
+            self._library.safety_frame(
+                self._self, now, number, int(engage), channels, len(channels_us)
+            )
+        )
 
     def tick(self, now_us: int) -> tuple[int, ...] | None:
         slots = (ctypes.c_uint16 * self._channels)()
@@ -91,7 +102,9 @@ class HostLink:
     def feed(self, now_us: int, data: bytes) -> int:
         """How many commands were accepted of these bytes."""
         buffer = (ctypes.c_uint8 * max(len(data), 1))(*data)
-        return self._library.link_feed(self._self, self._safety, ctypes.c_uint32(now_us), buffer, len(data))
+        return self._library.link_feed(
+            self._self, self._safety, ctypes.c_uint32(now_us), buffer, len(data)
+        )
 
     @property
     def bad(self) -> int:

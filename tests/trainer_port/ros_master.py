@@ -20,7 +20,8 @@ START_S = 60.0
 
 @contextmanager
 def running_master(folder: Path) -> Iterator[str]:
-    """Start `roscore` and let this process and its children find it; where there is none the test is skipped.
+    """Start `roscore` and let this process and its children find it; where there is none the test
+    is skipped.
 
     With CI set it fails instead, for there nothing may be skipped.
 
@@ -28,18 +29,28 @@ def running_master(folder: Path) -> Iterator[str]:
         Its address.
     """
     if shutil.which("roscore") is None:
-        (pytest.fail if os.environ.get("CI") else pytest.skip)(f"want a real roscore: `apt install {PACKAGES}`")
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(
+            f"expected a real roscore: `apt install {PACKAGES}`"
+        )
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    uri, saved, path = f"http://127.0.0.1:{port}", {name: os.environ.get(name) for name in NAMES}, list(sys.path)
+    uri, saved, path = (
+        f"http://127.0.0.1:{port}",
+        {name: os.environ.get(name) for name in NAMES},
+        list(sys.path),
+    )
     os.environ.update({"ROS_MASTER_URI": uri, "ROS_HOME": str(folder), "ROS_IP": "127.0.0.1"})
-    # The system's own tools first, for a virtual environment may hold a rosversion that knows nothing of them; and what
-    # roscore says is to reach the file at once.
+    # The system's own tools first, for a virtual environment may hold a rosversion that knows
+    # nothing of them; and what roscore says is to reach the file at once.
     system = {**os.environ, "PATH": f"/usr/bin:{os.environ['PATH']}", "PYTHONUNBUFFERED": "1"}
     with (folder / "roscore.txt").open("wb") as output:
         core = subprocess.Popen(
-            ["roscore", "-p", str(port)], stdout=output, stderr=output, start_new_session=True, env=system
+            ["roscore", "-p", str(port)],
+            stdout=output,
+            stderr=output,
+            start_new_session=True,
+            env=system,
         )
         try:
             await_rosout(core, folder / "roscore.txt")

@@ -1,4 +1,6 @@
-"""Device clock: a board with a known clock answers through a line with known delays; the truth is known to the test."""
+"""Device clock: a board with a known clock answers through a line with known delays; the truth is
+known to the test.
+"""
 
 import math
 
@@ -11,7 +13,9 @@ WRAP = 2**32
 
 
 class Board:
-    """A clock that shows `start` at host time 0 and runs fast by `drift`; its line delays each way by some time."""
+    """A clock that shows `start` at host time 0 and runs fast by `drift`; its line delays each way
+    by some time.
+    """
 
     def __init__(self, start: float, drift: float, seed: int = 0) -> None:
         self.start, self.drift = start, drift
@@ -31,7 +35,9 @@ class Board:
         """Round trips through a line that is usually a millisecond slow and sometimes thirty."""
         for t in times:
             slow = self.random.random(2) < 0.2
-            there, back = self.random.exponential(1e-3, 2) + 1e-4 + slow * self.random.uniform(0.0, 30e-3, 2)
+            there, back = (
+                self.random.exponential(1e-3, 2) + 1e-4 + slow * self.random.uniform(0.0, 30e-3, 2)
+            )
             self.answer(clock, float(t), float(there), float(back))
 
 
@@ -43,8 +49,10 @@ def error(clock: DeviceClock, board: Board, host: float) -> float:
 @pytest.mark.parametrize("drift", [-5e-3, 0.0, 30e-6, 5e-3])
 @pytest.mark.parametrize("start", [0.5, 3000.0, 4294.0])
 def test_device_times_are_found_within_half_a_millisecond_and_the_bound(drift, start):
-    """Truth: the board's own line, which wraps at 4294.97 s. The mean of two delays of 1 ms in each group's fastest
-    trip errs by some 0.1 ms; half a millisecond is five times that. Never beyond the bound, which is a law."""
+    """Truth: the board's own line, which wraps at 4294.97 s. The mean of two delays of 1 ms in each
+    group's fastest trip errs by some 0.1 ms; half a millisecond is five times that. Never beyond
+    the bound, which is a law.
+    """
     board, clock = Board(start, drift), DeviceClock()
     board.answer_often(clock, np.arange(0.0, 120.0, 0.5))
     for host in np.linspace(60.0, 125.0, 40):
@@ -53,7 +61,9 @@ def test_device_times_are_found_within_half_a_millisecond_and_the_bound(drift, s
 
 
 def test_drift_is_found():
-    """By law: two minutes with errors of 0.2 ms leave a few 1e-6; 20 is allowed, and the drift itself is 800."""
+    """By law: two minutes with errors of 0.2 ms leave a few 1e-6; 20 is allowed, and the drift
+    itself is 800.
+    """
     board, clock = Board(10.0, 800e-6), DeviceClock()
     board.answer_often(clock, np.arange(0.0, 120.0, 0.5))
     assert clock.drift_ppm == pytest.approx(800.0, abs=20.0)
@@ -67,11 +77,17 @@ def test_errors_never_exceed_the_bound_of_a_young_clock():
             board.answer_often(clock, np.array([0.2 * k]))
             for later in (0.0, 0.1, 10.0):
                 host = 0.2 * k + later
-                assert abs(error(clock, board, host)) <= clock.error_bound(board.shows(host)), (seed, k, later)
+                assert abs(error(clock, board, host)) <= clock.error_bound(board.shows(host)), (
+                    seed,
+                    k,
+                    later,
+                )
 
 
 def test_a_constant_asymmetry_stays_within_the_bound():
-    """By hand: 0 ms there and 10 ms back put the middle 5 ms off, half of what was on the way; no more can be told."""
+    """By hand: 0 ms there and 10 ms back put the middle 5 ms off, half of what was on the way; no
+    more can be told.
+    """
     board, clock = Board(1.0, 0.0), DeviceClock()
     for k in range(100):
         board.answer(clock, 0.5 * k, 0.0, 10e-3)
@@ -80,7 +96,9 @@ def test_a_constant_asymmetry_stays_within_the_bound():
 
 
 def test_bytes_on_the_wire_are_no_asymmetry():
-    """By hand: without other delays the middle is exact up to the rounding to microseconds, the round trip zero."""
+    """By hand: without other delays the middle is exact up to the rounding to microseconds, the
+    round trip zero.
+    """
     board, clock = Board(1.0, 0.0), DeviceClock()
     board.answer(clock, 0.0, 0.0, 0.0)
     assert error(clock, board, 0.0) == pytest.approx(0.0, abs=3e-6)
@@ -96,17 +114,23 @@ def test_hours_of_silence_are_bridged():
 
 
 def test_a_restarted_board_starts_a_new_clock():
-    """The same host, another board time by 10 s: the first round trip shows it, and times are right again."""
+    """The same host, another board time by 10 s: the first round trip shows it, and times are right
+    again.
+    """
     board, clock = Board(50.0, 1e-4), DeviceClock()
     board.answer_often(clock, np.arange(0.0, 20.0, 0.5))
     again = Board(-20.0, 1e-4)
     assert again.answer(clock, 20.5, 1e-3, 1e-3)
     assert abs(error(clock, again, 20.6)) < 1e-3
     clock.restart()
-    assert not clock.synchronised and not again.answer(clock, 21.0, 1e-3, 1e-3)
+    assert not clock.is_synchronised and not again.answer(clock, 21.0, 1e-3, 1e-3)
 
 
 def test_before_the_first_round_trip_nothing_is_known():
     """Not a number, and no bound."""
     clock = DeviceClock()
-    assert math.isnan(clock.to_host(5)) and clock.error_bound(5) == math.inf and math.isnan(clock.round_trip)
+    assert (
+        math.isnan(clock.to_host(5))
+        and clock.error_bound(5) == math.inf
+        and math.isnan(clock.round_trip)
+    )

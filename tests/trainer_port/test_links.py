@@ -1,4 +1,6 @@
-"""Links: the real serial code against a pseudo-terminal, a simulated board in step with a clock, and what is on USB."""
+"""Links: the real serial code against a pseudo-terminal, a simulated board in step with a clock,
+and what is on USB.
+"""
 
 import os
 import sys
@@ -16,7 +18,7 @@ from falconwing_kit.tools.bridge.simulated_board import BoardOnPty
 from falconwing_kit.tools.bridge.simulated_link import STEP, SteppedBoard
 from falconwing_kit.trainer_port import usb
 from falconwing_kit.trainer_port.port import TrainerPort
-from falconwing_kit.trainer_port.usb import SerialLink, find_boards, how_to_open
+from falconwing_kit.trainer_port.usb import SerialLink, find_boards, permission_advice
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX")
 STICKS = Command(0.5, 0.1, -0.2, 0.3)
@@ -53,10 +55,12 @@ def flown():
 
 
 def test_the_aircraft_follows_and_the_slots_are_the_sticks(flown):
-    """By hand from the shipped calibration: 1500, 1550, 1400, 1650 us; every frame sent was accepted."""
+    """By hand from the shipped calibration: 1500, 1550, 1400, 1650 us; every frame sent was
+    accepted.
+    """
     port, run = flown
     assert port.engagement == "engaged" and port.status.state == "ACTIVE"
-    with port.link.paused() as board:
+    with port.link.pause() as board:
         assert board.ppm_frames()[-1].slots_us.tolist() == [1500.0, 1550.0, 1400.0, 1650.0]
     run(0.1)
     assert port.counters.sent == port.counters.accepted == 40 and port.counters.dropped == 0
@@ -67,7 +71,7 @@ def test_a_loop_that_stops_is_noticed_though_the_port_is_read(flown):
     port, run = flown
     run(0.3)
     assert port.status.state == "LOST" and port.engagement == "dropped"
-    with port.link.paused() as board:
+    with port.link.pause() as board:
         assert board.ppm_frames()[-1].slots_us.tolist() == [1000.0, 1500.0, 1500.0, 1500.0]
 
 
@@ -93,10 +97,12 @@ def test_hand_back_reaches_the_board_in_one_status(flown):
 def test_power_loss_in_flight_is_seen_and_not_flown_on(flown):
     """The board forgets all; the port counts a reset and asks nothing of it."""
     port, run = flown
-    with port.link.paused() as board:
+    with port.link.pause() as board:
         board.power_cycle()
     run(0.5, engage=True)
-    assert port.counters.resets == 1 and port.engagement == "dropped" and port.status.state == "SAFE"
+    assert (
+        port.counters.resets == 1 and port.engagement == "dropped" and port.status.state == "SAFE"
+    )
 
 
 def test_device_time_is_known_to_a_millisecond_in_virtual_time(flown):
@@ -111,12 +117,14 @@ def test_device_time_is_known_to_a_millisecond_in_virtual_time(flown):
 
 @POSIX
 def test_the_serial_code_flies_a_board_behind_a_pseudo_terminal():
-    """Real pyserial, real time: engages, gets the pilot's sticks, and hands back; no figures, for it is wall clock."""
+    """Real pyserial, real time: engages, gets the pilot's sticks, and hands back; no figures, for
+    it is wall clock.
+    """
     from falconwing_kit.tools.bridge.simulated_board import BoardOnPty
 
     with BoardOnPty(PythonBoard()) as line, TrainerPort(SerialLink(line.path)) as port:
         port.wait_ready(20.0)
-        with line.paused() as board:
+        with line.pause() as board:
             board.set_pilot((1100, 1500, 1600, 1700))
 
         def flying():
@@ -133,7 +141,9 @@ def test_the_serial_code_flies_a_board_behind_a_pseudo_terminal():
 
 @POSIX
 def test_a_line_that_goes_away_is_an_event_and_comes_back():
-    """The pseudo-terminal is closed under the port, as by unplugging; a second one is opened in its place."""
+    """The pseudo-terminal is closed under the port, as by unplugging; a second one is opened in its
+    place.
+    """
     from falconwing_kit.tools.bridge.simulated_board import BoardOnPty
 
     lines = [BoardOnPty(PythonBoard())]
@@ -152,9 +162,13 @@ def test_a_line_that_goes_away_is_an_event_and_comes_back():
 
 
 @POSIX
-@pytest.mark.skipif(bool(missing_tools()) and not os.environ.get("CI"), reason="tools of the firmware are missing")
+@pytest.mark.skipif(
+    bool(missing_tools()) and not os.environ.get("CI"), reason="tools of the firmware are missing"
+)
 def test_the_port_called_sim_is_the_firmware_behind_real_serial_code():
-    """It follows, through pyserial, pseudo-terminal and simulated chip, and says that it is simulated."""
+    """It follows, through pyserial, pseudo-terminal and simulated chip, and says that it is
+    simulated.
+    """
     with open_port("sim") as port:
         port.wait_ready(20.0)
 
@@ -162,9 +176,17 @@ def test_the_port_called_sim_is_the_firmware_behind_real_serial_code():
             port.send(STICKS, engage=True)
             time.sleep(0.04)
             port.poll()
-            return port.engagement == "engaged" and port.status.channels_us == (1500, 1550, 1400, 1650)
+            return port.engagement == "engaged" and port.status.channels_us == (
+                1500,
+                1550,
+                1400,
+                1650,
+            )
 
-        assert wait_for(flying) and port.what == "SIMULATED board, the firmware in a simulated ATmega2560"
+        assert (
+            wait_for(flying)
+            and port.what == "SIMULATED board, the firmware in a simulated ATmega2560"
+        )
 
 
 @POSIX
@@ -176,7 +198,9 @@ def test_without_pseudo_terminals_the_sentence_names_the_way_out(monkeypatch):
 
 
 def test_a_write_off_the_processor_is_not_a_lost_port(monkeypatch):
-    """pyserial raises its timeout after a good write too, where select came late; the port must not be given up."""
+    """pyserial raises its timeout after a good write too, where select came late; the port must not
+    be given up.
+    """
     import pty
 
     master, slave = pty.openpty()
@@ -193,8 +217,10 @@ def test_a_write_off_the_processor_is_not_a_lost_port(monkeypatch):
 
 @POSIX
 def test_a_hand_back_leaves_before_the_port_is_closed(monkeypatch):
-    """Some drivers throw away what waits when a port is closed, so closing waits until nothing does: the system is
-    scripted to say 48, 16 and 0 bytes, and the port is still open when it says 0."""
+    """Some drivers throw away what waits when a port is closed, so closing waits until nothing
+    does: the system is scripted to say 48, 16 and 0 bytes, and the port is still open when it says
+    0.
+    """
     import pty
 
     import serial
@@ -231,7 +257,8 @@ def test_dtr_is_left_on_when_the_port_is_closed():
 
 @POSIX
 @pytest.mark.parametrize(
-    ("place", "sentence"), [("absent", "plug the board in; falconwing find-port"), ("folder", "want a serial port")]
+    ("place", "sentence"),
+    [("absent", "plug the board in; falconwing find-port"), ("folder", "expected a serial port")],
 )
 def test_a_port_that_cannot_be_opened_is_one_sentence(tmp_path, place, sentence):
     """With what to do about it."""
@@ -247,9 +274,15 @@ def test_a_port_that_cannot_be_opened_is_one_sentence(tmp_path, place, sentence)
 def usb_ports(monkeypatch, tmp_path):
     """A hub with a copy of the Mega, a keyboard, a Mega, and a port that is not on USB."""
     ports = [
-        types.SimpleNamespace(device=str(tmp_path / "a"), vid=0x1A86, pid=0x7523, description="USB Serial"),
-        types.SimpleNamespace(device=str(tmp_path / "b"), vid=0x1234, pid=0x0001, description="Some keyboard"),
-        types.SimpleNamespace(device=str(tmp_path / "c"), vid=0x2341, pid=0x0042, description="ttyACM0"),
+        types.SimpleNamespace(
+            device=str(tmp_path / "a"), vid=0x1A86, pid=0x7523, description="USB Serial"
+        ),
+        types.SimpleNamespace(
+            device=str(tmp_path / "b"), vid=0x1234, pid=0x0001, description="Some keyboard"
+        ),
+        types.SimpleNamespace(
+            device=str(tmp_path / "c"), vid=0x2341, pid=0x0042, description="ttyACM0"
+        ),
         types.SimpleNamespace(device=str(tmp_path / "d"), vid=None, pid=None, description="ttyS0"),
     ]
     for port in ports:
@@ -261,7 +294,9 @@ def usb_ports(monkeypatch, tmp_path):
 
 
 def test_the_mega_is_found_first(usb_ports):
-    """Numbers from boards.txt of Arduino's core: 2341:0042 is the Mega 2560 R3; copies have a CH340."""
+    """Numbers from boards.txt of Arduino's core: 2341:0042 is the Mega 2560 R3; copies have a
+    CH340.
+    """
     found = find_boards()
     assert [os.path.basename(board.path) for board in found] == ["c", "a", "b"]
     assert [board.likely for board in found] == [True, True, False]
@@ -281,4 +316,4 @@ def test_a_port_without_rights_comes_with_its_mend(usb_ports, monkeypatch):
 @pytest.mark.skipif(sys.platform == "win32", reason="the sentence is another one there")
 def test_a_busy_port_says_what_uses_it(usb_ports):
     """It is there and may be opened, so another program has it."""
-    assert "close other programs" in how_to_open(usb_ports[2].device)
+    assert "close other programs" in permission_advice(usb_ports[2].device)

@@ -7,16 +7,32 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command
-from falconwing_kit.trainer_port.port import BACK_OFF, HAND_BACK_FRAMES, SAFE, SILENT_AFTER, TrainerPort, require_fit
+from falconwing_kit.trainer_port.port import (
+    BACK_OFF,
+    HAND_BACK_FRAMES,
+    SAFE,
+    SILENT_AFTER,
+    TrainerPort,
+    require_matching_calibration,
+)
 from falconwing_kit.trainer_port.ppm import load_calibration
-from falconwing_kit.trainer_port.protocol import CommandFrame, Deframer, Status, SyncReply, SyncRequest, encode
+from falconwing_kit.trainer_port.protocol import (
+    CommandFrame,
+    Deframer,
+    Status,
+    SyncReply,
+    SyncRequest,
+    encode,
+)
 
 STICKS = Command(0.5, 0.1, -0.2, 0.3)
 SAYS = Status("SAFE", "none", 3, 1, 100, 40, 0, 0, 0, 0, False, (1000, 1500, 1500, 1500), 5_000_000)
 
 
 class ScriptedBoard:
-    """A line whose other end is the test: time is set by hand, words are put in, frames sent are kept."""
+    """A line whose other end is the test: time is set by hand, words are put in, frames sent are
+    kept.
+    """
 
     def __init__(self) -> None:
         self.t, self.broken, self.closed = 50.0, False, False
@@ -55,12 +71,18 @@ def port(board):
     return TrainerPort(board, now=lambda: board.t)
 
 
-def step(board: ScriptedBoard, port: TrainerPort, status: Status | None = None, seconds: float = 0.05) -> None:
+def step(
+    board: ScriptedBoard, port: TrainerPort, status: Status | None = None, seconds: float = 0.05
+) -> None:
     """Time passes, the board says something, the port reads it."""
     board.t += seconds
     if status is not None:
         now_us = round((board.t - 45.0) * 1e6) % 2**32
-        board.says(replace(status, device_time_us=now_us) if status.device_time_us == SAYS.device_time_us else status)
+        board.says(
+            replace(status, device_time_us=now_us)
+            if status.device_time_us == SAYS.device_time_us
+            else status
+        )
     port.poll()
 
 
@@ -80,7 +102,9 @@ def fly(board: ScriptedBoard, port: TrainerPort) -> None:
 
 
 def test_nothing_is_sent_before_the_first_status(board, port):
-    """A Mega that was just restarted is in its boot loader for two seconds; not one byte may reach it."""
+    """A Mega that was just restarted is in its boot loader for two seconds; not one byte may reach
+    it.
+    """
     for _ in range(100):
         step(board, port)
         assert not port.send(STICKS, engage=True)
@@ -99,7 +123,9 @@ def test_sequence_goes_on_where_the_board_is_and_wraps(board, port):
 
 
 def test_after_a_pause_no_sequence_is_used_twice(board, port):
-    """Three are on their way when the board falls silent and says 101 again; it would refuse a second 102."""
+    """Three are on their way when the board falls silent and says 101 again; it would refuse a
+    second 102.
+    """
     step(board, port, SAYS)
     for _ in range(4):
         port.send(STICKS, engage=False)
@@ -122,11 +148,15 @@ def test_there_is_no_heartbeat(board, port):
     before = len(board.commands)
     for _ in range(200):
         step(board, port, replace(SAYS, state="ACTIVE", last_sequence=106))
-    assert len(board.commands) == before and any(isinstance(frame, SyncRequest) for frame in board.heard)
+    assert len(board.commands) == before and any(
+        isinstance(frame, SyncRequest) for frame in board.heard
+    )
 
 
 def test_engaging_lets_the_board_hear_0_in_safe_before_the_edge(board, port):
-    """The firmware's rule: a frame with 0, then the edge. While the board is LOST, or has not heard, 0 goes on."""
+    """The firmware's rule: a frame with 0, then the edge. While the board is LOST, or has not
+    heard, 0 goes on.
+    """
     step(board, port, replace(SAYS, state="LOST"))
     for status in (
         replace(SAYS, state="LOST"),
@@ -160,7 +190,9 @@ def test_an_edge_that_came_to_nothing_is_tried_again(board, port):
     assert flags[:2] == [False, True] and False in flags[2:] and flags[-1]
 
 
-@pytest.mark.parametrize("status", [{"state": "LOST"}, {"state": "FAULT", "fault": "range"}, {"boot_count": 4}])
+@pytest.mark.parametrize(
+    "status", [{"state": "LOST"}, {"state": "FAULT", "fault": "range"}, {"boot_count": 4}]
+)
 def test_a_board_that_stopped_following_is_not_taken_back_by_itself(board, port, status):
     """Whatever the reason: engage=0 goes out until somebody withdrew and asked again."""
     fly(board, port)
@@ -176,7 +208,9 @@ def test_a_board_that_stopped_following_is_not_taken_back_by_itself(board, port,
 
 
 def test_hand_back_is_at_once_and_stays(board, port):
-    """Three frames with 0 and safe slots in the same moment; a loop that goes on asking gets nothing."""
+    """Three frames with 0 and safe slots in the same moment; a loop that goes on asking gets
+    nothing.
+    """
     fly(board, port)
     before = len(board.commands)
     port.hand_back()
@@ -194,7 +228,9 @@ def test_sticks_that_are_no_numbers_hand_back(board, port):
     """On the way to the aircraft wrong input means failsafe, not an exception."""
     fly(board, port)
     assert port.send(Command(0.5, math.nan, 0.0, 0.0), engage=True)
-    assert board.commands[-1].channels_us == (1000, 1500, 1500, 1500) and not board.commands[-1].engage
+    assert (
+        board.commands[-1].channels_us == (1000, 1500, 1500, 1500) and not board.commands[-1].engage
+    )
     assert port.engagement == "dropped" and "bad command" in [event.name for event in port.events]
 
 
@@ -203,7 +239,9 @@ def test_what_is_no_command_hands_back(board, port, nothing):
     """A pilot that forgot to return one: the board is told at once, not 200 ms later by silence."""
     fly(board, port)
     assert port.send(nothing, engage=True)
-    assert board.commands[-1].channels_us == (1000, 1500, 1500, 1500) and not board.commands[-1].engage
+    assert (
+        board.commands[-1].channels_us == (1000, 1500, 1500, 1500) and not board.commands[-1].engage
+    )
     assert port.engagement == "dropped"
 
 
@@ -249,7 +287,9 @@ def test_a_lost_port_is_opened_again_with_back_off(board):
         assert not port.send(STICKS, engage=True)
         port.poll()
     gaps = [later - earlier for earlier, later in zip([0.0, *attempts], attempts, strict=False)]
-    assert gaps == pytest.approx([BACK_OFF[0], 0.5, 1.0, 2.0, BACK_OFF[1], BACK_OFF[1]], abs=0.021)  # steps of 10 ms
+    assert gaps == pytest.approx(
+        [BACK_OFF[0], 0.5, 1.0, 2.0, BACK_OFF[1], BACK_OFF[1]], abs=0.021
+    )  # steps of 10 ms
     assert port.state == "waiting" and port.counters.reconnects == 1 and new.heard == []
     new.says(replace(SAYS, state="LOST", last_sequence=106, accepted=46))
     port.poll()
@@ -273,7 +313,9 @@ def test_without_a_way_to_open_it_again_a_lost_port_stays_lost(board, port):
 
 
 def test_frames_sent_accepted_and_dropped_are_counted(board, port):
-    """By hand: ten sent; the board accepted seven of the first nine, and the tenth is still on its way."""
+    """By hand: ten sent; the board accepted seven of the first nine, and the tenth is still on its
+    way.
+    """
     step(board, port, SAYS)
     for _ in range(10):
         port.send(STICKS, engage=False)
@@ -298,7 +340,10 @@ def test_accepted_goes_on_over_the_board_s_wrap_and_reset(board, port):
     ("then", "resets"),
     [
         ({"boot_count": 4, "device_time_us": 2000}, 1),
-        ({"boot_count": 3, "device_time_us": 2000}, 1),  # power was off: the count starts again at the same number
+        (
+            {"boot_count": 3, "device_time_us": 2000},
+            1,
+        ),  # power was off: the count starts again at the same number
         ({"boot_count": 3, "device_time_us": 20_050_000}, 0),
         ({"boot_count": 2, "device_time_us": 20_050_000}, 1),
     ],
@@ -307,7 +352,9 @@ def test_a_reset_is_seen_by_boot_count_or_clock(board, port, then, resets):
     """A board whose clock jumps back was restarted, whatever it counts."""
     step(board, port, replace(SAYS, device_time_us=20_000_000))
     step(board, port, replace(SAYS, **then))
-    assert port.counters.resets == resets == [event.name for event in port.events].count("board reset")
+    assert (
+        port.counters.resets == resets == [event.name for event in port.events].count("board reset")
+    )
 
 
 def test_the_board_s_clock_may_wrap(board, port):
@@ -321,17 +368,21 @@ def test_the_board_s_clock_may_wrap(board, port):
 
 
 def test_device_time_is_put_on_the_host_s_clock(board, port):
-    """Truth: the board's clock is the host's less 45 s. Its answer takes 5 ms, so the error is below 5 ms."""
+    """Truth: the board's clock is the host's less 45 s. Its answer takes 5 ms, so the error is
+    below 5 ms.
+    """
     assert math.isnan(port.to_host_time(0))
     step(board, port, SAYS)
-    assert port.to_host_time(6_000_000) == pytest.approx(51.0, abs=1e-9)  # from the STATUS alone, which came at once
+    assert port.to_host_time(6_000_000) == pytest.approx(
+        51.0, abs=1e-9
+    )  # from the STATUS alone, which came at once
     sync = next(frame for frame in board.heard if isinstance(frame, SyncRequest))
     board.t += 0.005
     device = round((board.t - 0.0025 - 45.0) * 1e6)
     board.says(SyncReply(sync.token, device, device + 100))
     board.says(SyncReply(12345, 0, 0))  # nobody asked this
     port.poll()
-    assert port.clock.synchronised
+    assert port.clock.is_synchronised
     assert port.to_host_time(device) == pytest.approx(board.t - 0.0025, abs=1e-3)
     # By hand: 5 ms less 26 bytes of 10 bits at 115200 baud, less 0.1 ms inside the board, halved.
     assert port.clock.error_bound(device) == pytest.approx(1.32e-3, abs=0.01e-3)
@@ -349,7 +400,7 @@ def test_wait_ready_waits_for_status_and_clock(board, port):
         board.says(replace(SAYS, device_time_us=device))
 
     status = port.wait_ready(sleep=pass_time)
-    assert status.boot_count == 3 and port.clock.synchronised and board.t < 50.1
+    assert status.boot_count == 3 and port.clock.is_synchronised and board.t < 50.1
 
 
 def test_no_status_is_one_sentence(board):
@@ -359,7 +410,9 @@ def test_no_status_is_one_sentence(board):
     def pass_time(seconds):
         board.t += seconds
 
-    with pytest.raises(InputError, match=r"board on /dev/ttyX: want a STATUS .* got none in 3 s; .*find-port"):
+    with pytest.raises(
+        InputError, match=r"board on /dev/ttyX: expected a STATUS .* got none in 3 s; .*find-port"
+    ):
         port.wait_ready(3.0, pass_time)
 
 
@@ -370,34 +423,43 @@ def test_another_number_of_channels_is_refused(board, port):
         board.t += seconds
         board.says(replace(SAYS, channels_us=(1500,) * 6))
 
-    with pytest.raises(InputError, match="want 6 channels as the board's firmware has, got 4"):
+    with pytest.raises(InputError, match="expected 6 channels as the board's firmware has, got 4"):
         port.wait_ready(0.1, pass_time)
 
 
 def test_safe_slots_that_would_leave_the_motor_on_are_refused():
-    """By hand: the throttle in channel 2, where the board's safe slot is 1500 us, half throttle. While the board is
-    ACTIVE its slots are somebody's command and say nothing."""
+    """By hand: the throttle in channel 2, where the board's safe slot is 1500 us, half throttle.
+    While the board is ACTIVE its slots are somebody's command and say nothing.
+    """
     shipped = load_calibration()
     aileron, throttle = replace(shipped.aileron, channel=1), replace(shipped.throttle, channel=2)
     swapped = replace(shipped, throttle=throttle, aileron=aileron)
-    require_fit(shipped, SAYS)
-    require_fit(swapped, replace(SAYS, state="ACTIVE"))
-    with pytest.raises(InputError, match=r"got throttle 50%, .* in channel 2 and idles at 1000 us; .*SAFE_SLOTS_US"):
-        require_fit(swapped, SAYS)
+    require_matching_calibration(shipped, SAYS)
+    require_matching_calibration(swapped, replace(SAYS, state="ACTIVE"))
+    with pytest.raises(
+        InputError, match=r"got throttle 50%, .* in channel 2 and idles at 1000 us; .*SAFE_SLOTS_US"
+    ):
+        require_matching_calibration(swapped, SAYS)
 
 
 def test_a_host_that_comes_back_at_once_is_checked_too(board):
-    """Its board still is ACTIVE with the last one's slots, and LOST 0.2 s later: only then the safe slots tell."""
+    """Its board still is ACTIVE with the last one's slots, and LOST 0.2 s later: only then the safe
+    slots tell.
+    """
     shipped = load_calibration()
     aileron, throttle = replace(shipped.aileron, channel=1), replace(shipped.throttle, channel=2)
-    port = TrainerPort(board, replace(shipped, throttle=throttle, aileron=aileron), now=lambda: board.t)
+    port = TrainerPort(
+        board, replace(shipped, throttle=throttle, aileron=aileron), now=lambda: board.t
+    )
 
     def pass_time(seconds):
         board.t += seconds
         device = round((board.t - 45.0) * 1e6)
         for frame in board.heard:
             board.says(SyncReply(frame.token, device - 50, device))
-        board.says(replace(SAYS, device_time_us=device, state="ACTIVE" if board.t < 50.2 else "LOST"))
+        board.says(
+            replace(SAYS, device_time_us=device, state="ACTIVE" if board.t < 50.2 else "LOST")
+        )
 
     with pytest.raises(InputError, match="to stop the motor, got throttle 50%"):
         port.wait_ready(sleep=pass_time)

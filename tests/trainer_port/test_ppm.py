@@ -10,7 +10,12 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.config import write_toml
 from falconwing_kit.core.messages import Command
-from falconwing_kit.trainer_port.ppm import SPARE_US, Stick, default_calibration_path, load_calibration
+from falconwing_kit.trainer_port.ppm import (
+    UNUSED_CHANNEL_US,
+    Stick,
+    default_calibration_path,
+    load_calibration,
+)
 
 
 @pytest.fixture
@@ -41,14 +46,18 @@ def test_shipped_values_are_the_convention_and_say_so(shipped):
 
 
 def test_a_skewed_radio_by_hand(skewed):
-    """Throttle 3/4 is halfway from 1490 to 1920; aileron right (reversed) goes down from 1510; spares stay neutral."""
+    """Throttle 3/4 is halfway from 1490 to 1920; aileron right (reversed) goes down from 1510;
+    spares stay neutral.
+    """
     slots = skewed.channels_us(Command(0.75, 0.5, -1.0, 0.1))
-    assert slots == (1305, 1120, 1705, SPARE_US, SPARE_US, 1550)
+    assert slots == (1305, 1120, 1705, UNUSED_CHANNEL_US, UNUSED_CHANNEL_US, 1550)
     assert all(type(us) is int for us in slots)
 
 
 def test_a_pilot_frame_gives_the_sticks_by_hand(skewed):
-    """The same numbers the other way; a seventh slot is passed over; beyond an end it is cut and said."""
+    """The same numbers the other way; a seventh slot is passed over; beyond an end it is cut and
+    said.
+    """
     command = skewed.command((1305, 1120, 1705, 0, 0, 1550, 999))
     assert command.vector == pytest.approx([0.75, 0.5, -1.0, 0.1], abs=1e-12)
     assert not command.saturated
@@ -74,7 +83,7 @@ def test_sticks_are_cut_and_nan_is_refused(shipped):
 
 def test_too_few_slots_are_refused(shipped, skewed):
     """The rudder sits in slot 6 there."""
-    with pytest.raises(InputError, match="want at least 6, got 5"):
+    with pytest.raises(InputError, match="expected at least 6, got 5"):
         skewed.command((1500,) * 5)
     with pytest.raises(InputError, match="finite"):
         shipped.command((1500, math.nan, 1500, 1500))
@@ -89,10 +98,16 @@ def test_a_file_is_read_as_it_was_written(skewed, tmp_path):
 def test_every_number_of_the_shipped_file_says_where_it_is_from():
     """Behind each number stands a comment with one of the three sources that its head explains."""
     text = default_calibration_path().read_text(encoding="utf-8")
-    lines = [line for line in text.splitlines() if "=" in line.split("#")[0] and not line.startswith("#")]
+    lines = [
+        line for line in text.splitlines() if "=" in line.split("#")[0] and not line.startswith("#")
+    ]
     numbers = [line for line in lines if any(c.isdigit() for c in line.split("#")[0])]
     assert len(numbers) == 4 + 4 * 4
-    sourced = [line for line in numbers if any(word in line for word in ("convention", "report", "assumed", "paper"))]
+    sourced = [
+        line
+        for line in numbers
+        if any(word in line for word in ("convention", "report", "assumed", "paper"))
+    ]
     assert sourced == numbers
     assert tomllib.loads(text)["measured"] == ""
 
@@ -102,11 +117,11 @@ def test_every_number_of_the_shipped_file_says_where_it_is_from():
     [
         ({"channels": 3}, "channels"),
         ({"channels": 9}, "channels"),
-        ({"polarity": 2}, "polarity: want 1"),
+        ({"polarity": 2}, "polarity: expected 1"),
         ({"gap_us": 900}, "gap_us"),
-        ({"frame_us": 11_000}, "want a pause of 4000..19000 us behind 4 channels"),
-        ({"frame_us": 23_500}, "want a pause"),
-        ({"measured": "last week"}, "measured: want a day"),
+        ({"frame_us": 11_000}, "expected a pause of 4000..19000 us behind 4 channels"),
+        ({"frame_us": 23_500}, "expected a pause"),
+        ({"measured": "last week"}, "measured: expected a day"),
         ({"rudder": Stick(1, 1000, 1500, 2000)}, "four different slots"),
         ({"rudder": Stick(5, 1000, 1500, 2000)}, "four different slots of 1..4"),
         ({"rudder": Stick(0, 1000, 1500, 2000)}, "four different slots"),
@@ -114,12 +129,16 @@ def test_every_number_of_the_shipped_file_says_where_it_is_from():
     ids=str,
 )
 def test_what_makes_no_frame_is_refused(shipped, change, sentence):
-    """The rules of a PPM frame: 4 to 8 slots, a pause of 4 to 19 ms, every stick in a slot of its own."""
+    """The rules of a PPM frame: 4 to 8 slots, a pause of 4 to 19 ms, every stick in a slot of its
+    own.
+    """
     with pytest.raises(InputError, match=sentence):
         dataclasses.replace(shipped, **change)
 
 
-@pytest.mark.parametrize("ends", [(1500, 1500, 2000), (2000, 1500, 1000), (899, 1500, 2000), (1000, 1500, 2101)])
+@pytest.mark.parametrize(
+    "ends", [(1500, 1500, 2000), (2000, 1500, 1000), (899, 1500, 2000), (1000, 1500, 2101)]
+)
 def test_ends_of_a_stick_stand_in_order(ends):
     """A reversed stick says so by its flag, and what the firmware calls invalid is no end."""
     with pytest.raises(InputError, match="low_us < centre_us < high_us"):
@@ -132,8 +151,8 @@ def test_a_wrong_file_gets_one_sentence_with_its_key(tmp_path):
     path = tmp_path / "own.toml"
     for change, sentence in (
         (("[rudder]", "[ruder]"), "unknown key 'ruder'; perhaps you meant 'rudder'"),
-        (("frame_us = 22000", 'frame_us = "22 ms"'), "frame_us: want a whole number"),
-        (("low_us = 1000", "low_us = 1600"), "throttle: want low_us < centre_us"),
+        (("frame_us = 22000", 'frame_us = "22 ms"'), "frame_us: expected a whole number"),
+        (("low_us = 1000", "low_us = 1600"), "throttle: expected low_us < centre_us"),
     ):
         path.write_text(text.replace(*change, 1), encoding="utf-8")
         with pytest.raises(InputError, match=sentence):

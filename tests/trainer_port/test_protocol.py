@@ -1,4 +1,6 @@
-"""Serial protocol: bytes by hand, by an independent library and by the firmware's C++; damage is never accepted."""
+"""Serial protocol: bytes by hand, by an independent library and by the firmware's C++; damage is
+never accepted.
+"""
 
 import binascii
 import contextlib
@@ -18,7 +20,7 @@ from falconwing_kit.trainer_port.ppm import load_calibration
 from falconwing_kit.trainer_port.protocol import (
     CommandFrame,
     Deframer,
-    Pilot,
+    PilotFrame,
     Status,
     SyncReply,
     SyncRequest,
@@ -31,18 +33,22 @@ from falconwing_kit.trainer_port.protocol import (
     encode_command,
     encode_sync,
 )
-from falconwing_kit.trainer_port.safety import Safety, Verdict
+from falconwing_kit.trainer_port.safety import Safety, SafetyDecision
 from tests.trainer_port import host_library
 
-STATUS = Status("LOST", "none", 2, 9, 513, 70000, 3, 4, 5, 80000, True, (1000, 1500, 1501, 2000), 4_000_000_000)
+STATUS = Status(
+    "LOST", "none", 2, 9, 513, 70000, 3, 4, 5, 80000, True, (1000, 1500, 1501, 2000), 4_000_000_000
+)
 MESSAGES = (
     CommandFrame(65535, True, (900, 2100, 1500, 1000)),
     CommandFrame(0, False, (0,) * 8),
     SyncRequest(0),
     SyncRequest(2**32 - 1),
     STATUS,
-    dataclasses.replace(STATUS, state="FAULT", fault="stall", silent=False, channels_us=(1500,) * 8),
-    Pilot(123456, 0, 7, (1100, 1200, 1300, 1400, 1500)),
+    dataclasses.replace(
+        STATUS, state="FAULT", fault="stall", silent=False, channels_us=(1500,) * 8
+    ),
+    PilotFrame(123456, 0, 7, (1100, 1200, 1300, 1400, 1500)),
     SyncReply(1, 2, 3),
 )
 
@@ -61,7 +67,8 @@ def library(tmp_path_factory):
 def test_a_command_by_hand():
     """Sequence 7, engaged, half throttle, elevator fully up: laid out by hand, its CRC bit by bit.
 
-    Payload 01 0700 01 dc05 dc05 d007 dc05 (1500, 1500, 2000, 1500 us); its one zero byte sits at 2 and is stuffed away.
+    Payload 01 0700 01 dc05 dc05 d007 dc05 (1500, 1500, 2000, 1500 us); its one zero byte sits at 2
+    and is stuffed away.
     """
     payload = bytes.fromhex("01 0700 01 dc05 dc05 d007 dc05")
     crc = crc_bit_by_bit(payload)
@@ -88,7 +95,12 @@ def test_checksum_is_the_catalogued_one():
 
 def test_stuffing_by_hand():
     """Worked by the rule: each run between zeros goes behind its length plus one."""
-    examples = {"": "01", "00": "01 01", "11 22 00 33": "03 11 22 02 33", "11 00 00 00": "02 11 01 01 01"}
+    examples = {
+        "": "01",
+        "00": "01 01",
+        "11 22 00 33": "03 11 22 02 33",
+        "11 00 00 00": "02 11 01 01 01",
+    }
     for data, stuffed in examples.items():
         assert cobs_encode(bytes.fromhex(data)) == bytes.fromhex(stuffed)
         assert cobs_decode(bytes.fromhex(stuffed)) == bytes.fromhex(data)
@@ -128,7 +140,16 @@ def test_sizes_are_those_of_the_specification():
 
 def test_status_has_its_fields_where_the_specification_says():
     """The payload laid out by hand, field by field."""
-    hexes = ("11 01", "00286bee", "03 00 02 09", "0102", "70110100", "0300 0400 0500", "80380100", "01 04")
+    hexes = (
+        "11 01",
+        "00286bee",
+        "03 00 02 09",
+        "0102",
+        "70110100",
+        "0300 0400 0500",
+        "80380100",
+        "01 04",
+    )
     payload = bytes.fromhex("".join(hexes) + "e803 dc05 dd05 d007")
     body = payload + struct.pack("<H", crc_bit_by_bit(payload))
     assert decode_status(cobs_encode(body)) == STATUS
@@ -147,7 +168,9 @@ def test_firmware_writes_and_reads_the_same_bytes(library, message):
 
 
 def test_firmware_writes_what_we_read(library, rng):
-    """Random values in every field of every type, from the C++ encoder to the Python decoder and back."""
+    """Random values in every field of every type, from the C++ encoder to the Python decoder and
+    back.
+    """
     widths = {
         1: (16, 8),
         2: (32,),
@@ -162,7 +185,12 @@ def test_firmware_writes_what_we_read(library, rng):
             if kind == 1:
                 values[1] &= 1
             if kind == 0x11:
-                values[0], values[2], values[3], values[12] = 1, values[2] % 5, values[3] % 4, values[12] % 2
+                values[0], values[2], values[3], values[12] = (
+                    1,
+                    values[2] % 5,
+                    values[3] % 4,
+                    values[12] % 2,
+                )
             values += [count] if kind in (0x11, 0x12) else []
             values += [int(us) for us in rng.integers(65536, size=count)]
             frame = host_library.encode(library, kind, values)
@@ -174,7 +202,9 @@ def test_firmware_writes_what_we_read(library, rng):
 
 def test_sticks_beyond_their_limits_are_cut():
     """Full is full: 5 is sent as 1, -1 of throttle as 0."""
-    assert encode_command(1, 5.0, -7, 1.5, -1.0001, False) == encode_command(1, 1.0, -1.0, 1.0, -1.0, False)
+    assert encode_command(1, 5.0, -7, 1.5, -1.0001, False) == encode_command(
+        1, 1.0, -1.0, 1.0, -1.0, False
+    )
     assert encode_command(1, -1.0, 0, 0, 0, True) == encode_command(1, 0.0, 0, 0, 0, True)
 
 
@@ -191,13 +221,15 @@ def test_a_stick_that_is_no_number_is_refused(stick, bad):
 @pytest.mark.parametrize("bad", [-1, 1.5, 2.0, math.nan, None, "7", True])
 def test_a_sequence_is_a_whole_number_from_0(bad):
     """Anything else is a bug in the loop above."""
-    with pytest.raises(InputError, match="sequence: want a whole number from 0"):
+    with pytest.raises(InputError, match="sequence: expected a whole number from 0"):
         encode_command(bad, 0.5, 0.0, 0.0, 0.0, True)
 
 
 def test_a_sequence_is_sent_modulo_65536():
     """65536 + 3 is 3; NumPy's integers count too."""
-    assert encode_command(65539, 0, 0, 0, 0, True) == encode_command(np.int64(3), 0, 0, 0, 0, np.True_)
+    assert encode_command(65539, 0, 0, 0, 0, True) == encode_command(
+        np.int64(3), 0, 0, 0, 0, np.True_
+    )
     assert decode(encode_sync(2**32 + 5)) == SyncRequest(5)
     assert decode(encode_sync(2**32 - 1)) == SyncRequest(2**32 - 1)
 
@@ -223,7 +255,7 @@ def test_channels_must_fit_their_fields(bad):
 )
 def test_what_is_no_message_is_not_sent(bad):
     """A text, nothing, a state that there is not, a negative time."""
-    with pytest.raises(InputError, match="want"):
+    with pytest.raises(InputError, match="expected"):
         encode(bad)
 
 
@@ -236,7 +268,9 @@ def test_a_calibration_of_ones_own_is_used():
         aileron=dataclasses.replace(shipped.aileron, reversed=True, low_us=1100),
         rudder=dataclasses.replace(shipped.rudder, channel=1),
     )
-    assert decode(encode_command(1, 1.0, 1.0, 0.0, -0.5, True, own)) == CommandFrame(1, True, (1250, 1100, 1500, 2000))
+    assert decode(encode_command(1, 1.0, 1.0, 0.0, -0.5, True, own)) == CommandFrame(
+        1, True, (1250, 1100, 1500, 2000)
+    )
 
 
 # ---- what comes in from the wire ----
@@ -245,16 +279,16 @@ def test_a_calibration_of_ones_own_is_used():
 @pytest.mark.parametrize(
     ("frame", "sentence"),
     [
-        (b"", "want a type and a checksum"),
-        (b"\0", "want a type and a checksum"),
-        (b"\x05\x11", "want a length that ends within"),
-        (b"\x03\x11\0\x03\x11\x12", "want no zero before its end"),
-        (b"\x01" * 65, "want at most 64 bytes"),
-        (encode(STATUS)[:9] + b"\x55" + encode(STATUS)[10:], "want checksum"),
-        (encode(SyncReply(1, 2, 3)), "want a status, got a SyncReply"),
-        (encode(dataclasses.replace(STATUS, version=2)), "want version 1, got 2; flash"),
-        ("a text", "want bytes"),
-        (None, "want bytes"),
+        (b"", "expected a type and a checksum"),
+        (b"\0", "expected a type and a checksum"),
+        (b"\x05\x11", "expected a length that ends within"),
+        (b"\x03\x11\0\x03\x11\x12", "expected no zero before its end"),
+        (b"\x01" * 65, "expected at most 64 bytes"),
+        (encode(STATUS)[:9] + b"\x55" + encode(STATUS)[10:], "expected checksum"),
+        (encode(SyncReply(1, 2, 3)), "expected a status, got a SyncReply"),
+        (encode(dataclasses.replace(STATUS, version=2)), "expected version 1, got 2; flash"),
+        ("a text", "expected bytes"),
+        (None, "expected bytes"),
     ],
 )
 def test_what_is_no_status_gets_one_sentence(frame, sentence):
@@ -284,7 +318,9 @@ def framed(payload):
     ids=bytes.hex,
 )
 def test_a_good_checksum_does_not_excuse_a_wrong_form(library, payload):
-    """Unknown type, too short, too long, odd, three and nine channels: refused here and in the firmware."""
+    """Unknown type, too short, too long, odd, three and nine channels: refused here and in the
+    firmware.
+    """
     with pytest.raises(InputError):
         decode(framed(payload))
     assert host_library.decode(library, framed(payload)) is None
@@ -298,7 +334,8 @@ def test_only_the_lowest_flag_engages():
 
 
 def test_random_bytes_are_refused_or_read(rng):
-    """50,000 pieces: noise, noise with a good checksum, and a status's head before noise with a good checksum.
+    """50,000 pieces: noise, noise with a good checksum, and a status's head before noise with a
+    good checksum.
 
     An InputError or a Status comes out, never anything else.
     """
@@ -308,17 +345,23 @@ def test_random_bytes_are_refused_or_read(rng):
         if number % 3 == 1:
             noise = framed(noise[:60])
         elif number % 3 == 2:
-            noise = framed(bytes([0x11, 1, *rng.bytes(4), number % 7, number % 5]) + rng.bytes(19) + b"\4" + noise[:8])
+            noise = framed(
+                bytes([0x11, 1, *rng.bytes(4), number % 7, number % 5])
+                + rng.bytes(19)
+                + b"\4"
+                + noise[:8]
+            )
         with contextlib.suppress(InputError):
             read += isinstance(decode_status(noise), Status)
     assert read > 1000
 
 
 def test_checksum_sees_every_change_of_up_to_three_bits():
-    """All of them in the 112 bits of a command, by the linearity of a CRC: syndromes of 1, 2 and 3 bits are not zero.
+    """All of them in the 112 bits of a command, by the linearity of a CRC: syndromes of 1, 2 and 3
+    bits are not zero.
 
-    Of four bits, 390 of the 6.2 million patterns pass the checksum (6e-5): there it is no theorem any more, and a frame
-    must pass range and sequence too.
+    Of four bits, 390 of the 6.2 million patterns pass the checksum (6e-5): there it is no theorem
+    any more, and a frame must pass range and sequence too.
     """
     syndromes = []
     for bit in range(112):
@@ -336,10 +379,12 @@ def test_checksum_sees_every_change_of_up_to_three_bits():
 
 
 def test_damaged_commands_are_never_accepted(rng):
-    """200,000 commands with 1 to 4 flipped bits anywhere but in the zero at the end; seeded, so the same every time.
+    """200,000 commands with 1 to 4 flipped bits anywhere but in the zero at the end; seeded, so the
+    same every time.
 
-    Up to three flips that leave COBS's lengths alone cannot pass (see above), four can: in ten other draws, 2,000,000
-    frames, 12 passed the checksum and one of them range and sequence too, two in a million frames with four flips.
+    Up to three flips that leave COBS's lengths alone cannot pass (see above), four can: in ten
+    other draws, 2,000,000 frames, 12 passed the checksum and one of them range and sequence too,
+    two in a million frames with four flips.
     """
     passed, accepted = 0, 0
     for number in range(200_000 // 50):
@@ -355,9 +400,11 @@ def test_damaged_commands_are_never_accepted(rng):
                 safety = Safety()
                 safety.frame(0, (sequence - 1) % 65536, False, channels)
                 verdict = safety.frame(1, message.sequence, message.engage, message.channels_us)
-                accepted += verdict == Verdict.ACCEPTED
+                accepted += verdict == SafetyDecision.ACCEPTED
     assert accepted == 0
-    assert passed <= 3 + 4 * 3**0.5  # at most 50,000 x 6e-5 = 3 are expected, and four times the scatter of a count
+    assert (
+        passed <= 3 + 4 * 3**0.5
+    )  # at most 50,000 x 6e-5 = 3 are expected, and four times the scatter of a count
 
 
 def flipped_copies(rng, frame, copies, flips):
@@ -382,7 +429,9 @@ def test_a_stream_is_read_in_any_pieces(rng):
 
 
 def test_the_frame_behind_garbage_is_read(rng):
-    """One zero brings the reader back into step: garbage costs itself and at most the frame it runs into."""
+    """One zero brings the reader back into step: garbage costs itself and at most the frame it runs
+    into.
+    """
     good = encode(STATUS)
     for _ in range(2000):
         deframer = Deframer()
@@ -392,7 +441,9 @@ def test_the_frame_behind_garbage_is_read(rng):
 
 
 def test_a_frame_without_end_is_dropped_and_counted_once():
-    """A million bytes without a zero are one bad frame and are not kept; two zeros in a row are none."""
+    """A million bytes without a zero are one bad frame and are not kept; two zeros in a row are
+    none.
+    """
     deframer, chunk = Deframer(), b"\x55" * 1000
     tracemalloc.start()
     for _ in range(1000):
@@ -405,27 +456,35 @@ def test_a_frame_without_end_is_dropped_and_counted_once():
 
 
 def test_firmware_counts_the_same_stream(library, rng):
-    """Frames good, damaged, cut and noise, through both receivers: equally many accepted and equally many bad."""
+    """Frames good, damaged, cut and noise, through both receivers: equally many accepted and
+    equally many bad.
+    """
     ours, theirs, safety = Deframer(), host_library.HostLink(library), Safety()
     accepted, bad_form = 0, 0
     for number in range(5000):
-        data = encode_channels(number, [int(us) for us in rng.integers(1000, 2001, 4)], bool(number % 3))
+        data = encode_channels(
+            number, [int(us) for us in rng.integers(1000, 2001, 4)], bool(number % 3)
+        )
         kind = int(rng.integers(6))
         if kind == 1:
             data = data[: int(rng.integers(len(data)))]
         elif kind == 2:
             data = rng.bytes(int(rng.integers(1, 100)))
         elif kind == 3:
-            data = flipped_copies(rng, np.frombuffer(data[:-1], np.uint8), 1, 2)[0].tobytes() + b"\0"
+            data = (
+                flipped_copies(rng, np.frombuffer(data[:-1], np.uint8), 1, 2)[0].tobytes() + b"\0"
+            )
         elif kind == 4:
             data = encode(MESSAGES[number % len(MESSAGES)])
         theirs_accepted = theirs.feed(number, data)
         ours_accepted = 0
         for message in ours.feed(data):
             if isinstance(message, CommandFrame):
-                verdict = safety.frame(number, message.sequence, message.engage, message.channels_us)
-                ours_accepted += verdict == Verdict.ACCEPTED
-                bad_form += verdict == Verdict.FORM
+                verdict = safety.frame(
+                    number, message.sequence, message.engage, message.channels_us
+                )
+                ours_accepted += verdict == SafetyDecision.ACCEPTED
+                bad_form += verdict == SafetyDecision.FORM
             elif not isinstance(message, SyncRequest):
                 bad_form += 1
         assert ours_accepted == theirs_accepted

@@ -1,4 +1,6 @@
-"""Simulated flights as the onboard camera sees them: the expert's landings and chases, rendered in the arena."""
+"""Simulated flights as the onboard camera sees them: the expert's landings and chases, rendered in
+the arena.
+"""
 
 from functools import cache
 
@@ -6,11 +8,11 @@ import numpy as np
 
 from falconwing_kit.flight.loop import Loop
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
-from falconwing_kit.flight.tasks import FollowTask, LandingTask, Task, trial_seed
+from falconwing_kit.flight.tasks import FlightTask, FollowTask, LandingTask, trial_seed
 from falconwing_kit.scene.arena import load_scene
 
 # Ten flights; each but the landings turns, the figure eight without end.
-TASKS: tuple[Task, ...] = (
+TASKS: tuple[FlightTask, ...] = (
     *(LandingTask() for _ in range(4)),
     *(FollowTask("left_turn_s_descent") for _ in range(2)),
     *(FollowTask("right_turn_s_ascent") for _ in range(2)),
@@ -26,11 +28,16 @@ def flown(number: int, judging: bool = True, size: tuple[int, int] = (320, 240))
 
     Args:
         number: in TASKS.
-        judging: fly a seed of the list that judges; False for one of those that the monitor's settings were tuned on.
+        judging: fly a seed of the list that judges; False for one of those that the monitor's
+            settings were tuned on.
         size: of the pictures [px].
     """
     task = TASKS[number]
-    trial, camera, pictures = task.trial(trial_seed(number) if judging else number), fpv_camera(*size), []
+    trial, camera, pictures = (
+        task.trial(trial_seed(number) if judging else number),
+        fpv_camera(*size),
+        [],
+    )
     view = RenderedView(trial.world, load_scene("arena"), camera, task.airframe.p_body_camera)
     judge, pilot = task.judge(trial, camera), task.expert(trial)
     loop = Loop(pilot, trial.world, view, MeasuredStates(trial.world), trial.leader)

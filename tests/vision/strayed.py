@@ -16,10 +16,13 @@ def wandering(count, size, rng):
 
 
 def strayed(image, size, rng):
-    """The picture (H, W, 3) with each line moved to the right by its own shift, by linear interpolation."""
+    """The picture (H, W, 3) with each line moved to the right by its own shift, by linear
+    interpolation.
+    """
     x = np.arange(image.shape[1], dtype=float)
     lines = zip(image, wandering(len(image), size, rng), strict=True)
     moved = [
-        np.stack([np.interp(x - shift, x, colour) for colour in line.T.astype(float)], axis=1) for line, shift in lines
+        np.stack([np.interp(x - shift, x, colour) for colour in line.T.astype(float)], axis=1)
+        for line, shift in lines
     ]
     return np.rint(moved).astype(np.uint8)

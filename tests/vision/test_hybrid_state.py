@@ -1,4 +1,6 @@
-"""Hybrid state: drawn video of a simulated approach -> the states that were flown, sigmas that cover, and refusals."""
+"""Hybrid state: drawn video of a simulated approach -> the states that were flown, sigmas that
+cover, and refusals.
+"""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -23,7 +25,9 @@ P_BODY_CAMERA = np.array([0.2, 0.0, 0.0])
 
 @dataclass(frozen=True, eq=False)
 class Approach:
-    """1.8 s of a banked approach, by formula: 7.5 m/s from 15 m out and 4 m left of the marker, then a turn away."""
+    """1.8 s of a banked approach, by formula: 7.5 m/s from 15 m out and 4 m left of the marker,
+    then a turn away.
+    """
 
     t: np.ndarray
     p_world: np.ndarray
@@ -41,10 +45,17 @@ def path():
     t = 0.05 * np.arange(COUNT)
     yaw = 0.2 + 0.6 * np.maximum(t - 0.6, 0.0) ** 2  # turns to the right: y falls
     v_world = 7.5 * np.stack([np.cos(yaw), -np.sin(yaw), 0.04 * np.sin(2.0 * t)], axis=1)
-    p_world = np.array([-14.0, 4.0, 1.6]) + np.concatenate([np.zeros((1, 3)), np.cumsum(0.05 * v_world[:-1], axis=0)])
+    p_world = np.array([-14.0, 4.0, 1.6]) + np.concatenate(
+        [np.zeros((1, 3)), np.cumsum(0.05 * v_world[:-1], axis=0)]
+    )
     roll = np.arctan(7.5 * np.gradient(yaw, t) / 9.8)  # the coordinated turn
     attitude = np.stack([roll, 0.04 + 0.0 * t, yaw], axis=1)
-    return t, p_world, attitude, camera_pose(pose_matrix(rotation_world_body(*attitude.T), p_world), P_BODY_CAMERA)
+    return (
+        t,
+        p_world,
+        attitude,
+        camera_pose(pose_matrix(rotation_world_body(*attitude.T), p_world), P_BODY_CAMERA),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -67,39 +78,56 @@ class Network:
         """The truth of the frame with this image, and noise."""
         frame = next(k for k, known in enumerate(self.approach.images) if known is image)
         rng = np.random.default_rng(100 + frame)
-        body = pose_matrix(rotation_world_body(*self.approach.attitude[frame]), self.approach.p_world[frame])
+        body = pose_matrix(
+            rotation_world_body(*self.approach.attitude[frame]), self.approach.p_world[frame]
+        )
         T = camera_pose(body, P_BODY_CAMERA)
         T[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, self.sigma[1], 3)).as_matrix() @ T[:3, :3]
-        T[:3, 3] += rng.normal(0.0, self.sigma[0], 3) + (frame in self.wild) * np.array([4.0, -5.0, 0.5])
-        return SimpleNamespace(T_world_camera=T, sigma_position=self.sigma[0], sigma_attitude=self.sigma[1])
+        T[:3, 3] += rng.normal(0.0, self.sigma[0], 3) + (frame in self.wild) * np.array(
+            [4.0, -5.0, 0.5]
+        )
+        return SimpleNamespace(
+            T_world_camera=T, sigma_position=self.sigma[0], sigma_attitude=self.sigma[1]
+        )
 
 
 def errors(flight, approach):
     """(N, 3) position and (N, 3) attitude of the table minus the truth."""
-    return flight.table.p_world - approach.p_world, wrap_angle(flight.table.attitude - approach.attitude)
+    return flight.table.p_world - approach.p_world, wrap_angle(
+        flight.table.attitude - approach.attitude
+    )
 
 
 def test_the_marker_alone_gives_the_flight_while_it_is_seen(approach):
-    """The truth is the drawing's. Three of four of 95 % within two sigma: a sigma that is too small by half fails."""
+    """The truth is the drawing's. Three of four of 95 % within two sigma: a sigma that is too small
+    by half fails.
+    """
     flight = estimate_flight(approach.video(), CAMERA)
     seen = flight.table.has_pose
     assert 10 <= seen.sum() < COUNT
     position, attitude = errors(flight, approach)
-    sigma = [flight.table.extra[name][seen][:, None] for name in ("sigma_position", "sigma_attitude")]
+    sigma = [
+        flight.table.extra[name][seen][:, None] for name in ("sigma_position", "sigma_attitude")
+    ]
     assert (np.abs(position[seen]) < 2.0 * sigma[0]).mean() > 0.85
     assert (np.abs(attitude[seen]) < 2.0 * sigma[1]).mean() > 0.85
     assert np.median(np.linalg.norm(position[seen], axis=1)) < 0.3
     assert set(np.array(flight.table.labels["source"])[~seen]) == {"none"}
-    assert flight.counts["pose: marker"] == sum(word == "marker" for word in flight.table.labels["source"])
+    assert flight.counts["pose: marker"] == sum(
+        word == "marker" for word in flight.table.labels["source"]
+    )
 
 
 def test_lines_that_stray_are_told_by_larger_sigmas_that_cover(approach):
-    """The same frames with lines that stray by 0.6 px. At 18 px a marker's top goes against its bottom by about
-    0.6 sqrt(2 - 2 exp(-18 / 24)) = 0.6 px, four times what its corners' noise makes of it: sigmas grow by half at
-    least, and as many as without lie within two of them."""
+    """The same frames with lines that stray by 0.6 px. At 18 px a marker's top goes against its
+    bottom by about 0.6 sqrt(2 - 2 exp(-18 / 24)) = 0.6 px, four times what its corners' noise makes
+    of it: sigmas grow by half at least, and as many as without lie within two of them.
+    """
     rng = np.random.default_rng(12)
     clean = estimate_flight(approach.video(), CAMERA)
-    flight = estimate_flight(approach.video([strayed(image, 0.6, rng) for image in approach.images]), CAMERA)
+    flight = estimate_flight(
+        approach.video([strayed(image, 0.6, rng) for image in approach.images]), CAMERA
+    )
     seen = flight.table.has_pose
     assert seen.sum() >= 10
     _, attitude = errors(flight, approach)
@@ -126,7 +154,9 @@ def test_a_near_marker_says_where_the_body_is_not_the_camera(approach):
 
 
 def test_a_room_without_the_true_side_leaves_the_mirrored_pose(approach):
-    """Told that there is nothing left of the marker's centre line, only the mirrored solution is left of far sights."""
+    """Told that there is nothing left of the marker's centre line, only the mirrored solution is
+    left of far sights.
+    """
     settings = HybridSettings(room_high=(17.5, 0.0, 5.0))
     flight = estimate_flight(approach.video(), CAMERA, settings=settings)
     far = flight.measured.has_pose & (approach.p_world[:, 0] < -9.0)
@@ -135,7 +165,9 @@ def test_a_room_without_the_true_side_leaves_the_mirrored_pose(approach):
 
 
 def test_the_network_fills_in_where_the_marker_is_not_seen(approach):
-    """With it every frame has a pose; single ones are 0.3 m off per axis, the smoothed ones half of that at most."""
+    """With it every frame has a pose; single ones are 0.3 m off per axis, the smoothed ones half of
+    that at most.
+    """
     flight = estimate_flight(approach.video(), CAMERA, Network(approach))
     source = np.array(flight.table.labels["source"])
     assert set(source) == {"marker", "network"} or set(source) == {"marker", "network", "bridged"}
@@ -148,12 +180,17 @@ def test_the_network_fills_in_where_the_marker_is_not_seen(approach):
 
 
 def test_a_scene_carries_the_flight_on_from_the_marker():
-    """The same approach through the arena, rendered; after a second the marker is out of sight and there is no
-    network. Simulated. A pose against the scene is good to some centimetres; ten are allowed."""
+    """The same approach through the arena, rendered; after a second the marker is out of sight and
+    there is no network. Simulated. A pose against the scene is good to some centimetres; ten are
+    allowed.
+    """
     arena = load_scene("arena")
     arena, rng = arena.selected(~arena.labelled("leader")), np.random.default_rng(9)
     t, p_world, attitude, T = path()
-    frames = [np.clip(render(arena, CAMERA, pose).rgb + rng.normal(0.0, 0.01, (240, 320, 3)), 0.0, 1.0) for pose in T]
+    frames = [
+        np.clip(render(arena, CAMERA, pose).rgb + rng.normal(0.0, 0.01, (240, 320, 3)), 0.0, 1.0)
+        for pose in T
+    ]
     flown = Approach(t, p_world, attitude, [(255.0 * rgb).astype(np.uint8) for rgb in frames])
     flight = estimate_flight(flown.video(), CAMERA, scene=arena)
     source = np.array(flight.table.labels["source"])
@@ -192,13 +229,17 @@ def test_an_expected_id_that_is_not_there_is_told_with_what_is(approach):
 
 
 def test_a_wrong_print_size_is_told(approach):
-    """Taken for three times its size the marker seems three times as far, 30 m and more: outside the hall."""
+    """Taken for three times its size the marker seems three times as far, 30 m and more: outside
+    the hall.
+    """
     with pytest.raises(InputError, match="check the printed"):
         estimate_flight(approach.video(), CAMERA, marker=Marker(size=2.4))
 
 
 def blurred(xs):
-    """A video that flies along x straight at the marker, blurred by 1.2 px along its lines as a link does."""
+    """A video that flies along x straight at the marker, blurred by 1.2 px along its lines as a
+    link does.
+    """
     Ts = [pose(x, 0.4 * (k % 3 - 1), 1.3, 0.0, -3.0, 3.0 * (k % 4)) for k, x in enumerate(xs)]
     drawn = [view(T, np.random.default_rng(k), blur_px=0.4) for k, T in enumerate(Ts)]
     images = [cv2.GaussianBlur(image, (0, 0), sigmaX=1.2, sigmaY=1e-3) for image in drawn]
@@ -206,12 +247,15 @@ def blurred(xs):
 
 
 X_BLURRED = -12.0 + 0.35 * np.arange(8)
-BEHIND = HybridSettings(room_low=(-9.65, -12.0, 0.0))  # between both readings of the frame at -10.6 m, and 3 sigma
+BEHIND = HybridSettings(
+    room_low=(-9.65, -12.0, 0.0)
+)  # between both readings of the frame at -10.6 m, and 3 sigma
 
 
 def test_a_sight_that_leaves_the_room_with_the_smear_is_counted():
-    """A blurred marker is drawn wide and seems near; read again with the blur, the one at -10.6 m is 0.15 m further
-    away and no longer in a room that ends there. Those nearer to the marker stay."""
+    """A blurred marker is drawn wide and seems near; read again with the blur, the one at -10.6 m
+    is 0.15 m further away and no longer in a room that ends there. Those nearer to the marker stay.
+    """
     flight = estimate_flight(blurred(X_BLURRED), CAMERA, settings=BEHIND)
     assert flight.counts["marker: pose outside the room"] == 1
     assert len(flight.marker) >= 3
@@ -222,7 +266,9 @@ def test_no_sight_left_after_the_smear_is_refused():
     """Nothing but that frame, three times."""
     video = blurred(X_BLURRED)
     again = Video("blurred", video.t[:3], video.commands[:3], lambda frame: video.image(4))
-    with pytest.raises(InputError, match=r"blurred: want a frame whose pose lies in the room .* got 0 with"):
+    with pytest.raises(
+        InputError, match=r"blurred: expected a frame whose pose lies in the room .* got 0 with"
+    ):
         estimate_flight(again, CAMERA, settings=BEHIND)
 
 
@@ -230,7 +276,9 @@ def test_two_sights_that_contradict_each_other_are_refused():
     """6 m and 12 m away 0.05 s apart: 120 m/s."""
     images = [view(pose(x, 0.0, 0.75), np.random.default_rng(0)) for x in (-6.0, -12.0)]
     video = Video("a leap", np.array([0.0, 0.05]), np.zeros((2, 4)), images.__getitem__)
-    with pytest.raises(InputError, match=r"a leap: want a frame .* got 2 with one .* none that fits; check"):
+    with pytest.raises(
+        InputError, match=r"a leap: expected a frame .* got 2 with one .* none that fits; check"
+    ):
         estimate_flight(video, CAMERA)
 
 
@@ -243,5 +291,5 @@ def test_no_marker_and_no_network_is_refused(approach):
 
 def test_a_room_without_inside_is_refused():
     """Low above high."""
-    with pytest.raises(InputError, match="room: want low below high"):
+    with pytest.raises(InputError, match="room: expected low below high"):
         HybridSettings(room_low=(1.0, 0.0, 0.0), room_high=(0.0, 1.0, 1.0))

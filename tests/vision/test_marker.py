@@ -1,4 +1,6 @@
-"""Marker pose: corners and poses against geometry drawn by other means, ambiguity, covariance and refusals."""
+"""Marker pose: corners and poses against geometry drawn by other means, ambiguity, covariance and
+refusals.
+"""
 
 import cv2
 import numpy as np
@@ -8,7 +10,14 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.scene.arena import load_scene
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.render import render
-from falconwing_kit.vision.marker import Marker, MarkerPose, corner_noise, find_marker, name_markers, project_corners
+from falconwing_kit.vision.marker import (
+    Marker,
+    MarkerPose,
+    corner_noise,
+    find_marker,
+    name_markers,
+    project_corners,
+)
 from tests.vision.drawn_marker import CAMERA, pose, view
 
 
@@ -22,23 +31,34 @@ def random_pose(rng):
     """A camera 4 to 13 m before the marker that looks about at it, banked up to 50 deg."""
     distance = rng.uniform(4.0, 13.0)
     y = rng.uniform(-0.6, 0.6) * distance
-    yaw = np.degrees(np.arctan2(y, distance)) + rng.uniform(-10, 10)  # y is left, yaw is positive to the right
+    yaw = np.degrees(np.arctan2(y, distance)) + rng.uniform(
+        -10, 10
+    )  # y is left, yaw is positive to the right
     return pose(-distance, y, rng.uniform(0.5, 2.8), rng.uniform(-50, 50), rng.uniform(-8, 8), yaw)
 
 
 def test_corners_are_where_a_pinhole_puts_them():
-    """By hand: from 5 m straight ahead 0.80 m is 198.4 x 0.8 / 5 = 31.744 px wide, centred in the image."""
+    """By hand: from 5 m straight ahead 0.80 m is 198.4 x 0.8 / 5 = 31.744 px wide, centred in the
+    image.
+    """
     corners = project_corners(Marker(), CAMERA, pose(-5.0, 0.0, 0.75))
     half = 31.744 / 2.0
-    by_hand = [(160 - half, 120 - half), (160 + half, 120 - half), (160 + half, 120 + half), (160 - half, 120 + half)]
+    by_hand = [
+        (160 - half, 120 - half),
+        (160 + half, 120 - half),
+        (160 + half, 120 + half),
+        (160 - half, 120 + half),
+    ]
     assert corners == pytest.approx(np.array(by_hand), abs=1e-9)
 
 
 def test_corners_are_found_to_a_tenth_of_a_pixel_and_the_size_to_half_a_percent(rng):
     """Truth is the drawing's own geometry; twenty poses, sharp and soft.
 
-    Tolerance: a tenth of a pixel is half of what OpenCV's own refinement reaches on these images; half a percent is
-    5 cm at 10 m, less than a pose's sigma. Blending light without gamma makes the marker 1 % too small.
+    Tolerance: a tenth of a pixel is half of what OpenCV's own refinement reaches on these images;
+        half a percent is
+    5 cm at 10 m, less than a pose's sigma. Blending light without gamma makes the marker 1 % too
+    small.
     """
     off, size = [], []
     for k in range(60):
@@ -54,23 +74,31 @@ def test_corners_are_found_to_a_tenth_of_a_pixel_and_the_size_to_half_a_percent(
 
 
 def test_the_true_pose_lies_within_its_covariance(rng):
-    """Of one of the two poses: chi2 with six degrees of freedom has mean 6; the sigma is stated a little large."""
+    """Of one of the two poses: chi2 with six degrees of freedom has mean 6; the sigma is stated a
+    little large.
+    """
     chi2 = []
     for _ in range(40):
         T = random_pose(rng)
         seen = find_marker(view(T, rng, noise=4.0), CAMERA)
         if seen is None:
             continue
-        turn = [cv2.Rodrigues(found[:3, :3] @ T[:3, :3].T)[0].ravel() for found in seen.T_world_camera]
+        turn = [
+            cv2.Rodrigues(found[:3, :3] @ T[:3, :3].T)[0].ravel() for found in seen.T_world_camera
+        ]
         off = np.concatenate([seen.T_world_camera[:, :3, 3] - T[:3, 3], turn], axis=1)
-        chi2.append(min(o @ np.linalg.solve(C, o) for o, C in zip(off, seen.covariance, strict=True)))
+        chi2.append(
+            min(o @ np.linalg.solve(C, o) for o, C in zip(off, seen.covariance, strict=True))
+        )
     assert len(chi2) >= 20
     assert np.mean(chi2) < 9.0
     assert np.median(chi2) > 0.1  # and not so large that it says nothing
 
 
 def test_covariance_is_what_noisy_corners_do(rng):
-    """Against OpenCV's iterative solver on corners with drawn noise, 400 times; 15 % for the draw's own spread."""
+    """Against OpenCV's iterative solver on corners with drawn noise, 400 times; 15 % for the draw's
+    own spread.
+    """
     T, marker, sigma_px = pose(-5.0, 2.0, 1.6, 20.0, -5.0, 22.0), Marker(), 0.05
     seen = find_marker(view(T, rng), CAMERA, corner_sigma_px=sigma_px)
     true = project_corners(marker, CAMERA, T)
@@ -80,26 +108,37 @@ def test_covariance_is_what_noisy_corners_do(rng):
     for _ in range(400):
         noisy = true + rng.normal(0.0, sigma_px, (4, 2))
         _, r, t = cv2.solvePnP(
-            marker.corners, noisy, CAMERA.K, None, turn.copy(), place.copy(), True, cv2.SOLVEPNP_ITERATIVE
+            marker.corners,
+            noisy,
+            CAMERA.K,
+            None,
+            turn.copy(),
+            place.copy(),
+            True,
+            cv2.SOLVEPNP_ITERATIVE,
         )
         R = cv2.Rodrigues(r)[0]
         T_marker_camera = np.block([[R.T, -R.T @ t], [np.zeros((1, 3)), np.ones((1, 1))]])
         found = marker.T_world_marker @ T_marker_camera
-        drawn.append([*(found[:3, 3] - T[:3, 3]), *cv2.Rodrigues(found[:3, :3] @ T[:3, :3].T)[0].ravel()])
+        drawn.append(
+            [*(found[:3, 3] - T[:3, 3]), *cv2.Rodrigues(found[:3, :3] @ T[:3, :3].T)[0].ravel()]
+        )
     stated = np.sqrt(np.diag(seen.covariance[0]))
     assert stated == pytest.approx(np.std(drawn, axis=0), rel=0.15)
 
 
 def test_both_poses_are_kept_the_likelier_first(rng):
-    """From 10 m and 25 deg aside the other pose mirrors the camera's side; both fit to half a pixel."""
+    """From 10 m and 25 deg aside the other pose mirrors the camera's side; both fit to half a
+    pixel.
+    """
     T = pose(-9.0, 4.2, 1.5, 0.0, 0.0, 25.0)
     seen = find_marker(view(T, rng), CAMERA)
     assert seen.reprojection_px[0] < seen.reprojection_px[1] < 0.5
     assert seen.T_world_camera[0, :3, 3] == pytest.approx(T[:3, 3], abs=0.6)  # three sigma of 0.2 m
     assert seen.T_world_camera[1, 1, 3] == pytest.approx(-4.2, abs=1.0)
-    assert seen.T_camera_marker[0] @ np.linalg.inv(Marker().T_world_marker) @ seen.T_world_camera[0] == pytest.approx(
-        np.eye(4), abs=1e-9
-    )
+    assert seen.T_camera_marker[0] @ np.linalg.inv(Marker().T_world_marker) @ seen.T_world_camera[
+        0
+    ] == pytest.approx(np.eye(4), abs=1e-9)
 
 
 def test_corner_noise_is_read_off_what_poses_leave_over(rng):
@@ -108,7 +147,9 @@ def test_corner_noise_is_read_off_what_poses_leave_over(rng):
     for _ in range(300):
         T = random_pose(rng)
         noisy = project_corners(Marker(), CAMERA, T) + rng.normal(0.0, 0.3, (4, 2))
-        found, _, _, misfit = cv2.solvePnPGeneric(Marker().corners, noisy, CAMERA.K, None, flags=cv2.SOLVEPNP_ITERATIVE)
+        found, _, _, misfit = cv2.solvePnPGeneric(
+            Marker().corners, noisy, CAMERA.K, None, flags=cv2.SOLVEPNP_ITERATIVE
+        )
         if found:
             none = np.full((2, 4, 4), np.nan)
             sights.append(MarkerPose(noisy, 1.0, none, none, np.ravel(misfit)[[0, 0]], none))
@@ -118,7 +159,9 @@ def test_corner_noise_is_read_off_what_poses_leave_over(rng):
 
 
 def test_an_expected_marker_is_found_where_noise_hides_its_outline(rng):
-    """Noise of 30 grey levels and blur: OpenCV's detector alone finds none of twelve; told where, nearly all are."""
+    """Noise of 30 grey levels and blur: OpenCV's detector alone finds none of twelve; told where,
+    nearly all are.
+    """
     alone = near = 0
     for k in range(12):
         T = pose(-7.0 - 0.2 * k, 1.0, 1.2, 3.0 * k, 0.0, 8.0)
@@ -152,7 +195,9 @@ def test_another_marker_is_called_by_its_name(rng):
 
 
 def test_the_arena_shows_the_marker_where_its_plan_puts_it():
-    """The plan: 0.80 m black square, centre at 0.75 m. Its edges are Gaussians, some centimetres soft: 2 % of 5 m."""
+    """The plan: 0.80 m black square, centre at 0.75 m. Its edges are Gaussians, some centimetres
+    soft: 2 % of 5 m.
+    """
     T = pose(-5.0, 1.0, 1.2, 10.0, -2.0, 10.0)
     frame = render(load_scene("arena"), CAMERA, T)
     seen = find_marker((255.0 * frame.rgb).astype(np.uint8), CAMERA)
@@ -160,9 +205,13 @@ def test_the_arena_shows_the_marker_where_its_plan_puts_it():
 
 
 def test_a_marker_that_fills_a_large_picture_is_found():
-    """3840 x 2160 pixels, the print drawn by OpenCV 1500 wide, its corners on pixel borders; a tenth of a pixel."""
+    """3840 x 2160 pixels, the print drawn by OpenCV 1500 wide, its corners on pixel borders; a
+    tenth of a pixel.
+    """
     camera = PinholeCamera(2400.0, 2400.0, 1920.0, 1080.0, 3840, 2160)
-    drawn = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), 7, 1500)
+    drawn = cv2.aruco.generateImageMarker(
+        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), 7, 1500
+    )
     image = np.full((2160, 3840), 215, np.uint8)
     image[330:1830, 1170:2670] = np.where(drawn > 0, 215, 70)
     by_hand = np.array([(1170.0, 330.0), (2670.0, 330.0), (2670.0, 1830.0), (1170.0, 1830.0)])
@@ -184,9 +233,10 @@ def test_a_marker_that_cannot_be_printed_is_refused(arguments, words):
 
 
 @pytest.mark.parametrize(
-    "image", [np.zeros((480, 640, 3), np.uint8), np.zeros((240, 320, 3)), np.zeros((0, 0), np.uint8)]
+    "image",
+    [np.zeros((480, 640, 3), np.uint8), np.zeros((240, 320, 3)), np.zeros((0, 0), np.uint8)],
 )
 def test_an_image_of_another_size_or_kind_is_refused(image):
     """The camera's frames are 320 x 240 bytes."""
-    with pytest.raises(InputError, match="image: want"):
+    with pytest.raises(InputError, match="image: expected"):
         find_marker(image, CAMERA)

@@ -1,4 +1,6 @@
-"""Frame monitor on ten simulated flights that it was not tuned on: quiet on good video, quick on bad."""
+"""Frame monitor on ten simulated flights that it was not tuned on: quiet on good video, quick on
+bad.
+"""
 
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ ONSET = 30  # picture from which something is wrong
 def alerts(pictures: list[np.ndarray], rule: str = "motion") -> np.ndarray:
     """(N,) whether there is an alert at each picture."""
     monitor = FrameMonitor(rule)
-    return np.array([monitor.update(picture, PERIOD * k).alert for k, picture in enumerate(pictures)])
+    return np.array(
+        [monitor.update(picture, PERIOD * k).alert for k, picture in enumerate(pictures)]
+    )
 
 
 @pytest.mark.parametrize("number", range(len(TASKS)))
@@ -30,7 +34,9 @@ def test_clean_flight_is_no_alert(number):
 def test_noise_in_flight_alerts_within_300_ms(number, snr_db):
     """At and below the threshold of FM reception, from one picture on; six frames of 50 ms."""
     link = AnalogVideo(snr_db, seed=number, dropouts=0.0)
-    pictures = [link.apply(p, k) if k >= ONSET else p for k, p in enumerate(flown(number)[: ONSET + 10])]
+    pictures = [
+        link.apply(p, k) if k >= ONSET else p for k, p in enumerate(flown(number)[: ONSET + 10])
+    ]
     raised = alerts(pictures)
     assert not raised[:ONSET].any()
     assert raised[ONSET : ONSET + 7].any()

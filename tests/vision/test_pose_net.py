@@ -1,4 +1,6 @@
-"""iGSplat's geometry, files and door: poses that are known by construction, lenses by their rays, and bad input."""
+"""iGSplat's geometry, files and door: poses that are known by construction, lenses by their rays,
+and bad input.
+"""
 
 from dataclasses import asdict
 
@@ -12,18 +14,18 @@ from falconwing_kit.core.frames import R_BODY_CAMERA, rotation_world_body
 from falconwing_kit.scene import PinholeCamera
 from falconwing_kit.vision.pose_net import PoseNet, PoseNetRecord, cell_rays
 from falconwing_kit.vision.pose_network import (
-    Answer,
+    PoseNetOutput,
+    PoseNetShape,
     PoseNetwork,
-    Shape,
-    fused,
+    fuse_pose,
     load_vit,
     rotations,
-    turn_between,
-    turn_by,
+    so3_exp,
+    so3_log_between,
 )
 
 LOW, HIGH = (-10.0, -5.0, 0.0), (10.0, 5.0, 4.0)
-SMALL = Shape(width=64, height=48, features=32, layers=1, heads=2)
+SMALL = PoseNetShape(width=64, height=48, features=32, layers=1, heads=2)
 ANGLES = np.array([0.4, -0.2, 2.5])  # roll, pitch, yaw [rad], all signs and axes different
 PLACE = np.array([1.0, -2.0, 1.5])
 
@@ -40,14 +42,16 @@ def net():
 
 
 def answer_about(rays, token_off=0.0, wild=0.0, seed=1):
-    """What a network would say whose cells are right, whose token is off, and of whose cells a share is wild."""
+    """What a network would say whose cells are right, whose token is off, and of whose cells a
+    share is wild.
+    """
     rng = np.random.default_rng(seed)
     R_world_camera = rotation_world_body(*ANGLES) @ R_BODY_CAMERA
     points = PLACE + rng.uniform(2.0, 15.0, (len(rays), 1)) * rays @ R_world_camera.T
     astray = rng.random(len(rays)) < wild
     points[astray] += rng.normal(0.0, 5.0, (astray.sum(), 3))
     angles = ANGLES + 0.2 * token_off
-    return Answer(
+    return PoseNetOutput(
         place=torch.tensor(PLACE + token_off)[None].float(),
         log_sigma_place=torch.full((1, 3), np.log(3.0)),
         sincos=torch.tensor(np.stack([np.sin(angles), np.cos(angles)], axis=-1))[None].float(),
@@ -58,11 +62,16 @@ def answer_about(rays, token_off=0.0, wild=0.0, seed=1):
 
 
 def fused_numpy(answer, rays, log_trust=-3.0):
-    return (part[0].numpy() for part in fused(answer, torch.tensor(rays).float(), torch.tensor(log_trust), 8))
+    return (
+        part[0].numpy()
+        for part in fuse_pose(answer, torch.tensor(rays).float(), torch.tensor(log_trust), 8)
+    )
 
 
 def test_rotation_is_that_of_the_frames():
-    """core/frames.py, which has tests of its own, says the same; sines and cosines need not have length 1."""
+    """core/frames.py, which has tests of its own, says the same; sines and cosines need not have
+    length 1.
+    """
     angles = np.random.default_rng(0).uniform(-1.4, 1.4, (20, 3)) * (2.0, 1.0, 2.0)
     sincos = 3.0 * np.stack([np.sin(angles), np.cos(angles)], axis=-1)
     expected = rotation_world_body(*angles.T) @ R_BODY_CAMERA
@@ -73,14 +82,20 @@ def test_turns_are_scipys():
     """SciPy's rotation vectors and back, of R R_from^T up to nearly half a turn, and of none."""
     turns = Rotation.random(50, random_state=1)
     R_from = Rotation.random(50, random_state=2)
-    found = turn_between(torch.tensor((turns * R_from).as_matrix()), torch.tensor(R_from.as_matrix()))
+    found = so3_log_between(
+        torch.tensor((turns * R_from).as_matrix()), torch.tensor(R_from.as_matrix())
+    )
     assert np.allclose(found.numpy(), turns.as_rotvec(), atol=1e-6)
     w = np.concatenate([turns.as_rotvec(), np.zeros((1, 3)), np.full((1, 3), 1e-9)])
-    assert np.allclose(turn_by(torch.tensor(w)).numpy(), Rotation.from_rotvec(w).as_matrix(), atol=1e-12)
+    assert np.allclose(
+        so3_exp(torch.tensor(w)).numpy(), Rotation.from_rotvec(w).as_matrix(), atol=1e-12
+    )
 
 
 def test_cells_that_agree_pull_the_pose_to_theirs(net):
-    """By construction the cells hold the pose; a token 0.5 m and 6 deg off moves it by far less than its weight."""
+    """By construction the cells hold the pose; a token 0.5 m and 6 deg off moves it by far less
+    than its weight.
+    """
     rays = cell_rays(net.record.camera)
     answer, R_truth = answer_about(rays, token_off=0.5)
     R, place, _ = fused_numpy(answer, rays)
@@ -89,7 +104,9 @@ def test_cells_that_agree_pull_the_pose_to_theirs(net):
 
 
 def test_wild_cells_are_outvoted(net):
-    """By construction a fifth of the cells is 5 m off; least squares without a robust weight misses by half a metre."""
+    """By construction a fifth of the cells is 5 m off; least squares without a robust weight misses
+    by half a metre.
+    """
     rays = cell_rays(net.record.camera)
     answer, _ = answer_about(rays, token_off=0.5, wild=0.2)
     _, place, _ = fused_numpy(answer, rays)
@@ -107,7 +124,9 @@ def test_cells_without_trust_leave_the_token_alone(net):
 
 
 def test_information_is_the_curvature_of_the_cost(net):
-    """The second difference of half the squared object-space errors, worked out here for each of the six directions."""
+    """The second difference of half the squared object-space errors, worked out here for each of
+    the six directions.
+    """
     rays = cell_rays(net.record.camera)
     answer, R_truth = answer_about(rays)
     points = answer.points[0].numpy().astype(np.float64)
@@ -126,7 +145,9 @@ def test_information_is_the_curvature_of_the_cost(net):
 
 
 def test_cells_come_row_by_row():
-    """By hand for 3 x 4 patches of 2 x 2 cells: the cell in row r, column c is 2 (r mod 2) + c mod 2 in its patch."""
+    """By hand for 3 x 4 patches of 2 x 2 cells: the cell in row r, column c is 2 (r mod 2) + c mod
+    2 in its patch.
+    """
     network = PoseNetwork(SMALL, -torch.ones(3), torch.ones(3))
 
     class Counting(torch.nn.Module):
@@ -141,7 +162,9 @@ def test_cells_come_row_by_row():
 
 
 def slopes(camera):
-    """A picture (H, W, 3) of bytes that tells of each pixel where it looks: 100 + 60 x/z, 100 + 60 y/z."""
+    """A picture (H, W, 3) of bytes that tells of each pixel where it looks: 100 + 60 x/z, 100 + 60
+    y/z.
+    """
     rays = camera.pixel_rays()
     return np.round(100.0 + 60.0 * rays).clip(0, 255).astype(np.uint8)
 
@@ -157,15 +180,23 @@ LENSES = {
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_any_lens_is_brought_to_the_view_trained_for(net, lens):
-    """Each pixel must look where the net's own camera looks; a rounded edge is 0.2 levels, a byte half one."""
-    seen = net.prepared(torch.from_numpy(slopes(LENSES[lens]))[None], LENSES[lens])[0].permute(1, 2, 0).numpy()
+    """Each pixel must look where the net's own camera looks; a rounded edge is 0.2 levels, a byte
+    half one.
+    """
+    seen = (
+        net.prepared(torch.from_numpy(slopes(LENSES[lens]))[None], LENSES[lens])[0]
+        .permute(1, 2, 0)
+        .numpy()
+    )
     wanted = 100.0 + 60.0 * net.record.camera.pixel_rays()
     inner = slice(1, -1)  # at the edge of the picture a filter has nothing to weigh against
     assert np.abs(255.0 * seen - wanted)[inner, inner, :2].max() < 1.2
 
 
 def test_a_slightly_narrower_lens_keeps_its_scale(net):
-    """Two per cent more focal length: what it sees must still lie where it was; its rim repeats the edge."""
+    """Two per cent more focal length: what it sees must still lie where it was; its rim repeats the
+    edge.
+    """
     lens = PinholeCamera(405.0, 405.0, 320, 240, 640, 480)
     seen = net.prepared(torch.from_numpy(slopes(lens))[None], lens)[0].permute(1, 2, 0).numpy()
     wanted = 100.0 + 60.0 * net.record.camera.pixel_rays()
@@ -183,12 +214,14 @@ def test_a_tele_lens_is_refused_with_both_angles(net):
 )
 def test_what_is_no_image_of_the_camera_is_refused(net, image):
     """Grey, floats, and another size."""
-    with pytest.raises(InputError, match="image: want"):
+    with pytest.raises(InputError, match="image: expected"):
         net.estimate(image, net.record.camera)
 
 
 def test_estimate_of_nothing_is_a_pose_with_doubt(net):
-    """A grey picture says nothing, yet the pose is a rotation with a place, and the covariance one of six numbers."""
+    """A grey picture says nothing, yet the pose is a rotation with a place, and the covariance one
+    of six numbers.
+    """
     estimate = net.estimate(np.full((48, 64, 3), 128, np.uint8), net.record.camera)
     R = estimate.T_world_camera[:3, :3]
     assert np.allclose(R.T @ R, np.eye(3), atol=1e-12)
@@ -201,7 +234,9 @@ def test_estimate_of_nothing_is_a_pose_with_doubt(net):
 
 
 def test_sigma_scales_multiply_what_is_stated(net):
-    """By hand: twice the sigma of place, three times that of turn, and six times what they have in common."""
+    """By hand: twice the sigma of place, three times that of turn, and six times what they have in
+    common.
+    """
     record = PoseNetRecord(asdict(SMALL), 0.62, LOW, HIGH, sigma_scales=(2.0, 3.0))
     image = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
     plain = net.estimate(image, net.record.camera).covariance
@@ -211,18 +246,26 @@ def test_sigma_scales_multiply_what_is_stated(net):
 
 
 def test_what_is_saved_estimates_the_same(net, tmp_path):
-    """Half precision keeps three digits; an untrained network's answers are of the size of its box, 10 m."""
+    """Half precision keeps three digits; an untrained network's answers are of the size of its box,
+    10 m.
+    """
     net.save(tmp_path / "net.safetensors")
     again = PoseNet.load(tmp_path / "net.safetensors")
     image = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
-    first, second = (each.estimate(image, net.record.camera).T_world_camera for each in (net, again))
+    first, second = (
+        each.estimate(image, net.record.camera).T_world_camera for each in (net, again)
+    )
     assert np.allclose(first, second, atol=0.02)
-    assert (again.record.shape, again.record.low, again.record.high) == (asdict(SMALL), [*LOW], [*HIGH])
+    assert (again.record.shape, again.record.low, again.record.high) == (
+        asdict(SMALL),
+        [*LOW],
+        [*HIGH],
+    )
 
 
 def test_default_network_ships_below_8_mb(tmp_path):
     """The bar of the project for weights in half precision."""
-    small_net(Shape()).save(tmp_path / "net.safetensors")
+    small_net(PoseNetShape()).save(tmp_path / "net.safetensors")
     assert (tmp_path / "net.safetensors").stat().st_size < 8e6
 
 
@@ -241,13 +284,18 @@ def test_damaged_and_other_files_are_refused(net, tmp_path):
 
 
 def test_pretrained_vit_is_taken_by_its_usual_names():
-    """A hand-made file of one layer, a grid of 2 x 2: eleven tensors fit, its head does not; a flat grid stays flat."""
-    shape = Shape(width=64, height=48, features=32, layers=1, heads=2, stem="patch")
+    """A hand-made file of one layer, a grid of 2 x 2: eleven tensors fit, its head does not; a flat
+    grid stays flat.
+    """
+    shape = PoseNetShape(width=64, height=48, features=32, layers=1, heads=2, stem="patch")
     network = PoseNetwork(shape, torch.tensor(LOW), torch.tensor(HIGH))
     block = {"norm1": (32,), "attn.qkv": (96, 32), "attn.proj": (32, 32), "norm2": (32,)}
     block |= {"mlp.fc1": (128, 32), "mlp.fc2": (32, 128)}
     tensors = {f"blocks.0.{name}.weight": torch.full(size, 0.5) for name, size in block.items()}
-    tensors |= {"patch_embed.proj.weight": torch.ones(32, 3, 16, 16), "patch_embed.proj.bias": torch.ones(32)}
+    tensors |= {
+        "patch_embed.proj.weight": torch.ones(32, 3, 16, 16),
+        "patch_embed.proj.bias": torch.ones(32),
+    }
     tensors |= {"norm.weight": torch.ones(32), "head.weight": torch.ones(1000, 32)}
     tensors |= {"cls_token": torch.ones(1, 1, 32), "pos_embed": torch.full((1, 5, 32), 0.25)}
     assert load_vit(network, tensors) == 11

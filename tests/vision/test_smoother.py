@@ -1,4 +1,6 @@
-"""Smoother: against dense linear algebra, and against simulated flights of an aircraft model it does not know."""
+"""Smoother: against dense linear algebra, and against simulated flights of an aircraft model it
+does not know.
+"""
 
 from itertools import pairwise
 
@@ -8,9 +10,21 @@ from scipy.spatial.transform import Rotation
 
 from falconwing_kit.aircraft.model import rates_model
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.frames import camera_pose, euler_from_rotation, pose_matrix, rotation_world_body, wrap_angle
+from falconwing_kit.core.frames import (
+    camera_pose,
+    euler_from_rotation,
+    pose_matrix,
+    rotation_world_body,
+    wrap_angle,
+)
 from falconwing_kit.vision.marker import Marker, project_corners
-from falconwing_kit.vision.smoother import CornerSights, PoseSights, _covariances, _solve, smooth
+from falconwing_kit.vision.smoother import (
+    CornerMeasurements,
+    PoseMeasurements,
+    _covariances,
+    _solve,
+    smooth,
+)
 from tests.sysid.simulated import drawn, fly_figure_eights
 from tests.vision.drawn_marker import CAMERA
 
@@ -20,17 +34,23 @@ SIGMA = (0.1, np.radians(1.5))  # of the sights: m, rad
 
 @pytest.fixture(scope="module")
 def flown():
-    """20 s of figure eights, simulated: times and true states (N, 12) as p, roll pitch yaw, v, body rates."""
+    """20 s of figure eights, simulated: times and true states (N, 12) as p, roll pitch yaw, v, body
+    rates.
+    """
     rng = np.random.default_rng(4)
     flight = fly_figure_eights([drawn(rates_model(), rng)], 20.0, rng, shake=0.7)
     return flight.t, flight.states[0][:, [0, 1, 2, 5, 3, 4, 6, 7, 8, 9, 10, 11]]
 
 
 def sights_of(true, rows, rng, wild=0.0):
-    """Noisy sights of the true poses, a share of them wild, and a start that joins them by straight lines."""
+    """Noisy sights of the true poses, a share of them wild, and a start that joins them by straight
+    lines.
+    """
     body = pose_matrix(rotation_world_body(*true[rows, 3:6].T), true[rows, :3])
     T = camera_pose(body, P_BODY_CAMERA)
-    T[:, :3, :3] = Rotation.from_rotvec(rng.normal(0.0, SIGMA[1], (len(rows), 3))).as_matrix() @ T[:, :3, :3]
+    T[:, :3, :3] = (
+        Rotation.from_rotvec(rng.normal(0.0, SIGMA[1], (len(rows), 3))).as_matrix() @ T[:, :3, :3]
+    )
     T[:, :3, 3] += rng.normal(0.0, SIGMA[0], (len(rows), 3))
     off = rng.random(len(rows)) < wild
     T[off, :3, 3] += rng.normal(0.0, 2.0, (off.sum(), 3))
@@ -40,7 +60,7 @@ def sights_of(true, rows, rng, wild=0.0):
     angles[:, 2] = np.unwrap(angles[:, 2])
     poses = np.concatenate([seen[:, :3, 3], angles], axis=1)
     start = np.stack([np.interp(np.arange(len(true)), rows, column) for column in poses.T], axis=1)
-    return PoseSights(rows, T, covariance, P_BODY_CAMERA), start, off
+    return PoseMeasurements(rows, T, covariance, P_BODY_CAMERA), start, off
 
 
 def error(smoothed, true):
@@ -52,7 +72,9 @@ def error(smoothed, true):
 
 
 def test_the_block_sweeps_equal_dense_algebra():
-    """NumPy's dense solver and inverse on the same random, positive definite, block-tridiagonal matrix."""
+    """NumPy's dense solver and inverse on the same random, positive definite, block-tridiagonal
+    matrix.
+    """
     rng, count = np.random.default_rng(0), 7
     dense = np.zeros((12 * count, 12 * count))
     for k in range(count - 1):
@@ -62,25 +84,35 @@ def test_the_block_sweeps_equal_dense_algebra():
     diagonal = np.array([dense[b, b] for b in block])
     beside = np.array([dense[a, b] for a, b in pairwise(block)])
     right = rng.normal(size=(count, 12))
-    assert _solve(diagonal, beside, right).ravel() == pytest.approx(np.linalg.solve(dense, right.ravel()), rel=1e-6)
+    assert _solve(diagonal, beside, right).ravel() == pytest.approx(
+        np.linalg.solve(dense, right.ravel()), rel=1e-6
+    )
     inverse = np.linalg.inv(dense)
-    assert _covariances(diagonal, beside) == pytest.approx(np.array([inverse[b, b] for b in block]), rel=1e-6, abs=1e-9)
+    assert _covariances(diagonal, beside) == pytest.approx(
+        np.array([inverse[b, b] for b in block]), rel=1e-6, abs=1e-9
+    )
 
 
 def test_corners_count_by_their_covariance():
-    """chi2 = d^T C^-1 d by NumPy's inverse, for a full covariance drawn as A^T A; the corners are moved by d."""
+    """chi2 = d^T C^-1 d by NumPy's inverse, for a full covariance drawn as A^T A; the corners are
+    moved by d.
+    """
     rng = np.random.default_rng(6)
     p_world, attitude = np.array([[-6.0, 0.3, 1.2]]), np.radians([[10.0, -3.0, 4.0]])
     T = camera_pose(pose_matrix(rotation_world_body(*attitude.T), p_world), P_BODY_CAMERA)
     A, d = rng.normal(size=(8, 8)), rng.normal(size=8)
     corners = project_corners(Marker(), CAMERA, T) + d.reshape(1, 4, 2)
-    sights = CornerSights(np.array([0]), corners, (A.T @ A)[None], Marker(), CAMERA, P_BODY_CAMERA)
+    sights = CornerMeasurements(
+        np.array([0]), corners, (A.T @ A)[None], Marker(), CAMERA, P_BODY_CAMERA
+    )
     chi2 = (sights.residuals(p_world, attitude) ** 2).sum()
     assert chi2 == pytest.approx(d @ np.linalg.inv(A.T @ A) @ d, rel=1e-6)
 
 
 def test_stated_sigma_covers_the_error(flown):
-    """Of a Gaussian 68 % lie within one sigma and 95 % within two; the loose motion may only overstate it."""
+    """Of a Gaussian 68 % lie within one sigma and 95 % within two; the loose motion may only
+    overstate it.
+    """
     t, true = flown
     sights, start, _ = sights_of(true, np.arange(len(t)), np.random.default_rng(1))
     smoothed = smooth(t, start, [sights])
@@ -92,8 +124,9 @@ def test_stated_sigma_covers_the_error(flown):
 
 
 def test_smoothing_halves_the_noise_and_gives_velocities(flown):
-    """Some ten frames speak for each pose: a third to a half of the noise is left. The derivative of raw poses has
-    sqrt(2) x 0.1 m / 0.1 s = 1.4 m/s of noise; a fifth of that is asked for."""
+    """Some ten frames speak for each pose: a third to a half of the noise is left. The derivative
+    of raw poses has sqrt(2) x 0.1 m / 0.1 s = 1.4 m/s of noise; a fifth of that is asked for.
+    """
     t, true = flown
     sights, start, _ = sights_of(true, np.arange(len(t)), np.random.default_rng(2))
     rms = np.sqrt(np.mean(error(smooth(t, start, [sights]), true) ** 2, axis=0))
@@ -103,7 +136,9 @@ def test_smoothing_halves_the_noise_and_gives_velocities(flown):
 
 
 def test_wild_sights_do_not_move_the_flight_and_are_told(flown):
-    """One sight in ten is 2 m off; with a square loss each would move the flight by tens of centimetres."""
+    """One sight in ten is 2 m off; with a square loss each would move the flight by tens of
+    centimetres.
+    """
     t, true = flown
     sights, start, off = sights_of(true, np.arange(len(t)), np.random.default_rng(3), wild=0.1)
     smoothed = smooth(t, start, [sights])
@@ -114,7 +149,9 @@ def test_wild_sights_do_not_move_the_flight_and_are_told(flown):
 
 
 def test_a_gap_is_bridged_and_its_sigma_grows(flown):
-    """0.8 s without a sight: the truth stays within three sigma, and sigma in the middle is at least three times."""
+    """0.8 s without a sight: the truth stays within three sigma, and sigma in the middle is at
+    least three times.
+    """
     t, true = flown
     rows = np.flatnonzero(~((t > 8.0) & (t < 8.8)))
     sights, start, _ = sights_of(true, rows, np.random.default_rng(5))
@@ -126,15 +163,20 @@ def test_a_gap_is_bridged_and_its_sigma_grows(flown):
 
 
 def test_bank_is_read_off_the_turn():
-    """Law: a level turn at 8 m/s on a radius of 10 m needs tan(roll) = V^2 / (g r), 33.1 deg. Only places are seen;
-    the side slip and lift that the motion allows make it good to some degrees."""
+    """Law: a level turn at 8 m/s on a radius of 10 m needs tan(roll) = V^2 / (g r), 33.1 deg. Only
+    places are seen; the side slip and lift that the motion allows make it good to some degrees.
+    """
     t = np.arange(0.0, 4.0, 0.05)
     around = 0.8 * t  # to the right: y falls
-    p_world = np.stack([10.0 * np.sin(around), 10.0 * np.cos(around) - 10.0, np.full_like(t, 2.0)], axis=1)
+    p_world = np.stack(
+        [10.0 * np.sin(around), 10.0 * np.cos(around) - 10.0, np.full_like(t, 2.0)], axis=1
+    )
     covariance = np.diag([0.02**2] * 3 + [3.0**2] * 3)
     T = camera_pose(pose_matrix(rotation_world_body(0.0 * t, 0.05 + 0.0 * t, around), p_world))
     start = np.concatenate([p_world, np.stack([0.0 * t, 0.05 + 0.0 * t, around], axis=1)], axis=1)
-    sights = PoseSights(np.arange(len(t)), T, np.broadcast_to(covariance, (len(t), 6, 6)), np.zeros(3))
+    sights = PoseMeasurements(
+        np.arange(len(t)), T, np.broadcast_to(covariance, (len(t), 6, 6)), np.zeros(3)
+    )
     smoothed = smooth(t, start, [sights])
     assert np.degrees(smoothed.attitude[20:-20, 0]) == pytest.approx(33.1, abs=6.0)
 

@@ -3,54 +3,76 @@
 import numpy as np
 import pytest
 
-from falconwing_kit.vision.viterbi import Candidate, among_neighbours, likeliest_path, strain, well_known
+from falconwing_kit.vision.viterbi import (
+    PoseCandidate,
+    reject_outliers,
+    select_initial_frames,
+    transition_cost,
+    viterbi_path,
+)
 
 
-def candidate(x, doubt=0.0):
+def candidate(x, unary_cost=0.0):
     """A pose at x on a line, known to a millimetre."""
     T = np.eye(4)
     T[0, 3] = x
-    return Candidate(T, 1e-6 * np.eye(6), doubt, "network")
+    return PoseCandidate(T, 1e-6 * np.eye(6), unary_cost, "network")
 
 
 def test_the_path_with_the_least_doubt_islikeliest_path():
-    """By hand: at 12 m/s at most, 0.6 m a frame, the far poses cost (7 - 0.6)^2 / 0.25 and more, cut to 25 a step;
-    the near ones cost their doubt of 4 each."""
-    options = {0: [candidate(0.0)], 1: [candidate(7.0), candidate(0.5, doubt=4.0)], 2: [candidate(1.0)]}
-    chosen = likeliest_path(options, np.array([0.0, 0.05, 0.1]))
+    """By hand: at 12 m/s at most, 0.6 m a frame, the far poses cost (7 - 0.6)^2 / 0.25 and more,
+    cut to 25 a step; the near ones cost their doubt of 4 each.
+    """
+    options = {
+        0: [candidate(0.0)],
+        1: [candidate(7.0), candidate(0.5, unary_cost=4.0)],
+        2: [candidate(1.0)],
+    }
+    chosen = viterbi_path(options, np.array([0.0, 0.05, 0.1]))
     assert [chosen[frame].T_world_camera[0, 3] for frame in (0, 1, 2)] == [0.0, 0.5, 1.0]
 
 
 def test_early_doubt_is_carried_along_the_path():
-    """By hand: the path that stays at 20 m begins with a doubt of 9, the one at 0 m ends with 5; a change costs 25."""
-    options = {0: [candidate(20.0, doubt=9.0), candidate(0.0)], 1: [candidate(20.0), candidate(0.0, doubt=5.0)]}
-    chosen = likeliest_path(options, np.array([0.0, 0.05]))
+    """By hand: the path that stays at 20 m begins with a doubt of 9, the one at 0 m ends with 5; a
+    change costs 25.
+    """
+    options = {
+        0: [candidate(20.0, unary_cost=9.0), candidate(0.0)],
+        1: [candidate(20.0), candidate(0.0, unary_cost=5.0)],
+    }
+    chosen = viterbi_path(options, np.array([0.0, 0.05]))
     assert [chosen[frame].T_world_camera[0, 3] for frame in (0, 1)] == [0.0, 0.0]
 
 
 def test_a_flight_begins_without_the_turns_that_are_hardly_known():
-    """Frames 1 and 2 know their turn to 40 deg and stand between good ones 0.15 s apart: left out. The last has no good
-    one behind it, and where good ones are further apart than the gap allowed nothing is left out."""
+    """Frames 1 and 2 know their turn to 40 deg and stand between good ones 0.15 s apart: left out.
+    The last has no good one behind it, and where good ones are further apart than the gap allowed
+    nothing is left out.
+    """
     vague = np.diag([0.01] * 3 + [np.radians(40.0) ** 2] * 3)
     chosen = {k: candidate(0.3 * k) for k in range(5)}
-    chosen |= {k: Candidate(chosen[k].T_world_camera, vague, 0.0, "network") for k in (1, 2, 4)}
+    chosen |= {k: PoseCandidate(chosen[k].T_world_camera, vague, 0.0, "network") for k in (1, 2, 4)}
     frames, t = np.arange(5), 0.05 * np.arange(5)
-    assert well_known(frames, chosen, t, 1.0).tolist() == [0, 3, 4]
-    assert well_known(frames, chosen, t, 0.1).tolist() == [0, 1, 2, 3, 4]
+    assert select_initial_frames(frames, chosen, t, 1.0).tolist() == [0, 3, 4]
+    assert select_initial_frames(frames, chosen, t, 0.1).tolist() == [0, 1, 2, 3, 4]
 
 
 def test_a_pose_that_fits_no_neighbour_is_dropped():
     """Five frames 0.3 m apart and one of them 10 m aside."""
     chosen = {k: candidate(0.3 * k + (10.0 if k == 2 else 0.0)) for k in range(5)}
-    assert list(among_neighbours(chosen, 0.05 * np.arange(5))) == [0, 1, 3, 4]
+    assert list(reject_outliers(chosen, 0.05 * np.arange(5))) == [0, 1, 3, 4]
 
 
 def test_two_poses_that_contradict_each_other_both_go():
     """Nothing says which of two is wrong."""
-    assert among_neighbours({0: candidate(0.0), 1: candidate(10.0)}, np.array([0.0, 0.05])) == {}
+    assert reject_outliers({0: candidate(0.0), 1: candidate(10.0)}, np.array([0.0, 0.05])) == {}
 
 
-@pytest.mark.parametrize(("x", "dt", "chi2"), [(0.6, 0.05, 0.0), (1.1, 0.05, 1.0), (9.0, 0.05, 25.0), (99.0, 1.1, 0.0)])
+@pytest.mark.parametrize(
+    ("x", "dt", "chi2"), [(0.6, 0.05, 0.0), (1.1, 0.05, 1.0), (9.0, 0.05, 25.0), (99.0, 1.1, 0.0)]
+)
 def test_strain_is_what_top_speed_leaves_over(x, dt, chi2):
-    """By hand: 12 m/s is 0.6 m a frame; 0.5 m more is one sigma; no step says more than 25, and none after a second."""
-    assert strain(candidate(0.0), candidate(x), dt) == pytest.approx(chi2, abs=1e-4)
+    """By hand: 12 m/s is 0.6 m a frame; 0.5 m more is one sigma; no step says more than 25, and
+    none after a second.
+    """
+    assert transition_cost(candidate(0.0), candidate(x), dt) == pytest.approx(chi2, abs=1e-4)

@@ -1,4 +1,6 @@
-"""Virtual time for threads: a clock that stands until the test moves it, and then wakes its sleepers one by one."""
+"""Virtual time for threads: a clock that stands until the test moves it, and then wakes its
+sleepers one by one.
+"""
 
 import threading
 
@@ -24,10 +26,14 @@ class VirtualTime:
             self._change.wait_for(lambda: self._t >= wake or not self._open)
 
     def advance(self, t: float) -> None:
-        """Let time run to t [s]: the sleeper wakes at each of its times and runs until it sleeps again."""
+        """Let time run to t [s]: the sleeper wakes at each of its times and runs until it sleeps
+        again.
+        """
         while True:
             with self._change:
-                asleep = self._change.wait_for(lambda: self._wake is not None and self._wake > self._t, PATIENCE)
+                asleep = self._change.wait_for(
+                    lambda: self._wake is not None and self._wake > self._t, PATIENCE
+                )
                 assert asleep, "the thread does not sleep"
                 if self._wake > t:
                     self._t = t

@@ -1,6 +1,7 @@
 """Manoeuvres: every file of this folder -> one entry of the table of what a leader can fly.
 
-A new manoeuvre is one new file here with a `MANOEUVRE`; its name fixes its draws, so it changes no other leader.
+A new manoeuvre is one new file here with a `MANOEUVRE`; its name fixes its draws, so it changes no
+other leader.
 """
 
 from importlib import import_module

@@ -1,4 +1,6 @@
-"""Figure eight: a generator's draws -> waypoints of two level lobes of 8.9 m radius, right and then left."""
+"""Figure eight: a generator's draws -> waypoints of two level lobes of 8.9 m radius, right and then
+left.
+"""
 
 from falconwing_kit.control.plan import Manoeuvre, Plan
 
@@ -14,4 +16,6 @@ PLAN = Plan(
     shift=(0.1, 0.1, 0.2),  # it fills the hall
     stretch=0.0,
 )
-MANOEUVRE = Manoeuvre("figure_eight", "two level circles, to the right and then to the left", PLAN.waypoints, 3)
+MANOEUVRE = Manoeuvre(
+    "figure_eight", "two level circles, to the right and then to the left", PLAN.waypoints, 3
+)

@@ -1,4 +1,6 @@
-"""Right-turn sharp climb [paper, Section V-A]: a generator's draws -> waypoints of a long right turn at 11 deg up."""
+"""Right-turn sharp climb [paper, Section V-A]: a generator's draws -> waypoints of a long right
+turn at 11 deg up.
+"""
 
 from falconwing_kit.control.plan import Manoeuvre, Plan
 
@@ -9,4 +11,6 @@ PLAN = Plan(
     curvature=(0.0, 0.0, 0.1, 0.1, 0.1, 0.05, 0.0, 0.0),
     climb_deg=(0.0, 1.0, 11.0, 11.0, 6.0, 1.0, 0.0, 0.0),
 )
-MANOEUVRE = Manoeuvre("right_turn_sharp_climb", "a long turn to the right, climbing steeply", PLAN.waypoints, 2)
+MANOEUVRE = Manoeuvre(
+    "right_turn_sharp_climb", "a long turn to the right, climbing steeply", PLAN.waypoints, 2
+)

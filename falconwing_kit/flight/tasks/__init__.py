@@ -1,6 +1,7 @@
 """Tasks: every file of this folder -> one entry of the table of what can be flown and judged.
 
-A new task is one new file here: a class as `flight.trial.Task` describes it, and a `TASK` for the command line.
+A new task is one new file here: a class as `flight.trial.Task` describes it, and a `TASK` for the
+command line.
 """
 
 from importlib import import_module
@@ -8,11 +9,28 @@ from pkgutil import iter_modules
 
 from falconwing_kit.flight.tasks.follow import FollowTask
 from falconwing_kit.flight.tasks.landing import LandingTask
-from falconwing_kit.flight.trial import TRIAL_SEEDS, Spread, Task, TaskEntry, Trial, trial_seed
+from falconwing_kit.flight.trial import (
+    TRIAL_SEEDS,
+    FlightTask,
+    Spread,
+    TaskEntry,
+    TrialSetup,
+    trial_seed,
+)
 
 _ENTRIES: tuple[TaskEntry, ...] = tuple(
     import_module(f"{__name__}.{file.name}").TASK for file in iter_modules(__path__)
 )
 TASKS = {entry.name: entry for entry in _ENTRIES}
 
-__all__ = ["TASKS", "TRIAL_SEEDS", "FollowTask", "LandingTask", "Spread", "Task", "TaskEntry", "Trial", "trial_seed"]
+__all__ = [
+    "TASKS",
+    "TRIAL_SEEDS",
+    "FlightTask",
+    "FollowTask",
+    "LandingTask",
+    "Spread",
+    "TaskEntry",
+    "TrialSetup",
+    "trial_seed",
+]

@@ -1,4 +1,6 @@
-"""Following: a manoeuvre and a seed -> a world 4 m behind the leader, its judge, and the expert that follows."""
+"""Following: a manoeuvre and a seed -> a world 4 m behind the leader, its judge, and the expert
+that follows.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -11,10 +13,10 @@ from falconwing_kit.control.expert import FollowExpert
 from falconwing_kit.control.leader import LeaderPath, leader_path
 from falconwing_kit.control.manoeuvres import MANOEUVRES
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.flight.judges import FollowJudge, Judge
+from falconwing_kit.flight.judges import FlightEvaluator, FollowEvaluator
 from falconwing_kit.flight.loop import Pilot
 from falconwing_kit.flight.sources import RenderedView
-from falconwing_kit.flight.trial import Spread, TaskEntry, Trial
+from falconwing_kit.flight.trial import Spread, TaskEntry, TrialSetup
 from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
 
@@ -33,7 +35,9 @@ class FollowTask:
 
     def __post_init__(self) -> None:
         if self.manoeuvre not in MANOEUVRES:
-            raise InputError(f"manoeuvre: want one of {', '.join(MANOEUVRES)}, got {self.manoeuvre!r}")
+            raise InputError(
+                f"manoeuvre: expected one of {', '.join(MANOEUVRES)}, got {self.manoeuvre!r}"
+            )
 
     @property
     def name(self) -> str:
@@ -44,7 +48,7 @@ class FollowTask:
         """The path to follow."""
         return leader_path(self.manoeuvre, seed=seed, model=self.model)
 
-    def trial(self, seed: int) -> Trial:
+    def trial(self, seed: int) -> TrialSetup:
         """The world of a seed."""
         leader = self.leader(seed)
         first = leader.state(0.0)
@@ -52,20 +56,24 @@ class FollowTask:
         yaw = math.atan2(-forward[1], forward[0])
         start = self.spread.start(self.model, first.p_world - BEHIND * forward, seed, yaw)
         world = SimulatedWorld(self.model, self.airframe, start, seed=seed, leader=leader)
-        return Trial(seed, world, leader, leader.duration)
+        return TrialSetup(seed, world, leader, leader.duration)
 
-    def judge(self, trial: Trial, camera: PinholeCamera, view: RenderedView | None = None) -> Judge:
+    def judge(
+        self, trial: TrialSetup, camera: PinholeCamera, view: RenderedView | None = None
+    ) -> FlightEvaluator:
         """The judge of a chase, in the images of a camera; a view also shows what hides the leader."""
-        return FollowJudge(trial.world, _leader(trial), self.airframe, camera, view)
+        return FollowEvaluator(trial.world, _leader(trial), self.airframe, camera, view)
 
-    def expert(self, trial: Trial) -> Pilot:
+    def expert(self, trial: TrialSetup) -> Pilot:
         """The pilot that follows by both states."""
         return FollowExpert(self.model, self.airframe, _leader(trial))
 
 
-def _leader(trial: Trial) -> LeaderPath:
+def _leader(trial: TrialSetup) -> LeaderPath:
     if trial.leader is None:
-        raise InputError("trial: want one with a leader to follow, got one without; make it by the task's own `trial`")
+        raise InputError(
+            "trial: expected one with a leader to follow, got one without; make it by the task's own `trial`"
+        )
     return trial.leader
 
 

@@ -1,4 +1,6 @@
-"""Landing: a trial's seed -> a world 20 m before the pad, the judge of its touchdown, and the expert that lands."""
+"""Landing: a trial's seed -> a world 20 m before the pad, the judge of its touchdown, and the
+expert that lands.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -9,10 +11,10 @@ from falconwing_kit.aircraft.airframe import Airframe, load_airframe
 from falconwing_kit.aircraft.model import Model, rates_model
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.control.expert import LandingExpert
-from falconwing_kit.flight.judges import Judge, LandingJudge
+from falconwing_kit.flight.judges import FlightEvaluator, LandingEvaluator
 from falconwing_kit.flight.loop import Pilot
 from falconwing_kit.flight.sources import RenderedView
-from falconwing_kit.flight.trial import Spread, TaskEntry, Trial
+from falconwing_kit.flight.trial import Spread, TaskEntry, TrialSetup
 from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
 
@@ -34,18 +36,20 @@ class LandingTask:
     def leader(self, seed: int) -> None:
         """There is none."""
 
-    def trial(self, seed: int) -> Trial:
+    def trial(self, seed: int) -> TrialSetup:
         """The world of a seed."""
         nominal = np.array([self.pad.x_start - OUT, self.pad.y_centre, HEIGHT])
         start = self.spread.start(self.model, nominal, seed)
         world = SimulatedWorld(self.model, self.airframe, start, seed=seed, pad=self.pad)
-        return Trial(seed, world, None, self.duration)
+        return TrialSetup(seed, world, None, self.duration)
 
-    def judge(self, trial: Trial, camera: PinholeCamera, view: RenderedView | None = None) -> Judge:
+    def judge(
+        self, trial: TrialSetup, camera: PinholeCamera, view: RenderedView | None = None
+    ) -> FlightEvaluator:
         """The judge of a landing; the camera does not matter to it."""
-        return LandingJudge(trial.world)
+        return LandingEvaluator(trial.world)
 
-    def expert(self, trial: Trial) -> Pilot:
+    def expert(self, trial: TrialSetup) -> Pilot:
         """The pilot that lands by state."""
         return LandingExpert(self.model, self.airframe, self.pad)
 

@@ -1,7 +1,7 @@
 """Bag: a flight log in, a ROS 1 bag out, without ROS on this machine.
 
-The topics are those of the ROS adapter, so a bag that `rosbag play` plays looks to a controller like a flight; its
-commands never ask to engage, so that they fly nothing. And:
+The topics are those of the ROS adapter, so a bag that `rosbag play` plays looks to a controller
+like a flight; its commands never ask to engage, so that they fly nothing. And:
 
     /falconwing/pose      geometry_msgs/PoseStamped   the aircraft in "world" with ROS's axes: x nose, y left, z up
     /falconwing/twist     geometry_msgs/TwistStamped  velocity and turn rate, both along the axes of "world"
@@ -21,14 +21,16 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.core.checks import Array, InputError
-from falconwing_kit.core.files import require_place, write_error
+from falconwing_kit.core.files import require_writable_path, write_error
 from falconwing_kit.core.flight_log import FlightLog
 from falconwing_kit.core.frames import rotation_world_body
 from falconwing_kit.core.messages import Command, Event, Image, State
-from falconwing_kit.tools.bridge.bus import COMMAND, IMAGE, Sticks
+from falconwing_kit.tools.bridge.bus import COMMAND, IMAGE, StampedCommand
 from falconwing_kit.tools.bridge.ros import buttons, stamp_ns
 
-POSE, TWIST, EVENT, METADATA = (f"/falconwing/{name}" for name in ("pose", "twist", "event", "metadata"))
+POSE, TWIST, EVENT, METADATA = (
+    f"/falconwing/{name}" for name in ("pose", "twist", "event", "metadata")
+)
 TYPES = {
     IMAGE: "sensor_msgs/msg/CompressedImage",
     COMMAND: "sensor_msgs/msg/Joy",
@@ -42,8 +44,8 @@ TYPES = {
 def write_bag(path: str | Path, log: FlightLog) -> dict[str, int]:
     """Write a flight log as a ROS 1 bag; the file is there whole or not at all.
 
-    Times stay those of the log, to a microsecond. One record gives one message, a state two: pose and twist; their
-    header.seq is the image they come from. What is nan stays nan.
+    Times stay those of the log, to a microsecond. One record gives one message, a state two: pose
+    and twist; their header.seq is the image they come from. What is nan stays nan.
 
     Args:
         path: the file to write, replaced where it exists.
@@ -60,14 +62,14 @@ def write_bag(path: str | Path, log: FlightLog) -> dict[str, int]:
         from rosbags.rosbag1 import Writer
     except ImportError:
         raise InputError(
-            'bag: want the library rosbags, which is not installed; `pip install "falconwing-kit[ros]"`'
+            'bag: expected the library rosbags, which is not installed; `pip install "falconwing-kit[ros]"`'
         ) from None
-    target = require_place(path)
+    target = require_writable_path(path)
     try:
         with TemporaryDirectory(prefix=".bag.", dir=target.parent) as folder:
             part = Path(folder) / "part.bag"
             with Writer(part) as writer:
-                counts = _fill(writer, log)
+                counts = _write_messages(writer, log)
             with part.open("rb+") as handle:
                 os.fsync(handle.fileno())
             os.replace(part, target)
@@ -76,35 +78,39 @@ def write_bag(path: str | Path, log: FlightLog) -> dict[str, int]:
     return counts
 
 
-def _fill(writer: Any, log: FlightLog) -> dict[str, int]:
+def _write_messages(writer: Any, log: FlightLog) -> dict[str, int]:
     """Write all messages in the order of their times; a topic appears with its first message."""
     messages = _Messages()
     topics: dict[str, Any] = {}
     counts: Counter[str] = Counter()
-    for t, record in _records(log):
+    for t, record in _sorted_records(log):
         for topic, message in messages.of(t, record):
             kind = TYPES[topic]
             if topic not in topics:
                 latching = 1 if topic == METADATA else None  # who listens later hears it too
-                topics[topic] = writer.add_connection(topic, kind, typestore=messages.store, latching=latching)
+                topics[topic] = writer.add_connection(
+                    topic, kind, typestore=messages.store, latching=latching
+                )
             writer.write(topics[topic], stamp_ns(t), messages.store.serialize_ros1(message, kind))
             counts[topic] += 1
     return dict(counts)
 
 
-def _records(log: FlightLog) -> Iterator[tuple[float, Any]]:
-    """Everything in a log with its time [s], sorted; an image comes before what happens at the same time."""
+def _sorted_records(log: FlightLog) -> Iterator[tuple[float, Any]]:
+    """Everything in a log with its time [s], sorted; an image comes before what happens at the same
+    time.
+    """
     states = zip(log.states, log.state_sequences.tolist(), strict=True)
-    held = [
+    holds = [
         *zip(log.state_times.tolist(), states, strict=True),
         *zip(log.command_times.tolist(), log.commands, strict=True),
         *((event.t, event) for event in log.events),
     ]
-    held.sort(key=_time)
+    holds.sort(key=_time)
     if log.metadata:
-        first = min([t for t, _ in held[:1]] + log.image_times.tolist(), default=0.0)
-        held.insert(0, (first, log.metadata))
-    return heapq.merge(((image.t, image) for image in log.images()), held, key=_time)
+        first = min([t for t, _ in holds[:1]] + log.image_times.tolist(), default=0.0)
+        holds.insert(0, (first, log.metadata))
+    return heapq.merge(((image.t, image) for image in log.images()), holds, key=_time)
 
 
 def _time(timed: tuple[float, Any]) -> float:
@@ -120,15 +126,22 @@ class _Messages:
         self.store: Any = get_typestore(Stores.ROS1_NOETIC)
 
     def of(self, t: float, record: Any) -> list[tuple[str, Any]]:
-        """The messages of an image, a command, a state with its image's sequence, an event or the metadata."""
+        """The messages of an image, a command, a state with its image's sequence, an event or the
+        metadata.
+        """
         if isinstance(record, Image):
             header = self._header(t, f"camera#{record.sequence}", record.sequence)
             data = np.frombuffer(record.jpeg, np.uint8)
             return [(IMAGE, self._make(TYPES[IMAGE], header=header, format="jpeg", data=data))]
         if isinstance(record, Command):
             header = self._header(t, f"image#{record.image_sequence}")
-            axes, pressed = record.vector.astype(np.float32), np.array(buttons(Sticks(t, record)), np.int32)
-            return [(COMMAND, self._make(TYPES[COMMAND], header=header, axes=axes, buttons=pressed))]
+            axes, pressed = (
+                record.vector.astype(np.float32),
+                np.array(buttons(StampedCommand(t, record)), np.int32),
+            )
+            return [
+                (COMMAND, self._make(TYPES[COMMAND], header=header, axes=axes, buttons=pressed))
+            ]
         if isinstance(record, Event):
             text = {"name": record.name, "details": dict(record.details)}
             return [(EVENT, self._make(TYPES[EVENT], data=json.dumps(text)))]
@@ -140,9 +153,16 @@ class _Messages:
         header = self._header(t, "world", sequence)
         x, y, z, w = _quaternion(state.roll, state.pitch, state.yaw)
         turned = self._make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-        pose = self._make("geometry_msgs/msg/Pose", position=self._vector("Point", state.p_world), orientation=turned)
+        pose = self._make(
+            "geometry_msgs/msg/Pose",
+            position=self._vector("Point", state.p_world),
+            orientation=turned,
+        )
         rates_world = rotation_world_body(state.roll, state.pitch, state.yaw) @ state.rates_body
-        linear, angular = self._vector("Vector3", state.v_world), self._vector("Vector3", rates_world)
+        linear, angular = (
+            self._vector("Vector3", state.v_world),
+            self._vector("Vector3", rates_world),
+        )
         twist = self._make("geometry_msgs/msg/Twist", linear=linear, angular=angular)
         return [
             (POSE, self._make(TYPES[POSE], header=header, pose=pose)),
@@ -156,7 +176,9 @@ class _Messages:
     def _header(self, t: float, frame_id: str, sequence: int = 0) -> Any:
         sec, nanosec = divmod(stamp_ns(t), 10**9)
         stamp = self._make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-        return self._make("std_msgs/msg/Header", seq=max(sequence, 0), stamp=stamp, frame_id=frame_id)
+        return self._make(
+            "std_msgs/msg/Header", seq=max(sequence, 0), stamp=stamp, frame_id=frame_id
+        )
 
     def _make(self, kind: str, **fields: Any) -> Any:
         return self.store.types[kind](**fields)
@@ -165,10 +187,14 @@ class _Messages:
 def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
     """Attitude as ROS's quaternion x, y, z, w: from axes nose, left, up to the world's [REP 103].
 
-    Half a turn about the nose on both sides turns our Rz(yaw) Ry(pitch) Rx(roll) into Rz(-yaw) Ry(-pitch) Rx(roll);
-    the product of the three half-angle quaternions is eq. 1.8-16 of Stevens, Lewis & Johnson with those angles.
+    Half a turn about the nose on both sides turns our Rz(yaw) Ry(pitch) Rx(roll) into Rz(-yaw)
+    Ry(-pitch) Rx(roll); the product of the three half-angle quaternions is eq. 1.8-16 of Stevens,
+    Lewis & Johnson with those angles.
     """
-    (sr, sp, sy), (cr, cp, cy) = np.sin([roll / 2, -pitch / 2, -yaw / 2]), np.cos([roll / 2, -pitch / 2, -yaw / 2])
+    (sr, sp, sy), (cr, cp, cy) = (
+        np.sin([roll / 2, -pitch / 2, -yaw / 2]),
+        np.cos([roll / 2, -pitch / 2, -yaw / 2]),
+    )
     return (
         float(sr * cp * cy - cr * sp * sy),
         float(cr * sp * cy + sr * cp * sy),

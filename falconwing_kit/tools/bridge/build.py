@@ -1,7 +1,8 @@
-"""Firmware builder: the sources in firmware/ -> the chip's program and the simulator, kept in the cache folder.
+"""Firmware builder: the sources in firmware/ -> the chip's program and the simulator, kept in the
+cache folder.
 
-All is built on the spot with the system's tools and kept under the digest of what it was made from: a changed line of
-the firmware is a new build, an unchanged one costs nothing.
+All is built on the spot with the system's tools and kept under the digest of what it was made from:
+a changed line of the firmware is a new build, an unchanged one costs nothing.
 """
 
 import hashlib
@@ -30,12 +31,19 @@ Builder = Callable[[Path, Path], None]  # (copy of the sources, path of the prod
 
 
 def missing_tools() -> list[str]:
-    """The Debian packages that a simulated board needs and this machine lacks; empty where it can be built."""
-    return [package for package, sign in TOOLS.items() if not (shutil.which(sign) or Path(sign).is_file())]
+    """The Debian packages that a simulated board needs and this machine lacks; empty where it can
+    be built.
+    """
+    return [
+        package
+        for package, sign in TOOLS.items()
+        if not (shutil.which(sign) or Path(sign).is_file())
+    ]
 
 
 def firmware_folder() -> Path:
-    """Where the firmware's sources are: in a checkout beside the package, else where the install put them.
+    """Where the firmware's sources are: in a checkout beside the package, else where the install
+    put them.
 
     Raises:
         FileNotFoundError: they are in neither place.
@@ -49,7 +57,8 @@ def build_firmware(defines: Sequence[str] = (), replace: Path | None = None) -> 
 
     Args:
         defines: settings of config.h that shall differ, such as "CHANNELS=8".
-        replace: a folder whose files take the place of the sketch's of the same name, for experiments.
+        replace: a folder whose files take the place of the sketch's of the same name, for
+            experiments.
 
     Returns:
         Path of the ELF file.
@@ -64,11 +73,12 @@ def build_firmware(defines: Sequence[str] = (), replace: Path | None = None) -> 
             shutil.copytree(replace, sources / SKETCH, dirs_exist_ok=True)
         _run(["make", "-C", str(sources), "elf", f"OUT={product.parent}", f"DEFINES={flags}"])
 
-    return _built(f"{SKETCH}.elf", build, flags, replace)
+    return _build_cached(f"{SKETCH}.elf", build, flags, replace)
 
 
 def build_simulator() -> Path:
-    """The library that runs an ATmega2560 cycle by cycle (firmware/sim/simavr_shim.c on Debian's libsimavr).
+    """The library that runs an ATmega2560 cycle by cycle (firmware/sim/simavr_shim.c on Debian's
+    libsimavr).
 
     Raises:
         InputError: a tool is missing, the compiler refused, or the cache folder cannot be written.
@@ -77,18 +87,27 @@ def build_simulator() -> Path:
     def build(sources: Path, product: Path) -> None:
         source = sources / "sim" / "simavr_shim.c"
         include = Path(TOOLS["libsimavr-dev"]).parent
-        options = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", f"-I{include}"]
+        options = [
+            "-std=gnu11",
+            "-O2",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            "-shared",
+            "-fPIC",
+            f"-I{include}",
+        ]
         _run(["gcc", *options, str(source), "-o", str(product), "-lsimavr"])
 
-    return _built("simavr_shim.so", build)
+    return _build_cached("simavr_shim.so", build)
 
 
-def _built(name: str, build: Builder, flags: str = "", replace: Path | None = None) -> Path:
+def _build_cached(name: str, build: Builder, flags: str = "", replace: Path | None = None) -> Path:
     """The kept product, or a new one; it takes its place in the cache folder whole or not at all."""
     missing = missing_tools()
     if missing:
         raise InputError(
-            f"firmware: want the Debian packages {' '.join(TOOLS)} to build it, {' '.join(missing)} not found; "
+            f"firmware: expected the Debian packages {' '.join(TOOLS)} to build it, {' '.join(missing)} not found; "
             f"install with: sudo apt install {' '.join(missing)}"
         )
     source = firmware_folder()
@@ -97,22 +116,32 @@ def _built(name: str, build: Builder, flags: str = "", replace: Path | None = No
     if kept.is_file():
         return kept
     with tempfile.TemporaryDirectory(prefix="falconwing-") as folder:
-        sources = Path(shutil.copytree(source, Path(folder) / "firmware", ignore=shutil.ignore_patterns("build")))
+        sources = Path(
+            shutil.copytree(
+                source, Path(folder) / "firmware", ignore=shutil.ignore_patterns("build")
+            )
+        )
         product = Path(folder) / "out" / name
         product.parent.mkdir()
         build(sources, product)
-        _keep(product, kept)
+        _store_product(product, kept)
     return kept
 
 
 def _digest(folders: Sequence[Path], flags: str) -> str:
-    """What the sources and flags come to in twelve letters: names and bytes of all files but texts and products."""
+    """What the sources and flags come to in twelve letters: names and bytes of all files but texts
+    and products.
+    """
     digest = hashlib.sha256(flags.encode())
     for folder in folders:
-        for path in sorted(path for path in folder.rglob("*") if path.is_file() and path.suffix != ".md"):
+        for path in sorted(
+            path for path in folder.rglob("*") if path.is_file() and path.suffix != ".md"
+        ):
             name = path.relative_to(folder)
             if "build" not in name.parts:
-                digest.update(f"{name.as_posix()}\0{path.stat().st_size}\0".encode() + path.read_bytes())
+                digest.update(
+                    f"{name.as_posix()}\0{path.stat().st_size}\0".encode() + path.read_bytes()
+                )
     return digest.hexdigest()[:12]
 
 
@@ -122,16 +151,18 @@ def _run(command: Sequence[str]) -> None:
     if done.returncode:
         lines = (done.stderr or done.stdout).strip().splitlines() or ["no message"]
         first = next((line for line in lines if "error" in line.lower()), lines[-1])
-        raise InputError(f"firmware: want a clean build, got from {command[0]}: {first.strip()}; mend the source")
+        raise InputError(
+            f"firmware: expected a clean build, got from {command[0]}: {first.strip()}; mend the source"
+        )
 
 
-def _keep(product: Path, kept: Path) -> None:
+def _store_product(product: Path, kept: Path) -> None:
     """Copy a product to its place, and throw away those of its kind that are old."""
     try:
         kept.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"{kept.parent}: want a folder to keep what is built, got: {error.strerror}; "
+            f"{kept.parent}: expected a folder to keep what is built, got: {error.strerror}; "
             "set XDG_CACHE_HOME to a folder that you may write"
         ) from None
     with atomic_write(kept) as file:

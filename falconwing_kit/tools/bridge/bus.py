@@ -1,7 +1,8 @@
-"""Bus: images, commands, pilot sticks and board status by topic -> the newest message for everyone who asks.
+"""Bus: images, commands, pilot sticks and board status by topic -> the newest message for everyone
+who asks.
 
-`Bus` lives inside one program, `RosBus` (ros.py) goes through ROS; whoever uses one can use the other. Times on a bus
-are Unix time [s], for other programs read them too.
+`LocalBus` lives inside one program, `RosBus` (ros.py) goes through ROS; whoever uses one can use
+the other. Times on a bus are Unix time [s], for other programs read them too.
 """
 
 import math
@@ -15,15 +16,20 @@ from typing import Any, Protocol
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command, Image
 from falconwing_kit.trainer_port.ppm import Calibration
-from falconwing_kit.trainer_port.protocol import Pilot, Status
+from falconwing_kit.trainer_port.protocol import PilotFrame, Status
 
-IMAGE, COMMAND, PILOT, STATUS = "/falconwing/image", "/falconwing/command", "/falconwing/pilot", "/falconwing/status"
+IMAGE, COMMAND, PILOT, STATUS = (
+    "/falconwing/image",
+    "/falconwing/command",
+    "/falconwing/pilot",
+    "/falconwing/status",
+)
 MAX_AGE = 0.2  # a command older than the board's own patience is not sent [s]
 POLL_PERIOD = 0.002  # the port is read at least so often [s]
 
 
 @dataclass(frozen=True)
-class Sticks:
+class StampedCommand:
     """Stick positions on their way: what a controller wants, or what the pilot holds."""
 
     t: float  # when they were given [s]
@@ -32,14 +38,19 @@ class Sticks:
 
 
 @dataclass(frozen=True)
-class Report:
+class StampedStatus:
     """What the board said of itself."""
 
     t: float  # when it arrived [s]
     status: Status
 
 
-MESSAGES: dict[str, type] = {IMAGE: Image, COMMAND: Sticks, PILOT: Sticks, STATUS: Report}
+MESSAGES: dict[str, type] = {
+    IMAGE: Image,
+    COMMAND: StampedCommand,
+    PILOT: StampedCommand,
+    STATUS: StampedStatus,
+}
 
 
 class Mailbox:
@@ -73,7 +84,7 @@ class Mailbox:
 
 
 class MessageBus(Protocol):
-    """What `Bus` and `RosBus` have in common."""
+    """What `LocalBus` and `RosBus` have in common."""
 
     def publish(self, topic: str, message: Any) -> None:
         """Hand a message to all who listen now."""
@@ -88,7 +99,7 @@ class MessageBus(Protocol):
         """Publish and hear no more."""
 
 
-class Bus:
+class LocalBus:
     """The bus inside one program; publishing is safe from any thread."""
 
     def __init__(self) -> None:
@@ -145,7 +156,7 @@ def require_topic(topic: str) -> str:
         InputError: it does not.
     """
     if topic not in MESSAGES:
-        raise InputError(f"topic: want one of {', '.join(MESSAGES)}, got {topic!r}")
+        raise InputError(f"topic: expected one of {', '.join(MESSAGES)}, got {topic!r}")
     return topic
 
 
@@ -155,18 +166,20 @@ def require_message(topic: str, message: Any) -> None:
     Raises:
         InputError: there is no such topic, or it carries something else.
     """
-    want = MESSAGES[require_topic(topic)]
-    if not isinstance(message, want):
-        raise InputError(f"{topic}: want a message of type {want.__name__}, got {type(message).__name__}")
+    expected_type = MESSAGES[require_topic(topic)]
+    if not isinstance(message, expected_type):
+        raise InputError(
+            f"{topic}: expected a message of type {expected_type.__name__}, got {type(message).__name__}"
+        )
 
 
-class Port(Protocol):
+class RelayPort(Protocol):
     """What the relay needs of a TrainerPort."""
 
     calibration: Calibration
     now: Callable[[], float]
     status: Status | None
-    pilot: Pilot | None
+    pilot: PilotFrame | None
 
     def poll(self) -> None:
         """Read what the board sent."""
@@ -182,7 +195,7 @@ class Port(Protocol):
 
 
 @dataclass
-class Relayed:
+class RelayCounts:
     """What a relay moved."""
 
     commands: int = 0  # handed to the port
@@ -193,56 +206,67 @@ class Relayed:
 
 
 def relay(
-    port: Port,
+    port: RelayPort,
     bus: MessageBus,
     stop: Callable[[], bool],
     *,
     max_age: float = MAX_AGE,
     clock: Callable[[], float] = time.time,
-) -> Relayed:
+) -> RelayCounts:
     """Move commands from a bus to a trainer port, and pilot and status back, until told to stop.
 
-    Nothing is repeated: when commands stop coming, nothing is sent and the board goes safe by itself. However the
+    Nothing is repeated: when commands stop coming, nothing is sent and the board goes safe by
+        itself. However the
     relay ends, the sticks are handed back.
 
     Args:
         port: the trainer port.
         bus: where commands come from.
         stop: asked every few milliseconds; True ends the relay.
-        max_age: a command with a stamp further from now is refused [s]; two machines need equal clocks for it.
+        max_age: a command with a stamp further from now is refused [s]; two machines need equal
+            clocks for it.
         clock: the bus's time [s].
 
     Returns:
         What was moved.
     """
-    inbox, moved = bus.subscribe(COMMAND), Relayed()
+    inbox, counts = bus.subscribe(COMMAND), RelayCounts()
     status, pilot = port.status, port.pilot
     try:
         while not stop():
-            sticks = inbox.take(POLL_PERIOD)
-            if sticks is not None and abs(clock() - sticks.t) <= max_age:
-                port.send(sticks.command, sticks.engage)
-                moved.commands += 1
-            elif sticks is not None:
-                moved.late += 1
+            stamped = inbox.take(POLL_PERIOD)
+            if stamped is not None and abs(clock() - stamped.t) <= max_age:
+                port.send(stamped.command, stamped.engage)
+                counts.commands += 1
+            elif stamped is not None:
+                counts.late += 1
             port.poll()
             if port.status is not None and port.status is not status:
                 status = port.status
-                bus.publish(STATUS, Report(clock(), status))
-                moved.reports += 1
+                bus.publish(STATUS, StampedStatus(clock(), status))
+                counts.reports += 1
             if port.pilot is not None and port.pilot is not pilot:
                 pilot = port.pilot
-                _publish_pilot(port, pilot, bus, clock(), moved)
+                _publish_pilot(port, pilot, bus, clock(), counts)
     finally:
         port.hand_back()
-    return moved
+    return counts
 
 
-def _publish_pilot(port: Port, pilot: Pilot, bus: MessageBus, t: float, moved: Relayed) -> None:
-    """Publish the pilot's sticks with the time of their last edge, as far as the board's clock is known."""
+def _publish_pilot(
+    port: RelayPort, pilot: PilotFrame, bus: MessageBus, t: float, counts: RelayCounts
+) -> None:
+    """Publish the pilot's sticks with the time of their last edge, as far as the board's clock is
+    known.
+    """
     age = port.now() - port.to_host_time(pilot.device_time_us)
     try:
-        bus.publish(PILOT, Sticks(t - (0.0 if math.isnan(age) else age), port.calibration.command(pilot.channels_us)))
-        moved.pilot += 1
+        bus.publish(
+            PILOT,
+            StampedCommand(
+                t - (0.0 if math.isnan(age) else age), port.calibration.command(pilot.channels_us)
+            ),
+        )
+        counts.pilot += 1
     except InputError:  # a radio with few channels must not end the flight
-        moved.unreadable += 1
+        counts.unreadable += 1

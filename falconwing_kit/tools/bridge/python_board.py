@@ -1,8 +1,9 @@
 """A board in plain Python: bytes and pilot sticks in, bytes and PPM frames out, in virtual time.
 
-It speaks the same bytes and runs the same safety rules as the firmware, with ideal edges, so that everything above it
-works on a machine without AVR tools. It is NOT the firmware: what it shows says nothing about the sketch that is
-flashed. SimulatedBoard runs that one, behind the same interface, `Board`.
+It speaks the same bytes and runs the same safety rules as the firmware, with ideal edges, so that
+everything above it works on a machine without AVR tools. It is NOT the firmware: what it shows says
+nothing about the sketch that is flashed. SimulatedBoard runs that one, behind the same interface,
+`Board`.
 """
 
 import math
@@ -18,13 +19,13 @@ from falconwing_kit.trainer_port.protocol import (
     CommandFrame,
     Deframer,
     Message,
-    Pilot,
+    PilotFrame,
     Status,
     SyncReply,
     SyncRequest,
     encode,
 )
-from falconwing_kit.trainer_port.safety import CLOCK, Safety, SafetyConfig, Verdict
+from falconwing_kit.trainer_port.safety import CLOCK, Safety, SafetyConfig, SafetyDecision
 
 BYTE_S = 10 / 115200  # start bit, 8 bits, stop bit
 STATUS_S = 1 / 20
@@ -68,13 +69,17 @@ class Board(Protocol):
         """Let virtual time run to t [s]; nothing happens if it is there already."""
 
     def ppm_frames(self) -> list[PpmFrame]:
-        """The frames that were completed on the pin since the last call; a frame ends where the next one begins."""
+        """The frames that were completed on the pin since the last call; a frame ends where the
+        next one begins.
+        """
 
     def set_pilot(self, channels_us: Sequence[float] | None) -> None:
         """PPM on the pilot's pin from now on: (n,) [us], or None for silence."""
 
     def hang(self) -> None:
-        """Let the board's main program hang here, as a fault in it would; the watchdog resets the board."""
+        """Let the board's main program hang here, as a fault in it would; the watchdog resets the
+        board.
+        """
 
     def power_cycle(self) -> None:
         """Take the power off and put it on again at once."""
@@ -91,7 +96,9 @@ class PythonBoard:
 
     kind = "plain Python, not the firmware"
 
-    def __init__(self, config: SafetyConfig | None = None, frame_us: int = 22000, gap_us: int = 400) -> None:
+    def __init__(
+        self, config: SafetyConfig | None = None, frame_us: int = 22000, gap_us: int = 400
+    ) -> None:
         """Switch on.
 
         Args:
@@ -100,21 +107,31 @@ class PythonBoard:
             gap_us: width of a gap pulse [us].
         """
         self.t = 0.0
-        self._config, self._frame_s, self._gap_us = config or SafetyConfig(), frame_us * 1e-6, float(gap_us)
-        self._happens = {
+        self._config, self._frame_s, self._gap_us = (
+            config or SafetyConfig(),
+            frame_us * 1e-6,
+            float(gap_us),
+        )
+        self._event_times = {
             "byte": self._take_byte,
             "tick": self._begin_frame,
             "status": self._send_status,
             "pilot": self._pilot_edge,
             "watchdog": self._watchdog,
         }
-        self._due = dict.fromkeys(self._happens, math.inf)  # when each of them happens next [s]
+        self._due = dict.fromkeys(self._event_times, math.inf)  # when each of them happens next [s]
         self._arriving: deque[int] = deque()  # bytes on the wire to the board
-        self._leaving: deque[tuple[float, int]] = deque()  # bytes on the wire to the host, and when they are there
+        self._leaving: deque[tuple[float, int]] = (
+            deque()
+        )  # bytes on the wire to the host, and when they are there
         self._frames: list[PpmFrame] = []
-        self._frame: tuple[float, tuple[int, ...]] | None = None  # start and slots of the frame on the pin
+        self._frame: tuple[float, tuple[int, ...]] | None = (
+            None  # start and slots of the frame on the pin
+        )
         self._pilot_us: tuple[float, ...] | None = None
-        self._pilot_frame: tuple[float, tuple[float, ...]] | None = None  # start and slots of the frame coming in
+        self._pilot_frame: tuple[float, tuple[float, ...]] | None = (
+            None  # start and slots of the frame coming in
+        )
         self.power_cycle()
 
     def __enter__(self) -> Self:
@@ -148,11 +165,13 @@ class PythonBoard:
             if self._due[event] > t:
                 break
             self.t = max(self.t, self._due[event])
-            self._happens[event]()
+            self._event_times[event]()
         self.t = max(self.t, t)
 
     def ppm_frames(self) -> list[PpmFrame]:
-        """The frames that were completed on the pin since the last call; a frame ends where the next one begins."""
+        """The frames that were completed on the pin since the last call; a frame ends where the
+        next one begins.
+        """
         frames, self._frames = self._frames, []
         return frames
 
@@ -167,13 +186,17 @@ class PythonBoard:
         """
         slots = tuple(require_range("pilot slot", us, low=0.0) for us in channels_us or ())
         if 1e-6 * sum(slots) + PILOT_PAUSE_S > PILOT_FRAME_S:
-            raise InputError(f"pilot: want slots that leave a pause of 4.5 ms in a frame of 22, got {channels_us}")
+            raise InputError(
+                f"pilot: expected slots that leave a pause of 4.5 ms in a frame of 22, got {channels_us}"
+            )
         self._pilot_us = slots or None
         if slots and self._due["pilot"] == math.inf:
             self._due["pilot"] = self.t
 
     def hang(self) -> None:
-        """Let the main program hang here: nothing is read or answered, until the watchdog resets the board."""
+        """Let the main program hang here: nothing is read or answered, until the watchdog resets
+        the board.
+        """
         self._due["watchdog"] = min(self._due["watchdog"], self.t + WATCHDOG_S)
         self._due["status"] = math.inf
 
@@ -186,7 +209,7 @@ class PythonBoard:
         """Nothing to give back; the real boards have something."""
 
     @property
-    def _hung(self) -> bool:
+    def _is_hung(self) -> bool:
         return self._due["watchdog"] < math.inf
 
     @property
@@ -198,9 +221,12 @@ class PythonBoard:
         """Start as after a reset; MCUSR holds the cause."""
         self._booted, self._cause, self._boot_count = self.t, cause, (self._boot_count + 1) % 256
         self._safety = Safety(self._config, watchdog_reset=cause == WATCHDOG)
-        self._deframer, self._verdicts = Deframer(), dict.fromkeys(Verdict, 0)
+        self._deframer, self._verdicts = Deframer(), dict.fromkeys(SafetyDecision, 0)
         self._sent_frames, self._pilot_rejected = 0, 0
-        self._pilot_slots, self._pilot_like = 0, (0, 0)  # how many were learnt; how many came, and how often in a row
+        self._pilot_slots, self._pilot_like = (
+            0,
+            (0, 0),
+        )  # how many were learnt; how many came, and how often in a row
         self._leaving = deque((t, byte) for t, byte in self._leaving if t <= self.t)
         self._end_frame(math.nan)
         self._due.update(tick=self.t + self._frame_s, status=self.t + STATUS_S, watchdog=math.inf)
@@ -212,14 +238,18 @@ class PythonBoard:
         """The next byte from the host is there."""
         byte = bytes([self._arriving.popleft()])
         self._due["byte"] = self.t + BYTE_S if self._arriving else math.inf
-        for message in [] if self._hung else self._deframer.feed(byte):
+        for message in [] if self._is_hung else self._deframer.feed(byte):
             if isinstance(message, CommandFrame):
-                verdict = self._safety.frame(self._clock_us, message.sequence, message.engage, message.channels_us)
+                verdict = self._safety.frame(
+                    self._clock_us, message.sequence, message.engage, message.channels_us
+                )
                 self._verdicts[verdict] += 1
             elif isinstance(message, SyncRequest):
                 self._send(SyncReply(message.token, self._clock_us, self._clock_us))
             else:
-                self._verdicts[Verdict.FORM] += 1  # one of its own: the host has no business to send it
+                self._verdicts[SafetyDecision.FORM] += (
+                    1  # one of its own: the host has no business to send it
+                )
 
     def _begin_frame(self) -> None:
         """Time for a PPM frame: ask the safety rules what goes out."""
@@ -246,7 +276,9 @@ class PythonBoard:
             self._frames.append(PpmFrame(t_start, t_slots, us, gaps, (t_next - t_start) * 1e6))
 
     def _pilot_edge(self) -> None:
-        """The pilot's radio begins a frame, and so the one before it is known to be complete; or it fell silent."""
+        """The pilot's radio begins a frame, and so the one before it is known to be complete; or it
+        fell silent.
+        """
         if self._pilot_us is None:
             self._pilot_frame, self._due["pilot"] = None, math.inf
             return
@@ -255,7 +287,9 @@ class PythonBoard:
         self._pilot_frame, self._due["pilot"] = (self.t, self._pilot_us), self.t + PILOT_FRAME_S
 
     def _take_pilot_frame(self, start: float, slots: tuple[float, ...]) -> None:
-        """Report a pilot frame, or count it as rejected; how many slots there shall be is learnt from like frames."""
+        """Report a pilot frame, or count it as rejected; how many slots there shall be is learnt
+        from like frames.
+        """
         if len(slots) > 8 or not all(PILOT_US[0] <= us <= PILOT_US[1] for us in slots):
             self._pilot_rejected += 1
             return
@@ -265,7 +299,11 @@ class PythonBoard:
             self._pilot_slots = len(slots)
         if self._pilot_slots == len(slots):
             last_edge_us = round((start - self._booted) * 1e6 + sum(slots)) % CLOCK
-            self._send(Pilot(last_edge_us, 0, self._pilot_rejected % 65536, tuple(round(us) for us in slots)))
+            self._send(
+                PilotFrame(
+                    last_edge_us, 0, self._pilot_rejected % 65536, tuple(round(us) for us in slots)
+                )
+            )
         elif self._pilot_slots:
             self._pilot_rejected += 1
 
@@ -280,10 +318,10 @@ class PythonBoard:
                 boot_count=self._boot_count,
                 reset_cause=self._cause,
                 last_sequence=safety.last_sequence or 0,
-                accepted=count[Verdict.ACCEPTED] % 2**32,
-                bad_frames=(self._deframer.bad + count[Verdict.FORM]) % 65536,
-                bad_sequence=count[Verdict.SEQUENCE] % 65536,
-                out_of_range=count[Verdict.RANGE] % 65536,
+                accepted=count[SafetyDecision.ACCEPTED] % 2**32,
+                bad_frames=(self._deframer.bad + count[SafetyDecision.FORM]) % 65536,
+                bad_sequence=count[SafetyDecision.SEQUENCE] % 65536,
+                out_of_range=count[SafetyDecision.RANGE] % 65536,
                 ppm_frames=self._sent_frames % 2**32,
                 silent=safety.silent,
                 channels_us=safety.slots_us,
@@ -294,5 +332,7 @@ class PythonBoard:
     def _send(self, message: Message) -> None:
         """Queue a message for the host; it leaves at UART speed."""
         t = max(self.t, self._leaving[-1][0] if self._leaving else self.t)  # when the wire is free
-        if not self._hung and t - self.t < SEND_BUFFER * BYTE_S:
-            self._leaving.extend((t + (i + 1) * BYTE_S, byte) for i, byte in enumerate(encode(message)))
+        if not self._is_hung and t - self.t < SEND_BUFFER * BYTE_S:
+            self._leaving.extend(
+                (t + (i + 1) * BYTE_S, byte) for i, byte in enumerate(encode(message))
+            )

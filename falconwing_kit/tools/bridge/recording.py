@@ -1,7 +1,8 @@
-"""Recording: the pilot's sticks from the trainer port and the camera's images -> one flight log, for identification.
+"""Recording: the pilot's sticks from the trainer port and the camera's images -> one flight log,
+for identification.
 
-The pilot flies by the radio; nothing here sends a command. Stick positions carry the board's time, put on the host's
-clock, and the number of the newest image that was taken before them.
+The pilot flies by the radio; nothing here sends a command. Stick positions carry the board's time,
+put on the host's clock, and the number of the newest image that was taken before them.
 """
 
 import math
@@ -17,15 +18,15 @@ from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Command, Image
 from falconwing_kit.flight.loop import ImageSource
 from falconwing_kit.trainer_port.port import TrainerPort
-from falconwing_kit.trainer_port.protocol import Pilot
+from falconwing_kit.trainer_port.protocol import PilotFrame
 from falconwing_kit.vision.monitor import FrameMonitor
 
-IMAGE_WAITS = 0.1  # s: so long an image waits for the command that is to stand before it
+MAX_IMAGE_WAIT = 0.1  # s: so long an image waits for the command that is to stand before it
 PILOT_SILENT = 0.5  # s without a frame of the pilot's radio, of which 45 come in a second
 
 
 @dataclass
-class Counts:
+class RecordingCounts:
     """What is in the log so far."""
 
     commands: int = 0
@@ -37,15 +38,17 @@ class Counts:
 class Recording:
     """One recording; call `step` often, at least 100 times a second: it waits for nothing.
 
-    When the disk is full, or the log cannot be written for another reason, recording stops, `stopped` says why and
-    `alert` is called with it once. The port is read on: what flies the aircraft must not end with its diary.
+    When the disk is full, or the log cannot be written for another reason, recording stops,
+    `stopped` says why and `alert` is called with it once. The port is read on: what flies the
+    aircraft must not end with its diary.
 
     Args:
         port: ready; its clock is that of the log, which starts at zero now.
         log: opened and closed by the caller.
         images: the camera; None records the sticks alone. Its times are the log's.
         alert: called with one sentence when recording stops, and when the monitor raises its alarm.
-        monitor: judges every picture; its alarms, and their ends, are events of the log. None judges none.
+        monitor: judges every picture; its alarms, and their ends, are events of the log. None
+            judges none.
     """
 
     def __init__(
@@ -56,16 +59,24 @@ class Recording:
         alert: Callable[[str], Any] = lambda sentence: None,
         monitor: FrameMonitor | None = None,
     ) -> None:
-        self.port, self.log, self.images, self._alert, self.monitor = port, log, images, alert, monitor
-        self.counts, self.stopped = Counts(), ""
+        self.port, self.log, self.images, self._alert, self.monitor = (
+            port,
+            log,
+            images,
+            alert,
+            monitor,
+        )
+        self.counts, self.stopped = RecordingCounts(), ""
         self.command: Command | None = None  # the newest
         self.image: Image | None = None  # the newest
         self._zero = port.now()
-        self._recent: deque[Image] = deque(maxlen=60)  # newest first; which of them a command follows
+        self._recent: deque[Image] = deque(
+            maxlen=60
+        )  # newest first; which of them a command follows
         self._unwritten: deque[Image] = deque()  # oldest first
         self._pilot_at, self._silent, self._alarm = 0.0, False, False
         port.pilots.clear()
-        self._write(lambda log: log.metadata(_about(port)))
+        self._write(lambda log: log.metadata(_recording_metadata(port)))
 
     @property
     def t(self) -> float:
@@ -75,10 +86,10 @@ class Recording:
     def step(self) -> None:
         """Read port and camera and write what is new: a command before the image that it names."""
         self.port.poll()
-        self._judge(self._look())
+        self._check_image(self._read_image())
         while self.port.pilots:
-            self._take(self.port.pilots.popleft())
-        while self._unwritten and self.t - self._unwritten[0].t > IMAGE_WAITS:
+            self._log_pilot_frame(self.port.pilots.popleft())
+        while self._unwritten and self.t - self._unwritten[0].t > MAX_IMAGE_WAIT:
             self._write_image(self._unwritten.popleft())
         silent = self.t - self._pilot_at > PILOT_SILENT
         if silent != self._silent:
@@ -94,8 +105,10 @@ class Recording:
         while self._unwritten:
             self._write_image(self._unwritten.popleft())
 
-    def _look(self) -> Image | None:
-        """A new image, where there is one; a camera that fails for good is an event, and sticks go on."""
+    def _read_image(self) -> Image | None:
+        """A new image, where there is one; a camera that fails for good is an event, and sticks go
+        on.
+        """
         if self.images is None:
             return None
         try:
@@ -111,8 +124,10 @@ class Recording:
         self._unwritten.append(image)
         return image
 
-    def _judge(self, image: Image | None) -> None:
-        """Let the monitor say whether one could fly by the picture, or by none; its alarm is said once."""
+    def _check_image(self, image: Image | None) -> None:
+        """Let the monitor say whether one could fly by the picture, or by none; its alarm is said
+        once.
+        """
         if self.monitor is None:
             return
         t = self.t
@@ -124,25 +139,35 @@ class Recording:
             return
         if verdict.alert != self._alarm:
             self._alarm = verdict.alert
-            self._event(t, "picture alarm" if verdict.alert else "picture clear", {"reason": verdict.reason})
+            self._event(
+                t, "picture alarm" if verdict.alert else "picture clear", {"reason": verdict.reason}
+            )
             if verdict.alert:
                 self.counts.alarms += 1
                 self._alert(f"PICTURE {verdict.reason}")
 
-    def _take(self, pilot: Pilot) -> None:
-        """Log the sticks of one frame of the pilot's radio, and then the image they name where it is not in yet."""
+    def _log_pilot_frame(self, pilot: PilotFrame) -> None:
+        """Log the sticks of one frame of the pilot's radio, and then the image they name where it
+        is not in yet.
+        """
         at = self.port.to_host_time(pilot.device_time_us) - self._zero
         t = self._pilot_at = max(at, 0.0) if math.isfinite(at) else self.t
-        followed = next((image for image in self._recent if image.t <= t), None)
+        answered_image = next((image for image in self._recent if image.t <= t), None)
         try:
             command = self.port.calibration.command(pilot.channels_us)
         except InputError as error:  # a radio with fewer channels than the calibration has sticks
             self._event(t, "bad pilot frame", {"error": str(error)})
             return
-        command = self.command = replace(command, image_sequence=-1 if followed is None else followed.sequence)
+        command = self.command = replace(
+            command, image_sequence=-1 if answered_image is None else answered_image.sequence
+        )
         if self._write(lambda log: log.command(t, command)):
             self.counts.commands += 1
-        while followed is not None and self._unwritten and self._unwritten[0].sequence <= followed.sequence:
+        while (
+            answered_image is not None
+            and self._unwritten
+            and self._unwritten[0].sequence <= answered_image.sequence
+        ):
             self._write_image(self._unwritten.popleft())
 
     def _write_image(self, image: Image) -> None:
@@ -171,7 +196,7 @@ def record(
     duration: float = math.inf,
     watch: Callable[[Recording], bool | None] = lambda recording: False,
     pause: Callable[[float], Any] = time.sleep,
-) -> Counts:
+) -> RecordingCounts:
     """Record until time is up or Ctrl-C.
 
     Args:
@@ -193,7 +218,7 @@ def record(
     return recording.counts
 
 
-def _about(port: TrainerPort) -> dict[str, str]:
+def _recording_metadata(port: TrainerPort) -> dict[str, str]:
     """What holds for the whole recording."""
     calibration = port.calibration
     return {

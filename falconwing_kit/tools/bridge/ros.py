@@ -6,8 +6,8 @@
     /falconwing/pilot     sensor_msgs/Joy   the same, engage always 0
     /falconwing/status    diagnostic_msgs/DiagnosticArray   one value for each field of the status
 
-The sequence stands in frame_id because rospy overwrites header.seq with a count of its own. rospy is Debian's and is
-loaded when a RosBus is made, not before.
+The sequence stands in frame_id because rospy overwrites header.seq with a count of its own. rospy
+is Debian's and is loaded when a RosBus is made, not before.
 """
 
 import dataclasses
@@ -30,16 +30,24 @@ from falconwing_kit.tools.bridge.bus import (
     PILOT,
     STATUS,
     Mailbox,
-    Report,
-    Sticks,
+    StampedCommand,
+    StampedStatus,
     require_message,
     require_topic,
 )
 from falconwing_kit.trainer_port.protocol import Status
 
 DISTRO_PACKAGES = "/usr/lib/python3/dist-packages"  # where Debian and Ubuntu keep rospy
-BUFFER_BYTES = 4 * 2**20  # what a subscriber reads at once; rospy's 64 KiB let images queue up and age
-LEVELS = {"BOOT": 1, "SAFE": 0, "ACTIVE": 0, "LOST": 1, "FAULT": 2}  # of DiagnosticStatus: 0 ok, 1 warning, 2 error
+BUFFER_BYTES = (
+    4 * 2**20
+)  # what a subscriber reads at once; rospy's 64 KiB let images queue up and age
+LEVELS = {
+    "BOOT": 1,
+    "SAFE": 0,
+    "ACTIVE": 0,
+    "LOST": 1,
+    "FAULT": 2,
+}  # of DiagnosticStatus: 0 ok, 1 warning, 2 error
 CHANNELS_OF_PIXEL = {"rgb8": 3, "bgr8": 3, "mono8": 1}
 
 
@@ -66,8 +74,12 @@ class RosBus:
         os.environ.setdefault("ROS_MASTER_URI", "http://localhost:11311")
         if not self._ros.is_master_online():
             uri = os.environ["ROS_MASTER_URI"]
-            raise InputError(f"ROS: want a master at {uri}, got no answer; start `roscore` or set ROS_MASTER_URI")
-        if not self._ros.rospy.core.is_initialized():  # signals stay ours: Ctrl-C must hand the sticks back
+            raise InputError(
+                f"ROS: expected a master at {uri}, got no answer; start `roscore` or set ROS_MASTER_URI"
+            )
+        if (
+            not self._ros.rospy.core.is_initialized()
+        ):  # signals stay ours: Ctrl-C must hand the sticks back
             self._ros.rospy.init_node(name, argv=[], anonymous=True, disable_signals=True)
 
     def publish(self, topic: str, message: Any) -> None:
@@ -78,7 +90,8 @@ class RosBus:
             message: what that topic carries.
 
         Raises:
-            InputError: there is no such topic, it carries something else, or the message has a time before 1970.
+            InputError: there is no such topic, it carries something else, or the message has a time
+                before 1970.
         """
         require_message(topic, message)
         self._publisher(topic).publish(self._encode(topic, message))
@@ -100,19 +113,27 @@ class RosBus:
         def hear(heard: Any) -> None:
             try:
                 mailbox.put(self._decode(topic, heard._connection_header["type"], heard._buff))
-            except Exception as error:  # other programs send what they like; it must not end this one
+            except (
+                Exception
+            ) as error:  # other programs send what they like; it must not end this one
                 self.refused[topic] += 1
                 self.last_refusal = f"{topic}: {error}"
 
         self._subscribers.append(
             self._ros.rospy.Subscriber(
-                require_topic(topic), self._ros.AnyMsg, hear, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True
+                require_topic(topic),
+                self._ros.AnyMsg,
+                hear,
+                queue_size=1,
+                buff_size=BUFFER_BYTES,
+                tcp_nodelay=True,
             )
         )
         return mailbox
 
     def listeners(self, topic: str) -> int:
-        """How many are connected to this bus's side of a topic; ROS needs some 0.1 s to connect a new one.
+        """How many are connected to this bus's side of a topic; ROS needs some 0.1 s to connect a
+        new one.
 
         Raises:
             InputError: there is no such topic.
@@ -128,9 +149,14 @@ class RosBus:
 
     def _publisher(self, topic: str) -> Any:
         if topic not in self._publishers:
-            kinds = {IMAGE: "RawImage" if self._raw_images else "CompressedImage", STATUS: "DiagnosticArray"}
+            kinds = {
+                IMAGE: "RawImage" if self._raw_images else "CompressedImage",
+                STATUS: "DiagnosticArray",
+            }
             kind = getattr(self._ros, kinds.get(topic, "Joy"))
-            self._publishers[topic] = self._ros.rospy.Publisher(topic, kind, queue_size=1, tcp_nodelay=True)
+            self._publishers[topic] = self._ros.rospy.Publisher(
+                topic, kind, queue_size=1, tcp_nodelay=True
+            )
         return self._publishers[topic]
 
     def _encode(self, topic: str, message: Any) -> Any:
@@ -141,33 +167,52 @@ class RosBus:
             if not self._raw_images:
                 return ros.CompressedImage(header=header, format="jpeg", data=message.jpeg)
             height, width, channels = require_pixels(message).shape
-            return ros.RawImage(header, height, width, "rgb8", 0, channels * width, message.pixels.tobytes())
+            return ros.RawImage(
+                header, height, width, "rgb8", 0, channels * width, message.pixels.tobytes()
+            )
         if topic == STATUS:
             return self._diagnostics(message)
         header = self._header(message.t, f"image#{message.command.image_sequence}")
-        return ros.Joy(header=header, axes=message.command.vector.tolist(), buttons=buttons(message))
+        return ros.Joy(
+            header=header, axes=message.command.vector.tolist(), buttons=buttons(message)
+        )
 
-    def _diagnostics(self, report: Report) -> Any:
+    def _diagnostics(self, report: StampedStatus) -> Any:
         ros, status = self._ros, report.status
-        values = [ros.KeyValue(key, json.dumps(value)) for key, value in dataclasses.asdict(status).items()]
+        values = [
+            ros.KeyValue(key, json.dumps(value))
+            for key, value in dataclasses.asdict(status).items()
+        ]
         text = status.state + (f" ({status.fault})" if status.state == "FAULT" else "")
-        line = ros.DiagnosticStatus(LEVELS[status.state], "falconwing trainer port", text, "", values)
+        line = ros.DiagnosticStatus(
+            LEVELS[status.state], "falconwing trainer port", text, "", values
+        )
         return ros.DiagnosticArray(header=self._header(report.t, "board"), status=[line])
 
     def _header(self, t: float, frame_id: str) -> Any:
-        return self._ros.Header(stamp=self._ros.rospy.Time(*divmod(stamp_ns(t), 10**9)), frame_id=frame_id)
+        return self._ros.Header(
+            stamp=self._ros.rospy.Time(*divmod(stamp_ns(t), 10**9)), frame_id=frame_id
+        )
 
     def _decode(self, topic: str, kind: str, data: bytes) -> Any:
         """Our message for a ROS one, given its type and its bytes."""
         understood = {
-            (IMAGE, "sensor_msgs/CompressedImage"): (self._ros.CompressedImage, image_from_compressed),
+            (IMAGE, "sensor_msgs/CompressedImage"): (
+                self._ros.CompressedImage,
+                image_from_compressed,
+            ),
             (IMAGE, "sensor_msgs/Image"): (self._ros.RawImage, image_from_raw),
-            (COMMAND, "sensor_msgs/Joy"): (self._ros.Joy, sticks_from_joy),
-            (PILOT, "sensor_msgs/Joy"): (self._ros.Joy, sticks_from_joy),
-            (STATUS, "diagnostic_msgs/DiagnosticArray"): (self._ros.DiagnosticArray, report_from_diagnostics),
+            (COMMAND, "sensor_msgs/Joy"): (self._ros.Joy, command_from_joy),
+            (PILOT, "sensor_msgs/Joy"): (self._ros.Joy, command_from_joy),
+            (STATUS, "diagnostic_msgs/DiagnosticArray"): (
+                self._ros.DiagnosticArray,
+                status_from_diagnostics,
+            ),
         }
         if (topic, kind) not in understood:
-            raise InputError(f"want {' or '.join(k for t, k in understood if t == topic)}, got {kind}")
+            raise InputError(
+                f"expected {' or '.join(k for t, k in understood if t == topic)}, got {kind}"
+            )
         wire_type, read = understood[topic, kind]
         return read(wire_type().deserialize(data))
 
@@ -175,7 +220,8 @@ class RosBus:
 def load_ros() -> SimpleNamespace:
     """rospy and the messages of this file by their names.
 
-    The distribution's packages are looked up last, so that they replace none of the environment's own.
+    The distribution's packages are looked up last, so that they replace none of the environment's
+    own.
 
     Raises:
         InputError: they are not installed, or made for another Python.
@@ -184,10 +230,12 @@ def load_ros() -> SimpleNamespace:
         sys.path.append(DISTRO_PACKAGES)
     try:
         rospy, rosgraph = import_module("rospy"), import_module("rosgraph")
-        std, sensor, diagnostic = (import_module(f"{kind}_msgs.msg") for kind in ("std", "sensor", "diagnostic"))
+        std, sensor, diagnostic = (
+            import_module(f"{kind}_msgs.msg") for kind in ("std", "sensor", "diagnostic")
+        )
     except ImportError as error:
         raise InputError(
-            f"ROS: want Debian's rospy and its messages, got none here ({error}); install them by `apt install "
+            f"ROS: expected Debian's rospy and its messages, got none here ({error}); install them by `apt install "
             'python3-rospy python3-sensor-msgs python3-diagnostic-msgs` and `pip install "falconwing-kit[ros]"`'
         ) from None
     return SimpleNamespace(
@@ -219,7 +267,7 @@ def stamp_ns(t: float) -> int:
     return max(round(require_range("t", t, low=0.0, high=2**32 - 1) * 1e9), 1)
 
 
-def buttons(sticks: Sticks) -> list[int]:
+def buttons(sticks: StampedCommand) -> list[int]:
     """Engage and saturated as the buttons of a Joy."""
     return [int(sticks.engage), int(sticks.command.saturated)]
 
@@ -231,7 +279,9 @@ def require_pixels(image: Image) -> Any:
         InputError: the image is a JPEG.
     """
     if image.pixels.ndim != 3:
-        raise InputError("raw images: want pixels (height, width, 3), got a JPEG; publish without raw_images")
+        raise InputError(
+            "raw images: expected pixels (height, width, 3), got a JPEG; publish without raw_images"
+        )
     return image.pixels
 
 
@@ -248,7 +298,7 @@ def image_from_compressed(message: Any) -> Image:
         InputError: it is not a JPEG.
     """
     if not message.data.startswith(b"\xff\xd8"):
-        raise InputError(f"want an image compressed as JPEG, got {message.format!r}")
+        raise InputError(f"expected an image compressed as JPEG, got {message.format!r}")
     header = message.header
     sequence = sequence_of(header.frame_id, header.seq)
     return Image(sequence, header.stamp.to_nsec() / 1e9, np.frombuffer(message.data, np.uint8))
@@ -262,33 +312,47 @@ def image_from_raw(message: Any) -> Image:
     """
     channels = CHANNELS_OF_PIXEL.get(message.encoding)
     if channels is None:
-        raise InputError(f"want an image in {', '.join(CHANNELS_OF_PIXEL)}, got {message.encoding!r}")
+        raise InputError(
+            f"expected an image in {', '.join(CHANNELS_OF_PIXEL)}, got {message.encoding!r}"
+        )
     rows, row_bytes = message.height, message.width * channels
     if message.step < row_bytes or len(message.data) < message.step * rows:
-        raise InputError(f"want {message.step * rows} bytes in rows of {row_bytes}, got {len(message.data)}")
+        raise InputError(
+            f"expected {message.step * rows} bytes in rows of {row_bytes}, got {len(message.data)}"
+        )
     padded = np.frombuffer(message.data, np.uint8, message.step * rows).reshape(rows, message.step)
     pixels = padded[:, :row_bytes].reshape(rows, message.width, channels)
-    pixels = pixels[..., ::-1] if message.encoding == "bgr8" else np.repeat(pixels, 3 // channels, axis=2)
+    pixels = (
+        pixels[..., ::-1]
+        if message.encoding == "bgr8"
+        else np.repeat(pixels, 3 // channels, axis=2)
+    )
     header = message.header
     return Image(sequence_of(header.frame_id, header.seq), header.stamp.to_nsec() / 1e9, pixels)
 
 
-def sticks_from_joy(message: Any) -> Sticks:
+def command_from_joy(message: Any) -> StampedCommand:
     """Sticks of a Joy; more axes and buttons than ours are passed over.
 
     Raises:
         InputError: an axis is missing or not finite, or there is no engage button.
     """
     if len(message.axes) < 4 or not message.buttons:
-        raise InputError(f"want 4 axes and 1 button, got {len(message.axes)} and {len(message.buttons)}")
+        raise InputError(
+            f"expected 4 axes and 1 button, got {len(message.axes)} and {len(message.buttons)}"
+        )
     throttle, aileron, elevator, rudder = message.axes[:4]
-    command = Command.limited(throttle, aileron, elevator, rudder, sequence_of(message.header.frame_id, -1))
+    command = Command.clip(
+        throttle, aileron, elevator, rudder, sequence_of(message.header.frame_id, -1)
+    )
     if any(message.buttons[1:2]):
         command = dataclasses.replace(command, saturated=True)
-    return Sticks(message.header.stamp.to_nsec() / 1e9, command, engage=bool(message.buttons[0]))
+    return StampedCommand(
+        message.header.stamp.to_nsec() / 1e9, command, engage=bool(message.buttons[0])
+    )
 
 
-def report_from_diagnostics(message: Any) -> Report:
+def status_from_diagnostics(message: Any) -> StampedStatus:
     """Report of a DiagnosticArray whose first entry is ours.
 
     Raises:
@@ -297,6 +361,8 @@ def report_from_diagnostics(message: Any) -> Report:
     values = {item.key: json.loads(item.value) for item in message.status[0].values}
     want = {field.name for field in dataclasses.fields(Status)}
     if set(values) != want:
-        raise InputError(f"want the values {', '.join(sorted(want))}, got {', '.join(sorted(values))}")
+        raise InputError(
+            f"expected the values {', '.join(sorted(want))}, got {', '.join(sorted(values))}"
+        )
     values["channels_us"] = tuple(values["channels_us"])
-    return Report(message.header.stamp.to_nsec() / 1e9, Status(**values))
+    return StampedStatus(message.header.stamp.to_nsec() / 1e9, Status(**values))

@@ -1,8 +1,10 @@
-"""Simulated board: bytes and pilot's pulses in, the real firmware in a simulated ATmega2560, bytes and PPM frames out.
+"""Simulated board: bytes and pilot's pulses in, the real firmware in a simulated ATmega2560, bytes
+and PPM frames out.
 
-The chip is libsimavr's, cycle by cycle, behind a small C library (firmware/sim/simavr_shim.c says where it differs from
-silicon). Time is virtual and runs only in `run_until`: a test is exact, the same every time, and faster than a clock.
-`BoardOnPty` ties a board to the wall clock and to a serial port that any program can open.
+The chip is libsimavr's, cycle by cycle, behind a small C library (firmware/sim/simavr_shim.c says
+where it differs from silicon). Time is virtual and runs only in `run_until`: a test is exact, the
+same every time, and faster than a clock. `BoardOnPty` ties a board to the wall clock and to a
+serial port that any program can open.
 """
 
 import ctypes
@@ -25,11 +27,17 @@ from falconwing_kit.tools.bridge.python_board import Board, PpmFrame
 
 CLOCK_HZ = 16_000_000
 CYCLES_PER_US = CLOCK_HZ // 1_000_000
-SYNC_CYCLES = 3000 * CYCLES_PER_US  # a level held for longer is the pause between two frames; a slot is 2.1 ms at most
+SYNC_CYCLES = (
+    3000 * CYCLES_PER_US
+)  # a level held for longer is the pause between two frames; a slot is 2.1 ms at most
 LOST_CYCLES = 40_000 * CYCLES_PER_US  # no frame is longer: behind this one the pulses have stopped
-PILOT_FRAME_US, PILOT_GAP_US, PILOT_PAUSE_US = 22_000, 400, 4000  # of the pilot's simulated radio; idle high
+PILOT_FRAME_US, PILOT_GAP_US, PILOT_PAUSE_US = (
+    22_000,
+    400,
+    4000,
+)  # of the pilot's simulated radio; idle high
 STEP = 0.002  # s between two looks at what the board sent
-ROOM = 4096  # bytes or edges taken from the simulator at a time
+BUFFER_BYTES = 4096  # bytes or edges taken from the simulator at a time
 
 
 class SimulatedBoard:
@@ -40,13 +48,18 @@ class SimulatedBoard:
         seed: draws what stands in the chip's memory when the power comes.
 
     Raises:
-        InputError: a tool is missing (the sentence names the package), or the file is no program for this chip.
+        InputError: a tool is missing (the sentence names the package), or the file is no program
+            for this chip.
     """
 
     kind = "the firmware in a simulated ATmega2560"
 
     def __init__(self, elf: Path | None = None, *, seed: int = 1) -> None:
-        self._sim, self._elf, self._seed = _library(), build_firmware() if elf is None else elf, seed
+        self._sim, self._elf, self._seed = (
+            _library(),
+            build_firmware() if elf is None else elf,
+            seed,
+        )
         self.t = 0.0  # s since it was made; runs on over resets and power cycles
         self._past = 0  # cycles before the power was last switched on
         self._pilot: tuple[float, ...] = ()  # slots [us]; none: silence
@@ -64,7 +77,9 @@ class SimulatedBoard:
         self.close()
 
     def write(self, data: bytes) -> None:
-        """Put bytes on the wire to the board; they arrive one by one at 115200 8N1, behind those already on it."""
+        """Put bytes on the wire to the board; they arrive one by one at 115200 8N1, behind those
+        already on it.
+        """
         self._sim.sim_send(self._handle, 0, data, len(data))
 
     def write_spektrum(self, data: bytes) -> None:
@@ -73,8 +88,8 @@ class SimulatedBoard:
 
     def read(self) -> bytes:
         """The bytes that have come from the board since the last call."""
-        room, came = ctypes.create_string_buffer(ROOM), b""
-        while count := self._sim.sim_receive(self._handle, room, ROOM):
+        room, came = ctypes.create_string_buffer(BUFFER_BYTES), b""
+        while count := self._sim.sim_receive(self._handle, room, BUFFER_BYTES):
             came += room.raw[:count]
         return came
 
@@ -91,15 +106,22 @@ class SimulatedBoard:
         self.t = (self._past + int(self._sim.sim_cycle(self._handle))) / CLOCK_HZ
         if state:
             text = self._sim.sim_error().decode(errors="replace").strip()
-            raise RuntimeError(f"{self._elf.name}: the program stopped at {self.t:.6f} s (state {state}): {text}")
+            raise RuntimeError(
+                f"{self._elf.name}: the program stopped at {self.t:.6f} s (state {state}): {text}"
+            )
 
     def ppm_frames(self) -> list[PpmFrame]:
-        """The frames that were completed on the pin since the last call; a frame ends where the next one begins."""
-        at, levels = np.empty(ROOM, np.uint64), np.empty(ROOM, np.uint8)
-        while count := self._sim.sim_take_edges(self._handle, at, levels, ROOM):
+        """The frames that were completed on the pin since the last call; a frame ends where the
+        next one begins.
+        """
+        at, levels = np.empty(BUFFER_BYTES, np.uint64), np.empty(BUFFER_BYTES, np.uint8)
+        while count := self._sim.sim_take_edges(self._handle, at, levels, BUFFER_BYTES):
             self._edges += at[:count].tolist()
         edges = np.array(self._edges, dtype=np.int64)
-        starts = [*range(self._at_start and len(edges) > 0), *(np.flatnonzero(np.diff(edges) > SYNC_CYCLES) + 1)]
+        starts = [
+            *range(self._at_start and len(edges) > 0),
+            *(np.flatnonzero(np.diff(edges) > SYNC_CYCLES) + 1),
+        ]
         frames = [self._frame(edges[a:b], int(edges[b])) for a, b in pairwise(starts)]
         if starts:
             self._edges, self._at_start = edges[starts[-1] :].tolist(), True
@@ -122,7 +144,9 @@ class SimulatedBoard:
         for us in slots:
             require_range("pilot slot", us, low=2 * PILOT_GAP_US)
         if sum(slots) + PILOT_PAUSE_US > PILOT_FRAME_US:
-            raise InputError(f"pilot: want slots that fit into a frame of 22 ms with a pause of 4, got {channels_us}")
+            raise InputError(
+                f"pilot: expected slots that fit into a frame of 22 ms with a pause of 4, got {channels_us}"
+            )
         self._pilot = slots
 
     def pilot_edges(self, t: Sequence[float], levels: Sequence[int]) -> None:
@@ -136,18 +160,24 @@ class SimulatedBoard:
         self._sim.sim_drive_pilot(self._handle, at, np.array(levels, dtype=np.uint8), len(at))
 
     def hang(self) -> None:
-        """Let the main program hang: the first instruction of loop() becomes a jump to itself, until a reset.
+        """Let the main program hang: the first instruction of loop() becomes a jump to itself,
+        until a reset.
 
-        Interrupts go on as they would. The instruction is changed in the simulated flash memory; the file is not.
+        Interrupts go on as they would. The instruction is changed in the simulated flash memory;
+        the file is not.
 
         Raises:
             InputError: the program's symbol table names no loop().
         """
         if self._sim.sim_hang(self._handle):
-            raise InputError(f"{self._elf.name}: want a program with a function loop(), its symbol table has none")
+            raise InputError(
+                f"{self._elf.name}: expected a program with a function loop(), its symbol table has none"
+            )
 
     def reset(self) -> None:
-        """Press the reset button, as a host does that opens the port of a real board; the memory keeps its content."""
+        """Press the reset button, as a host does that opens the port of a real board; the memory
+        keeps its content.
+        """
         self._sim.sim_reset(self._handle)
 
     def power_cycle(self) -> None:
@@ -170,7 +200,9 @@ class SimulatedBoard:
 
     @property
     def artefacts(self) -> int:
-        """How often libsimavr turned its own PPM pin where Timer1 wrapped, as silicon does not; no frame shows it."""
+        """How often libsimavr turned its own PPM pin where Timer1 wrapped, as silicon does not; no
+        frame shows it.
+        """
         return int(self._sim.sim_counter(self._handle, 0))
 
     @property
@@ -187,7 +219,9 @@ class SimulatedBoard:
         self._chip = self._sim.sim_open(os.fsencode(self._elf), self._seed)
         if self._chip is None:
             text = self._sim.sim_error().decode(errors="replace").strip()
-            raise InputError(f"{self._elf.name}: want a program for the ATmega2560, got: {text}; build it again")
+            raise InputError(
+                f"{self._elf.name}: expected a program for the ATmega2560, got: {text}; build it again"
+            )
         self._edges, self._at_start, self._pilot_next = [], False, 0
 
     @property
@@ -202,11 +236,15 @@ class SimulatedBoard:
         while self._pilot and self._pilot_next < until:
             pulses = PILOT_GAP_US * np.arange(2) + np.cumsum([0.0, *self._pilot])[:, None]
             at = self._pilot_next + np.round(pulses.ravel() * CYCLES_PER_US).astype(np.uint64)
-            self._sim.sim_drive_pilot(self._handle, at, np.arange(len(at), dtype=np.uint8) % 2, len(at))
+            self._sim.sim_drive_pilot(
+                self._handle, at, np.arange(len(at), dtype=np.uint8) % 2, len(at)
+            )
             self._pilot_next += PILOT_FRAME_US * CYCLES_PER_US
 
     def _frame(self, edges: NDArray[np.int64], end: int) -> PpmFrame | None:
-        """A frame from its edges and the next one's first; None where a reset broke it off and edges are missing."""
+        """A frame from its edges and the next one's first; None where a reset broke it off and
+        edges are missing.
+        """
         self._most = max(self._most, len(edges))
         if len(edges) < self._most or len(edges) % 2:
             return None
@@ -216,15 +254,19 @@ class SimulatedBoard:
             t_slots=seconds[2::2],
             slots_us=np.diff(us[::2]),
             gap_us=us[1::2] - us[::2],
-            frame_us=float(end / CYCLES_PER_US - us[0]) if end - edges[0] <= LOST_CYCLES else math.nan,
+            frame_us=float(end / CYCLES_PER_US - us[0])
+            if end - edges[0] <= LOST_CYCLES
+            else math.nan,
         )
 
 
 class BoardOnPty:
-    """A board in step with the wall clock, behind a pseudo-terminal that opens like any serial port (POSIX only).
+    """A board in step with the wall clock, behind a pseudo-terminal that opens like any serial port
+    (POSIX only).
 
-    A thread runs it and carries bytes both ways; what is written reaches the board at the time it was written, to about
-    a millisecond. The board is used by one at a time: `with line.paused() as board`.
+    A thread runs it and carries bytes both ways; what is written reaches the board at the time it
+    was written, to about a millisecond. The board is used by one at a time: `with line.paused() as
+    board`.
 
     Args:
         board: a board in virtual time; it is closed with the line.
@@ -239,10 +281,12 @@ class BoardOnPty:
             import tty
         except ImportError:
             raise InputError(
-                "port: want a system with pseudo-terminals for a simulated board, got Windows; take --port sim-python"
+                "port: expected a system with pseudo-terminals for a simulated board, got Windows; take --port sim-python"
             ) from None
         self._board, self._lock, self._open = board, threading.Lock(), True
-        self._master, self._slave = pty.openpty()  # ours stays open: else the line breaks when its user closes it
+        self._master, self._slave = (
+            pty.openpty()
+        )  # ours stays open: else the line breaks when its user closes it
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.path = os.ttyname(self._slave)
@@ -259,7 +303,7 @@ class BoardOnPty:
         self.close()
 
     @contextmanager
-    def paused(self) -> Iterator[Board]:
+    def pause(self) -> Iterator[Board]:
         """The board, while its time stands; it catches up afterwards."""
         with self._lock:
             yield self._board
@@ -293,15 +337,15 @@ class BoardOnPty:
                 with self._lock:
                     self._board.run_until(now)
                     if ready:
-                        self._board.write(os.read(self._master, ROOM))
+                        self._board.write(os.read(self._master, BUFFER_BYTES))
                     came = self._board.read()
-                self._pass_on(came)
+                self._forward(came)
             except (OSError, RuntimeError) as error:
                 self.error = error
                 return
             self.worst_lag = max(self.worst_lag, time.perf_counter() - self._zero - now)
 
-    def _pass_on(self, came: bytes) -> None:
+    def _forward(self, came: bytes) -> None:
         """To whoever has the line open; where nobody reads, bytes are lost as on a real one."""
         if came:
             with suppress(BlockingIOError):

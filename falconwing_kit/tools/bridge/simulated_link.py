@@ -1,4 +1,6 @@
-"""Simulated boards in real time: the firmware in a simulated chip behind a pseudo-terminal, or plain Python."""
+"""Simulated boards in real time: the firmware in a simulated chip behind a pseudo-terminal, or
+plain Python.
+"""
 
 import time
 from collections.abc import Callable, Iterator
@@ -14,7 +16,7 @@ STEP = 0.002  # s of virtual time between two looks at what the board sent
 class Simulation(Protocol):
     """A simulated board that time runs on for by itself."""
 
-    def paused(self) -> AbstractContextManager[Board]:
+    def pause(self) -> AbstractContextManager[Board]:
         """The board, for a look or a change, while its time stands."""
 
     def close(self) -> None:
@@ -25,11 +27,13 @@ def open_simulation(name: str) -> tuple[Simulation, str, str]:
     """A simulated board in step with the host's clock.
 
     Args:
-        name: "sim" for the firmware in a simulated chip, behind a pseudo-terminal; where the tools to build it are
-            missing, plain Python there, and a warning. "sim-python" for plain Python without a pseudo-terminal.
+        name: "sim" for the firmware in a simulated chip, behind a pseudo-terminal; where the tools
+            to build it are missing, plain Python there, and a warning. "sim-python" for plain
+            Python without a pseudo-terminal.
 
     Returns:
-        The board; the path of its serial port, "" where it has none and is a link itself; what it is, in words.
+        The board; the path of its serial port, "" where it has none and is a link itself; what it
+        is, in words.
 
     Raises:
         InputError: the firmware cannot be built, or this system has no pseudo-terminals.
@@ -79,7 +83,7 @@ class SteppedBoard:
         return chunks
 
     @contextmanager
-    def paused(self) -> Iterator[Board]:
+    def pause(self) -> Iterator[Board]:
         """The board as it is now; its time runs only while somebody reads or writes."""
         self._run()
         yield self.board

@@ -1,7 +1,9 @@
-"""Through the port: a simulated aircraft that flies on what the pin of a board said, not on what the pilot meant.
+"""Through the port: a simulated aircraft that flies on what the pin of a board said, not on what
+the pilot meant.
 
-command -> serial frame -> board -> PPM pulses -> microseconds -> sticks -> aircraft, all in the board's virtual time.
-The board is the firmware in a simulated chip, or the one in plain Python. Everything here is simulated.
+command -> serial frame -> board -> PPM pulses -> microseconds -> sticks -> aircraft, all in the
+board's virtual time. The board is the firmware in a simulated chip, or the one in plain Python.
+Everything here is simulated.
 """
 
 import math
@@ -11,7 +13,7 @@ from warnings import warn
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command, State
-from falconwing_kit.flight.loop import PERIOD
+from falconwing_kit.flight.loop import CONTROL_PERIOD
 from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.tools.bridge.python_board import Board, PythonBoard
 from falconwing_kit.trainer_port.port import TrainerPort
@@ -22,15 +24,17 @@ GROUND_S, SETTLE_S = (
     3.0,
     1.0,
 )  # the first: so long a board has to answer and to follow; the second: to settle, slew limits included
-LOOK_S = 0.01  # between two looks at the board's answers
+POLL_S = 0.01  # between two looks at the board's answers
 
 
 class PortWorld:
-    """A simulated world behind the trainer port. For sources it is the world, for the loop the sink.
+    """A simulated world behind the trainer port. For sources it is the world, for the loop the
+    sink.
 
-    The switch-over comes before the flight: the board follows the first command already when its time begins. The radio
-    is taken to act on a frame when its last slot is complete; where the pulses stop it holds the last one. The port's
-    delay, 19 ms in the mean (16 bytes 1.4, half a frame 11, four slots 6), comes on top of the world's own.
+    The switch-over comes before the flight: the board follows the first command already when its
+    time begins. The radio is taken to act on a frame when its last slot is complete; where the
+    pulses stop it holds the last one. The port's delay, 19 ms in the mean (16 bytes 1.4, half a
+    frame 11, four slots 6), comes on top of the world's own.
     """
 
     def __init__(
@@ -46,8 +50,8 @@ class PortWorld:
             world: at its start.
             board: just switched on; the caller closes it.
             calibration: of sticks to microseconds; None takes the kit's own.
-            on_event: told what happens at the port: time of the flight [s] (0 for what was before), what, and more
-                about it; None for nobody.
+            on_event: told what happens at the port: time of the flight [s] (0 for what was before),
+                what, and more about it; None for nobody.
 
         Raises:
             InputError: the board does not answer.
@@ -55,8 +59,10 @@ class PortWorld:
         self.world, self.board = world, board
         self.calibration = calibration or load_calibration()
         self.frames, self._on_event = 0, on_event
-        self.port = TrainerPort(board, self.calibration, now=lambda: board.t, what=f"SIMULATED board, {board.kind}")
-        self.port.wait_ready(GROUND_S, self._pass_time)
+        self.port = TrainerPort(
+            board, self.calibration, now=lambda: board.t, what=f"SIMULATED board, {board.kind}"
+        )
+        self.port.wait_ready(GROUND_S, self._advance_clock)
         self._zero = math.nan  # the board's time when the flight begins
 
     def __enter__(self) -> Self:
@@ -98,7 +104,7 @@ class PortWorld:
             InputError: it is the first one and the board does not follow it.
         """
         if math.isnan(self._zero):
-            self._switch_over(command)
+            self._engage_board(command)
             self._zero = self.board.t - t
         self._run_board(t)
         self.port.send(command, engage=True)
@@ -106,15 +112,16 @@ class PortWorld:
     def advance(self, t: float) -> None:
         """Let the board run to t [s] and the aircraft fly on what its pin said.
 
-        A frame is known when the next one begins, up to 16 ms after its last slot. That is sooner than a command gets
-        through the radio (the world's own delay), so none comes too late.
+        A frame is known when the next one begins, up to 16 ms after its last slot. That is sooner
+        than a command gets through the radio (the world's own delay), so none comes too late.
         """
         if not math.isnan(self._zero):
             self._run_board(t)
             for frame in self.board.ppm_frames():
                 self.frames += 1
                 self.world.send(
-                    float(frame.t_slots[-1]) - self._zero, self.calibration.command(frame.slots_us.tolist())
+                    float(frame.t_slots[-1]) - self._zero,
+                    self.calibration.command(frame.slots_us.tolist()),
                 )
         self.world.advance(t)
 
@@ -122,25 +129,29 @@ class PortWorld:
         """The board's time in looks, so that its answers are read when they come."""
         end = self._zero + t
         while self.board.t < end - 1e-9:
-            self.board.run_until(min(self.board.t + LOOK_S, end))
+            self.board.run_until(min(self.board.t + POLL_S, end))
             self.port.poll()
         while self.port.events:
             event = self.port.events.popleft()
             if self._on_event is not None:
                 self._on_event(max(event.t - self._zero, 0.0), event.name, event.details)
 
-    def _switch_over(self, command: Command) -> None:
-        """Ask the board to follow, until it does; of its frames the last one counts, which carries the command."""
+    def _engage_board(self, command: Command) -> None:
+        """Ask the board to follow, until it does; of its frames the last one counts, which carries
+        the command.
+        """
         end = self.board.t + GROUND_S
         while self.port.engagement != "engaged" or self.board.t < end - GROUND_S + SETTLE_S:
             if self.board.t > end:
                 state = self.port.status.state if self.port.status else "nothing"
-                raise InputError(f"{self.port.what}: want it ACTIVE, got {state}; see `falconwing firmware test`")
+                raise InputError(
+                    f"{self.port.what}: expected it ACTIVE, got {state}; see `falconwing firmware test`"
+                )
             self.port.send(command, engage=True)
-            self._pass_time(PERIOD)
+            self._advance_clock(CONTROL_PERIOD)
         self.board.ppm_frames()
 
-    def _pass_time(self, dt: float) -> None:
+    def _advance_clock(self, dt: float) -> None:
         self.board.run_until(self.board.t + dt)
         self.port.poll()
 
@@ -149,14 +160,16 @@ def simulated_board(name: str) -> Board:
     """A board of virtual time.
 
     Args:
-        name: "sim" for the firmware in a simulated chip, or plain Python where its tools are missing, with a warning;
-            "sim-python" for plain Python.
+        name: "sim" for the firmware in a simulated chip, or plain Python where its tools are
+            missing, with a warning; "sim-python" for plain Python.
 
     Raises:
         InputError: there is no simulated board of this name, or the firmware cannot be built.
     """
     if name not in PORTS:
-        raise InputError(f"--port {name}: want {' or '.join(PORTS)}, a simulated board, to fly in simulation")
+        raise InputError(
+            f"--port {name}: expected {' or '.join(PORTS)}, a simulated board, to fly in simulation"
+        )
     from falconwing_kit.tools.bridge.build import missing_tools
 
     missing = missing_tools() if name == "sim" else []

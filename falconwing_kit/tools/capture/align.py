@@ -1,11 +1,13 @@
-"""World alignment: a reconstruction and surveyed points seen in its photos -> the similarity into the kit's world.
+"""World alignment: a reconstruction and surveyed points seen in its photos -> the similarity into
+the kit's world.
 
     p_world = scale R p_reconstruction + t
 
-Structure from motion knows neither scale nor where up is. What works: corners triangulated from all photos that show
-them, Umeyama's similarity between them and the survey, and then all seven degrees of freedom refined on the corners'
-pixels, with the tape's own error in the model. What does not (kept as the baseline): the marker's pose from each single
-photo. A small flat square has two poses that look almost alike, so far photos put the camera metres away.
+Structure from motion knows neither scale nor where up is. What works: corners triangulated from all
+photos that show them, Umeyama's similarity between them and the survey, and then all seven degrees
+of freedom refined on the corners' pixels, with the tape's own error in the model. What does not
+(kept as the baseline): the marker's pose from each single photo. A small flat square has two poses
+that look almost alike, so far photos put the camera metres away.
 """
 
 from collections.abc import Mapping
@@ -16,12 +18,20 @@ import numpy as np
 
 from falconwing_kit.core.checks import Array, InputError, require_shape
 from falconwing_kit.tools.capture.photo_files import Reconstruction
-from falconwing_kit.tools.capture.survey.points import MARKER_CORNERS, Numbers, Sightings, Survey
+from falconwing_kit.tools.capture.survey.points import (
+    MARKER_CORNERS,
+    Numbers,
+    PointObservations,
+    Survey,
+)
 
 TAPE_SIGMA = 0.01  # [m] what a tape measure is good for
-LEAST_PIXEL_SIGMA = 0.2  # [px] no corner is found better than this, however well a few agree
-FAR_PIXELS = 8.0  # [px] a sighting further than this from where its point must be shows something else
-ROBUST = 3.0  # residuals beyond this many standard deviations pull with a constant force, not with their size
+MIN_PIXEL_SIGMA = 0.2  # [px] no corner is found better than this, however well a few agree
+OUTLIER_PIXELS = (
+    8.0  # [px] a sighting further than this from where its point must be shows something else
+)
+# residuals beyond this many standard deviations pull with a constant force, not with their size
+ROBUST = 3.0
 _DOF = 7
 
 
@@ -33,7 +43,8 @@ class Alignment:
     R: Array  # (3, 3) turns the reconstruction's axes into the world's
     t: Array  # (3,) where its origin is in the world [m]
     method: str  # which recipe found it, in words
-    covariance: Array  # (7, 7) of log scale, rotation about world axes [rad], translation [m]; nan: not known
+    # (7, 7) of log scale, rotation about world axes [rad], translation [m]; nan: not known
+    covariance: Array
     residuals: Mapping[str, Any] = field(default_factory=dict)  # how well the points fit, by name
 
     def points(self, p_reconstruction: Array) -> Array:
@@ -45,7 +56,8 @@ class Alignment:
         return (np.asarray(p_world) - self.t) @ self.R / self.scale
 
     def sigma(self, p_world: Array) -> Array:
-        """How well the place of a point is known: the standard deviation of its distance from where it is put.
+        """How well the place of a point is known: the standard deviation of its distance from where
+        it is put.
 
         dp = d(log scale) (p - t) + d(rotation) x (p - t) + dt;  sigma^2 = trace(J C J^T)
         It holds what pixels and tape leave open, not how the reconstruction itself may be bent.
@@ -58,12 +70,15 @@ class Alignment:
         """
         from_t = require_shape("p_world", p_world, (None, 3)) - self.t
         jacobian = np.concatenate(
-            [from_t[:, :, None], -_cross(from_t), np.broadcast_to(np.eye(3), (len(from_t), 3, 3))], 2
+            [from_t[:, :, None], -_cross(from_t), np.broadcast_to(np.eye(3), (len(from_t), 3, 3))],
+            2,
         )
         return np.sqrt(np.einsum("nij,jk,nik->n", jacobian, self.covariance, jacobian))
 
 
-def apply(alignment: Alignment, reconstruction: Reconstruction) -> Reconstruction:
+def transform_reconstruction(
+    alignment: Alignment, reconstruction: Reconstruction
+) -> Reconstruction:
     """The reconstruction in the kit's world: places scaled, turned and moved; cameras only turned.
 
     Args:
@@ -77,11 +92,17 @@ def apply(alignment: Alignment, reconstruction: Reconstruction) -> Reconstructio
         InputError: it is aligned already.
     """
     if reconstruction.aligned:
-        raise InputError("reconstruction: want one that is not aligned yet, got one in world metres; take the raw one")
+        raise InputError(
+            "reconstruction: expected one that is not aligned yet, got one in world metres; take the raw one"
+        )
     poses = reconstruction.T_world_camera.copy()
     poses[:, :3, :3] = alignment.R @ poses[:, :3, :3]
     poses[:, :3, 3] = alignment.points(poses[:, :3, 3])
-    report = {**reconstruction.report, "alignment": alignment.method, "metres_per_unit": alignment.scale}
+    report = {
+        **reconstruction.report,
+        "alignment": alignment.method,
+        "metres_per_unit": alignment.scale,
+    }
     return replace(
         reconstruction,
         T_world_camera=poses,
@@ -91,13 +112,18 @@ def apply(alignment: Alignment, reconstruction: Reconstruction) -> Reconstructio
     )
 
 
-def align(reconstruction: Reconstruction, survey: Survey, sightings: Sightings) -> Alignment:
-    """Align by surveyed points that photos show: triangulate, fit the similarity, refine it on the pixels.
+def align(
+    reconstruction: Reconstruction, survey: Survey, observations: PointObservations
+) -> Alignment:
+    """Align by surveyed points that photos show: triangulate, fit the similarity, refine it on the
+    pixels.
 
     Minimised over similarity and true places P_j, with P_j measured by tape to TAPE_SIGMA:
-        sum rho(|pixel - project(P_j)|^2 / sigma_px^2) + sum rho(|P_j - survey_j|^2 / TAPE_SIGMA^2), rho: soft l1
-    sigma_px is taken from the residuals themselves. The covariance treats each photo's residuals as one draw, for an
-    error of the photo's pose moves all its corners alike [sandwich form; White 1980, clustered by photo].
+        sum rho(|pixel - project(P_j)|^2 / sigma_px^2) + sum rho(|P_j - survey_j|^2 / TAPE_SIGMA^2),
+        rho: soft l1
+    sigma_px is taken from the residuals themselves. The covariance treats each photo's residuals as
+    one draw, for an error of the photo's pose moves all its corners alike [sandwich form; White
+    1980, clustered by photo].
 
     Args:
         reconstruction: not aligned.
@@ -105,27 +131,43 @@ def align(reconstruction: Reconstruction, survey: Survey, sightings: Sightings) 
         sightings: where photos show them; points seen in fewer than two photos are left out.
 
     Returns:
-        The alignment; residuals by point: sightings, rms in pixels and distance of the triangulated point [m].
+        The alignment; residuals by point: sightings, rms in pixels and distance of the triangulated
+        point [m].
 
     Raises:
-        InputError: fewer than three points that span a triangle can be used, or the reconstruction is aligned already.
+        InputError: fewer than three points that span a triangle can be used, or the reconstruction
+            is aligned already.
     """
     if reconstruction.aligned:
-        raise InputError("reconstruction: want one that is not aligned yet, got one in world metres; take the raw one")
-    sightings = _known(sightings, survey)
-    triangulated = triangulate(reconstruction, sightings)
-    names = [name for name in survey.names if name in triangulated]
-    if len(names) < 3 or np.linalg.matrix_rank(survey.places(names) - survey.places(names[:1]), tol=0.05) < 2:
         raise InputError(
-            f"sightings: want three surveyed points, not in a line, each in two or more photos, got {len(names)}; "
+            "reconstruction: expected one that is not aligned yet, got one in world metres; take the raw one"
+        )
+    observations = _alignment_observations(observations, survey)
+    triangulated = triangulate(reconstruction, observations)
+    names = [name for name in survey.names if name in triangulated]
+    if (
+        len(names) < 3
+        or np.linalg.matrix_rank(survey.places(names) - survey.places(names[:1]), tol=0.05) < 2
+    ):
+        raise InputError(
+            f"sightings: expected three surveyed points, not in a line, each in two or more photos, got {len(names)}; "
             "click more points or take more photos of them"
         )
     start = umeyama(np.array([triangulated[name] for name in names]), survey.places(names))
-    return _refine(reconstruction, survey, _in_place(reconstruction, sightings, names, triangulated), names, start)
+    return _refine(
+        reconstruction,
+        survey,
+        _inliers(reconstruction, observations, names, triangulated),
+        names,
+        start,
+    )
 
 
-def align_by_marker_poses(reconstruction: Reconstruction, survey: Survey, sightings: Sightings) -> Alignment:
-    """The baseline, which fails: the marker's pose from each single photo, and Umeyama between the camera centres.
+def align_by_marker_poses(
+    reconstruction: Reconstruction, survey: Survey, observations: PointObservations
+) -> Alignment:
+    """The baseline, which fails: the marker's pose from each single photo, and Umeyama between the
+    camera centres.
 
     This is the paper's recipe read literally. It is here to be shown beside `align`.
 
@@ -145,15 +187,19 @@ def align_by_marker_poses(reconstruction: Reconstruction, survey: Survey, sighti
     p_corners = _marker_places(survey)
     T_world_marker, size = _marker_frame(p_corners)
     square = 0.5 * size * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]], np.float64)
-    corners = [sightings.of(name) for name in MARKER_CORNERS]
+    corners = [observations.of(name) for name in MARKER_CORNERS]
     shared = set.intersection(*(set(photos.tolist()) for photos, _ in corners))
     if len(shared) < 3:
-        raise InputError(f"photos: want the marker whole in three or more photos, got it in {len(shared)}; take more")
+        raise InputError(
+            f"photos: expected the marker whole in three or more photos, got it in {len(shared)}; take more"
+        )
     from_reconstruction, from_marker = [], []
     for number in sorted(shared):
         pixels = np.array([found[list(photos).index(number)] for photos, found in corners])
         straight = np.ascontiguousarray(reconstruction.pixel_directions(pixels)[:, :2])
-        _, turns, places, _ = cv2.solvePnPGeneric(square, straight, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+        _, turns, places, _ = cv2.solvePnPGeneric(
+            square, straight, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        )
         R_camera_marker = cv2.Rodrigues(turns[0])[0]  # the first is the better of the two solutions
         p_marker_camera = -R_camera_marker.T @ places[0].ravel()
         from_marker.append(T_world_marker[:3, :3] @ p_marker_camera + T_world_marker[:3, 3])
@@ -161,7 +207,14 @@ def align_by_marker_poses(reconstruction: Reconstruction, survey: Survey, sighti
     scale, R, t = umeyama(np.array(from_reconstruction), np.array(from_marker))
     misses = np.linalg.norm(scale * np.array(from_reconstruction) @ R.T + t - from_marker, axis=1)
     residuals = {"photos": len(shared), "camera_miss_median_m": float(np.median(misses))}
-    return Alignment(scale, R, t, "marker pose of each photo (baseline)", np.full((_DOF, _DOF), np.nan), residuals)
+    return Alignment(
+        scale,
+        R,
+        t,
+        "marker pose of each photo (baseline)",
+        np.full((_DOF, _DOF), np.nan),
+        residuals,
+    )
 
 
 def umeyama(p_from: Array, p_to: Array) -> tuple[float, Array, Array]:
@@ -180,34 +233,44 @@ def umeyama(p_from: Array, p_to: Array) -> tuple[float, Array, Array]:
     Raises:
         InputError: the points lie in a line or fewer than three came.
     """
-    p_from, p_to = require_shape("p_from", p_from, (None, 3)), require_shape("p_to", p_to, (len(p_from), 3))
+    p_from, p_to = (
+        require_shape("p_from", p_from, (None, 3)),
+        require_shape("p_to", p_to, (len(p_from), 3)),
+    )
     mean_from, mean_to = p_from.mean(axis=0), p_to.mean(axis=0)
     A, B = p_from - mean_from, p_to - mean_to
     U, S, Vt = np.linalg.svd(B.T @ A)
     if len(p_from) < 3 or not S[1] > 1e-9 * S[0] > 0.0:
-        raise InputError(f"points: want three or more that are not in a line, got {len(p_from)}; add points beside it")
+        raise InputError(
+            f"points: expected three or more that are not in a line, got {len(p_from)}; add points beside it"
+        )
     D = np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)])
     R = U @ D @ Vt
     scale = float(np.trace(np.diag(S) @ D) / (A**2).sum())
     return scale, R, mean_to - scale * R @ mean_from
 
 
-def triangulate(reconstruction: Reconstruction, sightings: Sightings) -> dict[str, Array]:
-    """Where points are, from the rays of all photos that show them; sightings far from the rest are left out.
+def triangulate(
+    reconstruction: Reconstruction, observations: PointObservations
+) -> dict[str, Array]:
+    """Where points are, from the rays of all photos that show them; sightings far from the rest are
+    left out.
 
-    The point next to all rays solves sum (I - d d^T) (p - c) = 0 with d the ray and c the camera; rays are then
-    weighted by 1 / distance^2, so that the error counts in angle, and dropped where they miss by more than FAR_PIXELS.
+    The point next to all rays solves sum (I - d d^T) (p - c) = 0 with d the ray and c the camera;
+    rays are then weighted by 1 / distance^2, so that the error counts in angle, and dropped where
+    they miss by more than FAR_PIXELS.
 
     Args:
         reconstruction: whose photos show the points.
         sightings: where.
 
     Returns:
-        By name: (3,) in the reconstruction's frame, for every point that two or more photos agree on.
+        By name: (3,) in the reconstruction's frame, for every point that two or more photos agree
+            on.
     """
     points = {}
-    for name in dict.fromkeys(sightings.names):
-        photos, pixels = sightings.of(name)
+    for name in dict.fromkeys(observations.names):
+        photos, pixels = observations.of(name)
         rays = np.array([_ray(reconstruction, k, uv) for k, uv in zip(photos, pixels, strict=True)])
         centres = reconstruction.T_world_camera[photos, :3, 3]
         weights = np.ones(len(photos))
@@ -216,51 +279,68 @@ def triangulate(reconstruction: Reconstruction, sightings: Sightings) -> dict[st
             if (weights > 0).sum() < 2 or np.linalg.cond(across.sum(axis=0)) > 1e6:
                 break
             point = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
-            miss = _misses(reconstruction, point, photos, pixels)
-            limit = max(FAR_PIXELS, 3.0 * float(np.median(miss)))
+            miss = _reprojection_errors(reconstruction, point, photos, pixels)
+            limit = max(OUTLIER_PIXELS, 3.0 * float(np.median(miss)))
             weights = np.where(miss < limit, 1.0 / ((point - centres) ** 2).sum(axis=1), 0.0)
         else:
-            if np.median(miss) < FAR_PIXELS:
+            if np.median(miss) < OUTLIER_PIXELS:
                 points[name] = point
     return points
 
 
 def _ray(reconstruction: Reconstruction, photo: int, pixel: Array) -> Array:
     """(3,) unit vector from a camera to what a pixel shows, in the reconstruction's axes."""
-    direction = reconstruction.T_world_camera[photo, :3, :3] @ reconstruction.pixel_directions(pixel[None])[0]
+    direction = (
+        reconstruction.T_world_camera[photo, :3, :3]
+        @ reconstruction.pixel_directions(pixel[None])[0]
+    )
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _misses(reconstruction: Reconstruction, point: Array, photos: Numbers, pixels: Array) -> Array:
-    """(K,) distances of sightings from where a point appears [px]; infinite where it is behind the camera."""
-    seen = np.array([reconstruction.project(point[None], int(photo))[0] for photo in photos]).reshape(-1, 2)
+def _reprojection_errors(
+    reconstruction: Reconstruction, point: Array, photos: Numbers, pixels: Array
+) -> Array:
+    """(K,) distances of sightings from where a point appears [px]; infinite where it is behind the
+    camera.
+    """
+    seen = np.array(
+        [reconstruction.project(point[None], int(photo))[0] for photo in photos]
+    ).reshape(-1, 2)
     return np.nan_to_num(np.linalg.norm(seen - pixels, axis=1), nan=np.inf)
 
 
-def _known(sightings: Sightings, survey: Survey) -> Sightings:
+def _alignment_observations(observations: PointObservations, survey: Survey) -> PointObservations:
     """Sightings of points that the survey has for alignment."""
     names = survey.select("align").names
-    keep = np.array([name in names for name in sightings.names], bool)
-    chosen = tuple(name for name, kept in zip(sightings.names, keep, strict=True) if kept)
-    return Sightings(chosen, sightings.photos[keep], sightings.pixels[keep])
+    keep = np.array([name in names for name in observations.names], bool)
+    chosen = tuple(name for name, kept in zip(observations.names, keep, strict=True) if kept)
+    return PointObservations(chosen, observations.photos[keep], observations.pixels[keep])
 
 
-def _in_place(
-    reconstruction: Reconstruction, sightings: Sightings, names: list[str], triangulated: Mapping[str, Array]
-) -> Sightings:
+def _inliers(
+    reconstruction: Reconstruction,
+    observations: PointObservations,
+    names: list[str],
+    triangulated: Mapping[str, Array],
+) -> PointObservations:
     """Sightings near their triangulated point."""
     rows: list[Any] = []
     for name in names:
-        photos, pixels = sightings.of(name)
-        near = _misses(reconstruction, triangulated[name], photos, pixels) < FAR_PIXELS
-        rows += [(name, int(k), uv.tolist()) for k, uv in zip(photos[near], pixels[near], strict=True)]
-    return Sightings.join(rows)
+        photos, pixels = observations.of(name)
+        near = (
+            _reprojection_errors(reconstruction, triangulated[name], photos, pixels)
+            < OUTLIER_PIXELS
+        )
+        rows += [
+            (name, int(k), uv.tolist()) for k, uv in zip(photos[near], pixels[near], strict=True)
+        ]
+    return PointObservations.join(rows)
 
 
 def _refine(
     reconstruction: Reconstruction,
     survey: Survey,
-    sightings: Sightings,
+    observations: PointObservations,
     names: list[str],
     start: tuple[float, Array, Array],
 ) -> Alignment:
@@ -268,41 +348,59 @@ def _refine(
     from scipy.optimize import least_squares
 
     scale, R, t = start
-    p_survey, place = survey.places(names), np.array([names.index(name) for name in sightings.names])
+    p_survey, place = (
+        survey.places(names),
+        np.array([names.index(name) for name in observations.names]),
+    )
     pixel_sigma = 1.0
 
     def residuals(x: Array) -> Array:
-        at = _moved(scale, R, t, x[:_DOF])
+        at = _perturb_similarity(scale, R, t, x[:_DOF])
         p_true = p_survey + TAPE_SIGMA * x[_DOF:].reshape(-1, 3)
         p_reconstruction = ((p_true - at[2]) @ at[1] / at[0])[place]
-        seen = _seen(reconstruction, p_reconstruction, sightings.photos)
-        return np.concatenate([(seen - sightings.pixels).ravel() / pixel_sigma, x[_DOF:]])
+        seen = _project_each(reconstruction, p_reconstruction, observations.photos)
+        return np.concatenate([(seen - observations.pixels).ravel() / pixel_sigma, x[_DOF:]])
 
     x = np.zeros(_DOF + 3 * len(names))
     for again in range(3):  # the second and third time with the residuals' own size
         fit = least_squares(residuals, x, loss="soft_l1", f_scale=ROBUST, x_scale="jac")
-        x, pixels = fit.x, pixel_sigma * fit.fun[: 2 * len(sightings)]
+        x, pixels = fit.x, pixel_sigma * fit.fun[: 2 * len(observations)]
         if again < 2:
-            pixel_sigma = max(LEAST_PIXEL_SIGMA, 1.4826 * float(np.median(np.abs(pixels))))
-    scale, R, t = _moved(scale, R, t, x[:_DOF])
-    covariance = _covariance(fit.fun, fit.jac, sightings)
+            pixel_sigma = max(MIN_PIXEL_SIGMA, 1.4826 * float(np.median(np.abs(pixels))))
+    scale, R, t = _perturb_similarity(scale, R, t, x[:_DOF])
+    covariance = _covariance(fit.fun, fit.jac, observations)
     miss = np.linalg.norm(pixels.reshape(-1, 2), axis=1)
     by_name = {
-        name: {"photos": int((place == j).sum()), "rms_px": float(np.sqrt((miss[place == j] ** 2).mean()))}
+        name: {
+            "photos": int((place == j).sum()),
+            "rms_px": float(np.sqrt((miss[place == j] ** 2).mean())),
+        }
         for j, name in enumerate(names)
     }
-    return Alignment(scale, R, t, f"{len(names)} surveyed points, refined on pixels", covariance, by_name)
+    return Alignment(
+        scale, R, t, f"{len(names)} surveyed points, refined on pixels", covariance, by_name
+    )
 
 
-def _moved(scale: float, R: Array, t: Array, step: Array) -> tuple[float, Array, Array]:
-    """The similarity after a step in log scale, rotation about world axes through t, and translation."""
+def _perturb_similarity(
+    scale: float, R: Array, t: Array, step: Array
+) -> tuple[float, Array, Array]:
+    """The similarity after a step in log scale, rotation about world axes through t, and
+    translation.
+    """
     from scipy.spatial.transform import Rotation
 
-    return scale * float(np.exp(step[0])), Rotation.from_rotvec(step[1:4]).as_matrix() @ R, t + step[4:7]
+    return (
+        scale * float(np.exp(step[0])),
+        Rotation.from_rotvec(step[1:4]).as_matrix() @ R,
+        t + step[4:7],
+    )
 
 
-def _seen(reconstruction: Reconstruction, points: Array, photos: Numbers) -> Array:
-    """(K, 2) pixels of points (K, 3), each in its own photo; what is behind a camera appears far outside."""
+def _project_each(reconstruction: Reconstruction, points: Array, photos: Numbers) -> Array:
+    """(K, 2) pixels of points (K, 3), each in its own photo; what is behind a camera appears far
+    outside.
+    """
     poses, camera = reconstruction.T_world_camera[photos], reconstruction.camera
     p_camera = np.einsum("nji,nj->ni", poses[:, :3, :3], points - poses[:, :3, 3])
     straight = p_camera[:, :2] / np.maximum(p_camera[:, 2:], 1e-6)
@@ -310,19 +408,26 @@ def _seen(reconstruction: Reconstruction, points: Array, photos: Numbers) -> Arr
     return bent * (camera.fx, camera.fy) + (camera.cx, camera.cy)
 
 
-def _covariance(values: Array, jacobian: Array, sightings: Sightings) -> Array:
+def _covariance(values: Array, jacobian: Array, observations: PointObservations) -> Array:
     """(7, 7) covariance with each photo's residuals as one draw, and each tape measure as one.
 
-    C = H^-1 (sum over photos g g^T + tape) H^-1 with g the gradient of one photo; never below H^-1 itself in any
-    direction that matters here: the larger of the two by trace is taken, for few photos make the first too small.
+    C = H^-1 (sum over photos g g^T + tape) H^-1 with g the gradient of one photo; never below H^-1
+    itself in any direction that matters here: the larger of the two by trace is taken, for few
+    photos make the first too small.
     """
-    count = 2 * len(sightings)
-    values = values * (1.0 + (values / ROBUST) ** 2) ** 0.25  # scipy scales J by ()^-3/4; the gradient has ()^-1/2
+    count = 2 * len(observations)
+    values = (
+        values * (1.0 + (values / ROBUST) ** 2) ** 0.25
+    )  # scipy scales J by ()^-3/4; the gradient has ()^-1/2
     bread = np.linalg.inv(jacobian.T @ jacobian)
-    gradients = (jacobian * values[:, None])[:count].reshape(len(sightings), 2, -1).sum(axis=1)
-    by_photo = np.array([gradients[sightings.photos == k].sum(axis=0) for k in np.unique(sightings.photos)])
+    gradients = (jacobian * values[:, None])[:count].reshape(len(observations), 2, -1).sum(axis=1)
+    by_photo = np.array(
+        [gradients[observations.photos == k].sum(axis=0) for k in np.unique(observations.photos)]
+    )
     share = len(by_photo) / max(1, len(by_photo) - 1)
-    sandwich = bread @ (share * by_photo.T @ by_photo + jacobian[count:].T @ jacobian[count:]) @ bread
+    sandwich = (
+        bread @ (share * by_photo.T @ by_photo + jacobian[count:].T @ jacobian[count:]) @ bread
+    )
     best = max((sandwich, bread), key=lambda C: float(np.trace(C[:_DOF, :_DOF])))
     return np.asarray(best[:_DOF, :_DOF])
 
@@ -331,19 +436,25 @@ def _cross(vectors: Array) -> Array:
     """(N, 3, 3) matrices with cross(v) w = v x w."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
-    return np.stack([np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], -2)
+    return np.stack(
+        [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], -2
+    )
 
 
 def _marker_places(survey: Survey) -> Array:
     """(4, 3) the marker's corners [m]."""
     missing = [name for name in MARKER_CORNERS if name not in survey.names]
     if missing:
-        raise InputError(f"survey: want the marker's four corners, {missing[0]} is missing; measure and add it")
+        raise InputError(
+            f"survey: expected the marker's four corners, {missing[0]} is missing; measure and add it"
+        )
     return survey.places(MARKER_CORNERS)
 
 
 def _marker_frame(p_corners: Array) -> tuple[Array, float]:
-    """T_world_marker with x to the marker's right, y up and z out of it, and the side of the square [m]."""
+    """T_world_marker with x to the marker's right, y up and z out of it, and the side of the square
+    [m].
+    """
     top_left, top_right, _, bottom_left = p_corners
     right, up = top_right - top_left, top_left - bottom_left
     size = 0.5 * float(np.linalg.norm(right) + np.linalg.norm(up))

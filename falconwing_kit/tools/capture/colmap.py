@@ -1,8 +1,9 @@
 """COLMAP models: a folder with cameras, images and points3D, text or binary -> poses and points.
 
-The layout is that of https://colmap.github.io/format.html. Its poses are "camera from world"; its pixels have the first
-centre at (0.5, 0.5) and its camera axes are OpenCV's, both as the kit's. The files may promise anything: every count is
-checked against what is left of the file before it is believed.
+The layout is that of https://colmap.github.io/format.html. Its poses are "camera from world"; its
+pixels have the first centre at (0.5, 0.5) and its camera axes are OpenCV's, both as the kit's. The
+files may promise anything: every count is checked against what is left of the file before it is
+believed.
 """
 
 import struct
@@ -16,8 +17,19 @@ from falconwing_kit.core.checks import Array, InputError, require_file
 from falconwing_kit.core.files import short_name
 
 MODELS = {  # by number in binary files: name, parameters
-    **{0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8)},
-    **{5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4)},
+    **{
+        0: ("SIMPLE_PINHOLE", 3),
+        1: ("PINHOLE", 4),
+        2: ("SIMPLE_RADIAL", 4),
+        3: ("RADIAL", 5),
+        4: ("OPENCV", 8),
+    },
+    **{
+        5: ("OPENCV_FISHEYE", 8),
+        6: ("FULL_OPENCV", 12),
+        7: ("FOV", 5),
+        8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    },
     **{9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12)},
 }
 PARTS = ("cameras", "images", "points3D")
@@ -25,7 +37,9 @@ PARTS = ("cameras", "images", "points3D")
 
 def is_colmap(folder: Path) -> bool:
     """Whether a folder holds a COLMAP model."""
-    return any(all((folder / f"{part}{ending}").is_file() for part in PARTS) for ending in (".bin", ".txt"))
+    return any(
+        all((folder / f"{part}{ending}").is_file() for part in PARTS) for ending in (".bin", ".txt")
+    )
 
 
 def read_colmap(folder: str | Path) -> dict[str, Any]:
@@ -37,8 +51,8 @@ def read_colmap(folder: str | Path) -> dict[str, Any]:
     Returns:
         cameras: list of (model name, width, height, parameters), those that images use;
         names: of the images; Ts_world_camera (N, 4, 4);
-        points (M, 3); colours (M, 3) uint8; errors_px (M,) mean reprojection error of each point as the file tells;
-        track_lengths (M,) number of images that see each point.
+        points (M, 3); colours (M, 3) uint8; errors_px (M,) mean reprojection error of each point as
+        the file tells; track_lengths (M,) number of images that see each point.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -46,23 +60,29 @@ def read_colmap(folder: str | Path) -> dict[str, Any]:
     """
     folder = Path(folder)
     if not is_colmap(folder):
-        raise FileNotFoundError(f"{folder}: want a COLMAP model (cameras, images and points3D), found none; check it")
+        raise FileNotFoundError(
+            f"{folder}: expected a COLMAP model (cameras, images and points3D), found none; check it"
+        )
     ending = ".bin" if all((folder / f"{part}.bin").is_file() for part in PARTS) else ".txt"
     paths = [require_file(folder / f"{part}{ending}") for part in PARTS]
     parts: list[Any] = []
     for path, (read_binary, read_text) in zip(paths, _READERS, strict=True):
         try:
             content = path.read_bytes()
-            parts.append(read_binary(_Bytes(content)) if ending == ".bin" else read_text(_lines(content)))
+            parts.append(
+                read_binary(_Bytes(content)) if ending == ".bin" else read_text(_lines(content))
+            )
         except (struct.error, ValueError, IndexError, KeyError, OverflowError):
             raise InputError(
-                f"{short_name(path)}: want COLMAP's {path.stem}, got damaged bytes; copy it again"
+                f"{short_name(path)}: expected COLMAP's {path.stem}, got damaged bytes; copy it again"
             ) from None
     cameras, images, (points, colours, errors, lengths) = parts
     missing = {image[1] for image in images} - set(cameras)
     poses = _poses([image[0] for image in images])
     if missing or not (np.isfinite(poses).all() and np.isfinite(points).all()):
-        raise InputError(f"{short_name(folder)}: want images with known cameras and finite poses, got others")
+        raise InputError(
+            f"{short_name(folder)}: expected images with known cameras and finite poses, got others"
+        )
     return {
         "cameras": [cameras[key] for key in sorted({image[1] for image in images})],
         "names": tuple(image[2] for image in images),
@@ -72,7 +92,9 @@ def read_colmap(folder: str | Path) -> dict[str, Any]:
 
 
 def _poses(rows: list[tuple[float, ...]]) -> Array:
-    """Ts_world_camera (N, 4, 4) from COLMAP's qw qx qy qz tx ty tz, "camera from world"; nan where q is no rotation."""
+    """Ts_world_camera (N, 4, 4) from COLMAP's qw qx qy qz tx ty tz, "camera from world"; nan where
+    q is no rotation.
+    """
     from scipy.spatial.transform import Rotation
 
     values = np.array(rows, np.float64).reshape(-1, 7)
@@ -157,7 +179,12 @@ def _text_cameras(lines: list[str]) -> dict[int, tuple[Any, ...]]:
     for number, model, width, height, *parameters in _words(lines):
         if len(parameters) != known[model]:
             raise ValueError(model)
-        cameras[int(number)] = (model, int(width), int(height), tuple(float(word) for word in parameters))
+        cameras[int(number)] = (
+            model,
+            int(width),
+            int(height),
+            tuple(float(word) for word in parameters),
+        )
     return cameras
 
 
@@ -175,7 +202,18 @@ def _text_images(lines: list[str]) -> list[tuple[Any, ...]]:
 def _text_points(lines: list[str]) -> tuple[Any, ...]:
     rows = []
     for _, x, y, z, red, green, blue, error, *track in _words(lines):
-        rows.append((float(x), float(y), float(z), int(red), int(green), int(blue), float(error), len(track) // 2))
+        rows.append(
+            (
+                float(x),
+                float(y),
+                float(z),
+                int(red),
+                int(green),
+                int(blue),
+                float(error),
+                len(track) // 2,
+            )
+        )
     return _points(rows)
 
 
@@ -189,4 +227,8 @@ def _points(rows: list[tuple[Any, ...]]) -> tuple[Any, ...]:
     return table[:, :3], table[:, 3:6].astype(np.uint8), table[:, 6], table[:, 7].astype(np.int64)
 
 
-_READERS = ((_binary_cameras, _text_cameras), (_binary_images, _text_images), (_binary_points, _text_points))
+_READERS = (
+    (_binary_cameras, _text_cameras),
+    (_binary_images, _text_images),
+    (_binary_points, _text_points),
+)

@@ -1,9 +1,11 @@
-"""Fitting: photos with aligned poses, or turntable photos of an aircraft -> a Gaussian scene that ships, with figures.
+"""Fitting: photos with aligned poses, or turntable photos of an aircraft -> a Gaussian scene that
+ships, with figures.
 
     python -m falconwing_kit.tools.capture.fit RECONSTRUCTION --survey survey.csv --out DIR
 
-does everything in one go without network: on an NVIDIA GPU by gsplat, on a CPU by the reference renderer, which is for
-small scenes. It wants torch, numpy and pillow, and gsplat on the GPU; nothing else. `scene/training` does the work.
+does everything in one go without network: on an NVIDIA GPU by gsplat, on a CPU by the reference
+renderer, which is for small scenes. It wants torch, numpy and pillow, and gsplat on the GPU;
+nothing else. `scene/training` does the work.
 """
 
 import argparse
@@ -20,17 +22,28 @@ from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import short_name
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.tools.capture.align import umeyama
-from falconwing_kit.tools.capture.photo_files import Reconstruction, read_reconstruction, write_reconstruction
+from falconwing_kit.tools.capture.photo_files import (
+    Reconstruction,
+    read_reconstruction,
+    write_reconstruction,
+)
 from falconwing_kit.tools.capture.survey.points import Survey, read_survey
-from falconwing_kit.tools.capture.training.settings import CAMERAS, LEADER, FitSettings
+from falconwing_kit.tools.capture.training.settings import CAMERAS, LEADER_SETTINGS, FitSettings
 
 if TYPE_CHECKING:
-    from falconwing_kit.tools.capture.training.task import Fit
+    from falconwing_kit.tools.capture.training.task import TrainingResult
 
-ON_FACES = 0.9  # of the points that are added: on the room's floor, walls and ceiling; the others in between
+# of the points that are added: on the room's floor, walls and ceiling; the others in between
+ON_FACES = 0.9
 ROOM_MARGIN = 0.5  # [m] beyond the outermost camera and surveyed point
-BEYOND = 0.25  # a scene may reach this part of the room's size beyond it, and below the floor as deep as it is high
-CENTRE_OF_GRAVITY = (0.036, 0.0, 0.0)  # of the leader, in its photos' frame [m]: 0.20 m behind its nose at x = 0.236
+# a scene may reach this part of the room's size beyond it, and below the floor as deep as it is
+# high
+BEYOND = 0.25
+CENTRE_OF_GRAVITY = (
+    0.036,
+    0.0,
+    0.0,
+)  # of the leader, in its photos' frame [m]: 0.20 m behind its nose at x = 0.236
 CORRECTED = "corrected"  # folder of the reconstruction with corrected poses
 AIRCRAFT_SIZE = 0.5  # [m] the extent of a turntable scene
 
@@ -41,12 +54,13 @@ def fit_scene(
     settings: FitSettings | None = None,
     survey: Survey | None = None,
     say: Callable[[str], None] = print,
-) -> "Fit":
+) -> "TrainingResult":
     """Train a scene on photos, judge it on places it has not seen, and write it.
 
-    The folder gets scene.npz (quantised, labels rest, floor, pad and marker), figures.json, pairs of held-out photos
-    and renders, and, where poses are learnt, `corrected`: the reconstruction with better poses, to train on once more.
-    While it trains it keeps training.npz there; the same call goes on from it after an interruption.
+    The folder gets scene.npz (quantised, labels rest, floor, pad and marker), figures.json, pairs
+    of held-out photos and renders, and, where poses are learnt, `apply_pose_corrections`: the
+    reconstruction with better poses, to train on once more. While it trains it keeps training.npz
+    there; the same call goes on from it after an interruption.
 
     Args:
         reconstruction: photos with poses in the kit's world.
@@ -60,43 +74,61 @@ def fit_scene(
 
     Raises:
         FileNotFoundError: a photo is missing.
-        InputError: the reconstruction is not aligned, a photo is damaged or of another size, there are too few photos,
-            the backend cannot run here, GPU memory does not suffice, or the folder cannot be written.
+        InputError: the reconstruction is not aligned, a photo is damaged or of another size, there
+            are too few photos, the backend cannot run here, GPU memory does not suffice, or the
+            folder cannot be written.
     """
-    from falconwing_kit.tools.capture.training.draw import choose
+    from falconwing_kit.tools.capture.training.draw import choose_renderer
     from falconwing_kit.tools.capture.training.photos import load_photos
-    from falconwing_kit.tools.capture.training.task import Task
+    from falconwing_kit.tools.capture.training.task import SceneTrainer
 
     settings = settings or FitSettings()
     if not reconstruction.aligned:
         raise InputError(
-            "reconstruction: want one in the kit's world, got one not aligned; run: falconwing scene align"
+            "reconstruction: expected one in the kit's world, got one not aligned; run: falconwing scene align"
         )
-    draw, device = choose(settings.backend)
+    draw, device = choose_renderer(settings.backend)
     source = reconstruction
     say(f"reading {len(source)} photos of {short_name(source.folder)} to train on {device}")
     photos = load_photos(source, settings.width, device)
     room = _room(settings, source.T_world_camera[:, :3, 3], survey)
-    points, colours = first_points(source.points, source.colours, room, settings.gaussians // 2, settings.seed)
+    points, colours = initial_points(
+        source.points, source.colours, room, settings.gaussians // 2, settings.seed
+    )
     deep = np.array([BEYOND, BEYOND, 1.0]) * (room[1] - room[0])
     box = np.stack([room[0] - deep, room[1] + BEYOND * (room[1] - room[0])])
-    task = Task(photos, draw, points, colours, box, _extent(source.T_world_camera[:, :3, 3]), settings, out, say)
+    task = SceneTrainer(
+        photos,
+        draw,
+        points,
+        colours,
+        box,
+        _extent(source.T_world_camera[:, :3, 3]),
+        settings,
+        out,
+        say,
+    )
     state = task.train()
     if settings.poses:
-        write_reconstruction(out / CORRECTED, corrected(source, task.corrected_poses(state)))
-    return task.ship(state, survey, f"Gaussian splats trained on photos of {short_name(source.folder)}")
+        write_reconstruction(
+            out / CORRECTED, apply_pose_corrections(source, task.corrected_poses(state))
+        )
+    return task.ship(
+        state, survey, f"Gaussian splats trained on photos of {short_name(source.folder)}"
+    )
 
 
-def corrected(source: Reconstruction, Ts_world_camera: Array) -> Reconstruction:
-    """The reconstruction with poses that training corrected, where the survey put it: as a whole it does not move.
+def apply_pose_corrections(source: Reconstruction, Ts_world_camera: Array) -> Reconstruction:
+    """The reconstruction with poses that training corrected, where the survey put it: as a whole it
+    does not move.
 
     Args:
         source: the reconstruction.
         Ts_world_camera: (n, 4, 4) its poses, each a little off its old place.
 
     Returns:
-        The same photos and points; the poses moved together by the similarity that brings the cameras' places nearest
-        to where they were.
+        The same photos and points; the poses moved together by the similarity that brings the
+        cameras' places nearest to where they were.
     """
     scale, R, t = umeyama(Ts_world_camera[:, :3, 3], source.T_world_camera[:, :3, 3])
     poses = Ts_world_camera.copy()
@@ -108,21 +140,22 @@ def corrected(source: Reconstruction, Ts_world_camera: Array) -> Reconstruction:
 def fit_leader(
     folder: Path,
     out: Path,
-    settings: FitSettings = LEADER,
+    settings: FitSettings = LEADER_SETTINGS,
     centre_of_gravity: Sequence[float] = CENTRE_OF_GRAVITY,
     say: Callable[[str], None] = print,
-) -> "Fit":
-    """Train an aircraft on its turntable photos, which tell what is aircraft and what is not by their alpha.
+) -> "TrainingResult":
+    """Train an aircraft on its turntable photos, which tell what is aircraft and what is not by
+    their alpha.
 
-    The folder gets scene.npz (body axes, label leader, named points nose, tail, left_wing_tip and right_wing_tip) and
-    figures.json; see `fit_scene`.
+    The folder gets scene.npz (body axes, label leader, named points nose, tail, left_wing_tip and
+    right_wing_tip) and figures.json; see `fit_scene`.
 
     Args:
         folder: holds cameras.json and RGBA photos.
         out: the folder to write; made where it is missing.
         settings: how to train.
-        centre_of_gravity: (3,) in the frame of the photos' poses (x nose, y left, z up) [m]; an estimate will do, it
-            is only the place about which the asset turns.
+        centre_of_gravity: (3,) in the frame of the photos' poses (x nose, y left, z up) [m]; an
+            estimate will do, it is only the place about which the asset turns.
         say: gets lines of progress.
 
     Returns:
@@ -130,29 +163,34 @@ def fit_leader(
 
     Raises:
         FileNotFoundError: cameras.json or a photo is missing.
-        InputError: one of them is damaged, has no alpha, or they do not belong together; or see `fit_scene`.
+        InputError: one of them is damaged, has no alpha, or they do not belong together; or see
+            `fit_scene`.
     """
-    from falconwing_kit.tools.capture.training.draw import choose
-    from falconwing_kit.tools.capture.training.task import Task
+    from falconwing_kit.tools.capture.training.draw import choose_renderer
+    from falconwing_kit.tools.capture.training.task import SceneTrainer
     from falconwing_kit.tools.capture.training.turntable import hull_points, load_turntable
 
-    draw, device = choose(settings.backend)
+    draw, device = choose_renderer(settings.backend)
     photos = load_turntable(folder, centre_of_gravity, settings.width, device)
     say(f"read {len(photos)} turntable photos of {short_name(folder)} to train on {device}")
     points = hull_points(photos, settings.gaussians, settings.seed)
     colours = np.full(points.shape, 128, np.uint8)
     margin = 0.05 * (points.max(axis=0) - points.min(axis=0)) + 0.02
     box = np.stack([points.min(axis=0) - margin, points.max(axis=0) + margin])
-    task = Task(photos, draw, points, colours, box, AIRCRAFT_SIZE, settings, out, say)
+    task = SceneTrainer(photos, draw, points, colours, box, AIRCRAFT_SIZE, settings, out, say)
     return task.ship(
-        task.train(), None, f"Gaussian splats trained on turntable photos of {short_name(folder)}", "leader"
+        task.train(),
+        None,
+        f"Gaussian splats trained on turntable photos of {short_name(folder)}",
+        "leader",
     )
 
 
-def first_points(
+def initial_points(
     points: Array, colours: NDArray[np.uint8], room: Array, count: int, seed: int
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Points to begin with: those of the reconstruction in the room, and more where it has none, on the room's faces.
+    """Points to begin with: those of the reconstruction in the room, and more where it has none, on
+    the room's faces.
 
     Args:
         points: (M, 3) of the reconstruction [m].
@@ -162,13 +200,15 @@ def first_points(
         seed: draws.
 
     Returns:
-        Points (count, 3), at most half of them from the reconstruction unless it has fewer, and colours (count, 3):
-        the added ones take that of the nearest point, or grey.
+        Points (count, 3), at most half of them from the reconstruction unless it has fewer, and
+        colours (count, 3): the added ones take that of the nearest point, or grey.
     """
     import torch
 
     rng, size = np.random.default_rng(seed), room[1] - room[0]
-    own = np.flatnonzero(((points > room[0] - 0.1 * size) & (points < room[1] + 0.1 * size)).all(axis=1))
+    own = np.flatnonzero(
+        ((points > room[0] - 0.1 * size) & (points < room[1] + 0.1 * size)).all(axis=1)
+    )
     own = rng.permutation(own)[: max(count // 2, 4)]
     added = rng.uniform(room[0], room[1], (max(0, count - len(own)), 3))
     areas = np.prod(size) / size  # of the faces across x, y and z
@@ -184,7 +224,7 @@ def first_points(
     return np.concatenate([points[own], added]), np.concatenate([colours[own], taken])
 
 
-def judge_scene(
+def evaluate_scene(
     path: Path,
     reconstruction: Reconstruction,
     settings: FitSettings,
@@ -206,16 +246,16 @@ def judge_scene(
     Raises:
         InputError: a file is damaged or the backend cannot run here.
     """
-    from falconwing_kit.tools.capture.training.judge import judge
-    from falconwing_kit.tools.capture.training.photos import held_out, load_photos
-    from falconwing_kit.tools.capture.training.task import kit_look
+    from falconwing_kit.tools.capture.training.judge import evaluate
+    from falconwing_kit.tools.capture.training.photos import held_out_photos, load_photos
+    from falconwing_kit.tools.capture.training.task import kit_renderer
 
     scene, source = GaussianScene.load(path), reconstruction
-    held = np.flatnonzero(held_out(source.names, source.T_world_camera[:, :3, 3], settings))
+    held = np.flatnonzero(held_out_photos(source.names, source.T_world_camera[:, :3, 3], settings))
     names, poses = tuple(source.names[number] for number in held), source.T_world_camera[held]
     chosen = replace(source, names=names, T_world_camera=poses, folder=folder or source.folder)
     photos = load_photos(chosen, settings.width)
-    return judge(kit_look(scene, photos, settings.antialiased, backend), photos)
+    return evaluate(kit_renderer(scene, photos, settings.antialiased, backend), photos)
 
 
 def _room(settings: FitSettings, places: Array, survey: Survey | None) -> Array:
@@ -229,12 +269,15 @@ def _room(settings: FitSettings, places: Array, survey: Survey | None) -> Array:
 
 
 def _extent(places: Array) -> float:
-    """How far cameras reach from their middle, and a tenth more [m]; 3D Gaussian Splatting's measure of a scene."""
+    """How far cameras reach from their middle, and a tenth more [m]; 3D Gaussian Splatting's
+    measure of a scene.
+    """
     return max(0.1, 1.1 * float(np.linalg.norm(places - places.mean(axis=0), axis=1).max()))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """`python -m falconwing_kit.tools.capture.fit`: the whole job, with the standard library's command line.
+    """`python -m falconwing_kit.tools.capture.fit`: the whole job, with the standard library's
+    command line.
 
     Args:
         arguments: the words; None takes them from the command line.
@@ -242,44 +285,68 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0 done, 2 wrong use.
     """
-    from falconwing_kit.tools.capture.training.photos import read_names
+    from falconwing_kit.tools.capture.training.photos import read_photo_names
 
     parser = argparse.ArgumentParser(
-        prog="python -m falconwing_kit.tools.capture.fit", description=(__doc__ or "").split("\n")[0]
+        prog="python -m falconwing_kit.tools.capture.fit",
+        description=(__doc__ or "").split("\n")[0],
     )
-    parser.add_argument("source", type=Path, help="an aligned reconstruction, or a folder of turntable photos")
+    parser.add_argument(
+        "source", type=Path, help="an aligned reconstruction, or a folder of turntable photos"
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument("--survey", type=Path, help="CSV of measured points: where pad and marker are")
-    parser.add_argument("--photos", type=Path, help="where the photos are, if not where the reconstruction says")
-    parser.add_argument("--held-out", type=Path, help="names of the photos to judge by, such as another figures.json")
+    parser.add_argument(
+        "--survey", type=Path, help="CSV of measured points: where pad and marker are"
+    )
+    parser.add_argument(
+        "--photos", type=Path, help="where the photos are, if not where the reconstruction says"
+    )
+    parser.add_argument(
+        "--held-out",
+        type=Path,
+        help="names of the photos to judge by, such as another figures.json",
+    )
     for field in fields(FitSettings)[1:]:
         kind: Any = {bool: _truth, int: int, float: float, str: str}.get(field.type, _numbers)  # type: ignore[arg-type]
         parser.add_argument(f"--{field.name.replace('_', '-')}", type=kind)
-    given = {name: value for name, value in vars(parser.parse_args(arguments)).items() if value is not None}
+    given = {
+        name: value
+        for name, value in vars(parser.parse_args(arguments)).items()
+        if value is not None
+    }
     try:
         if "held_out" in given:
-            given["judge_by"] = read_names(given.pop("held_out"))
-        fit(**{name: given.pop(name) for name in ("source", "out", "survey", "photos") if name in given}, changes=given)
+            given["judge_by"] = read_photo_names(given.pop("held_out"))
+        fit_folder(
+            **{
+                name: given.pop(name)
+                for name in ("source", "out", "survey", "photos")
+                if name in given
+            },
+            changes=given,
+        )
     except (InputError, FileNotFoundError) as error:
         print(error, file=sys.stderr)
         return 2
     return 0
 
 
-def fit(
+def fit_folder(
     source: Path,
     out: Path,
     changes: Mapping[str, Any],
     survey: Path | None = None,
     photos: Path | None = None,
     say: Callable[[str], None] = print,
-) -> "Fit":
-    """Fit what a folder holds: an aligned reconstruction, or turntable photos of an aircraft (with cameras.json).
+) -> "TrainingResult":
+    """Fit what a folder holds: an aligned reconstruction, or turntable photos of an aircraft (with
+    cameras.json).
 
     Args:
         source: the folder, or a transforms.json.
         out: the folder to write.
-        changes: settings that differ from `FitSettings()`, or from `LEADER` for turntable photos.
+        changes: settings that differ from `FitSettings()`, or from `LEADER_SETTINGS` for turntable
+            photos.
         survey: CSV of measured points.
         photos: the folder of a reconstruction's photos, if they are not where it says.
         say: gets lines of progress.
@@ -289,7 +356,7 @@ def fit(
         InputError: see `fit_scene` and `fit_leader`.
     """
     if (source / CAMERAS).is_file():
-        return fit_leader(source, out, replace(LEADER, **changes), say=say)
+        return fit_leader(source, out, replace(LEADER_SETTINGS, **changes), say=say)
     reconstruction = read_reconstruction(source)
     if photos is not None:
         reconstruction = replace(reconstruction, folder=photos)
@@ -300,7 +367,7 @@ def fit(
 def _truth(text: str) -> bool:
     """yes or no."""
     if text not in ("yes", "no"):
-        raise argparse.ArgumentTypeError(f"want yes or no, got {text!r}")
+        raise argparse.ArgumentTypeError(f"expected yes or no, got {text!r}")
     return text == "yes"
 
 

@@ -5,7 +5,8 @@ SPZ     a gzip stream of fixed-point arrays, version 1 to 3   https://github.com
 SOG     version 2: meta.json and lossless WebP images, in a folder or a zip
         https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog
 
-All three are lossy. A compressed file may claim to unpack to anything: sizes are checked before it is.
+All three are lossy. A compressed file may claim to unpack to anything: sizes are checked before it
+is.
 """
 
 import json
@@ -25,21 +26,27 @@ from falconwing_kit.scene.ply import SH_C0, SH_COUNTS, Array32, quaternions_from
 
 Bytes = NDArray[np.uint8]
 
-_SPLAT_ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
+_SPLAT_ROW = np.dtype(
+    [("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)]
+)
 
 _SPZ_HEADER = struct.Struct("<4sIIBBBx")
 _SPZ_DC = 0.15  # its colours reach from -2.8 to 3.8, so that higher harmonics may bring them back
 _SPZ_EXTENSIONS = 0x2
-# SPZ keeps x right, y up, z back, where a .ply of the same scene has y down and z forward: half a turn about x.
+# SPZ keeps x right, y up, z back, where a .ply of the same scene has y down and z forward: half a
+# turn about x.
 _TURN = np.array([1, -1, -1], np.float32)
-_TURN_SH = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)  # sign of each harmonic
+_TURN_SH = np.array(
+    [1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32
+)  # sign of each harmonic
 
 _SOG_META_BYTES = 1024 * 1024
 _WEBP_HEADER = struct.Struct("<4sI4s4sIBI")
 
 
 def read_splat(path: str | Path) -> dict[str, Any]:
-    """Read a .splat: position, scale, colour with opacity, and rotation of one Gaussian after the other.
+    """Read a .splat: position, scale, colour with opacity, and rotation of one Gaussian after the
+    other.
 
     Args:
         path: the file.
@@ -55,7 +62,7 @@ def read_splat(path: str | Path) -> dict[str, Any]:
     data = path.read_bytes()
     if len(data) % _SPLAT_ROW.itemsize:
         raise InputError(
-            f"{short_name(path)}: want 32 bytes for each Gaussian, got {len(data)} bytes; the file was cut"
+            f"{short_name(path)}: expected 32 bytes for each Gaussian, got {len(data)} bytes; the file was cut"
         )
     rows = np.frombuffer(data, _SPLAT_ROW)
     rgba = rows["rgba"] / np.float32(255.0)
@@ -69,7 +76,8 @@ def read_splat(path: str | Path) -> dict[str, Any]:
 
 
 def read_spz(path: str | Path) -> dict[str, Any]:
-    """Read an SPZ of version 1, 2 or 3, and turn it into the axes that a .ply of the same scene has.
+    """Read an SPZ of version 1, 2 or 3, and turn it into the axes that a .ply of the same scene
+    has.
 
     Its mark of antialiased training is not kept; such a scene wants that option of the renderer.
 
@@ -81,12 +89,15 @@ def read_spz(path: str | Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: the file is damaged, of another version, or claims to unpack to more than it can hold.
+        InputError: the file is damaged, of another version, or claims to unpack to more than it can
+            hold.
     """
     path = require_file(path)
     name, data = short_name(path), path.read_bytes()
     if data[:4] == b"NGSP":
-        raise InputError(f"{name}: want SPZ version 1 to 3, got version 4 or later; save it as version 3 or as .ply")
+        raise InputError(
+            f"{name}: expected SPZ version 1 to 3, got version 4 or later; save it as version 3 or as .ply"
+        )
     unpacker = zlib.decompressobj(wbits=31)  # gzip
     try:
         header = unpacker.decompress(data, _SPZ_HEADER.size)
@@ -96,14 +107,18 @@ def read_spz(path: str | Path) -> dict[str, Any]:
         size = count * sum(widths)
         if size > MAX_COMPRESSION * len(data) + FREE_BYTES:
             raise InputError(
-                f"{name}: want a promise of at most {MAX_COMPRESSION} times its size, got one of {count} Gaussians"
+                f"{name}: expected a promise of at most {MAX_COMPRESSION} times its size, got one of {count} Gaussians"
             )
         body = unpacker.decompress(unpacker.unconsumed_tail, size)
         more = unpacker.decompress(unpacker.unconsumed_tail, 1)
     except zlib.error:
-        raise InputError(f"{name}: want an SPZ (a gzip file), got other or damaged bytes; copy it again") from None
+        raise InputError(
+            f"{name}: expected an SPZ (a gzip file), got other or damaged bytes; copy it again"
+        ) from None
     if len(body) != size or more or not unpacker.eof:
-        raise InputError(f"{name}: want {size} bytes for {count} Gaussians, got fewer or more; the file is damaged")
+        raise InputError(
+            f"{name}: expected {size} bytes for {count} Gaussians, got fewer or more; the file is damaged"
+        )
     parts = np.split(np.frombuffer(body, np.uint8), np.cumsum(widths)[:-1] * count)
     return _spz_fields(version, fraction_bits, [part.reshape(count, -1) for part in parts])
 
@@ -111,27 +126,37 @@ def read_spz(path: str | Path) -> dict[str, Any]:
 def _spz_header(header: bytes, name: str) -> tuple[int, int, int, int]:
     """Version, number of Gaussians, SH degree and fractional bits."""
     if len(header) < _SPZ_HEADER.size or header[:4] != b"NGSP":
-        raise InputError(f"{name}: want an SPZ, got another gzip file; check the path")
+        raise InputError(f"{name}: expected an SPZ, got another gzip file; check the path")
     _, version, count, degree, fraction_bits, flags = _SPZ_HEADER.unpack(header)
     if version not in (1, 2, 3):
-        raise InputError(f"{name}: want SPZ version 1 to 3, got {version}; save it as version 3 or as .ply")
+        raise InputError(
+            f"{name}: expected SPZ version 1 to 3, got {version}; save it as version 3 or as .ply"
+        )
     if count == 0 or degree >= len(SH_COUNTS) or fraction_bits > 24:
         got = f"{count} of degree {degree} with {fraction_bits} bits"
-        raise InputError(f"{name}: want Gaussians of SH degree 0 to 3 with at most 24 fractional bits, got {got}")
+        raise InputError(
+            f"{name}: expected Gaussians of SH degree 0 to 3 with at most 24 fractional bits, got {got}"
+        )
     if flags & _SPZ_EXTENSIONS:
-        raise InputError(f"{name}: want an SPZ without vendor extensions, which may turn its axes; save it as .ply")
+        raise InputError(
+            f"{name}: expected an SPZ without vendor extensions, which may turn its axes; save it as .ply"
+        )
     return version, count, degree, fraction_bits
 
 
 def _spz_fields(version: int, fraction_bits: int, parts: list[Bytes]) -> dict[str, Any]:
-    """Gaussians from the parts of an SPZ: positions, opacities, colours, scales, rotations, harmonics."""
+    """Gaussians from the parts of an SPZ: positions, opacities, colours, scales, rotations,
+    harmonics.
+    """
     positions, opacities, colors, scales, rotations, harmonics = parts
     count = len(positions)
     if version == 1:
         means = positions.view("<f2").astype(np.float32)
     else:  # signed 24-bit numbers, the lowest byte first
         low, middle, high = np.moveaxis(positions.reshape(count, 3, 3).astype(np.int32), 2, 0)
-        means = (((high ^ 0x80) - 0x80) * 65536 + middle * 256 + low).astype(np.float32) / np.float32(2**fraction_bits)
+        means = (((high ^ 0x80) - 0x80) * 65536 + middle * 256 + low).astype(
+            np.float32
+        ) / np.float32(2**fraction_bits)
     dc = (colors / np.float32(255.0) - 0.5) / np.float32(_SPZ_DC)
     rest = (harmonics.reshape(count, -1, 3).astype(np.float32) - 128.0) / 128.0
     sh = np.concatenate([dc[:, None], rest], axis=1)
@@ -153,7 +178,9 @@ def _spz_first_three(rotations: Bytes) -> Array32:
 
 
 def _spz_smallest_three(rotations: Bytes) -> Array32:
-    """(N, 4) w x y z from 32-bit words: the place of the largest in x y z w, then sign and 9 bits of each other."""
+    """(N, 4) w x y z from 32-bit words: the place of the largest in x y z w, then sign and 9 bits
+    of each other.
+    """
     words = rotations.view("<u4")[:, 0]
     fields = np.stack([words >> 20, words >> 10, words], axis=1) & 0x3FF
     size = (fields & 0x1FF) * np.float32(np.sqrt(0.5) / 0x1FF)
@@ -172,7 +199,8 @@ def read_sog(path: str | Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: there is no file, or one that meta.json names is missing.
-        InputError: a file is damaged or of another version, or OpenCV, which decodes its images, is not installed.
+        InputError: a file is damaged or of another version, or OpenCV, which decodes its images, is
+            not installed.
     """
     path = Path(path)
     folder = path.parent if path.name == "meta.json" else path
@@ -189,11 +217,15 @@ def read_sog(path: str | Path) -> dict[str, Any]:
     files = [*means_files, *scale_files, *quat_files, *color_files, *rest_files]
     images = _decode({file: fetch(file) for file in files}, name)
 
-    low, high, scales, quats, color = (_texels(images[file], count, f"{name}: {file}") for file in files[:5])
+    low, high, scales, quats, color = (
+        _texels(images[file], count, f"{name}: {file}") for file in files[:5]
+    )
     sh = _look_up(color_book, color[:, :3], name)[:, None]
     if has_rest:
         labels = _texels(images[rest_files[1]], count, f"{name}: {rest_files[1]}")
-        sh = np.concatenate([sh, _sog_rest(meta["shN"], images[rest_files[0]], labels, rest_books[0], name)], axis=1)
+        sh = np.concatenate(
+            [sh, _sog_rest(meta["shN"], images[rest_files[0]], labels, rest_books[0], name)], axis=1
+        )
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused with the scene
         return {
             "means": _sog_means(low, high, mins_maxs, name),
@@ -213,7 +245,9 @@ def _fetch_from_zip(path: Path) -> Callable[[str], bytes]:
 
     def fetch(name: str) -> bytes:
         if name not in members:
-            raise InputError(f"{short_name(path)}: want {name[:80]} in the zip, which is missing; pack the scene again")
+            raise InputError(
+                f"{short_name(path)}: expected {name[:80]} in the zip, which is missing; pack the scene again"
+            )
         return members[name]
 
     return fetch
@@ -226,10 +260,14 @@ def _sog_meta(data: bytes, name: str) -> dict[str, Any]:
     except (ValueError, RecursionError):
         meta = None
     if not isinstance(meta, dict) or meta.get("version") != 2:
-        raise InputError(f"{name}: want the meta.json of SOG version 2, got other text; convert the scene again")
+        raise InputError(
+            f"{name}: expected the meta.json of SOG version 2, got other text; convert the scene again"
+        )
     count = meta.get("count")
     if type(count) is not int or not 0 < count < 2**31:
-        raise InputError(f"{name}: want a positive count of Gaussians in meta.json, got {str(count)[:40]}")
+        raise InputError(
+            f"{name}: expected a positive count of Gaussians in meta.json, got {str(count)[:40]}"
+        )
     return meta
 
 
@@ -240,13 +278,25 @@ def _section(
     part = meta.get(key)
     part = part if isinstance(part, dict) else {}
     listed = part.get("files")
-    if not isinstance(listed, list) or len(listed) != files or not all(_is_plain(file) for file in listed):
-        raise InputError(f"{name}: want {files} plain file names for {key} in meta.json, got others; convert it again")
+    if (
+        not isinstance(listed, list)
+        or len(listed) != files
+        or not all(_is_plain(file) for file in listed)
+    ):
+        raise InputError(
+            f"{name}: expected {files} plain file names for {key} in meta.json, got others; convert it again"
+        )
     arrays = []
     for number in numbers:
         values = part.get(number)
-        if not isinstance(values, list) or not 0 < len(values) <= 256 or not all(_is_number(v) for v in values):
-            raise InputError(f"{name}: want 1 to 256 finite numbers for {key} {number} in meta.json, got others")
+        if (
+            not isinstance(values, list)
+            or not 0 < len(values) <= 256
+            or not all(_is_number(v) for v in values)
+        ):
+            raise InputError(
+                f"{name}: expected 1 to 256 finite numbers for {key} {number} in meta.json, got others"
+            )
         arrays.append(np.array(values, np.float32))
     return listed, arrays
 
@@ -261,17 +311,24 @@ def _is_plain(file: Any) -> bool:
 
 
 def _decode(files: dict[str, bytes], name: str) -> dict[str, Bytes]:
-    """The images as (height, width, 4) red, green, blue, alpha, once their headers promise a size that can be true."""
+    """The images as (height, width, 4) red, green, blue, alpha, once their headers promise a size
+    that can be true.
+    """
     try:
         import cv2
     except ImportError:
         raise InputError(
-            f"{name}: want OpenCV to decode SOG's images; run: pip install opencv-python-headless"
+            f"{name}: expected OpenCV to decode SOG's images; run: pip install opencv-python-headless"
         ) from None
     sizes = {file: _webp_size(data, f"{name}: {file}") for file, data in files.items()}
-    pixels, packed = sum(width * height for width, height in sizes.values()), sum(map(len, files.values()))
+    pixels, packed = (
+        sum(width * height for width, height in sizes.values()),
+        sum(map(len, files.values())),
+    )
     if 4 * pixels > MAX_COMPRESSION * packed + FREE_BYTES:
-        raise InputError(f"{name}: want images of at most {MAX_COMPRESSION} times their files, got {pixels} pixels")
+        raise InputError(
+            f"{name}: expected images of at most {MAX_COMPRESSION} times their files, got {pixels} pixels"
+        )
     images = {}
     for file, data in files.items():
         try:
@@ -284,33 +341,45 @@ def _decode(files: dict[str, bytes], name: str) -> dict[str, Bytes]:
             or image.shape[1::-1] != sizes[file]
             or image.shape[2:] not in ((3,), (4,))
         ):
-            raise InputError(f"{name}: {file}: want a whole WebP image, got a damaged one; copy or convert it again")
+            raise InputError(
+                f"{name}: {file}: expected a whole WebP image, got a damaged one; copy or convert it again"
+            )
         opaque = np.full_like(image[..., :1], 255)
-        images[file] = np.concatenate([image[..., 2::-1], image[..., 3:] if image.shape[2] == 4 else opaque], axis=2)
+        images[file] = np.concatenate(
+            [image[..., 2::-1], image[..., 3:] if image.shape[2] == 4 else opaque], axis=2
+        )
     return images
 
 
 def _webp_size(data: bytes, what: str) -> tuple[int, int]:
-    """Width and height from the header of a lossless WebP  [WebP Lossless Bitstream Specification, section 3]."""
+    """Width and height from the header of a lossless WebP  [WebP Lossless Bitstream Specification,
+    section 3].
+    """
     if len(data) >= _WEBP_HEADER.size:
         riff, _, webp, kind, _, signature, bits = _WEBP_HEADER.unpack_from(data)
         if (riff, webp, kind, signature) == (b"RIFF", b"WEBP", b"VP8L", 0x2F):
             return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
-    raise InputError(f"{what}: want a lossless WebP image, got other bytes; lossy images spoil every value")
+    raise InputError(
+        f"{what}: expected a lossless WebP image, got other bytes; lossy images spoil every value"
+    )
 
 
 def _texels(image: Bytes, count: int, what: str) -> Bytes:
     """(count, 4) the first pixels, row by row."""
     texels = image.reshape(-1, 4)
     if len(texels) < count:
-        raise InputError(f"{what}: want a pixel for each of {count} Gaussians, got {len(texels)}; convert it again")
+        raise InputError(
+            f"{what}: expected a pixel for each of {count} Gaussians, got {len(texels)}; convert it again"
+        )
     return texels[:count]
 
 
 def _look_up(book: Array32, codes: Bytes, name: str) -> Array32:
     """Numbers of a code book, of the codes' shape."""
     if codes.max() >= len(book):
-        raise InputError(f"{name}: want codes below {len(book)}, the length of the code book, got {codes.max()}")
+        raise InputError(
+            f"{name}: expected codes below {len(book)}, the length of the code book, got {codes.max()}"
+        )
     return book[codes]
 
 
@@ -318,7 +387,9 @@ def _sog_means(low: Bytes, high: Bytes, mins_maxs: list[Array32], name: str) -> 
     """(N, 3) from 16-bit fractions between mins and maxs, where x is kept as sign(x) ln(1 + |x|)."""
     mins, maxs = mins_maxs
     if len(mins) != 3 or len(maxs) != 3:
-        raise InputError(f"{name}: want three mins and three maxs for means in meta.json, got other numbers of them")
+        raise InputError(
+            f"{name}: expected three mins and three maxs for means in meta.json, got other numbers of them"
+        )
     fractions = (low[:, :3] + 256.0 * high[:, :3]) / 65535.0
     logs = mins + (maxs - mins) * fractions
     return (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
@@ -327,20 +398,30 @@ def _sog_means(low: Bytes, high: Bytes, mins_maxs: list[Array32], name: str) -> 
 def _sog_quaternions(texels: Bytes, name: str) -> Array32:
     """(N, 4) w x y z from three bytes for the smallest three, and 252 + the place of the largest."""
     if texels[:, 3].min() < 252:
-        raise InputError(f"{name}: want 252 to 255 in the alpha of the quaternions, got {texels[:, 3].min()}")
+        raise InputError(
+            f"{name}: expected 252 to 255 in the alpha of the quaternions, got {texels[:, 3].min()}"
+        )
     small = (texels[:, :3] / np.float32(255.0) * 2.0 - 1.0) * np.float32(np.sqrt(0.5))
     return quaternions_from_smallest_three(small, texels[:, 3] - 252)
 
 
-def _sog_rest(part: dict[str, Any], palette: Bytes, labels: Bytes, book: Array32, name: str) -> Array32:
-    """(N, K - 1, 3) higher harmonics: each Gaussian names a row of a palette, 64 of which stand side by side."""
+def _sog_rest(
+    part: dict[str, Any], palette: Bytes, labels: Bytes, book: Array32, name: str
+) -> Array32:
+    """(N, K - 1, 3) higher harmonics: each Gaussian names a row of a palette, 64 of which stand
+    side by side.
+    """
     bands = part.get("bands")
     per_row = SH_COUNTS[bands] - 1 if type(bands) is int and 1 <= bands <= 3 else 0
     if per_row == 0 or palette.shape[1] != 64 * per_row:
         got = f"{str(bands)[:20]} bands, {palette.shape[1]} pixels"
-        raise InputError(f"{name}: want 1 to 3 bands of shN and a palette of 64 entries in each row, got {got}")
+        raise InputError(
+            f"{name}: expected 1 to 3 bands of shN and a palette of 64 entries in each row, got {got}"
+        )
     rows = palette.reshape(-1, per_row, 4)[..., :3]
     numbers = labels[:, 0] + 256 * labels[:, 1].astype(np.int64)
     if numbers.max() >= len(rows):
-        raise InputError(f"{name}: want labels below {len(rows)}, the length of the palette, got {numbers.max()}")
+        raise InputError(
+            f"{name}: expected labels below {len(rows)}, the length of the palette, got {numbers.max()}"
+        )
     return _look_up(book, rows, name)[numbers]

@@ -1,7 +1,8 @@
 """Photos with poses: nerfstudio's transforms.json or a COLMAP model <-> Reconstruction.
 
-transforms.json writes poses with OpenGL camera axes (x right, y up, z back); the kit's are OpenCV's (x right, y down,
-z forward). Only this file knows the flip:  T_world_camera(OpenGL) = T_world_camera(OpenCV) diag(1, -1, -1, 1).
+transforms.json writes poses with OpenGL camera axes (x right, y up, z back); the kit's are OpenCV's
+(x right, y down, z forward). Only this file knows the flip:  T_world_camera(OpenGL) =
+T_world_camera(OpenCV) diag(1, -1, -1, 1).
 """
 
 import json
@@ -23,7 +24,8 @@ from falconwing_kit.tools.capture.points import read_points, write_points
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 MAX_JSON_BYTES = 64 * 1024**2
 TRANSFORMS, POINTS = "transforms.json", "points.ply"
-# What the k1 of COLMAP's SIMPLE_RADIAL stands for; further coefficients are taken only where they do nothing.
+# What the k1 of COLMAP's SIMPLE_RADIAL stands for; further coefficients are taken only where they
+# do nothing.
 _COLMAP_PARAMETERS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -38,13 +40,15 @@ _FURTHER = ("k2", "k3", "k4", "p1", "p2")
 class Reconstruction:
     """Photos of one camera, where each was taken, and points that they saw.
 
-    A point at x, y (= X/Z, Y/Z in camera axes) appears at u = fx x (1 + k1 r^2) + cx, v = fy y (1 + k1 r^2) + cy with
+    A point at x, y (= X/Z, Y/Z in camera axes) appears at u = fx x (1 + k1 r^2) + cx, v = fy y (1 +
+    k1 r^2) + cy with
     r^2 = x^2 + y^2      [COLMAP's SIMPLE_RADIAL; Brown 1966 with one term]
 
     Until it is aligned, the "world" has its own origin, axes and unit of length.
 
     Raises:
-        InputError: there are no photos, a name comes twice, shapes do not fit, or a pose is no rotation with a place.
+        InputError: there are no photos, a name comes twice, shapes do not fit, or a pose is no
+            rotation with a place.
     """
 
     camera: PinholeCamera  # one for all photos
@@ -52,25 +56,41 @@ class Reconstruction:
     folder: Path  # where the photos are
     T_world_camera: Array  # (N, 4, 4), "world from camera", OpenCV axes
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (M, 3) world
-    colours: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))  # (M, 3) red, green, blue
+    colours: NDArray[np.uint8] = field(
+        default_factory=lambda: np.zeros((0, 3), np.uint8)
+    )  # (M, 3) red, green, blue
     k1: float = 0.0  # radial distortion; 0 where there is none
     aligned: bool = False  # True: world is the kit's, in metres
-    report: Mapping[str, Any] = field(default_factory=dict)  # registered, total, reprojection_px, focal_px ...
+    report: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # registered, total, reprojection_px, focal_px ...
 
     def __post_init__(self) -> None:
         """Check every field."""
         count = len(self.names)
         if count == 0 or len(set(self.names)) < count:
-            raise InputError("names: want at least one photo and every name once, got none or a name twice")
+            raise InputError(
+                "names: expected at least one photo and every name once, got none or a name twice"
+            )
         poses = require_shape("T_world_camera", self.T_world_camera, (count, 4, 4))
         R = poses[:, :3, :3]
-        proper = np.isfinite(poses).all() and np.allclose(R @ R.transpose(0, 2, 1), np.eye(3), atol=1e-4)
+        proper = np.isfinite(poses).all() and np.allclose(
+            R @ R.transpose(0, 2, 1), np.eye(3), atol=1e-4
+        )
         if not (proper and (np.linalg.det(R) > 0).all() and np.allclose(poses[:, 3], (0, 0, 0, 1))):
-            raise InputError("T_world_camera: want rotations with places, got other matrices; check axes and units")
+            raise InputError(
+                "T_world_camera: expected rotations with places, got other matrices; check axes and units"
+            )
         points = require_shape("points", self.points, (None, 3))
         colours = np.asarray(self.colours)
-        if colours.shape != points.shape or colours.dtype != np.uint8 or not np.isfinite(points).all():
-            raise InputError("points, colours: want (M, 3) finite points and (M, 3) bytes, got others")
+        if (
+            colours.shape != points.shape
+            or colours.dtype != np.uint8
+            or not np.isfinite(points).all()
+        ):
+            raise InputError(
+                "points, colours: expected (M, 3) finite points and (M, 3) bytes, got others"
+            )
         object.__setattr__(self, "folder", Path(self.folder))
         object.__setattr__(self, "T_world_camera", poses)
         object.__setattr__(self, "points", points)
@@ -99,7 +119,8 @@ class Reconstruction:
         return (pixels - principal) * (1.0 + self.k1 * radius_squared) + principal
 
     def pixel_directions(self, pixels: Array) -> Array:
-        """The camera-frame point at depth 1 that appears at each pixel; the inverse of the distortion by iteration.
+        """The camera-frame point at depth 1 that appears at each pixel; the inverse of the
+        distortion by iteration.
 
         Args:
             pixels: (K, 2) as u, v [px].
@@ -107,11 +128,15 @@ class Reconstruction:
         Returns:
             (K, 3) in camera axes, z = 1.
         """
-        distorted = (np.asarray(pixels) - (self.camera.cx, self.camera.cy)) / (self.camera.fx, self.camera.fy)
+        distorted = (np.asarray(pixels) - (self.camera.cx, self.camera.cy)) / (
+            self.camera.fx,
+            self.camera.fy,
+        )
         straight = distorted.copy()
         for _ in range(
             20
-        ):  # |k1| r^2 is below 0.1 for every lens that this model fits: an error shrinks tenfold a turn
+            # |k1| r^2 is below 0.1 for every lens that this model fits: an error shrinks tenfold a turn
+        ):
             straight = distorted / (1.0 + self.k1 * (straight**2).sum(axis=-1, keepdims=True))
         return np.concatenate([straight, np.ones((len(straight), 1))], axis=1)
 
@@ -120,27 +145,33 @@ def read_reconstruction(path: str | Path) -> Reconstruction:
     """Read photos with poses.
 
     Args:
-        path: a transforms.json, or a folder with one; or the folder of a COLMAP model (text or binary), or a folder
-            with that model in sparse/0 or sparse. Photos of a COLMAP model are looked for in a folder `images` or
-            `photos` nearby; give another with `dataclasses.replace(..., folder=...)`.
+        path: a transforms.json, or a folder with one; or the folder of a COLMAP model (text or
+            binary), or a folder with that model in sparse/0 or sparse. Photos of a COLMAP model are
+            looked for in a folder `images` or `photos` nearby; give another with
+            `dataclasses.replace(..., folder=...)`.
 
     Raises:
         FileNotFoundError: there is no such file or folder.
-        InputError: it is neither, is damaged, or has several cameras or a lens that the kit does not know.
+        InputError: it is neither, is damaged, or has several cameras or a lens that the kit does
+            not know.
     """
     path = Path(path)
     if path.is_dir() and not (path / TRANSFORMS).is_file():
         for folder in (path, path / "sparse" / "0", path / "sparse"):
             if is_colmap(folder):
                 return _from_colmap(folder, path)
-        raise InputError(f"{path}: want {TRANSFORMS} or a COLMAP model (cameras, images, points3D), found neither")
+        raise InputError(
+            f"{path}: expected {TRANSFORMS} or a COLMAP model (cameras, images, points3D), found neither"
+        )
     return _from_transforms(require_file(path / TRANSFORMS if path.is_dir() else path))
 
 
 def write_reconstruction(folder: str | Path, reconstruction: Reconstruction) -> Path:
-    """Write transforms.json and points.ply, as nerfstudio reads them; the kit adds its report under a key of its own.
+    """Write transforms.json and points.ply, as nerfstudio reads them; the kit adds its report under
+    a key of its own.
 
-    Photos below the folder's parent are named relative to the folder, so that both can move together; others in full.
+    Photos below the folder's parent are named relative to the folder, so that both can move
+    together; others in full.
 
     Args:
         folder: made where it is missing.
@@ -154,18 +185,31 @@ def write_reconstruction(folder: str | Path, reconstruction: Reconstruction) -> 
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: want a folder, got a file; choose another name")
+        raise InputError(f"{folder}: expected a folder, got a file; choose another name")
     folder.mkdir(parents=True, exist_ok=True)
     write_points(folder / POINTS, reconstruction.points, reconstruction.colours)
     camera = reconstruction.camera
     record = {
         "camera_model": "OPENCV",
         **{"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy},
-        **{"cx": camera.cx, "cy": camera.cy, "k1": reconstruction.k1, "k2": 0.0, "p1": 0.0, "p2": 0.0},
+        **{
+            "cx": camera.cx,
+            "cy": camera.cy,
+            "k1": reconstruction.k1,
+            "k2": 0.0,
+            "p1": 0.0,
+            "p2": 0.0,
+        },
         "ply_file_path": POINTS,
-        "falconwing_kit": {"aligned": reconstruction.aligned, "report": dict(reconstruction.report)},
+        "falconwing_kit": {
+            "aligned": reconstruction.aligned,
+            "report": dict(reconstruction.report),
+        },
         "frames": [
-            {"file_path": _photo_path(folder, reconstruction.path(number)), "transform_matrix": (T @ FLIP).tolist()}
+            {
+                "file_path": _photo_path(folder, reconstruction.path(number)),
+                "transform_matrix": (T @ FLIP).tolist(),
+            }
             for number, T in enumerate(reconstruction.T_world_camera)
         ],
     }
@@ -195,7 +239,10 @@ def undistort(reconstruction: Reconstruction, folder: str | Path) -> Reconstruct
     folder.mkdir(parents=True, exist_ok=True)
     x, y = np.moveaxis(camera.pixel_rays()[..., :2], -1, 0)
     factor = 1.0 + reconstruction.k1 * (x * x + y * y)
-    columns, rows = camera.fx * x * factor + camera.cx - 0.5, camera.fy * y * factor + camera.cy - 0.5
+    columns, rows = (
+        camera.fx * x * factor + camera.cx - 0.5,
+        camera.fy * y * factor + camera.cy - 0.5,
+    )
     names = tuple(Path(name).with_suffix(".png").as_posix() for name in reconstruction.names)
     for number, name in enumerate(names):
         image = cv2.remap(
@@ -212,7 +259,8 @@ def undistort(reconstruction: Reconstruction, folder: str | Path) -> Reconstruct
 
 
 def read_photo(path: str | Path) -> NDArray[np.uint8]:
-    """A photo as it lies in its file: a camera's note to turn it (EXIF) is not followed, for poses do not follow it.
+    """A photo as it lies in its file: a camera's note to turn it (EXIF) is not followed, for poses
+    do not follow it.
 
     Args:
         path: JPEG, PNG, WebP, TIFF or another image that OpenCV reads.
@@ -227,16 +275,20 @@ def read_photo(path: str | Path) -> NDArray[np.uint8]:
     import cv2
 
     data = np.frombuffer(require_file(path).read_bytes(), np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
+    image = (
+        cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
+    )
     if image is None:
         raise InputError(
-            f"{short_name(path)}: want a photo, got a file that no image reader knows; remove or replace it"
+            f"{short_name(path)}: expected a photo, got a file that no image reader knows; remove or replace it"
         )
     return np.ascontiguousarray(image[..., ::-1])
 
 
 def _photo_path(folder: Path, photo: Path) -> str:
-    """How transforms.json names a photo: relative to the folder if it lies below the folder's parent."""
+    """How transforms.json names a photo: relative to the folder if it lies below the folder's
+    parent.
+    """
     folder, photo = folder.resolve(), photo.resolve()
     near = photo.is_relative_to(folder.parent)
     return Path(os.path.relpath(photo, folder)).as_posix() if near else photo.as_posix()
@@ -246,39 +298,60 @@ def _from_transforms(path: Path) -> Reconstruction:
     """Read a transforms.json and its points."""
     name = short_name(path)
     if path.stat().st_size > MAX_JSON_BYTES:
-        raise InputError(f"{name}: want a JSON file of at most {MAX_JSON_BYTES >> 20} MiB, got a larger one")
+        raise InputError(
+            f"{name}: expected a JSON file of at most {MAX_JSON_BYTES >> 20} MiB, got a larger one"
+        )
     try:
         record = json.loads(path.read_bytes())
         frames = record["frames"]
         photos = [Path(os.path.abspath(path.parent / frame["file_path"])) for frame in frames]
         folder = Path(os.path.commonpath([photo.parent for photo in photos]))
-        poses = np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(-1, 4, 4)
+        poses = np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(
+            -1, 4, 4
+        )
         shared = {**(frames[0] if "fl_x" not in record else {}), **record}
         numbers = {key: float(shared[key]) for key in ("fl_x", "cx", "cy", "w", "h")}
         numbers["fl_y"] = float(shared.get("fl_y", numbers["fl_x"]))
         lens = {key: float(shared.get(key, 0.0)) for key in ("k1", *_FURTHER)}
     except RecursionError:
-        raise InputError(f"{name}: want nerfstudio's {TRANSFORMS}, got brackets nested too deep to read") from None
+        raise InputError(
+            f"{name}: expected nerfstudio's {TRANSFORMS}, got brackets nested too deep to read"
+        ) from None
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         what = f"without {error}" if isinstance(error, KeyError) else "with other content"
-        raise InputError(f"{name}: want nerfstudio's {TRANSFORMS}, got a file {what}; write it again") from None
+        raise InputError(
+            f"{name}: expected nerfstudio's {TRANSFORMS}, got a file {what}; write it again"
+        ) from None
     if any(frame.get(key, numbers[key]) != numbers[key] for frame in frames for key in numbers):
-        raise InputError(f"{name}: want one camera for all photos, got several; take all photos with one zoom and size")
-    if shared.get("camera_model", "OPENCV") not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL"):
-        raise InputError(f"{name}: want a pinhole camera, got {shared['camera_model']!r}; undistort the photos first")
+        raise InputError(
+            f"{name}: expected one camera for all photos, got several; take all photos with one zoom and size"
+        )
+    if shared.get("camera_model", "OPENCV") not in (
+        "OPENCV",
+        "PINHOLE",
+        "SIMPLE_PINHOLE",
+        "SIMPLE_RADIAL",
+    ):
+        raise InputError(
+            f"{name}: expected a pinhole camera, got {shared['camera_model']!r}; undistort the photos first"
+        )
     focal, principal = (numbers["fl_x"], numbers["fl_y"]), (numbers["cx"], numbers["cy"])
     camera = PinholeCamera(*focal, *principal, width=int(numbers["w"]), height=int(numbers["h"]))
     _require_simple_lens(name, lens, camera)
     points_name = record.get("ply_file_path")
     clouded = isinstance(points_name, str)
     points, colours = (
-        read_points(path.parent / points_name) if clouded else (np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
+        read_points(path.parent / points_name)
+        if clouded
+        else (np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     )
     own = record.get("falconwing_kit")
     own = own if isinstance(own, dict) else {}
     names = tuple(photo.relative_to(folder).as_posix() for photo in photos)
     aligned, report = own.get("aligned") is True, own.get("report", {})
-    return Reconstruction(camera, names, folder, poses @ FLIP, points, colours, lens["k1"], aligned, report)
+    return Reconstruction(
+        camera, names, folder, poses @ FLIP, points, colours, lens["k1"], aligned, report
+    )
 
 
 def _from_colmap(folder: Path, given: Path) -> Reconstruction:
@@ -286,19 +359,27 @@ def _from_colmap(folder: Path, given: Path) -> Reconstruction:
     model = read_colmap(folder)
     name, cameras = short_name(folder), model["cameras"]
     if len(cameras) == 0:
-        raise InputError(f"{name}: want a model with images, got an empty one; run the reconstruction again")
+        raise InputError(
+            f"{name}: expected a model with images, got an empty one; run the reconstruction again"
+        )
     kind, width, height, parameters = cameras[0]
     if any(other != cameras[0] for other in cameras):
         raise InputError(
-            f"{name}: want one camera for all photos, got {len(cameras)}; reconstruct with a single camera"
+            f"{name}: expected one camera for all photos, got {len(cameras)}; reconstruct with a single camera"
         )
     if kind not in _COLMAP_PARAMETERS:
-        raise InputError(f"{name}: want a lens with at most k1, got COLMAP's {kind}; undistort the photos first")
+        raise InputError(
+            f"{name}: expected a lens with at most k1, got COLMAP's {kind}; undistort the photos first"
+        )
     numbers = dict(zip(_COLMAP_PARAMETERS[kind], parameters, strict=True))
     fx, fy = numbers.get("fx", numbers.get("f", 0.0)), numbers.get("fy", numbers.get("f", 0.0))
     camera = PinholeCamera(fx, fy, numbers["cx"], numbers["cy"], width, height)
     _require_simple_lens(name, numbers, camera)
-    places = [near / sub for near in (given, given.parent, given.parent.parent) for sub in ("images", "photos")]
+    places = [
+        near / sub
+        for near in (given, given.parent, given.parent.parent)
+        for sub in ("images", "photos")
+    ]
     photos = next((place for place in places if (place / model["names"][0]).is_file()), given)
     errors, lengths = model["errors_px"], model["track_lengths"]
     report = {"registered": len(model["names"]), "points": len(errors), "focal_px": fx}
@@ -322,9 +403,11 @@ def _require_simple_lens(name: str, lens: Mapping[str, float], camera: PinholeCa
     """Refuse a lens whose further terms move the image's corner by more than half a pixel."""
     radius = np.hypot(0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
     powers = {"k2": 5, "k3": 7, "k4": 9, "p1": 2, "p2": 2}
-    moved = sum(abs(lens.get(key, 0.0)) * radius**power for key, power in powers.items()) * camera.fx
+    moved = (
+        sum(abs(lens.get(key, 0.0)) * radius**power for key, power in powers.items()) * camera.fx
+    )
     if not moved < 0.5:
         raise InputError(
-            f"{name}: want a lens with at most k1, but its further terms move the corner by {moved:.1f} px; undistort "
+            f"{name}: expected a lens with at most k1, but its further terms move the corner by {moved:.1f} px; undistort "
             "the photos first (COLMAP: image_undistorter)"
         )

@@ -1,7 +1,8 @@
-"""Photos to poses: a folder of photos of one place -> Reconstruction, by COLMAP's structure from motion (pycolmap).
+"""Photos to poses: a folder of photos of one place -> Reconstruction, by COLMAP's structure from
+motion (pycolmap).
 
-pycolmap is the optional extra `capture`. Its database stays in the output folder, so a run that was stopped goes on
-where it was: features and matches are not computed twice.
+pycolmap is the optional extra `capture`. Its database stays in the output folder, so a run that was
+stopped goes on where it was: features and matches are not computed twice.
 """
 
 from collections import Counter
@@ -19,8 +20,11 @@ from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.tools.capture.photo_files import Reconstruction, read_photo, read_reconstruction
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
-LEAST_PHOTOS, LEAST_SIDE_PX = 3, 160
-ENOUGH_FEATURES, MAX_FEATURES = 300, 4096  # a photo with fewer finds few partners; more only cost time
+MIN_PHOTOS, MIN_PHOTO_SIDE_PX = 3, 160
+ENOUGH_FEATURES, MAX_FEATURES = (
+    300,
+    4096,
+)  # a photo with fewer finds few partners; more only cost time
 GOOD_SHARE, GOOD_REPROJECTION_PX = 0.95, 0.8  # what a good set of photos reaches
 NOISY = 3.0  # [of 255] grain from row to row; digital photos have less, analog video more
 WALK_OVERLAP = 20  # photos before each that it is compared with, where they follow each other
@@ -29,7 +33,7 @@ DATABASE, MODEL = "colmap.db", "sparse"
 Progress = Callable[[str, int, int], None]
 
 
-def quiet(step: str, done: int, total: int) -> None:
+def no_progress(step: str, done: int, total: int) -> None:
     """Progress that tells nobody."""
 
 
@@ -41,31 +45,35 @@ def photos_to_poses(
     walk: bool = False,
     threads: int = 1,
     seed: int = 0,
-    progress: Progress = quiet,
+    progress: Progress = no_progress,
 ) -> Reconstruction:
     """Find where each photo was taken.
 
-    SIFT features, matches between all pairs (or neighbours only), incremental mapping with one shared camera whose
-    focal length and k1 are refined [Schonberger & Frahm 2016, Structure-from-Motion Revisited].
+    SIFT features, matches between all pairs (or neighbours only), incremental mapping with one
+    shared camera whose focal length and k1 are refined [Schonberger & Frahm 2016,
+    Structure-from-Motion Revisited].
 
     Args:
         photos: a folder; photos in folders inside it count too.
-        out: for the database and COLMAP's model; made where it is missing. Another run with the same photos goes on.
-        focal_share: first guess of the focal length, as a share of the longer side; 10 % off does no harm.
-        walk: True: the photos follow each other by name as frames of a video do; only near ones are compared. False:
-            each is compared with each, which takes time with the square of their number.
+        out: for the database and COLMAP's model; made where it is missing. Another run with the
+            same photos goes on.
+        focal_share: first guess of the focal length, as a share of the longer side; 10 % off does
+            no harm.
+        walk: True: the photos follow each other by name as frames of a video do; only near ones are
+            compared. False: each is compared with each, which takes time with the square of their
+            number.
         threads: for all steps; with 1 a run gives the same again.
         seed: of the random draws in matching and mapping.
         progress: called with step, done and total.
 
     Returns:
-        Poses of the photos that found their place; report has registered, total, reprojection_px, focal_px,
-        focal_sigma_px, points, features_median, grain and advice.
+        Poses of the photos that found their place; report has registered, total, reprojection_px,
+        focal_px, focal_sigma_px, points, features_median, grain and advice.
 
     Raises:
         FileNotFoundError: there is no such folder.
-        InputError: pycolmap is missing, the photos cannot be used together, or nothing could be reconstructed; the
-            text says what to do.
+        InputError: pycolmap is missing, the photos cannot be used together, or nothing could be
+            reconstructed; the text says what to do.
     """
     colmap = _pycolmap()
     focal_share = require_range("focal_share", focal_share, low=0.2, high=5.0)
@@ -73,7 +81,7 @@ def photos_to_poses(
     photos, out = Path(photos).resolve(), Path(out)
     names, width, height = check_photos(photos)
     if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: want a folder, got a file; choose another name")
+        raise InputError(f"{out}: expected a folder, got a file; choose another name")
     (out / MODEL).mkdir(parents=True, exist_ok=True)
     database = out / DATABASE
     colmap.logging.minloglevel = int(colmap.logging.Level.FATAL)
@@ -85,12 +93,22 @@ def photos_to_poses(
         _match(colmap, database, names, walk, threads, progress)
         models = _map(colmap, database, photos, out / MODEL, len(names), threads, progress)
         features = _features(colmap, database)
-    except RuntimeError as error:  # of the native library: a full disk, or a database that another run is using
-        raise InputError(f"{out}: COLMAP stopped: {str(error).strip().splitlines()[-1][-200:]}") from error
-    facts = {**photo_facts(features, photos, names), "total": len(names), "models": len(models)}
+    except (
+        RuntimeError
+    ) as error:  # of the native library: a full disk, or a database that another run is using
+        raise InputError(
+            f"{out}: COLMAP stopped: {str(error).strip().splitlines()[-1][-200:]}"
+        ) from error
+    facts = {
+        **photo_statistics(features, photos, names),
+        "total": len(names),
+        "models": len(models),
+    }
     number, best = max(models.items(), key=lambda item: item[1].num_reg_images(), default=(0, None))
-    if best is None or best.num_reg_images() < LEAST_PHOTOS:
-        raise InputError(f"{photos}: no reconstruction came out of {len(names)} photos. {' '.join(advice(facts))}")
+    if best is None or best.num_reg_images() < MIN_PHOTOS:
+        raise InputError(
+            f"{photos}: no reconstruction came out of {len(names)} photos. {' '.join(advice(facts))}"
+        )
     progress("focal uncertainty", 0, 1)
     camera = next(iter(best.cameras.values()))
     facts |= {"focal_px": float(camera.params[0]), "focal_sigma_px": focal_sigma(colmap, best)}
@@ -110,50 +128,64 @@ def check_photos(folder: str | Path) -> tuple[tuple[str, ...], int, int]:
 
     Raises:
         FileNotFoundError: there is no such folder.
-        InputError: there are too few, one is unreadable, small, turned by its EXIF note, or of another size.
+        InputError: there are too few, one is unreadable, small, turned by its EXIF note, or of
+            another size.
     """
     from PIL import Image, UnidentifiedImageError
 
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(
-            f"{folder}: want a folder of photos, found {'a file' if folder.exists() else 'nothing'}"
+            f"{folder}: expected a folder of photos, found {'a file' if folder.exists() else 'nothing'}"
         )
-    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file())
-    if len(paths) < LEAST_PHOTOS:
-        raise InputError(f"{folder}: want {LEAST_PHOTOS} or more photos ({', '.join(ENDINGS)}), got {len(paths)}")
+    paths = sorted(
+        path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file()
+    )
+    if len(paths) < MIN_PHOTOS:
+        raise InputError(
+            f"{folder}: expected {MIN_PHOTOS} or more photos ({', '.join(ENDINGS)}), got {len(paths)}"
+        )
     sizes = {}
     for path in paths:
         if any(letter.isspace() for letter in path.relative_to(folder).as_posix()):
-            raise InputError(f"{short_name(path)}: want names without blanks, for COLMAP's lists; rename the photos")
+            raise InputError(
+                f"{short_name(path)}: expected names without blanks, for COLMAP's lists; rename the photos"
+            )
         try:
             with Image.open(path) as image:
                 sizes[path], turned = image.size, image.getexif().get(0x0112, 1)
-                image.draft("L", (8, 8))  # JPEG: decode an eighth only, enough to see that it is whole
+                image.draft(
+                    "L", (8, 8)
+                )  # JPEG: decode an eighth only, enough to see that it is whole
                 image.load()
         except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
             raise InputError(
-                f"{short_name(path)}: want a photo, got a file that is damaged or none; remove it"
+                f"{short_name(path)}: expected a photo, got a file that is damaged or none; remove it"
             ) from None
         if turned not in (0, 1):
             raise InputError(
-                f"{short_name(path)}: want photos as the sensor took them, got one that its EXIF note turns; hold the "
+                f"{short_name(path)}: expected photos as the sensor took them, got one that its EXIF note turns; hold the "
                 "camera level for all photos, or remove that note from all (exiftool -Orientation= *)"
             )
     (size, count), *others = Counter(sizes.values()).most_common()
     if others:
         odd = next(path for path, other in sizes.items() if other != size)
         raise InputError(
-            f"{short_name(odd)}: want all photos of one size, got {sizes[odd][0]}x{sizes[odd][1]} beside {count} of "
+            f"{short_name(odd)}: expected all photos of one size, got {sizes[odd][0]}x{sizes[odd][1]} beside {count} of "
             f"{size[0]}x{size[1]}; leave out those that were cropped or taken with another camera or zoom"
         )
-    if min(size) < LEAST_SIDE_PX:
-        raise InputError(f"{folder}: want photos of {LEAST_SIDE_PX} px or more on each side, got {size[0]}x{size[1]}")
+    if min(size) < MIN_PHOTO_SIDE_PX:
+        raise InputError(
+            f"{folder}: expected photos of {MIN_PHOTO_SIDE_PX} px or more on each side, got {size[0]}x{size[1]}"
+        )
     return tuple(path.relative_to(folder).as_posix() for path in paths), *size
 
 
-def photo_facts(features: Sequence[int], photos: Path, names: Sequence[str], sample: int = 20) -> dict[str, Any]:
-    """What the photos are like: features in a middling photo, the share of photos with enough, and the grain.
+def photo_statistics(
+    features: Sequence[int], photos: Path, names: Sequence[str], sample: int = 20
+) -> dict[str, Any]:
+    """What the photos are like: features in a middling photo, the share of photos with enough, and
+    the grain.
 
     Args:
         features: number of them in each photo.
@@ -162,7 +194,7 @@ def photo_facts(features: Sequence[int], photos: Path, names: Sequence[str], sam
         sample: how many photos the grain is measured on.
     """
     chosen = [names[k] for k in np.unique(np.linspace(0, len(names) - 1, sample).astype(int))]
-    grains = [grain(read_photo(photos / name)) for name in chosen]
+    grains = [row_noise(read_photo(photos / name)) for name in chosen]
     return {
         "features_median": float(np.median(features)),
         "features_enough": float((np.array(features) >= ENOUGH_FEATURES).mean()),
@@ -170,10 +202,12 @@ def photo_facts(features: Sequence[int], photos: Path, names: Sequence[str], sam
     }
 
 
-def grain(image: np.ndarray[Any, Any]) -> float:
-    """Standard deviation of the noise from row to row: analog video sends each row by itself, so its rows disagree.
+def row_noise(image: np.ndarray[Any, Any]) -> float:
+    """Standard deviation of the noise from row to row: analog video sends each row by itself, so
+    its rows disagree.
 
-    sigma = 1.4826 median |row above - 2 row + row below| / sqrt(6); straight edges and shades hardly reach the median
+    sigma = 1.4826 median |row above - 2 row + row below| / sqrt(6); straight edges and shades
+    hardly reach the median
 
     Args:
         image: (H, W, 3) 0..255.
@@ -210,7 +244,9 @@ def advice(facts: Mapping[str, Any]) -> list[str]:
                 "rather than turn on the spot, and join the places by photos from between."
             )
         if facts.get("models", 1) > 1:
-            said.append(f"The photos fell into {facts['models']} groups that share no view; the largest was kept.")
+            said.append(
+                f"The photos fell into {facts['models']} groups that share no view; the largest was kept."
+            )
     if facts.get("reprojection_px", 0.0) > GOOD_REPROJECTION_PX:
         said.append(
             f"Points miss by {facts['reprojection_px']:.2f} px where {GOOD_REPROJECTION_PX} is good: blur, a rolling "
@@ -220,7 +256,8 @@ def advice(facts: Mapping[str, Any]) -> list[str]:
 
 
 def focal_sigma(colmap: Any, model: Any) -> float:
-    """Standard deviation of the focal length from the bundle adjustment's covariance [px]; nan where it has none.
+    """Standard deviation of the focal length from the bundle adjustment's covariance [px]; nan
+    where it has none.
 
     Args:
         colmap: the module pycolmap.
@@ -230,19 +267,33 @@ def focal_sigma(colmap: Any, model: Any) -> float:
     for number in model.reg_image_ids():
         config.add_image(number)
     config.fix_gauge(colmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    adjuster = colmap.create_default_ceres_bundle_adjuster(colmap.BundleAdjustmentOptions(), config, model)
+    adjuster = colmap.create_default_ceres_bundle_adjuster(
+        colmap.BundleAdjustmentOptions(), config, model
+    )
     options = colmap.BACovarianceOptions(params=colmap.BACovarianceOptionsParams.ALL)
     covariance = colmap.estimate_ba_covariance(options, model, adjuster)
-    found = None if covariance is None else covariance.get_other_params_cov(next(iter(model.cameras.values())).params)
+    found = (
+        None
+        if covariance is None
+        else covariance.get_other_params_cov(next(iter(model.cameras.values())).params)
+    )
     if found is None:
         return float("nan")
     return float(np.sqrt(found[0, 0]) * model.compute_mean_reprojection_error())
 
 
 def _extract(
-    colmap: Any, database: Path, photos: Path, names: Sequence[str], camera: str, threads: int, progress: Progress
+    colmap: Any,
+    database: Path,
+    photos: Path,
+    names: Sequence[str],
+    camera: str,
+    threads: int,
+    progress: Progress,
 ) -> None:
-    """Features of every photo, into the database; a few photos a call, so that the bar moves and Ctrl-C works."""
+    """Features of every photo, into the database; a few photos a call, so that the bar moves and
+    Ctrl-C works.
+    """
     reader = colmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL", camera_params=camera)
     options = colmap.FeatureExtractionOptions(num_threads=threads, use_gpu=False)
     options.sift.max_num_features = MAX_FEATURES
@@ -264,11 +315,15 @@ def _extract(
         )
 
 
-def _match(colmap: Any, database: Path, names: Sequence[str], walk: bool, threads: int, progress: Progress) -> None:
-    """Matches between photos that pass the epipolar check, into the database; one photo with its partners a call."""
+def _match(
+    colmap: Any, database: Path, names: Sequence[str], walk: bool, threads: int, progress: Progress
+) -> None:
+    """Matches between photos that pass the epipolar check, into the database; one photo with its
+    partners a call.
+    """
     options = colmap.FeatureMatchingOptions(num_threads=threads, use_gpu=False)
     listed = database.with_name("pairs.txt")
-    partners = [earlier(number, walk) for number in range(len(names))]
+    partners = [earlier_photos(number, walk) for number in range(len(names))]
     done, total = 0, sum(map(len, partners))
     try:
         for number, others in enumerate(partners[1:], start=1):
@@ -286,13 +341,13 @@ def _match(colmap: Any, database: Path, names: Sequence[str], walk: bool, thread
         listed.unlink(missing_ok=True)
 
 
-def earlier(number: int, walk: bool) -> list[int]:
+def earlier_photos(number: int, walk: bool) -> list[int]:
     """Which earlier photos one is compared with.
 
     Args:
         number: of the photo, in the order of names.
-        walk: False: all of them. True: the WALK_OVERLAP before it, and those 32, 64, 128 ... before it, since a walk
-            may come back.
+        walk: False: all of them. True: the WALK_OVERLAP before it, and those 32, 64, 128 ... before
+            it, since a walk may come back.
 
     Returns:
         Their numbers, rising.
@@ -304,7 +359,13 @@ def earlier(number: int, walk: bool) -> list[int]:
 
 
 def _map(
-    colmap: Any, database: Path, photos: Path, out: Path, total: int, threads: int, progress: Progress
+    colmap: Any,
+    database: Path,
+    photos: Path,
+    out: Path,
+    total: int,
+    threads: int,
+    progress: Progress,
 ) -> Mapping[int, Any]:
     """Every group of photos that could be put together."""
     options = colmap.IncrementalPipelineOptions(num_threads=threads)
@@ -328,7 +389,9 @@ def _require_same_photos(colmap: Any, database: Path, names: Sequence[str]) -> N
         with closing(colmap.Database.open(database)) as opened:
             known = {image.name for image in opened.read_all_images()}
     except RuntimeError:
-        raise InputError(f"{short_name(database)}: want COLMAP's database, got a damaged file; remove it") from None
+        raise InputError(
+            f"{short_name(database)}: expected COLMAP's database, got a damaged file; remove it"
+        ) from None
     gone = sorted(known - set(names))
     if gone:
         raise InputError(
@@ -340,10 +403,13 @@ def _require_same_photos(colmap: Any, database: Path, names: Sequence[str]) -> N
 def _features(colmap: Any, database: Path) -> list[int]:
     """How many features each photo has.
 
-    Only COLMAP's own SQLite may open its database in this process: a second library's closing would drop the locks.
+    Only COLMAP's own SQLite may open its database in this process: a second library's closing would
+    drop the locks.
     """
     with closing(colmap.Database.open(database)) as opened:
-        return [opened.num_keypoints_for_image(image.image_id) for image in opened.read_all_images()]
+        return [
+            opened.num_keypoints_for_image(image.image_id) for image in opened.read_all_images()
+        ]
 
 
 def _pycolmap() -> Any:
@@ -351,7 +417,7 @@ def _pycolmap() -> Any:
         import pycolmap
     except ImportError:
         raise InputError(
-            "pycolmap: want this library for poses from photos, it is not installed; "
+            "pycolmap: expected this library for poses from photos, it is not installed; "
             "pip install 'falconwing-kit[capture]', or make a COLMAP model or a transforms.json elsewhere and give that"
         ) from None
     return pycolmap

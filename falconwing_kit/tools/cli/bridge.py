@@ -1,4 +1,6 @@
-"""falconwing bridge, record and find-port: the board on a serial port, watched, recorded from, and found."""
+"""falconwing bridge, record and find-port: the board on a serial port, watched, recorded from, and
+found.
+"""
 
 import math
 import shutil
@@ -31,13 +33,17 @@ LONGEST_S = 1e5  # a day and more; 0 is for ever
 
 @dataclass(frozen=True)
 class Bridge:
-    """Show what the board says: state, counters, delay, the pilot's sticks. Sends commands only where asked.
+    """Show what the board says: state, counters, delay, the pilot's sticks. Sends commands only
+    where asked.
 
-    Ctrl-C ends it, and hands the sticks back. Exit code 0 where the board answered to the end, else 1.
+    Ctrl-C ends it, and hands the sticks back. Exit code 0 where the board answered to the end, else
+    1.
     """
 
     port: str
-    """serial port of the trainer bridge; sim is the firmware in a simulated chip, sim-python a plain board"""
+    """serial port of the trainer bridge; sim is the firmware in a simulated chip, sim-python a
+    plain board
+    """
     seconds: float = 0.0
     """how long; 0 is until Ctrl-C"""
     calibration: Path | None = None
@@ -47,7 +53,9 @@ class Bridge:
     ros: bool = False
     """carry commands from ROS to the board, and its status and pilot to ROS"""
     move_sticks: bool = False
-    """engage, and move aileron, elevator and rudder slowly with the throttle idle: for the bench, propeller off"""
+    """engage, and move aileron, elevator and rudder slowly with the throttle idle: for the bench,
+    propeller off
+    """
     json: bool = False
     """print JSON instead of a table"""
 
@@ -58,13 +66,16 @@ class Bridge:
             0 where the board answered to the end, else 1.
 
         Raises:
-            InputError: the port cannot be opened, no board answers, or the calibration does not fit.
+            InputError: the port cannot be opened, no board answers, or the calibration does not
+                fit.
         """
         require_range("--seconds", self.seconds, low=0.0, high=LONGEST_S)
         if self.ros and self.move_sticks:
-            raise InputError("--move-sticks: want it or --ros, for one of them gives the commands; leave one out")
-        with ready_port(self.port, self.calibration, self.radio) as port:
-            live = LiveLine(port, self.seconds)
+            raise InputError(
+                "--move-sticks: expected it or --ros, for one of them gives the commands; leave one out"
+            )
+        with open_ready_port(self.port, self.calibration, self.radio) as port:
+            live = StatusLine(port, self.seconds)
             with suppress(KeyboardInterrupt):
                 if self.ros:
                     self._relay(port, live)
@@ -75,24 +86,31 @@ class Bridge:
         if self.json:
             print_json(record)
         else:
-            flat = [(name, ", ".join(map(str, v)) if isinstance(v, list) else v) for name, v in record.items()]
-            print_table(("what", "value"), [(name.replace("_", " "), value) for name, value in flat])
+            flat = [
+                (name, ", ".join(map(str, v)) if isinstance(v, list) else v)
+                for name, v in record.items()
+            ]
+            print_table(
+                ("what", "value"), [(name.replace("_", " "), value) for name, value in flat]
+            )
             next_line(f"falconwing record --port {self.port} --out recordings")
         return 0 if answered else 1
 
-    def _watch(self, port: TrainerPort, live: "LiveLine") -> None:
+    def _watch(self, port: TrainerPort, live: "StatusLine") -> None:
         """Look, and at 20 Hz send what moves the sticks where that is wanted."""
         began, sent = time.perf_counter(), 0
         while not live.over():
             t = time.perf_counter() - began
             if self.move_sticks and t >= PERIOD_S * sent:
-                aileron, elevator, rudder = (0.3 * math.sin(2.0 * math.pi * f * t) for f in (0.2, 0.3, 0.5))
+                aileron, elevator, rudder = (
+                    0.3 * math.sin(2.0 * math.pi * f * t) for f in (0.2, 0.3, 0.5)
+                )
                 port.send(Command(0.0, aileron, elevator, rudder), engage=True)
                 sent = int(t / PERIOD_S) + 1
             port.poll()
             time.sleep(LOOK_S)
 
-    def _relay(self, port: TrainerPort, live: "LiveLine") -> None:
+    def _relay(self, port: TrainerPort, live: "StatusLine") -> None:
         from falconwing_kit.tools.bridge.bus import relay
         from falconwing_kit.tools.bridge.ros import RosBus
 
@@ -105,11 +123,13 @@ class Bridge:
 
 @dataclass(frozen=True)
 class Record:
-    """Record the pilot's sticks and the camera's images while the pilot flies by hand, for identification.
+    """Record the pilot's sticks and the camera's images while the pilot flies by hand, for
+    identification.
 
     The frame monitor judges every picture; its alarms are said at once and are events of the log.
 
-    Ctrl-C ends the recording; a log that was cut short is made whole by falconwing export --to mcap.
+    Ctrl-C ends the recording; a log that was cut short is made whole by falconwing export --to
+    mcap.
     """
 
     port: str
@@ -136,17 +156,22 @@ class Record:
             0 where sticks were recorded to the end, 1 where none came or the disk was full.
 
         Raises:
-            InputError: the port or the camera cannot be used, the log cannot be written, or an option is wrong.
+            InputError: the port or the camera cannot be used, the log cannot be written, or an
+                option is wrong.
         """
         require_range("--seconds", self.seconds, low=0.0, high=LONGEST_S)
         if self.source == "sim" and self.port not in SIMULATED_PORTS:
-            raise InputError(f"--source sim: want a simulated board with it, got --port {self.port}; add --port sim")
+            raise InputError(
+                f"--source sim: expected a simulated board with it, got --port {self.port}; add --port sim"
+            )
         if self.out.exists() and not self.out.is_dir():
-            raise InputError(f"--out {self.out}: want a folder, got a file; choose another name")
+            raise InputError(
+                f"--out {self.out}: expected a folder, got a file; choose another name"
+            )
         self.out.mkdir(parents=True, exist_ok=True)
         path = self.out / time.strftime("record_%Y%m%d_%H%M%S.mcap")
         with ExitStack() as stack:
-            port = stack.enter_context(ready_port(self.port, self.calibration, self.radio))
+            port = stack.enter_context(open_ready_port(self.port, self.calibration, self.radio))
             images = self._images(stack, port)
             recording = self._record(port, images, path)
         return self._show(path, recording)
@@ -155,9 +180,9 @@ class Record:
         """The camera, or the view of a simulated approach."""
         if self.source == "sim" and port.simulation is not None:
             from falconwing_kit.scene.arena import load_scene
-            from falconwing_kit.tools.bridge.rehearsal import RehearsedApproach
+            from falconwing_kit.tools.bridge.rehearsal import SimulatedManualApproach
 
-            return RehearsedApproach(port.simulation, port.calibration, load_scene("arena"))
+            return SimulatedManualApproach(port.simulation, port.calibration, load_scene("arena"))
         from falconwing_kit.tools.devices.cameras import open_camera
         from falconwing_kit.tools.devices.grabber import Grabber
 
@@ -181,7 +206,7 @@ class Record:
         from falconwing_kit.tools.bridge.recording import Recording, record
         from falconwing_kit.vision.monitor import FrameMonitor
 
-        live = LiveLine(port, self.seconds, moves=self.source == "camera")
+        live = StatusLine(port, self.seconds, moves=self.source == "camera")
         recording = Recording(port, log, images, live.alert, FrameMonitor())
         with suppress(KeyboardInterrupt):
             record(recording, watch=lambda now: live.over(now) or getattr(images, "over", False))
@@ -201,7 +226,9 @@ class Record:
         if recording.stopped:
             next_line(f"make room, then falconwing export {path} --to mcap --out saved.mcap")
         elif recording.counts.commands == 0:
-            next_line("no sticks came: is the radio on and its cable in? falconwing bridge shows the pilot's sticks")
+            next_line(
+                "no sticks came: is the radio on and its cable in? falconwing bridge shows the pilot's sticks"
+            )
         else:
             next_line(f"falconwing export {path} --out flight.csv")
         return 0 if complete else 1
@@ -209,7 +236,8 @@ class Record:
 
 @dataclass(frozen=True)
 class FindPort:
-    """List boards on USB and say which looks like the Mega 2560, and how to get the right to open it.
+    """List boards on USB and say which looks like the Mega 2560, and how to get the right to open
+    it.
 
     Exit code 0 where one may be it, else 1. None is opened, for that could restart a board.
     """
@@ -231,22 +259,35 @@ class FindPort:
             print_json({"boards": [asdict(board) for board in boards]})
         elif not boards:
             print("no board on a USB serial port found")
-            next_line("plug the Mega in with a cable that carries data; without one, --port sim is a simulated board")
+            next_line(
+                "plug the Mega in with a cable that carries data; without one, --port sim is a simulated board"
+            )
         else:
-            rows = [(board.path, board.what, board.likely, board.may_open, board.mend) for board in boards]
+            rows = [
+                (board.path, board.what, board.likely, board.may_open, board.mend)
+                for board in boards
+            ]
             print_table(("port", "what", "may be it", "may be opened", "to mend"), rows)
             usable = next((board.path for board in likely if board.may_open), None)
-            next_line(f"falconwing bridge --port {usable}" if usable else "mend what the table says, then look again")
+            next_line(
+                f"falconwing bridge --port {usable}"
+                if usable
+                else "mend what the table says, then look again"
+            )
         return 0 if likely else 1
 
 
 @dataclass
-class LiveLine:
-    """One line on the terminal that says how the board does, written over again; nothing where nobody looks on."""
+class StatusLine:
+    """One line on the terminal that says how the board does, written over again; nothing where
+    nobody looks on.
+    """
 
     port: TrainerPort
     seconds: float  # until `over`; 0 is for ever
-    moves: bool = True  # the sticks of a simulated board's pilot are moved, so that there is something to see
+    moves: bool = (
+        True  # the sticks of a simulated board's pilot are moved, so that there is something to see
+    )
     _began: float = field(default_factory=time.perf_counter)
     _shown: float = -math.inf
 
@@ -258,9 +299,15 @@ class LiveLine:
             if self.moves:
                 move_sticks(self.port, t)
             if sys.stderr.isatty():
-                counts = "" if recording is None else f"  log {recording.counts.commands}/{recording.counts.images}"
-                text = live_text(self.port) + counts
-                room = shutil.get_terminal_size().columns - 1  # a line that wraps cannot be written over
+                counts = (
+                    ""
+                    if recording is None
+                    else f"  log {recording.counts.commands}/{recording.counts.images}"
+                )
+                text = status_text(self.port) + counts
+                room = (
+                    shutil.get_terminal_size().columns - 1
+                )  # a line that wraps cannot be written over
                 print(f"\r{text[:room]}\x1b[K", end="", file=sys.stderr, flush=True)
         return 0.0 < self.seconds <= t
 
@@ -275,7 +322,7 @@ class LiveLine:
 
 
 @contextmanager
-def ready_port(name: str, calibration: Path | None, radio: str = "") -> Iterator[TrainerPort]:
+def open_ready_port(name: str, calibration: Path | None, radio: str = "") -> Iterator[TrainerPort]:
     """An open port whose board answers; left in whatever way, the sticks are handed back.
 
     Args:
@@ -284,7 +331,8 @@ def ready_port(name: str, calibration: Path | None, radio: str = "") -> Iterator
         radio: must be the one it was measured on; "" does not ask.
 
     Raises:
-        InputError: the port cannot be opened, no board answers, or the calibration is stale or does not fit.
+        InputError: the port cannot be opened, no board answers, or the calibration is stale or does
+            not fit.
     """
     with open_port(name, choose_calibration(name, calibration, radio)) as port:
         wait = "" if port.simulation else "; where it restarts, it answers in two seconds"
@@ -293,7 +341,7 @@ def ready_port(name: str, calibration: Path | None, radio: str = "") -> Iterator
         yield port
 
 
-def live_text(port: TrainerPort) -> str:
+def status_text(port: TrainerPort) -> str:
     """How the board does, in one line."""
     status, counters = port.status, port.counters
     if status is None or port.state != "open":
@@ -308,11 +356,19 @@ def live_text(port: TrainerPort) -> str:
 
 
 def pilot_sticks(port: TrainerPort) -> list[float]:
-    """Throttle, aileron, elevator and rudder as the pilot holds them; empty where they are not known, or no longer."""
-    if port.pilot is None or port.now() - port.to_host_time(port.pilot.device_time_us) > PILOT_SILENT:
+    """Throttle, aileron, elevator and rudder as the pilot holds them; empty where they are not
+    known, or no longer.
+    """
+    if (
+        port.pilot is None
+        or port.now() - port.to_host_time(port.pilot.device_time_us) > PILOT_SILENT
+    ):
         return []
     with suppress(InputError):
-        return [round(position, 3) for position in port.calibration.command(port.pilot.channels_us).vector.tolist()]
+        return [
+            round(position, 3)
+            for position in port.calibration.command(port.pilot.channels_us).vector.tolist()
+        ]
     return []
 
 
@@ -320,7 +376,10 @@ def port_record(port: TrainerPort) -> dict[str, Any]:
     """What there is to know about a port, in the words of the table."""
     status = port.status
     record: dict[str, Any] = {"board": port.what, "port": port.state, "engagement": port.engagement}
-    record |= {**asdict(port.counters), "engaged": sum(event.name == "engaged" for event in port.events)}
+    record |= {
+        **asdict(port.counters),
+        "engaged": sum(event.name == "engaged" for event in port.events),
+    }
     if status is None:
         return record
     record |= {"state": status.state, "fault": status.fault, "boot_count": status.boot_count}
@@ -331,7 +390,9 @@ def port_record(port: TrainerPort) -> dict[str, Any]:
     record["round_trip_ms"] = 1e3 * port.clock.round_trip
     record["clock_error_ms"] = 1e3 * port.clock.error_bound(status.device_time_us)
     record["clock_drift_ppm"] = port.clock.drift_ppm
-    record |= dict(zip((f"pilot_{name}" for name in COMMAND_NAMES), pilot_sticks(port), strict=False))
+    record |= dict(
+        zip((f"pilot_{name}" for name in COMMAND_NAMES), pilot_sticks(port), strict=False)
+    )
     return record | ({} if port.pilot is None else {"pilot_frames_rejected": port.pilot.rejected})
 
 
@@ -340,5 +401,5 @@ def move_sticks(port: TrainerPort, t: float) -> None:
     if port.simulation is None:
         return
     side, up = 0.8 * math.sin(t), 0.8 * math.cos(t)
-    with port.simulation.paused() as board:
+    with port.simulation.pause() as board:
         board.set_pilot(port.calibration.channels_us(Command(0.5 + 0.5 * up, side, up, -side)))

@@ -1,4 +1,6 @@
-"""falconwing check: a student's notebook -> which public checks of the lab its functions pass, and what to look at."""
+"""falconwing check: a student's notebook -> which public checks of the lab its functions pass, and
+what to look at.
+"""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -8,7 +10,13 @@ import tyro
 
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 from falconwing_kit.tools.grading.find import lab_folder, load_checks, notebook_path
-from falconwing_kit.tools.grading.public_checks import SYMBOLS, Report, check_notebook, printable, state_of
+from falconwing_kit.tools.grading.public_checks import (
+    SYMBOLS,
+    ExerciseReport,
+    check_notebook,
+    exercise_state,
+    to_printable,
+)
 
 
 @dataclass(frozen=True)
@@ -39,7 +47,7 @@ class Check:
         """
         folder = lab_folder(self.lab, self.labs)
         reports = check_notebook(folder, self.notebook or notebook_path(folder))
-        states = [state_of(report.outcomes) for report in reports]
+        states = [exercise_state(report.outcomes) for report in reports]
         if self.json:
             print_json({"lab": folder.name, "exercises": [_record(report) for report in reports]})
         else:
@@ -47,29 +55,37 @@ class Check:
         return int(set(states) != {"passed"})
 
 
-def _record(report: Report) -> dict[str, object]:
+def _record(report: ExerciseReport) -> dict[str, object]:
     """A report as it goes to JSON."""
-    return asdict(report) | {"state": state_of(report.outcomes)}
+    return asdict(report) | {"state": exercise_state(report.outcomes)}
 
 
-def _print_reports(folder: Path, reports: list[Report], states: list[str]) -> None:
+def _print_reports(folder: Path, reports: list[ExerciseReport], states: list[str]) -> None:
     lab = load_checks(folder)
     rows = []
     for report, state in zip(reports, states, strict=True):
         passed = sum(outcome.state == "passed" for outcome in report.outcomes)
-        rows.append((printable(f"{SYMBOLS[state]} {state}"), report.name, f"{passed} of {len(report.outcomes)}"))
+        rows.append(
+            (
+                to_printable(f"{SYMBOLS[state]} {state}"),
+                report.name,
+                f"{passed} of {len(report.outcomes)}",
+            )
+        )
     print_table(("", "exercise", "public checks passed"), rows, title=f"{folder.name}: {lab.title}")
     for report, state in zip(reports, states, strict=True):
         failed = [outcome for outcome in report.outcomes if outcome.state == "failed"]
         for outcome in failed:
-            print(printable(f"{SYMBOLS['failed']} {report.name}: {outcome.claim}"))
+            print(to_printable(f"{SYMBOLS['failed']} {report.name}: {outcome.claim}"))
             print(*(f"    {words}" for words in (outcome.said, outcome.hint) if words), sep="\n")
         for problem in report.problems if state != "not written" else ():
             print(f"! {problem}")
     counts = f"{states.count('passed')} of {len(states)} exercises pass their public checks"
     print(f"{counts}, {states.count('not written')} not started")
     if set(states) == {"passed"}:
-        next_line("answer the questions and hand the notebook in; the grading has hidden cases beside these checks")
+        next_line(
+            "answer the questions and hand the notebook in; the grading has hidden cases beside these checks"
+        )
     else:
         first = next(i for i, state in enumerate(states) if state != "passed")
         next_line(f"{'write' if states[first] == 'not written' else 'mend'} {reports[first].name}")

@@ -1,4 +1,6 @@
-"""falconwing demo: an approach flown live, then the kit's main job on recorded flights, as one page with figures."""
+"""falconwing demo: an approach flown live, then the kit's main job on recorded flights, as one page
+with figures.
+"""
 
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -19,8 +21,8 @@ BROWSER_S = 8.0  # a browser gets so long to show the page before the flight beg
 
 @dataclass(frozen=True)
 class Demo:
-    """Fly an approach in a simulated hall, live in the browser; then model two aircraft from recorded flights, one of
-    them real, and find and name what the models lack.
+    """Fly an approach in a simulated hall, live in the browser; then model two aircraft from
+    recorded flights, one of them real, and find and name what the models lack.
 
     Needs no network, GPU or aircraft and takes about a minute and a half.
     """
@@ -46,12 +48,16 @@ class Demo:
             KeyboardInterrupt: Ctrl-C; no page is written.
             OSError: the folder cannot be made or written.
             FileNotFoundError: there is no scene file.
-            InputError: the scene is none, the port is out of its range, or a file cannot be written.
+            InputError: the scene is none, the port is out of its range, or a file cannot be
+                written.
         """
         from tqdm import tqdm
 
         from falconwing_kit.tools.cli.fly import hall_loader
-        from falconwing_kit.tools.demo.recorded import study_recorded_flights, write_recorded_flights
+        from falconwing_kit.tools.demo.recorded import (
+            study_recorded_flights,
+            write_recorded_flights,
+        )
 
         hall = hall_loader(self.scene)
         self.out.mkdir(parents=True, exist_ok=True)
@@ -106,18 +112,28 @@ class Demo:
 def _print_record(record: dict) -> None:
     small, real = record["simulated_flight"], record["real_flight"]
     rows = [("multiple shooting", small["held_out_chi2_per_dof"])]
-    rows += [(f"one step, {name} (the paper's loss)", chi2) for name, chi2 in small["one_step_chi2_per_dof"].items()]
-    title = "150 g aircraft, SIMULATED by an independent simulator: two seconds ahead, held-out time"
+    rows += [
+        (f"one step, {name} (the paper's loss)", chi2)
+        for name, chi2 in small["one_step_chi2_per_dof"].items()
+    ]
+    title = (
+        "150 g aircraft, SIMULATED by an independent simulator: two seconds ahead, held-out time"
+    )
     print_table(("fit", "chi2 per dof (1 = only noise left)"), rows, title=title)
     gap = small["gap"]
     names = " or ".join(gap["effects"]).replace("_", " ") or "nothing"
-    print(f"another flight of it: {gap['verdict']}, {names} (truth: {', '.join(gap['truth']['effects'])})")
     print(
-        "chi2 per dof of its held-out time: " + ", ".join(f"{value:.2f} {when}" for when, value in gap["gap"].items())
+        f"another flight of it: {gap['verdict']}, {names} (truth: {', '.join(gap['truth']['effects'])})"
+    )
+    print(
+        "chi2 per dof of its held-out time: "
+        + ", ".join(f"{value:.2f} {when}" for when, value in gap["gap"].items())
     )
     print()
     forecasts = real["one_second_ahead_before_failure"].items()
-    title = "2 m aircraft, REAL flight (ALFA): one second ahead, held-out time before the engine fails"
+    title = (
+        "2 m aircraft, REAL flight (ALFA): one second ahead, held-out time before the engine fails"
+    )
     errors = [(name, f["position_m"], f["attitude_deg"]) for name, f in forecasts]
     print_table(("forecast", "position [m]", "attitude [deg]"), errors, title=title)
     parts, failure = real["parts_from_measurement_s"], real["failure_time_s"]

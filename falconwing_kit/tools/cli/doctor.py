@@ -1,4 +1,5 @@
-"""`falconwing doctor`: this machine in, a table of what works and how to mend the rest out; also the checklists.
+"""`falconwing doctor`: this machine in, a table of what works and how to mend the rest out; also
+the checklists.
 
 A row says "works" only after the thing was tried just now.
 """
@@ -27,17 +28,18 @@ REINSTALL = "delete .venv and type python3 start.py doctor, which installs it ag
 
 
 @dataclass(frozen=True)
-class Check:
+class SystemCheck:
     """One capability and how to find out about it."""
 
     capability: str
-    need: Need  # the demo needs it; a verb or a lab uses it now; a part of the kit that is still to come will
+    # the demo needs it; a verb or a lab uses it now; a part of the kit that is still to come will
+    need: Need
     attempt: Callable[[], str]  # tries it: returns what was seen, raises if it does not work
     mend: str  # what to do when it does not
 
 
 @dataclass(frozen=True)
-class Finding:
+class SystemCheckResult:
     """What came out of one check."""
 
     capability: str
@@ -49,7 +51,8 @@ class Finding:
 
 @dataclass(frozen=True)
 class Doctor:
-    """Say what works on this machine and how to mend what does not, or walk through a checklist of the aircraft.
+    """Say what works on this machine and how to mend what does not, or walk through a checklist of
+    the aircraft.
 
     Exit code 0 if everything that the demo needs works, or no step of the checklist failed, else 1.
     """
@@ -61,7 +64,9 @@ class Doctor:
     preflight: bool = False
     """walk through the check before a flight instead"""
     port: str = ""
-    """serial port of the board for the steps that a checklist does by itself; sim is a SIMULATED one"""
+    """serial port of the board for the steps that a checklist does by itself; sim is a SIMULATED
+    one
+    """
     camera: str = ""
     """camera for those steps: number, path or video file; sim is a SIMULATED one"""
     out: Path | None = None
@@ -79,34 +84,46 @@ class Doctor:
         if self.bench or self.preflight:
             return self._walk()
         if self.port or self.camera or self.out is not None:
-            raise InputError("--port, --camera, --out: want them with --bench or --preflight; add one of these")
+            raise InputError(
+                "--port, --camera, --out: expected them with --bench or --preflight; add one of these"
+            )
         findings = [examine(check) for check in CHECKS]
-        demo_works = all(finding.status == "works" for finding in findings if finding.needed_by_demo)
+        demo_works = all(
+            finding.status == "works" for finding in findings if finding.needed_by_demo
+        )
         if self.json:
-            print_json({"demo_works": demo_works, "findings": [asdict(finding) for finding in findings]})
+            print_json(
+                {"demo_works": demo_works, "findings": [asdict(finding) for finding in findings]}
+            )
             return 0 if demo_works else 1
-        print_table(("capability", "status", "seen"), [(f.capability, f.status, f.detail) for f in findings])
+        print_table(
+            ("capability", "status", "seen"), [(f.capability, f.status, f.detail) for f in findings]
+        )
         broken = [finding for finding in findings if finding.mend]
         if broken:
             print()
             print_table(("to mend", "do this"), [(f.capability, f.mend) for f in broken])
         next_line(
-            "falconwing demo" if demo_works else "mend the first row above that is missing, then falconwing doctor"
+            "falconwing demo"
+            if demo_works
+            else "mend the first row above that is missing, then falconwing doctor"
         )
         return 0 if demo_works else 1
 
     def _walk(self) -> int:
-        from falconwing_kit.tools.cli.walk import Tools, walk
+        from falconwing_kit.tools.cli.walk import WalkDevices, walk
         from falconwing_kit.tools.hardware.checklists import load_checklists
 
         if self.bench and self.preflight:
-            raise InputError("--bench, --preflight: want one of them, got both; do the bench test first")
+            raise InputError(
+                "--bench, --preflight: expected one of them, got both; do the bench test first"
+            )
         lists = load_checklists()
         chosen = lists.bench if self.bench else lists.preflight
-        return walk(chosen, Tools(self.port, self.camera), self.out, self.json)
+        return walk(chosen, WalkDevices(self.port, self.camera), self.out, self.json)
 
 
-def examine(check: Check) -> Finding:
+def examine(check: SystemCheck) -> SystemCheckResult:
     """Try one capability.
 
     Args:
@@ -116,17 +133,27 @@ def examine(check: Check) -> Finding:
         What was seen; a part that is still to come is never called missing.
     """
     try:
-        return Finding(check.capability, "works", check.need == "demo", check.attempt(), "")
+        return SystemCheckResult(
+            check.capability, "works", check.need == "demo", check.attempt(), ""
+        )
     except Exception as error:  # whatever breaks here is the finding
-        text = f"{error.name} is not installed" if isinstance(error, ModuleNotFoundError) else str(error)
+        text = (
+            f"{error.name} is not installed"
+            if isinstance(error, ModuleNotFoundError)
+            else str(error)
+        )
         lines = text.splitlines() or [type(error).__name__]
-        status: Literal["missing", "not needed yet"] = "not needed yet" if check.need == "later" else "missing"
-        return Finding(check.capability, status, check.need == "demo", lines[0], check.mend)
+        status: Literal["missing", "not needed yet"] = (
+            "not needed yet" if check.need == "later" else "missing"
+        )
+        return SystemCheckResult(
+            check.capability, status, check.need == "demo", lines[0], check.mend
+        )
 
 
 def _python() -> str:
     if sys.version_info[:2] < (3, 11):  # noqa: UP036 - a copied folder can be run by any Python
-        raise RuntimeError(f"want 3.11 or newer, this is {platform.python_version()}")
+        raise RuntimeError(f"expected 3.11 or newer, this is {platform.python_version()}")
     return f"{platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores"
 
 
@@ -138,7 +165,7 @@ def _folder() -> str:
             raise OSError("a file written here does not have its size")
     free_mb = shutil.disk_usage(".").free / 1e6
     if free_mb < 200.0:
-        raise OSError(f"want 200 MB for figures and logs, {free_mb:.0f} MB are free")
+        raise OSError(f"expected 200 MB for figures and logs, {free_mb:.0f} MB are free")
     return f"wrote a file in this folder; {free_mb / 1e3:.1f} GB free"
 
 
@@ -213,8 +240,12 @@ def _log() -> str:
 def _control() -> str:
     import control
 
-    gain, _, _ = control.lqr([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0], [0.0, 1.0]], [[1.0]])
-    if abs(gain[0, 0] - 1.0) + abs(gain[0, 1] - 3.0**0.5) > 1e-6:  # the double integrator's gains by hand
+    gain, _, _ = control.lqr(
+        [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0], [0.0, 1.0]], [[1.0]]
+    )
+    if (
+        abs(gain[0, 0] - 1.0) + abs(gain[0, 1] - 3.0**0.5) > 1e-6
+    ):  # the double integrator's gains by hand
         raise RuntimeError(f"the double integrator's LQR gains are 1 and 1.732, got {gain}")
     return f"control {control.__version__}; designed an LQR"
 
@@ -231,7 +262,9 @@ def _serial() -> str:
     if not boards:
         raise RuntimeError("no board on a USB serial port found")
     if not boards[0].likely:
-        raise RuntimeError(f"found {boards[0].path}, which does not look like a Mega 2560: {boards[0].what}")
+        raise RuntimeError(
+            f"found {boards[0].path}, which does not look like a Mega 2560: {boards[0].what}"
+        )
     if not boards[0].may_open:
         raise RuntimeError(f"found {boards[0].path}, but you may not open it")
     return f"found {boards[0].path}, {boards[0].what}; not opened, that could restart the board"
@@ -241,7 +274,11 @@ def _camera() -> str:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")  # a missing camera is no news to print
     import cv2
 
-    names = sorted(str(path) for path in Path("/dev").glob("video*")) if sys.platform == "linux" else ["0"]
+    names = (
+        sorted(str(path) for path in Path("/dev").glob("video*"))
+        if sys.platform == "linux"
+        else ["0"]
+    )
     for name in names:
         camera = cv2.VideoCapture(int(name) if name.isdigit() else name)
         seen, image = camera.read()
@@ -267,7 +304,11 @@ def _rendering() -> str:
     one = np.ones((1, 3), np.float32)
     ahead, upright = np.array([[2, 0, 0]], np.float32), np.array([[1, 0, 0, 0]], np.float32)
     white = GaussianScene(ahead, upright, 0.5 * one, np.array([0.9], np.float32), 1.77 * one[None])
-    frame = render(white, PinholeCamera.from_fov_deg(9, 9, 60.0), nose_camera_pose((0.0, 0.0, 0.0), 0.0, 0.0, 0.0))
+    frame = render(
+        white,
+        PinholeCamera.from_fov_deg(9, 9, 60.0),
+        nose_camera_pose((0.0, 0.0, 0.0), 0.0, 0.0, 0.0),
+    )
     if not 0.88 < float(frame.rgb[4, 4].min()) < 0.91:
         raise RuntimeError("a white splat of opacity 0.9 has another colour")
     return "drew a Gaussian on the CPU"
@@ -283,10 +324,10 @@ def _page() -> str:
 
 
 def _gpu() -> str:
-    from falconwing_kit.scene.gsplat_backend import probe
+    from falconwing_kit.scene.gsplat_backend import probe_gsplat
 
     try:
-        probe()
+        probe_gsplat()
     except InputError as error:
         raise RuntimeError(str(error).split(";")[0]) from None
     return "gsplat drew a Gaussian on the GPU"
@@ -324,22 +365,49 @@ def _output(command: list[str]) -> str:
     return (done.stdout.strip() or done.stderr.strip() or "no output").splitlines()[0]
 
 
-CHECKS: tuple[Check, ...] = (
-    Check("Python", "demo", _python, "install Python 3.11 or newer, delete .venv and run start.py with it"),
-    Check("this folder", "demo", _folder, "change to a folder that you may write to, on a disk with room"),
-    Check("arrays and fits", "demo", _arrays, REINSTALL),
-    Check("airframe data", "demo", _airframe, "run from a checkout of the kit that has its hardware folder"),
-    Check("figures", "demo", _plots, REINSTALL),
-    Check("fast roll-outs", "demo", _compiler, REINSTALL),
-    Check("rendering", "demo", _rendering, REINSTALL),
-    Check("live page", "demo", _page, REINSTALL),
-    Check("flight logs", "demo", _log, REINSTALL),
-    Check("control design", "demo", _control, REINSTALL),
-    Check("labs", "later", _labs, f'{PIP} -e ".[labs]"'),
-    Check("finding the board", "now", _serial, "plug it in; falconwing find-port says more"),
-    Check("camera", "later", _camera, "plug in the camera"),
-    Check("reference renderer", "later", _torch, f'{PIP} -e ".[torch]"'),
-    Check("rendering on a GPU", "later", _gpu, "needs an NVIDIA GPU, a CUDA build of torch, and gsplat"),
-    Check("grading sandbox", "later", _sandbox, "Linux only; Debian or Ubuntu: apt install bubblewrap"),
-    Check("firmware tools", "now", _avr, f"Debian or Ubuntu: apt install {AVR}; without, --port sim is plain Python"),
+CHECKS: tuple[SystemCheck, ...] = (
+    SystemCheck(
+        "Python",
+        "demo",
+        _python,
+        "install Python 3.11 or newer, delete .venv and run start.py with it",
+    ),
+    SystemCheck(
+        "this folder",
+        "demo",
+        _folder,
+        "change to a folder that you may write to, on a disk with room",
+    ),
+    SystemCheck("arrays and fits", "demo", _arrays, REINSTALL),
+    SystemCheck(
+        "airframe data",
+        "demo",
+        _airframe,
+        "run from a checkout of the kit that has its hardware folder",
+    ),
+    SystemCheck("figures", "demo", _plots, REINSTALL),
+    SystemCheck("fast roll-outs", "demo", _compiler, REINSTALL),
+    SystemCheck("rendering", "demo", _rendering, REINSTALL),
+    SystemCheck("live page", "demo", _page, REINSTALL),
+    SystemCheck("flight logs", "demo", _log, REINSTALL),
+    SystemCheck("control design", "demo", _control, REINSTALL),
+    SystemCheck("labs", "later", _labs, f'{PIP} -e ".[labs]"'),
+    SystemCheck("finding the board", "now", _serial, "plug it in; falconwing find-port says more"),
+    SystemCheck("camera", "later", _camera, "plug in the camera"),
+    SystemCheck("reference renderer", "later", _torch, f'{PIP} -e ".[torch]"'),
+    SystemCheck(
+        "rendering on a GPU",
+        "later",
+        _gpu,
+        "needs an NVIDIA GPU, a CUDA build of torch, and gsplat",
+    ),
+    SystemCheck(
+        "grading sandbox", "later", _sandbox, "Linux only; Debian or Ubuntu: apt install bubblewrap"
+    ),
+    SystemCheck(
+        "firmware tools",
+        "now",
+        _avr,
+        f"Debian or Ubuntu: apt install {AVR}; without, --port sim is plain Python",
+    ),
 )

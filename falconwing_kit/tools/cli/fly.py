@@ -1,4 +1,6 @@
-"""falconwing fly: a task and a pilot -> simulated flights by the 20 Hz loop, watched live or many at once."""
+"""falconwing fly: a task and a pilot -> simulated flights by the 20 Hz loop, watched live or many
+at once.
+"""
 
 import re
 import sys
@@ -16,19 +18,23 @@ from falconwing_kit.flight.tasks import TASKS, TRIAL_SEEDS
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 if TYPE_CHECKING:
-    from falconwing_kit.flight.tasks import Task
+    from falconwing_kit.flight.tasks import FlightTask
     from falconwing_kit.scene.gaussians import GaussianScene
-    from falconwing_kit.tools.trials.trials import Setting
+    from falconwing_kit.tools.trials.trials import TrialSettings
 
     TaskName = str
 else:
     TaskName = Literal[tuple(TASKS)]  # as the command line offers them
 
 PILOTS = ("expert",)  # those that this version of the kit has
-LATER = ("rgb", "mask", "rgb_mask", "student", "manual")
+UNAVAILABLE_PILOTS = ("rgb", "mask", "rgb_mask", "student", "manual")
 TASK_HELP = "; ".join(f"{task.name}: {task.summary}" for task in TASKS.values())
 MANOEUVRE_HELP = "what the leader flies ({}); {}".format(
-    ", ".join(f"{task.manoeuvre} where --task {task.name} names none" for task in TASKS.values() if task.manoeuvre),
+    ", ".join(
+        f"{task.manoeuvre} where --task {task.name} names none"
+        for task in TASKS.values()
+        if task.manoeuvre
+    ),
     "; ".join(f"{manoeuvre.name}: {manoeuvre.summary}" for manoeuvre in MANOEUVRES.values()),
 )
 BROWSER_S = 8.0  # what a browser may take to show the page before the flight begins
@@ -49,8 +55,8 @@ UNITS = {  # of the summary: what a row is called, and the factor to its unit
 class Fly:
     """Fly a task by the kit's 20 Hz loop, in simulation.
 
-    Without --headless a page in the browser shows the flight in real time; with it the flights go as fast as they can.
-    Exit code 0 when every trial succeeded, 1 when one failed.
+    Without --headless a page in the browser shows the flight in real time; with it the flights go
+    as fast as they can. Exit code 0 when every trial succeeded, 1 when one failed.
     """
 
     task: Annotated[TaskName, tyro.conf.arg(help=TASK_HELP)] = "landing"
@@ -66,14 +72,17 @@ class Fly:
     no_render: bool = False
     """without images; the expert needs none"""
     scene: str = "arena"
-    """the hall: arena, hall, hall_analog (seen through an analog link), or a scene file in the kit's world"""
+    """the hall: arena, hall, hall_analog (seen through an analog link), or a scene file in the
+    kit's world
+    """
     size: str = "320x240"
     """of the camera's image [px]"""
     source: Literal["sim", "camera"] = "sim"
     """where images come from"""
     port: str = ""
-    """the trainer port that every command goes through: sim (the firmware in a simulated chip) or sim-python (plain
-    Python); none where it is left out"""
+    """the trainer port that every command goes through: sim (the firmware in a simulated chip) or
+    sim-python (plain Python); none where it is left out
+    """
     out: Path | None = None
     """folder for log, table and figures; an interrupted study goes on there"""
     logs: bool = False
@@ -96,10 +105,10 @@ class Fly:
         hall = hall_loader(self.scene)
         task, setting = self._task(), self._setting()
         other = self._look_into_folders(task, setting)
-        from falconwing_kit.tools.trials.trials import compare_pilots, summary
+        from falconwing_kit.tools.trials.trials import compare_pilots, summarise_trials
 
         records = self._fly(task, setting, hall)
-        found = summary(records)
+        found = summarise_trials(records)
         if other is not None:
             found["against"] = compare_pilots(records, other)
         self._show(task.name, records, found)
@@ -124,48 +133,63 @@ class Fly:
                     f" {' or '.join(PORTS)}, or look at a real board with `falconwing bridge --port {self.port}`"
                 )
 
-    def _task(self) -> "Task":
+    def _task(self) -> "FlightTask":
         """What is flown; numbers and manoeuvre are checked."""
         require_range("--trials", self.trials, low=1, high=TRIAL_SEEDS)
         require_range("--seed", self.seed, low=0, high=TRIAL_SEEDS - 1)
         if self.task not in TASKS:
-            raise InputError(f"--task {self.task}: want one of {', '.join(TASKS)}")
+            raise InputError(f"--task {self.task}: expected one of {', '.join(TASKS)}")
         entry = TASKS[self.task]
         if entry.manoeuvre:
             return entry.make(self.manoeuvre or entry.manoeuvre)
         if self.manoeuvre:
             with_leader = " or ".join(task.name for task in TASKS.values() if task.manoeuvre)
             raise InputError(
-                f"--manoeuvre {self.manoeuvre}: want it with --task {with_leader} only, got --task {self.task}"
+                f"--manoeuvre {self.manoeuvre}: expected it with --task {with_leader} only, got --task {self.task}"
             )
         return entry.make()
 
-    def _setting(self) -> "Setting":
+    def _setting(self) -> "TrialSettings":
         """How it is flown, before there is a page and a scene."""
         from falconwing_kit.flight.loop import SimulatedClock, WallClock
         from falconwing_kit.flight.sources import fpv_camera
-        from falconwing_kit.tools.trials.trials import Setting
+        from falconwing_kit.tools.trials.trials import TrialSettings
 
         clock = SimulatedClock if self.headless else WallClock
-        return Setting(camera=fpv_camera(*_size(self.size)), clock=clock, port=self.port)
+        return TrialSettings(camera=fpv_camera(*_size(self.size)), clock=clock, port=self.port)
 
-    def _look_into_folders(self, task: "Task", setting: "Setting") -> list[dict[str, Any]] | None:
-        """Refuse what does not fit in --out and --against before anything is flown; the trials of --against."""
-        from falconwing_kit.tools.trials.trials import flown_before, study_head, trials_to_pair
+    def _look_into_folders(
+        self, task: "FlightTask", setting: "TrialSettings"
+    ) -> list[dict[str, Any]] | None:
+        """Refuse what does not fit in --out and --against before anything is flown; the trials of
+        --against.
+        """
+        from falconwing_kit.tools.trials.trials import (
+            read_flown_trials,
+            read_paired_trials,
+            study_head,
+        )
 
         head = study_head(task, self.pilot, self.seed)
         if self.out is not None:
             if self.out.exists() and not self.out.is_dir():
-                raise InputError(f"--out {self.out}: want a folder, got a file; choose another name")
+                raise InputError(
+                    f"--out {self.out}: expected a folder, got a file; choose another name"
+                )
             how = {**setting.record, "rendered": not self.no_render}
             del how["scene_digest"]  # the hall is loaded when the page is open
-            flown_before(self.out, head | how)
-        return None if self.against is None else trials_to_pair(self.against, head)
+            read_flown_trials(self.out, head | how)
+        return None if self.against is None else read_paired_trials(self.against, head)
 
-    def _fly(self, task: "Task", setting: "Setting", hall: "Callable[[], GaussianScene]") -> list[dict[str, Any]]:
+    def _fly(
+        self, task: "FlightTask", setting: "TrialSettings", hall: "Callable[[], GaussianScene]"
+    ) -> list[dict[str, Any]]:
         from falconwing_kit.tools.trials.trials import fly_trials
 
-        with _page(hall, self.headless, not self.no_render) as (scene, hooks), self._progress() as progress:
+        with (
+            _page(hall, self.headless, not self.no_render) as (scene, hooks),
+            self._progress() as progress,
+        ):
             setting = replace(setting, scene=None if self.no_render else scene, hooks=hooks)
             return fly_trials(
                 task, task.expert, self.trials, pilot=self.pilot, seed=self.seed, setting=setting,
@@ -191,12 +215,16 @@ class Fly:
 
             files = write_results(records, found, self.out, f"{name} by {self.pilot}")
         if self.json:
-            print_json({"task": name, "pilot": self.pilot, "scene": self.scene, "simulated": True, **found})
+            print_json(
+                {"task": name, "pilot": self.pilot, "scene": self.scene, "simulated": True, **found}
+            )
             return
         print_trials(f"SIMULATED: {name} by {self.pilot}", records, found)
         if self.out is None:
             scene = "" if self.scene == "arena" else f" --scene {self.scene}"
-            next_line(f"falconwing fly --task {self.task}{scene} --trials 10 --headless --out trials")
+            next_line(
+                f"falconwing fly --task {self.task}{scene} --trials 10 --headless --out trials"
+            )
         else:
             next_line(f"look at {files['paths']} and {files['results']}")
 
@@ -210,11 +238,15 @@ def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str,
         found: of `flight.trials.summary`.
     """
     low, high = 100.0 * found["success_low95"], 100.0 * found["success_high95"]
-    print(f"{title}\nsuccess: {found['successes']} of {found['trials']} (95 % between {low:.1f} and {high:.1f} %)")
+    print(
+        f"{title}\nsuccess: {found['successes']} of {found['trials']} (95 % between {low:.1f} and {high:.1f} %)"
+    )
     rows = []
     for key, (label, factor) in UNITS.items():
         if key in found:
-            numbers = (found[key][name] for name in ("mean", "low95", "high95", "median", "largest"))
+            numbers = (
+                found[key][name] for name in ("mean", "low95", "high95", "median", "largest")
+            )
             rows.append((label, *(factor * number for number in numbers)))
     print_table(("measure", "mean", "low 95 %", "high 95 %", "median", "largest"), rows)
     if "locked_share" in found and "no images" in found["images"]:
@@ -226,7 +258,8 @@ def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str,
     if "port" in records[0]:
         ports = [record["port"] for record in records]
         sent, dropped, frames = (
-            sum(p[key] for p in ports) for key in ("commands_sent", "commands_dropped", "ppm_frames")
+            sum(p[key] for p in ports)
+            for key in ("commands_sent", "commands_dropped", "ppm_frames")
         )
         print(
             f"through the trainer port ({ports[0]['board']}): {sent} commands, {dropped} dropped; {frames} PPM frames"
@@ -240,9 +273,13 @@ def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str,
             )
     faulty = next((record for record in records if record["faults"]), None)
     if faulty is not None:
-        print(f"warning: the pilot failed in {found['faults']} steps; first: {faulty['first_fault']['error']}")
+        print(
+            f"warning: the pilot failed in {found['faults']} steps; first: {faulty['first_fault']['error']}"
+        )
     if found["skipped"]:
-        print(f"warning: {found['skipped']} steps came too late and were skipped; a smaller --size or --headless helps")
+        print(
+            f"warning: {found['skipped']} steps came too late and were skipped; a smaller --size or --headless helps"
+        )
     if "against" in found:
         pair = found["against"]
         print(
@@ -252,13 +289,15 @@ def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str,
 
 
 def hall_loader(name: str) -> "Callable[[], GaussianScene]":
-    """How to get the hall to fly in; a wrong name and a bad file are refused at once, before a page is opened.
+    """How to get the hall to fly in; a wrong name and a bad file are refused at once, before a page
+    is opened.
 
     Args:
         name: a scene file, or the name of a scene that ships; a file of that name goes first.
 
     Returns:
-        A function that gives the hall. One that ships may have to be built first, which takes a while.
+        A function that gives the hall. One that ships may have to be built first, which takes a
+        while.
 
     Raises:
         FileNotFoundError: there is no file at a path.
@@ -269,12 +308,16 @@ def hall_loader(name: str) -> "Callable[[], GaussianScene]":
 
     if name == "leader" and not Path(name).exists():
         halls = ", ".join(scene for scene in SCENES if scene != name)
-        raise InputError(f"--scene {name}: want a hall to fly in, got an aircraft; take {halls} or a file")
+        raise InputError(
+            f"--scene {name}: expected a hall to fly in, got an aircraft; take {halls} or a file"
+        )
     if name in SCENES and not Path(name).exists():
         return lambda: load_scene(name)
     scene = open_scene(name)
     if "leader" in scene.label_names and scene.labelled("leader").all():
-        raise InputError(f"--scene {name}: want a hall to fly in, got an aircraft alone; add it to a hall")
+        raise InputError(
+            f"--scene {name}: expected a hall to fly in, got an aircraft alone; add it to a hall"
+        )
     return lambda: scene
 
 
@@ -305,5 +348,7 @@ def _size(text: str) -> tuple[int, int]:
     """Width and height of "320x240"."""
     fits = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     if fits is None or not all(16 <= int(side) <= 4096 for side in fits.groups()):
-        raise InputError(f"--size: want WIDTHxHEIGHT of 16 to 4096 px such as 320x240, got {text!r}")
+        raise InputError(
+            f"--size: expected WIDTHxHEIGHT of 16 to 4096 px such as 320x240, got {text!r}"
+        )
     return int(fits[1]), int(fits[2])

@@ -1,4 +1,6 @@
-"""falconwing gap: a calm flight and a flight that surprises -> where they disagree, what is missing, the gap closed."""
+"""falconwing gap: a calm flight and a flight that surprises -> where they disagree, what is
+missing, the gap closed.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +13,12 @@ from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 @dataclass(frozen=True)
 class Gap:
-    """Find where a flight disagrees with the calm aircraft, name the missing effect, and show the gap close.
+    """Find where a flight disagrees with the calm aircraft, name the missing effect, and show the
+    gap close.
 
-    Writes report.json, report.html, its figures, model.toml and, where an effect is named, model_with_effect.toml.
-    Exit code 0 when an effect is named or nothing is missing, 1 when the answer is ambiguous or outside the catalogue.
+    Writes report.json, report.html, its figures, model.toml and, where an effect is named,
+    model_with_effect.toml. Exit code 0 when an effect is named or nothing is missing, 1 when the
+    answer is ambiguous or outside the catalogue.
     """
 
     calm: Path
@@ -37,7 +41,9 @@ class Gap:
             InputError: a flight cannot be used, or the folder is a file.
         """
         if self.out.exists() and not self.out.is_dir():
-            raise InputError(f"--out {self.out}: want a folder, got a file; choose another name")
+            raise InputError(
+                f"--out {self.out}: expected a folder, got a file; choose another name"
+            )
         tables = read_flight_table(self.calm), read_flight_table(self.flight)
         record = self._study(*tables)
         page = self.out / "report.html"
@@ -54,7 +60,9 @@ class Gap:
 
         from falconwing_kit.tools.reports.gap_report import gap_report
 
-        with tqdm(bar_format="{desc} {elapsed}", leave=False, disable=True if self.json else None) as bar:
+        with tqdm(
+            bar_format="{desc} {elapsed}", leave=False, disable=True if self.json else None
+        ) as bar:
             return gap_report(calm, flight, self.out, bar.set_description_str)
 
 
@@ -65,17 +73,28 @@ def print_gap(record: dict[str, Any]) -> None:
         record: as of gap.report.gap_record.
     """
     print(f"verdict: {record['verdict']}. {record['headline']}")
-    sizes = [(name, p["value"], p["low95"], p["high95"], p["unit"]) for name, p in record["parameters"].items()]
+    sizes = [
+        (name, p["value"], p["low95"], p["high95"], p["unit"])
+        for name, p in record["parameters"].items()
+    ]
     if sizes:
         print_table(("parameter", "value", "low 95 %", "high 95 %", "unit"), sizes)
     print()
     best = [(r["effect"], r["gain"], r["probability"]) for r in record["ranking"][:4]]
-    print_table(("effect", "evidence", "probability"), best, title=f"evidence, {record['threshold']:.0f} needed")
+    print_table(
+        ("effect", "evidence", "probability"),
+        best,
+        title=f"evidence, {record['threshold']:.0f} needed",
+    )
     print()
     rmse = record["gap_rmse"]
     rows = [
         (label, record["gap"][key], rmse["position_m"][key], rmse["attitude_deg"][key])
-        for key, label in (("before", "without the effect"), ("after", "with what was found"), ("calm", "calm flight"))
+        for key, label in (
+            ("before", "without the effect"),
+            ("after", "with what was found"),
+            ("calm", "calm flight"),
+        )
     ]
     print_table(
         ("2 s ahead, held-out", "chi2 per dof", "position [m]", "attitude [deg]"), rows,

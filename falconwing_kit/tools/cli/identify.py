@@ -1,4 +1,6 @@
-"""falconwing identify: recorded flights -> the aircraft's parameters, how sure they are, and how well they predict."""
+"""falconwing identify: recorded flights -> the aircraft's parameters, how sure they are, and how
+well they predict.
+"""
 
 import sys
 from dataclasses import dataclass
@@ -9,16 +11,16 @@ import numpy as np
 import tyro
 
 from falconwing_kit.aircraft.airframe import load_airframe
-from falconwing_kit.aircraft.model import FORMS, Model, scaled
+from falconwing_kit.aircraft.model import FORMS, Model, scale_model
 from falconwing_kit.core.checks import InputError, require_range
-from falconwing_kit.core.files import require_place
+from falconwing_kit.core.files import require_writable_path
 from falconwing_kit.core.flight_table import FlightTable, read_flight_table
 from falconwing_kit.sysid.forecast import constant_turn, constant_velocity, forecast
-from falconwing_kit.sysid.identify import BAD_FIT, Identification, identify
+from falconwing_kit.sysid.identify import MAX_REDUCED_CHI2, Identification, identify
 from falconwing_kit.sysid.model_file import read_model, write_model
 from falconwing_kit.sysid.one_step import fit_one_step
 from falconwing_kit.sysid.prepare import CHANNELS
-from falconwing_kit.sysid.score import score, select
+from falconwing_kit.sysid.score import score, select_windows
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 GOOD_CHI2 = 2.0  # held out; above it the model does not describe the flight and the answer is no
@@ -28,8 +30,9 @@ GOOD_CHI2 = 2.0  # held out; above it the model does not describe the flight and
 class Identify:
     """Fit the aircraft model to recorded flights and say how well it predicts time it has not seen.
 
-    Exit code 1 when the model does not describe the flight (held-out chi2 per degree of freedom above 2), when a stick
-    of the log seems reversed, or when the start model predicts another flight (--judge) as well.
+    Exit code 1 when the model does not describe the flight (held-out chi2 per degree of freedom
+    above 2), when a stick of the log seems reversed, or when the start model predicts another
+    flight (--judge) as well.
     """
 
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -39,7 +42,9 @@ class Identify:
     figures: Path | None = None
     """folder for three figures: predicted against measured, residuals, intervals"""
     form: Literal["rates", "paper"] = "rates"
-    """rates: the 12-state model, body rates have their own dynamics; paper: the paper's 9-state model"""
+    """rates: the 12-state model, body rates have their own dynamics; paper: the paper's 9-state
+    model
+    """
     start: Path | None = None
     """a model file to start from, instead of a 150 g aircraft"""
     airframe: Path | None = None
@@ -49,7 +54,9 @@ class Identify:
     sigma_attitude_deg: float | None = None
     """noise of each attitude angle; estimated if not given"""
     judge: Path | None = None
-    """another flight of the aircraft, with velocities as `falconwing poses` writes them: predicted one second ahead"""
+    """another flight of the aircraft, with velocities as `falconwing poses` writes them: predicted
+    one second ahead
+    """
     one_step: bool = False
     """show the paper's one-step fit beside the result"""
     json: bool = False
@@ -59,22 +66,27 @@ class Identify:
         """Fit, print, and write what was asked for.
 
         Returns:
-            0 where the model describes the flights, 1 where it does not, where a stick seems reversed, or where
-            the flight to judge by is predicted no better than by the model one began with.
+            0 where the model describes the flights, 1 where it does not, where a stick seems
+            reversed, or where the flight to judge by is predicted no better than by the model one
+            began with.
 
         Raises:
             FileNotFoundError: there is no such flight or model file, or no folder to write into.
             InputError: a flight cannot be used, or a place cannot be written to.
         """
         if not self.flights:
-            raise InputError("identify: want at least one flight table, got none; try falconwing identify flight.csv")
+            raise InputError(
+                "identify: expected at least one flight table, got none; try falconwing identify flight.csv"
+            )
         self._require_places()
         tables = [read_flight_table(path) for path in self.flights]
         other = None if self.judge is None else read_flight_table(self.judge)
         model = self._model()
         if other is not None:
             constant_turn(other)  # refuses before the fit what cannot be predicted from
-        found = identify(tables, model=model, sigma=self._sigma(), progress=None if self.json else _progress())
+        found = identify(
+            tables, model=model, sigma=self._sigma(), progress=None if self.json else _progress()
+        )
         baseline = self._baseline(found) if self.one_step else None
         if self.out is not None:
             write_model(self.out, found)
@@ -92,7 +104,7 @@ class Identify:
             _print_record(record, found)
             next_line(self._next())
         chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
-        if GOOD_CHI2 < chi2 <= BAD_FIT:  # beyond, a warning says so
+        if GOOD_CHI2 < chi2 <= MAX_REDUCED_CHI2:  # beyond, a warning says so
             print(
                 f"the model does not describe the flight: chi2 per degree of freedom {chi2:.1f}, want at most "
                 f"{GOOD_CHI2:g}; falconwing gap, with a calm flight, says what is missing",
@@ -100,34 +112,38 @@ class Identify:
             )
         ahead = record.get("one_second_ahead")
         is_better = ahead is None or ahead["fitted"]["position_m"] < ahead["start"]["position_m"]
-        return 0 if chi2 <= GOOD_CHI2 and not found.reversed_sticks and is_better else 1
+        return 0 if chi2 <= GOOD_CHI2 and not found.reversed_channels and is_better else 1
 
     def _require_places(self) -> None:
         """Refuse before the fit what could not be written after it."""
         if self.out is not None:
-            require_place(self.out)
+            require_writable_path(self.out)
         if self.figures is not None:
             there = next(place for place in (self.figures, *self.figures.parents) if place.exists())
             if not there.is_dir():
-                raise InputError(f"--figures {self.figures}: want a folder, but {there} is a file; choose another name")
+                raise InputError(
+                    f"--figures {self.figures}: expected a folder, but {there} is a file; choose another name"
+                )
 
     def _model(self) -> Model:
         if self.start is not None:
             if self.airframe is not None:
-                raise InputError("identify: want --start or --airframe, got both")
+                raise InputError("identify: expected --start or --airframe, got both")
             return read_model(self.start).model
         model = FORMS[self.form]()
         if self.airframe is None:
             return model
         airframe = load_airframe(self.airframe)
-        return scaled(model, airframe.mass, airframe.wing_area, airframe.span)
+        return scale_model(model, airframe.mass, airframe.wing_area, airframe.span)
 
     def _sigma(self) -> Any:
         given = (self.sigma_position_m, self.sigma_attitude_deg)
         if given == (None, None):
             return None
         if None in given:
-            raise InputError("noise: want both --sigma-position-m and --sigma-attitude-deg, got one of them")
+            raise InputError(
+                "noise: expected both --sigma-position-m and --sigma-attitude-deg, got one of them"
+            )
         position = require_range("--sigma-position-m", given[0] or 0.0, low=1e-4, high=10.0)
         attitude = require_range("--sigma-attitude-deg", given[1] or 0.0, low=1e-3, high=60.0)
         return np.array([position] * 3 + [np.radians(attitude)] * 3)
@@ -136,20 +152,34 @@ class Identify:
         """The paper's loss on the same flights, raw and smoothed, and its held-out score."""
         flights = [flight for p in found.prepared for flight in p.flights]
         start = FORMS[found.model.form]()
-        windows = select(found.windows, found.held_out_index) if found.held_out else found.windows
-        fitted = {name: fit_one_step(start, flights, smoothed=name == "smoothed") for name in ("raw", "smoothed")}
+        windows = (
+            select_windows(found.windows, found.held_out_index) if found.held_out else found.windows
+        )
+        fitted = {
+            name: fit_one_step(start, flights, smoothed=name == "smoothed")
+            for name in ("raw", "smoothed")
+        }
         return {
-            name: {"held_out_chi2_per_dof": score(model, windows).chi2, "values": dict(model.values)}
+            name: {
+                "held_out_chi2_per_dof": score(model, windows).chi2,
+                "values": dict(model.values),
+            }
             for name, model in fitted.items()
         }
 
     def _next(self) -> str:
         if self.out is None:
             return "--out model.toml keeps the model, --figures DIR shows it"
-        return f"look at {self.figures}" if self.figures else "--figures DIR shows predicted against measured"
+        return (
+            f"look at {self.figures}"
+            if self.figures
+            else "--figures DIR shows predicted against measured"
+        )
 
 
-def identification_record(found: Identification, baseline: dict[str, Any] | None = None) -> dict[str, Any]:
+def identification_record(
+    found: Identification, baseline: dict[str, Any] | None = None
+) -> dict[str, Any]:
     """An identification as plain numbers for JSON.
 
     Args:
@@ -159,10 +189,10 @@ def identification_record(found: Identification, baseline: dict[str, Any] | None
     Returns:
         Keys flights, form, held_out, train, noise, parameters, warnings, seconds (and one_step).
     """
-    sure, held = found.uncertainty, found.held_out
+    confidence, held = found.uncertainty, found.held_out
     units = {p.name: p for p in found.model.parameters}
     parameters = {}
-    for name in sure.names:
+    for name in confidence.names:
         low, high = found.interval(name)
         parameters[name] = {
             "value": found.model.values[name],
@@ -170,7 +200,7 @@ def identification_record(found: Identification, baseline: dict[str, Any] | None
             "high95": high,
             "unit": units[name].unit,
             "meaning": units[name].meaning,
-            "excited": name not in sure.not_excited,
+            "excited": name not in confidence.not_excited,
         }
     record: dict[str, Any] = {
         "flights": list(found.names),
@@ -204,7 +234,8 @@ def identification_record(found: Identification, baseline: dict[str, Any] | None
 
 
 def one_second_ahead(fitted: Model, start: Model, other: FlightTable) -> dict[str, Any]:
-    """How well a flight that nothing was fitted to is predicted, a second ahead on its commands alone.
+    """How well a flight that nothing was fitted to is predicted, a second ahead on its commands
+    alone.
 
     Args:
         fitted: the model to judge.
@@ -212,15 +243,19 @@ def one_second_ahead(fitted: Model, start: Model, other: FlightTable) -> dict[st
         other: the flight, with velocities (and rates for the 12-state model).
 
     Returns:
-        By forecast (fitted, start, constant_turn, constant_velocity) the root mean square of the distance, position_m,
-        and of the three angles together, attitude_deg; and the flight's name and the number of forecasts.
+        By forecast (fitted, start, constant_turn, constant_velocity) the root mean square of the
+        distance, position_m, and of the three angles together, attitude_deg; and the flight's name
+        and the number of forecasts.
 
     Raises:
         InputError: the flight has no velocities, or no two poses a second apart.
     """
     made = {"fitted": forecast(fitted, other), "start": forecast(start, other)}
     made |= {"constant_turn": constant_turn(other), "constant_velocity": constant_velocity(other)}
-    errors = {name: {"position_m": f.position_m, "attitude_deg": f.attitude_deg} for name, f in made.items()}
+    errors = {
+        name: {"position_m": f.position_m, "attitude_deg": f.attitude_deg}
+        for name, f in made.items()
+    }
     return {**errors, "flight": other.name, "forecasts": len(made["fitted"].t)}
 
 
@@ -231,14 +266,30 @@ def _print_record(record: dict[str, Any], found: Identification) -> None:
         (name, p["value"], p["low95"], p["high95"], p["unit"], said.get(name, p["meaning"]))
         for name, p in record["parameters"].items()
     ]
-    print_table(("parameter", "value", "low 95 %", "high 95 %", "unit", "meaning"), rows, title=", ".join(found.names))
+    print_table(
+        ("parameter", "value", "low 95 %", "high 95 %", "unit", "meaning"),
+        rows,
+        title=", ".join(found.names),
+    )
     held, train, noise = record["held_out"], record["train"], record["noise"]
     print()
     print_table(
         ("2 s ahead", "chi2 per dof", "position [m]", "attitude [deg]", "windows"),
         [
-            ("held-out time", held["chi2_per_dof"], held["position_m"], held["attitude_deg"], held["windows"]),
-            ("fitted time", train["chi2_per_dof"], found.train.position_m, found.train.attitude_deg, train["windows"]),
+            (
+                "held-out time",
+                held["chi2_per_dof"],
+                held["position_m"],
+                held["attitude_deg"],
+                held["windows"],
+            ),
+            (
+                "fitted time",
+                train["chi2_per_dof"],
+                found.train.position_m,
+                found.train.attitude_deg,
+                train["windows"],
+            ),
         ],
     )
     if "one_second_ahead" in record:
@@ -249,7 +300,8 @@ def _print_record(record: dict[str, Any], found: Identification) -> None:
     position = np.mean([noise[c]["used"] for c in CHANNELS[:3]])
     attitude = np.mean([noise[c]["used"] for c in CHANNELS[3:]])
     print(
-        f"pose noise {100 * position:.1f} cm and {attitude:.2f} deg; {record['outliers']} outliers set aside, ", end=""
+        f"pose noise {100 * position:.1f} cm and {attitude:.2f} deg; {record['outliers']} outliers set aside, ",
+        end="",
     )
     print(f"{record['rows_without_pose']} rows without a pose; fitted in {record['seconds']:.1f} s")
     for sentence in record["warnings"]:
@@ -259,8 +311,13 @@ def _print_record(record: dict[str, Any], found: Identification) -> None:
 def _print_judged(ahead: dict[str, Any]) -> None:
     """How well another flight is predicted, as a table."""
     names = ("fitted", "start", "constant_turn", "constant_velocity")
-    rows = [(name.replace("_", " "), ahead[name]["position_m"], ahead[name]["attitude_deg"]) for name in names]
-    title = f"\n{ahead['flight']}, not fitted to: {ahead['forecasts']} forecasts one second ahead, rms"
+    rows = [
+        (name.replace("_", " "), ahead[name]["position_m"], ahead[name]["attitude_deg"])
+        for name in names
+    ]
+    title = (
+        f"\n{ahead['flight']}, not fitted to: {ahead['forecasts']} forecasts one second ahead, rms"
+    )
     print_table(("forecast", "position [m]", "attitude [deg]"), rows, title=title)
     print()
 

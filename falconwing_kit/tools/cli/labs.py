@@ -1,4 +1,6 @@
-"""falconwing labs: the labs' sources -> notebooks, what is handed out to students, a test of the labs themselves."""
+"""falconwing labs: the labs' sources -> notebooks, what is handed out to students, a test of the
+labs themselves.
+"""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -9,7 +11,7 @@ import tyro
 
 from falconwing_kit.core.files import short_name
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
-from falconwing_kit.tools.grading.find import chosen_labs
+from falconwing_kit.tools.grading.find import select_labs
 
 
 @dataclass(frozen=True)
@@ -40,10 +42,12 @@ class Build:
         from falconwing_kit.tools.grading.notebooks import stale_notebooks, write_notebooks
 
         do = stale_notebooks if self.check else write_notebooks
-        changed = {folder.name: do(folder) for folder in chosen_labs(self.names, self.labs)}
+        changed = {folder.name: do(folder) for folder in select_labs(self.names, self.labs)}
         word, stale = ("stale", sum(map(len, changed.values()))) if self.check else ("written", 0)
         if self.json:
-            print_json({name: [short_name(path) for path in paths] for name, paths in changed.items()})
+            print_json(
+                {name: [short_name(path) for path in paths] for name, paths in changed.items()}
+            )
             return int(stale > 0)
         rows = [(name, ", ".join(map(short_name, paths)) or "-") for name, paths in changed.items()]
         print_table(("lab", word), rows, title=f"{stale} stale notebooks" if self.check else "")
@@ -60,9 +64,12 @@ class Release:
     names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """labs, such as lab03; all if none is named"""
     salt: str = ""
-    """your course's secret, which draws its numbers; `grade` needs the same. Without it: the open course's"""
+    """your course's secret, which draws its numbers; `grade` needs the same. Without it: the open
+    course's
+    """
     roster: Path | None = None
-    """CSV file with a column `student`, for labs that are another for every student; needs --salt"""
+    """CSV file with a column `student`, for labs that are another for every student; needs --salt
+    """
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     json: bool = False
@@ -80,15 +87,28 @@ class Release:
         """
         from falconwing_kit.tools.grading.release import read_roster, release
 
-        folders = chosen_labs(self.names, self.labs)
+        folders = select_labs(self.names, self.labs)
         students = read_roster(self.roster) if self.roster else []
         files = release(folders, self.out, self.salt, students)
-        counts = {folder.name: sum(folder.name in path.parts for path in files) for folder in folders}
+        counts = {
+            folder.name: sum(folder.name in path.parts for path in files) for folder in folders
+        }
         if self.json:
-            print_json({"out": str(self.out), "salted": bool(self.salt), "students": len(students), "files": counts})
+            print_json(
+                {
+                    "out": str(self.out),
+                    "salted": bool(self.salt),
+                    "students": len(students),
+                    "files": counts,
+                }
+            )
             return 0
         course = "the course of your salt" if self.salt else "the open course"
-        print_table(("lab", "files"), list(counts.items()), title=f"{self.out}: {course}, {len(students)} students")
+        print_table(
+            ("lab", "files"),
+            list(counts.items()),
+            title=f"{self.out}: {course}, {len(students)} students",
+        )
         if self.salt:
             print("keep the salt to yourself, and keep it: without it nobody can grade these labs")
         if students:
@@ -99,7 +119,8 @@ class Release:
 
 @dataclass(frozen=True)
 class Selftest:
-    """Grade the labs' own notebooks as students' would be: solutions get everything, untouched ones nothing.
+    """Grade the labs' own notebooks as students' would be: solutions get everything, untouched ones
+    nothing.
 
     Exit code 0 when it is so, else 1.
     """
@@ -124,17 +145,30 @@ class Selftest:
         """
         from falconwing_kit.tools.grading.selftest import selftest
 
-        folders = chosen_labs(self.names, self.labs)
+        folders = select_labs(self.names, self.labs)
         results = [selftest(folder, sandboxed=not self.unsafe_no_sandbox) for folder in folders]
         passed = all(result.passed for result in results)
         if self.json:
             print_json({"passed": passed, "labs": [asdict(result) for result in results]})
             return int(not passed)
-        rows = [(r.lab, _percent(r.solution, r.of), _percent(r.untouched, r.of), r.passed) for r in results]
-        print_table(("lab", "solution", "untouched", "as it should be"), rows, title="points of the machine's")
-        for sentence in (f"! {result.lab}: {problem}" for result in results for problem in result.problems):
+        rows = [
+            (r.lab, _percent(r.solution, r.of), _percent(r.untouched, r.of), r.passed)
+            for r in results
+        ]
+        print_table(
+            ("lab", "solution", "untouched", "as it should be"),
+            rows,
+            title="points of the machine's",
+        )
+        for sentence in (
+            f"! {result.lab}: {problem}" for result in results for problem in result.problems
+        ):
             print(sentence)
-        next_line("falconwing labs release OUT" if passed else "mend the labs that are not as they should be")
+        next_line(
+            "falconwing labs release OUT"
+            if passed
+            else "mend the labs that are not as they should be"
+        )
         return int(not passed)
 
 

@@ -1,4 +1,6 @@
-"""`falconwing export` and `falconwing replay`: a flight log in; a table, a ROS bag, a page or figures out."""
+"""`falconwing export` and `falconwing replay`: a flight log in; a table, a ROS bag, a page or
+figures out.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,7 +26,9 @@ class Export:
     out: Path
     """the file to write, or a folder to write it into"""
     to: Literal["csv", "mcap", "bag"] = "csv"
-    """csv: one row per image with pose and command; mcap: all that can be read, indexed and compressed; bag: ROS 1"""
+    """csv: one row per image with pose and command; mcap: all that can be read, indexed and
+    compressed; bag: ROS 1
+    """
     json: bool = False
     """print the result as JSON"""
 
@@ -40,7 +44,9 @@ class Export:
         """
         target = self.out / f"{self.log.stem}.{self.to}" if self.out.is_dir() else self.out
         if target.resolve() == self.log.resolve():
-            raise InputError(f"{target}: want another name than the log's own, so that the log is kept")
+            raise InputError(
+                f"{target}: expected another name than the log's own, so that the log is kept"
+            )
         write, use = {
             "csv": (self._to_table, f"falconwing identify {target}"),
             "mcap": (self._to_log, f"falconwing export {target} --to csv"),
@@ -97,12 +103,15 @@ class Replay:
 
         Raises:
             FileNotFoundError: there is no log.
-            InputError: the log cannot be used, a figure cannot be written, or an option is out of its range.
+            InputError: the log cannot be used, a figure cannot be written, or an option is out of
+                its range.
         """
         require_file(self.log)
         if self.headless:
             if self.out.exists() and not self.out.is_dir():
-                raise InputError(f"--out {self.out}: want a folder, got a file; choose another name")
+                raise InputError(
+                    f"--out {self.out}: expected a folder, got a file; choose another name"
+                )
             return self._draw()
         from falconwing_kit.flight.sources import RecordedPilot
 
@@ -114,22 +123,32 @@ class Replay:
         from falconwing_kit.tools.demo.approach import draw_flight
 
         self.out.mkdir(parents=True, exist_ok=True)
-        shown = {"fpv": "view from the nose", "path": "path", "sticks": "sticks, height and speed", "film": "all of it"}
+        shown = {
+            "fpv": "view from the nose",
+            "path": "path",
+            "sticks": "sticks, height and speed",
+            "film": "all of it",
+        }
         paths = draw_flight(self.log, self.out)
-        print_table(("figure", "shows"), [(path, shown[path.stem.removeprefix("flight_")]) for path in paths])
+        print_table(
+            ("figure", "shows"),
+            [(path, shown[path.stem.removeprefix("flight_")]) for path in paths],
+        )
         next_line(f"falconwing export {self.log} --out flight.csv")
         return 0
 
     def _show(self, pilot: Any) -> None:
         """Fly the recorded commands by the kit's own loop, into nothing but the page."""
-        from falconwing_kit.flight.loop import PERIOD, Loop
+        from falconwing_kit.flight.loop import CONTROL_PERIOD, Loop
         from falconwing_kit.flight.sources import RecordedImages, RecordedStates
         from falconwing_kit.scene.arena import load_scene
         from falconwing_kit.tools.demo.approach import PacedClock, is_simulated, mode_at
         from falconwing_kit.tools.demo.live_page import LivePage
 
         log = read_flight_log(self.log)
-        page = LivePage(None, self.port, "REPLAY of a SIMULATION" if is_simulated(log) else "REPLAY")
+        page = LivePage(
+            None, self.port, "REPLAY of a SIMULATION" if is_simulated(log) else "REPLAY"
+        )
         print(f"live page: {page.url}   (Ctrl-C ends it)", flush=True)
         try:
             opened = page.open()
@@ -139,17 +158,17 @@ class Replay:
             reason = ""
             while reason != "interrupted":
                 loop = Loop(
-                    pilot, _Nowhere(), RecordedImages(self.log), RecordedStates(self.log), clock=PacedClock(self.speed),
+                    pilot, _NullSink(), RecordedImages(self.log), RecordedStates(self.log), clock=PacedClock(self.speed),
                     hooks=(lambda step: page.show(replace(step, mode=mode_at(log, step.t) or step.mode)),),
                 )  # fmt: skip
-                reason = loop.run(pilot.duration + PERIOD).reason
+                reason = loop.run(pilot.duration + CONTROL_PERIOD).reason
                 if self.once:
                     break
         finally:
             page.close()
 
 
-class _Nowhere:
+class _NullSink:
     """Commands of a replay go nowhere."""
 
     def send(self, t: float, command: Command) -> None:

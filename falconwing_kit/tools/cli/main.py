@@ -17,8 +17,9 @@ from falconwing_kit import __version__
 for _library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_library, "1")
 
-# Verb, file of this folder, class, what it does. Only the chosen file is imported. A verb is a frozen dataclass
-# whose fields are its options and whose `run()` returns the exit code, so Python code can call it too.
+# Verb, file of this folder, class, what it does. Only the chosen file is imported. A verb is a
+# frozen dataclass whose fields are its options and whose `run()` returns the exit code, so Python
+# code can call it too.
 VERBS: tuple[tuple[str, str, str, str], ...] = (
     ("demo", "demo", "Demo", "land in a splat hall, then study recorded flights, one of them real"),
     ("doctor", "doctor", "Doctor", "say what works on this machine and how to mend the rest"),
@@ -30,7 +31,12 @@ VERBS: tuple[tuple[str, str, str, str], ...] = (
     ("identify", "identify", "Identify", "fit the aircraft model to recorded flights"),
     ("gap", "gap", "Gap", "say where a flight disagrees with the model and what is missing"),
     ("bridge", "bridge", "Bridge", "watch the board: state, counters, delay, pilot's sticks"),
-    ("record", "bridge", "Record", "log a manual flight: the pilot's sticks and the camera's images"),
+    (
+        "record",
+        "bridge",
+        "Record",
+        "log a manual flight: the pilot's sticks and the camera's images",
+    ),
     ("find-port", "bridge", "FindPort", "list the boards on this machine's serial ports"),
     ("calibrate", "calibrate", "Calibrate", "learn a radio's microseconds, order and directions"),
     ("firmware", "firmware", "Firmware", "build the board's program, or test it in simulation"),
@@ -51,7 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: the words after `falconwing`; None takes them from the command line.
 
     Returns:
-        The exit code. Options that the verb does not know end in SystemExit(2) and its `--help` in SystemExit(0).
+        The exit code. Options that the verb does not know end in SystemExit(2) and its `--help` in
+        SystemExit(0).
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help"):
@@ -62,7 +69,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     chosen = next((verb for verb in VERBS if verb[0] == words[0]), None)
     if chosen is None:
-        return _refuse(f"{words[0]!r} is not a verb of falconwing{_perhaps(words[0])}; see `falconwing --help`")
+        return _refuse(
+            f"{words[0]!r} is not a verb of falconwing{_suggestion(words[0])}; see `falconwing --help`"
+        )
     return _run_verb(*chosen[:3], words[1:])
 
 
@@ -80,7 +89,9 @@ def help_text() -> str:
 
 
 def _run_verb(name: str, module: str, class_name: str, words: list[str]) -> int:
-    """Import the verb, let tyro fill its fields from the words, run it and turn errors into one sentence."""
+    """Import the verb, let tyro fill its fields from the words, run it and turn errors into one
+    sentence.
+    """
     import tyro
 
     from falconwing_kit.core.checks import InputError
@@ -88,9 +99,13 @@ def _run_verb(name: str, module: str, class_name: str, words: list[str]) -> int:
     with warnings.catch_warnings():
         warnings.showwarning = _print_warning
         try:
-            verb = getattr(importlib.import_module(f"falconwing_kit.tools.cli.{module}"), class_name)
+            verb = getattr(
+                importlib.import_module(f"falconwing_kit.tools.cli.{module}"), class_name
+            )
             # Without pairs a switch is `--json`, not `--json` and `--no-json`.
-            settings = tyro.cli(verb, prog=f"falconwing {name}", args=words, config=(tyro.conf.FlagCreatePairsOff,))
+            settings = tyro.cli(
+                verb, prog=f"falconwing {name}", args=words, config=(tyro.conf.FlagCreatePairsOff,)
+            )
             return int(settings.run())
         except InputError as error:
             return _refuse(str(error))
@@ -98,15 +113,21 @@ def _run_verb(name: str, module: str, class_name: str, words: list[str]) -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
         except OSError as error:
-            return _refuse(f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error))
+            return _refuse(
+                f"{error.filename}: {error.strerror}"
+                if error.filename and error.strerror
+                else str(error)
+            )
         except ModuleNotFoundError as error:
-            return _refuse(f"the library {error.name} is not installed; `falconwing doctor` says how to mend it")
+            return _refuse(
+                f"the library {error.name} is not installed; `falconwing doctor` says how to mend it"
+            )
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             return 130
 
 
-def _perhaps(word: str) -> str:
+def _suggestion(word: str) -> str:
     """A hint at the verb that was meant, or nothing."""
     close = difflib.get_close_matches(word, [name for name, *_ in VERBS], n=1)
     return f", perhaps you meant {close[0]!r}" if close else ""
@@ -126,7 +147,9 @@ def _print_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """A warning as one line for a person, without file and line number; the signature is the standard library's."""
+    """A warning as one line for a person, without file and line number; the signature is the
+    standard library's.
+    """
     print(f"warning: {message}", file=sys.stderr)
 
 

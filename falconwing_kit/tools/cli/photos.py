@@ -1,4 +1,6 @@
-"""`falconwing scene poses` and `scene align`: photos -> where they were taken -> the same in the kit's world."""
+"""`falconwing scene poses` and `scene align`: photos -> where they were taken -> the same in the
+kit's world.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -10,7 +12,7 @@ import numpy as np
 import tyro
 
 from falconwing_kit.core.checks import Array, InputError
-from falconwing_kit.tools.capture.align import Alignment, apply
+from falconwing_kit.tools.capture.align import Alignment, transform_reconstruction
 from falconwing_kit.tools.capture.photo_files import (
     Reconstruction,
     read_photo,
@@ -18,7 +20,12 @@ from falconwing_kit.tools.capture.photo_files import (
     undistort,
     write_reconstruction,
 )
-from falconwing_kit.tools.capture.poses import GOOD_REPROJECTION_PX, GOOD_SHARE, advice, photos_to_poses
+from falconwing_kit.tools.capture.poses import (
+    GOOD_REPROJECTION_PX,
+    GOOD_SHARE,
+    advice,
+    photos_to_poses,
+)
 from falconwing_kit.tools.capture.survey.picture import draw_alignment
 from falconwing_kit.tools.capture.survey.points import Survey, read_clicks, read_survey
 from falconwing_kit.tools.capture.survey.recipe import Alignments, align_photos, check_points
@@ -34,13 +41,16 @@ class Poses:
     photos: Annotated[Path, tyro.conf.Positional]
     """a folder of photos, or a COLMAP model or transforms.json made elsewhere"""
     out: Path
-    """folder for transforms.json, points.ply and COLMAP's database; a run that was stopped goes on there"""
+    """folder for transforms.json, points.ply and COLMAP's database; a run that was stopped goes on
+    there
+    """
     walk: bool = False
     """the photos follow each other as frames of a video do: compare only near ones"""
     focal_share: float = 0.6
     """first guess of the focal length as a share of the photo's longer side"""
     images: Path | None = None
-    """where the photos of a COLMAP model are, if not in a folder called images or photos beside it"""
+    """where the photos of a COLMAP model are, if not in a folder called images or photos beside it
+    """
     straighten: bool = False
     """also write the photos without the lens's distortion, and poses for these"""
     threads: int = 1
@@ -54,7 +64,8 @@ class Poses:
         """Find or read the poses, write them and print how good they are.
 
         Returns:
-            0, or 1 where fewer than 95 % of the photos found their place or points miss by more than 0.8 px.
+            0, or 1 where fewer than 95 % of the photos found their place or points miss by more
+            than 0.8 px.
 
         Raises:
             FileNotFoundError: there is no such folder.
@@ -69,19 +80,30 @@ class Poses:
             print_json({**report, "file": str(path)})
         else:
             _print_poses(report, found.k1, str(path))
-            next_line(f"falconwing scene align {self.out} --survey survey.csv --out {self.out}_aligned")
+            next_line(
+                f"falconwing scene align {self.out} --survey survey.csv --out {self.out}_aligned"
+            )
         return 0 if is_good(report) else 1
 
     def _find(self) -> Reconstruction:
         given = self.photos
         if _holds_poses(given):
             found = read_reconstruction(given)
-            found = replace(found, folder=self.images.resolve()) if self.images is not None else found
+            found = (
+                replace(found, folder=self.images.resolve()) if self.images is not None else found
+            )
             if not found.path(0).is_file():
-                raise InputError(f"{found.path(0)}: want the model's photos there, found none; tell --images FOLDER")
+                raise InputError(
+                    f"{found.path(0)}: expected the model's photos there, found none; tell --images FOLDER"
+                )
             found = replace(found, folder=found.folder.resolve())
             read_photo(found.path(0))
-            report = {"registered": len(found), "total": len(found), "focal_px": found.camera.fx, **found.report}
+            report = {
+                "registered": len(found),
+                "total": len(found),
+                "focal_px": found.camera.fx,
+                **found.report,
+            }
             facts = {"grain": 0.0, "features_median": np.inf, **report}
             return replace(found, report={**report, "advice": advice(facts)})
         with _bar(self.json) as progress:
@@ -103,11 +125,15 @@ class Align:
     poses: Annotated[Path, tyro.conf.Positional]
     """the folder that `scene poses` wrote, a transforms.json, or a COLMAP model"""
     survey: Path
-    """CSV name,x,y,z,use in metres; marker_corner_top_left ... are the marker's corners, four points a flat face"""
+    """CSV name,x,y,z,use in metres; marker_corner_top_left ... are the marker's corners, four
+    points a flat face
+    """
     out: Path
     """folder for the aligned transforms.json, points.ply and alignment.png"""
     clicks: Path | None = None
-    """CSV name,photo,u,v of surveyed points that somebody clicked, in pixels; used beside what is found"""
+    """CSV name,photo,u,v of surveyed points that somebody clicked, in pixels; used beside what is
+    found
+    """
     marker_id: int = 7
     """the marker's number"""
     dictionary: str = "DICT_4X4_50"
@@ -123,19 +149,31 @@ class Align:
 
         Raises:
             FileNotFoundError: poses, survey, clicks or a photo are not there.
-            InputError: no marker is seen and too little was clicked, a file is wrong, or it is aligned already.
+            InputError: no marker is seen and too little was clicked, a file is wrong, or it is
+                aligned already.
         """
         reconstruction, survey = read_reconstruction(self.poses), read_survey(self.survey)
-        if self.out.resolve() == (self.poses if self.poses.is_dir() else self.poses.parent).resolve():
-            raise InputError(f"--out {self.out}: want another folder than that of the poses; they stay as they are")
-        clicks = read_clicks(self.clicks, reconstruction, survey) if self.clicks is not None else None
+        if (
+            self.out.resolve()
+            == (self.poses if self.poses.is_dir() else self.poses.parent).resolve()
+        ):
+            raise InputError(
+                f"--out {self.out}: expected another folder than that of the poses; they stay as they are"
+            )
+        clicks = (
+            read_clicks(self.clicks, reconstruction, survey) if self.clicks is not None else None
+        )
         with _bar(self.json) as progress:
-            found = align_photos(reconstruction, survey, self.marker_id, self.dictionary, clicks, progress)
-        path = write_reconstruction(self.out, apply(found.best, reconstruction))
+            found = align_photos(
+                reconstruction, survey, self.marker_id, self.dictionary, clicks, progress
+            )
+        path = write_reconstruction(self.out, transform_reconstruction(found.best, reconstruction))
         shown = recipes(found)
         draw_alignment(self.out / "alignment.png", reconstruction, survey, shown)
         record = alignment_record(found, reconstruction, survey)
-        record["check"] = check_record(found, check_points(found.best, reconstruction, survey, clicks), survey)
+        record["check"] = check_record(
+            found, check_points(found.best, reconstruction, survey, clicks), survey
+        )
         if self.json:
             print_json({**record, "file": str(path)})
         else:
@@ -158,10 +196,14 @@ def is_good(report: dict[str, Any]) -> bool:
 def recipes(found: Alignments) -> list[tuple[str, Alignment]]:
     """The alignments that were made, with a title each, the best one last."""
     named = [("marker pose of each photo", found.baseline), ("marker's corners", found.marker)]
-    return [(title, a) for title, a in named if a is not None] + [("all surveyed points", found.best)]
+    return [(title, a) for title, a in named if a is not None] + [
+        ("all surveyed points", found.best)
+    ]
 
 
-def alignment_record(found: Alignments, reconstruction: Reconstruction, survey: Survey) -> dict[str, Any]:
+def alignment_record(
+    found: Alignments, reconstruction: Reconstruction, survey: Survey
+) -> dict[str, Any]:
     """What an alignment is like, as it goes to JSON.
 
     Args:
@@ -170,8 +212,8 @@ def alignment_record(found: Alignments, reconstruction: Reconstruction, survey: 
         survey: with the points.
 
     Returns:
-        By recipe the scale, the uncertainty over the cameras' places [m], and how far its cameras are from those of
-        the best; and the points that the best one used.
+        By recipe the scale, the uncertainty over the cameras' places [m], and how far its cameras
+        are from those of the best; and the points that the best one used.
     """
     cameras = reconstruction.T_world_camera[:, :3, 3]
     best = found.best.points(cameras)
@@ -191,12 +233,15 @@ def alignment_record(found: Alignments, reconstruction: Reconstruction, survey: 
         "method": found.best.method,
         "recipes": {title: one(alignment) for title, alignment in recipes(found)},
         "points": dict(found.best.residuals),
-        "not_seen": [name for name in survey.select("align").names if name not in found.best.residuals],
+        "not_seen": [
+            name for name in survey.select("align").names if name not in found.best.residuals
+        ],
     }
 
 
 def check_record(found: Alignments, places: Mapping[str, Array], survey: Survey) -> dict[str, Any]:
-    """How far alignments put points kept for checking from where the tape had them, as it goes to JSON.
+    """How far alignments put points kept for checking from where the tape had them, as it goes to
+    JSON.
 
     Args:
         found: the alignments.
@@ -204,14 +249,24 @@ def check_record(found: Alignments, places: Mapping[str, Array], survey: Survey)
         survey: with the points.
 
     Returns:
-        By recipe mean and worst distance [m]; by point that of the best recipe; and the points that were not seen.
+        By recipe mean and worst distance [m]; by point that of the best recipe; and the points that
+        were not seen.
     """
     seen = np.array(list(places.values())).reshape(-1, 3)
     tape = survey.places(places).reshape(-1, 3)
-    miss = {title: np.linalg.norm(a.points(seen) - tape, axis=1) for title, a in recipes(found)} if places else {}
+    miss = (
+        {title: np.linalg.norm(a.points(seen) - tape, axis=1) for title, a in recipes(found)}
+        if places
+        else {}
+    )
     return {
-        "recipes": {title: {"mean_m": float(m.mean()), "worst_m": float(m.max())} for title, m in miss.items()},
-        "points_m": dict(zip(places, list(miss.values())[-1].tolist(), strict=True)) if miss else {},
+        "recipes": {
+            title: {"mean_m": float(m.mean()), "worst_m": float(m.max())}
+            for title, m in miss.items()
+        },
+        "points_m": dict(zip(places, list(miss.values())[-1].tolist(), strict=True))
+        if miss
+        else {},
         "not_seen": [name for name in survey.select("check").names if name not in places],
     }
 
@@ -238,10 +293,22 @@ def _print_alignment(record: dict[str, Any]) -> None:
     """The record of an alignment as tables."""
     cm = 100.0
     rows = [
-        (name, r["metres_per_unit"], cm * r["sigma_median_m"], cm * r["sigma_max_m"], cm * r["from_best_mean_m"])
+        (
+            name,
+            r["metres_per_unit"],
+            cm * r["sigma_median_m"],
+            cm * r["sigma_max_m"],
+            cm * r["from_best_mean_m"],
+        )
         for name, r in record["recipes"].items()
     ]
-    headers = ("recipe", "metres per unit", "sigma, median [cm]", "sigma, greatest [cm]", "from the best [cm]")
+    headers = (
+        "recipe",
+        "metres per unit",
+        "sigma, median [cm]",
+        "sigma, greatest [cm]",
+        "from the best [cm]",
+    )
     print_table(headers, rows, title="how well the cameras' places are known in the hall")
     print()
     points = [(name, p["photos"], p["rms_px"]) for name, p in record["points"].items()]
@@ -252,8 +319,12 @@ def _print_alignment(record: dict[str, Any]) -> None:
     if check["recipes"]:
         count = len(check["points_m"])
         print()
-        checked = [(name, cm * r["mean_m"], cm * r["worst_m"]) for name, r in check["recipes"].items()]
-        title = f"{count} of {count + len(check['not_seen'])} points kept for checking, off the tape by"
+        checked = [
+            (name, cm * r["mean_m"], cm * r["worst_m"]) for name, r in check["recipes"].items()
+        ]
+        title = (
+            f"{count} of {count + len(check['not_seen'])} points kept for checking, off the tape by"
+        )
         print_table(("recipe", "mean [cm]", "worst [cm]"), checked, title=title)
         worst = max(check["points_m"], key=lambda name: check["points_m"][name])
         print(f"worst by all surveyed points: {worst}")

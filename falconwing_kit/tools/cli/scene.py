@@ -1,4 +1,6 @@
-"""`falconwing scene` and `falconwing render`: a scene by name or file -> what is in it, a file of it, or an image."""
+"""`falconwing scene` and `falconwing render`: a scene by name or file -> what is in it, a file of
+it, or an image.
+"""
 
 import math
 import time
@@ -10,7 +12,7 @@ import numpy as np
 import tyro
 
 from falconwing_kit.core.checks import Array, InputError
-from falconwing_kit.core.files import atomic_write, require_place
+from falconwing_kit.core.files import atomic_write, require_writable_path
 from falconwing_kit.core.frames import pose_matrix, rotation_world_body
 from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose, render
 from falconwing_kit.scene.arena import build_arena, leader_at, load_scene, with_leader
@@ -42,13 +44,15 @@ class Build:
         """
         path = self.out / "arena.npz" if self.out is not None and self.out.is_dir() else self.out
         if path is not None:
-            require_place(path)
+            require_writable_path(path)
         scene = build_arena(self.seed)
         if path is not None:
             scene.save(path)
         _print_scene(scene_record(scene), str(path or "arena, not written: no --out"), self.json)
         if not self.json:
-            next_line(f"falconwing render {path or 'arena'} --pose=-10,-2,1.5,0,-3,0 --out view.png")
+            next_line(
+                f"falconwing render {path or 'arena'} --pose=-10,-2,1.5,0,-3,0 --out view.png"
+            )
         return 0
 
 
@@ -84,7 +88,9 @@ class Render:
     scene: Annotated[str, tyro.conf.Positional]
     """a file, or the name of a scene that ships"""
     pose: str
-    """the camera's x,y,z,roll,pitch,yaw, in metres and degrees: right wing down, nose up, nose right"""
+    """the camera's x,y,z,roll,pitch,yaw, in metres and degrees: right wing down, nose up, nose
+    right
+    """
     out: Path
     """the PNG to write"""
     size: str = "640x480"
@@ -94,7 +100,9 @@ class Render:
     backend: Literal["auto", "fast", "reference", "gsplat"] = "auto"
     """which renderer"""
     leader: str | None = None
-    """x,y,z,roll,pitch,yaw of the leader aircraft, the scene's own or the one that ships; without it there is none"""
+    """x,y,z,roll,pitch,yaw of the leader aircraft, the scene's own or the one that ships; without
+    it there is none
+    """
     depth: Path | None = None
     """a second PNG: depth in millimetres, 16 bits, 0 where nothing is"""
     alpha: Path | None = None
@@ -114,28 +122,44 @@ class Render:
 
         Raises:
             FileNotFoundError: there is no scene file, or no folder for an image.
-            InputError: an option makes no sense, the backend cannot run here, or an image cannot be written.
+            InputError: an option makes no sense, the backend cannot run here, or an image cannot be
+                written.
         """
         paths = [path for path in (self.out, self.depth, self.alpha) if path is not None]
         for path in paths:
-            if require_place(path).suffix.lower() != ".png":
-                raise InputError(f"{path}: want a name ending in .png for an image, got another ending")
+            if require_writable_path(path).suffix.lower() != ".png":
+                raise InputError(
+                    f"{path}: expected a name ending in .png for an image, got another ending"
+                )
         if len(set(map(Path.absolute, paths))) < len(paths):
-            raise InputError("--out, --depth, --alpha: want a file of its own for each, got the same twice")
+            raise InputError(
+                "--out, --depth, --alpha: expected a file of its own for each, got the same twice"
+            )
         p_world, angles = parse_pose("--pose", self.pose)
         camera = PinholeCamera.from_fov_deg(*parse_size(self.size), self.fov_deg)
         scene = _with_leader(open_scene(self.scene), self.leader)
         start = time.perf_counter()
-        frame = render(scene, camera, nose_camera_pose(p_world, *angles), self.backend, antialiased=self.antialiased)
+        frame = render(
+            scene,
+            camera,
+            nose_camera_pose(p_world, *angles),
+            self.backend,
+            antialiased=self.antialiased,
+        )
         seconds = time.perf_counter() - start
         picture = np.round(255.0 * frame.rgb).astype(np.uint8)
         if scene.link is not None:
             picture = replace(scene.link, seed=self.seed).apply(picture, 0)
         _write_png(self.out, picture[..., ::-1])
         if self.depth is not None:
-            _write_png(self.depth, np.round(1000.0 * np.clip(frame.depth, 0.0, MAX_DEPTH)).astype(np.uint16))
+            _write_png(
+                self.depth,
+                np.round(1000.0 * np.clip(frame.depth, 0.0, MAX_DEPTH)).astype(np.uint16),
+            )
         if self.alpha is not None:
-            _write_png(self.alpha, np.round(255.0 * np.clip(frame.alpha, 0.0, 1.0)).astype(np.uint8))
+            _write_png(
+                self.alpha, np.round(255.0 * np.clip(frame.alpha, 0.0, 1.0)).astype(np.uint8)
+            )
         self._say(len(scene), float(frame.alpha.mean()), seconds)
         return 0
 
@@ -145,7 +169,11 @@ class Render:
         if self.json:
             print_json(record)
             return
-        rows = [("Gaussians", count), ("covered part of the image", covered), ("time, with any compiling [s]", seconds)]
+        rows = [
+            ("Gaussians", count),
+            ("covered part of the image", covered),
+            ("time, with any compiling [s]", seconds),
+        ]
         print_table(("what", "value"), rows, title=str(self.out))
         next_line(f"open {self.out}")
 
@@ -161,14 +189,22 @@ def open_scene(name: str) -> GaussianScene:
         InputError: the file is no scene, or no scene of that name ships.
     """
     path = Path(name)
-    return GaussianScene.load(path) if path.exists() or path.suffix or len(path.parts) > 1 else load_scene(name)
+    return (
+        GaussianScene.load(path)
+        if path.exists() or path.suffix or len(path.parts) > 1
+        else load_scene(name)
+    )
 
 
 def scene_record(scene: GaussianScene) -> dict[str, Any]:
-    """What is in a scene, as it goes to JSON: count, labels with their counts, bounds [m], SH degree and source."""
+    """What is in a scene, as it goes to JSON: count, labels with their counts, bounds [m], SH
+    degree and source.
+    """
     return {
         "gaussians": len(scene),
-        "labels": {name: int(count) for name in scene.label_names if (count := scene.labelled(name).sum())},
+        "labels": {
+            name: int(count) for name in scene.label_names if (count := scene.labelled(name).sum())
+        },
         "low_m": scene.means.min(axis=0).tolist(),
         "high_m": scene.means.max(axis=0).tolist(),
         "sh_degree": math.isqrt(scene.sh.shape[1]) - 1,
@@ -177,7 +213,8 @@ def scene_record(scene: GaussianScene) -> dict[str, Any]:
 
 
 def parse_pose(option: str, text: str) -> tuple[Array, Array]:
-    """Place (3,) [m] and roll, pitch, yaw (3,) [rad] from "x,y,z,roll,pitch,yaw" in metres and degrees.
+    """Place (3,) [m] and roll, pitch, yaw (3,) [rad] from "x,y,z,roll,pitch,yaw" in metres and
+    degrees.
 
     Raises:
         InputError: these are not six finite numbers.
@@ -187,7 +224,9 @@ def parse_pose(option: str, text: str) -> tuple[Array, Array]:
     except ValueError:
         numbers = np.full(0, np.nan)
     if len(numbers) != 6 or not np.isfinite(numbers).all():
-        raise InputError(f"{option}: want x,y,z,roll,pitch,yaw, six numbers in metres and degrees, got {text[:80]!r}")
+        raise InputError(
+            f"{option}: expected x,y,z,roll,pitch,yaw, six numbers in metres and degrees, got {text[:80]!r}"
+        )
     return numbers[:3], np.radians(numbers[3:])
 
 
@@ -199,12 +238,16 @@ def parse_size(text: str) -> tuple[int, int]:
     """
     width, by, height = text.lower().partition("x")
     if not (by and width.isdecimal() and height.isdecimal()) or len(text) > 20:
-        raise InputError(f"--size: want WIDTHxHEIGHT in pixels, such as 640x480, got {text[:80]!r}")
+        raise InputError(
+            f"--size: expected WIDTHxHEIGHT in pixels, such as 640x480, got {text[:80]!r}"
+        )
     return int(width), int(height)
 
 
 def _with_leader(scene: GaussianScene, pose: str | None) -> GaussianScene:
-    """The scene with its leader at a pose; without one the leader is left out, unless the scene is nothing else."""
+    """The scene with its leader at a pose; without one the leader is left out, unless the scene is
+    nothing else.
+    """
     if pose is not None:
         p_world, angles = parse_pose("--leader", pose)
         return leader_at(with_leader(scene), pose_matrix(rotation_world_body(*angles), p_world))
@@ -217,9 +260,16 @@ def _print_scene(record: dict[str, Any], title: str, as_json: bool) -> None:
     if as_json:
         print_json(record)
         return
-    print_table(("label", "Gaussians"), [*record["labels"].items(), ("all", record["gaussians"])], title=title)
+    print_table(
+        ("label", "Gaussians"),
+        [*record["labels"].items(), ("all", record["gaussians"])],
+        title=title,
+    )
     print()
-    rows = [(axis, *bounds) for axis, *bounds in zip("xyz", record["low_m"], record["high_m"], strict=True)]
+    rows = [
+        (axis, *bounds)
+        for axis, *bounds in zip("xyz", record["low_m"], record["high_m"], strict=True)
+    ]
     print_table(("axis", "from [m]", "to [m]"), rows)
     print(f"\ncolours of SH degree {record['sh_degree']}; source: {record['source'] or 'not told'}")
 

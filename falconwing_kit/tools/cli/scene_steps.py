@@ -12,7 +12,9 @@ from falconwing_kit.tools.cli.scene import Build, Info
 
 @dataclass(frozen=True)
 class Scene:
-    """Make and inspect Gaussian scenes: poses, align and fit lead from photos of your own hall to a scene of it."""
+    """Make and inspect Gaussian scenes: poses, align and fit lead from photos of your own hall to a
+    scene of it.
+    """
 
     step: tyro.conf.OmitSubcommandPrefixes[Build | Info | Poses | Align | Fit | Edit]
 

@@ -6,12 +6,15 @@ from collections.abc import Mapping, Sequence
 from numbers import Real
 
 
-def print_table(headers: Sequence[str], rows: Sequence[Sequence[object]], *, title: str = "") -> None:
+def print_table(
+    headers: Sequence[str], rows: Sequence[Sequence[object]], *, title: str = ""
+) -> None:
     """Print rows under their headers: columns of numbers to the right, columns of text to the left.
 
     Args:
         headers: one per column, with its unit, such as "speed [m/s]".
-        rows: each as long as the headers. Floats show four significant digits, None and nan show "-".
+        rows: each as long as the headers. Floats show four significant digits, None and nan show
+            "-".
         title: a line above the table; empty for none.
 
     Raises:

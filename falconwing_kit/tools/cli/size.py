@@ -1,4 +1,6 @@
-"""falconwing size: an airframe, a mass and a hall -> minimum speed, turn radius, mass budget and whether it fits."""
+"""falconwing size: an airframe, a mass and a hall -> minimum speed, turn radius, mass budget and
+whether it fits.
+"""
 
 import json
 import math
@@ -27,7 +29,8 @@ from falconwing_kit.tools.cli.parts_tables import as_parts, parts_record, print_
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 from falconwing_kit.tools.hardware.parts import Item, load_parts, roll_up
 
-# Marker, mass and what it is. The paper gives its aircraft 300 g with a 174 g onboard computer; the sum is 324 g.
+# Marker, mass and what it is. The paper gives its aircraft 300 g with a 174 g onboard computer; the
+# sum is 324 g.
 _PAPER_MASSES = (
     ("o", 150.0, "the paper's aircraft"),
     ("s", 300.0, "the paper's sum of 150 + 174 g"),
@@ -50,7 +53,9 @@ class Size:
     margin_m: float = 0.0  # of the width, to be left free
     hold_height: bool = False  # judge by the turn that holds its height, not by the paper's formula
     airframe: Path | None = None  # airframe file; the kit's aircraft if not given
-    parts: str | None = None  # list of parts whose mass to take, with balance and cost: "kit" or a CSV file
+    parts: str | None = (
+        None  # list of parts whose mass to take, with balance and cost: "kit" or a CSV file
+    )
     json: bool = False  # print JSON instead of tables
     out: Path | None = None  # folder for the figure and the JSON
 
@@ -64,7 +69,9 @@ class Size:
             InputError: a number makes no sense, or the airframe file does not describe an aircraft.
             FileNotFoundError: there is no airframe file.
         """
-        items = None if self.parts is None else load_parts(None if self.parts == "kit" else self.parts)
+        items = (
+            None if self.parts is None else load_parts(None if self.parts == "kit" else self.parts)
+        )
         airframe = self._aircraft(items)
         record = sizing_record(airframe, self.hall_width_m, self.margin_m)
         if items is not None:
@@ -87,7 +94,7 @@ class Size:
         for option in ("mass_g", "wing_area_m2", "cl_max", "bank_deg", "hall_width_m"):
             value, typed = getattr(self, option), "--" + option.replace("_", "-")
             if value is not None and require_range(typed, value) <= 0.0:
-                raise InputError(f"{typed}: want a number above zero, got {value:g}")
+                raise InputError(f"{typed}: expected a number above zero, got {value:g}")
         airframe = load_airframe(self.airframe)
         if items is not None:
             airframe = replace(airframe, mass=roll_up(items).mass, parts=as_parts(items))
@@ -95,8 +102,12 @@ class Size:
             airframe,
             mass=airframe.mass if self.mass_g is None else self.mass_g / 1000.0,
             wing_area=airframe.wing_area if self.wing_area_m2 is None else self.wing_area_m2,
-            bank_limit=airframe.bank_limit if self.bank_deg is None else math.radians(self.bank_deg),
-            aero=airframe.aero if self.cl_max is None else replace(airframe.aero, CL_max=self.cl_max),
+            bank_limit=airframe.bank_limit
+            if self.bank_deg is None
+            else math.radians(self.bank_deg),
+            aero=airframe.aero
+            if self.cl_max is None
+            else replace(airframe.aero, CL_max=self.cl_max),
         )
 
 
@@ -115,7 +126,10 @@ def sizing_record(airframe: Airframe, hall_width: float, margin: float = 0.0) ->
         InputError: the margin is negative or leaves nothing of the hall.
     """
     mass, bank = airframe.mass, airframe.bank_limit
-    heaviest = [float(largest_mass(hall_width, airframe, margin=margin, hold_height=hold)) for hold in (False, True)]
+    heaviest = [
+        float(largest_mass(hall_width, airframe, margin=margin, hold_height=hold))
+        for hold in (False, True)
+    ]
     needed = float(level_turn_bank(mass, airframe, (hall_width - margin) / 2.0))
     return {
         "name": airframe.name,
@@ -140,7 +154,9 @@ def sizing_record(airframe: Airframe, hall_width: float, margin: float = 0.0) ->
             "fits": mass <= heaviest[1],
             "bank_needed_deg": None if math.isnan(needed) else math.degrees(needed),
         },
-        "parts": [{"name": p.name, "mass_g": _grams(p.mass), "inside": p.inside} for p in airframe.parts],
+        "parts": [
+            {"name": p.name, "mass_g": _grams(p.mass), "inside": p.inside} for p in airframe.parts
+        ],
         "parts_mass_g": _grams(airframe.parts_mass),
         "unlisted_mass_g": _grams(unlisted_mass(airframe)),
     }
@@ -151,7 +167,8 @@ def _grams(mass: float) -> float:
 
 
 def draw_sizing(path: Path, airframe: Airframe, hall_width: float, margin: float = 0.0) -> None:
-    """Draw minimum speed and turn radius against mass, with the hall's limit and the paper's three masses.
+    """Draw minimum speed and turn radius against mass, with the hall's limit and the paper's three
+    masses.
 
     Args:
         path: the PNG file to write.
@@ -162,26 +179,62 @@ def draw_sizing(path: Path, airframe: Airframe, hall_width: float, margin: float
     from matplotlib.figure import Figure
 
     own_g = 1000.0 * airframe.mass
-    points = [("D", own_g, "this aircraft"), *(point for point in _PAPER_MASSES if abs(point[1] - own_g) > 0.5)]
-    largest_g, bank = 1.15 * max(point[1] for point in points), f"{math.degrees(airframe.bank_limit):.3g} deg bank"
+    points = [
+        ("D", own_g, "this aircraft"),
+        *(point for point in _PAPER_MASSES if abs(point[1] - own_g) > 0.5),
+    ]
+    largest_g, bank = (
+        1.15 * max(point[1] for point in points),
+        f"{math.degrees(airframe.bank_limit):.3g} deg bank",
+    )
     mass = np.linspace(0.1, 1.0, 200) * largest_g / 1000.0
     figure = Figure(figsize=(7.2, 7.2), layout="constrained")
     speed, radius = figure.subplots(2, 1, sharex=True)
-    speed.set_title(f"{airframe.name}: every gram costs speed, and speed costs room", loc="left", fontsize=11)
+    speed.set_title(
+        f"{airframe.name}: every gram costs speed, and speed costs room", loc="left", fontsize=11
+    )
     speed.plot(1000.0 * mass, minimum_speed(mass, airframe), color="0.1")
     speed.set(ylabel="minimum speed [m/s]", ylim=(0.0, None), xlim=(0.0, largest_g))
-    radius.plot(1000.0 * mass, level_turn_radius(mass, airframe), "--", color="0.1", label=f"height held, {bank}")
-    radius.plot(1000.0 * mass, paper_turn_radius(mass, airframe), color="0.1", label=f"paper's formula, {bank}")
+    radius.plot(
+        1000.0 * mass,
+        level_turn_radius(mass, airframe),
+        "--",
+        color="0.1",
+        label=f"height held, {bank}",
+    )
+    radius.plot(
+        1000.0 * mass,
+        paper_turn_radius(mass, airframe),
+        color="0.1",
+        label=f"paper's formula, {bank}",
+    )
     radius.set(ylabel="turn radius [m]", xlabel="mass [g]", ylim=(0.0, None))
     limit, top = (hall_width - margin) / 2.0, radius.get_ylim()[1]
     if limit < top:
         radius.axhspan(limit, top, color="0.9", zorder=0)
-        radius.text(0.02 * largest_g, 0.96 * top, f"grey: the circle is wider than {hall_width - margin:g} m", va="top")
+        radius.text(
+            0.02 * largest_g,
+            0.96 * top,
+            f"grey: the circle is wider than {hall_width - margin:g} m",
+            va="top",
+        )
     for axes, law, unit in ((speed, minimum_speed, "m/s"), (radius, paper_turn_radius, "m")):
         for marker, mass_g, what in points:
-            value, fill = float(law(mass_g / 1000.0, airframe)), "0.1" if mass_g == own_g else "white"
+            value, fill = (
+                float(law(mass_g / 1000.0, airframe)),
+                "0.1" if mass_g == own_g else "white",
+            )
             label = f"{mass_g:g} g, {what}: {value:.2f} {unit}"
-            axes.plot(mass_g, value, marker, color="0.1", markerfacecolor=fill, markersize=7, label=label, linestyle="")
+            axes.plot(
+                mass_g,
+                value,
+                marker,
+                color="0.1",
+                markerfacecolor=fill,
+                markersize=7,
+                label=label,
+                linestyle="",
+            )
         axes.grid(color="0.8", linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(loc="lower right", fontsize=9, framealpha=1.0, edgecolor="white")
@@ -197,7 +250,11 @@ def _print_record(record: dict[str, Any], out: Path | None) -> None:
         f" less {record['margin_m']:g} m" if record["margin_m"] else ""
     )
     rows = [
-        ("minimum speed, wings level [m/s]", record["minimum_speed_m_per_s"], record["minimum_speed_m_per_s"]),
+        (
+            "minimum speed, wings level [m/s]",
+            record["minimum_speed_m_per_s"],
+            record["minimum_speed_m_per_s"],
+        ),
         ("wing loading [N/m^2]", record["wing_loading_n_per_m2"], record["wing_loading_n_per_m2"]),
         ("speed in the turn [m/s]", paper["speed_m_per_s"], level["speed_m_per_s"]),
         ("load factor in the turn [-]", paper["load_factor"], level["load_factor"]),
@@ -208,29 +265,40 @@ def _print_record(record: dict[str, Any], out: Path | None) -> None:
     print_table(("quantity", "paper's formula", "height held"), rows, title=title)
     print()
     parts = [
-        (p["name"], p["mass_g"], f"inside {p['inside']}, not added" if p["inside"] else "") for p in record["parts"]
+        (p["name"], p["mass_g"], f"inside {p['inside']}, not added" if p["inside"] else "")
+        for p in record["parts"]
     ]
     parts += [("sum of the parts", record["parts_mass_g"], ""), ("aircraft", record["mass_g"], "")]
     missing = record["unlisted_mass_g"]
     if abs(missing) > 0.05:
-        remark = "not in the list of parts" if missing > 0 else "the parts weigh more than the aircraft"
+        remark = (
+            "not in the list of parts" if missing > 0 else "the parts weigh more than the aircraft"
+        )
         parts.append(("difference", missing, remark))
     print_table(("part", "mass [g]", "remark"), parts)
     print()
     if "balance" in record:
         print_parts(record)
     free = record["hall_width_m"] - record["margin_m"]
-    print(f"{'fits' if record['fits'] else 'does NOT fit'} across {free:g} m. {_level_turn_sentence(level)}")
+    print(
+        f"{'fits' if record['fits'] else 'does NOT fit'} across {free:g} m. {_level_turn_sentence(level)}"
+    )
     if out is not None:
         next_line(f"look at {out / 'size.png'}")
     elif record["fits"]:
-        next_line("falconwing size --mass-g 324 adds the paper's 174 g onboard computer; --out DIR draws it")
+        next_line(
+            "falconwing size --mass-g 324 adds the paper's 174 g onboard computer; --out DIR draws it"
+        )
     else:
-        next_line(f"falconwing size --mass-g {math.floor(paper['largest_mass_g'])} still fits; --out DIR draws it")
+        next_line(
+            f"falconwing size --mass-g {math.floor(paper['largest_mass_g'])} still fits; --out DIR draws it"
+        )
 
 
 def _level_turn_sentence(level: dict[str, Any]) -> str:
     """What a turn that holds its height needs, in words."""
     if level["bank_needed_deg"] is None:
         return "With height held no bank is steep enough."
-    return f"With height held the circle needs a bank of {level['bank_needed_deg']:.1f} deg or more."
+    return (
+        f"With height held the circle needs a bank of {level['bank_needed_deg']:.1f} deg or more."
+    )

@@ -1,4 +1,6 @@
-"""falconwing poses: a recorded flight's video and commands -> a flight table with sigmas, for `falconwing identify`."""
+"""falconwing poses: a recorded flight's video and commands -> a flight table with sigmas, for
+`falconwing identify`.
+"""
 
 import csv
 import math
@@ -11,7 +13,7 @@ import tyro
 
 from falconwing_kit.aircraft.airframe import load_airframe
 from falconwing_kit.core.checks import Array, InputError, require_file, require_range
-from falconwing_kit.core.files import require_place, short_name
+from falconwing_kit.core.files import require_writable_path, short_name
 from falconwing_kit.core.flight_log import read_flight_log, to_flight_table
 from falconwing_kit.core.flight_table import nearest_index, write_flight_table
 from falconwing_kit.core.messages import COMMAND_NAMES
@@ -33,13 +35,18 @@ class Poses:
     """
 
     video: Annotated[Path, tyro.conf.Positional]
-    """a folder with commands.csv (t,frame,throttle,aileron,elevator,rudder) and the frames, or a flight log (MCAP)"""
+    """a folder with commands.csv (t,frame,throttle,aileron,elevator,rudder) and the frames, or a
+    flight log (MCAP)
+    """
     out: Path | None = None
     """the flight table to write (CSV)"""
     network: str | None = None
-    """a pose network: hall, which ships, or a .safetensors file; asked where marker and scene give no pose"""
+    """a pose network: hall, which ships, or a .safetensors file; asked where marker and scene give
+    no pose
+    """
     scene: str | None = None
-    """a trained scene of the room: hall, which ships, or a file; poses are then followed through it"""
+    """a trained scene of the room: hall, which ships, or a file; poses are then followed through it
+    """
     camera: Path | None = None
     """transforms.json of `falconwing scene poses` with the lens; without it --fov-deg counts"""
     fov_deg: float = 77.8
@@ -68,7 +75,7 @@ class Poses:
             InputError: an option makes no sense, the video cannot be used, or it shows no marker.
         """
         if self.out is not None:
-            require_place(self.out)
+            require_writable_path(self.out)
         marker, settings = self._marker(), self._settings()
         video = read_video(self.video)
         flight = estimate_flight(
@@ -89,13 +96,19 @@ class Poses:
             print_json(record)
         else:
             _print_record(record)
-            next_line(f"falconwing identify {self.out}" if self.out else "--out flight.csv keeps the table")
+            next_line(
+                f"falconwing identify {self.out}"
+                if self.out
+                else "--out flight.csv keeps the table"
+            )
         return 0 if int(table.has_pose.sum()) >= LEAST_POSES else 1
 
     def _marker(self) -> Marker:
         words = self.marker.split(",")
         if len(words) != 3:
-            raise InputError(f"--marker: want dictionary,id,size such as DICT_4X4_50,7,0.80, got {self.marker!r}")
+            raise InputError(
+                f"--marker: expected dictionary,id,size such as DICT_4X4_50,7,0.80, got {self.marker!r}"
+            )
         number, size = _numbers("--marker", ",".join(words[1:]), 2)
         T_world_marker = Marker().T_world_marker
         T_world_marker[:3, 3] = _numbers("--marker-place", self.marker_place, 3)
@@ -114,9 +127,13 @@ class Poses:
 
     def _camera(self, video: Video) -> PinholeCamera:
         """The lens at the size of the video's frames."""
-        image = next((image for image in map(video.image, range(len(video.t))) if image is not None), None)
+        image = next(
+            (image for image in map(video.image, range(len(video.t))) if image is not None), None
+        )
         if image is None:
-            raise InputError(f"{video.name}: want frames that can be read, got none; check the names in commands.csv")
+            raise InputError(
+                f"{video.name}: expected frames that can be read, got none; check the names in commands.csv"
+            )
         height, width = image.shape[:2]
         if self.camera is None:
             return PinholeCamera.from_fov_deg(width, height, self.fov_deg)
@@ -139,10 +156,12 @@ def scaled_camera(camera: PinholeCamera, width: int, height: int) -> PinholeCame
     scale = width / camera.width
     if abs(height - scale * camera.height) > 1.0:
         raise InputError(
-            f"camera: want frames of the shape of {camera.width} x {camera.height}, got {width} x {height}; "
+            f"camera: expected frames of the shape of {camera.width} x {camera.height}, got {width} x {height}; "
             "give --fov-deg instead"
         )
-    return PinholeCamera(scale * camera.fx, scale * camera.fy, scale * camera.cx, scale * camera.cy, width, height)
+    return PinholeCamera(
+        scale * camera.fx, scale * camera.fy, scale * camera.cx, scale * camera.cy, width, height
+    )
 
 
 def read_video(path: Path) -> Video:
@@ -153,7 +172,8 @@ def read_video(path: Path) -> Video:
 
     Raises:
         FileNotFoundError: there is no such folder or file.
-        InputError: commands.csv lacks a column or holds what is no number, or the log has no images.
+        InputError: commands.csv lacks a column or holds what is no number, or the log has no
+            images.
     """
     return _from_folder(path) if path.is_dir() else _from_log(require_file(path))
 
@@ -164,26 +184,38 @@ def _from_folder(folder: Path) -> Video:
         reader = csv.DictReader(file)
         missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
         if missing:
-            raise InputError(f"{name}: want the columns {', '.join(COLUMNS)}, got none for {missing[0]}")
+            raise InputError(
+                f"{name}: expected the columns {', '.join(COLUMNS)}, got none for {missing[0]}"
+            )
         rows = list(reader)
     try:
-        numbers = np.array([[float(row[column]) for column in ("t", *COMMAND_NAMES)] for row in rows], np.float64)
+        numbers = np.array(
+            [[float(row[column]) for column in ("t", *COMMAND_NAMES)] for row in rows], np.float64
+        )
     except (TypeError, ValueError):
-        raise InputError(f"{name}: want a number in every cell but frame, got another; look for cut lines") from None
+        raise InputError(
+            f"{name}: expected a number in every cell but frame, got another; look for cut lines"
+        ) from None
     if len(rows) < 2 or not np.isfinite(numbers).all() or not (np.diff(numbers[:, 0]) > 0.0).all():
-        raise InputError(f"{name}: want two rows or more of finite numbers whose time increases, got others")
+        raise InputError(
+            f"{name}: expected two rows or more of finite numbers whose time increases, got others"
+        )
     frames = [folder / str(row["frame"]) for row in rows]
     outside = [path for path in frames if folder.resolve() not in path.resolve().parents]
     if outside:
-        raise InputError(f"{name}: want frames in the folder of the file, got {outside[0].name}; use plain file names")
-    return Video(folder.name, numbers[:, 0], numbers[:, 1:], lambda frame: _read_image(frames[frame]))
+        raise InputError(
+            f"{name}: expected frames in the folder of the file, got {outside[0].name}; use plain file names"
+        )
+    return Video(
+        folder.name, numbers[:, 0], numbers[:, 1:], lambda frame: _read_image(frames[frame])
+    )
 
 
 def _from_log(path: Path) -> Video:
     log = read_flight_log(path)
     images = {image.t: image.pixels for image in log.images()}
     if not images:
-        raise InputError(f"{path.name}: want a log with images, got none; record with a camera")
+        raise InputError(f"{path.name}: expected a log with images, got none; record with a camera")
     table = to_flight_table(log)
     times = np.array(sorted(images))
     nearest = times[nearest_index(times, table.t)]
@@ -199,7 +231,9 @@ def _decoded(data: Any) -> Pixels | None:
     import cv2
 
     picture = cv2.imdecode(np.asarray(data, np.uint8), cv2.IMREAD_COLOR) if len(data) else None
-    return None if picture is None else np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
+    return (
+        None if picture is None else np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
+    )
 
 
 def poses_record(flight: HybridFlight) -> dict[str, Any]:
@@ -209,7 +243,8 @@ def poses_record(flight: HybridFlight) -> dict[str, Any]:
         flight: the estimate.
 
     Returns:
-        Keys flight, frames, with_pose, counts, marker_sights, corner_sigma_px, and the medians of both sigmas.
+        Keys flight, frames, with_pose, counts, marker_sights, corner_sigma_px, and the medians of
+        both sigmas.
     """
     table = flight.table
     seen = table.has_pose
@@ -246,7 +281,7 @@ def _numbers(name: str, text: str, count: int) -> list[float]:
     except ValueError:
         values = []
     if len(values) != count:
-        raise InputError(f"{name}: want {count} numbers with commas between them, got {text!r}")
+        raise InputError(f"{name}: expected {count} numbers with commas between them, got {text!r}")
     return values
 
 

@@ -1,4 +1,6 @@
-"""Figures of the real flight: its track, forecast errors, when the engine's loss shows, and what could explain it."""
+"""Figures of the real flight: its track, forecast errors, when the engine's loss shows, and what
+could explain it.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -6,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.tools.demo.alfa_gap import AlfaGap
-from falconwing_kit.tools.demo.alfa_story import SETTLED_S, AlfaStory
-from falconwing_kit.tools.demo.figures import draw_predicted
+from falconwing_kit.tools.demo.alfa_story import SETTLING_S, AlfaAnalysis
+from falconwing_kit.tools.demo.figures import draw_predictions
 from falconwing_kit.tools.reports.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
 
 
-def draw_alfa_story(story: AlfaStory, folder: Path) -> tuple[Path, ...]:
+def draw_alfa_figures(story: AlfaAnalysis, folder: Path) -> tuple[Path, ...]:
     """Write the figures of the real flight.
 
     Args:
@@ -21,15 +23,17 @@ def draw_alfa_story(story: AlfaStory, folder: Path) -> tuple[Path, ...]:
     Returns:
         alfa_track.png, alfa_predicted.png, alfa_forecasts.png and alfa_failure.png.
     """
-    paths = tuple(folder / f"alfa_{name}.png" for name in ("track", "predicted", "forecasts", "failure"))
+    paths = tuple(
+        folder / f"alfa_{name}.png" for name in ("track", "predicted", "forecasts", "failure")
+    )
     draw_track(story, paths[0])
-    draw_predicted(story.found, paths[1])
+    draw_predictions(story.found, paths[1])
     draw_forecasts(story, paths[2])
     draw_failure(story, paths[3])
     return paths
 
 
-def draw_track(story: AlfaStory, path: Path) -> None:
+def draw_track(story: AlfaAnalysis, path: Path) -> None:
     """The flight from above and its height and speed over time, with the engine's failure marked.
 
     Args:
@@ -59,7 +63,7 @@ def draw_track(story: AlfaStory, path: Path) -> None:
         axes[1, 1].set_xlabel("time [s]")
 
 
-def draw_forecasts(story: AlfaStory, path: Path) -> None:
+def draw_forecasts(story: AlfaAnalysis, path: Path) -> None:
     """Errors of held-out forecasts before the failure: the model beside two simple guesses.
 
     Args:
@@ -76,9 +80,17 @@ def draw_forecasts(story: AlfaStory, path: Path) -> None:
         for name, (mark, colour, label) in looks.items():
             forecasts = story.held_out[name]
             distance = np.linalg.norm(forecasts.error_position, axis=1)
-            over_time.plot(forecasts.t, distance, mark[0], ms=2.6, color=colour, alpha=0.8, label=label)
+            over_time.plot(
+                forecasts.t, distance, mark[0], ms=2.6, color=colour, alpha=0.8, label=label
+            )
             ordered = np.sort(distance)
-            shares.plot(ordered, np.arange(1, len(ordered) + 1) / len(ordered) * 100.0, mark[1:], color=colour, lw=1.8)
+            shares.plot(
+                ordered,
+                np.arange(1, len(ordered) + 1) / len(ordered) * 100.0,
+                mark[1:],
+                color=colour,
+                lw=1.8,
+            )
         over_time.set_ylim(0.0, 8.0)
         over_time.set_xlabel("time [s]")
         over_time.set_ylabel("distance from the measurement [m]")
@@ -90,7 +102,7 @@ def draw_forecasts(story: AlfaStory, path: Path) -> None:
         shares.set_title("How often how far")
 
 
-def draw_failure(story: AlfaStory, path: Path) -> None:
+def draw_failure(story: AlfaAnalysis, path: Path) -> None:
     """The last minute: how far the forecasts of a healthy aircraft run ahead of the real one.
 
     Args:
@@ -101,35 +113,50 @@ def draw_failure(story: AlfaStory, path: Path) -> None:
     with figure(path, 2, 1, (11.0, 5.2), sharex=True, height_ratios=[2.0, 1.0]) as axes:
         ax, below = axes[:, 0]
         looks = (
-            ("healthy", "-", ACCENT, 2.2, f"throttle held at {story.held_throttle:.2f}, its mean of the 20 s before"),
+            (
+                "healthy",
+                "-",
+                ACCENT,
+                2.2,
+                f"throttle held at {story.fixed_throttle:.2f}, its mean of the 20 s before",
+            ),
             ("told", "--", PREDICTED, 1.6, "told the logged throttle, which falls to zero"),
         )
         for name, line, colour, width, label in looks:
             t, error = story.running[name]
             shown = t > begin
             ax.plot(t[shown], error[shown], line, color=colour, lw=width, label=label)
-        ax.axhspan(-story.ordinary_error, story.ordinary_error, color="#eeeeee", zorder=0)
-        note = f"largest error of held-out forecasts before the failure, from {SETTLED_S:.0f} s on"
-        ax.annotate(note, (begin, -story.ordinary_error), (6, 5), textcoords="offset points", fontsize=8, color=QUIET)
+        ax.axhspan(-story.nominal_error, story.nominal_error, color="#eeeeee", zorder=0)
+        note = f"largest error of held-out forecasts before the failure, from {SETTLING_S:.0f} s on"
+        ax.annotate(
+            note,
+            (begin, -story.nominal_error),
+            (6, 5),
+            textcoords="offset points",
+            fontsize=8,
+            color=QUIET,
+        )
         _mark_failure(ax, story)
-        if story.parts_at is not None:
-            ax.axvline(story.parts_at, color=QUIET, lw=1.0, ls="-.")
-            late = story.parts_at - story.failure_time
+        if story.detection_time is not None:
+            ax.axvline(story.detection_time, color=QUIET, lw=1.0, ls="-.")
+            late = story.detection_time - story.failure_time
             ax.annotate(
                 f"parts from the measurement\n{late:.1f} s after the failure",
-                (story.parts_at, 0.0), (8, -48), textcoords="offset points", fontsize=8.5,
+                (story.detection_time, 0.0), (8, -48), textcoords="offset points", fontsize=8.5,
             )  # fmt: skip
         ax.set_ylabel("forecast ahead of the aircraft [m]\n(one second ahead, mean of 2 s)")
         ax.set_title("A model of the healthy aircraft runs ahead once the engine is off")
         ax.legend(loc="upper left")
         shown = story.table.t > begin
-        below.plot(story.table.t[shown], story.table.commands[shown, 0] * 100.0, "-", color=QUIET, lw=1.3)
+        below.plot(
+            story.table.t[shown], story.table.commands[shown, 0] * 100.0, "-", color=QUIET, lw=1.3
+        )
         below.set_ylabel("logged throttle [%]")
         below.set_xlabel("time [s]")
         _mark_failure(below, story)
 
 
-def draw_suspects(gap: AlfaGap, failure: float, path: Path) -> None:
+def draw_hypotheses(gap: AlfaGap, failure: float, path: Path) -> None:
     """Evidence for each effect, and when it would have set in.
 
     Args:
@@ -137,14 +164,25 @@ def draw_suspects(gap: AlfaGap, failure: float, path: Path) -> None:
         failure: when the engine went off [s].
         path: the PNG to write.
     """
-    shown = gap.suspects[::-1]
+    shown = gap.hypotheses[::-1]
     with figure(path, 1, 2, (11.0, 0.36 * len(shown) + 1.5), sharey=True) as axes:
         evidence, times = axes[0]
         for row, s in enumerate(shown):
-            evidence.barh(row, max(s.gain, 0.0), height=0.6, color=PREDICTED if s in gap.chosen else "#c9d4df")
+            evidence.barh(
+                row,
+                max(s.delta_bic, 0.0),
+                height=0.6,
+                color=PREDICTED if s in gap.chosen else "#c9d4df",
+            )
             times.plot([s.earliest, s.latest], [row, row], "-", color=QUIET, lw=2.0)
             times.plot(s.time, row, "o", color=PREDICTED, ms=6)
-        evidence.axvline(gap.told_gain, color=QUIET, lw=1.2, ls=":", label="the logged throttle alone, nothing fitted")
+        evidence.axvline(
+            gap.logged_throttle_gain,
+            color=QUIET,
+            lw=1.2,
+            ls=":",
+            label="the logged throttle alone, nothing fitted",
+        )
         evidence.axvline(gap.threshold, color=ACCENT, lw=1.2, ls="--", label="needed")
         evidence.set_yticks(range(len(shown)), [s.effect.name.replace("_", " ") for s in shown])
         evidence.set_xlabel("evidence, from the best time on")
@@ -160,7 +198,7 @@ def draw_suspects(gap: AlfaGap, failure: float, path: Path) -> None:
         times.set_title("Since when")
 
 
-def _over_time(ax: Any, t: Any, values: Any, story: AlfaStory, label: str) -> None:
+def _over_time(ax: Any, t: Any, values: Any, story: AlfaAnalysis, label: str) -> None:
     after = t >= story.failure_time
     ax.plot(t, values, "-", color=PREDICTED, lw=1.3)
     ax.plot(t[after], values[after], "-", color=ACCENT, lw=2.6)
@@ -168,7 +206,7 @@ def _over_time(ax: Any, t: Any, values: Any, story: AlfaStory, label: str) -> No
     _mark_failure(ax, story)
 
 
-def _mark_failure(ax: Any, story: AlfaStory) -> None:
+def _mark_failure(ax: Any, story: AlfaAnalysis) -> None:
     ax.axvline(story.failure_time, color=ACCENT, lw=1.2, ls=":")
     ax.annotate(
         "engine off", (story.failure_time, 0.02), (-4, 2), xycoords=("data", "axes fraction"),

@@ -1,4 +1,6 @@
-"""The demo's approach: a landing flown by the loop in the simulated hall -> its log; and figures of any log."""
+"""The demo's approach: a landing flown by the loop in the simulated hall -> its log; and figures of
+any log.
+"""
 
 import os
 import time
@@ -13,10 +15,29 @@ from numpy.typing import NDArray
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import atomic_write, short_name, write_error
-from falconwing_kit.core.flight_log import FlightLog, FlightLogWriter, read_flight_log, to_flight_table
+from falconwing_kit.core.flight_log import (
+    FlightLog,
+    FlightLogWriter,
+    read_flight_log,
+    to_flight_table,
+)
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.flight.loop import PERIOD, Clock, Flight, Loop, SimulatedClock, Step
-from falconwing_kit.flight.sources import ROUNDING, MeasuredStates, RenderedView, decode_jpeg, fpv_camera, log_start
+from falconwing_kit.flight.loop import (
+    CONTROL_PERIOD,
+    Clock,
+    Loop,
+    LoopResult,
+    LoopStep,
+    SimulatedClock,
+)
+from falconwing_kit.flight.sources import (
+    TIME_ROUNDING,
+    MeasuredStates,
+    RenderedView,
+    decode_jpeg,
+    fpv_camera,
+    log_start_time,
+)
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, QUIET, figure, render
@@ -24,9 +45,11 @@ from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, QUIET, figure, 
 PART = Path(__file__).with_name("approach.html.j2")
 FIGURES = ("flight_fpv.png", "flight_path.png", "flight_sticks.png", "flight_film.png")
 PAD_BLUE = "#3d6fd6"
-STRIP = 6  # images in the strip
+STRIP_IMAGES = 6  # images in the strip
 FILM_HZ, FILM_COLOURS = 10.0, 256  # a film of about a megabyte
-FILM_FRAMES = 200  # that many at most: a long flight has fewer a second, and its film fits any memory
+FILM_FRAMES = (
+    200  # that many at most: a long flight has fewer a second, and its film fits any memory
+)
 FILM_MAP = 300  # width of the maps beside the view [px]
 
 
@@ -35,13 +58,14 @@ class Approach:
     """A landing in the simulated hall."""
 
     log: Path
-    flight: Flight  # how the loop went
+    flight: LoopResult  # how the loop went
     result: dict[str, Any]  # the judge's: success, ald_m, sink_rate_m_s, ...
     hall: str = ""  # where the scene came from, in its own words
 
 
 class PacedClock:
-    """Real time that waits for a slow machine: no step is left out, so a flight is the same on every machine.
+    """Real time that waits for a slow machine: no step is left out, so a flight is the same on
+    every machine.
 
     Args:
         speed: how fast time runs; below 1 is slow motion.
@@ -52,7 +76,7 @@ class PacedClock:
 
     def start(self) -> None:
         """Now is zero."""
-        self._t, self._due = 0.0, time.perf_counter()
+        self._t, self._deadline_offset = 0.0, time.perf_counter()
 
     def now(self) -> float:
         """Time of the flight [s]; it stands still between two steps."""
@@ -60,15 +84,17 @@ class PacedClock:
 
     def wait_until(self, t: float) -> None:
         """Sleep until time t [s] is due; a step that came late shifts all that follow."""
-        self._due = max(self._due + (t - self._t) / self._speed, time.perf_counter())
-        time.sleep(max(0.0, self._due - time.perf_counter()))
+        self._deadline_offset = max(
+            self._deadline_offset + (t - self._t) / self._speed, time.perf_counter()
+        )
+        time.sleep(max(0.0, self._deadline_offset - time.perf_counter()))
         self._t = max(self._t, t)
 
 
 def fly_approach(
     scene: GaussianScene,
     log: Path,
-    hooks: Sequence[Callable[[Step], None]] = (),
+    hooks: Sequence[Callable[[LoopStep], None]] = (),
     clock: Clock | None = None,
     seed: int = 0,
 ) -> Approach:
@@ -76,7 +102,8 @@ def fly_approach(
 
     Args:
         scene: the hall.
-        log: the MCAP file to write; an older one is replaced once the flight is over, and kept where it is cut short.
+        log: the MCAP file to write; an older one is replaced once the flight is over, and kept
+            where it is cut short.
         hooks: shown every step.
         clock: None for simulated time, as fast as it can.
         seed: which of the frozen starts, about 20 m out and 1.5 m up.
@@ -97,7 +124,14 @@ def fly_approach(
     growing.unlink(missing_ok=True)
     try:
         with FlightLogWriter(growing) as writer:
-            writer.metadata({"simulated": "yes", "task": task.name, "pilot": "expert, by state", "seed": trial.seed})
+            writer.metadata(
+                {
+                    "simulated": "yes",
+                    "task": task.name,
+                    "pilot": "expert, by state",
+                    "seed": trial.seed,
+                }
+            )
             loop = Loop(
                 task.expert(trial), trial.world, view, MeasuredStates(trial.world), clock=clock or SimulatedClock(),
                 log=writer, hooks=tuple(hooks),
@@ -114,13 +148,17 @@ def fly_approach(
 
 
 def mode_at(log: FlightLog, t: float) -> str:
-    """The pilot's mode at a time since the log's start [s], as its log tells; empty where it does not."""
-    now = log_start(log) + t + ROUNDING
+    """The pilot's mode at a time since the log's start [s], as its log tells; empty where it does
+    not.
+    """
+    now = log_start_time(log) + t + TIME_ROUNDING
     return next((str(word) for begin, word in reversed(_modes(log)) if begin <= now), "")
 
 
 def _modes(log: FlightLog) -> list[tuple[float, Any]]:
-    return [(event.t, event.details.get("mode", "")) for event in log.events if event.name == "mode"]
+    return [
+        (event.t, event.details.get("mode", "")) for event in log.events if event.name == "mode"
+    ]
 
 
 def is_simulated(log: FlightLog) -> bool:
@@ -136,7 +174,8 @@ def draw_flight(path: Path, folder: Path) -> tuple[Path, ...]:
         folder: where the figures go; it must exist.
 
     Returns:
-        flight_path.png and flight_sticks.png, and where there are images flight_fpv.png and flight_film.png too.
+        flight_path.png and flight_sticks.png, and where there are images flight_fpv.png and
+        flight_film.png too.
 
     Raises:
         FileNotFoundError: there is no log.
@@ -145,11 +184,13 @@ def draw_flight(path: Path, folder: Path) -> tuple[Path, ...]:
     log = read_flight_log(path)
     table = to_flight_table(log)
     if table.has_pose.sum() < 2:
-        raise InputError(f"{short_name(path)}: want a log with at least two poses to draw, got {table.has_pose.sum()}")
+        raise InputError(
+            f"{short_name(path)}: expected a log with at least two poses to draw, got {table.has_pose.sum()}"
+        )
     what = "SIMULATION" if is_simulated(log) else "FLIGHT"
     fpv, along, sticks, film = (folder / name for name in FIGURES)
     draw_path(table, along, what)
-    draw_sticks(table, _modes(log), sticks, what)
+    draw_control_inputs(table, _modes(log), sticks, what)
     if not len(log.image_times):
         return along, sticks
     draw_strip(log, table, fpv, what)
@@ -167,17 +208,24 @@ def draw_strip(log: FlightLog, table: FlightTable, path: Path, what: str) -> Non
         what: SIMULATION or FLIGHT.
     """
     rows = np.flatnonzero(table.has_pose)
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(table.p_world[rows], axis=0), axis=1))])
-    chosen = [rows[np.argmin(np.abs(way - part * way[-1]))] for part in np.arange(STRIP) / STRIP]
+    way = np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(table.p_world[rows], axis=0), axis=1))]
+    )
+    chosen = [
+        rows[np.argmin(np.abs(way - part * way[-1]))]
+        for part in np.arange(STRIP_IMAGES) / STRIP_IMAGES
+    ]
     seen = dict(_images_at(log, table.t[chosen]))
-    with figure(path, 2, STRIP // 2, (8.0, 4.5)) as axes:
+    with figure(path, 2, STRIP_IMAGES // 2, (8.0, 4.5)) as axes:
         for ax, row in zip(axes.flat, chosen, strict=True):
             x, _, height = table.p_world[row]
             if float(table.t[row]) in seen:
                 ax.imshow(seen[float(table.t[row])])
             ax.set_title(f"{table.t[row]:.1f} s: x {x:.1f} m, height {height:.2f} m")
             ax.set_axis_off()
-        axes[0, 0].figure.suptitle(f"{what}: the view from the nose", x=0.01, ha="left", fontweight="bold")
+        axes[0, 0].figure.suptitle(
+            f"{what}: the view from the nose", x=0.01, ha="left", fontweight="bold"
+        )
 
 
 def draw_path(table: FlightTable, path: Path, what: str) -> None:
@@ -195,8 +243,12 @@ def draw_path(table: FlightTable, path: Path, what: str) -> None:
     with figure(path, 2, 1, (11.0, 4.8), sharex=True, height_ratios=[1.0, 1.0]) as axes:
         above, aside = axes[:, 0]
         low = pad.y_centre - pad.width / 2.0
-        above.add_patch(Rectangle((pad.x_start, low), pad.length, pad.width, color=PAD_BLUE, alpha=0.55, lw=0))
-        aside.add_patch(Rectangle((pad.x_start, 0.0), pad.length, pad.height, color=PAD_BLUE, alpha=0.8, lw=0))
+        above.add_patch(
+            Rectangle((pad.x_start, low), pad.length, pad.width, color=PAD_BLUE, alpha=0.55, lw=0)
+        )
+        aside.add_patch(
+            Rectangle((pad.x_start, 0.0), pad.length, pad.height, color=PAD_BLUE, alpha=0.8, lw=0)
+        )
         above.axhline(pad.y_centre, color=QUIET, lw=0.8, ls=":")
         for ax, across, label in ((above, y, "y, to the left [m]"), (aside, z, "height [m]")):
             ax.plot(x, across, color=ACCENT, lw=2.0)
@@ -205,11 +257,15 @@ def draw_path(table: FlightTable, path: Path, what: str) -> None:
             ax.set_ylabel(label)
         above.set_ylim(min(y.min(), low) - 0.8, max(y.max(), low + pad.width) + 0.8)
         aside.set_ylim(0.0, 1.15 * max(float(z.max()), 0.5))
-        above.set_title(f"{what}: path from above and from the side; dot: start, square: end, blue: the pad")
+        above.set_title(
+            f"{what}: path from above and from the side; dot: start, square: end, blue: the pad"
+        )
         aside.set_xlabel("x, along the runway [m]")
 
 
-def draw_sticks(table: FlightTable, modes: Sequence[tuple[float, Any]], path: Path, what: str) -> None:
+def draw_control_inputs(
+    table: FlightTable, modes: Sequence[tuple[float, Any]], path: Path, what: str
+) -> None:
     """Sticks, height and speed over time, with the pilot's modes.
 
     Args:
@@ -240,7 +296,14 @@ def draw_sticks(table: FlightTable, modes: Sequence[tuple[float, Any]], path: Pa
         for begin, word in modes:
             for ax in axes[:, 0]:
                 ax.axvline(begin, color=QUIET, lw=0.8, ls="--")
-            sticks.annotate(str(word), (begin, -1.0), (4, 2), textcoords="offset points", fontsize=9, color=QUIET)
+            sticks.annotate(
+                str(word),
+                (begin, -1.0),
+                (4, 2),
+                textcoords="offset points",
+                fontsize=9,
+                color=QUIET,
+            )
         speed.set_xlabel("time [s]")
 
 
@@ -252,7 +315,8 @@ def speeds(table: FlightTable) -> Array:
 
 
 def draw_film(log: FlightLog, table: FlightTable, path: Path, what: str) -> None:
-    """A film in the flight's own time: the view from the nose, and beside it the way from above and from the side.
+    """A film in the flight's own time: the view from the nose, and beside it the way from above and
+    from the side.
 
     Args:
         log: the flight.
@@ -276,10 +340,21 @@ def draw_film(log: FlightLog, table: FlightTable, path: Path, what: str) -> None
     few = [*row_at][:: max(1, len(row_at) // 8)]
     samples = np.concatenate([np.asarray(frame)[::4, ::4].copy() for _, frame in frames(few)])
     palette = Drawing.fromarray(samples).quantize(FILM_COLOURS)
-    film = {t: frame.quantize(palette=palette, dither=Drawing.Dither.NONE) for t, frame in frames([*row_at])}
+    film = {
+        t: frame.quantize(palette=palette, dither=Drawing.Dither.NONE)
+        for t, frame in frames([*row_at])
+    }
     first, *others = (film[t] for t in sorted(film))
     with atomic_write(path) as handle:
-        first.save(handle, "PNG", save_all=True, append_images=others, duration=1e3 * period, loop=0, optimize=True)
+        first.save(
+            handle,
+            "PNG",
+            save_all=True,
+            append_images=others,
+            duration=1e3 * period,
+            loop=0,
+            optimize=True,
+        )
 
 
 def _film_frame(pixels: NDArray[np.uint8], table: FlightTable, row: int, what: str) -> Any:
@@ -293,16 +368,22 @@ def _film_frame(pixels: NDArray[np.uint8], table: FlightTable, row: int, what: s
     pen, font, pad = ImageDraw.Draw(sheet), ImageFont.load_default(15), LandingPad()
     x, y, z = table.p_world[table.has_pose].T
     so_far = table.p_world[: row + 1][table.has_pose[: row + 1]]
-    low, right = min(float(x.min()), pad.x_start) - 1.0, max(float(x.max()), pad.x_start + pad.length) + 1.0
+    low, right = (
+        min(float(x.min()), pad.x_start) - 1.0,
+        max(float(x.max()), pad.x_start + pad.length) + 1.0,
+    )
     begin, edge = pad.x_start, pad.width / 2.0
     across = max(float(np.abs(y - pad.y_centre).max()), edge) + 0.3
-    views = (  # which axis, where in the sheet its 0 and its scale are, and the pad's extent along it
+    # which axis, where in the sheet its 0 and its scale are, and the pad's extent along it
+    views = (
         (1, 0.40 * high, 0.20 * high / across, pad.y_centre, (-edge, edge)),
         (2, 0.95 * high, 0.30 * high / max(float(z.max()), 1.0), 0.0, (0.0, pad.height)),
     )
     for axis, zero, scale, middle, (bottom, top) in views:
 
-        def place(along: float, over: float, zero: float = zero, scale: float = scale) -> tuple[float, float]:
+        def place(
+            along: float, over: float, zero: float = zero, scale: float = scale
+        ) -> tuple[float, float]:
             return wide + (along - low) / (right - low) * FILM_MAP, zero - scale * over
 
         pen.rectangle((*place(begin, top), *place(begin + pad.length, bottom)), fill=PAD_BLUE)
@@ -312,12 +393,16 @@ def _film_frame(pixels: NDArray[np.uint8], table: FlightTable, row: int, what: s
         pen.ellipse((u - 4, v - 4, u + 4, v + 4), fill=ACCENT)
     pen.text((wide + 10, 6), f"{what}  {table.t[row]:.1f} s", fill="black", font=font)
     pen.text((wide + 10, 26), "from above", fill=QUIET, font=font)
-    pen.text((wide + 10, 0.56 * high), f"from the side: {so_far[-1, 2]:.2f} m", fill=QUIET, font=font)
+    pen.text(
+        (wide + 10, 0.56 * high), f"from the side: {so_far[-1, 2]:.2f} m", fill=QUIET, font=font
+    )
     return sheet
 
 
 def _images_at(log: FlightLog, times: Iterable[float]) -> Iterator[tuple[float, NDArray[np.uint8]]]:
-    """The images taken at some times of a table, each with its time, one by one: a log may hold more than memory."""
+    """The images taken at some times of a table, each with its time, one by one: a log may hold
+    more than memory.
+    """
     wanted = {float(t) for t in times}
     return ((image.t, decode_jpeg(image)) for image in log.images() if image.t in wanted)
 
@@ -329,12 +414,12 @@ def approach_record(approach: Approach) -> dict[str, Any]:
         "made_by": "this kit, SIMULATED",
         "hall": approach.hall,
         "ended": approach.flight.reason,
-        "seconds": len(approach.flight.t) * PERIOD,
+        "seconds": len(approach.flight.t) * CONTROL_PERIOD,
         **result,
     }
 
 
-def approach_part(approach: Approach, folder: Path) -> str:
+def approach_section(approach: Approach, folder: Path) -> str:
     """The approach on the demo's page.
 
     Args:

@@ -7,7 +7,7 @@ import numpy as np
 
 from falconwing_kit.core.checks import Array
 from falconwing_kit.sysid.identify import Identification
-from falconwing_kit.sysid.score import select
+from falconwing_kit.sysid.score import select_windows
 from falconwing_kit.sysid.shooting import fly_windows
 from falconwing_kit.sysid.uncertainty import ordinary_size
 from falconwing_kit.tools.reports.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
@@ -26,23 +26,25 @@ def draw_identification(found: Identification, folder: Path) -> tuple[Path, ...]
         predicted.png, residuals.png and intervals.png.
     """
     paths = tuple(folder / name for name in ("predicted.png", "residuals.png", "intervals.png"))
-    draw_predicted(found, paths[0])
+    draw_predictions(found, paths[0])
     draw_residuals(found, paths[1])
     draw_intervals(found, paths[2])
     return paths
 
 
-def draw_predicted(found: Identification, path: Path) -> None:
+def draw_predictions(found: Identification, path: Path) -> None:
     """Predicted against measured poses in the held-out time, and the track from above.
 
     Args:
         found: the identification.
         path: the PNG to write.
     """
-    windows, scored, what = _scored(found)
+    windows, scored, what = _scored_windows(found)
     shown = _first_block(windows.nodes)
     measured = np.where(windows.weight > 0, windows.pose, np.nan)[shown]
-    predicted = fly_windows(found.train_model, select(windows, shown), scored.starts[shown])
+    predicted = fly_windows(
+        found.train_model, select_windows(windows, shown), scored.initial_states[shown]
+    )
     turns = np.round(np.nanmean(measured[..., 5]) / (2.0 * np.pi))
     nodes = windows.nodes[shown]
     scale = np.array([1.0, 1.0, 1.0, *[180.0 / np.pi] * 3])
@@ -51,7 +53,9 @@ def draw_predicted(found: Identification, path: Path) -> None:
         for channel, label in enumerate(LABELS):
             ax = axes[channel % 3, channel // 3]
             for t, m, p in zip(nodes, measured[..., channel], predicted[..., channel], strict=True):
-                _draw_window(ax, t, t, *(values * scale[channel] - shift[channel] for values in (m, p)))
+                _draw_window(
+                    ax, t, t, *(values * scale[channel] - shift[channel] for values in (m, p))
+                )
             ax.set_ylabel(label)
             if channel % 3 == 2:
                 ax.set_xlabel("time [s]")
@@ -59,7 +63,9 @@ def draw_predicted(found: Identification, path: Path) -> None:
         _draw_track(axes, measured, predicted)
 
 
-def _draw_window(ax: Any, at_measured: Array, at_predicted: Array, measured: Array, predicted: Array) -> None:
+def _draw_window(
+    ax: Any, at_measured: Array, at_predicted: Array, measured: Array, predicted: Array
+) -> None:
     ax.plot(at_predicted, predicted, "-", lw=1.6, color=PREDICTED)
     ax.plot(at_measured, measured, ".", ms=2.6, color=MEASURED)
     ax.plot(at_predicted[0], predicted[0], "o", ms=4.0, color=ACCENT)
@@ -91,20 +97,23 @@ def _draw_track(axes: Any, measured: Array, predicted: Array) -> None:
 
 
 def draw_residuals(found: Identification, path: Path) -> None:
-    """Residuals of the held-out time: against time ahead, their distribution, and their correlation in time.
+    """Residuals of the held-out time: against time ahead, their distribution, and their correlation
+    in time.
 
     Args:
         found: the identification.
         path: the PNG to write.
     """
-    windows, scored, what = _scored(found)
+    windows, scored, what = _scored_windows(found)
     seen = windows.weight > 0
     ahead = (windows.nodes - windows.nodes[:, :1]).mean(axis=0)
     counts = np.maximum(seen.sum(axis=0), 1)
     spread = np.sqrt((scored.residual**2).sum(axis=0) / counts)
     with figure(path, 1, 3, (11.0, 3.4)) as axes:
         ahead_axis, histogram, correlation = axes[0]
-        for half, (name, mark, colour) in enumerate((("position", "o-", PREDICTED), ("attitude", "s--", ACCENT))):
+        for half, (name, mark, colour) in enumerate(
+            (("position", "o-", PREDICTED), ("attitude", "s--", ACCENT))
+        ):
             mean = np.sqrt((spread[:, 3 * half : 3 * half + 3] ** 2).mean(axis=1))
             ahead_axis.plot(ahead, mean, mark, ms=3, color=colour, label=name)
         ahead_axis.axhline(1.0, color=QUIET, lw=0.8)
@@ -115,9 +124,17 @@ def draw_residuals(found: Identification, path: Path) -> None:
         ahead_axis.legend(loc="upper right")
         values = scored.residual[seen]
         bins = np.linspace(-5.0, 5.0, 41)
-        histogram.hist(np.clip(values, -5, 5), bins, density=True, color="#b9cde0", edgecolor="white", lw=0.4)
+        histogram.hist(
+            np.clip(values, -5, 5), bins, density=True, color="#b9cde0", edgecolor="white", lw=0.4
+        )
         grid = np.linspace(-5.0, 5.0, 200)
-        histogram.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2.0 * np.pi), color=QUIET, lw=1.2, label="pure noise")
+        histogram.plot(
+            grid,
+            np.exp(-0.5 * grid**2) / np.sqrt(2.0 * np.pi),
+            color=QUIET,
+            lw=1.2,
+            label="pure noise",
+        )
         histogram.set_title("All channels")
         histogram.set_xlabel("residual [sigma]")
         histogram.set_ylabel("density [1/sigma]")
@@ -139,42 +156,52 @@ def draw_intervals(found: Identification, path: Path) -> None:
         found: the identification.
         path: the PNG to write.
     """
-    model, sure = found.model, found.uncertainty
+    model, confidence = found.model, found.uncertainty
     known = {p.name: p for p in model.parameters}
-    names = [n for n in sure.names if n not in sure.at_bound]
+    names = [n for n in confidence.names if n not in confidence.at_bound]
     ordinary = np.array([ordinary_size(known[n], model.values[n]) for n in names])
-    half = np.array([1.96 * sure.sigma[n] for n in names]) / ordinary * 100.0
+    half = np.array([1.96 * confidence.sigma[n] for n in names]) / ordinary * 100.0
     order = np.argsort(half)
     with figure(path, 1, 1, (7.6, 0.24 * len(names) + 1.2)) as axes:
         ax = axes[0, 0]
         for row, i in enumerate(order[::-1]):
-            weak = names[i] in sure.not_excited
+            weak = names[i] in confidence.not_excited
             colour = ACCENT if weak else PREDICTED
             ax.plot([0.05, half[i]], [row, row], "--" if weak else "-", color=colour, lw=2.2)
             ax.plot(half[i], row, "s" if weak else "o", ms=4.5, color=colour)
             unit = known[names[i]].unit
             text = f"{model.values[names[i]]:.4g} {'' if unit == '-' else unit}"
-            ax.annotate(text, (half[i], row), (7, -3), textcoords="offset points", fontsize=8, color=QUIET)
+            ax.annotate(
+                text, (half[i], row), (7, -3), textcoords="offset points", fontsize=8, color=QUIET
+            )
         ax.set_yticks(range(len(names)), [names[i] for i in order[::-1]])
         ax.set_xscale("log")
         ax.set_xlim(0.05, 1000.0)
         ax.axvline(50.0, color=QUIET, lw=0.8, ls=":")
-        ax.set_xlabel("half width of the 95 % interval [% of an ordinary value]; right of the dotted line: not excited")
+        ax.set_xlabel(
+            "half width of the 95 % interval [% of an ordinary value]; right of the dotted line: not excited"
+        )
         ax.set_title("How well this flight pins each parameter down")
 
 
-def _scored(found: Identification) -> tuple[Any, Any, str]:
+def _scored_windows(found: Identification) -> tuple[Any, Any, str]:
     if found.held_out is None:
         return found.windows, found.train, "the fitted time itself"
-    return select(found.windows, found.held_out_index), found.held_out, "held-out time"
+    return select_windows(found.windows, found.held_out_index), found.held_out, "held-out time"
 
 
-def _autocorrelation(residual: Array, seen: np.ndarray, lags: int = 15) -> tuple[Array, Array, Array]:
+def _autocorrelation(
+    residual: Array, seen: np.ndarray, lags: int = 15
+) -> tuple[Array, Array, Array]:
     """Autocorrelation within windows, averaged over three position and three attitude channels."""
     shift = np.arange(1, min(lags, residual.shape[1] - 1) + 1)
     found = np.empty((len(shift), 6))
     for i, k in enumerate(shift):
         both = seen[:, k:] & seen[:, :-k]
-        product = (residual[:, k:] * residual[:, :-k] * both).sum(axis=(0, 1)) / np.maximum(both.sum(axis=(0, 1)), 1)
-        found[i] = product / np.maximum((residual**2).sum(axis=(0, 1)) / np.maximum(seen.sum(axis=(0, 1)), 1), 1e-12)
+        product = (residual[:, k:] * residual[:, :-k] * both).sum(axis=(0, 1)) / np.maximum(
+            both.sum(axis=(0, 1)), 1
+        )
+        found[i] = product / np.maximum(
+            (residual**2).sum(axis=(0, 1)) / np.maximum(seen.sum(axis=(0, 1)), 1), 1e-12
+        )
     return shift, found[:, :3].mean(axis=1), found[:, 3:].mean(axis=1)

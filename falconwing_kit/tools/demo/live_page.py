@@ -1,7 +1,9 @@
-"""Live page: a scene and the steps of a flight -> a browser page with FPV view, hall, sticks and plots.
+"""Live page: a scene and the steps of a flight -> a browser page with FPV view, hall, sticks and
+plots.
 
-The page is served by viser to this machine only and asks nothing of any other. The flight never waits for it: `show`
-keeps the newest step and returns, and a thread of its own draws, so a slow browser sees fewer steps, not a slow flight.
+The page is served by viser to this machine only and asks nothing of any other. The flight never
+waits for it: `show` keeps the newest step and returns, and a thread of its own draws, so a slow
+browser sees fewer steps, not a slow flight.
 """
 
 import html
@@ -24,7 +26,7 @@ from falconwing_kit.control.guidance import Hall
 from falconwing_kit.core.checks import Array, require_range
 from falconwing_kit.core.frames import pose_matrix
 from falconwing_kit.core.messages import Command, State
-from falconwing_kit.flight.loop import Step
+from falconwing_kit.flight.loop import LoopStep
 from falconwing_kit.flight.sources import decode_jpeg
 from falconwing_kit.scene.arena import leader_at
 from falconwing_kit.scene.camera import PinholeCamera
@@ -36,14 +38,18 @@ PERIOD_S, PLOT_EVERY = 0.05, 4  # the loop has news every 50 ms; plots are drawn
 PANEL_PX = 420
 WINDOW_S = 30.0  # what the plots look back
 BLUE, RUST, QUIET, LINE = "#0b5394", "#c1440e", "#666", "#ddd"  # as on the kit's other pages
-CHASE_FROM, CHASE_TO = np.array([-3.2, -2.3, 1.0]), np.array([0.6, 0.0, 0.05])  # camera and what it looks at [m]
+CHASE_FROM, CHASE_TO = (
+    np.array([-3.2, -2.3, 1.0]),
+    np.array([0.6, 0.0, 0.05]),
+)  # camera and what it looks at [m]
 FAR_M = 400.0  # from this far away a camera sees a side of the hall as good as straight on
 THICK_M = 0.6  # what stands out from a side less than this belongs to its picture
 FACE_PX = 2000  # along the longer edge of a side
 
 PATH_RGB, PATH_PIECES = (193, 68, 14), 400
 WHITE, RED, NAVY, DARK = (238, 238, 234), (205, 55, 50), (48, 76, 160), (50, 50, 52)
-# The aircraft as boxes in body axes: colour, size and centre [m]; 0.70 m of span and 0.52 m long, as the real one.
+# The aircraft as boxes in body axes: colour, size and centre [m]; 0.70 m of span and 0.52 m long,
+# as the real one.
 AIRCRAFT: tuple[tuple[tuple[int, int, int], Sequence[float], Sequence[float]], ...] = (
     (WHITE, (0.240, 0.065, 0.075), (0.030, 0.0, 0.0)),  # fuselage
     (WHITE, (0.220, 0.035, 0.040), (-0.180, 0.0, -0.010)),
@@ -71,7 +77,9 @@ class LivePage:
         InputError: the port is not in 1024..65000.
     """
 
-    def __init__(self, scene: GaussianScene | None = None, port: int = 8080, banner: str = "SIMULATION") -> None:
+    def __init__(
+        self, scene: GaussianScene | None = None, port: int = 8080, banner: str = "SIMULATION"
+    ) -> None:
         wanted = int(require_range("port", port, low=1024, high=65000))
         self._server = _serve(wanted)
         self.port = int(self._server.get_port())
@@ -79,14 +87,20 @@ class LivePage:
         if self.port != wanted:
             warnings.warn(f"port {wanted} is taken, so the page is at {self.url}", stacklevel=2)
         self._banner = banner
-        self._newest: Step | None = None
+        self._newest: LoopStep | None = None
         self._past: list[tuple[float, ...]] = []  # time, position and speed of every step shown
-        self._lock, self._news, self._closing = threading.Lock(), threading.Event(), threading.Event()
+        self._lock, self._news, self._closing = (
+            threading.Lock(),
+            threading.Event(),
+            threading.Event(),
+        )
         self._build()
         if scene is not None:
             self.set_scene(scene)
-        self._server.on_client_connect(lambda client: self._news.set())  # who comes late sees the newest step too
-        self._thread = threading.Thread(target=self._keep_drawing, name="live page", daemon=True)
+        self._server.on_client_connect(
+            lambda client: self._news.set()
+        )  # who comes late sees the newest step too
+        self._thread = threading.Thread(target=self._draw_loop, name="live page", daemon=True)
         self._thread.start()
 
     def set_scene(self, scene: GaussianScene) -> None:
@@ -110,20 +124,23 @@ class LivePage:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def show(self, step: Step) -> None:
+    def show(self, step: LoopStep) -> None:
         """Show a step as soon as there is time; steps that are older by then are left out.
 
         Args:
-            step: of the loop. One that is earlier than the last begins a new flight. An aircraft whose pose is not
-                known, as a log may say of it, is hidden; where only its speed is not, that is left out of the plot.
+            step: of the loop. One that is earlier than the last begins a new flight. An aircraft
+                whose pose is not known, as a log may say of it, is hidden; where only its speed is
+                not, that is left out of the plot.
         """
-        state = _with_pose(step.state)
-        step = replace(step, state=state, leader=_with_pose(step.leader))
+        state = _state_with_pose(step.state)
+        step = replace(step, state=state, leader=_state_with_pose(step.leader))
         with self._lock:
             if self._past and step.t < self._past[-1][0]:
                 self._past = []
             if state is not None:
-                self._past.append((step.t, *state.p_world.tolist(), float(np.linalg.norm(state.v_world))))
+                self._past.append(
+                    (step.t, *state.p_world.tolist(), float(np.linalg.norm(state.v_world)))
+                )
             self._newest = step
         self._news.set()
 
@@ -132,23 +149,31 @@ class LivePage:
         self._closing.set()
         self._news.set()
         self._thread.join()
-        with _quiet():
+        with _silence_viser():
             self._server.stop()
 
     def _build(self) -> None:
         """Lay out the empty page."""
         server = self._server
-        self._aircraft, self._leader = (_add_aircraft(server.scene, name) for name in ("/aircraft", "/leader"))
+        self._aircraft, self._leader = (
+            _add_aircraft(server.scene, name) for name in ("/aircraft", "/leader")
+        )
         self._aircraft.visible = self._leader.visible = False
-        self._path = server.scene.add_line_segments("/path", np.zeros((PATH_PIECES, 2, 3)), PATH_RGB, thickness=0.03)
-        self._drop = server.scene.add_box("/drop", color=DARK, dimensions=(0.02, 0.02, 1.0), visible=False)
-        _look_from_aside(server.initial_camera)
+        self._path = server.scene.add_line_segments(
+            "/path", np.zeros((PATH_PIECES, 2, 3)), PATH_RGB, thickness=0.03
+        )
+        self._drop = server.scene.add_box(
+            "/drop", color=DARK, dimensions=(0.02, 0.02, 1.0), visible=False
+        )
+        _set_initial_view(server.initial_camera)
         self._head = server.gui.add_html(head_html(self._banner, None))
-        self._view = server.gui.add_image(np.full((240, 320, 3), 40, np.uint8), label=None, jpeg_quality=85)
+        self._view = server.gui.add_image(
+            np.full((240, 320, 3), 40, np.uint8), label=None, jpeg_quality=85
+        )
         self._plots = server.gui.add_html(plots_html(np.zeros((0, 3)), None))
         self._following = server.gui.add_checkbox("follow the aircraft", True)
 
-    def _keep_drawing(self) -> None:
+    def _draw_loop(self) -> None:
         """Draw the newest step until the page closes; a fault ends the page and not the flight."""
         drawn = 0
         try:
@@ -162,30 +187,37 @@ class LivePage:
                     drawn += 1
                 self._closing.wait(PERIOD_S)
         except Exception as fault:
-            warnings.warn(f"the live page stopped ({type(fault).__name__}: {fault}); the flight goes on", stacklevel=2)
+            warnings.warn(
+                f"the live page stopped ({type(fault).__name__}: {fault}); the flight goes on",
+                stacklevel=2,
+            )
 
-    def _draw(self, step: Step, past: Array, plots: bool) -> None:
+    def _draw(self, step: LoopStep, past: Array, plots: bool) -> None:
         """Bring the page to this step; past is (N, 5) of time, position and speed."""
         place = past[:, 1:4].astype(np.float32)
         with self._server.atomic():
-            _move(self._aircraft, step.state)
-            _move(self._leader, step.leader)
+            _move_aircraft(self._aircraft, step.state)
+            _move_aircraft(self._leader, step.leader)
             self._head.content = head_html(self._banner, step)
             if step.image is not None:
                 self._view.image = decode_jpeg(step.image)
             if step.state is not None:
-                self._follow(step.state.p_world)
+                self._move_cameras(step.state.p_world)
                 height = float(place[-1, 2])
-                self._drop.position, self._drop.scale = (*place[-1, :2], height / 2.0), (1.0, 1.0, height)
+                self._drop.position, self._drop.scale = (
+                    (*place[-1, :2], height / 2.0),
+                    (1.0, 1.0, height),
+                )
                 self._drop.visible = True
             if len(place) > 1:
-                # Always as many pieces: the browser keeps the colours of as many as there were at first.
+                # Always as many pieces: the browser keeps the colours of as many as there were at
+                # first.
                 bends = place[np.linspace(0, len(place) - 1, PATH_PIECES + 1).astype(int)]
                 self._path.points = np.stack([bends[:-1], bends[1:]], axis=1)
             if plots:
                 self._plots.content = plots_html(past[:, [0, 3, 4]], step.command)
 
-    def _follow(self, p_world: Array) -> None:
+    def _move_cameras(self, p_world: Array) -> None:
         """Take every browser's camera along, unless its user would rather look around."""
         if not self._following.value:
             return
@@ -195,12 +227,12 @@ class LivePage:
                 client.camera.look_at = p_world + CHASE_TO
 
 
-def _with_pose(state: State | None) -> State | None:
+def _state_with_pose(state: State | None) -> State | None:
     """The state if it says where the aircraft is and how it is turned, else None."""
     return state if state is not None and np.isfinite(state.pose.T_world_body).all() else None
 
 
-def head_html(banner: str, step: Step | None) -> str:
+def head_html(banner: str, step: LoopStep | None) -> str:
     """The top of the panel: what is flown, its mode, and where it is.
 
     Args:
@@ -210,7 +242,9 @@ def head_html(banner: str, step: Step | None) -> str:
     Returns:
         HTML.
     """
-    mode, numbers = ("", "waiting for the first step") if step is None else (step.mode, f"{step.t:.1f} s")
+    mode, numbers = (
+        ("", "waiting for the first step") if step is None else (step.mode, f"{step.t:.1f} s")
+    )
     if step is not None and step.state is not None:
         x, y, z = step.state.p_world
         numbers += f" &nbsp; x {x:.1f} m &nbsp; y {y:+.2f} m &nbsp; height {z:.2f} m"
@@ -234,8 +268,11 @@ def plots_html(past: Array, command: Command | None) -> str:
     """
     sticks = command.vector if command is not None else np.zeros(4)
     throttle, aileron, elevator, rudder = (float(value) for value in sticks)
-    # As on a mode 2 transmitter: an elevator that raises the nose is a stick pulled back, which is down in the drawing.
-    boxes = _stick(95, rudder, 2.0 * throttle - 1.0, f"throttle {throttle:.2f}", f"rudder {rudder:+.2f}")
+    # As on a mode 2 transmitter: an elevator that raises the nose is a stick pulled back, which is
+    # down in the drawing.
+    boxes = _stick(
+        95, rudder, 2.0 * throttle - 1.0, f"throttle {throttle:.2f}", f"rudder {rudder:+.2f}"
+    )
     boxes += _stick(275, aileron, -elevator, f"elevator {elevator:+.2f}", f"aileron {aileron:+.2f}")
     lines = _plot(past[:, [0, 1]], "height [m]", BLUE) + _plot(past[:, [0, 2]], "speed [m/s]", RUST)
     return (
@@ -259,14 +296,20 @@ def _stick(centre: float, right: float, up: float, above: str, below: str) -> st
 
 
 def _plot(series: Array, label: str, colour: str) -> str:
-    """A line over the last seconds; series is (N, 2) of time and value, rows without a value are left out."""
+    """A line over the last seconds; series is (N, 2) of time and value, rows without a value are
+    left out.
+    """
     series = series[np.isfinite(series[:, 1])]
-    recent = series[series[:, 0] >= series[-1, 0] - WINDOW_S] if len(series) else np.array([[0.0, 0.0]])
+    recent = (
+        series[series[:, 0] >= series[-1, 0] - WINDOW_S] if len(series) else np.array([[0.0, 0.0]])
+    )
     recent = recent[:: max(1, len(recent) // 300)]
     begin, span = recent[0, 0], max(recent[-1, 0] - recent[0, 0], 10.0)
     tick = _round_tick(max(float(recent[:, 1].max()), 0.5))
     top = tick * math.ceil(max(float(recent[:, 1].max()), 0.5) / tick)
-    points = " ".join(f"{30 + 330 * (t - begin) / span:.1f},{92 - 76 * v / top:.1f}" for t, v in recent)
+    points = " ".join(
+        f"{30 + 330 * (t - begin) / span:.1f},{92 - 76 * v / top:.1f}" for t, v in recent
+    )
     levels = "".join(
         f'<path d="M30 {92 - 76 * k * tick / top:.1f}h330" stroke="{LINE}"/><text x="25" text-anchor="end" '
         f'y="{96 - 76 * k * tick / top:.1f}">{k * tick:g}</text>'
@@ -291,15 +334,18 @@ def _round_tick(top: float) -> float:
 
 
 def hall_sides(scene: GaussianScene) -> Iterator[tuple[Array, NDArray[np.uint8]]]:
-    """Floor and walls as pictures, for a view of the hall that a browser draws at once, where 150k Gaussians take long.
+    """Floor and walls as pictures, for a view of the hall that a browser draws at once, where 150k
+    Gaussians take long.
 
-    Each side is rendered from far away, with the Gaussians that are on it. The ceiling is left out: one looks in.
+    Each side is rendered from far away, with the Gaussians that are on it. The ceiling is left out:
+    one looks in.
 
     Args:
         scene: the hall, in the kit's world.
 
     Yields:
-        corners (4, 3) in the world [m] as seen from inside, from top left clockwise, and rgb (H, W, 3).
+        corners (4, 3) in the world [m] as seen from inside, from top left clockwise, and rgb (H, W,
+        3).
     """
     if "leader" in scene.label_names:
         scene = leader_at(scene, None)
@@ -311,14 +357,18 @@ def hall_sides(scene: GaussianScene) -> Iterator[tuple[Array, NDArray[np.uint8]]
         depth = float(half @ np.abs(ahead))
         near = np.abs((scene.means - centre) @ ahead - depth) < THICK_M
         if near.any():
-            yield _picture(scene.selected(near), centre + depth * ahead, np.cross(down, ahead), down, half)
+            yield _picture(
+                scene.selected(near), centre + depth * ahead, np.cross(down, ahead), down, half
+            )
     if "marker" in scene.label_names:  # stands in the hall, facing the approach
         marker = scene.selected(scene.labelled("marker"))
         low, high = marker.means.min(axis=0), marker.means.max(axis=0)
         yield _picture(marker, (low + high) / 2.0, -y, -z, (high - low) / 2.0)
 
 
-def _picture(scene: GaussianScene, middle: Array, right: Array, down: Array, half: Array) -> tuple[Array, Any]:
+def _picture(
+    scene: GaussianScene, middle: Array, right: Array, down: Array, half: Array
+) -> tuple[Array, Any]:
     """A side as seen from inside: its corners and what is on it."""
     wide, high = (float(half @ np.abs(edge)) for edge in (right, down))
     scale = FACE_PX / (2.0 * max(wide, high))  # pixels a metre
@@ -327,7 +377,12 @@ def _picture(scene: GaussianScene, middle: Array, right: Array, down: Array, hal
     ahead = np.cross(right, down)
     T_world_camera = pose_matrix(np.stack([right, down, ahead], axis=1), middle - FAR_M * ahead)
     frame = render(scene, camera, T_world_camera, background=(0.8, 0.8, 0.8))
-    corners = np.array([middle + i * wide * right + j * high * down for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    corners = np.array(
+        [
+            middle + i * wide * right + j * high * down
+            for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
+    )
     return corners, np.rint(255.0 * frame.rgb).astype(np.uint8)
 
 
@@ -350,7 +405,7 @@ def _add_hall(page: Any, scene: GaussianScene) -> None:
         page.add_mesh_trimesh(f"/hall/{number}", sides, cast_shadow=False, receive_shadow=False)
 
 
-def _look_from_aside(camera: Any) -> None:
+def _set_initial_view(camera: Any) -> None:
     """Begin with a view across the last of the approach and the pad."""
     pad = LandingPad()
     threshold = np.array([pad.x_start, pad.y_centre, 0.0])
@@ -363,11 +418,13 @@ def _add_aircraft(page: Any, name: str) -> Any:
     """The aircraft, in its body axes below one frame that moves."""
     frame = page.add_frame(name, show_axes=False)
     for number, (colour, size, centre) in enumerate(AIRCRAFT):
-        page.add_box(f"{name}/{number}", color=colour, dimensions=tuple(size), position=tuple(centre))
+        page.add_box(
+            f"{name}/{number}", color=colour, dimensions=tuple(size), position=tuple(centre)
+        )
     return frame
 
 
-def _move(frame: Any, state: State | None) -> None:
+def _move_aircraft(frame: Any, state: State | None) -> None:
     """Put an aircraft where it is, or hide it."""
     from viser.transforms import SO3
 
@@ -381,9 +438,10 @@ def _serve(port: int) -> Any:
     """A server that only this machine reaches, and that opens no way around that."""
     import viser
 
-    with _quiet():
+    with _silence_viser():
         server = viser.ViserServer(host=HOST, port=port, label="FalconWing", verbose=False)
-    # The page's share button would ask an outside host for a tunnel: it goes, and so does what it calls.
+    # The page's share button would ask an outside host for a tunnel: it goes, and so does what it
+    # calls.
     server.request_share_url = lambda *_, **__: None  # type: ignore[method-assign]
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.scene.configure_environment_map(None)  # its reflections would wash out the hall
@@ -394,7 +452,7 @@ def _serve(port: int) -> Any:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _silence_viser() -> Iterator[None]:
     """Viser prints its address and its end; what a verb prints is the verb's."""
     import rich
 

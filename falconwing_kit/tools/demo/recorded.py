@@ -1,4 +1,6 @@
-"""The demo: recorded flights of a simulated and of a real aircraft -> models, what they lack, page and figures."""
+"""The demo: recorded flights of a simulated and of a real aircraft -> models, what they lack, page
+and figures.
+"""
 
 import json
 import math
@@ -16,19 +18,27 @@ from falconwing_kit.gap.advice import headline
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.model_file import write_model
 from falconwing_kit.sysid.one_step import fit_one_step
-from falconwing_kit.sysid.score import Score, score, select
-from falconwing_kit.tools.demo.alfa_figures import draw_alfa_story, draw_suspects
-from falconwing_kit.tools.demo.alfa_gap import CUTS, AlfaGap, judge_alfa
-from falconwing_kit.tools.demo.alfa_story import FOLDS, AlfaStory, tell_alfa_story
-from falconwing_kit.tools.demo.approach import Approach, approach_part, approach_record, draw_flight
+from falconwing_kit.sysid.score import PredictionScore, score, select_windows
+from falconwing_kit.tools.demo.alfa_figures import draw_alfa_figures, draw_hypotheses
+from falconwing_kit.tools.demo.alfa_gap import WINDOW_OFFSETS, AlfaGap, study_alfa_gap
+from falconwing_kit.tools.demo.alfa_story import FOLDS, AlfaAnalysis, analyse_alfa_flight
+from falconwing_kit.tools.demo.approach import (
+    Approach,
+    approach_record,
+    approach_section,
+    draw_flight,
+)
 from falconwing_kit.tools.demo.figures import draw_identification
-from falconwing_kit.tools.reports.gap_plots import draw_closed, draw_map, draw_ranking
+from falconwing_kit.tools.reports.gap_plots import draw_gap_closure, draw_map, draw_ranking
 from falconwing_kit.tools.reports.gap_report import GapStudy, gap_record, study_gap
 from falconwing_kit.tools.reports.page import write_page
 
 PAGE = Path(__file__).with_name("recorded.html.j2")
-SIMULATED_FLIGHT, SURPRISING_FLIGHT = "case08_calm.csv", "case08_flight.csv"
-TRUTH = {"wind_x": 0.0924, "wind_y": 0.4370}  # m/s: what JSBSim was told for the surprising flight; no fit reads it
+SIMULATED_FLIGHT, ANOMALOUS_FLIGHT = "case08_calm.csv", "case08_flight.csv"
+TRUTH = {
+    "wind_x": 0.0924,
+    "wind_y": 0.4370,
+}  # m/s: what JSBSim was told for the surprising flight; no fit reads it
 REPORTED = ("verdict", "effects", "parameters", "since", "gap", "gap_rmse", "next_flight")
 Progress = Callable[[str], None]
 
@@ -38,9 +48,11 @@ class RecordedFlights:
     """What the demo found in the recorded flights."""
 
     small: Identification  # the 150 g aircraft of the independent simulator
-    small_one_step: dict[str, Score]  # the paper's loss on raw and on smoothed differences, held-out time
+    small_one_step: dict[
+        str, PredictionScore
+    ]  # the paper's loss on raw and on smoothed differences, held-out time
     small_gap: GapStudy  # its flight with a hidden effect
-    alfa: AlfaStory
+    alfa: AlfaAnalysis
     alfa_gap: AlfaGap
 
 
@@ -53,20 +65,26 @@ def study_recorded_flights(progress: Progress = lambda stage: None) -> RecordedF
     Returns:
         What was found.
     """
-    calm, flight = (read_flight_table(data_path(name)) for name in (SIMULATED_FLIGHT, SURPRISING_FLIGHT))
+    calm, flight = (
+        read_flight_table(data_path(name)) for name in (SIMULATED_FLIGHT, ANOMALOUS_FLIGHT)
+    )
     gap = study_gap(calm, flight, lambda stage: progress(f"150 g aircraft, {stage}"))
     small = gap.base.found
     flights = [flight for p in small.prepared for flight in p.flights]
-    held_out = select(small.windows, small.held_out_index)
+    held_out = select_windows(small.windows, small.held_out_index)
     one_step = {}
     for name in ("raw", "smoothed"):
         progress(f"150 g aircraft, one-step fit on {name} differences")
-        one_step[name] = score(fit_one_step(rates_model(), flights, smoothed=name == "smoothed"), held_out)
-    story = tell_alfa_story(progress)
-    return RecordedFlights(small, one_step, gap, story, judge_alfa(story, progress))
+        one_step[name] = score(
+            fit_one_step(rates_model(), flights, smoothed=name == "smoothed"), held_out
+        )
+    story = analyse_alfa_flight(progress)
+    return RecordedFlights(small, one_step, gap, story, study_alfa_gap(story, progress))
 
 
-def write_recorded_flights(found: RecordedFlights, folder: Path, approach: Approach | None = None) -> dict[str, Any]:
+def write_recorded_flights(
+    found: RecordedFlights, folder: Path, approach: Approach | None = None
+) -> dict[str, Any]:
     """Write page, figures, models and figures of merit.
 
     Args:
@@ -82,20 +100,20 @@ def write_recorded_flights(found: RecordedFlights, folder: Path, approach: Appro
         draw_flight(approach.log, folder)
     draw_identification(found.small, folder)
     gap = found.small_gap
-    draw_map(gap.flight_replay, gap.calm_replay, folder / "gap_map.png")
+    draw_map(gap.flight_replay, gap.baseline_replay, folder / "gap_map.png")
     draw_ranking(gap.naming, folder / "gap_ranking.png")
-    draw_closed(gap.closed, folder / "gap_closed.png")
-    draw_alfa_story(found.alfa, folder)
-    draw_suspects(found.alfa_gap, found.alfa.failure_time, folder / "alfa_suspects.png")
+    draw_gap_closure(gap.closed, folder / "gap_closed.png")
+    draw_alfa_figures(found.alfa, folder)
+    draw_hypotheses(found.alfa_gap, found.alfa.failure_time, folder / "alfa_suspects.png")
     write_model(folder / "model_150g.toml", found.small)
     write_model(folder / "model_alfa.toml", found.alfa.found)
     with atomic_write(folder / "demo.json", text=True) as handle:
         json.dump(record, handle, indent=2)
     write_page(
         folder / "index.html", PAGE, folder=folder, truth=TRUTH, version=__version__,
-        approach=approach_part(approach, folder) if approach else "",
-        small=_small_part(found), gap=_gap_part(gap, record),
-        alfa=_alfa_part(found.alfa), lost=_alfa_gap_part(found.alfa_gap), loss=found.alfa_gap.thrust_loss,
+        approach=approach_section(approach, folder) if approach else "",
+        small=_small_section(found), gap=_gap_section(gap, record),
+        alfa=_alfa_section(found.alfa), lost=_alfa_gap_section(found.alfa_gap), loss=found.alfa_gap.thrust_loss,
     )  # fmt: skip
     return record
 
@@ -122,7 +140,7 @@ def demo_record(found: RecordedFlights) -> dict[str, Any]:
             "one_step_chi2_per_dof": {name: s.chi2 for name, s in found.small_one_step.items()},
             "seconds": small.seconds,
             "gap": {
-                "flight": SURPRISING_FLIGHT, **{key: report[key] for key in REPORTED},
+                "flight": ANOMALOUS_FLIGHT, **{key: report[key] for key in REPORTED},
                 "truth": {"effects": ["wind"], "parameters": TRUTH},
             },
         },
@@ -134,8 +152,8 @@ def demo_record(found: RecordedFlights) -> dict[str, Any]:
                 for name, f in alfa.held_out.items()
             },
             "failure_time_s": alfa.failure_time,
-            "parts_from_measurement_s": alfa.parts_at,
-            "largest_ordinary_error_m": alfa.ordinary_error,
+            "parts_from_measurement_s": alfa.detection_time,
+            "largest_ordinary_error_m": alfa.nominal_error,
             "attitude_deg_after_failure": _attitude_after(alfa),
             "gap": _alfa_gap_record(found.alfa_gap),
         },
@@ -148,28 +166,42 @@ def _alfa_gap_record(gap: AlfaGap) -> dict[str, Any]:
         "verdict": gap.verdict,
         "effects": [s.effect.name for s in gap.chosen],
         "ranking": [
-            {"effect": s.effect.name, "gain": s.gain, "since": s.time, "low95": s.earliest, "high95": s.latest}
-            for s in gap.suspects
+            {
+                "effect": s.effect.name,
+                "gain": s.delta_bic,
+                "since": s.time,
+                "low95": s.earliest,
+                "high95": s.latest,
+            }
+            for s in gap.hypotheses
         ],
         "threshold": gap.threshold,
-        "gain_of_logged_throttle": gap.told_gain,
-        "parameters": {"thrust_lost": {"value": loss.value, "low95": loss.low95, "high95": loss.high95, "unit": "-"}},
+        "gain_of_logged_throttle": gap.logged_throttle_gain,
+        "parameters": {
+            "thrust_lost": {
+                "value": loss.value,
+                "low95": loss.low95,
+                "high95": loss.high95,
+                "unit": "-",
+            }
+        },
         "since": {"value": loss.time, "low95": loss.earliest, "high95": loss.latest},
         "gap": {"before": gap.before, "after": gap.after},
         "judged": {"from": gap.begin, "to": gap.end},
     }
 
 
-def _attitude_after(alfa: AlfaStory) -> float:
+def _attitude_after(alfa: AlfaAnalysis) -> float:
     """How far off the told model's attitude is one second ahead after the failure, rms [deg]."""
-    return alfa.told.chosen(alfa.told.t > alfa.failure_time + 1.0).attitude_deg
+    return alfa.told.subset(alfa.told.t > alfa.failure_time + 1.0).attitude_deg
 
 
-def _small_part(found: RecordedFlights) -> dict[str, Any]:
+def _small_section(found: RecordedFlights) -> dict[str, Any]:
     """What the page tells of the 150 g aircraft's first flight."""
     small = found.small
     one_step = [
-        (f"one step, {name} differences (the paper's loss)", *_cells(s)) for name, s in found.small_one_step.items()
+        (f"one step, {name} differences (the paper's loss)", *_cells(s))
+        for name, s in found.small_one_step.items()
     ]
     return {
         "noise_cm": 100.0 * small.sigma[:3].mean(),
@@ -183,7 +215,7 @@ def _small_part(found: RecordedFlights) -> dict[str, Any]:
     }
 
 
-def _gap_part(gap: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
+def _gap_section(gap: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
     """What it tells of the second flight, and of the truth."""
     answer, closed = record["simulated_flight"]["gap"], gap.closed
     sizes = [
@@ -206,38 +238,41 @@ def _gap_part(gap: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _alfa_part(alfa: AlfaStory) -> dict[str, Any]:
+def _alfa_section(alfa: AlfaAnalysis) -> dict[str, Any]:
     """What it tells of the real flight."""
     names = {
         "model": "fitted model",
         "constant turn": "constant turn for its bank",
         "constant velocity": "constant velocity",
     }
-    rows = [(names[n], f"{f.position_m:.2f}", f"{f.attitude_deg:.1f}", str(len(f.t))) for n, f in alfa.held_out.items()]
+    rows = [
+        (names[n], f"{f.position_m:.2f}", f"{f.attitude_deg:.1f}", str(len(f.t)))
+        for n, f in alfa.held_out.items()
+    ]
     return {
         "wind": math.hypot(*(alfa.found.model.values[name] for name in ("wind_x", "wind_y"))),
         "folds": FOLDS,
         "forecasts": rows,
         "failure_time": alfa.failure_time,
-        "parts_at": alfa.parts_at,
-        "ordinary_error": alfa.ordinary_error,
+        "parts_at": alfa.detection_time,
+        "ordinary_error": alfa.nominal_error,
         "attitude_after": _attitude_after(alfa),
     }
 
 
-def _alfa_gap_part(gap: AlfaGap) -> dict[str, Any]:
+def _alfa_gap_section(gap: AlfaGap) -> dict[str, Any]:
     """What it tells of the lost engine."""
     return {
         "verdict": gap.verdict,
         "names": [s.effect.name.replace("_", " ") for s in gap.chosen],
         "begin": gap.begin,
         "end": gap.end,
-        "cuts": CUTS,
-        "told_gain": gap.told_gain,
+        "cuts": WINDOW_OFFSETS,
+        "told_gain": gap.logged_throttle_gain,
         "before": gap.before,
         "after": gap.after,
     }
 
 
-def _cells(s: Score) -> tuple[str, str, str]:
+def _cells(s: PredictionScore) -> tuple[str, str, str]:
     return f"{s.chi2:.3g}", f"{s.position_m:.3g}", f"{s.attitude_deg:.3g}"

@@ -1,4 +1,6 @@
-"""Cameras: a device, a video file, a simulator, or a scripted fake -> frames for the grabber, one by one."""
+"""Cameras: a device, a video file, a simulator, or a scripted fake -> frames for the grabber, one
+by one.
+"""
 
 import math
 import time
@@ -23,7 +25,7 @@ Now = Callable[[], float]
 Sleep = Callable[[float], object]
 
 
-class ImageSource(Protocol):
+class TimedImageSource(Protocol):
     """Where a simulator's images come from, as the loop asks it."""
 
     def next(self, t: float) -> Image | None:
@@ -40,21 +42,30 @@ class VideoCamera:
     """
 
     def __init__(
-        self, device: int | str = 0, size: tuple[int, int] | None = None, rate_hz: float | None = None
+        self,
+        device: int | str = 0,
+        size: tuple[int, int] | None = None,
+        rate_hz: float | None = None,
     ) -> None:
         self.device, self.size, self.rate_hz = device, size, rate_hz
         self._capture: Any = None
 
     def open(self) -> None:
-        """Open it with a queue of one frame, so that what is read is new; OSError where it is not there."""
+        """Open it with a queue of one frame, so that what is read is new; OSError where it is not
+        there.
+        """
         import cv2
 
         self.close()
         self._capture = cv2.VideoCapture(self.device)
         if not self._capture.isOpened():
             self.close()
-            raise OSError(f"camera {self.device}: want a camera there, found none; is it plugged in, is it in use?")
-        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # drivers may refuse; then frames are up to four old
+            raise OSError(
+                f"camera {self.device}: expected a camera there, found none; is it plugged in, is it in use?"
+            )
+        self._capture.set(
+            cv2.CAP_PROP_BUFFERSIZE, 1
+        )  # drivers may refuse; then frames are up to four old
         width, height = self.size or (0, 0)
         wanted = ((cv2.CAP_PROP_FRAME_WIDTH, width), (cv2.CAP_PROP_FRAME_HEIGHT, height))
         for name, value in (*wanted, (cv2.CAP_PROP_FPS, self.rate_hz or 0.0)):
@@ -87,7 +98,11 @@ class VideoFile:
     """
 
     def __init__(
-        self, path: str | Path, rate_hz: float | None = None, now: Now = time.perf_counter, sleep: Sleep = time.sleep
+        self,
+        path: str | Path,
+        rate_hz: float | None = None,
+        now: Now = time.perf_counter,
+        sleep: Sleep = time.sleep,
     ) -> None:
         self.path = require_file(path)
         self._now, self._sleep = now, sleep
@@ -98,9 +113,11 @@ class VideoFile:
         self.close()
         if rate_hz is None and not 0.1 <= own <= 1000.0:
             raise InputError(
-                f"{short_name(path)}: want a video that says its rate, got {own:g} frames a second; give rate_hz"
+                f"{short_name(path)}: expected a video that says its rate, got {own:g} frames a second; give rate_hz"
             )
-        self.rate_hz = require_range("rate_hz", own if rate_hz is None else rate_hz, low=0.1, high=1000.0)
+        self.rate_hz = require_range(
+            "rate_hz", own if rate_hz is None else rate_hz, low=0.1, high=1000.0
+        )
 
     def open(self) -> None:
         """Go to the first frame."""
@@ -109,7 +126,9 @@ class VideoFile:
         self._capture: Any = cv2.VideoCapture(str(self.path))
         self._zero, self._number = self._now(), 0
         if not self._capture.isOpened():
-            raise InputError(f"{short_name(self.path)}: want a video, got a file that OpenCV cannot read as one")
+            raise InputError(
+                f"{short_name(self.path)}: expected a video, got a file that OpenCV cannot read as one"
+            )
 
     def read(self) -> Pixels:
         """The next frame (H, W, 3) RGB when it is due; EOFError after the last."""
@@ -129,7 +148,8 @@ class SimulatedCamera:
     """A simulator's images as a camera gives them: at a rate of its own, whoever looks.
 
     Args:
-        source: what `Loop` would ask; here the grabber's thread asks it, so it flies the world as well.
+        source: what `Loop` would ask; here the grabber's thread asks it, so it flies the world as
+            well.
         rate_hz: frames a second.
         now: the clock [s].
         sleep: waits for seconds.
@@ -139,7 +159,11 @@ class SimulatedCamera:
     """
 
     def __init__(
-        self, source: ImageSource, rate_hz: float = 20.0, now: Now = time.perf_counter, sleep: Sleep = time.sleep
+        self,
+        source: TimedImageSource,
+        rate_hz: float = 20.0,
+        now: Now = time.perf_counter,
+        sleep: Sleep = time.sleep,
     ) -> None:
         self.source, self.rate_hz = source, require_range("rate_hz", rate_hz, low=0.1, high=1000.0)
         self._now, self._sleep = now, sleep
@@ -154,7 +178,9 @@ class SimulatedCamera:
         """The next image's pixels; None where the source has none."""
         t = self._number / self.rate_hz
         _sleep_until(self._zero + t, self._now, self._sleep)
-        self._number = max(self._number + 1, math.ceil((self._now() - self._zero) * self.rate_hz - 1e-6))
+        self._number = max(
+            self._number + 1, math.ceil((self._now() - self._zero) * self.rate_hz - 1e-6)
+        )
         image = self.source.next(t)
         return None if image is None else image.pixels
 
@@ -163,7 +189,7 @@ class SimulatedCamera:
 
 
 @dataclass(frozen=True)
-class Fault:
+class CameraFault:
     """What a fake camera does wrong between two times since it was first opened."""
 
     kind: Literal["unplug", "freeze", "delay", "drop", "hang", "noise"]
@@ -178,10 +204,13 @@ class Fault:
 
 
 class FakeCamera:
-    """A scripted camera for tests: a moving scene with the frame's number as a bar code, and faults at given times.
+    """A scripted camera for tests: a moving scene with the frame's number as a bar code, and faults
+    at given times.
 
-    unplug: reads give None and opening fails; freeze: the same picture again and again; delay: pictures come late;
-    drop: none come; hang: one read lasts until the end of the fault; noise: pictures through `AnalogVideo`.
+    unplug: reads give None and opening fails; freeze: the same picture again and again; delay:
+        pictures come late;
+    drop: none come; hang: one read lasts until the end of the fault; noise: pictures through
+        `AnalogVideo`.
 
     Args:
         faults: what goes wrong, and when.
@@ -196,13 +225,17 @@ class FakeCamera:
     """
 
     def __init__(
-        self, faults: Sequence[Fault] = (), size: tuple[int, int] = (320, 240), rate_hz: float = 20.0, seed: int = 0,
+        self, faults: Sequence[CameraFault] = (), size: tuple[int, int] = (320, 240), rate_hz: float = 20.0, seed: int = 0,
         now: Now = time.perf_counter, sleep: Sleep = time.sleep,
     ) -> None:  # fmt: skip
         width, height = size
         require_range("width", width, low=64, high=4096)
         require_range("height", height, low=48, high=4096)
-        self.faults, self.rate_hz, self.seed = tuple(faults), require_range("rate_hz", rate_hz, low=0.1, high=1e3), seed
+        self.faults, self.rate_hz, self.seed = (
+            tuple(faults),
+            require_range("rate_hz", rate_hz, low=0.1, high=1e3),
+            seed,
+        )
         self._now, self._sleep = now, sleep
         self._scene = _scene(width, height, seed)
         self._zero, self._number, self._shown = math.nan, -1, 0
@@ -252,15 +285,22 @@ class FakeCamera:
         pixels[: height // 6] = (255 * bits[columns]).astype(np.uint8)[None, :, None]
         return pixels
 
-    def _fault(self, kind: str, t: float) -> Fault | None:
-        return next((f for f in self.faults if f.kind == kind and f.begin <= t + 1e-9 < f.end), None)
+    def _fault(self, kind: str, t: float) -> CameraFault | None:
+        return next(
+            (f for f in self.faults if f.kind == kind and f.begin <= t + 1e-9 < f.end), None
+        )
 
 
 def read_frame_number(pixels: Pixels) -> int:
-    """The number in the bar code of a fake camera's frame (H, W, 3), modulo 65536; it stands noise down to 12 dB."""
+    """The number in the bar code of a fake camera's frame (H, W, 3), modulo 65536; it stands noise
+    down to 12 dB.
+    """
     height, width = pixels.shape[:2]
     strip = pixels[: height // 8].mean(axis=(0, 2))
-    means = [strip[width * k // CODE_BITS + 1 : width * (k + 1) // CODE_BITS - 1].mean() for k in range(CODE_BITS)]
+    means = [
+        strip[width * k // CODE_BITS + 1 : width * (k + 1) // CODE_BITS - 1].mean()
+        for k in range(CODE_BITS)
+    ]
     return sum(1 << k for k, mean in enumerate(means) if mean > 127.5)
 
 
@@ -282,7 +322,9 @@ def _scene(width: int, height: int, seed: int) -> Pixels:
 
     rng = np.random.default_rng([seed, 0])
     scene = np.tile(rng.uniform(0.0, 255.0, (height, width, 3)).astype(np.float32), (1, 3, 1))
-    soft = cv2.GaussianBlur(scene, (0, 0), max(width / 80.0, 1.5))[:, width // 2 : width // 2 + 2 * width]
+    soft = cv2.GaussianBlur(scene, (0, 0), max(width / 80.0, 1.5))[
+        :, width // 2 : width // 2 + 2 * width
+    ]
     return np.clip(128.0 + 45.0 * (soft - soft.mean()) / soft.std(), 0, 255).astype(np.uint8)
 
 

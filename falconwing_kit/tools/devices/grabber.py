@@ -1,8 +1,9 @@
-"""Grabber: a camera that may block, stall or vanish -> its newest picture, at once, and how healthy it is.
+"""Grabber: a camera that may block, stall or vanish -> its newest picture, at once, and how healthy
+it is.
 
-A thread reads the camera and keeps only the newest frame, so a slow consumer sees fresh pictures and counts the ones it
-missed, instead of working through a queue of old ones. Whether a camera is alive is told by the age of its newest
-frame alone: an unplugged one goes on saying that it is open.
+A thread reads the camera and keeps only the newest frame, so a slow consumer sees fresh pictures
+and counts the ones it missed, instead of working through a queue of old ones. Whether a camera is
+alive is told by the age of its newest frame alone: an unplugged one goes on saying that it is open.
 """
 
 import math
@@ -20,7 +21,10 @@ from numpy.typing import NDArray
 from falconwing_kit.core.checks import require_range
 from falconwing_kit.core.messages import Image
 
-FIRST_WAIT, LONGEST_WAIT = 0.1, 2.0  # s before the first and the later attempts to open again; each twice the last
+MIN_WAIT, MAX_WAIT = (
+    0.1,
+    2.0,
+)  # s before the first and the later attempts to open again; each twice the last
 STOP_WAIT = 2.0  # s that `stop` waits for a camera that is stuck in a read
 
 
@@ -31,14 +35,16 @@ class Camera(Protocol):
         """Open or reopen; OSError where it is not there."""
 
     def read(self) -> NDArray[np.uint8] | None:
-        """Wait for the next frame (H, W, 3) RGB; None where the camera is gone, EOFError where it is over for good."""
+        """Wait for the next frame (H, W, 3) RGB; None where the camera is gone, EOFError where it
+        is over for good.
+        """
 
     def close(self) -> None:
         """Let go of it; never raises."""
 
 
 @dataclass(frozen=True)
-class Health:
+class CameraHealth:
     """How a camera does."""
 
     alive: bool  # its newest frame is fresh
@@ -50,7 +56,8 @@ class Health:
 
 
 class Grabber:
-    """Reads a camera in a thread; an image source of the loop, which it never keeps waiting and never throws at.
+    """Reads a camera in a thread; an image source of the loop, which it never keeps waiting and
+    never throws at.
 
         with Grabber(VideoCamera(0)) as camera:
             Loop(pilot, sink, images=camera, clock=WallClock()).run(60.0)
@@ -75,7 +82,11 @@ class Grabber:
         self._pause = pause or self._stopping.wait
         self._fresh = threading.Condition()  # guards everything below
         self._newest: NDArray[np.uint8] | None = None
-        self._stamp, self._image, self._taken = -math.inf, Image(-1, -math.inf, np.zeros(0, np.uint8)), True
+        self._stamp, self._image, self._taken = (
+            -math.inf,
+            Image(-1, -math.inf, np.zeros(0, np.uint8)),
+            True,
+        )
         self._received = self._dropped = self._reconnects = 0
         self._trouble = ""
         self._thread = threading.Thread(target=self._run, name="grabber", daemon=True)
@@ -89,7 +100,8 @@ class Grabber:
         """End the thread and close the camera.
 
         Returns:
-            Whether it ended; False where the camera is stuck in a read. The thread then ends with the read.
+            Whether it ended; False where the camera is stuck in a read. The thread then ends with
+            the read.
         """
         self._stopping.set()
         with self._fresh:
@@ -102,7 +114,10 @@ class Grabber:
         return self.start()
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.stop()
 
@@ -110,10 +125,12 @@ class Grabber:
         """The newest image, at once; the same one again while there is no newer one.
 
         Args:
-            t: now, on the loop's clock [s]; the image's time is put on that clock when it is first given out.
+            t: now, on the loop's clock [s]; the image's time is put on that clock when it is first
+                given out.
 
         Returns:
-            The image with its pixels (H, W, 3) RGB; None before the first and where the newest is stale.
+            The image with its pixels (H, W, 3) RGB; None before the first and where the newest is
+            stale.
         """
         with self._fresh:
             age = self._now() - self._stamp
@@ -124,30 +141,34 @@ class Grabber:
             return self._image
 
     def wait(self, received: int, timeout: float) -> bool:
-        """Wait until so many frames have come since the start, or the timeout [s] or the end; True if they have."""
+        """Wait until so many frames have come since the start, or the timeout [s] or the end; True
+        if they have.
+        """
         with self._fresh:
-            return self._fresh.wait_for(lambda: self._received >= received or self._stopping.is_set(), timeout) and (
-                self._received >= received
-            )
+            return self._fresh.wait_for(
+                lambda: self._received >= received or self._stopping.is_set(), timeout
+            ) and (self._received >= received)
 
     @property
-    def health(self) -> Health:
+    def health(self) -> CameraHealth:
         """How the camera does now."""
         with self._fresh:
             age = self._now() - self._stamp
             alive = age <= self.stale_s
-            return Health(alive, age, self._received, self._dropped, self._reconnects, self._trouble)
+            return CameraHealth(
+                alive, age, self._received, self._dropped, self._reconnects, self._trouble
+            )
 
     def _run(self) -> None:
         """Open, read until the camera is gone, wait a little longer each time, and again."""
-        wait, attempts = FIRST_WAIT, 0
+        wait, attempts = MIN_WAIT, 0
         while not self._stopping.is_set():
             try:
                 self._camera.open()
                 self._reconnects += attempts > 0
                 before = self._received
                 self._read_on()
-                wait = FIRST_WAIT if self._received > before else wait
+                wait = MIN_WAIT if self._received > before else wait
                 self._note("the camera gave no frame")
             except EOFError:
                 self._note("the video is over")
@@ -159,7 +180,7 @@ class Grabber:
                     self._camera.close()
             attempts += 1
             self._pause(wait)
-            wait = min(2.0 * wait, LONGEST_WAIT)
+            wait = min(2.0 * wait, MAX_WAIT)
 
     def _read_on(self) -> None:
         """Keep the newest frame until the camera is gone."""

@@ -10,7 +10,7 @@ from falconwing_kit.tools.grading.lab import (
     Lab,
     Trials,
     Values,
-    same,
+    is_same_answer,
 )
 from falconwing_kit.tools.grading.public_checks import check
 
@@ -25,5 +25,5 @@ __all__ = [
     "Trials",
     "Values",
     "check",
-    "same",
+    "is_same_answer",
 ]

@@ -1,8 +1,10 @@
-"""Collector: a student's notebook -> the source text that one of its functions needs. Nothing of it is executed.
+"""Collector: a student's notebook -> the source text that one of its functions needs. Nothing of it
+is executed.
 
-The function is found by its name, so a cell that was split, copied, moved or deleted does no harm as long as the
-function still stands somewhere in a code cell. With it go, transitively, the notebook's own functions, classes, imports
-and simple assignments that it names; the last definition of a name counts, as in a notebook run from top to bottom.
+The function is found by its name, so a cell that was split, copied, moved or deleted does no harm
+as long as the function still stands somewhere in a code cell. With it go, transitively, the
+notebook's own functions, classes, imports and simple assignments that it names; the last definition
+of a name counts, as in a notebook run from top to bottom.
 """
 
 import ast
@@ -18,24 +20,30 @@ from typing import Any
 
 from falconwing_kit.core.checks import InputError, require_file
 
-MAX_FILE, MAX_CODE = 32 << 20, 2 << 20  # bytes of a notebook with its outputs, and of its code alone
+MAX_FILE, MAX_CODE = (
+    32 << 20,
+    2 << 20,
+)  # bytes of a notebook with its outputs, and of its code alone
 MAX_PIECES = 5_000_000  # commas and brackets in the file: what its values may cost in memory
 MAX_PROBLEMS = 8
 KIT_KEY = "falconwing_kit"  # of a notebook's metadata: the kit's version that made it
 _KNOWN = frozenset(dir(builtins)) | {"__name__", "__file__"}
 _VERSION = re.compile(r"(\d{1,4})\.(\d{1,4})")
-_VERSION_BELOW_TITLE = re.compile(r"^\*Notebook of falconwing-kit (\d{1,4}\.\d{1,4})\.\*$", re.MULTILINE)
+_VERSION_BELOW_TITLE = re.compile(
+    r"^\*Notebook of falconwing-kit (\d{1,4}\.\d{1,4})\.\*$", re.MULTILINE
+)
 _MAGIC = re.compile(r"^([ \t]*)(?:[%!?]|[\w. ]+\?{1,2}[ \t]*$).*$", re.MULTILINE)
 
 
 @dataclass(frozen=True)
-class Cell:
+class SubmittedCell:
     """A cell as the student left it.
 
     Attributes:
         code: whether it is a code cell; otherwise it is text.
         text: its source.
-        role: "exercise", "check", "figure" or "answer"; empty for any other cell. The student can change it.
+        role: "exercise", "check", "figure" or "answer"; empty for any other cell. The student can
+            change it.
         name: of which exercise, figure or answer.
     """
 
@@ -54,7 +62,7 @@ class Notebook:
         kit: the version of the kit that made it; those before 0.2 did not write it.
     """
 
-    cells: tuple[Cell, ...]
+    cells: tuple[SubmittedCell, ...]
     kit: str = "0.1"
 
     @property
@@ -78,7 +86,9 @@ class Source:
 
 @dataclass(frozen=True)
 class _Statement:
-    """A top-level statement of the notebook: what it binds and which of the notebook's names it needs."""
+    """A top-level statement of the notebook: what it binds and which of the notebook's names it
+    needs.
+    """
 
     node: ast.stmt
     binds: frozenset[str]
@@ -87,11 +97,21 @@ class _Statement:
 
     @property
     def is_stub(self) -> bool:
-        """Whether it is a function still to be written: nothing but a docstring and raise NotImplementedError."""
+        """Whether it is a function still to be written: nothing but a docstring and raise
+        NotImplementedError.
+        """
         if not isinstance(self.node, ast.FunctionDef):
             return False
-        body = [each for each in self.node.body if not (isinstance(each, ast.Expr) and _is_constant(each.value))]
-        return len(body) == 1 and isinstance(body[0], ast.Raise) and "NotImplementedError" in ast.dump(body[0])
+        body = [
+            each
+            for each in self.node.body
+            if not (isinstance(each, ast.Expr) and _is_constant(each.value))
+        ]
+        return (
+            len(body) == 1
+            and isinstance(body[0], ast.Raise)
+            and "NotImplementedError" in ast.dump(body[0])
+        )
 
 
 def read_notebook(path: str | Path) -> Notebook:
@@ -118,26 +138,35 @@ def parse_notebook(data: bytes, name: str) -> Notebook:
     """
     if len(data) > MAX_FILE:
         raise InputError(
-            f"{name}: want a notebook of at most {MAX_FILE >> 20} MiB; clear its outputs and save it again"
+            f"{name}: expected a notebook of at most {MAX_FILE >> 20} MiB; clear its outputs and save it again"
         )
     if sum(map(data.count, (b",", b"[", b"{"))) > MAX_PIECES:
-        raise InputError(f"{name}: the notebook holds millions of values; clear its outputs and save it")
+        raise InputError(
+            f"{name}: the notebook holds millions of values; clear its outputs and save it"
+        )
     try:
         content = json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError, MemoryError):
-        raise InputError(f"{name}: want a Jupyter notebook, got a file that is not one; save it again") from None
+        raise InputError(
+            f"{name}: expected a Jupyter notebook, got a file that is not one; save it again"
+        ) from None
     cells = content.get("cells") if isinstance(content, dict) else None
     if not isinstance(cells, list):
-        raise InputError(f"{name}: want a notebook with cells, as Jupyter saves it today, got none; save it again")
+        raise InputError(
+            f"{name}: expected a notebook with cells, as Jupyter saves it today, got none; save it again"
+        )
     read = tuple(_read_cell(cell) for cell in cells if isinstance(cell, dict))
     notebook = Notebook(read, _kit_of(content.get("metadata"), read))
     if sum(len(cell.text) for cell in notebook.cells) > MAX_CODE:
-        raise InputError(f"{name}: want at most {MAX_CODE >> 20} MiB of text in the cells; take large data out of them")
+        raise InputError(
+            f"{name}: expected at most {MAX_CODE >> 20} MiB of text in the cells; take large data out of them"
+        )
     return notebook
 
 
 def require_notebook_of(notebook: Notebook, since: str, name: str) -> None:
-    """Raise InputError unless a notebook was made by a kit whose notebook of this lab still fits its checks.
+    """Raise InputError unless a notebook was made by a kit whose notebook of this lab still fits
+    its checks.
 
     Args:
         notebook: the student's.
@@ -155,8 +184,10 @@ def _numbers(version: str) -> tuple[int, ...]:
     return tuple(map(int, version.split(".")[:2]))
 
 
-def _kit_of(metadata: Any, cells: Iterable[Cell]) -> str:
-    """The kit's version by the notebook's metadata, or by the line below its title where metadata were lost."""
+def _kit_of(metadata: Any, cells: Iterable[SubmittedCell]) -> str:
+    """The kit's version by the notebook's metadata, or by the line below its title where metadata
+    were lost.
+    """
     written = metadata.get(KIT_KEY) if isinstance(metadata, dict) else None
     if isinstance(written, str) and _VERSION.fullmatch(written):
         return written
@@ -164,7 +195,7 @@ def _kit_of(metadata: Any, cells: Iterable[Cell]) -> str:
     return next((line[1] for line in lines if line), Notebook.kit)
 
 
-def collect(notebook: Notebook, name: str, packages: Iterable[str] = ("numpy",)) -> Source:
+def collect_source(notebook: Notebook, name: str, packages: Iterable[str] = ("numpy",)) -> Source:
     """The text of a function with all that it names in the notebook.
 
     Args:
@@ -173,7 +204,8 @@ def collect(notebook: Notebook, name: str, packages: Iterable[str] = ("numpy",))
         packages: that it may import, beside `given` and the standard library.
 
     Returns:
-        Text to be run in the box, and what is wrong with it in words; whatever the notebook holds, nothing is raised.
+        Text to be run in the box, and what is wrong with it in words; whatever the notebook holds,
+        nothing is raised.
     """
     statements, problems = _statements(notebook)
     written = [each for each in statements if each.kept and name in each.binds and not each.is_stub]
@@ -192,7 +224,9 @@ def collect(notebook: Notebook, name: str, packages: Iterable[str] = ("numpy",))
     defined = frozenset().union(*(each.binds for each in statements))
     for lost in sorted(missing):
         where = "inside an if, for, with or try" if lost in defined else "nowhere in the notebook"
-        problems.append(f"{name} uses {lost}, which is defined {where}; the grader does not have it")
+        problems.append(
+            f"{name} uses {lost}, which is defined {where}; the grader does not have it"
+        )
     return Source("\n".join(lines) + "\n", _first(problems))
 
 
@@ -200,24 +234,40 @@ def _first(problems: Iterable[str]) -> tuple[str, ...]:
     return tuple(problem[:200] for problem in dict.fromkeys(problems))[:MAX_PROBLEMS]
 
 
-def _read_cell(cell: dict[str, Any]) -> Cell:
+def _read_cell(cell: dict[str, Any]) -> SubmittedCell:
     """A cell of the file; whatever is not as it should be counts as empty."""
     source, metadata = cell.get("source", ""), cell.get("metadata")
     if isinstance(source, list):
         source = "".join(line for line in source if isinstance(line, str))
     text = source if isinstance(source, str) else ""
     marks = metadata if isinstance(metadata, dict) else {}
-    role = next((each for each in ("exercise", "check", "figure", "answer") if isinstance(marks.get(each), str)), "")
-    return Cell(cell.get("cell_type") == "code", text.replace("\r\n", "\n"), role, marks.get(role, "") if role else "")
+    role = next(
+        (
+            each
+            for each in ("exercise", "check", "figure", "answer")
+            if isinstance(marks.get(each), str)
+        ),
+        "",
+    )
+    return SubmittedCell(
+        cell.get("cell_type") == "code",
+        text.replace("\r\n", "\n"),
+        role,
+        marks.get(role, "") if role else "",
+    )
 
 
 def _statements(notebook: Notebook) -> tuple[list[_Statement], list[str]]:
-    """The top-level statements of all code cells that are Python, and what is wrong with the other cells."""
+    """The top-level statements of all code cells that are Python, and what is wrong with the other
+    cells.
+    """
     statements: list[_Statement] = []
     problems = []
     for number, text in enumerate(notebook.code, 1):
         try:
-            statements += [_read_statement(part) for node in _parse(text).body for part in _split(node)]
+            statements += [
+                _read_statement(part) for node in _parse(text).body for part in _split(node)
+            ]
         except SyntaxError as error:
             problems.append(f"code cell {number} is not Python: line {error.lineno}")
         except (ValueError, RecursionError, MemoryError):
@@ -226,7 +276,9 @@ def _statements(notebook: Notebook) -> tuple[list[_Statement], list[str]]:
 
 
 def _parse(text: str) -> ast.Module:
-    """A cell's syntax tree, without the lines that only a notebook understands (`%matplotlib`, `!ls`, `name?`)."""
+    """A cell's syntax tree, without the lines that only a notebook understands (`%matplotlib`,
+    `!ls`, `name?`).
+    """
     try:
         return ast.parse(text)
     except SyntaxError:
@@ -242,13 +294,22 @@ def _split(node: ast.stmt) -> list[ast.stmt]:
 
 def _read_statement(node: ast.stmt) -> _Statement:
     kept = isinstance(
-        node, ast.FunctionDef | ast.ClassDef | ast.Import | ast.ImportFrom | ast.Assign | ast.AnnAssign | ast.AugAssign
+        node,
+        ast.FunctionDef
+        | ast.ClassDef
+        | ast.Import
+        | ast.ImportFrom
+        | ast.Assign
+        | ast.AnnAssign
+        | ast.AugAssign,
     )
     return _Statement(node, frozenset(_bound(node)), frozenset(_needed(node)), kept)
 
 
 def _bound(node: ast.stmt) -> Iterator[str]:
-    """Names that a statement defines in the notebook; `a[0] = 1` and `a.b = 1` count as part of defining a."""
+    """Names that a statement defines in the notebook; `a[0] = 1` and `a.b = 1` count as part of
+    defining a.
+    """
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         yield node.name
     elif isinstance(node, ast.Import | ast.ImportFrom):
@@ -277,15 +338,23 @@ def _needed(node: ast.stmt) -> Iterator[str]:
 
 
 def _closure(statements: list[_Statement], name: str) -> tuple[list[_Statement], set[str]]:
-    """The statements that a name needs, in the notebook's order, and the names that no statement gives."""
-    written = {bound for each in statements if each.kept and not each.is_stub for bound in each.binds}
+    """The statements that a name needs, in the notebook's order, and the names that no statement
+    gives.
+    """
+    written = {
+        bound for each in statements if each.kept and not each.is_stub for bound in each.binds
+    }
     always = [each for each in statements if each.kept and _imports_all(each.node)]
     waiting, seen, missing = {name}.union(*(each.needs for each in always)), set(_KNOWN), set()
     chosen = {id(each) for each in always}
     while waiting:
         wanted = waiting.pop()
         seen.add(wanted)
-        found = [s for s in statements if s.kept and wanted in s.binds and not (s.is_stub and wanted in written)]
+        found = [
+            s
+            for s in statements
+            if s.kept and wanted in s.binds and not (s.is_stub and wanted in written)
+        ]
         chosen.update(id(each) for each in found)
         waiting |= {need for each in found for need in each.needs} - seen
         if not found:
@@ -296,7 +365,9 @@ def _closure(statements: list[_Statement], name: str) -> tuple[list[_Statement],
 
 
 def _imports_all(node: ast.stmt) -> bool:
-    """Whether it is an import that counts for the whole notebook: `from given import *`, `from __future__ import`."""
+    """Whether it is an import that counts for the whole notebook: `from given import *`, `from
+    __future__ import`.
+    """
     return isinstance(node, ast.ImportFrom) and (node.names[0].name == "*" or _is_future(node))
 
 

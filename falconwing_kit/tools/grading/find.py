@@ -1,8 +1,8 @@
 """Labs on the disk: a name in, its folder, its checks and its judges out.
 
-A lab's Python files are loaded by their path, under their own short names (`given`, `checks`, `hidden`), which every
-lab has. So that twelve labs do not get in each other's way, these names exist only while a file is being loaded: import
-them at the top of a file, not inside a function.
+A lab's Python files are loaded by their path, under their own short names (`given`, `checks`,
+`hidden`), which every lab has. So that twelve labs do not get in each other's way, these names
+exist only while a file is being loaded: import them at the top of a file, not inside a function.
 """
 
 import ast
@@ -15,14 +15,19 @@ from types import ModuleType
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.lab import Course, Judge, Lab
 
-_NEIGHBOURS = ("given", "checks", "hidden")  # a lab's files that import each other, in the order of loading
+_NEIGHBOURS = (
+    "given",
+    "checks",
+    "hidden",
+)  # a lab's files that import each other, in the order of loading
 
 
 def labs_folder(path: str | Path | None = None) -> Path:
     """The folder that holds the labs.
 
     Args:
-        path: where it is; None looks here, in `labs` here, one folder up (in a lab's own folder), and beside the kit.
+        path: where it is; None looks here, in `labs` here, one folder up (in a lab's own folder),
+            and beside the kit.
 
     Returns:
         A folder with at least one lab in it.
@@ -31,16 +36,24 @@ def labs_folder(path: str | Path | None = None) -> Path:
         InputError: there is no lab there.
     """
     here = Path.cwd()
-    places = [here, here / "labs", here.parent, Path(__file__).parents[3] / "labs"] if path is None else [Path(path)]
+    places = (
+        [here, here / "labs", here.parent, Path(__file__).parents[3] / "labs"]
+        if path is None
+        else [Path(path)]
+    )
     for place in places:
         if lab_folders(place):
             return place
     looked = ", ".join(str(place) for place in places)
-    raise InputError(f"labs: want a folder with labs such as lab01_sizing, found none in {looked}; say --labs FOLDER")
+    raise InputError(
+        f"labs: expected a folder with labs such as lab01_sizing, found none in {looked}; say --labs FOLDER"
+    )
 
 
 def lab_folders(labs: Path) -> list[Path]:
-    """The labs in a folder, by number; a lab is a folder such as `lab01_sizing` that holds `checks.py`."""
+    """The labs in a folder, by number; a lab is a folder such as `lab01_sizing` that holds
+    `checks.py`.
+    """
     found = labs.glob("lab[0-9][0-9]_*/checks.py")
     return sorted(checks.parent for checks in found)
 
@@ -63,17 +76,21 @@ def lab_folder(name: str | Path, labs: str | Path | None = None) -> Path:
     folders = lab_folders(labs_folder(labs))
     found = [folder for folder in folders if str(name) in (folder.name, folder.name.split("_")[0])]
     if not found:
-        raise InputError(f"{name}: want one of {', '.join(folder.name for folder in folders)}, or a lab's folder")
+        raise InputError(
+            f"{name}: expected one of {', '.join(folder.name for folder in folders)}, or a lab's folder"
+        )
     return found[0]
 
 
-def chosen_labs(names: Sequence[str], labs: str | Path | None = None) -> list[Path]:
+def select_labs(names: Sequence[str], labs: str | Path | None = None) -> list[Path]:
     """The folders of the labs that were named, or of all; Raises as `lab_folder`."""
     return [lab_folder(name, labs) for name in names] or lab_folders(labs_folder(labs))
 
 
 def notebook_path(folder: Path, *, solution: bool = False) -> Path:
-    """Where a lab's notebook is: the student's `lab03_splats/lab03.ipynb`, or the one in `solution`."""
+    """Where a lab's notebook is: the student's `lab03_splats/lab03.ipynb`, or the one in
+    `solution`.
+    """
     name = f"{folder.resolve().name.split('_')[0]}.ipynb"
     return folder / "solution" / name if solution else folder / name
 
@@ -86,27 +103,38 @@ def load_checks(folder: Path) -> Lab:
     """
     lab = getattr(load_module(folder, "checks"), "LAB", None)
     if not isinstance(lab, Lab):
-        raise InputError(f"{folder / 'checks.py'}: want LAB, a falconwing_kit.tools.grading.lab.Lab, got {lab!r}")
+        raise InputError(
+            f"{folder / 'checks.py'}: expected LAB, a falconwing_kit.tools.grading.lab.Lab, got {lab!r}"
+        )
     return lab
 
 
 def load_judges(folder: Path, course: Course) -> Mapping[str, tuple[Judge, ...]]:
     """How a lab's exercises are judged: what `judges(course)` of its `hidden.py` says.
 
-    The lab's `given.py` sees the numbers of this course meanwhile, not those of the `cohort.json` beside it.
+    The lab's `given.py` sees the numbers of this course meanwhile, not those of the `cohort.json`
+    beside it.
 
     Raises:
-        InputError: the file is missing (students do not get it), cannot be run, or leaves an exercise out.
+        InputError: the file is missing (students do not get it), cannot be run, or leaves an
+            exercise out.
     """
     wanted = {exercise.name for exercise in load_checks(folder).exercises}
-    judges: Mapping[str, tuple[Judge, ...]] = load_module(folder, "hidden", course.constants).judges(course)
+    judges: Mapping[str, tuple[Judge, ...]] = load_module(
+        folder, "hidden", course.constants
+    ).judges(course)
     if set(judges) != wanted:
-        raise InputError(f"{folder / 'hidden.py'}: want judges of {sorted(wanted)}, got {sorted(judges)}")
+        raise InputError(
+            f"{folder / 'hidden.py'}: expected judges of {sorted(wanted)}, got {sorted(judges)}"
+        )
     return judges
 
 
-def load_module(folder: Path, name: str, constants: Mapping[str, float] | None = None) -> ModuleType:
-    """A lab's file as a module; it finds its neighbours, and nothing of it stays behind for the next lab.
+def load_module(
+    folder: Path, name: str, constants: Mapping[str, float] | None = None
+) -> ModuleType:
+    """A lab's file as a module; it finds its neighbours, and nothing of it stays behind for the
+    next lab.
 
     Args:
         folder: the lab's.
@@ -123,7 +151,7 @@ def load_module(folder: Path, name: str, constants: Mapping[str, float] | None =
             if name == "hidden"
             else "take the lab's folder as it was handed out"
         )
-        raise InputError(f"{path}: want this file of the lab, found none; {hint}")
+        raise InputError(f"{path}: expected this file of the lab, found none; {hint}")
     before = _NEIGHBOURS[: _NEIGHBOURS.index(name)] if name in _NEIGHBOURS else _NEIGHBOURS
     with _names_for_a_while():
         for file in (*(folder / f"{neighbour}.py" for neighbour in before), path):
@@ -145,7 +173,9 @@ def _names_for_a_while() -> Iterator[None]:
 
 
 def _run(path: Path, constants: Mapping[str, float] | None = None) -> ModuleType:
-    """The module of a file, run under its short name; with a course's numbers in place of what COHORT is there."""
+    """The module of a file, run under its short name; with a course's numbers in place of what
+    COHORT is there.
+    """
     module = ModuleType(path.stem)
     module.__file__ = str(path.resolve())
     sys.modules[path.stem] = module
@@ -158,12 +188,16 @@ def _run(path: Path, constants: Mapping[str, float] | None = None) -> ModuleType
         raise  # the command line says how to mend a missing library
     except Exception as error:
         text = " ".join(str(error).split())
-        raise InputError(f"{path}: running it failed with {type(error).__name__}: {text}; mend the file") from error
+        raise InputError(
+            f"{path}: running it failed with {type(error).__name__}: {text}; mend the file"
+        ) from error
     return module
 
 
 def _put_constants(tree: ast.Module, constants: Mapping[str, float]) -> None:
-    """Let a file's COHORT be these numbers from the start, so that what it computes from them is right too."""
+    """Let a file's COHORT be these numbers from the start, so that what it computes from them is
+    right too.
+    """
     for node in ast.walk(tree):
         targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
         names = [target.id for target in targets if isinstance(target, ast.Name)]
@@ -172,4 +206,4 @@ def _put_constants(tree: ast.Module, constants: Mapping[str, float]) -> None:
             node.value = ast.copy_location(numbers, node)
             ast.fix_missing_locations(tree)
             return
-    raise ValueError("want an assignment COHORT = ...")
+    raise ValueError("expected an assignment COHORT = ...")

@@ -1,8 +1,9 @@
-"""Judge: one submission -> its record. What is right, with which seed and for how many points is known only here.
+"""Judge: one submission -> its record. What is right, with which seed and for how many points is
+known only here.
 
-The student's function runs in a box of its own for every exercise; here its answers are compared, on cases that nobody
-has seen before. A record says how many cases were right and in which way the others failed, never what was asked or
-answered.
+The student's function runs in a box of its own for every exercise; here its answers are compared,
+on cases that nobody has seen before. A record says how many cases were right and in which way the
+others failed, never what was asked or answered.
 """
 
 import hashlib
@@ -19,10 +20,30 @@ import numpy as np
 
 from falconwing_kit import __version__
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.grading.collect import Source, collect, parse_notebook, require_notebook_of
+from falconwing_kit.tools.grading.collect import (
+    Source,
+    collect_source,
+    parse_notebook,
+    require_notebook_of,
+)
 from falconwing_kit.tools.grading.find import load_checks, load_judges
-from falconwing_kit.tools.grading.lab import Course, Exercise, Function, Judge, Lab, Values, course_constants, total
-from falconwing_kit.tools.grading.sandbox.box import Job, StudentError, Worker, in_box, in_process
+from falconwing_kit.tools.grading.lab import (
+    Course,
+    Exercise,
+    Function,
+    Judge,
+    Lab,
+    Values,
+    course_constants,
+    total_points,
+)
+from falconwing_kit.tools.grading.sandbox.box import (
+    SandboxJob,
+    StudentError,
+    Worker,
+    process_worker,
+    sandbox_worker,
+)
 from falconwing_kit.tools.grading.submissions import Submission
 
 Record = dict[str, Any]
@@ -46,7 +67,7 @@ class Assignment:
 
 
 @dataclass(frozen=True)
-class Bench:
+class GradingContext:
     """Where functions are judged.
 
     Attributes:
@@ -63,7 +84,7 @@ class Bench:
 
     def box(self, exercise: Exercise, text: str) -> AbstractContextManager[Worker]:
         """A fresh box for a function of an exercise."""
-        job = Job(
+        job = SandboxJob(
             text,
             exercise.name,
             self.folder,
@@ -73,16 +94,17 @@ class Bench:
             exercise.seconds,
             self.lab.memory_mib,
         )
-        return in_box(job) if self.sandboxed else in_process(job)
+        return sandbox_worker(job) if self.sandboxed else process_worker(job)
 
 
 @dataclass(frozen=True)
-class Work:
+class GradingTask:
     """One submission to be graded.
 
     Attributes:
         submission: whose notebook is where.
-        seed: a recorded one; empty draws it from the assignment's secret, the student and the notebook.
+        seed: a recorded one; empty draws it from the assignment's secret, the student and the
+            notebook.
     """
 
     submission: Submission
@@ -93,7 +115,7 @@ class JudgeError(Exception):
     """A lab's own judge failed, which is not the student's doing."""
 
 
-def grade_one(work: Work, assignment: Assignment) -> Record:
+def grade_submission(work: GradingTask, assignment: Assignment) -> Record:
     """Grade one submission.
 
     Args:
@@ -101,8 +123,10 @@ def grade_one(work: Work, assignment: Assignment) -> Record:
         assignment: what it is judged by.
 
     Returns:
-        Plain texts and numbers: `status` is "graded", "unreadable" (0 points) or "error" (a person must look). The same
-        notebook, student, assignment and seed give the same record, wherever and whenever it is graded.
+        Plain texts and numbers: `status` is "graded", "unreadable" (0 points) or "error" (a person
+            must look). The same
+        notebook, student, assignment and seed give the same record, wherever and whenever it is
+        graded.
 
     Raises:
         InputError: the lab itself cannot be used.
@@ -111,8 +135,8 @@ def grade_one(work: Work, assignment: Assignment) -> Record:
     lab = load_checks(assignment.folder)
     course = Course(course_constants(lab, assignment.salt), submission.student, assignment.salt)
     judges = load_judges(assignment.folder, course)
-    bench = Bench(assignment.folder, lab, course, assignment.sandboxed)
-    record = unfinished(work, assignment, lab)
+    context = GradingContext(assignment.folder, lab, course, assignment.sandboxed)
+    record = error_record(work, assignment, lab)
     try:
         data = submission.read()
         record["sha256"] = hashlib.sha256(data).hexdigest()
@@ -122,9 +146,11 @@ def grade_one(work: Work, assignment: Assignment) -> Record:
         return record | {"status": "unreadable", "problem": str(error)[:300], "points": 0.0}
     record["seed"] = work.seed or _seed(assignment.secret, submission.student, record["sha256"])
     for exercise in lab.exercises:
-        source = collect(notebook, exercise.name, lab.packages)
+        source = collect_source(notebook, exercise.name, lab.packages)
         try:
-            result = grade_exercise(bench, exercise, source, judges[exercise.name], record["seed"])
+            result = grade_exercise(
+                context, exercise, source, judges[exercise.name], record["seed"]
+            )
         except (JudgeError, RuntimeError, OSError) as error:
             return record | {"problem": f"{exercise.name}: {error}"[:300]}
         record["exercises"][exercise.name] = result
@@ -132,7 +158,7 @@ def grade_one(work: Work, assignment: Assignment) -> Record:
     return record | {"status": "graded", "points": round(points, 4)}
 
 
-def unfinished(work: Work, assignment: Assignment, lab: Lab) -> Record:
+def error_record(work: GradingTask, assignment: Assignment, lab: Lab) -> Record:
     """The record of a submission that could not be graded: no points, and the status "error"."""
     submission = work.submission
     return {
@@ -147,23 +173,26 @@ def unfinished(work: Work, assignment: Assignment, lab: Lab) -> Record:
         "status": "error",
         "problem": submission.problem,
         "points": None,
-        "of": total(lab),
+        "of": total_points(lab),
         "exercises": {},
     }
 
 
-def grade_exercise(bench: Bench, exercise: Exercise, source: Source, judges: Sequence[Judge], seed: str) -> Record:
+def grade_exercise(
+    context: GradingContext, exercise: Exercise, source: Source, judges: Sequence[Judge], seed: str
+) -> Record:
     """Judge what a student wrote for one exercise, in a fresh box.
 
     Args:
         bench: lab, course, and kind of box.
         exercise: which.
-        source: the student's, from `collect`.
+        source: the student's, from `collect_source`.
         judges: of the exercise.
         seed: of the submission, any text; the cases follow from it and the exercise's name.
 
     Returns:
-        `right` of `cases`, `points` of `of`, `categories` (how many cases failed in which way) and `problems`.
+        `right` of `cases`, `points` of `of`, `categories` (how many cases failed in which way) and
+        `problems`.
 
     Raises:
         JudgeError: the lab's judge failed.
@@ -172,10 +201,10 @@ def grade_exercise(bench: Bench, exercise: Exercise, source: Source, judges: Seq
     digest = hashlib.sha256(f"{seed}/{exercise.name}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest, "big"))
     if source.text:
-        with bench.box(exercise, source.text) as worker:
-            results = judge(worker.call, judges, rng)
+        with context.box(exercise, source.text) as worker:
+            results = evaluate_cases(worker.call, judges, rng)
     else:
-        results = judge(_missing, judges, rng)
+        results = evaluate_cases(_missing, judges, rng)
     right = results.count("right")
     return {
         "points": round(exercise.points * right / max(len(results), 1), 4),
@@ -187,7 +216,9 @@ def grade_exercise(bench: Bench, exercise: Exercise, source: Source, judges: Seq
     }
 
 
-def judge(function: Function, judges: Sequence[Judge], rng: np.random.Generator) -> list[str]:
+def evaluate_cases(
+    function: Function, judges: Sequence[Judge], rng: np.random.Generator
+) -> list[str]:
     """Ask a function all hidden cases of an exercise.
 
     Args:
@@ -196,8 +227,8 @@ def judge(function: Function, judges: Sequence[Judge], rng: np.random.Generator)
         rng: draws the cases.
 
     Returns:
-        For each case "right", or in which way it failed: "wrong value", "wrong shape", "trial failed", "bad answer", or
-        a category of StudentError.
+        For each case "right", or in which way it failed: "wrong value", "wrong shape", "trial
+        failed", "bad answer", or a category of StudentError.
 
     Raises:
         JudgeError: drawing a case or finding its right answer failed.
@@ -220,7 +251,9 @@ class _Watched:
         self.function, self.answer, self.wanted = function, None, None
         self.is_values = isinstance(each, Values)
         self.reference = each.reference if isinstance(each, Values) else None
-        self.judge: Judge = replace(each, reference=self._right_answer) if isinstance(each, Values) else each
+        self.judge: Judge = (
+            replace(each, reference=self._right_answer) if isinstance(each, Values) else each
+        )
 
     def __call__(self, *arguments: Any) -> Any:
         self.answer = None
@@ -231,7 +264,9 @@ class _Watched:
         try:
             self.wanted = self.reference(*arguments)  # type: ignore[misc]
         except Exception as error:
-            raise JudgeError(f"the judge does not know its own answer: {type(error).__name__}") from error
+            raise JudgeError(
+                f"the judge does not know its own answer: {type(error).__name__}"
+            ) from error
         return self.wanted
 
     def outcome(self, verdict: Function) -> str:
@@ -255,7 +290,9 @@ def _shape(value: Any) -> Any:
         return [_shape(each) for each in value]
     if isinstance(value, dict):
         return {key: _shape(each) for key, each in value.items()}
-    return np.shape(value) if isinstance(value, int | float | np.ndarray | np.generic) else type(value)
+    return (
+        np.shape(value) if isinstance(value, int | float | np.ndarray | np.generic) else type(value)
+    )
 
 
 def _missing(*_: Any) -> Any:

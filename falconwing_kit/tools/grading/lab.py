@@ -1,8 +1,9 @@
-"""What a lab is made of: exercises, the checks a student sees, and the judges that only an instructor has.
+"""What a lab is made of: exercises, the checks a student sees, and the judges that only an
+instructor has.
 
-A lab is a folder, `labs/lab03_splats`. Its `checks.py` says LAB, a `Lab`; its `hidden.py` says `judges(course)`, which
-a student never gets. Both ask a student's function only through a call: they do not know whether it runs here, in the
-student's notebook, or in the grader's box.
+A lab is a folder, `labs/lab03_splats`. Its `checks.py` says LAB, a `Lab`; its `hidden.py` says
+`judges(course)`, which a student never gets. Both ask a student's function only through a call:
+they do not know whether it runs here, in the student's notebook, or in the grader's box.
 """
 
 import hashlib
@@ -14,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
-Function = Callable[..., Any]  # a student's function: arrays, numbers, strings and tuples of them in and out
+Function = Callable[
+    ..., Any
+]  # a student's function: arrays, numbers, strings and tuples of them in and out
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,9 @@ class Exercise:
         name: of the function.
         points: that the machine gives for it.
         checks: what a student can see of it.
-        through: function of the lab's `given.py` that is called in its place, with the student's function before the
-            arguments; for functions that take what cannot be sent, such as a network. Empty: called directly.
+        through: function of the lab's `given.py` that is called in its place, with the student's
+            function before the arguments; for functions that take what cannot be sent, such as a
+            network. Empty: called directly.
         seconds: that all its hidden cases may take together [s].
     """
 
@@ -93,10 +97,11 @@ class Lab:
         exercises: in the order of the notebook; their points sum to 75.
         rubric: what a person grades; its points sum to 25.
         constants: numbers that differ from course to course: lowest, highest, decimals.
-        packages: libraries that a student's functions may use, beside the standard library's mathematics and `given`.
+        packages: libraries that a student's functions may use, beside the standard library's
+            mathematics and `given`.
         memory_mib: that they may take.
-        notebook_since: version of the kit, such as "0.2", whose notebook was the first with the names that the checks
-            use today; an older notebook is refused. Empty for any.
+        notebook_since: version of the kit, such as "0.2", whose notebook was the first with the
+            names that the checks use today; an older notebook is refused. Empty for any.
     """
 
     name: str
@@ -139,13 +144,16 @@ class Values:
         return [partial(self._right, student, arguments) for arguments in (*drawn, *self.fixed)]
 
     def _right(self, student: Function, arguments: tuple[Any, ...]) -> bool:
-        wanted = self.reference(*arguments)  # before the student's function can change what it was given
-        return same(student(*arguments), wanted, self.rtol, self.atol)
+        wanted = self.reference(
+            *arguments
+        )  # before the student's function can change what it was given
+        return is_same_answer(student(*arguments), wanted, self.rtol, self.atol)
 
 
 @dataclass(frozen=True)
 class Trials:
-    """A judge: in each trial a plant of ours calls the student's function as often as it likes and says whether it did.
+    """A judge: in each trial a plant of ours calls the student's function as often as it likes and
+    says whether it did.
 
     Attributes:
         run: flies one trial, by the function and what is drawn.
@@ -161,15 +169,19 @@ class Trials:
 
 
 Judge = Values | Trials
-Judges = Callable[[Course], Mapping[str, tuple[Judge, ...]]]  # `hidden.judges`: for each exercise, its judges
+Judges = Callable[
+    [Course], Mapping[str, tuple[Judge, ...]]
+]  # `hidden.judges`: for each exercise, its judges
 
 
-def same(got: Any, wanted: Any, rtol: float = 1e-6, atol: float = 1e-9) -> bool:
-    """Whether an answer is the right one: same structure, same shape, finite where it should be, near enough.
+def is_same_answer(got: Any, wanted: Any, rtol: float = 1e-6, atol: float = 1e-9) -> bool:
+    """Whether an answer is the right one: same structure, same shape, finite where it should be,
+    near enough.
 
     Args:
         got: the answer; anything may come.
-        wanted: numbers, booleans, strings, arrays, or tuples, lists and dicts of them. A NaN wants a NaN.
+        wanted: numbers, booleans, strings, arrays, or tuples, lists and dicts of them. A NaN wants
+            a NaN.
         rtol, atol: |got - wanted| <= atol + rtol |wanted|, element by element.
 
     Returns:
@@ -179,13 +191,13 @@ def same(got: Any, wanted: Any, rtol: float = 1e-6, atol: float = 1e-9) -> bool:
         return (
             isinstance(got, Mapping)
             and set(got) == set(wanted)
-            and all(same(got[key], wanted[key], rtol, atol) for key in wanted)
+            and all(is_same_answer(got[key], wanted[key], rtol, atol) for key in wanted)
         )
     if isinstance(wanted, tuple | list):
         return (
             isinstance(got, tuple | list)
             and len(got) == len(wanted)
-            and all(same(a, b, rtol, atol) for a, b in zip(got, wanted, strict=True))
+            and all(is_same_answer(a, b, rtol, atol) for a, b in zip(got, wanted, strict=True))
         )
     if isinstance(wanted, str | bool) or wanted is None:
         return isinstance(got, type(wanted) | np.bool_) and bool(got == wanted)
@@ -201,7 +213,9 @@ def _same_numbers(got: Any, wanted: Any, rtol: float, atol: float) -> bool:
         return False
     if right.dtype.kind == "b" or answer.dtype.kind == "b":
         return answer.dtype.kind == right.dtype.kind and bool(np.array_equal(answer, right))
-    return bool(np.allclose(answer.astype(float), right.astype(float), rtol=rtol, atol=atol, equal_nan=True))
+    return bool(
+        np.allclose(answer.astype(float), right.astype(float), rtol=rtol, atol=atol, equal_nan=True)
+    )
 
 
 def course_constants(lab: Lab, salt: str) -> dict[str, float]:
@@ -222,6 +236,6 @@ def course_constants(lab: Lab, salt: str) -> dict[str, float]:
     return numbers
 
 
-def total(lab: Lab) -> float:
+def total_points(lab: Lab) -> float:
     """Points that the machine gives for the whole lab."""
     return math.fsum(each.points for each in lab.exercises)

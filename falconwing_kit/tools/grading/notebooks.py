@@ -1,8 +1,10 @@
-"""One source, two notebooks: a lab's `lab.py` in, the text of the student's and of the solution's notebook out.
+"""One source, two notebooks: a lab's `lab.py` in, the text of the student's and of the solution's
+notebook out.
 
-The source is jupytext's py:percent: every cell begins with `# %%`, and words behind it say what the cell is for:
-`exercise="min_speed"`, `check="min_speed"`, `figure="radius"`, `[markdown] answer="q1"`, `tags=["solution"]`. What
-stands between `# BEGIN SOLUTION` and `# END SOLUTION` of an exercise is for the student to write.
+The source is jupytext's py:percent: every cell begins with `# %%`, and words behind it say what the
+cell is for: `exercise="min_speed"`, `check="min_speed"`, `figure="radius"`, `[markdown]
+answer="q1"`, `tags=["solution"]`. What stands between `# BEGIN SOLUTION` and `# END SOLUTION` of an
+exercise is for the student to write.
 """
 
 import json
@@ -21,9 +23,12 @@ KINDS = ("exercise", "check", "figure", "answer")
 YOUR_ANSWER = "*Your answer:*"
 KIT = ".".join(__version__.split(".")[:2])  # what a notebook says of the kit it was made by
 _SOLUTION = re.compile(
-    r"^([ \t]*)# BEGIN SOLUTION\n(.*?)^[ \t]*# END SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE | re.DOTALL
+    r"^([ \t]*)# BEGIN SOLUTION\n(.*?)^[ \t]*# END SOLUTION[ \t]*(?:\n|\Z)",
+    re.MULTILINE | re.DOTALL,
 )
-_FOR_THE_FORMATTER = re.compile(r"[ \t]*# (?:fmt: (?:skip|off|on)|noqa\b.*)$", re.MULTILINE)  # nothing for students
+_FOR_THE_FORMATTER = re.compile(
+    r"[ \t]*# (?:fmt: (?:skip|off|on)|noqa\b.*)$", re.MULTILINE
+)  # nothing for students
 _MARKER = re.compile(r"^[ \t]*# (?:BEGIN|END) SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE)
 _GO_TO_THE_LAB = """\
 # Jupyter starts in this notebook's folder; what the lab needs lies one folder up.
@@ -34,13 +39,14 @@ if not os.path.exists("given.py"):
 
 
 @dataclass(frozen=True)
-class Cell:
+class SourceCell:
     """One cell of a lab's source.
 
     Attributes:
         text: as written, with the markers of the solution.
         markdown: text for people; otherwise Python.
-        kind, name: what it is for: one of KINDS and its name, such as "exercise" and "min_speed"; else empty.
+        kind, name: what it is for: one of KINDS and its name, such as "exercise" and "min_speed";
+            else empty.
         solution_only: left out of the student's notebook.
     """
 
@@ -63,7 +69,7 @@ class Cell:
         return _MARKER.sub("", self.text).rstrip("\n")
 
 
-def read_cells(source: Path) -> list[Cell]:
+def read_cells(source: Path) -> list[SourceCell]:
     """The cells of a lab's source.
 
     Args:
@@ -76,29 +82,37 @@ def read_cells(source: Path) -> list[Cell]:
     import jupytext
 
     if not source.is_file():
-        raise FileNotFoundError(f"{source}: want the lab's source, found none")
+        raise FileNotFoundError(f"{source}: expected the lab's source, found none")
     notebook = jupytext.reads(source.read_text(encoding="utf-8"), fmt="py:percent")
     cells = [_cell(source, cell) for cell in notebook.cells]
     names = [(cell.kind, cell.name) for cell in cells if cell.kind]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
-        raise InputError(f"{source}: want every name once, got twice: {' '.join(sorted(twice)[0])}")
+        raise InputError(
+            f"{source}: expected every name once, got twice: {' '.join(sorted(twice)[0])}"
+        )
     return cells
 
 
-def _cell(source: Path, cell: Any) -> Cell:
+def _cell(source: Path, cell: Any) -> SourceCell:
     metadata = {key: cell.metadata[key] for key in (*KINDS, "tags") if key in cell.metadata}
     markdown, kinds = cell.cell_type == "markdown", [kind for kind in KINDS if kind in metadata]
     name = str(metadata[kinds[0]]) if kinds else ""
     where = f"{source}: the cell {name or cell.source.strip().splitlines()[:1]}"
     if len(kinds) > 1 or (kinds and markdown != (kinds[0] == "answer")):
-        raise InputError(f"{where}: want one of {KINDS}, and answers alone in markdown, got {kinds}")
+        raise InputError(
+            f"{where}: expected one of {KINDS}, and answers alone in markdown, got {kinds}"
+        )
     written = len(_SOLUTION.findall(cell.source))
     if written != int(kinds == ["exercise"]) or len(_MARKER.findall(cell.source)) != 2 * written:
-        raise InputError(f"{where}: want BEGIN SOLUTION and END SOLUTION once in an exercise and nowhere else")
-    if kinds == ["exercise"] and not re.search(rf"^def {re.escape(name)}\(", cell.source, re.MULTILINE):
-        raise InputError(f"{where}: want the function {name} in the exercise of that name")
-    return Cell(
+        raise InputError(
+            f"{where}: expected BEGIN SOLUTION and END SOLUTION once in an exercise and nowhere else"
+        )
+    if kinds == ["exercise"] and not re.search(
+        rf"^def {re.escape(name)}\(", cell.source, re.MULTILINE
+    ):
+        raise InputError(f"{where}: expected the function {name} in the exercise of that name")
+    return SourceCell(
         text=_FOR_THE_FORMATTER.sub("", cell.source),
         markdown=markdown,
         kind=kinds[0] if kinds else "",
@@ -115,7 +129,8 @@ def build(folder: Path) -> dict[Path, str]:
         folder: the lab's, with `lab.py` in it.
 
     Returns:
-        For the path of each notebook what shall stand in it; the same source always gives the same text.
+        For the path of each notebook what shall stand in it; the same source always gives the same
+        text.
 
     Raises:
         FileNotFoundError, InputError: as `read_cells`.
@@ -123,7 +138,7 @@ def build(folder: Path) -> dict[Path, str]:
     cells = _with_version(read_cells(folder / "lab.py"))
     student = [(cell, cell.for_student()) for cell in cells if not cell.solution_only]
     solution = [(cell, cell.for_solution()) for cell in cells]
-    start = Cell(_GO_TO_THE_LAB, solution_only=True)
+    start = SourceCell(_GO_TO_THE_LAB, solution_only=True)
     solution.insert(1, (start, start.text))  # below the title
     return {
         notebook_path(folder): notebook_text(student),
@@ -131,22 +146,30 @@ def build(folder: Path) -> dict[Path, str]:
     }
 
 
-def _with_version(cells: list[Cell]) -> list[Cell]:
-    """The cells with the kit's version below the title, where a program that drops a notebook's metadata leaves it."""
+def _with_version(cells: list[SourceCell]) -> list[SourceCell]:
+    """The cells with the kit's version below the title, where a program that drops a notebook's
+    metadata leaves it.
+    """
     first = next((i for i, cell in enumerate(cells) if cell.markdown and not cell.kind), None)
     if first is None:
         return cells
-    title = replace(cells[first], text=f"{cells[first].text.rstrip()}\n\n*Notebook of falconwing-kit {KIT}.*")
+    title = replace(
+        cells[first], text=f"{cells[first].text.rstrip()}\n\n*Notebook of falconwing-kit {KIT}.*"
+    )
     return [*cells[:first], title, *cells[first + 1 :]]
 
 
-def notebook_text(cells: list[tuple[Cell, str]]) -> str:
+def notebook_text(cells: list[tuple[SourceCell, str]]) -> str:
     """A notebook's file: format 4.5, as JupyterLab writes it, with ids that count the cells."""
     record = {
         "cells": [_cell_record(number, cell, text) for number, (cell, text) in enumerate(cells)],
         "metadata": {
             KIT_KEY: KIT,
-            "kernelspec": {"display_name": "Python 3 (ipykernel)", "language": "python", "name": "python3"},
+            "kernelspec": {
+                "display_name": "Python 3 (ipykernel)",
+                "language": "python",
+                "name": "python3",
+            },
             "language_info": {"name": "python"},
         },
         "nbformat": 4,
@@ -155,7 +178,7 @@ def notebook_text(cells: list[tuple[Cell, str]]) -> str:
     return json.dumps(record, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
 
 
-def _cell_record(number: int, cell: Cell, text: str) -> dict[str, Any]:
+def _cell_record(number: int, cell: SourceCell, text: str) -> dict[str, Any]:
     record: dict[str, Any] = {
         "cell_type": "markdown" if cell.markdown else "code",
         "id": f"cell-{number:02d}",
@@ -184,6 +207,10 @@ def write_notebooks(folder: Path) -> list[Path]:
 
 
 def stale_notebooks(folder: Path) -> list[Path]:
-    """The lab's notebooks that are not what its source says, be they missing, old or edited by hand."""
+    """The lab's notebooks that are not what its source says, be they missing, old or edited by
+    hand.
+    """
     texts = build(folder)
-    return [p for p, text in texts.items() if not p.is_file() or p.read_text(encoding="utf-8") != text]
+    return [
+        p for p, text in texts.items() if not p.is_file() or p.read_text(encoding="utf-8") != text
+    ]

@@ -6,7 +6,8 @@ In a notebook that lies in its lab's folder:
 
     check(min_speed)
 
-A check never stops the notebook and gives no points: it says what to look at. The grading's hidden cases are others.
+A check never stops the notebook and gives no points: it says what to look at. The grading's hidden
+cases are others.
 """
 
 import dis
@@ -23,31 +24,42 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.grading.collect import Source, collect, read_notebook, require_notebook_of
+from falconwing_kit.tools.grading.collect import (
+    Source,
+    collect_source,
+    read_notebook,
+    require_notebook_of,
+)
 from falconwing_kit.tools.grading.find import lab_folder, load_checks, load_module
 from falconwing_kit.tools.grading.lab import Check, Exercise, Function, Lab
-from falconwing_kit.tools.grading.sandbox.box import Job, StudentError, Worker, in_process
+from falconwing_kit.tools.grading.sandbox.box import (
+    SandboxJob,
+    StudentError,
+    Worker,
+    process_worker,
+)
 
 SYMBOLS = {"passed": "✓", "failed": "✗", "not written": "○"}
 _CATEGORIES = {  # of a StudentError that may end the process, as what the function did
     "timeout": "took too long",
     "memory": "took too much memory",
     "died": "ended Python",
-    "bad answer": "gave what is no answer: want numbers, texts, arrays, or tuples, lists and dicts of them",
+    "bad answer": "gave what is no answer: expected numbers, texts, arrays, or tuples, lists and dicts of them",
 }
 _NOT_WRITTEN = ("not written", "missing")
 _PLAIN = {"✓": "+", "✗": "x", "○": "o"}  # for terminals that cannot print the others
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CheckOutcome:
     """How one check of one function came out.
 
     Attributes:
         claim: what a right function does.
         state: "passed", "failed" or "not written".
         hint: what to look at; empty where the check passed.
-        said: what the function gave or raised when it was called last; empty where the check passed.
+        said: what the function gave or raised when it was called last; empty where the check
+            passed.
     """
 
     claim: str
@@ -56,12 +68,13 @@ class Outcome:
     said: str = ""
 
 
-def run_checks(exercise: Exercise, function: Function) -> list[Outcome]:
+def run_checks(exercise: Exercise, function: Function) -> list[CheckOutcome]:
     """Try every public check of an exercise.
 
     Args:
         exercise: whose checks.
-        function: the student's, here or behind a worker; what it raises is an outcome, never an error.
+        function: the student's, here or behind a worker; what it raises is an outcome, never an
+            error.
 
     Returns:
         One outcome for each check.
@@ -69,7 +82,7 @@ def run_checks(exercise: Exercise, function: Function) -> list[Outcome]:
     return [_try(each, function) for each in exercise.checks]
 
 
-def state_of(outcomes: Iterable[Outcome]) -> str:
+def exercise_state(outcomes: Iterable[CheckOutcome]) -> str:
     """Of a whole exercise: "not written" if that is how it is, "passed" only if every check passed."""
     states = {outcome.state for outcome in outcomes}
     return next((state for state in ("not written", "failed") if state in states), "passed")
@@ -82,31 +95,35 @@ class _Watched:
         self.function, self.said, self.raised, self.written = function, "", False, True
 
     def __call__(self, *arguments: Any) -> Any:
-        call = f"called with ({', '.join(map(_short, arguments))}) it"
+        call = f"called with ({', '.join(map(_shorten, arguments))}) it"
         self.raised = True
         try:
             answer = self.function(*arguments)
         except Exception as error:
             category = getattr(error, "category", "")  # of a StudentError
-            self.written = not isinstance(error, NotImplementedError) and category not in _NOT_WRITTEN
+            self.written = (
+                not isinstance(error, NotImplementedError) and category not in _NOT_WRITTEN
+            )
             self.said = f"{call} {_CATEGORIES.get(category) or f'raised {_in_words(error)}'}"
             raise
-        self.said, self.raised = f"{call} gave {_short(answer)}", False
+        self.said, self.raised = f"{call} gave {_shorten(answer)}", False
         return answer
 
 
-def _try(each: Check, function: Function) -> Outcome:
+def _try(each: Check, function: Function) -> CheckOutcome:
     watched, unusable = _Watched(function), ""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's, about a nan that a check may ask for
+            warnings.simplefilter(
+                "ignore", RuntimeWarning
+            )  # NumPy's, about a nan that a check may ask for
             if bool(each.holds(watched)):
-                return Outcome(each.claim, "passed")
+                return CheckOutcome(each.claim, "passed")
     except Exception as error:
         unusable = "" if watched.raised else f", which could not be used: {_in_words(error)}"
     if not watched.written:
-        return Outcome(each.claim, "not written")
-    return Outcome(each.claim, "failed", each.hint, watched.said + unusable)
+        return CheckOutcome(each.claim, "not written")
+    return CheckOutcome(each.claim, "failed", each.hint, watched.said + unusable)
 
 
 def _in_words(error: Exception) -> str:
@@ -117,15 +134,19 @@ def _in_words(error: Exception) -> str:
     return f"{type(error).__name__}: {text[:200]}" if text else type(error).__name__
 
 
-def _short(value: Any) -> str:
+def _shorten(value: Any) -> str:
     """A value as a few words on one line; large arrays by their shape."""
     if isinstance(value, np.ndarray) and value.size > 16:
         return f"an array of shape {value.shape}"
     if isinstance(value, np.ndarray | np.generic):
-        return _cut(np.array2string(np.asarray(value), precision=6, separator=", ", threshold=17, max_line_width=400))
+        return _cut(
+            np.array2string(
+                np.asarray(value), precision=6, separator=", ", threshold=17, max_line_width=400
+            )
+        )
     if isinstance(value, tuple | list) and len(value) <= 6:
         left, right = "()" if isinstance(value, tuple) else "[]"
-        return _cut(left + ", ".join(map(_short, value)) + right)
+        return _cut(left + ", ".join(map(_shorten, value)) + right)
     return _cut(f"{value:.6g}" if isinstance(value, float) else repr(value))
 
 
@@ -145,16 +166,16 @@ def check(function: Function) -> None:
         name = getattr(function, "__name__", repr(function))
         names = [exercise.name for exercise in lab.exercises]
         if name not in names:
-            raise InputError(f"check: want one of the functions {', '.join(names)}, got {name}")
+            raise InputError(f"check: expected one of the functions {', '.join(names)}, got {name}")
         exercise = lab.exercise(name)
         outcomes = run_checks(exercise, _as_called(folder, exercise, function))
         lines = report_lines(name, outcomes, foreign_modules(function, lab.packages))
     except Exception as error:  # a check must not stop a notebook, whatever the student changed
         lines = [f"this could not be checked: {error}"]
-    print("\n".join(map(printable, lines)))
+    print("\n".join(map(to_printable, lines)))
 
 
-def report_lines(name: str, outcomes: list[Outcome], foreign: Iterable[str] = ()) -> list[str]:
+def report_lines(name: str, outcomes: list[CheckOutcome], foreign: Iterable[str] = ()) -> list[str]:
     """What a student reads about one function.
 
     Args:
@@ -163,18 +184,22 @@ def report_lines(name: str, outcomes: list[Outcome], foreign: Iterable[str] = ()
         foreign: libraries that it uses and that the grader does not have.
     """
     passed = sum(outcome.state == "passed" for outcome in outcomes)
-    if state_of(outcomes) == "not written":
-        lines = [f"{SYMBOLS['not written']} {name}: not written yet; {len(outcomes)} public checks wait for it"]
+    if exercise_state(outcomes) == "not written":
+        lines = [
+            f"{SYMBOLS['not written']} {name}: not written yet; {len(outcomes)} public checks wait for it"
+        ]
     else:
-        state = state_of(outcomes)
+        state = exercise_state(outcomes)
         lines = [f"{SYMBOLS[state]} {name}: {passed} of {len(outcomes)} public checks passed"]
         for outcome in outcomes:
             lines.append(f"   {SYMBOLS[outcome.state]} {outcome.state}: {outcome.claim}")
             lines += [f"       {words}" for words in (outcome.said, outcome.hint) if words]
-    return lines + [f"   ! {name} uses {module}, which the grader does not have" for module in sorted(foreign)]
+    return lines + [
+        f"   ! {name} uses {module}, which the grader does not have" for module in sorted(foreign)
+    ]
 
 
-def printable(text: str) -> str:
+def to_printable(text: str) -> str:
     """The text with symbols that this terminal can print."""
     try:
         text.encode(getattr(sys.stdout, "encoding", None) or "ascii")
@@ -185,7 +210,8 @@ def printable(text: str) -> str:
 
 
 def foreign_modules(function: Function, packages: Iterable[str]) -> set[str]:
-    """Modules that a function uses, itself or through the notebook's other functions, beyond what the grader has.
+    """Modules that a function uses, itself or through the notebook's other functions, beyond what
+    the grader has.
 
     Args:
         function: from the notebook.
@@ -200,29 +226,33 @@ def foreign_modules(function: Function, packages: Iterable[str]) -> set[str]:
         if code is None or id(code) in seen:
             continue
         seen.add(id(code))
-        for name, value in _named(code, function.__globals__):
+        for name, value in _named_modules(code, function.__globals__):
             used.add(name)
             if isinstance(value, types.FunctionType) and value.__module__ == function.__module__:
                 waiting.append(value)
     return {name for name in used if name.split(".")[0] not in allowed}
 
 
-def _named(code: types.CodeType, around: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+def _named_modules(code: types.CodeType, around: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """The module, and the value, of everything global that a piece of code names or imports."""
     for step in dis.get_instructions(code):
         if step.opname == "IMPORT_NAME":
             yield step.argval, None
         elif step.opname in ("LOAD_GLOBAL", "LOAD_NAME") and step.argval in around:
             value = around[step.argval]
-            home = value.__name__ if isinstance(value, types.ModuleType) else getattr(value, "__module__", None)
+            home = (
+                value.__name__
+                if isinstance(value, types.ModuleType)
+                else getattr(value, "__module__", None)
+            )
             yield home or type(value).__module__, value
     for inner in code.co_consts:
         if isinstance(inner, types.CodeType):
-            yield from _named(inner, around)
+            yield from _named_modules(inner, around)
 
 
 @dataclass(frozen=True)
-class Report:
+class ExerciseReport:
     """One exercise of a notebook file, checked.
 
     Attributes:
@@ -232,12 +262,13 @@ class Report:
     """
 
     name: str
-    outcomes: list[Outcome]
+    outcomes: list[CheckOutcome]
     problems: tuple[str, ...]
 
 
-def check_notebook(folder: Path, notebook: Path) -> list[Report]:
-    """Run a lab's public checks on the functions of a notebook file, in a plain process and without the notebook.
+def check_notebook(folder: Path, notebook: Path) -> list[ExerciseReport]:
+    """Run a lab's public checks on the functions of a notebook file, in a plain process and without
+    the notebook.
 
     Args:
         folder: the lab's.
@@ -247,30 +278,43 @@ def check_notebook(folder: Path, notebook: Path) -> list[Report]:
         One report for each exercise, in the lab's order.
 
     Raises:
-        FileNotFoundError, InputError: the notebook cannot be read or is one of an older kit, or the lab's files cannot
-            be used.
+        FileNotFoundError, InputError: the notebook cannot be read or is one of an older kit, or the
+            lab's files cannot be used.
     """
     lab, cells = load_checks(folder), read_notebook(notebook)
     require_notebook_of(cells, lab.notebook_since, notebook.name)
-    sources = {exercise.name: collect(cells, exercise.name, lab.packages) for exercise in lab.exercises}
+    sources = {
+        exercise.name: collect_source(cells, exercise.name, lab.packages)
+        for exercise in lab.exercises
+    }
     with _Functions(folder, lab, sources) as functions:
         return [
-            Report(each.name, run_checks(each, functions.function(each.name)), sources[each.name].problems)
+            ExerciseReport(
+                each.name,
+                run_checks(each, functions.function(each.name)),
+                sources[each.name].problems,
+            )
             for each in lab.exercises
         ]
 
 
 class _Functions:
-    """All functions of a notebook in one process, since loading torch for each would take most of the time.
+    """All functions of a notebook in one process, since loading torch for each would take most of
+    the time.
 
-    A function that ends the process is not called again, and costs the others nothing: they get a new one.
+    A function that ends the process is not called again, and costs the others nothing: they get a
+        new one.
     """
 
     def __init__(self, folder: Path, lab: Lab, sources: Mapping[str, Source]) -> None:
         texts = {name: source.text for name, source in sources.items()}
         through = {exercise.name: exercise.through for exercise in lab.exercises}
-        loads = [f"import {package}" for package in lab.packages if any(package in text for text in texts.values())]
-        self._job = Job(
+        loads = [
+            f"import {package}"
+            for package in lab.packages
+            if any(package in text for text in texts.values())
+        ]
+        self._job = SandboxJob(
             text="\n".join([*loads, f"TEXTS, THROUGH = {texts!r}, {through!r}", _ASK]),
             function="ask",
             folder=folder,
@@ -295,7 +339,7 @@ class _Functions:
             if name in self._ended:
                 raise StudentError(self._ended[name])
             if self._worker is None:
-                self._worker = self._stack.enter_context(in_process(self._job))
+                self._worker = self._stack.enter_context(process_worker(self._job))
             try:
                 return self._worker.call(name, *arguments)
             except StudentError as error:
@@ -340,9 +384,14 @@ def _as_called(folder: Path, exercise: Exercise, function: Function) -> Function
 
 def _lab_here() -> tuple[Path, Lab]:
     """The lab in whose folder this notebook runs."""
-    here = next((place for place in (Path.cwd(), Path.cwd().parent) if (place / "checks.py").is_file()), None)
+    here = next(
+        (place for place in (Path.cwd(), Path.cwd().parent) if (place / "checks.py").is_file()),
+        None,
+    )
     if here is None:
-        raise InputError(f"want the notebook to run in its lab's folder, with checks.py in it, this is {Path.cwd()}")
+        raise InputError(
+            f"expected the notebook to run in its lab's folder, with checks.py in it, this is {Path.cwd()}"
+        )
     folder = lab_folder(here)
     times = tuple((folder / name).stat().st_mtime_ns for name in ("checks.py", "given.py"))
     return folder, _loaded(folder, times)

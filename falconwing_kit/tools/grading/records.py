@@ -38,10 +38,12 @@ def open_run(out: Path, lab: str, salt: str, *, sandboxed: bool, go_on: bool) ->
     Raises:
         InputError: there are records and `go_on` is False, or they are of another lab or course.
     """
-    wanted = {"lab": lab, "course": course_mark(salt), "sandboxed": sandboxed}
+    wanted = {"lab": lab, "course": salt_fingerprint(salt), "sandboxed": sandboxed}
     file = out / RUN
     if (out / RECORDS).exists() and not go_on:
-        raise InputError(f"{out}: want a new folder, found records; say --resume, --regrade or another --out")
+        raise InputError(
+            f"{out}: expected a new folder, found records; say --resume, --regrade or another --out"
+        )
     if not file.exists():
         out.mkdir(parents=True, exist_ok=True)
         with atomic_write(file, text=True) as handle:
@@ -51,10 +53,14 @@ def open_run(out: Path, lab: str, salt: str, *, sandboxed: bool, go_on: bool) ->
         run: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
         secret = str(run.pop("secret"))
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{file}: want what an earlier run wrote, got something else; choose another --out") from None
+        raise InputError(
+            f"{file}: expected what an earlier run wrote, got something else; choose another --out"
+        ) from None
     if run != wanted:
         changed = ", ".join(name for name in wanted if run.get(name) != wanted[name])
-        raise InputError(f"{out}: want the lab, salt and sandbox of its earlier run, got another {changed}")
+        raise InputError(
+            f"{out}: expected the lab, salt and sandbox of its earlier run, got another {changed}"
+        )
     return secret
 
 
@@ -68,20 +74,26 @@ def require_run(out: Path, lab: str, salt: str) -> None:
         run = json.loads((out / RUN).read_text(encoding="utf-8"))
         found = run["lab"], run["course"]
     except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(f"{out}: want the folder that `grade --out` wrote, found no run in it") from None
+        raise InputError(
+            f"{out}: expected the folder that `grade --out` wrote, found no run in it"
+        ) from None
     if found[0] != lab:
-        raise InputError(f"{out}: want records of {lab}, found those of {found[0]}")
-    if found[1] != course_mark(salt):
-        raise InputError(f"{out}: want the --salt that this lab was graded with, got another one or none")
+        raise InputError(f"{out}: expected records of {lab}, found those of {found[0]}")
+    if found[1] != salt_fingerprint(salt):
+        raise InputError(
+            f"{out}: expected the --salt that this lab was graded with, got another one or none"
+        )
 
 
-def course_mark(salt: str) -> str:
+def salt_fingerprint(salt: str) -> str:
     """What is kept of a course's salt."""
     return hashlib.sha256(salt.encode()).hexdigest()[:16]
 
 
-def read_records(out: Path) -> list[Record]:
-    """All records of a folder, in the order of writing; a line that a kill cut short is passed over."""
+def read_grade_records(out: Path) -> list[Record]:
+    """All records of a folder, in the order of writing; a line that a kill cut short is passed
+    over.
+    """
     file = out / RECORDS
     records = []
     for line in file.read_bytes().split(b"\n") if file.exists() else ():
@@ -120,7 +132,7 @@ def append_record(out: Path, record: Mapping[str, Any]) -> None:
         raise write_error(file, error) from None
 
 
-def write_gradebook(out: Path, exercises: Sequence[str], records: Iterable[Record]) -> Path:
+def write_points_table(out: Path, exercises: Sequence[str], records: Iterable[Record]) -> Path:
     """Write the gradebook.
 
     Args:
@@ -138,7 +150,12 @@ def write_gradebook(out: Path, exercises: Sequence[str], records: Iterable[Recor
         done = record["exercises"]
         points = [done[name]["points"] if name in done else "" for name in exercises]
         ends = ("points", "of", "status", "problem", "sandboxed")
-        writer.writerow([spreadsheet_cell(value) for value in (student, *points, *(record[each] for each in ends))])
+        writer.writerow(
+            [
+                spreadsheet_cell(value)
+                for value in (student, *points, *(record[each] for each in ends))
+            ]
+        )
     with atomic_write(out / GRADEBOOK, text=True) as handle:
         handle.write(table.getvalue())
     return out / GRADEBOOK
@@ -148,4 +165,8 @@ def spreadsheet_cell(value: object) -> object:
     """A value for a spreadsheet, which takes a text that begins like a formula for one."""
     if value is None:
         return ""
-    return f"'{value}" if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r") else value
+    return (
+        f"'{value}"
+        if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r")
+        else value
+    )

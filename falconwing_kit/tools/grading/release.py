@@ -1,4 +1,5 @@
-"""What an instructor hands out: labs and a roster in, a folder for the students out, without solutions or hidden cases.
+"""What an instructor hands out: labs and a roster in, a folder for the students out, without
+solutions or hidden cases.
 
 OUT/README.md                                the route
 OUT/lab01_sizing/                            notebook, given.py, checks.py, cohort.json, data/
@@ -29,7 +30,8 @@ def read_roster(path: Path) -> list[str]:
     """Who takes the course.
 
     Args:
-        path: a CSV file with a column `student`, such as a learning platform's user names; others are passed over.
+        path: a CSV file with a column `student`, such as a learning platform's user names; others
+            are passed over.
 
     Returns:
         The names, in the file's order.
@@ -42,38 +44,53 @@ def read_roster(path: Path) -> list[str]:
     with path.open(encoding="utf-8-sig", newline="") as handle:
         reader = csv.DictReader(handle)
         if "student" not in (reader.fieldnames or ()):
-            raise InputError(f"{path}: want a column called student, got {', '.join(reader.fieldnames or ['nothing'])}")
+            raise InputError(
+                f"{path}: expected a column called student, got {', '.join(reader.fieldnames or ['nothing'])}"
+            )
         students = [(row["student"] or "").strip() for row in reader]
     for student in students:
         if not _STUDENT.fullmatch(student):
-            raise InputError(f"{path}: want user names of letters, digits and . _ @ + -, got {student!r}")
+            raise InputError(
+                f"{path}: expected user names of letters, digits and . _ @ + -, got {student!r}"
+            )
         if students.count(student) > 1:
-            raise InputError(f"{path}: want every student once, got {student} more often; mend the list")
+            raise InputError(
+                f"{path}: expected every student once, got {student} more often; mend the list"
+            )
     return students
 
 
-def release(folders: Sequence[Path], out: Path, salt: str = "", students: Sequence[str] = ()) -> list[Path]:
+def release(
+    folders: Sequence[Path], out: Path, salt: str = "", students: Sequence[str] = ()
+) -> list[Path]:
     """Write what students get, whole or not at all.
 
     Args:
         folders: of the labs.
         out: a folder that does not exist yet, or is empty.
-        salt: the instructor's secret, which draws this course's numbers; empty gives the open course's.
+        salt: the instructor's secret, which draws this course's numbers; empty gives the open
+            course's.
         students: who gets files of their own.
 
     Returns:
         Every file that was written.
 
     Raises:
-        InputError: `out` holds something already, the salt is short, there are students but no salt, or a lab cannot
-            be used.
+        InputError: `out` holds something already, the salt is short, there are students but no
+            salt, or a lab cannot be used.
     """
     if out.is_file() or (out.is_dir() and any(out.iterdir())):
-        raise InputError(f"{out}: want a new or an empty folder, so that nothing else is handed out; choose another")
+        raise InputError(
+            f"{out}: expected a new or an empty folder, so that nothing else is handed out; choose another"
+        )
     if salt and len(salt) < MIN_SALT:
-        raise InputError(f"--salt: want at least {MIN_SALT} characters that nobody can guess, got {len(salt)}")
+        raise InputError(
+            f"--salt: expected at least {MIN_SALT} characters that nobody can guess, got {len(salt)}"
+        )
     if students and not salt:
-        raise InputError("--roster: want a --salt with it; without one every student could draw the others' files")
+        raise InputError(
+            "--roster: expected a --salt with it; without one every student could draw the others' files"
+        )
     part = out.with_name(f".{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     try:
@@ -90,8 +107,12 @@ def release(folders: Sequence[Path], out: Path, salt: str = "", students: Sequen
 
 
 def route_for_students(readme: Path) -> str:
-    """The route without its part for instructors; a line that says what this is where there is no route."""
-    text = readme.read_text(encoding="utf-8") if readme.is_file() else "# Labs of the FalconWing kit\n"
+    """The route without its part for instructors; a line that says what this is where there is no
+    route.
+    """
+    text = (
+        readme.read_text(encoding="utf-8") if readme.is_file() else "# Labs of the FalconWing kit\n"
+    )
     return text.split(INSTRUCTORS)[0].rstrip() + "\n"
 
 
@@ -100,14 +121,20 @@ def _release_lab(folder: Path, target: Path, salt: str) -> None:
     target.mkdir(parents=True)
     _write(target / notebook_path(folder).name, build(folder)[notebook_path(folder)])
     shutil.copyfile(require_file(folder / "given.py"), target / "given.py")
-    _write(target / "checks.py", without_answers(require_file(folder / "checks.py").read_text(encoding="utf-8")))
+    _write(
+        target / "checks.py",
+        without_answers(require_file(folder / "checks.py").read_text(encoding="utf-8")),
+    )
     if (folder / FOLDER).is_dir():
-        shutil.copytree(folder / FOLDER, target / FOLDER, ignore=shutil.ignore_patterns("__pycache__", ".*"))
+        shutil.copytree(
+            folder / FOLDER, target / FOLDER, ignore=shutil.ignore_patterns("__pycache__", ".*")
+        )
     _write(target / "cohort.json", cohort_text(folder, salt))
 
 
 def without_answers(checks: str) -> str:
-    """A lab's `checks.py` without what a person looks for: the third argument of every `Criterion` becomes empty.
+    """A lab's `checks.py` without what a person looks for: the third argument of every `Criterion`
+    becomes empty.
 
     Args:
         checks: the file's text.
@@ -119,8 +146,15 @@ def without_answers(checks: str) -> str:
     starts = [sum(map(len, lines[:number])) for number in range(len(lines))]
     spans = []
     for call in ast.walk(ast.parse(checks)):
-        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Criterion":
-            told = [*call.args[2:3], *(each.value for each in call.keywords if each.arg == "look_for")]
+        if (
+            isinstance(call, ast.Call)
+            and isinstance(call.func, ast.Name)
+            and call.func.id == "Criterion"
+        ):
+            told = [
+                *call.args[2:3],
+                *(each.value for each in call.keywords if each.arg == "look_for"),
+            ]
             for each in told:
                 end = starts[(each.end_lineno or each.lineno) - 1] + (each.end_col_offset or 0)
                 spans.append((starts[each.lineno - 1] + each.col_offset, end))
@@ -136,7 +170,9 @@ def cohort_text(folder: Path, salt: str = "") -> str:
 
 
 def _release_handouts(folder: Path, target: Path, salt: str, students: Sequence[str]) -> None:
-    """Every student's own files, where the lab's `hidden.py` has a function `handout` that writes them."""
+    """Every student's own files, where the lab's `hidden.py` has a function `handout` that writes
+    them.
+    """
     if not students:
         return
     constants = course_constants(load_checks(folder), salt)

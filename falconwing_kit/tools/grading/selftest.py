@@ -1,11 +1,13 @@
-"""Selftest: a lab's own notebooks, graded as a student's would be: the solution gets all points, the untouched none."""
+"""Selftest: a lab's own notebooks, graded as a student's would be: the solution gets all points,
+the untouched none.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from falconwing_kit.tools.grading.find import load_checks, notebook_path
-from falconwing_kit.tools.grading.judge import Assignment, Work, grade_one
+from falconwing_kit.tools.grading.judge import Assignment, GradingTask, grade_submission
 from falconwing_kit.tools.grading.submissions import Submission
 
 
@@ -28,7 +30,9 @@ class SelfTest:
 
     @property
     def passed(self) -> bool:
-        """Whether the solution got everything and the untouched notebook nothing, on every exercise."""
+        """Whether the solution got everything and the untouched notebook nothing, on every
+        exercise.
+        """
         nothing = dict.fromkeys(self.of, 0.0)
         return self.solution == self.of and self.untouched == nothing and not self.problems
 
@@ -45,7 +49,10 @@ def selftest(folder: Path, *, sandboxed: bool = True) -> SelfTest:
     """
     assignment = Assignment(folder, sandboxed=sandboxed)
     solution, untouched = (
-        grade_one(Work(Submission("", notebook_path(folder, solution=done)), seed="selftest"), assignment)
+        grade_submission(
+            GradingTask(Submission("", notebook_path(folder, solution=done)), seed="selftest"),
+            assignment,
+        )
         for done in (True, False)
     )
     said = [record["problem"] for record in (solution, untouched)]

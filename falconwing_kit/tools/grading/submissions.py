@@ -1,4 +1,5 @@
-"""Submissions: a notebook, a folder, or a learning platform's zip -> whose notebook is where. Nothing is unpacked.
+"""Submissions: a notebook, a folder, or a learning platform's zip -> whose notebook is where.
+Nothing is unpacked.
 
 Students are told apart by what the platform calls their files:
 
@@ -27,7 +28,15 @@ MAX_ENTRIES = 20_000  # of a zip or a folder
 _MOODLE = re.compile(r"([^/]+)_assignsubmission_")
 _CANVAS = re.compile(r"(?:^|/)([^_/]+)_(?:LATE_)?(\d+)_(?:question_\d+_)?\d+_")
 _SKIPPED = {"__MACOSX", ".ipynb_checkpoints", ".git"}
-_UNREADABLE = (OSError, zipfile.BadZipFile, RuntimeError, EOFError, ValueError, KeyError, zlib.error)
+_UNREADABLE = (
+    OSError,
+    zipfile.BadZipFile,
+    RuntimeError,
+    EOFError,
+    ValueError,
+    KeyError,
+    zlib.error,
+)
 
 
 @dataclass(frozen=True)
@@ -37,10 +46,12 @@ class Submission:
     Attributes:
         student: who, as the file's name or folder says.
         file: on the disk: the notebook, or the zip that holds it.
-        members: where the file is a zip: the notebook's name in it; two names where a zip lies in the zip.
+        members: where the file is a zip: the notebook's name in it; two names where a zip lies in
+            the zip.
         when: when it was last changed, to choose among several of one student.
         sha256: of the notebook's bytes; empty where it cannot be read.
-        problem: why it cannot be read (then `when` is empty), or what a person should know; empty if nothing.
+        problem: why it cannot be read (then `when` is empty), or what a person should know; empty
+            if nothing.
     """
 
     student: str
@@ -68,11 +79,15 @@ class Submission:
                 if not self.members:
                     return _at_most(handle)
                 data = _read_member(handle, self.members[0])
-            return _read_member(io.BytesIO(data), self.members[1]) if len(self.members) > 1 else data
+            return (
+                _read_member(io.BytesIO(data), self.members[1]) if len(self.members) > 1 else data
+            )
         except InputError:
             raise
         except _UNREADABLE as error:
-            raise InputError(f"the notebook cannot be read ({type(error).__name__}); ask for it again") from None
+            raise InputError(
+                f"the notebook cannot be read ({type(error).__name__}); ask for it again"
+            ) from None
 
 
 def find_submissions(path: str | Path, lab: str) -> list[Submission]:
@@ -80,10 +95,12 @@ def find_submissions(path: str | Path, lab: str) -> list[Submission]:
 
     Args:
         path: a notebook, a folder, or a zip.
-        lab: its name, "lab03"; of a student's several notebooks the one with this name counts, then the newest.
+        lab: its name, "lab03"; of a student's several notebooks the one with this name counts, then
+            the newest.
 
     Returns:
-        One for each student, by name; links, and files outside the folder or the zip, are not followed but reported.
+        One for each student, by name; links, and files outside the folder or the zip, are not
+        followed but reported.
 
     Raises:
         InputError: there is nothing at the path, or no notebook.
@@ -94,9 +111,11 @@ def find_submissions(path: str | Path, lab: str) -> list[Submission]:
     elif place.is_file():
         found = list(_in_file(place))
     else:
-        raise InputError(f"{place}: want a notebook, a folder of notebooks or a zip, found nothing there")
+        raise InputError(
+            f"{place}: expected a notebook, a folder of notebooks or a zip, found nothing there"
+        )
     if not found:
-        raise InputError(f"{place}: want notebooks (.ipynb) in it, found none")
+        raise InputError(f"{place}: expected notebooks (.ipynb) in it, found none")
     students: dict[str, list[Submission]] = {}
     for each in found:
         students.setdefault(each.student, []).append(each)
@@ -130,7 +149,9 @@ def _in_folder(folder: Path) -> Iterator[Submission]:
         for file in (Path(here, name) for name in sorted(files)):
             entries += 1
             if entries > MAX_ENTRIES:
-                raise InputError(f"{folder}: want at most {MAX_ENTRIES} files, found more; name the right folder")
+                raise InputError(
+                    f"{folder}: expected at most {MAX_ENTRIES} files, found more; name the right folder"
+                )
             yield from _in_file(file, PurePosixPath(file.relative_to(folder).as_posix()))
 
 
@@ -152,13 +173,18 @@ def _in_file(file: Path, path: PurePosixPath | None = None) -> Iterator[Submissi
     else:
         try:
             with _open_plain(file) as handle:
-                yield from _in_zip(handle, replace(mine, student=""), path.with_suffix("") if path else PurePosixPath())
+                yield from _in_zip(
+                    handle,
+                    replace(mine, student=""),
+                    path.with_suffix("") if path else PurePosixPath(),
+                )
         except _UNREADABLE as error:
             yield replace(mine, problem=f"not a zip that can be read: {type(error).__name__}")
 
 
 def _in_zip(handle: BinaryIO, outer: Submission, base: PurePosixPath) -> Iterator[Submission]:
-    """Notebooks in a zip, and in the zips of students in it; names that lead out of it are reported.
+    """Notebooks in a zip, and in the zips of students in it; names that lead out of it are
+    reported.
 
     Args:
         handle: the zip.
@@ -170,15 +196,24 @@ def _in_zip(handle: BinaryIO, outer: Submission, base: PurePosixPath) -> Iterato
             raise ValueError(f"more than {MAX_ENTRIES} files")
         for entry in archive.infolist():
             path = PurePosixPath(entry.filename.replace("\\", "/"))
-            if path.suffix.lower() not in (".ipynb", ".zip") or set(path.parts) & _SKIPPED or entry.is_dir():
+            if (
+                path.suffix.lower() not in (".ipynb", ".zip")
+                or set(path.parts) & _SKIPPED
+                or entry.is_dir()
+            ):
                 continue
             place = (*outer.members, entry.filename)
             found = replace(
-                outer, student=student_of(base / path), members=place, when=tuple(map(float, entry.date_time))
+                outer,
+                student=student_of(base / path),
+                members=place,
+                when=tuple(map(float, entry.date_time)),
             )
             if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
                 name = student_of(PurePosixPath(path.name))
-                yield replace(found, student=name, when=(), problem="a name that leads out of the zip")
+                yield replace(
+                    found, student=name, when=(), problem="a name that leads out of the zip"
+                )
             elif stat.S_ISLNK(entry.external_attr >> 16):
                 yield replace(found, when=(), problem="a link, which is not followed")
             elif path.suffix.lower() == ".ipynb":
@@ -189,7 +224,9 @@ def _in_zip(handle: BinaryIO, outer: Submission, base: PurePosixPath) -> Iterato
                 yield from _in_inner_zip(archive, found, base / path.with_suffix(""))
 
 
-def _in_inner_zip(archive: zipfile.ZipFile, found: Submission, base: PurePosixPath) -> Iterator[Submission]:
+def _in_inner_zip(
+    archive: zipfile.ZipFile, found: Submission, base: PurePosixPath
+) -> Iterator[Submission]:
     try:
         yield from _in_zip(io.BytesIO(_at_most(archive.open(found.members[-1]))), found, base)
     except (InputError, *_UNREADABLE) as error:
@@ -205,13 +242,17 @@ def _at_most(handle: IO[bytes]) -> bytes:
     """What is in a file, if it is not too much; what a zip says about a size is not believed."""
     data = handle.read(MAX_FILE + 1)
     if len(data) > MAX_FILE:
-        raise InputError(f"want a notebook of at most {MAX_FILE >> 20} MiB; clear its outputs and save it")
+        raise InputError(
+            f"expected a notebook of at most {MAX_FILE >> 20} MiB; clear its outputs and save it"
+        )
     return data
 
 
 def _open_plain(file: Path) -> BinaryIO:
     """A file opened for reading if it is one: no link, no pipe, no device."""
-    handle = os.open(file, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+    handle = os.open(
+        file, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    )
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
         raise OSError("not a plain file")
@@ -222,7 +263,9 @@ def _chosen(several: list[Submission], lab: str) -> Submission:
     """The one that counts of a student's notebooks: of this lab, readable, the newest."""
     best = max(several, key=lambda each: (lab in each.name, not each.problem, each.when, each.name))
     if len(several) > 1 and not best.problem:
-        return replace(best, problem=f"one of {len(several)} notebooks of this student: {best.name}")
+        return replace(
+            best, problem=f"one of {len(several)} notebooks of this student: {best.name}"
+        )
     return best
 
 

@@ -1,4 +1,6 @@
-"""Cameras as hardware: a TOML file with units in its keys -> what the picture is, what holds it, what feeds it."""
+"""Cameras as hardware: a TOML file with units in its keys -> what the picture is, what holds it,
+what feeds it.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +24,12 @@ class ImageFormat:
     fov_deg: float  # horizontal, from edge to edge
 
     def __post_init__(self) -> None:
-        for name, high in (("width_px", 16384), ("height_px", 16384), ("rate_hz", 1000.0), ("fov_deg", 175.0)):
+        for name, high in (
+            ("width_px", 16384),
+            ("height_px", 16384),
+            ("rate_hz", 1000.0),
+            ("fov_deg", 175.0),
+        ):
             require_range(name, getattr(self, name), low=1.0, high=high)
 
 
@@ -46,14 +53,16 @@ class Mount:
 
     kind: str  # one of MOUNTS
     screw_mm: float  # outer diameter of the thread
-    holes_mm: tuple[tuple[float, float], ...]  # cheeks: forward and up; plate: right and up; from the lens axis
+    holes_mm: tuple[
+        tuple[float, float], ...
+    ]  # cheeks: forward and up; plate: right and up; from the lens axis
     tilt_deg: float  # how far it can be tilted either way
 
     def __post_init__(self) -> None:
         if self.kind not in MOUNTS:
-            raise InputError(f"kind: want one of {', '.join(MOUNTS)}, got {self.kind!r}")
+            raise InputError(f"kind: expected one of {', '.join(MOUNTS)}, got {self.kind!r}")
         if not self.holes_mm:
-            raise InputError("holes_mm: want at least one hole [[0.0, 0.0]], got none")
+            raise InputError("holes_mm: expected at least one hole [[0.0, 0.0]], got none")
         require_range("screw_mm", self.screw_mm, low=1.0, high=6.0)
         require_range("tilt_deg", self.tilt_deg, low=0.0, high=60.0)
         for place in self.holes_mm:
@@ -95,8 +104,12 @@ class CameraHardware:
 
     def __post_init__(self) -> None:
         require_range("mass_g", self.mass_g, low=0.1, high=1000.0)
-        if self.mount.kind == "cheeks" and any(abs(up) > self.body_mm.height / 2.0 for _, up in self.mount.holes_mm):
-            raise InputError("mount: want the holes in the camera's side, got one above or below its body")
+        if self.mount.kind == "cheeks" and any(
+            abs(up) > self.body_mm.height / 2.0 for _, up in self.mount.holes_mm
+        ):
+            raise InputError(
+                "mount: expected the holes in the camera's side, got one above or below its body"
+            )
 
 
 def load_camera(camera: str | Path = "analog") -> CameraHardware:
@@ -112,8 +125,17 @@ def load_camera(camera: str | Path = "analog") -> CameraHardware:
         FileNotFoundError: there is no file.
         InputError: the file is not TOML, a key is missing or unknown, or a value makes no camera.
     """
-    path = shipped_path(f"hardware/camera_{camera}.toml", "name a file") if camera in SHIPPED else Path(camera)
+    path = (
+        shipped_path(f"hardware/camera_{camera}.toml", "name a file")
+        if camera in SHIPPED
+        else Path(camera)
+    )
     found = from_toml(CameraHardware, path)
-    if found.power_filter is not None and found.supply.load_ohm <= 10.0 * found.power_filter.series_ohm:
-        raise InputError(f"{short_name(path)}: power_filter: its resistance takes over a tenth of the camera's voltage")
+    if (
+        found.power_filter is not None
+        and found.supply.load_ohm <= 10.0 * found.power_filter.series_ohm
+    ):
+        raise InputError(
+            f"{short_name(path)}: power_filter: its resistance takes over a tenth of the camera's voltage"
+        )
     return found

@@ -1,4 +1,6 @@
-"""Checklists: a TOML file -> the steps of the bench test and of the check before a flight, for terminal and manual."""
+"""Checklists: a TOML file -> the steps of the bench test and of the check before a flight, for
+terminal and manual.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,10 +25,14 @@ class Step:
 
     def __post_init__(self) -> None:
         if not self.id.isidentifier() or not (self.do and self.see and self.if_not):
-            raise InputError(f"{self.id!r}: want an id like camera_voltage, and do, see and if_not as sentences")
+            raise InputError(
+                f"{self.id!r}: expected an id like camera_voltage, and do, see and if_not as sentences"
+            )
         if self.automatic not in AUTOMATIC:
             wanted = ", ".join(AUTOMATIC[1:])
-            raise InputError(f"{self.id}: automatic: want one of {wanted} or nothing, got {self.automatic!r}")
+            raise InputError(
+                f"{self.id}: automatic: expected one of {wanted} or nothing, got {self.automatic!r}"
+            )
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,7 @@ class Checklist:
         ids = [step.id for step in self.steps]
         twice = [name for name in ids if ids.count(name) > 1]
         if not ids or twice:
-            raise InputError(f"steps: want at least one and every id once, got {twice or ids}")
+            raise InputError(f"steps: expected at least one and every id once, got {twice or ids}")
 
 
 @dataclass(frozen=True)
@@ -64,4 +70,7 @@ def load_checklists(path: str | Path | None = None) -> Checklists:
         FileNotFoundError: there is no file.
         InputError: a key is missing or unknown, or a step says too little.
     """
-    return from_toml(Checklists, shipped_path("hardware/checklists.toml", "name a file") if path is None else path)
+    return from_toml(
+        Checklists,
+        shipped_path("hardware/checklists.toml", "name a file") if path is None else path,
+    )

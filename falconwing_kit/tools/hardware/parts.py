@@ -1,7 +1,8 @@
-"""Parts: a CSV of what is bought and printed -> masses, the centre of gravity, costs, and where the paper's sum fails.
+"""Parts: a CSV of what is bought and printed -> masses, the centre of gravity, costs, and where the
+paper's sum fails.
 
-Places are measured as a modeller measures them: in millimetres behind the wing's leading edge at the root, so what sits
-ahead of the wing has a negative one.
+Places are measured as a modeller measures them: in millimetres behind the wing's leading edge at
+the root, so what sits ahead of the wing has a negative one.
 """
 
 import csv
@@ -32,7 +33,9 @@ class Item:
     quantity: int
     unit_mass: float | None  # [kg]; None where it does not fly
     mass_source: str  # where the mass is from: one of ORIGINS, and a remark behind a colon
-    x: float | None  # behind the wing's leading edge at the root [m]; None where it is inside something or stays behind
+    x: (
+        float | None
+    )  # behind the wing's leading edge at the root [m]; None where it is inside something or stays behind
     price: float | None  # of one [US dollars]; None where it is not counted
     price_source: str  # as mass_source
     used_in: str  # one of USES
@@ -54,7 +57,11 @@ class Item:
     @property
     def paper_mass(self) -> float | None:
         """The paper's mass of one [kg]; None where it gives none."""
-        return float(self.paper_value.removesuffix(" g")) / 1000.0 if self.paper_value.endswith(" g") else None
+        return (
+            float(self.paper_value.removesuffix(" g")) / 1000.0
+            if self.paper_value.endswith(" g")
+            else None
+        )
 
     @property
     def paper_price(self) -> float | None:
@@ -93,16 +100,19 @@ def load_parts(path: str | Path | None = None) -> tuple[Item, ...]:
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: a column, a cell or a reference is wrong, or a mass or price "paper" is not the paper's.
+        InputError: a column, a cell or a reference is wrong, or a mass or price "paper" is not the
+            paper's.
     """
     path = shipped_path("hardware/parts.csv", "name a file") if path is None else require_file(path)
     name = short_name(path)
     try:
         rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines(), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{name}: want a CSV in UTF-8: {error}") from None
+        raise InputError(f"{name}: expected a CSV in UTF-8: {error}") from None
     if not rows or tuple(rows[0]) != COLUMNS:
-        raise InputError(f"{name}: want the columns {','.join(COLUMNS)} in this order; got {','.join(rows[0][:20])!r}")
+        raise InputError(
+            f"{name}: expected the columns {','.join(COLUMNS)} in this order; got {','.join(rows[0][:20])!r}"
+        )
     items = []
     for number, row in enumerate(rows[1:], 2):
         try:
@@ -133,15 +143,21 @@ def roll_up(items: Sequence[Item]) -> RollUp:
     flying = [(item.mass, item.x) for item in items if item.counts]
     mass = math.fsum(m for m, _ in flying)
     if mass <= 0.0:
-        raise InputError("parts: want at least one part with used_in aircraft and a mass, got none")
+        raise InputError(
+            "parts: expected at least one part with used_in aircraft and a mass, got none"
+        )
     moment = math.fsum(m * x for m, x in flying if x is not None)
     bought = [item for item in items if item.used_in != "option"]
     costs = {
-        use: math.fsum(item.quantity * (item.price or 0.0) for item in bought if item.used_in == use)
+        use: math.fsum(
+            item.quantity * (item.price or 0.0) for item in bought if item.used_in == use
+        )
         for use in USES
         if use != "option"
     }
-    return RollUp(mass, moment / mass, costs, tuple(item.id for item in bought if item.price is None))
+    return RollUp(
+        mass, moment / mass, costs, tuple(item.id for item in bought if item.price is None)
+    )
 
 
 def with_option(items: Sequence[Item], option: str) -> tuple[Item, ...]:
@@ -159,7 +175,9 @@ def with_option(items: Sequence[Item], option: str) -> tuple[Item, ...]:
     """
     chosen = _named(items, option)
     if chosen.used_in != "option":
-        raise InputError(f"parts: want the id of an option, got {option!r}, which is used in {chosen.used_in}")
+        raise InputError(
+            f"parts: expected the id of an option, got {option!r}, which is used in {chosen.used_in}"
+        )
     others = [item for item in items if item.id not in (option, chosen.replaces)]
     return (*others, replace(chosen, used_in="aircraft"))
 
@@ -182,7 +200,7 @@ def balance_move(items: Sequence[Item], mover: str, x_goal: float) -> float:
     """
     part = _named(items, mover)
     if part.mass <= 0.0:
-        raise InputError(f"parts: want a part with a mass to move, got {mover!r} without one")
+        raise InputError(f"parts: expected a part with a mass to move, got {mover!r} without one")
     whole = roll_up(items)
     return whole.mass * (x_goal - whole.x_cg) / part.mass
 
@@ -194,13 +212,18 @@ def paper_sums(items: Sequence[Item]) -> list[tuple[str, float]]:
         items: the list; its `paper_value` and `inside` columns are used.
 
     Returns:
-        Pairs of words and mass [kg]: the sum of the paper's numbers first, then for each part that is taken to be
-        inside another one what the sum is if it is not.
+        Pairs of words and mass [kg]: the sum of the paper's numbers first, then for each part that
+        is taken to be inside another one what the sum is if it is not.
     """
     printed = [item for item in items if item.paper_mass is not None]
     base = [item for item in printed if item.counts]
     total = math.fsum(item.paper_mass or 0.0 for item in base)
-    sums = [(" + ".join(f"{1000.0 * (item.paper_mass or 0.0):g}" for item in base) + " g as printed", total)]
+    sums = [
+        (
+            " + ".join(f"{1000.0 * (item.paper_mass or 0.0):g}" for item in base) + " g as printed",
+            total,
+        )
+    ]
     for item in items:
         if item.inside and item.mass > 0.0:
             own = item.mass if item.paper_mass is None else item.paper_mass
@@ -212,20 +235,29 @@ def _named(items: Sequence[Item], name: str) -> Item:
     for item in items:
         if item.id == name:
             return item
-    raise InputError(f"parts: want one of {', '.join(item.id for item in items)}, got {name!r}")
+    raise InputError(f"parts: expected one of {', '.join(item.id for item in items)}, got {name!r}")
 
 
 def _item(row: list[str]) -> Item:
     """One row, every cell checked."""
     if len(row) != len(COLUMNS):
-        raise InputError(f"want {len(COLUMNS)} cells, got {len(row)}; put texts with commas in quotes")
-    cells: dict[str, Any] = {column: cell.strip() for column, cell in zip(COLUMNS, row, strict=True)}
+        raise InputError(
+            f"expected {len(COLUMNS)} cells, got {len(row)}; put texts with commas in quotes"
+        )
+    cells: dict[str, Any] = {
+        column: cell.strip() for column, cell in zip(COLUMNS, row, strict=True)
+    }
     quantity = require_range("quantity", cells["quantity"], low=1, high=1000)
     if not cells["id"].isidentifier() or not cells["part"] or quantity != int(quantity):
-        raise InputError(f"want an id like trainer_board, a name and a whole quantity, got {row[:3]}")
+        raise InputError(
+            f"expected an id like trainer_board, a name and a whole quantity, got {row[:3]}"
+        )
     if cells["used_in"] not in USES:
-        raise InputError(f"used_in: want one of {', '.join(USES)}, got {cells['used_in']!r}")
-    mass_g, x_mm = _number(cells, "unit_mass_g", 0.001, 1e4), _number(cells, "x_mm", -1000.0, 1000.0)
+        raise InputError(f"used_in: expected one of {', '.join(USES)}, got {cells['used_in']!r}")
+    mass_g, x_mm = (
+        _number(cells, "unit_mass_g", 0.001, 1e4),
+        _number(cells, "x_mm", -1000.0, 1000.0),
+    )
     item = Item(
         cells["id"], cells["part"], int(quantity), None if mass_g is None else mass_g / 1000.0, cells["mass_source"],
         None if x_mm is None else x_mm / 1000.0, _number(cells, "price_usd", 0.0, 1e5), cells["price_source"],
@@ -241,29 +273,39 @@ def _number(cells: dict[str, Any], column: str, low: float, high: float) -> floa
 
 
 def _check_item(item: Item) -> None:
-    """What flies has a mass and a place, every number an origin, and a number of the paper is the paper's."""
+    """What flies has a mass and a place, every number an origin, and a number of the paper is the
+    paper's.
+    """
     if item.used_in in ("aircraft", "option") and item.unit_mass is None:
-        raise InputError(f"{item.id}: want unit_mass_g of a part that flies, got none")
+        raise InputError(f"{item.id}: expected unit_mass_g of a part that flies, got none")
     if item.x is None and (item.counts or item.used_in == "option"):
-        raise InputError(f"{item.id}: want x_mm of a part that flies, got none")
+        raise InputError(f"{item.id}: expected x_mm of a part that flies, got none")
     if bool(item.replaces) != (item.used_in == "option"):
-        raise InputError(f"{item.id}: want replaces of an option, and of nothing else")
+        raise InputError(f"{item.id}: expected replaces of an option, and of nothing else")
     origins = [("price_source", item.price_source)]
     origins += [("mass_source", item.mass_source)] if item.unit_mass is not None else []
     for column, source in origins:
         if source.split(":")[0] not in ORIGINS:
-            raise InputError(f"{item.id}: {column}: want one of {', '.join(ORIGINS)} first, got {source!r}")
+            raise InputError(
+                f"{item.id}: {column}: expected one of {', '.join(ORIGINS)} first, got {source!r}"
+            )
     try:
         paper = {"mass": item.paper_mass, "price": item.paper_price}
     except ValueError:
         paper = {}
     if not paper or (item.paper_value and set(paper.values()) == {None}):
-        raise InputError(f'{item.id}: paper_value: want "137 g", "$80" or nothing, got {item.paper_value!r}')
+        raise InputError(
+            f'{item.id}: paper_value: expected "137 g", "$80" or nothing, got {item.paper_value!r}'
+        )
     ours = {"mass": (item.unit_mass, item.mass_source), "price": (item.price, item.price_source)}
     for what, (value, source) in ours.items():
         printed = paper[what]
-        if source == "paper" and (printed is None or value is None or abs(printed - value) > ROUNDING):
-            raise InputError(f"{item.id}: its {what} is said to be the paper's, which is {item.paper_value or 'none'}")
+        if source == "paper" and (
+            printed is None or value is None or abs(printed - value) > ROUNDING
+        ):
+            raise InputError(
+                f"{item.id}: its {what} is said to be the paper's, which is {item.paper_value or 'none'}"
+            )
 
 
 def _check_references(items: Sequence[Item]) -> None:
@@ -272,7 +314,9 @@ def _check_references(items: Sequence[Item]) -> None:
     counted = [item.id for item in items if item.counts]
     for item in items:
         if ids.count(item.id) > 1:
-            raise InputError(f"want every id once, got {item.id!r} twice")
+            raise InputError(f"expected every id once, got {item.id!r} twice")
         for column, target in (("inside", item.inside), ("replaces", item.replaces)):
             if target and target not in counted:
-                raise InputError(f"{item.id}: {column}: want the id of a part of the aircraft, got {target!r}")
+                raise InputError(
+                    f"{item.id}: {column}: expected the id of a part of the aircraft, got {target!r}"
+                )

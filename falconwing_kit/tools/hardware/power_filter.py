@@ -1,4 +1,5 @@
-"""The camera's power filter: coil, capacitor, resistances, load -> corner, damping, and what is left of the noise.
+"""The camera's power filter: coil, capacitor, resistances, load -> corner, damping, and what is
+left of the noise.
 
 battery + --- damping resistor --- coil ---+------ camera +
                                            |
@@ -25,10 +26,16 @@ class PowerFilter:
     damping_ohm: float  # resistor in series; 0 for none
     capacitance_uf: float
     esr_ohm: float  # equivalent series resistance of the capacitor
-    switching_khz: float  # how often the motor's speed controller switches: the noise to be kept out
+    switching_khz: (
+        float  # how often the motor's speed controller switches: the noise to be kept out
+    )
 
     def __post_init__(self) -> None:
-        for name, low in (("inductance_uh", 0.01), ("capacitance_uf", 0.01), ("switching_khz", 0.1)):
+        for name, low in (
+            ("inductance_uh", 0.01),
+            ("capacitance_uf", 0.01),
+            ("switching_khz", 0.1),
+        ):
             require_range(name, getattr(self, name), low=low, high=1e5)
         for name in ("coil_ohm", "damping_ohm", "esr_ohm"):
             require_range(name, getattr(self, name), low=0.0, high=100.0)
@@ -52,7 +59,8 @@ class PowerFilter:
         """Damping ratio: at 0 the filter rings for ever, from 1 on it does not ring.
 
         zeta = (R_series + R_ESR) / (2 Z_0) + Z_0 / (2 R_load)
-            [denominator s^2 L C + s (C (R_series + R_ESR) + L / R_load) + 1, for resistances far below the load]
+            [denominator s^2 L C + s (C (R_series + R_ESR) + L / R_load) + 1, for resistances far
+            below the load]
 
         Args:
             load_ohm: the camera as a resistor.
@@ -64,12 +72,15 @@ class PowerFilter:
             InputError: the load is not a positive number.
         """
         load = require_range("load_ohm", load_ohm, low=1e-3, high=1e9)
-        return (self.series_ohm + self.esr_ohm) / (2.0 * self.impedance_ohm) + self.impedance_ohm / (2.0 * load)
+        return (self.series_ohm + self.esr_ohm) / (
+            2.0 * self.impedance_ohm
+        ) + self.impedance_ohm / (2.0 * load)
 
     def gain(self, frequency_hz: ArrayLike, load_ohm: float) -> Array:
         """Size of the ripple behind the filter over the ripple before it.
 
-        H = Z_p / (Z_s + Z_p),  Z_s = R_series + j w L,  1 / Z_p = 1 / R_load + 1 / (R_ESR + 1 / (j w C))
+        H = Z_p / (Z_s + Z_p),  Z_s = R_series + j w L,  1 / Z_p = 1 / R_load + 1 / (R_ESR + 1 / (j
+        w C))
 
         Args:
             frequency_hz: (...) > 0.
@@ -83,7 +94,7 @@ class PowerFilter:
         """
         frequency = np.asarray(frequency_hz, np.float64)
         if not np.all(np.isfinite(frequency) & (frequency > 0.0)):
-            raise InputError(f"frequency_hz: want positive numbers, got {frequency}")
+            raise InputError(f"frequency_hz: expected positive numbers, got {frequency}")
         load = require_range("load_ohm", load_ohm, low=1e-3, high=1e9)
         jw = 2j * np.pi * frequency
         series = self.series_ohm + jw * 1e-6 * self.inductance_uh

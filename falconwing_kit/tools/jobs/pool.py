@@ -1,4 +1,6 @@
-"""A small pool of processes that may die: items in, results out; what a lost process was doing is taken up again."""
+"""A small pool of processes that may die: items in, results out; what a lost process was doing is
+taken up again.
+"""
 
 import multiprocessing
 from collections import deque
@@ -9,16 +11,16 @@ from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-TRIES = 3  # of an item whose process is lost each time
+MAX_ATTEMPTS = 3  # of an item whose process is lost each time
 
 
-class LostError(RuntimeError):
+class WorkerLostError(RuntimeError):
     """An item's process ended every time before it had a result."""
 
 
-def in_processes(
+def map_in_processes(
     function: Callable[[Item], Result], items: Sequence[Item], workers: int = 2
-) -> Iterator[tuple[Item, Result | LostError]]:
+) -> Iterator[tuple[Item, Result | WorkerLostError]]:
     """Do a function on many items, in several processes.
 
     Args:
@@ -27,8 +29,8 @@ def in_processes(
         workers: processes; 1 works in this process.
 
     Yields:
-        Each item with its result, in the order of finishing; a LostError in place of a result that three processes died
-        of.
+        Each item with its result, in the order of finishing; a WorkerLostError in place of a result that
+        three processes died of.
 
     Raises:
         Exception: what the function raised; the others' work is dropped.
@@ -36,32 +38,35 @@ def in_processes(
     if workers <= 1:
         yield from ((item, function(item)) for item in items)
         return
-    todo = deque((item, 1) for item in items)
-    crew = [_Hand(function) for _ in range(min(workers, len(items)))]
+    queue = deque((item, 1) for item in items)
+    pool = [_Worker(function) for _ in range(min(workers, len(items)))]
     try:
-        while todo or any(hand.given for hand in crew):
-            for hand in crew:
-                if todo and not hand.given:
-                    hand.give(*todo.popleft())
-            for hand in _ready(crew):
-                item, tries = hand.given[0]
+        while queue or any(worker.assignment for worker in pool):
+            for worker in pool:
+                if queue and not worker.assignment:
+                    worker.assign(*queue.popleft())
+            for worker in _wait_for_results(pool):
+                item, attempts = worker.assignment[0]
                 try:
-                    raised, result = hand.take()
+                    failed, result = worker.receive()
                 except (EOFError, OSError):
-                    hand.replace()
-                    if tries < TRIES:
-                        todo.append((item, tries + 1))
+                    worker.restart()
+                    if attempts < MAX_ATTEMPTS:
+                        queue.append((item, attempts + 1))
                         continue
-                    raised, result = False, LostError("the process that worked on this ended three times")
-                if raised:
+                    failed, result = (
+                        False,
+                        WorkerLostError("the process that worked on this ended three times"),
+                    )
+                if failed:
                     raise result
                 yield item, result
     finally:
-        for hand in crew:
-            hand.end()
+        for worker in pool:
+            worker.stop()
 
 
-class _Hand:
+class _Worker:
     """One process, and what it was given to do: nothing, or one item with how often it was tried."""
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
@@ -69,37 +74,37 @@ class _Hand:
         self.start()
 
     def start(self) -> None:
-        self.given: list[tuple[Any, int]] = []
+        self.assignment: list[tuple[Any, int]] = []
         context = multiprocessing.get_context("spawn")
-        self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, self.function), daemon=True)
+        self.pipe, child_pipe = context.Pipe()
+        self.process = context.Process(target=_serve, args=(child_pipe, self.function), daemon=True)
         self.process.start()
-        theirs.close()  # so that its end is seen here when the process is lost
+        child_pipe.close()  # so that its end is seen here when the process is lost
 
-    def give(self, item: Any, tries: int) -> None:
-        self.given = [(item, tries)]
+    def assign(self, item: Any, attempts: int) -> None:
+        self.assignment = [(item, attempts)]
         with suppress(OSError):  # a lost process; taking the result will say so
             self.pipe.send(item)
 
-    def take(self) -> tuple[bool, Any]:
+    def receive(self) -> tuple[bool, Any]:
         reply: tuple[bool, Any] = self.pipe.recv()
-        self.given = []
+        self.assignment = []
         return reply
 
-    def replace(self) -> None:
-        self.end()
+    def restart(self) -> None:
+        self.stop()
         self.start()
 
-    def end(self) -> None:
+    def stop(self) -> None:
         self.pipe.close()
         self.process.kill()
         self.process.join()
 
 
-def _ready(crew: list[_Hand]) -> list[_Hand]:
+def _wait_for_results(pool: list[_Worker]) -> list[_Worker]:
     """Those that have a result, or are lost; waits for the first."""
-    ready = wait([hand.pipe for hand in crew if hand.given])
-    return [hand for hand in crew if hand.given and hand.pipe in ready]
+    ready = wait([worker.pipe for worker in pool if worker.assignment])
+    return [worker for worker in pool if worker.assignment and worker.pipe in ready]
 
 
 def _serve(pipe: "Connection[Any, Any]", function: Callable[[Any], Any]) -> None:

@@ -1,7 +1,7 @@
 """Shards: the results of many tasks on the disk, one small file each, named by what was asked.
 
-The name is a fingerprint of function, item and kit version, so a result is found again however the items are ordered,
-and never taken for another's. A file is there whole or not at all.
+The name is a fingerprint of function, item and kit version, so a result is found again however the
+items are ordered, and never taken for another's. A file is there whole or not at all.
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write
 
 
-class Shards:
+class ResultCache:
     """A folder of results of one function: `read` gives what is there, `write` keeps a new one."""
 
     def __init__(self, folder: Path, function: Callable[..., Any]) -> None:
@@ -47,22 +47,23 @@ class Shards:
             text = json.dumps({"result": result}, allow_nan=False)
         except (TypeError, ValueError) as error:
             raise InputError(
-                f"{self._folder}: want results of texts, finite numbers, lists and dicts, {error}"
+                f"{self._folder}: expected results of texts, finite numbers, lists and dicts, {error}"
             ) from None
         with atomic_write(self._path(item), text=True) as handle:
             handle.write(text)
         return json.loads(text)["result"]
 
     def _path(self, item: Any) -> Path:
-        return self._folder / f"{content_key(self._function, item)}.json"
+        return self._folder / f"{cache_key(self._function, item)}.json"
 
 
-def content_key(function: Callable[..., Any], item: Any) -> str:
+def cache_key(function: Callable[..., Any], item: Any) -> str:
     """A fingerprint of a task.
 
     Args:
         function: known by its name and, where it is a `functools.partial`, by what it was given.
-        item: numbers, texts, bytes, paths, arrays, and lists, tuples, dicts and dataclasses of them.
+        item: numbers, texts, bytes, paths, arrays, and lists, tuples, dicts and dataclasses of
+            them.
 
     Returns:
         32 hexadecimal digits; another kit version gives others.
@@ -70,11 +71,13 @@ def content_key(function: Callable[..., Any], item: Any) -> str:
     Raises:
         TypeError: the item holds something else.
     """
-    told = json.dumps([__version__, _told(function), _told(item)], sort_keys=True)
-    return hashlib.sha256(told.encode()).hexdigest()[:32]
+    canonical_text = json.dumps(
+        [__version__, _canonical_form(function), _canonical_form(item)], sort_keys=True
+    )
+    return hashlib.sha256(canonical_text.encode()).hexdigest()[:32]
 
 
-def _told(value: Any) -> Any:
+def _canonical_form(value: Any) -> Any:
     """A value as JSON that differs where the value differs."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
@@ -83,18 +86,34 @@ def _told(value: Any) -> Any:
     if isinstance(value, PurePath):
         return ["path", str(value)]
     if isinstance(value, np.ndarray | np.generic):
-        return ["array", str(value.dtype), list(value.shape), hashlib.sha256(value.tobytes()).hexdigest()]
+        return [
+            "array",
+            str(value.dtype),
+            list(value.shape),
+            hashlib.sha256(value.tobytes()).hexdigest(),
+        ]
     if isinstance(value, tuple | list):
-        return [_told(each) for each in value]
+        return [_canonical_form(each) for each in value]
     if isinstance(value, Mapping):
-        return ["dict", sorted([[_told(key), _told(each)] for key, each in value.items()], key=json.dumps)]
+        return [
+            "dict",
+            sorted(
+                [[_canonical_form(key), _canonical_form(each)] for key, each in value.items()],
+                key=json.dumps,
+            ),
+        ]
     if isinstance(value, partial):
-        return ["partial", _told(value.func), _told(value.args), _told(value.keywords)]
+        return [
+            "partial",
+            _canonical_form(value.func),
+            _canonical_form(value.args),
+            _canonical_form(value.keywords),
+        ]
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-        return [type(value).__qualname__, _told(fields)]
+        return [type(value).__qualname__, _canonical_form(fields)]
     if hasattr(value, "__qualname__"):
         return ["function", f"{value.__module__}.{value.__qualname__}"]
     raise TypeError(
-        f"want an item of numbers, texts, arrays, paths and dataclasses of them, got {type(value).__name__}"
+        f"expected an item of numbers, texts, arrays, paths and dataclasses of them, got {type(value).__name__}"
     )

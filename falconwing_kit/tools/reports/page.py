@@ -1,4 +1,6 @@
-"""What all pages and figures share: a template -> one HTML file that needs no network; axes in one look -> a PNG."""
+"""What all pages and figures share: a template -> one HTML file that needs no network; axes in one
+look -> a PNG.
+"""
 
 import base64
 from collections.abc import Iterator
@@ -27,7 +29,9 @@ STYLE: Any = {
     "legend.frameon": False,
     "figure.constrained_layout.use": True,
 }
-FRAME = Path(__file__).parent  # of page.html.j2, which every page extends, and parts.html.j2 with table and picture
+FRAME = Path(
+    __file__
+).parent  # of page.html.j2, which every page extends, and parts.html.j2 with table and picture
 
 
 def render(template: Path, **values: Any) -> str:
@@ -49,7 +53,8 @@ def render(template: Path, **values: Any) -> str:
 
 
 def write_page(path: Path, template: Path, **values: Any) -> None:
-    """Write the page of a template and its values, whole or not at all; `render` says what they may be.
+    """Write the page of a template and its values, whole or not at all; `render` says what they may
+    be.
 
     Args:
         path: the HTML file.
@@ -63,7 +68,9 @@ def write_page(path: Path, template: Path, **values: Any) -> None:
 
 @cache
 def _environment(folder: Path) -> Any:
-    """Templates of a folder and of this one, with two filters: a number by a format, a PNG as a `data:` address."""
+    """Templates of a folder and of this one, with two filters: a number by a format, a PNG as a
+    `data:` address.
+    """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -83,7 +90,9 @@ def _embedded(path: Path) -> str:
 
 
 @contextmanager
-def figure(path: Path, rows: int, columns: int, size: tuple[float, float], **grid: Any) -> Iterator[Any]:
+def figure(
+    path: Path, rows: int, columns: int, size: tuple[float, float], **grid: Any
+) -> Iterator[Any]:
     """Axes to draw on; the file appears whole when the block ends.
 
     Args:

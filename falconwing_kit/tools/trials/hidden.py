@@ -1,8 +1,10 @@
-"""Hidden effects: seed -> a calm flight, a flight with an effect in it, and the answer. Simulated, not measured.
+"""Hidden effects: seed -> a calm flight, a flight with an effect in it, and the answer. Simulated,
+not measured.
 
-The kit's own aircraft flies: each case is another one (coefficients spread by 15 %), the flight on another day (drawn
-anew by 1 %). A lab hands out one case a student, tests ask whether what was hidden is found. It is put in by other
-means than it is taken out: servos in closed form, steps of 10 ms at most from one arriving command to the next.
+The kit's own aircraft flies: each case is another one (coefficients spread by 15 %), the flight on
+another day (drawn anew by 1 %). A lab hands out one case a student, tests ask whether what was
+hidden is found. It is put in by other means than it is taken out: servos in closed form, steps of
+10 ms at most from one arriving command to the next.
 """
 
 import hashlib
@@ -27,19 +29,34 @@ from falconwing_kit.core.frames import euler_from_rotation, rotation_world_body,
 
 Noise = Literal["marker", "hybrid", "net"]
 Pilot = Callable[[float, list[float]], Array]  # t [s], true state (12,) -> sticks (4,)
-Flown = tuple[Array, Array]  # true states (N, 12) and sticks (N, 4) at every row, LEAD_S before the table begins
+Flown = tuple[
+    Array, Array
+]  # true states (N, 12) and sticks (N, 4) at every row, LEAD_S before the table begins
 Servo = tuple[Array, Array]  # positions (4,) of the servos, and of what follows them
-Draw = Callable[[np.random.Generator, float], dict[str, float]]  # rng, size -> parameters of the catalogue
+Draw = Callable[
+    [np.random.Generator, float], dict[str, float]
+]  # rng, size -> parameters of the catalogue
 
 NOISE: dict[Noise, tuple[float, float]] = {  # standard deviation per axis [m], [rad]
     "marker": (0.03, radians(0.6)), "hybrid": (0.10, radians(1.3)), "net": (0.26, radians(3.0)),
 }  # fmt: skip
 CORRELATION_S, OUTLIERS, MISSING = 0.5, 0.005, 0.01  # of the slow noise; shares of the poses
 AIRCRAFT_SPREAD, DAY_SPREAD = 0.15, 0.01
-ROW_S, STEP_S, LEAD_S = 0.05, 0.01, 2.0  # between rows; longest step, 2.5 times finer than a fit's; flown beforehand
+ROW_S, STEP_S, LEAD_S = (
+    0.05,
+    0.01,
+    2.0,
+)  # between rows; longest step, 2.5 times finer than a fit's; flown beforehand
 RADIUS, HEIGHT, SPEED = 4.5, 2.3, 6.9  # what the pilot holds: of the two circles [m], [m], [m/s]
-HALL = (20.0, 14.0, 5.0)  # m, |x|, |y|, height: the arena of 40 x 20 x 5 m with 4 m to spare on its long sides
-ATTEMPTS, SAME_SIZE = 40, 10  # a size is tried ten times before it is drawn anew, or large effects would get rare
+HALL = (
+    20.0,
+    14.0,
+    5.0,
+)  # m, |x|, |y|, height: the arena of 40 x 20 x 5 m with 4 m to spare on its long sides
+ATTEMPTS, SAME_SIZE = (
+    40,
+    10,
+)  # a size is tried ten times before it is drawn anew, or large effects would get rare
 
 
 @dataclass(frozen=True)
@@ -48,13 +65,18 @@ class HiddenCase:
 
     calm: FlightTable
     flight: FlightTable
-    truth: dict[str, Any]  # effect, size in the catalogue's parameters, noise, how it was measured, seed, simulated
+    truth: dict[
+        str, Any
+    ]  # effect, size in the catalogue's parameters, noise, how it was measured, seed, simulated
     model: Model = field(repr=False)  # that flew the second flight, the effect included
-    true_states: tuple[Array, Array] = field(repr=False)  # (N, 12) of both flights at their rows, SI
+    true_states: tuple[Array, Array] = field(
+        repr=False
+    )  # (N, 12) of both flights at their rows, SI
 
 
 def hidden_seed(student: str, salt: str) -> int:
-    """The seed of a student's own case: HMAC-SHA256 of the name under the instructor's salt [RFC 2104].
+    """The seed of a student's own case: HMAC-SHA256 of the name under the instructor's salt [RFC
+    2104].
 
     Without the salt nobody can tell the seed that belongs to a name, their own included.
 
@@ -70,9 +92,11 @@ def hidden_seed(student: str, salt: str) -> int:
     """
     who = unicodedata.normalize("NFC", student).strip()
     if not who:
-        raise InputError("student: want a name or a number, got nothing")
+        raise InputError("student: expected a name or a number, got nothing")
     if len(salt) < 16:
-        raise InputError(f"salt: want at least 16 characters that nobody can guess, got {len(salt)}")
+        raise InputError(
+            f"salt: expected at least 16 characters that nobody can guess, got {len(salt)}"
+        )
     return int.from_bytes(hmac.new(salt.encode(), who.encode(), hashlib.sha256).digest()[:6], "big")
 
 
@@ -83,9 +107,11 @@ def hidden_case(
 
     Args:
         seed: of everything that is drawn, >= 0.
-        effect: "none", a name of the catalogue, or two joined by "+"; None draws "none" or one of the catalogue.
-        size: all parameters of the effect by their names in the catalogue (that of control_delay for a
-            time_offset); None draws them, log-uniform from just visible at this noise to plain.
+        effect: "none", a name of the catalogue, or two joined by "+"; None draws "none" or one of
+            the catalogue.
+        size: all parameters of the effect by their names in the catalogue (that of control_delay
+            for a time_offset); None draws them, log-uniform from just visible at this noise to
+            plain.
         how: noise, seconds and whatever else `hidden_flights` takes by name.
 
     Returns:
@@ -105,22 +131,23 @@ def hidden_flights(
 ) -> tuple[HiddenCase, ...]:  # fmt: skip
     """One aircraft, one calm flight, and for each effect a flight on another day.
 
-    The calm flight is the same object in every case, so that what is learnt from it serves all. The first case is what
-    `hidden_case` gives for the first effect.
+    The calm flight is the same object in every case, so that what is learnt from it serves all. The
+    first case is what `hidden_case` gives for the first effect.
 
     Args:
         seed: of everything that is drawn, >= 0.
         effects: at least one, each as for `hidden_case`.
-        noise: of the poses, white: "marker" (0.03 m, 0.6 deg per axis), "hybrid" (0.10 m, 1.3 deg) or "net" (0.26 m,
-            3 deg); besides, 0.5 % of them are far off and 1 % are missing.
+        noise: of the poses, white: "marker" (0.03 m, 0.6 deg per axis), "hybrid" (0.10 m, 1.3 deg)
+            or "net" (0.26 m, 3 deg); besides, 0.5 % of them are far off and 1 % are missing.
         correlated: half of the noise's variance is AR(1) with 0.5 s instead.
         sizes: one for each effect as for `hidden_case`, or None to draw all.
         calm_seconds: length of the calm flight [s].
         flight_seconds: length of each other flight [s].
         one_way: circle to the left only, in all flights.
-        excitation: how much the pilot shakes the sticks; 1 excites every parameter, 0 is a calm hand.
-        pose_bias: amplitude of a pose error that is a smooth function of place, the same in all flights [m]; of
-            angles as many sigmas as of places.
+        excitation: how much the pilot shakes the sticks; 1 excites every parameter, 0 is a calm
+            hand.
+        pose_bias: amplitude of a pose error that is a smooth function of place, the same in all
+            flights [m]; of angles as many sigmas as of places.
         jitter: stamps are off by up to this much [s].
 
     Returns:
@@ -140,7 +167,9 @@ def hidden_flights(
 
     fly = partial(_fly_anew, noise=noise, one_way=one_way, excitation=excitation)
     camera = _Camera(seed, noise, correlated, pose_bias, jitter)
-    aircraft, _, calm_flown = fly([seed, 0], rates_model(), AIRCRAFT_SPREAD, "none", None, calm_seconds)
+    aircraft, _, calm_flown = fly(
+        [seed, 0], rates_model(), AIRCRAFT_SPREAD, "none", None, calm_seconds
+    )
     calm = camera.table("calm.csv", 0, calm_flown)
     told = {
         "noise": noise, "correlated_noise": correlated, "pose_bias": pose_bias, "jitter": jitter, "one_way": one_way,
@@ -149,16 +178,25 @@ def hidden_flights(
     cases = []
     for number, (asked, size) in enumerate(zip(effects, sizes, strict=True), start=1):
         effect = asked or str(np.random.default_rng([seed, number]).choice(["none", *EFFECT_NAMES]))
-        model, drawn, flown = fly([seed, number], aircraft, DAY_SPREAD, effect, size, flight_seconds)
+        model, drawn, flown = fly(
+            [seed, number], aircraft, DAY_SPREAD, effect, size, flight_seconds
+        )
         late = drawn["control_delay"] if "time_offset" in effect.split("+") else 0.0
         flight = camera.table("flight.csv", number, flown, model, late)
         truth = {"effect": effect, "size": drawn, "number": number, **told}
-        cases.append(HiddenCase(calm, flight, truth, model, (_after_lead(calm_flown[0]), _after_lead(flown[0]))))
+        cases.append(
+            HiddenCase(
+                calm, flight, truth, model, (_after_lead(calm_flown[0]), _after_lead(flown[0]))
+            )
+        )
     return tuple(cases)
 
 
-def write_hidden(out: str | Path, cases: Mapping[str, HiddenCase], answers: str | Path | None = None) -> None:
-    """Write OUT/<name>/calm.csv and flight.csv of each case, and the answers where the caller wants them.
+def write_hidden(
+    out: str | Path, cases: Mapping[str, HiddenCase], answers: str | Path | None = None
+) -> None:
+    """Write OUT/<name>/calm.csv and flight.csv of each case, and the answers where the caller wants
+    them.
 
     Args:
         out: folder that is handed out; made where it is missing.
@@ -171,7 +209,7 @@ def write_hidden(out: str | Path, cases: Mapping[str, HiddenCase], answers: str 
     """
     for name in cases:
         if name in ("", ".", "..") or set(name) & set("/\\:"):
-            raise InputError(f"case {name!r}: want a plain folder name such as case00")
+            raise InputError(f"case {name!r}: expected a plain folder name such as case00")
     for name, case in cases.items():
         (folder := Path(out) / name).mkdir(parents=True, exist_ok=True)
         for table in (case.calm, case.flight):
@@ -181,7 +219,8 @@ def write_hidden(out: str | Path, cases: Mapping[str, HiddenCase], answers: str 
             json.dump({name: case.truth for name, case in cases.items()}, file, indent=1)
 
 
-# What is hidden -------------------------------------------------------------------------------------------------------
+# What is hidden
+# -------------------------------------------------------------------------------------------------------
 
 
 def _alone(name: str) -> Draw:
@@ -198,13 +237,21 @@ def _direction(*names: str) -> Draw:
 
 def _draw_jet(rng: np.random.Generator, size: float) -> dict[str, float]:
     around = rng.uniform(0.0, 2.0 * pi)  # its middle lies near one of the circles that are flown
-    at = {"jet_at_x": float(rng.choice([-RADIUS, RADIUS]) + RADIUS * cos(around)), "jet_at_y": RADIUS * sin(around)}
-    return {**_direction("jet_x", "jet_y")(rng, size), **at, "jet_radius": float(rng.uniform(1.5, 3.0))}
+    at = {
+        "jet_at_x": float(rng.choice([-RADIUS, RADIUS]) + RADIUS * cos(around)),
+        "jet_at_y": RADIUS * sin(around),
+    }
+    return {
+        **_direction("jet_x", "jet_y")(rng, size),
+        **at,
+        "jet_radius": float(rng.uniform(1.5, 3.0)),
+    }
 
 
-# By effect: size that is just visible at marker noise and at net noise, size that is plain to see and still flown, and
-# how its parameters are drawn. Just visible is about three times what Fisher information calls detectable in a minute,
-# or what would still fly (thrust, sag). A time_offset is given in the parameter of the effect whose dynamics it has.
+# By effect: size that is just visible at marker noise and at net noise, size that is plain to see
+# and still flown, and how its parameters are drawn. Just visible is about three times what Fisher
+# information calls detectable in a minute, or what would still fly (thrust, sag). A time_offset is
+# given in the parameter of the effect whose dynamics it has.
 _SIZES: dict[str, tuple[float, float, float, Draw]] = {
     "wind": (0.05, 0.3, 1.2, _direction("wind_x", "wind_y")),
     "fan_jet": (0.4, 1.4, 3.0, _draw_jet),
@@ -231,18 +278,26 @@ _SIZES: dict[str, tuple[float, float, float, Draw]] = {
 _CLASS = {entry.name: entry.same_as or entry.name for entry in CATALOGUE}
 
 
-def _require(effects: Sequence[str | None], sizes: Sequence[Mapping[str, float] | None], noise: str) -> None:
+def _require(
+    effects: Sequence[str | None], sizes: Sequence[Mapping[str, float] | None], noise: str
+) -> None:
     """Refuse what cannot be flown."""
     if noise not in NOISE:
-        raise InputError(f"noise: want one of {', '.join(NOISE)}, got {noise!r}")
+        raise InputError(f"noise: expected one of {', '.join(NOISE)}, got {noise!r}")
     if not effects or len(sizes) != len(effects):
-        raise InputError(f"effects: want at least one and a size for each, got {len(effects)} and {len(sizes)} sizes")
+        raise InputError(
+            f"effects: expected at least one and a size for each, got {len(effects)} and {len(sizes)} sizes"
+        )
     for effect, size in zip(effects, sizes, strict=True):
         names = _names(effect or "none")
         if unknown := [name for name in names if name not in _SIZES]:
-            raise InputError(f"effect: want none, or some of {', '.join(_SIZES)}, got {unknown[0]!r}")
+            raise InputError(
+                f"effect: expected none, or some of {', '.join(_SIZES)}, got {unknown[0]!r}"
+            )
         if len({_CLASS[name] for name in names}) < len(names):
-            raise InputError(f"effect: want effects that differ, got {effect!r}; time_offset is a control_delay")
+            raise InputError(
+                f"effect: expected effects that differ, got {effect!r}; time_offset is a control_delay"
+            )
         if size is not None:
             _entries(names, size)
 
@@ -252,12 +307,16 @@ def _names(effect: str) -> list[str]:
 
 
 def _entries(names: Sequence[str], size: Mapping[str, float]) -> list[Effect]:
-    """The catalogue's entry of each name that has these parameters; together all of them and no others."""
+    """The catalogue's entry of each name that has these parameters; together all of them and no
+    others.
+    """
     possible = [e for e in CATALOGUE if e.name in {_CLASS[name] for name in names}]
     entries = [e for e in possible if all(p.name in size for p in e.parameters)]
     if len(entries) != len(names) or {p.name for e in entries for p in e.parameters} != set(size):
         wanted = " or ".join(", ".join(p.name for p in e.parameters) for e in possible)
-        raise InputError(f"size: want the parameters {wanted or 'of no effect'}, got {', '.join(size) or 'none'}")
+        raise InputError(
+            f"size: expected the parameters {wanted or 'of no effect'}, got {', '.join(size) or 'none'}"
+        )
     return entries
 
 
@@ -271,35 +330,48 @@ def _drawn_size(names: Sequence[str], rng: np.random.Generator, noise: Noise) ->
     return size
 
 
-# Flying ---------------------------------------------------------------------------------------------------------------
+# Flying
+# ---------------------------------------------------------------------------------------------------------------
 
 
 def _fly_anew(
     seeds: list[int], aircraft: Model, spread: float, effect: str, size: Mapping[str, float] | None, seconds: float,
     noise: Noise, one_way: bool, excitation: float,
 ) -> tuple[Model, dict[str, float], Flown]:  # fmt: skip
-    """Another aircraft near this one, with the effect: its model, the effect's size, and a flight that stays inside."""
+    """Another aircraft near this one, with the effect: its model, the effect's size, and a flight
+    that stays inside.
+    """
     names = _names(effect)
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([*seeds, 1, attempt])
         of_size = np.random.default_rng([*seeds, 2, attempt // SAME_SIZE])
-        drawn = _drawn_size(names, of_size, noise) if size is None else {k: float(v) for k, v in size.items()}
+        drawn = (
+            _drawn_size(names, of_size, noise)
+            if size is None
+            else {k: float(v) for k, v in size.items()}
+        )
         model = _redrawn(aircraft, rng, spread)
         for entry in _entries(names, drawn):
             model = model.with_effect(entry)
         model = model.with_values(drawn)
-        on_time = {"control_delay": 0.0} if "time_offset" in names else {}  # late stamps are the camera's affair
-        flown = _fly(model.with_values(on_time), _figure_eights(rng, seconds, one_way, excitation), seconds)
+        on_time = (
+            {"control_delay": 0.0} if "time_offset" in names else {}
+        )  # late stamps are the camera's affair
+        flown = _fly(
+            model.with_values(on_time), _figure_eights(rng, seconds, one_way, excitation), seconds
+        )
         if flown is not None:
             return model, drawn, flown
-    wanted = f"seed {seeds[0]}: want a flight with {effect} that stays in the hall"
+    wanted = f"seed {seeds[0]}: expected a flight with {effect} that stays in the hall"
     raise InputError(f"{wanted}, got none in {ATTEMPTS}; take a smaller size or another seed")
 
 
 def _redrawn(model: Model, rng: np.random.Generator, spread: float) -> Model:
     """Each parameter times exp(spread * normal); where it is zero, 0.1 * spread * normal."""
     drawn = dict(zip(model.names, spread * rng.normal(size=len(model.names)), strict=True))
-    return model.with_values({name: model.values[name] * np.exp(d) or 0.1 * d for name, d in drawn.items()})
+    return model.with_values(
+        {name: model.values[name] * np.exp(d) or 0.1 * d for name, d in drawn.items()}
+    )
 
 
 def _fly(model: Model, pilot: Pilot, seconds: float) -> Flown | None:
@@ -326,22 +398,36 @@ def _fly(model: Model, pilot: Pilot, seconds: float) -> Flown | None:
     return states, sticks
 
 
-def _stepper(model: Model) -> Callable[[list[float], Servo, Array, float, float], tuple[list[float], Servo]]:
-    """A function (state, servo, command, t, seconds) -> state and servo after the time in which this command acts."""
+def _stepper(
+    model: Model,
+) -> Callable[[list[float], Servo, Array, float, float], tuple[list[float], Servo]]:
+    """A function (state, servo, command, t, seconds) -> state and servo after the time in which
+    this command acts.
+    """
     rates, K = state_rates(model.form, model.terms, model.winds), model.K
-    first = max(K.lag + getattr(K, "actuator_lag", 0.0), 1e-6)  # s, both above zero and apart, as the closed form needs
+    first = max(
+        K.lag + getattr(K, "actuator_lag", 0.0), 1e-6
+    )  # s, both above zero and apart, as the closed form needs
     second = max(getattr(K, "lag_in_series", 0.0), 1e-7)
     second *= 1.0001 if abs(first / second - 1.0) < 1e-4 else 1.0
 
-    def advance(x: list[float], servo: Servo, command: Array, t: float, seconds: float) -> tuple[list[float], Servo]:
+    def advance(
+        x: list[float], servo: Servo, command: Array, t: float, seconds: float
+    ) -> tuple[list[float], Servo]:
         steps = ceil(seconds / STEP_S - 1e-6)
         h, state = seconds / max(steps, 1), np.array(x)
         for now in t + h * np.arange(steps):
-            now = max(float(now), 0.0)  # time counts from the first row of the table: from there a battery sags
+            now = max(
+                float(now), 0.0
+            )  # time counts from the first row of the table: from there a battery sags
             half, full = (_follow(servo, command, after, first, second) for after in (0.5 * h, h))
             k1 = np.array(rates(now, state.tolist(), servo[1].tolist(), K))
-            k2 = np.array(rates(now + 0.5 * h, (state + 0.5 * h * k1).tolist(), half[1].tolist(), K))
-            k3 = np.array(rates(now + 0.5 * h, (state + 0.5 * h * k2).tolist(), half[1].tolist(), K))
+            k2 = np.array(
+                rates(now + 0.5 * h, (state + 0.5 * h * k1).tolist(), half[1].tolist(), K)
+            )
+            k3 = np.array(
+                rates(now + 0.5 * h, (state + 0.5 * h * k2).tolist(), half[1].tolist(), K)
+            )
             k4 = np.array(rates(now + h, (state + h * k3).tolist(), full[1].tolist(), K))
             state, servo = state + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4), full
         return state.tolist(), servo
@@ -350,16 +436,24 @@ def _stepper(model: Model) -> Callable[[list[float], Servo, Array, float, float]
 
 
 def _follow(servo: Servo, command: Array, after: float, a: float, b: float) -> Servo:
-    """Two first-order lags in series some time after a command came: a dy/dt = u - y, b dz/dt = y - z, solved."""
+    """Two first-order lags in series some time after a command came: a dy/dt = u - y, b dz/dt = y -
+    z, solved.
+    """
     behind = servo[0] - command
     kept, share = behind * np.exp(-after / a), a / (a - b)
-    return command + kept, command + share * kept + (servo[1] - command - share * behind) * np.exp(-after / b)
+    return command + kept, command + share * kept + (servo[1] - command - share * behind) * np.exp(
+        -after / b
+    )
 
 
-def _figure_eights(rng: np.random.Generator, seconds: float, one_way: bool, excitation: float) -> Pilot:
-    """A pilot for one flight: left around the circle at +x, right around the one at -x, all sticks shaken.
+def _figure_eights(
+    rng: np.random.Generator, seconds: float, one_way: bool, excitation: float
+) -> Pilot:
+    """A pilot for one flight: left around the circle at +x, right around the one at -x, all sticks
+    shaken.
 
-    He changes speed, so that slow turns show a stall, and passes low every 12 s or so, where ground effect shows.
+    He changes speed, so that slow turns show a stall, and passes low every 12 s or so, where ground
+    effect shows.
     """
     frequency, phase = 2.0 * pi * rng.uniform(0.15, 1.6, (6, 4)), rng.uniform(0.0, 2.0 * pi, (6, 4))
     amplitude = excitation * np.array([0.035, 0.07, 0.06, 0.08])
@@ -367,7 +461,11 @@ def _figure_eights(rng: np.random.Generator, seconds: float, one_way: bool, exci
     passes = passes + rng.uniform(-3.0, 3.0, len(passes))
     down = HEIGHT - rng.uniform(0.4, 0.9, len(passes))
     period, begin = rng.uniform(14.0, 22.0), rng.uniform(0.0, 2.0 * pi)
-    side, far, trim = 1.0, False, 0.05  # the elevator's trim is found on the way, so that each aircraft holds height
+    side, far, trim = (
+        1.0,
+        False,
+        0.05,
+    )  # the elevator's trim is found on the way, so that each aircraft holds height
 
     def pilot(t: float, state: list[float]) -> Array:
         nonlocal side, far, trim
@@ -378,7 +476,9 @@ def _figure_eights(rng: np.random.Generator, seconds: float, one_way: bool, exci
         outside = min(max(0.15 * (hypot(px - RADIUS * side, py) - RADIUS), -1.2), 1.2)
         course = atan2(py, px - RADIUS * side) + side * (0.5 * pi + outside)
         to_the_right = (atan2(vy, vx) - course + pi) % (2.0 * pi) - pi
-        most = min(0.85, 0.4 + 0.6 * max(height + 0.4 * vz, 0.0))  # a steep turn sinks: less of it near the floor
+        most = min(
+            0.85, 0.4 + 0.6 * max(height + 0.4 * vz, 0.0)
+        )  # a steep turn sinks: less of it near the floor
         bank = min(max(-0.75 * side + 1.4 * to_the_right, -most), most)
         wish = HEIGHT - float(np.max(down * np.exp(-(((t - passes) / 2.5) ** 2))))
         wish += 3.0 * max(0.8 - height - 0.6 * vz, 0.0)  # in 0.6 s the floor would be near
@@ -388,10 +488,16 @@ def _figure_eights(rng: np.random.Generator, seconds: float, one_way: bool, exci
         sticks = (
             0.4 + 0.3 * (speed - hypot(vx, vy, vz)) + 0.15 * climb,
             1.1 * (bank - roll),
-            trim + 2.0 * (0.1 + 0.2 * (climb - vz) + 0.1 * roll**2 - pitch) + 0.55 * min(roll**2, 1.2),
+            trim
+            + 2.0 * (0.1 + 0.2 * (climb - vz) + 0.1 * roll**2 - pitch)
+            + 0.55 * min(roll**2, 1.2),
             0.25 * bank,
         )
-        return np.clip(sticks + amplitude * np.sin(frequency * t + phase).sum(axis=0), [0.0, -1.0, -1.0, -1.0], 1.0)
+        return np.clip(
+            sticks + amplitude * np.sin(frequency * t + phase).sum(axis=0),
+            [0.0, -1.0, -1.0, -1.0],
+            1.0,
+        )
 
     return pilot
 
@@ -400,35 +506,60 @@ def _after_lead(rows: Array) -> Array:
     return rows[round(LEAD_S / ROW_S) :]
 
 
-# Measuring ------------------------------------------------------------------------------------------------------------
+# Measuring
+# ------------------------------------------------------------------------------------------------------------
 
 
 class _Camera:
-    """Measures poses with errors of its own, the same map of place-dependent errors for every flight."""
+    """Measures poses with errors of its own, the same map of place-dependent errors for every
+    flight.
+    """
 
-    def __init__(self, seed: int, noise: Noise, correlated: bool, pose_bias: float, jitter: float) -> None:
+    def __init__(
+        self, seed: int, noise: Noise, correlated: bool, pose_bias: float, jitter: float
+    ) -> None:
         rng = np.random.default_rng(seed)
         self.seed, self.correlated, self.jitter = seed, correlated, jitter
         self.sigma: Array = np.repeat(np.array(NOISE[noise]), 3)
         self.bias = pose_bias / self.sigma[0]
         directions = rng.normal(size=(3, 6))
-        self.waves = 2.0 * pi / rng.uniform(5.0, 15.0, 6) * directions / np.linalg.norm(directions, axis=0)
+        self.waves = (
+            2.0 * pi / rng.uniform(5.0, 15.0, 6) * directions / np.linalg.norm(directions, axis=0)
+        )
         self.phase = rng.uniform(0.0, 2.0 * pi, 6)
 
-    def table(self, name: str, number: int, flown: Flown, model: Model | None = None, late: float = 0.0) -> FlightTable:
-        """The flight's table after the lead, its stamps from zero on; images are by late [s] older than stamps say."""
+    def table(
+        self, name: str, number: int, flown: Flown, model: Model | None = None, late: float = 0.0
+    ) -> FlightTable:
+        """The flight's table after the lead, its stamps from zero on; images are by late [s] older
+        than stamps say.
+        """
         from scipy.interpolate import CubicSpline
 
-        rng, (states, sticks), K = np.random.default_rng([self.seed, number, 3]), flown, model.K if model else None
+        rng, (states, sticks), K = (
+            np.random.default_rng([self.seed, number, 3]),
+            flown,
+            model.K if model else None,
+        )
         t = np.arange(float(len(states))) * ROW_S - LEAD_S
         poses = _after_lead(CubicSpline(t, states[:, :6])(t - late) if late else states[:, :6])
         tilt = getattr(K, "tilt_roll", 0.0), getattr(K, "tilt_pitch", 0.0), 0.0
         R_body_camera = rotation_world_body(0.0, 0.0, 0.0).T @ rotation_world_body(*tilt)
         R_world_camera = rotation_world_body(poses[:, 5], poses[:, 3], poses[:, 4]) @ R_body_camera
-        error, stamps = self._error(rng, poses[:, :3]), rng.uniform(-self.jitter, self.jitter, len(poses))
+        error, stamps = (
+            self._error(rng, poses[:, :3]),
+            rng.uniform(-self.jitter, self.jitter, len(poses)),
+        )
         attitude = wrap_angle(np.stack(euler_from_rotation(R_world_camera), axis=1) + error[:, 3:])
         t, p_world = np.round(_after_lead(t) + stamps, 5), poses[:, :3] + error[:, :3]
-        return FlightTable(name, t, p_world, attitude, _after_lead(sticks), labels={"source": ("simulated",) * len(t)})
+        return FlightTable(
+            name,
+            t,
+            p_world,
+            attitude,
+            _after_lead(sticks),
+            labels={"source": ("simulated",) * len(t)},
+        )
 
     def _error(self, rng: np.random.Generator, p_world: Array) -> Array:
         """(N, 6) of px, py, pz, roll, pitch, yaw; nan where no pose is measured."""

@@ -1,6 +1,8 @@
-"""Trials: a task and a pilot -> many simulated flights from frozen starts, their record, and rates with intervals.
+"""Trials: a task and a pilot -> many simulated flights from frozen starts, their record, and rates
+with intervals.
 
-A folder keeps the flights one by one in `trials.jsonl`, so that an interrupted study goes on where it stopped.
+A folder keeps the flights one by one in `trials.jsonl`, so that an interrupted study goes on where
+it stopped.
 """
 
 import hashlib
@@ -22,21 +24,27 @@ from falconwing_kit.control.loops import LINK_DELAY_S
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.flight_log import FlightLogWriter
-from falconwing_kit.flight.loop import Loop, Pilot, SimulatedClock, Step, WallClock
+from falconwing_kit.flight.loop import Loop, LoopStep, Pilot, SimulatedClock, WallClock
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
-from falconwing_kit.flight.trial import Task, Trial, trial_seed
+from falconwing_kit.flight.trial import FlightTask, TrialSetup, trial_seed
 from falconwing_kit.flight.world import PoseNoise, SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.tools.bridge.through_port import PortWorld, simulated_board
-from falconwing_kit.tools.trials.statistics import bootstrap_mean, clopper_pearson, mcnemar
+from falconwing_kit.tools.trials.statistics import (
+    bootstrap_mean_interval,
+    clopper_pearson_interval,
+    mcnemar_p_value,
+)
 
 Record = dict[str, Any]
 TRIALS = "trials.jsonl"
 NO_IMAGES = "no images"
 PATHS = ("path_m", "leader_path_m")
 DIGITS = 16  # of a digest
-LEADER = "leader_digest"  # in the head of a study with a leader; earlier versions of the kit wrote none
+LEADER = (
+    "leader_digest"  # in the head of a study with a leader; earlier versions of the kit wrote none
+)
 DIGESTS = {  # key of a head -> what differs where it differs
     LEADER: "another leader's path",
     "task_digest": "another duration, spread, noise, delay, model or airframe",
@@ -56,31 +64,36 @@ MEANS = {
 
 
 @dataclass(frozen=True)
-class Setting:
+class TrialSettings:
     """How trials are flown, apart from task, pilot and seed."""
 
     scene: GaussianScene | None = None  # rendered for the pilot; None gives it no images
     camera: PinholeCamera = field(default_factory=fpv_camera)
     clock: type[SimulatedClock] | type[WallClock] = SimulatedClock  # a new one for every flight
-    hooks: Sequence[Callable[[Step], None]] = ()
-    port: str = ""  # a simulated board that every command goes through, one of `through_port.PORTS`; "" for none
+    hooks: Sequence[Callable[[LoopStep], None]] = ()
+    # a simulated board that every command goes through, one of `through_port.PORTS`; "" for none
+    port: str = ""
 
     @property
     def record(self) -> Record:
         """What has to be the same for flights to be comparable."""
         lens = self.camera
         how = {"rendered": self.scene is not None, "size_px": [lens.width, lens.height]}
-        how |= {"focal_px": [lens.fx, lens.fy], "centre_px": [lens.cx, lens.cy], "clock": self.clock.__name__}
+        how |= {
+            "focal_px": [lens.fx, lens.fy],
+            "centre_px": [lens.cx, lens.cy],
+            "clock": self.clock.__name__,
+        }
         how |= {"port": self.port} if self.port else {}
         return {**how, "scene_digest": None if self.scene is None else _scene_digest(self.scene)}
 
 
 def fly_trial(
-    task: Task,
-    make_pilot: Callable[[Trial], Pilot],
+    task: FlightTask,
+    make_pilot: Callable[[TrialSetup], Pilot],
     number: int,
     seed: int = 0,
-    setting: Setting | None = None,
+    setting: TrialSettings | None = None,
     log: str | Path | None = None,
 ) -> Record:
     """Fly one trial.
@@ -94,48 +107,69 @@ def fly_trial(
         log: an MCAP file to write; None for none.
 
     Returns:
-        Numbers and the path: of the loop (reason, steps, skipped, faults), of the pilot's run time (art_ms of every
-        step, with median and 95th percentile, the machine and the images it was measured with) and of the judge.
+        Numbers and the path: of the loop (reason, steps, skipped, faults), of the pilot's run time
+            (art_ms of every
+        step, with median and 95th percentile, the machine and the images it was measured with) and
+        of the judge.
 
     Raises:
         KeyboardInterrupt: Ctrl-C; the log is whole, and the trial does not count.
         InputError: a number is out of its range, or the log cannot be written.
     """
-    setting = setting or Setting()
+    setting = setting or TrialSettings()
     trial = task.trial(trial_seed(number, seed))
     pilot = make_pilot(trial)
     with ExitStack() as stack:
         writer = stack.enter_context(FlightLogWriter(log)) if log is not None else None
-        world = _behind_port(stack, trial.world, setting.port, writer) if setting.port else trial.world
+        world = (
+            _behind_port(stack, trial.world, setting.port, writer) if setting.port else trial.world
+        )
         view = None
         if setting.scene is not None:
-            scene = _with_own_noise(setting.scene, trial.seed)
+            scene = _seed_link_noise(setting.scene, trial.seed)
             view = RenderedView(world, scene, setting.camera, task.airframe.p_body_camera)
         judge = task.judge(trial, setting.camera, view)
         states, hooks = MeasuredStates(world), setting.hooks
         loop = Loop(pilot, world, view, states, trial.leader, setting.clock(), writer, hooks)
         if writer is not None:
-            writer.metadata({"simulated": "yes", "task": task.name, "seed": trial.seed, "port": setting.port})
+            writer.metadata(
+                {"simulated": "yes", "task": task.name, "seed": trial.seed, "port": setting.port}
+            )
         flight = loop.run(trial.duration, judge.watch)
         through = {"port": world.record} if isinstance(world, PortWorld) else {}
     if flight.reason == "interrupted":
         raise KeyboardInterrupt
     median, high = flight.milliseconds("pilot")
-    art = {"art_median_ms": median, "art_p95_ms": high, "machine": machine()}
+    art = {"art_median_ms": median, "art_p95_ms": high, "machine": describe_machine()}
     art |= {"art_ms": np.round(1e3 * flight.seconds["pilot"], 3).tolist(), "images": NO_IMAGES}
-    art |= {"images": f"{view.camera.width}x{view.camera.height} images by {view.backend!r}"} if view else {}
-    how = {"reason": flight.reason, "steps": len(flight.t), "skipped": flight.skipped, "faults": flight.faults}
-    first_fault = next((dict(event.details) for event in flight.events if event.name == "pilot failed"), None)
+    art |= (
+        {"images": f"{view.camera.width}x{view.camera.height} images by {view.backend!r}"}
+        if view
+        else {}
+    )
+    how = {
+        "reason": flight.reason,
+        "steps": len(flight.t),
+        "skipped": flight.skipped,
+        "faults": flight.faults,
+    }
+    first_fault = next(
+        (dict(event.details) for event in flight.events if event.name == "pilot failed"), None
+    )
     how |= {"first_fault": first_fault} if first_fault else {}
     return {"trial": number, "seed": trial.seed, **how, **art, **through, **judge.result()}
 
 
-def _behind_port(stack: ExitStack, world: SimulatedWorld, name: str, log: FlightLogWriter | None) -> PortWorld:
+def _behind_port(
+    stack: ExitStack, world: SimulatedWorld, name: str, log: FlightLogWriter | None
+) -> PortWorld:
     """The world behind a simulated board; what happens at the port goes to the log."""
 
     def note(t: float, what: str, details: Mapping[str, Any]) -> None:
         if log is not None:
-            with suppress(InputError):  # a full disk ends no flight, and the loop, which writes here too, says so
+            with suppress(
+                InputError
+            ):  # a full disk ends no flight, and the loop, which writes here too, says so
                 log.event(t, what, details)
 
     board = simulated_board(name)
@@ -144,18 +178,19 @@ def _behind_port(stack: ExitStack, world: SimulatedWorld, name: str, log: Flight
 
 
 def fly_trials(
-    task: Task,
-    make_pilot: Callable[[Trial], Pilot],
+    task: FlightTask,
+    make_pilot: Callable[[TrialSetup], Pilot],
     count: int,
     *,
     pilot: str,
     seed: int = 0,
-    setting: Setting | None = None,
+    setting: TrialSettings | None = None,
     out: str | Path | None = None,
     logs: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> list[Record]:
-    """Fly trials 0 to count - 1 of the frozen list, or those of them that a folder does not hold yet.
+    """Fly trials 0 to count - 1 of the frozen list, or those of them that a folder does not hold
+    yet.
 
     Args:
         task: what is to be done.
@@ -164,8 +199,8 @@ def fly_trials(
         pilot: what the pilot is called.
         seed: which list of starts and noise; the same list for every pilot makes pairs.
         setting: images, clock and hooks.
-        out: folder that keeps the flights; made where it is missing. None keeps nothing. Of a task it keeps name and
-            digest, see `study_head`.
+        out: folder that keeps the flights; made where it is missing. None keeps nothing. Of a task
+            it keeps name and digest, see `study_head`.
         logs: write a flight log of each trial too, into `out`.
         progress: told after each flight how it stands.
 
@@ -173,32 +208,33 @@ def fly_trials(
         A record of each trial, as `fly_trial` makes them.
 
     Raises:
-        InputError: the folder holds trials that were flown otherwise, or an argument is out of its range.
+        InputError: the folder holds trials that were flown otherwise, or an argument is out of its
+            range.
         KeyboardInterrupt: Ctrl-C; finished flights are kept.
     """
-    setting = setting or Setting()
+    setting = setting or TrialSettings()
     require_range("trials", count, low=1, high=10_000)
     head, folder, records = {}, None if out is None else Path(out), []
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         head = study_head(task, pilot, seed) | setting.record
-        records = flown_before(folder, head)
+        records = read_flown_trials(folder, head)
     for number in range(len(records), count):
         log = _log_path(folder, number) if folder is not None and logs else None
         records.append(fly_trial(task, make_pilot, number, seed, setting, log))
         if folder is not None:
-            _keep(folder, head, records)
+            _write_trials(folder, head, records)
         progress(f"{sum(record['success'] for record in records)} of {len(records)}")
     return records[:count]
 
 
-def study_head(task: Task, pilot: str, seed: int = 0) -> Record:
+def study_head(task: FlightTask, pilot: str, seed: int = 0) -> Record:
     """What is flown, by whom and from which starts, apart from images and clock.
 
-    The digest tells tasks of one name apart by their repr, which of the kit's tasks, as of any dataclass, holds all
-    fields; of another task it tells what its repr tells. The world's default noise and delay are in it too, and of a
-    task with a leader the path that it flies in the first trial, which has a digest of its own so that a changed leader
-    is named.
+    The digest tells tasks of one name apart by their repr, which of the kit's tasks, as of any
+    dataclass, holds all fields; of another task it tells what its repr tells. The world's default
+    noise and delay are in it too, and of a task with a leader the path that it flies in the first
+    trial, which has a digest of its own so that a changed leader is named.
 
     Args:
         task: what is to be done.
@@ -211,17 +247,24 @@ def study_head(task: Task, pilot: str, seed: int = 0) -> Record:
     leader = task.leader(trial_seed(0, seed))
     shown = {} if leader is None else {LEADER: leader.digest[:DIGITS]}
     with np.printoptions(threshold=sys.maxsize, precision=17):
-        told = re.sub(r" at 0x[0-9a-fA-F]+", "", repr((task, PoseNoise(), LINK_DELAY_S)))
-    digest = hashlib.sha256((told + shown.get(LEADER, "")).encode()).hexdigest()[:DIGITS]
-    return {"simulated": True, "task": task.name, "pilot": pilot, "list": seed, **shown, "task_digest": digest}
+        representation = re.sub(r" at 0x[0-9a-fA-F]+", "", repr((task, PoseNoise(), LINK_DELAY_S)))
+    digest = hashlib.sha256((representation + shown.get(LEADER, "")).encode()).hexdigest()[:DIGITS]
+    return {
+        "simulated": True,
+        "task": task.name,
+        "pilot": pilot,
+        "list": seed,
+        **shown,
+        "task_digest": digest,
+    }
 
 
-def flown_before(folder: Path, head: Mapping[str, Any]) -> list[Record]:
+def read_flown_trials(folder: Path, head: Mapping[str, Any]) -> list[Record]:
     """Trials that a folder keeps, if they were flown in the same way.
 
     Args:
         folder: of `fly_trials`; it may be empty or missing.
-        head: what has to be the same, of `study_head` and `Setting.record`.
+        head: what has to be the same, of `study_head` and `TrialSettings.record`.
 
     Returns:
         Their records.
@@ -234,13 +277,13 @@ def flown_before(folder: Path, head: Mapping[str, Any]) -> list[Record]:
     before, records = read_trials(folder)
     if different := _difference(before, head):
         raise InputError(
-            f"--out {folder}: want an empty folder or one of the same study, got trials with {different};"
+            f"--out {folder}: expected an empty folder or one of the same study, got trials with {different};"
             " choose another folder"
         )
     return records
 
 
-def trials_to_pair(folder: str | Path, head: Mapping[str, Any]) -> list[Record]:
+def read_paired_trials(folder: str | Path, head: Mapping[str, Any]) -> list[Record]:
     """Trials of another pilot, if they are of the same task from the same list of starts.
 
     Args:
@@ -258,7 +301,7 @@ def trials_to_pair(folder: str | Path, head: Mapping[str, Any]) -> list[Record]:
     different = _difference(before, {key: value for key, value in head.items() if key != "pilot"})
     if different or not records:
         raise InputError(
-            f"--against {folder}: want trials of the same task from the same starts, got"
+            f"--against {folder}: expected trials of the same task from the same starts, got"
             f" {f'trials with {different}' if different else 'none'}; choose another folder, or its task and --seed"
         )
     return records
@@ -273,35 +316,48 @@ def read_trials(folder: str | Path) -> tuple[Record, list[Record]]:
     """
     path = Path(folder) / TRIALS
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: want trials that `falconwing fly --out` wrote, found none there")
+        raise FileNotFoundError(
+            f"{path}: expected trials that `falconwing fly --out` wrote, found none there"
+        )
     try:
-        head, *records = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
-        wrong = _wrong_head(head) or next(filter(None, map(_wrong_record, range(len(records)), records)), "")
+        head, *records = (
+            json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()
+        )
+        wrong = _header_error(head) or next(
+            filter(None, map(_record_error, range(len(records)), records)), ""
+        )
     except (ValueError, RecursionError):
         wrong = "other lines"
     if wrong:
-        raise InputError(f"{short_name(path)}: want a head and then trials from 0 on, got {wrong}; choose a new folder")
+        raise InputError(
+            f"{short_name(path)}: expected a head and then trials from 0 on, got {wrong}; choose a new folder"
+        )
     return head, records
 
 
-def summary(records: Sequence[Mapping[str, Any]]) -> Record:
+def summarise_trials(records: Sequence[Mapping[str, Any]]) -> Record:
     """Rates and means over trials, with 95 % intervals.
 
     Args:
         records: of `fly_trials`, at least one.
 
     Returns:
-        trials, successes, success_rate with success_low95 and success_high95 (exact), and for every measure its mean
-        with low95 and high95 (bootstrap), median and largest: ALD, sink rate and bank of successes, ATE of all trials
-        until the lock was lost and once more of successes. art_median_ms and art_p95_ms are the median and the 95th
-        percentile over the art_steps steps of all trials, on which machine and with which images they say themselves.
+        trials, successes, success_rate with success_low95 and success_high95 (exact), and for every
+        measure its mean with low95 and high95 (bootstrap), median and largest: ALD, sink rate and
+        bank of successes, ATE of all trials until the lock was lost and once more of successes.
+        art_median_ms and art_p95_ms are the median and the 95th percentile over the art_steps steps
+        of all trials, on which machine and with which images they say themselves.
 
     Raises:
         InputError: there are no records.
     """
     successes = [record for record in records if record["success"]]
-    low, high = clopper_pearson(len(successes), len(records))
-    found: Record = {"trials": len(records), "successes": len(successes), "success_rate": len(successes) / len(records)}
+    low, high = clopper_pearson_interval(len(successes), len(records))
+    found: Record = {
+        "trials": len(records),
+        "successes": len(successes),
+        "success_rate": len(successes) / len(records),
+    }
     found |= {"success_low95": low, "success_high95": high}
     for key, of_successes in MEANS.items():
         if any(_value(record, key) is not None for record in records):
@@ -313,10 +369,15 @@ def summary(records: Sequence[Mapping[str, Any]]) -> Record:
     steps_ms = np.concatenate([record["art_ms"] for record in records])
     median, high = np.percentile(steps_ms, (50.0, 95.0))
     found |= {"art_steps": len(steps_ms), "art_median_ms": float(median), "art_p95_ms": float(high)}
-    return found | {key: "; ".join(dict.fromkeys(record[key] for record in records)) for key in ("images", "machine")}
+    return found | {
+        key: "; ".join(dict.fromkeys(record[key] for record in records))
+        for key in ("images", "machine")
+    }
 
 
-def compare_pilots(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]) -> Record:
+def compare_pilots(
+    first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]
+) -> Record:
     """Two pilots on the same starts: trials that only one of them won, and McNemar's p-value.
 
     Args:
@@ -330,14 +391,25 @@ def compare_pilots(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[
         InputError: they have no seed in common.
     """
     other = {record["seed"]: record for record in second}
-    pairs = [(bool(a["success"]), bool(other[a["seed"]]["success"])) for a in first if a["seed"] in other]
+    pairs = [
+        (bool(a["success"]), bool(other[a["seed"]]["success"])) for a in first if a["seed"] in other
+    ]
     if not pairs:
-        raise InputError("pairs: want trials of both pilots from the same starts, got none; use the same --seed")
-    wins = {"only_first": sum(a and not b for a, b in pairs), "only_second": sum(b and not a for a, b in pairs)}
-    return {"pairs": len(pairs), **wins, "p_value": mcnemar([a for a, _ in pairs], [b for _, b in pairs])}
+        raise InputError(
+            "pairs: expected trials of both pilots from the same starts, got none; use the same --seed"
+        )
+    wins = {
+        "only_first": sum(a and not b for a, b in pairs),
+        "only_second": sum(b and not a for a, b in pairs),
+    }
+    return {
+        "pairs": len(pairs),
+        **wins,
+        "p_value": mcnemar_p_value([a for a, _ in pairs], [b for _, b in pairs]),
+    }
 
 
-def machine() -> str:
+def describe_machine() -> str:
     """What run times were measured on."""
     threads = os.environ.get("OMP_NUM_THREADS", "all")
     return f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, OMP_NUM_THREADS {threads}"
@@ -353,10 +425,21 @@ def _value(record: Mapping[str, Any], key: str) -> float | None:
 
 def _mean(records: Sequence[Mapping[str, Any]], key: str) -> Record:
     values = [value for value in (_value(record, key) for record in records) if value is not None]
-    low, high = bootstrap_mean(values)
+    low, high = bootstrap_mean_interval(values)
     if not values:
-        return {"mean": math.nan, "low95": low, "high95": high, "median": math.nan, "largest": math.nan, "of": 0}
-    middle = {"median": float(np.median(values)), "largest": float(np.max(values)), "of": len(values)}
+        return {
+            "mean": math.nan,
+            "low95": low,
+            "high95": high,
+            "median": math.nan,
+            "largest": math.nan,
+            "of": 0,
+        }
+    middle = {
+        "median": float(np.median(values)),
+        "largest": float(np.max(values)),
+        "of": len(values),
+    }
     return {"mean": float(np.mean(values)), "low95": low, "high95": high, **middle}
 
 
@@ -376,33 +459,44 @@ def _scene_digest(scene: GaussianScene) -> str:
     return hashlib.sha256(b"".join(array.tobytes() for array in arrays) + link).hexdigest()[:DIGITS]
 
 
-def _with_own_noise(scene: GaussianScene, seed: int) -> GaussianScene:
+def _seed_link_noise(scene: GaussianScene, seed: int) -> GaussianScene:
     """The scene whose analog link, if it has one, draws its noise from a trial's seed."""
     return scene if scene.link is None else replace(scene, link=replace(scene.link, seed=seed))
 
 
-def _wrong_head(head: Any) -> str:
+def _header_error(head: Any) -> str:
     """What is wrong with a line that should be a head; empty where nothing is."""
-    fair = isinstance(head, dict) and isinstance(head.get("task"), str) and _is_number(head.get("list"), whole=True)
+    fair = (
+        isinstance(head, dict)
+        and isinstance(head.get("task"), str)
+        and _is_number(head.get("list"), whole=True)
+    )
     return "" if fair else "a first line without task and list"
 
 
-def _wrong_record(number: int, record: Any) -> str:
+def _record_error(number: int, record: Any) -> str:
     """What is wrong with a line that should be the record of a trial; empty where nothing is."""
-    if not isinstance(record, dict) or not _is_number(record.get("trial"), whole=True) or record["trial"] != number:
+    if (
+        not isinstance(record, dict)
+        or not _is_number(record.get("trial"), whole=True)
+        or record["trial"] != number
+    ):
         return f"another line in place of trial {number}"
     key = next((key for key, fits in NEEDED.items() if not fits(record.get(key))), None)
-    key = key or next((key for key, value in record.items() if not _fits(key, value)), None)
+    key = key or next((key for key, value in record.items() if not _is_valid(key, value)), None)
     if key is None and record["faults"] and not isinstance(_first_error(record), str):
         key = "first_fault"
     return "" if key is None else f"trial {number} with {key} {json.dumps(record.get(key))[:40]}"
 
 
-def _fits(key: str, value: Any) -> bool:
-    """Whether a measure is what its name promises: a path of points, or a number or None for one with a unit."""
+def _is_valid(key: str, value: Any) -> bool:
+    """Whether a measure is what its name promises: a path of points, or a number or None for one
+    with a unit.
+    """
     if key in PATHS:
         return isinstance(value, list) and all(
-            isinstance(point, list) and len(point) == 3 and all(map(_is_number, point)) for point in value
+            isinstance(point, list) and len(point) == 3 and all(map(_is_number, point))
+            for point in value
         )
     measured = key in MEANS or key.endswith(("_m", "_m_s", "_s", "_deg"))
     return not measured or value is None or _is_number(value)
@@ -415,7 +509,11 @@ def _first_error(record: Record) -> Any:
 
 def _is_number(value: Any, *, whole: bool = False) -> bool:
     """Whether a value is a finite number; JSON as Python reads it has nan and infinity too."""
-    return isinstance(value, int if whole else int | float) and not isinstance(value, bool) and abs(value) < 1e300
+    return (
+        isinstance(value, int if whole else int | float)
+        and not isinstance(value, bool)
+        and abs(value) < 1e300
+    )
 
 
 def _is_list(value: Any) -> bool:
@@ -438,7 +536,7 @@ NEEDED: dict[str, Callable[[Any], bool]] = {
 }
 
 
-def _keep(folder: Path, head: Record, records: Sequence[Record]) -> None:
+def _write_trials(folder: Path, head: Record, records: Sequence[Record]) -> None:
     """All lines anew after every flight: a few hundred short ones, and never a line cut in half."""
     with atomic_write(folder / TRIALS, text=True) as file:
         file.writelines(json.dumps(line, allow_nan=False) + "\n" for line in (head, *records))
@@ -446,5 +544,7 @@ def _keep(folder: Path, head: Record, records: Sequence[Record]) -> None:
 
 def _log_path(folder: Path, number: int) -> Path:
     """A name that is free: the log of an interrupted flight stays."""
-    names = (f"trial_{number:03d}{'' if take == 1 else f'_take{take}'}.mcap" for take in range(1, 1000))
+    names = (
+        f"trial_{number:03d}{'' if take == 1 else f'_take{take}'}.mcap" for take in range(1, 1000)
+    )
     return next(folder / name for name in names if not (folder / name).exists())

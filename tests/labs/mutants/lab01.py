@@ -1,11 +1,17 @@
-"""Wrong solutions of lab 1, such as students write: what is wrong, the text that is replaced, and by what."""
+"""Wrong solutions of lab 1, such as students write: what is wrong, the text that is replaced, and
+by what.
+"""
 
 MUTANTS = {
     "mass_budget": (
         ("counts what is inside again", 'if inside == "":', "if True:"),
         ("forgets how many pieces there are", "total += count * mass_g", "total += mass_g"),
         ("one moment for all pieces", "moment += count * mass_g * x_mm", "moment += mass_g * x_mm"),
-        ("averages places without weighing them", "moment += count * mass_g * x_mm", "moment += x_mm"),
+        (
+            "averages places without weighing them",
+            "moment += count * mass_g * x_mm",
+            "moment += x_mm",
+        ),
         ("leaves the moment undivided", "return total, moment / total", "return total, moment"),
         ("counts only what is inside", 'if inside == "":', 'if inside != "":'),
     ),
@@ -14,9 +20,17 @@ MUTANTS = {
         ("celsius for kelvin", "(temperature_c + 273.15)", "(temperature_c + 0.01)"),
         ("no half in the lift", "np.sqrt(2.0 * weight", "np.sqrt(weight"),
         ("forgets the root", "return np.sqrt(2.0 * weight", "return (2.0 * weight"),
-        ("the paper's density at any temperature", "PRESSURE / (AIR_GAS_CONSTANT * (temperature_c + 273.15))", "1.3"),
+        (
+            "the paper's density at any temperature",
+            "PRESSURE / (AIR_GAS_CONSTANT * (temperature_c + 273.15))",
+            "1.3",
+        ),
         ("mass for weight", " * GRAVITY", ""),
-        ("takes the root of the weight only", "np.sqrt(2.0 * weight / (density", "np.sqrt(2.0 * weight) / ((density"),
+        (
+            "takes the root of the weight only",
+            "np.sqrt(2.0 * weight / (density",
+            "np.sqrt(2.0 * weight) / ((density",
+        ),
     ),
     "level_turn": (
         ("degrees for radians", "np.radians(bank_deg)", "bank_deg"),
@@ -33,12 +47,24 @@ MUTANTS = {
         ("the paper's turn, which sinks", "np.sin(bank)", "np.tan(bank)"),
         ("diameter for radius", " / 2.0\n    mass", "\n    mass"),
         ("kilograms for grams", "return 1000.0 * mass", "return mass"),
-        ("clearance on one side only", '2.0 * COHORT["wall_clearance"]', 'COHORT["wall_clearance"]'),
+        (
+            "clearance on one side only",
+            '2.0 * COHORT["wall_clearance"]',
+            'COHORT["wall_clearance"]',
+        ),
         ("whole span, as if not banked", "SPAN * np.cos(bank)", "SPAN"),
         ("half of the wing", "SPAN * np.cos(bank)", "0.5 * SPAN * np.cos(bank)"),
         ("reserve not squared", 'COHORT["speed_reserve"] ** 2', 'COHORT["speed_reserve"]'),
-        ("reserve the wrong way", '/ COHORT["speed_reserve"] ** 2', '* COHORT["speed_reserve"] ** 2'),
-        ("negative masses in a corridor", "np.maximum(np.asarray(width) - taken, 0.0)", "(np.asarray(width) - taken)"),
+        (
+            "reserve the wrong way",
+            '/ COHORT["speed_reserve"] ** 2',
+            '* COHORT["speed_reserve"] ** 2',
+        ),
+        (
+            "negative masses in a corridor",
+            "np.maximum(np.asarray(width) - taken, 0.0)",
+            "(np.asarray(width) - taken)",
+        ),
         ("weight instead of mass", "return 1000.0 * mass", "return 9800.0 * mass"),
     ),
 }

@@ -1,9 +1,19 @@
-"""Wrong solutions of lab 2, such as students write: what is wrong, the text that is replaced, and by what."""
+"""Wrong solutions of lab 2, such as students write: what is wrong, the text that is replaced, and
+by what.
+"""
 
 MUTANTS = {
     "rot_from_euler": (
-        ("heading as if the runway pointed north", ' - np.radians(COHORT["runway_heading_deg"])', ""),
-        ("degrees for radians", 'np.radians(COHORT["runway_heading_deg"])', 'COHORT["runway_heading_deg"]'),
+        (
+            "heading as if the runway pointed north",
+            ' - np.radians(COHORT["runway_heading_deg"])',
+            "",
+        ),
+        (
+            "degrees for radians",
+            'np.radians(COHORT["runway_heading_deg"])',
+            'COHORT["runway_heading_deg"]',
+        ),
         ("yaw counted to the left", "yaw = heading - np.radians(", "yaw = -heading + np.radians("),
         ("the textbook's axes, not the map's", "return right_along_up @ ", "return "),
         (
@@ -11,7 +21,11 @@ MUTANTS = {
             "[[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]",
             "[[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]",
         ),
-        ("turns in the wrong order", "turn_yaw @ turn_pitch @ turn_roll", "turn_roll @ turn_pitch @ turn_yaw"),
+        (
+            "turns in the wrong order",
+            "turn_yaw @ turn_pitch @ turn_roll",
+            "turn_roll @ turn_pitch @ turn_yaw",
+        ),
         ("pitch and roll swapped", "turn_pitch @ turn_roll", "turn_roll @ turn_pitch"),
         ("nose down for up", "np.cos(pitch), np.sin(pitch)", "np.cos(pitch), -np.sin(pitch)"),
         ("left wing down for right", "np.cos(roll), np.sin(roll)", "np.cos(roll), -np.sin(roll)"),
@@ -23,11 +37,23 @@ MUTANTS = {
     ),
     "camera_pose": (
         ("tilted up", "[np.cos(tilt), 0.0, np.sin(tilt)]", "[np.cos(tilt), 0.0, -np.sin(tilt)]"),
-        ("picture's down leans forward", "[-np.sin(tilt), 0.0, np.cos(tilt)]", "[np.sin(tilt), 0.0, np.cos(tilt)]"),
+        (
+            "picture's down leans forward",
+            "[-np.sin(tilt), 0.0, np.cos(tilt)]",
+            "[np.sin(tilt), 0.0, np.cos(tilt)]",
+        ),
         ("tilt forgotten", "[np.cos(tilt), 0.0, np.sin(tilt)]", "[1.0, 0.0, 0.0]"),
         ("axes in the order of the body", "[right, down, forward]", "[forward, right, down]"),
-        ("rows for columns", "np.column_stack([right, down, forward])", "np.array([right, down, forward])"),
-        ("mount in map axes", "p_map_body + R_map_body @ p_body_camera", "p_map_body + p_body_camera"),
+        (
+            "rows for columns",
+            "np.column_stack([right, down, forward])",
+            "np.array([right, down, forward])",
+        ),
+        (
+            "mount in map axes",
+            "p_map_body + R_map_body @ p_body_camera",
+            "p_map_body + p_body_camera",
+        ),
         ("mount forgotten", " + R_map_body @ p_body_camera", ""),
         (
             "mount through the camera's rotation",
@@ -39,10 +65,18 @@ MUTANTS = {
     "map_to_camera": (
         ("map from camera", "R_camera_map = R_map_camera.T", "R_camera_map = R_map_camera"),
         ("lens added", "(p_map - t)", "(p_map + t)"),
-        ("turned before it is shifted", "(R_camera_map @ (p_map - t).T).T", "(R_camera_map @ p_map.T).T - t"),
+        (
+            "turned before it is shifted",
+            "(R_camera_map @ (p_map - t).T).T",
+            "(R_camera_map @ p_map.T).T - t",
+        ),
         ("lens forgotten", "(p_map - t)", "p_map"),
         ("columns returned", "(p_map - t).T).T", "(p_map - t).T)"),
-        ("matrix on the wrong side", "(R_camera_map @ (p_map - t).T).T", "(p_map - t) @ R_camera_map"),
+        (
+            "matrix on the wrong side",
+            "(R_camera_map @ (p_map - t).T).T",
+            "(p_map - t) @ R_camera_map",
+        ),
     ),
     "project_points": (
         ("half a pixel in the kit's way", 'lens["cx"] - 0.5', 'lens["cx"]'),
@@ -63,11 +97,19 @@ MUTANTS = {
         ("ray left in camera axes", "T_map_camera[:3, :3] @ d_camera", "d_camera"),
         ("camera from map", "T_map_camera[:3, :3] @ d_camera", "T_map_camera[:3, :3].T @ d_camera"),
         ("starts from the origin", "points = t - ", "points = -"),
-        ("floor behind the camera for the sky", "np.where(d_map[:, 2] < 0.0, d_map[:, 2], np.nan)", "d_map[:, 2]"),
+        (
+            "floor behind the camera for the sky",
+            "np.where(d_map[:, 2] < 0.0, d_map[:, 2], np.nan)",
+            "d_map[:, 2]",
+        ),
         ("walks away from the floor", "t - (t[2]", "t + (t[2]"),
         ("sky and floor confused", "d_map[:, 2] < 0.0", "d_map[:, 2] > 0.0"),
         ("one focal length for both", 'lens["fy"]', 'lens["fx"]'),
         ("only as far as 1 m down", "(t[2] / down)", "(1.0 / down)"),
-        ("floor at the height of the camera", "[1.0, 1.0, 0.0]", "[1.0, 1.0, 0.0]) + np.array([0.0, 0.0, 1.0]"),
+        (
+            "floor at the height of the camera",
+            "[1.0, 1.0, 0.0]",
+            "[1.0, 1.0, 0.0]) + np.array([0.0, 0.0, 1.0]",
+        ),
     ),
 }

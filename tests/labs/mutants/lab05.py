@@ -9,8 +9,16 @@ MUTANTS = {
             "np.arange(max(k - half, 0), min(k + half + 1, len(t)))",
             "np.arange(k - half, k + half + 1) % len(t)",
         ),
-        ("row numbers for times", "tau = t[rows] - t[rows].mean()", "tau = 0.05 * (rows - rows.mean())"),
-        ("times from the middle row, not their mean", "tau = t[rows] - t[rows].mean()", "tau = t[rows] - t[k]"),
+        (
+            "row numbers for times",
+            "tau = t[rows] - t[rows].mean()",
+            "tau = 0.05 * (rows - rows.mean())",
+        ),
+        (
+            "times from the middle row, not their mean",
+            "tau = t[rows] - t[rows].mean()",
+            "tau = t[rows] - t[k]",
+        ),
         ("missing values as zero", "rows = rows[np.isfinite(x[rows])]", "x = np.nan_to_num(x)"),
         ("noise is a variance", "1.0 / np.sqrt(tau @ tau)", "1.0 / (tau @ tau)"),
         (
@@ -20,21 +28,37 @@ MUTANTS = {
         ),
     ),
     "residuals": (
-        ("measured minus predicted", "(predicted - measured) / sigma", "(measured - predicted) / sigma"),
+        (
+            "measured minus predicted",
+            "(predicted - measured) / sigma",
+            "(measured - predicted) / sigma",
+        ),
         ("not in sigmas", "e = (predicted - measured) / sigma", "e = predicted - measured"),
         (
             "each channel its own factor, as in the kit",
             "np.where(known, factor.min(axis=-1, keepdims=True), 0.0)",
             "np.where(known, factor, 0.0)",
         ),
-        ("no square root", "np.sqrt(FAR / np.maximum(np.abs(e), FAR))", "FAR / np.maximum(np.abs(e), FAR)"),
-        ("far frames thrown away", "np.sqrt(FAR / np.maximum(np.abs(e), FAR))", "1.0 * (np.abs(e) <= FAR)"),
+        (
+            "no square root",
+            "np.sqrt(FAR / np.maximum(np.abs(e), FAR))",
+            "FAR / np.maximum(np.abs(e), FAR)",
+        ),
+        (
+            "far frames thrown away",
+            "np.sqrt(FAR / np.maximum(np.abs(e), FAR))",
+            "1.0 * (np.abs(e) <= FAR)",
+        ),
         (
             "the kit's limit of 3 squared",
             "np.sqrt(FAR / np.maximum(np.abs(e), FAR))",
             "np.sqrt(9.0 / np.maximum(np.abs(e), 9.0))",
         ),
-        ("a missing value spoils its channel only", "np.isfinite(e).all(axis=-1, keepdims=True)", "np.isfinite(e)"),
+        (
+            "a missing value spoils its channel only",
+            "np.isfinite(e).all(axis=-1, keepdims=True)",
+            "np.isfinite(e)",
+        ),
         (
             "weight without the factor",
             "return factor * e, factor / sigma",
@@ -73,11 +97,27 @@ MUTANTS = {
     "holdout_score": (
         ("scores the passes that were fitted", "mine = np.isin", "mine = ~np.isin"),
         ("scores all passes", "(predicted - measured)[mine]", "(predicted - measured)"),
-        ("per axis instead of distance", "np.mean(e[:, 0] ** 2 + e[:, 1] ** 2)", "np.mean(e[:, :2] ** 2)"),
-        ("mean distance", "np.sqrt(np.mean(e[:, 0] ** 2 + e[:, 1] ** 2))", "np.mean(np.hypot(e[:, 0], e[:, 1]))"),
+        (
+            "per axis instead of distance",
+            "np.mean(e[:, 0] ** 2 + e[:, 1] ** 2)",
+            "np.mean(e[:, :2] ** 2)",
+        ),
+        (
+            "mean distance",
+            "np.sqrt(np.mean(e[:, 0] ** 2 + e[:, 1] ** 2))",
+            "np.mean(np.hypot(e[:, 0], e[:, 1]))",
+        ),
         ("pitch in rad", "np.degrees(pitch)", "pitch"),
         ("degrees of the square", "np.sqrt(np.mean(e[:, 2] ** 2))", "np.mean(e[:, 2] ** 2)"),
-        ("missing values count as hits", "e[np.isfinite(e).all(axis=-1)]", "np.nan_to_num(e).reshape(-1, 3)"),
-        ("passes taken for windows", "np.isin(of_pass, held_passes)", "np.isin(np.arange(len(of_pass)), held_passes)"),
+        (
+            "missing values count as hits",
+            "e[np.isfinite(e).all(axis=-1)]",
+            "np.nan_to_num(e).reshape(-1, 3)",
+        ),
+        (
+            "passes taken for windows",
+            "np.isin(of_pass, held_passes)",
+            "np.isin(np.arange(len(of_pass)), held_passes)",
+        ),
     ),
 }

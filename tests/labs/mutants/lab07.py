@@ -1,9 +1,15 @@
-"""Wrong solutions of lab 7 that students write: for each exercise, what is wrong, the old text and the new."""
+"""Wrong solutions of lab 7 that students write: for each exercise, what is wrong, the old text and
+the new.
+"""
 
 MUTANTS = {
     "turn": (
         ("the climb is forgotten in the bank", "speed**2 * np.cos(climb) /", "speed**2 /"),
-        ("cos(climb) squared, as in the kit", "speed**2 * np.cos(climb) /", "(speed * np.cos(climb)) ** 2 /"),
+        (
+            "cos(climb) squared, as in the kit",
+            "speed**2 * np.cos(climb) /",
+            "(speed * np.cos(climb)) ** 2 /",
+        ),
         ("the climb is forgotten in n", "np.cos(climb) / np.cos(bank)", "1.0 / np.cos(bank)"),
         ("always to the right", "(GRAVITY * radius)", "(GRAVITY * np.abs(radius))"),
         ("the margin upside down", "speed / stall_speed", "stall_speed / speed"),
@@ -19,27 +25,63 @@ MUTANTS = {
             "np.sin(bank) * np.cos(pitch)\n    r = yaw_rate * np.cos(bank)",
             "np.cos(bank) * np.cos(pitch)\n    r = yaw_rate * np.sin(bank)",
         ),
-        ("the pitch is forgotten in q", "yaw_rate * np.sin(bank) * np.cos(pitch)", "yaw_rate * np.sin(bank)"),
+        (
+            "the pitch is forgotten in q",
+            "yaw_rate * np.sin(bank) * np.cos(pitch)",
+            "yaw_rate * np.sin(bank)",
+        ),
         ("sine of the bank in the turn rate", "GRAVITY * np.tan(bank)", "GRAVITY * np.sin(bank)"),
-        ("up elevator on the right side only", "q = yaw_rate * np.sin(bank)", "q = np.abs(yaw_rate) * np.sin(bank)"),
+        (
+            "up elevator on the right side only",
+            "q = yaw_rate * np.sin(bank)",
+            "q = np.abs(yaw_rate) * np.sin(bank)",
+        ),
         ("the speed squared", "/ speed", "/ speed**2"),
     ),
     "guidance": (
-        ("left and right exchanged", "np.array([along[1], -along[0]])", "np.array([-along[1], along[0]])"),
-        ("y taken for right in the line's course", "math.atan2(-along[1], along[0])", "math.atan2(along[1], along[0])"),
-        ("y taken for right in the flown course", "math.atan2(-v[1], v[0])", "math.atan2(v[1], v[0])"),
+        (
+            "left and right exchanged",
+            "np.array([along[1], -along[0]])",
+            "np.array([-along[1], along[0]])",
+        ),
+        (
+            "y taken for right in the line's course",
+            "math.atan2(-along[1], along[0])",
+            "math.atan2(along[1], along[0])",
+        ),
+        (
+            "y taken for right in the flown course",
+            "math.atan2(-v[1], v[0])",
+            "math.atan2(v[1], v[0])",
+        ),
         ("away from the line", "- APPROACH * 2.0", "+ APPROACH * 2.0"),
         ("the long way round", "(error + math.pi) % (2.0 * math.pi) - math.pi", "1.0 * error"),
         ("no limit", "return min(max(bank, -bank_limit), bank_limit)", "return bank"),
-        ("limited to the right only", "min(max(bank, -bank_limit), bank_limit)", "min(bank, bank_limit)"),
+        (
+            "limited to the right only",
+            "min(max(bank, -bank_limit), bank_limit)",
+            "min(bank, bank_limit)",
+        ),
         ("the line through the origin", "(p - start) @", "p @"),
-        ("the direction is no unit vector", "(end - start) / np.linalg.norm(end - start)", "(end - start)"),
+        (
+            "the direction is no unit vector",
+            "(end - start) / np.linalg.norm(end - start)",
+            "(end - start)",
+        ),
         ("the arc tangent is not scaled", "APPROACH * 2.0 / math.pi *", "APPROACH *"),
-        ("flown course minus wanted", "wanted - math.atan2(-v[1], v[0])", "math.atan2(-v[1], v[0]) - wanted"),
+        (
+            "flown course minus wanted",
+            "wanted - math.atan2(-v[1], v[0])",
+            "math.atan2(-v[1], v[0]) - wanted",
+        ),
         ("the speed is forgotten", "np.linalg.norm(v) * TURN_GAIN", "7.0 * TURN_GAIN"),
     ),
     "hold_speed": (
-        ("winds up", "(throttle > 1.0 and error > 0.0) or (throttle < 0.0 and error < 0.0)", "False"),
+        (
+            "winds up",
+            "(throttle > 1.0 and error > 0.0) or (throttle < 0.0 and error < 0.0)",
+            "False",
+        ),
         (
             "stands still at every limit",
             "(throttle > 1.0 and error > 0.0) or (throttle < 0.0 and error < 0.0)",
@@ -64,10 +106,18 @@ MUTANTS = {
             "approach = speed * math.sin(GLIDE) + SLOPE_GAIN",
         ),
         ("climbs back to the slope", "min(max(approach, 0.0), speed", "min(approach, speed"),
-        ("no steepest slope", "min(max(approach, 0.0), speed * math.sin(STEEPEST))", "max(approach, 0.0)"),
+        (
+            "no steepest slope",
+            "min(max(approach, 0.0), speed * math.sin(STEEPEST))",
+            "max(approach, 0.0)",
+        ),
         ("the touchdown's sink rate is forgotten", 'COHORT["touch_sink"] + max', "max"),
         ("negative heights", "max(height, 0.0) / FLARE_TIME", "height / FLARE_TIME"),
         ("times instead of by", "/ FLARE_TIME", "* FLARE_TIME"),
-        ("the slope's sine", "distance * math.tan(GLIDE) - height", "distance * math.sin(GLIDE) - height"),
+        (
+            "the slope's sine",
+            "distance * math.tan(GLIDE) - height",
+            "distance * math.sin(GLIDE) - height",
+        ),
     ),
 }

@@ -14,7 +14,11 @@ MUTANTS = {
         ),
         ("oldest first", "return history\n", "return history[:, ::-1].copy()\n"),
         ("one column too few", "range(min(k, last - first))", "range(min(k, last - first) - 1)"),
-        ("the last flight is forgotten", "[*starts[1:], len(commands)]", "[*starts[1:], starts[-1]]"),
+        (
+            "the last flight is forgotten",
+            "[*starts[1:], len(commands)]",
+            "[*starts[1:], starts[-1]]",
+        ),
         (
             "short flights break by negative slices",
             "range(min(k, last - first))",
@@ -22,7 +26,11 @@ MUTANTS = {
         ),
     ),
     "make_dataset": (
-        ("reshape for transpose", ".transpose(0, 3, 1, 2)", ".reshape(len(images), 3, *images.shape[1:3])"),
+        (
+            "reshape for transpose",
+            ".transpose(0, 3, 1, 2)",
+            ".reshape(len(images), 3, *images.shape[1:3])",
+        ),
         ("0..1 in place of -1..1", "- 127.5) / 127.5", ") / 255.0"),
         ("mirrored upside down", "pictures[:, :, :, ::-1]", "pictures[:, :, ::-1]"),
         ("colours mirrored", "pictures[:, :, :, ::-1]", "pictures[:, ::-1]"),
@@ -34,13 +42,21 @@ MUTANTS = {
             "np.concatenate([pictures, flipped])",
             "np.concatenate([flipped, flipped])",
         ),
-        ("8-bit arithmetic", "images.astype(np.float32)", "np.uint8(images + np.uint8(0)) * np.uint8(2)"),
+        (
+            "8-bit arithmetic",
+            "images.astype(np.float32)",
+            "np.uint8(images + np.uint8(0)) * np.uint8(2)",
+        ),
     ),
     "bc_loss_step": (
         ("turns weigh nothing", "(1.0 + TURN_WEIGHT * labels.abs()) * ", ""),
         ("right turns only", "labels.abs()", "labels"),
         ("gradients add up", "    optimiser.zero_grad()\n", "    pass\n"),
-        ("no clipping", "    torch.nn.utils.clip_grad_norm_(network.parameters(), CLIP_NORM)\n", "    pass\n"),
+        (
+            "no clipping",
+            "    torch.nn.utils.clip_grad_norm_(network.parameters(), CLIP_NORM)\n",
+            "    pass\n",
+        ),
         ("clipped value by value", "clip_grad_norm_", "clip_grad_value_"),
         (
             "clipped before there is a gradient",
@@ -53,16 +69,32 @@ MUTANTS = {
         ),
         ("sum for mean", "error**2).mean()", "error**2).sum()"),
         ("absolute error", "error**2", "error.abs()"),
-        ("weights are normalised", "error**2).mean()", "error**2).sum() / (1.0 + TURN_WEIGHT * labels.abs()).sum()"),
+        (
+            "weights are normalised",
+            "error**2).mean()",
+            "error**2).sum() / (1.0 + TURN_WEIGHT * labels.abs()).sum()",
+        ),
         ("no step", "    optimiser.step()\n", "    pass\n"),
         ("weighed by the network's own answer", "labels.abs()", "(error + labels).abs().detach()"),
     ),
     "closed_loop_eval": (
-        ("failures count in the mean deviation", "np.abs(offsets[landed]).mean()", "np.abs(offsets).mean()"),
-        ("failures count as 0", "np.abs(offsets[landed]).mean()", "np.abs(offsets * landed).mean()"),
+        (
+            "failures count in the mean deviation",
+            "np.abs(offsets[landed]).mean()",
+            "np.abs(offsets).mean()",
+        ),
+        (
+            "failures count as 0",
+            "np.abs(offsets[landed]).mean()",
+            "np.abs(offsets * landed).mean()",
+        ),
         ("deviation with its sign", "np.abs(offsets[landed]).mean()", "offsets[landed].mean()"),
         ("lost is not asked", "not flight.lost and abs", "abs"),
-        ("left of the line always lands", "abs(flight.offset) <= PAD_HALF", "flight.offset <= PAD_HALF"),
+        (
+            "left of the line always lands",
+            "abs(flight.offset) <= PAD_HALF",
+            "flight.offset <= PAD_HALF",
+        ),
         (
             "history is kept from flight to flight",
             "    for start in starts:\n        flight, history = begin(start), np.zeros(k)\n",

@@ -2,8 +2,16 @@
 
 MUTANTS = {
     "ellipsoid_mask": (
-        ("pixel corners for pixel centres", "np.indices((height, width)) + 0.5", "np.indices((height, width))"),
-        ("turned the wrong way", "rays @ R_camera_body / half_axes", "rays @ R_camera_body.T / half_axes"),
+        (
+            "pixel corners for pixel centres",
+            "np.indices((height, width)) + 0.5",
+            "np.indices((height, width))",
+        ),
+        (
+            "turned the wrong way",
+            "rays @ R_camera_body / half_axes",
+            "rays @ R_camera_body.T / half_axes",
+        ),
         ("centre with the wrong sign", "- centre_body) / half_axes", "+ centre_body) / half_axes"),
         (
             "rows and columns mixed up",
@@ -13,8 +21,16 @@ MUTANTS = {
         ("what is behind the camera is seen", " & (entry > 0.0)", ""),
         ("nothing hides", " & (entry < hall_depth)", ""),
         ("exit in place of entry", "(-b - np.sqrt", "(-b + np.sqrt"),
-        ("multiplied by the half axes", "e = rays @ R_camera_body / half_axes", "e = rays @ R_camera_body * half_axes"),
-        ("discriminant of the other formula", "inside = b * b - a * c", "inside = b * b - 4.0 * a * c"),
+        (
+            "multiplied by the half axes",
+            "e = rays @ R_camera_body / half_axes",
+            "e = rays @ R_camera_body * half_axes",
+        ),
+        (
+            "discriminant of the other formula",
+            "inside = b * b - a * c",
+            "inside = b * b - 4.0 * a * c",
+        ),
         (
             "distance along the ray in place of depth",
             "(entry < hall_depth)",
@@ -22,7 +38,11 @@ MUTANTS = {
         ),
     ),
     "iou": (
-        ("Dice in place of IoU", "both / np.maximum(either, 1)", "2 * both / np.maximum(either + both, 1)"),
+        (
+            "Dice in place of IoU",
+            "both / np.maximum(either, 1)",
+            "2 * both / np.maximum(either + both, 1)",
+        ),
         ("empty pictures count as 0", "np.maximum(either, 1), 1.0)", "np.maximum(either, 1), 0.0)"),
         (
             "one number for all",
@@ -61,9 +81,17 @@ MUTANTS = {
         ("factor 2 forgotten", "(2.0 * (p * truth)", "(1.0 * (p * truth)"),
         ("Dice of logits", "p = torch.sigmoid(logits)", "p = logits"),
         ("sign of the entropy", "entropy = -(", "entropy = ("),
-        ("Dice of a hard mask has no gradient", "p = torch.sigmoid(logits)", "p = (logits > 0).to(logits.dtype)"),
+        (
+            "Dice of a hard mask has no gradient",
+            "p = torch.sigmoid(logits)",
+            "p = (logits > 0).to(logits.dtype)",
+        ),
         ("overlap in place of what is missing", "(1.0 - overlap).mean()", "overlap.mean()"),
-        ("weight of the Dice part forgotten", "DICE_WEIGHT * (1.0 - overlap)", "0.9 * DICE_WEIGHT * (1.0 - overlap)"),
+        (
+            "weight of the Dice part forgotten",
+            "DICE_WEIGHT * (1.0 - overlap)",
+            "0.9 * DICE_WEIGHT * (1.0 - overlap)",
+        ),
     ),
     "randomize": (
         (
@@ -74,11 +102,19 @@ MUTANTS = {
         ("8-bit arithmetic", "image.astype(float)", "image.copy()"),
         ("row and column swapped", "row, column = corner", "column, row = corner"),
         ("tint on the whole picture", "picture[mask] *= tint", "picture *= tint"),
-        ("salt on the whole picture", "mask & (draws > 1.0 - salt / 2)", "(draws > 1.0 - salt / 2)"),
+        (
+            "salt on the whole picture",
+            "mask & (draws > 1.0 - salt / 2)",
+            "(draws > 1.0 - salt / 2)",
+        ),
         ("too much pepper", "draws < salt / 2", "draws < salt"),
         ("no gamma", "brightness ** (1.0 / GAMMA)", "brightness"),
         ("gamma the wrong way round", "brightness ** (1.0 / GAMMA)", "brightness**GAMMA"),
-        ("cut off, not rounded", "np.round(np.clip(picture, 0.0, 255.0))", "np.clip(picture, 0.0, 255.0)"),
+        (
+            "cut off, not rounded",
+            "np.round(np.clip(picture, 0.0, 255.0))",
+            "np.clip(picture, 0.0, 255.0)",
+        ),
         (
             "wraps beyond 255",
             "np.round(np.clip(picture, 0.0, 255.0)).astype(np.uint8)",

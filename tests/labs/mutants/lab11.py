@@ -1,18 +1,32 @@
-"""Wrong solutions of lab 11 that students write: for each exercise, what is wrong, the old text and the new."""
+"""Wrong solutions of lab 11 that students write: for each exercise, what is wrong, the old text and
+the new.
+"""
 
 MUTANTS = {
     "success_interval": (
-        ("the formula of first courses: no correction", "scale = 1.0 + z**2 / trials", "scale = 1.0"),
+        (
+            "the formula of first courses: no correction",
+            "scale = 1.0 + z**2 / trials",
+            "scale = 1.0",
+        ),
         ("z is not squared in the root", "+ z**2 / (4.0 * trials**2))", "+ z / (4.0 * trials**2))"),
         ("n is not squared in the root", "(4.0 * trials**2)", "(4.0 * trials)"),
         ("always 95 %", "z_value(confidence)", "z_value(0.95)"),
         ("the centre is the share", "share + z**2 / (2.0 * trials)", "share"),
-        ("the standard deviation of one trial", "share * (1.0 - share) / trials +", "share * (1.0 - share) +"),
+        (
+            "the standard deviation of one trial",
+            "share * (1.0 - share) / trials +",
+            "share * (1.0 - share) +",
+        ),
     ),
     "ald_summary": (
         ("failures are 0 cm in the mean", "np.mean(landings)", "np.sum(landings) / len(success)"),
         ("marks beside the pad are landings", "ald_cm[success]", "ald_cm[~np.isnan(ald_cm)]"),
-        ("close among the landings only", "np.sum(close) / len(success)", "np.sum(close) / max(len(landings), 1)"),
+        (
+            "close among the landings only",
+            "np.sum(close) / len(success)",
+            "np.sum(close) / max(len(landings), 1)",
+        ),
         ("exactly on the limit is not close", "landings <= COHORT", "landings < COHORT"),
         ("the limit of another course", 'COHORT["close_cm"]', "100.0"),
         ("median of all numbers", "np.median(landings)", "np.nanmedian(ald_cm)"),
@@ -20,7 +34,11 @@ MUTANTS = {
     ),
     "compare_sim_real": (
         ("sim minus real", "differences = (real_cm - sim_cm)", "differences = (sim_cm - real_cm)"),
-        ("one direction only", "np.abs(means) >= np.abs(measured) - 1e-9", "means >= measured - 1e-9"),
+        (
+            "one direction only",
+            "np.abs(means) >= np.abs(measured) - 1e-9",
+            "means >= measured - 1e-9",
+        ),
         ("equal ones are not counted", "np.abs(measured) - 1e-9", "np.abs(measured) + 1e-9"),
         (
             "missing runs are 0 cm",

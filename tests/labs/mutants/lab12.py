@@ -7,13 +7,21 @@ MUTANTS = {
             "mean_square(residual, variable) - mean_square(calm_residual, calm_variable)",
             "-mean_square(residual, variable) + mean_square(calm_residual, calm_variable)",
         ),
-        ("a ratio", "mean_square(residual, variable) - mean", "mean_square(residual, variable) / mean"),
+        (
+            "a ratio",
+            "mean_square(residual, variable) - mean",
+            "mean_square(residual, variable) / mean",
+        ),
         ("the flight alone", "- mean_square(calm_residual, calm_variable)", "- 1.0"),
         ("sizes, not squares", "weights=x[seen] ** 2", "weights=np.abs(x[seen])"),
         ("sums, not means", "total / np.maximum(count, 1)", "total"),
         ("one more than enough", "count >= fewest", "count > fewest"),
         ("never too few", "count >= fewest", "count >= 0"),
-        ("missing values count as zero", "seen = np.isfinite(x)", "x = np.nan_to_num(x); seen = np.isfinite(x)"),
+        (
+            "missing values count as zero",
+            "seen = np.isfinite(x)",
+            "x = np.nan_to_num(x); seen = np.isfinite(x)",
+        ),
         ("bins down, channels across", "return np.array(channels)", "return np.array(channels).T"),
     ),
     "augment_model": (
@@ -21,7 +29,11 @@ MUTANTS = {
         ("drag along the fuselage", "added[:3] = -size * V**2 * path", "added[0] = -size * V**2"),
         ("drag with V", "added[:3] = -size * V**2 * path", "added[:3] = -size * V * path"),
         ("thrust gained", 'added[0] = -size * flow["thrust"]', 'added[0] = size * flow["thrust"]'),
-        ("cushion grows with height", 'np.exp(-flow["height"] / CUSHION_M)', 'np.exp(flow["height"] / CUSHION_M)'),
+        (
+            "cushion grows with height",
+            'np.exp(-flow["height"] / CUSHION_M)',
+            'np.exp(flow["height"] / CUSHION_M)',
+        ),
         ("cushion of a metre", 'np.exp(-flow["height"] / CUSHION_M)', 'np.exp(-flow["height"])'),
         ("more induced drag", 'c * lift + K["cD_induced"]', 'c * lift - K["cD_induced"]'),
         ("ground effect without lift's own size", "(c * lift +", "(lift +"),
@@ -31,7 +43,11 @@ MUTANTS = {
         ("loads replaced", "return loads + added", "return added"),
     ),
     "score_candidates": (
-        ("uphill", "step = -np.linalg.solve(normal, gradient)", "step = np.linalg.solve(normal, gradient)"),
+        (
+            "uphill",
+            "step = -np.linalg.solve(normal, gradient)",
+            "step = np.linalg.solve(normal, gradient)",
+        ),
         ("no price", " - E.shape[1] * np.log(len(r))", ""),
         ("one price for all", "E.shape[1] * np.log(len(r))", "np.log(len(r))"),
         (
@@ -49,7 +65,11 @@ MUTANTS = {
     ),
     "verdict": (
         ("no threshold: always names", "if best <= threshold:", "if False:"),
-        ("chance is not looked at", "max(LEAST_GAIN, CAUTION * float(np.max(calm_gains)))", "LEAST_GAIN"),
+        (
+            "chance is not looked at",
+            "max(LEAST_GAIN, CAUTION * float(np.max(calm_gains)))",
+            "LEAST_GAIN",
+        ),
         ("mean of what chance finds", "np.max(calm_gains)", "np.mean(calm_gains)"),
         ("no caution", "CAUTION * float", "float"),
         (
@@ -62,9 +82,17 @@ MUTANTS = {
         ("in the order of the dict", "for name in ranked if", "for name in gains if"),
     ),
     "my_finding": (
-        ("invents nothing, finds nothing, but gives a size", '"effect": "ground_effect"', '"effect": "none"'),
+        (
+            "invents nothing, finds nothing, but gives a size",
+            '"effect": "ground_effect"',
+            '"effect": "none"',
+        ),
         ("ends swapped", '"low": 0.427, "high": 0.483', '"low": 0.483, "high": 0.427'),
-        ("percent", '"size": 0.455, "low": 0.427, "high": 0.483', '"size": 45.7, "low": 42.8, "high": 48.6'),
+        (
+            "percent",
+            '"size": 0.455, "low": 0.427, "high": 0.483',
+            '"size": 45.7, "low": 42.8, "high": 48.6',
+        ),
         ("no interval", '"low": 0.427, "high": 0.483', '"low": 0.455, "high": 0.455'),
         ("so wide that it says nothing", '"low": 0.427, "high": 0.483', '"low": 0.01, "high": 2.0'),
         ("an interval over zero", '"low": 0.427, "high": 0.483', '"low": -0.2, "high": 0.483'),

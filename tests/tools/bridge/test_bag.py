@@ -1,4 +1,6 @@
-"""Bags: what a flight log becomes, as ROS's own `rosbag` reads it, in a Python that does not know the kit."""
+"""Bags: what a flight log becomes, as ROS's own `rosbag` reads it, in a Python that does not know
+the kit.
+"""
 
 import json
 import os
@@ -43,10 +45,12 @@ def rosbag():
     """A reader by ROS's own rosbag: list of [topic, time in ns, type, message as names and values]."""
     if not Path(SYSTEM_PYTHON).exists() or subprocess.call([SYSTEM_PYTHON, "-c", "import rosbag"]):
         refuse = pytest.fail if os.environ.get("CI") else pytest.skip
-        refuse("want ROS's rosbag to read back what was written: `apt install python3-rosbag`")
+        refuse("expected ROS's rosbag to read back what was written: `apt install python3-rosbag`")
 
     def read(path: Path) -> list:
-        done = subprocess.run([SYSTEM_PYTHON, "-c", READ, str(path)], capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [SYSTEM_PYTHON, "-c", READ, str(path)], capture_output=True, text=True, check=True
+        )
         return json.loads(done.stdout)
 
     return read
@@ -54,24 +58,39 @@ def rosbag():
 
 @pytest.fixture
 def log(tmp_path):
-    """Twenty frames of a turning climb, each command 30 ms after its image, two events; one state is not known."""
+    """Twenty frames of a turning climb, each command 30 ms after its image, two events; one state
+    is not known.
+    """
     with FlightLogWriter(tmp_path / "flight.mcap") as writer:
         writer.metadata({"simulated": "yes"})
         for k in range(20):
             t = START + 0.05 * k
             rates = np.array([0.1, 0.2, 0.3])
-            state = State(np.array([0.3 * k, -2.0, 1.0]), 0.2, 0.01 * k, -0.3, np.array([6.0, 0.5, 1.0]), rates)
+            state = State(
+                np.array([0.3 * k, -2.0, 1.0]),
+                0.2,
+                0.01 * k,
+                -0.3,
+                np.array([6.0, 0.5, 1.0]),
+                rates,
+            )
             lost = State.from_vector(np.full(12, np.nan))
             writer.state(t, lost if k == 7 else state, image_sequence=k + 100)
             jpeg = np.frombuffer(b"\xff\xd8" + bytes([k]) * 50, np.uint8)
-            writer.command(t + 0.03, Command(0.05 * k, 0.1, -0.2, 0.3, k + 100, k == 3), Image(k + 100, t, jpeg))
+            writer.command(
+                t + 0.03,
+                Command(0.05 * k, 0.1, -0.2, 0.3, k + 100, k == 3),
+                Image(k + 100, t, jpeg),
+            )
         writer.event(START, "engaged", {"by": "pilot"})
         writer.event(START + 0.95, "touchdown", {"speed": 6.5})
     return read_flight_log(tmp_path / "flight.mcap")
 
 
 def test_rosbag_reads_every_record_with_its_time(log, tmp_path, rosbag):
-    """20 frames by hand; times as logged, to the microsecond that 64 bits of seconds since 1970 keep; in order."""
+    """20 frames by hand; times as logged, to the microsecond that 64 bits of seconds since 1970
+    keep; in order.
+    """
     counts = write_bag(tmp_path / "flight.bag", log)
     assert counts == {
         "/falconwing/image": 20, "/falconwing/command": 20, "/falconwing/pose": 20, "/falconwing/twist": 20,
@@ -81,9 +100,17 @@ def test_rosbag_reads_every_record_with_its_time(log, tmp_path, rosbag):
     assert {topic: sum(r[0] == topic for r in records) for topic in counts} == counts
     times = [t / 1e9 for _, t, _, _ in records]
     assert times == sorted(times)
-    for topic, delay in (("/falconwing/image", 0.0), ("/falconwing/command", 0.03), ("/falconwing/pose", 0.0)):
-        got = np.array([(t / 1e9, m["header"]["stamp"] / 1e9) for name, t, _, m in records if name == topic])
-        assert got == pytest.approx(np.column_stack([START + 0.05 * np.arange(20) + delay] * 2), rel=0, abs=1e-6)
+    for topic, delay in (
+        ("/falconwing/image", 0.0),
+        ("/falconwing/command", 0.03),
+        ("/falconwing/pose", 0.0),
+    ):
+        got = np.array(
+            [(t / 1e9, m["header"]["stamp"] / 1e9) for name, t, _, m in records if name == topic]
+        )
+        assert got == pytest.approx(
+            np.column_stack([START + 0.05 * np.arange(20) + delay] * 2), rel=0, abs=1e-6
+        )
 
 
 def test_images_and_commands_are_what_was_logged(log, tmp_path, rosbag):
@@ -93,19 +120,39 @@ def test_images_and_commands_are_what_was_logged(log, tmp_path, rosbag):
     images = [m for topic, _, _, m in records if topic == "/falconwing/image"]
     commands = [m for topic, _, _, m in records if topic == "/falconwing/command"]
     for k, (image, command) in enumerate(zip(images, commands, strict=True)):
-        assert image["data"] == b64encode(b"\xff\xd8" + bytes([k]) * 50).decode() and image["format"] == "jpeg"
-        assert (image["header"]["seq"], image["header"]["frame_id"]) == (k + 100, f"camera#{k + 100}")
+        assert (
+            image["data"] == b64encode(b"\xff\xd8" + bytes([k]) * 50).decode()
+            and image["format"] == "jpeg"
+        )
+        assert (image["header"]["seq"], image["header"]["frame_id"]) == (
+            k + 100,
+            f"camera#{k + 100}",
+        )
         assert command["axes"] == pytest.approx([0.05 * k, 0.1, -0.2, 0.3], abs=1e-7)
-        assert command["buttons"] == [0, int(k == 3)] and command["header"]["frame_id"] == f"image#{k + 100}"
+        assert (
+            command["buttons"] == [0, int(k == 3)]
+            and command["header"]["frame_id"] == f"image#{k + 100}"
+        )
 
 
 def test_a_played_bag_looks_like_a_flight_to_a_controller(log, tmp_path, ros_master, rosbag):
-    """ROS's own player sends images and commands, and they arrive with the sequences and bytes of the log, in order.
+    """ROS's own player sends images and commands, and they arrive with the sequences and bytes of
+    the log, in order.
 
-    The newest wins, so a busy machine may miss some of the twenty; half of them and the last must come.
+    The newest wins, so a busy machine may miss some of the twenty; half of them and the last must
+    come.
     """
     write_bag(tmp_path / "flight.bag", log)
-    play = ["rosbag", "play", "-q", "--wait-for-subscribers", str(tmp_path / "flight.bag"), "--topics", IMAGE, COMMAND]
+    play = [
+        "rosbag",
+        "play",
+        "-q",
+        "--wait-for-subscribers",
+        str(tmp_path / "flight.bag"),
+        "--topics",
+        IMAGE,
+        COMMAND,
+    ]
     seen, answered, end = [], [], time.monotonic() + 60.0
     with closing(RosBus()) as bus:
         images, commands = bus.subscribe(IMAGE), bus.subscribe(COMMAND)
@@ -119,35 +166,51 @@ def test_a_played_bag_looks_like_a_flight_to_a_controller(log, tmp_path, ros_mas
     for sequences in ([x.sequence for x in seen], [x.command.image_sequence for x in answered]):
         assert sequences == sorted(set(sequences)) and len(sequences) >= 10
         assert sequences[0] >= 100 and sequences[-1] == 119
-    assert all(image.pixels.tobytes() == b"\xff\xd8" + bytes([image.sequence - 100]) * 50 for image in seen)
-    assert not any(sticks.engage for sticks in answered)  # a log does not know it; a played bag flies nothing
+    assert all(
+        image.pixels.tobytes() == b"\xff\xd8" + bytes([image.sequence - 100]) * 50 for image in seen
+    )
+    assert not any(
+        sticks.engage for sticks in answered
+    )  # a log does not know it; a played bag flies nothing
 
 
 def test_pose_and_twist_are_those_of_ros_axes(log, tmp_path, rosbag):
-    """scipy turns the quaternion into a matrix: its columns are nose, left wing and up. A turn rate is a vector."""
+    """scipy turns the quaternion into a matrix: its columns are nose, left wing and up. A turn rate
+    is a vector.
+    """
     write_bag(tmp_path / "flight.bag", log)
     records = rosbag(tmp_path / "flight.bag")
     poses = [m["pose"] for topic, _, _, m in records if topic == "/falconwing/pose"]
     twists = [m["twist"] for topic, _, _, m in records if topic == "/falconwing/twist"]
     for k, (pose, twist) in enumerate(zip(poses, twists, strict=True)):
         if k == 7:
-            assert all(np.isnan(list(part.values())).all() for part in (*pose.values(), *twist.values()))
+            assert all(
+                np.isnan(list(part.values())).all() for part in (*pose.values(), *twist.values())
+            )
             continue
         R_world_body = rotation_world_body(-0.3, 0.2, 0.01 * k)
         R_world_ros = Rotation.from_quat([pose["orientation"][name] for name in "xyzw"]).as_matrix()
-        assert R_world_ros == pytest.approx(R_world_body * [1.0, -1.0, -1.0], abs=1e-12)  # left and up: turned over
+        assert R_world_ros == pytest.approx(
+            R_world_body * [1.0, -1.0, -1.0], abs=1e-12
+        )  # left and up: turned over
         assert list(pose["position"].values()) == pytest.approx([0.3 * k, -2.0, 1.0])
         assert list(twist["linear"].values()) == pytest.approx([6.0, 0.5, 1.0])
-        assert list(twist["angular"].values()) == pytest.approx(R_world_body @ [0.1, 0.2, 0.3], abs=1e-12)
+        assert list(twist["angular"].values()) == pytest.approx(
+            R_world_body @ [0.1, 0.2, 0.3], abs=1e-12
+        )
 
 
 def test_nose_up_is_a_turn_from_x_to_z(tmp_path, rosbag):
-    """By hand: nose up by 90 deg turns x into z, a turn about -y, so the quaternion is (0, -sin 45, 0, cos 45)."""
+    """By hand: nose up by 90 deg turns x into z, a turn about -y, so the quaternion is (0, -sin 45,
+    0, cos 45).
+    """
     with FlightLogWriter(tmp_path / "up.mcap") as writer:
         writer.state(0.0, State(np.zeros(3), np.pi / 2, 0.0, 0.0, np.zeros(3)))
     write_bag(tmp_path / "up.bag", read_flight_log(tmp_path / "up.mcap"))
     (_, t, _, pose), _ = rosbag(tmp_path / "up.bag")
-    assert list(pose["pose"]["orientation"].values()) == pytest.approx([0.0, -(0.5**0.5), 0.0, 0.5**0.5])
+    assert list(pose["pose"]["orientation"].values()) == pytest.approx(
+        [0.0, -(0.5**0.5), 0.0, 0.5**0.5]
+    )
     assert t == 1  # the log's zero: a stamp of 0 ns would mean "no time" in ROS
 
 
@@ -167,18 +230,23 @@ def test_events_and_metadata_are_json(log, tmp_path, rosbag):
 
 
 def test_a_bag_is_there_whole_or_not_at_all(log, tmp_path, monkeypatch):
-    """The log's file is taken away while its images are read: the older bag stays and nothing lies beside it."""
+    """The log's file is taken away while its images are read: the older bag stays and nothing lies
+    beside it.
+    """
     (tmp_path / "flight.bag").write_text("an older bag")
     shutil.move(log.path, tmp_path / "away.mcap")
     before = sorted(tmp_path.iterdir())
     with pytest.raises(FileNotFoundError):
         write_bag(tmp_path / "flight.bag", log)
-    assert sorted(tmp_path.iterdir()) == before and (tmp_path / "flight.bag").read_text() == "an older bag"
+    assert (
+        sorted(tmp_path.iterdir()) == before
+        and (tmp_path / "flight.bag").read_text() == "an older bag"
+    )
 
 
 def test_a_place_that_is_no_file_is_refused(log, tmp_path):
     """One sentence, before anything is read."""
-    with pytest.raises(InputError, match="want the name of a file to write, got a folder"):
+    with pytest.raises(InputError, match="expected the name of a file to write, got a folder"):
         write_bag(tmp_path, log)
-    with pytest.raises(FileNotFoundError, match="want a folder"):
+    with pytest.raises(FileNotFoundError, match="expected a folder"):
         write_bag(tmp_path / "none" / "flight.bag", log)

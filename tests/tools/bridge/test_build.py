@@ -1,4 +1,6 @@
-"""Firmware builder: kept under what it was made from, whole or not at all, and one sentence where it cannot be done."""
+"""Firmware builder: kept under what it was made from, whole or not at all, and one sentence where
+it cannot be done.
+"""
 
 import os
 import shutil
@@ -8,7 +10,12 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.bridge import build
-from falconwing_kit.tools.bridge.build import build_firmware, build_simulator, firmware_folder, missing_tools
+from falconwing_kit.tools.bridge.build import (
+    build_firmware,
+    build_simulator,
+    firmware_folder,
+    missing_tools,
+)
 from tests.firmware.chip import require_tools
 
 ELF = b"\x7fELF"  # how every ELF file begins
@@ -26,7 +33,9 @@ def test_a_missing_tool_is_named_with_what_to_install(monkeypatch, cache):
     monkeypatch.setitem(build.TOOLS, "gcc-of-nowhere", "no-such-compiler")
     assert "gcc-of-nowhere" in missing_tools()
     for attempt in (build_firmware, build_simulator):
-        with pytest.raises(InputError, match="gcc-of-nowhere not found; install with: sudo apt install"):
+        with pytest.raises(
+            InputError, match="gcc-of-nowhere not found; install with: sudo apt install"
+        ):
             attempt()
     assert not cache.exists()
 
@@ -48,10 +57,18 @@ def test_a_build_is_kept_and_not_made_twice(monkeypatch, cache):
 def test_another_setting_or_source_is_another_build(monkeypatch, tmp_path, cache):
     """The name holds a digest of what went in; the texts beside the sources do not count."""
     require_tools()
-    sources = Path(shutil.copytree(firmware_folder(), tmp_path / "firmware", ignore=shutil.ignore_patterns("build")))
+    sources = Path(
+        shutil.copytree(
+            firmware_folder(), tmp_path / "firmware", ignore=shutil.ignore_patterns("build")
+        )
+    )
     monkeypatch.setattr(build, "firmware_folder", lambda: sources)
     monkeypatch.setattr(build, "_run", lambda command: (tmp_path / "ran").touch())
-    monkeypatch.setattr(build, "_keep", lambda product, kept: (cache.mkdir(parents=True, exist_ok=True), kept.touch()))
+    monkeypatch.setattr(
+        build,
+        "_keep",
+        lambda product, kept: (cache.mkdir(parents=True, exist_ok=True), kept.touch()),
+    )
     plain, eight = build_firmware(), build_firmware(["CHANNELS=8"])
     (sources / "README.md").write_text("another text")
     assert build_firmware() == plain != eight
@@ -73,12 +90,18 @@ def test_old_builds_are_thrown_away(monkeypatch, cache):
     """After a month; younger ones and other files stay."""
     require_tools()
     cache.mkdir(parents=True)
-    for name, days in (("simavr_shim-old.so", 40), ("simavr_shim-young.so", 3), ("arena-old.npz", 40)):
+    for name, days in (
+        ("simavr_shim-old.so", 40),
+        ("simavr_shim-young.so", 3),
+        ("arena-old.npz", 40),
+    ):
         (cache / name).touch()
         seconds = (cache / name).stat().st_mtime - days * 86400
         os.utime(cache / name, (seconds, seconds))
     built = build_simulator()
-    assert sorted(os.listdir(cache)) == sorted(["arena-old.npz", "simavr_shim-young.so", built.name])
+    assert sorted(os.listdir(cache)) == sorted(
+        ["arena-old.npz", "simavr_shim-young.so", built.name]
+    )
 
 
 def test_a_cache_that_cannot_be_is_said(monkeypatch, tmp_path):

@@ -1,4 +1,6 @@
-"""Bus: the same claims for the bus inside a program and for the one through ROS; and the relay between bus and port."""
+"""Bus: the same claims for the bus inside a program and for the one through ROS; and the relay
+between bus and port.
+"""
 
 import threading
 import time
@@ -8,26 +10,53 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command, Image
-from falconwing_kit.tools.bridge.bus import COMMAND, IMAGE, PILOT, STATUS, Bus, Report, Sticks, relay
+from falconwing_kit.tools.bridge.bus import (
+    COMMAND,
+    IMAGE,
+    PILOT,
+    STATUS,
+    LocalBus,
+    StampedCommand,
+    StampedStatus,
+    relay,
+)
 from falconwing_kit.tools.bridge.ros import RosBus
 from falconwing_kit.trainer_port.ppm import load_calibration
-from falconwing_kit.trainer_port.protocol import Pilot, Status
+from falconwing_kit.trainer_port.protocol import PilotFrame, Status
 
 NOW = 1.7e9  # a time of today: seconds since 1970
 STAMP = 1e-6  # what is left of a stamp after floats and whole nanoseconds [s]
-PATIENCE = 10.0  # s, for a message that must come; a busy machine needs some, a good one milliseconds
+PATIENCE = (
+    10.0  # s, for a message that must come; a busy machine needs some, a good one milliseconds
+)
 JPEG = np.frombuffer(b"\xff\xd8" + bytes(range(256)) * 40, np.uint8)
-BOARD = Status("ACTIVE", "none", 2, 8, 65535, 70000, 1, 2, 3, 4_000_000_000, False, (1000, 1500, 1501, 2000), 123)
+BOARD = Status(
+    "ACTIVE",
+    "none",
+    2,
+    8,
+    65535,
+    70000,
+    1,
+    2,
+    3,
+    4_000_000_000,
+    False,
+    (1000, 1500, 1501, 2000),
+    123,
+)
 MESSAGES = {
     IMAGE: Image(17, NOW, JPEG),
-    COMMAND: Sticks(NOW, Command(0.25, -1.0, 0.5, 0.125, 17, saturated=True), engage=True),
-    PILOT: Sticks(NOW, Command(1.0, 0.0, -0.5, 1.0)),
-    STATUS: Report(NOW, BOARD),
+    COMMAND: StampedCommand(NOW, Command(0.25, -1.0, 0.5, 0.125, 17, saturated=True), engage=True),
+    PILOT: StampedCommand(NOW, Command(1.0, 0.0, -0.5, 1.0)),
+    STATUS: StampedStatus(NOW, BOARD),
 }  # sticks are such that 32 bits hold them exactly
 
 
 def test_newest_wins(ends):
-    """Of ten messages sent without a pause the last one comes last, none comes twice and none out of order."""
+    """Of ten messages sent without a pause the last one comes last, none comes twice and none out
+    of order.
+    """
     sender, receiver = ends
     inbox = connect(sender, receiver, IMAGE)
     for k in range(10):
@@ -79,9 +108,13 @@ def test_after_close_nothing_is_heard(ends):
 def test_wrong_topics_and_messages_are_refused(ends):
     """One sentence with what was wanted."""
     sender, _ = ends
-    with pytest.raises(InputError, match=r"topic: want one of /falconwing/image, .* got '/falconwing/imgae'"):
+    with pytest.raises(
+        InputError, match=r"topic: expected one of /falconwing/image, .* got '/falconwing/imgae'"
+    ):
         sender.subscribe("/falconwing/imgae")
-    with pytest.raises(InputError, match="/falconwing/command: want a message of type Sticks, got Command"):
+    with pytest.raises(
+        InputError, match="/falconwing/command: expected a message of type Sticks, got Command"
+    ):
         sender.publish(COMMAND, Command(0.0, 0.0, 0.0, 0.0))
 
 
@@ -111,8 +144,10 @@ class FakePort:
 
 
 def relayed(port, script, clock=lambda: NOW, **options):
-    """Run a relay in which each entry of the script acts before one turn of its loop; what it moved, and the bus."""
-    bus, steps = Bus(), iter(script)
+    """Run a relay in which each entry of the script acts before one turn of its loop; what it
+    moved, and the bus.
+    """
+    bus, steps = LocalBus(), iter(script)
     inboxes = {topic: bus.subscribe(topic) for topic in (PILOT, STATUS)}
 
     def stop():
@@ -126,7 +161,9 @@ def relayed(port, script, clock=lambda: NOW, **options):
 
 def order(throttle, t=NOW, engage=True):
     """A step of a script: publish a command."""
-    return lambda bus, port: bus.publish(COMMAND, Sticks(t, Command(throttle, 0.0, 0.0, 0.0), engage))
+    return lambda bus, port: bus.publish(
+        COMMAND, StampedCommand(t, Command(throttle, 0.0, 0.0, 0.0), engage)
+    )
 
 
 def rest(bus, port):
@@ -134,7 +171,9 @@ def rest(bus, port):
 
 
 def test_relay_sends_each_command_once_and_hands_back():
-    """Two commands and three turns without any: nothing is repeated, or the board could not tell that they stopped."""
+    """Two commands and three turns without any: nothing is repeated, or the board could not tell
+    that they stopped.
+    """
     port = FakePort()
     moved, _ = relayed(port, [order(0.5, engage=False), rest, rest, order(0.7), rest])
     assert port.told == [(0.5, False), (0.7, True), "hand back"]
@@ -144,9 +183,14 @@ def test_relay_sends_each_command_once_and_hands_back():
 def test_relay_refuses_commands_with_a_stamp_far_from_now():
     """0.2 s is what the board itself waits; a stamp from the future shows clocks that disagree."""
     port = FakePort()
-    stale = [order(k / 10, t) for k, t in enumerate([NOW - 0.19, NOW - 0.21, NOW + 0.19, NOW + 0.21])]
+    stale = [
+        order(k / 10, t) for k, t in enumerate([NOW - 0.19, NOW - 0.21, NOW + 0.19, NOW + 0.21])
+    ]
     moved, _ = relayed(port, [*stale, rest])
-    assert port.told == [(0.0, True), (0.2, True), "hand back"] and (moved.commands, moved.late) == (2, 2)
+    assert port.told == [(0.0, True), (0.2, True), "hand back"] and (
+        moved.commands,
+        moved.late,
+    ) == (2, 2)
 
 
 def test_relay_hands_back_when_it_breaks():
@@ -162,16 +206,22 @@ def test_relay_hands_back_when_it_breaks():
 
 
 def test_relay_publishes_status_and_pilot_once_each():
-    """The pilot's last edge came at 2 s of the board, 42 s of the port, so 8 s ago; 1500 us are half throttle."""
+    """The pilot's last edge came at 2 s of the board, 42 s of the port, so 8 s ago; 1500 us are
+    half throttle.
+    """
     port = FakePort()
 
     def report(bus, port):
-        port.status, port.pilot = BOARD, Pilot(2_000_000, 0, 0, (1500, 1500, 1500, 1500))
+        port.status, port.pilot = BOARD, PilotFrame(2_000_000, 0, 0, (1500, 1500, 1500, 1500))
 
     moved, inboxes = relayed(port, [report, rest, rest])
-    assert inboxes[STATUS].take() == Report(NOW, BOARD)
-    assert inboxes[PILOT].take() == Sticks(NOW - 8.0, Command(0.5, 0.0, 0.0, 0.0), engage=False)
-    assert (moved.reports, moved.pilot) == (1, 1) and not any(inbox.dropped for inbox in inboxes.values())
+    assert inboxes[STATUS].take() == StampedStatus(NOW, BOARD)
+    assert inboxes[PILOT].take() == StampedCommand(
+        NOW - 8.0, Command(0.5, 0.0, 0.0, 0.0), engage=False
+    )
+    assert (moved.reports, moved.pilot) == (1, 1) and not any(
+        inbox.dropped for inbox in inboxes.values()
+    )
 
 
 def test_relay_lives_on_when_the_pilots_radio_has_too_few_channels():
@@ -179,7 +229,7 @@ def test_relay_lives_on_when_the_pilots_radio_has_too_few_channels():
     port = FakePort()
 
     def report(bus, port):
-        port.pilot = Pilot(0, 0, 0, (1500, 1500, 1500))
+        port.pilot = PilotFrame(0, 0, 0, (1500, 1500, 1500))
 
     moved, inboxes = relayed(port, [report, order(0.5), rest])
     assert port.told == [(0.5, True), "hand back"] and (moved.unreadable, moved.pilot) == (1, 0)
@@ -190,7 +240,7 @@ def test_relay_lives_on_when_the_pilots_radio_has_too_few_channels():
 def ends(request):
     """Two ends of one bus: one to publish, one to listen."""
     if request.param == "Bus":
-        bus = Bus()
+        bus = LocalBus()
         yield bus, bus
         return
     request.getfixturevalue("ros_master")

@@ -1,4 +1,6 @@
-"""Recording: a pilot whose sticks are known to the test, a board, a camera -> what is in the log afterwards."""
+"""Recording: a pilot whose sticks are known to the test, a board, a camera -> what is in the log
+afterwards.
+"""
 
 import os
 import random
@@ -34,12 +36,18 @@ class Camera:
         if self.broken:
             raise OSError("the camera is gone")
         number = int((t - 0.02) * 30.0)
-        return Image(number, number / 30.0, np.full(300, number % 256, np.uint8)) if t >= 0.02 else None
+        return (
+            Image(number, number / 30.0, np.full(300, number % 256, np.uint8))
+            if t >= 0.02
+            else None
+        )
 
 
 @pytest.fixture
 def flight(tmp_path):
-    """A recording that a test runs on: `run(seconds, sticks)` moves the pilot's sticks [us] and the clock."""
+    """A recording that a test runs on: `run(seconds, sticks)` moves the pilot's sticks [us] and the
+    clock.
+    """
     clock = types.SimpleNamespace(t=START - 1.0)
     board, camera, alerts = PythonBoard(), Camera(), []
     port = TrainerPort(SteppedBoard(board, lambda: clock.t), now=lambda: clock.t)
@@ -56,12 +64,17 @@ def flight(tmp_path):
 
         def run(seconds, sticks="as before"):
             if sticks != "as before":
-                with port.link.paused() as now:
+                with port.link.pause() as now:
                     now.set_pilot(sticks)
             record(recording, recording.t + seconds, pause=tick)
 
         yield types.SimpleNamespace(
-            run=run, recording=recording, camera=camera, alerts=alerts, path=tmp_path / "flight.mcap", port=port
+            run=run,
+            recording=recording,
+            camera=camera,
+            alerts=alerts,
+            path=tmp_path / "flight.mcap",
+            port=port,
         )
 
 
@@ -71,8 +84,9 @@ def read_after(flight):
 
 
 def test_sticks_are_logged_at_the_time_of_the_board(flight):
-    """Full throttle from 2 s on. By hand: the radio's frames of 22 ms carry it within two frames, and the shipped
-    calibration says 1000 us is 0 and 2000 us is 1. 45.45 frames a second."""
+    """Full throttle from 2 s on. By hand: the radio's frames of 22 ms carry it within two frames,
+    and the shipped calibration says 1000 us is 0 and 2000 us is 1. 45.45 frames a second.
+    """
     flight.run(2.0)
     flight.run(2.0, (2000, 1500, 1500, 1500))
     log = read_after(flight)
@@ -81,13 +95,15 @@ def test_sticks_are_logged_at_the_time_of_the_board(flight):
     assert 2.0 <= rise <= 2.05
     assert set(np.unique(throttle)) == {0.0, 1.0}
     assert len(log.commands) == pytest.approx(4.0 / 0.022, abs=3)
-    # Twice a second the clock is fitted anew from replies stamped to 2 ms; in the first second that moves times more.
+    # Twice a second the clock is fitted anew from replies stamped to 2 ms; in the first second that
+    # moves times more.
     assert np.diff(log.command_times[log.command_times > 1.0]) == pytest.approx(0.022, abs=2e-3)
 
 
 def test_each_command_names_the_newest_image_before_it(flight):
-    """By hand: image k is taken at k/30 s and not known before 20 ms later; a command is reported some 10 ms after its
-    last edge, so the image it names is k = floor(30 t) or the one before."""
+    """By hand: image k is taken at k/30 s and not known before 20 ms later; a command is reported
+    some 10 ms after its last edge, so the image it names is k = floor(30 t) or the one before.
+    """
     flight.run(3.0)
     log = read_after(flight)
     after_start = log.command_times > 0.1
@@ -100,7 +116,9 @@ def test_a_command_stands_before_the_image_it_names(flight):
     flight.run(1.0)
     data, log = flight.path.read_bytes(), read_after(flight)
     for sequence in set(log.command_sequences[20:30].tolist()):
-        assert data.index(f'"image_sequence": {sequence},'.encode()) < data.index(bytes([sequence]) * 300)
+        assert data.index(f'"image_sequence": {sequence},'.encode()) < data.index(
+            bytes([sequence]) * 300
+        )
 
 
 def test_every_image_is_logged_once_with_its_time(flight):
@@ -115,7 +133,9 @@ def test_every_image_is_logged_once_with_its_time(flight):
 
 
 def test_the_log_becomes_a_flight_table(flight):
-    """One row an image, each with the sticks of its time; what `falconwing export` writes for identification."""
+    """One row an image, each with the sticks of its time; what `falconwing export` writes for
+    identification.
+    """
     flight.run(2.0, (1250, 1600, 1500, 1500))
     table = to_flight_table(read_after(flight))
     assert table.commands[-1] == pytest.approx([0.25, 0.2, 0.0, 0.0], abs=1e-9)
@@ -124,7 +144,9 @@ def test_the_log_becomes_a_flight_table(flight):
 
 def test_the_log_says_that_the_board_was_simulated_or_not(flight):
     """Simulated data is called so; and whose calibration it was."""
-    assert read_after(flight).metadata["simulated"] == "no"  # this port came without a simulation behind it
+    assert (
+        read_after(flight).metadata["simulated"] == "no"
+    )  # this port came without a simulation behind it
     assert read_after(flight).metadata["calibrated"] == "never"
 
 
@@ -148,7 +170,9 @@ def test_a_camera_that_fails_costs_no_sticks(flight):
 
 
 class Grain:
-    """Thirty pictures a second of one wall; from 1 to 2 s each is another noise, from 3 s on none comes."""
+    """Thirty pictures a second of one wall; from 1 to 2 s each is another noise, from 3 s on none
+    comes.
+    """
 
     def __init__(self, side: int = 64) -> None:
         self.draw, self.side = np.random.default_rng(0), side
@@ -167,20 +191,28 @@ class Grain:
 
 
 def test_the_monitors_alarms_are_said_once_and_stand_in_the_log(flight):
-    """Noise from 1 s on is told within the 300 ms that the manual promises, its end within a second; then no picture
-    comes any more, which is told within a second too. The sticks go on."""
+    """Noise from 1 s on is told within the 300 ms that the manual promises, its end within a
+    second; then no picture comes any more, which is told within a second too. The sticks go on.
+    """
     flight.recording.images, flight.recording.monitor = Grain(), FrameMonitor()
     flight.run(4.0)
     log = read_after(flight)
     told = [
-        (event.name, event.details["reason"].split(":")[0], event.t) for event in log.events if "pict" in event.name
+        (event.name, event.details["reason"].split(":")[0], event.t)
+        for event in log.events
+        if "pict" in event.name
     ]
     assert [name for name, *_ in told] == ["picture alarm", "picture clear", "picture alarm"]
     assert [reason for _, reason, _ in told] == ["noise", "", "old or frozen"]
     assert [t for *_, t in told] == pytest.approx([1.15, 2.5, 3.5], abs=0.5)
     assert 1.0 < told[0][2] <= 1.3
-    assert [alert.split(":")[0] for alert in flight.alerts] == ["PICTURE noise", "PICTURE old or frozen"]
-    assert flight.recording.counts.alarms == 2 and len(log.commands) == pytest.approx(4.0 / 0.022, abs=3)
+    assert [alert.split(":")[0] for alert in flight.alerts] == [
+        "PICTURE noise",
+        "PICTURE old or frozen",
+    ]
+    assert flight.recording.counts.alarms == 2 and len(log.commands) == pytest.approx(
+        4.0 / 0.022, abs=3
+    )
 
 
 def test_a_picture_that_cannot_be_judged_ends_the_monitor_not_the_recording(flight):
@@ -195,7 +227,9 @@ def test_a_picture_that_cannot_be_judged_ends_the_monitor_not_the_recording(flig
 
 def test_a_radio_with_too_few_channels_is_an_event(flight):
     """Four sticks want four channels; the recording goes on."""
-    flight.port.pilots.append(types.SimpleNamespace(device_time_us=2_000_000, channels_us=(1500, 1500)))
+    flight.port.pilots.append(
+        types.SimpleNamespace(device_time_us=2_000_000, channels_us=(1500, 1500))
+    )
     flight.run(0.5)
     assert "bad pilot frame" in [event.name for event in read_after(flight).events]
     assert flight.recording.stopped == "" and flight.recording.counts.commands > 10
@@ -255,36 +289,63 @@ with Log("flight.mcap") as log:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is POSIX")
 def test_twenty_kills_lose_no_acknowledged_command_and_at_most_one_image(tmp_path):
-    """A recording that runs as fast as it can is killed 20 times, each time after another number of records. What it
-    had acknowledged, by printing after the writer returned, is in the log; `falconwing export --to mcap` makes a whole
-    log of it."""
+    """A recording that runs as fast as it can is killed 20 times, each time after another number of
+    records. What it had acknowledged, by printing after the writer returned, is in the log;
+    `falconwing export --to mcap` makes a whole log of it.
+    """
     draw = random.Random(5)
     for kill in range(20):
         folder = tmp_path / str(kill)
         folder.mkdir()
         program = [sys.executable, "-c", CHILD]
-        with subprocess.Popen(program, stdout=subprocess.PIPE, env=ENVIRONMENT, text=True, cwd=folder) as child:
+        with subprocess.Popen(
+            program, stdout=subprocess.PIPE, env=ENVIRONMENT, text=True, cwd=folder
+        ) as child:
             lines = [child.stdout.readline() for _ in range(draw.randint(1, 300))]
             child.send_signal(signal.SIGKILL)
             lines += [line for line in child.stdout if line.endswith("\n")]
         words = [line.split() for line in lines]
         commands = [int(number) for word, number in words if word == "command"]
         images = [int(number) for word, number in words if word == "image"]
-        assert main(["export", str(folder / "flight.mcap"), "--to", "mcap", "--out", str(folder / "saved.mcap")]) == 0
+        assert (
+            main(
+                [
+                    "export",
+                    str(folder / "flight.mcap"),
+                    "--to",
+                    "mcap",
+                    "--out",
+                    str(folder / "saved.mcap"),
+                ]
+            )
+            == 0
+        )
         for name in ("flight.mcap", "saved.mcap"):
             log = read_flight_log(folder / name)
-            assert np.round(log.command_times * 1e6).astype(int).tolist()[: len(commands)] == commands
+            assert (
+                np.round(log.command_times * 1e6).astype(int).tolist()[: len(commands)] == commands
+            )
             assert log.image_sequences.tolist()[: len(images) - 1] == images[:-1]
         assert log.warnings == () and commands
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the system's file size limit exists on POSIX only")
+@pytest.mark.skipif(
+    sys.platform == "win32", reason="the system's file size limit exists on POSIX only"
+)
 def test_a_full_disk_stops_the_recording_with_one_alert_and_the_port_goes_on(tmp_path):
-    """The kernel refuses to let the file grow beyond 200,000 bytes. By hand: six images of 31 kB fit. Two seconds
-    later the port still has its board, and what was acknowledged can be read."""
-    program = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))\n" + CHILD
+    """The kernel refuses to let the file grow beyond 200,000 bytes. By hand: six images of 31 kB
+    fit. Two seconds later the port still has its board, and what was acknowledged can be read.
+    """
+    program = (
+        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))\n" + CHILD
+    )
     done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
     lines = done.stdout.splitlines()
     alerts = [line for line in lines if line.startswith("alert")]
@@ -293,4 +354,7 @@ def test_a_full_disk_stops_the_recording_with_one_alert_and_the_port_goes_on(tmp
     commands = [int(line.split()[1]) for line in lines if line.startswith("command")]
     assert lines[-1] == f"flown on SAFE {len(commands)}"
     log = read_flight_log(tmp_path / "flight.mcap")
-    assert np.round(log.command_times * 1e6).astype(int).tolist() == commands and len(log.image_times) == 6
+    assert (
+        np.round(log.command_times * 1e6).astype(int).tolist() == commands
+        and len(log.image_times) == 6
+    )

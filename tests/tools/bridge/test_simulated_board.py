@@ -1,4 +1,6 @@
-"""Simulated board: the simulator itself against a program of known timing, and the interface that all boards share."""
+"""Simulated board: the simulator itself against a program of known timing, and the interface that
+all boards share.
+"""
 
 import os
 import subprocess
@@ -13,12 +15,20 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.bridge.python_board import Board, PythonBoard
 from falconwing_kit.tools.bridge.simulated_board import BoardOnPty, SimulatedBoard
-from falconwing_kit.trainer_port.protocol import Deframer, Pilot, Status, SyncReply, encode_channels, encode_sync
+from falconwing_kit.trainer_port.protocol import (
+    Deframer,
+    PilotFrame,
+    Status,
+    SyncReply,
+    encode_channels,
+    encode_sync,
+)
 from tests.firmware.chip import require_tools
 
 BYTE = 10 / 115200  # s
 
-# The timer alone makes an edge every 500 us; a byte is answered with the next one, after a zero a millisecond later.
+# The timer alone makes an edge every 500 us; a byte is answered with the next one, after a zero a
+# millisecond later.
 PROBE = """
     #include <avr/interrupt.h>
     #include <avr/io.h>
@@ -53,7 +63,15 @@ def probe_elf(tmp_path_factory) -> Path:
     require_tools()
     folder = tmp_path_factory.mktemp("probe")
     (folder / "probe.c").write_text(textwrap.dedent(PROBE))
-    command = ["avr-gcc", "-mmcu=atmega2560", "-Os", "-DF_CPU=16000000L", "probe.c", "-o", "probe.elf"]
+    command = [
+        "avr-gcc",
+        "-mmcu=atmega2560",
+        "-Os",
+        "-DF_CPU=16000000L",
+        "probe.c",
+        "-o",
+        "probe.elf",
+    ]
     subprocess.run(command, cwd=folder, check=True, timeout=60)
     return folder / "probe.elf"
 
@@ -75,11 +93,15 @@ def test_edges_stand_where_the_timer_puts_them(probe):
             level = probe.pin_level
             changes.append(probe.t)
     assert len(changes) in (399, 400)
-    assert np.diff(changes) == pytest.approx(np.full(len(changes) - 1, 500e-6), abs=1.1e-5)  # looked every 10 us
+    assert np.diff(changes) == pytest.approx(
+        np.full(len(changes) - 1, 500e-6), abs=1.1e-5
+    )  # looked every 10 us
 
 
 def test_a_byte_takes_ten_bits_each_way(probe):
-    """115200 8N1 to the chip, 86.8 us; its own 117647 baud back (UBRR 16, U2X), 85.0 us; 10 us for the program."""
+    """115200 8N1 to the chip, 86.8 us; its own 117647 baud back (UBRR 16, U2X), 85.0 us; 10 us for
+    the program.
+    """
     t = probe.t
     probe.write(b"A")
     probe.run_until(t + BYTE + 85e-6)
@@ -89,7 +111,9 @@ def test_a_byte_takes_ten_bits_each_way(probe):
 
 
 def test_bytes_that_nobody_fetches_are_lost(probe):
-    """For a millisecond the interrupt does not return, and ten bytes come: the receiver holds two, as silicon does."""
+    """For a millisecond the interrupt does not return, and ten bytes come: the receiver holds two,
+    as silicon does.
+    """
     probe.write(b"\0" + b"abcdefghij")
     probe.run_until(probe.t + 0.01)
     assert probe.read() == b"\1" + b"bc"
@@ -97,7 +121,9 @@ def test_bytes_that_nobody_fetches_are_lost(probe):
 
 
 def test_a_hung_loop_does_not_stop_the_interrupts(probe):
-    """The probe answers from an interrupt; its program hangs for ever, for it has no watchdog; power ends it."""
+    """The probe answers from an interrupt; its program hangs for ever, for it has no watchdog;
+    power ends it.
+    """
     probe.hang()
     probe.run_until(probe.t + 0.01)
     probe.write(b"x")
@@ -126,7 +152,7 @@ def test_a_file_that_is_no_program_is_said(tmp_path):
     require_tools()
     for content in (b"", b"not a program", b"\x7fELF" + bytes(200)):
         (tmp_path / "broken.elf").write_bytes(content)
-        with pytest.raises(InputError, match=r"broken\.elf: want a program"):
+        with pytest.raises(InputError, match=r"broken\.elf: expected a program"):
             SimulatedBoard(tmp_path / "broken.elf")
 
 
@@ -135,7 +161,13 @@ def test_a_closed_board_says_so(probe_elf):
     board = SimulatedBoard(probe_elf)
     board.close()
     board.close()
-    for use in (board.read, board.ppm_frames, board.hang, lambda: board.write(b"x"), lambda: board.run_until(1.0)):
+    for use in (
+        board.read,
+        board.ppm_frames,
+        board.hang,
+        lambda: board.write(b"x"),
+        lambda: board.run_until(1.0),
+    ):
         with pytest.raises(RuntimeError, match="it was closed"):
             use()
 
@@ -165,16 +197,22 @@ def test_status_comes_twenty_times_a_second(board):
 
 
 def test_commands_reach_the_pin(board):
-    """engage=0, the edge and five: the sixth frame on is the sticks, to a microsecond; frames are 22 ms long."""
+    """engage=0, the edge and five: the sixth frame on is the sticks, to a microsecond; frames are
+    22 ms long.
+    """
     for k in range(8):
         board.write(encode_channels(k, (1200, 1500, 1600, 1400), engage=k > 0))
         board.run_until(board.t + 0.05)
     frames = board.ppm_frames()
     assert frames[-1].slots_us == pytest.approx([1200, 1500, 1600, 1400], abs=1.0)
     assert frames[-1].gap_us == pytest.approx([400] * 5, abs=1.0)
-    assert frames[-1].t_slots - frames[-1].t_start == pytest.approx(np.cumsum(frames[-1].slots_us) * 1e-6, abs=1e-9)
+    assert frames[-1].t_slots - frames[-1].t_start == pytest.approx(
+        np.cumsum(frames[-1].slots_us) * 1e-6, abs=1e-9
+    )
     assert [frame.frame_us for frame in frames] == pytest.approx([22000] * len(frames), abs=1.0)
-    assert [a.t_start + a.frame_us * 1e-6 for a in frames[:-1]] == pytest.approx([b.t_start for b in frames[1:]])
+    assert [a.t_start + a.frame_us * 1e-6 for a in frames[:-1]] == pytest.approx(
+        [b.t_start for b in frames[1:]]
+    )
     assert board.ppm_frames() == []
 
 
@@ -182,20 +220,22 @@ def test_the_pilot_is_reported(board):
     """The sticks as given, to a microsecond, 45 times a second; none after he is gone."""
     board.set_pilot((1100, 1300, 1700, 1900))
     board.run_until(board.t + 0.5)
-    taken = messages(board, Pilot)
+    taken = messages(board, PilotFrame)
     assert 18 <= len(taken) <= 23
     assert taken[-1].channels_us == pytest.approx((1100, 1300, 1700, 1900), abs=1)
     board.set_pilot(None)
     board.run_until(board.t + 0.1)
     board.read()
     board.run_until(board.t + 0.5)
-    assert messages(board, Pilot) == []
+    assert messages(board, PilotFrame) == []
     with pytest.raises(InputError, match="pilot"):
         board.set_pilot([2200] * 9)
 
 
 def test_a_sync_tells_when_it_came(board):
-    """Nine bytes at 115200 baud are 781 us; the board's clock started up to 1 ms after its power, and reads to 4 us."""
+    """Nine bytes at 115200 baud are 781 us; the board's clock started up to 1 ms after its power,
+    and reads to 4 us.
+    """
     board.read()
     asked = board.t
     board.write(encode_sync(77))
@@ -207,7 +247,9 @@ def test_a_sync_tells_when_it_came(board):
 
 
 def test_hang_and_power_cycle(board):
-    """The watchdog resets a hung board, which says so and counts the boot; power-off forgets; time goes on."""
+    """The watchdog resets a hung board, which says so and counts the boot; power-off forgets; time
+    goes on.
+    """
     board.hang()
     board.run_until(1.5)
     status = messages(board, Status)[-1]
@@ -226,7 +268,7 @@ def test_hang_and_power_cycle(board):
 @pytest.mark.parametrize("t", [float("nan"), float("inf"), "soon"])
 def test_time_that_is_none_is_refused(board, t):
     """A sentence, not an endless run."""
-    with pytest.raises(InputError, match="t: want"):
+    with pytest.raises(InputError, match="t: expected"):
         board.run_until(t)
 
 
@@ -235,15 +277,20 @@ def test_time_that_is_none_is_refused(board, t):
 
 @pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX")
 def test_pyserial_flies_the_chip():
-    """The serial library opens the path as any port: the first STATUS, then 20 commands, all accepted and on the pin.
+    """The serial library opens the path as any port: the first STATUS, then 20 commands, all
+    accepted and on the pin.
 
-    Nothing here depends on how busy the machine is but the patience: the safety countdown may run out in between.
+    Nothing here depends on how busy the machine is but the patience: the safety countdown may run
+        out in between.
     """
     require_tools()
     import serial
 
     deframer, statuses, patience = Deframer(), [], time.monotonic() + 60.0
-    with BoardOnPty(SimulatedBoard()) as line, serial.Serial(line.path, 115200, timeout=0.01) as port:
+    with (
+        BoardOnPty(SimulatedBoard()) as line,
+        serial.Serial(line.path, 115200, timeout=0.01) as port,
+    ):
 
         def listen(done) -> None:
             while not done() and time.monotonic() < patience:
@@ -258,10 +305,13 @@ def test_pyserial_flies_the_chip():
         assert statuses[-1].accepted == 20
         assert statuses[-1].last_sequence == 19
         assert line.error is None and line.worst_lag >= 0.0
-        with line.paused() as board:
+        with line.pause() as board:
             t = board.t
             assert len(line_frames := board.ppm_frames()) > 30
         assert line.to_host_time(t) <= time.perf_counter()
     if line.worst_lag < 0.1:  # else the machine stood still and the countdown may have run out
-        assert any(frame.slots_us == pytest.approx([1200, 1500, 1500, 1400], abs=1.0) for frame in line_frames)
+        assert any(
+            frame.slots_us == pytest.approx([1200, 1500, 1500, 1400], abs=1.0)
+            for frame in line_frames
+        )
     line.close()  # a second time does no harm

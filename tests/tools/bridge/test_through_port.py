@@ -1,4 +1,6 @@
-"""Through the port: what the pin says is what flies, a silent host is noticed, and landings are as good as without."""
+"""Through the port: what the pin says is what flies, a silent host is noticed, and landings are as
+good as without.
+"""
 
 from dataclasses import replace
 
@@ -11,7 +13,12 @@ from falconwing_kit.core.messages import Command
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.tools.bridge.python_board import PythonBoard
 from falconwing_kit.tools.bridge.through_port import PORTS, PortWorld, simulated_board
-from falconwing_kit.tools.trials.trials import Setting, fly_trial, fly_trials, summary
+from falconwing_kit.tools.trials.trials import (
+    TrialSettings,
+    fly_trial,
+    fly_trials,
+    summarise_trials,
+)
 from falconwing_kit.trainer_port.ppm import Stick, load_calibration
 from tests.firmware.chip import require_tools
 
@@ -50,7 +57,9 @@ def fly(port_world, seconds, command=STICKS, begin=0.0):
 
 
 def test_the_aircraft_flies_on_what_the_pin_said(board):
-    """The pin has whole microseconds, so sticks come back to half of one; 1 us more for edges at 0.25 us each."""
+    """The pin has whole microseconds, so sticks come back to half of one; 1 us more for edges at
+    0.25 us each.
+    """
     world = RecordingWorld()
     with PortWorld(world, board) as port_world:
         fly(port_world, 0.5)
@@ -69,7 +78,9 @@ def test_the_first_command_is_there_when_the_flight_begins(board):
 
 
 def test_a_new_command_reaches_the_radio_within_two_frames(board):
-    """16 bytes, at most one frame of 22 ms until the next begins, and its four slots of at most 2 ms: 31.5 ms."""
+    """16 bytes, at most one frame of 22 ms until the next begins, and its four slots of at most 2
+    ms: 31.5 ms.
+    """
     world = RecordingWorld()
     with PortWorld(world, board) as port_world:
         fly(port_world, 0.5)
@@ -79,7 +90,9 @@ def test_a_new_command_reaches_the_radio_within_two_frames(board):
 
 
 def test_a_silent_host_is_flown_without_throttle(board):
-    """Safety rules: 200 ms and one frame after the last command the slots are safe, throttle idle, sticks centred."""
+    """Safety rules: 200 ms and one frame after the last command the slots are safe, throttle idle,
+    sticks centred.
+    """
     world, events = RecordingWorld(), []
     with PortWorld(world, board, on_event=lambda *event: events.append(event)) as port_world:
         fly(port_world, 1.0)
@@ -94,10 +107,15 @@ def test_a_silent_host_is_flown_without_throttle(board):
 
 
 def test_order_and_reversal_are_undone_by_the_same_calibration():
-    """By hand: with aileron reversed in slot 4 and rudder in slot 2, other slots are sent, the same sticks arrive."""
+    """By hand: with aileron reversed in slot 4 and rudder in slot 2, other slots are sent, the same
+    sticks arrive.
+    """
     plain = load_calibration()
     turned = replace(
-        plain, aileron=Stick(4, 1000, 1500, 2000, reversed=True), rudder=Stick(2, 1000, 1500, 2000), radio="test"
+        plain,
+        aileron=Stick(4, 1000, 1500, 2000, reversed=True),
+        rudder=Stick(2, 1000, 1500, 2000),
+        radio="test",
     )
     world = RecordingWorld()
     with PythonBoard() as board, PortWorld(world, board, turned) as port_world:
@@ -123,29 +141,35 @@ def test_an_unknown_board_is_refused():
 
 @pytest.mark.timeout(900)  # 100 s of CPU, more on a busy machine
 def test_a_hundred_landings_through_the_firmware_are_as_good_as_without():
-    """The issue's figures: every one on the pad, within 10 cm in the mean, and no worse than flown without the port.
+    """The issue's figures: every one on the pad, within 10 cm in the mean, and no worse than flown
+    without the port.
 
-    Two means over the same hundred starts differ by chance by at most three of the paired differences' standard errors.
+    Two means over the same hundred starts differ by chance by at most three of the paired
+    differences' standard errors.
     """
     require_tools()
     task = LandingTask()
-    through = fly_trials(task, task.expert, 100, pilot="expert", setting=Setting(port="sim"))
+    through = fly_trials(task, task.expert, 100, pilot="expert", setting=TrialSettings(port="sim"))
     without = fly_trials(task, task.expert, 100, pilot="expert")
-    found = summary(through)
+    found = summarise_trials(through)
     assert found["successes"] == 100
     assert found["ald_m"]["mean"] <= 0.10
     worse = np.array([a["ald_m"] - b["ald_m"] for a, b in zip(through, without, strict=True)])
     assert worse.mean() < 3.0 * worse.std(ddof=1) / 10.0
     assert sum(record["port"]["commands_dropped"] for record in through) == 0
     print(
-        f"ALD {100 * found['ald_m']['mean']:.1f} cm, without the port {100 * summary(without)['ald_m']['mean']:.1f} cm"
+        f"ALD {100 * found['ald_m']['mean']:.1f} cm, without the port {100 * summarise_trials(without)['ald_m']['mean']:.1f} cm"
     )
 
 
 def test_the_log_tells_what_happened_at_the_port(tmp_path):
-    """The board becomes ACTIVE before the flight, so its log begins with what the port told until then."""
+    """The board becomes ACTIVE before the flight, so its log begins with what the port told until
+    then.
+    """
     task = LandingTask()
-    record = fly_trial(task, task.expert, 0, setting=Setting(port="sim-python"), log=tmp_path / "flight.mcap")
+    record = fly_trial(
+        task, task.expert, 0, setting=TrialSettings(port="sim-python"), log=tmp_path / "flight.mcap"
+    )
     log = read_flight_log(tmp_path / "flight.mcap")
     assert log.metadata["port"] == "sim-python"
     assert "engaged" in [event.name for event in log.events]
@@ -153,7 +177,9 @@ def test_the_log_tells_what_happened_at_the_port(tmp_path):
 
 
 def test_a_full_disk_ends_no_flight_through_the_port(tmp_path, monkeypatch):
-    """What the port tells cannot be logged from the first step on: a warning, and the landing is flown to its end."""
+    """What the port tells cannot be logged from the first step on: a warning, and the landing is
+    flown to its end.
+    """
     task = LandingTask()
 
     def refuse(self, t, name, details=None):
@@ -161,5 +187,11 @@ def test_a_full_disk_ends_no_flight_through_the_port(tmp_path, monkeypatch):
 
     monkeypatch.setattr(FlightLogWriter, "event", refuse)
     with pytest.warns(UserWarning, match="goes on without a log"):
-        record = fly_trial(task, task.expert, 0, setting=Setting(port="sim-python"), log=tmp_path / "flight.mcap")
+        record = fly_trial(
+            task,
+            task.expert,
+            0,
+            setting=TrialSettings(port="sim-python"),
+            log=tmp_path / "flight.mcap",
+        )
     assert record["success"]

@@ -1,4 +1,6 @@
-"""Packed formats: single Gaussians worked out by hand from the specifications, a trained scene, and bombs."""
+"""Packed formats: single Gaussians worked out by hand from the specifications, a trained scene, and
+bombs.
+"""
 
 import json
 import math
@@ -15,7 +17,12 @@ from tests.scene.packing import fixed24, gzipped, sog_files, spz_payload, webp, 
 
 TRAINED = Path(__file__).resolve().parents[4] / "shared/data/splat"
 HALF, ROOT_PI = math.sqrt(0.5), math.sqrt(math.pi)
-ONE = (fixed24(6144, -8192, 1024), [51], [255, 0, 51], [160, 96, 176])  # position, opacity, colour, scale of an SPZ
+ONE = (
+    fixed24(6144, -8192, 1024),
+    [51],
+    [255, 0, 51],
+    [160, 96, 176],
+)  # position, opacity, colour, scale of an SPZ
 
 
 def load(tmp_path, ending, data):
@@ -25,7 +32,9 @@ def load(tmp_path, ending, data):
 
 
 def test_splat_by_hand(tmp_path):
-    """Colour 255 is 1, as coefficient (1 - 1/2) 2 sqrt(pi); opacity 51/255; rotation bytes are 128 + 128 q, w first."""
+    """Colour 255 is 1, as coefficient (1 - 1/2) 2 sqrt(pi); opacity 51/255; rotation bytes are 128
+    + 128 q, w first.
+    """
     first = struct.pack("<6f8B", 1, 2, -3, 0.1, 0.2, 0.3, 255, 0, 51, 51, 255, 128, 128, 128)
     second = struct.pack("<6f8B", 4, 5, 6, 1, 1, 1, 0, 0, 0, 255, 128, 64, 128, 192)
     scene = load(tmp_path, ".splat", first + second)
@@ -39,25 +48,53 @@ def test_splat_by_hand(tmp_path):
 @pytest.mark.parametrize(
     ("version", "rotation", "expected", "atol"),
     [
-        (2, [128, 128, 218], [HALF, 0, 0, -HALF], 6e-3),  # x y z as 127.5 (1 + q); a step is 1 / 127.5
-        (3, struct.pack("<I", 3 << 30 | 511), [HALF, 0, 0, -HALF], 1e-6),  # w left out; x, y = 0; z = sqrt(1/2)
-        (3, struct.pack("<I", 0 << 30 | 0x3FF << 20), [0, HALF, HALF, 0], 1e-6),  # x left out; y = -sqrt(1/2)
-        (3, struct.pack("<I", 1 << 30 | 511 << 20), [0, HALF, -HALF, 0], 1e-6),  # y left out; x = sqrt(1/2)
-        (3, struct.pack("<I", 2 << 30 | 0x3FF), [HALF, 0, 0, HALF], 1e-6),  # z left out; w = -sqrt(1/2)
+        (
+            2,
+            [128, 128, 218],
+            [HALF, 0, 0, -HALF],
+            6e-3,
+        ),  # x y z as 127.5 (1 + q); a step is 1 / 127.5
+        (
+            3,
+            struct.pack("<I", 3 << 30 | 511),
+            [HALF, 0, 0, -HALF],
+            1e-6,
+        ),  # w left out; x, y = 0; z = sqrt(1/2)
+        (
+            3,
+            struct.pack("<I", 0 << 30 | 0x3FF << 20),
+            [0, HALF, HALF, 0],
+            1e-6,
+        ),  # x left out; y = -sqrt(1/2)
+        (
+            3,
+            struct.pack("<I", 1 << 30 | 511 << 20),
+            [0, HALF, -HALF, 0],
+            1e-6,
+        ),  # y left out; x = sqrt(1/2)
+        (
+            3,
+            struct.pack("<I", 2 << 30 | 0x3FF),
+            [HALF, 0, 0, HALF],
+            1e-6,
+        ),  # z left out; w = -sqrt(1/2)
     ],
 )
 def test_spz_by_hand(tmp_path, version, rotation, expected, atol):
-    """SPZ has y up and z back: half a turn about x changes the signs of y and z, of means and of quaternions.
+    """SPZ has y up and z back: half a turn about x changes the signs of y and z, of means and of
+    quaternions.
 
-    Positions are in 1/4096: 6144, -8192, 1024 are 1.5, -2, 0.25. Opacity is 51/255, a colour (byte/255 - 1/2) / 0.15.
-    Scales are exp(byte/16 - 10): 160, 96, 176 are 1, exp(-4), e.
+    Positions are in 1/4096: 6144, -8192, 1024 are 1.5, -2, 0.25. Opacity is 51/255, a colour
+    (byte/255 - 1/2) / 0.15. Scales are exp(byte/16 - 10): 160, 96, 176 are 1, exp(-4), e.
     """
     scene = load(tmp_path, ".spz", gzipped(spz_payload(version, *ONE, rotation)))
     assert scene.means.tolist() == [[1.5, 2.0, -0.25]]
     assert np.allclose(scene.opacities, [0.2])
     assert np.allclose(scene.sh, [[[0.5 / 0.15, -0.5 / 0.15, -2.0]]], rtol=1e-5)
     assert np.allclose(scene.scales, [np.exp([0, -4, 1])], rtol=1e-5)
-    turned = scene.quaternions * np.sign(scene.quaternions[0] @ expected)  # q and -q are one rotation
+    turned = scene.quaternions * np.sign(
+        scene.quaternions[0] @ expected
+    )  # q and -q are one rotation
     assert np.allclose(turned, [expected], atol=atol)
 
 
@@ -75,7 +112,13 @@ def harmonics(directions):
         [
             *(one, y, z, x),
             *(x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y),
-            *(y * (3 * x * x - y * y), x * y * z, y * (5 * z * z - 1), z * (5 * z * z - 3), x * (5 * z * z - 1)),
+            *(
+                y * (3 * x * x - y * y),
+                x * y * z,
+                y * (5 * z * z - 1),
+                z * (5 * z * z - 3),
+                x * (5 * z * z - 1),
+            ),
             *(z * (x * x - y * y), x * (x * x - 3 * y * y)),
         ],
         axis=1,
@@ -83,21 +126,29 @@ def harmonics(directions):
 
 
 def test_spz_colours_turn_with_the_axes(tmp_path):
-    """A law: turning the scene and the eye alike changes no colour. The eye turns as (x, y, z) -> (x, -y, -z)."""
+    """A law: turning the scene and the eye alike changes no colour. The eye turns as (x, y, z) ->
+    (x, -y, -z).
+    """
     rng = np.random.default_rng(3)
     raw = rng.integers(0, 256, 45)
-    scene = load(tmp_path, ".spz", gzipped(spz_payload(3, *ONE, bytes(4), raw.astype(np.uint8), degree=3)))
+    scene = load(
+        tmp_path, ".spz", gzipped(spz_payload(3, *ONE, bytes(4), raw.astype(np.uint8), degree=3))
+    )
     directions = rng.normal(size=(20, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     before = harmonics(directions)[:, 1:] @ ((raw.reshape(15, 3) - 128) / 128)
     after = harmonics(directions * [1, -1, -1])[:, 1:] @ scene.sh[0, 1:]
     assert np.allclose(after, before, atol=1e-5)
-    assert scene.sh[0, 3].tolist() == ((raw.reshape(15, 3)[2] - 128) / 128).tolist()  # x does not turn
+    assert (
+        scene.sh[0, 3].tolist() == ((raw.reshape(15, 3)[2] - 128) / 128).tolist()
+    )  # x does not turn
 
 
 def test_spz_arrays_of_many_stand_one_after_the_other(tmp_path):
     """By hand: two Gaussians, all positions first, then all opacities and so on."""
-    two = spz_payload(3, fixed24(4096, 0, 0, 8192, 0, 0), [0, 255], bytes(6), bytes(6), bytes(8), count=2)
+    two = spz_payload(
+        3, fixed24(4096, 0, 0, 8192, 0, 0), [0, 255], bytes(6), bytes(6), bytes(8), count=2
+    )
     scene = load(tmp_path, ".spz", gzipped(two))
     assert scene.means[:, 0].tolist() == [1.0, 2.0] and scene.opacities.tolist() == [0.0, 1.0]
 
@@ -122,7 +173,10 @@ GOOD = spz_payload(3, *ONE, bytes(4))
         (gzipped(GOOD)[:-3], "got fewer or more"),
         (gzipped(GOOD)[:-8] + bytes(8), "damaged"),  # the checksum
         (gzipped(GOOD[:8] + b"\xff" * 4 + GOOD[12:]), "got one of 4294967295 Gaussians"),
-        (gzipped(GOOD[:8] + struct.pack("<I", 10**6) + bytes(20 * 10**6)), "got one of 1000000 Gaussians"),
+        (
+            gzipped(GOOD[:8] + struct.pack("<I", 10**6) + bytes(20 * 10**6)),
+            "got one of 1000000 Gaussians",
+        ),
     ],
 )
 def test_each_bad_spz_gets_its_sentence(tmp_path, data, sentence):
@@ -134,9 +188,11 @@ def test_each_bad_spz_gets_its_sentence(tmp_path, data, sentence):
 def check_hand_packed(scene):
     """The Gaussian of `sog_files`.
 
-    Means: fractions 1, 0 and 32768/65535 between mins and maxs, then sign(n) (exp|n| - 1): exp(ln 4) - 1 = 3,
+    Means: fractions 1, 0 and 32768/65535 between mins and maxs, then sign(n) (exp|n| - 1): exp(ln
+        4) - 1 = 3,
     -(exp(ln 2) - 1) = -1 and nearly 0. Quaternion: alpha 252 leaves w out, 255 is sqrt(1/2), 127 and 128 are one
-    step of 0.003 about 0. Scales and colours are numbers of their code books; palette entry 65 + 256 holds the rest.
+    step of 0.003 about 0. Scales and colours are numbers of their code books; palette entry 65 +
+    256 holds the rest.
     """
     assert np.allclose(scene.means, [[3.0, -1.0, 1 / 65535]], atol=1e-6)
     assert np.allclose(scene.quaternions, [[HALF, HALF, 0, 0]], atol=4e-3)
@@ -181,18 +237,33 @@ def with_pixel(name, pixel, shape=(2, 4)):
         (edited(means=3), "2 plain file names for means"),
         (edited(quats={"files": ["../quats.webp"]}), "1 plain file names for quats"),
         (edited(quats={"files": ["/etc/passwd"]}), "1 plain file names for quats"),
-        (edited(quats={"files": ["none.webp"]}), "want none.webp in the zip, which is missing"),
-        (edited(sh0={"files": ["sh0.webp"], "codebook": [0.0, math.nan, 1.0]}), "finite numbers for sh0 codebook"),
+        (edited(quats={"files": ["none.webp"]}), "expected none.webp in the zip, which is missing"),
+        (
+            edited(sh0={"files": ["sh0.webp"], "codebook": [0.0, math.nan, 1.0]}),
+            "finite numbers for sh0 codebook",
+        ),
         (edited(sh0={"files": ["sh0.webp"], "codebook": [0.0, 1.0]}), "codes below 2, .*got 2"),
-        (edited(scales={"files": ["scales.webp"], "codebook": [0.0, 1.0, 999.0]}), "scales: want finite numbers"),
-        (edited(means={"files": ["means_l.webp"] * 2, "mins": [0, 0], "maxs": [1, 1, 1]}), "three mins and three maxs"),
-        (edited(shN={"bands": 4, "codebook": [0.0], "files": ["centroids.webp", "labels.webp"]}), "1 to 3 bands"),
+        (
+            edited(scales={"files": ["scales.webp"], "codebook": [0.0, 1.0, 999.0]}),
+            "scales: expected finite numbers",
+        ),
+        (
+            edited(means={"files": ["means_l.webp"] * 2, "mins": [0, 0], "maxs": [1, 1, 1]}),
+            "three mins and three maxs",
+        ),
+        (
+            edited(shN={"bands": 4, "codebook": [0.0], "files": ["centroids.webp", "labels.webp"]}),
+            "1 to 3 bands",
+        ),
         (
             edited(shN={"bands": 2, "codebook": [0.0], "files": ["centroids.webp", "labels.webp"]}),
             "2 bands, 192 pixels",
         ),
         (with_pixel("labels.webp", (128, 1, 255, 255)), "labels below 384, .*got 384"),
-        (with_pixel("quats.webp", (128, 128, 128, 251)), "252 to 255 in the alpha of the quaternions, got 251"),
+        (
+            with_pixel("quats.webp", (128, 128, 128, 251)),
+            "252 to 255 in the alpha of the quaternions, got 251",
+        ),
         ({"quats.webp": b"GIF89a" + bytes(50)}, "a lossless WebP image"),
         ({"quats.webp": sog_files()["quats.webp"][:-9]}, "a whole WebP image"),
     ],
@@ -204,7 +275,9 @@ def test_each_bad_sog_gets_its_sentence(tmp_path, change, sentence):
 
 
 def test_image_bomb_is_refused_before_it_is_decoded(tmp_path):
-    """A WebP of one colour, 16000 x 16000, is a few hundred bytes and would be a gigabyte; only its header is made."""
+    """A WebP of one colour, 16000 x 16000, is a few hundred bytes and would be a gigabyte; only its
+    header is made.
+    """
     image = bytearray(sog_files()["quats.webp"])
     image[21:25] = struct.pack("<I", 15999 | 15999 << 14 | 1 << 28)
     with pytest.raises(InputError, match="images of at most 200 times their files, got 256"):
@@ -212,16 +285,23 @@ def test_image_bomb_is_refused_before_it_is_decoded(tmp_path):
     assert zlib.crc32(image)  # the zip itself was whole: its checksums fit the changed image
 
 
-@pytest.mark.parametrize(("folder", "count"), [("playbot_lod2_125k", 125_000), ("playbot_lod3_31k", 31_000)])
+@pytest.mark.parametrize(
+    ("folder", "count"), [("playbot_lod2_125k", 125_000), ("playbot_lod3_31k", 31_000)]
+)
 def test_trained_scene_is_read(folder, count):
-    """Recorded data (PLAYBOT by Stephane Agullo, CC-BY-4.0): its SOURCE.txt tells the count and degree 2.
+    """Recorded data (PLAYBOT by Stephane Agullo, CC-BY-4.0): its SOURCE.txt tells the count and
+    degree 2.
 
-    The model is a figure about 2 m wide: its meta.json has mins and maxs of -0.71..0.71 in x as logarithms, and
-    exp(0.71) - 1 is 1.03. Most Gaussians of a trained surface are small beside it, and colours lie about 0..1.
+    The model is a figure about 2 m wide: its meta.json has mins and maxs of -0.71..0.71 in x as
+        logarithms, and
+    exp(0.71) - 1 is 1.03. Most Gaussians of a trained surface are small beside it, and colours lie
+    about 0..1.
     """
     path = TRAINED / folder
     if not path.is_dir():
-        pytest.skip(f"the trained scene does not ship with the kit and is not beside this checkout: {path} is missing")
+        pytest.skip(
+            f"the trained scene does not ship with the kit and is not beside this checkout: {path} is missing"
+        )
     scene = GaussianScene.load(path)
     assert len(scene) == count and scene.sh.shape == (count, 9, 3)
     assert np.allclose(np.abs(scene.means).max(axis=0)[[0, 2]], 1.03, atol=0.02)

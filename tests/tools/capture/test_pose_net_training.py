@@ -7,15 +7,15 @@ import pytest
 from PIL import Image
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.learning.pose_net_loop import Plan
+from falconwing_kit.learning.pose_net_loop import TrainSchedule
 from falconwing_kit.learning.pose_views import aircraft_poses
 from falconwing_kit.scene import load_scene
 from falconwing_kit.tools.capture import pose_net_training
-from falconwing_kit.tools.capture.pose_net_training import Job, main, train_pose_net
+from falconwing_kit.tools.capture.pose_net_training import PoseNetConfig, main, train_pose_net
 from falconwing_kit.vision.pose_net import PoseNet
 from tests.learning.halls import CAMERA, HIGH, LOW, hall, write_photos
 
-PLAN = Plan(steps=4, minutes=5.0, batch=4, fresh=4, pool=40, first=8)
+PLAN = TrainSchedule(steps=4, minutes=5.0, batch=4, fresh=4, pool=40, first=8)
 SMALL = {"plan": PLAN, "width": 64, "features": 16, "layers": 1, "heads": 1, "box": (*LOW, *HIGH)}
 
 
@@ -30,9 +30,17 @@ def files(tmp_path_factory):
 
 
 def test_one_call_leaves_net_figures_and_a_picture(files, tmp_path, monkeypatch):
-    """What the design promises: weights that load, errors on renders and held-out photos, shares in stated sigmas."""
+    """What the design promises: weights that load, errors on renders and held-out photos, shares in
+    stated sigmas.
+    """
     monkeypatch.setattr(pose_net_training, "JUDGED_RENDERS", 30)
-    job = Job(files / "hall.npz", files / "aligned", tmp_path / "out", leader=files / "leader.npz", **SMALL)
+    job = PoseNetConfig(
+        files / "hall.npz",
+        files / "aligned",
+        tmp_path / "out",
+        leader=files / "leader.npz",
+        **SMALL,
+    )
     report = train_pose_net(job)
     assert json.loads((tmp_path / "out" / "pose_net.json").read_text()) == report
     for name in ("renders", "worse", "photos"):
@@ -53,14 +61,20 @@ def test_one_call_leaves_net_figures_and_a_picture(files, tmp_path, monkeypatch)
 
 
 def test_held_out_photos_can_be_named(files, tmp_path):
-    """Lines, JSON with names or a table, and the scene training's own figures: all hold out the same two."""
+    """Lines, JSON with names or a table, and the scene training's own figures: all hold out the
+    same two.
+    """
     texts = [
         "001.png\n007.png\n",
         '{"held_out": ["001.png", "photos/007.png"]}',
         '[{"photo": "001.png"}, {"photo": "007.png"}]',
     ]
-    photos = pose_net_training._aligned(Job(files / "hall.npz", files / "aligned", tmp_path))
-    texts.append('{"held_out": {"psnr_db": 28.0, "photos": [{"photo": "001.png"}, {"photo": "007.png"}]}}')
+    photos = pose_net_training._aligned_photos(
+        PoseNetConfig(files / "hall.npz", files / "aligned", tmp_path)
+    )
+    texts.append(
+        '{"held_out": {"psnr_db": 28.0, "photos": [{"photo": "001.png"}, {"photo": "007.png"}]}}'
+    )
     for text in texts:
         (tmp_path / "held").write_text(text)
         held, aside = pose_net_training._split(photos, tmp_path / "held")
@@ -69,15 +83,19 @@ def test_held_out_photos_can_be_named(files, tmp_path):
         assert not (held & aside).any()
     for text in ("nobody.png", '{"other": 1}', "".join(f"{k:03}.png\n" for k in range(20))):
         (tmp_path / "held").write_text(text)
-        with pytest.raises(InputError, match="want names of"):
+        with pytest.raises(InputError, match="expected names of"):
             pose_net_training._split(photos, tmp_path / "held")
 
 
 def test_photos_in_another_world_are_refused(files, tmp_path):
     """Not aligned: their metres are not the hall's."""
-    write_photos(tmp_path / "raw", aircraft_poses(LOW, HIGH, 4, np.random.default_rng(0)), aligned=False)
+    write_photos(
+        tmp_path / "raw", aircraft_poses(LOW, HIGH, 4, np.random.default_rng(0)), aligned=False
+    )
     with pytest.raises(InputError, match="scene align"):
-        train_pose_net(Job(files / "hall.npz", tmp_path / "raw", tmp_path / "out", **SMALL))
+        train_pose_net(
+            PoseNetConfig(files / "hall.npz", tmp_path / "raw", tmp_path / "out", **SMALL)
+        )
 
 
 @pytest.mark.parametrize(
@@ -94,13 +112,20 @@ def test_photos_in_another_world_are_refused(files, tmp_path):
 def test_options_that_make_no_sense_are_refused(files, tmp_path, change, word):
     """Each before any training, in one sentence, and nothing is written."""
     with pytest.raises(InputError, match=word):
-        train_pose_net(Job(files / "hall.npz", files / "aligned", tmp_path / "out", **(SMALL | change)))
+        train_pose_net(
+            PoseNetConfig(
+                files / "hall.npz", files / "aligned", tmp_path / "out", **(SMALL | change)
+            )
+        )
     assert not (tmp_path / "out").exists()
 
 
 def test_command_line_says_one_sentence(files, tmp_path, capsys):
     """Wrong use ends with 2 and says what is missing."""
-    assert main([str(tmp_path / "none.npz"), str(files / "aligned"), "--out", str(tmp_path / "out")]) == 2
+    assert (
+        main([str(tmp_path / "none.npz"), str(files / "aligned"), "--out", str(tmp_path / "out")])
+        == 2
+    )
     said = capsys.readouterr().err.strip()
     assert "none.npz" in said
     assert "\n" not in said

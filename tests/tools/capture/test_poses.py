@@ -1,4 +1,6 @@
-"""Photos to poses: bad photos are refused in words, and 24 photos of the path-traced hall find their places."""
+"""Photos to poses: bad photos are refused in words, and 24 photos of the path-traced hall find
+their places.
+"""
 
 import shutil
 
@@ -7,7 +9,13 @@ import pytest
 from PIL import Image
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.capture.poses import advice, check_photos, earlier, grain, photos_to_poses
+from falconwing_kit.tools.capture.poses import (
+    advice,
+    check_photos,
+    earlier_photos,
+    photos_to_poses,
+    row_noise,
+)
 from tests.scene import hall24
 
 PHOTOS = sorted((hall24.FOLDER / "photos").glob("*.jpg"))
@@ -24,7 +32,9 @@ def few(tmp_path):
 
 
 def test_photos_of_the_hall_find_their_places():
-    """At least 95 % and 0.8 px, as the plan asks; the focal length is told as about 0.6 of 640 px, to 10 %."""
+    """At least 95 % and 0.8 px, as the plan asks; the focal length is told as about 0.6 of 640 px,
+    to 10 %.
+    """
     report = hall24.reconstruction().report
     assert report["total"] == 24 and report["registered"] >= 0.95 * 24
     assert report["reprojection_px"] < 0.8
@@ -37,11 +47,15 @@ def test_focal_length_does_not_hang_on_its_guess(tmp_path):
     """From 0.66 of the width the same as from 0.6, within what both runs say they know."""
     first = hall24.reconstruction().report
     other = photos_to_poses(hall24.FOLDER / "photos", tmp_path, focal_share=0.66).report
-    assert abs(first["focal_px"] - other["focal_px"]) < 4.0 * np.hypot(first["focal_sigma_px"], other["focal_sigma_px"])
+    assert abs(first["focal_px"] - other["focal_px"]) < 4.0 * np.hypot(
+        first["focal_sigma_px"], other["focal_sigma_px"]
+    )
 
 
 def test_stopped_run_goes_on(few, tmp_path, monkeypatch):
-    """Ctrl-C after the features; the second run finds them in the database and gives what a whole run gives."""
+    """Ctrl-C after the features; the second run finds them in the database and gives what a whole
+    run gives.
+    """
     import pycolmap
 
     def stop(step, done, total):
@@ -52,9 +66,15 @@ def test_stopped_run_goes_on(few, tmp_path, monkeypatch):
         photos_to_poses(few, tmp_path / "stopped", progress=stop)
     with pycolmap.Database.open(tmp_path / "stopped" / "colmap.db") as database:
         assert database.num_images() == 4 and database.num_keypoints() > 400
-    resumed, whole = photos_to_poses(few, tmp_path / "stopped"), photos_to_poses(few, tmp_path / "whole")
+    resumed, whole = (
+        photos_to_poses(few, tmp_path / "stopped"),
+        photos_to_poses(few, tmp_path / "whole"),
+    )
     assert np.allclose(resumed.T_world_camera, whole.T_world_camera, atol=1e-6)
-    assert sorted(path.name for path in (tmp_path / "stopped").iterdir() if path.suffix == ".txt") == []
+    assert (
+        sorted(path.name for path in (tmp_path / "stopped").iterdir() if path.suffix == ".txt")
+        == []
+    )
 
 
 def test_other_photos_are_not_mixed_into_an_old_run(few, tmp_path):
@@ -105,22 +125,30 @@ def test_unusable_photos_are_refused_in_words(few):
     refused("without blanks")
     for path in list(few.iterdir())[:2]:
         path.unlink()
-    refused("want 3 or more photos")
+    refused("expected 3 or more photos")
     with pytest.raises(FileNotFoundError):
         check_photos(few / "nowhere")
 
 
 def test_grain_is_the_noise_that_was_added():
-    """White noise of known size on a slope of grey: 4 of 255, to the 2 % that 300 x 400 values allow."""
+    """White noise of known size on a slope of grey: 4 of 255, to the 2 % that 300 x 400 values
+    allow.
+    """
     rng = np.random.default_rng(0)
     slope = np.broadcast_to(np.linspace(50, 150, 400)[None, :, None], (300, 400, 1))
     image = slope + 4.0 * rng.standard_normal((300, 400, 1))
-    assert grain(np.repeat(image, 3, axis=2)) == pytest.approx(4.0, rel=0.03)
+    assert row_noise(np.repeat(image, 3, axis=2)) == pytest.approx(4.0, rel=0.03)
 
 
 def test_advice_fits_the_trouble():
     """Each cause has its sentence; a good set has none."""
-    good = {"registered": 24, "total": 24, "grain": 1.0, "features_median": 1500.0, "reprojection_px": 0.6}
+    good = {
+        "registered": 24,
+        "total": 24,
+        "grain": 1.0,
+        "features_median": 1500.0,
+        "reprojection_px": 0.6,
+    }
     assert advice(good) == []
     assert "overlap too little" in advice(good | {"registered": 10})[0]
     assert "analog" in advice(good | {"registered": 10, "grain": 5.0})[0]
@@ -130,7 +158,9 @@ def test_advice_fits_the_trouble():
 
 
 def test_photos_of_a_walk_are_compared_with_near_ones():
-    """By hand: 20 before, and 32 and 64 before where the walk may have come back; all where there is no order."""
-    assert earlier(5, walk=True) == [0, 1, 2, 3, 4] == earlier(5, walk=False)
-    assert earlier(70, walk=True) == [6, 38, *range(50, 70)]
-    assert len(earlier(70, walk=False)) == 70
+    """By hand: 20 before, and 32 and 64 before where the walk may have come back; all where there
+    is no order.
+    """
+    assert earlier_photos(5, walk=True) == [0, 1, 2, 3, 4] == earlier_photos(5, walk=False)
+    assert earlier_photos(70, walk=True) == [6, 38, *range(50, 70)]
+    assert len(earlier_photos(70, walk=False)) == 70

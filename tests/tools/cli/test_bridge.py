@@ -1,4 +1,6 @@
-"""`falconwing bridge`, `record` and `find-port`: by the words on the command line, with boards that are simulated."""
+"""`falconwing bridge`, `record` and `find-port`: by the words on the command line, with boards that
+are simulated.
+"""
 
 import json
 import os
@@ -13,10 +15,10 @@ import pytest
 
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command
-from falconwing_kit.tools.bridge.bus import COMMAND, Sticks
+from falconwing_kit.tools.bridge.bus import COMMAND, StampedCommand
 from falconwing_kit.tools.bridge.open_port import open_port
 from falconwing_kit.tools.bridge.ros import RosBus
-from falconwing_kit.tools.cli.bridge import LiveLine, live_text, pilot_sticks
+from falconwing_kit.tools.cli.bridge import LiveLine, pilot_sticks, status_text
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.trainer_port import usb
 
@@ -35,16 +37,24 @@ def elsewhere(tmp_path, monkeypatch):
 
 
 def test_the_bridge_says_what_the_board_is_and_does(capsys):
-    """A simulated board is called so; it stands in SAFE, for nobody sent a command; its pilot's sticks are seen."""
+    """A simulated board is called so; it stands in SAFE, for nobody sent a command; its pilot's
+    sticks are seen.
+    """
     assert run("bridge", "--port", "sim-python", "--seconds", "0.6", "--json") == 0
     record = json.loads(capsys.readouterr().out)
-    assert record["board"].startswith("SIMULATED board") and record["state"] == "SAFE" and record["sent"] == 0
+    assert (
+        record["board"].startswith("SIMULATED board")
+        and record["state"] == "SAFE"
+        and record["sent"] == 0
+    )
     assert 0.0 <= record["pilot_throttle"] <= 1.0 and record["board_ppm_frames"] > 10
     assert record["channels_us"] == [1000, 1500, 1500, 1500] and record["resets"] == 0
 
 
 def test_the_bench_moves_the_sticks_and_never_the_throttle(capsys):
-    """Sines of 0.3 of full stick around 1500 us, 500 us to the end: within 150 us of it; idle is 1000 us."""
+    """Sines of 0.3 of full stick around 1500 us, 500 us to the end: within 150 us of it; idle is
+    1000 us.
+    """
     assert run("bridge", "--port", "sim-python", "--seconds", "1.5", "--move-sticks", "--json") == 0
     record = json.loads(capsys.readouterr().out)
     throttle, *others = record["channels_us"]
@@ -75,18 +85,30 @@ def test_without_avr_tools_a_plain_board_takes_the_place_and_says_so(monkeypatch
     monkeypatch.setattr(build, "missing_tools", lambda: ["gcc-avr", "libsimavr-dev"])
     assert run("bridge", "--port", "sim", "--seconds", "0.2", "--json") == 0
     said = capsys.readouterr()
-    assert "apt install gcc-avr libsimavr-dev" in said.err and "plain Python" in json.loads(said.out)["board"]
+    assert (
+        "apt install gcc-avr libsimavr-dev" in said.err
+        and "plain Python" in json.loads(said.out)["board"]
+    )
 
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["bridge", "--port", "nowhere"], "nowhere: want a serial port"),
-        (["bridge", "--port", "sim-python", "--seconds", "-1"], "--seconds: want a finite number"),
+        (["bridge", "--port", "nowhere"], "nowhere: expected a serial port"),
+        (
+            ["bridge", "--port", "sim-python", "--seconds", "-1"],
+            "--seconds: expected a finite number",
+        ),
         (["bridge", "--port", "sim-python", "--calibration", "absent.toml"], "absent.toml"),
-        (["record", "--port", "COM3", "--source", "sim"], "--source sim: want a simulated board"),
-        (["record", "--port", "sim-python", "--out", "file"], "--out file: want a folder"),
-        (["record", "--port", "sim-python", "--camera", "absent.avi", "--seconds", "1"], "absent.avi"),
+        (
+            ["record", "--port", "COM3", "--source", "sim"],
+            "--source sim: expected a simulated board",
+        ),
+        (["record", "--port", "sim-python", "--out", "file"], "--out file: expected a folder"),
+        (
+            ["record", "--port", "sim-python", "--camera", "absent.avi", "--seconds", "1"],
+            "absent.avi",
+        ),
     ],
 )
 def test_wrong_words_are_one_sentence(tmp_path, capsys, words, sentence):
@@ -104,12 +126,20 @@ def test_ctrl_c_ends_cleanly(tmp_path, verb):
     words += ["--source", "sim", "--seconds", "60"] if verb == "record" else []
     code = f"import sys; from falconwing_kit.tools.cli.main import main; sys.exit(main({[verb, *words]!r}))"
     with subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT, text=True
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=ENVIRONMENT,
+        text=True,
     ) as child:
         while "SIMULATED board" not in child.stderr.readline():
             pass
         end = time.monotonic() + 60.0
-        while verb == "record" and time.monotonic() < end and not list(tmp_path.glob("recordings/*.mcap")):
+        while (
+            verb == "record"
+            and time.monotonic() < end
+            and not list(tmp_path.glob("recordings/*.mcap"))
+        ):
             time.sleep(0.05)
         time.sleep(0.5)
         child.send_signal(signal.SIGINT)
@@ -122,19 +152,27 @@ def test_ctrl_c_ends_cleanly(tmp_path, verb):
 
 
 def test_a_recorded_approach_is_a_whole_log(tmp_path, capsys):
-    """Two seconds of it, in real time: sticks at some 45 Hz and images at 20 Hz, and the log says simulated."""
+    """Two seconds of it, in real time: sticks at some 45 Hz and images at 20 Hz, and the log says
+    simulated.
+    """
     assert run("record", "--port", "sim-python", "--source", "sim", "--seconds", "2", "--json") == 0
     record = json.loads(capsys.readouterr().out)
     log = read_flight_log(record["file"])
     assert log.metadata["simulated"] == "yes" and log.warnings == ()
-    assert len(log.commands) == record["commands"] > 20 and len(log.image_times) == record["images"] > 5
+    assert (
+        len(log.commands) == record["commands"] > 20
+        and len(log.image_times) == record["images"] > 5
+    )
 
 
 def test_a_camera_that_is_not_there_costs_no_sticks(capsys):
     """The grabber goes on looking for camera 99; the sticks are recorded without images."""
     assert run("record", "--port", "sim-python", "--camera", "99", "--seconds", "0.5") == 0
     said = capsys.readouterr().out
-    assert "next: falconwing export" in said and "no image came: is the camera plugged in, and is it 99" in said
+    assert (
+        "next: falconwing export" in said
+        and "no image came: is the camera plugged in, and is it 99" in said
+    )
 
 
 def test_a_recording_without_sticks_is_no_success(monkeypatch, capsys):
@@ -156,9 +194,11 @@ def boards(monkeypatch):
     return put
 
 
-MEGA = usb.FoundBoard("/dev/ttyACM0", "Arduino Mega 2560", True, True, "")
-CLOSED = usb.FoundBoard("/dev/ttyACM0", "Arduino Mega 2560", True, False, "sudo usermod -aG dialout $USER")
-OTHER = usb.FoundBoard("/dev/ttyUSB7", "weather station", False, True, "")
+MEGA = usb.SerialBoard("/dev/ttyACM0", "Arduino Mega 2560", True, True, "")
+CLOSED = usb.SerialBoard(
+    "/dev/ttyACM0", "Arduino Mega 2560", True, False, "sudo usermod -aG dialout $USER"
+)
+OTHER = usb.SerialBoard("/dev/ttyUSB7", "weather station", False, True, "")
 
 
 @pytest.mark.parametrize(
@@ -182,24 +222,29 @@ def test_find_port_answers(boards, capsys, found, code, text):
 def test_the_live_line_says_state_delay_and_sticks():
     """What a person looks at in flight; a port that is not there yet is said to wait."""
     with open_port("sim-python") as port:
-        assert live_text(port) == "port waiting" and pilot_sticks(port) == []
+        assert status_text(port) == "port waiting" and pilot_sticks(port) == []
         port.wait_ready()
         assert not LiveLine(port, 100.0).over()
         end = time.monotonic() + 20.0
         while port.pilot is None and time.monotonic() < end:
             time.sleep(0.01)
             port.poll()
-        text = live_text(port)
-        assert text.startswith("SAFE  1000 1500 1500 1500 us  pilot +0.") and "  boots 1  frames " in text
-        with port.simulation.paused() as board:
+        text = status_text(port)
+        assert (
+            text.startswith("SAFE  1000 1500 1500 1500 us  pilot +0.")
+            and "  boots 1  frames " in text
+        )
+        with port.simulation.pause() as board:
             board.set_pilot(None)
         time.sleep(0.7)
         port.poll()
-        assert "pilot none" in live_text(port)  # half a second after the radio's last frame
+        assert "pilot none" in status_text(port)  # half a second after the radio's last frame
 
 
 def test_the_live_line_fits_the_terminal(monkeypatch, capsys):
-    """One that wraps would leave its first half behind, four times a second; 60 columns, one of them for the cursor."""
+    """One that wraps would leave its first half behind, four times a second; 60 columns, one of
+    them for the cursor.
+    """
     monkeypatch.setenv("COLUMNS", "60")
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with open_port("sim-python") as port:
@@ -217,13 +262,16 @@ def test_an_alert_is_not_overlooked(capsys):
 
 
 def test_the_bridge_carries_commands_from_ros_to_the_board(ros_master, capsys):
-    """Against a real ROS master: somebody publishes commands with engage, and at the end the board had them, followed,
-    and was handed back."""
+    """Against a real ROS master: somebody publishes commands with engage, and at the end the board
+    had them, followed, and was handed back.
+    """
     bus, stop = RosBus(), threading.Event()
 
     def publish():
         while not stop.wait(0.05):
-            bus.publish(COMMAND, Sticks(time.time(), Command(0.5, 0.1, 0.0, 0.0), engage=True))
+            bus.publish(
+                COMMAND, StampedCommand(time.time(), Command(0.5, 0.1, 0.0, 0.0), engage=True)
+            )
 
     publisher = threading.Thread(target=publish)
     publisher.start()

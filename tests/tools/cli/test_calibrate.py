@@ -1,4 +1,6 @@
-"""`falconwing calibrate`: the sticks of a radio that the test knows are found again; what is stale is refused."""
+"""`falconwing calibrate`: the sticks of a radio that the test knows are found again; what is stale
+is refused.
+"""
 
 import json
 import types
@@ -13,9 +15,16 @@ from falconwing_kit.core.messages import COMMAND_NAMES, Command
 from falconwing_kit.tools.bridge.python_board import PythonBoard
 from falconwing_kit.tools.bridge.simulated_link import SteppedBoard
 from falconwing_kit.tools.cli import calibrate
-from falconwing_kit.tools.cli.calibrate import MAX_AGE_DAYS, POSES, REHEARSED, choose_calibration, learn, measure
+from falconwing_kit.tools.cli.calibrate import (
+    MAX_AGE_DAYS,
+    POSES,
+    REHEARSED,
+    assign_channels,
+    choose_calibration,
+    measure_calibration,
+)
 from falconwing_kit.tools.cli.main import main
-from falconwing_kit.trainer_port.port import TrainerPort, require_fit
+from falconwing_kit.trainer_port.port import TrainerPort, require_matching_calibration
 from falconwing_kit.trainer_port.ppm import Stick, load_calibration
 from falconwing_kit.trainer_port.protocol import Status
 
@@ -31,13 +40,15 @@ def readings(radio=REHEARSED):
 
 
 def test_channel_ends_centre_and_direction_are_found():
-    """By hand: elevator in slot 3, back gives 1100, forward 1850, centre 1520: reversed, for nose up gives less."""
+    """By hand: elevator in slot 3, back gives 1100, forward 1850, centre 1520: reversed, for nose
+    up gives less.
+    """
     poses = {name: [1500, 1000, 1520, 1500] for name, _, _ in POSES}
     poses["throttle +"] = [1500, 2000, 1520, 1500]
     poses |= {"elevator +": [1500, 1000, 1100, 1500], "elevator -": [1500, 1000, 1850, 1500]}
     poses |= {"aileron +": [1900, 1000, 1520, 1500], "aileron -": [1100, 1000, 1520, 1500]}
     poses |= {"rudder +": [1500, 1000, 1520, 1200], "rudder -": [1500, 1000, 1520, 1800]}
-    assert learn(poses) == {
+    assert assign_channels(poses) == {
         "throttle": Stick(2, 1000, 1500, 2000),
         "aileron": Stick(1, 1100, 1500, 1900),
         "elevator": Stick(3, 1100, 1520, 1850, reversed=True),
@@ -48,28 +59,35 @@ def test_channel_ends_centre_and_direction_are_found():
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"aileron +": 1600, "aileron -": 1400}, "aileron: want 250 us from end to end, got 200; move it all the way"),
-        ({"rudder +": 1510, "rudder -": 1510}, "rudder: want 250 us from end to end, got 0"),
-        ({"aileron +": 1525, "aileron -": 1105}, "aileron: want low_us < centre_us < high_us"),
+        (
+            {"aileron +": 1600, "aileron -": 1400},
+            "aileron: expected 250 us from end to end, got 200; move it all the way",
+        ),
+        ({"rudder +": 1510, "rudder -": 1510}, "rudder: expected 250 us from end to end, got 0"),
+        ({"aileron +": 1525, "aileron -": 1105}, "aileron: expected low_us < centre_us < high_us"),
     ],
 )
 def test_a_stick_that_was_not_moved_all_the_way_is_refused(changes, sentence):
-    """By hand: half the travel; none; right only to just beyond the centre of 1530, which is no centre then."""
+    """By hand: half the travel; none; right only to just beyond the centre of 1530, which is no
+    centre then.
+    """
     poses = {name: list(slots) for name, slots in readings().items()}
     if 1525 in changes.values():
         poses["rest"][3] = 1530
     for name, us in changes.items():
         poses[name][REHEARSED.sticks[COMMAND_NAMES.index(name.split()[0])].channel - 1] = us
     with pytest.raises(InputError, match=sentence):
-        learn(poses)
+        assign_channels(poses)
 
 
 def test_two_sticks_at_once_are_refused():
     """Elevator and rudder by half as much, as a mix would do it: nobody can tell which it is."""
     poses = readings()
     poses["elevator +"] = REHEARSED.channels_us(Command(0.0, 0.0, 1.0, 0.9))
-    with pytest.raises(InputError, match="elevator: want one channel to move, got two, by 805 and 36"):
-        learn(poses)
+    with pytest.raises(
+        InputError, match="elevator: expected one channel to move, got two, by 805 and 36"
+    ):
+        assign_channels(poses)
 
 
 class Holding:
@@ -79,7 +97,7 @@ class Holding:
         self.port, self.radio = port, radio
 
     def hold(self, what, sticks):
-        with self.port.link.paused() as board:
+        with self.port.link.pause() as board:
             board.set_pilot(self.radio.channels_us(sticks))
 
 
@@ -97,36 +115,50 @@ def virtual():
 
 
 def test_the_radio_is_found_through_the_board(virtual):
-    """Through PPM, board and serial frames; truth: the simulated radio. Half throttle is half way by definition."""
+    """Through PPM, board and serial frames; truth: the simulated radio. Half throttle is half way
+    by definition.
+    """
     port, pause = virtual
-    found = measure(port, Holding(port), "mine", pause)
+    found = measure_calibration(port, Holding(port), "mine", pause)
     assert found.sticks[1:] == REHEARSED.sticks[1:] and found.throttle == REHEARSED.throttle
     assert (found.radio, found.measured) == ("mine", date.today().isoformat())
 
 
 def test_a_throttle_where_the_firmware_has_none_is_refused(virtual):
-    """The firmware's safe slots are 1000, 1500, 1500, 1500: with the throttle in channel 2 a loss would leave it at
-    half, which must never be flown."""
+    """The firmware's safe slots are 1000, 1500, 1500, 1500: with the throttle in channel 2 a loss
+    would leave it at half, which must never be flown.
+    """
     port, pause = virtual
-    swapped = replace(REHEARSED, throttle=replace(REHEARSED.throttle, channel=2), elevator=Stick(1, 1090, 1487, 1895))
-    with pytest.raises(InputError, match=r"got throttle 5\d%, for the radio has it in channel 2 .*THROTTLE_CHANNEL"):
-        measure(port, Holding(port, swapped), "mine", pause)
+    swapped = replace(
+        REHEARSED,
+        throttle=replace(REHEARSED.throttle, channel=2),
+        elevator=Stick(1, 1090, 1487, 1895),
+    )
+    with pytest.raises(
+        InputError, match=r"got throttle 5\d%, for the radio has it in channel 2 .*THROTTLE_CHANNEL"
+    ):
+        measure_calibration(port, Holding(port, swapped), "mine", pause)
 
 
 def test_a_stick_beyond_the_board_s_channels_is_refused(virtual):
     """A radio of six channels with its rudder in the sixth; the board sends four."""
     port, pause = virtual
     wide = replace(REHEARSED, channels=6, rudder=replace(REHEARSED.rudder, channel=6))
-    with pytest.raises(InputError, match=r"want the sticks in channels 1 to 4, .* got {'rudder': 6}"):
-        measure(port, Holding(port, wide), "mine", pause)
+    with pytest.raises(
+        InputError, match=r"expected the sticks in channels 1 to 4, .* got {'rudder': 6}"
+    ):
+        measure_calibration(port, Holding(port, wide), "mine", pause)
 
 
 def test_no_pulses_is_one_sentence(virtual):
     """Nobody's radio is on."""
     port, pause = virtual
     nobody = types.SimpleNamespace(hold=lambda what, sticks: None)
-    with pytest.raises(InputError, match=r"want the radio's pulses at the board's pilot input \(pin 49\), got none"):
-        measure(port, nobody, "mine", pause)
+    with pytest.raises(
+        InputError,
+        match=r"expected the radio's pulses at the board's pilot input \(pin 49\), got none",
+    ):
+        measure_calibration(port, nobody, "mine", pause)
 
 
 def test_trembling_hands_are_one_sentence(virtual):
@@ -135,22 +167,29 @@ def test_trembling_hands_are_one_sentence(virtual):
     steps = iter(range(10**6))
 
     def trembling(seconds):
-        with port.link.paused() as board:
+        with port.link.pause() as board:
             board.set_pilot((1500, 1500 + 40 * (next(steps) // 5 % 2), 1500, 1500))
         pause(seconds)
 
     with pytest.raises(InputError, match="held still to 12 us"):
-        calibrate.read_held(port, trembling)
+        calibrate.read_steady_channels(port, trembling)
 
 
 def test_the_rehearsal_writes_a_file_that_other_verbs_take(tmp_path, monkeypatch, capsys):
-    """In real time with the plain Python board: the file says SIMULATED, its place is shown, and it loads."""
+    """In real time with the plain Python board: the file says SIMULATED, its place is shown, and it
+    loads.
+    """
     monkeypatch.chdir(tmp_path)
     assert run("--port", "sim-python", "--json") == 0
     record = json.loads(capsys.readouterr().out)
-    assert record["file"] == str(tmp_path / "trainer_port.toml") and record["radio"] == "SIMULATED radio"
     assert (
-        choose_calibration("sim").sticks == load_calibration(tmp_path / "trainer_port.toml").sticks == REHEARSED.sticks
+        record["file"] == str(tmp_path / "trainer_port.toml")
+        and record["radio"] == "SIMULATED radio"
+    )
+    assert (
+        choose_calibration("sim").sticks
+        == load_calibration(tmp_path / "trainer_port.toml").sticks
+        == REHEARSED.sticks
     )
 
 
@@ -158,9 +197,12 @@ def test_the_rehearsal_writes_a_file_that_other_verbs_take(tmp_path, monkeypatch
     ("words", "sentence"),
     [
         (["--port", "sim-python"], "add --replace"),
-        (["--port", "nowhere", "--out", "new.toml"], "--radio: want the name"),
-        (["--port", "nowhere", "--radio", "R", "--out", "new.toml"], "nowhere: want a serial port"),
-        (["--port", "sim-python", "--out", "none/new.toml"], "want a folder"),
+        (["--port", "nowhere", "--out", "new.toml"], "--radio: expected the name"),
+        (
+            ["--port", "nowhere", "--radio", "R", "--out", "new.toml"],
+            "nowhere: expected a serial port",
+        ),
+        (["--port", "sim-python", "--out", "none/new.toml"], "expected a folder"),
     ],
 )
 def test_what_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys, words, sentence):
@@ -225,18 +267,22 @@ def test_without_a_calibration_the_default_is_taken_and_said(tmp_path, monkeypat
 
 
 def test_a_board_of_eight_channels_is_calibrated_and_flown(mine):
-    """CHANNELS is a setting of the firmware: what was measured on a board of eight is refused by one of four alone."""
+    """CHANNELS is a setting of the firmware: what was measured on a board of eight is refused by
+    one of four alone.
+    """
     mine(channels=8)
     eight = choose_calibration("COM3", radio="mine")
     assert eight.channels == 8
     said = Status("SAFE", "none", 1, 1, 0, 0, 0, 0, 0, 0, False, (1000, *[1500] * 7), 0)
-    require_fit(eight, said)
-    with pytest.raises(InputError, match="want 4 channels as the board's firmware has, got 8"):
-        require_fit(eight, replace(said, channels_us=(1000, 1500, 1500, 1500)))
+    require_matching_calibration(eight, said)
+    with pytest.raises(InputError, match="expected 4 channels as the board's firmware has, got 8"):
+        require_matching_calibration(eight, replace(said, channels_us=(1000, 1500, 1500, 1500)))
 
 
 def test_a_calibration_without_a_date_is_said(mine):
-    """Copied from the kit's default by hand: it cannot grow stale, and may never have been measured."""
+    """Copied from the kit's default by hand: it cannot grow stale, and may never have been
+    measured.
+    """
     mine(measured="")
     with pytest.warns(UserWarning, match="does not say when it was measured"):
         assert choose_calibration("COM3").measured == ""

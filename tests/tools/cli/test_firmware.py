@@ -1,4 +1,6 @@
-"""`falconwing firmware`: checks pass a sound board and fail one that breaks its promise; the program is built."""
+"""`falconwing firmware`: checks pass a sound board and fail one that breaks its promise; the
+program is built.
+"""
 
 import json
 import os
@@ -9,18 +11,21 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.bridge.build import missing_tools
 from falconwing_kit.tools.bridge.python_board import PythonBoard
-from falconwing_kit.tools.cli.firmware import CHECKS, FLASH_BUDGET, RAM_BUDGET, try_check
+from falconwing_kit.tools.cli.firmware import CHECKS, FLASH_BUDGET, RAM_BUDGET, run_check
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.trainer_port.protocol import CommandFrame, SyncRequest, decode, encode_channels
 from falconwing_kit.trainer_port.safety import SafetyConfig
 
 TOOLS = pytest.mark.skipif(
-    bool(missing_tools()) and not os.environ.get("CI"), reason=f"not installed: {', '.join(missing_tools())}"
+    bool(missing_tools()) and not os.environ.get("CI"),
+    reason=f"not installed: {', '.join(missing_tools())}",
 )
 
 
 class Spoilt(PythonBoard):
-    """A board between whose wire and program somebody sits: `replace` gives what reaches the program."""
+    """A board between whose wire and program somebody sits: `replace` gives what reaches the
+    program.
+    """
 
     def replace(self, data, message):
         return data
@@ -35,7 +40,11 @@ class Spoilt(PythonBoard):
 
 class NeverLetsGo(Spoilt):
     def replace(self, data, message):
-        flying = isinstance(message, CommandFrame) and not message.engage and self._safety.state == "ACTIVE"
+        flying = (
+            isinstance(message, CommandFrame)
+            and not message.engage
+            and self._safety.state == "ACTIVE"
+        )
         return b"" if flying else data
 
 
@@ -87,7 +96,7 @@ BREAKERS = {  # the promise -> a board that breaks it
 @pytest.mark.parametrize(("name", "check"), CHECKS, ids=[name for name, _ in CHECKS])
 def test_a_sound_board_passes(name, check):
     """The plain Python board was written from the same promises and knows nothing of these checks."""
-    result = try_check(name, check, PythonBoard)
+    result = run_check(name, check, PythonBoard)
     assert result.passed, result.seen
 
 
@@ -95,7 +104,7 @@ def test_a_sound_board_passes(name, check):
 def test_a_board_that_breaks_a_promise_fails_its_check(promise):
     """One board for each promise, broken in one thing."""
     name, check = next(row for row in CHECKS if promise in row[0])
-    result = try_check(name, check, BREAKERS[promise])
+    result = run_check(name, check, BREAKERS[promise])
     assert not result.passed and result.seen
 
 
@@ -114,7 +123,9 @@ def test_the_shipped_program_keeps_its_promises(capsys):
     """In the simulated chip; and the answer says that it is simulated."""
     assert run("test", "--json") == 0
     record = json.loads(capsys.readouterr().out)
-    assert record["passed"] and len(record["checks"]) == len(CHECKS) and "simulated" in record["board"]
+    assert (
+        record["passed"] and len(record["checks"]) == len(CHECKS) and "simulated" in record["board"]
+    )
 
 
 @TOOLS
@@ -133,7 +144,11 @@ def test_the_table_says_how_to_flash(tmp_path, capsys):
     """With the propeller off."""
     assert run("build", "--out", str(tmp_path)) == 0
     out = capsys.readouterr().out
-    assert "propeller off" in out and "avrdude" in out and out.splitlines()[-1] == "next: falconwing firmware test"
+    assert (
+        "propeller off" in out
+        and "avrdude" in out
+        and out.splitlines()[-1] == "next: falconwing firmware test"
+    )
 
 
 @TOOLS

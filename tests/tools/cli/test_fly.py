@@ -1,4 +1,6 @@
-"""falconwing fly: exit codes, what is printed and written, and one sentence for what is not there yet."""
+"""falconwing fly: exit codes, what is printed and written, and one sentence for what is not there
+yet.
+"""
 
 import json
 from pathlib import Path
@@ -46,12 +48,18 @@ def test_the_real_aircraft_is_not_there_yet(words, capsys):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("--size", "320"), "want WIDTHxHEIGHT"),
-        (("--size", "0x0"), "want WIDTHxHEIGHT"),
-        (("--trials", "0"), "trials: want a finite number"),
-        (("--task", "follow", "--manoeuvre", "loop"), "manoeuvre: want one of left_turn_s_descent"),
-        (("--manoeuvre", "loop"), "--manoeuvre loop: want it with --task follow only, got --task landing"),
-        (("--seed", "-1"), "seed: want a finite number"),
+        (("--size", "320"), "expected WIDTHxHEIGHT"),
+        (("--size", "0x0"), "expected WIDTHxHEIGHT"),
+        (("--trials", "0"), "trials: expected a finite number"),
+        (
+            ("--task", "follow", "--manoeuvre", "loop"),
+            "manoeuvre: expected one of left_turn_s_descent",
+        ),
+        (
+            ("--manoeuvre", "loop"),
+            "--manoeuvre loop: expected it with --task follow only, got --task landing",
+        ),
+        (("--seed", "-1"), "seed: expected a finite number"),
         (("--against", "nowhere"), "found none there"),
     ],
 )
@@ -65,7 +73,9 @@ def test_wrong_options_are_wrong_use(words, sentence, monkeypatch, capsys):
 
 
 def test_help_lists_the_tables(capsys, monkeypatch):
-    """Every task and manoeuvre with its summary, read from the tables; a terminal wide enough breaks no line."""
+    """Every task and manoeuvre with its summary, read from the tables; a terminal wide enough
+    breaks no line.
+    """
     monkeypatch.setenv("COLUMNS", "2000")
     with pytest.raises(SystemExit):
         main(["fly", "--help"])
@@ -77,7 +87,7 @@ def test_help_lists_the_tables(capsys, monkeypatch):
 
 def test_an_unknown_task_in_python_is_one_sentence():
     """The command line offers only those that are there; a Python call can say anything."""
-    with pytest.raises(InputError, match="--task loop: want one of follow, landing"):
+    with pytest.raises(InputError, match="--task loop: expected one of follow, landing"):
         Fly(task="loop").run()
 
 
@@ -89,12 +99,21 @@ def test_a_landing_leaves_log_table_and_figures(tmp_path, capsys):
     assert said.startswith("SIMULATED: landing by expert\nsuccess: 1 of 1")
     assert said.splitlines()[-1].startswith("next: ")
     names = {path.name for path in out.iterdir()}
-    assert names == {"trial_000.mcap", "trials.jsonl", "trials.csv", "summary.json", "paths.png", "results.png"}
+    assert names == {
+        "trial_000.mcap",
+        "trials.jsonl",
+        "trials.csv",
+        "summary.json",
+        "paths.png",
+        "results.png",
+    }
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
 
 
 def test_a_failed_task_exits_1_and_pairs_are_compared(tmp_path, monkeypatch, capsys):
-    """The expert lands twice, the dive never: exit 1, pairs 2, and the other one won both. p = 2 (1/2)^2."""
+    """The expert lands twice, the dive never: exit 1, pairs 2, and the other one won both. p = 2
+    (1/2)^2.
+    """
     words = ["fly", *QUICK, "--seed", "500", "--trials", "2"]
     assert main([*words, "--out", str(tmp_path / "expert"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["successes"] == 2
@@ -117,7 +136,8 @@ def test_a_failed_task_exits_1_and_pairs_are_compared(tmp_path, monkeypatch, cap
     ],
 )
 def test_other_tasks_and_starts_are_not_paired_or_mixed(words, told, tmp_path, monkeypatch, capsys):
-    """A landing of list 500 is kept; a chase or another list is no pair of it and does not go on there.
+    """A landing of list 500 is kept; a chase or another list is no pair of it and does not go on
+    there.
 
     Found before anything is flown: there is no page to open.
     """
@@ -140,7 +160,10 @@ def test_a_study_with_other_images_is_found_before_it_flies(tmp_path, monkeypatc
     assert main(["fly", *QUICK, "--out", str(tmp_path)]) == 1
     monkeypatch.setattr("falconwing_kit.tools.trials.trials.fly_trials", None)
     monkeypatch.setattr("falconwing_kit.tools.cli.fly._page", None)
-    for words, told in ((("--headless",), "rendered False"), (("--no-render",), "clock 'SimulatedClock'")):
+    for words, told in (
+        (("--headless",), "rendered False"),
+        (("--no-render",), "clock 'SimulatedClock'"),
+    ):
         assert main(["fly", *words, "--out", str(tmp_path)]) == 2
         assert told in capsys.readouterr().err
 
@@ -149,24 +172,28 @@ def test_a_file_in_place_of_the_folder_is_wrong_use(tmp_path, capsys):
     """Found before anything is flown."""
     (tmp_path / "taken").write_text("")
     assert main(["fly", *QUICK, "--out", str(tmp_path / "taken")]) == 2
-    assert "want a folder" in capsys.readouterr().err
+    assert "expected a folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
-        ("stadium", "want a file or a name that ships (arena, "),
-        ("leader", "want a hall to fly in, got an aircraft"),
-        ("plane.npz", "want a hall to fly in, got an aircraft"),
+        ("stadium", "expected a file or a name that ships (arena, "),
+        ("leader", "expected a hall to fly in, got an aircraft"),
+        ("plane.npz", "expected a hall to fly in, got an aircraft"),
         ("nowhere.npz", "nowhere.npz"),
         ("half.npz", "half.npz"),
     ],
 )
 def test_a_scene_that_is_no_hall_is_wrong_use(name, sentence, tmp_path, monkeypatch, capsys):
-    """Exit 2 and one sentence before a page is opened: no such name or file, half a file, an aircraft alone."""
+    """Exit 2 and one sentence before a page is opened: no such name or file, half a file, an
+    aircraft alone.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", None)
-    plane = GaussianScene([[0, 0, 0]], [[1, 0, 0, 0]], [[0.1] * 3], [0.9], [[[0.5] * 3]], (), ("leader",))
+    plane = GaussianScene(
+        [[0, 0, 0]], [[1, 0, 0, 0]], [[0.1] * 3], [0.9], [[[0.5] * 3]], (), ("leader",)
+    )
     plane.save("plane.npz")
     Path("half.npz").write_bytes(Path("plane.npz").read_bytes()[:300])
     for verb in ("fly", "demo"):
@@ -177,17 +204,26 @@ def test_a_scene_that_is_no_hall_is_wrong_use(name, sentence, tmp_path, monkeypa
 
 
 def test_a_scene_file_is_what_the_camera_sees(tmp_path, monkeypatch, capsys):
-    """One large red cloud for a hall: every image of the log is red and nothing else; the arena has no such view."""
+    """One large red cloud for a hall: every image of the log is red and nothing else; the arena has
+    no such view.
+    """
     monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
     red = [[[1.77, -1.77, -1.77]]]  # 1/2 + 0.282 * 1.77 = 1
-    GaussianScene([[30, 0, 0]], [[1, 0, 0, 0]], [[9.0] * 3], [0.99], red, (), ("wall",)).save(tmp_path / "fog.npz")
+    GaussianScene([[30, 0, 0]], [[1, 0, 0, 0]], [[9.0] * 3], [0.99], red, (), ("wall",)).save(
+        tmp_path / "fog.npz"
+    )
     words = ["fly", "--headless", "--size", "32x24", "--json", "--out", str(tmp_path / "out")]
     assert main([*words, "--scene", str(tmp_path / "fog.npz")]) == 1
     assert json.loads(capsys.readouterr().out)["scene"].endswith("fog.npz")
-    seen = [decode_jpeg(image) for image in read_flight_log(tmp_path / "out" / "trial_000.mcap").images()]
+    seen = [
+        decode_jpeg(image)
+        for image in read_flight_log(tmp_path / "out" / "trial_000.mcap").images()
+    ]
     assert len(seen) > 2
     brightest = np.array([pixels.max(axis=(0, 1)) for pixels in seen])
-    assert (brightest[:, 0] > 100).all() and (brightest[:, 1:] < 25).all()  # JPEG shifts colours by a few steps
+    assert (brightest[:, 0] > 100).all() and (
+        brightest[:, 1:] < 25
+    ).all()  # JPEG shifts colours by a few steps
 
 
 class StandInPage:
@@ -212,7 +248,9 @@ class StandInPage:
 
 
 def test_without_headless_a_page_is_shown_the_flight_in_real_time(monkeypatch, capsys):
-    """Every step flown is shown; the page's address does not disturb the JSON. How the dive ends is not asked here."""
+    """Every step flown is shown; the page's address does not disturb the JSON. How the dive ends is
+    not asked here.
+    """
     monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", StandInPage)
     monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
     assert main(["fly", "--no-render", "--json"]) == 1
@@ -226,7 +264,9 @@ FOLLOW = ("--task", "follow", "--headless", "--seed", "500")
 
 
 def test_the_expert_follows_with_images(capsys):
-    """4 m behind, the leader's outline of 0.047 m^2 is 29 px of a 160 x 120 image (f = 99 px): locked throughout."""
+    """4 m behind, the leader's outline of 0.047 m^2 is 29 px of a 160 x 120 image (f = 99 px):
+    locked throughout.
+    """
     assert main(["fly", *FOLLOW, "--size", "160x120", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["images"].startswith("160x120 images by ")
@@ -235,7 +275,8 @@ def test_the_expert_follows_with_images(capsys):
 
 
 def test_a_leader_too_small_in_the_image_is_lost_at_once(tmp_path, capsys):
-    """The same outline is 1.2 px of a 32 x 24 image (f = 20 px), fewer than the six that a lock needs.
+    """The same outline is 1.2 px of a 32 x 24 image (f = 20 px), fewer than the six that a lock
+    needs.
 
     What a chase keeps can be taken up again: the second time nothing is left to fly.
     """
@@ -248,7 +289,9 @@ def test_a_leader_too_small_in_the_image_is_lost_at_once(tmp_path, capsys):
 
 
 def test_a_landing_needs_no_judge_of_occlusion_and_says_what_its_times_are_of(capsys):
-    """Flown without images too, but nothing can hide the pad: only the run time tells that there were none."""
+    """Flown without images too, but nothing can hide the pad: only the run time tells that there
+    were none.
+    """
     assert main(["fly", *QUICK, "--seed", "500"]) == 0
     said = capsys.readouterr().out
     assert "occlusion" not in said

@@ -20,13 +20,19 @@ def run(calm, flight, out, *more: str) -> int:
     return main(["gap", "--calm", str(calm), "--flight", str(flight), "--out", str(out), *more])
 
 
-@pytest.mark.parametrize(("verdict", "code"), [("named", 0), ("none", 0), ("ambiguous", 1), ("outside", 1)])
+@pytest.mark.parametrize(
+    ("verdict", "code"), [("named", 0), ("none", 0), ("ambiguous", 1), ("outside", 1)]
+)
 def test_exit_code_says_whether_there_is_an_answer(tmp_path, monkeypatch, capsys, verdict, code):
-    """DESIGN.md, section 6: 0 done, 1 the answer is no. The study itself is made once for all tests."""
+    """DESIGN.md, section 6: 0 done, 1 the answer is no. The study itself is made once for all
+    tests.
+    """
     study = wind_study()
     kept = {"named": 1, "ambiguous": 2}.get(verdict, 0)
     naming = replace(study.naming, verdict=verdict, chosen=study.naming.ranking[:kept])
-    monkeypatch.setattr(report, "study_gap", lambda calm, flight, progress: replace(study, naming=naming))
+    monkeypatch.setattr(
+        report, "study_gap", lambda calm, flight, progress: replace(study, naming=naming)
+    )
     assert run(CALM, FLIGHT, tmp_path / "new" / "out") == code
     said = capsys.readouterr().out
     assert f"verdict: {verdict}" in said
@@ -49,7 +55,7 @@ def test_flights_that_cannot_be_used_are_wrong_use(tmp_path, capsys):
     good = shipped("case08_flight")
     bad = {
         "at least 20 s": slice_time(good, 0.0, 12.0),
-        "want poses": replace(good, p_world=np.full_like(good.p_world, np.nan)),
+        "expected poses": replace(good, p_world=np.full_like(good.p_world, np.nan)),
         "sticks that move": replace(good, commands=np.full_like(good.commands, 0.3)),
         "one rate": replace(good, t=2.0 * good.t),
     }
@@ -74,4 +80,4 @@ def test_missing_flight_and_a_file_in_place_of_the_folder_are_wrong_use(tmp_path
     assert "no.csv" in capsys.readouterr().err
     (tmp_path / "taken").write_text("")
     assert run(CALM, FLIGHT, tmp_path / "taken") == 2
-    assert "want a folder" in capsys.readouterr().err
+    assert "expected a folder" in capsys.readouterr().err

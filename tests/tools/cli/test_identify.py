@@ -11,7 +11,12 @@ import pytest
 
 from falconwing_kit.aircraft.airframe import default_airframe_path
 from falconwing_kit.aircraft.model import paper_model, rates_model
-from falconwing_kit.core.flight_table import FlightTable, read_flight_table, slice_time, write_flight_table
+from falconwing_kit.core.flight_table import (
+    FlightTable,
+    read_flight_table,
+    slice_time,
+    write_flight_table,
+)
 from falconwing_kit.data import data_path
 from falconwing_kit.sysid.model_file import read_model
 from falconwing_kit.tools.cli.identify import one_second_ahead
@@ -46,16 +51,23 @@ def whole(tmp_path_factory):
     return code, json.loads(printed.getvalue()), folder
 
 
-# The record -------------------------------------------------------------------------------------------------------
+# The record
+# -------------------------------------------------------------------------------------------------------
 
 
 def test_a_recorded_flight_is_described(whole):
-    """JSBSim's flight: exit 0, held-out chi2 per degree of freedom at most 1.3, the noise of its README."""
+    """JSBSim's flight: exit 0, held-out chi2 per degree of freedom at most 1.3, the noise of its
+    README.
+    """
     code, record, _ = whole
     assert code == 0
     assert record["held_out"]["chi2_per_dof"] <= 1.3 and record["held_out"]["seconds_ahead"] == 2.0
-    assert record["noise"]["px"]["unit"] == "m" and record["noise"]["px"]["used"] == pytest.approx(0.03, rel=0.15)
-    assert record["noise"]["roll"]["unit"] == "deg" and record["noise"]["roll"]["used"] == pytest.approx(0.6, rel=0.15)
+    assert record["noise"]["px"]["unit"] == "m" and record["noise"]["px"]["used"] == pytest.approx(
+        0.03, rel=0.15
+    )
+    assert record["noise"]["roll"]["unit"] == "deg" and record["noise"]["roll"][
+        "used"
+    ] == pytest.approx(0.6, rel=0.15)
     assert record["rows_without_pose"] > 10 and record["outliers"] > 3
 
 
@@ -66,7 +78,13 @@ def test_the_record_has_its_keys(whole):
         "flights", "form", "held_out", "train", "noise", "outliers", "rows_without_pose", "parameters", "warnings",
         "seconds", "one_step",
     }  # fmt: skip
-    assert set(record["held_out"]) == {"chi2_per_dof", "position_m", "attitude_deg", "windows", "seconds_ahead"}
+    assert set(record["held_out"]) == {
+        "chi2_per_dof",
+        "position_m",
+        "attitude_deg",
+        "windows",
+        "seconds_ahead",
+    }
     assert len(record["parameters"]) == 29
     for name, parameter in record["parameters"].items():
         assert set(parameter) == {"value", "low95", "high95", "unit", "meaning", "excited"}, name
@@ -76,7 +94,9 @@ def test_the_record_has_its_keys(whole):
 
 
 def test_the_paper_fit_beside_it_is_far_worse(whole):
-    """The one-step fit on differentiated poses, on the same held-out time: raw worse than smoothed worse than ours."""
+    """The one-step fit on differentiated poses, on the same held-out time: raw worse than smoothed
+    worse than ours.
+    """
     _, record, _ = whole
     ours = record["held_out"]["chi2_per_dof"]
     raw, smoothed = (record["one_step"][k]["held_out_chi2_per_dof"] for k in ("raw", "smoothed"))
@@ -97,12 +117,14 @@ def test_files_are_where_they_were_asked_for(whole):
         assert content.startswith(PNG) and content[-8:-4] == b"IEND"
 
 
-# The tables -------------------------------------------------------------------------------------------------------
+# The tables
+# -------------------------------------------------------------------------------------------------------
 
 
 def test_tables_say_what_was_found_and_what_to_type_next(short, tmp_path, capsys):
-    """Every parameter with its interval and unit, both scores, the noise in cm and deg, warnings, a last line; the
-    flight is too short to hold anything back, which is said. No file is written."""
+    """Every parameter with its interval and unit, both scores, the noise in cm and deg, warnings, a
+    last line; the flight is too short to hold anything back, which is said. No file is written.
+    """
     assert main(["identify", short]) == 0
     printed = capsys.readouterr()
     rows = {line.split()[0]: line.split() for line in printed.out.splitlines() if line.strip()}
@@ -118,7 +140,9 @@ def test_tables_say_what_was_found_and_what_to_type_next(short, tmp_path, capsys
 
 
 def test_a_model_file_is_a_start(short, tmp_path, capsys):
-    """Starting from the answer gives the answer: every value within a twentieth of its interval's width."""
+    """Starting from the answer gives the answer: every value within a twentieth of its interval's
+    width.
+    """
     assert main(["identify", short, "--out", "first.toml"]) == 0
     assert main(["identify", short, "--start", "first.toml", "--out", "second.toml", "--json"]) == 0
     first, second = (read_model(tmp_path / f"{name}.toml") for name in ("first", "second"))
@@ -135,10 +159,27 @@ def test_an_airframe_file_is_a_start(short, capsys):
 
 
 def test_given_noise_is_used_and_too_little_of_it_is_a_no(short, capsys):
-    """By hand: a third of the true noise makes chi2 about nine, above the two that still count as described: exit 1."""
-    assert main(["identify", short, "--sigma-position-m", "0.01", "--sigma-attitude-deg", "0.2", "--json"]) == 1
+    """By hand: a third of the true noise makes chi2 about nine, above the two that still count as
+    described: exit 1.
+    """
+    assert (
+        main(
+            [
+                "identify",
+                short,
+                "--sigma-position-m",
+                "0.01",
+                "--sigma-attitude-deg",
+                "0.2",
+                "--json",
+            ]
+        )
+        == 1
+    )
     record = json.loads(capsys.readouterr().out)
-    assert record["noise"]["pz"]["used"] == pytest.approx(0.01) and record["noise"]["yaw"]["used"] == pytest.approx(0.2)
+    assert record["noise"]["pz"]["used"] == pytest.approx(0.01) and record["noise"]["yaw"][
+        "used"
+    ] == pytest.approx(0.2)
     assert record["train"]["chi2_per_dof"] == pytest.approx(9.0, rel=0.3)
     assert any("does not describe" in sentence for sentence in record["warnings"])
 
@@ -148,13 +189,17 @@ def flown_by(truth, path):
     flown = fly_figure_eights([truth], 10.0, np.random.default_rng(77))
     x = flown.states[0]
     extra = dict(zip(("vx", "vy", "vz", "p", "q", "r"), x[:, 6:12].T, strict=True))
-    write_flight_table(path, FlightTable("other", flown.t, x[:, :3], x[:, [5, 3, 4]], flown.sticks[0], extra))
+    write_flight_table(
+        path, FlightTable("other", flown.t, x[:, :3], x[:, [5, 3, 4]], flown.sticks[0], extra)
+    )
     return str(path)
 
 
 def test_another_flight_is_predicted_better_than_by_the_start_model(short, tmp_path, capsys):
-    """The aircraft was drawn 15 % off the start model; nobody told the fit of the other flight. A forecast by the true
-    parameters would be exact, so the fit leaves less than a third of the start model's error."""
+    """The aircraft was drawn 15 % off the start model; nobody told the fit of the other flight. A
+    forecast by the true parameters would be exact, so the fit leaves less than a third of the start
+    model's error.
+    """
     other = flown_by(example_flight()[0], tmp_path / "other.csv")
     assert main(["identify", short, "--judge", other, "--json"]) == 0
     ahead = json.loads(capsys.readouterr().out)["one_second_ahead"]
@@ -166,7 +211,9 @@ def test_another_flight_is_predicted_better_than_by_the_start_model(short, tmp_p
 
 
 def test_a_flight_that_the_start_model_predicts_as_well_is_a_no(short, tmp_path, capsys):
-    """The other flight is the start model's own, which foretells it to a millimetre; no fit to another aircraft can."""
+    """The other flight is the start model's own, which foretells it to a millimetre; no fit to
+    another aircraft can.
+    """
     other = flown_by(rates_model(), tmp_path / "other.csv")
     assert main(["identify", short, "--judge", other]) == 1
     printed = capsys.readouterr().out
@@ -176,30 +223,42 @@ def test_a_flight_that_the_start_model_predicts_as_well_is_a_no(short, tmp_path,
 
 
 def test_a_reversed_stick_is_a_no(tmp_path, capsys):
-    """The elevator's column turned round: a clear sentence and exit 1, whatever chi2 says; the model file is written
-    as it is for other bad fits."""
+    """The elevator's column turned round: a clear sentence and exit 1, whatever chi2 says; the
+    model file is written as it is for other bad fits.
+    """
     table = slice_time(example_flight()[2], 0.0, 20.0)
-    write_flight_table(tmp_path / "turned.csv", replace(table, commands=table.commands * [1.0, 1.0, -1.0, 1.0]))
+    write_flight_table(
+        tmp_path / "turned.csv", replace(table, commands=table.commands * [1.0, 1.0, -1.0, 1.0])
+    )
     assert main(["identify", "turned.csv", "--out", "model.toml"]) == 1
     printed = capsys.readouterr().out
-    sentence = "warning: elevator seems reversed: want positive elevator = nose up"
+    sentence = "warning: elevator seems reversed: expected positive elevator = nose up"
     assert sum(line.startswith(sentence) for line in printed.splitlines()) == 1
-    assert any(line.startswith("M_de ") and line.endswith("ON ITS BOUND") for line in printed.splitlines())
+    assert any(
+        line.startswith("M_de ") and line.endswith("ON ITS BOUND") for line in printed.splitlines()
+    )
     assert read_model(tmp_path / "model.toml").model.values["M_de"] == 0.0
 
 
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["--out", "none/model.toml"], "want a folder at none, found none"),
-        (["--out", "."], "want the name of a file to write, got a folder"),
-        (["--figures", "a_file"], "--figures a_file: want a folder, but a_file is a file; choose another name"),
-        (["--figures", "a_file/figures"], "want a folder, but a_file is a file"),
+        (["--out", "none/model.toml"], "expected a folder at none, found none"),
+        (["--out", "."], "expected the name of a file to write, got a folder"),
+        (
+            ["--figures", "a_file"],
+            "--figures a_file: expected a folder, but a_file is a file; choose another name",
+        ),
+        (["--figures", "a_file/figures"], "expected a folder, but a_file is a file"),
     ],
 )
-def test_a_place_that_cannot_be_written_is_refused_before_the_fit(words, text, short, tmp_path, capsys, monkeypatch):
+def test_a_place_that_cannot_be_written_is_refused_before_the_fit(
+    words, text, short, tmp_path, capsys, monkeypatch
+):
     """A fit takes seconds to minutes; here it fails the test if it begins."""
-    monkeypatch.setattr("falconwing_kit.tools.cli.identify.identify", lambda *a, **k: pytest.fail("the fit began"))
+    monkeypatch.setattr(
+        "falconwing_kit.tools.cli.identify.identify", lambda *a, **k: pytest.fail("the fit began")
+    )
     (tmp_path / "a_file").write_text("")
     assert main(["identify", short, *words]) == 2
     assert text in capsys.readouterr().err
@@ -207,43 +266,67 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_fit(words, text, s
 
 
 def test_two_flights_and_another_form(tmp_path, capsys):
-    """Flights of a nine-state aircraft: both names are in the record, and the parameters are the paper's sixteen."""
+    """Flights of a nine-state aircraft: both names are in the record, and the parameters are the
+    paper's sixteen.
+    """
     rng = np.random.default_rng(3)
     flown = fly_figure_eights([paper_model()], 12.0, rng)
     for name in ("a.csv", "b.csv"):
         write_flight_table(tmp_path / name, measured(flown, rng))
     assert main(["identify", "a.csv", "b.csv", "--form", "paper", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
-    assert record["flights"] == ["a.csv", "b.csv"] and record["form"] == "paper" and len(record["parameters"]) == 16
+    assert (
+        record["flights"] == ["a.csv", "b.csv"]
+        and record["form"] == "paper"
+        and len(record["parameters"]) == 16
+    )
 
 
-# Wrong use --------------------------------------------------------------------------------------------------------
+# Wrong use
+# --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        ([], "want at least one flight table, got none"),
+        ([], "expected at least one flight table, got none"),
         (["absent.csv"], "absent.csv"),
-        (["SHORT", "--sigma-position-m", "0.03"], "want both --sigma-position-m and --sigma-attitude-deg, got one"),
-        (["SHORT", "--sigma-attitude-deg", "0.6"], "want both --sigma-position-m and --sigma-attitude-deg, got one"),
-        (["SHORT", "--sigma-position-m", "0", "--sigma-attitude-deg", "0.6"], "--sigma-position-m: want a finite"),
-        (["SHORT", "--sigma-position-m", "0.1", "--sigma-attitude-deg", "nan"], "--sigma-attitude-deg: want a finite"),
+        (
+            ["SHORT", "--sigma-position-m", "0.03"],
+            "expected both --sigma-position-m and --sigma-attitude-deg, got one",
+        ),
+        (
+            ["SHORT", "--sigma-attitude-deg", "0.6"],
+            "expected both --sigma-position-m and --sigma-attitude-deg, got one",
+        ),
+        (
+            ["SHORT", "--sigma-position-m", "0", "--sigma-attitude-deg", "0.6"],
+            "--sigma-position-m: expected a finite",
+        ),
+        (
+            ["SHORT", "--sigma-position-m", "0.1", "--sigma-attitude-deg", "nan"],
+            "--sigma-attitude-deg: expected a finite",
+        ),
         (["SHORT", "--start", "absent.toml"], "absent.toml"),
-        (["SHORT", "--start", "a.toml", "--airframe", "b.toml"], "want --start or --airframe, got both"),
+        (
+            ["SHORT", "--start", "a.toml", "--airframe", "b.toml"],
+            "expected --start or --airframe, got both",
+        ),
         (["SHORT", "--airframe", "absent.toml"], "absent.toml"),
-        (["SHORT", "--out", "none/model.toml"], "want a folder at none, found none"),
+        (["SHORT", "--out", "none/model.toml"], "expected a folder at none, found none"),
         (["broken.csv"], "broken.csv"),
-        (["standing.csv"], "want an aircraft that flies"),
+        (["standing.csv"], "expected an aircraft that flies"),
         (["SHORT", "--figures", "broken.csv"], "broken.csv"),
-        (["SHORT", "--judge", "SHORT"], "want logged columns vx, vy, vz"),
+        (["SHORT", "--judge", "SHORT"], "expected logged columns vx, vy, vz"),
     ],
 )
 def test_wrong_use_is_one_sentence_and_exit_two(words, text, short, tmp_path, capsys):
     """The sentence names what was wrong; nothing is printed as a result and nothing is written."""
     (tmp_path / "broken.csv").write_text("t,px,py\n0,1,2\n")
     table = slice_time(example_flight()[2], 0.0, 10.0)
-    still = type(table)("s", table.t, 0.0 * table.p_world + 1.0, 0.0 * table.attitude, table.commands)
+    still = type(table)(
+        "s", table.t, 0.0 * table.p_world + 1.0, 0.0 * table.attitude, table.commands
+    )
     write_flight_table(tmp_path / "standing.csv", still)
     assert main(["identify", *[short if word == "SHORT" else word for word in words]]) == 2
     printed = capsys.readouterr()

@@ -1,4 +1,6 @@
-"""falconwing labs: builds, hands out and tries labs, and says by its exit code whether they are as they should be."""
+"""falconwing labs: builds, hands out and tries labs, and says by its exit code whether they are as
+they should be.
+"""
 
 import json
 
@@ -31,12 +33,15 @@ def test_build_writes_what_check_missed(folder, capsys):
 def test_release_says_what_to_keep(folder, tmp_path, capsys):
     """With a salt and a roster: the lab, and a file of each student's own."""
     (tmp_path / "roster.csv").write_text("student\nann\nbo\n")
-    assert main(["labs", "release", "out", "--salt", "long enough to keep", "--roster", "roster.csv"]) == 0
+    assert (
+        main(["labs", "release", "out", "--salt", "long enough to keep", "--roster", "roster.csv"])
+        == 0
+    )
     said = capsys.readouterr().out
     assert "2 students" in said and "keep the salt" in said
     assert (tmp_path / "out" / "handouts" / "bo" / "lab01_small" / "mine.txt").is_file()
     assert main(["labs", "release", "out"]) == 2
-    assert "want a new or an empty folder" in capsys.readouterr().err
+    assert "expected a new or an empty folder" in capsys.readouterr().err
 
 
 def test_selftest_finds_a_wrong_solution(folder, capsys):
@@ -59,4 +64,4 @@ def test_unknown_lab_and_missing_labs_are_wrong_use(folder, tmp_path, capsys):
     """2 and a sentence, as for every verb."""
     assert main(["labs", "build", "lab09"]) == 2
     assert main(["labs", "build", "--labs", str(tmp_path)]) == 2
-    assert "want one of lab01_small" in capsys.readouterr().err
+    assert "expected one of lab01_small" in capsys.readouterr().err

@@ -20,9 +20,13 @@ def log(tmp_path):
     path = tmp_path / "flight.mcap"
     with FlightLogWriter(path) as writer:
         for k in range(10):
-            writer.state(0.05 * k, State.from_vector(np.arange(9.0) / 10.0 + k / 100.0), image_sequence=k)
+            writer.state(
+                0.05 * k, State.from_vector(np.arange(9.0) / 10.0 + k / 100.0), image_sequence=k
+            )
             writer.command(
-                0.05 * k + 0.03, Command(0.1 * k, 0.0, 0.0, 0.0, k), Image(k, 0.05 * k, np.zeros(9, np.uint8))
+                0.05 * k + 0.03,
+                Command(0.1 * k, 0.0, 0.0, 0.0, k),
+                Image(k, 0.05 * k, np.zeros(9, np.uint8)),
             )
         shutil.copy(path, tmp_path / "interrupted.mcap")
     return path
@@ -32,7 +36,9 @@ def test_a_log_becomes_a_table(log, tmp_path, capsys):
     """Ten rows with their poses and commands; the last line says what to type next."""
     assert main(["export", str(log), "--out", str(tmp_path / "flight.csv")]) == 0
     table = read_flight_table(tmp_path / "flight.csv")
-    assert table.commands[:, 0] == pytest.approx([0.1 * k for k in range(10)]) and table.has_pose.all()
+    assert (
+        table.commands[:, 0] == pytest.approx([0.1 * k for k in range(10)]) and table.has_pose.all()
+    )
     assert capsys.readouterr().out.splitlines()[-1].startswith("next: falconwing identify")
 
 
@@ -40,12 +46,24 @@ def test_an_interrupted_log_becomes_a_whole_one(log, tmp_path, capsys):
     """All that was recorded is there, the interruption is said, and the new log has none."""
     (tmp_path / "saved").mkdir()
     assert (
-        main(["export", str(tmp_path / "interrupted.mcap"), "--to", "mcap", "--out", str(tmp_path / "saved"), "--json"])
+        main(
+            [
+                "export",
+                str(tmp_path / "interrupted.mcap"),
+                "--to",
+                "mcap",
+                "--out",
+                str(tmp_path / "saved"),
+                "--json",
+            ]
+        )
         == 0
     )
     report = json.loads(capsys.readouterr().out)
     saved = read_flight_log(tmp_path / "saved" / "interrupted.mcap")
-    assert report["command"] == len(saved.commands) == 10 and "closing record" in report["warnings"][0]
+    assert (
+        report["command"] == len(saved.commands) == 10 and "closing record" in report["warnings"][0]
+    )
     assert saved.warnings == ()
 
 
@@ -53,7 +71,20 @@ def test_an_interrupted_log_becomes_a_bag(log, tmp_path, capsys):
     """Ten of each by hand, as the library that wrote the bag reads it; the interruption is said."""
     from rosbags.rosbag1 import Reader
 
-    assert main(["export", str(tmp_path / "interrupted.mcap"), "--to", "bag", "--out", str(tmp_path), "--json"]) == 0
+    assert (
+        main(
+            [
+                "export",
+                str(tmp_path / "interrupted.mcap"),
+                "--to",
+                "bag",
+                "--out",
+                str(tmp_path),
+                "--json",
+            ]
+        )
+        == 0
+    )
     report = json.loads(capsys.readouterr().out)
     assert "closing record" in report["warnings"][0]
     with Reader(tmp_path / "interrupted.bag") as bag:
@@ -67,9 +98,9 @@ def test_an_interrupted_log_becomes_a_bag(log, tmp_path, capsys):
     [
         (["absent.mcap", "--out", "a.csv"], "absent.mcap"),
         (["flight.mcap", "--out", "flight.mcap"], "another name"),
-        (["flight.mcap", "--out", "none/a.csv"], "want a folder"),
-        (["flight.mcap", "--out", "none/a.bag", "--to", "bag"], "want a folder"),
-        (["notes.txt", "--out", "a.csv"], "want a flight log in MCAP format"),
+        (["flight.mcap", "--out", "none/a.csv"], "expected a folder"),
+        (["flight.mcap", "--out", "none/a.bag", "--to", "bag"], "expected a folder"),
+        (["notes.txt", "--out", "a.csv"], "expected a flight log in MCAP format"),
     ],
 )
 def test_wrong_use_is_one_sentence_and_exit_2(log, tmp_path, monkeypatch, capsys, words, sentence):
@@ -103,7 +134,9 @@ def flown(tmp_path):
 
 
 def test_replay_draws_the_figures_of_the_demo(flown, tmp_path, capsys):
-    """Headless: the four figures in a folder that was not there; the last line says what to type next."""
+    """Headless: the four figures in a folder that was not there; the last line says what to type
+    next.
+    """
     assert main(["replay", str(flown), "--headless", "--out", str(tmp_path / "figures")]) == 0
     assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == [
         "flight_film.png", "flight_fpv.png", "flight_path.png", "flight_sticks.png",
@@ -112,7 +145,9 @@ def test_replay_draws_the_figures_of_the_demo(flown, tmp_path, capsys):
 
 
 def test_replay_shows_every_step_of_the_log(flown, monkeypatch, capsys):
-    """Each step reaches the page once: sticks, modes and views as logged; the page says whose flight it is."""
+    """Each step reaches the page once: sticks, modes and views as logged; the page says whose
+    flight it is.
+    """
     shown, banners = [], []
     furnish = live_page.LivePage.__init__
 
@@ -138,14 +173,19 @@ def test_replay_shows_every_step_of_the_log(flown, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["absent.mcap"], "absent.mcap: want a file, found nothing there"),
-        (["absent.mcap", "--headless"], "absent.mcap: want a file, found nothing there"),
-        (["flown.mcap", "--speed", "0"], "speed: want a finite number in"),
-        (["flown.mcap", "--port", "80"], "port: want a finite number in"),
-        (["flown.mcap", "--headless", "--out", "flown.mcap"], "--out flown.mcap: want a folder, got a file"),
+        (["absent.mcap"], "absent.mcap: expected a file, found nothing there"),
+        (["absent.mcap", "--headless"], "absent.mcap: expected a file, found nothing there"),
+        (["flown.mcap", "--speed", "0"], "speed: expected a finite number in"),
+        (["flown.mcap", "--port", "80"], "port: expected a finite number in"),
+        (
+            ["flown.mcap", "--headless", "--out", "flown.mcap"],
+            "--out flown.mcap: expected a folder, got a file",
+        ),
     ],
 )
-def test_replay_of_nothing_is_one_sentence_and_exit_2(flown, tmp_path, monkeypatch, capsys, words, sentence):
+def test_replay_of_nothing_is_one_sentence_and_exit_2(
+    flown, tmp_path, monkeypatch, capsys, words, sentence
+):
     """Nothing is opened or written."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(webbrowser, "open", lambda url: pytest.fail("a browser was opened"))

@@ -1,4 +1,6 @@
-"""`scene poses` and `scene align`: what they write, print and refuse, on 24 photos of the path-traced hall."""
+"""`scene poses` and `scene align`: what they write, print and refuse, on 24 photos of the
+path-traced hall.
+"""
 
 import json
 from dataclasses import replace
@@ -9,7 +11,7 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.capture.align import Alignment
 from falconwing_kit.tools.capture.photo_files import read_reconstruction, write_reconstruction
-from falconwing_kit.tools.capture.survey.points import Sightings, Survey
+from falconwing_kit.tools.capture.survey.points import PointObservations, Survey
 from falconwing_kit.tools.capture.survey.recipe import Alignments
 from falconwing_kit.tools.cli.photos import Align, Poses, check_record, is_good
 from tests.scene import hall24
@@ -41,7 +43,9 @@ def test_missing_photos_are_said(raw, tmp_path):
 
 
 def test_aligned_poses_are_written_with_picture_and_figures(raw, tmp_path, capsys):
-    """Recipes from bad to good: the one with all points is the surest, the baseline's uncertainty is not known."""
+    """Recipes from bad to good: the one with all points is the surest, the baseline's uncertainty
+    is not known.
+    """
     out = tmp_path / "aligned"
     assert Align(raw, hall24.FOLDER / "survey.csv", out, json=True).run() == 0
     record = json.loads(capsys.readouterr().out)
@@ -50,7 +54,9 @@ def test_aligned_poses_are_written_with_picture_and_figures(raw, tmp_path, capsy
     assert best["from_best_max_m"] == 0.0 < marker["from_best_max_m"]
     assert record["not_seen"] == [] and (out / "alignment.png").stat().st_size > 10000
     by_baseline, _, by_best = record["check"]["recipes"].values()
-    assert by_best["mean_m"] < 0.2 < 0.5 < by_baseline["mean_m"]  # by the tape: nothing was fitted to these corners
+    assert (
+        by_best["mean_m"] < 0.2 < 0.5 < by_baseline["mean_m"]
+    )  # by the tape: nothing was fitted to these corners
     assert len(record["check"]["points_m"]) + len(record["check"]["not_seen"]) == 28
     assert read_reconstruction(out).aligned
     with pytest.raises(InputError, match="not aligned yet"):
@@ -60,14 +66,18 @@ def test_aligned_poses_are_written_with_picture_and_figures(raw, tmp_path, capsy
 
 
 def test_check_points_are_held_against_the_tape():
-    """By hand: twice the size and 1 m along x bring (1, 1, 1) to (3, 2, 2), 0.5 m above where the tape had it."""
+    """By hand: twice the size and 1 m along x bring (1, 1, 1) to (3, 2, 2), 0.5 m above where the
+    tape had it.
+    """
     best = Alignment(2.0, np.eye(3), np.array([1.0, 0.0, 0.0]), "by hand", np.zeros((7, 7)))
     names = ("poster_top_left", "poster_top_right")
     survey = Survey(names, np.array([[3.0, 2.0, 1.5], [0.0, 0.0, 0.0]]), ("check", "check"))
-    found = Alignments(None, None, best, Sightings.join([]))
+    found = Alignments(None, None, best, PointObservations.join([]))
     record = check_record(found, {"poster_top_left": np.array([1.0, 1.0, 1.0])}, survey)
     assert record["recipes"] == {"all surveyed points": {"mean_m": 0.5, "worst_m": 0.5}}
-    assert record["points_m"] == {"poster_top_left": 0.5} and record["not_seen"] == ["poster_top_right"]
+    assert record["points_m"] == {"poster_top_left": 0.5} and record["not_seen"] == [
+        "poster_top_right"
+    ]
     assert check_record(found, {}, survey)["recipes"] == {}
 
 
@@ -84,4 +94,8 @@ def test_tables_tell_the_same(raw, tmp_path, capsys):
 def test_answer_is_no_for_bad_poses():
     """By hand: 22 of 24 is 92 %, and 0.9 px is above 0.8."""
     good = {"registered": 23, "total": 24, "reprojection_px": 0.6}
-    assert is_good(good) and not is_good(good | {"registered": 22}) and not is_good(good | {"reprojection_px": 0.9})
+    assert (
+        is_good(good)
+        and not is_good(good | {"registered": 22})
+        and not is_good(good | {"reprojection_px": 0.9})
+    )

@@ -1,4 +1,6 @@
-"""`falconwing scene` builds scenes and tells what is in them; `falconwing render` makes the image one asked for."""
+"""`falconwing scene` builds scenes and tells what is in them; `falconwing render` makes the image
+one asked for.
+"""
 
 import json
 
@@ -24,7 +26,9 @@ def balls(tmp_path):
     rgb = np.array([[0.9, 0.1, 0.1], [0.1, 0.1, 0.9]])
     sh = (rgb[:, None] - 0.5) / 0.28209479
     means, turn = [[2, 0, 1], [2, -1, 1]], [[1, 0, 0, 0]] * 2
-    GaussianScene(means, turn, np.full((2, 3), 0.1), [0.99, 0.99], sh, [0, 1], ("red", "blue"), "by hand").save("b.npz")
+    GaussianScene(
+        means, turn, np.full((2, 3), 0.1), [0.99, 0.99], sh, [0, 1], ("red", "blue"), "by hand"
+    ).save("b.npz")
     return "b.npz"
 
 
@@ -37,15 +41,25 @@ def run_json(capsys, *words):
 def test_info_counts_labels_and_bounds(balls, capsys):
     """By hand, from the two balls."""
     record = run_json(capsys, "scene", "info", balls)
-    assert (record["gaussians"], record["labels"], record["sh_degree"]) == (2, {"red": 1, "blue": 1}, 0)
-    assert (record["low_m"], record["high_m"], record["source"]) == ([2.0, -1.0, 1.0], [2.0, 0.0, 1.0], "by hand")
+    assert (record["gaussians"], record["labels"], record["sh_degree"]) == (
+        2,
+        {"red": 1, "blue": 1},
+        0,
+    )
+    assert (record["low_m"], record["high_m"], record["source"]) == (
+        [2.0, -1.0, 1.0],
+        [2.0, 0.0, 1.0],
+        "by hand",
+    )
 
 
 def test_info_prints_a_table(balls, capsys):
     """The count stands beside its label; the last line says what to do next."""
     assert main(["scene", "info", balls]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert ["blue", "1"] in [line.split() for line in lines] and lines[-1].startswith("next: falconwing render b.npz")
+    assert ["blue", "1"] in [line.split() for line in lines] and lines[-1].startswith(
+        "next: falconwing render b.npz"
+    )
 
 
 def test_build_writes_a_scene_that_info_reads(tmp_path, capsys):
@@ -53,26 +67,45 @@ def test_build_writes_a_scene_that_info_reads(tmp_path, capsys):
     built = run_json(capsys, "scene", "build", "--seed", "3", "--out", str(tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == ["arena.npz"]
     assert run_json(capsys, "scene", "info", "arena.npz") == built
-    assert built["source"].endswith("seed 3") and {"pad", "marker", "leader"} <= set(built["labels"])
+    assert built["source"].endswith("seed 3") and {"pad", "marker", "leader"} <= set(
+        built["labels"]
+    )
 
 
 @pytest.mark.parametrize(("yaw", "blue", "dark"), [("0", 75, 25), ("26.565", 50, 75)])
 def test_image_shows_the_scene_at_its_pose(balls, yaw, blue, dark):
-    """By hand: 90 deg, so f = 50; the blue ball is at u = 50 + 50 / 2 = 75, and atan(1 / 2) nose right ahead at 50."""
+    """By hand: 90 deg, so f = 50; the blue ball is at u = 50 + 50 / 2 = 75, and atan(1 / 2) nose
+    right ahead at 50.
+    """
     words = [f"--pose=0,0,1,0,0,{yaw}", "--size", "100x60", "--fov-deg", "90", "--out", "v.png"]
     assert main(["render", balls, *words]) == 0
     image = cv2.imread("v.png")  # OpenCV reads blue, green, red
     assert image.shape == (60, 100, 3)
-    assert image[30, blue].argmax() == 0 and image[30, blue].max() > 200 and image[30, dark].max() == 0
+    assert (
+        image[30, blue].argmax() == 0 and image[30, blue].max() > 200 and image[30, dark].max() == 0
+    )
 
 
 def test_depth_and_alpha_are_images_too(balls, capsys):
     """The red ball is 2000 mm away and hides 99 % at its middle; where nothing is both are 0."""
-    words = ["--pose", "0,0,1,0,0,0", "--size", "101x61", "--depth", "d.png", "--alpha", "a.png", "--out", "v.png"]
+    words = [
+        "--pose",
+        "0,0,1,0,0,0",
+        "--size",
+        "101x61",
+        "--depth",
+        "d.png",
+        "--alpha",
+        "a.png",
+        "--out",
+        "v.png",
+    ]
     assert main(["render", balls, *words]) == 0
     depth, alpha = (cv2.imread(name, cv2.IMREAD_UNCHANGED) for name in ("d.png", "a.png"))
     assert depth.dtype == np.uint16 and alpha.dtype == np.uint8
-    assert depth[30, 50] == pytest.approx(2000, abs=2) and alpha[30, 50] == pytest.approx(0.99 * 255, abs=1.5)
+    assert depth[30, 50] == pytest.approx(2000, abs=2) and alpha[30, 50] == pytest.approx(
+        0.99 * 255, abs=1.5
+    )
     assert depth[5, 5] == 0 and alpha[5, 5] == 0
 
 
@@ -80,28 +113,66 @@ def test_backends_agree(balls):
     """Two implementations of the same equations; one step of 255."""
     images = []
     for backend in ("fast", "reference"):
-        words = ["--pose", "0,0.2,1,10,2,5", "--size", "64x48", "--backend", backend, "--out", f"{backend}.png"]
+        words = [
+            "--pose",
+            "0,0.2,1,10,2,5",
+            "--size",
+            "64x48",
+            "--backend",
+            backend,
+            "--out",
+            f"{backend}.png",
+        ]
         assert main(["render", balls, *words]) == 0
         images.append(cv2.imread(f"{backend}.png").astype(int))
     assert np.abs(images[0] - images[1]).max() <= 1 and images[0].max() > 100
 
 
 def test_arena_is_rendered_without_its_leader_unless_it_is_placed(tmp_path, monkeypatch):
-    """The image equals that of the scene put together by hand: the hall alone, or the leader at the pose given."""
+    """The image equals that of the scene put together by hand: the hall alone, or the leader at the
+    pose given.
+    """
     monkeypatch.setattr("falconwing_kit.scene.arena.cache_folder", lambda: tmp_path)
-    camera, T_world_camera = PinholeCamera.from_fov_deg(80, 60, 77.8), nose_camera_pose((-9, -2, 1.5), 0, 0, 0)
-    T_world_leader = pose_matrix(rotation_world_body(*np.deg2rad([20, 5, -10])), np.array([-7.5, -2.0, 1.5]))
+    camera, T_world_camera = (
+        PinholeCamera.from_fov_deg(80, 60, 77.8),
+        nose_camera_pose((-9, -2, 1.5), 0, 0, 0),
+    )
+    T_world_leader = pose_matrix(
+        rotation_world_body(*np.deg2rad([20, 5, -10])), np.array([-7.5, -2.0, 1.5])
+    )
     for words, pose in (([], None), (["--leader", "-7.5,-2,1.5,20,5,-10"], T_world_leader)):
-        assert main(["render", "arena", "--pose", "-9,-2,1.5,0,0,0", "--size", "80x60", *words, "--out", "v.png"]) == 0
+        assert (
+            main(
+                [
+                    "render",
+                    "arena",
+                    "--pose",
+                    "-9,-2,1.5,0,0,0",
+                    "--size",
+                    "80x60",
+                    *words,
+                    "--out",
+                    "v.png",
+                ]
+            )
+            == 0
+        )
         expected = 255.0 * render(leader_at(load_scene("arena"), pose), camera, T_world_camera).rgb
         assert np.abs(cv2.imread("v.png")[..., ::-1] - expected).max() <= 0.51
 
 
 def test_a_hall_without_a_leader_gets_the_one_that_ships(balls):
-    """The image equals that of balls and trained leader put together by hand; without --leader there is none."""
-    camera, T_world_camera = PinholeCamera.from_fov_deg(80, 60, 77.8), nose_camera_pose((0, 0, 1), 0, 0, 0)
+    """The image equals that of balls and trained leader put together by hand; without --leader
+    there is none.
+    """
+    camera, T_world_camera = (
+        PinholeCamera.from_fov_deg(80, 60, 77.8),
+        nose_camera_pose((0, 0, 1), 0, 0, 0),
+    )
     T_world_leader = pose_matrix(rotation_world_body(0.1, 0.0, 0.2), np.array([1.5, 0.4, 1.1]))
-    leader = leader_at(GaussianScene.joined(GaussianScene.load(balls), load_scene("leader")), T_world_leader)
+    leader = leader_at(
+        GaussianScene.joined(GaussianScene.load(balls), load_scene("leader")), T_world_leader
+    )
     words = ["render", balls, "--pose", "0,0,1,0,0,0", "--size", "80x60", "--out", "v.png"]
     pose = f"1.5,0.4,1.1,{np.degrees(0.1)},0,{np.degrees(0.2)}"
     for more, scene in (([], GaussianScene.load(balls)), ([f"--leader={pose}"], leader)):
@@ -111,10 +182,17 @@ def test_a_hall_without_a_leader_gets_the_one_that_ships(balls):
 
 
 def test_the_analog_hall_is_the_hall_through_its_link():
-    """38.7 dB are 3 grey levels of rms noise; a seed gives its picture again and another seed another."""
+    """38.7 dB are 3 grey levels of rms noise; a seed gives its picture again and another seed
+    another.
+    """
     words = ["--pose=-12,0.5,1.5,0,-3,0", "--size", "320x240"]
     pictures = []
-    for scene, more in (("hall", ()), ("hall_analog", ()), ("hall_analog", ()), ("hall_analog", ("--seed", "5"))):
+    for scene, more in (
+        ("hall", ()),
+        ("hall_analog", ()),
+        ("hall_analog", ()),
+        ("hall_analog", ("--seed", "5")),
+    ):
         assert main(["render", scene, *words, *more, "--out", "v.png"]) == 0
         pictures.append(cv2.imread("v.png").astype(float) @ (0.114, 0.587, 0.299))
     clean, noisy, again, other = pictures

@@ -10,7 +10,9 @@ from falconwing_kit.tools.cli.show import cell_text, next_line, print_json, prin
 
 
 def test_table_aligns_numbers_right_and_text_left(capsys):
-    """Laid out by hand: the widest word of a column sets its width, two spaces stand between columns."""
+    """Laid out by hand: the widest word of a column sets its width, two spaces stand between
+    columns.
+    """
     print_table(("name", "speed [m/s]"), [("calm", 7.04), ("gusty day", 10.0)], title="Flights")
     assert capsys.readouterr().out.splitlines() == [
         "Flights",

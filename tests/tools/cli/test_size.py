@@ -30,7 +30,9 @@ def in_empty_folder(tmp_path, monkeypatch):
     ],
 )
 def test_exit_code_says_whether_the_circle_fits(words, code, capsys):
-    """By hand from the appendix: radius 8.77 m at 150 g, linear in mass, 1.155 times that with height held."""
+    """By hand from the appendix: radius 8.77 m at 150 g, linear in mass, 1.155 times that with
+    height held.
+    """
     assert main(["size", *words]) == code
     assert capsys.readouterr().out.splitlines()[-1].startswith("next: ")
 
@@ -56,7 +58,8 @@ def test_wrong_use_is_one_sentence_and_exit_two(words, text, capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("mass_g", "speed", "radius"), [(150, "7.042", "8.765"), (300, "9.959", "17.53"), (324, "10.35", "18.93")]
+    ("mass_g", "speed", "radius"),
+    [(150, "7.042", "8.765"), (300, "9.959", "17.53"), (324, "10.35", "18.93")],
 )
 def test_table_shows_the_appendix_values(mass_g, speed, radius, capsys):
     """Paper, appendix, by hand to four digits."""
@@ -67,7 +70,9 @@ def test_table_shows_the_appendix_values(mass_g, speed, radius, capsys):
 
 
 def test_json_has_the_numbers_and_nothing_else(capsys, tmp_path):
-    """By hand: 8.765 m, 10.12 m with height held, 171.1 g and 148.2 g, parts 151 g; asin(5.061 / 10) = 30.40 deg."""
+    """By hand: 8.765 m, 10.12 m with height held, 171.1 g and 148.2 g, parts 151 g; asin(5.061 /
+    10) = 30.40 deg.
+    """
     assert main(["size", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["minimum_speed_m_per_s"] == pytest.approx(7.042, abs=5e-4)
@@ -91,7 +96,9 @@ def test_out_writes_the_figure_and_the_same_json(capsys, tmp_path):
 
 
 def test_a_figure_that_fails_half_way_leaves_the_old_one(tmp_path, monkeypatch):
-    """Half a picture is written and then the disk fails: the name keeps the old bytes and no scrap is left."""
+    """Half a picture is written and then the disk fails: the name keeps the old bytes and no scrap
+    is left.
+    """
     from matplotlib.figure import Figure
 
     def fail(figure, handle, **options):
@@ -103,27 +110,39 @@ def test_a_figure_that_fails_half_way_leaves_the_old_one(tmp_path, monkeypatch):
     monkeypatch.setattr(Figure, "savefig", fail)
     assert main(["size", "--mass-g", "200", "--out", "report"]) == 2
     assert (tmp_path / "report" / "size.png").read_bytes() == before
-    assert sorted(path.name for path in (tmp_path / "report").iterdir()) == ["size.json", "size.png"]
+    assert sorted(path.name for path in (tmp_path / "report").iterdir()) == [
+        "size.json",
+        "size.png",
+    ]
 
 
 def test_another_airframe_file_is_used(capsys, tmp_path):
     """By hand: twice the wing area at the same mass is half the radius, 4.383 m."""
-    text = default_airframe_path().read_text(encoding="utf-8").replace("wing_area_m2 = 0.076", "wing_area_m2 = 0.152")
+    text = (
+        default_airframe_path()
+        .read_text(encoding="utf-8")
+        .replace("wing_area_m2 = 0.076", "wing_area_m2 = 0.152")
+    )
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     assert main(["size", "--airframe", "mine.toml", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["paper_turn"]["radius_m"] == pytest.approx(4.383, abs=5e-4)
+    assert json.loads(capsys.readouterr().out)["paper_turn"]["radius_m"] == pytest.approx(
+        4.383, abs=5e-4
+    )
 
 
 def test_options_replace_what_the_file_says(capsys):
     """By hand: V ~ 1 / sqrt(S C), so four times S C halves 7.042 m/s."""
     main(["size", "--wing-area-m2", "0.152", "--cl-max", "1.2", "--json"])
-    assert json.loads(capsys.readouterr().out)["minimum_speed_m_per_s"] == pytest.approx(3.521, abs=5e-4)
+    assert json.loads(capsys.readouterr().out)["minimum_speed_m_per_s"] == pytest.approx(
+        3.521, abs=5e-4
+    )
 
 
 def test_list_of_parts_gives_mass_balance_and_cost(capsys):
-    """By hand (tests/tools/hardware/test_parts.py): 152.7 g; 2683.8 / 152.7 = 17.58 mm, of a chord of
-    0.076 / 0.70 = 108.6 mm
-    16.2 %; the battery of 18 g goes 152.7 * (36 - 17.58) / 18 = 156 mm back; V ~ sqrt(m): 7.042 * sqrt(152.7 / 150)."""
+    """By hand (tests/tools/hardware/test_parts.py): 152.7 g; 2683.8 / 152.7 = 17.58 mm, of a chord
+    of 0.076 / 0.70 = 108.6 mm 16.2 %; the battery of 18 g goes 152.7 * (36 - 17.58) / 18 = 156 mm
+    back; V ~ sqrt(m): 7.042 * sqrt(152.7 / 150).
+    """
     assert main(["size", "--parts", "kit", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["mass_g"] == pytest.approx(152.7) and record["unlisted_mass_g"] == 0.0

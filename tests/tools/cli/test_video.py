@@ -1,4 +1,6 @@
-"""falconwing poses: folders and logs of drawn video -> flight tables, and sentences for what cannot be read."""
+"""falconwing poses: folders and logs of drawn video -> flight tables, and sentences for what cannot
+be read.
+"""
 
 import csv
 import json
@@ -23,7 +25,10 @@ def jpegs():
     """Straight at 8 m/s towards the marker from 13 m, 1 m to the left of it, drawn and compressed."""
     rng = np.random.default_rng(3)
     images = [view(pose(-13.0 + 0.4 * k, 1.0, 1.5, 0.0, 2.0, 4.0), rng) for k in range(COUNT)]
-    return [cv2.imencode(".jpg", image[..., ::-1], (cv2.IMWRITE_JPEG_QUALITY, 95))[1].ravel() for image in images]
+    return [
+        cv2.imencode(".jpg", image[..., ::-1], (cv2.IMWRITE_JPEG_QUALITY, 95))[1].ravel()
+        for image in images
+    ]
 
 
 @pytest.fixture
@@ -41,14 +46,17 @@ def folder(tmp_path, jpegs):
 
 
 def test_a_folder_becomes_a_flight_table(folder, tmp_path, capsys):
-    """The drawing's own places: the body is 0.20 m behind the camera; 8 m/s along x. 24 frames are less than the 3 s
-    that an identification wants, so the answer is no."""
+    """The drawing's own places: the body is 0.20 m behind the camera; 8 m/s along x. 24 frames are
+    less than the 3 s that an identification wants, so the answer is no.
+    """
     out = tmp_path / "flight.csv"
     assert Poses(folder, out=out, json=True).run() == 1
     record, table = json.loads(capsys.readouterr().out), read_flight_table(out)
     seen = table.has_pose
     assert record["with_pose"] == seen.sum() >= 15
-    assert table.p_world[seen, 0] == pytest.approx(-13.2 + 8.0 * table.t[seen], abs=0.4)  # three sigma when far out
+    assert table.p_world[seen, 0] == pytest.approx(
+        -13.2 + 8.0 * table.t[seen], abs=0.4
+    )  # three sigma when far out
     assert table.p_world[seen, 1] == pytest.approx(1.0, abs=0.4)
     assert np.median(table.extra["vx"][seen]) == pytest.approx(8.0, abs=0.5)
     assert table.commands == pytest.approx(np.tile(COMMAND, (COUNT, 1)))
@@ -91,8 +99,14 @@ def test_a_frame_that_is_gone_is_a_row_without_image(folder):
     [
         ("t,frame,throttle\n0,000.jpg,1\n", "columns t, frame"),
         ("t,frame,throttle,aileron,elevator,rudder\n0,000.jpg,1,2,3\n", "a number in every cell"),
-        ("t,frame,throttle,aileron,elevator,rudder\n0,a.jpg,0,0,0,0\n0,b.jpg,0,0,0,0\n", "time increases"),
-        ("t,frame,throttle,aileron,elevator,rudder\n0,../a.jpg,0,0,0,0\n1,b.jpg,0,0,0,0\n", "in the folder"),
+        (
+            "t,frame,throttle,aileron,elevator,rudder\n0,a.jpg,0,0,0,0\n0,b.jpg,0,0,0,0\n",
+            "time increases",
+        ),
+        (
+            "t,frame,throttle,aileron,elevator,rudder\n0,../a.jpg,0,0,0,0\n1,b.jpg,0,0,0,0\n",
+            "in the folder",
+        ),
     ],
 )
 def test_commands_that_cannot_be_used_are_refused(tmp_path, text, words):
@@ -105,9 +119,9 @@ def test_commands_that_cannot_be_used_are_refused(tmp_path, text, words):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"marker": "7"}, "--marker: want dictionary,id,size"),
-        ({"marker_place": "0,0"}, "--marker-place: want 3 numbers"),
-        ({"room": "1,2,x,4,5,6"}, "--room: want 6 numbers"),
+        ({"marker": "7"}, "--marker: expected dictionary,id,size"),
+        ({"marker_place": "0,0"}, "--marker-place: expected 3 numbers"),
+        ({"room": "1,2,x,4,5,6"}, "--room: expected 6 numbers"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(folder, options, words):

@@ -1,4 +1,6 @@
-"""`falconwing doctor --bench` asks, tries by itself, stops where it must, and writes a record only where told."""
+"""`falconwing doctor --bench` asks, tries by itself, stops where it must, and writes a record only
+where told.
+"""
 
 import io
 import json
@@ -8,8 +10,8 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.cli import walk as walking
 from falconwing_kit.tools.cli.main import main
-from falconwing_kit.tools.cli.walk import Tools, walk
-from falconwing_kit.tools.devices.cameras import FakeCamera, Fault
+from falconwing_kit.tools.cli.walk import WalkDevices, walk
+from falconwing_kit.tools.devices.cameras import CameraFault, FakeCamera
 from falconwing_kit.tools.hardware.checklists import Checklist, Step, load_checklists
 
 
@@ -21,7 +23,10 @@ class Terminal(io.StringIO):
 
 
 def listed(*ids, stop=False, automatic=""):
-    return Checklist("a list", tuple(Step(name, "do it", "it done", f"mend {name}", stop, automatic) for name in ids))
+    return Checklist(
+        "a list",
+        tuple(Step(name, "do it", "it done", f"mend {name}", stop, automatic) for name in ids),
+    )
 
 
 def typed(monkeypatch, text):
@@ -41,13 +46,19 @@ def in_empty_folder(tmp_path, monkeypatch):
         ("y\ny\ny\n", 0, ["yes", "yes", "yes"]),
         ("y\nperhaps\n\nn\ny\n", 1, ["yes", "NO", "yes"]),  # what is no answer is asked again
         ("Y\ns\nskip\n", 0, ["yes", "skipped", "skipped"]),
-        ("y\n", 1, ["yes", "not done", "not done"]),  # the terminal was closed: a walk that ended early did not pass
+        (
+            "y\n",
+            1,
+            ["yes", "not done", "not done"],
+        ),  # the terminal was closed: a walk that ended early did not pass
     ],
 )
 def test_answers_decide(monkeypatch, capsys, answers, code, results):
-    """By hand: any no, or an end before the last step, is exit code 1; a skipped step is not a failed one."""
+    """By hand: any no, or an end before the last step, is exit code 1; a skipped step is not a
+    failed one.
+    """
     typed(monkeypatch, answers)
-    assert walk(listed("one", "two", "three"), Tools(), as_json=True) == code
+    assert walk(listed("one", "two", "three"), WalkDevices(), as_json=True) == code
     record = json.loads(capsys.readouterr().out)
     assert [step["result"] for step in record["steps"]] == results
     assert record["failed"] == bool(code) and record["complete"] == (results == ["yes"] * 3)
@@ -56,7 +67,7 @@ def test_answers_decide(monkeypatch, capsys, answers, code, results):
 def test_no_at_a_step_that_stops_ends_the_walk(monkeypatch, capsys):
     """With the propeller on, nothing else is asked; what to do is said."""
     typed(monkeypatch, "n\ny\ny\n")
-    assert walk(listed("one", "two", stop=True), Tools()) == 1
+    assert walk(listed("one", "two", stop=True), WalkDevices()) == 1
     printed = capsys.readouterr()
     assert "2/2" not in printed.err and printed.out.rstrip().endswith("next: mend one")
 
@@ -64,15 +75,22 @@ def test_no_at_a_step_that_stops_ends_the_walk(monkeypatch, capsys):
 def test_automatic_step_without_a_tool_is_asked(monkeypatch, capsys):
     """No port was given: the person says what the board does, and a no stops the walk as any other."""
     typed(monkeypatch, "n\ny\n")
-    assert walk(listed("look", "fly", stop=True, automatic="board"), Tools(), as_json=True) == 1
+    assert (
+        walk(listed("look", "fly", stop=True, automatic="board"), WalkDevices(), as_json=True) == 1
+    )
     steps = json.loads(capsys.readouterr().out)["steps"]
     assert [(step["result"], step["by"]) for step in steps] == [("NO", "person"), ("not done", "")]
 
 
 def test_without_a_terminal_it_is_printed(monkeypatch, capsys, tmp_path):
-    """Every step's words stand there, nothing is waited for, nothing is called done, no file is written."""
+    """Every step's words stand there, nothing is waited for, nothing is called done, no file is
+    written.
+    """
     monkeypatch.setattr("sys.stdin", io.StringIO("y\n" * 50))
-    for word, checklist in (("--bench", load_checklists().bench), ("--preflight", load_checklists().preflight)):
+    for word, checklist in (
+        ("--bench", load_checklists().bench),
+        ("--preflight", load_checklists().preflight),
+    ):
         assert main(["doctor", word, "--json"]) == 0
         printed = capsys.readouterr()
         record = json.loads(printed.out)
@@ -84,9 +102,25 @@ def test_without_a_terminal_it_is_printed(monkeypatch, capsys, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:the calibration")
 def test_simulated_board_and_camera_pass_and_are_called_simulated(monkeypatch, capsys, tmp_path):
-    """The kit's own board and a camera without faults have nothing to complain of; the record says what they were."""
+    """The kit's own board and a camera without faults have nothing to complain of; the record says
+    what they were.
+    """
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    assert main(["doctor", "--bench", "--port", "sim-python", "--camera", "sim", "--out", "deep/records"]) == 0
+    assert (
+        main(
+            [
+                "doctor",
+                "--bench",
+                "--port",
+                "sim-python",
+                "--camera",
+                "sim",
+                "--out",
+                "deep/records",
+            ]
+        )
+        == 0
+    )
     (path,) = (tmp_path / "deep" / "records").iterdir()
     record = json.loads(path.read_text(encoding="utf-8"))
     tried = {step["id"]: step for step in record["steps"] if step["by"] == "computer"}
@@ -100,9 +134,9 @@ def test_simulated_board_and_camera_pass_and_are_called_simulated(monkeypatch, c
 @pytest.mark.parametrize(
     ("faults", "text"),
     [
-        ([Fault("noise", 0.0, 60.0, 10.0)], "noise"),
-        ([Fault("unplug", 0.0, 60.0)], "want a picture"),
-        ([Fault("freeze", 0.2, 60.0)], "alarm"),
+        ([CameraFault("noise", 0.0, 60.0, 10.0)], "noise"),
+        ([CameraFault("unplug", 0.0, 60.0)], "expected a picture"),
+        ([CameraFault("freeze", 0.2, 60.0)], "alarm"),
     ],
 )
 def test_bad_camera_fails_the_step(monkeypatch, capsys, faults, text):
@@ -110,7 +144,7 @@ def test_bad_camera_fails_the_step(monkeypatch, capsys, faults, text):
     monkeypatch.setattr(walking, "_simulated_camera", lambda: FakeCamera(faults))
     monkeypatch.setattr(walking, "FIRST_PICTURE_S", 1.0)
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    assert walk(listed("look", automatic="picture"), Tools(camera="sim"), as_json=True) == 1
+    assert walk(listed("look", automatic="picture"), WalkDevices(camera="sim"), as_json=True) == 1
     (step,) = json.loads(capsys.readouterr().out)["steps"]
     assert step["result"] == "NO" and text in step["seen"]
 
@@ -119,14 +153,22 @@ def test_bad_camera_fails_the_step(monkeypatch, capsys, faults, text):
 def test_board_that_is_not_there_stops_the_bench_test(monkeypatch, capsys):
     """No such port: the step fails with a sentence, the steps behind it are not done."""
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    assert walk(listed("look", "fly", stop=True, automatic="board"), Tools(port="/dev/nothing"), as_json=True) == 1
+    assert (
+        walk(
+            listed("look", "fly", stop=True, automatic="board"),
+            WalkDevices(port="/dev/nothing"),
+            as_json=True,
+        )
+        == 1
+    )
     steps = json.loads(capsys.readouterr().out)["steps"]
     assert steps[0]["result"] == "NO" and "/dev/nothing" in steps[0]["seen"]
     assert steps[1]["result"] == "not done"
 
 
 @pytest.mark.parametrize(
-    ("sticks", "fine"), [((0.0, 0.0, 0.0, 0.0), True), ((0.4, 0, 0, 0), False), ((0, 0, -0.5, 0), False)]
+    ("sticks", "fine"),
+    [((0.0, 0.0, 0.0, 0.0), True), ((0.4, 0, 0, 0), False), ((0, 0, -0.5, 0), False)],
 )
 def test_sticks_off_idle_fail(sticks, fine):
     """Throttle up, or a stick off its centre, is not what a motor may be plugged in to."""

@@ -1,4 +1,6 @@
-"""The recorded ALFA flight: signs and units against laws of flight, reader against the raw files and broken ones."""
+"""The recorded ALFA flight: signs and units against laws of flight, reader against the raw files
+and broken ones.
+"""
 
 import shutil
 from itertools import pairwise
@@ -54,8 +56,8 @@ def middle(values: np.ndarray) -> np.ndarray:
 def test_bank_turns_the_nose_as_a_level_turn_does(flight: FlightTable) -> None:
     """Law of the coordinated level turn, d(yaw)/dt = (g/V) tan(roll).
 
-    The slope may be off by 10 %: the airspeed sensor reads 6 % low and the turns are not quite level. The autopilot
-    does not fly inverted, so the belly points down; tan alone could not tell.
+    The slope may be off by 10 %: the airspeed sensor reads 6 % low and the turns are not quite
+    level. The autopilot does not fly inverted, so the belly points down; tan alone could not tell.
     """
     rows = flight.has_pose
     roll, _, yaw = flight.attitude[rows].T
@@ -68,13 +70,17 @@ def test_bank_turns_the_nose_as_a_level_turn_does(flight: FlightTable) -> None:
 
 
 def test_bank_accelerates_towards_the_low_wing(flight: FlightTable) -> None:
-    """Lift is the only large sideways force: acceleration to the right is (g + upward acceleration) tan(roll).
+    """Lift is the only large sideways force: acceleration to the right is (g + upward acceleration)
+    tan(roll).
 
-    10 % for the drag's and sideforce's share; the velocity comes from another topic than the attitude.
+    10 % for the drag's and sideforce's share; the velocity comes from another topic than the
+    attitude.
     """
     rows = flight.has_pose
     t = flight.t[rows]
-    v_smooth = np.apply_along_axis(lambda v: np.convolve(v, np.ones(5) / 5, mode="same"), 0, velocity(flight))
+    v_smooth = np.apply_along_axis(
+        lambda v: np.convolve(v, np.ones(5) / 5, mode="same"), 0, velocity(flight)
+    )
     a_world = np.gradient(v_smooth, flight.t, axis=0)[rows]
     roll, _, yaw = flight.attitude[rows].T
     a_right = -a_world[:, 0] * np.sin(yaw) - a_world[:, 1] * np.cos(yaw)  # world y is left of north
@@ -86,13 +92,19 @@ def test_bank_accelerates_towards_the_low_wing(flight: FlightTable) -> None:
 
 
 def test_velocity_is_the_derivative_of_position(flight: FlightTable) -> None:
-    """Definition. 0.25 m over 0.4 s: 0.19 m of stamp jitter, averaged over four, in both ends leaves half of that."""
+    """Definition. 0.25 m over 0.4 s: 0.19 m of stamp jitter, averaged over four, in both ends
+    leaves half of that.
+    """
     rows = np.flatnonzero(flight.has_pose)
     v_world = velocity(flight)
-    travelled = np.array([np.trapezoid(v_world[a : b + 1], dx=0.05, axis=0) for a, b in pairwise(rows)])
+    travelled = np.array(
+        [np.trapezoid(v_world[a : b + 1], dx=0.05, axis=0) for a, b in pairwise(rows)]
+    )
     error = np.diff(flight.p_world[rows], axis=0) - travelled
     assert np.sqrt((error**2).mean(axis=0)).max() < 0.25
-    assert np.abs(travelled).mean(axis=0).min() > 0.2  # so that zeros or swapped axes would not pass
+    assert (
+        np.abs(travelled).mean(axis=0).min() > 0.2
+    )  # so that zeros or swapped axes would not pass
     for axis in range(3):
         assert np.corrcoef(np.diff(flight.p_world[rows, axis]), travelled[:, axis])[0, 1] > 0.97
 
@@ -100,7 +112,8 @@ def test_velocity_is_the_derivative_of_position(flight: FlightTable) -> None:
 def test_nose_points_where_the_air_comes_from(flight: FlightTable) -> None:
     """Triangle of velocities: ground velocity = airspeed along the nose + a steady wind.
 
-    1.2 m/s remain for gusts and for the nose not lying exactly in the flow; the airspeed of 15 m/s is far above it.
+    1.2 m/s remain for gusts and for the nose not lying exactly in the flow; the airspeed of 15 m/s
+    is far above it.
     """
     rows = flight.has_pose & (flight.t < FAILURE_TIME)
     roll, pitch, yaw = flight.attitude[rows].T
@@ -112,15 +125,23 @@ def test_nose_points_where_the_air_comes_from(flight: FlightTable) -> None:
 
 
 def test_nose_up_goes_with_climbing(flight: FlightTable) -> None:
-    """Trim: at a steady angle of attack the climb angle follows pitch; one for one in the long run, less in gusts."""
+    """Trim: at a steady angle of attack the climb angle follows pitch; one for one in the long run,
+    less in gusts.
+    """
     rows = flight.has_pose & (flight.t < FAILURE_TIME)
     climb = velocity(flight)[rows, 2] / flight.extra["airspeed"][rows]
     assert np.corrcoef(flight.attitude[rows, 1], climb)[0, 1] > 0.6
 
 
-@pytest.mark.parametrize(("axis", "name", "least"), [(0, "p", 0.85), (1, "q", 0.85), (2, "r", 0.95)])
-def test_gyro_is_the_rate_of_the_attitude(flight: FlightTable, axis: int, name: str, least: float) -> None:
-    """Kinematics [Stevens, Lewis & Johnson, eq. 1.4-3]; correlation, as the rates change much between poses."""
+@pytest.mark.parametrize(
+    ("axis", "name", "least"), [(0, "p", 0.85), (1, "q", 0.85), (2, "r", 0.95)]
+)
+def test_gyro_is_the_rate_of_the_attitude(
+    flight: FlightTable, axis: int, name: str, least: float
+) -> None:
+    """Kinematics [Stevens, Lewis & Johnson, eq. 1.4-3]; correlation, as the rates change much
+    between poses.
+    """
     rows = flight.has_pose
     t, (roll, pitch, yaw) = flight.t[rows], flight.attitude[rows].T
     roll_rate, pitch_rate, yaw_rate = (rate_of(t, angle) for angle in (roll, pitch, yaw))
@@ -134,10 +155,11 @@ def test_gyro_is_the_rate_of_the_attitude(flight: FlightTable, axis: int, name: 
 
 
 def test_aileron_rolls_to_its_own_side_and_elevator_raises_the_nose(flight: FlightTable) -> None:
-    """Sign of the commands: positive aileron lowers the right wing, positive elevator raises the nose.
+    """Sign of the commands: positive aileron lowers the right wing, positive elevator raises the
+    nose.
 
-    A deflected surface gives a steady rate. The elevator is judged with the wings near level, where no turn asks for
-    a pitch rate; what is left of both correlations is lost between servo samples.
+    A deflected surface gives a steady rate. The elevator is judged with the wings near level, where
+    no turn asks for a pitch rate; what is left of both correlations is lost between servo samples.
     """
     rows = flight.has_pose & (flight.t < FAILURE_TIME)
     aileron, elevator = flight.commands[rows, 1], flight.commands[rows, 2]
@@ -147,7 +169,9 @@ def test_aileron_rolls_to_its_own_side_and_elevator_raises_the_nose(flight: Flig
 
 
 def test_aileron_and_rudder_are_one_command(flight: FlightTable) -> None:
-    """The autopilot's mix of one half, seen in the raw pulses to 1 us of 400; identification has to know."""
+    """The autopilot's mix of one half, seen in the raw pulses to 1 us of 400; identification has to
+    know.
+    """
     slope, _ = np.polyfit(flight.commands[:, 1], flight.commands[:, 3], 1)
     assert slope == pytest.approx(0.5, abs=0.01)
     assert np.corrcoef(flight.commands[:, 1], flight.commands[:, 3])[0, 1] > 0.999
@@ -171,7 +195,9 @@ def test_table_is_small_and_reads_without_warning(flight: FlightTable) -> None:
     np.testing.assert_allclose(np.diff(flight.t), 0.05, atol=1e-9)
 
 
-def test_reader_gives_the_shipped_table(raw_folder: Path, flight: FlightTable, tmp_path: Path) -> None:
+def test_reader_gives_the_shipped_table(
+    raw_folder: Path, flight: FlightTable, tmp_path: Path
+) -> None:
     """Same numbers from the raw files; 1e-9 because the table is rounded before it is written."""
     again = read_alfa(raw_folder)
     assert again.failure_time == pytest.approx(FAILURE_TIME, abs=1e-3)
@@ -187,13 +213,19 @@ def test_reader_gives_the_shipped_table(raw_folder: Path, flight: FlightTable, t
         np.testing.assert_allclose(values, flight.extra[name], atol=1e-9)
 
 
-def test_logged_wind_agrees_with_the_triangle_of_velocities(raw_folder: Path, flight: FlightTable) -> None:
-    """The log says where wind comes from; turned round it must be within 1.5 m/s of a fit to the flight."""
+def test_logged_wind_agrees_with_the_triangle_of_velocities(
+    raw_folder: Path, flight: FlightTable
+) -> None:
+    """The log says where wind comes from; turned round it must be within 1.5 m/s of a fit to the
+    flight.
+    """
     rows = flight.has_pose & (flight.t > 30.0) & (flight.t < FAILURE_TIME)
     roll, pitch, yaw = flight.attitude[rows].T
     nose = rotation_world_body(roll, pitch, yaw)[:, :2, 0] * flight.extra["airspeed"][rows, None]
     ones, zeros = np.ones(len(nose)), np.zeros(len(nose))
-    matrix = np.vstack([np.column_stack([nose[:, 0], ones, zeros]), np.column_stack([nose[:, 1], zeros, ones])])
+    matrix = np.vstack(
+        [np.column_stack([nose[:, 0], ones, zeros]), np.column_stack([nose[:, 1], zeros, ones])]
+    )
     _, *wind = np.linalg.lstsq(matrix, velocity(flight)[rows, :2].T.ravel(), rcond=None)[0]
     assert np.linalg.norm(read_alfa(raw_folder).wind_logged_world - wind) < 1.5
 
@@ -212,12 +244,12 @@ def test_broken_files_give_one_sentence(raw_copy: Path) -> None:
     path = raw_copy / "mavros-local_position-odom.csv"
     whole = path.read_bytes()
     for content, sentence in (
-        (b"", "want the columns"),
-        (b"%time,field.data\n1,2\n", "want the columns"),
+        (b"", "expected the columns"),
+        (b"%time,field.data\n1,2\n", "expected the columns"),
         (whole.split(b"\n")[0] + b"\n", "two or more lines"),
         (whole.replace(b"-109.620780945", b"banana", 1), "not a number"),
         (whole[: len(whole) // 2], "is cut"),
-        (b"\x00\xff" * 500, "want the columns"),
+        (b"\x00\xff" * 500, "expected the columns"),
     ):
         path.write_bytes(content)
         with pytest.raises(InputError, match=sentence) as caught:
@@ -242,7 +274,7 @@ def test_command_line_writes_the_table_or_says_why_not(
     assert main([str(raw_folder), str(out)]) == 0
     assert out.read_bytes() == data_path("alfa_engine_failure.csv").read_bytes()
     assert main([str(tmp_path), str(out)]) == 2
-    assert "want a file" in capsys.readouterr().out
+    assert "expected a file" in capsys.readouterr().out
     assert main([]) == 2
 
 

@@ -1,4 +1,6 @@
-"""The real flight's story: forecasts of time that no fit saw beat simple guesses, and the failure comes to light."""
+"""The real flight's story: forecasts of time that no fit saw beat simple guesses, and the failure
+comes to light.
+"""
 
 from typing import NamedTuple
 
@@ -8,7 +10,7 @@ import pytest
 from falconwing_kit.core.flight_table import FlightTable, slice_time
 from falconwing_kit.sysid.forecast import Forecasts
 from falconwing_kit.tools.demo import alfa_story
-from falconwing_kit.tools.demo.alfa_story import FOLDS, AlfaStory, tell_alfa_story
+from falconwing_kit.tools.demo.alfa_story import FOLDS, AlfaAnalysis, analyse_alfa_flight
 
 BLOCK_S = 10.0  # from the page's words: blocks of ten seconds
 
@@ -16,8 +18,10 @@ BLOCK_S = 10.0  # from the page's words: blocks of ten seconds
 class Told(NamedTuple):
     """The story, and what its fits and forecasts were given and gave."""
 
-    story: AlfaStory
-    fitted_to: dict[int, tuple[FlightTable, ...]]  # id of a fitted model -> the stretches it was fitted to
+    story: AlfaAnalysis
+    fitted_to: dict[
+        int, tuple[FlightTable, ...]
+    ]  # id of a fitted model -> the stretches it was fitted to
     made: dict[tuple[int, int], Forecasts]  # id of a fitted model, running number -> its forecasts
 
 
@@ -39,13 +43,15 @@ def told():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(alfa_story, "identify", noted_identify)
         patch.setattr(alfa_story, "forecast", noted_forecast)
-        yield Told(tell_alfa_story(), fitted_to, made)
+        yield Told(analyse_alfa_flight(), fitted_to, made)
 
 
 def seen_before(told: Told) -> list[float]:
-    """End times [s] of held-out forecasts of which some row was in the fit of the model that made them.
+    """End times [s] of held-out forecasts of which some row was in the fit of the model that made
+    them.
 
-    Which model made a forecast is found by its errors, to the last bit, not by the story's own bookkeeping.
+    Which model made a forecast is found by its errors, to the last bit, not by the story's own
+    bookkeeping.
     """
     held_out, table, seen = told.story.held_out["model"], told.story.table, []
     for k in range(len(held_out.t)):
@@ -55,7 +61,9 @@ def seen_before(told: Told) -> list[float]:
             for row in np.flatnonzero(all_of_it.start == held_out.start[k])
             if np.array_equal(all_of_it.error_position[row], held_out.error_position[k])
         ]
-        assert len(makers) == 1, f"the forecast that ends at {held_out.t[k]} s was made by {len(makers)} models"
+        assert len(makers) == 1, (
+            f"the forecast that ends at {held_out.t[k]} s was made by {len(makers)} models"
+        )
         fitted = np.concatenate([stretch.t for stretch in told.fitted_to[makers[0]]])
         first, last = table.t[held_out.start[k]], table.t[held_out.end[k]]
         if np.any((fitted >= first) & (fitted <= last)):
@@ -64,13 +72,17 @@ def seen_before(told: Told) -> list[float]:
 
 
 def test_no_forecast_covers_time_that_its_model_was_fitted_to(told):
-    """Each of the four folds has its own model; start, end and all in between must be missing from its fit."""
+    """Each of the four folds has its own model; start, end and all in between must be missing from
+    its fit.
+    """
     assert len(told.fitted_to) == FOLDS + 1  # and one on everything before the failure
     assert seen_before(told) == []
 
 
 def test_planted_leak_is_seen(told):
-    """One fit gets a pose more at the end of a stretch, another the whole flight: forecasts from there are named."""
+    """One fit gets a pose more at the end of a stretch, another the whole flight: forecasts from
+    there are named.
+    """
     first, second = list(told.fitted_to)[:2]
     table, stretches = told.story.table, told.fitted_to[second]
     edge = stretches[0].t[-1]  # a block that was kept back begins after it
@@ -79,11 +91,15 @@ def test_planted_leak_is_seen(told):
     seen = seen_before(told._replace(fitted_to={**told.fitted_to, second: spilled}))
     assert seen == [pytest.approx(next_pose + 1.0, abs=0.25)]
     leaky = told._replace(fitted_to={**told.fitted_to, first: (table,)})
-    assert len(seen_before(leaky)) == pytest.approx(len(told.story.held_out["model"].t) / FOLDS, rel=0.1)
+    assert len(seen_before(leaky)) == pytest.approx(
+        len(told.story.held_out["model"].t) / FOLDS, rel=0.1
+    )
 
 
 def test_held_out_forecasts_cover_the_flight_before_the_failure(told):
-    """A pose every 0.4 s for 116 s gives 290; a block of ten seconds loses one second of them: about 261."""
+    """A pose every 0.4 s for 116 s gives 290; a block of ten seconds loses one second of them:
+    about 261.
+    """
     held_out = told.story.held_out["model"]
     assert len(held_out.t) == pytest.approx(116.0 / 0.4 * 0.9, rel=0.05)
     assert set(np.floor(held_out.t / BLOCK_S)) == set(range(12))
@@ -92,7 +108,9 @@ def test_held_out_forecasts_cover_the_flight_before_the_failure(told):
 
 @pytest.mark.parametrize("guess", ["constant turn", "constant velocity"])
 def test_model_beats_the_simple_guesses_on_time_it_has_not_seen(told, guess):
-    """Recorded data; the same forecasts are compared, and in ten of twelve blocks, which a coin does once in fifty."""
+    """Recorded data; the same forecasts are compared, and in ten of twelve blocks, which a coin
+    does once in fifty.
+    """
     model, other = told.story.held_out["model"], told.story.held_out[guess]
     assert np.array_equal(model.start, other.start) and np.array_equal(model.end, other.end)
     assert model.position_m < other.position_m
@@ -104,26 +122,36 @@ def test_model_beats_the_simple_guesses_on_time_it_has_not_seen(told, guess):
 
 
 def test_constant_velocity_is_what_it_says(told):
-    """Straight on from the logged pose with the logged velocity, worked out here from the table's columns."""
+    """Straight on from the logged pose with the logged velocity, worked out here from the table's
+    columns.
+    """
     table, guess = told.story.table, told.story.held_out["constant velocity"]
     v_world = np.stack([table.extra[name] for name in ("vx", "vy", "vz")], axis=1)
     span = (table.t[guess.end] - table.t[guess.start])[:, None]
     expected = table.p_world[guess.start] + span * v_world[guess.start] - table.p_world[guess.end]
     assert guess.error_position == pytest.approx(expected, abs=1e-9)  # rounding of metres
-    assert span == pytest.approx(1.0, abs=0.25)  # poses come every 0.4 s, so a second is met to half of that
+    assert span == pytest.approx(
+        1.0, abs=0.25
+    )  # poses come every 0.4 s, so a second is met to half of that
 
 
 def test_constant_turn_is_no_straw_man(told):
-    """In a bank of more than 30 deg it must be far better than going straight: half the error, recorded data."""
+    """In a bank of more than 30 deg it must be far better than going straight: half the error,
+    recorded data.
+    """
     held_out, table = told.story.held_out, told.story.table
     turning = np.abs(table.attitude[held_out["model"].start, 0]) > np.radians(30.0)
     assert turning.sum() > 40
-    turn, straight = (held_out[name].chosen(turning).position_m for name in ("constant turn", "constant velocity"))
+    turn, straight = (
+        held_out[name].subset(turning).position_m for name in ("constant turn", "constant velocity")
+    )
     assert turn < 0.5 * straight
 
 
 def test_failure_time_is_when_the_logged_throttle_closes(told):
-    """The failure status and the throttle's servo are two topics of the log, the second sampled every 0.35 s."""
+    """The failure status and the throttle's servo are two topics of the log, the second sampled
+    every 0.35 s.
+    """
     table, failure = told.story.table, told.story.failure_time
     closed = table.t[np.flatnonzero(table.commands[:, 0] > 0.2)[-1]]
     assert closed == pytest.approx(failure, abs=0.5)
@@ -131,22 +159,30 @@ def test_failure_time_is_when_the_logged_throttle_closes(told):
 
 
 def test_healthy_forecasts_part_from_the_measurement_after_the_failure(told):
-    """They leave what 104 healthy seconds showed; recorded: the aircraft slows from 18 to 10 m/s in the last 16 s."""
+    """They leave what 104 healthy seconds showed; recorded: the aircraft slows from 18 to 10 m/s in
+    the last 16 s.
+    """
     story = told.story
-    assert story.parts_at is not None
-    assert story.failure_time < story.parts_at < story.table.t[-1]
+    assert story.detection_time is not None
+    assert story.failure_time < story.detection_time < story.table.t[-1]
     t, along = story.running["healthy"]
-    assert along[t == story.parts_at].max() > story.ordinary_error  # ahead, for the real one has lost its thrust
+    assert (
+        along[t == story.detection_time].max() > story.nominal_error
+    )  # ahead, for the real one has lost its thrust
     held_out_t, ordinary = story.running["held out"]
-    assert np.abs(ordinary[held_out_t > 14.0]).max() == story.ordinary_error
-    assert np.all(np.abs(along[(t > story.failure_time) & (t < story.parts_at)]) <= story.ordinary_error)
+    assert np.abs(ordinary[held_out_t > 14.0]).max() == story.nominal_error
+    assert np.all(
+        np.abs(along[(t > story.failure_time) & (t < story.detection_time)]) <= story.nominal_error
+    )
 
 
 def test_model_that_is_told_the_throttle_is_nearer_than_the_one_that_is_not(told):
-    """The only difference is the throttle after the failure: where it is known, the thrust is known to be gone."""
+    """The only difference is the throttle after the failure: where it is known, the thrust is known
+    to be gone.
+    """
     story = told.story
     after = story.told.t > story.failure_time + 1.5  # the whole second ahead lies after the failure
-    told_error, healthy_error = (f.chosen(after).position_m for f in (story.told, story.healthy))
+    told_error, healthy_error = (f.subset(after).position_m for f in (story.told, story.healthy))
     assert told_error < 0.75 * healthy_error  # 1.0 against 1.7 m measured
     before = story.told.t < story.failure_time
     assert np.array_equal(story.told.error_position[before], story.healthy.error_position[before])
@@ -156,19 +192,23 @@ def test_held_throttle_is_the_mean_of_twenty_seconds(told):
     """Worked out here from the table: cruise throttle, between a third and a half of full."""
     table, failure = told.story.table, told.story.failure_time
     expected = table.commands[(table.t >= failure - 20.0) & (table.t < failure), 0].mean()
-    assert told.story.held_throttle == pytest.approx(expected, abs=1e-12)
-    assert 0.3 < told.story.held_throttle < 0.5
+    assert told.story.fixed_throttle == pytest.approx(expected, abs=1e-12)
+    assert 0.3 < told.story.fixed_throttle < 0.5
 
 
 def test_final_model_does_not_know_the_failure(told):
     """What the last of the five fits was given ends before the engine does."""
     (everything,) = list(told.fitted_to.values())[-1]
     assert everything.t[-1] < told.story.failure_time
-    assert np.array_equal(everything.p_world, slice_time(told.story.table, 0.0, everything.t[-1] + 0.01).p_world, True)
+    assert np.array_equal(
+        everything.p_world, slice_time(told.story.table, 0.0, everything.t[-1] + 0.01).p_world, True
+    )
 
 
 def test_model_that_is_told_stays_within_what_is_ordinary(told):
-    """So it is the engine that parts the other one from the measurement, and not the slow flight after it."""
+    """So it is the engine that parts the other one from the measurement, and not the slow flight
+    after it.
+    """
     story = told.story
     t, along = story.running["told"]
-    assert np.all(np.abs(along[t > story.failure_time]) < story.ordinary_error)
+    assert np.all(np.abs(along[t > story.failure_time]) < story.nominal_error)

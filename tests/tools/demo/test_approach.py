@@ -1,4 +1,6 @@
-"""The demo's approach: what its log holds, that it lands, its figures, and what is left when the disk is full."""
+"""The demo's approach: what its log holds, that it lands, its figures, and what is left when the
+disk is full.
+"""
 
 import contextlib
 import itertools
@@ -21,8 +23,8 @@ from falconwing_kit.tools.demo import approach as module
 from falconwing_kit.tools.demo.approach import (
     FIGURES,
     PacedClock,
-    approach_part,
     approach_record,
+    approach_section,
     draw_film,
     draw_flight,
     fly_approach,
@@ -41,7 +43,9 @@ def steps():
 @pytest.fixture(scope="module")
 def approach(tmp_path_factory, steps):
     """One landing for all tests."""
-    return fly_approach(load_scene("arena"), tmp_path_factory.mktemp("flown") / "approach.mcap", (steps.append,))
+    return fly_approach(
+        load_scene("arena"), tmp_path_factory.mktemp("flown") / "approach.mcap", (steps.append,)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +67,8 @@ def small_disk(size):
 
 
 def test_log_holds_every_step_as_it_was_shown(approach, steps):
-    """One image, state and command for each step, 50 ms apart, and each command names the image that it answers.
+    """One image, state and command for each step, 50 ms apart, and each command names the image
+    that it answers.
 
     After them the motor is idle.
     """
@@ -96,11 +101,19 @@ def test_modes_are_told_from_the_start_of_the_log(tmp_path, start):
         log.event(start, "mode", {"mode": "approach"})
         log.event(start + 0.10, "mode", {"mode": "flare"})
     own = read_flight_log(tmp_path / "own.mcap")
-    assert [mode_at(own, 0.05 * k) for k in range(-1, 4)] == ["", "approach", "approach", "flare", "flare"]
+    assert [mode_at(own, 0.05 * k) for k in range(-1, 4)] == [
+        "",
+        "approach",
+        "approach",
+        "flare",
+        "flare",
+    ]
 
 
 def test_it_ends_on_the_pad(approach, steps):
-    """By the logged poses, not by the judge: over the pad, and no higher than the aircraft stands, 0.2 m and noise."""
+    """By the logged poses, not by the judge: over the pad, and no higher than the aircraft stands,
+    0.2 m and noise.
+    """
     x, y, z = steps[-1].state.p_world
     pad = LandingPad()
     assert pad.x_start < x < pad.x_start + pad.length
@@ -110,7 +123,9 @@ def test_it_ends_on_the_pad(approach, steps):
 
 
 def test_images_show_the_pad_growing(steps):
-    """The blue share of the lower half of the view grows from under 2 % at 20 m to over 10 % at the threshold."""
+    """The blue share of the lower half of the view grows from under 2 % at 20 m to over 10 % at the
+    threshold.
+    """
 
     def blue(step):
         r, g, b = (step.image.pixels[120:, :, k].astype(int) for k in range(3))
@@ -122,7 +137,9 @@ def test_images_show_the_pad_growing(steps):
 
 
 def test_figures_are_whole_and_the_film_is_short(approach, figures):
-    """Complete PNG files; ten images a second of flight, less than 4 MB, and none of them like the one before."""
+    """Complete PNG files; ten images a second of flight, less than 4 MB, and none of them like the
+    one before.
+    """
     assert [path.name for path in figures] == list(FIGURES)
     for path in figures:
         content = path.read_bytes()
@@ -145,12 +162,18 @@ def test_film_looks_as_what_the_camera_saw(figures, steps):
 
 
 def test_film_of_a_long_flight_needs_no_more_memory(tmp_path, monkeypatch):
-    """A minute at 20 Hz has 1200 images: the film has 200 at most and lasts a minute, and never are more than two
-    decoded images or sheets alive at once, the one in work and the one that it follows."""
+    """A minute at 20 Hz has 1200 images: the film has 200 at most and lasts a minute, and never are
+    more than two decoded images or sheets alive at once, the one in work and the one that it
+    follows.
+    """
     with FlightLogWriter(tmp_path / "long.mcap") as log:
         for k in range(1200):
             pixels = np.full((24, 32, 3), k % 250, np.uint8)
-            log.state(0.05 * k, State(np.array([0.02 * k, 0.0, 1.0]), 0.0, 0.0, 0.0, np.zeros(3)), image_sequence=k)
+            log.state(
+                0.05 * k,
+                State(np.array([0.02 * k, 0.0, 1.0]), 0.0, 0.0, 0.0, np.zeros(3)),
+                image_sequence=k,
+            )
             log.command(0.05 * k, Command(0.5, 0.0, 0.1, 0.0, k), Image(k, 0.05 * k, pixels))
     most = []
 
@@ -176,16 +199,20 @@ def test_film_of_a_long_flight_needs_no_more_memory(tmp_path, monkeypatch):
 
 def test_page_part_says_simulation_and_where_it_touched_down(approach, figures):
     """Four figures with words for who cannot see them; the record's number in centimetres."""
-    text = approach_part(approach, approach.log.parent)
+    text = approach_section(approach, approach.log.parent)
     assert "SIMULATION" in text and text.count("<img ") == 4
     assert f"on the pad {100.0 * approach_record(approach)['ald_m']:.0f} cm beside" in text
-    assert "The hall: simulated hall, built from arena.toml" in text  # the scene's own words, so that a hall is named
+    assert (
+        "The hall: simulated hall, built from arena.toml" in text
+    )  # the scene's own words, so that a hall is named
 
 
 def test_missed_landing_is_owned_up_to(approach, figures):
     """No centimetres where nothing was touched."""
-    missed = SimpleNamespace(log=approach.log, result={"success": False}, flight=approach.flight, hall="")
-    text = approach_part(missed, approach.log.parent)
+    missed = SimpleNamespace(
+        log=approach.log, result={"success": False}, flight=approach.flight, hall=""
+    )
+    text = approach_section(missed, approach.log.parent)
     assert "It did not land on the pad" in text and "beside its centre line" not in text
 
 
@@ -194,13 +221,18 @@ def test_same_seed_flies_the_same(approach, steps, tmp_path):
     again, other = [], []
     fly_approach(load_scene("arena"), tmp_path / "a.mcap", (again.append,))
     fly_approach(load_scene("arena"), tmp_path / "b.mcap", (other.append,), seed=1)
-    assert all(np.array_equal(a.command.vector, b.command.vector) for a, b in zip(steps, again, strict=True))
+    assert all(
+        np.array_equal(a.command.vector, b.command.vector)
+        for a, b in zip(steps, again, strict=True)
+    )
     assert np.abs(other[0].state.p_world - steps[0].state.p_world).max() > 0.05
 
 
 def test_paced_clock_waits_for_a_slow_machine(monkeypatch):
-    """By hand, on a watch that only sleeping moves: steps of 0.1 s at half speed are due every 0.2 s; one that took
-    0.5 s is followed at once, and those after it again 0.2 s apart. The flight's own time misses nothing."""
+    """By hand, on a watch that only sleeping moves: steps of 0.1 s at half speed are due every 0.2
+    s; one that took 0.5 s is followed at once, and those after it again 0.2 s apart. The flight's
+    own time misses nothing.
+    """
     watch, due = [10.0], []
     monkeypatch.setattr(time, "perf_counter", lambda: watch[0])
     monkeypatch.setattr(time, "sleep", lambda seconds: watch.append(watch.pop() + seconds))
@@ -219,11 +251,16 @@ def test_flight_in_real_time_is_that_in_simulated_time(approach, steps, tmp_path
     again = []
     fly_approach(load_scene("arena"), tmp_path / "a.mcap", (again.append,), PacedClock(2.0))
     assert len(again) == len(steps)
-    assert all(np.array_equal(a.command.vector, b.command.vector) for a, b in zip(steps, again, strict=True))
+    assert all(
+        np.array_equal(a.command.vector, b.command.vector)
+        for a, b in zip(steps, again, strict=True)
+    )
 
 
 def test_ctrl_c_ends_more_than_the_approach(tmp_path):
-    """Ctrl-C in the third step: whoever called is told, the older log is as it was and nothing is beside it."""
+    """Ctrl-C in the third step: whoever called is told, the older log is as it was and nothing is
+    beside it.
+    """
     (tmp_path / "approach.mcap").write_text("of yesterday")
     steps = []
 
@@ -240,9 +277,15 @@ def test_ctrl_c_ends_more_than_the_approach(tmp_path):
 
 
 def test_full_disk_keeps_the_log_of_before(tmp_path):
-    """The new log does not fit: one sentence, the older one as it was, and nothing half-written beside it."""
+    """The new log does not fit: one sentence, the older one as it was, and nothing half-written
+    beside it.
+    """
     (tmp_path / "approach.mcap").write_text("of yesterday")
-    with small_disk(50_000), pytest.raises(InputError, match="the disk is full"), pytest.warns(UserWarning):
+    with (
+        small_disk(50_000),
+        pytest.raises(InputError, match="the disk is full"),
+        pytest.warns(UserWarning),
+    ):
         fly_approach(load_scene("arena"), tmp_path / "approach.mcap")
     assert os.listdir(tmp_path) == ["approach.mcap"]
     assert (tmp_path / "approach.mcap").read_text() == "of yesterday"
@@ -252,9 +295,14 @@ def test_flight_without_images_has_no_view_to_draw(tmp_path):
     """An own log of poses and sticks: path and sticks are drawn, nothing else."""
     with FlightLogWriter(tmp_path / "own.mcap") as log:
         for k in range(40):
-            log.state(0.05 * k, State(np.array([0.2 * k, 0.0, 1.0]), 0.0, 0.0, 0.0, np.array([4.0, 0.0, 0.0])))
+            log.state(
+                0.05 * k,
+                State(np.array([0.2 * k, 0.0, 1.0]), 0.0, 0.0, 0.0, np.array([4.0, 0.0, 0.0])),
+            )
             log.command(0.05 * k, Command(0.5, 0.0, 0.1, 0.0))
-    assert [path.name for path in draw_flight(tmp_path / "own.mcap", tmp_path)] == list(FIGURES[1:3])
+    assert [path.name for path in draw_flight(tmp_path / "own.mcap", tmp_path)] == list(
+        FIGURES[1:3]
+    )
     assert not is_simulated(read_flight_log(tmp_path / "own.mcap"))
 
 
@@ -262,12 +310,18 @@ def test_flight_without_poses_is_one_sentence(tmp_path):
     """Images and sticks alone give nothing to draw a path from."""
     with FlightLogWriter(tmp_path / "blind.mcap") as log:
         for k in range(5):
-            log.command(0.05 * k, Command(0.5, 0.0, 0.1, 0.0, k), Image(k, 0.05 * k, np.zeros((8, 8, 3), np.uint8)))
-    with pytest.raises(InputError, match="want a log with at least two poses"):
+            log.command(
+                0.05 * k,
+                Command(0.5, 0.0, 0.1, 0.0, k),
+                Image(k, 0.05 * k, np.zeros((8, 8, 3), np.uint8)),
+            )
+    with pytest.raises(InputError, match="expected a log with at least two poses"):
         draw_flight(tmp_path / "blind.mcap", tmp_path)
 
 
-@pytest.mark.parametrize("extra", [{}, {"vx": np.full(9, 3.0), "vy": np.full(9, 4.0), "vz": np.zeros(9)}])
+@pytest.mark.parametrize(
+    "extra", [{}, {"vx": np.full(9, 3.0), "vy": np.full(9, 4.0), "vz": np.zeros(9)}]
+)
 def test_speed_of_a_straight_line(extra):
     """By hand: 3 and 4 m/s along x and y are 5 m/s, from positions and from logged velocities."""
     t = 0.1 * np.arange(9)

@@ -13,7 +13,7 @@ from falconwing_kit.tools.demo.figures import (
     LABELS,
     draw_identification,
     draw_intervals,
-    draw_predicted,
+    draw_predictions,
     draw_residuals,
 )
 from falconwing_kit.tools.reports import gap_plots as plots
@@ -23,7 +23,9 @@ NAMES = ("predicted.png", "residuals.png", "intervals.png")
 
 
 def png_size(path):
-    """Width and height from the header, after checking the first and the last chunk: the PNG standard."""
+    """Width and height from the header, after checking the first and the last chunk: the PNG
+    standard.
+    """
     content = path.read_bytes()
     assert content[:8] == b"\x89PNG\r\n\x1a\n" and content[12:16] == b"IHDR"
     assert content[-8:-4] == b"IEND"
@@ -45,7 +47,9 @@ def shown(monkeypatch):
     kept = []
     save = matplotlib.figure.Figure.savefig
     monkeypatch.setattr(
-        matplotlib.figure.Figure, "savefig", lambda self, *a, **k: (kept.append(self), save(self, *a, **k))[1]
+        matplotlib.figure.Figure,
+        "savefig",
+        lambda self, *a, **k: (kept.append(self), save(self, *a, **k))[1],
     )
     return kept
 
@@ -77,22 +81,32 @@ def test_every_axis_has_its_unit(shown, tmp_path):
     """Position in metres, angles in degrees, time in seconds, residuals in sigmas."""
     draw_identification(example_found(), tmp_path)
     predicted, residuals, intervals = shown
-    texts = [[ax.get_xlabel() + "|" + ax.get_ylabel() for ax in f.axes if ax.axison] for f in (predicted, residuals)]
+    texts = [
+        [ax.get_xlabel() + "|" + ax.get_ylabel() for ax in f.axes if ax.axison]
+        for f in (predicted, residuals)
+    ]
     for label in LABELS:
         assert any(label in text for text in texts[0])
     assert sum("time [s]" in text for text in texts[0]) == 2
-    assert all("[" in text for text in texts[1]) and any("[sigma of the pose noise]" in text for text in texts[1])
+    assert all("[" in text for text in texts[1]) and any(
+        "[sigma of the pose noise]" in text for text in texts[1]
+    )
     assert "[%" in intervals.axes[0].get_xlabel()
 
 
 def test_measured_points_are_the_table_and_the_line_goes_through_them(shown, tmp_path):
-    """Heights drawn as points are those measured in the held-out time; the drawn line is within 0.2 m of all but the
-    outliers, two seconds ahead."""
+    """Heights drawn as points are those measured in the held-out time; the drawn line is within 0.2
+    m of all but the outliers, two seconds ahead.
+    """
     found = example_found()
-    draw_predicted(found, tmp_path / "predicted.png")
+    draw_predictions(found, tmp_path / "predicted.png")
     height = next(ax for ax in shown[0].axes if ax.get_ylabel() == "height [m]")
-    points = np.concatenate([line.get_xydata() for line in height.lines if line.get_marker() == "."])
-    lines = np.concatenate([line.get_xydata() for line in height.lines if line.get_linestyle() == "-"])
+    points = np.concatenate(
+        [line.get_xydata() for line in height.lines if line.get_marker() == "."]
+    )
+    lines = np.concatenate(
+        [line.get_xydata() for line in height.lines if line.get_linestyle() == "-"]
+    )
     windows = found.windows
     kept = found.held_out_index
     measured = np.where(windows.weight > 0, windows.pose, np.nan)[kept][..., 2].ravel()
@@ -103,7 +117,9 @@ def test_measured_points_are_the_table_and_the_line_goes_through_them(shown, tmp
 
 
 def test_intervals_are_those_found(shown, tmp_path):
-    """Half widths in percent of an ordinary value, by hand for kT; what was not excited is marked as such."""
+    """Half widths in percent of an ordinary value, by hand for kT; what was not excited is marked
+    as such.
+    """
     found = example_found()
     draw_intervals(found, tmp_path / "intervals.png")
     ax = shown[0].axes[0]
@@ -111,7 +127,9 @@ def test_intervals_are_those_found(shown, tmp_path):
     ends = {line.get_ydata()[0]: line for line in ax.lines if line.get_marker() in ("o", "s")}
     row = names.index("kT")
     low, high = found.interval("kT")
-    assert ends[row].get_xdata()[0] == pytest.approx(50.0 * (high - low) / max(found.model.values["kT"], 9.0), rel=1e-6)
+    assert ends[row].get_xdata()[0] == pytest.approx(
+        50.0 * (high - low) / max(found.model.values["kT"], 9.0), rel=1e-6
+    )
     weak = {names[int(y)] for y, line in ends.items() if line.get_marker() == "s"}
     assert weak == set(found.uncertainty.not_excited) - set(found.uncertainty.at_bound)
     assert set(names) == set(found.uncertainty.names) - set(found.uncertainty.at_bound)
@@ -128,7 +146,9 @@ def test_without_held_out_time_the_fitted_time_is_shown_and_said(shown, tmp_path
 
 
 def test_a_failure_while_drawing_leaves_nothing_behind(tmp_path, monkeypatch):
-    """The second picture fails: the first is whole, of the second there is no trace, an older third stays."""
+    """The second picture fails: the first is whole, of the second there is no trace, an older third
+    stays.
+    """
     (tmp_path / "intervals.png").write_bytes(b"older")
     monkeypatch.setattr(figures, "_autocorrelation", lambda *arguments: 1 / 0)
     with pytest.raises(ZeroDivisionError):
@@ -139,7 +159,9 @@ def test_a_failure_while_drawing_leaves_nothing_behind(tmp_path, monkeypatch):
 
 
 def test_a_failure_while_writing_keeps_the_older_picture(tmp_path, monkeypatch):
-    """Half of a file was written when the disk was full: the old one is still there, and nothing half-written."""
+    """Half of a file was written when the disk was full: the old one is still there, and nothing
+    half-written.
+    """
     import matplotlib.figure
 
     def half(self, handle, **kind):
@@ -157,7 +179,7 @@ def test_a_failure_while_writing_keeps_the_older_picture(tmp_path, monkeypatch):
 
 def test_a_missing_folder_is_said(tmp_path):
     """Figures do not make folders by themselves."""
-    with pytest.raises(FileNotFoundError, match="want a folder"):
+    with pytest.raises(FileNotFoundError, match="expected a folder"):
         draw_intervals(example_found(), tmp_path / "none" / "intervals.png")
 
 

@@ -1,4 +1,6 @@
-"""falconwing demo from its words to its files: page, figures, models and numbers, whole or not at all."""
+"""falconwing demo from its words to its files: page, figures, models and numbers, whole or not at
+all.
+"""
 
 import contextlib
 import json
@@ -44,7 +46,8 @@ def studied(run, monkeypatch):
 def small_disk(size):
     """A disk that refuses files above a size, by the kernel's own limit.
 
-    Only around the call: the limit is the whole process's, and the runner's own report may go to a longer file.
+    Only around the call: the limit is the whole process's, and the runner's own report may go to a
+        longer file.
     """
     resource = pytest.importorskip("resource")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -78,7 +81,9 @@ def test_it_complains_of_nothing(run):
 
 
 def test_numbers_tell_the_story_of_the_release(run):
-    """Goals set before it was written: chi2 at most 1.3 held out; the real flight better than both guesses."""
+    """Goals set before it was written: chi2 at most 1.3 held out; the real flight better than both
+    guesses.
+    """
     record = json.loads((run.out / "demo.json").read_text())
     small, real = record["simulated_flight"], record["real_flight"]
     assert set(record) == {"approach", "simulated_flight", "real_flight"}
@@ -94,7 +99,9 @@ def test_numbers_tell_the_story_of_the_release(run):
 
 
 def test_page_is_whole_in_itself_and_shows_every_figure(run):
-    """Read with the standard library's parser; all figures, each embedded and with words for who cannot see it."""
+    """Read with the standard library's parser; all figures, each embedded and with words for who
+    cannot see it.
+    """
     text = (run.out / "index.html").read_text(encoding="utf-8")
     assert page_problems(text) == []
     assert text.count("<img ") == len(FIGURES)
@@ -106,33 +113,53 @@ def test_page_and_json_hold_the_same_numbers(run):
     record = json.loads((run.out / "demo.json").read_text())
     small, real = record["simulated_flight"], record["real_flight"]
     assert ["multiple shooting", f"{small['held_out_chi2_per_dof']:.3g}"] == cells[0][:2]
-    assert [row[1] for row in cells[1:3]] == [f"{chi2:.3g}" for chi2 in small["one_step_chi2_per_dof"].values()]
+    assert [row[1] for row in cells[1:3]] == [
+        f"{chi2:.3g}" for chi2 in small["one_step_chi2_per_dof"].values()
+    ]
     sizes = small["gap"]["parameters"]
     assert [row[1] for row in cells[3:5]] == [f"{size['value']:.3f}" for size in sizes.values()]
-    for row, errors in zip(cells[5:], real["one_second_ahead_before_failure"].values(), strict=True):
-        assert row[1:] == [f"{errors['position_m']:.2f}", f"{errors['attitude_deg']:.1f}", str(errors["forecasts"])]
+    for row, errors in zip(
+        cells[5:], real["one_second_ahead_before_failure"].values(), strict=True
+    ):
+        assert row[1:] == [
+            f"{errors['position_m']:.2f}",
+            f"{errors['attitude_deg']:.1f}",
+            str(errors["forecasts"]),
+        ]
 
 
 def test_hidden_wind_is_named_and_its_truth_told_after(run):
-    """The simulator's wind was 0.0924 and 0.4370 m/s; the goal of the kit is 0.05 m/s, and 90 % of the gap."""
+    """The simulator's wind was 0.0924 and 0.4370 m/s; the goal of the kit is 0.05 m/s, and 90 % of
+    the gap.
+    """
     gap = json.loads((run.out / "demo.json").read_text())["simulated_flight"]["gap"]
-    assert (gap["verdict"], gap["effects"], gap["truth"]["effects"]) == ("named", ["wind"], ["wind"])
+    assert (gap["verdict"], gap["effects"], gap["truth"]["effects"]) == (
+        "named",
+        ["wind"],
+        ["wind"],
+    )
     assert gap["since"] is None
     for name, truth in (("wind_x", 0.0924), ("wind_y", 0.4370)):
         assert gap["truth"]["parameters"][name] == truth
         assert gap["parameters"][name]["value"] == pytest.approx(truth, abs=0.05)
-    assert gap["gap"]["after"] - gap["gap"]["calm"] < 0.1 * (gap["gap"]["before"] - gap["gap"]["calm"])
+    assert gap["gap"]["after"] - gap["gap"]["calm"] < 0.1 * (
+        gap["gap"]["before"] - gap["gap"]["calm"]
+    )
     page = (run.out / "index.html").read_text()
     assert page.index("Missing: wind") < page.index("The truth, which no fit has read")
 
 
 def test_page_owns_up_to_the_attitude_after_the_failure(run):
-    """Worked out here from the forecasts on the logged throttle that lie after the failure: tens of degrees."""
+    """Worked out here from the forecasts on the logged throttle that lie after the failure: tens of
+    degrees.
+    """
     story = run.found.alfa
     after = story.told.t > story.failure_time + 1.0
     off = np.degrees(np.sqrt(np.mean(np.sum(story.told.error_attitude[after] ** 2, axis=1))))
     assert off > 20.0
-    assert f"{off:.0f}° rms one second ahead" in (run.out / "index.html").read_text(encoding="utf-8")
+    assert f"{off:.0f}° rms one second ahead" in (run.out / "index.html").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_warnings_are_text_and_no_markup(run, tmp_path):
@@ -148,18 +175,28 @@ def test_warnings_are_text_and_no_markup(run, tmp_path):
     [
         ("named", None, ("<strong>Missing: NAME.</strong>", "never leave what is ordinary")),
         ("none", 120.0, ("No effect explains more", "At 120.0 s")),
-        ("ambiguous", 120.0, ("Missing: NAME or NAME; these poses", "further ahead than in any healthy moment")),
+        (
+            "ambiguous",
+            120.0,
+            ("Missing: NAME or NAME; these poses", "further ahead than in any healthy moment"),
+        ),
     ],
 )
-def test_page_has_words_for_every_outcome(run, tmp_path, verdict, parts_at, words):
-    """The same findings under each verdict of the real flight, with an onset of the wind and without a landing."""
+def test_page_has_words_for_every_outcome(run, tmp_path, verdict, detection_time, words):
+    """The same findings under each verdict of the real flight, with an onset of the wind and
+    without a landing.
+    """
     first, *others = run.found.alfa_gap.suspects
-    suspects = (first, *([first] if verdict == "ambiguous" else []), *(replace(s, gain=-1e6) for s in others))
+    suspects = (
+        first,
+        *([first] if verdict == "ambiguous" else []),
+        *(replace(s, gain=-1e6) for s in others),
+    )
     wind = run.found.small_gap.naming.chosen[0].effect
     found = replace(
         run.found,
         small_gap=replace(run.found.small_gap, since=Onset(wind, 12.3, 11.0, 13.0, 40.0, None)),
-        alfa=replace(run.found.alfa, parts_at=parts_at),
+        alfa=replace(run.found.alfa, detection_time=detection_time),
         alfa_gap=replace(run.found.alfa_gap, verdict=verdict, suspects=suspects),
     )
     recorded.write_recorded_flights(found, tmp_path)
@@ -169,7 +206,9 @@ def test_page_has_words_for_every_outcome(run, tmp_path, verdict, parts_at, word
     assert "splat hall" not in page and page_problems(page) == []
 
 
-@pytest.mark.parametrize(("name", "flight"), [("150g", "case08_calm.csv"), ("alfa", "alfa_engine_failure.csv")])
+@pytest.mark.parametrize(
+    ("name", "flight"), [("150g", "case08_calm.csv"), ("alfa", "alfa_engine_failure.csv")]
+)
 def test_models_can_be_read_back(run, name, flight):
     """To the last bit of every value; the file names the flight that it rests on."""
     found = run.found.small if name == "150g" else run.found.alfa.found
@@ -177,7 +216,9 @@ def test_models_can_be_read_back(run, name, flight):
     assert file.model.form == found.model.form
     assert dict(file.model.values) == dict(found.model.values)
     assert file.names == found.uncertainty.names
-    assert np.allclose(file.covariance, found.uncertainty.covariance, rtol=1e-5, atol=0.0)  # six digits are kept
+    assert np.allclose(
+        file.covariance, found.uncertainty.covariance, rtol=1e-5, atol=0.0
+    )  # six digits are kept
     assert [Path(each).name for each in file.flights] == [flight]
 
 
@@ -202,11 +243,16 @@ def test_newcomer_sees_the_page(studied, opened, tmp_path):
     """Without --headless the browser opens the live page and, at the end, the one that stays."""
     assert main(["demo", "--out", str(tmp_path), "--port", "18432"]) == 0
     live, page = opened
-    assert live.startswith("http://127.0.0.1:") and page == (tmp_path / "index.html").resolve().as_uri()
+    assert (
+        live.startswith("http://127.0.0.1:")
+        and page == (tmp_path / "index.html").resolve().as_uri()
+    )
 
 
 def test_ctrl_c_in_the_approach_ends_the_demo(monkeypatch, capsys, tmp_path):
-    """While its third image is made: exit 130 as for every verb, no fits after it, and nothing is written."""
+    """While its third image is made: exit 130 as for every verb, no fits after it, and nothing is
+    written.
+    """
 
     class Interrupted(approach.RenderedView):
         def next(self, t):
@@ -216,14 +262,18 @@ def test_ctrl_c_in_the_approach_ends_the_demo(monkeypatch, capsys, tmp_path):
             return image
 
     monkeypatch.setattr(approach, "RenderedView", Interrupted)
-    monkeypatch.setattr(recorded, "study_recorded_flights", lambda progress: pytest.fail("it went on"))
+    monkeypatch.setattr(
+        recorded, "study_recorded_flights", lambda progress: pytest.fail("it went on")
+    )
     assert main(["demo", "--headless", "--out", str(tmp_path / "out")]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert os.listdir(tmp_path / "out") == []
 
 
 def test_full_disk_leaves_nothing_half_written(studied, capsys, tmp_path):
-    """No figure fits on this disk: one sentence with the way out, exit code 2, and the folder is empty."""
+    """No figure fits on this disk: one sentence with the way out, exit code 2, and the folder is
+    empty.
+    """
     with small_disk(20_000):
         code = main(["demo", "--headless", "--out", str(tmp_path / "out")])
     error = capsys.readouterr().err
@@ -233,7 +283,9 @@ def test_full_disk_leaves_nothing_half_written(studied, capsys, tmp_path):
 
 
 def test_disk_that_fills_up_before_the_page_keeps_the_page_of_before(studied, capsys, tmp_path):
-    """Every figure fits, the page does not: what is there is whole, the older page stays to the byte."""
+    """Every figure fits, the page does not: what is there is whole, the older page stays to the
+    byte.
+    """
     (tmp_path / "index.html").write_text("the page of yesterday")
     with small_disk(2_500_000):
         code = main(["demo", "--headless", "--out", str(tmp_path)])

@@ -1,4 +1,6 @@
-"""Cameras: the fake one does what its script says, counted by the numbers in its pictures; a file keeps its rate."""
+"""Cameras: the fake one does what its script says, counted by the numbers in its pictures; a file
+keeps its rate.
+"""
 
 import cv2
 import numpy as np
@@ -8,8 +10,8 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Image
 from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.tools.devices.cameras import (
+    CameraFault,
     FakeCamera,
-    Fault,
     SimulatedCamera,
     VideoCamera,
     VideoFile,
@@ -37,7 +39,7 @@ def clock() -> Time:
     return Time()
 
 
-def fake(clock: Time, *faults: Fault) -> FakeCamera:
+def fake(clock: Time, *faults: CameraFault) -> FakeCamera:
     camera = FakeCamera(faults, now=clock.now, sleep=clock.sleep)
     camera.open()
     return camera
@@ -46,10 +48,15 @@ def fake(clock: Time, *faults: Fault) -> FakeCamera:
 @pytest.mark.parametrize("number", [0, 1, 2, 0x5555, 0xAAAA, 65535])
 @pytest.mark.parametrize("size", [(64, 48), (320, 240), (500, 300)])
 def test_number_is_read_back(number, size):
-    """What goes into the bar code comes out, also through a JPEG and through an analog link of 14 dB."""
+    """What goes into the bar code comes out, also through a JPEG and through an analog link of 14
+    dB.
+    """
     picture = FakeCamera(size=size).picture(number)
     assert read_frame_number(picture) == number
-    assert read_frame_number(cv2.imdecode(cv2.imencode(".jpg", picture)[1], cv2.IMREAD_COLOR)) == number
+    assert (
+        read_frame_number(cv2.imdecode(cv2.imencode(".jpg", picture)[1], cv2.IMREAD_COLOR))
+        == number
+    )
     if size[0] >= 320:
         assert read_frame_number(AnalogVideo(14.0, dropouts=0.0).apply(picture, 0)) == number
 
@@ -83,8 +90,8 @@ def test_a_slow_reader_misses_frames(clock):
 def test_every_fault_does_what_it_says(clock):
     """By hand from the script, at 20 Hz."""
     camera = fake(
-        clock, Fault("freeze", 0.1, 0.2), Fault("drop", 0.3, 0.4), Fault("delay", 0.5, 0.55, 0.07),
-        Fault("hang", 0.7, 1.0), Fault("unplug", 1.1, 1.3),
+        clock, CameraFault("freeze", 0.1, 0.2), CameraFault("drop", 0.3, 0.4), CameraFault("delay", 0.5, 0.55, 0.07),
+        CameraFault("hang", 0.7, 1.0), CameraFault("unplug", 1.1, 1.3),
     )  # fmt: skip
     seen = []
     while (picture := camera.read()) is not None:
@@ -103,8 +110,10 @@ def test_every_fault_does_what_it_says(clock):
 
 
 def test_noise_has_its_snr(clock):
-    """Against the same picture without, below the bar code, where luma would be cut: 255 / 10^(20/20) = 25.5."""
-    camera = fake(clock, Fault("noise", 0.0, 1.0, 20.0))
+    """Against the same picture without, below the bar code, where luma would be cut: 255 /
+    10^(20/20) = 25.5.
+    """
+    camera = fake(clock, CameraFault("noise", 0.0, 1.0, 20.0))
     off = camera.read().astype(float) - camera.picture(0)
     rows = off[60:] @ (0.299, 0.587, 0.114)
     assert 1.4826 * np.median(np.abs(rows)) == pytest.approx(25.5, rel=0.1)
@@ -112,7 +121,9 @@ def test_noise_has_its_snr(clock):
 
 def test_a_video_file_comes_at_its_own_rate(tmp_path, clock):
     """Twelve frames at 25 Hz, written by OpenCV: 0.00, 0.04, ... then the end."""
-    writer = cv2.VideoWriter(str(tmp_path / "flight.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (320, 240))
+    writer = cv2.VideoWriter(
+        str(tmp_path / "flight.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (320, 240)
+    )
     for number in range(12):
         writer.write(FakeCamera().picture(number)[..., ::-1])
     writer.release()
@@ -127,7 +138,9 @@ def test_a_video_file_comes_at_its_own_rate(tmp_path, clock):
 
 def test_colours_of_a_video_are_red_green_blue(tmp_path, clock):
     """A red picture: OpenCV reads the other order. MJPEG keeps a flat colour to a few levels."""
-    writer = cv2.VideoWriter(str(tmp_path / "red.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (64, 48))
+    writer = cv2.VideoWriter(
+        str(tmp_path / "red.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (64, 48)
+    )
     writer.write(np.full((48, 64, 3), (30, 60, 220), np.uint8))
     writer.release()
     video = VideoFile(tmp_path / "red.avi", now=clock.now, sleep=clock.sleep)
@@ -155,14 +168,16 @@ def test_a_simulator_is_asked_at_the_cameras_rate(clock):
 
 
 def test_what_is_not_there_is_refused(tmp_path):
-    """A device that no machine has, no file, a file that is no video, a script that ends before it begins."""
+    """A device that no machine has, no file, a file that is no video, a script that ends before it
+    begins.
+    """
     with pytest.raises(OSError, match="plugged in"):
         VideoCamera(987).open()
     with pytest.raises(FileNotFoundError):
         open_camera(str(tmp_path / "none.avi"))
     (tmp_path / "text.avi").write_text("no video", encoding="utf-8")
-    with pytest.raises(InputError, match="want a video"):
+    with pytest.raises(InputError, match="expected a video"):
         open_camera(str(tmp_path / "text.avi"))
     with pytest.raises(InputError, match="end"):
-        Fault("drop", 2.0, 1.0)
+        CameraFault("drop", 2.0, 1.0)
     assert open_camera("3").device == 3

@@ -1,4 +1,6 @@
-"""Grabber: in virtual time, with a fake camera whose pictures carry their number. Every number here is by hand."""
+"""Grabber: in virtual time, with a fake camera whose pictures carry their number. Every number here
+is by hand.
+"""
 
 import threading
 
@@ -8,7 +10,7 @@ import pytest
 from falconwing_kit.core.messages import Command, Observation
 from falconwing_kit.flight.loop import Loop
 from falconwing_kit.tools.devices import grabber
-from falconwing_kit.tools.devices.cameras import FakeCamera, Fault, read_frame_number
+from falconwing_kit.tools.devices.cameras import CameraFault, FakeCamera, read_frame_number
 from falconwing_kit.tools.devices.grabber import Grabber
 from falconwing_kit.vision import FrameMonitor
 from tests.vision.virtual_time import PATIENCE, VirtualTime
@@ -27,7 +29,7 @@ def running(time):
     """Starts a grabber over a scripted camera; stops it after the test."""
     started = []
 
-    def start(*faults: Fault) -> Grabber:
+    def start(*faults: CameraFault) -> Grabber:
         camera = FakeCamera(faults, now=time.now, sleep=time.sleep)
         started.append(Grabber(camera, stale_s=0.5, now=time.now, pause=time.sleep).start())
         return started[-1]
@@ -43,7 +45,9 @@ def number(image) -> int | None:
 
 
 def test_a_slow_consumer_gets_the_newest_and_counts_the_rest(running, time):
-    """20 Hz, looked at every 0.15 s from 0.01 s on: frames 0, 3, 6, 9; two of three are replaced unseen."""
+    """20 Hz, looked at every 0.15 s from 0.01 s on: frames 0, 3, 6, 9; two of three are replaced
+    unseen.
+    """
     camera = running()
     seen = []
     for k in range(4):
@@ -68,8 +72,10 @@ def test_the_same_image_comes_again_until_there_is_a_newer_one(running, time):
 
 
 def test_an_unplugged_camera_gives_none_and_comes_back(running, time):
-    """Gone at 0.5 s, the newest is of 0.45 s: stale after 0.95 s. Opened at 0.6, 0.8, 1.2, 2.0 s; there at 2.0 s."""
-    camera = running(Fault("unplug", 0.5, 1.9))
+    """Gone at 0.5 s, the newest is of 0.45 s: stale after 0.95 s. Opened at 0.6, 0.8, 1.2, 2.0 s;
+    there at 2.0 s.
+    """
+    camera = running(CameraFault("unplug", 0.5, 1.9))
     time.advance(0.94)
     assert number(camera.next(0.94)) == 9
     time.advance(0.96)
@@ -86,7 +92,7 @@ def test_an_unplugged_camera_gives_none_and_comes_back(running, time):
 
 def test_a_camera_that_hangs_in_a_read_does_not_keep_the_loop_waiting(running, time):
     """It hangs from 0.3 to 1.4 s; the newest is of 0.25 s. Health goes by its age."""
-    camera = running(Fault("hang", 0.3, 1.4))
+    camera = running(CameraFault("hang", 0.3, 1.4))
     time.advance(0.74)
     assert number(camera.next(0.74)) == 5
     time.advance(1.0)
@@ -99,11 +105,13 @@ def test_a_camera_that_hangs_in_a_read_does_not_keep_the_loop_waiting(running, t
 
 def test_late_frames_show_their_numbers(running, time):
     """Each is 0.12 s late from 0.2 s on: at 0.31 s the newest is still frame 3, at 0.33 s it is 4."""
-    camera = running(Fault("delay", 0.2, 0.25, 0.12))
+    camera = running(CameraFault("delay", 0.2, 0.25, 0.12))
     time.advance(0.31)
     assert number(camera.next(0.31)) == 3
     time.advance(0.33)
-    assert number(camera.next(0.33)) == 6  # 4 came at 0.32, and the newest that had waited right after
+    assert (
+        number(camera.next(0.33)) == 6
+    )  # 4 came at 0.32, and the newest that had waited right after
 
 
 class Angry:
@@ -220,11 +228,13 @@ class Sink:
 
 @pytest.mark.parametrize(
     ("fault", "reason"),
-    [(Fault("freeze", 1.0, 9.0), "old or frozen"), (Fault("unplug", 1.0, 9.0), "old or frozen"),
-     (Fault("hang", 1.0, 9.0), "old or frozen"), (Fault("noise", 1.0, 9.0, 14.0), "noise")],
+    [(CameraFault("freeze", 1.0, 9.0), "old or frozen"), (CameraFault("unplug", 1.0, 9.0), "old or frozen"),
+     (CameraFault("hang", 1.0, 9.0), "old or frozen"), (CameraFault("noise", 1.0, 9.0, 14.0), "noise")],
 )  # fmt: skip
 def test_the_loop_flies_on_and_the_monitor_alerts_within_300_ms(running, time, fault, reason):
-    """From the fault at 1.0 s to the first alert, in virtual time; 40 steps are flown without a failure."""
+    """From the fault at 1.0 s to the first alert, in virtual time; 40 steps are flown without a
+    failure.
+    """
     pilot = Watcher()
     flight = Loop(pilot, Sink(), images=running(fault), clock=time).run(2.0)
     assert (flight.reason, flight.faults, len(flight.t)) == ("duration", 0, 40)

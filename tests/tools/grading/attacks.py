@@ -1,9 +1,9 @@
 """Attacks on the grader: what each tries, and the cell that tries it.
 
-Every cell defines `attack(x, gain)`, which a wrong `stretch` returns; alone, the wrong solution has no points. OUT
-stands for the grader's folder, SUBMISSIONS for the students', TOKEN for a word to find a process by, PORT for an open
-port.
-Only the box makes it safe to run them: its processes, memory and time are bound from outside.
+Every cell defines `attack(x, gain)`, which a wrong `stretch` returns; alone, the wrong solution has
+no points. OUT stands for the grader's folder, SUBMISSIONS for the students', TOKEN for a word to
+find a process by, PORT for an open port. Only the box makes it safe to run them: its processes,
+memory and time are bound from outside.
 """
 
 # Finds the pipe to the grader and the number of the call, and speaks for the worker.

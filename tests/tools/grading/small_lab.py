@@ -1,4 +1,6 @@
-"""A lab of one exercise, written into a folder: what the tests of finding, building, checking and releasing work on."""
+"""A lab of one exercise, written into a folder: what the tests of finding, building, checking and
+releasing work on.
+"""
 
 from pathlib import Path
 

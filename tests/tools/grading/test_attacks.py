@@ -1,4 +1,6 @@
-"""Attacks: a class of honest and dishonest students, graded in one run; nobody talks the grader into anything."""
+"""Attacks: a class of honest and dishonest students, graded in one run; nobody talks the grader
+into anything.
+"""
 
 import json
 import os
@@ -9,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from falconwing_kit.tools.cli.grade import Grade
-from falconwing_kit.tools.grading.records import last_records, read_records
+from falconwing_kit.tools.grading.records import last_records, read_grade_records
 from tests.tools.grading import toys
 from tests.tools.grading.attacks import ATTACKS
 
@@ -31,16 +33,25 @@ PLAIN = {
 
 @pytest.fixture(scope="module")
 def graded(tmp_path_factory):
-    """The records by student, and the folder of the run, after everyone has been graded by two workers."""
+    """The records by student, and the folder of the run, after everyone has been graded by two
+    workers.
+    """
     folder = tmp_path_factory.mktemp("attacked")
     out, students, token = folder / "out", folder / "students", secrets.token_hex(16)
     students.mkdir()
     folder.chmod(0o755)
     for number in range(10):
-        (students / f"good{number}.ipynb").write_bytes(toys.notebook_bytes(toys.HEAD, toys.STRETCH, toys.BRAKE))
+        (students / f"good{number}.ipynb").write_bytes(
+            toys.notebook_bytes(toys.HEAD, toys.STRETCH, toys.BRAKE)
+        )
     with socket.create_server(("127.0.0.1", 0)) as server, pytest.MonkeyPatch.context() as patch:
         patch.setenv("FALCONWING_SECRET", "a secret of the grader")
-        places = {"OUT": out, "SUBMISSIONS": students, "TOKEN": token, "PORT": server.getsockname()[1]}
+        places = {
+            "OUT": out,
+            "SUBMISSIONS": students,
+            "TOKEN": token,
+            "PORT": server.getsockname()[1],
+        }
         for name, text in ATTACKS.items():
             for word, value in places.items():
                 text = text.replace(word, str(value))
@@ -54,7 +65,7 @@ def graded(tmp_path_factory):
     assert _files(students) == before
     assert toys.processes_with(token) == []
     assert toys.groups_left() == []
-    return last_records(read_records(out)), out
+    return last_records(read_grade_records(out)), out
 
 
 def test_there_are_forty_attacks_and_more():
@@ -64,14 +75,18 @@ def test_there_are_forty_attacks_and_more():
 
 @pytest.mark.parametrize("name", ATTACKS)
 def test_attack_gains_nothing(graded, name):
-    """The wrong solution has no points without the attack; with it neither, and it was graded like any other."""
+    """The wrong solution has no points without the attack; with it neither, and it was graded like
+    any other.
+    """
     record = graded[0][NAMES[name]]
     assert (record["status"], record["points"], record["sandboxed"]) == ("graded", 0.0, True)
 
 
 @pytest.mark.parametrize("name", ATTACKS)
 def test_record_tells_nothing_of_the_questions(graded, name):
-    """The ways to fail are the grader's own words, and the only numbers are counts, points and versions."""
+    """The ways to fail are the grader's own words, and the only numbers are counts, points and
+    versions.
+    """
     record = graded[0][NAMES[name]]
     for result in record["exercises"].values():
         assert {each.split(":")[0] for each in result["categories"]} <= PLAIN
@@ -86,22 +101,36 @@ def test_good_students_among_them_have_full_marks(graded):
 
 def test_wrong_solution_alone_has_no_points(tmp_path, monkeypatch):
     """What the attacks are measured against; the box was probed for the class."""
-    monkeypatch.setattr("falconwing_kit.tools.cli.grade._require_box", lambda: None)
-    cells = (toys.HEAD, "def attack(x, gain): return gain * x", WRONG, "def brake(position, speed): return 0.0")
+    monkeypatch.setattr("falconwing_kit.tools.cli.grade._require_sandbox", lambda: None)
+    cells = (
+        toys.HEAD,
+        "def attack(x, gain): return gain * x",
+        WRONG,
+        "def brake(position, speed): return 0.0",
+    )
     (tmp_path / "wrong.ipynb").write_bytes(toys.notebook_bytes(*cells))
-    assert Grade(str(toys.LAB), tmp_path / "wrong.ipynb", tmp_path / "out", workers=1, json=True).run() == 0
-    assert read_records(tmp_path / "out")[0]["points"] == 0.0
+    assert (
+        Grade(str(toys.LAB), tmp_path / "wrong.ipynb", tmp_path / "out", workers=1, json=True).run()
+        == 0
+    )
+    assert read_grade_records(tmp_path / "out")[0]["points"] == 0.0
 
 
 def test_nothing_is_written_but_the_graders_own_files(graded):
     """The three files of a run; a record for each student, none for anyone else."""
     records, out = graded
-    assert sorted(path.name for path in out.iterdir()) == ["gradebook.csv", "records.jsonl", "run.json"]
-    assert len(read_records(out)) == len(records) == len(ATTACKS) + 10
+    assert sorted(path.name for path in out.iterdir()) == [
+        "gradebook.csv",
+        "records.jsonl",
+        "run.json",
+    ]
+    assert len(read_grade_records(out)) == len(records) == len(ATTACKS) + 10
 
 
 def test_attacks_do_what_they_say(graded):
-    """Where the end is known: a loop runs out of time, 10 GB out of memory; words of one's own become "exception"."""
+    """Where the end is known: a loop runs out of time, 10 GB out of memory; words of one's own
+    become "exception".
+    """
     ends = {
         "an endless loop": "timeout",
         "sleep": "timeout",
@@ -116,9 +145,15 @@ def test_attacks_do_what_they_say(graded):
         "not a number": "wrong value",
         "an array of 3e12 numbers that are not there": "bad answer",
     }
-    found = {name: list(graded[0][NAMES[name]]["exercises"]["stretch"]["categories"]) for name in ends}
+    found = {
+        name: list(graded[0][NAMES[name]]["exercises"]["stretch"]["categories"]) for name in ends
+    }
     assert found == {name: [end] for name, end in ends.items()}
 
 
 def _files(folder: Path) -> dict[str, bytes]:
-    return {os.path.relpath(path, folder): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        os.path.relpath(path, folder): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }

@@ -10,15 +10,20 @@ import numpy as np
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.grading.sandbox import limits, probe, runtime
-from falconwing_kit.tools.grading.sandbox.box import Job, StudentError, in_box, in_process
+from falconwing_kit.tools.grading.sandbox import limits, probe_sandbox, runtime
+from falconwing_kit.tools.grading.sandbox.box import (
+    SandboxJob,
+    StudentError,
+    process_worker,
+    sandbox_worker,
+)
 from tests.tools.grading import toys
 
-BOXES = {"in_process": in_process, "in_box": in_box}
+BOXES = {"in_process": process_worker, "in_box": sandbox_worker}
 
 
 def job(text, **more):
-    return Job(text, "f", toys.LAB, **{"seconds": 1.0, "memory_mib": 128, **more})
+    return SandboxJob(text, "f", toys.LAB, **{"seconds": 1.0, "memory_mib": 128, **more})
 
 
 @pytest.fixture(params=["in_process", pytest.param("in_box", marks=toys.needs_box)])
@@ -75,7 +80,9 @@ def test_failures_have_a_category(box, text, wanted):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of one's own are Linux's")
 def test_time_and_memory_are_bound(box):
-    """1 s of computing, 128 MiB: a loop and 1 GiB are too much; the loop ends well before a minute of waiting."""
+    """1 s of computing, 128 MiB: a loop and 1 GiB are too much; the loop ends well before a minute
+    of waiting.
+    """
     begin = time.monotonic()
     assert category(box, "def f():\n    while True: pass") == "timeout"
     assert time.monotonic() - begin < 60.0
@@ -102,9 +109,7 @@ def test_prints_and_inputs_go_nowhere(box):
 
 def test_draws_without_a_seed_are_the_same_each_time(box):
     """Else a regrade could not be bit-identical; sets of texts too are in the same order."""
-    text = (
-        "import numpy as np, random\ndef f(): return np.random.rand(), random.random(), ''.join({'a', 'b', 'c', 'd'})"
-    )
+    text = "import numpy as np, random\ndef f(): return np.random.rand(), random.random(), ''.join({'a', 'b', 'c', 'd'})"
     answers = []
     for _ in range(2):
         with box(job(text)) as worker:
@@ -121,7 +126,7 @@ def test_nothing_outlives_a_box():
         f"        os.execv(sys.executable, [sys.executable, '-S', '-c', 'import time; time.sleep(99)', {token!r}])\n"
         "    time.sleep(0.3)\n    return 1"
     )
-    with in_box(job(text)) as worker:
+    with sandbox_worker(job(text)) as worker:
         assert worker.call() == 1
         assert len(toys.processes_with(token)) == 1
     assert toys.processes_with(token) == []
@@ -130,7 +135,9 @@ def test_nothing_outlives_a_box():
 
 @toys.needs_box
 def test_box_ends_with_a_grader_that_is_killed():
-    """The grader is killed while a function sleeps: its box is gone, and the next grader sweeps its groups."""
+    """The grader is killed while a function sleeps: its box is gone, and the next grader sweeps its
+    groups.
+    """
     code = (
         "from pathlib import Path\nfrom falconwing_kit.tools.grading.sandbox.box import Job, in_box\n"
         'text = \'import os, sys\\ndef f(t): os.execv(sys.executable, [sys.executable, "-S", "-c", '
@@ -138,9 +145,13 @@ def test_box_ends_with_a_grader_that_is_killed():
         f"box = in_box(Job(text, 'f', Path({str(toys.LAB)!r}))).__enter__()\nprint(box.process, flush=True)\n"
         "box.call('token-of-killed-grader')"
     )
-    grader = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=Path(__file__).parents[3])
+    grader = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=Path(__file__).parents[3]
+    )
     assert grader.stdout.readline()
-    _wait(lambda: len(toys.processes_with("token-of-killed-grader")) >= 2)  # the grader's own words hold it too
+    _wait(
+        lambda: len(toys.processes_with("token-of-killed-grader")) >= 2
+    )  # the grader's own words hold it too
     grader.kill()
     grader.wait()
     grader.stdout.close()
@@ -158,10 +169,13 @@ def _wait(fulfilled):
 
 @toys.needs_box
 @pytest.mark.skipif(
-    not hasattr(os, "geteuid") or os.geteuid() != 0, reason="root alone can make control groups anywhere"
+    not hasattr(os, "geteuid") or os.geteuid() != 0,
+    reason="root alone can make control groups anywhere",
 )
 def test_groups_bind_what_limits_do_not():
-    """Twelve children of 100 MiB each stay below one's own limit of 128; the box's memory ends some of them."""
+    """Twelve children of 100 MiB each stay below one's own limit of 128; the box's memory ends some
+    of them.
+    """
     if limits.controllers() != ("memory", "pids"):
         pytest.skip("this system does not let root make control groups")
     text = (
@@ -169,7 +183,7 @@ def test_groups_bind_what_limits_do_not():
         "            kept = bytearray(b'x') * (100 << 20)\n            time.sleep(2)\n            os._exit(0)\n"
         "    return sum(os.wait()[1] == 9 for _ in range(12))"
     )
-    with in_box(job(text)) as worker:
+    with sandbox_worker(job(text)) as worker:
         try:
             assert worker.call() > 0
         except StudentError as error:
@@ -179,18 +193,20 @@ def test_groups_bind_what_limits_do_not():
 @toys.needs_box
 def test_probe_finds_no_hole():
     """On a machine with bubblewrap every attempt fails."""
-    findings = probe.probe()
-    assert probe.holes(findings) == []
+    findings = probe_sandbox.probe()
+    assert probe_sandbox.holes(findings) == []
     assert len(findings) >= 12
 
 
 def test_probe_sees_holes_where_there_are_some(tmp_path):
     """The same attempts in a plain process: it has a network, files, an environment, and may write."""
     (tmp_path / "secret").write_text("x")
-    plain = Job(probe._PAYLOAD, "tried", tmp_path, seconds=1.0, memory_mib=128)
-    with probe._listening() as port, in_process(plain) as worker:
+    plain = SandboxJob(probe_sandbox._PAYLOAD, "tried", tmp_path, seconds=1.0, memory_mib=128)
+    with probe_sandbox._listening() as port, process_worker(plain) as worker:
         assert "a port of this machine" in worker.call("network", port)
-        assert worker.call("files", [str(tmp_path / "secret")], "/nowhere", []) == str(tmp_path / "secret")
+        assert worker.call("files", [str(tmp_path / "secret")], "/nowhere", []) == str(
+            tmp_path / "secret"
+        )
         assert "PATH" in worker.call("environment", [])
         assert str(tmp_path) in worker.call("writing", [str(tmp_path)])
         assert worker.call("modules", ["json"]) == "json"
@@ -200,11 +216,13 @@ def test_probe_sees_holes_where_there_are_some(tmp_path):
 def test_holes_stop_the_probe_from_being_green(tmp_path, monkeypatch):
     """A box that shares the network, made so on purpose, is found out, and nothing else is."""
     monkeypatch.setattr(runtime, "_WALLS", (*runtime._WALLS, "--share-net"))
-    assert [hole.split(":")[0] for hole in probe.holes(list(probe._walls(tmp_path)))] == ["network"]
+    assert [
+        hole.split(":")[0] for hole in probe_sandbox.holes(list(probe_sandbox._walls(tmp_path)))
+    ] == ["network"]
 
 
 def test_without_bubblewrap_the_sentence_says_what_to_install(monkeypatch):
     """An empty PATH has none."""
     monkeypatch.setenv("PATH", "")
     with pytest.raises(InputError, match="apt install bubblewrap"):
-        in_box(job("def f(): pass"))
+        sandbox_worker(job("def f(): pass"))

@@ -1,16 +1,24 @@
-"""Collector: what a function needs comes along, whatever happened to the cells; nothing is executed."""
+"""Collector: what a function needs comes along, whatever happened to the cells; nothing is
+executed.
+"""
 
 import json
 
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.grading.collect import MAX_FILE, collect, parse_notebook, read_notebook, require_notebook_of
+from falconwing_kit.tools.grading.collect import (
+    MAX_FILE,
+    collect_source,
+    parse_notebook,
+    read_notebook,
+    require_notebook_of,
+)
 from tests.tools.grading import toys
 
 
 def source_of(*cells, name="f", packages=("numpy",)):
-    return collect(parse_notebook(toys.notebook_bytes(*cells), "a.ipynb"), name, packages)
+    return collect_source(parse_notebook(toys.notebook_bytes(*cells), "a.ipynb"), name, packages)
 
 
 def result_of(*cells, arguments=(1.0,)):
@@ -89,8 +97,14 @@ def test_python_as_students_write_it_is_collected(cells):
     [
         (("x = 1",), "no code cell defines f"),
         (("def f(x) return x",), "code cell 1 is not Python: line 1"),
-        (("from falconwing_kit.scene import render\ndef f(x):\n    return render(x)",), "uses falconwing_kit, which"),
-        (("import scipy.optimize as so, numpy\ndef f(x):\n    return so.brentq(x)",), "uses scipy, which"),
+        (
+            ("from falconwing_kit.scene import render\ndef f(x):\n    return render(x)",),
+            "uses falconwing_kit, which",
+        ),
+        (
+            ("import scipy.optimize as so, numpy\ndef f(x):\n    return so.brentq(x)",),
+            "uses scipy, which",
+        ),
         (("def f(x):\n    import torch\n    return torch.ones(x)",), "uses torch, which"),
         (("for k in range(3): pass", "def f(x):\n    return k"), "inside an if, for, with or try"),
         (("def f(x):\n    return speed",), "uses speed, which is defined nowhere"),
@@ -104,7 +118,9 @@ def test_problems_are_said_in_words(cells, words):
 
 def test_allowed_packages_are_no_problem():
     """The lab says which; the standard library and given always are."""
-    cells = ("import scipy.optimize as so\nimport math, given\ndef f(x):\n    return so, math, given",)
+    cells = (
+        "import scipy.optimize as so\nimport math, given\ndef f(x):\n    return so, math, given",
+    )
     assert source_of(*cells, packages=("numpy", "scipy")).problems == ()
 
 
@@ -117,7 +133,15 @@ def test_nothing_is_executed(tmp_path):
 
 @pytest.mark.parametrize(
     "text",
-    ["-" * 60000 + "1", "a" + ".a" * 60000, "(" * 60000, "not " * 30000 + "1", "a" + "()" * 60000, "x\0y", "\ud800"],
+    [
+        "-" * 60000 + "1",
+        "a" + ".a" * 60000,
+        "(" * 60000,
+        "not " * 30000 + "1",
+        "a" + "()" * 60000,
+        "x\0y",
+        "\ud800",
+    ],
     ids=["minus", "dots", "brackets", "not", "calls", "nul", "surrogate"],
 )
 def test_code_that_breaks_parsers_is_a_problem_in_words(text):
@@ -151,7 +175,9 @@ def test_other_files_are_refused_in_one_sentence(data):
 
 
 def test_odd_cells_are_passed_over():
-    """Cells that are no cells, and sources that are no text; the good one counts. A byte order mark is no harm."""
+    """Cells that are no cells, and sources that are no text; the good one counts. A byte order mark
+    is no harm.
+    """
     cells = [
         1,
         None,
@@ -161,7 +187,7 @@ def test_odd_cells_are_passed_over():
         {"cell_type": "code", "source": ["def f(x):\r\n", 3, "    return x\r\n"]},
     ]
     data = b"\xef\xbb\xbf" + json.dumps({"cells": cells}).encode()
-    assert "return x" in collect(parse_notebook(data, "a.ipynb"), "f").text
+    assert "return x" in collect_source(parse_notebook(data, "a.ipynb"), "f").text
 
 
 @pytest.mark.parametrize(
@@ -180,14 +206,22 @@ def test_odd_cells_are_passed_over():
 )
 def test_a_notebook_says_which_kit_made_it(metadata, line, kit):
     """By its metadata, else by the line below the title; 0.1 wrote neither."""
-    data = toys.notebook_bytes(toys.cell(f"# Lab\n\n{line}", "markdown"), "x = 1", metadata=metadata)
+    data = toys.notebook_bytes(
+        toys.cell(f"# Lab\n\n{line}", "markdown"), "x = 1", metadata=metadata
+    )
     assert parse_notebook(data, "a.ipynb").kit == kit
 
 
-@pytest.mark.parametrize(("kit", "fits"), [("0.1", False), ("0.2", True), ("0.10", True), ("1.0", True)])
+@pytest.mark.parametrize(
+    ("kit", "fits"), [("0.1", False), ("0.2", True), ("0.10", True), ("1.0", True)]
+)
 def test_a_notebook_of_an_older_kit_is_refused_in_one_sentence(kit, fits):
-    """Versions are numbers, not texts: 0.10 is newer than 0.2. A lab that names no version takes any notebook."""
-    notebook = parse_notebook(toys.notebook_bytes("x = 1", metadata={"falconwing_kit": kit}), "lab04.ipynb")
+    """Versions are numbers, not texts: 0.10 is newer than 0.2. A lab that names no version takes
+    any notebook.
+    """
+    notebook = parse_notebook(
+        toys.notebook_bytes("x = 1", metadata={"falconwing_kit": kit}), "lab04.ipynb"
+    )
     require_notebook_of(notebook, "", "lab04.ipynb")
     if fits:
         require_notebook_of(notebook, "0.2", "lab04.ipynb")
@@ -204,7 +238,9 @@ def test_cells_know_their_role(tmp_path):
     """What a report shows: figures and answers, by the names in their metadata."""
     file = tmp_path / "a.ipynb"
     file.write_bytes(
-        toys.notebook_bytes(toys.cell("words", "markdown", answer="q1"), toys.cell("plot()", figure="radius"))
+        toys.notebook_bytes(
+            toys.cell("words", "markdown", answer="q1"), toys.cell("plot()", figure="radius")
+        )
     )
     cells = read_notebook(file).cells
     assert [(cell.code, cell.role, cell.name) for cell in cells] == [

@@ -1,4 +1,6 @@
-"""Figures: notebooks run in a box that gives nothing away, whatever they do; stored pictures taken with care."""
+"""Figures: notebooks run in a box that gives nothing away, whatever they do; stored pictures taken
+with care.
+"""
 
 import base64
 import json
@@ -9,7 +11,11 @@ import zlib
 import pytest
 
 from falconwing_kit.tools.grading.course import figures
-from falconwing_kit.tools.grading.course.figures import figures_in, missing_for_running, run_notebook
+from falconwing_kit.tools.grading.course.figures import (
+    figures_in,
+    missing_for_running,
+    run_notebook,
+)
 from tests.tools.grading import toys
 
 DRAW = "import matplotlib.pyplot as plt\nplt.plot([1, 2])\nplt.show()"
@@ -21,11 +27,18 @@ def png(width=2, height=1):
     """A picture of one grey, by the format's own rules."""
 
     def chunk(kind, data):
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
 
     rows = b"".join(b"\0" + b"\x80" * width for _ in range(height))
     head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", head)
+        + chunk(b"IDAT", zlib.compress(rows))
+        + chunk(b"IEND", b"")
+    )
 
 
 def stored(data, **metadata):
@@ -40,7 +53,9 @@ def b64(data):
 def test_stored_picture_comes_out_as_it_is():
     """By name, or all; a picture may stand in lines, as some programs save it."""
     text = b64(png())
-    content = {"cells": [stored(text, figure="a"), stored([text[:20] + "\n", text[20:]]), {"metadata": {}}]}
+    content = {
+        "cells": [stored(text, figure="a"), stored([text[:20] + "\n", text[20:]]), {"metadata": {}}]
+    }
     assert figures_in(content, "a") == [text]
     assert figures_in(content) == [text, text]
     assert figures_in(content, "b") == []
@@ -56,13 +71,17 @@ def test_stored_picture_comes_out_as_it_is():
     ],
 )  # fmt: skip
 def test_what_is_no_picture_stays_out(content):
-    """Damaged notebooks, markup, other formats, cut off, and pictures that would fill a browser's memory."""
+    """Damaged notebooks, markup, other formats, cut off, and pictures that would fill a browser's
+    memory.
+    """
     assert figures_in(content) == []
 
 
 @pytest.fixture(scope="module")
 def ran():
-    """One notebook that draws between attempts to get out, run in a box: what its cells drew, and what they found."""
+    """One notebook that draws between attempts to get out, run in a box: what its cells drew, and
+    what they found.
+    """
     tries = {
         "network": "import socket\nsocket.create_connection(('127.0.0.1', 22), 1)",
         "any network": "import socket\nsocket.create_connection(('1.1.1.1', 80), 1)",
@@ -75,7 +94,10 @@ def ran():
         "disk": "open('/tmp/x', 'wb').write(b'0' * (100 << 20))",
         "not written": "raise NotImplementedError",
     }
-    cells = [toys.cell(DRAW, figure="first"), toys.cell("import falconwing_kit\nfrom given import COHORT")]
+    cells = [
+        toys.cell(DRAW, figure="first"),
+        toys.cell("import falconwing_kit\nfrom given import COHORT"),
+    ]
     guarded = "try:\n    exec({!r})\nexcept BaseException:\n    pass\nelse:\n    exec({!r})"
     cells += [toys.cell(guarded.format(text, DRAW), figure=name) for name, text in tries.items()]
     cells += [
@@ -88,12 +110,15 @@ def ran():
 @toys.needs_box
 @needs_kernel
 def test_figures_come_back_and_nothing_else_does(ran):
-    """A cell that got out of the box would have drawn; an error in the middle stops nothing; the course's number is
-    there, and so is the kit."""
+    """A cell that got out of the box would have drawn; an error in the middle stops nothing; the
+    course's number is there, and so is the kit.
+    """
     tries, content = ran
     assert [name for name in tries if figures_in(content, name)] == []
     assert len(figures_in(content, "first")) == 1 and len(figures_in(content, "last")) == 1
-    assert {key for cell in content["cells"] for output in cell["outputs"] for key in output} == {"data"}
+    assert {key for cell in content["cells"] for output in cell["outputs"] for key in output} == {
+        "data"
+    }
 
 
 @toys.needs_box
@@ -108,10 +133,14 @@ def test_figures_come_back_and_nothing_else_does(ran):
     ],
 )
 def test_notebook_that_ends_badly_harms_nobody(text, drawn, monkeypatch):
-    """It ends within its time, leaves no process or group, and gives what it drew before, or nothing."""
+    """It ends within its time, leaves no process or group, and gives what it drew before, or
+    nothing.
+    """
     monkeypatch.setattr(figures, "SECONDS", 25.0)
     begun = time.monotonic()
-    content = run_notebook(toys.notebook_bytes(toys.cell(DRAW, figure="a"), text), FILES, {"offset": 2.5})
+    content = run_notebook(
+        toys.notebook_bytes(toys.cell(DRAW, figure="a"), text), FILES, {"offset": 2.5}
+    )
     assert time.monotonic() - begun < 60.0  # 25 s and a loaded machine's start
     assert len(figures_in(content, "a")) == drawn
     assert toys.groups_left() == [] and toys.processes_with("in_box.py") == []

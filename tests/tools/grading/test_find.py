@@ -1,11 +1,19 @@
-"""A lab is found by its number, its name or its folder, and its files do not get in another lab's way."""
+"""A lab is found by its number, its name or its folder, and its files do not get in another lab's
+way.
+"""
 
 import sys
 
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.grading.find import lab_folder, labs_folder, load_checks, load_judges, load_module
+from falconwing_kit.tools.grading.find import (
+    lab_folder,
+    labs_folder,
+    load_checks,
+    load_judges,
+    load_module,
+)
 from falconwing_kit.tools.grading.lab import Course
 from tests.tools.grading.small_lab import write_small_lab
 
@@ -32,14 +40,16 @@ def test_labs_are_found_from_where_a_student_stands(folder, monkeypatch, below):
 
 def test_unknown_lab_is_refused_with_the_list(folder):
     """One sentence that names what there is."""
-    with pytest.raises(InputError, match=r"lab07: want one of lab01_small"):
+    with pytest.raises(InputError, match=r"lab07: expected one of lab01_small"):
         lab_folder("lab07", folder.parent)
-    with pytest.raises(InputError, match="want a folder with labs"):
+    with pytest.raises(InputError, match="expected a folder with labs"):
         labs_folder(folder)
 
 
 def test_files_of_a_lab_leave_nothing_behind(folder, monkeypatch):
-    """`given` is a name that every lab has: what another lab put there stands as before, and the path is as it was."""
+    """`given` is a name that every lab has: what another lab put there stands as before, and the
+    path is as it was.
+    """
     other = object()
     monkeypatch.setitem(sys.modules, "given", other)
     before = list(sys.path)
@@ -48,7 +58,9 @@ def test_files_of_a_lab_leave_nothing_behind(folder, monkeypatch):
 
 
 def test_judges_see_the_numbers_of_their_course(folder):
-    """By hand: 3 kg times 7 m/s^2 are 21 N, not the 30 N of the open course; what given.py computes follows."""
+    """By hand: 3 kg times 7 m/s^2 are 21 N, not the 30 N of the open course; what given.py computes
+    follows.
+    """
     (values,) = load_judges(folder, Course({"gravity": 7.0}))["weight"]
     assert values.reference(3.0) == 21.0
     assert load_module(folder, "given").COHORT == {"gravity": 10.0}
@@ -61,11 +73,15 @@ def test_judges_see_the_numbers_of_their_course(folder):
 @pytest.mark.parametrize(
     ("file", "text", "sentence"),
     [
-        ("checks.py", "LAB = 3", "want LAB"),
+        ("checks.py", "LAB = 3", "expected LAB"),
         ("checks.py", "import given\n1 / 0", "checks.py: running it failed with ZeroDivisionError"),
         ("given.py", "COHORT = {", "given.py: running it failed with SyntaxError"),
-        ("hidden.py", "def judges(course):\n    return {}", r"want judges of \['weight'\], got \[\]"),
-        ("hidden.py", None, "want this file of the lab, found none"),
+        (
+            "hidden.py",
+            "def judges(course):\n    return {}",
+            r"expected judges of \['weight'\], got \[\]",
+        ),
+        ("hidden.py", None, "expected this file of the lab, found none"),
     ],
 )
 def test_spoilt_lab_is_refused_in_one_sentence(folder, file, text, sentence):

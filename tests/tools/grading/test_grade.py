@@ -1,4 +1,6 @@
-"""falconwing grade: damaged notebooks, a worker that is killed, a run that is killed, and grading again."""
+"""falconwing grade: damaged notebooks, a worker that is killed, a run that is killed, and grading
+again.
+"""
 
 import json
 import os
@@ -13,8 +15,8 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.cli import grade as verbs
 from falconwing_kit.tools.cli.grade import Grade, Sandbox
-from falconwing_kit.tools.grading.records import last_records, read_records
-from falconwing_kit.tools.grading.sandbox.probe import Finding
+from falconwing_kit.tools.grading.records import last_records, read_grade_records
+from falconwing_kit.tools.grading.sandbox.probe import ProbeResult
 from tests.tools.grading import toys
 
 pytestmark = toys.needs_box
@@ -25,25 +27,36 @@ DAMAGE = {
     "whole": (toys.notebook_bytes(*SOURCES), 75.0),
     "duplicated": (toys.notebook_bytes(*SOURCES, *SOURCES), 75.0),
     "duplicated untouched": (
-        toys.notebook_bytes(*SOURCES, "def stretch(x, gain):\n    raise NotImplementedError('write stretch')"),
+        toys.notebook_bytes(
+            *SOURCES, "def stretch(x, gain):\n    raise NotImplementedError('write stretch')"
+        ),
         75.0,
     ),
     "reordered": (toys.notebook_bytes(*reversed(SOURCES)), 75.0),
     "joined": (toys.notebook_bytes("\n".join(SOURCES)), 75.0),
-    "ids and metadata lost": (toys.notebook_bytes(*SOURCES, nbformat=3, nbformat_minor=0, metadata=None), 75.0),
+    "ids and metadata lost": (
+        toys.notebook_bytes(*SOURCES, nbformat=3, nbformat_minor=0, metadata=None),
+        75.0,
+    ),
     "split inside a function": (toys.notebook_bytes(toys.HEAD, *SPLIT, toys.BRAKE), 25.0),
     "split between functions": (toys.notebook_bytes("import numpy as np", *SOURCES), 75.0),
     "deleted": (toys.notebook_bytes(toys.HEAD, toys.BRAKE), 25.0),
-    "turned to markdown": (toys.notebook_bytes(toys.HEAD, toys.cell(toys.STRETCH, "markdown"), toys.BRAKE), 25.0),
+    "turned to markdown": (
+        toys.notebook_bytes(toys.HEAD, toys.cell(toys.STRETCH, "markdown"), toys.BRAKE),
+        25.0,
+    ),
     "no import": (toys.notebook_bytes(toys.STRETCH, toys.BRAKE), 25.0),
     "wrong kernel": (
         toys.notebook_bytes(
-            "x <- c(1, 2)\nstretch <- function(x, gain) gain * x", metadata={"kernelspec": {"name": "ir"}}
+            "x <- c(1, 2)\nstretch <- function(x, gain) gain * x",
+            metadata={"kernelspec": {"name": "ir"}},
         ),
         0.0,
     ),
     "20 MB of outputs": (
-        toys.notebook_bytes(*SOURCES, toys.cell("1", outputs=[]) | {"outputs": [{"text": "x" * 20_000_000}]}),
+        toys.notebook_bytes(
+            *SOURCES, toys.cell("1", outputs=[]) | {"outputs": [{"text": "x" * 20_000_000}]}
+        ),
         75.0,
     ),
     "40 MB of outputs": (toys.notebook_bytes(*SOURCES) + b" " * 40_000_000, None),
@@ -55,7 +68,7 @@ DAMAGE = {
 }
 
 
-PROBED = verbs._require_box
+PROBED = verbs._require_sandbox
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -76,16 +89,24 @@ def write_class(folder, names_and_bytes):
 
 def test_damaged_notebooks_never_stop_a_class(tmp_path, capsys):
     """Points by hand, for what is still there; what cannot be read is said in words and has none."""
-    students = write_class(tmp_path / "students", ((name, data) for name, (data, _) in DAMAGE.items()))
+    students = write_class(
+        tmp_path / "students", ((name, data) for name, (data, _) in DAMAGE.items())
+    )
     assert Grade(str(toys.LAB), students, tmp_path / "out").run() == 0
-    records = last_records(read_records(tmp_path / "out"))
-    found = {name: each["points"] if each["status"] == "graded" else None for name, each in records.items()}
+    records = last_records(read_grade_records(tmp_path / "out"))
+    found = {
+        name: each["points"] if each["status"] == "graded" else None
+        for name, each in records.items()
+    }
     assert found == {name: points for name, (_, points) in DAMAGE.items()}
     assert all(each["problem"] for each in records.values() if each["status"] == "unreadable")
     assert "code cell 2 is not Python" in json.dumps(records["split inside a function"])
     shown = capsys.readouterr().out
-    assert "! empty: unreadable: the notebook: want a Jupyter notebook" in shown
-    assert f"{sum(p is not None for _, p in DAMAGE.values())} of {len(DAMAGE)} submissions graded" in shown
+    assert "! empty: unreadable: the notebook: expected a Jupyter notebook" in shown
+    assert (
+        f"{sum(p is not None for _, p in DAMAGE.values())} of {len(DAMAGE)} submissions graded"
+        in shown
+    )
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +118,10 @@ def undisturbed(tmp_path_factory):
     students = write_class(
         folder / "students",
         (
-            (f"student{n}", toys.notebook_bytes(toys.HEAD, half if n % 2 else toys.STRETCH, toys.BRAKE))
+            (
+                f"student{n}",
+                toys.notebook_bytes(toys.HEAD, half if n % 2 else toys.STRETCH, toys.BRAKE),
+            )
             for n in range(6)
         ),
     )
@@ -117,7 +141,9 @@ def command(students, out, *more):
         "--out",
         str(out),
     ]
-    return subprocess.Popen([*words, *more], cwd=Path(__file__).parents[3], stdout=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        [*words, *more], cwd=Path(__file__).parents[3], stdout=subprocess.PIPE, text=True
+    )
 
 
 def with_secret_of(earlier, out):
@@ -127,7 +153,7 @@ def with_secret_of(earlier, out):
 
 
 def records_in(out):
-    return last_records(read_records(out))
+    return last_records(read_grade_records(out))
 
 
 def children(process):
@@ -157,29 +183,35 @@ def test_killed_worker_changes_nothing(undisturbed, tmp_path):
     students, earlier = undisturbed
     out = with_secret_of(earlier, tmp_path / "out")
     run = command(students, out, "--json")
-    wait_for(lambda: len(read_records(out)) >= 1)
-    workers = [each for each in children(run.pid) if b"spawn_main" in Path(f"/proc/{each}/cmdline").read_bytes()]
+    wait_for(lambda: len(read_grade_records(out)) >= 1)
+    workers = [
+        each
+        for each in children(run.pid)
+        if b"spawn_main" in Path(f"/proc/{each}/cmdline").read_bytes()
+    ]
     assert len(workers) == 2
     os.kill(workers[0], signal.SIGKILL)
     run.communicate(timeout=120)
     assert run.returncode == 0
     assert records_in(out) == records_in(earlier)
-    assert len(read_records(out)) == 6
+    assert len(read_grade_records(out)) == 6
     assert toys.groups_left() == []
 
 
 def test_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
-    """The whole run is killed after two records; --resume does the others and leaves those two as they are."""
+    """The whole run is killed after two records; --resume does the others and leaves those two as
+    they are.
+    """
     students, earlier = undisturbed
     out = with_secret_of(earlier, tmp_path / "out")
     run = command(students, out)
-    wait_for(lambda: len(read_records(out)) >= 2)
+    wait_for(lambda: len(read_grade_records(out)) >= 2)
     workers = children(run.pid)
     run.kill()
     run.communicate()
     wait_for(lambda: not any(Path(f"/proc/{each}").exists() for each in workers))
     done = (out / "records.jsonl").read_bytes()
-    assert len(read_records(out)) < 6
+    assert len(read_grade_records(out)) < 6
     with (out / "records.jsonl").open("ab") as file:
         file.write(b'{"student": "half a li')
     assert Grade(str(toys.LAB), students, out, resume=True, json=True).run() == 0
@@ -202,9 +234,13 @@ def test_regrade_is_bit_identical_and_resume_does_nothing_twice(undisturbed, cap
 
 
 def test_salt_changes_the_course(undisturbed, tmp_path):
-    """A function with the open course's number instead of COHORT's is wrong in another course, and right in its own."""
+    """A function with the open course's number instead of COHORT's is wrong in another course, and
+    right in its own.
+    """
     fixed = "def stretch(x, gain):\n    return gain * x + 2.5"
-    students = write_class(tmp_path / "students", [("ada", toys.notebook_bytes(toys.HEAD, fixed, toys.BRAKE))])
+    students = write_class(
+        tmp_path / "students", [("ada", toys.notebook_bytes(toys.HEAD, fixed, toys.BRAKE))]
+    )
     for salt, points in (("", 75.0), ("pepper", 25.0)):
         out = tmp_path / f"out{salt}"
         assert Grade(str(toys.LAB), students, out, workers=1, salt=salt, json=True).run() == 0
@@ -216,13 +252,21 @@ def test_a_hole_stops_the_grading_unless_it_is_accepted(tmp_path, monkeypatch):
     students = write_class(tmp_path / "students", [("ada", toys.notebook_bytes(*SOURCES))])
     monkeypatch.setattr(verbs, "_require_box", PROBED)
     monkeypatch.setattr(
-        "falconwing_kit.tools.grading.sandbox.probe.probe", lambda: [Finding("network", False, "a port")]
+        "falconwing_kit.tools.grading.sandbox.probe.probe",
+        lambda: [ProbeResult("network", False, "a port")],
     )
     with pytest.raises(InputError, match="network: a port"):
         Grade(str(toys.LAB), students, tmp_path / "out").run()
     assert not (tmp_path / "out").exists()
-    assert Grade(str(toys.LAB), students, tmp_path / "out", workers=1, unsafe_no_sandbox=True, json=True).run() == 0
-    assert [(each["points"], each["sandboxed"]) for each in read_records(tmp_path / "out")] == [(75.0, False)]
+    assert (
+        Grade(
+            str(toys.LAB), students, tmp_path / "out", workers=1, unsafe_no_sandbox=True, json=True
+        ).run()
+        == 0
+    )
+    assert [
+        (each["points"], each["sandboxed"]) for each in read_grade_records(tmp_path / "out")
+    ] == [(75.0, False)]
     assert Sandbox("probe", json=True).run() == 1
     assert verbs.Sandbox("probe").run() == 1
 
@@ -237,6 +281,8 @@ def test_judge_that_fails_is_for_a_person(tmp_path, capsys):
     (lab / "hidden.py").write_text(broken)
     students = write_class(tmp_path / "students", [("ada", toys.notebook_bytes(*SOURCES))])
     assert Grade(str(lab), students, tmp_path / "out", workers=1, unsafe_no_sandbox=True).run() == 1
-    record = read_records(tmp_path / "out")[0]
+    record = read_grade_records(tmp_path / "out")[0]
     assert (record["status"], record["points"]) == ("error", None)
-    assert "! ada: error: stretch: the judge does not know its own answer" in capsys.readouterr().out
+    assert (
+        "! ada: error: stretch: the judge does not know its own answer" in capsys.readouterr().out
+    )

@@ -1,4 +1,6 @@
-"""Gradebook: points added up, a person's points merged, nothing final before it is, no cell taken for a formula."""
+"""Gradebook: points added up, a person's points merged, nothing final before it is, no cell taken
+for a formula.
+"""
 
 import csv
 
@@ -6,7 +8,7 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.course.gradebook import (
-    ByPerson,
+    ManualGrade,
     gradescope_results,
     make_entries,
     read_rubric,
@@ -34,15 +36,20 @@ def write(path, *lines):
 
 
 def test_total_is_machine_and_person(tmp_path):
-    """By hand: 75 + 20, 50 + 7.5; nothing for who could not be graded, or has no person's points yet."""
+    """By hand: 75 + 20, 50 + 7.5; nothing for who could not be graded, or has no person's points
+    yet.
+    """
     points = {
-        "ada": ByPerson({"figure": 20.0}, "good"),
-        "=bob": ByPerson({"figure": 7.5}),
-        "cleo": ByPerson({"figure": 1}),
+        "ada": ManualGrade({"figure": 20.0}, "good"),
+        "=bob": ManualGrade({"figure": 7.5}),
+        "cleo": ManualGrade({"figure": 1}),
     }
     entries = make_entries(LAB, RECORDS, points)
     write_gradebook(tmp_path / "book.csv", LAB, entries)
-    found = {row["student"]: (row["machine"], row["figure"], row["total"]) for row in rows(tmp_path / "book.csv")}
+    found = {
+        row["student"]: (row["machine"], row["figure"], row["total"])
+        for row in rows(tmp_path / "book.csv")
+    }
     assert found == {
         "'=bob": ("50.0", "7.5", "57.5"),
         "ada": ("75.0", "20.0", "95.0"),
@@ -54,31 +61,44 @@ def test_total_is_machine_and_person(tmp_path):
 
 def test_platform_gets_only_what_is_final(tmp_path):
     """A blank that a platform took for a zero would cost a student points."""
-    entries = make_entries(LAB, RECORDS, {"ada": ByPerson({"figure": 20.0}, "good")})
+    entries = make_entries(LAB, RECORDS, {"ada": ManualGrade({"figure": 20.0}, "good")})
     write_platform_csv(tmp_path / "out.csv", LAB, entries)
-    assert rows(tmp_path / "out.csv") == [{"student": "ada", "lab00 [of 100]": "95.0", "comment": "good"}]
+    assert rows(tmp_path / "out.csv") == [
+        {"student": "ada", "lab00 [of 100]": "95.0", "comment": "good"}
+    ]
 
 
 def test_points_of_the_page_come_back(tmp_path):
-    """As the page saves them: the formula mark stays in front of a name, empty cells are not graded yet."""
-    file = write(tmp_path / "p.csv", "student,figure,comment", 'ada,"12,5","well, done"', "'=bob,,'=1+1", "dan,0,")
+    """As the page saves them: the formula mark stays in front of a name, empty cells are not graded
+    yet.
+    """
+    file = write(
+        tmp_path / "p.csv",
+        "student,figure,comment",
+        'ada,"12,5","well, done"',
+        "'=bob,,'=1+1",
+        "dan,0,",
+    )
     found = read_rubric(file, LAB, RECORDS)
-    assert found["ada"] == ByPerson({"figure": 12.5}, "well, done")
-    assert found["=bob"] == ByPerson({}, "=1+1")
+    assert found["ada"] == ManualGrade({"figure": 12.5}, "well, done")
+    assert found["=bob"] == ManualGrade({}, "=1+1")
     assert found["dan"].points == {"figure": 0.0}
 
 
 @pytest.mark.parametrize(
     ("lines", "why"),
     [
-        (["student,figure", "ada,26"], "want 0 to 25 points for figure, got '26'"),
-        (["student,figure", "ada,-1"], "want 0 to 25"),
-        (["student,figure", "ada,nan"], "want 0 to 25"),
-        (["student,figure", "ada,many"], "want 0 to 25"),
+        (["student,figure", "ada,26"], "expected 0 to 25 points for figure, got '26'"),
+        (["student,figure", "ada,-1"], "expected 0 to 25"),
+        (["student,figure", "ada,nan"], "expected 0 to 25"),
+        (["student,figure", "ada,many"], "expected 0 to 25"),
         (["student,figure", "eve,3"], "got 'eve' without a record"),
         (["student,figure", "ada,3", "ada,4"], "got 'ada' twice"),
-        (["student,figur", "ada,3"], "want the columns student, figure, comment, got student, figur"),
-        (["figure", "3"], "want the columns"),
+        (
+            ["student,figur", "ada,3"],
+            "expected the columns student, figure, comment, got student, figur",
+        ),
+        (["figure", "3"], "expected the columns"),
     ],
 )
 def test_points_that_cannot_be_meant_are_refused(tmp_path, lines, why):
@@ -88,11 +108,17 @@ def test_points_that_cannot_be_meant_are_refused(tmp_path, lines, why):
 
 
 def test_gradescope_adds_up():
-    """Gradescope shows the score beside its tests: their sum, by hand 25 + 25 + 10, and says how each one went."""
-    (entry,) = make_entries(LAB, {"=bob": RECORDS["=bob"]}, {"=bob": ByPerson({"figure": 10.0}, "see me")})
+    """Gradescope shows the score beside its tests: their sum, by hand 25 + 25 + 10, and says how
+    each one went.
+    """
+    (entry,) = make_entries(
+        LAB, {"=bob": RECORDS["=bob"]}, {"=bob": ManualGrade({"figure": 10.0}, "see me")}
+    )
     found = gradescope_results(entry, {"stretch": "2 of 4"})
     assert (found["score"], found["output"]) == (60.0, "see me")
-    shown = [(test["name"], test["score"], test["max_score"], test["status"]) for test in found["tests"]]
+    shown = [
+        (test["name"], test["score"], test["max_score"], test["status"]) for test in found["tests"]
+    ]
     assert shown == [
         ("stretch", 25.0, 50.0, "failed"),
         ("brake", 25.0, 25.0, "passed"),
@@ -102,8 +128,12 @@ def test_gradescope_adds_up():
 
 
 def test_files_of_students_never_meet():
-    """Names that differ only in what a file's name cannot hold, or lead out of the folder, have files of their own."""
+    """Names that differ only in what a file's name cannot hold, or lead out of the folder, have
+    files of their own.
+    """
     names = ["a b", "a_b", "a/b", "..", ".", "a\\b", "A b", "=1"]
-    files = [entry.file_name for entry in make_entries(LAB, {name: record(name) for name in names}, {})]
+    files = [
+        entry.file_name for entry in make_entries(LAB, {name: record(name) for name in names}, {})
+    ]
     assert len(set(files)) == len(names)
     assert all(not set(file) & set("/\\. ") for file in files)

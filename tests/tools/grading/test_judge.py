@@ -1,4 +1,6 @@
-"""Judge: right answers count, others say how they failed, and our own mistakes are not the student's."""
+"""Judge: right answers count, others say how they failed, and our own mistakes are not the
+student's.
+"""
 
 import json
 import pickle
@@ -10,7 +12,13 @@ import numpy as np
 import pytest
 
 from falconwing_kit.tools.grading.find import load_checks
-from falconwing_kit.tools.grading.judge import Assignment, JudgeError, Work, grade_one, judge
+from falconwing_kit.tools.grading.judge import (
+    Assignment,
+    GradingTask,
+    JudgeError,
+    evaluate_cases,
+    grade_submission,
+)
 from falconwing_kit.tools.grading.lab import Trials, Values
 from falconwing_kit.tools.grading.sandbox.box import StudentError
 from falconwing_kit.tools.grading.submissions import Submission, find_submissions
@@ -20,7 +28,7 @@ DOUBLE = Values(lambda rng: (rng.normal(size=3),), lambda x: 2.0 * x, cases=3)
 
 
 def ways(function, *judges):
-    return judge(function, judges or (DOUBLE,), np.random.default_rng(0))
+    return evaluate_cases(function, judges or (DOUBLE,), np.random.default_rng(0))
 
 
 def silent(*_):
@@ -47,7 +55,9 @@ def test_every_case_says_how_it_failed(function, way):
 
 
 def test_trials_pass_or_fail():
-    """Two of four streams draw above a half with this seed or not; the answer of a text breaks our own arithmetic."""
+    """Two of four streams draw above a half with this seed or not; the answer of a text breaks our
+    own arithmetic.
+    """
     trials = Trials(lambda f, rng: bool(f(1.0) + 1.0 == 3.0), trials=2)
     assert ways(lambda x: 2.0 * x, trials) == ["right"] * 2
     assert ways(lambda x: 3.0 * x, trials) == ["trial failed"] * 2
@@ -83,13 +93,17 @@ def handed_in(tmp_path):
     def grade(*cells, seed="", secret="s", name="ada.ipynb", data=None):
         (tmp_path / name).write_bytes(toys.notebook_bytes(*cells) if data is None else data)
         (submission,) = find_submissions(tmp_path / name, "lab00")
-        return grade_one(Work(submission, seed), Assignment(toys.LAB, "", secret, sandboxed=False))
+        return grade_submission(
+            GradingTask(submission, seed), Assignment(toys.LAB, "", secret, sandboxed=False)
+        )
 
     return grade
 
 
 def test_points_are_shares_of_cases(handed_in):
-    """stretch wrong for gains above 1.5, which this seed draws for some of its four cases; brake right: 25 points."""
+    """stretch wrong for gains above 1.5, which this seed draws for some of its four cases; brake
+    right: 25 points.
+    """
     half = "def stretch(x, gain):\n    return gain * x + COHORT['offset'] * (gain < 1.5)"
     record = handed_in(toys.HEAD, half, toys.BRAKE, seed="2")
     stretch = record["exercises"]["stretch"]
@@ -109,7 +123,9 @@ def test_same_seed_gives_the_same_record_and_another_other_cases(handed_in):
 
 
 def test_seed_follows_from_secret_student_and_notebook(handed_in):
-    """A student who hands in the same file under another name gets other cases; nobody can know them beforehand."""
+    """A student who hands in the same file under another name gets other cases; nobody can know
+    them beforehand.
+    """
     seeds = {
         handed_in(toys.HEAD)["seed"],
         handed_in(toys.HEAD, secret="t")["seed"],
@@ -122,7 +138,9 @@ def test_seed_follows_from_secret_student_and_notebook(handed_in):
 
 def test_untouched_and_missing_functions_have_no_points(handed_in):
     """The stub says so itself; a missing function too, for every case."""
-    record = handed_in(toys.HEAD, "def stretch(x, gain):\n    raise NotImplementedError('write stretch')")
+    record = handed_in(
+        toys.HEAD, "def stretch(x, gain):\n    raise NotImplementedError('write stretch')"
+    )
     assert record["points"] == 0.0
     assert record["exercises"]["stretch"]["categories"] == {"not written": 4}
     assert record["exercises"]["brake"]["categories"] == {"missing": 3}
@@ -133,11 +151,13 @@ def test_unreadable_notebook_is_recorded(handed_in):
     """No points, the reason, and the file's fingerprint."""
     record = handed_in(data=b"{")
     assert (record["status"], record["points"], len(record["sha256"])) == ("unreadable", 0.0, 64)
-    assert "want a Jupyter notebook" in record["problem"]
+    assert "expected a Jupyter notebook" in record["problem"]
 
 
 def test_notebook_of_an_older_kit_is_recorded_in_one_sentence(tmp_path):
-    """Lab 4's own solution has all points; as 0.1 built it, without a version, it has none and the reason is said."""
+    """Lab 4's own solution has all points; as 0.1 built it, without a version, it has none and the
+    reason is said.
+    """
     folder = Path(__file__).parents[3] / "labs" / "lab04_aircraft"
     new = (folder / "solution" / "lab04.ipynb").read_text()
     old = json.loads(re.sub(r"\*Notebook of falconwing-kit [0-9.]+\*", "", new)) | {"metadata": {}}
@@ -145,8 +165,15 @@ def test_notebook_of_an_older_kit_is_recorded_in_one_sentence(tmp_path):
     for text in (new, json.dumps(old)):
         (tmp_path / "lab04.ipynb").write_text(text)
         (submission,) = find_submissions(tmp_path / "lab04.ipynb", "lab04")
-        records.append(grade_one(Work(submission, "1"), Assignment(folder, "", "s", sandboxed=False)))
-    assert [(each["status"], each["points"]) for each in records] == [("graded", 75.0), ("unreadable", 0.0)]
+        records.append(
+            grade_submission(
+                GradingTask(submission, "1"), Assignment(folder, "", "s", sandboxed=False)
+            )
+        )
+    assert [(each["status"], each["points"]) for each in records] == [
+        ("graded", 75.0),
+        ("unreadable", 0.0),
+    ]
     assert records[1]["problem"] == (
         "lab04.ipynb: expected a notebook of falconwing-kit 0.2, got one of 0.1: "
         "download the new notebook and copy your answers over"
@@ -155,9 +182,12 @@ def test_notebook_of_an_older_kit_is_recorded_in_one_sentence(tmp_path):
 
 def test_work_and_assignment_can_be_sent():
     """What a cluster needs: all of it can be pickled, and comes back equal."""
-    work = (Work(Submission("ada", toys.LAB / "x.ipynb", ("a.ipynb",), (1.0,))), Assignment(toys.LAB, "s", "t"))
+    work = (
+        GradingTask(Submission("ada", toys.LAB / "x.ipynb", ("a.ipynb",), (1.0,))),
+        Assignment(toys.LAB, "s", "t"),
+    )
     assert pickle.loads(pickle.dumps(work)) == work
-    assert pickle.loads(pickle.dumps(grade_one)) is grade_one
+    assert pickle.loads(pickle.dumps(grade_submission)) is grade_submission
 
 
 def test_toy_lab_sums_to_its_points():

@@ -1,4 +1,6 @@
-"""One source gives two notebooks: the student's without any solution, the solution's without its markers."""
+"""One source gives two notebooks: the student's without any solution, the solution's without its
+markers.
+"""
 
 import json
 
@@ -8,7 +10,12 @@ import pytest
 from falconwing_kit import __version__
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.collect import parse_notebook
-from falconwing_kit.tools.grading.notebooks import build, read_cells, stale_notebooks, write_notebooks
+from falconwing_kit.tools.grading.notebooks import (
+    build,
+    read_cells,
+    stale_notebooks,
+    write_notebooks,
+)
 from tests.tools.grading.small_lab import SOURCE, write_small_lab
 
 
@@ -26,12 +33,22 @@ def sources(text):
 def test_student_gets_the_cells_without_what_is_to_be_written(folder):
     """By hand, from the small lab's source: seven cells, the one for instructors left out."""
     student = sources(build(folder)[folder / "lab01.ipynb"])
-    assert [kind for kind, _ in student] == ["markdown", "code", "code", "code", "code", "markdown", "markdown"]
+    assert [kind for kind, _ in student] == [
+        "markdown",
+        "code",
+        "code",
+        "code",
+        "code",
+        "markdown",
+        "markdown",
+    ]
     assert student[2][1] == (
         'def weight(mass):\n    """Weight [N] of a mass [kg]."""\n    raise NotImplementedError("write weight")'
     )
     assert student[-1][1] == "*Your answer:*"
-    assert not any("Earth" in text or "instructors" in text or "newtons" in text for _, text in student)
+    assert not any(
+        "Earth" in text or "instructors" in text or "newtons" in text for _, text in student
+    )
 
 
 def test_solution_has_everything_but_the_markers(folder):
@@ -45,7 +62,9 @@ def test_solution_has_everything_but_the_markers(folder):
 
 def test_words_for_the_formatter_are_left_out(folder):
     """They are for who writes the source; a student would wonder."""
-    (folder / "lab.py").write_text(SOURCE.replace("print(weight(2.0))", "print(weight(2.0))  # fmt: skip"))
+    (folder / "lab.py").write_text(
+        SOURCE.replace("print(weight(2.0))", "print(weight(2.0))  # fmt: skip")
+    )
     assert all('"print(weight(2.0))"' in text for text in build(folder).values())
 
 
@@ -55,18 +74,26 @@ def test_notebooks_are_valid_and_keep_what_cells_are_for(folder):
         notebook = nbformat.reads(text, as_version=4)
         nbformat.validate(notebook)
         marks = [dict(cell.metadata) for cell in notebook.cells if cell.metadata]
-        assert {"exercise": "weight"} in marks and {"figure": "line"} in marks and {"answer": "q1"} in marks
+        assert (
+            {"exercise": "weight"} in marks
+            and {"figure": "line"} in marks
+            and {"answer": "q1"} in marks
+        )
         assert all(not cell.get("outputs") for cell in notebook.cells)
 
 
 def test_notebooks_carry_the_kits_version(folder):
-    """In the metadata, and below the title for whoever reads it or drops the metadata: the first two numbers of it."""
+    """In the metadata, and below the title for whoever reads it or drops the metadata: the first
+    two numbers of it.
+    """
     version = ".".join(__version__.split(".")[:2])
     for text in build(folder).values():
         assert json.loads(text)["metadata"]["falconwing_kit"] == version
         assert sources(text)[0][1].endswith(f"\n\n*Notebook of falconwing-kit {version}.*")
         stripped = json.dumps(json.loads(text) | {"metadata": {}}).encode()
-        assert parse_notebook(text.encode(), "a").kit == parse_notebook(stripped, "a").kit == version
+        assert (
+            parse_notebook(text.encode(), "a").kit == parse_notebook(stripped, "a").kit == version
+        )
 
 
 def test_stale_notebooks_are_told_and_mended(folder):
@@ -78,7 +105,9 @@ def test_stale_notebooks_are_told_and_mended(folder):
     assert stale_notebooks(folder) == [folder / "lab01.ipynb"]
     write_notebooks(folder)
     (folder / "lab.py").write_text(SOURCE.replace("newtons", "force"))
-    assert stale_notebooks(folder) == [folder / "solution" / "lab01.ipynb"]  # the student's does not show it
+    assert stale_notebooks(folder) == [
+        folder / "solution" / "lab01.ipynb"
+    ]  # the student's does not show it
 
 
 @pytest.mark.parametrize(
@@ -90,7 +119,7 @@ def test_stale_notebooks_are_told_and_mended(folder):
             'figure="line"\n# BEGIN SOLUTION\n# END SOLUTION\n',
             "once in an exercise and nowhere else",
         ),
-        ("def weight", "def heaviness", "want the function weight"),
+        ("def weight", "def heaviness", "expected the function weight"),
         ('figure="line"', 'exercise="weight"', "once in an exercise"),
         ('check="weight"', 'figure="line"', "got twice: figure line"),
         ('[markdown] answer="q1"', 'answer="q1"', "answers alone in markdown"),

@@ -1,4 +1,6 @@
-"""Frames: what goes in comes out as it was; whatever else comes is refused before it costs anything."""
+"""Frames: what goes in comes out as it was; whatever else comes is refused before it costs
+anything.
+"""
 
 import io
 import json
@@ -29,7 +31,21 @@ def there_and_back(value):
 
 @pytest.mark.parametrize(
     "value",
-    [None, True, False, 0, -(2**62), 0.1, -0.0, "", "alpha β ✓", (), (1, 2.0, "x"), [1, [2, (3,)]], {"a": {"b": (1,)}}],
+    [
+        None,
+        True,
+        False,
+        0,
+        -(2**62),
+        0.1,
+        -0.0,
+        "",
+        "alpha β ✓",
+        (),
+        (1, 2.0, "x"),
+        [1, [2, (3,)]],
+        {"a": {"b": (1,)}},
+    ],
 )
 def test_plain_values_come_back_as_they_were(value):
     """A law: there and back is nothing; the kinds too, tuples stay tuples and True is not 1."""
@@ -41,7 +57,9 @@ def test_plain_values_come_back_as_they_were(value):
 
 @pytest.mark.parametrize("name", DTYPES)
 def test_arrays_come_back_bit_by_bit(name):
-    """A law; from a transposed, a big-endian, an empty and a read-only array, and the copy can be written."""
+    """A law; from a transposed, a big-endian, an empty and a read-only array, and the copy can be
+    written.
+    """
     base = np.arange(-6, 6).reshape(3, 4).astype(name)
     for array in (base, base.T, base[:, ::2], base[:0], base.astype(base.dtype.newbyteorder(">"))):
         array.flags.writeable = False
@@ -135,7 +153,9 @@ def deep(levels):
     ids=lambda header: json.dumps(header)[:30],
 )
 def test_other_headers_are_refused(header):
-    """Each breaks one rule of the protocol; the body has bytes to spare, so that no length explains it."""
+    """Each breaks one rule of the protocol; the body has bytes to spare, so that no length explains
+    it.
+    """
     with pytest.raises(FrameError):
         unpack(json.dumps(header).encode(), bytes(64))
 

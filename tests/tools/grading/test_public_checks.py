@@ -15,10 +15,10 @@ from falconwing_kit.tools.grading.notebooks import write_notebooks
 from falconwing_kit.tools.grading.public_checks import (
     check,
     check_notebook,
+    exercise_state,
     foreign_modules,
-    printable,
     run_checks,
-    state_of,
+    to_printable,
 )
 from tests.tools.grading.small_lab import CHECKS, SOURCE, write_small_lab
 
@@ -49,7 +49,10 @@ def test_wrong_function_is_told_what_it_gave_and_where_to_look(folder, capsys):
     """By hand: 9 instead of 10 for 1 kg, but 0 for nothing."""
     said = said_of(lambda mass: 9.0 * mass, capsys)
     assert said.startswith("✗ weight: 1 of 2 public checks passed\n")
-    assert "✗ failed: 1 kg weighs what your course says\n       called with (1) it gave 9\n       multiply\n" in said
+    assert (
+        "✗ failed: 1 kg weighs what your course says\n       called with (1) it gave 9\n       multiply\n"
+        in said
+    )
 
 
 def test_function_that_raises_is_told_so(folder, capsys):
@@ -74,7 +77,7 @@ def test_anything_else_gets_a_sentence(folder, capsys, value, name):
     if name:
         value.__name__ = name
     check(value)
-    assert "want one of the functions weight" in capsys.readouterr().out
+    assert "expected one of the functions weight" in capsys.readouterr().out
 
 
 def test_notebook_elsewhere_gets_a_sentence(tmp_path, monkeypatch, capsys):
@@ -82,14 +85,17 @@ def test_notebook_elsewhere_gets_a_sentence(tmp_path, monkeypatch, capsys):
     (tmp_path / "downloads" / "new").mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "downloads" / "new")
     check(len)
-    assert "want the notebook to run in its lab's folder" in capsys.readouterr().out
+    assert "expected the notebook to run in its lab's folder" in capsys.readouterr().out
 
 
 def test_answer_that_cannot_be_used_fails_the_check():
     """None < 3 raises in the check, not in the function; it is the answer that is wrong."""
     exercise = Exercise("f", 1.0, (Check("small", lambda f: f(1) < 3, "return a number"),))
     (outcome,) = run_checks(exercise, lambda x: None)
-    assert outcome.state == "failed" and "it gave None, which could not be used: TypeError" in outcome.said
+    assert (
+        outcome.state == "failed"
+        and "it gave None, which could not be used: TypeError" in outcome.said
+    )
 
 
 def test_claim_about_refusing_holds_when_the_function_raises():
@@ -104,12 +110,12 @@ def test_claim_about_refusing_holds_when_the_function_raises():
 
     def root(x):
         if x < 0:
-            raise ValueError("want x >= 0")
+            raise ValueError("expected x >= 0")
         return x**0.5
 
     exercise = Exercise("root", 1.0, (Check("refuses", refuses, "raise ValueError"),))
-    assert state_of(run_checks(exercise, root)) == "passed"
-    assert state_of(run_checks(exercise, lambda x: 0.0)) == "failed"
+    assert exercise_state(run_checks(exercise, root)) == "passed"
+    assert exercise_state(run_checks(exercise, lambda x: 0.0)) == "failed"
 
 
 def test_kit_and_other_libraries_are_named_wherever_they_are_used():
@@ -125,7 +131,10 @@ def test_kit_and_other_libraries_are_named_wherever_they_are_used():
         "def late(x):\n    import falconwing_kit.scene\n    return fine(x)\n",
         space,
     )
-    named = {name: foreign_modules(space[name], ("numpy",)) for name in ("fine", "kit", "deep", "draws", "late")}
+    named = {
+        name: foreign_modules(space[name], ("numpy",))
+        for name in ("fine", "kit", "deep", "draws", "late")
+    }
     assert named["fine"] == set()
     assert named["kit"] == named["deep"] == {"falconwing_kit.core.frames"}
     assert named["draws"] == {"matplotlib.figure"}
@@ -135,12 +144,16 @@ def test_kit_and_other_libraries_are_named_wherever_they_are_used():
 def test_terminal_without_the_symbols_gets_plain_ones(monkeypatch):
     """Windows' old code page has no check mark; a print must not fail for it."""
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding="cp1252"))
-    assert printable("✓ ✗ ○") == "+ x o"
+    assert to_printable("✓ ✗ ○") == "+ x o"
 
 
 def notebook_of(folder, weight):
     """The small lab's notebook with this body of its function; without one, as it is handed out."""
-    source = SOURCE if weight is None else SOURCE.replace('newtons = COHORT["gravity"] * mass\n\n', weight + "\n")
+    source = (
+        SOURCE
+        if weight is None
+        else SOURCE.replace('newtons = COHORT["gravity"] * mass\n\n', weight + "\n")
+    )
     (folder / "lab.py").write_text(source)
     write_notebooks(folder)
     return folder / "solution" / "lab01.ipynb" if weight is not None else folder / "lab01.ipynb"
@@ -154,33 +167,50 @@ def notebook_of(folder, weight):
         ('newtons = mass["kg"]', "failed", "called with (1) it raised TypeError"),
         ("import os; os._exit(0)", "failed", "called with (1) it ended Python"),
         ("newtons = object()", "failed", "called with (1) it gave what is no answer"),
-        ("from falconwing_kit.core import frames; newtons = 10.0 * mass", "failed", "raised ModuleNotFoundError"),
+        (
+            "from falconwing_kit.core import frames; newtons = 10.0 * mass",
+            "failed",
+            "raised ModuleNotFoundError",
+        ),
         (None, "not written", ""),
     ],
 )
 def test_notebook_file_is_checked_without_being_run(folder, body, state, said):
     """By hand, as above; the kit is not there, as with the grader, and the problem says so."""
     (report,) = check_notebook(folder, notebook_of(folder, body))
-    assert state_of(report.outcomes) == state
+    assert exercise_state(report.outcomes) == state
     assert said in report.outcomes[0].said
-    assert any("falconwing_kit" in problem for problem in report.problems) == ("falconwing_kit" in (body or ""))
+    assert any("falconwing_kit" in problem for problem in report.problems) == (
+        "falconwing_kit" in (body or "")
+    )
 
 
 def test_notebook_of_an_older_kit_is_refused(folder):
     """A lab whose names changed in 0.2, and a notebook as 0.1 built it: without a version."""
-    (folder / "checks.py").write_text(CHECKS.replace("    constants=", '    notebook_since="0.2",\n    constants=', 1))
+    (folder / "checks.py").write_text(
+        CHECKS.replace("    constants=", '    notebook_since="0.2",\n    constants=', 1)
+    )
     file = notebook_of(folder, 'newtons = COHORT["gravity"] * mass')
-    assert [state_of(report.outcomes) for report in check_notebook(folder, file)] == ["passed"]
+    assert [exercise_state(report.outcomes) for report in check_notebook(folder, file)] == [
+        "passed"
+    ]
     text = re.sub(r"(\\n)*\*Notebook of falconwing-kit [0-9.]+\*", "", file.read_text())
     file.write_text(json.dumps(json.loads(text) | {"metadata": {}}))
-    with pytest.raises(InputError, match=r"^lab01\.ipynb: expected a notebook of falconwing-kit 0\.2, got one of 0\.1"):
+    with pytest.raises(
+        InputError,
+        match=r"^lab01\.ipynb: expected a notebook of falconwing-kit 0\.2, got one of 0\.1",
+    ):
         check_notebook(folder, file)
 
 
 def test_function_that_ends_the_process_costs_the_others_nothing(folder):
-    """Two functions, the first of which ends Python: the second is still right, in a process of its own."""
+    """Two functions, the first of which ends Python: the second is still right, in a process of its
+    own.
+    """
     block = CHECKS[CHECKS.index("        Exercise(") : CHECKS.index("    ),\n    (Criterion")]
-    (folder / "checks.py").write_text(CHECKS.replace(block, block + block.replace("weight", "lift")))
+    (folder / "checks.py").write_text(
+        CHECKS.replace(block, block + block.replace("weight", "lift"))
+    )
     cells = SOURCE[SOURCE.index('# %% exercise="weight"') : SOURCE.index("# %% figure")]
     ends = cells.replace('COHORT["gravity"] * mass', "__import__('os')._exit(1)")
     (folder / "lab.py").write_text(SOURCE.replace(cells, ends + cells.replace("weight", "lift")))
@@ -190,16 +220,29 @@ def test_function_that_ends_the_process_costs_the_others_nothing(folder):
         "called with (1) it ended Python",
         "called with (0) it ended Python",
     ]
-    assert state_of(lift.outcomes) == "passed"
+    assert exercise_state(lift.outcomes) == "passed"
 
 
 def test_verb_says_progress_in_words_and_by_its_exit_code(folder, capsys):
     """0 where every exercise passes, else 1; the small lab has one."""
-    assert main(["check", "lab01", "--notebook", str(notebook_of(folder, 'newtons = COHORT["gravity"] * mass'))]) == 0
+    assert (
+        main(
+            [
+                "check",
+                "lab01",
+                "--notebook",
+                str(notebook_of(folder, 'newtons = COHORT["gravity"] * mass')),
+            ]
+        )
+        == 0
+    )
     assert "1 of 1 exercises pass their public checks, 0 not started" in capsys.readouterr().out
     notebook_of(folder, None)
     assert main(["check", "lab01"]) == 1
     said = capsys.readouterr().out
-    assert "○ not written  weight" in said and "0 of 1 exercises pass their public checks, 1 not started" in said
+    assert (
+        "○ not written  weight" in said
+        and "0 of 1 exercises pass their public checks, 1 not started" in said
+    )
     assert main(["check", "lab01", "--notebook", "nowhere.ipynb"]) == 2
     assert main(["check", "lab02"]) == 2

@@ -9,14 +9,21 @@ from falconwing_kit.tools.grading.records import (
     append_record,
     last_records,
     open_run,
-    read_records,
-    write_gradebook,
+    read_grade_records,
+    write_points_table,
 )
 
 
 def record(student, points, **more):
     done = {"f": {"points": points, "right": 1, "cases": 1}}
-    base = {"points": points, "of": 75.0, "status": "graded", "problem": "", "sandboxed": True, "exercises": done}
+    base = {
+        "points": points,
+        "of": 75.0,
+        "status": "graded",
+        "problem": "",
+        "sandboxed": True,
+        "exercises": done,
+    }
     return {"student": student, **base, **more}
 
 
@@ -24,20 +31,24 @@ def test_last_record_of_a_student_counts(tmp_path):
     """Three lines, two students, by name."""
     for each in (record("bob", 1.0), record("ada", 2.0), record("bob", 3.0)):
         append_record(tmp_path, each)
-    assert len(read_records(tmp_path)) == 3
-    assert [(name, each["points"]) for name, each in last_records(read_records(tmp_path)).items()] == [
+    assert len(read_grade_records(tmp_path)) == 3
+    assert [
+        (name, each["points"]) for name, each in last_records(read_grade_records(tmp_path)).items()
+    ] == [
         ("ada", 2.0),
         ("bob", 3.0),
     ]
 
 
 def test_line_cut_by_a_kill_is_passed_over_and_stays_alone(tmp_path):
-    """Half a line at the end: the next record begins a new one, and no byte that was written is changed."""
+    """Half a line at the end: the next record begins a new one, and no byte that was written is
+    changed.
+    """
     append_record(tmp_path, record("ada", 1.0))
     whole = (tmp_path / "records.jsonl").read_bytes()
     (tmp_path / "records.jsonl").write_bytes(whole + whole[:40])
     append_record(tmp_path, record("bob", 2.0))
-    assert [each["student"] for each in read_records(tmp_path)] == ["ada", "bob"]
+    assert [each["student"] for each in read_grade_records(tmp_path)] == ["ada", "bob"]
     assert (tmp_path / "records.jsonl").read_bytes().startswith(whole + whole[:40] + b"\n")
 
 
@@ -49,7 +60,10 @@ def test_run_remembers_its_secret_and_refuses_another_course(tmp_path):
     assert (tmp_path / "out" / "run.json").stat().st_mode & 0o077 == 0
     for change in ({"lab": "lab04"}, {"salt": "salt"}, {"sandboxed": False}):
         with pytest.raises(InputError, match="earlier run"):
-            open_run(tmp_path / "out", **{"lab": "lab03", "salt": "pepper", "sandboxed": True, "go_on": True, **change})
+            open_run(
+                tmp_path / "out",
+                **{"lab": "lab03", "salt": "pepper", "sandboxed": True, "go_on": True, **change},
+            )
 
 
 def test_records_are_not_overwritten_unasked(tmp_path):
@@ -68,9 +82,11 @@ def test_damaged_run_file_is_said(tmp_path):
 
 
 def test_gradebook_is_a_table_that_runs_no_formula(tmp_path):
-    """A student called =1+1 stays a text; commas and quotes too; no points where a person must look."""
+    """A student called =1+1 stays a text; commas and quotes too; no points where a person must
+    look.
+    """
     odd = record('=1+"1",', None, status="error", problem="the box, it failed", exercises={})
-    path = write_gradebook(tmp_path, ["f", "g"], [odd, record("ada", 2.5)])
+    path = write_points_table(tmp_path, ["f", "g"], [odd, record("ada", 2.5)])
     with path.open(newline="") as handle:
         rows = list(csv.reader(handle))
     assert rows[0] == ["student", "f", "g", "points", "of", "status", "note", "sandboxed"]

@@ -15,7 +15,9 @@ SALT = "a secret of ours, long enough"
 def folder(tmp_path):
     """The small lab, with a route beside it."""
     (tmp_path / "labs").mkdir()
-    (tmp_path / "labs" / "README.md").write_text("# Route\nfirst this\n\n## For instructors\nsecret\n")
+    (tmp_path / "labs" / "README.md").write_text(
+        "# Route\nfirst this\n\n## For instructors\nsecret\n"
+    )
     return write_small_lab(tmp_path / "labs")
 
 
@@ -25,16 +27,23 @@ def handed_out(out):
 
 
 def test_only_what_students_need_is_handed_out(folder, tmp_path):
-    """By hand: notebook, given, checks, numbers, data, route; not the notes, the judges, the solution or the source."""
+    """By hand: notebook, given, checks, numbers, data, route; not the notes, the judges, the
+    solution or the source.
+    """
     files = release([folder], tmp_path / "out")
-    lab = {f"lab01_small/{name}" for name in ("lab01.ipynb", "given.py", "checks.py", "cohort.json", "data/points.csv")}
+    lab = {
+        f"lab01_small/{name}"
+        for name in ("lab01.ipynb", "given.py", "checks.py", "cohort.json", "data/points.csv")
+    }
     assert handed_out(tmp_path / "out") == {"README.md", *lab}
     assert len(files) == 6
     assert (tmp_path / "out" / "README.md").read_text() == "# Route\nfirst this\n"
 
 
 def test_what_a_person_looks_for_is_not_handed_out():
-    """By hand: the words of both criteria go, told by place or by name, and not a letter beside them."""
+    """By hand: the words of both criteria go, told by place or by name, and not a letter beside
+    them.
+    """
     text = """# no \u00fc lost
 LAB = Lab(rubric=(Criterion("\u00fc", 4.0, "a line " "that falls"), Criterion("q1", 6.0, look_for="seven")), hours=2)
 """
@@ -45,11 +54,17 @@ LAB = Lab(rubric=(Criterion("\u00fc", 4.0, ""), Criterion("q1", 6.0, look_for=""
 
 
 def test_salt_draws_other_numbers_and_the_same_again(folder, tmp_path):
-    """The open course has the middle of 9 to 11; two salts differ from it and from each other, one gives the same."""
+    """The open course has the middle of 9 to 11; two salts differ from it and from each other, one
+    gives the same.
+    """
     numbers = []
     for number, salt in enumerate(["", SALT, SALT[::-1], SALT]):
         release([folder], tmp_path / str(number), salt)
-        numbers.append(json.loads((tmp_path / str(number) / "lab01_small" / "cohort.json").read_text())["gravity"])
+        numbers.append(
+            json.loads((tmp_path / str(number) / "lab01_small" / "cohort.json").read_text())[
+                "gravity"
+            ]
+        )
     assert numbers[0] == 10.0 and numbers[1] == numbers[3]
     assert len(set(numbers)) == 3 and all(9.0 <= number <= 11.0 for number in numbers)
 
@@ -63,14 +78,16 @@ def test_every_student_gets_files_of_their_own(folder, tmp_path):
 
 
 def test_used_folder_weak_salt_and_roster_without_salt_are_refused(folder, tmp_path):
-    """What already lies there could be a solution; without a salt all files could be drawn by anyone."""
+    """What already lies there could be a solution; without a salt all files could be drawn by
+    anyone.
+    """
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "solution.txt").write_text("all of it")
-    with pytest.raises(InputError, match="want a new or an empty folder"):
+    with pytest.raises(InputError, match="expected a new or an empty folder"):
         release([folder], tmp_path / "out")
-    with pytest.raises(InputError, match="want a --salt"):
+    with pytest.raises(InputError, match="expected a --salt"):
         release([folder], tmp_path / "new", students=["ann"])
-    with pytest.raises(InputError, match="want at least 16 characters"):
+    with pytest.raises(InputError, match="expected at least 16 characters"):
         release([folder], tmp_path / "new", "2027")
     assert handed_out(tmp_path / "out") == {"solution.txt"} and not (tmp_path / "new").exists()
 
@@ -86,9 +103,9 @@ def test_failure_leaves_nothing(folder, tmp_path):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("name\nann\n", "want a column called student, got name"),
+        ("name\nann\n", "expected a column called student, got name"),
         ("", "got nothing"),
-        ("student\nann\nann\n", "want every student once, got ann"),
+        ("student\nann\nann\n", "expected every student once, got ann"),
         ("student\n../ann\n", "got '../ann'"),
         ("student\n.\n", "got '.'"),
     ],

@@ -1,4 +1,6 @@
-"""falconwing report: a toy class graded and reported; what students, people who grade and other systems get of it."""
+"""falconwing report: a toy class graded and reported; what students, people who grade and other
+systems get of it.
+"""
 
 import csv
 import html
@@ -15,7 +17,7 @@ from falconwing_kit.tools.cli.grade import Grade
 from falconwing_kit.tools.cli.report import Report
 from falconwing_kit.tools.grading.course import looks
 from falconwing_kit.tools.grading.course.figures import missing_for_running
-from falconwing_kit.tools.grading.sandbox import probe
+from falconwing_kit.tools.grading.sandbox import probe_sandbox
 from tests.tools.grading import toys
 from tests.tools.grading.test_figures import DRAW, b64, png
 
@@ -26,7 +28,8 @@ pytestmark = [
 ]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 WRONG = "def stretch(x, gain):\n    return gain * x - COHORT['offset']"
-# What hidden cases ask is told by an error's words, a text in place of numbers, and whatever the function prints.
+# What hidden cases ask is told by an error's words, a text in place of numbers, and whatever the
+# function prints.
 TELLS = (
     "def stretch(x, gain):\n"
     "    print('LEAK', gain, [round(float(each), 3) for each in np.atleast_1d(x)])\n"
@@ -37,20 +40,26 @@ MARKUP = "<img src=x onerror=alert(1)>"
 
 
 def notebook(stretch, *more):
-    return toys.notebook_bytes(toys.HEAD, stretch, toys.BRAKE, toys.cell(DRAW, figure="figure"), *more)
+    return toys.notebook_bytes(
+        toys.HEAD, stretch, toys.BRAKE, toys.cell(DRAW, figure="figure"), *more
+    )
 
 
 @pytest.fixture(scope="module")
 def graded(tmp_path_factory):
-    """Four students of the toy lab, graded: right, wrong by a sign, one who tells, and one who left everything."""
+    """Four students of the toy lab, graded: right, wrong by a sign, one who tells, and one who left
+    everything.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(grading, "_require_box", lambda: None)
-        patch.setattr(probe, "probe", lambda: [])
+        patch.setattr(probe_sandbox, "probe", lambda: [])
         folder = tmp_path_factory.mktemp("course")
         folder.chmod(0o755)
         students = folder / "students"
         students.mkdir()
-        stored = toys.cell("1", figure="figure") | {"outputs": [{"data": {"image/png": b64(png())}}]}
+        stored = toys.cell("1", figure="figure") | {
+            "outputs": [{"data": {"image/png": b64(png())}}]
+        }
         class_ = {
             "ada": notebook(toys.STRETCH, toys.cell(MARKUP, "markdown", answer="q1")),
             f"bob {MARKUP[1:4]}": notebook(WRONG),
@@ -66,7 +75,9 @@ def graded(tmp_path_factory):
 @pytest.fixture(scope="module")
 def report(graded):
     """The whole report, once."""
-    words = dict(submissions=graded / "students", to=("gradescope", "csv"), before=graded / "students")
+    words = dict(
+        submissions=graded / "students", to=("gradescope", "csv"), before=graded / "students"
+    )
     assert Report(str(toys.LAB), graded / "grades", graded / "report", **words).run() == 0
     return graded / "report"
 
@@ -84,26 +95,43 @@ def feedback(report, student):
 def test_everybody_has_a_line_and_a_page(report):
     """By hand: 75, 25, 25 and 0 by the machine; nobody has a total before a person has graded."""
     book = rows(report / "gradebook.csv")
-    assert {row["student"]: float(row["machine"]) for row in book} == {"'=dan": 0, "ada": 75, "bob img": 25, "cleo": 25}
+    assert {row["student"]: float(row["machine"]) for row in book} == {
+        "'=dan": 0,
+        "ada": 75,
+        "bob img": 25,
+        "cleo": 25,
+    }
     assert {row["total"] for row in book} == {""}
     assert len(list((report / "feedback").glob("*.html"))) == 4
     assert rows(report / "platform.csv") == []
-    score = {path.parent.name[:4]: json.loads(path.read_text())["score"] for path in report.glob("gradescope/*/*.json")}
+    score = {
+        path.parent.name[:4]: json.loads(path.read_text())["score"]
+        for path in report.glob("gradescope/*/*.json")
+    }
     assert score == {"dan-": 0.0, "ada": 75.0, "bob_": 25.0, "cleo": 25.0}
 
 
 def test_feedback_says_what_to_look_at(report):
-    """The public claim and its hint, the state in words, and what the function gave in this public case."""
+    """The public claim and its hint, the state in words, and what the function gave in this public
+    case.
+    """
     page = feedback(report, "bob")
-    assert "0 of 4 hidden cases right; it gave an answer of the right form with wrong numbers (4)" in page
+    assert (
+        "0 of 4 hidden cases right; it gave an answer of the right form with wrong numbers (4)"
+        in page
+    )
     assert "✓ passed:" in page and "a larger number gives a larger one" in page
     assert "think of limits, signs and shapes" in page
     assert "<h2>" not in feedback(report, "ada")
-    assert "is not written yet" in feedback(report, "dan") or "was not found in the notebook" in feedback(report, "dan")
+    assert "is not written yet" in feedback(
+        report, "dan"
+    ) or "was not found in the notebook" in feedback(report, "dan")
 
 
 def test_feedback_gives_no_hidden_case_away(report):
-    """The function tells what it is asked, in errors, answers and prints; nothing of it reaches what students get."""
+    """The function tells what it is asked, in errors, answers and prints; nothing of it reaches
+    what students get.
+    """
     assert "raised ValueError" in feedback(report, "cleo")
     given = [*report.glob("feedback/*"), *report.glob("gradescope/*/*"), report / "gradebook.csv"]
     assert len(given) == 9
@@ -111,23 +139,36 @@ def test_feedback_gives_no_hidden_case_away(report):
 
 
 def test_nothing_of_a_student_is_markup(report):
-    """Names and answers are shown as they are typed; no page loads anything or runs a student's script."""
+    """Names and answers are shown as they are typed; no page loads anything or runs a student's
+    script.
+    """
     pages = [path.read_text(encoding="utf-8") for path in report.rglob("*.html")]
     assert not [page for page in pages if "onerror=" in page.replace("&lt;img src=x onerror=", "")]
-    assert not [page for page in pages if "http://" in page or "https://" in page or 'src="//' in page]
+    assert not [
+        page for page in pages if "http://" in page or "https://" in page or 'src="//' in page
+    ]
 
 
 def test_class_is_compared(report):
-    """The earlier class is this one, so the longer function has its twin there; one line is like any other one line."""
-    pairs = {(row["this"], row["and this"]): row["functions and share"] for row in rows(report / "alike.csv")}
+    """The earlier class is this one, so the longer function has its twin there; one line is like
+    any other one line.
+    """
+    pairs = {
+        (row["this"], row["and this"]): row["functions and share"]
+        for row in rows(report / "alike.csv")
+    }
     assert pairs["cleo", "before: cleo"] == "stretch 100 %"
     assert not [pair for pair in pairs if "ada" in pair]
-    assert "no proof, and no points depend on it" in (report / "report.html").read_text(encoding="utf-8")
+    assert "no proof, and no points depend on it" in (report / "report.html").read_text(
+        encoding="utf-8"
+    )
     assert "missing (1)" in (report / "report.html").read_text(encoding="utf-8")
 
 
 def test_rubric_page_has_the_figures(report):
-    """Drawn by running the notebook; the one who drew nothing shows what was stored, and it is said."""
+    """Drawn by running the notebook; the one who drew nothing shows what was stored, and it is
+    said.
+    """
     page = (report / "rubric.html").read_text(encoding="utf-8")
     assert page.count("drawn by running the notebook in the box") == 3
     assert page.count("as stored in the notebook; running it again drew none here") == 1
@@ -136,55 +177,83 @@ def test_rubric_page_has_the_figures(report):
 
 def test_report_goes_on_where_it_was(report, graded, monkeypatch):
     """Nothing is looked at twice, and the same comes out: the boxes are not even asked."""
-    monkeypatch.setattr(probe, "probe", lambda: [])
+    monkeypatch.setattr(probe_sandbox, "probe", lambda: [])
     monkeypatch.setattr(looks, "run_notebook", lambda *words: pytest.fail("looked again"))
     before = {path: path.read_bytes() for path in report.rglob("*") if path.is_file()}
-    words = dict(submissions=graded / "students", to=("gradescope", "csv"), before=graded / "students", workers=1)
+    words = dict(
+        submissions=graded / "students",
+        to=("gradescope", "csv"),
+        before=graded / "students",
+        workers=1,
+    )
     assert Report(str(toys.LAB), graded / "grades", report, **words).run() == 0
     assert {path: path.read_bytes() for path in report.rglob("*") if path.is_file()} == before
 
 
 def test_without_a_box_nothing_is_run(graded, tmp_path, monkeypatch, capsys):
-    """It is said, figures are the stored ones, and the feedback lists the public claims without an outcome."""
-    hole = probe.Finding("network", False, "open")
-    monkeypatch.setattr(probe, "probe", lambda: [hole])
+    """It is said, figures are the stored ones, and the feedback lists the public claims without an
+    outcome.
+    """
+    hole = probe_sandbox.Finding("network", False, "open")
+    monkeypatch.setattr(probe_sandbox, "probe", lambda: [hole])
     for name in ("run_notebook", "run_checks"):
         monkeypatch.setattr(looks, name, lambda *words: pytest.fail("a student's code was run"))
     words = dict(submissions=graded / "students", workers=1)
     assert Report(str(toys.LAB), graded / "grades", tmp_path / "r", **words).run() == 0
-    assert "! network: open: public checks were not run, and figures are as stored" in capsys.readouterr().out
-    assert (tmp_path / "r" / "rubric.html").read_text(encoding="utf-8").count("no figure") == 3
-    assert "as stored in the notebook, which was not run" in (tmp_path / "r" / "rubric.html").read_text(
-        encoding="utf-8"
+    assert (
+        "! network: open: public checks were not run, and figures are as stored"
+        in capsys.readouterr().out
     )
+    assert (tmp_path / "r" / "rubric.html").read_text(encoding="utf-8").count("no figure") == 3
+    assert "as stored in the notebook, which was not run" in (
+        tmp_path / "r" / "rubric.html"
+    ).read_text(encoding="utf-8")
     assert "A right function does all of this:" in feedback(tmp_path / "r", "bob")
 
 
 def test_changed_submission_is_not_taken_for_the_graded_one(graded, tmp_path, monkeypatch, capsys):
     """Feedback on what was never graded would be another's."""
-    monkeypatch.setattr(probe, "probe", lambda: [])
+    monkeypatch.setattr(probe_sandbox, "probe", lambda: [])
     shutil.copytree(graded / "students", tmp_path / "now")
     (tmp_path / "now" / "ada.ipynb").write_bytes(notebook(WRONG))
     (tmp_path / "now" / "cleo.ipynb").unlink()
     monkeypatch.setattr(looks, "run_notebook", lambda *words: None)
-    assert Report(str(toys.LAB), graded / "grades", tmp_path / "r", submissions=tmp_path / "now", workers=1).run() == 0
+    assert (
+        Report(
+            str(toys.LAB),
+            graded / "grades",
+            tmp_path / "r",
+            submissions=tmp_path / "now",
+            workers=1,
+        ).run()
+        == 0
+    )
     said = capsys.readouterr().out
     assert "! ada: changed since it was graded" in said and "! cleo: not found" in said
 
 
 def test_wrong_records_are_refused(graded, tmp_path):
     """Another salt would draw other numbers; another folder has no records."""
-    with pytest.raises(InputError, match="want the --salt that this lab was graded with"):
-        Report(str(toys.LAB), graded / "grades", tmp_path / "r", salt="another secret of a course").run()
+    with pytest.raises(InputError, match="expected the --salt that this lab was graded with"):
+        Report(
+            str(toys.LAB), graded / "grades", tmp_path / "r", salt="another secret of a course"
+        ).run()
     with pytest.raises(InputError, match="found no run in it"):
         Report(str(toys.LAB), graded / "students", tmp_path / "r").run()
 
 
 def test_points_typed_in_the_browser_reach_the_gradebook(report, graded, tmp_path):
-    """In headless Chromium: typed, kept over a reload, saved, merged. By hand 75 + 20.5; out of range is shown."""
-    for what, there in (("chromium", CHROMIUM), ("playwright", importlib.util.find_spec("playwright"))):
+    """In headless Chromium: typed, kept over a reload, saved, merged. By hand 75 + 20.5; out of
+    range is shown.
+    """
+    for what, there in (
+        ("chromium", CHROMIUM),
+        ("playwright", importlib.util.find_spec("playwright")),
+    ):
         if not there:
-            (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(f"want {what}, found none")
+            (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(
+                f"expected {what}, found none"
+            )
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:

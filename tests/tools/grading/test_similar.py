@@ -1,8 +1,15 @@
-"""Likeness: disguises do not hide a copy, another idea is not one, and what all have weighs nothing."""
+"""Likeness: disguises do not hide a copy, another idea is not one, and what all have weighs
+nothing.
+"""
 
 import textwrap
 
-from falconwing_kit.tools.grading.course.similar import compare_class, fingerprints, kit_functions, similar_pairs
+from falconwing_kit.tools.grading.course.similar import (
+    compare_class,
+    fingerprints,
+    kit_functions,
+    similar_pairs,
+)
 from tests.tools.grading import toys
 from tests.tools.grading.classes import LAB
 
@@ -38,7 +45,9 @@ def share(a, b):
 
 
 def test_names_numbers_and_layout_do_not_count():
-    """The same function in disguise has nearly the same fingerprints; another way to the same answer hardly any."""
+    """The same function in disguise has nearly the same fingerprints; another way to the same
+    answer hardly any.
+    """
     assert share(LOOP, RENAMED) > 0.6
     assert share(LOOP, LOOP.replace("best", "x").replace("0.0", "1.5")) == 1.0
     undocumented = LOOP.replace('    """The longest step."""\n', "")
@@ -48,12 +57,18 @@ def test_names_numbers_and_layout_do_not_count():
 
 def test_what_is_no_python_has_none():
     """Whatever a student hands in."""
-    assert [fingerprints(text) for text in ("", "def (", "x = 1", "(" * 5000 + ")" * 5000)] == [frozenset()] * 4
+    assert [fingerprints(text) for text in ("", "def (", "x = 1", "(" * 5000 + ")" * 5000)] == [
+        frozenset()
+    ] * 4
 
 
 def test_common_code_weighs_less_than_rare_code():
-    """Eight of ten have the same loop, two another function: the two stand above every pair of the eight."""
-    now = {f"s{n}": fingerprints(LOOP) for n in range(8)} | {f"copy{n}": fingerprints(ARRAYS) for n in range(2)}
+    """Eight of ten have the same loop, two another function: the two stand above every pair of the
+    eight.
+    """
+    now = {f"s{n}": fingerprints(LOOP) for n in range(8)} | {
+        f"copy{n}": fingerprints(ARRAYS) for n in range(2)
+    }
     pairs = {(p.left, p.right): p for p in similar_pairs("path", now, {}, {})}
     assert pairs["copy0", "copy1"].share == 1.0
     assert len(pairs) == 28 + 1  # of eight, and of two
@@ -64,8 +79,12 @@ def test_common_code_weighs_less_than_rare_code():
 
 
 def test_copy_of_the_kit_and_of_an_earlier_class_is_found(tmp_path):
-    """A function of the kit under another name, and last year's: both stand in the list, with both texts."""
-    name, text = next((n, t) for n, t in kit_functions().items() if n == "grading.lab.course_constants")
+    """A function of the kit under another name, and last year's: both stand in the list, with both
+    texts.
+    """
+    name, text = next(
+        (n, t) for n, t in kit_functions().items() if n == "grading.lab.course_constants"
+    )
     copied = text.replace("course_constants", "stretch").replace("share", "d")
     (tmp_path / "old_dan.ipynb").write_bytes(toys.notebook_bytes(LOOP.replace("path", "brake")))
     now = {
@@ -77,4 +96,7 @@ def test_copy_of_the_kit_and_of_an_earlier_class_is_found(tmp_path):
     assert listed["eve", f"kit: {name}"] == "stretch 100 %"
     assert listed["eve", "before: old_dan"].startswith("brake ")
     assert not [pair for pair in listed if pair[0] == "ada"]
-    assert "def brake(points" in texts["brake", "before: old_dan"] and texts["stretch", f"kit: {name}"] == text
+    assert (
+        "def brake(points" in texts["brake", "before: old_dan"]
+        and texts["stretch", f"kit: {name}"] == text
+    )

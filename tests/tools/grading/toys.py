@@ -15,7 +15,8 @@ STRETCH = 'def stretch(x, gain):\n    return gain * x + COHORT["offset"]'
 BRAKE = "def brake(position, speed):\n    return -4.0 * position - 4.0 * speed"
 
 needs_box = pytest.mark.skipif(
-    shutil.which("bwrap") is None and not os.environ.get("CI"), reason="bubblewrap is missing: apt install bubblewrap"
+    shutil.which("bwrap") is None and not os.environ.get("CI"),
+    reason="bubblewrap is missing: apt install bubblewrap",
 )
 
 
@@ -28,14 +29,22 @@ def cell(text, kind="code", **metadata):
 def notebook_bytes(*cells, **more):
     """A notebook of cells, or of the text of code cells."""
     made = [each if isinstance(each, dict) else cell(each) for each in cells]
-    return json.dumps({"cells": made, "metadata": {}, "nbformat": 4, "nbformat_minor": 5, **more}).encode()
+    return json.dumps(
+        {"cells": made, "metadata": {}, "nbformat": 4, "nbformat_minor": 5, **more}
+    ).encode()
 
 
 def groups_left():
     """Control groups of boxes whose grader has ended, or is this process."""
-    folders = [folder for parent, _ in limits._parents() for folder in parent.glob("falconwing-*-*")]
+    folders = [
+        folder for parent, _ in limits._parents() for folder in parent.glob("falconwing-*-*")
+    ]
     owners = {folder: folder.name.split("-")[1] for folder in folders}
-    return [folder for folder, pid in owners.items() if pid == str(os.getpid()) or not Path("/proc", pid).exists()]
+    return [
+        folder
+        for folder, pid in owners.items()
+        if pid == str(os.getpid()) or not Path("/proc", pid).exists()
+    ]
 
 
 def processes_with(token):

@@ -1,4 +1,6 @@
-"""The camera files become records, agree with the lens that the kit flies with, or give one sentence."""
+"""The camera files become records, agree with the lens that the kit flies with, or give one
+sentence.
+"""
 
 import math
 import tomllib
@@ -24,20 +26,29 @@ def load(folder, spoil, camera="analog"):
 def test_analog_camera_has_the_papers_numbers():
     """Paper, hardware section: 9 g, 640 x 480 at 20 Hz, analog at 5.725 GHz."""
     camera = load_camera()
-    assert (camera.mass_g, camera.image.width_px, camera.image.height_px, camera.image.rate_hz) == (9.0, 640, 480, 20.0)
+    assert (camera.mass_g, camera.image.width_px, camera.image.height_px, camera.image.rate_hz) == (
+        9.0,
+        640,
+        480,
+        20.0,
+    )
     assert camera.name == "RunCam Spotter" and "5.725 GHz" in camera.link
 
 
 def test_analog_lens_is_the_one_that_the_kit_flies_with():
-    """The hall's flights have a focal length of 0.62 image widths; 77.8 deg says so to a thousandth."""
+    """The hall's flights have a focal length of 0.62 image widths; 77.8 deg says so to a
+    thousandth.
+    """
     image = load_camera().image
     lens = PinholeCamera.from_fov_deg(image.width_px, image.height_px, image.fov_deg)
     assert lens.fx == pytest.approx(fpv_camera(640, 480).fx, rel=1e-3)
 
 
 def test_digital_camera_has_the_data_sheets_numbers():
-    """Arducam's data sheet of the B0196: 3264 x 2448 at 15 a second, 62.2 deg across and 48.8 deg high. Square pixels
-    make 48.7 deg of the width's angle; holes in a square of 28 mm are 28 * sqrt(2) mm apart across."""
+    """Arducam's data sheet of the B0196: 3264 x 2448 at 15 a second, 62.2 deg across and 48.8 deg
+    high. Square pixels make 48.7 deg of the width's angle; holes in a square of 28 mm are 28 *
+    sqrt(2) mm apart across.
+    """
     camera = load_camera("digital")
     image = camera.image
     lens = PinholeCamera.from_fov_deg(image.width_px, image.height_px, image.fov_deg)

@@ -18,16 +18,23 @@ def load(folder, spoil):
 
 
 def test_propeller_comes_off_first_and_on_late():
-    """Safety rule of firmware/README.md: off until everything else of the bench is done, on when all checks passed."""
+    """Safety rule of firmware/README.md: off until everything else of the bench is done, on when
+    all checks passed.
+    """
     lists = load_checklists()
     assert lists.bench.steps[0].id == "propeller_off" and lists.bench.steps[0].stop
     order = [step.id for step in lists.preflight.steps]
-    assert all(order.index(name) < order.index("propeller") for name in ("picture", "board", "takeover", "range"))
+    assert all(
+        order.index(name) < order.index("propeller")
+        for name in ("picture", "board", "takeover", "range")
+    )
     assert "propeller" not in [step.id for step in lists.bench.steps]
 
 
 def test_whatever_takes_the_aircraft_back_must_pass():
-    """The radio's switch is the real takeover: no list goes on when it, or the loss of the computer, failed."""
+    """The radio's switch is the real takeover: no list goes on when it, or the loss of the
+    computer, failed.
+    """
     lists = load_checklists()
     for checklist, names in (
         (lists.bench, ("takeover", "computer_lost", "plug_pulled")),

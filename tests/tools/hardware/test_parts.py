@@ -1,4 +1,6 @@
-"""The list of parts: mass, balance and cost by hand, the paper's numbers kept, and wrong lists refused."""
+"""The list of parts: mass, balance and cost by hand, the paper's numbers kept, and wrong lists
+refused.
+"""
 
 from dataclasses import replace
 
@@ -43,7 +45,9 @@ def shipped_with(folder, old, new):
 
 
 def test_small_list_rolls_up_as_by_hand(tmp_path):
-    """100 + 2 * 5 = 110 g; (100 * 40 - 10 * 160) / 110 = 21.818 mm; 50 + 5 + 14 = 69 dollars; no option counts."""
+    """100 + 2 * 5 = 110 g; (100 * 40 - 10 * 160) / 110 = 21.818 mm; 50 + 5 + 14 = 69 dollars; no
+    option counts.
+    """
     whole = roll_up(read(tmp_path))
     assert whole.mass == pytest.approx(0.110, rel=1e-12)
     assert whole.x_cg == pytest.approx(0.0218182, rel=1e-5)
@@ -64,23 +68,31 @@ def test_moved_battery_brings_the_balance_back(tmp_path):
     items = read(tmp_path)
     assert balance_move(items, "cell", 0.040) == pytest.approx(0.100, rel=1e-9)
     body, cell, *others = items
-    there = [replace(body, unit_mass=0.080, x=(4.0 + 0.2) / 80.0), replace(cell, inside="", x=0.090), *others]
+    there = [
+        replace(body, unit_mass=0.080, x=(4.0 + 0.2) / 80.0),
+        replace(cell, inside="", x=0.090),
+        *others,
+    ]
     assert roll_up(there).x_cg == pytest.approx(0.040, rel=1e-9)
 
 
 def test_shipped_masses_sum_as_by_hand():
-    """137 + 9 + 2.4 + 1.2 + 0.7 + 0.2 + 1.3 + 2 * 0.15 + 0.6 = 152.7 g; the moments of the rows sum to 2683.8 g mm:
-    4932 - 1476 - 384 - 72 - 42 - 12 - 117 - 49.2 - 96."""
+    """137 + 9 + 2.4 + 1.2 + 0.7 + 0.2 + 1.3 + 2 * 0.15 + 0.6 = 152.7 g; the moments of the rows sum
+    to 2683.8 g mm: 4932 - 1476 - 384 - 72 - 42 - 12 - 117 - 49.2 - 96.
+    """
     whole = roll_up(load_parts())
     assert whole.mass == pytest.approx(0.1527, abs=1e-9)
     assert whole.moment == pytest.approx(2683.8e-6, abs=1e-10)
 
 
 def test_shipped_costs_sum_as_by_hand():
-    """Aircraft 180 + 15 + 35 + 0.2 + 0.5 + 0.4 + 0.1 + 2 + 2 * 0.1 + 1, ground 380 + 50 + 6 + 30 + 15 + 25, tools
-    35 + 10 + 15 + 25 + 40, spares 80 + 2 * 8 + 3 * 15."""
+    """Aircraft 180 + 15 + 35 + 0.2 + 0.5 + 0.4 + 0.1 + 2 + 2 * 0.1 + 1, ground 380 + 50 + 6 + 30 +
+    15 + 25, tools 35 + 10 + 15 + 25 + 40, spares 80 + 2 * 8 + 3 * 15.
+    """
     costs = roll_up(load_parts()).costs
-    assert costs == pytest.approx({"aircraft": 234.4, "ground": 506.0, "tools": 125.0, "spares": 141.0})
+    assert costs == pytest.approx(
+        {"aircraft": 234.4, "ground": 506.0, "tools": 125.0, "spares": 141.0}
+    )
 
 
 def test_papers_own_sum_does_not_close():
@@ -95,8 +107,15 @@ def test_list_airframe_and_cameras_agree():
     """Three files tell of the same camera: its mass, the paper's parts, and where it is."""
     items, airframe = {item.id: item for item in load_parts()}, load_airframe()
     assert items["camera_analog"].unit_mass == pytest.approx(load_camera("analog").mass_g / 1000.0)
-    assert items["camera_digital"].unit_mass == pytest.approx(load_camera("digital").mass_g / 1000.0)
-    paper = {"airframe": "airframe", "receiver": "receiver", "camera": "camera_analog", "camera bracket": "bracket"}
+    assert items["camera_digital"].unit_mass == pytest.approx(
+        load_camera("digital").mass_g / 1000.0
+    )
+    paper = {
+        "airframe": "airframe",
+        "receiver": "receiver",
+        "camera": "camera_analog",
+        "camera bracket": "bracket",
+    }
     for part in airframe.parts:
         assert items[paper[part.name]].paper_mass == pytest.approx(part.mass)
         assert items[paper[part.name]].inside == part.inside
@@ -107,7 +126,11 @@ def test_list_airframe_and_cameras_agree():
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        ("receiver,Spektrum receiver with flight controller and gyro,1,13.5", "receiver,receiver,1,15.3", "13.5 g"),
+        (
+            "receiver,Spektrum receiver with flight controller and gyro,1,13.5",
+            "receiver,receiver,1,15.3",
+            "13.5 g",
+        ),
         ("1,9,paper,-164", "1,19,paper,-164", "camera_analog: its mass is said to be the paper's"),
         ("1,,,,80,paper,spares", "1,,,,60,paper,spares", "its price is said to be the paper's"),
         ("1,1.2,estimate", "1,,estimate", "unit_mass_g of a part that flies"),
@@ -132,7 +155,9 @@ def test_planted_error_is_one_sentence(tmp_path, old, new, text):
     assert text in str(error.value) and "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(("old", "new"), [("1,1.2,", "1,12,"), ("printed in PLA,1,", "printed in PLA,2,")])
+@pytest.mark.parametrize(
+    ("old", "new"), [("1,1.2,", "1,12,"), ("printed in PLA,1,", "printed in PLA,2,")]
+)
 def test_planted_mass_changes_the_sum(tmp_path, old, new):
     """What the reader cannot know to be wrong moves the sums, so the tests by hand above see it."""
     whole = roll_up(load_parts(shipped_with(tmp_path, old, new)))

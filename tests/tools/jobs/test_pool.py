@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from falconwing_kit.tools.jobs.pool import LostError, in_processes
+from falconwing_kit.tools.jobs.pool import WorkerLostError, map_in_processes
 
 
 def square(number):
@@ -40,25 +40,25 @@ def dies_on_three(number):
 @pytest.mark.parametrize("workers", [1, 3])
 def test_every_item_has_its_result(workers):
     """By hand: squares; in any order."""
-    assert dict(in_processes(square, range(7), workers)) == {n: n * n for n in range(7)}
-    assert list(in_processes(square, [], workers)) == []
+    assert dict(map_in_processes(square, range(7), workers)) == {n: n * n for n in range(7)}
+    assert list(map_in_processes(square, [], workers)) == []
 
 
 @pytest.mark.parametrize("function", [fails, file_error])
 def test_errors_come_out(function):
     """An error of the function is the caller's to see, an OSError too: it is not a lost process."""
     with pytest.raises((ValueError, FileNotFoundError), match="no 1"):
-        list(in_processes(function, [1, 1], 2))
+        list(map_in_processes(function, [1, 1], 2))
 
 
 def test_lost_work_is_taken_up_again(tmp_path):
     """Each odd item kills its process once; all have their results in the end."""
-    results = dict(in_processes(partial(dies_once, folder=str(tmp_path)), range(4), 2))
+    results = dict(map_in_processes(partial(dies_once, folder=str(tmp_path)), range(4), 2))
     assert results == {n: n * n for n in range(4)}
 
 
 def test_item_that_always_kills_is_given_up():
     """Three times; the others are done."""
-    results = dict(in_processes(dies_on_three, range(5), 2))
-    assert isinstance(results.pop(3), LostError)
+    results = dict(map_in_processes(dies_on_three, range(5), 2))
+    assert isinstance(results.pop(3), WorkerLostError)
     assert results == {0: 0, 1: 1, 2: 4, 4: 16}

@@ -11,7 +11,7 @@ from falconwing_kit.aircraft.effects import EFFECT_NAMES
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import read_flight_table, slice_time
 from falconwing_kit.gap.close import Onset
-from falconwing_kit.gap.name import STRAINED
+from falconwing_kit.gap.name import MAX_MAHALANOBIS
 from falconwing_kit.sysid.model_file import read_model
 from falconwing_kit.tools.reports.gap_report import gap_record, gap_report, require_pair, write_gap
 from tests.gap.studies import shipped, wind_study
@@ -36,7 +36,9 @@ def test_record_has_the_fixed_keys():
     assert record["effects"] == ["wind"]
     assert sorted(r["effect"] for r in record["ranking"]) == sorted(EFFECT_NAMES)
     assert all({"effect", "gain", "probability"} <= set(r) for r in record["ranking"])
-    assert all(set(p) == {"value", "low95", "high95", "unit"} for p in record["parameters"].values())
+    assert all(
+        set(p) == {"value", "low95", "high95", "unit"} for p in record["parameters"].values()
+    )
     assert record["where"]
     assert all(set(w) == {"channel", "variable", "from", "to", "excess"} for w in record["where"])
     assert set(record["gap"]) == {"before", "after", "calm"}
@@ -48,7 +50,9 @@ def test_record_has_the_fixed_keys():
 
 
 def test_ranking_is_in_order_and_probabilities_are_no_certainties():
-    """Best first; a probability is within 0.001 and 0.999, and twins share theirs, as they share their dynamics."""
+    """Best first; a probability is within 0.001 and 0.999, and twins share theirs, as they share
+    their dynamics.
+    """
     ranking = gap_record(wind_study())["ranking"]
     gains = [r["gain"] for r in ranking]
     assert gains == sorted(gains, reverse=True)
@@ -60,7 +64,9 @@ def test_ranking_is_in_order_and_probabilities_are_no_certainties():
 
 
 def test_report_is_written_whole_and_the_model_reads_back(tmp_path):
-    """Page, record, four figures and two models; the model with the effect has the wind that was found."""
+    """Page, record, four figures and two models; the model with the effect has the wind that was
+    found.
+    """
     record = write_gap(wind_study(), tmp_path)
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {
@@ -72,17 +78,23 @@ def test_report_is_written_whole_and_the_model_reads_back(tmp_path):
     assert page.count("data:image/png;base64,") == 4
     assert "http" not in page
     model = read_model(tmp_path / "model_with_effect.toml").model
-    assert model.values["wind_y"] == pytest.approx(record["parameters"]["wind_y"]["value"], rel=1e-6)
+    assert model.values["wind_y"] == pytest.approx(
+        record["parameters"]["wind_y"]["value"], rel=1e-6
+    )
     assert [e.name for e in model.effects] == ["wind"]
     assert read_model(tmp_path / "model.toml").model.effects == ()
 
 
 def test_page_says_since_when_and_why_nothing_is_named(tmp_path):
-    """Outside, on an aircraft that does not fit, with a load that explains more and from a time on: each is said."""
+    """Outside, on an aircraft that does not fit, with a load that explains more and from a time on:
+    each is said.
+    """
     study = wind_study()
     effect = study.naming.ranking[0].effect
     load = replace(study.naming.unnamed, gain=study.naming.ranking[0].gain + 50.0)
-    naming = replace(study.naming, verdict="outside", chosen=(), strain=10.0 * STRAINED, unnamed=load)
+    naming = replace(
+        study.naming, verdict="outside", chosen=(), strain=10.0 * MAX_MAHALANOBIS, unnamed=load
+    )
     closed = replace(study.closed, after=study.closed.before, parameters={})
     onset = Onset(effect, 12.34, 11.0, 13.0, 40.0, None)
     names = ("<i>calm</i>.csv", "<i>flight</i>.csv")
@@ -90,7 +102,9 @@ def test_page_says_since_when_and_why_nothing_is_named(tmp_path):
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "set in at <strong>12.3 s</strong>" in page
     assert f"<strong>{load.effect.name}</strong> (evidence {load.gain:.0f})" in page
-    assert page.count("are both flights of the same aircraft?") == 2  # in the text and among the warnings
+    assert (
+        page.count("are both flights of the same aircraft?") == 2
+    )  # in the text and among the warnings
     assert "<i>" not in page and "&lt;i&gt;flight&lt;/i&gt;.csv, judged by" in page
     assert page_problems(page) == []
 
@@ -104,12 +118,16 @@ def test_page_says_since_when_and_why_nothing_is_named(tmp_path):
     ],
 )
 def test_page_says_what_the_verdict_is(tmp_path, verdict, kept, words):
-    """The same findings under each other verdict: no model with an effect, no confident headline, a next flight."""
+    """The same findings under each other verdict: no model with an effect, no confident headline, a
+    next flight.
+    """
     study = wind_study()
     ranking = {c.effect.name: c for c in study.naming.ranking}
     chosen = (ranking["wind"], ranking["fan_jet"])[:kept]
     naming = replace(study.naming, verdict=verdict, chosen=chosen)
-    closed = study.closed if kept else replace(study.closed, after=study.closed.before, parameters={})
+    closed = (
+        study.closed if kept else replace(study.closed, after=study.closed.before, parameters={})
+    )
     record = write_gap(replace(study, naming=naming, closed=closed), tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert words in page
@@ -121,7 +139,9 @@ def test_page_says_what_the_verdict_is(tmp_path, verdict, kept, words):
 
 
 def test_calm_flight_of_another_aircraft_gives_no_name():
-    """Two calm flights of two aircraft whose coefficients differ by 15 %: what parts them is no effect."""
+    """Two calm flights of two aircraft whose coefficients differ by 15 %: what parts them is no
+    effect.
+    """
     record = gap_report(shipped("case02_calm"), slice_time(shipped("case08_calm"), 0.0, 60.0))
     assert record["verdict"] == "outside"
     assert record["effects"] == []
@@ -149,11 +169,15 @@ def test_flights_that_cannot_answer_are_refused():
      for n in range(10)],
 )  # fmt: skip
 def test_labelled_case_is_named_right(case):
-    """Ten cases of independent JSBSim aircraft with their answers in truth.json; sizes as near as the goals ask."""
+    """Ten cases of independent JSBSim aircraft with their answers in truth.json; sizes as near as
+    the goals ask.
+    """
     if not (CASES / case).is_dir():
         pytest.skip("the labelled cases are not on this machine")
     truth = json.loads((CASES / "truth.json").read_text())[case]["effect"]
-    record = gap_report(*(read_flight_table(CASES / case / f"{name}.csv") for name in ("calm", "flight")))
+    record = gap_report(
+        *(read_flight_table(CASES / case / f"{name}.csv") for name in ("calm", "flight"))
+    )
     if truth == "none":
         assert record["verdict"] == "none"
         assert record["where"] == []
@@ -163,4 +187,6 @@ def test_labelled_case_is_named_right(case):
     for name, (value, within) in SIZES.get(case, {}).items():
         assert record["parameters"][name]["value"] == pytest.approx(value, abs=within)
     gap = record["gap"]
-    assert gap["after"] - gap["calm"] < 0.15 * (gap["before"] - gap["calm"]) + 0.05  # 0.05: scatter of ten windows
+    assert (
+        gap["after"] - gap["calm"] < 0.15 * (gap["before"] - gap["calm"]) + 0.05
+    )  # 0.05: scatter of ten windows

@@ -1,4 +1,6 @@
-"""The page is one file that needs no network, can be read without seeing, and shows text as it was written."""
+"""The page is one file that needs no network, can be read without seeing, and shows text as it was
+written.
+"""
 
 import base64
 import itertools
@@ -66,7 +68,9 @@ def page_problems(text: str) -> list[str]:
         if tag == "img" and not (attributes.get("alt") or "").strip():
             problems.append("an image has no text for who cannot see it")
     problems += [
-        "a style fetches something" for style in page.text_in("style") if "url(" in style or "@import" in style
+        "a style fetches something"
+        for style in page.text_in("style")
+        if "url(" in style or "@import" in style
     ]
     return problems
 
@@ -93,7 +97,9 @@ def template(tmp_path):
 
 
 def test_page_needs_nothing_but_itself(png, template, tmp_path):
-    """Every element stands in a page of each kind; the rules are those of a file that is opened without a network."""
+    """Every element stands in a page of each kind; the rules are those of a file that is opened
+    without a network.
+    """
     write_page(tmp_path / "page.html", template(PAGE), png=png, words="words")
     assert page_problems((tmp_path / "page.html").read_text(encoding="utf-8")) == []
 
@@ -126,7 +132,9 @@ def test_picture_carries_its_file_to_the_byte(png, template):
 
 
 def test_words_come_out_as_they_went_in(png, template, tmp_path):
-    """HTML's own signs in every place that takes plain text; a parser must give them back and see no new element."""
+    """HTML's own signs in every place that takes plain text; a parser must give them back and see
+    no new element.
+    """
     words = """<b>"5 < 6" & 'more'</b>"""
     write_page(tmp_path / "page.html", template(PAGE), png=png, words=words)
     page = Reader((tmp_path / "page.html").read_text(encoding="utf-8"))
@@ -148,11 +156,17 @@ def test_table_keeps_its_order_and_marks_one_row(template):
     page = Reader(render(template(TABLE), rows=[("one", "1.0"), ("two", "0.5")]))
     assert page.text_in("th") == ["fit", "error"]
     assert page.text_in("td") == ["one", "1.0", "two", "0.5"]
-    assert [attributes.get("class") for tag, attributes in page.tags if tag == "tr"] == [None, None, "best"]
+    assert [attributes.get("class") for tag, attributes in page.tags if tag == "tr"] == [
+        None,
+        None,
+        "best",
+    ]
 
 
 def test_page_is_written_whole_or_not_at_all(png, template, tmp_path):
-    """A value that is not given stops the page; the page of before stays and nothing lies beside it."""
+    """A value that is not given stops the page; the page of before stays and nothing lies beside
+    it.
+    """
     path = tmp_path / "pages" / "page.html"
     path.parent.mkdir()
     write_page(path, template(PAGE), png=png, words="old")
@@ -163,12 +177,25 @@ def test_page_is_written_whole_or_not_at_all(png, template, tmp_path):
 
 
 def test_every_template_of_the_kit_ships_with_it():
-    """The build's pattern for package data covers them, and each is named by the code beside it or by another one."""
+    """The build's pattern for package data covers them, and each is named by the code beside it or
+    by another one.
+    """
     package = Path(falconwing_kit.__file__).parent
-    shipped = tomllib.loads((package.parent / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["*"]
+    shipped = tomllib.loads((package.parent / "pyproject.toml").read_text())["tool"]["setuptools"][
+        "package-data"
+    ]["*"]
     templates = sorted(package.rglob("*.j2"))
     assert templates and "*.j2" in shipped
     for template in templates:
-        assert (template.parent / "__init__.py").is_file(), f"{template}: not in a package, so it would not ship"
-        beside = [path for kind in ("*.py", "*.j2") for path in template.parent.glob(kind) if path != template]
-        assert any(template.name in path.read_text(encoding="utf-8") for path in beside), f"{template}: nobody uses it"
+        assert (template.parent / "__init__.py").is_file(), (
+            f"{template}: not in a package, so it would not ship"
+        )
+        beside = [
+            path
+            for kind in ("*.py", "*.j2")
+            for path in template.parent.glob(kind)
+            if path != template
+        ]
+        assert any(template.name in path.read_text(encoding="utf-8") for path in beside), (
+            f"{template}: nobody uses it"
+        )

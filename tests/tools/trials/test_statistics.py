@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.trials.statistics import bootstrap_mean, clopper_pearson, mcnemar
+from falconwing_kit.tools.trials.statistics import (
+    bootstrap_mean_interval,
+    clopper_pearson_interval,
+    mcnemar_p_value,
+)
 
 # Fisher & Yates' and Geigy's tables of exact 95 % limits, in per cent; the ends follow by hand:
 # all n succeed: low = (a/2)^(1/n); none: high = 1 - (a/2)^(1/n).
@@ -22,52 +26,63 @@ TABLE = [
 @pytest.mark.parametrize(("successes", "trials", "low", "high"), TABLE)
 def test_exact_interval_is_the_tabulated_one(successes, trials, low, high):
     """Tables of exact binomial limits give two decimals of a per cent."""
-    assert 100.0 * np.array(clopper_pearson(successes, trials)) == pytest.approx([low, high], abs=0.006)
+    assert 100.0 * np.array(clopper_pearson_interval(successes, trials)) == pytest.approx(
+        [low, high], abs=0.006
+    )
 
 
 def test_exact_interval_ends_where_the_tail_is_half_of_what_is_left():
-    """The definition, with the binomial sum written out: P(X >= 8 | low) = P(X <= 8 | high) = 0.025."""
+    """The definition, with the binomial sum written out: P(X >= 8 | low) = P(X <= 8 | high) =
+    0.025.
+    """
     from math import comb
 
-    low, high = clopper_pearson(8, 10)
-    assert sum(comb(10, k) * low**k * (1 - low) ** (10 - k) for k in range(8, 11)) == pytest.approx(0.025, rel=1e-6)
-    assert sum(comb(10, k) * high**k * (1 - high) ** (10 - k) for k in range(9)) == pytest.approx(0.025, rel=1e-6)
+    low, high = clopper_pearson_interval(8, 10)
+    assert sum(comb(10, k) * low**k * (1 - low) ** (10 - k) for k in range(8, 11)) == pytest.approx(
+        0.025, rel=1e-6
+    )
+    assert sum(comb(10, k) * high**k * (1 - high) ** (10 - k) for k in range(9)) == pytest.approx(
+        0.025, rel=1e-6
+    )
 
 
 @pytest.mark.parametrize(("successes", "trials"), [(11, 10), (-1, 10), (0, 0), (2.5, 10)])
 def test_impossible_counts_are_refused(successes, trials):
     """More successes than trials, fewer than none, no trials, half a success."""
-    with pytest.raises(InputError, match="want"):
-        clopper_pearson(successes, trials)
+    with pytest.raises(InputError, match="expected"):
+        clopper_pearson_interval(successes, trials)
 
 
 def test_bootstrap_width_is_that_of_the_normal_law_for_many_values():
-    """Mean of n independent values: standard error = sd / sqrt(n), and 95 % lie within 1.96 of them.
+    """Mean of n independent values: standard error = sd / sqrt(n), and 95 % lie within 1.96 of
+    them.
 
     10,000 resamples leave about 2 % on each end's distance; n = 400 makes the mean normal.
     """
     values = np.random.default_rng(1).exponential(2.0, 400)
-    low, high = bootstrap_mean(values)
+    low, high = bootstrap_mean_interval(values)
     half = 1.96 * values.std() / 20.0
     assert low == pytest.approx(values.mean() - half, abs=0.06 * half)
     assert high == pytest.approx(values.mean() + half, abs=0.06 * half)
-    assert bootstrap_mean(values) == (low, high)  # same seed, same bits
+    assert bootstrap_mean_interval(values) == (low, high)  # same seed, same bits
 
 
 def test_bootstrap_of_too_few_is_nan_and_of_nan_is_refused():
     """No landings: no mean deviation, and never zero; one landing says nothing about the spread."""
-    assert np.isnan(bootstrap_mean([])).all()
-    assert np.isnan(bootstrap_mean([0.4])).all()
+    assert np.isnan(bootstrap_mean_interval([])).all()
+    assert np.isnan(bootstrap_mean_interval([0.4])).all()
     with pytest.raises(InputError, match="finite"):
-        bootstrap_mean([0.1, np.nan])
+        bootstrap_mean_interval([0.1, np.nan])
 
 
 def test_mcnemar_counts_only_the_trials_that_differ():
-    """Six of six differing trials for one pilot: 2 * (1/2)^6 = 1/32; three each: 1. Ties change nothing."""
+    """Six of six differing trials for one pilot: 2 * (1/2)^6 = 1/32; three each: 1. Ties change
+    nothing.
+    """
     first = [True] * 6 + [True] * 20 + [False] * 4
     second = [False] * 6 + [True] * 20 + [False] * 4
-    assert mcnemar(first, second) == pytest.approx(1.0 / 32.0)
-    assert mcnemar([True, False] * 3, [False, True] * 3) == pytest.approx(1.0)
-    assert mcnemar([True] * 5, [True] * 5) == 1.0
+    assert mcnemar_p_value(first, second) == pytest.approx(1.0 / 32.0)
+    assert mcnemar_p_value([True, False] * 3, [False, True] * 3) == pytest.approx(1.0)
+    assert mcnemar_p_value([True] * 5, [True] * 5) == 1.0
     with pytest.raises(InputError, match="as many trials"):
-        mcnemar([True], [True, False])
+        mcnemar_p_value([True], [True, False])

@@ -1,4 +1,6 @@
-"""Trials: records kept and taken up again, rates and means by hand. Most fly a toy world that needs no aircraft."""
+"""Trials: records kept and taken up again, rates and means by hand. Most fly a toy world that needs
+no aircraft.
+"""
 
 import csv
 import json
@@ -17,22 +19,22 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command, State
 from falconwing_kit.flight.sources import fpv_camera
-from falconwing_kit.flight.tasks import FollowTask, LandingTask, Spread, Trial
+from falconwing_kit.flight.tasks import FollowTask, LandingTask, Spread, TrialSetup
 from falconwing_kit.flight.world import PoseNoise
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.tools.reports.page import ACCENT, PREDICTED
 from falconwing_kit.tools.trials.trial_figures import write_results
 from falconwing_kit.tools.trials.trials import (
     TRIALS,
-    Setting,
+    TrialSettings,
     compare_pilots,
-    flown_before,
     fly_trial,
     fly_trials,
+    read_flown_trials,
+    read_paired_trials,
     read_trials,
     study_head,
-    summary,
-    trials_to_pair,
+    summarise_trials,
 )
 
 
@@ -65,15 +67,19 @@ class ToyTask:
     def leader(self, seed: int) -> None:
         """It follows nobody."""
 
-    def trial(self, seed: int) -> Trial:
+    def trial(self, seed: int) -> TrialSetup:
         self.made.append(seed)
-        return Trial(seed, ToyWorld(seed), None, 0.5)
+        return TrialSetup(seed, ToyWorld(seed), None, 0.5)
 
     def judge(self, trial, camera, view=None):
         good = trial.seed % 2 == 0
         return SimpleNamespace(
             watch=lambda step: "done" if step.t > 0.24 else "",
-            result=lambda: {"success": good, "ald_m": 0.1 if good else None, "path_m": [[0.0, 0.0, 1.0]]},
+            result=lambda: {
+                "success": good,
+                "ald_m": 0.1 if good else None,
+                "path_m": [[0.0, 0.0, 1.0]],
+            },
         )
 
 
@@ -84,13 +90,16 @@ class Steady:
         return Command(0.5, 0.0, 0.0, 0.0)
 
 
-def steady(trial: Trial) -> Steady:
+def steady(trial: TrialSetup) -> Steady:
     return Steady()
 
 
 def timeless(records: list[dict]) -> list[dict]:
     """Records without run times, which differ from run to run."""
-    return [{key: value for key, value in record.items() if not key.startswith("art_")} for record in records]
+    return [
+        {key: value for key, value in record.items() if not key.startswith("art_")}
+        for record in records
+    ]
 
 
 def test_trials_fly_the_frozen_list_and_say_how_each_went():
@@ -98,11 +107,15 @@ def test_trials_fly_the_frozen_list_and_say_how_each_went():
     records = fly_trials(ToyTask(), steady, 4, pilot="steady")
     assert [record["seed"] for record in records] == [10_000, 10_001, 10_002, 10_003]
     assert [record["success"] for record in records] == [True, False, True, False]
-    assert {(r["reason"], r["steps"], r["skipped"], r["faults"]) for r in records} == {("done", 6, 0, 0)}
+    assert {(r["reason"], r["steps"], r["skipped"], r["faults"]) for r in records} == {
+        ("done", 6, 0, 0)
+    }
 
 
 def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path):
-    """Ctrl-C in the third flight: two are kept. The second run makes only worlds 2 and 3; all is as in one run."""
+    """Ctrl-C in the third flight: two are kept. The second run makes only worlds 2 and 3; all is as
+    in one run.
+    """
 
     def interrupted(trial):
         if trial.seed == 10_002:
@@ -117,8 +130,12 @@ def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path):
     records = fly_trials(task, steady, 4, pilot="steady", out=tmp_path / "out", logs=True)
     assert task.made == [10_002, 10_003]
     assert timeless(records) == timeless(fly_trials(ToyTask(), steady, 4, pilot="steady"))
-    assert len(read_flight_log(tmp_path / "out" / "trial_002_take2.mcap").commands) == 7  # and the safe one
-    assert len(fly_trials(task, steady, 3, pilot="steady", out=tmp_path / "out")) == 3  # nothing is left to fly
+    assert (
+        len(read_flight_log(tmp_path / "out" / "trial_002_take2.mcap").commands) == 7
+    )  # and the safe one
+    assert (
+        len(fly_trials(task, steady, 3, pilot="steady", out=tmp_path / "out")) == 3
+    )  # nothing is left to fly
     assert task.made == [10_002, 10_003]
 
 
@@ -146,10 +163,15 @@ FASTER = NOMINAL.model.with_values({"kT": 9.5})  # m/s^2 of thrust, for 9
     ids=lambda changed: next(iter(changed)),
 )
 def test_a_task_of_the_same_name_with_other_numbers_is_not_mixed_in(tmp_path, changed):
-    """Two steps of a landing are kept. The same numbers go on, made anew; one number changed is refused."""
+    """Two steps of a landing are kept. The same numbers go on, made anew; one number changed is
+    refused.
+    """
     fly_trials(NOMINAL, steady, 1, pilot="steady", out=tmp_path)
     assert len(fly_trials(LandingTask(duration=0.1), steady, 1, pilot="steady", out=tmp_path)) == 1
-    with pytest.raises(InputError, match="got trials with another duration, spread, noise, delay, model or airframe"):
+    with pytest.raises(
+        InputError,
+        match="got trials with another duration, spread, noise, delay, model or airframe",
+    ):
         fly_trials(replace(NOMINAL, **changed), steady, 2, pilot="steady", out=tmp_path)
     assert len(read_trials(tmp_path)[1]) == 1
 
@@ -163,7 +185,8 @@ def lower(rng):
 
 
 def test_a_leader_that_flies_otherwise_is_another_study(tmp_path, monkeypatch):
-    """The climb 0.1 m lower, or drawn by another number: neither goes on in the folder nor pairs with it, by name.
+    """The climb 0.1 m lower, or drawn by another number: neither goes on in the folder nor pairs
+    with it, by name.
 
     A manoeuvre added in front of the table changes nothing.
     """
@@ -174,24 +197,30 @@ def test_a_leader_that_flies_otherwise_is_another_study(tmp_path, monkeypatch):
     table = {"new": replace(kept, name="new", frozen_number=None), **MANOEUVRES}
     monkeypatch.setattr("falconwing_kit.control.leader.MANOEUVRES", table)
     assert study_head(task, "steady") == head
-    assert len(trials_to_pair(tmp_path, head)) == 1
+    assert len(read_paired_trials(tmp_path, head)) == 1
     for change in ({"waypoints": lower}, {"frozen_number": 9}):
         table[CLIMB] = replace(kept, **change)
         other = study_head(task, "steady")
         assert other["task_digest"] != head["task_digest"]
-        for refuse in (flown_before, trials_to_pair):
-            with pytest.raises(InputError, match="got trials with another leader's path; choose another folder"):
+        for refuse in (read_flown_trials, read_paired_trials):
+            with pytest.raises(
+                InputError, match="got trials with another leader's path; choose another folder"
+            ):
                 refuse(tmp_path, other)
 
 
 def test_a_study_of_an_earlier_version_without_the_leaders_digest_says_so(tmp_path):
-    """Its head has no leader_digest: whether its leader flew the same is not known, and the sentence says that."""
+    """Its head has no leader_digest: whether its leader flew the same is not known, and the
+    sentence says that.
+    """
     fly_trials(FollowTask(CLIMB), steady, 1, pilot="steady", out=tmp_path)
     head, *records = (tmp_path / TRIALS).read_text().splitlines()
     old = {key: value for key, value in json.loads(head).items() if key != "leader_digest"}
     (tmp_path / TRIALS).write_text("\n".join([json.dumps(old), *records]) + "\n")
-    for refuse in (flown_before, trials_to_pair):
-        with pytest.raises(InputError, match="no digest of the leader's path, as earlier versions of the kit wrote"):
+    for refuse in (read_flown_trials, read_paired_trials):
+        with pytest.raises(
+            InputError, match="no digest of the leader's path, as earlier versions of the kit wrote"
+        ):
             refuse(tmp_path, study_head(FollowTask(CLIMB), "steady"))
 
 
@@ -206,16 +235,23 @@ def test_trials_of_a_noisier_or_later_world_are_not_mixed_in(tmp_path, monkeypat
 
 
 def test_another_scene_or_lens_is_another_setting():
-    """One Gaussian moved by a metre; the image's centre moved by a pixel. The same made anew stays the same."""
+    """One Gaussian moved by a metre; the image's centre moved by a pixel. The same made anew stays
+    the same.
+    """
     camera = fpv_camera(16, 16)
-    nominal = Setting(one_gaussian(2.0), camera).record
-    assert Setting(one_gaussian(2.0), camera).record == nominal
-    for other in (Setting(one_gaussian(3.0), camera), Setting(one_gaussian(2.0), replace(camera, cx=camera.cx + 1.0))):
+    nominal = TrialSettings(one_gaussian(2.0), camera).record
+    assert TrialSettings(one_gaussian(2.0), camera).record == nominal
+    for other in (
+        TrialSettings(one_gaussian(3.0), camera),
+        TrialSettings(one_gaussian(2.0), replace(camera, cx=camera.cx + 1.0)),
+    ):
         assert other.record != nominal
 
 
 def one_gaussian(x: float) -> GaussianScene:
-    return GaussianScene([[x, 0.0, 1.0]], [[1.0, 0.0, 0.0, 0.0]], np.full((1, 3), 0.1), [0.9], np.zeros((1, 1, 3)))
+    return GaussianScene(
+        [[x, 0.0, 1.0]], [[1.0, 0.0, 0.0, 0.0]], np.full((1, 3), 0.1), [0.9], np.zeros((1, 1, 3))
+    )
 
 
 GOOD = '{"trial": 0, "success": true, "seed": 10000, "reason": "done", "steps": 2, "skipped": 0, "faults": 0'
@@ -244,22 +280,26 @@ GOOD += (
     ],
 )
 def test_a_damaged_measure_is_named(tmp_path, line, told):
-    """A good head and one wrong thing; of two equal keys JSON takes the later. Without it the record is read."""
+    """A good head and one wrong thing; of two equal keys JSON takes the later. Without it the
+    record is read.
+    """
     head = '{"task": "landing", "list": 0}\n'
     (tmp_path / "trials.jsonl").write_text(f"{head}{line}\n")
     with pytest.raises(InputError) as refused:
         read_trials(tmp_path)
     assert f"got trial 0 with {told}" in str(refused.value)
     (tmp_path / "trials.jsonl").write_text(f"{head}{GOOD}}}\n")
-    found = summary(read_trials(tmp_path)[1])
+    found = summarise_trials(read_trials(tmp_path)[1])
     assert (found["ald_m"]["mean"], found["ate_path_m"]["mean"]) == pytest.approx((0.1, 0.2))
 
 
-@pytest.mark.parametrize("damage", ["", "{}\n[1]\n", '{"task": 1}\n{"trial": 1, "success": true}\n', "no json\n"])
+@pytest.mark.parametrize(
+    "damage", ["", "{}\n[1]\n", '{"task": 1}\n{"trial": 1, "success": true}\n', "no json\n"]
+)
 def test_a_damaged_record_is_refused(tmp_path, damage):
     """Empty, a list, a trial that is missing, other text."""
     (tmp_path / "trials.jsonl").write_text(damage)
-    with pytest.raises(InputError, match="want a head and then trials"):
+    with pytest.raises(InputError, match="expected a head and then trials"):
         read_trials(tmp_path)
     with pytest.raises(FileNotFoundError, match="found none there"):
         read_trials(tmp_path / "nowhere")
@@ -284,18 +324,28 @@ def test_a_log_says_that_it_is_simulated(tmp_path):
 
 
 def record(success: bool, **numbers) -> dict:
-    art = {"art_median_ms": 1.0, "art_p95_ms": 2.0, "art_ms": [1.0, 2.0], "machine": "a", "images": "no images"}
+    art = {
+        "art_median_ms": 1.0,
+        "art_p95_ms": 2.0,
+        "art_ms": [1.0, 2.0],
+        "machine": "a",
+        "images": "no images",
+    }
     return {"success": success, "faults": 0, "skipped": 0, **art, **numbers}
 
 
 def test_deviation_counts_landings_only():
-    """Deviations 0.1, 0.2, 0.6 of three landings, a failure 5 m off: mean 0.3, not 0.225 and not 1.475.
+    """Deviations 0.1, 0.2, 0.6 of three landings, a failure 5 m off: mean 0.3, not 0.225 and not
+    1.475.
 
-    3 of 4: exact 95 % limits 19.4 and 99.4 % (Geigy tables). Bank without its side: (2 + 4 + 3) / 3.
+    3 of 4: exact 95 % limits 19.4 and 99.4 % (Geigy tables). Bank without its side: (2 + 4 + 3) /
+        3.
     """
     landings = [(0.1, 2.0), (0.2, -4.0), (0.6, 3.0)]
     records = [record(True, ald_m=ald, bank_deg=bank) for ald, bank in landings]
-    found = summary([*records, record(False, ald_m=None, lateral_offset_m=5.0, bank_deg=40.0)])
+    found = summarise_trials(
+        [*records, record(False, ald_m=None, lateral_offset_m=5.0, bank_deg=40.0)]
+    )
     assert (found["successes"], found["trials"], found["success_rate"]) == (3, 4, 0.75)
     assert 100.0 * found["success_low95"] == pytest.approx(19.4, abs=0.06)
     assert 100.0 * found["success_high95"] == pytest.approx(99.4, abs=0.06)
@@ -306,39 +356,56 @@ def test_deviation_counts_landings_only():
 
 
 def test_run_times_are_pooled_over_steps():
-    """20 steps of 1 ms in one trial, 2 of 9 ms in another: the median step takes 1 ms, not 5; 95 % are within 9 ms.
+    """20 steps of 1 ms in one trial, 2 of 9 ms in another: the median step takes 1 ms, not 5; 95 %
+    are within 9 ms.
 
     The 95th percentile of 22 sorted values lies at index 0.95 * 21 = 19.95: 1 + 0.95 * 8 = 8.6 ms.
     """
-    trials = [record(True, art_ms=[1.0] * 20, machine="a"), record(True, art_ms=[9.0] * 2, machine="b")]
-    found = summary(trials)
+    trials = [
+        record(True, art_ms=[1.0] * 20, machine="a"),
+        record(True, art_ms=[9.0] * 2, machine="b"),
+    ]
+    found = summarise_trials(trials)
     assert (found["art_median_ms"], found["art_steps"]) == (1.0, 22)
     assert found["art_p95_ms"] == pytest.approx(8.6)
     assert (found["machine"], found["images"]) == ("a; b", "no images")
 
 
 def test_a_record_keeps_the_time_of_every_step_and_what_it_was_measured_with():
-    """A pilot that sleeps 2 ms in each of six steps; 16x16 images by the renderer that flights use, or none."""
+    """A pilot that sleeps 2 ms in each of six steps; 16x16 images by the renderer that flights use,
+    or none.
+    """
 
     def slow(trial):
-        return SimpleNamespace(act=lambda observation: time.sleep(0.002) or Command(0.5, 0.0, 0.0, 0.0))
+        return SimpleNamespace(
+            act=lambda observation: time.sleep(0.002) or Command(0.5, 0.0, 0.0, 0.0)
+        )
 
     found = fly_trial(ToyTask(), slow, 0)
     assert len(found["art_ms"]) == found["steps"] == 6
     assert all(ms >= 2.0 for ms in found["art_ms"])
     assert found["images"] == "no images"
     assert "cores" in found["machine"]
-    seen = fly_trial(ToyTask(), steady, 0, setting=Setting(one_gaussian(2.0), fpv_camera(16, 16)))
+    seen = fly_trial(
+        ToyTask(), steady, 0, setting=TrialSettings(one_gaussian(2.0), fpv_camera(16, 16))
+    )
     assert seen["images"].startswith("16x16 images by ")
 
 
 def test_tracking_error_is_told_of_all_and_of_successes():
-    """0.2, 0.4 of successes, 0.9 until a loss, and a trial lost at once that has none: means 0.5 and 0.3."""
-    records = [record(True, ate_m=0.2), record(True, ate_m=0.4), record(False, ate_m=0.9), record(False, ate_m=None)]
-    found = summary(records)
+    """0.2, 0.4 of successes, 0.9 until a loss, and a trial lost at once that has none: means 0.5
+    and 0.3.
+    """
+    records = [
+        record(True, ate_m=0.2),
+        record(True, ate_m=0.4),
+        record(False, ate_m=0.9),
+        record(False, ate_m=None),
+    ]
+    found = summarise_trials(records)
     assert found["ate_m"]["mean"] == pytest.approx(0.5)
     assert found["ate_m_of_successes"]["mean"] == pytest.approx(0.3)
-    none = summary([record(False, ald_m=None, sink_rate_m_s=3.0)])
+    none = summarise_trials([record(False, ald_m=None, sink_rate_m_s=3.0)])
     assert none["successes"] == 0
     assert np.isnan(none["sink_rate_m_s"]["mean"])
 
@@ -354,16 +421,26 @@ def test_pilots_are_compared_on_the_same_starts():
 
 
 def test_results_are_written_with_both_colours(tmp_path):
-    """A success and a failure: their colours are in both figures; the table has a row each and no paths."""
+    """A success and a failure: their colours are in both figures; the table has a row each and no
+    paths.
+    """
     import matplotlib.image
 
     paths = [[[-19.0, y, 1.5], [0.0, y, 0.5], [4.0, y, 0.2]] for y in (-2.0, 5.0)]
     flown = [(True, 0.1, paths[0]), (False, None, paths[1])]
     records = [
-        record(good, trial=k, ald_m=ald, ate_path_m=0.2, lateral_offset_m=0.1, past_threshold_m=3.0, path_m=path)
+        record(
+            good,
+            trial=k,
+            ald_m=ald,
+            ate_path_m=0.2,
+            lateral_offset_m=0.1,
+            past_threshold_m=3.0,
+            path_m=path,
+        )
         for k, (good, ald, path) in enumerate(flown)
     ]
-    files = write_results(records, summary(records), tmp_path, "landing by nobody")
+    files = write_results(records, summarise_trials(records), tmp_path, "landing by nobody")
     bars = (255 * matplotlib.image.imread(files["results"])[..., :3]).round()
     for colour in (PREDICTED, ACCENT):
         assert (bars == [int(colour[i : i + 2], 16) for i in (1, 3, 5)]).all(axis=-1).sum() > 100

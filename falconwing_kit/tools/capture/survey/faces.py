@@ -1,8 +1,10 @@
-"""Faces in photos: a flat face whose four corners are surveyed, roughly aligned -> where photos show its corners.
+"""Faces in photos: a flat face whose four corners are surveyed, roughly aligned -> where photos
+show its corners.
 
-Every edge of the face is looked for across its expected place, as wide as the alignment's own uncertainty asks; a line
-is fitted through what was found, and neighbouring lines meet in a corner. A lens bends lines, so all fitting is done on
-rays: a straight edge spans a plane with the camera, and two such planes meet in the ray of the corner.
+Every edge of the face is looked for across its expected place, as wide as the alignment's own
+uncertainty asks; a line is fitted through what was found, and neighbouring lines meet in a corner.
+A lens bends lines, so all fitting is done on rays: a straight edge spans a plane with the camera,
+and two such planes meet in the ray of the corner.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,46 +15,51 @@ from numpy.typing import NDArray
 from falconwing_kit.core.checks import Array
 from falconwing_kit.tools.capture.align import Alignment
 from falconwing_kit.tools.capture.photo_files import Reconstruction, read_photo
-from falconwing_kit.tools.capture.survey.points import Sightings
+from falconwing_kit.tools.capture.survey.points import PointObservations
 
 Image = NDArray[np.float32]
 
-LEAST_SEARCH_PX, MOST_SEARCH_PX = 3.0, 16.0  # across an edge, to both sides
+MIN_SEARCH_PX, MAX_SEARCH_PX = 3.0, 16.0  # across an edge, to both sides
 STEP_PX = 0.25
-LEAST_SAMPLES, LEAST_SHARE, LEAST_SPAN_PX = 10, 0.6, 25.0  # on a line; of those looked for; along it
-LEAST_CONTRAST = 8.0  # change of colour across an edge within 2 px, of 255
+MIN_SAMPLES, MIN_SHARE, MIN_SPAN_PX = 10, 0.6, 25.0  # on a line; of those looked for; along it
+MIN_CONTRAST = 8.0  # change of colour across an edge within 2 px, of 255
 LINE_TOLERANCE_PX = 0.7
 BORDER_PX = 4.0
 END_SHARE = 0.015  # of an edge at each end is left out: other edges begin there
 INNER_SHARE = 0.4  # of the way to the opposite edge: the search begins no deeper in the face
 
 
-def find_faces(
+def observe_faces(
     reconstruction: Reconstruction,
     alignment: Alignment,
     faces: Sequence[tuple[tuple[str, ...], Array]],
     plain: bool = True,
     progress: Callable[[], None] = lambda: None,
-) -> Sightings:
+) -> PointObservations:
     """Find corners of flat faces in all photos.
 
     Args:
         reconstruction: not aligned.
-        alignment: good enough to say where the edges are to MOST_SEARCH_PX; where it is not, nothing is looked for.
-        faces: for each the names of its corners in order around it, and their places (4, 3) in the world [m].
-        plain: True: the face has one colour, and its edge is the first step on the way out. False: it has a pattern,
-            and its edge is the strongest step.
+        alignment: good enough to say where the edges are to MOST_SEARCH_PX; where it is not,
+            nothing is looked for.
+        faces: for each the names of its corners in order around it, and their places (4, 3) in the
+            world [m].
+        plain: True: the face has one colour, and its edge is the first step on the way out. False:
+            it has a pattern, and its edge is the strongest step.
         progress: called after each photo.
 
     Returns:
-        Sightings of the corners; a corner is left out where an edge is hidden, short, cut by the border or faint.
+        Sightings of the corners; a corner is left out where an edge is hidden, short, cut by the
+        border or faint.
 
     Raises:
         FileNotFoundError: a photo is gone.
         InputError: a photo cannot be read.
     """
     rows: list[tuple[str, int, Sequence[float]]] = []
-    placed = [(names, p, alignment.inverse(p), alignment.sigma(p) / alignment.scale) for names, p in faces]
+    placed = [
+        (names, p, alignment.inverse(p), alignment.sigma(p) / alignment.scale) for names, p in faces
+    ]
     for number in range(len(reconstruction)):
         depths = [_depths(reconstruction, number, corners) for _, _, corners, _ in placed]
         if any((depth > 0).any() for depth in depths):
@@ -62,11 +69,16 @@ def find_faces(
                     found = _find_in_photo(reconstruction, number, image, corners, sigmas, plain)
                     rows += [(names[k], number, pixel) for k, pixel in found]
         progress()
-    return Sightings.join(rows)
+    return PointObservations.join(rows)
 
 
 def _find_in_photo(
-    reconstruction: Reconstruction, number: int, image: Image, corners: Array, sigmas: Array, plain: bool
+    reconstruction: Reconstruction,
+    number: int,
+    image: Image,
+    corners: Array,
+    sigmas: Array,
+    plain: bool,
 ) -> list[tuple[int, list[float]]]:
     """Corners of one face in one photo: number of the corner and its pixel."""
     lines = [_find_edge(reconstruction, number, image, corners, sigmas, k, plain) for k in range(4)]
@@ -78,55 +90,80 @@ def _find_in_photo(
             continue
         (plane_before, seen_before, _), (plane_after, seen_after, search) = before, after
         ray = np.cross(plane_before, plane_after)
-        if abs(ray[2]) < np.sin(np.radians(10.0)):  # the lines are nearly one, their meeting point is not known
+        if abs(ray[2]) < np.sin(
+            np.radians(10.0)
+        ):  # the lines are nearly one, their meeting point is not known
             continue
         pixel = _to_pixels(reconstruction, ray[None] / ray[2])[0]
         size = (reconstruction.camera.width, reconstruction.camera.height)
         inside = ((pixel > BORDER_PX) & (pixel < np.array(size) - BORDER_PX)).all()
         gaps = [np.linalg.norm(seen - pixel, axis=1).min() for seen in (seen_before, seen_after)]
-        if inside and max(gaps) < LEAST_SPAN_PX and np.linalg.norm(pixel - expected[k]) < 2.0 * search:
+        if (
+            inside
+            and max(gaps) < MIN_SPAN_PX
+            and np.linalg.norm(pixel - expected[k]) < 2.0 * search
+        ):
             found.append((k, pixel.tolist()))
     return found
 
 
 def _find_edge(
-    reconstruction: Reconstruction, number: int, image: Image, corners: Array, sigmas: Array, k: int, plain: bool
+    reconstruction: Reconstruction,
+    number: int,
+    image: Image,
+    corners: Array,
+    sigmas: Array,
+    k: int,
+    plain: bool,
 ) -> tuple[Array, Array, float] | None:
-    """The edge from corner k to the next: its plane (unit normal, camera axes), pixels on it, and the search width."""
+    """The edge from corner k to the next: its plane (unit normal, camera axes), pixels on it, and
+    the search width.
+    """
     places, weights = _sample_edge(reconstruction, number, corners[k], corners[(k + 1) % 4])
-    if len(places) < LEAST_SAMPLES:
+    if len(places) < MIN_SAMPLES:
         return None
     focal = reconstruction.camera.fx
     depth = np.maximum(_depths(reconstruction, number, corners), 1e-6)
     near = weights @ (sigmas / depth)[[k, (k + 1) % 4]]
-    search = LEAST_SEARCH_PX + 2.0 * focal * float(near.max())
-    if search > MOST_SEARCH_PX:
+    search = MIN_SEARCH_PX + 2.0 * focal * float(near.max())
+    if search > MAX_SEARCH_PX:
         return None
     along = np.gradient(places, axis=0)
-    across = np.stack([along[:, 1], -along[:, 0]], -1) / np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.stack([along[:, 1], -along[:, 0]], -1) / np.linalg.norm(
+        along, axis=1, keepdims=True
+    )
     inner = weights @ (
-        corners[[k, (k + 1) % 4]] + INNER_SHARE * (corners[[k - 1, (k + 2) % 4]] - corners[[k, (k + 1) % 4]])
+        corners[[k, (k + 1) % 4]]
+        + INNER_SHARE * (corners[[k - 1, (k + 2) % 4]] - corners[[k, (k + 1) % 4]])
     )
     depth_inside = ((reconstruction.project(inner, number) - places) * across).sum(axis=1)
     outward = -np.sign(depth_inside)[:, None] * across
-    wide = np.abs(depth_inside) > search  # elsewhere the search would begin beyond the face; nan drops out too
-    if wide.sum() < LEAST_SAMPLES:
+    wide = (
+        np.abs(depth_inside) > search
+    )  # elsewhere the search would begin beyond the face; nan drops out too
+    if wide.sum() < MIN_SAMPLES:
         return None
     places, outward = places[wide], outward[wide]
     seen = _steps(image, places, outward, search, plain)
     hit = np.isfinite(seen).all(axis=1)
-    if hit.sum() < LEAST_SAMPLES or hit.mean() < LEAST_SHARE:
+    if hit.sum() < MIN_SAMPLES or hit.mean() < MIN_SHARE:
         return None
     return _fit_line(reconstruction, seen[hit], len(places), search)
 
 
-def _sample_edge(reconstruction: Reconstruction, number: int, start: Array, end: Array) -> tuple[Array, Array]:
-    """Pixels (S, 2) every 2 px along an edge inside the image, and the weight (S, 2) of its two ends in each."""
+def _sample_edge(
+    reconstruction: Reconstruction, number: int, start: Array, end: Array
+) -> tuple[Array, Array]:
+    """Pixels (S, 2) every 2 px along an edge inside the image, and the weight (S, 2) of its two
+    ends in each.
+    """
     share = np.linspace(0.0, 1.0, 800)
     pixels = reconstruction.project(start + share[:, None] * (end - start), number)
     camera = reconstruction.camera
     with np.errstate(invalid="ignore"):
-        inside = ((pixels > BORDER_PX) & (pixels < (camera.width - BORDER_PX, camera.height - BORDER_PX))).all(axis=1)
+        inside = (
+            (pixels > BORDER_PX) & (pixels < (camera.width - BORDER_PX, camera.height - BORDER_PX))
+        ).all(axis=1)
     inside &= (share > END_SHARE) & (share < 1.0 - END_SHARE)
     pixels, share = pixels[inside], share[inside]
     if len(pixels) < 2:
@@ -135,7 +172,11 @@ def _sample_edge(reconstruction: Reconstruction, number: int, start: Array, end:
     even = np.arange(0.0, length[-1], 2.0)
     share = np.interp(even, length, share)
     places = np.stack([np.interp(even, length, pixels[:, axis]) for axis in range(2)], -1)
-    return (places, np.stack([1.0 - share, share], -1)) if length[-1] > LEAST_SPAN_PX else (places[:0], places[:0])
+    return (
+        (places, np.stack([1.0 - share, share], -1))
+        if length[-1] > MIN_SPAN_PX
+        else (places[:0], places[:0])
+    )
 
 
 def _steps(image: Image, places: Array, outward: Array, search: float, plain: bool) -> Array:
@@ -143,18 +184,24 @@ def _steps(image: Image, places: Array, outward: Array, search: float, plain: bo
     import cv2
 
     offsets = np.arange(-search, search + STEP_PX, STEP_PX)
-    at = (places[:, None] + offsets[None, :, None] * outward[:, None]).astype(np.float32) - np.float32(0.5)
-    profile = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    at = (places[:, None] + offsets[None, :, None] * outward[:, None]).astype(
+        np.float32
+    ) - np.float32(0.5)
+    profile = cv2.remap(
+        image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     half = round(1.0 / STEP_PX)
     change = np.linalg.norm(profile[:, 2 * half :] - profile[:, : -2 * half], axis=2)  # over 2 px
     middle = change[:, 1:-1]
-    peak = (middle >= change[:, :-2]) & (middle > change[:, 2:]) & (middle > LEAST_CONTRAST)
+    peak = (middle >= change[:, :-2]) & (middle > change[:, 2:]) & (middle > MIN_CONTRAST)
     strong = peak & (middle > 0.4 * change.max(axis=1, keepdims=True))
     best = np.argmax(strong if plain else np.where(peak, middle, 0.0), axis=1)
     row = np.arange(len(places))
     left, centre, right = change[row, best], change[row, best + 1], change[row, best + 2]
     with np.errstate(invalid="ignore", divide="ignore"):
-        shift = 0.5 * (left - right) / (left - 2.0 * centre + right)  # top of the parabola through three values
+        shift = (
+            0.5 * (left - right) / (left - 2.0 * centre + right)
+        )  # top of the parabola through three values
     found = np.where(strong.any(axis=1), offsets[best + 1 + half] + STEP_PX * shift, np.nan)
     return np.asarray(places + found[:, None] * outward)
 
@@ -162,7 +209,9 @@ def _steps(image: Image, places: Array, outward: Array, search: float, plain: bo
 def _fit_line(
     reconstruction: Reconstruction, pixels: Array, looked_for: int, search: float
 ) -> tuple[Array, Array, float] | None:
-    """The plane through the camera that most pixels of an edge lie in, and those pixels; None without a clear one."""
+    """The plane through the camera that most pixels of an edge lie in, and those pixels; None
+    without a clear one.
+    """
     rays = reconstruction.pixel_directions(pixels)
     tolerance = LINE_TOLERANCE_PX / reconstruction.camera.fx
     count, best = len(rays), np.zeros(len(rays), bool)
@@ -171,15 +220,17 @@ def _fit_line(
             inliers = _off_line(np.cross(rays[first], rays[second]), rays) < tolerance
             best = inliers if inliers.sum() > best.sum() else best
     for _ in range(3):
-        if best.sum() < max(LEAST_SAMPLES, LEAST_SHARE * looked_for):
+        if best.sum() < max(MIN_SAMPLES, MIN_SHARE * looked_for):
             return None
         x, y = rays[best, :2].T - rays[best, :2].mean(axis=0)[:, None]
-        angle = 0.5 * np.arctan2(2.0 * (x * y).sum(), (x * x - y * y).sum())  # main axis of the points
+        angle = 0.5 * np.arctan2(
+            2.0 * (x * y).sum(), (x * x - y * y).sum()
+        )  # main axis of the points
         normal = np.array([-np.sin(angle), np.cos(angle)])
         plane = np.array([*normal, -normal @ rays[best, :2].mean(axis=0)])
         best = _off_line(plane, rays) < tolerance
     seen = pixels[best]
-    wide = len(seen) and np.linalg.norm(seen.max(axis=0) - seen.min(axis=0)) > LEAST_SPAN_PX
+    wide = len(seen) and np.linalg.norm(seen.max(axis=0) - seen.min(axis=0)) > MIN_SPAN_PX
     return (plane, seen, search) if wide else None
 
 
@@ -191,7 +242,9 @@ def _off_line(plane: Array, rays: Array) -> Array:
 def _to_pixels(reconstruction: Reconstruction, directions: Array) -> Array:
     """(K, 2) pixels of camera-frame directions with z = 1."""
     camera = reconstruction.camera
-    bent = directions[:, :2] * (1.0 + reconstruction.k1 * (directions[:, :2] ** 2).sum(axis=1, keepdims=True))
+    bent = directions[:, :2] * (
+        1.0 + reconstruction.k1 * (directions[:, :2] ** 2).sum(axis=1, keepdims=True)
+    )
     return np.asarray(bent * (camera.fx, camera.fy) + (camera.cx, camera.cy))
 
 

@@ -1,8 +1,9 @@
-"""A video link measured: photos that came through it, and photos that did not, of one place -> an `AnalogVideo`.
+"""A video link measured: photos that came through it, and photos that did not, of one place -> an
+`AnalogVideo`.
 
-The two sets need not show the same views, only the same kind of things. Everything is found by comparing statistics of
-photos with those of clean photos sent through the model (method of simulated moments): whatever the statistic sees
-besides the link, texture or JPEG, it sees in both.
+The two sets need not show the same views, only the same kind of things. Everything is found by
+comparing statistics of photos with those of clean photos sent through the model (method of
+simulated moments): whatever the statistic sees besides the link, texture or JPEG, it sees in both.
 
     python -m falconwing_kit.tools.capture.survey.link PHOTOS_ANALOG PHOTOS
 """
@@ -28,20 +29,23 @@ BLOCK = (16, 32)  # rows and columns of a block [px]
 FLAT = 0.2  # share of the blocks that count as flat: those with the least grain
 LUMA_BANDS = np.array([4, 8, 16, 32, 64, 96, 128, 192, 256, 320])  # cycles a line
 CHROMA_BANDS = np.array([2, 4, 8, 16, 32, 64])
-COMMON = 2  # the first bands, which no link touches: they take out that the views differ
+REFERENCE_BANDS = 2  # the first bands, which no link touches: they take out that the views differ
 LUMA_GRID, CHROMA_GRID = np.arange(1.5e6, 6.01e6, 0.1e6), np.arange(0.2e6, 1.51e6, 0.05e6)  # [Hz]
-ROUNDS = 4  # of fitting the noise
+NOISE_ITERATIONS = 4  # of fitting the noise
 JPEG_QUALITY = 90  # the photos are JPEGs, and so are those sent through the model
-FADE, LEAST_FADE = 6.0, 3.0  # a line with so many times the photo's median grain, and so many grey levels more
-MOST_PHOTOS = 24  # clean ones that are sent through the model: more change no figure by a tenth
+FADE, MIN_FADE = (
+    6.0,
+    3.0,
+)  # a line with so many times the photo's median grain, and so many grey levels more
+MAX_PHOTOS = 24  # clean ones that are sent through the model: more change no figure by a tenth
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class ImageStatistics:
     """What photos look like, in numbers that a link changes: medians over the photos."""
 
     luma_noise: float  # rms grain of flat places [grey levels]
-    likeness: float  # correlation of the grain with that one pixel to the right
+    correlation: float  # correlation of the grain with that one pixel to the right
     chroma_noise: float  # of red and blue difference [grey levels]
     luma: Array  # (9,) log of the amplitude in LUMA_BANDS, the first ones' mean taken out
     chroma: Array  # (5,) of the red and blue difference in CHROMA_BANDS
@@ -49,7 +53,7 @@ class Look:
     fade_lines: float  # mean length, nan without
 
 
-def look(images: Sequence[Pixels]) -> Look:
+def image_statistics(images: Sequence[Pixels]) -> ImageStatistics:
     """Measure photos.
 
     Args:
@@ -59,7 +63,7 @@ def look(images: Sequence[Pixels]) -> Look:
         InputError: there are none.
     """
     if not images:
-        raise InputError("link: want at least one photo to measure, got none")
+        raise InputError("link: expected at least one photo to measure, got none")
     covariances, spectra, lengths = [], [], []
     for image in images:
         planes = _planes(image)
@@ -67,9 +71,9 @@ def look(images: Sequence[Pixels]) -> Look:
         spectra.append([_spectrum(plane) for plane in planes])
         lengths += _fades(planes[0])
     grain, power = np.median(covariances, axis=0), np.median(spectra, axis=0)
-    return Look(
+    return ImageStatistics(
         luma_noise=math.sqrt(grain[0, 0]),
-        likeness=float(grain[0, 1] / max(grain[0, 0], 1e-9)),
+        correlation=float(grain[0, 1] / max(grain[0, 0], 1e-9)),
         chroma_noise=math.sqrt(grain[1:, 0].mean()),
         luma=_bands(power[0], LUMA_BANDS),
         chroma=_bands(power[1:].mean(axis=0), CHROMA_BANDS),
@@ -92,61 +96,94 @@ def measure_link(through: Sequence[Pixels], clean: Sequence[Pixels]) -> AnalogVi
         InputError: a set is empty, or the sizes differ.
     """
     if {image.shape for image in through} != {image.shape for image in clean} or not through:
-        raise InputError("link: want photos of one size in both sets, got others; scale them to the link's size")
-    want, bare, width = look(through), look(clean), through[0].shape[1]
-    noise = math.sqrt(max(want.luma_noise**2 - bare.luma_noise**2, 0.01))
-    link = AnalogVideo(20.0 * math.log10(255.0 / noise), chroma_noise=0.2, dropouts=want.fades)
-    link = replace(link, dropout_lines=want.fade_lines) if want.fades else link
+        raise InputError(
+            "link: expected photos of one size in both sets, got others; scale them to the link's size"
+        )
+    target, clean_statistics, width = (
+        image_statistics(through),
+        image_statistics(clean),
+        through[0].shape[1],
+    )
+    noise = math.sqrt(max(target.luma_noise**2 - clean_statistics.luma_noise**2, 0.01))
+    link = AnalogVideo(20.0 * math.log10(255.0 / noise), chroma_noise=0.2, dropouts=target.fades)
+    link = replace(link, dropout_lines=target.fade_lines) if target.fades else link
     for _ in range(2):  # noise and sharpness share the higher bands
-        link = _with_noise(link, want, bare, clean, LINE_S / width)
-        link = _sharpest(link, want, clean, "luma", LUMA_GRID)
-        link = _sharpest(link, want, clean, "chroma", CHROMA_GRID)
+        link = _fit_noise(link, target, clean_statistics, clean, LINE_S / width)
+        link = _fit_bandwidth(link, target, clean, "luma", LUMA_GRID)
+        link = _fit_bandwidth(link, target, clean, "chroma", CHROMA_GRID)
     return replace(link, snr_db=round(link.snr_db, 1))
 
 
-def sent(link: AnalogVideo, clean: Sequence[Pixels]) -> list[Pixels]:
+def transmit(link: AnalogVideo, clean: Sequence[Pixels]) -> list[Pixels]:
     """Clean photos (H, W, 3) as they come through a link and out of a JPEG."""
     return [_jpeg(link.apply(image, number)) for number, image in enumerate(clean)]
 
 
-def _with_noise(link: AnalogVideo, want: Look, bare: Look, clean: Sequence[Pixels], pixel_s: float) -> AnalogVideo:
-    """The link with the noise that is wanted: step by step corrected by what the model's pictures show."""
-    for _ in range(ROUNDS):
-        got = look(sent(link, clean))
-        wanted, made = (math.sqrt(max(x.luma_noise**2 - bare.luma_noise**2, 1e-3)) for x in (want, got))
+def _fit_noise(
+    link: AnalogVideo,
+    target: ImageStatistics,
+    clean_statistics: ImageStatistics,
+    clean: Sequence[Pixels],
+    pixel_s: float,
+) -> AnalogVideo:
+    """The link with the noise that is wanted: step by step corrected by what the model's pictures
+    show.
+    """
+    for _ in range(NOISE_ITERATIONS):
+        simulated = image_statistics(transmit(link, clean))
+        wanted, made = (
+            math.sqrt(max(x.luma_noise**2 - clean_statistics.luma_noise**2, 1e-3))
+            for x in (target, simulated)
+        )
         snr_db = link.snr_db + 20.0 * math.log10(made / wanted)
-        colour = max(want.chroma_noise**2 - bare.chroma_noise**2, 0.0) ** 0.5
-        coloured = max(got.chroma_noise**2 - bare.chroma_noise**2, 1e-4) ** 0.5
-        decay = _decay(want.likeness) * _decay(_of_noise_s(link.noise_s, pixel_s)) / _decay(got.likeness)
+        target_chroma = max(target.chroma_noise**2 - clean_statistics.chroma_noise**2, 0.0) ** 0.5
+        simulated_chroma = (
+            max(simulated.chroma_noise**2 - clean_statistics.chroma_noise**2, 1e-4) ** 0.5
+        )
+        decay = (
+            _decay(target.correlation)
+            * _decay(_correlation_from_noise_s(link.noise_s, pixel_s))
+            / _decay(simulated.correlation)
+        )
         link = replace(
             link,
             snr_db=float(np.clip(snr_db, 10.0, 70.0)),
-            chroma_noise=float(np.clip(link.chroma_noise * colour / coloured, 0.0, 3.0)),
+            chroma_noise=float(
+                np.clip(link.chroma_noise * target_chroma / simulated_chroma, 0.0, 3.0)
+            ),
             noise_s=-pixel_s / math.log(min(max(decay, 0.05), 0.9)),
         )
     return link
 
 
-def _decay(likeness: float) -> float:
+def _decay(correlation: float) -> float:
     """d of a filter d^|k| whose noise is alike by 2 d / (1 + d^2) from pixel to pixel."""
-    rho = min(max(likeness, 0.01), 0.999)
+    rho = min(max(correlation, 0.01), 0.999)
     return (1.0 - math.sqrt(1.0 - rho**2)) / rho
 
 
-def _of_noise_s(noise_s: float, pixel_s: float) -> float:
+def _correlation_from_noise_s(noise_s: float, pixel_s: float) -> float:
     """The likeness that a noise_s makes; that of the flat band without one."""
     d = math.exp(-pixel_s / noise_s) if noise_s else 0.24
     return 2.0 * d / (1.0 + d**2)
 
 
-def _sharpest(link: AnalogVideo, want: Look, clean: Sequence[Pixels], name: str, grid: Array) -> AnalogVideo:
-    """The link with the bandwidth whose bands are nearest, in the sum of absolute logarithms: one odd band, such as
-    that of the colour carrier's pattern, moves nothing."""
+def _fit_bandwidth(
+    link: AnalogVideo, target: ImageStatistics, clean: Sequence[Pixels], name: str, grid: Array
+) -> AnalogVideo:
+    """The link with the bandwidth whose bands are nearest, in the sum of absolute logarithms: one
+    odd band, such as that of the colour carrier's pattern, moves nothing.
+    """
     changes: list[dict[str, Any]] = [{f"{name}_hz": float(hertz)} for hertz in grid]
     links = [replace(link, **change) for change in changes]
     some = clean[:: max(1, len(clean) // 6)]
-    base = getattr(look(clean), name) - getattr(look(some), name)
-    off = [np.abs(getattr(look(sent(one, some)), name) + base - getattr(want, name)).sum() for one in links]
+    base = getattr(image_statistics(clean), name) - getattr(image_statistics(some), name)
+    off = [
+        np.abs(
+            getattr(image_statistics(transmit(one, some)), name) + base - getattr(target, name)
+        ).sum()
+        for one in links
+    ]
     return links[int(np.argmin(off))]
 
 
@@ -161,12 +198,15 @@ def _planes(image: Pixels) -> list[Array]:
 def _grain(plane: Array) -> Array:
     """(2,) variance of the grain in flat places, and its covariance with the pixel to the right.
 
-    What a line differs by from the mean of its neighbours has 3/2 of white noise's variance and little of the scene.
+    What a line differs by from the mean of its neighbours has 3/2 of white noise's variance and
+    little of the scene.
     """
     across = (plane[1:-1] - 0.5 * (plane[:-2] + plane[2:])) / math.sqrt(1.5)
     rows, columns = BLOCK
     high, wide = across.shape[0] // rows, across.shape[1] // columns
-    blocks = across[: high * rows, : wide * columns].reshape(high, rows, wide, columns).swapaxes(1, 2)
+    blocks = (
+        across[: high * rows, : wide * columns].reshape(high, rows, wide, columns).swapaxes(1, 2)
+    )
     spread = blocks.var(axis=(2, 3))
     flat = blocks[spread <= np.quantile(spread, FLAT)]
     return np.array([(flat**2).mean(), (flat[..., 1:] * flat[..., :-1]).mean()])
@@ -175,20 +215,22 @@ def _grain(plane: Array) -> Array:
 def _spectrum(plane: Array) -> Array:
     """(W / 2 + 1,) mean power of the lines by cycles a line."""
     lines = plane - plane.mean(axis=1, keepdims=True)
-    return np.asarray((np.abs(np.fft.rfft(lines * np.hanning(plane.shape[1]), axis=1)) ** 2).mean(axis=0))
+    return np.asarray(
+        (np.abs(np.fft.rfft(lines * np.hanning(plane.shape[1]), axis=1)) ** 2).mean(axis=0)
+    )
 
 
 def _bands(power: Array, edges: Array) -> Array:
     """Log amplitude in bands; the mean of the first ones is taken out."""
     bands = np.array([power[low:high].mean() for low, high in pairwise(edges)])
     log = 0.5 * np.log(bands + 1e-9)
-    return np.asarray(log - log[:COMMON].mean())
+    return np.asarray(log - log[:REFERENCE_BANDS].mean())
 
 
 def _fades(luma: Array) -> list[int]:
     """Lengths of the bands of lines that are lost in noise."""
     grain = np.abs(luma[1:-1] - 0.5 * (luma[:-2] + luma[2:])).mean(axis=1)
-    lost = np.concatenate([[0], grain > FADE * np.median(grain) + LEAST_FADE, [0]])
+    lost = np.concatenate([[0], grain > FADE * np.median(grain) + MIN_FADE, [0]])
     starts, ends = (np.flatnonzero(np.diff(lost.astype(int)) == sign) for sign in (1, -1))
     return [int(end - start) for start, end in zip(starts, ends, strict=True)]
 
@@ -201,7 +243,8 @@ def _jpeg(image: Pixels) -> Pixels:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure a link on all photos, and on either half of them for its scatter; compare what the model makes.
+    """Measure a link on all photos, and on either half of them for its scatter; compare what the
+    model makes.
 
     Args:
         arguments: as from the command line; None takes those.
@@ -212,34 +255,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
     parser.add_argument("through", type=Path, help="folder of photos that came through the link")
     parser.add_argument("clean", type=Path, help="folder of photos of the same place without it")
-    told = parser.parse_args(arguments)
+    args = parser.parse_args(arguments)
     try:
-        through, clean = _read(told.through), _some(_read(told.clean))
+        through, clean = _read(args.through), _subsample(_read(args.clean))
         links = [measure_link(part, clean) for part in (through, through[::2], through[1::2])]
     except (InputError, FileNotFoundError) as error:
         print(error, file=sys.stderr)
         return 2
-    for name in ("snr_db", "dropouts", "dropout_lines", "luma_hz", "chroma_hz", "chroma_noise", "noise_s"):
+    for name in (
+        "snr_db",
+        "dropouts",
+        "dropout_lines",
+        "luma_hz",
+        "chroma_hz",
+        "chroma_noise",
+        "noise_s",
+    ):
         whole, even, odd = (f"{getattr(link, name):.3g}" for link in links)
         print(f"{name} = {whole}  # by halves of the photos: {even}, {odd}")
-    sets = {"through the link": through, "clean": clean, "clean through the model": sent(links[0], clean)}
+    sets = {
+        "through the link": through,
+        "clean": clean,
+        "clean through the model": transmit(links[0], clean),
+    }
     for title, images in sets.items():
-        seen = look(images)
-        print(f"\n{title}: noise {seen.luma_noise:.2f}, alike {seen.likeness:.2f}, in colour {seen.chroma_noise:.2f}")
+        seen = image_statistics(images)
+        print(
+            f"\n{title}: noise {seen.luma_noise:.2f}, alike {seen.correlation:.2f}, in colour {seen.chroma_noise:.2f}"
+        )
         print("log of luma's bands", seen.luma.round(2), "and chroma's", seen.chroma.round(2))
     return 0
 
 
 def _read(folder: Path) -> list[Pixels]:
-    paths = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".jpg", ".jpeg", ".png"))
+    paths = sorted(
+        path for path in folder.glob("*") if path.suffix.lower() in (".jpg", ".jpeg", ".png")
+    )
     if len(paths) < 2:
-        raise InputError(f"{folder}: want two photos or more (.jpg, .png), got {len(paths)}")
+        raise InputError(f"{folder}: expected two photos or more (.jpg, .png), got {len(paths)}")
     return [read_photo(path)[..., :3] for path in paths]
 
 
-def _some(images: list[Pixels]) -> list[Pixels]:
+def _subsample(images: list[Pixels]) -> list[Pixels]:
     """At most MOST_PHOTOS, spread over all."""
-    return [images[k] for k in np.unique(np.linspace(0, len(images) - 1, MOST_PHOTOS).astype(int))]
+    return [images[k] for k in np.unique(np.linspace(0, len(images) - 1, MAX_PHOTOS).astype(int))]
 
 
 if __name__ == "__main__":

@@ -7,10 +7,20 @@ from numpy.typing import NDArray
 
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.tools.capture.photo_files import Reconstruction, read_photo
-from falconwing_kit.tools.capture.survey.points import MARKER_CORNERS, Sightings
+from falconwing_kit.tools.capture.survey.points import MARKER_CORNERS, PointObservations
 
-DICTIONARY, MARKER_ID, MARKER_SIZE = "DICT_4X4_50", 7, 0.80  # the size is the black square's side [m]
-_OTHER_DICTIONARIES = ("DICT_4X4_50", "DICT_5X5_50", "DICT_6X6_50", "DICT_7X7_50", "DICT_ARUCO_ORIGINAL")
+DICTIONARY, MARKER_ID, MARKER_SIZE = (
+    "DICT_4X4_50",
+    7,
+    0.80,
+)  # the size is the black square's side [m]
+_OTHER_DICTIONARIES = (
+    "DICT_4X4_50",
+    "DICT_5X5_50",
+    "DICT_6X6_50",
+    "DICT_7X7_50",
+    "DICT_ARUCO_ORIGINAL",
+)
 
 
 def marker_corners(image: NDArray[np.uint8], dictionary: str = DICTIONARY) -> dict[int, Array]:
@@ -21,8 +31,8 @@ def marker_corners(image: NDArray[np.uint8], dictionary: str = DICTIONARY) -> di
         dictionary: its name in OpenCV.
 
     Returns:
-        By the marker's number: (4, 2) corners of the black square [px], as seen from its front top left, top right,
-        bottom right, bottom left; the first pixel's centre is at (0.5, 0.5).
+        By the marker's number: (4, 2) corners of the black square [px], as seen from its front top
+        left, top right, bottom right, bottom left; the first pixel's centre is at (0.5, 0.5).
 
     Raises:
         InputError: OpenCV has no such dictionary.
@@ -31,21 +41,26 @@ def marker_corners(image: NDArray[np.uint8], dictionary: str = DICTIONARY) -> di
 
     number = getattr(aruco, dictionary, None)
     if number is None:
-        raise InputError(f"dictionary: want a name such as {DICTIONARY}, got {dictionary[:40]!r}")
+        raise InputError(
+            f"dictionary: expected a name such as {DICTIONARY}, got {dictionary[:40]!r}"
+        )
     parameters = aruco.DetectorParameters()
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
     detector = aruco.ArucoDetector(aruco.getPredefinedDictionary(number), parameters)
     corners, ids, _ = detector.detectMarkers(np.ascontiguousarray(image[..., ::-1]))
     found = [] if ids is None else [int(key) for key in ids.ravel()]
-    return {key: quad.reshape(4, 2).astype(np.float64) + 0.5 for key, quad in zip(found, corners, strict=True)}
+    return {
+        key: quad.reshape(4, 2).astype(np.float64) + 0.5
+        for key, quad in zip(found, corners, strict=True)
+    }
 
 
-def find_marker(
+def observe_marker(
     reconstruction: Reconstruction,
     marker_id: int = MARKER_ID,
     dictionary: str = DICTIONARY,
     progress: Callable[[], None] = lambda: None,
-) -> Sightings:
+) -> PointObservations:
     """Look for the marker in every photo.
 
     Args:
@@ -70,12 +85,16 @@ def find_marker(
             rows.append((name, number, pixel.tolist()))
         progress()
     if len(rows) < 8:
-        seen = f"marker {', '.join(map(str, sorted(others)))} of it" if others else _other_dictionary(reconstruction)
+        seen = (
+            f"marker {', '.join(map(str, sorted(others)))} of it"
+            if others
+            else _other_dictionary(reconstruction)
+        )
         raise InputError(
-            f"photos: want marker {marker_id} of {dictionary} in two or more of {len(reconstruction)} photos, "
+            f"photos: expected marker {marker_id} of {dictionary} in two or more of {len(reconstruction)} photos, "
             f"got it in {len(rows) // 4}; seen instead: {seen}. Take photos of the marker from 2 to 8 m"
         )
-    return Sightings.join(rows)
+    return PointObservations.join(rows)
 
 
 def _other_dictionary(reconstruction: Reconstruction, photos: int = 20) -> str:

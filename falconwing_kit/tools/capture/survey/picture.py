@@ -1,4 +1,6 @@
-"""A picture of an alignment: the hall from above, where photos were taken, and how well places in it are known."""
+"""A picture of an alignment: the hall from above, where photos were taken, and how well places in
+it are known.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +17,10 @@ HEIGHT = 1.5  # [m] above the floor, where the uncertainty is drawn: a flight's 
 
 
 def draw_alignment(
-    path: str | Path, reconstruction: Reconstruction, survey: Survey, alignments: Sequence[tuple[str, Alignment]]
+    path: str | Path,
+    reconstruction: Reconstruction,
+    survey: Survey,
+    alignments: Sequence[tuple[str, Alignment]],
 ) -> None:
     """Draw one view from above per alignment.
 
@@ -31,11 +36,17 @@ def draw_alignment(
     """
     best = alignments[-1][1]
     low, high = _bounds(best, reconstruction, survey)
-    with figure(Path(path), 1, len(alignments), (5.2 * len(alignments), 3.9), sharex=True, sharey=True) as axes:
+    with figure(
+        Path(path), 1, len(alignments), (5.2 * len(alignments), 3.9), sharex=True, sharey=True
+    ) as axes:
         for ax, (title, alignment) in zip(axes[0], alignments, strict=True):
             places = alignment.points(reconstruction.T_world_camera[:, :3, 3])
-            cloud = alignment.points(reconstruction.points[:: max(1, len(reconstruction.points) // 6000)])
-            ax.scatter(*cloud.T[:2], s=1.0, color=MEASURED, alpha=0.7, linewidths=0, rasterized=True)
+            cloud = alignment.points(
+                reconstruction.points[:: max(1, len(reconstruction.points) // 6000)]
+            )
+            ax.scatter(
+                *cloud.T[:2], s=1.0, color=MEASURED, alpha=0.7, linewidths=0, rasterized=True
+            )
             ax.scatter(*places.T[:2], s=5, color=PREDICTED, linewidths=0, label="photos")
             _draw_sigma(ax, alignment, low, high)
             corners = survey.places([name for name in MARKER_CORNERS if name in survey.names])
@@ -43,15 +54,24 @@ def draw_alignment(
             for face in survey.select("align").faces():
                 outline = survey.places([*face, face[0]])
                 ax.plot(*outline.T[:2], color=QUIET, linewidth=1.2, label=face[0].split("_")[0])
-            ax.set(title=title, xlabel="x, landing direction [m]", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+            ax.set(
+                title=title,
+                xlabel="x, landing direction [m]",
+                xlim=(low[0], high[0]),
+                ylim=(low[1], high[1]),
+            )
             ax.set_aspect("equal")
         axes[0, 0].set_ylabel("y, left [m]")
         axes[0, -1].legend(loc="upper right", fontsize=8, frameon=True)
 
 
-def _bounds(alignment: Alignment, reconstruction: Reconstruction, survey: Survey) -> tuple[Array, Array]:
+def _bounds(
+    alignment: Alignment, reconstruction: Reconstruction, survey: Survey
+) -> tuple[Array, Array]:
     """The least and greatest x and y of cameras and survey, with a metre around."""
-    shown = np.concatenate([alignment.points(reconstruction.T_world_camera[:, :3, 3]), survey.p_world])[:, :2]
+    shown = np.concatenate(
+        [alignment.points(reconstruction.T_world_camera[:, :3, 3]), survey.p_world]
+    )[:, :2]
     return shown.min(axis=0) - 1.0, shown.max(axis=0) + 1.0
 
 

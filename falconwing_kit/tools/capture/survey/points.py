@@ -1,4 +1,6 @@
-"""Survey: a CSV of measured points -> points in the world; a CSV of clicks -> where photos show them."""
+"""Survey: a CSV of measured points -> points in the world; a CSV of clicks -> where photos show
+them.
+"""
 
 import csv
 from collections.abc import Iterable, Sequence
@@ -16,7 +18,9 @@ Numbers = NDArray[np.int64]
 
 SURVEY_COLUMNS, CLICK_COLUMNS = ("name", "x", "y", "z", "use"), ("name", "photo", "u", "v")
 USES = ("align", "check")
-MARKER_CORNERS = tuple(f"marker_corner_{corner}" for corner in ("top_left", "top_right", "bottom_right", "bottom_left"))
+MARKER_CORNERS = tuple(
+    f"marker_corner_{corner}" for corner in ("top_left", "top_right", "bottom_right", "bottom_left")
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,18 +34,24 @@ class Survey:
     def select(self, use: str) -> "Survey":
         """The points of one use."""
         keep = [k for k, other in enumerate(self.uses) if other == use]
-        return Survey(tuple(self.names[k] for k in keep), self.p_world[keep], tuple(self.uses[k] for k in keep))
+        return Survey(
+            tuple(self.names[k] for k in keep),
+            self.p_world[keep],
+            tuple(self.uses[k] for k in keep),
+        )
 
     def places(self, names: Iterable[str]) -> Array:
         """(K, 3) places of named points [m]."""
         return self.p_world[[self.names.index(name) for name in names]]
 
     def faces(self) -> list[tuple[str, ...]]:
-        """Groups of four points whose names begin alike and that span a flat face, each in order around it.
+        """Groups of four points whose names begin alike and that span a flat face, each in order
+        around it.
 
-        The name's last two words tell the corner (near_left, top_right ...), what stands before them the face; a corner
-        of a box may end in one more word, as pad_near_left_top does, and then its first word tells the face. The
-        marker's corners are left out, for they are found in another way.
+        The name's last two words tell the corner (near_left, top_right ...), what stands before
+        them the face; a corner of a box may end in one more word, as pad_near_left_top does, and
+        then its first word tells the face. The marker's corners are left out, for they are found in
+        another way.
         """
         groups: dict[str, list[int]] = {}
         for number, name in enumerate(self.names):
@@ -58,7 +68,7 @@ class Survey:
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class PointObservations:
     """Where photos show points."""
 
     names: tuple[str, ...]  # (K,) which point
@@ -68,18 +78,20 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.names)
 
-    def __add__(self, other: "Sightings") -> "Sightings":
-        return Sightings(
+    def __add__(self, other: "PointObservations") -> "PointObservations":
+        return PointObservations(
             self.names + other.names,
             np.concatenate([self.photos, other.photos]),
             np.concatenate([self.pixels, other.pixels]),
         )
 
     @classmethod
-    def join(cls, rows: Sequence[tuple[str, int, Sequence[float]]]) -> "Sightings":
+    def join(cls, rows: Sequence[tuple[str, int, Sequence[float]]]) -> "PointObservations":
         """Sightings from rows of name, photo number and pixel."""
         names, photos, pixels = zip(*rows, strict=True) if rows else ((), (), ())
-        return cls(tuple(names), np.array(photos, np.int64), np.array(pixels, np.float64).reshape(-1, 2))
+        return cls(
+            tuple(names), np.array(photos, np.int64), np.array(pixels, np.float64).reshape(-1, 2)
+        )
 
     def of(self, name: str) -> tuple[Numbers, Array]:
         """Photo numbers and pixels (K, 2) of one point."""
@@ -95,25 +107,33 @@ def read_survey(path: str | Path) -> Survey:
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: a column is missing, a number is not finite, a use is unknown, or a name comes twice.
+        InputError: a column is missing, a number is not finite, a use is unknown, or a name comes
+            twice.
     """
     rows = _read_rows(path, SURVEY_COLUMNS)
     names = tuple(row[0] for _, row in rows)
     for line, row in rows:
         if row[4] not in USES:
-            raise InputError(f"{short_name(path)}, line {line}: want use align or check, got {row[4][:40]!r}")
+            raise InputError(
+                f"{short_name(path)}, line {line}: expected use align or check, got {row[4][:40]!r}"
+            )
     if len(set(names)) < len(names) or not names:
-        raise InputError(f"{short_name(path)}: want at least one point and each name once, got none or a name twice")
+        raise InputError(
+            f"{short_name(path)}: expected at least one point and each name once, got none or a name twice"
+        )
     places = np.array([_numbers(path, line, row[1:4]) for line, row in rows])
     return Survey(names, places, tuple(row[4] for _, row in rows))
 
 
-def read_clicks(path: str | Path, reconstruction: Reconstruction, survey: Survey) -> Sightings:
+def read_clicks(
+    path: str | Path, reconstruction: Reconstruction, survey: Survey
+) -> PointObservations:
     """Read a CSV with the columns name, photo, u, v: where somebody clicked a surveyed point.
 
     Args:
         path: u to the right and v down from the image's upper left corner [px].
-        reconstruction: whose photos are named; clicks in photos that it has no pose for are left out.
+        reconstruction: whose photos are named; clicks in photos that it has no pose for are left
+            out.
         survey: whose points are named.
 
     Raises:
@@ -121,14 +141,16 @@ def read_clicks(path: str | Path, reconstruction: Reconstruction, survey: Survey
         InputError: a column is missing, a number is wrong, or the survey has no such point.
     """
     number_of = {name: number for number, name in enumerate(reconstruction.names)}
-    sightings = []
+    observations = []
     for line, (name, photo, *uv) in _read_rows(path, CLICK_COLUMNS):
         if name not in survey.names:
-            raise InputError(f"{short_name(path)}, line {line}: want a point of the survey, got {name[:60]!r}")
+            raise InputError(
+                f"{short_name(path)}, line {line}: expected a point of the survey, got {name[:60]!r}"
+            )
         pixel = _numbers(path, line, uv)
         if photo in number_of:
-            sightings.append((name, number_of[photo], pixel))
-    return Sightings.join(sightings)
+            observations.append((name, number_of[photo], pixel))
+    return PointObservations.join(observations)
 
 
 def _read_rows(path: str | Path, columns: tuple[str, ...]) -> list[tuple[int, list[str]]]:
@@ -136,17 +158,27 @@ def _read_rows(path: str | Path, columns: tuple[str, ...]) -> list[tuple[int, li
     name = short_name(path)
     try:
         lines = require_file(path).read_text(encoding="utf-8-sig").splitlines()
-        table = [(reader.line_num, row) for reader in [csv.reader(lines)] for row in reader if any(row)]
+        table = [
+            (reader.line_num, row) for reader in [csv.reader(lines)] for row in reader if any(row)
+        ]
     except (UnicodeDecodeError, csv.Error):
-        raise InputError(f"{name}: want a CSV file in UTF-8, got other bytes; save it as CSV") from None
+        raise InputError(
+            f"{name}: expected a CSV file in UTF-8, got other bytes; save it as CSV"
+        ) from None
     header = [word.strip() for word in table[0][1]] if table else []
     missing = [column for column in columns if column not in header]
     if missing:
-        raise InputError(f"{name}: want the columns {','.join(columns)} in the first line, {missing[0]} is missing")
+        raise InputError(
+            f"{name}: expected the columns {','.join(columns)} in the first line, {missing[0]} is missing"
+        )
     for line, row in table[1:]:
         if len(row) != len(header):
-            raise InputError(f"{name}, line {line}: want {len(header)} values as in the first line, got {len(row)}")
-    return [(line, [row[header.index(column)].strip() for column in columns]) for line, row in table[1:]]
+            raise InputError(
+                f"{name}, line {line}: expected {len(header)} values as in the first line, got {len(row)}"
+            )
+    return [
+        (line, [row[header.index(column)].strip() for column in columns]) for line, row in table[1:]
+    ]
 
 
 def _numbers(path: str | Path, line: int, words: Sequence[str]) -> list[float]:
@@ -156,7 +188,9 @@ def _numbers(path: str | Path, line: int, words: Sequence[str]) -> list[float]:
     except ValueError:
         numbers = [np.nan]
     if not np.isfinite(numbers).all():
-        raise InputError(f"{short_name(path)}, line {line}: want finite numbers, got {', '.join(words)[:60]!r}")
+        raise InputError(
+            f"{short_name(path)}, line {line}: expected finite numbers, got {', '.join(words)[:60]!r}"
+        )
     return numbers
 
 

@@ -1,8 +1,9 @@
-"""Growing a scene: Gaussians in training -> more of them where they are needed, none where they do nothing.
+"""Growing a scene: Gaussians in training -> more of them where they are needed, none where they do
+nothing.
 
-[K] Kheradmand et al. 2024, 3D Gaussian Splatting as Markov Chain Monte Carlo: Gaussians are samples of what the photos
-show. Dead ones move to live ones, new ones are drawn beside live ones, and faint ones wander. Each move leaves the
-picture as it was.
+[K] Kheradmand et al. 2024, 3D Gaussian Splatting as Markov Chain Monte Carlo: Gaussians are samples
+of what the photos show. Dead ones move to live ones, new ones are drawn beside live ones, and faint
+ones wander. Each move leaves the picture as it was.
 """
 
 import math
@@ -11,19 +12,22 @@ import torch
 from torch import Tensor
 
 from falconwing_kit.scene.reference import covariances
-from falconwing_kit.tools.capture.training.state import GAUSSIAN, State
+from falconwing_kit.tools.capture.training.state import GAUSSIAN_PARAMETERS, TrainState
 
-DEAD_OPACITY = 0.005  # [K, section 3.3]
+MIN_OPACITY = 0.005  # [K, section 3.3]
 GROWTH = 1.05  # at most this many times the Gaussians after each turn [K]
-NOISE = 5e5  # how far faint Gaussians wander, in learning rates of the means [K]
-STEEPNESS = 100.0  # of the step between Gaussians that wander and those that stay [K, eq. 8]
+NOISE_SCALE = 5e5  # how far faint Gaussians wander, in learning rates of the means [K]
+NOISE_STEEPNESS = 100.0  # of the step between Gaussians that wander and those that stay [K, eq. 8]
 MAX_COPIES = 51  # of one Gaussian at a time
-_X = torch.linspace(-4.0, 4.0, 129, dtype=torch.float64)  # the Gaussian integral's ends are far below float32
+_X = torch.linspace(
+    -4.0, 4.0, 129, dtype=torch.float64
+)  # the Gaussian integral's ends are far below float32
 
 
 @torch.no_grad()
-def densify(state: State, cap: int, generator: torch.Generator) -> None:
-    """Move dead Gaussians beside live ones, then add new ones up to the cap; both are drawn by opacity.
+def densify(state: TrainState, cap: int, generator: torch.Generator) -> None:
+    """Move dead Gaussians beside live ones, then add new ones up to the cap; both are drawn by
+    opacity.
 
     Args:
         state: changed in place.
@@ -31,24 +35,24 @@ def densify(state: State, cap: int, generator: torch.Generator) -> None:
         generator: draws.
     """
     opacities = torch.sigmoid(state.values["logits"])
-    dead = (opacities <= DEAD_OPACITY).nonzero()[:, 0]
-    live = (opacities > DEAD_OPACITY).nonzero()[:, 0]
+    dead = (opacities <= MIN_OPACITY).nonzero()[:, 0]
+    live = (opacities > MIN_OPACITY).nonzero()[:, 0]
     if len(live) == 0:
         return
     if len(dead):
-        _copy(state, live[_draw(opacities[live], len(dead), generator)], dead)
+        _relocate(state, live[_sample(opacities[live], len(dead), generator)], dead)
     count = len(opacities)
     new = min(cap, int(GROWTH * count) + 1) - count
     if new > 0:
-        chosen = _draw(torch.sigmoid(state.values["logits"]), new, generator)
+        chosen = _sample(torch.sigmoid(state.values["logits"]), new, generator)
         for moments in (state.values, state.first, state.second):
-            for name in GAUSSIAN:
+            for name in GAUSSIAN_PARAMETERS:
                 moments[name] = torch.cat([moments[name], moments[name][chosen]])
-        _copy(state, chosen, torch.arange(count, count + new, device=chosen.device))
+        _relocate(state, chosen, torch.arange(count, count + new, device=chosen.device))
 
 
 @torch.no_grad()
-def wander(state: State, rate: float, extent: float, generator: torch.Generator) -> None:
+def add_noise(state: TrainState, rate: float, extent: float, generator: torch.Generator) -> None:
     """Shake each Gaussian along its own shape, the more the fainter it is  [K, eq. 8].
 
     mean += noise rate / extent^2 * sigmoid(-100 (opacity - 0.005)) Sigma eta,  eta standard normal
@@ -61,14 +65,17 @@ def wander(state: State, rate: float, extent: float, generator: torch.Generator)
     """
     values = state.values
     opacities = torch.sigmoid(values["logits"])
-    faint = torch.sigmoid(-STEEPNESS * (opacities - DEAD_OPACITY))
+    faint = torch.sigmoid(-NOISE_STEEPNESS * (opacities - MIN_OPACITY))
     eta = torch.randn(values["means"].shape, generator=generator, device=opacities.device)
-    along = (covariances(values["quaternions"], values["log_scales"].exp()) @ eta[:, :, None])[:, :, 0]
-    values["means"] += (NOISE * rate / extent**2) * faint[:, None] * along
+    along = (covariances(values["quaternions"], values["log_scales"].exp()) @ eta[:, :, None])[
+        :, :, 0
+    ]
+    values["means"] += (NOISE_SCALE * rate / extent**2) * faint[:, None] * along
 
 
-def shared(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
-    """Opacity and factor of the scales that let several Gaussians in one place look like the one before  [K, eq. 9].
+def relocation(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
+    """Opacity and factor of the scales that let several Gaussians in one place look like the one
+    before  [K, eq. 9].
 
     (1 - o_new)^n = 1 - o,  and the light on a line through the middle stays:
     o integral exp(-x^2) dx = factor * integral (1 - (1 - o_new exp(-x^2))^n) dx
@@ -89,19 +96,21 @@ def shared(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
     return new.to(opacities.dtype), factor.to(opacities.dtype)
 
 
-def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
+def _sample(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
     """(count,) numbers drawn in proportion to the weights, with repetition."""
     return torch.multinomial(weights, count, replacement=True, generator=generator)
 
 
-def _copy(state: State, sources: Tensor, targets: Tensor) -> None:
-    """Put a copy of each source at its target; a source and its copies share its look; Adam forgets them."""
+def _relocate(state: TrainState, sources: Tensor, targets: Tensor) -> None:
+    """Put a copy of each source at its target; a source and its copies share its look; Adam forgets
+    them.
+    """
     values = state.values
     copies = 1 + torch.bincount(sources, minlength=len(values["means"]))
-    opacities, factors = shared(torch.sigmoid(values["logits"][sources]), copies[sources])
-    values["logits"][sources] = torch.logit(opacities.clamp(DEAD_OPACITY, 1.0 - 1e-6))
+    opacities, factors = relocation(torch.sigmoid(values["logits"][sources]), copies[sources])
+    values["logits"][sources] = torch.logit(opacities.clamp(MIN_OPACITY, 1.0 - 1e-6))
     values["log_scales"][sources] += factors.log()[:, None]
-    for name in GAUSSIAN:
+    for name in GAUSSIAN_PARAMETERS:
         values[name][targets] = values[name][sources]
         for moments in (state.first, state.second):
             moments[name][sources] = 0.0

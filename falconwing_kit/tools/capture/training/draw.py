@@ -1,4 +1,6 @@
-"""Drawing for training: Gaussians and several poses as torch tensors -> images with gradients, on a CPU or a GPU."""
+"""Drawing for training: Gaussians and several poses as torch tensors -> images with gradients, on a
+CPU or a GPU.
+"""
 
 from collections.abc import Callable
 
@@ -9,12 +11,17 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.reference import GaussianTensors, render_tensors
 
-# Gaussians, camera, poses (C, 4, 4), background (3,), antialiased -> colour (C, H, W, 3) and alpha (C, H, W).
+# Gaussians, camera, poses (C, 4, 4), background (3,), antialiased -> colour (C, H, W, 3) and alpha
+# (C, H, W).
 Draw = Callable[[GaussianTensors, PinholeCamera, Tensor, Tensor, bool], tuple[Tensor, Tensor]]
 
 
 def draw_reference(
-    gaussians: GaussianTensors, camera: PinholeCamera, Ts_world_camera: Tensor, background: Tensor, antialiased: bool
+    gaussians: GaussianTensors,
+    camera: PinholeCamera,
+    Ts_world_camera: Tensor,
+    background: Tensor,
+    antialiased: bool,
 ) -> tuple[Tensor, Tensor]:
     """Draw with the readable renderer, one pose after the other: for small scenes on a CPU.
 
@@ -28,22 +35,30 @@ def draw_reference(
     Returns:
         Colour (C, H, W, 3), not cut at 1, and alpha (C, H, W).
     """
-    images = [render_tensors(gaussians, camera, T, background, antialiased)[:2] for T in Ts_world_camera]
+    images = [
+        render_tensors(gaussians, camera, T, background, antialiased)[:2] for T in Ts_world_camera
+    ]
     colours, alphas = zip(*images, strict=True)
     return torch.stack(colours), torch.stack(alphas)
 
 
 def draw_gsplat(
-    gaussians: GaussianTensors, camera: PinholeCamera, Ts_world_camera: Tensor, background: Tensor, antialiased: bool
+    gaussians: GaussianTensors,
+    camera: PinholeCamera,
+    Ts_world_camera: Tensor,
+    background: Tensor,
+    antialiased: bool,
 ) -> tuple[Tensor, Tensor]:
-    """`draw_reference` by gsplat's CUDA kernels, all poses at once; equal to rounding, thousands of times faster."""
+    """`draw_reference` by gsplat's CUDA kernels, all poses at once; equal to rounding, thousands of
+    times faster.
+    """
     from gsplat import rasterization
 
     count = len(Ts_world_camera)
     K = torch.tensor(camera.K, dtype=torch.float32, device=Ts_world_camera.device)
     colours, alphas, _ = rasterization(
         *gaussians,
-        inverse(Ts_world_camera),
+        invert_poses(Ts_world_camera),
         K.expand(count, 3, 3),
         camera.width,
         camera.height,
@@ -55,15 +70,16 @@ def draw_gsplat(
     return colours, alphas[..., 0]
 
 
-def inverse(Ts: Tensor) -> Tensor:
+def invert_poses(Ts: Tensor) -> Tensor:
     """Inverse (C, 4, 4) of rigid poses: R^T and -R^T t."""
     R = Ts[:, :3, :3].mT
     upper = torch.cat([R, -R @ Ts[:, :3, 3:]], dim=2)
     return torch.cat([upper, Ts[:, 3:]], dim=1)
 
 
-def moved(Ts_world_camera: Tensor, twists: Tensor) -> Tensor:
-    """Poses moved by small twists in camera axes: T exp([w x, v; 0, 0])  [Lynch & Park, Modern Robotics, eq. 3.88].
+def apply_twists(Ts_world_camera: Tensor, twists: Tensor) -> Tensor:
+    """Poses moved by small twists in camera axes: T exp([w x, v; 0, 0])  [Lynch & Park, Modern
+    Robotics, eq. 3.88].
 
     Args:
         Ts_world_camera: (C, 4, 4).
@@ -78,7 +94,7 @@ def moved(Ts_world_camera: Tensor, twists: Tensor) -> Tensor:
     return Ts_world_camera @ torch.linalg.matrix_exp(torch.stack(rows, dim=1).reshape(-1, 4, 4))
 
 
-def choose(backend: str) -> tuple[Draw, str]:
+def choose_renderer(backend: str) -> tuple[Draw, str]:
     """What draws, and on which device.
 
     Args:
@@ -88,10 +104,12 @@ def choose(backend: str) -> tuple[Draw, str]:
         InputError: gsplat cannot run here, or there is no backend of that name.
     """
     if backend not in ("auto", "gsplat", "reference"):
-        raise InputError(f"backend: want auto, gsplat or reference for training, got {backend!r}")
+        raise InputError(
+            f"backend: expected auto, gsplat or reference for training, got {backend!r}"
+        )
     if backend == "reference" or (backend == "auto" and not torch.cuda.is_available()):
         return draw_reference, "cpu"
-    from falconwing_kit.scene.gsplat_backend import probe
+    from falconwing_kit.scene.gsplat_backend import probe_gsplat
 
-    probe()
+    probe_gsplat()
     return draw_gsplat, "cuda"

@@ -1,7 +1,8 @@
-"""The training loop: a state, photos and a way to draw -> a state whose renders look like the photos.
+"""The training loop: a state, photos and a way to draw -> a state whose renders look like the
+photos.
 
-[3] Kerbl et al. 2023, 3D Gaussian Splatting; [K] Kheradmand et al. 2024, 3DGS as Markov Chain Monte Carlo;
-[P] Park et al. 2025, DropGaussian.
+[3] Kerbl et al. 2023, 3D Gaussian Splatting; [K] Kheradmand et al. 2024, 3DGS as Markov Chain Monte
+Carlo; [P] Park et al. 2025, DropGaussian.
 """
 
 import math
@@ -14,27 +15,44 @@ import torch
 from torch import Tensor
 
 from falconwing_kit.core.checks import Array, InputError
-from falconwing_kit.tools.capture.training.densify import densify, wander
-from falconwing_kit.tools.capture.training.draw import Draw, moved
-from falconwing_kit.tools.capture.training.judge import ssim
+from falconwing_kit.tools.capture.training.densify import add_noise, densify
+from falconwing_kit.tools.capture.training.draw import Draw, apply_twists
+from falconwing_kit.tools.capture.training.judge import ssim_batch
 from falconwing_kit.tools.capture.training.photos import Photos
-from falconwing_kit.tools.capture.training.state import State
+from falconwing_kit.tools.capture.training.state import TrainState
 
-# Learning rates of 3D Gaussian Splatting; places are in extents of the scene, photos' rows per photo.
+# Learning rates of 3D Gaussian Splatting; places are in extents of the scene, photos' rows per
+# photo.
 RATES = {
-    **{"means": 1.6e-4, "quaternions": 1e-3, "log_scales": 5e-3, "logits": 5e-2, "dc": 2.5e-3, "rest": 1.25e-4},
+    **{
+        "means": 1.6e-4,
+        "quaternions": 1e-3,
+        "log_scales": 5e-3,
+        "logits": 5e-2,
+        "dc": 2.5e-3,
+        "rest": 1.25e-4,
+    },
     **{"exposures": 1e-3, "twists": 1e-5},
 }
-MEANS_FALL, OTHERS_FALL = 0.01, 0.1  # to this part of the rate at the end; others only over the last third
-FULL_COLOUR_FROM = 0.03  # progress at which colours begin to depend on the direction
-SHORT = 3000  # steps; a shorter training takes larger ones
-GROW_FROM, GROW_UNTIL = 0.015, 0.83  # progress between which Gaussians are added and moved [K: 500 to 25,000 of 30,000]
-TURNS = 300  # how often they are, over the whole training [K: every 100 of 30,000 steps]
-STAY = {"exposures": 1.0, "twists": 100.0}  # weights of their squares: what nothing asks for stays 0
+MEANS_DECAY, OTHERS_DECAY = (
+    0.01,
+    0.1,
+)  # to this part of the rate at the end; others only over the last third
+FULL_SH_FROM = 0.03  # progress at which colours begin to depend on the direction
+SHORT_STEPS = 3000  # steps; a shorter training takes larger ones
+GROW_FROM, GROW_UNTIL = (
+    0.015,
+    0.83,
+)  # progress between which Gaussians are added and moved [K: 500 to 25,000 of 30,000]
+DENSIFY_COUNT = 300  # how often they are, over the whole training [K: every 100 of 30,000 steps]
+REGULARISATION = {
+    "exposures": 1.0,
+    "twists": 100.0,
+}  # weights of their squares: what nothing asks for stays 0
 
 
 @dataclass(frozen=True)
-class Goal:
+class TrainConfig:
     """What a training aims at."""
 
     gaussians: int  # the largest number of Gaussians
@@ -57,18 +75,18 @@ class Goal:
 
 
 def train(
-    state: State,
+    state: TrainState,
     photos: Photos,
     draw: Draw,
-    goal: Goal,
+    config: TrainConfig,
     *,
-    keep: Callable[[State], None] = lambda _: None,
-    tell: Callable[[State, float], None] = lambda *_: None,
-) -> State:
+    save_state: Callable[[TrainState], None] = lambda _: None,
+    log: Callable[[TrainState, float], None] = lambda *_: None,
+) -> TrainState:
     """Train until the steps are done or the time is up.
 
-    Each step draws its random numbers from the seed and its own number, so that a training that was interrupted goes
-    on as if it had not been.
+    Each step draws its random numbers from the seed and its own number, so that a training that was
+    interrupted goes on as if it had not been.
 
     Args:
         state: to begin or to go on with; changed in place.
@@ -84,26 +102,28 @@ def train(
     Raises:
         InputError: the GPU's memory does not suffice.
     """
-    every, spent, start = max(1, goal.steps // 20), state.seconds, time.monotonic()
+    every, spent, start = max(1, config.steps // 20), state.seconds, time.monotonic()
     try:
-        while (progress := max(state.step / goal.steps, state.seconds / goal.seconds)) < 1.0:
-            loss = step(state, photos, draw, goal, progress)
+        while (progress := max(state.step / config.steps, state.seconds / config.seconds)) < 1.0:
+            loss = train_step(state, photos, draw, config, progress)
             state.step += 1
             state.seconds = spent + time.monotonic() - start
             if state.step % every == 0:
-                tell(state, float(loss))
+                log(state, float(loss))
             if state.step % (2 * every) == 0:
-                keep(state)
+                save_state(state)
     except torch.cuda.OutOfMemoryError:
         raise InputError(
-            f"GPU memory: want room for {len(state.values['means'])} Gaussians and {goal.batch} photos a step, got too "
+            f"GPU memory: expected room for {len(state.values['means'])} Gaussians and {config.batch} photos a step, got too "
             "little; give a smaller --batch, --width or --gaussians"
         ) from None
-    keep(state)
+    save_state(state)
     return state
 
 
-def step(state: State, photos: Photos, draw: Draw, goal: Goal, progress: float) -> Tensor:
+def train_step(
+    state: TrainState, photos: Photos, draw: Draw, config: TrainConfig, progress: float
+) -> Tensor:
     """Draw some photos, compare, move every number a little, and now and then grow.
 
     Args:
@@ -117,38 +137,49 @@ def step(state: State, photos: Photos, draw: Draw, goal: Goal, progress: float) 
         The loss before the step.
     """
     device = state.values["means"].device
-    generator = torch.Generator(device).manual_seed(1_000_003 * goal.seed + state.step)
-    numbers = torch.as_tensor(_batch(state.step, goal, len(photos)), device=device)
-    names = [name for name, learns in _learning(goal).items() if learns and state.values[name].numel()]
+    generator = torch.Generator(device).manual_seed(1_000_003 * config.seed + state.step)
+    numbers = torch.as_tensor(_batch(state.step, config, len(photos)), device=device)
+    names = [
+        name for name, learns in _learnable(config).items() if learns and state.values[name].numel()
+    ]
     for name in names:
         state.values[name].requires_grad_(True)
-    total = loss(state, photos, draw, goal, progress, numbers, generator)
-    gradients = torch.autograd.grad(total, [state.values[name] for name in names], allow_unused=True)
+    total = loss(state, photos, draw, config, progress, numbers, generator)
+    gradients = torch.autograd.grad(
+        total, [state.values[name] for name in names], allow_unused=True
+    )
     for name in names:
         state.values[name] = state.values[name].detach()
-    rates = _rates(goal, progress)
+    rates = _rates(config, progress)
     with torch.no_grad():
         state.adam(dict(zip(names, gradients, strict=True)), rates)
-        if GROW_FROM < progress < GROW_UNTIL and state.step % max(1, goal.steps // TURNS) == 0:
-            densify(state, goal.gaussians, generator)
-        wander(state, rates["means"], goal.extent, generator)
-        low, high = (torch.as_tensor(corner, dtype=torch.float32, device=device) for corner in (goal.low, goal.high))
+        if (
+            GROW_FROM < progress < GROW_UNTIL
+            and state.step % max(1, config.steps // DENSIFY_COUNT) == 0
+        ):
+            densify(state, config.gaussians, generator)
+        add_noise(state, rates["means"], config.extent, generator)
+        low, high = (
+            torch.as_tensor(corner, dtype=torch.float32, device=device)
+            for corner in (config.low, config.high)
+        )
         state.values["means"].clamp_(low, high)
-        if goal.largest:
-            state.values["log_scales"].clamp_(max=math.log(goal.largest))
+        if config.largest:
+            state.values["log_scales"].clamp_(max=math.log(config.largest))
     return total.detach()
 
 
 def loss(
-    state: State,
+    state: TrainState,
     photos: Photos,
     draw: Draw,
-    goal: Goal,
+    config: TrainConfig,
     progress: float,
     numbers: Tensor,
     generator: torch.Generator,
 ) -> Tensor:
-    """(1 - w) |render - photo| + w (1 - SSIM) [3, eq. 7] + costs of opacity and size [K, eq. 10] + alpha's error.
+    """(1 - w) |render - photo| + w (1 - SSIM) [3, eq. 7] + costs of opacity and size [K, eq. 10] +
+    alpha's error.
 
     The background is of a random colour: whoever leaves a hole is found out.
 
@@ -165,31 +196,41 @@ def loss(
         A number.
     """
     background = torch.rand(3, generator=generator, device=numbers.device)
-    gaussians = state.gaussians(goal.sh_degree if progress >= FULL_COLOUR_FROM else 0)
-    gaussians = gaussians._replace(opacities=thinned(gaussians.opacities, goal.dropout * progress, generator))
+    gaussians = state.gaussians(config.sh_degree if progress >= FULL_SH_FROM else 0)
+    gaussians = gaussians._replace(
+        opacities=drop_gaussians(gaussians.opacities, config.dropout * progress, generator)
+    )
     exposures, twists = state.values["exposures"][numbers], state.values["twists"][numbers]
     poses = photos.Ts_world_camera[numbers]
-    poses = moved(poses, twists * reach(goal.extent, twists)) if goal.poses else poses
-    colours, alphas = draw(gaussians, photos.camera, poses, background, goal.antialiased)
-    if goal.exposures:
+    poses = (
+        apply_twists(poses, twists * twist_scale(config.extent, twists)) if config.poses else poses
+    )
+    colours, alphas = draw(gaussians, photos.camera, poses, background, config.antialiased)
+    if config.exposures:
         colours = colours * exposures[:, None, None, :3].exp() + exposures[:, None, None, 3:]
     targets, target_alphas = photos.targets(numbers, background)
     colours = torch.where(photos.inside[..., None], colours, targets)
-    total = (1.0 - goal.ssim_weight) * (colours - targets).abs().mean()
-    total = total + goal.ssim_weight * (1.0 - ssim(colours, targets).mean())
+    total = (1.0 - config.ssim_weight) * (colours - targets).abs().mean()
+    total = total + config.ssim_weight * (1.0 - ssim_batch(colours, targets).mean())
     if target_alphas is not None:
         total = total + (alphas - target_alphas).abs().mean()
     total = (
-        total + goal.opacity_cost * gaussians.opacities.mean() + goal.scale_cost * gaussians.scales.mean() / goal.extent
+        total
+        + config.opacity_cost * gaussians.opacities.mean()
+        + config.scale_cost * gaussians.scales.mean() / config.extent
     )
-    return total + STAY["exposures"] * (exposures**2).mean() + STAY["twists"] * (twists**2).mean()
+    return (
+        total
+        + REGULARISATION["exposures"] * (exposures**2).mean()
+        + REGULARISATION["twists"] * (twists**2).mean()
+    )
 
 
-def thinned(opacities: Tensor, share: float, generator: torch.Generator) -> Tensor:
+def drop_gaussians(opacities: Tensor, share: float, generator: torch.Generator) -> Tensor:
     """Opacities with a share of the Gaussians left out, and the others made up for them  [P].
 
-    What only one photo asks for often hangs in the air before it, and hides behind others; when these are missing now
-    and then, it has to be right by itself.
+    What only one photo asks for often hangs in the air before it, and hides behind others; when
+    these are missing now and then, it has to be right by itself.
 
     Args:
         opacities: (N,) 0..1.
@@ -205,28 +246,33 @@ def thinned(opacities: Tensor, share: float, generator: torch.Generator) -> Tens
     return opacities * stay / (1.0 - share)
 
 
-def reach(extent: float, like: Tensor) -> Tensor:
-    """(6,) what turns the state's twists into turns [rad] and shifts [m]: shifts are kept in extents of the scene."""
+def twist_scale(extent: float, like: Tensor) -> Tensor:
+    """(6,) what turns the state's twists into turns [rad] and shifts [m]: shifts are kept in
+    extents of the scene.
+    """
     return like.new_tensor([1.0, 1.0, 1.0, extent, extent, extent])
 
 
-def _learning(goal: Goal) -> dict[str, bool]:
+def _learnable(config: TrainConfig) -> dict[str, bool]:
     """Which values learn."""
-    return {name: True for name in RATES} | {"exposures": goal.exposures, "twists": goal.poses}
+    return {name: True for name in RATES} | {"exposures": config.exposures, "twists": config.poses}
 
 
-def _rates(goal: Goal, progress: float) -> dict[str, float]:
-    """Learning rates; more photos a step allow larger ones, by the root [Malladi et al. 2022, scaling rule of Adam]."""
-    pace = (goal.batch * max(1.0, SHORT / goal.steps)) ** 0.5
-    fall = pace * OTHERS_FALL ** max(0.0, 3.0 * progress - 2.0)
-    rates = {name: rate * fall for name, rate in RATES.items()}
-    return rates | {"means": RATES["means"] * goal.extent * pace * MEANS_FALL**progress}
+def _rates(config: TrainConfig, progress: float) -> dict[str, float]:
+    """Learning rates; more photos a step allow larger ones, by the root [Malladi et al. 2022,
+    scaling rule of Adam].
+    """
+    pace = (config.batch * max(1.0, SHORT_STEPS / config.steps)) ** 0.5
+    decay = pace * OTHERS_DECAY ** max(0.0, 3.0 * progress - 2.0)
+    rates = {name: rate * decay for name, rate in RATES.items()}
+    return rates | {"means": RATES["means"] * config.extent * pace * MEANS_DECAY**progress}
 
 
-def _batch(number: int, goal: Goal, photos: int) -> list[int]:
+def _batch(number: int, config: TrainConfig, photos: int) -> list[int]:
     """Numbers of the photos of a step: every photo once, in a new order each time round."""
-    places = range(number * goal.batch, (number + 1) * goal.batch)
+    places = range(number * config.batch, (number + 1) * config.batch)
     orders = {
-        turn: np.random.default_rng([goal.seed, turn]).permutation(photos) for turn in {p // photos for p in places}
+        turn: np.random.default_rng([config.seed, turn]).permutation(photos)
+        for turn in {p // photos for p in places}
     }
     return [int(orders[place // photos][place % photos]) for place in places]

@@ -1,4 +1,5 @@
-"""Photos for training: files, a camera and poses -> images as torch tensors, and which ones are held out.
+"""Photos for training: files, a camera and poses -> images as torch tensors, and which ones are
+held out.
 
 Photos are read by Pillow alone, so that a bare GPU machine can train.
 """
@@ -20,9 +21,13 @@ from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.tools.capture.photo_files import Reconstruction
 from falconwing_kit.tools.capture.training.settings import FitSettings
 
-PHOTOS_A_PLACE = 4  # how many photos one place of the hall holds on average when some places are held out
-WORTH_PX = 0.25  # distortion at the corner that is worth the sharpness that resampling costs
-TURNS = 50  # of k-means, far more than it takes
+PHOTOS_PER_CLUSTER = (
+    4  # how many photos one place of the hall holds on average when some places are held out
+)
+MIN_DISTORTION_PX = (
+    0.25  # distortion at the corner that is worth the sharpness that resampling costs
+)
+KMEANS_ITERATIONS = 50  # of k-means, far more than it takes
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +37,9 @@ class Photos:
     names: tuple[str, ...]  # (P,)
     camera: PinholeCamera
     images: Tensor  # (P, H, W, 3) bytes; where there is alpha, times alpha
-    alphas: Tensor | None  # (P, H, W) bytes, how much of each pixel the object covers; None: photos show all there is
+    alphas: (
+        Tensor | None
+    )  # (P, H, W) bytes, how much of each pixel the object covers; None: photos show all there is
     inside: Tensor  # (H, W) bool, False where the lens left nothing to compare with
     Ts_world_camera: Tensor  # (P, 4, 4) float32, OpenCV axes
 
@@ -45,7 +52,11 @@ class Photos:
         alphas = None if self.alphas is None else self.alphas[rows]
         names = tuple(self.names[int(number)] for number in numbers)
         return replace(
-            self, names=names, images=self.images[rows], alphas=alphas, Ts_world_camera=self.Ts_world_camera[rows]
+            self,
+            names=names,
+            images=self.images[rows],
+            alphas=alphas,
+            Ts_world_camera=self.Ts_world_camera[rows],
         )
 
     def targets(self, numbers: Tensor, background: Tensor) -> tuple[Tensor, Tensor | None]:
@@ -65,28 +76,32 @@ class Photos:
         return images + (1.0 - alphas)[..., None] * background, alphas
 
 
-def load_photos(source: Reconstruction, width: int = 0, device: str = "cpu", with_alpha: bool = False) -> Photos:
-    """Read photos, make them smaller if wished, and take the lens's distortion out where it can be seen.
+def load_photos(
+    source: Reconstruction, width: int = 0, device: str = "cpu", with_alpha: bool = False
+) -> Photos:
+    """Read photos, make them smaller if wished, and take the lens's distortion out where it can be
+    seen.
 
     Args:
         source: the photos, their camera and poses.
         width: [px] of the images to train on; 0 leaves them as they are.
         device: where the tensors go.
-        with_alpha: want RGBA images of an object.
+        with_alpha: expected RGBA images of an object.
 
     Raises:
         FileNotFoundError: a photo is missing.
-        InputError: a photo cannot be read, has another size, or no alpha where it is wanted; or width is too small.
+        InputError: a photo cannot be read, has another size, or no alpha where it is wanted; or
+            width is too small.
     """
-    small, k1 = scaled(source.camera, width), source.k1
+    small, k1 = scale_camera(source.camera, width), source.k1
     images = np.empty((len(source), small.height, small.width, 4 if with_alpha else 3), np.uint8)
     for number in range(len(source)):
         images[number] = _read(source.path(number), source.camera, small, with_alpha)
     tensor = torch.from_numpy(images)
     inside = torch.ones(small.height, small.width, dtype=torch.bool)
     corner_slope = np.hypot(0.5 * small.width / small.fx, 0.5 * small.height / small.fy)
-    if abs(k1) * corner_slope**3 * small.fx > WORTH_PX:
-        tensor, inside = _straightened(tensor, small, k1)
+    if abs(k1) * corner_slope**3 * small.fx > MIN_DISTORTION_PX:
+        tensor, inside = _undistort(tensor, small, k1)
     return Photos(
         source.names,
         small,
@@ -97,7 +112,7 @@ def load_photos(source: Reconstruction, width: int = 0, device: str = "cpu", wit
     )
 
 
-def scaled(camera: PinholeCamera, width: int) -> PinholeCamera:
+def scale_camera(camera: PinholeCamera, width: int) -> PinholeCamera:
     """The camera of the same photos at another width [px]; 0 leaves it as it is.
 
     Raises:
@@ -106,16 +121,22 @@ def scaled(camera: PinholeCamera, width: int) -> PinholeCamera:
     if width == 0 or width == camera.width:
         return camera
     if not 16 <= width <= camera.width:
-        raise InputError(f"width: want 16 to {camera.width} px, the photos' own, or 0 for that, got {width}")
+        raise InputError(
+            f"width: expected 16 to {camera.width} px, the photos' own, or 0 for that, got {width}"
+        )
     height = max(16, round(camera.height * width / camera.width))
     across, down = width / camera.width, height / camera.height
-    return PinholeCamera(camera.fx * across, camera.fy * down, camera.cx * across, camera.cy * down, width, height)
+    return PinholeCamera(
+        camera.fx * across, camera.fy * down, camera.cx * across, camera.cy * down, width, height
+    )
 
 
-def hold_out(places: Array, share: float, seed: int = 0) -> NDArray[np.bool_]:
-    """Choose photos to judge by: whole neighbourhoods of places, so that none has a twin among those trained on.
+def hold_out_places(places: Array, share: float, seed: int = 0) -> NDArray[np.bool_]:
+    """Choose photos to judge by: whole neighbourhoods of places, so that none has a twin among
+    those trained on.
 
-    Places are grouped by k-means, four photos a group on average; groups are then drawn until they hold the share.
+    Places are grouped by k-means, four photos a group on average; groups are then drawn until they
+    hold the share.
 
     Args:
         places: (P, 3) where the photos were taken [m].
@@ -128,7 +149,11 @@ def hold_out(places: Array, share: float, seed: int = 0) -> NDArray[np.bool_]:
     count, rng = len(places), np.random.default_rng(seed)
     held = np.zeros(count, bool)
     wanted = min(count - 1, max(1, round(share * count))) if share > 0.0 else 0
-    group = _k_means(np.asarray(places, np.float32).astype(np.float64), max(2, round(count / PHOTOS_A_PLACE)), rng)
+    group = _k_means(
+        np.asarray(places, np.float32).astype(np.float64),
+        max(2, round(count / PHOTOS_PER_CLUSTER)),
+        rng,
+    )
     for number in rng.permutation(group.max() + 1):
         size = np.count_nonzero(group == number)
         if held.sum() + size <= wanted or (not held.any() and size < count and wanted):
@@ -136,8 +161,11 @@ def hold_out(places: Array, share: float, seed: int = 0) -> NDArray[np.bool_]:
     return held
 
 
-def held_out(names: Sequence[str], places: Array, settings: FitSettings) -> NDArray[np.bool_]:
-    """The photos to judge by: those that the settings name, in whatever folder they are, or whole places.
+def held_out_photos(
+    names: Sequence[str], places: Array, settings: FitSettings
+) -> NDArray[np.bool_]:
+    """The photos to judge by: those that the settings name, in whatever folder they are, or whole
+    places.
 
     Args:
         names: (P,) of all photos.
@@ -151,15 +179,17 @@ def held_out(names: Sequence[str], places: Array, settings: FitSettings) -> NDAr
         InputError: names are given, and name no photo or so many that fewer than two are left.
     """
     if not settings.judge_by:
-        return hold_out(places, settings.hold_out, settings.seed)
+        return hold_out_places(places, settings.hold_out, settings.seed)
     plain = {Path(name).name for name in settings.judge_by}
     found = np.array([Path(name).name in plain for name in names], bool)
     if not found.any() or found.sum() > len(names) - 2:
-        raise InputError(f"names to judge by: want some of the {len(names)} photos, got {found.sum()} of them")
+        raise InputError(
+            f"names to judge by: expected some of the {len(names)} photos, got {found.sum()} of them"
+        )
     return found
 
 
-def read_names(path: Path) -> tuple[str, ...]:
+def read_photo_names(path: Path) -> tuple[str, ...]:
     """Names of photos in a file: a training's figures.json, JSON with a list "held_out", or lines.
 
     Raises:
@@ -175,51 +205,83 @@ def read_names(path: Path) -> tuple[str, ...]:
     except json.JSONDecodeError:
         return tuple(text.split())
     except (KeyError, TypeError):
-        raise InputError(f'{short_name(path)}: want names of photos under "held_out", got other content') from None
+        raise InputError(
+            f'{short_name(path)}: expected names of photos under "held_out", got other content'
+        ) from None
 
 
 def _k_means(places: Array, groups: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """(P,) the group of each place [Lloyd 1982; first centres after Arthur & Vassilvitskii 2007, k-means++]."""
+    """(P,) the group of each place [Lloyd 1982; first centres after Arthur & Vassilvitskii 2007,
+    k-means++].
+    """
     centres = places[rng.integers(len(places))][None]
     for _ in range(min(groups, len(places)) - 1):
         far = ((places[:, None] - centres) ** 2).sum(axis=2).min(axis=1)
         if far.sum() == 0.0:
             break
-        centres = np.concatenate([centres, places[rng.choice(len(places), p=far / far.sum())][None]])
-    for _ in range(TURNS):
+        centres = np.concatenate(
+            [centres, places[rng.choice(len(places), p=far / far.sum())][None]]
+        )
+    for _ in range(KMEANS_ITERATIONS):
         group = ((places[:, None] - centres) ** 2).sum(axis=2).argmin(axis=1)
         members = [places[group == number] for number in range(len(centres))]
-        centres = np.array([own.mean(axis=0) if len(own) else old for own, old in zip(members, centres, strict=True)])
+        centres = np.array(
+            [
+                own.mean(axis=0) if len(own) else old
+                for own, old in zip(members, centres, strict=True)
+            ]
+        )
     return np.asarray(((places[:, None] - centres) ** 2).sum(axis=2).argmin(axis=1))
 
 
-def _read(path: Path, camera: PinholeCamera, small: PinholeCamera, with_alpha: bool) -> NDArray[np.uint8]:
-    """One photo (H, W, 3), or (H, W, 4) with its colours times alpha, in the size of the small camera."""
+def _read(
+    path: Path, camera: PinholeCamera, small: PinholeCamera, with_alpha: bool
+) -> NDArray[np.uint8]:
+    """One photo (H, W, 3), or (H, W, 4) with its colours times alpha, in the size of the small
+    camera.
+    """
     from PIL import Image
 
     require_file(path)
     try:
         with Image.open(path) as file:
             has_alpha = "A" in file.getbands()
-            image = file.convert("RGBa" if with_alpha else "RGB")  # RGBa: colours times alpha, so that edges stay clean
+            image = file.convert(
+                "RGBa" if with_alpha else "RGB"
+            )  # RGBa: colours times alpha, so that edges stay clean
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
         raise InputError(
-            f"{short_name(path)}: want a photo, got a damaged or other file; replace or remove it"
+            f"{short_name(path)}: expected a photo, got a damaged or other file; replace or remove it"
         ) from None
     if with_alpha and not has_alpha:
-        raise InputError(f"{short_name(path)}: want an image with alpha (RGBA), got none; cut the object out")
+        raise InputError(
+            f"{short_name(path)}: expected an image with alpha (RGBA), got none; cut the object out"
+        )
     if image.size != (camera.width, camera.height):
-        wanted, turned = f"{camera.width} x {camera.height}", image.size == (camera.height, camera.width)
-        hint = "it was turned; turn it back" if turned else "the poses belong to another size; reconstruct again"
-        raise InputError(f"{short_name(path)}: want {wanted} px, got {image.size[0]} x {image.size[1]}: {hint}")
+        wanted, turned = (
+            f"{camera.width} x {camera.height}",
+            image.size == (camera.height, camera.width),
+        )
+        hint = (
+            "it was turned; turn it back"
+            if turned
+            else "the poses belong to another size; reconstruct again"
+        )
+        raise InputError(
+            f"{short_name(path)}: expected {wanted} px, got {image.size[0]} x {image.size[1]}: {hint}"
+        )
     if (small.width, small.height) != image.size:
-        bands = [band.resize((small.width, small.height), Image.Resampling.BOX) for band in image.split()]
+        bands = [
+            band.resize((small.width, small.height), Image.Resampling.BOX) for band in image.split()
+        ]
         return np.stack([np.asarray(band) for band in bands], axis=-1)
     return np.frombuffer(image.tobytes(), np.uint8).reshape(small.height, small.width, -1)
 
 
-def _straightened(images: Tensor, camera: PinholeCamera, k1: float) -> tuple[Tensor, Tensor]:
-    """The images (P, H, W, B) as a lens without distortion had taken them, and where (H, W) there was something."""
+def _undistort(images: Tensor, camera: PinholeCamera, k1: float) -> tuple[Tensor, Tensor]:
+    """The images (P, H, W, B) as a lens without distortion had taken them, and where (H, W) there
+    was something.
+    """
     x, y = torch.from_numpy(camera.pixel_rays()[..., :2]).float().unbind(-1)
     factor = 1.0 + k1 * (x * x + y * y)
     u, v = camera.fx * x * factor + camera.cx, camera.fy * y * factor + camera.cy
@@ -227,6 +289,8 @@ def _straightened(images: Tensor, camera: PinholeCamera, k1: float) -> tuple[Ten
     straight = torch.empty_like(images)
     for number, image in enumerate(images):
         bands = image.permute(2, 0, 1)[None].float()
-        drawn = torch.nn.functional.grid_sample(bands, grid, "bicubic", "border", align_corners=False)
+        drawn = torch.nn.functional.grid_sample(
+            bands, grid, "bicubic", "border", align_corners=False
+        )
         straight[number] = drawn[0].permute(1, 2, 0).round().clamp(0, 255).to(torch.uint8)
     return straight, (grid[0].abs() <= 1.0).all(dim=-1)

@@ -26,18 +26,27 @@ class FitSettings:
     ssim_weight: float = 0.2  # of 1 - SSIM against the mean absolute error
     opacity_cost: float = 0.03
     scale_cost: float = 0.05
-    largest: float = 0.5  # standard deviation that a Gaussian may have [m]: larger ones veil a lens beside them; 0: any
-    dropout: float = 0.1  # part of the Gaussians that steps near the end do without: those left learn to stand alone
+    # standard deviation that a Gaussian may have [m]: larger ones veil a lens beside them; 0: any
+    largest: float = 0.5
+    # part of the Gaussians that steps near the end do without: those left learn to stand alone
+    dropout: float = 0.1
     minutes: float = 8.0  # of training at most; it ends smoothly before
-    room: tuple[float, ...] = ()  # x, y, z of the lowest and of the highest corner [m]; empty: from cameras and survey
-    pose_steps: int = 200  # of finding each held-out photo's pose in the finished scene, for figures of their own and,
+    room: tuple[
+        float, ...
+    ] = ()  # x, y, z of the lowest and of the highest corner [m]; empty: from cameras and survey
+    # of finding each held-out photo's pose in the finished scene, for figures of their own and,
+    pose_steps: int = 200
     # where poses are corrected, to judge another training by; 0 leaves them as they are
     seed: int = 0
     backend: str = "auto"  # gsplat, reference, or auto: gsplat where there is a GPU
 
     def __post_init__(self) -> None:
         """Check every number."""
-        for name, low, high in (("gaussians", 8, 10_000_000), ("steps", 1, 1_000_000), ("batch", 1, 64)):
+        for name, low, high in (
+            ("gaussians", 8, 10_000_000),
+            ("steps", 1, 1_000_000),
+            ("batch", 1, 64),
+        ):
             require_range(name, getattr(self, name), low=low, high=high)
         require_range("sh_degree", self.sh_degree, low=0, high=3)
         require_range("hold_out", self.hold_out, low=0.0, high=0.5)
@@ -48,10 +57,12 @@ class FitSettings:
             require_range(name, getattr(self, name), low=0.0, high=2**31)
         corners = np.reshape(self.room, (2, 3)) if len(self.room) == 6 else None
         if self.room and (corners is None or not (corners[0] < corners[1]).all()):
-            raise InputError(f"room: want x,y,z of the lowest and then of the highest corner, got {self.room}")
+            raise InputError(
+                f"room: expected x,y,z of the lowest and then of the highest corner, got {self.room}"
+            )
 
 
-LEADER = FitSettings(
+LEADER_SETTINGS = FitSettings(
     gaussians=5_000,
     steps=8_000,
     batch=2,

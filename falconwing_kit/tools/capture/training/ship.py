@@ -1,4 +1,6 @@
-"""Making a trained scene ready to ship: Gaussians and a survey -> fewer Gaussians, each with its label."""
+"""Making a trained scene ready to ship: Gaussians and a survey -> fewer Gaussians, each with its
+label.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,20 +18,23 @@ from falconwing_kit.scene.ply import SH_C0
 from falconwing_kit.scene.reference import GaussianTensors
 from falconwing_kit.tools.capture.survey.points import Survey
 from falconwing_kit.tools.capture.training.draw import Draw
-from falconwing_kit.tools.capture.training.judge import Look, shown
+from falconwing_kit.tools.capture.training.judge import RenderPoses, quantise_8bit
 from falconwing_kit.tools.capture.training.photos import Photos
 
 LABELS = ("rest", "floor", "pad", "marker")
-LEAST_PIXELS = 1.0  # what covers less than this in all photos together is not missed
+MIN_PIXELS = 1.0  # what covers less than this in all photos together is not missed
 FLOOR_HEIGHT = 0.05  # [m] what is lower is floor, or its mirror image below it
 MARGIN = 0.05  # [m] around the pad
 BORDER = 0.15  # [m] of white around the marker's black square, and how deep its board may be
 
 
-def contributions(gaussians: GaussianTensors, photos: Photos, draw: Draw, antialiased: bool) -> Tensor:
+def contributions(
+    gaussians: GaussianTensors, photos: Photos, draw: Draw, antialiased: bool
+) -> Tensor:
     """How many pixels each Gaussian makes up in all photos together.
 
-    A render is sum_i w_i c_i, so the gradient of its sum with respect to a Gaussian's colour is the sum of its weights.
+    A render is sum_i w_i c_i, so the gradient of its sum with respect to a Gaussian's colour is the
+    sum of its weights.
 
     Args:
         gaussians: the scene.
@@ -40,7 +45,9 @@ def contributions(gaussians: GaussianTensors, photos: Photos, draw: Draw, antial
     Returns:
         (N,) [px].
     """
-    grey = torch.zeros(len(gaussians.means), 1, 3, device=gaussians.means.device, requires_grad=True)
+    grey = torch.zeros(
+        len(gaussians.means), 1, 3, device=gaussians.means.device, requires_grad=True
+    )
     plain = GaussianTensors(*(tensor.detach() for tensor in gaussians))._replace(sh=grey)
     total = torch.zeros(len(gaussians.means), device=grey.device)
     for pose in photos.Ts_world_camera:
@@ -50,19 +57,20 @@ def contributions(gaussians: GaussianTensors, photos: Photos, draw: Draw, antial
     return total
 
 
-def pruned(gaussians: GaussianTensors, pixels: Tensor) -> GaussianTensors:
+def prune(gaussians: GaussianTensors, pixels: Tensor) -> GaussianTensors:
     """The Gaussians that make up at least a pixel; all of them where none does."""
-    keep = pixels >= LEAST_PIXELS
+    keep = pixels >= MIN_PIXELS
     keep = keep if bool(keep.any()) else torch.ones_like(keep)
     return GaussianTensors(*(tensor.detach()[keep] for tensor in gaussians))
 
 
-def labelled(scene: GaussianScene, survey: Survey | None) -> GaussianScene:
+def label_scene(scene: GaussianScene, survey: Survey | None) -> GaussianScene:
     """The scene with the labels rest, floor, pad and marker, by where the survey says these are.
 
     Args:
         scene: in the kit's world, floor at z = 0.
-        survey: whose points called marker_corner_... and pad_... span marker and pad; None labels the floor alone.
+        survey: whose points called marker_corner_... and pad_... span marker and pad; None labels
+            the floor alone.
 
     Returns:
         The same Gaussians with labels.
@@ -84,7 +92,9 @@ def _in_box(means: NDArray[np.float32], corners: Array, margin: float) -> NDArra
 
 
 @torch.no_grad()
-def write_pairs(folder: Path, look: Look, photos: Photos, names: Sequence[str]) -> None:
+def write_pairs(
+    folder: Path, render_poses: RenderPoses, photos: Photos, names: Sequence[str]
+) -> None:
     """Write photo and render side by side, for a person to look at.
 
     Args:
@@ -102,8 +112,10 @@ def write_pairs(folder: Path, look: Look, photos: Photos, names: Sequence[str]) 
     for number, name in enumerate(photos.names):
         if name not in names:
             continue
-        drawn = shown(look(photos.Ts_world_camera[number : number + 1]))[0]
-        target = photos.targets(torch.tensor([number], device=drawn.device), drawn.new_zeros(3))[0][0]
+        drawn = quantise_8bit(render_poses(photos.Ts_world_camera[number : number + 1]))[0]
+        target = photos.targets(torch.tensor([number], device=drawn.device), drawn.new_zeros(3))[0][
+            0
+        ]
         pair = (torch.cat([target, drawn], dim=1) * 255.0).round().to(torch.uint8).cpu().numpy()
         with atomic_write(folder / f"{Path(name).stem}.png") as file:
             Image.fromarray(pair).save(file, format="PNG")

@@ -1,4 +1,6 @@
-"""The state of a training: initial points -> numbers that learn, with Adam's memory, kept in a file between runs."""
+"""The state of a training: initial points -> numbers that learn, with Adam's memory, kept in a file
+between runs.
+"""
 
 import math
 from dataclasses import dataclass
@@ -15,18 +17,25 @@ from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.ply import SH_C0
 from falconwing_kit.scene.reference import GaussianTensors
 
-GAUSSIAN = ("means", "quaternions", "log_scales", "logits", "dc", "rest")  # a row for each Gaussian
-PHOTO = (
+GAUSSIAN_PARAMETERS = (
+    "means",
+    "quaternions",
+    "log_scales",
+    "logits",
+    "dc",
+    "rest",
+)  # a row for each Gaussian
+PHOTO_PARAMETERS = (
     "exposures",
     "twists",
 )  # a row for each photo: log gains, offsets of red, green, blue; turn [rad], shift [extents]
-FIRST_OPACITY, FIRST_SCALE = 0.5, 0.3  # the scale is in distances to the neighbours
-FORGET_FIRST, FORGET_SECOND, TINY = 0.9, 0.999, 1e-15  # Adam's, as in 3D Gaussian Splatting
+INITIAL_OPACITY, INITIAL_SCALE = 0.5, 0.3  # the scale is in distances to the neighbours
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15  # Adam's, as in 3D Gaussian Splatting
 CHUNK = 1024
 
 
 @dataclass
-class State:
+class TrainState:
     """Everything that a training changes, so that it can go on after an interruption."""
 
     values: dict[str, Tensor]  # GAUSSIAN and PHOTO by name
@@ -40,7 +49,9 @@ class State:
         values, count = self.values, (sh_degree + 1) ** 2
         sh = torch.cat([values["dc"][:, None], values["rest"][:, : count - 1]], dim=1)
         opacities = torch.sigmoid(values["logits"])
-        return GaussianTensors(values["means"], values["quaternions"], values["log_scales"].exp(), opacities, sh)
+        return GaussianTensors(
+            values["means"], values["quaternions"], values["log_scales"].exp(), opacities, sh
+        )
 
     def adam(self, gradients: dict[str, Tensor | None], rates: dict[str, float]) -> None:
         """One step of Adam [Kingma & Ba 2015, algorithm 1], in place.
@@ -50,13 +61,15 @@ class State:
             rates: learning rates by name.
         """
         turns = self.step + 1
-        shrink = math.sqrt(1.0 - FORGET_SECOND**turns) / (1.0 - FORGET_FIRST**turns)
+        shrink = math.sqrt(1.0 - BETA2**turns) / (1.0 - BETA1**turns)
         for name, gradient in gradients.items():
             if gradient is None:
                 continue
-            first = self.first[name].lerp_(gradient, 1.0 - FORGET_FIRST)
-            second = self.second[name].mul_(FORGET_SECOND).addcmul_(gradient, gradient, value=1.0 - FORGET_SECOND)
-            self.values[name].addcdiv_(first, second.sqrt().add_(TINY), value=-rates[name] * shrink)
+            first = self.first[name].lerp_(gradient, 1.0 - BETA1)
+            second = self.second[name].mul_(BETA2).addcmul_(gradient, gradient, value=1.0 - BETA2)
+            self.values[name].addcdiv_(
+                first, second.sqrt().add_(EPSILON), value=-rates[name] * shrink
+            )
 
     def save(self, path: Path, settings: str) -> None:
         """Write the state whole or not at all.
@@ -66,12 +79,16 @@ class State:
             settings: what the training was told; only the same may go on with it.
         """
         sets = {"values": self.values, "first": self.first, "second": self.second}
-        arrays = {f"{kind} {name}": t.cpu().numpy() for kind, tensors in sets.items() for name, t in tensors.items()}
+        arrays = {
+            f"{kind} {name}": t.cpu().numpy()
+            for kind, tensors in sets.items()
+            for name, t in tensors.items()
+        }
         with atomic_write(path) as file:
             np.savez(file, step=self.step, seconds=self.seconds, settings=settings, **arrays)  # type: ignore[arg-type]
 
     @classmethod
-    def load(cls, path: Path, settings: str, device: str) -> "State":
+    def load(cls, path: Path, settings: str, device: str) -> "TrainState":
         """Read a state that was kept.
 
         Raises:
@@ -82,22 +99,24 @@ class State:
             with np.load(path, allow_pickle=False) as arrays:
                 same = str(arrays["settings"]) == settings
                 for kind, tensors in sets.items() if same else ():
-                    for name in (*GAUSSIAN, *PHOTO):
+                    for name in (*GAUSSIAN_PARAMETERS, *PHOTO_PARAMETERS):
                         tensors[name] = torch.from_numpy(arrays[f"{kind} {name}"]).to(device)
                 step, seconds = int(arrays["step"]), float(arrays["seconds"])
         except Exception:  # NumPy fails in many ways on a damaged file
             raise InputError(
-                f"{short_name(path)}: want an interrupted training, got a damaged file; delete it"
+                f"{short_name(path)}: expected an interrupted training, got a damaged file; delete it"
             ) from None
         if not same:
             raise InputError(
-                f"{short_name(path)}: want the photos and settings of the interrupted training, got others; give "
+                f"{short_name(path)}: expected the photos and settings of the interrupted training, got others; give "
                 "those, delete the file, or choose another --out"
             )
         return cls(**sets, step=step, seconds=seconds)
 
 
-def begin(points: Array, colours: NDArray[np.uint8], photos: int, sh_degree: int, device: str) -> State:
+def initialise(
+    points: Array, colours: NDArray[np.uint8], photos: int, sh_degree: int, device: str
+) -> TrainState:
     """A state of round Gaussians at points, sized by the gaps to their neighbours.
 
     Args:
@@ -112,34 +131,45 @@ def begin(points: Array, colours: NDArray[np.uint8], photos: int, sh_degree: int
     """
     count = len(points)
     if count < 4:
-        raise InputError(f"points: want at least 4 to begin with, got {count}; ask for more Gaussians")
+        raise InputError(
+            f"points: expected at least 4 to begin with, got {count}; ask for more Gaussians"
+        )
     means = torch.tensor(points, dtype=torch.float32, device=device)
     quaternions = torch.zeros(count, 4, device=device)
     quaternions[:, 0] = 1.0
     values = {
         "means": means,
         "quaternions": quaternions,
-        "log_scales": (FIRST_SCALE * neighbour_distances(means)).log()[:, None].repeat(1, 3),
-        "logits": torch.full((count,), math.log(FIRST_OPACITY / (1.0 - FIRST_OPACITY)), device=device),
+        "log_scales": (INITIAL_SCALE * neighbour_distances(means)).log()[:, None].repeat(1, 3),
+        "logits": torch.full(
+            (count,), math.log(INITIAL_OPACITY / (1.0 - INITIAL_OPACITY)), device=device
+        ),
         "dc": (torch.tensor(colours, dtype=torch.float32, device=device) / 255.0 - 0.5) / SH_C0,
         "rest": torch.zeros(count, (sh_degree + 1) ** 2 - 1, 3, device=device),
         "exposures": torch.zeros(photos, 6, device=device),
         "twists": torch.zeros(photos, 6, device=device),
     }
-    first, second = ({name: torch.zeros_like(value) for name, value in values.items()} for _ in range(2))
-    return State(values, first, second)
+    first, second = (
+        {name: torch.zeros_like(value) for name, value in values.items()} for _ in range(2)
+    )
+    return TrainState(values, first, second)
 
 
 def neighbour_distances(means: Tensor) -> Tensor:
     """(N,) mean distance to the three nearest neighbours [m], at least a millimetre."""
     wanted = min(4, len(means))
-    near = [torch.cdist(part, means).topk(wanted, largest=False).values[:, 1:] for part in means.split(CHUNK)]
+    near = [
+        torch.cdist(part, means).topk(wanted, largest=False).values[:, 1:]
+        for part in means.split(CHUNK)
+    ]
     return torch.cat(near).mean(dim=1).clamp(min=1e-3)
 
 
 def to_scene(gaussians: GaussianTensors, source: str) -> GaussianScene:
     """The Gaussians as a scene; those with a number that is not finite are left out."""
     arrays = [tensor.detach().cpu().numpy() for tensor in gaussians]
-    good = np.all([np.isfinite(array).reshape(len(array), -1).all(axis=1) for array in arrays], axis=0)
+    good = np.all(
+        [np.isfinite(array).reshape(len(array), -1).all(axis=1) for array in arrays], axis=0
+    )
     means, quaternions, scales, opacities, sh = (array[good] for array in arrays)
     return GaussianScene(means, quaternions, scales, opacities, sh, source=source)

@@ -1,4 +1,6 @@
-"""A training from first points to files: photos, points, settings -> a scene that ships, its figures and pictures."""
+"""A training from first points to files: photos, points, settings -> a scene that ships, its
+figures and pictures.
+"""
 
 import json
 import time
@@ -21,20 +23,25 @@ from falconwing_kit.scene.native import read_named_points, write_quantised
 from falconwing_kit.scene.reference import GaussianTensors
 from falconwing_kit.scene.render import render
 from falconwing_kit.tools.capture.survey.points import Survey
-from falconwing_kit.tools.capture.training.draw import Draw, moved
-from falconwing_kit.tools.capture.training.judge import Look, judge, refined_poses
-from falconwing_kit.tools.capture.training.loop import Goal, reach, train
-from falconwing_kit.tools.capture.training.photos import Photos, held_out
+from falconwing_kit.tools.capture.training.draw import Draw, apply_twists
+from falconwing_kit.tools.capture.training.judge import RenderPoses, evaluate, refine_photo_poses
+from falconwing_kit.tools.capture.training.loop import TrainConfig, train, twist_scale
+from falconwing_kit.tools.capture.training.photos import Photos, held_out_photos
 from falconwing_kit.tools.capture.training.settings import FitSettings
-from falconwing_kit.tools.capture.training.ship import contributions, labelled, pruned, write_pairs
-from falconwing_kit.tools.capture.training.state import State, begin, to_scene
+from falconwing_kit.tools.capture.training.ship import (
+    contributions,
+    label_scene,
+    prune,
+    write_pairs,
+)
+from falconwing_kit.tools.capture.training.state import TrainState, initialise, to_scene
 from falconwing_kit.tools.capture.training.turntable import aircraft_points
 
-SHOWN = 6  # pairs of photo and render that are written: the worst, the best, and some between
+MAX_PAIRS = 6  # pairs of photo and render that are written: the worst, the best, and some between
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class TrainingResult:
     """A finished training."""
 
     scene: GaussianScene  # as it reads back from the file
@@ -43,7 +50,7 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class SceneTrainer:
     """One training from its first points to its files."""
 
     photos: Photos
@@ -60,127 +67,178 @@ class Task:
     def split(self) -> tuple[Photos, Photos]:
         """The photos to train on and those to judge by; where none are held out, the same."""
         places = self.photos.Ts_world_camera[:, :3, 3].cpu().numpy()
-        held = held_out(self.photos.names, places, self.settings)
+        held = held_out_photos(self.photos.names, places, self.settings)
         if len(self.photos) - held.sum() < 2:
-            raise InputError(f"photos: want at least 3, one of them to judge by, got {len(self.photos)}; take more")
+            raise InputError(
+                f"photos: expected at least 3, one of them to judge by, got {len(self.photos)}; take more"
+            )
         learn = self.photos.chosen(np.flatnonzero(~held))
         return learn, (self.photos.chosen(np.flatnonzero(held)) if held.any() else learn)
 
     @property
-    def goal(self) -> Goal:
+    def goal(self) -> TrainConfig:
         """What the loop is told."""
-        own = {field.name for field in fields(Goal)}
-        told = {name: value for name, value in asdict(self.settings).items() if name in own}
+        own = {field.name for field in fields(TrainConfig)}
+        settings_text = {
+            name: value for name, value in asdict(self.settings).items() if name in own
+        }
         box = {"low": self.box[0], "high": self.box[1]}
-        return Goal(**told, **box, seconds=60.0 * self.settings.minutes, extent=self.extent)
+        return TrainConfig(
+            **settings_text, **box, seconds=60.0 * self.settings.minutes, extent=self.extent
+        )
 
-    def train(self) -> State:
+    def train(self) -> TrainState:
         """Begin, or go on where an interrupted training stopped, and train."""
         if self.out.exists() and not self.out.is_dir():
-            raise InputError(f"{short_name(self.out)}: want a folder to write to, got a file; choose another name")
+            raise InputError(
+                f"{short_name(self.out)}: expected a folder to write to, got a file; choose another name"
+            )
         try:
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise write_error(self.out, error) from None
         learn, _ = self.split
-        kept, told = self.out / "training.npz", json.dumps([asdict(self.settings), self.photos.names])
+        kept, settings_text = (
+            self.out / "training.npz",
+            json.dumps([asdict(self.settings), self.photos.names]),
+        )
         device = str(self.photos.images.device)
         if kept.is_file():
-            state = State.load(kept, told, device)
+            state = TrainState.load(kept, settings_text, device)
             self.say(f"going on at step {state.step} of the training in {short_name(kept)}")
         else:
-            state = begin(self.points, self.colours, len(learn), self.settings.sh_degree, device)
+            state = initialise(
+                self.points, self.colours, len(learn), self.settings.sh_degree, device
+            )
 
-        def tell(state: State, loss: float) -> None:
+        def log(state: TrainState, loss: float) -> None:
             count = len(state.values["means"])
             self.say(
                 f"step {state.step}/{self.settings.steps}: loss {loss:.4f}, {count} Gaussians, {state.seconds:.0f} s"
             )
 
-        return train(state, learn, self.draw, self.goal, keep=lambda now: now.save(kept, told), tell=tell)
+        return train(
+            state,
+            learn,
+            self.draw,
+            self.goal,
+            save_state=lambda now: now.save(kept, settings_text),
+            log=log,
+        )
 
-    def corrected_poses(self, state: State) -> Array:
+    def corrected_poses(self, state: TrainState) -> Array:
         """(P, 4, 4) of all photos, in their order.
 
-        Those of photos trained on as the training moved them; those held out where they fit the finished scene best,
-        which has learnt nothing from them, unless the settings want no steps for that.
+        Those of photos trained on as the training moved them; those held out where they fit the
+        finished scene best, which has learnt nothing from them, unless the settings want no steps
+        for that.
         """
         learn, held = self.split
         poses = dict(zip(self.photos.names, self.photos.Ts_world_camera.double(), strict=True))
         if held is not learn and self.settings.pose_steps:
             gaussians = state.gaussians(self.settings.sh_degree)
-            poses |= dict(zip(held.names, self._refined(gaussians, held).double(), strict=True))
-        twists = state.values["twists"].double() * reach(self.extent, poses[self.photos.names[0]])
-        poses |= dict(zip(learn.names, moved(learn.Ts_world_camera.double(), twists), strict=True))
+            poses |= dict(
+                zip(held.names, self._refine_poses(gaussians, held).double(), strict=True)
+            )
+        twists = state.values["twists"].double() * twist_scale(
+            self.extent, poses[self.photos.names[0]]
+        )
+        poses |= dict(
+            zip(learn.names, apply_twists(learn.Ts_world_camera.double(), twists), strict=True)
+        )
         return torch.stack([poses[name] for name in self.photos.names]).cpu().numpy()
 
-    def ship(self, state: State, survey: Survey | None, source: str, label: str = "") -> Fit:
+    def ship(
+        self, state: TrainState, survey: Survey | None, source: str, label: str = ""
+    ) -> TrainingResult:
         """Prune, label, write, read back, judge what was read, and write the figures."""
         start, settings = time.monotonic(), self.settings
         learn, held = self.split
         gaussians = state.gaussians(settings.sh_degree)
-        kept = pruned(gaussians, contributions(gaussians, learn, self.draw, settings.antialiased))
+        kept = prune(gaussians, contributions(gaussians, learn, self.draw, settings.antialiased))
         scene = to_scene(kept, source)
-        scene = replace(scene, label_names=(label,)) if label else labelled(scene, survey)
+        scene = replace(scene, label_names=(label,)) if label else label_scene(scene, survey)
         path = self.out / "scene.npz"
         write_quantised(path, scene, aircraft_points(scene) if label == "leader" else None)
-        shipped, look = GaussianScene.load(path), self._look(gaussians)
-        figures = self._figures(state, shipped, look, learn, held)
-        figures |= {"bytes": path.stat().st_size, "points": {k: p.tolist() for k, p in read_named_points(path).items()}}
+        shipped, render_poses = GaussianScene.load(path), self._renderer(gaussians)
+        figures = self._figures(state, shipped, render_poses, learn, held)
+        figures |= {
+            "bytes": path.stat().st_size,
+            "points": {k: p.tolist() for k, p in read_named_points(path).items()},
+        }
         figures["seconds_after_training"] = time.monotonic() - start
         rows = sorted(figures["held_out"]["photos"], key=lambda row: row["psnr_db"])
-        some = {rows[k]["photo"] for k in np.linspace(0, len(rows) - 1, SHOWN).astype(int)}
-        write_pairs(self.out / "pairs", self._look(_tensors(shipped, held)), held, sorted(some))
+        some = {rows[k]["photo"] for k in np.linspace(0, len(rows) - 1, MAX_PAIRS).astype(int)}
+        write_pairs(self.out / "pairs", self._renderer(_tensors(shipped, held)), held, sorted(some))
         with atomic_write(self.out / "figures.json", text=True) as file:
             json.dump(figures, file, indent=1)
         (self.out / "training.npz").unlink(missing_ok=True)
         for line in summary_lines(figures):
             self.say(line)
-        return Fit(shipped, figures, path)
+        return TrainingResult(shipped, figures, path)
 
-    def _figures(self, state: State, shipped: GaussianScene, look: Look, learn: Photos, held: Photos) -> dict[str, Any]:
+    def _figures(
+        self,
+        state: TrainState,
+        shipped: GaussianScene,
+        render_poses: RenderPoses,
+        learn: Photos,
+        held: Photos,
+    ) -> dict[str, Any]:
         """All figures; what is fitted to a held-out photo stands under a name that says so."""
         settings, tensors = self.settings, _tensors(shipped, held)
-        drawn = self._look(tensors)
+        drawn = self._renderer(tensors)
         sample = learn.chosen(np.arange(0, len(learn), max(1, len(learn) // 20)))
         images = state.step * settings.batch
         return {
             "settings": asdict(settings),
             "photos": {"trained": len(learn), "held_out": list(held.names)},
             "gaussians": {"trained": len(state.values["means"]), "shipped": len(shipped)},
-            "held_out": judge(drawn, held),
-            "held_out_after_pose_refinement": self._judge_refined(tensors, held),
-            "held_out_before_shipping": judge(look, held),
-            "held_out_by_fast": self._judge_fast(shipped, held),
-            "trained_on": judge(drawn, sample),
+            "held_out": evaluate(drawn, held),
+            "held_out_after_pose_refinement": self._evaluate_refined(tensors, held),
+            "held_out_before_shipping": evaluate(render_poses, held),
+            "held_out_by_fast": self._evaluate_fast(shipped, held),
+            "trained_on": evaluate(drawn, sample),
             "training": {
-                **{"seconds": state.seconds, "steps": state.step, "photos_per_second": images / state.seconds},
+                **{
+                    "seconds": state.seconds,
+                    "steps": state.step,
+                    "photos_per_second": images / state.seconds,
+                },
                 "gaussians_drawn_per_second": images * len(state.values["means"]) / state.seconds,
                 "device": _device(self.photos),
             },
         }
 
-    def _look(self, gaussians: Any) -> Look:
+    def _renderer(self, gaussians: Any) -> RenderPoses:
         """Draws a scene's poses with the training's renderer, on black."""
         black = torch.zeros(3, device=gaussians.means.device)
         camera, antialiased = self.photos.camera, self.settings.antialiased
         return lambda poses: self.draw(gaussians, camera, poses, black, antialiased)[0]
 
-    def _judge_refined(self, tensors: GaussianTensors, held: Photos) -> dict[str, Any] | None:
-        """The figures after each held-out photo's pose was moved to where it fits best; None where not asked for."""
+    def _evaluate_refined(self, tensors: GaussianTensors, held: Photos) -> dict[str, Any] | None:
+        """The figures after each held-out photo's pose was moved to where it fits best; None where
+        not asked for.
+        """
         wanted = self.settings.pose_steps > 0
-        return judge(self._look(tensors), held, self._refined(tensors, held)) if wanted else None
+        return (
+            evaluate(self._renderer(tensors), held, self._refine_poses(tensors, held))
+            if wanted
+            else None
+        )
 
-    def _refined(self, gaussians: GaussianTensors, photos: Photos) -> Tensor:
+    def _refine_poses(self, gaussians: GaussianTensors, photos: Photos) -> Tensor:
         """(P, 4, 4) poses of photos where they fit a scene best."""
         settings = self.settings
-        return refined_poses(gaussians, photos, self.draw, settings.antialiased, self.extent, settings.pose_steps)
+        return refine_photo_poses(
+            gaussians, photos, self.draw, settings.antialiased, self.extent, settings.pose_steps
+        )
 
-    def _judge_fast(self, shipped: GaussianScene, held: Photos) -> dict[str, Any] | None:
+    def _evaluate_fast(self, shipped: GaussianScene, held: Photos) -> dict[str, Any] | None:
         """The figures as the kit's fast renderer draws the scene; None where numba is missing."""
         if find_spec("numba") is None:
             return None
-        return judge(kit_look(shipped, held, self.settings.antialiased, "fast"), held)
+        return evaluate(kit_renderer(shipped, held, self.settings.antialiased, "fast"), held)
 
 
 def summary_lines(figures: dict[str, Any]) -> list[str]:
@@ -188,7 +246,10 @@ def summary_lines(figures: dict[str, Any]) -> list[str]:
     lines = [f"{figures['gaussians']['shipped']} Gaussians, {figures['bytes'] / 1e6:.2f} MB"]
     names = {
         **{"held_out": "held-out photos", "held_out_by_fast": "the same, drawn by fast"},
-        **{"held_out_after_pose_refinement": "the same after refining their poses", "trained_on": "photos trained on"},
+        **{
+            "held_out_after_pose_refinement": "the same after refining their poses",
+            "trained_on": "photos trained on",
+        },
     }
     for name, words in names.items():
         if figures[name] is not None:
@@ -200,21 +261,27 @@ def summary_lines(figures: dict[str, Any]) -> list[str]:
 
 def _tensors(scene: GaussianScene, photos: Photos) -> Any:
     """A scene as tensors on the photos' device."""
-    return GaussianTensors(*(tensor.to(photos.images.device) for tensor in GaussianTensors.from_scene(scene)))
+    return GaussianTensors(
+        *(tensor.to(photos.images.device) for tensor in GaussianTensors.from_scene(scene))
+    )
 
 
-def kit_look(scene: GaussianScene, photos: Photos, antialiased: bool, backend: str) -> Look:
+def kit_renderer(
+    scene: GaussianScene, photos: Photos, antialiased: bool, backend: str
+) -> RenderPoses:
     """Draws poses with one of the kit's renderers."""
 
-    def look(poses: Any) -> Any:
+    def render_poses(poses: Any) -> Any:
         frames = []
         for pose in poses.cpu().numpy().astype(np.float64):
-            left, _, right = np.linalg.svd(pose[:3, :3])  # `render` wants more of a rotation than float32 holds
+            left, _, right = np.linalg.svd(
+                pose[:3, :3]
+            )  # `render` wants more of a rotation than float32 holds
             pose[:3, :3] = left @ right
             frames.append(render(scene, photos.camera, pose, backend, antialiased=antialiased).rgb)
         return torch.from_numpy(np.stack(frames)).to(photos.images.device)
 
-    return look
+    return render_poses
 
 
 def _device(photos: Photos) -> str:

@@ -1,7 +1,9 @@
-"""Turntable photos of an aircraft: RGBA images and cameras.json -> photos in body axes, first points, named points.
+"""Turntable photos of an aircraft: RGBA images and cameras.json -> photos in body axes, first
+points, named points.
 
-The photos' frame is x nose, y left, z up with its origin at the wing root; the kit's is the body's, x nose, y right
-wing, z belly with the origin in the centre of gravity:  p_body = diag(1, -1, -1) (p_aircraft - centre of gravity)
+The photos' frame is x nose, y left, z up with its origin at the wing root; the kit's is the body's,
+x nose, y right wing, z belly with the origin in the centre of gravity:  p_body = diag(1, -1, -1)
+(p_aircraft - centre of gravity)
 """
 
 import json
@@ -24,16 +26,25 @@ from falconwing_kit.tools.capture.training.photos import Photos, load_photos
 from falconwing_kit.tools.capture.training.settings import CAMERAS
 
 R_BODY_AIRCRAFT = np.diag([1.0, -1.0, -1.0])
-COVERED, AGREE = 127, 0.97  # alpha of a pixel that shows the aircraft, and the part of the photos that must say so
+COVERED, AGREE = (
+    127,
+    0.97,
+)  # alpha of a pixel that shows the aircraft, and the part of the photos that must say so
 TRIES = 400_000  # places that are tried each time
-SOLID, NEAR_END = 0.5, 0.006  # opacity of what counts as the aircraft; how far from its end a tip reaches [m]
+SOLID, NEAR_END = (
+    0.5,
+    0.006,
+)  # opacity of what counts as the aircraft; how far from its end a tip reaches [m]
 
 
-def load_turntable(folder: Path, centre_of_gravity: Sequence[float], width: int = 0, device: str = "cpu") -> Photos:
+def load_turntable(
+    folder: Path, centre_of_gravity: Sequence[float], width: int = 0, device: str = "cpu"
+) -> Photos:
     """Read turntable photos with their poses in body axes.
 
     Args:
-        folder: holds cameras.json (fx, fy, cx, cy, width, height; frames: file -> T_aircraft_camera) and the photos.
+        folder: holds cameras.json (fx, fy, cx, cy, width, height; frames: file ->
+            T_aircraft_camera) and the photos.
         centre_of_gravity: (3,) in the photos' aircraft frame [m].
         width: [px] of the images to train on; 0 leaves them as they are.
         device: where the tensors go.
@@ -47,11 +58,17 @@ def load_turntable(folder: Path, centre_of_gravity: Sequence[float], width: int 
         record = json.loads(path.read_bytes())
         sides = (record[key] for key in ("fx", "fy", "cx", "cy", "width", "height"))
         camera = PinholeCamera(*sides)
-        frames = {name: frame["T_aircraft_camera"] for name, frame in sorted(record["frames"].items())}
+        frames = {
+            name: frame["T_aircraft_camera"] for name, frame in sorted(record["frames"].items())
+        }
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{short_name(path)}: want the turntable's camera and frames, got others ({error})") from None
+        raise InputError(
+            f"{short_name(path)}: expected the turntable's camera and frames, got others ({error})"
+        ) from None
     if not frames:
-        raise InputError(f"{short_name(path)}: want at least one frame, got none; list the photos with their poses")
+        raise InputError(
+            f"{short_name(path)}: expected at least one frame, got none; list the photos with their poses"
+        )
     centre = require_shape("centre_of_gravity", centre_of_gravity, (3,))
     T_body_aircraft = pose_matrix(R_BODY_AIRCRAFT, -R_BODY_AIRCRAFT @ centre)
     poses = np.array([_rigid(name, T) for name, T in frames.items()])
@@ -67,7 +84,8 @@ def _rigid(name: str, pose: Any) -> Array:
 
 
 def hull_points(photos: Photos, count: int, seed: int = 0) -> Array:
-    """Points inside the object: those whose pixel is covered in nearly all photos (the visual hull).
+    """Points inside the object: those whose pixel is covered in nearly all photos (the visual
+    hull).
 
     Args:
         photos: with alpha.
@@ -80,16 +98,26 @@ def hull_points(photos: Photos, count: int, seed: int = 0) -> Array:
     Raises:
         InputError: no place is covered in all photos, so poses and photos do not belong together.
     """
-    rng, centres = np.random.default_rng(seed), photos.Ts_world_camera[:, :3, 3].cpu().numpy().astype(np.float64)
+    rng, centres = (
+        np.random.default_rng(seed),
+        photos.Ts_world_camera[:, :3, 3].cpu().numpy().astype(np.float64),
+    )
     low, high = centres.min(axis=0), centres.max(axis=0)
     inside = np.zeros((0, 3))
-    for _ in range(3):  # in all the space between the cameras, then ever closer around what was found
+    for _ in range(
+        3
+    ):  # in all the space between the cameras, then ever closer around what was found
         places = rng.uniform(low, high, (TRIES, 3))
         inside = places[_covered(places, photos)]
         if len(inside) == 0:
-            raise InputError("turntable: want one object in all photos, found none; do the poses belong to the photos?")
+            raise InputError(
+                "turntable: expected one object in all photos, found none; do the poses belong to the photos?"
+            )
         margin = 0.02 + 0.1 * (inside.max(axis=0) - inside.min(axis=0))
-        low, high = np.maximum(low, inside.min(axis=0) - margin), np.minimum(high, inside.max(axis=0) + margin)
+        low, high = (
+            np.maximum(low, inside.min(axis=0) - margin),
+            np.minimum(high, inside.max(axis=0) + margin),
+        )
     return np.asarray(inside[:count])
 
 
@@ -100,17 +128,24 @@ def _covered(places: Array, photos: Photos) -> Array:
     p_world = torch.tensor(places, dtype=torch.float32, device=votes.device)
     for alpha, T in zip(photos.alphas, photos.Ts_world_camera, strict=True):
         x, y, z = ((p_world - T[:3, 3]) @ T[:3, :3]).unbind(1)
-        column, row = (camera.fx * x / z + camera.cx).floor().long(), (camera.fy * y / z + camera.cy).floor().long()
-        seen = (z > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-        votes += seen & (alpha[row.clamp(0, camera.height - 1), column.clamp(0, camera.width - 1)] > COVERED)
+        column, row = (
+            (camera.fx * x / z + camera.cx).floor().long(),
+            (camera.fy * y / z + camera.cy).floor().long(),
+        )
+        seen = (
+            (z > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        )
+        votes += seen & (
+            alpha[row.clamp(0, camera.height - 1), column.clamp(0, camera.width - 1)] > COVERED
+        )
     return (votes >= AGREE * len(photos)).cpu().numpy()
 
 
 def aircraft_points(scene: GaussianScene) -> dict[str, Array]:
     """The ends of an aircraft in body axes: nose, tail and both wing tips.
 
-    Each lies where the furthest solid Gaussian ends, a standard deviation beyond its mean, in the middle of those that
-    reach nearly as far.
+    Each lies where the furthest solid Gaussian ends, a standard deviation beyond its mean, in the
+    middle of those that reach nearly as far.
 
     Args:
         scene: the aircraft, x nose, y right wing, z belly.
@@ -120,8 +155,15 @@ def aircraft_points(scene: GaussianScene) -> dict[str, Array]:
     """
     solid = scene.selected(scene.opacities > SOLID) if (scene.opacities > SOLID).any() else scene
     gaussians = GaussianTensors.from_scene(solid, torch.float64)
-    sides = covariances(gaussians.quaternions, gaussians.scales).diagonal(dim1=1, dim2=2).sqrt().numpy()
-    ends = {"nose": (0, 1.0), "tail": (0, -1.0), "right_wing_tip": (1, 1.0), "left_wing_tip": (1, -1.0)}
+    sides = (
+        covariances(gaussians.quaternions, gaussians.scales).diagonal(dim1=1, dim2=2).sqrt().numpy()
+    )
+    ends = {
+        "nose": (0, 1.0),
+        "tail": (0, -1.0),
+        "right_wing_tip": (1, 1.0),
+        "left_wing_tip": (1, -1.0),
+    }
     points = {}
     for name, (axis, sign) in ends.items():
         reach = sign * solid.means[:, axis] + sides[:, axis]

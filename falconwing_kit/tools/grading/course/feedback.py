@@ -1,15 +1,16 @@
-"""Feedback: a student's record and public checks -> one page for that student, without a network and without colour.
+"""Feedback: a student's record and public checks -> one page for that student, without a network
+and without colour.
 
-Of hidden cases it says how many were right and in which way the others failed, never what was asked or answered: a
-student's function could have hidden the question in its answer. What a function said is shown for public checks only,
-which run in boxes of their own that never see a hidden case.
+Of hidden cases it says how many were right and in which way the others failed, never what was asked
+or answered: a student's function could have hidden the question in its answer. What a function said
+is shown for public checks only, which run in boxes of their own that never see a hidden case.
 """
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from falconwing_kit.tools.grading.course.gradebook import Entry
+from falconwing_kit.tools.grading.course.gradebook import GradebookEntry
 from falconwing_kit.tools.grading.public_checks import SYMBOLS
 from falconwing_kit.tools.reports.page import write_page
 
@@ -18,7 +19,7 @@ MEANING = {  # of a category in a record
     "wrong value": "gave an answer of the right form with wrong numbers",
     "wrong shape": "gave an answer of another shape or kind than asked for",
     "trial failed": "did not reach what the trial asks for",
-    "bad answer": "gave what is no answer: want numbers, texts, arrays, or tuples, lists and dicts of them",
+    "bad answer": "gave what is no answer: expected numbers, texts, arrays, or tuples, lists and dicts of them",
     "not written": "is not written yet",
     "missing": "was not found in the notebook",
     "timeout": "took too long",
@@ -28,7 +29,7 @@ MEANING = {  # of a category in a record
 }
 
 
-def in_words(result: Mapping[str, Any]) -> str:
+def result_text(result: Mapping[str, Any]) -> str:
     """What became of an exercise's hidden cases, in a sentence.
 
     Args:
@@ -45,19 +46,26 @@ def _meaning(category: str) -> str:
     return MEANING.get(category, "failed")
 
 
-def write_feedback(path: Path, entry: Entry, checks: Mapping[str, Sequence[Sequence[str]]] | None) -> None:
+def write_feedback(
+    path: Path, entry: GradebookEntry, checks: Mapping[str, Sequence[Sequence[str]]] | None
+) -> None:
     """Write a student's page.
 
     Args:
         path: the HTML file.
         entry: the student's line of the gradebook.
-        checks: for each exercise that lost points the outcomes of its public checks (claim, state, hint, what the
-            function said); None where they were not run.
+        checks: for each exercise that lost points the outcomes of its public checks (claim, state,
+            hint, what the function said); None where they were not run.
     """
     lab, record = entry.lab, entry.record
     done = record["exercises"]
     functions = [
-        (each.name, f"{done[each.name]['points']:g}", f"{each.points:g}", in_words(done[each.name]))
+        (
+            each.name,
+            f"{done[each.name]['points']:g}",
+            f"{each.points:g}",
+            result_text(done[each.name]),
+        )
         for each in lab.exercises
         if each.name in done
     ]
@@ -72,14 +80,18 @@ def write_feedback(path: Path, entry: Entry, checks: Mapping[str, Sequence[Seque
         if each.name in done and done[each.name]["right"] < done[each.name]["cases"]
     ]
     given = entry.person.points
-    by_person = [(each.name, f"{given[each.name]:g}", f"{each.points:g}") for each in lab.rubric if each.name in given]
+    by_person = [
+        (each.name, f"{given[each.name]:g}", f"{each.points:g}")
+        for each in lab.rubric
+        if each.name in given
+    ]
     write_page(
         path, PAGE, lab=lab, student=entry.student, summary=_summary(entry), problem=record["problem"],
         functions=functions, lost=lost, symbols=SYMBOLS, by_person=by_person, comment=entry.person.comment,
     )  # fmt: skip
 
 
-def _summary(entry: Entry) -> str:
+def _summary(entry: GradebookEntry) -> str:
     if entry.machine is None:
         return f"{entry.student}: this could not be graded yet; ask your instructor."
     if entry.total is None:

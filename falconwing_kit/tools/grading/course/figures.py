@@ -1,7 +1,8 @@
-"""Figures: a submitted notebook -> the pictures that its cells draw, by running it in a box or as they were stored.
+"""Figures: a submitted notebook -> the pictures that its cells draw, by running it in a box or as
+they were stored.
 
-The kernel runs inside the box, with the kit and the libraries that students have, without network, home, other
-submissions, solutions or hidden cases. Whatever comes out is only shown to a person.
+The kernel runs inside the box, with the kit and the libraries that students have, without network,
+home, other submissions, solutions or hidden cases. Whatever comes out is only shown to a person.
 """
 
 import base64
@@ -30,7 +31,9 @@ MAX_OUT, MAX_PNG, MAX_SIDE, MAX_FIGURES = 24 << 20, 2 << 20, 4000, 4  # bytes, b
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def run_notebook(data: bytes, lab_files: Mapping[Path, str], constants: Mapping[str, float]) -> dict[str, Any] | None:
+def run_notebook(
+    data: bytes, lab_files: Mapping[Path, str], constants: Mapping[str, float]
+) -> dict[str, Any] | None:
     """Run a notebook in a box of its own.
 
     Args:
@@ -52,14 +55,14 @@ def run_notebook(data: bytes, lab_files: Mapping[Path, str], constants: Mapping[
         desk = runtime.DESK
         files = {notebook.fileno(): desk / "notebook.ipynb", cohort.fileno(): desk / "cohort.json"}
         own = _libraries() | {path: desk / name for path, name in lab_files.items()}
-        box = runtime.box_command(("numpy",), own, files, Path(in_box.__file__).name)
+        box = runtime.sandbox_command(("numpy",), own, files, Path(in_box.__file__).name)
         group = limits.make_group(PROCESSES, MEMORY)
-        become, out = limits.becoming(group, box.staged), subprocess.PIPE
+        become, out = limits.make_preexec(group, box.staged), subprocess.PIPE
         process = subprocess.Popen(
             box.words, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL, env={}, preexec_fn=become,
             pass_fds=tuple(files), start_new_session=True,
         )  # fmt: skip
-    return _what_it_says(process, group)
+    return _read_reply(process, group)
 
 
 def missing_for_running() -> list[str]:
@@ -71,14 +74,18 @@ def _libraries() -> dict[Path, Path]:
     """The kit and every folder with libraries that a notebook needs: path outside, path inside."""
     kit = Path(falconwing_kit.__file__).resolve().parent
     hardware = shipped_path("hardware/airframe_umx.toml", "install the kit again").parent
-    places = dict.fromkeys(Path(str(spec.origin)).parents[1] for spec in map(importlib.util.find_spec, NEEDED) if spec)
+    places = dict.fromkeys(
+        Path(str(spec.origin)).parents[1] for spec in map(importlib.util.find_spec, NEEDED) if spec
+    )
     own = {place.resolve(): runtime.BOX / f"site{number}" for number, place in enumerate(places)}
     own |= {kit: runtime.BOX / "kit" / kit.name, hardware: runtime.BOX / "kit" / "hardware"}
     script = Path(in_box.__file__)
     return own | {script: runtime.BOX / script.name}
 
 
-def _what_it_says(process: "subprocess.Popen[bytes]", group: limits.Group) -> dict[str, Any] | None:
+def _read_reply(
+    process: "subprocess.Popen[bytes]", group: limits.ControlGroup
+) -> dict[str, Any] | None:
     """The box's answer, if it is small enough and comes in time; then all that is in the box ends."""
 
     def end() -> None:
@@ -115,7 +122,9 @@ def figures_in(content: Any, name: str = "") -> list[str]:
     cells = content.get("cells") if isinstance(content, dict) else None
     found: list[str] = []
     for cell in cells if isinstance(cells, list) else []:
-        metadata, outputs = (cell.get(key) if isinstance(cell, dict) else None for key in ("metadata", "outputs"))
+        metadata, outputs = (
+            cell.get(key) if isinstance(cell, dict) else None for key in ("metadata", "outputs")
+        )
         if name and not (isinstance(metadata, dict) and metadata.get("figure") == name):
             continue
         for output in outputs if isinstance(outputs, list) else []:
@@ -136,5 +145,10 @@ def _clean_png(text: str) -> str:
         width, height = struct.unpack(">II", data[16:24])
     except (binascii.Error, ValueError, struct.error):
         return ""
-    fits = data.startswith(_PNG) and len(data) <= MAX_PNG and 0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE
+    fits = (
+        data.startswith(_PNG)
+        and len(data) <= MAX_PNG
+        and 0 < width <= MAX_SIDE
+        and 0 < height <= MAX_SIDE
+    )
     return base64.b64encode(data).decode("ascii") if fits else ""

@@ -1,7 +1,8 @@
-"""Inside the box: a student's notebook -> the same notebook run from top to bottom, of which only pictures come out.
+"""Inside the box: a student's notebook -> the same notebook run from top to bottom, of which only
+pictures come out.
 
-This file runs alone, by its path. Kernel, notebook and this program share a box without network or home, so nothing
-that comes out is believed: it is for a person to look at, and gives no points.
+This file runs alone, by its path. Kernel, notebook and this program share a box without network or
+home, so nothing that comes out is believed: it is for a person to look at, and gives no points.
 """
 
 import json
@@ -51,9 +52,13 @@ def run(path: Path) -> dict[str, Any]:
         allow_errors=True,
         resources={"metadata": {"path": str(PLACE)}},
     )
-    with suppress(TimeoutError, nbclient.exceptions.DeadKernelError):  # what was drawn before it ended is there
+    with suppress(
+        TimeoutError, nbclient.exceptions.DeadKernelError
+    ):  # what was drawn before it ended is there
         client.execute()
-    return {"cells": [{"metadata": cell.metadata, "outputs": pictures(cell)} for cell in notebook.cells]}
+    return {
+        "cells": [{"metadata": cell.metadata, "outputs": pictures(cell)} for cell in notebook.cells]
+    }
 
 
 def pictures(cell: Any) -> list[dict[str, Any]]:

@@ -1,4 +1,6 @@
-"""Items: a class's records -> how each exercise did: its mean, who began it, whether it tells students apart."""
+"""Items: a class's records -> how each exercise did: its mean, who began it, whether it tells
+students apart.
+"""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -13,7 +15,7 @@ UNTOUCHED = {"not written", "missing"}  # categories of who did not begin
 
 
 @dataclass(frozen=True)
-class Item:
+class ItemStatistics:
     """An exercise, seen over a class.
 
     Attributes:
@@ -22,9 +24,11 @@ class Item:
         mean: share of its points that they got, 0..1; nan without students.
         full: share of them with all its points.
         untouched: share of them who did not begin it.
-        discrimination: correlation of its points with the points of all other exercises, -1..1; nan where either is the
-            same for everybody. Near 0 or below: the exercise, or its judge, measures something else than the lab.
-        commonest: in which way most students lost points in it, and how many did; empty if nobody did.
+        discrimination: correlation of its points with the points of all other exercises, -1..1; nan
+            where either is the same for everybody. Near 0 or below: the exercise, or its judge,
+            measures something else than the lab.
+        commonest: in which way most students lost points in it, and how many did; empty if nobody
+            did.
     """
 
     name: str
@@ -36,7 +40,7 @@ class Item:
     commonest: str
 
 
-def item_statistics(lab: Lab, records: Sequence[Mapping[str, Any]]) -> list[Item]:
+def item_statistics(lab: Lab, records: Sequence[Mapping[str, Any]]) -> list[ItemStatistics]:
     """How each exercise of a lab did.
 
     Args:
@@ -58,10 +62,12 @@ def item_statistics(lab: Lab, records: Sequence[Mapping[str, Any]]) -> list[Item
         for result in results:
             lost.update(set(result["categories"]))
         commonest = f"{lost.most_common(1)[0][0]} ({lost.most_common(1)[0][1]})" if lost else ""
-        untouched = [result["right"] == 0 and set(result["categories"]) <= UNTOUCHED for result in results]
+        untouched = [
+            result["right"] == 0 and set(result["categories"]) <= UNTOUCHED for result in results
+        ]
         others = points.sum(axis=1) - points[:, number] if results else share
         items.append(
-            Item(
+            ItemStatistics(
                 exercise.name, len(results), _mean(share), _mean(share == 1.0), _mean(np.array(untouched)),
                 _correlation(share, others), commonest,
             )

@@ -1,4 +1,6 @@
-"""Looks: a submission -> what people want to see of it: public checks, figures, answers. It gives no points."""
+"""Looks: a submission -> what people want to see of it: public checks, figures, answers. It gives
+no points.
+"""
 
 import hashlib
 import json
@@ -10,10 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.grading.collect import Notebook, collect, parse_notebook, read_notebook
+from falconwing_kit.tools.grading.collect import (
+    Notebook,
+    collect_source,
+    parse_notebook,
+    read_notebook,
+)
 from falconwing_kit.tools.grading.course.figures import figures_in, run_notebook
 from falconwing_kit.tools.grading.find import load_checks, load_module, notebook_path
-from falconwing_kit.tools.grading.judge import Bench
+from falconwing_kit.tools.grading.judge import GradingContext
 from falconwing_kit.tools.grading.lab import Course, Lab, course_constants
 from falconwing_kit.tools.grading.notebooks import YOUR_ANSWER
 from falconwing_kit.tools.grading.public_checks import run_checks
@@ -25,7 +32,7 @@ FILES, FOLDER = ("given.py", "checks.py"), "data"  # of a lab, that lie beside a
 
 
 @dataclass(frozen=True)
-class Desk:
+class ReportContext:
     """What all submissions of a report have in common.
 
     Attributes:
@@ -33,7 +40,8 @@ class Desk:
         salt: the course's; empty for the open course.
         boxed: whether there is a box that holds; without it nothing of a student's is run.
         run: run the notebooks for their figures; otherwise take what they have stored.
-        mark: of the lab's files, so that nothing is kept that was seen with others; see `lab_mark`.
+        mark: of the lab's files, so that nothing is kept that was seen with others; see
+            `lab_fingerprint`.
     """
 
     folder: Path
@@ -44,7 +52,7 @@ class Desk:
 
 
 @dataclass(frozen=True)
-class Look:
+class InspectionTask:
     """One submission to be looked at.
 
     Attributes:
@@ -57,7 +65,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Part:
+class RubricPart:
     """A part of a lab that a person grades.
 
     Attributes:
@@ -71,33 +79,45 @@ class Part:
     question: str
 
 
-def course_lab(desk: Desk) -> tuple[Lab, Mapping[str, float]]:
+def course_lab(desk: ReportContext) -> tuple[Lab, Mapping[str, float]]:
     """The lab with the checks of this course, and the course's numbers."""
     constants = course_constants(load_checks(desk.folder), desk.salt)
     lab: Lab = load_module(desk.folder, "checks", constants).LAB
     return lab, constants
 
 
-def lab_mark(folder: Path) -> str:
+def lab_fingerprint(folder: Path) -> str:
     """A fingerprint of what students have of a lab."""
     data = sorted(path for path in (folder / FOLDER).rglob("*") if path.is_file())
-    files = [path for path in (*(folder / name for name in FILES), notebook_path(folder), *data) if path.is_file()]
-    return hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)).hexdigest()
+    files = [
+        path
+        for path in (*(folder / name for name in FILES), notebook_path(folder), *data)
+        if path.is_file()
+    ]
+    return hashlib.sha256(
+        b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)
+    ).hexdigest()
 
 
-def graded_parts(folder: Path) -> list[Part]:
-    """What a person grades of a lab, in the rubric's order, with the questions as students have them."""
+def rubric_parts(folder: Path) -> list[RubricPart]:
+    """What a person grades of a lab, in the rubric's order, with the questions as students have
+    them.
+    """
     cells = read_notebook(notebook_path(folder)).cells if notebook_path(folder).is_file() else ()
     parts = {}
     for number, cell in enumerate(cells):
         if cell.role in ("figure", "answer"):
             before = cells[number - 1].text if number and cell.role == "answer" else ""
             question = before[before.rfind("**Question") :] if "**Question" in before else before
-            parts[cell.name] = Part(cell.name, cell.role == "figure", question.replace("**", ""))
-    return [parts.get(each.name, Part(each.name, True, "")) for each in load_checks(folder).rubric]
+            parts[cell.name] = RubricPart(
+                cell.name, cell.role == "figure", question.replace("**", "")
+            )
+    return [
+        parts.get(each.name, RubricPart(each.name, True, "")) for each in load_checks(folder).rubric
+    ]
 
 
-def look(work: Look, desk: Desk) -> dict[str, Any]:
+def inspect_submission(work: InspectionTask, desk: ReportContext) -> dict[str, Any]:
     """Look at one submission.
 
     Args:
@@ -105,9 +125,10 @@ def look(work: Look, desk: Desk) -> dict[str, Any]:
         desk: where.
 
     Returns:
-        `checks` (for each exercise its outcomes: claim, state, hint, what the function said in this public case),
-        `figures` (for each figure its pictures, and how they came about), `answers`, `sources` (of each function), and
-        `problem` where the notebook cannot be read; plain texts, lists and dicts.
+        `checks` (for each exercise its outcomes: claim, state, hint, what the function said in this
+        public case), `figures` (for each figure its pictures, and how they came about), `answers`,
+        `sources` (of each function), and `problem` where the notebook cannot be read; plain texts,
+        lists and dicts.
 
     Raises:
         InputError: the lab itself cannot be used.
@@ -117,30 +138,48 @@ def look(work: Look, desk: Desk) -> dict[str, Any]:
         data = work.submission.read()
         notebook = parse_notebook(data, "the notebook")
     except (InputError, OSError, MemoryError) as error:
-        return nothing_seen(str(error)[:300])
-    checks = _checks(Bench(desk.folder, lab, Course(constants)), notebook, work.failed) if desk.boxed else {}
-    parts = graded_parts(desk.folder)
+        return empty_inspection(str(error)[:300])
+    checks = (
+        _checks(GradingContext(desk.folder, lab, Course(constants)), notebook, work.failed)
+        if desk.boxed
+        else {}
+    )
+    parts = rubric_parts(desk.folder)
     answers = {part.name: _answer(notebook, part) for part in parts if not part.is_figure}
     figures = _figures(work.submission, data, desk, parts)
-    seen = {"checks": checks, "figures": figures, "answers": answers, "sources": sources(notebook, lab)}
-    return nothing_seen("") | seen
+    seen = {
+        "checks": checks,
+        "figures": figures,
+        "answers": answers,
+        "sources": sources(notebook, lab),
+    }
+    return empty_inspection("") | seen
 
 
-def nothing_seen(problem: str) -> dict[str, Any]:
+def empty_inspection(problem: str) -> dict[str, Any]:
     """What there is to see of a submission that cannot be looked at."""
     return {"checks": {}, "figures": {}, "answers": {}, "sources": {}, "problem": problem}
 
 
 def sources(notebook: Notebook, lab: Lab) -> dict[str, str]:
-    """The text of each exercise's function, with what it names in the notebook; empty where there is none."""
-    return {each.name: collect(notebook, each.name, lab.packages).text for each in lab.exercises}
+    """The text of each exercise's function, with what it names in the notebook; empty where there
+    is none.
+    """
+    return {
+        each.name: collect_source(notebook, each.name, lab.packages).text for each in lab.exercises
+    }
 
 
-def _checks(bench: Bench, notebook: Notebook, names: tuple[str, ...]) -> dict[str, list[tuple[Any, ...]]]:
+def _checks(
+    bench: GradingContext, notebook: Notebook, names: tuple[str, ...]
+) -> dict[str, list[tuple[Any, ...]]]:
     """The public checks of some exercises, each in a fresh box that never saw a hidden case."""
     outcomes = {}
     for name in names:
-        exercise, source = bench.lab.exercise(name), collect(notebook, name, bench.lab.packages)
+        exercise, source = (
+            bench.lab.exercise(name),
+            collect_source(notebook, name, bench.lab.packages),
+        )
         if source.text:
             with bench.box(exercise, source.text) as worker:
                 found = run_checks(exercise, worker.call)
@@ -154,14 +193,20 @@ def _missing(*_: Any) -> Any:
     raise StudentError("missing")
 
 
-def _answer(notebook: Notebook, part: Part) -> str:
+def _answer(notebook: Notebook, part: RubricPart) -> str:
     """What a student wrote there; nothing where the cell is as it was handed out."""
-    texts = [cell.text for cell in notebook.cells if cell.role == "answer" and cell.name == part.name]
+    texts = [
+        cell.text for cell in notebook.cells if cell.role == "answer" and cell.name == part.name
+    ]
     return "\n\n".join(text.replace(YOUR_ANSWER, "").strip() for text in texts)[:MAX_ANSWER]
 
 
-def _figures(submission: Submission, data: bytes, desk: Desk, parts: list[Part]) -> dict[str, dict[str, Any]]:
-    """The pictures of each figure's cell: those of a fresh run, or where it drew none, those that were stored."""
+def _figures(
+    submission: Submission, data: bytes, desk: ReportContext, parts: list[RubricPart]
+) -> dict[str, dict[str, Any]]:
+    """The pictures of each figure's cell: those of a fresh run, or where it drew none, those that
+    were stored.
+    """
     wanted = [part.name for part in parts if part.is_figure]
     ran, stored, kept = None, json.loads(data.decode("utf-8-sig")), "not run"
     if wanted and desk.run and desk.boxed:
@@ -171,7 +216,9 @@ def _figures(submission: Submission, data: bytes, desk: Desk, parts: list[Part])
     figures = {}
     for name in wanted:
         tries = [(figures_in(ran, name), "run"), (figures_in(stored, name), kept)]
-        if not any(images for images, _ in tries):  # the cell's mark was lost: whatever the notebook draws
+        if not any(
+            images for images, _ in tries
+        ):  # the cell's mark was lost: whatever the notebook draws
             tries = [(figures_in(ran), "run, all"), (figures_in(stored), f"{kept}, all")]
         images, source = next(((images, how) for images, how in tries if images), ([], "none"))
         figures[name] = {"images": images, "from": source}
@@ -179,13 +226,23 @@ def _figures(submission: Submission, data: bytes, desk: Desk, parts: list[Part])
 
 
 @contextmanager
-def _lab_files(desk: Desk, student: str) -> Iterator[dict[Path, str]]:
-    """What lies beside this student's notebook; with the student's own files where the lab has such."""
+def _lab_files(desk: ReportContext, student: str) -> Iterator[dict[Path, str]]:
+    """What lies beside this student's notebook; with the student's own files where the lab has
+    such.
+    """
     files = {desk.folder / name: name for name in FILES}
     data = desk.folder / FOLDER
-    files |= {path: path.relative_to(desk.folder).as_posix() for path in sorted(data.rglob("*")) if path.is_file()}
+    files |= {
+        path: path.relative_to(desk.folder).as_posix()
+        for path in sorted(data.rglob("*"))
+        if path.is_file()
+    }
     constants = course_lab(desk)[1]
-    handout = getattr(load_module(desk.folder, "hidden", constants), "handout", None) if desk.salt else None
+    handout = (
+        getattr(load_module(desk.folder, "hidden", constants), "handout", None)
+        if desk.salt
+        else None
+    )
     if handout is None:
         yield files
         return

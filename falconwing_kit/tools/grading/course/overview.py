@@ -4,9 +4,9 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from falconwing_kit.tools.grading.course.gradebook import Entry
-from falconwing_kit.tools.grading.course.items import Item
-from falconwing_kit.tools.grading.course.similar import Likeness
+from falconwing_kit.tools.grading.course.gradebook import GradebookEntry
+from falconwing_kit.tools.grading.course.items import ItemStatistics
+from falconwing_kit.tools.grading.course.similar import Similarity
 from falconwing_kit.tools.grading.lab import Lab
 from falconwing_kit.tools.reports.page import write_page
 
@@ -18,9 +18,9 @@ Sources = Mapping[tuple[str, str], str]  # by exercise, and by who or what a Pai
 def write_overview(
     path: Path,
     lab: Lab,
-    entries: Sequence[Entry],
-    items: Sequence[Item],
-    pairs: Sequence[Likeness] | None,
+    entries: Sequence[GradebookEntry],
+    items: Sequence[ItemStatistics],
+    pairs: Sequence[Similarity] | None,
     sources: Sources,
 ) -> None:
     """Write the page.
@@ -44,7 +44,7 @@ def write_overview(
     )  # fmt: skip
 
 
-def _row(each: Item) -> tuple[str, ...]:
+def _row(each: ItemStatistics) -> tuple[str, ...]:
     shares = map(_percent, (each.mean, each.full, each.untouched))
     return each.name, *shares, _number(each.discrimination), each.commonest
 

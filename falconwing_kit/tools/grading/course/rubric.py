@@ -1,7 +1,9 @@
-"""Rubric: what a person grades -> one page with figure and answer side by side, and fields whose points go to a file.
+"""Rubric: what a person grades -> one page with figure and answer side by side, and fields whose
+points go to a file.
 
 The page needs no server: the browser keeps what is typed, and its button saves points.csv, which
-`falconwing report --rubric points.csv` merges into the gradebook. A student's texts are shown as texts, never run.
+`falconwing report --rubric points.csv` merges into the gradebook. A student's texts are shown as
+texts, never run.
 """
 
 import base64
@@ -10,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from falconwing_kit.core.files import atomic_write
-from falconwing_kit.tools.grading.course.gradebook import COMMENT, Entry
-from falconwing_kit.tools.grading.course.looks import Part
+from falconwing_kit.tools.grading.course.gradebook import COMMENT, GradebookEntry
+from falconwing_kit.tools.grading.course.looks import RubricPart
 from falconwing_kit.tools.grading.lab import Lab
 from falconwing_kit.tools.grading.records import spreadsheet_cell
 from falconwing_kit.tools.reports.page import write_page
@@ -31,7 +33,11 @@ _FROM = {
 
 
 def write_rubric(
-    out: Path, lab: Lab, parts: Sequence[Part], entries: Sequence[Entry], looked: Mapping[str, Looked]
+    out: Path,
+    lab: Lab,
+    parts: Sequence[RubricPart],
+    entries: Sequence[GradebookEntry],
+    looked: Mapping[str, Looked],
 ) -> Path:
     """Write the page, and the figures into a folder beside it.
 
@@ -56,20 +62,30 @@ def write_rubric(
     return page
 
 
-def _student(out: Path, entry: Entry, parts: Sequence[Part], seen: Looked) -> dict[str, Any]:
+def _student(
+    out: Path, entry: GradebookEntry, parts: Sequence[RubricPart], seen: Looked
+) -> dict[str, Any]:
     """What the page shows of a student: figures, answers, and the points that are known."""
     return {
         "name": entry.student,
         "cell": spreadsheet_cell(entry.student),
         "problem": seen["problem"],
-        "figures": [_figure(out, entry, part, seen["figures"].get(part.name)) for part in parts if part.is_figure],
-        "answers": [(part.name, seen["answers"].get(part.name, "")) for part in parts if not part.is_figure],
+        "figures": [
+            _figure(out, entry, part, seen["figures"].get(part.name))
+            for part in parts
+            if part.is_figure
+        ],
+        "answers": [
+            (part.name, seen["answers"].get(part.name, "")) for part in parts if not part.is_figure
+        ],
         "points": {name: f"{points:g}" for name, points in entry.person.points.items()},
         "comment": entry.person.comment,
     }
 
 
-def _figure(out: Path, entry: Entry, part: Part, seen: Mapping[str, Any] | None) -> tuple[str, list[str], str]:
+def _figure(
+    out: Path, entry: GradebookEntry, part: RubricPart, seen: Mapping[str, Any] | None
+) -> tuple[str, list[str], str]:
     """A figure's name, its pictures as files beside the page, and where they are from."""
     images, source = (seen["images"], seen["from"]) if seen else ([], "none")
     files = []

@@ -1,9 +1,11 @@
-"""Likeness: the functions of a class -> which are so alike, in a rare way, that a person should read both.
+"""Likeness: the functions of a class -> which are so alike, in a rare way, that a person should
+read both.
 
-Names, numbers and comments are taken out of a function's syntax tree; what is left is cut into overlapping pieces, of
-which winnowing keeps a few (Schleimer, Wilkerson and Aiken, "Winnowing: local algorithms for document fingerprinting",
-SIGMOD 2003). A piece that half of the class has says little, one that only two have says much: pieces are weighed by
-how rare they are. Short functions that are right are alike by nature, so this is no proof of anything.
+Names, numbers and comments are taken out of a function's syntax tree; what is left is cut into
+overlapping pieces, of which winnowing keeps a few (Schleimer, Wilkerson and Aiken, "Winnowing:
+local algorithms for document fingerprinting", SIGMOD 2003). A piece that half of the class has says
+little, one that only two have says much: pieces are weighed by how rare they are. Short functions
+that are right are alike by nature, so this is no proof of anything.
 """
 
 import ast
@@ -27,17 +29,18 @@ PIECE, WINDOW = 12, 4  # tokens in a piece, and in how many neighbouring pieces 
 LEAST_PRINTS = 6  # of a function; a shorter one is like many others
 LEAST_SHARE = 0.6  # of the smaller function's weight; below it a pair is not listed
 LISTED = 40  # pairs of people
-Prints = frozenset[int]
+Fingerprints = frozenset[int]
 
 
 @dataclass(frozen=True)
-class Pair:
+class SimilarPair:
     """Two functions that a person might read side by side.
 
     Attributes:
         exercise: its name.
         left: a student of this class.
-        right: another one, one of the earlier class ("before: ..."), or a function of the kit ("kit: ...").
+        right: another one, one of the earlier class ("before: ..."), or a function of the kit
+            ("kit: ...").
         share: of the smaller function's weight that both have, 0..1.
         weight: of what both have [bit]; a piece that one of N in the class has weighs log2(N + 1).
     """
@@ -50,14 +53,14 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Likeness:
+class Similarity:
     """All that two have in common.
 
     Attributes:
         pairs: their functions that are alike, at least one.
     """
 
-    pairs: tuple[Pair, ...]
+    pairs: tuple[SimilarPair, ...]
 
     @property
     def left(self) -> str:
@@ -80,15 +83,15 @@ class Likeness:
         return ", ".join(f"{pair.exercise} {100.0 * pair.share:.0f} %" for pair in self.pairs)
 
 
-def fingerprints(source: str) -> Prints:
+def fingerprints(source: str) -> Fingerprints:
     """What is kept of a piece of Python.
 
     Args:
         source: its text.
 
     Returns:
-        Numbers; the same for the same structure, whatever names, numbers, comments and layout. None for what is no
-        Python, or too short for a piece.
+        Numbers; the same for the same structure, whatever names, numbers, comments and layout. None
+        for what is no Python, or too short for a piece.
     """
     try:
         tree: ast.AST = ast.parse(source)
@@ -96,12 +99,17 @@ def fingerprints(source: str) -> Prints:
         return frozenset()
     tokens = list(_tokens(tree))
     pieces = [_number(tokens[start : start + PIECE]) for start in range(len(tokens) - PIECE + 1)]
-    windows = [pieces[start : start + WINDOW] for start in range(max(len(pieces) - WINDOW + 1, min(1, len(pieces))))]
+    windows = [
+        pieces[start : start + WINDOW]
+        for start in range(max(len(pieces) - WINDOW + 1, min(1, len(pieces))))
+    ]
     return frozenset(min(window) for window in windows)
 
 
 def _tokens(tree: ast.AST) -> Iterator[str]:
-    """The tree in reading order: kinds of nodes, and the names of attributes that are called or read (np.cross)."""
+    """The tree in reading order: kinds of nodes, and the names of attributes that are called or
+    read (np.cross).
+    """
     waiting: list[ast.AST] = [tree]
     while waiting:
         node = waiting.pop()
@@ -109,7 +117,11 @@ def _tokens(tree: ast.AST) -> Iterator[str]:
             inside: list[ast.AST] = [each for each in node.body if not _is_text(each)]
             yield "function"
         else:
-            inside = [each for each in ast.iter_child_nodes(node) if not isinstance(each, ast.expr_context)]
+            inside = [
+                each
+                for each in ast.iter_child_nodes(node)
+                if not isinstance(each, ast.expr_context)
+            ]
             yield f"{type(node).__name__}{'.' + node.attr if isinstance(node, ast.Attribute) else ''}"
         if isinstance(node, ast.AnnAssign):
             inside = [each for each in (node.target, node.value) if each is not None]
@@ -125,8 +137,11 @@ def _number(tokens: list[str]) -> int:
 
 
 def similar_pairs(
-    exercise: str, now: Mapping[str, Prints], before: Mapping[str, Prints], kit: Mapping[str, Prints]
-) -> list[Pair]:
+    exercise: str,
+    now: Mapping[str, Fingerprints],
+    before: Mapping[str, Fingerprints],
+    kit: Mapping[str, Fingerprints],
+) -> list[SimilarPair]:
     """The pairs of an exercise that are alike.
 
     Args:
@@ -138,7 +153,9 @@ def similar_pairs(
     Returns:
         Pairs with at least LEAST_SHARE.
     """
-    now, before, kit = ({n: p for n, p in each.items() if len(p) >= LEAST_PRINTS} for each in (now, before, kit))
+    now, before, kit = (
+        {n: p for n, p in each.items() if len(p) >= LEAST_PRINTS} for each in (now, before, kit)
+    )
     rarity = Counter(each for prints in now.values() for each in prints)
     bits = {each: math.log2((len(now) + 1) / count) for each, count in rarity.items()}
     one = math.log2(len(now) + 1)
@@ -150,18 +167,23 @@ def similar_pairs(
     elsewhere |= {f"kit: {name}": each for name, each in kit.items()}
     weights = {name: weigh(prints) for name, prints in {**now, **elsewhere}.items()}
     pairs = []
-    for left, right in (*combinations(now, 2), *((left, right) for left in now for right in elsewhere)):
+    for left, right in (
+        *combinations(now, 2),
+        *((left, right) for left in now for right in elsewhere),
+    ):
         both = now[left] & (now[right] if right in now else elsewhere[right])
         if both:
             weight = weigh(both)
             share = weight / max(min(weights[left], weights[right]), 1e-9)
             if share >= LEAST_SHARE:
-                pairs.append(Pair(exercise, left, right, share, weight))
+                pairs.append(SimilarPair(exercise, left, right, share, weight))
     return pairs
 
 
 def kit_functions(folder: Path | None = None) -> dict[str, str]:
-    """The source of every function of the kit that a student could have copied, by room, file and name."""
+    """The source of every function of the kit that a student could have copied, by room, file and
+    name.
+    """
     root = folder or Path(falconwing_kit.__file__).parent
     found = {}
     for path in sorted(root.rglob("*.py")):
@@ -175,8 +197,9 @@ def kit_functions(folder: Path | None = None) -> dict[str, str]:
 
 def compare_class(
     folder: Path, lab: Lab, now: Mapping[str, Mapping[str, str]], before: Path | None = None
-) -> tuple[list[Likeness], dict[tuple[str, str], str]]:
-    """Compare what a class wrote with each other, with an earlier class, and with what everybody can read.
+) -> tuple[list[Similarity], dict[tuple[str, str], str]]:
+    """Compare what a class wrote with each other, with an earlier class, and with what everybody
+    can read.
 
     Args:
         folder: of the lab, with the published solution in it.
@@ -195,21 +218,28 @@ def compare_class(
     known = {name: fingerprints(text) for name, text in readable.items()}
     solution = notebook_path(folder, solution=True)
     solved = _texts(solution.read_bytes, lab) if solution.is_file() else {}
-    pairs: list[Pair] = []
+    pairs: list[SimilarPair] = []
     texts: dict[tuple[str, str], str] = {}
     for exercise in (each.name for each in lab.exercises):
         sides = {name: each.get(exercise, "") for name, each in now.items()}
         old = {name: each.get(exercise, "") for name, each in earlier.items()}
         kit = known | {"solution": fingerprints(solved.get(exercise, ""))}
-        prints = [{name: fingerprints(text) for name, text in side.items()} for side in (sides, old)]
+        prints = [
+            {name: fingerprints(text) for name, text in side.items()} for side in (sides, old)
+        ]
         pairs += similar_pairs(exercise, prints[0], prints[1], kit)
         named = sides | {f"before: {name}": text for name, text in old.items()}
-        named |= {f"kit: {name}": text for name, text in (readable | {"solution": solved.get(exercise, "")}).items()}
+        named |= {
+            f"kit: {name}": text
+            for name, text in (readable | {"solution": solved.get(exercise, "")}).items()
+        }
         texts |= {(exercise, name): text for name, text in named.items()}
-    together: dict[tuple[str, str], list[Pair]] = {}
+    together: dict[tuple[str, str], list[SimilarPair]] = {}
     for pair in pairs:
         together.setdefault((pair.left, pair.right), []).append(pair)
-    found = sorted((Likeness(tuple(each)) for each in together.values()), key=lambda each: -each.weight)
+    found = sorted(
+        (Similarity(tuple(each)) for each in together.values()), key=lambda each: -each.weight
+    )
     return found[:LISTED], texts
 
 

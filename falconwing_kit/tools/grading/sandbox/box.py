@@ -1,7 +1,9 @@
-"""Box: a student's source text -> a function that can be called, which runs in a process that can do nothing else.
+"""Box: a student's source text -> a function that can be called, which runs in a process that can
+do nothing else.
 
-`in_box` makes the grader's box with bubblewrap: no network, no home, no kit, no rights, limits that bind. `in_process`
-makes a plain process for a student's own check, on any system. Both run the same worker.py and speak the same protocol.
+`sandbox_worker` makes the grader's box with bubblewrap: no network, no home, no kit, no rights,
+limits that bind. `process_worker` makes a plain process for a student's own check, on any system.
+Both run the same worker.py and speak the same protocol.
 """
 
 import builtins
@@ -29,12 +31,17 @@ from falconwing_kit.tools.grading.sandbox.protocol import FrameError, read_frame
 PROCESSES = 16  # that the student's code may have, threads counted
 STARTING = 120.0  # s to start and to load libraries, which is not the student's time
 _OUT_OF_TIME = 24  # Linux's SIGXCPU
-SPARE = 512 << 20  # bytes of a box's memory beyond the student's: interpreter, libraries, temporary files
-# What an error in the box may be called outside: Python's own words; any other name could be a message.
+SPARE = (
+    512 << 20
+)  # bytes of a box's memory beyond the student's: interpreter, libraries, temporary files
+# What an error in the box may be called outside: Python's own words; any other name could be a
+# message.
 ERRORS = {
     name
     for name, kind in vars(builtins).items()
-    if isinstance(kind, type) and issubclass(kind, Exception) and not issubclass(kind, OSError | Warning)
+    if isinstance(kind, type)
+    and issubclass(kind, Exception)
+    and not issubclass(kind, OSError | Warning)
 } | {"OSError", "SystemExit", "LinAlgError"}
 
 
@@ -42,8 +49,8 @@ class StudentError(Exception):
     """The student's function gave no answer.
 
     Attributes:
-        category: "missing", "not written", "exception:TypeError" (a name of ERRORS) or plain "exception", "timeout",
-            "memory", "died" or "bad answer". Never the student's own words.
+        category: "missing", "not written", "exception:TypeError" (a name of ERRORS) or plain
+            "exception", "timeout", "memory", "died" or "bad answer". Never the student's own words.
     """
 
     def __init__(self, category: str) -> None:
@@ -52,14 +59,15 @@ class StudentError(Exception):
 
 
 @dataclass(frozen=True)
-class Job:
+class SandboxJob:
     """One function to be run.
 
     Attributes:
         text: source that defines it, as `collect` gives it.
         function: its name.
         folder: the lab's; of it only `given.py` and `data` are seen.
-        constants: the course's, which stand in the box's `cohort.json`; None for the lab's own file.
+        constants: the course's, which stand in the box's `cohort.json`; None for the lab's own
+            file.
         through: function of `given.py` that is called in its place, with it as the first argument.
         packages: "numpy", "scipy", "torch".
         seconds: of computing, for all calls together [s]; waiting ends after about twice that.
@@ -77,7 +85,9 @@ class Job:
 
     @property
     def used(self) -> tuple[str, ...]:
-        """The packages that the source or `given` names, to be loaded before the student's time begins."""
+        """The packages that the source or `given` names, to be loaded before the student's time
+        begins.
+        """
         given = self.folder / "given.py"
         texts = self.text + (given.read_text(encoding="utf-8") if given.is_file() else "")
         named = {name for name in self.packages if re.search(rf"\b(?:import|from) {name}\b", texts)}
@@ -107,22 +117,34 @@ class _Clock:
 class Worker:
     """A function in a process of its own: a context manager, whose `call` asks the function.
 
-    The process is ended when the context is left, when it takes too long, and when it says what the protocol does not
-    allow; then every further call raises what the first one did.
+    The process is ended when the context is left, when it takes too long, and when it says what the
+    protocol does not allow; then every further call raises what the first one did.
     """
 
-    def __init__(self, job: Job, process: "subprocess.Popen[bytes]", group: limits.Group, **order: Any) -> None:
+    def __init__(
+        self,
+        job: SandboxJob,
+        process: "subprocess.Popen[bytes]",
+        group: limits.ControlGroup,
+        **order: Any,
+    ) -> None:
         self._job, self._process, self._group = job, process, group
         self._clock, self._over, self._first = _Clock(STARTING), "", -1
         self._watch = threading.Thread(target=self._clock.watch, args=(self._kill,), daemon=True)
-        self._order = {"packages": job.used, "seconds": float(job.seconds), "memory_mib": job.memory_mib, **order}
+        self._order = {
+            "packages": job.used,
+            "seconds": float(job.seconds),
+            "memory_mib": job.memory_mib,
+            **order,
+        }
 
     def __enter__(self) -> "Worker":
         """Start it and run the source.
 
         Raises:
             RuntimeError: the process did not come up, which is not the student's doing.
-            StudentError: running the source failed, or it does not define the function; raised by the first `call`.
+            StudentError: running the source failed, or it does not define the function; raised by
+                the first `call`.
         """
         self._watch.start()
         try:
@@ -134,7 +156,13 @@ class Worker:
         self._first = _first_inside(self._process.pid) if self._order["boxed"] else -1
         self._clock.limit, self._clock.spent = 2.0 * self._job.seconds + 5.0, 0.0
         try:
-            self._ask({"text": self._job.text, "function": self._job.function, "through": self._job.through})
+            self._ask(
+                {
+                    "text": self._job.text,
+                    "function": self._job.function,
+                    "through": self._job.through,
+                }
+            )
         except StudentError as error:
             self._over = error.category
         return self
@@ -178,7 +206,9 @@ class Worker:
         self._group.remove()
 
     def _ask(self, message: dict[str, Any]) -> Any:
-        """Send a message and take its answer; the other side proves with the number that it has read the message."""
+        """Send a message and take its answer; the other side proves with the number that it has
+        read the message.
+        """
         number = secrets.randbits(53)
         self._clock.since = time.monotonic()
         try:
@@ -222,7 +252,9 @@ class Worker:
 
 
 def _first_inside(bubblewrap: int) -> int:
-    """A handle on the first process of a box, on which all others depend; -1 where the system does not tell."""
+    """A handle on the first process of a box, on which all others depend; -1 where the system does
+    not tell.
+    """
     try:
         children = Path(f"/proc/{bubblewrap}/task/{bubblewrap}/children").read_text().split()
         return os.pidfd_open(int(children[0]))
@@ -232,13 +264,17 @@ def _first_inside(bubblewrap: int) -> int:
 
 def _category(name: object) -> str:
     """What an error's name means; only names of a fixed list come out."""
-    special = {"NotImplementedError": "not written", "MemoryError": "memory", "_MissingError": "missing"}
+    special = {
+        "NotImplementedError": "not written",
+        "MemoryError": "memory",
+        "_MissingError": "missing",
+    }
     if not isinstance(name, str) or name == "bad answer":
         return "bad answer"
     return special.get(name) or (f"exception:{name}" if name in ERRORS else "exception")
 
 
-def in_box(job: Job) -> Worker:
+def sandbox_worker(job: SandboxJob) -> Worker:
     """A box for a function.
 
     Raises:
@@ -249,10 +285,14 @@ def in_box(job: Job) -> Worker:
     cohort = os.memfd_create("cohort")
     try:
         os.pwrite(cohort, _cohort(job), 0)
-        box = runtime.box_command(job.packages, own, {cohort: runtime.DESK / "cohort.json"}, _CODE[0].name)
+        box = runtime.sandbox_command(
+            job.packages, own, {cohort: runtime.DESK / "cohort.json"}, _CODE[0].name
+        )
         group = limits.make_group(PROCESSES + _OWN_PROCESSES, (job.memory_mib << 20) + SPARE)
-        become = limits.becoming(group, box.staged)
-        process = _start(box.words, {}, preexec_fn=become, pass_fds=(cohort,), start_new_session=True)
+        become = limits.make_preexec(group, box.staged)
+        process = _start(
+            box.words, {}, preexec_fn=become, pass_fds=(cohort,), start_new_session=True
+        )
     finally:
         os.close(cohort)
     return Worker(job, process, group, boxed=True, processes=PROCESSES, foreign=())
@@ -263,8 +303,10 @@ _CODE = tuple(Path(module.__file__ or "") for module in (worker, protocol))
 
 
 @contextmanager
-def in_process(job: Job) -> Iterator[Worker]:
-    """A plain process for a function, with a copy of the lab's `given.py` and data; for one's own code only."""
+def process_worker(job: SandboxJob) -> Iterator[Worker]:
+    """A plain process for a function, with a copy of the lab's `given.py` and data; for one's own
+    code only.
+    """
     with tempfile.TemporaryDirectory(prefix="falconwing-") as name:
         desk = Path(name)
         (desk / "cohort.json").write_bytes(_cohort(job))
@@ -275,17 +317,26 @@ def in_process(job: Job) -> Iterator[Worker]:
         words = [sys.executable, *runtime.PYTHON, str(_CODE[0]), str(desk)]
         process = _start(words, os.environ | runtime.ENVIRONMENT, cwd=desk, start_new_session=True)
         with Worker(
-            job, process, limits.Group(()), boxed=False, processes=0, foreign=("falconwing_kit",)
+            job,
+            process,
+            limits.ControlGroup(()),
+            boxed=False,
+            processes=0,
+            foreign=("falconwing_kit",),
         ) as worker_here:
             yield worker_here
 
 
-def _start(words: Sequence[str], environment: Mapping[str, str], **options: Any) -> "subprocess.Popen[bytes]":
+def _start(
+    words: Sequence[str], environment: Mapping[str, str], **options: Any
+) -> "subprocess.Popen[bytes]":
     pipe = subprocess.PIPE
-    return subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, env=environment, **options)
+    return subprocess.Popen(
+        words, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, env=environment, **options
+    )
 
 
-def _cohort(job: Job) -> bytes:
+def _cohort(job: SandboxJob) -> bytes:
     """What the lab's `cohort.json` says in this course."""
     if job.constants is not None:
         return json.dumps(dict(job.constants)).encode()

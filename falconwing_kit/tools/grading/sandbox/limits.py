@@ -1,7 +1,9 @@
-"""Limits that bind: control groups for a box's processes and memory, and an identity without rights for it.
+"""Limits that bind: control groups for a box's processes and memory, and an identity without rights
+for it.
 
-A limit that a process sets itself (worker.py) does not bind root, so a grader started by root gives its rights up
-before the box is made. Control groups, of either version, are used where this system lets us make them.
+A limit that a process sets itself (worker.py) does not bind root, so a grader started by root gives
+its rights up before the box is made. Control groups, of either version, are used where this system
+lets us make them.
 """
 
 import ctypes
@@ -24,7 +26,7 @@ _numbers = itertools.count(1)
 
 
 @dataclass(frozen=True)
-class Group:
+class ControlGroup:
     """The control groups of one box.
 
     Attributes:
@@ -48,14 +50,21 @@ class Group:
 
     def out_of_memory(self) -> bool:
         """Whether the kernel ended a process of it for its memory."""
-        for folder, name in itertools.product(self.folders, ("memory.oom_control", "memory.events")):
+        for folder, name in itertools.product(
+            self.folders, ("memory.oom_control", "memory.events")
+        ):
             with suppress(OSError):
-                if any(line.split()[0] == "oom_kill" and int(line.split()[1]) for line in _lines(folder / name)):
+                if any(
+                    line.split()[0] == "oom_kill" and int(line.split()[1])
+                    for line in _lines(folder / name)
+                ):
                     return True
         return False
 
     def remove(self, seconds: float = 10.0) -> bool:
-        """End every process in it, wait until all are gone, and remove it; whether that came about in time."""
+        """End every process in it, wait until all are gone, and remove it; whether that came about
+        in time.
+        """
         end = time.monotonic() + seconds
         while members := self.members():
             for process in members:
@@ -67,7 +76,7 @@ class Group:
         return all([_remove(folder) for folder in self.folders])
 
 
-def make_group(processes: int, memory: int) -> Group:
+def make_group(processes: int, memory: int) -> ControlGroup:
     """Make the control groups of a box.
 
     Args:
@@ -80,7 +89,9 @@ def make_group(processes: int, memory: int) -> Group:
     name = f"{_PREFIX}{os.getpid()}-{next(_numbers)}"
     limits = {
         "pids": {"pids.max": processes},
-        "memory": dict.fromkeys(("memory.limit_in_bytes", "memory.memsw.limit_in_bytes", "memory.max"), memory)
+        "memory": dict.fromkeys(
+            ("memory.limit_in_bytes", "memory.memsw.limit_in_bytes", "memory.max"), memory
+        )
         | {"memory.swap.max": 0},
     }
     made = []
@@ -89,10 +100,12 @@ def make_group(processes: int, memory: int) -> Group:
         with suppress(OSError):
             folder.mkdir()
             made.append(folder)
-            for file, limit in itertools.chain.from_iterable(limits[each].items() for each in controllers):
+            for file, limit in itertools.chain.from_iterable(
+                limits[each].items() for each in controllers
+            ):
                 if (folder / file).exists():
                     (folder / file).write_text(str(limit))
-    return Group(tuple(made))
+    return ControlGroup(tuple(made))
 
 
 def sweep() -> None:
@@ -101,7 +114,7 @@ def sweep() -> None:
         for folder in parent.glob(f"{_PREFIX}*-*"):
             owner = folder.name.removeprefix(_PREFIX).split("-")[0]
             if owner.isdigit() and not Path("/proc", owner).exists():
-                Group((folder,)).remove()
+                ControlGroup((folder,)).remove()
 
 
 def controllers() -> tuple[str, ...]:
@@ -122,10 +135,15 @@ def _parents() -> tuple[tuple[Path, tuple[str, ...]], ...]:
 
 def _places(controller: str) -> Iterator[Path]:
     """Where a controller's groups may be made: under our own group, or at the top."""
-    own = {line.split(":")[1]: line.split(":", 2)[2].lstrip("/") for line in _lines(Path("/proc/self/cgroup"))}
+    own = {
+        line.split(":")[1]: line.split(":", 2)[2].lstrip("/")
+        for line in _lines(Path("/proc/self/cgroup"))
+    }
     for _, mount, kind, options, *_ in (line.split() for line in _lines(Path("/proc/self/mounts"))):
         if kind == "cgroup" and controller in options.split(","):
-            yield Path(mount) / next((path for names, path in own.items() if controller in names.split(",")), "")
+            yield Path(mount) / next(
+                (path for names, path in own.items() if controller in names.split(",")), ""
+            )
             yield Path(mount)
         elif kind == "cgroup2":
             yield Path(mount)
@@ -148,18 +166,24 @@ def _may_make(parent: Path, controller: str) -> bool:
         _remove(trial)
 
 
-def becoming(group: Group, staged: Sequence[tuple[Path, Path]]) -> Callable[[], None]:
-    """What a new process does before it turns into a box: join its group, and give root's rights up if it has them.
+def make_preexec(group: ControlGroup, staged: Sequence[tuple[Path, Path]]) -> Callable[[], None]:
+    """What a new process does before it turns into a box: join its group, and give root's rights up
+    if it has them.
 
     Args:
         group: its control groups.
-        staged: only for root: files and folders that are put under STAGE, in that process's own view of the disk
-            alone, since without root's rights it might not reach them: path, path under STAGE.
+        staged: only for root: files and folders that are put under STAGE, in that process's own
+            view of the disk alone, since without root's rights it might not reach them: path, path
+            under STAGE.
     """
     library = ctypes.CDLL(None, use_errno=True)
 
-    def mount(source: str | None, target: str, kind: str | None, flags: int, options: str | None = None) -> None:
-        words = [None if word is None else word.encode() for word in (source, target, kind, options)]
+    def mount(
+        source: str | None, target: str, kind: str | None, flags: int, options: str | None = None
+    ) -> None:
+        words = [
+            None if word is None else word.encode() for word in (source, target, kind, options)
+        ]
         if library.mount(words[0], words[1], words[2], ctypes.c_ulong(flags), words[3]) != 0:
             raise OSError(ctypes.get_errno(), "mount", target)
 
@@ -170,7 +194,9 @@ def becoming(group: Group, staged: Sequence[tuple[Path, Path]]) -> Callable[[], 
         if library.unshare(_CLONE_NEWNS) != 0:
             raise OSError(ctypes.get_errno(), "unshare")
         mount(None, "/", None, _MS_REC | _MS_PRIVATE)
-        handles = [os.open(source, os.O_PATH) for source, _ in staged]  # what STAGE covers stays within reach
+        handles = [
+            os.open(source, os.O_PATH) for source, _ in staged
+        ]  # what STAGE covers stays within reach
         mount("stage", str(STAGE), "tmpfs", 0, "mode=0755,size=1m")
         for handle, (_, target) in zip(handles, staged, strict=True):
             target.mkdir() if stat.S_ISDIR(os.fstat(handle).st_mode) else target.touch()

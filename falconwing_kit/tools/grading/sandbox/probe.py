@@ -1,4 +1,6 @@
-"""Probe: tries to get out of a box in every way a student might -> what it found open. No grading with a hole."""
+"""Probe: tries to get out of a box in every way a student might -> what it found open. No grading
+with a hole.
+"""
 
 import os
 import secrets
@@ -11,11 +13,16 @@ from pathlib import Path
 
 import falconwing_kit
 from falconwing_kit.tools.grading.sandbox import limits, runtime
-from falconwing_kit.tools.grading.sandbox.box import PROCESSES, Job, StudentError, in_box
+from falconwing_kit.tools.grading.sandbox.box import (
+    PROCESSES,
+    SandboxJob,
+    StudentError,
+    sandbox_worker,
+)
 
 
 @dataclass(frozen=True)
-class Finding:
+class ProbeResult:
     """One thing that was tried.
 
     Attributes:
@@ -29,7 +36,8 @@ class Finding:
     said: str
 
 
-# What runs in the box. Each function returns what it could do that it must not, as a text; empty if nothing.
+# What runs in the box. Each function returns what it could do that it must not, as a text; empty if
+# nothing.
 _PAYLOAD = """
 import ctypes, os, socket, subprocess, sys, time
 
@@ -138,11 +146,12 @@ def daemon(token):
 """
 
 
-def probe() -> list[Finding]:
+def probe_sandbox() -> list[ProbeResult]:
     """Try everything, in boxes like a student's.
 
     Returns:
-        A finding for each; the box holds if all are closed. Where no box can be made, that is the only finding.
+        A finding for each; the box holds if all are closed. Where no box can be made, that is the
+        only finding.
 
     Raises:
         InputError: bubblewrap is missing.
@@ -154,38 +163,73 @@ def probe() -> list[Finding]:
         try:
             return [*_walls(folder), *_bounds(folder), _leftover(folder)]
         except (RuntimeError, OSError) as error:
-            return [Finding("making a box", False, str(error))]
+            return [ProbeResult("making a box", False, str(error))]
 
 
-def holes(findings: list[Finding]) -> list[str]:
+def open_holes(findings: list[ProbeResult]) -> list[str]:
     """Those that are open, as texts."""
     return [f"{each.name}: {each.said}" for each in findings if not each.closed]
 
 
-def _walls(folder: Path) -> Iterator[Finding]:
+def _walls(folder: Path) -> Iterator[ProbeResult]:
     """What can be seen and written from inside."""
     kit, home = Path(falconwing_kit.__file__).parent, Path.home()
     python = runtime.find_runtime(("numpy",))
-    needed = {str(place.relative_to(home).parts[0]) for _, place in python.mounts if place.is_relative_to(home)}
-    paths = [folder / "secret", kit / "__init__.py", kit.parent / "labs", "/etc/passwd", "/etc/shadow", "/var", "/sys"]
-    places = ["/", "/box", "/box/desk", "/usr", "/etc", "/dev", "/dev/shm", "/proc/sys", str(folder), str(home)]
-    with _listening() as port, in_box(_job(folder)) as box:
+    needed = {
+        str(place.relative_to(home).parts[0])
+        for _, place in python.mounts
+        if place.is_relative_to(home)
+    }
+    paths = [
+        folder / "secret",
+        kit / "__init__.py",
+        kit.parent / "labs",
+        "/etc/passwd",
+        "/etc/shadow",
+        "/var",
+        "/sys",
+    ]
+    places = [
+        "/",
+        "/box",
+        "/box/desk",
+        "/usr",
+        "/etc",
+        "/dev",
+        "/dev/shm",
+        "/proc/sys",
+        str(folder),
+        str(home),
+    ]
+    with _listening() as port, sandbox_worker(_job(folder)) as box:
         for name, what, *arguments in (
             ("network", "network", port),
-            ("files of this machine", "files", [str(path) for path in paths], str(home), sorted(needed)),
-            ("the kit and the judge", "modules", ["falconwing_kit.tools.grading", "checks", "hidden"]),
+            (
+                "files of this machine",
+                "files",
+                [str(path) for path in paths],
+                str(home),
+                sorted(needed),
+            ),
+            (
+                "the kit and the judge",
+                "modules",
+                ["falconwing_kit.tools.grading", "checks", "hidden"],
+            ),
             ("environment", "environment", [*runtime.ENVIRONMENT, "PWD", "LC_CTYPE"]),
             ("writing", "writing", places),
             ("rights", "rights"),
             ("other processes", "others"),
         ):
             found = box.call(what, *arguments)
-            yield Finding(name, found == "", str(found) or "nothing to be had")
+            yield ProbeResult(name, found == "", str(found) or "nothing to be had")
         owner = _owner(box.process)
-        yield Finding("identity", owner != 0, "root" if owner == 0 else f"user {owner}, without rights")
+        yield ProbeResult(
+            "identity", owner != 0, "root" if owner == 0 else f"user {owner}, without rights"
+        )
 
 
-def _bounds(folder: Path) -> Iterator[Finding]:
+def _bounds(folder: Path) -> Iterator[ProbeResult]:
     """What can be used up from inside; one box each, since some of them die of it."""
     bound = runtime.TEMPORARY
     for name, what, argument, good in (
@@ -194,32 +238,40 @@ def _bounds(folder: Path) -> Iterator[Finding]:
         ("memory", "memory", 512, "ends at the lab's limit"),
         ("time", "endless", None, "ends at the exercise's limit"),
     ):
-        with in_box(_job(folder)) as box:
+        with sandbox_worker(_job(folder)) as box:
             try:
                 found = str(box.call(what, *([] if argument is None else [argument])))
             except StudentError as error:
                 fits = error.category in ("memory", "timeout", "died")
                 found = "" if fits else error.category
-        yield Finding(name, found == "", found or good)
+        yield ProbeResult(name, found == "", found or good)
     groups = " and ".join(limits.controllers())
-    yield Finding(
-        "control groups", True, f"bind {groups}" if groups else "not to be had here; each process is bound alone"
+    yield ProbeResult(
+        "control groups",
+        True,
+        f"bind {groups}" if groups else "not to be had here; each process is bound alone",
     )
 
 
-def _leftover(folder: Path) -> Finding:
+def _leftover(folder: Path) -> ProbeResult:
     """Whether a process that leaves its parents outlives its box."""
     token = secrets.token_hex(16)
-    with in_box(_job(folder)) as box:
+    with sandbox_worker(_job(folder)) as box:
         box.call("daemon", token)
         started = _running(token)
     left = _running(token)
-    said = "nothing stays" if started and not left else "a process stays" if left else "could not be tried"
-    return Finding("after the end", bool(started) and not left, said)
+    said = (
+        "nothing stays"
+        if started and not left
+        else "a process stays"
+        if left
+        else "could not be tried"
+    )
+    return ProbeResult("after the end", bool(started) and not left, said)
 
 
-def _job(folder: Path) -> Job:
-    return Job(_PAYLOAD, "tried", folder, seconds=1.0, memory_mib=128)
+def _job(folder: Path) -> SandboxJob:
+    return SandboxJob(_PAYLOAD, "tried", folder, seconds=1.0, memory_mib=128)
 
 
 def _running(token: str) -> list[str]:

@@ -1,8 +1,10 @@
-"""Frames between grader and box: numbers, texts, arrays and tuples of them -> bytes, and back after every check.
+"""Frames between grader and box: numbers, texts, arrays and tuples of them -> bytes, and back after
+every check.
 
-A frame is the mark b"FWK1", the length of its header and of its body (4 bytes each, big-endian), the header (JSON) and
-the body: the arrays' raw numbers, little-endian, one after the other. What comes back from a box may be anything, so
-lengths, kinds and shapes are checked before anything is allocated, and nothing is ever unpickled.
+A frame is the mark b"FWK1", the length of its header and of its body (4 bytes each, big-endian),
+the header (JSON) and the body: the arrays' raw numbers, little-endian, one after the other. What
+comes back from a box may be anything, so lengths, kinds and shapes are checked before anything is
+allocated, and nothing is ever unpickled.
 
 This file goes into the box as it is; it needs NumPy and nothing of the kit.
 """
@@ -33,8 +35,8 @@ def write_frame(stream: BinaryIO, value: Any) -> None:
 
     Args:
         stream: open for writing bytes.
-        value: None, a truth value, number, text, array of DTYPES, or tuples, lists and dicts (with texts as keys) of
-            them.
+        value: None, a truth value, number, text, array of DTYPES, or tuples, lists and dicts (with
+            texts as keys) of them.
 
     Raises:
         FrameError: the value is of another kind, or too large; nothing was sent.
@@ -70,7 +72,7 @@ def pack(value: Any) -> bytes:
         raise FrameError(str(error)) from None
     body = b"".join(arrays)
     if len(header) > MAX_HEADER or len(body) > MAX_BODY:
-        raise FrameError(f"want at most {MAX_BODY >> 20} MiB of numbers, got {len(body)} bytes")
+        raise FrameError(f"expected at most {MAX_BODY >> 20} MiB of numbers, got {len(body)} bytes")
     return _HEAD.pack(_MARK, len(header), len(body)) + header + body
 
 
@@ -85,7 +87,15 @@ def unpack(header: bytes, body: bytes) -> Any:
         value = reader.value(json.loads(header.decode("ascii")), 0)
     except FrameError:
         raise
-    except (ValueError, TypeError, KeyError, IndexError, OverflowError, RecursionError, MemoryError):
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        OverflowError,
+        RecursionError,
+        MemoryError,
+    ):
         raise FrameError("not the header of a frame") from None
     if reader.at != len(body):
         raise FrameError("a frame with more bytes than its arrays need")
@@ -95,23 +105,25 @@ def unpack(header: bytes, body: bytes) -> Any:
 def _plain(value: Any, arrays: list[bytes], depth: int) -> Any:
     """The value in JSON's words; the numbers of its arrays are put beside it."""
     if depth > MAX_DEPTH:
-        raise FrameError(f"want at most {MAX_DEPTH} tuples inside each other")
+        raise FrameError(f"expected at most {MAX_DEPTH} tuples inside each other")
     if isinstance(value, np.ndarray | np.generic):  # before float, which np.float64 is too
         array = np.asarray(value)
         if array.dtype.name not in DTYPES:
-            raise FrameError(f"want an array of numbers, got one of {array.dtype}")
+            raise FrameError(f"expected an array of numbers, got one of {array.dtype}")
         arrays.append(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes())
         return {"array": [array.dtype.name, list(array.shape)]}
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, tuple | list | Mapping) and len(value) > MAX_ITEMS:
-        raise FrameError(f"want at most {MAX_ITEMS} values; send numbers as an array")
+        raise FrameError(f"expected at most {MAX_ITEMS} values; send numbers as an array")
     if isinstance(value, tuple | list):
         kind = "tuple" if isinstance(value, tuple) else "list"
         return {kind: [_plain(each, arrays, depth + 1) for each in value]}
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
         return {"dict": [[key, _plain(each, arrays, depth + 1)] for key, each in value.items()]}
-    raise FrameError(f"want numbers, texts, arrays, or tuples of them, got {type(value).__name__}")
+    raise FrameError(
+        f"expected numbers, texts, arrays, or tuples of them, got {type(value).__name__}"
+    )
 
 
 class _Reader:
@@ -130,27 +142,39 @@ class _Reader:
             return self._composed(kind, inner, depth)
         if isinstance(node, str):
             node.encode()  # half a character raises
-        fits = node is None or isinstance(node, bool | float | str) or (type(node) is int and abs(node) < _INT_LIMIT)
+        fits = (
+            node is None
+            or isinstance(node, bool | float | str)
+            or (type(node) is int and abs(node) < _INT_LIMIT)
+        )
         if not fits or (isinstance(node, str) and len(node) > MAX_TEXT):
             raise FrameError("a number or text that is too long, or a value of another kind")
         return node
 
     def _composed(self, kind: str, inner: Any, depth: int) -> Any:
         if not isinstance(inner, list):
-            raise FrameError("want a list")
+            raise FrameError("expected a list")
         if kind == "array":
             return self._array(*inner)
         if kind == "dict":
-            return {str(self.value(key, depth + 1)): self.value(each, depth + 1) for key, each in inner}
+            return {
+                str(self.value(key, depth + 1)): self.value(each, depth + 1) for key, each in inner
+            }
         if kind not in ("tuple", "list"):
             raise FrameError("a value of another kind")
         values = [self.value(each, depth + 1) for each in inner]
         return tuple(values) if kind == "tuple" else values
 
     def _array(self, name: str, shape: list[int]) -> Any:
-        """An array, whose size is known to be there before it is made; without axes it is a NumPy number."""
+        """An array, whose size is known to be there before it is made; without axes it is a NumPy
+        number.
+        """
         axes = isinstance(shape, list) and len(shape) <= MAX_AXES
-        if name not in DTYPES or not axes or not all(type(n) is int and 0 <= n < 1 << 31 for n in shape):
+        if (
+            name not in DTYPES
+            or not axes
+            or not all(type(n) is int and 0 <= n < 1 << 31 for n in shape)
+        ):
             raise FrameError("an array of another kind or shape")
         dtype = np.dtype(name).newbyteorder("<")
         count = math.prod(shape)
@@ -158,7 +182,9 @@ class _Reader:
             raise FrameError("an array whose numbers are not there")
         raw = np.frombuffer(self.body, np.uint8 if name == "bool" else dtype, count, self.at)
         self.at += count * dtype.itemsize
-        array = (raw != 0 if name == "bool" else raw.astype(name)).reshape(shape)  # a copy, and true is 1
+        array = (raw != 0 if name == "bool" else raw.astype(name)).reshape(
+            shape
+        )  # a copy, and true is 1
         return array[()] if not shape else array
 
 

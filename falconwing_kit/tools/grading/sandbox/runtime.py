@@ -1,7 +1,9 @@
-"""What a box holds: this Python's interpreter, standard library and a few libraries -> read-only mounts, and no more.
+"""What a box holds: this Python's interpreter, standard library and a few libraries -> read-only
+mounts, and no more.
 
-It works for a system's Python, one built in a home folder, and a virtual environment of either: the box gets the
-interpreter behind the environment, and of the environment only the folders of the libraries that a lab asks for.
+It works for a system's Python, one built in a home folder, and a virtual environment of either: the
+box gets the interpreter behind the environment, and of the environment only the folders of the
+libraries that a lab asks for.
 """
 
 import importlib.util
@@ -18,14 +20,28 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.sandbox.limits import STAGE
 
 BOX, PACKAGES, DESK = Path("/box"), Path("/box/packages"), Path("/box/desk")  # inside
-PYTHON = ("-s", "-P", "-B")  # nothing of the user's or of the folder that it starts in, and no files left behind
+PYTHON = (
+    "-s",
+    "-P",
+    "-B",
+)  # nothing of the user's or of the folder that it starts in, and no files left behind
 ENVIRONMENT = {
     **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
     **{"HOME": "/tmp", "TMPDIR": "/tmp", "LANG": "C.UTF-8", "PYTHONHASHSEED": "0"},
 }
 TEMPORARY = 64 << 20  # bytes of the only folder that can be written
-_TORCH_IMPORTS = ("typing_extensions", "filelock", "sympy", "mpmath", "networkx", "jinja2", "markupsafe", "fsspec")
-# What a library needs beside its own folder: more folders of its wheel, and libraries that it imports itself.
+_TORCH_IMPORTS = (
+    "typing_extensions",
+    "filelock",
+    "sympy",
+    "mpmath",
+    "networkx",
+    "jinja2",
+    "markupsafe",
+    "fsspec",
+)
+# What a library needs beside its own folder: more folders of its wheel, and libraries that it
+# imports itself.
 _BRINGS = {
     "numpy": ("numpy.libs",),
     "scipy": ("scipy.libs",),
@@ -51,24 +67,28 @@ class Runtime:
 
 
 @dataclass(frozen=True)
-class Command:
+class SandboxCommand:
     """How to make a box.
 
     Attributes:
         words: bubblewrap's command line.
-        staged: what root's grader puts where the box's user can reach it, see `limits.becoming`: path, path there.
+        staged: what root's grader puts where the box's user can reach it, see `limits.becoming`:
+            path, path there.
     """
 
     words: tuple[str, ...]
     staged: tuple[tuple[Path, Path], ...]
 
 
-def box_command(packages: tuple[str, ...], own: Mapping[Path, Path], files: Mapping[int, Path], script: str) -> Command:
+def sandbox_command(
+    packages: tuple[str, ...], own: Mapping[Path, Path], files: Mapping[int, Path], script: str
+) -> SandboxCommand:
     """bubblewrap's words for a box that runs a script.
 
     Args:
         packages: of "numpy", "scipy", "torch".
-        own: what else it sees, read-only: path outside, path inside; what does not exist is left out.
+        own: what else it sees, read-only: path outside, path inside; what does not exist is left
+            out.
         files: open files whose content it sees: number, path inside.
         script: name of a file in BOX.
 
@@ -77,12 +97,21 @@ def box_command(packages: tuple[str, ...], own: Mapping[Path, Path], files: Mapp
     """
     program = shutil.which("bwrap")
     if program is None:
-        raise InputError("bwrap: want bubblewrap for the box, found none; Debian or Ubuntu: apt install bubblewrap")
+        raise InputError(
+            "bwrap: expected bubblewrap for the box, found none; Debian or Ubuntu: apt install bubblewrap"
+        )
     python = find_runtime(packages)
     words = [program, *_WALLS]
     staged: list[tuple[Path, Path]] = []
-    for source, target in (*python.mounts, *((here, there) for here, there in own.items() if here.exists())):
-        if os.geteuid() == 0 and not source.is_relative_to("/usr") and not source.is_relative_to("/etc"):
+    for source, target in (
+        *python.mounts,
+        *((here, there) for here, there in own.items() if here.exists()),
+    ):
+        if (
+            os.geteuid() == 0
+            and not source.is_relative_to("/usr")
+            and not source.is_relative_to("/etc")
+        ):
             staged.append((source, STAGE / str(len(staged))))
             source = staged[-1][1]
         words += ["--ro-bind", str(source), str(target)]
@@ -93,15 +122,34 @@ def box_command(packages: tuple[str, ...], own: Mapping[Path, Path], files: Mapp
     for number, path in files.items():
         words += ["--ro-bind-data", str(number), str(path)]
     words += ["--proc", "/proc", "--dev", "/dev", "--remount-ro", "/dev"]
-    words += ["--size", str(TEMPORARY), "--tmpfs", "/tmp", "--remount-ro", "/", "--chdir", str(DESK)]
+    words += [
+        "--size",
+        str(TEMPORARY),
+        "--tmpfs",
+        "/tmp",
+        "--remount-ro",
+        "/",
+        "--chdir",
+        str(DESK),
+    ]
     for name, value in ENVIRONMENT.items():
         words += ["--setenv", name, value]
     words += ["--", str(python.python), *PYTHON, "-S", str(BOX / script), str(PACKAGES), str(DESK)]
-    return Command(tuple(words), tuple(staged))
+    return SandboxCommand(tuple(words), tuple(staged))
 
 
 _WALLS = (
-    *("--unshare-all", "--unshare-user", "--disable-userns", "--uid", "1000", "--gid", "1000", "--cap-drop", "ALL"),
+    *(
+        "--unshare-all",
+        "--unshare-user",
+        "--disable-userns",
+        "--uid",
+        "1000",
+        "--gid",
+        "1000",
+        "--cap-drop",
+        "ALL",
+    ),
     *("--clearenv", "--new-session", "--die-with-parent", "--hostname", "box", "--dir", str(DESK)),
 )
 
@@ -126,14 +174,21 @@ def find_runtime(packages: tuple[str, ...]) -> Runtime:
         for pattern in ("site-packages", "dist-packages")
         for found in (*folder.glob(pattern), *folder.glob(f"python3*/{pattern}"))
     ]
-    return Runtime(python, ((python, python), *((f, f) for f in folders), *installed), tuple(links), tuple(emptied))
+    return Runtime(
+        python,
+        ((python, python), *((f, f) for f in folders), *installed),
+        tuple(links),
+        tuple(emptied),
+    )
 
 
 _SYSTEM = (Path("/lib"), Path("/lib64"), Path("/usr/lib64"))
 
 
 def _library_folders() -> Iterator[Path]:
-    """Folders of the standard library and of the shared libraries that it is linked to; no folder holds another."""
+    """Folders of the standard library and of the shared libraries that it is linked to; no folder
+    holds another.
+    """
     prefix, standard = Path(sys.base_prefix).resolve(), Path(os.__file__).resolve().parent
     several = sysconfig.get_config_var("MULTIARCH") or ""
     system = [folder / several for folder in (Path("/usr/lib"), Path("/lib"))] if several else []
@@ -141,7 +196,9 @@ def _library_folders() -> Iterator[Path]:
         system = [Path("/usr/lib")]
     wanted = [*system, Path("/usr/lib64"), Path("/lib64"), Path("/etc/alternatives"), standard]
     wanted += [] if prefix == Path("/usr") else [prefix / "lib"]
-    wanted += Path("/lib").glob("ld-linux*")  # the loader, where it does not stand in a folder of its own
+    wanted += Path("/lib").glob(
+        "ld-linux*"
+    )  # the loader, where it does not stand in a folder of its own
     found = sorted({folder.resolve() for folder in wanted if folder.exists()})
     yield from (folder for folder in found if not any(other in folder.parents for other in found))
 
@@ -150,7 +207,9 @@ def _package(name: str) -> Iterator[tuple[Path, Path]]:
     """A library's folder and those that it brings along, to be mounted beside each other."""
     home = _place(name)
     if home is None:
-        raise InputError(f"{name}: want it installed, since the lab's functions may use it; `falconwing doctor` helps")
+        raise InputError(
+            f"{name}: expected it installed, since the lab's functions may use it; `falconwing doctor` helps"
+        )
     others = [home.parent / each if "." in each else _place(each) for each in _BRINGS.get(name, ())]
     for place in (home, *others):
         if place is not None and place.exists():

@@ -1,7 +1,9 @@
-"""Worker, inside the box: a student's source text comes in over a pipe, then arguments; answers go out.
+"""Worker, inside the box: a student's source text comes in over a pipe, then arguments; answers go
+out.
 
-This file runs alone, by its path: beside it lie `protocol.py`, NumPy, and the lab's `given.py`; the kit is not there.
-Whatever the student's code does to this process, the other side believes only frames that the protocol allows.
+This file runs alone, by its path: beside it lie `protocol.py`, NumPy, and the lab's `given.py`; the
+kit is not there. Whatever the student's code does to this process, the other side believes only
+frames that the protocol allows.
 """
 
 import importlib
@@ -36,7 +38,9 @@ def main() -> None:
             frame = protocol.pack(reply)
         except protocol.FrameError:
             frame = protocol.pack({"number": request["number"], "error": "bad answer"})
-        except BaseException as error:  # SystemExit too: a function that ends the program gave no answer
+        except (
+            BaseException
+        ) as error:  # SystemExit too: a function that ends the program gave no answer
             reply.pop("answer", None)
             frame = protocol.pack({**reply, "error": type(error).__name__[:100]})
         answers.write(frame)
@@ -71,7 +75,9 @@ class _MissingError(Exception):
 
 
 class _Guard(importlib.abc.MetaPathFinder):
-    """Says that some packages are not there, so that a student's check at home has no more than the grader."""
+    """Says that some packages are not there, so that a student's check at home has no more than the
+    grader.
+    """
 
     def __init__(self, foreign: Sequence[str]) -> None:
         self.foreign = frozenset(foreign)
@@ -101,7 +107,9 @@ def _seed(packages: Sequence[str]) -> None:
 
 
 def _limit(seconds: float, memory_mib: int, processes: int) -> None:
-    """Bind what the student's code may use from here on, beyond what its libraries took: the kernel sees to it."""
+    """Bind what the student's code may use from here on, beyond what its libraries took: the kernel
+    sees to it.
+    """
     if sys.platform != "linux":  # at home on another system only the clock on the other side binds
         return
     import resource

@@ -13,7 +13,10 @@ LAB = Lab(
     hours=0.1,
     exercises=(
         Exercise(
-            "stretch", 50.0, (Check("a larger number gives a larger one", _grows, "look at the sign"),), seconds=1.0
+            "stretch",
+            50.0,
+            (Check("a larger number gives a larger one", _grows, "look at the sign"),),
+            seconds=1.0,
         ),
         Exercise("brake", 25.0, (), seconds=1.0),
     ),

@@ -3,7 +3,9 @@
 import json
 from pathlib import Path
 
-COHORT: dict[str, float] = json.loads((Path(__file__).parent / "cohort.json").read_text(encoding="utf-8"))
+COHORT: dict[str, float] = json.loads(
+    (Path(__file__).parent / "cohort.json").read_text(encoding="utf-8")
+)
 
 
 def twice(function, x):
