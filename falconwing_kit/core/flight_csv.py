@@ -109,7 +109,7 @@ def _read_header(name: str, file: BinaryIO) -> list[str]:
     for mark, word in ((";", "semicolons"), ("\t", "tabs"), (" ", "spaces")):
         if "," not in first and mark in first.strip():
             raise InputError(
-                f"{name}: columns are separated by {word}, want commas; export the table again"
+                f"{name}: columns are separated by {word}, expected commas; export the table again"
             )
     columns = [
         column.strip().strip('"') or f"column_{place}"
@@ -175,7 +175,7 @@ def _row_of_numbers(
     """The numeric cells of a row; an empty cell is nan."""
     if len(row) != len(columns):
         raise InputError(
-            f"{name}: line {line} has {len(row)} cells, want {len(columns)} as in the header"
+            f"{name}: line {line} has {len(row)} cells, expected {len(columns)} as in the header"
         )
     try:
         return [float(row[place]) for place in numeric]

@@ -203,9 +203,9 @@ class FrameMonitor:
         if share > rule.flat_share:
             return f"blank: {100.0 * share:.0f} % of the picture is {colour}"
         if similarity < rule.threshold:
-            return f"noise: SSIM {similarity:.2f}, want {rule.threshold:g} or more"
+            return f"noise: SSIM {similarity:.2f}, expected {rule.threshold:g} or more"
         if noise > rule.noise_levels:
-            return f"noise: {noise:.0f} grey levels, want {rule.noise_levels:g} or less"
+            return f"noise: {noise:.0f} grey levels, expected {rule.noise_levels:g} or less"
         return ""
 
     def _count_picture(self, fault: str) -> None:

@@ -140,8 +140,8 @@ def test_a_dead_band_shows_in_small_movements():
     back does.
     """
     found = table("named", "deadband")
-    assert found["small movements"].narrower > 3.0 * found["aileron doublets"].narrower
-    assert found["small movements"].narrower > 3.0 * found["rudder doublets"].narrower
+    assert found["small movements"].shrinkage > 3.0 * found["aileron doublets"].shrinkage
+    assert found["small movements"].shrinkage > 3.0 * found["rudder doublets"].shrinkage
 
 
 def test_adverse_yaw_is_known_best_from_aileron_alone():
@@ -150,7 +150,7 @@ def test_adverse_yaw_is_known_best_from_aileron_alone():
     """
     found = table("named", "adverse_yaw")
     assert next(iter(found)) == "aileron doublets"
-    assert all(-1e-9 < a.narrower < 1.0 for a in found.values())
+    assert all(-1e-9 < a.shrinkage < 1.0 for a in found.values())
     assert {a.widest for a in found.values()} == {"adverse_yaw"}
 
 

@@ -142,7 +142,7 @@ def test_pose_of_a_network_is_near_enough():
 )
 def test_missing_library_is_said_with_its_remedy(monkeypatch, backend, module, library):
     """None in sys.modules is Python's own way to make an import fail as if nothing were installed."""
-    monkeypatch.delitem(sys.modules, f"falconwing_kit.scene.renderers.{module}", raising=False)
+    monkeypatch.delitem(sys.modules, f"falconwing_kit.scene.{module}", raising=False)
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(InputError, match=f"expected {library} for .*; run: pip install {library}"):
         render(ball(), CAMERA, AHEAD, backend=backend)

@@ -190,7 +190,7 @@ class BoardTestBench:
             raise RequirementError("no STATUS")
         if (status.state, status.fault) != (state, fault):
             raise RequirementError(
-                f"{status.state} (fault {status.fault}), want {state} (fault {fault})"
+                f"{status.state} (fault {status.fault}), expected {state} (fault {fault})"
             )
         return status
 
@@ -332,7 +332,7 @@ def pilot_is_measured(bench: BoardTestBench) -> str:
     bench.run(1.0)
     if len(bench.pilots) < 20:
         raise RequirementError(
-            f"{len(bench.pilots)} frames of the pilot in a second, want 40 or more"
+            f"{len(bench.pilots)} frames of the pilot in a second, expected 40 or more"
         )
     worst = int(np.abs(np.array([pilot.channels_us for pilot in bench.pilots]) - given).max())
     return require_within(f"{worst} us off in {len(bench.pilots)} frames", worst <= 1)

@@ -191,7 +191,7 @@ class Sandbox:
     Exit code 0 where it holds, 1 where it has a hole; `grade` then refuses.
     """
 
-    action: Annotated[Literal["probe_sandbox"], tyro.conf.Positional]
+    action: Annotated[Literal["probe"], tyro.conf.Positional]
     """probe: try it"""
     json: bool = False
     """print JSON instead of a table"""

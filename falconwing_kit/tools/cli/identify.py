@@ -106,7 +106,7 @@ class Identify:
         chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
         if GOOD_CHI2 < chi2 <= MAX_REDUCED_CHI2:  # beyond, a warning says so
             print(
-                f"the model does not describe the flight: chi2 per degree of freedom {chi2:.1f}, want at most "
+                f"the model does not describe the flight: chi2 per degree of freedom {chi2:.1f}, expected at most "
                 f"{GOOD_CHI2:g}; falconwing gap, with a calm flight, says what is missing",
                 file=sys.stderr,
             )

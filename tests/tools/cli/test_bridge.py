@@ -18,7 +18,7 @@ from falconwing_kit.core.messages import Command
 from falconwing_kit.tools.bridge.bus import COMMAND, StampedCommand
 from falconwing_kit.tools.bridge.open_port import open_port
 from falconwing_kit.tools.bridge.ros import RosBus
-from falconwing_kit.tools.cli.bridge import LiveLine, pilot_sticks, status_text
+from falconwing_kit.tools.cli.bridge import StatusLine, pilot_sticks, status_text
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.trainer_port import usb
 
@@ -224,7 +224,7 @@ def test_the_live_line_says_state_delay_and_sticks():
     with open_port("sim-python") as port:
         assert status_text(port) == "port waiting" and pilot_sticks(port) == []
         port.wait_ready()
-        assert not LiveLine(port, 100.0).over()
+        assert not StatusLine(port, 100.0).over()
         end = time.monotonic() + 20.0
         while port.pilot is None and time.monotonic() < end:
             time.sleep(0.01)
@@ -249,7 +249,7 @@ def test_the_live_line_fits_the_terminal(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with open_port("sim-python") as port:
         port.wait_ready()
-        LiveLine(port, 1.0).over()
+        StatusLine(port, 1.0).over()
     line = capsys.readouterr().err.rsplit("\r", 1)[1]
     assert line.startswith("SAFE  1000 1500 1500 1500 us") and line.endswith("\x1b[K")
     assert len(line) - len("\x1b[K") == 59
@@ -257,7 +257,7 @@ def test_the_live_line_fits_the_terminal(monkeypatch, capsys):
 
 def test_an_alert_is_not_overlooked(capsys):
     """On its own line, with the terminal's bell."""
-    LiveLine(types.SimpleNamespace(simulation=None), 1.0).alert("the disk is full")
+    StatusLine(types.SimpleNamespace(simulation=None), 1.0).alert("the disk is full")
     assert capsys.readouterr().err == "\n\aALERT: the disk is full\n"
 
 

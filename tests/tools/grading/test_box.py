@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.grading.sandbox import limits, probe_sandbox, runtime
+from falconwing_kit.tools.grading.sandbox import limits, probe, runtime
 from falconwing_kit.tools.grading.sandbox.box import (
     SandboxJob,
     StudentError,
@@ -193,16 +193,16 @@ def test_groups_bind_what_limits_do_not():
 @toys.needs_box
 def test_probe_finds_no_hole():
     """On a machine with bubblewrap every attempt fails."""
-    findings = probe_sandbox.probe()
-    assert probe_sandbox.holes(findings) == []
+    findings = probe.probe_sandbox()
+    assert probe.open_holes(findings) == []
     assert len(findings) >= 12
 
 
 def test_probe_sees_holes_where_there_are_some(tmp_path):
     """The same attempts in a plain process: it has a network, files, an environment, and may write."""
     (tmp_path / "secret").write_text("x")
-    plain = SandboxJob(probe_sandbox._PAYLOAD, "tried", tmp_path, seconds=1.0, memory_mib=128)
-    with probe_sandbox._listening() as port, process_worker(plain) as worker:
+    plain = SandboxJob(probe._PAYLOAD, "tried", tmp_path, seconds=1.0, memory_mib=128)
+    with probe._listening() as port, process_worker(plain) as worker:
         assert "a port of this machine" in worker.call("network", port)
         assert worker.call("files", [str(tmp_path / "secret")], "/nowhere", []) == str(
             tmp_path / "secret"
@@ -217,7 +217,7 @@ def test_holes_stop_the_probe_from_being_green(tmp_path, monkeypatch):
     """A box that shares the network, made so on purpose, is found out, and nothing else is."""
     monkeypatch.setattr(runtime, "_WALLS", (*runtime._WALLS, "--share-net"))
     assert [
-        hole.split(":")[0] for hole in probe_sandbox.holes(list(probe_sandbox._walls(tmp_path)))
+        hole.split(":")[0] for hole in probe.open_holes(list(probe._walls(tmp_path)))
     ] == ["network"]
 
 

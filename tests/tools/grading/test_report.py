@@ -17,7 +17,7 @@ from falconwing_kit.tools.cli.grade import Grade
 from falconwing_kit.tools.cli.report import Report
 from falconwing_kit.tools.grading.course import looks
 from falconwing_kit.tools.grading.course.figures import missing_for_running
-from falconwing_kit.tools.grading.sandbox import probe_sandbox
+from falconwing_kit.tools.grading.sandbox import probe
 from tests.tools.grading import toys
 from tests.tools.grading.test_figures import DRAW, b64, png
 
@@ -52,7 +52,7 @@ def graded(tmp_path_factory):
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(grading, "_require_box", lambda: None)
-        patch.setattr(probe_sandbox, "probe", lambda: [])
+        patch.setattr(probe, "probe_sandbox", lambda: [])
         folder = tmp_path_factory.mktemp("course")
         folder.chmod(0o755)
         students = folder / "students"
@@ -177,7 +177,7 @@ def test_rubric_page_has_the_figures(report):
 
 def test_report_goes_on_where_it_was(report, graded, monkeypatch):
     """Nothing is looked at twice, and the same comes out: the boxes are not even asked."""
-    monkeypatch.setattr(probe_sandbox, "probe", lambda: [])
+    monkeypatch.setattr(probe, "probe_sandbox", lambda: [])
     monkeypatch.setattr(looks, "run_notebook", lambda *words: pytest.fail("looked again"))
     before = {path: path.read_bytes() for path in report.rglob("*") if path.is_file()}
     words = dict(
@@ -194,8 +194,8 @@ def test_without_a_box_nothing_is_run(graded, tmp_path, monkeypatch, capsys):
     """It is said, figures are the stored ones, and the feedback lists the public claims without an
     outcome.
     """
-    hole = probe_sandbox.Finding("network", False, "open")
-    monkeypatch.setattr(probe_sandbox, "probe", lambda: [hole])
+    hole = probe.ProbeResult("network", False, "open")
+    monkeypatch.setattr(probe, "probe_sandbox", lambda: [hole])
     for name in ("run_notebook", "run_checks"):
         monkeypatch.setattr(looks, name, lambda *words: pytest.fail("a student's code was run"))
     words = dict(submissions=graded / "students", workers=1)
@@ -213,7 +213,7 @@ def test_without_a_box_nothing_is_run(graded, tmp_path, monkeypatch, capsys):
 
 def test_changed_submission_is_not_taken_for_the_graded_one(graded, tmp_path, monkeypatch, capsys):
     """Feedback on what was never graded would be another's."""
-    monkeypatch.setattr(probe_sandbox, "probe", lambda: [])
+    monkeypatch.setattr(probe, "probe_sandbox", lambda: [])
     shutil.copytree(graded / "students", tmp_path / "now")
     (tmp_path / "now" / "ada.ipynb").write_bytes(notebook(WRONG))
     (tmp_path / "now" / "cleo.ipynb").unlink()

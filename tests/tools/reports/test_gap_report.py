@@ -91,9 +91,9 @@ def test_page_says_since_when_and_why_nothing_is_named(tmp_path):
     """
     study = wind_study()
     effect = study.naming.ranking[0].effect
-    load = replace(study.naming.unnamed, gain=study.naming.ranking[0].gain + 50.0)
+    load = replace(study.naming.generic, delta_bic=study.naming.ranking[0].delta_bic + 50.0)
     naming = replace(
-        study.naming, verdict="outside", chosen=(), strain=10.0 * MAX_MAHALANOBIS, unnamed=load
+        study.naming, verdict="outside", chosen=(), mahalanobis=10.0 * MAX_MAHALANOBIS, generic=load
     )
     closed = replace(study.closed, after=study.closed.before, parameters={})
     onset = Onset(effect, 12.34, 11.0, 13.0, 40.0, None)

@@ -147,7 +147,7 @@ def attitude_error(model, case) -> float:
     x, sticks = rows(case), case.flight.commands
     t = ROW_S * np.arange(len(x))
     edges = 0.5 * ROW_S * np.arange(2 * len(x) - 1)
-    mean, slope = model.acting(t, sticks, edges, model.K)
+    mean, slope = model.actuator_positions(t, sticks, edges, model.K)
     begins = np.arange(20, len(x) - 10, 5)
     steps = 2 * begins[:, None] + np.arange(20)
     flown_again = roll_out(model, x[begins], mean[steps], 0.5 * ROW_S, slope=slope[steps])[:, -1]
