@@ -131,7 +131,7 @@ def refine_photo_poses(
 
 
 def _mean_ssim(first: Tensor, second: Tensor) -> float:
-    """Structural similarity of two images (1, H, W, 3) of colours 0..1, mean over the three colours."""
+    """Structural similarity of two images (1, H, W, 3) of colours 0..1, mean over the colours."""
     planes = [(255.0 * image[0].movedim(-1, 0)).cpu().numpy() for image in (first, second)]
     return sum(ssim(x, y) for x, y in zip(*planes, strict=True)) / 3.0
 
