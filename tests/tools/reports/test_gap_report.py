@@ -91,9 +91,9 @@ def test_page_says_since_when_and_why_nothing_is_named(tmp_path):
     """
     study = wind_study()
     effect = study.naming.ranking[0].effect
-    load = replace(study.naming.unnamed, gain=study.naming.ranking[0].gain + 50.0)
+    load = replace(study.naming.generic, delta_bic=study.naming.ranking[0].delta_bic + 50.0)
     naming = replace(
-        study.naming, verdict="outside", chosen=(), strain=10.0 * MAX_MAHALANOBIS, unnamed=load
+        study.naming, verdict="outside", chosen=(), mahalanobis=10.0 * MAX_MAHALANOBIS, generic=load
     )
     closed = replace(study.closed, after=study.closed.before, parameters={})
     onset = Onset(effect, 12.34, 11.0, 13.0, 40.0, None)
@@ -101,7 +101,7 @@ def test_page_says_since_when_and_why_nothing_is_named(tmp_path):
     write_gap(replace(study, naming=naming, closed=closed, since=onset, names=names), tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "set in at <strong>12.3 s</strong>" in page
-    assert f"<strong>{load.effect.name}</strong> (evidence {load.gain:.0f})" in page
+    assert f"<strong>{load.effect.name}</strong> (evidence {load.delta_bic:.0f})" in page
     assert (
         page.count("are both flights of the same aircraft?") == 2
     )  # in the text and among the warnings
