@@ -171,7 +171,7 @@ def test_warnings_are_text_and_no_markup(run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("verdict", "parts_at", "words"),
+    ("verdict", "detection_time", "words"),
     [
         ("named", None, ("<strong>Missing: NAME.</strong>", "never leave what is ordinary")),
         ("none", 120.0, ("No effect explains more", "At 120.0 s")),
