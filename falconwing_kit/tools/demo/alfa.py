@@ -209,11 +209,11 @@ def _attitude(imu: _Topic, late: Array) -> tuple[Array, Array]:
     quaternions = imu.values[:, :4]  # x, y, z, w
     if not quaternions.any(axis=1).all():
         raise InputError(
-            f"{_TOPICS['imu'][0]}: expected attitudes as quaternions, got one of length 0; copy the file again"
+            f"{_TOPICS['imu'][0]}: expected attitudes as quaternions, got one of length 0; "
+            "copy the file again"
         )
-    axes_enu = (
-        Rotation.from_quat(quaternions).as_matrix().transpose(0, 2, 1)
-    )  # rows: where each body axis points
+    # rows: where each body axis points
+    axes_enu = Rotation.from_quat(quaternions).as_matrix().transpose(0, 2, 1)
     R_world_body = world_from_enu(axes_enu).transpose(0, 2, 1) @ R_BODY_ROS
     attitude = np.column_stack(euler_from_rotation(R_world_body))
     rates_body = imu.values[:, 4:] @ R_BODY_ROS

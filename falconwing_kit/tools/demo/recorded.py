@@ -197,7 +197,7 @@ def _attitude_after(alfa: AlfaAnalysis) -> float:
 
 
 def _small_section(found: RecordedFlights) -> dict[str, Any]:
-    """What the page tells of the 150 g aircraft's first flight."""
+    """Values of the section on the 150 g aircraft's first flight."""
     small = found.small
     one_step = [
         (f"one step, {name} differences (the paper's loss)", *_cells(s))
@@ -216,7 +216,7 @@ def _small_section(found: RecordedFlights) -> dict[str, Any]:
 
 
 def _gap_section(gap: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
-    """What it tells of the second flight, and of the truth."""
+    """Values of the section on its second flight, with the hidden truth."""
     answer, closed = record["simulated_flight"]["gap"], gap.closed
     sizes = [
         (
@@ -239,7 +239,7 @@ def _gap_section(gap: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
 
 
 def _alfa_section(alfa: AlfaAnalysis) -> dict[str, Any]:
-    """What it tells of the real flight."""
+    """Values of the section on the real flight."""
     names = {
         "model": "fitted model",
         "constant turn": "constant turn for its bank",
@@ -261,7 +261,7 @@ def _alfa_section(alfa: AlfaAnalysis) -> dict[str, Any]:
 
 
 def _alfa_gap_section(gap: AlfaGap) -> dict[str, Any]:
-    """What it tells of the lost engine."""
+    """Values of the section on the engine failure."""
     return {
         "verdict": gap.verdict,
         "names": [s.effect.name.replace("_", " ") for s in gap.chosen],

@@ -327,7 +327,7 @@ def write_gap(
 
 
 def _page(study: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
-    """What the page's template names, besides the figures."""
+    """Values for the page's template, besides the figures."""
     naming = study.naming
     sizes = [
         (
@@ -433,7 +433,7 @@ def _before_after(study: GapStudy) -> str:
 
 
 def _slow(noise: dict[str, Any]) -> str:
-    """How much of the pose noise changes slowly."""
+    """Share of the pose noise that changes slowly, in words."""
     halves = zip(noise["slow_share"], noise["slow_time_s"], ("position", "attitude"), strict=True)
     return "; ".join(
         f"{100 * share:.0f} % of it slow over {seconds:.1f} s in {half}"

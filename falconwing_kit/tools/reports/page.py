@@ -35,7 +35,7 @@ FRAME = Path(
 
 
 def render(template: Path, **values: Any) -> str:
-    """HTML of a template and its values; values are text, and what is markup in them is escaped.
+    """HTML of a template and its values; values are text, so markup in them is escaped.
 
     Args:
         template: a Jinja template; it may extend page.html.j2 and import from parts.html.j2.
@@ -53,8 +53,7 @@ def render(template: Path, **values: Any) -> str:
 
 
 def write_page(path: Path, template: Path, **values: Any) -> None:
-    """Write the page of a template and its values, whole or not at all; `render` says what they may
-    be.
+    """Write the page of a template and its values, as `render` takes them, whole or not at all.
 
     Args:
         path: the HTML file.

@@ -33,9 +33,10 @@ from falconwing_kit.tools.capture.photo_files import Reconstruction, write_recon
 from falconwing_kit.tools.capture.survey.points import Survey
 from falconwing_kit.tools.capture.training import draw as drawing
 from falconwing_kit.tools.capture.training.densify import densify, relocation
-from falconwing_kit.tools.capture.training.judge import psnr, ssim_batch
-from falconwing_kit.tools.capture.training.loop import drop_gaussians, train, train_step
+from falconwing_kit.tools.capture.training.judge import evaluate, psnr
+from falconwing_kit.tools.capture.training.loop import drop_gaussians, ssim_batch, train, train_step
 from falconwing_kit.tools.capture.training.photos import (
+    Photos,
     held_out_photos,
     hold_out_places,
     load_photos,
@@ -438,6 +439,19 @@ def test_ssim_is_that_of_its_paper():
     )
     assert float(ssim_batch(torch.tensor(a)[None], torch.tensor(a)[None])) == pytest.approx(
         1.0, abs=1e-6
+    )
+
+
+def test_ssim_that_is_reported_is_that_of_the_loss():
+    """Two ways to one equation: OpenCV's filter on bytes, and torch's matrices; float32 of 255^2 keeps 1e-5."""
+    images = np.random.default_rng(0).integers(0, 256, (1, 30, 40, 3)).astype(np.uint8)
+    render = torch.as_tensor(images / 255.0, dtype=torch.float32).roll(1, dims=2) * 0.7 + 0.2
+    camera = PinholeCamera(40.0, 40.0, 20.0, 15.0, 40, 30)
+    inside = torch.ones(30, 40, dtype=torch.bool)
+    photos = Photos(("a",), camera, torch.as_tensor(images), None, inside, torch.eye(4)[None])
+    drawn = (render * 255.0).round() / 255.0
+    assert evaluate(lambda poses: render, photos)["ssim"] == pytest.approx(
+        float(ssim_batch(drawn, photos.targets(torch.tensor([0]), torch.zeros(3))[0])), abs=1e-5
     )
 
 

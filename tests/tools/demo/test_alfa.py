@@ -257,6 +257,18 @@ def test_broken_files_give_one_sentence(raw_copy: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
+def test_attitude_without_length_is_refused(raw_copy: Path) -> None:
+    """Bad input: a quaternion of zeros is no rotation."""
+    path = raw_copy / "mavros-imu-data.csv"
+    head, line, *rest = path.read_text().splitlines()
+    cells, names = line.split(","), head.split(",")
+    for axis in "xyzw":
+        cells[names.index(f"field.orientation.{axis}")] = "0.0"
+    path.write_text("\n".join([head, ",".join(cells), *rest]) + "\n")
+    with pytest.raises(InputError, match="mavros-imu-data: expected attitudes as quaternions"):
+        read_alfa(raw_copy)
+
+
 def test_a_cut_last_line_is_dropped_with_a_warning(raw_copy: Path, flight: FlightTable) -> None:
     """A log ends where the power went: the lines before are good."""
     path = raw_copy / "mavros-nav_info-velocity.csv"

@@ -171,7 +171,7 @@ def test_warnings_are_text_and_no_markup(run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("verdict", "parts_at", "words"),
+    ("verdict", "detection_time", "words"),
     [
         ("named", None, ("<strong>Missing: NAME.</strong>", "never leave what is ordinary")),
         ("none", 120.0, ("No effect explains more", "At 120.0 s")),
@@ -186,18 +186,18 @@ def test_page_has_words_for_every_outcome(run, tmp_path, verdict, detection_time
     """The same findings under each verdict of the real flight, with an onset of the wind and
     without a landing.
     """
-    first, *others = run.found.alfa_gap.suspects
-    suspects = (
+    first, *others = run.found.alfa_gap.hypotheses
+    hypotheses = (
         first,
         *([first] if verdict == "ambiguous" else []),
-        *(replace(s, gain=-1e6) for s in others),
+        *(replace(s, delta_bic=-1e6) for s in others),
     )
     wind = run.found.small_gap.naming.chosen[0].effect
     found = replace(
         run.found,
         small_gap=replace(run.found.small_gap, since=Onset(wind, 12.3, 11.0, 13.0, 40.0, None)),
         alfa=replace(run.found.alfa, detection_time=detection_time),
-        alfa_gap=replace(run.found.alfa_gap, verdict=verdict, suspects=suspects),
+        alfa_gap=replace(run.found.alfa_gap, verdict=verdict, hypotheses=hypotheses),
     )
     recorded.write_recorded_flights(found, tmp_path)
     page = (tmp_path / "index.html").read_text(encoding="utf-8")

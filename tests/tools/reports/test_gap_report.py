@@ -101,7 +101,7 @@ def test_page_says_since_when_and_why_nothing_is_named(tmp_path):
     write_gap(replace(study, naming=naming, closed=closed, since=onset, names=names), tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "set in at <strong>12.3 s</strong>" in page
-    assert f"<strong>{load.effect.name}</strong> (evidence {load.gain:.0f})" in page
+    assert f"<strong>{load.effect.name}</strong> (evidence {load.delta_bic:.0f})" in page
     assert (
         page.count("are both flights of the same aircraft?") == 2
     )  # in the text and among the warnings

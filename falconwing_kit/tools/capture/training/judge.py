@@ -3,7 +3,6 @@ corrections.
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from typing import Any
 
 import torch
@@ -12,33 +11,10 @@ from torch import Tensor
 from falconwing_kit.scene.reference import GaussianTensors
 from falconwing_kit.tools.capture.training.draw import Draw, apply_twists
 from falconwing_kit.tools.capture.training.photos import Photos
+from falconwing_kit.vision.ssim import ssim
 
-SSIM_WINDOW_PX, SSIM_SIGMA_PX = 11, 1.5  # [px] of SSIM's window [Wang et al. 2004]
-C1, C2 = 0.01**2, 0.03**2
 POSE_RATE = 1e-3  # of a photo's pose against the finished scene; [m], and what turns that far
 RenderPoses = Callable[[Tensor], Tensor]  # poses (C, 4, 4) -> colours (C, H, W, 3)
-
-
-def ssim_batch(first: Tensor, second: Tensor) -> Tensor:
-    """Structural similarity, over a Gaussian window that lies wholly in the image  [Wang et al.
-    2004, eq. 13].
-
-    Args:
-        first: (C, H, W, 3), sides of at least 11 px.
-        second: likewise.
-
-    Returns:
-        (C,) mean over pixels and colours, 1 where the images are equal.
-    """
-    x, y = first.movedim(-1, 1), second.movedim(-1, 1)
-    maps = torch.cat([x, y, x * x, y * y, x * y], dim=1)
-    down, across = (_window(length, first.device, first.dtype) for length in maps.shape[2:])
-    maps = down.mT @ (maps @ across)
-    mean_x, mean_y, xx, yy, xy = maps.chunk(5, dim=1)
-    alike = (2 * mean_x * mean_y + C1) * (2 * (xy - mean_x * mean_y) + C2)
-    return (alike / ((mean_x**2 + mean_y**2 + C1) * (xx - mean_x**2 + yy - mean_y**2 + C2))).mean(
-        dim=(1, 2, 3)
-    )
 
 
 def psnr(first: Tensor, second: Tensor) -> Tensor:
@@ -72,10 +48,10 @@ def evaluate(look: RenderPoses, photos: Photos, poses: Tensor | None = None) -> 
         rows.append(
             {
                 "photo": name,
-                **{"psnr_db": float(psnr(drawn, target)), "ssim": float(ssim_batch(drawn, target))},
+                **{"psnr_db": float(psnr(drawn, target)), "ssim": _mean_ssim(drawn, target)},
                 **{
                     "psnr_exposed_db": float(psnr(fitted, target)),
-                    "ssim_exposed": float(ssim_batch(fitted, target)),
+                    "ssim_exposed": _mean_ssim(fitted, target),
                 },
             }
         )
@@ -154,21 +130,10 @@ def refine_photo_poses(
     return torch.cat(found)
 
 
-@lru_cache(maxsize=4)
-def _window(length: int, device: torch.device, dtype: torch.dtype) -> Tensor:
-    """(length, length - 10) the weighted means along a line as a matrix.
-
-    A convolution would be shorter, but GPUs round its products to ten bits unless told otherwise.
-    """
-    offsets = (
-        torch.arange(length)[:, None]
-        - torch.arange(length - SSIM_WINDOW_PX + 1)
-        - SSIM_WINDOW_PX // 2
-    )
-    weights = torch.where(
-        offsets.abs() <= SSIM_WINDOW_PX // 2, torch.exp(-0.5 * (offsets / SSIM_SIGMA_PX) ** 2), 0.0
-    )
-    return (weights / weights.sum(dim=0)).to(device, dtype)
+def _mean_ssim(first: Tensor, second: Tensor) -> float:
+    """Structural similarity of two images (1, H, W, 3) of colours 0..1, mean over the colours."""
+    planes = [(255.0 * image[0].movedim(-1, 0)).cpu().numpy() for image in (first, second)]
+    return sum(ssim(x, y) for x, y in zip(*planes, strict=True)) / 3.0
 
 
 def _match_exposure(drawn: Tensor, target: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -17,9 +18,9 @@ from torch import Tensor
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.tools.capture.training.densify import add_noise, densify
 from falconwing_kit.tools.capture.training.draw import Draw, apply_twists
-from falconwing_kit.tools.capture.training.judge import ssim_batch
 from falconwing_kit.tools.capture.training.photos import Photos
 from falconwing_kit.tools.capture.training.state import TrainState
+from falconwing_kit.vision.ssim import C1, C2, RADIUS_PX, SIGMA_PX
 
 # Learning rates of 3D Gaussian Splatting; places are in extents of the scene, photos' rows per
 # photo.
@@ -224,6 +225,44 @@ def loss(
         + REGULARISATION["exposures"] * (exposures**2).mean()
         + REGULARISATION["twists"] * (twists**2).mean()
     )
+
+
+def ssim_batch(first: Tensor, second: Tensor) -> Tensor:
+    """Structural similarity as a part of the loss, of colours 0..1  [Wang et al. 2004, eq. 13].
+
+    Equals the mean of `vision.ssim` over the colours to 1e-5. It is in torch because training
+    needs its gradient; the evaluation of a scene uses `vision.ssim`.
+
+    Args:
+        first: (C, H, W, 3), sides of at least 11 px.
+        second: likewise.
+
+    Returns:
+        (C,) mean over pixels and colours, 1 where the images are equal.
+    """
+    x, y = first.movedim(-1, 1), second.movedim(-1, 1)
+    maps = torch.cat([x, y, x * x, y * y, x * y], dim=1)
+    down, across = (_window(length, first.device, first.dtype) for length in maps.shape[2:])
+    maps = down.mT @ (maps @ across)
+    mean_x, mean_y, xx, yy, xy = maps.chunk(5, dim=1)
+    c1, c2 = C1 / 255.0**2, C2 / 255.0**2
+    alike = (2 * mean_x * mean_y + c1) * (2 * (xy - mean_x * mean_y) + c2)
+    return (alike / ((mean_x**2 + mean_y**2 + c1) * (xx - mean_x**2 + yy - mean_y**2 + c2))).mean(
+        dim=(1, 2, 3)
+    )
+
+
+@lru_cache(maxsize=4)
+def _window(length: int, device: torch.device, dtype: torch.dtype) -> Tensor:
+    """(length, length - 10) the weighted means along a line as a matrix.
+
+    A convolution would be shorter, but GPUs round its products to ten bits unless told otherwise.
+    """
+    offsets = torch.arange(length)[:, None] - torch.arange(length - 2 * RADIUS_PX) - RADIUS_PX
+    weights = torch.where(
+        offsets.abs() <= RADIUS_PX, torch.exp(-0.5 * (offsets / SIGMA_PX) ** 2), 0.0
+    )
+    return (weights / weights.sum(dim=0)).to(device, dtype)
 
 
 def drop_gaussians(opacities: Tensor, share: float, generator: torch.Generator) -> Tensor:

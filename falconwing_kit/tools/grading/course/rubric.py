@@ -65,7 +65,7 @@ def write_rubric(
 def _student(
     out: Path, entry: GradebookEntry, parts: Sequence[RubricPart], seen: Looked
 ) -> dict[str, Any]:
-    """What the page shows of a student: figures, answers, and the points that are known."""
+    """Values of a student's section: figures, answers, and the points given so far."""
     return {
         "name": entry.student,
         "cell": spreadsheet_cell(entry.student),
