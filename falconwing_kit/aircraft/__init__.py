@@ -12,7 +12,8 @@ from falconwing_kit.aircraft.airframe import (
     default_airframe_path,
     load_airframe,
 )
-from falconwing_kit.aircraft.effects import CATALOGUE, EFFECT_NAMES, Effect
+from falconwing_kit.aircraft.effect import Effect
+from falconwing_kit.aircraft.effects import CATALOGUE, EFFECT_NAMES
 from falconwing_kit.aircraft.inputs import actuator_response
 from falconwing_kit.aircraft.integrate import ROLL_OUTS, fly, roll_out, step_batch
 from falconwing_kit.aircraft.model import (

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.aircraft.effects import GROUND_EFFECT_HEIGHT_M, Effect
-from falconwing_kit.aircraft.terms import Parameter, Term
+from falconwing_kit.aircraft.effect import Effect
+from falconwing_kit.aircraft.terms import Parameter
 from falconwing_kit.core.checks import Array
+
+HEIGHT_SCALE_M = 0.5  # decay with height, about the span of a 150 g aircraft
 
 # Variable -> its value in a flow, in numbers around one for a 150 g aircraft at 7 m/s; aerodynamic
 # loads go with V^2.
@@ -33,7 +35,7 @@ REGRESSORS: dict[str, Callable[[Any], Any]] = {
     "throttle and aileron": lambda air: 3.0 * air.throttle * air.aileron,
     "throttle and elevator": lambda air: 3.0 * air.throttle * air.elevator,
     "height": lambda air: (
-        _dynamic_pressure(air) * np.exp(-np.maximum(air.height, 0.0) / GROUND_EFFECT_HEIGHT_M)
+        _dynamic_pressure(air) * np.exp(-np.maximum(air.height, 0.0) / HEIGHT_SCALE_M)
     ),
     "time": lambda air: _dynamic_pressure(air) * air.time / 60.0,
     "throttle and time": lambda air: air.throttle * air.time / 60.0,
@@ -66,9 +68,7 @@ def _generic_load(variable: str, rotational: bool) -> Effect:
         return (0.0, 0.0, 0.0, *loads) if rotational else (*loads, 0.0, 0.0, 0.0)
 
     name = f"{kind} with {variable}"
-    return Effect(
-        name, f"A {name} that the model lacks.", parameters, term=Term(name, parameters, evaluate)
-    )
+    return Effect(name, f"A {name} that the model lacks.", parameters, loads=evaluate)
 
 
 def fir_input_filter(t: Array, commands: Array, K: Any) -> Array:
@@ -91,7 +91,7 @@ def fir_input_filter(t: Array, commands: Array, K: Any) -> Array:
 INPUT_FILTER = Effect(
     "memory of the sticks", "The sticks act later or more slowly than the model has it.",
     tuple(Parameter(f"stick_memory_{k}", 0.1, -2.0, 2.0, "-", f"share acting {k} frames later") for k in (1, 2)),
-    sticks=fir_input_filter,
+    command_map=fir_input_filter,
 )  # fmt: skip
 GENERIC_LOADS: tuple[Effect, ...] = tuple(
     _generic_load(variable, rotational) for variable in REGRESSORS for rotational in (False, True)

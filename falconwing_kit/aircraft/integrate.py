@@ -4,7 +4,7 @@ batched or compiled.
 
 from collections.abc import Callable
 from functools import cache
-from types import FunctionType
+from types import CellType, FunctionType
 from typing import Any
 
 import numpy as np
@@ -121,16 +121,28 @@ def roll_out_compiled(
     return flown
 
 
+@cache
 def _compile(function: Any) -> Any:
-    """numba's twin of a function, and of the functions of its module that it calls."""
+    """A function compiled by numba, with the functions of its module and closure that it calls."""
     from numba import njit
 
-    theirs = function.__globals__
-    names = (n for n in function.__code__.co_names if isinstance(theirs.get(n), FunctionType))
-    called = {name: _compile(theirs[name]) for name in names if theirs[name] is not function}
-    if not called:
-        return njit(function)
-    return njit(FunctionType(function.__code__, {**theirs, **called}, function.__name__))
+    if not isinstance(function, FunctionType):
+        return function  # compiled already
+    scope = function.__globals__
+    called = {
+        name: _compile(scope[name])
+        for name in function.__code__.co_names
+        if isinstance(scope.get(name), FunctionType) and scope[name] is not function
+    }
+    cells = tuple(
+        CellType(_compile(cell.cell_contents))
+        if isinstance(cell.cell_contents, FunctionType)
+        else cell
+        for cell in function.__closure__ or ()
+    )
+    return njit(
+        FunctionType(function.__code__, {**scope, **called}, function.__name__, None, cells)
+    )
 
 
 @cache

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from falconwing_kit.aircraft.effects import Effect
+from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.inputs import INPUT_PARAMETERS, actuator_response, second_order_lag
 from falconwing_kit.aircraft.terms import (
     FORCES,
@@ -25,6 +25,7 @@ from falconwing_kit.aircraft.terms import (
     Term,
     WindTerm,
     air_flow,
+    sum_loads,
 )
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.frames import GRAVITY, euler_rates, rotation_entries
@@ -43,7 +44,7 @@ class Model:
     values: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[
         Effect, ...
-    ] = ()  # those that act on sticks or measured poses; the others are among the terms
+    ] = ()  # every effect added; forces and winds are also among the terms
 
     @property
     def n_states(self) -> int:
@@ -100,10 +101,16 @@ class Model:
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Parameters that act on the sticks before the flight is integrated."""
-        known = ("delay", "lag", "control_delay", "actuator_lag", "lag_in_series")
-        own = tuple(p.name for effect in self.effects if effect.sticks for p in effect.parameters)
-        return tuple(name for name in self.names if name in known or name in own)
+        """Parameters that act on the commands before the flight is integrated."""
+        maps = (e for e in self.effects if e.command_map or e.input_map)
+        acting = {p.name for p in (*INPUT_PARAMETERS, *(p for e in maps for p in e.parameters))}
+        return tuple(name for name in self.names if name in acting)
+
+    def added_input_map(self, K: Any) -> tuple[float, float, float]:
+        """Delay, lag and lag in series that the effects add to the model's own [s]."""
+        added = [effect.input_map(K) for effect in self.effects if effect.input_map]
+        delay, lag, series = (sum(part) for part in zip((0.0, 0.0, 0.0), *added, strict=True))
+        return delay, lag, series
 
     def actuator_positions(
         self, t: Array, commands: Array, edges: Array, K: Any
@@ -117,28 +124,28 @@ class Model:
             K: parameter record of this model.
 
         Returns:
-            mean and swing, each (..., S, 4), as `actuator_response`.
+            mean and slope, each (..., S, 4), as `actuator_response`.
         """
         for effect in self.effects:
-            if effect.sticks is not None:
-                commands = effect.sticks(t, commands, K)
-        delay = K.delay + getattr(K, "control_delay", 0.0)
-        lag = K.lag + getattr(K, "actuator_lag", 0.0)
-        mean, slope = actuator_response(t, commands, edges, max(delay, 0.0), max(lag, 0.0))
-        return second_order_lag(
-            mean, slope, np.diff(edges, axis=-1), getattr(K, "lag_in_series", 0.0)
+            if effect.command_map is not None:
+                commands = effect.command_map(t, commands, K)
+        delay, lag, series = self.added_input_map(K)
+        mean, slope = actuator_response(
+            t, commands, edges, max(K.delay + delay, 0.0), max(K.lag + lag, 0.0)
         )
+        return second_order_lag(mean, slope, np.diff(edges, axis=-1), series)
+
+    def measured_pose(self, pose: Array, K: Any) -> Array:
+        """(6, ...) poses in the order x y z roll pitch yaw, through all measurement maps."""
+        for effect in self.effects:
+            if effect.measurement_map is not None:
+                pose = effect.measurement_map(pose, K)
+        return pose
 
     def with_effect(self, effect: Effect) -> "Model":
-        """The same model with an effect added, its parameters at their starting values.
-
-        Args:
-            effect: one of the catalogue, with parameters of its own.
-
-        Returns:
-            A new model.
-        """
-        model = self.with_terms(*(part for part in (effect.term, effect.wind) if part is not None))
+        """The same model with an effect added, its parameters at their starting values."""
+        parts = (effect.term(self.terms), effect.wind_term)
+        model = self.with_terms(*(part for part in parts if part is not None))
         new = tuple(p for p in effect.parameters if p.name not in model.values)
         return replace(
             model,
@@ -340,17 +347,7 @@ def _sum_of(functions: list[Any], compiler: Any) -> Any:
     """
     if compiler is _identity:
         return lambda air, K: _sum_arrays([evaluate(air, K) for evaluate in functions])
-    first = functions[0]
-    if len(functions) == 1:
-        return first
-    rest = _sum_of(functions[1:], compiler)
-
-    @compiler
-    def total(air, K):  # type: ignore[no-untyped-def]
-        a, b = first(air, K), rest(air, K)
-        return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
-
-    return total
+    return compiler(sum_loads(functions))
 
 
 def _sum_arrays(parts: list[Any]) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Terms of f_K: the air flow at the aircraft -> forces and moments, one function a term.
+"""Terms of f_K: the air flow at the aircraft -> forces and moments, one function per term.
 
 The model is the sum of the terms in a plain tuple. Every value is per unit mass (or inertia),
 because poses alone cannot separate mass from air density times wing area: a force is an
@@ -21,27 +21,25 @@ positive for right wing down, nose up and nose right, so L_da, M_de and N_dr are
 positive elevator deflection of the textbook lowers the nose and a positive rudder deflection turns
 it left: its C_m_de and C_n_dr are below zero (and C_L_de, C_Y_dr change alike).
 
-To add an effect: write one function `effect(air, K) -> loads`, list its parameters in a `Term`, add
-it to the tuple.
+A term that a flight may need and the model lacks is an effect: one file in `aircraft/effects`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-Loads = tuple[
-    Any, Any, Any, Any, Any, Any
-]  # force x, y, z [m/s^2] and moment x, y, z [rad/s^2], body axes
+# Force along body x, y, z [m/s^2], then moment about them [rad/s^2].
+Loads = tuple[Any, Any, Any, Any, Any, Any]
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One unknown of the model, with what a fit needs to know about it."""
+    """One unknown of the model: where a fit starts and within which bounds it stays."""
 
     name: str
-    start: float  # where a fit begins, a 150 g aircraft at 7 m/s
+    start: float  # where a fit starts: a 150 g aircraft at 7 m/s
     low: float  # smallest value that makes physical sense
     high: float  # largest value that makes physical sense
     unit: str
@@ -53,7 +51,7 @@ class Flow(NamedTuple):
 
     airspeed: Any  # V, speed through the air [m/s]
     alpha: Any  # angle of attack [rad], positive nose above the flight path
-    beta: Any  # sideslip [rad], positive with the wind on the right cheek
+    beta: Any  # sideslip [rad], positive with the wind from the right
     u: Any  # air-relative velocity along the nose [m/s]
     v: Any  # ... along the right wing
     w: Any  # ... along the belly
@@ -81,9 +79,7 @@ class Term:
 
 @dataclass(frozen=True)
 class WindTerm:
-    """A named part of the wind: (wind_x, wind_y, wind_z) in the world = evaluate(px, py, height,
-    time, K) [m/s].
-    """
+    """A named part of the wind in world axes [m/s]: evaluate(px, py, height, time, K)."""
 
     name: str
     parameters: tuple[Parameter, ...]
@@ -91,8 +87,10 @@ class WindTerm:
 
 
 def air_flow(velocity_body, rates, position, time, command):
-    """Airspeed and flow angles of an air-relative body velocity [Beard & McLain, Small Unmanned
-    Aircraft, eq. 2.8].
+    """Airspeed and flow angles of an air-relative velocity [Beard & McLain, eq. 2.8].
+
+    V = |(u, v, w)|, alpha = atan2(w, u), beta = asin(v / V); 0.1 m/s is added to V in quadrature,
+    so that the angles stay defined at rest.
 
     Args:
         velocity_body: u, v, w through the air, body axes, each (...) [m/s].
@@ -100,221 +98,126 @@ def air_flow(velocity_body, rates, position, time, command):
         position: px, py, pz in the world, each (...) [m].
         time: (...) [s].
         command: throttle, aileron, elevator, rudder, each (...).
-
-    Returns:
-        The flow. Airspeed is kept above 0.1 m/s so that its angles stay defined.
     """
     u, v, w = velocity_body
     airspeed = np.sqrt(u * u + v * v + w * w + 0.01)
     return Flow(
-        airspeed,
-        np.arctan2(w, u),
-        np.arcsin(v / airspeed),
-        u,
-        v,
-        w,
-        rates[0],
-        rates[1],
-        rates[2],
-        position[0],
-        position[1],
-        position[2],
-        time,
-        command[0],
-        command[1],
-        command[2],
-        command[3],
-    )
+        airspeed, np.arctan2(w, u), np.arcsin(v / airspeed), u, v, w, rates[0], rates[1], rates[2],
+        position[0], position[1], position[2], time, command[0], command[1], command[2], command[3],
+    )  # fmt: skip
 
 
-# Forces
-# -----------------------------------------------------------------------------------------------------------
+# Directions and sums
 
 
-def lift(air, K):
-    """Lift of the whole aircraft, linear below stall: L/m = V^2 (cL_0 + cL_alpha alpha + cL_de
-    elevator).
-
-    It acts at right angles to the flight path in the plane of symmetry [Beard & McLain, eq. 4.6].
-
-    Args:
-        air: the flow.
-        K: parameters cL_0, cL_alpha, cL_de.
-
-    Returns:
-        Loads.
-    """
-    force = air.airspeed * air.airspeed * (K.cL_0 + K.cL_alpha * air.alpha + K.cL_de * air.elevator)
+def lift_loads(air, force):
+    """A force at right angles to the flight path, in the plane of symmetry, upward positive."""
     along = np.sqrt(air.u * air.u + air.w * air.w + 0.01)
     return force * air.w / along, 0.0, -force * air.u / along, 0.0, 0.0, 0.0
 
 
-def drag(air, K):
-    """Drag against the flight path: D/m = V^2 (cD_0 + cD_induced c^2 + cD_beta beta^2), c = cL_0 +
-    cL_alpha alpha.
-
-    A parabolic polar, and the fuselage's drag in a sideslip [Beard & McLain, eq. 4.11].
-
-    Args:
-        air: the flow.
-        K: parameters cD_0, cD_induced, cD_beta, cL_0, cL_alpha.
-
-    Returns:
-        Loads.
-    """
-    lift_coefficient = K.cL_0 + K.cL_alpha * air.alpha
-    per_speed = air.airspeed * (
-        K.cD_0
-        + K.cD_induced * lift_coefficient * lift_coefficient
-        + K.cD_beta * air.beta * air.beta
-    )
+def drag_loads(air, per_speed):
+    """A force against the flight path, given per unit of airspeed [1/s]."""
     return -per_speed * air.u, -per_speed * air.v, -per_speed * air.w, 0.0, 0.0, 0.0
 
 
-def side_force(air, K):
-    """Side force along the right wing: Y/m = V^2 (cY_beta beta + cY_dr rudder) [Beard & McLain, eq.
-    4.14].
+def add_loads(a, b):
+    """Sum of two loads."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
 
-    Args:
-        air: the flow.
-        K: parameters cY_beta, cY_dr.
 
-    Returns:
-        Loads.
+def sum_loads(functions: Sequence[Callable[[Flow, Any], Loads]]) -> Callable[[Flow, Any], Loads]:
+    """One function that adds the loads of several, pairwise, so that it also compiles."""
+    first, *others = functions
+    if not others:
+        return first
+    rest = sum_loads(others)
+
+    def total(air, K):
+        return add_loads(first(air, K), rest(air, K))
+
+    return total
+
+
+# Forces
+
+
+def lift_coefficient(air, K):
+    """cL_0 + cL_alpha alpha + cL_de elevator: lift per V^2, linear below stall."""
+    return K.cL_0 + K.cL_alpha * air.alpha + K.cL_de * air.elevator
+
+
+def lift(air, K):
+    """L/m = V^2 (cL_0 + cL_alpha alpha + cL_de elevator) [Beard & McLain, eq. 4.6].
+
+    Linear below stall, at right angles to the flight path in the plane of symmetry.
     """
-    return (
-        0.0,
-        air.airspeed * air.airspeed * (K.cY_beta * air.beta + K.cY_dr * air.rudder),
-        0.0,
-        0.0,
-        0.0,
-        0.0,
+    return lift_loads(air, air.airspeed * air.airspeed * lift_coefficient(air, K))
+
+
+def drag(air, K):
+    """D/m = V^2 (cD_0 + cD_induced c^2 + cD_beta beta^2), c = cL_0 + cL_alpha alpha.
+
+    A parabolic polar, and the fuselage's drag in a sideslip [Beard & McLain, eq. 4.11].
+    """
+    c = K.cL_0 + K.cL_alpha * air.alpha
+    return drag_loads(
+        air, air.airspeed * (K.cD_0 + K.cD_induced * c * c + K.cD_beta * air.beta * air.beta)
     )
 
 
+def side_force(air, K):
+    """Along the right wing: Y/m = V^2 (cY_beta beta + cY_dr rudder) [Beard & McLain, eq. 4.14]."""
+    force = air.airspeed * air.airspeed * (K.cY_beta * air.beta + K.cY_dr * air.rudder)
+    return 0.0, force, 0.0, 0.0, 0.0, 0.0
+
+
 def thrust(air, K):
-    """Thrust along the nose, falling with speed: T/m = (kT - kTV V) throttle [Beard & McLain, eq.
-    4.18, linearised].
-
-    Args:
-        air: the flow.
-        K: parameters kT, kTV.
-
-    Returns:
-        Loads.
-    """
+    """Along the nose: T/m = (kT - kTV V) throttle [Beard & McLain, eq. 4.18, linearised]."""
     return (K.kT - K.kTV * air.airspeed) * air.throttle, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 # Moments of the 12-state model
-# -----------------------------------------------------------------------------------
 
 
 def roll_moment(air, K):
-    """Rolling: dp/dt = V^2 (L_0 + L_da aileron + L_beta beta) + V L_p p + V L_r r [Beard & McLain,
-    eq. 5.10].
-
-    Args:
-        air: the flow.
-        K: parameters L_0, L_da, L_beta, L_p, L_r.
-
-    Returns:
-        Loads.
-    """
+    """dp/dt = V^2 (L_0 + L_da aileron + L_beta beta) + V L_p p + V L_r r [Beard & McLain, eq. 5.10]."""
     V = air.airspeed
-    return (
-        0.0,
-        0.0,
-        0.0,
-        V
-        * (
-            V * (K.L_0 + K.L_da * air.aileron + K.L_beta * air.beta) + K.L_p * air.p + K.L_r * air.r
-        ),
-        0.0,
-        0.0,
-    )
+    static = K.L_0 + K.L_da * air.aileron + K.L_beta * air.beta
+    return 0.0, 0.0, 0.0, V * (V * static + K.L_p * air.p + K.L_r * air.r), 0.0, 0.0
 
 
 def pitch_moment(air, K):
-    """Pitching: dq/dt = V^2 (M_0 + M_de elevator + M_alpha alpha) + V M_q q [Beard & McLain, eq.
-    5.11].
-
-    Args:
-        air: the flow.
-        K: parameters M_0, M_de, M_alpha, M_q.
-
-    Returns:
-        Loads.
-    """
+    """dq/dt = V^2 (M_0 + M_de elevator + M_alpha alpha) + V M_q q [Beard & McLain, eq. 5.11]."""
     V = air.airspeed
-    return (
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        V * (V * (K.M_0 + K.M_de * air.elevator + K.M_alpha * air.alpha) + K.M_q * air.q),
-        0.0,
-    )
+    static = K.M_0 + K.M_de * air.elevator + K.M_alpha * air.alpha
+    return 0.0, 0.0, 0.0, 0.0, V * (V * static + K.M_q * air.q), 0.0
 
 
 def yaw_moment(air, K):
-    """Yawing: dr/dt = V^2 (N_0 + N_dr rudder + N_beta beta) + V N_r r + V N_p p [Beard & McLain,
-    eq. 5.12].
-
-    Args:
-        air: the flow.
-        K: parameters N_0, N_dr, N_beta, N_r, N_p.
-
-    Returns:
-        Loads.
-    """
+    """dr/dt = V^2 (N_0 + N_dr rudder + N_beta beta) + V N_r r + V N_p p [Beard & McLain, eq. 5.12]."""
     V = air.airspeed
-    return (
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        V
-        * (V * (K.N_0 + K.N_dr * air.rudder + K.N_beta * air.beta) + K.N_r * air.r + K.N_p * air.p),
-    )
+    static = K.N_0 + K.N_dr * air.rudder + K.N_beta * air.beta
+    return 0.0, 0.0, 0.0, 0.0, 0.0, V * (V * static + K.N_r * air.r + K.N_p * air.p)
 
 
 def gyroscopic_moment(air, K):
-    """Inertia coupling of the three rates: (Jx q r, Jy p r, Jz p q) [Euler's equations; Beard &
-    McLain, eq. 3.17].
-
-    Args:
-        air: the flow.
-        K: parameters Jx = (Iyy - Izz)/Ixx, Jy = (Izz - Ixx)/Iyy, Jz = (Ixx - Iyy)/Izz.
-
-    Returns:
-        Loads.
-    """
+    """Inertia coupling of the three rates: (Jx q r, Jy p r, Jz p q) [Beard & McLain, eq. 3.17]."""
     return 0.0, 0.0, 0.0, K.Jx * air.q * air.r, K.Jy * air.p * air.r, K.Jz * air.p * air.q
 
 
 # Rates of the 9-state model
-# ----------------------------------------------------------------------------------------
 
 
 def quasi_steady_rates(air, K):
-    """Body rates that follow the sticks at once; the moment slots hold p, q, r [rad/s].
+    """Body rates that follow the commands immediately; the moment slots hold p, q, r [rad/s].
 
         p = V (L_0 + L_da aileron + L_beta beta)
         q = V (M_0 + M_de elevator + M_alpha alpha)
         r = V (N_0 + N_dr rudder + N_beta beta)
 
     The moments above with their angular accelerations set to zero [paper, Section IV-B: nine
-    states, no rates].
-
-    Args:
-        air: the flow.
-        K: parameters L_0, L_da, L_beta, M_0, M_de, M_alpha, N_0, N_dr, N_beta, each [1/m] (per
-            radian where it multiplies an angle).
-
-    Returns:
-        Loads with body rates in place of moments.
+    states, no rates]; coefficients in 1/m.
     """
     V = air.airspeed
     p = V * (K.L_0 + K.L_da * air.aileron + K.L_beta * air.beta)
@@ -324,18 +227,7 @@ def quasi_steady_rates(air, K):
 
 
 def uniform_wind(px, py, height, time, K):
-    """The same level wind everywhere: (wind_x, wind_y, 0).
-
-    Args:
-        px: (...) [m], unused like the next three.
-        py: (...) [m].
-        height: (...) [m].
-        time: (...) [s].
-        K: parameters wind_x, wind_y [m/s], where the air moves to.
-
-    Returns:
-        wind_x, wind_y, wind_z [m/s], world axes.
-    """
+    """The same level wind everywhere: (wind_x, wind_y, 0), where the air moves to."""
     return K.wind_x, K.wind_y, 0.0
 
 

@@ -40,8 +40,8 @@ class SimulatedAircraft:
         self._rates = state_rates(model.form, model.terms, model.winds)
         self._times: list[float] = []
         self._commands: list[Array] = []
-        late = (model.values.get(name, 0.0) for name in ("actuator_lag", "lag_in_series"))
-        self._memory = SETTLING_S + 12.0 * max(late)
+        _, lag, series = model.added_input_map(self._K)
+        self._memory = SETTLING_S + 12.0 * max(lag, series)
 
     def send(self, t: float, commands: Array) -> None:
         """Give stick positions (4,) at a time [s] not before the last ones; they arrive `delay`

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.aircraft.effects import Effect
+from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.trim import COMMAND_LIMITS, Trim, trim
 from falconwing_kit.core.checks import Array, InputError
@@ -92,9 +92,6 @@ class Manoeuvre:
     name: str
     how: str  # as the pilot hears it after "fly"
     legs: tuple[Leg, ...]
-    shows: Mapping[str, str] = field(
-        default_factory=dict
-    )  # effect -> why it shows here as others do not
 
 
 def _both_directions(*legs: Leg) -> tuple[Leg, ...]:
@@ -107,60 +104,38 @@ _POWER = (
 )
 MANOEUVRES = (
     Manoeuvre("aileron doublets", "quick aileron doublets, half and full, with the rudder still",
-              _both_directions(*(Leg({"aileron": doublet_input(s)}) for s in (0.4, -0.4, 0.8, -0.8))),
-              {"adverse_yaw": "aileron alone turns the nose", "control_delay": "a delay moves each edge",
-               "actuator_lag": "a slow servo rounds each edge"}),
+              _both_directions(*(Leg({"aileron": doublet_input(s)}) for s in (0.4, -0.4, 0.8, -0.8)))),
     Manoeuvre("elevator doublets", "elevator doublets at a slow and at a fast speed",
-              _both_directions(*(Leg({"elevator": doublet_input(s)}, v) for v in (0.85, 1.2) for s in (0.25, -0.25))),
-              {"cg_shift": "its pull goes with the lift, the elevator's does not"}),
+              _both_directions(*(Leg({"elevator": doublet_input(s)}, v) for v in (0.85, 1.2) for s in (0.25, -0.25)))),
     Manoeuvre("rudder doublets", "rudder doublets with the aileron still",
               _both_directions(*(Leg({"rudder": doublet_input(s)}) for s in (0.5, -0.5)))),
     Manoeuvre("throttle steps", "throttle steps with the wings level and the hands off the other sticks",
-              _both_directions(*_POWER[:4]), {"propeller_torque": "nothing but thrust turns the aircraft then"}),
+              _both_directions(*_POWER[:4])),
     Manoeuvre("glides", "glides with the throttle closed, slow and fast, and throttle steps at the same speeds",
-              _both_directions(*(Leg(speed=v, height=3.5, glide=True) for v in (0.85, 1.0, 1.2)), *_POWER[:4]),
-              {"extra_drag": "drag slows a glide too", "thrust_loss": "a weak propeller does not slow a glide",
-               "battery_sag": "an empty battery does not slow a glide"}),
+              _both_directions(*(Leg(speed=v, height=3.5, glide=True) for v in (0.85, 1.0, 1.2)), *_POWER[:4])),
     Manoeuvre("low passes", "low passes at 0.4 m right after level flight at 2 m, at the same speed and throttle",
-              _both_directions(Leg(height=0.4), Leg(height=2.0), Leg({"elevator": doublet_input(0.1)}, height=0.6)),
-              {"ground_effect": "only the cushion over the floor fades with height"}),
+              _both_directions(Leg(height=0.4), Leg(height=2.0), Leg({"elevator": doublet_input(0.1)}, height=0.6))),
     Manoeuvre("slow flight", "slow flight, wings level, down to the first mushing",
-              _both_directions(*(Leg({"elevator": doublet_input(s)}, v) for v in (0.85, 0.75, 0.68) for s in (0.1, -0.1))),
-              {"stall": "it begins at high angles of attack only"}),
-    Manoeuvre("fast flight", "fast flight, wings level", _both_directions(*(Leg(speed=v) for v in (1.2, 1.35))),
-              {"extra_drag": "drag grows with the square of speed"}),
+              _both_directions(*(Leg({"elevator": doublet_input(s)}, v) for v in (0.85, 0.75, 0.68) for s in (0.1, -0.1)))),
+    Manoeuvre("fast flight", "fast flight, wings level", _both_directions(*(Leg(speed=v) for v in (1.2, 1.35)))),
     Manoeuvre("speed sweep", "a sweep from the slowest safe speed to the fastest, wings level",
-              _both_directions(*(Leg(speed=v) for v in (0.75, 0.9, 1.05, 1.2, 1.35))),
-              {"flap": "its lift grows with speed", "cg_shift": "each speed needs another elevator",
-               "camera_tilt": "a tilted camera shows the same angle at any speed"}),
+              _both_directions(*(Leg(speed=v) for v in (0.75, 0.9, 1.05, 1.2, 1.35)))),
     Manoeuvre("steep turns", "steep turns to the left and to the right at one speed",
-              _both_directions(*(Leg(bank=math.radians(b)) for b in (-50.0, -35.0, 35.0, 50.0))),
-              {"mass_change": "weight bends every path less", "camera_tilt": "a tilted camera turns with the body"}),
+              _both_directions(*(Leg(bank=math.radians(b)) for b in (-50.0, -35.0, 35.0, 50.0)))),
     Manoeuvre("circles", "wide circles through all headings, to the left and to the right",
-              tuple(Leg(bank=math.radians(b), heading=k * math.pi / 2.0) for b in (-25.0, 25.0) for k in range(4)),
-              {"wind": "it comes from every side in turn"}),
+              tuple(Leg(bank=math.radians(b), heading=k * math.pi / 2.0) for b in (-25.0, 25.0) for k in range(4))),
     Manoeuvre("passes", "repeated passes through one place of the hall in both directions, and beside it",
-              tuple(Leg(heading=k * math.pi / 2.0, beside=b) for k in range(4) for b in (-1.5, 0.0, 1.5)),
-              {"fan_jet": "a stream is felt in one place only", "wind": "a wind is the same beside it"}),
+              tuple(Leg(heading=k * math.pi / 2.0, beside=b) for k in range(4) for b in (-1.5, 0.0, 1.5))),
     Manoeuvre("shaking", "fast stick shaking, up to two a second, beside steps that are held",
               (*(Leg({channel: sine_input(0.4, f)}) for channel in COMMAND_NAMES[1:] for f in (1.0, 2.0)),
-               *(Leg({channel: step_input(s)}) for channel, s in (("aileron", 0.15), ("elevator", 0.2), ("rudder", 0.3)))),
-              {"control_delay": "a delay shifts slow and fast movements alike",
-               "actuator_lag": "a slow servo also makes the fast ones smaller"}),
+               *(Leg({channel: step_input(s)}) for channel, s in (("aileron", 0.15), ("elevator", 0.2), ("rudder", 0.3))))),
     Manoeuvre("hands off", "straight flight with the hands off the sticks, at a slow and at a fast speed",
-              _both_directions(*(Leg(speed=v) for v in (0.8, 1.2))),
-              {"trim_bias": "a bent trim turns the aircraft faster with speed"}),
+              _both_directions(*(Leg(speed=v) for v in (0.8, 1.2)))),
     Manoeuvre("small movements", "small movements of aileron, elevator and rudder beside large ones",
-              tuple(Leg({channel: sine_input(s, 0.7)}) for channel in COMMAND_NAMES[1:] for s in (0.06, 0.12, 0.5)),
-              {"deadband": "a dead band eats the small ones only"}),
+              tuple(Leg({channel: sine_input(s, 0.7)}) for channel in COMMAND_NAMES[1:] for s in (0.06, 0.12, 0.5))),
     Manoeuvre("early and late", "the same throttle steps and glides early in a flight and again two minutes later",
-              (*_POWER, *(replace(leg, later=120.0) for leg in _POWER)),
-              {"battery_sag": "only a battery gets worse meanwhile"}),
+              (*_POWER, *(replace(leg, later=120.0) for leg in _POWER))),
 )  # fmt: skip
-INDISTINGUISHABLE = (
-    "no flight parts a control delay from late time stamps; on the bench, film a control surface and the stick "
-    "together and compare the stamps"
-)
 
 
 @dataclass(frozen=True)
@@ -357,12 +332,8 @@ class _ExperimentDesign:
             replace(c, values={n: float(np.clip(v, *bounds[n])) for n, v in c.values.items()})
             for c in found
         ]
-        jets = [
-            np.array([c.values["jet_at_x"], c.values["jet_at_y"]])
-            for c in found
-            if "jet_at_x" in c.values
-        ]
-        ahead, manoeuvres = manoeuvre_windows(base, windows, jets[0] if jets else None)
+        places = [np.array([c.values[n] for n in c.effect.place]) for c in found if c.effect.place]
+        ahead, manoeuvres = manoeuvre_windows(base, windows, places[0] if places else None)
         initial_states = ahead.initial_guess[:, : model.n_states]
         legs = _gram_matrices(
             model, ahead, initial_states, *jacobian(model, ahead, initial_states, free)[1:], found
@@ -482,7 +453,7 @@ def _effect_sensitivities(
     flight from held ones. What acts on sticks keeps its size: a short delay is a lag, half a dead
     band another one.
     """
-    effect, share = found.effect, 0.1 if found.effect.term or found.effect.wind else 1.0
+    effect, share = found.effect, 0.1 if found.effect.changes_flow else 1.0
     absent = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.amplitudes})
     small = {p.name: share * found.values[p.name] for p in effect.amplitudes}
     there = absent.with_values({**found.values, **small})
@@ -565,17 +536,13 @@ def next_flight(base: NominalModel, naming: Naming) -> str:
             f"movements of every stick, a sweep of speed, low passes and turns both ways{shy}"
         )
     if _is_indistinguishable(naming.chosen):
-        return INDISTINGUISHABLE
+        return _notes(naming.chosen)
     if best is None:
         return "fly the same again, longer, with larger movements of every stick and at more speeds and heights"
     if naming.verdict == "ambiguous":
-        return _discrimination_text([c.effect.name for c in naming.chosen], best)
-    known = (
-        f"; {INDISTINGUISHABLE}"
-        if any(c.effect.name == "control_delay" for c in naming.chosen)
-        else ""
-    )
-    return f"to know the size better, fly {_shrinkage_text(best)}{known}"
+        return _discrimination_text([c.effect for c in naming.chosen], best)
+    notes = _notes(naming.chosen)
+    return f"to know the size better, fly {_shrinkage_text(best)}{'; ' if notes else ''}{notes}"
 
 
 def headline(naming: Naming) -> str:
@@ -589,8 +556,9 @@ def headline(naming: Naming) -> str:
     }[naming.verdict]
 
 
-def _discrimination_text(names: Sequence[str], best: Advice) -> str:
-    reasons = ", ".join(best.manoeuvre.shows[n] for n in names if n in best.manoeuvre.shows)
+def _discrimination_text(effects: Sequence[Effect], best: Advice) -> str:
+    names, at = [e.name for e in effects], best.manoeuvre.name
+    reasons = ", ".join(e.separated_by[at] for e in effects if at in e.separated_by)
     fly = f"fly {best.manoeuvre.how}{': ' if reasons else ''}{reasons}"
     if math.isinf(best.seconds):
         return f"{SECONDS[-1] / 60.0:.0f} min of one manoeuvre would not part {_join_names(names)}; the best of all, {fly}"
@@ -605,6 +573,16 @@ def _shrinkage_text(best: Advice) -> str:
 def _is_indistinguishable(found: Sequence[EffectCandidate]) -> bool:
     """Whether one of the effects has exactly the dynamics of another."""
     return any(c.effect.same_as for c in found)
+
+
+def _notes(found: Sequence[EffectCandidate]) -> str:
+    """What no flight separates, of all effects found."""
+    twins = (f"no flight separates {c.effect.name} from {c.effect.same_as}" for c in found)
+    notes = (
+        c.effect.note or (twin if c.effect.same_as else "")
+        for c, twin in zip(found, twins, strict=True)
+    )
+    return "; ".join(dict.fromkeys(filter(None, notes)))
 
 
 def _weakly_excited(base: NominalModel) -> list[str]:

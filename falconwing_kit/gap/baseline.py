@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from falconwing_kit.aircraft.effects import CATALOGUE, Effect
+from falconwing_kit.aircraft.effect import Effect
+from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.core.checks import InputError

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.aircraft.effects import CATALOGUE, Effect
+from falconwing_kit.aircraft.effect import Effect, LoadsFunction
+from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.terms import Parameter
 from falconwing_kit.core.checks import Array
@@ -322,7 +323,7 @@ def _scan_onsets(
     best: EffectCandidate | None = None
     for known in found:
         effect = known.effect
-        if effect.gradual or not (effect.term or effect.wind or effect.sticks):
+        if not effect.has_onset:
             continue
         gated = with_onset(effect, float(first), float(last))
         usual = {
@@ -351,37 +352,36 @@ def with_onset(effect: Effect, first: float, last: float) -> Effect:
         An effect with one parameter more, `acts_since` [s].
     """
     since = Parameter(ONSET, 0.5 * (first + last), first, last, "s", "time from which on it acts")
-    parameters, term, wind, sticks = (
-        (*effect.parameters, since),
-        effect.term,
+    loads, loads_of, wind, command_map = (
+        effect.loads,
+        effect.loads_of,
         effect.wind,
-        effect.sticks,
+        effect.command_map,
     )
 
-    def loads(air: Any, K: Any) -> tuple[Any, ...]:
-        return _gate(term.evaluate(air, K), air.time >= K.acts_since) if term else ()
+    def gated_wind(px: Any, py: Any, height: Any, time: Any, K: Any) -> Any:
+        return _gate(wind(px, py, height, time, K), time >= K.acts_since) if wind else ()
 
-    def moving(px: Any, py: Any, height: Any, time: Any, K: Any) -> Any:
-        return _gate(wind.evaluate(px, py, height, time, K), time >= K.acts_since) if wind else ()
-
-    def differences(t: Array, commands: Array, K: Any) -> Array:
-        return (
-            np.where((t >= K.acts_since)[:, None], sticks(t, commands, K), commands)
-            if sticks
-            else commands
-        )
+    def gated_map(t: Array, commands: Array, K: Any) -> Array:
+        acting = (t >= K.acts_since)[:, None]
+        return np.where(acting, command_map(t, commands, K), commands) if command_map else commands
 
     return replace(
         effect,
-        parameters=parameters,
-        term=replace(term, parameters=parameters, evaluate=loads) if term else None,
-        wind=replace(wind, parameters=parameters, evaluate=moving) if wind else None,
-        sticks=differences if sticks else None,
+        parameters=(*effect.parameters, since),
+        loads=_gate_loads(loads) if loads else None,
+        loads_of=(lambda terms: _gate_loads(loads_of(terms))) if loads_of else None,
+        wind=gated_wind if wind else None,
+        command_map=gated_map if command_map else None,
         shape=(*effect.shape, ONSET),
     )
 
 
-def _gate(parts: tuple[Any, ...], on: Any) -> tuple[Any, ...]:
+def _gate_loads(loads: LoadsFunction) -> LoadsFunction:
+    return lambda air, K: _gate(loads(air, K), air.time >= K.acts_since)
+
+
+def _gate(parts: tuple[Any, ...], on: Any) -> Any:
     return tuple(part if type(part) is float and part == 0.0 else on * part for part in parts)
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from falconwing_kit.aircraft.effects import Effect
+from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.core.checks import Array
 from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
@@ -21,7 +21,6 @@ BATCH_SIZE = 8  # effects in one model: more would each fly the others' terms at
 # share of what an effect does that parameters and start states cannot: below it there is no
 # evidence
 MIN_EIGENVALUE = 1e-4
-JET_COLUMNS, JET_ROWS = 7, 4  # grid of places where a stream of air is looked for
 
 
 @dataclass(frozen=True)
@@ -59,13 +58,11 @@ def effect_variants(catalogue: Sequence[Effect], windows: Windows) -> Iterator[E
     Yields:
         The variants; effects that another one stands for are left out.
     """
+    flown = windows.pose[..., :2][windows.weight[..., 0] > 0]
+    low, high = np.percentile(flown, [3.0, 97.0], axis=0)
     for effect in catalogue:
-        if effect.same_as:
-            continue
-        usual = {p.name: p.start for p in effect.parameters}
-        places = _jet_places(windows) if "jet_at_x" in usual else ({}, *effect.starts)
-        for place in places:
-            yield EffectVariant(effect, {**usual, **place})
+        if not effect.same_as:
+            yield from (EffectVariant(effect, values) for values in effect.scan(low, high))
 
 
 def sensitivities(
@@ -236,11 +233,3 @@ def _score_test(
 
 def _project_out(Q: Array, J: Array) -> Array:
     return np.asarray(J - Q @ (Q.transpose(0, 2, 1) @ J))
-
-
-def _jet_places(windows: Windows) -> list[dict[str, float]]:
-    """A grid over the part of the hall where the aircraft flew."""
-    flown = windows.pose[..., :2][windows.weight[..., 0] > 0]
-    low, high = np.percentile(flown, [3.0, 97.0], axis=0)
-    xs, ys = np.linspace(low[0], high[0], JET_COLUMNS), np.linspace(low[1], high[1], JET_ROWS)
-    return [{"jet_at_x": float(x), "jet_at_y": float(y)} for x in xs for y in ys]

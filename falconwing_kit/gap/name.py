@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from falconwing_kit.aircraft.effects import CATALOGUE, Effect
+from falconwing_kit.aircraft.effect import Effect
+from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.baseline import (
     GENERIC_EVIDENCE,

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.aircraft.effects import CATALOGUE, Effect
+from falconwing_kit.aircraft.effect import Effect
+from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
 from falconwing_kit.aircraft.model import FORMS, Model
 from falconwing_kit.aircraft.terms import (

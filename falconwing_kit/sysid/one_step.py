@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from falconwing_kit.aircraft.inputs import actuator_response
 from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
 from falconwing_kit.aircraft.model import Model, parameter_record, state_rates
 from falconwing_kit.core.checks import Array, InputError
@@ -63,7 +62,7 @@ def fit_one_step(
     """
     from scipy.optimize import least_squares
 
-    fixed_model = model.with_fixed(("delay", "lag"))
+    fixed_model = model.with_fixed(model.input_names)
     free = [i for i, p in enumerate(fixed_model.parameters) if p.high > p.low]
     steps = [_steps(fixed_model, flight, smoothed) for flight in flights]
     before, after, actuator_positions, duration = (
@@ -116,9 +115,7 @@ def _steps(
     t = flight.t[: len(states)] - flight.t[0]
     good = np.asarray(np.isfinite(states).all(axis=1))
     pairs = np.flatnonzero(good[:-1] & good[1:])
-    actuator_positions, _ = actuator_response(
-        t, flight.commands[: len(t)], t, model.values["delay"], model.values["lag"]
-    )
+    actuator_positions, _ = model.actuator_positions(t, flight.commands[: len(t)], t, model.K)
     return states[pairs].T, states[pairs + 1].T, actuator_positions[pairs].T, np.diff(t)[pairs]
 
 

@@ -8,14 +8,12 @@ one-step fit [Bock & Plitt 1984; Jategaonkar, Flight Vehicle System Identificati
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
 from falconwing_kit.aircraft.model import Model, parameter_record, state_rates
 from falconwing_kit.core.checks import Array, InputError
-from falconwing_kit.core.frames import euler_rates, up_in_body
 from falconwing_kit.sysid.prepare import PreparedFlight
 
 POSE_ROWS = [
@@ -197,17 +195,8 @@ def predict(
             x = step_batch(rates, K, begin[k, part], x, mean, steps[k, part], slope)
             if (k + 1) % windows.substeps == 0:
                 poses[(k + 1) // windows.substeps, :, :, part] = x[POSE_ROWS]
-    if any(effect.pose for effect in model.effects):
-        _tilt_camera(poses, K)
-    return poses
-
-
-def _tilt_camera(poses: Array, K: Any) -> None:
-    """Turn predicted attitudes by a small rotation in the body, in place: the camera looks
-    elsewhere.
-    """
-    up = up_in_body(poses[:, 3], poses[:, 4])
-    poses[:, 3:] += np.stack(euler_rates(up, K.tilt_roll, K.tilt_pitch, 0.0 * poses[:, 3]), axis=1)
+    # Measurement maps take channels first: (6, L, C, W), against which K's fields (C, 1) broadcast.
+    return model.measured_pose(poses.transpose(1, 0, 2, 3), K).transpose(1, 0, 2, 3)
 
 
 def residuals(model: Model, windows: Windows, initial_states: Array) -> Array:

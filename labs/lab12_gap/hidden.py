@@ -227,7 +227,7 @@ def _loads(
         "kTV": 0.0,
         **K,
     }
-    term = next(entry.term for entry in CATALOGUE if entry.name == effect and entry.term)
+    term = next(entry.term() for entry in CATALOGUE if entry.name == effect)
     added = term.evaluate(air, SimpleNamespace(**numbers, **dict.fromkeys(_IN_KIT[effect], size)))
     return loads + np.stack([part + nothing for part in added])
 

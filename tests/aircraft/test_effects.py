@@ -2,16 +2,20 @@
 knows.
 """
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from falconwing_kit.aircraft import terms
+from falconwing_kit.aircraft.effect import effect_catalogue
 from falconwing_kit.aircraft.effects import CATALOGUE, EFFECT_NAMES
 from falconwing_kit.aircraft.model import rates_model, state_rates
 from falconwing_kit.aircraft.terms import air_flow
+from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import GRAVITY
+from falconwing_kit.gap.advice import MANOEUVRES
 
 EFFECTS = {effect.name: effect for effect in CATALOGUE}
 SERVO, LINKAGE = (
@@ -56,9 +60,8 @@ def loads(name, air, **K):
     given.
     """
     model = rates_model().with_effect(EFFECTS[name])
-    return np.stack(
-        np.broadcast_arrays(*EFFECTS[name].term.evaluate(air, model.with_values(K).K), air.u)
-    )[:-1]
+    term = EFFECTS[name].term(rates_model().terms)
+    return np.stack(np.broadcast_arrays(*term.evaluate(air, model.with_values(K).K), air.u))[:-1]
 
 
 def total(parts, air, **K):
@@ -92,9 +95,32 @@ def test_an_entry_refers_to_what_exists(effect):
     assert set(effect.contains) | ({effect.same_as} - {""}) <= set(EFFECT_NAMES) - {effect.name}
     assert set(effect.shape) | set(effect.essential) <= own
     assert all(set(start) <= own for start in effect.starts)
+    assert set(effect.place or ()) <= own
+    assert set(effect.separated_by) <= {m.name for m in MANOEUVRES}
     assert effect.physics.endswith(".")
-    for part in (effect.term, effect.wind):
-        assert part is None or (part.name, part.parameters) == (effect.name, effect.parameters)
+
+
+def test_every_name_can_be_hidden():
+    """One entry of each name has sizes in rising order and a draw of the parameters of one form."""
+    for name in EFFECT_NAMES:
+        (entry,) = [e for e in CATALOGUE if e.name == name and e.sizes]
+        assert 0.0 < entry.sizes[0] <= entry.sizes[1] < entry.sizes[2], name
+        drawn = set(entry.draw(np.random.default_rng(1), entry.sizes[2]))
+        forms = [e for e in CATALOGUE if e.name == (entry.same_as or name)]
+        assert drawn in [{p.name for p in e.parameters} for e in forms], name
+
+
+def test_order_does_not_depend_on_what_is_added():
+    """Frozen numbers first, as they were drawn from; a later effect comes after them, by its name."""
+    new = [replace(EFFECTS["wind"], name=name, frozen_number=None) for name in ("zephyr", "abeam")]
+    ordered = effect_catalogue([*new, *reversed(CATALOGUE)])
+    assert [e.name for e in ordered[-2:]] == ["abeam", "zephyr"]
+    assert tuple(dict.fromkeys(e.name for e in ordered[:-2])) == EFFECT_NAMES
+    frozen = """wind fan_jet ground_effect extra_drag flap thrust_loss battery_sag propeller_torque adverse_yaw
+        control_delay actuator_lag trim_bias deadband aileron_loss mass_change cg_shift camera_tilt time_offset stall"""
+    assert tuple(frozen.split()) == EFFECT_NAMES[:19]
+    with pytest.raises(InputError, match="frozen_number"):
+        effect_catalogue([*CATALOGUE, replace(EFFECTS["wind"], name="abeam")])
 
 
 @pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.name)
@@ -123,9 +149,10 @@ def test_every_entry_has_one_place_where_it_acts():
     """
     for effect in CATALOGUE:
         of_sticks = set(rates_model().with_effect(effect).input_names) - {"delay", "lag"}
-        assert sum(map(bool, (effect.term, effect.wind, of_sticks, effect.pose))) == (
-            0 if effect.same_as else 1
-        ), effect.name
+        assert bool(of_sticks) == bool(effect.command_map or effect.input_map)
+        hooks = (effect.loads, effect.loads_of, effect.wind, effect.command_map, effect.input_map,
+                 effect.measurement_map)  # fmt: skip
+        assert sum(map(bool, hooks)) == (0 if effect.same_as else 1), effect.name
         assert bool(effect.parameters) == (not effect.same_as), effect.name
 
 
@@ -135,13 +162,12 @@ def test_at_amplitude_zero_nothing_is_there(effect):
     the shape lies.
     """
     K, air = zeroed(effect).K, flows_at_random()
-    if effect.term:
-        assert all(np.all(load == 0.0) for load in effect.term.evaluate(air, K))
+    if term := effect.term(rates_model().terms):
+        assert all(np.all(load == 0.0) for load in term.evaluate(air, K))
     if effect.wind:
-        assert all(
-            np.all(part == 0.0)
-            for part in effect.wind.evaluate(air.px, air.py, air.height, 30.0, K)
-        )
+        assert all(np.all(part == 0.0) for part in effect.wind(air.px, air.py, air.height, 30.0, K))
+    pose = np.arange(12.0).reshape(6, 2) / 10.0
+    assert np.array_equal(zeroed(effect).measured_pose(pose, K), pose)
     actuator_positions = zeroed(effect).actuator_positions(TIMES, STICKS, EDGES, K)
     assert np.array_equal(
         actuator_positions, rates_model().actuator_positions(TIMES, STICKS, EDGES, rates_model().K)
@@ -149,7 +175,7 @@ def test_at_amplitude_zero_nothing_is_there(effect):
 
 
 @pytest.mark.parametrize(
-    "effect", [e for e in CATALOGUE if e.parameters and not e.pose], ids=lambda e: e.name
+    "effect", [e for e in CATALOGUE if e.parameters and not e.measurement_map], ids=lambda e: e.name
 )
 def test_every_parameter_acts(effect):
     """One that changes nothing was forgotten in the formula. Each moves a load, a wind or a stick
@@ -158,8 +184,9 @@ def test_every_parameter_acts(effect):
     model, air = rates_model().with_effect(effect), flows_at_random()
 
     def everything(K):
-        of_air = effect.term.evaluate(air, K) if effect.term else ()
-        wind = effect.wind.evaluate(air.px, air.py, air.height, 30.0, K) if effect.wind else ()
+        term = effect.term(rates_model().terms)
+        of_air = term.evaluate(air, K) if term else ()
+        wind = effect.wind(air.px, air.py, air.height, 30.0, K) if effect.wind else ()
         return [
             np.ravel(part)
             for part in (*of_air, *wind, *model.actuator_positions(TIMES, STICKS, EDGES, K))
@@ -194,12 +221,8 @@ def test_an_effect_that_contains_another_can_become_it():
     that lifts nothing is extra drag, and what makes it a flap is what `essential` names.
     """
     jet = SimpleNamespace(jet_x=2.0, jet_y=-1.0, jet_at_x=0.0, jet_at_y=0.0, jet_radius=8.0)
-    wind = EFFECTS["wind"].wind.evaluate(
-        0.1, 0.0, 1.0, 0.0, SimpleNamespace(wind_x=2.0, wind_y=-1.0)
-    )
-    assert EFFECTS["fan_jet"].wind.evaluate(0.1, 0.0, 1.0, 0.0, jet) == pytest.approx(
-        wind, abs=2e-4
-    )
+    wind = EFFECTS["wind"].wind(0.1, 0.0, 1.0, 0.0, SimpleNamespace(wind_x=2.0, wind_y=-1.0))
+    assert EFFECTS["fan_jet"].wind(0.1, 0.0, 1.0, 0.0, jet) == pytest.approx(wind, abs=2e-4)
     air = flows_at_random()
     flap = loads("flap", air, flap_lift=0.0, flap_drag=0.03)
     assert flap == pytest.approx(loads("extra_drag", air, drag_added=0.03), abs=1e-12)
@@ -220,7 +243,7 @@ def test_wind_is_the_same_everywhere():
     """By meaning of the word."""
     K = SimpleNamespace(wind_x=1.5, wind_y=-0.5)
     for place in ((0.0, 0.0, 0.0, 0.0), (20.0, -9.0, 3.0, 60.0)):
-        assert EFFECTS["wind"].wind.evaluate(*place, K) == (1.5, -0.5, 0.0)
+        assert EFFECTS["wind"].wind(*place, K) == (1.5, -0.5, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -245,7 +268,7 @@ def test_a_fan_jet_fades_as_a_bell():
     nothing ten metres off.
     """
     K = SimpleNamespace(jet_x=2.0, jet_y=-1.0, jet_at_x=3.0, jet_at_y=4.0, jet_radius=2.5)
-    jet = EFFECTS["fan_jet"].wind.evaluate
+    jet = EFFECTS["fan_jet"].wind
     assert jet(3.0, 4.0, 1.0, 0.0, K) == (2.0, -1.0, 0.0)
     assert jet(3.7, 6.4, 0.2, 9.0, K) == pytest.approx((1.21306, -0.60653, 0.0), abs=1e-5)
     assert jet(13.0, 4.0, 1.0, 0.0, K) == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
@@ -315,10 +338,10 @@ def test_a_flap_moves_the_aircraft_along_its_polar():
         ("battery_sag", {"sag": 0.2}, -0.275),  # a tenth after half a minute
     ],
 )
-def test_lost_thrust_by_hand(name, K, want):
+def test_lost_thrust_by_hand(name, K, expected):
     """Thrust is (9 - 0.5 * 7) / 2 = 2.75 m/s^2 at half throttle and 7 m/s."""
     found = loads(name, flow(**FROM_BELOW, throttle=0.5, time=30.0), **THRUST, **K)
-    assert found == pytest.approx((want, 0.0, 0.0, 0.0, 0.0, 0.0), abs=1e-3)
+    assert found == pytest.approx((expected, 0.0, 0.0, 0.0, 0.0, 0.0), abs=1e-3)
     assert loads(name, flow(throttle=0.0, time=30.0), **THRUST, **K) == pytest.approx(
         np.zeros(6), abs=1e-12
     )
@@ -449,7 +472,7 @@ def test_mass_behind_makes_less_stable():
 def test_trim_bias_moves_each_stick_by_its_own():
     """By adding; the throttle has no neutral."""
     K = SimpleNamespace(bias_aileron=0.1, bias_elevator=-0.2, bias_rudder=0.05)
-    found = EFFECTS["trim_bias"].sticks(TIMES[:1], np.array([[0.4, 0.2, 0.2, 0.2]]), K)
+    found = EFFECTS["trim_bias"].command_map(TIMES[:1], np.array([[0.4, 0.2, 0.2, 0.2]]), K)
     assert found == pytest.approx(np.array([[0.4, 0.3, 0.0, 0.25]]), abs=1e-12)
 
 
@@ -458,7 +481,7 @@ def test_a_deadband_swallows_small_sticks_only():
     to either side; at its edge a half by definition. The throttle has no band.
     """
     K = SimpleNamespace(deadband=0.1)
-    pass_of = EFFECTS["deadband"].sticks
+    pass_of = EFFECTS["deadband"].command_map
     small, large = np.array([[0.03, 0.05, -0.05, 0.02]]), np.array([[0.03, 0.15, -0.4, 1.0]])
     assert pass_of(TIMES[:1], small, K) == pytest.approx(
         np.array([[0.03, 0.0, 0.0, 0.0]]), abs=0.01 * 0.05
@@ -516,7 +539,18 @@ def test_a_camera_tilt_turns_the_picture_alone():
     to either side.
     """
     tilt = EFFECTS["camera_tilt"]
-    assert tilt.pose and [p.name for p in tilt.parameters] == ["tilt_pitch", "tilt_roll"]
+    assert tilt.measurement_map and [p.name for p in tilt.parameters] == ["tilt_pitch", "tilt_roll"]
     assert all(p.low == -p.high and p.unit == "rad" for p in tilt.parameters)
-    assert [e.name for e in CATALOGUE if e.pose] == ["camera_tilt"]
+    assert [e.name for e in CATALOGUE if e.measurement_map] == ["camera_tilt"]
     assert rates_model().with_effect(tilt).terms == rates_model().terms
+
+
+def test_a_small_camera_tilt_is_the_exact_rotation():
+    """To second order of 0.02 rad, banked and pitched by a fifth: 4e-4 times some ones."""
+    K = SimpleNamespace(tilt_pitch=0.02, tilt_roll=-0.015)
+    pose = np.array([1.0, 2.0, 3.0, 0.2, -0.15, 1.0])[:, None]
+    tilt = EFFECTS["camera_tilt"]
+    linear, exact = tilt.measurement_map(pose, K), tilt.hidden_map(pose, K)
+    assert np.array_equal(linear[:3], exact[:3])
+    assert linear == pytest.approx(exact, abs=4e-4)
+    assert np.abs(linear - pose)[3:].max() > 0.01

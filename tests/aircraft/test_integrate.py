@@ -123,7 +123,7 @@ def test_compiled_equals_batch_to_rounding(form, rng):
 
 
 @pytest.mark.parametrize(
-    "effect", [e for e in CATALOGUE if e.term or e.wind], ids=lambda effect: effect.name
+    "effect", [e for e in CATALOGUE if e.changes_flow], ids=lambda effect: effect.name
 )
 def test_every_effect_flies_compiled_as_in_batch(effect, rng):
     """The same arithmetic, with every load and wind of the catalogue in the model at its starting

@@ -68,13 +68,14 @@ def failing(name: str, since: float, seconds: float, seed: int, **values: float)
     formula of the test's own on 10 ms steps.
     """
     effect, rng = EFFECTS[name], np.random.default_rng(seed)
-    part = effect.term or effect.wind
-    clock = (lambda air, K: air.time) if effect.term else (lambda px, py, height, time, K: time)
+    hook = "loads" if effect.loads else "wind"
+    part = getattr(effect, hook)
+    clock = (lambda air, K: air.time) if effect.loads else (lambda px, py, height, time, K: time)
 
     def late(*flow):
-        return tuple(np.where(clock(*flow) < since, 0.0, load) for load in part.evaluate(*flow))
+        return tuple(np.where(clock(*flow) < since, 0.0, load) for load in part(*flow))
 
-    cut = replace(effect, **{"term" if effect.term else "wind": replace(part, evaluate=late)})
+    cut = replace(effect, **{hook: late})
     model = own_aircraft().with_effect(cut).with_values(values)
     return measured(fly_figure_eights([model], seconds, rng), rng)
 
@@ -190,5 +191,5 @@ def test_sticks_move_from_the_onset_on_only():
     """By hand: neutral moved by 0.2 from 1 s on, at 0, 1 and 2 s."""
     late = with_onset(EFFECTS["trim_bias"], 0.0, 2.0)
     model = own_aircraft().with_effect(late).with_values({"acts_since": 1.0, "bias_aileron": 0.2})
-    moved = late.sticks(np.array([0.0, 1.0, 2.0]), np.zeros((3, 4)), model.K)
+    moved = late.command_map(np.array([0.0, 1.0, 2.0]), np.zeros((3, 4)), model.K)
     assert moved[:, 1] == pytest.approx([0.0, 0.2, 0.2])

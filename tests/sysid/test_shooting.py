@@ -367,7 +367,7 @@ def test_a_tilted_camera_sees_other_angles(noisy):
     60 of pitch and 0.02 sin 60 of yaw; one turned about the nose adds roll.
     """
     truth, windows, _ = noisy
-    tilt = next(effect for effect in CATALOGUE if effect.pose)
+    tilt = next(effect for effect in CATALOGUE if effect.measurement_map)
     plain = truth.with_effect(tilt).with_values({"tilt_pitch": 0.0, "tilt_roll": 0.0})
     initial_states = windows.initial_guess.copy()
     initial_states[:, 3], initial_states[:, 5] = 0.0, np.pi / 3.0

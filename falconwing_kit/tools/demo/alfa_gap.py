@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from falconwing_kit.aircraft.effects import CATALOGUE, Effect
+from falconwing_kit.aircraft.effect import Effect
+from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.model import Model, parameter_record
 from falconwing_kit.aircraft.terms import air_flow
 from falconwing_kit.core.flight_table import FlightTable, slice_time
@@ -228,11 +229,11 @@ def applicable_effects(model: Model, catalogue: Sequence[Effect] = CATALOGUE) ->
     flow = air_flow((one, one, one), (one, one, one), (one, one, one), one, (one, one, one, one))
     chosen = []
     for effect in catalogue:
-        if effect.term is None:
+        full, term = model.with_effect(effect), effect.term(model.terms)
+        if term is None:
             continue
-        full = model.with_effect(effect)
         try:
-            loads = effect.term.evaluate(flow, parameter_record(full.names)(*full.vector))
+            loads = term.evaluate(flow, parameter_record(full.names)(*full.vector))
         except AttributeError:  # it reads a parameter that this form of model does not have
             continue
         if all(type(moment) is float and moment == 0.0 for moment in loads[3:]):

@@ -14,18 +14,19 @@ import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from math import atan2, ceil, cos, hypot, inf, pi, radians, sin
+from math import atan2, ceil, hypot, inf, pi, radians
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from falconwing_kit.aircraft.effects import CATALOGUE, EFFECT_NAMES, Effect
+from falconwing_kit.aircraft.effect import FLIGHT_RADIUS_M, Effect
+from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.model import Model, rates_model, state_rates
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.flight_table import FlightTable, write_flight_table
-from falconwing_kit.core.frames import euler_from_rotation, rotation_world_body, wrap_angle
+from falconwing_kit.core.frames import wrap_angle
 
 Noise = Literal["marker", "hybrid", "net"]
 Pilot = Callable[[float, list[float]], Array]  # t [s], true state (12,) -> sticks (4,)
@@ -33,9 +34,6 @@ Flown = tuple[
     Array, Array
 ]  # true states (N, 12) and sticks (N, 4) at every row, LEAD_S before the table begins
 Servo = tuple[Array, Array]  # positions (4,) of the servos, and of what follows them
-Draw = Callable[
-    [np.random.Generator, float], dict[str, float]
-]  # rng, size -> parameters of the catalogue
 
 NOISE: dict[Noise, tuple[float, float]] = {  # standard deviation per axis [m], [rad]
     "marker": (0.03, radians(0.6)), "hybrid": (0.10, radians(1.3)), "net": (0.26, radians(3.0)),
@@ -47,7 +45,7 @@ ROW_S, STEP_S, LEAD_S = (
     0.01,
     2.0,
 )  # between rows; longest step, 2.5 times finer than a fit's; flown beforehand
-RADIUS, HEIGHT, SPEED = 4.5, 2.3, 6.9  # what the pilot holds: of the two circles [m], [m], [m/s]
+RADIUS, HEIGHT, SPEED = FLIGHT_RADIUS_M, 2.3, 6.9  # of the circles flown [m], [m], [m/s]
 HALL = (
     20.0,
     14.0,
@@ -108,10 +106,10 @@ def hidden_case(
     Args:
         seed: of everything that is drawn, >= 0.
         effect: "none", a name of the catalogue, or two joined by "+"; None draws "none" or one of
-            the catalogue.
-        size: all parameters of the effect by their names in the catalogue (that of control_delay
-            for a time_offset); None draws them, log-uniform from just visible at this noise to
-            plain.
+            the effects with a frozen number, so that an effect added later changes no seed.
+        size: all parameters of the effect by their names in the catalogue (those of the other
+            effect for one that is the same as another); None draws them, log-uniform from just
+            visible at this noise to plainly visible.
         how: noise, seconds and whatever else `hidden_flights` takes by name.
 
     Returns:
@@ -127,7 +125,7 @@ def hidden_flights(
     seed: int, effects: Sequence[str | None], *, noise: Noise = "marker", correlated: bool = False,
     sizes: Sequence[Mapping[str, float] | None] | None = None, calm_seconds: float = 120.0,
     flight_seconds: float = 90.0, one_way: bool = False, excitation: float = 1.0, pose_bias: float = 0.0,
-    jitter: float = 0.0,
+    jitter: float = 0.0, catalogue: Sequence[Effect] = CATALOGUE,
 ) -> tuple[HiddenCase, ...]:  # fmt: skip
     """One aircraft, one calm flight, and for each effect a flight on another day.
 
@@ -149,6 +147,7 @@ def hidden_flights(
         pose_bias: amplitude of a pose error that is a smooth function of place, the same in all
             flights [m]; of angles as many sigmas as of places.
         jitter: stamps are off by up to this much [s].
+        catalogue: the effects that may be hidden; those with `sizes` and `draw` can be drawn.
 
     Returns:
         The cases, in the order of the effects.
@@ -157,7 +156,7 @@ def hidden_flights(
         InputError: as for `hidden_case`.
     """
     sizes = [None] * len(effects) if sizes is None else sizes
-    _require(effects, sizes, noise)
+    _require(effects, sizes, noise, catalogue)
     for name, value, low, high in (
         ("seed", seed, 0.0, inf), ("calm_seconds", calm_seconds, 1.0, 3600.0), ("pose_bias", pose_bias, 0.0, 2.0),
         ("flight_seconds", flight_seconds, 1.0, 3600.0), ("excitation", excitation, 0.0, 2.0),
@@ -165,7 +164,9 @@ def hidden_flights(
     ):  # fmt: skip
         require_range(name, value, low=low, high=high)
 
-    fly = partial(_fly_anew, noise=noise, one_way=one_way, excitation=excitation)
+    fly = partial(
+        _fly_anew, noise=noise, one_way=one_way, excitation=excitation, catalogue=catalogue
+    )
     camera = _Camera(seed, noise, correlated, pose_bias, jitter)
     aircraft, _, calm_flown = fly(
         [seed, 0], rates_model(), AIRCRAFT_SPREAD, "none", None, calm_seconds
@@ -177,11 +178,12 @@ def hidden_flights(
     }  # fmt: skip
     cases = []
     for number, (asked, size) in enumerate(zip(effects, sizes, strict=True), start=1):
-        effect = asked or str(np.random.default_rng([seed, number]).choice(["none", *EFFECT_NAMES]))
+        effect = asked or _drawn_name(np.random.default_rng([seed, number]), catalogue)
         model, drawn, flown = fly(
             [seed, number], aircraft, DAY_SPREAD, effect, size, flight_seconds
         )
-        late = drawn["control_delay"] if "time_offset" in effect.split("+") else 0.0
+        stamps = [e.hidden_stamp_delay for e in catalogue if e.name in _names(effect)]
+        late = sum(delay(model.K) for delay in stamps if delay)
         flight = camera.table("flight.csv", number, flown, model, late)
         truth = {"effect": effect, "size": drawn, "number": number, **told}
         cases.append(
@@ -223,63 +225,17 @@ def write_hidden(
 # -------------------------------------------------------------------------------------------------------
 
 
-def _alone(name: str) -> Draw:
-    return lambda rng, size: {name: size}
-
-
-def _direction(*names: str) -> Draw:
-    def draw(rng: np.random.Generator, size: float) -> dict[str, float]:
-        drawn = rng.normal(size=len(names))
-        return dict(zip(names, (size * drawn / np.linalg.norm(drawn)).tolist(), strict=True))
-
-    return draw
-
-
-def _draw_jet(rng: np.random.Generator, size: float) -> dict[str, float]:
-    around = rng.uniform(0.0, 2.0 * pi)  # its middle lies near one of the circles that are flown
-    at = {
-        "jet_at_x": float(rng.choice([-RADIUS, RADIUS]) + RADIUS * cos(around)),
-        "jet_at_y": RADIUS * sin(around),
-    }
-    return {
-        **_direction("jet_x", "jet_y")(rng, size),
-        **at,
-        "jet_radius": float(rng.uniform(1.5, 3.0)),
-    }
-
-
-# By effect: size that is just visible at marker noise and at net noise, size that is plain to see
-# and still flown, and how its parameters are drawn. Just visible is about three times what Fisher
-# information calls detectable in a minute, or what would still fly (thrust, sag). A time_offset is
-# given in the parameter of the effect whose dynamics it has.
-_SIZES: dict[str, tuple[float, float, float, Draw]] = {
-    "wind": (0.05, 0.3, 1.2, _direction("wind_x", "wind_y")),
-    "fan_jet": (0.4, 1.4, 3.0, _draw_jet),
-    "ground_effect": (0.2, 0.6, 0.9, lambda rng, size: {"ground_lift": size, "ground_drag": size}),
-    "extra_drag": (0.005, 0.01, 0.02, _alone("drag_added")),
-    "flap": (0.024, 0.04, 0.08, lambda rng, size: {"flap_lift": size, "flap_drag": 0.08 * size}),
-    "thrust_loss": (0.2, 0.3, 0.45, _alone("thrust_lost")),
-    "battery_sag": (0.15, 0.25, 0.4, _alone("sag")),
-    "propeller_torque": (0.15, 0.5, 1.0, _direction("torque_roll", "torque_yaw")),
-    "adverse_yaw": (0.02, 0.1, 0.2, _alone("adverse_yaw")),
-    "control_delay": (0.01, 0.03, 0.12, _alone("control_delay")),
-    "actuator_lag": (0.015, 0.04, 0.15, lambda rng, size: {str(rng.choice(["actuator_lag", "lag_in_series"])): size}),
-    "trim_bias": (0.08, 0.1, 0.2, _direction("bias_aileron", "bias_elevator", "bias_rudder")),
-    "deadband": (0.02, 0.04, 0.15, _alone("deadband")),
-    "aileron_loss": (0.18, 0.22, 0.35, _alone("aileron_lost")),
-    "mass_change": (0.12, 0.2, 0.35, _alone("mass_added")),
-    "cg_shift": (0.1, 0.3, 0.6, _direction("cg_moment")),
-    "camera_tilt": (0.014, 0.05, 0.12, _direction("tilt_pitch", "tilt_roll")),
-    "time_offset": (0.01, 0.03, 0.12, _alone("control_delay")),
-    "stall": (  # reached in each steep turn
-        0.3, 0.4, 0.6, lambda rng, size: {"stall_alpha": float(rng.uniform(0.13, 0.17)), "stall_loss": size},
-    ),
-}  # fmt: skip
-_CLASS = {entry.name: entry.same_as or entry.name for entry in CATALOGUE}
+def _drawn_name(rng: np.random.Generator, catalogue: Sequence[Effect]) -> str:
+    """ "none" or an effect of the first version of this draw, each as likely as the others."""
+    frozen = dict.fromkeys(e.name for e in catalogue if e.frozen_number is not None)
+    return str(rng.choice(["none", *frozen]))
 
 
 def _require(
-    effects: Sequence[str | None], sizes: Sequence[Mapping[str, float] | None], noise: str
+    effects: Sequence[str | None],
+    sizes: Sequence[Mapping[str, float] | None],
+    noise: str,
+    catalogue: Sequence[Effect],
 ) -> None:
     """Refuse what cannot be flown."""
     if noise not in NOISE:
@@ -288,45 +244,62 @@ def _require(
         raise InputError(
             f"effects: expected at least one and a size for each, got {len(effects)} and {len(sizes)} sizes"
         )
+    known = {e.name: e.same_as or e.name for e in catalogue}
     for effect, size in zip(effects, sizes, strict=True):
         names = _names(effect or "none")
-        if unknown := [name for name in names if name not in _SIZES]:
+        if unknown := [name for name in names if name not in known]:
             raise InputError(
-                f"effect: expected none, or some of {', '.join(_SIZES)}, got {unknown[0]!r}"
+                f"effect: expected none, or some of {', '.join(known)}, got {unknown[0]!r}"
             )
-        if len({_CLASS[name] for name in names}) < len(names):
+        if len({known[name] for name in names}) < len(names):
             raise InputError(
-                f"effect: expected effects that differ, got {effect!r}; time_offset is a control_delay"
+                f"effect: expected effects with dynamics of their own, got {effect!r}: choose others"
             )
         if size is not None:
-            _entries(names, size)
+            _entries(names, size, catalogue)
+        elif undrawn := [name for name in names if not _drawable(name, catalogue)]:
+            raise InputError(
+                f"effect {undrawn[0]!r}: expected sizes and draw, or a size, got neither: give one"
+            )
 
 
 def _names(effect: str) -> list[str]:
     return [] if effect == "none" else effect.split("+")
 
 
-def _entries(names: Sequence[str], size: Mapping[str, float]) -> list[Effect]:
+def _drawable(name: str, catalogue: Sequence[Effect]) -> list[Effect]:
+    """Entries of a name whose size can be drawn."""
+    return [e for e in catalogue if e.name == name and e.sizes and e.draw]
+
+
+def _entries(
+    names: Sequence[str], size: Mapping[str, float], catalogue: Sequence[Effect]
+) -> list[Effect]:
     """The catalogue's entry of each name that has these parameters; together all of them and no
     others.
     """
-    possible = [e for e in CATALOGUE if e.name in {_CLASS[name] for name in names}]
+    classes = {e.same_as or e.name for e in catalogue if e.name in names}
+    possible = [e for e in catalogue if e.name in classes]
     entries = [e for e in possible if all(p.name in size for p in e.parameters)]
     if len(entries) != len(names) or {p.name for e in entries for p in e.parameters} != set(size):
-        wanted = " or ".join(", ".join(p.name for p in e.parameters) for e in possible)
+        expected = " or ".join(", ".join(p.name for p in e.parameters) for e in possible)
         raise InputError(
-            f"size: expected the parameters {wanted or 'of no effect'}, got {', '.join(size) or 'none'}"
+            f"size: expected the parameters {expected or 'of no effect'}, got {', '.join(size) or 'none'}"
         )
     return entries
 
 
-def _drawn_size(names: Sequence[str], rng: np.random.Generator, noise: Noise) -> dict[str, float]:
-    """Parameters of all effects, each size log-uniform between just visible and plain."""
+def _drawn_size(
+    names: Sequence[str], rng: np.random.Generator, noise: Noise, catalogue: Sequence[Effect]
+) -> dict[str, float]:
+    """Parameters of all effects, each size log-uniform between just and plainly visible."""
     size: dict[str, float] = {}
     for name in names:
-        marker, net, plain, draw = _SIZES[name]
+        effect = _drawable(name, catalogue)[0]
+        assert effect.sizes is not None and effect.draw is not None
+        marker, net, plain = effect.sizes
         small = {"marker": marker, "hybrid": float(np.sqrt(marker * net)), "net": net}[noise]
-        size |= draw(rng, float(np.exp(rng.uniform(np.log(small), np.log(plain)))))
+        size |= effect.draw(rng, float(np.exp(rng.uniform(np.log(small), np.log(plain)))))
     return size
 
 
@@ -336,7 +309,7 @@ def _drawn_size(names: Sequence[str], rng: np.random.Generator, noise: Noise) ->
 
 def _fly_anew(
     seeds: list[int], aircraft: Model, spread: float, effect: str, size: Mapping[str, float] | None, seconds: float,
-    noise: Noise, one_way: bool, excitation: float,
+    noise: Noise, one_way: bool, excitation: float, catalogue: Sequence[Effect],
 ) -> tuple[Model, dict[str, float], Flown]:  # fmt: skip
     """Another aircraft near this one, with the effect: its model, the effect's size, and a flight
     that stays inside.
@@ -346,19 +319,23 @@ def _fly_anew(
         rng = np.random.default_rng([*seeds, 1, attempt])
         of_size = np.random.default_rng([*seeds, 2, attempt // SAME_SIZE])
         drawn = (
-            _drawn_size(names, of_size, noise)
+            _drawn_size(names, of_size, noise, catalogue)
             if size is None
             else {k: float(v) for k, v in size.items()}
         )
         model = _redrawn(aircraft, rng, spread)
-        for entry in _entries(names, drawn):
+        entries = _entries(names, drawn, catalogue)
+        for entry in entries:
             model = model.with_effect(entry)
         model = model.with_values(drawn)
-        on_time = (
-            {"control_delay": 0.0} if "time_offset" in names else {}
-        )  # late stamps are the camera's affair
+        # An effect found under another's name acts on the images only: the aircraft flies without.
+        in_flight = {
+            p.name: drawn[p.name] if entry.name in names else 0.0
+            for entry in entries
+            for p in entry.amplitudes
+        }
         flown = _fly(
-            model.with_values(on_time), _figure_eights(rng, seconds, one_way, excitation), seconds
+            model.with_values(in_flight), _figure_eights(rng, seconds, one_way, excitation), seconds
         )
         if flown is not None:
             return model, drawn, flown
@@ -377,21 +354,23 @@ def _redrawn(model: Model, rng: np.random.Generator, spread: float) -> Model:
 def _fly(model: Model, pilot: Pilot, seconds: float) -> Flown | None:
     """Fly the lead and the flight; None if the aircraft left the hall."""
     rows, K, advance = round((LEAD_S + seconds) / ROW_S) + 1, model.K, _stepper(model)
-    delay = K.delay + getattr(K, "control_delay", 0.0)
+    delay = max(K.delay + model.added_input_map(K)[0], 0.0)
     whole = int((delay + 1e-9) / ROW_S)  # rows that a command comes late, and the rest of its delay
     rest = max(delay - whole * ROW_S, 0.0)
     states, sticks, sent = np.empty((rows, 12)), np.empty((rows, 4)), np.empty((rows, 4))
+    times = ROW_S * np.arange(rows) - LEAD_S
     x = [0.0, 0.0, HEIGHT, 0.1, 0.0, 0.0, SPEED, 0.0, 0.0, 0.0, 0.0, 0.0]
     servo: Servo | None = None
     for k in range(rows):
-        states[k], t = x, k * ROW_S - LEAD_S
+        states[k], t = x, times[k]
         if not (abs(x[0]) < HALL[0] and abs(x[1]) < HALL[1] and 0.05 < x[2] < HALL[2]):
             return None
         sticks[k] = pilot(t, x)
-        passed = sticks[k : k + 1]
+        passed = sticks[: k + 1]  # a command map may depend on earlier commands
         for effect in model.effects:
-            passed = effect.sticks(np.array([t]), passed, K) if effect.sticks else passed
-        sent[k] = passed[0]
+            if effect.command_map:
+                passed = effect.command_map(times[: k + 1], passed, K)
+        sent[k] = passed[-1]
         servo = servo or (sent[0], sent[0])
         x, servo = advance(x, servo, sent[max(k - whole - 1, 0)], t, rest)
         x, servo = advance(x, servo, sent[max(k - whole, 0)], t + rest, ROW_S - rest)
@@ -405,10 +384,9 @@ def _stepper(
     this command acts.
     """
     rates, K = state_rates(model.form, model.terms, model.winds), model.K
-    first = max(
-        K.lag + getattr(K, "actuator_lag", 0.0), 1e-6
-    )  # s, both above zero and apart, as the closed form needs
-    second = max(getattr(K, "lag_in_series", 0.0), 1e-7)
+    _, lag, series = model.added_input_map(K)
+    # Both time constants above zero and apart, as the closed form needs [s].
+    first, second = max(K.lag + lag, 1e-6), max(series, 1e-7)
     second *= 1.0001 if abs(first / second - 1.0) < 1e-4 else 1.0
 
     def advance(
@@ -543,15 +521,14 @@ class _Camera:
         )
         t = np.arange(float(len(states))) * ROW_S - LEAD_S
         poses = _after_lead(CubicSpline(t, states[:, :6])(t - late) if late else states[:, :6])
-        tilt = getattr(K, "tilt_roll", 0.0), getattr(K, "tilt_pitch", 0.0), 0.0
-        R_body_camera = rotation_world_body(0.0, 0.0, 0.0).T @ rotation_world_body(*tilt)
-        R_world_camera = rotation_world_body(poses[:, 5], poses[:, 3], poses[:, 4]) @ R_body_camera
-        error, stamps = (
-            self._error(rng, poses[:, :3]),
-            rng.uniform(-self.jitter, self.jitter, len(poses)),
-        )
-        attitude = wrap_angle(np.stack(euler_from_rotation(R_world_camera), axis=1) + error[:, 3:])
-        t, p_world = np.round(_after_lead(t) + stamps, 5), poses[:, :3] + error[:, :3]
+        pose = poses[:, [0, 1, 2, 5, 3, 4]].T  # channels first: x y z roll pitch yaw
+        for effect in model.effects if model else ():
+            if measure := effect.hidden_map or effect.measurement_map:
+                pose = measure(pose, K)
+        error = self._error(rng, poses[:, :3])
+        stamps = rng.uniform(-self.jitter, self.jitter, len(poses))
+        attitude = wrap_angle(pose[3:].T + error[:, 3:])
+        t, p_world = np.round(_after_lead(t) + stamps, 5), pose[:3].T + error[:, :3]
         return FlightTable(
             name,
             t,

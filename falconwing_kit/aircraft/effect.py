@@ -1,0 +1,136 @@
+"""Effect: one candidate for what the model lacks, as one object: equation, parameters, how to find it.
+
+A file of `aircraft/effects` or of a user defines effects; naming, identification, hidden flights and
+reports read the fields below and know no effect by its name.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from falconwing_kit.aircraft.terms import Flow, Loads, Parameter, Term, WindTerm
+from falconwing_kit.core.checks import Array, InputError
+
+FLIGHT_RADIUS_M = 4.5  # of the two circles that a hidden flight flies, centred at x = +-4.5 m
+
+LoadsFunction = Callable[[Flow, Any], Loads]  # (air, K) -> loads
+Draw = Callable[[np.random.Generator, float], dict[str, float]]  # (rng, size) -> parameter values
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A candidate effect. Exactly one of the hooks under "where it acts" is given.
+
+    K has one field per parameter of model and effects; a field is a number or an array that
+    broadcasts against the flow, so a hook computes with NumPy and does not branch on values.
+    """
+
+    name: str
+    physics: str  # one sentence for a student
+    parameters: tuple[Parameter, ...]
+
+    # Where it acts
+    loads: LoadsFunction | None = None  # force and moment: (air, K) -> loads
+    # Force and moment made from the model's own terms: terms -> the function (air, K) -> loads.
+    loads_of: Callable[[tuple[Term, ...]], LoadsFunction] | None = None
+    wind: Callable[[Any, Any, Any, Any, Any], tuple[Any, Any, Any]] | None = None  # as a WindTerm
+    command_map: Callable[[Array, Array, Any], Array] | None = None  # (t, (N, 4), K) -> (N, 4)
+    # Input map, K -> (delay, lag, lag in series) added to the model's own [s].
+    input_map: Callable[[Any], tuple[Any, Any, Any]] | None = None
+    # Measurement map, (pose (6, ...) in the order x y z roll pitch yaw, K) -> pose (6, ...).
+    measurement_map: Callable[[Array, Any], Array] | None = None
+    same_as: str = (
+        ""  # an effect with the same dynamics: found under that name, with its parameters
+    )
+
+    # How a flight is searched for it
+    starts: tuple[dict[str, float], ...] = ()  # further points where a scan starts
+    # Or points over the area flown: (low (2,), high (2,)) in x, y [m] -> points.
+    scan_points: Callable[[Array, Array], Sequence[dict[str, float]]] | None = None
+    shape: tuple[str, ...] = ()  # parameters that say where or when: no meaning at zero amplitude
+    contains: tuple[str, ...] = ()  # effects that it becomes at some values; they are no rivals
+    essential: tuple[str, ...] = ()  # parameters without which it is one of those, or no effect
+    gradual: bool = False  # grows from the start of the flight, so it has no onset
+    acts_on: tuple[str, ...] = ()  # what it changes; two that share one may be formula errors
+    place: tuple[str, str] | None = None  # parameters of its place, world x and y
+
+    # Which flight separates it from others
+    separated_by: Mapping[str, str] = field(default_factory=dict)  # manoeuvre -> why it does
+    note: str = ""  # what no flight separates, and what to do instead
+
+    # How it is hidden in a simulated flight
+    # Size just visible at marker noise, the same at pose-net noise, plainly visible and still flown.
+    sizes: tuple[float, float, float] | None = None
+    draw: Draw | None = None
+    hidden_map: Callable[[Array, Any], Array] | None = None  # measurement_map without approximation
+    hidden_stamp_delay: Callable[[Any], float] | None = None  # K -> delay of image time stamps [s]
+    # Position in the first version of the random draw of an effect; effects added later have none.
+    frozen_number: int | None = None
+
+    @property
+    def amplitudes(self) -> tuple[Parameter, ...]:
+        """The parameters that are zero when the effect is absent."""
+        return tuple(p for p in self.parameters if p.name not in self.shape)
+
+    @property
+    def changes_flow(self) -> bool:
+        """Whether it is a force, a moment or a wind."""
+        return any((self.loads, self.loads_of, self.wind))
+
+    @property
+    def has_onset(self) -> bool:
+        """Whether it can set in during a flight, at a time of its own."""
+        return not self.gradual and (self.changes_flow or self.command_map is not None)
+
+    def term(self, own: tuple[Term, ...] = ()) -> Term | None:
+        """The term it adds to a model with these terms, or None where it adds none."""
+        loads = self.loads_of(own) if self.loads_of else self.loads
+        return None if loads is None else Term(self.name, self.parameters, loads)
+
+    @property
+    def wind_term(self) -> WindTerm | None:
+        """The part of the wind that it adds, or None."""
+        return WindTerm(self.name, self.parameters, self.wind) if self.wind else None
+
+    def scan(self, low: Array, high: Array) -> list[dict[str, float]]:
+        """All parameter values at which a scan tries it; low and high (2,) bound the area flown [m]."""
+        start = {p.name: p.start for p in self.parameters}
+        points = self.scan_points(low, high) if self.scan_points else ({}, *self.starts)
+        return [{**start, **point} for point in points]
+
+
+def effect_catalogue(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Effects in a stable order: those with a frozen number by it, later ones by their names.
+
+    Raises:
+        InputError: two different effects have the same number.
+    """
+    ordered = sorted(effects, key=lambda e: (e.frozen_number is None, e.frozen_number or 0, e.name))
+    numbers: dict[int, str] = {}
+    for effect in ordered:
+        if effect.frozen_number is None:
+            continue
+        other = numbers.setdefault(effect.frozen_number, effect.name)
+        if other != effect.name:
+            raise InputError(
+                f"effect {effect.name}: frozen_number: expected one of its own, got that of {other} "
+                f"({effect.frozen_number}): give it none"
+            )
+    return tuple(ordered)
+
+
+def draw_size(name: str) -> Draw:
+    """The parameter itself is the size."""
+    return lambda rng, size: {name: size}
+
+
+def draw_direction(*names: str) -> Draw:
+    """A vector of these components with the size as its length and a random direction."""
+
+    def draw(rng: np.random.Generator, size: float) -> dict[str, float]:
+        drawn = rng.normal(size=len(names))
+        return dict(zip(names, (size * drawn / np.linalg.norm(drawn)).tolist(), strict=True))
+
+    return draw

@@ -1,0 +1,35 @@
+"""Adverse yaw: aileron yaws the nose out of the turn."""
+
+from typing import Any
+
+from falconwing_kit.aircraft.effect import Effect, draw_size
+from falconwing_kit.aircraft.terms import Flow, Loads, Parameter
+
+
+def adverse_yaw(air: Flow, K: Any) -> Loads:
+    """dr/dt = -V^2 adverse_yaw aileron [Etkin & Reid, Dynamics of Flight, ch. 3]."""
+    return 0.0, 0.0, 0.0, 0.0, 0.0, -air.airspeed * air.airspeed * K.adverse_yaw * air.aileron
+
+
+EFFECTS = (
+    Effect(
+        name="adverse_yaw",
+        physics="The wing with more lift has more drag: aileron pulls the nose out of the turn.",
+        parameters=(
+            Parameter(
+                "adverse_yaw",
+                0.02,
+                -2.0,
+                2.0,
+                "1/m^2",
+                "yawing moment of aileron, against the turn",
+            ),
+        ),
+        loads=adverse_yaw,
+        acts_on=("yaw",),
+        separated_by={"aileron doublets": "aileron alone turns the nose"},
+        sizes=(0.02, 0.1, 0.2),
+        draw=draw_size("adverse_yaw"),
+        frozen_number=8,
+    ),
+)

@@ -1,0 +1,30 @@
+"""Aileron loss: part of the aileron's rolling moment is gone."""
+
+from typing import Any
+
+from falconwing_kit.aircraft.effect import Effect, draw_size
+from falconwing_kit.aircraft.terms import Flow, Loads, Parameter
+
+
+def aileron_loss(air: Flow, K: Any) -> Loads:
+    """L_da -> L_da (1 - aileron_lost)."""
+    lost = air.airspeed * air.airspeed * K.aileron_lost * K.L_da * air.aileron
+    return 0.0, 0.0, 0.0, -lost, 0.0, 0.0
+
+
+EFFECTS = (
+    Effect(
+        name="aileron_loss",
+        physics="An aileron moves less, or one of the two not at all.",
+        parameters=(
+            Parameter(
+                "aileron_lost", 0.05, 0.0, 1.0, "-", "share of the aileron's moment that is gone"
+            ),
+        ),
+        loads=aileron_loss,
+        acts_on=("roll",),
+        sizes=(0.18, 0.22, 0.35),
+        draw=draw_size("aileron_lost"),
+        frozen_number=13,
+    ),
+)

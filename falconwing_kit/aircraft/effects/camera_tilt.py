@@ -1,0 +1,54 @@
+"""Camera tilt: the measured attitude is turned in the body, the aircraft flies as before."""
+
+from typing import Any
+
+import numpy as np
+
+from falconwing_kit.aircraft.effect import Effect, draw_direction
+from falconwing_kit.aircraft.terms import Parameter
+from falconwing_kit.core.checks import Array
+from falconwing_kit.core.frames import (
+    euler_from_rotation,
+    euler_rates,
+    rotation_world_body,
+    up_in_body,
+)
+
+
+def camera_tilt(pose: Array, K: Any) -> Array:
+    """Attitude turned by the small body rotation (tilt_roll, tilt_pitch, 0)."""
+    roll, pitch = pose[3], pose[4]
+    change = euler_rates(up_in_body(roll, pitch), K.tilt_roll, K.tilt_pitch, 0.0 * roll)
+    return np.concatenate([pose[:3], pose[3:] + np.stack(change)])
+
+
+def camera_tilt_exact(pose: Array, K: Any) -> Array:
+    """R_world_camera = R_world_body R_y(tilt_pitch) R_x(tilt_roll), without the small angle."""
+    flip = rotation_world_body(0.0, 0.0, 0.0)
+    R_body_camera = flip.T @ rotation_world_body(K.tilt_roll, K.tilt_pitch, 0.0)
+    R_world_camera = rotation_world_body(pose[3], pose[4], pose[5]) @ R_body_camera
+    return np.stack([*pose[:3], *euler_from_rotation(R_world_camera)])
+
+
+EFFECTS = (
+    Effect(
+        name="camera_tilt",
+        physics="The camera looks in another direction than before; the aircraft flies as ever.",
+        parameters=(
+            Parameter("tilt_pitch", 0.01, -0.4, 0.4, "rad", "camera turned up in the body"),
+            Parameter(
+                "tilt_roll", 0.01, -0.4, 0.4, "rad", "camera turned about the nose, right side down"
+            ),
+        ),
+        measurement_map=camera_tilt,
+        acts_on=("camera",),
+        separated_by={
+            "speed sweep": "a tilted camera shows the same angle at any speed",
+            "steep turns": "a tilted camera turns with the body",
+        },
+        sizes=(0.014, 0.05, 0.12),
+        draw=draw_direction("tilt_pitch", "tilt_roll"),
+        hidden_map=camera_tilt_exact,
+        frozen_number=16,
+    ),
+)

@@ -1,0 +1,40 @@
+"""Dead band: small commands no longer reach the control surfaces."""
+
+from typing import Any
+
+import numpy as np
+
+from falconwing_kit.aircraft.effect import Effect, draw_size
+from falconwing_kit.aircraft.terms import Parameter
+from falconwing_kit.core.checks import Array
+
+
+def deadband(t: Array, commands: Array, K: Any) -> Array:
+    """u where |u| > deadband, else 0; throttle as it is. The rest is not shifted.
+
+    The edge is a smooth step of a tenth of the band, so that a fit has a derivative.
+    """
+    size = np.abs(commands[:, 1:])
+    width = 0.1 * K.deadband + 1e-6
+    passed = 1.0 / (1.0 + np.exp(np.clip((K.deadband - size) / width, -50.0, 50.0)))
+    if K.deadband <= 0.0:
+        return commands
+    return np.concatenate([commands[:, :1], commands[:, 1:] * passed], axis=1)
+
+
+EFFECTS = (
+    Effect(
+        name="deadband",
+        physics="Small stick movements no longer reach the control surfaces.",
+        parameters=(
+            Parameter("deadband", 0.03, 0.0, 0.4, "-", "share of full stick that does nothing"),
+        ),
+        command_map=deadband,
+        starts=({"deadband": 0.08}, {"deadband": 0.15}),
+        acts_on=("sticks", "roll", "pitch", "yaw"),
+        separated_by={"small movements": "a dead band eats the small ones only"},
+        sizes=(0.02, 0.04, 0.15),
+        draw=draw_size("deadband"),
+        frozen_number=12,
+    ),
+)

@@ -1,0 +1,29 @@
+"""Extra drag: something sticks out into the air."""
+
+from typing import Any
+
+from falconwing_kit.aircraft.effect import Effect, draw_size
+from falconwing_kit.aircraft.terms import Flow, Loads, Parameter, drag_loads
+
+
+def extra_drag(air: Flow, K: Any) -> Loads:
+    """More drag at zero lift: D/m = V^2 drag_added."""
+    return drag_loads(air, air.airspeed * K.drag_added)
+
+
+EFFECTS = (
+    Effect(
+        name="extra_drag",
+        physics="Something sticks out into the air: drag grows with the square of speed at any throttle.",
+        parameters=(Parameter("drag_added", 0.003, 0.0, 0.3, "1/m", "drag added at zero lift"),),
+        loads=extra_drag,
+        acts_on=("along",),
+        separated_by={
+            "glides": "drag slows a glide too",
+            "fast flight": "drag grows with the square of speed",
+        },
+        sizes=(0.005, 0.01, 0.02),
+        draw=draw_size("drag_added"),
+        frozen_number=3,
+    ),
+)

@@ -1,0 +1,52 @@
+"""Thrust loss and battery sag: a share of the thrust is missing, constant or growing with time."""
+
+from typing import Any
+
+from falconwing_kit.aircraft.effect import Effect, draw_size
+from falconwing_kit.aircraft.terms import Flow, Loads, Parameter
+
+
+def thrust_loss(air: Flow, K: Any) -> Loads:
+    """Thrust times (1 - thrust_lost)."""
+    lost = K.thrust_lost * (K.kT - K.kTV * air.airspeed) * air.throttle
+    return -lost, 0.0, 0.0, 0.0, 0.0, 0.0
+
+
+def battery_sag(air: Flow, K: Any) -> Loads:
+    """Thrust times (1 - sag t / 60 s), t since the start of the flight."""
+    lost = K.sag * air.time / 60.0 * (K.kT - K.kTV * air.airspeed) * air.throttle
+    return -lost, 0.0, 0.0, 0.0, 0.0, 0.0
+
+
+EFFECTS = (
+    Effect(
+        name="thrust_loss",
+        physics="The propeller gives less thrust at the same throttle.",
+        parameters=(
+            Parameter("thrust_lost", 0.05, 0.0, 1.5, "-", "share of the thrust that is gone"),
+        ),
+        loads=thrust_loss,
+        acts_on=("thrust", "along"),
+        separated_by={"glides": "a weak propeller does not slow a glide"},
+        sizes=(0.2, 0.3, 0.45),
+        draw=draw_size("thrust_lost"),
+        frozen_number=5,
+    ),
+    Effect(
+        name="battery_sag",
+        physics="The battery's voltage falls during the flight, and thrust with it.",
+        parameters=(
+            Parameter("sag", 0.05, 0.0, 1.0, "1/min", "share of the thrust lost per minute"),
+        ),
+        loads=battery_sag,
+        gradual=True,
+        acts_on=("thrust", "along"),
+        separated_by={
+            "glides": "an empty battery does not slow a glide",
+            "early and late": "only a battery gets worse meanwhile",
+        },
+        sizes=(0.15, 0.25, 0.4),
+        draw=draw_size("sag"),
+        frozen_number=6,
+    ),
+)

@@ -1,0 +1,39 @@
+"""Trim bias: the neutral positions of the control surfaces have moved."""
+
+from typing import Any
+
+import numpy as np
+
+from falconwing_kit.aircraft.effect import Effect, draw_direction
+from falconwing_kit.aircraft.terms import Parameter
+from falconwing_kit.core.checks import Array
+
+
+def trim_bias(t: Array, commands: Array, K: Any) -> Array:
+    """u + (0, bias_aileron, bias_elevator, bias_rudder), in shares of full deflection."""
+    return commands + np.array([0.0, K.bias_aileron, K.bias_elevator, K.bias_rudder])
+
+
+EFFECTS = (
+    Effect(
+        name="trim_bias",
+        physics="The neutral of the sticks has moved.",
+        parameters=tuple(
+            Parameter(
+                f"bias_{stick}",
+                0.01,
+                -0.5,
+                0.5,
+                "-",
+                f"{stick} added at neutral, share of full stick",
+            )
+            for stick in ("aileron", "elevator", "rudder")
+        ),
+        command_map=trim_bias,
+        acts_on=("roll", "pitch", "yaw"),
+        separated_by={"hands off": "a bent trim turns the aircraft faster with speed"},
+        sizes=(0.08, 0.1, 0.2),
+        draw=draw_direction("bias_aileron", "bias_elevator", "bias_rudder"),
+        frozen_number=11,
+    ),
+)

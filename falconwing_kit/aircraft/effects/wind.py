@@ -1,0 +1,23 @@
+"""Wind: the air as a whole moves over the floor."""
+
+from dataclasses import replace
+
+from falconwing_kit.aircraft.effect import Effect, draw_direction
+from falconwing_kit.aircraft.terms import WIND_PARAMETERS, uniform_wind
+
+EFFECTS = (
+    Effect(
+        name="wind",
+        physics="The air as a whole moves: the wings feel a velocity that is not the one over the floor.",
+        parameters=tuple(replace(p, start=0.3) for p in WIND_PARAMETERS),
+        wind=uniform_wind,
+        acts_on=("air",),
+        separated_by={
+            "circles": "it comes from every side in turn",
+            "passes": "a wind is the same beside it",
+        },
+        sizes=(0.05, 0.3, 1.2),
+        draw=draw_direction("wind_x", "wind_y"),
+        frozen_number=0,
+    ),
+)
