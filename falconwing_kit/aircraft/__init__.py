@@ -48,6 +48,7 @@ from falconwing_kit.aircraft.touchdown import (
     wheel_velocities,
 )
 from falconwing_kit.aircraft.trim import Mode, Trim, discrete_step, linearise, modes, to_nlsys, trim
+from falconwing_kit.aircraft.user_file import load_effects, load_terms, require_effects
 
 __all__ = [
     "CATALOGUE",
@@ -83,13 +84,16 @@ __all__ = [
     "level_turn_speed",
     "linearise",
     "load_airframe",
+    "load_effects",
     "load_factor",
+    "load_terms",
     "minimum_speed",
     "modes",
     "pad_height",
     "paper_model",
     "paper_turn_radius",
     "rates_model",
+    "require_effects",
     "roll_out",
     "scale_model",
     "state_rates",

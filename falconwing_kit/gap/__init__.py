@@ -1,3 +1,57 @@
-"""gap: where simulation and measurement disagree, which effect is missing, and how the gap closes
-with it.
+"""gap: where model and measurement disagree, which effect is missing, and how the gap closes with it.
+
+    Study(baseline=table, flight=table).report()
+
+or step by step: identify_baseline -> name_effect (or name_with_onset) -> close_gap, residual_map
+and next_flight.
 """
+
+from falconwing_kit.gap.advice import advise, next_flight
+from falconwing_kit.gap.baseline import NominalModel, build_nominal_model, identify_baseline
+from falconwing_kit.gap.close import (
+    GapClosure,
+    Onset,
+    ParameterEstimate,
+    close_gap,
+    find_onset,
+    name_with_onset,
+)
+from falconwing_kit.gap.measure import (
+    FlightReplay,
+    ResidualBin,
+    replay_baseline,
+    replay_flight,
+    residual_map,
+)
+from falconwing_kit.gap.name import EffectCandidate, Naming, name_effect
+from falconwing_kit.gap.noise import PoseNoiseModel, find_pose_noise
+from falconwing_kit.gap.study import GapStudy, Study, gap_record, require_pair, study_gap
+
+__all__ = [
+    "EffectCandidate",
+    "FlightReplay",
+    "GapClosure",
+    "GapStudy",
+    "Naming",
+    "NominalModel",
+    "Onset",
+    "ParameterEstimate",
+    "PoseNoiseModel",
+    "ResidualBin",
+    "Study",
+    "advise",
+    "build_nominal_model",
+    "close_gap",
+    "find_onset",
+    "find_pose_noise",
+    "gap_record",
+    "identify_baseline",
+    "name_effect",
+    "name_with_onset",
+    "next_flight",
+    "replay_baseline",
+    "replay_flight",
+    "require_pair",
+    "residual_map",
+    "study_gap",
+]

@@ -74,13 +74,20 @@ class NominalModel:
         )
 
 
-def identify_baseline(calm: FlightTable, progress: Progress = lambda stage: None) -> NominalModel:
+def identify_baseline(
+    calm: FlightTable,
+    progress: Progress = lambda stage: None,
+    catalogue: Sequence[Effect] = CATALOGUE,
+    start: Model | None = None,
+) -> NominalModel:
     """Identify the calm flight, find its pose noise, and see what evidence effects find where there
     is none.
 
     Args:
         calm: a flight without surprise.
         progress: called with the name of each stage.
+        catalogue: the effects that will be tried.
+        start: the model that the fit starts from; None for a 150 g aircraft.
 
     Returns:
         What naming needs to know about the aircraft.
@@ -89,7 +96,7 @@ def identify_baseline(calm: FlightTable, progress: Progress = lambda stage: None
         InputError: the flight cannot be used, or the base model does not describe it.
     """
     progress("calm flight")
-    return build_nominal_model(identify([calm]), CATALOGUE, progress)
+    return build_nominal_model(identify([calm], model=start), catalogue, progress)
 
 
 def build_nominal_model(

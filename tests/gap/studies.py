@@ -12,7 +12,7 @@ from falconwing_kit.aircraft.model import Model, rates_model
 from falconwing_kit.core.flight_table import FlightTable, read_flight_table
 from falconwing_kit.data import data_path
 from falconwing_kit.gap.baseline import NominalModel, identify_baseline
-from falconwing_kit.tools.reports.gap_report import GapStudy, study_gap
+from falconwing_kit.gap.study import GapStudy, study_gap
 from tests.sysid.simulated import drawn, fly_figure_eights, measured
 
 EFFECTS = {effect.name: effect for effect in (*CATALOGUE, *GENERIC_EFFECTS)}

@@ -2,10 +2,13 @@
 missing, the gap closed.
 """
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from falconwing_kit.aircraft.effect import Effect
+from falconwing_kit.aircraft.user_file import CODE_NOTICE, load_effects
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import read_flight_table
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
@@ -27,6 +30,10 @@ class Gap:
     """flight table (CSV) of the same aircraft when something was different"""
     out: Path
     """folder for page, figures, record and models; made where it is missing"""
+    effects: Path | None = None
+    """Python file with EFFECTS = [...], tried beside the catalogue; it is code that runs with your
+    rights
+    """
     json: bool = False
     """print JSON instead of tables"""
 
@@ -38,14 +45,15 @@ class Gap:
 
         Raises:
             FileNotFoundError: there is no such flight.
-            InputError: a flight cannot be used, or the folder is a file.
+            InputError: a flight or the file of effects cannot be used, or the folder is a file.
         """
         if self.out.exists() and not self.out.is_dir():
             raise InputError(
                 f"--out {self.out}: expected a folder, got a file; choose another name"
             )
+        effects = self._effects()
         tables = read_flight_table(self.calm), read_flight_table(self.flight)
-        record = self._study(*tables)
+        record = self._study(*tables, effects)
         page = self.out / "report.html"
         if self.json:
             print_json({**record, "page": str(page)})
@@ -55,7 +63,13 @@ class Gap:
             next_line(record["next_flight"])
         return 0 if record["verdict"] in ("named", "none") else 1
 
-    def _study(self, calm: Any, flight: Any) -> dict[str, Any]:
+    def _effects(self) -> tuple[Effect, ...]:
+        if self.effects is None:
+            return ()
+        print(CODE_NOTICE.format(file=self.effects), file=sys.stderr)
+        return load_effects(self.effects)
+
+    def _study(self, calm: Any, flight: Any, effects: tuple[Effect, ...]) -> dict[str, Any]:
         from tqdm import tqdm
 
         from falconwing_kit.tools.reports.gap_report import gap_report
@@ -63,7 +77,7 @@ class Gap:
         with tqdm(
             bar_format="{desc} {elapsed}", leave=False, disable=True if self.json else None
         ) as bar:
-            return gap_report(calm, flight, self.out, bar.set_description_str)
+            return gap_report(calm, flight, self.out, bar.set_description_str, effects)
 
 
 def print_gap(record: dict[str, Any]) -> None:

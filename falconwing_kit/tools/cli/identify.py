@@ -12,12 +12,14 @@ import tyro
 
 from falconwing_kit.aircraft.airframe import load_airframe
 from falconwing_kit.aircraft.model import FORMS, Model, scale_model
+from falconwing_kit.aircraft.terms import Term, WindTerm
+from falconwing_kit.aircraft.user_file import CODE_NOTICE, load_terms
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import require_writable_path
 from falconwing_kit.core.flight_table import FlightTable, read_flight_table
 from falconwing_kit.sysid.forecast import constant_turn, constant_velocity, forecast
 from falconwing_kit.sysid.identify import MAX_REDUCED_CHI2, Identification, identify
-from falconwing_kit.sysid.model_file import read_model, write_model
+from falconwing_kit.sysid.model_file import KNOWN_TERMS, read_model, write_model
 from falconwing_kit.sysid.one_step import fit_one_step
 from falconwing_kit.sysid.prepare import CHANNELS
 from falconwing_kit.sysid.score import score, select_windows
@@ -49,6 +51,8 @@ class Identify:
     """a model file to start from, instead of a 150 g aircraft"""
     airframe: Path | None = None
     """an airframe file: start from the 150 g aircraft scaled to its mass, wing area and span"""
+    terms: Path | None = None
+    """Python file with TERMS = [...], added to the model; it is code that runs with your rights"""
     sigma_position_m: float | None = None
     """noise of each position coordinate; estimated if not given"""
     sigma_attitude_deg: float | None = None
@@ -126,10 +130,20 @@ class Identify:
                 )
 
     def _model(self) -> Model:
+        """Where the fit starts, with the terms of the user's file that it does not have yet."""
+        terms: tuple[Term | WindTerm, ...] = ()
+        if self.terms is not None:
+            print(CODE_NOTICE.format(file=self.terms), file=sys.stderr)
+            terms = load_terms(self.terms, self.form)
+        model = self._start(terms)
+        present = {part.name for part in (*model.terms, *model.winds)}
+        return model.with_terms(*(term for term in terms if term.name not in present))
+
+    def _start(self, terms: tuple[Term | WindTerm, ...]) -> Model:
         if self.start is not None:
             if self.airframe is not None:
                 raise InputError("identify: expected --start or --airframe, got both")
-            return read_model(self.start).model
+            return read_model(self.start, (*KNOWN_TERMS, *terms)).model
         model = FORMS[self.form]()
         if self.airframe is None:
             return model

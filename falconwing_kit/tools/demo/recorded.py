@@ -15,6 +15,7 @@ from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.flight_table import read_flight_table
 from falconwing_kit.data import data_path
 from falconwing_kit.gap.advice import headline
+from falconwing_kit.gap.study import GapStudy, gap_record, study_gap
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.model_file import write_model
 from falconwing_kit.sysid.one_step import fit_one_step
@@ -30,7 +31,6 @@ from falconwing_kit.tools.demo.approach import (
 )
 from falconwing_kit.tools.demo.figures import draw_identification
 from falconwing_kit.tools.reports.gap_plots import draw_gap_closure, draw_map, draw_ranking
-from falconwing_kit.tools.reports.gap_report import GapStudy, gap_record, study_gap
 from falconwing_kit.tools.reports.page import write_page
 
 PAGE = Path(__file__).with_name("recorded.html.j2")

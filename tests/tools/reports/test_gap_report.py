@@ -12,8 +12,9 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import read_flight_table, slice_time
 from falconwing_kit.gap.close import Onset
 from falconwing_kit.gap.name import MAX_MAHALANOBIS
+from falconwing_kit.gap.study import gap_record, require_pair
 from falconwing_kit.sysid.model_file import read_model
-from falconwing_kit.tools.reports.gap_report import gap_record, gap_report, require_pair, write_gap
+from falconwing_kit.tools.reports.gap_report import gap_report, write_gap
 from tests.gap.studies import shipped, wind_study
 from tests.tools.reports.test_page import page_problems
 
