@@ -35,7 +35,8 @@ class Effect:
     loads: LoadsFunction | None = None  # force and moment: (air, K) -> loads
     # Force and moment made from the model's own terms: terms -> the function (air, K) -> loads.
     loads_of: Callable[[tuple[Term, ...]], LoadsFunction] | None = None
-    wind: Callable[[Any, Any, Any, Any, Any], tuple[Any, Any, Any]] | None = None  # as a WindTerm
+    # Wind in world axes [m/s], as in a WindTerm.
+    wind_field: Callable[[Any, Any, Any, Any, Any], tuple[Any, Any, Any]] | None = None
     command_map: Callable[[Array, Array, Any], Array] | None = None  # (t, (N, 4), K) -> (N, 4)
     # Input map, K -> (delay, lag, lag in series) added to the model's own [s].
     input_map: Callable[[Any], tuple[Any, Any, Any]] | None = None
@@ -77,7 +78,7 @@ class Effect:
     @property
     def changes_flow(self) -> bool:
         """Whether it is a force, a moment or a wind."""
-        return any((self.loads, self.loads_of, self.wind))
+        return any((self.loads, self.loads_of, self.wind_field))
 
     @property
     def has_onset(self) -> bool:
@@ -92,7 +93,7 @@ class Effect:
     @property
     def wind_term(self) -> WindTerm | None:
         """The part of the wind that it adds, or None."""
-        return WindTerm(self.name, self.parameters, self.wind) if self.wind else None
+        return WindTerm(self.name, self.parameters, self.wind_field) if self.wind_field else None
 
     def scan(self, low: Array, high: Array) -> list[dict[str, float]]:
         """All parameter values at which a scan tries it; low and high (2,) bound the area flown [m]."""

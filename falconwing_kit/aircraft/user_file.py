@@ -23,7 +23,7 @@ CODE_NOTICE = (
     "{file} is a program: it runs now, with all your rights; use only files that you trust"
 )
 
-HOOKS = ("loads", "loads_of", "wind", "command_map", "input_map", "measurement_map")
+HOOKS = ("loads", "loads_of", "wind_field", "command_map", "input_map", "measurement_map")
 ROWS, COLUMNS = 5, 3  # of the probe flow: points in time, sets of parameter values
 
 
@@ -349,7 +349,7 @@ def _probe_term(
     rates, time = rng.normal(size=(3, ROWS)), np.linspace(0.0, 60.0, ROWS)
     commands = rng.uniform([[0.1], [-1.0], [-1.0], [-1.0]], 1.0, (4, ROWS))
     blows = isinstance(owner, WindTerm)
-    hook = _Hook(f"{owner.name!r}", "wind" if blows else "loads", function, source)
+    hook = _Hook(f"{owner.name!r}", "wind_field" if blows else "loads", function, source)
     count, what = (3, "three wind components") if blows else (6, "six loads (force, moment)")
 
     K = _probe_values(model, parameters, absent or set())

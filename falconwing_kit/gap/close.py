@@ -355,7 +355,7 @@ def with_onset(effect: Effect, first: float, last: float) -> Effect:
     loads, loads_of, wind, command_map = (
         effect.loads,
         effect.loads_of,
-        effect.wind,
+        effect.wind_field,
         effect.command_map,
     )
 
@@ -371,7 +371,7 @@ def with_onset(effect: Effect, first: float, last: float) -> Effect:
         parameters=(*effect.parameters, since),
         loads=_gate_loads(loads) if loads else None,
         loads_of=(lambda terms: _gate_loads(loads_of(terms))) if loads_of else None,
-        wind=gated_wind if wind else None,
+        wind_field=gated_wind if wind else None,
         command_map=gated_map if command_map else None,
         shape=(*effect.shape, ONSET),
     )

@@ -150,7 +150,7 @@ def test_every_entry_has_one_place_where_it_acts():
     for effect in CATALOGUE:
         of_sticks = set(rates_model().with_effect(effect).input_names) - {"delay", "lag"}
         assert bool(of_sticks) == bool(effect.command_map or effect.input_map)
-        hooks = (effect.loads, effect.loads_of, effect.wind, effect.command_map, effect.input_map,
+        hooks = (effect.loads, effect.loads_of, effect.wind_field, effect.command_map, effect.input_map,
                  effect.measurement_map)  # fmt: skip
         assert sum(map(bool, hooks)) == (0 if effect.same_as else 1), effect.name
         assert bool(effect.parameters) == (not effect.same_as), effect.name
@@ -164,8 +164,8 @@ def test_at_amplitude_zero_nothing_is_there(effect):
     K, air = zeroed(effect).K, flows_at_random()
     if term := effect.term(rates_model().terms):
         assert all(np.all(load == 0.0) for load in term.evaluate(air, K))
-    if effect.wind:
-        assert all(np.all(part == 0.0) for part in effect.wind(air.px, air.py, air.height, 30.0, K))
+    if effect.wind_field:
+        assert all(np.all(part == 0.0) for part in effect.wind_field(air.px, air.py, air.height, 30.0, K))
     pose = np.arange(12.0).reshape(6, 2) / 10.0
     assert np.array_equal(zeroed(effect).measured_pose(pose, K), pose)
     actuator_positions = zeroed(effect).actuator_positions(TIMES, STICKS, EDGES, K)
@@ -186,7 +186,7 @@ def test_every_parameter_acts(effect):
     def everything(K):
         term = effect.term(rates_model().terms)
         of_air = term.evaluate(air, K) if term else ()
-        wind = effect.wind(air.px, air.py, air.height, 30.0, K) if effect.wind else ()
+        wind = effect.wind_field(air.px, air.py, air.height, 30.0, K) if effect.wind_field else ()
         return [
             np.ravel(part)
             for part in (*of_air, *wind, *model.actuator_positions(TIMES, STICKS, EDGES, K))
@@ -221,8 +221,8 @@ def test_an_effect_that_contains_another_can_become_it():
     that lifts nothing is extra drag, and what makes it a flap is what `essential` names.
     """
     jet = SimpleNamespace(jet_x=2.0, jet_y=-1.0, jet_at_x=0.0, jet_at_y=0.0, jet_radius=8.0)
-    wind = EFFECTS["wind"].wind(0.1, 0.0, 1.0, 0.0, SimpleNamespace(wind_x=2.0, wind_y=-1.0))
-    assert EFFECTS["fan_jet"].wind(0.1, 0.0, 1.0, 0.0, jet) == pytest.approx(wind, abs=2e-4)
+    wind = EFFECTS["wind"].wind_field(0.1, 0.0, 1.0, 0.0, SimpleNamespace(wind_x=2.0, wind_y=-1.0))
+    assert EFFECTS["fan_jet"].wind_field(0.1, 0.0, 1.0, 0.0, jet) == pytest.approx(wind, abs=2e-4)
     air = flows_at_random()
     flap = loads("flap", air, flap_lift=0.0, flap_drag=0.03)
     assert flap == pytest.approx(loads("extra_drag", air, drag_added=0.03), abs=1e-12)
@@ -243,7 +243,7 @@ def test_wind_is_the_same_everywhere():
     """By meaning of the word."""
     K = SimpleNamespace(wind_x=1.5, wind_y=-0.5)
     for place in ((0.0, 0.0, 0.0, 0.0), (20.0, -9.0, 3.0, 60.0)):
-        assert EFFECTS["wind"].wind(*place, K) == (1.5, -0.5, 0.0)
+        assert EFFECTS["wind"].wind_field(*place, K) == (1.5, -0.5, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -268,7 +268,7 @@ def test_a_fan_jet_fades_as_a_bell():
     nothing ten metres off.
     """
     K = SimpleNamespace(jet_x=2.0, jet_y=-1.0, jet_at_x=3.0, jet_at_y=4.0, jet_radius=2.5)
-    jet = EFFECTS["fan_jet"].wind
+    jet = EFFECTS["fan_jet"].wind_field
     assert jet(3.0, 4.0, 1.0, 0.0, K) == (2.0, -1.0, 0.0)
     assert jet(3.7, 6.4, 0.2, 9.0, K) == pytest.approx((1.21306, -0.60653, 0.0), abs=1e-5)
     assert jet(13.0, 4.0, 1.0, 0.0, K) == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)

@@ -45,7 +45,7 @@ BAD = {
     "bounds the wrong way round": (effect().replace("0.0, 0.3", "0.3, 0.0"), 3, "low <= start"),
     "bounds without zero": (effect().replace("0.0, 0.3", "0.005, 0.3"), 3, "contain 0"),
     "no hook": (effect("acts_on=('along',)"), 6, "exactly one of loads"),
-    "two hooks": (effect("loads=gear, wind=gear"), 6, "loads and wind"),
+    "two hooks": (effect("loads=gear, wind_field=gear"), 6, "loads and wind_field"),
     "no function": (effect("loads=1.0"), 6, "expected a function"),
     "another parameter's shape": (effect(more=", shape=('else',)"), 6, "'else'"),
     "contains nothing known": (effect(more=", contains=('else',)"), 6, "'else'"),

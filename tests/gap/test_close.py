@@ -68,7 +68,7 @@ def failing(name: str, since: float, seconds: float, seed: int, **values: float)
     formula of the test's own on 10 ms steps.
     """
     effect, rng = EFFECTS[name], np.random.default_rng(seed)
-    hook = "loads" if effect.loads else "wind"
+    hook = "loads" if effect.loads else "wind_field"
     part = getattr(effect, hook)
     clock = (lambda air, K: air.time) if effect.loads else (lambda px, py, height, time, K: time)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.house.test_docs import doc_problems
+from tests.house.test_effects_unknown import effect_problems
 from tests.house.test_floors import folder_problems, import_problems, lab_problems
 from tests.house.test_names import frame_problems
 from tests.house.test_public import PRIVATE, text_problems
@@ -39,6 +40,24 @@ PLANTS = {
         "gap",
         "from falconwing_kit.tools.trials import hidden\n",
         "imports tools",
+    ),
+    "effect looked up by name": (
+        effect_problems,
+        "gap",
+        'def is_wind(effect: object) -> bool:\n    """Whether."""\n    return effect == "fan_jet"\n',
+        "'fan_jet' belongs to aircraft/effects",
+    ),
+    "parameter of an effect read": (
+        effect_problems,
+        "sysid",
+        "late = K.control_delay\n",
+        "'control_delay' belongs to aircraft/effects",
+    ),
+    "parameter of an effect set": (
+        effect_problems,
+        "tools",
+        "model = change(stall_loss=0.3)\n",
+        "'stall_loss' belongs to aircraft/effects",
     ),
     "mis-met maps": (
         frame_problems,

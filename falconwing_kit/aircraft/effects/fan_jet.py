@@ -48,7 +48,7 @@ EFFECTS = (
             Parameter("jet_at_y", 0.0, -60.0, 60.0, "m", "middle of the stream"),
             Parameter("jet_radius", 2.5, 0.7, 8.0, "m", "how wide the stream is"),
         ),
-        wind=fan_jet,
+        wind_field=fan_jet,
         scan_points=grid,
         shape=("jet_at_x", "jet_at_y", "jet_radius"),
         contains=("wind",),

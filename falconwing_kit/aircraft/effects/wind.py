@@ -10,7 +10,7 @@ EFFECTS = (
         name="wind",
         physics="The air as a whole moves: the wings feel a velocity that is not the one over the floor.",
         parameters=tuple(replace(p, start=0.3) for p in WIND_PARAMETERS),
-        wind=uniform_wind,
+        wind_field=uniform_wind,
         acts_on=("air",),
         separated_by={
             "circles": "it comes from every side in turn",

@@ -1,0 +1,66 @@
+"""No file outside `aircraft/effects` knows an effect of the catalogue or one of its parameters."""
+
+import ast
+from pathlib import Path
+
+from falconwing_kit.aircraft.effects import CATALOGUE
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = {e.name for e in CATALOGUE} | {p.name for e in CATALOGUE for p in e.parameters}
+UNIFORM_WIND = {"wind_x", "wind_y"}
+# Reviewed: the file, and which of these words mean something else in it or are its subject.
+ALLOWED: dict[str, set[str]] = {
+    "aircraft/terms.py": UNIFORM_WIND,  # the base model's uniform wind
+    "aircraft/model.py": UNIFORM_WIND,
+    "trainer_port/protocol.py": {"stall"},  # a fault of the board's protocol
+    "trainer_port/safety.py": {"stall"},
+    "tools/cli/firmware.py": {"stall"},
+    "tools/demo/alfa.py": {"wind"},  # a column of the recorded flight
+    # The demo's story: which effect its recorded flights show.
+    "tools/demo/alfa_gap.py": {"thrust_loss"},
+    "tools/demo/alfa_story.py": UNIFORM_WIND,
+    "tools/demo/recorded.py": {"thrust_loss", "thrust_lost", "wind", *UNIFORM_WIND},
+}
+
+
+def test_no_file_knows_an_effect_by_name():
+    """DESIGN.md, section 2: an effect is one file; nothing else knows its name."""
+    assert effect_problems(ROOT) == []
+
+
+def test_the_reviewed_list_is_as_short_as_it_can_be():
+    """Each entry is needed: without it the file would be reported."""
+    found = {path: known for path, known in uses(ROOT) if path in ALLOWED}
+    assert {path: {name for _, name in known} for path, known in found.items()} == ALLOWED
+
+
+def effect_problems(tree: Path) -> list[str]:
+    """String literals, attributes and keywords that are an effect's or its parameter's name.
+
+    Args:
+        tree: folder that holds falconwing_kit.
+    """
+    return [
+        f"falconwing_kit/{path}:{line}: {name!r} belongs to aircraft/effects"
+        for path, known in uses(tree)
+        for line, name in known
+        if name not in ALLOWED.get(path, set())
+    ]
+
+
+def uses(tree: Path) -> list[tuple[str, list[tuple[int, str]]]]:
+    """Of every file outside aircraft/effects: the lines and names."""
+    package, found = tree / "falconwing_kit", []
+    for path in sorted(package.rglob("*.py")):
+        where = path.relative_to(package).as_posix()
+        if where.startswith("aircraft/effects/"):
+            continue
+        known = []
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name = getattr(node, "attr", getattr(node, "arg", None))
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                known.append((node.lineno, node.value))
+            elif isinstance(node, ast.Attribute | ast.keyword) and name:
+                known.append((getattr(node, "lineno", 0), name))
+        found.append((where, [(line, name) for line, name in known if name in NAMES]))
+    return found
