@@ -165,7 +165,9 @@ def test_at_amplitude_zero_nothing_is_there(effect):
     if term := effect.term(rates_model().terms):
         assert all(np.all(load == 0.0) for load in term.evaluate(air, K))
     if effect.wind_field:
-        assert all(np.all(part == 0.0) for part in effect.wind_field(air.px, air.py, air.height, 30.0, K))
+        assert all(
+            np.all(part == 0.0) for part in effect.wind_field(air.px, air.py, air.height, 30.0, K)
+        )
     pose = np.arange(12.0).reshape(6, 2) / 10.0
     assert np.array_equal(zeroed(effect).measured_pose(pose, K), pose)
     actuator_positions = zeroed(effect).actuator_positions(TIMES, STICKS, EDGES, K)

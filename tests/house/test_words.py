@@ -26,7 +26,14 @@ WORDS = {
     r"foretells?\b": "predicts",
 }
 PATTERN = re.compile(r"\b(?:" + "|".join(WORDS) + ")", re.IGNORECASE)
-PAGES = ("README.md", "CONTRIBUTING.md", "falconwing_kit/README.md", "manual/*.md", "manual/chapters/*.typ", "labs/*.md")
+PAGES = (
+    "README.md",
+    "CONTRIBUTING.md",
+    "falconwing_kit/README.md",
+    "manual/*.md",
+    "manual/chapters/*.typ",
+    "labs/*.md",
+)
 
 
 def test_private_words_stay_out():
@@ -34,13 +41,17 @@ def test_private_words_stay_out():
     assert word_problems(ROOT) == []
 
 
-@pytest.mark.parametrize("line", ["# the pilot is told", '"mass: want a number"', "A model foretells it."])
+@pytest.mark.parametrize(
+    "line", ["# the pilot is told", '"mass: want a number"', "A model foretells it."]
+)
 def test_a_planted_word_is_reported(tmp_path, line):
     """Written here by hand, in a file of the book."""
     room = tmp_path / "falconwing_kit" / "core"
     room.mkdir(parents=True)
     (room / "planted.py").write_text(f'"""A file."""\n{line}\n')
-    assert [problem.split(": ")[0] for problem in word_problems(tmp_path)] == ["falconwing_kit/core/planted.py:2"]
+    assert [problem.split(": ")[0] for problem in word_problems(tmp_path)] == [
+        "falconwing_kit/core/planted.py:2"
+    ]
 
 
 def word_problems(root: Path) -> list[str]:
@@ -49,7 +60,11 @@ def word_problems(root: Path) -> list[str]:
     Args:
         root: a checkout, or a folder that holds falconwing_kit.
     """
-    book = (path for path in (root / "falconwing_kit").rglob("*.py") if "tools" not in path.relative_to(root).parts)
+    book = (
+        path
+        for path in (root / "falconwing_kit").rglob("*.py")
+        if "tools" not in path.relative_to(root).parts
+    )
     pages = (path for pattern in PAGES for path in root.glob(pattern))
     return [
         f"{path.relative_to(root).as_posix()}:{number}: {found[0]}"

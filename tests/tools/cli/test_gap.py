@@ -30,9 +30,7 @@ def test_exit_code_says_whether_there_is_an_answer(tmp_path, monkeypatch, capsys
     study = wind_study()
     kept = {"named": 1, "ambiguous": 2}.get(verdict, 0)
     naming = replace(study.naming, verdict=verdict, chosen=study.naming.ranking[:kept])
-    monkeypatch.setattr(
-        report, "study_gap", lambda calm, flight, progress: replace(study, naming=naming)
-    )
+    monkeypatch.setattr(report, "study_gap", lambda *how: replace(study, naming=naming))
     assert run(CALM, FLIGHT, tmp_path / "new" / "out") == code
     said = capsys.readouterr().out
     assert f"verdict: {verdict}" in said
@@ -42,7 +40,7 @@ def test_exit_code_says_whether_there_is_an_answer(tmp_path, monkeypatch, capsys
 
 def test_json_is_the_record(tmp_path, monkeypatch, capsys):
     """What is printed and what is written agree."""
-    monkeypatch.setattr(report, "study_gap", lambda calm, flight, progress: wind_study())
+    monkeypatch.setattr(report, "study_gap", lambda *how: wind_study())
     assert run(CALM, FLIGHT, tmp_path, "--json") == 0
     printed = json.loads(capsys.readouterr().out)
     written = json.loads((tmp_path / "report.json").read_text())
@@ -81,3 +79,28 @@ def test_missing_flight_and_a_file_in_place_of_the_folder_are_wrong_use(tmp_path
     (tmp_path / "taken").write_text("")
     assert run(CALM, FLIGHT, tmp_path / "taken") == 2
     assert "expected a folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("EFFECTS = [\n", "line 1: expected Python"),
+        ("import numpy\n", "line 1: expected EFFECTS = "),
+        (
+            "from falconwing_kit.aircraft import CATALOGUE\n\nEFFECTS = CATALOGUE[:1]\n",
+            "'wind': expected a new name",
+        ),
+    ],
+)
+def test_a_wrong_file_of_effects_is_wrong_use(text, words, tmp_path, capsys):
+    """Exit code 2, one sentence with file and line after the line that calls it a program; nothing
+    written.
+    """
+    path = tmp_path / "my_effect.py"
+    path.write_text(text)
+    assert run(CALM, FLIGHT, tmp_path / "out", "--effects", str(path)) == 2
+    notice, refusal = capsys.readouterr().err.strip().splitlines()
+    assert "my_effect.py is a program: it runs now, with all your rights" in notice
+    assert refusal.startswith("falconwing: my_effect.py, line ") and words in refusal
+    assert not (tmp_path / "out").exists()
+    assert run(CALM, FLIGHT, tmp_path / "out", "--effects", str(tmp_path / "no.py")) == 2

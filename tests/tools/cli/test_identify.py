@@ -11,6 +11,8 @@ import pytest
 
 from falconwing_kit.aircraft.airframe import default_airframe_path
 from falconwing_kit.aircraft.model import paper_model, rates_model
+from falconwing_kit.aircraft.user_file import load_terms
+from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import (
     FlightTable,
     read_flight_table,
@@ -18,7 +20,7 @@ from falconwing_kit.core.flight_table import (
     write_flight_table,
 )
 from falconwing_kit.data import data_path
-from falconwing_kit.sysid.model_file import read_model
+from falconwing_kit.sysid.model_file import KNOWN_TERMS, read_model
 from falconwing_kit.tools.cli.identify import one_second_ahead
 from falconwing_kit.tools.cli.main import main
 from tests.sysid.simulated import example_flight, fly_figure_eights, measured
@@ -341,3 +343,51 @@ def test_an_unknown_form_is_refused_with_the_known_ones(short, capsys):
         main(["identify", short, "--form", "glider"])
     printed = capsys.readouterr()
     assert ended.value.code == 2 and "paper" in printed.err + printed.out
+
+
+# Terms of a user's own
+# ----------------------------------------------------------------------------------------------
+
+TERM = '''"""The thrust line passes below the centre of gravity."""
+
+from falconwing_kit.aircraft import Parameter, Term
+
+
+def thrust_line(air, K):
+    """dq/dt = line T/m."""
+    return 0.0, 0.0, 0.0, 0.0, K.line * (K.kT - K.kTV * air.airspeed) * air.throttle, 0.0
+
+
+LINE = Parameter("line", 0.1, -5.0, 5.0, "1/m", "pitching moment per thrust")
+TERMS = [Term("thrust_line", (LINE,), thrust_line)]
+'''
+
+
+def test_a_term_of_a_users_file_is_identified(tmp_path, capsys):
+    """Planted with 1.5 /m: it lies in its 95 % interval doubled, and the model reads back with it."""
+    file = tmp_path / "my_term.py"
+    file.write_text(TERM)
+    terms, rng = load_terms(file), np.random.default_rng(12)
+    truth = rates_model().with_terms(*terms).with_values({"line": 1.5})
+    write_flight_table("flight.csv", measured(fly_figure_eights([truth], 45.0, rng), rng))
+    words = ["identify", "flight.csv", "--terms", str(file), "--out", "model.toml", "--json"]
+    assert main(words) == 0
+    printed = capsys.readouterr()
+    assert "my_term.py is a program: it runs now, with all your rights" in printed.err
+    line = json.loads(printed.out)["parameters"]["line"]
+    assert line["value"] == pytest.approx(1.5, abs=line["high95"] - line["low95"])
+    assert line["low95"] > 0.0 and line["high95"] - line["low95"] < 0.8
+    model = read_model("model.toml", (*KNOWN_TERMS, *terms)).model
+    assert model.values["line"] == pytest.approx(line["value"], rel=1e-6)
+    with pytest.raises(InputError, match="thrust_line"):
+        read_model("model.toml")
+
+
+def test_a_wrong_file_of_terms_is_wrong_use(tmp_path, short, capsys):
+    """Exit code 2, one sentence with file and line, nothing written."""
+    file = tmp_path / "my_term.py"
+    file.write_text(TERM.replace("air.throttle, 0.0", "air.throttle"))
+    assert main(["identify", short, "--terms", str(file), "--out", "model.toml"]) == 2
+    refusal = capsys.readouterr().err.strip().splitlines()[-1]
+    assert refusal.startswith("falconwing: my_term.py, line 6: ") and "six loads" in refusal
+    assert not (tmp_path / "model.toml").exists()
