@@ -16,7 +16,12 @@ from falconwing_kit.core.checks import InputError, require_file
 from falconwing_kit.core.files import atomic_write, short_name
 
 MAX_FILE_BYTES = 1024**2  # a model file with its covariance has about 10 kB
-_TYPE_NAMES = {float: "a finite number", int: "a whole number", str: "a text", bool: "true or false"}
+_TYPE_NAMES = {
+    float: "a finite number",
+    int: "a whole number",
+    str: "a text",
+    bool: "true or false",
+}
 
 Record = TypeVar("Record")
 

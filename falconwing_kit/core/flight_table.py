@@ -51,14 +51,14 @@ class FlightTable:
     def __post_init__(self) -> None:
         """Check the shapes, the time and the commands."""
         rows = len(self.t)
-        for name, array, shape in (
+        for name, column, shape in (
             ("t", self.t, (rows,)),
             ("p_world", self.p_world, (rows, 3)),
             ("attitude", self.attitude, (rows, 3)),
             ("commands", self.commands, (rows, 4)),
-            *((name, column, (rows,)) for name, column in self.extra.items()),
+            *((name, values, (rows,)) for name, values in self.extra.items()),
         ):
-            require_shape(f"{self.name}: {name}", array, shape)
+            require_shape(f"{self.name}: {name}", column, shape)
         for name, words in self.labels.items():
             if len(words) != rows:
                 raise InputError(f"{self.name}: {name}: expected {rows} words, got {len(words)}")
@@ -302,7 +302,7 @@ def split_by_time(
 
 
 def nearest_index(t: Array, query: Array) -> NDArray[np.int64]:
-    """Index (M,) of the time in t (N,), increasing, nearest to each query (M,); ties: the earlier."""
+    """Indices (M,) of the times in t (N,) nearest to the queries (M,); the earlier in a tie."""
     right = np.minimum(np.searchsorted(t, query), len(t) - 1)
     left = np.maximum(right - 1, 0)
     return np.where(query - t[left] <= t[right] - query, left, right)
@@ -324,7 +324,7 @@ def _select_rows(
 
 
 def _interpolate(t: Array, values: Array, query: Array, max_gap: float, angle: bool) -> Array:
-    """Linear interpolation of (N,) values with nan; nan between neighbours more than max_gap apart."""
+    """Linear interpolation of the finite values; nan in gaps longer than max_gap."""
     measured = np.flatnonzero(np.isfinite(values))
     if len(measured) == 0:
         return np.full(len(query), np.nan)

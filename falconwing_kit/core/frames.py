@@ -129,7 +129,7 @@ def body_rates(
     pitch_rate: ArrayLike,
     yaw_rate: ArrayLike,
 ) -> tuple[Array, Array, Array]:
-    """Body rates p, q, r from the rates of the Euler angles, all (...); inverse of `euler_rates`."""
+    """Body rates p, q, r from the rates of the Euler angles; inverse of `euler_rates`."""
     roll, pitch = np.asarray(roll, np.float64), np.asarray(pitch, np.float64)
     roll_rate, pitch_rate, yaw_rate = (
         np.asarray(x, np.float64) for x in (roll_rate, pitch_rate, yaw_rate)

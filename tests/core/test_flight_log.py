@@ -169,7 +169,7 @@ def test_a_disk_too_full_to_pack_keeps_the_recording(tmp_path, monkeypatch):
     def refuse(*_):
         raise InputError("the disk is full")
 
-    monkeypatch.setattr(flight_log, "rewrite", refuse)
+    monkeypatch.setattr(flight_log, "_rewrite", refuse)
     with (
         pytest.warns(UserWarning, match="stays unpacked"),
         FlightLogWriter(tmp_path / "a.mcap") as log,
@@ -389,7 +389,7 @@ def test_a_record_that_is_no_json_is_left_out(interrupted, tmp_path):
     log = read_flight_log(tmp_path / "spoilt.mcap")
     assert len(
         log.commands
-    ) == 19 and "records of /command that could not be understood: 1" in " ".join(log.warnings)
+    ) == 19 and "records of /command that could not be parsed: 1" in " ".join(log.warnings)
 
 
 @pytest.mark.parametrize("compression", ["lz4", ""])
