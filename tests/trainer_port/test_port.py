@@ -6,11 +6,10 @@ from dataclasses import replace
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.messages import Command
+from falconwing_kit.core.messages import SAFE_COMMAND, Command
 from falconwing_kit.trainer_port.port import (
     BACK_OFF,
     HAND_BACK_FRAMES,
-    SAFE,
     SILENT_AFTER,
     TrainerPort,
     require_matching_calibration,
@@ -423,7 +422,7 @@ def test_another_number_of_channels_is_refused(board, port):
         board.t += seconds
         board.says(replace(SAYS, channels_us=(1500,) * 6))
 
-    with pytest.raises(InputError, match="expected 6 channels as the board's firmware has, got 4"):
+    with pytest.raises(InputError, match="expected 6 channels as in the board's firmware, got 4"):
         port.wait_ready(0.1, pass_time)
 
 
@@ -467,4 +466,4 @@ def test_a_host_that_comes_back_at_once_is_checked_too(board):
 
 def test_the_safe_command_is_an_idle_motor_and_neutral_sticks():
     """By hand."""
-    assert SAFE.vector.tolist() == [0.0, 0.0, 0.0, 0.0]
+    assert SAFE_COMMAND.vector.tolist() == [0.0, 0.0, 0.0, 0.0]

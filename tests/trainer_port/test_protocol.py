@@ -16,7 +16,7 @@ from cobs import cobs
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.trainer_port import protocol
-from falconwing_kit.trainer_port.ppm import load_calibration
+from falconwing_kit.trainer_port.ppm import encode_command, load_calibration
 from falconwing_kit.trainer_port.protocol import (
     CommandFrame,
     Deframer,
@@ -30,7 +30,6 @@ from falconwing_kit.trainer_port.protocol import (
     decode_status,
     encode,
     encode_channels,
-    encode_command,
     encode_sync,
 )
 from falconwing_kit.trainer_port.safety import Safety, SafetyDecision

@@ -10,6 +10,7 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.bridge.python_board import BYTE_S, PythonBoard
 from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
+from falconwing_kit.trainer_port.ppm import encode_command
 from falconwing_kit.trainer_port.protocol import (
     Deframer,
     PilotFrame,
@@ -17,7 +18,6 @@ from falconwing_kit.trainer_port.protocol import (
     SyncReply,
     encode,
     encode_channels,
-    encode_command,
     encode_sync,
 )
 from falconwing_kit.trainer_port.safety import SafetyConfig
