@@ -372,7 +372,7 @@ def require_matching_calibration(calibration: Calibration, status: Status) -> No
     expected, got = len(status.channels_us), calibration.channels
     if expected != got:
         raise InputError(
-            f"calibration: expected {expected} channels as in the board's firmware, got {got}; "
+            f"calibration: expected {expected} channels as the board's firmware has, got {got}; "
             "calibrate again, or set CHANNELS in firmware/trainer_bridge/config.h and flash the "
             "board"
         )
@@ -382,8 +382,8 @@ def require_matching_calibration(calibration: Calibration, status: Status) -> No
         idle_us = calibration.channels_us(SAFE_COMMAND)[channel - 1]
         raise InputError(
             f"calibration: expected the board's safe slots {status.channels_us} us to stop the "
-            f"motor, got throttle {throttle:.0%}: the radio has it in channel {channel} and idles "
-            f"at {idle_us} us; change the radio's order of channels or travel, or set "
+            f"motor, got throttle {throttle:.0%}, for the radio has it in channel {channel} and "
+            f"idles at {idle_us} us; change the radio's order of channels or travel, or set "
             "THROTTLE_CHANNEL and SAFE_SLOTS_US in firmware/trainer_bridge/config.h and flash the "
             "board"
         )

@@ -422,7 +422,7 @@ def test_another_number_of_channels_is_refused(board, port):
         board.t += seconds
         board.says(replace(SAYS, channels_us=(1500,) * 6))
 
-    with pytest.raises(InputError, match="expected 6 channels as in the board's firmware, got 4"):
+    with pytest.raises(InputError, match="expected 6 channels as the board's firmware has, got 4"):
         port.wait_ready(0.1, pass_time)
 
 
