@@ -17,7 +17,7 @@ from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log, to_
 from falconwing_kit.core.messages import Image
 from falconwing_kit.tools.bridge.python_board import PythonBoard
 from falconwing_kit.tools.bridge.recording import Recording, record
-from falconwing_kit.tools.bridge.simulated_link import SteppedBoard
+from falconwing_kit.tools.bridge.open_port import SteppedBoard
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.vision.monitor import FrameMonitor
@@ -249,7 +249,7 @@ import numpy as np
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Image
 from falconwing_kit.tools.bridge.recording import Recording
-from falconwing_kit.tools.bridge.simulated_link import SteppedBoard
+from falconwing_kit.tools.bridge.open_port import SteppedBoard
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.tools.bridge.python_board import PythonBoard
 

@@ -12,7 +12,7 @@ from falconwing_kit.scene.arena import load_scene
 from falconwing_kit.tools.bridge.python_board import PythonBoard
 from falconwing_kit.tools.bridge.recording import Recording, record
 from falconwing_kit.tools.bridge.rehearsal import SimulatedManualApproach
-from falconwing_kit.tools.bridge.simulated_link import SteppedBoard
+from falconwing_kit.tools.bridge.open_port import SteppedBoard
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.trainer_port.ppm import load_calibration
 

@@ -23,7 +23,7 @@ from falconwing_kit.trainer_port.protocol import (
     encode_channels,
     encode_sync,
 )
-from tests.firmware.chip import require_tools
+from tests.firmware.chip import ProbedBoard, require_tools
 
 BYTE = 10 / 115200  # s
 
@@ -77,9 +77,9 @@ def probe_elf(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def probe(probe_elf) -> Iterator[SimulatedBoard]:
+def probe(probe_elf) -> Iterator[ProbedBoard]:
     """The probe, switched on a millisecond ago."""
-    with SimulatedBoard(probe_elf) as board:
+    with ProbedBoard(probe_elf) as board:
         board.run_until(0.001)
         yield board
 

@@ -12,7 +12,8 @@ from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
 from falconwing_kit.core.messages import Command
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.tools.bridge.python_board import PythonBoard
-from falconwing_kit.tools.bridge.through_port import PORTS, PortWorld, simulated_board
+from falconwing_kit.tools.bridge.open_port import PORTS, simulated_board
+from falconwing_kit.tools.bridge.through_port import PortWorld
 from falconwing_kit.tools.trials.trials import (
     TrialSettings,
     fly_trial,

@@ -123,7 +123,7 @@ def cluster(tmp_path_factory):
 
 def test_cluster_without_workers_is_refused(cluster, monkeypatch):
     """The sentence says how to start one; and another how to start a scheduler."""
-    monkeypatch.setattr("falconwing_kit.tools.jobs.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("falconwing_kit.tools.jobs.cluster.TIMEOUT_S", 0.5)
     with pytest.raises(
         InputError, match=r"expected workers at this scheduler, found none; start `dask scheduler`"
     ):
