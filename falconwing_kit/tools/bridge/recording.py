@@ -75,7 +75,7 @@ class Recording:
         return self.port.now() - self._zero
 
     def step(self) -> None:
-        """Read port and camera and log what is new, a command before the image that it refers to."""
+        """Read port and camera and log new data, a command before the image that it refers to."""
         self.port.poll()
         self._check_image(self._read_image())
         while self.port.pilots:

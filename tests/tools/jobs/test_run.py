@@ -15,7 +15,7 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.jobs.cluster import run_on_every_worker
 from falconwing_kit.tools.jobs.pool import WorkerLostError
 from falconwing_kit.tools.jobs.run import parallel_map
-from falconwing_kit.tools.jobs.shards import cache_key
+from falconwing_kit.tools.jobs.result_cache import cache_key
 from tests import clusters
 
 
