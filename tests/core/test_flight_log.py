@@ -115,7 +115,7 @@ def test_another_library_reads_the_closed_log(whole):
 
 
 def test_command_is_written_before_its_image(interrupted):
-    """When both arrive together: if the disk fills up in between, the command is the one to have."""
+    """If the disk fills up between the two, the command is the more important one."""
     data = interrupted[0].read_bytes()
     for k in range(20):
         assert data.index(json.dumps(command(k).record)[1:-1].encode()) < data.index(
@@ -394,7 +394,7 @@ def test_a_record_that_is_no_json_is_left_out(interrupted, tmp_path):
 
 @pytest.mark.parametrize("compression", ["lz4", ""])
 def test_chunks_of_other_writers_are_read(tmp_path, compression):
-    """A log packed by another program with lz4 or not at all; its checksum computed here by zlib."""
+    """A log of another program, with lz4 or uncompressed; its checksum is computed here by zlib."""
     import lz4.frame
 
     body = json.dumps({"t": 1.0, **command(3).record}).encode()

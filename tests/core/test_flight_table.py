@@ -157,7 +157,10 @@ def test_a_file_may_end_without_a_line_end(csv):
         (HEADER.replace(",", "\t") + "\n", "expected commas between columns, got tabs"),
         (HEADER.replace(",rudder", "") + "\n", "missing column rudder; the header has t, px"),
         (HEADER + ",px\n", "px more than once"),
-        ("\n".join([HEADER, *ROWS[:5], "0.3,1,2"]) + "\n", "line 7: expected 11 cells as in the header, got 3"),
+        (
+            "\n".join([HEADER, *ROWS[:5], "0.3,1,2"]) + "\n",
+            "line 7: expected 11 cells as in the header, got 3",
+        ),
         (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "UTF-8|binary"),
         (bytes(1000), "binary data"),
         (HEADER.encode() + b"\n" + b"\xff" * 20 + b"\n", "line 2 is not UTF-8"),
@@ -273,7 +276,7 @@ def test_a_flight_without_poses_is_read_with_a_warning(csv):
 
 
 def test_degrees_are_refused(csv):
-    """A roll of 25 would be four turns; yaw alone gives degrees away when it starts far from zero."""
+    """A roll of 25 would be four turns; yaw alone shows degrees only if it starts far from zero."""
     for angles in (",25.0,5.0,0.2,", ",2.0,1.0,170.0,"):
         with pytest.raises(InputError, match="looks like degrees"):
             read_flight_table(csv([row.replace(",0.1,0.05,0.2,", angles) for row in ROWS]))
@@ -457,7 +460,7 @@ def test_one_row_has_no_rate():
 
 @pytest.mark.parametrize(("share", "tests"), [(0.3, 4), (0.5, 6), (0.1, 1), (0.7, 8)])
 def test_every_row_goes_to_one_side_in_whole_blocks(share, tests):
-    """120 s in blocks of 10 s: 12 blocks, share * 12 of them (rounded) held out; counted by hand."""
+    """120 s in blocks of 10 s: 12 blocks, share * 12 of them (rounded) held out; by hand."""
     table = table_of(np.arange(2400) * 0.05)
     train, test = split_by_time(table, share)
     assert len(test) == tests

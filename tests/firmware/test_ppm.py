@@ -94,7 +94,10 @@ def test_a_pin_written_by_the_interrupt_fails_that_test(tmp_path):
     require_tools()
     sketch = "trainer_bridge.ino"
     text = (firmware_folder() / "trainer_bridge" / sketch).read_text()
-    late = "bool pulse_now = false;\nISR(TIMER1_COMPA_vect) {\n  digitalWrite(PPM_OUT_PIN, pulse_now != POLARITY);\n"
+    late = (
+        "bool pulse_now = false;\nISR(TIMER1_COMPA_vect) {\n"
+        "  digitalWrite(PPM_OUT_PIN, pulse_now != POLARITY);\n"
+    )
     for old, new in (
         ("ISR(TIMER1_COMPA_vect) {\n", late),
         ("TCCR1A = edge.pulse ? TO_PULSE : TO_IDLE;", "TCCR1A = 0;\n  pulse_now = edge.pulse;"),

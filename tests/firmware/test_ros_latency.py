@@ -85,7 +85,8 @@ def test_image_to_pulses_takes_40_ms_at_most(bridge):
         await_engaged(bus, port)
         to_edge, to_last_slot, lag = measure(bus, port.simulation)
         print(
-            f"\nattempt {attempt + 1}: load {os.getloadavg()[0]:.1f}, chip up to {lag:.0f} ms behind the clock"
+            f"\nattempt {attempt + 1}: load {os.getloadavg()[0]:.1f}, "
+            f"chip up to {lag:.0f} ms behind the clock"
         )
         for what, ms in (
             ("first edge of its frame", to_edge),

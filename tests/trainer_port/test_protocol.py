@@ -124,7 +124,7 @@ def test_stuffing_equals_the_library(rng):
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
 def test_messages_go_over_the_wire_and_back(message):
-    """Decoding undoes encoding, with and without the zero byte, which is the only one in the frame."""
+    """Decoding inverts encoding, with and without the zero byte, the only one in the frame."""
     frame = encode(message)
     assert decode(frame) == decode(frame[:-1]) == decode(bytearray(frame)) == message
     assert frame.count(0) == 1 and frame[-1] == 0

@@ -113,7 +113,7 @@ def test_wrong_topics_and_messages_are_refused(ends):
     ):
         sender.subscribe("/falconwing/imgae")
     with pytest.raises(
-        InputError, match="/falconwing/command: expected a message of type StampedCommand, got Command"
+        InputError, match="/command: expected a message of type StampedCommand, got Command"
     ):
         sender.publish(COMMAND, Command(0.0, 0.0, 0.0, 0.0))
 

@@ -9,10 +9,10 @@ from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
 from falconwing_kit.flight.loop import CONTROL_PERIOD
 from falconwing_kit.flight.sources import fpv_camera
 from falconwing_kit.scene.arena import load_scene
+from falconwing_kit.tools.bridge.open_port import SteppedBoard
 from falconwing_kit.tools.bridge.python_board import PythonBoard
 from falconwing_kit.tools.bridge.recording import Recording, record
 from falconwing_kit.tools.bridge.rehearsal import SimulatedManualApproach
-from falconwing_kit.tools.bridge.open_port import SteppedBoard
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.trainer_port.ppm import load_calibration
 

@@ -85,7 +85,7 @@ def probe(probe_elf) -> Iterator[ProbedBoard]:
 
 
 def test_edges_stand_where_the_timer_puts_them(probe):
-    """By hand: Timer1 at 2 MHz, a toggle every 1000 ticks = 500 us, across its wrap every 32.8 ms."""
+    """By hand: Timer1 at 2 MHz, a toggle every 1000 ticks = 500 us, across its wraps (32.8 ms)."""
     level, changes = probe.pin_level, []
     for k in range(20_000):
         probe.run_until(0.002 + k * 1e-5)
