@@ -5,7 +5,7 @@ program loses no record; once a second the file is synced to the disk, so a powe
 second. A clean end repacks it into compressed chunks with an index. Foxglove and PlotJuggler read
 it.
 
-Reading does not trust the file: the mcap library allocates whatever a damaged length field says,
+Reading does not trust the file: the mcap library allocates the size in a damaged length field,
 and its indexed reader refuses a file without its end. Records are therefore framed here (opcode,
 8-byte length, body [https://mcap.dev/spec]) and only the body of a frame goes to the library.
 """

@@ -133,14 +133,15 @@ class Command:
             InputError: a value is not finite.
         """
         values = (throttle, aileron, elevator, rudder)
-        unclipped = [
-            require_range(name, value) for name, value in zip(COMMAND_NAMES, values, strict=True)
-        ]
-        clipped = [
-            min(max(value, low), 1.0)
-            for value, low in zip(unclipped, (0.0, -1.0, -1.0, -1.0), strict=True)
-        ]
-        return cls(*clipped, image_sequence=image_sequence, saturated=clipped != unclipped)
+        unclipped = {
+            name: require_range(name, value)
+            for name, value in zip(COMMAND_NAMES, values, strict=True)
+        }
+        clipped = {
+            name: min(max(value, 0.0 if name == "throttle" else -1.0), 1.0)
+            for name, value in unclipped.items()
+        }
+        return cls(**clipped, image_sequence=image_sequence, saturated=clipped != unclipped)
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "Command":
@@ -150,11 +151,10 @@ class Command:
             InputError: a value is not a finite number.
             KeyError: a name is missing.
         """
-        values = [require_range(name, record[name]) for name in COMMAND_NAMES]
-        sequence = int(
-            require_range("image_sequence", record["image_sequence"], low=-1, high=2**32)
-        )
-        return cls(*values, image_sequence=sequence, saturated=bool(record["saturated"]))
+        values = {name: require_range(name, record[name]) for name in COMMAND_NAMES}
+        sequence = require_range("image_sequence", record["image_sequence"], low=-1, high=2**32)
+        saturated = bool(record["saturated"])
+        return cls(**values, image_sequence=int(sequence), saturated=saturated)
 
     @property
     def vector(self) -> Array:

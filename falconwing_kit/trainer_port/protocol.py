@@ -360,9 +360,10 @@ def _build_status(head: list[Any], channels_us: tuple[int, ...]) -> Status:
             f"status: expected a known state and fault, got {state} and {fault}; "
             "flash this kit's firmware"
         )
-    # The other numbers are in the order of Status: boot_count ... ppm_frames.
+    boots, cause, last, accepted, bad_frames, bad_sequence, out_of_range, ppm_frames = numbers
+    counters = (accepted, bad_frames, bad_sequence, out_of_range, ppm_frames)
     tail = (bool(silent), channels_us, device_time_us, version)
-    return Status(STATES[state], FAULTS[fault], *numbers, *tail)
+    return Status(STATES[state], FAULTS[fault], boots, cause, last, *counters, *tail)
 
 
 def _require_whole(name: str, value: int) -> int:
