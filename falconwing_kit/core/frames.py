@@ -10,6 +10,8 @@ Johnson, Aircraft Control and Simulation, 3rd ed., eq. 1.3-20, with the half tur
 positive right wing down, pitch nose up, yaw nose right. No other file contains these signs.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -38,7 +40,7 @@ def rotation_world_body(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Ar
     return R_world_body.astype(np.float64)
 
 
-def rotation_entries(roll, pitch, yaw):  # type: ignore[no-untyped-def]
+def rotation_entries(roll: Any, pitch: Any, yaw: Any) -> Any:
     """The nine entries of R_world_body, row by row, for angles (...).
 
     The aircraft model uses this form: on batches it is several times faster than stacked matrices,
@@ -90,7 +92,7 @@ def euler_from_rotation(R_world_body: ArrayLike) -> tuple[Array, Array, Array]:
     return roll, pitch, yaw
 
 
-def euler_rates(row_z, p, q, r):  # type: ignore[no-untyped-def]
+def euler_rates(row_z: Any, p: Any, q: Any, r: Any) -> Any:
     """Rates of the Euler angles from body rates [Stevens, Lewis & Johnson, eq. 1.4-4].
 
     yaw_rate   = (q sin roll + r cos roll) / cos pitch
