@@ -85,9 +85,7 @@ class TrainerPort:
     ) -> None:
         self.calibration = load_calibration() if calibration is None else calibration
         self.link, self.now, self.what = link, now, what
-        self.simulation: Any = (
-            None  # the simulated board, or None for hardware; closed with the port
-        )
+        self.simulation: Any = None  # simulated board, closed with the port; None for hardware
         self.clock, self.counters = DeviceClock(), Counters()
         self.status: Status | None = None
         self.pilot: PilotFrame | None = None
@@ -96,10 +94,10 @@ class TrainerPort:
         self.events: deque[Event] = deque(maxlen=1000)
         self.state, self.engagement = "waiting", "off"
         self._reopen, self._deframer, self._bad_before = reopen, Deframer(), 0
-        self._next: int | None = None  # sequence of the next COMMAND
-        self._asked_from = 0  # sequence of the first engage=0 of this request
+        self._next_sequence: int | None = None  # sequence of the next COMMAND
+        self._request_sequence = 0  # sequence of the first engage=0 of this request
         self._engaging_since = 0.0
-        self._status_at, self._began, self._wait, self._try_at = math.nan, now(), BACK_OFF[0], 0.0
+        self._status_at, self._reopen_at, self._reopen_wait = math.nan, 0.0, BACK_OFF[0]
         self._syncs: dict[int, float] = {}  # tokens without a reply -> time of sending
         self._sync_at, self._syncs_sent = 0.0, 0
 
@@ -184,8 +182,8 @@ class TrainerPort:
         """
         if not engage:
             self.engagement = "off"
-        elif self.engagement == "off" and self._next is not None:
-            self.engagement, self._asked_from = "asking", self._next
+        elif self.engagement == "off" and self._next_sequence is not None:
+            self.engagement, self._request_sequence = "asking", self._next_sequence
         try:
             channels = self.calibration.channels_us(command)
         except (ValueError, OverflowError, TypeError, AttributeError) as error:
@@ -215,8 +213,8 @@ class TrainerPort:
         """
         if self.clock.is_synchronised or self.status is None:
             return self.clock.to_host(device_us)
-        age_us = _wrapped_difference(device_us, self.status.device_time_us, 2**32)
-        return self._status_at + age_us * 1e-6
+        since_status_us = _wrapped_difference(device_us, self.status.device_time_us, 2**32)
+        return self._status_at + since_status_us * 1e-6
 
     @property
     def status_age(self) -> float:
@@ -249,7 +247,7 @@ class TrainerPort:
             status.boot_count != old.boot_count
             or _wrapped_difference(status.device_time_us, old.device_time_us, 2**32) < 0
         )
-        if reset:
+        if reset:  # the board's counters and clock have started again
             self.counters.resets += 1
             self.clock.restart()
             self._syncs.clear()
@@ -258,9 +256,10 @@ class TrainerPort:
             )
         if self.state != "open":
             self._set_state("open", f"the board answers: {status.state}")
-            last = status.last_sequence
-            if self._next is None or _wrapped_difference(self._next, last, 2**16) <= 0:
-                self._next = (last + 1) % 2**16
+            # Continue after the board's last sequence, unless ours is already ahead of it.
+            last, upcoming = status.last_sequence, self._next_sequence
+            if upcoming is None or _wrapped_difference(upcoming, last, 2**16) <= 0:
+                self._next_sequence = (last + 1) % 2**16
         self._count_accepted(status, None if old is None else old.accepted, reset)
         if old is None or (status.state, status.fault) != (old.state, old.fault):
             self._event("board", {"state": status.state, "fault": status.fault})
@@ -273,8 +272,9 @@ class TrainerPort:
             counters.accepted += (
                 status.accepted if reset else (status.accepted - accepted_before) % 2**32
             )
-        if counters.sent and status.accepted and self._next is not None:
-            in_transit = max(_wrapped_difference(self._next, status.last_sequence, 2**16) - 1, 0)
+        if counters.sent and status.accepted and self._next_sequence is not None:
+            ahead = _wrapped_difference(self._next_sequence, status.last_sequence, 2**16)
+            in_transit = max(ahead - 1, 0)
             counters.dropped = max(counters.sent - in_transit - counters.accepted, counters.dropped)
 
     def _update_engagement(self, status: Status, t: float) -> None:
@@ -283,7 +283,7 @@ class TrainerPort:
         if self.engagement == "asking":
             received = (
                 status.accepted
-                and _wrapped_difference(status.last_sequence, self._asked_from, 2**16) >= 0
+                and _wrapped_difference(status.last_sequence, self._request_sequence, 2**16) >= 0
             )
             if received and status.state == "SAFE":
                 self.engagement, self._engaging_since = "engaging", t
@@ -291,8 +291,8 @@ class TrainerPort:
             self.engagement = "engaged"
             self._event("engaged", details)
         elif self.engagement == "engaging" and status.state == "SAFE":
-            if t - self._engaging_since > ENGAGE_WITHIN and self._next is not None:
-                self.engagement, self._asked_from = "asking", self._next
+            if t - self._engaging_since > ENGAGE_WITHIN and self._next_sequence is not None:
+                self.engagement, self._request_sequence = "asking", self._next_sequence
         elif self.engagement in ("engaging", "engaged") and status.state != "ACTIVE":
             self._drop_engagement("dropped", details)
 
@@ -303,16 +303,16 @@ class TrainerPort:
     # Writing.
 
     def _send_command(self, channels_us: tuple[int, ...], engage: bool) -> bool:
-        if self.state != "open" or self._next is None:
+        if self.state != "open" or self._next_sequence is None:
             self.counters.unsent += 1
             return False
         try:
-            self.link.write(encode_channels(self._next, channels_us, engage))
+            self.link.write(encode_channels(self._next_sequence, channels_us, engage))
         except OSError as error:
             self.counters.unsent += 1
             self._handle_loss(error)
             return False
-        self._next = (self._next + 1) % 2**16
+        self._next_sequence = (self._next_sequence + 1) % 2**16
         self.counters.sent += 1
         return True
 
@@ -332,14 +332,14 @@ class TrainerPort:
     def _handle_loss(self, error: OSError) -> None:
         self._close_link()
         self._set_state("lost", str(error))
-        self._try_at, self._wait = self.now() + BACK_OFF[0], BACK_OFF[0]
+        self._reopen_at, self._reopen_wait = self.now() + BACK_OFF[0], BACK_OFF[0]
 
     def _reopen_link(self) -> None:
         now = self.now()
-        if self._reopen is None or now < self._try_at:
+        if self._reopen is None or now < self._reopen_at:
             return
-        self._wait = min(2.0 * self._wait, BACK_OFF[1])
-        self._try_at = now + self._wait
+        self._reopen_wait = min(2.0 * self._reopen_wait, BACK_OFF[1])
+        self._reopen_at = now + self._reopen_wait
         with suppress(OSError, InputError):
             self.link = self._reopen()
             self._bad_before += self._deframer.bad
