@@ -1,5 +1,3 @@
-"""FalconWing kit: recorded flights and airframe data in, an aircraft model and its honest error
-out.
-"""
+"""FalconWing kit: recorded flights and airframe data -> aircraft model with its prediction error."""
 
 __version__ = "0.2.0"

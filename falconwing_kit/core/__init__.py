@@ -1,4 +1,4 @@
-"""core: frames, messages, flight files, checks and configuration. Imports nothing else of the kit."""
+"""core: frames, messages, flight tables, flight logs, checks and configuration."""
 
 from falconwing_kit.core.checks import Array, InputError, require_file, require_range, require_shape
 from falconwing_kit.core.config import from_toml, load_toml, write_toml
@@ -36,6 +36,8 @@ from falconwing_kit.core.frames import (
 )
 from falconwing_kit.core.messages import (
     COMMAND_NAMES,
+    CONTROL_PERIOD_S,
+    SAFE_COMMAND,
     STATE_NAMES,
     Command,
     Event,
@@ -47,8 +49,10 @@ from falconwing_kit.core.messages import (
 
 __all__ = [
     "COMMAND_NAMES",
+    "CONTROL_PERIOD_S",
     "GRAVITY",
     "R_BODY_CAMERA",
+    "SAFE_COMMAND",
     "STATE_NAMES",
     "Array",
     "Command",

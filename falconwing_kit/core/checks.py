@@ -1,4 +1,4 @@
-"""Checks at the door of a room: a value comes in, the same value or one clear sentence goes out."""
+"""Checks for public functions: a value -> the same value, or an InputError that says what to do."""
 
 import math
 from pathlib import Path
@@ -10,8 +10,7 @@ Array = NDArray[np.float64]
 
 
 class InputError(ValueError):
-    """A file or an argument the user gave is wrong; the text says what was wanted, what came and
-    what to do.
+    """A file or an argument from the user is wrong: "name: expected X, got Y; do Z".
 
     The command line prints it as one sentence and exits with 2.
     """
@@ -20,19 +19,10 @@ class InputError(ValueError):
 def require_range(
     name: str, value: float, *, low: float = -math.inf, high: float = math.inf
 ) -> float:
-    """Return the value if it is finite and within [low, high].
-
-    Args:
-        name: what the value is called in the message.
-        value: the number to check, in the unit of its bounds.
-        low: smallest allowed value.
-        high: largest allowed value.
-
-    Returns:
-        The value as a float.
+    """Return the value as a float if it is finite and within [low, high].
 
     Raises:
-        InputError: the value is not a finite number in the interval.
+        InputError: the value is not a finite number in the interval; the message starts with name.
     """
     try:
         number = float(value)
@@ -44,18 +34,10 @@ def require_range(
 
 
 def require_shape(name: str, array: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return the array as float64 if its shape fits; None in the shape stands for any length.
-
-    Args:
-        name: what the array is called in the message.
-        array: the numbers to check.
-        shape: wanted length of each axis.
-
-    Returns:
-        The array as float64.
+    """Return the array as float64 if it has this shape; None in the shape is any length.
 
     Raises:
-        InputError: the array is not numeric or has another shape.
+        InputError: the array is not numeric or has another shape; the message starts with name.
     """
     try:
         values = np.asarray(array, dtype=np.float64)
@@ -64,7 +46,8 @@ def require_shape(name: str, array: ArrayLike, shape: tuple[int | None, ...]) ->
             f"{name}: expected an array of numbers of shape {_shape_text(shape)}"
         ) from None
     fits = values.ndim == len(shape) and all(
-        want is None or want == got for want, got in zip(shape, values.shape, strict=True)
+        expected is None or expected == got
+        for expected, got in zip(shape, values.shape, strict=True)
     )
     if not fits:
         raise InputError(
@@ -74,18 +57,17 @@ def require_shape(name: str, array: ArrayLike, shape: tuple[int | None, ...]) ->
 
 
 def require_file(path: str | Path) -> Path:
-    """Return the path if a readable file is there.
+    """Return the path if it is a file.
 
     Raises:
-        FileNotFoundError: nothing is at the path, or it is a folder.
+        FileNotFoundError: nothing is at the path, or a folder.
     """
-    found = Path(path)
-    if not found.is_file():
-        kind = "a folder" if found.is_dir() else "nothing"
-        raise FileNotFoundError(f"{found}: expected a file, found {kind} there; check the path")
-    return found
+    file = Path(path)
+    if not file.is_file():
+        found = "a folder" if file.is_dir() else "nothing"
+        raise FileNotFoundError(f"{file}: expected a file, found {found} there; check the path")
+    return file
 
 
 def _shape_text(shape: tuple[int | None, ...]) -> str:
-    inner = ", ".join("any" if n is None else str(n) for n in shape)
-    return f"({inner})"
+    return f"({', '.join('any' if n is None else str(n) for n in shape)})"

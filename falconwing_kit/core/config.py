@@ -1,6 +1,4 @@
-"""Configuration: a TOML file <-> a frozen dataclass; what is unknown, missing or of another type is
-named.
-"""
+"""Configuration: a TOML file <-> a frozen dataclass, with errors that name the key."""
 
 import dataclasses
 import difflib
@@ -17,24 +15,23 @@ import numpy as np
 from falconwing_kit.core.checks import InputError, require_file
 from falconwing_kit.core.files import atomic_write, short_name
 
-MAX_FILE_BYTES = 1024**2  # a model with its covariance has some ten thousand
-_WORDS = {float: "a finite number", int: "a whole number", str: "a text", bool: "true or false"}
+MAX_FILE_BYTES = 1024**2  # a model file with its covariance has about 10 kB
+_TYPE_NAMES = {
+    float: "a finite number",
+    int: "a whole number",
+    str: "a text",
+    bool: "true or false",
+}
 
 Record = TypeVar("Record")
 
 
 def load_toml(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Args:
-        path: the file.
-
-    Returns:
-        Its keys and values.
+    """Read a TOML file as a dict.
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: it is not TOML; the text names line and column.
+        InputError: it is not TOML; the message gives line and column.
     """
     path = require_file(path)
     name = short_name(path)
@@ -59,19 +56,12 @@ def load_toml(path: str | Path) -> dict[str, Any]:
 def from_toml(cls: type[Record], source: str | Path | Mapping[str, Any]) -> Record:
     """Fill a dataclass from a TOML file or from a mapping such as one of its tables.
 
-    Fields may be float (whole numbers are taken too), int, str, bool, a dataclass, a tuple, a
-    mapping from str, or any of these or None. A field with a default may be left out.
-
-    Args:
-        cls: the dataclass.
-        source: the file, or keys and values.
-
-    Returns:
-        The record.
+    Fields may be float (whole numbers are accepted), int, str, bool, a dataclass, a tuple, a
+    mapping from str, or one of these or None. A field with a default may be omitted.
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: a key is unknown or missing, or a value has another type; the text gives the
+        InputError: a key is unknown or missing, or a value has another type; the message gives the
             full key.
     """
     if isinstance(source, Mapping):
@@ -84,14 +74,14 @@ def from_toml(cls: type[Record], source: str | Path | Mapping[str, Any]) -> Reco
 
 
 def write_toml(path: str | Path, record: Any) -> None:
-    """Write a dataclass or a mapping as TOML; fields that are None are left out.
+    """Write a dataclass or a mapping as TOML, atomically; fields that are None are omitted.
 
     Args:
-        path: the file, which appears only once it is complete.
+        path: of the file.
         record: values of the types of `from_toml`, or NumPy arrays.
 
     Raises:
-        InputError: the disk is full or the place is forbidden.
+        InputError: the disk is full or the folder is not writable.
         FileNotFoundError: the folder does not exist.
     """
     import tomli_w
@@ -102,7 +92,7 @@ def write_toml(path: str | Path, record: Any) -> None:
 
 
 def _build_record(cls: type[Record], values: Any, key: str) -> Record:
-    """The dataclass with its fields from the values; key is the path of the table they stand in."""
+    """The dataclass filled from the values of the table `key`."""
     if not isinstance(values, Mapping):
         raise InputError(f"{key}: expected a table [{key}], got {_shorten(values)}")
     hints = typing.get_type_hints(cls)
@@ -112,13 +102,13 @@ def _build_record(cls: type[Record], values: Any, key: str) -> Record:
             close = difflib.get_close_matches(str(name)[:100], fields, n=1)
             hint = f"perhaps you meant {close[0]!r}" if close else f"known are {', '.join(fields)}"
             raise InputError(f"unknown key {_join_key(key, str(name)[:100])!r}; {hint}")
-    no_default = dataclasses.MISSING
-    needed = [
-        n
-        for n, field in fields.items()
-        if field.default is no_default and field.default_factory is no_default
+    missing = [
+        _join_key(key, name)
+        for name, field in fields.items()
+        if name not in values
+        and field.default is dataclasses.MISSING
+        and field.default_factory is dataclasses.MISSING
     ]
-    missing = [_join_key(key, name) for name in needed if name not in values]
     if missing:
         raise InputError(f"missing key {', '.join(map(repr, missing))}; add it")
     filled = {
@@ -132,7 +122,7 @@ def _build_record(cls: type[Record], values: Any, key: str) -> Record:
 
 
 def _convert_value(kind: Any, value: Any, key: str) -> Any:
-    """The value as the annotated type wants it."""
+    """The value converted to the annotated type."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind):
         return _build_record(typing.cast(type[Any], kind), value, key)
@@ -153,7 +143,7 @@ def _convert_value(kind: Any, value: Any, key: str) -> Any:
         return float(value)
     if kind is not float and type(value) is kind:
         return value
-    raise InputError(f"{key}: expected {_WORDS.get(kind, kind)}, got {_shorten(value)}")
+    raise InputError(f"{key}: expected {_TYPE_NAMES.get(kind, kind)}, got {_shorten(value)}")
 
 
 def _convert_tuple(inner: tuple[Any, ...], value: Any, key: str) -> tuple[Any, ...]:
@@ -186,7 +176,7 @@ def _join_key(key: str, name: str) -> str:
 
 
 def _shorten(value: Any) -> str:
-    """A value for a message, not endless."""
+    """A value as text for a message, at most about 60 characters."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Files: a path to write -> a handle whose content appears there whole, or not at all."""
+"""Files: a path -> a handle whose content appears there complete or not at all; fixed folders."""
 
 import errno
 import os
@@ -16,18 +16,15 @@ _DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 @contextmanager
 def atomic_write(path: str | Path, *, text: bool = False) -> Iterator[IO[Any]]:
-    """Open a file that takes its name only once it is complete and on the disk.
+    """Open a file that gets its name only when it is complete and on the disk.
 
-    What is written goes to a temporary name in the same folder. When the block ends well, the file
-    is flushed to the disk and renamed; when it fails, the temporary file is removed and an older
-    file at the path stays as it was.
+    The data go to a temporary name in the same folder. When the block ends, the file is flushed to
+    the disk and renamed; if it fails, the temporary file is removed and an older file at the path
+    is unchanged.
 
     Args:
-        path: where the finished file shall be; its folder must exist.
+        path: of the finished file; its folder must exist.
         text: True for a UTF-8 text handle with "\\n" line ends, False for bytes.
-
-    Yields:
-        The open handle.
 
     Raises:
         InputError: the path is a folder, may not be written, or the disk is full.
@@ -36,11 +33,11 @@ def atomic_write(path: str | Path, *, text: bool = False) -> Iterator[IO[Any]]:
     target = Path(path)
     require_writable_path(target)
     temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.part")
-    how: dict[str, Any] = (
+    mode: dict[str, Any] = (
         {"mode": "x", "encoding": "utf-8", "newline": "\n"} if text else {"mode": "xb"}
     )
     try:
-        with temporary.open(**how) as handle:
+        with temporary.open(**mode) as handle:
             yield handle
             handle.flush()
             os.fsync(handle.fileno())
@@ -53,35 +50,32 @@ def atomic_write(path: str | Path, *, text: bool = False) -> Iterator[IO[Any]]:
 
 
 def write_figures(folder: Path, drawings: Mapping[str, Callable[[Path], str]]) -> Iterator[str]:
-    """Draw figures as SVG, each with a text beside it that says the same.
+    """Draw figures as SVG, each with its alternative text in a .txt file beside it.
 
     Args:
-        folder: to write to, made where it is missing.
-        drawings: name -> what draws it into a path and returns it in words.
+        folder: to write to, created if missing.
+        drawings: name -> function that draws into a path and returns the alternative text.
 
     Yields:
-        Name and size of each when it is written, such as "filter.svg: 12 kB".
+        Name and size of each written figure, such as "filter.svg: 12 kB".
     """
     folder.mkdir(parents=True, exist_ok=True)
     for name, draw in drawings.items():
         path = folder / f"{name}.svg"
-        words = draw(path)
+        alternative_text = draw(path)
         with atomic_write(path.with_suffix(".txt"), text=True) as file:
-            file.write(words + "\n")
+            file.write(alternative_text + "\n")
         yield f"{path.name}: {path.stat().st_size / 1000:.0f} kB"
 
 
 def short_name(path: str | Path) -> str:
-    """A file's name with its folder's, such as "case00/calm.csv": enough to know it, the same on
-    every machine.
-    """
+    """A file's name with its folder's, such as "case00/calm.csv": the same on every machine."""
     path = Path(path)
     return f"{path.parent.name}/{path.name}" if path.parent.name else path.name
 
 
 def require_writable_path(path: str | Path) -> Path:
-    """Return the path if a file could be written there: its folder exists and it is not a folder
-    itself.
+    """Return the path if a file could be written there: its folder exists, and it is no folder.
 
     Raises:
         InputError: the path is a folder.
@@ -100,15 +94,10 @@ def require_writable_path(path: str | Path) -> Path:
 
 
 def write_error(path: str | Path, error: OSError) -> Exception:
-    """The error to raise when writing a file failed: one sentence for a full disk or a forbidden
-    place.
-
-    Args:
-        path: the file that was being written.
-        error: what the system said.
+    """The exception to raise when writing the file failed.
 
     Returns:
-        An InputError where the reason is the disk or the rights; any other error as it came.
+        An InputError for a full disk or missing permission; any other error unchanged.
     """
     if error.errno in _DISK_FULL:
         return InputError(
@@ -120,32 +109,31 @@ def write_error(path: str | Path, error: OSError) -> Exception:
 
 
 def cache_folder() -> Path:
-    """Where this system keeps what programs can make again; the folder need not exist."""
+    """The kit's folder in this system's cache, which may be deleted; it need not exist."""
     home = Path.home()
-    places = {
+    locations = {
         "win32": ("LOCALAPPDATA", home / "AppData" / "Local"),
         "darwin": ("", home / "Library" / "Caches"),
     }
-    variable, usual = places.get(sys.platform, ("XDG_CACHE_HOME", home / ".cache"))
-    return Path(os.environ.get(variable) or usual) / "falconwing"
+    variable, default = locations.get(sys.platform, ("XDG_CACHE_HOME", home / ".cache"))
+    return Path(os.environ.get(variable) or default) / "falconwing"
 
 
 def shipped_path(relative: str, advice: str) -> Path:
-    """Where a file outside the package is that ships with the kit: beside it in a checkout, else
-    where pip put it.
+    """Path of a shipped file outside the package: in the checkout, else in the installation.
 
     Args:
         relative: such as "hardware/airframe_umx.toml".
-        advice: what to do where it is missing.
+        advice: end of the message when the file is missing.
 
     Raises:
         FileNotFoundError: it is in neither place.
     """
-    places = [
+    candidates = [
         Path(__file__).parents[2] / relative,
         Path(sys.prefix) / "share" / "falconwing_kit" / relative,
     ]
-    for place in places:
-        if place.is_file():
-            return place
-    raise FileNotFoundError(f"no file at {' or '.join(map(str, places))}; {advice}")
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    raise FileNotFoundError(f"no file at {' or '.join(map(str, candidates))}; {advice}")

@@ -1,37 +1,38 @@
-"""Flight log: images, commands, states and events of a flight <-> an MCAP file that survives a
-crash.
+"""Flight log: images, commands, states and events <-> an MCAP file that survives a crash.
 
-While flying the file is not chunked and every record is handed to the system at once, so a killed
-program loses no record; once a second the system is told to put it on the disk, so a lost battery
-costs about a second. At a clean end the file is packed into compressed chunks with an index.
-Foxglove, PlotJuggler and others open it.
+In flight the file is unchunked and every record is passed to the system immediately, so a killed
+program loses no record; once a second the file is synced to the disk, so a power loss costs about a
+second. A clean end repacks it into compressed chunks with an index. Foxglove and PlotJuggler read
+it.
+
+Reading does not trust the file: the mcap library allocates the size in a damaged length field,
+and its indexed reader refuses a file without its end. Records are therefore framed here (opcode,
+8-byte length, body [https://mcap.dev/spec]) and only the body of a frame goes to the library.
 """
 
 import json
 import os
+import struct
 import threading
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 from warnings import warn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falconwing_kit.core.checks import Array, InputError, require_range
-from falconwing_kit.core.files import require_writable_path, short_name, write_error
+from falconwing_kit.core.checks import Array, InputError, require_file, require_range
+from falconwing_kit.core.files import atomic_write, require_writable_path, short_name, write_error
 from falconwing_kit.core.flight_table import FlightTable, nearest_index
-from falconwing_kit.core.mcap_records import read_mcap_records, rewrite
 from falconwing_kit.core.messages import COMMAND_NAMES, STATE_NAMES, Command, Event, Image, State
 
 IMAGE, COMMAND, STATE, EVENT = TOPICS = ("/image", "/command", "/state", "/event")
-SYNC_PERIOD_S = 1.0
-MAX_TIME_S = 1.8e10  # what 64 bits of nanoseconds hold
-
-
 COLUMNS: dict[str, dict[str, Any]] = {  # of each JSON topic, with their JSON types
     COMMAND: {
         **dict.fromkeys(COMMAND_NAMES, "number"),
@@ -41,31 +42,37 @@ COLUMNS: dict[str, dict[str, Any]] = {  # of each JSON topic, with their JSON ty
     STATE: {**{name: ["number", "null"] for name in STATE_NAMES}, "image_sequence": "integer"},
     EVENT: {"name": "string", "details": "object"},
 }
+SYNC_PERIOD_S = 1.0
+MAX_TIME_S = 1.8e10  # 64 bits of nanoseconds
+MAGIC = b"\x89MCAP0\r\n"
+MAX_CHUNK_BYTES = 32 * 1024**2
+MAX_COMPRESSION = 200  # a chunk that claims a larger ratio is damaged or hostile
+_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
 
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
-    """What a log holds. Images stay in the file: `images()` reads them one by one."""
+    """Contents of a log. Images stay in the file; `images()` reads them one by one."""
 
     path: Path
     command_times: Array  # (N,) [s]
     commands: tuple[Command, ...]  # N
     state_times: Array  # (M,) [s]
     states: tuple[State, ...]  # M
-    state_sequences: NDArray[np.int64]  # (M,) the image each state comes from, -1 where none
+    state_sequences: NDArray[np.int64]  # (M,) image of each state, -1 without
     image_times: Array  # (K,) [s]
     image_sequences: NDArray[np.int64]  # (K,)
     events: tuple[Event, ...]
     metadata: Mapping[str, str]
-    warnings: tuple[str, ...]  # what was unusual, one sentence each
+    warnings: tuple[str, ...]  # irregularities, one sentence each
 
     @property
     def command_sequences(self) -> NDArray[np.int64]:
-        """(N,) the image each command answers, -1 where none."""
+        """(N,) image of each command, -1 without."""
         return np.array([command.image_sequence for command in self.commands], dtype=np.int64)
 
     def images(self) -> Iterator[Image]:
-        """The images in the order they were logged, their pixels as JPEG bytes (n,)."""
+        """The images in logging order, their pixels as JPEG bytes (n,)."""
         for topic, message in _read_messages(self.path, [], {}):
             if topic == IMAGE:
                 pixels = np.frombuffer(message.data, dtype=np.uint8)
@@ -74,24 +81,21 @@ class FlightLog:
 
 @dataclass(frozen=True)
 class Recovery:
-    """What `recover` saved."""
+    """Result of `recover`."""
 
-    counts: Mapping[str, int]  # records of each topic: "/command", "/image", ...
-    warnings: tuple[str, ...]  # what could not be saved; empty for a log that was whole
+    counts: Mapping[str, int]  # records recovered for each topic: "/command", "/image", ...
+    warnings: tuple[str, ...]  # what was lost; empty for an undamaged log
 
 
 class FlightLogWriter:
     """Writes a flight log: `with FlightLogWriter(path) as log: log.command(t, command)`.
 
     When a method returns, its record survives a kill of the program. Times are seconds on one
-    clock, not negative.
-
-    Args:
-        path: the file to write; it must not exist, for a log is never overwritten.
+    clock, not negative. The file must not exist: a log is never overwritten.
 
     Raises:
-        InputError: from every method, when the disk is full or a value is not finite; what was
-            logged before stays.
+        InputError: from every method, if the disk is full or a value is not finite; earlier records
+            are kept.
         FileNotFoundError: the folder does not exist.
     """
 
@@ -99,7 +103,8 @@ class FlightLogWriter:
         self.path = require_writable_path(path)
         if self.path.exists():
             raise InputError(
-                f"{self.path}: expected a new file, for a flight log is never overwritten; choose another name"
+                f"{self.path}: expected a new file, for a flight log is never overwritten; "
+                "choose another name"
             )
 
     def __enter__(self) -> "FlightLogWriter":
@@ -122,55 +127,30 @@ class FlightLogWriter:
         return self
 
     def image(self, image: Image) -> None:
-        """Log one camera frame.
-
-        Args:
-            image: with pixels (height, width, 3) RGB, which are packed as JPEG here (needs OpenCV),
-                or JPEG (n,).
-        """
+        """Log one camera frame; pixels (height, width, 3) are encoded as JPEG here (by OpenCV)."""
         if not 0 <= image.sequence < 2**32:
             raise InputError(f"image sequence: expected a count from 0, got {image.sequence}")
         self._write(IMAGE, image.t, image.jpeg, image.sequence)
 
     def command(self, t: float, command: Command, image: Image | None = None) -> None:
-        """Log one command.
+        """Log one command given at t [s], then its image if that is not yet logged.
 
-        Args:
-            t: when it was given [s].
-            command: what was given.
-            image: the image it answers, logged right after it where that was not done before: if
-                the disk fills up in between, the command is the one to have.
+        The command comes first: if the disk fills up in between, it is the more important one.
         """
         self._write_json(COMMAND, t, command.record)
         if image is not None:
             self.image(image)
 
     def state(self, t: float, state: State, image_sequence: int = -1) -> None:
-        """Log one state; what is nan in it stays unknown.
-
-        Args:
-            t: the time it is valid for [s].
-            state: the estimate.
-            image_sequence: the image it comes from, -1 where there was none.
-        """
+        """Log the state at t [s] (nan is written as null) and the image it was estimated from."""
         self._write_json(STATE, t, {**state.record, "image_sequence": int(image_sequence)})
 
     def event(self, t: float, name: str, details: Mapping[str, Any] | None = None) -> None:
-        """Log something that happened once.
-
-        Args:
-            t: when [s].
-            name: what, in a word or two.
-            details: more about it; texts, finite numbers, arrays, lists and mappings.
-        """
+        """Log a single occurrence; details are texts, finite numbers, arrays, lists, mappings."""
         self._write_json(EVENT, t, {"name": str(name), "details": dict(details or {})})
 
     def metadata(self, record: Mapping[str, object]) -> None:
-        """Log what holds for the whole flight: aircraft, software version, place.
-
-        Args:
-            record: names and values; values are kept as text.
-        """
+        """Log facts about the whole flight (aircraft, version, place); values become text."""
         self._write_guarded(
             lambda: self._writer.add_metadata("flight", {str(k): str(v) for k, v in record.items()})
         )
@@ -188,15 +168,15 @@ class FlightLogWriter:
                 ) from None
             return
         finally:
-            with suppress(OSError):  # whatever the disk refused was reported above
+            with suppress(OSError):  # a disk error was reported above
                 self._file.close()
         try:
-            rewrite(self.path, self.path, [])
+            _rewrite(self.path, self.path, [])
         except (InputError, OSError) as failure:
             warn(f"{failure}; the log is complete but stays unpacked", stacklevel=2)
 
     def _register(self, topic: str) -> int:
-        """Announce a topic, with a JSON schema unless it holds images; its number in the file."""
+        """Register a topic, with a JSON schema unless it holds images; its channel number."""
         if topic not in COLUMNS:
             return int(self._writer.register_channel(topic, "jpeg", schema_id=0))
         properties = {
@@ -226,7 +206,7 @@ class FlightLogWriter:
         )
 
     def _write_guarded(self, write: Callable[[], None]) -> None:
-        """Write and hand over to the system; after a disk's first refusal nothing more is written."""
+        """Write and flush to the system; after the first disk error nothing more is written."""
         try:
             if self._error is not None:
                 raise self._error
@@ -237,9 +217,7 @@ class FlightLogWriter:
             raise write_error(self.path, error) from None
 
     def _sync_periodically(self) -> None:
-        """Put the file on the disk once a second, in its own thread: a slow disk must not delay the
-        loop.
-        """
+        """Sync the file once a second in a thread: a slow disk must not delay the control loop."""
         while not self._closing.wait(SYNC_PERIOD_S):
             try:
                 os.fsync(self._file.fileno())
@@ -249,13 +227,10 @@ class FlightLogWriter:
 
 
 def read_flight_log(path: str | Path) -> FlightLog:
-    """Read a log, also one whose writing was cut short.
-
-    Args:
-        path: the MCAP file.
+    """Read an MCAP log, also an interrupted one.
 
     Returns:
-        Everything before the damage; what could not be read is in its warnings.
+        Everything before the damage; what is unreadable is in its warnings.
 
     Raises:
         FileNotFoundError: there is no file.
@@ -271,7 +246,7 @@ def read_flight_log(path: str | Path) -> FlightLog:
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             unreadable[topic] += 1
     warnings += [
-        f"records of {topic} that could not be understood: {count}"
+        f"records of {topic} that could not be parsed: {count}"
         for topic, count in unreadable.items()
     ]
     return FlightLog(
@@ -290,41 +265,27 @@ def read_flight_log(path: str | Path) -> FlightLog:
 
 
 def recover(path: str | Path, out: str | Path) -> Recovery:
-    """Write what can be read of a log as a whole, indexed and compressed one.
-
-    Args:
-        path: the log, cut or damaged or whole; it is not changed.
-        out: the new file.
-
-    Returns:
-        How much was saved and what was not.
+    """Copy the readable part of a log into a complete, indexed and compressed one.
 
     Raises:
         FileNotFoundError: there is no log, or no folder for the new file.
-        InputError: the log is not MCAP, the two paths are the same, or the new file cannot be
-            written.
+        InputError: the log is not MCAP, the paths are equal, or the new file cannot be written.
     """
     if Path(out).resolve() == Path(path).resolve():
         raise InputError(
             f"{out}: expected another name than the log's own, so that the damaged log is kept"
         )
     warnings: list[str] = []
-    counts = rewrite(path, out, warnings)
+    counts = _rewrite(path, out, warnings)
     return Recovery(counts, tuple(f"{short_name(path)}: {sentence}" for sentence in warnings))
 
 
 def to_flight_table(log: FlightLog) -> FlightTable:
-    """The log as one row per frame: states as poses, and the command that answered each frame.
+    """The log as one row per frame: the pose of its state, and the command computed from it.
 
-    Rows are the images, or the states where there are no images, or the commands alone. A state or
-    a command that names its image goes to that row. Where none does, the row takes the state
-    nearest in time, at most half a frame away, and the last command given.
-
-    Args:
-        log: the flight.
-
-    Returns:
-        The flight table; a frame without a state has no pose.
+    Rows are the images; without images the states; without both the commands. A state or a command
+    with an image sequence belongs to that image's row. Other rows get the state nearest in time, at
+    most half a frame away, and the latest command. A frame without a state has no pose.
 
     Raises:
         InputError: the log has no commands, or no frame comes after the first one.
@@ -336,21 +297,24 @@ def to_flight_table(log: FlightLog) -> FlightTable:
         )
     times, sequences = _frame_rows(log)
     command_row = _command_rows(log, times, sequences)
-    flown = command_row >= 0  # rows before the first command cannot stand in a flight table
-    if not flown.any():
+    has_command = command_row >= 0  # a flight table has no rows before the first command
+    if not has_command.any():
         raise InputError(
-            f"{name}: expected a frame after the first command, got none; the log is too short for a table"
+            f"{name}: expected a frame after the first command, got none; the log is too short "
+            "for a table"
         )
     warnings = log.warnings
-    if not flown.all():
-        warnings += (f"{name}: frames left out because no command was given yet: {(~flown).sum()}",)
-    times, sequences, command_row = times[flown], sequences[flown], command_row[flown]
+    if not has_command.all():
+        omitted = (~has_command).sum()
+        warnings += (f"{name}: frames left out because no command was given yet: {omitted}",)
+    times, sequences = times[has_command], sequences[has_command]
+    command_row = command_row[has_command]
     columns = np.full((len(times), len(STATE_NAMES)), np.nan)
     state_row = _state_rows(log, times, sequences)
     if log.states:
         vectors = np.array([state.vector for state in log.states])
         columns[state_row >= 0] = vectors[state_row[state_row >= 0]]
-    # A state without velocities or rates holds zeros there, which must not pass for measurements.
+    # States without velocities or rates are all zero there: not measurements.
     extra = {
         column: columns[:, i]
         for i, column in enumerate(STATE_NAMES)
@@ -368,7 +332,7 @@ def to_flight_table(log: FlightLog) -> FlightTable:
 
 
 def _frame_rows(log: FlightLog) -> tuple[Array, NDArray[np.int64]]:
-    """Times and image sequence numbers of the rows, in order of time."""
+    """Times and image sequence numbers of the rows, sorted by time."""
     if len(log.image_times):
         times, sequences = log.image_times, log.image_sequences
     elif len(log.state_times):
@@ -379,26 +343,24 @@ def _frame_rows(log: FlightLog) -> tuple[Array, NDArray[np.int64]]:
     return times, sequences[first]
 
 
-def _match_sequences(sequences: NDArray[np.int64], answers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For each frame the first record that names it, -1 where none does."""
+def _match_sequences(frames: NDArray[np.int64], records: NDArray[np.int64]) -> NDArray[np.int64]:
+    """For each frame the first record with its sequence number, -1 without one."""
     row_of = {
-        int(sequence): row for row, sequence in reversed(list(enumerate(answers))) if sequence >= 0
+        int(sequence): row for row, sequence in reversed(list(enumerate(records))) if sequence >= 0
     }
-    return np.array([row_of.get(int(sequence), -1) for sequence in sequences], dtype=np.int64)
+    return np.array([row_of.get(int(sequence), -1) for sequence in frames], dtype=np.int64)
 
 
 def _command_rows(log: FlightLog, times: Array, sequences: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For each frame the command that answers it or else the last one given, -1 where there is none
-    yet.
-    """
+    """For each frame the command computed from it, else the latest one, -1 before the first."""
     rows = _match_sequences(sequences, log.command_sequences)
     order = np.argsort(log.command_times, kind="stable")
-    last = np.searchsorted(log.command_times[order], times, side="right") - 1
-    return np.where(rows >= 0, rows, np.where(last >= 0, order[last], -1))
+    latest = np.searchsorted(log.command_times[order], times, side="right") - 1
+    return np.where(rows >= 0, rows, np.where(latest >= 0, order[latest], -1))
 
 
 def _state_rows(log: FlightLog, times: Array, sequences: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For each frame the state that names it or else the nearest in time, -1 where there is none."""
+    """For each frame the state estimated from it, else the nearest in time, -1 without one."""
     rows = _match_sequences(sequences, log.state_sequences)
     if not log.states:
         return rows
@@ -414,11 +376,11 @@ def _state_rows(log: FlightLog, times: Array, sequences: NDArray[np.int64]) -> N
 def _read_messages(
     path: str | Path, warnings: list[str], metadata: dict[str, str]
 ) -> Iterator[tuple[str, Any]]:
-    """Messages of the topics that we know, each with its topic."""
+    """Messages of the known TOPICS, each with its topic; fills in warnings and metadata."""
     from mcap.records import Channel, Message, Metadata
 
     topics: dict[int, str] = {}
-    for record in read_mcap_records(path, warnings):
+    for record in _read_mcap_records(path, warnings):
         if isinstance(record, Channel):
             topics.setdefault(record.id, record.topic)
         elif isinstance(record, Metadata):
@@ -428,7 +390,7 @@ def _read_messages(
 
 
 def _parse(topic: str, message: Any) -> Any:
-    """A message as what it stands for: (t, sequence), (t, Command), (t, State, sequence) or Event."""
+    """A message's content: (t, sequence), (t, Command), (t, State, sequence) or Event."""
     if topic == IMAGE:
         return message.log_time / 1e9, message.sequence
     record = json.loads(message.data)
@@ -441,3 +403,147 @@ def _parse(topic: str, message: Any) -> Any:
         return Event(t, str(record["name"]), dict(record["details"]))
     sequence = require_range("image_sequence", record["image_sequence"], low=-1, high=2**32)
     return t, State.from_record(record), int(sequence)
+
+
+# The MCAP file: frames -> records, and records -> a repacked file.
+
+
+def _read_mcap_records(path: str | Path, warnings: list[str]) -> Iterator[Any]:
+    """Schema, Channel, Message and Metadata records of an MCAP file, up to its end or first damage.
+
+    Each kind of damage adds one sentence to the warnings.
+
+    Raises:
+        FileNotFoundError: there is no file.
+        InputError: the file is not MCAP.
+    """
+    path = require_file(path)
+    size = path.stat().st_size
+    damaged = 0
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            found = "another kind of file" if size else "an empty file"
+            raise InputError(
+                f"{short_name(path)}: expected a flight log in MCAP format, got {found}; "
+                "check the path"
+            )
+        for opcode, body in _read_frames(file, size - len(MAGIC), warnings):
+            records = _parse_frame(opcode, body)
+            damaged += records is None
+            yield from records or ()
+    if damaged:
+        warnings.append(f"damaged records left out: {damaged}")
+
+
+def _rewrite(source: str | Path, target: str | Path, warnings: list[str]) -> Counter[str]:
+    """Copy the readable records into compressed chunks with the index that viewers need.
+
+    Args:
+        source: a log, complete or damaged.
+        target: the file to write, atomically; may be the source.
+        warnings: receives one sentence for each kind of damage in the source.
+
+    Returns:
+        Number of messages written, by topic.
+    """
+    from mcap.records import Channel, Message, Metadata, Schema
+    from mcap.writer import Writer
+
+    schemas: dict[int, int] = {0: 0}
+    channels: dict[int, tuple[int, str]] = {}
+    counts: Counter[str] = Counter()
+    with atomic_write(target) as file:
+        writer = Writer(file)
+        writer.start(profile="falconwing")
+        for record in _read_mcap_records(source, warnings):
+            if isinstance(record, Schema) and record.id not in schemas:
+                schemas[record.id] = writer.register_schema(
+                    record.name, record.encoding, record.data
+                )
+            elif isinstance(record, Channel) and record.id not in channels:
+                schema = schemas.get(record.schema_id, 0)
+                number = writer.register_channel(
+                    record.topic, record.message_encoding, schema, record.metadata
+                )
+                channels[record.id] = number, record.topic
+            elif isinstance(record, Message) and record.channel_id in channels:
+                number, topic = channels[record.channel_id]
+                writer.add_message(
+                    number, record.log_time, record.data, record.publish_time, record.sequence
+                )
+                counts[topic] += 1
+            elif isinstance(record, Metadata):
+                writer.add_metadata(record.name, record.metadata)
+        writer.finish()
+    return counts
+
+
+def _read_frames(
+    file: BinaryIO, remaining: int, warnings: list[str]
+) -> Iterator[tuple[int, bytes]]:
+    """Opcode and body of each record up to the end of the data or to an impossible length."""
+    while remaining >= 9:
+        opcode, length = struct.unpack("<BQ", file.read(9))
+        if opcode == _DATA_END and length == 4:
+            return
+        if opcode == 0 or length > remaining - 9:
+            break
+        remaining -= 9 + length
+        yield opcode, file.read(length)
+    lost = f"; its last {remaining} bytes cannot be read" if remaining else ""
+    warnings.append(
+        "the log ends without its closing record, so writing it was interrupted or it was cut"
+        + lost
+    )
+
+
+def _parse_frame(opcode: int, body: bytes) -> list[Any] | None:
+    """The records in a frame: several for a chunk, none for an index, None if damaged."""
+    from mcap.data_stream import ReadDataStream
+    from mcap.exceptions import McapError
+    from mcap.records import Channel, Chunk, Message, Metadata, Schema
+
+    stream = ReadDataStream(BytesIO(body))
+    readers = {_SCHEMA: Schema.read, _CHANNEL: Channel.read, _METADATA: Metadata.read}
+    try:
+        if opcode == _MESSAGE:
+            return [Message.read(stream, len(body))]
+        if opcode == _CHUNK:
+            return _parse_chunk(Chunk.read(stream))
+        return [readers[opcode](stream)] if opcode in readers else []
+    except (McapError, struct.error, UnicodeDecodeError, OverflowError):
+        return None
+
+
+def _parse_chunk(chunk: Any) -> list[Any] | None:
+    """The records in a chunk, None unless its frames fill it exactly."""
+    data = _decompress(chunk)
+    if data is None:
+        return None
+    frames = list(_read_frames(BytesIO(data), len(data), []))
+    if sum(9 + len(body) for _, body in frames) != len(data):
+        return None
+    parsed = [_parse_frame(opcode, body) for opcode, body in frames if opcode != _CHUNK]
+    return [record for records in parsed for record in records or ()]
+
+
+def _decompress(chunk: Any) -> bytes | None:
+    """The uncompressed bytes of a chunk, None if size or checksum differ from its header."""
+    import lz4.frame  # type: ignore[import-untyped]
+    import zstandard
+
+    size = chunk.uncompressed_size
+    if size > min(MAX_CHUNK_BYTES, MAX_COMPRESSION * len(chunk.data) + 1024):
+        return None
+    try:
+        if chunk.compression == "zstd":
+            unpacker = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
+            data = unpacker.stream_reader(chunk.data).read(size)
+        elif chunk.compression == "lz4":
+            data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size)
+        else:
+            data = chunk.data if chunk.compression == "" else b""
+    except (zstandard.ZstdError, RuntimeError):
+        return None
+    crc_differs = chunk.uncompressed_crc not in (0, zlib.crc32(data))
+    return None if len(data) != size or crc_differs else bytes(data)

@@ -1,29 +1,29 @@
-"""Frames: attitude angles and vectors -> the same in world, body or camera axes. Only this file
-knows the sign flips.
+"""Frames: attitude angles and vectors -> the same in world, body or camera axes.
 
-world   x along the runway in the landing direction, y left, z up, origin on the floor under the marker
+world   x along the runway in the landing direction, y left, z up, origin on the floor at the marker
 body    x nose, y right wing, z belly (the textbook's aircraft axes)
 camera  x right, y down, z forward (OpenCV)
 
-Textbooks write attitude against north-east-down axes. Ours is that frame turned by half a turn
-about x, so
-R_world_body = diag(1, -1, -1) @ Rz(yaw) @ Ry(pitch) @ Rx(roll)   [Stevens, Lewis & Johnson, Aircraft Control
-and Simulation, 3rd ed., eq. 1.3-20, with our flip in front]. Roll is positive right wing down,
-pitch nose up, yaw nose right.
+Textbooks write attitude against north-east-down axes. The world is that frame after half a turn
+about x, hence R_world_body = diag(1, -1, -1) @ Rz(yaw) @ Ry(pitch) @ Rx(roll)   [Stevens, Lewis &
+Johnson, Aircraft Control and Simulation, 3rd ed., eq. 1.3-20, with the half turn in front]. Roll is
+positive right wing down, pitch nose up, yaw nose right. No other file contains these signs.
 """
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from falconwing_kit.core.checks import Array
 
-# Camera axes seen from the body: the mount is a plain permutation.
+# The camera's axes in body axes: a camera along the nose is a plain permutation.
 R_BODY_CAMERA: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 GRAVITY = 9.8  # m/s^2, the value of the paper's appendix
 
 
 def rotation_world_body(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
-    """Rotation that turns body vectors into world vectors.
+    """Rotation from body axes to world axes: v_world = R_world_body @ v_body.
 
     Args:
         roll: (...) [rad], positive right wing down.
@@ -40,23 +40,17 @@ def rotation_world_body(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Ar
     return R_world_body.astype(np.float64)
 
 
-def rotation_entries(roll, pitch, yaw):  # type: ignore[no-untyped-def]
-    """The nine entries of R_world_body, row by row, each of the angles' shape.
+def rotation_entries(roll: Any, pitch: Any, yaw: Any) -> Any:
+    """The nine entries of R_world_body, row by row, for angles (...).
 
     The aircraft model uses this form: on batches it is several times faster than stacked matrices,
-        and
-    it is plain arithmetic that also compiles.
-
-    Args:
-        roll: (...) [rad].
-        pitch: (...) [rad].
-        yaw: (...) [rad].
+    and it is plain arithmetic that numba compiles.
 
     Returns:
         Three rows of three entries, each (...).
     """
-    # Sine and cosine from the tangent of half the angle: one vectorised call instead of two slow
-    # ones, equal to 1e-15.
+    # Tangent half-angle formulas: cos = 2 / (1 + tan^2) - 1, sin = 2 tan / (1 + tan^2). One
+    # vectorised tan is faster than sin and cos; the results agree to 1e-15.
     half_roll, half_pitch, half_yaw = np.tan(0.5 * roll), np.tan(0.5 * pitch), np.tan(0.5 * yaw)
     over_roll, over_pitch, over_yaw = (
         1.0 / (1.0 + half_roll * half_roll),
@@ -83,8 +77,7 @@ def rotation_entries(roll, pitch, yaw):  # type: ignore[no-untyped-def]
 
 
 def euler_from_rotation(R_world_body: ArrayLike) -> tuple[Array, Array, Array]:
-    """Roll, pitch and yaw of a rotation; the inverse of `rotation_world_body` away from pitch =
-    +-90 deg.
+    """Roll, pitch and yaw of a rotation; inverse of `rotation_world_body` for |pitch| < 90 deg.
 
     Args:
         R_world_body: (..., 3, 3).
@@ -99,12 +92,15 @@ def euler_from_rotation(R_world_body: ArrayLike) -> tuple[Array, Array, Array]:
     return roll, pitch, yaw
 
 
-def euler_rates(row_z, p, q, r):  # type: ignore[no-untyped-def]
-    """Rates of the attitude angles from body rates [Stevens, Lewis & Johnson, eq. 1.4-4].
+def euler_rates(row_z: Any, p: Any, q: Any, r: Any) -> Any:
+    """Rates of the Euler angles from body rates [Stevens, Lewis & Johnson, eq. 1.4-4].
 
-    Written with the last row of the rotation, (sin pitch, -sin roll cos pitch, -cos roll cos
-    pitch), which the caller has already: it saves four sines and cosines on every evaluation of the
-    aircraft model.
+    yaw_rate   = (q sin roll + r cos roll) / cos pitch
+    pitch_rate = q cos roll - r sin roll
+    roll_rate  = p + sin pitch yaw_rate
+
+    Written with the last row of R_world_body, (sin pitch, -sin roll cos pitch, -cos roll cos
+    pitch), which the caller already has: this saves four sines and cosines per evaluation.
 
     Args:
         row_z: last row of R_world_body, three entries of shape (...), pitch away from +-90 deg.
@@ -123,15 +119,7 @@ def euler_rates(row_z, p, q, r):  # type: ignore[no-untyped-def]
 
 
 def up_in_body(roll: ArrayLike, pitch: ArrayLike) -> tuple[Array, Array, Array]:
-    """Last row of R_world_body: the world's up axis, written in body axes.
-
-    Args:
-        roll: (...) [rad].
-        pitch: (...) [rad].
-
-    Returns:
-        Components along nose, right wing and belly, each (...).
-    """
+    """The world's up axis in body axes (the last row of R_world_body), three entries (...)."""
     roll, pitch = np.asarray(roll, np.float64), np.asarray(pitch, np.float64)
     return np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)
 
@@ -143,18 +131,7 @@ def body_rates(
     pitch_rate: ArrayLike,
     yaw_rate: ArrayLike,
 ) -> tuple[Array, Array, Array]:
-    """Body rates from the rates of the attitude angles; the inverse of `euler_rates`.
-
-    Args:
-        roll: (...) [rad].
-        pitch: (...) [rad].
-        roll_rate: (...) [rad/s].
-        pitch_rate: (...) [rad/s].
-        yaw_rate: (...) [rad/s].
-
-    Returns:
-        p, q, r, each (...) [rad/s].
-    """
+    """Body rates p, q, r from the rates of the Euler angles; inverse of `euler_rates`."""
     roll, pitch = np.asarray(roll, np.float64), np.asarray(pitch, np.float64)
     roll_rate, pitch_rate, yaw_rate = (
         np.asarray(x, np.float64) for x in (roll_rate, pitch_rate, yaw_rate)
@@ -166,19 +143,12 @@ def body_rates(
 
 
 def wrap_angle(angle: ArrayLike) -> Array:
-    """The same angle in [-pi, pi).
-
-    Args:
-        angle: (...) [rad].
-
-    Returns:
-        (...) [rad].
-    """
+    """The same angle in [-pi, pi), any shape [rad]."""
     return (np.asarray(angle, np.float64) + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def pose_matrix(R_world_body: ArrayLike, p_world: ArrayLike) -> Array:
-    """T_world_body from its rotation and the body's origin in the world.
+    """Homogeneous matrix of a rotation and the body's origin in the world.
 
     Args:
         R_world_body: (..., 3, 3).
@@ -194,11 +164,11 @@ def pose_matrix(R_world_body: ArrayLike, p_world: ArrayLike) -> Array:
 
 
 def camera_pose(T_world_body: ArrayLike, p_body_camera: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
-    """T_world_camera of a camera that looks along the nose.
+    """T_world_camera of a camera along the nose.
 
     Args:
         T_world_body: (..., 4, 4).
-        p_body_camera: (3,) where the camera sits, in body axes [m].
+        p_body_camera: (3,) position of the camera in body axes [m].
 
     Returns:
         T_world_camera (..., 4, 4), "world from camera".
@@ -210,17 +180,9 @@ def camera_pose(T_world_body: ArrayLike, p_body_camera: ArrayLike = (0.0, 0.0, 0
 def euler_from_ned(
     roll_ned: ArrayLike, pitch_ned: ArrayLike, heading_ned: ArrayLike
 ) -> tuple[Array, Array, Array]:
-    """Attitude as autopilots log it (against north-east-down) -> ours, with world x = north.
+    """Roll, pitch, yaw with world x = north from an autopilot's angles against north-east-down.
 
-    The two frames differ by half a turn about x, which leaves the three angles as they are.
-
-    Args:
-        roll_ned: (...) [rad].
-        pitch_ned: (...) [rad].
-        heading_ned: (...) clockwise from north [rad].
-
-    Returns:
-        roll, pitch, yaw, each (...) [rad].
+    The two frames differ by half a turn about x, which leaves all three angles unchanged.
     """
     return (
         np.asarray(roll_ned, np.float64),
@@ -230,13 +192,6 @@ def euler_from_ned(
 
 
 def world_from_enu(v_enu: ArrayLike) -> Array:
-    """East-north-up vectors -> our world with x = north, y = west, z = up.
-
-    Args:
-        v_enu: (..., 3).
-
-    Returns:
-        v_world (..., 3), same unit.
-    """
+    """East-north-up vectors (..., 3) -> world vectors (..., 3) with x = north, y = west, z = up."""
     v = np.asarray(v_enu, np.float64)
     return np.stack([v[..., 1], -v[..., 0], v[..., 2]], axis=-1)

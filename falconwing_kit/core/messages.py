@@ -1,6 +1,4 @@
-"""Messages: what one block of the loop hands to the next. Frozen records with units and frames,
-nothing else.
-"""
+"""Messages: frozen records that the blocks of the control loop exchange, with units and frames."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,6 +10,7 @@ from numpy.typing import NDArray
 from falconwing_kit.core.checks import Array, require_range, require_shape
 from falconwing_kit.core.frames import pose_matrix, rotation_world_body
 
+CONTROL_PERIOD_S = 0.05  # of the control loop and of the flight table's rows: the paper's 20 Hz
 # Order of the state vector: the paper's nine, then the body rates of the 12-state model.
 STATE_NAMES = ("px", "py", "pz", "pitch", "yaw", "roll", "vx", "vy", "vz", "p", "q", "r")
 COMMAND_NAMES = ("throttle", "aileron", "elevator", "rudder")
@@ -21,13 +20,13 @@ COMMAND_NAMES = ("throttle", "aileron", "elevator", "rudder")
 class Image:
     """One camera frame."""
 
-    sequence: int  # counts frames since the camera started
-    t: float  # when it was taken [s]
+    sequence: int  # number of the frame since the camera started
+    t: float  # time of exposure [s]
     pixels: NDArray[np.uint8]  # (height, width, 3) RGB, or its JPEG as (n,) bytes
 
     @property
     def jpeg(self) -> bytes:
-        """The image as JPEG; pixels are packed by OpenCV."""
+        """The image as JPEG; pixels are encoded by OpenCV."""
         if self.pixels.ndim == 1:
             return self.pixels.tobytes()
         import cv2
@@ -37,7 +36,7 @@ class Image:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the aircraft is and how it is turned: position [m] and attitude [rad] in the world."""
+    """Position [m] and attitude [rad] of the aircraft in the world."""
 
     p_world: Array  # (3,) [m]
     roll: float  # [rad], right wing down positive
@@ -46,13 +45,13 @@ class Pose:
 
     @property
     def T_world_body(self) -> Array:
-        """The same pose as a matrix (4, 4)."""
+        """The pose as a homogeneous matrix (4, 4)."""
         return pose_matrix(rotation_world_body(self.roll, self.pitch, self.yaw), self.p_world)
 
 
 @dataclass(frozen=True)
 class State:
-    """The paper's nine states, and body rates where a model has them."""
+    """The paper's nine states, and body rates for models that have them."""
 
     p_world: Array  # (3,) [m]
     pitch: float  # [rad]
@@ -63,13 +62,7 @@ class State:
 
     @classmethod
     def from_vector(cls, vector: Array) -> "State":
-        """State from its vector.
-
-        Args:
-            vector: (9,) or (12,) in the order of STATE_NAMES, SI.
-
-        Returns:
-            The state; body rates are zero where the vector has none.
+        """State from a vector (9,) or (12,) in the order of STATE_NAMES; (9,) has zero body rates.
 
         Raises:
             InputError: the vector has another length.
@@ -80,10 +73,7 @@ class State:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "State":
-        """State from names and numbers, the inverse of `record`.
-
-        Args:
-            record: a number for each of STATE_NAMES, None where it is not known.
+        """State from a number for each of STATE_NAMES, None for nan; the inverse of `record`.
 
         Raises:
             InputError: a value is not a finite number.
@@ -105,7 +95,7 @@ class State:
 
     @property
     def record(self) -> dict[str, float | None]:
-        """Names and numbers, as JSON holds them: None for nan."""
+        """Names and numbers for JSON: None for nan."""
         return {
             name: x if np.isfinite(x) else None
             for name, x in zip(STATE_NAMES, self.vector.tolist(), strict=True)
@@ -119,16 +109,14 @@ class State:
 
 @dataclass(frozen=True)
 class Command:
-    """Stick positions: throttle 0..1, the others -1..1; positive is right wing down, nose up, nose
-    right.
-    """
+    """Control inputs: throttle 0..1, the others -1..1."""
 
     throttle: float
-    aileron: float
-    elevator: float
-    rudder: float
-    image_sequence: int = -1  # the image this command answers; -1 where there was none
-    saturated: bool = False  # True where a limit acted
+    aileron: float  # positive right wing down
+    elevator: float  # positive nose up
+    rudder: float  # positive nose right
+    image_sequence: int = -1  # the image that the command was computed from; -1 without one
+    saturated: bool = False  # True if a limit was active
 
     @classmethod
     def clip(
@@ -139,54 +127,34 @@ class Command:
         rudder: float,
         image_sequence: int = -1,
     ) -> "Command":
-        """A command within its limits; `saturated` says whether a limit acted.
-
-        Args:
-            throttle: wanted throttle, cut to 0..1.
-            aileron: wanted aileron, cut to -1..1.
-            elevator: wanted elevator, cut to -1..1.
-            rudder: wanted rudder, cut to -1..1.
-            image_sequence: the image this command answers.
-
-        Returns:
-            The command.
+        """A command clipped to its limits; `saturated` records whether one was active.
 
         Raises:
             InputError: a value is not finite.
         """
         values = (throttle, aileron, elevator, rudder)
-        wanted = [
-            require_range(name, value) for name, value in zip(COMMAND_NAMES, values, strict=True)
-        ]
-        clipped = [
-            min(max(value, low), 1.0)
-            for value, low in zip(wanted, (0.0, -1.0, -1.0, -1.0), strict=True)
-        ]
-        return cls(
-            clipped[0],
-            clipped[1],
-            clipped[2],
-            clipped[3],
-            image_sequence,
-            saturated=clipped != wanted,
-        )
+        unclipped = {
+            name: require_range(name, value)
+            for name, value in zip(COMMAND_NAMES, values, strict=True)
+        }
+        clipped = {
+            name: min(max(value, 0.0 if name == "throttle" else -1.0), 1.0)
+            for name, value in unclipped.items()
+        }
+        return cls(**clipped, image_sequence=image_sequence, saturated=clipped != unclipped)
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "Command":
-        """Command from names and values, the inverse of `record`.
-
-        Args:
-            record: a number for each of COMMAND_NAMES, image_sequence and saturated.
+        """Command from COMMAND_NAMES, image_sequence and saturated; the inverse of `record`.
 
         Raises:
             InputError: a value is not a finite number.
             KeyError: a name is missing.
         """
-        values = [require_range(name, record[name]) for name in COMMAND_NAMES]
-        sequence = int(
-            require_range("image_sequence", record["image_sequence"], low=-1, high=2**32)
-        )
-        return cls(values[0], values[1], values[2], values[3], sequence, bool(record["saturated"]))
+        values = {name: require_range(name, record[name]) for name in COMMAND_NAMES}
+        sequence = require_range("image_sequence", record["image_sequence"], low=-1, high=2**32)
+        saturated = bool(record["saturated"])
+        return cls(**values, image_sequence=int(sequence), saturated=saturated)
 
     @property
     def vector(self) -> Array:
@@ -195,7 +163,7 @@ class Command:
 
     @property
     def record(self) -> dict[str, float | int | bool]:
-        """Names and values, as JSON holds them."""
+        """Names and values for JSON."""
         values = {name: float(getattr(self, name)) for name in COMMAND_NAMES}
         return {
             **values,
@@ -204,9 +172,12 @@ class Command:
         }
 
 
+SAFE_COMMAND = Command(throttle=0.0, aileron=0.0, elevator=0.0, rudder=0.0)  # motor off, neutral
+
+
 @dataclass(frozen=True)
 class Event:
-    """Something that happened once: engaged, marker lost, touchdown."""
+    """A single occurrence: engaged, marker lost, touchdown."""
 
     t: float  # [s]
     name: str
@@ -215,11 +186,9 @@ class Event:
 
 @dataclass(frozen=True)
 class Observation:
-    """What a controller gets: the newest image, the commands it gave, and the state where one is
-    known.
-    """
+    """Input of a controller: newest image, its own past commands, and the state if it is known."""
 
     t: float  # [s]
     image: Image | None
-    past_commands: Array  # (30, 4), oldest first, zero where there was none
+    past_commands: Array  # (30, 4), oldest first, zeros before the first command
     state: State | None = None

@@ -1,9 +1,12 @@
-"""trainer_port: PPM calibration, serial protocol, safety state machine, boards and the port to the
-transmitter.
-"""
+"""trainer_port: PPM calibration, serial protocol, safety state machine and the board's port."""
 
 from falconwing_kit.trainer_port.port import TrainerPort
-from falconwing_kit.trainer_port.ppm import Calibration, Stick, load_calibration
+from falconwing_kit.trainer_port.ppm import (
+    Calibration,
+    Stick,
+    encode_command,
+    load_calibration,
+)
 from falconwing_kit.trainer_port.protocol import (
     CommandFrame,
     Deframer,
@@ -15,7 +18,6 @@ from falconwing_kit.trainer_port.protocol import (
     decode_status,
     encode,
     encode_channels,
-    encode_command,
     encode_sync,
 )
 from falconwing_kit.trainer_port.safety import Safety, SafetyConfig, SafetyDecision

@@ -1,9 +1,9 @@
-"""Trainer port: commands in, frames to the board; its status, the pilot's sticks and its time out.
+"""Trainer port: commands -> serial frames to the board; its status, pilot frames and clock back.
 
-There is no heartbeat: only `send` makes a COMMAND, so a loop that stops is noticed by the board
-within 200 ms. Nothing is sent before the board's first STATUS, for a Mega's boot loader listens for
-two seconds after a reset. On the way to the aircraft nothing raises: a lost port is a state and an
-event, and `poll` opens it again.
+There is no heartbeat: only `send` produces a COMMAND, so the board detects a stopped control loop
+within 200 ms. Nothing is sent before the board's first STATUS, because a Mega's boot loader listens
+for two seconds after a reset. Nothing raises in flight: a lost port is a state and an event, and
+`poll` reopens it.
 """
 
 import math
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.messages import Command, Event
+from falconwing_kit.core.messages import SAFE_COMMAND, Command, Event
 from falconwing_kit.trainer_port.clock import DeviceClock
 from falconwing_kit.trainer_port.ppm import Calibration, load_calibration
 from falconwing_kit.trainer_port.protocol import (
@@ -27,55 +27,52 @@ from falconwing_kit.trainer_port.protocol import (
     encode_sync,
 )
 
-SILENT_AFTER = 0.5  # s without a STATUS, which comes 20 times a second
-ENGAGE_WITHIN = 1.0  # s from the edge to ACTIVE; then the edge is tried again
-SYNC_PERIOD, FIRST_SYNCS = 0.5, 8  # s between round trips; the first eight go ten times as fast
-BACK_OFF = (0.25, 4.0)  # s between attempts to open a lost port: the first, doubled up to the last
-IDLE = 0.02  # throttle that turns no motor
-HAND_BACK_FRAMES = 3  # in a burst: one is enough, two may be damaged on the way
-SAFE = Command(throttle=0.0, aileron=0.0, elevator=0.0, rudder=0.0)
+SILENT_AFTER = 0.5  # s without a STATUS, which is sent at 20 Hz
+ENGAGE_WITHIN = 1.0  # s from the edge to ACTIVE; then the edge is repeated
+SYNC_PERIOD, FIRST_SYNCS = 0.5, 8  # s between round trips; the first eight are ten times as fast
+BACK_OFF = (0.25, 4.0)  # s between attempts to reopen a lost port: first and, by doubling, last
+IDLE = 0.02  # maximum throttle at which the motor is off
+HAND_BACK_FRAMES = 3  # in a burst: one is enough, two may be corrupted
 
 
 class Link(Protocol):
     """A line to the board: a serial port, or a simulated board."""
 
     def write(self, data: bytes) -> Any:
-        """Send bytes; OSError where the line is gone."""
+        """Send bytes; OSError if the link is lost."""
 
     def read(self) -> bytes:
-        """What has come since the last call, at once; OSError where the line is gone."""
+        """The bytes received since the last call, without waiting; OSError if the link is lost."""
 
 
 @dataclass
 class Counters:
-    """What was counted since the port was made; the board's own counters are in its STATUS."""
+    """Counts since the port was created; the board's own counters are in its STATUS."""
 
     sent: int = 0  # COMMAND frames written
     unsent: int = 0  # commands that could not be written: no port, or no STATUS yet
     accepted: int = 0  # of those sent, by the board's count
-    dropped: int = 0  # of those sent, not accepted though a later one was
-    bad: int = 0  # frames from the board that were damaged
-    resets: int = 0  # of the board, seen by its boot count or its clock
-    reconnects: int = 0  # openings of a lost port
+    dropped: int = 0  # of those sent: not accepted, although a later one was
+    bad: int = 0  # corrupted frames from the board
+    resets: int = 0  # of the board, detected by its boot count or its clock
+    reconnects: int = 0  # of a lost port
 
 
 class TrainerPort:
     """The board at the other end of a link.
 
     `state` is "waiting" (no STATUS yet), "open", "silent" (STATUS stopped; nothing is sent until it
-    is back) or "lost". `engagement` is "off", "asking" (engage=0 goes out until the board is SAFE
-    and heard it), "engaging" (engage=1 goes out until the board is ACTIVE), "engaged" or "dropped".
-    When the board stops following, for whatever reason, or the sticks were handed back, it stays
-    dropped until `send` was called with engage=False once: nobody takes the aircraft back by
-    accident.
+    returns) or "lost". `engagement` is "off", "asking" (sending engage=0 until the board is SAFE
+    and has received it), "engaging" (sending engage=1 until the board is ACTIVE), "engaged" or
+    "dropped". After the board leaves ACTIVE for any reason, or after a hand-back, it stays dropped
+    until one call of `send` with engage=False: control is never retaken by accident.
 
     Args:
-        link: the line; its method `read_stamped`, where it has one, gives the times at which bytes
-            came.
-        calibration: sticks to microseconds; None takes the kit's own.
+        link: the line; if it has a method `read_stamped`, that gives the times of arrival.
+        calibration: control inputs to microseconds; None for the shipped one.
         now: the host's clock [s]; for a simulated board its virtual time.
-        reopen: makes a new link when this one is lost; None where there is no way.
-        what: the board in words, for people and logs.
+        reopen: creates a new link when this one is lost; None if impossible.
+        what: description of the board for users and logs.
     """
 
     def __init__(
@@ -88,23 +85,20 @@ class TrainerPort:
     ) -> None:
         self.calibration = load_calibration() if calibration is None else calibration
         self.link, self.now, self.what = link, now, what
-        self.simulation: Any = (
-            None  # the simulated board, or None for hardware; closed with the port
-        )
+        self.simulation: Any = None  # simulated board, closed with the port; None for hardware
         self.clock, self.counters = DeviceClock(), Counters()
         self.status: Status | None = None
         self.pilot: PilotFrame | None = None
-        self.pilots: deque[PilotFrame] = deque(
-            maxlen=1000
-        )  # those not yet taken; empty it as you like
-        self.events: deque[Event] = deque(maxlen=1000)  # the same
+        # Pilot frames and events not yet consumed; the caller empties these queues.
+        self.pilots: deque[PilotFrame] = deque(maxlen=1000)
+        self.events: deque[Event] = deque(maxlen=1000)
         self.state, self.engagement = "waiting", "off"
         self._reopen, self._deframer, self._bad_before = reopen, Deframer(), 0
-        self._next: int | None = None  # sequence of the next COMMAND
-        self._asked_from = 0  # sequence of the first engage=0 of this asking
+        self._next_sequence: int | None = None  # sequence of the next COMMAND
+        self._request_sequence = 0  # sequence of the first engage=0 of this request
         self._engaging_since = 0.0
-        self._status_at, self._began, self._wait, self._try_at = math.nan, now(), BACK_OFF[0], 0.0
-        self._syncs: dict[int, float] = {}  # tokens on their way and when they were sent
+        self._status_at, self._reopen_at, self._reopen_wait = math.nan, 0.0, BACK_OFF[0]
+        self._syncs: dict[int, float] = {}  # tokens without a reply -> time of sending
         self._sync_at, self._syncs_sent = 0.0, 0
 
     def __enter__(self) -> "TrainerPort":
@@ -119,20 +113,18 @@ class TrainerPort:
         sleep: Callable[[float], Any] = time.sleep,
         calibrated: bool = True,
     ) -> Status:
-        """Wait on the ground until the board answers, its clock is known and it has given up a host
-        that is gone.
+        """Wait on the ground for a STATUS other than ACTIVE and a synchronised clock.
 
         Args:
-            timeout: at most so long [s]; a Mega that was restarted by the opening needs two.
-            sleep: lets time pass [s]; for a simulated board it runs the board.
-            calibrated: False does without the check that calibration and board fit, in order to
-                calibrate.
+            timeout: [s]; a Mega that restarts on opening needs two.
+            sleep: waits [s]; for a simulated board it advances the simulation.
+            calibrated: False omits the check that calibration and board match, for calibrating.
 
         Returns:
             The newest STATUS.
 
         Raises:
-            InputError: no STATUS came, or calibration and board do not fit (see
+            InputError: no STATUS arrived, or calibration and board do not match (see
                 `require_matching_calibration`).
         """
         end = self.now() + timeout
@@ -147,18 +139,18 @@ class TrainerPort:
                 break
         if self.status is None:
             raise InputError(
-                f"{self.what or 'trainer port'}: expected a STATUS from the board, got none in {timeout:g} s; "
-                "is the kit's firmware on it (falconwing firmware build), and is it this port (falconwing find-port)?"
+                f"{self.what or 'trainer port'}: expected a STATUS from the board, got none in "
+                f"{timeout:g} s; is the kit's firmware on it (falconwing firmware build), "
+                "and is it this port (falconwing find-port)?"
             )
         if calibrated:
             require_matching_calibration(self.calibration, self.status)
         return self.status
 
     def poll(self) -> None:
-        """Read what the board sent, keep the clocks together, notice silence and open a lost port
-        again.
+        """Read from the board, synchronise the clocks, detect silence and reopen a lost port.
 
-        The SYNC frames that it sends do not renew the board's countdown.
+        The SYNC frames sent here do not restart the board's timeout.
         """
         if self.state == "lost":
             self._reopen_link()
@@ -176,40 +168,38 @@ class TrainerPort:
             self._handle_loss(error)
 
     def send(self, command: Command, engage: bool) -> bool:
-        """Send one command; call it at the loop's rate, for nothing is repeated by itself.
+        """Send one command; call it at the loop's rate, because nothing is repeated automatically.
 
-        While the board does not follow yet, engage=True first sends engage=0 until the board has
-        seen one in SAFE, and then the edge that it waits for.
+        Before the board is ACTIVE, engage=True first sends engage=0 until the board has received
+        one in SAFE, and then the rising edge that it requires.
 
         Args:
-            command: sticks; what is not finite, or no command at all, hands the sticks back.
-            engage: True where the aircraft shall follow.
+            command: control inputs; a value that is not finite, or no command, hands back.
+            engage: True if the aircraft shall follow.
 
         Returns:
             True if it was written.
         """
         if not engage:
             self.engagement = "off"
-        elif self.engagement == "off" and self._next is not None:
-            self.engagement, self._asked_from = "asking", self._next
+        elif self.engagement == "off" and self._next_sequence is not None:
+            self.engagement, self._request_sequence = "asking", self._next_sequence
         try:
             channels = self.calibration.channels_us(command)
         except (ValueError, OverflowError, TypeError, AttributeError) as error:
             self._drop_engagement("bad command", {"error": str(error)})
-            channels = self.calibration.channels_us(SAFE)
+            channels = self.calibration.channels_us(SAFE_COMMAND)
         return self._send_command(channels, self.engagement in ("engaging", "engaged"))
 
     def hand_back(self) -> None:
-        """Give the sticks back to the pilot at once: a burst of frames with engage=0, of which one
-        suffices.
-        """
+        """Return control to the pilot: a burst of frames with engage=0, of which one suffices."""
         if self.engagement in ("asking", "engaging", "engaged"):
             self._drop_engagement("handed back", {})
         for _ in range(HAND_BACK_FRAMES):
-            self._send_command(self.calibration.channels_us(SAFE), False)
+            self._send_command(self.calibration.channels_us(SAFE_COMMAND), False)
 
     def close(self) -> None:
-        """Hand back and close the link, and the simulation where it is one."""
+        """Hand back and close the link, and the simulation if there is one."""
         self.hand_back()
         self._close_link()
         if self.simulation is not None:
@@ -218,29 +208,27 @@ class TrainerPort:
     def to_host_time(self, device_us: int) -> float:
         """A device time [us, 32 bits] on the host's clock [s].
 
-        Before the first round trip it is told by the newest STATUS, late by the time that one was
-        on its way; nan before that.
+        Before the first round trip it is derived from the newest STATUS, late by its latency; nan
+        before that.
         """
         if self.clock.is_synchronised or self.status is None:
             return self.clock.to_host(device_us)
-        return (
-            self._status_at
-            + _wrapped_difference(device_us, self.status.device_time_us, 2**32) * 1e-6
-        )
+        since_status_us = _wrapped_difference(device_us, self.status.device_time_us, 2**32)
+        return self._status_at + since_status_us * 1e-6
 
     @property
     def status_age(self) -> float:
-        """Since the newest STATUS [s]; nan before the first."""
+        """Age of the newest STATUS [s]; nan before the first."""
         return self.now() - self._status_at
 
     # Reading.
 
     def _read(self) -> list[tuple[float, bytes]]:
-        """Bytes with the time they came."""
+        """Chunks of bytes with their times of arrival."""
         if self.state == "lost":
             return []
-        stamped = getattr(self.link, "read_stamped", None)
-        return stamped() if stamped is not None else [(self.now(), self.link.read())]
+        read_stamped = getattr(self.link, "read_stamped", None)
+        return [(self.now(), self.link.read())] if read_stamped is None else read_stamped()
 
     def _dispatch(self, message: object, t: float) -> None:
         if isinstance(message, Status):
@@ -248,11 +236,9 @@ class TrainerPort:
         elif isinstance(message, PilotFrame):
             self.pilot = message
             self.pilots.append(message)
-        elif (
-            isinstance(message, SyncReply)
-            and (sent := self._syncs.pop(message.token, None)) is not None
-        ):
-            self._syncs.clear()  # answers come in order: older ones are lost
+        elif isinstance(message, SyncReply) and message.token in self._syncs:
+            sent = self._syncs[message.token]
+            self._syncs.clear()  # replies arrive in order: those to older requests are lost
             self.clock.add(sent, message.received_us, message.sent_us, t)
 
     def _handle_status(self, status: Status, t: float) -> None:
@@ -261,7 +247,7 @@ class TrainerPort:
             status.boot_count != old.boot_count
             or _wrapped_difference(status.device_time_us, old.device_time_us, 2**32) < 0
         )
-        if reset:
+        if reset:  # the board's counters and clock have started again
             self.counters.resets += 1
             self.clock.restart()
             self._syncs.clear()
@@ -270,49 +256,45 @@ class TrainerPort:
             )
         if self.state != "open":
             self._set_state("open", f"the board answers: {status.state}")
-            if (
-                self._next is None
-                or _wrapped_difference(self._next, status.last_sequence, 2**16) <= 0
-            ):
-                self._next = (status.last_sequence + 1) % 2**16
+            # Continue after the board's last sequence, unless ours is already ahead of it.
+            last, upcoming = status.last_sequence, self._next_sequence
+            if upcoming is None or _wrapped_difference(upcoming, last, 2**16) <= 0:
+                self._next_sequence = (last + 1) % 2**16
         self._count_accepted(status, None if old is None else old.accepted, reset)
         if old is None or (status.state, status.fault) != (old.state, old.fault):
             self._event("board", {"state": status.state, "fault": status.fault})
         self._update_engagement(status, t)
 
     def _count_accepted(self, status: Status, accepted_before: int | None, reset: bool) -> None:
-        """Frames accepted, from the board's own counter; those missing below its last sequence were
-        dropped.
-        """
+        """Accepted frames by the board's counter; others up to its last sequence were dropped."""
         counters = self.counters
         if accepted_before is not None:
             counters.accepted += (
                 status.accepted if reset else (status.accepted - accepted_before) % 2**32
             )
-        if counters.sent and status.accepted and self._next is not None:
-            on_the_way = max(_wrapped_difference(self._next, status.last_sequence, 2**16) - 1, 0)
-            counters.dropped = max(counters.sent - on_the_way - counters.accepted, counters.dropped)
+        if counters.sent and status.accepted and self._next_sequence is not None:
+            ahead = _wrapped_difference(self._next_sequence, status.last_sequence, 2**16)
+            in_transit = max(ahead - 1, 0)
+            counters.dropped = max(counters.sent - in_transit - counters.accepted, counters.dropped)
 
     def _update_engagement(self, status: Status, t: float) -> None:
-        """From the board's state to ours: the edge may go out, the board follows, or it does no
-        longer.
-        """
-        seen = {"state": status.state, "fault": status.fault}
+        """Transitions of the engagement on the board's state."""
+        details = {"state": status.state, "fault": status.fault}
         if self.engagement == "asking":
-            heard = (
+            received = (
                 status.accepted
-                and _wrapped_difference(status.last_sequence, self._asked_from, 2**16) >= 0
+                and _wrapped_difference(status.last_sequence, self._request_sequence, 2**16) >= 0
             )
-            if heard and status.state == "SAFE":
+            if received and status.state == "SAFE":
                 self.engagement, self._engaging_since = "engaging", t
         elif self.engagement == "engaging" and status.state == "ACTIVE":
             self.engagement = "engaged"
-            self._event("engaged", seen)
+            self._event("engaged", details)
         elif self.engagement == "engaging" and status.state == "SAFE":
-            if t - self._engaging_since > ENGAGE_WITHIN and self._next is not None:
-                self.engagement, self._asked_from = "asking", self._next
+            if t - self._engaging_since > ENGAGE_WITHIN and self._next_sequence is not None:
+                self.engagement, self._request_sequence = "asking", self._next_sequence
         elif self.engagement in ("engaging", "engaged") and status.state != "ACTIVE":
-            self._drop_engagement("dropped", seen)
+            self._drop_engagement("dropped", details)
 
     def _drop_engagement(self, name: str, details: dict[str, Any]) -> None:
         self.engagement = "dropped"
@@ -321,16 +303,16 @@ class TrainerPort:
     # Writing.
 
     def _send_command(self, channels_us: tuple[int, ...], engage: bool) -> bool:
-        if self.state != "open" or self._next is None:
+        if self.state != "open" or self._next_sequence is None:
             self.counters.unsent += 1
             return False
         try:
-            self.link.write(encode_channels(self._next, channels_us, engage))
+            self.link.write(encode_channels(self._next_sequence, channels_us, engage))
         except OSError as error:
             self.counters.unsent += 1
             self._handle_loss(error)
             return False
-        self._next = (self._next + 1) % 2**16
+        self._next_sequence = (self._next_sequence + 1) % 2**16
         self.counters.sent += 1
         return True
 
@@ -341,7 +323,7 @@ class TrainerPort:
         self._sync_at = now + SYNC_PERIOD * (0.1 if self._syncs_sent < FIRST_SYNCS else 1.0)
         self.link.write(encode_sync(token))
 
-    # A port that comes and goes.
+    # Loss and reopening.
 
     def _set_state(self, state: str, why: str) -> None:
         self.state = state
@@ -350,14 +332,14 @@ class TrainerPort:
     def _handle_loss(self, error: OSError) -> None:
         self._close_link()
         self._set_state("lost", str(error))
-        self._try_at, self._wait = self.now() + BACK_OFF[0], BACK_OFF[0]
+        self._reopen_at, self._reopen_wait = self.now() + BACK_OFF[0], BACK_OFF[0]
 
     def _reopen_link(self) -> None:
         now = self.now()
-        if self._reopen is None or now < self._try_at:
+        if self._reopen is None or now < self._reopen_at:
             return
-        self._wait = min(2.0 * self._wait, BACK_OFF[1])
-        self._try_at = now + self._wait
+        self._reopen_wait = min(2.0 * self._reopen_wait, BACK_OFF[1])
+        self._reopen_at = now + self._reopen_wait
         with suppress(OSError, InputError):
             self.link = self._reopen()
             self._bad_before += self._deframer.bad
@@ -375,40 +357,38 @@ class TrainerPort:
 
 
 def require_matching_calibration(calibration: Calibration, status: Status) -> None:
-    """Refuse a calibration that the board's firmware was not set for.
+    """Refuse a calibration that does not match the board's firmware.
 
-    What the board sends by itself, for one after a loss, is set when it is flashed. With the sticks
-    in another order its idle throttle would be half of it.
+    The failsafe outputs are compiled into the firmware. With another channel order its idle
+    throttle could be half throttle.
 
     Args:
         calibration: of the radio.
-        status: of the board, any but ACTIVE for the check of its safe slots.
+        status: of the board; in any state but ACTIVE its safe channels are checked.
 
     Raises:
-        InputError: the numbers of channels differ, or the board's safe slots would leave the motor
-            on.
+        InputError: the numbers of channels differ, or the board's safe channels leave the motor on.
     """
-    wanted, got = len(status.channels_us), calibration.channels
-    if wanted != got:
+    expected, got = len(status.channels_us), calibration.channels
+    if expected != got:
         raise InputError(
-            f"calibration: expected {wanted} channels as the board's firmware has, got {got}; "
-            "calibrate again, or set CHANNELS in firmware/trainer_bridge/config.h and flash the board"
+            f"calibration: expected {expected} channels as the board's firmware has, got {got}; "
+            "calibrate again, or set CHANNELS in firmware/trainer_bridge/config.h and flash the "
+            "board"
         )
     throttle = calibration.command(status.channels_us).throttle
     if status.state != "ACTIVE" and throttle > IDLE:
+        channel = calibration.throttle.channel
+        idle_us = calibration.channels_us(SAFE_COMMAND)[channel - 1]
         raise InputError(
-            f"calibration: expected the board's safe slots {status.channels_us} us to stop the motor, got throttle "
-            f"{throttle:.0%}, for the radio has it in channel {calibration.throttle.channel} and idles at "
-            f"{_idle_us(calibration)} us; change the radio's order of channels or travel, or set THROTTLE_CHANNEL and "
-            "SAFE_SLOTS_US in firmware/trainer_bridge/config.h and flash the board"
+            f"calibration: expected the board's safe slots {status.channels_us} us to stop the "
+            f"motor, got throttle {throttle:.0%}, for the radio has it in channel {channel} and "
+            f"idles at {idle_us} us; change the radio's order of channels or travel, or set "
+            "THROTTLE_CHANNEL and SAFE_SLOTS_US in firmware/trainer_bridge/config.h and flash the "
+            "board"
         )
 
 
-def _idle_us(calibration: Calibration) -> int:
-    """The throttle's slot of a stopped motor [us]."""
-    return calibration.channels_us(SAFE)[calibration.throttle.channel - 1]
-
-
 def _wrapped_difference(later: int, earlier: int, wrap: int) -> int:
-    """How far a wrapped count is ahead of another, between -wrap/2 and wrap/2."""
+    """Difference of two counts modulo wrap, between -wrap/2 and wrap/2."""
     return (later - earlier + wrap // 2) % wrap - wrap // 2

@@ -1,18 +1,17 @@
-"""Serial protocol of the trainer port: messages <-> frames of bytes, and a stream of bytes ->
-messages.
+"""Serial protocol of the trainer port: messages <-> frames of bytes; byte stream -> messages.
 
 A frame is COBS(payload + CRC-16) and one zero byte, little endian, 115200 8N1. The payload's first
 byte is its type:
 
-    host -> board    COMMAND 0x01   u16 sequence | u8 flags (bit 0 engage) | 4..8 x u16 channel [us]
-                     SYNC    0x02   u32 token
-    board -> host    STATUS  0x11   20 times a second: state, counters and what is in the PPM frame now
-                     PILOT   0x12   for each good frame of the pilot's radio
-                     SYNC_REPLY 0x13   u32 token | u32 time received | u32 time queued
+    host -> board  COMMAND    0x01  u16 sequence | u8 flags (bit 0 engage) | 4..8 x u16 channel [us]
+                   SYNC       0x02  u32 token
+    board -> host  STATUS     0x11  20 Hz: state, counters and the channels of the current PPM frame
+                   PILOT      0x12  one for each valid frame of the pilot's radio
+                   SYNC_REPLY 0x13  u32 token | u32 time received | u32 time queued
 
-COBS (consistent overhead byte stuffing, Cheshire and Baker 1999) takes the zeros out of the
-payload, so that a zero ends a frame and nothing else does: after any garbage, the next zero brings
-both sides back into step.
+COBS (consistent overhead byte stuffing, Cheshire and Baker 1999) removes the zeros from the
+payload, so a zero byte always ends a frame: after any garbage, the next zero resynchronises both
+sides.
 """
 
 import binascii
@@ -25,25 +24,18 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.messages import Command
-from falconwing_kit.trainer_port.ppm import Calibration, shipped_calibration
 
 VERSION = 1
 STATES = ("BOOT", "SAFE", "ACTIVE", "LOST", "FAULT")
 FAULTS = ("none", "range", "stall", "configuration")
-RESET_CAUSES = (
-    "power-on",
-    "reset pin",
-    "brown-out",
-    "watchdog",
-    "JTAG",
-)  # bits 0..4 of MCUSR, ATmega2560 data sheet
+# Bits 0..4 of the MCU status register MCUSR, ATmega2560 data sheet.
+RESET_CAUSES = ("power-on", "reset pin", "brown-out", "watchdog", "JTAG")
 PILOT_SOURCES = ("PPM", "Spektrum serial")
 COMMAND, SYNC, STATUS, PILOT, SYNC_REPLY = 0x01, 0x02, 0x11, 0x12, 0x13
 MIN_CHANNELS, MAX_CHANNELS = 4, 8
 MAX_FRAME = 64  # bytes before the zero; the longest frame of version 1 has 47
 
-_HEADS = {
+_HEADS = {  # fields before the channels
     COMMAND: struct.Struct("<BHB"),
     SYNC: struct.Struct("<BI"),
     STATUS: struct.Struct("<BBIBBBBHIHHHIBB"),
@@ -54,52 +46,50 @@ _HEADS = {
 
 @dataclass(frozen=True)
 class CommandFrame:
-    """Host -> board: what the PPM slots shall be."""
+    """Host -> board: set values of the PPM channels."""
 
     sequence: int  # 0..65535, advances with every command
-    engage: bool  # True: the host wants to fly; False: hand back
-    channels_us: tuple[int, ...]  # (4..8,) [us], in the order of the PPM slots
+    engage: bool  # True: the host requests control; False: it hands back
+    channels_us: tuple[int, ...]  # (4..8,) [us], in the order of the PPM frame
 
 
 @dataclass(frozen=True)
 class SyncRequest:
-    """Host -> board: what does your clock say?"""
+    """Host -> board: request for the board's time."""
 
     token: int  # the host's clock, low 32 bits of its microseconds
 
 
 @dataclass(frozen=True)
 class Status:
-    """Board -> host, 20 times a second. Counters wrap at their width and start at zero with every
-    boot.
-    """
+    """Board -> host, 20 Hz. Counters wrap at their width and start at zero at every boot."""
 
     state: str  # one of STATES
     fault: str  # one of FAULTS
-    boot_count: int  # 0..255, since the board was switched on
+    boot_count: int  # 0..255, since power-on
     reset_cause: int  # MCUSR at boot, see `reset_causes`
-    last_sequence: int  # of the last command that was accepted
+    last_sequence: int  # of the last accepted command
     accepted: int  # commands accepted
-    bad_frames: int  # frames with a bad CRC or form
+    bad_frames: int  # frames with a wrong CRC or format
     bad_sequence: int  # commands whose sequence did not advance
     out_of_range: int  # commands with a channel outside 900..2100 us
     ppm_frames: int  # frames sent to the radio
-    silent: bool  # True: no pulses
-    channels_us: tuple[int, ...]  # (4..8,) [us], in the PPM frame now
+    silent: bool  # True: PPM output is off
+    channels_us: tuple[int, ...]  # (4..8,) [us], of the current PPM frame
     device_time_us: int  # the board's clock [us], wraps after 71 minutes
     version: int = VERSION
 
     @property
     def reset_causes(self) -> tuple[str, ...]:
-        """What made the board boot, in words."""
+        """Names of the causes of the last reset."""
         return tuple(name for bit, name in enumerate(RESET_CAUSES) if self.reset_cause >> bit & 1)
 
 
 @dataclass(frozen=True)
 class PilotFrame:
-    """Board -> host: one good frame of the pilot's radio."""
+    """Board -> host: one valid frame of the pilot's radio."""
 
-    device_time_us: int  # when its last edge came [us], board's clock
+    device_time_us: int  # time of its last edge [us], board's clock
     source: int  # index into PILOT_SOURCES
     rejected: int  # pilot frames rejected so far
     channels_us: tuple[int, ...]  # (1..8,) [us]
@@ -107,62 +97,26 @@ class PilotFrame:
 
 @dataclass(frozen=True)
 class SyncReply:
-    """Board -> host: the answer to a SyncRequest."""
+    """Board -> host: reply to a SyncRequest."""
 
-    token: int  # as it was asked
-    received_us: int  # when the request's last byte was read [us], board's clock
-    sent_us: int  # when this reply was queued [us], board's clock
+    token: int  # of the request
+    received_us: int  # time at which the request's last byte was read [us], board's clock
+    sent_us: int  # time at which this reply was queued [us], board's clock
 
 
 Message = CommandFrame | SyncRequest | Status | PilotFrame | SyncReply
 
 
-def encode_command(
-    sequence: int,
-    throttle: float,
-    aileron: float,
-    elevator: float,
-    rudder: float,
-    engage: bool,
-    calibration: Calibration | None = None,
-) -> bytes:
-    """One COMMAND as a serial frame, from stick positions.
-
-    Args:
-        sequence: a whole number from 0; its low 16 bits are sent.
-        throttle: 0..1, cut to its limits.
-        aileron: -1..1, positive right wing down, cut to its limits.
-        elevator: -1..1, positive nose up, cut to its limits.
-        rudder: -1..1, positive nose right, cut to its limits.
-        engage: True to fly, False to hand back.
-        calibration: sticks to microseconds; None takes the one that ships,
-            hardware/trainer_port.toml.
-
-    Returns:
-        The frame with its zero byte.
-
-    Raises:
-        InputError: a stick is not finite, the sequence is not a whole number from 0, or engage is
-            not a yes or no.
-    """
-    calibration = calibration or shipped_calibration()
-    command = Command.clip(throttle, aileron, elevator, rudder)
-    return encode_channels(sequence, calibration.channels_us(command), engage)
-
-
 def encode_channels(sequence: int, channels_us: Sequence[int], engage: bool) -> bytes:
-    """One COMMAND as a serial frame, from microseconds; nothing is cut, the board judges them.
+    """One COMMAND as a serial frame with its zero byte; channels are not clipped here.
 
     Args:
         sequence: a whole number from 0; its low 16 bits are sent.
-        channels_us: (4..8,) whole numbers 0..65535 [us], in the order of the PPM slots.
-        engage: True to fly, False to hand back.
-
-    Returns:
-        The frame with its zero byte.
+        channels_us: (4..8,) whole numbers 0..65535 [us], in the order of the PPM frame.
+        engage: True to request control, False to hand back.
 
     Raises:
-        InputError: an argument is not as said above.
+        InputError: an argument is outside these ranges.
     """
     low_bits = _require_whole("sequence", sequence) & 0xFFFF
     if not isinstance(engage, (bool, np.bool_)) and engage not in (0, 1):
@@ -171,10 +125,7 @@ def encode_channels(sequence: int, channels_us: Sequence[int], engage: bool) -> 
 
 
 def encode_sync(token: int) -> bytes:
-    """One SYNC as a serial frame.
-
-    Args:
-        token: the host's clock [us], a whole number from 0; its low 32 bits are sent.
+    """One SYNC as a serial frame; the token is the host's clock [us], of which 32 bits are sent.
 
     Raises:
         InputError: the token is not a whole number from 0.
@@ -183,11 +134,11 @@ def encode_sync(token: int) -> bytes:
 
 
 def encode(message: Message) -> bytes:
-    """Any message as a serial frame with its zero byte, the inverse of `decode`.
+    """Any message as a serial frame with its zero byte; the inverse of `decode`.
 
     Raises:
-        InputError: it is no message, a number does not fit into its field, or there are too many or
-            too few channels.
+        InputError: it is no message, a number does not fit into its field, or the number of
+            channels is out of range.
     """
     match message:
         case CommandFrame():
@@ -208,32 +159,30 @@ def encode(message: Message) -> bytes:
             )
         case _:
             raise InputError(
-                f"message: expected one of this file's messages, got {type(message).__name__}"
+                f"message: expected a message of this protocol, got {type(message).__name__}"
             )
     return _build_frame(head[0], head, message.channels_us)
 
 
 def decode(frame: bytes) -> Message:
-    """The message in one frame, the inverse of `encode`.
-
-    Args:
-        frame: the bytes, with or without the zero at the end.
+    """The message in one frame, with or without its final zero; the inverse of `encode`.
 
     Raises:
-        InputError: the bytes are no frame, were damaged on the way, or their type is unknown; the
-            text says which.
+        InputError: the bytes are no frame, are corrupted, or have an unknown type.
     """
     payload = _decode_payload(frame)
     kind = payload[0]
     if kind not in _HEADS:
         known = ", ".join(f"0x{known:02x}" for known in _HEADS)
         raise InputError(
-            f"frame: expected a type of {known}, got 0x{kind:02x}; is the other side of another version?"
+            f"frame: expected a type of {known}, got 0x{kind:02x}; "
+            "is the other side of another version?"
         )
     head_size = _HEADS[kind].size
     if len(payload) < head_size:
         raise InputError(
-            f"frame: expected at least {head_size} bytes of type 0x{kind:02x}, got {len(payload)}; drop it"
+            f"frame: expected at least {head_size} bytes of type 0x{kind:02x}, "
+            f"got {len(payload)}; drop it"
         )
     head: list[Any] = list(_HEADS[kind].unpack_from(payload))[1:]
     tail = payload[head_size:]
@@ -258,46 +207,33 @@ def decode(frame: bytes) -> Message:
 
 
 def decode_status(frame: bytes) -> Status:
-    """The board's status in one frame.
-
-    Args:
-        frame: the bytes, with or without the zero at the end.
+    """The board's status in one frame, with or without its final zero.
 
     Raises:
-        InputError: the bytes are no status frame; the text says why.
+        InputError: the bytes are no status frame.
     """
     message = decode(frame)
     if not isinstance(message, Status):
         raise InputError(
-            f"frame: expected a status, got a {type(message).__name__}; read on, one comes 20 times a second"
+            f"frame: expected a status, got a {type(message).__name__}; "
+            "read on, one comes 20 times a second"
         )
     return message
 
 
 class Deframer:
-    """Bytes as they come from the port -> whole messages; what cannot be read is counted and left
-    out.
-    """
+    """Byte stream from the port -> complete messages; unreadable frames are counted and dropped."""
 
     def __init__(self) -> None:
-        self.bad = 0  # frames that were damaged, of unknown type or too long
-        self._part = b""  # what came since the last zero
+        self.bad = 0  # frames that were corrupted, of unknown type or too long
+        self._part = b""  # bytes since the last zero
 
     def feed(self, data: bytes) -> list[Message]:
-        """Take more bytes of the stream.
-
-        Args:
-            data: any number of bytes; a frame may come in pieces.
-
-        Returns:
-            The messages that ended in these bytes, in order.
-        """
+        """The messages completed by these bytes, in order; a frame may arrive in pieces."""
         *frames, part = (self._part + data).split(b"\0")
-        self._part = part[: MAX_FRAME + 1]  # enough to know that it is too long
+        self._part = part[: MAX_FRAME + 1]  # long enough to be rejected as too long
         messages = []
-        for frame in filter(
-            None, frames
-        ):  # two zeros in a row are no frame: senders may put one in front
+        for frame in filter(None, frames):  # a sender may put an extra zero in front of a frame
             try:
                 messages.append(decode(frame))
             except InputError:
@@ -306,24 +242,19 @@ class Deframer:
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; the check value of b"123456789" is
-    0x29B1.
+    """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; b"123456789" gives 0x29B1.
 
-    In a command it sees every change of one, two or three bits; of changes of four bits 6 in
-    100,000 pass it, and the safety rules see most of those.
+    In a COMMAND it detects every error of one, two or three bits; 6 in 100,000 errors of four bits
+    pass, and the safety rules catch most of those.
     """
     return binascii.crc_hqx(data, 0xFFFF)
 
 
 def cobs_encode(data: bytes) -> bytes:
-    """Take the zeros out: every run between zeros is sent behind its length plus one.
-
-    Args:
-        data: at most 253 bytes, so that no run needs the length 255, which means something else in
-            COBS.
+    """Remove the zeros: every run between zeros is sent after its length plus one.
 
     Raises:
-        InputError: the data are longer.
+        InputError: more than 253 bytes; a longer run needs the length 255, which COBS reserves.
     """
     if len(data) > 253:
         raise InputError(
@@ -333,29 +264,31 @@ def cobs_encode(data: bytes) -> bytes:
 
 
 def cobs_decode(data: bytes) -> bytes:
-    """Put the zeros back, the inverse of `cobs_encode`.
+    """Restore the zeros; the inverse of `cobs_encode`.
 
     Raises:
-        InputError: there is a zero in the data, or the lengths do not end where the data end.
+        InputError: the data contain a zero, or the run lengths do not match their end.
     """
     runs, at = [], 0
     while at < len(data):
         end = at + data[at]
         if not at < end <= len(data):
             raise InputError(
-                f"frame: expected a length that ends within {len(data)} bytes, got {data[at]} at {at}; drop it"
+                f"frame: expected a length that ends within {len(data)} bytes, "
+                f"got {data[at]} at {at}; drop it"
             )
         runs.append(data[at + 1 : end])
         at = end
     if 0 in data:
         raise InputError(
-            "frame: expected no zero before its end, got one; split the stream at zeros or use Deframer"
+            "frame: expected no zero before its end, got one; "
+            "split the stream at zeros or use Deframer"
         )
     return b"\0".join(runs)
 
 
 def _build_frame(kind: int, head: tuple[Any, ...], channels_us: tuple[int, ...] = ()) -> bytes:
-    """Payload, checksum, stuffing and the zero."""
+    """COBS(payload + checksum) and the zero."""
     try:
         payload = _HEADS[kind].pack(*head) + struct.pack(f"<{len(channels_us)}H", *channels_us)
     except struct.error as error:
@@ -367,15 +300,14 @@ def _build_frame(kind: int, head: tuple[Any, ...], channels_us: tuple[int, ...] 
 
 
 def _decode_payload(frame: bytes) -> bytes:
-    """What the frame holds, once its checksum fits."""
+    """The payload of a frame, after the check of its checksum."""
     if not isinstance(frame, (bytes, bytearray, memoryview)):
-        raise InputError(
-            f"frame: expected bytes as they came from the port, got {type(frame).__name__}"
-        )
+        raise InputError(f"frame: expected bytes as read from the port, got {type(frame).__name__}")
     data = bytes(frame).removesuffix(b"\0")
     if len(data) > MAX_FRAME:
         raise InputError(
-            f"frame: expected at most {MAX_FRAME} bytes, got {len(data)}; split the stream with Deframer"
+            f"frame: expected at most {MAX_FRAME} bytes, got {len(data)}; "
+            "split the stream with Deframer"
         )
     content = cobs_decode(data)
     if len(content) < 3:
@@ -385,7 +317,8 @@ def _decode_payload(frame: bytes) -> bytes:
     payload, sent = content[:-2], int.from_bytes(content[-2:], "little")
     if crc16(payload) != sent:
         raise InputError(
-            f"frame: expected checksum 0x{crc16(payload):04x}, got 0x{sent:04x}; it was damaged, drop it"
+            f"frame: expected checksum 0x{crc16(payload):04x}, got 0x{sent:04x}; "
+            "it is corrupted, drop it"
         )
     return payload
 
@@ -401,40 +334,36 @@ def _decode_channels(tail: bytes, count: int, low: int, high: int) -> tuple[int,
 
 
 def _status_fields(status: Status) -> tuple[Any, ...]:
-    """A status's fields in the order of the wire."""
+    """A status's fields in the order of the frame."""
     if status.state not in STATES or status.fault not in FAULTS:
         raise InputError(
-            f"status: expected a state of {STATES} and a fault of {FAULTS}, got {status.state, status.fault}"
+            f"status: expected a state of {STATES} and a fault of {FAULTS}, "
+            f"got {status.state, status.fault}"
         )
-    head = (
-        STATUS,
-        status.version,
-        status.device_time_us,
-        STATES.index(status.state),
-        FAULTS.index(status.fault),
-    )
-    causes = (status.boot_count, status.reset_cause, status.last_sequence, status.accepted)
+    state, fault = STATES.index(status.state), FAULTS.index(status.fault)
+    head = (STATUS, status.version, status.device_time_us, state, fault)
+    boot = (status.boot_count, status.reset_cause, status.last_sequence, status.accepted)
     counters = (status.bad_frames, status.bad_sequence, status.out_of_range, status.ppm_frames)
-    return (*head, *causes, *counters, int(status.silent), len(status.channels_us))
+    return (*head, *boot, *counters, int(status.silent), len(status.channels_us))
 
 
 def _build_status(head: list[Any], channels_us: tuple[int, ...]) -> Status:
-    """A status from its fields in the order of the wire, without its type and its number of
-    channels.
-    """
+    """A status from the fields of its frame, without type and number of channels."""
     version, device_time_us, state, fault, *numbers, silent = head
     if version != VERSION:
         raise InputError(
-            f"status: expected version {VERSION}, got {version}; flash the firmware that came with this kit"
+            f"status: expected version {VERSION}, got {version}; "
+            "flash the firmware that came with this kit"
         )
     if state >= len(STATES) or fault >= len(FAULTS):
         raise InputError(
-            f"status: expected a known state and fault, got {state} and {fault}; flash this kit's firmware"
+            f"status: expected a known state and fault, got {state} and {fault}; "
+            "flash this kit's firmware"
         )
     boots, cause, last, accepted, bad_frames, bad_sequence, out_of_range, ppm_frames = numbers
     counters = (accepted, bad_frames, bad_sequence, out_of_range, ppm_frames)
-    after = (bool(silent), channels_us, device_time_us, version)
-    return Status(STATES[state], FAULTS[fault], boots, cause, last, *counters, *after)
+    tail = (bool(silent), channels_us, device_time_us, version)
+    return Status(STATES[state], FAULTS[fault], boots, cause, last, *counters, *tail)
 
 
 def _require_whole(name: str, value: int) -> int:

@@ -1,28 +1,28 @@
-"""Safety state machine: commands and ticks with their times -> what goes out in the PPM slots. The
-reference model.
+"""Safety state machine: commands and ticks with their times -> channels of the next PPM frame.
 
                           first tick
                    BOOT -------------> SAFE <------------ engage = 0 ------------+
                                        |  ^                                      |
          engage edge, then 5 frames in |  | engage = 0: hand-back                |
-         500 ms, none 200 ms behind    v  |                                      |
+         500 ms, no gap of 200 ms      v  |                                      |
                                        ACTIVE -- 200 ms without valid frame --> LOST
 
-    any state -- 5 commands out of range within 1 s --> FAULT (range)        watchdog reset --> FAULT (stall)
+    any state -- 5 commands out of range within 1 s --> FAULT (range)
+    any state -- watchdog reset --> FAULT (stall)
     FAULT -- engage = 0, at least 1 s after the last violation and after boot --> SAFE
 
-Only ACTIVE lets the host's channels out; every other state sends throttle idle and the other sticks
-neutral. The firmware holds the same machine in C++ (firmware/trainer_bridge/safety.cpp); the two
-were written apart from the same rules, and tests hold them side by side. What those rules left open
-is settled so:
+Only ACTIVE passes the host's channels on; every other state outputs throttle idle and the other
+channels neutral. This is the reference model: the firmware holds the same machine in C++
+(firmware/trainer_bridge/safety.cpp), written independently from the same rules, and tests compare
+the two. Details that the rules leave open:
 
-- A command out of range is a violation whatever its sequence says: the range is looked at before the sequence.
-- The edge and its five frames count in SAFE only; commands that come in BOOT are accepted, and no more.
-- A limit is reached when its time has passed in full: 200 ms after a frame is a loss, 199.999 ms is none.
-- Times are the board's microseconds in 32 bits and wrap after 71 minutes, so whatever can grow older than that is
-  forgotten (or, where it is silence or the end of a rest, remembered) at the tick that sees its
-  limit reached.
-- Silence, once it has begun, lasts until a valid frame comes, in FAULT too; it begins in SAFE and LOST only.
+- The range is checked before the sequence: a command out of range is always a violation.
+- The edge and its five frames count in SAFE only; commands in BOOT are accepted without effect.
+- A limit is reached when its time has passed in full: 200 ms after a frame is a loss, 199.999 ms is
+  not.
+- Times are the board's microseconds in 32 bits and wrap after 71 minutes. Whatever can become older
+  is therefore cleared (silence and the end of a rest: stored) at the tick that reaches its limit.
+- Silence lasts until a valid frame arrives, in FAULT too; it begins in SAFE and LOST only.
 """
 
 from collections.abc import Sequence
@@ -36,17 +36,17 @@ CLOCK = 2**32  # the board's microseconds wrap here
 
 
 class SafetyDecision(IntEnum):
-    """What became of a command; the numbers are those of the firmware's host library."""
+    """Verdict on a command; the numbers are those of the firmware's host library."""
 
     ACCEPTED = 0
     SEQUENCE = 1  # its sequence did not advance
     RANGE = 2  # a channel was outside 900..2100 us
-    FORM = 3  # another number of channels than the board is set to
+    FORM = 3  # wrong number of channels for the board
 
 
 @dataclass(frozen=True)
 class SafetyConfig:
-    """The settings of firmware/trainer_bridge/config.h under the same names, in small letters."""
+    """The settings of firmware/trainer_bridge/config.h under the same names, in lower case."""
 
     channels: int = 4
     channel_min_us: int = 1000
@@ -56,7 +56,7 @@ class SafetyConfig:
     safe_us: tuple[int, ...] = (1000, 1500, 1500, 1500, 1500, 1500, 1500, 1500)
     throttle_channel: int = 0  # counted from 0
     throttle_ceiling_us: int = 2000
-    slew_us: int = 250  # most that a slot moves from one frame to the next
+    slew_us: int = 250  # maximum change of a channel from one frame to the next
     host_timeout_ms: int = 200
     engage_frames: int = 5
     engage_window_ms: int = 500
@@ -69,20 +69,18 @@ class SafetyConfig:
             or not 0 <= self.throttle_channel < self.channels
         ):
             raise InputError(
-                f"board: expected 4 to {len(self.safe_us)} channels, the throttle's among them counted from 0, "
-                f"got {self.channels} and {self.throttle_channel}"
+                f"board: expected 4 to {len(self.safe_us)} channels, the throttle's among them "
+                f"counted from 0, got {self.channels} and {self.throttle_channel}"
             )
 
 
 def elapsed_us(now_us: int, since_us: int) -> int:
-    """Time between two readings of the board's clock [us], right across one wrap."""
+    """Time between two readings of the board's clock [us], across at most one wrap."""
     return (now_us - since_us) % CLOCK
 
 
 class Safety:
-    """The state machine. `frame` takes each COMMAND with a good CRC, `tick` runs once per PPM
-    frame.
-    """
+    """The state machine: `frame` for each COMMAND with a valid CRC, `tick` once per PPM frame."""
 
     def __init__(
         self, config: SafetyConfig | None = None, now_us: int = 0, *, watchdog_reset: bool = False
@@ -90,40 +88,35 @@ class Safety:
         """Boot.
 
         Args:
-            config: the board's settings; None takes those that ship.
+            config: the board's settings; None for the shipped ones.
             now_us: the board's clock at boot [us], 0..2^32 - 1, as every time below.
-            watchdog_reset: True where the watchdog made the board boot, because the program hung.
+            watchdog_reset: True if the watchdog reset the board because its program hung.
         """
         self.config = config or SafetyConfig()
         self.state = "FAULT" if watchdog_reset else "BOOT"
         self.fault = "stall" if watchdog_reset else "none"
         self.last_sequence: int | None = None  # of the last valid frame
         self.silent = False
-        self.slots_us = self.config.safe_us[: self.config.channels]  # sent last
+        self.slots_us = self.config.safe_us[: self.config.channels]  # of the last PPM frame
         self._target_us = self.slots_us
         self._engage: bool | None = None  # flag of the last valid frame
-        self._valid_us: int | None = None  # when it came
-        self._edge_us: int | None = None  # when the edge came, while it counts
-        self._engaged_frames = 0  # from the edge on
+        self._valid_us: int | None = None  # time of the last valid frame
+        self._edge_us: int | None = None  # time of the edge, while it counts
+        self._engaged_frames = 0  # since the edge
         self._violations, self._first_violation_us = 0, 0  # within one second
-        self._resting, self._rest_us = (
-            True,
-            now_us,
-        )  # less than a second after boot or after the last violation
+        # Resting: less than a second after boot or after the last violation.
+        self._resting, self._rest_us = True, now_us
 
     def frame(
         self, now_us: int, sequence: int, engage: bool, channels_us: Sequence[int]
     ) -> SafetyDecision:
-        """Take a command.
+        """Process a command; only ACCEPTED advances the sequence and restarts the timeout.
 
         Args:
             now_us: the board's clock [us].
-            sequence: 0..65535, must be 1..32767 ahead of the last one, across the wrap.
-            engage: True where the host wants to fly.
-            channels_us: (channels,) [us], in the order of the slots.
-
-        Returns:
-            What became of it; only ACCEPTED moves the sequence and renews the countdown.
+            sequence: 0..65535, must be 1..32767 ahead of the last one, modulo 65536.
+            engage: True if the host requests control.
+            channels_us: (channels,) [us], in the order of the PPM frame.
         """
         self._expire_timers(now_us)
         if len(channels_us) != self.config.channels:
@@ -149,14 +142,7 @@ class Safety:
         return SafetyDecision.ACCEPTED
 
     def tick(self, now_us: int) -> tuple[int, ...] | None:
-        """Begin a PPM frame.
-
-        Args:
-            now_us: the board's clock [us].
-
-        Returns:
-            (channels,) [us] that go out in this frame; None: no pulses.
-        """
+        """Begin a PPM frame at now_us: its channels (channels,) [us], or None for no pulses."""
         self._expire_timers(now_us)
         if self.state == "BOOT":
             self.state = "SAFE"
@@ -172,9 +158,7 @@ class Safety:
         return None if self.silent else self.slots_us
 
     def _process_engage(self, now_us: int, is_edge: bool) -> None:
-        """A valid frame with engage = 1: in SAFE the edge and four more make ACTIVE, elsewhere it
-        does nothing.
-        """
+        """A valid frame with engage = 1: in SAFE the edge and four more frames lead to ACTIVE."""
         if self.state != "SAFE":
             return
         if is_edge:
@@ -185,7 +169,7 @@ class Safety:
                 self.state, self._edge_us = "ACTIVE", None
 
     def _process_hand_back(self) -> None:
-        """A valid frame with engage = 0: always the way to SAFE, from a fault only after a rest."""
+        """A valid frame with engage = 0 leads to SAFE, from FAULT only after a rest."""
         self._edge_us = None
         if self.state in ("ACTIVE", "LOST") or (self.state == "FAULT" and not self._resting):
             self.state, self.fault = "SAFE", "none"
@@ -200,7 +184,7 @@ class Safety:
             self.state, self.fault, self._edge_us = "FAULT", "range", None
 
     def _expire_timers(self, now_us: int) -> None:
-        """Let go of what is too old to count."""
+        """Clear the edge, the violations and the rest when their time is over."""
         if self._edge_us is not None and (
             elapsed_us(now_us, self._edge_us) >= self.config.engage_window_ms * 1000
             or self._is_timed_out(now_us, self.config.host_timeout_ms)
@@ -212,17 +196,15 @@ class Safety:
             self._resting = False
 
     def _is_timed_out(self, now_us: int, limit_ms: int) -> bool:
-        """Whether there was a valid frame, and the last one is so long ago."""
+        """Whether the last valid frame is at least limit_ms old."""
         return self._valid_us is not None and elapsed_us(now_us, self._valid_us) >= limit_ms * 1000
 
     def _limit_slots(self) -> tuple[int, ...]:
-        """What the host wants, within the limits of each channel and at most a slew away from what
-        was sent last.
-        """
+        """The host's channels within the limits of each channel and of the slew rate."""
         c = self.config
         slots = []
-        for channel, (sent, wanted) in enumerate(zip(self.slots_us, self._target_us, strict=True)):
+        for channel, (sent, target) in enumerate(zip(self.slots_us, self._target_us, strict=True)):
             ceiling = c.throttle_ceiling_us if channel == c.throttle_channel else c.channel_max_us
-            target = min(max(wanted, c.channel_min_us), c.channel_max_us, ceiling)
-            slots.append(min(max(target, sent - c.slew_us), sent + c.slew_us))
+            clipped = min(max(target, c.channel_min_us), c.channel_max_us, ceiling)
+            slots.append(min(max(clipped, sent - c.slew_us), sent + c.slew_us))
         return tuple(slots)

@@ -1,4 +1,4 @@
-"""Boards on USB serial ports: which there are, how to get at them, and the line to one of them."""
+"""USB serial ports: list of boards with access advice; a port's path -> a link to the board."""
 
 import os
 import threading
@@ -10,33 +10,32 @@ from dataclasses import dataclass
 from falconwing_kit.core.checks import InputError
 
 BAUD = 115200
-DRAIN_S = 0.1  # s that closing waits for what was written to leave
-WRITE_TIMEOUT = 0.02  # s: so long a stuck line may hold up the loop
-# Vendor and product numbers of USB: those of the Mega 2560 stand in boards.txt of Arduino's own
-# core for AVR.
+DRAIN_S = 0.1  # maximum wait for unsent bytes on closing
+WRITE_TIMEOUT = 0.02  # s, maximum delay of the loop by a blocked line
+# USB vendor and product numbers; those of the Mega 2560 from boards.txt of Arduino's AVR core.
 MEGA = {(vendor, product) for vendor, products in {
     0x2341: (0x0010, 0x0042, 0x0210, 0x0242), 0x2A03: (0x0010, 0x0042),
 }.items() for product in products}  # fmt: skip
-BRIDGES = {
+USB_CHIPS = {  # on copies of the Mega
     (0x1A86, 0x7523): "CH340",
     (0x0403, 0x6001): "FT232R",
     (0x10C4, 0xEA60): "CP2102",
-}  # on copies of the Mega
+}
 
 
 @dataclass(frozen=True)
 class SerialBoard:
-    """One serial port with something on USB behind it."""
+    """One USB serial port."""
 
-    path: str  # what to give to --port
-    what: str  # a Mega 2560, perhaps one, or something else
-    likely: bool  # True where it may be the board
-    may_open: bool  # this user may
-    mend: str  # what to do where not; empty where it is well
+    path: str  # value for --port
+    what: str  # a Mega 2560, perhaps one, or another device
+    likely: bool  # True if it may be the board
+    may_open: bool  # this user has permission
+    mend: str  # how to get permission; empty if granted
 
 
 def find_boards() -> list[SerialBoard]:
-    """Serial ports on USB, the likeliest first; none is opened, for that could restart a board."""
+    """USB serial ports, likely boards first; none is opened, which could restart a board."""
     from serial.tools.list_ports import comports
 
     found = []
@@ -45,26 +44,19 @@ def find_boards() -> list[SerialBoard]:
             continue
         key = (port.vid, port.pid)
         what = "Arduino Mega 2560" if key in MEGA else port.description or "unknown"
-        if key in BRIDGES:
-            what = f"perhaps a copy of the Mega 2560 (it has a {BRIDGES[key]})"
+        if key in USB_CHIPS:
+            what = f"perhaps a copy of the Mega 2560 (it has a {USB_CHIPS[key]})"
         may_open = os.name != "posix" or os.access(port.device, os.R_OK | os.W_OK)
-        likely = key in MEGA or key in BRIDGES
-        found.append(
-            SerialBoard(
-                port.device,
-                what,
-                likely,
-                may_open,
-                "" if may_open else permission_advice(port.device),
-            )
-        )
+        likely = key in MEGA or key in USB_CHIPS
+        mend = "" if may_open else permission_advice(port.device)
+        found.append(SerialBoard(port.device, what, likely, may_open, mend))
     return sorted(found, key=lambda board: (not board.likely, "perhaps" in board.what, board.path))
 
 
 def permission_advice(path: str) -> str:
-    """What a person can do so that a port opens."""
+    """What the user can do if a port does not open."""
     if os.name != "posix":
-        return "close other programs that use it, and look into the device manager for its name"
+        return "close other programs that use it, and check its name in the device manager"
     if not os.path.exists(path):
         return "plug the board in; falconwing find-port lists what is there"
     if os.access(path, os.R_OK | os.W_OK):
@@ -73,7 +65,7 @@ def permission_advice(path: str) -> str:
 
 
 def _join_group(path: str) -> str:
-    """The command that gives the right to a device: its group, which is dialout, uucp or another."""
+    """The command that grants access to a device by its group: dialout, uucp or another."""
     import grp
 
     group = "dialout"
@@ -83,18 +75,15 @@ def _join_group(path: str) -> str:
 
 
 class SerialLink:
-    """A serial port; a thread reads it and stamps what comes, so that a slow loop spoils no time.
+    """A serial port; a thread reads and time-stamps it, so a slow loop does not affect the stamps.
 
-    A Mega restarts when its DTR line goes on, and sends no PPM for two seconds then. Linux and
-    macOS turn it on when a port is opened and off when it is closed, unless told (HUPCL off) to
-    leave it: then only the first opening after plugging in restarts the board, and a program that
-    was killed can come back without. On Windows DTR stays off.
-
-    Args:
-        path: of the port.
+    A Mega restarts when its DTR line goes on, and sends no PPM for two seconds. Linux and macOS
+    switch DTR on when a port is opened and off when it is closed, unless HUPCL is off: then only
+    the first opening after plugging in restarts the board, and a killed program can reconnect
+    without a restart. On Windows DTR stays off.
 
     Raises:
-        InputError: it cannot be opened; the text says how to mend that.
+        InputError: the port cannot be opened; the message says what to do.
     """
 
     def __init__(self, path: str) -> None:
@@ -119,11 +108,10 @@ class SerialLink:
         self._reader.start()
 
     def write(self, data: bytes) -> None:
-        """Send bytes; OSError where the line is gone.
+        """Send bytes; OSError if the port is gone.
 
-        A write that took too long is no error: pyserial says so too where this program was only
-            kept off the processor
-        after a good write. Of a line that is really stuck the board's silence tells.
+        A timeout is not an error: pyserial also reports one if the operating system suspends this
+        process after a successful write. A blocked line shows as silence of the board.
         """
         import serial
 
@@ -131,17 +119,17 @@ class SerialLink:
             self._port.write(data)
 
     def read(self) -> bytes:
-        """What has come since the last call; OSError where the line is gone."""
+        """The bytes received since the last call; OSError if the port is gone."""
         return b"".join(data for _, data in self.read_stamped())
 
     def read_stamped(self) -> list[tuple[float, bytes]]:
-        """The same with the times they came [s of time.perf_counter]."""
+        """The same in chunks with their times of arrival [s of time.perf_counter]."""
         if self._error is not None:
             raise self._error
         return [self._chunks.popleft() for _ in range(len(self._chunks))]
 
     def close(self) -> None:
-        """Close the port; what was written goes out before, for it may be the hand-back."""
+        """Close the port after unsent bytes have left: they may be the hand-back."""
         end = time.perf_counter() + DRAIN_S
         with suppress(OSError):
             while self._port.out_waiting and time.perf_counter() < end:
@@ -158,15 +146,12 @@ class SerialLink:
                     self._chunks.append(
                         (time.perf_counter(), data + self._port.read(self._port.in_waiting))
                     )
-        except (
-            OSError,
-            TypeError,
-        ) as error:  # pyserial has no file number any more where the port went away
+        except (OSError, TypeError) as error:  # pyserial raises TypeError if the port disappears
             self._error = error if isinstance(error, OSError) else OSError("the port went away")
 
 
 def _leave_dtr_on(descriptor: int) -> None:
-    """Tell the system to leave DTR as it is when the port is closed."""
+    """Switch HUPCL off, so that closing the port leaves DTR unchanged."""
     import termios
 
     with suppress(termios.error):  # a pseudo-terminal may have no such line

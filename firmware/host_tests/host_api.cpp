@@ -1,4 +1,4 @@
-// The firmware's thinking part as C functions. See host_api.h.
+// The portable part of the firmware as C functions. See host_api.h.
 #include "host_api.h"
 
 #include "config.h"
@@ -12,7 +12,7 @@ namespace {
 Safety* safety_of(void* pointer) { return static_cast<Safety*>(pointer); }
 const Safety* safety_of(const void* pointer) { return static_cast<const Safety*>(pointer); }
 
-// From and Into have the same verbs, so that each message's fields are listed once, below, for both ways.
+// From and Into have the same interface, so each message's fields are listed once, below, for both directions.
 struct From {
   const uint32_t* at;
   int left;

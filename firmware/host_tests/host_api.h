@@ -1,4 +1,4 @@
-/* The firmware's thinking part as C functions, so that Python can call them through ctypes.
+/* The portable part of the firmware as C functions for Python's ctypes.
  *
  * Built by `make -C firmware host-lib` into build/libtrainer_bridge.so. Objects are made by *_new and ended by *_free.
  * All times are device microseconds, unsigned 32 bit, and wrap. */
@@ -17,7 +17,7 @@ void* safety_new(uint32_t now_us, int stalled);
 void safety_free(void* safety);
 /* 0 accepted, 1 sequence does not advance, 2 out of range, 3 wrong number of channels. */
 int safety_frame(void* safety, uint32_t now_us, uint16_t sequence, int engage, const uint16_t* channels_us, int n);
-/* Writes CHANNELS slots [us]; returns 1 if no pulses may go out. */
+/* Writes CHANNELS slots [us]; returns 1 for no pulses. */
 int safety_tick(void* safety, uint32_t now_us, uint16_t* slots_us);
 int safety_state(const void* safety);         /* 0 BOOT 1 SAFE 2 ACTIVE 3 LOST 4 FAULT */
 int safety_fault(const void* safety);         /* 0 none 1 range 2 stall */
@@ -27,14 +27,14 @@ uint32_t safety_accepted(const void* safety);
 uint16_t safety_bad_sequence(const void* safety);
 uint16_t safety_out_of_range(const void* safety);
 
-/* ---- link.h: values are the message's fields in the order of the wire, without the type; arrays follow last ----
+/* ---- link.h: values are the message's fields in order of transmission, without the type; arrays follow last ----
  * COMMAND: sequence, flags, channels...   SYNC: token   SYNC_REPLY: token, received_us, sent_us
  * STATUS: version, device_time_us, state, fault, boot_count, reset_cause, last_sequence, accepted, bad_frames,
  *         bad_sequence, out_of_range, ppm_frames, silent, n, channels...
  * PILOT: device_time_us, source, rejected, n, channels... */
 /* Message -> frame with its zero byte (room for 65 bytes); returns its size, 0 for an unknown type or wrong count. */
 int link_encode(int type, const uint32_t* values, int count, uint8_t* frame);
-/* Frame -> values (room for 24); returns how many, -1 if the frame is not one good message. */
+/* Frame -> values (room for 24); returns how many, -1 if the frame is not one valid message. */
 int link_decode(const uint8_t* frame, int size, int* type, uint32_t* values);
 
 /* Bytes through the receiver into the safety machine, as the board's loop() does; both keep their state. */
@@ -52,7 +52,7 @@ int ppm_out_next(void* ppm, const uint16_t* slots_us, int silent, uint16_t* afte
 int ppm_out_at_frame_start(const void* ppm);
 uint32_t ppm_out_frames(const void* ppm);
 
-/* ---- ppm_in.h: both write up to 8 channels [us] and return how many, 0 where no frame was completed ---- */
+/* ---- ppm_in.h: both write up to 8 channels [us] and return how many, 0 if no frame was completed ---- */
 void* pilot_ppm_new(void);
 void pilot_ppm_free(void* pilot);
 int pilot_ppm_edge(void* pilot, uint16_t capture_ticks, uint32_t time_us, uint16_t* channels_us);

@@ -1,7 +1,7 @@
-// The firmware's thinking part under AddressSanitizer and UndefinedBehaviorSanitizer: no arguments in, verdict out.
+// Tests of the portable firmware under AddressSanitizer and UndefinedBehaviorSanitizer; exit status 0 if all pass.
 //
-// A million broken frames, random bytes, pilots full of noise and safety machines under fire, through host_api.h. A sanitizer ends the
-// program at the first byte read outside its place; the claims below end it at the first broken promise.
+// A million corrupted frames, random bytes, noise on the pilot inputs and random traces of the safety machine, through
+// host_api.h. A sanitizer ends the program at the first invalid memory access, a claim at the first failure.
 #include <cstdio>
 #include <cstdlib>
 #include <random>
@@ -38,7 +38,7 @@ Command random_command() {
   return command;
 }
 
-// A host and the board's receiver and safety machine at the two ends of a bad line.
+// A host, and the board's receiver and safety machine, connected by an unreliable line.
 class BadLine {
  public:
   BadLine() : link_(link_new()), safety_(safety_new(0, 0)) {}
@@ -54,7 +54,7 @@ class BadLine {
     uint8_t frame[MAX_FRAME + 1];
     return std::vector<uint8_t>(frame, frame + encode(command, frame));
   }
-  // How many commands the board accepts of these bytes.
+  // Number of commands in these bytes that the board accepts.
   int send(const std::vector<uint8_t>& bytes) { return link_feed(link_, safety_, 0, bytes.data(), int(bytes.size())); }
 
  private:
@@ -62,7 +62,7 @@ class BadLine {
   uint16_t sequence_ = 0;
 };
 
-// Flip `count` different bits of a frame, its closing zero aside.
+// Flip `count` different bits of a frame, except in its final zero.
 void flip(std::vector<uint8_t>* frame, uint32_t count) {
   std::vector<uint32_t> bits(8 * (frame->size() - 1));
   for (uint32_t i = 0; i < bits.size(); ++i) bits[i] = i;
@@ -73,8 +73,8 @@ void flip(std::vector<uint8_t>* frame, uint32_t count) {
   }
 }
 
-// What a line does to a frame, and what a CRC of 16 bits always finds (but for the rare case that a length of COBS is
-// hit): up to three bits, two neighbouring bytes, a byte lost, doubled or foreign, the end cut off.
+// Errors that a CRC of 16 bits always detects (except in rare cases that hit a length of COBS): up to three bits, two
+// neighbouring bytes, a byte lost, doubled or inserted, the end cut off.
 void spoil(std::vector<uint8_t>* frame) {
   const auto at = frame->begin() + below(uint32_t(frame->size()) - 2);
   const uint8_t before[] = {at[0], at[1]};
@@ -95,15 +95,15 @@ void broken_frames_are_refused() {
   for (int i = 0; i < BROKEN_FRAMES; ++i) {
     std::vector<uint8_t> frame = line.next_frame();
     spoil(&frame);
-    claim(line.send(frame) == 0, "a broken frame is refused");
-    claim(line.send(line.next_frame()) == 1, "the good frame after it is taken");
+    claim(line.send(frame) == 0, "a corrupted frame is refused");
+    claim(line.send(line.next_frame()) == 1, "the valid frame after it is accepted");
   }
-  std::printf("%d broken frames: 0 accepted, each good frame after one accepted\n", BROKEN_FRAMES);
+  std::printf("%d corrupted frames: 0 accepted; every valid frame after one accepted\n", BROKEN_FRAMES);
 }
 
-// Four flipped bits are the first that a CRC-16 may miss: one time in 2^15, as its polynomial sees all odd numbers of
-// bits. Range and sequence find most of the rest, and an accepted one still has possible values. So about 6 of 200,000
-// pass the CRC here (more than 16 would be one chance in 4000), and fewer are accepted.
+// Four flipped bits are the smallest error that a CRC-16 may miss: once in 2^15, as its polynomial detects all odd
+// numbers of bits. Range and sequence reject most of the rest. So about 6 of 200,000 pass the CRC here (more than 16 with
+// probability 1/4000), and fewer are accepted.
 void four_flips_pass_as_rarely_as_theory_says() {
   Receiver receiver;
   BadLine line;
@@ -118,8 +118,8 @@ void four_flips_pass_as_rarely_as_theory_says() {
   claim(passed <= 16 && accepted <= passed, "four flipped bits pass as rarely as theory says");
 }
 
-// One byte in eight is a zero. A piece of more than 2 bytes has the right CRC by chance once in 65536 times, and must
-// then have the command's type, its length and a possible range: less than once in 10^9 pieces.
+// One byte in eight is a zero. A piece of more than 2 bytes has a matching CRC with probability 1/65536, and must then
+// have the command's type, its length and a valid range: less than once in 10^9 pieces.
 void random_bytes_are_refused() {
   BadLine line;
   std::vector<uint8_t> bytes;
@@ -131,7 +131,7 @@ void random_bytes_are_refused() {
   std::printf("%d buffers of random bytes: 0 accepted\n", RANDOM_BUFFERS);
 }
 
-// A frame of any payload, written here once more: COBS by its definition, pieces between zeros with their lengths.
+// A frame of any payload by an independent COBS: pieces between zeros with their lengths.
 std::vector<uint8_t> strange_frame(std::vector<uint8_t> payload) {
   const uint16_t crc = crc16(payload.data(), uint8_t(payload.size()));
   payload.push_back(uint8_t(crc)), payload.push_back(uint8_t(crc >> 8)), payload.push_back(0);
@@ -149,8 +149,8 @@ std::vector<uint8_t> strange_frame(std::vector<uint8_t> payload) {
   return frame;
 }
 
-// A right CRC around any type, length and content, as a program gone wild would send: nothing is read or written out
-// of its place, and a command needs its length and range still. Only every tenth has sticks that could be a command's.
+// A valid CRC around any type, length and content: no invalid memory access, and a command still needs its length and
+// range. Only every tenth has channels in the range of a command.
 void strange_messages_are_refused() {
   constexpr uint8_t TYPES[] = {Command::TYPE, Sync::TYPE, Status::TYPE, Pilot::TYPE, SyncReply::TYPE, 0x00, 0x7F};
   for (int i = 0; i < STRANGE_FRAMES; ++i) {
@@ -165,12 +165,12 @@ void strange_messages_are_refused() {
     }
     BadLine line;
     const std::vector<uint8_t> frame = strange_frame(payload);
-    claim(line.send(frame) == valid, "a command is accepted if its length and range are right, and nothing else is");
+    claim(line.send(frame) == valid, "a command is accepted only with the right length and range");
     int type = 0;
     uint32_t values[24];
     link_decode(frame.data(), int(frame.size()), &type, values);
   }
-  std::printf("%d messages of any form with a right CRC: only whole commands accepted\n", STRANGE_FRAMES);
+  std::printf("%d messages of any form with a valid CRC: only complete commands accepted\n", STRANGE_FRAMES);
 }
 
 void messages_come_back_as_they_were() {
@@ -184,15 +184,15 @@ void messages_come_back_as_they_were() {
       payload_size = receiver.feed(frame[k]);
     }
     Command got{};
-    claim(decode(receiver.payload(), payload_size, &got), "a good frame is taken");
+    claim(decode(receiver.payload(), payload_size, &got), "a valid frame is decoded");
     bool same = got.sequence == sent.sequence && got.flags == sent.flags && got.n == sent.n;
     for (uint8_t k = 0; k < sent.n; ++k) same = same && got.channels_us[k] == sent.channels_us[k];
-    claim(same && receiver.bad == 0, "a message comes back as it was");
+    claim(same && receiver.bad == 0, "decoding a message inverts encoding");
   }
-  std::printf("%d messages there and back: all the same\n", ROUND_TRIPS);
+  std::printf("%d messages encoded and decoded: all unchanged\n", ROUND_TRIPS);
 }
 
-// Whatever comes, safe slots go out unless ACTIVE, and in ACTIVE no slot leaves its limits or jumps.
+// For any input the output is safe unless ACTIVE, and in ACTIVE every slot keeps its limits and slew rate.
 void slots_stay_within_limits() {
   for (int trace = 0; trace < TRACES; ++trace) {
     Safety safety;
@@ -211,9 +211,9 @@ void slots_stay_within_limits() {
       safety.tick(now_us);
       for (uint8_t i = 0; i < CHANNELS; ++i) {
         const int slot = safety.slots_us()[i], change = std::abs(slot - before[i]);
-        claim(safety.state() == State::ACTIVE || slot == SAFE_US[i], "safe slots go out unless ACTIVE");
+        claim(safety.state() == State::ACTIVE || slot == SAFE_US[i], "the output is safe unless ACTIVE");
         claim(slot >= CHANNEL_MIN_US && slot <= CHANNEL_MAX_US, "a slot stays within its limits");
-        claim(i != THROTTLE_CHANNEL || slot <= THROTTLE_CEILING_US, "the throttle stays under its ceiling");
+        claim(i != THROTTLE_CHANNEL || slot <= THROTTLE_CEILING_US, "the throttle stays below its ceiling");
         claim(safety.state() != State::ACTIVE || change <= SLEW_US, "a slot changes by SLEW_US at most");
       }
     }
@@ -221,7 +221,7 @@ void slots_stay_within_limits() {
   std::printf("%d traces of %d steps: every slot safe or within its limits\n", TRACES, STEPS_PER_TRACE);
 }
 
-// The timer adds the ticks up: after each frame's 2 (CHANNELS + 1) edges exactly FRAME_US must have passed.
+// Sum of the ticks: the 2 (CHANNELS + 1) edges of a frame take exactly FRAME_US.
 void frames_are_as_long_as_they_should() {
   PpmOut ppm;
   uint16_t slots_us[CHANNELS];
@@ -233,7 +233,7 @@ void frames_are_as_long_as_they_should() {
     since_start = 0;
     for (int edge = 1; edge <= 2 * (CHANNELS + 1); ++edge) {
       const PpmOut::Edge next = ppm.next(slots_us, false);
-      claim(next.pulse == (edge % 2 == 0), "pulses begin and end in turn");
+      claim(next.pulse == (edge % 2 == 0), "beginnings and ends of pulses alternate");
       since_start += next.after_ticks;
       if (edge % 2 == 1) claim(next.after_ticks == GAP_PULSE_US * TICKS_PER_US, "each pulse lasts GAP_PULSE_US");
     }
@@ -242,7 +242,7 @@ void frames_are_as_long_as_they_should() {
   std::printf("%d PPM frames: pulses and frames exactly as long as configured\n", PPM_FRAMES);
 }
 
-// Noise on both pilot inputs: what is handed out, if anything, has possible slots.
+// Noise on both pilot inputs: every reported frame has valid slots.
 void noise_makes_no_impossible_pilot() {
   PilotPpm ppm;
   PilotSpektrum spektrum;
@@ -258,7 +258,7 @@ void noise_makes_no_impossible_pilot() {
     }
     spektrum.byte(uint8_t(rng()), now_us, CHANNELS);
   }
-  std::printf("%d edges of noise: %d by chance like a frame, none impossible\n", PILOT_EDGES, handed_out);
+  std::printf("%d edges of noise: %d random frames reported, none with an invalid slot\n", PILOT_EDGES, handed_out);
 }
 
 }  // namespace
@@ -272,6 +272,6 @@ int main() {
   slots_stay_within_limits();
   frames_are_as_long_as_they_should();
   noise_makes_no_impossible_pilot();
-  std::printf("host tests: all good\n");
+  std::printf("host tests: all passed\n");
   return 0;
 }

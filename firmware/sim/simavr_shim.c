@@ -1,18 +1,18 @@
-/* The board in a box: an ELF file, bytes on the serial lines, edges on a pin -> bytes and PPM edges, cycle by cycle.
+/* Simulated board: ELF file, bytes on serial lines, edges on a pin -> bytes and PPM edges, cycle by cycle.
  *
  * A thin layer over libsimavr 1.6 (Debian: libsimavr-dev), loaded from Python with ctypes
  * (falconwing_kit/tools/bridge/simulated_board.py). Time is counted in cycles of 16 MHz since power-on and runs only
- * inside sim_run; a sleeping chip jumps to its next event. Where libsimavr differs from silicon and it matters here:
- *  - its UART counts 11 bits a byte; put right to the 10 bits of 8N1 (uart_pace);
+ * inside sim_run; a sleeping chip jumps to its next event. Relevant differences of libsimavr from silicon:
+ *  - its UART counts 11 bits a byte; corrected to the 10 bits of 8N1 (uart_pace);
  *  - its receiver holds 63 bytes, silicon two, and a third until the next one starts (data sheet 22.7.4); here the
  *    third is lost, and counted (on_line);
  *  - its output compare moves the pin at a match, but also where Timer1 wraps and where OCR1A is written, to the
- *    opposite of what the next match will do. In normal mode silicon does not (data sheet 17.8), so its pin is not
- *    listened to: each match is, and COM1A says what it does (on_match). What it did at wraps is counted (on_oc_pin);
+ *    opposite of the next match. In normal mode silicon does not (data sheet 17.8), so its pin is ignored and derived
+ *    from the matches and COM1A (on_match). Its changes at wraps are counted (on_oc_pin);
  *  - it has no FOC1A, the match by hand (on_force);
- *  - a write to PORTB shows on PB5 although the timer owns that pin; not listened to then (on_port);
- *  - while the chip is reset its pins keep their level; on a bench the resistors decide;
- *  - there is no bootloader: the sketch starts at once.
+ *  - a write to PORTB shows on PB5 although the timer owns that pin; ignored then (on_port);
+ *  - during a reset its pins keep their level; on hardware the resistors define it;
+ *  - there is no bootloader: the sketch starts immediately.
  */
 #include <stdint.h>
 #include <stdio.h>
@@ -31,7 +31,7 @@ enum { NINTHS = 9, BYTE_NINTHS = 12500 }; /* ten bits at 115200 baud are 12500 /
 enum { LONGEST_RUN = 1000000, JUMP_TO_ITSELF = 0xCFFF };
 enum { ARTEFACTS, OVERRUNS, WATCHDOG_RESETS, COUNTERS };
 
-typedef struct { /* things that happen at a cycle: bytes of a line or levels of a pin, oldest first */
+typedef struct { /* events at a cycle: bytes of a line or levels of a pin, oldest first */
     uint64_t *at;
     uint8_t *value;
     size_t first, last, room;
@@ -56,8 +56,8 @@ struct board {
     queue sent, edges, pilot;
     uint64_t until;
     uint32_t counters[COUNTERS];
-    uint32_t loop_address; /* byte address of loop() in flash; 0 where the ELF does not name it */
-    uint16_t loop_code;    /* its first instruction, while the jump stands there */
+    uint32_t loop_address; /* byte address of loop() in flash; 0 if the ELF does not contain it */
+    uint16_t loop_code;    /* its first instruction, while the jump replaces it */
     int hung, pin_level;
     void (*core_reset)(avr_t *);
 };
@@ -185,7 +185,7 @@ static void call_at(board *b, uint64_t at, avr_cycle_timer_t timer, void *parame
     avr_cycle_timer_register(b->avr, at > b->avr->cycle ? at - b->avr->cycle : 0, timer, parameter);
 }
 
-static void arm(board *b) { /* a reset forgets all timers of the simulator, the world's among them */
+static void arm(board *b) { /* a reset clears all timers of the simulator, including those of the environment */
     call_at(b, b->until, on_stop, b);
     for (int i = 0; i < UARTS; i++)
         if (!is_empty(&b->lines[i].bytes)) call_at(b, next_at(&b->lines[i].bytes), on_line, &b->lines[i]);
@@ -266,7 +266,7 @@ board *sim_open(const char *elf_path, uint32_t seed) {
     avr_load_firmware(avr, &elf);
     avr->frequency = CLOCK_HZ;
     avr->sleep = no_sleep;
-    for (uint32_t i = RAM_START; i <= avr->ramend; i++) /* memory holds anything when the power comes */
+    for (uint32_t i = RAM_START; i <= avr->ramend; i++) /* random memory at power-on */
         avr->data[i] = (seed = seed * 1664525u + 1013904223u) >> 24;
     for (uint32_t i = 0; i < elf.symbolcount; i++)
         if (!strcmp(elf.symbol[i]->symbol, "loop")) b->loop_address = elf.symbol[i]->addr;
@@ -293,7 +293,7 @@ void sim_drive_pilot(board *b, const uint64_t *at, const uint8_t *levels, size_t
     for (size_t i = 0; i < count; i++) push(&b->pilot, at[i], levels[i]);
 }
 
-size_t sim_receive(board *b, uint8_t *bytes, size_t most) { /* what has left the chip down to its stop bit */
+size_t sim_receive(board *b, uint8_t *bytes, size_t most) { /* bytes that have left the chip completely */
     size_t count = 0;
     while (count < most && !is_empty(&b->sent) && next_at(&b->sent) <= b->avr->cycle) bytes[count++] = pop(&b->sent);
     return count;
@@ -306,7 +306,7 @@ size_t sim_take_edges(board *b, uint64_t *at, uint8_t *levels, size_t most) {
     return count;
 }
 
-int sim_hang(board *b) { /* the next call of loop() never returns; interrupts go on; a reset ends it */
+int sim_hang(board *b) { /* the next call of loop() never returns; interrupts continue; a reset ends it */
     if (!b->loop_address) return -1;
     if (!b->hung) b->loop_code = swap_code(b, JUMP_TO_ITSELF);
     b->hung = 1;

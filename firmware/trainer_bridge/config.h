@@ -1,4 +1,4 @@
-// Everything that may be changed for another radio, in one place: numbers in, nothing out.
+// All settings that depend on the radio.
 //
 // None of these numbers was measured on a Spektrum NX8: measure yours first (README, "Measure the radio").
 // Each may also be set by the compiler: make -C firmware elf DEFINES="-DCHANNELS=8 -DPOLARITY=0"
@@ -7,7 +7,7 @@
 
 // ---- the pulses that leave on pin 11 ----
 #ifndef CHANNELS
-#define CHANNELS 4  // slots in a frame, 4..8; the host chooses the order of the sticks (hardware/trainer_port.toml)
+#define CHANNELS 4  // slots in a frame, 4..8; the host sets the channel order (hardware/trainer_port.toml)
 #endif
 #ifndef FRAME_US
 #define FRAME_US 22000  // first edge of a frame to the first edge of the next; radios use 20000 to 22500
@@ -19,55 +19,55 @@
 #define POLARITY 1  // at the pin. 1: idle high, short pulses low. 0: idle low, short pulses high.
 #endif
 
-// ---- what a slot may hold ----
+// ---- limits of a slot ----
 #ifndef CHANNEL_MIN_US
-#define CHANNEL_MIN_US 1000  // a command below goes out as this
+#define CHANNEL_MIN_US 1000  // lower commands are clipped to this
 #endif
 #ifndef CHANNEL_MAX_US
-#define CHANNEL_MAX_US 2000  // a command above goes out as this
+#define CHANNEL_MAX_US 2000  // higher commands are clipped to this
 #endif
 #ifndef VALID_MIN_US
-#define VALID_MIN_US 900  // a command below is no command: the whole frame is refused
+#define VALID_MIN_US 900  // a frame with a lower command is refused
 #endif
 #ifndef VALID_MAX_US
-#define VALID_MAX_US 2100  // a command above is no command: the whole frame is refused
+#define VALID_MAX_US 2100  // a frame with a higher command is refused
 #endif
 #ifndef THROTTLE_CHANNEL
-#define THROTTLE_CHANNEL 0  // number of the throttle's slot, from 0
+#define THROTTLE_CHANNEL 0  // index of the throttle's slot, from 0
 #endif
 #ifndef THROTTLE_CEILING_US
 #define THROTTLE_CEILING_US 2000  // lower it for the first flights
 #endif
 #ifndef SLEW_US
-#define SLEW_US 250  // most that a slot may change from one frame to the next: full stick in four frames
+#define SLEW_US 250  // maximum change of a slot from one frame to the next: full travel in four frames
 #endif
 #ifndef SAFE_SLOTS_US
 #define SAFE_SLOTS_US 1000, 1500, 1500, 1500, 1500, 1500, 1500, 1500  // throttle idle, others neutral; trims go here
 #endif
 
-// ---- when the host is believed ----
+// ---- engagement and failsafe ----
 #ifndef HOST_TIMEOUT_MS
-#define HOST_TIMEOUT_MS 200  // no valid command for so long: safe slots. The host sends every 50 ms.
+#define HOST_TIMEOUT_MS 200  // timeout of valid commands: safe slots. The host sends every 50 ms.
 #endif
 #ifndef ENGAGE_FRAMES
-#define ENGAGE_FRAMES 5  // valid commands that ask to engage, one after the other, before the board follows
+#define ENGAGE_FRAMES 5  // consecutive valid commands with engage before the board follows
 #endif
 #ifndef ENGAGE_WINDOW_MS
 #define ENGAGE_WINDOW_MS 500  // and all of them within this time
 #endif
 #ifndef SILENT_AFTER_MS
-#define SILENT_AFTER_MS 0  // no valid command for so long: no pulses at all, for radios that notice. 0: never.
+#define SILENT_AFTER_MS 0  // timeout of valid commands: no pulses, for radios that detect this. 0: never.
 #endif
 #ifndef RANGE_FAULT_FRAMES
-#define RANGE_FAULT_FRAMES 5  // so many commands out of range within a second: the host is broken, FAULT
+#define RANGE_FAULT_FRAMES 5  // commands out of range within a second that lead to FAULT
 #endif
 
-// ---- what is told to the host ----
+// ---- messages to the host ----
 #ifndef STATUS_HZ
 #define STATUS_HZ 20
 #endif
 #ifndef PILOT_SOURCE
-#define PILOT_SOURCE 2  // the pilot's sticks come by 0: PPM on pin 49, 1: Spektrum serial on pin 19, 2: either
+#define PILOT_SOURCE 2  // the pilot's channels: 0: PPM on pin 49, 1: Spektrum serial on pin 19, 2: either
 #endif
 #ifndef SPEKTRUM_2048
 #define SPEKTRUM_2048 1  // 1: positions 0..2047 (all current radios), 0: positions 0..1023 (old DSM2, 22 ms)
@@ -83,13 +83,13 @@ constexpr bool safe_from(int channel) {
          (SAFE_US[channel] >= CHANNEL_MIN_US && SAFE_US[channel] <= CHANNEL_MAX_US && safe_from(channel + 1));
 }
 static_assert(CHANNELS >= 4 && CHANNELS <= 8, "CHANNELS: 4 to 8 slots");
-static_assert(SHORTEST_SYNC_US >= 4000, "the pause gets under 4 ms: fewer CHANNELS or a longer FRAME_US");
-static_assert(LONGEST_SYNC_US <= 19000, "the pause gets over 19 ms: a shorter FRAME_US");
+static_assert(SHORTEST_SYNC_US >= 4000, "the pause is under 4 ms: reduce CHANNELS or increase FRAME_US");
+static_assert(LONGEST_SYNC_US <= 19000, "the pause is over 19 ms: reduce FRAME_US");
 static_assert(FRAME_US <= 32000, "FRAME_US: the 16 bit timer counts to 32.7 ms");
 static_assert(GAP_PULSE_US >= 200 && GAP_PULSE_US + 200 <= CHANNEL_MIN_US,
               "GAP_PULSE_US: the interrupt needs 200 us between two edges");
 static_assert(VALID_MIN_US <= CHANNEL_MIN_US && CHANNEL_MIN_US < CHANNEL_MAX_US && CHANNEL_MAX_US <= VALID_MAX_US,
-              "want VALID_MIN_US <= CHANNEL_MIN_US < CHANNEL_MAX_US <= VALID_MAX_US");
+              "expected VALID_MIN_US <= CHANNEL_MIN_US < CHANNEL_MAX_US <= VALID_MAX_US");
 static_assert(safe_from(0), "SAFE_SLOTS_US: each slot between CHANNEL_MIN_US and CHANNEL_MAX_US");
 static_assert(THROTTLE_CHANNEL >= 0 && THROTTLE_CHANNEL < CHANNELS, "THROTTLE_CHANNEL: a slot from 0 to CHANNELS - 1");
 static_assert(SAFE_US[THROTTLE_CHANNEL] <= THROTTLE_CEILING_US, "THROTTLE_CEILING_US is below the idle throttle");

@@ -3,7 +3,7 @@
 
 namespace {
 
-// Writer and Reader have the same verbs, so that each message's layout is written once, below, for both ways.
+// Writer and Reader have the same interface, so each message's layout is written once, below, for both directions.
 class Writer {
  public:
   explicit Writer(uint8_t* at) : at_(at) {}
@@ -37,12 +37,12 @@ class Reader {
     u16(low), u16(high);
     value = low | uint32_t(high) << 16;
   }
-  void counted(uint8_t& n, uint16_t* values) {  // n values, and n goes before them
+  void counted(uint8_t& n, uint16_t* values) {  // n, then n values
     u8(n);
     if (n != left_ / 2) good_ = false;
     rest(n, values);
   }
-  void rest(uint8_t& n, uint16_t* values) {  // as many values as bytes are left
+  void rest(uint8_t& n, uint16_t* values) {  // all remaining bytes as values
     n = left_ / 2;
     if (n < 4 || n > MAX_CHANNELS) good_ = false;
     for (uint8_t i = 0; good_ && i < n; ++i) u16(values[i]);
@@ -55,7 +55,7 @@ class Reader {
   bool good_ = true;
 };
 
-// What each message is made of, in the order of the wire.
+// Fields of each message, in order of transmission.
 template <class Bytes>
 void layout(Bytes& bytes, Command& m) {
   bytes.u16(m.sequence), bytes.u8(m.flags), bytes.rest(m.n, m.channels_us);
@@ -80,8 +80,8 @@ void layout(Bytes& bytes, SyncReply& m) {
   bytes.u32(m.token), bytes.u32(m.received_us), bytes.u32(m.sent_us);
 }
 
-// Each zero gives way to the distance to the next one; the first byte tells where the first zero was.
-// Good for up to 254 bytes, and ours are fewer than 64.
+// Each zero is replaced by the distance to the next one; the first byte is the distance to the first zero.
+// Valid for up to 254 bytes; these frames have fewer than 64.
 uint8_t cobs_encode(const uint8_t* data, uint8_t size, uint8_t* frame) {
   uint8_t hole = 0, at = 1;
   for (uint8_t i = 0; i < size; ++i) {
@@ -97,7 +97,7 @@ uint8_t cobs_encode(const uint8_t* data, uint8_t size, uint8_t* frame) {
   return at;
 }
 
-// In place, and one byte shorter. Returns the size, or 0 if a distance points behind the end.
+// In place; the result is one byte shorter. Returns its size, or 0 if a distance points behind the end.
 uint8_t cobs_decode(uint8_t* bytes, uint8_t size) {
   uint8_t hole = 0;
   while (hole < size) {
@@ -163,7 +163,7 @@ uint8_t Receiver::finish() {
   const bool too_long = too_long_;
   size_ = 0;
   too_long_ = false;
-  if (received == 0) return 0;  // two zeros in a row: an empty frame is no fault
+  if (received == 0) return 0;  // two zeros in a row: an empty frame is not an error
   const uint8_t size = too_long ? 0 : cobs_decode(buffer_, received);
   if (size > 2 && crc16(buffer_, uint8_t(size - 2)) == (buffer_[size - 2] | uint16_t(buffer_[size - 1]) << 8)) {
     return uint8_t(size - 2);

@@ -1,14 +1,14 @@
-// Pilot input: edges or bytes -> the pilot's sticks. See ppm_in.h.
+// Pilot input: edges or bytes -> the pilot's channels. See ppm_in.h.
 #include "ppm_in.h"
 
 #include "config.h"
 
 namespace {
 
-constexpr uint16_t SLOT_MIN_US = 800, SLOT_MAX_US = 2200;  // what radios take for a slot too
-// Two slots run together by a missing pulse stay under it; the pause of eight long slots in 22.5 ms stays above.
+constexpr uint16_t SLOT_MIN_US = 800, SLOT_MAX_US = 2200;  // the limits of radios
+// Two slots merged by a missing pulse are shorter; the pause of eight long slots in 22.5 ms is longer.
 constexpr uint16_t PAUSE_MIN_US = 4500;
-constexpr uint32_t LOST_AFTER_US = 30000;  // the 16 bit timer would wrap unnoticed at 32.7 ms
+constexpr uint32_t LOST_AFTER_US = 30000;  // the 16 bit timer wraps at 32.7 ms
 constexpr uint8_t LEARN_FRAMES = 3;
 
 constexpr uint32_t SPEKTRUM_PAUSE_US = 5000;  // a frame takes 1.4 ms, and the next comes 11 ms after it
@@ -41,7 +41,7 @@ bool PilotPpm::edge(uint16_t capture_ticks, uint32_t time_us) {
 }
 
 bool PilotPpm::end_of_frame() {
-  if (!whole_) return false;  // counted when its wrong slot came
+  if (!whole_) return false;  // counted at its invalid slot
   if (!expected(n_)) {
     if (learnt_n_ != 0) ++rejected;
     return false;
@@ -67,7 +67,7 @@ bool PilotSpektrum::byte(uint8_t value, uint32_t now_us, uint8_t wanted) {
   last_us_ = now_us;
   if (pause_us >= SPEKTRUM_STALE_US) seen_ = 0;
   if (pause_us >= SPEKTRUM_PAUSE_US) {
-    if (size_ % sizeof bytes_ != 0) ++rejected;  // the frame before was cut short
+    if (size_ % sizeof bytes_ != 0) ++rejected;  // the previous frame was incomplete
     size_ = 0;
   }
   if (size_ >= sizeof bytes_) return false;  // too long, or joined in the middle: wait for a pause
@@ -79,7 +79,7 @@ bool PilotSpektrum::finish(uint32_t now_us, uint8_t wanted) {
   uint16_t found = 0, channels_us[MAX_CHANNELS];
   for (uint8_t i = 2; i < sizeof bytes_; i = uint8_t(i + 2)) {
     const uint16_t word = uint16_t(uint16_t(bytes_[i]) << 8 | bytes_[i + 1]);
-    if (word == 0xFFFF) continue;  // an unused place
+    if (word == 0xFFFF) continue;  // unused
     const uint8_t channel = (word >> POSITION_BITS) & 0xF;
     if (channel >= SPEKTRUM_CHANNELS || (found & (1u << channel))) {
       ++rejected;

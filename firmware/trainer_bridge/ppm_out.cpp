@@ -2,7 +2,7 @@
 #include "ppm_out.h"
 
 PpmOut::Edge PpmOut::next(const uint16_t* slots_us, bool silent) {
-  if (at_start_ && left_out_) {  // nothing to end: look again a frame later
+  if (at_start_ && left_out_) {  // no pulse to end: check again a frame later
     left_out_ = silent;
     return {FRAME_US * TICKS_PER_US, !silent};
   }

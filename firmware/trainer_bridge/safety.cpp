@@ -1,7 +1,7 @@
 // Safety state machine: commands and time in, safe slots out. See safety.h.
 //
-// Times are unsigned 32 bit and wrap after 71 minutes; a difference of two is right as long as less than that has
-// passed. So tick() forgets whatever is too old to matter long before.
+// Times are unsigned 32 bit and wrap after 71 minutes; a difference of two is valid for shorter intervals. tick()
+// therefore clears expired times long before.
 #include "safety.h"
 
 namespace {
@@ -18,7 +18,7 @@ bool in_range(const uint16_t* channels_us) {
   return true;
 }
 
-// What may go out on a channel when the host asks for `wanted_us`.
+// The output of a channel for the host's `wanted_us`.
 uint16_t limited(uint8_t channel, uint16_t wanted_us) {
   const uint16_t top_us = channel == THROTTLE_CHANNEL && THROTTLE_CEILING_US < CHANNEL_MAX_US ? THROTTLE_CEILING_US
                                                                                               : CHANNEL_MAX_US;
@@ -67,7 +67,7 @@ void Safety::violation(uint32_t now_us) {
     violations_ = 0;
   }
   if (++violations_ >= RANGE_FAULT_FRAMES) {
-    violations_ = RANGE_FAULT_FRAMES;  // a flood does not wrap the counter
+    violations_ = RANGE_FAULT_FRAMES;  // the counter must not wrap
     state_ = State::FAULT;
     fault_ = Fault::RANGE;
     engage_frames_ = 0;
@@ -122,7 +122,7 @@ void Safety::forget_old(uint32_t now_us) {
 void Safety::move_slots() {
   for (uint8_t i = 0; i < CHANNELS; ++i) {
     if (state_ != State::ACTIVE) {
-      slots_us_[i] = SAFE_US[i];  // at once, however far the way
+      slots_us_[i] = SAFE_US[i];  // without a slew limit
       continue;
     }
     const int16_t way_us = int16_t(limited(i, target_us_[i]) - slots_us_[i]);

@@ -10,38 +10,38 @@
 //                                                                                  range in 1 s, or loop() had hung
 //
 // "Command" means a VALID one: as many slots as configured, each within VALID_MIN_US..VALID_MAX_US, and a sequence
-// number that advances by 1..32767 (modulo 65536). Only in ACTIVE does the host move a slot; in every other state the
-// safe slots of config.h go out. The radio's own trainer switch stays above all of this.
+// number that advances by 1..32767 (modulo 65536). The host controls the slots in ACTIVE only; every other state
+// outputs the safe slots of config.h. The radio's trainer switch overrides all of this.
 //
 // Where the rules leave a choice:
-// - A command is looked at for its form, then its range, then its sequence number; the first that fails counts.
-// - Limits belong to "too late": a gap of exactly 200 ms is a loss, a fifth frame exactly 500 ms after the edge is
-//   too late. An edge is one whatever the gap before it.
-// - The edge is looked for in SAFE only; but the command before it may have come in any state.
-// - In FAULT any command out of range starts the second anew, whatever the fault was. A command with engage still
+// - A command is checked for its form, then its range, then its sequence number; the first failure counts.
+// - Limits are inclusive: a gap of exactly 200 ms is a loss, a fifth frame exactly 500 ms after the edge is too late.
+//   An edge is valid after any gap.
+// - An edge is detected in SAFE only; the command before it may have arrived in any state.
+// - In FAULT any command out of range restarts the second, for every kind of fault. A command with engage still
 //   counts as the last one before an edge.
-// - Silence ends with a valid command, in whatever state it comes.
+// - Silence ends with a valid command, in any state.
 #pragma once
 #include <stdint.h>
 
 #include "config.h"
 
 enum class State : uint8_t { BOOT, SAFE, ACTIVE, LOST, FAULT };
-enum class Fault : uint8_t { NONE, RANGE, STALL, CONFIG };  // CONFIG never comes: such a config.h does not compile
+enum class Fault : uint8_t { NONE, RANGE, STALL, CONFIG };  // CONFIG never occurs: such a config.h does not compile
 enum class Verdict : uint8_t { ACCEPTED, SEQUENCE, RANGE, FORM };
 
 class Safety {
  public:
-  // Start anew. `stalled`: the reset came because loop() had hung.
+  // Initialise. `stalled`: the reset was caused by a hung loop().
   void begin(uint32_t now_us, bool stalled);
 
-  // A COMMAND with a right CRC has arrived. `channels_us` holds n slots.
+  // Process a COMMAND with a valid CRC. `channels_us` holds n slots.
   Verdict frame(uint32_t now_us, uint16_t sequence, bool engage, const uint16_t* channels_us, uint8_t n);
 
-  // Once per PPM frame, from the interrupt: works out the slots that go out now. Takes under 50 us on the board.
+  // Once per PPM frame, from the interrupt: computes the slots of this frame. Takes under 50 us on the board.
   void tick(uint32_t now_us);
 
-  // What the last tick worked out [us]: CHANNELS slots.
+  // Slots of the last tick [us]: CHANNELS of them.
   const uint16_t* slots_us() const { return slots_us_; }
   // No pulses at all (SILENT_AFTER_MS).
   bool silent() const { return silent_; }
@@ -63,10 +63,10 @@ class Safety {
 
   State state_;
   Fault fault_;
-  bool contact_;      // a valid command has come since boot
+  bool contact_;      // a valid command has arrived since boot
   bool last_engage_;  // the flag of the last valid command
   bool silent_;
-  bool held_;  // in FAULT: the second in which nothing ends it is not over
+  bool held_;  // in FAULT: within the second in which nothing ends it
   uint8_t engage_frames_, violations_;
   uint16_t last_sequence_, bad_sequence_, out_of_range_;
   uint32_t accepted_;

@@ -1,13 +1,13 @@
 // FalconWing trainer bridge: commands from the computer in, pulses for the radio's trainer port out.
-// Board: Arduino Mega 2560. What may be changed stands in config.h; how to wire and check is in ../README.md.
+// Board: Arduino Mega 2560. Settings: config.h; wiring and tests: ../README.md.
 //
 //   pin 11  PPM out (OC1A)              the timer itself makes each edge; the interrupt only prepares the next one
-//   pin 49  PPM in (ICP4)               the pilot's sticks, if the radio gives them so
-//   pin 19  Spektrum serial in (RX1)    the pilot's sticks, from a remote receiver
+//   pin 49  PPM in (ICP4)               the pilot's channels, if the radio outputs PPM
+//   pin 19  Spektrum serial in (RX1)    the pilot's channels, from a remote receiver
 //   USB     115200 8N1                  the computer
 //
-// This file is pins, registers and interrupts. What it decides is decided in safety, link, ppm_out and ppm_in, which
-// know no Arduino. "Data sheet" is ATmega640/1280/1281/2560/2561, Microchip DS40002211.
+// This file contains pins, registers and interrupts. All decisions are in safety, link, ppm_out and ppm_in, which do
+// not depend on Arduino. "Data sheet" is ATmega640/1280/1281/2560/2561, Microchip DS40002211.
 #include <avr/sleep.h>
 #include <avr/wdt.h>
 #include <util/atomic.h>
@@ -30,7 +30,7 @@ PilotPpm pilot_ppm;
 volatile bool pilot_ppm_ready = false;
 volatile uint8_t ticks_without_loop = 0;
 
-// loop()'s own.
+// Used by loop() only.
 Receiver receiver;
 PilotSpektrum pilot_spektrum;
 bool pilot_spektrum_ready = false;
@@ -38,14 +38,14 @@ SyncReply sync_reply;
 bool sync_reply_ready = false;
 uint32_t last_status_us = 0;
 
-// ---- what outlives a reset: a reset leaves the RAM alone, and .noinit is not cleared at the start ----
+// ---- data that survive a reset: it does not change the RAM, and .noinit is not cleared at the start ----
 
 uint8_t reset_cause __attribute__((section(".noinit")));
 uint8_t boot_count __attribute__((section(".noinit")));
 uint8_t hung __attribute__((section(".noinit")));  // loop() was hung when the reset came
 uint16_t kept_check __attribute__((section(".noinit")));
 
-// After a watchdog reset the watchdog runs on at 15 ms, so it is stopped before anything else; and the cause is
+// After a watchdog reset the watchdog still runs, at 15 ms, so it is stopped first; and the cause is
 // cleared, else WDRF keeps the watchdog on (data sheet 12.5.1). .init3 runs before main() and before variables are set.
 void take_reset_cause() __attribute__((naked, used, section(".init3")));
 void take_reset_cause() {
@@ -62,8 +62,8 @@ void keep(uint8_t new_boot_count, bool new_hung) {
   kept_check = check_word();
 }
 
-// Count this boot. Returns whether it came because loop() had hung. WDRF alone does not tell: the Mega's bootloader
-// clears MCUSR before the sketch can read it, so the interrupt leaves its own mark.
+// Count this boot. Returns whether a hung loop() caused it. WDRF is not sufficient: the Mega's bootloader clears MCUSR
+// before the sketch can read it, so the interrupt sets its own mark.
 bool begin_kept() {
   const bool known = kept_check == check_word() && !(reset_cause & _BV(PORF));
   const bool stalled = (known && hung) || (reset_cause & _BV(WDRF));
@@ -73,14 +73,14 @@ bool begin_kept() {
 
 // ---- PPM out: Timer1, free running at 2 MHz (data sheet 17.8 compare match output unit, 17.9.1 normal mode) ----
 
-// What the pin does at the next match. COM1A1:0 = 3 sets it, 2 clears it.
+// Action on the pin at the next match. COM1A1:0 = 3 sets it, 2 clears it.
 constexpr uint8_t SET_PIN = _BV(COM1A1) | _BV(COM1A0), CLEAR_PIN = _BV(COM1A1);
 constexpr uint8_t TO_IDLE = POLARITY ? SET_PIN : CLEAR_PIN, TO_PULSE = POLARITY ? CLEAR_PIN : SET_PIN;
 
 void begin_ppm_out() {
-  TCCR1B = 0;  // stop: the core has set the timer up for analogWrite()
+  TCCR1B = 0;  // stop: the core has configured the timer for analogWrite()
   TCCR1A = TO_IDLE;
-  TCCR1C = _BV(FOC1A);  // act as if it had matched, so that the pin begins idle
+  TCCR1C = _BV(FOC1A);  // force a match, so that the pin begins idle
   pinMode(PPM_OUT_PIN, OUTPUT);
   TCNT1 = 0;
   OCR1A = FRAME_US * uint16_t(TICKS_PER_US);
@@ -89,17 +89,17 @@ void begin_ppm_out() {
   TCCR1B = _BV(CS11);  // 16 MHz / 8
 }
 
-// If loop() hangs, the safety machine runs out of commands here and the slots go safe; then the watchdog resets the
-// board. The mark tells the next boot why; a loop() that comes back in time wipes it off.
+// If loop() hangs, the safety machine gets no commands and outputs the safe slots; then the watchdog resets the
+// board. The mark records the reason for the next boot; a loop() that returns in time clears it.
 void watch_loop() {
   if (ticks_without_loop < HUNG_TICKS) ++ticks_without_loop;
   const bool hangs = ticks_without_loop == HUNG_TICKS;
   if (hangs != hung) keep(boot_count, hangs);
 }
 
-// An edge has just been made. The next is at least GAP_PULSE_US away: time enough, as with eight channels and a full
-// serial line this begins at most 31 us late (atomic blocks, other interrupts) and takes at most 43 us (measured in the
-// simulated chip).
+// An edge has just been made. The next is at least GAP_PULSE_US away, which is sufficient: with eight channels and a
+// full serial line this begins at most 31 us late (atomic blocks, other interrupts) and takes at most 43 us (measured
+// in the simulated chip).
 ISR(TIMER1_COMPA_vect) {
   if (ppm_out.at_frame_start()) {
     safety.tick(micros());
@@ -112,9 +112,9 @@ ISR(TIMER1_COMPA_vect) {
 
 // ---- PPM in: Timer4 copies its count at each falling edge (data sheet 17.6 input capture unit) ----
 
-// Falling edges serve both polarities: from one pulse's end to the next is a slot as well.
+// Falling edges serve both polarities: the time between the ends of two pulses is also a slot.
 void begin_ppm_in() {
-  pinMode(PPM_IN_PIN, INPUT_PULLUP);  // an open pin must not listen to noise
+  pinMode(PPM_IN_PIN, INPUT_PULLUP);  // an open pin must not pick up noise
   TCCR4A = 0;
   TCCR4B = _BV(ICNC4) | _BV(CS41);  // noise canceller, falling edge, 16 MHz / 8
   TIFR4 = _BV(ICF4);
@@ -153,7 +153,7 @@ void take_byte(uint8_t byte) {
   }
 }
 
-// ---- serial out: one message a pass, and only if the buffer takes it whole, so that loop() never waits ----
+// ---- serial out: one message per pass, and only if the buffer has room for all of it, so loop() never waits ----
 
 uint8_t frame[MAX_FRAME + 1];
 
@@ -209,8 +209,8 @@ void tell_host() {
 
 // ---- the program ----
 
-// Sleep until the next interrupt, at the latest the clock's after 1 ms. sei() lets the instruction after it run before
-// any interrupt, so nothing arrives unseen between the question and the sleep (data sheet 7.8 and 11.2 idle mode).
+// Sleep until the next interrupt, at most 1 ms (the clock's). sei() executes the next instruction before any
+// interrupt, so no byte is missed between the check and the sleep (data sheet 7.8 and 11.2 idle mode).
 void nap() {
   cli();
   if (!Serial.available() && !Serial1.available()) {

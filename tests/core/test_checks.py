@@ -9,7 +9,7 @@ from falconwing_kit.core.checks import InputError, require_file, require_range, 
 
 
 def test_input_error_is_a_value_error():
-    """The house rule: bad values are ValueErrors, so `except ValueError` of a caller still works."""
+    """Bad values are ValueErrors, so `except ValueError` of a caller still works."""
     assert issubclass(InputError, ValueError)
 
 

@@ -95,7 +95,7 @@ def test_figures_are_written_with_their_words(tmp_path):
 
 
 def test_no_right_to_write_is_one_sentence(tmp_path, monkeypatch):
-    """The system's refusal is simulated, for the tests may run as a user who may write everywhere."""
+    """The system's error is simulated, because the tests may run with permission for everything."""
 
     def refuse(source, target):
         raise PermissionError(13, "Permission denied", str(target))

@@ -115,7 +115,7 @@ def test_another_library_reads_the_closed_log(whole):
 
 
 def test_command_is_written_before_its_image(interrupted):
-    """When both arrive together: if the disk fills up in between, the command is the one to have."""
+    """If the disk fills up between the two, the command is the more important one."""
     data = interrupted[0].read_bytes()
     for k in range(20):
         assert data.index(json.dumps(command(k).record)[1:-1].encode()) < data.index(
@@ -169,7 +169,7 @@ def test_a_disk_too_full_to_pack_keeps_the_recording(tmp_path, monkeypatch):
     def refuse(*_):
         raise InputError("the disk is full")
 
-    monkeypatch.setattr(flight_log, "rewrite", refuse)
+    monkeypatch.setattr(flight_log, "_rewrite", refuse)
     with (
         pytest.warns(UserWarning, match="stays unpacked"),
         FlightLogWriter(tmp_path / "a.mcap") as log,
@@ -389,12 +389,12 @@ def test_a_record_that_is_no_json_is_left_out(interrupted, tmp_path):
     log = read_flight_log(tmp_path / "spoilt.mcap")
     assert len(
         log.commands
-    ) == 19 and "records of /command that could not be understood: 1" in " ".join(log.warnings)
+    ) == 19 and "records of /command that could not be parsed: 1" in " ".join(log.warnings)
 
 
 @pytest.mark.parametrize("compression", ["lz4", ""])
 def test_chunks_of_other_writers_are_read(tmp_path, compression):
-    """A log packed by another program with lz4 or not at all; its checksum computed here by zlib."""
+    """A log of another program, with lz4 or uncompressed; its checksum is computed here by zlib."""
     import lz4.frame
 
     body = json.dumps({"t": 1.0, **command(3).record}).encode()

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from falconwing_kit.core import flight_csv
+from falconwing_kit.core import flight_table
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import (
     FlightTable,
@@ -67,7 +67,7 @@ def test_numbers_arrive_in_their_columns(csv):
     assert table.p_world[1].tolist() == [0.35, 1.0, 2.0]
     assert table.attitude[1].tolist() == [0.1, 0.05, 0.2]
     assert table.commands[1].tolist() == [0.5, 0.01, -0.02, 0.03]
-    assert table.warnings == () and table.missing_share == 0.0
+    assert table.warnings == () and table.has_pose.all()
     assert table.duration == pytest.approx(0.95, abs=1e-12)
     assert table.name.endswith("/flight.csv") and not table.name.startswith("/")
 
@@ -95,7 +95,7 @@ def test_frames_without_pose_are_kept(csv):
         for column in ("px", "py", "pz", "roll", "pitch", "yaw"):
             rows = edited(3, column, cell, rows)
         table = read_flight_table(csv(rows))
-        assert len(table.t) == 20 and table.missing_share == pytest.approx(0.05)
+        assert len(table.t) == 20 and table.has_pose.sum() == 19
         assert np.isnan(table.p_world[3]).all() and table.warnings == ()
 
 
@@ -153,11 +153,14 @@ def test_a_file_may_end_without_a_line_end(csv):
         (b"\n" + ROWS[0].encode(), "empty line"),
         (HEADER + "\n", "at least one row"),
         (HEADER + "\n\n\n", "at least one row"),
-        (HEADER.replace(",", ";") + "\n", "semicolons, expected commas"),
-        (HEADER.replace(",", "\t") + "\n", "tabs, expected commas"),
+        (HEADER.replace(",", ";") + "\n", "expected commas between columns, got semicolons"),
+        (HEADER.replace(",", "\t") + "\n", "expected commas between columns, got tabs"),
         (HEADER.replace(",rudder", "") + "\n", "missing column rudder; the header has t, px"),
         (HEADER + ",px\n", "px more than once"),
-        ("\n".join([HEADER, *ROWS[:5], "0.3,1,2"]) + "\n", "line 7 has 3 cells, expected 11"),
+        (
+            "\n".join([HEADER, *ROWS[:5], "0.3,1,2"]) + "\n",
+            "line 7: expected 11 cells as in the header, got 3",
+        ),
         (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "UTF-8|binary"),
         (bytes(1000), "binary data"),
         (HEADER.encode() + b"\n" + b"\xff" * 20 + b"\n", "line 2 is not UTF-8"),
@@ -179,7 +182,7 @@ def test_a_file_that_is_no_flight_table_is_refused(csv, content, sentence):
         (4, "px", "1.0.0", "line 6, column px"),
         (4, "px", "inf", "line 6, column px: expected a finite number or nan, got infinity"),
         (4, "pitch", "1e999", "line 6, column pitch: expected a finite number"),
-        (0, "aileron", "nan", "line 2, column aileron: the first row must have a command"),
+        (0, "aileron", "nan", "line 2, column aileron: expected a command in the first row"),
         (
             4,
             "throttle",
@@ -224,7 +227,7 @@ def test_missing_file_is_said(tmp_path):
 def test_a_huge_file_is_refused_before_reading(csv, monkeypatch):
     """The limit is lowered for the test; the size is known before a byte is read."""
     path = csv(ROWS)
-    monkeypatch.setattr(flight_csv, "MAX_FILE_BYTES", 100)
+    monkeypatch.setattr(flight_table, "MAX_FILE_BYTES", 100)
     with pytest.raises(InputError, match="at most"):
         read_flight_table(path)
 
@@ -269,11 +272,11 @@ def test_a_flight_without_poses_is_read_with_a_warning(csv):
     """Commands alone may be what somebody has."""
     rows = [",".join([row.split(",")[0], *["nan"] * 6, *row.split(",")[7:]]) for row in ROWS]
     table = read_flight_table(csv(rows))
-    assert table.missing_share == 1.0 and "no row has a pose" in table.warnings[0]
+    assert not table.has_pose.any() and "no row has a pose" in table.warnings[0]
 
 
 def test_degrees_are_refused(csv):
-    """A roll of 25 would be four turns; yaw alone gives degrees away when it starts far from zero."""
+    """A roll of 25 would be four turns; yaw alone shows degrees only if it starts far from zero."""
     for angles in (",25.0,5.0,0.2,", ",2.0,1.0,170.0,"):
         with pytest.raises(InputError, match="looks like degrees"):
             read_flight_table(csv([row.replace(",0.1,0.05,0.2,", angles) for row in ROWS]))
@@ -457,7 +460,7 @@ def test_one_row_has_no_rate():
 
 @pytest.mark.parametrize(("share", "tests"), [(0.3, 4), (0.5, 6), (0.1, 1), (0.7, 8)])
 def test_every_row_goes_to_one_side_in_whole_blocks(share, tests):
-    """120 s in blocks of 10 s: 12 blocks, share * 12 of them (rounded) held out; counted by hand."""
+    """120 s in blocks of 10 s: 12 blocks, share * 12 of them (rounded) held out; by hand."""
     table = table_of(np.arange(2400) * 0.05)
     train, test = split_by_time(table, share)
     assert len(test) == tests

@@ -69,8 +69,9 @@ def test_rotation_is_the_product_of_elementary_ones(angles):
 
 def test_angles_come_back(angles):
     """The inverse of the composition, away from straight up and down."""
-    for got, want in zip(euler_from_rotation(rotation_world_body(*angles)), angles, strict=True):
-        assert np.abs(wrap_angle(got - want)).max() < 1e-12
+    recovered = euler_from_rotation(rotation_world_body(*angles))
+    for got, expected in zip(recovered, angles, strict=True):
+        assert np.abs(wrap_angle(got - expected)).max() < 1e-12
 
 
 def test_level_flight_along_the_runway():
@@ -175,9 +176,9 @@ def test_camera_looks_along_the_nose():
 @pytest.mark.parametrize(
     ("angle", "expected"), [(np.pi, -np.pi), (-np.pi, -np.pi), (7.0, 7.0 - 2 * np.pi), (0.5, 0.5)]
 )
-def test_wrap_keeps_the_angle_in_one_turn(angle, want):
+def test_wrap_keeps_the_angle_in_one_turn(angle, expected):
     """By hand, on the half-open interval [-pi, pi)."""
-    assert float(wrap_angle(angle)) == pytest.approx(want, abs=1e-15)
+    assert float(wrap_angle(angle)) == pytest.approx(expected, abs=1e-15)
 
 
 def test_world_from_north_east_down_keeps_the_angles():

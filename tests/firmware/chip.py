@@ -1,26 +1,20 @@
-"""A bench for the simulated chip: a board that is engaged, fed and asked as a host does it, in
-virtual time.
-"""
+"""Test bench for the simulated chip: probes on pins and counters, and the host's side."""
 
 import os
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from falconwing_kit.tools.bridge.build import missing_tools
-from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
+from falconwing_kit.tools.bridge.simulated_board import CLOCK_HZ, SimulatedBoard
 from falconwing_kit.trainer_port.protocol import Deframer, Status, encode_channels
 
 BYTE = 10 / 115200  # s: start bit, eight bits, stop bit
 COMMAND_BYTES = 16  # four channels: 14, one of COBS, the zero
 LOOP = 0.05  # s between two commands
 SAFE = (1000, 1500, 1500, 1500)
-FLOWN = (
-    1250,
-    1600,
-    1400,
-    1500,
-)  # within one slew of SAFE in every slot, so that one frame goes all the way
+FLOWN = (1250, 1600, 1400, 1500)  # within one slew step of SAFE, so one frame reaches it
 
 
 def require_tools() -> None:
@@ -31,6 +25,39 @@ def require_tools() -> None:
         )
 
 
+class ProbedBoard(SimulatedBoard):
+    """A simulated board with access to its pins and to the simulator's counters."""
+
+    def write_spektrum(self, data: bytes) -> None:
+        """Send bytes on the line of a Spektrum remote receiver (Serial1, pin 19)."""
+        self._sim.sim_send(self._handle, 1, data, len(data))
+
+    def drive_pilot_pin(self, t: Sequence[float], levels: Sequence[int]) -> None:
+        """Edges on the pilot's pin: (n,) increasing future times [s], and the levels after them."""
+        at = np.array([round(when * CLOCK_HZ) - self._past for when in t], dtype=np.uint64)
+        self._sim.sim_drive_pilot(self._handle, at, np.array(levels, dtype=np.uint8), len(at))
+
+    @property
+    def pin_level(self) -> int:
+        """Level of the PPM pin, 0 or 1."""
+        return int(self._sim.sim_pin(self._handle))
+
+    @property
+    def artefacts(self) -> int:
+        """Toggles of the PPM pin by libsimavr at wraps of Timer1, unlike silicon; in no frame."""
+        return int(self._sim.sim_counter(self._handle, 0))
+
+    @property
+    def overruns(self) -> int:
+        """Bytes to the board that were lost because its program did not read them in time."""
+        return int(self._sim.sim_counter(self._handle, 1))
+
+    @property
+    def watchdog_resets(self) -> int:
+        """Number of resets of the chip by its watchdog."""
+        return int(self._sim.sim_counter(self._handle, 2))
+
+
 class Bench:
     """A board and a host's side of its line.
 
@@ -38,7 +65,7 @@ class Bench:
         board: switched on.
     """
 
-    def __init__(self, board: SimulatedBoard) -> None:
+    def __init__(self, board: ProbedBoard) -> None:
         self.board, self.messages, self.sequence = board, [], 0
         self._deframer = Deframer()
         self.wait(0.1)

@@ -2,13 +2,12 @@
 
 import pytest
 
-from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
-from tests.firmware.chip import Bench, require_tools
+from tests.firmware.chip import Bench, ProbedBoard, require_tools
 
 
 @pytest.fixture
 def bench():
     """The shipped firmware, switched on 0.1 s ago."""
     require_tools()
-    with SimulatedBoard() as board:
+    with ProbedBoard() as board:
         yield Bench(board)

@@ -1,4 +1,4 @@
-"""What goes wrong: a lost host, a hung program, broken and repeated frames; in the simulated chip."""
+"""Faults in the simulated chip: lost host, hung program, corrupted and repeated frames."""
 
 import numpy as np
 import pytest

@@ -46,9 +46,9 @@ def test_a_million_broken_frames_are_refused_under_sanitizers(tmp_path):
     """
     done = make("host-test", tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "1000000 broken frames: 0 accepted, each good frame after one accepted" in done.stdout
+    assert "1000000 corrupted frames: 0 accepted; every valid frame" in done.stdout
     assert "1000000 buffers of random bytes: 0 accepted" in done.stdout
-    assert done.stdout.endswith("host tests: all good\n")
+    assert done.stdout.endswith("host tests: all passed\n")
 
 
 class Pulses:
@@ -113,7 +113,7 @@ def test_silence_finishes_its_frame_and_ends_with_a_whole_one(library):
 
 
 class PilotPulses:
-    """Falling edges into the firmware's PPM decoder; the capture register wraps as the chip's does."""
+    """Falling edges into the firmware's PPM decoder; the capture register wraps as in the chip."""
 
     def __init__(
         self, library, start_us=4_294_900_000

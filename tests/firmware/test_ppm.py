@@ -4,9 +4,16 @@ import numpy as np
 import pytest
 
 from falconwing_kit.tools.bridge.build import build_firmware, firmware_folder
-from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
 from falconwing_kit.trainer_port.protocol import PilotFrame
-from tests.firmware.chip import COMMAND_BYTES, LOOP, SAFE, Bench, require_tools, slots
+from tests.firmware.chip import (
+    COMMAND_BYTES,
+    LOOP,
+    SAFE,
+    Bench,
+    ProbedBoard,
+    require_tools,
+    slots,
+)
 
 MICROSECOND = 1.0  # us: the issue's bound on every slot, gap pulse and frame
 # us: the issue's bound on the standard deviation; an instruction of the simulator takes up to 0.31
@@ -87,7 +94,10 @@ def test_a_pin_written_by_the_interrupt_fails_that_test(tmp_path):
     require_tools()
     sketch = "trainer_bridge.ino"
     text = (firmware_folder() / "trainer_bridge" / sketch).read_text()
-    late = "bool pulse_now = false;\nISR(TIMER1_COMPA_vect) {\n  digitalWrite(PPM_OUT_PIN, pulse_now != POLARITY);\n"
+    late = (
+        "bool pulse_now = false;\nISR(TIMER1_COMPA_vect) {\n"
+        "  digitalWrite(PPM_OUT_PIN, pulse_now != POLARITY);\n"
+    )
     for old, new in (
         ("ISR(TIMER1_COMPA_vect) {\n", late),
         ("TCCR1A = edge.pulse ? TO_PULSE : TO_IDLE;", "TCCR1A = 0;\n  pulse_now = edge.pulse;"),
@@ -95,7 +105,7 @@ def test_a_pin_written_by_the_interrupt_fails_that_test(tmp_path):
         assert text.count(old) == 1, f"the sketch has changed: {old}"
         text = text.replace(old, new)
     (tmp_path / sketch).write_text(text)
-    with SimulatedBoard(build_firmware(replace=tmp_path)) as board:
+    with ProbedBoard(build_firmware(replace=tmp_path)) as board:
         pulses = fly_under_full_load(Bench(board), 3.0)
     with pytest.raises(AssertionError, match=r"slot: .* us wrong"):
         check_pulses(*pulses)
@@ -105,7 +115,7 @@ def test_a_pin_written_by_the_interrupt_fails_that_test(tmp_path):
 def test_polarity_turns_the_pulses_over(polarity):
     """POLARITY 1 idles high: the pin is high for all but 5 of 400 us in a frame of 22 ms."""
     require_tools()
-    with SimulatedBoard(build_firmware([f"POLARITY={polarity}"])) as board:
+    with ProbedBoard(build_firmware([f"POLARITY={polarity}"])) as board:
         board.run_until(0.5)
         assert board.pin_level in (0, 1)
         high = 0
@@ -119,7 +129,7 @@ def test_polarity_turns_the_pulses_over(polarity):
 def test_eight_slots_fit():
     """CHANNELS=8: eight slots of 2000 us leave 6 ms of the frame."""
     require_tools()
-    with SimulatedBoard(build_firmware(["CHANNELS=8"])) as board:
+    with ProbedBoard(build_firmware(["CHANNELS=8"])) as board:
         bench = Bench(board)
         bench.fly(1, (1000, *[1500] * 7), engage=False)
         bench.fly(15, (2000,) * 8)
@@ -134,7 +144,7 @@ def test_silence_is_no_pulse_and_no_half_frame():
     comes.
     """
     require_tools()
-    with SimulatedBoard(build_firmware(["SILENT_AFTER_MS=1000"])) as board:
+    with ProbedBoard(build_firmware(["SILENT_AFTER_MS=1000"])) as board:
         bench = Bench(board)
         last = bench.engage()
         bench.wait(2.0)
@@ -180,7 +190,7 @@ def pilot_frame(bench, pulses_us) -> None:
     """A frame of low pulses of 400 us that begin at these times, then the rest of its 22 ms."""
     t = bench.board.t + 1e-4
     edges = [t + 1e-6 * at for start in pulses_us for at in (start, start + GAP_US)]
-    bench.board.pilot_edges(edges, [0, 1] * len(pulses_us))
+    bench.board.drive_pilot_pin(edges, [0, 1] * len(pulses_us))
     bench.wait(0.022)
 
 

@@ -33,7 +33,7 @@ LIMIT_MS, ATTEMPTS = 40.0, 3
 CONTROLLER = f"""
 import time
 from falconwing_kit.core.messages import Command
-from falconwing_kit.tools.bridge.bus import COMMAND, IMAGE, Sticks
+from falconwing_kit.tools.bridge.bus import COMMAND, IMAGE, StampedCommand
 from falconwing_kit.tools.bridge.ros import RosBus
 bus = RosBus("controller")
 while bus.listeners(COMMAND) == 0: time.sleep(0.01)
@@ -42,7 +42,8 @@ while True:
     image = images.take(1.0)
     if image is not None:
         command = Command(0.0, 0.0, 0.0, (image.sequence % {CODES}) / 500, image.sequence)
-        bus.publish(COMMAND, Sticks(time.time(), command, engage=image.sequence > 0))
+        message = StampedCommand(time.time(), command, engage=image.sequence > 0)
+        bus.publish(COMMAND, message)
 """
 
 
@@ -84,7 +85,8 @@ def test_image_to_pulses_takes_40_ms_at_most(bridge):
         await_engaged(bus, port)
         to_edge, to_last_slot, lag = measure(bus, port.simulation)
         print(
-            f"\nattempt {attempt + 1}: load {os.getloadavg()[0]:.1f}, chip up to {lag:.0f} ms behind the clock"
+            f"\nattempt {attempt + 1}: load {os.getloadavg()[0]:.1f}, "
+            f"chip up to {lag:.0f} ms behind the clock"
         )
         for what, ms in (
             ("first edge of its frame", to_edge),

@@ -42,8 +42,8 @@ def test_program_takes_less_than_16_kib_and_2_kib(tmp_path, defines):
     ("defines", "why"),
     [
         ("-DCHANNELS=3", "CHANNELS: 4 to 8"),
-        ("-DCHANNELS=8 -DFRAME_US=19000", "the pause gets under 4 ms"),  # 19 - 8 x 2 = 3 ms
-        ("-DFRAME_US=24000", "the pause gets over 19 ms"),  # 24 - 4 x 1 = 20 ms
+        ("-DCHANNELS=8 -DFRAME_US=19000", "the pause is under 4 ms"),  # 19 - 8 x 2 = 3 ms
+        ("-DFRAME_US=24000", "the pause is over 19 ms"),  # 24 - 4 x 1 = 20 ms
         ("-DCHANNEL_MAX_US=2200", "CHANNEL_MAX_US <= VALID_MAX_US"),
         ("-DGAP_PULSE_US=900", "GAP_PULSE_US"),
         ("-DTHROTTLE_CHANNEL=4", "THROTTLE_CHANNEL"),

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falconwing_kit.core.flight_csv import LABEL_COLUMN, OPTIONAL_COLUMNS, REQUIRED_COLUMNS
+from falconwing_kit.core.flight_table import LABEL_COLUMN, OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Command, State
 from falconwing_kit.data import data_path

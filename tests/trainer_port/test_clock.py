@@ -26,7 +26,7 @@ class Board:
         return round((self.start + host * (1.0 + self.drift)) * 1e6) % WRAP
 
     def answer(self, clock: DeviceClock, t: float, there: float, back: float) -> bool:
-        """One round trip with these delays beside the bytes on the wire, 0.1 ms of work in between."""
+        """One round trip with these delays besides the bytes on the wire, and 0.1 ms of work."""
         received = t + 9 * BYTE_S + there
         read = received + 1e-4 + back + 17 * BYTE_S
         return clock.add(t, self.shows(received), self.shows(received + 1e-4), read)
@@ -70,7 +70,7 @@ def test_drift_is_found():
 
 
 def test_errors_never_exceed_the_bound_of_a_young_clock():
-    """The bound is a law from the first round trip on, for each of 200 lines with their own delays."""
+    """The bound holds from the first round trip on, for each of 200 lines with different delays."""
     for seed in range(200):
         board, clock = Board(4290.0, 0.4 * MAX_DRIFT * (-1) ** seed, seed), DeviceClock()
         for k in range(20):

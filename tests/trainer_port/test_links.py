@@ -12,10 +12,9 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command
 from falconwing_kit.tools.bridge.build import missing_tools
-from falconwing_kit.tools.bridge.open_port import open_port
+from falconwing_kit.tools.bridge.open_port import STEP, SteppedBoard, open_port
 from falconwing_kit.tools.bridge.python_board import PythonBoard
 from falconwing_kit.tools.bridge.simulated_board import BoardOnPty
-from falconwing_kit.tools.bridge.simulated_link import STEP, SteppedBoard
 from falconwing_kit.trainer_port import usb
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.trainer_port.usb import SerialLink, find_boards, permission_advice

@@ -6,11 +6,10 @@ from dataclasses import replace
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.messages import Command
+from falconwing_kit.core.messages import SAFE_COMMAND, Command
 from falconwing_kit.trainer_port.port import (
     BACK_OFF,
     HAND_BACK_FRAMES,
-    SAFE,
     SILENT_AFTER,
     TrainerPort,
     require_matching_calibration,
@@ -180,7 +179,7 @@ def test_a_safe_that_was_said_before_the_frame_came_is_no_answer(board, port):
 
 
 def test_an_edge_that_came_to_nothing_is_tried_again(board, port):
-    """A second in SAFE with engage=1: frames were lost on the way, so 0 goes out once more, then 1."""
+    """A second in SAFE with engage=1: frames were lost, so 0 is sent once more, then 1."""
     step(board, port, SAYS)
     flags = []
     for k in range(40):
@@ -246,7 +245,7 @@ def test_what_is_no_command_hands_back(board, port, nothing):
 
 
 def test_closing_hands_back(board, port):
-    """Leaving the block of `with` in flight: the last frame has engage=0, and the line is closed."""
+    """Leaving the `with` block in flight: the last frame has engage=0, and the line is closed."""
     with port:
         fly(board, port)
     assert not board.commands[-1].engage and board.closed
@@ -467,4 +466,4 @@ def test_a_host_that_comes_back_at_once_is_checked_too(board):
 
 def test_the_safe_command_is_an_idle_motor_and_neutral_sticks():
     """By hand."""
-    assert SAFE.vector.tolist() == [0.0, 0.0, 0.0, 0.0]
+    assert SAFE_COMMAND.vector.tolist() == [0.0, 0.0, 0.0, 0.0]

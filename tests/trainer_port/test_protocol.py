@@ -16,7 +16,7 @@ from cobs import cobs
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.trainer_port import protocol
-from falconwing_kit.trainer_port.ppm import load_calibration
+from falconwing_kit.trainer_port.ppm import encode_command, load_calibration
 from falconwing_kit.trainer_port.protocol import (
     CommandFrame,
     Deframer,
@@ -30,7 +30,6 @@ from falconwing_kit.trainer_port.protocol import (
     decode_status,
     encode,
     encode_channels,
-    encode_command,
     encode_sync,
 )
 from falconwing_kit.trainer_port.safety import Safety, SafetyDecision
@@ -125,7 +124,7 @@ def test_stuffing_equals_the_library(rng):
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
 def test_messages_go_over_the_wire_and_back(message):
-    """Decoding undoes encoding, with and without the zero byte, which is the only one in the frame."""
+    """Decoding inverts encoding, with and without the zero byte, the only one in the frame."""
     frame = encode(message)
     assert decode(frame) == decode(frame[:-1]) == decode(bytearray(frame)) == message
     assert frame.count(0) == 1 and frame[-1] == 0

@@ -348,7 +348,8 @@ VARIANTS = {
     "shipped": ("", SafetyConfig(), 1000),
     "silent": ("-DSILENT_AFTER_MS=1000", SafetyConfig(silent_after_ms=1000), 250),
     "other": (
-        "-DCHANNELS=8 -DSLEW_US=37 -DTHROTTLE_CEILING_US=1600 -DTHROTTLE_CHANNEL=2 -DSAFE_SLOTS_US=1500,1500,1100,"
+        "-DCHANNELS=8 -DSLEW_US=37 -DTHROTTLE_CEILING_US=1600 -DTHROTTLE_CHANNEL=2 "
+        "-DSAFE_SLOTS_US=1500,1500,1100,"
         "1500,1500,1500,1500,1500 -DHOST_TIMEOUT_MS=100 -DENGAGE_FRAMES=3 -DENGAGE_WINDOW_MS=150",
         SafetyConfig(
             channels=8,

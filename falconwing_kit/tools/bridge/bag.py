@@ -1,12 +1,13 @@
-"""Bag: a flight log in, a ROS 1 bag out, without ROS on this machine.
+"""ROS bag: flight log -> ROS 1 bag, without an installation of ROS.
 
-The topics are those of the ROS adapter, so a bag that `rosbag play` plays looks to a controller
-like a flight; its commands never ask to engage, so that they fly nothing. And:
+The topics are those of the ROS adapter, so `rosbag play` presents a flight to a controller; engage
+is 0 in all commands, so they control no aircraft. Further topics:
 
-    /falconwing/pose      geometry_msgs/PoseStamped   the aircraft in "world" with ROS's axes: x nose, y left, z up
-    /falconwing/twist     geometry_msgs/TwistStamped  velocity and turn rate, both along the axes of "world"
+    /falconwing/pose      geometry_msgs/PoseStamped   in "world", with ROS's body axes:
+                                                      x nose, y left, z up
+    /falconwing/twist     geometry_msgs/TwistStamped  velocity and angular rate, in "world" axes
     /falconwing/event     std_msgs/String             JSON with name and details
-    /falconwing/metadata  std_msgs/String             JSON, what holds for the whole flight, at the first time
+    /falconwing/metadata  std_msgs/String             JSON about the whole flight, at its first time
 """
 
 import heapq
@@ -42,17 +43,13 @@ TYPES = {
 
 
 def write_bag(path: str | Path, log: FlightLog) -> dict[str, int]:
-    """Write a flight log as a ROS 1 bag; the file is there whole or not at all.
+    """Write a flight log as a ROS 1 bag, atomically.
 
-    Times stay those of the log, to a microsecond. One record gives one message, a state two: pose
-    and twist; their header.seq is the image they come from. What is nan stays nan.
-
-    Args:
-        path: the file to write, replaced where it exists.
-        log: the flight; its images are read from its file one by one.
+    Times are those of the log, to a microsecond. One record gives one message, a state two: pose
+    and twist; their header.seq is the image of the state. nan stays nan.
 
     Returns:
-        How many messages each topic got, only topics that got any.
+        Number of messages of each topic that has any.
 
     Raises:
         InputError: rosbags is not installed, or the file cannot be written.
@@ -62,7 +59,8 @@ def write_bag(path: str | Path, log: FlightLog) -> dict[str, int]:
         from rosbags.rosbag1 import Writer
     except ImportError:
         raise InputError(
-            'bag: expected the library rosbags, which is not installed; `pip install "falconwing-kit[ros]"`'
+            "bag: expected the library rosbags, which is not installed; "
+            '`pip install "falconwing-kit[ros]"`'
         ) from None
     target = require_writable_path(path)
     try:
@@ -79,7 +77,7 @@ def write_bag(path: str | Path, log: FlightLog) -> dict[str, int]:
 
 
 def _write_messages(writer: Any, log: FlightLog) -> dict[str, int]:
-    """Write all messages in the order of their times; a topic appears with its first message."""
+    """Write all messages in order of time; a topic is created with its first message."""
     messages = _Messages()
     topics: dict[str, Any] = {}
     counts: Counter[str] = Counter()
@@ -87,7 +85,7 @@ def _write_messages(writer: Any, log: FlightLog) -> dict[str, int]:
         for topic, message in messages.of(t, record):
             kind = TYPES[topic]
             if topic not in topics:
-                latching = 1 if topic == METADATA else None  # who listens later hears it too
+                latching = 1 if topic == METADATA else None  # for later subscribers
                 topics[topic] = writer.add_connection(
                     topic, kind, typestore=messages.store, latching=latching
                 )
@@ -97,20 +95,18 @@ def _write_messages(writer: Any, log: FlightLog) -> dict[str, int]:
 
 
 def _sorted_records(log: FlightLog) -> Iterator[tuple[float, Any]]:
-    """Everything in a log with its time [s], sorted; an image comes before what happens at the same
-    time.
-    """
+    """All records of a log with their times [s], sorted; an image precedes others of its time."""
     states = zip(log.states, log.state_sequences.tolist(), strict=True)
-    holds = [
+    records = [
         *zip(log.state_times.tolist(), states, strict=True),
         *zip(log.command_times.tolist(), log.commands, strict=True),
         *((event.t, event) for event in log.events),
     ]
-    holds.sort(key=_time)
+    records.sort(key=_time)
     if log.metadata:
-        first = min([t for t, _ in holds[:1]] + log.image_times.tolist(), default=0.0)
-        holds.insert(0, (first, log.metadata))
-    return heapq.merge(((image.t, image) for image in log.images()), holds, key=_time)
+        first = min([t for t, _ in records[:1]] + log.image_times.tolist(), default=0.0)
+        records.insert(0, (first, log.metadata))
+    return heapq.merge(((image.t, image) for image in log.images()), records, key=_time)
 
 
 def _time(timed: tuple[float, Any]) -> float:
@@ -118,7 +114,7 @@ def _time(timed: tuple[float, Any]) -> float:
 
 
 class _Messages:
-    """What a log holds -> ROS messages with their topics."""
+    """Records of a log -> ROS messages with their topics."""
 
     def __init__(self) -> None:
         from rosbags.typesys import Stores, get_typestore
@@ -126,9 +122,7 @@ class _Messages:
         self.store: Any = get_typestore(Stores.ROS1_NOETIC)
 
     def of(self, t: float, record: Any) -> list[tuple[str, Any]]:
-        """The messages of an image, a command, a state with its image's sequence, an event or the
-        metadata.
-        """
+        """The messages of an image, command, (state, image sequence), event or metadata."""
         if isinstance(record, Image):
             header = self._header(t, f"camera#{record.sequence}", record.sequence)
             data = np.frombuffer(record.jpeg, np.uint8)
@@ -152,11 +146,11 @@ class _Messages:
     def _motion(self, t: float, state: State, sequence: int) -> list[tuple[str, Any]]:
         header = self._header(t, "world", sequence)
         x, y, z, w = _quaternion(state.roll, state.pitch, state.yaw)
-        turned = self._make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+        orientation = self._make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
         pose = self._make(
             "geometry_msgs/msg/Pose",
             position=self._vector("Point", state.p_world),
-            orientation=turned,
+            orientation=orientation,
         )
         rates_world = rotation_world_body(state.roll, state.pitch, state.yaw) @ state.rates_body
         linear, angular = (
@@ -185,9 +179,9 @@ class _Messages:
 
 
 def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Attitude as ROS's quaternion x, y, z, w: from axes nose, left, up to the world's [REP 103].
+    """Quaternion x, y, z, w from ROS's body axes (nose, left, up) to the world's [REP 103].
 
-    Half a turn about the nose on both sides turns our Rz(yaw) Ry(pitch) Rx(roll) into Rz(-yaw)
+    Half a turn about the nose on both sides changes Rz(yaw) Ry(pitch) Rx(roll) into Rz(-yaw)
     Ry(-pitch) Rx(roll); the product of the three half-angle quaternions is eq. 1.8-16 of Stevens,
     Lewis & Johnson with those angles.
     """

@@ -1,8 +1,7 @@
-"""Firmware builder: the sources in firmware/ -> the chip's program and the simulator, kept in the
-cache folder.
+"""Firmware builder: the sources in firmware/ -> the chip's program and the simulator, cached.
 
-All is built on the spot with the system's tools and kept under the digest of what it was made from:
-a changed line of the firmware is a new build, an unchanged one costs nothing.
+The system's tools build on demand; products are cached under the digest of their sources, so only a
+changed firmware is rebuilt.
 """
 
 import hashlib
@@ -18,7 +17,7 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write, cache_folder, shipped_path
 
 SKETCH = "trainer_bridge"
-TOOLS = {  # Debian package -> a program or a file that it brings
+TOOLS = {  # Debian package -> a program or a file in it
     "make": "make",
     "gcc": "gcc",
     "gcc-avr": "avr-g++",
@@ -26,24 +25,21 @@ TOOLS = {  # Debian package -> a program or a file that it brings
     "arduino-core-avr": "/usr/share/arduino/hardware/arduino/avr/cores/arduino/Arduino.h",
     "libsimavr-dev": "/usr/include/simavr/sim_avr.h",
 }
-KEEP_DAYS = 30.0  # older ones are thrown away
+KEEP_DAYS = 30.0  # older products are deleted
 Builder = Callable[[Path, Path], None]  # (copy of the sources, path of the product)
 
 
 def missing_tools() -> list[str]:
-    """The Debian packages that a simulated board needs and this machine lacks; empty where it can
-    be built.
-    """
+    """The Debian packages for a simulated board that are missing here; empty if none."""
     return [
         package
-        for package, sign in TOOLS.items()
-        if not (shutil.which(sign) or Path(sign).is_file())
+        for package, content in TOOLS.items()
+        if not (shutil.which(content) or Path(content).is_file())
     ]
 
 
 def firmware_folder() -> Path:
-    """Where the firmware's sources are: in a checkout beside the package, else where the install
-    put them.
+    """The folder of the firmware's sources, in the checkout or in the installation.
 
     Raises:
         FileNotFoundError: they are in neither place.
@@ -56,9 +52,8 @@ def build_firmware(defines: Sequence[str] = (), replace: Path | None = None) -> 
     """The program for the board's ATmega2560, as flashed.
 
     Args:
-        defines: settings of config.h that shall differ, such as "CHANNELS=8".
-        replace: a folder whose files take the place of the sketch's of the same name, for
-            experiments.
+        defines: changed settings of config.h, such as "CHANNELS=8".
+        replace: a folder with replacements for files of the sketch, for experiments.
 
     Returns:
         Path of the ELF file.
@@ -77,8 +72,7 @@ def build_firmware(defines: Sequence[str] = (), replace: Path | None = None) -> 
 
 
 def build_simulator() -> Path:
-    """The library that runs an ATmega2560 cycle by cycle (firmware/sim/simavr_shim.c on Debian's
-    libsimavr).
+    """The library that simulates an ATmega2560 (firmware/sim/simavr_shim.c with libsimavr).
 
     Raises:
         InputError: a tool is missing, the compiler refused, or the cache folder cannot be written.
@@ -87,34 +81,25 @@ def build_simulator() -> Path:
     def build(sources: Path, product: Path) -> None:
         source = sources / "sim" / "simavr_shim.c"
         include = Path(TOOLS["libsimavr-dev"]).parent
-        options = [
-            "-std=gnu11",
-            "-O2",
-            "-Wall",
-            "-Wextra",
-            "-Werror",
-            "-shared",
-            "-fPIC",
-            f"-I{include}",
-        ]
+        options = f"-std=gnu11 -O2 -Wall -Wextra -Werror -shared -fPIC -I{include}".split()
         _run(["gcc", *options, str(source), "-o", str(product), "-lsimavr"])
 
     return _build_cached("simavr_shim.so", build)
 
 
 def _build_cached(name: str, build: Builder, flags: str = "", replace: Path | None = None) -> Path:
-    """The kept product, or a new one; it takes its place in the cache folder whole or not at all."""
+    """Path of the product in the cache, built if necessary."""
     missing = missing_tools()
     if missing:
         raise InputError(
-            f"firmware: expected the Debian packages {' '.join(TOOLS)} to build it, {' '.join(missing)} not found; "
-            f"install with: sudo apt install {' '.join(missing)}"
+            f"firmware: expected the Debian packages {' '.join(TOOLS)} to build it, "
+            f"{' '.join(missing)} not found; install with: sudo apt install {' '.join(missing)}"
         )
     source = firmware_folder()
     digest = _digest([source, replace] if replace else [source], flags)
-    kept = cache_folder() / f"{Path(name).stem}-{digest}{Path(name).suffix}"
-    if kept.is_file():
-        return kept
+    cached = cache_folder() / f"{Path(name).stem}-{digest}{Path(name).suffix}"
+    if cached.is_file():
+        return cached
     with tempfile.TemporaryDirectory(prefix="falconwing-") as folder:
         sources = Path(
             shutil.copytree(
@@ -124,14 +109,12 @@ def _build_cached(name: str, build: Builder, flags: str = "", replace: Path | No
         product = Path(folder) / "out" / name
         product.parent.mkdir()
         build(sources, product)
-        _store_product(product, kept)
-    return kept
+        _store_product(product, cached)
+    return cached
 
 
 def _digest(folders: Sequence[Path], flags: str) -> str:
-    """What the sources and flags come to in twelve letters: names and bytes of all files but texts
-    and products.
-    """
+    """12 hexadecimal digits for the flags and all files except texts and products."""
     digest = hashlib.sha256(flags.encode())
     for folder in folders:
         for path in sorted(
@@ -146,29 +129,30 @@ def _digest(folders: Sequence[Path], flags: str) -> str:
 
 
 def _run(command: Sequence[str]) -> None:
-    """Run a build step; what the compiler complains of becomes the sentence."""
+    """Run a build step; the compiler's first error becomes the message."""
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode:
         lines = (done.stderr or done.stdout).strip().splitlines() or ["no message"]
         first = next((line for line in lines if "error" in line.lower()), lines[-1])
         raise InputError(
-            f"firmware: expected a clean build, got from {command[0]}: {first.strip()}; mend the source"
+            f"firmware: expected a clean build, got from {command[0]}: {first.strip()}; "
+            "correct the source"
         )
 
 
-def _store_product(product: Path, kept: Path) -> None:
-    """Copy a product to its place, and throw away those of its kind that are old."""
+def _store_product(product: Path, cached: Path) -> None:
+    """Copy a product into the cache, and delete old ones of its kind."""
     try:
-        kept.parent.mkdir(parents=True, exist_ok=True)
+        cached.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"{kept.parent}: expected a folder to keep what is built, got: {error.strerror}; "
+            f"{cached.parent}: expected a folder to keep what is built, got: {error.strerror}; "
             "set XDG_CACHE_HOME to a folder that you may write"
         ) from None
-    with atomic_write(kept) as file:
+    with atomic_write(cached) as file:
         file.write(product.read_bytes())
     oldest = time.time() - KEEP_DAYS * 86400.0
-    for path in kept.parent.glob(f"{product.stem}-*{product.suffix}"):
+    for path in cached.parent.glob(f"{product.stem}-*{product.suffix}"):
         with suppress(OSError):
             if path.stat().st_mtime < oldest:
                 path.unlink()

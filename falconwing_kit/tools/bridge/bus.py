@@ -1,14 +1,12 @@
-"""Bus: images, commands, pilot sticks and board status by topic -> the newest message for everyone
-who asks.
+"""Message bus: images, commands, pilot frames and board status by topic; relay bus <-> port.
 
-`LocalBus` lives inside one program, `RosBus` (ros.py) goes through ROS; whoever uses one can use
-the other. Times on a bus are Unix time [s], for other programs read them too.
+`RosBus` (ros.py) is the bus through ROS. Times on a bus are Unix time [s], because other programs
+read them.
 """
 
 import math
 import threading
 import time
-from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -24,24 +22,24 @@ IMAGE, COMMAND, PILOT, STATUS = (
     "/falconwing/pilot",
     "/falconwing/status",
 )
-MAX_AGE = 0.2  # a command older than the board's own patience is not sent [s]
-POLL_PERIOD = 0.002  # the port is read at least so often [s]
+MAX_AGE = 0.2  # an older command is not sent [s]; the board's own timeout
+POLL_PERIOD = 0.002  # maximum time between two reads of the port [s]
 
 
 @dataclass(frozen=True)
 class StampedCommand:
-    """Stick positions on their way: what a controller wants, or what the pilot holds."""
+    """Control inputs of a controller or of the pilot."""
 
-    t: float  # when they were given [s]
+    t: float  # time at which they were given [s]
     command: Command
-    engage: bool = False  # True: the aircraft shall follow; a pilot's sticks never ask
+    engage: bool = False  # True: the aircraft shall follow; always False for the pilot
 
 
 @dataclass(frozen=True)
 class StampedStatus:
-    """What the board said of itself."""
+    """Status of the board."""
 
-    t: float  # when it arrived [s]
+    t: float  # time of arrival [s]
     status: Status
 
 
@@ -54,29 +52,22 @@ MESSAGES: dict[str, type] = {
 
 
 class Mailbox:
-    """The newest message of one topic; a queue of one, for an old image is worth nothing."""
+    """The newest message of one topic: a queue of length one, because old images are useless."""
 
     def __init__(self) -> None:
-        self.dropped = 0  # messages that a newer one replaced before anyone took them
+        self.dropped = 0  # messages replaced by a newer one before they were taken
         self._message: Any = None
         self._arrived = threading.Condition()
 
     def put(self, message: Any) -> None:
-        """Leave a message; one that nobody took yet is dropped."""
+        """Store a message; an older one that was not taken is dropped."""
         with self._arrived:
             self.dropped += self._message is not None
             self._message = message
             self._arrived.notify_all()
 
     def take(self, timeout: float = 0.0) -> Any:
-        """Take the newest message.
-
-        Args:
-            timeout: how long to wait for one [s].
-
-        Returns:
-            An Image, Sticks or Report, each of them once; None where none came.
-        """
+        """The newest message, each only once; None if none arrives within the timeout [s]."""
         with self._arrived:
             self._arrived.wait_for(lambda: self._message is not None, timeout)
             message, self._message = self._message, None
@@ -84,92 +75,29 @@ class Mailbox:
 
 
 class MessageBus(Protocol):
-    """What `LocalBus` and `RosBus` have in common."""
+    """What the relay needs of a bus."""
 
     def publish(self, topic: str, message: Any) -> None:
-        """Hand a message to all who listen now."""
+        """Send a message to all current subscribers."""
 
     def subscribe(self, topic: str) -> Mailbox:
-        """Listen from now on."""
-
-    def listeners(self, topic: str) -> int:
-        """How many listen; a message to none is lost."""
-
-    def close(self) -> None:
-        """Publish and hear no more."""
-
-
-class LocalBus:
-    """The bus inside one program; publishing is safe from any thread."""
-
-    def __init__(self) -> None:
-        self._mailboxes: dict[str, list[Mailbox]] = defaultdict(list)
-
-    def publish(self, topic: str, message: Any) -> None:
-        """Hand a message to all who listen now.
-
-        Args:
-            topic: one of MESSAGES.
-            message: what that topic carries.
-
-        Raises:
-            InputError: there is no such topic, or it carries something else.
-        """
-        require_message(topic, message)
-        for mailbox in self._mailboxes[topic]:
-            mailbox.put(message)
-
-    def subscribe(self, topic: str) -> Mailbox:
-        """Listen from now on.
-
-        Args:
-            topic: one of MESSAGES.
-
-        Returns:
-            Where the topic's newest message lies.
-
-        Raises:
-            InputError: there is no such topic.
-        """
-        require_topic(topic)
-        self._mailboxes[topic].append(mailbox := Mailbox())
-        return mailbox
-
-    def listeners(self, topic: str) -> int:
-        """How many listen to a topic.
-
-        Raises:
-            InputError: there is no such topic.
-        """
-        require_topic(topic)
-        return len(self._mailboxes[topic])
-
-    def close(self) -> None:
-        """Forget all who listen."""
-        self._mailboxes.clear()
+        """A mailbox for the messages from now on."""
 
 
 def require_topic(topic: str) -> str:
-    """Return the topic if the bus has it.
-
-    Raises:
-        InputError: it does not.
-    """
+    """Return the topic if it is one of MESSAGES, else raise InputError."""
     if topic not in MESSAGES:
         raise InputError(f"topic: expected one of {', '.join(MESSAGES)}, got {topic!r}")
     return topic
 
 
 def require_message(topic: str, message: Any) -> None:
-    """Check that a topic carries such a message.
-
-    Raises:
-        InputError: there is no such topic, or it carries something else.
-    """
+    """Raise InputError unless the topic exists and carries messages of this type."""
     expected_type = MESSAGES[require_topic(topic)]
     if not isinstance(message, expected_type):
         raise InputError(
-            f"{topic}: expected a message of type {expected_type.__name__}, got {type(message).__name__}"
+            f"{topic}: expected a message of type {expected_type.__name__}, "
+            f"got {type(message).__name__}"
         )
 
 
@@ -182,27 +110,27 @@ class RelayPort(Protocol):
     pilot: PilotFrame | None
 
     def poll(self) -> None:
-        """Read what the board sent."""
+        """Read from the board."""
 
     def send(self, command: Command, engage: bool) -> bool:
         """Send one command."""
 
     def hand_back(self) -> None:
-        """Give the sticks back to the pilot at once."""
+        """Return control to the pilot."""
 
     def to_host_time(self, device_us: int) -> float:
-        """The board's time on the clock `now` [s]."""
+        """A time of the board on the clock `now` [s]."""
 
 
 @dataclass
 class RelayCounts:
-    """What a relay moved."""
+    """Messages handled by a relay."""
 
-    commands: int = 0  # handed to the port
-    late: int = 0  # commands refused, for their stamp was too far from now
+    commands: int = 0  # passed to the port
+    late: int = 0  # commands refused because their stamp was too far from now
     reports: int = 0  # statuses published
     pilot: int = 0  # pilot frames published
-    unreadable: int = 0  # pilot frames with fewer channels than there are sticks
+    unreadable: int = 0  # pilot frames with too few channels
 
 
 def relay(
@@ -213,22 +141,18 @@ def relay(
     max_age: float = MAX_AGE,
     clock: Callable[[], float] = time.time,
 ) -> RelayCounts:
-    """Move commands from a bus to a trainer port, and pilot and status back, until told to stop.
+    """Relay commands from a bus to a trainer port, and pilot frames and status back.
 
-    Nothing is repeated: when commands stop coming, nothing is sent and the board goes safe by
-        itself. However the
-    relay ends, the sticks are handed back.
+    Nothing is repeated: when commands stop, nothing is sent and the board goes to its safe state.
+    However the relay ends, control is handed back.
 
     Args:
         port: the trainer port.
-        bus: where commands come from.
-        stop: asked every few milliseconds; True ends the relay.
-        max_age: a command with a stamp further from now is refused [s]; two machines need equal
-            clocks for it.
+        bus: source of the commands.
+        stop: called every few milliseconds; True ends the relay.
+        max_age: a command with a stamp further from now is refused [s]; two machines need
+            synchronised clocks.
         clock: the bus's time [s].
-
-    Returns:
-        What was moved.
     """
     inbox, counts = bus.subscribe(COMMAND), RelayCounts()
     status, pilot = port.status, port.pilot
@@ -256,17 +180,13 @@ def relay(
 def _publish_pilot(
     port: RelayPort, pilot: PilotFrame, bus: MessageBus, t: float, counts: RelayCounts
 ) -> None:
-    """Publish the pilot's sticks with the time of their last edge, as far as the board's clock is
-    known.
-    """
+    """Publish the pilot's control inputs with the time of their last edge, or now if unknown."""
     age = port.now() - port.to_host_time(pilot.device_time_us)
+    t_edge = t if math.isnan(age) else t - age
     try:
-        bus.publish(
-            PILOT,
-            StampedCommand(
-                t - (0.0 if math.isnan(age) else age), port.calibration.command(pilot.channels_us)
-            ),
-        )
-        counts.pilot += 1
+        command = port.calibration.command(pilot.channels_us)
     except InputError:  # a radio with few channels must not end the flight
         counts.unreadable += 1
+        return
+    bus.publish(PILOT, StampedCommand(t_edge, command))
+    counts.pilot += 1

@@ -1,8 +1,7 @@
-"""Recording: the pilot's sticks from the trainer port and the camera's images -> one flight log,
-for identification.
+"""Recording for identification: pilot frames of the trainer port and camera images -> flight log.
 
-The pilot flies by the radio; nothing here sends a command. Stick positions carry the board's time,
-put on the host's clock, and the number of the newest image that was taken before them.
+The pilot flies by the radio; nothing here sends a command. Control inputs are logged with the
+board's time, converted to the host's clock, and with the newest image taken before them.
 """
 
 import math
@@ -21,13 +20,13 @@ from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.trainer_port.protocol import PilotFrame
 from falconwing_kit.vision.monitor import FrameMonitor
 
-MAX_IMAGE_WAIT = 0.1  # s: so long an image waits for the command that is to stand before it
-PILOT_SILENT = 0.5  # s without a frame of the pilot's radio, of which 45 come in a second
+MAX_IMAGE_WAIT = 0.1  # s that an image waits for the command that is logged before it
+PILOT_SILENT = 0.5  # s without a frame of the pilot's radio, which sends 45 per second
 
 
 @dataclass
 class RecordingCounts:
-    """What is in the log so far."""
+    """Records in the log so far."""
 
     commands: int = 0
     images: int = 0
@@ -36,19 +35,18 @@ class RecordingCounts:
 
 
 class Recording:
-    """One recording; call `step` often, at least 100 times a second: it waits for nothing.
+    """One recording; call `step`, which never waits, at least 100 times a second.
 
-    When the disk is full, or the log cannot be written for another reason, recording stops,
-    `stopped` says why and `alert` is called with it once. The port is read on: what flies the
-    aircraft must not end with its diary.
+    If the log cannot be written, for instance on a full disk, recording stops, `stopped` holds the
+    reason and `alert` is called with it once. The port is still read: flying must not depend on
+    logging.
 
     Args:
         port: ready; its clock is that of the log, which starts at zero now.
         log: opened and closed by the caller.
-        images: the camera; None records the sticks alone. Its times are the log's.
-        alert: called with one sentence when recording stops, and when the monitor raises its alarm.
-        monitor: judges every picture; its alarms, and their ends, are events of the log. None
-            judges none.
+        images: the camera, with times of the log; None records control inputs alone.
+        alert: called with one sentence when recording stops and when the monitor raises an alarm.
+        monitor: checks every image; beginnings and ends of its alarms are events of the log.
     """
 
     def __init__(
@@ -59,20 +57,13 @@ class Recording:
         alert: Callable[[str], Any] = lambda sentence: None,
         monitor: FrameMonitor | None = None,
     ) -> None:
-        self.port, self.log, self.images, self._alert, self.monitor = (
-            port,
-            log,
-            images,
-            alert,
-            monitor,
-        )
+        self.port, self.log, self.images = port, log, images
+        self._alert, self.monitor = alert, monitor
         self.counts, self.stopped = RecordingCounts(), ""
         self.command: Command | None = None  # the newest
         self.image: Image | None = None  # the newest
         self._zero = port.now()
-        self._recent: deque[Image] = deque(
-            maxlen=60
-        )  # newest first; which of them a command follows
+        self._recent: deque[Image] = deque(maxlen=60)  # newest first, to match with commands
         self._unwritten: deque[Image] = deque()  # oldest first
         self._pilot_at, self._silent, self._alarm = 0.0, False, False
         port.pilots.clear()
@@ -84,7 +75,7 @@ class Recording:
         return self.port.now() - self._zero
 
     def step(self) -> None:
-        """Read port and camera and write what is new: a command before the image that it names."""
+        """Read port and camera and log new data, a command before the image that it refers to."""
         self.port.poll()
         self._check_image(self._read_image())
         while self.port.pilots:
@@ -100,15 +91,13 @@ class Recording:
             self._event(max(event.t - self._zero, 0.0), event.name, event.details)
 
     def finish(self) -> None:
-        """Write what waits, before the log is closed."""
+        """Write the waiting images, before the log is closed."""
         self.step()
         while self._unwritten:
             self._write_image(self._unwritten.popleft())
 
     def _read_image(self) -> Image | None:
-        """A new image, where there is one; a camera that fails for good is an event, and sticks go
-        on.
-        """
+        """A new image, or None; after a failure of the camera recording continues without it."""
         if self.images is None:
             return None
         try:
@@ -125,15 +114,13 @@ class Recording:
         return image
 
     def _check_image(self, image: Image | None) -> None:
-        """Let the monitor say whether one could fly by the picture, or by none; its alarm is said
-        once.
-        """
+        """Update the monitor; log and report the beginning of an alarm, and log its end."""
         if self.monitor is None:
             return
         t = self.t
         try:
             verdict = self.monitor.update(image, t)
-        except InputError as error:  # a picture that is too small to judge
+        except InputError as error:  # an image too small for the monitor
             self.monitor = None
             self._event(t, "monitor off", {"error": str(error)})
             return
@@ -147,15 +134,13 @@ class Recording:
                 self._alert(f"PICTURE {verdict.reason}")
 
     def _log_pilot_frame(self, pilot: PilotFrame) -> None:
-        """Log the sticks of one frame of the pilot's radio, and then the image they name where it
-        is not in yet.
-        """
+        """Log the command of one pilot frame, then the images up to the one it refers to."""
         at = self.port.to_host_time(pilot.device_time_us) - self._zero
         t = self._pilot_at = max(at, 0.0) if math.isfinite(at) else self.t
         answered_image = next((image for image in self._recent if image.t <= t), None)
         try:
             command = self.port.calibration.command(pilot.channels_us)
-        except InputError as error:  # a radio with fewer channels than the calibration has sticks
+        except InputError as error:  # a radio with fewer channels than the calibration
             self._event(t, "bad pilot frame", {"error": str(error)})
             return
         command = self.command = replace(
@@ -178,12 +163,12 @@ class Recording:
         if self._write(lambda log: log.event(t, name, details)):
             self.counts.events += 1
 
-    def _write(self, what: Callable[[FlightLogWriter], None]) -> bool:
-        """Write to the log; after its first refusal nothing is written any more."""
+    def _write(self, write: Callable[[FlightLogWriter], None]) -> bool:
+        """Write to the log; nothing is written after the first error."""
         if self.stopped:
             return False
         try:
-            what(self.log)
+            write(self.log)
         except InputError as error:
             self.stopped = f"RECORDING STOPPED after {self.t:.1f} s: {error}"
             self._alert(self.stopped)
@@ -201,12 +186,9 @@ def record(
 
     Args:
         recording: ready to go.
-        duration: at most so long [s].
+        duration: maximum [s].
         watch: called after every step; True ends the recording.
-        pause: lets time pass [s]; for a simulated clock it moves that.
-
-    Returns:
-        What is in the log.
+        pause: waits [s]; for a simulated clock it advances that.
     """
     with suppress(KeyboardInterrupt):
         while recording.t < duration:
@@ -219,7 +201,7 @@ def record(
 
 
 def _recording_metadata(port: TrainerPort) -> dict[str, str]:
-    """What holds for the whole recording."""
+    """Metadata of the log."""
     calibration = port.calibration
     return {
         "simulated": "yes" if port.simulation is not None else "no",

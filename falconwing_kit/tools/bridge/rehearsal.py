@@ -1,32 +1,29 @@
-"""Rehearsal: the kit's expert as a SIMULATED pilot with a radio -> sticks at a board's pilot pin,
-and the images seen.
+"""Rehearsal of a recording: the expert as a SIMULATED pilot -> pilot pin of a board, and images.
 
-So `falconwing record` can be tried without hardware: what it records is an approach, flown by the
-sticks it records.
+`falconwing record` can thus be tried without hardware: it records an approach flown by the expert.
 """
 
 import numpy as np
 
-from falconwing_kit.core.messages import Image, Observation
-from falconwing_kit.flight.loop import CONTROL_PERIOD, HISTORY
+from falconwing_kit.core.messages import CONTROL_PERIOD_S, Image, Observation
+from falconwing_kit.flight.loop import HISTORY
 from falconwing_kit.flight.sources import RenderedView, fpv_camera
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.tools.bridge.simulated_link import Simulation
+from falconwing_kit.tools.bridge.open_port import Simulation
 from falconwing_kit.trainer_port.ppm import Calibration
 
 
 class SimulatedManualApproach:
-    """A SIMULATED landing by hand: an image source that flies on whenever it is asked, 20 steps a
-    second.
+    """A SIMULATED manual landing as an image source: each call advances the flight, at 20 Hz.
 
     Args:
-        simulation: the board whose pilot pin gets the sticks.
-        radio: how the simulated pilot's radio puts sticks into microseconds.
-        scene: the hall that the camera sees.
-        camera: the lens; None takes the aircraft's.
-        seed: of the start and the noise, from the frozen list.
+        simulation: the board whose pilot pin receives the control inputs.
+        radio: calibration of the simulated pilot's radio.
+        scene: to render.
+        camera: None for the aircraft's.
+        seed: of the initial state and the noise, from the frozen list.
     """
 
     def __init__(
@@ -49,20 +46,20 @@ class SimulatedManualApproach:
 
     @property
     def over(self) -> bool:
-        """Has the aircraft come down?"""
+        """Whether the aircraft has touched down."""
         return self.world.contact is not None
 
     def next(self, t: float) -> Image | None:
-        """The newest view at time t [s] of the recording; the aircraft is flown there first."""
-        step = int(t / CONTROL_PERIOD + 1e-6)
+        """The newest image at time t [s] of the recording, after the aircraft is advanced to it."""
+        step = int(t / CONTROL_PERIOD_S + 1e-6)
         if step > self._step and not self.over:
             self._step = step
-            self._image = self._view.next(step * CONTROL_PERIOD)
+            self._image = self._view.next(step * CONTROL_PERIOD_S)
             command = self._pilot.act(
-                Observation(step * CONTROL_PERIOD, self._image, self._past, self.world.measured())
+                Observation(step * CONTROL_PERIOD_S, self._image, self._past, self.world.measured())
             )
             self._past = np.vstack([self._past[1:], command.vector])
-            self.world.send(step * CONTROL_PERIOD, command)
+            self.world.send(step * CONTROL_PERIOD_S, command)
             with self._simulation.pause() as board:
                 board.set_pilot(self._radio.channels_us(command))
         return self._image

@@ -1,13 +1,15 @@
-"""ROS adapter: the bus of bus.py <-> ROS 1 topics of the same names, with standard messages only.
+"""ROS adapter: the bus of bus.py <-> ROS 1 topics of the same names, with standard messages.
 
-    /falconwing/image     sensor_msgs/CompressedImage (JPEG) or Image   frame_id "camera#17": 17 is the image's sequence
-    /falconwing/command   sensor_msgs/Joy   axes throttle, aileron, elevator, rudder; buttons engage, saturated;
-                                            frame_id "image#17": the image that the command answers
-    /falconwing/pilot     sensor_msgs/Joy   the same, engage always 0
-    /falconwing/status    diagnostic_msgs/DiagnosticArray   one value for each field of the status
+    /falconwing/image     sensor_msgs/CompressedImage (JPEG) or Image
+                          frame_id "camera#17": 17 is the image's sequence
+    /falconwing/command   sensor_msgs/Joy: axes throttle, aileron, elevator, rudder;
+                          buttons engage, saturated;
+                          frame_id "image#17": the image that the command was computed from
+    /falconwing/pilot     sensor_msgs/Joy: the same, engage always 0
+    /falconwing/status    diagnostic_msgs/DiagnosticArray: one value for each field of the status
 
-The sequence stands in frame_id because rospy overwrites header.seq with a count of its own. rospy
-is Debian's and is loaded when a RosBus is made, not before.
+The sequence is in frame_id because rospy overwrites header.seq. rospy is Debian's and is loaded
+when a RosBus is created.
 """
 
 import dataclasses
@@ -37,36 +39,29 @@ from falconwing_kit.tools.bridge.bus import (
 )
 from falconwing_kit.trainer_port.protocol import Status
 
-DISTRO_PACKAGES = "/usr/lib/python3/dist-packages"  # where Debian and Ubuntu keep rospy
-BUFFER_BYTES = (
-    4 * 2**20
-)  # what a subscriber reads at once; rospy's 64 KiB let images queue up and age
-LEVELS = {
-    "BOOT": 1,
-    "SAFE": 0,
-    "ACTIVE": 0,
-    "LOST": 1,
-    "FAULT": 2,
-}  # of DiagnosticStatus: 0 ok, 1 warning, 2 error
+DISTRO_PACKAGES = "/usr/lib/python3/dist-packages"  # rospy's folder in Debian and Ubuntu
+BUFFER_BYTES = 4 * 2**20  # of a subscriber; with rospy's 64 KiB images queue up and age
+# Levels of DiagnosticStatus: 0 ok, 1 warning, 2 error.
+LEVELS = {"BOOT": 1, "SAFE": 0, "ACTIVE": 0, "LOST": 1, "FAULT": 2}
 CHANNELS_OF_PIXEL = {"rgb8": 3, "bgr8": 3, "mono8": 1}
 
 
 class RosBus:
-    """The bus through ROS: what one program publishes, others hear, on this machine or the next.
+    """The bus between programs, on one machine or several, through ROS.
 
     A program is one ROS node, however many buses it opens; the node ends with the program.
 
     Args:
-        name: of the node; a number is added, so that two programs may choose the same.
-        raw_images: publish pixels as sensor_msgs/Image instead of JPEG; both are understood.
+        name: of the node; a number is added, so several programs may use the same name.
+        raw_images: publish pixels as sensor_msgs/Image instead of JPEG; both are received.
 
     Raises:
         InputError: rospy is not installed, or no ROS master answers.
     """
 
     def __init__(self, name: str = "falconwing", *, raw_images: bool = False) -> None:
-        self.refused: Counter[str] = Counter()  # messages heard and not understood, of each topic
-        self.last_refusal = ""  # why
+        self.refused: Counter[str] = Counter()  # unreadable messages of each topic
+        self.last_refusal = ""  # reason of the last one
         self._ros = load_ros()
         self._raw_images = raw_images
         self._publishers: dict[str, Any] = {}
@@ -75,47 +70,35 @@ class RosBus:
         if not self._ros.is_master_online():
             uri = os.environ["ROS_MASTER_URI"]
             raise InputError(
-                f"ROS: expected a master at {uri}, got no answer; start `roscore` or set ROS_MASTER_URI"
+                f"ROS: expected a master at {uri}, got no answer; "
+                "start `roscore` or set ROS_MASTER_URI"
             )
-        if (
-            not self._ros.rospy.core.is_initialized()
-        ):  # signals stay ours: Ctrl-C must hand the sticks back
+        if not self._ros.rospy.core.is_initialized():
+            # Without rospy's signal handlers: Ctrl-C must hand control back.
             self._ros.rospy.init_node(name, argv=[], anonymous=True, disable_signals=True)
 
     def publish(self, topic: str, message: Any) -> None:
-        """Hand a message to all who listen now.
-
-        Args:
-            topic: one of bus.MESSAGES.
-            message: what that topic carries.
+        """Send a message to all current subscribers.
 
         Raises:
-            InputError: there is no such topic, it carries something else, or the message has a time
+            InputError: there is no such topic, it carries another type, or the message's time is
                 before 1970.
         """
         require_message(topic, message)
         self._publisher(topic).publish(self._encode(topic, message))
 
     def subscribe(self, topic: str) -> Mailbox:
-        """Listen from now on; what cannot be understood is counted in `refused` and dropped.
-
-        Args:
-            topic: one of bus.MESSAGES.
-
-        Returns:
-            Where the topic's newest message lies.
+        """A mailbox for the messages from now on; unreadable ones are counted in `refused`.
 
         Raises:
             InputError: there is no such topic.
         """
         mailbox = Mailbox()
 
-        def hear(heard: Any) -> None:
+        def receive(message: Any) -> None:
             try:
-                mailbox.put(self._decode(topic, heard._connection_header["type"], heard._buff))
-            except (
-                Exception
-            ) as error:  # other programs send what they like; it must not end this one
+                mailbox.put(self._decode(topic, message._connection_header["type"], message._buff))
+            except Exception as error:  # another program's message must not end this one
                 self.refused[topic] += 1
                 self.last_refusal = f"{topic}: {error}"
 
@@ -123,7 +106,7 @@ class RosBus:
             self._ros.rospy.Subscriber(
                 require_topic(topic),
                 self._ros.AnyMsg,
-                hear,
+                receive,
                 queue_size=1,
                 buff_size=BUFFER_BYTES,
                 tcp_nodelay=True,
@@ -132,16 +115,14 @@ class RosBus:
         return mailbox
 
     def listeners(self, topic: str) -> int:
-        """How many are connected to this bus's side of a topic; ROS needs some 0.1 s to connect a
-        new one.
+        """Number of subscribers connected to this publisher; connecting takes about 0.1 s.
 
-        Raises:
-            InputError: there is no such topic.
+        A message published before a subscriber is connected is lost to it.
         """
         return int(self._publisher(require_topic(topic)).get_num_connections())
 
     def close(self) -> None:
-        """Publish and hear no more."""
+        """Unregister all publishers and subscribers."""
         for end in (*self._subscribers, *self._publishers.values()):
             end.unregister()
         self._subscribers.clear()
@@ -160,7 +141,7 @@ class RosBus:
         return self._publishers[topic]
 
     def _encode(self, topic: str, message: Any) -> Any:
-        """The ROS message that stands for one of ours."""
+        """The ROS message for a message of the bus."""
         ros = self._ros
         if topic == IMAGE:
             header = self._header(message.t, f"camera#{message.sequence}")
@@ -195,8 +176,8 @@ class RosBus:
         )
 
     def _decode(self, topic: str, kind: str, data: bytes) -> Any:
-        """Our message for a ROS one, given its type and its bytes."""
-        understood = {
+        """The bus's message for a ROS message, given its type and its bytes."""
+        readers = {
             (IMAGE, "sensor_msgs/CompressedImage"): (
                 self._ros.CompressedImage,
                 image_from_compressed,
@@ -209,22 +190,22 @@ class RosBus:
                 status_from_diagnostics,
             ),
         }
-        if (topic, kind) not in understood:
+        if (topic, kind) not in readers:
             raise InputError(
-                f"expected {' or '.join(k for t, k in understood if t == topic)}, got {kind}"
+                f"expected {' or '.join(k for t, k in readers if t == topic)}, got {kind}"
             )
-        wire_type, read = understood[topic, kind]
+        wire_type, read = readers[topic, kind]
         return read(wire_type().deserialize(data))
 
 
 def load_ros() -> SimpleNamespace:
-    """rospy and the messages of this file by their names.
+    """rospy and the ROS message classes of this file, by name.
 
-    The distribution's packages are looked up last, so that they replace none of the environment's
-    own.
+    The distribution's packages come last in the search path, so they replace none of the
+    environment's own.
 
     Raises:
-        InputError: they are not installed, or made for another Python.
+        InputError: they are not installed, or built for another Python.
     """
     if find_spec("rospy") is None and DISTRO_PACKAGES not in sys.path:
         sys.path.append(DISTRO_PACKAGES)
@@ -235,8 +216,9 @@ def load_ros() -> SimpleNamespace:
         )
     except ImportError as error:
         raise InputError(
-            f"ROS: expected Debian's rospy and its messages, got none here ({error}); install them by `apt install "
-            'python3-rospy python3-sensor-msgs python3-diagnostic-msgs` and `pip install "falconwing-kit[ros]"`'
+            f"ROS: expected Debian's rospy and its messages, got none here ({error}); install "
+            "them by `apt install python3-rospy python3-sensor-msgs python3-diagnostic-msgs` and "
+            '`pip install "falconwing-kit[ros]"`'
         ) from None
     return SimpleNamespace(
         rospy=rospy,
@@ -253,31 +235,21 @@ def load_ros() -> SimpleNamespace:
 
 
 def stamp_ns(t: float) -> int:
-    """A time as ROS has it.
-
-    Args:
-        t: seconds from 0 to what 32 bits hold.
-
-    Returns:
-        Nanoseconds, at least one: to ROS a stamp of zero means that there is none.
+    """A ROS time stamp [ns] of t [s]; at least 1, because in ROS zero means "no stamp".
 
     Raises:
-        InputError: the time is out of this range.
+        InputError: t is outside 0..2^32 - 1.
     """
     return max(round(require_range("t", t, low=0.0, high=2**32 - 1) * 1e9), 1)
 
 
-def buttons(sticks: StampedCommand) -> list[int]:
+def buttons(stamped: StampedCommand) -> list[int]:
     """Engage and saturated as the buttons of a Joy."""
-    return [int(sticks.engage), int(sticks.command.saturated)]
+    return [int(stamped.engage), int(stamped.command.saturated)]
 
 
 def require_pixels(image: Image) -> Any:
-    """The pixels (height, width, 3) of an image.
-
-    Raises:
-        InputError: the image is a JPEG.
-    """
+    """The pixels (height, width, 3) of an image; InputError if it is a JPEG."""
     if image.pixels.ndim != 3:
         raise InputError(
             "raw images: expected pixels (height, width, 3), got a JPEG; publish without raw_images"
@@ -286,13 +258,13 @@ def require_pixels(image: Image) -> Any:
 
 
 def sequence_of(frame_id: str, default: int) -> int:
-    """The number behind the # of a frame_id; the default where there is none."""
+    """The number after the # of a frame_id, else the default."""
     digits = frame_id.partition("#")[2]
     return int(digits) if digits.isdecimal() else default
 
 
 def image_from_compressed(message: Any) -> Image:
-    """Image of a CompressedImage; one without our frame_id keeps the count of its header.
+    """Image of a CompressedImage; without a sequence in frame_id that of its header is used.
 
     Raises:
         InputError: it is not a JPEG.
@@ -308,7 +280,7 @@ def image_from_raw(message: Any) -> Image:
     """Image of a sensor_msgs/Image in RGB, BGR or grey.
 
     Raises:
-        InputError: it has another encoding, or fewer bytes than its size says.
+        InputError: it has another encoding, or too few bytes for its size.
     """
     channels = CHANNELS_OF_PIXEL.get(message.encoding)
     if channels is None:
@@ -332,7 +304,7 @@ def image_from_raw(message: Any) -> Image:
 
 
 def command_from_joy(message: Any) -> StampedCommand:
-    """Sticks of a Joy; more axes and buttons than ours are passed over.
+    """Command of a Joy; further axes and buttons are ignored.
 
     Raises:
         InputError: an axis is missing or not finite, or there is no engage button.
@@ -353,16 +325,16 @@ def command_from_joy(message: Any) -> StampedCommand:
 
 
 def status_from_diagnostics(message: Any) -> StampedStatus:
-    """Report of a DiagnosticArray whose first entry is ours.
+    """Status of a DiagnosticArray's first entry.
 
     Raises:
-        InputError: a field is missing or more than ours are there.
+        InputError: the values are not exactly the fields of a status.
     """
     values = {item.key: json.loads(item.value) for item in message.status[0].values}
-    want = {field.name for field in dataclasses.fields(Status)}
-    if set(values) != want:
+    expected = {field.name for field in dataclasses.fields(Status)}
+    if set(values) != expected:
         raise InputError(
-            f"expected the values {', '.join(sorted(want))}, got {', '.join(sorted(values))}"
+            f"expected the values {', '.join(sorted(expected))}, got {', '.join(sorted(values))}"
         )
     values["channels_us"] = tuple(values["channels_us"])
     return StampedStatus(message.header.stamp.to_nsec() / 1e9, Status(**values))

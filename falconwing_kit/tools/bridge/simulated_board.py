@@ -1,10 +1,9 @@
-"""Simulated board: bytes and pilot's pulses in, the real firmware in a simulated ATmega2560, bytes
-and PPM frames out.
+"""Simulated board: the real firmware in a simulated ATmega2560, with serial bytes and PPM frames.
 
-The chip is libsimavr's, cycle by cycle, behind a small C library (firmware/sim/simavr_shim.c says
-where it differs from silicon). Time is virtual and runs only in `run_until`: a test is exact, the
-same every time, and faster than a clock. `BoardOnPty` ties a board to the wall clock and to a
-serial port that any program can open.
+libsimavr simulates the chip cycle by cycle, behind a small C library (firmware/sim/simavr_shim.c
+lists its differences from silicon). Time is virtual and advances only in `run_until`: a test is
+exact, repeatable and faster than real time. `BoardOnPty` connects a board to the wall clock and to
+a serial port that any program can open.
 """
 
 import ctypes
@@ -27,17 +26,12 @@ from falconwing_kit.tools.bridge.python_board import Board, PpmFrame
 
 CLOCK_HZ = 16_000_000
 CYCLES_PER_US = CLOCK_HZ // 1_000_000
-SYNC_CYCLES = (
-    3000 * CYCLES_PER_US
-)  # a level held for longer is the pause between two frames; a slot is 2.1 ms at most
-LOST_CYCLES = 40_000 * CYCLES_PER_US  # no frame is longer: behind this one the pulses have stopped
-PILOT_FRAME_US, PILOT_GAP_US, PILOT_PAUSE_US = (
-    22_000,
-    400,
-    4000,
-)  # of the pilot's simulated radio; idle high
-STEP = 0.002  # s between two looks at what the board sent
-BUFFER_BYTES = 4096  # bytes or edges taken from the simulator at a time
+SYNC_CYCLES = 3000 * CYCLES_PER_US  # minimum pause between frames; a channel is 2.1 ms at most
+LOST_CYCLES = 40_000 * CYCLES_PER_US  # after a longer time without a frame the pulses have stopped
+# The pilot's simulated radio, idle high.
+PILOT_FRAME_US, PILOT_GAP_US, PILOT_PAUSE_US = 22_000, 400, 4000
+STEP = 0.002  # s between two reads from the board
+BUFFER_BYTES = 4096  # bytes or edges read from the simulator per call
 
 
 class SimulatedBoard:
@@ -45,28 +39,25 @@ class SimulatedBoard:
 
     Args:
         elf: the program; None builds the kit's.
-        seed: draws what stands in the chip's memory when the power comes.
+        seed: of the random content of the chip's memory at power-on.
 
     Raises:
-        InputError: a tool is missing (the sentence names the package), or the file is no program
+        InputError: a tool is missing (the message names the package), or the file is no program
             for this chip.
     """
 
     kind = "the firmware in a simulated ATmega2560"
 
     def __init__(self, elf: Path | None = None, *, seed: int = 1) -> None:
-        self._sim, self._elf, self._seed = (
-            _library(),
-            build_firmware() if elf is None else elf,
-            seed,
-        )
-        self.t = 0.0  # s since it was made; runs on over resets and power cycles
-        self._past = 0  # cycles before the power was last switched on
-        self._pilot: tuple[float, ...] = ()  # slots [us]; none: silence
-        self._chip: int | None = None  # the simulator's own record
-        self._edges: list[int] = []  # cycles, of the frame that is not complete
-        self._at_start = False  # the first of them begins a frame
-        self._most = 4  # edges of a whole frame, as far as seen; no frame has fewer
+        self._sim, self._seed = _library(), seed
+        self._elf = build_firmware() if elf is None else elf
+        self.t = 0.0  # s since it was created; continues over resets and power cycles
+        self._past = 0  # cycles before the last power-on
+        self._pilot: tuple[float, ...] = ()  # channels [us]; empty for silence
+        self._chip: int | None = None  # handle of the simulator
+        self._edges: list[int] = []  # cycles, of the incomplete frame
+        self._at_start = False  # whether the first of them begins a frame
+        self._max_edges = 4  # largest number of edges in a frame so far; no frame has fewer than 4
         self._pilot_next = 0  # cycle at which the pilot's next frame may begin
         self._switch_on()
 
@@ -77,28 +68,22 @@ class SimulatedBoard:
         self.close()
 
     def write(self, data: bytes) -> None:
-        """Put bytes on the wire to the board; they arrive one by one at 115200 8N1, behind those
-        already on it.
-        """
+        """Send bytes to the board; they arrive one by one at 115200 8N1, after earlier ones."""
         self._sim.sim_send(self._handle, 0, data, len(data))
 
-    def write_spektrum(self, data: bytes) -> None:
-        """The same on the line of a Spektrum remote receiver (Serial1, pin 19)."""
-        self._sim.sim_send(self._handle, 1, data, len(data))
-
     def read(self) -> bytes:
-        """The bytes that have come from the board since the last call."""
-        room, came = ctypes.create_string_buffer(BUFFER_BYTES), b""
-        while count := self._sim.sim_receive(self._handle, room, BUFFER_BYTES):
-            came += room.raw[:count]
-        return came
+        """The bytes received from the board since the last call."""
+        buffer, received = ctypes.create_string_buffer(BUFFER_BYTES), b""
+        while count := self._sim.sim_receive(self._handle, buffer, BUFFER_BYTES):
+            received += buffer.raw[:count]
+        return received
 
     def run_until(self, t: float) -> None:
-        """Let virtual time run to t [s]; nothing happens if it is there already.
+        """Advance virtual time to t [s], if it is earlier.
 
         Raises:
             InputError: t is not finite.
-            RuntimeError: the program crashed or went to sleep for ever.
+            RuntimeError: the program crashed or went to sleep permanently.
         """
         until = round(require_range("t", t) * CLOCK_HZ) - self._past
         self._drive_pilot(until)
@@ -111,12 +96,11 @@ class SimulatedBoard:
             )
 
     def ppm_frames(self) -> list[PpmFrame]:
-        """The frames that were completed on the pin since the last call; a frame ends where the
-        next one begins.
-        """
+        """The frames completed on the pin since the last call, at the beginning of the next one."""
         at, levels = np.empty(BUFFER_BYTES, np.uint64), np.empty(BUFFER_BYTES, np.uint8)
         while count := self._sim.sim_take_edges(self._handle, at, levels, BUFFER_BYTES):
             self._edges += at[:count].tolist()
+        # A long pause between two edges separates frames; the last frame stays incomplete.
         edges = np.array(self._edges, dtype=np.int64)
         starts = [
             *range(self._at_start and len(edges) > 0),
@@ -132,95 +116,59 @@ class SimulatedBoard:
         return [frame for frame in frames if frame is not None]
 
     def set_pilot(self, channels_us: Sequence[float] | None) -> None:
-        """PPM on the pilot's pin from now on; a frame that is on its way is finished as it began.
-
-        Args:
-            channels_us: (n,) [us], or None for silence.
+        """PPM on the pilot's pin after the current frame: (n,) [us], or None for silence.
 
         Raises:
-            InputError: the slots do not fit into a frame of the pilot's radio.
+            InputError: the channels do not fit into a frame of the pilot's radio.
         """
         slots = () if channels_us is None else tuple(channels_us)
         for us in slots:
             require_range("pilot slot", us, low=2 * PILOT_GAP_US)
         if sum(slots) + PILOT_PAUSE_US > PILOT_FRAME_US:
             raise InputError(
-                f"pilot: expected slots that fit into a frame of 22 ms with a pause of 4, got {channels_us}"
+                "pilot: expected slots that fit into a frame of 22 ms with a pause of 4, "
+                f"got {channels_us}"
             )
         self._pilot = slots
 
-    def pilot_edges(self, t: Sequence[float], levels: Sequence[int]) -> None:
-        """Edges on the pilot's pin, for pulses that no radio makes.
-
-        Args:
-            t: (n,) rising times from now on [s].
-            levels: (n,) level from each of them on, 0 or 1.
-        """
-        at = np.array([round(when * CLOCK_HZ) - self._past for when in t], dtype=np.uint64)
-        self._sim.sim_drive_pilot(self._handle, at, np.array(levels, dtype=np.uint8), len(at))
-
     def hang(self) -> None:
-        """Let the main program hang: the first instruction of loop() becomes a jump to itself,
-        until a reset.
+        """Stop the main program: the first instruction of loop() becomes a jump to itself.
 
-        Interrupts go on as they would. The instruction is changed in the simulated flash memory;
-        the file is not.
+        Interrupts continue. The change is in the simulated flash memory and lasts until a reset.
 
         Raises:
-            InputError: the program's symbol table names no loop().
+            InputError: the program's symbol table has no loop().
         """
         if self._sim.sim_hang(self._handle):
             raise InputError(
-                f"{self._elf.name}: expected a program with a function loop(), its symbol table has none"
+                f"{self._elf.name}: expected a program with a function loop(), "
+                "its symbol table has none"
             )
 
     def reset(self) -> None:
-        """Press the reset button, as a host does that opens the port of a real board; the memory
-        keeps its content.
-        """
+        """Reset, as opening the port of a real board does; the memory keeps its content."""
         self._sim.sim_reset(self._handle)
 
     def power_cycle(self) -> None:
-        """Take the power off and put it on again at once: the board forgets everything."""
+        """Switch the power off and on: the board loses its memory."""
         self._past += int(self._sim.sim_cycle(self._handle))
         self.close()
         self._seed += 1
         self._switch_on()
 
     def close(self) -> None:
-        """Give the simulator's memory back; the board is of no use any more."""
+        """Release the simulator's memory; the board cannot be used afterwards."""
         if self._chip is not None:
             self._sim.sim_close(self._chip)
         self._chip = None
-
-    @property
-    def pin_level(self) -> int:
-        """The PPM pin now, 0 or 1."""
-        return int(self._sim.sim_pin(self._handle))
-
-    @property
-    def artefacts(self) -> int:
-        """How often libsimavr turned its own PPM pin where Timer1 wrapped, as silicon does not; no
-        frame shows it.
-        """
-        return int(self._sim.sim_counter(self._handle, 0))
-
-    @property
-    def overruns(self) -> int:
-        """Bytes to the board that were lost because its program did not fetch them in time."""
-        return int(self._sim.sim_counter(self._handle, 1))
-
-    @property
-    def watchdog_resets(self) -> int:
-        """How often the watchdog has reset the chip."""
-        return int(self._sim.sim_counter(self._handle, 2))
 
     def _switch_on(self) -> None:
         self._chip = self._sim.sim_open(os.fsencode(self._elf), self._seed)
         if self._chip is None:
             text = self._sim.sim_error().decode(errors="replace").strip()
             raise InputError(
-                f"{self._elf.name}: expected a program for the ATmega2560, got: {text}; build it again"
+                f"{self._elf.name}: expected a program for the ATmega2560, got: {text}; "
+                "build it again"
             )
         self._edges, self._at_start, self._pilot_next = [], False, 0
 
@@ -231,7 +179,7 @@ class SimulatedBoard:
         return self._chip
 
     def _drive_pilot(self, until: int) -> None:
-        """Put the pilot's frames that begin before a cycle on the pin."""
+        """Drive the pilot's pin with the frames that begin before a cycle."""
         self._pilot_next = max(self._pilot_next, int(self._sim.sim_cycle(self._handle)) + 1)
         while self._pilot and self._pilot_next < until:
             pulses = PILOT_GAP_US * np.arange(2) + np.cumsum([0.0, *self._pilot])[:, None]
@@ -242,31 +190,27 @@ class SimulatedBoard:
             self._pilot_next += PILOT_FRAME_US * CYCLES_PER_US
 
     def _frame(self, edges: NDArray[np.int64], end: int) -> PpmFrame | None:
-        """A frame from its edges and the next one's first; None where a reset broke it off and
-        edges are missing.
-        """
-        self._most = max(self._most, len(edges))
-        if len(edges) < self._most or len(edges) % 2:
+        """A frame from its edges and the next one's first; None if edges are missing (a reset)."""
+        self._max_edges = max(self._max_edges, len(edges))
+        if len(edges) < self._max_edges or len(edges) % 2:
             return None
+        # Even edges begin a pulse, odd ones end it.
         seconds, us = (edges + self._past) / CLOCK_HZ, edges / CYCLES_PER_US
+        stopped = end - edges[0] > LOST_CYCLES
         return PpmFrame(
             t_start=float(seconds[0]),
             t_slots=seconds[2::2],
             slots_us=np.diff(us[::2]),
             gap_us=us[1::2] - us[::2],
-            frame_us=float(end / CYCLES_PER_US - us[0])
-            if end - edges[0] <= LOST_CYCLES
-            else math.nan,
+            frame_us=math.nan if stopped else float(end / CYCLES_PER_US - us[0]),
         )
 
 
 class BoardOnPty:
-    """A board in step with the wall clock, behind a pseudo-terminal that opens like any serial port
-    (POSIX only).
+    """A board in real time, behind a pseudo-terminal that opens like a serial port (POSIX only).
 
-    A thread runs it and carries bytes both ways; what is written reaches the board at the time it
-    was written, to about a millisecond. The board is used by one at a time: `with line.paused() as
-    board`.
+    A thread advances the board and transfers bytes both ways, with a delay of about a millisecond.
+    Other threads use the board through `with line.pause() as board`.
 
     Args:
         board: a board in virtual time; it is closed with the line.
@@ -281,17 +225,17 @@ class BoardOnPty:
             import tty
         except ImportError:
             raise InputError(
-                "port: expected a system with pseudo-terminals for a simulated board, got Windows; take --port sim-python"
+                "port: expected a system with pseudo-terminals for a simulated board, got Windows; "
+                "take --port sim-python"
             ) from None
         self._board, self._lock, self._open = board, threading.Lock(), True
-        self._master, self._slave = (
-            pty.openpty()
-        )  # ours stays open: else the line breaks when its user closes it
+        # The slave stays open here, so the line survives its user's close.
+        self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.path = os.ttyname(self._slave)
-        self.worst_lag = 0.0  # [s] that the board was behind the wall clock
-        self.error: Exception | None = None  # why it stopped by itself
+        self.worst_lag = 0.0  # maximum lag behind the wall clock [s]
+        self.error: Exception | None = None  # that stopped the simulation
         self._zero = time.perf_counter() - board.t
         self._thread = threading.Thread(target=self._run, name=f"runs {self.path}", daemon=True)
         self._thread.start()
@@ -304,12 +248,12 @@ class BoardOnPty:
 
     @contextmanager
     def pause(self) -> Iterator[Board]:
-        """The board, while its time stands; it catches up afterwards."""
+        """The board with its time stopped; it catches up afterwards."""
         with self._lock:
             yield self._board
 
     def ppm_frames(self) -> list[PpmFrame]:
-        """As the board's own."""
+        """The board's `ppm_frames`."""
         with self._lock:
             return self._board.ppm_frames()
 
@@ -338,22 +282,18 @@ class BoardOnPty:
                     self._board.run_until(now)
                     if ready:
                         self._board.write(os.read(self._master, BUFFER_BYTES))
-                    came = self._board.read()
-                self._forward(came)
+                    received = self._board.read()
+                if received:
+                    with suppress(BlockingIOError):  # without a reader bytes are lost, as on USB
+                        os.write(self._master, received)
             except (OSError, RuntimeError) as error:
                 self.error = error
                 return
             self.worst_lag = max(self.worst_lag, time.perf_counter() - self._zero - now)
 
-    def _forward(self, came: bytes) -> None:
-        """To whoever has the line open; where nobody reads, bytes are lost as on a real one."""
-        if came:
-            with suppress(BlockingIOError):
-                os.write(self._master, came)
-
 
 def _library() -> ctypes.CDLL:
-    """The simulator, built where it is not there yet."""
+    """The simulator, built if necessary."""
     sim = ctypes.CDLL(str(build_simulator()))
     board, size, cycles = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_uint64
     at, levels = np.ctypeslib.ndpointer(np.uint64), np.ctypeslib.ndpointer(np.uint8)

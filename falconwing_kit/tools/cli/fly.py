@@ -125,7 +125,7 @@ class Fly:
                 " fly --source sim"
             )
         if self.port:
-            from falconwing_kit.tools.bridge.through_port import PORTS
+            from falconwing_kit.tools.bridge.open_port import PORTS
 
             if self.port not in PORTS:
                 raise InputError(

@@ -1,1 +1,1 @@
-"""cameras and frame grabbers."""
+"""devices: cameras and the frame grabber."""

@@ -1,6 +1,4 @@
-"""Cameras: a device, a video file, a simulator, or a scripted fake -> frames for the grabber, one
-by one.
-"""
+"""Cameras: a device, a video file, a simulator or a scripted fake -> frames for the grabber."""
 
 import math
 import time
@@ -17,8 +15,8 @@ from falconwing_kit.core.files import short_name
 from falconwing_kit.core.messages import Image
 from falconwing_kit.scene.analog import AnalogVideo
 
-CODE_BITS = 16  # of the frame number in a fake camera's picture
-SPEED_PX = 3.0  # by which its scene moves from frame to frame
+CODE_BITS = 16  # of the frame number in a fake camera's image
+SPEED_PX = 3.0  # motion of its scene from frame to frame
 
 Pixels = NDArray[np.uint8]
 Now = Callable[[], float]
@@ -26,7 +24,7 @@ Sleep = Callable[[float], object]
 
 
 class TimedImageSource(Protocol):
-    """Where a simulator's images come from, as the loop asks it."""
+    """Image source of a simulator."""
 
     def next(self, t: float) -> Image | None:
         """The newest image at time t [s]."""
@@ -37,8 +35,8 @@ class VideoCamera:
 
     Args:
         device: its number from 0, or its path.
-        size: (width, height) to ask for [px]; None for its own.
-        rate_hz: frames a second to ask for; None for its own.
+        size: (width, height) to request [px]; None for its default.
+        rate_hz: frames per second to request; None for its default.
     """
 
     def __init__(
@@ -51,9 +49,7 @@ class VideoCamera:
         self._capture: Any = None
 
     def open(self) -> None:
-        """Open it with a queue of one frame, so that what is read is new; OSError where it is not
-        there.
-        """
+        """Open it with a queue of one frame, for current images; OSError if it is missing."""
         import cv2
 
         self.close()
@@ -61,23 +57,26 @@ class VideoCamera:
         if not self._capture.isOpened():
             self.close()
             raise OSError(
-                f"camera {self.device}: expected a camera there, found none; is it plugged in, is it in use?"
+                f"camera {self.device}: expected a camera there, found none; "
+                "is it plugged in, is it in use?"
             )
-        self._capture.set(
-            cv2.CAP_PROP_BUFFERSIZE, 1
-        )  # drivers may refuse; then frames are up to four old
+        # Drivers may ignore the queue length; then images are up to four frames old.
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         width, height = self.size or (0, 0)
-        wanted = ((cv2.CAP_PROP_FRAME_WIDTH, width), (cv2.CAP_PROP_FRAME_HEIGHT, height))
-        for name, value in (*wanted, (cv2.CAP_PROP_FPS, self.rate_hz or 0.0)):
+        for name, value in (
+            (cv2.CAP_PROP_FRAME_WIDTH, width),
+            (cv2.CAP_PROP_FRAME_HEIGHT, height),
+            (cv2.CAP_PROP_FPS, self.rate_hz or 0.0),
+        ):
             if value:
                 self._capture.set(name, value)
 
     def read(self) -> Pixels | None:
-        """The next frame (H, W, 3) RGB; None where the camera is gone."""
+        """The next frame (H, W, 3) RGB; None if the camera is lost."""
         return _read_rgb(self._capture)
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
         if self._capture is not None:
             self._capture.release()
             self._capture = None
@@ -88,13 +87,13 @@ class VideoFile:
 
     Args:
         path: of the file.
-        rate_hz: frames a second; None for the file's own.
+        rate_hz: frames per second; None for the file's own.
         now: the clock [s].
-        sleep: waits for seconds.
+        sleep: waits [s].
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: it is no video, or does not say its rate.
+        InputError: it is no video, or contains no frame rate.
     """
 
     def __init__(
@@ -109,25 +108,27 @@ class VideoFile:
         self.open()
         import cv2
 
-        own = float(self._capture.get(cv2.CAP_PROP_FPS))
+        file_rate_hz = float(self._capture.get(cv2.CAP_PROP_FPS))
         self.close()
-        if rate_hz is None and not 0.1 <= own <= 1000.0:
+        if rate_hz is None and not 0.1 <= file_rate_hz <= 1000.0:
             raise InputError(
-                f"{short_name(path)}: expected a video that says its rate, got {own:g} frames a second; give rate_hz"
+                f"{short_name(path)}: expected a video that says its rate, "
+                f"got {file_rate_hz:g} frames a second; give rate_hz"
             )
         self.rate_hz = require_range(
-            "rate_hz", own if rate_hz is None else rate_hz, low=0.1, high=1000.0
+            "rate_hz", file_rate_hz if rate_hz is None else rate_hz, low=0.1, high=1000.0
         )
 
     def open(self) -> None:
-        """Go to the first frame."""
+        """Rewind to the first frame."""
         import cv2
 
         self._capture: Any = cv2.VideoCapture(str(self.path))
         self._zero, self._number = self._now(), 0
         if not self._capture.isOpened():
             raise InputError(
-                f"{short_name(self.path)}: expected a video, got a file that OpenCV cannot read as one"
+                f"{short_name(self.path)}: expected a video, "
+                "got a file that OpenCV cannot read as one"
             )
 
     def read(self) -> Pixels:
@@ -145,14 +146,13 @@ class VideoFile:
 
 
 class SimulatedCamera:
-    """A simulator's images as a camera gives them: at a rate of its own, whoever looks.
+    """A simulator's images at a camera's own rate, independent of the control loop.
 
     Args:
-        source: what `Loop` would ask; here the grabber's thread asks it, so it flies the world as
-            well.
-        rate_hz: frames a second.
+        source: image source of the simulator; called, and thus advanced, in the grabber's thread.
+        rate_hz: frames per second.
         now: the clock [s].
-        sleep: waits for seconds.
+        sleep: waits [s].
 
     Raises:
         InputError: the rate is not a number from 0.1 to 1000.
@@ -170,12 +170,12 @@ class SimulatedCamera:
         self._zero, self._number = math.nan, 0
 
     def open(self) -> None:
-        """Time zero of the source is when this is first called."""
+        """The first call is time zero of the source."""
         if math.isnan(self._zero):
             self._zero = self._now()
 
     def read(self) -> Pixels | None:
-        """The next image's pixels; None where the source has none."""
+        """The next image's pixels; None if the source has none."""
         t = self._number / self.rate_hz
         _sleep_until(self._zero + t, self._now, self._sleep)
         self._number = max(
@@ -185,17 +185,17 @@ class SimulatedCamera:
         return None if image is None else image.pixels
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to release."""
 
 
 @dataclass(frozen=True)
 class CameraFault:
-    """What a fake camera does wrong between two times since it was first opened."""
+    """A fault of a fake camera between two times since it was first opened."""
 
     kind: Literal["unplug", "freeze", "delay", "drop", "hang", "noise"]
     begin: float  # [s]
     end: float  # [s]
-    amount: float = 0.0  # delay: by how much frames are late [s]; noise: its analog link's SNR [dB]
+    amount: float = 0.0  # delay: of the frames [s]; noise: SNR of the analog link [dB]
 
     def __post_init__(self) -> None:
         require_range("begin", self.begin, low=0.0)
@@ -204,38 +204,38 @@ class CameraFault:
 
 
 class FakeCamera:
-    """A scripted camera for tests: a moving scene with the frame's number as a bar code, and faults
-    at given times.
+    """A scripted camera: a moving scene with the frame's number as a bar code, and faults.
 
-    unplug: reads give None and opening fails; freeze: the same picture again and again; delay:
-        pictures come late;
-    drop: none come; hang: one read lasts until the end of the fault; noise: pictures through
-        `AnalogVideo`.
+    unplug: reads return None and opening fails; freeze: the image is repeated; delay: images are
+    late; drop: images are lost; hang: one read lasts until the end of the fault; noise: images pass
+    through `AnalogVideo`.
 
     Args:
-        faults: what goes wrong, and when.
+        faults: kinds and times.
         size: (width, height) [px].
-        rate_hz: frames a second.
+        rate_hz: frames per second.
         seed: of scene and noise.
         now: the clock [s].
-        sleep: waits for seconds.
+        sleep: waits [s].
 
     Raises:
         InputError: the size is below 64 x 48, or the rate is not a number from 0.1 to 1000.
     """
 
     def __init__(
-        self, faults: Sequence[CameraFault] = (), size: tuple[int, int] = (320, 240), rate_hz: float = 20.0, seed: int = 0,
-        now: Now = time.perf_counter, sleep: Sleep = time.sleep,
-    ) -> None:  # fmt: skip
+        self,
+        faults: Sequence[CameraFault] = (),
+        size: tuple[int, int] = (320, 240),
+        rate_hz: float = 20.0,
+        seed: int = 0,
+        now: Now = time.perf_counter,
+        sleep: Sleep = time.sleep,
+    ) -> None:
         width, height = size
         require_range("width", width, low=64, high=4096)
         require_range("height", height, low=48, high=4096)
-        self.faults, self.rate_hz, self.seed = (
-            tuple(faults),
-            require_range("rate_hz", rate_hz, low=0.1, high=1e3),
-            seed,
-        )
+        self.faults, self.seed = tuple(faults), seed
+        self.rate_hz = require_range("rate_hz", rate_hz, low=0.1, high=1e3)
         self._now, self._sleep = now, sleep
         self._scene = _scene(width, height, seed)
         self._zero, self._number, self._shown = math.nan, -1, 0
@@ -253,7 +253,7 @@ class FakeCamera:
             raise OSError("fake camera: unplugged")
 
     def read(self) -> Pixels | None:
-        """The next frame when it is due, with what the script does to it."""
+        """The next frame when it is due, with the scripted faults."""
         while True:
             self._number = max(self._number + 1, math.floor(self.t * self.rate_hz + 1e-6))
             t = self._number / self.rate_hz
@@ -273,10 +273,10 @@ class FakeCamera:
         return AnalogVideo(noise.amount, self.seed).apply(pixels, self._number) if noise else pixels
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to release."""
 
     def picture(self, number: int) -> Pixels:
-        """The frame of a number (H, W, 3), without faults."""
+        """The frame with this number (H, W, 3), without faults."""
         height, width = self._scene.shape[0], self._scene.shape[1] // 2
         start = round(number * SPEED_PX) % width  # the scene repeats after one width
         pixels = self._scene[:, start : start + width].copy()
@@ -292,9 +292,7 @@ class FakeCamera:
 
 
 def read_frame_number(pixels: Pixels) -> int:
-    """The number in the bar code of a fake camera's frame (H, W, 3), modulo 65536; it stands noise
-    down to 12 dB.
-    """
+    """Frame number, modulo 65536, in the bar code of a fake camera; readable down to 12 dB SNR."""
     height, width = pixels.shape[:2]
     strip = pixels[: height // 8].mean(axis=(0, 2))
     means = [
@@ -305,7 +303,7 @@ def read_frame_number(pixels: Pixels) -> int:
 
 
 def open_camera(name: str) -> VideoCamera | VideoFile:
-    """The camera of a name: a number, a device's path, or a video file.
+    """The camera with this number or device path, or the video file.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -317,22 +315,22 @@ def open_camera(name: str) -> VideoCamera | VideoFile:
 
 
 def _scene(width: int, height: int, seed: int) -> Pixels:
-    """A smooth coloured scene (H, 2 W, 3) that repeats after W."""
+    """A smooth coloured scene (H, 2 W, 3) with period W."""
     import cv2
 
     rng = np.random.default_rng([seed, 0])
     scene = np.tile(rng.uniform(0.0, 255.0, (height, width, 3)).astype(np.float32), (1, 3, 1))
-    soft = cv2.GaussianBlur(scene, (0, 0), max(width / 80.0, 1.5))[
-        :, width // 2 : width // 2 + 2 * width
-    ]
-    return np.clip(128.0 + 45.0 * (soft - soft.mean()) / soft.std(), 0, 255).astype(np.uint8)
+    blurred = cv2.GaussianBlur(scene, (0, 0), max(width / 80.0, 1.5))
+    blurred = blurred[:, width // 2 : width // 2 + 2 * width]  # free of the blur's border
+    contrast = 45.0 * (blurred - blurred.mean()) / blurred.std()
+    return np.clip(128.0 + contrast, 0, 255).astype(np.uint8)
 
 
 def _read_rgb(capture: Any) -> Pixels | None:
     import cv2
 
-    fine, pixels = capture.read()
-    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8) if fine else None
+    success, pixels = capture.read()
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8) if success else None
 
 
 def _sleep_until(t: float, now: Now, sleep: Sleep) -> None:

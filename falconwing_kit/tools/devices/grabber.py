@@ -1,9 +1,8 @@
-"""Grabber: a camera that may block, stall or vanish -> its newest picture, at once, and how healthy
-it is.
+"""Frame grabber: a camera that may block, stall or disappear -> its newest image and its health.
 
-A thread reads the camera and keeps only the newest frame, so a slow consumer sees fresh pictures
-and counts the ones it missed, instead of working through a queue of old ones. Whether a camera is
-alive is told by the age of its newest frame alone: an unplugged one goes on saying that it is open.
+A thread reads the camera and keeps only the newest frame, so a slow consumer gets current images
+and the number of missed ones, not a queue of old ones. Only the age of the newest frame shows
+whether a camera is alive: an unplugged one still reports that it is open.
 """
 
 import math
@@ -21,52 +20,46 @@ from numpy.typing import NDArray
 from falconwing_kit.core.checks import require_range
 from falconwing_kit.core.messages import Image
 
-MIN_WAIT, MAX_WAIT = (
-    0.1,
-    2.0,
-)  # s before the first and the later attempts to open again; each twice the last
-STOP_WAIT = 2.0  # s that `stop` waits for a camera that is stuck in a read
+MIN_WAIT, MAX_WAIT = 0.1, 2.0  # s before reopening: doubled from the first to the last
+STOP_WAIT = 2.0  # s that `stop` waits for a camera that blocks in a read
 
 
 class Camera(Protocol):
-    """What a grabber reads."""
+    """Interface of a camera for the grabber."""
 
     def open(self) -> None:
-        """Open or reopen; OSError where it is not there."""
+        """Open or reopen; OSError if it is missing."""
 
     def read(self) -> NDArray[np.uint8] | None:
-        """Wait for the next frame (H, W, 3) RGB; None where the camera is gone, EOFError where it
-        is over for good.
-        """
+        """Wait for the next frame (H, W, 3) RGB; None if camera is lost, EOFError at the end."""
 
     def close(self) -> None:
-        """Let go of it; never raises."""
+        """Release it; never raises."""
 
 
 @dataclass(frozen=True)
 class CameraHealth:
-    """How a camera does."""
+    """Health of a camera."""
 
     alive: bool  # its newest frame is fresh
     age: float  # of the newest frame [s]; infinite before the first
     received: int  # frames since the start
-    dropped: int  # frames that a newer one replaced before anybody took them
-    reconnects: int  # times that it was opened again
-    trouble: str  # the last thing that went wrong; empty where nothing has
+    dropped: int  # frames replaced by a newer one before they were taken
+    reconnects: int  # number of times it was reopened
+    trouble: str  # the last error; empty if there was none
 
 
 class Grabber:
-    """Reads a camera in a thread; an image source of the loop, which it never keeps waiting and
-    never throws at.
+    """Reads a camera in a thread; an image source that never blocks and never raises.
 
         with Grabber(VideoCamera(0)) as camera:
             Loop(pilot, sink, images=camera, clock=WallClock()).run(60.0)
 
     Args:
         camera: what to read; the grabber opens and closes it.
-        stale_s: a newest frame older than this counts as none [s].
-        now: the clock that frames are stamped by [s].
-        pause: waits before opening again [s]; None waits so that `stop` interrupts it.
+        stale_s: maximum age of the newest frame [s].
+        now: the clock for time stamps [s].
+        pause: waits before reopening [s]; None for a wait that `stop` interrupts.
     """
 
     def __init__(
@@ -82,17 +75,14 @@ class Grabber:
         self._pause = pause or self._stopping.wait
         self._fresh = threading.Condition()  # guards everything below
         self._newest: NDArray[np.uint8] | None = None
-        self._stamp, self._image, self._taken = (
-            -math.inf,
-            Image(-1, -math.inf, np.zeros(0, np.uint8)),
-            True,
-        )
+        self._stamp, self._taken = -math.inf, True
+        self._image = Image(-1, -math.inf, np.zeros(0, np.uint8))
         self._received = self._dropped = self._reconnects = 0
         self._trouble = ""
         self._thread = threading.Thread(target=self._run, name="grabber", daemon=True)
 
     def start(self) -> "Grabber":
-        """Begin to read; returns at once, also where there is no camera yet."""
+        """Start to read; returns immediately, also without a camera."""
         self._thread.start()
         return self
 
@@ -100,8 +90,7 @@ class Grabber:
         """End the thread and close the camera.
 
         Returns:
-            Whether it ended; False where the camera is stuck in a read. The thread then ends with
-            the read.
+            Whether it ended; False if the camera blocks in a read, with which the thread then ends.
         """
         self._stopping.set()
         with self._fresh:
@@ -122,15 +111,11 @@ class Grabber:
         self.stop()
 
     def next(self, t: float) -> Image | None:
-        """The newest image, at once; the same one again while there is no newer one.
+        """The newest image (H, W, 3) RGB without waiting; None before the first or if it is stale.
 
         Args:
-            t: now, on the loop's clock [s]; the image's time is put on that clock when it is first
-                given out.
-
-        Returns:
-            The image with its pixels (H, W, 3) RGB; None before the first and where the newest is
-            stale.
+            t: now, on the loop's clock [s]; the image's time is converted to that clock when it is
+                first returned.
         """
         with self._fresh:
             age = self._now() - self._stamp
@@ -141,9 +126,7 @@ class Grabber:
             return self._image
 
     def wait(self, received: int, timeout: float) -> bool:
-        """Wait until so many frames have come since the start, or the timeout [s] or the end; True
-        if they have.
-        """
+        """Wait until this number of frames was received; False after the timeout [s] or `stop`."""
         with self._fresh:
             return self._fresh.wait_for(
                 lambda: self._received >= received or self._stopping.is_set(), timeout
@@ -151,7 +134,7 @@ class Grabber:
 
     @property
     def health(self) -> CameraHealth:
-        """How the camera does now."""
+        """The camera's health now."""
         with self._fresh:
             age = self._now() - self._stamp
             alive = age <= self.stale_s
@@ -160,7 +143,7 @@ class Grabber:
             )
 
     def _run(self) -> None:
-        """Open, read until the camera is gone, wait a little longer each time, and again."""
+        """Open, read until the camera is lost, wait with exponential back-off, and repeat."""
         wait, attempts = MIN_WAIT, 0
         while not self._stopping.is_set():
             try:
@@ -173,17 +156,17 @@ class Grabber:
             except EOFError:
                 self._note("the video is over")
                 break
-            except Exception as error:  # whatever a driver throws, the loop flies on
+            except Exception as error:  # an error of the driver must not end the thread
                 self._note(f"{type(error).__name__}: {error}")
             finally:
-                with suppress(Exception):  # a driver that throws here too must not end the thread
+                with suppress(Exception):
                     self._camera.close()
             attempts += 1
             self._pause(wait)
             wait = min(2.0 * wait, MAX_WAIT)
 
     def _read_on(self) -> None:
-        """Keep the newest frame until the camera is gone."""
+        """Store the newest frame until the camera is lost."""
         while not self._stopping.is_set():
             pixels = self._camera.read()
             if pixels is None:

@@ -1,1 +1,1 @@
-"""work on several processes or a cluster, with results kept between runs."""
+"""jobs: many tasks in parallel, with a cache of their results."""

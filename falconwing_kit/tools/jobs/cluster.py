@@ -1,11 +1,10 @@
-"""A cluster: items in, results out, by the workers of a scheduler of `distributed` that somebody
-started.
+"""Cluster: items -> results, by the workers of a running scheduler of `distributed`.
 
-    dask scheduler                                        on one machine; it says its address, tcp://...
-    dask worker tcp://... --nworkers 4 --nthreads 1       on each machine, with the same kit installed
+    dask scheduler                                     on one machine; prints its address tcp://...
+    dask worker tcp://... --nworkers 4 --nthreads 1    on each machine, with the same kit installed
 
-Whoever reaches a scheduler can run anything on its workers: keep it within a network that you
-trust, or give both commands certificates and an address that begins with tls://.
+Every client of a scheduler can run any code on its workers: use a trusted network, or give both
+commands certificates and an address that begins with tls://.
 """
 
 import threading
@@ -19,28 +18,26 @@ from falconwing_kit.tools.jobs.pool import WorkerLostError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-TIMEOUT_S = 30.0  # s for the scheduler to answer, and for a first worker to come
+TIMEOUT_S = 30.0  # for the scheduler to answer, and for the first worker
 _execution_lock = threading.Lock()  # in a worker's process, whatever --nthreads says
 
 
 def map_on_cluster(
     function: Callable[[Item], Result], items: Sequence[Item], address: str
 ) -> Iterator[tuple[Item, Result | WorkerLostError]]:
-    """Do a function on many items.
+    """Each item with its result, in the order of completion; items of a lost worker are repeated.
+
+    A WorkerLostError replaces the result of an item whose workers were lost repeatedly.
 
     Args:
-        function: is found by its name in the kit that the workers have.
-        items: can be pickled; paths in them must lead to the same files for the workers.
+        function: importable by its name in the workers' kit.
+        items: can be pickled; paths in them must be valid on the workers.
         address: of the scheduler.
-
-    Yields:
-        Each item with its result, in the order of finishing; a WorkerLostError where the workers that had
-        it were lost one after the other. What one lost worker was doing, the others take up.
 
     Raises:
         InputError: no scheduler answers, it has no workers, or a worker has another version of the
             kit.
-        Exception: what the function raised; the others' work is dropped.
+        Exception: raised by the function; the other items are abandoned.
     """
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
@@ -58,22 +55,15 @@ def map_on_cluster(
                 lost = WorkerLostError("the workers that had this were lost one after the other")
                 yield futures[future], lost if raised is not None else future.result()
         finally:
-            client.cancel(list(futures), reason="nobody waits for it any more")
+            client.cancel(list(futures), reason="abandoned")
 
 
 def run_on_every_worker(function: Callable[[], Result], address: str) -> dict[str, Result]:
-    """Do a function once on each worker that a cluster has now.
-
-    Args:
-        function: is found by its name in the kit that the workers have.
-        address: of the scheduler.
-
-    Returns:
-        The results, by the address of the worker.
+    """Results of a function called once on each worker, by the worker's address.
 
     Raises:
         InputError: no scheduler answers, or it has no workers.
-        Exception: what the function raised.
+        Exception: raised by the function.
     """
     with _client(address) as client:
         return dict(client.run(function))
@@ -89,7 +79,8 @@ def _client(address: str) -> Iterator[Any]:
         client = Client(address, timeout=TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError):
         raise InputError(
-            f"--cluster {address}: expected a scheduler of distributed there, none answers; {advice}"
+            f"--cluster {address}: expected a scheduler of distributed there, none answers; "
+            f"{advice}"
         ) from None
     with client:
         try:
@@ -102,10 +93,11 @@ def _client(address: str) -> Iterator[Any]:
 
 
 def _run_exclusively(function: Callable[[Any], Any], item: Any, version: str) -> Any:
-    """On the worker: one item at a time, and only with the kit that asked."""
+    """On the worker: one item at a time, and only with the client's version of the kit."""
     if version != __version__:
         raise InputError(
-            f"--cluster: expected version {version} of the kit on every worker, one has {__version__}"
+            f"--cluster: expected version {version} of the kit on every worker, "
+            f"one has {__version__}"
         )
     with _execution_lock:
         return function(item)

@@ -1,6 +1,4 @@
-"""A small pool of processes that may die: items in, results out; what a lost process was doing is
-taken up again.
-"""
+"""Pool of processes that may be killed: items -> results; items of a lost process are repeated."""
 
 import multiprocessing
 from collections import deque
@@ -11,29 +9,27 @@ from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-MAX_ATTEMPTS = 3  # of an item whose process is lost each time
+MAX_ATTEMPTS = 3  # for an item whose process is lost each time
 
 
 class WorkerLostError(RuntimeError):
-    """An item's process ended every time before it had a result."""
+    """An item's process ended before the result in every attempt."""
 
 
 def map_in_processes(
     function: Callable[[Item], Result], items: Sequence[Item], workers: int = 2
 ) -> Iterator[tuple[Item, Result | WorkerLostError]]:
-    """Do a function on many items, in several processes.
+    """Each item with its result, in the order of completion, computed in several processes.
+
+    A WorkerLostError replaces the result of an item after MAX_ATTEMPTS lost processes.
 
     Args:
-        function: can be pickled; its result depends on nothing but the item.
+        function: can be pickled; its result depends on the item only.
         items: can be pickled.
-        workers: processes; 1 works in this process.
-
-    Yields:
-        Each item with its result, in the order of finishing; a WorkerLostError in place of a result that
-        three processes died of.
+        workers: number of processes; 1 computes in this process.
 
     Raises:
-        Exception: what the function raised; the others' work is dropped.
+        Exception: raised by the function; the other items are abandoned.
     """
     if workers <= 1:
         yield from ((item, function(item)) for item in items)
@@ -54,10 +50,8 @@ def map_in_processes(
                     if attempts < MAX_ATTEMPTS:
                         queue.append((item, attempts + 1))
                         continue
-                    failed, result = (
-                        False,
-                        WorkerLostError("the process that worked on this ended three times"),
-                    )
+                    failed = False
+                    result = WorkerLostError("the process that worked on this ended three times")
                 if failed:
                     raise result
                 yield item, result
@@ -67,7 +61,7 @@ def map_in_processes(
 
 
 class _Worker:
-    """One process, and what it was given to do: nothing, or one item with how often it was tried."""
+    """One process and its assignment: nothing, or one item with the number of its attempts."""
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
         self.function = function
@@ -79,11 +73,11 @@ class _Worker:
         self.pipe, child_pipe = context.Pipe()
         self.process = context.Process(target=_serve, args=(child_pipe, self.function), daemon=True)
         self.process.start()
-        child_pipe.close()  # so that its end is seen here when the process is lost
+        child_pipe.close()  # so that the end of the process closes the pipe
 
     def assign(self, item: Any, attempts: int) -> None:
         self.assignment = [(item, attempts)]
-        with suppress(OSError):  # a lost process; taking the result will say so
+        with suppress(OSError):  # a lost process; `receive` reports it
             self.pipe.send(item)
 
     def receive(self) -> tuple[bool, Any]:
@@ -102,13 +96,13 @@ class _Worker:
 
 
 def _wait_for_results(pool: list[_Worker]) -> list[_Worker]:
-    """Those that have a result, or are lost; waits for the first."""
+    """Wait for the first result or loss; the workers that have one."""
     ready = wait([worker.pipe for worker in pool if worker.assignment])
     return [worker for worker in pool if worker.assignment and worker.pipe in ready]
 
 
 def _serve(pipe: "Connection[Any, Any]", function: Callable[[Any], Any]) -> None:
-    """In the process: do one item after the other until nobody asks any more."""
+    """In the process: compute one item after the other until the pipe is closed."""
     with suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             item = pipe.recv()

@@ -30,7 +30,8 @@ from falconwing_kit.flight.trial import FlightTask, TrialSetup, trial_seed
 from falconwing_kit.flight.world import PoseNoise, SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.tools.bridge.through_port import PortWorld, simulated_board
+from falconwing_kit.tools.bridge.open_port import simulated_board
+from falconwing_kit.tools.bridge.through_port import PortWorld
 from falconwing_kit.tools.trials.statistics import (
     bootstrap_mean_interval,
     clopper_pearson_interval,
@@ -71,7 +72,7 @@ class TrialSettings:
     camera: PinholeCamera = field(default_factory=fpv_camera)
     clock: type[SimulatedClock] | type[WallClock] = SimulatedClock  # a new one for every flight
     hooks: Sequence[Callable[[LoopStep], None]] = ()
-    # a simulated board that every command goes through, one of `through_port.PORTS`; "" for none
+    # a simulated board that every command goes through, one of `open_port.PORTS`; "" for none
     port: str = ""
 
     @property

@@ -36,13 +36,14 @@ def plain(x):
     if hasattr(x, "__slots__"): return {name: plain(getattr(x, name)) for name in x.__slots__}
     return list(x) if isinstance(x, (list, tuple)) else x
 with rosbag.Bag(sys.argv[1]) as bag:
-    print(json.dumps([[topic, t.to_nsec(), m._type, plain(m)] for topic, m, t in bag.read_messages()]))
+    messages = bag.read_messages()
+    print(json.dumps([[topic, t.to_nsec(), m._type, plain(m)] for topic, m, t in messages]))
 """
 
 
 @pytest.fixture(scope="module")
 def rosbag():
-    """A reader by ROS's own rosbag: list of [topic, time in ns, type, message as names and values]."""
+    """Reader by ROS's own rosbag: list of [topic, time in ns, type, message as a dict]."""
     if not Path(SYSTEM_PYTHON).exists() or subprocess.call([SYSTEM_PYTHON, "-c", "import rosbag"]):
         refuse = pytest.fail if os.environ.get("CI") else pytest.skip
         refuse("expected ROS's rosbag to read back what was written: `apt install python3-rosbag`")
@@ -93,8 +94,8 @@ def test_rosbag_reads_every_record_with_its_time(log, tmp_path, rosbag):
     """
     counts = write_bag(tmp_path / "flight.bag", log)
     assert counts == {
-        "/falconwing/image": 20, "/falconwing/command": 20, "/falconwing/pose": 20, "/falconwing/twist": 20,
-        "/falconwing/event": 2, "/falconwing/metadata": 1,
+        "/falconwing/image": 20, "/falconwing/command": 20, "/falconwing/pose": 20,
+        "/falconwing/twist": 20, "/falconwing/event": 2, "/falconwing/metadata": 1,
     }  # fmt: skip
     records = rosbag(tmp_path / "flight.bag")
     assert {topic: sum(r[0] == topic for r in records) for topic in counts} == counts
@@ -114,7 +115,7 @@ def test_rosbag_reads_every_record_with_its_time(log, tmp_path, rosbag):
 
 
 def test_images_and_commands_are_what_was_logged(log, tmp_path, rosbag):
-    """Each JPEG byte by byte, each stick to 32 bits; the command names its image as the image does."""
+    """Each JPEG byte by byte, each control input to 32 bits; the command has its image's number."""
     write_bag(tmp_path / "flight.bag", log)
     records = rosbag(tmp_path / "flight.bag")
     images = [m for topic, _, _, m in records if topic == "/falconwing/image"]

@@ -66,7 +66,7 @@ def test_another_setting_or_source_is_another_build(monkeypatch, tmp_path, cache
     monkeypatch.setattr(build, "_run", lambda command: (tmp_path / "ran").touch())
     monkeypatch.setattr(
         build,
-        "_keep",
+        "_store_product",
         lambda product, kept: (cache.mkdir(parents=True, exist_ok=True), kept.touch()),
     )
     plain, eight = build_firmware(), build_firmware(["CHANNELS=8"])

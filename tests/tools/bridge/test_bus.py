@@ -15,7 +15,6 @@ from falconwing_kit.tools.bridge.bus import (
     IMAGE,
     PILOT,
     STATUS,
-    LocalBus,
     StampedCommand,
     StampedStatus,
     relay,
@@ -23,6 +22,7 @@ from falconwing_kit.tools.bridge.bus import (
 from falconwing_kit.tools.bridge.ros import RosBus
 from falconwing_kit.trainer_port.ppm import load_calibration
 from falconwing_kit.trainer_port.protocol import PilotFrame, Status
+from tests.tools.bridge.local_bus import LocalBus
 
 NOW = 1.7e9  # a time of today: seconds since 1970
 STAMP = 1e-6  # what is left of a stamp after floats and whole nanoseconds [s]
@@ -113,7 +113,7 @@ def test_wrong_topics_and_messages_are_refused(ends):
     ):
         sender.subscribe("/falconwing/imgae")
     with pytest.raises(
-        InputError, match="/falconwing/command: expected a message of type Sticks, got Command"
+        InputError, match="/command: expected a message of type StampedCommand, got Command"
     ):
         sender.publish(COMMAND, Command(0.0, 0.0, 0.0, 0.0))
 

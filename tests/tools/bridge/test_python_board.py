@@ -10,6 +10,7 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.bridge.python_board import BYTE_S, PythonBoard
 from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
+from falconwing_kit.trainer_port.ppm import encode_command
 from falconwing_kit.trainer_port.protocol import (
     Deframer,
     PilotFrame,
@@ -17,7 +18,6 @@ from falconwing_kit.trainer_port.protocol import (
     SyncReply,
     encode,
     encode_channels,
-    encode_command,
     encode_sync,
 )
 from falconwing_kit.trainer_port.safety import SafetyConfig
@@ -107,7 +107,7 @@ def test_a_command_takes_its_time_on_the_wire(bench):
 
 
 def test_status_comes_20_times_a_second(bench):
-    """At 50, 100 ... 1000 ms; 40 bytes take 3.5 ms, so the one of 1000 ms is not there at 1000 ms."""
+    """At 50, 100 ... 1000 ms; 40 bytes take 3.5 ms, so that of 1000 ms arrives after 1000 ms."""
     bench.run(1.0)
     assert [status.device_time_us for status in bench.of(Status)] == [
         50_000 * n for n in range(1, 20)

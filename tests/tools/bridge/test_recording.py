@@ -15,9 +15,9 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log, to_flight_table
 from falconwing_kit.core.messages import Image
+from falconwing_kit.tools.bridge.open_port import SteppedBoard
 from falconwing_kit.tools.bridge.python_board import PythonBoard
 from falconwing_kit.tools.bridge.recording import Recording, record
-from falconwing_kit.tools.bridge.simulated_link import SteppedBoard
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.vision.monitor import FrameMonitor
@@ -249,7 +249,7 @@ import numpy as np
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Image
 from falconwing_kit.tools.bridge.recording import Recording
-from falconwing_kit.tools.bridge.simulated_link import SteppedBoard
+from falconwing_kit.tools.bridge.open_port import SteppedBoard
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.tools.bridge.python_board import PythonBoard
 
@@ -274,7 +274,8 @@ board.set_pilot((1000, 1500, 1500, 1500))
 port = TrainerPort(SteppedBoard(board, lambda: clock.t), now=lambda: clock.t)
 port.wait_ready(sleep=tick)
 with Log("flight.mcap") as log:
-    recording = Recording(port, log, Camera(), lambda sentence: print("alert", sentence, flush=True))
+    alert = lambda sentence: print("alert", sentence, flush=True)
+    recording = Recording(port, log, Camera(), alert)
     steps = 0
     while True:
         recording.step()

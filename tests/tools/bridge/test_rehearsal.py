@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
-from falconwing_kit.flight.loop import CONTROL_PERIOD
+from falconwing_kit.core.messages import CONTROL_PERIOD_S
 from falconwing_kit.flight.sources import fpv_camera
 from falconwing_kit.scene.arena import load_scene
+from falconwing_kit.tools.bridge.open_port import SteppedBoard
 from falconwing_kit.tools.bridge.python_board import PythonBoard
 from falconwing_kit.tools.bridge.recording import Recording, record
 from falconwing_kit.tools.bridge.rehearsal import SimulatedManualApproach
-from falconwing_kit.tools.bridge.simulated_link import SteppedBoard
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.trainer_port.ppm import load_calibration
 
@@ -60,7 +60,7 @@ def test_the_recorded_sticks_are_those_that_landed(recorded):
     approach, given, log = recorded
     assert approach.world.contact.obstacle == "pad"
     for k, command in list(enumerate(given))[2:-1]:
-        row = np.searchsorted(log.command_times, k * CONTROL_PERIOD + 0.045) - 1
+        row = np.searchsorted(log.command_times, k * CONTROL_PERIOD_S + 0.045) - 1
         assert log.commands[row].vector == pytest.approx(command.vector, abs=0.5 / 500 + 1e-9), k
 
 
@@ -69,7 +69,9 @@ def test_images_come_twenty_times_a_second_and_show_the_approach(recorded):
     same.
     """
     _, given, log = recorded
-    assert np.diff(log.image_times) == pytest.approx(CONTROL_PERIOD, abs=1e-6)
-    assert len(log.image_times) == len(given) == pytest.approx(20.0 / 7.0 / CONTROL_PERIOD, rel=0.4)
+    assert np.diff(log.image_times) == pytest.approx(CONTROL_PERIOD_S, abs=1e-6)
+    assert (
+        len(log.image_times) == len(given) == pytest.approx(20.0 / 7.0 / CONTROL_PERIOD_S, rel=0.4)
+    )
     assert log.metadata["simulated"] == "yes"
     assert len({image.jpeg for image in log.images()}) > 0.9 * len(given)

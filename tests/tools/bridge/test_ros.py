@@ -36,16 +36,21 @@ def say(**what): print(json.dumps(what), flush=True)
 rospy.init_node("foreign", disable_signals=True)
 back = rospy.Publisher("/falconwing/command", Joy, queue_size=1)
 def image(m):
-    say(age=time.time() - m.header.stamp.to_sec(), bytes=b64encode(m.data).decode(), format=m.format,
+    age = time.time() - m.header.stamp.to_sec()
+    say(age=age, bytes=b64encode(m.data).decode(), format=m.format,
         frame=m.header.frame_id, stamp=m.header.stamp.to_nsec())
     joy = Joy(axes=[0.5, -0.25, 2.0, 0.0, 9.0], buttons=[1])
     joy.header.stamp, joy.header.frame_id = m.header.stamp, m.header.frame_id
     back.publish(joy)
 def status(m):
-    say(level=m.status[0].level, message=m.status[0].message, values={v.key: v.value for v in m.status[0].values})
+    first = m.status[0]
+    values = {v.key: v.value for v in first.values}
+    say(level=first.level, message=first.message, values=values)
 rospy.Subscriber("/falconwing/status", DiagnosticArray, status, queue_size=1)
 while not back.get_num_connections(): time.sleep(0.01)
-rospy.Subscriber("/falconwing/image", CompressedImage, image, queue_size=1, buff_size=2**22, tcp_nodelay=True)
+rospy.Subscriber(
+    "/falconwing/image", CompressedImage, image, queue_size=1, buff_size=2**22, tcp_nodelay=True
+)
 rospy.spin()
 """
 
@@ -92,7 +97,8 @@ def test_an_image_reaches_another_program_and_its_answer_comes_back(bus, foreign
         assert answer.t == pytest.approx(t, rel=0, abs=STAMP)
         ages.append(1e3 * heard["age"])
     print(
-        f"\nimage of 30 kB to another process: median {np.median(ages):.1f}, p95 {np.percentile(ages, 95):.1f} ms"
+        f"\nimage of 30 kB to another process: median {np.median(ages):.1f}, "
+        f"p95 {np.percentile(ages, 95):.1f} ms"
     )
 
 
@@ -181,10 +187,12 @@ def test_what_cannot_be_understood_is_counted_and_never_sent_on(bus):
     ros = load_ros()
     inboxes = {topic: bus.subscribe(topic) for topic in (COMMAND, IMAGE, STATUS)}
     bad = {
-        COMMAND: [ros.Joy(axes=[math.nan, 0, 0, 0], buttons=[1]), ros.Joy(axes=[0, 0, 0], buttons=[1]),
-                  ros.Joy(axes=[0, 0, 0, 0]), ros.Joy(axes=[math.inf, 0, 0, 0], buttons=[1])],
+        COMMAND: [ros.Joy(axes=[math.nan, 0, 0, 0], buttons=[1]),
+                  ros.Joy(axes=[0, 0, 0], buttons=[1]), ros.Joy(axes=[0, 0, 0, 0]),
+                  ros.Joy(axes=[math.inf, 0, 0, 0], buttons=[1])],
         IMAGE: [ros.CompressedImage(format="png", data=b"\x89PNG")],
-        STATUS: [ros.DiagnosticArray(), ros.DiagnosticArray(status=[ros.DiagnosticStatus(name="battery")])],
+        STATUS: [ros.DiagnosticArray(),
+                 ros.DiagnosticArray(status=[ros.DiagnosticStatus(name="battery")])],
     }  # fmt: skip
     for topic, messages in bad.items():
         until(lambda topic=topic: bus.listeners(topic) == 1)
@@ -218,8 +226,9 @@ def test_the_distributions_packages_come_last(ros_master):
     alone loads no ROS.
     """
     code = (
-        "import sys, falconwing_kit.tools.bridge.ros as ros; assert 'rospy' not in sys.modules; path = list(sys.path);"
-        "ros.load_ros(); import numpy; print(sys.path[:len(path)] == path, sys.path[len(path):], numpy.__file__)"
+        "import sys, falconwing_kit.tools.bridge.ros as ros; assert 'rospy' not in sys.modules;"
+        "path = list(sys.path); ros.load_ros(); import numpy;"
+        "print(sys.path[:len(path)] == path, sys.path[len(path):], numpy.__file__)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True,

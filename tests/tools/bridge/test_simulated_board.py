@@ -23,7 +23,7 @@ from falconwing_kit.trainer_port.protocol import (
     encode_channels,
     encode_sync,
 )
-from tests.firmware.chip import require_tools
+from tests.firmware.chip import ProbedBoard, require_tools
 
 BYTE = 10 / 115200  # s
 
@@ -77,15 +77,15 @@ def probe_elf(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def probe(probe_elf) -> Iterator[SimulatedBoard]:
+def probe(probe_elf) -> Iterator[ProbedBoard]:
     """The probe, switched on a millisecond ago."""
-    with SimulatedBoard(probe_elf) as board:
+    with ProbedBoard(probe_elf) as board:
         board.run_until(0.001)
         yield board
 
 
 def test_edges_stand_where_the_timer_puts_them(probe):
-    """By hand: Timer1 at 2 MHz, a toggle every 1000 ticks = 500 us, across its wrap every 32.8 ms."""
+    """By hand: Timer1 at 2 MHz, a toggle every 1000 ticks = 500 us, across its wraps (32.8 ms)."""
     level, changes = probe.pin_level, []
     for k in range(20_000):
         probe.run_until(0.002 + k * 1e-5)

@@ -11,8 +11,9 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
 from falconwing_kit.core.messages import Command
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
+from falconwing_kit.tools.bridge.open_port import PORTS, simulated_board
 from falconwing_kit.tools.bridge.python_board import PythonBoard
-from falconwing_kit.tools.bridge.through_port import PORTS, PortWorld, simulated_board
+from falconwing_kit.tools.bridge.through_port import PortWorld
 from falconwing_kit.tools.trials.trials import (
     TrialSettings,
     fly_trial,
@@ -158,7 +159,8 @@ def test_a_hundred_landings_through_the_firmware_are_as_good_as_without():
     assert worse.mean() < 3.0 * worse.std(ddof=1) / 10.0
     assert sum(record["port"]["commands_dropped"] for record in through) == 0
     print(
-        f"ALD {100 * found['ald_m']['mean']:.1f} cm, without the port {100 * summarise_trials(without)['ald_m']['mean']:.1f} cm"
+        f"ALD {100 * found['ald_m']['mean']:.1f} cm, without the port "
+        f"{100 * summarise_trials(without)['ald_m']['mean']:.1f} cm"
     )
 
 

@@ -12,8 +12,8 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.config import write_toml
 from falconwing_kit.core.messages import COMMAND_NAMES, Command
+from falconwing_kit.tools.bridge.open_port import SteppedBoard
 from falconwing_kit.tools.bridge.python_board import PythonBoard
-from falconwing_kit.tools.bridge.simulated_link import SteppedBoard
 from falconwing_kit.tools.cli import calibrate
 from falconwing_kit.tools.cli.calibrate import (
     MAX_AGE_DAYS,

@@ -90,7 +90,8 @@ def test_a_slow_reader_misses_frames(clock):
 def test_every_fault_does_what_it_says(clock):
     """By hand from the script, at 20 Hz."""
     camera = fake(
-        clock, CameraFault("freeze", 0.1, 0.2), CameraFault("drop", 0.3, 0.4), CameraFault("delay", 0.5, 0.55, 0.07),
+        clock, CameraFault("freeze", 0.1, 0.2), CameraFault("drop", 0.3, 0.4),
+        CameraFault("delay", 0.5, 0.55, 0.07),
         CameraFault("hang", 0.7, 1.0), CameraFault("unplug", 1.1, 1.3),
     )  # fmt: skip
     seen = []

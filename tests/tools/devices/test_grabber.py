@@ -104,7 +104,7 @@ def test_a_camera_that_hangs_in_a_read_does_not_keep_the_loop_waiting(running, t
 
 
 def test_late_frames_show_their_numbers(running, time):
-    """Each is 0.12 s late from 0.2 s on: at 0.31 s the newest is still frame 3, at 0.33 s it is 4."""
+    """Each is 0.12 s late from 0.2 s on: the newest is frame 3 at 0.31 s and frame 4 at 0.33 s."""
     camera = running(CameraFault("delay", 0.2, 0.25, 0.12))
     time.advance(0.31)
     assert number(camera.next(0.31)) == 3
@@ -228,8 +228,10 @@ class Sink:
 
 @pytest.mark.parametrize(
     ("fault", "reason"),
-    [(CameraFault("freeze", 1.0, 9.0), "old or frozen"), (CameraFault("unplug", 1.0, 9.0), "old or frozen"),
-     (CameraFault("hang", 1.0, 9.0), "old or frozen"), (CameraFault("noise", 1.0, 9.0, 14.0), "noise")],
+    [(CameraFault("freeze", 1.0, 9.0), "old or frozen"),
+     (CameraFault("unplug", 1.0, 9.0), "old or frozen"),
+     (CameraFault("hang", 1.0, 9.0), "old or frozen"),
+     (CameraFault("noise", 1.0, 9.0, 14.0), "noise")],
 )  # fmt: skip
 def test_the_loop_flies_on_and_the_monitor_alerts_within_300_ms(running, time, fault, reason):
     """From the fault at 1.0 s to the first alert, in virtual time; 40 steps are flown without a

@@ -14,8 +14,8 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.jobs.cluster import run_on_every_worker
 from falconwing_kit.tools.jobs.pool import WorkerLostError
+from falconwing_kit.tools.jobs.result_cache import cache_key
 from falconwing_kit.tools.jobs.run import parallel_map
-from falconwing_kit.tools.jobs.shards import cache_key
 from tests import clusters
 
 
@@ -96,7 +96,8 @@ def test_key_tells_all_tasks_apart():
     """Every pair differs in value or kind, so every fingerprint must; the same value twice has the
     same.
     """
-    items = [1, 1.5, "1", True, None, b"1", Path("1"), [1], {"1": 1}, {1: 1}, np.array([1.0]), np.array([[1.0]]),
+    items = [1, 1.5, "1", True, None, b"1", Path("1"), [1], {"1": 1}, {1: 1},
+             np.array([1.0]), np.array([[1.0]]),
              np.array([1]), Task(1, Path("a")), Task(1, Path("b"))]  # fmt: skip
     keys = [cache_key(square, item) for item in items]
     assert len(set(keys)) == len(items)
@@ -123,7 +124,7 @@ def cluster(tmp_path_factory):
 
 def test_cluster_without_workers_is_refused(cluster, monkeypatch):
     """The sentence says how to start one; and another how to start a scheduler."""
-    monkeypatch.setattr("falconwing_kit.tools.jobs.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("falconwing_kit.tools.jobs.cluster.TIMEOUT_S", 0.5)
     with pytest.raises(
         InputError, match=r"expected workers at this scheduler, found none; start `dask scheduler`"
     ):
@@ -133,7 +134,7 @@ def test_cluster_without_workers_is_refused(cluster, monkeypatch):
 
 
 def test_cluster_gives_the_same_and_outlives_a_worker(cluster, tmp_path):
-    """By hand: squares. One of two workers is killed while it works; the other takes its items up."""
+    """By hand: squares. One of two workers is killed at work; the other repeats its items."""
     address, start_worker = cluster
     first = start_worker()
     assert (
