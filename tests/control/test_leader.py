@@ -128,9 +128,9 @@ def test_the_number_of_a_manoeuvre_is_its_own():
     """The first five keep theirs; a later one has the CRC-32 of its name: 0xCBF43926 of "123456789"
     [ITU V.42].
     """
-    assert {name: manoeuvre.number for name, manoeuvre in MANOEUVRES.items()} == {
-        n: k for k, n in enumerate(RECORDED)
-    }
+    frozen = [manoeuvre.name for manoeuvre in MANOEUVRES.values() if manoeuvre.frozen_number is not None]
+    assert frozen == list(RECORDED)
+    assert [MANOEUVRES[name].number for name in frozen] == [0, 1, 2, 3, 4]
     assert Manoeuvre("123456789", "", SLALOM.waypoints).number == 0xCBF43926
 
 
