@@ -100,11 +100,11 @@ def test_hall_is_the_arena():
 
 
 def test_margin_by_hand():
-    """From x -22.5..17.5, y -12..8, z 4.65: one point near each side, and one outside; `inside`
+    """From x -22.5..17.5, y -12..8, z 4.65: one point near each side, and one outside; `clamp`
     brings it back.
     """
     points = np.array(
         [[-20.0, 0.0, 2.0], [16.5, 0, 2], [0, -11.5, 2], [0, 7.0, 2], [0, 0, 4.55], [18.0, 0, 2]]
     )
     assert Hall().margin(points) == pytest.approx([2.5, 1.0, 0.5, 1.0, 0.1, -0.5])
-    assert Hall().inside(np.array([18.0, -13.0, 0.1]), 1.0) == pytest.approx([16.5, -11.0, 1.0])
+    assert Hall().clamp(np.array([18.0, -13.0, 0.1]), 1.0) == pytest.approx([16.5, -11.0, 1.0])
