@@ -312,13 +312,13 @@ def test_a_flight_ends_by_the_word_of_its_task():
 
 
 @pytest.mark.parametrize(
-    ("ended", "reason", "t"),
+    ("stop_condition", "reason", "t"),
     [
         (lambda step: "", "duration", 0.22),
         (lambda step: "landed" * (step.t > 0.14), "landed", 0.15),
     ],
 )
-def test_the_last_command_of_a_flight_is_the_safe_one(ended, reason, t, tmp_path):
+def test_the_last_command_of_a_flight_is_the_safe_one(stop_condition, reason, t, tmp_path):
     """A sink holds what came last for ever: an open throttle must not be it. Sent once, and logged.
 
     When time is up at 0.22 s, the fifth step's command has held to there; a word ends the fourth
@@ -326,7 +326,7 @@ def test_the_last_command_of_a_flight_is_the_safe_one(ended, reason, t, tmp_path
     """
     sink = Recorder()
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
-        flight = Loop(Pilot(), sink, log=log).run(0.22, ended)
+        flight = Loop(Pilot(), sink, log=log).run(0.22, stop_condition)
     assert (flight.reason, flight.faults) == (reason, 0)
     assert sink.sent[-1] == (pytest.approx(t), SAFE_COMMAND)
     assert all(command.throttle == 0.5 for _, command in sink.sent[:-1])

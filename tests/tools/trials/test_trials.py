@@ -192,7 +192,8 @@ def test_a_leader_that_flies_otherwise_is_another_study(tmp_path, monkeypatch):
     """
     task = FollowTask(CLIMB)
     head = study_head(task, "steady")
-    fly_trials(task, steady, 1, pilot="steady", out=tmp_path)
+    (record,) = fly_trials(task, steady, 1, pilot="steady", out=tmp_path, head=head)
+    assert record["leader_digest"] == head["leader_digest"]
     kept = MANOEUVRES[CLIMB]
     table = {"new": replace(kept, name="new", frozen_number=None), **MANOEUVRES}
     monkeypatch.setattr("falconwing_kit.control.leader.MANOEUVRES", table)
@@ -418,6 +419,15 @@ def test_pilots_are_compared_on_the_same_starts():
     assert found == {"pairs": 5, "only_first": 2, "only_second": 0, "p_value": pytest.approx(0.5)}
     with pytest.raises(InputError, match="same starts"):
         compare_pilots(first, [{"seed": 99, "success": True}])
+
+
+def test_pilots_behind_different_leaders_are_not_compared():
+    """Leaders differ in the second of two trials; records of earlier versions have no digest."""
+    first = [{"seed": k, "success": True, "leader_digest": f"a{k}"} for k in range(2)]
+    second = [first[0], {**first[1], "leader_digest": "b1"}]
+    with pytest.raises(InputError, match="different ones at seed 1"):
+        compare_pilots(first, second)
+    assert compare_pilots(first, [{"seed": k, "success": True} for k in range(2)])["pairs"] == 2
 
 
 def test_results_are_written_with_both_colours(tmp_path):
