@@ -190,8 +190,8 @@ def test_twins_are_told_with_their_correlation(fitted):
         (0.0, -1.0, 1.0, 0.3, 0.3),
     ],
 )
-def test_ordinary_size_by_hand(start, low, high, value, want):
+def test_ordinary_size_by_hand(start, low, high, value, expected):
     """The larger of the found and the usual value; where the usual is zero, a twentieth of the
     range.
     """
-    assert ordinary_size(Parameter("x", start, low, high, "-", ""), value) == pytest.approx(want)
+    assert ordinary_size(Parameter("x", start, low, high, "-", ""), value) == pytest.approx(expected)
