@@ -99,7 +99,7 @@ def test_written_and_read_again_is_the_same(table, tmp_path):
         (lambda t: t.update(p_body_camera_m=[0.2, 0.0]), "p_body_camera_m"),
         (lambda t: t["wheels_m"].update(tail=[math.nan, 0.0, 0.0]), "wheels_m.tail[0]"),
         (lambda t: t["wheels_m"].update(main_left=[0.05, 0.09, 0.11]), "swap"),
-        (lambda t: t["inertia_kg_m2"].update(Izz=0.1), "no solid body"),
+        (lambda t: t["inertia_kg_m2"].update(Izz=0.1), "moments of a solid body"),
         (lambda t: t["parts"][2].update(mass_g=0.0), "mass of 'camera'"),
         (lambda t: t["parts"][1].update(inside="fuselage"), "fuselage"),
         (lambda t: t["parts"].append({"name": "camera", "mass_g": 9.0}), "camera"),
