@@ -118,7 +118,8 @@ def write_fitted_model(
     """
     parameters = {}
     for p in model.parameters:
-        value, ends = model.values[p.name], (None, None)
+        value = model.values[p.name]
+        ends: tuple[float | None, float | None] = (None, None)
         if p.name in confidence.names:
             ends = confidence.interval(p.name, value)
         parameters[p.name] = _Parameter(value, p.unit, p.low, p.high, p.meaning, *ends)
