@@ -17,12 +17,11 @@ from warnings import warn
 
 import numpy as np
 
-from falconwing_kit.control.loops import STEP_S
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Command, Event, Image, Observation, State
 
-CONTROL_PERIOD = STEP_S  # [s], the paper's 20 Hz
+CONTROL_PERIOD = 0.05  # [s], the paper's 20 Hz
 HISTORY = 30  # past commands in an observation, as in the paper
 SAFE_COMMAND = Command(throttle=0.0, aileron=0.0, elevator=0.0, rudder=0.0)
 MAX_LATENESS = 0.5  # of a step, in periods; so two steps are never closer than this

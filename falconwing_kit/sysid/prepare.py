@@ -195,7 +195,7 @@ def _local_cubics(t: Array, y: Array, measured: Array) -> tuple[Array, Array, Ar
     jump[2:-2] = np.diff(ys, 4, axis=0) / (np.sqrt(70.0) * np.maximum(difference_noise(ys), 1e-9))
     weights = (1.0 / (1.0 + (jump / 6.0) ** 2) ** 2)[near]
     for _ in range(4):
-        # Iteratively reweighted least squares with Tukey-like weights, per row and channel.
+        # Iteratively reweighted least squares, Geman-McClure weights per row and channel.
         normal = np.einsum("nsi,nsj,nsc->ncij", basis, basis, weights, optimize=True)
         right = np.einsum("nsi,nsc,nsc->nci", basis, weights, samples, optimize=True)
         coefficients = np.linalg.solve(normal + 1e-9 * np.eye(4), right[..., None])[..., 0]
