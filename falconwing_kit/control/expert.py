@@ -42,7 +42,7 @@ class LeaderTrajectory(Protocol):
     def states(self) -> Array:
         """(n, 12) in the order of STATE_NAMES, SI."""
 
-    def state(self, t: float) -> State:
+    def state_at(self, t: float) -> State:
         """The leader's state at a time [s]."""
 
 
@@ -157,7 +157,7 @@ class FollowExpert:
         self.mode = "follow"
         s_leader = float(np.interp(observation.t, self.leader.t, self._s_leader))
         if self._s is None:
-            leader = self.leader.state(observation.t)
+            leader = self.leader.state_at(observation.t)
             self._s = s_leader - float(np.linalg.norm(leader.p_world - state.p_world))
         self._s = s = self.path.nearest(state.p_world, self._s)
         leader_speed = float(np.interp(s, self._s_leader, self._speeds))

@@ -45,7 +45,7 @@ class LeaderPath:
         """Time of the last sample [s]."""
         return float(self.t[-1])
 
-    def state(self, t: float) -> State:
+    def state_at(self, t: float) -> State:
         """The leader's state at a time [s]; before the start and after the end it flies straight.
 
         Linear interpolation between samples, for the position Hermite's cubic with the velocities.

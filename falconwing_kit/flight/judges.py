@@ -88,7 +88,7 @@ class FollowEvaluator:
 
     def watch(self, step: LoopStep) -> str:
         """Record positions and lock; the reason is the first contact."""
-        follower, leader = self.world.state, self.leader.state(self.world.t)
+        follower, leader = self.world.state, self.leader.state_at(self.world.t)
         T_world_camera = camera_pose(follower.pose.T_world_body, self.airframe.p_body_camera)
         depth = None if self.view is None else self.view.depth
         self._t.append(step.t)
@@ -184,8 +184,8 @@ def _signed_area(points: Array, a: Array, b: Array) -> Array:
 def extended_path(leader: LeaderPath) -> Array:
     """The leader's path as points (m, 3) [m], extended straight back from its start."""
     times = np.arange(0.0, leader.duration + CONTROL_PERIOD, CONTROL_PERIOD)
-    leader_positions = np.array([leader.state(t).p_world for t in times])
-    first = leader.state(0.0)
+    leader_positions = np.array([leader.state_at(t).p_world for t in times])
+    first = leader.state_at(0.0)
     back = np.arange(-LEAD_IN, 0.0, 0.25)[:, None] * first.v_world / np.linalg.norm(first.v_world)
     return np.concatenate([first.p_world + back, leader_positions])
 

@@ -30,14 +30,14 @@ MAX_LATENESS = 0.5  # of a step, in periods; so two steps are never closer than 
 class ImageSource(Protocol):
     """Source of images: a camera, a renderer or a log."""
 
-    def next(self, t: float) -> Image | None:
+    def next_image(self, t: float) -> Image | None:
         """The newest image at time t [s]; None before the first, an exception after the last."""
 
 
 class StateSource(Protocol):
     """Source of states: a simulated world, a log, a leader's path or an estimator."""
 
-    def state(self, t: float) -> State | None:
+    def state_at(self, t: float) -> State | None:
         """The state at time t [s]; None where it is unknown."""
 
 
@@ -245,19 +245,19 @@ class _Run:
         self.times.append(t)
         self.lateness.append(lateness)
         with self.time_stage("images"):
-            image = loop.images.next(t) if loop.images else None
+            image = loop.images.next_image(t) if loop.images else None
         is_new = image is not None and (last_image is None or image.sequence != last_image.sequence)
         if is_new:
             self.image = image
         with self.time_stage("states"):
-            state = loop.states.state(t) if loop.states else None
+            state = loop.states.state_at(t) if loop.states else None
         observation = Observation(t, self.image, self.past_commands, state)
         with self.time_stage("pilot"):
             command = self.request_command(observation)
         with self.time_stage("send"):
             loop.sink.send(t, command)
         self.past_commands = np.vstack([self.past_commands[1:], command.vector])
-        leader = loop.leader.state(t) if loop.leader else None
+        leader = loop.leader.state_at(t) if loop.leader else None
         step = LoopStep(t, self.image, state, command, self.read_mode(), leader)
         with self.time_stage("log"):
             self.write_step(step, self.image if is_new else None)

@@ -57,7 +57,7 @@ class MeasuredStates:
     def __init__(self, world: WorldInterface) -> None:
         self.world = world
 
-    def state(self, t: float) -> State | None:
+    def state_at(self, t: float) -> State | None:
         """The measured state at time t [s]; advances the world."""
         self.world.advance(t)
         return self.world.measured()
@@ -88,7 +88,7 @@ class RenderedView:
         self._sequence = 0
         self.look()  # compiles the renderer, so the first step does not have to wait
 
-    def next(self, t: float) -> Image:
+    def next_image(self, t: float) -> Image:
         """The image at time t [s]; advances the world."""
         self.world.advance(t)
         self._sequence += 1
@@ -136,7 +136,7 @@ class RecordedImages:
         self._newest: Image | None = None
         self._ahead = next(self._images, None)
 
-    def next(self, t: float) -> Image | None:
+    def next_image(self, t: float) -> Image | None:
         """The newest image (H, W, 3) at t [s] since the log's start; t must not decrease."""
         while self._ahead is not None and self._ahead.t <= t + TIME_ROUNDING:
             self._newest, self._ahead = self._ahead, next(self._images, None)
@@ -153,7 +153,7 @@ class RecordedStates:
         log = read_flight_log(path)
         self._times, self._states = log.state_times - log_start_time(log), log.states
 
-    def state(self, t: float) -> State | None:
+    def state_at(self, t: float) -> State | None:
         """The newest state at time t [s] since the log's start; None before the first."""
         row = _newest_row(self._times, t)
         return self._states[row] if row >= 0 else None

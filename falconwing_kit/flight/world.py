@@ -152,7 +152,7 @@ class SimulatedWorld:
     @property
     def leader_state(self) -> State | None:
         """The leader's true state; None where there is no leader."""
-        return None if self._leader is None else self._leader.state(self._t)
+        return None if self._leader is None else self._leader.state_at(self._t)
 
     def send(self, t: float, command: Command) -> None:
         """Send a command at t [s]; it arrives after the delay."""
@@ -204,7 +204,7 @@ class SimulatedWorld:
             t, p_world = touchdown.t, touchdown.p_world
             attitude = (touchdown.bank, touchdown.pitch, touchdown.yaw)
         if self._leader is not None:
-            distance = np.linalg.norm(self._leader.state(t).p_world - p_world)
+            distance = np.linalg.norm(self._leader.state_at(t).p_world - p_world)
             if distance < CLEARANCE:
                 return Contact(t, "leader", p_world)
         corners = self._corners(p_world, *attitude)

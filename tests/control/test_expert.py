@@ -125,7 +125,7 @@ def test_follower_keeps_its_place_on_the_leaders_path(manoeuvre):
     Mean error below half the paper's 0.72 m (of its expert on its training task); no collision.
     """
     leader = leader_path(manoeuvre, seed=3)
-    start = leader.state(0.0)
+    start = leader.state_at(0.0)
     follower = State.from_vector(
         start.vector - np.concatenate([4.0 * start.v_world / 7.0, np.zeros(9)])
     )

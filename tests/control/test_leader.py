@@ -82,9 +82,9 @@ def test_state_is_continuous_and_its_velocity_is_its_motion(paths):
     """
     path = paths["right_turn_sharp_climb", 0]
     for t in (-1.0, 0.013, 0.05, 1.234, 2.5, path.duration - 0.01, path.duration + 0.7):
-        moved = (path.state(t + 1e-3).p_world - path.state(t - 1e-3).p_world) / 2e-3
-        assert moved == pytest.approx(path.state(t).v_world, abs=0.05)
-    assert path.state(0.5).vector == pytest.approx(path.states[10], abs=1e-12)
+        moved = (path.state_at(t + 1e-3).p_world - path.state_at(t - 1e-3).p_world) / 2e-3
+        assert moved == pytest.approx(path.state_at(t).v_world, abs=0.05)
+    assert path.state_at(0.5).vector == pytest.approx(path.states[10], abs=1e-12)
 
 
 def test_curve_from_its_curvature_is_a_circle():

@@ -47,7 +47,7 @@ class Recorder:
 class Camera:
     """An image every second step, its sequence counted from 0."""
 
-    def next(self, t: float) -> Image:
+    def next_image(self, t: float) -> Image:
         number = round(t / 0.05) // 2
         return Image(number, 0.1 * number, np.full((4, 6, 3), number % 256, np.uint8))
 
@@ -55,7 +55,7 @@ class Camera:
 class Still:
     """A constant state."""
 
-    def state(self, t: float) -> State:
+    def state_at(self, t: float) -> State:
         return STATE
 
 
@@ -266,7 +266,7 @@ def test_a_source_that_breaks_ends_the_flight_safely():
     """The camera is unplugged: the safe command is sent and the error raised."""
 
     class Unplugged:
-        def next(self, t):
+        def next_image(self, t):
             if t > 0.12:
                 raise OSError("no camera")
 

@@ -81,13 +81,13 @@ def test_ball_appears_where_the_pinhole_law_puts_it():
     """
     world = StillWorld(at(-5.0, 2.0, 1.0))
     view = RenderedView(world, balls(((0.0, 3.0, 1.5), RED)), fpv_camera(), (0.2, 0.0, 0.0))
-    image = view.next(0.35)
+    image = view.next_image(0.35)
     assert (image.pixels.shape, image.pixels.dtype) == ((240, 320, 3), np.uint8)
     assert middle_of(image.pixels, 0) == pytest.approx(
         [160 - 198.4 / 4.8, 120 - 99.2 / 4.8], abs=0.5
     )
     assert (image.sequence, image.t, world.flown) == (0, 0.35, [0.35])
-    assert view.next(0.40).sequence == 1
+    assert view.next_image(0.40).sequence == 1
     assert view.depth.max() == pytest.approx(4.8, abs=0.05)
 
 
@@ -99,13 +99,13 @@ def test_leader_is_rendered_at_its_place_and_only_if_there_is_one():
     before = scene.means.copy()
     world = StillWorld(leader=at(4.0, 0.0, 0.0))
     view = RenderedView(world, scene, fpv_camera())
-    assert middle_of(view.next(0.0).pixels, 1) == pytest.approx([160.0, 120.0], abs=0.5)
+    assert middle_of(view.next_image(0.0).pixels, 1) == pytest.approx([160.0, 120.0], abs=0.5)
     world.leader_state = at(4.0, -1.0, 0.0)
-    moved = view.next(0.05).pixels
+    moved = view.next_image(0.05).pixels
     assert middle_of(moved, 1) == pytest.approx([160.0 + 198.4 / 4.0, 120.0], abs=0.5)
     assert middle_of(moved, 0) == pytest.approx([160.0 - 198.4 / 3.0, 120.0], abs=0.5)
     assert (scene.means == before).all()  # the caller's scene stays as it was
-    alone = RenderedView(StillWorld(), scene, fpv_camera()).next(0.0).pixels
+    alone = RenderedView(StillWorld(), scene, fpv_camera()).next_image(0.0).pixels
     with np.errstate(invalid="ignore"), pytest.warns(RuntimeWarning, match="Mean of empty"):
         assert np.isnan(middle_of(alone, 1)).all()
 
@@ -115,8 +115,8 @@ def test_the_link_of_a_scene_is_applied():
     scene, link = balls(((6.0, 0.0, 0.0), RED)), AnalogVideo(30.0, seed=4)
     plain = RenderedView(StillWorld(), scene, fpv_camera())
     noisy = RenderedView(StillWorld(), replace(scene, link=link), fpv_camera())
-    clean = plain.next(0.0).pixels
-    first, second = noisy.next(0.0).pixels, noisy.next(0.05).pixels
+    clean = plain.next_image(0.0).pixels
+    first, second = noisy.next_image(0.0).pixels, noisy.next_image(0.05).pixels
     assert (first == link.apply(clean, 1)).all() and (second == link.apply(clean, 2)).all()
     assert (first != second).any()
 
@@ -125,7 +125,9 @@ def test_hall_without_leader_gets_the_kits_own():
     """An aircraft 2 m ahead is 0.70 m wide: 198.4 * 0.70 / 2 = 69 px, +-10 % for its tips."""
     empty = balls(((6.0, 2.0, 0.0), RED))
     pixels = (
-        RenderedView(StillWorld(leader=at(2.0, 0.0, 0.0)), empty, fpv_camera()).next(0.0).pixels
+        RenderedView(StillWorld(leader=at(2.0, 0.0, 0.0)), empty, fpv_camera())
+        .next_image(0.0)
+        .pixels
     )
     columns = np.nonzero(pixels[100:140, 100:220].max(axis=(0, 2)) > 40)[0]
     assert np.ptp(columns) + 1 == pytest.approx(69.0, abs=7.0)
@@ -134,7 +136,7 @@ def test_hall_without_leader_gets_the_kits_own():
 def test_measured_states_advance_the_world():
     """The state at t is the one measured after flying to t."""
     world = StillWorld()
-    assert MeasuredStates(world).state(0.1).roll == pytest.approx(0.01)
+    assert MeasuredStates(world).state_at(0.1).roll == pytest.approx(0.01)
     assert world.flown == [0.1]
 
 
@@ -148,7 +150,7 @@ class Wave:
 class GreyCamera:
     """An image every second step, grey like its number."""
 
-    def next(self, t: float) -> Image:
+    def next_image(self, t: float) -> Image:
         number = round(t / 0.05) // 2
         return Image(number, 0.1 * number, np.full((48, 64, 3), 10 * number, np.uint8))
 
@@ -224,10 +226,10 @@ def test_before_the_first_record_there_is_none(tmp_path):
         log.image(Image(7, 0.2, np.zeros((8, 8, 3), np.uint8)))
         log.state(0.2, LEVEL)
     images, states = RecordedImages(tmp_path / "late.mcap"), RecordedStates(tmp_path / "late.mcap")
-    assert images.next(0.1) is None
-    assert states.state(0.1) is None
-    assert images.next(0.2).sequence == 7
-    assert states.state(0.3).p_world == pytest.approx(0.0)
+    assert images.next_image(0.1) is None
+    assert states.state_at(0.1) is None
+    assert images.next_image(0.2).sequence == 7
+    assert states.state_at(0.3).p_world == pytest.approx(0.0)
 
 
 def test_colours_keep_their_order_through_a_log(tmp_path):

@@ -74,7 +74,7 @@ def test_same_seed_same_start_and_noise_for_every_pilot():
 def test_a_follower_begins_behind_its_leader_with_its_speed():
     """BEHIND metres back along the leader's course, +-0.5 m per axis, nose within 5 deg of it."""
     trial = FollowTask("left_turn_s_descent").trial(7)
-    leader, own = trial.leader.state(0.0), trial.world.state
+    leader, own = trial.leader.state_at(0.0), trial.world.state
     course = leader.v_world / np.linalg.norm(leader.v_world)
     assert own.p_world == pytest.approx(leader.p_world - BEHIND * course, abs=0.5)
     assert own.yaw == pytest.approx(math.atan2(-course[1], course[0]), abs=math.radians(5.0))

@@ -44,7 +44,7 @@ class Standing:
     def __init__(self, p_world):
         self.p_world = np.array(p_world)
 
-    def state(self, t):
+    def state_at(self, t):
         return State.from_vector(np.concatenate([self.p_world, np.zeros(6)]))
 
 

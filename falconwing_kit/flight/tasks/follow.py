@@ -49,7 +49,7 @@ class FollowTask:
     def trial(self, seed: int) -> TrialSetup:
         """The world of a seed."""
         leader = self.leader(seed)
-        first = leader.state(0.0)
+        first = leader.state_at(0.0)
         forward = first.v_world / np.linalg.norm(first.v_world)
         yaw = math.atan2(-forward[1], forward[0])
         start = self.spread.start(self.model, first.p_world - BEHIND * forward, seed, yaw)

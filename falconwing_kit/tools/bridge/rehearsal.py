@@ -52,12 +52,12 @@ class SimulatedManualApproach:
         """Has the aircraft come down?"""
         return self.world.contact is not None
 
-    def next(self, t: float) -> Image | None:
+    def next_image(self, t: float) -> Image | None:
         """The newest view at time t [s] of the recording; the aircraft is flown there first."""
         step = int(t / CONTROL_PERIOD + 1e-6)
         if step > self._step and not self.over:
             self._step = step
-            self._image = self._view.next(step * CONTROL_PERIOD)
+            self._image = self._view.next_image(step * CONTROL_PERIOD)
             command = self._pilot.act(
                 Observation(step * CONTROL_PERIOD, self._image, self._past, self.world.measured())
             )

@@ -121,7 +121,7 @@ class Grabber:
     ) -> None:
         self.stop()
 
-    def next(self, t: float) -> Image | None:
+    def next_image(self, t: float) -> Image | None:
         """The newest image, at once; the same one again while there is no newer one.
 
         Args:
