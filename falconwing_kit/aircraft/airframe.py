@@ -16,11 +16,11 @@ WHEEL_NAMES = ("main_left", "main_right", "tail")
 
 @dataclass(frozen=True)
 class AirframePart:
-    """One thing that was weighed."""
+    """One weighed part."""
 
     name: str
     mass: float  # [kg]
-    inside: str = ""  # the part that already counts this one's mass; empty where none does
+    inside: str = ""  # the part whose mass includes this one
 
     def __post_init__(self) -> None:
         _require_positive(self, "mass", of=f" of {self.name!r}")
@@ -28,7 +28,7 @@ class AirframePart:
 
 @dataclass(frozen=True)
 class Aero:
-    """Coefficients of the whole aircraft on its wing area: CL = CL0 + CLa alpha, CD = CD0 + k CL^2."""
+    """Coefficients of the whole aircraft: CL = CL0 + CLa alpha, CD = CD0 + k CL^2."""
 
     CL_max: float  # lift coefficient at minimum speed
     CL0: float
@@ -43,7 +43,7 @@ class Aero:
 
 @dataclass(frozen=True)
 class Wheels:
-    """Where the tyres touch the ground, in body axes [m]."""
+    """Contact points of the tyres, in body axes [m]."""
 
     main_left: Point
     main_right: Point
@@ -53,7 +53,7 @@ class Wheels:
         _require_finite(self, *WHEEL_NAMES)
         if not self.main_left[1] < self.main_right[1]:
             raise InputError(
-                "wheels: expected main_left left of main_right (body y points right); swap the two"
+                "wheels: expected main_left left of main_right (body y is right); swap the two"
             )
 
     @property
@@ -77,13 +77,14 @@ class Inertia:
         largest, others = max(self.Ixx, self.Iyy, self.Izz), self.Ixx + self.Iyy + self.Izz
         if 2.0 * largest > others or self.Ixz**2 >= self.Ixx * self.Izz:
             raise InputError(
-                "inertia: no solid body has these moments (the largest exceeds the sum of the other two)"
+                "inertia: expected the moments of a solid body, got a largest one above the sum of"
+                " the others or Ixz too large; check them"
             )
 
 
 @dataclass(frozen=True)
 class Airframe:
-    """Everything the kit knows about an aircraft before it has flown. SI units, body axes."""
+    """Dimensions, masses and coefficients of an aircraft before its first flight; SI, body axes."""
 
     name: str
     mass: float  # [kg], as flown
@@ -92,7 +93,7 @@ class Airframe:
     length: float  # [m]
     air_density: float  # rho [kg/m^3], of the air it flies in
     bank_limit: float  # [rad], largest bank of a planned turn
-    p_body_camera: Point  # where the camera sits [m]
+    p_body_camera: Point  # position of the camera [m]
     parts: tuple[AirframePart, ...]
     aero: Aero
     wheels: Wheels
@@ -103,7 +104,8 @@ class Airframe:
         _require_finite(self, "p_body_camera")
         if not 0.0 < self.bank_limit < math.pi / 2:
             raise InputError(
-                f"bank limit: expected an angle between 0 and 90 deg, got {math.degrees(self.bank_limit):g}"
+                "bank limit: expected an angle between 0 and 90 deg, got"
+                f" {math.degrees(self.bank_limit):g}"
             )
         names = [part.name for part in self.parts]
         for part in self.parts:
@@ -113,7 +115,8 @@ class Airframe:
                 )
             if part.inside and (part.inside not in names or part.inside == part.name):
                 raise InputError(
-                    f"parts: {part.name!r} is inside {part.inside!r}, which is not another part of the list"
+                    f"parts: expected {part.name!r} inside another part of the list, got"
+                    f" {part.inside!r}"
                 )
 
     @property
@@ -123,9 +126,7 @@ class Airframe:
 
     @property
     def corners_body(self) -> Array:
-        """Nose, tail and wing tips (4, 3) in body axes [m]; the camera sits on the nose. The fin is
-        left out.
-        """
+        """Nose (with the camera), tail and wing tips (4, 3) in body axes [m]; without the fin."""
         nose, tip = self.p_body_camera[0], self.span / 2.0
         return np.array(
             [(nose, 0.0, 0.0), (nose - self.length, 0.0, 0.0), (0.0, tip, 0.0), (0.0, -tip, 0.0)]
@@ -133,7 +134,7 @@ class Airframe:
 
     @property
     def parts_mass(self) -> float:
-        """Sum of the parts that are not inside another one [kg]; `mass` is what the sizing uses."""
+        """Sum of the parts that are not inside another one [kg]; the sizing uses `mass`."""
         return math.fsum(part.mass for part in self.parts if not part.inside)
 
 
@@ -168,13 +169,9 @@ def load_airframe(path: str | Path | None = None) -> Airframe:
     Args:
         path: the TOML file; None takes the kit's own aircraft.
 
-    Returns:
-        The airframe in SI units.
-
     Raises:
         FileNotFoundError: there is no file at the path.
-        InputError: the file is not TOML, a key is missing or unknown, or the values make no
-            aircraft.
+        InputError: the file is not TOML, a key is missing or unknown, or a value is impossible.
     """
     path = default_airframe_path() if path is None else path
     file = from_toml(_AirframeFile, path)
@@ -200,8 +197,7 @@ def load_airframe(path: str | Path | None = None) -> Airframe:
 
 
 def default_airframe_path() -> Path:
-    """Where the kit's own aircraft is described: in a checkout beside the package, else where the
-    install put it.
+    """The file of the kit's own aircraft: of the checkout, else of the installation.
 
     Raises:
         FileNotFoundError: it is in neither place.

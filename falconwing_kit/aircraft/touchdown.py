@@ -1,9 +1,7 @@
-"""Touchdown: a flown path and the wheels' places -> which wheel met the ground first, where, when
-and how hard.
+"""Touchdown: a flown path and wheel positions -> first wheel contact: place, time, sink rate.
 
-Geometry only. There is no ground reaction: the path is taken as it was flown or simulated, nothing
-pushes back, and what it does after the first contact has no meaning. Wing tips and propeller are
-not looked at.
+Geometry only. There is no ground reaction: the path after the first contact is meaningless. Wing
+tips and propeller are not considered.
 """
 
 from dataclasses import dataclass
@@ -18,20 +16,16 @@ from falconwing_kit.core.frames import body_rates, euler_rates, rotation_world_b
 
 Surface = Literal["pad", "pad edge", "floor"]
 
-_CHECK_FRACTIONS = (
-    np.arange(1, 17) / 16.0
-)  # where within a step between two samples contact is looked for
+_CHECK_FRACTIONS = np.arange(1, 17) / 16.0  # of a step between two samples
 _CONTACT_TOLERANCE = 1e-6  # a wheel within this of the pad's top stands on it [m]
 
 
 @dataclass(frozen=True)
 class LandingPad:
-    """The raised pad, a box on the floor along the world's x axis; by default where it lies in the
-    hall.
-    """
+    """The raised pad, a box on the floor along the world's x axis; by default that of the hall."""
 
-    x_start: float = 1.0  # its threshold, the edge an approach crosses first [m]
-    y_centre: float = -2.0  # its centre line [m]; the marker stands at y = 0
+    x_start: float = 1.0  # its threshold, the near edge of an approach [m]
+    y_centre: float = -2.0  # its centre line [m]; the marker is at y = 0
     length: float = 13.0  # along x [m]
     width: float = 2.0  # along y [m]
     height: float = 0.1  # of its top above the floor [m]; zero for a pad painted on the floor
@@ -49,99 +43,68 @@ class Touchdown:
 
     t: float  # [s]
     wheel: str  # one of WHEEL_NAMES
-    surface: Surface  # "pad edge": the wheel ran into the side of the pad
-    p_world_wheel: Array  # (3,) where that wheel touched [m]
-    p_world: Array  # (3,) the centre of gravity at that moment [m]
+    surface: Surface  # "pad edge": the wheel hit the side of the pad
+    p_world_wheel: Array  # (3,) the contact point [m]
+    p_world: Array  # (3,) the centre of gravity at contact [m]
     sink_rate: float  # of that wheel, positive down [m/s]
     speed: float  # of the centre of gravity, relative to the hall [m/s]
     bank: float  # [rad], right wing down positive
     pitch: float  # [rad], nose up positive
     yaw: float  # [rad], nose right of the runway positive
     lateral_offset: float  # of the centre of gravity from the pad's centre line, positive left [m]
-    past_threshold: (
-        float  # of the wheel along the runway from the pad's threshold, negative short of it [m]
-    )
+    past_threshold: float  # of the wheel, along the runway from the pad's threshold [m]
 
     @property
     def on_pad(self) -> bool:
-        """The wheel came down on top of the pad: the paper's successful landing."""
+        """Whether the wheel touched the pad's top: the paper's successful landing."""
         return self.surface == "pad"
 
     @property
     def absolute_lateral_deviation(self) -> float:
-        """The paper's ALD of this touchdown [m]. Average it over landings only: a failure has none,
-        not zero.
-        """
+        """The paper's ALD [m]; to be averaged over landings only, a failure has none."""
         return abs(self.lateral_offset)
 
 
 def pad_height(p_world: ArrayLike, pad: LandingPad | None) -> Array:
-    """Height of the ground below a point: the pad's top over the pad, its border included, else the
-    floor.
-
-    Args:
-        p_world: (..., 3) [m].
-        pad: the pad; None for a bare floor.
-
-    Returns:
-        (...) [m].
-    """
+    """Height (...) of the ground below points (..., 3) [m]: the pad's top over the pad, else 0."""
     p = np.asarray(p_world, np.float64)
     return np.zeros(p.shape[:-1]) if pad is None else np.where(_is_over(p, pad), pad.height, 0.0)
 
 
 def wheel_positions(states: ArrayLike, airframe: Airframe) -> Array:
-    """Where the wheels' contact points are.
+    """Positions (..., 3, 3) of the wheels' contact points [m], rows in the order of WHEEL_NAMES.
 
     p_world_wheel = p_world + R_world_body p_body_wheel
 
     Args:
         states: (..., 9 or 12) in the order of STATE_NAMES, SI.
-        airframe: where the wheels sit.
-
-    Returns:
-        (..., 3, 3) [m]: a row per wheel in the order of WHEEL_NAMES.
-
-    Raises:
-        InputError: the last axis is neither 9 nor 12 long.
+        airframe: with the wheels.
     """
     x = _states(states, 9, 12)
     return np.asarray(x[..., None, 0:3] + airframe.wheels.points_body @ _R_body_world(x))
 
 
 def wheel_velocities(states: ArrayLike, airframe: Airframe) -> Array:
-    """How the wheels' contact points move, the aircraft being rigid.
+    """Velocities (..., 3, 3) of the wheels' contact points [m/s], the aircraft being rigid.
 
     v_world_wheel = v_world + R_world_body (omega_body x p_body_wheel)
 
     Args:
         states: (..., 12) in the order of STATE_NAMES, SI.
-        airframe: where the wheels sit.
-
-    Returns:
-        (..., 3, 3) [m/s]: a row per wheel in the order of WHEEL_NAMES.
-
-    Raises:
-        InputError: the last axis is not 12 long.
+        airframe: with the wheels.
     """
     x = _states(states, 12)
-    swing_body = np.cross(x[..., None, 9:12], airframe.wheels.points_body)
-    return np.asarray(x[..., None, 6:9] + swing_body @ _R_body_world(x))
+    v_body_wheel = np.cross(x[..., None, 9:12], airframe.wheels.points_body)
+    return np.asarray(x[..., None, 6:9] + v_body_wheel @ _R_body_world(x))
 
 
 def wheel_heights(states: ArrayLike, airframe: Airframe, pad: LandingPad | None = None) -> Array:
-    """How high each wheel is above the ground straight below it.
+    """Height (..., 3) of each wheel above the ground below it [m], negative below the ground.
 
     Args:
         states: (..., 9 or 12) in the order of STATE_NAMES, SI.
-        airframe: where the wheels sit.
+        airframe: with the wheels.
         pad: the pad; None for a bare floor.
-
-    Returns:
-        (..., 3) [m] in the order of WHEEL_NAMES; negative below the ground.
-
-    Raises:
-        InputError: the last axis is neither 9 nor 12 long.
     """
     return _heights(wheel_positions(states, airframe), pad)
 
@@ -149,25 +112,22 @@ def wheel_heights(states: ArrayLike, airframe: Airframe, pad: LandingPad | None 
 def find_touchdown(
     t: ArrayLike, states: ArrayLike, airframe: Airframe, pad: LandingPad
 ) -> Touchdown | None:
-    """The first contact of a wheel after all wheels were off the ground.
+    """The first contact of a wheel after all wheels were off the ground; None without one.
 
-    Between two samples everything follows the cubic through both values with both rates. On a
-    smooth path its error is at most dt^4 / 384 times the fourth derivative: at 20 Hz and a brisk
-    pitch oscillation (0.1 rad at 10 rad/s, wheel at 0.3 m) 5 micrometres in height. A contact
-    shorter than a sixteenth of a step can be missed.
+    Between two samples all quantities follow Hermite's cubic. On a smooth path its error is at most
+    dt^4 / 384 times the fourth derivative: at 20 Hz and a fast pitch oscillation (0.1 rad at
+    10 rad/s, wheel at 0.3 m) 5 micrometres in height. A contact shorter than a sixteenth of a step
+    can be missed.
 
     Args:
         t: (n,) time of the samples [s], increasing.
         states: (n, 9 or 12) in the order of STATE_NAMES, SI. Rows of nine get their body rates from
-            differences of the attitude, so noise of the attitude reaches the sink rate.
-        airframe: where the wheels sit.
+            differences of the attitude, so attitude noise reaches the sink rate.
+        airframe: with the wheels.
         pad: the pad, `LandingPad()` for the hall's.
 
-    Returns:
-        The touchdown; None where no wheel comes down.
-
     Raises:
-        InputError: the shapes do not fit, a number is not finite or time does not increase.
+        InputError: the shapes do not match, a number is not finite or time does not increase.
     """
     times, values, rates = _paths(t, states, airframe)
     off_ground = np.flatnonzero(np.all(_heights(values[:, :3], pad) > 0.0, axis=-1))
@@ -181,9 +141,7 @@ def find_touchdown(
 
 
 def _paths(t: ArrayLike, states: ArrayLike, airframe: Airframe) -> tuple[Array, Array, Array]:
-    """Times (n,), then values and rates (n, 5, 3): three wheels, centre of gravity, and pitch, yaw,
-    roll unwrapped.
-    """
+    """Times (n,), values and rates (n, 5, 3): three wheels, centre of gravity, pitch-yaw-roll."""
     x = _states(states, 9, 12)
     x = require_shape("states", x, (None, x.shape[-1]))
     times = require_shape("t", t, (len(x),))
@@ -193,29 +151,26 @@ def _paths(t: ArrayLike, states: ArrayLike, airframe: Airframe) -> tuple[Array, 
         )
     if len(times) < 2 or np.any(np.diff(times) <= 0.0):
         raise InputError(
-            "t: expected two or more samples with increasing times; sort the rows and drop repeated ones"
+            "t: expected two or more samples with increasing times; sort the rows and drop repeated"
+            " ones"
         )
     angles = np.unwrap(x[:, 3:6], axis=0)
     pitch, yaw, roll = angles.T
     if x.shape[1] == 9:
         pitch_rate, yaw_rate, roll_rate = np.gradient(angles, times, axis=0).T
         x = np.column_stack([x, *body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate)])
+    # Rates of the angles from the body rates, for the cubic of the attitude.
     row_z = rotation_world_body(roll, pitch, yaw)[:, 2].T
     roll_rate, pitch_rate, yaw_rate = euler_rates(row_z, *x[:, 9:12].T)
     angle_rates = np.stack([pitch_rate, yaw_rate, roll_rate], axis=-1)
-    values = np.concatenate(
-        [wheel_positions(x, airframe), x[:, None, 0:3], angles[:, None]], axis=1
-    )
-    rates = np.concatenate(
-        [wheel_velocities(x, airframe), x[:, None, 6:9], angle_rates[:, None]], axis=1
-    )
+    positions, velocities = wheel_positions(x, airframe), wheel_velocities(x, airframe)
+    values = np.concatenate([positions, x[:, None, 0:3], angles[:, None]], axis=1)
+    rates = np.concatenate([velocities, x[:, None, 6:9], angle_rates[:, None]], axis=1)
     return times, values, rates
 
 
 def _cubic(fraction: ArrayLike, values: Array, rates: Array, dt: float) -> tuple[Array, Array]:
-    """Values and rates (..., 5, 3) at fractions (...) of the step between two samples (2, 5, 3)
-    [Hermite's cubic].
-    """
+    """Hermite's cubic: values and rates (..., 5, 3) at fractions (...) of a step (2, 5, 3)."""
     s = np.asarray(fraction, np.float64)[..., None, None]
     mean_rate = (values[1] - values[0]) / dt
     quadratic = 3.0 * mean_rate - 2.0 * rates[0] - rates[1]
@@ -227,9 +182,9 @@ def _cubic(fraction: ArrayLike, values: Array, rates: Array, dt: float) -> tuple
 def _contact_within(
     values: Array, rates: Array, dt: float, pad: LandingPad
 ) -> tuple[float, int] | None:
-    """The fraction of the step at which a first wheel touches, and which one; None where none does."""
+    """Fraction of the step at the first contact, and the wheel; None without one."""
     if np.min(values[:, :3, 2]) - dt * np.max(np.abs(rates[:, :3, 2])) > pad.height:
-        return None  # too high to come down within this step
+        return None  # too high to reach the ground within this step
 
     def heights(fraction: ArrayLike) -> Array:
         return _heights(_cubic(fraction, values, rates, dt)[0][..., :3, :], pad)
@@ -239,9 +194,8 @@ def _contact_within(
         return None
     late = float(_CHECK_FRACTIONS[np.argmax(touches)])
     early = late - float(_CHECK_FRACTIONS[0])
-    for _ in range(
-        50
-    ):  # halve down to rounding; heights jump at the pad's edge, which bisection does not mind
+    # Bisection down to rounding; it also works where heights jump at the pad's edge.
+    for _ in range(50):
         middle = 0.5 * (early + late)
         early, late = (early, middle) if np.any(heights(middle) <= 0.0) else (middle, late)
     return late, int(np.argmin(heights(late)))
@@ -279,12 +233,12 @@ def _is_over(p_world: Array, pad: LandingPad) -> Array:
 
 
 def _R_body_world(x: Array) -> Array:
-    """(..., 3, 3); body vectors in rows, multiplied from the left, come out in the world."""
+    """(..., 3, 3); rows of body vectors times this are rows of world vectors."""
     return np.swapaxes(rotation_world_body(roll=x[..., 5], pitch=x[..., 3], yaw=x[..., 4]), -1, -2)
 
 
 def _states(states: ArrayLike, *lengths: int) -> Array:
-    """The states as float64, refused unless the last axis has one of the lengths."""
+    """The states as float64; InputError unless the last axis has one of the lengths."""
     x = np.asarray(states, np.float64)
     if x.ndim == 0 or x.shape[-1] not in lengths:
         raise InputError(

@@ -1,6 +1,4 @@
-"""Leaders: a manoeuvre's name and a seed -> the path a leader flew, by the kit's own model and
-expert. Simulated.
-"""
+"""Leaders: a manoeuvre's name and a seed -> the path of a simulated leader flown by the expert."""
 
 import hashlib
 import math
@@ -20,45 +18,37 @@ from falconwing_kit.control.plan import MARGIN, MIN_HEIGHT
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.messages import Observation, State
 
-LEADER_DRAWS = (
-    2  # last word of the generator's key: whatever else a trial draws has a key with another one
-)
+# Last word of the random generator's key; the other draws of a trial have another one.
+LEADER_DRAWS = 2
 
 
 @dataclass(frozen=True)
 class LeaderPath:
-    """What a leader flew, simulated at 20 Hz."""
+    """A leader's flight, simulated at 20 Hz."""
 
     manoeuvre: str
     seed: int
     t: Array  # (n,) [s]
-    states: Array  # (n, 12) in the order of STATE_NAMES, SI; yaw does not jump
-    waypoints: Array = field(
-        default_factory=lambda: np.zeros((0, 3))
-    )  # (k, 3) that were to be flown along [m]
+    states: Array  # (n, 12) in the order of STATE_NAMES, SI, yaw unwrapped
+    waypoints: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (k, 3) planned [m]
 
     @property
     def digest(self) -> str:
-        """Of the manoeuvre's name, its waypoints and the states, rounded to 0.001 so that machines
-        agree.
-        """
-        rounded = (
-            np.round(values, 3) + 0.0 for values in (self.waypoints, self.states)
-        )  # + 0.0: no minus zero
+        """SHA-256 of name, waypoints and states, rounded to 0.001 so that machines agree."""
+        rounded = (np.round(values, 3) + 0.0 for values in (self.waypoints, self.states))  # no -0.0
         return hashlib.sha256(
             b"".join([self.manoeuvre.encode(), *(values.tobytes() for values in rounded)])
         ).hexdigest()
 
     @property
     def duration(self) -> float:
-        """How long the manoeuvre takes [s]."""
+        """Time of the last sample [s]."""
         return float(self.t[-1])
 
-    def state(self, t: float) -> State:
-        """The leader at a time [s]: between samples by straight lines, its place by the cubic that
-        its velocity gives.
+    def state_at(self, t: float) -> State:
+        """The leader's state at a time [s]; before the start and after the end it flies straight.
 
-        Before the start and after the end it goes straight on.
+        Linear interpolation between samples, for the position Hermite's cubic with the velocities.
         """
         inside = min(max(t, 0.0), self.duration)
         i = min(int(inside / STEP_S), len(self.t) - 2)
@@ -66,25 +56,21 @@ class LeaderPath:
         u = (inside - self.t[i]) / h
         a, b = self.states[i], self.states[i + 1]
         x = (1.0 - u) * a + u * b
+        # Hermite's cubic as the chord plus u (1 - u) times a term linear in u.
         bend = (h * a[6:9] - (b[:3] - a[:3])) * (1.0 - u) - (h * b[6:9] - (b[:3] - a[:3])) * u
         x[:3] += u * (1.0 - u) * bend + (t - inside) * x[6:9]
         return State.from_vector(x)
 
 
 def leader_path(manoeuvre: str, seed: int = 0, model: Model | None = None) -> LeaderPath:
-    """Fly a manoeuvre; the same arguments give the same bits.
+    """Fly a manoeuvre in still air and without noise; the same arguments give the same bits.
 
-    The leader follows predefined waypoints with the expert [paper, Section V-A], in still air and
-    without noise.
+    The leader follows predefined waypoints with the expert [paper, Section V-A].
 
     Args:
         manoeuvre: one of `MANOEUVRES`.
-        seed: shifts the plan by up to half a metre and stretches it by up to 5 %, or draws the
-            random waypoints.
+        seed: of the manoeuvre's draws: offset and scale of a plan, or random waypoints.
         model: the aircraft; None for the kit's own.
-
-    Returns:
-        The path.
 
     Raises:
         InputError: there is no such manoeuvre, or this aircraft cannot fly it inside the hall.
@@ -93,41 +79,37 @@ def leader_path(manoeuvre: str, seed: int = 0, model: Model | None = None) -> Le
         raise InputError(f"manoeuvre: expected one of {', '.join(MANOEUVRES)}, got {manoeuvre!r}")
     number = MANOEUVRES[manoeuvre].number
     rng = np.random.default_rng([int(require_range("seed", seed, low=0)), number, LEADER_DRAWS])
-    model, airframe = model or rates_model(), load_airframe()
+    model = model or rates_model()
     waypoints = MANOEUVRES[manoeuvre].waypoints(rng)
-    pilot = WaypointExpert(model, airframe, waypoints)
-    states = fly_path(model, pilot)
+    states = fly_path(model, WaypointExpert(model, load_airframe(), waypoints))
     if Hall().margin(states[:, :3]).min() < MARGIN / 2.0 or states[:, 2].min() < MIN_HEIGHT / 2.0:
         raise InputError(
-            f"{manoeuvre}, seed {seed}: the aircraft leaves the hall's safe room; check the model's values"
+            f"{manoeuvre}, seed {seed}: expected a flight {MARGIN / 2.0:g} m from walls and beams"
+            f" and {MIN_HEIGHT / 2.0:g} m high or more, got nearer; check the model's values"
         )
-    return LeaderPath(
-        manoeuvre, seed, STEP_S * np.arange(len(states), dtype=np.float64), states, waypoints
-    )
+    t = STEP_S * np.arange(len(states), dtype=np.float64)
+    return LeaderPath(manoeuvre, seed, t, states, waypoints)
 
 
 def fly_path(model: Model, pilot: WaypointExpert) -> Array:
-    """Fly a pilot along its path from its first point to its last, without noise.
-
-    Args:
-        model: the aircraft.
-        pilot: whose path and speed count.
+    """Fly a pilot along its whole path without noise.
 
     Returns:
-        (n, n_states) at 20 Hz; yaw does not jump.
+        (n, n_states) at 20 Hz, yaw unwrapped.
     """
     path = pilot.path
+    # Start: the trim of the path's first climb angle, turned to its first course.
     x = trim(model, pilot.speed, float(path.climb[0])).state.copy()
     along = np.array([math.cos(path.yaw[0]), -math.sin(path.yaw[0])])
     x[:3], x[4] = path.p_world[0], x[4] + path.yaw[0]
     x[6:8] = along * x[6]
-    aircraft, past, flown = SimulatedAircraft(model, State.from_vector(x)), np.zeros((30, 4)), [x]
-    while pilot.mode == "waypoints" and len(flown) < 3.0 * path.length / pilot.speed / STEP_S:
+    aircraft, past, states = SimulatedAircraft(model, State.from_vector(x)), np.zeros((30, 4)), [x]
+    while pilot.mode == "waypoints" and len(states) < 3.0 * path.length / pilot.speed / STEP_S:
         command = pilot.act(Observation(aircraft.t, None, past, State.from_vector(aircraft.x)))
         past = np.concatenate([past[1:], command.vector[None]])
         aircraft.send(aircraft.t, command.vector)
-        aircraft.advance(len(flown) * STEP_S)
-        flown.append(aircraft.x.copy())
-    states = np.array(flown)
-    states[:, 4] = np.unwrap(states[:, 4])
-    return states
+        aircraft.advance(len(states) * STEP_S)
+        states.append(aircraft.x.copy())
+    flown = np.array(states)
+    flown[:, 4] = np.unwrap(flown[:, 4])
+    return flown

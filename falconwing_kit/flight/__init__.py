@@ -1,4 +1,4 @@
-"""flight: the simulated world, image sources, the 20 Hz loop, its tasks and their judges."""
+"""flight: the simulated world, image sources, the 20 Hz loop, its tasks and their evaluators."""
 
 from falconwing_kit.flight.loop import Loop, LoopResult, LoopStep, SimulatedClock, WallClock
 from falconwing_kit.flight.sources import MeasuredStates, RecordedImages, RenderedView, fpv_camera

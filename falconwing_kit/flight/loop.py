@@ -1,9 +1,7 @@
-"""The loop: images and states in, commands out, 20 times a second; the same loop for simulation and
-hardware.
+"""The loop: images and states in, commands out at 20 Hz; the same in simulation and on hardware.
 
-Only its two ends change: where images and states come from, and where commands go. Whatever goes
-wrong in a pilot, the aircraft gets neutral sticks and an idle motor instead of an exception; and so
-it does when the flight is over.
+Only its sources and its sink change. Whatever fails in a pilot, the aircraft gets the safe command,
+neutral with the motor idle, instead of an exception; and it gets the same when the flight is over.
 """
 
 import math
@@ -23,62 +21,58 @@ from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Command, Event, Image, Observation, State
 
-CONTROL_PERIOD = 0.05  # s: the paper's 20 Hz
-HISTORY = 30  # past commands that a pilot sees, as in the paper
+CONTROL_PERIOD = 0.05  # [s], the paper's 20 Hz
+HISTORY = 30  # past commands in an observation, as in the paper
 SAFE_COMMAND = Command(throttle=0.0, aileron=0.0, elevator=0.0, rudder=0.0)
-MAX_LATENESS = (
-    0.5  # periods: a step later than this is skipped, so that two steps are never closer than this
-)
+MAX_LATENESS = 0.5  # of a step, in periods; so two steps are never closer than this
 
 
 class ImageSource(Protocol):
-    """Where images come from."""
+    """Source of images: a camera, a renderer or a log."""
 
-    def next(self, t: float) -> Image | None:
-        """The newest image at time t [s]; None where there is none, an exception where there will
-        be none again.
-        """
+    def next_image(self, t: float) -> Image | None:
+        """The newest image at time t [s]; None before the first, an exception after the last."""
 
 
 class StateSource(Protocol):
-    """Where states come from: a simulated world, later vision; a leader's path is one too."""
+    """Source of states: a simulated world, a log, a leader's path or an estimator."""
 
-    def state(self, t: float) -> State | None:
-        """The state at time t [s]; None where it is not known."""
+    def state_at(self, t: float) -> State | None:
+        """The state at time t [s]; None where it is unknown."""
 
 
 class CommandSink(Protocol):
-    """Where commands go."""
+    """Destination of commands: a simulated world or the trainer port."""
 
     def send(self, t: float, command: Command) -> None:
-        """Give a command at time t [s]; it holds until the next."""
+        """Send a command at time t [s]; it is held until the next one."""
 
 
 class Pilot(Protocol):
-    """Who flies. A pilot with a word in `mode` shows it."""
+    """A controller; an optional `mode` string is logged."""
 
     def act(self, observation: Observation) -> Command:
         """The command for this moment."""
 
 
 class Clock(Protocol):
-    """What the loop is scheduled against."""
+    """Time base of the loop."""
 
     def start(self) -> None:
-        """Now is zero."""
+        """Set the time to zero."""
 
     def now(self) -> float:
         """Time since the start [s]."""
 
     def wait_until(self, t: float) -> None:
-        """Return at time t [s], at once if it has passed."""
+        """Return at time t [s], or immediately if it has passed."""
 
 
 class WallClock:
     """Real time."""
 
     def start(self) -> None:
-        """Now is zero."""
+        """Set the time to zero."""
         self._zero = time.perf_counter()
 
     def now(self) -> float:
@@ -91,10 +85,10 @@ class WallClock:
 
 
 class SimulatedClock:
-    """Time that passes only where the loop waits for it: as fast as it can."""
+    """Simulated time: it advances only when the loop waits, so the loop runs as fast as it can."""
 
     def start(self) -> None:
-        """Now is zero."""
+        """Set the time to zero."""
         self._t = 0.0
 
     def now(self) -> float:
@@ -102,35 +96,32 @@ class SimulatedClock:
         return self._t
 
     def wait_until(self, t: float) -> None:
-        """Time t [s] is there at once."""
+        """Advance to time t [s]."""
         self._t = max(self._t, t)
 
 
 @dataclass(frozen=True)
 class LoopStep:
-    """What happened in one step, for hooks."""
+    """One step, for hooks."""
 
     t: float  # [s]
     image: Image | None  # the newest one
-    state: State | None  # as the pilot saw it
-    command: Command  # as it was sent
-    mode: str  # what the pilot says it is doing; empty where it says nothing
-    leader: State | None  # where the leader is, for tasks with one
+    state: State | None  # as the pilot got it
+    command: Command  # as sent
+    mode: str  # the pilot's `mode`; empty where it has none
+    leader: State | None  # the leader's state, for tasks with one
 
 
 @dataclass(frozen=True, eq=False)
 class LoopResult:
-    """How the loop went."""
+    """End and timing of a flight."""
 
-    reason: (
-        str  # why it ended: "duration", "interrupted", "pilot failed", or the word of what ended it
-    )
+    reason: str  # "duration", "interrupted", "pilot failed", or the reason of the stop condition
     t: Array  # (n,) deadlines of the steps flown [s]
-    lateness: Array  # (n,) by which each step began after its deadline [s]
-    skipped: int  # steps that were too late to fly
-    seconds: Mapping[
-        str, Array
-    ]  # (n,) for each stage: images, states, pilot, send, log, hooks [s of real time]
+    lateness: Array  # (n,) start of each step after its deadline [s]
+    skipped: int  # steps left out because they were too late
+    # (n,) real time of each stage [s]: images, states, pilot, send, log, hooks
+    seconds: Mapping[str, Array]
     events: tuple[Event, ...]
 
     @property
@@ -140,13 +131,11 @@ class LoopResult:
 
     @property
     def rate_hz(self) -> float:
-        """Steps a second, skipped ones missing; nan for fewer than two."""
+        """Steps flown per second; nan for fewer than two."""
         return (len(self.t) - 1) / float(self.t[-1] - self.t[0]) if len(self.t) > 1 else math.nan
 
     def milliseconds(self, stage: str) -> tuple[float, float]:
-        """Median and 95th percentile of a stage [ms]; "lateness" gives the jitter of the schedule.
-        nan for no steps.
-        """
+        """Median and 95th percentile of a stage, or of "lateness" [ms]; nan for no steps."""
         values = self.lateness if stage == "lateness" else self.seconds.get(stage, np.zeros(0))
         if len(values) == 0:
             return math.nan, math.nan
@@ -157,11 +146,10 @@ class LoopResult:
 def deadlines(
     clock: Clock, duration: float, period: float = CONTROL_PERIOD
 ) -> Iterator[tuple[int, float]]:
-    """Wait for one deadline k * period after the other; they are absolute, so errors of waiting
-    never add up.
+    """Wait for the deadlines k * period, one after the other.
 
-    A step that is late by up to half a period is flown at once. What is later is left out, and the
-    next deadline is waited for: steps are never made up for in a burst.
+    Deadlines are absolute, so waiting errors do not accumulate. A step up to half a period late
+    runs immediately; a later one is skipped, never executed in a burst with the next.
 
     Args:
         clock: already started.
@@ -169,7 +157,7 @@ def deadlines(
         period: [s].
 
     Yields:
-        k, and how late it is [s].
+        k, and its lateness [s].
     """
     k = 0
     while k * period < duration:
@@ -182,67 +170,63 @@ def deadlines(
 class Loop:
     """One flight: sources, a pilot, a sink, a clock, a log and hooks; `run` flies it.
 
-    A pilot that raises or answers with something else than finite sticks costs the step: the safe
-        command is sent and
-    an event logged. A hook that raises is dropped, a log whose disk is full and a pilot's `mode` as
-    well, and the flight goes on. A source or sink that raises ends the flight and the error is
-    raised. However a flight ends, the safe command is the last one sent.
+    If a pilot raises or returns anything but a finite command, the safe command is sent in that
+    step and an event logged. A hook, a `mode` or a log that fails is dropped, and the flight goes
+    on. If a source or sink raises, the flight ends and the error is raised. However a flight ends,
+    the safe command is the last one sent.
     """
 
     pilot: Pilot
     sink: CommandSink
     images: ImageSource | None = None
     states: StateSource | None = None
-    leader: StateSource | None = None  # only shown to hooks; the pilot has to see it
+    leader: StateSource | None = None  # for hooks only; the pilot has to find it in the images
     clock: Clock = field(default_factory=SimulatedClock)
     log: FlightLogWriter | None = None  # opened and closed by the caller
     hooks: Sequence[Callable[[LoopStep], None]] = ()
     period: float = CONTROL_PERIOD  # [s]
-    faults_allowed: int = 20  # steps in a row without a command before the flight ends: one second
+    faults_allowed: int = 20  # consecutive steps without a command before the flight ends: 1 s
 
     def run(
-        self, duration: float, ended: Callable[[LoopStep], str] = lambda step: ""
+        self, duration: float, stop_condition: Callable[[LoopStep], str] = lambda step: ""
     ) -> LoopResult:
-        """Fly until something ends it, Ctrl-C too; then send the safe command.
+        """Fly until the duration [s], a stop condition or Ctrl-C; then send the safe command.
 
         Args:
-            duration: at most so long [s].
-            ended: asked after every step; a word ends the flight, an empty one does not.
-
-        Returns:
-            How it went.
+            duration: maximum duration [s].
+            stop_condition: called after every step; a non-empty reason ends the flight.
 
         Raises:
             InputError: duration or period is not positive.
-            Exception: whatever a source, the sink or `ended` raised.
+            Exception: raised by a source, the sink or stop_condition.
         """
         require_range("duration", duration, low=1e-6, high=1e6)
         require_range("period", self.period, low=1e-4, high=10.0)
         run, reason = _Run(self), "duration"
         self.clock.start()
         try:
-            with _ctrl_c() as stop_requested:
+            with _catch_ctrl_c() as interrupted:
                 for k, lateness in deadlines(self.clock, duration, self.period):
-                    stop_reason = ended(run.step(k * self.period, lateness))
-                    if stop_requested.is_set():
+                    stop_reason = stop_condition(run.step(k * self.period, lateness))
+                    if interrupted.is_set():
                         raise KeyboardInterrupt
-                    if stop_reason or run.faults_in_a_row > self.faults_allowed:
+                    if stop_reason or run.consecutive_faults > self.faults_allowed:
                         reason = stop_reason or "pilot failed"
                         break
                 else:
-                    self.clock.wait_until(duration)  # the last step's command holds to its end
+                    self.clock.wait_until(duration)  # the last command is held to the end
                 run.send_safe_command()
         except KeyboardInterrupt:
             run.abort(reason := "interrupted", "Ctrl-C")
         except Exception as error:
             run.abort("failed", _error_text(error))
             raise
-        run.event("ended", {"reason": reason, "steps": len(run.times), "skipped": run.skipped})
-        return run.flight(reason)
+        run.add_event("ended", {"reason": reason, "steps": len(run.times), "skipped": run.skipped})
+        return run.result(reason)
 
 
 class _Run:
-    """What changes while a loop runs."""
+    """The changing state of a running loop."""
 
     def __init__(self, loop: Loop) -> None:
         self.loop, self.log, self.hooks = loop, loop.log, list(loop.hooks)
@@ -252,43 +236,36 @@ class _Run:
         self.lateness: list[float] = []
         self.seconds: dict[str, list[float]] = defaultdict(list)
         self.events: list[Event] = []
-        self.faults_in_a_row = 0
+        self.consecutive_faults = 0
         self.mode, self.mode_failed = "", False
 
     def step(self, t: float, lateness: float) -> LoopStep:
-        """Look, ask the pilot, send, and only then log and show."""
-        loop = self.loop
+        """Get image and state, ask the pilot, send; log and call hooks only after that."""
+        loop, last_image = self.loop, self.image
         self.times.append(t)
         self.lateness.append(lateness)
         with self.time_stage("images"):
-            new_image = loop.images.next(t) if loop.images else None
-        if (
-            new_image is not None
-            and self.image is not None
-            and new_image.sequence == self.image.sequence
-        ):
-            new_image = None
-        self.image = new_image or self.image
+            image = loop.images.next_image(t) if loop.images else None
+        is_new = image is not None and (last_image is None or image.sequence != last_image.sequence)
+        if is_new:
+            self.image = image
         with self.time_stage("states"):
-            state = loop.states.state(t) if loop.states else None
+            state = loop.states.state_at(t) if loop.states else None
         observation = Observation(t, self.image, self.past_commands, state)
         with self.time_stage("pilot"):
-            command = self.ask(observation)
+            command = self.request_command(observation)
         with self.time_stage("send"):
             loop.sink.send(t, command)
         self.past_commands = np.vstack([self.past_commands[1:], command.vector])
-        leader = loop.leader.state(t) if loop.leader else None
+        leader = loop.leader.state_at(t) if loop.leader else None
         step = LoopStep(t, self.image, state, command, self.read_mode(), leader)
         with self.time_stage("log"):
-            self.write(lambda log: _log_step(log, loop.clock.now(), step, new_image))
-            if step.mode != self.mode:
-                self.event("mode", {"mode": step.mode})
-                self.mode = step.mode
+            self.write_step(step, self.image if is_new else None)
         with self.time_stage("hooks"):
             self.call_hooks(step)
         return step
 
-    def ask(self, observation: Observation) -> Command:
+    def request_command(self, observation: Observation) -> Command:
         """The pilot's command within its limits, or the safe one."""
         sequence = -1 if observation.image is None else observation.image.sequence
         try:
@@ -297,24 +274,36 @@ class _Run:
                 raise TypeError(f"expected a Command, got {type(answer).__name__}")
             command = Command.clip(*answer.vector.tolist())
         except Exception as error:
-            self.faults_in_a_row += 1
-            self.event("pilot failed", {"error": _error_text(error)})
+            self.consecutive_faults += 1
+            self.add_event("pilot failed", {"error": _error_text(error)})
             return replace(SAFE_COMMAND, image_sequence=sequence)
-        self.faults_in_a_row = 0
-        return replace(
-            command, image_sequence=sequence, saturated=command.saturated or bool(answer.saturated)
-        )
+        self.consecutive_faults = 0
+        saturated = command.saturated or bool(answer.saturated)
+        return replace(command, image_sequence=sequence, saturated=saturated)
 
     def read_mode(self) -> str:
-        """The pilot's word for what it is doing; where asking raises, it is not asked again."""
+        """The pilot's `mode`; empty after the first time that reading it raised."""
         if self.mode_failed:
             return ""
         try:
             return str(getattr(self.loop.pilot, "mode", ""))
         except Exception as error:
             self.mode_failed = True
-            self.event("mode dropped", {"error": _error_text(error)})
+            self.add_event("mode dropped", {"error": _error_text(error)})
             return ""
+
+    def write_step(self, step: LoopStep, new_image: Image | None) -> None:
+        """Log a step, the command first: if the disk fills up, the command is the part to have."""
+
+        def write(log: FlightLogWriter) -> None:
+            log.command(self.loop.clock.now(), step.command, new_image)
+            if step.state is not None:
+                log.state(step.t, step.state, step.command.image_sequence)
+
+        self.write(write)
+        if step.mode != self.mode:
+            self.add_event("mode", {"mode": step.mode})
+            self.mode = step.mode
 
     def call_hooks(self, step: LoopStep) -> None:
         """Call the hooks; one that raises is not called again."""
@@ -323,32 +312,28 @@ class _Run:
                 hook(step)
             except Exception as error:
                 self.hooks.remove(hook)
-                self.event(
-                    "hook dropped",
-                    {"hook": getattr(hook, "__qualname__", str(hook)), "error": _error_text(error)},
-                )
+                name = getattr(hook, "__qualname__", str(hook))
+                self.add_event("hook dropped", {"hook": name, "error": _error_text(error)})
 
     def abort(self, name: str, why: str) -> None:
-        """Let go before an error or Ctrl-C ends the flight; what fails here must not hide the
-        reason.
-        """
+        """Send the safe command after an error or Ctrl-C; a failure here must not hide it."""
         with suppress(Exception):
             self.send_safe_command()
-        self.event(name, {"why": why})
+        self.add_event(name, {"why": why})
 
     def send_safe_command(self) -> None:
-        """The safe command, for what was sent last holds for ever."""
+        """Send and log the safe command; the sink holds the last command indefinitely."""
         self.loop.sink.send(self.loop.clock.now(), SAFE_COMMAND)
         self.write(lambda log: log.command(self.loop.clock.now(), SAFE_COMMAND))
 
-    def event(self, name: str, details: Mapping[str, Any]) -> None:
-        """Note and log an event."""
+    def add_event(self, name: str, details: Mapping[str, Any]) -> None:
+        """Record and log an event."""
         event = Event(self.loop.clock.now(), name, details)
         self.events.append(event)
         self.write(lambda log: log.event(event.t, event.name, event.details))
 
     def write(self, what: Callable[[FlightLogWriter], None]) -> None:
-        """Write to the log; where it cannot be written, fly on without."""
+        """Write to the log; if that fails, go on without a log."""
         if self.log is None:
             return
         try:
@@ -359,7 +344,7 @@ class _Run:
 
     @contextmanager
     def time_stage(self, stage: str) -> Iterator[None]:
-        """Add the real time that a block takes to its stage."""
+        """Add the real time of a block to its stage."""
         begin = time.perf_counter()
         yield
         self.seconds[stage].append(time.perf_counter() - begin)
@@ -369,47 +354,32 @@ class _Run:
         """Deadlines between the first and the last step that were not flown."""
         return round(self.times[-1] / self.loop.period) + 1 - len(self.times) if self.times else 0
 
-    def flight(self, reason: str) -> LoopResult:
+    def result(self, reason: str) -> LoopResult:
         """The record of the flight."""
+        times, lateness = np.array(self.times), np.array(self.lateness)
         seconds = {stage: np.array(values) for stage, values in self.seconds.items()}
-        return LoopResult(
-            reason,
-            np.array(self.times),
-            np.array(self.lateness),
-            self.skipped,
-            seconds,
-            tuple(self.events),
-        )
+        return LoopResult(reason, times, lateness, self.skipped, seconds, tuple(self.events))
 
 
 @contextmanager
-def _ctrl_c() -> Iterator[threading.Event]:
-    """Ctrl-C asks for an end after the step, so that it cuts no record of the log; a second one
-    does not wait.
-    """
-    stop_event = threading.Event()
+def _catch_ctrl_c() -> Iterator[threading.Event]:
+    """An event that the first Ctrl-C sets, so no log record is cut; the second one raises."""
+    interrupted = threading.Event()
 
-    def ask(signal_number: int, frame: Any) -> None:
-        if stop_event.is_set():
+    def handle(signal_number: int, frame: Any) -> None:
+        if interrupted.is_set():
             raise KeyboardInterrupt
-        stop_event.set()
+        interrupted.set()
 
     is_main_thread = threading.current_thread() is threading.main_thread()
     if not is_main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield stop_event  # somebody else minds Ctrl-C
+        yield interrupted  # another handler is installed already
         return
-    signal.signal(signal.SIGINT, ask)
+    signal.signal(signal.SIGINT, handle)
     try:
-        yield stop_event
+        yield interrupted
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def _log_step(log: FlightLogWriter, now: float, step: LoopStep, new_image: Image | None) -> None:
-    """The command first: if the disk fills up in between, it is the one to have."""
-    log.command(now, step.command, new_image)
-    if step.state is not None:
-        log.state(step.t, step.state, step.command.image_sequence)
 
 
 def _error_text(error: BaseException) -> str:

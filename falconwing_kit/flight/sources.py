@@ -1,6 +1,4 @@
-"""Sources: a simulated world or a recorded log -> images and states for the loop, and the pilot
-that a log holds.
-"""
+"""Sources: a simulated world or a flight log -> images and states for the loop; a log's pilot."""
 
 import math
 from pathlib import Path
@@ -19,40 +17,31 @@ from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import render
 
-# focal length of the FPV lens in image widths, as in the hall's flights: 78 deg from edge to edge
-FOCAL_LENGTH_WIDTHS = 0.62
+FOCAL_LENGTH_WIDTHS = 0.62  # of the FPV lens, in image widths: 78 deg field of view
 IMAGE_SIZE = (320, 240)  # of the FPV image [px]
-TIME_ROUNDING = 1e-6  # s: what times may lose in a log
+TIME_ROUNDING = 1e-6  # largest rounding error of a time in a log [s]
 
 
 class WorldInterface(Protocol):
-    """What a source needs of a simulated world."""
+    """Part of a simulated world that sources use."""
 
     @property
     def state(self) -> State:
-        """The truth."""
+        """The true state."""
 
     @property
     def leader_state(self) -> State | None:
-        """Where the leader is."""
+        """The leader's true state."""
 
     def advance(self, t: float) -> None:
-        """Fly on to time t [s]; nothing where it is there already."""
+        """Fly until time t [s]."""
 
     def measured(self) -> State:
-        """What an estimator would say."""
+        """The measured state."""
 
 
 def fpv_camera(width: int = IMAGE_SIZE[0], height: int = IMAGE_SIZE[1]) -> PinholeCamera:
-    """The lens on the aircraft's nose, looking along it.
-
-    Args:
-        width: of the image [px].
-        height: of the image [px].
-
-    Returns:
-        A camera with square pixels and its principal point in the middle; the lens stays the same
-        in every size.
+    """The camera on the aircraft's nose, with the same field of view at every size [px].
 
     Raises:
         InputError: a side is not 1 to 16384.
@@ -63,62 +52,50 @@ def fpv_camera(width: int = IMAGE_SIZE[0], height: int = IMAGE_SIZE[1]) -> Pinho
 
 
 class MeasuredStates:
-    """The states of a simulated world as an estimator would measure them."""
+    """The measured states of a simulated world."""
 
     def __init__(self, world: WorldInterface) -> None:
         self.world = world
 
-    def state(self, t: float) -> State | None:
-        """The measured state at time t [s]; the world is flown there first."""
+    def state_at(self, t: float) -> State | None:
+        """The measured state at time t [s]; advances the world."""
         self.world.advance(t)
         return self.world.measured()
 
 
 class RenderedView:
-    """SIMULATED images from the aircraft's nose: a Gaussian scene, seen from where the world's
-    aircraft really is.
+    """SIMULATED images of the nose camera: a Gaussian scene from the aircraft's true pose.
 
-    A scene with an analog link ("hall_analog") is seen through it; its two fields are of one moment
-    then.
+    The analog video link of a scene ("hall_analog") is applied to the image as a whole; its two
+    fields show the same instant.
 
     Args:
-        world: the simulated world; where it has a leader, the leader is in the image.
-        scene: the hall. Its Gaussians labelled "leader" are the leader's; a hall without gets the
-            kit's leader.
+        world: the simulated world; its leader, if any, is in the image.
+        scene: the hall. Gaussians labelled "leader" are the leader's; else the kit's leader flies.
         camera: the lens, `fpv_camera()` for the aircraft's.
-        p_body_camera: (3,) where it sits on the aircraft, in body axes [m].
+        p_body_camera: (3,) its position in body axes [m].
         backend: of `render`.
     """
 
     def __init__(
-        self,
-        world: WorldInterface,
-        scene: GaussianScene,
-        camera: PinholeCamera,
-        p_body_camera: ArrayLike = (0.0, 0.0, 0.0),
-        backend: str = "fast",
-    ) -> None:
+        self, world: WorldInterface, scene: GaussianScene, camera: PinholeCamera,
+        p_body_camera: ArrayLike = (0.0, 0.0, 0.0), backend: str = "fast",
+    ) -> None:  # fmt: skip
         self.world, self.camera, self.backend = world, camera, backend
         self.p_body_camera = np.asarray(p_body_camera, np.float64)
-        self.depth: NDArray[np.float32] | None = (
-            None  # (H, W) of the newest image [m], for judging what hides the leader
-        )
+        self.depth: NDArray[np.float32] | None = None  # (H, W) of the newest image [m]
         self._hall, self._leader = _hall_and_leader(scene, world.leader_state is not None)
         self._sequence = 0
-        self.look()  # the first image compiles; that must not cost the first step
+        self.look()  # compiles the renderer, so the first step does not have to wait
 
-    def next(self, t: float) -> Image:
-        """The view at time t [s]; the world is flown there first."""
+    def next_image(self, t: float) -> Image:
+        """The image at time t [s]; advances the world."""
         self.world.advance(t)
         self._sequence += 1
         return Image(self._sequence - 1, t, self.look())
 
     def look(self) -> NDArray[np.uint8]:
-        """The view at this moment.
-
-        Returns:
-            (H, W, 3) uint8 RGB.
-        """
+        """Render the present view, (H, W, 3) uint8 RGB."""
         leader, scenes = self.world.leader_state, [self._hall]
         if leader is not None and self._leader is not None:
             from falconwing_kit.scene.arena import leader_at
@@ -127,32 +104,30 @@ class RenderedView:
         T_world_camera = camera_pose(self.world.state.pose.T_world_body, self.p_body_camera)
         frame = render(scenes, self.camera, T_world_camera, backend=self.backend)
         self.depth = frame.depth
-        picture = np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
-        return (
-            picture if self._hall.link is None else self._hall.link.apply(picture, self._sequence)
-        )
+        pixels = np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
+        link = self._hall.link
+        return pixels if link is None else link.apply(pixels, self._sequence)
 
 
 def _hall_and_leader(
     scene: GaussianScene, with_leader: bool
 ) -> tuple[GaussianScene, GaussianScene | None]:
-    """The hall without a leader, and the leader alone if it is wanted."""
+    """The hall without a leader, and the leader alone if required."""
     from falconwing_kit.scene.arena import leader_at, load_scene
 
-    own = "leader" in scene.label_names
-    hall = leader_at(scene, None) if own else scene
+    has_leader = "leader" in scene.label_names
+    hall = leader_at(scene, None) if has_leader else scene
     if not with_leader:
         return hall, None
-    return hall, scene.selected(scene.labelled("leader")) if own else load_scene("leader")
+    leader = scene.selected(scene.labelled("leader")) if has_leader else load_scene("leader")
+    return hall, leader
 
 
 class RecordedImages:
-    """The images of a flight log at the times they were taken since its start, read one by one."""
+    """The images of a flight log at their times since its start, read one by one."""
 
     def __init__(self, path: str | Path) -> None:
-        """Open a log; FileNotFoundError or InputError where there is none or it is damaged at its
-        beginning.
-        """
+        """Open a log; FileNotFoundError where there is none, InputError where it is damaged."""
         log = read_flight_log(path)
         start = log_start_time(log)
         self._images = (
@@ -161,13 +136,8 @@ class RecordedImages:
         self._newest: Image | None = None
         self._ahead = next(self._images, None)
 
-    def next(self, t: float) -> Image | None:
-        """The newest image, its pixels (H, W, 3) RGB; None before the first. Time runs forward
-        only.
-
-        Args:
-            t: time since the log's start [s], as the image has it too.
-        """
+    def next_image(self, t: float) -> Image | None:
+        """The newest image (H, W, 3) at t [s] since the log's start; t must not decrease."""
         while self._ahead is not None and self._ahead.t <= t + TIME_ROUNDING:
             self._newest, self._ahead = self._ahead, next(self._images, None)
         if self._newest is not None and self._newest.pixels.ndim == 1:
@@ -176,28 +146,26 @@ class RecordedImages:
 
 
 class RecordedStates:
-    """The states of a flight log at the times they are valid for, since its start."""
+    """The states of a flight log at their times since its start."""
 
     def __init__(self, path: str | Path) -> None:
         """Read a log; FileNotFoundError or InputError where there is none."""
         log = read_flight_log(path)
         self._times, self._states = log.state_times - log_start_time(log), log.states
 
-    def state(self, t: float) -> State | None:
+    def state_at(self, t: float) -> State | None:
         """The newest state at time t [s] since the log's start; None before the first."""
         row = _newest_row(self._times, t)
         return self._states[row] if row >= 0 else None
 
 
 class RecordedPilot:
-    """The pilot of a flight log: gives its commands at the times they were given, since the log's
-    start. What was simulated stays so.
-    """
+    """The commands of a flight log at their times since its start."""
 
     mode = "replay"
 
     def __init__(self, path: str | Path) -> None:
-        """Read a log; FileNotFoundError where there is none, InputError where it holds no commands."""
+        """Read a log; FileNotFoundError: there is none, InputError: it has no commands."""
         log = read_flight_log(path)
         if not log.commands:
             raise InputError(
@@ -211,30 +179,20 @@ class RecordedPilot:
         return float(self._times[-1])
 
     def act(self, observation: Observation) -> Command:
-        """The command of this step, which was logged a little later when its pilot took time; else
-        the newest.
-        """
-        return self._commands[
-            max(_newest_row(self._times, observation.t + 0.5 * CONTROL_PERIOD), 0)
-        ]
+        """The command of this step, or the newest one before it."""
+        # A command is logged after its pilot's run time, so up to half a period late.
+        row = _newest_row(self._times, observation.t + 0.5 * CONTROL_PERIOD)
+        return self._commands[max(row, 0)]
 
 
 def log_start_time(log: FlightLog) -> float:
-    """Time of a log's first image, state or command [s]; 0 where it has none. Few clocks start with
-    the flight.
-    """
+    """Time of a log's first image, state or command [s]; 0 where it has none."""
     times = np.concatenate([log.image_times, log.state_times, log.command_times])
     return float(times.min()) if len(times) else 0.0
 
 
 def decode_jpeg(image: Image) -> NDArray[np.uint8]:
-    """The pixels of an image that holds its JPEG.
-
-    Args:
-        image: with pixels (n,) of JPEG bytes, or already (H, W, 3).
-
-    Returns:
-        (H, W, 3) uint8 RGB.
+    """The pixels (H, W, 3) uint8 RGB of an image that may hold JPEG bytes.
 
     Raises:
         InputError: the bytes are no image.
@@ -246,11 +204,12 @@ def decode_jpeg(image: Image) -> NDArray[np.uint8]:
     pixels = cv2.imdecode(image.pixels, cv2.IMREAD_COLOR)
     if pixels is None:
         raise InputError(
-            f"image {image.sequence}: expected a JPEG, got {image.pixels.size} other bytes; the log is damaged"
+            f"image {image.sequence}: expected a JPEG, got {image.pixels.size} other bytes; the log"
+            " is damaged"
         )
     return np.ascontiguousarray(pixels[..., ::-1])
 
 
 def _newest_row(times: Array, t: float) -> int:
-    """The row of the newest of increasing times that is not after t, -1 where there is none."""
+    """Row of the last of increasing times that is not after t; -1 where there is none."""
     return int(np.searchsorted(times, t + TIME_ROUNDING, side="right")) - 1

@@ -1,6 +1,4 @@
-"""Trials: a frozen seed and a spread -> the start and world of one flight; what makes a task, and
-its table entry.
-"""
+"""Trials: a frozen seed and a spread -> start and world of one flight; the interface of a task."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,8 +21,8 @@ from falconwing_kit.flight.sources import RenderedView
 from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
 
-# The frozen seeds of trials: number k of `--seed s` is TRIAL_SEEDS * (s + 1) + k, for every pilot
-# the same. Seeds below TRIAL_SEEDS are for training and tuning and never judge.
+# Frozen seeds of evaluation: trial k of `--seed s` has seed TRIAL_SEEDS * (s + 1) + k, for every
+# pilot. Seeds below TRIAL_SEEDS are for training and tuning only.
 TRIAL_SEEDS = 10_000
 
 
@@ -33,10 +31,10 @@ def trial_seed(number: int, seed: int = 0) -> int:
 
     Args:
         number: of the trial, from 0.
-        seed: which list, 0 for the one that results are compared on.
+        seed: number of the list; results are compared on list 0.
 
     Raises:
-        InputError: a number is negative, or beyond the list of ten thousand.
+        InputError: a number is not 0 to 9,999.
     """
     for name, value in (("trial", number), ("seed", seed)):
         require_range(name, value, low=0, high=TRIAL_SEEDS - 1)
@@ -45,7 +43,7 @@ def trial_seed(number: int, seed: int = 0) -> int:
 
 @dataclass(frozen=True)
 class Spread:
-    """How far starts differ from the nominal one, evenly between minus and plus."""
+    """Half ranges of the uniform distribution of starts around the nominal one."""
 
     position: float  # along each axis [m]
     angle: float  # roll, pitch and yaw [rad]
@@ -54,28 +52,25 @@ class Spread:
     def start(
         self, model: Model, p_world: ArrayLike, seed: int, yaw: float = 0.0, speed: float = SPEED
     ) -> State:
-        """A start around a trimmed flight; the velocity turns with the nose.
+        """A random true state around a trimmed flight; the velocity turns with the nose.
 
         Args:
             model: the aircraft.
-            p_world: (3,) nominal place [m].
+            p_world: (3,) nominal position [m].
             seed: of the trial.
             yaw: nominal [rad].
             speed: nominal [m/s].
-
-        Returns:
-            The true state at the start.
         """
         draw = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, 7)
         steady = State.from_vector(trim(model, speed).state)
-        roll, pitch, turned = self.angle * draw[3:6]
-        R_world_body, R_steady = (
-            rotation_world_body(*angles)
-            for angles in ((roll, steady.pitch + pitch, yaw + turned), (0.0, steady.pitch, 0.0))
-        )
+        roll, d_pitch, d_yaw = self.angle * draw[3:6]
+        pitch, yaw = steady.pitch + d_pitch, yaw + d_yaw
+        # The trim's velocity relative to its nose, turned to the new attitude and scaled.
+        R_world_body = rotation_world_body(roll, pitch, yaw)
+        R_steady = rotation_world_body(0.0, steady.pitch, 0.0)
         v_world = R_world_body @ R_steady.T @ steady.v_world * (1.0 + self.speed * draw[6] / speed)
-        place = np.asarray(p_world, np.float64) + self.position * draw[0:3]
-        return State(place, steady.pitch + pitch, yaw + turned, roll, v_world)
+        position = np.asarray(p_world, np.float64) + self.position * draw[0:3]
+        return State(position, pitch, yaw, roll, v_world)
 
 
 @dataclass(frozen=True)
@@ -85,22 +80,22 @@ class TrialSetup:
     seed: int
     world: SimulatedWorld
     leader: LeaderPath | None
-    duration: float  # [s], at most
+    duration: float  # maximum [s]
 
 
 class FlightTask(Protocol):
-    """What can be flown and judged."""
+    """A task to fly and its evaluation."""
 
     @property
     def name(self) -> str:
-        """In a word."""
+        """The task's name, with its manoeuvre."""
 
     @property
     def airframe(self) -> Airframe:
         """Of the aircraft that flies."""
 
     def leader(self, seed: int) -> LeaderPath | None:
-        """The leader of a seed; None for a task without one. A study's digest is taken of it."""
+        """The leader of a seed, None for a task without one; part of a study's digest."""
 
     def trial(self, seed: int) -> TrialSetup:
         """The world of a seed; the same for every pilot."""
@@ -108,21 +103,17 @@ class FlightTask(Protocol):
     def judge(
         self, trial: TrialSetup, camera: PinholeCamera, view: RenderedView | None = None
     ) -> FlightEvaluator:
-        """Who judges it, in the images of a camera."""
+        """The evaluator of a trial, in the images of a camera."""
 
     def expert(self, trial: TrialSetup) -> Pilot:
-        """The pilot that does it by state."""
+        """The state-based pilot for it."""
 
 
 @dataclass(frozen=True)
 class TaskEntry:
-    """What the command line needs to offer a task; a file of `flight/tasks/` has one as `TASK`."""
+    """A task on the command line; every file of `flight/tasks/` has one as `TASK`."""
 
     name: str  # as `fly --task` takes it
     summary: str  # as `fly --help` shows it
-    make: Callable[
-        ..., FlightTask
-    ]  # with the leader's manoeuvre where there is one, else with nothing
-    manoeuvre: str = (
-        ""  # what the leader flies where none is given; empty for a task without a leader
-    )
+    make: Callable[..., FlightTask]  # called with the manoeuvre where there is a leader
+    manoeuvre: str = ""  # default of the leader; empty for a task without one

@@ -1,13 +1,12 @@
-"""Simulated world: commands come in late, the aircraft flies -> truth, measured state, leader and
-first contact.
+"""Simulated world: delayed commands -> true state, measured state, leader and first contact.
 
-Everything here is simulated. Noise depends on the seed and the frame's number alone, so that
-flights with the same seed start and are measured alike whoever flies.
+Everything here is simulated. The noise depends only on the seed and the frame's number, so flights
+with the same seed have the same start and the same noise, whatever the pilot.
 """
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from falconwing_kit.aircraft.airframe import Airframe
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.touchdown import LandingPad, Touchdown, find_touchdown, pad_height
 from falconwing_kit.control.estimate import SimulatedAircraft
+from falconwing_kit.control.expert import LeaderTrajectory
 from falconwing_kit.control.guidance import Hall
 from falconwing_kit.control.loops import LINK_DELAY_S, STEP_S
 from falconwing_kit.core.checks import Array, InputError, require_range
@@ -23,20 +23,18 @@ from falconwing_kit.core.messages import Command, State
 
 Obstacle = Literal["pad", "pad edge", "floor", "wall", "ceiling", "leader"]
 
-CLEARANCE = 1.0  # m between the two centres of gravity; nearer counts as a collision
+CLEARANCE = 1.0  # distance of the centres of gravity below which two aircraft collide [m]
 NO_PAD = LandingPad(length=0.0, width=0.0, height=0.0)
-POSITION_JERK, ATTITUDE_JERK = (
-    8.0,
-    15.0,
-)  # white jerk of a small aircraft [m/s^3, rad/s^3, each times sqrt(s)]
-WARM_UP = 40  # frames that the filter has seen before the flight begins
+# White jerk of a small aircraft [m/s^3, rad/s^3, each times sqrt(s)]
+POSITION_JERK, ATTITUDE_JERK = 8.0, 15.0
+# Smallest noise that the filter assumes [m, rad]; without any it would follow rounding errors.
+NOISE_FLOOR = (1e-3, 1e-3)
+WARM_UP = 40  # frames that the filter has processed before the flight begins
 
 
 @dataclass(frozen=True)
 class PoseNoise:
-    """White noise of a measured pose, standard deviation per axis; the default is a good marker's
-    at close range.
-    """
+    """White noise of a measured pose, standard deviation per axis; by default a close marker's."""
 
     position: float = 0.01  # [m]
     attitude: float = math.radians(0.7)  # [rad]
@@ -48,65 +46,49 @@ class PoseNoise:
 
 @dataclass(frozen=True)
 class Contact:
-    """The first thing that was touched; the flight ends there."""
+    """The first contact with anything; the flight ends there."""
 
     t: float  # [s]
     obstacle: Obstacle
     p_world: Array  # (3,) the centre of gravity [m]
-    touchdown: Touchdown | None = (
-        None  # where wheels met pad or floor; None where something else was first
-    )
-
-
-class LeaderTrajectory(Protocol):
-    """What the world asks of a leader."""
-
-    def state(self, t: float) -> State:
-        """The leader at a time [s]."""
+    touchdown: Touchdown | None = None  # of the wheels on pad or floor; None for other contacts
 
 
 class PoseFilter:
-    """Poses, one by one -> position, attitude, and the velocities and rates they tell of.
+    """Noisy poses, one by one -> filtered state with velocities and body rates.
 
     A Kalman filter for each of the six channels: value, rate and acceleration, driven by white jerk
-        [Bar-Shalom, Li &
-    Kirubarajan, Estimation with Applications to Tracking and Navigation, sec. 6.2.3: white-noise
-    jerk model].
+    [Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sec.
+    6.2.3: white-noise jerk model].
     """
 
     def __init__(self, noise: PoseNoise) -> None:
-        """Nothing is known yet; noise is what the poses are expected to have."""
+        """noise: as expected of the poses."""
         self._t: float | None = None
+        # Mean (3, 6) and covariance (3, 3, 6): value, rate, acceleration of each channel.
         self._x, self._P = np.zeros((3, 6)), np.zeros((3, 3, 6))
-        floors = (1e-3, 1e-3)  # m, rad: a filter that trusts its poses fully would follow rounding
-        sigma = np.maximum((noise.position, noise.attitude), floors)
+        sigma = np.maximum((noise.position, noise.attitude), NOISE_FLOOR)
         self._variance = np.repeat(sigma**2, 3)
         self._jerk = np.repeat((POSITION_JERK, ATTITUDE_JERK), 3)
 
     def update(self, t: float, pose: Array) -> State:
-        """Take in a pose (6,): p_world [m], roll, pitch, yaw [rad] at t [s]; give the state as
-        known now.
-        """
+        """The state after a pose (6,) at t [s]: p_world [m], roll, pitch, yaw [rad]."""
         if self._t is None:
             self._x[0], self._P = pose, np.diag((1.0, 100.0, 100.0))[:, :, None] * np.ones(6)
         else:
             self._predict(max(t - self._t, 1e-6))
         self._t = t
-        off = pose - self._x[0]
-        off[3:] = (off[3:] + np.pi) % (2.0 * np.pi) - np.pi
+        innovation = pose - self._x[0]
+        innovation[3:] = (innovation[3:] + np.pi) % (2.0 * np.pi) - np.pi
+        # Only the value is measured, so the gain is the covariance's first column over a scalar.
         gain = self._P[:, 0] / (self._P[0, 0] + self._variance)
-        self._x = self._x + gain * off
+        self._x = self._x + gain * innovation
         self._P = self._P - gain[:, None] * self._P[None, 0]
         p_world, (roll, pitch, yaw) = self._x[0, :3].copy(), self._x[0, 3:]
         rates = np.array(body_rates(roll, pitch, *self._x[1, 3:]))
-        return State(
-            p_world,
-            float(pitch),
-            float((yaw + np.pi) % (2.0 * np.pi) - np.pi),
-            float(roll),
-            self._x[1, :3].copy(),
-            rates,
-        )
+        yaw = (yaw + np.pi) % (2.0 * np.pi) - np.pi
+        v_world = self._x[1, :3].copy()
+        return State(p_world, float(pitch), float(yaw), float(roll), v_world, rates)
 
     def _predict(self, dt: float) -> None:
         F = np.array([[1.0, dt, dt * dt / 2.0], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
@@ -122,41 +104,37 @@ class PoseFilter:
 
 
 class SimulatedWorld:
-    """One flight: a model of the aircraft, the hall, perhaps a pad and a leader."""
+    """One flight of a modelled aircraft in the hall, with or without a pad and a leader."""
 
     def __init__(
         self, model: Model, airframe: Airframe, start: State, *, seed: int,
-        pad: LandingPad | None = None, leader: LeaderTrajectory | None = None, hall: Hall | None = None,
-        noise: PoseNoise | None = None, delay: float = LINK_DELAY_S,
+        pad: LandingPad | None = None, leader: LeaderTrajectory | None = None,
+        hall: Hall | None = None, noise: PoseNoise | None = None, delay: float = LINK_DELAY_S,
     ) -> None:  # fmt: skip
         """Begin at t = 0.
 
         Args:
             model: the aircraft that flies, with any effect added.
-            airframe: where wheels, wing tips and nose are.
+            airframe: positions of wheels, wing tips and nose.
             start: the true state at t = 0.
             seed: of the noise.
             pad: the landing pad, None for a bare floor.
-            leader: another aircraft to keep clear of.
+            leader: another aircraft, an obstacle.
+            hall: its walls; None for the default.
             noise: of the measured pose; None for the default.
             delay: from `send` to the aircraft's own input [s].
-            hall: its walls; None for the default.
 
         Raises:
             InputError: the start is not finite, or an argument is out of its range.
         """
         if not np.isfinite(start.vector).all():
             raise InputError(
-                "start: expected a finite state, got nan or infinity; give all of its numbers"
+                "start: expected a finite state, got nan or infinity; set all of its numbers"
             )
         self.contact: Contact | None = None
         self._aircraft = SimulatedAircraft(model, start, delay)
-        self._airframe, self._pad, self._leader, self._hall = (
-            airframe,
-            pad or NO_PAD,
-            leader,
-            hall or Hall(),
-        )
+        self._airframe, self._leader = airframe, leader
+        self._pad, self._hall = pad or NO_PAD, hall or Hall()
         self._noise, self._seed = noise or PoseNoise(), int(require_range("seed", seed, low=0))
         self._t, self._filter = 0.0, PoseFilter(self._noise)
         self._measured = self._warm_up()
@@ -168,100 +146,80 @@ class SimulatedWorld:
 
     @property
     def state(self) -> State:
-        """The true state; it stays as it was at the first contact."""
+        """The true state; constant from the first contact on."""
         return State.from_vector(self._aircraft.x)
 
     @property
     def leader_state(self) -> State | None:
         """The leader's true state; None where there is no leader."""
-        return None if self._leader is None else self._leader.state(self._t)
+        return None if self._leader is None else self._leader.state_at(self._t)
 
     def send(self, t: float, command: Command) -> None:
-        """Give a command at t [s]; it arrives after the delay."""
+        """Send a command at t [s]; it arrives after the delay."""
         self._aircraft.send(t, command.vector)
 
     def measured(self) -> State:
-        """The state as an estimator knows it: the noisy pose of this frame, velocities and rates by
-        `PoseFilter`.
-        """
+        """The noisy pose of this frame, with velocities and body rates of a `PoseFilter`."""
         return self._measured
 
     def advance(self, t: float) -> None:
-        """Fly until t [s], or until something is touched; then only time goes on.
-
-        Raises:
-            InputError: t lies before now.
-        """
+        """Fly until t [s], after a contact only the time; InputError where t is in the past."""
         require_range("t", t, low=self._t)
         while self.contact is None and self._t < t - 1e-9:
-            before, x_before = self._t, self._aircraft.x
-            self._aircraft.advance(min(before + STEP_S, t))
+            t_before, x_before = self._t, self._aircraft.x
+            self._aircraft.advance(min(t_before + STEP_S, t))
             self._t = self._aircraft.t
-            self.contact = self._contact(before, x_before)
+            self.contact = self._find_contact(t_before, x_before)
             self._measured = self._measure(round(self._t / STEP_S), self.state)
         self._t = t
 
     def _warm_up(self) -> State:
-        """The filter has been running before: on the straight line that leads to the start."""
-        start = self.state
+        """Run the filter along the straight line that leads to the start."""
+        x = self.state
         for k in range(-WARM_UP, 0):
-            earlier = State(
-                start.p_world + k * STEP_S * start.v_world,
-                start.pitch,
-                start.yaw,
-                start.roll,
-                start.v_world,
-            )
-            self._measure(k, earlier)
-        return self._measure(0, start)
+            p_world = x.p_world + k * STEP_S * x.v_world
+            self._measure(k, State(p_world, x.pitch, x.yaw, x.roll, x.v_world))
+        return self._measure(0, x)
 
     def _measure(self, frame: int, state: State) -> State:
         rng = np.random.default_rng([self._seed, frame + WARM_UP])
         sigma = np.repeat((self._noise.position, self._noise.attitude), 3)
-        pose = np.array([*state.p_world, state.roll, state.pitch, state.yaw]) + sigma * rng.normal(
-            size=6
-        )
-        known = self._filter.update(frame * STEP_S, pose)
-        return State(pose[:3], pose[4], pose[5], pose[3], known.v_world, known.rates_body)
+        true_pose = np.array([*state.p_world, state.roll, state.pitch, state.yaw])
+        pose = true_pose + sigma * rng.normal(size=6)
+        filtered = self._filter.update(frame * STEP_S, pose)
+        return State(pose[:3], pose[4], pose[5], pose[3], filtered.v_world, filtered.rates_body)
 
     def _corners(self, p_world: Array, roll: float, pitch: float, yaw: float) -> Array:
         """Nose, tail and wing tips (4, 3) [m]."""
-        return np.asarray(
-            p_world + self._airframe.corners_body @ rotation_world_body(roll, pitch, yaw).T
-        )
+        R_world_body = rotation_world_body(roll, pitch, yaw)
+        return np.asarray(p_world + self._airframe.corners_body @ R_world_body.T)
 
-    def _contact(self, t_before: float, x_before: Array) -> Contact | None:
-        """What was touched first since the last look: where wheels came down, nothing else had
-        touched until then.
-        """
+    def _find_contact(self, t_before: float, x_before: Array) -> Contact | None:
+        """The first contact since t_before; a touchdown only if nothing else was hit by then."""
         x, t = self._aircraft.x, self._t
         p_world, attitude = x[:3], (x[5], x[3], x[4])  # roll, pitch, yaw
-        touchdown = find_touchdown(
-            (t_before, t), np.stack([x_before, x]), self._airframe, self._pad
-        )
+        path = np.stack([x_before, x])
+        touchdown = find_touchdown((t_before, t), path, self._airframe, self._pad)
         if touchdown is not None:
             t, p_world = touchdown.t, touchdown.p_world
             attitude = (touchdown.bank, touchdown.pitch, touchdown.yaw)
+        if self._leader is not None:
+            distance = np.linalg.norm(self._leader.state_at(t).p_world - p_world)
+            if distance < CLEARANCE:
+                return Contact(t, "leader", p_world)
         corners = self._corners(p_world, *attitude)
-        if (
-            self._leader is not None
-            and np.linalg.norm(self._leader.state(t).p_world - p_world) < CLEARANCE
-        ):
-            return Contact(t, "leader", p_world)
-        before = self._corners(x_before[:3], x_before[5], x_before[3], x_before[4])
+        corners_before = self._corners(x_before[:3], x_before[5], x_before[3], x_before[4])
         ground = pad_height(corners, self._pad)
         below = corners[:, 2] < ground
         touched: dict[Obstacle, bool] = {
-            # What was already lower than the pad's top came through its side.
-            "pad": bool(np.any(below & (ground > 0.0) & (before[:, 2] > ground))),
+            # A corner that was already lower than the pad's top came through its side.
+            "pad": bool(np.any(below & (ground > 0.0) & (corners_before[:, 2] > ground))),
             "pad edge": bool(np.any(below & (ground > 0.0))),
             "floor": bool(np.any(below)),
             "ceiling": corners[:, 2].max() > self._hall.beams,
             "wall": self._hall.margin(corners * (1.0, 1.0, 0.0)).min() < 0.0,
         }
-        first = next(
-            (Contact(t, obstacle, p_world) for obstacle, hits in touched.items() if hits), None
-        )
-        if first is None and touchdown is not None:
-            return Contact(t, touchdown.surface, p_world, touchdown)
-        return first
+        for obstacle, hits in touched.items():
+            if hits:
+                return Contact(t, obstacle, p_world)
+        return None if touchdown is None else Contact(t, touchdown.surface, p_world, touchdown)

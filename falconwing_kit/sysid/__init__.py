@@ -1,4 +1,4 @@
-"""sysid: recorded flights -> the parameters of f_K, their intervals, and an honest score."""
+"""sysid: recorded flights -> the parameters of f_K, their intervals and a held-out score."""
 
 from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_initial_states
 from falconwing_kit.sysid.forecast import (

@@ -1,6 +1,4 @@
-"""Model file: an identification <-> TOML with values, units, bounds, covariance and the flights it
-was fitted on.
-"""
+"""Model file: an identified model <-> TOML with values, units, bounds, covariance and flights."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -26,12 +24,12 @@ from falconwing_kit.core.config import from_toml, write_toml
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.uncertainty import Uncertainty
 
-VERSION = 2  # of the file as it is written
-# A file without a version is of version 1: other symbols, and those that are -1 here with the other
-# sign.
+VERSION = 2  # of the files that are written
+# A file without a version is of version 1: symbol there -> symbol and sign here.
 VERSION_1 = {
     "cL0": ("cL_0", 1), "cLa": ("cL_alpha", 1), "cLe": ("cL_de", 1),
-    "cD0": ("cD_0", 1), "cDi": ("cD_induced", 1), "cDb": ("cD_beta", 1), "cY": ("cY_beta", -1), "cYr": ("cY_dr", 1),
+    "cD0": ("cD_0", 1), "cDi": ("cD_induced", 1), "cDb": ("cD_beta", 1),
+    "cY": ("cY_beta", -1), "cYr": ("cY_dr", 1),
     "L0": ("L_0", 1), "La": ("L_da", 1), "Lb": ("L_beta", 1), "Lp": ("L_p", -1), "Lr": ("L_r", 1),
     "M0": ("M_0", 1), "Me": ("M_de", 1), "Ma": ("M_alpha", -1), "Mq": ("M_q", -1),
     "N0": ("N_0", 1), "Nr": ("N_dr", 1), "Nb": ("N_beta", 1), "Nrr": ("N_r", -1), "Np": ("N_p", -1),
@@ -42,12 +40,12 @@ KNOWN_TERMS: tuple[Term | WindTerm, ...] = (*FORCES, *MOMENTS, *QUASI_STEADY_RAT
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A model as read from its file."""
+    """The content of a model file."""
 
     model: Model
-    names: tuple[str, ...]  # the parameters that were fitted
+    names: tuple[str, ...]  # fitted parameters
     covariance: Array  # (F, F) in their units
-    flights: tuple[str, ...]  # what they were fitted on
+    flights: tuple[str, ...]  # that they were fitted on
     sigma: Array  # (6,) pose noise of the fit [m, rad], nan where unknown
 
 
@@ -88,15 +86,7 @@ class _File:
 
 
 def write_model(path: str | Path, found: Identification) -> None:
-    """Write an identified model.
-
-    Args:
-        path: the TOML file; it is replaced whole or not at all.
-        found: the identification.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write an identified model to a TOML file, atomically; OSError where that fails."""
     write_fitted_model(
         path, found.model, found.uncertainty, flights=found.names, train_chi2=found.train.chi2,
         held_out_chi2=found.held_out.chi2 if found.held_out else None, sigma=found.sigma,
@@ -116,12 +106,12 @@ def write_fitted_model(
     """Write any fitted model, with or without effects.
 
     Args:
-        path: the TOML file; it is replaced whole or not at all.
-        model: the model at its fitted values.
-        sure: how sure they are.
-        flights: what it was fitted on.
+        path: the TOML file; it is replaced atomically.
+        model: at its fitted values.
+        confidence: of the fitted parameters.
+        flights: names of the flights of the fit.
         train_chi2: per degree of freedom on the fitted time.
-        held_out_chi2: the same on time kept back, or None.
+        held_out_chi2: the same on held-out time, or None.
         sigma: (6,) pose noise of the fit [m, rad].
 
     Raises:
@@ -129,31 +119,18 @@ def write_fitted_model(
     """
     parameters = {}
     for p in model.parameters:
-        low95, high95 = (
-            confidence.interval(p.name, model.values[p.name])
-            if p.name in confidence.names
-            else (None, None)
-        )
-        parameters[p.name] = _Parameter(
-            model.values[p.name], p.unit, p.low, p.high, p.meaning, low95, high95
-        )
+        value = model.values[p.name]
+        ends: tuple[float | None, float | None] = (None, None)
+        if p.name in confidence.names:
+            ends = confidence.interval(p.name, value)
+        parameters[p.name] = _Parameter(value, p.unit, p.low, p.high, p.meaning, *ends)
     fit = _Fit(flights, train_chi2, held_out_chi2, tuple(map(float, sigma)))
     matrix = tuple(tuple(float(f"{c:.6g}") for c in row) for row in confidence.covariance)
+    covariance = _Covariance(confidence.names, matrix)
     effects = tuple(e.name for e in model.effects)
     names = tuple(t.name for t in model.terms) + tuple(w.name for w in model.winds)
     terms = tuple(name for name in names if name not in effects)
-    write_toml(
-        path,
-        _File(
-            model.form,
-            terms,
-            fit,
-            parameters,
-            _Covariance(confidence.names, matrix),
-            effects,
-            VERSION,
-        ),
-    )
+    write_toml(path, _File(model.form, terms, fit, parameters, covariance, effects, VERSION))
 
 
 def read_model(
@@ -165,42 +142,38 @@ def read_model(
 
     Args:
         path: the TOML file.
-        known: the terms a file may name.
-        catalogue: the effects a file may name.
-
-    Returns:
-        The model with its uncertainty.
+        known: terms that a file may name.
+        catalogue: effects that a file may name.
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: the file is not a model or of a later version, names an unknown term, effect or
-            parameter, or its numbers do not fit together.
+        InputError: the file is no model or of a later version, names an unknown term, effect or
+            parameter, or its numbers are inconsistent.
     """
-    file = _as_written_today(from_toml(_File, path), path)
+    file = _upgrade(from_toml(_File, path), path)
     if file.form not in FORMS:
         raise InputError(
             f"{Path(path).name}: form: expected one of {', '.join(FORMS)}, got {file.form!r}"
         )
     terms = _look_up(file.terms, {t.name: t for t in known}, "terms", path)
-    # One name may stand for two effects with parameters of their own: the one whose parameters the
-    # file has counts.
+    # Two effects may share a name: the one whose parameters are all in the file is taken.
     by_fit = sorted(catalogue, key=lambda e: all(p.name in file.parameters for p in e.parameters))
     effects = _look_up(file.effects, {e.name: e for e in by_fit}, "effects", path)
     base = FORMS[file.form]()
-    own = {t.name for t in base.terms}
-    model = base.with_terms(*(term for term in terms if term.name not in own))
+    in_base = {t.name for t in base.terms}
+    model = base.with_terms(*(term for term in terms if term.name not in in_base))
     for effect in effects:
         model = model.with_effect(effect)
     missing = [name for name in model.names if name not in file.parameters]
     if missing or len(file.parameters) != len(model.names):
         odd = missing[0] if missing else next(n for n in file.parameters if n not in model.values)
         raise InputError(
-            f"{Path(path).name}: parameters: expected {', '.join(model.names)}; {odd!r} does not fit"
+            f"{Path(path).name}: parameters: expected {', '.join(model.names)}; {odd!r} does not"
+            " fit"
         )
-    model = model.with_values({name: p.value for name, p in file.parameters.items()})
     bounds = file.parameters
     model = replace(
-        model,
+        model.with_values({name: p.value for name, p in file.parameters.items()}),
         parameters=tuple(
             replace(p, low=bounds[p.name].low, high=bounds[p.name].high) for p in model.parameters
         ),
@@ -210,22 +183,24 @@ def read_model(
     )
 
 
-def _as_written_today(file: _File, path: str | Path) -> _File:
-    """A file of version 1 with today's symbols and signs; one of today's version as it is."""
+def _upgrade(file: _File, path: str | Path) -> _File:
+    """A file of version 1 with the symbols and signs of this version; others unchanged."""
     if file.version == VERSION:
         return file
     if file.version != 1:
         raise InputError(
-            f"{Path(path).name}: version: expected 1 or {VERSION}, got {file.version}: install a newer falconwing-kit"
+            f"{Path(path).name}: version: expected 1 or {VERSION}, got {file.version}: install a"
+            " newer falconwing-kit"
         )
     parameters: dict[str, _Parameter] = {}
     for name, p in file.parameters.items():
-        today, sign = VERSION_1.get(name, (name, 1))
-        if today in parameters:
+        symbol, sign = VERSION_1.get(name, (name, 1))
+        if symbol in parameters:
             raise InputError(
-                f"{Path(path).name}: parameters: expected {today!r} once, got it by two names: remove one"
+                f"{Path(path).name}: parameters: expected {symbol!r} once, got it by two names:"
+                " remove one"
             )
-        parameters[today] = p if sign > 0 else _negated(p)
+        parameters[symbol] = p if sign > 0 else _negate(p)
     fitted = [VERSION_1.get(name, (name, 1)) for name in file.covariance.names]
     signs = np.array([sign for _, sign in fitted])
     matrix = signs[:, None] * _covariance(file, path) * signs  # cov(-a, b) = -cov(a, b)
@@ -233,8 +208,8 @@ def _as_written_today(file: _File, path: str | Path) -> _File:
     return replace(file, parameters=parameters, covariance=covariance, version=VERSION)
 
 
-def _negated(p: _Parameter) -> _Parameter:
-    """The parameter with the other sign: its bounds and the ends of its interval change places."""
+def _negate(p: _Parameter) -> _Parameter:
+    """The parameter with the opposite sign; bounds and ends of the interval swap."""
     low95, high95 = (None if end is None else 0.0 - end for end in (p.high95, p.low95))
     return replace(
         p, value=0.0 - p.value, low=0.0 - p.high, high=0.0 - p.low, low95=low95, high95=high95
@@ -247,7 +222,8 @@ def _look_up(
     unknown = [name for name in names if name not in known]
     if unknown:
         raise InputError(
-            f"{Path(path).name}: {what}: expected names out of {', '.join(known)}, got {unknown[0]!r}"
+            f"{Path(path).name}: {what}: expected names out of {', '.join(known)}, got"
+            f" {unknown[0]!r}"
         )
     return [known[name] for name in names]
 
@@ -256,7 +232,8 @@ def _covariance(file: _File, path: str | Path) -> Array:
     names, rows = file.covariance.names, file.covariance.matrix
     if any(len(row) != len(names) for row in rows) or len(rows) != len(names):
         raise InputError(
-            f"{Path(path).name}: covariance: expected {len(names)} rows of {len(names)} numbers, got another shape"
+            f"{Path(path).name}: covariance: expected {len(names)} rows of {len(names)} numbers,"
+            " got another shape"
         )
     if any(name not in file.parameters for name in names):
         raise InputError(f"{Path(path).name}: covariance: expected names of parameters, got others")

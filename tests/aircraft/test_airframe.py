@@ -1,4 +1,4 @@
-"""The airframe file becomes one record in SI units, or one sentence."""
+"""The airframe file: one record in SI units, or one sentence."""
 
 import math
 import re
@@ -16,7 +16,7 @@ from falconwing_kit.core.checks import InputError
 
 @pytest.fixture
 def table() -> dict:
-    """The shipped file as plain tables, to be spoilt."""
+    """The shipped file as plain tables."""
     return tomllib.loads(default_airframe_path().read_text(encoding="utf-8"))
 
 
@@ -65,7 +65,7 @@ def test_inertia_follows_the_stated_radii_of_gyration():
     )
 
 
-def test_every_number_of_the_shipped_file_says_where_it_comes_from():
+def test_every_number_of_the_shipped_file_has_a_source():
     """House rule: a key's own comment, or the one above its table, names a source."""
     source, untold = re.compile(r"paper|hall data|estimate|not measured", re.IGNORECASE), []
     heading = ""
@@ -82,7 +82,7 @@ def test_written_and_read_again_is_the_same(table, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "words"),
+    ("damage", "words"),
     [
         (lambda t: t.update(mass_g=-150.0), "positive"),
         (lambda t: t.update(mass_g=0.0), "positive"),
@@ -99,15 +99,15 @@ def test_written_and_read_again_is_the_same(table, tmp_path):
         (lambda t: t.update(p_body_camera_m=[0.2, 0.0]), "p_body_camera_m"),
         (lambda t: t["wheels_m"].update(tail=[math.nan, 0.0, 0.0]), "wheels_m.tail[0]"),
         (lambda t: t["wheels_m"].update(main_left=[0.05, 0.09, 0.11]), "swap"),
-        (lambda t: t["inertia_kg_m2"].update(Izz=0.1), "no solid body"),
+        (lambda t: t["inertia_kg_m2"].update(Izz=0.1), "moments of a solid body"),
         (lambda t: t["parts"][2].update(mass_g=0.0), "mass of 'camera'"),
         (lambda t: t["parts"][1].update(inside="fuselage"), "fuselage"),
         (lambda t: t["parts"].append({"name": "camera", "mass_g": 9.0}), "camera"),
     ],
 )
-def test_a_spoilt_file_is_refused_in_one_sentence_with_its_path(table, tmp_path, spoil, words):
-    """The sentence names the file and what is wrong; the words are those of the spoilt entry."""
-    spoil(table)
+def test_a_damaged_file_is_refused_in_one_sentence_with_its_path(table, tmp_path, damage, words):
+    """The sentence names the file and the wrong entry."""
+    damage(table)
     with pytest.raises(InputError, match=re.escape(words)) as caught:
         load(table, tmp_path)
     assert "airframe.toml" in str(caught.value) and "\n" not in str(caught.value)
@@ -115,20 +115,20 @@ def test_a_spoilt_file_is_refused_in_one_sentence_with_its_path(table, tmp_path,
 
 @pytest.mark.parametrize("content", [b"", b"mass_g = ", b"\xff\xfe\x00", b"[[[", b"parts = 3\n"])
 def test_a_file_that_is_no_airframe_is_refused(tmp_path, content):
-    """Empty, cut off, not text, not TOML, not an airframe: the reader says so and names the file."""
-    path = tmp_path / "spoilt.toml"
+    """Empty, cut off, not text, not TOML, not an airframe: the message names the file."""
+    path = tmp_path / "damaged.toml"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=r"spoilt\.toml"):
+    with pytest.raises(InputError, match=r"damaged\.toml"):
         load_airframe(path)
 
 
 def test_a_missing_file_is_named(tmp_path):
-    """FileNotFoundError with the path, as the house wants it."""
+    """FileNotFoundError with the path."""
     with pytest.raises(FileNotFoundError, match=r"nowhere\.toml"):
         load_airframe(tmp_path / "nowhere.toml")
 
 
 def test_a_changed_copy_is_checked_too():
-    """`dataclasses.replace` makes a new record, so the same rules hold."""
+    """`dataclasses.replace` makes a new record, which is checked again."""
     with pytest.raises(InputError, match="mass"):
         replace(load_airframe(), mass=-1.0)

@@ -83,7 +83,7 @@ def test_holding_height_widens_the_papers_turn_by_the_load_factor():
 
 
 def test_bank_for_a_radius_is_the_inverse_of_the_level_turn():
-    """Inverse; and 5.05 m is inside V_min^2 / g = 7.0424^2 / 9.8 = 5.061 m, which no bank reaches."""
+    """Inverse; 5.05 m is below V_min^2 / g = 7.0424^2 / 9.8 = 5.061 m, which no bank reaches."""
     bank = np.radians([15.0, 30.0, 75.0])
     radius = sizing.level_turn_radius(0.150, UMX, bank)
     np.testing.assert_allclose(sizing.level_turn_bank(0.150, UMX, radius), bank, rtol=1e-9)
@@ -118,7 +118,7 @@ def test_papers_masses_do_not_close_by_one_gram():
 
 
 def test_arrays_broadcast():
-    """Shape law: masses (3, 1) against banks (2,) give (3, 2), each as worked out alone."""
+    """Masses (3, 1) with banks (2,) give (3, 2), each as computed alone."""
     bank = np.radians([20.0, 40.0])
     radius = sizing.level_turn_radius(MASS[:, None], UMX, bank)
     assert radius.shape == (3, 2)
@@ -141,6 +141,6 @@ def test_arrays_broadcast():
     ],
 )
 def test_bad_numbers_are_refused_by_name(call, words):
-    """Each has no physical meaning; the sentence names it."""
+    """Values without a physical meaning; the message has the name."""
     with pytest.raises(InputError, match=words):
         call()

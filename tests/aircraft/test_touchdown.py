@@ -1,4 +1,4 @@
-"""Touchdown is found where hand calculation, a law or an independent root finder puts it."""
+"""Touchdown against hand calculation, laws and an independent root finder."""
 
 from dataclasses import replace
 
@@ -32,9 +32,7 @@ def rng():
 
 
 def flight(t=T, columns=9, **channels):
-    """States (n, columns) that are zero but for the given channels, each a number or an array like
-    t.
-    """
+    """States (n, columns), zero but for the given channels, each a number or an array like t."""
     names = ("px", "py", "pz", "pitch", "yaw", "roll", "vx", "vy", "vz", "p", "q", "r")
     states = np.zeros((len(t), columns))
     for name, values in channels.items():
@@ -43,9 +41,7 @@ def flight(t=T, columns=9, **channels):
 
 
 def fall(t, height):
-    """A level drop from rest: pz and vz of g = 9.8 m/s^2, CG starting so that the main wheels are
-    `height` up.
-    """
+    """A level drop from rest: pz and vz at g = 9.8 m/s^2, the main wheels starting `height` up."""
     return {"pz": height + 0.11 - 4.9 * t**2, "vz": -9.8 * t}
 
 
@@ -66,9 +62,9 @@ def test_over_the_pad_the_same_drop_ends_a_tenth_of_a_metre_higher():
     assert (touch.t, touch.sink_rate) == pytest.approx((0.4285714, 4.2), abs=1e-7)
 
 
-def test_where_it_came_down_is_told_from_centre_line_and_threshold():
-    """By hand: y = -2.4 is 0.4 m right of the centre line -2.0; the wheel at 3.05 is 2.05 m past
-    the threshold 1.0.
+def test_place_is_relative_to_centre_line_and_threshold():
+    """By hand: y = -2.4 is 0.4 m right of the centre line -2.0; x = 3.05 is 2.05 m past the
+    threshold 1.0.
     """
     touch = find_touchdown(T, flight(px=3.0, py=-2.4, **fall(T, 1.0)), AIRFRAME, PAD)
     assert touch.lateral_offset == pytest.approx(-0.4, abs=1e-12)
@@ -87,7 +83,7 @@ def test_speed_is_that_of_the_aircraft_at_contact():
 
 @pytest.mark.parametrize(("bank_deg", "wheel"), [(10.0, "main_right"), (-10.0, "main_left")])
 def test_the_low_wheel_touches_first(bank_deg, wheel):
-    """By hand: at 10 deg the low wheel hangs 0.08 sin + 0.11 cos = 0.122221 m below the CG, sinking
+    """By hand: at 10 deg the low wheel is 0.08 sin + 0.11 cos = 0.122221 m below the CG, sinking
     0.5 m/s.
     """
     states = flight(px=-10.0, roll=np.radians(bank_deg), pz=0.6222207 - 0.5 * T, vz=-0.5)
@@ -133,10 +129,8 @@ def test_wheel_velocity_of_a_pitching_aircraft():
     )
 
 
-def test_wheel_below_the_pads_top_runs_into_its_edge():
-    """By hand: wheels 0.05 m up at 5 m/s reach the threshold after (1.0 + 1.0 - 0.05) / 5 = 0.39 s;
-    no landing.
-    """
+def test_a_wheel_below_the_pads_top_hits_its_edge():
+    """By hand: wheels 0.05 m up at 5 m/s reach the edge after (1.0 + 1.0 - 0.05) / 5 = 0.39 s."""
     touch = find_touchdown(T, flight(px=-1.0 + 5.0 * T, py=-2.0, pz=0.16, vx=5.0), AIRFRAME, PAD)
     assert (touch.surface, touch.on_pad) == ("pad edge", False)
     assert (touch.t, touch.past_threshold, touch.sink_rate) == pytest.approx(
@@ -154,15 +148,15 @@ def test_wheel_below_the_pads_top_runs_into_its_edge():
     ],
 )
 def test_beside_the_pad_only_the_wheel_over_it_counts(py, wheel, surface):
-    """By hand: left wheel at y + 0.08, right wheel at y - 0.08, pad from -3 to -1; level, so both
-    hang equally low.
+    """By hand: left wheel at y + 0.08, right wheel at y - 0.08, pad from -3 to -1, both equally
+    low.
     """
     touch = find_touchdown(T, flight(px=5.0, py=py, **fall(T, 1.0)), AIRFRAME, PAD)
     assert (touch.wheel, touch.surface) == (wheel, surface)
 
 
 def test_border_belongs_to_the_pad():
-    """Definition: on the very edge the pad carries; a micrometre outside it is the floor."""
+    """Definition: the edge belongs to the pad; a micrometre outside is the floor."""
     points = np.array(
         [[1.0, -1.0, 0.0], [14.0, -3.0, 0.0], [1.0 - 1e-6, -2.0, 0.0], [5.0, -1.0 + 1e-6, 0.0]]
     )
@@ -171,7 +165,7 @@ def test_border_belongs_to_the_pad():
 
 
 def test_flying_on_is_no_touchdown():
-    """Level flight at 1.5 m, and a dip that ends 1 cm above the floor, touch nothing."""
+    """Level flight at 1.5 m, and a dip to 1 cm above the floor."""
     assert find_touchdown(T, flight(px=-10.0 + 7.0 * T, pz=1.5, vx=7.0), AIRFRAME, PAD) is None
     dip = flight(px=-10.0, pz=0.12 + (T - 1.0) ** 2, vz=2.0 * (T - 1.0))
     assert find_touchdown(T, dip, AIRFRAME, PAD) is None
@@ -197,7 +191,7 @@ def test_standing_on_the_ground_is_no_touchdown_but_the_landing_after_take_off_i
 
 
 def test_answer_does_not_depend_on_how_the_path_is_sampled(rng):
-    """Law: a parabola is one curve however unevenly it is sampled; rounding only."""
+    """A parabola is one curve at any sampling; rounding only."""
     t = np.sort(rng.uniform(0.0, 1.0, 30))
     touch = find_touchdown(t, flight(t, px=-10.0, **fall(t, 1.0)), AIRFRAME, PAD)
     assert (touch.t, touch.sink_rate) == pytest.approx(
@@ -206,9 +200,7 @@ def test_answer_does_not_depend_on_how_the_path_is_sampled(rng):
 
 
 def test_yaw_across_half_a_turn_makes_no_spin():
-    """Symmetry: touching down in a slow turn through yaw = pi is the same turn through zero, half a
-    turn later.
-    """
+    """Symmetry: a slow turn through yaw = pi equals one through zero, half a turn later."""
     turn, touches = 0.5 * (T - 1.0), []
     for start in (0.0, np.pi):
         yaw = (start + turn + np.pi) % (2.0 * np.pi) - np.pi
@@ -224,7 +216,7 @@ def test_oscillating_approach_agrees_with_an_independent_root_finder():
     """SciPy's rotations and brentq on the exact path, sampled at 20 Hz for the kit.
 
     The cubic is within 5 micrometres (dt^4 / 384 of the fourth derivative at 0.1 rad, 10 rad/s), so
-    at 0.6 m/s within 10 microseconds; three times that is allowed, and 1 mm/s in the sink rate.
+    at 0.6 m/s within 10 microseconds; the bound is three times that, and 1 mm/s in the sink rate.
     """
     points = np.array([WHEELS.main_left, WHEELS.main_right, WHEELS.tail])
 
@@ -261,7 +253,7 @@ def test_oscillating_approach_agrees_with_an_independent_root_finder():
 
 
 def test_heights_of_a_batch():
-    """By hand: at 1 m, level, the wheels are 0.89, 0.89 and 0.96 m up, and 0.1 m less over the pad."""
+    """By hand: at 1 m, level, the wheels are 0.89, 0.89, 0.96 m up, 0.1 m less over the pad."""
     states = np.zeros((2, 4, 9))
     states[..., 2] = 1.0
     states[1, :, 0:2] = [5.0, -2.0]
@@ -282,12 +274,12 @@ def test_heights_of_a_batch():
     ],
 )
 def test_bad_flights_are_refused(t, states, words):
-    """The sentence says what is wrong with the table."""
+    """The message names the fault of the table."""
     with pytest.raises(InputError, match=words):
         find_touchdown(t, states, AIRFRAME, PAD)
 
 
-def test_a_pad_without_extent_is_refused():
+def test_a_pad_of_negative_size_is_refused():
     """A negative width has no meaning."""
     with pytest.raises(InputError, match="pad width"):
         LandingPad(width=-1.0)

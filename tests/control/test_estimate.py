@@ -1,5 +1,5 @@
-"""Estimate: the stepwise flight equals the whole one, and the observer is nearer the truth than
-what was measured.
+"""Estimate: stepwise simulation equals the whole one; the observer's error is below the
+measurement's.
 """
 
 import numpy as np
@@ -19,35 +19,36 @@ def rng():
 
 
 def shaken(rng, steady, n):
-    """Sticks around a trim, changed at random every fifth of a second."""
+    """Control inputs around a trim, changed at random every fifth of a second."""
     return steady.command + np.repeat(0.15 * rng.normal(size=(n // 4 + 1, 4)), 4, axis=0)[:n]
 
 
 @pytest.mark.parametrize("effect", [None, "deadband", "actuator_lag", "battery_sag"])
 def test_stepwise_flight_equals_the_whole_flight(rng, effect):
-    """Judge: `fly`, which takes all commands at once; the link's 50 ms are put into its model's own
-    delay.
+    """Reference: `fly` with all commands, the link's 50 ms added to the delay of its model.
 
-    To 1e-6: the stepwise flight forgets what the servo did 0.6 s (e^-20) ago.
+    To 1e-6: the stepwise flight neglects servo motion more than 0.6 s (e^-20) ago.
     """
     model = rates_model()
     if effect:
         model = model.with_effect(next(e for e in CATALOGUE if e.name == effect))
     steady = trim(rates_model(), 7.0)
     t = 0.05 * np.arange(61)
-    sticks = shaken(rng, steady, len(t))
-    whole = fly(model.with_values({"delay": model.values["delay"] + 0.05}), steady.state, t, sticks)
+    commands = shaken(rng, steady, len(t))
+    whole = fly(
+        model.with_values({"delay": model.values["delay"] + 0.05}), steady.state, t, commands
+    )
     aircraft = SimulatedAircraft(model, State.from_vector(steady.state), delay=0.05)
-    for now, next_t, u in zip(t[:-1], t[1:], sticks, strict=False):
+    for now, next_t, u in zip(t[:-1], t[1:], commands, strict=False):
         aircraft.send(now, u)
         aircraft.advance(next_t)
-    assert np.abs(whole[-1] - steady.state).max() > 1.0  # the sticks did something
+    assert np.abs(whole[-1] - steady.state).max() > 1.0  # the commands did something
     assert aircraft.x == pytest.approx(whole[-1], abs=1e-6)
 
 
 def test_uneven_steps_fly_the_same(rng):
-    """A late frame splits the way differently; commands keep their times. To 1e-3: other
-    Runge-Kutta steps.
+    """Late frames change the steps, not the times of the commands. To 1e-3: other Runge-Kutta
+    steps.
     """
     steady = trim(rates_model(), 7.0)
     ends = []
@@ -65,15 +66,15 @@ def test_uneven_steps_fly_the_same(rng):
 
 
 def observed(rng, noise, truth_model, seconds=4.0):
-    """Errors (n, 12) of the observer on a shaken flight, from poses with noise [m], [rad]."""
+    """Errors (n, 12) of the observer on a perturbed flight, from poses with noise [m], [rad]."""
     steady = trim(rates_model(), 7.0)
     aircraft, observer = (
         SimulatedAircraft(truth_model, State.from_vector(steady.state)),
         Observer(rates_model()),
     )
-    sticks, errors = shaken(rng, steady, round(seconds / 0.05)), []
+    commands, errors = shaken(rng, steady, round(seconds / 0.05)), []
     sent = np.zeros(4)
-    for k, u in enumerate(sticks):
+    for k, u in enumerate(commands):
         pose_noise = np.append(rng.normal(size=6) * np.repeat(noise, 3), np.zeros(6))
         estimate = observer.update(k * 0.05, State.from_vector(aircraft.x + pose_noise), sent)
         errors.append(estimate.vector - aircraft.x)
@@ -82,32 +83,31 @@ def observed(rng, noise, truth_model, seconds=4.0):
     return np.array(errors)
 
 
-def test_a_perfect_twin_flies_the_same_flight(rng):
-    """No noise and the same model: nothing is left to correct."""
+def test_observer_without_noise_and_model_error_has_no_error(rng):
+    """No noise and the same model: nothing to correct."""
     assert np.abs(observed(rng, (0.0, 0.0), rates_model())).max() < 1e-9
 
 
-def test_observer_is_nearer_the_truth_than_the_poses(rng):
-    """Kalman: below the measured 1 cm and 0.7 deg; velocities below what differences would give,
-    0.01 sqrt(2) / 0.05 s = 0.28 m/s, by more than half, rates below 0.0122 sqrt(2) / 0.05 = 0.35
-    rad/s likewise.
+def test_observer_beats_the_measurement(rng):
+    """Below the measured 1 cm and 0.7 deg; velocities below half of those by differences, 0.01
+    sqrt(2) / 0.05 s = 0.28 m/s; rates likewise, 0.0122 sqrt(2) / 0.05 = 0.35 rad/s.
     """
     rms = np.sqrt(np.mean(observed(rng, (0.01, np.radians(0.7)), rates_model())[10:] ** 2, axis=0))
     assert (rms[:3] < 0.009).all() and (rms[3:6] < np.radians(0.6)).all()
     assert (rms[6:9] < 0.14).all() and (rms[9:] < 0.17).all()
 
 
-def test_observer_stays_near_with_another_aircraft(rng):
-    """A fifth less aileron, a tenth less thrust: the poses hold the twin within 10 cm and 3 deg."""
+def test_observer_is_robust_to_model_errors(rng):
+    """20 % less aileron, 10 % less thrust: errors below 10 cm and 3 deg."""
     values = rates_model().values
     other = rates_model().with_values({"L_da": 0.8 * values["L_da"], "kT": 0.9 * values["kT"]})
     errors = np.abs(observed(rng, (0.01, np.radians(0.7)), other)[10:])
     assert errors[:, :3].max() < 0.1 and np.degrees(errors[:, 3:6].max()) < 3.0
 
 
-def test_observer_begins_anew_after_a_gap():
-    """What was measured is taken as it is at the start, after a second of nothing, and after
-    forgetting.
+def test_observer_restarts_after_a_gap():
+    """The measurement is taken as it is at the start, after a second without one, and after a
+    reset.
     """
     observer, first = Observer(rates_model()), State.from_vector(trim(rates_model(), 7.0).state)
     moved = State.from_vector(first.vector + np.r_[5.0, np.zeros(11)])

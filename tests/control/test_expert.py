@@ -1,6 +1,4 @@
-"""Experts in the simulated world: they land, follow and fly waypoints, and hold level without a
-state.
-"""
+"""Experts in the simulated world: landing, following, waypoints, level flight without a state."""
 
 import math
 
@@ -27,14 +25,14 @@ AIRFRAME, PAD = load_airframe(), LandingPad()
 
 
 def cruising(p_world, yaw_deg=0.0, speed=7.0):
-    """A trimmed state somewhere on a course; another speed is taken on at the same attitude."""
+    """A trimmed state at a position and course; another speed keeps the attitude."""
     x, yaw = trim(rates_model(), 7.0).state.copy(), math.radians(yaw_deg)
     x[:3], x[4], x[6:9] = p_world, yaw, (speed * math.cos(yaw), -speed * math.sin(yaw), 0.0)
     return State.from_vector(x)
 
 
 def fly(world, pilot, seconds):
-    """States (n, 12) at 20 Hz until something is touched, and the modes."""
+    """States (n, 12) at 20 Hz until a contact, and the modes."""
     past, states, modes = np.zeros((30, 4)), [world.state.vector], []
     for k in range(round(seconds / 0.05)):
         command = pilot.act(Observation(world.t, None, past, world.measured()))
@@ -50,11 +48,10 @@ def fly(world, pilot, seconds):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_expert_lands_softly_on_the_pad(seed):
-    """From 20 m before the pad and 1.5 m up, each place within 1 m, 10 deg and 1 m/s, drawn by the
-    seed.
+    """From 20 m before the pad and 1.5 m up, +-1 m, 10 deg and 1 m/s drawn by the seed.
 
-    On the pad; within half a metre of a centre line that has 1 m on each side; softer than 0.6 m/s,
-    which is a drop from 2 cm (v^2 / 2g); less than 5 deg of bank.
+    Within half a metre of the centre line of a pad with 1 m on each side; below 0.6 m/s, a drop
+    from 2 cm (v^2 / 2g); below 5 deg of bank.
     """
     draw = np.random.default_rng(seed).uniform(-1.0, 1.0, 5)
     start = cruising(np.array([-19.0, -2.0, 1.5]) + draw[:3], 10.0 * draw[3], 7.0 + draw[4])
@@ -68,8 +65,8 @@ def test_expert_lands_softly_on_the_pad(seed):
 
 
 def test_landing_path_touches_where_it_aims():
-    """Geometry: over the threshold it is above the pad; the wheels' height crosses the pad's top
-    3.5 m past it, at a slope of 0.035; far out it descends by 4 deg.
+    """Geometry: above the pad over the threshold; the wheels reach its top 3.5 m past the threshold
+    at a slope of 0.035; the glide descends at 4 deg.
     """
     path, flare = landing_path(AIRFRAME, PAD)
     standing = PAD.height + AIRFRAME.wheels.main_left[2]
@@ -86,9 +83,7 @@ def test_landing_path_touches_where_it_aims():
 
 
 def test_landed_means_idle_and_neutral():
-    """With the wheels in the pad's top the expert lets go, and stays so: higher up, unseen or half
-    seen.
-    """
+    """With the wheels in the pad's top it stays idle: higher up, without a state, with nan."""
     expert = LandingExpert(rates_model(), AIRFRAME, PAD)
     down, higher, half_seen = (
         cruising((6.0, -2.0, height)) for height in (PAD.height, 0.5, np.nan)
@@ -99,8 +94,8 @@ def test_landed_means_idle_and_neutral():
 
 
 @pytest.mark.parametrize("lost", [None, "nan"])
-def test_without_a_state_it_holds_level_and_says_so(lost):
-    """The sticks of level trim, solved here anew; with a state again it flies on."""
+def test_without_a_state_it_flies_level_and_shows_the_mode(lost):
+    """The control inputs of a level trim, solved here again; with a state it resumes."""
     steady = trim(rates_model(), 7.0)
     unknown = (
         None
@@ -125,14 +120,12 @@ def test_without_a_state_it_holds_level_and_says_so(lost):
     "manoeuvre", ["left_turn_s_descent", "right_turn_s_ascent", "right_turn_sharp_climb"]
 )
 def test_follower_keeps_its_place_on_the_leaders_path(manoeuvre):
-    """Beginning 4 m behind on the path: each later place is where the leader was about 4 m of way
-    before.
+    """From 4 m behind: each position is that of the leader about 4 m of path before.
 
-    Mean error below half the paper's 0.72 m (its expert, on what it was tuned on), and never a
-    collision.
+    Mean error below half the paper's 0.72 m (of its expert on its training task); no collision.
     """
     leader = leader_path(manoeuvre, seed=3)
-    start = leader.state(0.0)
+    start = leader.state_at(0.0)
     follower = State.from_vector(
         start.vector - np.concatenate([4.0 * start.v_world / 7.0, np.zeros(9)])
     )
@@ -150,9 +143,7 @@ def test_follower_keeps_its_place_on_the_leaders_path(manoeuvre):
 
 
 def test_waypoints_are_passed():
-    """A gentle S through four points, from noisy poses: each is passed within 0.4 m, then straight
-    on.
-    """
+    """A gentle S through four points from noisy poses: each within 0.4 m, then straight on."""
     points = np.array([[-18.0, -2.0, 1.5], [-10.0, -1.0, 2.0], [-2.0, -3.5, 2.5], [7.0, -3.0, 2.0]])
     world = SimulatedWorld(rates_model(), AIRFRAME, cruising(points[0]), seed=1)
     states, modes = fly(world, WaypointExpert(rates_model(), AIRFRAME, points), 4.5)
@@ -162,10 +153,11 @@ def test_waypoints_are_passed():
 
 
 def test_steady_circle_turns_by_the_law():
-    """d(yaw)/dt = g tan(roll) / V, of the true flight on a circle of 10 m once it is steady, within
-    2 %.
+    """d(yaw)/dt = g tan(roll)
 
-    The law leaves out cos(pitch) (0.4 %) and takes bank and speed as constant.
+    V of the true flight on a circle, once steady, within 2 %.
+
+    The law neglects cos(pitch) (0.4 %) and takes bank and speed as constant.
     """
     u = np.linspace(0.0, 2.0 * np.pi, 64)
     circle = np.column_stack(

@@ -1,5 +1,5 @@
-"""Loops: stable by an independent model, delay by brute force, Riccati by SciPy, turns by the law
-of turning.
+"""Loops: stability by an independent model, delay by brute force, Riccati by SciPy, coordinated
+turns.
 """
 
 import numpy as np
@@ -30,9 +30,7 @@ NOTHING_SENT = np.zeros((30, 4))
 
 @pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
 def test_closed_loop_poles_lie_inside_the_unit_circle(axis):
-    """Discrete stability. Its slowest pole, the integral's, should still fall to 1/e within eight
-    seconds.
-    """
+    """Discrete stability; the slowest pole, the integral's, falls to 1/e within eight seconds."""
     size = np.abs(design_loop(rates_model(), axis).poles)
     assert size.max() < np.exp(-STEP_S / 8.0)
 
@@ -40,8 +38,7 @@ def test_closed_loop_poles_lie_inside_the_unit_circle(axis):
 @pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
 @pytest.mark.parametrize("delay", [0.03, 0.05, 0.1])
 def test_loop_is_stable_with_a_real_servo_and_link(axis, delay):
-    """Independent of the design's model: 10 ms steps, the link's delay as a queue, the servo as a
-    first-order lag.
+    """Independent model: 10 ms steps, the link's delay as a queue, a first-order servo.
 
     Designed for 50 ms and flown with 30, 50 and 100 ms.
     """
@@ -69,16 +66,16 @@ def test_loop_is_stable_with_a_real_servo_and_link(axis, delay):
     for k in range(round(20.0 / fine)):
         if k % round(STEP_S / fine) == 0:
             past = [sent[-1 - j * round(STEP_S / fine)] for j in range(loop.delay_steps)]
-            held = -loop.gain @ np.concatenate([x[:n], *past, total])
+            u = -loop.gain @ np.concatenate([x[:n], *past, total])
             total = total + STEP_S * x[picked]
-        sent.append(held)
+        sent.append(u)
         x = step @ np.concatenate([x, sent[-1 - wait]])
     assert np.linalg.norm(x) < 0.1 * start  # an unstable loop is out of all bounds after 20 s
 
 
 @pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
 def test_gain_solves_the_riccati_equation(axis):
-    """K = (R + B'PB)^-1 B'PA with P of SciPy's own solver."""
+    """K = (R + B'PB)^-1 B'PA with P of SciPy's solver."""
     loop = design_loop(rates_model(), axis)
     late = loop.delay_steps * len(axis.control_inputs)
     Q = np.diag(
@@ -94,9 +91,7 @@ def test_gain_solves_the_riccati_equation(axis):
 
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.05, 0.07, 0.1, 0.13])
 def test_sampled_delay_equals_brute_force(delay):
-    """A double integrator with friction under random sticks, in exact steps of 10 ms with the delay
-    as a queue.
-    """
+    """A damped double integrator, random inputs, exact 10 ms steps, the delay as a queue."""
     A, B = np.array([[0.0, 1.0], [0.0, -2.0]]), np.array([[0.0], [3.0]])
     sampled_A, sampled_B = augment_delay(A, B, delay)
     step = expm(np.block([[A, B], [np.zeros((1, 3))]]) * 0.01)
@@ -110,11 +105,12 @@ def test_sampled_delay_equals_brute_force(delay):
         assert z[:2] == pytest.approx(x, abs=1e-9)  # rounding of 40 products
 
 
-def test_fed_forward_turns_obey_the_law_of_turning():
-    """d(yaw)/dt = g tan(bank) / V; a turning aircraft's rates are p = -w sin(pitch), q and r as w
-    turns with bank.
+def test_feedforward_turns_are_coordinated():
+    """d(yaw)/dt = g tan(bank)
 
-    Level turns within 1 %: the law has cos(pitch), whose cosine at 5 deg is 0.996.
+    V; body rates p = -w sin(pitch), q and r by the bank.
+
+    Within 1 %: the law neglects cos(pitch), 0.996 at 5 deg.
     """
     table = TrimTable(rates_model())
     for bank in TABLE_BANKS[TABLE_BANKS != 0.0]:
@@ -125,7 +121,7 @@ def test_fed_forward_turns_obey_the_law_of_turning():
 
 
 def test_table_gives_the_trim_itself_at_its_knots():
-    """Interpolation passes through what was solved."""
+    """Interpolation is exact at the knots."""
     steady = trim(rates_model(), 7.0, 0.0, float(TABLE_BANKS[-1]))
     control_inputs, attitude = TrimTable(rates_model()).at(7.0, 0.0, float(TABLE_BANKS[-1]))
     assert control_inputs == pytest.approx(steady.command, abs=1e-9)
@@ -136,12 +132,13 @@ def test_table_gives_the_trim_itself_at_its_knots():
     ("moved", "stick", "sign"),
     [
         (("py", 0.5), "aileron", 1), (("roll", 0.2), "aileron", -1), (("p", 1.0), "aileron", -1),
-        (("pz", 0.3), "elevator", -1), (("pitch", 0.1), "elevator", -1), (("vx", 1.0), "throttle", -1),
+        (("pz", 0.3), "elevator", -1), (("pitch", 0.1), "elevator", -1),
+        (("vx", 1.0), "throttle", -1),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
-def test_sticks_work_against_a_deviation(moved, stick, sign, yaw):
-    """By hand: left of the path roll right, right wing down roll left, too high nose down, too fast
+def test_control_inputs_oppose_a_deviation(moved, stick, sign, yaw):
+    """By hand: left of the path roll right, right of it roll left, too high nose down, too fast
     less power.
     """
     pilot = Autopilot(rates_model())
@@ -153,19 +150,19 @@ def test_sticks_work_against_a_deviation(moved, stick, sign, yaw):
         State.from_vector(x), Reference(x[:3].copy(), yaw, 0.0, 7.0, 0.0), NOTHING_SENT
     )
     assert before.vector == pytest.approx(steady.command, abs=1e-6)
-    wanted = Reference(x[:3].copy(), yaw, 0.0, 7.0, 0.0)
+    reference = Reference(x[:3].copy(), yaw, 0.0, 7.0, 0.0)
     name, size = moved
     if name in ("py", "vx"):
         first, axis = (0, left) if name == "py" else (6, ahead)
         x[first : first + 3] += size * axis
     else:
         x[STATE_NAMES.index(name)] += size
-    after = Autopilot(rates_model()).command(State.from_vector(x), wanted, NOTHING_SENT)
+    after = Autopilot(rates_model()).command(State.from_vector(x), reference, NOTHING_SENT)
     assert sign * (getattr(after, stick) - getattr(before, stick)) > 0.02
 
 
-def test_what_cannot_be_held_is_refused_in_a_sentence():
-    """No body rates, no thrust, no elevator: each says what is wrong."""
+def test_what_cannot_be_stabilised_is_refused():
+    """No body rates, no thrust, no elevator: each message names the reason."""
     with pytest.raises(InputError, match="12-state model"):
         Autopilot(paper_model())
     with pytest.raises(InputError, match="throttle"):

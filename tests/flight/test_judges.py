@@ -1,4 +1,4 @@
-"""Judges: the lock's geometry, tracking errors and landings, worked out by hand."""
+"""Judges: geometry of the lock, tracking errors and landings, by hand."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -38,8 +38,8 @@ def at(x: float, y: float, z: float, **angles: float) -> State:
 
 @pytest.mark.parametrize("distance", [4.0, 8.0, 12.0])
 def test_visible_area_is_that_of_the_trapezium_of_tips_and_wheels(distance):
-    """Area times (focal length / distance)^2; the wheels are 5 cm nearer, and pixels are counted
-    whole: 3 %.
+    """Area times (focal length / distance)^2; 3 %: the wheels are 5 cm nearer, and pixels are
+    counted.
     """
     camera = fpv_camera(1920, 1440)
     pixels = visible_pixels(camera, FROM_ORIGIN, at(distance, 0.0, 0.0), AIRFRAME)
@@ -47,9 +47,7 @@ def test_visible_area_is_that_of_the_trapezium_of_tips_and_wheels(distance):
 
 
 def test_from_the_side_the_leader_is_as_long_as_its_body():
-    """Yawed by 90 deg: nose to tail 0.52 m along the image, 0.20 m of it right of the centre (nose
-    right).
-    """
+    """Yawed by 90 deg: 0.52 m from nose to tail, 0.20 m of it right of the centre."""
     camera, leader = fpv_camera(1920, 1440), at(8.0, 0.0, 0.0, yaw=np.pi / 2)
     scale = 0.62 * 1920 / 8.0
     left_only = np.full((1440, 1920), 20.0, np.float32)
@@ -87,20 +85,18 @@ def test_lock_needs_the_centre_inside_in_front_and_six_pixels(leader, locked):
 
 
 def test_what_is_nearer_hides_the_leader():
-    """Leader 8 m ahead. A wall at 4 m: nothing is seen. A wall 20 m off, or the leader itself at 8
-    m: all of it.
-    """
+    """Leader 8 m ahead. Wall at 4 m: no pixel; at 20 m, or the leader itself at 8 m: all."""
     camera, leader = fpv_camera(), at(8.0, 0.0, 0.0)
     free = visible_pixels(camera, FROM_ORIGIN, leader, AIRFRAME)
-    for distance, seen in (
+    for distance, visible in (
         (4.0, 0),
         (8.0, free),
         (20.0, free),
         (0.0, free),
     ):  # 0: nothing rendered there
         depth = np.full((240, 320), distance, np.float32)
-        assert visible_pixels(camera, FROM_ORIGIN, leader, AIRFRAME, depth) == seen
-        assert is_locked(camera, FROM_ORIGIN, leader, AIRFRAME, depth) is (seen > 0)
+        assert visible_pixels(camera, FROM_ORIGIN, leader, AIRFRAME, depth) == visible
+        assert is_locked(camera, FROM_ORIGIN, leader, AIRFRAME, depth) is (visible > 0)
     half = np.full((240, 320), 20.0, np.float32)
     half[:, 160:] = 4.0
     assert (
@@ -109,7 +105,7 @@ def test_what_is_nearer_hides_the_leader():
 
 
 def test_hull_of_a_square_with_a_point_inside():
-    """Points by eye: the corner point inside changes nothing, a line of corners has no inside."""
+    """By hand: the inner corner point changes nothing, collinear corners have no interior."""
     corners = np.array([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0), (1.0, 2.0)])
     points = np.array([(2.0, 2.0), (0.1, 3.9), (4.1, 2.0), (-0.1, -0.1), (3.9, 0.1)])
     assert is_in_hull(points, corners).tolist() == [True, True, False, False, True]
@@ -122,12 +118,12 @@ def straight(n: int, x: float = 0.0, y: float = 0.0, z: float = 2.0) -> np.ndarr
 
 
 def errors(leader: np.ndarray, follower: np.ndarray, path: np.ndarray) -> list[float]:
-    """ATE, ATE_d, ATE_path; the leader's velocity from differences, whose length does not matter."""
+    """ATE, ATE_d, ATE_path; the leader's velocity from differences, only its direction counts."""
     return list(tracking_errors(leader, np.gradient(leader, axis=0), follower, path).values())
 
 
 def test_a_constant_offset_is_no_error():
-    """4 m behind, 0.5 m to the side and below, all the way: every error is 0."""
+    """4 m behind, 0.5 m to the side and below: all errors are 0."""
     path = straight(200, x=-20.0)
     assert errors(straight(60), straight(60, x=-4.0, y=0.5, z=1.5), path) == pytest.approx(
         [0.0] * 3, abs=1e-9
@@ -140,8 +136,8 @@ def test_a_constant_offset_is_no_error():
 )
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_step_of_a_metre_for_half_of_the_time_is_half_a_metre(axis, sign, ate_d):
-    """4 m behind; in the second half 1 m off along one axis. The distance changes by 1 m or by
-    sqrt(17) - 4.
+    """4 m behind; 1 m off along one axis in the second half. The distance changes by 1 or sqrt(17)
+    - 4.
     """
     follower = straight(60, x=-4.0)
     follower[30:, axis] += sign
@@ -161,9 +157,8 @@ def course(angle: np.ndarray) -> np.ndarray:
     return np.column_stack([-np.sin(angle), -np.cos(angle), np.zeros(len(angle))])
 
 
-def test_who_follows_the_same_circle_at_the_same_distance_has_no_error():
-    """Circle of 10 m, 4 m of arc behind. A chain of 0.35 m pieces leaves its circle by 0.35^2 / 80
-    = 1.5 mm.
+def test_following_the_same_circle_at_the_same_distance_has_no_error():
+    """Circle of 10 m, 4 m of arc behind; chords of 0.35 m leave it by 0.35^2 / 80 = 1.5 mm.
 
     One metre further out for half of the time is 0.5 m, in a turn too.
     """
@@ -179,13 +174,13 @@ def test_who_follows_the_same_circle_at_the_same_distance_has_no_error():
     )
 
 
-def test_entering_a_turn_is_seen_in_the_path_frame_and_not_along_the_path():
+def test_entering_a_turn_adds_to_ate_and_not_to_ate_path():
     """60 frames straight, then 80 on a circle of 10 m; always 4 m of path behind, twelve frames of
     0.35 m.
 
-    On the circle the follower stands R sin(0.4) behind and R (1 - cos(0.4)) beside the course, at
-    first 4 m behind:
-    |D - D(0)| = hypot(4 - 3.894, 0.789) = 0.796, in at least 68 and at most 80 of 120 frames, less while it enters.
+    On the circle the follower is R sin(0.4) behind and R (1 - cos(0.4)) beside the course, at first
+    4 m behind: |D - D(0)| = hypot(4 - 3.894, 0.789) = 0.796, in 68 to 80 of 120 frames, less at
+    entry.
     """
     angle = np.concatenate([np.zeros(60), 0.035 * np.arange(80)])
     path = circle(angle)
@@ -199,14 +194,14 @@ def test_entering_a_turn_is_seen_in_the_path_frame_and_not_along_the_path():
 
 
 def test_path_coordinates_are_along_left_and_up():
-    """Path along -y (a course to the right): left of it is +x. Half a metre left, 0.2 m up, 3 m on."""
+    """Path along -y (a course to the right): left is +x. Half a metre left, 0.2 m up, 3 m along."""
     path = np.array([(0.0, 0.0, 1.0), (0.0, -5.0, 1.0), (0.0, -10.0, 1.0)])
     assert path_coordinates(np.array([(0.5, -3.0, 1.2)]), path)[0] == pytest.approx([3.0, 0.5, 0.2])
 
 
 def test_a_path_that_crosses_itself_is_followed_in_order():
-    """Out along x, back across it: at the crossing the place is the one that comes next, not the
-    earlier one.
+    """Out along x, back across it: at the crossing the next arc length is found, not the earlier
+    one.
     """
     out = np.column_stack([np.arange(0.0, 20.1, 0.5), np.zeros(41), np.zeros(41)])
     back = np.column_stack([np.linspace(20.0, 5.0, 40), np.linspace(0.0, 6.0, 40), np.zeros(40)])
@@ -219,7 +214,7 @@ def test_a_path_that_crosses_itself_is_followed_in_order():
 
 
 def still_world(**fields):
-    """A world whose fields the test sets."""
+    """A world with fields set by the test."""
     return SimpleNamespace(**{"t": 0.0, "state": at(0.0, 0.0, 2.0), "contact": None, **fields})
 
 
@@ -230,7 +225,7 @@ def straight_leader(n: int) -> LeaderPath:
 
 
 def fly_behind(offsets: dict[int, float], n: int = 41, contact_at: int | None = None):
-    """A judge's result of following 4 m behind; at some steps the follower's nose points away by an
+    """The evaluation of following 4 m behind; at some steps the follower's nose points away by an
     angle.
     """
     world = still_world()
@@ -244,7 +239,7 @@ def fly_behind(offsets: dict[int, float], n: int = 41, contact_at: int | None = 
 
 
 def test_lock_in_all_frames_is_success():
-    """The follower keeps its place: everything is as at the start."""
+    """The follower keeps its place: all errors are 0."""
     result, words = fly_behind({})
     assert (result["success"], result["locked_share"], result["lost_at_s"]) == (True, 1.0, None)
     assert result["ate_m"] == pytest.approx(0.0, abs=1e-9)
@@ -253,9 +248,7 @@ def test_lock_in_all_frames_is_success():
 
 
 def test_one_frame_without_lock_is_a_failure_and_ends_the_error():
-    """The nose 1 rad away at frame 10 (half the field is 0.68): 40 of 41 locked, lost at 0.5 s,
-    errors end there.
-    """
+    """The nose 1 rad away at frame 10 (half the field is 0.68): 40 of 41 locked, lost at 0.5 s."""
     result, _ = fly_behind({10: 1.0})
     assert (result["success"], result["lost_at_s"]) == (False, pytest.approx(0.5))
     assert result["locked_share"] == pytest.approx(40 / 41)
@@ -264,8 +257,8 @@ def test_one_frame_without_lock_is_a_failure_and_ends_the_error():
     assert (blind["lost_at_s"], blind["ate_m"], blind["ate_d_m"]) == (0.0, None, None)
 
 
-def test_touching_something_is_a_failure_with_a_word():
-    """The lock held, the wall was hit."""
+def test_a_contact_is_a_failure_with_its_reason():
+    """In lock, but in contact with the wall."""
     result, words = fly_behind({}, contact_at=40)
     assert not result["success"]
     assert words[-1] == "touched wall"
@@ -284,7 +277,7 @@ def touchdown(surface: str) -> Touchdown:
     [("pad", True, 0.3), ("floor", False, None), ("pad edge", False, None)],
 )
 def test_only_a_touchdown_on_the_pad_counts_and_has_a_deviation(surface, success, ald):
-    """30 cm right of the centre line: ALD 0.30 m on the pad, none elsewhere - never zero."""
+    """30 cm right of the centre line: ALD 0.30 m on the pad, none elsewhere, never zero."""
     world = still_world(contact=Contact(3.0, surface, np.zeros(3), touchdown(surface)))
     judge = LandingEvaluator(world)
     assert (

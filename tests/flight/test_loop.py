@@ -1,4 +1,4 @@
-"""The loop: its schedule on a clock that the test moves; a pilot, hook, log or person that ends it."""
+"""The loop: its schedule on a manual clock; faults of pilot, hook and log; ends of a flight."""
 
 import signal
 
@@ -15,9 +15,7 @@ MODES = ("approach", "flare")
 
 
 class HandClock:
-    """A clock that the test moves: waiting ends `late` after the deadline, and work takes the times
-    given.
-    """
+    """A manual clock: waiting ends `late` after the deadline; the test adds the time of work."""
 
     def __init__(self, late: float = 0.0) -> None:
         self.late, self.t = late, 0.0
@@ -33,7 +31,7 @@ class HandClock:
 
 
 class Recorder:
-    """A sink that remembers, and a hook."""
+    """A sink and hook that keeps commands and steps."""
 
     def __init__(self) -> None:
         self.sent: list[tuple[float, Command]] = []
@@ -49,34 +47,34 @@ class Recorder:
 class Camera:
     """An image every second step, its sequence counted from 0."""
 
-    def next(self, t: float) -> Image:
+    def next_image(self, t: float) -> Image:
         number = round(t / 0.05) // 2
         return Image(number, 0.1 * number, np.full((4, 6, 3), number % 256, np.uint8))
 
 
 class Still:
-    """A state that never changes."""
+    """A constant state."""
 
-    def state(self, t: float) -> State:
+    def state_at(self, t: float) -> State:
         return STATE
 
 
 class Pilot:
-    """Answers with a constant, except in the steps where it does what it is told."""
+    """A constant answer, except in the steps given."""
 
     mode = "cruise"
 
     def __init__(self, **at_step) -> None:
-        self.at_step, self.seen = at_step, []
+        self.at_step, self.observations = at_step, []
 
     def act(self, observation):
-        self.seen.append(observation)
-        what = self.at_step.get(f"step{len(self.seen) - 1}", Command(0.5, 0.1, -0.2, 0.3))
+        self.observations.append(observation)
+        what = self.at_step.get(f"step{len(self.observations) - 1}", Command(0.5, 0.1, -0.2, 0.3))
         return what() if callable(what) else what
 
 
 def test_deadlines_do_not_drift():
-    """10,000 steps, each waking 0.7 ms late: the last deadline is 9,999 * 50 ms, not 7 s later."""
+    """10,000 steps, each 0.7 ms late: the last deadline is 9,999 * 50 ms, not 7 s later."""
     clock, seen = HandClock(late=0.0007), []
     for k, lateness in deadlines(clock, 500.0):
         seen.append((k, clock.now(), lateness))
@@ -96,8 +94,8 @@ def test_deadlines_do_not_drift():
     ],
 )
 def test_a_step_that_is_too_late_is_skipped(work, flown):
-    """Deadlines by hand; only the first step works so long. Never two steps closer than half a
-    period.
+    """Deadlines by hand; only the first step works that long. Steps are at least half a period
+    apart.
     """
     clock, seen = HandClock(), []
     for k, _ in deadlines(clock, 0.25):
@@ -122,9 +120,7 @@ def test_skipped_steps_and_jitter_are_counted():
 
 
 def test_simulated_time_is_exact_and_wall_time_is_not_early():
-    """20 steps a second by the period, and at 1.0 s the safe command; a real clock may be late,
-    never early.
-    """
+    """20 steps a second and the safe command at 1.0 s; a real clock may be late, never early."""
     sink = Recorder()
     flight = Loop(Pilot(), sink).run(1.0)
     assert [t for t, _ in sink.sent] == pytest.approx(0.05 * np.arange(21), abs=1e-12)
@@ -136,9 +132,8 @@ def test_simulated_time_is_exact_and_wall_time_is_not_early():
 
 def test_log_holds_every_step_and_commands_name_their_image(tmp_path):
     """Ten steps, an image every second one: 10 commands and states, 5 images, answers 0 0 1 1 ...
-    by hand.
 
-    After them the safe command, which answers no image.
+    The safe command after them answers no image.
     """
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
         Loop(Pilot(), Recorder(), images=Camera(), states=Still(), log=log).run(0.5)
@@ -153,11 +148,11 @@ def test_log_holds_every_step_and_commands_name_their_image(tmp_path):
     assert table.commands[2] == pytest.approx([0.5, 0.1, -0.2, 0.3])
 
 
-def test_pilot_sees_its_past_commands_the_image_and_the_state():
-    """After two steps the last two of the 30 rows hold what was sent; the rest is zero."""
+def test_pilot_gets_its_past_commands_the_image_and_the_state():
+    """After two steps the last two of the 30 rows are the commands sent, the others zero."""
     pilot = Pilot()
     Loop(pilot, Recorder(), images=Camera(), states=Still()).run(0.15)
-    last = pilot.seen[-1]
+    last = pilot.observations[-1]
     assert last.past_commands.shape == (30, 4)
     assert last.past_commands[:28] == pytest.approx(0.0)
     assert last.past_commands[28:] == pytest.approx(np.tile([0.5, 0.1, -0.2, 0.3], (2, 1)))
@@ -176,8 +171,8 @@ def test_pilot_sees_its_past_commands_the_image_and_the_state():
     ],
     ids=["raises", "none", "tuple", "nan", "text"],
 )
-def test_nonsense_of_a_pilot_becomes_the_safe_command(nonsense, tmp_path):
-    """Neutral sticks and idle throttle in that step alone; an event says why; the flight goes on."""
+def test_an_invalid_answer_of_the_pilot_becomes_the_safe_command(nonsense, tmp_path):
+    """Neutral and idle in that step only; an event has the reason; the flight continues."""
     sink = Recorder()
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
         flight = Loop(Pilot(step2=nonsense), sink, log=log).run(0.25)
@@ -191,8 +186,8 @@ def test_nonsense_of_a_pilot_becomes_the_safe_command(nonsense, tmp_path):
     assert events[1].t == pytest.approx(0.1)
 
 
-def test_sticks_beyond_their_ends_are_cut_and_marked():
-    """Throttle 1.5 is 1, aileron -3 is -1; a cut command says so."""
+def test_commands_beyond_their_limits_are_clipped_and_marked():
+    """Throttle 1.5 becomes 1, aileron -3 becomes -1, saturated is True."""
     sink = Recorder()
     Loop(Pilot(step0=Command(1.5, -3.0, 0.0, 0.0)), sink).run(0.1)
     assert sink.sent[0][1] == Command(1.0, -1.0, 0.0, 0.0, saturated=True)
@@ -200,16 +195,14 @@ def test_sticks_beyond_their_ends_are_cut_and_marked():
 
 
 def test_a_pilot_that_never_recovers_ends_the_flight():
-    """Three faults in a row are allowed, the fourth is one too many; a fault in between starts the
-    count again.
-    """
+    """Three consecutive faults are allowed; a good step between faults resets the count."""
     failing = {f"step{k}": None for k in (1, 2, 3, 5, 6, 7, 8)}
     flight = Loop(Pilot(**failing), Recorder(), faults_allowed=3).run(5.0)
     assert (flight.reason, len(flight.t), flight.faults) == ("pilot failed", 9, 7)
 
 
 def test_a_hook_that_raises_is_dropped_and_the_flight_goes_on():
-    """The other hook sees all five steps, the broken one is called once."""
+    """The other hook gets all five steps, the broken one is called once."""
     calls, sink = [], Recorder()
 
     def broken(step):
@@ -238,8 +231,8 @@ def test_a_change_of_mode_is_logged_once():
 
 
 def test_ctrl_c_ends_the_flight_with_the_log_whole(tmp_path):
-    """A real interrupt in step 3: that step is finished, the safe command follows, and every record
-    can be read.
+    """A real interrupt in step 3: the step is finished, the safe command follows, the log is
+    readable.
     """
     sink = Recorder()
 
@@ -259,7 +252,7 @@ def test_ctrl_c_ends_the_flight_with_the_log_whole(tmp_path):
 
 
 def test_a_second_ctrl_c_does_not_wait_for_a_pilot_that_hangs():
-    """Two interrupts within one step: the second raises where it is."""
+    """Two interrupts within one step: the second raises immediately."""
 
     def hang():
         signal.raise_signal(signal.SIGINT)
@@ -270,10 +263,10 @@ def test_a_second_ctrl_c_does_not_wait_for_a_pilot_that_hangs():
 
 
 def test_a_source_that_breaks_ends_the_flight_safely():
-    """The camera is unplugged: the safe command is sent and the error comes out."""
+    """The camera is unplugged: the safe command is sent and the error raised."""
 
     class Unplugged:
-        def next(self, t):
+        def next_image(self, t):
             if t > 0.12:
                 raise OSError("no camera")
 
@@ -285,9 +278,7 @@ def test_a_source_that_breaks_ends_the_flight_safely():
 
 
 def test_a_full_disk_costs_the_log_and_not_the_flight(monkeypatch, tmp_path):
-    """The third command cannot be written: a warning, and all ten steps are flown, the safe command
-    after them.
-    """
+    """The third command cannot be written: a warning; all ten steps are flown to the end."""
     sink, written = Recorder(), []
 
     def refuse(self, t, command, image=None):
@@ -305,28 +296,28 @@ def test_a_full_disk_costs_the_log_and_not_the_flight(monkeypatch, tmp_path):
     assert len(sink.sent) == 11 and sink.sent[-1][1] == SAFE_COMMAND
 
 
-def test_a_flight_ends_by_the_word_of_its_task():
-    """Asked after every step: at t = 0.2 the word comes, after five steps."""
+def test_a_flight_ends_by_its_stop_condition():
+    """Called after every step: at t = 0.2 the reason is returned, after five steps."""
     flight = Loop(Pilot(), Recorder()).run(5.0, lambda step: "landed" if step.t > 0.19 else "")
     assert (flight.reason, len(flight.t)) == ("landed", 5)
 
 
 @pytest.mark.parametrize(
-    ("ended", "reason", "t"),
+    ("stop_condition", "reason", "t"),
     [
         (lambda step: "", "duration", 0.22),
         (lambda step: "landed" * (step.t > 0.14), "landed", 0.15),
     ],
 )
-def test_the_last_command_of_a_flight_is_the_safe_one(ended, reason, t, tmp_path):
-    """A sink holds what came last for ever: an open throttle must not be it. Sent once, and logged.
+def test_the_last_command_of_a_flight_is_the_safe_one(stop_condition, reason, t, tmp_path):
+    """A sink holds the last command, which must not be an open throttle. Sent once, and logged.
 
-    When time is up at 0.22 s, the fifth step's command has held to there; a word ends the fourth
-    step, at 0.15 s.
+    At 0.22 s the fifth step's command has been held to the end; a reason ends the fourth step, at
+    0.15 s.
     """
     sink = Recorder()
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
-        flight = Loop(Pilot(), sink, log=log).run(0.22, ended)
+        flight = Loop(Pilot(), sink, log=log).run(0.22, stop_condition)
     assert (flight.reason, flight.faults) == (reason, 0)
     assert sink.sent[-1] == (pytest.approx(t), SAFE_COMMAND)
     assert all(command.throttle == 0.5 for _, command in sink.sent[:-1])
@@ -335,10 +326,8 @@ def test_the_last_command_of_a_flight_is_the_safe_one(ended, reason, t, tmp_path
     assert read.command_times == pytest.approx([t for t, _ in sink.sent])
 
 
-def test_a_sink_that_refuses_the_last_command_is_no_normal_end():
-    """The link breaks when all five steps are flown: who called must hear that the aircraft was not
-    let go.
-    """
+def test_a_sink_that_fails_at_the_safe_command_raises():
+    """The link breaks after five steps: the caller gets the error."""
 
     class Broken(Recorder):
         def send(self, t, command):
@@ -351,7 +340,7 @@ def test_a_sink_that_refuses_the_last_command_is_no_normal_end():
 
 
 def test_a_mode_that_raises_is_dropped_and_the_flight_goes_on():
-    """Asked in the first step alone; all five commands are the pilot's own."""
+    """Read in the first step only; all five commands are the pilot's."""
 
     class Speechless(Pilot):
         asked = 0
@@ -370,8 +359,8 @@ def test_a_mode_that_raises_is_dropped_and_the_flight_goes_on():
     assert "lost for words" in dropped.details["error"]
 
 
-def test_a_duration_that_is_none_is_refused():
-    """Zero, negative, not a number."""
+def test_a_duration_that_is_not_positive_is_refused():
+    """Zero, negative, nan."""
     for duration in (0.0, -1.0, float("nan")):
         with pytest.raises(InputError, match="duration"):
             Loop(Pilot(), Recorder()).run(duration)

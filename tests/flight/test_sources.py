@@ -1,5 +1,5 @@
-"""Sources: where a ball must appear in a rendered image, by hand; and a recorded log gives back
-what went in.
+"""Sources: positions of balls in a rendered image, by hand; a recorded log returns what was
+written.
 """
 
 from dataclasses import replace
@@ -28,7 +28,7 @@ RED, GREEN = np.array([0.9, 0.1, 0.1]), np.array([0.1, 0.9, 0.1])
 
 
 class StillWorld:
-    """A world that stands where the test puts it and notes to what time it was flown."""
+    """A world with the states of the test; records the times it was advanced to."""
 
     def __init__(self, state: State = LEVEL, leader: State | None = None) -> None:
         self.state, self.leader_state, self.flown = state, leader, []
@@ -47,7 +47,7 @@ def at(x: float, y: float, z: float) -> State:
 def balls(
     *coloured: tuple, labels: tuple[int, ...] = (0,), names: tuple[str, ...] = ("hall",)
 ) -> GaussianScene:
-    """Opaque balls of 5 cm at places with colours."""
+    """Opaque balls of 5 cm at positions with colours."""
     n = len(coloured)
     return GaussianScene(
         means=np.array([place for place, _ in coloured]),
@@ -61,9 +61,7 @@ def balls(
 
 
 def middle_of(pixels: np.ndarray, channel: int) -> np.ndarray:
-    """Where a colour is: the mean place [px] of pixels in which one channel is well above the
-    others.
-    """
+    """Mean position [px] of the pixels in which one channel is well above the others."""
     others = np.delete(pixels.astype(int), channel, axis=2).max(axis=2)
     rows, columns = np.nonzero(pixels[..., channel] - others > 60)
     return np.array([columns.mean() + 0.5, rows.mean() + 0.5])
@@ -71,9 +69,7 @@ def middle_of(pixels: np.ndarray, channel: int) -> np.ndarray:
 
 @pytest.mark.parametrize("width", [160, 320, 640])
 def test_focal_length_is_062_of_the_width(width):
-    """Half the width over the focal length is tan(half the field): 0.5 / 0.62, which is 38.9 deg,
-    in every size.
-    """
+    """tan(half the field) = 0.5 / 0.62, which is 38.9 deg, in every size."""
     camera = fpv_camera(width, width * 3 // 4)
     assert camera.fx == pytest.approx(0.62 * width, rel=1e-12)
     assert (camera.fy, camera.cx, camera.cy) == pytest.approx((camera.fx, width / 2, width * 3 / 8))
@@ -85,71 +81,67 @@ def test_ball_appears_where_the_pinhole_law_puts_it():
     """
     world = StillWorld(at(-5.0, 2.0, 1.0))
     view = RenderedView(world, balls(((0.0, 3.0, 1.5), RED)), fpv_camera(), (0.2, 0.0, 0.0))
-    image = view.next(0.35)
+    image = view.next_image(0.35)
     assert (image.pixels.shape, image.pixels.dtype) == ((240, 320, 3), np.uint8)
     assert middle_of(image.pixels, 0) == pytest.approx(
         [160 - 198.4 / 4.8, 120 - 99.2 / 4.8], abs=0.5
     )
     assert (image.sequence, image.t, world.flown) == (0, 0.35, [0.35])
-    assert view.next(0.40).sequence == 1
+    assert view.next_image(0.40).sequence == 1
     assert view.depth.max() == pytest.approx(4.8, abs=0.05)
 
 
-def test_leader_is_seen_where_it_flies_and_left_out_where_there_is_none():
-    """Green leader 4 m ahead, then 1 m to the right of there: 198.4 / 4 px further right. Without
-    one: no green.
-    """
+def test_leader_is_rendered_at_its_place_and_only_if_there_is_one():
+    """Green leader 4 m ahead, then 1 m to the right: 198.4 / 4 px. Without one: no green."""
     scene = balls(
         ((6.0, 2.0, 0.0), RED), ((0.0, 0.0, 0.0), GREEN), labels=(0, 1), names=("hall", "leader")
     )
     before = scene.means.copy()
     world = StillWorld(leader=at(4.0, 0.0, 0.0))
     view = RenderedView(world, scene, fpv_camera())
-    assert middle_of(view.next(0.0).pixels, 1) == pytest.approx([160.0, 120.0], abs=0.5)
+    assert middle_of(view.next_image(0.0).pixels, 1) == pytest.approx([160.0, 120.0], abs=0.5)
     world.leader_state = at(4.0, -1.0, 0.0)
-    moved = view.next(0.05).pixels
+    moved = view.next_image(0.05).pixels
     assert middle_of(moved, 1) == pytest.approx([160.0 + 198.4 / 4.0, 120.0], abs=0.5)
     assert middle_of(moved, 0) == pytest.approx([160.0 - 198.4 / 3.0, 120.0], abs=0.5)
     assert (scene.means == before).all()  # the caller's scene stays as it was
-    alone = RenderedView(StillWorld(), scene, fpv_camera()).next(0.0).pixels
+    alone = RenderedView(StillWorld(), scene, fpv_camera()).next_image(0.0).pixels
     with np.errstate(invalid="ignore"), pytest.warns(RuntimeWarning, match="Mean of empty"):
         assert np.isnan(middle_of(alone, 1)).all()
 
 
-def test_a_scene_with_a_link_is_seen_through_it():
-    """What the link makes of the picture without it, frame by frame; a frame's number draws its
-    noise.
-    """
+def test_the_link_of_a_scene_is_applied():
+    """The link applied to the image without it; the frame's number seeds its noise."""
     scene, link = balls(((6.0, 0.0, 0.0), RED)), AnalogVideo(30.0, seed=4)
     plain = RenderedView(StillWorld(), scene, fpv_camera())
     noisy = RenderedView(StillWorld(), replace(scene, link=link), fpv_camera())
-    clean = plain.next(0.0).pixels
-    first, second = noisy.next(0.0).pixels, noisy.next(0.05).pixels
+    clean = plain.next_image(0.0).pixels
+    first, second = noisy.next_image(0.0).pixels, noisy.next_image(0.05).pixels
     assert (first == link.apply(clean, 1)).all() and (second == link.apply(clean, 2)).all()
     assert (first != second).any()
 
 
 def test_hall_without_leader_gets_the_kits_own():
-    """The aircraft 2 m ahead is 0.70 m wide: 198.4 * 0.70 / 2 = 69 px, a tenth more or less for its
-    rounded tips.
-    """
+    """An aircraft 2 m ahead is 0.70 m wide: 198.4 * 0.70 / 2 = 69 px, +-10 % for its tips."""
     empty = balls(((6.0, 2.0, 0.0), RED))
     pixels = (
-        RenderedView(StillWorld(leader=at(2.0, 0.0, 0.0)), empty, fpv_camera()).next(0.0).pixels
+        RenderedView(StillWorld(leader=at(2.0, 0.0, 0.0)), empty, fpv_camera())
+        .next_image(0.0)
+        .pixels
     )
     columns = np.nonzero(pixels[100:140, 100:220].max(axis=(0, 2)) > 40)[0]
     assert np.ptp(columns) + 1 == pytest.approx(69.0, abs=7.0)
 
 
-def test_measured_states_fly_the_world_first():
-    """The state asked for at t is the one measured after flying there."""
+def test_measured_states_advance_the_world():
+    """The state at t is the one measured after flying to t."""
     world = StillWorld()
-    assert MeasuredStates(world).state(0.1).roll == pytest.approx(0.01)
+    assert MeasuredStates(world).state_at(0.1).roll == pytest.approx(0.01)
     assert world.flown == [0.1]
 
 
 class Wave:
-    """A pilot whose commands tell the step."""
+    """A pilot whose commands depend on the step."""
 
     def act(self, observation: Observation) -> Command:
         return Command(0.5, 0.01 * round(observation.t / 0.05), 0.0, 0.0)
@@ -158,7 +150,7 @@ class Wave:
 class GreyCamera:
     """An image every second step, grey like its number."""
 
-    def next(self, t: float) -> Image:
+    def next_image(self, t: float) -> Image:
         number = round(t / 0.05) // 2
         return Image(number, 0.1 * number, np.full((48, 64, 3), 10 * number, np.uint8))
 
@@ -172,7 +164,7 @@ def recorded(tmp_path):
 
 
 class Sink:
-    """A sink that remembers."""
+    """A sink that keeps its commands."""
 
     def __init__(self) -> None:
         self.sent: list[Command] = []
@@ -181,10 +173,10 @@ class Sink:
         self.sent.append(command)
 
 
-def test_a_log_flown_again_by_the_same_loop_gives_its_commands_images_and_states(recorded):
-    """What went into the log comes out at the same times; JPEG keeps a flat grey to two levels.
+def test_a_replayed_log_gives_its_commands_images_and_states(recorded):
+    """The recorded values at the recorded times; JPEG keeps a flat grey to two levels.
 
-    Ten commands, and at 0.5 s the one with neutral sticks that ends either flight.
+    Ten commands, and at 0.5 s the safe one that ends either flight.
     """
     sink, steps = Sink(), []
     pilot = RecordedPilot(recorded)
@@ -204,10 +196,9 @@ def test_a_log_flown_again_by_the_same_loop_gives_its_commands_images_and_states
 
 @pytest.mark.parametrize("start", [0.0, 300.0, 1.7e9])
 def test_a_clock_of_any_start_is_replayed_from_its_beginning(tmp_path, start):
-    """Seconds since boot or since 1970: by hand, image 0 and the first state are there at 0, the
-    last command at 0.2.
+    """Seconds since boot or since 1970: image 0 and the first state at 0, the last command at 0.2.
 
-    Times are compared to a microsecond: in 1.7e9 s a double has a quarter of one left.
+    Times are compared to a microsecond: at 1.7e9 s a double resolves a quarter of one.
     """
     with FlightLogWriter(tmp_path / "flight.mcap") as log:
         for k in range(5):
@@ -229,22 +220,20 @@ def test_a_clock_of_any_start_is_replayed_from_its_beginning(tmp_path, start):
 
 
 def test_before_the_first_record_there_is_none(tmp_path):
-    """A log whose camera and estimator start at 0.2 s."""
+    """A log whose images and states start at 0.2 s."""
     with FlightLogWriter(tmp_path / "late.mcap") as log:
         log.command(0.0, Command(0.1, 0.0, 0.0, 0.0))
         log.image(Image(7, 0.2, np.zeros((8, 8, 3), np.uint8)))
         log.state(0.2, LEVEL)
     images, states = RecordedImages(tmp_path / "late.mcap"), RecordedStates(tmp_path / "late.mcap")
-    assert images.next(0.1) is None
-    assert states.state(0.1) is None
-    assert images.next(0.2).sequence == 7
-    assert states.state(0.3).p_world == pytest.approx(0.0)
+    assert images.next_image(0.1) is None
+    assert states.state_at(0.1) is None
+    assert images.next_image(0.2).sequence == 7
+    assert states.state_at(0.3).p_world == pytest.approx(0.0)
 
 
 def test_colours_keep_their_order_through_a_log(tmp_path):
-    """Red goes in, red comes out: OpenCV's order is the other one. JPEG keeps a flat colour to a
-    few levels.
-    """
+    """Red stays red although OpenCV's order is BGR. JPEG keeps a flat colour to a few levels."""
     with FlightLogWriter(tmp_path / "red.mcap") as log:
         log.image(Image(0, 0.0, np.full((16, 16, 3), (220, 30, 60), np.uint8)))
     (image,) = read_flight_log(tmp_path / "red.mcap").images()

@@ -1,4 +1,4 @@
-"""Tasks: starts are drawn as written, from frozen seeds, and are the same for every pilot."""
+"""Tasks: starts are drawn as documented, from frozen seeds, the same for every pilot."""
 
 import math
 from dataclasses import replace
@@ -25,8 +25,8 @@ def starts(task, seeds=TRAINING):
 
 
 def test_the_list_of_seeds_is_frozen():
-    """Results are compared on it: 10,000 + k, the next list 20,000 + k; nothing below 10,000 ever
-    judges.
+    """Results are compared on it: 10,000 + k, the next list 20,000 + k; seeds below 10,000 are not
+    used.
     """
     assert [trial_seed(k) for k in (0, 1, 99)] == [10_000, 10_001, 10_099]
     assert trial_seed(3, seed=1) == 20_003
@@ -36,7 +36,7 @@ def test_the_list_of_seeds_is_frozen():
 
 
 def test_landings_begin_20_m_out_and_within_their_spread():
-    """+-1 m on each axis, +-10 deg on each angle, +-1 m/s: 200 even draws come near both ends, none
+    """+-1 m per axis, +-10 deg per angle, +-1 m/s: 200 uniform draws come near both ends, none
     beyond.
     """
     states, nominal = starts(LandingTask())
@@ -52,9 +52,7 @@ def test_landings_begin_20_m_out_and_within_their_spread():
 
 
 def test_the_velocity_turns_with_the_nose():
-    """Angle of attack and sideslip are those of the trimmed flight in every start: a disturbed
-    path, not a stall.
-    """
+    """Angle of attack and sideslip are those of the trimmed flight at every start."""
     states, _ = starts(LandingTask(), range(20))
     flow = []
     for state in states:
@@ -65,7 +63,7 @@ def test_the_velocity_turns_with_the_nose():
 
 
 def test_same_seed_same_start_and_noise_for_every_pilot():
-    """Two worlds of one seed measure alike to the last bit; another seed does not."""
+    """Two worlds of one seed have the same measurements to the last bit; another seed does not."""
     task = LandingTask()
     first, again, other = (task.trial(seed).world for seed in (5, 5, 6))
     assert (first.measured().vector == again.measured().vector).all()
@@ -74,11 +72,9 @@ def test_same_seed_same_start_and_noise_for_every_pilot():
 
 
 def test_a_follower_begins_behind_its_leader_with_its_speed():
-    """BEHIND metres back along the leader's course, +-0.5 m on each axis, the nose within 5 deg of
-    the course.
-    """
+    """BEHIND metres back along the leader's course, +-0.5 m per axis, nose within 5 deg of it."""
     trial = FollowTask("left_turn_s_descent").trial(7)
-    leader, own = trial.leader.state(0.0), trial.world.state
+    leader, own = trial.leader.state_at(0.0), trial.world.state
     course = leader.v_world / np.linalg.norm(leader.v_world)
     assert own.p_world == pytest.approx(leader.p_world - BEHIND * course, abs=0.5)
     assert own.yaw == pytest.approx(math.atan2(-course[1], course[0]), abs=math.radians(5.0))
@@ -87,10 +83,9 @@ def test_a_follower_begins_behind_its_leader_with_its_speed():
 
 
 @pytest.mark.parametrize("manoeuvre", MANOEUVRES)
-def test_a_leader_and_its_follower_draw_apart(manoeuvre, monkeypatch):
-    """Where one starts tells nothing of the other: over 50 seeds no number of the start is one of
-    the leader's first seven, and the three places are uncorrelated (|r| < 4 / sqrt(150) = 0.33; the
-    same draws give 1).
+def test_a_leader_and_its_follower_draw_independently(manoeuvre, monkeypatch):
+    """Over 50 seeds no number of the start is one of the leader's first seven, and the three
+    positions are uncorrelated (|r| < 4 / sqrt(150) = 0.33; the same draws give 1).
     """
     task, shifts, leads = FollowTask(manoeuvre), [], []
 
@@ -111,7 +106,7 @@ def test_a_leader_and_its_follower_draw_apart(manoeuvre, monkeypatch):
 
 
 def test_what_cannot_be_flown_is_refused():
-    """A manoeuvre nobody knows; a chase without a leader."""
+    """An unknown manoeuvre; following without a leader."""
     with pytest.raises(InputError, match="manoeuvre: expected one of"):
         FollowTask("loop")
     landing = LandingTask().trial(1)
@@ -120,9 +115,7 @@ def test_what_cannot_be_flown_is_refused():
 
 
 def test_every_file_of_the_folder_is_a_task_under_its_own_name():
-    """By hand: the folder's files. An entry makes a task whose name begins with the word of the
-    command line.
-    """
+    """By hand: the folder's files. The task's name begins with that of the command line."""
     folder = Path(tasks.__file__).parent
     assert set(TASKS) == {path.stem for path in folder.glob("*.py")} - {"__init__"}
     for name, entry in TASKS.items():

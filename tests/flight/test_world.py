@@ -1,4 +1,4 @@
-"""Simulated world: late commands, paired noise, an honest estimator, and what can be touched."""
+"""Simulated world: delayed commands, paired noise, filtered velocities, contacts."""
 
 import math
 
@@ -20,7 +20,7 @@ SILENT = PoseNoise(0.0, 0.0)
 
 
 def cruising(p_world, **changed):
-    """The trimmed state at a place, with some numbers changed by name."""
+    """The trimmed state at a position, with some numbers changed by name."""
     x = STEADY.state.copy()
     x[:3] = p_world
     for name, value in changed.items():
@@ -29,7 +29,7 @@ def cruising(p_world, **changed):
 
 
 def flown(world, command=LEVEL, seconds=1.0):
-    """The world after some seconds of one command, given at 20 Hz; and what was measured (n, 12)."""
+    """The world after some seconds of one command at 20 Hz, and the measured states (n, 12)."""
     measured = [world.measured().vector]
     for k in range(round(seconds / 0.05)):
         world.send(world.t, command)
@@ -39,20 +39,18 @@ def flown(world, command=LEVEL, seconds=1.0):
 
 
 class Standing:
-    """A leader that hangs in the air at one place."""
+    """A leader at a fixed position in the air."""
 
     def __init__(self, p_world):
         self.p_world = np.array(p_world)
 
-    def state(self, t):
+    def state_at(self, t):
         return State.from_vector(np.concatenate([self.p_world, np.zeros(6)]))
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.05, 0.1])
 def test_a_command_acts_after_the_delay(delay):
-    """Full aileron at 0.5 s: nothing moves before delay + the model's own 0.02 s are over, and it
-    does right after.
-    """
+    """Full aileron at 0.5 s: motion only after delay + the model's own 0.02 s, and right then."""
     world = SimulatedWorld(rates_model(), AIRFRAME, cruising((0.0, -2.0, 2.0)), seed=1, delay=delay)
     flown(world, seconds=0.5)
     world.send(world.t, Command(LEVEL.throttle, 1.0, LEVEL.elevator, 0.0))
@@ -77,10 +75,8 @@ def test_noise_depends_on_seed_and_frame_alone():
     assert np.abs(errors[0] - errors[2]).max() > 1e-3
 
 
-def test_measured_pose_has_the_noise_that_was_asked_for():
-    """Standard deviation of 600 numbers per kind within 10 % (three sigma of an estimated deviation
-    are 9 %).
-    """
+def test_measured_pose_has_the_given_noise():
+    """Standard deviation of 600 numbers per kind within 10 % (three sigma of it are 9 %)."""
     noise = PoseNoise(position=0.02, attitude=math.radians(1.0))
     errors = []
     for seed in range(10):
@@ -97,9 +93,8 @@ def test_measured_pose_has_the_noise_that_was_asked_for():
 
 
 def test_estimated_velocities_beat_differences_of_poses():
-    """Differences of white noise have sigma sqrt(2) / 0.05 s: 0.28 m/s at 1 cm, 0.35 rad/s at 0.7
-    deg. In level flight the filter is better by a third, and at the very start as good as later: it
-    ran before.
+    """Differences of white noise: sqrt(2) sigma / 0.05 s = 0.28 m/s at 1 cm, 0.35 rad/s at 0.7 deg.
+    In level flight the filter is better by a third, from the start on, because it ran before.
     """
     errors = []
     for seed in range(10):
@@ -117,8 +112,8 @@ def test_estimated_velocities_beat_differences_of_poses():
 
 
 def test_filter_follows_a_parabola_and_a_yaw_beyond_half_a_turn():
-    """Constant acceleration leaves a filter of white jerk no steady error; yaw at 2 rad/s passes pi
-    without a jump.
+    """A filter of white jerk has no steady error at constant acceleration; yaw passes pi at 2
+    rad/s.
     """
     follow = PoseFilter(PoseNoise())
     for t in np.arange(0.0, 4.0, 0.05):
@@ -132,15 +127,16 @@ def test_filter_follows_a_parabola_and_a_yaw_beyond_half_a_turn():
 @pytest.mark.parametrize(
     ("start", "obstacle"),
     [
-        (cruising((3.0, -2.0, 0.4), vz=-2.0), "pad"), (cruising((-9.0, -2.0, 0.4), vz=-2.0), "floor"),
-        (cruising((0.5, -2.0, 0.19)), "pad edge"), (cruising((15.0, -2.0, 2.0)), "wall"),
-        (cruising((-9.0, 7.5, 2.0), vy=4.0), "wall"), (cruising((-9.0, -2.0, 4.45), vz=3.0), "ceiling"),
+        (cruising((3.0, -2.0, 0.4), vz=-2.0), "pad"),
+        (cruising((-9.0, -2.0, 0.4), vz=-2.0), "floor"),
+        (cruising((0.5, -2.0, 0.19)), "pad edge"),
+        (cruising((15.0, -2.0, 2.0)), "wall"),
+        (cruising((-9.0, 7.5, 2.0), vy=4.0), "wall"),
+        (cruising((-9.0, -2.0, 4.45), vz=3.0), "ceiling"),
     ],
-)  # fmt: skip
-def test_what_is_touched_ends_the_flight(start, obstacle):
-    """Placed by hand before each: pad 1..14 m and 0.1 m high, walls of the hall, beams at 4.65 m
-    under its ceiling.
-    """
+)
+def test_a_contact_ends_the_flight(start, obstacle):
+    """By hand: pad 1..14 m and 0.1 m high, walls of the hall, beams at 4.65 m."""
     world, _ = flown(SimulatedWorld(rates_model(), AIRFRAME, start, seed=1, pad=LandingPad()))
     assert world.contact.obstacle == obstacle
     assert (world.contact.touchdown is None) == (obstacle in ("wall", "ceiling"))
@@ -155,9 +151,9 @@ def test_what_is_touched_ends_the_flight(start, obstacle):
     "attitude", [{"roll": 45.0}, {"roll": -45.0}, {"pitch": -60.0}, {"pitch": 75.0}], ids=str
 )
 def test_a_wing_tip_nose_or_tail_that_touches_first_is_no_landing(attitude, x, obstacle, sink):
-    """How deep below the centre of gravity, by hand: at 45 deg of bank a tip 0.25 m and a wheel
-    0.13; 60 deg nose down the nose 0.17 and a main wheel 0.10; 75 deg nose up the tail 0.309 and
-    its wheel 0.300. At 4 m/s a step is 0.2 m.
+    """Depth below the centre of gravity, by hand: at 45 deg of bank a tip 0.25 m and a wheel 0.13;
+    60 deg nose down the nose 0.17 and a main wheel 0.10; 75 deg nose up the tail 0.309 and its
+    wheel 0.300. At 4 m/s a step is 0.2 m.
     """
     depth = {-60.0: 0.173, 75.0: 0.309}.get(attitude.get("pitch"), 0.247)
     angles = {"pitch": 0.0} | {name: math.radians(degrees) for name, degrees in attitude.items()}
@@ -168,10 +164,8 @@ def test_a_wing_tip_nose_or_tail_that_touches_first_is_no_landing(attitude, x, o
     assert (world.contact.obstacle, world.contact.touchdown) == (obstacle, None)
 
 
-def test_a_wing_tip_runs_into_the_side_of_the_pad():
-    """Left tip 15 deg down at 0.08 m, a hand from the edge at y = -3: pad 0.1 m high, wheels 4 cm
-    above the floor.
-    """
+def test_a_wing_tip_hits_the_side_of_the_pad():
+    """Left tip 15 deg down at 0.08 m near the edge at y = -3: pad 0.1 m high, wheels 4 cm up."""
     start = cruising((3.0, -3.44, 0.17), roll=math.radians(-15.0), vy=4.0, vz=0.0)
     world, _ = flown(
         SimulatedWorld(rates_model(), AIRFRAME, start, seed=1, pad=LandingPad()), seconds=0.2
@@ -180,7 +174,7 @@ def test_a_wing_tip_runs_into_the_side_of_the_pad():
 
 
 def test_no_pad_is_bare_floor():
-    """The same sink over the pad's place ends lower."""
+    """The same descent at the pad's place ends lower."""
     world, _ = flown(
         SimulatedWorld(rates_model(), AIRFRAME, cruising((3.0, -2.0, 0.4), vz=-2.0), seed=1)
     )
@@ -189,7 +183,7 @@ def test_no_pad_is_bare_floor():
 
 
 def test_a_leader_nearer_than_a_metre_is_a_collision():
-    """Passing 0.9 m beside it touches, 1.1 m does not; `leader_state` is where it is."""
+    """Passing at 0.9 m is a contact, at 1.1 m not; `leader_state` is its state."""
     for beside, touched in ((0.9, True), (1.1, False)):
         leader = Standing((0.0, -2.0 + beside, 2.0))
         world = SimulatedWorld(
@@ -205,7 +199,7 @@ def test_a_leader_nearer_than_a_metre_is_a_collision():
 
 
 def test_effects_of_the_catalogue_fly():
-    """A sudden wind to the left pushes a trimmed aircraft there; trim bias on the sticks turns it."""
+    """Wind to the left pushes a trimmed aircraft there; a trim bias turns it."""
     still = flown(SimulatedWorld(rates_model(), AIRFRAME, cruising((-10.0, -2.0, 2.0)), seed=1))[
         0
     ].state
@@ -231,7 +225,7 @@ def test_without_noise_the_pose_is_the_truth():
 
 
 def test_bad_input_is_refused():
-    """A start with a gap, time that runs back, negative noise, seed and delay."""
+    """A start with nan, decreasing time, negative noise, seed and delay."""
     good = cruising((0.0, -2.0, 2.0))
     with pytest.raises(InputError, match="start"):
         SimulatedWorld(rates_model(), AIRFRAME, cruising((0.0, np.nan, 2.0)), seed=1)

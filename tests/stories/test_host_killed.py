@@ -39,7 +39,7 @@ class Field:
     def read(self):
         for line in sys.stdin:
             self.newest = State.from_record(json.loads(line))
-    def state(self, t):
+    def state_at(self, t):
         return self.newest
 
 class Port:

@@ -1,5 +1,5 @@
-"""Ten flights of an independent simulator (JSBSim): two ship with the kit, the rest lie beside the
-checkout or not.
+"""Ten flights of an independent simulator (JSBSim): two ship with the kit, others may be in the
+checkout.
 """
 
 from pathlib import Path
@@ -14,7 +14,7 @@ CASES = tuple(f"case{number:02d}" for number in range(10))
 
 
 def calm_flight(case: str) -> FlightTable:
-    """The calm flight of a case; the test that asks is skipped where it is not on this machine."""
+    """The baseline flight of a case; the test is skipped where it is missing."""
     shipped = f"{case}_calm.csv"
     if shipped in shipped_names():
         return read_flight_table(data_path(shipped))

@@ -1,8 +1,7 @@
-"""Simulated flights with known parameters: models in, true states and noisy flight tables out.
-Simulated, not measured.
+"""Simulated flights with known parameters: models -> true states and noisy flight tables.
 
-What a fit must find is put in by other means than it is taken out: a servo solved in closed form on
-10 ms steps, a pilot in the loop, noise from a seeded generator.
+The simulation differs from the fit: a servo solved in closed form on 10 ms steps, a pilot in the
+loop, noise of a seeded generator.
 """
 
 from dataclasses import dataclass
@@ -26,18 +25,16 @@ RADIUS, HEIGHT, SPEED = 4.5, 2.2, 7.0  # what the pilot holds: of the two circle
 
 @dataclass(frozen=True)
 class Flown:
-    """B flights of N rows as they truly were."""
+    """B true flights of N rows."""
 
     t: np.ndarray  # (N,) [s]
     states: np.ndarray  # (B, N, n) in the order of STATE_NAMES, SI
     sticks: np.ndarray  # (B, N, 4) in the order of COMMAND_NAMES
-    lost: np.ndarray  # (N,) rows whose frame never came: nobody moved the sticks
+    lost: np.ndarray  # (N,) rows without a frame, so without a new command
 
 
 def drawn(model: Model, rng: np.random.Generator, spread: float = 0.15) -> Model:
-    """Another aircraft: each free parameter times exp(spread * normal), or 0.1 * spread * normal
-    where it is zero.
-    """
+    """A random aircraft: parameters times exp(spread * normal), zeros plus 0.1 spread normal."""
     free = [p.name for p in model.parameters if p.low < p.high]
     normal = rng.normal(size=(2, len(free)))
     return model.with_values({
@@ -50,69 +47,57 @@ def fly_figure_eights(
     models: list[Model], seconds: float, rng: np.random.Generator,
     shake: float = 1.0, jitter: float = 0.0, lost: float = 0.0, held: tuple[int, ...] = (),
 ) -> Flown:  # fmt: skip
-    """A pilot flies figure eights of some 40 m by 30 m and shakes all sticks; one aircraft per
-    model, all of one form.
+    """Fly figure eights of about 40 m by 30 m with excited control inputs; models of one form.
 
     Args:
         models: the aircraft.
         seconds: length of the flights.
-        rng: draws frequencies (0.15 to 1.6 Hz) and phases of the shaking.
-        shake: 1 excites every parameter within a minute or two, 0 not at all.
-        jitter: frames, and the sticks with them, come up to this much early or late [s].
-        lost: share of the frames that never come.
-        held: sticks that stay at zero, by their number.
+        rng: draws frequencies (0.15 to 1.6 Hz) and phases of the excitation.
+        shake: 1 excites every parameter within a minute or two, 0 none.
+        jitter: largest deviation of a frame, and its commands, from its time [s].
+        lost: share of the frames that are lost.
+        held: numbers of the control inputs that stay at zero.
     """
     first, count, rows = models[0], len(models), round(seconds / DT) + 1
     K = parameter_record(first.names)(*np.array([m.vector for m in models]).T)
-    rates, pilot = (
-        state_rates(first.form, first.terms, first.winds),
-        _figure_eights(rng, count, shake, held),
-    )
+    rates = state_rates(first.form, first.terms, first.winds)
+    pilot = _figure_eights(rng, count, shake, held)
     t = np.arange(rows) * DT + rng.uniform(-jitter, jitter, rows)
-    asleep = (rng.random(rows) < lost) & (t > DT)
+    is_lost = (rng.random(rows) < lost) & (t > DT)
     x = np.zeros((first.n_states, count))
     x[2], x[3], x[6] = HEIGHT, 0.1, SPEED
-    states, sticks = np.empty((rows, *x.shape)), np.empty((rows, 4, count))
-    position, lag = (
-        pilot(0.0, x),
-        np.maximum(K.lag, 1e-9),
-    )  # of the servos, settled at the first sticks
+    states, commands = np.empty((rows, *x.shape)), np.empty((rows, 4, count))
+    # Positions of the servos, settled at the first commands.
+    position, lag = pilot(0.0, x), np.maximum(K.lag, 1e-9)
     for k in range(rows):
-        states[k], sticks[k] = x, sticks[k - 1] if asleep[k] else pilot(t[k], x)
+        states[k], commands[k] = x, commands[k - 1] if is_lost[k] else pilot(t[k], x)
         if k == rows - 1:
             break
         h = (t[k + 1] - t[k]) / FINE
         for now in t[k] + h * np.arange(FINE):
-            before, after, old = _arriving(t, sticks, k, now + 1e-9 - K.delay, h)
-            turned = after + (before + (position - before) * np.exp(-old / lag) - after) * np.exp(
-                -(h - old) / lag
-            )
-            mean = (before * old + after * (h - old) - lag * (turned - position)) / h
-            slope = np.where(
-                lag > h, 0.5 * (turned - position), 0.0
-            )  # a servo without lag jumps and stays
+            # First-order lag towards `before` until the change, then towards `after`.
+            before, after, old = _arriving(t, commands, k, now + 1e-9 - K.delay, h)
+            at_change = before + (position - before) * np.exp(-old / lag)
+            end = after + (at_change - after) * np.exp(-(h - old) / lag)
+            mean = (before * old + after * (h - old) - lag * (end - position)) / h
+            slope = np.where(lag > h, 0.5 * (end - position), 0.0)  # without lag it jumps
             x = step_batch(rates, K, now, x, mean, h, slope)
-            position = turned
-    return Flown(t, states.transpose(2, 0, 1), sticks.transpose(2, 0, 1), asleep)
+            position = end
+    return Flown(t, states.transpose(2, 0, 1), commands.transpose(2, 0, 1), is_lost)
 
 
-def _arriving(t, sticks, k, sent, h):
-    """Sticks (4, B) that reach the servos at the start and the end of a step, and how long the
-    first act (B,).
-    """
+def _arriving(t, commands, k, sent, h):
+    """Inputs (4, B) at the servos at start and end of a step, and the time of the change (B,)."""
     row = np.clip(np.searchsorted(t, sent, side="right") - 1, 0, k)
     each = np.arange(len(row))
     until_next = np.where(sent < t[0], h, t[row + 1] - sent)
-    return (
-        sticks[row, :, each].T,
-        sticks[np.minimum(row + 1, k), :, each].T,
-        np.minimum(until_next, h),
-    )
+    following = commands[np.minimum(row + 1, k), :, each].T
+    return commands[row, :, each].T, following, np.minimum(until_next, h)
 
 
 def _figure_eights(rng, count, shake, held):
-    """The pilot: sees the true states (n, B), returns sticks (4, B); left around one circle, right
-    around the other.
+    """The pilot: true states (n, B) -> inputs (4, B); left around one circle, right around the
+    other.
     """
     frequency = 2.0 * np.pi * rng.uniform(0.15, 1.6, (6, 4, count))
     phase = rng.uniform(0.0, 2.0 * np.pi, (6, 4, count))
@@ -132,15 +117,15 @@ def _figure_eights(rng, count, shake, held):
         bank = np.clip(-0.75 * side + 1.2 * to_the_right, -0.9, 0.9)
         climb = np.clip(0.9 * (HEIGHT - height), -0.8, 0.8)
         trim = np.clip(trim + 0.1 * DT * (HEIGHT - height), -0.4, 0.4)
-        sticks = np.stack([
+        commands = np.stack([
             0.42 + 0.2 * (SPEED - np.sqrt(vx**2 + vy**2 + vz**2)) + 0.15 * climb,
             0.9 * (bank - roll),
             trim + 1.2 * (0.12 + 0.16 * (climb - vz) + 0.16 * bank**2 - pitch) + 0.25 * bank**2,
             0.25 * bank,
         ])  # fmt: skip
-        sticks += amplitude * np.sin(frequency * t + phase).sum(axis=0)
-        sticks[list(held)] = 0.0
-        return np.clip(sticks, np.array([0.0, -1.0, -1.0, -1.0])[:, None], 1.0)
+        commands += amplitude * np.sin(frequency * t + phase).sum(axis=0)
+        commands[list(held)] = 0.0
+        return np.clip(commands, np.array([0.0, -1.0, -1.0, -1.0])[:, None], 1.0)
 
     return pilot
 
@@ -160,8 +145,8 @@ def measured(
         missing: share of rows without a pose.
         slow: share of the noise's variance that is correlated over 0.5 s.
     """
-    seen = ~flown.lost
-    states, count = flown.states[which, seen], int(seen.sum())
+    taken = ~flown.lost
+    states, count = flown.states[which, taken], int(taken.sum())
     error = np.sqrt(1.0 - slow) * rng.normal(size=(count, 6)) + np.sqrt(slow) * correlated(
         count, rng
     )
@@ -172,7 +157,7 @@ def measured(
     angles[off] += rng.normal(0.0, 0.8, (off.sum(), 3))
     p_world[lost], angles[lost] = np.nan, np.nan
     angles = (angles + np.pi) % (2.0 * np.pi) - np.pi
-    return FlightTable("simulated", flown.t[seen], p_world, angles, flown.sticks[which, seen])
+    return FlightTable("simulated", flown.t[taken], p_world, angles, flown.sticks[which, taken])
 
 
 def correlated(count: int, rng: np.random.Generator) -> np.ndarray:
@@ -186,9 +171,7 @@ def correlated(count: int, rng: np.random.Generator) -> np.ndarray:
 
 @cache
 def example_flight() -> tuple[Model, Flown, FlightTable]:
-    """A 60 s flight with marker noise, some outliers and lost frames: the aircraft, the truth, the
-    table.
-    """
+    """A 60 s flight with marker noise, outliers and lost frames: aircraft, truth, table."""
     rng = np.random.default_rng(2)
     truth = drawn(rates_model(), rng)
     flown = fly_figure_eights([truth], 60.0, rng)
@@ -197,7 +180,5 @@ def example_flight() -> tuple[Model, Flown, FlightTable]:
 
 @cache
 def example_found() -> Identification:
-    """What `identify` makes of the example flight; computed once for all tests that need some
-    identification.
-    """
+    """`identify` on the example flight, computed once for all tests."""
     return identify([example_flight()[2]])

@@ -1,6 +1,4 @@
-"""The fit against known truth, against SciPy's optimiser on the same problem, and against dense
-linear algebra.
-"""
+"""The fit against known truth, SciPy's optimiser on the same problem, and dense linear algebra."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -33,8 +31,8 @@ def with_free(model, names):
 
 @pytest.fixture(scope="module")
 def small():
-    """8 s of noisy flight, three windows, four free parameters 10 % off: the start, its windows,
-    start states.
+    """8 s of noisy flight, three windows, four free parameters 10 % off: model, windows, initial
+    states.
     """
     truth, windows = simulated("paper", 8.0, seed=12)
     start = with_free(truth.with_values({name: 1.1 * truth.values[name] for name in SMALL}), SMALL)
@@ -42,9 +40,7 @@ def small():
 
 
 def scipy_fit(model, windows, initial_states, prior=None):
-    """The same sum of squares, handed to SciPy: trust region, dense differences, nothing
-    eliminated.
-    """
+    """The same sum of squares by SciPy: trust region, dense differences, nothing eliminated."""
     free = [i for i, p in enumerate(model.parameters) if p.low < p.high]
     shape = initial_states.shape
 
@@ -77,14 +73,12 @@ def scipy_fit(model, windows, initial_states, prior=None):
 
 
 # Known truth
-# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", FORMS)
 def test_parameters_of_a_noiseless_flight_come_back(form):
-    """The inverse of a prediction: poses predicted with known parameters give these back to 1e-4
-    from a start 15 % off in each (standard deviation). Where the usual value is zero: 1e-4 of a
-    twentieth of the range.
+    """The inverse of a prediction, to 1e-4, from a start 15 % off in each (standard deviation).
+    Where the true value is zero: 1e-4 of a twentieth of the range.
     """
     truth, windows = simulated(form, 30.0, seed=10)
     windows = replace(
@@ -102,8 +96,8 @@ def test_parameters_of_a_noiseless_flight_come_back(form):
 
 
 def test_a_finer_simulation_gives_nearly_the_same():
-    """Simulated with 10 ms steps and another servo: what a 25 ms step gets wrong moves ordinary
-    parameters by less than 1e-3, and delay and lag by less than 0.1 ms.
+    """Simulated with 10 ms steps and another servo: the error of 25 ms steps is below 1e-3 of a
+    parameter, below 0.1 ms of delay and lag.
     """
     truth, windows = simulated("rates", 60.0, seed=11, noise=(0.0, 0.0))
     initial_states, _ = fit_initial_states(truth, windows, windows.initial_guess)
@@ -117,25 +111,20 @@ def test_a_finer_simulation_gives_nearly_the_same():
 
 
 # An independent optimiser
-# -----------------------------------------------------------------------------------------
 
 
 def test_the_minimum_is_scipys(small):
-    """SciPy's least_squares on the same residuals ends at the same place: cost to 1e-6, parameters
-    to 1e-4.
-    """
+    """SciPy's least_squares on the same residuals: cost to 1e-6, parameters to 1e-4."""
     start, windows, initial_states = small
-    want, cost = scipy_fit(start, windows, initial_states)
+    expected, cost = scipy_fit(start, windows, initial_states)
     found = fit(start, windows, initial_states, tolerance=1e-9)
     assert found.cost == pytest.approx(cost, rel=1e-6)
-    assert {n: found.model.values[n] for n in SMALL} == pytest.approx(want, rel=1e-4)
+    assert {n: found.model.values[n] for n in SMALL} == pytest.approx(expected, rel=1e-4)
     assert abs(found.model.values["L_da"] / start.values["L_da"] - 1.0) > 0.02  # it did move
 
 
 def test_bounds_hold_and_the_rest_settles_as_in_scipy(small):
-    """The truth lies above what is allowed for M_alpha: it stops on its bound, the others where
-    SciPy puts them.
-    """
+    """The true M_alpha is above its bound: it ends on the bound, the others as in SciPy."""
     start, windows, initial_states = small
     high = start.values["M_alpha"]
     parameters = tuple(
@@ -143,34 +132,30 @@ def test_bounds_hold_and_the_rest_settles_as_in_scipy(small):
         for p in start.parameters
     )
     bounded = replace(start, parameters=parameters).with_values({"M_alpha": 1.2 * high})
-    want, cost = scipy_fit(bounded, windows, initial_states)
+    expected, cost = scipy_fit(bounded, windows, initial_states)
     found = fit(bounded, windows, initial_states, tolerance=1e-9)
     assert found.model.values["M_alpha"] == high
     assert found.cost == pytest.approx(cost, rel=1e-5)
-    assert {n: found.model.values[n] for n in SMALL} == pytest.approx(want, rel=1e-3)
+    assert {n: found.model.values[n] for n in SMALL} == pytest.approx(expected, rel=1e-3)
 
 
-def test_a_prior_pulls_as_in_scipy(small):
-    """Mean 20 % above, 1 % wide, L_da and M_de known together: rows in SciPy's sum of squares, the
-    same minimum.
-    """
+def test_a_prior_acts_as_in_scipy(small):
+    """Mean 20 % above, 1 % wide, L_da and M_de correlated: as rows of SciPy's sum of squares."""
     start, windows, initial_states = small
     correlation = np.eye(4)
     correlation[0, 1] = correlation[1, 0] = 0.8
     mean = {n: 1.2 * start.values[n] for n in SMALL}
     prior = Prior(mean, {n: 0.01 * abs(mean[n]) for n in SMALL}, correlation)
-    want, cost = scipy_fit(start, windows, initial_states, prior)
+    expected, cost = scipy_fit(start, windows, initial_states, prior)
     found = fit(start, windows, initial_states, prior=prior, tolerance=1e-9)
     free = fit(start, windows, initial_states, tolerance=1e-9)
     assert found.cost == pytest.approx(cost, rel=1e-6)
-    assert {n: found.model.values[n] for n in SMALL} == pytest.approx(want, rel=1e-4)
+    assert {n: found.model.values[n] for n in SMALL} == pytest.approx(expected, rel=1e-4)
     assert found.model.values["M_de"] > 1.01 * free.model.values["M_de"]
 
 
-def test_a_prior_weighs_like_gaussian_theory(small):
-    """Near the minimum the problem is linear: K + (N + P)^-1 P (mean - K), with N of the data and P
-    of the prior.
-    """
+def test_a_prior_acts_as_in_gaussian_theory(small):
+    """Linear near the minimum: K + (N + P)^-1 P (mean - K), N of the data and P of the prior."""
     start, windows, initial_states = small
     free = fit(start, windows, initial_states, tolerance=1e-9)
     N = np.einsum("wif,wig->fg", free.reduced_jacobian, free.reduced_jacobian)
@@ -179,14 +164,14 @@ def test_a_prior_weighs_like_gaussian_theory(small):
     mean = K + 0.5 * sigma
     prior = Prior(dict(zip(SMALL, mean, strict=True)), dict(zip(SMALL, sigma, strict=True)))
     P = np.diag(sigma**-2.0)
-    want = K + np.linalg.solve(N + P, P @ (mean - K))
+    expected = K + np.linalg.solve(N + P, P @ (mean - K))
     found = fit(start, windows, initial_states, prior=prior, tolerance=1e-9)
     moved = np.array([found.model.values[n] for n in SMALL]) - K
-    assert moved == pytest.approx(want - K, abs=0.02 * np.abs(want - K).max())
+    assert moved == pytest.approx(expected - K, abs=0.02 * np.abs(expected - K).max())
 
 
 def test_a_sharp_prior_wins(small):
-    """In the limit the prior's mean is the answer."""
+    """The limit is the prior's mean."""
     start, windows, initial_states = small
     prior = Prior({"M_de": 0.5}, {"M_de": 1e-9})
     assert fit(start, windows, initial_states, prior=prior).model.values["M_de"] == pytest.approx(
@@ -194,9 +179,10 @@ def test_a_sharp_prior_wins(small):
     )
 
 
-def test_start_states_alone_are_scipys_too(small):
-    """K held: nine unknowns per window, from states up to 1 m, 0.2 rad and 1 m/s off. It stops at a
-    thousandth of the cost."""
+def test_initial_states_alone_are_scipys_too(small):
+    """K fixed: nine unknowns per window, from states up to 1 m, 0.2 rad and 1 m/s off. It stops at
+    a thousandth of the cost.
+    """
     start, windows, initial_guess = small
     truth = start.with_fixed(start.names)
     rng = np.random.default_rng(1)
@@ -210,13 +196,10 @@ def test_start_states_alone_are_scipys_too(small):
 
 
 # Linear algebra
-# ---------------------------------------------------------------------------------------------------
 
 
 def dense(found):
-    """The whole Jacobian as one matrix: free parameters first, then the start states, window by
-    window.
-    """
+    """The whole Jacobian as a matrix: free parameters, then initial states window by window."""
     n_windows, n_rows, n_free = found.parameter_jacobian.shape
     n = found.initial_state_jacobian.shape[2]
     J = np.zeros((n_windows * n_rows, n_free + n_windows * n))
@@ -227,10 +210,8 @@ def dense(found):
     return J
 
 
-def test_eliminating_start_states_equals_the_whole_problem(small):
-    """NumPy on the dense matrix: the inverse's block of K is the inverse of the reduced normal
-    matrix (Schur).
-    """
+def test_eliminating_initial_states_equals_the_whole_problem(small):
+    """Schur complement by dense NumPy: the inverse's block of K inverts the reduced matrix."""
     start, windows, initial_states = small
     found = fit(start, windows, initial_states)
     J = dense(found)
@@ -241,9 +222,7 @@ def test_eliminating_start_states_equals_the_whole_problem(small):
 
 
 def test_one_step_is_the_gauss_newton_step_of_the_whole_problem(small):
-    """One iteration: K moves by the first entries of the dense least-squares solution, start states
-    by the rest.
-    """
+    """One iteration: the dense least-squares solution in K and in the initial states."""
     start, windows, initial_states = small
     before = fit(start, windows, initial_states, iterations=0)
     step = np.linalg.lstsq(dense(before), -before.residual.ravel(), rcond=None)[0]
@@ -257,11 +236,10 @@ def test_one_step_is_the_gauss_newton_step_of_the_whole_problem(small):
 
 
 # Ways and means
-# ---------------------------------------------------------------------------------------------------
 
 
-def test_what_is_held_does_not_move(small):
-    """Bounds that meet: not a digit changes, also through a prior that speaks of it."""
+def test_fixed_parameters_do_not_change(small):
+    """Equal bounds: no digit changes, even with a prior on the parameter."""
     start, windows, initial_states = small
     found = fit(start, windows, initial_states, prior=Prior({"kT": 1.0}, {"kT": 0.1}))
     assert {n: v for n, v in found.model.values.items() if n not in SMALL} == {
@@ -271,7 +249,7 @@ def test_what_is_held_does_not_move(small):
 
 
 def test_a_bad_start_gets_to_the_same_minimum(small):
-    """Two parameters off by a factor of two, a cost a thousand times higher: the end is the same."""
+    """Two parameters off by a factor of two, a cost a thousand times higher: the same end."""
     start, windows, initial_states = small
     near = fit(start, windows, initial_states, tolerance=1e-6)
     far = start.with_values(
@@ -282,27 +260,25 @@ def test_a_bad_start_gets_to_the_same_minimum(small):
     assert found.converged and found.cost == pytest.approx(near.cost, rel=1e-6)
 
 
-def test_every_step_lowers_the_cost_and_is_told(small):
-    """Steps that do not are taken back; the caller hears of the others by number."""
+def test_every_step_lowers_the_cost_and_is_reported(small):
+    """Steps that raise it are undone; `on_step` gets the others with their number."""
     start, windows, initial_states = small
-    told = []
+    reported = []
     found = fit(
         start,
         windows,
         initial_states,
         tolerance=1e-6,
-        on_step=lambda i, chi2: told.append((i, chi2)),
+        on_step=lambda i, chi2: reported.append((i, chi2)),
     )
-    assert [i for i, _ in told] == list(range(1, found.iterations + 1))
-    chi2 = [c for _, c in told]
+    assert [i for i, _ in reported] == list(range(1, found.iterations + 1))
+    chi2 = [c for _, c in reported]
     assert all(b < a for a, b in pairwise(chi2))
     assert chi2[-1] == pytest.approx(found.cost / windows.count)
 
 
 def test_a_known_linearisation_saves_only_time(small):
-    """Weights changed by a factor: residual and derivatives follow by multiplication, nothing needs
-    to be flown.
-    """
+    """Weights times a factor: residual and derivatives follow by multiplication."""
     start, windows, initial_states = small
     factor = np.random.default_rng(0).uniform(0.3, 1.0, windows.weight.shape)
     first = fit(start, windows, initial_states)
@@ -316,9 +292,7 @@ def test_a_known_linearisation_saves_only_time(small):
 
 
 def test_far_residuals_count_linearly(small):
-    """Huber by hand: within 3 sigma nothing changes; 12 sigma weighs as sqrt(3 / 12) = 1/2, so its
-    square is 36.
-    """
+    """Huber by hand: 1 within 3 sigma; at 12 sigma sqrt(3 / 12) = 1/2, so the square is 36."""
     _, windows, _ = small
     residual = np.zeros((len(windows), 240 + 9))
     residual[0, :4] = [0.5, -3.0, 12.0, -12.0]
@@ -329,10 +303,8 @@ def test_far_residuals_count_linearly(small):
     assert pose_residuals(residual, windows)[0, 0, 2] == 12.0
 
 
-def test_an_outlier_does_not_pull_once_weighed_down(small):
-    """One pose 3 m off: plain squares move M_de by several sigmas, weighed squares by less than
-    one.
-    """
+def test_a_downweighted_outlier_has_little_influence(small):
+    """One pose 3 m off moves M_de by several sigmas, with Huber weights by less than one."""
     start, windows, initial_states = small
     clean = fit(start, windows, initial_states)
     sigma = 1.0 / np.sqrt(np.einsum("wif,wif->f", clean.reduced_jacobian, clean.reduced_jacobian))
@@ -352,9 +324,7 @@ def test_an_outlier_does_not_pull_once_weighed_down(small):
 
 
 def test_the_paper_form_fits_its_own_flights():
-    """Noise of 3 cm and 0.6 deg over 60 s: control gains within 5 %, the cost that of noise (1 per
-    component).
-    """
+    """Noise of 3 cm and 0.6 deg over 60 s: control gains within 5 %, cost 1 per component."""
     truth, windows = simulated("paper", 60.0, seed=14)
     initial_states, _ = fit_initial_states(paper_model(), windows, windows.initial_guess[:, :9])
     found = fit(paper_model(), windows, initial_states)

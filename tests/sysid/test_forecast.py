@@ -1,4 +1,4 @@
-"""Forecasts: exact on flights made by hand and by the model itself, and refusals."""
+"""Forecasts: exact on analytic flights and on the model's own flight; refusals."""
 
 from dataclasses import replace
 
@@ -28,21 +28,20 @@ def table(t, p_world, attitude, velocity, rates=None, commands=None):
     if rates is not None:
         extra |= dict(zip("pqr", rates.T, strict=True))
     wrapped = (attitude + np.pi) % (2.0 * np.pi) - np.pi
-    sticks = np.zeros((len(t), 4)) if commands is None else commands
-    return FlightTable("made", t, p_world, wrapped, sticks, extra)
+    commands = np.zeros((len(t), 4)) if commands is None else commands
+    return FlightTable("made", t, p_world, wrapped, commands, extra)
 
 
 def straight():
-    """7 m/s along x, 1 m/s to the right, climbing at 0.5 m/s, banked by 0.3 rad: its attitude
-    stays.
-    """
+    """7 m/s along x, 1 m/s to the right, climbing at 0.5 m/s, constant bank of 0.3 rad."""
     velocity = np.tile([7.0, -1.0, 0.5], (len(T), 1))
     return table(T, velocity * T[:, None], np.tile([0.3, 0.1, 0.0], (len(T), 1)), velocity)
 
 
 def circle(bank=0.5, speed=7.0, climb=0.4):
-    """A level turn to the right by the textbook: yaw rate g tan(bank) / V, radius V^2 / (g
-    tan(bank)), climbing.
+    """A climbing turn to the right: yaw rate g tan(bank)
+
+    V, radius V^2 / (g tan(bank)).
     """
     rate = GRAVITY * np.tan(bank) / speed
     yaw = 2.5 + rate * T  # to the right, so the course in the world, counted to the left, falls
@@ -53,12 +52,11 @@ def circle(bank=0.5, speed=7.0, climb=0.4):
 
 
 # Simple guesses
-# ---------------------------------------------------------------------------------------------------
 
 
 def test_constant_velocity_is_exact_on_a_straight_line():
-    """By hand: nothing turns and nothing accelerates. 181 rows have one a second later, and the
-    five after them one within the 0.25 s that a horizon may be short.
+    """By hand: no turn, no acceleration. 181 rows have one a second later, the next five one within
+    the tolerance of 0.25 s.
     """
     found = constant_velocity(straight())
     assert len(found.start) == 186
@@ -80,16 +78,15 @@ def test_constant_velocity_leaves_a_circle_on_its_tangent():
 @pytest.mark.parametrize("bank", [0.5, -0.7, 0.01, 1e-4])
 @pytest.mark.parametrize("horizon", [0.5, 1.0, 2.0])
 def test_constant_turn_is_exact_on_a_circle(bank, horizon):
-    """Law of the level turn, left and right, more than half way round; with hardly any bank nearly
-    a line.
-    """
+    """Coordinated turns left and right, more than half a circle; nearly straight at small bank."""
     found = constant_turn(circle(bank), horizon)
     assert found.position_m < 1e-6 and found.attitude_deg < 1e-5
 
 
 def test_constant_turn_takes_a_bank_for_a_turn():
-    """On a straight line flown with one wing low, it turns the wrong way: by hand, yaw is off by g
-    tan(0.3) t / V.
+    """On a straight line with one wing low it predicts a turn: yaw is off by g tan(0.3) t
+
+    V.
     """
     found = constant_turn(straight())
     rate = GRAVITY * np.tan(0.3) / np.hypot(7.0, 1.0)
@@ -98,25 +95,24 @@ def test_constant_turn_takes_a_bank_for_a_turn():
 
 
 # The model
-# --------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module", params=sorted(FORMS))
 def own(request):
-    """A noiseless log of the model's own flight, with velocities and rates: the model and the log."""
+    """A noiseless log of the model's own flight with velocities and rates: model and log."""
     model = drawn(FORMS[request.param](), np.random.default_rng(61))
     flown = fly_figure_eights([model], 20.0, np.random.default_rng(62))
-    states, sticks = flown.states[0], flown.sticks[0]
+    states, commands = flown.states[0], flown.sticks[0]
     again = fly(
-        model, states[0], flown.t, sticks
+        model, states[0], flown.t, commands
     )  # with the kit's own steps, so that nothing is left over
     rates = again[:, 9:] if model.form == "rates" else None
-    return model, table(flown.t, again[:, :3], again[:, [5, 3, 4]], again[:, 6:9], rates, sticks)
+    return model, table(flown.t, again[:, :3], again[:, [5, 3, 4]], again[:, 6:9], rates, commands)
 
 
 def test_the_model_forecasts_its_own_flight(own):
-    """The inverse of a simulation: 1 mm and 0.01 deg over a second; what was commanded before
-    counts through lag.
+    """Inverse of a simulation: 1 mm and 0.01 deg over a second; earlier commands count through the
+    lag.
     """
     model, log = own
     found = forecast(model, log)
@@ -125,8 +121,8 @@ def test_the_model_forecasts_its_own_flight(own):
     assert min(guesses) > 100.0 * found.position_m
 
 
-def test_a_forecast_ends_where_it_says(own):
-    """Rows a horizon apart (shorter only in the last 0.25 s); errors belong to the row at the end."""
+def test_a_forecast_ends_a_horizon_later(own):
+    """Rows a horizon apart (shorter only in the last 0.25 s); errors belong to the last row."""
     model, log = own
     found = forecast(model, log, 0.5)
     assert len(found.start) == 396
@@ -142,41 +138,35 @@ def test_a_forecast_ends_where_it_says(own):
 
 
 def test_sparse_poses_are_matched_to_the_nearest(own):
-    """A pose every fourth row: a horizon of 0.9 s ends at the pose 0.8 or 1.0 s later and is made
-    for that time.
-    """
+    """A pose every fourth row: a horizon of 0.9 s ends at the pose after 0.8 or 1.0 s."""
     model, log = own
-    seen = np.arange(len(log.t)) % 4 == 0
-    sparse = replace(log, p_world=np.where(seen[:, None], log.p_world, np.nan))
+    measured = np.arange(len(log.t)) % 4 == 0
+    sparse = replace(log, p_world=np.where(measured[:, None], log.p_world, np.nan))
     found = forecast(model, sparse, 0.9)
     assert set(np.round(log.t[found.end] - log.t[found.start], 3)) <= {0.8, 1.0}
     assert len(found.start) > 90 and found.position_m < 1e-3
 
 
 def test_commands_after_the_start_count(own):
-    """They are known inputs: with the throttle held at its mean, the forecast of the same flight is
-    off.
-    """
+    """With the throttle at its mean, the forecast of the same flight is off."""
     model, log = own
-    held = hold_throttle(log, since=10.0, over=5.0)
+    mean_throttle = hold_throttle(log, since=10.0, over=5.0)
     mean = log.commands[(log.t >= 5.0) & (log.t < 10.0), 0].mean()
-    assert (held.commands[log.t >= 10.0, 0] == mean).all()
-    assert np.array_equal(held.commands[log.t < 10.0], log.commands[log.t < 10.0])
-    assert np.array_equal(held.commands[:, 1:], log.commands[:, 1:])
+    assert (mean_throttle.commands[log.t >= 10.0, 0] == mean).all()
+    assert np.array_equal(mean_throttle.commands[log.t < 10.0], log.commands[log.t < 10.0])
+    assert np.array_equal(mean_throttle.commands[:, 1:], log.commands[:, 1:])
     before, after = (
-        forecast(model, held).within(*span).position_m for span in ((0.0, 9.9), (10.0, 20.0))
+        forecast(model, mean_throttle).within(*span).position_m
+        for span in ((0.0, 9.9), (10.0, 20.0))
     )
     assert before < 1e-3 < 0.005 < after
 
 
 # Numbers and refusals
-# ---------------------------------------------------------------------------------------------
 
 
 def test_root_mean_squares_by_hand():
-    """Distances of 3, 4, 0 (a 3-4-0 and two axis errors): sqrt((25 + 4 + 1) / 3); angles alike, in
-    degrees.
-    """
+    """Distances of 5, 2, 1 from three errors: sqrt((25 + 4 + 1) / 3); angles in degrees."""
     errors = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 2.0], [1.0, 0.0, 0.0]])
     rows = np.arange(3)
     found = Forecasts(rows, rows + 1, np.array([1.0, 2.0, 3.0]), errors, np.radians(errors))
@@ -188,7 +178,7 @@ def test_root_mean_squares_by_hand():
 
 @pytest.mark.parametrize("missing", ["vx", "vz", "q"])
 def test_a_log_without_velocities_is_refused(own, missing):
-    """The sentence says which column; body rates are asked for only where the form needs them."""
+    """The sentence names the column; body rates are required by the 12-state form only."""
     model, log = own
     short = replace(log, extra={k: v for k, v in log.extra.items() if k != missing})
     if missing == "q" and model.form == "paper":
@@ -199,14 +189,14 @@ def test_a_log_without_velocities_is_refused(own, missing):
 
 
 @pytest.mark.parametrize("guess", [constant_velocity, constant_turn])
-def test_guesses_need_velocities_too(guess):
+def test_baselines_require_velocities_too(guess):
     """The same sentence."""
     with pytest.raises(InputError, match="got none for vx"):
         guess(replace(straight(), extra={}))
 
 
 def test_poses_too_close_or_too_few_are_refused():
-    """Nothing lies 60 s ahead in a flight of 10 s; one pose has nothing ahead at all."""
+    """No row is 60 s ahead in a flight of 10 s; a single pose has none ahead."""
     with pytest.raises(InputError, match="expected poses 60 s apart, got none"):
         constant_velocity(straight(), 60.0)
     lonely = straight()
@@ -217,7 +207,7 @@ def test_poses_too_close_or_too_few_are_refused():
 
 
 def test_rows_without_velocity_are_left_out():
-    """A hole in the log's velocity is a hole in the forecasts, not a nan in their mean."""
+    """A gap in the velocity is a gap in the forecasts, not a nan in their mean."""
     log = straight()
     vx = log.extra["vx"].copy()
     vx[50:60] = np.nan

@@ -1,4 +1,4 @@
-"""The model file: what was written comes back, and a damaged file is refused in one sentence."""
+"""The model file: read equals written, and a damaged file is refused in one sentence."""
 
 import tomllib
 from dataclasses import replace
@@ -29,7 +29,7 @@ def path(tmp_path):
 
 
 def edited(path, old, new):
-    """The file with one piece of text replaced."""
+    """The file with one text replaced."""
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
@@ -37,13 +37,10 @@ def edited(path, old, new):
 
 
 # Round trip
-# -------------------------------------------------------------------------------------------------------
 
 
 def test_what_was_written_comes_back(path):
-    """Inverse of each other: values, bounds, names, noise and flights to the last bit, covariance
-    to six digits.
-    """
+    """Inverse: values, bounds, names, noise, flights to the last bit, covariance to six digits."""
     found, read = example_found(), read_model(path)
     assert dict(read.model.values) == dict(found.model.values)
     assert read.model.parameters == found.model.parameters
@@ -55,18 +52,16 @@ def test_what_was_written_comes_back(path):
 
 def test_the_read_model_flies_the_same_flight(path):
     """The same bits in, the same bits out."""
-    start, sticks = np.zeros(12), np.full((40, 4), 0.1)
+    start, commands = np.zeros(12), np.full((40, 4), 0.1)
     start[[2, 6]] = 2.0, 7.0
     flown = [
-        roll_out(m, start, sticks, 0.025) for m in (example_found().model, read_model(path).model)
+        roll_out(m, start, commands, 0.025) for m in (example_found().model, read_model(path).model)
     ]
     assert np.array_equal(*flown)
 
 
-def test_the_file_says_what_its_numbers_are(path):
-    """For people and other programs: plain TOML with units, bounds, intervals, scores and the
-    flights' names.
-    """
+def test_the_file_is_plain_toml_with_units(path):
+    """With units, bounds, intervals, scores and the flights' names."""
     content = tomllib.loads(path.read_text())
     found = example_found()
     kT = content["parameters"]["kT"]
@@ -80,7 +75,9 @@ def test_the_file_says_what_its_numbers_are(path):
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("windy", [False, True])
 def test_every_form_and_the_wind_come_back(tmp_path, form, windy):
-    """Terms are named in the file; held parameters have no interval; bounds are those of the model."""
+    """Terms are named in the file; fixed parameters have no interval; bounds are those of the
+    model.
+    """
     model = add_uniform_wind(FORMS[form](), 0.5, -0.25) if windy else FORMS[form]()
     model = model.with_fixed(["kT"])
     confidence = Uncertainty(("L_da",), np.array([[1e-4]]), 1.0, (), (), ())
@@ -101,7 +98,7 @@ def test_every_form_and_the_wind_come_back(tmp_path, form, windy):
 
 @pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.name)
 def test_every_effect_comes_back(tmp_path, effect):
-    """A model with an effect has it after reading, too: its values, bounds and functions."""
+    """With its values, bounds and functions."""
     model = rates_model().with_effect(effect)
     model = model.with_values({p.name: 0.5 * (p.low + p.high) for p in effect.parameters})
     confidence = Uncertainty(("L_da",), np.array([[1e-4]]), 1.0, (), (), ())
@@ -112,7 +109,7 @@ def test_every_effect_comes_back(tmp_path, effect):
 
 
 def test_without_noise_it_is_unknown(path):
-    """The list of sigmas may be missing or short: six nan."""
+    """A missing or short list of sigmas: six nan."""
     text = path.read_text().splitlines(keepends=True)
     begin = next(i for i, line in enumerate(text) if line.startswith("sigma"))
     end = next(i for i in range(begin, len(text)) if text[i].rstrip().endswith("]"))
@@ -121,7 +118,6 @@ def test_without_noise_it_is_unknown(path):
 
 
 # Files of version 1
-# -----------------------------------------------------------------------------------------------
 
 OLD = (
     Path(__file__).parents[1] / "data"
@@ -142,17 +138,18 @@ def old_moments(V, rates, angles, commands, K):
 
 
 def test_an_old_file_has_todays_symbols_and_signs():
-    """By hand from the file's text: L_p = -Lp and so on, bounds change places, the rudder's Nr is
-    N_dr, Nrr is -N_r.
+    """By hand from the file's text: L_p = -Lp and so on, bounds swap, the rudder's Nr is N_dr, Nrr
+    is -N_r.
     """
     read = read_model(OLD / "model_version1_rates.toml")
     values, bounds = read.model.values, {p.name: (p.low, p.high) for p in read.model.parameters}
     old = tomllib.loads((OLD / "model_version1_rates.toml").read_text())["parameters"]
     pairs = {
         "cY_beta": "cY", "L_p": "Lp", "M_alpha": "Ma", "M_q": "Mq", "N_r": "Nrr", "N_p": "Np",
-        "cL_0": "cL0", "cL_alpha": "cLa", "cL_de": "cLe", "cD_0": "cD0", "cD_induced": "cDi", "cD_beta": "cDb",
-        "cY_dr": "cYr", "kT": "kT", "kTV": "kTV", "L_0": "L0", "L_da": "La", "L_beta": "Lb", "L_r": "Lr", "M_0": "M0",
-        "M_de": "Me", "N_0": "N0", "N_dr": "Nr", "N_beta": "Nb", "Jx": "Jx", "Jy": "Jy", "Jz": "Jz",
+        "cL_0": "cL0", "cL_alpha": "cLa", "cL_de": "cLe", "cD_0": "cD0", "cD_induced": "cDi",
+        "cD_beta": "cDb", "cY_dr": "cYr", "kT": "kT", "kTV": "kTV", "L_0": "L0", "L_da": "La",
+        "L_beta": "Lb", "L_r": "Lr", "M_0": "M0", "M_de": "Me", "N_0": "N0", "N_dr": "Nr",
+        "N_beta": "Nb", "Jx": "Jx", "Jy": "Jy", "Jz": "Jz",
         "delay": "delay", "lag": "lag",
     }  # fmt: skip
     assert set(pairs) == set(values)
@@ -172,8 +169,8 @@ def test_an_old_file_has_todays_symbols_and_signs():
 
 
 def test_an_old_covariance_changes_sign_with_one_of_the_two():
-    """cov(-a, b) = -cov(a, b) and cov(-a, -b) = cov(a, b), for pairs of either kind; variances
-    stay.
+    """cov(-a, b) = -cov(a, b) and cov(-a, -b) = cov(a, b), for pairs of either kind; same
+    variances.
     """
     read = read_model(OLD / "model_version1_rates.toml")
     old = tomllib.loads((OLD / "model_version1_rates.toml").read_text())["covariance"]
@@ -189,9 +186,7 @@ def test_an_old_covariance_changes_sign_with_one_of_the_two():
 
 
 def test_an_old_file_flies_as_before():
-    """Moments and side force by the formulas of version 1, from the numbers as they stand in the
-    file.
-    """
+    """Moments and side force by the formulas of version 1, from the numbers in the file."""
     read = read_model(OLD / "model_version1_rates.toml").model
     content = tomllib.loads((OLD / "model_version1_rates.toml").read_text())["parameters"]
     K = {name: entry["value"] for name, entry in content.items()}
@@ -208,9 +203,7 @@ def test_an_old_file_flies_as_before():
 
 
 def test_an_old_file_of_the_nine_state_model_flies_as_before():
-    """The rates by the formulas of version 1, from the numbers in the file; what was fixed at zero
-    stays so.
-    """
+    """The rates by the formulas of version 1, from the numbers in the file; fixed zeros stay."""
     read = read_model(OLD / "model_version1_paper.toml").model
     content = tomllib.loads((OLD / "model_version1_paper.toml").read_text())["parameters"]
     K = {name: entry["value"] for name, entry in content.items()}
@@ -259,7 +252,7 @@ def test_an_old_file_is_written_as_todays(tmp_path):
 
 
 def test_a_parameter_by_both_names_is_refused(tmp_path):
-    """Which of the two would count is a guess."""
+    """It would be ambiguous."""
     text = (OLD / "model_version1_paper.toml").read_text()
     entry = '\n[parameters.M_alpha]\nvalue = -1.0\nunit = "1/m"\nlow = -2.0\nhigh = 0.0\n'
     (tmp_path / "m.toml").write_text(text + entry)
@@ -270,7 +263,6 @@ def test_a_parameter_by_both_names_is_refused(tmp_path):
 
 
 # Refused
-# ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -321,7 +313,7 @@ def test_a_parameter_too_many_is_named(path):
     "change", ["row missing", "number missing", "name unknown", "name missing"]
 )
 def test_a_covariance_of_another_shape_is_refused(path, change):
-    """29 names want 29 rows of 29 numbers, of parameters that are there."""
+    """29 names require 29 rows of 29 numbers, of existing parameters."""
     content = tomllib.loads(path.read_text())
     covariance = content["covariance"]
     if change == "row missing":
@@ -333,16 +325,16 @@ def test_a_covariance_of_another_shape_is_refused(path, change):
     else:
         covariance["names"][0] = "cXX"
     write_toml(path, content)
-    wanted = (
+    message = (
         "names of parameters" if change == "name unknown" else r"expected \d+ rows of \d+ numbers"
     )
-    with pytest.raises(InputError, match=f"model.toml: covariance: .*{wanted}"):
+    with pytest.raises(InputError, match=f"model.toml: covariance: .*{message}"):
         read_model(path)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
 def test_a_file_that_is_cut_off_is_refused(path, share):
-    """Whatever is missing is an error, none of it a guess."""
+    """Any missing entry is an error."""
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
     with pytest.raises(InputError) as refusal:
@@ -357,8 +349,8 @@ def test_no_file_is_no_file(tmp_path):
 
 
 def test_damaged_files_are_read_or_refused_in_a_sentence(tmp_path):
-    """2,000 mutations of a file with few parameters: the only exception is an InputError of one
-    line, and what is read is a model of finite numbers.
+    """2,000 mutations of a small file: the only exception is an InputError of one line, and a model
+    that is read has finite numbers.
     """
     confidence = Uncertainty(("L_da", "kT"), np.diag([1e-4, 1e-2]), 1.0, (), (), ())
     path = tmp_path / "m.toml"

@@ -1,6 +1,4 @@
-"""Preparing a flight: noise, outliers, gaps and turns, against what was planted and against
-recorded-file facts.
-"""
+"""Preparing: noise, outliers, gaps and turns against simulated and recorded facts."""
 
 from dataclasses import replace
 
@@ -21,9 +19,7 @@ def rng():
 
 
 def path(t):
-    """(N, 6) smooth poses as an aircraft's: circles of 5 m in 4.5 s, up and down, yaw turning on
-    and on.
-    """
+    """(N, 6) smooth poses: circles of 5 m in 4.5 s, up and down, yaw increasing."""
     circling = 1.4 * t
     return np.column_stack([
         5.0 * np.sin(circling), 5.0 * np.cos(circling), 2.0 + 0.5 * np.sin(0.9 * t),
@@ -32,7 +28,7 @@ def path(t):
 
 
 def table(t, pose, commands=None, **columns):
-    """A flight table; yaw is brought into -pi..pi as every camera gives it."""
+    """A flight table; yaw wrapped into -pi..pi as of every camera."""
     attitude = (pose[:, 3:] + np.pi) % (2.0 * np.pi) - np.pi
     sticks = np.tile([0.5, 0.0, 0.1, 0.0], (len(t), 1)) if commands is None else commands
     return FlightTable("made", t, pose[:, :3], attitude, sticks, columns)
@@ -44,13 +40,12 @@ def noisy(rng, seconds=60.0, sigma=SIGMA):
 
 
 # Noise
-# ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sigma", [0.003, 0.03, 0.3])
 def test_noise_on_a_smooth_curve_is_found(rng, sigma):
-    """The number that was planted; a median of 20,000 correlated differences scatters by 1.3 %, so
-    5 % is 4 sigma.
+    """The simulated value; a median of 20,000 correlated differences scatters by 1.3 %, so 5 % is 4
+    sigma.
     """
     t = np.arange(20_000) * 0.05
     found = difference_noise(path(t) + rng.normal(0.0, sigma, (len(t), 6)))
@@ -58,8 +53,8 @@ def test_noise_on_a_smooth_curve_is_found(rng, sigma):
 
 
 def test_outliers_hardly_raise_the_noise(rng):
-    """By hand: one pose in a hundred far off spoils 5 % of the fourth differences, so the median of
-    the others' sizes is taken at 0.5/0.95 = 52.6 %: 0.716 against 0.674 sigma, 6 % more. Without
+    """By hand: one outlier in a hundred affects 5 % of the fourth differences, so the median of the
+    others' sizes is taken at 0.5/0.95 = 52.6 %: 0.716 against 0.674 sigma, 6 % more. Without
     robustness it would be 30 times more.
     """
     t = np.arange(20_000) * 0.05
@@ -68,9 +63,10 @@ def test_outliers_hardly_raise_the_noise(rng):
     assert difference_noise(samples) == pytest.approx(np.full(6, 0.03 * 1.06), rel=0.05)
 
 
-def test_slow_noise_is_mostly_not_seen(rng):
-    """Closed form: of AR(1) with correlation a = exp(-0.1) the fourth difference keeps
-    (70 - 112 a + 56 a^2 - 16 a^3 + 2 a^4) / 70 = 5.7 % of the variance, so 24 % of the sigma."""
+def test_correlated_noise_is_mostly_not_included(rng):
+    """Closed form: of AR(1) with correlation a = exp(-0.1) the fourth difference keeps (70 - 112 a
+    + 56 a^2 - 16 a^3 + 2 a^4) / 70 = 5.7 % of the variance, so 24 % of the sigma.
+    """
     a = np.exp(-0.1)
     slow = np.zeros((40_000, 1))
     for k in range(1, len(slow)):
@@ -81,17 +77,15 @@ def test_slow_noise_is_mostly_not_seen(rng):
 
 
 @pytest.mark.parametrize("case", ["case01", "case02", "case03"])
-def test_noise_of_recorded_flights_is_what_their_readme_says(case):
-    """JSBSim's flights carry 3 cm and 0.6 deg, white; 0.5 % outliers add 3 % and fast motion adds
-    some more.
-    """
+def test_noise_of_recorded_flights_is_that_of_their_readme(case):
+    """JSBSim's flights: white 3 cm and 0.6 deg; 0.5 % outliers add 3 %, fast motion some more."""
     found = prepare(calm_flight(case)).sigma
     assert found[:3].mean() == pytest.approx(0.03, rel=0.1)
     assert np.degrees(found[3:].mean()) == pytest.approx(0.6, rel=0.1)
 
 
 def test_given_noise_is_used_before_logged_before_estimated(rng):
-    """A value given in the call wins over the table's columns, these over the estimate."""
+    """An argument goes before the table's columns, these before the estimate."""
     t, pose = noisy(rng)
     plain = table(t, pose)
     logged = table(
@@ -105,7 +99,7 @@ def test_given_noise_is_used_before_logged_before_estimated(rng):
 
 
 def test_perfect_poses_still_have_some_noise():
-    """A weight of one over zero would break every fit: 1 mm and 1 mrad at least."""
+    """Weights must be finite: at least 1 mm and 1 mrad."""
     t = np.arange(400) * 0.05
     assert prepare(
         table(t, np.tile([1.0, 2.0, 3.0, 0.1, 0.2, 0.3], (400, 1)))
@@ -113,12 +107,11 @@ def test_perfect_poses_still_have_some_noise():
 
 
 # Outliers
-# ---------------------------------------------------------------------------------------------------------
 
 
-def test_poses_off_by_metres_are_set_aside_and_good_ones_kept(rng):
-    """Planted: 1 % of the positions 1 to 5 m off, another 1 % of the attitudes 30 to 90 deg off,
-    three of them beside each other. All must go; of the good halves at most 1 % may go with them.
+def test_poses_off_by_metres_are_removed_and_good_ones_kept(rng):
+    """Simulated: 1 % of the positions 1 to 5 m off, another 1 % of the attitudes 30 to 90 deg off,
+    three of them in a row. All must go, and at most 1 % of the good halves.
     """
     t, pose = noisy(rng, 120.0)
     rows = rng.permutation(len(t))[:48]
@@ -143,13 +136,13 @@ def test_poses_off_by_metres_are_set_aside_and_good_ones_kept(rng):
 
 
 def test_a_clean_flight_loses_nothing(rng):
-    """Six sigmas: of 14,400 Gaussian numbers 3e-5 are expected beyond; allow the local cubics'
-    doubt: two rows.
+    """Six sigmas: of 14,400 Gaussian numbers 3e-5 are expected beyond; two rows for the cubics'
+    misfit.
     """
     assert prepare(table(*noisy(rng, 120.0))).outliers <= 2
 
 
-def test_many_outliers_are_said(rng):
+def test_many_outliers_give_a_warning(rng):
     """Above 5 % the poses themselves are the problem."""
     t, pose = noisy(rng, 60.0)
     rows = rng.permutation(len(t))[: len(t) // 10]
@@ -167,33 +160,29 @@ def test_half_a_turn_more_is_not_an_outlier(rng):
 
 
 # Turns
-# ------------------------------------------------------------------------------------------------------------
 
 
-def test_yaw_goes_on_and_on_through_pi(rng):
-    """The path turns by 84 rad; the prepared yaw follows it up to whole turns, also past three
-    poses that look back.
-    """
+def test_yaw_is_unwrapped_past_outliers(rng):
+    """The path turns by 84 rad; yaw follows up to whole turns, also past three reversed poses."""
     t, pose = noisy(rng)
     truth = path(t)[:, 5]
     pose[[300, 301, 700], 5] += np.pi - 0.2
     flight = prepare(table(t, pose)).flights[0]
     turns = (flight.pose[:, 5] - truth) / (2.0 * np.pi)
-    seen = np.isfinite(turns)
-    assert np.abs(turns[seen] - np.round(turns[0])).max() < 0.02  # six sigmas of noise
-    assert not seen[[300, 301, 700]].any() and seen.sum() >= len(t) - 5
+    measured = np.isfinite(turns)
+    assert np.abs(turns[measured] - np.round(turns[0])).max() < 0.02  # six sigmas of noise
+    assert not measured[[300, 301, 700]].any() and measured.sum() >= len(t) - 5
     assert (
         np.abs(flight.state_estimate[:, 4] - truth - 2.0 * np.pi * np.round(turns[0])).max() < 0.1
     )
 
 
 # Rows
-# -------------------------------------------------------------------------------------------------------------
 
 
 def test_single_missing_frames_become_empty_rows(rng):
-    """20 Hz without rows 100, 200, 201: the rows are back, without a pose, with the command of the
-    row before.
+    """20 Hz without rows 100, 200, 201: they are inserted without a pose, with the previous
+    command.
     """
     t, pose = noisy(rng, 30.0)
     commands = np.column_stack([np.arange(len(t)) / len(t)] * 4)
@@ -208,8 +197,8 @@ def test_single_missing_frames_become_empty_rows(rng):
 
 @pytest.mark.parametrize(("removed", "pieces"), [(4, 1), (5, 2)])
 def test_a_long_gap_cuts_the_flight(rng, removed, pieces):
-    """Four frames lost are a step of 0.25 s, which is still one flight; five are 0.3 s, in which
-    sticks are unknown.
+    """Four lost frames are a step of 0.25 s, still one flight; five are 0.3 s with unknown
+    commands.
     """
     t, pose = noisy(rng, 30.0)
     kept = np.delete(np.arange(len(t)), np.arange(300, 300 + removed))
@@ -219,8 +208,8 @@ def test_a_long_gap_cuts_the_flight(rng, removed, pieces):
     assert sum(len(f.t) for f in done.flights) == (len(t) if pieces == 1 else len(kept))
 
 
-def test_a_stretch_shorter_than_three_seconds_is_dropped(rng):
-    """Between two gaps lie 2 s: too short for a window with known sticks."""
+def test_a_segment_shorter_than_three_seconds_is_dropped(rng):
+    """2 s between two gaps are too short for a window with known commands."""
     t, pose = noisy(rng, 30.0)
     kept = (t < 12.0) | ((t > 13.0) & (t < 15.0)) | (t > 16.0)
     done = prepare(table(t[kept], pose[kept]))
@@ -234,7 +223,7 @@ def test_a_stretch_shorter_than_three_seconds_is_dropped(rng):
     "case", ["two seconds", "no pose at all", "no pose in most rows", "gaps everywhere"]
 )
 def test_a_flight_that_cannot_be_used_is_refused_in_a_sentence(rng, case):
-    """The sentence names the flight and says what was wanted and what came."""
+    """The sentence has the flight's name, expected and got."""
     t, pose = noisy(rng, 2.0 if case == "two seconds" else 20.0)
     if case == "no pose at all":
         pose[:] = np.nan
@@ -250,13 +239,12 @@ def test_a_flight_that_cannot_be_used_is_refused_in_a_sentence(rng, case):
 
 
 # The local estimate of the state
-# ----------------------------------------------------------------------------------
 
 
 def test_local_slope_is_as_sharp_as_theory_allows(rng):
-    """Least squares, by NumPy's pseudo-inverse: the slope of a cubic through 13 samples has sigma
-    0.19 sigma/dt, which is 0.114 m/s for 3 cm (raw differences have 0.85). Robust weights and the
-    curve's bend may add a quarter.
+    """Least squares by NumPy's pseudo-inverse: the slope of a cubic through 13 samples has sigma
+    0.19 sigma/dt, 0.114 m/s for 3 cm (raw differences 0.85). Robust weights and curvature may add a
+    quarter.
     """
     t, pose = noisy(rng, 120.0)
     s = np.arange(-6, 7) * 0.05
@@ -268,9 +256,8 @@ def test_local_slope_is_as_sharp_as_theory_allows(rng):
 
 
 def test_local_state_of_a_banked_turn():
-    """Kinematics of a level turn by hand: p = 0, q = yaw' sin(roll), r = yaw' cos(roll);
-    centripetal acceleration v^2 / radius towards the centre. Noiseless, so only the cubic's bend is
-    left: 1e-3.
+    """Kinematics of a level turn by hand: p = 0, q = yaw' sin(roll), r = yaw' cos(roll),
+    centripetal acceleration v^2 / radius. Noiseless, so only the cubic's misfit is left: 1e-3.
     """
     t = np.arange(400) * 0.05
     roll, turn = 0.6, 1.2
@@ -279,8 +266,8 @@ def test_local_state_of_a_banked_turn():
     ])  # fmt: skip
     flight = prepare(table(t, pose)).flights[0]
     middle = flight.state_estimate[20:-20]
-    want = [0.0, turn * np.sin(roll), turn * np.cos(roll)]
-    assert np.abs(middle[:, 9:] - want).max() < 1e-3
+    expected = [0.0, turn * np.sin(roll), turn * np.cos(roll)]
+    assert np.abs(middle[:, 9:] - expected).max() < 1e-3
     assert np.linalg.norm(middle[:, 6:9], axis=1) == pytest.approx(
         np.full(len(middle), 6.0), rel=1e-3
     )
@@ -289,7 +276,7 @@ def test_local_state_of_a_banked_turn():
 
 
 def test_logged_velocities_are_taken_where_there_are_some(rng):
-    """Start guesses: the log's own numbers, and the derivative in rows where the log has none."""
+    """The log's own numbers, and derivatives in rows without them."""
     t, pose = noisy(rng)
     logged = {
         name: np.full(len(t), 10.0 + i) for i, name in enumerate(("vx", "vy", "vz", "p", "q", "r"))
@@ -297,14 +284,14 @@ def test_logged_velocities_are_taken_where_there_are_some(rng):
     logged["vy"][50:60] = np.nan
     plain = prepare(table(t, pose)).flights[0].state_estimate
     found = prepare(table(t, pose, **logged)).flights[0].state_estimate
-    want = np.tile(np.arange(10.0, 16.0), (len(t), 1))
-    want[50:60, 1] = plain[50:60, 7]
-    assert np.array_equal(found[:, 6:], want)
+    expected = np.tile(np.arange(10.0, 16.0), (len(t), 1))
+    expected[50:60, 1] = plain[50:60, 7]
+    assert np.array_equal(found[:, 6:], expected)
     assert np.array_equal(found[:, :6], plain[:, :6])
 
 
 def test_channels_are_positions_then_roll_pitch_yaw(rng):
-    """Every pose array in the room has this order; the state has pitch, yaw, roll."""
+    """The order of all pose arrays; the state has pitch, yaw, roll."""
     t, pose = noisy(rng, 10.0, SIGMA * 1e-3)
     flight = prepare(table(t, pose)).flights[0]
     assert CHANNELS == ("px", "py", "pz", "roll", "pitch", "yaw")
@@ -316,7 +303,7 @@ def test_channels_are_positions_then_roll_pitch_yaw(rng):
 
 @pytest.mark.parametrize("rate_hz", [10.0, 50.0])
 def test_other_frame_rates(rng, rate_hz):
-    """Nothing is tied to 20 Hz: noise and poses are the same at 10 and 50 frames a second."""
+    """Noise and poses are the same at 10 and 50 frames a second."""
     t = np.arange(round(60 * rate_hz)) / rate_hz
     done = prepare(table(t, path(t) + SIGMA * rng.normal(size=(len(t), 6))))
     assert done.sigma == pytest.approx(SIGMA, rel=0.2)

@@ -1,4 +1,4 @@
-"""Scores: chi2 and metres against hand calculation, and what is held out against counting."""
+"""Scores: chi2 and metres by hand, held-out blocks by counting."""
 
 from dataclasses import replace
 
@@ -24,8 +24,8 @@ def flight():
 
 
 def test_the_true_aircraft_scores_one(flight):
-    """Only noise of the known size is left: chi2 per degree of freedom is 1 within four standard
-    errors, in all and, with six times fewer numbers, in each channel.
+    """Only the known noise is left: chi2 per degree of freedom is 1 within four standard errors, in
+    all and, with a sixth of the numbers, in each channel.
     """
     truth, windows = flight
     found = score(truth, windows)
@@ -37,8 +37,8 @@ def test_the_true_aircraft_scores_one(flight):
 
 
 def test_metres_and_degrees_are_those_of_the_noise(flight):
-    """By hand: 3 cm per axis is a distance of sqrt(3) 3 cm and 0.6 deg per angle is 0.6 deg, a
-    little less since the start states follow the noise (12 of 240 numbers a window).
+    """By hand: 3 cm per axis is a distance of sqrt(3) 3 cm, 0.6 deg per angle is 0.6 deg, slightly
+    less because initial states are fitted (12 of 240 numbers a window).
     """
     truth, windows = flight
     found = score(truth, windows)
@@ -48,7 +48,7 @@ def test_metres_and_degrees_are_those_of_the_noise(flight):
 
 
 def test_missing_poses_do_not_count(flight):
-    """Half of the poses struck out: chi2 stays that of noise; what is struck out has no residual."""
+    """Half of the poses removed: the same chi2; removed poses have no residual."""
     truth, windows = flight
     factor = np.ones_like(windows.weight)
     factor[:, ::2] = 0.0
@@ -60,7 +60,7 @@ def test_missing_poses_do_not_count(flight):
 
 
 def test_noise_taken_twice_as_large_scores_a_quarter(flight):
-    """chi2 goes with one over sigma squared; metres do not change."""
+    """chi2 scales with one over sigma squared; metres do not change."""
     truth, windows = flight
     once, twice = (
         score(truth, windows),
@@ -71,7 +71,7 @@ def test_noise_taken_twice_as_large_scores_a_quarter(flight):
 
 
 def test_a_wrong_aircraft_scores_worse(flight):
-    """10 % less pitch stiffness and 5 % less roll control: what the start states cannot hide shows."""
+    """10 % less pitch stiffness, 5 % less roll control, partly hidden by the initial states."""
     truth, windows = flight
     wrong = truth.with_values(
         {"M_alpha": 0.9 * truth.values["M_alpha"], "L_da": 0.95 * truth.values["L_da"]}
@@ -79,10 +79,8 @@ def test_a_wrong_aircraft_scores_worse(flight):
     assert score(wrong, windows).chi2 > 2.0 * score(truth, windows).chi2
 
 
-def test_residuals_are_of_the_start_states_found(flight):
-    """What is handed back fits together: flying from `initial_states` gives `residual`; better
-    starts are not needed.
-    """
+def test_residuals_belong_to_the_fitted_initial_states(flight):
+    """Flying from `initial_states` gives `residual`."""
     truth, windows = flight
     found = score(truth, windows)
     poses = fly_windows(truth, windows, found.initial_states)
@@ -94,11 +92,10 @@ def test_residuals_are_of_the_start_states_found(flight):
 
 
 # What is held out
-# -------------------------------------------------------------------------------------------------
 
 
 def windows_at(initial_states, flight=None):
-    """Windows of 2 s that begin at these times; nothing else of them matters."""
+    """Windows of 2 s that begin at these times, otherwise empty."""
     nodes = np.asarray(initial_states, float)[:, None] + np.arange(40) * 0.05
     empty = np.zeros((len(nodes), 1))
     number = np.zeros(len(nodes), int) if flight is None else np.asarray(flight)
@@ -108,8 +105,8 @@ def windows_at(initial_states, flight=None):
 
 
 def test_held_out_blocks_by_hand():
-    """120 s from 0.5 s on are twelve blocks of five windows; three in ten are kept: the fourth,
-    seventh and tenth.
+    """120 s from 0.5 s on: twelve blocks of five windows; the fourth, seventh and tenth are held
+    out.
     """
     windows = windows_at(0.5 + 2.0 * np.arange(60))
     fitted, kept = split_blocks(windows)
@@ -118,7 +115,7 @@ def test_held_out_blocks_by_hand():
 
 
 def test_neighbours_of_held_out_time_are_whole_blocks(flight):
-    """No block of 10 s has windows on both sides: neighbouring samples are alike."""
+    """No block of 10 s has windows on both sides: neighbouring samples are correlated."""
     _, windows = flight
     fitted, kept = split_blocks(windows)
     block = ((windows.nodes[:, 0] - windows.nodes[0, 0]) // 10.0).astype(int)
@@ -132,8 +129,8 @@ def test_a_short_flight_has_nothing_to_hold_out():
     assert (len(fitted), len(kept)) == (15, 0)
 
 
-def test_select_takes_all_that_belongs_to_a_window(flight):
-    """The residuals of chosen windows are the chosen residuals."""
+def test_select_takes_all_fields_of_a_window(flight):
+    """The residuals of selected windows are the selected residuals."""
     truth, windows = flight
     index = np.array([3, 30, 7])
     chosen = select_windows(windows, index)

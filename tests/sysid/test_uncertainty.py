@@ -1,6 +1,4 @@
-"""Intervals: covariance against dense linear algebra, inflation against white and slow noise, and
-what is flagged.
-"""
+"""Uncertainty: covariance by dense algebra, inflation for white and correlated noise, flags."""
 
 from dataclasses import replace
 
@@ -34,15 +32,15 @@ def flown():
 
 @pytest.fixture(scope="module")
 def fitted(flown):
-    """The fit of its first 20 s to white noise: windows and result."""
+    """The fit of its first 20 s with white noise: windows and result."""
     truth, whole = flown
     windows = windows_of(whole, np.random.default_rng(1), seconds=20.0)
     return windows, fit(truth, windows, windows.initial_guess)
 
 
 def test_covariance_is_the_inverse_of_the_whole_normal_matrix(fitted):
-    """By hand with NumPy: all unknowns together (29 parameters, 12 start states a window), chi2 per
-    degree of freedom times the inverse, its block of the parameters, times the inflation.
+    """Dense NumPy: all unknowns (29 parameters, 12 initial states per window), chi2 per degree of
+    freedom times the inverse, its block of the parameters, times the inflation.
     """
     windows, found = fitted
     confidence = uncertainty(found, windows)
@@ -56,16 +54,14 @@ def test_covariance_is_the_inverse_of_the_whole_normal_matrix(fitted):
     scale = 1.0 / np.linalg.norm(J, axis=0)
     inverse = np.linalg.inv((J * scale).T @ (J * scale)) * np.outer(scale, scale)
     s2 = np.sum(found.residual**2) / (windows.count - n_free - 12 * n_windows)
-    want = inverse[:n_free, :n_free] * s2 * confidence.inflation
-    size = np.sqrt(np.outer(np.diag(want), np.diag(want)))
-    assert confidence.covariance / size == pytest.approx(want / size, abs=1e-5)
+    expected = inverse[:n_free, :n_free] * s2 * confidence.inflation
+    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert confidence.covariance / size == pytest.approx(expected / size, abs=1e-5)
     assert confidence.names == found.model.names
 
 
 def test_a_prior_adds_its_information(fitted):
-    """Gauss: the inverse of the covariance is that of the data plus that of the prior, here of two
-    known together.
-    """
+    """Gauss: information of the data plus that of the prior, here of two correlated parameters."""
     windows, found = fitted
     plain = uncertainty(found, windows)
     correlation = np.array([[1.0, 0.9], [0.9, 1.0]])
@@ -77,15 +73,15 @@ def test_a_prior_adds_its_information(fitted):
     added[np.ix_(at, at)] = np.linalg.inv(
         correlation * np.outer(list(sigma.values()), list(sigma.values()))
     )
-    want = np.linalg.inv(np.linalg.inv(plain.covariance / plain.inflation) + added)
+    expected = np.linalg.inv(np.linalg.inv(plain.covariance / plain.inflation) + added)
     assert np.diag(confidence.covariance) / confidence.inflation == pytest.approx(
-        np.diag(want), rel=1e-4
+        np.diag(expected), rel=1e-4
     )
     assert confidence.sigma["kT"] < 0.9 * plain.sigma["kT"]
 
 
 def test_interval_is_1_96_sigma_to_either_side():
-    """The normal distribution's 97.5 % point; a held parameter has no width."""
+    """The normal distribution's 97.5 % point; a fixed parameter has zero width."""
     confidence = Uncertainty(("L_da",), np.array([[0.04]]), 1.0, (), (), ())
     assert confidence.sigma == pytest.approx({"L_da": 0.2})
     assert confidence.interval("L_da", 1.0) == pytest.approx((1.0 - 0.392, 1.0 + 0.392))
@@ -93,9 +89,7 @@ def test_interval_is_1_96_sigma_to_either_side():
 
 
 def test_inflation_is_about_one_for_white_noise(flown):
-    """White residuals scatter the windows' gradients as theory says: at most 1.3 on three minutes'
-    noise.
-    """
+    """White residuals scatter the gradients as theory predicts: at most 1.3 with three minutes."""
     truth, whole = flown
     found = []
     for seed in range(3):
@@ -106,17 +100,16 @@ def test_inflation_is_about_one_for_white_noise(flown):
 
 
 def test_inflation_grows_with_slow_noise(flown):
-    """Half of the variance correlated over 0.5 s: neighbouring poses no longer count as
-    independent. Ten of them act alike, so by hand the variance of a slow parameter grows up to
-    tenfold on that half.
+    """Half of the variance correlated over 0.5 s: ten neighbouring poses act as one, so by hand the
+    variance of a slow parameter grows up to tenfold on that half.
     """
     truth, whole = flown
     windows = windows_of(whole, np.random.default_rng(0), slow=0.5)
     assert 2.0 < uncertainty(fit(truth, windows, windows.initial_guess), windows).inflation < 12.0
 
 
-def test_few_windows_say_nothing_of_correlation(fitted):
-    """Below eight windows the scatter of gradients is itself unknown: no inflation."""
+def test_few_windows_give_no_inflation(fitted):
+    """Below eight windows the scatter of gradients is itself unknown."""
     windows, found = fitted
     few = replace(
         found,
@@ -127,10 +120,9 @@ def test_few_windows_say_nothing_of_correlation(fitted):
     assert uncertainty(few, windows).inflation == 1.0
 
 
-def test_a_stick_that_never_moves_is_told(flown):
-    """Rudder at zero for a minute: its yawing moment N_dr and side force cY_dr do nothing. These
-    two are named, the others are known about as well as with it (N_beta and the like lose some
-    excitation), all stay finite.
+def test_a_constant_control_input_is_not_excited(flown):
+    """Rudder at zero for a minute: its N_dr and cY_dr have no effect. These two are named, the
+    others about as certain as with it (N_beta and others lose some excitation), all finite.
     """
     truth, whole = flown
     held = fly_figure_eights([truth], 60.0, np.random.default_rng(6), held=(3,))
@@ -147,8 +139,8 @@ def test_a_stick_that_never_moves_is_told(flown):
     assert 0.5 < np.median(ratio) < 2.0
 
 
-def test_what_ends_on_its_bound_is_told(flown):
-    """Drag is not allowed below twice its true value: it ends there and its interval does not hold."""
+def test_a_parameter_on_its_bound_is_reported(flown):
+    """Drag is bounded above twice its true value: it ends there, and its interval is not valid."""
     truth, whole = flown
     low = 2.0 * truth.values["cD_0"]
     parameters = tuple(replace(p, low=low) if p.name == "cD_0" else p for p in truth.parameters)
@@ -163,19 +155,20 @@ def test_what_ends_on_its_bound_is_told(flown):
     assert "cD_0" in confidence.at_bound and "L_da" not in confidence.at_bound
 
 
-def test_twins_are_told_with_their_correlation(fitted):
-    """Roll is fast: in the time of one frame its rate settles at -L_da / L_p, so the two come as a
-    pair. The number is that of the covariance.
+def test_correlated_parameters_are_reported(fitted):
+    """Roll is fast: within a frame its rate settles at -L_da
+
+    L_p, so the two are correlated. The number is that of the covariance.
     """
     windows, found = fitted
     confidence = uncertainty(found, windows)
     pairs = {frozenset(pair[:2]): pair[2] for pair in confidence.correlated}
     i, j = confidence.names.index("L_da"), confidence.names.index("L_p")
-    want = confidence.covariance[i, j] / np.sqrt(
+    expected = confidence.covariance[i, j] / np.sqrt(
         confidence.covariance[i, i] * confidence.covariance[j, j]
     )
-    assert pairs[frozenset(("L_da", "L_p"))] == pytest.approx(want)
-    assert want < -0.95 and min(abs(r) for r in pairs.values()) > 0.95
+    assert pairs[frozenset(("L_da", "L_p"))] == pytest.approx(expected)
+    assert expected < -0.95 and min(abs(r) for r in pairs.values()) > 0.95
     assert [abs(r) for *_, r in confidence.correlated] == sorted(
         (abs(r) for *_, r in confidence.correlated), reverse=True
     )
@@ -190,8 +183,8 @@ def test_twins_are_told_with_their_correlation(fitted):
         (0.0, -1.0, 1.0, 0.3, 0.3),
     ],
 )
-def test_ordinary_size_by_hand(start, low, high, value, want):
-    """The larger of the found and the usual value; where the usual is zero, a twentieth of the
-    range.
-    """
-    assert ordinary_size(Parameter("x", start, low, high, "-", ""), value) == pytest.approx(want)
+def test_ordinary_size_by_hand(start, low, high, value, expected):
+    """The larger of value and start value; where the start is zero, a twentieth of the range."""
+    assert ordinary_size(Parameter("x", start, low, high, "-", ""), value) == pytest.approx(
+        expected
+    )

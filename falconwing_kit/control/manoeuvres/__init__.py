@@ -1,7 +1,6 @@
-"""Manoeuvres: every file of this folder -> one entry of the table of what a leader can fly.
+"""Manoeuvres: the `MANOEUVRE` of every file of this folder -> the table of a leader's flights.
 
-A new manoeuvre is one new file here with a `MANOEUVRE`; its name fixes its draws, so it changes no
-other leader.
+To add one, add a file. Its name fixes its random draws, so no other leader changes.
 """
 
 from importlib import import_module

@@ -1,10 +1,8 @@
-"""Figure eight: a generator's draws -> waypoints of two level lobes of 8.9 m radius, right and then
-left.
-"""
+"""Figure eight: random draws -> waypoints of two level circles, radius 8.9 m, right then left."""
 
 from falconwing_kit.control.plan import Manoeuvre, Plan
 
-# The arc's length is the one that brings each lobe back to the middle.
+# The arc length closes each lobe in the middle.
 LOBE = (0.0, 1.0, 5.0, 51.184, 55.184, 56.184)  # [m]
 RIGHT_LOBE = (0.0, 0.0, 1 / 8.9, 1 / 8.9, 0.0, 0.0)  # [1/m]
 PLAN = Plan(

@@ -1,6 +1,4 @@
-"""Left-turn S descent [paper, Section V-A]: a generator's draws -> waypoints to the left, back, and
-down.
-"""
+"""Left-turn S descent [paper, Section V-A]: random draws -> waypoints to the left, back, down."""
 
 from falconwing_kit.control.plan import Manoeuvre, Plan
 

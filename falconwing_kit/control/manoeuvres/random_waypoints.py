@@ -1,6 +1,4 @@
-"""Random waypoints: a generator's draws -> waypoints of a way that turns and climbs at random
-inside the hall.
-"""
+"""Random waypoints: random draws -> waypoints of a path of random turns and climbs in the hall."""
 
 import math
 
@@ -12,41 +10,37 @@ from falconwing_kit.control.plan import MARGIN, MIN_HEIGHT, Manoeuvre, curve_poi
 from falconwing_kit.core.checks import Array, InputError
 
 TRIES, KNOTS = 500, 8
+KNOT_SPACING = 5.0  # [m]
 
 
 def random_waypoints(rng: np.random.Generator) -> Array:
-    """Waypoints every metre of a way that turns and climbs at random, with room on all sides.
+    """Waypoints (n, 3) every metre [m] of a path with random curvature and climb at its knots.
 
-    Knot by knot: what would leave the hall is drawn again, and where that does not help, all of it.
-
-    Args:
-        rng: draws start and course, then curvature and climb at knots 5 m apart.
-
-    Returns:
-        (n, 3) [m].
+    Rejection sampling knot by knot: a knot that would lead out of the hall is drawn again, and
+    after too many rejections the whole path.
 
     Raises:
-        InputError: the hall is too small for any.
+        InputError: the hall is too small for any path.
     """
     for _ in range(TRIES):
-        start, yaw = (
-            rng.uniform((-21.5, -11.0, 1.2), (16.5, 7.0, 3.8)),
-            rng.uniform(-math.pi, math.pi),
-        )
-        behind = start - 6.0 * course_axes(yaw)[0]  # where a follower may begin
-        bends = [np.zeros(2)]
+        start = rng.uniform((-21.5, -11.0, 1.2), (16.5, 7.0, 3.8))
+        yaw = rng.uniform(-math.pi, math.pi)
+        behind = start - 6.0 * course_axes(yaw)[0]  # a follower may begin here
+        knots = [np.zeros(2)]  # curvature [1/m] and climb [rad]
         for _ in range(10 * KNOTS):
-            bend = rng.uniform(-1.0, 1.0, 2) * (0.105, 0.12)
-            tried = [*bends, bend, bend * (1.0, 0.0), bend * (1.0, 0.0)]  # there must be a way on
-            curvature, climb = np.array(tried).T
-            s = np.linspace(0.0, 5.0 * (len(tried) - 1), len(tried))
+            knot = rng.uniform(-1.0, 1.0, 2) * (0.105, 0.12)
+            # Two more level knots of the same turn: the path must be able to continue.
+            candidate = [*knots, knot, knot * (1.0, 0.0), knot * (1.0, 0.0)]
+            curvature, climb = np.array(candidate).T
+            s = np.linspace(0.0, KNOT_SPACING * (len(candidate) - 1), len(candidate))
             points = np.vstack([behind, start + curve_points(yaw, s, curvature, climb)])
             if np.all(Hall().margin(points) > MARGIN) and np.all(points[:, 2] > MIN_HEIGHT):
-                bends = tried[:-2]
-            if len(bends) == KNOTS:
-                return np.asarray(points[1:-10])
+                knots = candidate[:-2]
+            if len(knots) == KNOTS:
+                return np.asarray(points[1:-10])  # without the last two knots
     raise InputError(
-        f"random waypoints: none of {TRIES} draws stayed inside the hall; take another seed"
+        f"random waypoints: expected a path inside the hall, {TRIES} draws left it; take another"
+        " seed"
     )
 
 

@@ -1,6 +1,4 @@
-"""Right-turn S ascent [paper, Section V-A]: a generator's draws -> waypoints of the mirrored S,
-climbing.
-"""
+"""Right-turn S ascent [paper, Section V-A]: random draws -> waypoints of the mirrored S, up."""
 
 from falconwing_kit.control.manoeuvres.left_turn_s_descent import S_KNOTS, S_LEFT
 from falconwing_kit.control.plan import Manoeuvre, Plan

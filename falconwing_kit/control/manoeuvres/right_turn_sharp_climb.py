@@ -1,6 +1,4 @@
-"""Right-turn sharp climb [paper, Section V-A]: a generator's draws -> waypoints of a long right
-turn at 11 deg up.
-"""
+"""Right-turn sharp climb [paper, Section V-A]: random draws -> a long right turn, 11 deg up."""
 
 from falconwing_kit.control.plan import Manoeuvre, Plan
 

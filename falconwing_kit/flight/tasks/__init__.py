@@ -1,7 +1,6 @@
-"""Tasks: every file of this folder -> one entry of the table of what can be flown and judged.
+"""Tasks: the `TASK` of every file of this folder -> the table of tasks.
 
-A new task is one new file here: a class as `flight.trial.Task` describes it, and a `TASK` for the
-command line.
+To add one, add a file: a class with the interface `flight.trial.FlightTask`, and its `TASK`.
 """
 
 from importlib import import_module

@@ -1,6 +1,4 @@
-"""Following: a manoeuvre and a seed -> a world 4 m behind the leader, its judge, and the expert
-that follows.
-"""
+"""Following: a manoeuvre and a seed -> a world 4 m behind the leader, its evaluator and expert."""
 
 import math
 from dataclasses import dataclass, field
@@ -20,13 +18,13 @@ from falconwing_kit.flight.trial import Spread, TaskEntry, TrialSetup
 from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
 
-BEHIND = 4.0  # m: where a follower begins
+BEHIND = 4.0  # distance of the start behind the leader [m]
 SPREAD = Spread(position=0.5, angle=math.radians(5.0), speed=0.5)  # of its start
 
 
 @dataclass(frozen=True)
 class FollowTask:
-    """Keep a leader in view through one manoeuvre, beginning about 4 m behind it."""
+    """Keep a leader in view through one manoeuvre, from about 4 m behind it."""
 
     manoeuvre: str
     model: Model = field(default_factory=rates_model)
@@ -41,7 +39,7 @@ class FollowTask:
 
     @property
     def name(self) -> str:
-        """The task with its manoeuvre."""
+        """Task and manoeuvre."""
         return f"follow {self.manoeuvre}"
 
     def leader(self, seed: int) -> LeaderPath:
@@ -51,7 +49,7 @@ class FollowTask:
     def trial(self, seed: int) -> TrialSetup:
         """The world of a seed."""
         leader = self.leader(seed)
-        first = leader.state(0.0)
+        first = leader.state_at(0.0)
         forward = first.v_world / np.linalg.norm(first.v_world)
         yaw = math.atan2(-forward[1], forward[0])
         start = self.spread.start(self.model, first.p_world - BEHIND * forward, seed, yaw)
@@ -61,18 +59,19 @@ class FollowTask:
     def judge(
         self, trial: TrialSetup, camera: PinholeCamera, view: RenderedView | None = None
     ) -> FlightEvaluator:
-        """The judge of a chase, in the images of a camera; a view also shows what hides the leader."""
+        """The evaluator in the images of a camera; with a view it also finds occlusions."""
         return FollowEvaluator(trial.world, _leader(trial), self.airframe, camera, view)
 
     def expert(self, trial: TrialSetup) -> Pilot:
-        """The pilot that follows by both states."""
+        """The pilot that follows by its own and the leader's state."""
         return FollowExpert(self.model, self.airframe, _leader(trial))
 
 
 def _leader(trial: TrialSetup) -> LeaderPath:
     if trial.leader is None:
         raise InputError(
-            "trial: expected one with a leader to follow, got one without; make it by the task's own `trial`"
+            "trial: expected one with a leader to follow, got one without; make it by the task's"
+            " own `trial`"
         )
     return trial.leader
 

@@ -1,6 +1,4 @@
-"""Landing: a trial's seed -> a world 20 m before the pad, the judge of its touchdown, and the
-expert that lands.
-"""
+"""Landing: a trial's seed -> a world 20 m before the pad, its evaluator and expert."""
 
 import math
 from dataclasses import dataclass, field
@@ -18,7 +16,7 @@ from falconwing_kit.flight.trial import Spread, TaskEntry, TrialSetup
 from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
 
-OUT, HEIGHT = 20.0, 1.5  # m: where a landing begins, before the pad and above the floor
+DISTANCE, HEIGHT = 20.0, 1.5  # of the start, before the pad and above the floor [m]
 SPREAD = Spread(position=1.0, angle=math.radians(10.0), speed=1.0)  # of its start
 
 
@@ -34,11 +32,11 @@ class LandingTask:
     name = "landing"
 
     def leader(self, seed: int) -> None:
-        """There is none."""
+        """None: there is no leader."""
 
     def trial(self, seed: int) -> TrialSetup:
         """The world of a seed."""
-        nominal = np.array([self.pad.x_start - OUT, self.pad.y_centre, HEIGHT])
+        nominal = np.array([self.pad.x_start - DISTANCE, self.pad.y_centre, HEIGHT])
         start = self.spread.start(self.model, nominal, seed)
         world = SimulatedWorld(self.model, self.airframe, start, seed=seed, pad=self.pad)
         return TrialSetup(seed, world, None, self.duration)
@@ -46,11 +44,11 @@ class LandingTask:
     def judge(
         self, trial: TrialSetup, camera: PinholeCamera, view: RenderedView | None = None
     ) -> FlightEvaluator:
-        """The judge of a landing; the camera does not matter to it."""
+        """The evaluator of the touchdown, without the camera."""
         return LandingEvaluator(trial.world)
 
     def expert(self, trial: TrialSetup) -> Pilot:
-        """The pilot that lands by state."""
+        """The state-based pilot that lands."""
         return LandingExpert(self.model, self.airframe, self.pad)
 
 

@@ -101,7 +101,7 @@ class Recording:
         if self.images is None:
             return None
         try:
-            image = self.images.next(self.t)
+            image = self.images.next_image(self.t)
         except Exception as error:
             self.images = None
             self._event(self.t, "images lost", {"error": f"{type(error).__name__}: {error}"})

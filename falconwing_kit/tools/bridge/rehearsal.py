@@ -49,12 +49,12 @@ class SimulatedManualApproach:
         """Whether the aircraft has touched down."""
         return self.world.contact is not None
 
-    def next(self, t: float) -> Image | None:
+    def next_image(self, t: float) -> Image | None:
         """The newest image at time t [s] of the recording, after the aircraft is advanced to it."""
         step = int(t / CONTROL_PERIOD_S + 1e-6)
         if step > self._step and not self.over:
             self._step = step
-            self._image = self._view.next(step * CONTROL_PERIOD_S)
+            self._image = self._view.next_image(step * CONTROL_PERIOD_S)
             command = self._pilot.act(
                 Observation(step * CONTROL_PERIOD_S, self._image, self._past, self.world.measured())
             )

@@ -221,7 +221,7 @@ def _picture(tools: WalkDevices) -> str:
             )
         begun, start = images.health.received, time.perf_counter()
         while (t := time.perf_counter() - start) < WATCH_S:
-            alerts.add(monitor.update(images.next(t), t).reason)
+            alerts.add(monitor.update(images.next_image(t), t).reason)
             time.sleep(0.02)
         rate = (images.health.received - begun) / t
     told = ", ".join(sorted(alerts - {""}))

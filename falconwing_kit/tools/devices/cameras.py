@@ -26,7 +26,7 @@ Sleep = Callable[[float], object]
 class TimedImageSource(Protocol):
     """Image source of a simulator."""
 
-    def next(self, t: float) -> Image | None:
+    def next_image(self, t: float) -> Image | None:
         """The newest image at time t [s]."""
 
 
@@ -181,7 +181,7 @@ class SimulatedCamera:
         self._number = max(
             self._number + 1, math.ceil((self._now() - self._zero) * self.rate_hz - 1e-6)
         )
-        image = self.source.next(t)
+        image = self.source.next_image(t)
         return None if image is None else image.pixels
 
     def close(self) -> None:

@@ -110,7 +110,7 @@ class Grabber:
     ) -> None:
         self.stop()
 
-    def next(self, t: float) -> Image | None:
+    def next_image(self, t: float) -> Image | None:
         """The newest image (H, W, 3) RGB without waiting; None before the first or if it is stale.
 
         Args:

@@ -1,4 +1,4 @@
-"""trials: many simulated flights, their statistics and figures, and flights with a hidden effect."""
+"""trials: simulated flights, their statistics and figures, and flights with a hidden effect."""
 
 from falconwing_kit.tools.trials.hidden import HiddenCase, hidden_case, hidden_seed
 from falconwing_kit.tools.trials.statistics import (

@@ -1,4 +1,4 @@
-"""Statistics of trials: counts and numbers -> intervals, and whether two pilots differ."""
+"""Statistics of trials: outcomes -> confidence intervals and a test of two pilots."""
 
 from collections.abc import Sequence
 
@@ -13,18 +13,14 @@ RESAMPLES = 10_000
 def clopper_pearson_interval(
     successes: int, trials: int, confidence: float = 0.95
 ) -> tuple[float, float]:
-    """Exact interval of a success rate: no true rate outside of it makes the count less likely than
-    its tail allows.
+    """Exact confidence interval of a success rate, 0..1.
 
-    P(X >= k | low) = P(X <= k | high) = (1 - confidence) / 2   [Clopper & Pearson 1934, Biometrika 26]
+    P(X >= k | low) = P(X <= k | high) = (1 - confidence) / 2   [Clopper & Pearson 1934]
 
     Args:
         successes: k, 0 to n.
         trials: n, at least 1.
-        confidence: chance that such an interval holds the true rate, at least.
-
-    Returns:
-        Low and high end, 0..1.
+        confidence: least probability that such an interval contains the true rate.
 
     Raises:
         InputError: the counts do not fit, or the confidence is not between 0 and 1.
@@ -33,27 +29,22 @@ def clopper_pearson_interval(
 
     n = _require_count("trials", trials, low=1)
     k = _require_count("successes", successes, high=n)
-    interval = binomtest(k, n).proportion_ci(
-        require_range("confidence", confidence, low=0.01, high=0.9999), "exact"
-    )
+    level = require_range("confidence", confidence, low=0.01, high=0.9999)
+    interval = binomtest(k, n).proportion_ci(level, "exact")
     return float(interval.low), float(interval.high)
 
 
 def bootstrap_mean_interval(
     values: ArrayLike, confidence: float = 0.95, seed: int = 0
 ) -> tuple[float, float]:
-    """Interval of a mean from means of resampled values [Efron & Tibshirani 1993, An Introduction,
-    ch. 13].
+    """Percentile bootstrap interval of a mean; both ends nan for fewer than two values.
 
-    Too narrow for a handful of values: ten are few.
+    It is too narrow for ten values or fewer [Efron & Tibshirani 1993, An Introduction, ch. 13].
 
     Args:
         values: (n,) one number per trial, finite.
-        confidence: share of the resampled means that lies inside.
-        seed: of the resampling; same seed, same interval.
-
-    Returns:
-        Low and high end in the unit of the values; both nan for fewer than two.
+        confidence: share of the resampled means inside the interval.
+        seed: of the resampling.
 
     Raises:
         InputError: a value is not finite, or the confidence is not between 0 and 1.
@@ -63,7 +54,7 @@ def bootstrap_mean_interval(
     x = np.asarray(values, np.float64).ravel()
     if not np.isfinite(x).all():
         raise InputError(
-            "values: expected finite numbers, got nan or infinity; leave out trials that have none"
+            "values: expected finite numbers, got nan or infinity; leave out trials without a value"
         )
     level = require_range("confidence", confidence, low=0.01, high=0.9999)
     if x.size < 2:
@@ -75,20 +66,17 @@ def bootstrap_mean_interval(
 
 
 def mcnemar_p_value(first: Sequence[bool], second: Sequence[bool]) -> float:
-    """Chance of so uneven a difference between two equally good pilots, flown on the same starts.
+    """Two-sided p-value of the exact McNemar test of two pilots on the same starts.
 
-    Only trials that one of them lost count. Among those, the number lost by the first is binomial
-    with 1/2 [McNemar 1947, Psychometrika 12; the exact form].
+    Null hypothesis: both are equally good. Among the trials that only one of them won, the number
+    won by the first is then binomial with 1/2 [McNemar 1947, Psychometrika 12].
 
     Args:
         first: success of one pilot in each trial.
         second: success of the other in the same trials.
 
-    Returns:
-        p-value of both sides, 0..1; 1 where they never differ.
-
     Raises:
-        InputError: the two have not flown equally many trials.
+        InputError: the numbers of trials differ.
     """
     from scipy.stats import binomtest
 
@@ -103,7 +91,7 @@ def mcnemar_p_value(first: Sequence[bool], second: Sequence[bool]) -> float:
 
 
 def _require_count(name: str, value: int, *, low: int = 0, high: float = 1e9) -> int:
-    """The value if it is a whole number of things."""
+    """The value as an integer, InputError where it is none."""
     number = require_range(name, value, low=low, high=high)
     if number != int(number):
         raise InputError(f"{name}: expected a whole number, got {value}")

@@ -1,8 +1,6 @@
-"""Trials: a task and a pilot -> many simulated flights from frozen starts, their record, and rates
-with intervals.
+"""Trials: a task and a pilot -> simulated flights from frozen starts, their records and statistics.
 
-A folder keeps the flights one by one in `trials.jsonl`, so that an interrupted study goes on where
-it stopped.
+A folder keeps the flights in `trials.jsonl`, so that an interrupted study can be continued.
 """
 
 import hashlib
@@ -43,15 +41,14 @@ TRIALS = "trials.jsonl"
 NO_IMAGES = "no images"
 PATHS = ("path_m", "leader_path_m")
 DIGITS = 16  # of a digest
-LEADER = (
-    "leader_digest"  # in the head of a study with a leader; earlier versions of the kit wrote none
-)
+# In the head of a study with a leader, and in its records; earlier versions wrote none.
+LEADER = "leader_digest"
 DIGESTS = {  # key of a head -> what differs where it differs
     LEADER: "another leader's path",
     "task_digest": "another duration, spread, noise, delay, model or airframe",
     "scene_digest": "another scene",
 }
-# What is averaged over trials, for those records that have it: key -> over successes only.
+# Averaged over the trials that have it: key -> over successes only.
 MEANS = {
     "ald_m": True,
     "sink_rate_m_s": True,
@@ -66,27 +63,28 @@ MEANS = {
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """How trials are flown, apart from task, pilot and seed."""
+    """Images, clock, hooks and port of trials."""
 
-    scene: GaussianScene | None = None  # rendered for the pilot; None gives it no images
+    scene: GaussianScene | None = None  # rendered for the pilot; None: no images
     camera: PinholeCamera = field(default_factory=fpv_camera)
-    clock: type[SimulatedClock] | type[WallClock] = SimulatedClock  # a new one for every flight
+    clock: type[SimulatedClock] | type[WallClock] = SimulatedClock  # one instance per flight
     hooks: Sequence[Callable[[LoopStep], None]] = ()
     # a simulated board that every command goes through, one of `open_port.PORTS`; "" for none
     port: str = ""
 
     @property
     def record(self) -> Record:
-        """What has to be the same for flights to be comparable."""
+        """Everything that must be the same for flights to be comparable."""
         lens = self.camera
-        how = {"rendered": self.scene is not None, "size_px": [lens.width, lens.height]}
-        how |= {
+        record: Record = {
+            "rendered": self.scene is not None,
+            "size_px": [lens.width, lens.height],
             "focal_px": [lens.fx, lens.fy],
             "centre_px": [lens.cx, lens.cy],
             "clock": self.clock.__name__,
         }
-        how |= {"port": self.port} if self.port else {}
-        return {**how, "scene_digest": None if self.scene is None else _scene_digest(self.scene)}
+        record |= {"port": self.port} if self.port else {}
+        return record | {"scene_digest": None if self.scene is None else _scene_digest(self.scene)}
 
 
 def fly_trial(
@@ -100,21 +98,19 @@ def fly_trial(
     """Fly one trial.
 
     Args:
-        task: what is to be done.
-        make_pilot: a new pilot for a trial.
+        task: the task.
+        make_pilot: returns a new pilot for a trial.
         number: of the trial in the frozen list, from 0.
-        seed: which list.
-        setting: images, clock and hooks; None flies without images, as fast as it can.
+        seed: number of the list.
+        setting: images, clock and hooks; None: no images, simulated clock.
         log: an MCAP file to write; None for none.
 
     Returns:
-        Numbers and the path: of the loop (reason, steps, skipped, faults), of the pilot's run time
-            (art_ms of every
-        step, with median and 95th percentile, the machine and the images it was measured with) and
-        of the judge.
+        reason, steps, skipped and faults of the loop; art_ms, the pilot's run time in every step,
+        with median, 95th percentile, machine and images; the measures of the task's evaluator.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C; the log is whole, and the trial does not count.
+        KeyboardInterrupt: Ctrl-C; the log is complete, the trial does not count.
         InputError: a number is out of its range, or the log cannot be written.
     """
     setting = setting or TrialSettings()
@@ -122,9 +118,9 @@ def fly_trial(
     pilot = make_pilot(trial)
     with ExitStack() as stack:
         writer = stack.enter_context(FlightLogWriter(log)) if log is not None else None
-        world = (
-            _behind_port(stack, trial.world, setting.port, writer) if setting.port else trial.world
-        )
+        world: SimulatedWorld | PortWorld = trial.world
+        if setting.port:
+            world = _behind_port(stack, trial.world, setting.port, writer)
         view = None
         if setting.scene is not None:
             scene = _seed_link_noise(setting.scene, trial.seed)
@@ -137,45 +133,37 @@ def fly_trial(
                 {"simulated": "yes", "task": task.name, "seed": trial.seed, "port": setting.port}
             )
         flight = loop.run(trial.duration, judge.watch)
-        through = {"port": world.record} if isinstance(world, PortWorld) else {}
+        port = {"port": world.record} if isinstance(world, PortWorld) else {}
     if flight.reason == "interrupted":
         raise KeyboardInterrupt
+    record: Record = {"trial": number, "seed": trial.seed, "reason": flight.reason}
+    record |= {"steps": len(flight.t), "skipped": flight.skipped, "faults": flight.faults}
+    faults = [dict(event.details) for event in flight.events if event.name == "pilot failed"]
+    record |= {"first_fault": faults[0]} if faults else {}
+    record |= {} if trial.leader is None else {LEADER: trial.leader.digest[:DIGITS]}
     median, high = flight.milliseconds("pilot")
-    art = {"art_median_ms": median, "art_p95_ms": high, "machine": describe_machine()}
-    art |= {"art_ms": np.round(1e3 * flight.seconds["pilot"], 3).tolist(), "images": NO_IMAGES}
-    art |= (
-        {"images": f"{view.camera.width}x{view.camera.height} images by {view.backend!r}"}
-        if view
-        else {}
-    )
-    how = {
-        "reason": flight.reason,
-        "steps": len(flight.t),
-        "skipped": flight.skipped,
-        "faults": flight.faults,
-    }
-    first_fault = next(
-        (dict(event.details) for event in flight.events if event.name == "pilot failed"), None
-    )
-    how |= {"first_fault": first_fault} if first_fault else {}
-    return {"trial": number, "seed": trial.seed, **how, **art, **through, **judge.result()}
+    record |= {"art_median_ms": median, "art_p95_ms": high, "machine": describe_machine()}
+    record["art_ms"] = np.round(1e3 * flight.seconds["pilot"], 3).tolist()
+    record["images"] = NO_IMAGES
+    if view is not None:
+        record["images"] = f"{view.camera.width}x{view.camera.height} images by {view.backend!r}"
+    return record | port | judge.result()
 
 
 def _behind_port(
     stack: ExitStack, world: SimulatedWorld, name: str, log: FlightLogWriter | None
 ) -> PortWorld:
-    """The world behind a simulated board; what happens at the port goes to the log."""
+    """The world behind a simulated board; events at the port go to the log."""
 
-    def note(t: float, what: str, details: Mapping[str, Any]) -> None:
+    def log_event(t: float, what: str, details: Mapping[str, Any]) -> None:
         if log is not None:
-            with suppress(
-                InputError
-            ):  # a full disk ends no flight, and the loop, which writes here too, says so
+            # A full disk does not end the flight; the loop, which writes here too, reports it.
+            with suppress(InputError):
                 log.event(t, what, details)
 
     board = simulated_board(name)
     stack.callback(board.close)
-    return stack.enter_context(PortWorld(world, board, on_event=note))
+    return stack.enter_context(PortWorld(world, board, on_event=log_event))
 
 
 def fly_trials(
@@ -187,112 +175,101 @@ def fly_trials(
     seed: int = 0,
     setting: TrialSettings | None = None,
     out: str | Path | None = None,
+    head: Record | None = None,
     logs: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> list[Record]:
-    """Fly trials 0 to count - 1 of the frozen list, or those of them that a folder does not hold
-    yet.
+    """Fly trials 0 to count - 1 of the frozen list, without those that a folder already holds.
 
     Args:
-        task: what is to be done.
-        make_pilot: a new pilot for each trial.
-        count: how many.
-        pilot: what the pilot is called.
-        seed: which list of starts and noise; the same list for every pilot makes pairs.
+        task: the task.
+        make_pilot: returns a new pilot for each trial.
+        count: number of trials.
+        pilot: the pilot's name.
+        seed: number of the list of starts and noise; pilots on the same list make pairs.
         setting: images, clock and hooks.
-        out: folder that keeps the flights; made where it is missing. None keeps nothing. Of a task
-            it keeps name and digest, see `study_head`.
+        out: folder for the records, created if missing; None keeps none.
+        head: of `study_head` if already computed.
         logs: write a flight log of each trial too, into `out`.
-        progress: told after each flight how it stands.
+        progress: called after each flight with "successes of trials".
 
     Returns:
-        A record of each trial, as `fly_trial` makes them.
+        The records of `fly_trial`.
 
     Raises:
-        InputError: the folder holds trials that were flown otherwise, or an argument is out of its
-            range.
+        InputError: the folder holds trials of another study, or an argument is out of its range.
         KeyboardInterrupt: Ctrl-C; finished flights are kept.
     """
     setting = setting or TrialSettings()
     require_range("trials", count, low=1, high=10_000)
-    head, folder, records = {}, None if out is None else Path(out), []
-    if folder is not None:
+    folder: Path | None = None
+    records: list[Record] = []
+    if out is not None:
+        folder = Path(out)
         folder.mkdir(parents=True, exist_ok=True)
-        head = study_head(task, pilot, seed) | setting.record
+        head = (head or study_head(task, pilot, seed)) | setting.record
         records = read_flown_trials(folder, head)
     for number in range(len(records), count):
         log = _log_path(folder, number) if folder is not None and logs else None
         records.append(fly_trial(task, make_pilot, number, seed, setting, log))
-        if folder is not None:
+        if folder is not None and head is not None:
             _write_trials(folder, head, records)
         progress(f"{sum(record['success'] for record in records)} of {len(records)}")
     return records[:count]
 
 
 def study_head(task: FlightTask, pilot: str, seed: int = 0) -> Record:
-    """What is flown, by whom and from which starts, apart from images and clock.
+    """Task, pilot and list of starts of a study, without images and clock.
 
-    The digest tells tasks of one name apart by their repr, which of the kit's tasks, as of any
-    dataclass, holds all fields; of another task it tells what its repr tells. The world's default
-    noise and delay are in it too, and of a task with a leader the path that it flies in the first
-    trial, which has a digest of its own so that a changed leader is named.
+    The digest separates tasks of one name by their repr, which for a dataclass holds all fields.
+    It includes the world's default noise and delay and the leader's path in the first trial, which
+    also has a digest of its own; those of the other trials are in their records.
 
     Args:
-        task: what is to be done.
-        pilot: what the pilot is called.
-        seed: which list of starts and noise.
+        task: the task.
+        pilot: the pilot's name.
+        seed: number of the list of starts and noise.
 
     Returns:
         simulated, task, pilot, list, leader_digest where there is a leader, task_digest.
     """
     leader = task.leader(trial_seed(0, seed))
-    shown = {} if leader is None else {LEADER: leader.digest[:DIGITS]}
+    leader_digest = "" if leader is None else leader.digest[:DIGITS]
     with np.printoptions(threshold=sys.maxsize, precision=17):
         representation = re.sub(r" at 0x[0-9a-fA-F]+", "", repr((task, PoseNoise(), LINK_DELAY_S)))
-    digest = hashlib.sha256((representation + shown.get(LEADER, "")).encode()).hexdigest()[:DIGITS]
-    return {
-        "simulated": True,
-        "task": task.name,
-        "pilot": pilot,
-        "list": seed,
-        **shown,
-        "task_digest": digest,
-    }
+    digest = hashlib.sha256((representation + leader_digest).encode()).hexdigest()[:DIGITS]
+    head: Record = {"simulated": True, "task": task.name, "pilot": pilot, "list": seed}
+    head |= {LEADER: leader_digest} if leader_digest else {}
+    return head | {"task_digest": digest}
 
 
 def read_flown_trials(folder: Path, head: Mapping[str, Any]) -> list[Record]:
-    """Trials that a folder keeps, if they were flown in the same way.
+    """Records of a folder, none if it is empty or missing.
 
     Args:
-        folder: of `fly_trials`; it may be empty or missing.
-        head: what has to be the same, of `study_head` and `TrialSettings.record`.
-
-    Returns:
-        Their records.
+        folder: of `fly_trials`.
+        head: of `study_head` and `TrialSettings.record`.
 
     Raises:
-        InputError: they were flown otherwise, or the file is damaged.
+        InputError: they are of another study, or the file is damaged.
     """
     if not (folder / TRIALS).exists():
         return []
     before, records = read_trials(folder)
     if different := _difference(before, head):
         raise InputError(
-            f"--out {folder}: expected an empty folder or one of the same study, got trials with {different};"
-            " choose another folder"
+            f"--out {folder}: expected an empty folder or one of the same study, got trials with"
+            f" {different}; choose another folder"
         )
     return records
 
 
 def read_paired_trials(folder: str | Path, head: Mapping[str, Any]) -> list[Record]:
-    """Trials of another pilot, if they are of the same task from the same list of starts.
+    """Records of another pilot for the same task and the same list of starts, at least one.
 
     Args:
         folder: of `fly_trials`.
         head: of `study_head`; its pilot does not matter.
-
-    Returns:
-        Their records, at least one.
 
     Raises:
         FileNotFoundError: there are no trials.
@@ -303,13 +280,14 @@ def read_paired_trials(folder: str | Path, head: Mapping[str, Any]) -> list[Reco
     if different or not records:
         raise InputError(
             f"--against {folder}: expected trials of the same task from the same starts, got"
-            f" {f'trials with {different}' if different else 'none'}; choose another folder, or its task and --seed"
+            f" {f'trials with {different}' if different else 'none'}; choose another folder, or its"
+            " task and --seed"
         )
     return records
 
 
 def read_trials(folder: str | Path) -> tuple[Record, list[Record]]:
-    """What a folder keeps: how its trials were flown, and their records.
+    """Head and records of a folder.
 
     Raises:
         FileNotFoundError: there are no trials.
@@ -321,17 +299,16 @@ def read_trials(folder: str | Path) -> tuple[Record, list[Record]]:
             f"{path}: expected trials that `falconwing fly --out` wrote, found none there"
         )
     try:
-        head, *records = (
-            json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()
-        )
-        wrong = _header_error(head) or next(
-            filter(None, map(_record_error, range(len(records)), records)), ""
-        )
+        lines = path.read_text(encoding="utf-8").splitlines()
+        head, *records = (json.loads(line) for line in lines)
+        errors = (_record_error(number, record) for number, record in enumerate(records))
+        wrong = _header_error(head) or next(filter(None, errors), "")
     except (ValueError, RecursionError):
         wrong = "other lines"
     if wrong:
         raise InputError(
-            f"{short_name(path)}: expected a head and then trials from 0 on, got {wrong}; choose a new folder"
+            f"{short_name(path)}: expected a head and then trials from 0 on, got {wrong}; choose a"
+            " new folder"
         )
     return head, records
 
@@ -345,20 +322,16 @@ def summarise_trials(records: Sequence[Mapping[str, Any]]) -> Record:
     Returns:
         trials, successes, success_rate with success_low95 and success_high95 (exact), and for every
         measure its mean with low95 and high95 (bootstrap), median and largest: ALD, sink rate and
-        bank of successes, ATE of all trials until the lock was lost and once more of successes.
-        art_median_ms and art_p95_ms are the median and the 95th percentile over the art_steps steps
-        of all trials, on which machine and with which images they say themselves.
+        bank of successes, ATE of all trials until the lock was lost and again of successes only.
+        art_median_ms and art_p95_ms are over the art_steps steps of all trials.
 
     Raises:
         InputError: there are no records.
     """
     successes = [record for record in records if record["success"]]
     low, high = clopper_pearson_interval(len(successes), len(records))
-    found: Record = {
-        "trials": len(records),
-        "successes": len(successes),
-        "success_rate": len(successes) / len(records),
-    }
+    found: Record = {"trials": len(records), "successes": len(successes)}
+    found["success_rate"] = len(successes) / len(records)
     found |= {"success_low95": low, "success_high95": high}
     for key, of_successes in MEANS.items():
         if any(_value(record, key) is not None for record in records):
@@ -370,16 +343,15 @@ def summarise_trials(records: Sequence[Mapping[str, Any]]) -> Record:
     steps_ms = np.concatenate([record["art_ms"] for record in records])
     median, high = np.percentile(steps_ms, (50.0, 95.0))
     found |= {"art_steps": len(steps_ms), "art_median_ms": float(median), "art_p95_ms": float(high)}
-    return found | {
-        key: "; ".join(dict.fromkeys(record[key] for record in records))
-        for key in ("images", "machine")
-    }
+    for key in ("images", "machine"):
+        found[key] = "; ".join(dict.fromkeys(record[key] for record in records))
+    return found
 
 
 def compare_pilots(
     first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]
 ) -> Record:
-    """Two pilots on the same starts: trials that only one of them won, and McNemar's p-value.
+    """Compare two pilots on the same starts: trials that only one of them won, McNemar's p-value.
 
     Args:
         first: records of one pilot.
@@ -389,35 +361,41 @@ def compare_pilots(
         pairs, only_first, only_second, p_value.
 
     Raises:
-        InputError: they have no seed in common.
+        InputError: they have no seed in common, or followed different leaders in one of them.
     """
     other = {record["seed"]: record for record in second}
-    pairs = [
-        (bool(a["success"]), bool(other[a["seed"]]["success"])) for a in first if a["seed"] in other
-    ]
+    pairs = [(a, other[a["seed"]]) for a in first if a["seed"] in other]
     if not pairs:
         raise InputError(
-            "pairs: expected trials of both pilots from the same starts, got none; use the same --seed"
+            "pairs: expected trials of both pilots from the same starts, got none; use the same"
+            " --seed"
         )
-    wins = {
-        "only_first": sum(a and not b for a, b in pairs),
-        "only_second": sum(b and not a for a, b in pairs),
-    }
+    for a, b in pairs:
+        if LEADER in a and LEADER in b and a[LEADER] != b[LEADER]:
+            raise InputError(
+                "pairs: expected the same leader's path for both pilots, got different ones at seed"
+                f" {a['seed']}; fly both with the same version of the kit"
+            )
+    wins_first = [bool(a["success"]) for a, _ in pairs]
+    wins_second = [bool(b["success"]) for _, b in pairs]
+    outcomes = list(zip(wins_first, wins_second, strict=True))
     return {
         "pairs": len(pairs),
-        **wins,
-        "p_value": mcnemar_p_value([a for a, _ in pairs], [b for _, b in pairs]),
+        "only_first": outcomes.count((True, False)),
+        "only_second": outcomes.count((False, True)),
+        "p_value": mcnemar_p_value(wins_first, wins_second),
     }
 
 
 def describe_machine() -> str:
-    """What run times were measured on."""
+    """The machine of the measured run times."""
     threads = os.environ.get("OMP_NUM_THREADS", "all")
-    return f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, OMP_NUM_THREADS {threads}"
+    cores = f"{os.cpu_count()} cores"
+    return f"{platform.machine()}, {cores}, {platform.system()}, OMP_NUM_THREADS {threads}"
 
 
 def _value(record: Mapping[str, Any], key: str) -> float | None:
-    """A number of a record; the bank without its side."""
+    """A number of a record; of the bank its absolute value."""
     if key == "bank_abs_deg":
         bank = record.get("bank_deg")
         return None if bank is None else abs(bank)
@@ -427,25 +405,15 @@ def _value(record: Mapping[str, Any], key: str) -> float | None:
 def _mean(records: Sequence[Mapping[str, Any]], key: str) -> Record:
     values = [value for value in (_value(record, key) for record in records) if value is not None]
     low, high = bootstrap_mean_interval(values)
+    found = {"mean": math.nan, "low95": low, "high95": high, "median": math.nan}
     if not values:
-        return {
-            "mean": math.nan,
-            "low95": low,
-            "high95": high,
-            "median": math.nan,
-            "largest": math.nan,
-            "of": 0,
-        }
-    middle = {
-        "median": float(np.median(values)),
-        "largest": float(np.max(values)),
-        "of": len(values),
-    }
-    return {"mean": float(np.mean(values)), "low95": low, "high95": high, **middle}
+        return found | {"largest": math.nan, "of": 0}
+    found |= {"mean": float(np.mean(values)), "median": float(np.median(values))}
+    return found | {"largest": float(np.max(values)), "of": len(values)}
 
 
 def _difference(before: Mapping[str, Any], head: Mapping[str, Any]) -> str:
-    """The first thing of a head that was otherwise before; empty where all is the same."""
+    """The first difference of a head to an earlier one; empty where there is none."""
     for key, value in head.items():
         if key == LEADER and key not in before:
             return "no digest of the leader's path, as earlier versions of the kit wrote them"
@@ -461,27 +429,24 @@ def _scene_digest(scene: GaussianScene) -> str:
 
 
 def _seed_link_noise(scene: GaussianScene, seed: int) -> GaussianScene:
-    """The scene whose analog link, if it has one, draws its noise from a trial's seed."""
+    """The scene with the noise of its analog link, if any, seeded by the trial."""
     return scene if scene.link is None else replace(scene, link=replace(scene.link, seed=seed))
 
 
 def _header_error(head: Any) -> str:
-    """What is wrong with a line that should be a head; empty where nothing is."""
-    fair = (
+    """The fault of a head; empty for a good one."""
+    is_head = (
         isinstance(head, dict)
         and isinstance(head.get("task"), str)
         and _is_number(head.get("list"), whole=True)
     )
-    return "" if fair else "a first line without task and list"
+    return "" if is_head else "a first line without task and list"
 
 
 def _record_error(number: int, record: Any) -> str:
-    """What is wrong with a line that should be the record of a trial; empty where nothing is."""
-    if (
-        not isinstance(record, dict)
-        or not _is_number(record.get("trial"), whole=True)
-        or record["trial"] != number
-    ):
+    """The fault of a trial's record; empty for a good one."""
+    is_record = isinstance(record, dict) and _is_number(record.get("trial"), whole=True)
+    if not is_record or record["trial"] != number:
         return f"another line in place of trial {number}"
     key = next((key for key, fits in NEEDED.items() if not fits(record.get(key))), None)
     key = key or next((key for key, value in record.items() if not _is_valid(key, value)), None)
@@ -491,16 +456,14 @@ def _record_error(number: int, record: Any) -> str:
 
 
 def _is_valid(key: str, value: Any) -> bool:
-    """Whether a measure is what its name promises: a path of points, or a number or None for one
-    with a unit.
-    """
+    """Whether a path is a list of points, and a measure with a unit a number or None."""
     if key in PATHS:
         return isinstance(value, list) and all(
             isinstance(point, list) and len(point) == 3 and all(map(_is_number, point))
             for point in value
         )
-    measured = key in MEANS or key.endswith(("_m", "_m_s", "_s", "_deg"))
-    return not measured or value is None or _is_number(value)
+    is_measure = key in MEANS or key.endswith(("_m", "_m_s", "_s", "_deg"))
+    return not is_measure or value is None or _is_number(value)
 
 
 def _first_error(record: Record) -> Any:
@@ -509,7 +472,7 @@ def _first_error(record: Record) -> Any:
 
 
 def _is_number(value: Any, *, whole: bool = False) -> bool:
-    """Whether a value is a finite number; JSON as Python reads it has nan and infinity too."""
+    """Whether a value is a finite number; Python's JSON reader accepts nan and infinity."""
     return (
         isinstance(value, int if whole else int | float)
         and not isinstance(value, bool)
@@ -521,7 +484,7 @@ def _is_list(value: Any) -> bool:
     return isinstance(value, list) and len(value) > 0 and all(map(_is_number, value))
 
 
-# What every record has, and how to tell; measures of the judge come on top.
+# Keys of every record and their check; the evaluator's measures are further ones.
 NEEDED: dict[str, Callable[[Any], bool]] = {
     "success": lambda value: isinstance(value, bool),
     "reason": lambda value: isinstance(value, str),
@@ -538,14 +501,13 @@ NEEDED: dict[str, Callable[[Any], bool]] = {
 
 
 def _write_trials(folder: Path, head: Record, records: Sequence[Record]) -> None:
-    """All lines anew after every flight: a few hundred short ones, and never a line cut in half."""
+    """Replace the whole file, so that no line is ever cut."""
     with atomic_write(folder / TRIALS, text=True) as file:
         file.writelines(json.dumps(line, allow_nan=False) + "\n" for line in (head, *records))
 
 
 def _log_path(folder: Path, number: int) -> Path:
-    """A name that is free: the log of an interrupted flight stays."""
-    names = (
-        f"trial_{number:03d}{'' if take == 1 else f'_take{take}'}.mcap" for take in range(1, 1000)
-    )
-    return next(folder / name for name in names if not (folder / name).exists())
+    """A free file name; the log of an interrupted flight is kept."""
+    takes = ("", *(f"_take{take}" for take in range(2, 1000)))
+    paths = (folder / f"trial_{number:03d}{take}.mcap" for take in takes)
+    return next(path for path in paths if not path.exists())

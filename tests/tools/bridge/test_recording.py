@@ -32,7 +32,7 @@ class Camera:
     def __init__(self) -> None:
         self.broken = False
 
-    def next(self, t: float) -> Image | None:
+    def next_image(self, t: float) -> Image | None:
         if self.broken:
             raise OSError("the camera is gone")
         number = int((t - 0.02) * 30.0)
@@ -178,7 +178,7 @@ class Grain:
         self.draw, self.side = np.random.default_rng(0), side
         self.wall = np.kron(self.draw.integers(0, 256, (8, 8)), np.ones((8, 8)))
 
-    def next(self, t: float) -> Image | None:
+    def next_image(self, t: float) -> Image | None:
         if t >= 3.0:
             return None
         lit = (
@@ -264,7 +264,7 @@ class Log(FlightLogWriter):
 
 class Camera:
     pixels = np.random.default_rng(0).integers(0, 256, 31_000, dtype=np.uint8)
-    def next(self, t):
+    def next_image(self, t):
         return Image(int(t * 30), int(t * 30) / 30.0, self.pixels)
 
 clock = types.SimpleNamespace(t=0.0)

@@ -255,8 +255,8 @@ def test_ctrl_c_in_the_approach_ends_the_demo(monkeypatch, capsys, tmp_path):
     """
 
     class Interrupted(approach.RenderedView):
-        def next(self, t):
-            image = super().next(t)
+        def next_image(self, t):
+            image = super().next_image(t)
             if image.sequence == 2:
                 signal.raise_signal(signal.SIGINT)
             return image

@@ -156,7 +156,7 @@ def test_a_simulator_is_asked_at_the_cameras_rate(clock):
         def __init__(self) -> None:
             self.asked: list[float] = []
 
-        def next(self, t: float) -> Image | None:
+        def next_image(self, t: float) -> Image | None:
             self.asked.append(t)
             return Image(len(self.asked), t, np.full((8, 8, 3), 7, np.uint8)) if t < 0.15 else None
 

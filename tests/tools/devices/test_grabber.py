@@ -52,7 +52,7 @@ def test_a_slow_consumer_gets_the_newest_and_counts_the_rest(running, time):
     seen = []
     for k in range(4):
         time.advance(0.01 + 0.15 * k)
-        image = camera.next(7.0 + time.now())  # the loop's clock reads 7 s more
+        image = camera.next_image(7.0 + time.now())  # the loop's clock reads 7 s more
         seen.append((number(image), image.sequence, round(image.t - 7.0, 6)))
     assert seen == [(0, 0, 0.0), (3, 3, 0.15), (6, 6, 0.3), (9, 9, 0.45)]
     assert (camera.health.received, camera.health.dropped) == (10, 6)
@@ -63,11 +63,11 @@ def test_the_same_image_comes_again_until_there_is_a_newer_one(running, time):
     """No copy, no new time: the very same record."""
     camera = running()
     time.advance(0.01)
-    first = camera.next(0.01)
+    first = camera.next_image(0.01)
     time.advance(0.04)
-    assert camera.next(0.04) is first
+    assert camera.next_image(0.04) is first
     time.advance(0.06)
-    assert number(camera.next(0.06)) == 1
+    assert number(camera.next_image(0.06)) == 1
     assert camera.health.dropped == 0
 
 
@@ -77,15 +77,15 @@ def test_an_unplugged_camera_gives_none_and_comes_back(running, time):
     """
     camera = running(CameraFault("unplug", 0.5, 1.9))
     time.advance(0.94)
-    assert number(camera.next(0.94)) == 9
+    assert number(camera.next_image(0.94)) == 9
     time.advance(0.96)
-    assert camera.next(0.96) is None
+    assert camera.next_image(0.96) is None
     assert not camera.health.alive
     assert "unplugged" in camera.health.trouble
     time.advance(1.99)
     assert camera.health.reconnects == 0
     time.advance(2.01)
-    assert number(camera.next(2.01)) == 40
+    assert number(camera.next_image(2.01)) == 40
     assert camera.health.alive
     assert camera.health.reconnects == 1
 
@@ -94,12 +94,12 @@ def test_a_camera_that_hangs_in_a_read_does_not_keep_the_loop_waiting(running, t
     """It hangs from 0.3 to 1.4 s; the newest is of 0.25 s. Health goes by its age."""
     camera = running(CameraFault("hang", 0.3, 1.4))
     time.advance(0.74)
-    assert number(camera.next(0.74)) == 5
+    assert number(camera.next_image(0.74)) == 5
     time.advance(1.0)
-    assert camera.next(1.0) is None
+    assert camera.next_image(1.0) is None
     assert camera.health.age == pytest.approx(0.75)
     time.advance(1.41)
-    assert number(camera.next(1.41)) == 28
+    assert number(camera.next_image(1.41)) == 28
     assert camera.health.reconnects == 0
 
 
@@ -107,10 +107,10 @@ def test_late_frames_show_their_numbers(running, time):
     """Each is 0.12 s late from 0.2 s on: the newest is frame 3 at 0.31 s and frame 4 at 0.33 s."""
     camera = running(CameraFault("delay", 0.2, 0.25, 0.12))
     time.advance(0.31)
-    assert number(camera.next(0.31)) == 3
+    assert number(camera.next_image(0.31)) == 3
     time.advance(0.33)
     assert (
-        number(camera.next(0.33)) == 6
+        number(camera.next_image(0.33)) == 6
     )  # 4 came at 0.32, and the newest that had waited right after
 
 
@@ -141,7 +141,7 @@ def test_whatever_a_driver_throws_it_is_opened_again():
         assert grabbed.wait(3, PATIENCE)
         assert "ZeroDivisionError" in grabbed.health.trouble
         assert grabbed.health.reconnects >= 1
-        assert grabbed.next(0.0).pixels.shape == (48, 64, 3)
+        assert grabbed.next_image(0.0).pixels.shape == (48, 64, 3)
     assert camera.opened == camera.closed == 3
 
 
@@ -202,7 +202,7 @@ def test_stop_does_not_wait_for_ever(monkeypatch):
 def test_stop_before_start_and_none_before_the_first_frame():
     """Nothing has been read: no image, infinitely old, nothing to end."""
     grabbed = Grabber(FakeCamera())
-    assert grabbed.next(0.0) is None
+    assert grabbed.next_image(0.0) is None
     assert grabbed.health.age == float("inf")
     assert not grabbed.health.alive
     assert grabbed.stop()

@@ -1,4 +1,4 @@
-"""Statistics of trials: intervals and pairs against tables, laws and counts by hand."""
+"""Statistics of trials: intervals and pairs against tables, laws and counts."""
 
 import numpy as np
 import pytest
@@ -55,9 +55,7 @@ def test_impossible_counts_are_refused(successes, trials):
 
 def test_bootstrap_width_is_that_of_the_normal_law_for_many_values():
     """Mean of n independent values: standard error = sd / sqrt(n), and 95 % lie within 1.96 of
-    them.
-
-    10,000 resamples leave about 2 % on each end's distance; n = 400 makes the mean normal.
+    them. / 10,000 resamples: about 2 % error of each end's distance; n = 400 makes the mean normal.
     """
     values = np.random.default_rng(1).exponential(2.0, 400)
     low, high = bootstrap_mean_interval(values)
@@ -68,7 +66,7 @@ def test_bootstrap_width_is_that_of_the_normal_law_for_many_values():
 
 
 def test_bootstrap_of_too_few_is_nan_and_of_nan_is_refused():
-    """No landings: no mean deviation, and never zero; one landing says nothing about the spread."""
+    """No landings: no mean, and never zero; one landing has no spread."""
     assert np.isnan(bootstrap_mean_interval([])).all()
     assert np.isnan(bootstrap_mean_interval([0.4])).all()
     with pytest.raises(InputError, match="finite"):

@@ -1,6 +1,4 @@
-"""Trials: records kept and taken up again, rates and means by hand. Most fly a toy world that needs
-no aircraft.
-"""
+"""Trials: continued records, rates and means by hand, mostly in a toy world without an aircraft."""
 
 import csv
 import json
@@ -39,7 +37,7 @@ from falconwing_kit.tools.trials.trials import (
 
 
 class ToyWorld:
-    """Nothing moves."""
+    """A world without motion."""
 
     leader_state, contact = None, None
 
@@ -57,7 +55,7 @@ class ToyWorld:
 
 
 class ToyTask:
-    """Half a second; odd seeds fail. Counts the worlds it made."""
+    """Half a second; odd seeds fail. Records the seeds of its worlds."""
 
     name, airframe = "toy", load_airframe()
 
@@ -65,7 +63,7 @@ class ToyTask:
         self.made: list[int] = []
 
     def leader(self, seed: int) -> None:
-        """It follows nobody."""
+        """There is none."""
 
     def trial(self, seed: int) -> TrialSetup:
         self.made.append(seed)
@@ -84,7 +82,7 @@ class ToyTask:
 
 
 class Steady:
-    """A pilot that keeps its sticks."""
+    """A pilot with a constant command."""
 
     def act(self, observation) -> Command:
         return Command(0.5, 0.0, 0.0, 0.0)
@@ -95,14 +93,14 @@ def steady(trial: TrialSetup) -> Steady:
 
 
 def timeless(records: list[dict]) -> list[dict]:
-    """Records without run times, which differ from run to run."""
+    """Records without run times."""
     return [
         {key: value for key, value in record.items() if not key.startswith("art_")}
         for record in records
     ]
 
 
-def test_trials_fly_the_frozen_list_and_say_how_each_went():
+def test_trials_fly_the_frozen_list():
     """Six steps until t = 0.25 in each; seeds 10,000 to 10,003."""
     records = fly_trials(ToyTask(), steady, 4, pilot="steady")
     assert [record["seed"] for record in records] == [10_000, 10_001, 10_002, 10_003]
@@ -112,9 +110,9 @@ def test_trials_fly_the_frozen_list_and_say_how_each_went():
     }
 
 
-def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path):
-    """Ctrl-C in the third flight: two are kept. The second run makes only worlds 2 and 3; all is as
-    in one run.
+def test_an_interrupted_study_is_continued(tmp_path):
+    """Ctrl-C in the third flight: two are kept. The second run makes only worlds 2 and 3; the
+    records are those of one run.
     """
 
     def interrupted(trial):
@@ -139,8 +137,8 @@ def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path):
     assert task.made == [10_002, 10_003]
 
 
-def test_trials_flown_otherwise_are_not_mixed(tmp_path):
-    """Another pilot, another list: one sentence says what differs; the kept trials stay."""
+def test_different_studies_are_not_mixed(tmp_path):
+    """Another pilot, another list: the message names the difference; the trials are kept."""
     fly_trials(ToyTask(), steady, 2, pilot="steady", out=tmp_path)
     for different in ({"pilot": "other"}, {"pilot": "steady", "seed": 1}):
         with pytest.raises(InputError, match="choose another folder"):
@@ -163,9 +161,7 @@ FASTER = NOMINAL.model.with_values({"kT": 9.5})  # m/s^2 of thrust, for 9
     ids=lambda changed: next(iter(changed)),
 )
 def test_a_task_of_the_same_name_with_other_numbers_is_not_mixed_in(tmp_path, changed):
-    """Two steps of a landing are kept. The same numbers go on, made anew; one number changed is
-    refused.
-    """
+    """Two steps of a landing. An equal task continues; one changed number is refused."""
     fly_trials(NOMINAL, steady, 1, pilot="steady", out=tmp_path)
     assert len(fly_trials(LandingTask(duration=0.1), steady, 1, pilot="steady", out=tmp_path)) == 1
     with pytest.raises(
@@ -184,15 +180,16 @@ def lower(rng):
     return PLAN.waypoints(rng) - (0.0, 0.0, 0.1)
 
 
-def test_a_leader_that_flies_otherwise_is_another_study(tmp_path, monkeypatch):
-    """The climb 0.1 m lower, or drawn by another number: neither goes on in the folder nor pairs
-    with it, by name.
+def test_a_changed_leader_is_another_study(tmp_path, monkeypatch):
+    """The climb 0.1 m lower, or drawn by another number: refused by name, for continuing and
+    pairing.
 
     A manoeuvre added in front of the table changes nothing.
     """
     task = FollowTask(CLIMB)
     head = study_head(task, "steady")
-    fly_trials(task, steady, 1, pilot="steady", out=tmp_path)
+    (record,) = fly_trials(task, steady, 1, pilot="steady", out=tmp_path, head=head)
+    assert record["leader_digest"] == head["leader_digest"]
     kept = MANOEUVRES[CLIMB]
     table = {"new": replace(kept, name="new", frozen_number=None), **MANOEUVRES}
     monkeypatch.setattr("falconwing_kit.control.leader.MANOEUVRES", table)
@@ -209,10 +206,8 @@ def test_a_leader_that_flies_otherwise_is_another_study(tmp_path, monkeypatch):
                 refuse(tmp_path, other)
 
 
-def test_a_study_of_an_earlier_version_without_the_leaders_digest_says_so(tmp_path):
-    """Its head has no leader_digest: whether its leader flew the same is not known, and the
-    sentence says that.
-    """
+def test_a_study_without_the_leaders_digest_is_refused(tmp_path):
+    """Earlier versions wrote no leader_digest, so their leader is unknown."""
     fly_trials(FollowTask(CLIMB), steady, 1, pilot="steady", out=tmp_path)
     head, *records = (tmp_path / TRIALS).read_text().splitlines()
     old = {key: value for key, value in json.loads(head).items() if key != "leader_digest"}
@@ -226,7 +221,7 @@ def test_a_study_of_an_earlier_version_without_the_leaders_digest_says_so(tmp_pa
 
 @pytest.mark.parametrize("world", ["PoseNoise", "LINK_DELAY_S"])
 def test_trials_of_a_noisier_or_later_world_are_not_mixed_in(tmp_path, monkeypatch, world):
-    """Ten times the kit's noise, or a command that arrives 50 ms later."""
+    """Ten times the noise, or a delay 50 ms longer."""
     fly_trials(ToyTask(), steady, 1, pilot="steady", out=tmp_path)
     other = {"PoseNoise": lambda: PoseNoise(position=0.1), "LINK_DELAY_S": 0.1}[world]
     monkeypatch.setattr(f"falconwing_kit.tools.trials.trials.{world}", other)
@@ -235,9 +230,7 @@ def test_trials_of_a_noisier_or_later_world_are_not_mixed_in(tmp_path, monkeypat
 
 
 def test_another_scene_or_lens_is_another_setting():
-    """One Gaussian moved by a metre; the image's centre moved by a pixel. The same made anew stays
-    the same.
-    """
+    """One Gaussian moved by a metre; the image centre moved by a pixel. Equal ones stay equal."""
     camera = fpv_camera(16, 16)
     nominal = TrialSettings(one_gaussian(2.0), camera).record
     assert TrialSettings(one_gaussian(2.0), camera).record == nominal
@@ -254,15 +247,16 @@ def one_gaussian(x: float) -> GaussianScene:
     )
 
 
-GOOD = '{"trial": 0, "success": true, "seed": 10000, "reason": "done", "steps": 2, "skipped": 0, "faults": 0'
-GOOD += (
-    ', "art_median_ms": 1, "art_p95_ms": 2, "art_ms": [1, 2], "machine": "none", "images": "no images"'
-    ', "ald_m": 0.1, "ate_path_m": 0.2, "path_m": [[0, 0, 1]], "leader_path_m": [[4, 0, 1]], "lost_at_s": null'
+GOOD = (
+    '{"trial": 0, "success": true, "seed": 10000, "reason": "done", "steps": 2, "skipped": 0'
+    ', "faults": 0, "art_median_ms": 1, "art_p95_ms": 2, "art_ms": [1, 2], "machine": "none"'
+    ', "images": "no images", "ald_m": 0.1, "ate_path_m": 0.2, "path_m": [[0, 0, 1]]'
+    ', "leader_path_m": [[4, 0, 1]], "lost_at_s": null'
 )
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "fault"),
     [
         ('{"trial": 0, "success": true}', "reason null"),
         (f'{GOOD}, "ald_m": "x"}}', 'ald_m "x"'),
@@ -279,15 +273,15 @@ GOOD += (
         (f'{GOOD}, "success": 1}}', "success 1"),
     ],
 )
-def test_a_damaged_measure_is_named(tmp_path, line, told):
-    """A good head and one wrong thing; of two equal keys JSON takes the later. Without it the
-    record is read.
+def test_a_damaged_measure_is_named(tmp_path, line, fault):
+    """A good head and one wrong value (of equal keys JSON takes the last). Without it the record is
+    read.
     """
     head = '{"task": "landing", "list": 0}\n'
     (tmp_path / "trials.jsonl").write_text(f"{head}{line}\n")
     with pytest.raises(InputError) as refused:
         read_trials(tmp_path)
-    assert f"got trial 0 with {told}" in str(refused.value)
+    assert f"got trial 0 with {fault}" in str(refused.value)
     (tmp_path / "trials.jsonl").write_text(f"{head}{GOOD}}}\n")
     found = summarise_trials(read_trials(tmp_path)[1])
     assert (found["ald_m"]["mean"], found["ate_path_m"]["mean"]) == pytest.approx((0.1, 0.2))
@@ -297,7 +291,7 @@ def test_a_damaged_measure_is_named(tmp_path, line, told):
     "damage", ["", "{}\n[1]\n", '{"task": 1}\n{"trial": 1, "success": true}\n', "no json\n"]
 )
 def test_a_damaged_record_is_refused(tmp_path, damage):
-    """Empty, a list, a trial that is missing, other text."""
+    """Empty, a list, a missing trial, other text."""
     (tmp_path / "trials.jsonl").write_text(damage)
     with pytest.raises(InputError, match="expected a head and then trials"):
         read_trials(tmp_path)
@@ -305,7 +299,7 @@ def test_a_damaged_record_is_refused(tmp_path, damage):
         read_trials(tmp_path / "nowhere")
 
 
-def test_a_failing_pilot_is_told_apart_from_a_bad_one():
+def test_faults_of_a_pilot_are_recorded():
     """It raises in every step: six faults, and the first reason is kept."""
 
     def broken(trial):
@@ -316,11 +310,11 @@ def test_a_failing_pilot_is_told_apart_from_a_bad_one():
     assert "ZeroDivisionError" in record["first_fault"]["error"]
 
 
-def test_a_log_says_that_it_is_simulated(tmp_path):
-    """Whoever replays it can tell; task and seed come along."""
+def test_a_log_is_marked_as_simulated(tmp_path):
+    """With task and seed."""
     fly_trial(ToyTask(), steady, 1, log=tmp_path / "flight.mcap")
-    told = read_flight_log(tmp_path / "flight.mcap").metadata
-    assert told.items() >= {"simulated": "yes", "task": "toy", "seed": "10001"}.items()
+    metadata = read_flight_log(tmp_path / "flight.mcap").metadata
+    assert metadata.items() >= {"simulated": "yes", "task": "toy", "seed": "10001"}.items()
 
 
 def record(success: bool, **numbers) -> dict:
@@ -336,10 +330,8 @@ def record(success: bool, **numbers) -> dict:
 
 def test_deviation_counts_landings_only():
     """Deviations 0.1, 0.2, 0.6 of three landings, a failure 5 m off: mean 0.3, not 0.225 and not
-    1.475.
-
-    3 of 4: exact 95 % limits 19.4 and 99.4 % (Geigy tables). Bank without its side: (2 + 4 + 3) /
-        3.
+    1.475. / 3 of 4: exact 95 % limits 19.4 and 99.4 % (Geigy tables). Absolute bank: (2 + 4 + 3) /
+    3.
     """
     landings = [(0.1, 2.0), (0.2, -4.0), (0.6, 3.0)]
     records = [record(True, ald_m=ald, bank_deg=bank) for ald, bank in landings]
@@ -371,9 +363,9 @@ def test_run_times_are_pooled_over_steps():
     assert (found["machine"], found["images"]) == ("a; b", "no images")
 
 
-def test_a_record_keeps_the_time_of_every_step_and_what_it_was_measured_with():
-    """A pilot that sleeps 2 ms in each of six steps; 16x16 images by the renderer that flights use,
-    or none.
+def test_a_record_keeps_the_run_time_of_every_step():
+    """A pilot that sleeps 2 ms in each of six steps; 16x16 images by the flights' renderer, or
+    none.
     """
 
     def slow(trial):
@@ -386,16 +378,14 @@ def test_a_record_keeps_the_time_of_every_step_and_what_it_was_measured_with():
     assert all(ms >= 2.0 for ms in found["art_ms"])
     assert found["images"] == "no images"
     assert "cores" in found["machine"]
-    seen = fly_trial(
+    with_images = fly_trial(
         ToyTask(), steady, 0, setting=TrialSettings(one_gaussian(2.0), fpv_camera(16, 16))
     )
-    assert seen["images"].startswith("16x16 images by ")
+    assert with_images["images"].startswith("16x16 images by ")
 
 
-def test_tracking_error_is_told_of_all_and_of_successes():
-    """0.2, 0.4 of successes, 0.9 until a loss, and a trial lost at once that has none: means 0.5
-    and 0.3.
-    """
+def test_tracking_error_is_averaged_over_all_and_over_successes():
+    """0.2, 0.4 of successes, 0.9 until a loss, and a trial without a lock: means 0.5 and 0.3."""
     records = [
         record(True, ate_m=0.2),
         record(True, ate_m=0.4),
@@ -420,8 +410,17 @@ def test_pilots_are_compared_on_the_same_starts():
         compare_pilots(first, [{"seed": 99, "success": True}])
 
 
+def test_pilots_behind_different_leaders_are_not_compared():
+    """Leaders differ in the second of two trials; records of earlier versions have no digest."""
+    first = [{"seed": k, "success": True, "leader_digest": f"a{k}"} for k in range(2)]
+    second = [first[0], {**first[1], "leader_digest": "b1"}]
+    with pytest.raises(InputError, match="different ones at seed 1"):
+        compare_pilots(first, second)
+    assert compare_pilots(first, [{"seed": k, "success": True} for k in range(2)])["pairs"] == 2
+
+
 def test_results_are_written_with_both_colours(tmp_path):
-    """A success and a failure: their colours are in both figures; the table has a row each and no
+    """A success and a failure: both colours in both figures; the table has a row each without
     paths.
     """
     import matplotlib.image
@@ -440,7 +439,7 @@ def test_results_are_written_with_both_colours(tmp_path):
         )
         for k, (good, ald, path) in enumerate(flown)
     ]
-    files = write_results(records, summarise_trials(records), tmp_path, "landing by nobody")
+    files = write_results(records, summarise_trials(records), tmp_path, "landing by expert")
     bars = (255 * matplotlib.image.imread(files["results"])[..., :3]).round()
     for colour in (PREDICTED, ACCENT):
         assert (bars == [int(colour[i : i + 2], 16) for i in (1, 3, 5)]).all(axis=-1).sum() > 100
@@ -456,7 +455,7 @@ def test_results_are_written_with_both_colours(tmp_path):
 
 
 def test_the_expert_lands_in_the_real_task():
-    """The paper's state-based expert landed ten of ten; two starts that never judge must do here."""
+    """The paper's state-based expert landed ten of ten; here two starts of an unused list."""
     task = LandingTask()
     records = fly_trials(task, task.expert, 2, pilot="expert", seed=500)
     assert [record["success"] for record in records] == [True, True]
