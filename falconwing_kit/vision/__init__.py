@@ -1,4 +1,4 @@
-"""vision: images -> whether they are fit for flying (monitor), and the pose of the camera or flight.
+"""vision: images -> whether they are fit for flying, and poses of the camera and its flight.
 
 from falconwing_kit.vision import FrameMonitor
 verdict = FrameMonitor().update(image, t)      # .ssim, .alert, .reason

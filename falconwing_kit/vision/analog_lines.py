@@ -17,7 +17,8 @@ import numpy as np
 
 from falconwing_kit.core.checks import Array, require_range, require_shape
 from falconwing_kit.scene.camera import PinholeCamera
-from falconwing_kit.vision.marker import Marker, MarkerPose, Pixels, find_marker, print_correlation
+from falconwing_kit.vision.images import Pixels
+from falconwing_kit.vision.marker import Marker, MarkerPose, find_marker, print_correlation
 
 BLUR_GRID_PX = np.array([0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8])
 MAX_DETECTIONS = 20  # more of them change the blur by less than 0.1 px

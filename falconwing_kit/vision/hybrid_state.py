@@ -24,10 +24,10 @@ from falconwing_kit.core.frames import R_BODY_CAMERA, euler_from_rotation, pose_
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.vision.analog_lines import corner_covariance, redetect_blurred, sync_jitter_px
+from falconwing_kit.vision.images import Pixels
 from falconwing_kit.vision.marker import (
     Marker,
     MarkerPose,
-    Pixels,
     corner_noise,
     describe_other_markers,
     find_marker,

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 from falconwing_kit.core.frames import pose_matrix
 from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.vision.images import Pixels, require_image, to_grey
 
 DICTIONARIES = tuple(
     f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)
@@ -37,7 +38,6 @@ GAMMA = 2.2  # a pixel half black, half white is brighter than grey: black shape
 UPSCALE = 2.0  # for OpenCV's detector, which needs contours of some length
 PRINT_OVERSAMPLING = 2.0  # pixels of the print per image pixel; fewer shift its edges
 MIN_EDGE = 0.25  # of the median line's edge energy; below, a line's shift is undefined
-Pixels = NDArray[np.uint8]
 Print = tuple[Pixels, Array]  # image of the printed marker, and its corners in it (4, 2) [px]
 
 
@@ -131,7 +131,7 @@ def find_marker(
     """
     marker = Marker() if marker is None else marker
     require_range("horizontal_blur_px", horizontal_blur_px, low=0.0, high=5.0)
-    grey = _grey(image, camera)
+    grey = to_grey(require_image(image, camera))
     start = _detect(grey, marker)
     if start is None and near_px is not None:
         start = _search_near(grey, marker, require_shape("near_px", near_px, (4, 2)))
@@ -159,7 +159,7 @@ def print_correlation(
         corners_px: (4, 2) approximate corners.
         blur_px: of the print along the image's lines and across them; one of the two is 0.
     """
-    return _refine_corners(_grey(image, None), marker, corners_px, blur_px)[1]
+    return _refine_corners(to_grey(image), marker, corners_px, blur_px)[1]
 
 
 def project_corners(marker: Marker, camera: PinholeCamera, T_world_camera: ArrayLike) -> Array:
@@ -260,7 +260,7 @@ def line_and_column_shifts(
 
 def name_markers(image: Pixels) -> list[tuple[str, int]]:
     """Dictionary and id of every ArUco marker in an image, by the smallest dictionary that fits."""
-    grey = _grey(image, None)
+    grey = to_grey(image)
     found: list[tuple[str, int]] = []
     for bits in (4, 5, 6, 7):
         ids: dict[int, str] = {}
@@ -288,25 +288,6 @@ def describe_other_markers(images: Iterable[Pixels | None], marker: Marker) -> s
         return f"{expected}; check that it is in view and larger than {MIN_SIDE_PX:g} pixels"
     (dictionary, number), count = others.most_common(1)[0]
     return f"{expected}; {count} frames show {dictionary} {number}: name it, or print the right one"
-
-
-def _grey(image: Pixels, camera: PinholeCamera | None) -> Pixels:
-    """The image as grey, after checking that it has the camera's size."""
-    import cv2
-
-    got = f"{getattr(image, 'shape', '')} {getattr(image, 'dtype', type(image).__name__)}".strip()
-    is_array = isinstance(image, np.ndarray) and image.dtype == np.uint8
-    if not is_array or image.ndim not in (2, 3) or not image.size:
-        raise InputError(
-            f"image: expected (H, W, 3) or (H, W) uint8, got {got}; decode a JPEG first"
-        )
-    if camera is not None and image.shape[:2] != (camera.height, camera.width):
-        raise InputError(
-            f"image: expected the camera's {camera.width} x {camera.height} pixels, got {got}; "
-            "scale the camera"
-        )
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return np.asarray(grey, np.uint8)
 
 
 @cache
