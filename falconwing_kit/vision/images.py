@@ -27,16 +27,16 @@ def require_image(
     """
     shape, kind = getattr(image, "shape", ""), getattr(image, "dtype", type(image).__name__)
     got = f"{shape} {kind}".strip()
-    is_array = isinstance(image, np.ndarray) and kind == np.uint8
-    if not is_array or not (shape[2:] == (3,) or (len(shape) == 2 and not rgb)):
+    is_image = shape[2:] == (3,) or (len(shape) == 2 and not rgb)
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or not is_image:
         expected = "(H, W, 3)" if rgb else "(H, W, 3) or (H, W)"
         raise InputError(f"image: expected {expected} uint8, got {got}; decode a JPEG first")
-    if camera is not None and shape[:2] != (camera.height, camera.width):
+    if camera is not None and image.shape[:2] != (camera.height, camera.width):
         raise InputError(
             f"image: expected the camera's {camera.width} x {camera.height} pixels, got {got}; "
             "scale the camera"
         )
-    if min(shape[:2]) < min_side_px:
+    if min(image.shape[:2]) < min_side_px:
         raise InputError(
             f"image: expected {min_side_px} pixels a side or more, got {got}; use a larger one"
         )

@@ -184,7 +184,7 @@ def test_any_lens_is_brought_to_the_view_trained_for(net, lens):
     half one.
     """
     seen = (
-        net.prepared(torch.from_numpy(slopes(LENSES[lens]))[None], LENSES[lens])[0]
+        net.resample(torch.from_numpy(slopes(LENSES[lens]))[None], LENSES[lens])[0]
         .permute(1, 2, 0)
         .numpy()
     )
@@ -198,7 +198,7 @@ def test_a_slightly_narrower_lens_keeps_its_scale(net):
     edge.
     """
     lens = PinholeCamera(405.0, 405.0, 320, 240, 640, 480)
-    seen = net.prepared(torch.from_numpy(slopes(lens))[None], lens)[0].permute(1, 2, 0).numpy()
+    seen = net.resample(torch.from_numpy(slopes(lens))[None], lens)[0].permute(1, 2, 0).numpy()
     wanted = 100.0 + 60.0 * net.record.camera.pixel_rays()
     assert np.abs(255.0 * seen - wanted)[2:-2, 2:-2, :2].max() < 1.2
 

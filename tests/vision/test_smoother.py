@@ -186,7 +186,7 @@ def test_bank_is_read_off_the_turn():
     [
         (np.array([0.0, 0.0]), np.zeros((2, 6)), "in order of time"),
         (np.array([0.0, 0.1]), np.full((2, 6), np.nan), "finite start"),
-        (np.array([0.0, 0.1]), np.zeros((2, 6)), "at least one sight"),
+        (np.array([0.0, 0.1]), np.zeros((2, 6)), "at least one measurement"),
     ],
 )
 def test_what_cannot_be_smoothed_is_refused(t, start, words):
