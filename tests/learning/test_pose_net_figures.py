@@ -1,4 +1,4 @@
-"""Figures: errors that were put in come out, and calibration makes stated shares hold."""
+"""Evaluation: known errors are reported, and calibration gives the stated shares."""
 
 from dataclasses import asdict
 
@@ -24,9 +24,7 @@ ANGLES = np.array([0.2, -0.1, 0.7])
 
 @pytest.fixture
 def net():
-    """A net whose cells count for nothing and whose token always says the same, with sigmas of 0.5
-    m and 0.1 rad.
-    """
+    """A net without weight on its cells and with a constant token, sigmas 0.5 m and 0.1 rad."""
     network = PoseNetwork(SHAPE, torch.from_numpy(LOW), torch.from_numpy(HIGH))
     network.log_trust.data.fill_(-60.0)
     answer = PoseNetOutput(

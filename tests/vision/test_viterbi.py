@@ -1,6 +1,6 @@
 """Viterbi: costs and poses by hand -> the cheapest path, outliers and initial frames."""
 
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -28,13 +28,12 @@ def test_viterbi_finds_the_cheapest_of_all_paths(seed):
     rng = np.random.default_rng(seed)
     counts = rng.integers(2, 5, 6)
     unary = [rng.random(count) for count in counts]
-    transition = [rng.random((a, b)) for a, b in zip(counts[:-1], counts[1:], strict=True)]
+    transition = [rng.random((a, b)) for a, b in pairwise(counts)]
 
     def cost(path):
-        steps = zip(transition, path[:-1], path[1:], strict=True)
-        return sum(u[i] for u, i in zip(unary, path, strict=True)) + sum(
-            c[i, j] for c, i, j in steps
-        )
+        steps = zip(transition, pairwise(path), strict=True)
+        candidates = zip(unary, path, strict=True)
+        return sum(u[i] for u, i in candidates) + sum(c[i, j] for c, (i, j) in steps)
 
     best = min(product(*(range(count) for count in counts)), key=cost)
     assert viterbi(unary, transition) == list(best)

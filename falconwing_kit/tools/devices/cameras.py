@@ -291,19 +291,6 @@ class FakeCamera:
         )
 
 
-def read_frame_number(pixels: Pixels) -> int:
-    """The number in the bar code of a fake camera's frame (H, W, 3), modulo 65536; it stands noise
-    down to 12 dB.
-    """
-    height, width = pixels.shape[:2]
-    strip = pixels[: height // 8].mean(axis=(0, 2))
-    means = [
-        strip[width * k // CODE_BITS + 1 : width * (k + 1) // CODE_BITS - 1].mean()
-        for k in range(CODE_BITS)
-    ]
-    return sum(1 << k for k, mean in enumerate(means) if mean > 127.5)
-
-
 def open_camera(name: str) -> VideoCamera | VideoFile:
     """The camera of a name: a number, a device's path, or a video file.
 
