@@ -53,7 +53,7 @@ def evaluate_poses(
             np.array(euler_from_rotation(R @ R_BODY_CAMERA.T)) for R in (T[:3, :3], T_true[:3, :3])
         )
         C = estimate.covariance
-        token_position = np.linalg.norm(output.place[0].numpy() - T_true[:3, 3])
+        token_position = np.linalg.norm(output.position[0].numpy() - T_true[:3, 3])
         token_yaw = np.arctan2(*output.sincos[0, 2].numpy()) - true_angles[2]
         rows.append(
             [

@@ -116,13 +116,15 @@ def losses(
         log_trust: the network's.
 
     Returns:
-        token, points, fused, and turn and place, the token's mean errors [rad, m].
+        token, points, fused; position and rotation: the token's mean errors [m, rad].
     """
-    R, place = views.Ts_world_camera[:, :3, :3], views.Ts_world_camera[:, :3, 3]
+    R, position = views.Ts_world_camera[:, :3, :3], views.Ts_world_camera[:, :3, 3]
     # token: position
-    error = output.place - place
-    nll_place = 0.5 * (error * torch.exp(-output.log_sigma_place)) ** 2 + output.log_sigma_place
-    nll_place = nll_place * torch.exp(output.log_sigma_place.detach())
+    error = output.position - position
+    nll_position = (
+        0.5 * (error * torch.exp(-output.log_sigma_position)) ** 2 + output.log_sigma_position
+    )
+    nll_position = nll_position * torch.exp(output.log_sigma_position.detach())
     # token: angles, from the columns of R (right wing, belly, nose)
     nose, wing_z, belly_z = R[:, :, 2], R[:, 2, 0], R[:, 2, 1]
     angles = torch.stack(
@@ -139,18 +141,18 @@ def losses(
     nll_turn = 0.5 * chi2 + 3.0 * output.log_sigma_angle
     nll_turn = nll_turn * torch.exp(output.log_sigma_angle.detach())
     loss = {
-        "token": (nll_place.sum(dim=1) + nll_turn).mean(),
+        "token": (nll_position.sum(dim=1) + nll_turn).mean(),
         "points": _points_loss(output, views, clear, rays),
     }
     # fused pose: Mahalanobis distance and log determinant of its information
-    R_fused, place_fused, information = fuse_pose(output, rays, log_trust)
-    error_fused = torch.cat([place_fused - place, so3_log_between(R_fused, R)], dim=1)
+    R_fused, position_fused, information = fuse_pose(output, rays, log_trust)
+    error_fused = torch.cat([position_fused - position, so3_log_between(R_fused, R)], dim=1)
     square = torch.einsum("bi,bij,bj->b", error_fused, information, error_fused)
     logdet = 2.0 * torch.linalg.cholesky_ex(information).L.diagonal(dim1=1, dim2=2).log().sum(-1)
     tail = 0.5 * (STUDENT_T_DOF + 6.0) * torch.log1p(square / STUDENT_T_DOF)
     loss["fused"] = (tail - 0.5 * logdet).mean()
-    loss["place"] = error.detach().norm(dim=1).mean()
-    loss["turn"] = so3_log_between(rotations(output.sincos.detach()), R).norm(dim=1).mean()
+    loss["position"] = error.detach().norm(dim=1).mean()
+    loss["rotation"] = so3_log_between(rotations(output.sincos.detach()), R).norm(dim=1).mean()
     return loss
 
 

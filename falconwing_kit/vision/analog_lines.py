@@ -32,7 +32,7 @@ def redetect_blurred(
     camera: PinholeCamera,
     marker: Marker,
 ) -> tuple[dict[int, MarkerPose], float]:
-    """Estimate the link's horizontal blur and repeat the detections with a print blurred alike.
+    """Estimate the link's horizontal blur and repeat the detections with a print blurred equally.
 
     Args:
         image: frame -> (H, W, 3) RGB; None where it was lost.
@@ -64,7 +64,7 @@ def estimate_horizontal_blur(
 ) -> float:
     """Blur along the lines in excess of the blur across them, by the best correlation of the print.
 
-    Variances of independent blurs add, and camera motion blurs both directions alike; therefore
+    Variances of independent blurs add, and camera motion blurs both directions equally:
 
         link^2 = along^2 - across^2
 
@@ -135,7 +135,7 @@ def line_correlation(rows: Array) -> Array:
 def sync_jitter_px(shifts: Iterable[tuple[Array, Array]]) -> float:
     """Line jitter of a video: standard deviation of the shift that neighbouring lines share.
 
-    Misfit of the print and image noise shift lines and columns alike; the link shifts lines only.
+    Misfit of the print and image noise shift lines and columns equally; the link shifts lines only.
     Therefore the shared variance of the columns is subtracted.
 
     Args:

@@ -203,10 +203,10 @@ class PoseNet:
 
         rays = torch.from_numpy(self._rays).float()
         with torch.no_grad():
-            R, place, information = fuse_pose(output, rays, self.network.log_trust)
+            R, position, information = fuse_pose(output, rays, self.network.log_trust)
         scale = np.repeat(self.record.sigma_scales, 3)
         covariances = torch.linalg.inv(information.double()).numpy() * scale * scale[:, None]
-        Ts_world_camera = pose_matrix(_orthonormal(R.double().numpy()), place.double().numpy())
+        Ts_world_camera = pose_matrix(_orthonormal(R.double().numpy()), position.double().numpy())
         return [PoseEstimate(T, C) for T, C in zip(Ts_world_camera, covariances, strict=True)]
 
 

@@ -44,8 +44,8 @@ class PoseNetShape:
 class PoseNetOutput(NamedTuple):
     """Output of the network for B images."""
 
-    place: Tensor  # (B, 3) position of the camera in the world [m]
-    log_sigma_place: Tensor  # (B, 3) per axis
+    position: Tensor  # (B, 3) position of the camera in the world [m]
+    log_sigma_position: Tensor  # (B, 3) per axis
     sincos: Tensor  # (B, 3, 2) of roll, pitch, yaw of a body whose nose is the camera's axis
     log_sigma_angle: Tensor  # (B,) [rad]
     points: Tensor  # (B, K, 3) scene coordinates of the cells in the world [m], row by row
@@ -178,8 +178,8 @@ class PoseNetwork(nn.Module):
         cells = cells.reshape(len(images), -1, 4)
         middle = self.low + self.half_size
         return PoseNetOutput(
-            place=middle + self.half_size * pose[:, :3],
-            log_sigma_place=pose[:, 3:6].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
+            position=middle + self.half_size * pose[:, :3],
+            log_sigma_position=pose[:, 3:6].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
             sincos=pose[:, 6:12].reshape(-1, 3, 2),
             log_sigma_angle=pose[:, 12].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
             points=middle + self.half_size * cells[..., :3],
@@ -267,7 +267,7 @@ def fuse_pose(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Most probable pose, given the outputs of the pose token and of the cells.
 
-    A cell's ray d = R ray should meet its point: e = (1 - d d^T)(point - place) = 0, the
+    A cell's ray d = R ray should meet its point: e = (1 - d d^T)(point - position) = 0, the
     object-space error of [Lu, Hager & Mjolsness 2000, eq. 19]. Gauss-Newton in position and
     rotation, with the Student-t weights of the cells [Lange et al. 1989] and the token's pose as
     prior. Gradients flow through the last step only, which at the solution equals the implicit
@@ -284,27 +284,27 @@ def fuse_pose(
         covariance of position [m] and rotation vector [rad] in world axes.
     """
     R_head = rotations(output.sincos)
-    R, place = R_head.detach(), output.place.detach()
+    R, position = R_head.detach(), output.position.detach()
     # information of the prior: 1 / sigma^2 of three coordinates and three angles
     log_sigma_angles = output.log_sigma_angle[:, None].expand(-1, 3)
-    prior = torch.exp(-2.0 * torch.cat([output.log_sigma_place, log_sigma_angles], dim=1))
+    prior = torch.exp(-2.0 * torch.cat([output.log_sigma_position, log_sigma_angles], dim=1))
     information = torch.zeros(0)
     for number in range(steps):
         last = number == steps - 1
         with torch.set_grad_enabled(last and torch.is_grad_enabled()):
             # add the prior to the cells' normal equations, solve, and update the pose
-            information, right = _normal_equations(output, rays @ R.mT, place, log_trust)
+            information, right = _normal_equations(output, rays @ R.mT, position, log_trust)
             information = information + torch.diag_embed(prior)
-            deviation = torch.cat([place - output.place, so3_log_between(R, R_head)], dim=1)
+            deviation = torch.cat([position - output.position, so3_log_between(R, R_head)], dim=1)
             right = right - prior * deviation
             factor = torch.linalg.cholesky_ex(information).L  # raises no exception for nan
             step = torch.cholesky_solve(right[..., None], factor)[..., 0]
-            place, R = place + step[:, :3], so3_exp(step[:, 3:]) @ R
-    return R, place, information
+            position, R = position + step[:, :3], so3_exp(step[:, 3:]) @ R
+    return R, position, information
 
 
 def _normal_equations(
-    output: PoseNetOutput, d: Tensor, place: Tensor, log_trust: Tensor
+    output: PoseNetOutput, d: Tensor, position: Tensor, log_trust: Tensor
 ) -> tuple[Tensor, Tensor]:
     """J^T W J (B, 6, 6) and -J^T W e (B, 6) of the cells, by position and rotation vector.
 
@@ -313,23 +313,24 @@ def _normal_equations(
     Args:
         output: with the points to meet.
         d: (B, K, 3) rays in world axes.
-        place: (B, 3) their origin.
+        position: (B, 3) their origin.
         log_trust: () logarithm of a cell's weight.
     """
     # error e perpendicular to the ray
-    toward = output.points - place[:, None]
+    toward = output.points - position[:, None]
     s = (d * toward).sum(-1)
     e = toward - s[..., None] * d
     # weights (B, K) of a Student-t with two coordinates
     variance = torch.exp(2.0 * output.log_sigma_points)
     chi2 = (e * e).sum(-1) / variance
     weight = torch.exp(log_trust) / variance * (STUDENT_T_DOF + 2.0) / (STUDENT_T_DOF + chi2)
-    # blocks: with the projection Q = 1 - d d^T, [d]x^T [d]x = Q and Q [d]x = [d]x
+    # blocks of position p and rotation r (B, 3, 3), with the projection Q = 1 - d d^T:
+    # [d]x^T [d]x = Q and Q [d]x = [d]x
     Q = torch.eye(3, device=d.device) - d[..., :, None] * d[..., None, :]
-    position = (weight[..., None, None] * Q).sum(1)
-    rotation = ((weight * s * s)[..., None, None] * Q).sum(1)
-    mixed = -cross_matrix(((weight * s)[..., None] * d).sum(1))
-    upper, lower = torch.cat([position, mixed], dim=2), torch.cat([mixed.mT, rotation], dim=2)
+    pp = (weight[..., None, None] * Q).sum(1)
+    rr = ((weight * s * s)[..., None, None] * Q).sum(1)
+    pr = -cross_matrix(((weight * s)[..., None] * d).sum(1))
+    upper, lower = torch.cat([pp, pr], dim=2), torch.cat([pr.mT, rr], dim=2)
     # right side: Q e = e, and -(s [d]x)^T e = s d x e
     force = (weight[..., None] * e).sum(1)
     moment = ((weight * s)[..., None] * torch.linalg.cross(d, e)).sum(1)

@@ -50,8 +50,8 @@ def truth_about(views):
     points = T[:, None, :3, 3] + reach * np.einsum("nij,kj->nki", T[:, :3, :3], rays)
     count = len(T)
     return PoseNetOutput(
-        place=views.Ts_world_camera[:, :3, 3].clone(),
-        log_sigma_place=torch.full((count, 3), np.log(0.3)),
+        position=views.Ts_world_camera[:, :3, 3].clone(),
+        log_sigma_position=torch.full((count, 3), np.log(0.3)),
         sincos=torch.stack([angles.sin(), angles.cos()], dim=-1),
         log_sigma_angle=torch.full((count,), np.log(0.1)),
         points=torch.from_numpy(points).float(),
@@ -64,12 +64,12 @@ def loss_of(answer, views):
     return losses(answer, views, clear, RAYS, torch.tensor(-3.0))
 
 
-@pytest.mark.parametrize("what", ["place", "sincos", "points"])
+@pytest.mark.parametrize("what", ["position", "sincos", "points"])
 def test_every_loss_is_smallest_at_the_truth(views, what):
     """A likelihood of the right form peaks where the answer is right; any push of 0.1 must cost."""
     truth = truth_about(views)
     best = loss_of(truth, views)
-    name = {"place": "token", "sincos": "token", "points": "points"}[what]
+    name = {"position": "token", "sincos": "token", "points": "points"}[what]
     generator = torch.Generator().manual_seed(0)
     for _ in range(5):
         value = getattr(truth, what)
@@ -85,7 +85,7 @@ def test_token_loss_is_the_gaussian_s(views):
     its weight.
     """
     truth = truth_about(views)
-    off = truth._replace(place=truth.place + torch.tensor([0.3, 0.0, 0.0]))
+    off = truth._replace(position=truth.position + torch.tensor([0.3, 0.0, 0.0]))
     assert float(loss_of(off, views)["token"] - loss_of(truth, views)["token"]) == pytest.approx(
         0.15, abs=1e-4
     )
@@ -97,8 +97,8 @@ def test_best_sigma_is_the_error(views, sigma, sign):
     below and positive above.
     """
     truth = truth_about(views)
-    log_sigma = torch.full_like(truth.place, np.log(sigma)).requires_grad_(True)
-    off = truth._replace(place=truth.place + 0.3, log_sigma_place=log_sigma)
+    log_sigma = torch.full_like(truth.position, np.log(sigma)).requires_grad_(True)
+    off = truth._replace(position=truth.position + 0.3, log_sigma_position=log_sigma)
     loss_of(off, views)["token"].backward()
     slope = float(log_sigma.grad.mean())
     assert abs(slope) < 1e-6 if sign == 0 else np.sign(slope) == sign
@@ -145,10 +145,10 @@ def test_training_in_miniature_learns():
     )
     with torch.no_grad():
         answer = trained(views.images.float() / 255.0)
-        R, place, _ = fuse_pose(answer, RAYS, trained.log_trust)
+        R, position, _ = fuse_pose(answer, RAYS, trained.log_trust)
     guess = torch.from_numpy(ahead).float()
     R_truth, truth = views.Ts_world_camera[:, :3, :3], views.Ts_world_camera[:, :3, 3]
-    for R_estimate, estimate in ((rotations(answer.sincos), answer.place), (R, place)):
+    for R_estimate, estimate in ((rotations(answer.sincos), answer.position), (R, position)):
         turn, blind = (
             so3_log_between(R_truth, each).norm(dim=1).median()
             for each in (R_estimate, guess[:3, :3].expand_as(R))

@@ -94,8 +94,8 @@ def train_pose_net(
     """
     backend, device = _backend(job.backend)
     photos, scene = _aligned_photos(job), GaussianScene.load(job.scene)
-    held, aside = _split(photos, job.held_out)
-    trained = ~(held | aside)
+    held_out, aside = _split(photos, job.held_out)
+    trained = ~(held_out | aside)
     record = _record(job, photos, scene)
     fine_photos = _load(photos, trained, SUPERSAMPLING * job.width, device)
     world = _view_source(job, record, scene, fine_photos, backend, device)
@@ -107,7 +107,7 @@ def train_pose_net(
     path = job.out / "pose_net.safetensors"
     PoseNet(network, record).save(path)
     # evaluate the net in half precision, as it ships
-    net, trials = evaluate_net(PoseNet.load(path), photos, held, aside, world)
+    net, trials = evaluate_net(PoseNet.load(path), photos, held_out, aside, world)
     net.save(path)
     report: dict[str, Any] = {name: error_figures(trial) for name, trial in trials.items()}
     report |= {
@@ -120,7 +120,7 @@ def train_pose_net(
         },
         "photos_learnt_from": int(trained.sum()) if job.photo_share > 0.0 else 0,
         "photos_aside": [photos.names[k] for k in np.flatnonzero(aside)],
-        "photos_held_out": [photos.names[k] for k in np.flatnonzero(held)],
+        "photos_held_out": [photos.names[k] for k in np.flatnonzero(held_out)],
         "source": record.source,
     }
     with atomic_write(job.out / "pose_net.json", text=True) as file:
@@ -131,7 +131,7 @@ def train_pose_net(
 def evaluate_net(
     net: PoseNet,
     photos: Reconstruction,
-    held: NDArray[np.bool_],
+    held_out: NDArray[np.bool_],
     aside: NDArray[np.bool_],
     world: ViewSource,
 ) -> tuple[PoseNet, dict[str, PoseErrors]]:
@@ -140,7 +140,7 @@ def evaluate_net(
     Args:
         net: as it will ship.
         photos: all, with their reconstructed poses as ground truth.
-        held: (N,) True for photos held out for evaluation.
+        held_out: (N,) True for photos held out for evaluation.
         aside: (N,) True for photos to calibrate with.
         world: source of new renders.
 
@@ -163,7 +163,7 @@ def evaluate_net(
     return net, {
         "renders": evaluate_poses(net, renders, world.camera, Ts_render),
         "worse": evaluate_poses(net, randomised, world.camera, Ts_render),
-        "photos": _errors_on_photos(net, photos, held),
+        "photos": _errors_on_photos(net, photos, held_out),
     }
 
 
@@ -210,12 +210,12 @@ def _split(
     """(N,) True for photos held out for evaluation, and for those set aside for calibration."""
     places = photos.T_world_camera[:, :3, 3]
     if listed is None:
-        held = hold_out_places(places, HELD_SHARE, HELD_SEED)
+        held_out = hold_out_places(places, HELD_SHARE, HELD_SEED)
     else:
-        held = _select_named(photos, listed)
-    aside, rest = np.zeros(len(photos), bool), np.flatnonzero(~held)
+        held_out = _select_named(photos, listed)
+    aside, rest = np.zeros(len(photos), bool), np.flatnonzero(~held_out)
     aside[rest] = hold_out_places(places[rest], ASIDE_SHARE, ASIDE_SEED)
-    return held, aside
+    return held_out, aside
 
 
 def _select_named(photos: Reconstruction, path: Path) -> NDArray[np.bool_]:
@@ -234,13 +234,13 @@ def _select_named(photos: Reconstruction, path: Path) -> NDArray[np.bool_]:
             "give the figures.json of falconwing scene fit"
         ) from None
     expected = {Path(str(name)).name for name in names}
-    held = np.array([Path(name).name in expected for name in photos.names])
-    if not held.any() or held.sum() > len(photos) - 2:
+    held_out = np.array([Path(name).name in expected for name in photos.names])
+    if not held_out.any() or held_out.sum() > len(photos) - 2:
         raise InputError(
             f"{short_name(path)}: expected names of some of the {len(photos)} photos, "
-            f"got {held.sum()} of them; leave at least two for the training"
+            f"got {held_out.sum()} of them; leave at least two for the training"
         )
-    return held
+    return held_out
 
 
 def _load(photos: Reconstruction, chosen: NDArray[np.bool_], width: int, device: str) -> Photos:
