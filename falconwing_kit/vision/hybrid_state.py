@@ -246,10 +246,11 @@ def choose(track: Track) -> Track:
     Raises:
         InputError: no frame has a pose in the room that fits its neighbours.
     """
-    options: dict[int, list[PoseCandidate]] = {k: [one] for k, one in track.pose_candidates.items()}
+    t, sigma_px = track.video.t, track.corner_sigma_px
+    options = {k: [candidate] for k, candidate in track.pose_candidates.items()}
     for k, detection in track.detections.items():
-        options[k] = _marker_candidates(detection, track.corner_sigma_px, track.settings)
-    options, t = {k: options[k] for k in sorted(options)}, track.video.t
+        options[k] = _marker_candidates(detection, sigma_px, track.settings)
+    options = {k: options[k] for k in sorted(options)}
     chosen = reject_outliers(viterbi_path(options, t), t)
     if not chosen:
         raise InputError(
@@ -447,7 +448,8 @@ def _smoothed_table(track: Track) -> FlightTable:
         for frame in rejected:
             track.counts[f"{track.chosen[frame].source}: does not fit the flight"] += 1
     settings = track.settings
-    good = (sigma < (settings.max_sigma_position, settings.max_sigma_attitude)).all(axis=1)
+    limits = (settings.max_sigma_position, settings.max_sigma_attitude)
+    good = np.all(sigma < limits, axis=1)
     state[~good] = sigma[~good] = np.nan
     source = [name if ok else "none" for ok, name in zip(good, source, strict=True)]
     track.counts.update(

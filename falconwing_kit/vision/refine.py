@@ -109,8 +109,10 @@ def track_scene(
                 if forward and frame in guesses:
                     starts.append(guesses[frame])
                 pixels = image(frame) if starts else None
-                for start in starts if pixels is not None else ():
-                    refined = refine_pose(pixels, scene, camera, start)
+                for start in starts:
+                    refined = None
+                    if pixels is not None:
+                        refined = refine_pose(pixels, scene, camera, start)
                     if refined is not None:
                         found[frame] = refined
                         break
@@ -209,5 +211,6 @@ def _solve_pose(
     sigma_px = max(MIN_SIGMA_PX, float(np.sqrt(np.mean((projected - pixels) ** 2))))
     J = pixel_jacobian(p_world, camera, T_world_camera)
     scene_variance = np.repeat(np.square(SCENE_SIGMA), 3)
-    covariance = COVARIANCE_FACTOR * sigma_px**2 * np.linalg.pinv(J.T @ J) + np.diag(scene_variance)
+    correlated = COVARIANCE_FACTOR * sigma_px**2 * np.linalg.pinv(J.T @ J)
+    covariance: Array = np.asarray(correlated + np.diag(scene_variance), np.float64)
     return RefinedPose(T_world_camera, covariance, len(pixels), len(pixels) / count)

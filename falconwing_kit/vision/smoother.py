@@ -19,6 +19,7 @@ not enter its own data.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -195,7 +196,7 @@ def smooth(
         else:
             damping *= 8.0
     diagonal, upper, _ = _normal_equations(x, t, measurements, motion)
-    chi2 = tuple((_residuals(kind, x) ** 2).sum(axis=1) for kind in measurements)
+    chi2 = tuple((_residuals(kind, x[kind.rows]) ** 2).sum(axis=1) for kind in measurements)
     covariance = _covariances(diagonal, upper)
     return SmoothedTrajectory(x[:, :3], x[:, 3:6], x[:, 6:9], x[:, 9:], covariance, chi2, steps)
 
@@ -220,9 +221,9 @@ def _whiten(error: Array, covariance: Array) -> Array:
     return np.asarray(np.linalg.solve(factor, error[..., None])[..., 0])
 
 
-def _residuals(kind: Measurements, x: Array) -> Array:
-    """(M, k) whitened residuals of measurements at states (N, 12)."""
-    return kind.residuals(x[kind.rows, :3], x[kind.rows, 3:6])
+def _residuals(kind: Measurements, poses: Array) -> Array:
+    """(M, k) whitened residuals of M measurements at their frames' states, of which 6 are used."""
+    return kind.residuals(poses[:, :3], poses[:, 3:6])
 
 
 def _process_residuals(before: Array, after: Array, dt: Array, motion: Motion) -> Array:
@@ -281,7 +282,7 @@ def _cost(x: Array, t: Array, measurements: Sequence[Measurements], motion: Moti
     process = _process_residuals(x[:-1], x[1:], dt, motion)
     total = (process**2).sum() + (_prior_residuals(x, float(np.median(dt)), motion) ** 2).sum()
     for kind in measurements:
-        residual = _residuals(kind, x)
+        residual = _residuals(kind, x[kind.rows])
         chi2, k = (residual**2).sum(axis=1), residual.shape[1]
         tail = k + (STUDENT_DOF + k) * np.log((STUDENT_DOF + chi2) / (STUDENT_DOF + k))
         total += np.where(chi2 > k, tail, chi2).sum()
@@ -317,8 +318,8 @@ def _normal_equations(
     # measurements: position and attitude only, with the weights of the robust loss (IRLS)
     for kind in measurements:
         poses = x[kind.rows, :6]
-        residual = kind.residuals(poses[:, :3], poses[:, 3:])
-        J = _derivative(lambda moved, kind=kind: kind.residuals(moved[:, :3], moved[:, 3:]), poses)
+        residual = _residuals(kind, poses)
+        J = _derivative(partial(_residuals, kind), poses)
         k = residual.shape[1]
         weight = np.minimum(1.0, (STUDENT_DOF + k) / (STUDENT_DOF + (residual**2).sum(axis=1)))
         information = weight[:, None, None] * _transposed_product(J, J)
