@@ -72,9 +72,8 @@ def test_errors_put_in_come_out(net):
 
 @pytest.mark.parametrize("understated", [1.0, 2.5])
 def test_calibration_makes_the_stated_shares_hold(net, understated):
-    """Errors drawn from a normal law with sigmas so many times the stated ones: the scales must be
-    that number, and the 68 and 95 % shares then hold on errors drawn afresh; 4000 of them scatter
-    by 0.7 %.
+    """Normal errors with sigmas larger than stated by a known factor: the scales must be that
+    factor, and the 68 and 95 % shares then hold on new errors; 4000 of them scatter by 0.7 %.
     """
     rng = np.random.default_rng(0)
 

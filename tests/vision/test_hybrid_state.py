@@ -178,7 +178,7 @@ def test_the_network_fills_in_where_the_marker_is_not_seen(approach):
 
 
 def test_a_scene_carries_the_flight_on_from_the_marker():
-    """The same approach through the arena, rendered; after a second the marker is out of sight and
+    """The same approach through the arena, rendered; after a second the marker is out of view and
     there is no network. Simulated. A pose against the scene is good to some centimetres; ten are
     allowed.
     """
@@ -221,7 +221,7 @@ def test_lost_frames_are_counted_and_bridged(approach):
 
 
 def test_a_missing_id_is_reported_with_the_one_shown(approach):
-    """The frames show id 7; asked for is 3."""
+    """The frames show id 7; expected is 3."""
     with pytest.raises(InputError, match="show DICT_4X4_50 7"):
         estimate_flight(approach.video(), CAMERA, marker=Marker(id=3))
 

@@ -99,7 +99,7 @@ def test_the_true_pose_lies_within_its_covariance(rng):
         )
     assert len(chi2) >= 20
     assert np.mean(chi2) < 9.0
-    assert np.median(chi2) > 0.1  # and not so large that it says nothing
+    assert np.median(chi2) > 0.1  # and not far too large
 
 
 def test_covariance_is_that_of_poses_from_noisy_corners(rng):

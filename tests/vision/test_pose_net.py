@@ -65,9 +65,7 @@ def fused_numpy(output, rays, log_trust=-3.0):
 
 
 def test_rotation_is_that_of_the_frames():
-    """core/frames.py, which has tests of its own, says the same; sines and cosines need not have
-    length 1.
-    """
+    """Equal to core/frames.py, which has tests of its own; sines and cosines need no length 1."""
     angles = np.random.default_rng(0).uniform(-1.4, 1.4, (20, 3)) * (2.0, 1.0, 2.0)
     sincos = 3.0 * np.stack([np.sin(angles), np.cos(angles)], axis=-1)
     expected = rotation_world_body(*angles.T) @ R_BODY_CAMERA

@@ -123,7 +123,7 @@ def test_stated_sigma_covers_the_error(flown):
 
 def test_smoothing_halves_the_noise_and_gives_velocities(flown):
     """Some ten frames determine each pose: a third to a half of the noise is left. The derivative
-    of raw poses has sqrt(2) x 0.1 m / 0.1 s = 1.4 m/s of noise; a fifth of that is asked for.
+    of raw poses has sqrt(2) x 0.1 m / 0.1 s = 1.4 m/s of noise; a fifth of that is required.
     """
     t, true = flown
     measurements, start, _ = measurements_of(true, np.arange(len(t)), np.random.default_rng(2))

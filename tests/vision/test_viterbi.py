@@ -85,7 +85,7 @@ def test_a_pose_that_fits_no_neighbour_is_dropped():
 
 
 def test_two_poses_that_contradict_each_other_both_go():
-    """Nothing says which of two is wrong."""
+    """It is undetermined which of the two is wrong."""
     assert reject_outliers({0: candidate(0.0), 1: candidate(10.0)}, np.array([0.0, 0.05])) == {}
 
 

@@ -82,7 +82,7 @@ def test_held_out_photos_can_be_named(files, tmp_path):
         assert np.flatnonzero(held).tolist() == [1, 7]
         assert aside.any()
         assert not (held & aside).any()
-    for text in ("nobody.png", '{"other": 1}', "".join(f"{k:03}.png\n" for k in range(20))):
+    for text in ("none.png", '{"other": 1}', "".join(f"{k:03}.png\n" for k in range(20))):
         (tmp_path / "held").write_text(text)
         with pytest.raises(InputError, match="expected names of"):
             pose_net_training._split(photos, tmp_path / "held")
