@@ -1,3 +1,1 @@
-"""learning: training networks on what the simulator shows. Each file here loads torch; importing
-the room does not.
-"""
+"""learning: the simulator's views -> trained networks. Its files load torch, this one does not."""

@@ -1,8 +1,8 @@
-"""The training loop of a pose net: a network and a world to look at -> the trained network.
+"""Training loop of a pose net: a network and a source of views -> the trained network.
 
-It renders while it learns: a pool holds the newest views, each step draws a batch from it and gives
-every image another appearance, so that no image is seen twice as it was. An interrupted training
-goes on where it was.
+Views are rendered during the training: a pool holds the newest ones, each step draws a batch from
+it and randomises the appearance, so that no image is repeated exactly. An interrupted training is
+resumed from its saved state.
 """
 
 import json
@@ -35,46 +35,40 @@ from falconwing_kit.vision.pose_network import (
 )
 
 STATE = "training.safetensors"
-WARMUP, COOLDOWN = (
-    0.03,
-    0.01,
-)  # share of the way over which the rate rises; what is left of it at the end
-POINTS_WEIGHT, FUSED_WEIGHT = 1.0, 0.5  # of the losses against the pose token's
-# share of the way after which the fused pose is trained too: before, cells and token disagree
-# wildly
-FUSED_FROM = 0.1
-EMA_DECAY = 0.999  # how long the average over the weights looks back, once it can
-MAX_GRADIENT_NORM = 1.0  # of the gradient's length
-SAVE_PERIOD_S = 60.0  # between two saved states
+WARMUP = 0.03  # share of the training over which the learning rate rises
+COOLDOWN = 0.01  # share of the learning rate at the end
+POINTS_WEIGHT, FUSED_WEIGHT = 1.0, 0.5  # of the losses, relative to the pose token's
+FUSED_FROM = 0.1  # share of the training before the fused pose is trained: it is random at first
+EMA_DECAY = 0.999  # of the exponential moving average of the weights
+MAX_GRADIENT_NORM = 1.0
+SAVE_PERIOD_S = 60.0
 LogFunction = Callable[[dict[str, float]], None]
 
 
 @dataclass(frozen=True)
 class TrainSchedule:
-    """How long and how to train."""
+    """Length and hyperparameters of a training, which ends after steps or minutes."""
 
-    steps: int = (
-        1_000_000  # at most; the rate falls towards whichever comes first, steps or minutes
-    )
+    steps: int = 1_000_000
     minutes: float = 8.0
     batch: int = 256
-    fresh: int = 64  # new views tried a step
-    pool: int = 40_000  # views kept to learn from; the oldest go first
+    fresh: int = 64  # new views tried in each step
+    pool: int = 40_000  # views kept; the oldest are replaced
     first: int = 4096  # views before the first step
-    rate: float = 1e-3  # of AdamW
-    decay: float = 0.05
+    rate: float = 1e-3  # learning rate of AdamW
+    decay: float = 0.05  # weight decay
     seed: int = 0
 
 
 class ViewPool:
-    """Views on the device, a ring in which new ones take the place of the oldest."""
+    """Ring buffer of views on the device: new ones replace the oldest."""
 
     def __init__(self, world: ViewSource, size: int, rng: np.random.Generator) -> None:
         self.world, self.size, self.rng, self.count, self._next = world, size, rng, 0, 0
         self._views: Views | None = None
 
     def grow(self, count: int) -> None:
-        """Try so many new views.
+        """Sample `count` new views, of which some may be rejected.
 
         Raises:
             InputError: no view shows the hall.
@@ -86,20 +80,17 @@ class ViewPool:
                     "scene: expected views that show a hall, got none; check its box and units"
                 )
             self._views = Views(*(part.new_empty(self.size, *part.shape[1:]) for part in views))
-        slots = (
-            self._next + torch.arange(len(views.images), device=views.images.device)
-        ) % self.size
+        added = torch.arange(len(views.images), device=views.images.device)
+        slots = (self._next + added) % self.size
         for part, new in zip(self._views, views, strict=True):
             part[slots] = new
         self._next = (self._next + len(slots)) % self.size
         self.count = min(self.count + len(slots), self.size)
 
     def draw(self, count: int, generator: torch.Generator) -> Views:
-        """So many of the views, some perhaps twice."""
+        """Random views of the pool, drawn with replacement."""
         if self._views is None:
-            raise InputError(
-                "pool: expected views in it before any are drawn, got none; let it grow first"
-            )
+            raise InputError("pool: expected views before a draw, got none; call grow first")
         rows = torch.randint(self.count, (count,), generator=generator, device=generator.device)
         return Views(*(part[rows] for part in self._views))
 
@@ -107,31 +98,34 @@ class ViewPool:
 def losses(
     output: PoseNetOutput, views: Views, clear: Tensor, rays: Tensor, log_trust: Tensor
 ) -> dict[str, Tensor]:
-    """What the network is trained to make small; all are negative log likelihoods but for
-    constants.
+    """Training losses: negative log likelihoods up to constants.
 
-    token   Gaussian in place and in sine and cosine, each with its stated sigma
+    token   Gaussian in position and in sine and cosine, each with its stated sigma
     points  Student's t in each cell's point: p(e) ~ sigma^-3 (1 + e^2 / (nu sigma^2))^-(nu + 3)/2
-    fused   Student's t in the six numbers of the fused pose, with its own information matrix
+    fused   Student's t in the six parameters of the fused pose, with its own information matrix
 
     Token and points are weighted by their stated sigma [Seitzer et al. 2022, beta-NLL with beta =
-    1/2], which leaves the best answers and sigmas where they are; without it what is uncertain at
-    first, the place, hardly learns.
+    1/2]. That does not change the optimum; without it the position, which is uncertain at first,
+    hardly trains.
 
     Args:
-        answer: about B images.
-        views: what they are.
-        clear: (B, H, W) where nothing was put before the hall.
-        rays: (K, 3) unit, in camera axes.
+        output: of the network for B images.
+        views: the truth about them.
+        clear: (B, H, W) mask of pixels without occluder.
+        rays: (K, 3) unit directions of the cells in camera axes.
         log_trust: the network's.
 
     Returns:
-        token, points, fused, and turn and place, the token's mean errors [rad, m].
+        token, points, fused; position and rotation: the token's mean errors [m, rad].
     """
-    R, place = views.Ts_world_camera[:, :3, :3], views.Ts_world_camera[:, :3, 3]
-    off = output.place - place
-    nll_place = 0.5 * (off * torch.exp(-output.log_sigma_place)) ** 2 + output.log_sigma_place
-    nll_place = nll_place * torch.exp(output.log_sigma_place.detach())
+    R, position = views.Ts_world_camera[:, :3, :3], views.Ts_world_camera[:, :3, 3]
+    # token: position
+    error = output.position - position
+    nll_position = (
+        0.5 * (error * torch.exp(-output.log_sigma_position)) ** 2 + output.log_sigma_position
+    )
+    nll_position = nll_position * torch.exp(output.log_sigma_position.detach())
+    # token: angles, from the columns of R (right wing, belly, nose)
     nose, wing_z, belly_z = R[:, :, 2], R[:, 2, 0], R[:, 2, 1]
     angles = torch.stack(
         [
@@ -141,54 +135,49 @@ def losses(
         ],
         dim=1,
     )
-    wanted = torch.stack([angles.sin(), angles.cos()], dim=-1)
-    squares = ((output.sincos - wanted) ** 2).sum(dim=(1, 2))
-    nll_turn = (
-        0.5 * squares * torch.exp(-2.0 * output.log_sigma_angle) + 3.0 * output.log_sigma_angle
-    )
+    expected = torch.stack([angles.sin(), angles.cos()], dim=-1)
+    squares = ((output.sincos - expected) ** 2).sum(dim=(1, 2))
+    chi2 = squares * torch.exp(-2.0 * output.log_sigma_angle)
+    nll_turn = 0.5 * chi2 + 3.0 * output.log_sigma_angle
     nll_turn = nll_turn * torch.exp(output.log_sigma_angle.detach())
     loss = {
-        "token": (nll_place.sum(dim=1) + nll_turn).mean(),
+        "token": (nll_position.sum(dim=1) + nll_turn).mean(),
         "points": _points_loss(output, views, clear, rays),
     }
-    R_fused, place_fused, information = fuse_pose(output, rays, log_trust)
-    error = torch.cat([place_fused - place, so3_log_between(R_fused, R)], dim=1)
-    square = torch.einsum("bi,bij,bj->b", error, information, error)
+    # fused pose: Mahalanobis distance and log determinant of its information
+    R_fused, position_fused, information = fuse_pose(output, rays, log_trust)
+    error_fused = torch.cat([position_fused - position, so3_log_between(R_fused, R)], dim=1)
+    square = torch.einsum("bi,bij,bj->b", error_fused, information, error_fused)
     logdet = 2.0 * torch.linalg.cholesky_ex(information).L.diagonal(dim1=1, dim2=2).log().sum(-1)
-    loss["fused"] = (
-        0.5 * (STUDENT_T_DOF + 6.0) * torch.log1p(square / STUDENT_T_DOF) - 0.5 * logdet
-    ).mean()
-    loss["place"] = off.detach().norm(dim=1).mean()
-    loss["turn"] = so3_log_between(rotations(output.sincos.detach()), R).norm(dim=1).mean()
+    tail = 0.5 * (STUDENT_T_DOF + 6.0) * torch.log1p(square / STUDENT_T_DOF)
+    loss["fused"] = (tail - 0.5 * logdet).mean()
+    loss["position"] = error.detach().norm(dim=1).mean()
+    loss["rotation"] = so3_log_between(rotations(output.sincos.detach()), R).norm(dim=1).mean()
     return loss
 
 
 def _points_loss(output: PoseNetOutput, views: Views, clear: Tensor, rays: Tensor) -> Tensor:
-    """The cells' part of the loss, over the cells that show the hall."""
-    share = functional.avg_pool2d(clear.float(), CELL).flatten(1)
-    counts = ((views.depths > 0.0) & (share > 0.7)).float()
-    reach = views.depths[..., None] / rays[:, 2:]
-    points = views.Ts_world_camera[:, None, :3, 3] + reach * (
-        rays @ views.Ts_world_camera[:, :3, :3].mT
-    )
-    squares = ((output.points - points) ** 2).sum(-1) * torch.exp(-2.0 * output.log_sigma_points)
-    nll = (
-        0.5 * (STUDENT_T_DOF + 3.0) * torch.log1p(squares / STUDENT_T_DOF)
-        + 3.0 * output.log_sigma_points
-    )
-    nll = nll * torch.exp(output.log_sigma_points.detach())
-    return (nll * counts).sum() / counts.sum().clamp(min=1.0)
+    """Loss of the scene coordinates, averaged over the cells that show the hall."""
+    clear_share = functional.avg_pool2d(clear.float(), CELL).flatten(1)
+    valid = ((views.depths > 0.0) & (clear_share > 0.7)).float()
+    # true points (B, K, 3): the rays in world axes, as long as the depths require
+    length = views.depths[..., None] / rays[:, 2:]
+    rays_world = rays @ views.Ts_world_camera[:, :3, :3].mT
+    points = views.Ts_world_camera[:, None, :3, 3] + length * rays_world
+    chi2 = ((output.points - points) ** 2).sum(-1) * torch.exp(-2.0 * output.log_sigma_points)
+    tail = 0.5 * (STUDENT_T_DOF + 3.0) * torch.log1p(chi2 / STUDENT_T_DOF)
+    nll = (tail + 3.0 * output.log_sigma_points) * torch.exp(output.log_sigma_points.detach())
+    return (nll * valid).sum() / valid.sum().clamp(min=1.0)
 
 
 class PoseNetTrainer:
-    """A network in training; `run` takes it to the end of the plan.
+    """A network in training; `run` trains it to the end of the plan.
 
     Args:
-        network: to train, on the world's device.
-        world: what to look at.
-        rays: (K, 3) of the network's cells, see `cell_rays`.
-        plan: how long.
-        folder: where the state is kept between runs; None keeps none.
+        network: on the device of `world`.
+        world: source of views.
+        plan: length and hyperparameters.
+        folder: for the state of an interrupted training; None saves none.
     """
 
     def __init__(
@@ -213,16 +202,16 @@ class PoseNetTrainer:
         return min(1.0, max(self.step / self.plan.steps, self.seconds / (60.0 * self.plan.minutes)))
 
     def run(self, log: LogFunction = lambda _: None) -> PoseNetwork:
-        """Train to the end, from a kept state where there is one.
+        """Train to the end, from a saved state if there is one.
 
         Returns:
-            The network with the average of its last weights.
+            The network with the moving average of its weights.
 
         Raises:
-            InputError: the kept state belongs to another training, or the scene shows nothing.
+            InputError: the saved state belongs to another training, or no view shows the hall.
         """
         self._resume()
-        device, before, kept = self.world.device, self.seconds, self.seconds
+        device, before, saved = self.world.device, self.seconds, self.seconds
         start = time.monotonic()
         generator = torch.Generator(device).manual_seed(self.plan.seed + self.step)
         pool = ViewPool(
@@ -236,20 +225,17 @@ class PoseNetTrainer:
             self.seconds = before + time.monotonic() - start
             if self.step % 100 == 0:
                 log({name: float(value) for name, value in figures.items()} | {"views": pool.count})
-            if self.folder is not None and (
-                self.seconds > kept + SAVE_PERIOD_S or self.progress >= 1.0
-            ):
+            is_due = self.seconds > saved + SAVE_PERIOD_S or self.progress >= 1.0
+            if self.folder is not None and is_due:
                 self._save_state(self.folder)
-                kept = self.seconds
+                saved = self.seconds
         return self.average.eval()
 
     def _train_step(self, views: Views, generator: torch.Generator) -> dict[str, Tensor]:
-        """One step."""
+        """One step of AdamW: warm-up, cosine decay, clipped gradient."""
         progress, device = self.progress, self.world.device
-        rise, fall = (
-            min(1.0, (progress + 1e-4) / WARMUP),
-            0.5 * (1.0 + math.cos(math.pi * progress)),
-        )
+        rise = min(1.0, (progress + 1e-4) / WARMUP)
+        fall = 0.5 * (1.0 + math.cos(math.pi * progress))
         for group in self.adam.param_groups:
             group["lr"] = self.plan.rate * rise * (COOLDOWN + (1.0 - COOLDOWN) * fall)
         images, clear = randomise_appearance(views.images.float() / 255.0, generator)
@@ -262,8 +248,8 @@ class PoseNetTrainer:
             total = total + FUSED_WEIGHT * loss["fused"]
         self.adam.zero_grad(set_to_none=True)
         total.backward()
-        length = torch.nn.utils.clip_grad_norm_(self.network.parameters(), MAX_GRADIENT_NORM)
-        if torch.isfinite(length):  # a step into nowhere would spoil all that was learnt
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), MAX_GRADIENT_NORM)
+        if torch.isfinite(norm):  # a nan would destroy the network
             self.adam.step()
         self.step += 1
         self._average()
@@ -271,31 +257,28 @@ class PoseNetTrainer:
 
     @torch.no_grad()
     def _average(self) -> None:
-        """Take the new weights into the average; the first ones do not linger in it."""
+        """Update the moving average; its decay is smaller in the first steps."""
         ema_decay = min(EMA_DECAY, (1.0 + self.step) / (10.0 + self.step))
-        own, average = self.network.state_dict(), self.average.state_dict()
-        for name, tensor in average.items():
+        weights = self.network.state_dict()
+        for name, tensor in self.average.state_dict().items():
             if tensor.is_floating_point():
-                tensor.lerp_(own[name], 1.0 - ema_decay)
+                tensor.lerp_(weights[name], 1.0 - ema_decay)
             else:
-                tensor.copy_(own[name])
+                tensor.copy_(weights[name])  # counters of batch normalisation
 
     def _save_state(self, folder: Path) -> None:
-        """Write the state, whole or not at all."""
+        """Write networks, moments of Adam, and progress to the folder."""
         tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
         tensors |= {f"average.{name}": tensor for name, tensor in self.average.state_dict().items()}
         for number, moments in self.adam.state_dict()["state"].items():
             tensors |= {f"adam.{number}.{name}": tensor for name, tensor in moments.items()}
+        tensors = {name: tensor.contiguous().cpu() for name, tensor in tensors.items()}
         metadata = {"settings": self.settings, "step": str(self.step), "seconds": str(self.seconds)}
         with atomic_write(folder / STATE) as file:
-            file.write(
-                save(
-                    {name: tensor.contiguous().cpu() for name, tensor in tensors.items()}, metadata
-                )
-            )
+            file.write(save(tensors, metadata))
 
     def _resume(self) -> None:
-        """Take up the kept state, if there is one."""
+        """Load the saved state, if there is one."""
         path = None if self.folder is None else self.folder / STATE
         if path is None or not path.is_file():
             return
@@ -323,7 +306,7 @@ class PoseNetTrainer:
 
 
 def _metadata(path: Path) -> dict[str, str]:
-    """What a safetensors file says about itself."""
+    """Metadata of a safetensors file: 8 bytes of length, then a JSON header."""
     with path.open("rb") as file:
         length = int.from_bytes(file.read(8), "little")
         return dict(json.loads(file.read(length))["__metadata__"])

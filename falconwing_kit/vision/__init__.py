@@ -1,4 +1,4 @@
-"""vision: where live pictures come from, whether they can be flown by, and where they were taken.
+"""vision: images -> whether they are fit for flying, and poses of the camera and its flight.
 
 from falconwing_kit.vision import FrameMonitor
 verdict = FrameMonitor().update(image, t)      # .ssim, .alert, .reason

@@ -1,12 +1,11 @@
-"""iGSplat: one image -> where its camera was, and how sure that is. The network is in
-networks/pose.py.
+"""Pose net (the paper's iGSplat): one image -> the camera's pose and its uncertainty.
 
     from falconwing_kit.vision import PoseNet
     estimate = PoseNet.load("hall").estimate(image, camera)
     estimate.T_world_camera, estimate.sigma_position, estimate.sigma_attitude
 
-It knows one hall, the one it was trained in (learning/pose_net_training.py), and one field of view;
-other cameras are cropped or padded to that.
+A net is trained for one hall (`falconwing scene pose-net`) and one field of view; images of other
+cameras are cropped or padded to it. The layers are in pose_network.py.
 """
 
 import json
@@ -16,12 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from falconwing_kit.core.checks import Array, InputError, require_file, require_range
+from falconwing_kit.core.checks import Array, InputError, require_file
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.frames import pose_matrix
 from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.vision.images import Pixels, require_image
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -36,25 +35,31 @@ VERSION = 1
 
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
-    """A camera's pose and its uncertainty; the standard deviations are root mean squares over the
-    three axes.
-    """
+    """A camera's pose and its uncertainty."""
 
-    T_world_camera: Array  # (4, 4), "world from camera"
-    sigma_position: float  # of each axis [m]
-    sigma_attitude: float  # about each axis [rad]
-    covariance: Array  # (6, 6) of place [m] and turn [rad], both in world axes
+    T_world_camera: Array  # (4, 4)
+    covariance: Array  # (6, 6) of position [m] and rotation vector [rad] in world axes
+
+    @property
+    def sigma_position(self) -> float:
+        """Standard deviation of a coordinate, root mean square of the three [m]."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3]) / 3.0))
+
+    @property
+    def sigma_attitude(self) -> float:
+        """Standard deviation about an axis, root mean square of the three [rad]."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:]) / 3.0))
 
 
 @dataclass(frozen=True)
 class PoseNetRecord:
-    """What belongs to the weights and is kept with them."""
+    """What a network was trained for; stored in the metadata of its weights."""
 
-    shape: dict[str, Any]  # of networks.pose.Shape
+    shape: dict[str, Any]  # of pose_network.PoseNetShape
     focal: float  # in image widths
-    low: tuple[float, float, float]  # the hall's box [m]
+    low: tuple[float, float, float]  # corners of the hall [m]
     high: tuple[float, float, float]
-    sigma_scales: tuple[float, float] = (1.0, 1.0)  # of place and turn, from calibration
+    sigma_scales: tuple[float, float] = (1.0, 1.0)  # of position and rotation, from calibration
     source: str = ""  # scene and photos it was trained on
     version: int = VERSION
 
@@ -67,12 +72,7 @@ class PoseNetRecord:
 
 
 class PoseNet:
-    """A trained network; it gives poses.
-
-    Args:
-        network: the layers.
-        record: what it was trained for.
-    """
+    """A trained network that estimates camera poses."""
 
     def __init__(self, network: "PoseNetwork", record: PoseNetRecord) -> None:
         self.network, self.record = network.eval(), record
@@ -83,7 +83,7 @@ class PoseNet:
         """Read a network.
 
         Args:
-            name: "hall", which ships, or a .safetensors file that the training wrote.
+            name: "hall", which ships, or a .safetensors file of `falconwing scene pose-net`.
 
         Raises:
             FileNotFoundError: there is no file.
@@ -94,7 +94,8 @@ class PoseNet:
             path = Path(str(files("falconwing_kit.data") / f"pose_net_{name}.safetensors"))
         if path.suffix != ".safetensors":
             raise InputError(
-                f"pose net: expected a .safetensors file or a name that ships ({', '.join(NETS)}), got {name}"
+                "pose net: expected a .safetensors file or a name that ships "
+                f"({', '.join(NETS)}), got {name}; train one with falconwing scene pose-net"
             )
         data = require_file(path).read_bytes()
         try:
@@ -109,31 +110,30 @@ class PoseNet:
         try:
             if len(data) > MAX_FILE_BYTES:
                 raise ValueError
-            length = int.from_bytes(
-                data[:8], "little"
-            )  # the format begins with the length of its JSON header
-            record = PoseNetRecord(
-                **json.loads(json.loads(data[8 : 8 + length])["__metadata__"]["pose_net"])
-            )
+            # safetensors: 8 bytes with the length of a JSON header, the header, the tensors
+            length = int.from_bytes(data[:8], "little")
+            metadata = json.loads(data[8 : 8 + length])["__metadata__"]
+            record = PoseNetRecord(**json.loads(metadata["pose_net"]))
             network = PoseNetwork(
                 PoseNetShape(**record.shape), torch.tensor(record.low), torch.tensor(record.high)
             )
-            network.load_state_dict(
-                {key: tensor.float() for key, tensor in load(data).items()}, strict=False
-            )
-            complete = set(load(data)) >= {key for key, _ in network.named_parameters()}
-        except Exception:  # a damaged file can fail anywhere on this way
+            tensors = {key: tensor.float() for key, tensor in load(data).items()}
+            network.load_state_dict(tensors, strict=False)
+            complete = set(tensors) >= {key for key, _ in network.named_parameters()}
+        except Exception:  # a damaged file can fail at any of these steps
             raise InputError(
-                f"{short_name(path)}: expected weights of a pose net, got a damaged or other file"
+                f"{short_name(path)}: expected weights of a pose net, got a damaged or other file; "
+                "copy it again"
             ) from None
         if record.version != VERSION or not complete:
             raise InputError(
-                f"{short_name(path)}: expected a pose net of version {VERSION}, got another; use a newer kit"
+                f"{short_name(path)}: expected a pose net of version {VERSION}, got another; "
+                "use a newer kit"
             )
         return cls(network, record)
 
     def save(self, path: str | Path) -> None:
-        """Write weights, in half precision, and record, whole or not at all.
+        """Write weights in half precision, with the record.
 
         Raises:
             InputError: the path is no .safetensors file or cannot be written.
@@ -143,42 +143,40 @@ class PoseNet:
 
         if Path(path).suffix != ".safetensors":
             raise InputError(
-                f"{short_name(path)}: expected a name ending in .safetensors for weights, got another"
+                f"{short_name(path)}: expected a name ending in .safetensors for weights, "
+                "got another; rename it"
             )
-        tensors = {
-            key: tensor.half() if tensor.dtype == torch.float32 and "running" not in key else tensor
-            for key, tensor in self.network.state_dict().items()
-        }
-        tensors = {key: tensor.contiguous().cpu() for key, tensor in tensors.items()}
+        tensors = {}
+        for key, tensor in self.network.state_dict().items():
+            # the running statistics of batch normalisation keep single precision
+            is_weight = tensor.dtype == torch.float32 and "running" not in key
+            tensors[key] = (tensor.half() if is_weight else tensor).contiguous().cpu()
         with atomic_write(path) as file:
             file.write(save(tensors, {"pose_net": json.dumps(asdict(self.record))}))
 
-    def estimate(self, image: NDArray[np.uint8], camera: PinholeCamera) -> PoseEstimate:
-        """The pose of the camera that took an image.
+    def estimate(self, image: Pixels, camera: PinholeCamera) -> PoseEstimate:
+        """Estimate the pose of the camera that took an image.
 
         Args:
-            image: (H, W, 3) red, green, blue.
-            camera: which took it.
+            image: (H, W, 3) RGB.
+            camera: intrinsics at the image's size.
 
         Raises:
-            InputError: the image is none or not the camera's, or the camera sees too little of what
-                the network knows.
+            InputError: the image is not of the camera's size, or the camera's field of view lacks
+                more than a quarter of the trained one.
         """
-        return self.pose_estimates(self.answer(image, camera))[0]
+        return self.pose_estimates(self.predict(image, camera))[0]
 
-    def answer(self, image: NDArray[np.uint8], camera: PinholeCamera) -> "PoseNetOutput":
-        """What the network itself says about an image, before cells and token are fused; arguments
-        as `estimate`'s.
-        """
+    def predict(self, image: Pixels, camera: PinholeCamera) -> "PoseNetOutput":
+        """The network's output before cells and token are fused; arguments as `estimate`."""
         import torch
 
-        image = _require_image(image, camera)
+        image = require_image(image, camera, rgb=True, min_side_px=32)
         with torch.no_grad():
-            return self.network(self.prepared(torch.from_numpy(image)[None], camera))
+            return self.network(self.resample(torch.from_numpy(image)[None], camera))
 
-    def prepared(self, images: "Tensor", camera: PinholeCamera) -> "Tensor":
-        """Images (B, H, W, 3) of bytes as the network's own camera had taken them: (B, 3, h, w) in
-        0..1.
+    def resample(self, images: "Tensor", camera: PinholeCamera) -> "Tensor":
+        """Images (B, H, W, 3) of bytes as the trained camera would take them: (B, 3, h, w) in 0..1.
 
         Raises:
             InputError: the camera lacks more than a quarter of the field of view.
@@ -186,45 +184,34 @@ class PoseNet:
         import torch
         from torch.nn.functional import interpolate
 
-        own = self.record.camera
-        left, top, right, bottom = _window(camera, own)
-        columns = torch.arange(left, right, device=images.device).clamp(
-            0, camera.width - 1
-        )  # repeats what lies outside
+        trained = self.record.camera
+        left, top, right, bottom = _crop_window(camera, trained)
+        # clamped indices crop, and repeat the edge where the window exceeds the image
+        columns = torch.arange(left, right, device=images.device).clamp(0, camera.width - 1)
         rows = torch.arange(top, bottom, device=images.device).clamp(0, camera.height - 1)
         if (right - left, bottom - top) != (camera.width, camera.height) or left or top:
             images = images[:, rows][:, :, columns]
-        small = interpolate(
-            images.permute(0, 3, 1, 2), (own.height, own.width), mode="bilinear", antialias=True
-        )
+        size = (trained.height, trained.width)
+        small = interpolate(images.permute(0, 3, 1, 2), size, mode="bilinear", antialias=True)
         return small.float() / 255.0
 
-    def pose_estimates(self, answer: "PoseNetOutput") -> list[PoseEstimate]:
-        """The estimates of a network's answer about B images."""
+    def pose_estimates(self, output: "PoseNetOutput") -> list[PoseEstimate]:
+        """The estimates of a network's output for B images."""
         import torch
 
         from falconwing_kit.vision.pose_network import fuse_pose
 
+        rays = torch.from_numpy(self._rays).float()
         with torch.no_grad():
-            R, place, information = fuse_pose(
-                answer, torch.from_numpy(self._rays).float(), self.network.log_trust
-            )
+            R, position, information = fuse_pose(output, rays, self.network.log_trust)
         scale = np.repeat(self.record.sigma_scales, 3)
         covariances = torch.linalg.inv(information.double()).numpy() * scale * scale[:, None]
-        Ts_world_camera = pose_matrix(_orthonormal(R.double().numpy()), place.double().numpy())
-        return [
-            PoseEstimate(
-                T,
-                float(np.sqrt(np.trace(C[:3, :3]) / 3.0)),
-                float(np.sqrt(np.trace(C[3:, 3:]) / 3.0)),
-                C,
-            )
-            for T, C in zip(Ts_world_camera, covariances, strict=True)
-        ]
+        Ts_world_camera = pose_matrix(_orthonormal(R.double().numpy()), position.double().numpy())
+        return [PoseEstimate(T, C) for T, C in zip(Ts_world_camera, covariances, strict=True)]
 
 
 def cell_rays(camera: PinholeCamera) -> Array:
-    """(K, 3) unit directions in camera axes that the network's cells look along, row by row.
+    """(K, 3) unit directions in camera axes of the network's cells, row by row.
 
     A cell is 8 x 8 pixels; its ray goes through the centre of the pixel right of and below its
     middle.
@@ -235,46 +222,29 @@ def cell_rays(camera: PinholeCamera) -> Array:
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-def _window(camera: PinholeCamera, own: PinholeCamera) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom edge [px], in a camera's image, of what the network's camera
-    would see.
-    """
-    across, down = camera.fx / own.fx, camera.fy / own.fy
-    left, right = camera.cx - across * own.cx, camera.cx + across * (own.width - own.cx)
-    top, bottom = camera.cy - down * own.cy, camera.cy + down * (own.height - own.cy)
-    seen = (min(right, camera.width) - max(left, 0.0)) * (
-        min(bottom, camera.height) - max(top, 0.0)
-    )
-    if min(right, camera.width) <= max(left, 0.0) or seen < (1.0 - MAX_MISSING) * (right - left) * (
-        bottom - top
-    ):
-        wanted, got = (
-            np.degrees(2.0 * np.arctan(0.5 * lens.width / lens.fx)) for lens in (own, camera)
+def _crop_window(camera: PinholeCamera, trained: PinholeCamera) -> tuple[int, int, int, int]:
+    """Left, top, right, bottom [px] of the trained field of view in a camera's image."""
+    scale_x, scale_y = camera.fx / trained.fx, camera.fy / trained.fy
+    left = camera.cx - scale_x * trained.cx
+    right = camera.cx + scale_x * (trained.width - trained.cx)
+    top = camera.cy - scale_y * trained.cy
+    bottom = camera.cy + scale_y * (trained.height - trained.cy)
+    seen_x = min(right, camera.width) - max(left, 0.0)
+    seen_y = min(bottom, camera.height) - max(top, 0.0)
+    least = (1.0 - MAX_MISSING) * (right - left) * (bottom - top)
+    if seen_x <= 0.0 or seen_x * seen_y < least:
+        expected, got = (
+            np.degrees(2.0 * np.arctan(0.5 * lens.width / lens.fx)) for lens in (trained, camera)
         )
         raise InputError(
-            f"camera: expected at least three quarters of the view the network was trained on, {wanted:.0f} deg across, "
-            f"got {got:.0f} deg; use a wider lens, or train a network for this one"
+            "camera: expected at least three quarters of the trained field of view, "
+            f"{expected:.0f} deg across, got {got:.0f} deg; use a wider lens, or train a network "
+            "for this one"
         )
     return round(left), round(top), round(right), round(bottom)
 
 
-def _require_image(image: NDArray[np.uint8], camera: PinholeCamera) -> NDArray[np.uint8]:
-    """The image, if it is one and the camera's."""
-    image = np.asarray(image)
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
-        raise InputError(
-            f"image: expected (H, W, 3) of bytes, red, green, blue, got {image.shape} of {image.dtype}"
-        )
-    if image.shape[:2] != (camera.height, camera.width):
-        want, got = f"{camera.width} x {camera.height}", f"{image.shape[1]} x {image.shape[0]}"
-        raise InputError(
-            f"image: expected the camera's size, {want} px, got {got}; scale the camera as the image"
-        )
-    require_range("image's shorter side [px]", min(image.shape[:2]), low=32)
-    return np.ascontiguousarray(image)
-
-
 def _orthonormal(R: Array) -> Array:
-    """The nearest rotations (B, 3, 3), by singular values; float32 leaves them off by 1e-7."""
+    """The nearest rotations (B, 3, 3), by singular values; float32 has errors of 1e-7."""
     left, _, right = np.linalg.svd(R)
     return np.asarray(left @ right)

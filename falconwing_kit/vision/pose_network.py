@@ -1,10 +1,9 @@
-"""Pose network: images (B, 3, H, W) -> where their cameras are, what they look at, and how sure
-that is.
+"""Pose network: images (B, 3, H, W) -> camera poses, scene coordinates, and their uncertainties.
 
-Two ways lead to a pose. A pose token gives place and sine and cosine of the angles at once, as the
-paper's iGSplat does. Every cell of 8 x 8 pixels also says which point of the hall it shows, a
-"scene coordinate" [Shotton et al. 2013]; `fuse_pose` then moves the pose until each cell's ray
-meets its point. Each answer carries a standard deviation.
+Two heads lead to a pose. A pose token is regressed to position and sine and cosine of the angles,
+as in the paper's iGSplat. Every cell of 8 x 8 pixels is regressed to the point of the hall that it
+shows, its "scene coordinate" [Shotton et al. 2013]; `fuse_pose` then fits the pose that makes each
+cell's ray meet its point. Every output has a standard deviation.
 
 Parameters of the transformer are named as in the usual ViT files (timm's), so that pretrained ones
 can be loaded.
@@ -18,20 +17,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-PATCH, CELL = 16, 8  # px; a token sees a patch and answers for its 2 x 2 cells
+PATCH, CELL = 16, 8  # px; a token covers a patch and predicts its 2 x 2 cells
 STEMS = ("conv", "patch")
-LOG_SIGMA_LOW, LOG_SIGMA_HIGH = (
-    math.log(5e-3),
-    math.log(20.0),
-)  # of every standard deviation [m or rad]
-# degrees of freedom of the Student-t that a cell's error follows: some cells are plainly wrong
-STUDENT_T_DOF = 3.0
-FUSION_STEPS = 4  # of Gauss-Newton; the step after these is below a millimetre where cells agree
+LOG_SIGMA_LOW, LOG_SIGMA_HIGH = math.log(5e-3), math.log(20.0)  # of all sigmas [m or rad]
+STUDENT_T_DOF = 3.0  # of a cell's error: some cells are outliers
+FUSION_STEPS = 4  # of Gauss-Newton; a fifth is below a millimetre where cells agree
 
 
 @dataclass(frozen=True)
 class PoseNetShape:
-    """How large the network is."""
+    """Size of the network."""
 
     width: int = 192  # of the image [px], a multiple of 16, as is the height
     height: int = 144
@@ -47,19 +42,18 @@ class PoseNetShape:
 
 
 class PoseNetOutput(NamedTuple):
-    """What the network says about B images."""
+    """Output of the network for B images."""
 
-    place: Tensor  # (B, 3) of the camera in the world [m]
-    log_sigma_place: Tensor  # (B, 3) per axis
-    # (B, 3, 2) sine and cosine of roll, pitch, yaw of a body whose nose the camera looks along
-    sincos: Tensor
+    position: Tensor  # (B, 3) position of the camera in the world [m]
+    log_sigma_position: Tensor  # (B, 3) per axis
+    sincos: Tensor  # (B, 3, 2) of roll, pitch, yaw of a body whose nose is the camera's axis
     log_sigma_angle: Tensor  # (B,) [rad]
-    points: Tensor  # (B, K, 3) what the cells show, in the world [m]; row by row
+    points: Tensor  # (B, K, 3) scene coordinates of the cells in the world [m], row by row
     log_sigma_points: Tensor  # (B, K)
 
 
 class Attention(nn.Module):
-    """Tokens look at each other [Vaswani et al. 2017, eq. 1]."""
+    """Multi-head self-attention [Vaswani et al. 2017, eq. 1]."""
 
     def __init__(self, features: int, heads: int) -> None:
         super().__init__()
@@ -68,15 +62,15 @@ class Attention(nn.Module):
 
     def forward(self, tokens: Tensor) -> Tensor:
         """(B, N, F) -> (B, N, F)."""
+        # (B, N, 3 F) -> query, key, value, each (B, heads, N, F / heads)
         shape = (*tokens.shape[:2], 3, self.heads, -1)
         q, k, v = self.qkv(tokens).reshape(shape).permute(2, 0, 3, 1, 4)
-        return self.proj(
-            functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
-        )
+        attended = functional.scaled_dot_product_attention(q, k, v)
+        return self.proj(attended.transpose(1, 2).flatten(2))
 
 
 class Mlp(nn.Module):
-    """Two layers on each token for itself."""
+    """Two-layer perceptron on each token."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
@@ -102,7 +96,7 @@ class Block(nn.Module):
 
 
 class PatchStem(nn.Module):
-    """Patches straight to tokens, as a plain ViT does."""
+    """Linear patch embedding of a plain ViT."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
@@ -114,9 +108,7 @@ class PatchStem(nn.Module):
 
 
 class ConvStem(nn.Module):
-    """Patches to tokens by convolutions, which need fewer examples than plain patches [Xiao et al.
-    2021].
-    """
+    """Patch embedding by convolutions, which needs fewer examples [Xiao et al. 2021]."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
@@ -141,13 +133,13 @@ class PoseNetwork(nn.Module):
     """Stem, transformer, and the two heads.
 
     Args:
-        shape: how large.
-        low: (3,) lower corner of the hall [m]; answers are scaled to its box.
+        shape: size of the network.
+        low: (3,) lower corner of the hall's box [m], to which outputs are scaled.
         high: (3,) upper corner.
     """
 
     low: Tensor
-    reach: Tensor
+    half_size: Tensor
 
     def __init__(self, shape: PoseNetShape, low: Tensor, high: Tensor) -> None:
         super().__init__()
@@ -158,81 +150,74 @@ class PoseNetwork(nn.Module):
         self.pos_embed = nn.Parameter(0.02 * torch.randn(1, 1 + rows * columns, features))
         self.blocks = nn.ModuleList(Block(features, shape.heads) for _ in range(shape.layers))
         self.norm = nn.LayerNorm(features, 1e-6)
+        # pose token: position, its log sigmas, sine and cosine of three angles, their log sigma
         self.pose_head = nn.Sequential(
             nn.Linear(features, features), nn.GELU(), nn.Linear(features, 3 + 3 + 6 + 1)
         )
+        # patch token: point and its log sigma, for each of the patch's cells
         self.point_head = nn.Linear(features, (PATCH // CELL) ** 2 * 4)
-        self.log_trust = nn.Parameter(
-            torch.tensor(-3.0)
-        )  # cells err together, so each counts less than one
+        # errors of the cells are correlated, so that each counts less than one
+        self.log_trust = nn.Parameter(torch.tensor(-3.0))
         self.register_buffer("low", low.float(), persistent=False)
-        self.register_buffer("reach", 0.5 * (high - low).float(), persistent=False)
+        self.register_buffer("half_size", 0.5 * (high - low).float(), persistent=False)
 
     def forward(self, images: Tensor) -> PoseNetOutput:
-        """Answer for images (B, 3, H, W), red, green, blue in 0..1."""
+        """Output for images (B, 3, H, W), red, green, blue in 0..1."""
+        # tokens (B, 1 + rows * columns, F): the pose token, then the patches row by row
         grid = self.patch_embed(2.0 * images - 1.0)
-        tokens = (
-            torch.cat([self.cls_token.expand(len(images), -1, -1), grid.flatten(2).mT], dim=1)
-            + self.pos_embed
-        )
+        pose_token = self.cls_token.expand(len(images), -1, -1)
+        tokens = torch.cat([pose_token, grid.flatten(2).mT], dim=1) + self.pos_embed
         for block in self.blocks:
             tokens = block(tokens)
         tokens = self.norm(tokens)
         pose, cells = self.pose_head(tokens[:, 0]).float(), self.point_head(tokens[:, 1:]).float()
+        # (B, rows, columns, cell row, cell column, 4) -> (B, K, 4), cells row by row in the image
         rows, columns = self.shape.tokens
         side = PATCH // CELL
-        cells = (
-            cells.reshape(-1, rows, columns, side, side, 4)
-            .transpose(2, 3)
-            .reshape(len(images), -1, 4)
-        )
-        middle = self.low + self.reach
+        cells = cells.reshape(-1, rows, columns, side, side, 4).transpose(2, 3)
+        cells = cells.reshape(len(images), -1, 4)
+        middle = self.low + self.half_size
         return PoseNetOutput(
-            place=middle + self.reach * pose[:, :3],
-            log_sigma_place=pose[:, 3:6].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
+            position=middle + self.half_size * pose[:, :3],
+            log_sigma_position=pose[:, 3:6].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
             sincos=pose[:, 6:12].reshape(-1, 3, 2),
             log_sigma_angle=pose[:, 12].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
-            points=middle + self.reach * cells[..., :3],
+            points=middle + self.half_size * cells[..., :3],
             log_sigma_points=cells[..., 3].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
         )
 
 
 def load_vit(network: PoseNetwork, tensors: dict[str, Tensor]) -> int:
-    """Take over pretrained ViT weights by their usual names; the position grid is stretched to the
-    image's.
+    """Load pretrained ViT weights by their usual names, position grid interpolated to the image's.
 
     Args:
         network: with the stem "patch" and the file's number of features and heads; changed in
-            place. Its first layers are taken from the file's first layers.
+            place. Its layers take the file's first layers.
         tensors: as in a ViT's safetensors file.
 
     Returns:
-        How many tensors were taken; the heads have none to take.
+        The number of tensors loaded; the heads are not among them.
     """
-    own, taken = network.state_dict(), {}
+    state, loaded = network.state_dict(), {}
     for name, tensor in tensors.items():
         if name == "pos_embed" and tensor.shape[-1] == network.shape.features:
+            # the class token's embedding, then a square grid of them: (1, F, side, side)
             side = math.isqrt(tensor.shape[1] - 1)
             grid = tensor[:, 1:].float().reshape(1, side, side, -1).permute(0, 3, 1, 2)
             grid = functional.interpolate(
                 grid, network.shape.tokens, mode="bicubic", align_corners=False
             )
             tensor = torch.cat([tensor[:, :1].float(), grid.flatten(2).mT], dim=1)
-        if name in own and own[name].shape == tensor.shape:
-            taken[name] = tensor
-    network.load_state_dict(taken, strict=False)
-    return len(taken)
+        if name in state and state[name].shape == tensor.shape:
+            loaded[name] = tensor
+    network.load_state_dict(loaded, strict=False)
+    return len(loaded)
 
 
 def rotations(sincos: Tensor) -> Tensor:
-    """R_world_camera of sines and cosines; core/frames.py says the same in NumPy, where the signs
-    are explained.
+    """R_world_camera (B, 3, 3) of sines and cosines (B, 3, 2) of roll, pitch, yaw, normalised here.
 
-    Args:
-        sincos: (B, 3, 2) of roll, pitch, yaw; scaled to length 1 here.
-
-    Returns:
-        (B, 3, 3); its columns are the right wing, the belly and the nose.
+    Its columns are the right wing, the belly and the nose; core/frames.py explains the signs.
     """
     sin, cos = functional.normalize(sincos, dim=-1, eps=1e-6).unbind(-1)
     (sr, sp, sy), (cr, cp, cy) = sin.unbind(-1), cos.unbind(-1)
@@ -250,27 +235,22 @@ def cross_matrix(v: Tensor) -> Tensor:
 
 
 def so3_exp(w: Tensor) -> Tensor:
-    """exp([w]x) (B, 3, 3) of turns (B, 3) [rad], by Rodrigues' formula [Murray, Li & Sastry 1994,
-    eq. 2.14].
+    """exp([w]x) (B, 3, 3) of rotation vectors (B, 3) [rad]: Rodrigues' formula.
 
-    1 + sin(a)/a K + (1 - cos(a))/a^2 K^2,  K = [w]x, a = |w|; the second fraction as sinc(a/2)^2 /
-    2, safe at 0
+    1 + sin(a)/a K + (1 - cos(a))/a^2 K^2,  K = [w]x, a = |w|  [Murray, Li & Sastry 1994, eq. 2.14]
+    The second fraction is computed as sinc(a/2)^2 / 2, which is defined at 0.
     """
     K, angle = cross_matrix(w), (w * w).sum(-1).clamp(min=1e-16).sqrt()[:, None, None]
     half = torch.sinc(angle / (2.0 * math.pi))
-    return (
-        torch.eye(3, device=w.device, dtype=w.dtype)
-        + torch.sinc(angle / math.pi) * K
-        + 0.5 * half * half * (K @ K)
-    )
+    one = torch.eye(3, device=w.device, dtype=w.dtype)
+    return one + torch.sinc(angle / math.pi) * K + 0.5 * half * half * (K @ K)
 
 
 def so3_log_between(R: Tensor, R_from: Tensor) -> Tensor:
-    """The turn (B, 3) [rad] in world axes that leads from one rotation to the other, exact to the
-    third order.
+    """Rotation vector w (B, 3) [rad] in world axes with R = exp([w]x) R_from.
 
-    R = exp([w]x) R_from;  w = vee(M - M^T) / 2 * angle / sin(angle) with M = R R_from^T [Murray, Li
-    & Sastry 1994, 2.2]
+    w = vee(M - M^T) / 2 * angle / sin(angle), M = R R_from^T  [Murray, Li & Sastry 1994, 2.2]
+    Near 0 the last fraction is taken as 1, exact to third order.
     """
     M = R @ R_from.mT
     w = 0.5 * torch.stack(
@@ -285,72 +265,73 @@ def so3_log_between(R: Tensor, R_from: Tensor) -> Tensor:
 def fuse_pose(
     output: PoseNetOutput, rays: Tensor, log_trust: Tensor, steps: int = FUSION_STEPS
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The most likely pose, given what the pose token and the cells say.
+    """Most probable pose, given the outputs of the pose token and of the cells.
 
-    A cell's ray d = R ray should meet its point: e = (1 - d d^T)(point - place) = 0, the
-    object-space error of [Lu, Hager & Mjolsness 2000, eq. 19]. Gauss-Newton in place and turn, each
-    cell weighted as Student's t asks [Lange et al. 1989], and the token's answer as a prior.
-    Gradients flow through the last step alone, which at the solution is what the implicit function
-    theorem gives.
+    A cell's ray d = R ray should meet its point: e = (1 - d d^T)(point - position) = 0, the
+    object-space error of [Lu, Hager & Mjolsness 2000, eq. 19]. Gauss-Newton in position and
+    rotation, with the Student-t weights of the cells [Lange et al. 1989] and the token's pose as
+    prior. Gradients flow through the last step only, which at the solution equals the implicit
+    function theorem.
 
     Args:
-        answer: of B images, float32.
+        output: for B images, float32.
         rays: (K, 3) unit directions of the cells in camera axes.
-        log_trust: () by how much a cell counts less than if it erred alone.
+        log_trust: () logarithm of a cell's weight; below 0, since errors of cells are correlated.
         steps: of Gauss-Newton.
 
     Returns:
-        R_world_camera (B, 3, 3), place (B, 3) [m], and information (B, 6, 6) of place [m] and turn
-        in world axes [rad], the inverse of their covariance.
+        R_world_camera (B, 3, 3), position (B, 3) [m], and information (B, 6, 6), the inverse
+        covariance of position [m] and rotation vector [rad] in world axes.
     """
     R_head = rotations(output.sincos)
-    R, place = R_head.detach(), output.place.detach()
-    prior = torch.exp(
-        -2.0
-        * torch.cat([output.log_sigma_place, output.log_sigma_angle[:, None].expand(-1, 3)], dim=1)
-    )
-    step = information = torch.zeros(0)
+    R, position = R_head.detach(), output.position.detach()
+    # information of the prior: 1 / sigma^2 of three coordinates and three angles
+    log_sigma_angles = output.log_sigma_angle[:, None].expand(-1, 3)
+    prior = torch.exp(-2.0 * torch.cat([output.log_sigma_position, log_sigma_angles], dim=1))
+    information = torch.zeros(0)
     for number in range(steps):
         last = number == steps - 1
         with torch.set_grad_enabled(last and torch.is_grad_enabled()):
-            information, pull = _normal_equations(output, rays @ R.mT, place, log_trust)
-            off = torch.cat([place - output.place, so3_log_between(R, R_head)], dim=1)
+            # add the prior to the cells' normal equations, solve, and update the pose
+            information, right = _normal_equations(output, rays @ R.mT, position, log_trust)
             information = information + torch.diag_embed(prior)
-            factor = torch.linalg.cholesky_ex(
-                information
-            ).L  # of what is no number it makes no exception
-            step = torch.cholesky_solve((pull - prior * off)[..., None], factor)[..., 0]
-            place, R = place + step[:, :3], so3_exp(step[:, 3:]) @ R
-    return R, place, information
+            deviation = torch.cat([position - output.position, so3_log_between(R, R_head)], dim=1)
+            right = right - prior * deviation
+            factor = torch.linalg.cholesky_ex(information).L  # raises no exception for nan
+            step = torch.cholesky_solve(right[..., None], factor)[..., 0]
+            position, R = position + step[:, :3], so3_exp(step[:, 3:]) @ R
+    return R, position, information
 
 
 def _normal_equations(
-    output: PoseNetOutput, d: Tensor, place: Tensor, log_trust: Tensor
+    output: PoseNetOutput, d: Tensor, position: Tensor, log_trust: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """J^T W J (B, 6, 6) and -J^T W e (B, 6) of the cells, with de = -(1 - d d^T) dplace + s [d]x
-    dturn.
+    """J^T W J (B, 6, 6) and -J^T W e (B, 6) of the cells, by position and rotation vector.
+
+    de = -(1 - d d^T) dposition + s [d]x drotation, with s the distance along the ray.
 
     Args:
-        answer: whose points to meet.
-        d: (B, K, 3) the rays in world axes.
-        place: (B, 3) where they begin.
-        log_trust: ().
+        output: with the points to meet.
+        d: (B, K, 3) rays in world axes.
+        position: (B, 3) their origin.
+        log_trust: () logarithm of a cell's weight.
     """
-    toward = output.points - place[:, None]
+    # error e perpendicular to the ray
+    toward = output.points - position[:, None]
     s = (d * toward).sum(-1)
     e = toward - s[..., None] * d
+    # weights (B, K) of a Student-t with two coordinates
     variance = torch.exp(2.0 * output.log_sigma_points)
-    weight = (
-        torch.exp(log_trust)
-        / variance
-        * (STUDENT_T_DOF + 2.0)
-        / (STUDENT_T_DOF + (e * e).sum(-1) / variance)
-    )
-    across = torch.eye(3, device=d.device) - d[..., :, None] * d[..., None, :]
-    pp = (weight[..., None, None] * across).sum(1)
-    tt = ((weight * s * s)[..., None, None] * across).sum(1)
-    pt = -cross_matrix(((weight * s)[..., None] * d).sum(1))
-    information = torch.cat([torch.cat([pp, pt], dim=2), torch.cat([pt.mT, tt], dim=2)], dim=1)
-    pull = (weight[..., None] * e).sum(1)
-    turn = ((weight * s)[..., None] * torch.linalg.cross(d, e)).sum(1)
-    return information, torch.cat([pull, turn], dim=1)
+    chi2 = (e * e).sum(-1) / variance
+    weight = torch.exp(log_trust) / variance * (STUDENT_T_DOF + 2.0) / (STUDENT_T_DOF + chi2)
+    # blocks of position p and rotation r (B, 3, 3), with the projection Q = 1 - d d^T:
+    # [d]x^T [d]x = Q and Q [d]x = [d]x
+    Q = torch.eye(3, device=d.device) - d[..., :, None] * d[..., None, :]
+    pp = (weight[..., None, None] * Q).sum(1)
+    rr = ((weight * s * s)[..., None, None] * Q).sum(1)
+    pr = -cross_matrix(((weight * s)[..., None] * d).sum(1))
+    upper, lower = torch.cat([pp, pr], dim=2), torch.cat([pr.mT, rr], dim=2)
+    # right side: Q e = e, and -(s [d]x)^T e = s d x e
+    force = (weight[..., None] * e).sum(1)
+    moment = ((weight * s)[..., None] * torch.linalg.cross(d, e)).sum(1)
+    return torch.cat([upper, lower], dim=1), torch.cat([force, moment], dim=1)

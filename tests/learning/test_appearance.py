@@ -1,6 +1,4 @@
-"""Appearance: every image differently, what shows the hall known, and what needs no change left as
-it is.
-"""
+"""Appearance: each image is randomised differently, with a mask, and unbiased where it must be."""
 
 import pytest
 import torch
@@ -45,8 +43,8 @@ def test_the_same_seed_gives_the_same(images):
     assert torch.equal(first, second)
 
 
-def test_clear_is_where_nothing_was_put(images, generator):
-    """Pixels said to be clear keep their bits; the others, a few per cent of all, do not."""
+def test_clear_pixels_are_unchanged(images, generator):
+    """Clear pixels keep their bits; the others, a few per cent of all, do not."""
     out, clear = add_occluders(images, generator)
     changed = (out != images).any(dim=1)
     assert torch.equal(changed, ~clear)
@@ -74,7 +72,7 @@ def test_light_changes_brightness_both_ways(generator):
     assert means.mean() == pytest.approx(0.5, abs=0.06)
 
 
-def test_analog_drags_colours_to_the_right_but_not_brightness(generator):
+def test_analog_link_delays_colours_but_not_luma(generator):
     """A red stripe on grey of the same luma: behind the decoder's low-pass its colour's middle lies
     further right.
     """

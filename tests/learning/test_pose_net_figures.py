@@ -1,4 +1,4 @@
-"""Figures: errors that were put in come out, and calibration makes stated shares hold."""
+"""Evaluation: known errors are reported, and calibration gives the stated shares."""
 
 from dataclasses import asdict
 
@@ -24,9 +24,7 @@ ANGLES = np.array([0.2, -0.1, 0.7])
 
 @pytest.fixture
 def net():
-    """A net whose cells count for nothing and whose token always says the same, with sigmas of 0.5
-    m and 0.1 rad.
-    """
+    """A net without weight on its cells and with a constant token, sigmas 0.5 m and 0.1 rad."""
     network = PoseNetwork(SHAPE, torch.from_numpy(LOW), torch.from_numpy(HIGH))
     network.log_trust.data.fill_(-60.0)
     answer = PoseNetOutput(
@@ -74,9 +72,8 @@ def test_errors_put_in_come_out(net):
 
 @pytest.mark.parametrize("understated", [1.0, 2.5])
 def test_calibration_makes_the_stated_shares_hold(net, understated):
-    """Errors drawn from a normal law with sigmas so many times the stated ones: the scales must be
-    that number, and the 68 and 95 % shares then hold on errors drawn afresh; 4000 of them scatter
-    by 0.7 %.
+    """Normal errors with sigmas larger than stated by a known factor: the scales must be that
+    factor, and the 68 and 95 % shares then hold on new errors; 4000 of them scatter by 0.7 %.
     """
     rng = np.random.default_rng(0)
 

@@ -1,6 +1,4 @@
-"""The loop: losses that are smallest at the truth, a training that learns, and one that goes on
-after a stop.
-"""
+"""Training loop: losses are smallest at the truth, training learns, and resumes after a stop."""
 
 import numpy as np
 import pytest
@@ -38,9 +36,7 @@ def views():
 
 
 def truth_about(views):
-    """What a perfect network would say, by the views' own poses and depths; angles by SciPy's Euler
-    sequence.
-    """
+    """Output of a perfect network, by the views' poses and depths; angles by SciPy."""
     from scipy.spatial.transform import Rotation
 
     T = views.Ts_world_camera.numpy().astype(np.float64)
@@ -54,8 +50,8 @@ def truth_about(views):
     points = T[:, None, :3, 3] + reach * np.einsum("nij,kj->nki", T[:, :3, :3], rays)
     count = len(T)
     return PoseNetOutput(
-        place=views.Ts_world_camera[:, :3, 3].clone(),
-        log_sigma_place=torch.full((count, 3), np.log(0.3)),
+        position=views.Ts_world_camera[:, :3, 3].clone(),
+        log_sigma_position=torch.full((count, 3), np.log(0.3)),
         sincos=torch.stack([angles.sin(), angles.cos()], dim=-1),
         log_sigma_angle=torch.full((count,), np.log(0.1)),
         points=torch.from_numpy(points).float(),
@@ -68,12 +64,12 @@ def loss_of(answer, views):
     return losses(answer, views, clear, RAYS, torch.tensor(-3.0))
 
 
-@pytest.mark.parametrize("what", ["place", "sincos", "points"])
+@pytest.mark.parametrize("what", ["position", "sincos", "points"])
 def test_every_loss_is_smallest_at_the_truth(views, what):
     """A likelihood of the right form peaks where the answer is right; any push of 0.1 must cost."""
     truth = truth_about(views)
     best = loss_of(truth, views)
-    name = {"place": "token", "sincos": "token", "points": "points"}[what]
+    name = {"position": "token", "sincos": "token", "points": "points"}[what]
     generator = torch.Generator().manual_seed(0)
     for _ in range(5):
         value = getattr(truth, what)
@@ -89,27 +85,27 @@ def test_token_loss_is_the_gaussian_s(views):
     its weight.
     """
     truth = truth_about(views)
-    off = truth._replace(place=truth.place + torch.tensor([0.3, 0.0, 0.0]))
+    off = truth._replace(position=truth.position + torch.tensor([0.3, 0.0, 0.0]))
     assert float(loss_of(off, views)["token"] - loss_of(truth, views)["token"]) == pytest.approx(
         0.15, abs=1e-4
     )
 
 
-@pytest.mark.parametrize(("sigma", "wish"), [(0.2, -1), (0.3, 0), (0.45, 1)])
-def test_best_sigma_is_the_error(views, sigma, wish):
-    """By hand: for an error of 0.3 m in each axis a sigma of 0.3 m wants to stay, a smaller one to
-    grow, and so on.
+@pytest.mark.parametrize(("sigma", "sign"), [(0.2, -1), (0.3, 0), (0.45, 1)])
+def test_best_sigma_is_the_error(views, sigma, sign):
+    """By hand: for an error of 0.3 m in each axis the gradient is zero at sigma = 0.3 m, negative
+    below and positive above.
     """
     truth = truth_about(views)
-    log_sigma = torch.full_like(truth.place, np.log(sigma)).requires_grad_(True)
-    off = truth._replace(place=truth.place + 0.3, log_sigma_place=log_sigma)
+    log_sigma = torch.full_like(truth.position, np.log(sigma)).requires_grad_(True)
+    off = truth._replace(position=truth.position + 0.3, log_sigma_position=log_sigma)
     loss_of(off, views)["token"].backward()
     slope = float(log_sigma.grad.mean())
-    assert abs(slope) < 1e-6 if wish == 0 else np.sign(slope) == wish
+    assert abs(slope) < 1e-6 if sign == 0 else np.sign(slope) == sign
 
 
 def test_hidden_cells_do_not_count(views):
-    """Cells under an occluder, and those whose depth is 0, may say anything."""
+    """Points of cells under an occluder, or of depth 0, do not enter the loss."""
     truth = truth_about(views)
     hidden = views._replace(depths=torch.where(torch.arange(len(RAYS)) < 10, 0.0, views.depths))
     astray = truth.points.clone()
@@ -137,11 +133,11 @@ def test_training_in_miniature_learns():
     """
     ahead = nose_camera_pose((-5.0, -1.0, 1.5), 0.1, -0.1, 0.2)
     near = world(photos=photos_of([ahead]), photo_share=0.1, near_share=0.9)
-    plan, told = (
+    plan, lines = (
         TrainSchedule(steps=200, minutes=10.0, batch=24, fresh=2, pool=2000, first=150, rate=2e-3),
         [],
     )
-    trained = PoseNetTrainer(network(), near, plan).run(told.append)
+    trained = PoseNetTrainer(network(), near, plan).run(lines.append)
     views = sample_views(
         world(photos=photos_of([ahead]), photo_share=0.0, near_share=1.0),
         80,
@@ -149,19 +145,19 @@ def test_training_in_miniature_learns():
     )
     with torch.no_grad():
         answer = trained(views.images.float() / 255.0)
-        R, place, _ = fuse_pose(answer, RAYS, trained.log_trust)
+        R, position, _ = fuse_pose(answer, RAYS, trained.log_trust)
     guess = torch.from_numpy(ahead).float()
     R_truth, truth = views.Ts_world_camera[:, :3, :3], views.Ts_world_camera[:, :3, 3]
-    for R_said, said in ((rotations(answer.sincos), answer.place), (R, place)):
+    for R_estimate, estimate in ((rotations(answer.sincos), answer.position), (R, position)):
         turn, blind = (
             so3_log_between(R_truth, each).norm(dim=1).median()
-            for each in (R_said, guess[:3, :3].expand_as(R))
+            for each in (R_estimate, guess[:3, :3].expand_as(R))
         )
         assert turn < 0.6 * blind
-        assert (said - truth).norm(dim=1).median() < 0.9 * (guess[:3, 3] - truth).norm(
+        assert (estimate - truth).norm(dim=1).median() < 0.9 * (guess[:3, 3] - truth).norm(
             dim=1
         ).median()
-    assert len(told) == 2
+    assert len(lines) == 2
 
 
 def test_an_interrupted_training_goes_on(tmp_path, monkeypatch):
@@ -205,7 +201,7 @@ def test_another_plan_and_a_damaged_state_are_refused(tmp_path):
         PoseNetTrainer(network(), world(), QUICK, tmp_path).run()
 
 
-def test_time_ends_a_training_too():
+def test_minutes_end_a_training():
     """With no minutes to go, one step is enough to see that; the pool must not be waited for."""
     trainer = PoseNetTrainer(
         network(),

@@ -1,4 +1,4 @@
-"""Views: what is drawn, seen and told belongs together."""
+"""Training views: images, depths and poses are consistent with each other."""
 
 import sys
 import types
@@ -95,7 +95,7 @@ def test_aircraft_are_anywhere_in_the_box_and_head_anywhere():
     assert np.histogram(yaw, 4, (-np.pi, np.pi))[0].min() > 900
 
 
-def test_nearby_moves_and_turns_as_far_as_told():
+def test_perturbation_has_the_given_sigmas():
     """Normal with 0.7 m per axis; a turn of 10 deg about each axis is one of sqrt(3) x 10 deg, root
     mean square.
     """
@@ -105,7 +105,7 @@ def test_nearby_moves_and_turns_as_far_as_told():
     assert np.degrees(np.sqrt((np.arccos(cos) ** 2).mean())) == pytest.approx(17.3, rel=0.03)
 
 
-def test_a_photo_turned_is_what_the_hall_shows_there():
+def test_a_rotated_photo_equals_the_render_there():
     """The hall rendered from the turned pose is the independent truth: 20 dB are left after
     resampling at few pixels.
 
@@ -190,9 +190,9 @@ def test_gsplat_s_way_gives_what_the_reference_gives(monkeypatch):
     few = hall().selected(np.random.default_rng(0).random(len(hall())) < 0.01)
     Ts = perturb_poses(np.tile(AHEAD, (5, 1, 1)), 0.7, 10.0, np.random.default_rng(0))
     ours, theirs = (make_renderer(few, CAMERA, backend)(Ts) for backend in ("gsplat", "reference"))
-    for mine, wanted in zip(ours, theirs, strict=True):
-        assert mine.shape == wanted.shape
-        assert torch.allclose(mine, wanted, atol=1e-4)
+    for actual, expected in zip(ours, theirs, strict=True):
+        assert actual.shape == expected.shape
+        assert torch.allclose(actual, expected, atol=1e-4)
 
 
 def test_the_same_seed_draws_the_same_views():

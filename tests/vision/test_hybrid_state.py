@@ -17,7 +17,7 @@ from falconwing_kit.scene.render import render
 from falconwing_kit.vision.hybrid_state import HybridSettings, Video, estimate_flight
 from falconwing_kit.vision.marker import Marker
 from tests.vision.drawn_marker import CAMERA, pose, view
-from tests.vision.strayed import strayed
+from tests.vision.jittered import jittered
 
 COUNT = 36
 P_BODY_CAMERA = np.array([0.2, 0.0, 0.0])
@@ -68,10 +68,10 @@ def approach():
 
 @dataclass
 class Network:
-    """Stands for a pose network: knows the truth, adds noise, and is wild in some frames."""
+    """Stand-in for a pose network: the truth with noise, and outliers in some frames."""
 
     approach: Approach
-    wild: tuple = ()
+    outliers: tuple = ()
     sigma: tuple = (0.3, 0.04)
 
     def estimate(self, image, camera):
@@ -83,7 +83,7 @@ class Network:
         )
         T = camera_pose(body, P_BODY_CAMERA)
         T[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, self.sigma[1], 3)).as_matrix() @ T[:3, :3]
-        T[:3, 3] += rng.normal(0.0, self.sigma[0], 3) + (frame in self.wild) * np.array(
+        T[:3, 3] += rng.normal(0.0, self.sigma[0], 3) + (frame in self.outliers) * np.array(
             [4.0, -5.0, 0.5]
         )
         return SimpleNamespace(
@@ -118,15 +118,15 @@ def test_the_marker_alone_gives_the_flight_while_it_is_seen(approach):
     )
 
 
-def test_lines_that_stray_are_told_by_larger_sigmas_that_cover(approach):
-    """The same frames with lines that stray by 0.6 px. At 18 px a marker's top goes against its
+def test_line_jitter_gives_larger_sigmas_that_cover(approach):
+    """The same frames with line jitter of 0.6 px. At 18 px a marker's top goes against its
     bottom by about 0.6 sqrt(2 - 2 exp(-18 / 24)) = 0.6 px, four times what its corners' noise makes
     of it: sigmas grow by half at least, and as many as without lie within two of them.
     """
     rng = np.random.default_rng(12)
     clean = estimate_flight(approach.video(), CAMERA)
     flight = estimate_flight(
-        approach.video([strayed(image, 0.6, rng) for image in approach.images]), CAMERA
+        approach.video([jittered(image, 0.6, rng) for image in approach.images]), CAMERA
     )
     seen = flight.table.has_pose
     assert seen.sum() >= 10
@@ -138,15 +138,15 @@ def test_lines_that_stray_are_told_by_larger_sigmas_that_cover(approach):
 
 
 def test_the_side_is_right_though_the_mirrored_pose_fits_almost_as_well(approach):
-    """The truth is left of the marker, y > 0 while far out; the other solution mirrors it to y < 0."""
+    """The truth is left of the marker, y > 0 far away; the other solution mirrors it to y < 0."""
     flight = estimate_flight(approach.video(), CAMERA)
     far = flight.measured.has_pose & (approach.p_world[:, 0] < -8.0)
     assert far.sum() >= 3
     assert (flight.measured.p_world[far, 1] > 0.0).all()
 
 
-def test_a_near_marker_says_where_the_body_is_not_the_camera(approach):
-    """Less than 6 m away a pose is good to some centimetres; the camera is 20 cm ahead of the body."""
+def test_a_near_marker_gives_the_body_not_the_camera(approach):
+    """Less than 6 m away a pose is good to centimetres; the camera is 20 cm ahead of the body."""
     flight = estimate_flight(approach.video(), CAMERA)
     near = flight.measured.has_pose & (approach.p_world[:, 0] > -6.0)
     assert near.sum() >= 3
@@ -154,9 +154,7 @@ def test_a_near_marker_says_where_the_body_is_not_the_camera(approach):
 
 
 def test_a_room_without_the_true_side_leaves_the_mirrored_pose(approach):
-    """Told that there is nothing left of the marker's centre line, only the mirrored solution is
-    left of far sights.
-    """
+    """The room ends at the marker's centre line: only the mirrored solution is left of it."""
     settings = HybridSettings(room_high=(17.5, 0.0, 5.0))
     flight = estimate_flight(approach.video(), CAMERA, settings=settings)
     far = flight.measured.has_pose & (approach.p_world[:, 0] < -9.0)
@@ -180,7 +178,7 @@ def test_the_network_fills_in_where_the_marker_is_not_seen(approach):
 
 
 def test_a_scene_carries_the_flight_on_from_the_marker():
-    """The same approach through the arena, rendered; after a second the marker is out of sight and
+    """The same approach through the arena, rendered; after a second the marker is out of view and
     there is no network. Simulated. A pose against the scene is good to some centimetres; ten are
     allowed.
     """
@@ -201,19 +199,19 @@ def test_a_scene_carries_the_flight_on_from_the_marker():
     assert np.degrees(np.abs(attitude_error[source == "scene"])).max() < 1.5
 
 
-def test_wild_network_poses_are_counted_and_do_no_harm(approach):
+def test_outliers_of_the_network_are_counted_and_rejected(approach):
     """Three of its poses are 6 m off: they neither reach the table nor move it by a metre."""
-    flight = estimate_flight(approach.video(), CAMERA, Network(approach, wild=(29, 31, 34)))
+    flight = estimate_flight(approach.video(), CAMERA, Network(approach, outliers=(29, 31, 34)))
     position, _ = errors(flight, approach)
     seen = flight.table.has_pose
     assert seen.sum() >= COUNT - 3
     assert np.linalg.norm(position[seen], axis=1).max() < 1.0
-    said = "network: does not fit"
-    assert sum(count for words, count in flight.counts.items() if words.startswith(said)) == 3
+    problem = "network: does not fit"
+    assert sum(n for name, n in flight.counts.items() if name.startswith(problem)) == 3
 
 
 def test_lost_frames_are_counted_and_bridged(approach):
-    """Two frames in the middle of the marker's sights do not come: they keep a row and get a pose."""
+    """Two frames among the marker's detections are lost: they keep a row and get a pose."""
     images = [None if k in (5, 6) else image for k, image in enumerate(approach.images)]
     flight = estimate_flight(approach.video(images), CAMERA)
     assert flight.counts["no image"] == 2
@@ -222,13 +220,13 @@ def test_lost_frames_are_counted_and_bridged(approach):
     assert (np.abs(position[[5, 6]]) < 0.5).all()
 
 
-def test_an_expected_id_that_is_not_there_is_told_with_what_is(approach):
-    """The frames show id 7; asked for is 3."""
+def test_a_missing_id_is_reported_with_the_one_shown(approach):
+    """The frames show id 7; expected is 3."""
     with pytest.raises(InputError, match="show DICT_4X4_50 7"):
         estimate_flight(approach.video(), CAMERA, marker=Marker(id=3))
 
 
-def test_a_wrong_print_size_is_told(approach):
+def test_a_wrong_print_size_is_reported(approach):
     """Taken for three times its size the marker seems three times as far, 30 m and more: outside
     the hall.
     """
@@ -252,7 +250,7 @@ BEHIND = HybridSettings(
 )  # between both readings of the frame at -10.6 m, and 3 sigma
 
 
-def test_a_sight_that_leaves_the_room_with_the_smear_is_counted():
+def test_a_detection_that_leaves_the_room_with_the_blur_is_counted():
     """A blurred marker is drawn wide and seems near; read again with the blur, the one at -10.6 m
     is 0.15 m further away and no longer in a room that ends there. Those nearer to the marker stay.
     """
@@ -262,7 +260,7 @@ def test_a_sight_that_leaves_the_room_with_the_smear_is_counted():
     assert 4 not in flight.marker
 
 
-def test_no_sight_left_after_the_smear_is_refused():
+def test_no_detection_left_after_the_blur_is_refused():
     """Nothing but that frame, three times."""
     video = blurred(X_BLURRED)
     again = Video("blurred", video.t[:3], video.commands[:3], lambda frame: video.image(4))
@@ -272,7 +270,7 @@ def test_no_sight_left_after_the_smear_is_refused():
         estimate_flight(again, CAMERA, settings=BEHIND)
 
 
-def test_two_sights_that_contradict_each_other_are_refused():
+def test_two_contradicting_detections_are_refused():
     """6 m and 12 m away 0.05 s apart: 120 m/s."""
     images = [view(pose(x, 0.0, 0.75), np.random.default_rng(0)) for x in (-6.0, -12.0)]
     video = Video("a leap", np.array([0.0, 0.05]), np.zeros((2, 4)), images.__getitem__)

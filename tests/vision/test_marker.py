@@ -11,10 +11,12 @@ from falconwing_kit.scene.arena import load_scene
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.render import render
 from falconwing_kit.vision.marker import (
+    CORNER_SIGMA_PX,
     Marker,
     MarkerPose,
     corner_noise,
     find_marker,
+    line_and_column_shifts,
     name_markers,
     project_corners,
 )
@@ -27,6 +29,11 @@ def rng():
     return np.random.default_rng(5)
 
 
+def area(corners_px):
+    """Area of a quadrangle by OpenCV [px^2]."""
+    return cv2.contourArea(corners_px.astype(np.float32))
+
+
 def random_pose(rng):
     """A camera 4 to 13 m before the marker that looks about at it, banked up to 50 deg."""
     distance = rng.uniform(4.0, 13.0)
@@ -37,7 +44,7 @@ def random_pose(rng):
     return pose(-distance, y, rng.uniform(0.5, 2.8), rng.uniform(-50, 50), rng.uniform(-8, 8), yaw)
 
 
-def test_corners_are_where_a_pinhole_puts_them():
+def test_corners_follow_the_pinhole_model():
     """By hand: from 5 m straight ahead 0.80 m is 198.4 x 0.8 / 5 = 31.744 px wide, centred in the
     image.
     """
@@ -67,7 +74,7 @@ def test_corners_are_found_to_a_tenth_of_a_pixel_and_the_size_to_half_a_percent(
         true = project_corners(Marker(), CAMERA, T)
         if seen is not None:
             off.append(seen.corners_px - true)
-            size.append(seen.side_px / np.sqrt(cv2.contourArea(true.astype(np.float32))))
+            size.append(np.sqrt(area(seen.corners_px) / area(true)))
     assert len(off) >= 20  # the rest are beyond the border or too soft for the detector
     assert np.sqrt(np.mean(np.square(off))) < 0.1
     assert np.mean(size) == pytest.approx(1.0, abs=0.005)
@@ -92,21 +99,21 @@ def test_the_true_pose_lies_within_its_covariance(rng):
         )
     assert len(chi2) >= 20
     assert np.mean(chi2) < 9.0
-    assert np.median(chi2) > 0.1  # and not so large that it says nothing
+    assert np.median(chi2) > 0.1  # and not far too large
 
 
-def test_covariance_is_what_noisy_corners_do(rng):
+def test_covariance_is_that_of_poses_from_noisy_corners(rng):
     """Against OpenCV's iterative solver on corners with drawn noise, 400 times; 15 % for the draw's
     own spread.
     """
-    T, marker, sigma_px = pose(-5.0, 2.0, 1.6, 20.0, -5.0, 22.0), Marker(), 0.05
-    seen = find_marker(view(T, rng), CAMERA, corner_sigma_px=sigma_px)
+    T, marker = pose(-5.0, 2.0, 1.6, 20.0, -5.0, 22.0), Marker()
+    seen = find_marker(view(T, rng), CAMERA)
     true = project_corners(marker, CAMERA, T)
     start = np.linalg.inv(T) @ marker.T_world_marker
     turn, place = cv2.Rodrigues(start[:3, :3])[0], start[:3, 3:].copy()
     drawn = []
     for _ in range(400):
-        noisy = true + rng.normal(0.0, sigma_px, (4, 2))
+        noisy = true + rng.normal(0.0, 0.05, (4, 2))
         _, r, t = cv2.solvePnP(
             marker.corners,
             noisy,
@@ -123,11 +130,11 @@ def test_covariance_is_what_noisy_corners_do(rng):
         drawn.append(
             [*(found[:3, 3] - T[:3, 3]), *cv2.Rodrigues(found[:3, :3] @ T[:3, :3].T)[0].ravel()]
         )
-    stated = np.sqrt(np.diag(seen.covariance[0]))
+    stated = np.sqrt(np.diag(seen.covariance[0])) * 0.05 / CORNER_SIGMA_PX
     assert stated == pytest.approx(np.std(drawn, axis=0), rel=0.15)
 
 
-def test_both_poses_are_kept_the_likelier_first(rng):
+def test_both_poses_are_kept_the_better_first(rng):
     """From 10 m and 25 deg aside the other pose mirrors the camera's side; both fit to half a
     pixel.
     """
@@ -141,9 +148,9 @@ def test_both_poses_are_kept_the_likelier_first(rng):
     ] == pytest.approx(np.eye(4), abs=1e-9)
 
 
-def test_corner_noise_is_read_off_what_poses_leave_over(rng):
+def test_corner_noise_follows_from_reprojection_errors(rng):
     """Corners with 0.3 px of drawn noise; the median of 300 draws is good to some 10 %."""
-    sights = []
+    detections = []
     for _ in range(300):
         T = random_pose(rng)
         noisy = project_corners(Marker(), CAMERA, T) + rng.normal(0.0, 0.3, (4, 2))
@@ -152,15 +159,15 @@ def test_corner_noise_is_read_off_what_poses_leave_over(rng):
         )
         if found:
             none = np.full((2, 4, 4), np.nan)
-            sights.append(MarkerPose(noisy, 1.0, none, none, np.ravel(misfit)[[0, 0]], none))
-    assert corner_noise(sights) == pytest.approx(0.3, rel=0.2)
-    with pytest.raises(InputError, match="at least one sight"):
+            detections.append(MarkerPose(noisy, 1.0, none, none, np.ravel(misfit)[[0, 0]], none))
+    assert corner_noise(detections) == pytest.approx(0.3, rel=0.2)
+    with pytest.raises(InputError, match="at least one detection"):
         corner_noise([])
 
 
-def test_an_expected_marker_is_found_where_noise_hides_its_outline(rng):
-    """Noise of 30 grey levels and blur: OpenCV's detector alone finds none of twelve; told where,
-    nearly all are.
+def test_a_predicted_marker_is_found_in_noise(rng):
+    """Noise of 30 grey levels and blur: OpenCV's detector alone finds none of twelve; with a
+    prediction nearly all are found.
     """
     alone = near = 0
     for k in range(12):
@@ -173,7 +180,7 @@ def test_an_expected_marker_is_found_where_noise_hides_its_outline(rng):
     assert near >= 10
 
 
-def test_no_marker_is_seen_where_there_is_none(rng):
+def test_no_marker_is_found_where_there_is_none(rng):
     """Noise, and another id, looked for right where they are."""
     T = pose(-6.0, 0.5, 1.0)
     expected = project_corners(Marker(), CAMERA, T)
@@ -188,7 +195,7 @@ def test_too_small_or_too_oblique_a_marker_gives_no_pose(rng, T):
     assert find_marker(view(T, rng), CAMERA) is None
 
 
-def test_another_marker_is_called_by_its_name(rng):
+def test_other_markers_are_named(rng):
     """What was drawn."""
     image = view(pose(-4.0, 0.0, 0.8), rng, number=3, dictionary="DICT_5X5_50")
     assert ("DICT_5X5_50", 3) in name_markers(image)
@@ -216,6 +223,36 @@ def test_a_marker_that_fills_a_large_picture_is_found():
     image[330:1830, 1170:2670] = np.where(drawn > 0, 215, 70)
     by_hand = np.array([(1170.0, 330.0), (2670.0, 330.0), (2670.0, 1830.0), (1170.0, 1830.0)])
     assert find_marker(image, camera).corners_px == pytest.approx(by_hand, abs=0.1)
+
+
+def waves(x, y):
+    """A smooth pattern with edges both ways, grey levels, as a formula."""
+    return 120.0 + 50.0 * np.sin(0.4 * x + 0.5 * np.sin(0.2 * y)) + 40.0 * np.cos(0.35 * y)
+
+
+@pytest.mark.parametrize("along", ["lines", "columns"])
+def test_shift_of_each_line_and_column_is_measured(along):
+    """The pattern is a formula and can be moved by any fraction of a pixel; contrast and brightness
+    differ. Central differences of waves of 0.4 rad a pixel are 1 - sin(0.4) / 0.4 = 3 % too flat:
+    0.02 px of the largest shift, twice. Lines shifted sideways do not move columns.
+    """
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[:30, :40].astype(float)
+    shift = rng.normal(0.0, 0.1, 30 if along == "lines" else 40)
+    seen = waves(x - shift[:, None], y) if along == "lines" else waves(x, y - shift)
+    found = line_and_column_shifts(0.6 * seen + 20.0, waves(x, y), np.ones((30, 40), bool))
+    shifted, unshifted = found if along == "lines" else found[::-1]
+    assert shifted[1:-1] == pytest.approx(shift[1:-1], abs=0.02)
+    assert np.abs(np.nanmean(unshifted)) < 0.03
+
+
+def test_lines_without_edges_have_no_shift():
+    """Upper half striped, lower half blank."""
+    y, x = np.mgrid[:20, :40].astype(float)
+    drawn = np.where(y < 10, 120.0 + 50.0 * np.sin(0.9 * x), 120.0)
+    lines, _ = line_and_column_shifts(drawn, drawn, np.ones((20, 40), bool))
+    assert np.isfinite(lines[:10]).all()
+    assert np.isnan(lines[10:]).all()
 
 
 @pytest.mark.parametrize(

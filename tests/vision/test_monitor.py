@@ -1,7 +1,7 @@
 """Frame monitor: the paper's rule to the letter, what it misses, and what the kit's rule does
 instead.
 
-Pictures are shifted cuts of one random scene, 20 a second, unless a test says otherwise.
+Pictures are shifted cuts of one random scene, 20 a second, unless stated otherwise.
 """
 
 import math
@@ -301,7 +301,7 @@ def test_an_alert_ends_after_a_second_of_good_video(flying):
 
 
 def test_grey_pictures_and_a_change_of_size():
-    """Grey is judged alike; a picture of another size is compared with nothing, once."""
+    """Grey pictures are accepted; after a change of size one picture is not compared."""
     pictures = [moving(k)[..., 1] for k in range(10)] + [moving(k)[:200] for k in range(10)]
     verdicts = watch(FrameMonitor(), pictures)
     assert first_alert(verdicts) is None

@@ -1,6 +1,4 @@
-"""iGSplat's geometry, files and door: poses that are known by construction, lenses by their rays,
-and bad input.
-"""
+"""Pose net: geometry of poses known by construction, lenses, weight files, and bad input."""
 
 from dataclasses import asdict
 
@@ -41,19 +39,17 @@ def net():
     return small_net()
 
 
-def answer_about(rays, token_off=0.0, wild=0.0, seed=1):
-    """What a network would say whose cells are right, whose token is off, and of whose cells a
-    share is wild.
-    """
+def output_about(rays, token_error=0.0, outlier_share=0.0, seed=1):
+    """Output of a network: right cells but for a share of outliers, and a token with an error."""
     rng = np.random.default_rng(seed)
     R_world_camera = rotation_world_body(*ANGLES) @ R_BODY_CAMERA
     points = PLACE + rng.uniform(2.0, 15.0, (len(rays), 1)) * rays @ R_world_camera.T
-    astray = rng.random(len(rays)) < wild
-    points[astray] += rng.normal(0.0, 5.0, (astray.sum(), 3))
-    angles = ANGLES + 0.2 * token_off
+    outliers = rng.random(len(rays)) < outlier_share
+    points[outliers] += rng.normal(0.0, 5.0, (outliers.sum(), 3))
+    angles = ANGLES + 0.2 * token_error
     return PoseNetOutput(
-        place=torch.tensor(PLACE + token_off)[None].float(),
-        log_sigma_place=torch.full((1, 3), np.log(3.0)),
+        position=torch.tensor(PLACE + token_error)[None].float(),
+        log_sigma_position=torch.full((1, 3), np.log(3.0)),
         sincos=torch.tensor(np.stack([np.sin(angles), np.cos(angles)], axis=-1))[None].float(),
         log_sigma_angle=torch.full((1,), np.log(1.0)),
         points=torch.tensor(points)[None].float(),
@@ -61,24 +57,22 @@ def answer_about(rays, token_off=0.0, wild=0.0, seed=1):
     ), R_world_camera
 
 
-def fused_numpy(answer, rays, log_trust=-3.0):
+def fused_numpy(output, rays, log_trust=-3.0):
     return (
         part[0].numpy()
-        for part in fuse_pose(answer, torch.tensor(rays).float(), torch.tensor(log_trust), 8)
+        for part in fuse_pose(output, torch.tensor(rays).float(), torch.tensor(log_trust), 8)
     )
 
 
 def test_rotation_is_that_of_the_frames():
-    """core/frames.py, which has tests of its own, says the same; sines and cosines need not have
-    length 1.
-    """
+    """Equal to core/frames.py, which has tests of its own; sines and cosines need no length 1."""
     angles = np.random.default_rng(0).uniform(-1.4, 1.4, (20, 3)) * (2.0, 1.0, 2.0)
     sincos = 3.0 * np.stack([np.sin(angles), np.cos(angles)], axis=-1)
     expected = rotation_world_body(*angles.T) @ R_BODY_CAMERA
     assert np.allclose(rotations(torch.tensor(sincos)).numpy(), expected, atol=1e-12)
 
 
-def test_turns_are_scipys():
+def test_rotation_vectors_equal_scipy():
     """SciPy's rotation vectors and back, of R R_from^T up to nearly half a turn, and of none."""
     turns = Rotation.random(50, random_state=1)
     R_from = Rotation.random(50, random_state=2)
@@ -92,33 +86,33 @@ def test_turns_are_scipys():
     )
 
 
-def test_cells_that_agree_pull_the_pose_to_theirs(net):
+def test_cells_that_agree_determine_the_pose(net):
     """By construction the cells hold the pose; a token 0.5 m and 6 deg off moves it by far less
     than its weight.
     """
     rays = cell_rays(net.record.camera)
-    answer, R_truth = answer_about(rays, token_off=0.5)
-    R, place, _ = fused_numpy(answer, rays)
-    assert np.abs(place - PLACE).max() < 0.01
+    output, R_truth = output_about(rays, token_error=0.5)
+    R, position, _ = fused_numpy(output, rays)
+    assert np.abs(position - PLACE).max() < 0.01
     assert np.degrees(Rotation.from_matrix(R @ R_truth.T).magnitude()) < 0.1
 
 
-def test_wild_cells_are_outvoted(net):
+def test_outlier_cells_are_rejected(net):
     """By construction a fifth of the cells is 5 m off; least squares without a robust weight misses
     by half a metre.
     """
     rays = cell_rays(net.record.camera)
-    answer, _ = answer_about(rays, token_off=0.5, wild=0.2)
-    _, place, _ = fused_numpy(answer, rays)
-    assert np.abs(place - PLACE).max() < 0.1
+    output, _ = output_about(rays, token_error=0.5, outlier_share=0.2)
+    _, position, _ = fused_numpy(output, rays)
+    assert np.abs(position - PLACE).max() < 0.1
 
 
-def test_cells_without_trust_leave_the_token_alone(net):
+def test_cells_without_weight_leave_the_token_pose(net):
     """By hand: with no weight on the cells, pose and information are the token's own."""
     rays = cell_rays(net.record.camera)
-    answer, _ = answer_about(rays, token_off=0.5)
-    R, place, information = fused_numpy(answer, rays, log_trust=-60.0)
-    assert np.allclose(place, PLACE + 0.5, atol=1e-5)
+    output, _ = output_about(rays, token_error=0.5)
+    R, position, information = fused_numpy(output, rays, log_trust=-60.0)
+    assert np.allclose(position, PLACE + 0.5, atol=1e-5)
     assert np.allclose(R, rotation_world_body(*(ANGLES + 0.1)) @ R_BODY_CAMERA, atol=1e-5)
     assert np.allclose(information, np.diag([1 / 9, 1 / 9, 1 / 9, 1, 1, 1]), atol=1e-5)
 
@@ -128,9 +122,9 @@ def test_information_is_the_curvature_of_the_cost(net):
     the six directions.
     """
     rays = cell_rays(net.record.camera)
-    answer, R_truth = answer_about(rays)
-    points = answer.points[0].numpy().astype(np.float64)
-    _, _, information = fused_numpy(answer, rays)
+    output, R_truth = output_about(rays)
+    points = output.points[0].numpy().astype(np.float64)
+    _, _, information = fused_numpy(output, rays)
     weight = np.exp(-3.0) / 0.05**2 * (3.0 + 2.0) / 3.0  # where errors vanish
 
     def cost(step):
@@ -156,15 +150,13 @@ def test_cells_come_row_by_row():
             return numbers[None]
 
     network.point_head = Counting()
-    said = network(torch.zeros(1, 3, 48, 64)).points[0, :, 0].reshape(6, 8)
+    points = network(torch.zeros(1, 3, 48, 64)).points[0, :, 0].reshape(6, 8)
     r, c = torch.meshgrid(torch.arange(6), torch.arange(8), indexing="ij")
-    assert torch.equal(said, (r // 2) * 4 + c // 2 + 100.0 * (2 * (r % 2) + c % 2))
+    assert torch.equal(points, (r // 2) * 4 + c // 2 + 100.0 * (2 * (r % 2) + c % 2))
 
 
 def slopes(camera):
-    """A picture (H, W, 3) of bytes that tells of each pixel where it looks: 100 + 60 x/z, 100 + 60
-    y/z.
-    """
+    """Image (H, W, 3) that encodes the ray of each pixel: 100 + 60 x/z, 100 + 60 y/z."""
     rays = camera.pixel_rays()
     return np.round(100.0 + 60.0 * rays).clip(0, 255).astype(np.uint8)
 
@@ -184,13 +176,13 @@ def test_any_lens_is_brought_to_the_view_trained_for(net, lens):
     half one.
     """
     seen = (
-        net.prepared(torch.from_numpy(slopes(LENSES[lens]))[None], LENSES[lens])[0]
+        net.resample(torch.from_numpy(slopes(LENSES[lens]))[None], LENSES[lens])[0]
         .permute(1, 2, 0)
         .numpy()
     )
-    wanted = 100.0 + 60.0 * net.record.camera.pixel_rays()
+    expected = 100.0 + 60.0 * net.record.camera.pixel_rays()
     inner = slice(1, -1)  # at the edge of the picture a filter has nothing to weigh against
-    assert np.abs(255.0 * seen - wanted)[inner, inner, :2].max() < 1.2
+    assert np.abs(255.0 * seen - expected)[inner, inner, :2].max() < 1.2
 
 
 def test_a_slightly_narrower_lens_keeps_its_scale(net):
@@ -198,9 +190,9 @@ def test_a_slightly_narrower_lens_keeps_its_scale(net):
     edge.
     """
     lens = PinholeCamera(405.0, 405.0, 320, 240, 640, 480)
-    seen = net.prepared(torch.from_numpy(slopes(lens))[None], lens)[0].permute(1, 2, 0).numpy()
-    wanted = 100.0 + 60.0 * net.record.camera.pixel_rays()
-    assert np.abs(255.0 * seen - wanted)[2:-2, 2:-2, :2].max() < 1.2
+    seen = net.resample(torch.from_numpy(slopes(lens))[None], lens)[0].permute(1, 2, 0).numpy()
+    expected = 100.0 + 60.0 * net.record.camera.pixel_rays()
+    assert np.abs(255.0 * seen - expected)[2:-2, 2:-2, :2].max() < 1.2
 
 
 def test_a_tele_lens_is_refused_with_both_angles(net):
@@ -212,16 +204,14 @@ def test_a_tele_lens_is_refused_with_both_angles(net):
 @pytest.mark.parametrize(
     "image", [np.zeros((48, 64), np.uint8), np.zeros((48, 64, 3)), np.zeros((48, 63, 3), np.uint8)]
 )
-def test_what_is_no_image_of_the_camera_is_refused(net, image):
+def test_images_of_another_kind_or_size_are_refused(net, image):
     """Grey, floats, and another size."""
     with pytest.raises(InputError, match="image: expected"):
         net.estimate(image, net.record.camera)
 
 
-def test_estimate_of_nothing_is_a_pose_with_doubt(net):
-    """A grey picture says nothing, yet the pose is a rotation with a place, and the covariance one
-    of six numbers.
-    """
+def test_estimate_of_a_blank_image_is_a_pose_with_covariance(net):
+    """A grey image contains no pose, yet the estimate is a rigid pose with a covariance (6, 6)."""
     estimate = net.estimate(np.full((48, 64, 3), 128, np.uint8), net.record.camera)
     R = estimate.T_world_camera[:3, :3]
     assert np.allclose(R.T @ R, np.eye(3), atol=1e-12)
@@ -234,9 +224,7 @@ def test_estimate_of_nothing_is_a_pose_with_doubt(net):
 
 
 def test_sigma_scales_multiply_what_is_stated(net):
-    """By hand: twice the sigma of place, three times that of turn, and six times what they have in
-    common.
-    """
+    """By hand: position times two, rotation times three, their covariance times six."""
     record = PoseNetRecord(asdict(SMALL), 0.62, LOW, HIGH, sigma_scales=(2.0, 3.0))
     image = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
     plain = net.estimate(image, net.record.camera).covariance
@@ -245,7 +233,7 @@ def test_sigma_scales_multiply_what_is_stated(net):
     assert np.allclose(scaled, factors * plain)
 
 
-def test_what_is_saved_estimates_the_same(net, tmp_path):
+def test_a_saved_net_estimates_the_same(net, tmp_path):
     """Half precision keeps three digits; an untrained network's answers are of the size of its box,
     10 m.
     """
@@ -283,7 +271,7 @@ def test_damaged_and_other_files_are_refused(net, tmp_path):
         PoseNet.load(tmp_path / "none.safetensors")
 
 
-def test_pretrained_vit_is_taken_by_its_usual_names():
+def test_pretrained_vit_is_loaded_by_its_usual_names():
     """A hand-made file of one layer, a grid of 2 x 2: eleven tensors fit, its head does not; a flat
     grid stays flat.
     """

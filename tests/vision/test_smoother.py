@@ -29,7 +29,7 @@ from tests.sysid.simulated import drawn, fly_figure_eights
 from tests.vision.drawn_marker import CAMERA
 
 P_BODY_CAMERA = np.array([0.2, 0.0, 0.0])
-SIGMA = (0.1, np.radians(1.5))  # of the sights: m, rad
+SIGMA = (0.1, np.radians(1.5))  # of the measurements: m, rad
 
 
 @pytest.fixture(scope="module")
@@ -42,17 +42,15 @@ def flown():
     return flight.t, flight.states[0][:, [0, 1, 2, 5, 3, 4, 6, 7, 8, 9, 10, 11]]
 
 
-def sights_of(true, rows, rng, wild=0.0):
-    """Noisy sights of the true poses, a share of them wild, and a start that joins them by straight
-    lines.
-    """
+def measurements_of(true, rows, rng, outlier_share=0.0):
+    """Noisy measurements of true poses, a share of them outliers, and a start by interpolation."""
     body = pose_matrix(rotation_world_body(*true[rows, 3:6].T), true[rows, :3])
     T = camera_pose(body, P_BODY_CAMERA)
     T[:, :3, :3] = (
         Rotation.from_rotvec(rng.normal(0.0, SIGMA[1], (len(rows), 3))).as_matrix() @ T[:, :3, :3]
     )
     T[:, :3, 3] += rng.normal(0.0, SIGMA[0], (len(rows), 3))
-    off = rng.random(len(rows)) < wild
+    off = rng.random(len(rows)) < outlier_share
     T[off, :3, 3] += rng.normal(0.0, 2.0, (off.sum(), 3))
     covariance = np.broadcast_to(np.diag(np.repeat(np.square(SIGMA), 3)), (len(rows), 6, 6))
     seen = T @ np.linalg.inv(camera_pose(np.eye(4), P_BODY_CAMERA))
@@ -102,10 +100,10 @@ def test_corners_count_by_their_covariance():
     T = camera_pose(pose_matrix(rotation_world_body(*attitude.T), p_world), P_BODY_CAMERA)
     A, d = rng.normal(size=(8, 8)), rng.normal(size=8)
     corners = project_corners(Marker(), CAMERA, T) + d.reshape(1, 4, 2)
-    sights = CornerMeasurements(
+    measurements = CornerMeasurements(
         np.array([0]), corners, (A.T @ A)[None], Marker(), CAMERA, P_BODY_CAMERA
     )
-    chi2 = (sights.residuals(p_world, attitude) ** 2).sum()
+    chi2 = (measurements.residuals(p_world, attitude) ** 2).sum()
     assert chi2 == pytest.approx(d @ np.linalg.inv(A.T @ A) @ d, rel=1e-6)
 
 
@@ -114,8 +112,8 @@ def test_stated_sigma_covers_the_error(flown):
     overstate it.
     """
     t, true = flown
-    sights, start, _ = sights_of(true, np.arange(len(t)), np.random.default_rng(1))
-    smoothed = smooth(t, start, [sights])
+    measurements, start, _ = measurements_of(true, np.arange(len(t)), np.random.default_rng(1))
+    smoothed = smooth(t, start, [measurements])
     z = np.abs(error(smoothed, true)) / np.sqrt(np.diagonal(smoothed.covariance, axis1=1, axis2=2))
     within_one, within_two = (z[:, :6] < 1.0).mean(), (z[:, :6] < 2.0).mean()
     assert 0.65 < within_one < 0.92
@@ -124,47 +122,47 @@ def test_stated_sigma_covers_the_error(flown):
 
 
 def test_smoothing_halves_the_noise_and_gives_velocities(flown):
-    """Some ten frames speak for each pose: a third to a half of the noise is left. The derivative
-    of raw poses has sqrt(2) x 0.1 m / 0.1 s = 1.4 m/s of noise; a fifth of that is asked for.
+    """Some ten frames determine each pose: a third to a half of the noise is left. The derivative
+    of raw poses has sqrt(2) x 0.1 m / 0.1 s = 1.4 m/s of noise; a fifth of that is required.
     """
     t, true = flown
-    sights, start, _ = sights_of(true, np.arange(len(t)), np.random.default_rng(2))
-    rms = np.sqrt(np.mean(error(smooth(t, start, [sights]), true) ** 2, axis=0))
+    measurements, start, _ = measurements_of(true, np.arange(len(t)), np.random.default_rng(2))
+    rms = np.sqrt(np.mean(error(smooth(t, start, [measurements]), true) ** 2, axis=0))
     assert (rms[:3] < 0.5 * SIGMA[0]).all()
     assert (rms[3:6] < 0.8 * SIGMA[1]).all()
     assert (rms[6:9] < 0.28).all()
 
 
-def test_wild_sights_do_not_move_the_flight_and_are_told(flown):
-    """One sight in ten is 2 m off; with a square loss each would move the flight by tens of
+def test_outliers_do_not_move_the_flight_and_have_large_chi2(flown):
+    """One measurement in ten is 2 m off; with a square loss each would move the flight by tens of
     centimetres.
     """
     t, true = flown
-    sights, start, off = sights_of(true, np.arange(len(t)), np.random.default_rng(3), wild=0.1)
-    smoothed = smooth(t, start, [sights])
+    measurements, start, off = measurements_of(
+        true, np.arange(len(t)), np.random.default_rng(3), outlier_share=0.1
+    )
+    smoothed = smooth(t, start, [measurements])
     assert np.abs(error(smoothed, true)[:, :3]).max() < 0.4
-    told = smoothed.chi2[0] > 27.9  # of six coordinates, once in 10,000
-    assert told[off].mean() > 0.9
-    assert told[~off].mean() < 0.02
+    rejected = smoothed.chi2[0] > 27.9  # of six coordinates, once in 10,000
+    assert rejected[off].mean() > 0.9
+    assert rejected[~off].mean() < 0.02
 
 
 def test_a_gap_is_bridged_and_its_sigma_grows(flown):
-    """0.8 s without a sight: the truth stays within three sigma, and sigma in the middle is at
-    least three times.
-    """
+    """0.8 s without a measurement: the truth stays within three sigma, which at least triples."""
     t, true = flown
     rows = np.flatnonzero(~((t > 8.0) & (t < 8.8)))
-    sights, start, _ = sights_of(true, rows, np.random.default_rng(5))
-    smoothed = smooth(t, start, [sights])
+    measurements, start, _ = measurements_of(true, rows, np.random.default_rng(5))
+    smoothed = smooth(t, start, [measurements])
     middle, before = int(np.searchsorted(t, 8.4)), int(np.searchsorted(t, 7.0))
     assert smoothed.sigma_position[middle] > 3.0 * smoothed.sigma_position[before]
     off = np.abs(error(smoothed, true)[middle, :6])
     assert (off < 3.0 * np.sqrt(np.diag(smoothed.covariance[middle])[:6])).all()
 
 
-def test_bank_is_read_off_the_turn():
+def test_bank_follows_from_the_turn():
     """Law: a level turn at 8 m/s on a radius of 10 m needs tan(roll) = V^2 / (g r), 33.1 deg. Only
-    places are seen; the side slip and lift that the motion allows make it good to some degrees.
+    places are seen; sideslip and lift of the process model leave some degrees.
     """
     t = np.arange(0.0, 4.0, 0.05)
     around = 0.8 * t  # to the right: y falls
@@ -174,10 +172,10 @@ def test_bank_is_read_off_the_turn():
     covariance = np.diag([0.02**2] * 3 + [3.0**2] * 3)
     T = camera_pose(pose_matrix(rotation_world_body(0.0 * t, 0.05 + 0.0 * t, around), p_world))
     start = np.concatenate([p_world, np.stack([0.0 * t, 0.05 + 0.0 * t, around], axis=1)], axis=1)
-    sights = PoseMeasurements(
+    measurements = PoseMeasurements(
         np.arange(len(t)), T, np.broadcast_to(covariance, (len(t), 6, 6)), np.zeros(3)
     )
-    smoothed = smooth(t, start, [sights])
+    smoothed = smooth(t, start, [measurements])
     assert np.degrees(smoothed.attitude[20:-20, 0]) == pytest.approx(33.1, abs=6.0)
 
 
@@ -186,7 +184,7 @@ def test_bank_is_read_off_the_turn():
     [
         (np.array([0.0, 0.0]), np.zeros((2, 6)), "in order of time"),
         (np.array([0.0, 0.1]), np.full((2, 6), np.nan), "finite start"),
-        (np.array([0.0, 0.1]), np.zeros((2, 6)), "at least one sight"),
+        (np.array([0.0, 0.1]), np.zeros((2, 6)), "at least one measurement"),
     ],
 )
 def test_what_cannot_be_smoothed_is_refused(t, start, words):

@@ -1,4 +1,4 @@
-"""SSIM: the same number as scikit-image gives, and what the equation says by hand."""
+"""SSIM: equal to scikit-image, and to the equation worked by hand."""
 
 import numpy as np
 import pytest
@@ -19,8 +19,8 @@ def scene(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
 @pytest.mark.parametrize("noise", [0.0, 3.0, 25.0, 80.0])
 @pytest.mark.parametrize("size", [(11, 11), (120, 160), (480, 640), (101, 37)])
 def test_equals_scikit_image(size, noise):
-    """An independent library, in float64; float32 sums of squares of 255 keep 1e-6, the task asks
-    for 1e-5.
+    """An independent library, in float64; float32 sums of squares of 255 keep 1e-6, required
+    are 1e-5.
     """
     from skimage.metrics import structural_similarity
 
@@ -45,7 +45,7 @@ def test_flat_pictures_by_hand():
 
 
 def test_picture_and_its_negative_around_the_mean():
-    """Means alike, sigma_xy = -sigma^2: the mean of (C2 - 2 sigma^2) / (C2 + 2 sigma^2), -0.99 for
+    """Equal means, sigma_xy = -sigma^2: the mean of (C2 - 2 sigma^2) / (C2 + 2 sigma^2), -0.99 for
     +-100 checks.
     """
     checks = 100 * (2 * (np.indices((40, 40)).sum(axis=0) % 2) - 1)

@@ -1,4 +1,6 @@
-"""Choice: poses at places by hand -> the path an aircraft can fly, and what falls out of it."""
+"""Viterbi: costs and poses by hand -> the cheapest path, outliers and initial frames."""
+
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from falconwing_kit.vision.viterbi import (
     reject_outliers,
     select_initial_frames,
     transition_cost,
+    viterbi,
     viterbi_path,
 )
 
@@ -19,9 +22,27 @@ def candidate(x, unary_cost=0.0):
     return PoseCandidate(T, 1e-6 * np.eye(6), unary_cost, "network")
 
 
-def test_the_path_with_the_least_doubt_islikeliest_path():
+@pytest.mark.parametrize("seed", range(20))
+def test_viterbi_finds_the_cheapest_of_all_paths(seed):
+    """Against the enumeration of all paths through 2 to 4 random candidates in six steps."""
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(2, 5, 6)
+    unary = [rng.random(count) for count in counts]
+    transition = [rng.random((a, b)) for a, b in pairwise(counts)]
+
+    def cost(path):
+        steps = zip(transition, pairwise(path), strict=True)
+        candidates = zip(unary, path, strict=True)
+        return sum(u[i] for u, i in candidates) + sum(c[i, j] for c, (i, j) in steps)
+
+    best = min(product(*(range(count) for count in counts)), key=cost)
+    assert viterbi(unary, transition) == list(best)
+    assert viterbi([], []) == []
+
+
+def test_the_cheapest_poses_are_chosen():
     """By hand: at 12 m/s at most, 0.6 m a frame, the far poses cost (7 - 0.6)^2 / 0.25 and more,
-    cut to 25 a step; the near ones cost their doubt of 4 each.
+    cut to 25 a step; the near ones cost their cost of 4 each.
     """
     options = {
         0: [candidate(0.0)],
@@ -32,8 +53,8 @@ def test_the_path_with_the_least_doubt_islikeliest_path():
     assert [chosen[frame].T_world_camera[0, 3] for frame in (0, 1, 2)] == [0.0, 0.5, 1.0]
 
 
-def test_early_doubt_is_carried_along_the_path():
-    """By hand: the path that stays at 20 m begins with a doubt of 9, the one at 0 m ends with 5; a
+def test_early_cost_is_carried_along_the_path():
+    """By hand: the path that stays at 20 m begins with a cost of 9, the one at 0 m ends with 5; a
     change costs 25.
     """
     options = {
@@ -44,7 +65,7 @@ def test_early_doubt_is_carried_along_the_path():
     assert [chosen[frame].T_world_camera[0, 3] for frame in (0, 1)] == [0.0, 0.0]
 
 
-def test_a_flight_begins_without_the_turns_that_are_hardly_known():
+def test_poorly_known_attitudes_do_not_initialise_the_smoother():
     """Frames 1 and 2 know their turn to 40 deg and stand between good ones 0.15 s apart: left out.
     The last has no good one behind it, and where good ones are further apart than the gap allowed
     nothing is left out.
@@ -64,15 +85,15 @@ def test_a_pose_that_fits_no_neighbour_is_dropped():
 
 
 def test_two_poses_that_contradict_each_other_both_go():
-    """Nothing says which of two is wrong."""
+    """It is undetermined which of the two is wrong."""
     assert reject_outliers({0: candidate(0.0), 1: candidate(10.0)}, np.array([0.0, 0.05])) == {}
 
 
 @pytest.mark.parametrize(
     ("x", "dt", "chi2"), [(0.6, 0.05, 0.0), (1.1, 0.05, 1.0), (9.0, 0.05, 25.0), (99.0, 1.1, 0.0)]
 )
-def test_strain_is_what_top_speed_leaves_over(x, dt, chi2):
-    """By hand: 12 m/s is 0.6 m a frame; 0.5 m more is one sigma; no step says more than 25, and
+def test_transition_cost_is_chi2_above_top_speed(x, dt, chi2):
+    """By hand: 12 m/s is 0.6 m a frame; 0.5 m more is one sigma; no step costs more than 25, and
     none after a second.
     """
     assert transition_cost(candidate(0.0), candidate(x), dt) == pytest.approx(chi2, abs=1e-4)

@@ -1,21 +1,16 @@
-"""Training iGSplat: a hall's scene and its photos with poses -> a pose net that knows the hall, and
-how well it does.
+"""Pose net training: a hall's scene and its photos with poses -> a pose net and its errors.
 
-    python -m falconwing_kit.tools.capture.pose_net_training SCENE PHOTOS --out DIR
+The output folder gets pose_net.safetensors, pose_net.json with the errors, and views.png with
+examples of the training views. On a GPU the views are rendered by gsplat during the training;
+without one the same works in miniature. It needs PyTorch, NumPy, Pillow and safetensors, no network
+connection and no OpenCV.
 
-DIR gets pose_net.safetensors, pose_net.json with the figures, and views.png, which shows what it
-learnt from. On a GPU it renders by gsplat while it learns; without one it does the same in
-miniature. It needs PyTorch, NumPy, Pillow and safetensors, no network and no OpenCV.
-
-Photos serve three purposes, by place: some are held out and judge; some are kept aside and
-calibrate the stated uncertainty; the rest may be learnt from beside the renders (--photo-share 0
-learns from renders alone).
+Photos are split by position: some are held out for evaluation, some are set aside to calibrate the
+stated uncertainty, and the rest may be used for training beside the renders.
 """
 
-import argparse
 import json
-import sys
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -49,27 +44,16 @@ from falconwing_kit.tools.capture.training.photos import Photos, hold_out_places
 from falconwing_kit.vision.pose_net import PoseNet, PoseNetRecord
 from falconwing_kit.vision.pose_network import PATCH, STEMS, PoseNetShape, PoseNetwork, load_vit
 
-HELD_SHARE, HELD_SEED = (
-    0.11,
-    0,
-)  # of the photos, where no list says which; scene training draws the same
-ASIDE_SHARE, ASIDE_SEED = 0.1, 1  # of the others, to calibrate with
+HELD_SHARE, HELD_SEED = 0.11, 0  # of the photos without a list; the same as in scene training
+ASIDE_SHARE, ASIDE_SEED = 0.1, 1  # of the others, for calibration
 JUDGED_RENDERS, JUDGED_SEED = 400, 12345
-JOB_NUMBERS = (
-    "width",
-    "features",
-    "layers",
-    "heads",
-    "photo_share",
-    "near_share",
-)  # options of the command line
-PLAN_NUMBERS = ("steps", "minutes", "batch", "fresh", "pool", "first", "rate", "seed")
 BOX_SHARE = 0.005  # of the scene's Gaussians that may lie beyond each side of its box
+SHEET_VIEWS, SHEET_COLUMNS = 24, 6
 
 
 @dataclass(frozen=True)
 class PoseNetConfig:
-    """What to train on and how."""
+    """Files, network and options of a training."""
 
     scene: Path
     photos: Path
@@ -81,56 +65,49 @@ class PoseNetConfig:
     heads: int = 5
     stem: str = "conv"
     vit: Path | None = None  # pretrained ViT weights for the stem "patch"
-    images: Path | None = (
-        None  # folder of the photos, where they are not where the poses' file says
-    )
-    held_out: Path | None = None  # names of photos to judge by
+    images: Path | None = None  # folder of the photos, if not as the poses' file states
+    held_out: Path | None = None  # names of the photos for evaluation
     leader: Path | None = None  # a scene of the leader in its body axes
     photo_share: float = 0.15
     near_share: float = 0.35
-    box: tuple[
-        float, ...
-    ] = ()  # x, y, z of the lower corner and of the upper one [m]; empty: from the scene
+    box: tuple[float, ...] = ()  # lower and upper corner [m]; empty: from the scene
     backend: str = "auto"
     antialiased: bool = False
 
 
-def train_pose_net(job: PoseNetConfig) -> dict[str, Any]:
-    """Train, calibrate, judge, and write net and figures.
+def train_pose_net(
+    job: PoseNetConfig, report_line: Callable[[str], None] = lambda _: None
+) -> dict[str, Any]:
+    """Train, calibrate and evaluate a net, and write net and errors.
 
     Args:
-        job: what to do.
+        job: what to train on and how.
+        report_line: called with a line of progress now and then.
 
     Returns:
-        The figures, as in pose_net.json.
+        The content of pose_net.json.
 
     Raises:
         FileNotFoundError: a file is missing.
-        InputError: a file is damaged, photos are not aligned, an option makes no sense, or gsplat
+        InputError: a file is damaged, photos are not aligned, an option is out of range, or gsplat
             cannot run.
     """
     backend, device = _backend(job.backend)
     photos, scene = _aligned_photos(job), GaussianScene.load(job.scene)
-    held, aside = _split(photos, job.held_out)
-    learnt = ~(held | aside)
+    held_out, aside = _split(photos, job.held_out)
+    trained = ~(held_out | aside)
     record = _record(job, photos, scene)
-    world = _world(
-        job,
-        record,
-        scene,
-        _load(photos, learnt, SUPERSAMPLING * job.width, device),
-        backend,
-        device,
-    )
-    network = _network(job, record, device)
+    fine_photos = _load(photos, trained, SUPERSAMPLING * job.width, device)
+    world = _view_source(job, record, scene, fine_photos, backend, device)
+    network = _initial_network(job, record, device)
     job.out.mkdir(parents=True, exist_ok=True)
     _write_sheet(job.out / "views.png", world)
     trainer = PoseNetTrainer(network, world, job.plan, job.out)
+    network = trainer.run(lambda losses: report_line(_progress_line(trainer, losses))).to("cpu")
     path = job.out / "pose_net.safetensors"
-    PoseNet(trainer.run(lambda losses: _log(trainer, losses)).to("cpu"), record).save(path)
-    net, trials = evaluate_net(
-        PoseNet.load(path), photos, held, aside, world
-    )  # in half precision, as it ships
+    PoseNet(network, record).save(path)
+    # evaluate the net in half precision, as it ships
+    net, trials = evaluate_net(PoseNet.load(path), photos, held_out, aside, world)
     net.save(path)
     report: dict[str, Any] = {name: error_figures(trial) for name, trial in trials.items()}
     report |= {
@@ -141,9 +118,9 @@ def train_pose_net(job: PoseNetConfig) -> dict[str, Any]:
             "batch": job.plan.batch,
             "device": device,
         },
-        "photos_learnt_from": int(learnt.sum()) if job.photo_share > 0.0 else 0,
+        "photos_learnt_from": int(trained.sum()) if job.photo_share > 0.0 else 0,
         "photos_aside": [photos.names[k] for k in np.flatnonzero(aside)],
-        "photos_held_out": [photos.names[k] for k in np.flatnonzero(held)],
+        "photos_held_out": [photos.names[k] for k in np.flatnonzero(held_out)],
         "source": record.source,
     }
     with atomic_write(job.out / "pose_net.json", text=True) as file:
@@ -154,54 +131,58 @@ def train_pose_net(job: PoseNetConfig) -> dict[str, Any]:
 def evaluate_net(
     net: PoseNet,
     photos: Reconstruction,
-    held: NDArray[np.bool_],
+    held_out: NDArray[np.bool_],
     aside: NDArray[np.bool_],
     world: ViewSource,
 ) -> tuple[PoseNet, dict[str, PoseErrors]]:
-    """Calibrate a net on renders of another appearance and on photos kept aside, if there are
-    enough, then try it.
+    """Calibrate a net on randomised renders, and photos if there are enough, and evaluate it.
 
     Args:
         net: as it will ship.
-        photos: all, with their reconstructed poses as the truth.
-        held: (N,) True for photos to judge by.
+        photos: all, with their reconstructed poses as ground truth.
+        held_out: (N,) True for photos held out for evaluation.
         aside: (N,) True for photos to calibrate with.
-        world: for renders that were never trained on.
+        world: source of new renders.
 
     Returns:
-        The calibrated net; and its trials on plain renders by aircraft, the same with another
-        appearance, and photos.
+        The calibrated net, and its errors on plain renders, on the same with randomised appearance,
+        and on photos.
     """
-    plain = sample_views(
-        replace(world, photos=None), JUDGED_RENDERS, np.random.default_rng(JUDGED_SEED)
-    )
+    rng = np.random.default_rng(JUDGED_SEED)
+    plain = sample_views(replace(world, photos=None), JUDGED_RENDERS, rng)
     generator = torch.Generator(world.device).manual_seed(JUDGED_SEED)
-    worse = (
-        (randomise_appearance(plain.images.float() / 255.0, generator)[0] * 255.0)
-        .round()
-        .to(torch.uint8)
-    )
     Ts_render = plain.Ts_world_camera.cpu().numpy().astype(np.float64)
-    renders, others = (images.permute(0, 2, 3, 1).cpu().numpy() for images in (plain.images, worse))
-    known = [evaluate_poses(net, others, world.camera, Ts_render)]
+    renders, randomised = (
+        images.permute(0, 2, 3, 1).cpu().numpy()
+        for images in (plain.images, _randomised_bytes(plain.images, generator))
+    )
+    trials = [evaluate_poses(net, randomised, world.camera, Ts_render)]
     if aside.sum() >= MIN_TO_CALIBRATE:
-        known.append(_on_photos(net, photos, aside))
-    net = calibrate_sigmas(net, *known)
-    trials = {
-        name: evaluate_poses(net, i, world.camera, Ts_render)
-        for name, i in (("renders", renders), ("worse", others))
+        trials.append(_errors_on_photos(net, photos, aside))
+    net = calibrate_sigmas(net, *trials)
+    return net, {
+        "renders": evaluate_poses(net, renders, world.camera, Ts_render),
+        "worse": evaluate_poses(net, randomised, world.camera, Ts_render),
+        "photos": _errors_on_photos(net, photos, held_out),
     }
-    return net, trials | {"photos": _on_photos(net, photos, held)}
 
 
-def _on_photos(net: PoseNet, photos: Reconstruction, chosen: NDArray[np.bool_]) -> PoseErrors:
-    """A trial on photos in their own size."""
+def _randomised_bytes(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+    """Images (B, 3, H, W) of bytes with randomised appearance."""
+    randomised, _ = randomise_appearance(images.float() / 255.0, generator)
+    return (randomised * 255.0).round().to(torch.uint8)
+
+
+def _errors_on_photos(
+    net: PoseNet, photos: Reconstruction, chosen: NDArray[np.bool_]
+) -> PoseErrors:
+    """Errors on photos in their own size."""
     loaded = _load(photos, chosen, 0, "cpu")
     return evaluate_poses(net, loaded.images.numpy(), loaded.camera, photos.T_world_camera[chosen])
 
 
 def _backend(name: str) -> tuple[str, str]:
-    """What renders, and the device to train on."""
+    """The renderer, and the device to train on."""
     if name in ("fast", "reference") or (name == "auto" and not torch.cuda.is_available()):
         return name, "cpu"
     if name not in ("auto", "gsplat"):
@@ -213,11 +194,12 @@ def _backend(name: str) -> tuple[str, str]:
 
 
 def _aligned_photos(job: PoseNetConfig) -> Reconstruction:
-    """The photos, if their poses are in the kit's world."""
+    """The photos, after checking that their poses are in the kit's world."""
     photos = read_reconstruction(job.photos)
     if not photos.aligned:
         raise InputError(
-            f"{short_name(job.photos)}: expected photos aligned with the world; run falconwing scene align"
+            f"{short_name(job.photos)}: expected photos aligned with the world, got others; "
+            "run falconwing scene align"
         )
     return photos if job.images is None else replace(photos, folder=job.images)
 
@@ -225,22 +207,19 @@ def _aligned_photos(job: PoseNetConfig) -> Reconstruction:
 def _split(
     photos: Reconstruction, listed: Path | None
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(N,) True for photos held out, and for those kept aside."""
+    """(N,) True for photos held out for evaluation, and for those set aside for calibration."""
     places = photos.T_world_camera[:, :3, 3]
-    held = (
-        hold_out_places(places, HELD_SHARE, HELD_SEED)
-        if listed is None
-        else _select_named(photos, listed)
-    )
-    aside, rest = np.zeros(len(photos), bool), np.flatnonzero(~held)
+    if listed is None:
+        held_out = hold_out_places(places, HELD_SHARE, HELD_SEED)
+    else:
+        held_out = _select_named(photos, listed)
+    aside, rest = np.zeros(len(photos), bool), np.flatnonzero(~held_out)
     aside[rest] = hold_out_places(places[rest], ASIDE_SHARE, ASIDE_SEED)
-    return held, aside
+    return held_out, aside
 
 
 def _select_named(photos: Reconstruction, path: Path) -> NDArray[np.bool_]:
-    """(N,) True for photos named in a file: scene training's figures.json, JSON with a list
-    "held_out", or lines.
-    """
+    """(N,) True for photos named in a file: figures.json, JSON with a list "held_out", or lines."""
     text = require_file(path).read_text(encoding="utf-8")
     try:
         found = json.loads(text)
@@ -251,15 +230,17 @@ def _select_named(photos: Reconstruction, path: Path) -> NDArray[np.bool_]:
         names = text.split()
     except (KeyError, TypeError):
         raise InputError(
-            f'{short_name(path)}: expected names of photos under "held_out", got other content'
+            f'{short_name(path)}: expected names of photos under "held_out", got other content; '
+            "give the figures.json of falconwing scene fit"
         ) from None
-    wanted = {Path(str(name)).name for name in names}
-    held = np.array([Path(name).name in wanted for name in photos.names])
-    if not held.any() or held.sum() > len(photos) - 2:
+    expected = {Path(str(name)).name for name in names}
+    held_out = np.array([Path(name).name in expected for name in photos.names])
+    if not held_out.any() or held_out.sum() > len(photos) - 2:
         raise InputError(
-            f"{short_name(path)}: expected names of some of the {len(photos)} photos, got {held.sum()} of them"
+            f"{short_name(path)}: expected names of some of the {len(photos)} photos, "
+            f"got {held_out.sum()} of them; leave at least two for the training"
         )
-    return held
+    return held_out
 
 
 def _load(photos: Reconstruction, chosen: NDArray[np.bool_], width: int, device: str) -> Photos:
@@ -270,12 +251,13 @@ def _load(photos: Reconstruction, chosen: NDArray[np.bool_], width: int, device:
 
 
 def _record(job: PoseNetConfig, photos: Reconstruction, scene: GaussianScene) -> PoseNetRecord:
-    """What the net will know about itself."""
+    """Shape, camera and box of the net to train."""
     camera = photos.camera
     require_range("width", job.width, low=2 * PATCH, high=1024)
     if job.width % PATCH or job.stem not in STEMS or job.features % job.heads:
         raise InputError(
-            f"width, stem, heads: expected a multiple of {PATCH}, one of {STEMS}, a divisor of the features"
+            f"width, stem, heads: expected a multiple of {PATCH}, one of {STEMS}, a divisor of "
+            f"the features, got {job.width}, {job.stem!r}, {job.heads} for {job.features}"
         )
     height = PATCH * max(2, round(job.width * camera.height / camera.width / PATCH))
     shape = {"width": job.width, "height": height, "features": job.features, "layers": job.layers}
@@ -290,7 +272,7 @@ def _record(job: PoseNetConfig, photos: Reconstruction, scene: GaussianScene) ->
 
 
 def _box(job: PoseNetConfig, scene: GaussianScene) -> tuple[Array, Array]:
-    """The box that aircraft fly in: as told, or without the scene's few outermost Gaussians."""
+    """Corners of the box of the flights: as given, or quantiles of the scene's Gaussians."""
     if job.box:
         low, high = require_shape("box", job.box, (6,)).reshape(2, 3)
     else:
@@ -300,12 +282,13 @@ def _box(job: PoseNetConfig, scene: GaussianScene) -> tuple[Array, Array]:
         )
     if not (high - low > 2.0).all():
         raise InputError(
-            f"box: expected a hall of more than 2 m along each axis, got {low} to {high}; give --box"
+            f"box: expected a hall of more than 2 m along each axis, got {low} to {high}; "
+            "give --box"
         )
     return low, high
 
 
-def _world(
+def _view_source(
     job: PoseNetConfig,
     record: PoseNetRecord,
     scene: GaussianScene,
@@ -313,104 +296,55 @@ def _world(
     backend: str,
     device: str,
 ) -> ViewSource:
-    """What the views are made of."""
+    """Renderers and photos for the training views."""
     for name in ("photo_share", "near_share"):
         require_range(name, getattr(job, name), low=0.0, high=1.0)
-    fine = upscale_camera(record.camera)
-    leader = (
-        None if job.leader is None else make_renderer(GaussianScene.load(job.leader), fine, backend)
-    )
+    fine_camera, render_leader = upscale_camera(record.camera), None
+    if job.leader is not None:
+        render_leader = make_renderer(GaussianScene.load(job.leader), fine_camera, backend)
     return ViewSource(
-        make_renderer(scene, fine, backend, job.antialiased),
+        make_renderer(scene, fine_camera, backend, job.antialiased),
         record.camera,
         np.array(record.low),
         np.array(record.high),
         photos if job.photo_share + job.near_share > 0.0 else None,
-        leader,
+        render_leader,
         near_share=job.near_share,
         photo_share=job.photo_share,
         device=device,
     )
 
 
-def _network(job: PoseNetConfig, record: PoseNetRecord, device: str) -> PoseNetwork:
-    """A network to begin with, pretrained if there is something to begin with."""
+def _initial_network(job: PoseNetConfig, record: PoseNetRecord, device: str) -> PoseNetwork:
+    """An untrained network, with pretrained ViT weights if given."""
     torch.manual_seed(job.plan.seed)
     shape = PoseNetShape(**record.shape)
     network = PoseNetwork(shape, torch.tensor(record.low), torch.tensor(record.high)).to(device)
     if job.vit is not None and load_vit(network, load_file(require_file(job.vit))) == 0:
         raise InputError(
-            f"{short_name(job.vit)}: expected ViT weights of {shape.features} features, got none that fit"
+            f"{short_name(job.vit)}: expected ViT weights of {shape.features} features, "
+            "got none that fit; set --features, --heads and --stem patch as in the file"
         )
     return network
 
 
 def _write_sheet(path: Path, world: ViewSource) -> None:
-    """A picture of views as they come, and below each the same with another appearance."""
+    """Picture of training views, each above the same with randomised appearance."""
     from PIL import Image
 
-    views = sample_views(world, 24, np.random.default_rng(JUDGED_SEED))
-    other = (
-        randomise_appearance(
-            views.images.float() / 255.0, torch.Generator(world.device).manual_seed(0)
-        )[0]
-        * 255.0
-    )
-    pairs = (
-        torch.cat([views.images, other.round().to(torch.uint8)], dim=2)
-        .permute(0, 2, 3, 1)
-        .cpu()
-        .numpy()
-    )
+    views = sample_views(world, SHEET_VIEWS, np.random.default_rng(JUDGED_SEED))
+    generator = torch.Generator(world.device).manual_seed(0)
+    pairs = torch.cat([views.images, _randomised_bytes(views.images, generator)], dim=2)
+    columns = pairs.permute(0, 2, 3, 1).cpu().numpy()
     rows = [
-        np.concatenate(list(pairs[k : k + 6]), axis=1) for k in range(0, len(pairs) // 6 * 6, 6)
+        np.concatenate(list(columns[k : k + SHEET_COLUMNS]), axis=1)
+        for k in range(0, len(columns) - SHEET_COLUMNS + 1, SHEET_COLUMNS)
     ]
     if rows:
         with atomic_write(path) as file:
             Image.fromarray(np.concatenate(rows)).save(file, "PNG")
 
 
-def _log(trainer: PoseNetTrainer, losses: dict[str, float]) -> None:
-    """One line of progress."""
-    words = "  ".join(f"{name} {value:.3g}" for name, value in losses.items())
-    print(
-        f"{trainer.progress:6.1%}  step {trainer.step}  {trainer.seconds:.0f} s  {words}",
-        flush=True,
-    )
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; see the top of this file.
-
-    Returns:
-        0 done, 2 wrong use.
-    """
-    parser = argparse.ArgumentParser(
-        prog="pose_net_training", description="Train a pose net for a hall."
-    )
-    for name in ("scene", "photos"):
-        parser.add_argument(name, type=Path)
-    for name in ("out", "images", "held-out", "leader", "vit"):
-        parser.add_argument(f"--{name}", type=Path, required=name == "out")
-    parser.add_argument("--box", type=float, nargs=6, default=())
-    parser.add_argument("--antialiased", action="store_true")
-    parser.add_argument("--backend", default="auto")
-    parser.add_argument("--stem", default="conv")
-    for owner, names in ((PoseNetConfig, JOB_NUMBERS), (TrainSchedule, PLAN_NUMBERS)):
-        for name in names:
-            default = getattr(owner, name)
-            parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default)
-    told = vars(parser.parse_args(arguments))
-    plan = TrainSchedule(**{name: told.pop(name) for name in PLAN_NUMBERS})
-    try:
-        report = train_pose_net(PoseNetConfig(plan=plan, **(told | {"box": tuple(told["box"])})))
-    except (InputError, FileNotFoundError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    for name in ("renders", "worse", "photos"):
-        print(name, json.dumps(report[name]))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def _progress_line(trainer: PoseNetTrainer, losses: dict[str, float]) -> str:
+    figures = "  ".join(f"{name} {value:.3g}" for name, value in losses.items())
+    return f"{trainer.progress:6.1%}  step {trainer.step}  {trainer.seconds:.0f} s  {figures}"

@@ -291,17 +291,6 @@ class FakeCamera:
         )
 
 
-def read_frame_number(pixels: Pixels) -> int:
-    """Frame number, modulo 65536, in the bar code of a fake camera; readable down to 12 dB SNR."""
-    height, width = pixels.shape[:2]
-    strip = pixels[: height // 8].mean(axis=(0, 2))
-    means = [
-        strip[width * k // CODE_BITS + 1 : width * (k + 1) // CODE_BITS - 1].mean()
-        for k in range(CODE_BITS)
-    ]
-    return sum(1 << k for k, mean in enumerate(means) if mean > 127.5)
-
-
 def open_camera(name: str) -> VideoCamera | VideoFile:
     """The camera with this number or device path, or the video file.
 

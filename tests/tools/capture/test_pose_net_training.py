@@ -1,4 +1,4 @@
-"""The door of the training: files in, net and figures out, in miniature; and what it refuses."""
+"""Pose net training in miniature: files -> net and errors, its command, and what it refuses."""
 
 import json
 
@@ -11,7 +11,8 @@ from falconwing_kit.learning.pose_net_loop import TrainSchedule
 from falconwing_kit.learning.pose_views import aircraft_poses
 from falconwing_kit.scene import load_scene
 from falconwing_kit.tools.capture import pose_net_training
-from falconwing_kit.tools.capture.pose_net_training import PoseNetConfig, main, train_pose_net
+from falconwing_kit.tools.capture.pose_net_training import PoseNetConfig, train_pose_net
+from falconwing_kit.tools.cli.main import main
 from falconwing_kit.vision.pose_net import PoseNet
 from tests.learning.halls import CAMERA, HIGH, LOW, hall, write_photos
 
@@ -81,7 +82,7 @@ def test_held_out_photos_can_be_named(files, tmp_path):
         assert np.flatnonzero(held).tolist() == [1, 7]
         assert aside.any()
         assert not (held & aside).any()
-    for text in ("nobody.png", '{"other": 1}', "".join(f"{k:03}.png\n" for k in range(20))):
+    for text in ("none.png", '{"other": 1}', "".join(f"{k:03}.png\n" for k in range(20))):
         (tmp_path / "held").write_text(text)
         with pytest.raises(InputError, match="expected names of"):
             pose_net_training._split(photos, tmp_path / "held")
@@ -120,12 +121,24 @@ def test_options_that_make_no_sense_are_refused(files, tmp_path, change, word):
     assert not (tmp_path / "out").exists()
 
 
-def test_command_line_says_one_sentence(files, tmp_path, capsys):
-    """Wrong use ends with 2 and says what is missing."""
-    assert (
-        main([str(tmp_path / "none.npz"), str(files / "aligned"), "--out", str(tmp_path / "out")])
-        == 2
-    )
-    said = capsys.readouterr().err.strip()
-    assert "none.npz" in said
-    assert "\n" not in said
+def test_scene_pose_net_trains_and_prints_the_errors(files, tmp_path, capsys, monkeypatch):
+    """One step, by the command: the same files as by the call, a table, and the next command."""
+    monkeypatch.setattr(pose_net_training, "JUDGED_RENDERS", 30)
+    sizes = "--width 64 --features 16 --layers 1 --heads 1 --steps 1 --batch 4 --fresh 4 --pool 20"
+    words = ["scene", "pose-net", files / "hall.npz", files / "aligned", "--out", tmp_path / "out"]
+    box = ["--box", *LOW, *HIGH]
+    assert main([*map(str, words), *sizes.split(), "--first", "8", *map(str, box)]) == 0
+    printed = capsys.readouterr().out
+    assert "held-out photos" in printed
+    assert "next: falconwing poses" in printed
+    assert json.loads((tmp_path / "out" / "pose_net.json").read_text())["training"]["steps"] == 1
+    assert PoseNet.load(tmp_path / "out" / "pose_net.safetensors").record.low == [*LOW]
+
+
+def test_missing_scene_is_reported_in_one_sentence(files, tmp_path, capsys):
+    """Wrong use ends with 2 and one sentence with the missing file."""
+    missing, aligned = str(tmp_path / "none.npz"), str(files / "aligned")
+    assert main(["scene", "pose-net", missing, aligned, "--out", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err.strip()
+    assert "none.npz" in message
+    assert "\n" not in message

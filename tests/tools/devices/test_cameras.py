@@ -16,8 +16,8 @@ from falconwing_kit.tools.devices.cameras import (
     VideoCamera,
     VideoFile,
     open_camera,
-    read_frame_number,
 )
+from tests.tools.devices.frame_number import read_frame_number
 
 
 class Time:

@@ -10,9 +10,10 @@ import pytest
 from falconwing_kit.core.messages import Command, Observation
 from falconwing_kit.flight.loop import Loop
 from falconwing_kit.tools.devices import grabber
-from falconwing_kit.tools.devices.cameras import CameraFault, FakeCamera, read_frame_number
+from falconwing_kit.tools.devices.cameras import CameraFault, FakeCamera
 from falconwing_kit.tools.devices.grabber import Grabber
 from falconwing_kit.vision import FrameMonitor
+from tests.tools.devices.frame_number import read_frame_number
 from tests.vision.virtual_time import PATIENCE, VirtualTime
 
 
