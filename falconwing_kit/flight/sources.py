@@ -15,6 +15,7 @@ from falconwing_kit.core.flight_log import FlightLog, read_flight_log
 from falconwing_kit.core.frames import camera_pose
 from falconwing_kit.core.messages import Command, Image, Observation, State
 from falconwing_kit.flight.loop import CONTROL_PERIOD
+from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import render
@@ -78,9 +79,6 @@ class RenderedView:
     """SIMULATED images from the aircraft's nose: a Gaussian scene, seen from where the world's
     aircraft really is.
 
-    A scene with an analog link ("hall_analog") is seen through it; its two fields are of one moment
-    then.
-
     Args:
         world: the simulated world; where it has a leader, the leader is in the image.
         scene: the hall. Its Gaussians labelled "leader" are the leader's; a hall without gets the
@@ -88,6 +86,8 @@ class RenderedView:
         camera: the lens, `fpv_camera()` for the aircraft's.
         p_body_camera: (3,) where it sits on the aircraft, in body axes [m].
         backend: of `render`.
+        link: the analog video link that every image goes through, `scene_link("hall_analog")`; both
+            fields of a frame show the same moment. None for a direct view.
     """
 
     def __init__(
@@ -97,8 +97,9 @@ class RenderedView:
         camera: PinholeCamera,
         p_body_camera: ArrayLike = (0.0, 0.0, 0.0),
         backend: str = "fast",
+        link: AnalogVideo | None = None,
     ) -> None:
-        self.world, self.camera, self.backend = world, camera, backend
+        self.world, self.camera, self.backend, self.link = world, camera, backend, link
         self.p_body_camera = np.asarray(p_body_camera, np.float64)
         self.depth: NDArray[np.float32] | None = (
             None  # (H, W) of the newest image [m], for judging what hides the leader
@@ -128,9 +129,7 @@ class RenderedView:
         frame = render(scenes, self.camera, T_world_camera, backend=self.backend)
         self.depth = frame.depth
         picture = np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
-        return (
-            picture if self._hall.link is None else self._hall.link.apply(picture, self._sequence)
-        )
+        return picture if self.link is None else self.link.apply(picture, self._sequence)
 
 
 def _hall_and_leader(

@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import cache_folder
-from falconwing_kit.scene.analog import video_link
 from falconwing_kit.scene.edit import move
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.ply import SH_C0
@@ -100,8 +99,8 @@ def load_scene(name: str) -> GaussianScene:
 
     Args:
         name: "arena", the hall as `build_arena` gives it; "hall", trained on photos of a
-            path-traced hall, without a leader; "hall_analog", the same Gaussians with the analog
-            video link of that hall's photos in `link`; "leader", trained on path-traced turntable
+            path-traced hall, without a leader; "hall_analog", the same Gaussians, whose analog
+            video link `scene_link` returns; "leader", trained on path-traced turntable
             photos, in its body axes, with nose, tail and wing tips in `points`.
 
     Raises:
@@ -113,8 +112,7 @@ def load_scene(name: str) -> GaussianScene:
         )
     if name != "arena":
         file = "leader.npz" if name == "leader" else "hall.npz"
-        trained = GaussianScene.load(Path(__file__).parents[1] / "data" / file)
-        return replace(trained, link=video_link(name)) if name == "hall_analog" else trained
+        return GaussianScene.load(Path(__file__).parents[1] / "data" / file)
     version = hashlib.sha256(Path(__file__).read_bytes() + PLAN.read_bytes()).hexdigest()[:12]
     path = cache_folder() / f"arena-{version}.npz"
     try:

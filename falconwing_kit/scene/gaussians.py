@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import short_name
-from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.native import read_native, write_native
 from falconwing_kit.scene.ply import SH_COUNTS, Array32, read_ply, write_ply
 
@@ -50,9 +49,6 @@ class GaussianScene:
     points: Mapping[str, NDArray[Any]] = field(
         default_factory=dict
     )  # named places of one asset (3,) [m]: nose, tail ...
-    link: AnalogVideo | None = (
-        None  # what the pictures of who flies in it come through; `render` is before it
-    )
 
     def __post_init__(self) -> None:
         """Check and convert every field."""
@@ -131,7 +127,7 @@ class GaussianScene:
         """Write a scene whole or not at all.
 
         Args:
-            path: a file ending in .npz, which keeps everything but a link to the last bit, or in
+            path: a file ending in .npz, which keeps everything to the last bit, or in
                 .ply, which every other tool reads, and which keeps neither labels nor named points.
 
         Raises:
@@ -217,7 +213,6 @@ class GaussianScene:
                 [table[scene.labels] for table, scene in zip(numbers, scenes, strict=True)]
             ),
             label_names=names,
-            link=next((scene.link for scene in scenes if scene.link is not None), None),
             source="; ".join(dict.fromkeys(scene.source for scene in scenes if scene.source)),
         )
 

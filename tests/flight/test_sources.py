@@ -116,13 +116,13 @@ def test_leader_is_seen_where_it_flies_and_left_out_where_there_is_none():
         assert np.isnan(middle_of(alone, 1)).all()
 
 
-def test_a_scene_with_a_link_is_seen_through_it():
+def test_a_view_with_a_link_is_seen_through_it():
     """What the link makes of the picture without it, frame by frame; a frame's number draws its
     noise.
     """
     scene, link = balls(((6.0, 0.0, 0.0), RED)), AnalogVideo(30.0, seed=4)
     plain = RenderedView(StillWorld(), scene, fpv_camera())
-    noisy = RenderedView(StillWorld(), replace(scene, link=link), fpv_camera())
+    noisy = RenderedView(StillWorld(), scene, fpv_camera(), link=link)
     clean = plain.next(0.0).pixels
     first, second = noisy.next(0.0).pixels, noisy.next(0.05).pixels
     assert (first == link.apply(clean, 1)).all() and (second == link.apply(clean, 2)).all()
