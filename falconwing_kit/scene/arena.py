@@ -23,8 +23,8 @@ from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import cache_folder
 from falconwing_kit.scene.edit import move
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.scene.ply import SH_C0
-from falconwing_kit.scene.render import require_pose
+from falconwing_kit.scene.sh import SH_C0
+from falconwing_kit.scene.camera import require_pose
 
 PLAN = Path(__file__).with_name("arena.toml")
 SCENES = ("arena", "hall", "hall_analog", "leader")  # the names that load_scene knows

@@ -435,7 +435,7 @@ def test_works_where_no_cache_can_be_written(tmp_path):
     for name in ("__init__.py", *(str(p.relative_to(KIT)) for p in KIT.rglob("*/*.py"))):
         (package / name).parent.mkdir(parents=True, exist_ok=True)
         (package / name).write_bytes((KIT / name).read_bytes())
-    (package / "scene/__pycache__").write_text("a file where a folder is wanted")
+    (package / "scene/__pycache__").write_text("a file where a folder should be")
     code = "from falconwing_kit.scene import fast; print(fast.__file__, fast.clamp(2.0, 0.0, 1.0))"
     nowhere = {"HOME": os.devnull, "XDG_CACHE_HOME": os.devnull, "PYTHONPATH": str(tmp_path)}
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | nowhere

@@ -135,7 +135,7 @@ def test_other_endings_and_missing_files_are_said(tmp_path):
     (tmp_path / "a.obj").write_bytes(b"")
     with pytest.raises(
         InputError,
-        match=r"expected a scene ending in \.ply, \.splat, \.spz, \.sog, \.npz or a SOG folder",
+        match=r"expected a scene ending in \.ply, \.npz, \.splat, \.spz, \.sog or a SOG folder",
     ):
         GaussianScene.load(tmp_path / "a.obj")
     with pytest.raises(InputError, match=r"ending in \.npz or \.ply"):
