@@ -97,7 +97,7 @@ class GaussianScene:
         in_folder = path.is_dir() or path.name == "meta.json"
         read = _reader(".sog" if in_folder else path.suffix.lower())
         if read is None:
-            endings = ", ".join((*READERS, *_more_readers().names))
+            endings = ", ".join((*READERS, *sorted(_more_readers().names)))
             raise InputError(
                 f"{short_name(path)}: expected a scene ending in {endings} or a SOG folder,"
                 " got another ending"

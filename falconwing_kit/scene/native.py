@@ -230,7 +230,7 @@ def _word_arrays(fields: Mapping[str, Any]) -> dict[str, Any]:
     return {name: np.array(fields[name]) for name in ("label_names", "source")}
 
 
-def _point_arrays(points: Mapping[str, ArrayLike]) -> dict[str, NDArray[Any]]:
+def _point_arrays(points: Mapping[str, ArrayLike]) -> dict[str, Any]:
     """The members that hold named points; none where there are none."""
     if not points:
         return {}

@@ -172,9 +172,9 @@ def image_means(p_camera: Tensor, camera: PinholeCamera) -> Tensor:
 def image_covariances(
     covariances_world: Tensor, p_camera: Tensor, T_world_camera: Tensor, camera: PinholeCamera
 ) -> Tensor:
-    """Covariances (N, 2, 2) of the splats [px^2]: Sigma' = J R^T Sigma R J^T  [Z, eq. 31; K, eq. 5].
+    """Covariances (N, 2, 2) of the unblurred splats [px^2]; p_camera (N, 3) are the means [m].
 
-    They are not yet blurred; p_camera (N, 3) are the means [m].
+    Sigma' = J R^T Sigma R J^T  [Z, eq. 31; K, eq. 5]
     """
     JR = projection_jacobians(p_camera, camera) @ T_world_camera[:3, :3].mT
     return JR @ covariances_world @ JR.mT
@@ -343,8 +343,9 @@ def blend_tile(columns: Tensor, u: Tensor, v: Tensor) -> Tensor:
 
 
 def alphas(columns: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """Alpha (M, h, w) of each splat in each pixel: min(0.999, o exp(-sigma)), 0 below 1/255  [K; Y].
+    """Alpha (M, h, w) of each splat in each pixel, 0 below 1/255  [K; Y].
 
+    alpha = min(0.999, o exp(-sigma))
     sigma = 1/2 (uu du^2 + vv dv^2) + uv du dv, du and dv from the mean to the pixel's centre
     """
     mean_u, mean_v, uu, uv, vv, opacity = (

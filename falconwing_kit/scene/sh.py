@@ -107,5 +107,6 @@ def _directions() -> Array:
 def _basis(directions: Array) -> Array:
     """All 16 harmonics (n, 16) in directions (n, 3)."""
     basis = np.empty((len(directions), SH_COUNTS[-1]))
-    fill_spherical_harmonics(SH_COUNTS[-1], *directions.T, basis.T)
+    x, y, z = directions.T
+    fill_spherical_harmonics(SH_COUNTS[-1], x, y, z, basis.T)
     return basis

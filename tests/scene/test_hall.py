@@ -29,7 +29,7 @@ def test_it_is_small_and_labelled(hall):
 
 
 def test_the_analog_hall_is_the_same_hall_seen_through_a_link(hall):
-    """The same Gaussians; the link beside them is the one of analog.toml, and no other scene has one."""
+    """The same Gaussians; the link is the one of analog.toml, and no other scene has one."""
     analog = load_scene("hall_analog")
     assert (analog.means == hall.means).all() and (analog.sh == hall.sh).all()
     assert scene_link("hall_analog").snr_db == 38.7
@@ -76,7 +76,7 @@ def test_the_pad_is_where_aircraft_land(hall):
     assert rgb[2] > 1.5 * rgb[0] and rgb[2] > 1.2 * rgb[1]
 
 
-def test_the_pose_net_that_ships_knows_this_hall(hall):
+def test_the_shipped_pose_net_localises_in_this_hall(hall):
     """Renders from places of an approach, whose poses are known; on average within a metre and 5
     deg of heading.
     """
