@@ -141,7 +141,7 @@ def black(*args, **kwargs):
     ids=["no kernels", "black"],
 )
 def test_gsplat_that_cannot_render_is_said_in_one_sentence(stand_in, broken, reason):
-    """Without CUDA gsplat imports and fails at the first call; a driver that draws nothing fails too."""
+    """Without CUDA gsplat imports and fails at the first call; a driver that draws nothing fails."""
     stand_in.rasterization = broken
     with pytest.raises(
         InputError,
