@@ -48,7 +48,11 @@ def demo_run() -> DemoRun:
             "study_recorded_flights",
             lambda progress: kept.append(study(progress)) or kept[0],
         )
-        patch.setattr(approach, "fly_approach", lambda *how: flown.append(fly(*how)) or flown[0])
+        patch.setattr(
+            approach,
+            "fly_approach",
+            lambda *how, **more: flown.append(fly(*how, **more)) or flown[0],
+        )
         code = main(WORDS)
     landing = replace(flown[0], log=folder / "out" / flown[0].log.name)
     return DemoRun(

@@ -13,6 +13,7 @@ from falconwing_kit.core.flight_log import FlightLog, read_flight_log
 from falconwing_kit.core.frames import camera_pose
 from falconwing_kit.core.messages import Command, Image, Observation, State
 from falconwing_kit.flight.loop import CONTROL_PERIOD
+from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import render
@@ -66,22 +67,26 @@ class MeasuredStates:
 class RenderedView:
     """SIMULATED images of the nose camera: a Gaussian scene from the aircraft's true pose.
 
-    The analog video link of a scene ("hall_analog") is applied to the image as a whole; its two
-    fields show the same instant.
-
     Args:
         world: the simulated world; its leader, if any, is in the image.
         scene: the hall. Gaussians labelled "leader" are the leader's; else the kit's leader flies.
         camera: the lens, `fpv_camera()` for the aircraft's.
         p_body_camera: (3,) its position in body axes [m].
         backend: of `render`.
+        link: the analog video link that every image goes through, `scene_link("hall_analog")`; both
+            fields of a frame show the same moment. None for a direct view.
     """
 
     def __init__(
-        self, world: WorldInterface, scene: GaussianScene, camera: PinholeCamera,
-        p_body_camera: ArrayLike = (0.0, 0.0, 0.0), backend: str = "fast",
-    ) -> None:  # fmt: skip
-        self.world, self.camera, self.backend = world, camera, backend
+        self,
+        world: WorldInterface,
+        scene: GaussianScene,
+        camera: PinholeCamera,
+        p_body_camera: ArrayLike = (0.0, 0.0, 0.0),
+        backend: str = "fast",
+        link: AnalogVideo | None = None,
+    ) -> None:
+        self.world, self.camera, self.backend, self.link = world, camera, backend, link
         self.p_body_camera = np.asarray(p_body_camera, np.float64)
         self.depth: NDArray[np.float32] | None = None  # (H, W) of the newest image [m]
         self._hall, self._leader = _hall_and_leader(scene, world.leader_state is not None)
@@ -105,8 +110,7 @@ class RenderedView:
         frame = render(scenes, self.camera, T_world_camera, backend=self.backend)
         self.depth = frame.depth
         pixels = np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
-        link = self._hall.link
-        return pixels if link is None else link.apply(pixels, self._sequence)
+        return pixels if self.link is None else self.link.apply(pixels, self._sequence)
 
 
 def _hall_and_leader(

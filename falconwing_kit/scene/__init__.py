@@ -4,7 +4,7 @@ Nothing here loads torch or numba before `render` is called; what learns through
 `falconwing_kit.scene.reference` itself.
 """
 
-from falconwing_kit.scene.analog import AnalogVideo
+from falconwing_kit.scene.analog import AnalogVideo, scene_link
 from falconwing_kit.scene.arena import build_arena, leader_at, load_scene
 from falconwing_kit.scene.camera import PinholeCamera, nose_camera_pose
 from falconwing_kit.scene.gaussians import GaussianScene
@@ -27,6 +27,7 @@ __all__ = [
     "nose_camera_pose",
     "render",
     "require_pose",
+    "scene_link",
     "visible_alpha_image",
     "write_quantised",
 ]

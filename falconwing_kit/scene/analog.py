@@ -1,10 +1,8 @@
-"""Analog video link: clean picture + signal-to-noise ratio -> the picture as an FM receiver and a
-capture card give it.
+"""Analog video link: clean image + signal-to-noise ratio -> the image after FM link and grabber.
 
-A model of 525-line composite video sent by frequency modulation, after the laws of such links;
-every step is a small function with its source. The result is simulated. Where photos show what a
-link really does, `survey/link.py` measures bandwidths and noise on them, and these take the place
-of the laws: analog.toml keeps such links by the scene's name.
+A model of 525-line composite video sent by frequency modulation; every step is a small function
+with its source. For measured links, whose bandwidths and noise come from photos (the toolbox's
+`capture/survey/link.py`), analog.toml has the numbers under the scene's name.
 """
 
 import math
@@ -17,22 +15,16 @@ from numpy.typing import NDArray
 
 from falconwing_kit.core.checks import Array, InputError, require_range
 
-LINE_S, FRAME_S = (
-    52.66e-6,
-    1.0 / 29.97,
-)  # seen part of a line, and two fields [ITU-R BT.1700, 525 lines]
-LUMA_HZ, CHROMA_HZ = 4.2e6, 0.6e6  # bandwidths; chroma as plain decoders have it [ITU-R BT.1700]
-DEVIATION_HZ = 3.5e6  # peak, of a usual 5.8 GHz video sender
-RISE_S, SYNC_SHARE = (
-    0.25e-6,
-    0.4,
-)  # a sync edge behind the luma filter, and its height over that of white (40 of 100)
-SYNC_HZ = 0.5e6  # the sync separator's own low-pass
-CLICK_DECAY_S = 0.3e-6  # the tail that de-emphasis leaves behind a click
-LOCK, TEAR_LOCK = (
-    0.5,
-    0.85,
-)  # share of its error that the line oscillator keeps from line to line; after a lost lock
+LINE_S = 52.66e-6  # visible part of a line [ITU-R BT.1700, 525 lines]
+FRAME_S = 1.0 / 29.97  # two fields
+LUMA_HZ, CHROMA_HZ = 4.2e6, 0.6e6  # bandwidths; chroma of a plain decoder [ITU-R BT.1700]
+DEVIATION_HZ = 3.5e6  # peak, of a common 5.8 GHz video transmitter
+RISE_S = 0.25e-6  # of a sync edge behind the luma filter
+SYNC_SHARE = 0.4  # height of a sync pulse over that of white (40 of 100)
+SYNC_HZ = 0.5e6  # low-pass of the sync separator
+CLICK_DECAY_S = 0.3e-6  # of the tail that de-emphasis leaves behind a click
+LOCK = 0.5  # share of its error that the line oscillator keeps from line to line
+TEAR_LOCK = 0.85  # the same after a lost lock
 DROPOUT_LINES = 6.0  # mean length of a fade
 
 Pixels = NDArray[np.uint8]
@@ -41,17 +33,17 @@ Plane = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class AnalogVideo:
-    """A link with one quality; the same seed and frame number give the same picture."""
+    """A link of constant quality; the same seed and frame number give the same image."""
 
-    # peak-to-peak luma over rms thermal noise, unweighted [CCIR Rec. 567]; clicks come on top
+    # peak-to-peak luma over rms thermal noise, unweighted [CCIR Rec. 567]; clicks are added to it
     snr_db: float
     seed: int = 0
-    dropouts: float = 0.02  # fades a frame, on average
-    dropout_lines: float = DROPOUT_LINES  # mean length of one
+    dropouts: float = 0.02  # mean number of fades in a frame
+    dropout_lines: float = DROPOUT_LINES
     luma_hz: float = LUMA_HZ
     chroma_hz: float = CHROMA_HZ
-    chroma_noise: float = 1.0  # times what the law of `low_pass_chroma` gives
-    # over this time along a line luma noise decays to 1/e, both ways; 0: flat in the luma band
+    chroma_noise: float = 1.0  # factor of the law of `low_pass_chroma`
+    # time along a line over which luma noise decorrelates to 1/e; 0: flat in the luma band
     noise_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -65,36 +57,36 @@ class AnalogVideo:
         require_range("noise_s", self.noise_s, low=0.0, high=1e-6)
 
     def apply(self, image: Pixels, frame_number: int, earlier: Pixels | None = None) -> Pixels:
-        """The picture as it arrives.
+        """The image as received.
 
         Args:
             image: (H, W, 3) uint8 RGB, at least 16 pixels a side.
             frame_number: from 0; each has its own noise.
-            earlier: (H, W, 3) the view 1/60 s before, which the other field shows; None for a scene
-                at rest.
+            earlier: (H, W, 3) the view 1/60 s before, for the other field; None for a scene at
+                rest.
 
         Returns:
             (H, W, 3) uint8 RGB.
 
         Raises:
-            InputError: a picture is no colour image, or the two differ in size.
+            InputError: an image is no colour image, or the two differ in size.
         """
         import cv2
 
         _require_picture(image, earlier)
-        rng = np.random.default_rng(
-            [self.seed, int(require_range("frame_number", frame_number, low=0))]
-        )
+        number = int(require_range("frame_number", frame_number, low=0))
+        rng = np.random.default_rng([self.seed, number])
         height, width = image.shape[:2]
         pixel_s = LINE_S / width
         shifts = line_shifts_s(height, self.snr_db, rng) / pixel_s
-        luma, chroma = to_luma_chroma(
-            shift_lines(image if earlier is None else interlace(image, earlier), shifts)
-        )
+        fields = image.copy()
+        if earlier is not None:
+            fields[1::2] = earlier[1::2]  # interlaced: the odd lines are the earlier field's
+        luma, chroma = to_luma_chroma(shift_lines(fields, shifts))
         noise = luma_noise(luma.shape, self.snr_db, pixel_s, rng, self.noise_s, self.luma_hz)
         add_clicks(noise, self.snr_db, pixel_s, rng)
         luma = low_pass_luma(luma, pixel_s, self.luma_hz)
-        luma = np.asarray(cv2.add(luma, noise, dtype=cv2.CV_8U), np.uint8)  # rounds and cuts
+        luma = np.asarray(cv2.add(luma, noise, dtype=cv2.CV_8U), np.uint8)  # rounds and clips
         chroma = low_pass_chroma(
             chroma, self.snr_db, pixel_s, rng, self.chroma_hz, self.chroma_noise
         )
@@ -102,86 +94,62 @@ class AnalogVideo:
         return to_rgb(luma, chroma)
 
 
-def video_link(name: str) -> AnalogVideo:
-    """A link as measured on photos that came through it.
+def scene_link(name: str) -> AnalogVideo | None:
+    """Name of a scene that ships -> its analog link, measured on photos; None for a direct view.
 
-    Args:
-        name: a table of analog.toml, the name of the scene that is seen through it, such as
-            "hall_analog".
-
-    Raises:
-        InputError: no link of that name ships.
+    The links stand in analog.toml; of the scenes that ship only "hall_analog" has one.
     """
     links = tomllib.loads(Path(__file__).with_name("analog.toml").read_text(encoding="utf-8"))
-    if name not in links:
-        raise InputError(f"video link: expected one of {', '.join(links)}, got {name!r}")
-    return AnalogVideo(**links[name])
+    return AnalogVideo(**links[name]) if name in links else None
 
 
 def carrier_to_noise(snr_db: float) -> float:
-    """Carrier over noise power in the channel of an FM video link.
+    """Carrier-to-noise power ratio in the channel of an FM video link.
 
-    S/N = 12 D^2 (D + 1) C/N, D = peak deviation / luma bandwidth     [Roddy, Satellite Communications, eq. 9.23]
+    S/N = 12 D^2 (D + 1) C/N,  D = peak deviation / luma bandwidth
+    [Roddy, Satellite Communications, eq. 9.23]
     """
     ratio = DEVIATION_HZ / LUMA_HZ
     return float(10.0 ** (snr_db / 10.0) / (12.0 * ratio**2 * (ratio + 1.0)))
 
 
 def clicks_per_frame(snr_db: float) -> float:
-    """How often noise turns the carrier once around in a frame, which is seen as a short bright or
-    dark streak.
+    """Mean number of FM clicks, short bright or dark streaks, in a frame.
 
-    B / sqrt(12) erfc(sqrt(C/N)) a second, B = 2 (deviation + bandwidth)  [Rice, Noise in FM
-    receivers, 1963; Carson]
+    B / sqrt(12) erfc(sqrt(C/N)) a second, B = 2 (deviation + bandwidth)
+    [Rice, Noise in FM receivers, 1963; Carson]
     """
     channel_hz = 2.0 * (DEVIATION_HZ + LUMA_HZ)
     return channel_hz / math.sqrt(12.0) * math.erfc(math.sqrt(carrier_to_noise(snr_db))) * FRAME_S
 
 
 def tear_chance(snr_db: float) -> float:
-    """Chance that a line's sync pulse is missed: noise behind the separator's low-pass exceeds half
-    of the pulse.
+    """Probability that a line's sync pulse is missed: the noise exceeds half of the pulse.
+
+    Flat noise scales with the square root of the bandwidth, here that of the sync separator.
     """
-    noise = 10.0 ** (-snr_db / 20.0) * math.sqrt(
-        SYNC_HZ / LUMA_HZ
-    )  # of white's height; flat noise scales with band
+    noise = 10.0 ** (-snr_db / 20.0) * math.sqrt(SYNC_HZ / LUMA_HZ)  # in heights of white
     return 0.5 * math.erfc(0.5 * SYNC_SHARE / noise / math.sqrt(2.0))
 
 
-def interlace(image: Pixels, earlier: Pixels) -> Pixels:
-    """Interlace: the odd lines are those of the field before.
-
-    Args:
-        image: (H, W, 3) the newer view.
-        earlier: (H, W, 3) the view 1/60 s before.
-    """
-    out = image.copy()
-    out[1::2] = earlier[1::2]
-    return out
-
-
 def to_luma_chroma(image: Pixels) -> tuple[Pixels, Plane]:
-    """Luma (H, W), and chroma (H, W / 4, 2), which carries no finer detail than that [ITU-R
-    BT.601].
-    """
+    """Luma (H, W), and chroma (H, W / 4, 2), all that its bandwidth resolves [ITU-R BT.601]."""
     import cv2
 
     colours = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2YCrCb), np.uint8)
-    chroma = cv2.resize(
-        colours, (max(image.shape[1] // 4, 1), image.shape[0]), interpolation=cv2.INTER_AREA
-    )
+    size = max(image.shape[1] // 4, 1), image.shape[0]
+    chroma = cv2.resize(colours, size, interpolation=cv2.INTER_AREA)
     return colours[..., 0], chroma[..., 1:].astype(np.float32)
 
 
 def to_rgb(luma: Pixels, chroma: Plane) -> Pixels:
-    """The RGB picture (H, W, 3) of luma (H, W) and chroma (H, W / 4, 2)."""
+    """RGB image (H, W, 3) of luma (H, W) and chroma (H, W / 4, 2)."""
     import cv2
 
     narrow = np.clip(chroma + 0.5, 0.0, 255.0).astype(np.uint8)
     wide = cv2.resize(narrow, luma.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return np.asarray(
-        cv2.cvtColor(cv2.merge([luma, *cv2.split(wide)]), cv2.COLOR_YCrCb2RGB), np.uint8
-    )
+    merged = cv2.merge([luma, *cv2.split(wide)])
+    return np.asarray(cv2.cvtColor(merged, cv2.COLOR_YCrCb2RGB), np.uint8)
 
 
 def low_pass_luma(luma: Pixels, pixel_s: float, luma_hz: float = LUMA_HZ) -> Pixels:
@@ -199,26 +167,20 @@ def low_pass_chroma(
     chroma_hz: float = CHROMA_HZ,
     chroma_noise: float = 1.0,
 ) -> Plane:
-    """Chroma (H, W / 4, 2) with its noise behind the decoder's first-order low-pass, which drags
-    colours to the right.
+    """Chroma (H, W / 4, 2) with noise, behind the decoder's causal first-order low-pass.
 
-    White noise of the luma band, demodulated from both sides of the subcarrier: sd = sd_luma sqrt(2
-        B_chroma / B_luma),
-    times chroma_noise where a link was measured.
+    White noise of the luma band, demodulated from both sides of the subcarrier:
+    sd = sd_luma sqrt(2 B_chroma / B_luma), times chroma_noise where a link was measured.
     """
     import cv2
 
-    decay = 1.0 / (
-        1.0 + 2.0 * math.pi * chroma_hz * 4.0 * pixel_s
-    )  # backward Euler keeps the mean lag
+    # Backward Euler keeps the filter's mean lag.
+    decay = 1.0 / (1.0 + 2.0 * math.pi * chroma_hz * 4.0 * pixel_s)
     tail = decay ** np.arange(12)
     tail /= tail.sum()
-    kernel = np.concatenate(
-        [tail[::-1], np.zeros(11)]
-    )  # filter2D correlates: the past stands on the left
-    sigma = (
-        chroma_noise * _sigma(snr_db) * math.sqrt(2.0 * chroma_hz / LUMA_HZ) / np.linalg.norm(tail)
-    )
+    kernel = np.concatenate([tail[::-1], np.zeros(11)])  # sepFilter2D correlates: past on the left
+    share = math.sqrt(2.0 * chroma_hz / LUMA_HZ)
+    sigma = chroma_noise * _sigma(snr_db) * share / np.linalg.norm(tail)
     noise = rng.standard_normal(chroma.shape, np.float32) * np.float32(sigma)
     return np.asarray(cv2.sepFilter2D(chroma + noise, -1, kernel, np.ones(1)), np.float32)
 
@@ -233,8 +195,8 @@ def luma_noise(
 ) -> Plane:
     """Noise (H, W) [grey levels] of the luma band; rms 255 / 10^(snr_db / 20).
 
-    Thermal noise is flat in it, as emphasis makes it. A link that was measured may have it softer:
-    it is then filtered by exp(-|t| / noise_s) along the line too.
+    Thermal noise is flat in the band, due to emphasis. That of a measured link may be smoother: it
+    is then also filtered by exp(-|t| / noise_s) along the line.
     """
     import cv2
 
@@ -242,16 +204,12 @@ def luma_noise(
     if noise_s:
         kernel = np.convolve(kernel, np.exp(-np.abs(np.arange(-12, 13)) * pixel_s / noise_s))
     white = rng.standard_normal(shape, np.float32)
-    gain = _sigma(snr_db) / np.linalg.norm(
-        kernel
-    )  # a filter leaves its squares' sum of white noise's power
+    gain = _sigma(snr_db) / np.linalg.norm(kernel)  # white noise keeps sum(kernel^2) of its power
     return np.asarray(cv2.sepFilter2D(white, -1, gain * kernel, np.ones(1)), np.float32)
 
 
 def add_clicks(noise: Plane, snr_db: float, pixel_s: float, rng: np.random.Generator) -> None:
-    """Add streaks to the noise (H, W): as high as white, of either sign, with the tail of
-    de-emphasis to the right.
-    """
+    """Add streaks to the noise (H, W): of the height of white, either sign, and decaying."""
     height, width = noise.shape
     number = rng.poisson(clicks_per_frame(snr_db))
     rows, columns = rng.integers(0, height, number), rng.integers(0, width, number)
@@ -263,10 +221,9 @@ def add_clicks(noise: Plane, snr_db: float, pixel_s: float, rng: np.random.Gener
 
 
 def line_shifts_s(height: int, snr_db: float, rng: np.random.Generator) -> Array:
-    """How late each line begins (H,) [s]: its oscillator follows noisy sync edges, and runs free
-    where one is missed.
+    """Delay of each line (H,) [s]: its oscillator follows noisy sync edges, or none when missed.
 
-    An edge is timed to rise time * noise / its height. [slope of the edge; first-order lock]
+    An edge is timed with an error of rise time * noise / height; the lock is of first order.
     """
     edge_s = RISE_S * 10.0 ** (-snr_db / 20.0) / SYNC_SHARE * rng.standard_normal(height)
     jitter = np.convolve(edge_s, (1.0 - LOCK) * LOCK ** np.arange(16))[:height]
@@ -276,30 +233,24 @@ def line_shifts_s(height: int, snr_db: float, rng: np.random.Generator) -> Array
 
 
 def shift_lines(image: Pixels, shifts_px: Array) -> Pixels:
-    """Each line (H, W, 3) moved to the right by its shift (H,) [px]; what is moved in repeats the
-    edge.
-    """
+    """Each line of (H, W, 3) moved to the right by its shift (H,) [px]; the edge pixel repeats."""
     import cv2
 
     height, width = image.shape[:2]
     x = np.arange(width, dtype=np.float32) - shifts_px.astype(np.float32)[:, None]
     y = np.repeat(np.arange(height, dtype=np.float32)[:, None], width, axis=1)
-    return np.asarray(
-        cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8
-    )
+    shifted = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(shifted, np.uint8)
 
 
 def add_dropouts(
     luma: Pixels, dropouts: float, rng: np.random.Generator, dropout_lines: float = DROPOUT_LINES
 ) -> None:
-    """Fades: bands of lines (H, W) in which nothing but noise arrives; their number is Poisson,
-    lengths geometric.
-    """
+    """Replace bands of lines by noise: their number is Poisson, their lengths geometric."""
     for _ in range(rng.poisson(dropouts)):
         row, lines = int(rng.integers(0, luma.shape[0])), int(rng.geometric(1.0 / dropout_lines))
-        luma[row : row + lines] = rng.integers(
-            0, 256, luma[row : row + lines].shape, dtype=np.uint8
-        )
+        band = luma[row : row + lines]
+        band[:] = rng.integers(0, 256, band.shape, dtype=np.uint8)
 
 
 def _sigma(snr_db: float) -> float:
@@ -308,10 +259,9 @@ def _sigma(snr_db: float) -> float:
 
 
 def _low_pass(pixel_s: float, luma_hz: float = LUMA_HZ) -> Array:
-    """Filter along a line (15,) whose gain is one half at the luma bandwidth: a sinc in a Hamming
-    window.
+    """Windowed sinc (15,) along a line, with gain one half at the luma bandwidth [Hamming window].
 
-    A picture too coarse for the band, 320 pixels wide, passes as it is.
+    An image too coarse for the band, 320 pixels wide, passes unchanged.
     """
     cycles = min(luma_hz * pixel_s, 0.5)  # per pixel
     kernel = 2.0 * cycles * np.sinc(2.0 * cycles * np.arange(-7, 8)) * np.hamming(15)
@@ -327,6 +277,4 @@ def _require_picture(image: Pixels, earlier: Pixels | None) -> None:
                 f"analog video: expected (H, W, 3) uint8 of 16 pixels or more, got {shape} {kind}"
             )
     if earlier is not None and earlier.shape != image.shape:
-        raise InputError(
-            f"earlier: expected the size of the image, {image.shape}, got {earlier.shape}"
-        )
+        raise InputError(f"earlier: expected the image's size, {image.shape}, got {earlier.shape}")

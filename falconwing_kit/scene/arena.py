@@ -1,10 +1,8 @@
-"""The arena: the plan of a hall in arena.toml and a seed -> a Gaussian scene; scenes by name; the
-leader at a pose.
+"""Arena: the plan in arena.toml and a seed -> a hall of Gaussians; scenes by name; the leader.
 
-All is made of surfels, thin Gaussians that lie on surfaces. A flat panel is cut into rectangles
-along the edges of what is painted on it, ever finer towards an edge but long beside it: lines stay
-straight and sharp while a plain wall costs little. Light is worked out once and kept in the
-colours.
+Everything is made of surfels, thin Gaussians that lie on surfaces. A flat panel is cut into
+rectangles along the edges of what is painted on it, finer towards an edge and long beside it: lines
+stay straight and sharp, and a plain wall needs few. Light is computed once and kept in the colours.
 """
 
 import colorsys
@@ -21,22 +19,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import cache_folder
-from falconwing_kit.scene.analog import video_link
-from falconwing_kit.scene.edit import move
+from falconwing_kit.scene.camera import require_pose
+from falconwing_kit.scene.edit import move, require_rng
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.scene.ply import SH_C0
-from falconwing_kit.scene.render import require_pose
+from falconwing_kit.scene.sh import GAMMA, SH_C0
 
 PLAN = Path(__file__).with_name("arena.toml")
-SCENES = ("arena", "hall", "hall_analog", "leader")  # the names that load_scene knows
+SCENES = ("arena", "hall", "hall_analog", "leader")  # names for load_scene
 MARKER_DICTIONARY, MARKER_ID = "DICT_4X4_50", 7  # as in the path-traced hall; the paper names none
 OPACITY = 0.99
-# standard deviation of a surfel by the side of its rectangle: neighbours leave 3 % at the corners
-OVERLAP = 0.66
+OVERLAP = 0.66  # standard deviation of a surfel by the side of its rectangle: 3 % pass at corners
 THICKNESS = 0.002  # standard deviation across a surface [m]
-AMBIENT = 0.30  # light that comes from everywhere; 1 shows a white wall white
-BOUNCE = (0.34, 0.28, 0.21)  # what the floor throws up, on a surface that faces down
+AMBIENT = 0.30  # light from everywhere; 1 shows a white wall white
+BOUNCE = (0.34, 0.28, 0.21)  # light reflected by the floor, on a surface that faces down
 HALL_LOW, HALL_HIGH = np.array([-22.5, -12.0, 0.0]), np.array([17.5, 8.0, 5.0])  # [m]
+CORNER_SHADE = 0.6  # distance over which the darkening beside a wall decays [m]
 POSTER_COLOURS = 8
 FACES = {  # of a box, with u and v along them; u x v points outward
     **{"+x": ((0, 1, 0), (0, 0, 1)), "-x": ((0, -1, 0), (0, 0, 1)), "+y": ((-1, 0, 0), (0, 0, 1))},
@@ -45,44 +42,42 @@ FACES = {  # of a box, with u and v along them; u x v points outward
 Random = np.random.Generator
 Names = NDArray[np.str_]
 Palette = dict[str, "Finish"]
+Lamp = tuple[Array, Array, float, Array]  # position (3,), normal (3,), area, radiance (3,)
 
 
 @dataclass(frozen=True)
 class Finish:
-    """What a surface looks like; [palette] of arena.toml."""
+    """Look of a surface; [palette] of arena.toml."""
 
-    rgb: tuple[float, ...]  # as on a screen, 0..1
-    grain: float = 0.05  # spread of the brightness from piece to piece, relative
-    piece: tuple[float, float] = (
-        0.0,
-        0.0,
-    )  # a board, tile or sheet along u and v [m]; zero: each surfel is one
-    glow: float = 0.0  # radiance of a lamp or window, in that of a white wall in light 1
+    rgb: tuple[float, ...]  # on a screen, 0..1
+    grain: float = 0.05  # relative spread of the brightness from piece to piece
+    # a board, tile or sheet along u and v [m]; zero: each surfel is one
+    piece: tuple[float, float] = (0.0, 0.0)
+    glow: float = 0.0  # radiance of a lamp or window; 1 is that of a white wall in light 1
     varies: bool = False  # another seed gives another hue
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A flat piece of the hall that faces along u x v; [[panel]] of arena.toml explains the keys."""
+    """A flat piece of the hall that faces along u x v; [[panel]] of arena.toml."""
 
     label: str
     colour: str
-    corner: Any  # where u = v = 0 [m]; lists of TOML and arrays will do
+    corner: Any  # where u = v = 0 [m]; a list of TOML or an array
     u: Any  # unit vectors along its sides
     v: Any
     size: Any  # along u and v [m]
     cell: Any = (0.3, 0.3)  # the largest rectangle [m]
-    edge: float = 0.025  # how wide the strips beside an edge are [m]
-    free: bool = False  # its border is seen and needs such strips too
-    paint: tuple[
-        Mapping[str, Any], ...
-    ] = ()  # rectangles, a later one covers an earlier one; "none" cuts a hole
+    edge: float = 0.025  # width of the strips beside an edge [m]
+    free: bool = False  # its border is visible and has such strips too
+    # rectangles, a later one covers an earlier one; "none" cuts a hole
+    paint: tuple[Mapping[str, Any], ...] = ()
     arcs: tuple[Mapping[str, Any], ...] = ()  # curved lines
-    posters: int = 0  # put up at random
+    posters: int = 0  # number of posters at random places
 
 
 class Surfels(NamedTuple):
-    """Pieces of surface before they have a colour."""
+    """Pieces of surface without their final colours."""
 
     label: str
     means: Array  # (N, 3) [m]
@@ -95,33 +90,33 @@ class Surfels(NamedTuple):
 def load_scene(name: str) -> GaussianScene:
     """A scene that ships with the kit, in the kit's world.
 
-    The arena is built once and kept in the user's cache folder, if it can be; a change of builder
-    or plan replaces it.
+    The arena is built once and kept in the user's cache folder if possible; a change of builder or
+    plan replaces it.
 
     Args:
-        name: "arena", the hall as `build_arena` gives it; "hall", trained on photos of a
-            path-traced hall, without a leader; "hall_analog", the same Gaussians with the analog
-            video link of that hall's photos in `link`; "leader", trained on path-traced turntable
-            photos, in its body axes, with nose, tail and wing tips in `points`.
+        name: "arena", the hall of `build_arena`; "hall", trained on photos of a path-traced hall,
+            without a leader; "hall_analog", the same Gaussians, whose analog video link
+            `scene_link` returns; "leader", trained on path-traced turntable photos, in its body
+            axes, with nose, tail and wing tips in `points`.
 
     Raises:
         InputError: no scene of that name ships.
     """
     if name not in SCENES:
         raise InputError(
-            f"scene: expected a file or a name that ships ({', '.join(SCENES)}), got {str(name)[:80]!r}"
+            f"scene: expected a file or a name that ships ({', '.join(SCENES)}),"
+            f" got {str(name)[:80]!r}"
         )
     if name != "arena":
         file = "leader.npz" if name == "leader" else "hall.npz"
-        trained = GaussianScene.load(Path(__file__).parents[1] / "data" / file)
-        return replace(trained, link=video_link(name)) if name == "hall_analog" else trained
+        return GaussianScene.load(Path(__file__).parents[1] / "data" / file)
     version = hashlib.sha256(Path(__file__).read_bytes() + PLAN.read_bytes()).hexdigest()[:12]
     path = cache_folder() / f"arena-{version}.npz"
     try:
         scene = GaussianScene.load(path)
     except (OSError, InputError):  # not there yet, or damaged
         scene = build_arena()
-        with suppress(OSError, InputError):  # what cannot be kept can still be used
+        with suppress(OSError, InputError):  # a scene that cannot be cached is still usable
             path.parent.mkdir(parents=True, exist_ok=True)
             scene.save(path)
             for older in set(path.parent.glob("arena-*.npz")) - {path}:
@@ -130,115 +125,87 @@ def load_scene(name: str) -> GaussianScene:
 
 
 def build_arena(seed: int = 0) -> GaussianScene:
-    """Build the hall of arena.toml, 40 x 20 x 5 m, with its blue pad and marker, and the leader
-    aircraft.
+    """Build the hall of arena.toml, 40 x 20 x 5 m, with its blue pad and marker, and the leader.
 
-    The leader's Gaussians stand in its body axes (x nose, y right wing, z belly, origin in its
-    centre of gravity) as if those were the world's. Before you look, place it or take it out with
-    `leader_at`.
+    The leader's Gaussians lie in its body axes (x nose, y right wing, z belly, origin in its centre
+    of gravity) as if those were the world's; `leader_at` places it or takes it out.
 
     Args:
-        seed: draws posters, grain and, unless 0, the hues of the walls; everything stays in its
-            place.
+        seed: draws posters, grain and, unless 0, the hues of the walls; all geometry is fixed.
 
     Returns:
-        About 170 000 Gaussians of SH degree 0, the same bits for the same seed. The labels are
-        floor, wall, ceiling, fitting, pad, marker and leader.
-
-    Raises:
-        InputError: the seed is not a whole number >= 0.
+        About 170 000 Gaussians of SH degree 0, the same bits for the same seed, labelled floor,
+        wall, ceiling, fitting, pad, marker and leader.
     """
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"seed: expected a whole number >= 0, got {seed!r}")
-    rng, plan = np.random.default_rng(seed), tomllib.loads(PLAN.read_text(encoding="utf-8"))
+    rng, plan = require_rng(seed), tomllib.loads(PLAN.read_text(encoding="utf-8"))
     palette = _palette(plan["palette"], rng, vary=seed != 0)
-    flat = [Panel(**table) for table in plan["panel"]] + [
-        face for box in plan["box"] for face in _faces(**box)
-    ]
+    flat = [Panel(**table) for table in plan["panel"]]
+    flat += [face for box in plan["box"] for face in _faces(**box)]
     panels = [
         _with_marker(panel) if panel.label == "marker" else _with_posters(panel, rng)
         for panel in flat
     ]
-    hall = [_panel(panel) for panel in panels] + [
-        _arc(panel, **arc) for panel in panels for arc in panel.arcs
-    ]
+    hall = [_panel(panel) for panel in panels]
+    hall += [_arc(panel, **arc) for panel in panels for arc in panel.arcs]
     hall += [_loft(**table) for table in plan["loft"]]
     leader = [_loft("leader", **table) for table in plan["leader"]]
     light = [*_light(hall, _lamps(panels, palette))]
-    light += [
-        np.repeat(0.75 - 0.35 * piece.axes[:, 2, 2:], 3, axis=1) for piece in leader
-    ]  # from above: z is down
-    return _scene(
-        [*hall, *leader],
-        light,
-        palette,
-        rng,
-        f"simulated hall, built from arena.toml with seed {seed}",
-    )
+    # The leader is lit from above; its body's z points down.
+    light += [np.repeat(0.75 - 0.35 * piece.axes[:, 2, 2:], 3, axis=1) for piece in leader]
+    source = f"simulated hall, built from arena.toml with seed {seed}"
+    return _scene([*hall, *leader], light, palette, rng, source)
 
 
 def leader_at(scene: GaussianScene, T_world_body: ArrayLike | None) -> GaussianScene:
-    """The scene with its leader at a pose, or without it.
+    """The scene with its leader at a pose (4, 4), or without it where the pose is None.
 
-    Means turn and shift, quaternions turn, and colours that depend on the direction turn with their
-    aircraft. In a loop move `load_scene("leader")`, which is small, and join it with the hall.
+    Colours that depend on the direction rotate with the aircraft. In a loop, move the small
+    `load_scene("leader")` and render it together with the hall.
 
     Args:
         scene: holds Gaussians labelled "leader" in the leader's body axes, as the arena does;
-            `with_leader` gives a hall without one.
-        T_world_body: (4, 4) of the leader, "world from body"; None takes the leader out.
+            `with_leader` adds one to a hall.
 
     Raises:
-        InputError: the scene has no leader or nothing else, or the pose is not a rotation with a
-            finite place.
+        InputError: the scene has no leader or nothing else, or the pose is not rigid.
     """
     mask = scene.labelled("leader")
-    return (
-        scene.selected(~mask)
-        if T_world_body is None
-        else move(scene, mask, require_pose("T_world_body", T_world_body))
-    )
+    if T_world_body is None:
+        return scene.selected(~mask)
+    return move(scene, mask, require_pose("T_world_body", T_world_body))
 
 
 def with_leader(scene: GaussianScene) -> GaussianScene:
-    """The scene with a leader in its body axes, for `leader_at`: its own, or else the one that
-    ships.
-    """
-    own = "leader" in scene.label_names and scene.labelled("leader").any()
-    return scene if own else GaussianScene.joined(scene, load_scene("leader"))
+    """The scene with a leader in its body axes: its own, or else the one that ships."""
+    has_leader = "leader" in scene.label_names and scene.labelled("leader").any()
+    return scene if has_leader else GaussianScene.joined(scene, load_scene("leader"))
 
 
 def _palette(tables: Mapping[str, Any], rng: Random, vary: bool) -> Palette:
-    """The finishes by name, some of them in another hue, and the posters' colours."""
-    palette, turn = (
-        {name: Finish(**table) for name, table in tables.items()},
-        rng.uniform(0.15, 0.85),
-    )
+    """The finishes by name, where asked in another hue, and random colours for posters."""
+    palette = {name: Finish(**table) for name, table in tables.items()}
+    hue_shift = rng.uniform(0.15, 0.85)
     for name, finish in palette.items():
         if vary and finish.varies:
             hue, saturation, value = colorsys.rgb_to_hsv(*finish.rgb)
-            palette[name] = replace(
-                finish, rgb=colorsys.hsv_to_rgb((hue + turn) % 1.0, saturation, value)
-            )
+            rgb = colorsys.hsv_to_rgb((hue + hue_shift) % 1.0, saturation, value)
+            palette[name] = replace(finish, rgb=rgb)
     for number in range(POSTER_COLOURS):
-        palette[f"poster {number}"] = Finish(
-            colorsys.hsv_to_rgb(*rng.uniform((0.0, 0.3, 0.3), (1.0, 0.8, 0.9))), 0.02
-        )
+        hsv = rng.uniform((0.0, 0.3, 0.3), (1.0, 0.8, 0.9))
+        palette[f"poster {number}"] = Finish(colorsys.hsv_to_rgb(*hsv), 0.02)
     return palette
 
 
 def _with_posters(panel: Panel, rng: Random) -> Panel:
-    """The panel with its posters side by side under everything else, each a sheet with patches."""
+    """The panel with its posters side by side under all other paint: a sheet and five patches."""
     sheets, share = [], np.max(panel.size) / max(1, panel.posters)
     for number in range(panel.posters):
         size = rng.uniform((1.2, 0.8), (2.0, 1.1))
         at = np.array([share * number + rng.uniform(0.2, share - 2.2), rng.uniform(2.5, 2.9)])
         for part in range(6):
-            low, high = (
-                (np.zeros(2), size)
-                if part == 0
-                else np.sort(rng.uniform(0.08, 0.92, (2, 2)), axis=0) * size
-            )
+            low, high = np.zeros(2), size
+            if part > 0:
+                low, high = np.sort(rng.uniform(0.08, 0.92, (2, 2)), axis=0) * size
             colour = f"poster {rng.integers(POSTER_COLOURS)}"
             sheets.append({"colour": colour, "at": at + low, "size": high - low + 0.02})
     return replace(panel, paint=(*sheets, *panel.paint))
@@ -249,9 +216,8 @@ def _with_marker(panel: Panel) -> Panel:
     import cv2
 
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, MARKER_DICTIONARY))
-    bits = np.argwhere(
-        cv2.aruco.generateImageMarker(dictionary, MARKER_ID, 6)[::-1] > 127
-    )  # row from below, column
+    marker = cv2.aruco.generateImageMarker(dictionary, MARKER_ID, 6)
+    bits = np.argwhere(marker[::-1] > 127)  # row from below, column
     square, side = panel.paint[0], panel.paint[0]["size"][0] / 6
     places = np.add(square["at"], side * bits[:, ::-1])
     white = [{"colour": panel.colour, "at": at, "size": (side, side)} for at in places]
@@ -261,20 +227,19 @@ def _with_marker(panel: Panel) -> Panel:
 def _faces(
     label: str, colour: str, low: ArrayLike, high: ArrayLike, without: str = "", **how: Any
 ) -> Iterator[Panel]:
-    """The sides of a box, but for those that nobody sees."""
+    """The faces of a box from low to high, except those listed in `without`."""
     low, high = np.array(low), np.array(high)
     for name, (u, v) in FACES.items():
         if name not in without:
-            far = np.minimum(u, v) < 0
-            far["xyz".index(name[1])] = name[0] == "+"
+            # u and v start at the high corner along an axis where they point backwards.
+            at_high = np.minimum(u, v) < 0
+            at_high["xyz".index(name[1])] = name[0] == "+"
             size = np.abs([np.dot(u, high - low), np.dot(v, high - low)])
-            yield Panel(label, colour, np.where(far, high, low), u, v, size, free=True, **how)
+            yield Panel(label, colour, np.where(at_high, high, low), u, v, size, free=True, **how)
 
 
 def _rects(panel: Panel) -> tuple[Array, Array, Names]:
-    """Low and high corners (R, 2) and colours of everything painted on a panel, first the panel
-    itself.
-    """
+    """Low and high corners (R, 2) and colours of all rectangles, first the panel itself."""
     low, high, colours = [np.zeros(2)], [np.array(panel.size)], [panel.colour]
     for rect in panel.paint:
         for number in np.ndindex(*rect.get("times", (1, 1))):
@@ -285,9 +250,9 @@ def _rects(panel: Panel) -> tuple[Array, Array, Names]:
 
 
 def _panel_colours(panel: Panel, uv: Array) -> Names:
-    """The colour (N,) at places (N, 2) of a panel."""
+    """The colour (N,) at places (N, 2) of a panel: that of the last rectangle around each."""
     low, high, colours = _rects(panel)
-    inside = np.all((uv[:, None] > low) & (uv[:, None] < high), axis=2)
+    inside = np.all((uv[:, None] > low) & (uv[:, None] < high), axis=2)  # (N, R)
     return np.asarray(colours[len(colours) - 1 - np.argmax(inside[:, ::-1], axis=1)])
 
 
@@ -300,28 +265,28 @@ def _panel(panel: Panel) -> Surfels:
     return _on_panel(panel, middle[keep], (high - low)[keep], colours[keep], np.zeros(keep.sum()))
 
 
-def _on_panel(panel: Panel, uv: Array, sides: Array, colours: Names, turn: Array) -> Surfels:
-    """Surfels at places (N, 2) of a panel, each turned in it by an angle (N,) [rad]."""
-    sides_world, cos, sin = np.array([panel.u, panel.v], np.float64), np.cos(turn), np.sin(turn)
-    along = np.stack([cos, sin], axis=1) @ sides_world
-    across = np.stack([-sin, cos], axis=1) @ sides_world
+def _on_panel(panel: Panel, uv: Array, sides: Array, colours: Names, angle: Array) -> Surfels:
+    """Surfels at places (N, 2) of a panel, each rotated in its plane by an angle (N,) [rad]."""
+    uv_world, cos, sin = np.array([panel.u, panel.v], np.float64), np.cos(angle), np.sin(angle)
+    along = np.stack([cos, sin], axis=1) @ uv_world
+    across = np.stack([-sin, cos], axis=1) @ uv_world
     axes = np.stack([along, across, np.cross(along, across)], axis=2)
-    return Surfels(panel.label, panel.corner + uv @ sides_world, axes, sides, colours, uv)
+    return Surfels(panel.label, panel.corner + uv @ uv_world, axes, sides, colours, uv)
 
 
 def _cells(panel: Panel) -> tuple[Array, Array]:
-    """Low and high corners (N, 2) of rectangles that fill a panel and that no painted edge crosses."""
+    """Low and high corners (N, 2) of rectangles that fill a panel and are crossed by no edge."""
     count = np.maximum(1, np.ceil(np.divide(panel.size, panel.cell) - 1e-9)).astype(int)
     low = np.array(list(np.ndindex(*count))) / count * panel.size
     high, done = low + panel.size / count, []
     rect_low, rect_high, _ = _rects(panel)
     while len(low):
-        cuts = np.stack(
-            [_cut(panel, low, high, rect_low, rect_high, axis) for axis in (0, 1)], axis=1
-        )
+        both = [_cut(panel, low, high, rect_low, rect_high, axis) for axis in (0, 1)]
+        cuts = np.stack(both, axis=1)
         whole = np.isnan(cuts).all(axis=1)
         done.append((low[whole], high[whole]))
         low, high, cuts = low[~whole], high[~whole], cuts[~whole]
+        # Cut each of the others in two, along u if it has a cut there, else along v
         rows, axis = np.arange(len(low)), np.where(np.isnan(cuts[:, 0]), 1, 0)
         upper_low, lower_high = low.copy(), high.copy()
         upper_low[rows, axis] = lower_high[rows, axis] = cuts[rows, axis]
@@ -335,53 +300,52 @@ def _cut(
 ) -> Array:
     """Where to cut rectangles (N,) across an axis, nan where they stay whole.
 
-    They are cut at an edge that crosses them, and halved while they are wider than their distance
-    to the next edge.
+    They are cut at the most central edge that crosses them, and halved while they are wider than
+    their distance to the next edge.
     """
     first, other = 0 if panel.free else 1, 1 - axis  # what is painted first is the panel itself
     edges = np.concatenate([rect_low[first:, axis], rect_high[first:, axis]])
     starts, ends = (np.tile(side[first:, other], 2) for side in (rect_low, rect_high))
-    beside = (starts < high[:, None, other] + panel.edge) & (
-        ends > low[:, None, other] - panel.edge
-    )
+    # (N, edges) whether an edge passes beside or through a rectangle, and how far away
+    beside = starts < high[:, None, other] + panel.edge
+    beside &= ends > low[:, None, other] - panel.edge
     left, right, middle = low[:, None, axis], high[:, None, axis], 0.5 * (low + high)
     gaps = np.where(beside, np.maximum(0.0, np.maximum(left - edges, edges - right)), np.inf)
+    # Halve what is wider than 1.5 times the distance, within the panel's finest and largest cells
     limit = np.clip(np.min(gaps, axis=1, initial=np.inf), panel.edge, np.array(panel.cell)[axis])
     near_arc = _arc_gap(panel, middle) < 0.7 * np.max(high - low, axis=1)
     limit = np.where(near_arc, np.minimum(limit, 2.0 * panel.edge), limit)
     cut = np.where((right - left)[:, 0] > 1.5 * limit, middle[:, axis], np.nan)
     crossing = beside & (edges > left + 1e-4) & (edges < right - 1e-4)
-    off = np.where(crossing, np.abs(edges - middle[:, axis, None]), np.inf)
-    return (
-        np.where(np.isfinite(off).any(axis=1), edges[np.argmin(off, axis=1)], cut)
-        if len(edges)
-        else cut
-    )
+    offset = np.where(crossing, np.abs(edges - middle[:, axis, None]), np.inf)
+    if len(edges) == 0:
+        return cut
+    return np.where(np.isfinite(offset).any(axis=1), edges[np.argmin(offset, axis=1)], cut)
 
 
 def _arc_gap(panel: Panel, uv: Array) -> Array:
-    """How far places (N, 2) are from the border of the nearest curved line [m], negative on it."""
+    """Distance (N,) of places (N, 2) to the border of the nearest arc [m], negative on it."""
     gap = np.full(len(uv), np.inf)
     for arc in panel.arcs:
         along, across = (uv - arc["centre"]).T
         start, end = arc.get("span_deg", (0.0, 360.0))
         within = (np.degrees(np.arctan2(across, along)) - start) % 360.0 <= end - start
-        off = np.abs(np.hypot(along, across) - arc["radius"]) - 0.5 * arc["width"]
-        gap = np.where(within, np.minimum(gap, off), gap)
+        distance = np.abs(np.hypot(along, across) - arc["radius"]) - 0.5 * arc["width"]
+        gap = np.where(within, np.minimum(gap, distance), gap)
     return gap
 
 
 def _arc(
     panel: Panel, colour: str, centre: Any, radius: float, width: float, span_deg: Any = (0, 360)
 ) -> Surfels:
-    """A curved line, two surfels wide, from an angle to another, counted from u to v."""
+    """A curved line, two surfels wide, between two angles counted from u to v."""
     start, end = np.radians(span_deg)
     count = int(radius * (end - start) / 0.12)
     angles = np.tile(start + (np.arange(count) + 0.5) / count * (end - start), 2)
     radii = radius + np.repeat([-0.25, 0.25], count) * width
     uv = centre + radii[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    seen = _panel_colours(panel, uv) != "none"
-    uv, angles = uv[seen], angles[seen]
+    keep = _panel_colours(panel, uv) != "none"
+    uv, angles = uv[keep], angles[keep]
     sides = np.tile((0.12, 0.5 * width), (len(uv), 1))
     return _on_panel(panel, uv, sides, np.full(len(uv), colour), angles + 0.5 * np.pi)
 
@@ -389,32 +353,31 @@ def _arc(
 def _loft(
     label: str, along: str, sections: Any, step: float = 0.01, around: int = 24, square: float = 1.0
 ) -> Surfels:
-    """Surfels all around a body with round sections along an axis; square: 1 makes ellipses,
-    towards 0 rectangles.
-    """
+    """Surfels around a body with sections along an axis; square: 1 ellipses, 0 rectangles."""
     rows, pieces = np.array([section[:5] for section in sections]), []
     for start, end, section in zip(rows[:-1], rows[1:], sections, strict=False):
         steps = int(np.ceil(np.linalg.norm(end - start) / step))
         s, t = (grid.ravel() for grid in np.mgrid[0.5:steps, 0.5:around])
         s, t, ds, dt = s / steps, t / around, 0.5 / steps, 0.5 / around
+        # Centres of the cells and the middles of their sides; s runs along the body, t around it
         centre, ahead, behind, left, right = (
             _on_loft(along, square, np.outer(1.0 - place, start) + np.outer(place, end), turn)
             for place, turn in ((s, t), (s + ds, t), (s - ds, t), (s, t + dt), (s, t - dt))
         )
         pieces.append((centre, ahead - behind, left - right, np.full(len(s), section[5], "U32")))
     means, length, girth, colours = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    normal = np.cross(girth, length) * (
-        -1.0 if along == "y" else 1.0
-    )  # outward; y, x, z is a left-handed order
+    # Outward: `_on_loft` orders the axes as y, x, z where the body lies along y, left-handed.
+    normal = np.cross(girth, length) * (-1.0 if along == "y" else 1.0)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     first = length / np.linalg.norm(length, axis=1, keepdims=True)
     axes = np.stack([first, np.cross(normal, first), normal], axis=2)
-    sides = np.abs([np.sum(length * axes[..., 0], axis=1), np.sum(girth * axes[..., 1], axis=1)]).T
+    spans = [np.sum(length * axes[..., 0], axis=1), np.sum(girth * axes[..., 1], axis=1)]
+    sides = np.abs(spans).T
     return Surfels(label, means, axes, np.maximum(sides, 1e-3), colours, means[:, :2])
 
 
 def _on_loft(along: str, square: float, sections: Array, turn: Array) -> Array:
-    """Points (N, 3) on sections (N, 5) at turns (N,), 0..1, around them."""
+    """Points (N, 3) on sections (N, 5), at shares (N,) 0..1 of the way around."""
     place, centre_a, centre_b, half_a, half_b = sections.T
     cos, sin = np.cos(2.0 * np.pi * turn), np.sin(2.0 * np.pi * turn)
     a = centre_a + half_a * np.sign(cos) * np.abs(cos) ** square
@@ -422,40 +385,39 @@ def _on_loft(along: str, square: float, sections: Array, turn: Array) -> Array:
     return np.stack({"x": (place, a, b), "y": (a, place, b), "z": (a, b, place)}[along], axis=1)
 
 
-def _lamps(panels: list[Panel], palette: Palette) -> list[tuple[Array, Array, float, Array]]:
-    """Whatever glows: its place (3,), normal (3,), area and radiance (3,)."""
+def _lamps(panels: list[Panel], palette: Palette) -> list[Lamp]:
+    """Every rectangle that glows."""
     lamps = []
     for panel in panels:
-        sides_world = np.array([panel.u, panel.v], np.float64)
+        uv_world = np.array([panel.u, panel.v], np.float64)
         for low, high, name in zip(*_rects(panel), strict=True):
             if name != "none" and palette[name].glow:
-                place = panel.corner + 0.5 * (low + high) @ sides_world
-                radiance = palette[name].glow * np.power(palette[name].rgb, 2.2)
-                lamps.append((place, np.cross(*sides_world), float(np.prod(high - low)), radiance))
+                place = panel.corner + 0.5 * (low + high) @ uv_world
+                radiance = palette[name].glow * np.power(palette[name].rgb, GAMMA)
+                lamps.append((place, np.cross(*uv_world), float(np.prod(high - low)), radiance))
     return lamps
 
 
-def _light(hall: list[Surfels], lamps: list[tuple[Array, Array, float, Array]]) -> Iterator[Array]:
-    """Light (N, 3) that falls on each piece of the hall, without shadows.
+def _light(hall: list[Surfels], lamps: list[Lamp]) -> Iterator[Array]:
+    """Irradiance (N, 3) of each piece of the hall, without shadows.
 
-    E = (ambient + bounce) prod_walls (1 - 1/2 (1 - |n . m|) exp(-d / 0.6 m)) + sum_lamps L A cos a
-    cos b / (pi r^2 + A) d is the distance to a wall with normal m, which makes corners darker; the
-    sum has the form factor of a small disc [Cohen & Wallace 1993, Radiosity and Realistic Image
-    Synthesis, ch. 4].
+    E = (ambient + bounce) prod_walls (1 - 1/2 (1 - |n . m|) exp(-d / 0.6 m))
+        + sum_lamps L A cos a cos b / (pi r^2 + A)
+
+    d is the distance to a wall with normal m, which makes corners darker; the sum has the form
+    factor of a small disc [Cohen & Wallace 1993, Radiosity and Realistic Image Synthesis, ch. 4].
     """
     for piece in hall:
         points, normal = piece.means, piece.axes[..., 2]
         gaps = np.maximum(0.0, np.stack([points - HALL_LOW, HALL_HIGH - points]))
-        openness = np.prod(1.0 - 0.5 * (1.0 - np.abs(normal)) * np.exp(-gaps / 0.6), axis=(0, 2))
+        shade = 0.5 * (1.0 - np.abs(normal)) * np.exp(-gaps / CORNER_SHADE)  # (2, N, 3): six walls
+        openness = np.prod(1.0 - shade, axis=(0, 2))
         light = openness[:, None] * (AMBIENT + np.outer(0.5 - 0.5 * normal[:, 2], BOUNCE))
         for place, facing, area, radiance in lamps:
             ray = place - points
             square = np.sum(ray * ray, axis=1) + 1e-6
-            cosines = (
-                np.maximum(0.0, np.sum(ray * normal, axis=1))
-                * np.maximum(0.0, -ray @ facing)
-                / square
-            )
+            towards, facing_back = np.sum(ray * normal, axis=1), -ray @ facing
+            cosines = np.maximum(0.0, towards) * np.maximum(0.0, facing_back) / square
             light += np.outer(cosines * area / (np.pi * square + area), radiance)
         yield light
 
@@ -466,10 +428,10 @@ def _scene(
     """All surfels with their colours as one scene."""
     from scipy.spatial.transform import Rotation
 
-    labels = tuple(dict.fromkeys(piece.label for piece in pieces))
-    rgb = np.concatenate(
-        [_colours(piece, E, palette, rng) for piece, E in zip(pieces, light, strict=True)]
-    )
+    names = tuple(dict.fromkeys(piece.label for piece in pieces))
+    labels = [np.full(len(piece.means), names.index(piece.label)) for piece in pieces]
+    lit = zip(pieces, light, strict=True)
+    rgb = np.concatenate([_colours(piece, E, palette, rng) for piece, E in lit])
     sides = np.concatenate([piece.sides for piece in pieces])
     quaternions = Rotation.from_matrix(np.concatenate([piece.axes for piece in pieces])).as_quat()
     return GaussianScene(
@@ -478,33 +440,26 @@ def _scene(
         scales=np.column_stack([OVERLAP * sides, np.full(len(sides), THICKNESS)]),
         opacities=np.full(len(sides), OPACITY),
         sh=((rgb[:, None] - 0.5) / SH_C0).astype(np.float32),
-        labels=np.concatenate(
-            [np.full(len(piece.means), labels.index(piece.label)) for piece in pieces]
-        ),
-        label_names=labels,
+        labels=np.concatenate(labels),
+        label_names=names,
         source=source,
     )
 
 
 def _colours(piece: Surfels, light: Array, palette: Palette, rng: Random) -> Array:
-    """Colours (N, 3) as on a screen: finish times grain times light, the bright end bent below
-    white.
-    """
+    """Colours (N, 3) on a screen: finish times grain times light, highlights compressed."""
     rgb = np.empty((len(piece.means), 3))
     for name in np.unique(piece.colours):
-        finish, own = palette[name], piece.colours == name
-        noise = _piece_noise(piece.uv[own], finish.piece, rng) + 0.5 * rng.normal(size=own.sum())
-        shown = np.power(finish.rgb, 2.2) * np.exp(finish.grain * noise)[:, None] * light[own]
-        rgb[own] = (
-            finish.rgb if finish.glow else (1.25 * shown / (1.0 + 0.25 * shown)) ** (1.0 / 2.2)
-        )
+        finish, rows = palette[name], piece.colours == name
+        noise = _piece_noise(piece.uv[rows], finish.piece, rng) + 0.5 * rng.normal(size=rows.sum())
+        shown = np.power(finish.rgb, GAMMA) * np.exp(finish.grain * noise)[:, None] * light[rows]
+        compressed = (1.25 * shown / (1.0 + 0.25 * shown)) ** (1.0 / GAMMA)
+        rgb[rows] = finish.rgb if finish.glow else compressed
     return np.clip(rgb, 0.0, 1.0)
 
 
 def _piece_noise(uv: Array, size: tuple[float, float], rng: Random) -> Array:
-    """A number (N,) for the board, tile or sheet that each place (N, 2) lies on; rows are shifted
-    by chance.
-    """
+    """A random number (N,) for the board, tile or sheet at each place (N, 2), in shifted rows."""
     if 0.0 in size:
         return rng.normal(size=len(uv))
     row = np.floor(uv[:, 1] / size[1]).astype(int)

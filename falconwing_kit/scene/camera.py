@@ -1,5 +1,6 @@
-"""Camera: intrinsics and a pose -> pixel rays, and points -> pixels. OpenCV axes, pixel centres at
-+0.5.
+"""Camera: intrinsics and a pose -> pixel rays, and points -> pixels; OpenCV axes and pixel centres.
+
+Camera axes are x right, y down, z forward; the centre of the first pixel is at (0.5, 0.5).
 """
 
 from dataclasses import dataclass
@@ -12,12 +13,12 @@ from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_
 
 MAX_SIDE_PX = 16384
 MAX_FOCAL_PX = 1e7
+MAX_SKEW = 1e-4  # of R^T R from 1: a rotation in float32, multiplied a few times, stays within
 
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A camera without distortion: x right, y down, z forward; the first pixel's centre is at (0.5,
-    0.5).
+    """A camera without lens distortion.
 
     u = fx x/z + cx,  v = fy y/z + cy      [Hartley & Zisserman, Multiple View Geometry, eq. 6.3]
 
@@ -47,59 +48,41 @@ class PinholeCamera:
 
     @classmethod
     def from_fov_deg(cls, width: int, height: int, fov_deg: float) -> "PinholeCamera":
-        """A camera with square pixels that looks through the middle of its image.
+        """A camera with square pixels and its principal point in the middle.
 
         fx = fy = (width / 2) / tan(fov / 2)
 
         Args:
-            width: [px].
-            height: [px].
-            fov_deg: horizontal field of view, from the left edge to the right one [deg], 1 to 175.
-
-        Raises:
-            InputError: a number is out of its range.
+            fov_deg: horizontal field of view from edge to edge [deg], 1 to 175.
         """
         half_angle = np.deg2rad(require_range("fov_deg", fov_deg, low=1.0, high=175.0)) / 2.0
-        focal = (
-            0.5 * require_range("width", width, low=1, high=MAX_SIDE_PX) / float(np.tan(half_angle))
-        )
+        half_width = 0.5 * require_range("width", width, low=1, high=MAX_SIDE_PX)
+        focal = half_width / float(np.tan(half_angle))
         return cls(focal, focal, 0.5 * width, 0.5 * height, width, height)
 
     @property
     def K(self) -> Array:
-        """(3, 3) matrix of the intrinsics [px], as OpenCV and gsplat want it."""
+        """(3, 3) matrix of the intrinsics [px], as in OpenCV and gsplat."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def pixel_rays(self) -> Array:
-        """The point at depth 1 m that each pixel's centre looks at; p_camera = depth * ray.
-
-        Returns:
-            (height, width, 3) in camera axes, z = 1.
-        """
+        """(height, width, 3) ray through each pixel's centre, z = 1: p_camera = depth * ray."""
         x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
         y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
         return np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1)
 
     def project(self, p_world: ArrayLike, T_world_camera: ArrayLike) -> tuple[Array, Array]:
-        """Where points appear in the image; they may lie outside of it.
-
-        Args:
-            p_world: (N, 3) [m].
-            T_world_camera: (4, 4), "world from camera".
+        """Pixels of points (N, 3), which may lie outside the image.
 
         Returns:
-            Pixels (N, 2) as u, v [px], nan for a point that is not in front of the camera; and the
-            depth (N,) along the camera's z axis [m].
-
-        Raises:
-            InputError: a shape is wrong.
+            (N, 2) u, v [px], nan for a point that is not in front of the camera; and the depth (N,)
+            along the camera's z axis [m].
         """
         p_world = require_shape("p_world", p_world, (None, 3))
         T_world_camera = require_shape("T_world_camera", T_world_camera, (4, 4))
         R_world_camera = T_world_camera[:3, :3]
-        p_camera = (
-            p_world - T_world_camera[:3, 3]
-        ) @ R_world_camera  # rows: the transposed map, that is the inverse
+        # Points are rows, so the product applies the transpose of R, its inverse.
+        p_camera = (p_world - T_world_camera[:3, 3]) @ R_world_camera
         depth = p_camera[:, 2]
         in_front = np.where(depth > 0.0, depth, np.nan)[:, None]
         return p_camera[:, :2] / in_front * (self.fx, self.fy) + (self.cx, self.cy), depth
@@ -112,31 +95,44 @@ def nose_camera_pose(
     yaw: float,
     p_body_camera: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Array:
-    """T_world_camera of a camera that looks along the nose of a body.
+    """T_world_camera (4, 4) of a camera that looks along the nose of a body.
 
     Args:
         p_world: (3,) the body's origin [m].
         roll: [rad], positive right wing down.
         pitch: [rad], positive nose up.
         yaw: [rad], positive nose right, zero along world x.
-        p_body_camera: (3,) where the camera sits, in body axes [m].
-
-    Returns:
-        T_world_camera (4, 4), "world from camera".
-
-    Raises:
-        InputError: a shape is wrong or a number is not finite.
+        p_body_camera: (3,) position of the camera in body axes [m].
     """
-    angles = [
-        require_range(name, value)
-        for name, value in (("roll", roll), ("pitch", pitch), ("yaw", yaw))
-    ]
-    p_world, p_body_camera = (
-        require_shape("p_world", p_world, (3,)),
-        require_shape("p_body_camera", p_body_camera, (3,)),
-    )
+    named = {"roll": roll, "pitch": pitch, "yaw": yaw}
+    angles = [require_range(name, angle) for name, angle in named.items()]
+    p_world = require_shape("p_world", p_world, (3,))
+    p_body_camera = require_shape("p_body_camera", p_body_camera, (3,))
     if not (np.isfinite(p_world).all() and np.isfinite(p_body_camera).all()):
         raise InputError(
             f"p_world, p_body_camera: expected finite numbers, got {p_world} and {p_body_camera}"
         )
     return camera_pose(pose_matrix(rotation_world_body(*angles), p_world), p_body_camera)
+
+
+def require_pose(name: str, pose: ArrayLike) -> Array:
+    """Return a rigid pose (4, 4) as float64: rotation, translation and the last row 0 0 0 1.
+
+    Raises:
+        InputError: the shape is wrong, a number is not finite, or it stretches, shears or mirrors.
+    """
+    T = require_shape(name, pose, (4, 4))
+    if not np.isfinite(T).all():
+        count = np.count_nonzero(~np.isfinite(T))
+        raise InputError(f"{name}: expected finite numbers, got {count} that are not")
+    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+        raise InputError(
+            f"{name}: expected the last row 0 0 0 1, got {T[3]}; is the matrix transposed?"
+        )
+    R = T[:3, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > MAX_SKEW or np.linalg.det(R) < 0.0:
+        raise InputError(
+            f"{name}: expected a rotation in the first three columns,"
+            " got one that stretches or mirrors"
+        )
+    return T

@@ -1,6 +1,4 @@
-"""gsplat backend: a Gaussian scene and a camera pose -> images from gsplat's CUDA kernels, where
-they can run.
-"""
+"""gsplat backend: a Gaussian scene and a camera pose -> images from gsplat's CUDA kernels."""
 
 from functools import cache, lru_cache
 from typing import Any
@@ -10,12 +8,14 @@ from numpy.typing import ArrayLike
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.scene.camera import PinholeCamera
-from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.scene.render import Images
+from falconwing_kit.scene.gaussians import GaussianScene, Images
 
 MAX_CACHED_SCENES = 4  # on the GPU: 125,000 Gaussians of degree 2 are 19 MB
 DEVICE = "cuda"
-HELP = "it wants an NVIDIA GPU with its CUDA toolkit, and: pip install torch gsplat==1.5.3; backend 'fast' runs anywhere"
+HELP = (
+    "it needs an NVIDIA GPU with its CUDA toolkit, and: pip install torch gsplat==1.5.3;"
+    " backend 'fast' runs anywhere"
+)
 
 
 def render_gsplat(
@@ -25,27 +25,14 @@ def render_gsplat(
     background: ArrayLike,
     antialiased: bool = False,
 ) -> Images:
-    """Render a scene on the GPU; `render` checks what this trusts.
-
-    A scene goes to the GPU once; the last few stay there.
-
-    Args:
-        scene: the Gaussians.
-        camera: the intrinsics and the image's size.
-        T_world_camera: (4, 4) the pose, "world from camera".
-        background: (3,) red, green, blue, 0..1.
-        antialiased: fade what is smaller than a pixel.
-
-    Returns:
-        Colour (H, W, 3), not cut at 1, alpha (H, W) and expected depth (H, W) [m], as float32.
+    """Render a scene on the GPU, where the last few scenes stay; arguments as `render` checks them.
 
     Raises:
-        InputError: gsplat cannot run here; the text says why and what it wants.
+        InputError: gsplat cannot run here; the text says why and what it needs.
     """
     probe_gsplat()
-    colours, alphas = rasterize(
-        scene, camera, np.asarray(T_world_camera)[None], background, antialiased
-    )
+    poses = np.asarray(T_world_camera)[None]
+    colours, alphas = rasterize(scene, camera, poses, background, antialiased)
     image = colours[0].cpu().numpy()
     return image[..., :3], alphas[0, ..., 0].cpu().numpy(), image[..., 3]
 
@@ -57,37 +44,26 @@ def rasterize(
     background: ArrayLike,
     antialiased: bool,
 ) -> tuple[Any, Any]:
-    """Many poses in one call, which costs little more than one; the images stay on the GPU.
-
-    Args:
-        scene: the Gaussians.
-        camera: the intrinsics and the image's size.
-        Ts_world_camera: (C, 4, 4) the poses.
-        background: (3,) red, green, blue, 0..1.
-        antialiased: fade what is smaller than a pixel.
+    """Render C poses (C, 4, 4) in one call, which costs little more than one pose.
 
     Returns:
-        Torch tensors: red, green, blue, expected depth [m] (C, H, W, 4), and alpha (C, H, W, 1).
+        Torch tensors on the GPU: red, green, blue, expected depth [m] (C, H, W, 4), and alpha
+        (C, H, W, 1).
     """
     import torch
     from gsplat import rasterization
 
     Ts_camera_world = np.linalg.inv(np.asarray(Ts_world_camera))
     count = len(Ts_camera_world)
-    small = (
-        Ts_camera_world,
-        np.tile(camera.K, (count, 1, 1)),
-        np.tile(np.asarray(background), (count, 1)),
-    )
+    arrays = Ts_camera_world, np.tile(camera.K, (count, 1, 1)), np.tile(background, (count, 1))
     viewmats, Ks, backgrounds = (
-        torch.tensor(array, dtype=torch.float32, device=DEVICE) for array in small
+        torch.tensor(array, dtype=torch.float32, device=DEVICE) for array in arrays
     )
     means, quaternions, scales, opacities, sh = _tensors(scene)
     colours, alphas, _ = rasterization(
         *(means, quaternions, scales, opacities, sh, viewmats, Ks, camera.width, camera.height),
         sh_degree=int(sh.shape[1] ** 0.5) - 1,
-        # holds where no Gaussian is in view, and is the quicker one for a scene that fits
-        packed=False,
+        packed=False,  # also works where no Gaussian is in view; faster while a scene fits
         backgrounds=backgrounds,
         render_mode="RGB+ED",
         rasterize_mode="antialiased" if antialiased else "classic",
@@ -97,33 +73,37 @@ def rasterize(
 
 @cache
 def probe_gsplat() -> None:
-    """Render one Gaussian, the only sure way to find out; the first time, gsplat may compile for
-    minutes.
+    """Render one Gaussian as a test; the first time, gsplat may compile for minutes.
 
     Raises:
         InputError: that failed.
     """
-    one = GaussianScene([[0, 0, 1]], [[1, 0, 0, 0]], [[0.1, 0.1, 0.1]], [1.0], np.zeros((1, 1, 3)))  # type: ignore[arg-type]
+    one = GaussianScene(
+        means=np.array([[0, 0, 1]], np.float32),
+        quaternions=np.array([[1, 0, 0, 0]], np.float32),
+        scales=np.full((1, 3), 0.1, np.float32),
+        opacities=np.ones(1, np.float32),
+        sh=np.zeros((1, 1, 3), np.float32),
+    )
+    camera = PinholeCamera(8, 8, 4, 4, 8, 8)
     try:
-        _, alphas = rasterize(
-            one, PinholeCamera(8, 8, 4, 4, 8, 8), np.eye(4)[None], np.zeros(3), False
-        )
-        seen = float(alphas.max())
+        _, alphas = rasterize(one, camera, np.eye(4)[None], np.zeros(3), False)
+        alpha = float(alphas.max())
     # gsplat fails in many ways: missing library, compiler, driver, None instead of a module
     except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(
             f"backend: expected gsplat to render one Gaussian, got: {reason}; {HELP}"
         ) from None
-    if not 0.5 < seen < 1.0:
+    if not 0.5 < alpha < 1.0:
         raise InputError(
-            f"backend: expected gsplat to render one Gaussian, got one of alpha {seen:.3g}; {HELP}"
+            f"backend: expected gsplat to render one Gaussian, got one of alpha {alpha:.3g}; {HELP}"
         )
 
 
 @lru_cache(maxsize=MAX_CACHED_SCENES)
 def _tensors(scene: GaussianScene) -> tuple[Any, ...]:
-    """The scene's arrays on the GPU; scenes are frozen and known by identity."""
+    """The scene's arrays on the GPU; scenes are frozen and hashed by identity."""
     import torch
 
     arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh)

@@ -1,10 +1,10 @@
-"""Masks of an aircraft in the image: an ellipsoid around its points, or its own Gaussians, and a
-camera -> pixels.
+"""Masks of an aircraft: its ellipsoid or its Gaussians and a camera -> the pixels that it covers.
 
-    ellipse   [the paper, UMX Mask Detection]  points -> ellipsoid -> dual quadric -> conic -> filled ellipse
-    alpha     the aircraft's Gaussians rendered: how much of each pixel they cover, alone and with the hall before them
+    ellipse   points -> ellipsoid -> dual quadric -> conic -> filled ellipse
+              [paper, UMX Mask Detection]
+    alpha     the aircraft's Gaussians rendered: their share of each pixel, alone or behind the hall
 
-The ellipse needs no renderer, but knows neither the aircraft's outline nor what hides it.
+The ellipse needs no renderer, but has neither the aircraft's outline nor any occlusion.
 """
 
 from dataclasses import dataclass, replace
@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import Array, InputError, require_shape
-from falconwing_kit.scene.camera import PinholeCamera
-from falconwing_kit.scene.colours import constant_sh
+from falconwing_kit.scene.camera import PinholeCamera, require_pose
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.scene.ply import Array32
-from falconwing_kit.scene.render import render, require_pose
+from falconwing_kit.scene.render import render
+from falconwing_kit.scene.sh import Array32, constant_sh
 
 Mask = NDArray[np.bool_]
-MASK_THRESHOLD = 0.5  # of a pixel, for it to belong to the mask
-MIN_HALF_AXIS = 1e-3  # m, half an axis of an ellipsoid around points that lie in a plane
+MASK_THRESHOLD = 0.5  # alpha from which on a pixel belongs to the mask
+MIN_HALF_AXIS = 1e-3  # of an ellipsoid around points in a plane [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,25 +36,15 @@ class Ellipsoid:
 
     def __post_init__(self) -> None:
         """Check both."""
-        for name in ("centre_body", "half_axes"):
+        for name, low, bound in (("centre_body", -np.inf, ""), ("half_axes", 0.0, ", > 0")):
             values = require_shape(name, getattr(self, name), (3,))
-            if not np.isfinite(values).all() or (name == "half_axes" and not (values > 0.0).all()):
-                raise InputError(
-                    f"{name}: expected finite numbers{', > 0' if name == 'half_axes' else ''}, got {values}"
-                )
+            if not (np.isfinite(values) & (values > low)).all():
+                raise InputError(f"{name}: expected finite numbers{bound}, got {values}")
             object.__setattr__(self, name, values)
 
     @classmethod
     def around(cls, points_body: ArrayLike) -> "Ellipsoid":
-        """The ellipsoid whose axes are as long as the points reach: its ends are nose, tail and
-        wing tips.
-
-        Args:
-            points_body: (n, 3) points of the aircraft, such as the means of its Gaussians [m].
-
-        Raises:
-            InputError: there are no points, or they are not (n, 3).
-        """
+        """The ellipsoid with the extents of points (n, 3) [m], such as the means of an aircraft."""
         points = require_shape("points_body", points_body, (None, 3))
         if len(points) == 0:
             raise InputError("points_body: expected at least one point, got none")
@@ -63,13 +52,9 @@ class Ellipsoid:
         return cls(0.5 * (low + high), np.maximum(0.5 * (high - low), MIN_HALF_AXIS))
 
     def dual_quadric(self, T_world_body: ArrayLike) -> Array:
-        """(4, 4) symmetric, in the world: all planes pi that touch the ellipsoid have pi^T Q* pi =
-        0.
+        """(4, 4) Q* in the world: every plane pi that touches the ellipsoid has pi^T Q* pi = 0.
 
-        Q* = T diag(a^2, b^2, c^2, -1) T^T      [Hartley & Zisserman, Multiple View Geometry, section 3.2.4]
-
-        Raises:
-            InputError: T_world_body is no pose.
+        Q* = T diag(a^2, b^2, c^2, -1) T^T   [Hartley & Zisserman, Multiple View Geometry, 3.2.4]
         """
         T = require_pose("T_world_body", T_world_body).copy()
         T[:3, 3] += T[:3, :3] @ self.centre_body
@@ -79,89 +64,66 @@ class Ellipsoid:
 def ellipse_mask(
     ellipsoid: Ellipsoid, T_world_body: ArrayLike, camera: PinholeCamera, T_world_camera: ArrayLike
 ) -> Mask:
-    """Pixels whose centres see the ellipsoid.
+    """(H, W) pixels whose rays meet the ellipsoid.
 
-    C* = P Q* P^T, P = K [R | t]       the outline's dual conic [Hartley & Zisserman, eq. 8.5]
+    C* = P Q* P^T, P = K [R | t]       dual conic of the outline [Hartley & Zisserman, eq. 8.5]
     x = (u, v, 1) is inside where x^T inv(C*) x <= 0, and in front where (S^-1 c)^T K^-1 x > 0
 
     Here c is the ellipsoid's centre in camera axes and S = R diag(a^2, b^2, c^2) R^T its shape. The
-    second condition matters where the ellipsoid reaches behind the camera: the conic is then a
-    hyperbola, and one of its branches is a mirage. From inside the ellipsoid every pixel sees it.
-
-    Args:
-        ellipsoid: in body axes.
-        T_world_body: (4, 4) of the aircraft.
-        camera: the lens.
-        T_world_camera: (4, 4) of the camera.
-
-    Returns:
-        (H, W); all False where the ellipsoid is behind or beside the camera.
-
-    Raises:
-        InputError: one of the poses is none.
+    second condition matters where the ellipsoid extends behind the camera: the conic is then a
+    hyperbola, and only one of its branches is real. From inside the ellipsoid the mask is full.
     """
     T_camera_world = np.linalg.inv(require_pose("T_world_camera", T_world_camera))
-    quadric = (
-        T_camera_world @ ellipsoid.dual_quadric(T_world_body) @ T_camera_world.T
-    )  # in camera axes
+    # Q* in camera axes has the blocks [[S - c c^T, -c], [-c^T, -1]].
+    quadric = T_camera_world @ ellipsoid.dual_quadric(T_world_body) @ T_camera_world.T
     centre = -quadric[:3, 3]
     shape = quadric[:3, :3] + np.outer(centre, centre)
     polar = np.linalg.solve(shape, centre)
-    if centre @ polar <= 1.0:
+    if centre @ polar <= 1.0:  # the camera is inside
         return np.ones((camera.height, camera.width), bool)
     mask = np.zeros((camera.height, camera.width), bool)
     K = camera.K
-    dual = K @ quadric[:3, :3] @ K.T  # K [I | 0] Q* [I | 0]^T K^T
-    (left, right), (top, bottom) = _bounds(dual, centre[2] / np.sqrt(shape[2, 2]), camera)
+    conic = K @ quadric[:3, :3] @ K.T  # dual conic: K [I | 0] Q* [I | 0]^T K^T
+    (left, right), (top, bottom) = _bounds(conic, centre[2] / np.sqrt(shape[2, 2]), camera)
+    # Both conditions for the pixel centres (h, w, 3) within the bounds
     u, v = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
     pixels = np.stack([u, v, np.ones(u.shape)], axis=-1)
-    inside = np.sum(pixels @ np.linalg.inv(dual) * pixels, axis=-1) <= 0.0
+    inside = np.sum(pixels @ np.linalg.inv(conic) * pixels, axis=-1) <= 0.0
     mask[top:bottom, left:right] = inside & (pixels @ np.linalg.solve(K.T, polar) > 0.0)
     return mask
 
 
 def _bounds(
-    dual: Array, depths: float, camera: PinholeCamera
+    conic: Array, depth_ratio: float, camera: PinholeCamera
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Columns and rows, from and to, that the outline reaches: the lines u = const and v = const
-    that touch it.
+    """Column and row ranges of the outline, from the lines u = const and v = const that touch it.
 
     Args:
-        dual: (3, 3) the dual conic.
-        depths: of the centre, in half extents of the ellipsoid along the camera's axis: above 1 all
-            of it is in front.
-        camera: the image's size.
+        conic: (3, 3) the dual conic.
+        depth_ratio: depth of the centre in half extents of the ellipsoid along the camera's axis;
+            above 1 all of it is in front.
     """
     sides = (camera.width, camera.height)
-    if depths <= -1.0:
+    if depth_ratio <= -1.0:
         return (0, 0), (0, 0)
-    if depths <= 1.0:
+    if depth_ratio <= 1.0:
         return (0, sides[0]), (0, sides[1])
-    spans = []
+    ranges = []
     for axis, side in enumerate(sides):
-        middle, scale = dual[axis, 2] / dual[2, 2], dual[axis, axis] / dual[2, 2]
-        reach = np.sqrt(max(middle**2 - scale, 0.0))
-        low, high = np.clip([middle - reach - 0.5, middle + reach + 0.5], 0, side)
-        spans.append((int(np.floor(low)), int(np.ceil(high))))
-    return spans[0], spans[1]
+        # The line u = s touches where C*_22 s^2 - 2 C*_02 s + C*_00 = 0.
+        middle, product = conic[axis, 2] / conic[2, 2], conic[axis, axis] / conic[2, 2]
+        half_width = np.sqrt(max(middle**2 - product, 0.0))
+        low, high = np.clip([middle - half_width - 0.5, middle + half_width + 0.5], 0, side)
+        ranges.append((int(np.floor(low)), int(np.ceil(high))))
+    return ranges[0], ranges[1]
 
 
 def alpha_image(
     leader: GaussianScene, camera: PinholeCamera, T_world_camera: ArrayLike, backend: str = "auto"
 ) -> Array32:
-    """How much of each pixel an aircraft alone would cover.
+    """(H, W) share of each pixel, 0..1, that an aircraft placed in the world covers alone.
 
-    Args:
-        leader: the aircraft, placed in the world.
-        camera: the lens.
-        T_world_camera: (4, 4) of the camera.
-        backend: of `render`.
-
-    Returns:
-        (H, W), 0..1. `>= COVERED` makes the mask.
-
-    Raises:
-        InputError: an argument is wrong.
+    The mask is where it is at least MASK_THRESHOLD.
     """
     return render(paint_grey(leader, 0.0), camera, T_world_camera, backend).alpha
 
@@ -173,43 +135,27 @@ def visible_alpha_image(
     T_world_camera: ArrayLike,
     backend: str = "auto",
 ) -> Array32:
-    """How much of each pixel an aircraft covers with the hall around it: what hides it takes its
-    share.
+    """(H, W) share of each pixel, 0..1, that an aircraft covers with the hall's occlusion.
 
-    A white aircraft in a black hall: a pixel's grey is the sum of the weights by which the
-        aircraft's Gaussians enter.
+    A white aircraft in a black hall: the grey value is the sum of the aircraft's blending weights.
+    Divided by `alpha_image`, the sums over the image give the visible share.
 
     Args:
-        hall: Gaussians around; black already, if `paint_grey` made it so before many views.
+        hall: Gaussians around; painted black by `paint_grey` once, it serves for many views.
         leader: the aircraft, placed in the world.
-        camera: the lens.
-        T_world_camera: (4, 4) of the camera.
-        backend: of `render`.
-
-    Returns:
-        (H, W), 0..1. `>= COVERED` makes the mask; its sum by that of `alpha_image` is the visible
-        share.
-
-    Raises:
-        InputError: an argument is wrong.
     """
-    return render(
-        [paint_grey(hall, 0.0), paint_grey(leader, 1.0)], camera, T_world_camera, backend
-    ).rgb[..., 0]
+    scenes = [paint_grey(hall, 0.0), paint_grey(leader, 1.0)]
+    return render(scenes, camera, T_world_camera, backend).rgb[..., 0]
 
 
 def paint_grey(scene: GaussianScene, grey: float) -> GaussianScene:
-    """The scene in one grey, 0..1, from every side; a scene that is so already comes back as it is."""
+    """The scene in one grey, 0..1, from every side; unchanged where it has that already."""
     sh = constant_sh(scene.sh[:, :1], np.full(3, grey))
     return scene if np.array_equal(scene.sh, sh) else replace(scene, sh=sh)
 
 
 def mask_iou(first: Mask, second: Mask) -> float:
-    """Intersection over union of two masks (H, W), 0..1; nan where both are empty.
-
-    Raises:
-        InputError: they are not of one shape.
-    """
+    """Intersection over union of two masks (H, W), 0..1; nan where both are empty."""
     if first.shape != second.shape:
         raise InputError(f"masks: expected two of one shape, got {first.shape} and {second.shape}")
     union = np.count_nonzero(first | second)

@@ -114,7 +114,7 @@ def test_the_link_of_a_scene_is_applied():
     """The link applied to the image without it; the frame's number seeds its noise."""
     scene, link = balls(((6.0, 0.0, 0.0), RED)), AnalogVideo(30.0, seed=4)
     plain = RenderedView(StillWorld(), scene, fpv_camera())
-    noisy = RenderedView(StillWorld(), replace(scene, link=link), fpv_camera())
+    noisy = RenderedView(StillWorld(), scene, fpv_camera(), link=link)
     clean = plain.next_image(0.0).pixels
     first, second = noisy.next_image(0.0).pixels, noisy.next_image(0.05).pixels
     assert (first == link.apply(clean, 1)).all() and (second == link.apply(clean, 2)).all()

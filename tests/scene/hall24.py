@@ -27,7 +27,7 @@ def reconstruction() -> Reconstruction:
 
 @cache
 def survey() -> Survey:
-    """What the tape measured."""
+    """The tape's measurements."""
     return read_survey(FOLDER / "survey.csv")
 
 

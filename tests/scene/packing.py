@@ -28,7 +28,7 @@ def ply_bytes(elements, body, format_line="format binary_little_endian 1.0", com
 
 
 def plain_ply(rows, rest=0, **how):
-    """A 3DGS .ply from rows of floats in the order of ROW, the f_rest properties after the colour."""
+    """A 3DGS .ply from rows of floats in the order of ROW, with f_rest after the colour."""
     names = ROW[:9] + [f"f_rest_{k}" for k in range(rest)] + ROW[9:]
     body = b"".join(struct.pack(f"<{len(names)}f", *row) for row in rows)
     return ply_bytes([("vertex", len(rows), [("float", name) for name in names])], body, **how)

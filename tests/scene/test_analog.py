@@ -1,6 +1,4 @@
-"""Analog video: the noise that was asked for, by its definition, and each fault by the law that it
-is made after.
-"""
+"""Analog video: noise by its definition, and each fault by the law it is modelled on."""
 
 import math
 
@@ -32,8 +30,8 @@ def rng() -> np.random.Generator:
 @pytest.mark.parametrize("width", [320, 640])
 @pytest.mark.parametrize("snr_db", [22.0, 26.0, 32.0, 38.0])
 def test_luma_noise_is_what_was_asked(snr_db, width):
-    """S/N = 20 log10(255 / rms) on flat grey; 75,000 pixels know it to 0.03 dB, rounding adds 0.1
-    at 38 dB.
+    """S/N = 20 log10(255 / rms) on flat grey; 75,000 pixels measure it to 0.03 dB; rounding adds
+    0.1 at 38 dB.
     """
     picture = AnalogVideo(snr_db, seed=3, dropouts=0.0).apply(flat(width), 0)
     measured = 20.0 * math.log10(255.0 / luma(picture).std())
@@ -42,7 +40,7 @@ def test_luma_noise_is_what_was_asked(snr_db, width):
 
 
 def test_noise_ends_at_the_luma_bandwidth(rng):
-    """Half the gain at 4.2 MHz, a quarter of the power; nothing at 5.8 MHz. Fifteen taps know it to
+    """Half the gain at 4.2 MHz, a quarter of the power; nothing at 5.8 MHz. Fifteen taps reach
     a tenth.
     """
     noise = analog.luma_noise((480, 640), 20.0, PIXEL_S, rng)
@@ -141,7 +139,7 @@ def test_odd_lines_show_the_field_before():
 
 
 def test_fades_come_as_often_as_asked():
-    """Poisson: 100 frames with a mean of 0.5; five sigma are 35. Two that overlap are seen as one."""
+    """Poisson: 100 frames with a mean of 0.5; five sigma are 35. Two that overlap count as one."""
     video = AnalogVideo(60.0, dropouts=0.5)
     lost = [
         np.abs(np.diff(luma(video.apply(flat(64), k)).std(axis=1) > 20.0)).sum() / 2

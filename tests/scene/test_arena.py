@@ -156,8 +156,8 @@ def test_a_beam_overhead_does_not_veil_what_is_ahead(hall, yaw_deg):
 @pytest.mark.parametrize("distance", [3.0, 5.0, 7.0, 10.0])
 @pytest.mark.parametrize("side", [-0.4, 0.0, 0.3])
 def test_marker_is_found_and_its_pose_is_right(hall, distance, side):
-    """OpenCV's detector and solvePnP against the pose that was asked for: 5 % of the distance, as
-    issue 4 wants.
+    """OpenCV's detector and solvePnP against the pose that was asked for: 5 % of the distance, the
+    bound.
 
     A square that faces the camera looks the same tilted a little either way: its attitude enters
         the image in second
@@ -205,7 +205,7 @@ def test_leader_has_the_size_of_the_aircraft(arena):
 
 
 def test_leader_flies_nose_ahead_and_fin_up(arena):
-    """Body axes by hand: the red nose at +x, the blue fin behind and above, that is at -x and -z."""
+    """Body axes by hand: the red nose at +x, the blue fin behind and above, at -x and -z."""
     leader = arena.selected(arena.labelled("leader"))
     red, _, blue = (0.5 + 0.2820948 * leader.sh[:, 0]).T
     x, y, z = leader.means.T
@@ -275,7 +275,7 @@ def test_a_pose_that_is_none_is_refused(arena, pose):
 
 
 def test_a_scene_without_leader_is_refused(hall):
-    """The text says what labels there are."""
+    """The text lists the labels."""
     plain = GaussianScene(
         hall.means[:9], hall.quaternions[:9], hall.scales[:9], hall.opacities[:9], hall.sh[:9]
     )
@@ -290,7 +290,7 @@ def test_a_seed_that_is_none_is_refused(seed):
         build_arena(seed)
 
 
-def test_unknown_name_is_told_the_known_ones():
+def test_unknown_name_is_refused_with_the_known_ones():
     """The names are those of DESIGN, section 5, as far as they ship."""
     with pytest.raises(InputError, match="arena, hall, hall_analog, leader"):
         load_scene("stadium")

@@ -112,7 +112,7 @@ def test_impossible_cameras_are_refused_by_name(numbers, name):
 
 
 def test_impossible_views_and_poses_are_refused():
-    """A view of 180 deg has no flat image; a pose of nan and shapes that do not fit are mistakes."""
+    """A view of 180 deg has no flat image; nan in a pose and wrong shapes are mistakes."""
     with pytest.raises(InputError, match="fov_deg"):
         PinholeCamera.from_fov_deg(640, 480, 180.0)
     with pytest.raises(InputError, match="roll"):

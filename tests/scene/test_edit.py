@@ -127,7 +127,7 @@ def test_quarter_turn_about_a_place_by_hand():
     )
 
 
-def test_a_part_turns_where_it_is_unless_told_otherwise(rng):
+def test_a_part_turns_where_it_is_unless_a_centre_is_given(rng):
     """By hand: two Gaussians at x = 2 and 4 have their middle at 3, and half a turn about z swaps
     them.
     """
@@ -339,7 +339,7 @@ def test_a_value_that_is_none_is_refused(scene, edit, text):
         edit(scene, scene.labelled("pad"))
 
 
-def test_an_asset_without_labels_wants_a_name(scene, asset):
+def test_an_asset_without_labels_needs_a_name(scene, asset):
     """A .ply keeps no labels: all of it is called "scene"."""
     plain = GaussianScene(asset.means, asset.quaternions, asset.scales, asset.opacities, asset.sh)
     with pytest.raises(InputError, match="give it a name"):

@@ -122,7 +122,7 @@ def plain_colours(scene, p_world):
 
 
 def random_scene(seed, count=60, basis=4, low=(2.0, -4.0, -2.0), high=(12.0, 4.0, 4.0)):
-    """Clouds of all shapes and opacities in a box; also some behind the camera if the box says so."""
+    """Gaussians of all shapes and opacities in a box, which may extend behind the camera."""
     rng = np.random.default_rng(seed)
     return GaussianScene(
         rng.uniform(low, high, (count, 3)),
@@ -196,7 +196,7 @@ def test_hall_is_that_of_the_reference():
 @pytest.mark.parametrize("case", ["tiny_case", "basic_case"])
 def test_images_are_those_of_gsplat(case):
     """Recorded data: gsplat's CUDA kernels drew them (brush's test cases, Apache-2.0); SOURCE.txt
-    tells the camera.
+    gives the camera.
 
     gsplat's own rounding is about 1e-6; ours adds about as much for each of up to sixteen clouds on
     a pixel.
@@ -204,7 +204,8 @@ def test_images_are_those_of_gsplat(case):
     path = GSPLAT_IMAGES / f"{case}.safetensors"
     if not path.is_file():
         pytest.skip(
-            f"gsplat's images do not ship with the kit and are not beside this checkout: {path} is missing"
+            "gsplat's images do not ship with the kit and are not beside this checkout:"
+            f" {path} is missing"
         )
     data = path.read_bytes()
     start = 8 + struct.unpack("<Q", data[:8])[0]
@@ -435,7 +436,7 @@ def test_works_where_no_cache_can_be_written(tmp_path):
     for name in ("__init__.py", *(str(p.relative_to(KIT)) for p in KIT.rglob("*/*.py"))):
         (package / name).parent.mkdir(parents=True, exist_ok=True)
         (package / name).write_bytes((KIT / name).read_bytes())
-    (package / "scene/__pycache__").write_text("a file where a folder is wanted")
+    (package / "scene/__pycache__").write_text("a file where a folder should be")
     code = "from falconwing_kit.scene import fast; print(fast.__file__, fast.clamp(2.0, 0.0, 1.0))"
     nowhere = {"HOME": os.devnull, "XDG_CACHE_HOME": os.devnull, "PYTHONPATH": str(tmp_path)}
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | nowhere
@@ -454,7 +455,7 @@ def test_works_where_no_cache_can_be_written(tmp_path):
     ],
 )
 def test_bad_arguments_are_refused_in_one_sentence(argument, words):
-    """The rule of the house: name, what is wanted, what came."""
+    """The rule of the house: name, expected, got."""
     with pytest.raises(InputError, match=words):
         render_fast(
             **{"scene": random_scene(0), "camera": SMALL, "T_world_camera": AHEAD} | argument

@@ -69,7 +69,7 @@ def native(tmp_path) -> dict[str, bytes]:
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
-    """Every other time the heavy damage of the flight files' fuzz, else up to eight flipped bits."""
+    """Alternately the heavy damage of the flight files' fuzz and up to eight flipped bits."""
     if rng.integers(2):
         return mutate(data, rng)
     flipped = np.frombuffer(data, np.uint8).copy()

@@ -1,4 +1,4 @@
-"""The scene: what it refuses, selecting, joining, and which reader a name leads to."""
+"""Scenes: what they refuse, selecting, joining, and the reader of each ending."""
 
 import numpy as np
 import pytest
@@ -67,7 +67,7 @@ def test_numbers_are_float32_and_rotations_have_length_one():
     ],
 )
 def test_each_mistake_gets_one_sentence(numbers, sentence):
-    """Name, want and got, on one line."""
+    """Name, expected and got, on one line."""
     with pytest.raises(InputError, match=f"^{sentence}") as refusal:
         GaussianScene(**numbers)
     assert "\n" not in str(refusal.value)
@@ -135,7 +135,7 @@ def test_other_endings_and_missing_files_are_said(tmp_path):
     (tmp_path / "a.obj").write_bytes(b"")
     with pytest.raises(
         InputError,
-        match=r"expected a scene ending in \.ply, \.splat, \.spz, \.sog, \.npz or a SOG folder",
+        match=r"expected a scene ending in \.ply, \.npz, \.sog, \.splat, \.spz or a SOG folder",
     ):
         GaussianScene.load(tmp_path / "a.obj")
     with pytest.raises(InputError, match=r"ending in \.npz or \.ply"):

@@ -9,8 +9,7 @@ import pytest
 
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.scene import PinholeCamera, load_scene, nose_camera_pose, render
-from falconwing_kit.scene.analog import video_link
-from falconwing_kit.scene.arena import with_leader
+from falconwing_kit.scene.analog import scene_link
 
 CAMERA = PinholeCamera.from_fov_deg(640, 480, 77.8)  # the lens of the hall's flights
 MARKER = np.array([0.0, 0.0, 0.75])  # its centre, by the hall's survey [m]
@@ -30,11 +29,11 @@ def test_it_is_small_and_labelled(hall):
 
 
 def test_the_analog_hall_is_the_same_hall_seen_through_a_link(hall):
-    """The same Gaussians; the link is that of analog.toml, and stays where the hall gets a leader."""
+    """The same Gaussians; the link is the one of analog.toml, and no other scene has one."""
     analog = load_scene("hall_analog")
     assert (analog.means == hall.means).all() and (analog.sh == hall.sh).all()
-    assert hall.link is None and analog.link == video_link("hall_analog")
-    assert with_leader(analog).link == analog.link
+    assert scene_link("hall_analog").snr_db == 38.7
+    assert all(scene_link(name) is None for name in ("arena", "hall", "leader", "hall.npz"))
 
 
 @pytest.mark.parametrize(("distance", "side"), [(3.0, -0.4), (4.0, 0.0), (5.0, 0.3), (6.0, -0.3)])
@@ -77,7 +76,7 @@ def test_the_pad_is_where_aircraft_land(hall):
     assert rgb[2] > 1.5 * rgb[0] and rgb[2] > 1.2 * rgb[1]
 
 
-def test_the_pose_net_that_ships_knows_this_hall(hall):
+def test_the_shipped_pose_net_localises_in_this_hall(hall):
     """Renders from places of an approach, whose poses are known; on average within a metre and 5
     deg of heading.
     """

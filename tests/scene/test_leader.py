@@ -21,8 +21,8 @@ def leader():
 
 
 def test_it_has_the_tapes_size(leader):
-    """0.70 m span and 0.52 m long by the tape; ends of Gaussians are known to 1 and 3 cm. All is
-    labelled.
+    """0.70 m span and 0.52 m long by the tape; ends of Gaussians are accurate to 1 and 3 cm. All
+    are labelled.
     """
     nose, tail, right, left = (
         leader.points[name] for name in ("nose", "tail", "right_wing_tip", "left_wing_tip")
@@ -86,7 +86,7 @@ def test_named_points_go_where_the_aircraft_goes(leader, tmp_path):
     assert GaussianScene.joined(leader, leader).points == {}
 
 
-def test_a_hall_without_one_gets_it_where_it_is_told(leader):
+def test_a_hall_without_one_gets_one_at_the_given_pose(leader):
     """A pixel of the leader's middle, by projection, is covered by Gaussians called leader and by
     no others.
     """

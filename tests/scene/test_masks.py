@@ -1,6 +1,4 @@
-"""Masks: the ellipse is where the ellipsoid's points are, from any side; the Gaussians' mask knows
-what hides them.
-"""
+"""Masks: the ellipse covers the ellipsoid's points; the mask of Gaussians has occlusion."""
 
 import numpy as np
 import pytest
@@ -23,7 +21,7 @@ AIRCRAFT = Ellipsoid(np.array([0.03, 0.0, -0.02]), np.array([0.26, 0.35, 0.12]))
 
 
 def rays_that_hit(ellipsoid, T_world_body, camera, T_world_camera):
-    """Every pixel's ray against the ellipsoid in its own axes, made a unit ball: the school's way."""
+    """Every pixel's ray against the ellipsoid, transformed into a unit ball."""
     T_ball_world = np.linalg.inv(T_world_body)
     start = (
         T_ball_world[:3, :3] @ T_world_camera[:3, 3] + T_ball_world[:3, 3] - ellipsoid.centre_body

@@ -1,4 +1,4 @@
-"""PLY files: Gaussians packed by hand, there and back, and headers that lie."""
+"""PLY files: Gaussians packed by hand, there and back, and false headers."""
 
 import math
 import struct
@@ -67,8 +67,8 @@ def test_higher_colours_are_all_red_then_all_green_then_all_blue(tmp_path, degre
 
 
 def test_order_types_and_further_properties_do_not_matter(tmp_path):
-    """A PLY names its properties; here they stand backwards, as doubles, beside one that nobody
-    knows.
+    """A PLY names its properties; here they stand backwards, as doubles, beside an
+    unknown one.
     """
     names = [*ROW[::-1], "mood"]
     row = struct.pack(f"<{len(names)}d", *HAND[::-1], 7.0)
@@ -256,6 +256,6 @@ def test_compressed_higher_colours_by_hand(tmp_path):
     ],
 )
 def test_each_bad_file_gets_its_sentence(tmp_path, data, sentence):
-    """The file's name, what was wanted and what came."""
+    """The file's name, expected and got."""
     with pytest.raises(InputError, match=rf"/a\.ply: .*({sentence})"):
         load(tmp_path, data)

@@ -31,7 +31,7 @@ Y0 = 0.5 / math.sqrt(math.pi)
 def gaussians(
     means, scales=0.1, opacities=0.8, rgb=(1.0, 0.5, 0.25), quaternions=(1.0, 0.0, 0.0, 0.0)
 ):
-    """Gaussians of one colour each (degree 0) as float64 tensors; one value stands for all of them."""
+    """Gaussians of one colour each (degree 0) as float64 tensors; one value serves for all."""
     count = len(means)
     sh = (np.broadcast_to(np.array(rgb, float), (count, 3)) - 0.5)[:, None] / Y0
     opacities = np.broadcast_to(opacities, count)
@@ -73,13 +73,14 @@ def test_images_are_those_of_gsplat(case, dtype, atol):
     """Recorded data: gsplat's CUDA kernels drew them in float32 (brush's test cases, Apache-2.0),
     degree 3.
 
-    SOURCE.txt beside them tells the camera; the file keeps logarithms of scales and logits of
+    SOURCE.txt beside them gives the camera; the file keeps logarithms of scales and logits of
     opacities. The tolerances are the project's; gsplat's own rounding is about 1e-6.
     """
     path = GSPLAT_IMAGES / f"{case}.safetensors"
     if not path.is_file():
         pytest.skip(
-            f"gsplat's images do not ship with the kit and are not beside this checkout: {path} is missing"
+            "gsplat's images do not ship with the kit and are not beside this checkout:"
+            f" {path} is missing"
         )
     case = read_safetensors(path)
     case |= {
@@ -114,7 +115,7 @@ def test_one_round_gaussian_by_hand():
 
 
 def test_antialiasing_keeps_the_light():
-    """By hand: the blur widens 6.25 to 6.55 px^2 both ways, so the peak is fainter by 6.25 / 6.55."""
+    """By hand: the blur widens 6.25 to 6.55 px^2 both ways: the peak is lower by 6.25 / 6.55."""
     _, alpha, _ = draw(gaussians([[0, 0, 2]]), antialiased=True)
     assert alpha[4, 4] == pytest.approx(0.8 * 6.25 / 6.55, rel=1e-12)
     assert alpha[4, 5] == pytest.approx(0.8 * 6.25 / 6.55 * math.exp(-0.5 / 6.55), rel=1e-12)
@@ -168,8 +169,8 @@ def test_nearer_covers_farther_whatever_their_order():
 
 
 def test_full_pixel_takes_no_more():
-    """By hand: alpha is at most 0.999; the second would leave 0.001 x 0.05 <= 1e-4: it is not laid,
-    nor the third.
+    """By hand: alpha is at most 0.999; the second would leave 0.001 x 0.05 <= 1e-4: it is not
+    composited, nor the third.
     """
     scene = gaussians(
         [[0, 0, 2], [0, 0, 3], [0, 0, 4]],
@@ -304,7 +305,7 @@ def test_colour_is_never_negative():
 
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_turning_the_world_with_the_camera_changes_nothing(antialiased):
-    """A law, for colours of degree 0; quaternions are multiplied by SciPy. Tolerance is rounding."""
+    """A law, for colours of degree 0; SciPy multiplies quaternions. Tolerance is rounding."""
     from scipy.spatial.transform import Rotation
 
     turn, scene = Rotation.from_rotvec([0.4, -1.1, 0.7]), hall(degree=0)
@@ -350,8 +351,8 @@ def test_gradients_are_those_of_finite_differences(monkeypatch, antialiased, rem
     """torch's gradcheck moves every number of scene, pose and background by 1e-6 both ways; float64
     leaves 1e-9.
 
-    With nothing remembered the tiles are worked out again on the way back, and small chunks follow
-    each other in a tile, as in large scenes.
+    With nothing saved, tiles are recomputed in the backward pass, and small chunks follow each
+    other in a tile, as in large scenes.
     """
     monkeypatch.setattr(reference_module, "MAX_SAVED_SPLATS", remembered)
     monkeypatch.setattr(reference_module, "CHUNK", chunk)
@@ -370,7 +371,7 @@ def test_gradients_are_those_of_finite_differences(monkeypatch, antialiased, rem
 
 
 def test_empty_view_has_gradients_of_zero():
-    """Training meets views without a Gaussian; the way back must not break there."""
+    """Training meets views without a Gaussian; the backward pass must not fail there."""
     scene = GaussianTensors(*(tensor.requires_grad_() for tensor in gaussians([[0, 0, -2]])))
     rgb, _, _ = render_tensors(
         scene, SMALL, torch.eye(4, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
@@ -396,7 +397,7 @@ def test_gradients_in_the_crowd_are_finite():
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_a_scene_is_rendered_as_its_tensors_are(dtype):
-    """The same equations through the other door; float32 comes out, whatever was computed in."""
+    """The same equations by the other function; the output is float32 for either dtype."""
     tensors = hall(torch.float32)
     scene = GaussianScene(*(tensor.numpy() for tensor in tensors))
     camera, pose = PinholeCamera.from_fov_deg(20, 10, 90.0), pose_of([0.1, 0.2, 0.3], [0, 0, 0.5])

@@ -1,6 +1,4 @@
-"""The renderer's door: every backend draws what was worked out by hand, and every wrong argument
-gets its sentence.
-"""
+"""Rendering: every backend matches hand calculations; every wrong argument gets its sentence."""
 
 import math
 import sys
@@ -26,7 +24,7 @@ AHEAD = nose_camera_pose((0, 0, 1), 0, 0, 0)
 
 
 def test_every_backend_is_tried():
-    """Those of the design; gsplat wants a GPU and has a benchmark of its own."""
+    """Those of the design; gsplat needs a GPU and has its own benchmark."""
     assert set(BACKENDS) == {*ON_THIS_MACHINE, "gsplat"}
 
 
@@ -123,7 +121,7 @@ def changed(row, column, value):
     ],
 )
 def test_each_wrong_argument_gets_its_sentence(change, sentence):
-    """Each is the caller's mistake, told in one line before anything is drawn."""
+    """Each is the caller's mistake, refused in one line before anything is drawn."""
     arguments = {"scene": ball(), "camera": CAMERA, "T_world_camera": AHEAD} | change
     with pytest.raises(InputError, match=f"^{sentence}") as caught:
         render(**arguments)
@@ -141,7 +139,7 @@ def test_pose_of_a_network_is_near_enough():
     [("reference", "reference", "torch"), ("fast", "fast", "numba"), ("auto", "fast", "numba")],
 )
 def test_missing_library_is_said_with_its_remedy(monkeypatch, backend, module, library):
-    """None in sys.modules is Python's own way to make an import fail as if nothing were installed."""
+    """None in sys.modules makes the import fail as if the library were not installed."""
     monkeypatch.delitem(sys.modules, f"falconwing_kit.scene.{module}", raising=False)
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(InputError, match=f"expected {library} for .*; run: pip install {library}"):

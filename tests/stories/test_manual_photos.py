@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falconwing_kit.scene import GaussianScene, load_scene
+from falconwing_kit.scene import GaussianScene, load_scene, scene_link
 from falconwing_kit.tools.capture.photo_files import read_reconstruction
 from falconwing_kit.tools.cli.main import main
 
@@ -73,4 +73,4 @@ def check_both_trainings():
 def test_python_of_the_chapter_is_there():
     """The names that it tells."""
     assert set(load_scene("leader").points) == {"nose", "tail", "left_wing_tip", "right_wing_tip"}
-    assert callable(load_scene("hall_analog").link.apply)
+    assert callable(scene_link("hall_analog").apply)

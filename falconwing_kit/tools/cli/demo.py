@@ -97,16 +97,18 @@ class Demo:
 
     def _fly(self, hall: "Callable[[], GaussianScene]", live: "LivePage | None") -> "Approach":
         """Land, in real time where somebody looks on."""
+        from falconwing_kit.tools.cli.scene import open_link
         from falconwing_kit.tools.demo.approach import PacedClock, fly_approach
 
+        log, link = self.out / "approach.mcap", open_link(self.scene)
         if live is None:
-            return fly_approach(hall(), self.out / "approach.mcap")
+            return fly_approach(hall(), log, link=link)
         opened = live.open()
         scene = hall()
         live.set_scene(scene)
         if opened:
             live.wait_for_viewer(BROWSER_S)
-        return fly_approach(scene, self.out / "approach.mcap", (live.show,), PacedClock())
+        return fly_approach(scene, log, (live.show,), PacedClock(), link=link)
 
 
 def _print_record(record: dict) -> None:

@@ -184,13 +184,19 @@ class Fly:
     def _fly(
         self, task: "FlightTask", setting: "TrialSettings", hall: "Callable[[], GaussianScene]"
     ) -> list[dict[str, Any]]:
+        from falconwing_kit.tools.cli.scene import open_link
         from falconwing_kit.tools.trials.trials import fly_trials
 
         with (
             _page(hall, self.headless, not self.no_render) as (scene, hooks),
             self._progress() as progress,
         ):
-            setting = replace(setting, scene=None if self.no_render else scene, hooks=hooks)
+            setting = replace(
+                setting,
+                scene=None if self.no_render else scene,
+                link=open_link(self.scene),
+                hooks=hooks,
+            )
             return fly_trials(
                 task, task.expert, self.trials, pilot=self.pilot, seed=self.seed, setting=setting,
                 out=self.out, logs=self.logs or self.trials == 1, progress=progress,

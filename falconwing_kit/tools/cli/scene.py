@@ -14,7 +14,14 @@ import tyro
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import atomic_write, require_writable_path
 from falconwing_kit.core.frames import pose_matrix, rotation_world_body
-from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose, render
+from falconwing_kit.scene import (
+    AnalogVideo,
+    GaussianScene,
+    PinholeCamera,
+    nose_camera_pose,
+    render,
+    scene_link,
+)
 from falconwing_kit.scene.arena import build_arena, leader_at, load_scene, with_leader
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
@@ -148,8 +155,9 @@ class Render:
         )
         seconds = time.perf_counter() - start
         picture = np.round(255.0 * frame.rgb).astype(np.uint8)
-        if scene.link is not None:
-            picture = replace(scene.link, seed=self.seed).apply(picture, 0)
+        link = open_link(self.scene)
+        if link is not None:
+            picture = replace(link, seed=self.seed).apply(picture, 0)
         _write_png(self.out, picture[..., ::-1])
         if self.depth is not None:
             _write_png(
@@ -188,12 +196,17 @@ def open_scene(name: str) -> GaussianScene:
         FileNotFoundError: there is no file at a path.
         InputError: the file is no scene, or no scene of that name ships.
     """
+    return GaussianScene.load(name) if _names_file(name) else load_scene(name)
+
+
+def open_link(name: str) -> AnalogVideo | None:
+    """The analog link of a scene that ships; None where it has none, and for a file."""
+    return None if _names_file(name) else scene_link(name)
+
+
+def _names_file(name: str) -> bool:
     path = Path(name)
-    return (
-        GaussianScene.load(path)
-        if path.exists() or path.suffix or len(path.parts) > 1
-        else load_scene(name)
-    )
+    return path.exists() or bool(path.suffix) or len(path.parts) > 1
 
 
 def scene_record(scene: GaussianScene) -> dict[str, Any]:

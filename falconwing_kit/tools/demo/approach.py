@@ -39,6 +39,7 @@ from falconwing_kit.flight.sources import (
     log_start_time,
 )
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
+from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, QUIET, figure, render
 
@@ -97,6 +98,7 @@ def fly_approach(
     hooks: Sequence[Callable[[LoopStep], None]] = (),
     clock: Clock | None = None,
     seed: int = 0,
+    link: AnalogVideo | None = None,
 ) -> Approach:
     """Let the expert land by state, with the view from the nose rendered and everything logged.
 
@@ -107,6 +109,7 @@ def fly_approach(
         hooks: shown every step.
         clock: None for simulated time, as fast as it can.
         seed: which of the frozen starts, about 20 m out and 1.5 m up.
+        link: the analog link that the view goes through; None for a direct view.
 
     Returns:
         How it went.
@@ -118,7 +121,7 @@ def fly_approach(
     """
     task = LandingTask()
     trial, camera = task.trial(trial_seed(0, seed)), fpv_camera()
-    view = RenderedView(trial.world, scene, camera, task.airframe.p_body_camera)
+    view = RenderedView(trial.world, scene, camera, task.airframe.p_body_camera, link=link)
     judge = task.judge(trial, camera, view)
     growing = log.with_name(f".{log.name}.part")
     growing.unlink(missing_ok=True)

@@ -26,6 +26,7 @@ from falconwing_kit.flight.loop import Loop, LoopStep, Pilot, SimulatedClock, Wa
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
 from falconwing_kit.flight.trial import FlightTask, TrialSetup, trial_seed
 from falconwing_kit.flight.world import PoseNoise, SimulatedWorld
+from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.tools.bridge.open_port import simulated_board
@@ -71,6 +72,8 @@ class TrialSettings:
     hooks: Sequence[Callable[[LoopStep], None]] = ()
     # a simulated board that every command goes through, one of `open_port.PORTS`; "" for none
     port: str = ""
+    # the analog link of the scene's images; each trial's seed draws its noise; None: a direct view
+    link: AnalogVideo | None = None
 
     @property
     def record(self) -> Record:
@@ -84,7 +87,8 @@ class TrialSettings:
             "clock": self.clock.__name__,
         }
         record |= {"port": self.port} if self.port else {}
-        return record | {"scene_digest": None if self.scene is None else _scene_digest(self.scene)}
+        digest = None if self.scene is None else _scene_digest(self.scene, self.link)
+        return record | {"scene_digest": digest}
 
 
 def fly_trial(
@@ -123,8 +127,10 @@ def fly_trial(
             world = _behind_port(stack, trial.world, setting.port, writer)
         view = None
         if setting.scene is not None:
-            scene = _seed_link_noise(setting.scene, trial.seed)
-            view = RenderedView(world, scene, setting.camera, task.airframe.p_body_camera)
+            link = None if setting.link is None else replace(setting.link, seed=trial.seed)
+            view = RenderedView(
+                world, setting.scene, setting.camera, task.airframe.p_body_camera, link=link
+            )
         judge = task.judge(trial, setting.camera, view)
         states, hooks = MeasuredStates(world), setting.hooks
         loop = Loop(pilot, world, view, states, trial.leader, setting.clock(), writer, hooks)
@@ -422,15 +428,11 @@ def _difference(before: Mapping[str, Any], head: Mapping[str, Any]) -> str:
     return ""
 
 
-def _scene_digest(scene: GaussianScene) -> str:
+def _scene_digest(scene: GaussianScene, link: AnalogVideo | None) -> str:
     arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh, scene.labels)
-    link = b"" if scene.link is None else repr(scene.link).encode()
-    return hashlib.sha256(b"".join(array.tobytes() for array in arrays) + link).hexdigest()[:DIGITS]
-
-
-def _seed_link_noise(scene: GaussianScene, seed: int) -> GaussianScene:
-    """The scene with the noise of its analog link, if any, seeded by the trial."""
-    return scene if scene.link is None else replace(scene, link=replace(scene.link, seed=seed))
+    parts = [array.tobytes() for array in arrays]
+    parts += [] if link is None else [repr(link).encode()]
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:DIGITS]
 
 
 def _header_error(head: Any) -> str:

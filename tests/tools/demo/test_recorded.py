@@ -38,7 +38,7 @@ def run():
 @pytest.fixture
 def studied(run, monkeypatch):
     """The verb without the minute it takes: what was flown and found is handed over as it is."""
-    monkeypatch.setattr(approach, "fly_approach", lambda *how: run.approach)
+    monkeypatch.setattr(approach, "fly_approach", lambda *how, **more: run.approach)
     monkeypatch.setattr(recorded, "study_recorded_flights", lambda progress: run.found)
 
 

@@ -16,10 +16,10 @@ from falconwing_kit.control.manoeuvres.right_turn_sharp_climb import PLAN
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command, State
-from falconwing_kit.flight.sources import fpv_camera
+from falconwing_kit.flight.sources import RenderedView, fpv_camera
 from falconwing_kit.flight.tasks import FollowTask, LandingTask, Spread, TrialSetup
 from falconwing_kit.flight.world import PoseNoise
-from falconwing_kit.scene.gaussians import GaussianScene
+from falconwing_kit.scene import AnalogVideo, GaussianScene, load_scene, scene_link
 from falconwing_kit.tools.reports.page import ACCENT, PREDICTED
 from falconwing_kit.tools.trials.trial_figures import write_results
 from falconwing_kit.tools.trials.trials import (
@@ -237,8 +237,34 @@ def test_another_scene_or_lens_is_another_setting():
     for other in (
         TrialSettings(one_gaussian(3.0), camera),
         TrialSettings(one_gaussian(2.0), replace(camera, cx=camera.cx + 1.0)),
+        TrialSettings(one_gaussian(2.0), camera, link=AnalogVideo(30.0)),
     ):
         assert other.record != nominal
+
+
+def test_digests_of_shipped_scenes_stay_those_of_earlier_studies():
+    """Recorded with version 0.1, in which the link was a part of the scene."""
+    direct = TrialSettings(load_scene("hall"))
+    analog = TrialSettings(load_scene("hall_analog"), link=scene_link("hall_analog"))
+    assert direct.record["scene_digest"] == "7eb526def3ea0a0e"
+    assert analog.record["scene_digest"] == "646edb0a6bb0afe1"
+
+
+def test_every_trial_draws_the_noise_of_its_own_link(monkeypatch):
+    """The link's seed is the trial's, 10,000 and 10,001: frames of two trials differ in noise."""
+    views = []
+
+    class KeptView(RenderedView):
+        def __init__(self, *parts, **named) -> None:
+            super().__init__(*parts, **named)
+            views.append(self)
+
+    monkeypatch.setattr("falconwing_kit.tools.trials.trials.RenderedView", KeptView)
+    setting = TrialSettings(one_gaussian(2.0), fpv_camera(16, 16), link=AnalogVideo(30.0, seed=3))
+    fly_trials(ToyTask(), steady, 2, pilot="steady", setting=setting)
+    assert [view.link for view in views] == [
+        AnalogVideo(30.0, seed=seed) for seed in (10_000, 10_001)
+    ]
 
 
 def one_gaussian(x: float) -> GaussianScene:
