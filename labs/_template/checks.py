@@ -44,7 +44,8 @@ LAB = Lab(
                     "the headwind lowers the ground speed, not the sink rate",
                 ),
                 Check(
-                    "a tailwind of a quarter of the airspeed adds a quarter, for every height of an array",
+                    "a tailwind of a quarter of the airspeed adds a quarter, "
+                    "for every height of an array",
                     _array_of_heights,
                     "a tailwind is a negative headwind; NumPy multiplies arrays element by element",
                 ),

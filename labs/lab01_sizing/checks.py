@@ -31,9 +31,7 @@ def _orders_do_not_matter(mass_budget: Function) -> bool:
         ("nose", 1, 20.0, -100.0, ""),
     ]
     forward, backward = mass_budget(parts), mass_budget(parts[::-1])
-    return is_same_answer(forward, (134.0, 6200.0 / 134.0)) and is_same_answer(
-        backward, (134.0, 6200.0 / 134.0)
-    )
+    return is_same_answer((forward, backward), ((134.0, 6200.0 / 134.0),) * 2)
 
 
 def _paper_speed(min_speed: Function) -> bool:
@@ -111,12 +109,13 @@ LAB = Lab(
                 Check(
                     "a part that is weighed with another one adds nothing",
                     _skips_what_is_inside,
-                    "look at the last entry of each tuple: only parts with an empty one were weighed alone",
+                    "look at the last entry of each tuple: only parts with an empty one were "
+                    "weighed alone",
                 ),
                 Check(
                     "the order of the list does not matter",
                     _orders_do_not_matter,
-                    "start both sums at zero and treat every part alike",
+                    "start both sums at zero and treat every part in the same way",
                 ),
             ),
         ),
@@ -127,17 +126,19 @@ LAB = Lab(
                 Check(
                     "150 g at 20 deg C need 7.32 m/s",
                     _paper_speed,
-                    "check units one by one: grams to kilograms, Celsius to kelvin, the factor 1/2 in the lift",
+                    "check units one by one: grams to kilograms, Celsius to kelvin, "
+                    "the factor 1/2 in the lift",
                 ),
                 Check(
                     "four times the mass flies twice as fast, and an array gives an array",
                     _four_times_the_mass,
-                    "the lift grows with the square of the speed; use NumPy's functions, not math's",
+                    "the lift grows with the square of the speed; use NumPy's functions, "
+                    "not math's",
                 ),
                 Check(
                     "twice the absolute temperature makes it sqrt(2) times as fast",
                     _warm_air_is_thin,
-                    "the ideal gas wants the temperature in kelvin, 273.15 more than in deg C",
+                    "the ideal gas law takes the temperature in kelvin, 273.15 more than in deg C",
                 ),
             ),
         ),
@@ -148,7 +149,8 @@ LAB = Lab(
                 Check(
                     "at 60 deg the load factor is 2",
                     _sixty_degrees,
-                    "degrees to radians first; the turn's slowest speed is v_min sqrt(n), the reserve comes on top",
+                    "degrees to radians first; the turn's slowest speed is v_min sqrt(n), "
+                    "the reserve comes on top",
                 ),
                 Check(
                     "the lift carries the weight and pulls into the turn",
@@ -167,9 +169,11 @@ LAB = Lab(
             20.0,
             (
                 Check(
-                    "a room that leaves 16 m carries 120 g over the reserve squared, at 30 deg and 0.03 kg/m",
+                    "a room that leaves 16 m carries 120 g over the reserve squared, "
+                    "at 30 deg and 0.03 kg/m",
                     _room_by_hand,
-                    "2 R is what wing and clearance leave of the width; a level turn has the sine, not the tangent",
+                    "2 R is what wing and clearance leave of the width; a level turn has the sine, "
+                    "not the tangent",
                 ),
                 Check(
                     "each metre of width adds the same mass",
@@ -193,19 +197,22 @@ LAB = Lab(
         Criterion(
             "radius_reading",
             7.0,
-            "150 g fit on the paper's line and at 60 deg, not in the level turn at 30 deg; 300 g nowhere; the level "
+            "150 g fit on the paper's line and at 60 deg, not in the level turn at 30 deg; "
+            "300 g nowhere; the level "
             "turn is wider by the same factor at every mass (1.65 in the open course)",
         ),
         Criterion(
             "q1",
             5.0,
-            "150 + 174 = 324 g (10.35 m/s, 18.9 m), 300 g is what 9.96 m/s and 17.5 m belong to; the "
+            "150 + 174 = 324 g (10.35 m/s, 18.9 m), 300 g is what 9.96 m/s and 17.5 m belong to; "
+            "the "
             "parts sum to 151 g, the receiver is not counted twice",
         ),
         Criterion(
             "q2",
             5.0,
-            "two of: load factor (1.155), density (8 %), reserve squared with wing and clearance; a "
+            "two of: load factor (1.155), density (8 %), reserve squared with wing and clearance; "
+            "a "
             "change that follows from R ~ m / (C sin(bank))",
         ),
     ),

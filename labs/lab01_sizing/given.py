@@ -33,7 +33,7 @@ BLUE, ORANGE, GREEN = (
     "#0072B2",
     "#D55E00",
     "#009E73",
-)  # told apart by colour-blind eyes too (Okabe and Ito)
+)  # distinguishable for colour-blind readers (Okabe and Ito)
 
 
 def draw_turn(width: float, radius: float, bank_deg: float) -> None:

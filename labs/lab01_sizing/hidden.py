@@ -1,7 +1,7 @@
 """Lab 1, instructors only: what the functions are judged against. The kit's own sizing, in other
 units and another way.
 
-The kit knows no reserve: to fly k times faster than the slowest turn is to turn with 1 / k^2 of the
+The kit has no reserve: to fly k times faster than the slowest turn is to turn with 1 / k^2 of the
 lift coefficient.
 """
 

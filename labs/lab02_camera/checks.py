@@ -75,7 +75,7 @@ def _mount_turns(pose: Function) -> bool:
     R_map_body = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     T = pose(R_map_body, np.array([5.0, 0.0, 1.0]), np.array([0.2, 0.1, 0.0]), 0.3)
     looks = np.array([0.0, math.cos(0.3), math.sin(0.3)])
-    return is_same_answer(T[:3, 3], np.array([4.9, 0.2, 1.0])) and is_same_answer(T[:3, 2], looks)
+    return is_same_answer((T[:3, 3], T[:3, 2]), (np.array([4.9, 0.2, 1.0]), looks))
 
 
 def _pose() -> tuple[Array, Array]:
@@ -96,9 +96,9 @@ def _ahead(to_camera: Function) -> bool:
     treacherous one.
     """
     T, R = _pose()
-    wanted = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 3.0], [0.0, -1.5, 4.0]])
-    built = np.array([T[:3, 3] + a * R[:, 0] + b * R[:, 1] + c * R[:, 2] for a, b, c in wanted])
-    return is_same_answer(to_camera(built, T), wanted)
+    expected = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 3.0], [0.0, -1.5, 4.0]])
+    built = np.array([T[:3, 3] + a * R[:, 0] + b * R[:, 1] + c * R[:, 2] for a, b, c in expected])
+    return is_same_answer(to_camera(built, T), expected)
 
 
 def _keeps_distances(to_camera: Function) -> bool:
@@ -144,8 +144,8 @@ def _looking_down() -> Array:
 def _straight_down(ground: Function) -> bool:
     """By hand: 100 px right with f = 200 at 2 m is 1 m right; 150 px down with f = 300 is 1 m back."""
     pixels = np.array([[100.0, 80.0], [200.0, 80.0], [100.0, 230.0], [200.0, 230.0]])
-    wanted = np.array([[3.0, 4.0, 0.0], [4.0, 4.0, 0.0], [3.0, 3.0, 0.0], [4.0, 3.0, 0.0]])
-    return is_same_answer(ground(pixels, _looking_down(), LENS), wanted)
+    expected = np.array([[3.0, 4.0, 0.0], [4.0, 4.0, 0.0], [3.0, 3.0, 0.0], [4.0, 3.0, 0.0]])
+    return is_same_answer(ground(pixels, _looking_down(), LENS), expected)
 
 
 def _looking_ahead() -> Array:
@@ -179,7 +179,8 @@ LAB = Lab(
                 Check(
                     "level and along the runway: nose along, right wing right, belly down",
                     _along_the_runway,
-                    "the heading counts from north, the runway's heading is in COHORT, in degrees; the map's rows are "
+                    "the heading counts from north, the runway's heading is in COHORT, in degrees; "
+                    "the map's rows are "
                     "right, along, up",
                 ),
                 Check(
@@ -200,7 +201,8 @@ LAB = Lab(
                 Check(
                     "a roll does not move the nose, whatever came before",
                     _order,
-                    "the roll stands rightmost: it turns about the nose that yaw and pitch have placed",
+                    "the roll stands rightmost: it turns about the nose that yaw and pitch have "
+                    "placed",
                 ),
             ),
         ),
@@ -209,12 +211,14 @@ LAB = Lab(
             15.0,
             (
                 Check(
-                    "untilted, the camera's axes are right wing, belly, nose; the last row is 0 0 0 1",
+                    "untilted, the camera's axes are right wing, belly, nose; "
+                    "the last row is 0 0 0 1",
                     _untilted,
                     "the columns of R_body_camera are the camera's axes, written in the body",
                 ),
                 Check(
-                    "tilted down, the axis leans to the belly and the picture's down leans to the tail",
+                    "tilted down, the axis leans to the belly and the picture's down leans to the "
+                    "tail",
                     _tilted,
                     "body z is down: leaning down adds a positive z to the nose",
                 ),
@@ -237,7 +241,8 @@ LAB = Lab(
                 Check(
                     "a point so far right, down and ahead comes back as these numbers",
                     _ahead,
-                    "the inverse of a rotation is its transpose; with points in rows the matrix changes sides",
+                    "the inverse of a rotation is its transpose; "
+                    "with points in rows the matrix changes sides",
                 ),
                 Check(
                     "distances between points stay",
@@ -277,7 +282,8 @@ LAB = Lab(
                     "undo the half pixel; walk until z = 0, and return z = 0",
                 ),
                 Check(
-                    "half a slope below the horizon the floor is twice the height away; above there is none",
+                    "half a slope below the horizon the floor is twice the height away; "
+                    "above there is none",
                     _horizon,
                     "turn the ray into the map; only rays whose map z is negative meet the floor",
                 ),
@@ -288,22 +294,26 @@ LAB = Lab(
         Criterion(
             "axes",
             11.0,
-            "both overlays lie on pad and marker, arrows right, along, up; footprints begin before each camera",
+            "both overlays lie on pad and marker, arrows right, along, up; "
+            "footprints begin before each camera",
         ),
         Criterion(
             "axes_reading",
             4.0,
-            "roll: turned by twice its angle; tilt: all lines lower; k1: a pixel here, many in the corners",
+            "roll: turned by twice its angle; tilt: all lines lower; k1: a pixel here, "
+            "many in the corners",
         ),
         Criterion(
             "q1",
             5.0,
-            "sign of the roll, angle twice the roll; without the runway's heading all moves sideways",
+            "sign of the roll, angle twice the roll; without the runway's heading all moves "
+            "sideways",
         ),
         Criterion(
             "q2",
             5.0,
-            "2.5 mrad or 2.5 cm at 10 m; no for landing, yes for renders and for fits, as it has a sign",
+            "2.5 mrad or 2.5 cm at 10 m; no for landing, yes for renders and for fits, "
+            "as it has a sign",
         ),
     ),
     constants={"runway_heading_deg": (20.0, 60.0, 0)},

@@ -18,7 +18,7 @@ BLUE, ORANGE, GREEN = (
     "#0072B2",
     "#D55E00",
     "#009E73",
-)  # told apart by colour-blind eyes too (Okabe and Ito)
+)  # distinguishable for colour-blind readers (Okabe and Ito)
 PAD = np.array(
     [[1, 1, 0.1], [3, 1, 0.1], [3, 14, 0.1], [1, 14, 0.1], [1, 1, 0.1]]
 )  # its top in the map [m]

@@ -27,10 +27,10 @@ def _turned(cov3d: Function) -> bool:
     """
     half = math.radians(15.0)
     xy = 3.0 * 0.5 * math.sqrt(0.75)
-    wanted = np.array([[[3.25, xy, 0.0], [xy, 1.75, 0.0], [0.0, 0.0, 1.0]]])
+    expected = np.array([[[3.25, xy, 0.0], [xy, 1.75, 0.0], [0.0, 0.0, 1.0]]])
     return is_same_answer(
         cov3d(np.log([[2.0, 1.0, 1.0]]), np.array([[0.0, 0.0, math.sin(half), math.cos(half)]])),
-        wanted,
+        expected,
     )
 
 
@@ -40,11 +40,7 @@ def _any_length(cov3d: Function) -> bool:
     one, three, minus = (
         cov3d(log_scales, factor * q / np.linalg.norm(q)) for factor in (1.0, 3.0, -1.0)
     )
-    return (
-        is_same_answer(three, one)
-        and is_same_answer(minus, one)
-        and np.asarray(one).shape == (1, 3, 3)
-    )
+    return is_same_answer((three, minus), (one, one)) and np.asarray(one).shape == (1, 3, 3)
 
 
 def _keeps_volume(cov3d: Function) -> bool:
@@ -55,9 +51,7 @@ def _keeps_volume(cov3d: Function) -> bool:
     )
     cov = np.asarray(cov3d(log_scales, q))
     volume = np.exp(2.0 * log_scales.sum(axis=1))
-    return is_same_answer(np.linalg.det(cov), volume) and is_same_answer(
-        cov, cov.transpose(0, 2, 1)
-    )
+    return is_same_answer((np.linalg.det(cov), cov), (volume, cov.transpose(0, 2, 1)))
 
 
 def _straight_ahead(project: Function) -> bool:
@@ -90,8 +84,8 @@ def _mixed(project: Function) -> bool:
     """
     cov = np.array([[[1.0, 0.0, 0.1], [0.0, 1.0, 0.0], [0.1, 0.0, 1.0]]])
     _, covs_px = project(np.array([[1.0, 0.5, -2.0]]), cov, LENS, 0.0)
-    wanted = np.array([[[2500 + 250 + 625, -125 - 625], [-125 - 625, 10000 + 625]]], dtype=float)
-    return is_same_answer(covs_px, wanted)
+    expected = np.array([[[2500 + 250 + 625, -125 - 625], [-125 - 625, 10000 + 625]]], dtype=float)
+    return is_same_answer(covs_px, expected)
 
 
 def _one_sigma(alphas: Function) -> bool:
@@ -149,9 +143,7 @@ def _two_layers(composite: Function) -> bool:
 def _order_of_the_file(composite: Function) -> bool:
     """By hand: the nearest comes last in the file: 0.8 green before 0.5 red."""
     rgb, depth = composite(np.array([[0.5, 0.8]]), np.eye(3)[:2], np.array([7.0, 3.0]), np.zeros(3))
-    return is_same_answer(rgb, np.array([[0.1, 0.8, 0.0]])) and is_same_answer(
-        depth, np.array([3.0])
-    )
+    return is_same_answer((rgb, depth), (np.array([[0.1, 0.8, 0.0]]), np.array([3.0])))
 
 
 def _surface_depth(composite: Function) -> bool:
@@ -161,9 +153,7 @@ def _surface_depth(composite: Function) -> bool:
     much, little = SHARE + 0.05, SHARE - 0.1
     alphas = np.array([[much, 0.1, 0.1], [little, 0.4, 0.9], [0.1, 0.1, 0.1]])
     rgb, depth = composite(alphas, np.ones((3, 3)), np.array([2.0, 4.0, 6.0]), np.ones(3))
-    return is_same_answer(rgb, np.ones((3, 3))) and is_same_answer(
-        depth, np.array([2.0, 4.0, float("nan")])
-    )
+    return is_same_answer((rgb, depth), (np.ones((3, 3)), np.array([2.0, 4.0, float("nan")])))
 
 
 LAB = Lab(
@@ -178,7 +168,8 @@ LAB = Lab(
                 Check(
                     "not turned, the variances are 1, 4 and 9 for standard deviations 1, 2 and 3",
                     _unturned,
-                    "the scales come as logarithms; the covariance holds their squares; w is the last of the four",
+                    "the scales come as logarithms; the covariance holds their squares; "
+                    "w is the last of the four",
                 ),
                 Check(
                     "turned by 30 deg about z, the longest axis leans from x to y",
@@ -204,7 +195,8 @@ LAB = Lab(
                 Check(
                     "at 2 m straight ahead, f / 2 pixels are a metre, and v counts down",
                     _straight_ahead,
-                    "fx for u, fy for v; the blur is added to both variances; what leans up right in space is uv < 0",
+                    "fx for u, fy for v; the blur is added to both variances; "
+                    "what leans up right in space is uv < 0",
                 ),
                 Check(
                     "right and up of the axis is right and up in the picture",
@@ -233,7 +225,8 @@ LAB = Lab(
                     "q / 2, with q squared",
                 ),
                 Check(
-                    "a slanted splat reaches further along its slant; each splat has its own column",
+                    "a slanted splat reaches further along its slant; "
+                    "each splat has its own column",
                     _slanted,
                     "d^T Sigma^-1 d with the whole inverse, for each pixel and each splat",
                 ),
@@ -264,7 +257,8 @@ LAB = Lab(
                 Check(
                     "the surface is where the share is reached for the first time, else nan",
                     _surface_depth,
-                    "1 - T behind the splat, at least COHORT['surface_share']; argmax finds the first True",
+                    "1 - T behind the splat, at least COHORT['surface_share']; "
+                    "argmax finds the first True",
                 ),
             ),
         ),
@@ -273,12 +267,14 @@ LAB = Lab(
         Criterion(
             "render",
             11.0,
-            "own picture like the kit's; the difference is shown with its scale and stays within a few 1/255",
+            "own picture like the kit's; the difference is shown with its scale and stays within a "
+            "few 1/255",
         ),
         Criterion(
             "render_reading",
             4.0,
-            "thin curves where splats are cut, as they end at another alpha; a wrong order lights up whole objects, "
+            "thin curves where splats are cut, as they end at another alpha; "
+            "a wrong order lights up whole objects, "
             "half a pixel doubles outlines",
         ),
         Criterion(

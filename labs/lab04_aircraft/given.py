@@ -38,7 +38,7 @@ BLUE, ORANGE, GREEN, GREY = (
     "#D55E00",
     "#009E73",
     "#777777",
-)  # told apart by colour-blind eyes
+)  # distinguishable for colour-blind readers
 
 
 def rotation_world_body(roll: float, pitch: float, yaw: float) -> Array:
@@ -61,8 +61,7 @@ def rotation_world_body(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def body_rates(air: Array, command: Array, K: dict[str, float]) -> Array:
-    """Body rates that follow the sticks at once: p = V (L_da aileron + L_beta beta), and so on
-    [paper, Section IV-B].
+    """Quasi-steady body rates: p = V (L_da aileron + L_beta beta), and so on [paper, Section IV-B].
 
     Args:
         air: (3,) airspeed V [m/s], angle of attack alpha [rad], sideslip beta [rad].
@@ -132,7 +131,7 @@ def pilot(state: Array, bank: float, level: Array) -> Array:
 
     Args:
         state: (9,) px, py, pz, pitch, yaw, roll, vx, vy, vz.
-        bank: wanted roll angle [rad].
+        bank: commanded roll angle [rad].
         level: (3,) angle of attack, throttle and elevator of straight level flight.
 
     Returns:

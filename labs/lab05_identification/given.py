@@ -32,15 +32,15 @@ GUESS = np.array(
 PRIOR_SIGMA = 0.5 * np.abs(GUESS)  # how well the guess is known
 STEPS = np.array(
     [0.05, 0.05, 0.01, 0.1, 0.1]
-)  # of derivatives to a start state: m, m, rad, m/s, m/s
-FARTHEST = 20.0 * STEPS  # that a start state may move in one round
+)  # of derivatives to a initial state: m, m, rad, m/s, m/s
+FARTHEST = 20.0 * STEPS  # that a initial state may move in one round
 ROWS, FIRST = 41, 4  # rows of a window: 2 s and one row; where the first window of a pass begins
 BLUE, ORANGE, GREEN, GREY = (
     "#0072B2",
     "#D55E00",
     "#009E73",
     "#777777",
-)  # told apart by colour-blind eyes
+)  # distinguishable for colour-blind readers
 
 
 def plane_rate(x: Array, command: Array, K: Array) -> Array:
@@ -80,7 +80,7 @@ def step(x: Array, command: Array, K: Array) -> Array:
 
 
 def predict(K: Array, starts: Array, commands: Array) -> Array:
-    """Fly every window from its start state.
+    """Fly every window from its initial state.
 
     Args:
         K: (8,), or (8, W) with numbers of its own for each window.
@@ -106,7 +106,7 @@ def sensitivities(K: Array, starts: Array, commands: Array) -> tuple[Array, Arra
         commands: (W, L, 2).
 
     Returns:
-        to K (W, L, 3, 8), and of each window to its own start state (W, L, 3, 5).
+        to K (W, L, 3, 8), and of each window to its own initial state (W, L, 3, 5).
     """
     moves = np.concatenate([np.diag(1e-4 * np.maximum(np.abs(K), 0.1)), np.zeros((5, 8))])
     shifts = np.concatenate([np.zeros((8, 5)), np.diag(1e-3 * STEPS)])
@@ -156,7 +156,7 @@ def windows(values: Array) -> Array:
 
 
 def start_guess(measured: Array) -> Array:
-    """A first guess of each window's start state from its first frames: (W, L, 3) -> (W, 5)."""
+    """A first guess of each window's initial state from its first frames: (W, L, 3) -> (W, 5)."""
     t, early = DT * np.arange(13), measured[:, :13]
     guess = np.empty((len(measured), 5))
     for w, rows in enumerate(early):
@@ -171,7 +171,7 @@ def start_guess(measured: Array) -> Array:
 
 
 def reduce(weighted_to_K: Array, weighted_to_start: Array) -> Array:
-    """What K does to the residuals that no start state can do: (W, R, 8) and (W, R, 5) -> (W * R,
+    """What K does to the residuals that no initial state can do: (W, R, 8) and (W, R, 5) -> (W * R,
     8).
     """
     Q, _ = np.linalg.qr(weighted_to_start)

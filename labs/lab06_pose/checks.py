@@ -30,9 +30,9 @@ def _straight_on(marker_pose: Function) -> bool:
     """
     corners = np.array([[260.0, 200.0], [340.0, 200.0], [340.0, 280.0], [260.0, 280.0]])
     lens = np.array([[400.0, 0.0, 300.0], [0.0, 400.0, 240.0], [0.0, 0.0, 1.0]])
-    wanted = np.diag([1.0, -1.0, -1.0, 1.0])
-    wanted[2, 3] = 4.0
-    return is_same_answer(marker_pose(corners, lens, 0.8), wanted, atol=1e-6)
+    expected = np.diag([1.0, -1.0, -1.0, 1.0])
+    expected[2, 3] = 4.0
+    return is_same_answer(marker_pose(corners, lens, 0.8), expected, atol=1e-6)
 
 
 def _from_aside(marker_pose: Function) -> bool:
@@ -43,15 +43,15 @@ def _from_aside(marker_pose: Function) -> bool:
     R = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ FACING @ QUARTER
     p = np.array([2.0, 0.7, 3.5])
     T = marker_pose(_corners(R, p, 0.6, UNEVEN), UNEVEN, 0.6)
-    return is_same_answer(T[:3, :3], R, atol=1e-6) and is_same_answer(T[:3, 3], p, atol=1e-6)
+    return is_same_answer((T[:3, :3], T[:3, 3]), (R, p), atol=1e-6)
 
 
 def _larger_marker(marker_pose: Function) -> bool:
     """The same image of a marker three times as large: three times as far away, the same attitude."""
     corners = _corners(FACING, np.array([0.3, -0.2, 5.0]), 0.5, K)
     small, large = marker_pose(corners, K, 0.5), marker_pose(corners, K, 1.5)
-    return is_same_answer(large[:3, 3], 3.0 * small[:3, 3], atol=1e-6) and is_same_answer(
-        large[:3, :3], small[:3, :3], atol=1e-6
+    return is_same_answer(
+        (large[:3, 3], large[:3, :3]), (3.0 * small[:3, 3], small[:3, :3]), atol=1e-6
     )
 
 
@@ -60,9 +60,7 @@ def _rotation_in_noise(marker_pose: Function) -> bool:
     noise = np.array([[0.8, -0.5], [-0.6, 0.9], [0.4, 0.7], [-0.9, -0.3]])
     T = marker_pose(_corners(FACING, np.array([1.0, 0.5, 6.0]), 0.8, K) + noise, K, 0.8)
     R = T[:3, :3]
-    proper = is_same_answer(R.T @ R, np.eye(3), atol=1e-9) and is_same_answer(
-        float(np.linalg.det(R)), 1.0, atol=1e-9
-    )
+    proper = is_same_answer((R.T @ R, float(np.linalg.det(R))), (np.eye(3), 1.0))
     return proper and is_same_answer(T[3], np.array([0.0, 0.0, 0.0, 1.0])) and T[2, 3] > 5.0
 
 
@@ -72,16 +70,16 @@ def _square_that_looks_flat(marker_pose: Function) -> bool:
     """
     corners = np.array([[260.0, 220.0], [340.0, 220.0], [340.0, 260.0], [260.0, 260.0]])
     lens = np.array([[400.0, 0.0, 300.0], [0.0, 400.0, 240.0], [0.0, 0.0, 1.0]])
-    wanted = np.diag([1.0, -1.0, -1.0, 1.0])
-    wanted[2, 3] = 16.0 / 3.0
-    return is_same_answer(marker_pose(corners, lens, 0.8), wanted, atol=1e-6)
+    expected = np.diag([1.0, -1.0, -1.0, 1.0])
+    expected[2, 3] = 16.0 / 3.0
+    return is_same_answer(marker_pose(corners, lens, 0.8), expected, atol=1e-6)
 
 
 def _quarter_turn(fit_similarity: Function) -> bool:
     """By hand: three times as large, a quarter turn about z, moved by (1, 2, 3)."""
-    wanted = (3.0, QUARTER, np.array([1.0, 2.0, 3.0]))
+    expected = (3.0, QUARTER, np.array([1.0, 2.0, 3.0]))
     return is_same_answer(
-        fit_similarity(BOX, 3.0 * BOX @ QUARTER.T + wanted[2], np.ones(4)), wanted, atol=1e-9
+        fit_similarity(BOX, 3.0 * BOX @ QUARTER.T + expected[2], np.ones(4)), expected, atol=1e-9
     )
 
 
@@ -184,8 +182,8 @@ def _between_two_rays(triangulate: Function) -> bool:
         np.array([[-5.0, 0.0, 0.0], [0.0, 8.0, 3.0]]),
         np.array([[10.0, 0.0, 0.0], [0.0, 0.1, 0.0]]),
     )
-    wanted = (np.array([0.0, 0.0, 1.0]), np.array([1.0, 2.0]))
-    return is_same_answer(triangulate(centres, rays, np.array([2.0, 1.0])), wanted, atol=1e-9)
+    expected = (np.array([0.0, 0.0, 1.0]), np.array([1.0, 2.0]))
+    return is_same_answer(triangulate(centres, rays, np.array([2.0, 1.0])), expected, atol=1e-9)
 
 
 def _lengths_do_not_matter(triangulate: Function) -> bool:
@@ -241,7 +239,8 @@ LAB = Lab(
                 Check(
                     "three times as large, a quarter turn, a shift",
                     _quarter_turn,
-                    "M = sum w b a^T, in this order; the scale needs |a|^2; t = mean_to - scale R mean_from",
+                    "M = sum w b a^T, in this order; the scale needs |a|^2; "
+                    "t = mean_to - scale R mean_from",
                 ),
                 Check(
                     "a pair of weight 0 does not count",
@@ -280,7 +279,7 @@ LAB = Lab(
                     "points are rows: scale * p_from @ R.T + t",
                 ),
                 Check(
-                    "the gate is so many times the median of the best candidate",
+                    "the gate is a multiple of the best candidate's median",
                     _gate_is_of_the_median,
                     'keep misses up to COHORT["gate"] times the median',
                 ),
@@ -327,7 +326,8 @@ LAB = Lab(
         Criterion(
             "hall_reading",
             3.0,
-            "weights use what is known about errors, the median needs no knowledge but a majority of good photos",
+            "weights use what is known about errors, the median needs no knowledge but a majority "
+            "of good photos",
         ),
         Criterion(
             "q1",
@@ -337,7 +337,8 @@ LAB = Lab(
         Criterion(
             "q2",
             5.0,
-            "SfM has no metre, so a scale is needed; leverage of 80 cm over 40 m; points far from the marker, such as "
+            "SfM has no metre, so a scale is needed; leverage of 80 cm over 40 m; "
+            "points far from the marker, such as "
             "the pad's corners",
         ),
     ),

@@ -51,9 +51,8 @@ def _climbing_turn(turn: Function) -> bool:
 def _almost_straight(turn: Function) -> bool:
     """Limit: an endless radius needs no bank, and the margin grows in proportion to the speed."""
     slow, fast = turn(5.0, 0.0, 1e12), turn(10.0, 0.0, 1e12)
-    return is_same_answer((slow[0], fast[1] / slow[1]), (0.0, 2.0), atol=1e-9) and is_same_answer(
-        slow[1], 5.0 / math.sqrt(GRAVITY / MOST_LIFT)
-    )
+    margin = 5.0 / math.sqrt(GRAVITY / MOST_LIFT)
+    return is_same_answer((*slow, fast[1] / slow[1]), (0.0, margin, 2.0))
 
 
 def _level_nose(turn_rates: Function) -> bool:
@@ -62,7 +61,7 @@ def _level_nose(turn_rates: Function) -> bool:
     """
     half = math.sqrt(0.5)
     right, left = turn_rates(math.pi / 4.0, 0.0, GRAVITY), turn_rates(-math.pi / 4.0, 0.0, GRAVITY)
-    return is_same_answer(right, (0.0, half, half)) and is_same_answer(left, (0.0, half, -half))
+    return is_same_answer((right, left), ((0.0, half, half), (0.0, half, -half)))
 
 
 def _one_turn(turn_rates: Function) -> bool:
@@ -94,16 +93,16 @@ def _right_of_it(guidance: Function) -> bool:
     / 2, bank left.
     """
     p, v = np.array([3.0, -1.0 / PULL]), np.array([2.0, 0.0])
-    wanted = math.atan(2.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
+    expected = math.atan(2.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
     mirrored = guidance(p * (1.0, -1.0), v, ORIGIN, EAST, 1.0)
-    return is_same_answer((guidance(p, v, ORIGIN, EAST, 1.0), mirrored), (wanted, -wanted))
+    return is_same_answer((guidance(p, v, ORIGIN, EAST, 1.0), mirrored), (expected, -expected))
 
 
 def _line_that_begins_elsewhere(guidance: Function) -> bool:
     """By hand: the line runs along +y through x = 5; an aircraft at x = 5 + 1 / k is to its right."""
     start, end, p = np.array([5.0, 2.0]), np.array([5.0, 4.0]), np.array([5.0 + 1.0 / PULL, -7.0])
-    wanted = math.atan(3.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
-    return is_same_answer(guidance(p, np.array([0.0, 3.0]), start, end, 1.4), wanted)
+    expected = math.atan(3.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
+    return is_same_answer(guidance(p, np.array([0.0, 3.0]), start, end, 1.4), expected)
 
 
 def _short_way_round(guidance: Function) -> bool:
@@ -111,15 +110,13 @@ def _short_way_round(guidance: Function) -> bool:
     deg to the right.
     """
     c, s = math.cos(math.radians(170.0)), math.sin(math.radians(170.0))
-    wanted = math.atan(3.0 * TURN_GAIN * math.radians(10.0) / GRAVITY)
+    expected = math.atan(3.0 * TURN_GAIN * math.radians(10.0) / GRAVITY)
     towards, back = (guidance(ORIGIN, 3.0 * np.array([c, y]), ORIGIN, -EAST, 1.4) for y in (-s, s))
-    return is_same_answer((towards, back), (wanted, -wanted))
+    return is_same_answer((towards, back), (expected, -expected))
 
 
 def _stays_within(guidance: Function) -> bool:
-    """By hand: across the line at 9 m/s it wants more than the limit, and gets the limit, on both
-    sides.
-    """
+    """By hand: across the line at 9 m/s the bank would exceed the limit, on both sides."""
     both = [guidance(ORIGIN, np.array([0.0, v]), ORIGIN, EAST, 0.3) for v in (9.0, -9.0)]
     return is_same_answer([float(bank) for bank in both], [0.3, -0.3])
 
@@ -163,9 +160,9 @@ def _below_and_above_the_slope(flare: Function) -> bool:
     steep as allowed.
     """
     slope = 60.0 * math.tan(GLIDE)
-    wanted = -(7.0 * math.sin(GLIDE) - 0.3 * SLOPE_GAIN)
+    expected = -(7.0 * math.sin(GLIDE) - 0.3 * SLOPE_GAIN)
     got = [flare(slope + off, 60.0, 7.0)[0] for off in (-0.3, -5.0, 5.0)]
-    return is_same_answer([float(rate) for rate in got], [wanted, 0.0, -7.0 * math.sin(STEEPEST)])
+    return is_same_answer([float(rate) for rate in got], [expected, 0.0, -7.0 * math.sin(STEEPEST)])
 
 
 def _soft_at_the_end(flare: Function) -> bool:
@@ -182,8 +179,8 @@ def _less_of_both(flare: Function) -> bool:
     would.
     """
     rate, idle = flare(0.3, 0.3 / math.tan(GLIDE) + 10.0, 7.0)
-    wanted = -max(7.0 * math.sin(GLIDE) - 10.0 * math.tan(GLIDE) * SLOPE_GAIN, 0.0)
-    return is_same_answer((rate, idle), (wanted, False), atol=1e-9)
+    expected = -max(7.0 * math.sin(GLIDE) - 10.0 * math.tan(GLIDE) * SLOPE_GAIN, 0.0)
+    return is_same_answer((rate, idle), (expected, False), atol=1e-9)
 
 
 LAB = Lab(
@@ -198,7 +195,8 @@ LAB = Lab(
                 Check(
                     "V^2 = g R makes a bank of 45 deg and n = sqrt 2",
                     _bank_45,
-                    "divide the two equations of the lift; V_stall^2 (c_0 + c_alpha alpha_stall) = n g",
+                    "divide the two equations of the lift; V_stall^2 (c_0 + c_alpha alpha_stall) = "
+                    "n g",
                 ),
                 Check(
                     "to the left the bank is negative and the margin the same",
@@ -250,7 +248,8 @@ LAB = Lab(
                 Check(
                     "1 / PULL to the right of it, it turns left by half of APPROACH",
                     _right_of_it,
-                    "with y to the left, right of the direction (x, y) is (y, -x); divide it by its length. V is the "
+                    "with y to the left, right of the direction (x, y) is (y, -x); "
+                    "divide it by its length. V is the "
                     "length of v",
                 ),
                 Check(
@@ -303,12 +302,13 @@ LAB = Lab(
                 Check(
                     "on the slope, V sin(GLIDE) down, motor running",
                     _on_the_slope,
-                    "mind the sign: climb rate",
+                    "check the sign: climb rate",
                 ),
                 Check(
                     "below the slope it sinks less, above it more, within limits",
                     _below_and_above_the_slope,
-                    "d tan(GLIDE) - h is how much too low it is; limit its sink rate to 0 .. V sin(STEEPEST)",
+                    "d tan(GLIDE) - h is how much too low it is; limit its sink rate to 0 .. "
+                    "V sin(STEEPEST)",
                 ),
                 Check(
                     "the sink rate falls with the height to that of the touchdown",
@@ -327,29 +327,33 @@ LAB = Lab(
         Criterion(
             "circuit",
             5.0,
-            "a track round the legs clear of the walls; bank, margin and sticks",
+            "a track round the legs clear of the walls; bank, margin and commands",
         ),
         Criterion(
             "circuit_reading",
             3.0,
-            "the margin is smallest where turns begin (n), ripples by noise; right banks end an overshoot",
+            "the margin is smallest where turns begin (n), ripples by noise; "
+            "right banks end an overshoot",
         ),
         Criterion("landing", 4.0, "both landings, the flare's bend, both sink rates at the pad"),
         Criterion(
             "landing_reading",
             3.0,
-            "a flare costs about two metres of pad; the aircraft answers late; a height measured 10 cm too high lets "
+            "a flare costs about two metres of pad; the aircraft answers late; "
+            "a height measured 10 cm too high lets "
             "it flare late: two metres earlier on the pad and harder",
         ),
         Criterion(
             "q1",
             5.0,
-            "q is a product of two factors that both change sign; r and p are not; n > 1 adds to it",
+            "q is a product of two factors that both change sign; r and p are not; "
+            "n > 1 adds to it",
         ),
         Criterion(
             "q2",
             5.0,
-            "the course loop must be slower than bank and delay, else it weaves; gain times delay; more delay shows in "
+            "the course loop must be slower than bank and delay, else it weaves; gain times delay; "
+            "more delay shows in "
             "the innermost loops and the flare",
         ),
     ),

@@ -47,7 +47,7 @@ MODEL, AIRFRAME, PAD = rates_model(), load_airframe(), LandingPad()
 SCATTER = Spread(position=0.4, angle=math.radians(4.0), speed=0.4)
 LEGS, LEGS_TIME = 3, 8.5  # of the circuit, and the time for them [s]; the reference takes 7
 SOFTER_BY = (
-    0.25  # a flare may touch down so much harder than wanted [m/s]; without one it is 0.5 harder
+    0.25  # a flare may touch down so much harder than commanded [m/s]; without one it is 0.5 harder
 )
 
 Pilot = Callable[
@@ -141,22 +141,22 @@ def _draw_line(rng: np.random.Generator, approach: float) -> tuple[Any, ...]:
 
 
 def _course_error(p: Any, v: Any, start: Any, end: Any, approach: float) -> float:
-    """With complex numbers x + i y: the angle between the wanted course and the flown one, right
+    """With complex numbers x + i y: the angle between the commanded course and the flown one, right
     positive.
     """
     line, flown, off = (complex(*each) for each in (end - start, v, p - start))
     left = (off * line.conjugate()).imag / abs(line)
-    wanted = line * cmath.exp(-1j * approach * math.atan(PULL * left) * 2.0 / math.pi)
-    return -cmath.phase(wanted * flown.conjugate())
+    commanded = line * cmath.exp(-1j * approach * math.atan(PULL * left) * 2.0 / math.pi)
+    return -cmath.phase(commanded * flown.conjugate())
 
 
 def _bank(
     p: Any, v: Any, start: Any, end: Any, bank_limit: float, approach: float = APPROACH
 ) -> float:
-    wanted = math.atan(
+    commanded = math.atan(
         math.hypot(*v) * TURN_GAIN * _course_error(p, v, start, end, approach) / GRAVITY
     )
-    return float(np.clip(wanted, -bank_limit, bank_limit))
+    return float(np.clip(commanded, -bank_limit, bank_limit))
 
 
 def _draw_speed(rng: np.random.Generator) -> tuple[Any, ...]:
@@ -175,8 +175,8 @@ def _draw_speed(rng: np.random.Generator) -> tuple[Any, ...]:
 def _throttle(error: float, integral: float, base: float) -> tuple[float, float]:
     """What is cut off tells by its sign whether the error pushes into the limit."""
     after = integral + STEP * error
-    wanted = base + KP * error + KI * after
-    cut = wanted - float(np.clip(wanted, 0.0, 1.0))
+    commanded = base + KP * error + KI * after
+    cut = commanded - float(np.clip(commanded, 0.0, 1.0))
     after = integral if cut * error > 0.0 else after
     return float(np.clip(base + KP * error + KI * after, 0.0, 1.0)), after
 

@@ -51,7 +51,7 @@ class Flight:
         yaw: of the nose at the start, positive right of the runway [rad].
         wind: from the right, so that it blows the aircraft to the left [m/s].
         seed: of the gusts; negative for none.
-        look: makes the picture from a flight; None where nobody looks.
+        look: renders the picture of a flight; None for a flight without pictures.
     """
 
     def __init__(
@@ -100,8 +100,8 @@ class Flight:
         """One step of 0.05 s. The servo goes from -1 to 1; positive is right wing down."""
         if self._draws is not None:
             self._gust = 0.9 * self._gust + math.sqrt(0.19) * GUST * self._draws.normal()
-        wanted = BANK * min(max(min(max(aileron, -1.0), 1.0) + self._gust, -1.0), 1.0)
-        self.roll += STEP_S / LAG_S * (wanted - self.roll)
+        commanded = BANK * min(max(min(max(aileron, -1.0), 1.0) + self._gust, -1.0), 1.0)
+        self.roll += STEP_S / LAG_S * (commanded - self.roll)
         self.yaw += STEP_S * GRAVITY / SPEED * math.tan(self.roll)  # level turn
         self.x += STEP_S * SPEED * math.cos(self.yaw)
         self.offset += STEP_S * (self.wind - SPEED * math.sin(self.yaw))
@@ -111,8 +111,8 @@ def expert(flight: Flight) -> float:
     """The aileron of a pilot who sees the state: turn towards the line, the more the farther off,
     and roll for that.
     """
-    wanted_yaw = min(max(0.25 * flight.offset, -0.35), 0.35)
-    roll = 1.8 * (wanted_yaw - flight.yaw) * SPEED / GRAVITY
+    commanded_yaw = min(max(0.25 * flight.offset, -0.35), 0.35)
+    roll = 1.8 * (commanded_yaw - flight.yaw) * SPEED / GRAVITY
     return min(max(roll / BANK, -1.0), 1.0)
 
 
@@ -120,12 +120,12 @@ def load_flights(kind: str) -> dict[str, Array]:
     """SIMULATED flights of the expert.
 
     Args:
-        kind: "clean": the expert flew alone. "noisy": somebody shook the stick meanwhile.
+        kind: "clean": the expert flew undisturbed. "noisy": noise was added to its command.
             "held_out": clean, not for training.
 
     Returns:
         "images" (n, 30, 40, 3) uint8; "flown" (n,) aileron that the aircraft got; "expert" (n,)
-        aileron that the expert wanted; "offset" (n,) [m]; "starts" (flights,) number of each
+        aileron that the expert commanded; "offset" (n,) [m]; "starts" (flights,) number of each
         flight's first frame.
     """
     with np.load(HERE / "data" / "flights.npz", allow_pickle=False) as file:

@@ -95,17 +95,22 @@ def _batches(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _descend(
-    weights: list[np.ndarray], images: np.ndarray, history: np.ndarray, labels: np.ndarray, rate: float,
-    turn_weight: float, clip_norm: float,
-) -> dict[str, Any]:  # fmt: skip
+    weights: list[np.ndarray],
+    images: np.ndarray,
+    history: np.ndarray,
+    labels: np.ndarray,
+    rate: float,
+    turn_weight: float,
+    clip_norm: float,
+) -> dict[str, Any]:
     """The same steps with gradients by hand: the chain rule through tanh, in NumPy."""
     A, a, B, b = (np.array(each, float) for each in weights)
     losses = []
-    for x, past, wanted in zip(images, history, labels, strict=True):
+    for x, past, label in zip(images, history, labels, strict=True):
         inputs = np.hstack([x.reshape(len(x), -1), past])
         units = np.tanh(inputs @ A.T + a)
-        error = units @ B[0] + b[0] - wanted
-        share = (1.0 + turn_weight * np.abs(wanted)) / len(wanted)
+        error = units @ B[0] + b[0] - label
+        share = (1.0 + turn_weight * np.abs(label)) / len(label)
         losses.append(float(share @ error**2))
         by_answer = 2.0 * share * error
         by_units = np.outer(by_answer, B[0]) * (1.0 - units**2)
@@ -150,8 +155,8 @@ def _landings(gains: np.ndarray, memory: np.ndarray, starts: np.ndarray) -> dict
             break
         aileron = np.clip(np.column_stack([offset, yaw, roll]) @ gains + flown @ memory, -1.0, 1.0)
         gust = np.where(flying, 0.9 * gust + np.sqrt(0.19) * 0.3 * draws[:, step], gust)
-        wanted = np.deg2rad(35.0) * np.clip(aileron + gust, -1.0, 1.0)
-        next_roll = roll + 0.2 * (wanted - roll)
+        commanded = np.deg2rad(35.0) * np.clip(aileron + gust, -1.0, 1.0)
+        next_roll = roll + 0.2 * (commanded - roll)
         next_yaw = yaw + 0.05 * 9.81 / 7.0 * np.tan(next_roll)
         moved = np.stack([0.35 * np.cos(next_yaw), 0.05 * wind - 0.35 * np.sin(next_yaw)])
         roll, yaw = np.where(flying, next_roll, roll), np.where(flying, next_yaw, yaw)

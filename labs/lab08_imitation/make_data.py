@@ -83,7 +83,8 @@ def fly(scene: GaussianScene, flights: int, seed: int, shake: float) -> dict[str
             log["flown"].append(min(max(log["expert"][-1] + noise, -1.0), 1.0))
             flight.fly(log["flown"][-1])
     print(
-        f"{flights} flights, {STEP_S * len(log['flown']):.0f} s, touchdown at {log['offset'][-1]:+.2f} m in the last"
+        f"{flights} flights, {STEP_S * len(log['flown']):.0f} s, "
+        f"touchdown at {log['offset'][-1]:+.2f} m in the last"
     )
     return {name: np.array(values) for name, values in log.items()}
 

@@ -134,14 +134,14 @@ def new_unet(base: int = 6, seed: int = 0) -> Any:
 
 
 def to_tensor(images: Array) -> Any:
-    """Pictures (n, H, W, 3) uint8 as a network wants them: (n, 3, H, W) in -1..1."""
+    """Pictures (n, H, W, 3) uint8 as network input: (n, 3, H, W) in -1..1."""
     import torch
 
     return torch.tensor(np.asarray(images, np.float32).transpose(0, 3, 1, 2) / 127.5 - 1.0)
 
 
 def probabilities(network: Any, images: Array) -> Array:
-    """What a network says of each pixel (n, H, W), 0..1."""
+    """A network's probability of each pixel (n, H, W), 0..1."""
     import torch
 
     with torch.no_grad():
@@ -224,4 +224,4 @@ def plot_window(
             axes.set(xticks=[], yticks=[])
         row[0].set_ylabel(name, fontsize=8)
     grid[0, 0].set_title("with a leader", fontsize=9, loc="left")
-    grid[0, len(frames)].set_title("nobody there", fontsize=9, loc="left")
+    grid[0, len(frames)].set_title("no leader", fontsize=9, loc="left")

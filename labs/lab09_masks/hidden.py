@@ -156,9 +156,15 @@ def _changes(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _pixel_by_pixel(
-    image: np.ndarray, mask: np.ndarray, tint: np.ndarray, brightness: float, salt: float, draws: np.ndarray,
-    patch: np.ndarray, corner: tuple[int, int],
-) -> np.ndarray:  # fmt: skip
+    image: np.ndarray,
+    mask: np.ndarray,
+    tint: np.ndarray,
+    brightness: float,
+    salt: float,
+    draws: np.ndarray,
+    patch: np.ndarray,
+    corner: tuple[int, int],
+) -> np.ndarray:
     """One pixel after the other, as the text says it."""
     made = np.zeros_like(image)
     for i, j in np.ndindex(*mask.shape):

@@ -150,7 +150,7 @@ def scene_of_faults() -> list[tuple[bool, bool, bool]]:
     steps += [(False, False, False)] * 20 + [(True, True, False)] * 30  # a long one
     steps += [(True, False, False)] * 10 + [
         (True, True, False)
-    ] * 60  # the host lets go and asks again
+    ] * 60  # the host disengages and engages again
     return [*steps, (True, True, True), *[(True, True, False)] * 40]  # the pilot moves a stick
 
 

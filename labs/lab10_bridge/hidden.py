@@ -164,12 +164,12 @@ def _same_states(
 ) -> bool:
     memory: Any = {"state": "SAFE", "armed": False, "good": 0, "age_ms": 0.0}
     history: list[tuple[float, bool, bool, bool]] = []
-    wanted = "SAFE"
+    expected = "SAFE"
     for inputs in _trace(rng, hold_ms, lost_ms):
         memory = student(memory, *inputs)
         history.append(inputs)
-        wanted = _state(wanted, history, hold_ms, lost_ms)
-        if not isinstance(memory, dict) or memory.get("state") != wanted:
+        expected = _state(expected, history, hold_ms, lost_ms)
+        if not isinstance(memory, dict) or memory.get("state") != expected:
             return False
     return True
 
@@ -204,7 +204,7 @@ def _state(
         return before
     last = history[
         -6:
-    ]  # five in a row that asked to fly, and before them the host let go with nobody at the sticks
+    ]  # five engage frames in a row, and before them the host disengaged and no stick moved
     asked = all(
         was_valid and was_engaged and not moved for _, was_valid, was_engaged, moved in last[-5:]
     )

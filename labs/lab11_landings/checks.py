@@ -21,9 +21,7 @@ def _ten_of_ten(success_interval: Function) -> bool:
     z2 = 1.644854**2
     all_good, none_good = success_interval(10, 10, 0.90), success_interval(0, 10, 0.90)
     low = 10.0 / (10.0 + z2)
-    return is_same_answer(all_good, (low, 1.0), atol=1e-6) and is_same_answer(
-        none_good, (0.0, 1.0 - low), atol=1e-6
-    )
+    return is_same_answer((all_good, none_good), ((low, 1.0), (0.0, 1.0 - low)), atol=1e-6)
 
 
 def _solves_the_score_equation(success_interval: Function) -> bool:
@@ -63,14 +61,14 @@ def _nobody_landed(ald_summary: Function) -> bool:
     """No landing, no deviation: nan, not 0; and the answer has the five names, no more."""
     with np.errstate(all="ignore"):
         got = ald_summary(np.array([False, False]), np.array([NAN, 120.0]))
-    wanted = {
+    expected = {
         "landed": 0,
         "mean_cm": NAN,
         "mean_with_zeros_cm": 0.0,
         "median_cm": NAN,
         "close_share": 0.0,
     }
-    return is_same_answer(got, wanted)
+    return is_same_answer(got, expected)
 
 
 def _three_pairs(compare_sim_real: Function) -> bool:
@@ -95,9 +93,7 @@ def _papers_pairs(compare_sim_real: Function) -> bool:
     sim = np.array([54.0, 4.0, 38.0, 12.0, 32.0, 74.0, 21.0, 79.0, 32.0, 23.0])
     real = np.array([35.0, 45.0, NAN, 40.0, 40.0, 70.0, 20.0, 80.0, 78.0, NAN])
     forth, back = compare_sim_real(sim, real), compare_sim_real(real, sim)
-    return is_same_answer(forth, (8, 12.5, 46.0 / 256.0)) and is_same_answer(
-        back, (8, -12.5, 46.0 / 256.0)
-    )
+    return is_same_answer((forth, back), ((8, 12.5, 46.0 / 256.0), (8, -12.5, 46.0 / 256.0)))
 
 
 def _arguments_stay(compare_sim_real: Function) -> bool:
@@ -143,7 +139,8 @@ LAB = Lab(
                 Check(
                     "8 of 10 landings, at 95 %: 0.490 to 0.943",
                     _eight_of_ten,
-                    "z is that of the confidence; z^2 / n and z^2 / (4 n^2) are different terms; divide all of it",
+                    "z is that of the confidence; z^2 / n and z^2 / (4 n^2) are different terms; "
+                    "divide all of it",
                 ),
                 Check(
                     "10 of 10 ends at 1 and does not begin there; 0 of 10 is its mirror image",
@@ -164,7 +161,8 @@ LAB = Lab(
                 Check(
                     "a failed run has no deviation; as 0 cm it would make the mean smaller",
                     _misses_are_no_zeros,
-                    "mean_cm is the sum over landings by the number of landings; mean_with_zeros_cm by that of runs",
+                    "mean_cm is the sum over landings by the number of landings; "
+                    "mean_with_zeros_cm by that of runs",
                 ),
                 Check(
                     "a mark beside the pad is no landing",
@@ -177,7 +175,7 @@ LAB = Lab(
                     'landed and at most COHORT["close_cm"], divided by the number of runs',
                 ),
                 Check(
-                    "where nobody landed, mean and median are nan, and the names are the five",
+                    "where no run landed, mean and median are nan, and the names are the five",
                     _nobody_landed,
                     "the mean of no numbers is nan in NumPy; a sum of none is 0",
                 ),
@@ -200,7 +198,8 @@ LAB = Lab(
                 Check(
                     "the paper's table: 8 pairs, +12.5 cm, p = 46 / 256",
                     _papers_pairs,
-                    "there are 2^n patterns for n pairs; count those at least as large, equal ones too",
+                    "there are 2^n patterns for n pairs; count those at least as large, "
+                    "equal ones too",
                 ),
                 Check(
                     "the arguments are left as they were",
@@ -216,15 +215,18 @@ LAB = Lab(
                 Check(
                     "90 % at 95 % confidence takes 35 landings without a failure",
                     _no_failure,
-                    "count n up from the failures + 1; the rate inside the root is the one to be shown",
+                    "count n up from the failures + 1; the rate inside the root is the one to be "
+                    "shown",
                 ),
                 Check(
                     "two failures, 80 %, at 80 % confidence: 23",
                     _two_failures,
-                    "the share of successes is (n - failures) / n; stop as soon as it is far enough above the rate",
+                    "the share of successes is (n - failures) / n; "
+                    "stop as soon as it is far enough above the rate",
                 ),
                 Check(
-                    "each failure, a higher rate, more confidence: all cost landings; whole numbers",
+                    "each failure, a higher rate, more confidence: all cost landings; "
+                    "whole numbers",
                     _costs_of_failures,
                     "z comes from z_value(confidence); return an int",
                 ),
@@ -240,18 +242,21 @@ LAB = Lab(
         Criterion(
             "landings_reading",
             7.0,
-            "51 cm is the mean of the landings, 41 cm counts failures as 0; 10 of 10 and 8 of 10 overlap widely",
+            "51 cm is the mean of the landings, 41 cm counts failures as 0; "
+            "10 of 10 and 8 of 10 overlap widely",
         ),
         Criterion(
             "q1",
             5.0,
-            "51 cm with 8 of 10 beside it; a failure is not a perfect landing; or a measure over all "
+            "51 cm with 8 of 10 beside it; a failure is not a perfect landing; "
+            "or a measure over all "
             "runs such as the close share",
         ),
         Criterion(
             "q2",
             5.0,
-            "neither difference is shown (p 0.18; intervals overlap), which is not 'no gap'; the two "
+            "neither difference is shown (p 0.18; intervals overlap), which is not 'no gap'; "
+            "the two "
             "failures are missing from the pairs, which flatters the real flights",
         ),
     ),

@@ -20,7 +20,7 @@ BLUE, ORANGE, GREEN = (
     "#0072B2",
     "#D55E00",
     "#009E73",
-)  # told apart by colour-blind eyes too (Okabe and Ito)
+)  # distinguishable for colour-blind readers (Okabe and Ito)
 
 
 def z_value(confidence: float) -> float:

@@ -50,10 +50,10 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
             "close_share": sum(bool(value <= close_cm) for value in landed) / runs,
         }
 
-    nobody = (np.array([False, False, False]), np.array([NAN, 140.0, NAN]))
+    none_landed = (np.array([False, False, False]), np.array([NAN, 140.0, NAN]))
     return {
         "success_interval": (Values(_draw_counts, _interval, fixed=((20, 20, 0.99), (0, 8, 0.8))),),
-        "ald_summary": (Values(runs, summary, fixed=(nobody,)),),
+        "ald_summary": (Values(runs, summary, fixed=(none_landed,)),),
         "compare_sim_real": (Values(_draw_pairs, _compared),),
         "landings_to_show": (Values(_draw_target, _needed),),
     }

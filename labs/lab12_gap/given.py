@@ -17,7 +17,7 @@ COHORT: dict[str, float] = json.loads(
 )
 CAUTION = COHORT[
     "caution"
-]  # evidence must exceed what chance finds on the calm flight by this factor
+]  # evidence must exceed what chance finds on the baseline flight by this factor
 LEAST_GAIN = (
     10.0  # evidence below which nothing is named, and within which two names cannot be told apart
 )
@@ -29,7 +29,7 @@ BLUE, ORANGE, GREEN, GREY = (
     "#D55E00",
     "#009E73",
     "#777777",
-)  # told apart by colour-blind eyes
+)  # distinguishable for colour-blind readers
 
 
 @dataclass(frozen=True)
@@ -43,20 +43,38 @@ class Candidate:
     largest: float  # that makes sense
 
 
-# Your `augment_model` makes the loads of the first five; the others act on the air or on the
-# sticks, by the kit's code.
+# Your `augment_model` makes the loads of the first five; the others act on the wind or on the
+# control inputs, by the kit's code.
 CANDIDATES = {
-    "extra_drag": Candidate("something sticks out into the air", "drag added [1/m]", ("size",), 0.003, 0.1),
-    "thrust_loss": Candidate("the propeller gives less", "share of the thrust lost [-]", ("size",), 0.05, 1.0),
-    "ground_effect": Candidate("a cushion of air near the floor", "share added at the floor [-]", ("size",), 0.1, 2.0),
-    "aileron_loss": Candidate("an aileron moves less", "share of its moment lost [-]", ("size",), 0.05, 1.0),
-    "adverse_yaw": Candidate("aileron pulls the nose out of the turn", "moment [1/m^2]", ("size",), 0.02, 1.0),
+    "extra_drag": Candidate(
+        "something sticks out into the air", "drag added [1/m]", ("size",), 0.003, 0.1
+    ),
+    "thrust_loss": Candidate(
+        "the propeller gives less", "share of the thrust lost [-]", ("size",), 0.05, 1.0
+    ),
+    "ground_effect": Candidate(
+        "a cushion of air near the floor", "share added at the floor [-]", ("size",), 0.1, 2.0
+    ),
+    "aileron_loss": Candidate(
+        "an aileron moves less", "share of its moment lost [-]", ("size",), 0.05, 1.0
+    ),
+    "adverse_yaw": Candidate(
+        "aileron pulls the nose out of the turn", "moment [1/m^2]", ("size",), 0.02, 1.0
+    ),
     "wind": Candidate("the air moves", "speed [m/s]", ("wind_x", "wind_y"), 0.1, 5.0),
-    "trim_bias": Candidate("the aileron's neutral moved", "stick, with sign [-]", ("bias_aileron",), 0.02, 0.5),
-    "control_delay": Candidate("the sticks act later", "time [s]", ("control_delay",), 0.02, 0.4),
-    "actuator_lag": Candidate("the servos are slower", "time constant [s]", ("actuator_lag",), 0.02, 0.6),
-    "mass_change": Candidate("the aircraft is heavier", "share of the mass [-]", ("mass_added",), 0.03, 1.0),
-}  # fmt: skip
+    "trim_bias": Candidate(
+        "the aileron's neutral moved", "command, with sign [-]", ("bias_aileron",), 0.02, 0.5
+    ),
+    "control_delay": Candidate(
+        "the control inputs act later", "time [s]", ("control_delay",), 0.02, 0.4
+    ),
+    "actuator_lag": Candidate(
+        "the servos are slower", "time constant [s]", ("actuator_lag",), 0.02, 0.6
+    ),
+    "mass_change": Candidate(
+        "the aircraft is heavier", "share of the mass [-]", ("mass_added",), 0.03, 1.0
+    ),
+}
 LOADS = ("extra_drag", "thrust_loss", "ground_effect", "aileron_loss", "adverse_yaw")
 
 
@@ -69,8 +87,8 @@ def rows_of(residual: Array, windows: Any) -> tuple[Array, dict[str, Array]]:
 
     Returns:
         (W * L, 6) residuals, nan where not measured; and by name with its unit, (W * L,) height,
-        heading, and throttle and aileron as means over the last second, since a stick shows in the
-        pose through what it did before.
+        heading, and throttle and aileron as means over the last second, since the pose follows
+        from earlier commands.
     """
     sticks = []
     for times, number in zip(windows.nodes, windows.flight, strict=True):

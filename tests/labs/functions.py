@@ -43,8 +43,15 @@ class LabHere:
 
     def function(self, name: str, old: str = "", new: str = "") -> Function:
         """The solution's function, or a wrong one where `old` of its solution is replaced by `new`."""
-        cells = [SubmittedCell(True, replaced(cell.text, old, new) if cell.name == name and cell.kind == "exercise" and old
-                      else cell.for_solution()) for cell in self.cells]  # fmt: skip
+        cells = [
+            SubmittedCell(
+                True,
+                replaced(cell.text, old, new)
+                if cell.name == name and cell.kind == "exercise" and old
+                else cell.for_solution(),
+            )
+            for cell in self.cells
+        ]
         source = collect_source(Notebook(tuple(cells)), name, self.lab.packages)
         assert source.problems == (), source.problems
         namespace: dict[str, object] = {"__name__": "notebook"}

@@ -137,7 +137,8 @@ def open_and_run(address: str, notebook: str, picture: Path) -> dict[str, object
 def run_to_the_end(page, saved: str) -> bool:
     """Whether the kernel has nothing left to do; the notebook is saved then."""
     busy = page.evaluate(
-        "[...document.querySelectorAll('.jp-InputPrompt')].some(prompt => prompt.innerText.includes('[*]'))"
+        "[...document.querySelectorAll('.jp-InputPrompt')].some(prompt => "
+        "prompt.innerText.includes('[*]'))"
     )
     idle = page.query_selector("text=| Idle") is not None
     if busy or not idle:

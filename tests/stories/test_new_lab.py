@@ -64,6 +64,10 @@ def test_copied_template_builds_checks_and_grades_as_the_page_says(tree):
     assert sorted(path.name for path in (tree / "labs").iterdir()) == ["_template", "lab13_gliding"]
     assert not list(tree.rglob("*.old"))
     # the temporary tests, not those of this checkout
-    done = shell(f"PYTHONPATH=.:$PYTHONPATH {last} and {DEMANDS}".replace("-k lab13 and", "-k 'lab13 and") + "' -q", tree)
+    done = shell(
+        f"PYTHONPATH=.:$PYTHONPATH {last} and {DEMANDS}".replace("-k lab13 and", "-k 'lab13 and")
+        + "' -q",
+        tree,
+    )
     assert done.returncode == 0, done.stdout[-3000:]
     assert re.search(r"[2-9]\d passed", done.stdout), done.stdout[-500:]

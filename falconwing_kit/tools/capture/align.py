@@ -93,7 +93,8 @@ def transform_reconstruction(
     """
     if reconstruction.aligned:
         raise InputError(
-            "reconstruction: expected one that is not aligned yet, got one in world metres; take the raw one"
+            "reconstruction: expected one that is not aligned yet, got one in world metres; "
+            "take the raw one"
         )
     poses = reconstruction.T_world_camera.copy()
     poses[:, :3, :3] = alignment.R @ poses[:, :3, :3]
@@ -140,7 +141,8 @@ def align(
     """
     if reconstruction.aligned:
         raise InputError(
-            "reconstruction: expected one that is not aligned yet, got one in world metres; take the raw one"
+            "reconstruction: expected one that is not aligned yet, got one in world metres; "
+            "take the raw one"
         )
     observations = _alignment_observations(observations, survey)
     triangulated = triangulate(reconstruction, observations)
@@ -150,7 +152,8 @@ def align(
         or np.linalg.matrix_rank(survey.places(names) - survey.places(names[:1]), tol=0.05) < 2
     ):
         raise InputError(
-            f"sightings: expected three surveyed points, not in a line, each in two or more photos, got {len(names)}; "
+            "sightings: expected three surveyed points, not in a line, "
+            f"each in two or more photos, got {len(names)}; "
             "click more points or take more photos of them"
         )
     start = umeyama(np.array([triangulated[name] for name in names]), survey.places(names))
@@ -191,7 +194,8 @@ def align_by_marker_poses(
     shared = set.intersection(*(set(photos.tolist()) for photos, _ in corners))
     if len(shared) < 3:
         raise InputError(
-            f"photos: expected the marker whole in three or more photos, got it in {len(shared)}; take more"
+            f"photos: expected the marker whole in three or more photos, got it in {len(shared)}; "
+            "take more"
         )
     from_reconstruction, from_marker = [], []
     for number in sorted(shared):
@@ -242,7 +246,8 @@ def umeyama(p_from: Array, p_to: Array) -> tuple[float, Array, Array]:
     U, S, Vt = np.linalg.svd(B.T @ A)
     if len(p_from) < 3 or not S[1] > 1e-9 * S[0] > 0.0:
         raise InputError(
-            f"points: expected three or more that are not in a line, got {len(p_from)}; add points beside it"
+            f"points: expected three or more that are not in a line, got {len(p_from)}; "
+            "add points beside it"
         )
     D = np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)])
     R = U @ D @ Vt
@@ -446,7 +451,8 @@ def _marker_places(survey: Survey) -> Array:
     missing = [name for name in MARKER_CORNERS if name not in survey.names]
     if missing:
         raise InputError(
-            f"survey: expected the marker's four corners, {missing[0]} is missing; measure and add it"
+            f"survey: expected the marker's four corners, {missing[0]} is missing; "
+            "measure and add it"
         )
     return survey.places(MARKER_CORNERS)
 

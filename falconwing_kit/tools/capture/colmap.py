@@ -61,7 +61,8 @@ def read_colmap(folder: str | Path) -> dict[str, Any]:
     folder = Path(folder)
     if not is_colmap(folder):
         raise FileNotFoundError(
-            f"{folder}: expected a COLMAP model (cameras, images and points3D), found none; check it"
+            f"{folder}: expected a COLMAP model (cameras, images and points3D), found none; "
+            "check it"
         )
     ending = ".bin" if all((folder / f"{part}.bin").is_file() for part in PARTS) else ".txt"
     paths = [require_file(folder / f"{part}{ending}") for part in PARTS]
@@ -74,7 +75,8 @@ def read_colmap(folder: str | Path) -> dict[str, Any]:
             )
         except (struct.error, ValueError, IndexError, KeyError, OverflowError):
             raise InputError(
-                f"{short_name(path)}: expected COLMAP's {path.stem}, got damaged bytes; copy it again"
+                f"{short_name(path)}: expected COLMAP's {path.stem}, got damaged bytes; "
+                "copy it again"
             ) from None
     cameras, images, (points, colours, errors, lengths) = parts
     missing = {image[1] for image in images} - set(cameras)

@@ -85,7 +85,8 @@ def fit_scene(
     settings = settings or FitSettings()
     if not reconstruction.aligned:
         raise InputError(
-            "reconstruction: expected one in the kit's world, got one not aligned; run: falconwing scene align"
+            "reconstruction: expected one in the kit's world, got one not aligned; run: "
+            "falconwing scene align"
         )
     draw, device = choose_renderer(settings.backend)
     source = reconstruction

@@ -62,7 +62,8 @@ def read_splat(path: str | Path) -> dict[str, Any]:
     data = path.read_bytes()
     if len(data) % _SPLAT_ROW.itemsize:
         raise InputError(
-            f"{short_name(path)}: expected 32 bytes for each Gaussian, got {len(data)} bytes; the file was cut"
+            f"{short_name(path)}: expected 32 bytes for each Gaussian, got {len(data)} bytes; "
+            "the file was cut"
         )
     rows = np.frombuffer(data, _SPLAT_ROW)
     rgba = rows["rgba"] / np.float32(255.0)
@@ -96,7 +97,8 @@ def read_spz(path: str | Path) -> dict[str, Any]:
     name, data = short_name(path), path.read_bytes()
     if data[:4] == b"NGSP":
         raise InputError(
-            f"{name}: expected SPZ version 1 to 3, got version 4 or later; save it as version 3 or as .ply"
+            f"{name}: expected SPZ version 1 to 3, got version 4 or later; "
+            "save it as version 3 or as .ply"
         )
     unpacker = zlib.decompressobj(wbits=31)  # gzip
     try:
@@ -107,7 +109,8 @@ def read_spz(path: str | Path) -> dict[str, Any]:
         size = count * sum(widths)
         if size > MAX_COMPRESSION * len(data) + FREE_BYTES:
             raise InputError(
-                f"{name}: expected a promise of at most {MAX_COMPRESSION} times its size, got one of {count} Gaussians"
+                f"{name}: expected a promise of at most {MAX_COMPRESSION} times its size, "
+                f"got one of {count} Gaussians"
             )
         body = unpacker.decompress(unpacker.unconsumed_tail, size)
         more = unpacker.decompress(unpacker.unconsumed_tail, 1)
@@ -117,7 +120,8 @@ def read_spz(path: str | Path) -> dict[str, Any]:
         ) from None
     if len(body) != size or more or not unpacker.eof:
         raise InputError(
-            f"{name}: expected {size} bytes for {count} Gaussians, got fewer or more; the file is damaged"
+            f"{name}: expected {size} bytes for {count} Gaussians, got fewer or more; "
+            "the file is damaged"
         )
     parts = np.split(np.frombuffer(body, np.uint8), np.cumsum(widths)[:-1] * count)
     return _spz_fields(version, fraction_bits, [part.reshape(count, -1) for part in parts])
@@ -135,11 +139,13 @@ def _spz_header(header: bytes, name: str) -> tuple[int, int, int, int]:
     if count == 0 or degree >= len(SH_COUNTS) or fraction_bits > 24:
         got = f"{count} of degree {degree} with {fraction_bits} bits"
         raise InputError(
-            f"{name}: expected Gaussians of SH degree 0 to 3 with at most 24 fractional bits, got {got}"
+            f"{name}: expected Gaussians of SH degree 0 to 3 with at most 24 fractional bits, "
+            f"got {got}"
         )
     if flags & _SPZ_EXTENSIONS:
         raise InputError(
-            f"{name}: expected an SPZ without vendor extensions, which may turn its axes; save it as .ply"
+            f"{name}: expected an SPZ without vendor extensions, which may turn its axes; "
+            "save it as .ply"
         )
     return version, count, degree, fraction_bits
 
@@ -246,7 +252,8 @@ def _fetch_from_zip(path: Path) -> Callable[[str], bytes]:
     def fetch(name: str) -> bytes:
         if name not in members:
             raise InputError(
-                f"{short_name(path)}: expected {name[:80]} in the zip, which is missing; pack the scene again"
+                f"{short_name(path)}: expected {name[:80]} in the zip, which is missing; "
+                "pack the scene again"
             )
         return members[name]
 
@@ -261,7 +268,8 @@ def _sog_meta(data: bytes, name: str) -> dict[str, Any]:
         meta = None
     if not isinstance(meta, dict) or meta.get("version") != 2:
         raise InputError(
-            f"{name}: expected the meta.json of SOG version 2, got other text; convert the scene again"
+            f"{name}: expected the meta.json of SOG version 2, got other text; "
+            "convert the scene again"
         )
     count = meta.get("count")
     if type(count) is not int or not 0 < count < 2**31:
@@ -284,7 +292,8 @@ def _section(
         or not all(_is_plain(file) for file in listed)
     ):
         raise InputError(
-            f"{name}: expected {files} plain file names for {key} in meta.json, got others; convert it again"
+            f"{name}: expected {files} plain file names for {key} in meta.json, got others; "
+            "convert it again"
         )
     arrays = []
     for number in numbers:
@@ -295,7 +304,8 @@ def _section(
             or not all(_is_number(v) for v in values)
         ):
             raise InputError(
-                f"{name}: expected 1 to 256 finite numbers for {key} {number} in meta.json, got others"
+                f"{name}: expected 1 to 256 finite numbers for {key} {number} in meta.json, "
+                "got others"
             )
         arrays.append(np.array(values, np.float32))
     return listed, arrays
@@ -318,7 +328,8 @@ def _decode(files: dict[str, bytes], name: str) -> dict[str, Bytes]:
         import cv2
     except ImportError:
         raise InputError(
-            f"{name}: expected OpenCV to decode SOG's images; run: pip install opencv-python-headless"
+            f"{name}: expected OpenCV to decode SOG's images; run: "
+            "pip install opencv-python-headless"
         ) from None
     sizes = {file: _webp_size(data, f"{name}: {file}") for file, data in files.items()}
     pixels, packed = (
@@ -327,7 +338,8 @@ def _decode(files: dict[str, bytes], name: str) -> dict[str, Bytes]:
     )
     if 4 * pixels > MAX_COMPRESSION * packed + FREE_BYTES:
         raise InputError(
-            f"{name}: expected images of at most {MAX_COMPRESSION} times their files, got {pixels} pixels"
+            f"{name}: expected images of at most {MAX_COMPRESSION} times their files, "
+            f"got {pixels} pixels"
         )
     images = {}
     for file, data in files.items():
@@ -342,7 +354,8 @@ def _decode(files: dict[str, bytes], name: str) -> dict[str, Bytes]:
             or image.shape[2:] not in ((3,), (4,))
         ):
             raise InputError(
-                f"{name}: {file}: expected a whole WebP image, got a damaged one; copy or convert it again"
+                f"{name}: {file}: expected a whole WebP image, got a damaged one; "
+                "copy or convert it again"
             )
         opaque = np.full_like(image[..., :1], 255)
         images[file] = np.concatenate(
@@ -369,7 +382,8 @@ def _texels(image: Bytes, count: int, what: str) -> Bytes:
     texels = image.reshape(-1, 4)
     if len(texels) < count:
         raise InputError(
-            f"{what}: expected a pixel for each of {count} Gaussians, got {len(texels)}; convert it again"
+            f"{what}: expected a pixel for each of {count} Gaussians, got {len(texels)}; "
+            "convert it again"
         )
     return texels[:count]
 
@@ -378,7 +392,8 @@ def _look_up(book: Array32, codes: Bytes, name: str) -> Array32:
     """Numbers of a code book, of the codes' shape."""
     if codes.max() >= len(book):
         raise InputError(
-            f"{name}: expected codes below {len(book)}, the length of the code book, got {codes.max()}"
+            f"{name}: expected codes below {len(book)}, the length of the code book, "
+            f"got {codes.max()}"
         )
     return book[codes]
 
@@ -388,7 +403,8 @@ def _sog_means(low: Bytes, high: Bytes, mins_maxs: list[Array32], name: str) -> 
     mins, maxs = mins_maxs
     if len(mins) != 3 or len(maxs) != 3:
         raise InputError(
-            f"{name}: expected three mins and three maxs for means in meta.json, got other numbers of them"
+            f"{name}: expected three mins and three maxs for means in meta.json, "
+            "got other numbers of them"
         )
     fractions = (low[:, :3] + 256.0 * high[:, :3]) / 65535.0
     logs = mins + (maxs - mins) * fractions
@@ -416,12 +432,14 @@ def _sog_rest(
     if per_row == 0 or palette.shape[1] != 64 * per_row:
         got = f"{str(bands)[:20]} bands, {palette.shape[1]} pixels"
         raise InputError(
-            f"{name}: expected 1 to 3 bands of shN and a palette of 64 entries in each row, got {got}"
+            f"{name}: expected 1 to 3 bands of shN and a palette of 64 entries in each row, "
+            f"got {got}"
         )
     rows = palette.reshape(-1, per_row, 4)[..., :3]
     numbers = labels[:, 0] + 256 * labels[:, 1].astype(np.int64)
     if numbers.max() >= len(rows):
         raise InputError(
-            f"{name}: expected labels below {len(rows)}, the length of the palette, got {numbers.max()}"
+            f"{name}: expected labels below {len(rows)}, the length of the palette, "
+            f"got {numbers.max()}"
         )
     return _look_up(book, rows, name)[numbers]

@@ -79,7 +79,8 @@ class Reconstruction:
         )
         if not (proper and (np.linalg.det(R) > 0).all() and np.allclose(poses[:, 3], (0, 0, 0, 1))):
             raise InputError(
-                "T_world_camera: expected rotations with places, got other matrices; check axes and units"
+                "T_world_camera: expected rotations with places, got other matrices; "
+                "check axes and units"
             )
         points = require_shape("points", self.points, (None, 3))
         colours = np.asarray(self.colours)
@@ -161,7 +162,8 @@ def read_reconstruction(path: str | Path) -> Reconstruction:
             if is_colmap(folder):
                 return _from_colmap(folder, path)
         raise InputError(
-            f"{path}: expected {TRANSFORMS} or a COLMAP model (cameras, images, points3D), found neither"
+            f"{path}: expected {TRANSFORMS} or a COLMAP model (cameras, images, points3D), "
+            "found neither"
         )
     return _from_transforms(require_file(path / TRANSFORMS if path.is_dir() else path))
 
@@ -280,7 +282,8 @@ def read_photo(path: str | Path) -> NDArray[np.uint8]:
     )
     if image is None:
         raise InputError(
-            f"{short_name(path)}: expected a photo, got a file that no image reader knows; remove or replace it"
+            f"{short_name(path)}: expected a photo, got a file that no image reader knows; "
+            "remove or replace it"
         )
     return np.ascontiguousarray(image[..., ::-1])
 
@@ -324,7 +327,8 @@ def _from_transforms(path: Path) -> Reconstruction:
         ) from None
     if any(frame.get(key, numbers[key]) != numbers[key] for frame in frames for key in numbers):
         raise InputError(
-            f"{name}: expected one camera for all photos, got several; take all photos with one zoom and size"
+            f"{name}: expected one camera for all photos, got several; "
+            "take all photos with one zoom and size"
         )
     if shared.get("camera_model", "OPENCV") not in (
         "OPENCV",
@@ -333,7 +337,8 @@ def _from_transforms(path: Path) -> Reconstruction:
         "SIMPLE_RADIAL",
     ):
         raise InputError(
-            f"{name}: expected a pinhole camera, got {shared['camera_model']!r}; undistort the photos first"
+            f"{name}: expected a pinhole camera, got {shared['camera_model']!r}; "
+            "undistort the photos first"
         )
     focal, principal = (numbers["fl_x"], numbers["fl_y"]), (numbers["cx"], numbers["cy"])
     camera = PinholeCamera(*focal, *principal, width=int(numbers["w"]), height=int(numbers["h"]))
@@ -365,11 +370,13 @@ def _from_colmap(folder: Path, given: Path) -> Reconstruction:
     kind, width, height, parameters = cameras[0]
     if any(other != cameras[0] for other in cameras):
         raise InputError(
-            f"{name}: expected one camera for all photos, got {len(cameras)}; reconstruct with a single camera"
+            f"{name}: expected one camera for all photos, got {len(cameras)}; "
+            "reconstruct with a single camera"
         )
     if kind not in _COLMAP_PARAMETERS:
         raise InputError(
-            f"{name}: expected a lens with at most k1, got COLMAP's {kind}; undistort the photos first"
+            f"{name}: expected a lens with at most k1, got COLMAP's {kind}; "
+            "undistort the photos first"
         )
     numbers = dict(zip(_COLMAP_PARAMETERS[kind], parameters, strict=True))
     fx, fy = numbers.get("fx", numbers.get("f", 0.0)), numbers.get("fy", numbers.get("f", 0.0))
@@ -408,6 +415,7 @@ def _require_simple_lens(name: str, lens: Mapping[str, float], camera: PinholeCa
     )
     if not moved < 0.5:
         raise InputError(
-            f"{name}: expected a lens with at most k1, but its further terms move the corner by {moved:.1f} px; undistort "
+            f"{name}: expected a lens with at most k1, but its further terms move the corner by "
+            f"{moved:.1f} px; undistort "
             "the photos first (COLMAP: image_undistorter)"
         )

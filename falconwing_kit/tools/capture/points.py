@@ -76,7 +76,8 @@ def read_points(path: str | Path) -> tuple[Array, NDArray[np.uint8]]:
     if binary:
         if count * row.itemsize > len(data) - start:
             raise InputError(
-                f"{name}: expected {count} points of {row.itemsize} bytes, got fewer bytes; the file was cut"
+                f"{name}: expected {count} points of {row.itemsize} bytes, got fewer bytes; "
+                "the file was cut"
             )
         vertices = np.ndarray((count,), row, buffer=data, offset=start)
     else:
@@ -118,7 +119,8 @@ def _header(data: bytes, name: str) -> tuple[bool, int, np.dtype[Any], int]:
                     count = int(number)
                 elif not columns:
                     raise InputError(
-                        f"{name}: expected the points first in the file, got {element[:40]}; save it again"
+                        f"{name}: expected the points first in the file, got {element[:40]}; "
+                        "save it again"
                     )
             case ["property", type_name, label] if element == "vertex" and type_name in _TYPES:
                 columns.append((label, _TYPES[type_name]))
@@ -130,7 +132,8 @@ def _header(data: bytes, name: str) -> tuple[bool, int, np.dtype[Any], int]:
         columns
     ):
         raise InputError(
-            f"{name}: expected a binary_little_endian or ascii .ply, got {kind[:40] or 'none'}; save it again"
+            f"{name}: expected a binary_little_endian or ascii .ply, got {kind[:40] or 'none'}; "
+            "save it again"
         )
     return kind != "ascii", count, np.dtype(columns), start
 

@@ -107,7 +107,8 @@ def photos_to_poses(
     number, best = max(models.items(), key=lambda item: item[1].num_reg_images(), default=(0, None))
     if best is None or best.num_reg_images() < MIN_PHOTOS:
         raise InputError(
-            f"{photos}: no reconstruction came out of {len(names)} photos. {' '.join(advice(facts))}"
+            f"{photos}: no reconstruction came out of {len(names)} photos. "
+            f"{' '.join(advice(facts))}"
         )
     progress("focal uncertainty", 0, 1)
     camera = next(iter(best.cameras.values()))
@@ -136,20 +137,23 @@ def check_photos(folder: str | Path) -> tuple[tuple[str, ...], int, int]:
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(
-            f"{folder}: expected a folder of photos, found {'a file' if folder.exists() else 'nothing'}"
+            f"{folder}: expected a folder of photos, found "
+            f"{'a file' if folder.exists() else 'nothing'}"
         )
     paths = sorted(
         path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file()
     )
     if len(paths) < MIN_PHOTOS:
         raise InputError(
-            f"{folder}: expected {MIN_PHOTOS} or more photos ({', '.join(ENDINGS)}), got {len(paths)}"
+            f"{folder}: expected {MIN_PHOTOS} or more photos ({', '.join(ENDINGS)}), "
+            f"got {len(paths)}"
         )
     sizes = {}
     for path in paths:
         if any(letter.isspace() for letter in path.relative_to(folder).as_posix()):
             raise InputError(
-                f"{short_name(path)}: expected names without blanks, for COLMAP's lists; rename the photos"
+                f"{short_name(path)}: expected names without blanks, for COLMAP's lists; "
+                "rename the photos"
             )
         try:
             with Image.open(path) as image:
@@ -160,23 +164,29 @@ def check_photos(folder: str | Path) -> tuple[tuple[str, ...], int, int]:
                 image.load()
         except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
             raise InputError(
-                f"{short_name(path)}: expected a photo, got a file that is damaged or none; remove it"
+                f"{short_name(path)}: expected a photo, got a file that is damaged or none; "
+                "remove it"
             ) from None
         if turned not in (0, 1):
             raise InputError(
-                f"{short_name(path)}: expected photos as the sensor took them, got one that its EXIF note turns; hold the "
-                "camera level for all photos, or remove that note from all (exiftool -Orientation= *)"
+                f"{short_name(path)}: expected photos as the sensor took them, "
+                "got one that its EXIF note turns; hold the "
+                "camera level for all photos, or remove that note from all (exiftool -Orientation= "
+                "*)"
             )
     (size, count), *others = Counter(sizes.values()).most_common()
     if others:
         odd = next(path for path, other in sizes.items() if other != size)
         raise InputError(
-            f"{short_name(odd)}: expected all photos of one size, got {sizes[odd][0]}x{sizes[odd][1]} beside {count} of "
-            f"{size[0]}x{size[1]}; leave out those that were cropped or taken with another camera or zoom"
+            f"{short_name(odd)}: expected all photos of one size, "
+            f"got {sizes[odd][0]}x{sizes[odd][1]} beside {count} of "
+            f"{size[0]}x{size[1]}; leave out those that were cropped or taken with another camera "
+            "or zoom"
         )
     if min(size) < MIN_PHOTO_SIDE_PX:
         raise InputError(
-            f"{folder}: expected photos of {MIN_PHOTO_SIDE_PX} px or more on each side, got {size[0]}x{size[1]}"
+            f"{folder}: expected photos of {MIN_PHOTO_SIDE_PX} px or more on each side, "
+            f"got {size[0]}x{size[1]}"
         )
     return tuple(path.relative_to(folder).as_posix() for path in paths), *size
 
@@ -230,26 +240,33 @@ def advice(facts: Mapping[str, Any]) -> list[str]:
     if registered < GOOD_SHARE * total:
         if facts["grain"] > NOISY:
             said.append(
-                f"The photos are grainy ({facts['grain']:.0f} of 255), as analog video is: features are then mostly "
-                "noise. Use a digital camera, more light, or the mean of several frames of a still view."
+                f"The photos are grainy ({facts['grain']:.0f} of 255), as analog video is: "
+                "features are then mostly "
+                "noise. Use a digital camera, more light, or the mean of several frames of a still "
+                "view."
             )
         if facts["features_median"] < ENOUGH_FEATURES:
             said.append(
-                f"A middling photo has {facts['features_median']:.0f} features where {ENOUGH_FEATURES} are wanted: "
-                "plain walls, darkness or blur. Show more things in each photo, hold still, hang posters if need be."
+                f"A middling photo has {facts['features_median']:.0f} features where "
+                f"{ENOUGH_FEATURES} are wanted: "
+                "plain walls, darkness or blur. Show more things in each photo, hold still, "
+                "hang posters if need be."
             )
         if not said:
             said.append(
-                "Photos overlap too little: let each show two thirds of what the one before showed, walk in an arc "
+                "Photos overlap too little: let each show two thirds of what the one before "
+                "showed, walk in an arc "
                 "rather than turn on the spot, and join the places by photos from between."
             )
         if facts.get("models", 1) > 1:
             said.append(
-                f"The photos fell into {facts['models']} groups that share no view; the largest was kept."
+                f"The photos fell into {facts['models']} groups that share no view; "
+                "the largest was kept."
             )
     if facts.get("reprojection_px", 0.0) > GOOD_REPROJECTION_PX:
         said.append(
-            f"Points miss by {facts['reprojection_px']:.2f} px where {GOOD_REPROJECTION_PX} is good: blur, a rolling "
+            f"Points miss by {facts['reprojection_px']:.2f} px where {GOOD_REPROJECTION_PX} is "
+            "good: blur, a rolling "
             "shutter, zoom that changed, or things that moved."
         )
     return said
@@ -395,7 +412,8 @@ def _require_same_photos(colmap: Any, database: Path, names: Sequence[str]) -> N
     gone = sorted(known - set(names))
     if gone:
         raise InputError(
-            f"{short_name(database)}: it knows photos that are not there any more, such as {gone[0][:60]}; write to "
+            f"{short_name(database)}: it knows photos that are not there any more, "
+            f"such as {gone[0][:60]}; write to "
             "another folder, or remove this file to begin again"
         )
 
@@ -418,6 +436,7 @@ def _pycolmap() -> Any:
     except ImportError:
         raise InputError(
             "pycolmap: expected this library for poses from photos, it is not installed; "
-            "pip install 'falconwing-kit[capture]', or make a COLMAP model or a transforms.json elsewhere and give that"
+            "pip install 'falconwing-kit[capture]', or make a COLMAP model or a transforms.json "
+            "elsewhere and give that"
         ) from None
     return pycolmap

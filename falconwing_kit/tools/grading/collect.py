@@ -138,7 +138,8 @@ def parse_notebook(data: bytes, name: str) -> Notebook:
     """
     if len(data) > MAX_FILE:
         raise InputError(
-            f"{name}: expected a notebook of at most {MAX_FILE >> 20} MiB; clear its outputs and save it again"
+            f"{name}: expected a notebook of at most {MAX_FILE >> 20} MiB; "
+            "clear its outputs and save it again"
         )
     if sum(map(data.count, (b",", b"[", b"{"))) > MAX_PIECES:
         raise InputError(
@@ -153,13 +154,15 @@ def parse_notebook(data: bytes, name: str) -> Notebook:
     cells = content.get("cells") if isinstance(content, dict) else None
     if not isinstance(cells, list):
         raise InputError(
-            f"{name}: expected a notebook with cells, as Jupyter saves it today, got none; save it again"
+            f"{name}: expected a notebook with cells, as Jupyter saves it today, got none; "
+            "save it again"
         )
     read = tuple(_read_cell(cell) for cell in cells if isinstance(cell, dict))
     notebook = Notebook(read, _kit_of(content.get("metadata"), read))
     if sum(len(cell.text) for cell in notebook.cells) > MAX_CODE:
         raise InputError(
-            f"{name}: expected at most {MAX_CODE >> 20} MiB of text in the cells; take large data out of them"
+            f"{name}: expected at most {MAX_CODE >> 20} MiB of text in the cells; "
+            "take large data out of them"
         )
     return notebook
 

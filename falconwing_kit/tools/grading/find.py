@@ -71,7 +71,8 @@ def lab_folder(name: str | Path, labs: str | Path | None = None) -> Path:
     found = [folder for folder in folders if str(name) in (folder.name, folder.name.split("_")[0])]
     if not found:
         raise InputError(
-            f"{name}: expected one of {', '.join(folder.name for folder in folders)}, or a lab's folder"
+            f"{name}: expected one of {', '.join(folder.name for folder in folders)}, "
+            "or a lab's folder"
         )
     return found[0]
 

@@ -106,7 +106,8 @@ def _cell(source: Path, cell: Any) -> SourceCell:
     written = len(_SOLUTION.findall(cell.source))
     if written != int(kinds == ["exercise"]) or len(_MARKER.findall(cell.source)) != 2 * written:
         raise InputError(
-            f"{where}: expected BEGIN SOLUTION and END SOLUTION once in an exercise and nowhere else"
+            f"{where}: expected BEGIN SOLUTION and END SOLUTION once in an exercise and nowhere "
+            "else"
         )
     if kinds == ["exercise"] and not re.search(
         rf"^def {re.escape(name)}\(", cell.source, re.MULTILINE

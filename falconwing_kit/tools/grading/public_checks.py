@@ -186,7 +186,8 @@ def report_lines(name: str, outcomes: list[CheckOutcome], foreign: Iterable[str]
     passed = sum(outcome.state == "passed" for outcome in outcomes)
     if exercise_state(outcomes) == "not written":
         lines = [
-            f"{SYMBOLS['not written']} {name}: not written yet; {len(outcomes)} public checks wait for it"
+            f"{SYMBOLS['not written']} {name}: not written yet; "
+            f"{len(outcomes)} public checks wait for it"
         ]
     else:
         state = exercise_state(outcomes)
@@ -390,7 +391,8 @@ def _lab_here() -> tuple[Path, Lab]:
     )
     if here is None:
         raise InputError(
-            f"expected the notebook to run in its lab's folder, with checks.py in it, this is {Path.cwd()}"
+            "expected the notebook to run in its lab's folder, with checks.py in it, "
+            f"this is {Path.cwd()}"
         )
     folder = lab_folder(here)
     times = tuple((folder / name).stat().st_mtime_ns for name in ("checks.py", "given.py"))

@@ -45,7 +45,8 @@ def read_roster(path: Path) -> list[str]:
         reader = csv.DictReader(handle)
         if "student" not in (reader.fieldnames or ()):
             raise InputError(
-                f"{path}: expected a column called student, got {', '.join(reader.fieldnames or ['nothing'])}"
+                f"{path}: expected a column called student, got "
+                f"{', '.join(reader.fieldnames or ['nothing'])}"
             )
         students = [(row["student"] or "").strip() for row in reader]
     for student in students:
@@ -81,15 +82,18 @@ def release(
     """
     if out.is_file() or (out.is_dir() and any(out.iterdir())):
         raise InputError(
-            f"{out}: expected a new or an empty folder, so that nothing else is handed out; choose another"
+            f"{out}: expected a new or an empty folder, so that nothing else is handed out; "
+            "choose another"
         )
     if salt and len(salt) < MIN_SALT:
         raise InputError(
-            f"--salt: expected at least {MIN_SALT} characters that nobody can guess, got {len(salt)}"
+            f"--salt: expected at least {MIN_SALT} characters that nobody can guess, "
+            f"got {len(salt)}"
         )
     if students and not salt:
         raise InputError(
-            "--roster: expected a --salt with it; without one every student could draw the others' files"
+            "--roster: expected a --salt with it; without one every student could draw the others' "
+            "files"
         )
     part = out.with_name(f".{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)

@@ -150,7 +150,8 @@ def _in_folder(folder: Path) -> Iterator[Submission]:
             entries += 1
             if entries > MAX_ENTRIES:
                 raise InputError(
-                    f"{folder}: expected at most {MAX_ENTRIES} files, found more; name the right folder"
+                    f"{folder}: expected at most {MAX_ENTRIES} files, found more; "
+                    "name the right folder"
                 )
             yield from _in_file(file, PurePosixPath(file.relative_to(folder).as_posix()))
 

@@ -70,9 +70,9 @@ MUTANTS = {
         ),
         ("the arc tangent is not scaled", "APPROACH * 2.0 / math.pi *", "APPROACH *"),
         (
-            "flown course minus wanted",
-            "wanted - math.atan2(-v[1], v[0])",
-            "math.atan2(-v[1], v[0]) - wanted",
+            "flown course minus commanded",
+            "commanded - math.atan2(-v[1], v[0])",
+            "math.atan2(-v[1], v[0]) - commanded",
         ),
         ("the speed is forgotten", "np.linalg.norm(v) * TURN_GAIN", "7.0 * TURN_GAIN"),
     ),

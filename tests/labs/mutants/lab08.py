@@ -109,7 +109,8 @@ MUTANTS = {
         ("history is never filled", "history = np.concatenate([[aileron], history[:-1]])", "pass"),
         (
             "looks once only",
-            "        while not flight.over:\n            aileron = float(np.clip(policy(flight.look()",
+            "        while not flight.over:\n            aileron = "
+            "float(np.clip(policy(flight.look()",
             "        image = flight.look()\n"
             "        while not flight.over:\n"
             "            aileron = float(np.clip(policy(image",

@@ -70,7 +70,8 @@ MUTANTS = {
         ),
         (
             "Dice over the whole batch",
-            "(2.0 * (p * truth).sum(dim=(1, 2)) + 1.0) / (p.sum(dim=(1, 2)) + truth.sum(dim=(1, 2)) + 1.0)",
+            "(2.0 * (p * truth).sum(dim=(1, 2)) + 1.0) / (p.sum(dim=(1, 2)) + truth.sum(dim=(1, "
+            "2)) + 1.0)",
             "(2.0 * (p * truth).sum() + 1.0) / (p.sum() + truth.sum() + 1.0)",
         ),
         (

@@ -555,9 +555,20 @@ def test_a_twist_moves_a_camera_in_its_own_axes():
 
 
 def rasterization(
-    means, quats, scales, opacities, colors, viewmats, Ks, width, height, sh_degree=None, packed=True, backgrounds=None,
+    means,
+    quats,
+    scales,
+    opacities,
+    colors,
+    viewmats,
+    Ks,
+    width,
+    height,
+    sh_degree=None,
+    packed=True,
+    backgrounds=None,
     rasterize_mode="classic",
-):  # fmt: skip
+):
     """gsplat 1.5.3's function with its names, shapes and frames, as its documentation has them,
     drawn in torch.
     """

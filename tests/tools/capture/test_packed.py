@@ -300,7 +300,8 @@ def test_trained_scene_is_read(folder, count):
     path = TRAINED / folder
     if not path.is_dir():
         pytest.skip(
-            f"the trained scene does not ship with the kit and is not beside this checkout: {path} is missing"
+            "the trained scene does not ship with the kit and is not beside this checkout: "
+            f"{path} is missing"
         )
     scene = GaussianScene.load(path)
     assert len(scene) == count and scene.sh.shape == (count, 9, 3)

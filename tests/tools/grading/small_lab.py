@@ -91,8 +91,15 @@ def write_small_lab(labs: Path) -> Path:
     """The lab's folder, made in the folder of the labs."""
     folder = labs / "lab01_small"
     (folder / "data").mkdir(parents=True)
-    files = {"lab.py": SOURCE, "checks.py": CHECKS, "given.py": GIVEN, "hidden.py": HIDDEN, "notes.md": "secret notes",
-             "cohort.json": '{"gravity": 10.0}', "data/points.csv": "1,2\\n"}  # fmt: skip
+    files = {
+        "lab.py": SOURCE,
+        "checks.py": CHECKS,
+        "given.py": GIVEN,
+        "hidden.py": HIDDEN,
+        "notes.md": "secret notes",
+        "cohort.json": '{"gravity": 10.0}',
+        "data/points.csv": "1,2\\n",
+    }
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
     return folder

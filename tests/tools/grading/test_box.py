@@ -123,7 +123,8 @@ def test_nothing_outlives_a_box():
     token = "token-of-test-box"
     text = (
         "import os, sys, time\ndef f():\n    if os.fork() == 0:\n        os.setsid()\n"
-        f"        os.execv(sys.executable, [sys.executable, '-S', '-c', 'import time; time.sleep(99)', {token!r}])\n"
+        "        os.execv(sys.executable, [sys.executable, '-S', '-c', 'import time; "
+        f"time.sleep(99)', {token!r}])\n"
         "    time.sleep(0.3)\n    return 1"
     )
     with sandbox_worker(job(text)) as worker:
@@ -139,10 +140,12 @@ def test_box_ends_with_a_grader_that_is_killed():
     groups.
     """
     code = (
-        "from pathlib import Path\nfrom falconwing_kit.tools.grading.sandbox.box import Job, in_box\n"
+        "from pathlib import Path\nfrom falconwing_kit.tools.grading.sandbox.box import Job, "
+        "in_box\n"
         'text = \'import os, sys\\ndef f(t): os.execv(sys.executable, [sys.executable, "-S", "-c", '
         '"import time; time.sleep(99)", t])\'\n'
-        f"box = in_box(Job(text, 'f', Path({str(toys.LAB)!r}))).__enter__()\nprint(box.process, flush=True)\n"
+        f"box = in_box(Job(text, 'f', Path({str(toys.LAB)!r}))).__enter__()\nprint(box.process, "
+        "flush=True)\n"
         "box.call('token-of-killed-grader')"
     )
     grader = subprocess.Popen(
@@ -180,7 +183,8 @@ def test_groups_bind_what_limits_do_not():
         pytest.skip("this system does not let root make control groups")
     text = (
         "import os, time\ndef f():\n    for _ in range(12):\n        if os.fork() == 0:\n"
-        "            kept = bytearray(b'x') * (100 << 20)\n            time.sleep(2)\n            os._exit(0)\n"
+        "            kept = bytearray(b'x') * (100 << 20)\n            time.sleep(2)\n            "
+        "os._exit(0)\n"
         "    return sum(os.wait()[1] == 9 for _ in range(12))"
     )
     with sandbox_worker(job(text)) as worker:

@@ -64,12 +64,18 @@ def test_stored_picture_comes_out_as_it_is():
 @pytest.mark.parametrize(
     "content",
     [
-        None, [], {"cells": 3}, {"cells": [1, {"outputs": [2, {"data": 3}, {"data": {"image/png": 4}}]}]},
-        {"cells": [stored("<script>alert(1)</script>")]}, {"cells": [stored(b64(b"GIF89a\0\0" + b"\0\0\0\x02" * 9))]},
-        {"cells": [stored(b64(png()[:18]))]}, {"cells": [stored(b64(png(60_000, 1)))]},
-        {"cells": [stored("A" * 9_000_000)]}, {"cells": [stored(b64(png()) + '" onerror="x')]},
+        None,
+        [],
+        {"cells": 3},
+        {"cells": [1, {"outputs": [2, {"data": 3}, {"data": {"image/png": 4}}]}]},
+        {"cells": [stored("<script>alert(1)</script>")]},
+        {"cells": [stored(b64(b"GIF89a\0\0" + b"\0\0\0\x02" * 9))]},
+        {"cells": [stored(b64(png()[:18]))]},
+        {"cells": [stored(b64(png(60_000, 1)))]},
+        {"cells": [stored("A" * 9_000_000)]},
+        {"cells": [stored(b64(png()) + '" onerror="x')]},
     ],
-)  # fmt: skip
+)
 def test_what_is_no_picture_stays_out(content):
     """Damaged notebooks, markup, other formats, cut off, and pictures that would fill a browser's
     memory.
@@ -88,7 +94,8 @@ def ran():
         "home": "import os\nassert os.listdir(os.path.expanduser('~/..')) and open('/etc/shadow')",
         "secrets": "import os\nassert [n for n in os.environ if 'SECRET' in n]",
         "hidden cases": f"import os\ntops = ('/box/desk', '/tmp', '/home', '/root', {str(toys.LAB.parents[2])!r})\n"
-        "assert [f for top in tops for *_, files in os.walk(top) for f in files if f in ('hidden.py', 'notes.md')]",
+        "assert [f for top in tops for *_, files in os.walk(top) for f in files if f in "
+        "('hidden.py', 'notes.md')]",
         "kit changed": "import falconwing_kit\nopen(falconwing_kit.__file__, 'a').write('#')",
         "lab changed": "open('/box/desk/given.py', 'a').write('#')",
         "disk": "open('/tmp/x', 'wb').write(b'0' * (100 << 20))",

@@ -43,7 +43,8 @@ def test_student_gets_the_cells_without_what_is_to_be_written(folder):
         "markdown",
     ]
     assert student[2][1] == (
-        'def weight(mass):\n    """Weight [N] of a mass [kg]."""\n    raise NotImplementedError("write weight")'
+        'def weight(mass):\n    """Weight [N] of a mass [kg]."""\n    raise '
+        'NotImplementedError("write weight")'
     )
     assert student[-1][1] == "*Your answer:*"
     assert not any(

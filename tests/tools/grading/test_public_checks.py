@@ -50,8 +50,8 @@ def test_wrong_function_is_told_what_it_gave_and_where_to_look(folder, capsys):
     said = said_of(lambda mass: 9.0 * mass, capsys)
     assert said.startswith("✗ weight: 1 of 2 public checks passed\n")
     assert (
-        "✗ failed: 1 kg weighs what your course says\n       called with (1) it gave 9\n       multiply\n"
-        in said
+        "✗ failed: 1 kg weighs what your course says\n       called with (1) it gave 9\n       "
+        "multiply\n" in said
     )
 
 

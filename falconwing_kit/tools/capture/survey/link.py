@@ -97,7 +97,8 @@ def measure_link(through: Sequence[Pixels], clean: Sequence[Pixels]) -> AnalogVi
     """
     if {image.shape for image in through} != {image.shape for image in clean} or not through:
         raise InputError(
-            "link: expected photos of one size in both sets, got others; scale them to the link's size"
+            "link: expected photos of one size in both sets, got others; "
+            "scale them to the link's size"
         )
     target, clean_statistics, width = (
         image_statistics(through),
@@ -281,7 +282,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for title, images in sets.items():
         seen = image_statistics(images)
         print(
-            f"\n{title}: noise {seen.luma_noise:.2f}, alike {seen.correlation:.2f}, in colour {seen.chroma_noise:.2f}"
+            f"\n{title}: noise {seen.luma_noise:.2f}, alike {seen.correlation:.2f}, "
+            f"in colour {seen.chroma_noise:.2f}"
         )
         print("log of luma's bands", seen.luma.round(2), "and chroma's", seen.chroma.round(2))
     return 0

@@ -91,8 +91,10 @@ def observe_marker(
             else _other_dictionary(reconstruction)
         )
         raise InputError(
-            f"photos: expected marker {marker_id} of {dictionary} in two or more of {len(reconstruction)} photos, "
-            f"got it in {len(rows) // 4}; seen instead: {seen}. Take photos of the marker from 2 to 8 m"
+            f"photos: expected marker {marker_id} of {dictionary} in two or more of "
+            f"{len(reconstruction)} photos, "
+            f"got it in {len(rows) // 4}; seen instead: {seen}. "
+            "Take photos of the marker from 2 to 8 m"
         )
     return PointObservations.join(rows)
 

@@ -119,7 +119,8 @@ def read_survey(path: str | Path) -> Survey:
             )
     if len(set(names)) < len(names) or not names:
         raise InputError(
-            f"{short_name(path)}: expected at least one point and each name once, got none or a name twice"
+            f"{short_name(path)}: expected at least one point and each name once, "
+            "got none or a name twice"
         )
     places = np.array([_numbers(path, line, row[1:4]) for line, row in rows])
     return Survey(names, places, tuple(row[4] for _, row in rows))
@@ -145,7 +146,8 @@ def read_clicks(
     for line, (name, photo, *uv) in _read_rows(path, CLICK_COLUMNS):
         if name not in survey.names:
             raise InputError(
-                f"{short_name(path)}, line {line}: expected a point of the survey, got {name[:60]!r}"
+                f"{short_name(path)}, line {line}: expected a point of the survey, "
+                f"got {name[:60]!r}"
             )
         pixel = _numbers(path, line, uv)
         if photo in number_of:
@@ -169,12 +171,14 @@ def _read_rows(path: str | Path, columns: tuple[str, ...]) -> list[tuple[int, li
     missing = [column for column in columns if column not in header]
     if missing:
         raise InputError(
-            f"{name}: expected the columns {','.join(columns)} in the first line, {missing[0]} is missing"
+            f"{name}: expected the columns {','.join(columns)} in the first line, "
+            f"{missing[0]} is missing"
         )
     for line, row in table[1:]:
         if len(row) != len(header):
             raise InputError(
-                f"{name}, line {line}: expected {len(header)} values as in the first line, got {len(row)}"
+                f"{name}, line {line}: expected {len(header)} values as in the first line, "
+                f"got {len(row)}"
             )
     return [
         (line, [row[header.index(column)].strip() for column in columns]) for line, row in table[1:]
@@ -189,7 +193,8 @@ def _numbers(path: str | Path, line: int, words: Sequence[str]) -> list[float]:
         numbers = [np.nan]
     if not np.isfinite(numbers).all():
         raise InputError(
-            f"{short_name(path)}, line {line}: expected finite numbers, got {', '.join(words)[:60]!r}"
+            f"{short_name(path)}, line {line}: expected finite numbers, "
+            f"got {', '.join(words)[:60]!r}"
         )
     return numbers
 

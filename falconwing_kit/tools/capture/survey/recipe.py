@@ -82,7 +82,8 @@ def align_photos(
             marker = align(reconstruction, points, found)
     elif len(set(clicks.names)) < 3:
         raise InputError(
-            "survey: expected the marker's four corners of use align, or three clicked points; add them"
+            "survey: expected the marker's four corners of use align, or three clicked points; "
+            "add them"
         )
     best, faces = align(reconstruction, points, found + clicks), PointObservations.join([])
     targets = [

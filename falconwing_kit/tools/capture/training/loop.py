@@ -115,7 +115,8 @@ def train(
                 save_state(state)
     except torch.cuda.OutOfMemoryError:
         raise InputError(
-            f"GPU memory: expected room for {len(state.values['means'])} Gaussians and {config.batch} photos a step, got too "
+            f"GPU memory: expected room for {len(state.values['means'])} Gaussians and "
+            f"{config.batch} photos a step, got too "
             "little; give a smaller --batch, --width or --gaussians"
         ) from None
     save_state(state)

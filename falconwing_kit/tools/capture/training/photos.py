@@ -184,7 +184,8 @@ def held_out_photos(
     found = np.array([Path(name).name in plain for name in names], bool)
     if not found.any() or found.sum() > len(names) - 2:
         raise InputError(
-            f"names to judge by: expected some of the {len(names)} photos, got {found.sum()} of them"
+            f"names to judge by: expected some of the {len(names)} photos, "
+            f"got {found.sum()} of them"
         )
     return found
 
@@ -251,7 +252,8 @@ def _read(
             )  # RGBa: colours times alpha, so that edges stay clean
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
         raise InputError(
-            f"{short_name(path)}: expected a photo, got a damaged or other file; replace or remove it"
+            f"{short_name(path)}: expected a photo, got a damaged or other file; "
+            "replace or remove it"
         ) from None
     if with_alpha and not has_alpha:
         raise InputError(
@@ -268,7 +270,8 @@ def _read(
             else "the poses belong to another size; reconstruct again"
         )
         raise InputError(
-            f"{short_name(path)}: expected {wanted} px, got {image.size[0]} x {image.size[1]}: {hint}"
+            f"{short_name(path)}: expected {wanted} px, got {image.size[0]} x {image.size[1]}: "
+            f"{hint}"
         )
     if (small.width, small.height) != image.size:
         bands = [

@@ -58,7 +58,8 @@ class FitSettings:
         corners = np.reshape(self.room, (2, 3)) if len(self.room) == 6 else None
         if self.room and (corners is None or not (corners[0] < corners[1]).all()):
             raise InputError(
-                f"room: expected x,y,z of the lowest and then of the highest corner, got {self.room}"
+                "room: expected x,y,z of the lowest and then of the highest corner, "
+                f"got {self.room}"
             )
 
 

@@ -104,11 +104,13 @@ class TrainState:
                 step, seconds = int(arrays["step"]), float(arrays["seconds"])
         except Exception:  # NumPy fails in many ways on a damaged file
             raise InputError(
-                f"{short_name(path)}: expected an interrupted training, got a damaged file; delete it"
+                f"{short_name(path)}: expected an interrupted training, got a damaged file; "
+                "delete it"
             ) from None
         if not same:
             raise InputError(
-                f"{short_name(path)}: expected the photos and settings of the interrupted training, got others; give "
+                f"{short_name(path)}: expected the photos and settings of the interrupted "
+                "training, got others; give "
                 "those, delete the file, or choose another --out"
             )
         return cls(**sets, step=step, seconds=seconds)

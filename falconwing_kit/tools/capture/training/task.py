@@ -70,7 +70,8 @@ class SceneTrainer:
         held = held_out_photos(self.photos.names, places, self.settings)
         if len(self.photos) - held.sum() < 2:
             raise InputError(
-                f"photos: expected at least 3, one of them to judge by, got {len(self.photos)}; take more"
+                f"photos: expected at least 3, one of them to judge by, got {len(self.photos)}; "
+                "take more"
             )
         learn = self.photos.chosen(np.flatnonzero(~held))
         return learn, (self.photos.chosen(np.flatnonzero(held)) if held.any() else learn)
@@ -91,7 +92,8 @@ class SceneTrainer:
         """Begin, or go on where an interrupted training stopped, and train."""
         if self.out.exists() and not self.out.is_dir():
             raise InputError(
-                f"{short_name(self.out)}: expected a folder to write to, got a file; choose another name"
+                f"{short_name(self.out)}: expected a folder to write to, got a file; "
+                "choose another name"
             )
         try:
             self.out.mkdir(parents=True, exist_ok=True)
@@ -114,7 +116,8 @@ class SceneTrainer:
         def log(state: TrainState, loss: float) -> None:
             count = len(state.values["means"])
             self.say(
-                f"step {state.step}/{self.settings.steps}: loss {loss:.4f}, {count} Gaussians, {state.seconds:.0f} s"
+                f"step {state.step}/{self.settings.steps}: loss {loss:.4f}, {count} Gaussians, "
+                f"{state.seconds:.0f} s"
             )
 
         return train(

@@ -67,7 +67,8 @@ def load_turntable(
         ) from None
     if not frames:
         raise InputError(
-            f"{short_name(path)}: expected at least one frame, got none; list the photos with their poses"
+            f"{short_name(path)}: expected at least one frame, got none; "
+            "list the photos with their poses"
         )
     centre = require_shape("centre_of_gravity", centre_of_gravity, (3,))
     T_body_aircraft = pose_matrix(R_BODY_AIRCRAFT, -R_BODY_AIRCRAFT @ centre)
@@ -111,7 +112,8 @@ def hull_points(photos: Photos, count: int, seed: int = 0) -> Array:
         inside = places[_covered(places, photos)]
         if len(inside) == 0:
             raise InputError(
-                "turntable: expected one object in all photos, found none; do the poses belong to the photos?"
+                "turntable: expected one object in all photos, found none; "
+                "do the poses belong to the photos?"
             )
         margin = 0.02 + 0.1 * (inside.max(axis=0) - inside.min(axis=0))
         low, high = (

@@ -86,9 +86,18 @@ def write_feedback(
         if each.name in given
     ]
     write_page(
-        path, PAGE, lab=lab, student=entry.student, summary=_summary(entry), problem=record["problem"],
-        functions=functions, lost=lost, symbols=SYMBOLS, by_person=by_person, comment=entry.person.comment,
-    )  # fmt: skip
+        path,
+        PAGE,
+        lab=lab,
+        student=entry.student,
+        summary=_summary(entry),
+        problem=record["problem"],
+        functions=functions,
+        lost=lost,
+        symbols=SYMBOLS,
+        by_person=by_person,
+        comment=entry.person.comment,
+    )
 
 
 def _summary(entry: GradebookEntry) -> str:

@@ -59,9 +59,15 @@ def run_notebook(
         group = limits.make_group(PROCESSES, MEMORY)
         become, out = limits.make_preexec(group, box.staged), subprocess.PIPE
         process = subprocess.Popen(
-            box.words, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL, env={}, preexec_fn=become,
-            pass_fds=tuple(files), start_new_session=True,
-        )  # fmt: skip
+            box.words,
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=subprocess.DEVNULL,
+            env={},
+            preexec_fn=become,
+            pass_fds=tuple(files),
+            start_new_session=True,
+        )
     return _read_reply(process, group)
 
 

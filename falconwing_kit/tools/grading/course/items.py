@@ -68,10 +68,15 @@ def item_statistics(lab: Lab, records: Sequence[Mapping[str, Any]]) -> list[Item
         others = points.sum(axis=1) - points[:, number] if results else share
         items.append(
             ItemStatistics(
-                exercise.name, len(results), _mean(share), _mean(share == 1.0), _mean(np.array(untouched)),
-                _correlation(share, others), commonest,
+                exercise.name,
+                len(results),
+                _mean(share),
+                _mean(share == 1.0),
+                _mean(np.array(untouched)),
+                _correlation(share, others),
+                commonest,
             )
-        )  # fmt: skip
+        )
     return items
 
 

@@ -38,10 +38,23 @@ def write_overview(
     mean = f", {sum(marked) / len(marked):.1f} points by the machine in the mean" if marked else ""
     lead = f"{len(entries)} students{mean}; {len(done)} with a person's points too."
     write_page(
-        path, PAGE, lab=lab, lead=lead, items=[_row(each) for each in items], pairs=pairs, sources=sources, shown=SHOWN,
-        looks=[(e.student, e.record["status"], e.record["problem"]) for e in entries if e.record["problem"]],
-        alike=[(each.left, each.right, f"{each.weight:.0f}", each.functions) for each in pairs or ()],
-    )  # fmt: skip
+        path,
+        PAGE,
+        lab=lab,
+        lead=lead,
+        items=[_row(each) for each in items],
+        pairs=pairs,
+        sources=sources,
+        shown=SHOWN,
+        looks=[
+            (e.student, e.record["status"], e.record["problem"])
+            for e in entries
+            if e.record["problem"]
+        ],
+        alike=[
+            (each.left, each.right, f"{each.weight:.0f}", each.functions) for each in pairs or ()
+        ],
+    )
 
 
 def _row(each: ItemStatistics) -> tuple[str, ...]:

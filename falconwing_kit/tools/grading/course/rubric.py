@@ -54,11 +54,19 @@ def write_rubric(
     (out / FIGURES).mkdir(parents=True, exist_ok=True)
     page = out / "rubric.html"
     write_page(
-        page, PAGE, lab=lab, comment=COMMENT, names=[each.name for each in lab.rubric],
+        page,
+        PAGE,
+        lab=lab,
+        comment=COMMENT,
+        names=[each.name for each in lab.rubric],
         key=f"falconwing rubric {lab.name} {out.resolve().name}",
         criteria=list(zip(lab.rubric, parts, strict=True)),
-        students=[_student(out, entry, parts, looked[entry.student]) for entry in entries if entry.student in looked],
-    )  # fmt: skip
+        students=[
+            _student(out, entry, parts, looked[entry.student])
+            for entry in entries
+            if entry.student in looked
+        ],
+    )
     return page
 
 

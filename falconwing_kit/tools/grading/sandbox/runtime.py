@@ -98,7 +98,8 @@ def sandbox_command(
     program = shutil.which("bwrap")
     if program is None:
         raise InputError(
-            "bwrap: expected bubblewrap for the box, found none; Debian or Ubuntu: apt install bubblewrap"
+            "bwrap: expected bubblewrap for the box, found none; Debian or Ubuntu: "
+            "apt install bubblewrap"
         )
     python = find_runtime(packages)
     words = [program, *_WALLS]
@@ -208,7 +209,8 @@ def _package(name: str) -> Iterator[tuple[Path, Path]]:
     home = _place(name)
     if home is None:
         raise InputError(
-            f"{name}: expected it installed, since the lab's functions may use it; `falconwing doctor` helps"
+            f"{name}: expected it installed, since the lab's functions may use it; "
+            "`falconwing doctor` helps"
         )
     others = [home.parent / each if "." in each else _place(each) for each in _BRINGS.get(name, ())]
     for place in (home, *others):
