@@ -170,9 +170,8 @@ def state_rate(state, force_body, rates_body):
     pitch_dot = q * np.cos(roll) - r * np.sin(roll)
     yaw_dot = across / np.cos(pitch)
     roll_dot = p + across * np.tan(pitch)
-    acceleration = rotation_world_body(roll, pitch, yaw) @ force_body - np.array(
-        [0.0, 0.0, GRAVITY]
-    )
+    gravity = np.array([0.0, 0.0, GRAVITY])
+    acceleration = rotation_world_body(roll, pitch, yaw) @ force_body - gravity
     return np.concatenate([state[6:9], [pitch_dot, yaw_dot, roll_dot], acceleration])
     # END SOLUTION
 

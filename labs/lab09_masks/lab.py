@@ -201,15 +201,13 @@ def mask_loss(logits: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
         The loss, a tensor without axes that `backward()` works on.
     """
     # BEGIN SOLUTION
-    log_leader, log_hall = (
-        torch.nn.functional.logsigmoid(logits),
-        torch.nn.functional.logsigmoid(-logits),
-    )
+    log_leader = torch.nn.functional.logsigmoid(logits)
+    log_hall = torch.nn.functional.logsigmoid(-logits)
     entropy = -(POS_WEIGHT * truth * log_leader + (1.0 - truth) * log_hall).mean()
     p = torch.sigmoid(logits)
-    overlap = (2.0 * (p * truth).sum(dim=(1, 2)) + 1.0) / (
-        p.sum(dim=(1, 2)) + truth.sum(dim=(1, 2)) + 1.0
-    )
+    both = (p * truth).sum(dim=(1, 2))
+    sizes = p.sum(dim=(1, 2)) + truth.sum(dim=(1, 2))
+    overlap = (2.0 * both + 1.0) / (sizes + 1.0)
     return entropy + DICE_WEIGHT * (1.0 - overlap).mean()
     # END SOLUTION
 

@@ -197,7 +197,7 @@ def test_wrong_poses_are_corrected_by_what_the_photos_show(taken, tmp_path):
     ).numpy()
     wrong = replace(taken, T_world_camera=turned)
     task, state = task_of(wrong, settings, tmp_path), finished_state(24)
-    train(state, task.photos, task.draw, task.goal)
+    train(state, task.photos, task.draw, task.config)
     right = apply_pose_corrections(wrong, task.corrected_poses(state)).T_world_camera
 
     def turns(poses):
@@ -300,11 +300,11 @@ def test_an_interrupted_training_goes_on_as_if_it_had_not_been(taken, tmp_path):
     once = whole.train()
     half = initialise(whole.points, whole.colours, len(learn), 1, "cpu")
     for _ in range(5):
-        train_step(half, learn, whole.draw, whole.goal, half.step / 10)
+        train_step(half, learn, whole.draw, whole.config, half.step / 10)
         half.step += 1
     half.save(tmp_path / "half.npz", told)
     again = TrainState.load(tmp_path / "half.npz", told, "cpu")
-    train(again, learn, whole.draw, whole.goal)
+    train(again, learn, whole.draw, whole.config)
     assert again.step == once.step == 10
     for name, value in once.values.items():
         assert torch.equal(value, again.values[name]), name
@@ -338,7 +338,7 @@ def test_time_that_is_up_ends_the_training_early(taken, tmp_path):
     """A thousandth of a second's worth of training is one step; the file comes all the same."""
     task = task_of(taken, replace(SMALL, gaussians=100, minutes=0.01), tmp_path)
     state = train(
-        initialise(task.points, task.colours, 24, 1, "cpu"), task.split[0], task.draw, task.goal
+        initialise(task.points, task.colours, 24, 1, "cpu"), task.split[0], task.draw, task.config
     )
     assert 0 < state.step < SMALL.steps and state.seconds >= 0.6
 
