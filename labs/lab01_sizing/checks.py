@@ -17,9 +17,7 @@ def _counts_pieces(mass_budget: Function) -> bool:
 
 
 def _skips_what_is_inside(mass_budget: Function) -> bool:
-    """By hand: the motor is weighed with the wing, so only the wing counts, wherever the motor
-    sits.
-    """
+    """By hand: the motor is weighed with the wing, so only the wing counts."""
     return is_same_answer(mass_budget([LONE, ("motor", 2, 30.0, -90.0, "wing")]), (100.0, 40.0))
 
 
@@ -70,17 +68,13 @@ def _shallow_turn(level_turn: Function) -> bool:
 
 
 def _room_by_hand(max_mass: Function) -> bool:
-    """By hand: bank 30, A = 0.03 kg/m, and a width that leaves 2 R = 16 m: m = 0.03 * 8 * 0.5 / k^2
-    kg.
-    """
+    """By hand: bank 30, A = 0.03 kg/m, and 2 R = 16 m left: m = 0.03 * 8 * 0.5 / k^2 kg."""
     width = 16.0 + 0.7 * math.cos(math.pi / 6.0) + 2.0 * CLEARANCE
     return is_same_answer(max_mass(width, 30.0, 0.03), 120.0 / RESERVE**2)
 
 
 def _two_rooms_differ_by_their_width(max_mass: Function) -> bool:
-    """Mass is proportional to what the width leaves: steps of 2 m give equal steps of mass,
-    sin(bank) A 1000 / k^2.
-    """
+    """Mass is linear in the width: each 2 m add sin(bank) A 1000 / k^2."""
     masses = np.asarray(max_mass(np.array([12.0, 14.0, 16.0]), 50.0, 0.02))
     return is_same_answer(
         np.diff(masses), np.full(2, 20.0 * math.sin(math.radians(50.0)) / RESERVE**2)

@@ -1,6 +1,4 @@
-"""Lab 1, what is given: the paper's aircraft, air, your course's numbers, and the drawing of a turn
-in a hall.
-"""
+"""Lab 1, given: the paper's aircraft, air, your course's numbers, and the drawing of a turn."""
 
 import json
 from pathlib import Path

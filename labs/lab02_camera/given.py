@@ -1,6 +1,4 @@
-"""Lab 2, what is given: your course's numbers, two simulated views with their log, a lens undone,
-and drawing.
-"""
+"""Lab 2, given: your course's numbers, two simulated views with log, undistortion, drawing."""
 
 import json
 from collections.abc import Callable

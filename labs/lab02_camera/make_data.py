@@ -25,9 +25,7 @@ VIEWS = (
 
 
 def bent(image: Array, camera: PinholeCamera) -> Array:
-    """What a lens with k1 makes of a picture (H, W, 3) of a lens without, at the size of the views
-    (H, W, 3).
-    """
+    """The distorted image (H, W, 3) of an undistorted one, at the size of the views."""
     rows, columns = np.mgrid[: FINER * HEIGHT, : FINER * WIDTH]
     x_bent = ((columns + 0.5) / FINER - LENS["cx"]) / LENS["fx"]
     y_bent = ((rows + 0.5) / FINER - LENS["cy"]) / LENS["fy"]

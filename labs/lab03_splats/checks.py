@@ -22,9 +22,7 @@ def _unturned(cov3d: Function) -> bool:
 
 
 def _turned(cov3d: Function) -> bool:
-    """By hand: s = 2, 1, 1 turned by 30 deg about z: xx = 4 c^2 + s^2 = 3.25, yy = 1.75, xy = 3 s c
-    > 0.
-    """
+    """By hand: s = 2, 1, 1 turned by 30 deg about z: xx = 3.25, yy = 1.75, xy = 3 s c > 0."""
     half = math.radians(15.0)
     xy = 3.0 * 0.5 * math.sqrt(0.75)
     expected = np.array([[[3.25, xy, 0.0], [xy, 1.75, 0.0], [0.0, 0.0, 1.0]]])
@@ -55,8 +53,9 @@ def _keeps_volume(cov3d: Function) -> bool:
 
 
 def _straight_ahead(project: Function) -> bool:
-    """By hand: at 2 m, 1 m is 50 px across and 100 px down; blur 0.5; right and down is right and
-    up turned over.
+    """By hand: at 2 m, 1 m is 50 px across and 100 px down; blur 0.5.
+
+    Right and down is right and up turned over.
     """
     cov = np.array([[[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.5]]])
     covs_px = np.array([[[2500 * 0.04 + 0.5, -5000 * 0.01], [-5000 * 0.01, 10000 * 0.09 + 0.5]]])
@@ -70,17 +69,16 @@ def _right_and_up(project: Function) -> bool:
 
 
 def _towards_us(project: Function) -> bool:
-    """By hand: only deep, 1 m^2, at (1, 0.5, -2): J's last column is (100 / 4, -200 * 0.5 / 4) =
-    (25, -25).
-    """
+    """By hand: depth only, 1 m^2, at (1, 0.5, -2): J's last column is (25, -25)."""
     deep = np.diag([0.0, 0.0, 1.0])[None]
     _, covs_px = project(np.array([[1.0, 0.5, -2.0]]), deep, LENS, 0.0)
     return is_same_answer(covs_px, np.array([[[625.0, -625.0], [-625.0, 625.0]]]))
 
 
 def _mixed(project: Function) -> bool:
-    """By hand: J = [[50, 0, 25], [0, -100, -25]]; xz = 0.1 adds 2 * 50 * 25 * 0.1 to uu, -50 * 25 *
-    0.1 to uv.
+    """By hand: J = [[50, 0, 25], [0, -100, -25]].
+
+    Xz = 0.1 adds 2 * 50 * 25 * 0.1 to uu, -50 * 25 * 0.1 to uv.
     """
     cov = np.array([[[1.0, 0.0, 0.1], [0.0, 1.0, 0.0], [0.1, 0.0, 1.0]]])
     _, covs_px = project(np.array([[1.0, 0.5, -2.0]]), cov, LENS, 0.0)
@@ -96,9 +94,7 @@ def _one_sigma(alphas: Function) -> bool:
 
 
 def _slanted(alphas: Function) -> bool:
-    """By hand: [[2, 1], [1, 2]] has the inverse [[2, -1], [-1, 2]] / 3: q = 2/3 along (1, 1), 2
-    along (1, -1).
-    """
+    """By hand: the inverse of [[2, 1], [1, 2]] gives q = 2/3 along (1, 1) and 2 along (1, -1)."""
     pixels = np.array([[1.0, 1.0], [1.0, -1.0]])
     got = alphas(
         pixels,
@@ -112,8 +108,9 @@ def _slanted(alphas: Function) -> bool:
 
 
 def _ends(alphas: Function) -> bool:
-    """By hand: just inside the cut there is something, just outside nothing; standard deviation 2
-    px.
+    """By hand: just inside the cut there is something, just outside nothing.
+
+    Standard deviation 2 px.
     """
     inside, outside = 2.0 * CUT - 0.01, 2.0 * CUT + 0.01
     got = alphas(
@@ -147,9 +144,7 @@ def _order_of_the_file(composite: Function) -> bool:
 
 
 def _surface_depth(composite: Function) -> bool:
-    """By hand: the share is reached by the first, by the first two together, or never, which is
-    nan.
-    """
+    """By hand: the share is reached by the first splat, by the first two, or never (nan)."""
     much, little = SHARE + 0.05, SHARE - 0.1
     alphas = np.array([[much, 0.1, 0.1], [little, 0.4, 0.9], [0.1, 0.1, 0.1]])
     rgb, depth = composite(alphas, np.ones((3, 3)), np.array([2.0, 4.0, 6.0]), np.ones(3))

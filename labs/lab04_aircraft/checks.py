@@ -1,4 +1,4 @@
-"""Lab 4's public side: what a right aircraft model does, in claims that a student can read and run."""
+"""Lab 4, public: claims about an aircraft model that a student can read and run."""
 
 import math
 from collections.abc import Sequence
@@ -146,7 +146,7 @@ NO_RATES = np.zeros(3)
 
 
 def _turns_level(f: Function) -> bool:
-    """A level coordinated turn: rates that are a turn about the vertical alone change only the yaw."""
+    """A level coordinated turn: a rotation about the vertical changes only the yaw."""
     pitch, roll, turn = 0.1, 0.6, 0.8
     about_down = [
         -math.sin(pitch),

@@ -1,6 +1,4 @@
-"""Given for lab 4: the aircraft's numbers, its body rates, a pilot, small plants, and pictures of a
-flight.
-"""
+"""Lab 4, given: the aircraft's parameters, body rates, a pilot, small plants, and figures."""
 
 import json
 from collections.abc import Callable
@@ -42,8 +40,7 @@ BLUE, ORANGE, GREEN, GREY = (
 
 
 def rotation_world_body(roll: float, pitch: float, yaw: float) -> Array:
-    """Lab 2's rotation: turns body vectors (x nose, y right wing, z belly) into world vectors (z
-    up).
+    """Lab 2's rotation: body vectors (x nose, y right wing, z belly) to world vectors (z up).
 
     Args:
         roll: [rad], positive right wing down.
@@ -81,8 +78,7 @@ def body_rates(air: Array, command: Array, K: dict[str, float]) -> Array:
 
 
 def vertical_flight(x: Array, u: Array) -> Array:
-    """A point that flies in a vertical plane, to try an integrator on [Lanchester 1908, with thrust
-    and drag].
+    """Point mass in a vertical plane [Lanchester 1908, with thrust and drag], to test integrators.
 
     Args:
         x: (4,) speed V [m/s], climb angle [rad], distance [m], height [m].

@@ -1,6 +1,4 @@
-"""Lab 5's public side: what right residuals, steps, intervals and scores do, in claims that a
-student can run.
-"""
+"""Lab 5, public: claims about residuals, steps, intervals and scores that a student can run."""
 
 import math
 

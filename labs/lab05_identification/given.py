@@ -1,6 +1,4 @@
-"""Given for lab 5: flight in a vertical plane with unknown numbers, the logs, derivatives, and the
-paper's own fit.
-"""
+"""Lab 5, given: flight in a vertical plane, the logs, derivatives, and the paper's own fit."""
 
 import json
 from pathlib import Path
@@ -44,8 +42,7 @@ BLUE, ORANGE, GREEN, GREY = (
 
 
 def plane_rate(x: Array, command: Array, K: Array) -> Array:
-    """dx/dt of the aircraft in a vertical plane, wings level: lab 4's model without its sideways
-    half.
+    """dx/dt of the aircraft in a vertical plane, wings level: lab 4's longitudinal model.
 
     Args:
         x: (5, ...) px, pz [m], pitch [rad], vx, vz [m/s]; z up.
@@ -131,8 +128,7 @@ def read_passes() -> tuple[Array, Array]:
 
 
 def delayed(sticks: Array, delay: float) -> Array:
-    """Mean position of the control surfaces during each step when they act some time later than the
-    log says.
+    """Mean inputs during each step, after a delay.
 
     Args:
         sticks: (..., rows, 2) as logged, each held until the next.
@@ -148,9 +144,7 @@ def delayed(sticks: Array, delay: float) -> Array:
 
 
 def windows(values: Array) -> Array:
-    """Cut passes (passes, rows, ...) into windows of ROWS rows, two a pass: (2 * passes, ROWS,
-    ...).
-    """
+    """Cut passes (passes, rows, ...) into windows of ROWS rows, two per pass."""
     pairs = (values[:, FIRST : FIRST + ROWS], values[:, FIRST + ROWS - 1 : FIRST + 2 * ROWS - 1])
     return np.stack(pairs, axis=1).reshape(-1, ROWS, *values.shape[2:])
 
@@ -171,9 +165,7 @@ def start_guess(measured: Array) -> Array:
 
 
 def reduce(weighted_to_K: Array, weighted_to_start: Array) -> Array:
-    """What K does to the residuals that no initial state can do: (W, R, 8) and (W, R, 5) -> (W * R,
-    8).
-    """
+    """Sensitivities to K with initial states eliminated: (W, R, 8) and (W, R, 5) -> (W * R, 8)."""
     Q, _ = np.linalg.qr(weighted_to_start)
     return (weighted_to_K - Q @ (Q.transpose(0, 2, 1) @ weighted_to_K)).reshape(
         -1, weighted_to_K.shape[-1]
@@ -181,9 +173,7 @@ def reduce(weighted_to_K: Array, weighted_to_start: Array) -> Array:
 
 
 def plausible(poses: Array) -> Array:
-    """Poses (passes, rows, 3) with frames that are far off their neighbours' median set to nan, as
-    by hand.
-    """
+    """Poses (passes, rows, 3) with frames far off their neighbours' median set to nan."""
     spans = np.lib.stride_tricks.sliding_window_view(
         np.pad(poses, ((0, 0), (3, 3), (0, 0)), "edge"), 7, axis=1
     )
@@ -192,8 +182,7 @@ def plausible(poses: Array) -> Array:
 
 
 def fit_one_step(states: Array, commands: Array) -> Array:
-    """The paper's fit: the K that predicts each next state from the one before [paper, Section
-    IV-B, equation for K*].
+    """The paper's fit: K that predicts each next state from the previous one [paper, Section IV-B].
 
     Args:
         states: (passes, rows, 5) with velocities from differentiated poses; rows with nan are left

@@ -1,4 +1,5 @@
 """Make lab 5's logs again: the kit's own aircraft flies straight passes through the hall.
+
 Simulated, not measured.
 
     python labs/lab05_identification/make_data.py

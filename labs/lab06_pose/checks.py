@@ -25,8 +25,9 @@ def _corners(
 
 
 def _straight_on(marker_pose: Function) -> bool:
-    """By hand: 0.8 m at 4 m with f = 400 px is 80 px wide; the camera is 4 m away, y and z turned
-    round.
+    """By hand: 0.8 m at 4 m with f = 400 px is 80 px wide.
+
+    The camera is 4 m away, y and z turned round.
     """
     corners = np.array([[260.0, 200.0], [340.0, 200.0], [340.0, 280.0], [260.0, 280.0]])
     lens = np.array([[400.0, 0.0, 300.0], [0.0, 400.0, 240.0], [0.0, 0.0, 1.0]])
@@ -36,9 +37,7 @@ def _straight_on(marker_pose: Function) -> bool:
 
 
 def _from_aside(marker_pose: Function) -> bool:
-    """Projected by hand: a camera to the right of the marker and above it, turned, with an uneven
-    lens.
-    """
+    """By hand: a camera right of the marker and above it, rotated, with unequal focal lengths."""
     c, s = math.cos(0.5), math.sin(0.5)
     R = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ FACING @ QUARTER
     p = np.array([2.0, 0.7, 3.5])
@@ -47,7 +46,7 @@ def _from_aside(marker_pose: Function) -> bool:
 
 
 def _larger_marker(marker_pose: Function) -> bool:
-    """The same image of a marker three times as large: three times as far away, the same attitude."""
+    """The same image of a marker three times as large: three times as far, the same attitude."""
     corners = _corners(FACING, np.array([0.3, -0.2, 5.0]), 0.5, K)
     small, large = marker_pose(corners, K, 0.5), marker_pose(corners, K, 1.5)
     return is_same_answer(
@@ -65,8 +64,9 @@ def _rotation_in_noise(marker_pose: Function) -> bool:
 
 
 def _square_that_looks_flat(marker_pose: Function) -> bool:
-    """By hand: 80 px wide, 40 px high. The mean of both lengths makes it 60 px: 400 * 0.8 / 60 =
-    16/3 m.
+    """By hand: 80 px wide, 40 px high.
+
+    The mean of both lengths makes it 60 px: 400 * 0.8 / 60 = 16/3 m.
     """
     corners = np.array([[260.0, 220.0], [340.0, 220.0], [340.0, 260.0], [260.0, 260.0]])
     lens = np.array([[400.0, 0.0, 300.0], [0.0, 400.0, 240.0], [0.0, 0.0, 1.0]])
@@ -102,9 +102,7 @@ def _weights_pull(fit_similarity: Function) -> bool:
 
 
 def _stretches_right(fit_similarity: Function) -> bool:
-    """By hand: on a cross of four points, two stay and two, with weight 3, move out by a half: (1 +
-    3 * 1.5) / 4.
-    """
+    """By hand: of four points two stay, and two of weight 3 move by a half: (1 + 3 * 1.5) / 4."""
     cross = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     stretched = cross * np.array([[1.0], [1.0], [1.5], [1.5]])
     scale, R, _ = fit_similarity(cross, stretched, np.array([1.0, 1.0, 3.0, 3.0]))
@@ -112,8 +110,9 @@ def _stretches_right(fit_similarity: Function) -> bool:
 
 
 def _no_mirror(fit_similarity: Function) -> bool:
-    """A rotation is no mirror, even where the points ask for one: det R = 1. By hand: a mirrored z
-    cannot be had.
+    """A rotation is no mirror, even where the points ask for one: det R = 1.
+
+    By hand: a mirrored z cannot be had.
     """
     cloud = np.array(
         [[3.0, 0, 0], [-3.0, 0, 0], [0, 2.0, 0], [0, -2.0, 0], [0, 0, 1.0], [0, 0, -1.0]]
@@ -123,8 +122,9 @@ def _no_mirror(fit_similarity: Function) -> bool:
 
 
 def _finds_the_good_candidate(reject_outliers: Function) -> bool:
-    """By hand: two of five points are 100 m off. The first fits all a little, the second the good
-    ones exactly.
+    """By hand: two of five points are 100 m off.
+
+    The first fits all a little, the second the good ones exactly.
     """
     p_from = np.vstack([BOX, [5.0, 5.0, 5.0]])
     p_to = p_from + np.array(
@@ -136,9 +136,7 @@ def _finds_the_good_candidate(reject_outliers: Function) -> bool:
 
 
 def _uses_scale_turn_and_shift(reject_outliers: Function) -> bool:
-    """By hand: of four candidates that differ in one thing each, only the complete one has no
-    misses but noise.
-    """
+    """By hand: of four candidates that differ in one part each, only the complete one fits."""
     t = np.array([1.0, -2.0, 0.5])
     p_to = (
         2.0 * BOX @ QUARTER.T
@@ -175,8 +173,9 @@ def _three_rays(triangulate: Function) -> bool:
 
 
 def _between_two_rays(triangulate: Function) -> bool:
-    """By hand: rays along x and along y, 3 apart in z. With weights 2 and 1 the point is 1 from the
-    first.
+    """By hand: rays along x and along y, 3 apart in z.
+
+    With weights 2 and 1 the point is 1 from the first.
     """
     centres, rays = (
         np.array([[-5.0, 0.0, 0.0], [0.0, 8.0, 3.0]]),

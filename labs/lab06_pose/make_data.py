@@ -1,5 +1,4 @@
-"""Write the data of lab 6: where structure from motion puts the photos of a hall, and where they
-show the marker.
+"""Write the data of lab 6: poses of the photos by structure from motion, and marker corners.
 
     python labs/lab06_pose/make_data.py HALL [POSES]
 

@@ -43,7 +43,7 @@ def _left_turn(turn: Function) -> bool:
 
 
 def _climbing_turn(turn: Function) -> bool:
-    """By hand: climbing by 60 deg, cos = 1/2, and R = V^2 / (2 g): 45 deg again, n = (1/2) sqrt 2."""
+    """By hand: climbing by 60 deg, cos = 1/2, R = V^2 / (2 g): 45 deg again, n = (1/2) sqrt 2."""
     margin = 6.0 / math.sqrt(0.5 * math.sqrt(2.0) * GRAVITY / MOST_LIFT)
     return is_same_answer(turn(6.0, math.pi / 3.0, 18.0 / GRAVITY), (math.pi / 4.0, margin))
 
@@ -56,8 +56,9 @@ def _almost_straight(turn: Function) -> bool:
 
 
 def _level_nose(turn_rates: Function) -> bool:
-    """By hand: at 45 deg and V = g the turn rate is 1 rad/s, shared by q and r; to the left only r
-    turns round.
+    """By hand: at 45 deg and V = g the turn rate is 1 rad/s, shared by q and r.
+
+    To the left only r turns round.
     """
     half = math.sqrt(0.5)
     right, left = turn_rates(math.pi / 4.0, 0.0, GRAVITY), turn_rates(-math.pi / 4.0, 0.0, GRAVITY)
@@ -72,9 +73,7 @@ def _one_turn(turn_rates: Function) -> bool:
 
 
 def _nose_up(turn_rates: Function) -> bool:
-    """By hand: nose up by 30 deg in a right turn, the belly's axis leans forward: p = -1/2 of the
-    turn rate.
-    """
+    """By hand: nose up by 30 deg in a right turn: p = -1/2 of the turn rate."""
     p, q, r = turn_rates(math.pi / 4.0, math.pi / 6.0, GRAVITY)
     return is_same_answer((p, q, r), (-0.5, math.sqrt(0.375), math.sqrt(0.375)))
 
@@ -89,9 +88,7 @@ def _on_the_line(guidance: Function) -> bool:
 
 
 def _right_of_it(guidance: Function) -> bool:
-    """By hand: 1 / k to the right (y negative along +x) the arc tangent is 45 deg: course -APPROACH
-    / 2, bank left.
-    """
+    """By hand: 1 / k right of the line the arc tangent is 45 deg: course -APPROACH / 2, bank left."""
     p, v = np.array([3.0, -1.0 / PULL]), np.array([2.0, 0.0])
     expected = math.atan(2.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
     mirrored = guidance(p * (1.0, -1.0), v, ORIGIN, EAST, 1.0)
@@ -99,15 +96,19 @@ def _right_of_it(guidance: Function) -> bool:
 
 
 def _line_that_begins_elsewhere(guidance: Function) -> bool:
-    """By hand: the line runs along +y through x = 5; an aircraft at x = 5 + 1 / k is to its right."""
+    """By hand: the line runs along +y through x = 5.
+
+    An aircraft at x = 5 + 1 / k is to its right.
+    """
     start, end, p = np.array([5.0, 2.0]), np.array([5.0, 4.0]), np.array([5.0 + 1.0 / PULL, -7.0])
     expected = math.atan(3.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
     return is_same_answer(guidance(p, np.array([0.0, 3.0]), start, end, 1.4), expected)
 
 
 def _short_way_round(guidance: Function) -> bool:
-    """By hand: the line leads to -x. From 10 deg left of it, that is the course 170 deg, turn 10
-    deg to the right.
+    """By hand: the line leads to -x.
+
+    From 10 deg left of it, that is the course 170 deg, turn 10 deg to the right.
     """
     c, s = math.cos(math.radians(170.0)), math.sin(math.radians(170.0))
     expected = math.atan(3.0 * TURN_GAIN * math.radians(10.0) / GRAVITY)
@@ -128,15 +129,19 @@ def _one_step(hold_speed: Function) -> bool:
 
 
 def _does_not_wind_up(hold_speed: Function) -> bool:
-    """By hand: far too slow, full throttle and the sum stays; far too fast, idle and the sum stays."""
+    """By hand: far too slow, full throttle and the sum stays.
+
+    Far too fast, idle and the sum stays.
+    """
     return is_same_answer(
         (hold_speed(9.0, 0.2, 0.3), hold_speed(-9.0, -0.2, 0.3)), ((1.0, 0.2), (0.0, -0.2))
     )
 
 
 def _winds_down(hold_speed: Function) -> bool:
-    """By hand: at full throttle by an old sum, but too fast already: the sum must shrink. And the
-    mirror image.
+    """By hand: at full throttle by an old sum, but too fast already: the sum must shrink.
+
+    And the mirror image.
     """
     large = 5.0 / KI
     high, low = hold_speed(-0.4, large, 0.2), hold_speed(0.4, -large, 0.8)
@@ -156,8 +161,9 @@ def _on_the_slope(flare: Function) -> bool:
 
 
 def _below_and_above_the_slope(flare: Function) -> bool:
-    """By hand: 0.3 m below the slope it sinks 0.3 * gain less, 5 m below not at all; 5 m above as
-    steep as allowed.
+    """By hand: 0.3 m below the slope it sinks 0.3 * gain less, 5 m below not at all.
+
+    5 m above as steep as allowed.
     """
     slope = 60.0 * math.tan(GLIDE)
     expected = -(7.0 * math.sin(GLIDE) - 0.3 * SLOPE_GAIN)
@@ -166,18 +172,14 @@ def _below_and_above_the_slope(flare: Function) -> bool:
 
 
 def _soft_at_the_end(flare: Function) -> bool:
-    """By hand: at the pad only the touchdown's sink rate is left, a little higher that plus h /
-    tau; below as at it.
-    """
+    """By hand: at the pad the touchdown sink rate, above it plus h / tau, below it as at it."""
     height = 0.1 * FLARE_TIME
     got = [flare(h, height / math.tan(GLIDE), 7.0) for h in (0.0, height, -0.2)]
     return is_same_answer(got, [(-SOFT, True), (-SOFT - 0.1, True), (-SOFT, True)])
 
 
 def _less_of_both(flare: Function) -> bool:
-    """By hand: near the pad but so far below the slope that the approach sinks less than the flare
-    would.
-    """
+    """By hand: near the pad, so far below the slope that the approach sinks less than the flare."""
     rate, idle = flare(0.3, 0.3 / math.tan(GLIDE) + 10.0, 7.0)
     expected = -max(7.0 * math.sin(GLIDE) - 10.0 * math.tan(GLIDE) * SLOPE_GAIN, 0.0)
     return is_same_answer((rate, idle), (expected, False), atol=1e-9)

@@ -1,6 +1,4 @@
-"""Lab 7, what is given: numbers of the aircraft and of your course, the innermost loop, the
-figures.
-"""
+"""Lab 7, given: the aircraft's and your course's numbers, the innermost loop, the figures."""
 
 import json
 import math
@@ -55,7 +53,7 @@ BLUE, ORANGE, GREEN = (
 
 
 class Autopilot:
-    """The innermost loop: commanded bank, vertical speed and body rates -> aileron, elevator, rudder.
+    """The innermost loop: commanded bank, vertical speed, body rates -> aileron, elevator, rudder.
 
     Each command is the feed-forward of the steady turn plus a feedback term. You need not change
     it.
@@ -97,7 +95,10 @@ class Autopilot:
 
 
 def leg(number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Start and end of a leg of the circuit, (2,) each [m]; after the last comes the first again."""
+    """Start and end of a leg of the circuit, (2,) each [m].
+
+    After the last comes the first again.
+    """
     return WAYPOINTS[number % 4], WAYPOINTS[(number + 1) % 4]
 
 
@@ -110,7 +111,7 @@ def draw_circuit(flight: dict[str, np.ndarray]) -> None:
     """Track, bank, stall margin and commands of a flight round the circuit.
 
     Args:
-        flight: by name, (n,) or (n, 3): "t" [s], "p_world" [m], "roll" [rad], "bank" commanded [rad],
+        flight: by name, (n,) or (n, 3): "t" [s], "p_world" [m], "roll" [rad], "bank" command [rad],
             "margin" [-], "sticks" (n, 4).
     """
     import matplotlib.pyplot as plt

@@ -1,5 +1,4 @@
-"""Lab 7, instructors only: vectors and rotations as references, and the kit's simulated aircraft as
-the plant.
+"""Lab 7, hidden: vector and rotation references, and the kit's simulated aircraft as the plant.
 
 In a trial the student's one function flies the aircraft together with references of the others.
 """
@@ -121,8 +120,9 @@ def _draw_attitude(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _rates(bank: float, pitch: float, speed: float) -> tuple[float, ...]:
-    """The turn is a vector that points down in the world; the kit's rotation writes it in body
-    axes.
+    """The turn is a vector that points down in the world.
+
+    The kit's rotation writes it in body axes.
     """
     turn_world = np.array([0.0, 0.0, -GRAVITY * math.tan(bank) / speed])
     return tuple(float(rate) for rate in rotation_world_body(bank, pitch, 0.7).T @ turn_world)
@@ -141,9 +141,7 @@ def _draw_line(rng: np.random.Generator, approach: float) -> tuple[Any, ...]:
 
 
 def _course_error(p: Any, v: Any, start: Any, end: Any, approach: float) -> float:
-    """With complex numbers x + i y: the angle between the commanded course and the flown one, right
-    positive.
-    """
+    """Angle from the flown to the commanded course, by complex numbers x + i y, right positive."""
     line, flown, off = (complex(*each) for each in (end - start, v, p - start))
     left = (off * line.conjugate()).imag / abs(line)
     commanded = line * cmath.exp(-1j * approach * math.atan(PULL * left) * 2.0 / math.pi)
@@ -160,9 +158,7 @@ def _bank(
 
 
 def _draw_speed(rng: np.random.Generator) -> tuple[Any, ...]:
-    """A third each: in between, pushed into a limit, at a limit by the sum alone while the error
-    leads back.
-    """
+    """A third each: unlimited, pushed into a limit, at a limit while the error leads back."""
     error, base = rng.uniform(0.2, 0.8) * rng.choice([-1.0, 1.0]), rng.uniform(0.3, 0.6)
     kind = rng.choice(["between", "pushed", "back"])
     if kind == "between":
@@ -188,7 +184,7 @@ def _draw_height(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _flies_the_legs(guidance: Function, rng: np.random.Generator) -> bool:
-    """Whether three legs are flown in time, to the left or to the right, without touching anything."""
+    """Whether three legs are flown in time, to the left or right, without touching anything."""
     mirrored = bool(rng.random() < 0.5)
     points = WAYPOINTS * (1.0, -1.0) - (0.0, 4.0) if mirrored else WAYPOINTS
     autopilot, legs, integral = Autopilot(), 0, 0.0

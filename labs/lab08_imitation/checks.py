@@ -22,9 +22,7 @@ def _pixel(
 
 
 def _step(function: Function, bias: float, labels: list[list[float]], rate: float) -> dict:
-    """A network whose weights are all 0 but the last bias: its answer is the bias, and only the
-    bias has a gradient.
-    """
+    """A network with zero weights but for the last bias, its answer and only gradient."""
     steps, n = np.shape(labels)
     weights = [np.zeros((2, 4)), np.zeros(2), np.zeros((1, 2)), np.array([bias])]
     return function(
@@ -47,7 +45,7 @@ def _clips(function: Function) -> bool:
 
 
 def _clips_all_together(function: Function) -> bool:
-    """Two weights with gradients (h, 1) in ratio: the step's length is rate * CLIP_NORM over both."""
+    """Two weights with gradients in the ratio (h, 1): the step's length is rate * CLIP_NORM."""
     weights = [np.zeros((1, 4)), np.array([1.0]), np.array([[6.0]]), np.array([6.0])]
     after = function(
         weights, np.zeros((1, 1, 3, 1, 1)), np.zeros((1, 1, 1)), np.zeros((1, 1)), 1.0
@@ -292,8 +290,9 @@ def _by_hand(
     memory: tuple[float, ...] = (0.0, 0.0, 0.0, -1.0),
     offset: float = 0.1,
 ) -> np.ndarray:
-    """The same flight written out: u = gain * offset + yaw_gain * yaw + memory . (u_1 u_2 u_3 u_4),
-    cut to -1..1.
+    """The same flight written out: u = gain * offset + yaw_gain * yaw + memory .
+
+    (u_1 u_2 u_3 u_4), cut to -1..1.
     """
     x, yaw, roll, flown = -17.0, 0.0, 0.0, [0.0] * len(memory)
     while x < 4.5 and abs(offset) <= 6.0 and abs(yaw) <= 1.2:

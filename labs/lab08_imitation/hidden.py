@@ -1,6 +1,4 @@
-"""Lab 8, for instructors: the hidden cases and their references, written apart from the lab's
-solution.
-"""
+"""Lab 8, hidden: the cases and their references, independent of the lab's solution."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -142,8 +140,9 @@ def _pilots(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _landings(gains: np.ndarray, memory: np.ndarray, starts: np.ndarray) -> dict[str, Any]:
-    """All flights at once, as columns; the plant is written out again, and what is over stays as it
-    is.
+    """All flights at once, as columns.
+
+    The plant is written out again, and what is over stays as it is.
     """
     n, k = len(starts), len(memory)
     offset, yaw, wind = (starts[:, i].astype(float) for i in range(3))

@@ -29,9 +29,7 @@ def _covers(f: Function, expected: list[tuple[int, int]], *arguments: object) ->
 
 
 def _disc(f: Function) -> bool:
-    """A ball of radius 1 at 5 m: tangents at tan^2 = 1 / (25 - 1), so with f = 60 a disc of radius
-    12.247 px.
-    """
+    """A ball of radius 1 at 5 m: tangents at tan^2 = 1 / 24, so with f = 60 a disc of 12.247 px."""
     row, column = np.indices((40, 60)) + 0.5
     expected = (column - 30.0) ** 2 + (row - 20.0) ** 2 <= 60.0**2 / 24.0
     return is_same_answer(f(_pose(0, 0, 5), MIDDLE, BALL, 60.0, FREE), expected)
@@ -194,25 +192,25 @@ def _loss(f: Function, logits: list, truth: list) -> float:
 
 
 def _even(f: Function) -> bool:
-    """All logits 0: p = 1/2. One leader pixel of four: entropy (w + 3) ln 2 / 4; overlap (1 + 1) /
-    (2 + 1 + 1).
+    """All logits 0: p = 1/2. One leader pixel of four: entropy (w + 3) ln 2 / 4.
+
+    Overlap (1 + 1) / (2 + 1 + 1).
     """
     expected = (POS_WEIGHT + 3.0) * math.log(2.0) / 4.0 + DICE_WEIGHT * (1.0 - 2.0 / 4.0)
     return is_same_answer(_loss(f, [[[0.0, 0.0], [0.0, 0.0]]], [[[1, 0], [0, 0]]]), expected)
 
 
 def _two_pictures(f: Function) -> bool:
-    """Sure and right in the first, sure and wrong in the second: overlaps (2 + 1) / (2 + 1) = 1 and
-    1 / (1 + 1 + 1).
-    """
+    """Confident, correct in the first and wrong in the second: overlaps 1 and 1 / 3."""
     wrong = 40.0 * (POS_WEIGHT + 1.0) / 4.0
     got = _loss(f, [[[40.0, -40.0]], [[40.0, -40.0]]], [[[1, 0]], [[0, 1]]])
     return is_same_answer(got, wrong + DICE_WEIGHT * 0.5 * (1.0 - 1.0 / 3.0))
 
 
 def _gradient(f: Function) -> bool:
-    """Logits 0 and truth 1, 0: D = 2/3, dD/dp = 4/9 and -2/9, dp/dz = 1/4; the entropy gives -w/4
-    and 1/4.
+    """Logits 0 and truth 1, 0: D = 2/3, dD/dp = 4/9 and -2/9, dp/dz = 1/4.
+
+    The entropy gives -w/4 and 1/4.
     """
     expected = [-POS_WEIGHT / 4.0 - DICE_WEIGHT / 9.0, 0.25 + DICE_WEIGHT / 18.0]
     return is_same_answer(

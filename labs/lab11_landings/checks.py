@@ -17,7 +17,10 @@ def _eight_of_ten(success_interval: Function) -> bool:
 
 
 def _ten_of_ten(success_interval: Function) -> bool:
-    """By hand: the share is 1, so the ends are n / (n + z^2) and 1; of none, their mirror images."""
+    """By hand: the share is 1, so the ends are n / (n + z^2) and 1.
+
+    Of none, their mirror images.
+    """
     z2 = 1.644854**2
     all_good, none_good = success_interval(10, 10, 0.90), success_interval(0, 10, 0.90)
     low = 10.0 / (10.0 + z2)
@@ -25,7 +28,7 @@ def _ten_of_ten(success_interval: Function) -> bool:
 
 
 def _solves_the_score_equation(success_interval: Function) -> bool:
-    """Its definition: at both ends the observed share lies z standard deviations of that rate away."""
+    """Its definition: at both ends the observed share is z standard deviations of that rate off."""
     ends = np.array(success_interval(13, 37, 0.99))
     distance = (13 / 37 - ends) / np.sqrt(ends * (1.0 - ends) / 37)
     return is_same_answer(distance, np.array([2.575829, -2.575829]), rtol=1e-5)
@@ -48,9 +51,7 @@ def _a_mark_beside_the_pad(ald_summary: Function) -> bool:
 
 
 def _close_share_counts_all_runs(ald_summary: Function) -> bool:
-    """By hand: of four runs one is close, one is exactly as far as allowed, one too far, one missed
-    the pad.
-    """
+    """By hand: of four runs one is close, one at the limit, one too far, one missed the pad."""
     ald_cm = np.array([CLOSE - 5.0, CLOSE, CLOSE + 5.0, 1.0])
     return is_same_answer(
         ald_summary(np.array([True, True, True, False]), ald_cm)["close_share"], 0.5
@@ -72,8 +73,9 @@ def _nobody_landed(ald_summary: Function) -> bool:
 
 
 def _three_pairs(compare_sim_real: Function) -> bool:
-    """By hand: differences 1, 2, 3; of the 8 sign patterns only + + + and - - - reach 2 in size: p
-    = 2 / 8.
+    """By hand: differences 1, 2, 3.
+
+    Of the 8 sign patterns only + + + and - - - reach 2 in size: p = 2 / 8.
     """
     return is_same_answer(
         compare_sim_real(np.array([1.0, 2.0, 3.0]), np.array([2.0, 4.0, 6.0])), (3, 2.0, 0.25)
@@ -87,8 +89,9 @@ def _only_pairs(compare_sim_real: Function) -> bool:
 
 
 def _papers_pairs(compare_sim_real: Function) -> bool:
-    """Counted by hand from the table: eight pairs that sum to 100 cm; 46 of the 256 sign patterns
-    reach that size.
+    """Counted by hand from the table: eight pairs that sum to 100 cm.
+
+    46 of the 256 sign patterns reach that size.
     """
     sim = np.array([54.0, 4.0, 38.0, 12.0, 32.0, 74.0, 21.0, 79.0, 32.0, 23.0])
     real = np.array([35.0, 45.0, NAN, 40.0, 40.0, 70.0, 20.0, 80.0, 78.0, NAN])
@@ -105,15 +108,18 @@ def _arguments_stay(compare_sim_real: Function) -> bool:
 
 
 def _no_failure(landings_to_show: Function) -> bool:
-    """By hand: without a failure n >= z^2 rate / (1 - rate): 3.8415 * 9 = 34.6 gives 35; 3.8415 * 1
-    gives 4.
+    """By hand: without a failure n >= z^2 rate / (1 - rate): 3.8415 * 9 = 34.6 gives 35.
+
+    3.8415 * 1 gives 4.
     """
     return is_same_answer((landings_to_show(0.9, 0, 0.95), landings_to_show(0.5, 0, 0.95)), (35, 4))
 
 
 def _two_failures(landings_to_show: Function) -> bool:
-    """By hand at 80 %: z = 1.28155, z sqrt(0.8 * 0.2) = 0.51262; n = 20 leaves 0.1 < 0.11463, n =
-    21 0.10476 < 0.11186, n = 22 0.10909 < 0.10929, n = 23 0.11304 > 0.10689.
+    """By hand at 80 %: z = 1.28155, z sqrt(0.8 * 0.2) = 0.51262.
+
+    n = 20 leaves 0.1 < 0.11463, n = 21 0.10476 < 0.11186, n = 22 0.10909 < 0.10929, n = 23 0.11304
+    > 0.10689.
     """
     return is_same_answer(landings_to_show(0.8, 2, 0.80), 23)
 

@@ -1,6 +1,4 @@
-"""Lab 12's public side: what maps, terms, evidence, a verdict and a finding are like when they are
-right.
-"""
+"""Lab 12, public: claims about maps, terms, evidence, verdicts and findings."""
 
 import math
 from collections.abc import Mapping
@@ -163,6 +161,7 @@ def _score(
 
 def _tight(f: Function) -> bool:
     """J = E = e0, r0 = 3, P = 1: dK = -1.5 leaves a cost of 4.5, the candidate alone makes it 0.
+
     The same turned.
     """
     turned = np.array(

@@ -1,6 +1,4 @@
-"""Given for lab 12: the candidates with their sizes, the channels, and pictures of a residual map
-and of evidence.
-"""
+"""Lab 12, given: the candidates with their sizes, the channels, and the figures."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -110,8 +108,7 @@ def rows_of(residual: Array, windows: Any) -> tuple[Array, dict[str, Array]]:
 
 
 def draw_map(axes: Sequence[Any], maps: Mapping[str, tuple[Array, Array]]) -> Any:
-    """Draw residual maps side by side: channels down, bins of a variable across, dark where the
-    excess is large.
+    """Draw residual maps side by side: channels in rows, bins in columns, dark for a large excess.
 
     Args:
         axes: as many as maps.
@@ -142,9 +139,7 @@ def draw_map(axes: Sequence[Any], maps: Mapping[str, tuple[Array, Array]]) -> An
 
 
 def draw_evidence(ax: Any, gains: Mapping[str, float], threshold: float) -> None:
-    """Bars of evidence, best on top, on a scale that is linear near zero and logarithmic beyond,
-    and the threshold.
-    """
+    """Bars of evidence, best on top, on a symmetric logarithmic scale, with the threshold."""
     names = sorted(gains, key=lambda name: gains[name])
     ax.barh(names, [gains[name] for name in names], color=BLUE)
     ax.axvline(threshold, color=ORANGE, ls="--", label=f"threshold {threshold:.0f}")

@@ -1,4 +1,4 @@
-"""Lab 12's hidden side: one hidden effect a student, and the judges of the functions that find it."""
+"""Lab 12, hidden: one hidden effect per student, and the judges of the functions that find it."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -64,8 +64,9 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
 
 
 def truth(course: Course) -> tuple[str, float]:
-    """What is hidden in a student's flight: the effect's name and its size; the practice case's
-    without a salt.
+    """What is hidden in a student's flight: the effect's name and its size.
+
+    The practice case's without a salt.
     """
     if not course.salt:
         return OPEN_TRUTH
@@ -105,8 +106,9 @@ def handout(course: Course, folder: Path) -> None:
 
 
 def _flown(seed: int, effect: str, parameters: Mapping[str, float]) -> HiddenCase:
-    """The case of the first aircraft from this seed on that stays in the hall with the effect; not
-    every one can.
+    """The case of the first aircraft from this seed on that stays in the hall with the effect.
+
+    Not every one can.
     """
     for number in range(seed, seed + AIRCRAFT):
         with suppress(InputError):
@@ -138,9 +140,7 @@ def _right_size(effect: str, size: float, student: Function, rng: np.random.Gene
 
 
 def _right_interval(effect: str, size: float, student: Function, rng: np.random.Generator) -> bool:
-    """It holds the truth, but for bad luck, is in order, and is not so wide that it could not help
-    it.
-    """
+    """Whether the interval is in order, not too wide, and holds the truth within its tolerance."""
     if (found := _finding(student)) is None or found[0] != effect:
         return False
     _, best, low, high = found
@@ -166,7 +166,7 @@ def _finding(student: Function) -> tuple[str, float, float, float] | None:
 
 
 # The functions
-# --------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------
 
 
 def _draw_residuals(rng: np.random.Generator) -> tuple[Any, ...]:
@@ -277,9 +277,7 @@ def _scores(
     candidates: Mapping[str, Array],
     scatter: float,
 ) -> dict[str, Array]:
-    """Dense least squares with the prior as further rows, once without and once with each
-    candidate.
-    """
+    """Dense least squares with the prior as further rows, with and without each candidate."""
 
     root = np.linalg.cholesky(precision).T  # precision = root' root
 
@@ -299,9 +297,7 @@ def _scores(
 
 
 def _draw_gains(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Three kinds in turn by chance: nothing above the threshold, one alone, or some too close to
-    call.
-    """
+    """One of three kinds: nothing above the threshold, one alone, or some too close to call."""
     calm = rng.uniform(-8.0, 12.0, 3)
     names = [str(name) for name in rng.permutation(list(CANDIDATES))[:6]]
     kind = rng.integers(3)

@@ -1,5 +1,4 @@
-"""Opens a student's notebook in JupyterLab in headless Chromium, runs all cells and takes a picture
-to look at.
+"""Open a student's notebook in JupyterLab in headless Chromium, run it and take a screenshot.
 
     python -m tests.labs.open_in_jupyterlab lab01 --out pictures [--solution]
 
@@ -31,8 +30,9 @@ WAIT_S = 180.0  # for a server, a page or a notebook on a busy machine
 
 @contextmanager
 def jupyterlab(folder: Path) -> Iterator[str]:
-    """A JupyterLab server in a folder; gives its address without path, such as
-    http://127.0.0.1:8890, and its token.
+    """A JupyterLab server in a folder.
+
+    Gives its address without path, such as http://127.0.0.1:8890, and its token.
     """
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -149,8 +149,9 @@ def run_to_the_end(page, saved: str) -> bool:
 
 
 def main() -> int:
-    """Release, open, run, take the picture; 0 where only NotImplementedError was raised and nobody
-    complained.
+    """Release, open, run, take the picture.
+
+    0 where only NotImplementedError was raised and nobody complained.
     """
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

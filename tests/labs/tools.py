@@ -1,6 +1,4 @@
-"""Programs beside Python that the tests of labs need: in CI a missing one fails, elsewhere it
-skips.
-"""
+"""Programs beside Python for the tests of labs: a missing one fails in CI and skips elsewhere."""
 
 import os
 import shutil

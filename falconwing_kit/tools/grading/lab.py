@@ -97,8 +97,8 @@ class Lab:
         constants: numbers that differ from course to course: lowest, highest, decimals.
         packages: libraries available to the functions, beside the standard library and `given`.
         memory_mib: memory limit [MiB].
-        notebook_since: first version of the kit, such as "0.2", whose notebook fits these checks; an
-            older notebook is refused. Empty for any.
+        notebook_since: first version of the kit, such as "0.2", whose notebook fits these checks;
+            an older notebook is refused. Empty for any.
     """
 
     name: str
@@ -196,7 +196,7 @@ def is_same_answer(got: Any, expected: Any, rtol: float = 1e-6, atol: float = 1e
 
 
 def is_close(got: Any, expected: Any, rtol: float = 1e-9, atol: float = 1e-9) -> bool:
-    """Whether two arrays have the same shape and numbers; lists count as arrays, NaN matches NaN."""
+    """Whether arrays or lists of numbers have the same shape and values; NaN matches NaN."""
     return np.shape(got) == np.shape(expected) and bool(
         np.allclose(got, expected, rtol=rtol, atol=atol, equal_nan=True)
     )

@@ -1,4 +1,7 @@
-"""Lab 8: wrong solutions that students write; each must lose points and be seen by a public check."""
+"""Lab 8: wrong solutions that students write.
+
+Each must lose points and be seen by a public check.
+"""
 
 MUTANTS = {
     "history_window": (

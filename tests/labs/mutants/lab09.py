@@ -1,4 +1,7 @@
-"""Lab 9: wrong solutions that students write; each must lose points and be seen by a public check."""
+"""Lab 9: wrong solutions that students write.
+
+Each must lose points and be seen by a public check.
+"""
 
 MUTANTS = {
     "ellipsoid_mask": (
@@ -61,7 +64,8 @@ MUTANTS = {
             "logarithm of a rounded probability",
             "torch.nn.functional.logsigmoid(logits)\n"
             "    log_hall = torch.nn.functional.logsigmoid(-logits)",
-            "torch.log(torch.sigmoid(logits))\n    log_hall = torch.log(1.0 - torch.sigmoid(logits))",
+            "torch.log(torch.sigmoid(logits))\n"
+            "    log_hall = torch.log(1.0 - torch.sigmoid(logits))",
         ),
         ("weight forgotten", "POS_WEIGHT * truth", "truth"),
         (

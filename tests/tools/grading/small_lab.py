@@ -53,8 +53,10 @@ LAB = Lab(
             "weight",
             75.0,
             (
-                Check("1 kg weighs what your course says", lambda weight: weight(1.0) == COHORT["gravity"], "multiply"),
-                Check("nothing weighs nothing", lambda weight: weight(0.0) == 0.0, "no constant is added"),
+                Check("1 kg weighs what your course says",
+                      lambda weight: weight(1.0) == COHORT["gravity"], "multiply"),
+                Check("nothing weighs nothing",
+                      lambda weight: weight(0.0) == 0.0, "no constant is added"),
             ),
         ),
     ),
@@ -79,7 +81,8 @@ from falconwing_kit.tools.grading.lab import Values
 
 def judges(course):
     assert LAB.name == "lab01" and COHORT == course.constants
-    return {"weight": (Values(lambda rng: (rng.uniform(1.0, 5.0),), lambda mass: COHORT["gravity"] * mass),)}
+    draw = lambda rng: (rng.uniform(1.0, 5.0),)
+    return {"weight": (Values(draw, lambda mass: COHORT["gravity"] * mass),)}
 
 
 def handout(course, folder):

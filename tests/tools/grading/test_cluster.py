@@ -40,7 +40,7 @@ def test_cluster_gives_the_records_of_this_machine(tmp_path, monkeypatch):
         )
     (tmp_path / "here").mkdir()
     shutil.copy(tmp_path / "there" / "run.json", tmp_path / "here")
-    monkeypatch.setattr(grading, "_require_box", lambda: None)
+    monkeypatch.setattr(grading, "_require_sandbox", lambda: None)
     assert Grade(str(toys.LAB), students, tmp_path / "here", workers=1, json=True).run() == 0
     there, here = (last_records(read_grade_records(tmp_path / name)) for name in ("there", "here"))
     assert there == here and len(here) == 4 and 0.0 < here["s1"]["points"] < 75.0

@@ -93,11 +93,12 @@ def ran():
         "any network": "import socket\nsocket.create_connection(('1.1.1.1', 80), 1)",
         "home": "import os\nassert os.listdir(os.path.expanduser('~/..')) and open('/etc/shadow')",
         "secrets": "import os\nassert [n for n in os.environ if 'SECRET' in n]",
-        "hidden cases": f"import os\ntops = ('/box/desk', '/tmp', '/home', '/root', {str(toys.LAB.parents[2])!r})\n"
+        "hidden cases": "import os\n"
+        f"tops = ('/sandbox/work', '/tmp', '/home', '/root', {str(toys.LAB.parents[2])!r})\n"
         "assert [f for top in tops for *_, files in os.walk(top) for f in files if f in "
         "('hidden.py', 'notes.md')]",
         "kit changed": "import falconwing_kit\nopen(falconwing_kit.__file__, 'a').write('#')",
-        "lab changed": "open('/box/desk/given.py', 'a').write('#')",
+        "lab changed": "open('/sandbox/work/given.py', 'a').write('#')",
         "disk": "open('/tmp/x', 'wb').write(b'0' * (100 << 20))",
         "not written": "raise NotImplementedError",
     }
@@ -150,7 +151,7 @@ def test_notebook_that_ends_badly_harms_nobody(text, drawn, monkeypatch):
     )
     assert time.monotonic() - begun < 60.0  # 25 s and a loaded machine's start
     assert len(figures_in(content, "a")) == drawn
-    assert toys.groups_left() == [] and toys.processes_with("in_box.py") == []
+    assert toys.groups_left() == [] and toys.processes_with("notebook_runner.py") == []
 
 
 @toys.needs_box

@@ -75,7 +75,7 @@ PROBED = verbs._require_sandbox
 def unprobed():
     """The box is probed in tests of its own; each run here would try it again."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(verbs, "_require_box", lambda: None)
+        patch.setattr(verbs, "_require_sandbox", lambda: None)
         yield
 
 
@@ -250,9 +250,9 @@ def test_salt_changes_the_course(undisturbed, tmp_path):
 def test_a_hole_stops_the_grading_unless_it_is_accepted(tmp_path, monkeypatch):
     """The probe is told to find one; accepted, every record says that it was not boxed."""
     students = write_class(tmp_path / "students", [("ada", toys.notebook_bytes(*SOURCES))])
-    monkeypatch.setattr(verbs, "_require_box", PROBED)
+    monkeypatch.setattr(verbs, "_require_sandbox", PROBED)
     monkeypatch.setattr(
-        "falconwing_kit.tools.grading.sandbox.probe.probe",
+        "falconwing_kit.tools.grading.sandbox.probe.probe_sandbox",
         lambda: [ProbeResult("network", False, "a port")],
     )
     with pytest.raises(InputError, match="network: a port"):

@@ -20,7 +20,7 @@ from falconwing_kit.tools.grading.judge import (
     grade_submission,
 )
 from falconwing_kit.tools.grading.lab import Trials, Values
-from falconwing_kit.tools.grading.sandbox.box import StudentError
+from falconwing_kit.tools.grading.sandbox.host import StudentError
 from falconwing_kit.tools.grading.submissions import Submission, find_submissions
 from tests.tools.grading import toys
 

@@ -18,7 +18,9 @@ from tests.tools.grading import small_lab, toys
 from tests.tools.grading.test_figures import DRAW, b64, png
 
 SALT = "a secret of the tests"
-MINE = "from pathlib import Path\nassert Path('data/mine/mine.txt').read_text() == 'ada a secret of the tests'\n"
+MINE = """from pathlib import Path
+assert Path('data/mine/mine.txt').read_text() == 'ada a secret of the tests'
+"""
 
 
 @pytest.fixture

@@ -51,7 +51,7 @@ def graded(tmp_path_factory):
     everything.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(grading, "_require_box", lambda: None)
+        patch.setattr(grading, "_require_sandbox", lambda: None)
         patch.setattr(probe, "probe_sandbox", lambda: [])
         folder = tmp_path_factory.mktemp("course")
         folder.chmod(0o755)

@@ -1,4 +1,4 @@
-"""Overview: a class's numbers and likenesses -> one page for the instructor."""
+"""Overview: statistics and similarities of a class -> one page for the instructor."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -26,17 +26,14 @@ def write_overview(
     """Write the page.
 
     Args:
-        path: the HTML file.
-        lab: the lab.
-        entries: the students' lines.
-        items: how each exercise did.
-        pairs: who wrote alike; None where nobody looked, since there were no submissions.
-        sources: their texts.
+        path: of the HTML file.
+        pairs: similarities; None without submissions.
+        sources: texts of the pairs.
     """
     done = [entry for entry in entries if entry.total is not None]
     marked = [entry.machine for entry in entries if entry.machine is not None]
-    mean = f", {sum(marked) / len(marked):.1f} points by the machine in the mean" if marked else ""
-    lead = f"{len(entries)} students{mean}; {len(done)} with a person's points too."
+    mean = f", {sum(marked) / len(marked):.1f} automatic points on average" if marked else ""
+    lead = f"{len(entries)} students{mean}; {len(done)} with manual points too."
     write_page(
         path,
         PAGE,

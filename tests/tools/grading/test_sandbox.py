@@ -11,7 +11,7 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.sandbox import limits, probe, runtime
-from falconwing_kit.tools.grading.sandbox.box import (
+from falconwing_kit.tools.grading.sandbox.host import (
     SandboxJob,
     StudentError,
     process_worker,
@@ -41,7 +41,9 @@ def category(box, text, *arguments, **more):
 
 def test_function_answers_like_a_local_one(box):
     """By hand: 3 x + 2.5 of the course's number, and the constants given instead of the lab's."""
-    text = "from given import COHORT\ndef f(x, what):\n    return 3 * x + COHORT['offset'], {'what': what}"
+    text = """from given import COHORT
+def f(x, what):
+    return 3 * x + COHORT['offset'], {'what': what}"""
     with box(job(text)) as worker:
         for _ in range(3):
             numbers, words = worker.call(np.arange(3.0), "β")
@@ -109,7 +111,9 @@ def test_prints_and_inputs_go_nowhere(box):
 
 def test_draws_without_a_seed_are_the_same_each_time(box):
     """Else a regrade could not be bit-identical; sets of texts too are in the same order."""
-    text = "import numpy as np, random\ndef f(): return np.random.rand(), random.random(), ''.join({'a', 'b', 'c', 'd'})"
+    text = """import numpy as np, random
+def f():
+    return np.random.rand(), random.random(), ''.join({'a', 'b', 'c', 'd'})"""
     answers = []
     for _ in range(2):
         with box(job(text)) as worker:
@@ -140,13 +144,13 @@ def test_box_ends_with_a_grader_that_is_killed():
     groups.
     """
     code = (
-        "from pathlib import Path\nfrom falconwing_kit.tools.grading.sandbox.box import Job, "
-        "in_box\n"
+        "from pathlib import Path\n"
+        "from falconwing_kit.tools.grading.sandbox.host import SandboxJob, sandbox_worker\n"
         'text = \'import os, sys\\ndef f(t): os.execv(sys.executable, [sys.executable, "-S", "-c", '
         '"import time; time.sleep(99)", t])\'\n'
-        f"box = in_box(Job(text, 'f', Path({str(toys.LAB)!r}))).__enter__()\nprint(box.process, "
-        "flush=True)\n"
-        "box.call('token-of-killed-grader')"
+        f"worker = sandbox_worker(SandboxJob(text, 'f', Path({str(toys.LAB)!r}))).__enter__()\n"
+        "print(worker.process, flush=True)\n"
+        "worker.call('token-of-killed-grader')"
     )
     grader = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=Path(__file__).parents[3]
