@@ -88,7 +88,7 @@ def _on_the_line(guidance: Function) -> bool:
 
 
 def _right_of_it(guidance: Function) -> bool:
-    """By hand: 1 / k right of the line the arc tangent is 45 deg: course -APPROACH / 2, bank left."""
+    """By hand: 1 / k right of the line the arc tangent is 45 deg: course -APPROACH / 2."""
     p, v = np.array([3.0, -1.0 / PULL]), np.array([2.0, 0.0])
     expected = math.atan(2.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
     mirrored = guidance(p * (1.0, -1.0), v, ORIGIN, EAST, 1.0)

@@ -1,7 +1,7 @@
 """A lab's functions in this process: solution, mutants and trivial answers, without the sandbox.
 
 The text that is run is what the grader's collector takes from the notebook, and the arguments come
-as copies, so only the box itself is missing. The box has tests of its own, and every solution goes
+as copies, so only the sandbox itself is missing. The sandbox has tests of its own, and every solution goes
 through it once.
 """
 

@@ -72,7 +72,7 @@ def judged_mutants(folder):
 
 @every_lab
 def test_grader_gives_the_solution_all_points_and_the_untouched_notebook_none(folder):
-    """As students' notebooks are graded, in the real box.
+    """As students' notebooks are graded, in the real sandbox.
 
     On every exercise, not only in the sum.
     """

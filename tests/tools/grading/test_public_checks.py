@@ -94,7 +94,7 @@ def test_answer_that_cannot_be_used_fails_the_check():
     (outcome,) = run_checks(exercise, lambda x: None)
     assert (
         outcome.state == "failed"
-        and "it gave None, which could not be used: TypeError" in outcome.said
+        and "it gave None, which failed in the check: TypeError" in outcome.said
     )
 
 
@@ -166,7 +166,7 @@ def notebook_of(folder, weight):
         ("newtons = 9.0 * mass", "failed", "called with (1) it gave 9"),
         ('newtons = mass["kg"]', "failed", "called with (1) it raised TypeError"),
         ("import os; os._exit(0)", "failed", "called with (1) it ended Python"),
-        ("newtons = object()", "failed", "called with (1) it gave what is no answer"),
+        ("newtons = object()", "failed", "called with (1) it returned an unsupported type"),
         (
             "from falconwing_kit.core import frames; newtons = 10.0 * mass",
             "failed",

@@ -117,7 +117,7 @@ def test_feedback_says_what_to_look_at(report):
     """
     page = feedback(report, "bob")
     assert (
-        "0 of 4 hidden cases right; it gave an answer of the right form with wrong numbers (4)"
+        "0 of 4 hidden cases right; it returned an answer of the right form with wrong numbers (4)"
         in page
     )
     assert "✓ passed:" in page and "a larger number gives a larger one" in page
@@ -170,8 +170,8 @@ def test_rubric_page_has_the_figures(report):
     said.
     """
     page = (report / "rubric.html").read_text(encoding="utf-8")
-    assert page.count("drawn by running the notebook in the box") == 3
-    assert page.count("as stored in the notebook; running it again drew none here") == 1
+    assert page.count("from a run of the notebook in the sandbox") == 3
+    assert page.count("as stored in the notebook; a new run drew no figure here") == 1
     assert len(list((report / "figures").glob("*.png"))) == 4
 
 

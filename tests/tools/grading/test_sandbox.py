@@ -224,9 +224,9 @@ def test_probe_sees_holes_where_there_are_some(tmp_path):
 def test_holes_stop_the_probe_from_being_green(tmp_path, monkeypatch):
     """A box that shares the network, made so on purpose, is found out, and nothing else is."""
     monkeypatch.setattr(runtime, "_WALLS", (*runtime._WALLS, "--share-net"))
-    assert [
-        hole.split(":")[0] for hole in probe.open_holes(list(probe._walls(tmp_path)))
-    ] == ["network"]
+    assert [hole.split(":")[0] for hole in probe.open_holes(list(probe._walls(tmp_path)))] == [
+        "network"
+    ]
 
 
 def test_without_bubblewrap_the_sentence_says_what_to_install(monkeypatch):
