@@ -311,7 +311,7 @@ plt.show()
 
 # %% [markdown]
 # ## What you can do now
-# You can tell from a scale and a tape measure whether an aircraft will fly in a room. The kit does the same:
+# From a scale and a tape measure you can predict whether an aircraft will fly in a room. The kit does the same:
 # `falconwing size --mass-g 150`, and `falconwing_kit/aircraft/sizing.py` is short enough to read tonight. Compare it
 # with your functions: it neglects the reserve, and gives both radii.
 #

@@ -322,7 +322,7 @@ plt.show()
 
 # %% [markdown]
 # ## What you can do now
-# You can tell for every point of the hall where it appears in the picture, and back. The kit's versions are
+# You can compute for every point of the hall where it appears in the picture, and back. The kit's versions are
 # `falconwing_kit/core/frames.py` and `falconwing_kit/scene/camera.py`; they use the world frame, no tilt and no $k_1$.
 # Lab 3 replaces points by small clouds of colour, and the overlay becomes a picture.
 #

@@ -1,7 +1,7 @@
 """Make lab 2's data again: python labs/lab02_camera/make_data.py
 
 Two views from the kit's simulated hall, as an aircraft on its approach would see it through a lens
-that bends straight lines, and the autopilot's log beside each. Needs the kit, which knows the
+that bends straight lines, and the autopilot's log beside each. Needs the kit for its
 frames; the lab's exercises stay in the lab.
 """
 

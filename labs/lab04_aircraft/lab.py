@@ -285,7 +285,7 @@ check(trim)
 #
 # All parts together, with a simple pilot from given.py who holds 30 degrees of bank and a height of 2 m. Lab 1's
 # equation says that a level turn at 7 m/s has the radius $R = V^2 / (g\tan 30°) = 8.7$ m (paper, appendix), too large
-# for a hall 20 m wide if you also want to keep away from the walls. The figure compares your flight with that circle,
+# for a hall 20 m wide with a distance to the walls. The figure compares your flight with that circle,
 # and shows the same flight in a wind of 0.8 m/s from the right wall, which the pilot does not measure.
 
 

@@ -169,7 +169,7 @@ def _draw_speed(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _throttle(error: float, integral: float, base: float) -> tuple[float, float]:
-    """What is cut off tells by its sign whether the error pushes into the limit."""
+    """The sign of the clipped part shows whether the error pushes into the limit."""
     after = integral + STEP * error
     commanded = base + KP * error + KI * after
     cut = commanded - float(np.clip(commanded, 0.0, 1.0))

@@ -418,7 +418,8 @@ LAB = Lab(
         Criterion(
             "q3",
             4.0,
-            "Mask holds no hall; wrong masks go unnoticed; RGB + Mask can doubt; time; 30 flights.",
+            "Mask holds no hall; wrong masks go unnoticed; RGB + Mask can detect that; time; "
+            "30 flights.",
         ),
     ),
     constants={"pos_weight": (4.0, 12.0, 1), "dice_weight": (0.5, 1.5, 2)},

@@ -316,4 +316,4 @@ plt.show()
 #
 # **With hardware.** Put chalk or flour on the wheels and land by hand, ten times, on a strip of 13 x 2 m. Decide before
 # the first flight what counts as success and who measures. Hand in the table, with failures in it, your own figure, and
-# a photo of a mark beside the tape. Nobody stands beside the strip while the motor is armed.
+# a photo of a mark beside the tape. No one stands beside the strip while the motor is armed.

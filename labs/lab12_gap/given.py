@@ -16,9 +16,7 @@ COHORT: dict[str, float] = json.loads(
 CAUTION = COHORT[
     "caution"
 ]  # evidence must exceed what chance finds on the baseline flight by this factor
-LEAST_GAIN = (
-    10.0  # evidence below which nothing is named, and within which two names cannot be told apart
-)
+LEAST_GAIN = 10.0  # evidence below which nothing is named, and within which two names are ambiguous
 CUSHION_M = 0.5  # height over which ground effect fades
 
 CHANNELS = ("px", "py", "pz", "roll", "pitch", "yaw")

@@ -1,8 +1,8 @@
 """A lab's functions in this process: solution, mutants and trivial answers, without the sandbox.
 
 The text that is run is what the grader's collector takes from the notebook, and the arguments come
-as copies, so only the sandbox itself is missing. The sandbox has tests of its own, and every solution goes
-through it once.
+as copies, so only the sandbox itself is missing. The sandbox has tests of its own, and every
+solution goes through it once.
 """
 
 import copy

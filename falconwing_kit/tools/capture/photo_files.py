@@ -266,7 +266,7 @@ def read_photo(path: str | Path) -> NDArray[np.uint8]:
     )
     if image is None:
         raise InputError(
-            f"{short_name(path)}: expected a photo, got a file that no image reader knows; "
+            f"{short_name(path)}: expected a photo, got a file in an unknown format; "
             "remove or replace it"
         )
     return np.ascontiguousarray(image[..., ::-1])

@@ -391,7 +391,7 @@ def _require_same_photos(colmap: Any, database: Path, names: Sequence[str]) -> N
     gone = sorted(known - set(names))
     if gone:
         raise InputError(
-            f"{short_name(database)}: it knows photos that are not there any more, "
+            f"{short_name(database)}: it holds photos that no longer exist, "
             f"such as {gone[0][:60]}; write to "
             "another folder, or remove this file to begin again"
         )

@@ -86,7 +86,7 @@ def release(
         )
     if salt and len(salt) < MIN_SALT:
         raise InputError(
-            f"--salt: expected at least {MIN_SALT} characters that nobody can guess, "
+            f"--salt: expected at least {MIN_SALT} characters that cannot be guessed, "
             f"got {len(salt)}"
         )
     if students and not salt:

@@ -1,6 +1,4 @@
-"""A lab of one exercise, written into a folder: what the tests of finding, building, checking and
-releasing work on.
-"""
+"""A lab of one exercise in a temporary folder, for the tests of finding, building and releasing."""
 
 from pathlib import Path
 

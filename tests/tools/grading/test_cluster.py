@@ -1,6 +1,4 @@
-"""falconwing grade --cluster: the workers of a scheduler give the very records that this machine
-gives.
-"""
+"""falconwing grade --cluster: a scheduler's workers give the same records as this machine."""
 
 import shutil
 
@@ -18,9 +16,10 @@ pytestmark = [toys.needs_box, pytest.mark.timeout(600)]
 
 
 def test_cluster_gives_the_records_of_this_machine(tmp_path, monkeypatch):
-    """Same secret, same cases: record by record the same. Each worker's box is tried first, by the
-    worker itself; where one has a hole, nobody is graded. The secret is fixed: one in sixteen draws
-    no gain that s1 is wrong for.
+    """Same secret, same cases: record by record the same.
+
+    Each worker's box is tried first, by the worker itself; where one has a hole, nobody is graded.
+    The secret is fixed: one in sixteen draws no gain that s1 is wrong for.
     """
     pytest.importorskip("distributed")
     monkeypatch.setattr(

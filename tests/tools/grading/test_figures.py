@@ -1,6 +1,4 @@
-"""Figures: notebooks run in a box that gives nothing away, whatever they do; stored pictures taken
-with care.
-"""
+"""Figures: notebooks run in a sandbox without leaks; stored pictures are checked."""
 
 import base64
 import json
@@ -77,17 +75,13 @@ def test_stored_picture_comes_out_as_it_is():
     ],
 )
 def test_what_is_no_picture_stays_out(content):
-    """Damaged notebooks, markup, other formats, cut off, and pictures that would fill a browser's
-    memory.
-    """
+    """Damaged notebooks, markup, other formats, truncated and oversized pictures."""
     assert figures_in(content) == []
 
 
 @pytest.fixture(scope="module")
 def ran():
-    """One notebook that draws between attempts to get out, run in a box: what its cells drew, and
-    what they found.
-    """
+    """A notebook that draws between escape attempts, run in a sandbox: pictures and findings."""
     tries = {
         "network": "import socket\nsocket.create_connection(('127.0.0.1', 22), 1)",
         "any network": "import socket\nsocket.create_connection(('1.1.1.1', 80), 1)",
@@ -118,8 +112,9 @@ def ran():
 @toys.needs_box
 @needs_kernel
 def test_figures_come_back_and_nothing_else_does(ran):
-    """A cell that got out of the box would have drawn; an error in the middle stops nothing; the
-    course's number is there, and so is the kit.
+    """A cell that got out of the box would have drawn; an error in the middle stops nothing.
+
+    The course's number is there, and so is the kit.
     """
     tries, content = ran
     assert [name for name in tries if figures_in(content, name)] == []
@@ -141,9 +136,7 @@ def test_figures_come_back_and_nothing_else_does(ran):
     ],
 )
 def test_notebook_that_ends_badly_harms_nobody(text, drawn, monkeypatch):
-    """It ends within its time, leaves no process or group, and gives what it drew before, or
-    nothing.
-    """
+    """It ends in time, leaves no process or group, and returns its earlier pictures or none."""
     monkeypatch.setattr(figures, "SECONDS", 25.0)
     begun = time.monotonic()
     content = run_notebook(

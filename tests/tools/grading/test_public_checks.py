@@ -204,9 +204,7 @@ def test_notebook_of_an_older_kit_is_refused(folder):
 
 
 def test_function_that_ends_the_process_costs_the_others_nothing(folder):
-    """Two functions, the first of which ends Python: the second is still right, in a process of its
-    own.
-    """
+    """Two functions, the first of which ends Python: the second still passes, in a new process."""
     block = CHECKS[CHECKS.index("        Exercise(") : CHECKS.index("    ),\n    (Criterion")]
     (folder / "checks.py").write_text(
         CHECKS.replace(block, block + block.replace("weight", "lift"))

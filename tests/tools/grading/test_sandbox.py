@@ -1,4 +1,4 @@
-"""Box: a function answers from inside; what it uses up is bound; the box the probe tries is closed."""
+"""Sandbox: functions answer from inside, resources are limited, and the probe finds no hole."""
 
 import os
 import subprocess
@@ -82,8 +82,9 @@ def test_failures_have_a_category(box, text, wanted):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of one's own are Linux's")
 def test_time_and_memory_are_bound(box):
-    """1 s of computing, 128 MiB: a loop and 1 GiB are too much; the loop ends well before a minute
-    of waiting.
+    """1 s of computing, 128 MiB: a loop and 1 GiB are too much.
+
+    The loop ends well before a minute of waiting.
     """
     begin = time.monotonic()
     assert category(box, "def f():\n    while True: pass") == "timeout"
@@ -140,9 +141,7 @@ def test_nothing_outlives_a_box():
 
 @toys.needs_box
 def test_box_ends_with_a_grader_that_is_killed():
-    """The grader is killed while a function sleeps: its box is gone, and the next grader sweeps its
-    groups.
-    """
+    """The grader is killed while a function sleeps: the sandbox ends, the next grader sweeps it."""
     code = (
         "from pathlib import Path\n"
         "from falconwing_kit.tools.grading.sandbox.host import SandboxJob, sandbox_worker\n"
@@ -180,8 +179,9 @@ def _wait(fulfilled):
     reason="root alone can make control groups anywhere",
 )
 def test_groups_bind_what_limits_do_not():
-    """Twelve children of 100 MiB each stay below one's own limit of 128; the box's memory ends some
-    of them.
+    """Twelve children of 100 MiB each stay below one's own limit of 128.
+
+    The box's memory ends some of them.
     """
     if limits.controllers() != ("memory", "pids"):
         pytest.skip("this system does not let root make control groups")
@@ -207,7 +207,7 @@ def test_probe_finds_no_hole():
 
 
 def test_probe_sees_holes_where_there_are_some(tmp_path):
-    """The same attempts in a plain process: it has a network, files, an environment, and may write."""
+    """The same attempts in a plain process: network, files, environment and writing are open."""
     (tmp_path / "secret").write_text("x")
     plain = SandboxJob(probe._PAYLOAD, "tried", tmp_path, seconds=1.0, memory_mib=128)
     with probe._listening() as port, process_worker(plain) as worker:

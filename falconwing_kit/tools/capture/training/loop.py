@@ -213,10 +213,9 @@ def loss(
 
 
 def ssim_batch(first: Tensor, second: Tensor) -> Tensor:
-    """Structural similarity as a part of the loss, of colours 0..1  [Wang et al. 2004, eq. 13].
+    """Differentiable structural similarity of colours 0..1  [Wang et al. 2004, eq. 13].
 
-    Equals the mean of `vision.ssim` over the colours to 1e-5. It is in torch because training
-    needs its gradient; the evaluation of a scene uses `vision.ssim`.
+    Equals the mean of `vision.ssim` over the colours to 1e-5; the evaluation of a scene uses that.
 
     Args:
         first: (C, H, W, 3), sides of at least 11 px.
@@ -231,17 +230,17 @@ def ssim_batch(first: Tensor, second: Tensor) -> Tensor:
     maps = down.mT @ (maps @ across)
     mean_x, mean_y, xx, yy, xy = maps.chunk(5, dim=1)
     c1, c2 = C1 / 255.0**2, C2 / 255.0**2
-    alike = (2 * mean_x * mean_y + c1) * (2 * (xy - mean_x * mean_y) + c2)
-    return (alike / ((mean_x**2 + mean_y**2 + c1) * (xx - mean_x**2 + yy - mean_y**2 + c2))).mean(
-        dim=(1, 2, 3)
-    )
+    numerator = (2 * mean_x * mean_y + c1) * (2 * (xy - mean_x * mean_y) + c2)
+    return (
+        numerator / ((mean_x**2 + mean_y**2 + c1) * (xx - mean_x**2 + yy - mean_y**2 + c2))
+    ).mean(dim=(1, 2, 3))
 
 
 @lru_cache(maxsize=4)
 def _window(length: int, device: torch.device, dtype: torch.dtype) -> Tensor:
-    """(length, length - 10) the weighted means along a line as a matrix.
+    """(length, length - 10) matrix of the weighted means along a line.
 
-    A convolution would be shorter, but GPUs round its products to ten bits unless told otherwise.
+    Not a convolution, since GPUs by default round a convolution's products to ten bits (TF32).
     """
     offsets = torch.arange(length)[:, None] - torch.arange(length - 2 * RADIUS_PX) - RADIUS_PX
     weights = torch.where(
