@@ -243,8 +243,8 @@ def render_slowly(scene):
         alphas = splat_alphas(pixels, means_px, covs_px, scene["opacities"])
         rows.append(alpha_composite(alphas, scene["colours"], ahead, given.BACKGROUND))
         covered += np.count_nonzero(alphas)
-    asked, seconds = given.HEIGHT * given.WIDTH * len(means_px), time.perf_counter() - start
-    print(f"{seconds:.1f} s; {asked / 1e6:.1f} million alphas, {covered / asked:.1%} are not 0")
+    count, seconds = given.HEIGHT * given.WIDTH * len(means_px), time.perf_counter() - start
+    print(f"{seconds:.1f} s; {count / 1e6:.1f} million alphas, {covered / count:.1%} are not 0")
     return tuple(np.array(column) for column in zip(*rows, strict=True))
 
 

@@ -120,27 +120,27 @@ def read_passes() -> tuple[Array, Array]:
     """The logs: straight passes through the hall, simulated, a row every DT.
 
     Returns:
-        poses (passes, rows, 3) px, pz [m], pitch [rad], nan where a frame gave none; sticks
+        poses (passes, rows, 3) px, pz [m], pitch [rad], nan where a frame gave none; inputs
         (passes, rows, 2).
     """
     with np.load(HERE / "data" / "passes.npz") as file:
         return file["poses"], file["sticks"]
 
 
-def delayed(sticks: Array, delay: float) -> Array:
+def delayed(inputs: Array, delay: float) -> Array:
     """Mean inputs during each step, after a delay.
 
     Args:
-        sticks: (..., rows, 2) as logged, each held until the next.
+        inputs: (..., rows, 2) as logged (zero-order hold).
         delay: [s], 0 to 0.2.
 
     Returns:
         (..., rows, 2).
     """
     whole, part = divmod(delay / DT, 1.0)
-    at = np.arange(sticks.shape[-2]) - int(whole)
+    at = np.arange(inputs.shape[-2]) - int(whole)
     now, before = np.maximum(at, 0), np.maximum(at - 1, 0)
-    return part * sticks[..., before, :] + (1.0 - part) * sticks[..., now, :]
+    return part * inputs[..., before, :] + (1.0 - part) * inputs[..., now, :]
 
 
 def windows(values: Array) -> Array:

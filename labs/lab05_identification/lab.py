@@ -50,7 +50,7 @@ from given import (
 
 from falconwing_kit.tools.grading import check
 
-poses, sticks = read_passes()
+poses, inputs = read_passes()
 train, held = np.arange(12), np.arange(12, 16)  # whole passes are held out, never single rows
 of_pass = np.repeat(np.arange(16), 2)  # two windows are cut from each pass
 measured, trained = windows(poses), np.isin(of_pass, train)
@@ -124,7 +124,7 @@ for half in (1, 4):
     noise, change = SIGMA[0] * np.linalg.norm(now), SIGMA[0] * np.linalg.norm(after - now)
     print(f"slope over {2 * half + 1} rows: noise of the velocity {noise:.2f} m/s,")
     print(f"    of the acceleration from one step to the next {change / DT:.1f} m/s^2")
-raw, smoothed = (fit_one_step(differentiated(half)[train], sticks[train]) for half in (1, 4))
+raw, smoothed = (fit_one_step(differentiated(half)[train], inputs[train]) for half in (1, 4))
 
 # %% [markdown]
 # Gravity is 9.8 m/s². (Implausible frames are taken out first, as the paper does by hand.) And the noise is in
@@ -240,7 +240,7 @@ def fit(measured, commands, K=GUESS, sigma_prior=PRIOR_SIGMA, rounds=7):
 
 delays, cost = np.array([0.0, 0.02, 0.04, 0.06, 0.08, 0.10]), []
 for late in delays:
-    commands = windows(delayed(sticks, late))
+    commands = windows(delayed(inputs, late))
     cost.append(np.sum(fit(measured[trained], commands[trained], rounds=5)[2] ** 2))
 a, b, _ = np.polyfit(delays, cost, 2)
 delay = -b / (2.0 * a)
@@ -251,7 +251,7 @@ print(f"the control inputs act {1000 * delay:.0f} ms later than logged")
 # deviations off it are certainly outliers. They are removed.
 
 # %% tags=["last-fit"]
-commands = windows(delayed(sticks, delay))
+commands = windows(delayed(inputs, delay))
 K, starts, *_ = fit(measured[trained], commands[trained])
 held_fast = np.full(8, 1e-9)  # a prior of zero width: K is fixed, only initial states are fitted
 _, starts, *_ = fit(measured, commands, K, held_fast)
@@ -298,7 +298,7 @@ def intervals(K, r, J, measured_count, start_count):
 check(intervals)
 
 # %% tags=["table"]
-commands = windows(delayed(sticks, delay))
+commands = windows(delayed(inputs, delay))
 K, starts, r, J_K, J_start = fit(clean[trained], commands[trained])
 count = 3 * np.isfinite(clean[trained]).all(axis=2).sum()
 ends = intervals(K, r.ravel(), reduce(J_K, J_start), count, starts.size)
@@ -350,7 +350,7 @@ def holdout_score(predicted, measured, of_pass, held_passes):
 check(holdout_score)
 
 # %% figure="fit"
-replays, as_logged = {}, windows(sticks)
+replays, as_logged = {}, windows(inputs)
 for label, numbers in (("guess", GUESS), ("smoothed", smoothed), ("yours", K)):  # "raw" cannot fly
     acting = commands if label == "yours" else as_logged
     _, again, *_ = fit(clean, acting, numbers, np.full(8, 1e-9))  # only the initial states
@@ -409,7 +409,7 @@ plt.show()
 # them as `LEVEL` promises?
 
 # %% [markdown] answer="q1"
-# Raw differences: four numbers stand on their bound of zero, among them M_alpha and M_de; that is no aircraft. The
+# Raw differences: four parameters are at their bound of zero, among them M_alpha and M_de; that is no aircraft. The
 # angle of attack is pitch minus the direction of a noisy velocity. A regression on a noisy variable flattens its slope,
 # however many rows there are, because noise makes the variable look larger than it is: so M_alpha goes to zero. In the
 # lift the same error works the other way. A vz that is too low by n makes the angle of attack too large by n / V, and
@@ -437,6 +437,6 @@ plt.show()
 #
 # The kit does all this in three dimensions with 29 parameters: `falconwing identify FLIGHT.csv --out model.toml`.
 #
-# **With hardware:** record a minute of Manual mode with doublets on every stick (nose up, nose down; right, left),
+# **With hardware:** record a minute of Manual mode with doublets on every control (nose up, nose down; right, left),
 # export it with `falconwing export --to csv`, and identify it. Which parameters does it report as *not excited*? Check the
 # area, and keep a thumb on the takeover switch.

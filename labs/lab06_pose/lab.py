@@ -143,7 +143,8 @@ plt.show()
 # (Seen from aside, the marker also looks narrower, which shows the tilt better: then it is $Z^2$ again. The photos are
 # a mixture.)
 #
-# When noise hides the longer edge, tilt $+\theta$ and $-\theta$ look alike. The square then has **two poses**, and the
+# When noise hides the longer edge, tilt $+\theta$ and $-\theta$ give the same image. The square then has **two poses**
+# (pose ambiguity), and the
 # best fit may be the wrong one. That is the jump.
 #
 # **Question on the figure.** From which distance on would you not trust a single photo, and why?

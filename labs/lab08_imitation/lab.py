@@ -58,7 +58,7 @@ plot_flights(load_flights("clean"), "Eight flights of the expert (simulated)")
 # ## 1. What happened before
 #
 # One picture does not show how the aircraft moves. The paper's networks therefore also get the last 30 commands;
-# yours get the last 10. Flights are stored one behind the other, and `starts` says where each begins. A command of
+# yours get the last 10. Flights are stored one behind the other, and `starts` holds their first frames. A command of
 # another flight must never leak in: before the start of a flight the history is 0.
 
 

@@ -177,7 +177,7 @@ print(
 #
 # The leader fills one or two pixels in a hundred. A network that always answers "hall" is right nearly everywhere. Two
 # remedies, added up: pixels of the leader weigh `POS_WEIGHT` times as much in the cross entropy, and a second part
-# asks for overlap directly (*Dice*). With logits $z$, $p = 1/(1 + e^{-z})$, truth $m$ (0 or 1), $w$ = `POS_WEIGHT`,
+# rewards overlap directly (*Dice*). With logits $z$, $p = 1/(1 + e^{-z})$, truth $m$ (0 or 1), $w$ = `POS_WEIGHT`,
 # $\lambda$ = `DICE_WEIGHT`:
 #
 # $$L = \underset{\text{all pixels of all pictures}}{\mathrm{mean}}
