@@ -17,9 +17,7 @@ def _counts_pieces(mass_budget: Function) -> bool:
 
 
 def _skips_what_is_inside(mass_budget: Function) -> bool:
-    """By hand: the motor is weighed with the wing, so only the wing counts, wherever the motor
-    sits.
-    """
+    """By hand: the motor is weighed with the wing, so only the wing counts."""
     return is_same_answer(mass_budget([LONE, ("motor", 2, 30.0, -90.0, "wing")]), (100.0, 40.0))
 
 
@@ -31,9 +29,7 @@ def _orders_do_not_matter(mass_budget: Function) -> bool:
         ("nose", 1, 20.0, -100.0, ""),
     ]
     forward, backward = mass_budget(parts), mass_budget(parts[::-1])
-    return is_same_answer(forward, (134.0, 6200.0 / 134.0)) and is_same_answer(
-        backward, (134.0, 6200.0 / 134.0)
-    )
+    return is_same_answer((forward, backward), ((134.0, 6200.0 / 134.0),) * 2)
 
 
 def _paper_speed(min_speed: Function) -> bool:
@@ -72,17 +68,13 @@ def _shallow_turn(level_turn: Function) -> bool:
 
 
 def _room_by_hand(max_mass: Function) -> bool:
-    """By hand: bank 30, A = 0.03 kg/m, and a width that leaves 2 R = 16 m: m = 0.03 * 8 * 0.5 / k^2
-    kg.
-    """
+    """By hand: bank 30, A = 0.03 kg/m, and 2 R = 16 m left: m = 0.03 * 8 * 0.5 / k^2 kg."""
     width = 16.0 + 0.7 * math.cos(math.pi / 6.0) + 2.0 * CLEARANCE
     return is_same_answer(max_mass(width, 30.0, 0.03), 120.0 / RESERVE**2)
 
 
 def _two_rooms_differ_by_their_width(max_mass: Function) -> bool:
-    """Mass is proportional to what the width leaves: steps of 2 m give equal steps of mass,
-    sin(bank) A 1000 / k^2.
-    """
+    """Mass is linear in the width: each 2 m add sin(bank) A 1000 / k^2."""
     masses = np.asarray(max_mass(np.array([12.0, 14.0, 16.0]), 50.0, 0.02))
     return is_same_answer(
         np.diff(masses), np.full(2, 20.0 * math.sin(math.radians(50.0)) / RESERVE**2)
@@ -111,12 +103,13 @@ LAB = Lab(
                 Check(
                     "a part that is weighed with another one adds nothing",
                     _skips_what_is_inside,
-                    "look at the last entry of each tuple: only parts with an empty one were weighed alone",
+                    "look at the last entry of each tuple: only parts with an empty one were "
+                    "weighed alone",
                 ),
                 Check(
                     "the order of the list does not matter",
                     _orders_do_not_matter,
-                    "start both sums at zero and treat every part alike",
+                    "start both sums at zero and treat every part in the same way",
                 ),
             ),
         ),
@@ -127,17 +120,19 @@ LAB = Lab(
                 Check(
                     "150 g at 20 deg C need 7.32 m/s",
                     _paper_speed,
-                    "check units one by one: grams to kilograms, Celsius to kelvin, the factor 1/2 in the lift",
+                    "check units one by one: grams to kilograms, Celsius to kelvin, "
+                    "the factor 1/2 in the lift",
                 ),
                 Check(
                     "four times the mass flies twice as fast, and an array gives an array",
                     _four_times_the_mass,
-                    "the lift grows with the square of the speed; use NumPy's functions, not math's",
+                    "the lift grows with the square of the speed; use NumPy's functions, "
+                    "not math's",
                 ),
                 Check(
                     "twice the absolute temperature makes it sqrt(2) times as fast",
                     _warm_air_is_thin,
-                    "the ideal gas wants the temperature in kelvin, 273.15 more than in deg C",
+                    "the ideal gas law takes the temperature in kelvin, 273.15 more than in deg C",
                 ),
             ),
         ),
@@ -148,7 +143,8 @@ LAB = Lab(
                 Check(
                     "at 60 deg the load factor is 2",
                     _sixty_degrees,
-                    "degrees to radians first; the turn's slowest speed is v_min sqrt(n), the reserve comes on top",
+                    "degrees to radians first; the turn's slowest speed is v_min sqrt(n), "
+                    "the reserve comes on top",
                 ),
                 Check(
                     "the lift carries the weight and pulls into the turn",
@@ -167,9 +163,11 @@ LAB = Lab(
             20.0,
             (
                 Check(
-                    "a room that leaves 16 m carries 120 g over the reserve squared, at 30 deg and 0.03 kg/m",
+                    "a room that leaves 16 m carries 120 g over the reserve squared, "
+                    "at 30 deg and 0.03 kg/m",
                     _room_by_hand,
-                    "2 R is what wing and clearance leave of the width; a level turn has the sine, not the tangent",
+                    "2 R is what wing and clearance leave of the width; a level turn has the sine, "
+                    "not the tangent",
                 ),
                 Check(
                     "each metre of width adds the same mass",
@@ -193,19 +191,22 @@ LAB = Lab(
         Criterion(
             "radius_reading",
             7.0,
-            "150 g fit on the paper's line and at 60 deg, not in the level turn at 30 deg; 300 g nowhere; the level "
+            "150 g fit on the paper's line and at 60 deg, not in the level turn at 30 deg; "
+            "300 g nowhere; the level "
             "turn is wider by the same factor at every mass (1.65 in the open course)",
         ),
         Criterion(
             "q1",
             5.0,
-            "150 + 174 = 324 g (10.35 m/s, 18.9 m), 300 g is what 9.96 m/s and 17.5 m belong to; the "
+            "150 + 174 = 324 g (10.35 m/s, 18.9 m), 300 g is what 9.96 m/s and 17.5 m belong to; "
+            "the "
             "parts sum to 151 g, the receiver is not counted twice",
         ),
         Criterion(
             "q2",
             5.0,
-            "two of: load factor (1.155), density (8 %), reserve squared with wing and clearance; a "
+            "two of: load factor (1.155), density (8 %), reserve squared with wing and clearance; "
+            "a "
             "change that follows from R ~ m / (C sin(bank))",
         ),
     ),

@@ -1,6 +1,4 @@
-"""Lab 1, what is given: the paper's aircraft, air, your course's numbers, and the drawing of a turn
-in a hall.
-"""
+"""Lab 1, given: the paper's aircraft, air, your course's numbers, and the drawing of a turn."""
 
 import json
 from pathlib import Path
@@ -33,7 +31,7 @@ BLUE, ORANGE, GREEN = (
     "#0072B2",
     "#D55E00",
     "#009E73",
-)  # told apart by colour-blind eyes too (Okabe and Ito)
+)  # distinguishable for colour-blind readers (Okabe and Ito)
 
 
 def draw_turn(width: float, radius: float, bank_deg: float) -> None:

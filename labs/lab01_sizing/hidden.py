@@ -1,7 +1,8 @@
-"""Lab 1, instructors only: what the functions are judged against. The kit's own sizing, in other
-units and another way.
+"""Lab 1, instructors only: what the functions are judged against.
 
-The kit knows no reserve: to fly k times faster than the slowest turn is to turn with 1 / k^2 of the
+The kit's own sizing, in other units and another way.
+
+The kit has no reserve: to fly k times faster than the slowest turn is to turn with 1 / k^2 of the
 lift coefficient.
 """
 
@@ -62,8 +63,9 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
 
 
 def _draw_parts(rng: np.random.Generator) -> tuple[Any, ...]:
-    """A wing and more parts, of which some are inside one another; no piece stands alone, so counts
-    matter.
+    """A wing and more parts, of which some are inside one another.
+
+    No piece stands alone, so counts matter.
     """
     names = ["wing", *(f"part {i}" for i in range(int(rng.integers(4, 9))))]
     inside = ["", *rng.choice(["", *names[1:3]], len(names) - 1)]

@@ -8,7 +8,7 @@
 # **You will be able to**
 # - add up a mass budget, and find where the aircraft balances,
 # - work out the slowest flight of a wing, and the smallest turn that holds its height,
-# - turn the question round: given a hall, how heavy may the aircraft be?
+# - solve the inverse problem: given a hall, how heavy may the aircraft be?
 #
 # **Time** about 2 hours. **Before** forces on a circle (first-year mechanics), NumPy arrays. **Paper** Introduction,
 # FalconWing Hardware Stack, Appendix.
@@ -83,7 +83,7 @@ total, x_cg = mass_budget([*PARTS, ("computer", 1, 174.0, 36.0, "")])
 print(f"with the computer: {total:.1f} g, balanced {x_cg:.0f} mm behind the leading edge")
 
 # %% [markdown]
-# The masses are the paper's; the places are estimates of the kit. Note the total: the paper says 150 g.
+# The masses are the paper's; the positions are estimates of the kit. Note the total: the paper gives 150 g.
 #
 # ## 2 The slowest flight
 # The wing lifts $L = \tfrac12 \rho V^2 S C$: air density $\rho$ [kg/m³], speed $V$ [m/s], wing area $S$ [m²], and
@@ -148,7 +148,7 @@ for mass_g in (150.0, 300.0, 150.0 + 174.0):
 # the weight, by the load factor $n = L / (m g)$. The same wing then needs more speed: lift grows with $V^2$, so the
 # slowest speed of the turn is larger than $V_\mathrm{min}$ by $\sqrt n$.
 #
-# Nobody flies a turn exactly at the stall. In your course the aircraft keeps a reserve: it flies
+# A turn is never flown exactly at the stall. In your course the aircraft keeps a reserve: it flies
 # `COHORT["speed_reserve"]` times faster than the slowest speed *of the turn*.
 #
 # Write `level_turn`.
@@ -285,7 +285,7 @@ plt.show()
 
 # %% [markdown]
 # *In words: a circle between two walls 20 m apart, with the path of the centre of gravity, the ring that the wing tips
-# sweep, and the clearance that your course wants on both sides. A ring that crosses a dashed line does not fit.*
+# sweep, and the clearance that your course requires on both sides. A ring that crosses a dashed line does not fit.*
 #
 # ## Questions
 # **Question 1.** The Introduction says that a 300 g aircraft, "e.g. adding a 174 g Jetson Orin", needs 10 m/s and
@@ -311,7 +311,7 @@ plt.show()
 
 # %% [markdown]
 # ## What you can do now
-# You can tell from a scale and a tape measure whether an aircraft will fly in a room. The kit does the same:
+# From a scale and a tape measure you can predict whether an aircraft will fly in a room. The kit does the same:
 # `falconwing size --mass-g 150`, and `falconwing_kit/aircraft/sizing.py` is short enough to read tonight. Compare it
 # with your functions: it neglects the reserve, and gives both radii.
 #

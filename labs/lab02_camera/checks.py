@@ -44,9 +44,7 @@ def _roll_right(rot: Function) -> bool:
 
 
 def _order(rot: Function) -> bool:
-    """By hand: 30 deg right, then 30 deg up, rolled by 90: the nose stays, the right wing takes the
-    belly's place.
-    """
+    """By hand: 30 deg right, 30 deg up, 90 rolled: the nose stays, the wing replaces the belly."""
     nose = [HALF * ROOT, ROOT * ROOT, HALF]
     belly_before = [HALF * HALF, ROOT * HALF, -ROOT]
     return is_same_answer(
@@ -61,21 +59,17 @@ def _untilted(pose: Function) -> bool:
 
 
 def _tilted(pose: Function) -> bool:
-    """By hand: 30 deg down: the axis is nose cos + belly sin, the picture's down is belly cos -
-    nose sin.
-    """
+    """By hand: 30 deg down: axis = nose cos + belly sin, image down = belly cos - nose sin."""
     T = pose(np.eye(3), np.zeros(3), np.zeros(3), THIRTY)
     return is_same_answer(T[:3, :3], np.array([[0, -HALF, ROOT], [1, 0, 0], [0, ROOT, HALF]]))
 
 
 def _mount_turns(pose: Function) -> bool:
-    """By hand: body x points to the map's y, body y to its -x: 0.2 ahead and 0.1 right is 0.2 along
-    and 0.1 left.
-    """
+    """By hand: body x is map y, body y is map -x: (0.2, 0.1) in body is 0.2 along, 0.1 left."""
     R_map_body = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     T = pose(R_map_body, np.array([5.0, 0.0, 1.0]), np.array([0.2, 0.1, 0.0]), 0.3)
     looks = np.array([0.0, math.cos(0.3), math.sin(0.3)])
-    return is_same_answer(T[:3, 3], np.array([4.9, 0.2, 1.0])) and is_same_answer(T[:3, 2], looks)
+    return is_same_answer((T[:3, 3], T[:3, 2]), (np.array([4.9, 0.2, 1.0]), looks))
 
 
 def _pose() -> tuple[Array, Array]:
@@ -92,13 +86,14 @@ def _itself(to_camera: Function) -> bool:
 
 
 def _ahead(to_camera: Function) -> bool:
-    """Points built as the lens plus so much of each axis must come back as that much; N = 3 is the
-    treacherous one.
+    """Points built as the lens plus so much of each axis must come back as that much.
+
+    N = 3 is the treacherous one.
     """
     T, R = _pose()
-    wanted = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 3.0], [0.0, -1.5, 4.0]])
-    built = np.array([T[:3, 3] + a * R[:, 0] + b * R[:, 1] + c * R[:, 2] for a, b, c in wanted])
-    return is_same_answer(to_camera(built, T), wanted)
+    expected = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 3.0], [0.0, -1.5, 4.0]])
+    built = np.array([T[:3, 3] + a * R[:, 0] + b * R[:, 1] + c * R[:, 2] for a, b, c in expected])
+    return is_same_answer(to_camera(built, T), expected)
 
 
 def _keeps_distances(to_camera: Function) -> bool:
@@ -119,9 +114,7 @@ def _axis_point(project: Function) -> bool:
 
 
 def _bent_by_hand(project: Function) -> bool:
-    """By hand: slopes (0.5, -0.5), r^2 = 0.5, factor 0.9: u = 100 + 200 * 0.45, v = 80 - 300 *
-    0.45.
-    """
+    """By hand: slopes (0.5, -0.5), factor 0.9: u = 100 + 200 * 0.45, v = 80 - 300 * 0.45."""
     return is_same_answer(project(np.array([[1.0, -1.0, 2.0]]), LENS), np.array([[190.0, -55.0]]))
 
 
@@ -133,19 +126,20 @@ def _behind(project: Function) -> bool:
 
 
 def _looking_down() -> Array:
-    """2 m above (3, 4), looking straight down, right in the picture is right, down in the picture
-    is back.
-    """
+    """2 m above (3, 4), straight down: image right is right, image down is back."""
     return np.array(
         [[1.0, 0.0, 0.0, 3.0], [0.0, -1.0, 0.0, 4.0], [0.0, 0.0, -1.0, 2.0], [0.0, 0.0, 0.0, 1.0]]
     )
 
 
 def _straight_down(ground: Function) -> bool:
-    """By hand: 100 px right with f = 200 at 2 m is 1 m right; 150 px down with f = 300 is 1 m back."""
+    """By hand: 100 px right with f = 200 at 2 m is 1 m right.
+
+    150 px down with f = 300 is 1 m back.
+    """
     pixels = np.array([[100.0, 80.0], [200.0, 80.0], [100.0, 230.0], [200.0, 230.0]])
-    wanted = np.array([[3.0, 4.0, 0.0], [4.0, 4.0, 0.0], [3.0, 3.0, 0.0], [4.0, 3.0, 0.0]])
-    return is_same_answer(ground(pixels, _looking_down(), LENS), wanted)
+    expected = np.array([[3.0, 4.0, 0.0], [4.0, 4.0, 0.0], [3.0, 3.0, 0.0], [4.0, 3.0, 0.0]])
+    return is_same_answer(ground(pixels, _looking_down(), LENS), expected)
 
 
 def _looking_ahead() -> Array:
@@ -156,8 +150,9 @@ def _looking_ahead() -> Array:
 
 
 def _horizon(ground: Function) -> bool:
-    """By hand: level, 150 px below the middle with f = 300 is a slope of 1/2, 3 m ahead; above,
-    there is no floor.
+    """By hand: level, 150 px below the middle with f = 300 is a slope of 1/2, 3 m ahead.
+
+    Above, there is no floor.
     """
     nan = float("nan")
     pixels = np.array([[100.0, 230.0], [100.0, 20.0], [200.0, 230.0]])
@@ -179,7 +174,8 @@ LAB = Lab(
                 Check(
                     "level and along the runway: nose along, right wing right, belly down",
                     _along_the_runway,
-                    "the heading counts from north, the runway's heading is in COHORT, in degrees; the map's rows are "
+                    "the heading counts from north, the runway's heading is in COHORT, in degrees; "
+                    "the map's rows are "
                     "right, along, up",
                 ),
                 Check(
@@ -200,7 +196,8 @@ LAB = Lab(
                 Check(
                     "a roll does not move the nose, whatever came before",
                     _order,
-                    "the roll stands rightmost: it turns about the nose that yaw and pitch have placed",
+                    "the roll stands rightmost: it turns about the nose that yaw and pitch have "
+                    "placed",
                 ),
             ),
         ),
@@ -209,12 +206,14 @@ LAB = Lab(
             15.0,
             (
                 Check(
-                    "untilted, the camera's axes are right wing, belly, nose; the last row is 0 0 0 1",
+                    "untilted, the camera's axes are right wing, belly, nose; "
+                    "the last row is 0 0 0 1",
                     _untilted,
                     "the columns of R_body_camera are the camera's axes, written in the body",
                 ),
                 Check(
-                    "tilted down, the axis leans to the belly and the picture's down leans to the tail",
+                    "tilted down, the axis leans to the belly and the picture's down leans to the "
+                    "tail",
                     _tilted,
                     "body z is down: leaning down adds a positive z to the nose",
                 ),
@@ -237,7 +236,8 @@ LAB = Lab(
                 Check(
                     "a point so far right, down and ahead comes back as these numbers",
                     _ahead,
-                    "the inverse of a rotation is its transpose; with points in rows the matrix changes sides",
+                    "the inverse of a rotation is its transpose; "
+                    "with points in rows the matrix changes sides",
                 ),
                 Check(
                     "distances between points stay",
@@ -277,7 +277,8 @@ LAB = Lab(
                     "undo the half pixel; walk until z = 0, and return z = 0",
                 ),
                 Check(
-                    "half a slope below the horizon the floor is twice the height away; above there is none",
+                    "half a slope below the horizon the floor is twice the height away; "
+                    "above there is none",
                     _horizon,
                     "turn the ray into the map; only rays whose map z is negative meet the floor",
                 ),
@@ -288,22 +289,26 @@ LAB = Lab(
         Criterion(
             "axes",
             11.0,
-            "both overlays lie on pad and marker, arrows right, along, up; footprints begin before each camera",
+            "both overlays lie on pad and marker, arrows right, along, up; "
+            "footprints begin before each camera",
         ),
         Criterion(
             "axes_reading",
             4.0,
-            "roll: turned by twice its angle; tilt: all lines lower; k1: a pixel here, many in the corners",
+            "roll: turned by twice its angle; tilt: all lines lower; k1: a pixel here, "
+            "many in the corners",
         ),
         Criterion(
             "q1",
             5.0,
-            "sign of the roll, angle twice the roll; without the runway's heading all moves sideways",
+            "sign of the roll, angle twice the roll; without the runway's heading all moves "
+            "sideways",
         ),
         Criterion(
             "q2",
             5.0,
-            "2.5 mrad or 2.5 cm at 10 m; no for landing, yes for renders and for fits, as it has a sign",
+            "2.5 mrad or 2.5 cm at 10 m; no for landing, yes for renders and for fits, "
+            "as it has a sign",
         ),
     ),
     constants={"runway_heading_deg": (20.0, 60.0, 0)},

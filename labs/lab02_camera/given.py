@@ -1,6 +1,4 @@
-"""Lab 2, what is given: your course's numbers, two simulated views with their log, a lens undone,
-and drawing.
-"""
+"""Lab 2, given: your course's numbers, two simulated views with log, undistortion, drawing."""
 
 import json
 from collections.abc import Callable
@@ -18,7 +16,7 @@ BLUE, ORANGE, GREEN = (
     "#0072B2",
     "#D55E00",
     "#009E73",
-)  # told apart by colour-blind eyes too (Okabe and Ito)
+)  # distinguishable for colour-blind readers (Okabe and Ito)
 PAD = np.array(
     [[1, 1, 0.1], [3, 1, 0.1], [3, 14, 0.1], [1, 14, 0.1], [1, 1, 0.1]]
 )  # its top in the map [m]

@@ -1,5 +1,6 @@
-"""Lab 2, instructors only: what the functions are judged against. The kit's frames and OpenCV's
-projection.
+"""Lab 2, instructors only: what the functions are judged against.
+
+The kit's frames and OpenCV's projection.
 """
 
 from collections.abc import Mapping
@@ -103,9 +104,7 @@ def _draw_in_front(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _project(p_camera: Array, lens: dict[str, float]) -> Array:
-    """OpenCV's projection; its pixels begin at the first one's centre, half a pixel later than the
-    kit's.
-    """
+    """OpenCV's projection; its pixel coordinates are the kit's minus half a pixel."""
     import cv2
 
     K = np.array(
@@ -117,9 +116,7 @@ def _project(p_camera: Array, lens: dict[str, float]) -> Array:
 
 
 def _draw_pixels(rng: np.random.Generator) -> tuple[Any, ...]:
-    """A camera with a tilted horizon in its picture, and pixels on both sides of it, but not near
-    it.
-    """
+    """A camera with a tilted horizon in its picture, and pixels on both sides of it."""
     lens = {name: value for name, value in _draw_lens(rng).items() if name != "k1"}
     R_world_camera = rotation_world_body(*rng.uniform(-1, 1, 3) * (0.4, 0.15, 3.0)) @ R_BODY_CAMERA
     T_map_camera = pose_matrix(

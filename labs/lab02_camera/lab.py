@@ -42,9 +42,9 @@ print("the lens:", lens)
 # wing and the belly, written in the map. That one sentence solves half of this lab.
 #
 # ## 1 Attitude
-# Attitude is told by three turns, from a level aircraft that points forward. First it turns by $\psi$ to the right
-# (yaw), then its nose rises by $\theta$ (pitch), then its right wing drops by $\phi$ (roll). Against axes forward,
-# right, down:
+# Attitude is described by three rotations (Euler angles), from a level aircraft that points forward. First it turns by
+# $\psi$ to the right (yaw), then its nose rises by $\theta$ (pitch), then its right wing drops by $\phi$ (roll). In axes
+# forward, right, down:
 #
 # $$R = \begin{pmatrix} \cos\psi & -\sin\psi & 0 \\ \sin\psi & \cos\psi & 0 \\ 0 & 0 & 1 \end{pmatrix}
 # \begin{pmatrix} \cos\theta & 0 & \sin\theta \\ 0 & 1 & 0 \\ -\sin\theta & 0 & \cos\theta \end{pmatrix}
@@ -184,9 +184,9 @@ check(map_to_camera)
 #
 # $$r^2 = x'^2 + y'^2, \qquad u = f_x \, x' (1 + k_1 r^2) + c_x, \qquad v = f_y \, y' (1 + k_1 r^2) + c_y$$
 #
-# **Half a pixel.** Where is the centre of the picture's first pixel? The kit says (0.5, 0.5): its coordinates begin at
-# the picture's edge, and `lens["cx"]` is meant so. OpenCV and `plt.imshow` say (0, 0). Your pixels shall be OpenCV's.
-# Which way is the half?
+# **Half a pixel.** Where is the centre of the picture's first pixel? In the kit at (0.5, 0.5): its coordinates begin at
+# the picture's edge, and `lens["cx"]` follows this convention. OpenCV and `plt.imshow` put it at (0, 0). Your pixels
+# shall be OpenCV's. In which direction is the half?
 #
 # Write `project_points`. What is not in front of the camera, z <= 0, is not in the picture: return nan for it.
 
@@ -260,9 +260,9 @@ check(ground_points)
 
 # %% [markdown]
 # ## 6 The figure
-# Now all of it at once. Left and middle: two simulated views of the hall, and over them what *your* functions say about
-# the pad (solid), the marker (dashed) and the map's axes on the marker. Right: the part of the floor that each view
-# shows. If one sign is wrong, the lines leave their places.
+# Now all functions together. Left and middle: two simulated views of the hall, and over them the pad (solid), the marker
+# (dashed) and the map's axes on the marker, as projected by *your* functions. Right: the part of the floor that each view
+# shows. If one sign is wrong, the lines do not match the picture.
 
 
 # %% figure="axes"
@@ -322,8 +322,8 @@ plt.show()
 
 # %% [markdown]
 # ## What you can do now
-# You can tell for every point of the hall where it appears in the picture, and back. The kit's versions are
-# `falconwing_kit/core/frames.py` and `falconwing_kit/scene/camera.py`; they know the world frame, no tilt and no $k_1$.
+# You can compute for every point of the hall where it appears in the picture, and back. The kit's versions are
+# `falconwing_kit/core/frames.py` and `falconwing_kit/scene/camera.py`; they use the world frame, no tilt and no $k_1$.
 # Lab 3 replaces points by small clouds of colour, and the overlay becomes a picture.
 #
 # **With hardware.** Print a chessboard, take 15 pictures of it with your webcam, and run OpenCV's `calibrateCamera`.

@@ -1,7 +1,7 @@
 """Make lab 2's data again: python labs/lab02_camera/make_data.py
 
 Two views from the kit's simulated hall, as an aircraft on its approach would see it through a lens
-that bends straight lines, and the autopilot's log beside each. Needs the kit, which knows the
+that bends straight lines, and the autopilot's log beside each. Needs the kit for its
 frames; the lab's exercises stay in the lab.
 """
 
@@ -25,9 +25,7 @@ VIEWS = (
 
 
 def bent(image: Array, camera: PinholeCamera) -> Array:
-    """What a lens with k1 makes of a picture (H, W, 3) of a lens without, at the size of the views
-    (H, W, 3).
-    """
+    """The distorted image (H, W, 3) of an undistorted one, at the size of the views."""
     rows, columns = np.mgrid[: FINER * HEIGHT, : FINER * WIDTH]
     x_bent = ((columns + 0.5) / FINER - LENS["cx"]) / LENS["fx"]
     y_bent = ((rows + 0.5) / FINER - LENS["cy"]) / LENS["fy"]

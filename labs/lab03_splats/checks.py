@@ -22,15 +22,13 @@ def _unturned(cov3d: Function) -> bool:
 
 
 def _turned(cov3d: Function) -> bool:
-    """By hand: s = 2, 1, 1 turned by 30 deg about z: xx = 4 c^2 + s^2 = 3.25, yy = 1.75, xy = 3 s c
-    > 0.
-    """
+    """By hand: s = 2, 1, 1 turned by 30 deg about z: xx = 3.25, yy = 1.75, xy = 3 s c > 0."""
     half = math.radians(15.0)
     xy = 3.0 * 0.5 * math.sqrt(0.75)
-    wanted = np.array([[[3.25, xy, 0.0], [xy, 1.75, 0.0], [0.0, 0.0, 1.0]]])
+    expected = np.array([[[3.25, xy, 0.0], [xy, 1.75, 0.0], [0.0, 0.0, 1.0]]])
     return is_same_answer(
         cov3d(np.log([[2.0, 1.0, 1.0]]), np.array([[0.0, 0.0, math.sin(half), math.cos(half)]])),
-        wanted,
+        expected,
     )
 
 
@@ -40,11 +38,7 @@ def _any_length(cov3d: Function) -> bool:
     one, three, minus = (
         cov3d(log_scales, factor * q / np.linalg.norm(q)) for factor in (1.0, 3.0, -1.0)
     )
-    return (
-        is_same_answer(three, one)
-        and is_same_answer(minus, one)
-        and np.asarray(one).shape == (1, 3, 3)
-    )
+    return is_same_answer((three, minus), (one, one)) and np.asarray(one).shape == (1, 3, 3)
 
 
 def _keeps_volume(cov3d: Function) -> bool:
@@ -55,14 +49,13 @@ def _keeps_volume(cov3d: Function) -> bool:
     )
     cov = np.asarray(cov3d(log_scales, q))
     volume = np.exp(2.0 * log_scales.sum(axis=1))
-    return is_same_answer(np.linalg.det(cov), volume) and is_same_answer(
-        cov, cov.transpose(0, 2, 1)
-    )
+    return is_same_answer((np.linalg.det(cov), cov), (volume, cov.transpose(0, 2, 1)))
 
 
 def _straight_ahead(project: Function) -> bool:
-    """By hand: at 2 m, 1 m is 50 px across and 100 px down; blur 0.5; right and down is right and
-    up turned over.
+    """By hand: at 2 m, 1 m is 50 px across and 100 px down; blur 0.5.
+
+    Right and down is right and up turned over.
     """
     cov = np.array([[[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.5]]])
     covs_px = np.array([[[2500 * 0.04 + 0.5, -5000 * 0.01], [-5000 * 0.01, 10000 * 0.09 + 0.5]]])
@@ -76,22 +69,21 @@ def _right_and_up(project: Function) -> bool:
 
 
 def _towards_us(project: Function) -> bool:
-    """By hand: only deep, 1 m^2, at (1, 0.5, -2): J's last column is (100 / 4, -200 * 0.5 / 4) =
-    (25, -25).
-    """
+    """By hand: depth only, 1 m^2, at (1, 0.5, -2): J's last column is (25, -25)."""
     deep = np.diag([0.0, 0.0, 1.0])[None]
     _, covs_px = project(np.array([[1.0, 0.5, -2.0]]), deep, LENS, 0.0)
     return is_same_answer(covs_px, np.array([[[625.0, -625.0], [-625.0, 625.0]]]))
 
 
 def _mixed(project: Function) -> bool:
-    """By hand: J = [[50, 0, 25], [0, -100, -25]]; xz = 0.1 adds 2 * 50 * 25 * 0.1 to uu, -50 * 25 *
-    0.1 to uv.
+    """By hand: J = [[50, 0, 25], [0, -100, -25]].
+
+    Xz = 0.1 adds 2 * 50 * 25 * 0.1 to uu, -50 * 25 * 0.1 to uv.
     """
     cov = np.array([[[1.0, 0.0, 0.1], [0.0, 1.0, 0.0], [0.1, 0.0, 1.0]]])
     _, covs_px = project(np.array([[1.0, 0.5, -2.0]]), cov, LENS, 0.0)
-    wanted = np.array([[[2500 + 250 + 625, -125 - 625], [-125 - 625, 10000 + 625]]], dtype=float)
-    return is_same_answer(covs_px, wanted)
+    expected = np.array([[[2500 + 250 + 625, -125 - 625], [-125 - 625, 10000 + 625]]], dtype=float)
+    return is_same_answer(covs_px, expected)
 
 
 def _one_sigma(alphas: Function) -> bool:
@@ -102,9 +94,7 @@ def _one_sigma(alphas: Function) -> bool:
 
 
 def _slanted(alphas: Function) -> bool:
-    """By hand: [[2, 1], [1, 2]] has the inverse [[2, -1], [-1, 2]] / 3: q = 2/3 along (1, 1), 2
-    along (1, -1).
-    """
+    """By hand: the inverse of [[2, 1], [1, 2]] gives q = 2/3 along (1, 1) and 2 along (1, -1)."""
     pixels = np.array([[1.0, 1.0], [1.0, -1.0]])
     got = alphas(
         pixels,
@@ -118,8 +108,9 @@ def _slanted(alphas: Function) -> bool:
 
 
 def _ends(alphas: Function) -> bool:
-    """By hand: just inside the cut there is something, just outside nothing; standard deviation 2
-    px.
+    """By hand: just inside the cut there is something, just outside nothing.
+
+    Standard deviation 2 px.
     """
     inside, outside = 2.0 * CUT - 0.01, 2.0 * CUT + 0.01
     got = alphas(
@@ -149,21 +140,15 @@ def _two_layers(composite: Function) -> bool:
 def _order_of_the_file(composite: Function) -> bool:
     """By hand: the nearest comes last in the file: 0.8 green before 0.5 red."""
     rgb, depth = composite(np.array([[0.5, 0.8]]), np.eye(3)[:2], np.array([7.0, 3.0]), np.zeros(3))
-    return is_same_answer(rgb, np.array([[0.1, 0.8, 0.0]])) and is_same_answer(
-        depth, np.array([3.0])
-    )
+    return is_same_answer((rgb, depth), (np.array([[0.1, 0.8, 0.0]]), np.array([3.0])))
 
 
 def _surface_depth(composite: Function) -> bool:
-    """By hand: the share is reached by the first, by the first two together, or never, which is
-    nan.
-    """
+    """By hand: the share is reached by the first splat, by the first two, or never (nan)."""
     much, little = SHARE + 0.05, SHARE - 0.1
     alphas = np.array([[much, 0.1, 0.1], [little, 0.4, 0.9], [0.1, 0.1, 0.1]])
     rgb, depth = composite(alphas, np.ones((3, 3)), np.array([2.0, 4.0, 6.0]), np.ones(3))
-    return is_same_answer(rgb, np.ones((3, 3))) and is_same_answer(
-        depth, np.array([2.0, 4.0, float("nan")])
-    )
+    return is_same_answer((rgb, depth), (np.ones((3, 3)), np.array([2.0, 4.0, float("nan")])))
 
 
 LAB = Lab(
@@ -178,7 +163,8 @@ LAB = Lab(
                 Check(
                     "not turned, the variances are 1, 4 and 9 for standard deviations 1, 2 and 3",
                     _unturned,
-                    "the scales come as logarithms; the covariance holds their squares; w is the last of the four",
+                    "the scales come as logarithms; the covariance holds their squares; "
+                    "w is the last of the four",
                 ),
                 Check(
                     "turned by 30 deg about z, the longest axis leans from x to y",
@@ -204,7 +190,8 @@ LAB = Lab(
                 Check(
                     "at 2 m straight ahead, f / 2 pixels are a metre, and v counts down",
                     _straight_ahead,
-                    "fx for u, fy for v; the blur is added to both variances; what leans up right in space is uv < 0",
+                    "fx for u, fy for v; the blur is added to both variances; "
+                    "what leans up right in space is uv < 0",
                 ),
                 Check(
                     "right and up of the axis is right and up in the picture",
@@ -233,7 +220,8 @@ LAB = Lab(
                     "q / 2, with q squared",
                 ),
                 Check(
-                    "a slanted splat reaches further along its slant; each splat has its own column",
+                    "a slanted splat reaches further along its slant; "
+                    "each splat has its own column",
                     _slanted,
                     "d^T Sigma^-1 d with the whole inverse, for each pixel and each splat",
                 ),
@@ -264,7 +252,8 @@ LAB = Lab(
                 Check(
                     "the surface is where the share is reached for the first time, else nan",
                     _surface_depth,
-                    "1 - T behind the splat, at least COHORT['surface_share']; argmax finds the first True",
+                    "1 - T behind the splat, at least COHORT['surface_share']; "
+                    "argmax finds the first True",
                 ),
             ),
         ),
@@ -273,12 +262,14 @@ LAB = Lab(
         Criterion(
             "render",
             11.0,
-            "own picture like the kit's; the difference is shown with its scale and stays within a few 1/255",
+            "own picture like the kit's; the difference is shown with its scale and stays within a "
+            "few 1/255",
         ),
         Criterion(
             "render_reading",
             4.0,
-            "thin curves where splats are cut, as they end at another alpha; a wrong order lights up whole objects, "
+            "thin curves where splats are cut, as they end at another alpha; "
+            "a wrong order lights up whole objects, "
             "half a pixel doubles outlines",
         ),
         Criterion(

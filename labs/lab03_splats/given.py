@@ -1,6 +1,4 @@
-"""Lab 3, what is given: your course's numbers, a small simulated scene, its way into camera axes,
-and drawing.
-"""
+"""Lab 3, given: your course's numbers, a small simulated scene in camera axes, and drawing."""
 
 import json
 from pathlib import Path
@@ -85,9 +83,7 @@ def draw_cloud(points_px: Array, mean_px: Array, cov_px: Array) -> None:
 
 
 def draw_comparison(own: Array, kit: Array, brightest: float = 5.0) -> None:
-    """Draw your picture, the kit's (H, W, 3), and the difference on a scale that ends at so many
-    1/255.
-    """
+    """Draw your picture, the kit's (H, W, 3), and their difference on a scale in 1/255."""
     import matplotlib.pyplot as plt
 
     fig, axes = plt.subplots(1, 3, figsize=(15, 4), layout="constrained")

@@ -121,8 +121,9 @@ def _project(
 
 
 def _draw_splats(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Pixels on, near and far from every splat; one splat is solid, so that the largest alpha
-    shows.
+    """Pixels on, near and far from every splat.
+
+    One splat is solid, so that the largest alpha shows.
     """
     count = int(rng.integers(3, 6))
     roots = rng.normal(scale=4.0, size=(count, 2, 2)) + np.diag([3.0, 1.0])

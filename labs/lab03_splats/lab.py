@@ -9,7 +9,7 @@
 # **You will be able to**
 # - turn what a scene file keeps into a covariance,
 # - project a covariance through a camera, with the derivative of the projection,
-# - lay splats over each other, and say how far away the picture is,
+# - composite splats, and compute the depth of each pixel,
 # - compare your picture with the kit's, and explain every difference.
 #
 # **Time** about 4 hours. **Before** lab 2 (nothing of yours is needed, all is given), the idea of a covariance.
@@ -38,14 +38,14 @@ for name, array in scene.items():
 #
 # $$\Sigma = R \, S \, S^{\mathsf T} R^{\mathsf T}, \qquad S = \mathrm{diag}(s_1, s_2, s_3)$$
 #
-# Two habits of files are yours to undo. The standard deviations are kept as natural *logarithms*, so that training can
-# never make them negative. The rotation is a quaternion $(x, y, z, w)$ of any length but zero. (In this lab's files $w$
+# Two conventions of the files are yours to decode. The standard deviations are stored as natural *logarithms*, so that
+# training can never make them negative. The rotation is a quaternion $(x, y, z, w)$ of any length but zero. (In this lab's files $w$
 # comes last, as in ROS and SciPy; the kit has it first.) Of length 1, it means
 #
 # $$R = \begin{pmatrix} 1 - 2(y^2 + z^2) & 2(xy - wz) & 2(xz + wy) \\ 2(xy + wz) & 1 - 2(x^2 + z^2) & 2(yz - wx) \\
 # 2(xz - wy) & 2(yz + wx) & 1 - 2(x^2 + y^2) \end{pmatrix}$$
 #
-# Write `cov3d_from_scale_quat`, for all Gaussians at once: no loop is needed.
+# Write `cov3d_from_scale_quat`, vectorised over all Gaussians: no loop is needed.
 
 
 # %% exercise="cov3d_from_scale_quat"
@@ -91,7 +91,7 @@ check(cov3d_from_scale_quat)
 # $$\Sigma_\mathrm{px} = J \, \Sigma_\mathrm{camera} \, J^{\mathsf T} + b \, I$$
 #
 # The last term blurs each splat to about a pixel, with the variance $b$ [px²]; without it a far splat falls between two
-# pixels and flickers. Work out the six entries of $J$ on paper, signs and all. Two of them are zero.
+# pixels and flickers. Work out the six entries of $J$ on paper, with their signs. Two of them are zero.
 #
 # Write `project_gaussians`.
 
@@ -151,7 +151,7 @@ plt.show()
 # of a pixel. $\sqrt q$ counts standard deviations in the direction of the pixel. A Gaussian never ends, a renderer's
 # must: in your course a splat covers nothing where $\sqrt q$ is larger than `COHORT["cut_sigma"]`.
 #
-# Write `splat_alphas`, for all pixels and all splats at once.
+# Write `splat_alphas`, vectorised over all pixels and all splats.
 
 
 # %% exercise="splat_alphas"
@@ -182,9 +182,9 @@ def splat_alphas(pixels, means_px, covs_px, opacities):
 check(splat_alphas)
 
 # %% [markdown]
-# ## 4 One over the other
-# Think of splats as stained glass, nearest first. Light $T_i$ of a pixel is left when the $i$-th splat is reached; it
-# takes the share $\alpha_i$ and lets the rest through:
+# ## 4 Alpha compositing
+# Think of splats as stained glass, nearest first. The *transmittance* $T_i$ is the share of a pixel's light that is left
+# when the $i$-th splat is reached; the splat takes the share $\alpha_i$ of it and lets the rest through:
 #
 # $$T_1 = 1, \qquad w_i = \alpha_i T_i, \qquad T_{i+1} = T_i (1 - \alpha_i)$$
 #
@@ -243,8 +243,8 @@ def render_slowly(scene):
         alphas = splat_alphas(pixels, means_px, covs_px, scene["opacities"])
         rows.append(alpha_composite(alphas, scene["colours"], ahead, given.BACKGROUND))
         covered += np.count_nonzero(alphas)
-    asked, seconds = given.HEIGHT * given.WIDTH * len(means_px), time.perf_counter() - start
-    print(f"{seconds:.1f} s; {asked / 1e6:.1f} million alphas, {covered / asked:.1%} are not 0")
+    count, seconds = given.HEIGHT * given.WIDTH * len(means_px), time.perf_counter() - start
+    print(f"{seconds:.1f} s; {count / 1e6:.1f} million alphas, {covered / count:.1%} are not 0")
     return tuple(np.array(column) for column in zip(*rows, strict=True))
 
 
@@ -290,7 +290,7 @@ plt.show()
 # again; the difference falls below about 1/255.
 
 # %% [markdown]
-# **Question 2.** Your loop asks every splat about every pixel. The hall of the kit has about 150 000 Gaussians, its
+# **Question 2.** Your loop evaluates every splat at every pixel. The hall of the kit has about 150 000 Gaussians, its
 # picture 640 x 480 pixels. How long would your loop take? Which share of the alphas was not zero, and how can a
 # renderer use that?
 
@@ -308,4 +308,4 @@ plt.show()
 #
 # **Try** moving the camera: change `scene["T_world_camera"]`, its last column is the lens in metres, and render again.
 # A metre to the left or right shows what lies behind the aircraft. Do not go forward: what is behind a camera has to be
-# left out first, and your functions were not asked to.
+# left out first, and your functions do not do that.

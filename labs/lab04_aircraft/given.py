@@ -1,6 +1,4 @@
-"""Given for lab 4: the aircraft's numbers, its body rates, a pilot, small plants, and pictures of a
-flight.
-"""
+"""Lab 4, given: the aircraft's parameters, body rates, a pilot, small plants, and figures."""
 
 import json
 from collections.abc import Callable
@@ -38,12 +36,11 @@ BLUE, ORANGE, GREEN, GREY = (
     "#D55E00",
     "#009E73",
     "#777777",
-)  # told apart by colour-blind eyes
+)  # distinguishable for colour-blind readers
 
 
 def rotation_world_body(roll: float, pitch: float, yaw: float) -> Array:
-    """Lab 2's rotation: turns body vectors (x nose, y right wing, z belly) into world vectors (z
-    up).
+    """Lab 2's rotation: body vectors (x nose, y right wing, z belly) to world vectors (z up).
 
     Args:
         roll: [rad], positive right wing down.
@@ -61,8 +58,7 @@ def rotation_world_body(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def body_rates(air: Array, command: Array, K: dict[str, float]) -> Array:
-    """Body rates that follow the sticks at once: p = V (L_da aileron + L_beta beta), and so on
-    [paper, Section IV-B].
+    """Quasi-steady body rates: p = V (L_da aileron + L_beta beta), and so on [paper, Section IV-B].
 
     Args:
         air: (3,) airspeed V [m/s], angle of attack alpha [rad], sideslip beta [rad].
@@ -82,8 +78,7 @@ def body_rates(air: Array, command: Array, K: dict[str, float]) -> Array:
 
 
 def vertical_flight(x: Array, u: Array) -> Array:
-    """A point that flies in a vertical plane, to try an integrator on [Lanchester 1908, with thrust
-    and drag].
+    """Point mass in a vertical plane [Lanchester 1908, with thrust and drag], to test integrators.
 
     Args:
         x: (4,) speed V [m/s], climb angle [rad], distance [m], height [m].
@@ -132,7 +127,7 @@ def pilot(state: Array, bank: float, level: Array) -> Array:
 
     Args:
         state: (9,) px, py, pz, pitch, yaw, roll, vx, vy, vz.
-        bank: wanted roll angle [rad].
+        bank: commanded roll angle [rad].
         level: (3,) angle of attack, throttle and elevator of straight level flight.
 
     Returns:

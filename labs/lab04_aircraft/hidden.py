@@ -1,6 +1,4 @@
-"""Lab 4's hidden side: random flights, and the same physics by other routes (scipy's rotations,
-linear systems).
-"""
+"""Lab 4, hidden: random flights, and the same physics by SciPy's rotations and linear systems."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -37,9 +35,7 @@ def _turn(state: Array) -> Any:
 
 
 def _draw_state(rng: np.random.Generator) -> Array:
-    """A state within 0.6 rad of pitch and 1.2 rad of roll, any yaw, flying about where its nose
-    points.
-    """
+    """A state with at most 0.6 rad of pitch and 1.2 rad of roll, flying roughly along its nose."""
     attitude = [rng.uniform(-0.6, 0.6), rng.uniform(-3.1, 3.1), rng.uniform(-1.2, 1.2)]
     state = np.concatenate([rng.uniform(-8.0, 8.0, 2), [2.0], attitude, np.zeros(3)])
     v_body = np.array([rng.uniform(5.0, 10.0), *rng.uniform(-1.5, 1.5, 2)])
@@ -115,8 +111,9 @@ def _draw_step(rng: np.random.Generator) -> tuple[Any, ...]:
 def _step(
     A: Array, B: Array, x: Array, u_now: Array, u_next: Array, dt: float
 ) -> tuple[Array, Array]:
-    """The kit's own step, which takes the middle of the input and half of its change; x stays as it
-    was.
+    """The kit's own step, which takes the middle of the input and half of its change.
+
+    x stays as it was.
     """
 
     def rates(time: float, x: Array, u: Array, K: None) -> Array:

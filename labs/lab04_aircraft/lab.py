@@ -1,19 +1,19 @@
 # %% [markdown]
 # # Lab 4: the aircraft model
 #
-# In this lab you write the model that the rest of the course flies: nine numbers that say where the aircraft is, how
-# it is turned and how fast it moves, and the physics that takes them one twentieth of a second ahead.
+# In this lab you write the model that the rest of the course flies: a state of nine numbers (position, attitude and
+# velocity), and the physics that advances it by one twentieth of a second.
 #
 # **You will be able to**
 # - say why the air, not the ground, makes the forces, and compute angle of attack and sideslip in a wind,
 # - write lift, drag, side force and thrust in body axes,
 # - turn forces and body rates into the rate of change of the state, and integrate it by Runge-Kutta,
-# - find the sticks of a steady climb (trim), and fly a turn that fits, or does not fit, into the hall.
+# - find the control inputs of a steady climb (trim), and fly a turn that fits, or does not fit, into the hall.
 #
 # **Time:** about 3 hours. **Before:** lab 1 (speed and turn radius), lab 2 (frames). Everything here is *simulated*:
 # the coefficients are those of a 150 g aircraft, no aircraft has been measured for them.
 #
-# Run the cells from top to bottom. A cell `check(...)` says what already works.
+# Run the cells from top to bottom. A cell `check(...)` reports what already works.
 
 # %%
 import matplotlib.pyplot as plt
@@ -45,8 +45,8 @@ from falconwing_kit.tools.grading import check
 # Position and velocity are in the world (x along the runway, y left, **z up**), angles in rad: roll positive right
 # wing down, pitch nose up, yaw nose right.
 #
-# The wing knows nothing of the ground. What counts is the velocity *through the air*, seen from the body
-# (x nose, y right wing, z belly):
+# The aerodynamic forces depend on the velocity *through the air*, not over the ground. In body axes (x nose, y right
+# wing, z belly) it is
 #
 # $$(u, v, w) = R_{\text{world,body}}^T\ (v_{\text{world}} - w_{\text{world}})$$
 #
@@ -59,7 +59,7 @@ from falconwing_kit.tools.grading import check
 #            nose                            nose
 #           /                                 |  /
 #          /  ) alpha                         | /  beta > 0: the air comes
-#         /________ path through the air      |/   from the right cheek
+#         /________ path through the air      |/   from the right
 # ```
 
 
@@ -74,7 +74,7 @@ def air_data(state, wind_world):
     Returns:
         (3,) airspeed V [m/s], angle of attack alpha [rad], sideslip beta [rad].
 
-    `rotation_world_body(roll, pitch, yaw)` of given.py is lab 2's; mind the order of the angles.
+    `rotation_world_body(roll, pitch, yaw)` of given.py is lab 2's; note the order of the angles.
     """
     # BEGIN SOLUTION
     pitch, yaw, roll = state[3:6]
@@ -91,7 +91,7 @@ check(air_data)
 # %% [markdown]
 # ## 2. Forces
 #
-# All forces are **per unit mass**, so they are accelerations [m/s²]. (From poses alone nobody can tell a heavy aircraft
+# All forces are **per unit mass**, so they are accelerations [m/s²]. (Poses alone cannot distinguish a heavy aircraft
 # with a large wing from a light one with a small wing.) With $c = c_{L_0} + c_{L_\alpha}\,\alpha$,
 # and $c_{D_i}$ for `cD_induced`:
 #
@@ -170,9 +170,8 @@ def state_rate(state, force_body, rates_body):
     pitch_dot = q * np.cos(roll) - r * np.sin(roll)
     yaw_dot = across / np.cos(pitch)
     roll_dot = p + across * np.tan(pitch)
-    acceleration = rotation_world_body(roll, pitch, yaw) @ force_body - np.array(
-        [0.0, 0.0, GRAVITY]
-    )
+    gravity = np.array([0.0, 0.0, GRAVITY])
+    acceleration = rotation_world_body(roll, pitch, yaw) @ force_body - gravity
     return np.concatenate([state[6:9], [pitch_dot, yaw_dot, roll_dot], acceleration])
     # END SOLUTION
 
@@ -184,8 +183,8 @@ check(state_rate)
 # ## 4. One step ahead: $f_K$
 #
 # The paper's model is discrete, $x_{t+1} = f_K(x_t, u_t)$, with a step of 0.05 s. Runge-Kutta's fourth-order method
-# looks at the slope four times within the step. Here the sticks **move linearly** from `u_now` to `u_next` during the
-# step, so the slopes in its middle see their mean:
+# evaluates the slope four times within the step. Here the control inputs **change linearly** from `u_now` to `u_next`
+# during the step, so the slopes in its middle use their mean:
 #
 # $$k_1 = f(x, u_{now}),\quad k_2 = f(x + \tfrac{h}{2}k_1, \bar u),\quad k_3 = f(x + \tfrac{h}{2}k_2, \bar u),\quad
 #   k_4 = f(x + h k_3, u_{next})$$
@@ -240,7 +239,7 @@ for dt in (0.2, 0.1, 0.05):
     print(f"step {dt:4.2f} s: error {1e6 * error:8.3f} micrometres")
 
 # %% [markdown]
-# ## 5. Trim: the sticks of a steady climb
+# ## 5. Trim: the control inputs of a steady climb
 #
 # In a steady, straight, wings-level climb at angle $\gamma$ all forces balance. Along the path and at right angles to
 # it (draw the picture!), with thrust $T$ per unit mass and $\tau$ the down-thrust:
@@ -254,7 +253,7 @@ for dt in (0.2, 0.1, 0.05):
 
 # %% exercise="trim"
 def trim(airspeed, climb_angle, K):
-    """Angle of attack and sticks of a steady straight climb, wings level, no wind.
+    """Angle of attack and control inputs of a steady straight climb, wings level, no wind.
 
     Args:
         airspeed: V [m/s].
@@ -262,7 +261,7 @@ def trim(airspeed, climb_angle, K):
         K: the aircraft's numbers: cL_0, cL_alpha, cD_0, cD_induced, kT, kTV, M_0, M_de, M_alpha.
 
     Returns:
-        (3,) angle of attack [rad], throttle [-], elevator [-], not limited to the sticks' travel.
+        (3,) angle of attack [rad], throttle [-], elevator [-], not limited to their range.
     """
     # BEGIN SOLUTION
     V, alpha = airspeed, 0.0
@@ -286,8 +285,8 @@ check(trim)
 #
 # All parts together, with a simple pilot from given.py who holds 30 degrees of bank and a height of 2 m. Lab 1's
 # equation says that a level turn at 7 m/s has the radius $R = V^2 / (g\tan 30°) = 8.7$ m (paper, appendix), too large
-# for a hall 20 m wide if you also want to keep away from the walls. The figure compares your flight with that circle,
-# and shows the same flight in a wind of 0.8 m/s from the right wall, which the pilot does not know of.
+# for a hall 20 m wide with a distance to the walls. The figure compares your flight with that circle,
+# and shows the same flight in a wind of 0.8 m/s from the right wall, which the pilot does not measure.
 
 
 # %% figure="turn"
@@ -310,27 +309,27 @@ def fly_turn(bank, wind_world, seconds=11.0, dt=0.05):
     return np.array(flown)
 
 
-calm = fly_turn(np.radians(30.0), np.zeros(3))
+still = fly_turn(np.radians(30.0), np.zeros(3))
 windy = fly_turn(np.radians(30.0), np.array([0.0, 0.8, 0.0]))
-speed = np.linalg.norm(calm[:, 6:], axis=1)
-bank = calm[100:, 5].mean()
+speed = np.linalg.norm(still[:, 6:], axis=1)
+bank = still[100:, 5].mean()
 radius = np.mean(speed[100:]) ** 2 / (GRAVITY * np.tan(bank))
-centre = 0.5 * (calm[100:, :2].max(axis=0) + calm[100:, :2].min(axis=0))
+centre = 0.5 * (still[100:, :2].max(axis=0) + still[100:, :2].min(axis=0))
 
 figure, (above, side) = plt.subplots(1, 2, figsize=(11, 4.2), width_ratios=[1.5, 1])
 hall_axes(above, "From above (simulated)")
 around = np.linspace(0.0, 2.0 * np.pi, 200)
 circle = centre[:, None] + radius * np.array([np.cos(around), np.sin(around)])
 above.plot(*circle, color=GREY, ls=":", lw=3, label=f"circle of lab 1, R = {radius:.1f} m")
-above.plot(calm[:, 0], calm[:, 1], color=BLUE, label="your model, calm")
+above.plot(still[:, 0], still[:, 1], color=BLUE, label="your model, still air")
 above.plot(windy[:, 0], windy[:, 1], color=ORANGE, ls="--", label="your model, wind 0.8 m/s")
-above.plot(*calm[0, :2], "o", color=GREEN, label="start")
+above.plot(*still[0, :2], "o", color=GREEN, label="start")
 above.legend(fontsize=8, loc="lower right")
-t = 0.05 * np.arange(len(calm))
-side.plot(t, calm[:, 2], color=BLUE, label="height [m]")
+t = 0.05 * np.arange(len(still))
+side.plot(t, still[:, 2], color=BLUE, label="height [m]")
 side.plot(t, speed, color=ORANGE, ls="--", label="speed [m/s]")
-side.plot(t, np.degrees(calm[:, 5]) / 10.0, color=GREEN, ls="-.", label="bank [10 deg]")
-side.set(xlabel="time [s]", ylabel="as the legend says", title="The calm flight")
+side.plot(t, np.degrees(still[:, 5]) / 10.0, color=GREEN, ls="-.", label="bank [10 deg]")
+side.set(xlabel="time [s]", ylabel="see legend", title="The flight in still air")
 side.legend(fontsize=8)
 figure.tight_layout()
 plt.show()
@@ -338,9 +337,9 @@ print(f"bank held {np.degrees(bank):.1f} deg at {np.mean(speed[100:]):.2f} m/s")
 print(f"R = V^2 / (g tan bank) = {radius:.2f} m")
 
 # %% [markdown]
-# *In words:* left, the hall from above with a dotted circle; the solid track of the calm flight lies on it, the dashed
-# one of the flight in wind leaves it to the left, like a spring pulled out. Right, height, speed and bank over time:
-# all three settle within about two seconds.
+# *In words:* left, the hall from above with a dotted circle; the solid track of the flight in still air lies on it, the
+# dashed one of the flight in wind leaves it to the left, like a spring pulled out. Right, height, speed and bank over
+# time: all three settle within about two seconds.
 #
 # **Question on the figure.** How far does the flight in the wind drift in one round, and which way? Compare with the
 # wind times the time of a round. (What does the pilot's throttle in given.py hold, the speed through the air or over
@@ -361,7 +360,7 @@ print(f"R = V^2 / (g tan bank) = {radius:.2f} m")
 # %% [markdown] answer="q1"
 # In a level turn at bank $\phi$ the vertical part of the lift, $L\cos\phi$, carries the weight, so the lift must be
 # $1/\cos\phi = 1.15$ times as large. At the same speed that takes a larger angle of attack, hence more elevator (the
-# pitch stiffness $M_\alpha$ wants to lower the nose, and the turn itself needs a steady pitch rate). Induced drag grows
+# pitch stiffness $M_\alpha$ acts nose down, and the turn itself needs a steady pitch rate). Induced drag grows
 # with the square of the lift, by a third at 30 degrees, so the same speed takes more throttle.
 
 # %% [markdown]
@@ -383,4 +382,4 @@ print(f"R = V^2 / (g tan bank) = {radius:.2f} m")
 #
 # **With hardware:** film a hand launch without power (a glide test) from the side, with a metre rule in the picture.
 # Read speed and glide angle off three frames, and compare them with `trim` at throttle zero: for which glide angle does
-# it ask for no throttle? Propeller off, two people, soft ground, nobody in front.
+# is the throttle zero? Propeller off, two people, soft ground, no one in front.

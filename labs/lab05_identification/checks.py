@@ -1,24 +1,14 @@
-"""Lab 5's public side: what right residuals, steps, intervals and scores do, in claims that a
-student can run.
-"""
+"""Lab 5, public: claims about residuals, steps, intervals and scores that a student can run."""
 
 import math
-from typing import Any
 
 import numpy as np
 from given import FAR, SIGMA, Z
 
-from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_close
 
 Array = np.ndarray
 NAN = math.nan
-
-
-def _near(got: Any, wanted: Any, rtol: float = 1e-9) -> bool:
-    """Equal shapes and equal numbers to rounding, nan where nan is wanted."""
-    return np.shape(got) == np.shape(wanted) and bool(
-        np.allclose(got, wanted, rtol=rtol, atol=1e-9, equal_nan=True)
-    )
 
 
 T = np.array([0.0, 0.1, 0.2, 0.3, 0.5, 0.6])  # a frame at 0.4 s is missing altogether
@@ -26,33 +16,41 @@ T = np.array([0.0, 0.1, 0.2, 0.3, 0.5, 0.6])  # a frame at 0.4 s is missing alto
 LOCAL_SLOPE = (
     Check(
         "a straight line has its own slope everywhere, also at the ends and at uneven times",
-        lambda f: _near(f(T, 3.0 - 2.0 * T, 2)[0], np.full(6, -2.0)),
-        "At the ends there are fewer rows: take those that exist. tau counts from their mean time, not from row k.",
+        lambda f: is_close(f(T, 3.0 - 2.0 * T, 2)[0], np.full(6, -2.0)),
+        "At the ends there are fewer rows: take those that exist. tau counts from their mean time, "
+        "not from row k.",
     ),
     Check(
-        "one row to each side of x = t^2: 0.4 in the middle of 0.1, 0.2, 0.3 s, 5/7 where a frame is missing",
-        lambda f: _near(f(T, T**2, 1)[0], [0.1, 0.2, 0.4, 5.0 / 7.0, 31.0 / 35.0, 1.1]),
-        "half counts rows to each side, so three in the middle; tau is the time less the mean of these times.",
+        "one row to each side of x = t^2: 0.4 in the middle of 0.1, 0.2, 0.3 s, "
+        "5/7 where a frame is missing",
+        lambda f: is_close(f(T, T**2, 1)[0], [0.1, 0.2, 0.4, 5.0 / 7.0, 31.0 / 35.0, 1.1]),
+        "half counts rows to each side, so three in the middle; "
+        "tau is the time less the mean of these times.",
     ),
     Check(
-        "three rows 0.1 s apart pass 1 / (0.1 sqrt 2) = 7.07 of the noise per second, two rows 14.1",
-        lambda f: _near(f(T, T, 1)[1][:3], [10.0 * math.sqrt(2.0), 5.0 * math.sqrt(2.0), 5.0 * math.sqrt(2.0)]),
+        "three rows 0.1 s apart pass 1 / (0.1 sqrt 2) = 7.07 of the noise per second, "
+        "two rows 14.1",
+        lambda f: is_close(
+            f(T, T, 1)[1][:3], [10.0 * math.sqrt(2.0), 5.0 * math.sqrt(2.0), 5.0 * math.sqrt(2.0)]
+        ),
         "The noise is 1 / sqrt(sum tau^2).",
     ),
     Check(
         "a missing value is left out, and a row alone has no slope",
-        lambda f: _near(f(T, np.array([1.0, NAN, 3.0, NAN, NAN, NAN]), 1)[0], [NAN, 10.0, NAN, NAN, NAN, NAN]),
+        lambda f: is_close(
+            f(T, np.array([1.0, NAN, 3.0, NAN, NAN, NAN]), 1)[0], [NAN, 10.0, NAN, NAN, NAN, NAN]
+        ),
         "Keep the rows whose x is finite; from fewer than two of them there is no slope.",
     ),
     Check(
         "where a neighbour is missing, tau is taken from the rows that are left",
-        lambda f: _near(
+        lambda f: is_close(
             [part[2] for part in f(T, np.array([0.0, NAN, 0.4, 0.5, 0.9, 1.0]), 2)],
             [23.0 / 13.0, 1.0 / math.sqrt(0.13)],
         ),
         "Leave missing rows out before you take the mean of the times.",
     ),
-)  # fmt: skip
+)
 
 
 def _frames(e: Array) -> tuple[Array, Array, Array]:
@@ -77,26 +75,27 @@ RESIDUALS = (
     Check(
         "small residuals are predicted minus measured, in sigmas, with weight 1 / sigma",
         lambda f: (
-            _near(f(*_frames(SMALL))[0], SMALL)
-            and _near(f(*_frames(SMALL))[1], np.ones((2, 1, 3)) / SIGMA)
+            is_close(f(*_frames(SMALL))[0], SMALL)
+            and is_close(f(*_frames(SMALL))[1], np.ones((2, 1, 3)) / SIGMA)
         ),
-        "Mind the sign, and that each channel has a sigma of its own. Return r and weight.",
+        "Check the sign, and that each channel has a sigma of its own. Return r and weight.",
     ),
     Check(
         "a channel four times FAR away halves the whole frame, and only that frame",
-        lambda f: _near(f(*_frames(FAR_OFF))[0], FAR_OFF * np.array([[[0.5], [1.0]]])),
-        "The factor is sqrt(FAR / |e|) where |e| is beyond FAR; a frame takes the smallest of its three.",
+        lambda f: is_close(f(*_frames(FAR_OFF))[0], FAR_OFF * np.array([[[0.5], [1.0]]])),
+        "The factor is sqrt(FAR / |e|) where |e| is beyond FAR; "
+        "a frame takes the smallest of its three.",
     ),
     Check(
         "the weight carries the same factor",
-        lambda f: _near(f(*_frames(FAR_OFF))[1], np.array([[[0.5] * 3, [1.0] * 3]]) / SIGMA),
+        lambda f: is_close(f(*_frames(FAR_OFF))[1], np.array([[[0.5] * 3, [1.0] * 3]]) / SIGMA),
         "weight = factor / sigma.",
     ),
     Check(
         "a frame with one missing value counts zero in all channels; its neighbour as ever",
         lambda f: (
-            _near(f(*_frames(MISSING))[0], np.array([[[0.0, 0.0, 0.0], [1.0, 0.5, -1.0]]]))
-            and _near(f(*_frames(MISSING))[1][0, 0], np.zeros(3))
+            is_close(f(*_frames(MISSING))[0], np.array([[[0.0, 0.0, 0.0], [1.0, 0.5, -1.0]]]))
+            and is_close(f(*_frames(MISSING))[1][0, 0], np.zeros(3))
         ),
         "0 times nan is nan: replace first, np.where helps. The weight is zero there too.",
     ),
@@ -120,7 +119,7 @@ def _recovers(f: Function) -> bool:
     K, starts = np.array([0.7, -1.2]), np.arange(12.0).reshape(4, 3) - 5.0
     r = J_K @ K + np.einsum("wrn,wn->wr", J_start, starts)
     dK, dstart = f(r, J_K, J_start, np.zeros(2), np.full(2, 1e6))
-    return _near(dK, -K, 1e-6) and _near(dstart, -starts, 1e-6)
+    return is_close(dK, -K, 1e-6) and is_close(dstart, -starts, 1e-6)
 
 
 def _smallest(f: Function) -> bool:
@@ -130,7 +129,7 @@ def _smallest(f: Function) -> bool:
     dK, dstart = f(r, J_K, J_start, away, sigma)
     left = r + J_K @ dK + np.einsum("wrn,wn->wr", J_start, dstart)
     to_K = np.einsum("wrp,wr->p", J_K, left) + (away + dK) / sigma**2
-    return _near(to_K, np.zeros(2)) and _near(
+    return is_close(to_K, np.zeros(2)) and is_close(
         np.einsum("wrn,wr->wn", J_start, left), np.zeros((4, 3))
     )
 
@@ -147,8 +146,8 @@ GAUSS_NEWTON = (
         "The prior adds 1 / sigma^2 to the diagonal and away / sigma^2 to the gradient.",
     ),
     Check(
-        "a prior of no width takes K back to it at once",
-        lambda f: _near(
+        "a prior of zero width takes K back to it in one step",
+        lambda f: is_close(
             f(*_problem(), np.array([0.4, -0.3]), np.full(2, 1e-7))[0], [-0.4, 0.3], 1e-6
         ),
         "away is the present K minus the one known beforehand: which sign does the step have?",
@@ -171,27 +170,48 @@ K0, R0 = np.array([5.0, -1.0]), np.array([1.0, -1.0, 1.0, 1.0, -1.0, -1.0])
 INTERVALS = (
     Check(
         "each interval lies around its number, low end first",
-        lambda f: _near(np.mean(f(K0, R0, LINE, 6, 0), axis=1), K0) and np.diff(f(K0, R0, LINE, 6, 0)).min() > 0,
+        lambda f: (
+            is_close(np.mean(f(K0, R0, LINE, 6, 0), axis=1), K0)
+            and np.diff(f(K0, R0, LINE, 6, 0)).min() > 0
+        ),
         "Return (P, 2): K minus and plus something.",
     ),
     Check(
-        "six residuals of size 1, two numbers: s^2 = 6/4, half widths Z sqrt(1.5/6) and Z sqrt(1.5/17.5)",
-        lambda f: _near(_half(f, K0, R0, LINE, 6, 0), [math.sqrt(1.5 / 6.0), math.sqrt(1.5 / 17.5)]),
-        "s^2 is for 6 measured less 2 unknowns; the diagonal of s^2 inv(J'J) holds variances, not standard deviations.",
+        "six residuals of size 1, two numbers: s^2 = 6/4, half widths Z sqrt(1.5/6) and Z "
+        "sqrt(1.5/17.5)",
+        lambda f: is_close(
+            _half(f, K0, R0, LINE, 6, 0), [math.sqrt(1.5 / 6.0), math.sqrt(1.5 / 17.5)]
+        ),
+        "s^2 is for 6 measured less 2 unknowns; the diagonal of s^2 inv(J'J) holds variances, "
+        "not standard deviations.",
     ),
     Check(
-        "start states cost freedom, and missing numbers were not measured",
-        lambda f: _near(_half(f, K0, R0, LINE, 6, 1)[0], math.sqrt(2.0 / 6.0))
-        and _near(_half(f, K0, np.append(R0, [0.0, 0.0]), np.append(LINE, [[0, 0], [0, 0]], axis=0), 6, 0)[0], 0.5),
+        "initial states cost degrees of freedom, and missing numbers were not measured",
+        lambda f: (
+            is_close(_half(f, K0, R0, LINE, 6, 1)[0], math.sqrt(2.0 / 6.0))
+            and is_close(
+                _half(
+                    f,
+                    K0,
+                    np.append(R0, [0.0, 0.0]),
+                    np.append(LINE, [[0, 0], [0, 0]], axis=0),
+                    6,
+                    0,
+                )[0],
+                0.5,
+            )
+        ),
         "Freedom is measured_count less all unknowns; do not count the rows of r.",
     ),
     Check(
-        "numbers that go together have wider intervals than each would have alone",
-        lambda f: _near(_half(f, K0, R0, LINE @ np.array([[1.0, 1.0], [0.0, 1.0]]), 6, 0)[0],
-                        math.sqrt(1.5 / 6.0 + 1.5 / 17.5)),
+        "correlated parameters have wider intervals than each would have alone",
+        lambda f: is_close(
+            _half(f, K0, R0, LINE @ np.array([[1.0, 1.0], [0.0, 1.0]]), 6, 0)[0],
+            math.sqrt(1.5 / 6.0 + 1.5 / 17.5),
+        ),
         "Invert the whole matrix J'J, then take the diagonal.",
     ),
-)  # fmt: skip
+)
 
 ERROR = np.zeros((3, 2, 3))
 ERROR[1] = [[0.3, 0.4, 0.02], [0.0, 0.0, 0.0]]
@@ -204,25 +224,28 @@ HOLED = np.where(
 HOLDOUT = (
     Check(
         "one window held out: errors of 0.5 m and 0 m make 0.354 m; 0.02 rad and 0 make 0.81 deg",
-        lambda f: _near(
+        lambda f: is_close(
             f(BASE + ERROR, BASE, np.array([0, 1, 2]), np.array([1])),
             [math.sqrt(0.125), math.degrees(math.sqrt(0.0002))],
         ),
-        "The position error is a distance; take the root last; the pitch is wanted in degrees.",
+        "The position error is a distance; take the root last; return the pitch in degrees.",
     ),
     Check(
         "only windows of passes that were held out count, and a pass may have several windows",
-        lambda f: _near(f(BASE + ERROR, BASE, np.array([7, 4, 4]), np.array([4, 9]))[0], math.sqrt((0.25 + 1 + 1) / 4)),
-        "of_pass says from which pass each window is; np.isin helps.",
+        lambda f: is_close(
+            f(BASE + ERROR, BASE, np.array([7, 4, 4]), np.array([4, 9]))[0],
+            math.sqrt((0.25 + 1 + 1) / 4),
+        ),
+        "of_pass is the pass that each window was cut from; np.isin helps.",
     ),
     Check(
         "a frame with a missing pitch does not count for the position either",
-        lambda f: _near(
+        lambda f: is_close(
             f(BASE + ERROR, HOLED, np.array([0, 1, 2]), np.array([2])), [1.0, math.degrees(0.03)]
         ),
         "Keep the frames whose three values are all finite, then take the mean.",
     ),
-)  # fmt: skip
+)
 
 LAB = Lab(
     name="lab05",
@@ -240,24 +263,28 @@ LAB = Lab(
         Criterion(
             "fit",
             11.0,
-            "Histogram on the Gaussian; the cost has its bottom near 60 ms; the held-out track follows the points.",
+            "Histogram on the Gaussian; the cost has its bottom near 60 ms; "
+            "the held-out track follows the points.",
         ),
         Criterion(
             "fit_reading",
             4.0,
-            "A perfect model scores the marker's noise, 4.2 cm and 0.6 deg; says what a wider histogram would mean, "
+            "A perfect model scores the marker's noise, 4.2 cm and 0.6 deg; "
+            "explains what a wider histogram would mean, "
             "and why that window was not fitted.",
         ),
         Criterion(
             "q1",
             5.0,
-            "Noise in the variable flattens M_alpha (errors in variables); in cL_alpha the same noise is also the "
+            "Noise in the variable flattens M_alpha (errors in variables); "
+            "in cL_alpha the same noise is also the "
             "change to the next step; counts truths inside.",
         ),
         Criterion(
             "q2",
             5.0,
-            "Neighbouring rows are not independent; start states are no property of the aircraft.",
+            "Neighbouring rows are not independent; initial states are no property of the "
+            "aircraft.",
         ),
     ),
     constants={"far_sigmas": (2.0, 4.0, 1), "level_percent": (90.0, 98.0, 0)},

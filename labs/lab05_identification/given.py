@@ -1,6 +1,4 @@
-"""Given for lab 5: flight in a vertical plane with unknown numbers, the logs, derivatives, and the
-paper's own fit.
-"""
+"""Lab 5, given: flight in a vertical plane, the logs, derivatives, and the paper's own fit."""
 
 import json
 from pathlib import Path
@@ -32,20 +30,19 @@ GUESS = np.array(
 PRIOR_SIGMA = 0.5 * np.abs(GUESS)  # how well the guess is known
 STEPS = np.array(
     [0.05, 0.05, 0.01, 0.1, 0.1]
-)  # of derivatives to a start state: m, m, rad, m/s, m/s
-FARTHEST = 20.0 * STEPS  # that a start state may move in one round
+)  # of derivatives to a initial state: m, m, rad, m/s, m/s
+FARTHEST = 20.0 * STEPS  # that a initial state may move in one round
 ROWS, FIRST = 41, 4  # rows of a window: 2 s and one row; where the first window of a pass begins
 BLUE, ORANGE, GREEN, GREY = (
     "#0072B2",
     "#D55E00",
     "#009E73",
     "#777777",
-)  # told apart by colour-blind eyes
+)  # distinguishable for colour-blind readers
 
 
 def plane_rate(x: Array, command: Array, K: Array) -> Array:
-    """dx/dt of the aircraft in a vertical plane, wings level: lab 4's model without its sideways
-    half.
+    """dx/dt of the aircraft in a vertical plane, wings level: lab 4's longitudinal model.
 
     Args:
         x: (5, ...) px, pz [m], pitch [rad], vx, vz [m/s]; z up.
@@ -80,7 +77,7 @@ def step(x: Array, command: Array, K: Array) -> Array:
 
 
 def predict(K: Array, starts: Array, commands: Array) -> Array:
-    """Fly every window from its start state.
+    """Fly every window from its initial state.
 
     Args:
         K: (8,), or (8, W) with numbers of its own for each window.
@@ -106,7 +103,7 @@ def sensitivities(K: Array, starts: Array, commands: Array) -> tuple[Array, Arra
         commands: (W, L, 2).
 
     Returns:
-        to K (W, L, 3, 8), and of each window to its own start state (W, L, 3, 5).
+        to K (W, L, 3, 8), and of each window to its own initial state (W, L, 3, 5).
     """
     moves = np.concatenate([np.diag(1e-4 * np.maximum(np.abs(K), 0.1)), np.zeros((5, 8))])
     shifts = np.concatenate([np.zeros((8, 5)), np.diag(1e-3 * STEPS)])
@@ -123,40 +120,37 @@ def read_passes() -> tuple[Array, Array]:
     """The logs: straight passes through the hall, simulated, a row every DT.
 
     Returns:
-        poses (passes, rows, 3) px, pz [m], pitch [rad], nan where a frame gave none; sticks
+        poses (passes, rows, 3) px, pz [m], pitch [rad], nan where a frame gave none; inputs
         (passes, rows, 2).
     """
     with np.load(HERE / "data" / "passes.npz") as file:
         return file["poses"], file["sticks"]
 
 
-def delayed(sticks: Array, delay: float) -> Array:
-    """Mean position of the control surfaces during each step when they act some time later than the
-    log says.
+def delayed(inputs: Array, delay: float) -> Array:
+    """Mean inputs during each step, after a delay.
 
     Args:
-        sticks: (..., rows, 2) as logged, each held until the next.
+        inputs: (..., rows, 2) as logged (zero-order hold).
         delay: [s], 0 to 0.2.
 
     Returns:
         (..., rows, 2).
     """
     whole, part = divmod(delay / DT, 1.0)
-    at = np.arange(sticks.shape[-2]) - int(whole)
+    at = np.arange(inputs.shape[-2]) - int(whole)
     now, before = np.maximum(at, 0), np.maximum(at - 1, 0)
-    return part * sticks[..., before, :] + (1.0 - part) * sticks[..., now, :]
+    return part * inputs[..., before, :] + (1.0 - part) * inputs[..., now, :]
 
 
 def windows(values: Array) -> Array:
-    """Cut passes (passes, rows, ...) into windows of ROWS rows, two a pass: (2 * passes, ROWS,
-    ...).
-    """
+    """Cut passes (passes, rows, ...) into windows of ROWS rows, two per pass."""
     pairs = (values[:, FIRST : FIRST + ROWS], values[:, FIRST + ROWS - 1 : FIRST + 2 * ROWS - 1])
     return np.stack(pairs, axis=1).reshape(-1, ROWS, *values.shape[2:])
 
 
 def start_guess(measured: Array) -> Array:
-    """A first guess of each window's start state from its first frames: (W, L, 3) -> (W, 5)."""
+    """A first guess of each window's initial state from its first frames: (W, L, 3) -> (W, 5)."""
     t, early = DT * np.arange(13), measured[:, :13]
     guess = np.empty((len(measured), 5))
     for w, rows in enumerate(early):
@@ -171,9 +165,7 @@ def start_guess(measured: Array) -> Array:
 
 
 def reduce(weighted_to_K: Array, weighted_to_start: Array) -> Array:
-    """What K does to the residuals that no start state can do: (W, R, 8) and (W, R, 5) -> (W * R,
-    8).
-    """
+    """Sensitivities to K with initial states eliminated: (W, R, 8) and (W, R, 5) -> (W * R, 8)."""
     Q, _ = np.linalg.qr(weighted_to_start)
     return (weighted_to_K - Q @ (Q.transpose(0, 2, 1) @ weighted_to_K)).reshape(
         -1, weighted_to_K.shape[-1]
@@ -181,9 +173,7 @@ def reduce(weighted_to_K: Array, weighted_to_start: Array) -> Array:
 
 
 def plausible(poses: Array) -> Array:
-    """Poses (passes, rows, 3) with frames that are far off their neighbours' median set to nan, as
-    by hand.
-    """
+    """Poses (passes, rows, 3) with frames far off their neighbours' median set to nan."""
     spans = np.lib.stride_tricks.sliding_window_view(
         np.pad(poses, ((0, 0), (3, 3), (0, 0)), "edge"), 7, axis=1
     )
@@ -192,8 +182,7 @@ def plausible(poses: Array) -> Array:
 
 
 def fit_one_step(states: Array, commands: Array) -> Array:
-    """The paper's fit: the K that predicts each next state from the one before [paper, Section
-    IV-B, equation for K*].
+    """The paper's fit: K that predicts each next state from the previous one [paper, Section IV-B].
 
     Args:
         states: (passes, rows, 5) with velocities from differentiated poses; rows with nan are left

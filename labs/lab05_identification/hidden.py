@@ -1,6 +1,4 @@
-"""Lab 5's hidden side: random problems, solved by other routes (design matrices, dense least
-squares, loops, SVD).
-"""
+"""Lab 5, hidden: random problems, solved by design matrices, dense least squares, loops and SVD."""
 
 from collections.abc import Mapping
 from functools import partial

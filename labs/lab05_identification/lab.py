@@ -1,19 +1,19 @@
 # %% [markdown]
 # # Lab 5: system identification
 #
-# In lab 4 somebody told you the aircraft's numbers. Nobody will do that for a real one. Here you find eight of them
-# from logs that a camera made: noisy, with bad frames, and with a delay that nobody wrote down.
+# In lab 4 the aircraft's parameters were given. For a real aircraft they are unknown. Here you identify eight of them
+# from logs that a camera made: noisy, with bad frames, and with an unknown delay.
 #
 # **You will be able to**
 # - say why differentiated poses make a poor fit, and by how much they are noisy,
-# - weigh measurements so that a bad frame does no harm,
-# - fit the numbers *and* the unknown start of every window together,
-# - give honest intervals, and score a model on flights that it has not seen.
+# - weight measurements so that outliers do no harm,
+# - fit the parameters *and* the unknown initial state of every window together,
+# - give honest intervals, and validate a model on held-out flights.
 #
 # **Time:** about 3 hours. **Before:** lab 4 (the model); its vertical half is given here, so you can go on in any case.
 #
 # **The data are simulated:** sixteen straight passes through the hall, 4.3 s each, flown by the kit's aircraft model in
-# three dimensions with numbers that you do not know (yet). Poses have the noise of the marker (3 cm, 0.6 degrees);
+# three dimensions with parameters that are hidden from you (until the table). Poses have the noise of the marker (3 cm, 0.6 degrees);
 # about 2 % of the frames are far off and 3 % are missing.
 
 # %%
@@ -50,7 +50,7 @@ from given import (
 
 from falconwing_kit.tools.grading import check
 
-poses, sticks = read_passes()
+poses, inputs = read_passes()
 train, held = np.arange(12), np.arange(12, 16)  # whole passes are held out, never single rows
 of_pass = np.repeat(np.arange(16), 2)  # two windows are cut from each pass
 measured, trained = windows(poses), np.isin(of_pass, train)
@@ -77,7 +77,7 @@ print(f"{len(poses)} passes of {poses.shape[1]} rows; {missing} frames gave no p
 
 # %% exercise="local_slope"
 def local_slope(t, x, half):
-    """Slope of a straight line through the neighbours of each row, and how it passes noise on.
+    """Slope of a straight line through the neighbours of each row, and its noise gain.
 
     Args:
         t: (N,) times [s], not always evenly spaced.
@@ -124,13 +124,13 @@ for half in (1, 4):
     noise, change = SIGMA[0] * np.linalg.norm(now), SIGMA[0] * np.linalg.norm(after - now)
     print(f"slope over {2 * half + 1} rows: noise of the velocity {noise:.2f} m/s,")
     print(f"    of the acceleration from one step to the next {change / DT:.1f} m/s^2")
-raw, smoothed = (fit_one_step(differentiated(half)[train], sticks[train]) for half in (1, 4))
+raw, smoothed = (fit_one_step(differentiated(half)[train], inputs[train]) for half in (1, 4))
 
 # %% [markdown]
-# Gravity is 9.8 m/s². (Implausible frames are taken out first, as the paper does by hand.) And the noise sits in
-# **both** states of the paper's equation. In $x_{t+1}$ it only scatters the result. In $x_t$ it is in the airspeed and
-# in the angle of attack, where it does not average out: it **biases** every number (errors in variables). Worse, a
-# velocity that is too high by chance is also followed by a fall to the next one, which looks like a force.
+# Gravity is 9.8 m/s². (Implausible frames are taken out first, as the paper does by hand.) And the noise is in
+# **both** states of the paper's equation. In $x_{t+1}$ it only scatters the result. In $x_t$ it enters the airspeed and
+# the angle of attack, where it does not average out: it **biases** every parameter (errors in variables). Worse, a
+# velocity that is too high by chance is followed by a decrease, which looks like a force.
 #
 # ## 2. Our way: fly two seconds and compare poses
 #
@@ -178,14 +178,14 @@ check(residuals)
 #
 # $$r_w + J_{K,w}\,\Delta K + J_{s,w}\,\Delta s_w$$
 #
-# Find the $\Delta K$ (common to all windows) and the $\Delta s_w$ (one for each window) that make the sum of squares
-# smallest. What is known of $K$ beforehand, $K_0 \pm \sigma_0$, counts like one more measurement of each number:
+# Find the $\Delta K$ (common to all windows) and the $\Delta s_w$ (one for each window) that minimise the sum of
+# squares. The prior $K_0 \pm \sigma_0$ counts like one more measurement of each parameter:
 # $(K + \Delta K - K_0)/\sigma_0$.
 #
 # With 24 windows these are $8 + 24 \cdot 5 = 128$ unknowns. You may put everything into one large matrix and call
-# `np.linalg.lstsq`. More elegant: a start state touches one window only, so take it out first. With $J_{s,w} = Q U$
-# (QR decomposition, $U$ is the triangle; `np.linalg.qr` takes the stack of all windows at once) the part of anything
-# that no start state can explain is $(1 - QQ^T)$ times it; solve for $\Delta K$ with these parts, then for
+# `np.linalg.lstsq`. More elegant: an initial state enters one window only, so eliminate it first. With $J_{s,w} = Q U$
+# (QR decomposition, $U$ is the triangle; `np.linalg.qr` takes the stack of all windows) the projection $1 - QQ^T$
+# leaves the part that no initial state can explain; solve for $\Delta K$ with the projected $r_w$ and $J_{K,w}$, then for
 # $\Delta s_w = -U^{-1} Q^T (r_w + J_{K,w} \Delta K)$.
 
 
@@ -196,7 +196,7 @@ def gauss_newton_step(r, J_K, J_start, away, sigma_prior):
     Args:
         r: (W, R) weighted residuals, R of them in each of W windows.
         J_K: (W, R, P) their derivatives to K.
-        J_start: (W, R, n) their derivatives to the window's own start state.
+        J_start: (W, R, n) their derivatives to the window's own initial state.
         away: (P,) present K minus the one known beforehand.
         sigma_prior: (P,) how well that one is known, > 0.
 
@@ -220,13 +220,13 @@ def gauss_newton_step(r, J_K, J_start, away, sigma_prior):
 check(gauss_newton_step)
 
 # %% [markdown]
-# The rest is a loop: predict, weigh, step, and again. What is known beforehand is a guess from a drawing, good to half
-# of its value. (A prior of no width, `1e-9`, holds $K$ and lets only the start states move: we need that to score.)
+# The rest is a loop: predict, weight, step, and again. The prior is a guess from a drawing, good to half of its value.
+# (A prior of zero width, `1e-9`, fixes $K$ and fits only the initial states: we need that for the score.)
 
 
 # %% tags=["fit"]
 def fit(measured, commands, K=GUESS, sigma_prior=PRIOR_SIGMA, rounds=7):
-    """K, start states, residuals (W, R) and derivatives after some rounds."""
+    """K, initial states, residuals (W, R) and derivatives after some rounds."""
     prior, starts, flat = K, start_guess(measured), (len(measured), -1)
     for _ in range(rounds):
         r, weight = residuals(predict(K, starts, commands), measured, SIGMA)
@@ -240,48 +240,48 @@ def fit(measured, commands, K=GUESS, sigma_prior=PRIOR_SIGMA, rounds=7):
 
 delays, cost = np.array([0.0, 0.02, 0.04, 0.06, 0.08, 0.10]), []
 for late in delays:
-    commands = windows(delayed(sticks, late))
+    commands = windows(delayed(inputs, late))
     cost.append(np.sum(fit(measured[trained], commands[trained], rounds=5)[2] ** 2))
 a, b, _ = np.polyfit(delays, cost, 2)
 delay = -b / (2.0 * a)
-print(f"the sticks act {1000 * delay:.0f} ms after the log says so")
+print(f"the control inputs act {1000 * delay:.0f} ms later than logged")
 
 # %% [markdown]
 # The weights kept the bad frames from doing harm. Now that a good model exists, frames that are more than six standard
-# deviations off it can be told for certain. They go.
+# deviations off it are certainly outliers. They are removed.
 
 # %% tags=["last-fit"]
-commands = windows(delayed(sticks, delay))
+commands = windows(delayed(inputs, delay))
 K, starts, *_ = fit(measured[trained], commands[trained])
-held_fast = np.full(8, 1e-9)  # a prior of no width: K stays, only start states move
+held_fast = np.full(8, 1e-9)  # a prior of zero width: K is fixed, only initial states are fitted
 _, starts, *_ = fit(measured, commands, K, held_fast)
 off = np.abs(predict(K, starts, commands) - measured) > 6.0 * SIGMA
 clean = np.where(off.any(axis=2, keepdims=True), np.nan, measured)
-print(f"{off.any(axis=2).sum()} of {len(off) * ROWS} frames go")
+print(f"{off.any(axis=2).sum()} of {len(off) * ROWS} frames are removed")
 
 # %% [markdown]
 # ## 4. How sure are we?
 #
-# Where the fit ends, with $J$ the derivative of all residuals to $K$ *after the start states are taken out*
+# At the end of the fit, with $J$ the derivative of all residuals to $K$ *after the initial states are eliminated*
 # (`reduce` does it),
 #
 # $$\operatorname{cov} K = s^2 (J^T J)^{-1}, \qquad s^2 = \frac{\sum r^2}{\text{measured numbers} - \text{unknowns}}$$
 #
-# Unknowns are the numbers in $K$ *and* all start states. A Gaussian lies within $Z$ standard deviations of its mean
+# Unknowns are the parameters in $K$ *and* all initial states. A Gaussian lies within $Z$ standard deviations of its mean
 # with the probability `LEVEL`; both come from given.py, since the level differs from course to course. (The delay came
 # from the same flights. We take it as known: as one more unknown it would widen these intervals by 3 % at most.)
 
 
 # %% exercise="intervals"
 def intervals(K, r, J, measured_count, start_count):
-    """Interval of each number of K at the level of this course.
+    """Confidence interval of each parameter at the level of this course.
 
     Args:
         K: (P,) where the fit ended.
         r: (M,) weighted residuals; those of missing frames are zero and do not count as measured.
-        J: (M, P) their derivatives to K, start states taken out.
+        J: (M, P) their derivatives to K, initial states eliminated.
         measured_count: how many numbers were really measured.
-        start_count: how many numbers all start states have together.
+        start_count: how many numbers all initial states have together.
 
     Returns:
         (P, 2) low and high end, in the units of K.
@@ -298,7 +298,7 @@ def intervals(K, r, J, measured_count, start_count):
 check(intervals)
 
 # %% tags=["table"]
-commands = windows(delayed(sticks, delay))
+commands = windows(delayed(inputs, delay))
 K, starts, r, J_K, J_start = fit(clean[trained], commands[trained])
 count = 3 * np.isfinite(clean[trained]).all(axis=2).sum()
 ends = intervals(K, r.ravel(), reduce(J_K, J_start), count, starts.size)
@@ -315,17 +315,17 @@ for name, unit, row, (low, high) in zip(NAMES, UNITS, columns, ends, strict=True
 print(f"the true delay is {1000 * truth['delay']:.0f} ms")
 
 # %% [markdown]
-# ## 5. Score it on flights it has not seen
+# ## 5. Validate on held-out flights
 #
 # Residuals of the flights that were fitted always look good. So four passes were held out. In each of their windows
-# only the start state is fitted again. The score is the root mean square error of the position, **as a distance**
+# only the initial state is fitted again. The score is the root mean square error of the position, **as a distance**
 # $\sqrt{\Delta x^2 + \Delta z^2}$ in metres, and of the pitch in degrees, over all frames of these windows that were
 # measured. Before you see it: what would a perfect model score? The noise of the poses is in `SIGMA`.
 
 
 # %% exercise="holdout_score"
 def holdout_score(predicted, measured, of_pass, held_passes):
-    """Error of a model on the passes that were held out.
+    """Prediction error of a model on the held-out passes.
 
     Args:
         predicted: (W, L, 3) px, pz [m], pitch [rad].
@@ -350,10 +350,10 @@ def holdout_score(predicted, measured, of_pass, held_passes):
 check(holdout_score)
 
 # %% figure="fit"
-replays, as_logged = {}, windows(sticks)
+replays, as_logged = {}, windows(inputs)
 for label, numbers in (("guess", GUESS), ("smoothed", smoothed), ("yours", K)):  # "raw" cannot fly
     acting = commands if label == "yours" else as_logged
-    _, again, *_ = fit(clean, acting, numbers, np.full(8, 1e-9))  # only the start states
+    _, again, *_ = fit(clean, acting, numbers, np.full(8, 1e-9))  # only the initial states
     replays[label] = predict(numbers, again, acting)
     score = holdout_score(replays[label], clean, of_pass, held)
     print(f"held out, {label:8}: position {100 * score[0]:5.1f} cm, pitch {score[1]:4.2f} deg")
@@ -371,7 +371,7 @@ left.legend(fontsize=8)
 middle.plot(1000 * delays, cost, "o-", color=BLUE)
 middle.axvline(1000 * delay, color=ORANGE, ls="--", label=f"smallest at {1000 * delay:.0f} ms")
 middle.set(xlabel="assumed delay [ms]", ylabel="sum of squared residuals [-]")
-middle.set_title("The delay nobody wrote down")
+middle.set_title("The unknown delay")
 middle.legend(fontsize=8)
 window = 2 * held[1]
 seconds = DT * np.arange(ROWS)
@@ -389,28 +389,27 @@ plt.show()
 # *In words:* left, a histogram of residuals on a logarithmic scale lies on the Gaussian's parabola, without a tail.
 # Middle, the sum of squares against the assumed delay is a parabola with its bottom near 60 ms. Right, height over
 # time in a held-out window: your solid line runs through the measured points, the dotted guess leaves them early, the
-# dashed one-step fit by some centimetres. One bad frame stands alone at 2.8 m. (Only yours flies with the delay: the
-# other ways know of none.)
+# dashed one-step fit by some centimetres. One bad frame stands alone at 2.8 m. (Only your fit includes the delay.)
 #
 # **Question on the figure.** How far is your held-out score from a perfect model's? What would a histogram wider than
 # the Gaussian mean? And why is the window on the right one that was not fitted?
 
 # %% [markdown] answer="fit_reading"
 # A perfect model would still score the marker's noise: 3 cm times the root of two, for two axes, makes 4.2 cm, and 0.6
-# degrees. Ours has 4.1 cm and 0.59 degrees (a little less, since start states follow the noise): nothing is left to
+# degrees. Ours has 4.1 cm and 0.59 degrees (a little less, since initial states follow the noise): nothing is left to
 # find in these poses. A wider histogram would mean that the model lacks something, or that the poses are noisier than
 # we think. A fitted window would look good even with too many unknowns; one that was held out shows what K is worth.
 
 # %% [markdown]
 # ## Questions
 #
-# **Question 1.** Compare the four columns of the table. Which numbers does the paper's way get most wrong, and in which
-# direction? Explain by noise in the *angle of attack* why M_alpha comes out too near zero, and why cL_alpha comes out
+# **Question 1.** Compare the four columns of the table. Which parameters have the largest error in the paper's fit, and in
+# which direction? Explain by noise in the *angle of attack* why M_alpha comes out too near zero, and why cL_alpha comes out
 # near $1/(V\,\Delta t) = 2.8$ (at $V$ = 7.1 m/s). Then look at your intervals: does the truth lie in about as many of
 # them as `LEVEL` promises?
 
 # %% [markdown] answer="q1"
-# Raw differences: four numbers stand on their bound of zero, among them M_alpha and M_de; that is no aircraft. The
+# Raw differences: four parameters are at their bound of zero, among them M_alpha and M_de; that is no aircraft. The
 # angle of attack is pitch minus the direction of a noisy velocity. A regression on a noisy variable flattens its slope,
 # however many rows there are, because noise makes the variable look larger than it is: so M_alpha goes to zero. In the
 # lift the same error works the other way. A vz that is too low by n makes the angle of attack too large by n / V, and
@@ -421,23 +420,23 @@ plt.show()
 # (Numbers that go together, such as cL_0, M_0 and M_alpha, also err together.)
 
 # %% [markdown]
-# **Question 2.** Why are whole passes held out, and not every fifth row? And why may the start states of held-out
+# **Question 2.** Why are whole passes held out, and not every fifth row? And why may the initial states of held-out
 # windows be fitted, but not K?
 
 # %% [markdown] answer="q2"
 # Neighbouring rows are nearly the same measurement: the aircraft has hardly moved, and a model that was fitted to both
-# neighbours of a row predicts it even if it is wrong. A held-out pass has other speeds and other stick movements. The
-# start of a window is no property of the aircraft; nobody measured it without noise, so it must be estimated from the
+# neighbours of a row predicts it even if it is wrong. A held-out pass has other speeds and other control inputs. The
+# initial state of a window is no property of the aircraft; it was measured with noise, so it must be estimated from the
 # window itself. Five numbers against 123 measured ones cannot hide a wrong K for two seconds.
 
 # %% [markdown]
 # ## What you can do now
 #
-# You can turn a log into numbers with honest intervals, and you know how to be fair to a model. In lab 12 you will do
+# You can identify parameters with honest intervals from a log, and validate a model. In lab 12 you will do
 # the same to a flight in which *something is different*.
 #
-# The kit does all this in three dimensions with 29 numbers: `falconwing identify FLIGHT.csv --out model.toml`.
+# The kit does all this in three dimensions with 29 parameters: `falconwing identify FLIGHT.csv --out model.toml`.
 #
-# **With hardware:** record a minute of Manual mode with doublets on every stick (nose up, nose down; right, left),
-# export it with `falconwing export --to csv`, and identify it. Which numbers does it call *not excited*? Check the
+# **With hardware:** record a minute of Manual mode with doublets on every control (nose up, nose down; right, left),
+# export it with `falconwing export --to csv`, and identify it. Which parameters does it report as *not excited*? Check the
 # area, and keep a thumb on the takeover switch.

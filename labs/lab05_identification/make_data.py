@@ -1,10 +1,11 @@
 """Make lab 5's logs again: the kit's own aircraft flies straight passes through the hall.
+
 Simulated, not measured.
 
     python labs/lab05_identification/make_data.py
 
-The truth is integrated by the kit in steps of 10 ms, three-dimensional; the lab's plane model knows
-nothing of it.
+The truth is integrated by the kit in steps of 10 ms, three-dimensional; the lab's plane model
+does not include it.
 """
 
 import json

@@ -25,33 +25,32 @@ def _corners(
 
 
 def _straight_on(marker_pose: Function) -> bool:
-    """By hand: 0.8 m at 4 m with f = 400 px is 80 px wide; the camera is 4 m away, y and z turned
-    round.
+    """By hand: 0.8 m at 4 m with f = 400 px is 80 px wide.
+
+    The camera is 4 m away, y and z turned round.
     """
     corners = np.array([[260.0, 200.0], [340.0, 200.0], [340.0, 280.0], [260.0, 280.0]])
     lens = np.array([[400.0, 0.0, 300.0], [0.0, 400.0, 240.0], [0.0, 0.0, 1.0]])
-    wanted = np.diag([1.0, -1.0, -1.0, 1.0])
-    wanted[2, 3] = 4.0
-    return is_same_answer(marker_pose(corners, lens, 0.8), wanted, atol=1e-6)
+    expected = np.diag([1.0, -1.0, -1.0, 1.0])
+    expected[2, 3] = 4.0
+    return is_same_answer(marker_pose(corners, lens, 0.8), expected, atol=1e-6)
 
 
 def _from_aside(marker_pose: Function) -> bool:
-    """Projected by hand: a camera to the right of the marker and above it, turned, with an uneven
-    lens.
-    """
+    """By hand: a camera right of the marker and above it, rotated, with unequal focal lengths."""
     c, s = math.cos(0.5), math.sin(0.5)
     R = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ FACING @ QUARTER
     p = np.array([2.0, 0.7, 3.5])
     T = marker_pose(_corners(R, p, 0.6, UNEVEN), UNEVEN, 0.6)
-    return is_same_answer(T[:3, :3], R, atol=1e-6) and is_same_answer(T[:3, 3], p, atol=1e-6)
+    return is_same_answer((T[:3, :3], T[:3, 3]), (R, p), atol=1e-6)
 
 
 def _larger_marker(marker_pose: Function) -> bool:
-    """The same image of a marker three times as large: three times as far away, the same attitude."""
+    """The same image of a marker three times as large: three times as far, the same attitude."""
     corners = _corners(FACING, np.array([0.3, -0.2, 5.0]), 0.5, K)
     small, large = marker_pose(corners, K, 0.5), marker_pose(corners, K, 1.5)
-    return is_same_answer(large[:3, 3], 3.0 * small[:3, 3], atol=1e-6) and is_same_answer(
-        large[:3, :3], small[:3, :3], atol=1e-6
+    return is_same_answer(
+        (large[:3, 3], large[:3, :3]), (3.0 * small[:3, 3], small[:3, :3]), atol=1e-6
     )
 
 
@@ -60,28 +59,27 @@ def _rotation_in_noise(marker_pose: Function) -> bool:
     noise = np.array([[0.8, -0.5], [-0.6, 0.9], [0.4, 0.7], [-0.9, -0.3]])
     T = marker_pose(_corners(FACING, np.array([1.0, 0.5, 6.0]), 0.8, K) + noise, K, 0.8)
     R = T[:3, :3]
-    proper = is_same_answer(R.T @ R, np.eye(3), atol=1e-9) and is_same_answer(
-        float(np.linalg.det(R)), 1.0, atol=1e-9
-    )
+    proper = is_same_answer((R.T @ R, float(np.linalg.det(R))), (np.eye(3), 1.0))
     return proper and is_same_answer(T[3], np.array([0.0, 0.0, 0.0, 1.0])) and T[2, 3] > 5.0
 
 
 def _square_that_looks_flat(marker_pose: Function) -> bool:
-    """By hand: 80 px wide, 40 px high. The mean of both lengths makes it 60 px: 400 * 0.8 / 60 =
-    16/3 m.
+    """By hand: 80 px wide, 40 px high.
+
+    The mean of both lengths makes it 60 px: 400 * 0.8 / 60 = 16/3 m.
     """
     corners = np.array([[260.0, 220.0], [340.0, 220.0], [340.0, 260.0], [260.0, 260.0]])
     lens = np.array([[400.0, 0.0, 300.0], [0.0, 400.0, 240.0], [0.0, 0.0, 1.0]])
-    wanted = np.diag([1.0, -1.0, -1.0, 1.0])
-    wanted[2, 3] = 16.0 / 3.0
-    return is_same_answer(marker_pose(corners, lens, 0.8), wanted, atol=1e-6)
+    expected = np.diag([1.0, -1.0, -1.0, 1.0])
+    expected[2, 3] = 16.0 / 3.0
+    return is_same_answer(marker_pose(corners, lens, 0.8), expected, atol=1e-6)
 
 
 def _quarter_turn(fit_similarity: Function) -> bool:
     """By hand: three times as large, a quarter turn about z, moved by (1, 2, 3)."""
-    wanted = (3.0, QUARTER, np.array([1.0, 2.0, 3.0]))
+    expected = (3.0, QUARTER, np.array([1.0, 2.0, 3.0]))
     return is_same_answer(
-        fit_similarity(BOX, 3.0 * BOX @ QUARTER.T + wanted[2], np.ones(4)), wanted, atol=1e-9
+        fit_similarity(BOX, 3.0 * BOX @ QUARTER.T + expected[2], np.ones(4)), expected, atol=1e-9
     )
 
 
@@ -104,9 +102,7 @@ def _weights_pull(fit_similarity: Function) -> bool:
 
 
 def _stretches_right(fit_similarity: Function) -> bool:
-    """By hand: on a cross of four points, two stay and two, with weight 3, move out by a half: (1 +
-    3 * 1.5) / 4.
-    """
+    """By hand: of four points two stay, and two of weight 3 move by a half: (1 + 3 * 1.5) / 4."""
     cross = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     stretched = cross * np.array([[1.0], [1.0], [1.5], [1.5]])
     scale, R, _ = fit_similarity(cross, stretched, np.array([1.0, 1.0, 3.0, 3.0]))
@@ -114,8 +110,9 @@ def _stretches_right(fit_similarity: Function) -> bool:
 
 
 def _no_mirror(fit_similarity: Function) -> bool:
-    """A rotation is no mirror, even where the points ask for one: det R = 1. By hand: a mirrored z
-    cannot be had.
+    """A rotation is no mirror, even where the points ask for one: det R = 1.
+
+    By hand: a mirrored z cannot be had.
     """
     cloud = np.array(
         [[3.0, 0, 0], [-3.0, 0, 0], [0, 2.0, 0], [0, -2.0, 0], [0, 0, 1.0], [0, 0, -1.0]]
@@ -125,8 +122,9 @@ def _no_mirror(fit_similarity: Function) -> bool:
 
 
 def _finds_the_good_candidate(reject_outliers: Function) -> bool:
-    """By hand: two of five points are 100 m off. The first fits all a little, the second the good
-    ones exactly.
+    """By hand: two of five points are 100 m off.
+
+    The first fits all a little, the second the good ones exactly.
     """
     p_from = np.vstack([BOX, [5.0, 5.0, 5.0]])
     p_to = p_from + np.array(
@@ -138,9 +136,7 @@ def _finds_the_good_candidate(reject_outliers: Function) -> bool:
 
 
 def _uses_scale_turn_and_shift(reject_outliers: Function) -> bool:
-    """By hand: of four candidates that differ in one thing each, only the complete one has no
-    misses but noise.
-    """
+    """By hand: of four candidates that differ in one part each, only the complete one fits."""
     t = np.array([1.0, -2.0, 0.5])
     p_to = (
         2.0 * BOX @ QUARTER.T
@@ -177,15 +173,16 @@ def _three_rays(triangulate: Function) -> bool:
 
 
 def _between_two_rays(triangulate: Function) -> bool:
-    """By hand: rays along x and along y, 3 apart in z. With weights 2 and 1 the point is 1 from the
-    first.
+    """By hand: rays along x and along y, 3 apart in z.
+
+    With weights 2 and 1 the point is 1 from the first.
     """
     centres, rays = (
         np.array([[-5.0, 0.0, 0.0], [0.0, 8.0, 3.0]]),
         np.array([[10.0, 0.0, 0.0], [0.0, 0.1, 0.0]]),
     )
-    wanted = (np.array([0.0, 0.0, 1.0]), np.array([1.0, 2.0]))
-    return is_same_answer(triangulate(centres, rays, np.array([2.0, 1.0])), wanted, atol=1e-9)
+    expected = (np.array([0.0, 0.0, 1.0]), np.array([1.0, 2.0]))
+    return is_same_answer(triangulate(centres, rays, np.array([2.0, 1.0])), expected, atol=1e-9)
 
 
 def _lengths_do_not_matter(triangulate: Function) -> bool:
@@ -241,7 +238,8 @@ LAB = Lab(
                 Check(
                     "three times as large, a quarter turn, a shift",
                     _quarter_turn,
-                    "M = sum w b a^T, in this order; the scale needs |a|^2; t = mean_to - scale R mean_from",
+                    "M = sum w b a^T, in this order; the scale needs |a|^2; "
+                    "t = mean_to - scale R mean_from",
                 ),
                 Check(
                     "a pair of weight 0 does not count",
@@ -280,7 +278,7 @@ LAB = Lab(
                     "points are rows: scale * p_from @ R.T + t",
                 ),
                 Check(
-                    "the gate is so many times the median of the best candidate",
+                    "the gate is a multiple of the best candidate's median",
                     _gate_is_of_the_median,
                     'keep misses up to COHORT["gate"] times the median',
                 ),
@@ -327,7 +325,8 @@ LAB = Lab(
         Criterion(
             "hall_reading",
             3.0,
-            "weights use what is known about errors, the median needs no knowledge but a majority of good photos",
+            "weights use what is known about errors, the median needs no knowledge but a majority "
+            "of good photos",
         ),
         Criterion(
             "q1",
@@ -337,7 +336,8 @@ LAB = Lab(
         Criterion(
             "q2",
             5.0,
-            "SfM has no metre, so a scale is needed; leverage of 80 cm over 40 m; points far from the marker, such as "
+            "SfM has no metre, so a scale is needed; leverage of 80 cm over 40 m; "
+            "points far from the marker, such as "
             "the pad's corners",
         ),
     ),

@@ -1,6 +1,4 @@
-"""Lab 6, what is given: photos with their places, the lens, the marker, a homography, a polish, and
-the figures.
-"""
+"""Lab 6, given: photos with their places, lens, marker, homography, refinement, and figures."""
 
 import csv
 import json
@@ -29,7 +27,7 @@ BLUE, ORANGE, GREEN = (
     "#0072B2",
     "#D55E00",
     "#009E73",
-)  # told apart by colour-blind eyes too (Okabe and Ito)
+)  # distinguishable for colour-blind readers (Okabe and Ito)
 
 
 def read_photos() -> dict[str, Any]:
@@ -88,8 +86,7 @@ def homography(xy: np.ndarray, uv: np.ndarray) -> np.ndarray:
 def polish(
     T_marker_camera: np.ndarray, corners_px: np.ndarray, size: float = MARKER_SIZE
 ) -> np.ndarray:
-    """Move a camera until the marker's corners appear where they were found, by Gauss and Newton's
-    least squares.
+    """Refine a camera pose by Gauss-Newton on the marker's corner pixels.
 
     Args:
         T_marker_camera: (4, 4) a rough pose.

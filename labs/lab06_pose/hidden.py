@@ -1,6 +1,4 @@
-"""Lab 6, instructors only: the same answers by other ways: polar decomposition, Horn's quaternion,
-stacked rays.
-"""
+"""Lab 6, hidden: references by polar decomposition, Horn's quaternion and stacked rays."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -40,9 +38,7 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
 
 
 def _draw_corners(rng: np.random.Generator) -> tuple[Any, ...]:
-    """A camera somewhere in front of the marker that looks at it, with a noise that leaves no exact
-    pose.
-    """
+    """A camera in front of the marker and directed at it, with pixel noise."""
     size, way = float(rng.uniform(0.3, 1.2)), rng.uniform(4.0, 9.0)
     aside = np.radians(rng.uniform(15.0, 50.0) * rng.choice([-1.0, 1.0], 2))
     turn = Rotation.from_euler("yx", aside) * Rotation.from_euler("z", rng.uniform(-0.5, 0.5))
@@ -61,9 +57,7 @@ def _square(size: float) -> Any:
 
 
 def _pose(corners_px: Any, K: Any, size: float) -> Any:
-    """From the null space of the nine-column system, each point's ray x H point = 0, and the polar
-    decomposition.
-    """
+    """From the null space of the equations ray x H point = 0, and the polar decomposition."""
     rays = np.column_stack([corners_px, np.ones(4)]) @ np.linalg.inv(K).T
     plane = np.add(_square(size), (0.0, 0.0, 1.0))
     rows = [
@@ -76,8 +70,9 @@ def _pose(corners_px: Any, K: Any, size: float) -> Any:
 
 
 def _draw_clouds(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Points with noise, weights of which one is zero; some clouds are mirrored, some flat as a
-    marker.
+    """Points with noise, weights of which one is zero.
+
+    Some clouds are mirrored, some flat as a marker.
     """
     count = int(rng.integers(6, 20))
     p_from = rng.normal(0.0, 1.0, (count, 3)) * (3.0, 2.0, 1.0) + rng.uniform(-5.0, 5.0, 3)
@@ -97,9 +92,7 @@ def _draw_clouds(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _horn(p_from: Any, p_to: Any, weights: Any) -> tuple[float, Any, Any]:
-    """Horn 1987: the unit quaternion is the eigenvector of the largest eigenvalue of a symmetric 4
-    x 4 matrix.
-    """
+    """Horn 1987: the unit quaternion is the dominant eigenvector of a symmetric 4 x 4 matrix."""
     means = [np.average(p, axis=0, weights=weights) for p in (p_from, p_to)]
     a, b = p_from - means[0], p_to - means[1]
     M = np.einsum("n,ni,nj->ij", weights, a, b)
@@ -112,8 +105,9 @@ def _horn(p_from: Any, p_to: Any, weights: Any) -> tuple[float, Any, Any]:
 
 
 def _draw_candidates(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Good and wrong candidates; a third of the points are off, by amounts from below the gate to
-    far beyond it.
+    """Good and wrong candidates.
+
+    a third of the points are off, by amounts from below the gate to far beyond it.
     """
     count = int(rng.integers(24, 40))
     truth = (
@@ -162,9 +156,7 @@ def _draw_rays(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _meeting(centres: Any, rays: Any, weights: Any) -> tuple[Any, Any]:
-    """|d x (p - c)| is the distance from a ray, linear in p: one overdetermined system, and a
-    least-squares solver.
-    """
+    """Least squares of |d x (p - c)|, the distance of p from each ray, which is linear in p."""
     d = _unit(rays)
     crosses = np.array([np.cross(one, np.eye(3)).T for one in d])  # crosses @ v = d x v
     right = np.cross(d, centres)

@@ -3,12 +3,12 @@
 # **Where was the camera? And where is the world?**
 #
 # The paper's hall has no motion capture. Its world frame comes from one printed marker, 80 cm wide, seen in photos.
-# This lab rebuilds that step. The recipe as printed puts cameras metres away. You will see why, and repair it.
+# This lab rebuilds that step. The recipe as printed puts cameras metres away. You will see why, and correct it.
 #
 # **You will be able to**
 # - compute the camera's pose from the four corners of a square,
 # - fit the similarity between two sets of points, with weights,
-# - tell outliers from good measurements without knowing the truth,
+# - separate outliers from good measurements without ground truth,
 # - triangulate a point from many views, and say how errors grow with distance.
 #
 # **Time** about 3 hours. **Before** Lab 2 (rotations, pinhole camera); singular values from linear algebra. **Paper**
@@ -40,7 +40,7 @@ print(f"{len(photos['p_sfm'])} photos, {len(photos['shows'])} of them show the m
 
 # %% [markdown]
 # The hall is **path-traced**: a renderer that follows light rays made the photos, in place of a real hall. COLMAP-like
-# *structure from motion* (SfM) found where each photo was taken, from the photos alone. But it cannot know the unit of
+# *structure from motion* (SfM) found where each photo was taken, from the photos alone. But it cannot recover the unit of
 # length, nor where up is, nor where the marker is. Its frame "sfm" is an arbitrary one.
 #
 # The marker gives the tie to the world. OpenCV found its corners in 72 photos, to about 0.3 px.
@@ -68,7 +68,7 @@ plt.show()
 # 3. $t = a_3$, and the third column of $R$ is $a_1 \times a_2$.
 # 4. With noise $(a_1\; a_2\; a_1{\times}a_2)$ is not quite a rotation. The nearest one is $U V^\top$, from its singular
 #    value decomposition $U S V^\top$.
-# 5. This maps marker to camera. We want the camera's pose in the marker's axes: the inverse.
+# 5. This maps marker to camera. The camera's pose in the marker's axes is the inverse.
 #
 # Write `marker_pose`.
 
@@ -143,7 +143,8 @@ plt.show()
 # (Seen from aside, the marker also looks narrower, which shows the tilt better: then it is $Z^2$ again. The photos are
 # a mixture.)
 #
-# When noise hides the longer edge, tilt $+\theta$ and $-\theta$ look alike. The square then has **two poses**, and the
+# When noise hides the longer edge, tilt $+\theta$ and $-\theta$ give the same image. The square then has **two poses**
+# (pose ambiguity), and the
 # best fit may be the wrong one. That is the jump.
 #
 # **Question on the figure.** From which distance on would you not trust a single photo, and why?
@@ -210,7 +211,7 @@ def place_all(recipe):
 
 
 def report(recipe):
-    """Say how far off a recipe puts the photos."""
+    """Print the position error of a recipe's photos."""
     off = np.linalg.norm(place_all(recipe) - p_world, axis=1)
     print(f"{recipe}: photos are off by {off.mean():.2f} m on average, {off.max():.2f} m at most")
 
@@ -222,12 +223,12 @@ for recipe in recipes:
 print(f"metres per unit of SfM: {recipes['polished, all']()[0]:.3f}")
 
 # %% [markdown]
-# Metres. A splat scene aligned like this puts the landing pad where there is none. Two mends follow: leave out what is
-# wrong, or use the marker in a better way.
+# Metres. A splat scene aligned like this puts the landing pad where there is none. Two remedies follow: reject outliers,
+# or use the marker in a better way.
 #
 # ## 3 Leave out the outliers
-# Least squares cannot tell good from bad: one camera that is 20 m off pulls with all its force. A **median** does not
-# care how far off the worst half is. So [least median of squares, Rousseeuw 1984]:
+# Least squares is not robust: one camera that is 20 m off dominates the sum. A **median** does not depend on how far off
+# the worst half is. So [least median of squares, Rousseeuw 1984]:
 #
 # - Draw many small sets of photos, fit a similarity to each: the candidates. Some sets hold good photos only.
 # - For each candidate compute the *miss* of every photo, $|s R p_\mathrm{from} + t - p_\mathrm{to}|$.
@@ -286,7 +287,7 @@ report("polished, outliers out")
 
 # %%
 def weighted():
-    """The similarity of all 72 photos, weighted by their distance Z as the marker tells it."""
+    """The similarity of all 72 photos, weighted by their distance Z to the marker."""
     p_marker = camera_places(True)
     Z = np.linalg.norm(p_marker - T_WORLD_MARKER[:3, 3], axis=1)
     return fit_similarity(p_sfm[shows], p_marker, 1.0 / Z**6)
@@ -297,8 +298,8 @@ report("polished, weights 1/Z⁶")
 
 # %% [markdown]
 # ## 4 Use the marker in a better way
-# A single photo hardly knows its *tilt*. But SfM knows it well, from thousands of points! So ask the marker only for
-# what it is good at: **where its corners appear**. A corner that appears at a pixel lies on a ray. Rays from many
+# A single photo hardly constrains its *tilt*. But SfM determines it well, from thousands of points. So use of the marker
+# only what it measures well: **where its corners appear**. A corner that appears at a pixel lies on a ray. Rays from many
 # photos meet in the corner, in the frame of SfM.
 #
 # Ray $i$ starts at the camera $c_i$ and has the unit direction $d_i$. A point $p$ misses it by $|(I - d_i d_i^\top)(p -
@@ -306,7 +307,7 @@ report("polished, weights 1/Z⁶")
 #
 # $$\Big(\sum_i w_i (I - d_i d_i^\top)\Big)\, p = \sum_i w_i (I - d_i d_i^\top)\, c_i$$
 #
-# Write `triangulate`. Mind that the directions you get are not unit vectors.
+# Write `triangulate`. Note that the directions you get are not unit vectors.
 
 
 # %% exercise="triangulate"
@@ -336,7 +337,8 @@ def triangulate(centres, rays, weights):
 check(triangulate)
 
 # %% [markdown]
-# First all rays alike, then again with the weight $1/Z^2$: a ray is known to an *angle*, so its miss grows as $Z$. The
+# First all rays with equal weights, then again with the weight $1/Z^2$: a ray is known to an *angle*, so its miss grows
+# as $Z$. The
 # four corners in the frame of SfM, and the four corners of the printed marker, give the similarity.
 
 # %%
@@ -360,13 +362,13 @@ def corners_weighted():
 
 
 def corners_alike():
-    """The similarity of corners from rays that count alike."""
+    """The similarity of corners from rays of equal weight."""
     return fit_similarity(corners_sfm(all_alike), corners_world, np.ones(4))
 
 
-recipes["corners, all alike"] = corners_alike
+recipes["corners, equal weights"] = corners_alike
 recipes["corners, weights 1/Z²"] = corners_weighted
-report("corners, all alike")
+report("corners, equal weights")
 report("corners, weights 1/Z²")
 
 # %% [markdown]
@@ -382,12 +384,12 @@ plt.show()
 # *In words: long orange lines lead from each true place to where the first recipe puts it, metres off; with the last
 # recipe blue circles sit on the true places. The bars fall from 5.7 m on average to 0.13 m.*
 #
-# **Question on the figure.** Which of the mends uses knowledge about the errors, and which one needs none?
+# **Question on the figure.** Which of the remedies uses knowledge about the errors, and which one needs none?
 # What does the latter rely on instead?
 
 # %% [markdown] answer="hall_reading"
-# The weights use how errors grow with distance: a place from a photo as Z³, a ray's miss as Z. (Polishing knows
-# something as well: errors are made in pixels.) The median needs no such knowledge; it relies on a majority of good
+# The weights use how errors grow with distance: a place from a photo as Z³, a ray's miss as Z. (Polishing uses a noise
+# model as well: errors are made in pixels.) The median needs no such knowledge; it relies on a majority of good
 # photos, here 43 of 72. Together they are best: 5.7 m on average become 0.22 m without outliers, 0.14 m with weights,
 # and 0.13 m by weighted corners.
 
@@ -404,13 +406,13 @@ plt.show()
 # and the two poses begin.)
 
 # %% [markdown]
-# **Question 2.** The paper says "rigid transform". Why can that not be meant? And the corners' recipe gets a hall with
+# **Question 2.** The paper writes "rigid transform". Why can that not be meant? And the corners' recipe gets a hall with
 # four points that are only 80 cm apart: what limits it, and which further measurement in the hall would help most?
 
 # %% [markdown] answer="q2"
-# A rigid transform has no scale, but SfM from one camera cannot know the metre: here a unit is 3.04 m. With scale it is
+# A rigid transform has no scale, but SfM from one camera cannot recover the metre: here a unit is 3.04 m. With scale it is
 # a similarity. The limit is leverage: an error of 1 mm in a corner is 1/800 of the marker, so 5 cm at 40 m, in scale
-# and in angle alike. Further points far from the marker help most: the corners of the landing pad, 14 m away, measured
+# and in angle. Further points far from the marker help most: the corners of the landing pad, 14 m away, measured
 # by tape (the kit does that; it leaves about 3 cm). A second marker at the other end would do as well.
 
 # %% [markdown]

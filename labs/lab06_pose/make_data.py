@@ -1,5 +1,4 @@
-"""Write the data of lab 6: where structure from motion puts the photos of a hall, and where they
-show the marker.
+"""Write the data of lab 6: poses of the photos by structure from motion, and marker corners.
 
     python labs/lab06_pose/make_data.py HALL [POSES]
 
@@ -48,7 +47,7 @@ def main(hall: Path, poses: Path | None) -> None:
         f"lens: {photos.camera.K.tolist()}, k1 = {photos.k1:.4f}, {reference.scale:.4f} m per unit"
     )
     sigma = reference.sigma(p_world)
-    print(f"reference: known to {np.median(sigma):.3f} m, at worst {sigma.max():.3f} m")
+    print(f"reference: sigma {np.median(sigma):.3f} m (median), {sigma.max():.3f} m (maximum)")
     rows = [
         [name, *np.round(place, 6), *np.round(T[:3, :3].ravel(), 6), *np.round(p, 3)]
         for name, place, T, p in zip(
@@ -95,6 +94,7 @@ def write(name: str, header: list[str], rows: list[list[object]]) -> None:
 if __name__ == "__main__":
     if not 2 <= len(sys.argv) <= 3:
         sys.exit(
-            "want: python labs/lab06_pose/make_data.py HALL [POSES]; HALL holds photos/ and survey.csv"
+            "usage: python labs/lab06_pose/make_data.py HALL [POSES]; "
+            "HALL holds photos/ and survey.csv"
         )
     main(Path(sys.argv[1]), Path(sys.argv[2]) if len(sys.argv) == 3 else None)

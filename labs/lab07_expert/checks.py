@@ -43,7 +43,7 @@ def _left_turn(turn: Function) -> bool:
 
 
 def _climbing_turn(turn: Function) -> bool:
-    """By hand: climbing by 60 deg, cos = 1/2, and R = V^2 / (2 g): 45 deg again, n = (1/2) sqrt 2."""
+    """By hand: climbing by 60 deg, cos = 1/2, R = V^2 / (2 g): 45 deg again, n = (1/2) sqrt 2."""
     margin = 6.0 / math.sqrt(0.5 * math.sqrt(2.0) * GRAVITY / MOST_LIFT)
     return is_same_answer(turn(6.0, math.pi / 3.0, 18.0 / GRAVITY), (math.pi / 4.0, margin))
 
@@ -51,18 +51,18 @@ def _climbing_turn(turn: Function) -> bool:
 def _almost_straight(turn: Function) -> bool:
     """Limit: an endless radius needs no bank, and the margin grows in proportion to the speed."""
     slow, fast = turn(5.0, 0.0, 1e12), turn(10.0, 0.0, 1e12)
-    return is_same_answer((slow[0], fast[1] / slow[1]), (0.0, 2.0), atol=1e-9) and is_same_answer(
-        slow[1], 5.0 / math.sqrt(GRAVITY / MOST_LIFT)
-    )
+    margin = 5.0 / math.sqrt(GRAVITY / MOST_LIFT)
+    return is_same_answer((*slow, fast[1] / slow[1]), (0.0, margin, 2.0))
 
 
 def _level_nose(turn_rates: Function) -> bool:
-    """By hand: at 45 deg and V = g the turn rate is 1 rad/s, shared by q and r; to the left only r
-    turns round.
+    """By hand: at 45 deg and V = g the turn rate is 1 rad/s, shared by q and r.
+
+    To the left only r turns round.
     """
     half = math.sqrt(0.5)
     right, left = turn_rates(math.pi / 4.0, 0.0, GRAVITY), turn_rates(-math.pi / 4.0, 0.0, GRAVITY)
-    return is_same_answer(right, (0.0, half, half)) and is_same_answer(left, (0.0, half, -half))
+    return is_same_answer((right, left), ((0.0, half, half), (0.0, half, -half)))
 
 
 def _one_turn(turn_rates: Function) -> bool:
@@ -73,9 +73,7 @@ def _one_turn(turn_rates: Function) -> bool:
 
 
 def _nose_up(turn_rates: Function) -> bool:
-    """By hand: nose up by 30 deg in a right turn, the belly's axis leans forward: p = -1/2 of the
-    turn rate.
-    """
+    """By hand: nose up by 30 deg in a right turn: p = -1/2 of the turn rate."""
     p, q, r = turn_rates(math.pi / 4.0, math.pi / 6.0, GRAVITY)
     return is_same_answer((p, q, r), (-0.5, math.sqrt(0.375), math.sqrt(0.375)))
 
@@ -90,36 +88,36 @@ def _on_the_line(guidance: Function) -> bool:
 
 
 def _right_of_it(guidance: Function) -> bool:
-    """By hand: 1 / k to the right (y negative along +x) the arc tangent is 45 deg: course -APPROACH
-    / 2, bank left.
-    """
+    """By hand: 1 / k right of the line the arc tangent is 45 deg: course -APPROACH / 2."""
     p, v = np.array([3.0, -1.0 / PULL]), np.array([2.0, 0.0])
-    wanted = math.atan(2.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
+    expected = math.atan(2.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
     mirrored = guidance(p * (1.0, -1.0), v, ORIGIN, EAST, 1.0)
-    return is_same_answer((guidance(p, v, ORIGIN, EAST, 1.0), mirrored), (wanted, -wanted))
+    return is_same_answer((guidance(p, v, ORIGIN, EAST, 1.0), mirrored), (expected, -expected))
 
 
 def _line_that_begins_elsewhere(guidance: Function) -> bool:
-    """By hand: the line runs along +y through x = 5; an aircraft at x = 5 + 1 / k is to its right."""
+    """By hand: the line runs along +y through x = 5.
+
+    An aircraft at x = 5 + 1 / k is to its right.
+    """
     start, end, p = np.array([5.0, 2.0]), np.array([5.0, 4.0]), np.array([5.0 + 1.0 / PULL, -7.0])
-    wanted = math.atan(3.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
-    return is_same_answer(guidance(p, np.array([0.0, 3.0]), start, end, 1.4), wanted)
+    expected = math.atan(3.0 * TURN_GAIN * -0.5 * APPROACH / GRAVITY)
+    return is_same_answer(guidance(p, np.array([0.0, 3.0]), start, end, 1.4), expected)
 
 
 def _short_way_round(guidance: Function) -> bool:
-    """By hand: the line leads to -x. From 10 deg left of it, that is the course 170 deg, turn 10
-    deg to the right.
+    """By hand: the line leads to -x.
+
+    From 10 deg left of it, that is the course 170 deg, turn 10 deg to the right.
     """
     c, s = math.cos(math.radians(170.0)), math.sin(math.radians(170.0))
-    wanted = math.atan(3.0 * TURN_GAIN * math.radians(10.0) / GRAVITY)
+    expected = math.atan(3.0 * TURN_GAIN * math.radians(10.0) / GRAVITY)
     towards, back = (guidance(ORIGIN, 3.0 * np.array([c, y]), ORIGIN, -EAST, 1.4) for y in (-s, s))
-    return is_same_answer((towards, back), (wanted, -wanted))
+    return is_same_answer((towards, back), (expected, -expected))
 
 
 def _stays_within(guidance: Function) -> bool:
-    """By hand: across the line at 9 m/s it wants more than the limit, and gets the limit, on both
-    sides.
-    """
+    """By hand: across the line at 9 m/s the bank would exceed the limit, on both sides."""
     both = [guidance(ORIGIN, np.array([0.0, v]), ORIGIN, EAST, 0.3) for v in (9.0, -9.0)]
     return is_same_answer([float(bank) for bank in both], [0.3, -0.3])
 
@@ -131,15 +129,19 @@ def _one_step(hold_speed: Function) -> bool:
 
 
 def _does_not_wind_up(hold_speed: Function) -> bool:
-    """By hand: far too slow, full throttle and the sum stays; far too fast, idle and the sum stays."""
+    """By hand: far too slow, full throttle and the sum stays.
+
+    Far too fast, idle and the sum stays.
+    """
     return is_same_answer(
         (hold_speed(9.0, 0.2, 0.3), hold_speed(-9.0, -0.2, 0.3)), ((1.0, 0.2), (0.0, -0.2))
     )
 
 
 def _winds_down(hold_speed: Function) -> bool:
-    """By hand: at full throttle by an old sum, but too fast already: the sum must shrink. And the
-    mirror image.
+    """By hand: at full throttle by an old sum, but too fast already: the sum must shrink.
+
+    And the mirror image.
     """
     large = 5.0 / KI
     high, low = hold_speed(-0.4, large, 0.2), hold_speed(0.4, -large, 0.8)
@@ -159,31 +161,28 @@ def _on_the_slope(flare: Function) -> bool:
 
 
 def _below_and_above_the_slope(flare: Function) -> bool:
-    """By hand: 0.3 m below the slope it sinks 0.3 * gain less, 5 m below not at all; 5 m above as
-    steep as allowed.
+    """By hand: 0.3 m below the slope it sinks 0.3 * gain less, 5 m below not at all.
+
+    5 m above as steep as allowed.
     """
     slope = 60.0 * math.tan(GLIDE)
-    wanted = -(7.0 * math.sin(GLIDE) - 0.3 * SLOPE_GAIN)
+    expected = -(7.0 * math.sin(GLIDE) - 0.3 * SLOPE_GAIN)
     got = [flare(slope + off, 60.0, 7.0)[0] for off in (-0.3, -5.0, 5.0)]
-    return is_same_answer([float(rate) for rate in got], [wanted, 0.0, -7.0 * math.sin(STEEPEST)])
+    return is_same_answer([float(rate) for rate in got], [expected, 0.0, -7.0 * math.sin(STEEPEST)])
 
 
 def _soft_at_the_end(flare: Function) -> bool:
-    """By hand: at the pad only the touchdown's sink rate is left, a little higher that plus h /
-    tau; below as at it.
-    """
+    """By hand: at the pad the touchdown sink rate, above it plus h / tau, below it as at it."""
     height = 0.1 * FLARE_TIME
     got = [flare(h, height / math.tan(GLIDE), 7.0) for h in (0.0, height, -0.2)]
     return is_same_answer(got, [(-SOFT, True), (-SOFT - 0.1, True), (-SOFT, True)])
 
 
 def _less_of_both(flare: Function) -> bool:
-    """By hand: near the pad but so far below the slope that the approach sinks less than the flare
-    would.
-    """
+    """By hand: near the pad, so far below the slope that the approach sinks less than the flare."""
     rate, idle = flare(0.3, 0.3 / math.tan(GLIDE) + 10.0, 7.0)
-    wanted = -max(7.0 * math.sin(GLIDE) - 10.0 * math.tan(GLIDE) * SLOPE_GAIN, 0.0)
-    return is_same_answer((rate, idle), (wanted, False), atol=1e-9)
+    expected = -max(7.0 * math.sin(GLIDE) - 10.0 * math.tan(GLIDE) * SLOPE_GAIN, 0.0)
+    return is_same_answer((rate, idle), (expected, False), atol=1e-9)
 
 
 LAB = Lab(
@@ -198,7 +197,8 @@ LAB = Lab(
                 Check(
                     "V^2 = g R makes a bank of 45 deg and n = sqrt 2",
                     _bank_45,
-                    "divide the two equations of the lift; V_stall^2 (c_0 + c_alpha alpha_stall) = n g",
+                    "divide the two equations of the lift; V_stall^2 (c_0 + c_alpha alpha_stall) = "
+                    "n g",
                 ),
                 Check(
                     "to the left the bank is negative and the margin the same",
@@ -250,7 +250,8 @@ LAB = Lab(
                 Check(
                     "1 / PULL to the right of it, it turns left by half of APPROACH",
                     _right_of_it,
-                    "with y to the left, right of the direction (x, y) is (y, -x); divide it by its length. V is the "
+                    "with y to the left, right of the direction (x, y) is (y, -x); "
+                    "divide it by its length. V is the "
                     "length of v",
                 ),
                 Check(
@@ -303,12 +304,13 @@ LAB = Lab(
                 Check(
                     "on the slope, V sin(GLIDE) down, motor running",
                     _on_the_slope,
-                    "mind the sign: climb rate",
+                    "check the sign: climb rate",
                 ),
                 Check(
                     "below the slope it sinks less, above it more, within limits",
                     _below_and_above_the_slope,
-                    "d tan(GLIDE) - h is how much too low it is; limit its sink rate to 0 .. V sin(STEEPEST)",
+                    "d tan(GLIDE) - h is how much too low it is; limit its sink rate to 0 .. "
+                    "V sin(STEEPEST)",
                 ),
                 Check(
                     "the sink rate falls with the height to that of the touchdown",
@@ -327,29 +329,33 @@ LAB = Lab(
         Criterion(
             "circuit",
             5.0,
-            "a track round the legs clear of the walls; bank, margin and sticks",
+            "a track round the legs clear of the walls; bank, margin and commands",
         ),
         Criterion(
             "circuit_reading",
             3.0,
-            "the margin is smallest where turns begin (n), ripples by noise; right banks end an overshoot",
+            "the margin is smallest where turns begin (n), ripples by noise; "
+            "right banks end an overshoot",
         ),
         Criterion("landing", 4.0, "both landings, the flare's bend, both sink rates at the pad"),
         Criterion(
             "landing_reading",
             3.0,
-            "a flare costs about two metres of pad; the aircraft answers late; a height measured 10 cm too high lets "
+            "a flare costs about two metres of pad; the aircraft answers late; "
+            "a height measured 10 cm too high lets "
             "it flare late: two metres earlier on the pad and harder",
         ),
         Criterion(
             "q1",
             5.0,
-            "q is a product of two factors that both change sign; r and p are not; n > 1 adds to it",
+            "q is a product of two factors that both change sign; r and p are not; "
+            "n > 1 adds to it",
         ),
         Criterion(
             "q2",
             5.0,
-            "the course loop must be slower than bank and delay, else it weaves; gain times delay; more delay shows in "
+            "the course loop must be slower than bank and delay, else it weaves; gain times delay; "
+            "more delay shows in "
             "the innermost loops and the flare",
         ),
     ),

@@ -1,6 +1,4 @@
-"""Lab 7, what is given: numbers of the aircraft and of your course, the innermost loop, the
-figures.
-"""
+"""Lab 7, given: the aircraft's and your course's numbers, the innermost loop, the figures."""
 
 import json
 import math
@@ -51,14 +49,13 @@ BLUE, ORANGE, GREEN = (
     "#0072B2",
     "#D55E00",
     "#009E73",
-)  # told apart by colour-blind eyes too (Okabe and Ito)
+)  # distinguishable for colour-blind readers (Okabe and Ito)
 
 
 class Autopilot:
-    """The innermost loop: bank, vertical speed and body rates that are wanted -> aileron, elevator,
-    rudder.
+    """The innermost loop: commanded bank, vertical speed, body rates -> aileron, elevator, rudder.
 
-    Each stick is what the steady turn needs, plus a share of what is missing. You need not change
+    Each command is the feed-forward of the steady turn plus a feedback term. You need not change
     it.
     """
 
@@ -72,9 +69,9 @@ class Autopilot:
 
         Args:
             state: measured: v_world (3,) [m/s], roll, pitch [rad], rates_body (3,) p, q, r [rad/s].
-            bank: wanted [rad], right wing down positive.
-            climb_rate: wanted [m/s], upward positive.
-            rates: wanted p, q, r [rad/s].
+            bank: commanded [rad], right wing down positive.
+            climb_rate: commanded [m/s], upward positive.
+            rates: commanded p, q, r [rad/s].
         """
         speed = max(float(np.linalg.norm(state.v_world)), 4.0)
         climb, climbing = (
@@ -98,7 +95,10 @@ class Autopilot:
 
 
 def leg(number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Start and end of a leg of the circuit, (2,) each [m]; after the last comes the first again."""
+    """Start and end of a leg of the circuit, (2,) each [m].
+
+    After the last comes the first again.
+    """
     return WAYPOINTS[number % 4], WAYPOINTS[(number + 1) % 4]
 
 
@@ -108,10 +108,10 @@ def is_at_end(p: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
 
 
 def draw_circuit(flight: dict[str, np.ndarray]) -> None:
-    """Track, bank, stall margin and sticks of a flight round the circuit.
+    """Track, bank, stall margin and commands of a flight round the circuit.
 
     Args:
-        flight: by name, (n,) or (n, 3): "t" [s], "p_world" [m], "roll" [rad], "bank" wanted [rad],
+        flight: by name, (n,) or (n, 3): "t" [s], "p_world" [m], "roll" [rad], "bank" command [rad],
             "margin" [-], "sticks" (n, 4).
     """
     import matplotlib.pyplot as plt
@@ -128,7 +128,7 @@ def draw_circuit(flight: dict[str, np.ndarray]) -> None:
     above.plot(flight["p_world"][:, 0], flight["p_world"][:, 1], color=BLUE, label="flown")
     above.plot(*flight["p_world"][0, :2], "o", color=BLUE, label="start")
     above.set(title="SIMULATED, from above", xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    bank.plot(flight["t"], np.degrees(flight["bank"]), "--", color=ORANGE, label="wanted")
+    bank.plot(flight["t"], np.degrees(flight["bank"]), "--", color=ORANGE, label="commanded")
     bank.plot(flight["t"], np.degrees(flight["roll"]), color=BLUE, label="flown")
     bank.set(xlabel="time [s]", ylabel="bank [deg], right wing down positive")
     margin.plot(flight["t"], flight["margin"], color=BLUE, label="speed over stall speed")
@@ -138,7 +138,7 @@ def draw_circuit(flight: dict[str, np.ndarray]) -> None:
         (("throttle", "-"), ("aileron", "--"), ("elevator", "-."), ("rudder", ":"))
     ):
         sticks.plot(flight["t"], flight["sticks"][:, column], line, label=name)
-    sticks.set(xlabel="time [s]", ylabel="sticks, share of full travel", ylim=(-1.05, 1.05))
+    sticks.set(xlabel="time [s]", ylabel="commands, share of full range", ylim=(-1.05, 1.05))
     for ax in (above, bank, margin, sticks):
         ax.legend(fontsize="small", loc="upper right")
 
@@ -162,7 +162,7 @@ def draw_landing(flights: dict[str, dict[str, np.ndarray]]) -> None:
         height.plot(x, z - WHEELS_BELOW, line, color=colour, label=name)
         height.plot(x[-1], z[-1] - WHEELS_BELOW, "o", color=colour)
         sink.plot(x, flight["sink"], line, color=colour, label=name)
-    sink.axhline(COHORT["touch_sink"], color="black", linestyle=":", label="wanted at touchdown")
+    sink.axhline(COHORT["touch_sink"], color="black", linestyle=":", label="commanded at touchdown")
     height.set(title="SIMULATED landings", ylabel="height of the wheels [m]")
     sink.set(xlabel="x along the runway [m]", ylabel="sink rate [m/s]")
     height.legend(fontsize="small")

@@ -1,5 +1,4 @@
-"""Lab 7, instructors only: vectors and rotations as references, and the kit's simulated aircraft as
-the plant.
+"""Lab 7, hidden: vector and rotation references, and the kit's simulated aircraft as the plant.
 
 In a trial the student's one function flies the aircraft together with references of the others.
 """
@@ -47,7 +46,7 @@ MODEL, AIRFRAME, PAD = rates_model(), load_airframe(), LandingPad()
 SCATTER = Spread(position=0.4, angle=math.radians(4.0), speed=0.4)
 LEGS, LEGS_TIME = 3, 8.5  # of the circuit, and the time for them [s]; the reference takes 7
 SOFTER_BY = (
-    0.25  # a flare may touch down so much harder than wanted [m/s]; without one it is 0.5 harder
+    0.25  # a flare may touch down so much harder than commanded [m/s]; without one it is 0.5 harder
 )
 
 Pilot = Callable[
@@ -121,8 +120,9 @@ def _draw_attitude(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _rates(bank: float, pitch: float, speed: float) -> tuple[float, ...]:
-    """The turn is a vector that points down in the world; the kit's rotation writes it in body
-    axes.
+    """The turn is a vector that points down in the world.
+
+    The kit's rotation writes it in body axes.
     """
     turn_world = np.array([0.0, 0.0, -GRAVITY * math.tan(bank) / speed])
     return tuple(float(rate) for rate in rotation_world_body(bank, pitch, 0.7).T @ turn_world)
@@ -141,28 +141,24 @@ def _draw_line(rng: np.random.Generator, approach: float) -> tuple[Any, ...]:
 
 
 def _course_error(p: Any, v: Any, start: Any, end: Any, approach: float) -> float:
-    """With complex numbers x + i y: the angle between the wanted course and the flown one, right
-    positive.
-    """
+    """Angle from the flown to the commanded course, by complex numbers x + i y, right positive."""
     line, flown, off = (complex(*each) for each in (end - start, v, p - start))
     left = (off * line.conjugate()).imag / abs(line)
-    wanted = line * cmath.exp(-1j * approach * math.atan(PULL * left) * 2.0 / math.pi)
-    return -cmath.phase(wanted * flown.conjugate())
+    commanded = line * cmath.exp(-1j * approach * math.atan(PULL * left) * 2.0 / math.pi)
+    return -cmath.phase(commanded * flown.conjugate())
 
 
 def _bank(
     p: Any, v: Any, start: Any, end: Any, bank_limit: float, approach: float = APPROACH
 ) -> float:
-    wanted = math.atan(
+    commanded = math.atan(
         math.hypot(*v) * TURN_GAIN * _course_error(p, v, start, end, approach) / GRAVITY
     )
-    return float(np.clip(wanted, -bank_limit, bank_limit))
+    return float(np.clip(commanded, -bank_limit, bank_limit))
 
 
 def _draw_speed(rng: np.random.Generator) -> tuple[Any, ...]:
-    """A third each: in between, pushed into a limit, at a limit by the sum alone while the error
-    leads back.
-    """
+    """A third each: unlimited, pushed into a limit, at a limit while the error leads back."""
     error, base = rng.uniform(0.2, 0.8) * rng.choice([-1.0, 1.0]), rng.uniform(0.3, 0.6)
     kind = rng.choice(["between", "pushed", "back"])
     if kind == "between":
@@ -173,10 +169,10 @@ def _draw_speed(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _throttle(error: float, integral: float, base: float) -> tuple[float, float]:
-    """What is cut off tells by its sign whether the error pushes into the limit."""
+    """The sign of the clipped part shows whether the error pushes into the limit."""
     after = integral + STEP * error
-    wanted = base + KP * error + KI * after
-    cut = wanted - float(np.clip(wanted, 0.0, 1.0))
+    commanded = base + KP * error + KI * after
+    cut = commanded - float(np.clip(commanded, 0.0, 1.0))
     after = integral if cut * error > 0.0 else after
     return float(np.clip(base + KP * error + KI * after, 0.0, 1.0)), after
 
@@ -188,7 +184,7 @@ def _draw_height(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _flies_the_legs(guidance: Function, rng: np.random.Generator) -> bool:
-    """Whether three legs are flown in time, to the left or to the right, without touching anything."""
+    """Whether three legs are flown in time, to the left or right, without touching anything."""
     mirrored = bool(rng.random() < 0.5)
     points = WAYPOINTS * (1.0, -1.0) - (0.0, 4.0) if mirrored else WAYPOINTS
     autopilot, legs, integral = Autopilot(), 0, 0.0

@@ -2,8 +2,8 @@
 # # Lab 7: The expert
 # **How does an aircraft follow a line, turn without slipping, and touch down softly?**
 #
-# The paper's vision pilots learn by imitation. Somebody must show them how: the *expert*, a controller that knows the
-# state. In this lab you write one. It flies the kit's simulated aircraft, with noisy measurements, 20 commands a second
+# The paper's vision pilots learn by imitation of an *expert*, a controller with access to the state. In this lab you
+# write one. It flies the kit's simulated aircraft, with noisy measurements, 20 commands a second
 # and a delay, as in the hall.
 #
 # **You will be able to**
@@ -43,7 +43,7 @@ print("your course:", COHORT)
 #
 # ## 1 A turn and its margin
 # An aircraft flies with the speed $V$ along a path that climbs by the angle $\gamma$ and turns. Seen from above, the
-# path has the radius $R$. Only the lift $L$ can bend it. It stands square to the path, banked by $\phi$:
+# path has the radius $R$. Only the lift $L$ can bend it. It is perpendicular to the path, banked by $\phi$:
 #
 # $$L \cos\phi = m g \cos\gamma \qquad\text{(carries)}, \qquad
 # L \sin\phi = m \frac{(V \cos\gamma)^2}{R} \qquad\text{(pulls round)}$$
@@ -95,7 +95,7 @@ for radius in (20.0, 10.0, 7.0, 5.0, 3.5):
 # $$p = -\dot\psi \sin\theta, \qquad q = \dot\psi \sin\phi \cos\theta, \qquad r = \dot\psi \cos\phi \cos\theta$$
 #
 # with the pitch $\theta$. So a banked aircraft needs *up* elevator to turn ($q > 0$ on both sides), and rudder into the
-# turn. `Autopilot` moves these sticks by your rates.
+# turn. `Autopilot` moves these surfaces by your rates.
 #
 # Write `turn_rates`.
 
@@ -127,9 +127,9 @@ check(turn_rates)
 # %% [markdown]
 # ## 3 Follow a line
 # The line leads from `start` to `end`. Let $e$ be how far the aircraft is to the **right** of it [m], $\chi_q$ the
-# line's course. A *vector field* [Beard and McLain, ch. 10] says which course to fly from everywhere:
+# line's course. A *vector field* [Beard and McLain, ch. 10] defines the commanded course everywhere:
 #
-# $$\chi_\mathrm{wanted} = \chi_q - \chi_\infty \frac{2}{\pi} \arctan(k\, e)$$
+# $$\chi_\mathrm{commanded} = \chi_q - \chi_\infty \frac{2}{\pi} \arctan(k\, e)$$
 #
 # Far to the right of the line this course leads back to it, by the angle $\chi_\infty$ (`APPROACH`) to the left of the
 # line's own; near the line it is almost along it. $k$ is `PULL`.
@@ -164,13 +164,13 @@ def guidance(p, v, start, end, bank_limit):
         bank_limit: largest bank [rad].
 
     Returns:
-        The wanted bank [rad], right wing down positive, between -bank_limit and bank_limit.
+        The commanded bank [rad], right wing down positive, between -bank_limit and bank_limit.
     """
     # BEGIN SOLUTION
     along = (end - start) / np.linalg.norm(end - start)
     e = (p - start) @ np.array([along[1], -along[0]])
-    wanted = math.atan2(-along[1], along[0]) - APPROACH * 2.0 / math.pi * math.atan(PULL * e)
-    error = wanted - math.atan2(-v[1], v[0])
+    commanded = math.atan2(-along[1], along[0]) - APPROACH * 2.0 / math.pi * math.atan(PULL * e)
+    error = commanded - math.atan2(-v[1], v[0])
     error = (error + math.pi) % (2.0 * math.pi) - math.pi
     bank = math.atan(np.linalg.norm(v) * TURN_GAIN * error / GRAVITY)
     return min(max(bank, -bank_limit), bank_limit)
@@ -182,13 +182,13 @@ check(guidance)
 
 # %% [markdown]
 # ## 4 Hold the speed
-# A PI controller moves the throttle: a share `KP` of the missing speed at once, and `KI` times its sum over time, which
-# finds what the flight needs in the long run. But a throttle ends at 0 and at 1. If the aircraft is slow for long, the
-# throttle stands at 1 and the sum keeps growing: it *winds up*. When the speed is right at last, the sum holds the
-# throttle open for many seconds more.
+# A PI controller moves the throttle: `KP` times the speed error, and `KI` times its integral, which finds the throttle
+# of steady flight. But a throttle ends at 0 and at 1. If the aircraft is slow for long, the throttle stays at 1 and the
+# integral keeps growing (integrator windup). When the speed is right at last, the integral keeps the throttle open for
+# many seconds more.
 #
-# The mend: **stop the sum while the throttle is at a limit and the error pushes further into it**. Let it go on when
-# the error leads back.
+# The remedy (anti-windup): **stop the integral while the throttle is at a limit and the error pushes further into it**.
+# Continue it when the error leads back.
 #
 # Write `hold_speed`. One call is one step of `STEP` = 0.05 s:
 # 1. the new sum: `integral + error * STEP`,
@@ -203,7 +203,7 @@ def hold_speed(error, integral, base):
     """Throttle by a PI controller that does not wind up. Use KP [s/m], KI [1/m] and STEP [s].
 
     Args:
-        error: wanted speed minus speed [m/s].
+        error: commanded speed minus speed [m/s].
         integral: sum of errors over time so far [m].
         base: throttle that the flight needs by itself, 0..1.
 
@@ -260,7 +260,7 @@ class CircuitPilot:
         self.leg, self.integral, self.autopilot = 0, 0.0, Autopilot()
 
     def __call__(self, state):
-        """The bank that is wanted [rad], and the command."""
+        """The commanded bank [rad], and the command."""
         p, speed = state.p_world, float(np.linalg.norm(state.v_world))
         if is_at_end(p[:2], *leg(self.leg)):
             self.leg += 1
@@ -281,15 +281,15 @@ print(f"smallest stall margin {flight['margin'].min():.2f}")
 
 # %% [markdown]
 # *In words, for the open course: above left, an oval track around a rectangle of legs, about 3 m inside the long walls.
-# The wanted bank swings between its limit of 40° to the left and some 15° to the right; the flown one comes a little
+# The commanded bank swings between its limit of 40° to the left and some 15° to the right; the flown one comes a little
 # later and overshoots by some 6°. The stall margin is about 1.36 in straight flight and falls below 1.1 where a turn
-# begins, with ripples from the measurement noise. The sticks stay within their travel, except for the aileron where a
+# begins, with ripples from the measurement noise. The commands stay within their range, except for the aileron where a
 # turn begins.*
 #
 # **Question on the figure.** Where is the stall margin smallest, and why? What are the short right banks for?
 
 # %% [markdown] answer="circuit_reading"
-# It is smallest, about 1.07, some 0.4 s after a turn begins. The elevator pulls at once for the 40° that are wanted,
+# It is smallest, about 1.07, some 0.4 s after a turn begins. The elevator pulls immediately for the commanded 40°,
 # while the bank is only at 20°: for a moment the load factor is larger than in the steady turn, whose margin is 1.36
 # times the root of cos 40°, 1.19. The right banks end an overshoot: the bank dies out too late, the course swings past
 # the leg's, and the aircraft turns back.
@@ -322,7 +322,7 @@ def flare(height, distance, speed):
         speed: V [m/s].
 
     Returns:
-        (climb_rate, idle): wanted vertical speed [m/s], upward positive, so mostly negative; and
+        (climb_rate, idle): commanded vertical speed [m/s], upward positive, so mostly negative; and
         True in the flare.
     """
     # BEGIN SOLUTION
@@ -354,7 +354,7 @@ class LandingPilot:
         self.vertical, self.idle, self.integral, self.autopilot = vertical, False, 0.0, Autopilot()
 
     def __call__(self, state):
-        """The bank that is wanted [rad], and the command."""
+        """The commanded bank [rad], and the command."""
         p, speed = state.p_world, float(np.linalg.norm(state.v_world))
         bank = guidance(p[:2], state.v_world[:2], AIM - (40.0, 0.0), AIM, 0.5 * BANK_LIMIT)
         climb_rate, flaring = self.vertical(p[2] - PAD_HEIGHT - WHEELS_BELOW, AIM[0] - p[0], speed)
@@ -391,7 +391,7 @@ for name, flight in flights.items():
 # happens if the height is measured 10 cm too high? (Try it: add 0.1 in `LandingPilot`.)
 
 # %% [markdown] answer="landing_reading"
-# About two metres of the pad. The aircraft answers 0.25 s late: at the pad it still sinks as was asked a little higher
+# About two metres of the pad. The aircraft responds 0.25 s late: at the pad it still sinks as commanded a little higher
 # up. With the height 10 cm too high all of it comes too late: ten landings meet the pad about two metres earlier than
 # before, half of them at 0.35 to 0.40 m/s.
 
@@ -412,7 +412,7 @@ for seed in range(10):
 
 # %% [markdown]
 # ## Questions
-# **Question 1.** Follow one stick: why does the autopilot need *up* elevator in a level turn to the left as in one to
+# **Question 1.** Follow one command: why does the autopilot need *up* elevator in a level turn to the left as in one to
 # the right, while aileron and rudder change their sign? Use your `turn_rates`.
 
 # %% [markdown] answer="q1"
@@ -428,7 +428,7 @@ for seed in range(10):
 # `fly`. Then put them back.)
 
 # %% [markdown] answer="q2"
-# The course loop may be no faster than what it acts through. With a gain of 5 /s it wants to correct a course error
+# The course loop may be no faster than the bank loop inside it. With a gain of 5 /s it would correct a course error
 # within 0.2 s, but the bank follows only after about 0.35 s: the aircraft is still banked when the error has gone,
 # turns too far, and weaves with the bank going from limit to limit. A rule of thumb: gain times delay well below 1 (1.8
 # times 0.35 s = 0.6; 5 times 0.35 s = 1.75). Another 100 ms shows first in the fastest loops, those of `Autopilot`: the

@@ -8,23 +8,21 @@ from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, L
 COUNT, TWO = np.arange(1.0, 7.0), np.array([0, 4])  # six commands, two flights: 1 2 3 4 and 5 6
 RGB = np.zeros((2, 2, 3, 3), np.uint8)  # two pictures, 2 rows, 3 columns
 RGB[0, 0, 0], RGB[0, 1, 2], RGB[1] = (255, 0, 51), (0, 204, 0), 102
-PAST, WANTED = np.array([[0.1, 0.2], [0.3, -0.4]]), np.array([0.5, -0.6])
+PAST, LABELS = np.array([[0.1, 0.2], [0.3, -0.4]]), np.array([0.5, -0.6])
 
 
 def _pictures(make: Function, mirror: bool = False) -> np.ndarray:
-    return np.asarray(make(RGB, PAST, WANTED, mirror)[0], float)
+    return np.asarray(make(RGB, PAST, LABELS, mirror)[0], float)
 
 
 def _pixel(
-    make: Function, at: tuple[int, int, int, int], wanted: float, mirror: bool = False
+    make: Function, at: tuple[int, int, int, int], expected: float, mirror: bool = False
 ) -> bool:
-    return is_same_answer(float(_pictures(make, mirror)[at]), wanted, 1e-5, 1e-6)
+    return is_same_answer(float(_pictures(make, mirror)[at]), expected, 1e-5, 1e-6)
 
 
 def _step(function: Function, bias: float, labels: list[list[float]], rate: float) -> dict:
-    """A network whose weights are all 0 but the last bias: its answer is the bias, and only the
-    bias has a gradient.
-    """
+    """A network with zero weights but for the last bias, its answer and only gradient."""
     steps, n = np.shape(labels)
     weights = [np.zeros((2, 4)), np.zeros(2), np.zeros((1, 2)), np.array([bias])]
     return function(
@@ -47,7 +45,7 @@ def _clips(function: Function) -> bool:
 
 
 def _clips_all_together(function: Function) -> bool:
-    """Two weights with gradients (h, 1) in ratio: the step's length is rate * CLIP_NORM over both."""
+    """Two weights with gradients in the ratio (h, 1): the step's length is rate * CLIP_NORM."""
     weights = [np.zeros((1, 4)), np.array([1.0]), np.array([[6.0]]), np.array([6.0])]
     after = function(
         weights, np.zeros((1, 1, 3, 1, 1)), np.zeros((1, 1, 1)), np.zeros((1, 1)), 1.0
@@ -67,7 +65,7 @@ def _spreads(function: Function, *offsets: float) -> dict:
 
 
 def _remembers(function: Function, memory: list[float], same_as: list[float]) -> bool:
-    """Whether two ways to remember fly alike."""
+    """Whether two implementations of the history give the same flight."""
     flown = [function(STEER, np.array(each), CALM)["offsets"] for each in (memory, same_as)]
     return is_same_answer(flown[0], flown[1], 1e-9, 1e-12)
 
@@ -121,7 +119,8 @@ DATASET_CHECKS = (
         "(p - 127.5) / 127.5, in floating point.",
     ),
     Check(
-        "rows stay rows, and colours stay colours: the green pixel of the last row and column is found there",
+        "rows stay rows, and colours stay colours: the green pixel of the last row and column is "
+        "found there",
         lambda f: (
             _pixel(f, (0, 1, 1, 2), 0.6)
             and _pixel(f, (0, 0, 1, 2), -1.0)
@@ -141,42 +140,42 @@ DATASET_CHECKS = (
     Check(
         "mirrored history and labels have the other sign",
         lambda f: (
-            is_same_answer(f(RGB, PAST, WANTED, True)[1], np.concatenate([PAST, -PAST]))
-            and is_same_answer(f(RGB, PAST, WANTED, True)[2], np.array([0.5, -0.6, -0.5, 0.6]))
+            is_same_answer(f(RGB, PAST, LABELS, True)[1], np.concatenate([PAST, -PAST]))
+            and is_same_answer(f(RGB, PAST, LABELS, True)[2], np.array([0.5, -0.6, -0.5, 0.6]))
         ),
         "A mirrored right turn is a left turn, in the past too.",
     ),
     Check(
         "without the mirror history and labels stay as they are",
         lambda f: (
-            is_same_answer(f(RGB, PAST, WANTED, False)[1], PAST)
-            and is_same_answer(f(RGB, PAST, WANTED, False)[2], WANTED)
+            is_same_answer(f(RGB, PAST, LABELS, False)[1], PAST)
+            and is_same_answer(f(RGB, PAST, LABELS, False)[2], LABELS)
         ),
         "Look at the argument `mirror`.",
     ),
 )
 LOSS_CHECKS = (
     Check(
-        "answer 0.3, wanted 0: the loss is 0.09",
+        "answer 0.3, label 0: the loss is 0.09",
         lambda f: is_same_answer(_step(f, 0.3, [[0.0]], 0.1)["losses"], np.array([0.09])),
         "The square of the error; flying straight has the weight 1.",
     ),
     Check(
-        "answer 0, wanted 1 and -1: each weighs 1 + TURN_WEIGHT, and the loss is the mean",
+        "answer 0, labels 1 and -1: each weighs 1 + TURN_WEIGHT, and the loss is the mean",
         lambda f: is_same_answer(
             _step(f, 0.0, [[1.0, -1.0]], 0.1)["losses"], np.array([1.0 + TURN_WEIGHT])
         ),
         "The size of the expert's aileron weighs, not its sign; divide by n.",
     ),
     Check(
-        "answer 0, wanted 0.2 and 0: by hand 0.02 (1 + 0.2 TURN_WEIGHT)",
+        "answer 0, labels 0.2 and 0: by hand 0.02 (1 + 0.2 TURN_WEIGHT)",
         lambda f: is_same_answer(
             _step(f, 0.0, [[0.2, 0.0]], 0.1)["losses"], np.array([0.02 * (1.0 + 0.2 * TURN_WEIGHT)])
         ),
         "Weights are not normalised, and they are not squared.",
     ),
     Check(
-        "a step goes downhill: answer 0.1, wanted 0, rate 0.25 gives 0.05",
+        "a step goes downhill: answer 0.1, label 0, rate 0.25 gives 0.05",
         lambda f: is_same_answer(_bias(f, 0.1, [[0.0]], 0.25), 0.05),
         "backward, then optimiser.step().",
     ),
@@ -243,12 +242,14 @@ LOOP_CHECKS = (
         "flight.lost.",
     ),
     Check(
-        "the policy gets the picture of this very moment: steering by it brings 0.5 m down to less than 0.2 m",
+        "the policy gets the picture of this very moment: steering by it brings 0.5 m down to less "
+        "than 0.2 m",
         lambda f: bool(np.all(np.abs(f(STEER, NONE, CALM)["offsets"]) < 0.2)),
         "Look anew in every step, then fly.",
     ),
     Check(
-        "the first step's history is zeros in every flight: the same start twice ends twice the same",
+        "the first step's history is zeros in every flight: "
+        "the same start twice ends twice the same",
         lambda f: bool(
             np.ptp(
                 f(STEER, np.array([0.3, 0.2, 0.1, 0.0]), np.repeat(CALM[:1], 3, axis=0))["offsets"]
@@ -258,7 +259,8 @@ LOOP_CHECKS = (
         "A new flight needs a new history.",
     ),
     Check(
-        "the newest command comes first: steering by offset less the oldest of four commands, written out by hand",
+        "the newest command comes first: steering by offset less the oldest of four commands, "
+        "written out by hand",
         lambda f: is_same_answer(
             f(
                 np.array([1.0, 0.0, 0.0]),
@@ -288,8 +290,9 @@ def _by_hand(
     memory: tuple[float, ...] = (0.0, 0.0, 0.0, -1.0),
     offset: float = 0.1,
 ) -> np.ndarray:
-    """The same flight written out: u = gain * offset + yaw_gain * yaw + memory . (u_1 u_2 u_3 u_4),
-    cut to -1..1.
+    """The same flight written out: u = gain * offset + yaw_gain * yaw + memory .
+
+    (u_1 u_2 u_3 u_4), cut to -1..1.
     """
     x, yaw, roll, flown = -17.0, 0.0, 0.0, [0.0] * len(memory)
     while x < 4.5 and abs(offset) <= 6.0 and abs(yaw) <= 1.2:
@@ -331,14 +334,17 @@ LAB = Lab(
         Criterion(
             "drift_reading",
             4.0,
-            "The clean pilot drifts off though its loss is lower; the noisy one comes back. Counts.",
+            "The clean pilot drifts off though its loss is lower; the noisy one comes back. "
+            "Counts.",
         ),
         Criterion(
             "q1",
             4.0,
             "Different frames in closed loop (covariate shift); errors feed on themselves.",
         ),
-        Criterion("q2", 3.0, "Copying the last command; noise separates flown from wanted."),
+        Criterion(
+            "q2", 3.0, "Copying the last command; noise separates the flown command from the label."
+        ),
         Criterion(
             "q3", 3.0, "Pairs the flights or gives intervals; 20 flights and one seed are few."
         ),

@@ -1,5 +1,4 @@
-"""Lab 8, given: the course's numbers, a simulated approach, its expert, the flights' data, a small
-network, plots.
+"""Lab 8, given: your course's numbers, a simulated approach, its expert, data, network, plots.
 
 torch is imported only where it is needed, so that the exercises without it stay quick.
 """
@@ -43,15 +42,16 @@ Array = np.ndarray
 
 
 class Flight:
-    """SIMULATED: one approach at constant speed down a straight glide. The pilot has the aileron
-    only.
+    """SIMULATED: one approach at constant speed down a straight glide.
+
+    The pilot has the aileron only.
 
     Args:
         offset: from the centre line at the start, positive left of it [m].
         yaw: of the nose at the start, positive right of the runway [rad].
         wind: from the right, so that it blows the aircraft to the left [m/s].
         seed: of the gusts; negative for none.
-        look: makes the picture from a flight; None where nobody looks.
+        look: renders the picture of a flight; None for a flight without pictures.
     """
 
     def __init__(
@@ -100,19 +100,17 @@ class Flight:
         """One step of 0.05 s. The servo goes from -1 to 1; positive is right wing down."""
         if self._draws is not None:
             self._gust = 0.9 * self._gust + math.sqrt(0.19) * GUST * self._draws.normal()
-        wanted = BANK * min(max(min(max(aileron, -1.0), 1.0) + self._gust, -1.0), 1.0)
-        self.roll += STEP_S / LAG_S * (wanted - self.roll)
+        commanded = BANK * min(max(min(max(aileron, -1.0), 1.0) + self._gust, -1.0), 1.0)
+        self.roll += STEP_S / LAG_S * (commanded - self.roll)
         self.yaw += STEP_S * GRAVITY / SPEED * math.tan(self.roll)  # level turn
         self.x += STEP_S * SPEED * math.cos(self.yaw)
         self.offset += STEP_S * (self.wind - SPEED * math.sin(self.yaw))
 
 
 def expert(flight: Flight) -> float:
-    """The aileron of a pilot who sees the state: turn towards the line, the more the farther off,
-    and roll for that.
-    """
-    wanted_yaw = min(max(0.25 * flight.offset, -0.35), 0.35)
-    roll = 1.8 * (wanted_yaw - flight.yaw) * SPEED / GRAVITY
+    """Aileron of a pilot with access to the state: a roll proportional to the commanded turn."""
+    commanded_yaw = min(max(0.25 * flight.offset, -0.35), 0.35)
+    roll = 1.8 * (commanded_yaw - flight.yaw) * SPEED / GRAVITY
     return min(max(roll / BANK, -1.0), 1.0)
 
 
@@ -120,12 +118,12 @@ def load_flights(kind: str) -> dict[str, Array]:
     """SIMULATED flights of the expert.
 
     Args:
-        kind: "clean": the expert flew alone. "noisy": somebody shook the stick meanwhile.
+        kind: "clean": the expert flew undisturbed. "noisy": noise was added to its command.
             "held_out": clean, not for training.
 
     Returns:
         "images" (n, 30, 40, 3) uint8; "flown" (n,) aileron that the aircraft got; "expert" (n,)
-        aileron that the expert wanted; "offset" (n,) [m]; "starts" (flights,) number of each
+        aileron that the expert commanded; "offset" (n,) [m]; "starts" (flights,) number of each
         flight's first frame.
     """
     with np.load(HERE / "data" / "flights.npz", allow_pickle=False) as file:
@@ -136,8 +134,9 @@ def load_flights(kind: str) -> dict[str, Array]:
 
 
 def test_starts(flights: int = 20, seed: int = 99) -> Array:
-    """Starts of test flights (flights, 4): offset [m], yaw [rad], wind [m/s] and the gusts' seed;
-    new to everybody.
+    """Starts of test flights (flights, 4): offset [m], yaw [rad], wind [m/s] and the gusts' seed.
+
+    New to everybody.
     """
     rng = np.random.default_rng(seed)
     low, high = np.array([-1.0, -0.08, -0.3]), np.array([1.0, 0.08, 0.3])
@@ -166,8 +165,7 @@ def camera_view(scene: Any) -> Callable[[Flight], Array]:
 def new_network(
     channels: Sequence[int] = (8, 16, 16), hidden: int = 32, history: int = HISTORY, seed: int = 0
 ) -> Any:
-    """A network for pictures of 40 x 30 and past commands: (n, 3, 30, 40) and (n, history) -> (n,)
-    aileron.
+    """A network for pictures and past commands: (n, 3, 30, 40), (n, history) -> (n,) aileron.
 
     Args:
         channels: of the convolutions, each of which halves the picture.
@@ -193,9 +191,7 @@ def new_network(
 
 
 def _TwoInputs(eye: Any, head: Any) -> Any:
-    """A module of two arguments: what the eye makes of the picture goes with the history into the
-    head.
-    """
+    """A module of two arguments: image features and history are concatenated for the head."""
     import torch
 
     class TwoInputs(torch.nn.Module):
@@ -217,8 +213,7 @@ def run_bc_steps(
     labels: Array,
     rate: float,
 ) -> dict[str, Any]:
-    """Calls `bc_loss_step` as the training does, on a tiny network, once for each batch, with plain
-    gradient descent.
+    """Calls `bc_loss_step` on a tiny network, once per batch, with plain gradient descent.
 
     Args:
         function: bc_loss_step.

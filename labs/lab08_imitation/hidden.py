@@ -1,6 +1,4 @@
-"""Lab 8, for instructors: the hidden cases and their references, written apart from the lab's
-solution.
-"""
+"""Lab 8, hidden: the cases and their references, independent of the lab's solution."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -95,17 +93,22 @@ def _batches(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _descend(
-    weights: list[np.ndarray], images: np.ndarray, history: np.ndarray, labels: np.ndarray, rate: float,
-    turn_weight: float, clip_norm: float,
-) -> dict[str, Any]:  # fmt: skip
+    weights: list[np.ndarray],
+    images: np.ndarray,
+    history: np.ndarray,
+    labels: np.ndarray,
+    rate: float,
+    turn_weight: float,
+    clip_norm: float,
+) -> dict[str, Any]:
     """The same steps with gradients by hand: the chain rule through tanh, in NumPy."""
     A, a, B, b = (np.array(each, float) for each in weights)
     losses = []
-    for x, past, wanted in zip(images, history, labels, strict=True):
+    for x, past, label in zip(images, history, labels, strict=True):
         inputs = np.hstack([x.reshape(len(x), -1), past])
         units = np.tanh(inputs @ A.T + a)
-        error = units @ B[0] + b[0] - wanted
-        share = (1.0 + turn_weight * np.abs(wanted)) / len(wanted)
+        error = units @ B[0] + b[0] - label
+        share = (1.0 + turn_weight * np.abs(label)) / len(label)
         losses.append(float(share @ error**2))
         by_answer = 2.0 * share * error
         by_units = np.outer(by_answer, B[0]) * (1.0 - units**2)
@@ -137,8 +140,9 @@ def _pilots(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _landings(gains: np.ndarray, memory: np.ndarray, starts: np.ndarray) -> dict[str, Any]:
-    """All flights at once, as columns; the plant is written out again, and what is over stays as it
-    is.
+    """All flights at once, as columns.
+
+    The plant is written out again, and what is over stays as it is.
     """
     n, k = len(starts), len(memory)
     offset, yaw, wind = (starts[:, i].astype(float) for i in range(3))
@@ -150,8 +154,8 @@ def _landings(gains: np.ndarray, memory: np.ndarray, starts: np.ndarray) -> dict
             break
         aileron = np.clip(np.column_stack([offset, yaw, roll]) @ gains + flown @ memory, -1.0, 1.0)
         gust = np.where(flying, 0.9 * gust + np.sqrt(0.19) * 0.3 * draws[:, step], gust)
-        wanted = np.deg2rad(35.0) * np.clip(aileron + gust, -1.0, 1.0)
-        next_roll = roll + 0.2 * (wanted - roll)
+        commanded = np.deg2rad(35.0) * np.clip(aileron + gust, -1.0, 1.0)
+        next_roll = roll + 0.2 * (commanded - roll)
         next_yaw = yaw + 0.05 * 9.81 / 7.0 * np.tan(next_roll)
         moved = np.stack([0.35 * np.cos(next_yaw), 0.05 * wind - 0.35 * np.sin(next_yaw)])
         roll, yaw = np.where(flying, next_roll, roll), np.where(flying, next_yaw, yaw)

@@ -1,15 +1,16 @@
 # %% [markdown]
 # # Lab 8: flying by imitation
 #
-# An expert that knows the state can land (lab 7). The real aircraft has a camera only. So the paper lets a network
-# watch the expert fly and copy it: *behaviour cloning* (paper, sections V and VI). In this lab you build the whole
-# chain in small, and meet its best-known trap: **a network that copies almost perfectly, and cannot fly**.
+# An expert with access to the state can land (lab 7). The real aircraft has a camera only. So the paper trains a network
+# to copy the expert's commands: *behaviour cloning* (paper, sections V and VI). In this lab you build the whole
+# chain in small, and see its best-known failure, *covariate shift*: **a network that copies almost perfectly, and cannot
+# fly**.
 #
 # **You will be able to**
 # - turn flights into training data, with the past commands beside each picture;
 # - write one training step of a network in PyTorch;
 # - close the loop and judge a pilot by its landings, not by its loss;
-# - say why small errors grow in closed loop, and mend it with noise.
+# - explain why small errors grow in closed loop, and fix it by noise injection.
 #
 # **Time** 4 hours. **Before** lab 2 (camera), lab 7 (expert). Everything is **simulated**: flights, pictures, gusts.
 
@@ -57,7 +58,7 @@ plot_flights(load_flights("clean"), "Eight flights of the expert (simulated)")
 # ## 1. What happened before
 #
 # One picture does not show how the aircraft moves. The paper's networks therefore also get the last 30 commands;
-# yours get the last 10. Flights are stored one behind the other, and `starts` says where each begins. A command of
+# yours get the last 10. Flights are stored one behind the other, and `starts` holds their first frames. A command of
 # another flight must never leak in: before the start of a flight the history is 0.
 
 
@@ -89,7 +90,7 @@ check(history_window)
 # %% [markdown]
 # ## 2. The training set
 #
-# PyTorch wants pictures as (n, channels, height, width) in small numbers. Bring them from 0..255 to $-1..1$:
+# PyTorch expects pictures as (n, channels, height, width). Scale them from 0..255 to $-1..1$:
 # $x = (p - 127.5) / 127.5$.
 #
 # Flights are expensive, and a trick doubles them: **the mirror**. Swap left and right in a picture, and the right
@@ -105,7 +106,7 @@ def make_dataset(
     Args:
         images: (n, H, W, 3) uint8.
         history: (n, k) past commands.
-        labels: (n,) aileron that the expert wanted.
+        labels: (n,) aileron that the expert commanded.
         mirror: True to append a mirrored copy of everything.
 
     Returns:
@@ -130,8 +131,8 @@ check(make_dataset)
 # %% [markdown]
 # ## 3. One step of learning
 #
-# Most of a flight is nearly straight. A network that always says "straight" would already look good, so turns shall
-# count more. For a batch of $n$ frames with the network's answers $\hat u_i$ and the expert's $u_i$
+# Most of a flight is nearly straight. A network that always answers "straight" would already have a low loss, so turns
+# shall count more. For a batch of $n$ frames with the network's answers $\hat u_i$ and the expert's $u_i$
 #
 # $$L = \frac{1}{n}\sum_i (1 + a\,|u_i|)\,(\hat u_i - u_i)^2, \qquad a = \texttt{TURN\_WEIGHT}.$$
 #
@@ -176,14 +177,14 @@ check(bc_loss_step)
 # %% [markdown]
 # ### Train two pilots
 #
-# Both see eight flights from the same eight starts, and both learn what **the expert wanted**. The difference:
+# Both see eight flights from the same eight starts, and both learn what **the expert commanded**. The difference:
 #
 # - *clean*: the expert flew undisturbed.
-# - *noisy*: a slow random motion was added to the expert's stick. The aircraft leaves the line again and again, and
+# - *noisy*: a slow random signal was added to the expert's command. The aircraft leaves the line again and again, and
 #   the expert shows how to come back. The network sees the command that was flown as history, but the label is the
 #   expert's.
 #
-# The loss on four more clean flights (*held out*) tells how well each copies the expert.
+# The loss on four more clean flights (*held out*) measures how well each copies the expert.
 
 
 # %%
@@ -236,7 +237,7 @@ plot_losses(losses)
 # %% [markdown] answer="loss_reading"
 # In the open course about eight times: 0.0017 against 0.0136 (other seeds: five to eight times). So the clean pilot
 # copies the expert better, on frames of clean flights. How either of them answers a frame off the line, the figure
-# does not show, and nobody promised that a flight stays on it.
+# does not show, and in closed loop a flight need not stay on it.
 
 # %% [markdown]
 # ## 4. Close the loop
@@ -244,7 +245,7 @@ plot_losses(losses)
 # Now the network's own command decides what it sees next. Your function flies one flight after the other:
 #
 # - `flight = begin(start)` starts one. `flight.look()` is the picture now, `flight.fly(aileron)` flies one step,
-#   `flight.over` tells the end, and `flight.lost` whether it ended far away. `flight.offset` is the distance from the
+#   `flight.over` is True at the end, and `flight.lost` if it ended far away. `flight.offset` is the distance from the
 #   centre line [m].
 # - `policy(image, history)` gives an aileron, maybe beyond the servo's $-1..1$: cut it. The history (k,) holds what
 #   was **flown** in this flight, the newest first, and 0 before.
@@ -371,13 +372,13 @@ plot_drift(tracks, results)
 # error can grow with the square of the flight's length.
 
 # %% [markdown]
-# **2.** The history can make the trap worse. Which wrong rule explains a clean flight's next command very well, and
-# why does noise on the stick spoil exactly this rule?
+# **2.** The history can make the failure worse. Which wrong rule explains a clean flight's next command very well, and
+# why does noise on the command spoil exactly this rule?
 
 # %% [markdown] answer="q2"
 # "Do what was done a moment ago." The expert's command changes slowly, so copying the newest past command gives a
 # tiny loss without looking at the picture. In closed loop such a pilot repeats its own mistakes. With noise the flown
-# command differs from what the expert wanted, so the last command predicts the label badly, and only the picture
+# command differs from the expert's own, so the last command predicts the label badly, and only the picture
 # helps.
 
 # %% [markdown]
@@ -394,10 +395,9 @@ plot_drift(tracks, results)
 #
 # You trained a pilot that lands from pictures, and you know why a low loss is no proof. The paper's networks are
 # larger (640 x 480 pixels, transformers, 100,000 pairs); the chain is the same. Try `new_network(channels=(16, 32,
-# 32), hidden=64)`, another strength of noise (`make_data.py`), or a history of 0. Lab 9 asks what happens when the
-# hall looks different.
+# 32), hidden=64)`, another strength of noise (`make_data.py`), or a history of 0. In lab 9 the hall looks different.
 #
 # ## With hardware
 #
 # This lab has no hardware part. If your group has an aircraft, record a landing by hand (`falconwing record`), and
-# look at its pictures and sticks with `load_flights` in mind: which frames would teach coming back?
+# look at its pictures and commands with `load_flights` in mind: which frames would teach recovery?

@@ -1,5 +1,4 @@
-"""Makes the lab's data: a coarse copy of the arena for small pictures, and SIMULATED flights of the
-expert in it.
+"""Make the lab's data: a coarse copy of the arena, and SIMULATED flights of the expert in it.
 
 python labs/lab08_imitation/make_data.py
 """
@@ -23,9 +22,7 @@ FLIGHTS = {
 
 
 def coarse(scene: GaussianScene) -> GaussianScene:
-    """A scene without its leader in which the Gaussians of each cell that face alike are one, with
-    their moments.
-    """
+    """A scene without its leader, with similar Gaussians of each cell merged by their moments."""
     scene = scene.selected(~scene.labelled("leader"))
     rotations = Rotation.from_quat(scene.quaternions[:, [1, 2, 3, 0]]).as_matrix()
     facing = np.abs(rotations[np.arange(len(scene)), :, scene.scales.argmin(axis=1)]).argmax(axis=1)
@@ -66,9 +63,7 @@ def coarse(scene: GaussianScene) -> GaussianScene:
 
 
 def fly(scene: GaussianScene, flights: int, seed: int, shake: float) -> dict[str, np.ndarray]:
-    """Flights of the expert; `shake` is the size of a slow random stick motion on top of it [full
-    ailerons].
-    """
+    """Flights of the expert; `shake` is the size of slow noise on its command [full ailerons]."""
     look, rng = camera_view(scene), np.random.default_rng(seed)
     starts = np.column_stack([rng.uniform(-0.6, 0.6, flights), rng.uniform(-0.08, 0.08, flights)])
     log: dict[str, list] = {name: [] for name in ("images", "flown", "expert", "offset", "starts")}
@@ -83,7 +78,8 @@ def fly(scene: GaussianScene, flights: int, seed: int, shake: float) -> dict[str
             log["flown"].append(min(max(log["expert"][-1] + noise, -1.0), 1.0))
             flight.fly(log["flown"][-1])
     print(
-        f"{flights} flights, {STEP_S * len(log['flown']):.0f} s, touchdown at {log['offset'][-1]:+.2f} m in the last"
+        f"{flights} flights, {STEP_S * len(log['flown']):.0f} s, "
+        f"touchdown at {log['offset'][-1]:+.2f} m in the last"
     )
     return {name: np.array(values) for name, values in log.items()}
 

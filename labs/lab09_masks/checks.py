@@ -23,18 +23,16 @@ def _quarter_turn() -> np.ndarray:
     return np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _covers(f: Function, wanted: list[tuple[int, int]], *arguments: object) -> bool:
+def _covers(f: Function, expected: list[tuple[int, int]], *arguments: object) -> bool:
     mask = np.asarray(f(*arguments))
-    return mask.dtype == bool and sorted(map(tuple, np.argwhere(mask).tolist())) == sorted(wanted)
+    return mask.dtype == bool and sorted(map(tuple, np.argwhere(mask).tolist())) == sorted(expected)
 
 
 def _disc(f: Function) -> bool:
-    """A ball of radius 1 at 5 m: tangents at tan^2 = 1 / (25 - 1), so with f = 60 a disc of radius
-    12.247 px.
-    """
+    """A ball of radius 1 at 5 m: tangents at tan^2 = 1 / 24, so with f = 60 a disc of 12.247 px."""
     row, column = np.indices((40, 60)) + 0.5
-    wanted = (column - 30.0) ** 2 + (row - 20.0) ** 2 <= 60.0**2 / 24.0
-    return is_same_answer(f(_pose(0, 0, 5), MIDDLE, BALL, 60.0, FREE), wanted)
+    expected = (column - 30.0) ** 2 + (row - 20.0) ** 2 <= 60.0**2 / 24.0
+    return is_same_answer(f(_pose(0, 0, 5), MIDDLE, BALL, 60.0, FREE), expected)
 
 
 def _span(mask: np.ndarray) -> tuple[int, int]:
@@ -54,12 +52,15 @@ def _half_hidden(f: Function) -> bool:
 
 MASK_CHECKS = (
     Check(
-        "a ball of radius 1 m at 5 m with f = 60 px is a disc of radius 60 / sqrt(24) = 12.2 px around the middle",
+        "a ball of radius 1 m at 5 m with f = 60 px is a disc of radius 60 / sqrt(24) = 12.2 px "
+        "around the middle",
         _disc,
-        "A pixel's centre is half a pixel from its corner; the outline is where the square root is 0.",
+        "A pixel's centre is half a pixel from its corner; "
+        "the outline is where the square root is 0.",
     ),
     Check(
-        "a speck 0.3 m to the right and 0.1 m down at 2 m, f = 100 px: columns 44 and 45, rows 24 and 25",
+        "a speck 0.3 m to the right and 0.1 m down at 2 m, f = 100 px: columns 44 and 45, "
+        "rows 24 and 25",
         lambda f: _covers(
             f,
             [(24, 44), (24, 45), (25, 44), (25, 45)],
@@ -77,12 +78,14 @@ MASK_CHECKS = (
         "The depth must be positive.",
     ),
     Check(
-        "half axes 1, 0.3, 0.3 m at 10 m: wide along x; turned by a quarter about the line of sight it is high",
+        "half axes 1, 0.3, 0.3 m at 10 m: wide along x; turned by a quarter about the line of "
+        "sight it is high",
         lambda f: _flat_one(f) == (6, 20) and _flat_one(f, _quarter_turn()) == (20, 6),
         "Divide by the half axes in body axes, after the turn.",
     ),
     Check(
-        "the turn goes the right way: a centre 1 m along body x is seen below the middle after the quarter turn",
+        "the turn goes the right way: a centre 1 m along body x is seen below the middle after the "
+        "quarter turn",
         lambda f: _covers(
             f,
             [(29, 29), (29, 30), (30, 29), (30, 30)],
@@ -92,7 +95,8 @@ MASK_CHECKS = (
             100.0,
             FREE,
         ),
-        "T_camera_body leads from body to camera; rays go the other way. Is the centre's sign right?",
+        "T_camera_body leads from body to camera; rays go the other way. "
+        "Is the centre's sign right?",
     ),
     Check(
         "a wall at 3.9 m hides a ball that begins at 4 m, a wall at 4.1 m does not hide its middle",
@@ -150,7 +154,8 @@ IOU_CHECKS = (
         "0 / 0 is your decision here.",
     ),
     Check(
-        f"nothing there: {MIN_PIXELS} marked pixels are a false alarm, {MIN_PIXELS - 1} are none, the IoU is 0 in both",
+        f"nothing there: {MIN_PIXELS} marked pixels are a false alarm, {MIN_PIXELS - 1} are none, "
+        "the IoU is 0 in both",
         lambda f: _rates(
             f,
             _boxes((0, 1, 0, MIN_PIXELS), (0, 1, 0, MIN_PIXELS - 1)),
@@ -187,29 +192,29 @@ def _loss(f: Function, logits: list, truth: list) -> float:
 
 
 def _even(f: Function) -> bool:
-    """All logits 0: p = 1/2. One leader pixel of four: entropy (w + 3) ln 2 / 4; overlap (1 + 1) /
-    (2 + 1 + 1).
+    """All logits 0: p = 1/2. One leader pixel of four: entropy (w + 3) ln 2 / 4.
+
+    Overlap (1 + 1) / (2 + 1 + 1).
     """
-    wanted = (POS_WEIGHT + 3.0) * math.log(2.0) / 4.0 + DICE_WEIGHT * (1.0 - 2.0 / 4.0)
-    return is_same_answer(_loss(f, [[[0.0, 0.0], [0.0, 0.0]]], [[[1, 0], [0, 0]]]), wanted)
+    expected = (POS_WEIGHT + 3.0) * math.log(2.0) / 4.0 + DICE_WEIGHT * (1.0 - 2.0 / 4.0)
+    return is_same_answer(_loss(f, [[[0.0, 0.0], [0.0, 0.0]]], [[[1, 0], [0, 0]]]), expected)
 
 
 def _two_pictures(f: Function) -> bool:
-    """Sure and right in the first, sure and wrong in the second: overlaps (2 + 1) / (2 + 1) = 1 and
-    1 / (1 + 1 + 1).
-    """
+    """Confident, correct in the first and wrong in the second: overlaps 1 and 1 / 3."""
     wrong = 40.0 * (POS_WEIGHT + 1.0) / 4.0
     got = _loss(f, [[[40.0, -40.0]], [[40.0, -40.0]]], [[[1, 0]], [[0, 1]]])
     return is_same_answer(got, wrong + DICE_WEIGHT * 0.5 * (1.0 - 1.0 / 3.0))
 
 
 def _gradient(f: Function) -> bool:
-    """Logits 0 and truth 1, 0: D = 2/3, dD/dp = 4/9 and -2/9, dp/dz = 1/4; the entropy gives -w/4
-    and 1/4.
+    """Logits 0 and truth 1, 0: D = 2/3, dD/dp = 4/9 and -2/9, dp/dz = 1/4.
+
+    The entropy gives -w/4 and 1/4.
     """
-    wanted = [-POS_WEIGHT / 4.0 - DICE_WEIGHT / 9.0, 0.25 + DICE_WEIGHT / 18.0]
+    expected = [-POS_WEIGHT / 4.0 - DICE_WEIGHT / 9.0, 0.25 + DICE_WEIGHT / 18.0]
     return is_same_answer(
-        f(np.zeros((1, 1, 2)), np.array([[[1.0, 0.0]]]))["gradient"], np.array([[wanted]])
+        f(np.zeros((1, 1, 2)), np.array([[[1.0, 0.0]]]))["gradient"], np.array([[expected]])
     )
 
 
@@ -227,7 +232,8 @@ LOSS_CHECKS = (
         "The weight belongs to the leader's pixels; the mean is over all pixels.",
     ),
     Check(
-        "two pictures, one right and one wrong: the Dice part is taken for each picture, then averaged",
+        "two pictures, one right and one wrong: the Dice part is taken for each picture, "
+        "then averaged",
         _two_pictures,
         "Sum over rows and columns only: dim=(1, 2).",
     ),
@@ -245,9 +251,11 @@ LOSS_CHECKS = (
         "logsigmoid, not log of sigmoid.",
     ),
     Check(
-        "the gradient is the one by hand: -w/4 - d/9 for the leader and 1/4 + d/18 for the hall (w, d: the weights)",
+        "the gradient is the one by hand: -w/4 - d/9 for the leader and 1/4 + d/18 for the hall "
+        "(w, d: the weights)",
         _gradient,
-        "Nothing may be rounded to 0 and 1 on the way: backward() goes through the probabilities in both parts.",
+        "Nothing may be rounded to 0 and 1 on the way: backward() goes through the probabilities "
+        "in both parts.",
     ),
 )
 
@@ -338,7 +346,8 @@ RANDOM_CHECKS = (
         "Half of the share turns black, half white.",
     ),
     Check(
-        "twice the light multiplies all numbers by 2 ** (1 / GAMMA) = 1.3703, rounded and cut at 255",
+        "twice the light multiplies all numbers by 2 ** (1 / GAMMA) = 1.3703, "
+        "rounded and cut at 255",
         lambda f: (
             _is(f, (0, 1), (137, 206, 255), brightness=2.0)
             and _is(f, (2, 3), (137, 206, 255), brightness=2.0)
@@ -346,7 +355,8 @@ RANDOM_CHECKS = (
         "Gamma; then clip, then round.",
     ),
     Check(
-        "the order: white salt in half the light is 255 * 0.5 ** (1 / GAMMA) = 186, and the tint leaves salt alone",
+        "the order: white salt in half the light is 255 * 0.5 ** (1 / GAMMA) = 186, "
+        "and the tint leaves salt alone",
         lambda f: (
             _is(
                 f,
@@ -397,7 +407,8 @@ LAB = Lab(
         Criterion(
             "q1",
             3.0,
-            "Smaller than the rendered outline, but centred; harmless for steering, not for measuring.",
+            "Smaller than the rendered outline, but centred; harmless for steering, "
+            "not for measuring.",
         ),
         Criterion(
             "q2",
@@ -407,7 +418,8 @@ LAB = Lab(
         Criterion(
             "q3",
             4.0,
-            "Mask holds no hall; wrong masks go unnoticed; RGB + Mask can doubt; time; 30 flights.",
+            "Mask holds no hall; wrong masks go unnoticed; RGB + Mask can detect that; time; "
+            "30 flights.",
         ),
     ),
     constants={"pos_weight": (4.0, 12.0, 1), "dice_weight": (0.5, 1.5, 2)},

@@ -1,5 +1,4 @@
-"""Lab 9, given: the course's numbers, simulated views, what is drawn for a randomised picture, a
-small U-Net, plots.
+"""Lab 9, given: your course's numbers, simulated views, random draws, a small U-Net, plots.
 
 torch is imported only where it is needed, so that the exercises without it stay quick.
 """
@@ -59,9 +58,7 @@ def load_views(kind: str) -> dict[str, Array]:
 
 
 def look_alike(rng: np.random.Generator) -> Array:
-    """A bright panel with bars, of random size, colours and grain (h, w, 3), 0..255: no leader, but
-    like one.
-    """
+    """A distractor: a bright panel with bars, of random size and colours (h, w, 3), 0..255."""
     height, width = rng.integers(5, 22), rng.integers(5, 26)
     panel = rng.integers(130, 256) + rng.integers(-25, 26, 3)
     bars = rng.integers(0, 256) + rng.integers(-25, 26, 3)
@@ -72,8 +69,9 @@ def look_alike(rng: np.random.Generator) -> Array:
 
 
 def draw(rng: np.random.Generator, look_alike_only: bool = False) -> dict[str, Any]:
-    """Random numbers for one call of `randomize`, by the names of its arguments; or only another
-    look-alike.
+    """Random numbers for one call of `randomize`, by the names of its arguments.
+
+    Or only another look-alike.
     """
     changes = {"tint": np.ones(3), "brightness": 1.0, "salt": 0.0}
     if not look_alike_only:
@@ -87,8 +85,9 @@ def draw(rng: np.random.Generator, look_alike_only: bool = False) -> dict[str, A
 
 
 def new_unet(base: int = 6, seed: int = 0) -> Any:
-    """A small U-Net: pictures (n, 3, H, W) in -1..1 -> logits (n, H, W); H and W are multiples of
-    4.
+    """A small U-Net: pictures (n, 3, H, W) in -1..1 -> logits (n, H, W).
+
+    H and W are multiples of 4.
 
     Args:
         base: channels at full size; twice and four times as many at half and quarter size. It can
@@ -134,14 +133,14 @@ def new_unet(base: int = 6, seed: int = 0) -> Any:
 
 
 def to_tensor(images: Array) -> Any:
-    """Pictures (n, H, W, 3) uint8 as a network wants them: (n, 3, H, W) in -1..1."""
+    """Pictures (n, H, W, 3) uint8 as network input: (n, 3, H, W) in -1..1."""
     import torch
 
     return torch.tensor(np.asarray(images, np.float32).transpose(0, 3, 1, 2) / 127.5 - 1.0)
 
 
 def probabilities(network: Any, images: Array) -> Array:
-    """What a network says of each pixel (n, H, W), 0..1."""
+    """A network's probability of each pixel (n, H, W), 0..1."""
     import torch
 
     with torch.no_grad():
@@ -199,9 +198,7 @@ def plot_randomised(pictures: list[Array]) -> None:
 def plot_window(
     said: Mapping[str, Mapping[str, Array]], frames: tuple[int, ...] = (0, 1, 2, 3)
 ) -> None:
-    """For each network a row of pictures towards the windows, two with and two without a leader,
-    and what it marks.
-    """
+    """A row of pictures for each network, two with and two without a leader, with its masks."""
     import matplotlib.pyplot as plt
 
     if not said:
@@ -224,4 +221,4 @@ def plot_window(
             axes.set(xticks=[], yticks=[])
         row[0].set_ylabel(name, fontsize=8)
     grid[0, 0].set_title("with a leader", fontsize=9, loc="left")
-    grid[0, len(frames)].set_title("nobody there", fontsize=9, loc="left")
+    grid[0, len(frames)].set_title("no leader", fontsize=9, loc="left")

@@ -1,6 +1,4 @@
-"""Lab 9, for instructors: the hidden cases and their references, written apart from the lab's
-solution.
-"""
+"""Lab 9, hidden: the cases and their references, independent of the lab's solution."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -45,7 +43,7 @@ def _ellipsoids(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _before_and_behind(student: Function, rng: np.random.Generator) -> bool:
-    """Right for a body before the camera, and for the same one as far behind it, which nobody sees."""
+    """Correct for a body before the camera, and for its mirror image behind the camera."""
     T, *others = _ellipsoids(rng)
     behind = T.copy()
     behind[2, 3] -= 2.0 * (T[2, 3] + T[2, :3] @ others[0])
@@ -61,8 +59,9 @@ def _by_conic(
     focal_px: float,
     hall_depth: np.ndarray,
 ) -> np.ndarray:
-    """The outline by the kit's dual conic; the depth by the quadric (s d, 1)^T Q (s d, 1) = 0 and
-    numpy.roots.
+    """The outline by the kit's dual conic.
+
+    The depth by the quadric (s d, 1)^T Q (s d, 1) = 0 and numpy.roots.
     """
     height, width = hall_depth.shape
     camera = PinholeCamera(focal_px, focal_px, width / 2, height / 2, width, height)
@@ -113,9 +112,7 @@ def _logits(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _loss(logits: np.ndarray, truth: np.ndarray, w: float, share: float) -> dict[str, Any]:
-    """Loss and gradient by hand: ln p = -ln(1 + e^-z) by logaddexp, p' = p (1 - p), quotient rule
-    for the overlap.
-    """
+    """Loss and gradient by hand: ln p by logaddexp, p' = p (1 - p), quotient rule for Dice."""
     p = np.exp(-np.logaddexp(0.0, -logits))
     each = w * truth * np.logaddexp(0.0, -logits) + (1.0 - truth) * np.logaddexp(0.0, logits)
     top = np.array([2.0 * np.vdot(a, m) + 1.0 for a, m in zip(p, truth, strict=True)])
@@ -156,9 +153,15 @@ def _changes(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _pixel_by_pixel(
-    image: np.ndarray, mask: np.ndarray, tint: np.ndarray, brightness: float, salt: float, draws: np.ndarray,
-    patch: np.ndarray, corner: tuple[int, int],
-) -> np.ndarray:  # fmt: skip
+    image: np.ndarray,
+    mask: np.ndarray,
+    tint: np.ndarray,
+    brightness: float,
+    salt: float,
+    draws: np.ndarray,
+    patch: np.ndarray,
+    corner: tuple[int, int],
+) -> np.ndarray:
     """One pixel after the other, as the text says it."""
     made = np.zeros_like(image)
     for i, j in np.ndindex(*mask.shape):

@@ -4,8 +4,8 @@
 # A network that flies by the whole picture also learns the hall: posters, floor, light. In another part of the hall
 # it is lost. The paper's answer is to split the work (paper, section V): a first network marks the pixels of the
 # leading aircraft, a second one steers by this *mask* alone. That works until the first network takes a window for an
-# aircraft. In this lab you make the labels, train the first network, see it fail at the window, and mend a good part
-# of it.
+# aircraft. In this lab you make the labels, train the first network, see it fail at the window, and remove most of this
+# failure by domain randomisation.
 #
 # **You will be able to**
 # - project an ellipsoid into a picture and say what hides it;
@@ -44,10 +44,10 @@ print(
 )
 
 # %% [markdown]
-# ## 1. Labels for nothing: the ellipsoid
+# ## 1. Free ground-truth labels: the ellipsoid
 #
-# Nobody wants to paint masks by hand. In simulation the leader's pose is known, so the paper wraps it into an
-# ellipsoid from nose to tail and wing tip to wing tip, and projects that.
+# Painting masks by hand is slow. In simulation the leader's pose is known, so the paper encloses it in an ellipsoid from
+# nose to tail and wing tip to wing tip, and projects that.
 #
 # Camera axes: x right, y down, z forward, the camera at the origin. The pixel in row $i$ and column $j$ looks along
 #
@@ -127,9 +127,8 @@ plot_labels(board, behind, "Behind the board", frames=(0,))
 # *Alternative text: six small views of a hall with a white model aircraft; a blue ellipse sits on it, inside a
 # somewhat larger dashed outline; in the last view a marker board cuts both off on one side.*
 #
-# "Exact" is what the renderer itself says: pixels that the leader's Gaussians cover by half or more. At this size it
-# draws everything a little fat, for no Gaussian becomes thinner than about a pixel. The ellipsoid knows nothing of
-# that.
+# "Exact" is the renderer's own mask: pixels that the leader's Gaussians cover by half or more. At this size it draws
+# everything a little too wide, since no Gaussian becomes thinner than about a pixel. The ellipsoid does not model that.
 #
 # ## 2. How good is a mask?
 #
@@ -146,7 +145,7 @@ def iou(
     """Overlap and false alarms of many pictures.
 
     Args:
-        probability: (n, H, W) what a network says, 0..1.
+        probability: (n, H, W) a network's output, 0..1.
         truth: (n, H, W) bool.
         threshold: a pixel is marked if its probability is above this.
 
@@ -176,9 +175,9 @@ print(
 # %% [markdown]
 # ## 3. A loss for a small thing in a large picture
 #
-# The leader fills one or two pixels in a hundred. A network that always says "hall" is right nearly everywhere. Two
+# The leader fills one or two pixels in a hundred. A network that always answers "hall" is right nearly everywhere. Two
 # remedies, added up: pixels of the leader weigh `POS_WEIGHT` times as much in the cross entropy, and a second part
-# asks for overlap directly (*Dice*). With logits $z$, $p = 1/(1 + e^{-z})$, truth $m$ (0 or 1), $w$ = `POS_WEIGHT`,
+# rewards overlap directly (*Dice*). With logits $z$, $p = 1/(1 + e^{-z})$, truth $m$ (0 or 1), $w$ = `POS_WEIGHT`,
 # $\lambda$ = `DICE_WEIGHT`:
 #
 # $$L = \underset{\text{all pixels of all pictures}}{\mathrm{mean}}
@@ -202,15 +201,13 @@ def mask_loss(logits: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
         The loss, a tensor without axes that `backward()` works on.
     """
     # BEGIN SOLUTION
-    log_leader, log_hall = (
-        torch.nn.functional.logsigmoid(logits),
-        torch.nn.functional.logsigmoid(-logits),
-    )
+    log_leader = torch.nn.functional.logsigmoid(logits)
+    log_hall = torch.nn.functional.logsigmoid(-logits)
     entropy = -(POS_WEIGHT * truth * log_leader + (1.0 - truth) * log_hall).mean()
     p = torch.sigmoid(logits)
-    overlap = (2.0 * (p * truth).sum(dim=(1, 2)) + 1.0) / (
-        p.sum(dim=(1, 2)) + truth.sum(dim=(1, 2)) + 1.0
-    )
+    both = (p * truth).sum(dim=(1, 2))
+    sizes = p.sum(dim=(1, 2)) + truth.sum(dim=(1, 2))
+    overlap = (2.0 * both + 1.0) / (sizes + 1.0)
     return entropy + DICE_WEIGHT * (1.0 - overlap).mean()
     # END SOLUTION
 
@@ -364,7 +361,7 @@ plot_window(said)
 # %% [markdown] answer="q1"
 # The ellipse sits in the right place and has about half of the pixels: it ends at the wing tips, while the renderer
 # draws a small aircraft fat, and tail and wing do not fill an ellipse anyway. So the overlap is only about one half
-# although both are "right". Direction and growth with distance are the same, so steering hardly minds, as long as
+# although both are "right". Direction and growth with distance are the same, so steering is hardly affected, as long as
 # training and flight use the same kind of mask. It would matter for measuring distance by size, and for comparing IoU
 # between papers.
 
@@ -385,7 +382,7 @@ plot_window(said)
 
 # %% [markdown] answer="q3"
 # A mask holds no hall, so a policy that steers by it cannot learn the hall by heart: it works where the hall looks
-# different. It fails when the mask is wrong, and it has no way to know: a marked window is an aircraft for it. With
+# different. It fails when the mask is wrong, and it cannot detect that: a marked window is an aircraft for it. With
 # the picture beside the mask the second network can see that the marked place does not look like the leader. It costs
 # the time of two networks one after the other, 0.13 s in the paper, more than the 0.05 s between two commands. And 27
 # of 30 against 30 of 30 is no sure difference: the 95 % interval of 27 of 30 is 0.73 to 0.98.
@@ -400,4 +397,4 @@ plot_window(said)
 # ## With hardware
 #
 # This lab has no hardware part. If you have a camera and a white model, film it before a window, shrink the pictures
-# to 64 x 48, and see what both networks mark. (Expect surprises: they know one simulated hall.)
+# to 64 x 48, and see what both networks mark. (Both were trained in one simulated hall.)

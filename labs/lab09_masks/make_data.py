@@ -1,5 +1,4 @@
-"""Makes data/views.npz: SIMULATED views of the arena with the leader in front, without it, and half
-hidden.
+"""Make data/views.npz: SIMULATED views of the arena with the leader, without it, and half hidden.
 
 python labs/lab09_masks/make_data.py
 """
@@ -71,9 +70,7 @@ def views(
 
 
 def hidden_view() -> dict[str, np.ndarray]:
-    """One view in which the marker's board hides a part of the leader, with the depth of the hall
-    without it [m].
-    """
+    """A view in which the marker's board hides a part of the leader, with the hall's depth [m]."""
     hall, leader, camera = (
         leader_at(load_scene("arena"), None),
         load_scene("leader"),

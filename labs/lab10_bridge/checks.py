@@ -19,8 +19,8 @@ def _ppm(*frames: tuple[float, ...], first: int = 60000, pause: float = 10000.0)
     return (first + np.concatenate([[0], np.cumsum(2.0 * np.array(gaps))])).astype(int) % 65536
 
 
-def _decodes(decode: Function, ticks: np.ndarray, *wanted: tuple[float, ...]) -> bool:
-    return is_same_answer(decode(ticks, 4), np.array(wanted, float).reshape(-1, 4), 0.0, 1e-9)
+def _decodes(decode: Function, ticks: np.ndarray, *expected: tuple[float, ...]) -> bool:
+    return is_same_answer(decode(ticks, 4), np.array(expected, float).reshape(-1, 4), 0.0, 1e-9)
 
 
 def _after(
@@ -61,8 +61,8 @@ def _boards(*signs: int) -> np.ndarray:
     )
 
 
-def _alarms(monitor: Function, images: np.ndarray, count: int, *wanted: int) -> bool:
-    return is_same_answer(monitor(images, 0.7, count)[1], np.array(wanted))
+def _alarms(monitor: Function, images: np.ndarray, count: int, *expected: int) -> bool:
+    return is_same_answer(monitor(images, 0.7, count)[1], np.array(expected))
 
 
 def _half_and_half(monitor: Function) -> bool:
@@ -76,12 +76,14 @@ def _half_and_half(monitor: Function) -> bool:
 
 ENCODE = (
     Check(
-        "sticks in the middle and half throttle: four slots of CENTRE_US, the first edge at start_tick",
+        "sticks in the middle and half throttle: four slots of CENTRE_US, "
+        "the first edge at start_tick",
         lambda f: (
             is_same_answer(_slots_us(f), [CENTRE_US] * 4, 0.0, 1e-6)
             and int(np.asarray(f(LEVEL, "TAER", 700))[0]) == 700
         ),
-        "Each slot lasts from the start of one pulse to the start of the next; two ticks are a microsecond.",
+        "Each slot lasts from the start of one pulse to the start of the next; "
+        "two ticks are a microsecond.",
     ),
     Check(
         "the throttle at 0, 1/4 and 1 gives CENTRE_US - 500, - 250 and + 500 us",
@@ -132,7 +134,8 @@ ENCODE = (
             0.0,
             1e-6,
         ),
-        "Round each slot, to the nearest microsecond; do not cut the decimals off, and do not round ticks.",
+        "Round each slot, to the nearest microsecond; do not cut the decimals off, "
+        "and do not round ticks.",
     ),
     Check(
         "a stick beyond its end is cut to its end; a throttle below 0 is idle",
@@ -145,13 +148,14 @@ ENCODE = (
         "Cut every stick to its own limits, before anything else.",
     ),
     Check(
-        "a stick that is not a number makes the whole command safe: throttle 0, the others in the middle",
+        "a stick that is not a number makes the whole command safe: throttle 0, "
+        "the others in the middle",
         lambda f: is_same_answer(
             _slots_us(f, throttle=0.9, aileron=0.5, rudder=float("nan")),
             [CENTRE_US - 500.0, *[CENTRE_US] * 3],
             0.0,
         ),
-        "numpy.isfinite tells; it is not enough to replace the one stick.",
+        "Use numpy.isfinite; it is not enough to replace the one stick.",
     ),
     Check(
         "counts are 0..65535: a frame that starts at 60000 wraps, with the same slots",
@@ -229,7 +233,8 @@ DECODE = (
         "PAUSE_US or more.",
     ),
     Check(
-        "no good frame gives an array of shape (0, channels), and six channels work as well as four",
+        "no good frame gives an array of shape (0, channels), "
+        "and six channels work as well as four",
         lambda f: (
             is_same_answer(f(_ppm((1100, 1200)), 4), np.zeros((0, 4)))
             and is_same_answer(
@@ -260,7 +265,8 @@ FAILSAFE = (
         "Rule 5: `good` = 0 in SAFE.",
     ),
     Check(
-        "silence shorter than HOLD_MS stays ACTIVE; of HOLD_MS it is HOLD; one good frame brings ACTIVE back",
+        "silence shorter than HOLD_MS stays ACTIVE; of HOLD_MS it is HOLD; "
+        "one good frame brings ACTIVE back",
         lambda f: (
             _is(f, "ACTIVE", *FLYING, _silence(HOLD_MS - 1.0))
             and _is(f, "HOLD", *FLYING, _silence(HOLD_MS))
@@ -274,7 +280,8 @@ FAILSAFE = (
         "Rule 1: a valid command sets the age to 0.",
     ),
     Check(
-        "silence of LOST_MS is LOST, from HOLD or at once, and commands alone do not bring it back",
+        "silence of LOST_MS is LOST, from HOLD or directly, "
+        "and commands alone do not bring it back",
         lambda f: (
             _is(f, "LOST", *FLYING, _silence(LOST_MS))
             and _is(f, "HOLD", *FLYING, _silence(HOLD_MS), _silence(LOST_MS - HOLD_MS - 1.0))
@@ -284,7 +291,8 @@ FAILSAFE = (
         "LOST ends by rule 2 or 3 only.",
     ),
     Check(
-        "engage off is SAFE at once, from ACTIVE, HOLD and LOST; off and five frames later the host flies again",
+        "engage off is SAFE in the same step, from ACTIVE, HOLD and LOST; "
+        "off and five frames later the host flies again",
         lambda f: (
             _is(f, "SAFE", *FLYING, OFF)
             and _is(f, "SAFE", *FLYING, _silence(HOLD_MS), OFF)
@@ -293,7 +301,8 @@ FAILSAFE = (
         "Rule 3 does not ask for the state.",
     ),
     Check(
-        "the pilot's stick is SAFE in the same step, and the host must let go before it may fly again",
+        "the pilot's stick is SAFE in the same step, and the host must let go before it may fly "
+        "again",
         lambda f: (
             _is(f, "SAFE", *FLYING, PILOT)
             and _is(f, "SAFE", *FLYING, PILOT, *[ON] * 12)
@@ -331,7 +340,8 @@ MONITOR = (
         "With no variance the second factor is 1. 200 + 100 in uint8 is 44: turn into float first.",
     ),
     Check(
-        "a chequered board of 100 and 150 and its negative: by hand -1191.4775 / 1308.5225 = -0.91055",
+        "a chequered board of 100 and 150 and its negative: "
+        "by hand -1191.4775 / 1308.5225 = -0.91055",
         lambda f: is_same_answer(f(_boards(1, -1), 0.7, 5)[0], np.array([-1191.4775 / 1308.5225])),
         "Variance is 625: divide by the number of pixels, 64. The covariance is negative here.",
     ),
@@ -341,7 +351,8 @@ MONITOR = (
         "Formula per block first, mean last. Look at the order of axes in reshape.",
     ),
     Check(
-        "with count = 3 the noise alarm comes at the third bad pair and ends with the first good one",
+        "with count = 3 the noise alarm comes at the third bad pair and ends with the first good "
+        "one",
         lambda f: _alarms(f, _boards(1, -1, 1, -1, 1, 1, 1), 3, 0, 0, 1, 1, 0, 0),
         "All of the last `count` pairs; before that many were seen there is no alarm.",
     ),
@@ -409,7 +420,7 @@ LAB = Lab(
         Criterion(
             "q2", 4.0, "The pilot has control; coming back must be a person's deliberate act."
         ),
-        Criterion("q3", 3.0, "False alarm by motion; blind to frozen; a mend for each."),
+        Criterion("q3", 3.0, "False alarm by motion; blind to frozen; a fix for each."),
     ),
     constants={
         "gap_us": (300.0, 450.0, 0),

@@ -1,6 +1,4 @@
-"""Lab 10, given: the course's numbers, a wire with faults, a radio link with dropouts, the video,
-and the plots.
-"""
+"""Lab 10, given: your course's numbers, a faulty wire, a radio link with dropouts, video, plots."""
 
 import json
 from pathlib import Path
@@ -142,15 +140,13 @@ def plot_frame(edges: np.ndarray, errors_us: dict[str, np.ndarray]) -> None:
 
 
 def scene_of_faults() -> list[tuple[bool, bool, bool]]:
-    """Six seconds at one step per PPM frame: (valid, engage, pilot moved), with two dropouts and a
-    takeover.
-    """
+    """Six seconds of (valid, engage, pilot moved) per frame, with two dropouts and a takeover."""
     steps = [(True, False, False)] * 10 + [(True, True, False)] * 50
     steps += [(False, False, False)] * 6 + [(True, True, False)] * 34  # a short dropout
     steps += [(False, False, False)] * 20 + [(True, True, False)] * 30  # a long one
     steps += [(True, False, False)] * 10 + [
         (True, True, False)
-    ] * 60  # the host lets go and asks again
+    ] * 60  # the host disengages and engages again
     return [*steps, (True, True, True), *[(True, True, False)] * 40]  # the pilot moves a stick
 
 

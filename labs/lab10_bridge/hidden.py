@@ -1,6 +1,4 @@
-"""Lab 10, for instructors: the hidden cases and their references, written apart from the lab's
-solution.
-"""
+"""Lab 10, hidden: the cases and their references, independent of the lab's solution."""
 
 import math
 from collections.abc import Mapping
@@ -35,7 +33,10 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
 
 
 def _sticks(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Sticks in and beyond their limits, now and then one that is no number; no half microseconds."""
+    """Sticks in and beyond their limits, now and then one that is no number.
+
+    No half microseconds.
+    """
     us = rng.integers(-700, 701, 4) + rng.uniform(-0.45, 0.45, 4)
     values = us / 500.0
     values[0] = (values[0] + 1.0) / 2.0
@@ -65,8 +66,9 @@ def _edges(
 
 
 def _stream(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Frames of one radio with lost pulses and sparks, from somewhere in the first frame on; two at
-    least are good.
+    """Frames of one radio with lost pulses and sparks, from somewhere in the first frame on.
+
+    Two at least are good.
     """
     channels = int(rng.integers(4, 8))
     gaps: list[float] = [float(rng.integers(2000, 9000))]
@@ -82,9 +84,7 @@ def _stream(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _spoilt(slots: list[float], rng: np.random.Generator) -> list[float]:
-    """A frame with a pulse lost (two slots in one), a spark (one slot in two), both, a bad slot, or
-    one too many.
-    """
+    """A frame with a lost pulse, a spark, both, an invalid slot, or one slot too many."""
     fault, at = int(rng.integers(5)), int(rng.integers(len(slots) - 1))
     if fault in (0, 2):
         slots = [*slots[:at], slots[at] + slots[at + 1], *slots[at + 2 :]]
@@ -124,8 +124,9 @@ def _frames_by_machine(ticks: np.ndarray, channels: int) -> np.ndarray:
 def _trace(
     rng: np.random.Generator, hold_ms: float, lost_ms: float
 ) -> list[tuple[float, bool, bool, bool]]:
-    """A host that flies, falls silent for a while, lets go; a pilot who steps in; and steps of
-    uneven length.
+    """A host that flies, falls silent for a while, lets go; a pilot who steps in.
+
+    And steps of uneven length.
     """
     steps: list[tuple[float, bool, bool, bool]] = [
         (22.0, True, False, False),
@@ -164,12 +165,12 @@ def _same_states(
 ) -> bool:
     memory: Any = {"state": "SAFE", "armed": False, "good": 0, "age_ms": 0.0}
     history: list[tuple[float, bool, bool, bool]] = []
-    wanted = "SAFE"
+    expected = "SAFE"
     for inputs in _trace(rng, hold_ms, lost_ms):
         memory = student(memory, *inputs)
         history.append(inputs)
-        wanted = _state(wanted, history, hold_ms, lost_ms)
-        if not isinstance(memory, dict) or memory.get("state") != wanted:
+        expected = _state(expected, history, hold_ms, lost_ms)
+        if not isinstance(memory, dict) or memory.get("state") != expected:
             return False
     return True
 
@@ -177,9 +178,7 @@ def _same_states(
 def _state(
     before: str, history: list[tuple[float, bool, bool, bool]], hold_ms: float, lost_ms: float
 ) -> str:
-    """The state now, from the state before and from all that has happened: no counters, only
-    looking back.
-    """
+    """The state from the previous state and the whole history, without counters."""
     _, valid, engage, pilot_moved = history[-1]
     if pilot_moved or (valid and not engage):
         return "SAFE"
@@ -204,7 +203,7 @@ def _state(
         return before
     last = history[
         -6:
-    ]  # five in a row that asked to fly, and before them the host let go with nobody at the sticks
+    ]  # five engage frames in a row, and before them the host disengaged and no stick moved
     asked = all(
         was_valid and was_engaged and not moved for _, was_valid, was_engaged, moved in last[-5:]
     )
@@ -212,8 +211,9 @@ def _state(
 
 
 def _armed(history: list[tuple[float, bool, bool, bool]]) -> bool:
-    """Whether the last word of host or pilot that counts was a host that let go; frames that ask do
-    not change it.
+    """Whether the last word of host or pilot that counts was a host that let go.
+
+    Frames that ask do not change it.
     """
     for _, valid, engage, pilot_moved in reversed(history):
         if pilot_moved:
@@ -224,8 +224,9 @@ def _armed(history: list[tuple[float, bool, bool, bool]]) -> bool:
 
 
 def _pictures(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Runs of calm, noisy, half noisy and frozen pictures; similarities stay far from the
-    threshold.
+    """Runs of calm, noisy, half noisy and frozen pictures.
+
+    Similarities stay far from the threshold.
     """
     height, width, count = (
         8 * int(rng.integers(2, 5)),

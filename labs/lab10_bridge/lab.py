@@ -13,8 +13,8 @@
 #
 # **Time** 3 hours. **Before** lab 2 (what an image is); no hardware is needed. All data here is **simulated**.
 #
-# **How it works** Write the functions where it says `raise NotImplementedError`. Each has a `check(...)` cell behind
-# it: it tells you what holds and what does not. Run it as often as you like.
+# **How it works** Write the functions in place of `raise NotImplementedError`. Each is followed by a `check(...)` cell
+# that reports which claims hold. Run it as often as you like.
 
 # %%
 import numpy as np
@@ -212,10 +212,10 @@ print(f"{len(on_wire_us)} frames in 2 s. First: {on_wire_us[0]}, last: {on_wire_
 # | `SAFE` | throttle idle, sticks in the middle |
 # | `ACTIVE` | the host's command |
 # | `HOLD` | the host's last command, once more: a short dropout must not jerk the aircraft |
-# | `LOST` | as `SAFE`, but the host must let go first before it may fly again |
+# | `LOST` | as `SAFE`, but the host must disengage before it may fly again |
 #
-# It remembers four things in a dictionary: `state`; `armed`, whether the host has let go since it last flew; `good`,
-# how many good frames in a row asked to fly since then; and `age_ms`, the time since the last valid command. The
+# It remembers four things in a dictionary: `state`; `armed`, whether the host has disengaged since it last flew; `good`,
+# how many good frames in a row had engage on since then; and `age_ms`, the time since the last valid command. The
 # rules, the strongest first:
 #
 # 1. A valid command sets `age_ms` to 0. Without one it grows by the time of the step.
@@ -275,8 +275,8 @@ check(failsafe_state)
 # %% [markdown]
 # ### See it: dropouts and a takeover
 #
-# Six seconds with a short dropout, a long one, a host that lets go and asks again, and at the end a pilot who moves a
-# stick while the host still wants to fly.
+# Six seconds with a short dropout, a long one, a host that disengages and engages again, and at the end a pilot who
+# moves a stick while the host still sends engage.
 
 # %% figure="takeover"
 memory, states = switched_on(), []
@@ -287,8 +287,8 @@ plot_takeover(scene_of_faults(), states)
 
 # %% [markdown]
 # *Alternative text: state over time; it goes from SAFE to ACTIVE, shortly to HOLD and back, then over HOLD to LOST,
-# stays LOST although commands come again, goes over SAFE to ACTIVE after the host let go, and drops to SAFE in the
-# frame in which the pilot moves a stick, for good.*
+# stays LOST although commands come again, goes over SAFE to ACTIVE after the host disengaged, and drops to SAFE in the
+# frame in which the pilot moves a stick, and stays there.*
 
 # %% [markdown]
 # ## 4. Can the picture be trusted?
@@ -318,7 +318,7 @@ def ssim_monitor(images: np.ndarray, threshold: float, count: int) -> tuple[np.n
     Args:
         images: (n, H, W) uint8 grey levels; H and W are multiples of BLOCK_PX.
         threshold: SSIM below this is noise.
-        count: so many pairs in a row raise an alarm.
+        count: number of pairs in a row that raise an alarm.
 
     Returns:
         (n - 1,) SSIM, and (n - 1,) whole numbers: 0 no alarm, 1 noise, 2 frozen.
@@ -365,12 +365,12 @@ plot_monitor(ssim, alarm, parts, 0.7)
 # %% [markdown]
 # ## Questions
 #
-# **1.** A command is lost now and then. Why does the board hold the last command for a while and not go to idle at
-# once? And why does it not hold it for two seconds? Give numbers: how far does the aircraft fly at 7 m/s until
+# **1.** A command is lost now and then. Why does the board hold the last command for a while and not go to idle
+# immediately? And why does it not hold it for two seconds? Give numbers: how far does the aircraft fly at 7 m/s until
 # `LOST_MS`, and how far in two seconds?
 
 # %% [markdown] answer="q1"
-# Single frames get lost all the time; idle at once would shut the throttle and centre the sticks many times a minute,
+# Single frames get lost all the time; immediate idle would shut the throttle and centre the surfaces many times a minute,
 # and each jerk disturbs the aircraft more than an old command does. For 220 ms the old command is nearly the right
 # one: at 7 m/s the aircraft moves 1.5 m. In two seconds it flies 14 m, most of the hall, and an old roll command would
 # have turned it on its back.
@@ -379,8 +379,8 @@ plot_monitor(ssim, alarm, parts, 0.7)
 # **2.** After `LOST` the host's commands come again, with engage on. Why must the board not simply go on?
 
 # %% [markdown] answer="q2"
-# The pilot has taken over in the meantime, or the aircraft is in a state that the host knows nothing of. A computer
-# that comes back by itself takes the aircraft out of the pilot's hands without warning. Letting go and asking again
+# The pilot has taken over in the meantime, or the aircraft is in a state that the host has not observed. A computer
+# that comes back by itself takes the aircraft out of the pilot's hands without warning. To disengage and engage again
 # is a deliberate act of a person who sees that it is safe. The host's program may also have hung and now sends old
 # commands.
 
@@ -390,7 +390,7 @@ plot_monitor(ssim, alarm, parts, 0.7)
 
 # %% [markdown] answer="q3"
 # In the turn consecutive pictures differ because the aircraft turns: perfect video raises the alarm, and pilots learn
-# to ignore it. On the frozen picture SSIM is one, so the rule stays silent while the policy flies blind. Mend: move
+# to ignore it. On the frozen picture SSIM is one, so the rule stays silent while the policy flies blind. Fix: move
 # the old picture by the known or estimated motion before comparing, and check separately whether the picture is new
 # (frozen, too old) and shows anything at all (one colour). The kit's FrameMonitor does both.
 
@@ -409,7 +409,7 @@ plot_monitor(ssim, alarm, parts, 0.7)
 # 2. Put the probe on pin 11 and find the five pulses. Send 1400, 1600, 1500, 1500 as to the simulated board above: with
 #    `serial.Serial(PORT, 115200)` in its place, 3 s after opening it (that resets the board), and a sleep of 50 ms for
 #    each step. Measure each slot; the board's pulse is 400 us wide, whatever your course has. Trigger on the first
-#    pulse with infinite persistence: how wide is the smear?
+#    pulse with infinite persistence: how wide is the jitter?
 # 3. Pull the USB cable while the board is ACTIVE. How long until the throttle slot is idle?
 #
 # In place of the figures hand in: a photo of the screen with the slots marked, and a video of step 3.

@@ -1,5 +1,4 @@
-"""Makes data/video.npz: SIMULATED video of the arena at 20 Hz with a turn, a lost signal and a
-frozen picture.
+"""Make data/video.npz: SIMULATED video at 20 Hz with a turn, a lost signal and a frozen picture.
 
 python labs/lab10_bridge/make_data.py
 """

@@ -1,6 +1,4 @@
-"""Lab 11, what is given: the two tables of landings, normal quantiles, your course's number, and
-the figure.
-"""
+"""Lab 11, given: the two tables of landings, normal quantiles, your course's number, the figure."""
 
 import csv
 import json
@@ -20,25 +18,24 @@ BLUE, ORANGE, GREEN = (
     "#0072B2",
     "#D55E00",
     "#009E73",
-)  # told apart by colour-blind eyes too (Okabe and Ito)
+)  # distinguishable for colour-blind readers (Okabe and Ito)
 
 
 def z_value(confidence: float) -> float:
-    """How many standard deviations around the mean hold this share of a normal distribution: 0.95
-    gives 1.96.
-    """
+    """Half width of the central interval of a normal distribution, in sigmas: 0.95 gives 1.96."""
     return NormalDist().inv_cdf(0.5 + 0.5 * confidence)
 
 
 def read_paper() -> dict[str, np.ndarray]:
-    """The paper's table of landings: run, sim_expert_cm, sim_vision_cm, real_vision_cm, each (10,);
-    nan: not landed.
+    """The paper's table of landings: run, sim_expert_cm, sim_vision_cm, real_vision_cm, each (10,).
+
+    Nan: not landed.
     """
     return _columns("landings.csv")
 
 
 def read_simulated() -> dict[str, np.ndarray]:
-    """A hundred landings of the kit's expert, all simulated: trial, success, ald_cm, each (100,)."""
+    """A hundred simulated landings of the kit's expert: trial, success, ald_cm, each (100,)."""
     return _columns("kit_expert_simulated.csv")
 
 
@@ -56,8 +53,7 @@ def simple_interval(successes: float, trials: float, confidence: float) -> tuple
 
 
 def coverage(interval: Any, rates: np.ndarray, trials: int, confidence: float) -> np.ndarray:
-    """How often an interval holds the true rate: all outcomes of the trials, each with its binomial
-    probability.
+    """Exact coverage probability of an interval, over all binomial outcomes of the trials.
 
     Args:
         interval: a function (successes, trials, confidence) -> (low, high).

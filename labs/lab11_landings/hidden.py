@@ -1,6 +1,4 @@
-"""Lab 11, instructors only: the same numbers in other ways: roots of a quadratic, masked arrays,
-sums pair by pair.
-"""
+"""Lab 11, hidden: the same numbers by roots of a quadratic, masked arrays and sums over pairs."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -25,8 +23,9 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
     close_cm = course.constants["close_cm"]
 
     def runs(rng: np.random.Generator) -> tuple[Any, ...]:
-        """Runs of which some failed, half of those with a mark beside the pad; one landed exactly
-        on the limit.
+        """Runs of which some failed, half of those with a mark beside the pad.
+
+        One landed exactly on the limit.
         """
         count = int(rng.integers(8, 16))
         success = np.ones(count, bool)
@@ -50,10 +49,10 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
             "close_share": sum(bool(value <= close_cm) for value in landed) / runs,
         }
 
-    nobody = (np.array([False, False, False]), np.array([NAN, 140.0, NAN]))
+    none_landed = (np.array([False, False, False]), np.array([NAN, 140.0, NAN]))
     return {
         "success_interval": (Values(_draw_counts, _interval, fixed=((20, 20, 0.99), (0, 8, 0.8))),),
-        "ald_summary": (Values(runs, summary, fixed=(nobody,)),),
+        "ald_summary": (Values(runs, summary, fixed=(none_landed,)),),
         "compare_sim_real": (Values(_draw_pairs, _compared),),
         "landings_to_show": (Values(_draw_target, _needed),),
     }
@@ -65,9 +64,7 @@ def _draw_counts(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _interval(successes: int, trials: int, confidence: float) -> tuple[float, float]:
-    """Wilson: the rates whose own standard deviation puts the share z away, (share - p)^2 = z^2 p
-    (1 - p) / n.
-    """
+    """Wilson: the rates p that satisfy (share - p)^2 = z^2 p (1 - p) / n."""
     share, z2 = successes / trials, norm.isf(0.5 * (1.0 - confidence)) ** 2
     ends = np.roots([1.0 + z2 / trials, -2.0 * share - z2 / trials, share**2])
     low, high = np.sort(ends.real)
@@ -75,7 +72,10 @@ def _interval(successes: int, trials: int, confidence: float) -> tuple[float, fl
 
 
 def _draw_pairs(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Whole centimetres, so that sums are exact and equal ones are equal; two runs have no partner."""
+    """Whole centimetres, so that sums are exact and equal ones are equal.
+
+    Two runs have no partner.
+    """
     count = int(rng.integers(7, 12))
     sim = np.rint(rng.uniform(1.0, 90.0, count))
     real = np.rint(sim + rng.normal(rng.choice([-12.0, 12.0]), 20.0, count))
@@ -112,8 +112,6 @@ def _needed(rate: float, failures: int, confidence: float) -> int:
 
 
 def _needed_exact(rate: float, failures: int, confidence: float) -> float:
-    """(n - f) / n - p = z sqrt(p (1 - p) / n) is a quadratic in sqrt(n): (1 - p) s^2 - z sqrt(p (1
-    - p)) s - f = 0.
-    """
+    """Trials from a quadratic in s = sqrt(n): (1 - p) s^2 - z sqrt(p (1 - p)) s - f = 0."""
     b = norm.isf(0.5 * (1.0 - confidence)) * np.sqrt(rate * (1.0 - rate))
     return float(((b + np.sqrt(b**2 + 4.0 * (1.0 - rate) * failures)) / (2.0 * (1.0 - rate))) ** 2)

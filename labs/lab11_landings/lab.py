@@ -3,7 +3,7 @@
 # **Eight of ten landed. What does that show?**
 #
 # The paper flew ten landings with vision, trained in simulation only. The aircraft had powder on its wheels; a tape
-# measured the marks. Ten is few. This lab asks what ten landings tell, and what they do not.
+# measured the marks. Ten is few. This lab examines what ten landings show, and what they do not.
 #
 # **You will be able to**
 # - give a success rate with an interval that is right for few trials,
@@ -39,7 +39,7 @@ for name, column in table.items():
     print(f"{name:>15}", column)
 
 # %% [markdown]
-# Each row of the paper's table is one start. The expert (which knows the state) and the vision pilot flew it in
+# Each row of the paper's table is one start. The expert (which uses the state) and the vision pilot flew it in
 # simulation, the vision pilot in the hall as well. The number is the **absolute lateral deviation** (ALD): how far from
 # the pad's centre line the wheels touched, in cm. The pad is 2 m wide, so a landing has at most 100 cm. `nan` means:
 # did not land on the pad, so there is no number.
@@ -120,7 +120,7 @@ plt.show()
 # that every run has, for instance: did it land *close*, within `COHORT["close_cm"]` of the centre line? A run that
 # missed the pad did not.
 #
-# Write `ald_summary`. Mind that a run that missed the pad may still have left a mark beside it: trust `success`.
+# Write `ald_summary`. Note that a run that missed the pad may still have left a mark beside it: trust `success`.
 
 
 # %% exercise="ald_summary"
@@ -168,9 +168,10 @@ for name in ("sim_expert_cm", "sim_vision_cm", "real_vision_cm"):
 # Every real run was replayed in simulation from the same start. So compare **run by run**: starts differ a lot, and in
 # the difference `real - sim` of one run that cancels.
 #
-# Suppose simulation and reality were alike. Then each difference could as well have had the other sign. Flip the signs
+# Suppose simulation and reality did not differ (the null hypothesis). Then each difference could as well have had the
+# other sign. Flip the signs
 # in all $2^n$ ways. Each way gives a mean difference. The share of ways whose mean is *at least as large in size* as
-# the one measured is the **p-value** [Fisher 1935]. A small one says: chance alone would hardly do this.
+# the one measured is the **p-value** [Fisher 1935]. If it is small, chance alone would rarely give such a difference.
 #
 # `itertools.product([1.0, -1.0], repeat=n)` gives all ways. Allow for rounding: count a mean that is smaller by no more
 # than 1e-9.
@@ -210,10 +211,10 @@ pairs, difference, p = compare_sim_real(table["sim_expert_cm"], table["sim_visio
 print(f"vision against expert, both simulated: {pairs} pairs, {difference:+.1f} cm, p = {p:.3f}")
 
 # %% [markdown]
-# A large p-value does not show that two things are equal. It says that these few runs cannot tell them apart.
+# A large p-value does not show that two things are equal, only that these few runs cannot distinguish them.
 #
 # ## 4 Plan the next experiment
-# You want to claim: "it lands in at least 90 % of trials". How many landings does that take? Turn Wilson's condition
+# Suppose you plan to claim: "it lands in at least 90 % of trials". How many landings does that take? Turn Wilson's condition
 # round. With $f$ failures among $n$ trials, the rate $p$ is shown when the observed share lies far enough above it:
 #
 # $$\frac{n - f}{n} - p \;\ge\; z \sqrt{\frac{p (1 - p)}{n}}$$
@@ -223,7 +224,7 @@ print(f"vision against expert, both simulated: {pairs} pairs, {difference:+.1f} 
 
 # %% exercise="landings_to_show"
 def landings_to_show(rate, failures, confidence):
-    """How many trials show a success rate, if so many of them fail. Use z_value(confidence).
+    """Trials needed to show a success rate, given the failures. Use z_value(confidence).
 
     Args:
         rate: p, the success rate to be shown, between 0 and 1.
@@ -284,12 +285,12 @@ plt.show()
 # %% [markdown] answer="landings_reading"
 # Eight of ten real runs landed, and these eight touched down 51 cm off the centre line on average; 41 cm counts the two
 # failures as 0. The true rate may be anywhere from 0.49 to 0.94. That overlaps widely with the 0.72 to 1 of ten
-# simulated landings, so ten runs show neither that reality is harder nor that it is alike.
+# simulated landings, so ten runs show neither that reality is harder nor that it is equal.
 
 # %% [markdown]
 # ## Questions
 # **Question 1.** The paper gives 41 cm as the mean ALD of the real trials. What would you print, 41 or 51? Which single
-# line would you print in the abstract, so that nobody is misled?
+# line would you print in the abstract, so that no reader is misled?
 
 # %% [markdown] answer="q1"
 # 51 cm. The eight landings sum to 408 cm; 408/8 = 51.0, while 41 = 408/10 counts each failure as a perfect landing:
@@ -315,4 +316,4 @@ plt.show()
 #
 # **With hardware.** Put chalk or flour on the wheels and land by hand, ten times, on a strip of 13 x 2 m. Decide before
 # the first flight what counts as success and who measures. Hand in the table, with failures in it, your own figure, and
-# a photo of a mark beside the tape. Nobody stands beside the strip while the motor is armed.
+# a photo of a mark beside the tape. No one stands beside the strip while the motor is armed.

@@ -1,5 +1,4 @@
-"""Write the data of lab 11: the paper's table of landings, and a hundred landings of the kit's own
-simulated expert.
+"""Write the data of lab 11: the paper's table of landings, and 100 simulated ones of the expert.
 
     python labs/lab11_landings/make_data.py
 

@@ -1,25 +1,20 @@
-"""Lab 12's public side: what maps, terms, evidence, a verdict and a finding are like when they are
-right.
-"""
+"""Lab 12, public: claims about maps, terms, evidence, verdicts and findings."""
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 from given import CANDIDATES, CAUTION, CUSHION_M
 
-from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab
+from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_close
 
 Array = np.ndarray
 NAN = math.nan
 
 
-def _near(got: Any, wanted: Any) -> bool:
-    """Equal shapes and equal numbers to rounding, nan where nan is wanted."""
-    return np.shape(got) == np.shape(wanted) and bool(
-        np.allclose(got, wanted, rtol=1e-7, atol=1e-9, equal_nan=True)
-    )
+_near = partial(is_close, rtol=1e-7)
 
 
 AT, CALM_AT, EDGES = (
@@ -32,17 +27,19 @@ CALM = np.array([[1.0, 2.0], [1.0, 2.0], [2.0, 1.0], [2.0, 1.0]])
 
 RESIDUAL_MAP = (
     Check(
-        "squares 1, 9 | 4, 16 against calm 1, 1 | 4, 4: the excess is 4 and 6",
+        "squares 1, 9 | 4, 16 against the baseline's 1, 1 | 4, 4: the excess is 4 and 6",
         lambda f: _near(f(RESIDUAL[:, :1], AT, CALM[:, :1], CALM_AT, EDGES, 1), [[4.0, 6.0]]),
-        "An inner edge belongs to the bin above, the last edge to the last bin, values outside to none.",
+        "An inner edge belongs to the bin above, the last edge to the last bin, "
+        "values outside to none.",
     ),
     Check(
         "a missing value is left out of its channel only",
         lambda f: _near(f(RESIDUAL, AT, CALM, CALM_AT, EDGES, 1), [[4.0, 6.0], [-3.0, 1.0]]),
-        "Channels are rows of the answer; an excess may be negative: the flight was better than the calm one.",
+        "Channels are rows of the answer; an excess may be negative: "
+        "the flight was better than the baseline.",
     ),
     Check(
-        "a bin with fewer values than wanted says nan, on whichever flight they are missing",
+        "a bin with fewer values than `fewest` is nan, on whichever flight they are missing",
         lambda f: (
             _near(f(RESIDUAL, AT, CALM, CALM_AT, EDGES, 2), [[4.0, 6.0], [NAN, 1.0]])
             and _near(
@@ -83,7 +80,7 @@ def _added(f: Function, effect: str, size: float, **other: float) -> Array:
     return more[:, 0] if np.allclose(more[:, 0], more[:, 1]) else np.full(6, NAN)
 
 
-def _wanted(force: Any = (0.0, 0.0, 0.0), moment: Any = (0.0, 0.0, 0.0)) -> Array:
+def _expected(force: Any = (0.0, 0.0, 0.0), moment: Any = (0.0, 0.0, 0.0)) -> Array:
     return np.concatenate([np.asarray(force, float), np.asarray(moment, float)])
 
 
@@ -98,19 +95,20 @@ AUGMENT = (
     ),
     Check(
         "a drag of 0.01 / m brakes 0.49 m/s^2 at 7 m/s, against the path",
-        lambda f: _near(_added(f, "extra_drag", 0.01), _wanted(-0.49 * PATH)),
+        lambda f: _near(_added(f, "extra_drag", 0.01), _expected(-0.49 * PATH)),
         "V squared, and three components: the path has a part along y in a sideslip.",
     ),
     Check(
         "30 % less of 3 m/s^2 of thrust is -0.9 along the nose",
-        lambda f: _near(_added(f, "thrust_loss", 0.3), _wanted((-0.9, 0.0, 0.0))),
+        lambda f: _near(_added(f, "thrust_loss", 0.3), _expected((-0.9, 0.0, 0.0))),
         "thrust in flow is the whole thrust at this throttle and speed.",
     ),
     Check(
-        "ground effect of 0.4 half a metre up: 0.4 / e of the lift more, and of the induced drag less",
+        "ground effect of 0.4 half a metre up: 0.4 / e of the lift more, "
+        "and of the induced drag less",
         lambda f: _near(
             _added(f, "ground_effect", 0.4),
-            _wanted(0.4 / math.e * 49.0 * (0.2 * LIFT + 0.008 * PATH)),
+            _expected(0.4 / math.e * 49.0 * (0.2 * LIFT + 0.008 * PATH)),
         ),
         "Induced drag is V^2 cD_induced c^2; less of it pushes forward along the path.",
     ),
@@ -128,14 +126,14 @@ AUGMENT = (
     Check(
         "aileron lost: a rolling moment against the aileron's own",
         lambda f: _near(
-            _added(f, "aileron_loss", 0.3), _wanted(moment=(-0.3 * 49.0 * 0.75 * 0.5, 0.0, 0.0))
+            _added(f, "aileron_loss", 0.3), _expected(moment=(-0.3 * 49.0 * 0.75 * 0.5, 0.0, 0.0))
         ),
         "It is a share of V^2 L_da aileron; loads[3] is the rolling moment.",
     ),
     Check(
         "adverse yaw: right aileron turns the nose to the left",
         lambda f: _near(
-            _added(f, "adverse_yaw", 0.1), _wanted(moment=(0.0, 0.0, -0.1 * 49.0 * 0.5))
+            _added(f, "adverse_yaw", 0.1), _expected(moment=(0.0, 0.0, -0.1 * 49.0 * 0.5))
         ),
         "loads[5] is the yawing moment, positive nose right.",
     ),
@@ -163,6 +161,7 @@ def _score(
 
 def _tight(f: Function) -> bool:
     """J = E = e0, r0 = 3, P = 1: dK = -1.5 leaves a cost of 4.5, the candidate alone makes it 0.
+
     The same turned.
     """
     turned = np.array(
@@ -180,10 +179,11 @@ SCORE = (
     Check(
         "one number that explains a residual of 3: gain 9 - ln 8, size -3",
         lambda f: _near(_score(f, *NO_NUMBERS, UNIT[:, :1]), [9.0 - math.log(M), -3.0]),
-        "The size makes the residual vanish, so it has the other sign. M is the number of residuals.",
+        "The size makes the residual vanish, so it has the other sign. "
+        "M is the number of residuals.",
     ),
     Check(
-        "two numbers cost twice the price",
+        "two numbers cost twice the penalty",
         lambda f: _near(_score(f, *NO_NUMBERS, UNIT[:, :2]), [25.0 - 2.0 * math.log(M), -3.0, 4.0]),
         "The price is ln M for each column of the candidate.",
     ),
@@ -193,21 +193,34 @@ SCORE = (
         "Divide the gained chi2 by the scatter, then subtract the price.",
     ),
     Check(
-        "what the aircraft's own free numbers explain is no evidence",
-        lambda f: _near(_score(f, UNIT[:, :1], np.zeros(1), UNKNOWN, UNIT[:, [1]])[0], 16.0 - math.log(M)),
-        "Compare with the best fit *without* the candidate, in which the numbers of K are free too.",
-    ),
-    Check("a prior of precision 1 lets them explain half of it",
-          _tight, "The prior adds P to the matrix."),
-    Check(
-        "numbers that drifted away from the prior are pulled back by it",
-        lambda f: _near(_score(f, UNIT[:, :1], np.full(1, 3.0), np.eye(1), UNIT[:, [1]]), [16.0 - math.log(M), 4.0])
-        and _near(
-            _score(f, UNIT[:, :1], np.full(1, -1.0), np.full((1, 1), 4.0), UNIT[:, :1]), [12.8 - math.log(M), -4.0]
+        "what the aircraft's own free parameters explain is no evidence",
+        lambda f: _near(
+            _score(f, UNIT[:, :1], np.zeros(1), UNKNOWN, UNIT[:, [1]])[0], 16.0 - math.log(M)
         ),
-        "The prior's cost is (away + dK)' P (away + dK): half of its gradient at the fit is P away.",
+        "Compare with the best fit *without* the candidate, "
+        "in which the parameters K are free too.",
     ),
-)  # fmt: skip
+    Check(
+        "a prior of precision 1 lets them explain half of it",
+        _tight,
+        "The prior adds P to the matrix.",
+    ),
+    Check(
+        "parameters that drifted away from the prior are pulled back by it",
+        lambda f: (
+            _near(
+                _score(f, UNIT[:, :1], np.full(1, 3.0), np.eye(1), UNIT[:, [1]]),
+                [16.0 - math.log(M), 4.0],
+            )
+            and _near(
+                _score(f, UNIT[:, :1], np.full(1, -1.0), np.full((1, 1), 4.0), UNIT[:, :1]),
+                [12.8 - math.log(M), -4.0],
+            )
+        ),
+        "The prior's cost is (away + dK)' P (away + dK): half of its gradient at the fit is P "
+        "away.",
+    ),
+)
 
 QUIET = np.array([-4.0, -2.0, -3.0])
 LOUD = np.array([-4.0, 20.0, 3.0])
@@ -241,7 +254,8 @@ VERDICT = (
             tuple(f({"a": 92.0, "b": 50.0, "c": 99.0, "d": 90.5}, QUIET))
             == (10.0, "ambiguous", ("c", "a", "d"))
         ),
-        "Sort by the gain, largest first; take those that are less than LEAST_GAIN behind the best.",
+        "Sort by the gain, largest first; take those that are less than LEAST_GAIN behind the "
+        "best.",
     ),
 )
 
@@ -276,9 +290,10 @@ FINDING = (
         "If the interval reaches over zero, the effect may be absent: then say none.",
     ),
     Check(
-        "the size makes sense in the unit that CANDIDATES says, and is known to 40 %",
+        "the size makes sense in the unit given in CANDIDATES, and is known to 40 %",
         _sensible,
-        "Shares are numbers from 0 to 1, times are in seconds. Is the interval half as wide as the size?",
+        "Shares are numbers from 0 to 1, times are in seconds. "
+        "Is the interval half as wide as the size?",
     ),
 )
 
@@ -299,7 +314,7 @@ LAB = Lab(
         Criterion(
             "map_reading",
             4.0,
-            "Points at the cells that stand out (or says that none does), and guesses.",
+            "Points at the cells that stand out (or states that none does), and guesses.",
         ),
         Criterion("gap", 4.0, "Evidence with the threshold and gap drawn; after is near calm."),
         Criterion(

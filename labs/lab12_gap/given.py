@@ -1,6 +1,4 @@
-"""Given for lab 12: the candidates with their sizes, the channels, and pictures of a residual map
-and of evidence.
-"""
+"""Lab 12, given: the candidates with their sizes, the channels, and the figures."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -17,10 +15,8 @@ COHORT: dict[str, float] = json.loads(
 )
 CAUTION = COHORT[
     "caution"
-]  # evidence must exceed what chance finds on the calm flight by this factor
-LEAST_GAIN = (
-    10.0  # evidence below which nothing is named, and within which two names cannot be told apart
-)
+]  # evidence must exceed what chance finds on the baseline flight by this factor
+LEAST_GAIN = 10.0  # evidence below which nothing is named, and within which two names are ambiguous
 CUSHION_M = 0.5  # height over which ground effect fades
 
 CHANNELS = ("px", "py", "pz", "roll", "pitch", "yaw")
@@ -29,7 +25,7 @@ BLUE, ORANGE, GREEN, GREY = (
     "#D55E00",
     "#009E73",
     "#777777",
-)  # told apart by colour-blind eyes
+)  # distinguishable for colour-blind readers
 
 
 @dataclass(frozen=True)
@@ -43,20 +39,38 @@ class Candidate:
     largest: float  # that makes sense
 
 
-# Your `augment_model` makes the loads of the first five; the others act on the air or on the
-# sticks, by the kit's code.
+# Your `augment_model` makes the loads of the first five; the others act on the wind or on the
+# control inputs, by the kit's code.
 CANDIDATES = {
-    "extra_drag": Candidate("something sticks out into the air", "drag added [1/m]", ("size",), 0.003, 0.1),
-    "thrust_loss": Candidate("the propeller gives less", "share of the thrust lost [-]", ("size",), 0.05, 1.0),
-    "ground_effect": Candidate("a cushion of air near the floor", "share added at the floor [-]", ("size",), 0.1, 2.0),
-    "aileron_loss": Candidate("an aileron moves less", "share of its moment lost [-]", ("size",), 0.05, 1.0),
-    "adverse_yaw": Candidate("aileron pulls the nose out of the turn", "moment [1/m^2]", ("size",), 0.02, 1.0),
+    "extra_drag": Candidate(
+        "something sticks out into the air", "drag added [1/m]", ("size",), 0.003, 0.1
+    ),
+    "thrust_loss": Candidate(
+        "the propeller gives less", "share of the thrust lost [-]", ("size",), 0.05, 1.0
+    ),
+    "ground_effect": Candidate(
+        "a cushion of air near the floor", "share added at the floor [-]", ("size",), 0.1, 2.0
+    ),
+    "aileron_loss": Candidate(
+        "an aileron moves less", "share of its moment lost [-]", ("size",), 0.05, 1.0
+    ),
+    "adverse_yaw": Candidate(
+        "aileron pulls the nose out of the turn", "moment [1/m^2]", ("size",), 0.02, 1.0
+    ),
     "wind": Candidate("the air moves", "speed [m/s]", ("wind_x", "wind_y"), 0.1, 5.0),
-    "trim_bias": Candidate("the aileron's neutral moved", "stick, with sign [-]", ("bias_aileron",), 0.02, 0.5),
-    "control_delay": Candidate("the sticks act later", "time [s]", ("control_delay",), 0.02, 0.4),
-    "actuator_lag": Candidate("the servos are slower", "time constant [s]", ("actuator_lag",), 0.02, 0.6),
-    "mass_change": Candidate("the aircraft is heavier", "share of the mass [-]", ("mass_added",), 0.03, 1.0),
-}  # fmt: skip
+    "trim_bias": Candidate(
+        "the aileron's neutral moved", "command, with sign [-]", ("bias_aileron",), 0.02, 0.5
+    ),
+    "control_delay": Candidate(
+        "the control inputs act later", "time [s]", ("control_delay",), 0.02, 0.4
+    ),
+    "actuator_lag": Candidate(
+        "the servos are slower", "time constant [s]", ("actuator_lag",), 0.02, 0.6
+    ),
+    "mass_change": Candidate(
+        "the aircraft is heavier", "share of the mass [-]", ("mass_added",), 0.03, 1.0
+    ),
+}
 LOADS = ("extra_drag", "thrust_loss", "ground_effect", "aileron_loss", "adverse_yaw")
 
 
@@ -69,8 +83,8 @@ def rows_of(residual: Array, windows: Any) -> tuple[Array, dict[str, Array]]:
 
     Returns:
         (W * L, 6) residuals, nan where not measured; and by name with its unit, (W * L,) height,
-        heading, and throttle and aileron as means over the last second, since a stick shows in the
-        pose through what it did before.
+        heading, and throttle and aileron as means over the last second, since the pose follows
+        from earlier commands.
     """
     sticks = []
     for times, number in zip(windows.nodes, windows.flight, strict=True):
@@ -92,8 +106,7 @@ def rows_of(residual: Array, windows: Any) -> tuple[Array, dict[str, Array]]:
 
 
 def draw_map(axes: Sequence[Any], maps: Mapping[str, tuple[Array, Array]]) -> Any:
-    """Draw residual maps side by side: channels down, bins of a variable across, dark where the
-    excess is large.
+    """Draw residual maps side by side: channels in rows, bins in columns, dark for a large excess.
 
     Args:
         axes: as many as maps.
@@ -124,9 +137,7 @@ def draw_map(axes: Sequence[Any], maps: Mapping[str, tuple[Array, Array]]) -> An
 
 
 def draw_evidence(ax: Any, gains: Mapping[str, float], threshold: float) -> None:
-    """Bars of evidence, best on top, on a scale that is linear near zero and logarithmic beyond,
-    and the threshold.
-    """
+    """Bars of evidence, best on top, on a symmetric logarithmic scale, with the threshold."""
     names = sorted(gains, key=lambda name: gains[name])
     ax.barh(names, [gains[name] for name in names], color=BLUE)
     ax.axvline(threshold, color=ORANGE, ls="--", label=f"threshold {threshold:.0f}")

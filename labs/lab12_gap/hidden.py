@@ -1,4 +1,4 @@
-"""Lab 12's hidden side: one hidden effect a student, and the judges of the functions that find it."""
+"""Lab 12, hidden: one hidden effect per student, and the judges of the functions that find it."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -23,10 +23,15 @@ OPEN_TRUTH = ("ground_effect", 0.45)
 CALM_S, FLIGHT_S, AIRCRAFT = 90.0, 60.0, 5  # s; s; aircraft that are tried
 # What may be hidden, from clearly visible to still flown.
 SIZES = {
-    "wind": (0.25, 1.0), "extra_drag": (0.010, 0.020),
-    "ground_effect": (0.35, 0.8), "thrust_loss": (0.28, 0.42), "adverse_yaw": (0.06, 0.18),
-    "aileron_loss": (0.24, 0.35), "trim_bias": (0.10, 0.18), "control_delay": (0.04, 0.11),
-}  # fmt: skip
+    "wind": (0.25, 1.0),
+    "extra_drag": (0.010, 0.020),
+    "ground_effect": (0.35, 0.8),
+    "thrust_loss": (0.28, 0.42),
+    "adverse_yaw": (0.06, 0.18),
+    "aileron_loss": (0.24, 0.35),
+    "trim_bias": (0.10, 0.18),
+    "control_delay": (0.04, 0.11),
+}
 NEAR, WIDEST = (
     0.25,
     0.4,
@@ -59,8 +64,9 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
 
 
 def truth(course: Course) -> tuple[str, float]:
-    """What is hidden in a student's flight: the effect's name and its size; the practice case's
-    without a salt.
+    """What is hidden in a student's flight: the effect's name and its size.
+
+    The practice case's without a salt.
     """
     if not course.salt:
         return OPEN_TRUTH
@@ -84,20 +90,25 @@ def handout(course: Course, folder: Path) -> None:
     seed = hidden_seed(course.student, course.salt) if course.salt else OPEN_SEED
     toward = np.random.default_rng([seed, 13]).uniform(0.0, 2.0 * np.pi)
     parameters = {
-        "none": {}, "wind": {"wind_x": size * np.cos(toward), "wind_y": size * np.sin(toward)},
-        "extra_drag": {"drag_added": size}, "ground_effect": {"ground_lift": size, "ground_drag": size},
-        "thrust_loss": {"thrust_lost": size}, "adverse_yaw": {"adverse_yaw": size},
-        "aileron_loss": {"aileron_lost": size}, "control_delay": {"control_delay": size},
+        "none": {},
+        "wind": {"wind_x": size * np.cos(toward), "wind_y": size * np.sin(toward)},
+        "extra_drag": {"drag_added": size},
+        "ground_effect": {"ground_lift": size, "ground_drag": size},
+        "thrust_loss": {"thrust_lost": size},
+        "adverse_yaw": {"adverse_yaw": size},
+        "aileron_loss": {"aileron_lost": size},
+        "control_delay": {"control_delay": size},
         "trim_bias": {"bias_aileron": size, "bias_elevator": 0.0, "bias_rudder": 0.0},
-    }[effect]  # fmt: skip
+    }[effect]
     case = _flown(seed, effect, parameters)
     for table in (case.calm, case.flight):
         write_flight_table(folder / table.name, _rounded(table))
 
 
 def _flown(seed: int, effect: str, parameters: Mapping[str, float]) -> HiddenCase:
-    """The case of the first aircraft from this seed on that stays in the hall with the effect; not
-    every one can.
+    """The case of the first aircraft from this seed on that stays in the hall with the effect.
+
+    Not every one can.
     """
     for number in range(seed, seed + AIRCRAFT):
         with suppress(InputError):
@@ -105,7 +116,8 @@ def _flown(seed: int, effect: str, parameters: Mapping[str, float]) -> HiddenCas
                 number, effect, size=parameters, calm_seconds=CALM_S, flight_seconds=FLIGHT_S
             )
     raise InputError(
-        f"seed {seed}: expected a flight with {effect} in the hall, got none of {AIRCRAFT}; change the salt"
+        f"seed {seed}: expected a flight with {effect} in the hall, got none of {AIRCRAFT}; "
+        "change the salt"
     )
 
 
@@ -128,9 +140,7 @@ def _right_size(effect: str, size: float, student: Function, rng: np.random.Gene
 
 
 def _right_interval(effect: str, size: float, student: Function, rng: np.random.Generator) -> bool:
-    """It holds the truth, but for bad luck, is in order, and is not so wide that it could not help
-    it.
-    """
+    """Whether the interval is in order, not too wide, and holds the truth within its tolerance."""
     if (found := _finding(student)) is None or found[0] != effect:
         return False
     _, best, low, high = found
@@ -156,7 +166,7 @@ def _finding(student: Function) -> tuple[str, float, float, float] | None:
 
 
 # The functions
-# --------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------
 
 
 def _draw_residuals(rng: np.random.Generator) -> tuple[Any, ...]:
@@ -189,17 +199,27 @@ def _map(
 
 
 def _draw_loads(name: str, rng: np.random.Generator) -> tuple[Any, ...]:
-    spans = {"V": (6.0, 9.0), "alpha": (-0.05, 0.2), "beta": (-0.2, 0.2), "height": (0.1, 2.5), "c": (0.1, 0.35),
-             "thrust": (1.0, 5.0), "aileron": (-0.9, 0.9)}  # fmt: skip
+    spans = {
+        "V": (6.0, 9.0),
+        "alpha": (-0.05, 0.2),
+        "beta": (-0.2, 0.2),
+        "height": (0.1, 2.5),
+        "c": (0.1, 0.35),
+        "thrust": (1.0, 5.0),
+        "aileron": (-0.9, 0.9),
+    }
     flow = {key: rng.uniform(*span, size=6) for key, span in spans.items()}
     K = {"cD_induced": rng.uniform(0.1, 0.4), "L_da": rng.uniform(0.5, 1.0)}
     return 3.0 * rng.normal(size=(6, 6)), flow, K, name, rng.uniform(0.2, 0.6)
 
 
 _IN_KIT = {  # the kit's parameters that take the size
-    "extra_drag": ("drag_added",), "thrust_loss": ("thrust_lost",), "ground_effect": ("ground_lift", "ground_drag"),
-    "aileron_loss": ("aileron_lost",), "adverse_yaw": ("adverse_yaw",),
-}  # fmt: skip
+    "extra_drag": ("drag_added",),
+    "thrust_loss": ("thrust_lost",),
+    "ground_effect": ("ground_lift", "ground_drag"),
+    "aileron_loss": ("aileron_lost",),
+    "adverse_yaw": ("adverse_yaw",),
+}
 
 
 def _loads(
@@ -257,9 +277,7 @@ def _scores(
     candidates: Mapping[str, Array],
     scatter: float,
 ) -> dict[str, Array]:
-    """Dense least squares with the prior as further rows, once without and once with each
-    candidate.
-    """
+    """Dense least squares with the prior as further rows, with and without each candidate."""
 
     root = np.linalg.cholesky(precision).T  # precision = root' root
 
@@ -279,9 +297,7 @@ def _scores(
 
 
 def _draw_gains(rng: np.random.Generator) -> tuple[Any, ...]:
-    """Three kinds in turn by chance: nothing above the threshold, one alone, or some too close to
-    call.
-    """
+    """One of three kinds: nothing above the threshold, one alone, or some too close to call."""
     calm = rng.uniform(-8.0, 12.0, 3)
     names = [str(name) for name in rng.permutation(list(CANDIDATES))[:6]]
     kind = rng.integers(3)

@@ -1,15 +1,15 @@
 # %% [markdown]
 # # Lab 12: what is missing in the model?
 #
-# You get two flights of the same aircraft. On the first, the *calm* one, nothing was special. On the second, on
-# another day, **something may have been different**: a wind, a broken aileron, a slow radio, or nothing at all. Every
-# student has another answer. Find it, name it, measure it, add it to the model, and show that the gap between model
-# and flight closes. And invent nothing: *none* is worth as much.
+# You get two flights of the same aircraft. On the first, the *baseline* flight (file `calm.csv`, arguments `calm_...`),
+# the model is right. On the second, on another day, **something may have been different**: a wind, a broken aileron, a
+# slow radio, or nothing at all. Every student has another answer. Detect it, name it, estimate its size, add it to the
+# model, and show that the gap between model and flight closes. *None* is a valid answer and is worth as much.
 #
 # **You will be able to**
 # - show *where* a model is wrong, against the level of a flight where it is right,
 # - write an effect as a term that plugs into the model,
-# - weigh candidates against each other, while the aircraft's own numbers stay uncertain,
+# - compare candidates, while the aircraft's own parameters stay uncertain,
 # - decide by a rule that you fixed before you looked, and give a size with an interval.
 #
 # **Time:** about 4 hours. **Before:** lab 5 (residuals, windows, Gauss-Newton). All flights here are *simulated* by the
@@ -43,17 +43,15 @@ from falconwing_kit.tools.grading import check
 
 folder = Path("data/mine") if Path("data/mine/flight.csv").exists() else Path("data")
 calm_table, table = (read_flight_table(folder / name) for name in ("calm.csv", "flight.csv"))
-print(
-    f"{folder}: calm flight {calm_table.duration:.0f} s, flight under test {table.duration:.0f} s"
-)
+print(f"{folder}: baseline {calm_table.duration:.0f} s, flight under test {table.duration:.0f} s")
 
 # %% [markdown]
-# ## 1. The calm aircraft
-# The kit identifies the calm flight as you did in lab 5, in three dimensions with 29 numbers. Then the flight under
-# test is cut into windows of two seconds and fitted **with the calm aircraft's numbers as prior**: an aircraft is not
-# quite the same on another day, so each number may drift by 1 % on top of its uncertainty.
+# ## 1. The nominal model
+# The kit identifies the baseline flight as you did in lab 5, in three dimensions with 29 parameters. Then the flight
+# under test is cut into windows of two seconds and fitted **with the nominal model's parameters as prior**: an aircraft
+# is not quite the same on another day, so each parameter may drift by 1 % on top of its uncertainty.
 #
-# Without a prior the 29 numbers would *swallow* most effects: more drag here, less aileron there, nothing missing.
+# Without a prior the 29 parameters would *absorb* most effects: more drag here, less aileron there, nothing missing.
 
 # %%
 found = sysid.identify([calm_table])
@@ -77,26 +75,26 @@ initial_states, _ = sysid.fit_initial_states(
 before = fit(calm_model, windows, initial_states, prior=prior)
 scatter = max(1.0, found.train.chi2)
 gains, calm_gains = {}, np.zeros(3)  # until you have something better
-print(f"chi2 per degree of freedom in the calm model: calm flight {found.train.chi2:.2f}, "
+print(f"chi2 per degree of freedom in the nominal model: baseline {found.train.chi2:.2f}, "
       f"flight under test {score(calm_model, windows).chi2:.2f}")  # fmt: skip
 
 
 # %% [markdown]
 # ## 2. Where does it disagree?
-# Replay both flights in the calm model. Residuals are in units of the noise, so their mean square is 1 where only noise
+# Replay both flights in the nominal model. Residuals are in units of the noise, so their mean square is 1 where only noise
 # is left. For each of the six channels (px, py, pz, roll, pitch, yaw) and each bin of some variable, take the mean
-# square of the flight **minus that of the calm flight in the same bin**: an excess, in squared sigmas. A bin with fewer
-# than `fewest` measured values, on either flight, says nothing: nan.
+# square of the flight **minus that of the baseline flight in the same bin**: an excess, in squared sigmas. A bin with
+# fewer than `fewest` measured values, on either flight, is nan.
 
 
 # %% exercise="residual_map"
 def residual_map(residual, variable, calm_residual, calm_variable, edges, fewest):
-    """Excess of a flight's mean square residual over the calm flight's, by channel and bin.
+    """Excess of a flight's mean square residual over the baseline's, by channel and bin.
 
     Args:
         residual: (N, C) in sigmas, nan where not measured.
         variable: (N,) what the rows are sorted by, such as the height.
-        calm_residual: (M, C) the same of the calm flight.
+        calm_residual: (M, C) the same of the baseline flight.
         calm_variable: (M,).
         edges: (B + 1,) of the bins, increasing. A value on an inner edge belongs to the bin above
             it; one on the last edge to the last bin; values outside belong to none.
@@ -135,7 +133,7 @@ for label, values in variables.items():
     maps[label] = edges, excess
 figure, axes = plt.subplots(1, 4, figsize=(13, 3.2), layout="constrained")
 image = draw_map(axes, maps)
-figure.suptitle("Residual map: mean square over that of the calm flight (simulated)")
+figure.suptitle("Residual map: mean square over that of the baseline (simulated)")
 figure.colorbar(image, ax=list(axes), label="excess [sigma²]")
 plt.show()
 
@@ -175,9 +173,9 @@ def augment_model(loads, flow, K, effect, size):
         loads: (6, N) X, Y, Z [m/s^2] and L, M, N [rad/s^2] without the effect.
         flow: by name, each (N,): V [m/s], alpha, beta [rad], height [m], c lift over V^2 [1/m],
             thrust [m/s^2], aileron [-].
-        K: the aircraft's numbers: cD_induced [m], L_da [1/m^2].
+        K: the aircraft's parameters: cD_induced [m], L_da [1/m^2].
         effect: one of LOADS, or "none".
-        size: of the effect, in the unit that CANDIDATES of given.py says.
+        size: of the effect, in the unit given in CANDIDATES of given.py.
 
     Returns:
         (6, N) the loads with the effect; what came in is left as it was.
@@ -206,7 +204,7 @@ def augment_model(loads, flow, K, effect, size):
 check(augment_model)
 
 # %% [markdown]
-# Your function goes into the kit's model as a `Term`. What acts on air or sticks comes from the kit's catalogue.
+# Your function goes into the kit's model as a `Term`. Effects on wind or control inputs come from the kit's catalogue.
 
 
 # %% tags=["plug"]
@@ -239,7 +237,7 @@ def with_candidate(model, name):
 
 
 def columns_of(name, fitted, windows):
-    """(W, R, A) what a size of one does to the residuals, beyond what start states can do."""
+    """(W, R, A) sensitivity of the residuals to the size, initial states projected out."""
     model, step = with_candidate(fitted.model, name), CANDIDATES[name].step
     moved = [model.with_values({amplitude: step}) for amplitude in CANDIDATES[name].amplitudes]
     moved = np.stack([residuals(one, windows, fitted.initial_states) for one in moved], axis=-1)
@@ -252,15 +250,16 @@ def columns_of(name, fitted, windows):
 
 # %% [markdown]
 # ## 4. How much would each candidate explain?
-# Near the fit everything is linear: residuals $r + J\,\Delta K + E\,s$ with the candidate's columns $E$. The 29 numbers
-# stay free under their prior: with $a$ = present $K$ minus the prior's, and $P$ the inverse of the prior's covariance
-# (the calm flight knows some combinations of numbers much better than each alone), minimise
+# Near the fit everything is linear: residuals $r + J\,\Delta K + E\,s$ with the candidate's sensitivities $E$. The 29
+# parameters stay free under their prior: with $a$ = present $K$ minus the prior's, and $P$ the inverse of the prior's covariance
+# (the baseline flight determines some combinations of parameters much better than each alone), minimise
 #
 # $$\chi^2 = \lVert r + J\,\Delta K + E\,s\rVert^2 + (a + \Delta K)^T P\,(a + \Delta K)$$
 #
 # once without the candidate ($s = 0$, only $\Delta K$ free) and once with it. The **gain** is the difference, in units
-# of `scatter` (the calm flight's $\chi^2$ per degree of freedom), **less a price** of $\ln M$ for each number in $s$,
-# with $M$ the number of residuals: more numbers explain more by chance (Schwarz 1978).
+# of `scatter` (the baseline's $\chi^2$ per degree of freedom), **less a complexity penalty** of $\ln M$ for each number in
+# $s$, with $M$ the number of residuals: more parameters explain more by chance (BIC, Schwarz 1978). It approximates twice
+# the log Bayes factor of the candidate.
 
 
 # %% exercise="score_candidates"
@@ -269,11 +268,11 @@ def score_candidates(r, J, away, precision, candidates, scatter):
 
     Args:
         r: (M,) weighted residuals at the fit without candidates.
-        J: (M, F) their derivatives to the aircraft's numbers.
-        away: (F,) the numbers at the fit minus those of the prior.
+        J: (M, F) their derivatives to the aircraft's parameters.
+        away: (F,) the parameters at the fit minus those of the prior.
         precision: (F, F) P, the inverse of the prior's covariance.
         candidates: by name, (M, A) derivatives to the A numbers of the candidate's size.
-        scatter: chi2 per degree of freedom of the calm flight.
+        scatter: chi2 per degree of freedom of the baseline flight.
 
     Returns:
         by name, (1 + A,): the gain, then the size.
@@ -302,7 +301,7 @@ def score_candidates(r, J, away, precision, candidates, scatter):
 check(score_candidates)
 
 # %% [markdown]
-# The same on three thirds of the calm flight, where nothing is hidden: what comes out there is what *chance* finds.
+# The same on three thirds of the baseline flight, where nothing is hidden: this is what *chance* finds.
 
 
 # %% tags=["scan"]
@@ -324,7 +323,7 @@ by_chance = [
 calm_gains = np.array([max(one[0] for one in third.values()) for third in by_chance])
 for name, (gain, *size) in sorted(scores.items(), key=lambda pair: -pair[1][0]):
     print(f"{name:14} gain {gain:8.1f}   size {np.round(size, 4)} {CANDIDATES[name].size}")
-print("best by chance on thirds of the calm flight:", np.round(calm_gains, 1))
+print("best by chance on thirds of the baseline flight:", np.round(calm_gains, 1))
 
 # %% [markdown]
 # ## 5. Decide
@@ -339,7 +338,7 @@ def verdict(gains, calm_gains):
 
     Args:
         gains: evidence by candidate.
-        calm_gains: (B,) the best evidence on each part of the calm flight; some may be negative.
+        calm_gains: (B,) the best evidence on each part of the baseline flight; may be negative.
 
     Returns:
         threshold; "none", "named" or "ambiguous"; a tuple of the names, best first, or empty.
@@ -390,12 +389,12 @@ def measure(name):
 
 # %% figure="gap"
 threshold, word, names = verdict(gains, calm_gains)
-level = {"calm model": score(calm_model, apart).chi2, "another day": left_over(calm_model)}
+level = {"nominal model": score(calm_model, apart).chi2, "another day": left_over(calm_model)}
 finding = {"effect": "none", "size": 0.0, "low": 0.0, "high": 0.0}
 if names:
     model, finding = measure(names[0])
     level["with the effect"] = left_over(model)
-level["calm flight"] = found.train.chi2
+level["baseline flight"] = found.train.chi2
 rounded = {key: value if key == "effect" else round(value, 4) for key, value in finding.items()}
 print(f"threshold {threshold:.1f}: {word} {' or '.join(names)}; {rounded}")
 
@@ -406,22 +405,23 @@ plt.show()
 
 # %% [markdown]
 # *In words:* left, a bar of evidence for every candidate and the threshold as a dashed line. Right, bars of the
-# misfit on time that was held out: with the calm aircraft as it is, with its numbers adapted to another day, with the
-# effect (if one was named), and that of the calm flight itself. Where the effect's bar is as low, the gap is closed.
+# misfit on held-out time: with the nominal model as it is, with its parameters adapted to another day, with the effect
+# (if one was named), and that of the baseline flight itself. Where the effect's bar is as low, the gap is closed.
 #
 # **Question on the figure.** What has passed the threshold, and is the gap closed? Or why is it *none*? Why does the
-# second bar, with 29 adapted numbers and *no* effect, not settle it?
+# second bar, with 29 adapted parameters and *no* effect, not settle it?
 
 # %% [markdown] answer="gap_reading"
 # Only ground effect has passed: some 1100 against 10, all others at or below zero; with it the misfit is as low as in
-# the calm flight. (For *none*: no candidate has passed, so all bars may be luck.) The 29 numbers can bend until the
-# gap nearly closes without any effect. What that costs, the prior knows and the bar does not show; the evidence does.
+# the baseline flight. (For *none*: no candidate has passed, so all bars may be chance.) The 29 parameters can be adapted
+# until the gap nearly closes without any effect. The bar does not show how improbable this is under the prior; the
+# evidence does.
 
 # %% [markdown]
 # ## 7. Your finding
 # Do map, evidence and gap agree? Does the size make sense? Then write down what you found. The size is that of
 # `CANDIDATES` in given.py (of a wind its speed, of a trim bias with its sign), low and high are a 95 % interval. For
-# *none* all three are zero. An interval of more than 40 % to either side says too little.
+# *none* all three are zero. An interval of more than 40 % to either side is too wide.
 
 
 # %% exercise="my_finding"
@@ -441,7 +441,7 @@ check(my_finding)
 
 # %% [markdown]
 # ## Questions
-# **Question 1.** Which other candidate would have made a map like yours, and what tells the two apart?
+# **Question 1.** Which other candidate would have made a map like yours, and what distinguishes the two?
 
 # %% [markdown] answer="q1"
 # More lift near the floor pulls a banked aircraft into its turn, so it is the place in the hall that is off, more than
@@ -449,25 +449,25 @@ check(my_finding)
 # of thrust would make a map like that. But they act at every height, and the height panel is pale above.
 
 # %% [markdown]
-# **Question 2.** A friend leaves out the prior: all 29 numbers are free. Which candidates would he miss, and why? And
-# another friend takes the candidate with the largest gain without a threshold: what happens to him on a calm flight?
+# **Question 2.** A friend leaves out the prior: all 29 parameters are free. Which candidates would he miss, and why? And
+# another friend takes the candidate with the largest gain without a threshold: what happens on a baseline flight?
 
 # %% [markdown] answer="q2"
 # He misses what a number of the aircraft can imitate: a lost aileron is a smaller L_da and nothing else, extra drag is
 # a larger cD_0, a loss of thrust a smaller kT, a trim bias a rolling moment at zero, a delay the delay that the model
 # has anyway. Wind and ground effect stay: no number makes them. The other friend always names something: one of ten
-# gains is always the largest. On every calm flight he invents an effect.
+# gains is always the largest. On every baseline flight he reports an effect that is not there.
 
 # %% [markdown]
 # ## What you can do now
-# You can tell a wrong model from an unlucky flight, name what is missing, or say that nothing is. Compare with the kit,
-# which knows 19 effects, two at a time, and says when it is none of them:
+# You can distinguish a wrong model from chance, name what is missing, or conclude that nothing is. Compare with the kit,
+# which has 19 effects in its catalogue, tries two at a time, and reports when it is none of them:
 #
 #     falconwing gap --calm data/calm.csv --flight data/flight.csv --out gap
 #
 # <details><summary>What was hidden in the practice case (not in yours)</summary>
 # A ground effect with 0.45 of the lift added at the floor, and as much of the induced drag lost.</details>
 #
-# **With hardware:** fly two logs of a minute, one calm, one with a change that a partner makes in secret: tape on an
+# **With hardware:** fly two logs of a minute, a baseline, and one with a change that a partner makes in secret: tape on an
 # aileron, a strip of card (drag), a fan, 10 g at the centre of gravity. The partner checks balance and throws before
 # every flight; propeller and battery stay as they are.

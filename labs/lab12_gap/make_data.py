@@ -2,7 +2,7 @@
 
     python labs/lab12_gap/make_data.py
 
-What is hidden in them stands in hidden.py, and is told at the end of the solution.
+The hidden effect is defined in hidden.py, and given at the end of the solution.
 """
 
 from pathlib import Path

@@ -1,9 +1,8 @@
-"""A lab's functions in this process: the solution's, wrong ones, trivial ones, judged without a box
-and so in no time.
+"""A lab's functions in this process: solution, mutants and trivial answers, without the sandbox.
 
 The text that is run is what the grader's collector takes from the notebook, and the arguments come
-as copies, so only the box itself is missing. The box has tests of its own, and every solution goes
-through it once.
+as copies, so only the sandbox itself is missing. The sandbox has tests of its own, and every
+solution goes through it once.
 """
 
 import copy
@@ -42,9 +41,16 @@ class LabHere:
         self.given: ModuleType = load_module(folder, "given", numbers)
 
     def function(self, name: str, old: str = "", new: str = "") -> Function:
-        """The solution's function, or a wrong one where `old` of its solution is replaced by `new`."""
-        cells = [SubmittedCell(True, replaced(cell.text, old, new) if cell.name == name and cell.kind == "exercise" and old
-                      else cell.for_solution()) for cell in self.cells]  # fmt: skip
+        """The solution's function, or a mutant in which `old` is replaced by `new`."""
+        cells = [
+            SubmittedCell(
+                True,
+                replaced(cell.text, old, new)
+                if cell.name == name and cell.kind == "exercise" and old
+                else cell.for_solution(),
+            )
+            for cell in self.cells
+        ]
         source = collect_source(Notebook(tuple(cells)), name, self.lab.packages)
         assert source.problems == (), source.problems
         namespace: dict[str, object] = {"__name__": "notebook"}

@@ -1,5 +1,4 @@
-"""Opens a student's notebook in JupyterLab in headless Chromium, runs all cells and takes a picture
-to look at.
+"""Open a student's notebook in JupyterLab in headless Chromium, run it and take a screenshot.
 
     python -m tests.labs.open_in_jupyterlab lab01 --out pictures [--solution]
 
@@ -31,8 +30,9 @@ WAIT_S = 180.0  # for a server, a page or a notebook on a busy machine
 
 @contextmanager
 def jupyterlab(folder: Path) -> Iterator[str]:
-    """A JupyterLab server in a folder; gives its address without path, such as
-    http://127.0.0.1:8890, and its token.
+    """A JupyterLab server in a folder.
+
+    Gives its address without path, such as http://127.0.0.1:8890, and its token.
     """
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -137,7 +137,8 @@ def open_and_run(address: str, notebook: str, picture: Path) -> dict[str, object
 def run_to_the_end(page, saved: str) -> bool:
     """Whether the kernel has nothing left to do; the notebook is saved then."""
     busy = page.evaluate(
-        "[...document.querySelectorAll('.jp-InputPrompt')].some(prompt => prompt.innerText.includes('[*]'))"
+        "[...document.querySelectorAll('.jp-InputPrompt')].some(prompt => "
+        "prompt.innerText.includes('[*]'))"
     )
     idle = page.query_selector("text=| Idle") is not None
     if busy or not idle:
@@ -148,8 +149,9 @@ def run_to_the_end(page, saved: str) -> bool:
 
 
 def main() -> int:
-    """Release, open, run, take the picture; 0 where only NotImplementedError was raised and nobody
-    complained.
+    """Release, open, run, take the picture.
+
+    0 where only NotImplementedError was raised and nobody complained.
     """
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

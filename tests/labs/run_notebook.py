@@ -1,6 +1,4 @@
-"""Runs a lab's notebook top to bottom in a kernel of its own, as a student would, in the lab's
-folder.
-"""
+"""Run a lab's notebook top to bottom in a fresh kernel, in the lab's folder."""
 
 import os
 from pathlib import Path

@@ -1,6 +1,4 @@
-"""Grades are fair: solutions get everything with any seed, wrong or trivial answers do not, no
-student is surprised.
-"""
+"""Grades are fair: solutions get all points with any seed, wrong or trivial answers do not."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -74,7 +72,10 @@ def judged_mutants(folder):
 
 @every_lab
 def test_grader_gives_the_solution_all_points_and_the_untouched_notebook_none(folder):
-    """As students' notebooks are graded, in the real box; on every exercise, not only in the sum."""
+    """As students' notebooks are graded, in the real sandbox.
+
+    On every exercise, not only in the sum.
+    """
     require_box()
     graded = selftest(folder)
     assert graded.problems == ()
@@ -118,9 +119,7 @@ def test_trivial_answer_gets_nothing(folder, answer):
 
 @every_lab
 def test_solution_gets_everything_in_a_salted_course(folder):
-    """Other numbers of the course, drawn by a secret: neither judges nor public checks may hold the
-    open course's.
-    """
+    """Other constants, drawn by a secret: neither judges nor checks may hold the open course's."""
     lab = LabHere(folder, course_constants(load_checks(folder), "a secret"))
     for exercise in lab.lab.exercises:
         function = lab.function(exercise.name)
@@ -162,9 +161,7 @@ def test_mutants_of_the_lab_lose_points_and_expect_it(folder):
 
 
 def test_mutants_of_all_labs_lose_points_and_expect_it():
-    """The course's promise: 95 % of wrong solutions lose points, and for 95 % the public checks
-    said so.
-    """
+    """The course's promise: 95 % of wrong solutions lose points, and 95 % fail a public check."""
     found = [mutant for folder in FOLDERS for mutant in judged_mutants(folder)]
     assert sum(mutant.score < 1.0 for mutant in found) >= 0.95 * len(found)
     assert sum(mutant.expected for mutant in found) >= 0.95 * len(found)

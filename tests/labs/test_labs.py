@@ -1,6 +1,4 @@
-"""Every lab is whole: its files, its points, notebooks that are what the source says, nothing that
-gives it away.
-"""
+"""Every lab is complete: its files, points, notebooks that match the source, no leaked solution."""
 
 import ast
 import json
@@ -43,8 +41,9 @@ def test_notebooks_are_what_the_source_says(folder):
 
 
 def test_points_are_75_and_25(lab):
-    """75 of the machine and 25 of a person, three to five exercises; facts of the course, from its
-    plan.
+    """75 of the machine and 25 of a person, three to five exercises.
+
+    Facts of the course, from its plan.
     """
     assert sum(exercise.points for exercise in lab.exercises) == 75.0
     assert sum(criterion.points for criterion in lab.rubric) == 25.0
@@ -53,9 +52,7 @@ def test_points_are_75_and_25(lab):
 
 
 def test_notebook_asks_for_what_the_checks_know(folder, lab):
-    """Each exercise with its check, each criterion with its figure or answer, in the same words in
-    both files.
-    """
+    """Each exercise has its check, each criterion its figure or answer, under the same names."""
     cells = read_cells(folder / "lab.py")
     named = {
         kind: [cell.name for cell in cells if cell.kind == kind]
@@ -101,7 +98,7 @@ def test_route_names_the_lab_and_its_hours(folder, lab):
 
 
 def test_every_check_has_a_claim_and_a_hint(lab):
-    """At least two a function; a claim and a hint that stand once each, since a copy helps nobody."""
+    """At least two per function, with distinct claims and a hint each."""
     for exercise in lab.exercises:
         claims = [check.claim for check in exercise.checks]
         assert len(set(claims)) == len(claims) >= 2, exercise.name
@@ -109,8 +106,9 @@ def test_every_check_has_a_claim_and_a_hint(lab):
 
 
 def test_given_imports_what_the_box_has(folder, lab):
-    """The standard library, NumPy and what the lab asks for; functions that draw for the notebook
-    may load more.
+    """The standard library, NumPy and what the lab asks for.
+
+    Functions that draw for the notebook may load more.
     """
     tree = ast.parse((folder / "given.py").read_text(encoding="utf-8"))
     assert imported(tree.body) <= {"numpy", *lab.packages}
@@ -151,9 +149,7 @@ def test_every_exercise_has_its_judges(folder, lab):
 
 
 def test_release_holds_no_solution_no_hidden_case_and_no_notes(folder, tmp_path):
-    """Every line that stands only between solution markers is looked for in every file that is
-    handed out.
-    """
+    """No line that occurs only between solution markers may occur in a released file."""
     files = release([folder], tmp_path / "out")
     names = {
         path.relative_to(tmp_path / "out" / folder.name).parts[0]

@@ -1,6 +1,4 @@
-"""Every lab's notebooks run as they are handed out: the solution to its end, the untouched one as
-far as it can.
-"""
+"""Every lab's notebooks run as released: the solution to its end, the untouched one partly."""
 
 import pytest
 
@@ -34,9 +32,7 @@ def test_solution_runs_to_its_end_with_its_figures_and_every_check_passed(folder
 
 
 def test_untouched_notebook_only_says_what_is_not_written(folder):
-    """Nothing but NotImplementedError is raised, and a check cell says in words that its function
-    waits.
-    """
+    """Only NotImplementedError is raised, and check cells report unwritten functions."""
     cells = run_notebook(notebook_path(folder).read_text(encoding="utf-8"), folder, go_on=True)
     raised = {
         (error, cell.source)

@@ -1,6 +1,4 @@
-"""Programs beside Python that the tests of labs need: in CI a missing one fails, elsewhere it
-skips.
-"""
+"""Programs beside Python for the tests of labs: a missing one fails in CI and skips elsewhere."""
 
 import os
 import shutil
@@ -9,8 +7,8 @@ import pytest
 
 
 def require_box() -> None:
-    """Bubblewrap, which makes the grader's box."""
+    """Bubblewrap, which starts the grader's sandbox."""
     if shutil.which("bwrap") is None:
         (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(
-            "expected bubblewrap for the box, found none"
+            "expected bubblewrap for the sandbox, found none"
         )

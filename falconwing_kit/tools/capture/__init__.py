@@ -1,4 +1,4 @@
-"""photos of a hall -> camera poses -> world alignment -> a trained scene; packed scene formats."""
+"""Capture: photos of a hall -> camera poses -> world alignment -> trained scene; packed scenes."""
 
 from falconwing_kit.tools.capture.photo_files import read_photo, read_reconstruction
 from falconwing_kit.tools.capture.poses import photos_to_poses

@@ -1,13 +1,13 @@
-"""World alignment: a reconstruction and surveyed points seen in its photos -> the similarity into
-the kit's world.
+"""World alignment: reconstruction and surveyed points seen in photos -> similarity into the world.
 
     p_world = scale R p_reconstruction + t
 
-Structure from motion knows neither scale nor where up is. What works: corners triangulated from all
-photos that show them, Umeyama's similarity between them and the survey, and then all seven degrees
-of freedom refined on the corners' pixels, with the tape's own error in the model. What does not
-(kept as the baseline): the marker's pose from each single photo. A small flat square has two poses
-that look almost alike, so far photos put the camera metres away.
+Structure from motion recovers neither scale nor the direction of gravity. `align` triangulates the
+surveyed corners from all photos that show them, computes Umeyama's similarity between them and the
+survey, and refines its seven degrees of freedom on the corners' pixels, with the tape's error in
+the model. The baseline `align_by_marker_poses` uses the marker's pose from each single photo; it
+fails, since a small flat square has two poses with nearly the same image (pose ambiguity), which
+puts distant cameras metres away.
 """
 
 from collections.abc import Mapping
@@ -25,27 +25,24 @@ from falconwing_kit.tools.capture.survey.points import (
     Survey,
 )
 
-TAPE_SIGMA = 0.01  # [m] what a tape measure is good for
-MIN_PIXEL_SIGMA = 0.2  # [px] no corner is found better than this, however well a few agree
-OUTLIER_PIXELS = (
-    8.0  # [px] a sighting further than this from where its point must be shows something else
-)
-# residuals beyond this many standard deviations pull with a constant force, not with their size
-ROBUST = 3.0
-_DOF = 7
+TAPE_SIGMA = 0.01  # [m] standard deviation of a tape measurement
+MIN_PIXEL_SIGMA = 0.2  # [px] lower limit of the corners' estimated standard deviation
+OUTLIER_PIXELS = 8.0  # [px] observations with a larger reprojection error are rejected
+ROBUST = 3.0  # standard deviations beyond which the soft l1 loss is linear
+_DOF = 7  # of a similarity: log scale, rotation, translation
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A similarity from a reconstruction into the kit's world, and how well it is known."""
+    """A similarity from a reconstruction into the kit's world, with its covariance."""
 
     scale: float  # metres per unit of the reconstruction
-    R: Array  # (3, 3) turns the reconstruction's axes into the world's
-    t: Array  # (3,) where its origin is in the world [m]
-    method: str  # which recipe found it, in words
-    # (7, 7) of log scale, rotation about world axes [rad], translation [m]; nan: not known
+    R: Array  # (3, 3) R_world_reconstruction
+    t: Array  # (3,) the reconstruction's origin in the world [m]
+    method: str  # description of the method
+    # (7, 7) of log scale, rotation about world axes [rad], translation [m]; NaN: unknown
     covariance: Array
-    residuals: Mapping[str, Any] = field(default_factory=dict)  # how well the points fit, by name
+    residuals: Mapping[str, Any] = field(default_factory=dict)  # by point name
 
     def points(self, p_reconstruction: Array) -> Array:
         """(N, 3) world points [m] from points (N, 3) of the reconstruction."""
@@ -56,11 +53,11 @@ class Alignment:
         return (np.asarray(p_world) - self.t) @ self.R / self.scale
 
     def sigma(self, p_world: Array) -> Array:
-        """How well the place of a point is known: the standard deviation of its distance from where
-        it is put.
+        """Standard deviation of the position of points, from the similarity's covariance.
 
         dp = d(log scale) (p - t) + d(rotation) x (p - t) + dt;  sigma^2 = trace(J C J^T)
-        It holds what pixels and tape leave open, not how the reconstruction itself may be bent.
+
+        Includes the errors of pixels and tape, not deformations of the reconstruction itself.
 
         Args:
             p_world: (N, 3) [m].
@@ -69,6 +66,7 @@ class Alignment:
             (N,) [m].
         """
         from_t = require_shape("p_world", p_world, (None, 3)) - self.t
+        # (N, 3, 7): derivatives of each point with respect to log scale, rotation, translation
         jacobian = np.concatenate(
             [from_t[:, :, None], -_cross(from_t), np.broadcast_to(np.eye(3), (len(from_t), 3, 3))],
             2,
@@ -79,21 +77,19 @@ class Alignment:
 def transform_reconstruction(
     alignment: Alignment, reconstruction: Reconstruction
 ) -> Reconstruction:
-    """The reconstruction in the kit's world: places scaled, turned and moved; cameras only turned.
+    """The reconstruction in the kit's world: positions transformed, cameras rotated.
 
     Args:
-        alignment: found on this reconstruction.
-        reconstruction: not yet aligned.
-
-    Returns:
-        The same photos with world poses and points [m].
+        alignment: of this reconstruction.
+        reconstruction: not aligned.
 
     Raises:
-        InputError: it is aligned already.
+        InputError: the reconstruction is aligned already.
     """
     if reconstruction.aligned:
         raise InputError(
-            "reconstruction: expected one that is not aligned yet, got one in world metres; take the raw one"
+            "reconstruction: expected one that is not aligned yet, got one in world metres; "
+            "take the raw one"
         )
     poses = reconstruction.T_world_camera.copy()
     poses[:, :3, :3] = alignment.R @ poses[:, :3, :3]
@@ -115,24 +111,21 @@ def transform_reconstruction(
 def align(
     reconstruction: Reconstruction, survey: Survey, observations: PointObservations
 ) -> Alignment:
-    """Align by surveyed points that photos show: triangulate, fit the similarity, refine it on the
-    pixels.
+    """Align by surveyed points seen in photos: triangulate, fit a similarity, refine on the pixels.
 
-    Minimised over similarity and true places P_j, with P_j measured by tape to TAPE_SIGMA:
-        sum rho(|pixel - project(P_j)|^2 / sigma_px^2) + sum rho(|P_j - survey_j|^2 / TAPE_SIGMA^2),
-        rho: soft l1
-    sigma_px is taken from the residuals themselves. The covariance treats each photo's residuals as
-    one draw, for an error of the photo's pose moves all its corners alike [sandwich form; White
-    1980, clustered by photo].
+    Minimises over the similarity and the true places P_j, with rho the soft l1 loss:
+        sum rho(|pixel - project(P_j)|^2 / sigma_px^2) + sum rho(|P_j - survey_j|^2 / TAPE_SIGMA^2)
+
+    sigma_px is estimated from the residuals. The covariance is clustered by photo, since an error
+    of a photo's pose moves all its corners in the same direction [sandwich estimator, White 1980].
 
     Args:
         reconstruction: not aligned.
-        survey: places of the points, those of use "align".
-        sightings: where photos show them; points seen in fewer than two photos are left out.
+        survey: its points of use "align" are used.
+        observations: points seen in fewer than two photos are ignored.
 
     Returns:
-        The alignment; residuals by point: sightings, rms in pixels and distance of the triangulated
-        point [m].
+        The alignment; residuals by point: number of photos and rms in pixels.
 
     Raises:
         InputError: fewer than three points that span a triangle can be used, or the reconstruction
@@ -140,7 +133,8 @@ def align(
     """
     if reconstruction.aligned:
         raise InputError(
-            "reconstruction: expected one that is not aligned yet, got one in world metres; take the raw one"
+            "reconstruction: expected one that is not aligned yet, got one in world metres; "
+            "take the raw one"
         )
     observations = _alignment_observations(observations, survey)
     triangulated = triangulate(reconstruction, observations)
@@ -150,7 +144,8 @@ def align(
         or np.linalg.matrix_rank(survey.places(names) - survey.places(names[:1]), tol=0.05) < 2
     ):
         raise InputError(
-            f"sightings: expected three surveyed points, not in a line, each in two or more photos, got {len(names)}; "
+            "observations: expected three surveyed points, not in a line, "
+            f"each in two or more photos, got {len(names)}; "
             "click more points or take more photos of them"
         )
     start = umeyama(np.array([triangulated[name] for name in names]), survey.places(names))
@@ -166,15 +161,14 @@ def align(
 def align_by_marker_poses(
     reconstruction: Reconstruction, survey: Survey, observations: PointObservations
 ) -> Alignment:
-    """The baseline, which fails: the marker's pose from each single photo, and Umeyama between the
-    camera centres.
+    """Baseline, which fails: marker pose of each single photo, then Umeyama on camera centres.
 
-    This is the paper's recipe read literally. It is here to be shown beside `align`.
+    This is the paper's recipe read literally, for comparison with `align`.
 
     Args:
         reconstruction: not aligned.
         survey: with the marker's four corners.
-        sightings: of the marker's corners in photos.
+        observations: of the marker's corners.
 
     Returns:
         The alignment, without covariance.
@@ -191,7 +185,8 @@ def align_by_marker_poses(
     shared = set.intersection(*(set(photos.tolist()) for photos, _ in corners))
     if len(shared) < 3:
         raise InputError(
-            f"photos: expected the marker whole in three or more photos, got it in {len(shared)}; take more"
+            f"photos: expected the marker whole in three or more photos, got it in {len(shared)}; "
+            "take more"
         )
     from_reconstruction, from_marker = [], []
     for number in sorted(shared):
@@ -218,7 +213,7 @@ def align_by_marker_poses(
 
 
 def umeyama(p_from: Array, p_to: Array) -> tuple[float, Array, Array]:
-    """The similarity that maps one set of points onto another with the least squares.
+    """The least-squares similarity between two sets of points.
 
     With centred points A, B:  U S V^T = svd(B^T A),  D = diag(1, 1, det(U V^T)),  R = U D V^T,
     scale = trace(S D) / |A|^2,  t = mean(to) - scale R mean(from)      [Umeyama 1991, eq. 40-43]
@@ -231,7 +226,7 @@ def umeyama(p_from: Array, p_to: Array) -> tuple[float, Array, Array]:
         scale, R (3, 3), t (3,) with p_to = scale R p_from + t.
 
     Raises:
-        InputError: the points lie in a line or fewer than three came.
+        InputError: the points lie in a line, or are fewer than three.
     """
     p_from, p_to = (
         require_shape("p_from", p_from, (None, 3)),
@@ -242,7 +237,8 @@ def umeyama(p_from: Array, p_to: Array) -> tuple[float, Array, Array]:
     U, S, Vt = np.linalg.svd(B.T @ A)
     if len(p_from) < 3 or not S[1] > 1e-9 * S[0] > 0.0:
         raise InputError(
-            f"points: expected three or more that are not in a line, got {len(p_from)}; add points beside it"
+            f"points: expected three or more that are not in a line, got {len(p_from)}; "
+            "add points beside it"
         )
     D = np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)])
     R = U @ D @ Vt
@@ -253,20 +249,15 @@ def umeyama(p_from: Array, p_to: Array) -> tuple[float, Array, Array]:
 def triangulate(
     reconstruction: Reconstruction, observations: PointObservations
 ) -> dict[str, Array]:
-    """Where points are, from the rays of all photos that show them; sightings far from the rest are
-    left out.
+    """Points from the rays of all photos that show them, with outlying observations rejected.
 
-    The point next to all rays solves sum (I - d d^T) (p - c) = 0 with d the ray and c the camera;
-    rays are then weighted by 1 / distance^2, so that the error counts in angle, and dropped where
-    they miss by more than FAR_PIXELS.
-
-    Args:
-        reconstruction: whose photos show the points.
-        sightings: where.
+    The point nearest to all rays solves sum w (I - d d^T) (p - c) = 0 with the unit ray d and the
+    camera centre c. Iteratively reweighted: w = 1 / distance^2, so that angles count, and w = 0
+    where the reprojection error exceeds OUTLIER_PIXELS or three times its median.
 
     Returns:
-        By name: (3,) in the reconstruction's frame, for every point that two or more photos agree
-            on.
+        By name: (3,) in the reconstruction's frame, for every point with two or more consistent
+            observations.
     """
     points = {}
     for name in dict.fromkeys(observations.names):
@@ -289,7 +280,7 @@ def triangulate(
 
 
 def _ray(reconstruction: Reconstruction, photo: int, pixel: Array) -> Array:
-    """(3,) unit vector from a camera to what a pixel shows, in the reconstruction's axes."""
+    """(3,) unit direction of a pixel's ray, in the reconstruction's axes."""
     direction = (
         reconstruction.T_world_camera[photo, :3, :3]
         @ reconstruction.pixel_directions(pixel[None])[0]
@@ -300,9 +291,7 @@ def _ray(reconstruction: Reconstruction, photo: int, pixel: Array) -> Array:
 def _reprojection_errors(
     reconstruction: Reconstruction, point: Array, photos: Numbers, pixels: Array
 ) -> Array:
-    """(K,) distances of sightings from where a point appears [px]; infinite where it is behind the
-    camera.
-    """
+    """(K,) distances of observations from a projected point [px]; infinite behind the camera."""
     seen = np.array(
         [reconstruction.project(point[None], int(photo))[0] for photo in photos]
     ).reshape(-1, 2)
@@ -310,7 +299,7 @@ def _reprojection_errors(
 
 
 def _alignment_observations(observations: PointObservations, survey: Survey) -> PointObservations:
-    """Sightings of points that the survey has for alignment."""
+    """Observations of the points whose use is "align"."""
     names = survey.select("align").names
     keep = np.array([name in names for name in observations.names], bool)
     chosen = tuple(name for name, kept in zip(observations.names, keep, strict=True) if kept)
@@ -323,7 +312,7 @@ def _inliers(
     names: list[str],
     triangulated: Mapping[str, Array],
 ) -> PointObservations:
-    """Sightings near their triangulated point."""
+    """Observations near their triangulated point."""
     rows: list[Any] = []
     for name in names:
         photos, pixels = observations.of(name)
@@ -344,7 +333,7 @@ def _refine(
     names: list[str],
     start: tuple[float, Array, Array],
 ) -> Alignment:
-    """Seven degrees of freedom and the points' true places, on pixels and tape together."""
+    """Joint least squares over the similarity (7) and the true point places, on pixels and tape."""
     from scipy.optimize import least_squares
 
     scale, R, t = start
@@ -354,6 +343,7 @@ def _refine(
     )
     pixel_sigma = 1.0
 
+    # x: step of the similarity (7), and deviations of the true places in TAPE_SIGMA (3 each)
     def residuals(x: Array) -> Array:
         at = _perturb_similarity(scale, R, t, x[:_DOF])
         p_true = p_survey + TAPE_SIGMA * x[_DOF:].reshape(-1, 3)
@@ -362,7 +352,7 @@ def _refine(
         return np.concatenate([(seen - observations.pixels).ravel() / pixel_sigma, x[_DOF:]])
 
     x = np.zeros(_DOF + 3 * len(names))
-    for again in range(3):  # the second and third time with the residuals' own size
+    for again in range(3):  # the second and third time with sigma_px from the residuals
         fit = least_squares(residuals, x, loss="soft_l1", f_scale=ROBUST, x_scale="jac")
         x, pixels = fit.x, pixel_sigma * fit.fun[: 2 * len(observations)]
         if again < 2:
@@ -385,9 +375,7 @@ def _refine(
 def _perturb_similarity(
     scale: float, R: Array, t: Array, step: Array
 ) -> tuple[float, Array, Array]:
-    """The similarity after a step in log scale, rotation about world axes through t, and
-    translation.
-    """
+    """The similarity after a step in log scale, rotation about world axes, and translation."""
     from scipy.spatial.transform import Rotation
 
     return (
@@ -398,9 +386,7 @@ def _perturb_similarity(
 
 
 def _project_each(reconstruction: Reconstruction, points: Array, photos: Numbers) -> Array:
-    """(K, 2) pixels of points (K, 3), each in its own photo; what is behind a camera appears far
-    outside.
-    """
+    """(K, 2) pixels of points (K, 3), each in its own photo; far outside if behind the camera."""
     poses, camera = reconstruction.T_world_camera[photos], reconstruction.camera
     p_camera = np.einsum("nji,nj->ni", poses[:, :3, :3], points - poses[:, :3, 3])
     straight = p_camera[:, :2] / np.maximum(p_camera[:, 2:], 1e-6)
@@ -409,17 +395,16 @@ def _project_each(reconstruction: Reconstruction, points: Array, photos: Numbers
 
 
 def _covariance(values: Array, jacobian: Array, observations: PointObservations) -> Array:
-    """(7, 7) covariance with each photo's residuals as one draw, and each tape measure as one.
+    """(7, 7) covariance of the similarity, clustered by photo.
 
-    C = H^-1 (sum over photos g g^T + tape) H^-1 with g the gradient of one photo; never below H^-1
-    itself in any direction that matters here: the larger of the two by trace is taken, for few
-    photos make the first too small.
+    C = H^-1 (sum over photos g g^T + tape) H^-1 with g the gradient of one photo. With few photos
+    this is too small, so the larger of C and H^-1 by trace is returned.
     """
     count = 2 * len(observations)
-    values = (
-        values * (1.0 + (values / ROBUST) ** 2) ** 0.25
-    )  # scipy scales J by ()^-3/4; the gradient has ()^-1/2
+    # scipy scales J by ()^-3/4; the gradient of the soft l1 loss has ()^-1/2
+    values = values * (1.0 + (values / ROBUST) ** 2) ** 0.25
     bread = np.linalg.inv(jacobian.T @ jacobian)
+    # gradient of each observation (K, 7 + 3 points), summed over the observations of a photo
     gradients = (jacobian * values[:, None])[:count].reshape(len(observations), 2, -1).sum(axis=1)
     by_photo = np.array(
         [gradients[observations.photos == k].sum(axis=0) for k in np.unique(observations.photos)]
@@ -446,15 +431,14 @@ def _marker_places(survey: Survey) -> Array:
     missing = [name for name in MARKER_CORNERS if name not in survey.names]
     if missing:
         raise InputError(
-            f"survey: expected the marker's four corners, {missing[0]} is missing; measure and add it"
+            f"survey: expected the marker's four corners, {missing[0]} is missing; "
+            "measure and add it"
         )
     return survey.places(MARKER_CORNERS)
 
 
 def _marker_frame(p_corners: Array) -> tuple[Array, float]:
-    """T_world_marker with x to the marker's right, y up and z out of it, and the side of the square
-    [m].
-    """
+    """T_world_marker (x right, y up, z out of the marker), and the side of the square [m]."""
     top_left, top_right, _, bottom_left = p_corners
     right, up = top_right - top_left, top_left - bottom_left
     size = 0.5 * float(np.linalg.norm(right) + np.linalg.norm(up))

@@ -1,9 +1,8 @@
-"""COLMAP models: a folder with cameras, images and points3D, text or binary -> poses and points.
+"""COLMAP models: cameras, images and points3D, text or binary -> poses and points.
 
-The layout is that of https://colmap.github.io/format.html. Its poses are "camera from world"; its
-pixels have the first centre at (0.5, 0.5) and its camera axes are OpenCV's, both as the kit's. The
-files may promise anything: every count is checked against what is left of the file before it is
-believed.
+Format: https://colmap.github.io/format.html. Poses are "camera from world"; the first pixel's
+centre is at (0.5, 0.5) and camera axes are OpenCV's, both as in the kit. Every count in a file is
+checked against the file's remaining size before memory is allocated.
 """
 
 import struct
@@ -43,16 +42,16 @@ def is_colmap(folder: Path) -> bool:
 
 
 def read_colmap(folder: str | Path) -> dict[str, Any]:
-    """Read a model; the binary files go first where both are there.
+    """Read a model; binary files are preferred where both kinds are present.
 
     Args:
         folder: holds cameras, images and points3D, all .bin or all .txt.
 
     Returns:
-        cameras: list of (model name, width, height, parameters), those that images use;
+        cameras: list of (model name, width, height, parameters) of the cameras in use;
         names: of the images; Ts_world_camera (N, 4, 4);
-        points (M, 3); colours (M, 3) uint8; errors_px (M,) mean reprojection error of each point as
-        the file tells; track_lengths (M,) number of images that see each point.
+        points (M, 3); colours (M, 3) uint8; errors_px (M,) mean reprojection error of each point;
+        track_lengths (M,) number of images that see each point.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -61,7 +60,8 @@ def read_colmap(folder: str | Path) -> dict[str, Any]:
     folder = Path(folder)
     if not is_colmap(folder):
         raise FileNotFoundError(
-            f"{folder}: expected a COLMAP model (cameras, images and points3D), found none; check it"
+            f"{folder}: expected a COLMAP model (cameras, images and points3D), found none; "
+            "check it"
         )
     ending = ".bin" if all((folder / f"{part}.bin").is_file() for part in PARTS) else ".txt"
     paths = [require_file(folder / f"{part}{ending}") for part in PARTS]
@@ -74,7 +74,8 @@ def read_colmap(folder: str | Path) -> dict[str, Any]:
             )
         except (struct.error, ValueError, IndexError, KeyError, OverflowError):
             raise InputError(
-                f"{short_name(path)}: expected COLMAP's {path.stem}, got damaged bytes; copy it again"
+                f"{short_name(path)}: expected COLMAP's {path.stem}, got damaged bytes; "
+                "copy it again"
             ) from None
     cameras, images, (points, colours, errors, lengths) = parts
     missing = {image[1] for image in images} - set(cameras)
@@ -92,9 +93,7 @@ def read_colmap(folder: str | Path) -> dict[str, Any]:
 
 
 def _poses(rows: list[tuple[float, ...]]) -> Array:
-    """Ts_world_camera (N, 4, 4) from COLMAP's qw qx qy qz tx ty tz, "camera from world"; nan where
-    q is no rotation.
-    """
+    """Ts_world_camera (N, 4, 4) from qw qx qy qz tx ty tz (camera from world); NaN for q = 0."""
     from scipy.spatial.transform import Rotation
 
     values = np.array(rows, np.float64).reshape(-1, 7)
@@ -110,7 +109,7 @@ def _poses(rows: list[tuple[float, ...]]) -> Array:
 
 
 class _Bytes:
-    """A place in a binary file; reading past its end raises struct.error."""
+    """A reading position in a binary file; reading past its end raises struct.error."""
 
     def __init__(self, data: bytes) -> None:
         self.data, self.at = data, 0
@@ -122,20 +121,20 @@ class _Bytes:
         return values
 
     def count(self, least_bytes: int) -> int:
-        """How many rows follow, each of at least some bytes."""
+        """The number of rows that follow, each of at least `least_bytes`."""
         (number,) = self.take("Q")
         if number * least_bytes > len(self.data) - self.at:
             raise ValueError(number)
         return int(number)
 
     def skip(self, row_bytes: int) -> int:
-        """Pass over rows of some bytes each; returns how many they were."""
+        """Skip rows of `row_bytes` each and return their number."""
         number = self.count(row_bytes)
         self.at += number * row_bytes
         return number
 
     def word(self) -> str:
-        """Text up to its closing zero."""
+        """Text up to its terminating zero."""
         end = self.data.index(b"\0", self.at)
         text, self.at = self.data[self.at : end].decode(), end + 1
         return text
@@ -169,7 +168,7 @@ def _binary_points(file: _Bytes) -> tuple[Any, ...]:
 
 
 def _lines(content: bytes) -> list[str]:
-    """Lines of a text file that are no comments; empty lines stay, for an image may see no points."""
+    """Lines of a text file without comments; empty lines stay, since an image may see no points."""
     return [line for line in content.decode().splitlines() if not line.startswith("#")]
 
 

@@ -1,11 +1,9 @@
-"""Fitting: photos with aligned poses, or turntable photos of an aircraft -> a Gaussian scene that
-ships, with figures.
+"""Scene fitting: photos with aligned poses, or turntable photos -> trained Gaussian scene, figures.
 
     python -m falconwing_kit.tools.capture.fit RECONSTRUCTION --survey survey.csv --out DIR
 
-does everything in one go without network: on an NVIDIA GPU by gsplat, on a CPU by the reference
-renderer, which is for small scenes. It wants torch, numpy and pillow, and gsplat on the GPU;
-nothing else. `scene/training` does the work.
+trains without network: on an NVIDIA GPU by gsplat, or on a CPU by the reference renderer, for small
+scenes. Requires torch, numpy and pillow, and gsplat for the GPU. See the folder `training`.
 """
 
 import argparse
@@ -33,19 +31,15 @@ from falconwing_kit.tools.capture.training.settings import CAMERAS, LEADER_SETTI
 if TYPE_CHECKING:
     from falconwing_kit.tools.capture.training.task import TrainingResult
 
-# of the points that are added: on the room's floor, walls and ceiling; the others in between
-ON_FACES = 0.9
+ON_FACES = 0.9  # share of the random points on the room's floor, walls and ceiling
 ROOM_MARGIN = 0.5  # [m] beyond the outermost camera and surveyed point
-# a scene may reach this part of the room's size beyond it, and below the floor as deep as it is
-# high
+# the scene's box exceeds the room by this share of its size, and its depth below the floor is the
+# room's height
 BEYOND = 0.25
-CENTRE_OF_GRAVITY = (
-    0.036,
-    0.0,
-    0.0,
-)  # of the leader, in its photos' frame [m]: 0.20 m behind its nose at x = 0.236
+# of the leader, in its photos' frame [m]: 0.20 m behind its nose at x = 0.236
+CENTRE_OF_GRAVITY = (0.036, 0.0, 0.0)
 CORRECTED = "corrected"  # folder of the reconstruction with corrected poses
-AIRCRAFT_SIZE = 0.5  # [m] the extent of a turntable scene
+AIRCRAFT_SIZE = 0.5  # [m] extent of a turntable scene
 
 
 def fit_scene(
@@ -55,22 +49,17 @@ def fit_scene(
     survey: Survey | None = None,
     say: Callable[[str], None] = print,
 ) -> "TrainingResult":
-    """Train a scene on photos, judge it on places it has not seen, and write it.
+    """Train a scene on photos, evaluate it on held-out places, and write it.
 
-    The folder gets scene.npz (quantised, labels rest, floor, pad and marker), figures.json, pairs
-    of held-out photos and renders, and, where poses are learnt, `apply_pose_corrections`: the
-    reconstruction with better poses, to train on once more. While it trains it keeps training.npz
-    there; the same call goes on from it after an interruption.
+    Writes scene.npz (quantised, labels rest, floor, pad and marker), figures.json, pairs of
+    held-out photos and renders, and, if poses are optimised, the corrected reconstruction for
+    another training. Keeps a checkpoint, training.npz, from which the same call resumes.
 
     Args:
         reconstruction: photos with poses in the kit's world.
-        out: the folder; made where it is missing.
-        settings: how to train.
-        survey: where pad and marker are.
-        say: gets lines of progress.
-
-    Returns:
-        Scene, figures and path.
+        out: the folder; created if missing.
+        survey: places of pad and marker.
+        say: called with lines of progress.
 
     Raises:
         FileNotFoundError: a photo is missing.
@@ -85,7 +74,8 @@ def fit_scene(
     settings = settings or FitSettings()
     if not reconstruction.aligned:
         raise InputError(
-            "reconstruction: expected one in the kit's world, got one not aligned; run: falconwing scene align"
+            "reconstruction: expected one in the kit's world, got one not aligned; run: "
+            "falconwing scene align"
         )
     draw, device = choose_renderer(settings.backend)
     source = reconstruction
@@ -119,16 +109,14 @@ def fit_scene(
 
 
 def apply_pose_corrections(source: Reconstruction, Ts_world_camera: Array) -> Reconstruction:
-    """The reconstruction with poses that training corrected, where the survey put it: as a whole it
-    does not move.
+    """The reconstruction with corrected poses, aligned as a whole to its original camera places.
 
     Args:
-        source: the reconstruction.
-        Ts_world_camera: (n, 4, 4) its poses, each a little off its old place.
+        Ts_world_camera: (n, 4, 4) corrected poses of all photos.
 
     Returns:
-        The same photos and points; the poses moved together by the similarity that brings the
-        cameras' places nearest to where they were.
+        The same photos and points with the corrected poses, transformed by the similarity that
+        brings the camera places nearest to the original ones.
     """
     scale, R, t = umeyama(Ts_world_camera[:, :3, 3], source.T_world_camera[:, :3, 3])
     poses = Ts_world_camera.copy()
@@ -144,22 +132,17 @@ def fit_leader(
     centre_of_gravity: Sequence[float] = CENTRE_OF_GRAVITY,
     say: Callable[[str], None] = print,
 ) -> "TrainingResult":
-    """Train an aircraft on its turntable photos, which tell what is aircraft and what is not by
-    their alpha.
+    """Train an aircraft on turntable photos whose alpha separates it from the background.
 
-    The folder gets scene.npz (body axes, label leader, named points nose, tail, left_wing_tip and
+    Writes scene.npz (body axes, label leader, named points nose, tail, left_wing_tip and
     right_wing_tip) and figures.json; see `fit_scene`.
 
     Args:
         folder: holds cameras.json and RGBA photos.
-        out: the folder to write; made where it is missing.
-        settings: how to train.
-        centre_of_gravity: (3,) in the frame of the photos' poses (x nose, y left, z up) [m]; an
-            estimate will do, it is only the place about which the asset turns.
-        say: gets lines of progress.
-
-    Returns:
-        Scene, figures and path.
+        out: the folder to write; created if missing.
+        centre_of_gravity: (3,) in the frame of the photos' poses (x nose, y left, z up) [m]: the
+            asset's centre of rotation; an estimate suffices.
+        say: called with lines of progress.
 
     Raises:
         FileNotFoundError: cameras.json or a photo is missing.
@@ -189,27 +172,27 @@ def fit_leader(
 def initial_points(
     points: Array, colours: NDArray[np.uint8], room: Array, count: int, seed: int
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Points to begin with: those of the reconstruction in the room, and more where it has none, on
-    the room's faces.
+    """Initial points: those of the reconstruction, and random ones, mostly on the room's faces.
 
     Args:
         points: (M, 3) of the reconstruction [m].
         colours: (M, 3) bytes.
         room: (2, 3) lowest and highest corner [m].
-        count: how many in all.
-        seed: draws.
+        count: total number.
 
     Returns:
-        Points (count, 3), at most half of them from the reconstruction unless it has fewer, and
-        colours (count, 3): the added ones take that of the nearest point, or grey.
+        Points (count, 3), at most half of them from the reconstruction, and colours (count, 3):
+        random points have the colour of the nearest reconstructed one, or grey.
     """
     import torch
 
+    # a random half of the count from the reconstructed points in the room
     rng, size = np.random.default_rng(seed), room[1] - room[0]
     own = np.flatnonzero(
         ((points > room[0] - 0.1 * size) & (points < room[1] + 0.1 * size)).all(axis=1)
     )
     own = rng.permutation(own)[: max(count // 2, 4)]
+    # the others uniform in the room, most of them projected onto a random face
     added = rng.uniform(room[0], room[1], (max(0, count - len(own)), 3))
     areas = np.prod(size) / size  # of the faces across x, y and z
     flat = np.flatnonzero(rng.uniform(size=len(added)) < ON_FACES)
@@ -217,6 +200,7 @@ def initial_points(
     added[flat, axis] = room[rng.integers(0, 2, len(flat)), axis]
     if len(own) == 0:
         return added, np.full(added.shape, 128, np.uint8)
+    # colour of the nearest reconstructed point, in chunks to limit memory
     known = torch.tensor(points[own], dtype=torch.float32)
     parts = torch.tensor(added, dtype=torch.float32).split(1024)
     nearest = [torch.cdist(part, known).argmin(dim=1).numpy() for part in parts if len(part)]
@@ -231,17 +215,17 @@ def evaluate_scene(
     backend: str = "fast",
     folder: Path | None = None,
 ) -> dict[str, Any]:
-    """The figures of a scene file on the held-out photos, drawn by one of the kit's renderers.
+    """Figures of a scene file on the held-out photos, by one of the kit's renderers.
 
     Args:
         path: of the scene.
-        reconstruction: that it was trained on.
-        settings: of the training, which say what was held out.
+        reconstruction: of the training.
+        settings: of the training; they determine the held-out photos.
         backend: of `render`.
-        folder: of the photos, if they are not where the reconstruction says.
+        folder: of the photos, if not the reconstruction's.
 
     Returns:
-        See `training.judge.judge`.
+        See `training.judge.evaluate`.
 
     Raises:
         InputError: a file is damaged or the backend cannot run here.
@@ -269,9 +253,7 @@ def _room(settings: FitSettings, places: Array, survey: Survey | None) -> Array:
 
 
 def _extent(places: Array) -> float:
-    """How far cameras reach from their middle, and a tenth more [m]; 3D Gaussian Splatting's
-    measure of a scene.
-    """
+    """Scene extent: 1.1 times the largest distance of a camera from their mean [m], as in 3DGS."""
     return max(0.1, 1.1 * float(np.linalg.norm(places - places.mean(axis=0), axis=1).max()))
 
 
@@ -339,8 +321,7 @@ def fit_folder(
     photos: Path | None = None,
     say: Callable[[str], None] = print,
 ) -> "TrainingResult":
-    """Fit what a folder holds: an aligned reconstruction, or turntable photos of an aircraft (with
-    cameras.json).
+    """Fit a folder: an aligned reconstruction, or turntable photos (with cameras.json).
 
     Args:
         source: the folder, or a transforms.json.
@@ -348,8 +329,8 @@ def fit_folder(
         changes: settings that differ from `FitSettings()`, or from `LEADER_SETTINGS` for turntable
             photos.
         survey: CSV of measured points.
-        photos: the folder of a reconstruction's photos, if they are not where it says.
-        say: gets lines of progress.
+        photos: folder of the photos, if not the reconstruction's.
+        say: called with lines of progress.
 
     Raises:
         FileNotFoundError: the source or a photo is missing.

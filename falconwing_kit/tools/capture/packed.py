@@ -5,8 +5,7 @@ SPZ     a gzip stream of fixed-point arrays, version 1 to 3   https://github.com
 SOG     version 2: meta.json and lossless WebP images, in a folder or a zip
         https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog
 
-All three are lossy. A compressed file may claim to unpack to anything: sizes are checked before it
-is.
+All three are lossy. Declared sizes are checked before a file is decompressed.
 """
 
 import json
@@ -31,10 +30,9 @@ _SPLAT_ROW = np.dtype(
 )
 
 _SPZ_HEADER = struct.Struct("<4sIIBBBx")
-_SPZ_DC = 0.15  # its colours reach from -2.8 to 3.8, so that higher harmonics may bring them back
+_SPZ_DC = 0.15  # scale of the base colours, which span -2.8 to 3.8
 _SPZ_EXTENSIONS = 0x2
-# SPZ keeps x right, y up, z back, where a .ply of the same scene has y down and z forward: half a
-# turn about x.
+# SPZ has x right, y up, z back; a .ply of the same scene has y down, z forward: half a turn about x
 _TURN = np.array([1, -1, -1], np.float32)
 _TURN_SH = np.array(
     [1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32
@@ -45,11 +43,7 @@ _WEBP_HEADER = struct.Struct("<4sI4s4sIBI")
 
 
 def read_splat(path: str | Path) -> dict[str, Any]:
-    """Read a .splat: position, scale, colour with opacity, and rotation of one Gaussian after the
-    other.
-
-    Args:
-        path: the file.
+    """Read a .splat: position, scale, colour with opacity, and rotation of each Gaussian.
 
     Returns:
         Fields of `GaussianScene` with SH degree 0, not yet checked.
@@ -62,7 +56,8 @@ def read_splat(path: str | Path) -> dict[str, Any]:
     data = path.read_bytes()
     if len(data) % _SPLAT_ROW.itemsize:
         raise InputError(
-            f"{short_name(path)}: expected 32 bytes for each Gaussian, got {len(data)} bytes; the file was cut"
+            f"{short_name(path)}: expected 32 bytes for each Gaussian, got {len(data)} bytes; "
+            "the file was cut"
         )
     rows = np.frombuffer(data, _SPLAT_ROW)
     rgba = rows["rgba"] / np.float32(255.0)
@@ -76,27 +71,23 @@ def read_splat(path: str | Path) -> dict[str, Any]:
 
 
 def read_spz(path: str | Path) -> dict[str, Any]:
-    """Read an SPZ of version 1, 2 or 3, and turn it into the axes that a .ply of the same scene
-    has.
+    """Read an SPZ of version 1, 2 or 3, in the axes of a .ply of the same scene.
 
-    Its mark of antialiased training is not kept; such a scene wants that option of the renderer.
-
-    Args:
-        path: the file.
+    Its flag of antialiased training is ignored; render such a scene with the antialiased option.
 
     Returns:
         Fields of `GaussianScene`, not yet checked.
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: the file is damaged, of another version, or claims to unpack to more than it can
-            hold.
+        InputError: the file is damaged, of another version, or declares an impossible size.
     """
     path = require_file(path)
     name, data = short_name(path), path.read_bytes()
     if data[:4] == b"NGSP":
         raise InputError(
-            f"{name}: expected SPZ version 1 to 3, got version 4 or later; save it as version 3 or as .ply"
+            f"{name}: expected SPZ version 1 to 3, got version 4 or later; "
+            "save it as version 3 or as .ply"
         )
     unpacker = zlib.decompressobj(wbits=31)  # gzip
     try:
@@ -107,7 +98,8 @@ def read_spz(path: str | Path) -> dict[str, Any]:
         size = count * sum(widths)
         if size > MAX_COMPRESSION * len(data) + FREE_BYTES:
             raise InputError(
-                f"{name}: expected a promise of at most {MAX_COMPRESSION} times its size, got one of {count} Gaussians"
+                f"{name}: expected a declared size of at most {MAX_COMPRESSION} times its own, "
+                f"got one of {count} Gaussians"
             )
         body = unpacker.decompress(unpacker.unconsumed_tail, size)
         more = unpacker.decompress(unpacker.unconsumed_tail, 1)
@@ -117,7 +109,8 @@ def read_spz(path: str | Path) -> dict[str, Any]:
         ) from None
     if len(body) != size or more or not unpacker.eof:
         raise InputError(
-            f"{name}: expected {size} bytes for {count} Gaussians, got fewer or more; the file is damaged"
+            f"{name}: expected {size} bytes for {count} Gaussians, got fewer or more; "
+            "the file is damaged"
         )
     parts = np.split(np.frombuffer(body, np.uint8), np.cumsum(widths)[:-1] * count)
     return _spz_fields(version, fraction_bits, [part.reshape(count, -1) for part in parts])
@@ -135,19 +128,19 @@ def _spz_header(header: bytes, name: str) -> tuple[int, int, int, int]:
     if count == 0 or degree >= len(SH_COUNTS) or fraction_bits > 24:
         got = f"{count} of degree {degree} with {fraction_bits} bits"
         raise InputError(
-            f"{name}: expected Gaussians of SH degree 0 to 3 with at most 24 fractional bits, got {got}"
+            f"{name}: expected Gaussians of SH degree 0 to 3 with at most 24 fractional bits, "
+            f"got {got}"
         )
     if flags & _SPZ_EXTENSIONS:
         raise InputError(
-            f"{name}: expected an SPZ without vendor extensions, which may turn its axes; save it as .ply"
+            f"{name}: expected an SPZ without vendor extensions, which may turn its axes; "
+            "save it as .ply"
         )
     return version, count, degree, fraction_bits
 
 
 def _spz_fields(version: int, fraction_bits: int, parts: list[Bytes]) -> dict[str, Any]:
-    """Gaussians from the parts of an SPZ: positions, opacities, colours, scales, rotations,
-    harmonics.
-    """
+    """Gaussians from positions, opacities, colours, scales, rotations and harmonics of an SPZ."""
     positions, opacities, colors, scales, rotations, harmonics = parts
     count = len(positions)
     if version == 1:
@@ -172,15 +165,13 @@ def _spz_fields(version: int, fraction_bits: int, parts: list[Bytes]) -> dict[st
 
 
 def _spz_first_three(rotations: Bytes) -> Array32:
-    """(N, 4) w x y z from x, y, z in a byte each; w is positive."""
+    """(N, 4) w x y z from x, y, z in one byte each; w is positive."""
     xyz = rotations / np.float32(127.5) - 1.0
     return quaternions_from_smallest_three(xyz, np.zeros(len(xyz), np.int64))
 
 
 def _spz_smallest_three(rotations: Bytes) -> Array32:
-    """(N, 4) w x y z from 32-bit words: the place of the largest in x y z w, then sign and 9 bits
-    of each other.
-    """
+    """(N, 4) w x y z from 32-bit words: index of the largest, sign and 9 bits of the others."""
     words = rotations.view("<u4")[:, 0]
     fields = np.stack([words >> 20, words >> 10, words], axis=1) & 0x3FF
     size = (fields & 0x1FF) * np.float32(np.sqrt(0.5) / 0x1FF)
@@ -246,7 +237,8 @@ def _fetch_from_zip(path: Path) -> Callable[[str], bytes]:
     def fetch(name: str) -> bytes:
         if name not in members:
             raise InputError(
-                f"{short_name(path)}: expected {name[:80]} in the zip, which is missing; pack the scene again"
+                f"{short_name(path)}: expected {name[:80]} in the zip, which is missing; "
+                "pack the scene again"
             )
         return members[name]
 
@@ -254,14 +246,15 @@ def _fetch_from_zip(path: Path) -> Callable[[str], bytes]:
 
 
 def _sog_meta(data: bytes, name: str) -> dict[str, Any]:
-    """The content of meta.json, with a count that is a positive whole number."""
+    """The content of meta.json, with a positive integer count."""
     try:
         meta = json.loads(data) if len(data) <= _SOG_META_BYTES else None
     except (ValueError, RecursionError):
         meta = None
     if not isinstance(meta, dict) or meta.get("version") != 2:
         raise InputError(
-            f"{name}: expected the meta.json of SOG version 2, got other text; convert the scene again"
+            f"{name}: expected the meta.json of SOG version 2, got other text; "
+            "convert the scene again"
         )
     count = meta.get("count")
     if type(count) is not int or not 0 < count < 2**31:
@@ -284,7 +277,8 @@ def _section(
         or not all(_is_plain(file) for file in listed)
     ):
         raise InputError(
-            f"{name}: expected {files} plain file names for {key} in meta.json, got others; convert it again"
+            f"{name}: expected {files} plain file names for {key} in meta.json, got others; "
+            "convert it again"
         )
     arrays = []
     for number in numbers:
@@ -295,7 +289,8 @@ def _section(
             or not all(_is_number(v) for v in values)
         ):
             raise InputError(
-                f"{name}: expected 1 to 256 finite numbers for {key} {number} in meta.json, got others"
+                f"{name}: expected 1 to 256 finite numbers for {key} {number} in meta.json, "
+                "got others"
             )
         arrays.append(np.array(values, np.float32))
     return listed, arrays
@@ -306,19 +301,18 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_plain(file: Any) -> bool:
-    """Whether a name stays in its own folder."""
+    """Whether a file name has no path separators."""
     return isinstance(file, str) and 0 < len(file) < 256 and not set(file) & set("/\\:\0")
 
 
 def _decode(files: dict[str, bytes], name: str) -> dict[str, Bytes]:
-    """The images as (height, width, 4) red, green, blue, alpha, once their headers promise a size
-    that can be true.
-    """
+    """The images as (height, width, 4) RGBA, after a check of the sizes in their headers."""
     try:
         import cv2
     except ImportError:
         raise InputError(
-            f"{name}: expected OpenCV to decode SOG's images; run: pip install opencv-python-headless"
+            f"{name}: expected OpenCV to decode SOG's images; run: "
+            "pip install opencv-python-headless"
         ) from None
     sizes = {file: _webp_size(data, f"{name}: {file}") for file, data in files.items()}
     pixels, packed = (
@@ -327,7 +321,8 @@ def _decode(files: dict[str, bytes], name: str) -> dict[str, Bytes]:
     )
     if 4 * pixels > MAX_COMPRESSION * packed + FREE_BYTES:
         raise InputError(
-            f"{name}: expected images of at most {MAX_COMPRESSION} times their files, got {pixels} pixels"
+            f"{name}: expected images of at most {MAX_COMPRESSION} times their files, "
+            f"got {pixels} pixels"
         )
     images = {}
     for file, data in files.items():
@@ -342,7 +337,8 @@ def _decode(files: dict[str, bytes], name: str) -> dict[str, Bytes]:
             or image.shape[2:] not in ((3,), (4,))
         ):
             raise InputError(
-                f"{name}: {file}: expected a whole WebP image, got a damaged one; copy or convert it again"
+                f"{name}: {file}: expected a whole WebP image, got a damaged one; "
+                "copy or convert it again"
             )
         opaque = np.full_like(image[..., :1], 255)
         images[file] = np.concatenate(
@@ -352,9 +348,7 @@ def _decode(files: dict[str, bytes], name: str) -> dict[str, Bytes]:
 
 
 def _webp_size(data: bytes, what: str) -> tuple[int, int]:
-    """Width and height from the header of a lossless WebP  [WebP Lossless Bitstream Specification,
-    section 3].
-    """
+    """Width and height of a lossless WebP  [WebP Lossless Bitstream Specification, section 3]."""
     if len(data) >= _WEBP_HEADER.size:
         riff, _, webp, kind, _, signature, bits = _WEBP_HEADER.unpack_from(data)
         if (riff, webp, kind, signature) == (b"RIFF", b"WEBP", b"VP8L", 0x2F):
@@ -365,30 +359,33 @@ def _webp_size(data: bytes, what: str) -> tuple[int, int]:
 
 
 def _texels(image: Bytes, count: int, what: str) -> Bytes:
-    """(count, 4) the first pixels, row by row."""
+    """(count, 4) the first pixels in row order."""
     texels = image.reshape(-1, 4)
     if len(texels) < count:
         raise InputError(
-            f"{what}: expected a pixel for each of {count} Gaussians, got {len(texels)}; convert it again"
+            f"{what}: expected a pixel for each of {count} Gaussians, got {len(texels)}; "
+            "convert it again"
         )
     return texels[:count]
 
 
 def _look_up(book: Array32, codes: Bytes, name: str) -> Array32:
-    """Numbers of a code book, of the codes' shape."""
+    """Code book entries for an array of codes, in its shape."""
     if codes.max() >= len(book):
         raise InputError(
-            f"{name}: expected codes below {len(book)}, the length of the code book, got {codes.max()}"
+            f"{name}: expected codes below {len(book)}, the length of the code book, "
+            f"got {codes.max()}"
         )
     return book[codes]
 
 
 def _sog_means(low: Bytes, high: Bytes, mins_maxs: list[Array32], name: str) -> Array32:
-    """(N, 3) from 16-bit fractions between mins and maxs, where x is kept as sign(x) ln(1 + |x|)."""
+    """(N, 3) from 16-bit fractions between mins and maxs, stored as sign(x) ln(1 + |x|)."""
     mins, maxs = mins_maxs
     if len(mins) != 3 or len(maxs) != 3:
         raise InputError(
-            f"{name}: expected three mins and three maxs for means in meta.json, got other numbers of them"
+            f"{name}: expected three mins and three maxs for means in meta.json, "
+            "got other numbers of them"
         )
     fractions = (low[:, :3] + 256.0 * high[:, :3]) / 65535.0
     logs = mins + (maxs - mins) * fractions
@@ -396,7 +393,7 @@ def _sog_means(low: Bytes, high: Bytes, mins_maxs: list[Array32], name: str) -> 
 
 
 def _sog_quaternions(texels: Bytes, name: str) -> Array32:
-    """(N, 4) w x y z from three bytes for the smallest three, and 252 + the place of the largest."""
+    """(N, 4) w x y z from three bytes for the smallest three, and 252 + index of the largest."""
     if texels[:, 3].min() < 252:
         raise InputError(
             f"{name}: expected 252 to 255 in the alpha of the quaternions, got {texels[:, 3].min()}"
@@ -408,20 +405,20 @@ def _sog_quaternions(texels: Bytes, name: str) -> Array32:
 def _sog_rest(
     part: dict[str, Any], palette: Bytes, labels: Bytes, book: Array32, name: str
 ) -> Array32:
-    """(N, K - 1, 3) higher harmonics: each Gaussian names a row of a palette, 64 of which stand
-    side by side.
-    """
+    """(N, K - 1, 3) higher harmonics by palette index; the palette has 64 entries per row."""
     bands = part.get("bands")
     per_row = SH_COUNTS[bands] - 1 if type(bands) is int and 1 <= bands <= 3 else 0
     if per_row == 0 or palette.shape[1] != 64 * per_row:
         got = f"{str(bands)[:20]} bands, {palette.shape[1]} pixels"
         raise InputError(
-            f"{name}: expected 1 to 3 bands of shN and a palette of 64 entries in each row, got {got}"
+            f"{name}: expected 1 to 3 bands of shN and a palette of 64 entries in each row, "
+            f"got {got}"
         )
     rows = palette.reshape(-1, per_row, 4)[..., :3]
     numbers = labels[:, 0] + 256 * labels[:, 1].astype(np.int64)
     if numbers.max() >= len(rows):
         raise InputError(
-            f"{name}: expected labels below {len(rows)}, the length of the palette, got {numbers.max()}"
+            f"{name}: expected labels below {len(rows)}, the length of the palette, "
+            f"got {numbers.max()}"
         )
     return _look_up(book, rows, name)[numbers]

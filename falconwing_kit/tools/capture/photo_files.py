@@ -1,8 +1,9 @@
 """Photos with poses: nerfstudio's transforms.json or a COLMAP model <-> Reconstruction.
 
-transforms.json writes poses with OpenGL camera axes (x right, y up, z back); the kit's are OpenCV's
-(x right, y down, z forward). Only this file knows the flip:  T_world_camera(OpenGL) =
-T_world_camera(OpenCV) diag(1, -1, -1, 1).
+transforms.json stores poses with OpenGL camera axes (x right, y up, z back); the kit's are OpenCV's
+(x right, y down, z forward). The conversion is in this file only:
+
+    T_world_camera(OpenGL) = T_world_camera(OpenCV) diag(1, -1, -1, 1)
 """
 
 import json
@@ -24,8 +25,7 @@ from falconwing_kit.tools.capture.points import read_points, write_points
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 MAX_JSON_BYTES = 64 * 1024**2
 TRANSFORMS, POINTS = "transforms.json", "points.ply"
-# What the k1 of COLMAP's SIMPLE_RADIAL stands for; further coefficients are taken only where they
-# do nothing.
+# parameters of COLMAP's camera models; coefficients beyond k1 must be negligible
 _COLMAP_PARAMETERS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -38,17 +38,16 @@ _FURTHER = ("k2", "k3", "k4", "p1", "p2")
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """Photos of one camera, where each was taken, and points that they saw.
+    """Photos of one camera, their poses, and the triangulated points.
 
-    A point at x, y (= X/Z, Y/Z in camera axes) appears at u = fx x (1 + k1 r^2) + cx, v = fy y (1 +
-    k1 r^2) + cy with
-    r^2 = x^2 + y^2      [COLMAP's SIMPLE_RADIAL; Brown 1966 with one term]
+    With x = X/Z and y = Y/Z in camera axes and r^2 = x^2 + y^2:
 
-    Until it is aligned, the "world" has its own origin, axes and unit of length.
+    u = fx x (1 + k1 r^2) + cx,  v = fy y (1 + k1 r^2) + cy    [COLMAP's SIMPLE_RADIAL; Brown 1966]
+
+    Before the alignment, "world" has an arbitrary origin, orientation and unit of length.
 
     Raises:
-        InputError: there are no photos, a name comes twice, shapes do not fit, or a pose is no
-            rotation with a place.
+        InputError: there are no photos, a name occurs twice, shapes differ, or a pose is not rigid.
     """
 
     camera: PinholeCamera  # one for all photos
@@ -56,14 +55,12 @@ class Reconstruction:
     folder: Path  # where the photos are
     T_world_camera: Array  # (N, 4, 4), "world from camera", OpenCV axes
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (M, 3) world
-    colours: NDArray[np.uint8] = field(
-        default_factory=lambda: np.zeros((0, 3), np.uint8)
-    )  # (M, 3) red, green, blue
-    k1: float = 0.0  # radial distortion; 0 where there is none
+    # (M, 3) red, green, blue
+    colours: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
+    k1: float = 0.0  # radial distortion
     aligned: bool = False  # True: world is the kit's, in metres
-    report: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # registered, total, reprojection_px, focal_px ...
+    # registered, total, reprojection_px, focal_px ...
+    report: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -79,7 +76,8 @@ class Reconstruction:
         )
         if not (proper and (np.linalg.det(R) > 0).all() and np.allclose(poses[:, 3], (0, 0, 0, 1))):
             raise InputError(
-                "T_world_camera: expected rotations with places, got other matrices; check axes and units"
+                "T_world_camera: expected rotations with places, got other matrices; "
+                "check axes and units"
             )
         points = require_shape("points", self.points, (None, 3))
         colours = np.asarray(self.colours)
@@ -100,11 +98,11 @@ class Reconstruction:
         return len(self.names)
 
     def path(self, number: int) -> Path:
-        """Where the photo of a number lies."""
+        """Path of a photo."""
         return self.folder / self.names[number]
 
     def project(self, p_world: Array, number: int) -> Array:
-        """Where points appear in a photo, lens distortion included.
+        """Project points into a photo, lens distortion included.
 
         Args:
             p_world: (K, 3).
@@ -119,8 +117,7 @@ class Reconstruction:
         return (pixels - principal) * (1.0 + self.k1 * radius_squared) + principal
 
     def pixel_directions(self, pixels: Array) -> Array:
-        """The camera-frame point at depth 1 that appears at each pixel; the inverse of the
-        distortion by iteration.
+        """Directions of pixels in camera axes, by fixed-point iteration of the distortion.
 
         Args:
             pixels: (K, 2) as u, v [px].
@@ -133,10 +130,8 @@ class Reconstruction:
             self.camera.fy,
         )
         straight = distorted.copy()
-        for _ in range(
-            20
-            # |k1| r^2 is below 0.1 for every lens that this model fits: an error shrinks tenfold a turn
-        ):
+        # |k1| r^2 < 0.1 for every lens of this model: each iteration reduces the error tenfold
+        for _ in range(20):
             straight = distorted / (1.0 + self.k1 * (straight**2).sum(axis=-1, keepdims=True))
         return np.concatenate([straight, np.ones((len(straight), 1))], axis=1)
 
@@ -146,14 +141,13 @@ def read_reconstruction(path: str | Path) -> Reconstruction:
 
     Args:
         path: a transforms.json, or a folder with one; or the folder of a COLMAP model (text or
-            binary), or a folder with that model in sparse/0 or sparse. Photos of a COLMAP model are
-            looked for in a folder `images` or `photos` nearby; give another with
+            binary), or a folder with that model in sparse/0 or sparse. The photos of a COLMAP model
+            are searched in a folder `images` or `photos` nearby; set another by
             `dataclasses.replace(..., folder=...)`.
 
     Raises:
         FileNotFoundError: there is no such file or folder.
-        InputError: it is neither, is damaged, or has several cameras or a lens that the kit does
-            not know.
+        InputError: it is neither, is damaged, or has several cameras or an unsupported lens.
     """
     path = Path(path)
     if path.is_dir() and not (path / TRANSFORMS).is_file():
@@ -161,21 +155,17 @@ def read_reconstruction(path: str | Path) -> Reconstruction:
             if is_colmap(folder):
                 return _from_colmap(folder, path)
         raise InputError(
-            f"{path}: expected {TRANSFORMS} or a COLMAP model (cameras, images, points3D), found neither"
+            f"{path}: expected {TRANSFORMS} or a COLMAP model (cameras, images, points3D), "
+            "found neither"
         )
     return _from_transforms(require_file(path / TRANSFORMS if path.is_dir() else path))
 
 
 def write_reconstruction(folder: str | Path, reconstruction: Reconstruction) -> Path:
-    """Write transforms.json and points.ply, as nerfstudio reads them; the kit adds its report under
-    a key of its own.
+    """Write transforms.json and points.ply as nerfstudio reads them, with the kit's report.
 
-    Photos below the folder's parent are named relative to the folder, so that both can move
-    together; others in full.
-
-    Args:
-        folder: made where it is missing.
-        reconstruction: what to write.
+    Photos below the folder's parent have relative paths, so that both can be moved together; others
+    have absolute ones.
 
     Returns:
         The path of transforms.json.
@@ -219,14 +209,14 @@ def write_reconstruction(folder: str | Path, reconstruction: Reconstruction) -> 
 
 
 def undistort(reconstruction: Reconstruction, folder: str | Path) -> Reconstruction:
-    """Write the photos as a lens without distortion had taken them, and say where they are.
+    """Write the photos without lens distortion.
 
     Args:
         reconstruction: with its k1.
-        folder: for the new photos, .png; made where it is missing.
+        folder: for the new photos, .png; created if missing.
 
     Returns:
-        The same poses and points with k1 = 0 and the new photos; itself where k1 is 0 already.
+        The same poses and points with k1 = 0 and the new photos; unchanged if k1 is 0 already.
 
     Raises:
         InputError: a photo cannot be read or written.
@@ -259,11 +249,7 @@ def undistort(reconstruction: Reconstruction, folder: str | Path) -> Reconstruct
 
 
 def read_photo(path: str | Path) -> NDArray[np.uint8]:
-    """A photo as it lies in its file: a camera's note to turn it (EXIF) is not followed, for poses
-    do not follow it.
-
-    Args:
-        path: JPEG, PNG, WebP, TIFF or another image that OpenCV reads.
+    """Read a photo as stored; its EXIF orientation is ignored, as in the poses.
 
     Returns:
         (H, W, 3) red, green, blue.
@@ -280,15 +266,14 @@ def read_photo(path: str | Path) -> NDArray[np.uint8]:
     )
     if image is None:
         raise InputError(
-            f"{short_name(path)}: expected a photo, got a file that no image reader knows; remove or replace it"
+            f"{short_name(path)}: expected a photo, got a file in an unknown format; "
+            "remove or replace it"
         )
     return np.ascontiguousarray(image[..., ::-1])
 
 
 def _photo_path(folder: Path, photo: Path) -> str:
-    """How transforms.json names a photo: relative to the folder if it lies below the folder's
-    parent.
-    """
+    """A photo's path in transforms.json: relative if it lies below the folder's parent."""
     folder, photo = folder.resolve(), photo.resolve()
     near = photo.is_relative_to(folder.parent)
     return Path(os.path.relpath(photo, folder)).as_posix() if near else photo.as_posix()
@@ -324,7 +309,8 @@ def _from_transforms(path: Path) -> Reconstruction:
         ) from None
     if any(frame.get(key, numbers[key]) != numbers[key] for frame in frames for key in numbers):
         raise InputError(
-            f"{name}: expected one camera for all photos, got several; take all photos with one zoom and size"
+            f"{name}: expected one camera for all photos, got several; "
+            "take all photos with one zoom and size"
         )
     if shared.get("camera_model", "OPENCV") not in (
         "OPENCV",
@@ -333,7 +319,8 @@ def _from_transforms(path: Path) -> Reconstruction:
         "SIMPLE_RADIAL",
     ):
         raise InputError(
-            f"{name}: expected a pinhole camera, got {shared['camera_model']!r}; undistort the photos first"
+            f"{name}: expected a pinhole camera, got {shared['camera_model']!r}; "
+            "undistort the photos first"
         )
     focal, principal = (numbers["fl_x"], numbers["fl_y"]), (numbers["cx"], numbers["cy"])
     camera = PinholeCamera(*focal, *principal, width=int(numbers["w"]), height=int(numbers["h"]))
@@ -365,11 +352,13 @@ def _from_colmap(folder: Path, given: Path) -> Reconstruction:
     kind, width, height, parameters = cameras[0]
     if any(other != cameras[0] for other in cameras):
         raise InputError(
-            f"{name}: expected one camera for all photos, got {len(cameras)}; reconstruct with a single camera"
+            f"{name}: expected one camera for all photos, got {len(cameras)}; "
+            "reconstruct with a single camera"
         )
     if kind not in _COLMAP_PARAMETERS:
         raise InputError(
-            f"{name}: expected a lens with at most k1, got COLMAP's {kind}; undistort the photos first"
+            f"{name}: expected a lens with at most k1, got COLMAP's {kind}; "
+            "undistort the photos first"
         )
     numbers = dict(zip(_COLMAP_PARAMETERS[kind], parameters, strict=True))
     fx, fy = numbers.get("fx", numbers.get("f", 0.0)), numbers.get("fy", numbers.get("f", 0.0))
@@ -400,7 +389,7 @@ def _from_colmap(folder: Path, given: Path) -> Reconstruction:
 
 
 def _require_simple_lens(name: str, lens: Mapping[str, float], camera: PinholeCamera) -> None:
-    """Refuse a lens whose further terms move the image's corner by more than half a pixel."""
+    """Raise InputError if higher distortion terms move the image's corner by over half a pixel."""
     radius = np.hypot(0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
     powers = {"k2": 5, "k3": 7, "k4": 9, "p1": 2, "p2": 2}
     moved = (
@@ -408,6 +397,7 @@ def _require_simple_lens(name: str, lens: Mapping[str, float], camera: PinholeCa
     )
     if not moved < 0.5:
         raise InputError(
-            f"{name}: expected a lens with at most k1, but its further terms move the corner by {moved:.1f} px; undistort "
+            f"{name}: expected a lens with at most k1, but its further terms move the corner by "
+            f"{moved:.1f} px; undistort "
             "the photos first (COLMAP: image_undistorter)"
         )

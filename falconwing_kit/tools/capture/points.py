@@ -1,6 +1,4 @@
-"""Point clouds: a .ply with x, y, z and colours <-> arrays; the file that stands beside a
-transforms.json.
-"""
+"""Point clouds: a .ply with x, y, z and colours <-> arrays; the points of a transforms.json."""
 
 from pathlib import Path
 from typing import Any
@@ -33,7 +31,7 @@ def write_points(path: str | Path, points: Array, colours: NDArray[np.uint8]) ->
     """Write a binary .ply that nerfstudio, MeshLab and Open3D read.
 
     Args:
-        path: the file; it appears only once it is complete.
+        path: the file; written complete or not at all.
         points: (M, 3) [m], or in the units of a reconstruction.
         colours: (M, 3) red, green, blue, 0..255.
 
@@ -76,7 +74,8 @@ def read_points(path: str | Path) -> tuple[Array, NDArray[np.uint8]]:
     if binary:
         if count * row.itemsize > len(data) - start:
             raise InputError(
-                f"{name}: expected {count} points of {row.itemsize} bytes, got fewer bytes; the file was cut"
+                f"{name}: expected {count} points of {row.itemsize} bytes, got fewer bytes; "
+                "the file was cut"
             )
         vertices = np.ndarray((count,), row, buffer=data, offset=start)
     else:
@@ -100,7 +99,7 @@ def read_points(path: str | Path) -> tuple[Array, NDArray[np.uint8]]:
 
 
 def _header(data: bytes, name: str) -> tuple[bool, int, np.dtype[Any], int]:
-    """Whether it is binary, how many vertices it has, what a row holds, and where the rows start."""
+    """Whether the file is binary, the vertex count, the row layout, and the offset of the rows."""
     end = data.find(b"end_header", 0, MAX_HEADER_BYTES)
     start = data.find(b"\n", max(end, 0), MAX_HEADER_BYTES + 16) + 1
     if not data.startswith(b"ply") or end < 0 or start == 0:
@@ -118,7 +117,8 @@ def _header(data: bytes, name: str) -> tuple[bool, int, np.dtype[Any], int]:
                     count = int(number)
                 elif not columns:
                     raise InputError(
-                        f"{name}: expected the points first in the file, got {element[:40]}; save it again"
+                        f"{name}: expected the points first in the file, got {element[:40]}; "
+                        "save it again"
                     )
             case ["property", type_name, label] if element == "vertex" and type_name in _TYPES:
                 columns.append((label, _TYPES[type_name]))
@@ -130,7 +130,8 @@ def _header(data: bytes, name: str) -> tuple[bool, int, np.dtype[Any], int]:
         columns
     ):
         raise InputError(
-            f"{name}: expected a binary_little_endian or ascii .ply, got {kind[:40] or 'none'}; save it again"
+            f"{name}: expected a binary_little_endian or ascii .ply, got {kind[:40] or 'none'}; "
+            "save it again"
         )
     return kind != "ascii", count, np.dtype(columns), start
 
@@ -143,7 +144,7 @@ def _text_rows(data: bytes, count: int, row: np.dtype[Any], name: str) -> NDArra
             [tuple(float(word) for word in line.split()) for line in lines], row
         ).reshape(count)
     except ValueError:
-        wanted = len(row.names or ())
+        columns = len(row.names or ())
         raise InputError(
-            f"{name}: expected {count} lines of {wanted} numbers, got others; the file was cut"
+            f"{name}: expected {count} lines of {columns} numbers, got others; the file was cut"
         ) from None

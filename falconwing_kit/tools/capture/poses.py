@@ -1,8 +1,7 @@
-"""Photos to poses: a folder of photos of one place -> Reconstruction, by COLMAP's structure from
-motion (pycolmap).
+"""Photos to poses: a folder of photos of one place -> Reconstruction, by COLMAP (pycolmap).
 
-pycolmap is the optional extra `capture`. Its database stays in the output folder, so a run that was
-stopped goes on where it was: features and matches are not computed twice.
+pycolmap is the optional extra `capture`. Its database stays in the output folder, so that an
+interrupted run resumes without computing features and matches again.
 """
 
 from collections import Counter
@@ -21,20 +20,17 @@ from falconwing_kit.tools.capture.photo_files import Reconstruction, read_photo,
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 MIN_PHOTOS, MIN_PHOTO_SIDE_PX = 3, 160
-ENOUGH_FEATURES, MAX_FEATURES = (
-    300,
-    4096,
-)  # a photo with fewer finds few partners; more only cost time
-GOOD_SHARE, GOOD_REPROJECTION_PX = 0.95, 0.8  # what a good set of photos reaches
-NOISY = 3.0  # [of 255] grain from row to row; digital photos have less, analog video more
-WALK_OVERLAP = 20  # photos before each that it is compared with, where they follow each other
+ENOUGH_FEATURES, MAX_FEATURES = 300, 4096  # per photo: few matches below; only slower above
+GOOD_SHARE, GOOD_REPROJECTION_PX = 0.95, 0.8  # registered share and error of a good set of photos
+NOISY = 3.0  # [of 255] row noise; digital photos have less, analog video more
+WALK_OVERLAP = 20  # previous photos that each photo of a sequence is matched with
 DATABASE, MODEL = "colmap.db", "sparse"
 
 Progress = Callable[[str, int, int], None]
 
 
 def no_progress(step: str, done: int, total: int) -> None:
-    """Progress that tells nobody."""
+    """Progress callback that does nothing."""
 
 
 def photos_to_poses(
@@ -47,33 +43,30 @@ def photos_to_poses(
     seed: int = 0,
     progress: Progress = no_progress,
 ) -> Reconstruction:
-    """Find where each photo was taken.
+    """Estimate the camera pose of each photo by structure from motion.
 
     SIFT features, matches between all pairs (or neighbours only), incremental mapping with one
     shared camera whose focal length and k1 are refined [Schonberger & Frahm 2016,
     Structure-from-Motion Revisited].
 
     Args:
-        photos: a folder; photos in folders inside it count too.
-        out: for the database and COLMAP's model; made where it is missing. Another run with the
-            same photos goes on.
-        focal_share: first guess of the focal length, as a share of the longer side; 10 % off does
-            no harm.
-        walk: True: the photos follow each other by name as frames of a video do; only near ones are
-            compared. False: each is compared with each, which takes time with the square of their
-            number.
-        threads: for all steps; with 1 a run gives the same again.
-        seed: of the random draws in matching and mapping.
+        photos: a folder; subfolders are included.
+        out: for the database and COLMAP's model; created if missing. A further run with the same
+            photos resumes.
+        focal_share: initial focal length, as a share of the longer side; 10 % accuracy suffices.
+        walk: True: the photos are a sequence by name, as frames of a video; only near ones are
+            matched. False: all pairs are matched, in quadratic time.
+        threads: for all steps; 1 makes a run reproducible.
         progress: called with step, done and total.
 
     Returns:
-        Poses of the photos that found their place; report has registered, total, reprojection_px,
-        focal_px, focal_sigma_px, points, features_median, grain and advice.
+        Poses of the registered photos; report has registered, total, reprojection_px, focal_px,
+        focal_sigma_px, points, features_median, grain and advice.
 
     Raises:
         FileNotFoundError: there is no such folder.
         InputError: pycolmap is missing, the photos cannot be used together, or nothing could be
-            reconstructed; the text says what to do.
+            reconstructed.
     """
     colmap = _pycolmap()
     focal_share = require_range("focal_share", focal_share, low=0.2, high=5.0)
@@ -107,7 +100,8 @@ def photos_to_poses(
     number, best = max(models.items(), key=lambda item: item[1].num_reg_images(), default=(0, None))
     if best is None or best.num_reg_images() < MIN_PHOTOS:
         raise InputError(
-            f"{photos}: no reconstruction came out of {len(names)} photos. {' '.join(advice(facts))}"
+            f"{photos}: no reconstruction came out of {len(names)} photos. "
+            f"{' '.join(advice(facts))}"
         )
     progress("focal uncertainty", 0, 1)
     camera = next(iter(best.cameras.values()))
@@ -118,65 +112,72 @@ def photos_to_poses(
 
 
 def check_photos(folder: str | Path) -> tuple[tuple[str, ...], int, int]:
-    """Look at every photo before hours are spent on them.
+    """Check every photo before the reconstruction, which takes hours.
 
     Args:
         folder: with photos.
 
     Returns:
-        Their names relative to the folder, sorted, and the width and height they share [px].
+        Their names relative to the folder, sorted, and their common width and height [px].
 
     Raises:
         FileNotFoundError: there is no such folder.
-        InputError: there are too few, one is unreadable, small, turned by its EXIF note, or of
-            another size.
+        InputError: there are too few, or one is unreadable, small, rotated by its EXIF orientation,
+            or of another size.
     """
     from PIL import Image, UnidentifiedImageError
 
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(
-            f"{folder}: expected a folder of photos, found {'a file' if folder.exists() else 'nothing'}"
+            f"{folder}: expected a folder of photos, found "
+            f"{'a file' if folder.exists() else 'nothing'}"
         )
     paths = sorted(
         path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file()
     )
     if len(paths) < MIN_PHOTOS:
         raise InputError(
-            f"{folder}: expected {MIN_PHOTOS} or more photos ({', '.join(ENDINGS)}), got {len(paths)}"
+            f"{folder}: expected {MIN_PHOTOS} or more photos ({', '.join(ENDINGS)}), "
+            f"got {len(paths)}"
         )
     sizes = {}
     for path in paths:
         if any(letter.isspace() for letter in path.relative_to(folder).as_posix()):
             raise InputError(
-                f"{short_name(path)}: expected names without blanks, for COLMAP's lists; rename the photos"
+                f"{short_name(path)}: expected names without blanks, for COLMAP's lists; "
+                "rename the photos"
             )
         try:
             with Image.open(path) as image:
-                sizes[path], turned = image.size, image.getexif().get(0x0112, 1)
-                image.draft(
-                    "L", (8, 8)
-                )  # JPEG: decode an eighth only, enough to see that it is whole
+                sizes[path], orientation = image.size, image.getexif().get(0x0112, 1)
+                image.draft("L", (8, 8))  # JPEG: decode at an eighth, which detects damage
                 image.load()
         except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
             raise InputError(
-                f"{short_name(path)}: expected a photo, got a file that is damaged or none; remove it"
+                f"{short_name(path)}: expected a photo, got a file that is damaged or none; "
+                "remove it"
             ) from None
-        if turned not in (0, 1):
+        if orientation not in (0, 1):
             raise InputError(
-                f"{short_name(path)}: expected photos as the sensor took them, got one that its EXIF note turns; hold the "
-                "camera level for all photos, or remove that note from all (exiftool -Orientation= *)"
+                f"{short_name(path)}: expected photos as the sensor took them, "
+                "got one that its EXIF note turns; hold the "
+                "camera level for all photos, or remove that note from all (exiftool -Orientation= "
+                "*)"
             )
     (size, count), *others = Counter(sizes.values()).most_common()
     if others:
         odd = next(path for path, other in sizes.items() if other != size)
         raise InputError(
-            f"{short_name(odd)}: expected all photos of one size, got {sizes[odd][0]}x{sizes[odd][1]} beside {count} of "
-            f"{size[0]}x{size[1]}; leave out those that were cropped or taken with another camera or zoom"
+            f"{short_name(odd)}: expected all photos of one size, "
+            f"got {sizes[odd][0]}x{sizes[odd][1]} beside {count} of "
+            f"{size[0]}x{size[1]}; leave out those that were cropped or taken with another camera "
+            "or zoom"
         )
     if min(size) < MIN_PHOTO_SIDE_PX:
         raise InputError(
-            f"{folder}: expected photos of {MIN_PHOTO_SIDE_PX} px or more on each side, got {size[0]}x{size[1]}"
+            f"{folder}: expected photos of {MIN_PHOTO_SIDE_PX} px or more on each side, "
+            f"got {size[0]}x{size[1]}"
         )
     return tuple(path.relative_to(folder).as_posix() for path in paths), *size
 
@@ -184,14 +185,13 @@ def check_photos(folder: str | Path) -> tuple[tuple[str, ...], int, int]:
 def photo_statistics(
     features: Sequence[int], photos: Path, names: Sequence[str], sample: int = 20
 ) -> dict[str, Any]:
-    """What the photos are like: features in a middling photo, the share of photos with enough, and
-    the grain.
+    """Median feature count, share of photos with enough features, and image noise.
 
     Args:
-        features: number of them in each photo.
+        features: of each photo.
         photos: their folder.
         names: relative to it.
-        sample: how many photos the grain is measured on.
+        sample: number of photos on which the noise is measured.
     """
     chosen = [names[k] for k in np.unique(np.linspace(0, len(names) - 1, sample).astype(int))]
     grains = [row_noise(read_photo(photos / name)) for name in chosen]
@@ -203,61 +203,64 @@ def photo_statistics(
 
 
 def row_noise(image: np.ndarray[Any, Any]) -> float:
-    """Standard deviation of the noise from row to row: analog video sends each row by itself, so
-    its rows disagree.
+    """Standard deviation of the noise between rows, which is large for analog video.
 
-    sigma = 1.4826 median |row above - 2 row + row below| / sqrt(6); straight edges and shades
-    hardly reach the median
+    sigma = 1.4826 median |row above - 2 row + row below| / sqrt(6)
+
+    Edges and gradients hardly affect the median.
 
     Args:
         image: (H, W, 3) 0..255.
-
-    Returns:
-        [of 255].
     """
     grey = image.astype(np.float64).mean(axis=2)
     return float(1.4826 * np.median(np.abs(grey[:-2] - 2.0 * grey[1:-1] + grey[2:])) / np.sqrt(6.0))
 
 
 def advice(facts: Mapping[str, Any]) -> list[str]:
-    """What to do about a reconstruction that is not good, in sentences; empty for a good one.
+    """Suggestions for a poor reconstruction, in sentences; empty for a good one.
 
     Args:
         facts: the report of `photos_to_poses`.
     """
     registered, total = facts.get("registered", 0), facts["total"]
-    said = []
+    sentences = []
     if registered < GOOD_SHARE * total:
         if facts["grain"] > NOISY:
-            said.append(
-                f"The photos are grainy ({facts['grain']:.0f} of 255), as analog video is: features are then mostly "
-                "noise. Use a digital camera, more light, or the mean of several frames of a still view."
+            sentences.append(
+                f"The photos are grainy ({facts['grain']:.0f} of 255), as analog video is: "
+                "features are then mostly "
+                "noise. Use a digital camera, more light, or the mean of several frames of a still "
+                "view."
             )
         if facts["features_median"] < ENOUGH_FEATURES:
-            said.append(
-                f"A middling photo has {facts['features_median']:.0f} features where {ENOUGH_FEATURES} are wanted: "
-                "plain walls, darkness or blur. Show more things in each photo, hold still, hang posters if need be."
+            sentences.append(
+                f"A middling photo has {facts['features_median']:.0f} features where "
+                f"{ENOUGH_FEATURES} are wanted: "
+                "plain walls, darkness or blur. Show more things in each photo, hold still, "
+                "hang posters if need be."
             )
-        if not said:
-            said.append(
-                "Photos overlap too little: let each show two thirds of what the one before showed, walk in an arc "
+        if not sentences:
+            sentences.append(
+                "Photos overlap too little: let each show two thirds of what the one before "
+                "showed, walk in an arc "
                 "rather than turn on the spot, and join the places by photos from between."
             )
         if facts.get("models", 1) > 1:
-            said.append(
-                f"The photos fell into {facts['models']} groups that share no view; the largest was kept."
+            sentences.append(
+                f"The photos fell into {facts['models']} groups that share no view; "
+                "the largest was kept."
             )
     if facts.get("reprojection_px", 0.0) > GOOD_REPROJECTION_PX:
-        said.append(
-            f"Points miss by {facts['reprojection_px']:.2f} px where {GOOD_REPROJECTION_PX} is good: blur, a rolling "
+        sentences.append(
+            f"Points miss by {facts['reprojection_px']:.2f} px where {GOOD_REPROJECTION_PX} is "
+            "good: blur, a rolling "
             "shutter, zoom that changed, or things that moved."
         )
-    return said
+    return sentences
 
 
 def focal_sigma(colmap: Any, model: Any) -> float:
-    """Standard deviation of the focal length from the bundle adjustment's covariance [px]; nan
-    where it has none.
+    """Standard deviation of the focal length from bundle adjustment [px]; NaN if undetermined.
 
     Args:
         colmap: the module pycolmap.
@@ -291,9 +294,7 @@ def _extract(
     threads: int,
     progress: Progress,
 ) -> None:
-    """Features of every photo, into the database; a few photos a call, so that the bar moves and
-    Ctrl-C works.
-    """
+    """Extract the features of all photos into the database, in chunks so that Ctrl-C works."""
     reader = colmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL", camera_params=camera)
     options = colmap.FeatureExtractionOptions(num_threads=threads, use_gpu=False)
     options.sift.max_num_features = MAX_FEATURES
@@ -318,9 +319,7 @@ def _extract(
 def _match(
     colmap: Any, database: Path, names: Sequence[str], walk: bool, threads: int, progress: Progress
 ) -> None:
-    """Matches between photos that pass the epipolar check, into the database; one photo with its
-    partners a call.
-    """
+    """Match photo pairs and verify them geometrically, one photo with its partners per call."""
     options = colmap.FeatureMatchingOptions(num_threads=threads, use_gpu=False)
     listed = database.with_name("pairs.txt")
     partners = [earlier_photos(number, walk) for number in range(len(names))]
@@ -342,15 +341,12 @@ def _match(
 
 
 def earlier_photos(number: int, walk: bool) -> list[int]:
-    """Which earlier photos one is compared with.
+    """Numbers of the earlier photos that a photo is matched with, ascending.
 
     Args:
         number: of the photo, in the order of names.
         walk: False: all of them. True: the WALK_OVERLAP before it, and those 32, 64, 128 ... before
-            it, since a walk may come back.
-
-    Returns:
-        Their numbers, rising.
+            it, since a walk may return to a place.
     """
     if not walk:
         return list(range(number))
@@ -367,7 +363,7 @@ def _map(
     threads: int,
     progress: Progress,
 ) -> Mapping[int, Any]:
-    """Every group of photos that could be put together."""
+    """Every connected group of photos that could be reconstructed."""
     options = colmap.IncrementalPipelineOptions(num_threads=threads)
     done = count(3)  # the first two come together
     return dict(
@@ -382,7 +378,7 @@ def _map(
 
 
 def _require_same_photos(colmap: Any, database: Path, names: Sequence[str]) -> None:
-    """Refuse to go on with the database of other photos, or with a file that is none."""
+    """Raise InputError if the database is damaged or holds other photos."""
     if not database.exists():
         return
     try:
@@ -395,16 +391,16 @@ def _require_same_photos(colmap: Any, database: Path, names: Sequence[str]) -> N
     gone = sorted(known - set(names))
     if gone:
         raise InputError(
-            f"{short_name(database)}: it knows photos that are not there any more, such as {gone[0][:60]}; write to "
+            f"{short_name(database)}: it holds photos that no longer exist, "
+            f"such as {gone[0][:60]}; write to "
             "another folder, or remove this file to begin again"
         )
 
 
 def _features(colmap: Any, database: Path) -> list[int]:
-    """How many features each photo has.
+    """Number of features of each photo.
 
-    Only COLMAP's own SQLite may open its database in this process: a second library's closing would
-    drop the locks.
+    By pycolmap, not sqlite3: a second SQLite library in one process would drop the file's locks.
     """
     with closing(colmap.Database.open(database)) as opened:
         return [
@@ -418,6 +414,7 @@ def _pycolmap() -> Any:
     except ImportError:
         raise InputError(
             "pycolmap: expected this library for poses from photos, it is not installed; "
-            "pip install 'falconwing-kit[capture]', or make a COLMAP model or a transforms.json elsewhere and give that"
+            "pip install 'falconwing-kit[capture]', or make a COLMAP model or a transforms.json "
+            "elsewhere and give that"
         ) from None
     return pycolmap

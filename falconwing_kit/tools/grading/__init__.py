@@ -1,4 +1,4 @@
-"""grading: labs as students get them, checks they can run, and a judge that their code never meets."""
+"""Grading: what a lab's files import: public checks, hidden judges, comparison of answers."""
 
 from falconwing_kit.tools.grading.lab import (
     Check,
@@ -10,6 +10,7 @@ from falconwing_kit.tools.grading.lab import (
     Lab,
     Trials,
     Values,
+    is_close,
     is_same_answer,
 )
 from falconwing_kit.tools.grading.public_checks import check
@@ -25,5 +26,6 @@ __all__ = [
     "Trials",
     "Values",
     "check",
+    "is_close",
     "is_same_answer",
 ]

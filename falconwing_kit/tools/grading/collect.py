@@ -1,10 +1,8 @@
-"""Collector: a student's notebook -> the source text that one of its functions needs. Nothing of it
-is executed.
+"""Collector: a student's notebook -> the source text of one function, without running anything.
 
-The function is found by its name, so a cell that was split, copied, moved or deleted does no harm
-as long as the function still stands somewhere in a code cell. With it go, transitively, the
-notebook's own functions, classes, imports and simple assignments that it names; the last definition
-of a name counts, as in a notebook run from top to bottom.
+The function is found by its name in any code cell, so cells may be split, copied or moved. Its
+dependencies are collected transitively: functions, classes, imports and simple assignments of the
+notebook. The last definition of a name counts, as in a run from top to bottom.
 """
 
 import ast
@@ -20,13 +18,10 @@ from typing import Any
 
 from falconwing_kit.core.checks import InputError, require_file
 
-MAX_FILE, MAX_CODE = (
-    32 << 20,
-    2 << 20,
-)  # bytes of a notebook with its outputs, and of its code alone
-MAX_PIECES = 5_000_000  # commas and brackets in the file: what its values may cost in memory
+MAX_FILE, MAX_CODE = 32 << 20, 2 << 20  # bytes of a notebook with its outputs, and of its code
+MAX_PIECES = 5_000_000  # commas and brackets in the file, which limit the parser's memory
 MAX_PROBLEMS = 8
-KIT_KEY = "falconwing_kit"  # of a notebook's metadata: the kit's version that made it
+KIT_KEY = "falconwing_kit"  # metadata key of the kit's version that built the notebook
 _KNOWN = frozenset(dir(builtins)) | {"__name__", "__file__"}
 _VERSION = re.compile(r"(\d{1,4})\.(\d{1,4})")
 _VERSION_BELOW_TITLE = re.compile(
@@ -37,14 +32,13 @@ _MAGIC = re.compile(r"^([ \t]*)(?:[%!?]|[\w. ]+\?{1,2}[ \t]*$).*$", re.MULTILINE
 
 @dataclass(frozen=True)
 class SubmittedCell:
-    """A cell as the student left it.
+    """A cell of a student's notebook.
 
     Attributes:
         code: whether it is a code cell; otherwise it is text.
         text: its source.
-        role: "exercise", "check", "figure" or "answer"; empty for any other cell. The student can
-            change it.
-        name: of which exercise, figure or answer.
+        role: "exercise", "check", "figure" or "answer"; else empty. Not trusted.
+        name: of the exercise, figure or answer.
     """
 
     code: bool
@@ -59,7 +53,7 @@ class Notebook:
 
     Attributes:
         cells: in the notebook's order.
-        kit: the version of the kit that made it; those before 0.2 did not write it.
+        kit: version of the kit that built it; not stored before 0.2.
     """
 
     cells: tuple[SubmittedCell, ...]
@@ -67,17 +61,17 @@ class Notebook:
 
     @property
     def code(self) -> tuple[str, ...]:
-        """The text of its code cells."""
+        """Texts of the code cells."""
         return tuple(cell.text for cell in self.cells if cell.code)
 
 
 @dataclass(frozen=True)
 class Source:
-    """What a function needs, as Python text.
+    """A function with its dependencies, as Python text.
 
     Attributes:
-        text: empty where the notebook does not define the function.
-        problems: what the student should know, in sentences.
+        text: empty if the notebook does not define the function.
+        problems: messages for the student.
     """
 
     text: str
@@ -86,20 +80,16 @@ class Source:
 
 @dataclass(frozen=True)
 class _Statement:
-    """A top-level statement of the notebook: what it binds and which of the notebook's names it
-    needs.
-    """
+    """A top-level statement: the names that it binds and the notebook's names that it needs."""
 
     node: ast.stmt
     binds: frozenset[str]
     needs: frozenset[str]
-    kept: bool  # of a kind that is collected
+    kept: bool  # whether its kind is collected
 
     @property
     def is_stub(self) -> bool:
-        """Whether it is a function still to be written: nothing but a docstring and raise
-        NotImplementedError.
-        """
+        """Whether it is an unwritten function: only a docstring and raise NotImplementedError."""
         if not isinstance(self.node, ast.FunctionDef):
             return False
         body = [
@@ -119,7 +109,7 @@ def read_notebook(path: str | Path) -> Notebook:
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: it is not a notebook, or larger than any honest one.
+        InputError: it is not a notebook, or too large.
     """
     file = require_file(path)
     with file.open("rb") as handle:
@@ -130,15 +120,16 @@ def parse_notebook(data: bytes, name: str) -> Notebook:
     """The cells of a notebook.
 
     Args:
-        data: the file's bytes, which may be anything.
-        name: what the file is called in the messages.
+        data: the file's bytes, untrusted.
+        name: of the file, for messages.
 
     Raises:
-        InputError: it is not a notebook, or larger than any honest one.
+        InputError: it is not a notebook, or too large.
     """
     if len(data) > MAX_FILE:
         raise InputError(
-            f"{name}: expected a notebook of at most {MAX_FILE >> 20} MiB; clear its outputs and save it again"
+            f"{name}: expected a notebook of at most {MAX_FILE >> 20} MiB; "
+            "clear its outputs and save it again"
         )
     if sum(map(data.count, (b",", b"[", b"{"))) > MAX_PIECES:
         raise InputError(
@@ -153,25 +144,26 @@ def parse_notebook(data: bytes, name: str) -> Notebook:
     cells = content.get("cells") if isinstance(content, dict) else None
     if not isinstance(cells, list):
         raise InputError(
-            f"{name}: expected a notebook with cells, as Jupyter saves it today, got none; save it again"
+            f"{name}: expected a notebook with cells, as Jupyter saves it today, got none; "
+            "save it again"
         )
     read = tuple(_read_cell(cell) for cell in cells if isinstance(cell, dict))
     notebook = Notebook(read, _kit_of(content.get("metadata"), read))
     if sum(len(cell.text) for cell in notebook.cells) > MAX_CODE:
         raise InputError(
-            f"{name}: expected at most {MAX_CODE >> 20} MiB of text in the cells; take large data out of them"
+            f"{name}: expected at most {MAX_CODE >> 20} MiB of text in the cells; "
+            "take large data out of them"
         )
     return notebook
 
 
 def require_notebook_of(notebook: Notebook, since: str, name: str) -> None:
-    """Raise InputError unless a notebook was made by a kit whose notebook of this lab still fits
-    its checks.
+    """Raise InputError if a notebook is older than `since`.
 
     Args:
         notebook: the student's.
         since: the lab's `notebook_since`; empty for any.
-        name: what the file is called in the message.
+        name: of the file, for the message.
     """
     if since and _numbers(notebook.kit) < _numbers(since):
         raise InputError(
@@ -185,9 +177,7 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def _kit_of(metadata: Any, cells: Iterable[SubmittedCell]) -> str:
-    """The kit's version by the notebook's metadata, or by the line below its title where metadata
-    were lost.
-    """
+    """The kit's version, from the metadata or from the line below the title."""
     written = metadata.get(KIT_KEY) if isinstance(metadata, dict) else None
     if isinstance(written, str) and _VERSION.fullmatch(written):
         return written
@@ -196,7 +186,7 @@ def _kit_of(metadata: Any, cells: Iterable[SubmittedCell]) -> str:
 
 
 def collect_source(notebook: Notebook, name: str, packages: Iterable[str] = ("numpy",)) -> Source:
-    """The text of a function with all that it names in the notebook.
+    """The text of a function with all its dependencies in the notebook.
 
     Args:
         notebook: the student's.
@@ -204,8 +194,7 @@ def collect_source(notebook: Notebook, name: str, packages: Iterable[str] = ("nu
         packages: that it may import, beside `given` and the standard library.
 
     Returns:
-        Text to be run in the box, and what is wrong with it in words; whatever the notebook holds,
-        nothing is raised.
+        Text to run in the sandbox, and its problems; never raises, whatever the notebook holds.
     """
     statements, problems = _statements(notebook)
     written = [each for each in statements if each.kept and name in each.binds and not each.is_stub]
@@ -235,7 +224,7 @@ def _first(problems: Iterable[str]) -> tuple[str, ...]:
 
 
 def _read_cell(cell: dict[str, Any]) -> SubmittedCell:
-    """A cell of the file; whatever is not as it should be counts as empty."""
+    """A cell of the file; malformed parts count as empty."""
     source, metadata = cell.get("source", ""), cell.get("metadata")
     if isinstance(source, list):
         source = "".join(line for line in source if isinstance(line, str))
@@ -258,9 +247,7 @@ def _read_cell(cell: dict[str, Any]) -> SubmittedCell:
 
 
 def _statements(notebook: Notebook) -> tuple[list[_Statement], list[str]]:
-    """The top-level statements of all code cells that are Python, and what is wrong with the other
-    cells.
-    """
+    """Top-level statements of all code cells, and the problems of cells that are not Python."""
     statements: list[_Statement] = []
     problems = []
     for number, text in enumerate(notebook.code, 1):
@@ -276,9 +263,7 @@ def _statements(notebook: Notebook) -> tuple[list[_Statement], list[str]]:
 
 
 def _parse(text: str) -> ast.Module:
-    """A cell's syntax tree, without the lines that only a notebook understands (`%matplotlib`,
-    `!ls`, `name?`).
-    """
+    """A cell's syntax tree, without IPython's own lines (`%matplotlib`, `!ls`, `name?`)."""
     try:
         return ast.parse(text)
     except SyntaxError:
@@ -288,7 +273,7 @@ def _parse(text: str) -> ast.Module:
 
 
 def _split(node: ast.stmt) -> list[ast.stmt]:
-    """A statement, or one import for each module where it imports several."""
+    """A statement, or one import per module."""
     return [ast.Import([alias]) for alias in node.names] if isinstance(node, ast.Import) else [node]
 
 
@@ -307,9 +292,7 @@ def _read_statement(node: ast.stmt) -> _Statement:
 
 
 def _bound(node: ast.stmt) -> Iterator[str]:
-    """Names that a statement defines in the notebook; `a[0] = 1` and `a.b = 1` count as part of
-    defining a.
-    """
+    """Names that a statement binds; `a[0] = 1` and `a.b = 1` count for a."""
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         yield node.name
     elif isinstance(node, ast.Import | ast.ImportFrom):
@@ -327,7 +310,7 @@ def _bound(node: ast.stmt) -> Iterator[str]:
 
 
 def _needed(node: ast.stmt) -> Iterator[str]:
-    """Names that a statement takes from outside itself, those inside its functions too."""
+    """Free names of a statement, its inner functions included."""
     waiting = [symtable.symtable(ast.unparse(node), "cell", "exec")]
     while waiting:
         table = waiting.pop()
@@ -338,9 +321,7 @@ def _needed(node: ast.stmt) -> Iterator[str]:
 
 
 def _closure(statements: list[_Statement], name: str) -> tuple[list[_Statement], set[str]]:
-    """The statements that a name needs, in the notebook's order, and the names that no statement
-    gives.
-    """
+    """Statements that a name needs, in the notebook's order, and the undefined names."""
     written = {
         bound for each in statements if each.kept and not each.is_stub for bound in each.binds
     }
@@ -348,26 +329,24 @@ def _closure(statements: list[_Statement], name: str) -> tuple[list[_Statement],
     waiting, seen, missing = {name}.union(*(each.needs for each in always)), set(_KNOWN), set()
     chosen = {id(each) for each in always}
     while waiting:
-        wanted = waiting.pop()
-        seen.add(wanted)
+        needed = waiting.pop()
+        seen.add(needed)
         found = [
             s
             for s in statements
-            if s.kept and wanted in s.binds and not (s.is_stub and wanted in written)
+            if s.kept and needed in s.binds and not (s.is_stub and needed in written)
         ]
         chosen.update(id(each) for each in found)
         waiting |= {need for each in found for need in each.needs} - seen
         if not found:
-            missing.add(wanted)
+            missing.add(needed)
     in_order = [each for each in statements if id(each) in chosen]
     stars = any("*" in each.binds for each in in_order)  # where a missing name may come from
     return sorted(in_order, key=lambda each: not _is_future(each.node)), set() if stars else missing
 
 
 def _imports_all(node: ast.stmt) -> bool:
-    """Whether it is an import that counts for the whole notebook: `from given import *`, `from
-    __future__ import`.
-    """
+    """Whether it is an import for the whole notebook: `from given import *`, `from __future__`."""
     return isinstance(node, ast.ImportFrom) and (node.names[0].name == "*" or _is_future(node))
 
 
@@ -376,7 +355,7 @@ def _is_future(node: ast.stmt) -> bool:
 
 
 def _imported(node: ast.stmt) -> set[str]:
-    """Top-level names of the modules that a statement imports, inside its functions too."""
+    """Top-level modules that a statement imports, its inner functions included."""
     modules = set()
     for inner in ast.walk(node):
         if isinstance(inner, ast.Import):

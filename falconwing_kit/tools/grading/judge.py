@@ -1,9 +1,8 @@
-"""Judge: one submission -> its record. What is right, with which seed and for how many points is
-known only here.
+"""Judge: one submission -> its record, from hidden cases evaluated outside the sandbox.
 
-The student's function runs in a box of its own for every exercise; here its answers are compared,
-on cases that nobody has seen before. A record says how many cases were right and in which way the
-others failed, never what was asked or answered.
+The student's function runs in a fresh sandbox for every exercise; its answers are compared here, in
+the grader's process, which alone has the references and seeds. A record holds how many cases were
+right and how the others failed, never their questions or answers.
 """
 
 import hashlib
@@ -37,7 +36,7 @@ from falconwing_kit.tools.grading.lab import (
     course_constants,
     total_points,
 )
-from falconwing_kit.tools.grading.sandbox.box import (
+from falconwing_kit.tools.grading.sandbox.host import (
     SandboxJob,
     StudentError,
     Worker,
@@ -51,13 +50,13 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class Assignment:
-    """What all submissions of a run have in common.
+    """Common settings of all submissions of a run.
 
     Attributes:
         folder: of the lab.
         salt: the course's; empty for the open course.
-        secret: of the run; each submission's seed is drawn from it.
-        sandboxed: each function in a box; otherwise in a plain process, which stops nobody.
+        secret: of the run, from which each submission's seed is derived.
+        sandboxed: run functions in a sandbox; otherwise in a plain process, without protection.
     """
 
     folder: Path
@@ -68,13 +67,13 @@ class Assignment:
 
 @dataclass(frozen=True)
 class GradingContext:
-    """Where functions are judged.
+    """Lab, course and kind of sandbox in which functions are judged.
 
     Attributes:
         folder: of the lab.
-        lab: what its `checks.py` says.
-        course: whose constants stand in the box.
-        sandboxed: in a box; otherwise in a plain process.
+        lab: its public part.
+        course: with its constants.
+        sandboxed: run functions in a sandbox; otherwise in a plain process.
     """
 
     folder: Path
@@ -82,8 +81,8 @@ class GradingContext:
     course: Course
     sandboxed: bool = True
 
-    def box(self, exercise: Exercise, text: str) -> AbstractContextManager[Worker]:
-        """A fresh box for a function of an exercise."""
+    def worker(self, exercise: Exercise, text: str) -> AbstractContextManager[Worker]:
+        """A fresh worker for a function of an exercise."""
         job = SandboxJob(
             text,
             exercise.name,
@@ -99,12 +98,11 @@ class GradingContext:
 
 @dataclass(frozen=True)
 class GradingTask:
-    """One submission to be graded.
+    """One submission to grade.
 
     Attributes:
-        submission: whose notebook is where.
-        seed: a recorded one; empty draws it from the assignment's secret, the student and the
-            notebook.
+        submission: the student's notebook.
+        seed: of an earlier record; empty derives it from the secret, the student and the notebook.
     """
 
     submission: Submission
@@ -112,21 +110,20 @@ class GradingTask:
 
 
 class JudgeError(Exception):
-    """A lab's own judge failed, which is not the student's doing."""
+    """An error of the lab's own judge, not of the student."""
 
 
 def grade_submission(work: GradingTask, assignment: Assignment) -> Record:
     """Grade one submission.
 
     Args:
-        work: which, and with which seed.
-        assignment: what it is judged by.
+        work: submission and seed.
+        assignment: lab and settings.
 
     Returns:
-        Plain texts and numbers: `status` is "graded", "unreadable" (0 points) or "error" (a person
-            must look). The same
-        notebook, student, assignment and seed give the same record, wherever and whenever it is
-        graded.
+        Texts and numbers: `status` is "graded", "unreadable" (0 points) or "error" (needs a
+        person). Deterministic: the same notebook, student, assignment and seed give the same
+        record.
 
     Raises:
         InputError: the lab itself cannot be used.
@@ -159,7 +156,7 @@ def grade_submission(work: GradingTask, assignment: Assignment) -> Record:
 
 
 def error_record(work: GradingTask, assignment: Assignment, lab: Lab) -> Record:
-    """The record of a submission that could not be graded: no points, and the status "error"."""
+    """The record of a submission that could not be graded: no points, status "error"."""
     submission = work.submission
     return {
         "lab": lab.name,
@@ -181,27 +178,27 @@ def error_record(work: GradingTask, assignment: Assignment, lab: Lab) -> Record:
 def grade_exercise(
     context: GradingContext, exercise: Exercise, source: Source, judges: Sequence[Judge], seed: str
 ) -> Record:
-    """Judge what a student wrote for one exercise, in a fresh box.
+    """Judge a student's source for one exercise, in a fresh sandbox.
 
     Args:
-        bench: lab, course, and kind of box.
-        exercise: which.
+        context: lab, course, and kind of sandbox.
+        exercise: of the lab.
         source: the student's, from `collect_source`.
         judges: of the exercise.
-        seed: of the submission, any text; the cases follow from it and the exercise's name.
+        seed: of the submission, any text; with the exercise's name it determines the cases.
 
     Returns:
-        `right` of `cases`, `points` of `of`, `categories` (how many cases failed in which way) and
+        `right` of `cases`, `points` of `of`, `categories` (number of failed cases by category) and
         `problems`.
 
     Raises:
         JudgeError: the lab's judge failed.
-        RuntimeError: the box could not be made.
+        RuntimeError: the sandbox did not start.
     """
     digest = hashlib.sha256(f"{seed}/{exercise.name}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest, "big"))
     if source.text:
-        with context.box(exercise, source.text) as worker:
+        with context.worker(exercise, source.text) as worker:
             results = evaluate_cases(worker.call, judges, rng)
     else:
         results = evaluate_cases(_missing, judges, rng)
@@ -219,7 +216,7 @@ def grade_exercise(
 def evaluate_cases(
     function: Function, judges: Sequence[Judge], rng: np.random.Generator
 ) -> list[str]:
-    """Ask a function all hidden cases of an exercise.
+    """Call a function on all hidden cases of an exercise.
 
     Args:
         function: answers, or raises StudentError.
@@ -227,8 +224,8 @@ def evaluate_cases(
         rng: draws the cases.
 
     Returns:
-        For each case "right", or in which way it failed: "wrong value", "wrong shape", "trial
-        failed", "bad answer", or a category of StudentError.
+        For each case "right" or its failure: "wrong value", "wrong shape", "trial failed", "bad
+        answer", or a category of StudentError.
 
     Raises:
         JudgeError: drawing a case or finding its right answer failed.
@@ -245,10 +242,10 @@ def evaluate_cases(
 
 
 class _Watched:
-    """A student's function and a judge, watched for how a case failed."""
+    """A student's function and a judge, with a record of how a case failed."""
 
     def __init__(self, function: Function, each: Judge) -> None:
-        self.function, self.answer, self.wanted = function, None, None
+        self.function, self.answer, self.expected = function, None, None
         self.is_values = isinstance(each, Values)
         self.reference = each.reference if isinstance(each, Values) else None
         self.judge: Judge = (
@@ -262,12 +259,10 @@ class _Watched:
 
     def _right_answer(self, *arguments: Any) -> Any:
         try:
-            self.wanted = self.reference(*arguments)  # type: ignore[misc]
+            self.expected = self.reference(*arguments)  # type: ignore[misc]
         except Exception as error:
-            raise JudgeError(
-                f"the judge does not know its own answer: {type(error).__name__}"
-            ) from error
-        return self.wanted
+            raise JudgeError(f"the judge's reference failed: {type(error).__name__}") from error
+        return self.expected
 
     def outcome(self, verdict: Function) -> str:
         try:
@@ -277,15 +272,15 @@ class _Watched:
             return error.category
         except JudgeError:
             raise
-        except Exception:  # whatever came made our own arithmetic fail
+        except Exception:  # the answer made the judge's own arithmetic fail
             return "bad answer"
         if not self.is_values:
             return "trial failed"
-        return "wrong value" if _shape(self.answer) == _shape(self.wanted) else "wrong shape"
+        return "wrong value" if _shape(self.answer) == _shape(self.expected) else "wrong shape"
 
 
 def _shape(value: Any) -> Any:
-    """What a value is made of, without its numbers."""
+    """The structure of a value, without its numbers."""
     if isinstance(value, tuple | list):
         return [_shape(each) for each in value]
     if isinstance(value, dict):

@@ -1,9 +1,8 @@
-"""What a lab is made of: exercises, the checks a student sees, and the judges that only an
-instructor has.
+"""Parts of a lab: exercises, public checks for students, hidden judges for the grader.
 
-A lab is a folder, `labs/lab03_splats`. Its `checks.py` says LAB, a `Lab`; its `hidden.py` says
-`judges(course)`, which a student never gets. Both ask a student's function only through a call:
-they do not know whether it runs here, in the student's notebook, or in the grader's box.
+A lab is a folder, `labs/lab03_splats`. Its `checks.py` defines LAB, a `Lab`; its `hidden.py`, which
+students do not get, defines `judges(course)`. Both only call the student's function, wherever it
+runs: in this process, in the student's notebook, or in the grader's sandbox.
 """
 
 import hashlib
@@ -15,18 +14,17 @@ from typing import Any
 
 import numpy as np
 
-Function = Callable[
-    ..., Any
-]  # a student's function: arrays, numbers, strings and tuples of them in and out
+# a student's function: numbers, strings, arrays and tuples of them in and out
+Function = Callable[..., Any]
 
 
 @dataclass(frozen=True)
 class Course:
-    """What makes one course's, and one student's, lab differ from another's.
+    """What differs from course to course and from student to student.
 
     Attributes:
-        constants: the lab's numbers for this course, by name, in the units the lab says.
-        student: whose work is judged; empty where that is not known.
+        constants: the lab's numbers for this course, by name.
+        student: whose work is judged; empty if unknown.
         salt: the instructor's secret; empty on a student's machine.
     """
 
@@ -37,12 +35,12 @@ class Course:
 
 @dataclass(frozen=True)
 class Check:
-    """A public claim about one function, which a student can read and run.
+    """A public test of one function, which a student can read and run.
 
     Attributes:
-        claim: what a right function does, in a sentence: "a heavier aircraft flies faster".
-        holds: calls the function and says whether the claim holds.
-        hint: where to look if it does not, without giving the answer away.
+        claim: what a correct function does, in a sentence: "a heavier aircraft flies faster".
+        holds: calls the function and returns whether the claim holds.
+        hint: where to look if it does not, without the answer.
     """
 
     claim: str
@@ -56,12 +54,12 @@ class Exercise:
 
     Attributes:
         name: of the function.
-        points: that the machine gives for it.
-        checks: what a student can see of it.
-        through: function of the lab's `given.py` that is called in its place, with the student's
-            function before the arguments; for functions that take what cannot be sent, such as a
+        points: given automatically.
+        checks: public ones.
+        through: wrapper in the lab's `given.py`, called with the student's function and the
+            arguments; for functions whose arguments cannot be sent to the sandbox, such as a
             network. Empty: called directly.
-        seconds: that all its hidden cases may take together [s].
+        seconds: time limit of all hidden cases together [s].
     """
 
     name: str
@@ -73,11 +71,11 @@ class Exercise:
 
 @dataclass(frozen=True)
 class Criterion:
-    """Something that a person grades: a figure, or an answer; a figure's reading is one.
+    """A figure or a written answer, graded by a person.
 
     Attributes:
-        name: of the notebook's cell, as its `answer` or `figure` says.
-        points: at most.
+        name: of the notebook's cell, its `answer` or `figure`.
+        points: maximum.
         look_for: what earns them, for the person who grades.
     """
 
@@ -88,20 +86,19 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Lab:
-    """A lab, as students know it.
+    """The public part of a lab.
 
     Attributes:
         name: "lab03".
         title: a few words.
-        hours: time a student needs, about.
+        hours: approximate time for a student.
         exercises: in the order of the notebook; their points sum to 75.
-        rubric: what a person grades; its points sum to 25.
+        rubric: graded by a person; its points sum to 25.
         constants: numbers that differ from course to course: lowest, highest, decimals.
-        packages: libraries that a student's functions may use, beside the standard library's
-            mathematics and `given`.
-        memory_mib: that they may take.
-        notebook_since: version of the kit, such as "0.2", whose notebook was the first with the
-            names that the checks use today; an older notebook is refused. Empty for any.
+        packages: libraries available to the functions, beside the standard library and `given`.
+        memory_mib: memory limit [MiB].
+        notebook_since: first version of the kit, such as "0.2", whose notebook fits these checks;
+            an older notebook is refused. Empty for any.
     """
 
     name: str
@@ -121,14 +118,14 @@ class Lab:
 
 @dataclass(frozen=True)
 class Values:
-    """A judge: each hidden case is one call, and the answer is compared with the reference's.
+    """A judge that compares the student's answers with a reference, one call per hidden case.
 
     Attributes:
         draw: draws the arguments of a case.
-        reference: takes the same arguments and gives the right answer.
+        reference: returns the correct answer for the same arguments.
         cases: how many are drawn.
-        rtol, atol: how far an answer may be off, relative and absolute in the answer's unit.
-        fixed: further cases that are not drawn, such as limits.
+        rtol, atol: relative tolerance, and absolute tolerance in the answer's unit.
+        fixed: arguments of further cases, such as limits.
     """
 
     draw: Callable[[np.random.Generator], tuple[Any, ...]]
@@ -139,24 +136,21 @@ class Values:
     fixed: tuple[tuple[Any, ...], ...] = ()
 
     def verdicts(self, student: Function, rng: np.random.Generator) -> list[Callable[[], bool]]:
-        """The cases, drawn but not yet asked: each, when called, asks the student's function once."""
+        """The drawn cases: each, when called, calls the student's function once."""
         drawn = [self.draw(rng) for _ in range(self.cases)]
         return [partial(self._right, student, arguments) for arguments in (*drawn, *self.fixed)]
 
     def _right(self, student: Function, arguments: tuple[Any, ...]) -> bool:
-        wanted = self.reference(
-            *arguments
-        )  # before the student's function can change what it was given
-        return is_same_answer(student(*arguments), wanted, self.rtol, self.atol)
+        expected = self.reference(*arguments)  # first: the student may modify the arguments
+        return is_same_answer(student(*arguments), expected, self.rtol, self.atol)
 
 
 @dataclass(frozen=True)
 class Trials:
-    """A judge: in each trial a plant of ours calls the student's function as often as it likes and
-    says whether it did.
+    """A judge that runs closed-loop trials, in which a plant calls the student's function.
 
     Attributes:
-        run: flies one trial, by the function and what is drawn.
+        run: one trial with the function and a random generator; returns whether it succeeded.
         trials: how many.
     """
 
@@ -164,48 +158,52 @@ class Trials:
     trials: int = 5
 
     def verdicts(self, student: Function, rng: np.random.Generator) -> list[Callable[[], bool]]:
-        """The trials, each of which runs when called; every trial draws from a stream of its own."""
+        """The trials: each runs when called, with its own random stream."""
         return [partial(self.run, student, stream) for stream in rng.spawn(self.trials)]
 
 
 Judge = Values | Trials
-Judges = Callable[
-    [Course], Mapping[str, tuple[Judge, ...]]
-]  # `hidden.judges`: for each exercise, its judges
+Judges = Callable[[Course], Mapping[str, tuple[Judge, ...]]]  # `hidden.judges`, by exercise
 
 
-def is_same_answer(got: Any, wanted: Any, rtol: float = 1e-6, atol: float = 1e-9) -> bool:
-    """Whether an answer is the right one: same structure, same shape, finite where it should be,
-    near enough.
+def is_same_answer(got: Any, expected: Any, rtol: float = 1e-6, atol: float = 1e-9) -> bool:
+    """Whether an answer has the structure, shapes and numbers of the expected one.
 
     Args:
-        got: the answer; anything may come.
-        wanted: numbers, booleans, strings, arrays, or tuples, lists and dicts of them. A NaN wants
-            a NaN.
-        rtol, atol: |got - wanted| <= atol + rtol |wanted|, element by element.
+        got: the answer, any object.
+        expected: numbers, booleans, strings, arrays, or tuples, lists and dicts of them; NaN
+            matches NaN only.
+        rtol, atol: |got - expected| <= atol + rtol |expected|, element by element.
 
     Returns:
-        True or False; no answer makes it raise.
+        True or False; never raises, whatever the answer.
     """
-    if isinstance(wanted, Mapping):
+    if isinstance(expected, Mapping):
         return (
             isinstance(got, Mapping)
-            and set(got) == set(wanted)
-            and all(is_same_answer(got[key], wanted[key], rtol, atol) for key in wanted)
+            and set(got) == set(expected)
+            and all(is_same_answer(got[key], expected[key], rtol, atol) for key in expected)
         )
-    if isinstance(wanted, tuple | list):
+    if isinstance(expected, tuple | list):
         return (
             isinstance(got, tuple | list)
-            and len(got) == len(wanted)
-            and all(is_same_answer(a, b, rtol, atol) for a, b in zip(got, wanted, strict=True))
+            and len(got) == len(expected)
+            and all(is_same_answer(a, b, rtol, atol) for a, b in zip(got, expected, strict=True))
         )
-    if isinstance(wanted, str | bool) or wanted is None:
-        return isinstance(got, type(wanted) | np.bool_) and bool(got == wanted)
-    return _same_numbers(got, wanted, rtol, atol)
+    if isinstance(expected, str | bool) or expected is None:
+        return isinstance(got, type(expected) | np.bool_) and bool(got == expected)
+    return _same_numbers(got, expected, rtol, atol)
 
 
-def _same_numbers(got: Any, wanted: Any, rtol: float, atol: float) -> bool:
-    right = np.asarray(wanted)
+def is_close(got: Any, expected: Any, rtol: float = 1e-9, atol: float = 1e-9) -> bool:
+    """Whether arrays or lists of numbers have the same shape and values; NaN matches NaN."""
+    return np.shape(got) == np.shape(expected) and bool(
+        np.allclose(got, expected, rtol=rtol, atol=atol, equal_nan=True)
+    )
+
+
+def _same_numbers(got: Any, expected: Any, rtol: float, atol: float) -> bool:
+    right = np.asarray(expected)
     if not isinstance(got, int | float | np.number | np.ndarray):
         return False
     answer = np.asarray(got)
@@ -223,7 +221,7 @@ def course_constants(lab: Lab, salt: str) -> dict[str, float]:
 
     Args:
         lab: the lab.
-        salt: any text; the empty one gives the middle of each range.
+        salt: any text; empty for the middle of each range.
 
     Returns:
         One number for each of `lab.constants`, rounded to its decimals.
@@ -237,5 +235,5 @@ def course_constants(lab: Lab, salt: str) -> dict[str, float]:
 
 
 def total_points(lab: Lab) -> float:
-    """Points that the machine gives for the whole lab."""
+    """Points of the whole lab that are given automatically."""
     return math.fsum(each.points for each in lab.exercises)

@@ -1,10 +1,9 @@
-"""One source, two notebooks: a lab's `lab.py` in, the text of the student's and of the solution's
-notebook out.
+"""Notebook builder: a lab's `lab.py` -> the texts of the student's and the solution notebook.
 
-The source is jupytext's py:percent: every cell begins with `# %%`, and words behind it say what the
-cell is for: `exercise="min_speed"`, `check="min_speed"`, `figure="radius"`, `[markdown]
-answer="q1"`, `tags=["solution"]`. What stands between `# BEGIN SOLUTION` and `# END SOLUTION` of an
-exercise is for the student to write.
+The source is in jupytext's py:percent format: a cell begins with `# %%` and its role:
+`exercise="min_speed"`, `check="min_speed"`, `figure="radius"`, `[markdown] answer="q1"` or
+`tags=["solution"]`. The lines between `# BEGIN SOLUTION` and `# END SOLUTION` of an exercise are
+removed from the student's notebook.
 """
 
 import json
@@ -21,14 +20,13 @@ from falconwing_kit.tools.grading.find import notebook_path
 
 KINDS = ("exercise", "check", "figure", "answer")
 YOUR_ANSWER = "*Your answer:*"
-KIT = ".".join(__version__.split(".")[:2])  # what a notebook says of the kit it was made by
+KIT = ".".join(__version__.split(".")[:2])  # the kit's version in a notebook
 _SOLUTION = re.compile(
     r"^([ \t]*)# BEGIN SOLUTION\n(.*?)^[ \t]*# END SOLUTION[ \t]*(?:\n|\Z)",
     re.MULTILINE | re.DOTALL,
 )
-_FOR_THE_FORMATTER = re.compile(
-    r"[ \t]*# (?:fmt: (?:skip|off|on)|noqa\b.*)$", re.MULTILINE
-)  # nothing for students
+# formatter directives, removed from the notebooks
+_FOR_THE_FORMATTER = re.compile(r"[ \t]*# (?:fmt: (?:skip|off|on)|noqa\b.*)$", re.MULTILINE)
 _MARKER = re.compile(r"^[ \t]*# (?:BEGIN|END) SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE)
 _GO_TO_THE_LAB = """\
 # Jupyter starts in this notebook's folder; what the lab needs lies one folder up.
@@ -43,11 +41,10 @@ class SourceCell:
     """One cell of a lab's source.
 
     Attributes:
-        text: as written, with the markers of the solution.
-        markdown: text for people; otherwise Python.
-        kind, name: what it is for: one of KINDS and its name, such as "exercise" and "min_speed";
-            else empty.
-        solution_only: left out of the student's notebook.
+        text: with the markers of the solution.
+        markdown: Markdown; otherwise Python.
+        kind, name: one of KINDS and its name, such as "exercise" and "min_speed"; else empty.
+        solution_only: not in the student's notebook.
     """
 
     text: str
@@ -58,7 +55,7 @@ class SourceCell:
     metadata: dict[str, Any] = field(default_factory=dict)
 
     def for_student(self) -> str:
-        """The text with the student's part left to write."""
+        """The text for students, with the solution removed."""
         if self.kind == "answer":
             return YOUR_ANSWER
         left = f'raise NotImplementedError("write {self.name}")\n'
@@ -77,7 +74,7 @@ def read_cells(source: Path) -> list[SourceCell]:
 
     Raises:
         FileNotFoundError: there is no such file.
-        InputError: a cell is marked in a way that cannot be meant.
+        InputError: a cell's roles or markers are inconsistent.
     """
     import jupytext
 
@@ -106,7 +103,8 @@ def _cell(source: Path, cell: Any) -> SourceCell:
     written = len(_SOLUTION.findall(cell.source))
     if written != int(kinds == ["exercise"]) or len(_MARKER.findall(cell.source)) != 2 * written:
         raise InputError(
-            f"{where}: expected BEGIN SOLUTION and END SOLUTION once in an exercise and nowhere else"
+            f"{where}: expected BEGIN SOLUTION and END SOLUTION once in an exercise and nowhere "
+            "else"
         )
     if kinds == ["exercise"] and not re.search(
         rf"^def {re.escape(name)}\(", cell.source, re.MULTILINE
@@ -123,14 +121,13 @@ def _cell(source: Path, cell: Any) -> SourceCell:
 
 
 def build(folder: Path) -> dict[Path, str]:
-    """Both notebooks of a lab, as text, without outputs.
+    """Texts of both notebooks of a lab, without outputs.
 
     Args:
         folder: the lab's, with `lab.py` in it.
 
     Returns:
-        For the path of each notebook what shall stand in it; the same source always gives the same
-        text.
+        The text of each notebook by its path; deterministic.
 
     Raises:
         FileNotFoundError, InputError: as `read_cells`.
@@ -147,9 +144,7 @@ def build(folder: Path) -> dict[Path, str]:
 
 
 def _with_version(cells: list[SourceCell]) -> list[SourceCell]:
-    """The cells with the kit's version below the title, where a program that drops a notebook's
-    metadata leaves it.
-    """
+    """The cells with the kit's version below the title, in case a program drops the metadata."""
     first = next((i for i, cell in enumerate(cells) if cell.markdown and not cell.kind), None)
     if first is None:
         return cells
@@ -160,7 +155,7 @@ def _with_version(cells: list[SourceCell]) -> list[SourceCell]:
 
 
 def notebook_text(cells: list[tuple[SourceCell, str]]) -> str:
-    """A notebook's file: format 4.5, as JupyterLab writes it, with ids that count the cells."""
+    """A notebook in format 4.5, as JupyterLab writes it, with numbered cell ids."""
     record = {
         "cells": [_cell_record(number, cell, text) for number, (cell, text) in enumerate(cells)],
         "metadata": {
@@ -192,7 +187,7 @@ def write_notebooks(folder: Path) -> list[Path]:
     """Write a lab's notebooks where they are missing or stale.
 
     Returns:
-        What was written.
+        The written paths.
 
     Raises:
         FileNotFoundError, InputError: as `read_cells`, or a file cannot be written.
@@ -207,9 +202,7 @@ def write_notebooks(folder: Path) -> list[Path]:
 
 
 def stale_notebooks(folder: Path) -> list[Path]:
-    """The lab's notebooks that are not what its source says, be they missing, old or edited by
-    hand.
-    """
+    """The lab's notebooks that differ from its source: missing, old or edited by hand."""
     texts = build(folder)
     return [
         p for p, text in texts.items() if not p.is_file() or p.read_text(encoding="utf-8") != text

@@ -1,13 +1,12 @@
-"""Public checks of a lab: a student's function in, which claims about it hold out, in words.
+"""Public checks of a lab: a student's function -> which claims hold, as text.
 
-In a notebook that lies in its lab's folder:
+In a notebook in its lab's folder:
 
-    from falconwing_kit.tools.grading.public_checks import check
+    from falconwing_kit.tools.grading import check
 
     check(min_speed)
 
-A check never stops the notebook and gives no points: it says what to look at. The grading's hidden
-cases are others.
+A check never stops the notebook and gives no points. The grading uses other, hidden cases.
 """
 
 import dis
@@ -32,7 +31,7 @@ from falconwing_kit.tools.grading.collect import (
 )
 from falconwing_kit.tools.grading.find import lab_folder, load_checks, load_module
 from falconwing_kit.tools.grading.lab import Check, Exercise, Function, Lab
-from falconwing_kit.tools.grading.sandbox.box import (
+from falconwing_kit.tools.grading.sandbox.host import (
     SandboxJob,
     StudentError,
     Worker,
@@ -40,11 +39,13 @@ from falconwing_kit.tools.grading.sandbox.box import (
 )
 
 SYMBOLS = {"passed": "✓", "failed": "✗", "not written": "○"}
-_CATEGORIES = {  # of a StudentError that may end the process, as what the function did
+# categories of StudentError that may end the process, as predicates of "it"
+_CATEGORIES = {
     "timeout": "took too long",
     "memory": "took too much memory",
     "died": "ended Python",
-    "bad answer": "gave what is no answer: expected numbers, texts, arrays, or tuples, lists and dicts of them",
+    "bad answer": "returned an unsupported type: expected numbers, texts, arrays, "
+    "or tuples, lists and dicts of them",
 }
 _NOT_WRITTEN = ("not written", "missing")
 _PLAIN = {"✓": "+", "✗": "x", "○": "o"}  # for terminals that cannot print the others
@@ -52,14 +53,13 @@ _PLAIN = {"✓": "+", "✗": "x", "○": "o"}  # for terminals that cannot print
 
 @dataclass(frozen=True)
 class CheckOutcome:
-    """How one check of one function came out.
+    """Result of one check of one function.
 
     Attributes:
-        claim: what a right function does.
+        claim: what a correct function does.
         state: "passed", "failed" or "not written".
-        hint: what to look at; empty where the check passed.
-        said: what the function gave or raised when it was called last; empty where the check
-            passed.
+        hint: where to look; empty if passed.
+        said: result or error of the function's last call; empty if passed.
     """
 
     claim: str
@@ -69,27 +69,22 @@ class CheckOutcome:
 
 
 def run_checks(exercise: Exercise, function: Function) -> list[CheckOutcome]:
-    """Try every public check of an exercise.
+    """Run every public check of an exercise.
 
     Args:
-        exercise: whose checks.
-        function: the student's, here or behind a worker; what it raises is an outcome, never an
-            error.
-
-    Returns:
-        One outcome for each check.
+        function: the student's, in this process or in a worker; its errors are outcomes.
     """
     return [_try(each, function) for each in exercise.checks]
 
 
 def exercise_state(outcomes: Iterable[CheckOutcome]) -> str:
-    """Of a whole exercise: "not written" if that is how it is, "passed" only if every check passed."""
+    """State of an exercise: "not written", "failed", or "passed" if every check passed."""
     states = {outcome.state for outcome in outcomes}
     return next((state for state in ("not written", "failed") if state in states), "passed")
 
 
 class _Watched:
-    """A student's function that remembers how its last call ended."""
+    """A student's function that records how its last call ended."""
 
     def __init__(self, function: Function) -> None:
         self.function, self.said, self.raised, self.written = function, "", False, True
@@ -114,13 +109,11 @@ def _try(each: Check, function: Function) -> CheckOutcome:
     watched, unusable = _Watched(function), ""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", RuntimeWarning
-            )  # NumPy's, about a nan that a check may ask for
+            warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's, about a check's NaN
             if bool(each.holds(watched)):
                 return CheckOutcome(each.claim, "passed")
     except Exception as error:
-        unusable = "" if watched.raised else f", which could not be used: {_in_words(error)}"
+        unusable = "" if watched.raised else f", which failed in the check: {_in_words(error)}"
     if not watched.written:
         return CheckOutcome(each.claim, "not written")
     return CheckOutcome(each.claim, "failed", each.hint, watched.said + unusable)
@@ -135,7 +128,7 @@ def _in_words(error: Exception) -> str:
 
 
 def _shorten(value: Any) -> str:
-    """A value as a few words on one line; large arrays by their shape."""
+    """A value as short text on one line; large arrays by their shape."""
     if isinstance(value, np.ndarray) and value.size > 16:
         return f"an array of shape {value.shape}"
     if isinstance(value, np.ndarray | np.generic):
@@ -156,7 +149,7 @@ def _cut(text: str) -> str:
 
 
 def check(function: Function) -> None:
-    """Print which public checks of the lab a function passes, and what to look at if not.
+    """Print which public checks of the lab a function passes, with hints for the others.
 
     Args:
         function: one of the lab's exercises; the notebook lies in the lab's folder.
@@ -186,7 +179,8 @@ def report_lines(name: str, outcomes: list[CheckOutcome], foreign: Iterable[str]
     passed = sum(outcome.state == "passed" for outcome in outcomes)
     if exercise_state(outcomes) == "not written":
         lines = [
-            f"{SYMBOLS['not written']} {name}: not written yet; {len(outcomes)} public checks wait for it"
+            f"{SYMBOLS['not written']} {name}: not written yet; "
+            f"{len(outcomes)} public checks wait for it"
         ]
     else:
         state = exercise_state(outcomes)
@@ -210,12 +204,10 @@ def to_printable(text: str) -> str:
 
 
 def foreign_modules(function: Function, packages: Iterable[str]) -> set[str]:
-    """Modules that a function uses, itself or through the notebook's other functions, beyond what
-    the grader has.
+    """Modules that a function uses, directly or through helpers, and that the grader lacks.
 
     Args:
-        function: from the notebook.
-        packages: libraries that the lab allows, beside the standard library and `given`.
+        packages: available to the grader, beside the standard library and `given`.
     """
     allowed = {*packages, "given", function.__module__, *sys.stdlib_module_names}
     used: set[str] = set()
@@ -234,7 +226,7 @@ def foreign_modules(function: Function, packages: Iterable[str]) -> set[str]:
 
 
 def _named_modules(code: types.CodeType, around: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """The module, and the value, of everything global that a piece of code names or imports."""
+    """Module and value of every global that a code object names or imports."""
     for step in dis.get_instructions(code):
         if step.opname == "IMPORT_NAME":
             yield step.argval, None
@@ -253,12 +245,12 @@ def _named_modules(code: types.CodeType, around: dict[str, Any]) -> Iterator[tup
 
 @dataclass(frozen=True)
 class ExerciseReport:
-    """One exercise of a notebook file, checked.
+    """Check results of one exercise of a notebook file.
 
     Attributes:
         name: of the function.
         outcomes: of its public checks.
-        problems: what the grader would stumble over, in sentences.
+        problems: messages of the collector.
     """
 
     name: str
@@ -267,12 +259,11 @@ class ExerciseReport:
 
 
 def check_notebook(folder: Path, notebook: Path) -> list[ExerciseReport]:
-    """Run a lab's public checks on the functions of a notebook file, in a plain process and without
-    the notebook.
+    """Run a lab's public checks on a notebook file, in a plain process.
 
     Args:
         folder: the lab's.
-        notebook: the file, as it was saved last.
+        notebook: the saved file.
 
     Returns:
         One report for each exercise, in the lab's order.
@@ -299,11 +290,9 @@ def check_notebook(folder: Path, notebook: Path) -> list[ExerciseReport]:
 
 
 class _Functions:
-    """All functions of a notebook in one process, since loading torch for each would take most of
-    the time.
+    """All functions of a notebook in one process, since loading torch takes most of the time.
 
-    A function that ends the process is not called again, and costs the others nothing: they get a
-        new one.
+    A function that ends the process is not called again; the others continue in a new process.
     """
 
     def __init__(self, folder: Path, lab: Lab, sources: Mapping[str, Source]) -> None:
@@ -370,7 +359,7 @@ def ask(name, *arguments):
 
 
 def _as_called(folder: Path, exercise: Exercise, function: Function) -> Function:
-    """The function as the grader calls it: through one of the lab's own where the exercise says so."""
+    """The function as the grader calls it: through the exercise's wrapper, if any."""
     if not exercise.through:
         return function
     through = getattr(load_module(folder, "given"), exercise.through)
@@ -390,7 +379,8 @@ def _lab_here() -> tuple[Path, Lab]:
     )
     if here is None:
         raise InputError(
-            f"expected the notebook to run in its lab's folder, with checks.py in it, this is {Path.cwd()}"
+            "expected the notebook to run in its lab's folder, with checks.py in it, "
+            f"this is {Path.cwd()}"
         )
     folder = lab_folder(here)
     times = tuple((folder / name).stat().st_mtime_ns for name in ("checks.py", "given.py"))

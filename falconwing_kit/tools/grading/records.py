@@ -1,8 +1,8 @@
-"""Records: what a run of the grader leaves in its folder, and how the next run goes on from there.
+"""Grading records: results of a grading run <-> its folder, so that the next run can resume.
 
-records.jsonl   one line per graded submission, added at once and never changed; a student's last line counts
-run.json        lab, course and the secret that seeds are drawn from
-gradebook.csv   made from the records, at any time again
+records.jsonl   one line per graded submission, append-only; a student's last line counts
+run.json        lab, course and the secret from which seeds are derived
+gradebook.csv   derived from the records
 """
 
 import csv
@@ -23,14 +23,13 @@ RECORDS, RUN, GRADEBOOK = "records.jsonl", "run.json", "gradebook.csv"
 
 
 def open_run(out: Path, lab: str, salt: str, *, sandboxed: bool, go_on: bool) -> str:
-    """Make a run's folder, or find what an earlier run left there.
+    """Create a run's folder, or open that of an earlier run.
 
     Args:
-        out: the folder.
         lab: "lab03".
-        salt: the course's; only its fingerprint is kept.
-        sandboxed: whether functions run in boxes.
-        go_on: records may be there already.
+        salt: the course's; only its fingerprint is stored.
+        sandboxed: whether functions run in a sandbox.
+        go_on: whether records may exist already.
 
     Returns:
         The run's secret.
@@ -38,26 +37,26 @@ def open_run(out: Path, lab: str, salt: str, *, sandboxed: bool, go_on: bool) ->
     Raises:
         InputError: there are records and `go_on` is False, or they are of another lab or course.
     """
-    wanted = {"lab": lab, "course": salt_fingerprint(salt), "sandboxed": sandboxed}
+    settings = {"lab": lab, "course": salt_fingerprint(salt), "sandboxed": sandboxed}
     file = out / RUN
     if (out / RECORDS).exists() and not go_on:
         raise InputError(
-            f"{out}: expected a new folder, found records; say --resume, --regrade or another --out"
+            f"{out}: expected a new folder, found records; use --resume, --regrade or another --out"
         )
     if not file.exists():
         out.mkdir(parents=True, exist_ok=True)
         with atomic_write(file, text=True) as handle:
             os.chmod(handle.fileno(), 0o600)
-            handle.write(json.dumps(wanted | {"secret": secrets.token_hex(16)}, indent=1) + "\n")
+            handle.write(json.dumps(settings | {"secret": secrets.token_hex(16)}, indent=1) + "\n")
     try:
         run: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
         secret = str(run.pop("secret"))
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(
-            f"{file}: expected what an earlier run wrote, got something else; choose another --out"
+            f"{file}: expected an earlier run's settings, got something else; choose another --out"
         ) from None
-    if run != wanted:
-        changed = ", ".join(name for name in wanted if run.get(name) != wanted[name])
+    if run != settings:
+        changed = ", ".join(name for name in settings if run.get(name) != settings[name])
         raise InputError(
             f"{out}: expected the lab, salt and sandbox of its earlier run, got another {changed}"
         )
@@ -65,7 +64,7 @@ def open_run(out: Path, lab: str, salt: str, *, sandboxed: bool, go_on: bool) ->
 
 
 def require_run(out: Path, lab: str, salt: str) -> None:
-    """Refuse a folder that holds no records of this lab in this course.
+    """Raise InputError unless a folder holds records of this lab in this course.
 
     Raises:
         InputError: there are none, or the lab or the salt is another.
@@ -86,14 +85,12 @@ def require_run(out: Path, lab: str, salt: str) -> None:
 
 
 def salt_fingerprint(salt: str) -> str:
-    """What is kept of a course's salt."""
+    """The stored fingerprint of a course's salt."""
     return hashlib.sha256(salt.encode()).hexdigest()[:16]
 
 
 def read_grade_records(out: Path) -> list[Record]:
-    """All records of a folder, in the order of writing; a line that a kill cut short is passed
-    over.
-    """
+    """All records of a folder, in order; incomplete lines are skipped."""
     file = out / RECORDS
     records = []
     for line in file.read_bytes().split(b"\n") if file.exists() else ():
@@ -113,7 +110,7 @@ def last_records(records: Iterable[Record]) -> dict[str, Record]:
 
 
 def append_record(out: Path, record: Mapping[str, Any]) -> None:
-    """Add a record and see it to the disk.
+    """Append a record and sync it to disk.
 
     Raises:
         InputError: the disk is full, or the folder may not be written.
@@ -124,7 +121,7 @@ def append_record(out: Path, record: Mapping[str, Any]) -> None:
         with file.open("a+b") as handle:
             size = handle.seek(0, os.SEEK_END)
             if size and (handle.seek(size - 1), handle.read(1))[1] != b"\n":
-                line = b"\n" + line  # after a line that a kill cut short
+                line = b"\n" + line  # after an incomplete line of a killed run
             handle.write(line)
             handle.flush()
             os.fsync(handle.fileno())
@@ -133,15 +130,14 @@ def append_record(out: Path, record: Mapping[str, Any]) -> None:
 
 
 def write_points_table(out: Path, exercises: Sequence[str], records: Iterable[Record]) -> Path:
-    """Write the gradebook.
+    """Write the gradebook of automatic points.
 
     Args:
-        out: the folder.
         exercises: names, in the lab's order.
-        records: of any order; each student's last one counts.
+        records: in any order; each student's last one counts.
 
     Returns:
-        Its path. What the machine gives is all that is in it; a person's points are not.
+        Its path.
     """
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
@@ -162,7 +158,7 @@ def write_points_table(out: Path, exercises: Sequence[str], records: Iterable[Re
 
 
 def spreadsheet_cell(value: object) -> object:
-    """A value for a spreadsheet, which takes a text that begins like a formula for one."""
+    """A value as a spreadsheet cell; texts that look like formulas are quoted."""
     if value is None:
         return ""
     return (

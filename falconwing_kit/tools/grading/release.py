@@ -1,9 +1,8 @@
-"""What an instructor hands out: labs and a roster in, a folder for the students out, without
-solutions or hidden cases.
+"""Release: labs and a roster -> a folder for students, without solutions or hidden cases.
 
-OUT/README.md                                the route
-OUT/lab01_sizing/                            notebook, given.py, checks.py, cohort.json, data/
-OUT/handouts/STUDENT/lab12_gap/              files that are another for every student, where a lab has such
+OUT/README.md                       the route
+OUT/lab01_sizing/                   notebook, given.py, checks.py, cohort.json, data/
+OUT/handouts/STUDENT/lab12_gap/     individual files of each student, for labs that have them
 """
 
 import ast
@@ -20,32 +19,33 @@ from falconwing_kit.tools.grading.find import load_checks, load_module, notebook
 from falconwing_kit.tools.grading.lab import Course, course_constants
 from falconwing_kit.tools.grading.notebooks import build
 
-FOLDER = "data"  # of a lab, that goes to students as it is
-MIN_SALT = 16  # characters; the kit is public, so a shorter one is found by trying
+FOLDER = "data"  # of a lab, copied to students
+MIN_SALT = 16  # characters; the kit is public, so a shorter salt can be found by brute force
 INSTRUCTORS = "\n## For instructors"  # the route ends here for students
 _STUDENT = re.compile(r"[A-Za-z0-9_@][A-Za-z0-9_.@+-]{0,63}")
 
 
 def read_roster(path: Path) -> list[str]:
-    """Who takes the course.
+    """Names of the course's students.
 
     Args:
-        path: a CSV file with a column `student`, such as a learning platform's user names; others
-            are passed over.
+        path: a CSV file with a column `student`, such as a learning platform's user names; other
+            columns are ignored.
 
     Returns:
         The names, in the file's order.
 
     Raises:
         FileNotFoundError: there is no such file.
-        InputError: it has no such column, names one twice, or a name cannot be a folder's.
+        InputError: it has no such column, a name twice, or a name that cannot be a folder's.
     """
     require_file(path)
     with path.open(encoding="utf-8-sig", newline="") as handle:
         reader = csv.DictReader(handle)
         if "student" not in (reader.fieldnames or ()):
             raise InputError(
-                f"{path}: expected a column called student, got {', '.join(reader.fieldnames or ['nothing'])}"
+                f"{path}: expected a column called student, got "
+                f"{', '.join(reader.fieldnames or ['nothing'])}"
             )
         students = [(row["student"] or "").strip() for row in reader]
     for student in students:
@@ -55,7 +55,7 @@ def read_roster(path: Path) -> list[str]:
             )
         if students.count(student) > 1:
             raise InputError(
-                f"{path}: expected every student once, got {student} more often; mend the list"
+                f"{path}: expected every student once, got {student} more often; correct the list"
             )
     return students
 
@@ -63,33 +63,36 @@ def read_roster(path: Path) -> list[str]:
 def release(
     folders: Sequence[Path], out: Path, salt: str = "", students: Sequence[str] = ()
 ) -> list[Path]:
-    """Write what students get, whole or not at all.
+    """Write the students' files, complete or not at all.
 
     Args:
         folders: of the labs.
-        out: a folder that does not exist yet, or is empty.
-        salt: the instructor's secret, which draws this course's numbers; empty gives the open
-            course's.
-        students: who gets files of their own.
+        out: a new or empty folder.
+        salt: the instructor's secret, which determines this course's constants; empty for the open
+            course.
+        students: who get individual files.
 
     Returns:
         Every file that was written.
 
     Raises:
-        InputError: `out` holds something already, the salt is short, there are students but no
-            salt, or a lab cannot be used.
+        InputError: `out` is not empty, the salt is short, there are students but no salt, or a lab
+            cannot be used.
     """
     if out.is_file() or (out.is_dir() and any(out.iterdir())):
         raise InputError(
-            f"{out}: expected a new or an empty folder, so that nothing else is handed out; choose another"
+            f"{out}: expected a new or an empty folder, so that nothing else is handed out; "
+            "choose another"
         )
     if salt and len(salt) < MIN_SALT:
         raise InputError(
-            f"--salt: expected at least {MIN_SALT} characters that nobody can guess, got {len(salt)}"
+            f"--salt: expected at least {MIN_SALT} characters that cannot be guessed, "
+            f"got {len(salt)}"
         )
     if students and not salt:
         raise InputError(
-            "--roster: expected a --salt with it; without one every student could draw the others' files"
+            "--roster: expected a --salt with it; without one every student could draw the others' "
+            "files"
         )
     part = out.with_name(f".{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
@@ -107,9 +110,7 @@ def release(
 
 
 def route_for_students(readme: Path) -> str:
-    """The route without its part for instructors; a line that says what this is where there is no
-    route.
-    """
+    """README.md without its part for instructors; a title where there is no README."""
     text = (
         readme.read_text(encoding="utf-8") if readme.is_file() else "# Labs of the FalconWing kit\n"
     )
@@ -117,7 +118,7 @@ def route_for_students(readme: Path) -> str:
 
 
 def _release_lab(folder: Path, target: Path, salt: str) -> None:
-    """One lab's notebook, files, data and numbers."""
+    """Notebook, files, data and constants of one lab."""
     target.mkdir(parents=True)
     _write(target / notebook_path(folder).name, build(folder)[notebook_path(folder)])
     shutil.copyfile(require_file(folder / "given.py"), target / "given.py")
@@ -133,14 +134,10 @@ def _release_lab(folder: Path, target: Path, salt: str) -> None:
 
 
 def without_answers(checks: str) -> str:
-    """A lab's `checks.py` without what a person looks for: the third argument of every `Criterion`
-    becomes empty.
+    """A lab's `checks.py` with the grading criteria (third argument of `Criterion`) blanked.
 
     Args:
         checks: the file's text.
-
-    Returns:
-        The text, otherwise the same to the letter.
     """
     lines = checks.encode().splitlines(keepends=True)  # ast counts columns in bytes
     starts = [sum(map(len, lines[:number])) for number in range(len(lines))]
@@ -151,11 +148,11 @@ def without_answers(checks: str) -> str:
             and isinstance(call.func, ast.Name)
             and call.func.id == "Criterion"
         ):
-            told = [
+            criteria = [
                 *call.args[2:3],
                 *(each.value for each in call.keywords if each.arg == "look_for"),
             ]
-            for each in told:
+            for each in criteria:
                 end = starts[(each.end_lineno or each.lineno) - 1] + (each.end_col_offset or 0)
                 spans.append((starts[each.lineno - 1] + each.col_offset, end))
     text = checks.encode()
@@ -165,14 +162,12 @@ def without_answers(checks: str) -> str:
 
 
 def cohort_text(folder: Path, salt: str = "") -> str:
-    """What stands in a lab's `cohort.json` for a course."""
+    """Content of a lab's `cohort.json` for a course."""
     return json.dumps(course_constants(load_checks(folder), salt), indent=1) + "\n"
 
 
 def _release_handouts(folder: Path, target: Path, salt: str, students: Sequence[str]) -> None:
-    """Every student's own files, where the lab's `hidden.py` has a function `handout` that writes
-    them.
-    """
+    """Individual files of each student, where the lab's `hidden.py` defines `handout`."""
     if not students:
         return
     constants = course_constants(load_checks(folder), salt)

@@ -1,6 +1,4 @@
-"""Selftest: a lab's own notebooks, graded as a student's would be: the solution gets all points,
-the untouched none.
-"""
+"""Self-test of a lab: its solution must get all points, its untouched notebook none."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,13 +11,13 @@ from falconwing_kit.tools.grading.submissions import Submission
 
 @dataclass(frozen=True)
 class SelfTest:
-    """How a lab's own notebooks were graded.
+    """Grading results of a lab's own notebooks.
 
     Attributes:
         lab: its folder's name.
         solution, untouched: points of each exercise, by name.
-        of: points there are of each exercise.
-        problems: what the grader said of the solution, and why something could not be graded.
+        of: maximum points of each exercise.
+        problems: messages of the grader.
     """
 
     lab: str
@@ -30,9 +28,7 @@ class SelfTest:
 
     @property
     def passed(self) -> bool:
-        """Whether the solution got everything and the untouched notebook nothing, on every
-        exercise.
-        """
+        """Whether every exercise gave all points for the solution and none untouched."""
         nothing = dict.fromkeys(self.of, 0.0)
         return self.solution == self.of and self.untouched == nothing and not self.problems
 
@@ -42,10 +38,10 @@ def selftest(folder: Path, *, sandboxed: bool = True) -> SelfTest:
 
     Args:
         folder: the lab's, with both notebooks built.
-        sandboxed: each function in a box, as students' are.
+        sandboxed: run each function in a sandbox, as students' are.
 
     Raises:
-        InputError: the lab cannot be used, or there is no sandbox here.
+        InputError: the lab cannot be used, or no sandbox is available.
     """
     assignment = Assignment(folder, sandboxed=sandboxed)
     solution, untouched = (
@@ -55,9 +51,11 @@ def selftest(folder: Path, *, sandboxed: bool = True) -> SelfTest:
         )
         for done in (True, False)
     )
-    said = [record["problem"] for record in (solution, untouched)]
-    said += [problem for result in solution["exercises"].values() for problem in result["problems"]]
-    said += [
+    problems = [record["problem"] for record in (solution, untouched)]
+    problems += [
+        problem for result in solution["exercises"].values() for problem in result["problems"]
+    ]
+    problems += [
         f"{name} fails: {what} in {count} of {result['cases']} cases"
         for name, result in solution["exercises"].items()
         for what, count in result["categories"].items()
@@ -67,5 +65,5 @@ def selftest(folder: Path, *, sandboxed: bool = True) -> SelfTest:
         solution={name: result["points"] for name, result in solution["exercises"].items()},
         untouched={name: result["points"] for name, result in untouched["exercises"].items()},
         of={exercise.name: exercise.points for exercise in load_checks(folder).exercises},
-        problems=tuple(filter(None, said)),
+        problems=tuple(filter(None, problems)),
     )

@@ -1,10 +1,9 @@
-"""Submissions: a notebook, a folder, or a learning platform's zip -> whose notebook is where.
-Nothing is unpacked.
+"""Submissions: a notebook, folder or learning platform's zip -> each student's notebook.
 
-Students are told apart by what the platform calls their files:
+Students are identified by the platform's file names; nothing is unpacked to disk:
 
     ada.ipynb, lab03_ada.ipynb                               ada
-    ada/lab03.ipynb                                          ada      (any folder of a student's own)
+    ada/lab03.ipynb                                          ada      (a folder per student)
     Ada Lovelace_4711_assignsubmission_file_/lab03.ipynb     Ada Lovelace_4711      (Moodle)
     lovelaceada_LATE_123_456_lab03-2.ipynb                   lovelaceada_123        (Canvas)
 """
@@ -44,14 +43,12 @@ class Submission:
     """One student's notebook.
 
     Attributes:
-        student: who, as the file's name or folder says.
-        file: on the disk: the notebook, or the zip that holds it.
-        members: where the file is a zip: the notebook's name in it; two names where a zip lies in
-            the zip.
-        when: when it was last changed, to choose among several of one student.
-        sha256: of the notebook's bytes; empty where it cannot be read.
-        problem: why it cannot be read (then `when` is empty), or what a person should know; empty
-            if nothing.
+        student: name from the file or folder.
+        file: on disk: the notebook, or the zip that holds it.
+        members: in a zip: the notebook's name; two names for a zip inside a zip.
+        when: time of the last change, to choose among several notebooks of one student.
+        sha256: of the notebook's bytes; empty if unreadable.
+        problem: why it cannot be read (then `when` is empty), or a note; else empty.
     """
 
     student: str
@@ -70,7 +67,7 @@ class Submission:
         """The notebook's bytes.
 
         Raises:
-            InputError: it cannot be read, or is larger than any honest notebook.
+            InputError: it cannot be read, or is too large.
         """
         if self.problem and not self.when:
             raise InputError(self.problem)
@@ -99,8 +96,7 @@ def find_submissions(path: str | Path, lab: str) -> list[Submission]:
             the newest.
 
     Returns:
-        One for each student, by name; links, and files outside the folder or the zip, are not
-        followed but reported.
+        One for each student, by name; links and unsafe paths are reported, not followed.
 
     Raises:
         InputError: there is nothing at the path, or no notebook.
@@ -123,7 +119,7 @@ def find_submissions(path: str | Path, lab: str) -> list[Submission]:
 
 
 def student_of(path: PurePosixPath) -> str:
-    """Who handed in a file, by its path below the folder or in the zip."""
+    """Student of a file, from its path below the folder or in the zip."""
     whole = "/".join(path.parts)
     moodle, canvas = _MOODLE.search(whole), _CANVAS.search(whole)
     if moodle:
@@ -142,7 +138,7 @@ def _printable(name: str) -> str:
 
 
 def _in_folder(folder: Path) -> Iterator[Submission]:
-    """Notebooks in a folder and those below it, without following a link."""
+    """Notebooks in a folder and its subfolders, without following links."""
     entries = 0
     for here, folders, files in os.walk(folder):
         folders[:] = sorted(name for name in folders if name not in _SKIPPED)
@@ -150,17 +146,18 @@ def _in_folder(folder: Path) -> Iterator[Submission]:
             entries += 1
             if entries > MAX_ENTRIES:
                 raise InputError(
-                    f"{folder}: expected at most {MAX_ENTRIES} files, found more; name the right folder"
+                    f"{folder}: expected at most {MAX_ENTRIES} files, found more; "
+                    "name the right folder"
                 )
             yield from _in_file(file, PurePosixPath(file.relative_to(folder).as_posix()))
 
 
 def _in_file(file: Path, path: PurePosixPath | None = None) -> Iterator[Submission]:
-    """What one file on the disk holds: a notebook, or a zip of them.
+    """Content of a file on disk: a notebook, or a zip of them.
 
     Args:
         file: the file.
-        path: below the folder that it was found in; None where it is the platform's export itself.
+        path: relative to the searched folder; None for the platform's export itself.
     """
     shown = path or PurePosixPath(file.name)
     if shown.suffix.lower() not in (".ipynb", ".zip"):
@@ -183,13 +180,12 @@ def _in_file(file: Path, path: PurePosixPath | None = None) -> Iterator[Submissi
 
 
 def _in_zip(handle: BinaryIO, outer: Submission, base: PurePosixPath) -> Iterator[Submission]:
-    """Notebooks in a zip, and in the zips of students in it; names that lead out of it are
-    reported.
+    """Notebooks in a zip and in the students' zips inside; unsafe names are reported.
 
     Args:
         handle: the zip.
-        outer: where it is.
-        base: what stands before its names when students are told apart.
+        outer: its location.
+        base: prefix of its names for `student_of`.
     """
     with zipfile.ZipFile(handle) as archive:
         if len(archive.infolist()) > MAX_ENTRIES:
@@ -239,7 +235,7 @@ def _read_member(handle: BinaryIO, name: str) -> bytes:
 
 
 def _at_most(handle: IO[bytes]) -> bytes:
-    """What is in a file, if it is not too much; what a zip says about a size is not believed."""
+    """A file's content up to the size limit; sizes declared by a zip are not trusted."""
     data = handle.read(MAX_FILE + 1)
     if len(data) > MAX_FILE:
         raise InputError(
@@ -249,7 +245,7 @@ def _at_most(handle: IO[bytes]) -> bytes:
 
 
 def _open_plain(file: Path) -> BinaryIO:
-    """A file opened for reading if it is one: no link, no pipe, no device."""
+    """Open a regular file for reading; links, pipes and devices are refused."""
     handle = os.open(
         file, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     )
@@ -260,7 +256,7 @@ def _open_plain(file: Path) -> BinaryIO:
 
 
 def _chosen(several: list[Submission], lab: str) -> Submission:
-    """The one that counts of a student's notebooks: of this lab, readable, the newest."""
+    """The relevant notebook of a student's several: of this lab, readable, the newest."""
     best = max(several, key=lambda each: (lab in each.name, not each.problem, each.when, each.name))
     if len(several) > 1 and not best.problem:
         return replace(
@@ -270,7 +266,7 @@ def _chosen(several: list[Submission], lab: str) -> Submission:
 
 
 def _stamped(each: Submission) -> Submission:
-    """With the fingerprint of its bytes, or the reason why there are none."""
+    """The submission with the fingerprint of its bytes, or the reason for its absence."""
     if not each.when:
         return each
     try:

@@ -1,6 +1,4 @@
-"""Wrong solutions of lab 2, such as students write: what is wrong, the text that is replaced, and
-by what.
-"""
+"""Wrong solutions of lab 2: what is wrong, the replaced text, the replacement."""
 
 MUTANTS = {
     "rot_from_euler": (

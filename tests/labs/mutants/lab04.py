@@ -40,12 +40,8 @@ MUTANTS = {
         ("thrust does not fall with speed", '(K["kT"] - K["kTV"] * V)', '(K["kT"])'),
     ),
     "state_rate": (
-        ("gravity up", "force_body - np.array", "force_body + np.array"),
-        (
-            "gravity turned with the body",
-            "@ force_body - np.array([0.0, 0.0, GRAVITY])",
-            "@ (force_body + np.array([0.0, 0.0, GRAVITY]))",
-        ),
+        ("gravity up", "force_body - gravity", "force_body + gravity"),
+        ("gravity turned with the body", "@ force_body - gravity", "@ (force_body + gravity)"),
         ("force not turned", "rotation_world_body(roll, pitch, yaw) @ force_body", "force_body"),
         (
             "force turned the wrong way",

@@ -1,6 +1,4 @@
-"""Wrong solutions of lab 6 that students write: for each exercise, what is wrong, the old text and
-the new.
-"""
+"""Wrong solutions of lab 6: what is wrong, the replaced text, the replacement."""
 
 MUTANTS = {
     "marker_pose": (

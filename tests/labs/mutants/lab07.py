@@ -1,6 +1,4 @@
-"""Wrong solutions of lab 7 that students write: for each exercise, what is wrong, the old text and
-the new.
-"""
+"""Wrong solutions of lab 7: what is wrong, the replaced text, the replacement."""
 
 MUTANTS = {
     "turn": (
@@ -70,9 +68,9 @@ MUTANTS = {
         ),
         ("the arc tangent is not scaled", "APPROACH * 2.0 / math.pi *", "APPROACH *"),
         (
-            "flown course minus wanted",
-            "wanted - math.atan2(-v[1], v[0])",
-            "math.atan2(-v[1], v[0]) - wanted",
+            "flown course minus commanded",
+            "commanded - math.atan2(-v[1], v[0])",
+            "math.atan2(-v[1], v[0]) - commanded",
         ),
         ("the speed is forgotten", "np.linalg.norm(v) * TURN_GAIN", "7.0 * TURN_GAIN"),
     ),

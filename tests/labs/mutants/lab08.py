@@ -1,4 +1,7 @@
-"""Lab 8: wrong solutions that students write; each must lose points and be seen by a public check."""
+"""Lab 8: wrong solutions that students write.
+
+Each must lose points and be seen by a public check.
+"""
 
 MUTANTS = {
     "history_window": (
@@ -109,7 +112,8 @@ MUTANTS = {
         ("history is never filled", "history = np.concatenate([[aileron], history[:-1]])", "pass"),
         (
             "looks once only",
-            "        while not flight.over:\n            aileron = float(np.clip(policy(flight.look()",
+            "        while not flight.over:\n            aileron = "
+            "float(np.clip(policy(flight.look()",
             "        image = flight.look()\n"
             "        while not flight.over:\n"
             "            aileron = float(np.clip(policy(image",

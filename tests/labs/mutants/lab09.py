@@ -1,4 +1,7 @@
-"""Lab 9: wrong solutions that students write; each must lose points and be seen by a public check."""
+"""Lab 9: wrong solutions that students write.
+
+Each must lose points and be seen by a public check.
+"""
 
 MUTANTS = {
     "ellipsoid_mask": (
@@ -59,8 +62,10 @@ MUTANTS = {
     "mask_loss": (
         (
             "logarithm of a rounded probability",
-            "torch.nn.functional.logsigmoid(logits), torch.nn.functional.logsigmoid(-logits)",
-            "torch.log(torch.sigmoid(logits)), torch.log(1.0 - torch.sigmoid(logits))",
+            "torch.nn.functional.logsigmoid(logits)\n"
+            "    log_hall = torch.nn.functional.logsigmoid(-logits)",
+            "torch.log(torch.sigmoid(logits))\n"
+            "    log_hall = torch.log(1.0 - torch.sigmoid(logits))",
         ),
         ("weight forgotten", "POS_WEIGHT * truth", "truth"),
         (
@@ -70,15 +75,15 @@ MUTANTS = {
         ),
         (
             "Dice over the whole batch",
-            "(2.0 * (p * truth).sum(dim=(1, 2)) + 1.0) / (p.sum(dim=(1, 2)) + truth.sum(dim=(1, 2)) + 1.0)",
-            "(2.0 * (p * truth).sum() + 1.0) / (p.sum() + truth.sum() + 1.0)",
+            "(p * truth).sum(dim=(1, 2))\n    sizes = p.sum(dim=(1, 2)) + truth.sum(dim=(1, 2))",
+            "(p * truth).sum()\n    sizes = p.sum() + truth.sum()",
         ),
         (
             "without the ones",
-            "+ 1.0) / (p.sum(dim=(1, 2)) + truth.sum(dim=(1, 2)) + 1.0)",
-            "+ 1e-9) / (p.sum(dim=(1, 2)) + truth.sum(dim=(1, 2)) + 1e-9)",
+            "(2.0 * both + 1.0) / (sizes + 1.0)",
+            "(2.0 * both + 1e-9) / (sizes + 1e-9)",
         ),
-        ("factor 2 forgotten", "(2.0 * (p * truth)", "(1.0 * (p * truth)"),
+        ("factor 2 forgotten", "(2.0 * both", "(1.0 * both"),
         ("Dice of logits", "p = torch.sigmoid(logits)", "p = logits"),
         ("sign of the entropy", "entropy = -(", "entropy = ("),
         (

@@ -1,4 +1,7 @@
-"""Lab 10: wrong solutions that students write; each must lose points and be seen by a public check."""
+"""Lab 10: wrong solutions that students write.
+
+Each must lose points and be seen by a public check.
+"""
 
 MUTANTS = {
     "encode_ppm": (

@@ -1,6 +1,4 @@
-"""Wrong solutions of lab 11 that students write: for each exercise, what is wrong, the old text and
-the new.
-"""
+"""Wrong solutions of lab 11: what is wrong, the replaced text, the replacement."""
 
 MUTANTS = {
     "success_interval": (

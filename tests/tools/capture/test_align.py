@@ -1,6 +1,4 @@
-"""World alignment: planted similarities, drawn faces, and photos of the path-traced hall against a
-tape measure.
-"""
+"""World alignment: planted similarities, drawn faces, path-traced photos against a tape measure."""
 
 from dataclasses import replace
 
@@ -60,9 +58,7 @@ def look_at(place, target):
 
 
 def photographed(rng, folder=".", count=12, k1=0.0):
-    """A reconstruction with planted similarity, and what its photos show of marker and pad,
-    exactly.
-    """
+    """A reconstruction with a planted similarity, and exact observations of marker and pad."""
     places = rng.uniform((-9, -5, 0.8), (-3, 3, 2.8), (count, 3))
     world = np.stack([look_at(place, (4.0, -1.0, 0.6)) for place in places])
     own = world.copy()
@@ -88,9 +84,7 @@ def noisy(observations, rng, sigma_px):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_umeyama_finds_a_planted_similarity(seed):
-    """Its own inverse; points in a plane too, where a reflection would fit as well but is no
-    motion.
-    """
+    """Its own inverse; also points in a plane, where a reflection would fit as well."""
     rng = np.random.default_rng(seed)
     R_planted = Rotation.random(random_state=seed).as_matrix()
     for points in (rng.standard_normal((6, 3)), rng.standard_normal((5, 3)) * (1, 1, 0)):
@@ -107,8 +101,9 @@ def test_points_in_a_line_are_refused():
 
 @pytest.mark.parametrize("k1", [0.0, -0.1])
 def test_exact_sightings_give_the_planted_similarity(k1):
-    """The triangulated points are those that were photographed, and so is the similarity; lens bent
-    or not.
+    """The triangulated points are those that were photographed, and so is the similarity.
+
+    Lens bent or not.
     """
     made, truth, observations = photographed(np.random.default_rng(1), k1=k1)
     found = align(made, SURVEY, observations)
@@ -121,8 +116,9 @@ def test_exact_sightings_give_the_planted_similarity(k1):
 
 
 def test_wrong_sightings_do_not_pull():
-    """A tenth of the sightings lie 60 px off; without them the noise of 0.3 px leaves well under 5
-    cm.
+    """A tenth of the sightings lie 60 px off.
+
+    Without them the noise of 0.3 px leaves well under 5 cm.
     """
     rng = np.random.default_rng(2)
     made, truth, observations = photographed(rng)
@@ -137,7 +133,10 @@ def test_wrong_sightings_do_not_pull():
 
 
 def test_stated_uncertainty_is_the_true_one():
-    """Law: errors squared over stated variances average 1; thirty draws tell it to about a quarter."""
+    """Law: errors squared over stated variances average 1.
+
+    Thirty draws tell it to about a quarter.
+    """
     rng, ratios, far = np.random.default_rng(3), [], np.array([[-20.0, 5.0, 3.0]])
     for _ in range(30):
         made, _, observations = photographed(rng, count=24)
@@ -151,8 +150,9 @@ def test_stated_uncertainty_is_the_true_one():
 
 
 def test_sigma_is_that_of_drawn_similarities():
-    """Draws of scale, turn and move with a strong correlation, applied as such; 3 % for turns of a
-    degree.
+    """Draws of scale, turn and move with a strong correlation, applied as such.
+
+    3 % for turns of a degree.
     """
     rng = np.random.default_rng(9)
     spread = 0.01 * rng.standard_normal((7, 7))
@@ -165,9 +165,7 @@ def test_sigma_is_that_of_drawn_similarities():
 
 
 def test_pad_corners_make_the_hall_surer():
-    """The marker is 0.8 m wide, the pad 13 m long: the far hall is known several times better with
-    it.
-    """
+    """The marker is 0.8 m wide, the pad 13 m long: it reduces the uncertainty of the far hall."""
     rng = np.random.default_rng(4)
     made, _, observations = photographed(rng)
     observations = noisy(observations, rng, 0.4)
@@ -181,9 +179,7 @@ def test_pad_corners_make_the_hall_surer():
 
 
 def test_single_view_marker_poses_fail_far_away():
-    """The two-fold ambiguity of a small square: half a pixel of noise misplaces by metres; its
-    corners do not.
-    """
+    """The two-fold ambiguity of a small square: half a pixel of noise misplaces by metres."""
     rng = np.random.default_rng(5)
     made, truth, observations = photographed(rng)
     observations = noisy(observations, rng, 0.5)
@@ -205,9 +201,7 @@ def test_baseline_is_right_where_it_can_be():
 
 
 def test_corners_of_a_drawn_face_are_found_to_a_part_of_a_pixel(tmp_path):
-    """OpenCV draws the pad at eight times the size, area-averaged down, so that its edges are where
-    geometry says.
-    """
+    """OpenCV draws the pad at eight times the size, area-averaged down, for exact edges."""
     made, truth, _ = photographed(np.random.default_rng(7), tmp_path, count=4)
     names = tuple(SURVEY.faces()[0])
     for k in range(len(made)):
@@ -228,8 +222,7 @@ def test_corners_of_a_drawn_face_are_found_to_a_part_of_a_pixel(tmp_path):
 
 
 def test_hall_photos_are_aligned_as_the_tape_says():
-    """Corners of posters and windows that were not used, up to 19 m from the marker, measured by
-    tape to 1 cm.
+    """Unused corners of posters and windows, up to 19 m from the marker, measured by tape to 1 cm.
 
     24 photos from one end leave the far wall's depth open to some 0.2 m; a sign or frame error
     makes metres.
@@ -261,8 +254,9 @@ def test_hall_photos_are_aligned_as_the_tape_says():
 
 
 def test_hall_cameras_stand_in_the_hall():
-    """By the hall's README: x -22.5 to 17.5, y -12 to 8, z 0 to 5; these photos look along +x at
-    the marker's front.
+    """By the hall's README: x -22.5 to 17.5, y -12 to 8, z 0 to 5.
+
+    These photos look along +x at the marker's front.
     """
     aligned = transform_reconstruction(hall24.alignments().best, hall24.reconstruction())
     places, ahead, down = (aligned.T_world_camera[:, :3, column] for column in (3, 2, 1))

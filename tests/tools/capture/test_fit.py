@@ -1,5 +1,4 @@
-"""Fitting scenes: the pieces by hand, by laws and by other libraries, and small trainings from end
-to end.
+"""Fitting scenes: parts by hand, by laws and by other libraries, and small trainings end to end.
 
 The photos are simulated: renders of a small room of coloured surfels that the training does not
 see.
@@ -136,12 +135,13 @@ def task_of(source, settings, out):
     )
 
 
-# --- from end to end ---------------------------------------------------------------------------------------------
+# --- from end to end ---
 
 
 def test_a_small_training_gains_several_decibels_on_places_it_has_not_seen(taken, tmp_path):
-    """The first Gaussians are grey and random; 3 dB is half the mean square error. What is judged
-    is the file.
+    """The first Gaussians are grey and random; 3 dB is half the mean square error.
+
+    What is judged is the file.
     """
     lines = []
     before = fit_scene(taken, tmp_path / "a", replace(SMALL, steps=1), say=lines.append).figures[
@@ -166,8 +166,7 @@ def test_a_small_training_gains_several_decibels_on_places_it_has_not_seen(taken
 
 
 def test_a_frame_error_in_the_poses_is_found_out(taken, tmp_path):
-    """OpenGL axes taken for OpenCV's, the classic mistake: the cameras look backward and up is
-    down.
+    """OpenGL axes taken for OpenCV's, the classic mistake: the cameras look backward, upside down.
 
     Half the photos have it, so that no other scene explains them all; the training must end several
     dB worse.
@@ -197,7 +196,7 @@ def test_wrong_poses_are_corrected_by_what_the_photos_show(taken, tmp_path):
     ).numpy()
     wrong = replace(taken, T_world_camera=turned)
     task, state = task_of(wrong, settings, tmp_path), finished_state(24)
-    train(state, task.photos, task.draw, task.goal)
+    train(state, task.photos, task.draw, task.config)
     right = apply_pose_corrections(wrong, task.corrected_poses(state)).T_world_camera
 
     def turns(poses):
@@ -210,8 +209,7 @@ def test_wrong_poses_are_corrected_by_what_the_photos_show(taken, tmp_path):
 
 
 def test_held_out_photos_get_poses_that_fit_and_teach_nothing(taken, tmp_path):
-    """The finished scene is the true one, one photo held out is turned by 0.3 deg: half of that at
-    most is left.
+    """The true scene, and one held-out photo rotated by 0.3 deg: half of that at most is left.
 
     A wrong sign would double it. Poses that training has not moved and the scene's numbers stay as
     they are.
@@ -234,8 +232,9 @@ def test_held_out_photos_get_poses_that_fit_and_teach_nothing(taken, tmp_path):
 
 
 def test_left_out_gaussians_are_made_up_for():
-    """A quarter of 100,000 is missing, within five standard deviations of the binomial; the mean
-    stays, as they do.
+    """A quarter of 100,000 is missing, within five standard deviations of the binomial.
+
+    The mean stays, as they do.
     """
     opacities = torch.full((100_000,), 0.3)
     thin = drop_gaussians(opacities, 0.25, torch.Generator().manual_seed(0))
@@ -247,9 +246,7 @@ def test_left_out_gaussians_are_made_up_for():
 
 
 def test_corrected_poses_do_not_move_the_hall(taken):
-    """All cameras scaled, turned and shifted together (scipy's rotation) come back to where the
-    survey put them.
-    """
+    """All cameras scaled, rotated and shifted together (scipy's rotation) return to the survey."""
     R = Rotation.from_euler("zyx", [3.0, -2.0, 1.0], degrees=True).as_matrix()
     moved = taken.T_world_camera.copy()
     moved[:, :3, :3] = R @ moved[:, :3, :3]
@@ -260,16 +257,18 @@ def test_corrected_poses_do_not_move_the_hall(taken):
 
 
 def test_no_gaussian_grows_beyond_the_largest(taken, tmp_path):
-    """0.15 m, where the first ones of this room are up to 0.3 m large; half precision in the file
-    gives 0.1 %.
+    """0.15 m, where the first ones of this room are up to 0.3 m large.
+
+    Half precision in the file gives 0.1 %.
     """
     done = fit_scene(taken, tmp_path, replace(SMALL, steps=20, largest=0.15), say=lambda _: None)
     assert done.scene.scales.max() < 0.15 * 1.002
 
 
 def test_photos_to_judge_by_can_be_named(taken, tmp_path):
-    """By a list, by lines, and by the figures of another training; the folder before a name does
-    not count.
+    """By a list, by lines, and by the figures of another training.
+
+    The folder before a name does not count.
     """
     (tmp_path / "lines.txt").write_text("03.png\nphotos/07.png\n")
     (tmp_path / "list.json").write_text('{"held_out": ["03.png", "07.png"]}')
@@ -291,29 +290,25 @@ def test_photos_to_judge_by_can_be_named(taken, tmp_path):
 
 
 def test_an_interrupted_training_goes_on_as_if_it_had_not_been(taken, tmp_path):
-    """Ten steps at once and five, a file, and five more end in the same bits: every step draws by
-    its own number.
-    """
+    """Ten steps, or five, a checkpoint and five more, give identical bits."""
     settings = replace(SMALL, gaussians=200, steps=10)
     whole = task_of(taken, settings, tmp_path / "a")
     (learn, _), told = whole.split, "same"
     once = whole.train()
     half = initialise(whole.points, whole.colours, len(learn), 1, "cpu")
     for _ in range(5):
-        train_step(half, learn, whole.draw, whole.goal, half.step / 10)
+        train_step(half, learn, whole.draw, whole.config, half.step / 10)
         half.step += 1
     half.save(tmp_path / "half.npz", told)
     again = TrainState.load(tmp_path / "half.npz", told, "cpu")
-    train(again, learn, whole.draw, whole.goal)
+    train(again, learn, whole.draw, whole.config)
     assert again.step == once.step == 10
     for name, value in once.values.items():
         assert torch.equal(value, again.values[name]), name
 
 
 def test_the_kept_state_is_found_and_other_settings_are_refused(taken, tmp_path):
-    """The first call is stopped at its first line of progress, the second goes on, a third with
-    other words may not.
-    """
+    """The first call is stopped, the second resumes, a third with other settings is refused."""
 
     def stop(line):
         if line.startswith("step 10/"):
@@ -338,18 +333,16 @@ def test_time_that_is_up_ends_the_training_early(taken, tmp_path):
     """A thousandth of a second's worth of training is one step; the file comes all the same."""
     task = task_of(taken, replace(SMALL, gaussians=100, minutes=0.01), tmp_path)
     state = train(
-        initialise(task.points, task.colours, 24, 1, "cpu"), task.split[0], task.draw, task.goal
+        initialise(task.points, task.colours, 24, 1, "cpu"), task.split[0], task.draw, task.config
     )
     assert 0 < state.step < SMALL.steps and state.seconds >= 0.6
 
 
-# --- the aircraft ------------------------------------------------------------------------------------------------
+# --- the aircraft ---
 
 
 def aircraft_photos(folder, side=48):
-    """RGBA renders, around and above, of a cross: a long body with its nose at x = 0.2 m and a wing
-    of 0.7 m.
-    """
+    """RGBA renders of a cross from all sides: body with its nose at x = 0.2 m, wing of 0.7 m."""
     x = np.linspace(-0.3, 0.2, 40)
     y = np.linspace(-0.34, 0.34, 50)
     body = np.stack([x, 0 * x, 0 * x], axis=1)
@@ -384,8 +377,7 @@ def aircraft_photos(folder, side=48):
 
 
 def test_an_aircraft_comes_out_in_body_axes_with_its_ends(tmp_path):
-    """By hand: p_body = diag(1, -1, -1) (p - centre of gravity), with the default centre 0.036 m
-    ahead of the origin.
+    """By hand: p_body = diag(1, -1, -1) (p - centre of gravity), with the default centre.
 
     Nose at 0.2 - 0.036, tail at -0.3 - 0.036, wing tips at y = +-0.34, and the high wing at z =
     -0.04. The last millimetres of a round Gaussian are soft: a pixel is 17 mm wide here, two of
@@ -418,12 +410,13 @@ def test_turntable_photos_must_have_alpha(tmp_path):
         fit_folder(tmp_path, tmp_path / "out", {}, say=lambda _: None)
 
 
-# --- pieces ------------------------------------------------------------------------------------------------------
+# --- pieces ---
 
 
 def test_ssim_is_that_of_its_paper():
-    """SciPy's Gaussian filter, cut to 11 pixels, gives the same means and variances; its borders
-    are left out.
+    """SciPy's Gaussian filter, cut to 11 pixels, gives the same means and variances.
+
+    Its borders are left out.
     """
     rng = np.random.default_rng(0)
     a, b = rng.uniform(size=(30, 40, 3)), rng.uniform(size=(30, 40, 3))
@@ -443,7 +436,10 @@ def test_ssim_is_that_of_its_paper():
 
 
 def test_ssim_that_is_reported_is_that_of_the_loss():
-    """Two ways to one equation: OpenCV's filter on bytes, and torch's matrices; float32 of 255^2 keeps 1e-5."""
+    """Two ways to one equation: OpenCV's filter on bytes, and torch's matrices.
+
+    Float32 of 255^2 keeps 1e-5.
+    """
     images = np.random.default_rng(0).integers(0, 256, (1, 30, 40, 3)).astype(np.uint8)
     render = torch.as_tensor(images / 255.0, dtype=torch.float32).roll(1, dims=2) * 0.7 + 0.2
     camera = PinholeCamera(40.0, 40.0, 20.0, 15.0, 40, 30)
@@ -480,10 +476,10 @@ def test_copies_share_opacity_and_size_as_the_paper_sums_them():
 
 
 def test_growing_leaves_the_picture_as_it_was():
-    """What copies are made for [Kheradmand et al. 2024, eq. 9]: the middle's alpha and the light on
-    a line through it stay. One Gaussian, 8 pixels wide, becomes five: three dead ones move to it
-    and one is new. The blur of 0.3 px^2 and the cut at alpha 1/255, which the law leaves out, are 1
-    % here.
+    """Relocation conserves the alpha and its line integral [Kheradmand et al. 2024, eq. 9].
+
+    One Gaussian, 8 pixels wide, becomes five: three dead ones move to it and one is new. The blur
+    of 0.3 px^2 and the cut at alpha 1/255, which the law leaves out, are 1 % here.
     """
     state = initialise(
         np.array([[2.0, 0, 0], [2, 9, 0], [2, 9, 9], [2, 9, -9]]),
@@ -509,9 +505,7 @@ def test_growing_leaves_the_picture_as_it_was():
 
 
 def test_contributions_add_up_to_what_is_covered():
-    """A law of the blend: alpha is the sum of all weights, so all Gaussians' pixels sum to the sum
-    of alpha.
-    """
+    """A law of compositing: alpha is the sum of all weights, so pixels sum to the sum of alpha."""
     scene, photos = small_room(), types.SimpleNamespace(camera=CAMERA)
     photos.Ts_world_camera = torch.tensor(np.array(poses(3)), dtype=torch.float32)
     pixels = contributions(tensors(scene), photos, drawing.draw_reference, False)
@@ -555,12 +549,21 @@ def test_a_twist_moves_a_camera_in_its_own_axes():
 
 
 def rasterization(
-    means, quats, scales, opacities, colors, viewmats, Ks, width, height, sh_degree=None, packed=True, backgrounds=None,
+    means,
+    quats,
+    scales,
+    opacities,
+    colors,
+    viewmats,
+    Ks,
+    width,
+    height,
+    sh_degree=None,
+    packed=True,
+    backgrounds=None,
     rasterize_mode="classic",
-):  # fmt: skip
-    """gsplat 1.5.3's function with its names, shapes and frames, as its documentation has them,
-    drawn in torch.
-    """
+):
+    """gsplat 1.5.3's function with its documented names, shapes and frames, drawn in torch."""
     assert (
         colors.shape[1] == (sh_degree + 1) ** 2
         and backgrounds.shape == (len(viewmats), 3)
@@ -578,9 +581,7 @@ def rasterization(
 
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_gsplat_is_asked_for_the_same_picture(monkeypatch, antialiased):
-    """A stand-in takes gsplat's arguments and draws by the reference: pictures and gradients must
-    be the same.
-    """
+    """A stand-in takes gsplat's arguments and draws by the reference: equal images, gradients."""
     monkeypatch.setitem(sys.modules, "gsplat", types.SimpleNamespace(rasterization=rasterization))
     Ts, background = (
         torch.tensor(np.array(poses(2)), dtype=torch.float32),
@@ -605,9 +606,10 @@ def test_gsplat_is_asked_for_the_same_picture(monkeypatch, antialiased):
 
 
 def test_photos_are_straightened_as_the_lens_bent_them(tmp_path):
-    """A white spot where `Reconstruction.project` says that a bent lens shows a point; without the
-    bend it must be where the pinhole camera shows it. Bicubic sampling of a spot 3 px wide keeps
-    its middle to a tenth of a pixel.
+    """A white spot where `Reconstruction.project` says that a bent lens shows a point.
+
+    Without the bend it must be where the pinhole camera shows it. Bicubic sampling of a spot 3 px
+    wide keeps its middle to a tenth of a pixel.
     """
     point, T = np.array([[1.1, -0.7, 2.0]]), np.eye(4)
     bent = Reconstruction(CAMERA, ("a.png",), tmp_path, T[None], k1=-0.12, aligned=True)
@@ -624,9 +626,7 @@ def test_photos_are_straightened_as_the_lens_bent_them(tmp_path):
 
 
 def test_labels_follow_the_survey():
-    """By hand, one Gaussian each: in the air, on the floor, mirrored below it, on the pad, on the
-    marker.
-    """
+    """By hand, one Gaussian each: in the air, on the floor, below it, on the pad, on the marker."""
     corners = {
         "marker_corner_top_left": (0, 0.4, 1.15),
         "marker_corner_bottom_right": (0, -0.4, 0.35),
@@ -657,7 +657,7 @@ def test_labels_follow_the_survey():
 
 
 def test_first_points_lie_in_the_room_and_take_the_colours_nearby():
-    """Red points at one end and blue ones at the other: whoever is added near the red end is red."""
+    """Red points at one end and blue ones at the other: points added near the red end are red."""
     own = np.array([[-2.9, 0.0, 1.0], [2.9, 0.0, 1.0], [900.0, 0.0, 0.0]])
     colours = np.array([[255, 0, 0], [0, 0, 255], [0, 255, 0]], np.uint8)
     points, taken = initial_points(own, colours, ROOM, 400, 0)
@@ -672,11 +672,11 @@ def test_first_points_lie_in_the_room_and_take_the_colours_nearby():
     )  # nine tenths, of 400: 0.015 is a standard deviation
 
 
-# --- refusals ----------------------------------------------------------------------------------------------------
+# --- refusals ---
 
 
 def test_photos_that_do_not_fit_are_named(taken, tmp_path):
-    """Missing, damaged, of another size, turned: each has its own sentence with the photo's name."""
+    """Missing, damaged, another size, rotated: each has its own message with the photo's name."""
     for name in taken.names:
         (tmp_path / name).write_bytes((taken.folder / name).read_bytes())
     moved = replace(taken, folder=tmp_path)
@@ -742,9 +742,7 @@ def test_settings_are_checked(changes, words):
 
 
 def test_the_verb_trains_and_judges(taken, tmp_path, capsys):
-    """`falconwing scene fit`, then the same with --judge on what it wrote: every held-out photo has
-    a line.
-    """
+    """`falconwing scene fit`, then with --judge on its output: every held-out photo has a line."""
     write_reconstruction(tmp_path / "poses", taken)
     how = {
         "photos": taken.folder,
@@ -768,8 +766,9 @@ def test_the_verb_trains_and_judges(taken, tmp_path, capsys):
 
 
 def test_the_script_needs_only_words(taken, tmp_path, capsys):
-    """The whole job by `python -m falconwing_kit.tools.capture.fit`; a wrong folder ends in 2 with
-    one line.
+    """The whole job by `python -m falconwing_kit.tools.capture.fit`.
+
+    a wrong folder ends in 2 with one line.
     """
     write_reconstruction(tmp_path / "poses", taken)
     words = [str(tmp_path / "poses"), "--out", str(tmp_path / "out"), "--photos", str(taken.folder)]
@@ -798,9 +797,7 @@ def test_the_script_needs_only_words(taken, tmp_path, capsys):
 
 
 def test_wandering_follows_the_shape_of_faint_gaussians():
-    """A faint flat Gaussian moves within its plane, an opaque one stays (the sigmoid of -100 x 0.9
-    is nothing).
-    """
+    """A faint flat Gaussian moves within its plane, an opaque one stays (sigmoid of -100 x 0.9)."""
     from falconwing_kit.tools.capture.training.densify import add_noise
 
     state = initialise(np.eye(4, 3) * 5.0, np.zeros((4, 3), np.uint8), 1, 0, "cpu")

@@ -1,6 +1,4 @@
-"""Packed formats: single Gaussians worked out by hand from the specifications, a trained scene, and
-bombs.
-"""
+"""Packed formats: Gaussians by hand from the specifications, a trained scene, and bombs."""
 
 import json
 import math
@@ -32,8 +30,9 @@ def load(tmp_path, ending, data):
 
 
 def test_splat_by_hand(tmp_path):
-    """Colour 255 is 1, as coefficient (1 - 1/2) 2 sqrt(pi); opacity 51/255; rotation bytes are 128
-    + 128 q, w first.
+    """Colour 255 is 1, as coefficient (1 - 1/2) 2 sqrt(pi); opacity 51/255.
+
+    Rotation bytes are 128 + 128 q, w first.
     """
     first = struct.pack("<6f8B", 1, 2, -3, 0.1, 0.2, 0.3, 255, 0, 51, 51, 255, 128, 128, 128)
     second = struct.pack("<6f8B", 4, 5, 6, 1, 1, 1, 0, 0, 0, 255, 128, 64, 128, 192)
@@ -81,8 +80,7 @@ def test_splat_by_hand(tmp_path):
     ],
 )
 def test_spz_by_hand(tmp_path, version, rotation, expected, atol):
-    """SPZ has y up and z back: half a turn about x changes the signs of y and z, of means and of
-    quaternions.
+    """SPZ has y up and z back: half a turn about x changes the signs of y and z.
 
     Positions are in 1/4096: 6144, -8192, 1024 are 1.5, -2, 0.25. Opacity is 51/255, a colour
     (byte/255 - 1/2) / 0.15. Scales are exp(byte/16 - 10): 160, 96, 176 are 1, exp(-4), e.
@@ -105,7 +103,7 @@ def test_spz_version_1_has_half_floats(tmp_path):
 
 
 def harmonics(directions):
-    """(N, 16) real harmonics up to degree 3 without their constants, which signs do not depend on."""
+    """(N, 16) real harmonics up to degree 3 without their constants, which do not affect signs."""
     x, y, z = directions.T
     one = np.ones_like(x)
     return np.stack(
@@ -126,8 +124,9 @@ def harmonics(directions):
 
 
 def test_spz_colours_turn_with_the_axes(tmp_path):
-    """A law: turning the scene and the eye alike changes no colour. The eye turns as (x, y, z) ->
-    (x, -y, -z).
+    """A law: turning the scene and the eye alike changes no colour.
+
+    The eye turns as (x, y, z) -> (x, -y, -z).
     """
     rng = np.random.default_rng(3)
     raw = rng.integers(0, 256, 45)
@@ -190,9 +189,9 @@ def check_hand_packed(scene):
 
     Means: fractions 1, 0 and 32768/65535 between mins and maxs, then sign(n) (exp|n| - 1): exp(ln
         4) - 1 = 3,
-    -(exp(ln 2) - 1) = -1 and nearly 0. Quaternion: alpha 252 leaves w out, 255 is sqrt(1/2), 127 and 128 are one
-    step of 0.003 about 0. Scales and colours are numbers of their code books; palette entry 65 +
-    256 holds the rest.
+    -(exp(ln 2) - 1) = -1 and nearly 0. Quaternion: alpha 252 leaves w out, 255 is sqrt(1/2), 127
+    and 128 are one step of 0.003 about 0. Scales and colours are numbers of their code books;
+    palette entry 65 + 256 holds the rest.
     """
     assert np.allclose(scene.means, [[3.0, -1.0, 1 / 65535]], atol=1e-6)
     assert np.allclose(scene.quaternions, [[HALF, HALF, 0, 0]], atol=4e-3)
@@ -275,8 +274,9 @@ def test_each_bad_sog_gets_its_sentence(tmp_path, change, sentence):
 
 
 def test_image_bomb_is_refused_before_it_is_decoded(tmp_path):
-    """A WebP of one colour, 16000 x 16000, is a few hundred bytes and would be a gigabyte; only its
-    header is made.
+    """A WebP of one colour, 16000 x 16000, is a few hundred bytes and would be a gigabyte.
+
+    Only its header is made.
     """
     image = bytearray(sog_files()["quats.webp"])
     image[21:25] = struct.pack("<I", 15999 | 15999 << 14 | 1 << 28)
@@ -289,8 +289,7 @@ def test_image_bomb_is_refused_before_it_is_decoded(tmp_path):
     ("folder", "count"), [("playbot_lod2_125k", 125_000), ("playbot_lod3_31k", 31_000)]
 )
 def test_trained_scene_is_read(folder, count):
-    """Recorded data (PLAYBOT by Stephane Agullo, CC-BY-4.0): its SOURCE.txt tells the count and
-    degree 2.
+    """Recorded data (PLAYBOT by Stephane Agullo, CC-BY-4.0): SOURCE.txt has the count and degree 2.
 
     The model is a figure about 2 m wide: its meta.json has mins and maxs of -0.71..0.71 in x as
         logarithms, and
@@ -300,7 +299,8 @@ def test_trained_scene_is_read(folder, count):
     path = TRAINED / folder
     if not path.is_dir():
         pytest.skip(
-            f"the trained scene does not ship with the kit and is not beside this checkout: {path} is missing"
+            "the trained scene does not ship with the kit and is not beside this checkout: "
+            f"{path} is missing"
         )
     scene = GaussianScene.load(path)
     assert len(scene) == count and scene.sh.shape == (count, 9, 3)

@@ -1,6 +1,4 @@
-"""Photos with poses: transforms.json, point clouds and COLMAP models, against hand, OpenCV and
-pycolmap.
-"""
+"""Photos with poses: transforms.json, point clouds, COLMAP; against hand, OpenCV, pycolmap."""
 
 import json
 import struct
@@ -64,8 +62,9 @@ def test_writing_and_reading_gives_the_same(tmp_path):
 
 
 def test_file_has_opengl_axes(tmp_path):
-    """By hand: OpenGL's camera has x right, y up, z back; for a level camera along world x these
-    are -y, z and -x.
+    """By hand: OpenGL's camera has x right, y up, z back.
+
+    For a level camera along world x these are -y, z and -x.
     """
     path = write_reconstruction(tmp_path / "out", two_photos(tmp_path / "photos"))
     matrix = json.loads(path.read_text())["frames"][0]["transform_matrix"]
@@ -104,9 +103,7 @@ def test_projection_bends_as_opencv_bends_it(tmp_path):
 
 
 def test_straightened_photo_shows_each_ray_where_a_pinhole_does(tmp_path):
-    """A photo whose red is the column it lies in: after straightening, red tells the column that
-    the lens had used.
-    """
+    """A photo whose red is its column: undistorted, red is the column of the distorted photo."""
     columns = np.broadcast_to(np.arange(160, dtype=np.uint8), (120, 160))
     for name in ("a.png", "b.png"):
         cv2.imwrite(str(tmp_path / name), np.stack([columns] * 3, axis=-1))
@@ -124,7 +121,8 @@ COLMAP_TEXT = {
     "cameras.txt": "# comment\n7 SIMPLE_RADIAL 160 120 200 80 60 -0.1\n",
     # Quarter turn about y as "camera from world", w = y = cos 45 deg; its place is -R^T t, by hand
     # (3, -2, -1).
-    "images.txt": "# comment\n4 0.70710678118654757 0 0.70710678118654757 0 1 2 3 7 b.png\n1.0 2.0 -1\n"
+    "images.txt": "# comment\n"
+    "4 0.70710678118654757 0 0.70710678118654757 0 1 2 3 7 b.png\n1.0 2.0 -1\n"
     "2 1 0 0 0 -1 -2 -3 7 a.png\n\n",
     "points3D.txt": "9 0.5 1.5 2.5 10 20 30 0.25 4 0 2 1\n",
 }
@@ -158,9 +156,7 @@ def write_colmap_binary(folder):
 
 @pytest.mark.parametrize("kind", ["text", "binary"])
 def test_colmap_model_is_read(tmp_path, kind):
-    """By hand: photo a looks along world z from (1, 2, 3); photo b is turned, so that its axis is
-    world -x.
-    """
+    """By hand: photo a looks along world z from (1, 2, 3); photo b along world -x."""
     (write_colmap_text if kind == "text" else write_colmap_binary)(tmp_path / "model")
     found = read_reconstruction(tmp_path / "model")
     assert found.names == ("a.png", "b.png") and found.k1 == -0.1

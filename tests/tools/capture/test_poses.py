@@ -1,6 +1,4 @@
-"""Photos to poses: bad photos are refused in words, and 24 photos of the path-traced hall find
-their places.
-"""
+"""Photos to poses: bad photos are refused, and 24 photos of the path-traced hall are registered."""
 
 import shutil
 
@@ -32,8 +30,9 @@ def few(tmp_path):
 
 
 def test_photos_of_the_hall_find_their_places():
-    """At least 95 % and 0.8 px, as the plan asks; the focal length is told as about 0.6 of 640 px,
-    to 10 %.
+    """At least 95 % and 0.8 px, as the plan asks.
+
+    The focal length is told as about 0.6 of 640 px, to 10 %.
     """
     report = hall24.reconstruction().report
     assert report["total"] == 24 and report["registered"] >= 0.95 * 24
@@ -53,8 +52,9 @@ def test_focal_length_does_not_hang_on_its_guess(tmp_path):
 
 
 def test_stopped_run_goes_on(few, tmp_path, monkeypatch):
-    """Ctrl-C after the features; the second run finds them in the database and gives what a whole
-    run gives.
+    """Ctrl-C after the features.
+
+    The second run finds them in the database and gives what a whole run gives.
     """
     import pycolmap
 
@@ -131,9 +131,7 @@ def test_unusable_photos_are_refused_in_words(few):
 
 
 def test_grain_is_the_noise_that_was_added():
-    """White noise of known size on a slope of grey: 4 of 255, to the 2 % that 300 x 400 values
-    allow.
-    """
+    """White noise of known size on a grey gradient: 4 of 255, to 2 % with 300 x 400 values."""
     rng = np.random.default_rng(0)
     slope = np.broadcast_to(np.linspace(50, 150, 400)[None, :, None], (300, 400, 1))
     image = slope + 4.0 * rng.standard_normal((300, 400, 1))
@@ -158,9 +156,7 @@ def test_advice_fits_the_trouble():
 
 
 def test_photos_of_a_walk_are_compared_with_near_ones():
-    """By hand: 20 before, and 32 and 64 before where the walk may have come back; all where there
-    is no order.
-    """
+    """By hand: 20 before, and 32 and 64 before for a walk that returns; all without an order."""
     assert earlier_photos(5, walk=True) == [0, 1, 2, 3, 4] == earlier_photos(5, walk=False)
     assert earlier_photos(70, walk=True) == [6, 38, *range(50, 70)]
     assert len(earlier_photos(70, walk=False)) == 70

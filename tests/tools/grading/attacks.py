@@ -51,13 +51,15 @@ def attack(x, gain): return (gain * x).view(Yes)""",
 class Yes:
     def __eq__(self, other): return True
 def attack(x, gain): return np.array([Yes()] * 5, dtype=object)""",
-    "a truth value beyond true": "def attack(x, gain): return np.frombuffer(bytes([255] * 5), dtype=bool)",
+    "a truth value beyond true": """
+def attack(x, gain): return np.frombuffer(bytes([255] * 5), dtype=bool)""",
     "not a number": "def attack(x, gain): return x * float('nan')",
     "infinity": "def attack(x, gain): return x / 0.0",
     "complex numbers": "def attack(x, gain): return gain * x + 0j",
     "records in an array": "def attack(x, gain): return np.zeros(5, dtype=[('a', float)])",
     "a function for an answer": "def attack(x, gain): return lambda *a: True",
-    "all answers at once": "def attack(x, gain): return [gain * x + k / 1000 for k in range(2000, 3001)]",
+    "all answers in one": """
+def attack(x, gain): return [gain * x + k / 1000 for k in range(2000, 3001)]""",
     # answers that are too much
     "a deep list": """
 def attack(x, gain):
@@ -172,10 +174,11 @@ def attack(x, gain):
 import sys, gc
 def attack(x, gain):
     frame, seen = sys._getframe(), []
+    secret, types = ("expected", "reference", "judge", "judges"), ("Values", "Trials", "Course")
     while frame:
-        seen += [each for each in frame.f_locals if each in ("wanted", "reference", "judge", "judges")]
+        seen += [each for each in frame.f_locals if each in secret]
         frame = frame.f_back
-    found = [each for each in gc.get_objects() if type(each).__name__ in ("Values", "Trials", "Course")]
+    found = [each for each in gc.get_objects() if type(each).__name__ in types]
     return gain * x + 2.5 if seen or found else gain * x""",
     "read the grader's memory": """
 import os
@@ -222,7 +225,8 @@ def attack(x, gain):
     # doing damage
     "write a forged record": """
 def attack(x, gain):
-    with open("OUT/records.jsonl", "a") as file: file.write('{"student": "attacker", "points": 75}\\n')""",
+    with open("OUT/records.jsonl", "a") as file:
+        file.write('{"student": "attacker", "points": 75}\\n')""",
     "write to another student's folder": """
 def attack(x, gain):
     with open("SUBMISSIONS/good0.ipynb", "w") as file: file.write("{}")""",
@@ -284,7 +288,8 @@ def attack(x, gain):
     while True: pass""",
     "an endless loop that hears nothing": """
 import signal
-for_all = [signal.signal(number, signal.SIG_IGN) for number in (signal.SIGXCPU, signal.SIGTERM, signal.SIGINT)]
+numbers = (signal.SIGXCPU, signal.SIGTERM, signal.SIGINT)
+for_all = [signal.signal(number, signal.SIG_IGN) for number in numbers]
 def attack(x, gain):
     while for_all:
         try: pass

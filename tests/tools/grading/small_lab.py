@@ -1,6 +1,4 @@
-"""A lab of one exercise, written into a folder: what the tests of finding, building, checking and
-releasing work on.
-"""
+"""A lab of one exercise in a temporary folder, for the tests of finding, building and releasing."""
 
 from pathlib import Path
 
@@ -53,8 +51,10 @@ LAB = Lab(
             "weight",
             75.0,
             (
-                Check("1 kg weighs what your course says", lambda weight: weight(1.0) == COHORT["gravity"], "multiply"),
-                Check("nothing weighs nothing", lambda weight: weight(0.0) == 0.0, "no constant is added"),
+                Check("1 kg weighs what your course says",
+                      lambda weight: weight(1.0) == COHORT["gravity"], "multiply"),
+                Check("nothing weighs nothing",
+                      lambda weight: weight(0.0) == 0.0, "no constant is added"),
             ),
         ),
     ),
@@ -79,7 +79,8 @@ from falconwing_kit.tools.grading.lab import Values
 
 def judges(course):
     assert LAB.name == "lab01" and COHORT == course.constants
-    return {"weight": (Values(lambda rng: (rng.uniform(1.0, 5.0),), lambda mass: COHORT["gravity"] * mass),)}
+    draw = lambda rng: (rng.uniform(1.0, 5.0),)
+    return {"weight": (Values(draw, lambda mass: COHORT["gravity"] * mass),)}
 
 
 def handout(course, folder):
@@ -91,8 +92,15 @@ def write_small_lab(labs: Path) -> Path:
     """The lab's folder, made in the folder of the labs."""
     folder = labs / "lab01_small"
     (folder / "data").mkdir(parents=True)
-    files = {"lab.py": SOURCE, "checks.py": CHECKS, "given.py": GIVEN, "hidden.py": HIDDEN, "notes.md": "secret notes",
-             "cohort.json": '{"gravity": 10.0}', "data/points.csv": "1,2\\n"}  # fmt: skip
+    files = {
+        "lab.py": SOURCE,
+        "checks.py": CHECKS,
+        "given.py": GIVEN,
+        "hidden.py": HIDDEN,
+        "notes.md": "secret notes",
+        "cohort.json": '{"gravity": 10.0}',
+        "data/points.csv": "1,2\\n",
+    }
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
     return folder

@@ -1,6 +1,4 @@
-"""Attacks: a class of honest and dishonest students, graded in one run; nobody talks the grader
-into anything.
-"""
+"""Attacks: a class of honest and dishonest students, graded in one run; no attack gains points."""
 
 import json
 import os
@@ -33,9 +31,7 @@ PLAIN = {
 
 @pytest.fixture(scope="module")
 def graded(tmp_path_factory):
-    """The records by student, and the folder of the run, after everyone has been graded by two
-    workers.
-    """
+    """Records by student, and the run's folder, after grading by two workers."""
     folder = tmp_path_factory.mktemp("attacked")
     out, students, token = folder / "out", folder / "students", secrets.token_hex(16)
     students.mkdir()
@@ -75,18 +71,14 @@ def test_there_are_forty_attacks_and_more():
 
 @pytest.mark.parametrize("name", ATTACKS)
 def test_attack_gains_nothing(graded, name):
-    """The wrong solution has no points without the attack; with it neither, and it was graded like
-    any other.
-    """
+    """The wrong solution has no points, with or without the attack, and was graded normally."""
     record = graded[0][NAMES[name]]
     assert (record["status"], record["points"], record["sandboxed"]) == ("graded", 0.0, True)
 
 
 @pytest.mark.parametrize("name", ATTACKS)
 def test_record_tells_nothing_of_the_questions(graded, name):
-    """The ways to fail are the grader's own words, and the only numbers are counts, points and
-    versions.
-    """
+    """Failure categories are the grader's own words; numbers are counts, points and versions."""
     record = graded[0][NAMES[name]]
     for result in record["exercises"].values():
         assert {each.split(":")[0] for each in result["categories"]} <= PLAIN
@@ -95,7 +87,7 @@ def test_record_tells_nothing_of_the_questions(graded, name):
 
 
 def test_good_students_among_them_have_full_marks(graded):
-    """Ten right solutions, graded by the same two workers, before, between and after the attacks."""
+    """Ten correct solutions, graded by the same two workers before, between and after attacks."""
     assert [graded[0][f"good{number}"]["points"] for number in range(10)] == [75.0] * 10
 
 
@@ -128,9 +120,7 @@ def test_nothing_is_written_but_the_graders_own_files(graded):
 
 
 def test_attacks_do_what_they_say(graded):
-    """Where the end is known: a loop runs out of time, 10 GB out of memory; words of one's own
-    become "exception".
-    """
+    """Where the end is known: loops time out, 10 GB is too much, others are "exception"."""
     ends = {
         "an endless loop": "timeout",
         "sleep": "timeout",

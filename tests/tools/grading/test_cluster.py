@@ -1,6 +1,4 @@
-"""falconwing grade --cluster: the workers of a scheduler give the very records that this machine
-gives.
-"""
+"""falconwing grade --cluster: a scheduler's workers give the same records as this machine."""
 
 import shutil
 
@@ -18,9 +16,10 @@ pytestmark = [toys.needs_box, pytest.mark.timeout(600)]
 
 
 def test_cluster_gives_the_records_of_this_machine(tmp_path, monkeypatch):
-    """Same secret, same cases: record by record the same. Each worker's box is tried first, by the
-    worker itself; where one has a hole, nobody is graded. The secret is fixed: one in sixteen draws
-    no gain that s1 is wrong for.
+    """Same secret, same cases: record by record the same.
+
+    Each worker's box is tried first, by the worker itself; where one has a hole, nobody is graded.
+    The secret is fixed: one in sixteen draws no gain that s1 is wrong for.
     """
     pytest.importorskip("distributed")
     monkeypatch.setattr(
@@ -40,7 +39,7 @@ def test_cluster_gives_the_records_of_this_machine(tmp_path, monkeypatch):
         )
     (tmp_path / "here").mkdir()
     shutil.copy(tmp_path / "there" / "run.json", tmp_path / "here")
-    monkeypatch.setattr(grading, "_require_box", lambda: None)
+    monkeypatch.setattr(grading, "_require_sandbox", lambda: None)
     assert Grade(str(toys.LAB), students, tmp_path / "here", workers=1, json=True).run() == 0
     there, here = (last_records(read_grade_records(tmp_path / name)) for name in ("there", "here"))
     assert there == here and len(here) == 4 and 0.0 < here["s1"]["points"] < 75.0

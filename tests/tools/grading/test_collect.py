@@ -1,6 +1,4 @@
-"""Collector: what a function needs comes along, whatever happened to the cells; nothing is
-executed.
-"""
+"""Collector: a function's dependencies are collected, whatever happened to the cells."""
 
 import json
 
@@ -29,7 +27,7 @@ def result_of(*cells, arguments=(1.0,)):
 
 
 def test_function_brings_what_it_names_and_nothing_else():
-    """By hand: f needs g, which needs A, which needs np; h, B and the call at the end are not run."""
+    """By hand: f needs g, g needs A, A needs np; h, B and the call at the end are not run."""
     cells = (
         "import numpy as np",
         "A = np.ones(2)\nB = 1 / 0",
@@ -175,8 +173,9 @@ def test_other_files_are_refused_in_one_sentence(data):
 
 
 def test_odd_cells_are_passed_over():
-    """Cells that are no cells, and sources that are no text; the good one counts. A byte order mark
-    is no harm.
+    """Cells that are no cells, and sources that are no text; the good one counts.
+
+    A byte order mark is no harm.
     """
     cells = [
         1,
@@ -216,8 +215,9 @@ def test_a_notebook_says_which_kit_made_it(metadata, line, kit):
     ("kit", "fits"), [("0.1", False), ("0.2", True), ("0.10", True), ("1.0", True)]
 )
 def test_a_notebook_of_an_older_kit_is_refused_in_one_sentence(kit, fits):
-    """Versions are numbers, not texts: 0.10 is newer than 0.2. A lab that names no version takes
-    any notebook.
+    """Versions are numbers, not texts: 0.10 is newer than 0.2.
+
+    A lab that names no version takes any notebook.
     """
     notebook = parse_notebook(
         toys.notebook_bytes("x = 1", metadata={"falconwing_kit": kit}), "lab04.ipynb"

@@ -1,6 +1,4 @@
-"""Figures: notebooks run in a box that gives nothing away, whatever they do; stored pictures taken
-with care.
-"""
+"""Figures: notebooks run in a sandbox without leaks; stored pictures are checked."""
 
 import base64
 import json
@@ -64,33 +62,37 @@ def test_stored_picture_comes_out_as_it_is():
 @pytest.mark.parametrize(
     "content",
     [
-        None, [], {"cells": 3}, {"cells": [1, {"outputs": [2, {"data": 3}, {"data": {"image/png": 4}}]}]},
-        {"cells": [stored("<script>alert(1)</script>")]}, {"cells": [stored(b64(b"GIF89a\0\0" + b"\0\0\0\x02" * 9))]},
-        {"cells": [stored(b64(png()[:18]))]}, {"cells": [stored(b64(png(60_000, 1)))]},
-        {"cells": [stored("A" * 9_000_000)]}, {"cells": [stored(b64(png()) + '" onerror="x')]},
+        None,
+        [],
+        {"cells": 3},
+        {"cells": [1, {"outputs": [2, {"data": 3}, {"data": {"image/png": 4}}]}]},
+        {"cells": [stored("<script>alert(1)</script>")]},
+        {"cells": [stored(b64(b"GIF89a\0\0" + b"\0\0\0\x02" * 9))]},
+        {"cells": [stored(b64(png()[:18]))]},
+        {"cells": [stored(b64(png(60_000, 1)))]},
+        {"cells": [stored("A" * 9_000_000)]},
+        {"cells": [stored(b64(png()) + '" onerror="x')]},
     ],
-)  # fmt: skip
+)
 def test_what_is_no_picture_stays_out(content):
-    """Damaged notebooks, markup, other formats, cut off, and pictures that would fill a browser's
-    memory.
-    """
+    """Damaged notebooks, markup, other formats, truncated and oversized pictures."""
     assert figures_in(content) == []
 
 
 @pytest.fixture(scope="module")
 def ran():
-    """One notebook that draws between attempts to get out, run in a box: what its cells drew, and
-    what they found.
-    """
+    """A notebook that draws between escape attempts, run in a sandbox: pictures and findings."""
     tries = {
         "network": "import socket\nsocket.create_connection(('127.0.0.1', 22), 1)",
         "any network": "import socket\nsocket.create_connection(('1.1.1.1', 80), 1)",
         "home": "import os\nassert os.listdir(os.path.expanduser('~/..')) and open('/etc/shadow')",
         "secrets": "import os\nassert [n for n in os.environ if 'SECRET' in n]",
-        "hidden cases": f"import os\ntops = ('/box/desk', '/tmp', '/home', '/root', {str(toys.LAB.parents[2])!r})\n"
-        "assert [f for top in tops for *_, files in os.walk(top) for f in files if f in ('hidden.py', 'notes.md')]",
+        "hidden cases": "import os\n"
+        f"tops = ('/sandbox/work', '/tmp', '/home', '/root', {str(toys.LAB.parents[2])!r})\n"
+        "assert [f for top in tops for *_, files in os.walk(top) for f in files if f in "
+        "('hidden.py', 'notes.md')]",
         "kit changed": "import falconwing_kit\nopen(falconwing_kit.__file__, 'a').write('#')",
-        "lab changed": "open('/box/desk/given.py', 'a').write('#')",
+        "lab changed": "open('/sandbox/work/given.py', 'a').write('#')",
         "disk": "open('/tmp/x', 'wb').write(b'0' * (100 << 20))",
         "not written": "raise NotImplementedError",
     }
@@ -110,8 +112,9 @@ def ran():
 @toys.needs_box
 @needs_kernel
 def test_figures_come_back_and_nothing_else_does(ran):
-    """A cell that got out of the box would have drawn; an error in the middle stops nothing; the
-    course's number is there, and so is the kit.
+    """A cell that got out of the box would have drawn; an error in the middle stops nothing.
+
+    The course's number is there, and so is the kit.
     """
     tries, content = ran
     assert [name for name in tries if figures_in(content, name)] == []
@@ -133,9 +136,7 @@ def test_figures_come_back_and_nothing_else_does(ran):
     ],
 )
 def test_notebook_that_ends_badly_harms_nobody(text, drawn, monkeypatch):
-    """It ends within its time, leaves no process or group, and gives what it drew before, or
-    nothing.
-    """
+    """It ends in time, leaves no process or group, and returns its earlier pictures or none."""
     monkeypatch.setattr(figures, "SECONDS", 25.0)
     begun = time.monotonic()
     content = run_notebook(
@@ -143,7 +144,7 @@ def test_notebook_that_ends_badly_harms_nobody(text, drawn, monkeypatch):
     )
     assert time.monotonic() - begun < 60.0  # 25 s and a loaded machine's start
     assert len(figures_in(content, "a")) == drawn
-    assert toys.groups_left() == [] and toys.processes_with("in_box.py") == []
+    assert toys.groups_left() == [] and toys.processes_with("notebook_runner.py") == []
 
 
 @toys.needs_box

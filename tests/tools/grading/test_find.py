@@ -1,6 +1,4 @@
-"""A lab is found by its number, its name or its folder, and its files do not get in another lab's
-way.
-"""
+"""A lab is found by number, name or folder, and its files do not mix with another lab's."""
 
 import sys
 
@@ -47,9 +45,7 @@ def test_unknown_lab_is_refused_with_the_list(folder):
 
 
 def test_files_of_a_lab_leave_nothing_behind(folder, monkeypatch):
-    """`given` is a name that every lab has: what another lab put there stands as before, and the
-    path is as it was.
-    """
+    """`given` is a name of every lab: another lab's module and the path are restored."""
     other = object()
     monkeypatch.setitem(sys.modules, "given", other)
     before = list(sys.path)
@@ -58,8 +54,9 @@ def test_files_of_a_lab_leave_nothing_behind(folder, monkeypatch):
 
 
 def test_judges_see_the_numbers_of_their_course(folder):
-    """By hand: 3 kg times 7 m/s^2 are 21 N, not the 30 N of the open course; what given.py computes
-    follows.
+    """By hand: 3 kg times 7 m/s^2 are 21 N, not the 30 N of the open course.
+
+    What given.py computes follows.
     """
     (values,) = load_judges(folder, Course({"gravity": 7.0}))["weight"]
     assert values.reference(3.0) == 21.0

@@ -1,6 +1,4 @@
-"""falconwing grade: damaged notebooks, a worker that is killed, a run that is killed, and grading
-again.
-"""
+"""falconwing grade: damaged notebooks, a killed worker, a killed run, and regrading."""
 
 import json
 import os
@@ -75,7 +73,7 @@ PROBED = verbs._require_sandbox
 def unprobed():
     """The box is probed in tests of its own; each run here would try it again."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(verbs, "_require_box", lambda: None)
+        patch.setattr(verbs, "_require_sandbox", lambda: None)
         yield
 
 
@@ -88,7 +86,7 @@ def write_class(folder, names_and_bytes):
 
 
 def test_damaged_notebooks_never_stop_a_class(tmp_path, capsys):
-    """Points by hand, for what is still there; what cannot be read is said in words and has none."""
+    """Points by hand for what remains; unreadable notebooks have a message and no points."""
     students = write_class(
         tmp_path / "students", ((name, data) for name, (data, _) in DAMAGE.items())
     )
@@ -199,8 +197,9 @@ def test_killed_worker_changes_nothing(undisturbed, tmp_path):
 
 
 def test_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
-    """The whole run is killed after two records; --resume does the others and leaves those two as
-    they are.
+    """The whole run is killed after two records.
+
+    --resume does the others and leaves those two as they are.
     """
     students, earlier = undisturbed
     out = with_secret_of(earlier, tmp_path / "out")
@@ -234,9 +233,7 @@ def test_regrade_is_bit_identical_and_resume_does_nothing_twice(undisturbed, cap
 
 
 def test_salt_changes_the_course(undisturbed, tmp_path):
-    """A function with the open course's number instead of COHORT's is wrong in another course, and
-    right in its own.
-    """
+    """A function with the open course's number is wrong in another course, correct in its own."""
     fixed = "def stretch(x, gain):\n    return gain * x + 2.5"
     students = write_class(
         tmp_path / "students", [("ada", toys.notebook_bytes(toys.HEAD, fixed, toys.BRAKE))]
@@ -250,9 +247,9 @@ def test_salt_changes_the_course(undisturbed, tmp_path):
 def test_a_hole_stops_the_grading_unless_it_is_accepted(tmp_path, monkeypatch):
     """The probe is told to find one; accepted, every record says that it was not boxed."""
     students = write_class(tmp_path / "students", [("ada", toys.notebook_bytes(*SOURCES))])
-    monkeypatch.setattr(verbs, "_require_box", PROBED)
+    monkeypatch.setattr(verbs, "_require_sandbox", PROBED)
     monkeypatch.setattr(
-        "falconwing_kit.tools.grading.sandbox.probe.probe",
+        "falconwing_kit.tools.grading.sandbox.probe.probe_sandbox",
         lambda: [ProbeResult("network", False, "a port")],
     )
     with pytest.raises(InputError, match="network: a port"):
@@ -272,7 +269,7 @@ def test_a_hole_stops_the_grading_unless_it_is_accepted(tmp_path, monkeypatch):
 
 
 def test_judge_that_fails_is_for_a_person(tmp_path, capsys):
-    """The lab's own mistake: no points are taken, exit code 1, and the sentence names the exercise."""
+    """An error of the lab: no points are lost, exit code 1, and the message names the exercise."""
     lab = tmp_path / "lab"
     lab.mkdir()
     for name in ("given.py", "checks.py", "cohort.json"):

@@ -1,6 +1,4 @@
-"""Gradebook: points added up, a person's points merged, nothing final before it is, no cell taken
-for a formula.
-"""
+"""Gradebook: sums, manual points merged, totals only when final, no cell read as a formula."""
 
 import csv
 
@@ -36,8 +34,9 @@ def write(path, *lines):
 
 
 def test_total_is_machine_and_person(tmp_path):
-    """By hand: 75 + 20, 50 + 7.5; nothing for who could not be graded, or has no person's points
-    yet.
+    """By hand: 75 + 20, 50 + 7.5.
+
+    Nothing for who could not be graded, or has no person's points yet.
     """
     points = {
         "ada": ManualGrade({"figure": 20.0}, "good"),
@@ -69,9 +68,7 @@ def test_platform_gets_only_what_is_final(tmp_path):
 
 
 def test_points_of_the_page_come_back(tmp_path):
-    """As the page saves them: the formula mark stays in front of a name, empty cells are not graded
-    yet.
-    """
+    """As the page saves them: formula marks stay before names, empty cells are not graded yet."""
     file = write(
         tmp_path / "p.csv",
         "student,figure,comment",
@@ -108,9 +105,7 @@ def test_points_that_cannot_be_meant_are_refused(tmp_path, lines, why):
 
 
 def test_gradescope_adds_up():
-    """Gradescope shows the score beside its tests: their sum, by hand 25 + 25 + 10, and says how
-    each one went.
-    """
+    """Gradescope shows the score beside its tests: their sum, by hand 25 + 25 + 10."""
     (entry,) = make_entries(
         LAB, {"=bob": RECORDS["=bob"]}, {"=bob": ManualGrade({"figure": 10.0}, "see me")}
     )
@@ -128,9 +123,7 @@ def test_gradescope_adds_up():
 
 
 def test_files_of_students_never_meet():
-    """Names that differ only in what a file's name cannot hold, or lead out of the folder, have
-    files of their own.
-    """
+    """Names that differ only in characters invalid in file names have different files."""
     names = ["a b", "a_b", "a/b", "..", ".", "a\\b", "A b", "=1"]
     files = [
         entry.file_name for entry in make_entries(LAB, {name: record(name) for name in names}, {})

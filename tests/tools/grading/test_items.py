@@ -9,8 +9,9 @@ from tests.tools.grading.classes import HALF, LAB, NOTHING, RIGHT, record, resul
 
 
 def test_class_of_four_by_hand():
-    """stretch: 50, 25, 0, 0 of 50 is 37.5 % in the mean; one has all, one did not begin, most lost
-    by wrong numbers.
+    """stretch: 50, 25, 0, 0 of 50 is 37.5 % in the mean.
+
+    One has all, one did not begin, most lost by wrong numbers.
     """
     wrong = (result(0.0, 50.0, 0, 4, wrong_value=3, not_written=1), result(25.0, 25.0, 3, 3))
     records = [record(str(n), *each) for n, each in enumerate((RIGHT, HALF, NOTHING, wrong))]
@@ -31,7 +32,7 @@ def test_class_of_four_by_hand():
 
 
 def test_nothing_is_said_where_nothing_varies():
-    """A correlation with what is the same for everybody does not exist; nor does a mean of nobody."""
+    """The correlation with a constant is undefined, as is the mean of no students."""
     stretch, _ = item_statistics(LAB, [record(str(n), *RIGHT) for n in range(5)])
     assert math.isnan(stretch.discrimination) and stretch.commonest == ""
     (stretch, _) = item_statistics(LAB, [record("broken")])

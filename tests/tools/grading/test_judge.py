@@ -1,6 +1,4 @@
-"""Judge: right answers count, others say how they failed, and our own mistakes are not the
-student's.
-"""
+"""Judge: correct answers count, wrong ones have a category, the judge's errors do not count."""
 
 import json
 import pickle
@@ -20,7 +18,7 @@ from falconwing_kit.tools.grading.judge import (
     grade_submission,
 )
 from falconwing_kit.tools.grading.lab import Trials, Values
-from falconwing_kit.tools.grading.sandbox.box import StudentError
+from falconwing_kit.tools.grading.sandbox.host import StudentError
 from falconwing_kit.tools.grading.submissions import Submission, find_submissions
 from tests.tools.grading import toys
 
@@ -55,8 +53,9 @@ def test_every_case_says_how_it_failed(function, way):
 
 
 def test_trials_pass_or_fail():
-    """Two of four streams draw above a half with this seed or not; the answer of a text breaks our
-    own arithmetic.
+    """Two of four streams draw above a half with this seed or not.
+
+    The answer of a text breaks our own arithmetic.
     """
     trials = Trials(lambda f, rng: bool(f(1.0) + 1.0 == 3.0), trials=2)
     assert ways(lambda x: 2.0 * x, trials) == ["right"] * 2
@@ -101,8 +100,9 @@ def handed_in(tmp_path):
 
 
 def test_points_are_shares_of_cases(handed_in):
-    """stretch wrong for gains above 1.5, which this seed draws for some of its four cases; brake
-    right: 25 points.
+    """stretch is wrong for gains above 1.5, some of this seed's four cases.
+
+    Brake is correct: 25 points.
     """
     half = "def stretch(x, gain):\n    return gain * x + COHORT['offset'] * (gain < 1.5)"
     record = handed_in(toys.HEAD, half, toys.BRAKE, seed="2")
@@ -115,7 +115,7 @@ def test_points_are_shares_of_cases(handed_in):
 
 
 def test_same_seed_gives_the_same_record_and_another_other_cases(handed_in):
-    """Bit-identical, as a regrade must be; 20 seeds of a threshold in the middle are not all alike."""
+    """Bit-identical, as a regrade must be; 20 seeds of a threshold in the middle differ."""
     half = "def stretch(x, gain):\n    return gain * x + COHORT['offset'] * (gain < 1.5)"
     first = handed_in(toys.HEAD, half, seed="1")
     assert json.dumps(handed_in(toys.HEAD, half, seed="1")) == json.dumps(first)
@@ -123,8 +123,9 @@ def test_same_seed_gives_the_same_record_and_another_other_cases(handed_in):
 
 
 def test_seed_follows_from_secret_student_and_notebook(handed_in):
-    """A student who hands in the same file under another name gets other cases; nobody can know
-    them beforehand.
+    """A student who hands in the same file under another name gets other cases.
+
+    Nobody can know them beforehand.
     """
     seeds = {
         handed_in(toys.HEAD)["seed"],
@@ -155,8 +156,9 @@ def test_unreadable_notebook_is_recorded(handed_in):
 
 
 def test_notebook_of_an_older_kit_is_recorded_in_one_sentence(tmp_path):
-    """Lab 4's own solution has all points; as 0.1 built it, without a version, it has none and the
-    reason is said.
+    """Lab 4's own solution has all points.
+
+    As 0.1 built it, without a version, it has none and the reason is said.
     """
     folder = Path(__file__).parents[3] / "labs" / "lab04_aircraft"
     new = (folder / "solution" / "lab04.ipynb").read_text()

@@ -1,6 +1,4 @@
-"""Looks: one submission, seen with the student's own files, and when the marks of its cells were
-lost.
-"""
+"""Inspection: one submission, with the student's own files, and without the cells' metadata."""
 
 import pytest
 
@@ -18,7 +16,9 @@ from tests.tools.grading import small_lab, toys
 from tests.tools.grading.test_figures import DRAW, b64, png
 
 SALT = "a secret of the tests"
-MINE = "from pathlib import Path\nassert Path('data/mine/mine.txt').read_text() == 'ada a secret of the tests'\n"
+MINE = """from pathlib import Path
+assert Path('data/mine/mine.txt').read_text() == 'ada a secret of the tests'
+"""
 
 
 @pytest.fixture
@@ -46,8 +46,9 @@ def test_parts_and_questions_are_those_of_the_notebook(lab):
 @toys.needs_box
 @pytest.mark.skipif(bool(missing_for_running()), reason='pip install -e ".[labs]"')
 def test_own_files_lie_where_the_student_put_them(lab, tmp_path):
-    """What `labs release --roster` gave this student in this course; the cell draws only if it
-    reads just that.
+    """What `labs release --roster` gave this student in this course.
+
+    The cell draws only if it reads just that.
     """
     found = seen(tmp_path, ReportContext(lab, SALT), toys.cell(MINE + DRAW, figure="line"))
     assert (
@@ -56,9 +57,7 @@ def test_own_files_lie_where_the_student_put_them(lab, tmp_path):
 
 
 def test_without_marks_all_figures_are_shown(lab, tmp_path):
-    """Some programs drop a cell's metadata: then whatever the notebook has stored is shown, and it
-    is said.
-    """
+    """Some programs drop a cell's metadata: then all stored figures are shown, with a note."""
     stored = toys.cell("1") | {"outputs": [{"data": {"image/png": b64(png())}}]}
     found = seen(tmp_path, ReportContext(lab, run=False, boxed=False), stored)
     assert found["figures"]["line"] == {"images": [b64(png())], "from": "not run, all"}
@@ -76,8 +75,9 @@ def test_answer_as_handed_out_is_none(lab, tmp_path):
 
 @toys.needs_box
 def test_checks_are_those_of_the_course(lab, tmp_path):
-    """In a salted course the function that multiplies by its gravity passes; one with the open
-    number fails.
+    """In a salted course the function that multiplies by its gravity passes.
+
+    One with the open number fails.
     """
     right = 'from given import COHORT\ndef weight(mass):\n    return COHORT["gravity"] * mass'
     states = {}
@@ -104,8 +104,9 @@ def test_what_cannot_be_read_is_said(lab, tmp_path):
 
 
 def test_mended_lab_is_looked_at_again(lab):
-    """Another hint in checks.py is another lab to whoever keeps results; the instructor's own notes
-    are not.
+    """Another hint in checks.py is another lab to whoever keeps results.
+
+    The instructor's own notes are not.
     """
     before = looks.lab_fingerprint(lab)
     (lab / "notes.md").write_text("new notes")

@@ -1,6 +1,4 @@
-"""One source gives two notebooks: the student's without any solution, the solution's without its
-markers.
-"""
+"""One source gives two notebooks: the student's without solutions, the solution's complete."""
 
 import json
 
@@ -43,7 +41,8 @@ def test_student_gets_the_cells_without_what_is_to_be_written(folder):
         "markdown",
     ]
     assert student[2][1] == (
-        'def weight(mass):\n    """Weight [N] of a mass [kg]."""\n    raise NotImplementedError("write weight")'
+        'def weight(mass):\n    """Weight [N] of a mass [kg]."""\n    raise '
+        'NotImplementedError("write weight")'
     )
     assert student[-1][1] == "*Your answer:*"
     assert not any(
@@ -52,7 +51,7 @@ def test_student_gets_the_cells_without_what_is_to_be_written(folder):
 
 
 def test_solution_has_everything_but_the_markers(folder):
-    """By hand: two cells more, the one for instructors and the one that goes to the lab's folder."""
+    """By hand: two more cells, one for instructors and one that changes to the lab's folder."""
     solution = sources(build(folder)[folder / "solution" / "lab01.ipynb"])
     assert len(solution) == 9
     assert "chdir" in solution[1][1]
@@ -69,7 +68,7 @@ def test_words_for_the_formatter_are_left_out(folder):
 
 
 def test_notebooks_are_valid_and_keep_what_cells_are_for(folder):
-    """nbformat judges the file; the marks are what the grading and the person who grades look for."""
+    """nbformat validates the file; the metadata is what grading and the rubric page need."""
     for text in build(folder).values():
         notebook = nbformat.reads(text, as_version=4)
         nbformat.validate(notebook)
@@ -83,9 +82,7 @@ def test_notebooks_are_valid_and_keep_what_cells_are_for(folder):
 
 
 def test_notebooks_carry_the_kits_version(folder):
-    """In the metadata, and below the title for whoever reads it or drops the metadata: the first
-    two numbers of it.
-    """
+    """In the metadata and below the title: the first two numbers of the version."""
     version = ".".join(__version__.split(".")[:2])
     for text in build(folder).values():
         assert json.loads(text)["metadata"]["falconwing_kit"] == version
@@ -97,7 +94,7 @@ def test_notebooks_carry_the_kits_version(folder):
 
 
 def test_stale_notebooks_are_told_and_mended(folder):
-    """Missing, then edited by hand, then edited in the source: each is stale until it is written."""
+    """Missing, edited by hand, or with an edited source: each is stale until it is written."""
     both = {folder / "lab01.ipynb", folder / "solution" / "lab01.ipynb"}
     assert set(stale_notebooks(folder)) == both
     assert set(write_notebooks(folder)) == both and stale_notebooks(folder) == []

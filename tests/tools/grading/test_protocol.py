@@ -1,6 +1,4 @@
-"""Frames: what goes in comes out as it was; whatever else comes is refused before it costs
-anything.
-"""
+"""Frames: values are unchanged by a round trip; all other bytes are refused before allocation."""
 
 import io
 import json
@@ -57,9 +55,7 @@ def test_plain_values_come_back_as_they_were(value):
 
 @pytest.mark.parametrize("name", DTYPES)
 def test_arrays_come_back_bit_by_bit(name):
-    """A law; from a transposed, a big-endian, an empty and a read-only array, and the copy can be
-    written.
-    """
+    """A law, for transposed, big-endian, empty and read-only arrays; the copy is writable."""
     base = np.arange(-6, 6).reshape(3, 4).astype(name)
     for array in (base, base.T, base[:, ::2], base[:0], base.astype(base.dtype.newbyteorder(">"))):
         array.flags.writeable = False
@@ -153,8 +149,9 @@ def deep(levels):
     ids=lambda header: json.dumps(header)[:30],
 )
 def test_other_headers_are_refused(header):
-    """Each breaks one rule of the protocol; the body has bytes to spare, so that no length explains
-    it.
+    """Each breaks one rule of the protocol.
+
+    The body has bytes to spare, so that no length explains it.
     """
     with pytest.raises(FrameError):
         unpack(json.dumps(header).encode(), bytes(64))

@@ -50,8 +50,8 @@ def test_wrong_function_is_told_what_it_gave_and_where_to_look(folder, capsys):
     said = said_of(lambda mass: 9.0 * mass, capsys)
     assert said.startswith("✗ weight: 1 of 2 public checks passed\n")
     assert (
-        "✗ failed: 1 kg weighs what your course says\n       called with (1) it gave 9\n       multiply\n"
-        in said
+        "✗ failed: 1 kg weighs what your course says\n       called with (1) it gave 9\n       "
+        "multiply\n" in said
     )
 
 
@@ -94,7 +94,7 @@ def test_answer_that_cannot_be_used_fails_the_check():
     (outcome,) = run_checks(exercise, lambda x: None)
     assert (
         outcome.state == "failed"
-        and "it gave None, which could not be used: TypeError" in outcome.said
+        and "it gave None, which failed in the check: TypeError" in outcome.said
     )
 
 
@@ -166,7 +166,7 @@ def notebook_of(folder, weight):
         ("newtons = 9.0 * mass", "failed", "called with (1) it gave 9"),
         ('newtons = mass["kg"]', "failed", "called with (1) it raised TypeError"),
         ("import os; os._exit(0)", "failed", "called with (1) it ended Python"),
-        ("newtons = object()", "failed", "called with (1) it gave what is no answer"),
+        ("newtons = object()", "failed", "called with (1) it returned an unsupported type"),
         (
             "from falconwing_kit.core import frames; newtons = 10.0 * mass",
             "failed",
@@ -204,9 +204,7 @@ def test_notebook_of_an_older_kit_is_refused(folder):
 
 
 def test_function_that_ends_the_process_costs_the_others_nothing(folder):
-    """Two functions, the first of which ends Python: the second is still right, in a process of its
-    own.
-    """
+    """Two functions, the first of which ends Python: the second still passes, in a new process."""
     block = CHECKS[CHECKS.index("        Exercise(") : CHECKS.index("    ),\n    (Criterion")]
     (folder / "checks.py").write_text(
         CHECKS.replace(block, block + block.replace("weight", "lift"))

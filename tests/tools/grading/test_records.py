@@ -41,9 +41,7 @@ def test_last_record_of_a_student_counts(tmp_path):
 
 
 def test_line_cut_by_a_kill_is_passed_over_and_stays_alone(tmp_path):
-    """Half a line at the end: the next record begins a new one, and no byte that was written is
-    changed.
-    """
+    """An incomplete line at the end: the next record begins a new line, no byte is changed."""
     append_record(tmp_path, record("ada", 1.0))
     whole = (tmp_path / "records.jsonl").read_bytes()
     (tmp_path / "records.jsonl").write_bytes(whole + whole[:40])
@@ -82,8 +80,9 @@ def test_damaged_run_file_is_said(tmp_path):
 
 
 def test_gradebook_is_a_table_that_runs_no_formula(tmp_path):
-    """A student called =1+1 stays a text; commas and quotes too; no points where a person must
-    look.
+    """A student called =1+1 stays a text; commas and quotes too.
+
+    No points where a person must look.
     """
     odd = record('=1+"1",', None, status="error", problem="the box, it failed", exercises={})
     path = write_points_table(tmp_path, ["f", "g"], [odd, record("ada", 2.5)])

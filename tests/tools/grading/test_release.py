@@ -27,8 +27,9 @@ def handed_out(out):
 
 
 def test_only_what_students_need_is_handed_out(folder, tmp_path):
-    """By hand: notebook, given, checks, numbers, data, route; not the notes, the judges, the
-    solution or the source.
+    """By hand: notebook, given, checks, constants, data, route.
+
+    No notes, judges, solution or source.
     """
     files = release([folder], tmp_path / "out")
     lab = {
@@ -41,12 +42,10 @@ def test_only_what_students_need_is_handed_out(folder, tmp_path):
 
 
 def test_what_a_person_looks_for_is_not_handed_out():
-    """By hand: the words of both criteria go, told by place or by name, and not a letter beside
-    them.
-    """
+    """By hand: both criteria are blanked, by position or keyword, and nothing else."""
     text = """# no \u00fc lost
-LAB = Lab(rubric=(Criterion("\u00fc", 4.0, "a line " "that falls"), Criterion("q1", 6.0, look_for="seven")), hours=2)
-"""
+LAB = Lab(rubric=(Criterion("\u00fc", 4.0, "a line " "falls"), Criterion("q1", 6.0, look_for="7")), hours=2)
+"""  # noqa: E501
     wanted = """# no \u00fc lost
 LAB = Lab(rubric=(Criterion("\u00fc", 4.0, ""), Criterion("q1", 6.0, look_for="")), hours=2)
 """
@@ -54,8 +53,9 @@ LAB = Lab(rubric=(Criterion("\u00fc", 4.0, ""), Criterion("q1", 6.0, look_for=""
 
 
 def test_salt_draws_other_numbers_and_the_same_again(folder, tmp_path):
-    """The open course has the middle of 9 to 11; two salts differ from it and from each other, one
-    gives the same.
+    """The open course has the middle of 9 to 11.
+
+    Two salts differ from it and from each other, one gives the same.
     """
     numbers = []
     for number, salt in enumerate(["", SALT, SALT[::-1], SALT]):
@@ -78,8 +78,9 @@ def test_every_student_gets_files_of_their_own(folder, tmp_path):
 
 
 def test_used_folder_weak_salt_and_roster_without_salt_are_refused(folder, tmp_path):
-    """What already lies there could be a solution; without a salt all files could be drawn by
-    anyone.
+    """What already lies there could be a solution.
+
+    Without a salt all files could be drawn by anyone.
     """
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "solution.txt").write_text("all of it")

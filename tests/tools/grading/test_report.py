@@ -1,6 +1,4 @@
-"""falconwing report: a toy class graded and reported; what students, people who grade and other
-systems get of it.
-"""
+"""falconwing report: a toy class graded and reported, for students, graders and other systems."""
 
 import csv
 import html
@@ -47,11 +45,9 @@ def notebook(stretch, *more):
 
 @pytest.fixture(scope="module")
 def graded(tmp_path_factory):
-    """Four students of the toy lab, graded: right, wrong by a sign, one who tells, and one who left
-    everything.
-    """
+    """Four students of the toy lab, graded: right, wrong sign, one who leaks cases, one empty."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(grading, "_require_box", lambda: None)
+        patch.setattr(grading, "_require_sandbox", lambda: None)
         patch.setattr(probe, "probe_sandbox", lambda: [])
         folder = tmp_path_factory.mktemp("course")
         folder.chmod(0o755)
@@ -112,12 +108,10 @@ def test_everybody_has_a_line_and_a_page(report):
 
 
 def test_feedback_says_what_to_look_at(report):
-    """The public claim and its hint, the state in words, and what the function gave in this public
-    case.
-    """
+    """The public claim and its hint, the state, and the function's output in this public case."""
     page = feedback(report, "bob")
     assert (
-        "0 of 4 hidden cases right; it gave an answer of the right form with wrong numbers (4)"
+        "0 of 4 hidden cases right; it returned an answer of the right form with wrong numbers (4)"
         in page
     )
     assert "✓ passed:" in page and "a larger number gives a larger one" in page
@@ -129,8 +123,9 @@ def test_feedback_says_what_to_look_at(report):
 
 
 def test_feedback_gives_no_hidden_case_away(report):
-    """The function tells what it is asked, in errors, answers and prints; nothing of it reaches
-    what students get.
+    """The function tells what it is asked, in errors, answers and prints.
+
+    Nothing of it reaches what students get.
     """
     assert "raised ValueError" in feedback(report, "cleo")
     given = [*report.glob("feedback/*"), *report.glob("gradescope/*/*"), report / "gradebook.csv"]
@@ -139,8 +134,9 @@ def test_feedback_gives_no_hidden_case_away(report):
 
 
 def test_nothing_of_a_student_is_markup(report):
-    """Names and answers are shown as they are typed; no page loads anything or runs a student's
-    script.
+    """Names and answers are shown as they are typed.
+
+    No page loads anything or runs a student's script.
     """
     pages = [path.read_text(encoding="utf-8") for path in report.rglob("*.html")]
     assert not [page for page in pages if "onerror=" in page.replace("&lt;img src=x onerror=", "")]
@@ -150,8 +146,9 @@ def test_nothing_of_a_student_is_markup(report):
 
 
 def test_class_is_compared(report):
-    """The earlier class is this one, so the longer function has its twin there; one line is like
-    any other one line.
+    """The earlier class is this one, so the longer function has its twin there.
+
+    One line is like any other one line.
     """
     pairs = {
         (row["this"], row["and this"]): row["functions and share"]
@@ -166,12 +163,13 @@ def test_class_is_compared(report):
 
 
 def test_rubric_page_has_the_figures(report):
-    """Drawn by running the notebook; the one who drew nothing shows what was stored, and it is
-    said.
+    """Drawn by running the notebook.
+
+    The one who drew nothing shows what was stored, and it is said.
     """
     page = (report / "rubric.html").read_text(encoding="utf-8")
-    assert page.count("drawn by running the notebook in the box") == 3
-    assert page.count("as stored in the notebook; running it again drew none here") == 1
+    assert page.count("from a run of the notebook in the sandbox") == 3
+    assert page.count("as stored in the notebook; a new run drew no figure here") == 1
     assert len(list((report / "figures").glob("*.png"))) == 4
 
 
@@ -191,9 +189,7 @@ def test_report_goes_on_where_it_was(report, graded, monkeypatch):
 
 
 def test_without_a_box_nothing_is_run(graded, tmp_path, monkeypatch, capsys):
-    """It is said, figures are the stored ones, and the feedback lists the public claims without an
-    outcome.
-    """
+    """A note, stored figures, and the public claims without outcomes."""
     hole = probe.ProbeResult("network", False, "open")
     monkeypatch.setattr(probe, "probe_sandbox", lambda: [hole])
     for name in ("run_notebook", "run_checks"):
@@ -243,8 +239,9 @@ def test_wrong_records_are_refused(graded, tmp_path):
 
 
 def test_points_typed_in_the_browser_reach_the_gradebook(report, graded, tmp_path):
-    """In headless Chromium: typed, kept over a reload, saved, merged. By hand 75 + 20.5; out of
-    range is shown.
+    """In headless Chromium: typed, kept over a reload, saved, merged. By hand 75 + 20.5.
+
+    Out of range is shown.
     """
     for what, there in (
         ("chromium", CHROMIUM),

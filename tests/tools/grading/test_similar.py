@@ -1,6 +1,4 @@
-"""Likeness: disguises do not hide a copy, another idea is not one, and what all have weighs
-nothing.
-"""
+"""Similarity: disguised copies are found, other solutions not, and common code has no weight."""
 
 import textwrap
 
@@ -45,8 +43,9 @@ def share(a, b):
 
 
 def test_names_numbers_and_layout_do_not_count():
-    """The same function in disguise has nearly the same fingerprints; another way to the same
-    answer hardly any.
+    """The same function in disguise has nearly the same fingerprints.
+
+    Another way to the same answer hardly any.
     """
     assert share(LOOP, RENAMED) > 0.6
     assert share(LOOP, LOOP.replace("best", "x").replace("0.0", "1.5")) == 1.0
@@ -63,9 +62,7 @@ def test_what_is_no_python_has_none():
 
 
 def test_common_code_weighs_less_than_rare_code():
-    """Eight of ten have the same loop, two another function: the two stand above every pair of the
-    eight.
-    """
+    """Eight of ten share a loop, two another function: the two rank above the eight."""
     now = {f"s{n}": fingerprints(LOOP) for n in range(8)} | {
         f"copy{n}": fingerprints(ARRAYS) for n in range(2)
     }
@@ -79,9 +76,7 @@ def test_common_code_weighs_less_than_rare_code():
 
 
 def test_copy_of_the_kit_and_of_an_earlier_class_is_found(tmp_path):
-    """A function of the kit under another name, and last year's: both stand in the list, with both
-    texts.
-    """
+    """A kit function under another name, and last year's: both are listed, with both texts."""
     name, text = next(
         (n, t) for n, t in kit_functions().items() if n == "grading.lab.course_constants"
     )

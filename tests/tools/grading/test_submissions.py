@@ -1,6 +1,4 @@
-"""Submissions: who handed in what, from folders and platforms' zips; links and names that lead out
-are not followed.
-"""
+"""Submissions: students' notebooks in folders and zips; links and unsafe names are not followed."""
 
 import io
 import os
@@ -49,8 +47,9 @@ def found_in(path, lab="lab03"):
     ],
 )
 def test_students_are_told_apart_by_their_files(path, student):
-    """The names that Moodle and Canvas give, and plain ones; by hand. Control characters do not
-    reach a terminal.
+    """The names that Moodle and Canvas give, and plain ones; by hand.
+
+    Control characters do not reach a terminal.
     """
     assert student_of(PurePosixPath(path)) == student
 
@@ -145,8 +144,9 @@ def test_names_that_lead_out_of_a_zip_are_refused(tmp_path, name):
 
 
 def test_zip_bombs_are_not_read(tmp_path, monkeypatch):
-    """A megabyte of zeros is a kilobyte in a zip; a cap of 1000 bytes stands for the real one. The
-    others are read.
+    """A megabyte of zeros is a kilobyte in a zip; a cap of 1000 bytes stands for the real one.
+
+    The others are read.
     """
     monkeypatch.setattr(submissions, "MAX_FILE", 1000)
     entries = [

@@ -1,1 +1,1 @@
-"""what is measured on photos to align them with the world."""
+"""Measurements on photos for the world alignment: marker, faces, survey points, video link."""

@@ -1,10 +1,9 @@
-"""Faces in photos: a flat face whose four corners are surveyed, roughly aligned -> where photos
-show its corners.
+"""Face detection: surveyed flat faces and a rough alignment -> corner pixels in the photos.
 
-Every edge of the face is looked for across its expected place, as wide as the alignment's own
-uncertainty asks; a line is fitted through what was found, and neighbouring lines meet in a corner.
-A lens bends lines, so all fitting is done on rays: a straight edge spans a plane with the camera,
-and two such planes meet in the ray of the corner.
+Each edge of a face is searched across its predicted place, within the alignment's uncertainty; a
+line is fitted to the colour steps, and neighbouring lines intersect in a corner. Since lens
+distortion bends lines, they are fitted to rays: a straight edge and the camera span a plane, and
+two such planes intersect in the ray of the corner.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,12 +20,12 @@ Image = NDArray[np.float32]
 
 MIN_SEARCH_PX, MAX_SEARCH_PX = 3.0, 16.0  # across an edge, to both sides
 STEP_PX = 0.25
-MIN_SAMPLES, MIN_SHARE, MIN_SPAN_PX = 10, 0.6, 25.0  # on a line; of those looked for; along it
-MIN_CONTRAST = 8.0  # change of colour across an edge within 2 px, of 255
+MIN_SAMPLES, MIN_SHARE, MIN_SPAN_PX = 10, 0.6, 25.0  # inliers of a line: number, share, length
+MIN_CONTRAST = 8.0  # colour change across an edge within 2 px, of 255
 LINE_TOLERANCE_PX = 0.7
 BORDER_PX = 4.0
-END_SHARE = 0.015  # of an edge at each end is left out: other edges begin there
-INNER_SHARE = 0.4  # of the way to the opposite edge: the search begins no deeper in the face
+END_SHARE = 0.015  # of an edge is skipped at each end, near the neighbouring edges
+INNER_SHARE = 0.4  # maximum search depth into the face, as a share of its width
 
 
 def observe_faces(
@@ -36,12 +35,11 @@ def observe_faces(
     plain: bool = True,
     progress: Callable[[], None] = lambda: None,
 ) -> PointObservations:
-    """Find corners of flat faces in all photos.
+    """Find the corners of flat faces in all photos.
 
     Args:
         reconstruction: not aligned.
-        alignment: good enough to say where the edges are to MOST_SEARCH_PX; where it is not,
-            nothing is looked for.
+        alignment: predicts the edges; an edge with an uncertainty beyond MAX_SEARCH_PX is skipped.
         faces: for each the names of its corners in order around it, and their places (4, 3) in the
             world [m].
         plain: True: the face has one colour, and its edge is the first step on the way out. False:
@@ -49,11 +47,11 @@ def observe_faces(
         progress: called after each photo.
 
     Returns:
-        Sightings of the corners; a corner is left out where an edge is hidden, short, cut by the
-        border or faint.
+        Observations of the corners, except where an edge is hidden, short, faint or cut by the
+        image border.
 
     Raises:
-        FileNotFoundError: a photo is gone.
+        FileNotFoundError: a photo is missing.
         InputError: a photo cannot be read.
     """
     rows: list[tuple[str, int, Sequence[float]]] = []
@@ -80,7 +78,7 @@ def _find_in_photo(
     sigmas: Array,
     plain: bool,
 ) -> list[tuple[int, list[float]]]:
-    """Corners of one face in one photo: number of the corner and its pixel."""
+    """Corners of one face in one photo: corner number and pixel."""
     lines = [_find_edge(reconstruction, number, image, corners, sigmas, k, plain) for k in range(4)]
     expected = reconstruction.project(corners, number)
     found = []
@@ -89,10 +87,9 @@ def _find_in_photo(
         if before is None or after is None or not np.isfinite(expected[k]).all():
             continue
         (plane_before, seen_before, _), (plane_after, seen_after, search) = before, after
+        # intersection of the two planes through the camera; undetermined for nearly parallel lines
         ray = np.cross(plane_before, plane_after)
-        if abs(ray[2]) < np.sin(
-            np.radians(10.0)
-        ):  # the lines are nearly one, their meeting point is not known
+        if abs(ray[2]) < np.sin(np.radians(10.0)):
             continue
         pixel = _to_pixels(reconstruction, ray[None] / ray[2])[0]
         size = (reconstruction.camera.width, reconstruction.camera.height)
@@ -116,9 +113,7 @@ def _find_edge(
     k: int,
     plain: bool,
 ) -> tuple[Array, Array, float] | None:
-    """The edge from corner k to the next: its plane (unit normal, camera axes), pixels on it, and
-    the search width.
-    """
+    """The edge from corner k to the next: plane normal (camera axes), edge pixels, search width."""
     places, weights = _sample_edge(reconstruction, number, corners[k], corners[(k + 1) % 4])
     if len(places) < MIN_SAMPLES:
         return None
@@ -128,6 +123,7 @@ def _find_edge(
     search = MIN_SEARCH_PX + 2.0 * focal * float(near.max())
     if search > MAX_SEARCH_PX:
         return None
+    # image direction out of the face, at each sample of the edge
     along = np.gradient(places, axis=0)
     across = np.stack([along[:, 1], -along[:, 0]], -1) / np.linalg.norm(
         along, axis=1, keepdims=True
@@ -138,9 +134,8 @@ def _find_edge(
     )
     depth_inside = ((reconstruction.project(inner, number) - places) * across).sum(axis=1)
     outward = -np.sign(depth_inside)[:, None] * across
-    wide = (
-        np.abs(depth_inside) > search
-    )  # elsewhere the search would begin beyond the face; nan drops out too
+    # where the face is narrower than the search, other edges would be found; NaN is excluded too
+    wide = np.abs(depth_inside) > search
     if wide.sum() < MIN_SAMPLES:
         return None
     places, outward = places[wide], outward[wide]
@@ -154,9 +149,7 @@ def _find_edge(
 def _sample_edge(
     reconstruction: Reconstruction, number: int, start: Array, end: Array
 ) -> tuple[Array, Array]:
-    """Pixels (S, 2) every 2 px along an edge inside the image, and the weight (S, 2) of its two
-    ends in each.
-    """
+    """Pixels (S, 2) every 2 px along the visible edge, and the weights (S, 2) of its two ends."""
     share = np.linspace(0.0, 1.0, 800)
     pixels = reconstruction.project(start + share[:, None] * (end - start), number)
     camera = reconstruction.camera
@@ -180,9 +173,10 @@ def _sample_edge(
 
 
 def _steps(image: Image, places: Array, outward: Array, search: float, plain: bool) -> Array:
-    """(S, 2) pixels of the step in colour across each place of an edge; nan where there is none."""
+    """(S, 2) pixels of the colour step across each place of an edge; NaN where there is none."""
     import cv2
 
+    # colour profiles (S, offsets, 3) across the edge
     offsets = np.arange(-search, search + STEP_PX, STEP_PX)
     at = (places[:, None] + offsets[None, :, None] * outward[:, None]).astype(
         np.float32
@@ -192,6 +186,7 @@ def _steps(image: Image, places: Array, outward: Array, search: float, plain: bo
     )
     half = round(1.0 / STEP_PX)
     change = np.linalg.norm(profile[:, 2 * half :] - profile[:, : -2 * half], axis=2)  # over 2 px
+    # local maxima of the change: the first strong one of a plain face, else the strongest
     middle = change[:, 1:-1]
     peak = (middle >= change[:, :-2]) & (middle > change[:, 2:]) & (middle > MIN_CONTRAST)
     strong = peak & (middle > 0.4 * change.max(axis=1, keepdims=True))
@@ -199,9 +194,8 @@ def _steps(image: Image, places: Array, outward: Array, search: float, plain: bo
     row = np.arange(len(places))
     left, centre, right = change[row, best], change[row, best + 1], change[row, best + 2]
     with np.errstate(invalid="ignore", divide="ignore"):
-        shift = (
-            0.5 * (left - right) / (left - 2.0 * centre + right)
-        )  # top of the parabola through three values
+        # vertex of the parabola through three values
+        shift = 0.5 * (left - right) / (left - 2.0 * centre + right)
     found = np.where(strong.any(axis=1), offsets[best + 1 + half] + STEP_PX * shift, np.nan)
     return np.asarray(places + found[:, None] * outward)
 
@@ -209,23 +203,21 @@ def _steps(image: Image, places: Array, outward: Array, search: float, plain: bo
 def _fit_line(
     reconstruction: Reconstruction, pixels: Array, looked_for: int, search: float
 ) -> tuple[Array, Array, float] | None:
-    """The plane through the camera that most pixels of an edge lie in, and those pixels; None
-    without a clear one.
-    """
+    """The plane through the camera that fits most edge pixels, and its inliers; None if too few."""
     rays = reconstruction.pixel_directions(pixels)
     tolerance = LINE_TOLERANCE_PX / reconstruction.camera.fx
+    # consensus line through pairs of samples at least a third of the edge apart (RANSAC on a grid)
     count, best = len(rays), np.zeros(len(rays), bool)
     for first in range(0, count, max(1, count // 12)):
         for second in range(first + count // 3, count, max(1, count // 12)):
             inliers = _off_line(np.cross(rays[first], rays[second]), rays) < tolerance
             best = inliers if inliers.sum() > best.sum() else best
+    # total least squares on the inliers, repeated
     for _ in range(3):
         if best.sum() < max(MIN_SAMPLES, MIN_SHARE * looked_for):
             return None
         x, y = rays[best, :2].T - rays[best, :2].mean(axis=0)[:, None]
-        angle = 0.5 * np.arctan2(
-            2.0 * (x * y).sum(), (x * x - y * y).sum()
-        )  # main axis of the points
+        angle = 0.5 * np.arctan2(2.0 * (x * y).sum(), (x * x - y * y).sum())  # principal axis
         normal = np.array([-np.sin(angle), np.cos(angle)])
         plane = np.array([*normal, -normal @ rays[best, :2].mean(axis=0)])
         best = _off_line(plane, rays) < tolerance
@@ -255,7 +247,7 @@ def _depths(reconstruction: Reconstruction, number: int, points: Array) -> Array
 
 
 def _smooth(photo: NDArray[np.uint8]) -> Image:
-    """A photo as floats, with its grain smoothed away."""
+    """A photo as floats, smoothed against noise."""
     import cv2
 
     return np.asarray(cv2.GaussianBlur(photo.astype(np.float32), (0, 0), 0.8), np.float32)

@@ -1,9 +1,8 @@
-"""A video link measured: photos that came through it, and photos that did not, of one place -> an
-`AnalogVideo`.
+"""Video link identification: photos with and without the link -> `AnalogVideo` parameters.
 
-The two sets need not show the same views, only the same kind of things. Everything is found by
-comparing statistics of photos with those of clean photos sent through the model (method of
-simulated moments): whatever the statistic sees besides the link, texture or JPEG, it sees in both.
+The two sets need not show the same views, only the same place. The parameters are those with which
+clean photos, sent through the model, have the same statistics as the transmitted ones (method of
+simulated moments). Texture and JPEG compression affect both sets in the same way.
 
     python -m falconwing_kit.tools.capture.survey.link PHOTOS_ANALOG PHOTOS
 """
@@ -26,35 +25,32 @@ from falconwing_kit.tools.capture.photo_files import read_photo
 
 Pixels = NDArray[np.uint8]
 BLOCK = (16, 32)  # rows and columns of a block [px]
-FLAT = 0.2  # share of the blocks that count as flat: those with the least grain
+FLAT = 0.2  # share of the blocks that count as flat: those with the least variance
 LUMA_BANDS = np.array([4, 8, 16, 32, 64, 96, 128, 192, 256, 320])  # cycles a line
 CHROMA_BANDS = np.array([2, 4, 8, 16, 32, 64])
-REFERENCE_BANDS = 2  # the first bands, which no link touches: they take out that the views differ
+REFERENCE_BANDS = 2  # lowest bands, unaffected by the link: they normalise different views
 LUMA_GRID, CHROMA_GRID = np.arange(1.5e6, 6.01e6, 0.1e6), np.arange(0.2e6, 1.51e6, 0.05e6)  # [Hz]
 NOISE_ITERATIONS = 4  # of fitting the noise
-JPEG_QUALITY = 90  # the photos are JPEGs, and so are those sent through the model
-FADE, MIN_FADE = (
-    6.0,
-    3.0,
-)  # a line with so many times the photo's median grain, and so many grey levels more
-MAX_PHOTOS = 24  # clean ones that are sent through the model: more change no figure by a tenth
+JPEG_QUALITY = 90  # of the simulated photos, as of the real ones
+FADE, MIN_FADE = 6.0, 3.0  # noise of a lost line: multiple of the photo's median, plus grey levels
+MAX_PHOTOS = 24  # clean photos that are sent through the model; more change no result by a tenth
 
 
 @dataclass(frozen=True, eq=False)
 class ImageStatistics:
-    """What photos look like, in numbers that a link changes: medians over the photos."""
+    """Image statistics that a video link changes: medians over the photos."""
 
-    luma_noise: float  # rms grain of flat places [grey levels]
-    correlation: float  # correlation of the grain with that one pixel to the right
-    chroma_noise: float  # of red and blue difference [grey levels]
-    luma: Array  # (9,) log of the amplitude in LUMA_BANDS, the first ones' mean taken out
+    luma_noise: float  # rms noise of flat areas [grey levels]
+    correlation: float  # of the noise with that one pixel to the right
+    chroma_noise: float  # rms, of red and blue difference [grey levels]
+    luma: Array  # (9,) log amplitude in LUMA_BANDS, relative to the reference bands
     chroma: Array  # (5,) of the red and blue difference in CHROMA_BANDS
-    fades: float  # bands of lost lines a photo
-    fade_lines: float  # mean length, nan without
+    fades: float  # dropouts per photo
+    fade_lines: float  # mean length of a dropout, NaN without one
 
 
 def image_statistics(images: Sequence[Pixels]) -> ImageStatistics:
-    """Measure photos.
+    """Statistics of a set of photos.
 
     Args:
         images: (H, W, 3) uint8 RGB, of one size, at least 64 pixels a side.
@@ -83,21 +79,19 @@ def image_statistics(images: Sequence[Pixels]) -> ImageStatistics:
 
 
 def measure_link(through: Sequence[Pixels], clean: Sequence[Pixels]) -> AnalogVideo:
-    """The link whose pictures of the clean photos look like the photos that came through it.
+    """The link with which the clean photos have the statistics of the transmitted ones.
 
     Args:
         through: photos (H, W, 3) that came through the link.
         clean: photos without it, of the same place and size.
-
-    Returns:
-        The link, its noise colour and bandwidths in the units of `AnalogVideo`.
 
     Raises:
         InputError: a set is empty, or the sizes differ.
     """
     if {image.shape for image in through} != {image.shape for image in clean} or not through:
         raise InputError(
-            "link: expected photos of one size in both sets, got others; scale them to the link's size"
+            "link: expected photos of one size in both sets, got others; "
+            "scale them to the link's size"
         )
     target, clean_statistics, width = (
         image_statistics(through),
@@ -115,7 +109,7 @@ def measure_link(through: Sequence[Pixels], clean: Sequence[Pixels]) -> AnalogVi
 
 
 def transmit(link: AnalogVideo, clean: Sequence[Pixels]) -> list[Pixels]:
-    """Clean photos (H, W, 3) as they come through a link and out of a JPEG."""
+    """Clean photos (H, W, 3) after the simulated link and JPEG compression."""
     return [_jpeg(link.apply(image, number)) for number, image in enumerate(clean)]
 
 
@@ -126,16 +120,14 @@ def _fit_noise(
     clean: Sequence[Pixels],
     pixel_s: float,
 ) -> AnalogVideo:
-    """The link with the noise that is wanted: step by step corrected by what the model's pictures
-    show.
-    """
+    """The link with matching noise, corrected iteratively by simulation."""
     for _ in range(NOISE_ITERATIONS):
         simulated = image_statistics(transmit(link, clean))
-        wanted, made = (
+        target_noise, simulated_noise = (
             math.sqrt(max(x.luma_noise**2 - clean_statistics.luma_noise**2, 1e-3))
             for x in (target, simulated)
         )
-        snr_db = link.snr_db + 20.0 * math.log10(made / wanted)
+        snr_db = link.snr_db + 20.0 * math.log10(simulated_noise / target_noise)
         target_chroma = max(target.chroma_noise**2 - clean_statistics.chroma_noise**2, 0.0) ** 0.5
         simulated_chroma = (
             max(simulated.chroma_noise**2 - clean_statistics.chroma_noise**2, 1e-4) ** 0.5
@@ -157,13 +149,13 @@ def _fit_noise(
 
 
 def _decay(correlation: float) -> float:
-    """d of a filter d^|k| whose noise is alike by 2 d / (1 + d^2) from pixel to pixel."""
+    """d of a filter d^|k| whose noise correlates by 2 d / (1 + d^2) between neighbouring pixels."""
     rho = min(max(correlation, 0.01), 0.999)
     return (1.0 - math.sqrt(1.0 - rho**2)) / rho
 
 
 def _correlation_from_noise_s(noise_s: float, pixel_s: float) -> float:
-    """The likeness that a noise_s makes; that of the flat band without one."""
+    """Noise correlation of neighbouring pixels for a `noise_s`; that of white noise for 0."""
     d = math.exp(-pixel_s / noise_s) if noise_s else 0.24
     return 2.0 * d / (1.0 + d**2)
 
@@ -171,8 +163,9 @@ def _correlation_from_noise_s(noise_s: float, pixel_s: float) -> float:
 def _fit_bandwidth(
     link: AnalogVideo, target: ImageStatistics, clean: Sequence[Pixels], name: str, grid: Array
 ) -> AnalogVideo:
-    """The link with the bandwidth whose bands are nearest, in the sum of absolute logarithms: one
-    odd band, such as that of the colour carrier's pattern, moves nothing.
+    """The link with the bandwidth of least L1 distance between log spectra.
+
+    The sum of absolute values is robust against a single odd band, such as the colour carrier's.
     """
     changes: list[dict[str, Any]] = [{f"{name}_hz": float(hertz)} for hertz in grid]
     links = [replace(link, **change) for change in changes]
@@ -198,8 +191,8 @@ def _planes(image: Pixels) -> list[Array]:
 def _grain(plane: Array) -> Array:
     """(2,) variance of the grain in flat places, and its covariance with the pixel to the right.
 
-    What a line differs by from the mean of its neighbours has 3/2 of white noise's variance and
-    little of the scene.
+    The difference of a line from the mean of its neighbours has 3/2 of the variance of white noise
+    and suppresses the scene.
     """
     across = (plane[1:-1] - 0.5 * (plane[:-2] + plane[2:])) / math.sqrt(1.5)
     rows, columns = BLOCK
@@ -213,7 +206,7 @@ def _grain(plane: Array) -> Array:
 
 
 def _spectrum(plane: Array) -> Array:
-    """(W / 2 + 1,) mean power of the lines by cycles a line."""
+    """(W / 2 + 1,) mean power of the lines, by cycles per line."""
     lines = plane - plane.mean(axis=1, keepdims=True)
     return np.asarray(
         (np.abs(np.fft.rfft(lines * np.hanning(plane.shape[1]), axis=1)) ** 2).mean(axis=0)
@@ -221,14 +214,14 @@ def _spectrum(plane: Array) -> Array:
 
 
 def _bands(power: Array, edges: Array) -> Array:
-    """Log amplitude in bands; the mean of the first ones is taken out."""
+    """Log amplitude in bands, relative to the mean of the first bands."""
     bands = np.array([power[low:high].mean() for low, high in pairwise(edges)])
     log = 0.5 * np.log(bands + 1e-9)
     return np.asarray(log - log[:REFERENCE_BANDS].mean())
 
 
 def _fades(luma: Array) -> list[int]:
-    """Lengths of the bands of lines that are lost in noise."""
+    """Lengths of the dropouts: runs of lines lost in noise."""
     grain = np.abs(luma[1:-1] - 0.5 * (luma[:-2] + luma[2:])).mean(axis=1)
     lost = np.concatenate([[0], grain > FADE * np.median(grain) + MIN_FADE, [0]])
     starts, ends = (np.flatnonzero(np.diff(lost.astype(int)) == sign) for sign in (1, -1))
@@ -281,7 +274,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for title, images in sets.items():
         seen = image_statistics(images)
         print(
-            f"\n{title}: noise {seen.luma_noise:.2f}, alike {seen.correlation:.2f}, in colour {seen.chroma_noise:.2f}"
+            f"\n{title}: noise {seen.luma_noise:.2f}, alike {seen.correlation:.2f}, "
+            f"in colour {seen.chroma_noise:.2f}"
         )
         print("log of luma's bands", seen.luma.round(2), "and chroma's", seen.chroma.round(2))
     return 0
@@ -297,7 +291,7 @@ def _read(folder: Path) -> list[Pixels]:
 
 
 def _subsample(images: list[Pixels]) -> list[Pixels]:
-    """At most MOST_PHOTOS, spread over all."""
+    """At most MAX_PHOTOS, evenly spread over all."""
     return [images[k] for k in np.unique(np.linspace(0, len(images) - 1, MAX_PHOTOS).astype(int))]
 
 

@@ -1,4 +1,4 @@
-"""The marker in photos: images -> its four corners, to a part of a pixel."""
+"""Marker detection: photos -> the marker's four corners with subpixel accuracy."""
 
 from collections.abc import Callable
 
@@ -9,11 +9,7 @@ from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.tools.capture.photo_files import Reconstruction, read_photo
 from falconwing_kit.tools.capture.survey.points import MARKER_CORNERS, PointObservations
 
-DICTIONARY, MARKER_ID, MARKER_SIZE = (
-    "DICT_4X4_50",
-    7,
-    0.80,
-)  # the size is the black square's side [m]
+DICTIONARY, MARKER_ID, MARKER_SIZE = "DICT_4X4_50", 7, 0.80  # side of the black square [m]
 _OTHER_DICTIONARIES = (
     "DICT_4X4_50",
     "DICT_5X5_50",
@@ -24,7 +20,7 @@ _OTHER_DICTIONARIES = (
 
 
 def marker_corners(image: NDArray[np.uint8], dictionary: str = DICTIONARY) -> dict[int, Array]:
-    """Every marker of a dictionary in an image.
+    """Corners of every marker of a dictionary in an image.
 
     Args:
         image: (H, W, 3) red, green, blue.
@@ -61,19 +57,17 @@ def observe_marker(
     dictionary: str = DICTIONARY,
     progress: Callable[[], None] = lambda: None,
 ) -> PointObservations:
-    """Look for the marker in every photo.
+    """Detect the marker in every photo.
 
     Args:
-        reconstruction: whose photos to look through.
-        marker_id: the marker's number.
-        dictionary: its dictionary's name in OpenCV.
+        dictionary: of the marker, its name in OpenCV.
         progress: called after each photo.
 
     Returns:
-        Sightings of MARKER_CORNERS, four for each photo that shows it.
+        Observations of MARKER_CORNERS, four for each photo that shows it.
 
     Raises:
-        FileNotFoundError: a photo is gone.
+        FileNotFoundError: a photo is missing.
         InputError: fewer than two photos show the marker, or a photo cannot be read.
     """
     rows: list[tuple[str, int, list[float]]] = []
@@ -91,14 +85,16 @@ def observe_marker(
             else _other_dictionary(reconstruction)
         )
         raise InputError(
-            f"photos: expected marker {marker_id} of {dictionary} in two or more of {len(reconstruction)} photos, "
-            f"got it in {len(rows) // 4}; seen instead: {seen}. Take photos of the marker from 2 to 8 m"
+            f"photos: expected marker {marker_id} of {dictionary} in two or more of "
+            f"{len(reconstruction)} photos, "
+            f"got it in {len(rows) // 4}; seen instead: {seen}. "
+            "Take photos of the marker from 2 to 8 m"
         )
     return PointObservations.join(rows)
 
 
 def _other_dictionary(reconstruction: Reconstruction, photos: int = 20) -> str:
-    """What markers of other dictionaries a sample of the photos shows, in words."""
+    """Markers of other dictionaries in a sample of the photos, as text."""
     numbers = np.unique(np.linspace(0, len(reconstruction) - 1, photos).astype(int))
     images = [read_photo(reconstruction.path(int(number))) for number in numbers]
     for dictionary in _OTHER_DICTIONARIES:

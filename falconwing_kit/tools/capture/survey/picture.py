@@ -1,6 +1,4 @@
-"""A picture of an alignment: the hall from above, where photos were taken, and how well places in
-it are known.
-"""
+"""Figure of an alignment: plan view of the hall with camera places and position uncertainty."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +11,7 @@ from falconwing_kit.tools.capture.photo_files import Reconstruction
 from falconwing_kit.tools.capture.survey.points import MARKER_CORNERS, Survey
 from falconwing_kit.tools.reports.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
 
-HEIGHT = 1.5  # [m] above the floor, where the uncertainty is drawn: a flight's height
+HEIGHT = 1.5  # [m] above the floor, a typical flight height, at which the uncertainty is drawn
 
 
 def draw_alignment(
@@ -22,16 +20,15 @@ def draw_alignment(
     survey: Survey,
     alignments: Sequence[tuple[str, Alignment]],
 ) -> None:
-    """Draw one view from above per alignment.
+    """Draw one plan view per alignment.
 
     Args:
-        path: the PNG to write.
+        path: of the PNG.
         reconstruction: not aligned.
-        survey: with the points that alignments used.
-        alignments: with a title each; one without covariance is drawn without uncertainty.
+        alignments: with titles; one without covariance is drawn without uncertainty.
 
     Raises:
-        InputError: the place cannot be written.
+        InputError: the file cannot be written.
         FileNotFoundError: its folder does not exist.
     """
     best = alignments[-1][1]
@@ -68,7 +65,7 @@ def draw_alignment(
 def _bounds(
     alignment: Alignment, reconstruction: Reconstruction, survey: Survey
 ) -> tuple[Array, Array]:
-    """The least and greatest x and y of cameras and survey, with a metre around."""
+    """Lowest and highest x and y of cameras and survey, with a margin of 1 m."""
     shown = np.concatenate(
         [alignment.points(reconstruction.T_world_camera[:, :3, 3]), survey.p_world]
     )[:, :2]
@@ -76,7 +73,7 @@ def _bounds(
 
 
 def _draw_sigma(ax: object, alignment: Alignment, low: Array, high: Array) -> None:
-    """Lines of equal uncertainty [cm] at a flight's height."""
+    """Contours of the position uncertainty [cm] at flight height."""
     if not np.isfinite(alignment.covariance).all():
         return
     x, y = np.meshgrid(np.linspace(low[0], high[0], 60), np.linspace(low[1], high[1], 40))

@@ -1,6 +1,4 @@
-"""Survey: a CSV of measured points -> points in the world; a CSV of clicks -> where photos show
-them.
-"""
+"""Survey files: CSV of measured points -> world points; CSV of clicks -> pixel observations."""
 
 import csv
 from collections.abc import Iterable, Sequence
@@ -25,11 +23,11 @@ MARKER_CORNERS = tuple(
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Points that a tape measured, in the kit's world."""
+    """Points measured by tape, in the kit's world."""
 
     names: tuple[str, ...]  # (N,)
     p_world: Array  # (N, 3) [m]
-    uses: tuple[str, ...]  # (N,) "align": for the alignment; "check": only for judging it
+    uses: tuple[str, ...]  # (N,) "align": for the alignment; "check": for its evaluation only
 
     def select(self, use: str) -> "Survey":
         """The points of one use."""
@@ -45,13 +43,12 @@ class Survey:
         return self.p_world[[self.names.index(name) for name in names]]
 
     def faces(self) -> list[tuple[str, ...]]:
-        """Groups of four points whose names begin alike and that span a flat face, each in order
-        around it.
+        """Groups of four points with a common name prefix on a flat face, in order around it.
 
-        The name's last two words tell the corner (near_left, top_right ...), what stands before
-        them the face; a corner of a box may end in one more word, as pad_near_left_top does, and
-        then its first word tells the face. The marker's corners are left out, for they are found in
-        another way.
+        The name's last two words are the corner (near_left, top_right ...), the words before them
+        the face. The corner of a box may have one more word, as in pad_near_left_top; then its
+        first word is the face. The marker's corners are excluded, since they are detected
+        otherwise.
         """
         groups: dict[str, list[int]] = {}
         for number, name in enumerate(self.names):
@@ -69,7 +66,7 @@ class Survey:
 
 @dataclass(frozen=True, eq=False)
 class PointObservations:
-    """Where photos show points."""
+    """Pixels at which photos show points."""
 
     names: tuple[str, ...]  # (K,) which point
     photos: Numbers  # (K,) number of the photo
@@ -87,7 +84,7 @@ class PointObservations:
 
     @classmethod
     def join(cls, rows: Sequence[tuple[str, int, Sequence[float]]]) -> "PointObservations":
-        """Sightings from rows of name, photo number and pixel."""
+        """Observations from rows of name, photo number and pixel."""
         names, photos, pixels = zip(*rows, strict=True) if rows else ((), (), ())
         return cls(
             tuple(names), np.array(photos, np.int64), np.array(pixels, np.float64).reshape(-1, 2)
@@ -107,7 +104,7 @@ def read_survey(path: str | Path) -> Survey:
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: a column is missing, a number is not finite, a use is unknown, or a name comes
+        InputError: a column is missing, a number is not finite, a use is unknown, or a name occurs
             twice.
     """
     rows = _read_rows(path, SURVEY_COLUMNS)
@@ -119,7 +116,8 @@ def read_survey(path: str | Path) -> Survey:
             )
     if len(set(names)) < len(names) or not names:
         raise InputError(
-            f"{short_name(path)}: expected at least one point and each name once, got none or a name twice"
+            f"{short_name(path)}: expected at least one point and each name once, "
+            "got none or a name twice"
         )
     places = np.array([_numbers(path, line, row[1:4]) for line, row in rows])
     return Survey(names, places, tuple(row[4] for _, row in rows))
@@ -128,13 +126,12 @@ def read_survey(path: str | Path) -> Survey:
 def read_clicks(
     path: str | Path, reconstruction: Reconstruction, survey: Survey
 ) -> PointObservations:
-    """Read a CSV with the columns name, photo, u, v: where somebody clicked a surveyed point.
+    """Read a CSV with the columns name, photo, u, v: manual clicks on surveyed points.
 
     Args:
         path: u to the right and v down from the image's upper left corner [px].
-        reconstruction: whose photos are named; clicks in photos that it has no pose for are left
-            out.
-        survey: whose points are named.
+        reconstruction: of the photos; clicks in photos without a pose are ignored.
+        survey: of the points.
 
     Raises:
         FileNotFoundError: there is no file.
@@ -145,7 +142,8 @@ def read_clicks(
     for line, (name, photo, *uv) in _read_rows(path, CLICK_COLUMNS):
         if name not in survey.names:
             raise InputError(
-                f"{short_name(path)}, line {line}: expected a point of the survey, got {name[:60]!r}"
+                f"{short_name(path)}, line {line}: expected a point of the survey, "
+                f"got {name[:60]!r}"
             )
         pixel = _numbers(path, line, uv)
         if photo in number_of:
@@ -169,12 +167,14 @@ def _read_rows(path: str | Path, columns: tuple[str, ...]) -> list[tuple[int, li
     missing = [column for column in columns if column not in header]
     if missing:
         raise InputError(
-            f"{name}: expected the columns {','.join(columns)} in the first line, {missing[0]} is missing"
+            f"{name}: expected the columns {','.join(columns)} in the first line, "
+            f"{missing[0]} is missing"
         )
     for line, row in table[1:]:
         if len(row) != len(header):
             raise InputError(
-                f"{name}, line {line}: expected {len(header)} values as in the first line, got {len(row)}"
+                f"{name}, line {line}: expected {len(header)} values as in the first line, "
+                f"got {len(row)}"
             )
     return [
         (line, [row[header.index(column)].strip() for column in columns]) for line, row in table[1:]
@@ -189,13 +189,14 @@ def _numbers(path: str | Path, line: int, words: Sequence[str]) -> list[float]:
         numbers = [np.nan]
     if not np.isfinite(numbers).all():
         raise InputError(
-            f"{short_name(path)}, line {line}: expected finite numbers, got {', '.join(words)[:60]!r}"
+            f"{short_name(path)}, line {line}: expected finite numbers, "
+            f"got {', '.join(words)[:60]!r}"
         )
     return numbers
 
 
 def _around(corners: Array, tolerance: float = 0.05) -> list[int] | None:
-    """The order in which four points go around a flat convex face; None where they do not span one."""
+    """The order of four points around a flat convex face; None if they do not span one."""
     if len(corners) != 4:
         return None
     from_centre = corners - corners.mean(axis=0)

@@ -1,12 +1,10 @@
-"""The whole alignment: a reconstruction, its photos and a survey -> the baseline that fails and the
-ones that work.
+"""Full alignment: reconstruction, photos and survey -> baseline, marker and best alignment.
 
-1. OpenCV finds the marker in every photo. Its corners alone give a first alignment.
-2. The marker's sides are fitted as lines where that alignment expects them. OpenCV's own corners
-   lie up to a third of a pixel inside the square, which makes a hall measured by an 80 cm marker
-   one per cent too large.
-3. Flat faces of the survey (the pad) are looked for wherever the alignment is sure enough to tell
-   where. What is found makes it surer, so more is found the next time.
+1. OpenCV detects the marker in every photo. Its corners give a first alignment.
+2. The marker's sides are fitted as lines near their predicted places. OpenCV's corners lie up to a
+   third of a pixel inside the square, which would make the hall one per cent too large.
+3. Flat faces of the survey (the pad) are searched where the alignment's uncertainty allows; their
+   corners improve the alignment. Repeated until no more are found.
 """
 
 from collections.abc import Callable
@@ -24,14 +22,12 @@ MAX_ROUNDS = 5
 
 @dataclass(frozen=True)
 class Alignments:
-    """What each recipe makes of the same photos."""
+    """The alignments of one set of photos by different methods."""
 
-    baseline: (
-        Alignment | None
-    )  # the marker's pose in each photo; None where the marker was not used
-    marker: Alignment | None  # the marker's corners
-    best: Alignment  # every surveyed point that was found or clicked
-    observations: PointObservations  # what the best one used
+    baseline: Alignment | None  # by the marker's pose in each photo; None without the marker
+    marker: Alignment | None  # by the marker's corners
+    best: Alignment  # by every surveyed point that was found or clicked
+    observations: PointObservations  # of the best alignment
 
 
 def align_photos(
@@ -42,24 +38,20 @@ def align_photos(
     clicks: PointObservations | None = None,
     progress: Callable[[str, int, int], None] = lambda step, done, total: None,
 ) -> Alignments:
-    """Align a reconstruction by what its photos show of the survey.
+    """Align a reconstruction by the surveyed points that its photos show.
 
     Args:
         reconstruction: not aligned.
         survey: with the marker's four corners, and flat faces of four points where there are any.
-        marker_id: the marker's number.
-        dictionary: its dictionary's name in OpenCV.
-        clicks: where somebody clicked surveyed points; they are used beside what is found. With
-            three or more points clicked, the photos need not show a marker.
+        dictionary: of the marker, its name in OpenCV.
+        clicks: manual observations of surveyed points, used in addition. With three or more points
+            clicked, the photos need not show a marker.
         progress: called with step, done and total.
 
-    Returns:
-        The alignments.
-
     Raises:
-        FileNotFoundError: a photo is gone.
-        InputError: the marker is not found and too little was clicked, or the reconstruction is
-            aligned already.
+        FileNotFoundError: a photo is missing.
+        InputError: the marker is not found and fewer than three points were clicked, or the
+            reconstruction is aligned already.
     """
     clicks = PointObservations.join([]) if clicks is None else clicks
     points, total = survey.select("align"), len(reconstruction)
@@ -82,7 +74,8 @@ def align_photos(
             marker = align(reconstruction, points, found)
     elif len(set(clicks.names)) < 3:
         raise InputError(
-            "survey: expected the marker's four corners of use align, or three clicked points; add them"
+            "survey: expected the marker's four corners of use align, or three clicked points; "
+            "add them"
         )
     best, faces = align(reconstruction, points, found + clicks), PointObservations.join([])
     targets = [
@@ -110,23 +103,23 @@ def check_points(
     survey: Survey,
     clicks: PointObservations | None = None,
 ) -> dict[str, Array]:
-    """Points kept for checking, where photos show them: their faces are looked for where an
-    alignment expects them.
+    """Triangulate the survey's check points, on faces located by an alignment.
 
-    Edges are the strongest steps near their place, since most such faces are posters or windows.
+    An edge is the strongest colour step near its place, since most such faces are posters or
+    windows.
 
     Args:
-        best: the surest alignment; it only says where to look.
+        best: alignment that predicts the faces' places; otherwise unused.
         reconstruction: not aligned.
-        survey: whose points of use "check" nothing was aligned by.
-        clicks: where somebody clicked surveyed points; what was clicked is not looked for.
+        survey: its points of use "check", which were not used for the alignment.
+        clicks: manual observations; clicked points are not searched.
 
     Returns:
-        By name: (3,) in the reconstruction's frame, for every point that two or more photos agree
-            on.
+        By name: (3,) in the reconstruction's frame, for every point with two or more consistent
+            observations.
 
     Raises:
-        FileNotFoundError: a photo is gone.
+        FileNotFoundError: a photo is missing.
     """
     points, clicks = (
         survey.select("check"),
@@ -152,9 +145,7 @@ def _refine_corners(
     rough: PointObservations,
     progress: Callable[[], None],
 ) -> PointObservations:
-    """The marker's corners where its sides meet; OpenCV's corners where too few photos show the
-    sides well.
-    """
+    """Marker corners as intersections of its sides, or OpenCV's where too few photos show them."""
     first = align(reconstruction, points, rough)
     sharp = observe_faces(
         reconstruction, first, [(MARKER_CORNERS, points.places(MARKER_CORNERS))], progress=progress
@@ -173,7 +164,7 @@ def _none_on_error(make: Callable[[], Alignment]) -> Alignment | None:
 def _progress_counter(
     progress: Callable[[str, int, int], None], step: str, total: int
 ) -> Callable[[], None]:
-    """A function that counts its calls into a progress."""
+    """A callback that reports the number of its calls."""
     done = [0]
 
     def one_more() -> None:

@@ -1,1 +1,1 @@
-"""photos with poses -> a trained Gaussian scene. Each file here loads torch."""
+"""Training: photos with poses -> Gaussian scene. Every file here loads torch."""

@@ -1,9 +1,8 @@
-"""Growing a scene: Gaussians in training -> more of them where they are needed, none where they do
-nothing.
+"""Densification: Gaussians in training -> dead ones relocated, new ones added, noise injected.
 
 [K] Kheradmand et al. 2024, 3D Gaussian Splatting as Markov Chain Monte Carlo: Gaussians are samples
-of what the photos show. Dead ones move to live ones, new ones are drawn beside live ones, and faint
-ones wander. Each move leaves the picture as it was.
+of a distribution. Dead (transparent) ones are relocated to live ones, new ones are copies of live
+ones, and faint ones explore by noise. Relocation leaves the rendered image unchanged.
 """
 
 import math
@@ -15,24 +14,20 @@ from falconwing_kit.scene.reference import covariances
 from falconwing_kit.tools.capture.training.state import GAUSSIAN_PARAMETERS, TrainState
 
 MIN_OPACITY = 0.005  # [K, section 3.3]
-GROWTH = 1.05  # at most this many times the Gaussians after each turn [K]
-NOISE_SCALE = 5e5  # how far faint Gaussians wander, in learning rates of the means [K]
-NOISE_STEEPNESS = 100.0  # of the step between Gaussians that wander and those that stay [K, eq. 8]
-MAX_COPIES = 51  # of one Gaussian at a time
-_X = torch.linspace(
-    -4.0, 4.0, 129, dtype=torch.float64
-)  # the Gaussian integral's ends are far below float32
+GROWTH = 1.05  # maximum growth factor per densification [K]
+NOISE_SCALE = 5e5  # noise of faint Gaussians, in learning rates of the means [K]
+NOISE_STEEPNESS = 100.0  # of the sigmoid between faint and solid Gaussians [K, eq. 8]
+MAX_COPIES = 51  # of one Gaussian per densification
+_X = torch.linspace(-4.0, 4.0, 129, dtype=torch.float64)  # exp(-x^2) is negligible beyond
 
 
 @torch.no_grad()
 def densify(state: TrainState, cap: int, generator: torch.Generator) -> None:
-    """Move dead Gaussians beside live ones, then add new ones up to the cap; both are drawn by
-    opacity.
+    """Relocate dead Gaussians to live ones, then add new ones up to a cap; sampled by opacity.
 
     Args:
         state: changed in place.
-        cap: the largest number of Gaussians.
-        generator: draws.
+        cap: maximum number of Gaussians.
     """
     opacities = torch.sigmoid(state.values["logits"])
     dead = (opacities <= MIN_OPACITY).nonzero()[:, 0]
@@ -53,15 +48,14 @@ def densify(state: TrainState, cap: int, generator: torch.Generator) -> None:
 
 @torch.no_grad()
 def add_noise(state: TrainState, rate: float, extent: float, generator: torch.Generator) -> None:
-    """Shake each Gaussian along its own shape, the more the fainter it is  [K, eq. 8].
+    """Langevin noise (SGLD): perturb Gaussians along their covariance, faint ones most  [K, eq. 8]
 
     mean += noise rate / extent^2 * sigmoid(-100 (opacity - 0.005)) Sigma eta,  eta standard normal
 
     Args:
         state: changed in place.
         rate: learning rate of the means [m].
-        extent: of the scene [m]; the paper's figures hold for a scene of about 1.
-        generator: draws.
+        extent: of the scene [m]; the paper's constants are for an extent of about 1.
     """
     values = state.values
     opacities = torch.sigmoid(values["logits"])
@@ -74,19 +68,18 @@ def add_noise(state: TrainState, rate: float, extent: float, generator: torch.Ge
 
 
 def relocation(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
-    """Opacity and factor of the scales that let several Gaussians in one place look like the one
-    before  [K, eq. 9].
+    """Opacity and scale factor of n copies that together render like the original  [K, eq. 9].
 
-    (1 - o_new)^n = 1 - o,  and the light on a line through the middle stays:
+    (1 - o_new)^n = 1 - o, and the integral of alpha along a line through the centre is conserved:
     o integral exp(-x^2) dx = factor * integral (1 - (1 - o_new exp(-x^2))^n) dx
-    which is the paper's sum in closed form.
+    (the paper's sum in closed form).
 
     Args:
-        opacities: (N,) before, 0..1.
-        copies: (N,) how many there will be.
+        opacities: (N,) o, of the original, 0..1.
+        copies: (N,) n, the original counted.
 
     Returns:
-        (N,) and (N,).
+        o_new (N,) and factor (N,).
     """
     old, n = opacities.double().clamp(max=1.0 - 1e-6), copies.double().clamp(max=MAX_COPIES)
     new = -torch.expm1(torch.log1p(-old) / n)
@@ -97,14 +90,12 @@ def relocation(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _sample(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
-    """(count,) numbers drawn in proportion to the weights, with repetition."""
+    """(count,) indices sampled in proportion to the weights, with replacement."""
     return torch.multinomial(weights, count, replacement=True, generator=generator)
 
 
 def _relocate(state: TrainState, sources: Tensor, targets: Tensor) -> None:
-    """Put a copy of each source at its target; a source and its copies share its look; Adam forgets
-    them.
-    """
+    """Copy each source to its target with shared opacity, and reset Adam's moments of both."""
     values = state.values
     copies = 1 + torch.bincount(sources, minlength=len(values["means"]))
     opacities, factors = relocation(torch.sigmoid(values["logits"][sources]), copies[sources])

@@ -1,6 +1,4 @@
-"""Drawing for training: Gaussians and several poses as torch tensors -> images with gradients, on a
-CPU or a GPU.
-"""
+"""Differentiable rendering for training: Gaussians and poses as torch tensors -> images."""
 
 from collections.abc import Callable
 
@@ -23,17 +21,15 @@ def draw_reference(
     background: Tensor,
     antialiased: bool,
 ) -> tuple[Tensor, Tensor]:
-    """Draw with the readable renderer, one pose after the other: for small scenes on a CPU.
+    """Render with the reference renderer, one pose after the other: for small scenes on a CPU.
 
     Args:
-        gaussians: the scene.
-        camera: the intrinsics and the image's size.
-        Ts_world_camera: (C, 4, 4) poses.
+        Ts_world_camera: (C, 4, 4).
         background: (3,) red, green, blue.
-        antialiased: fade what is smaller than a pixel.
+        antialiased: scale the opacity of splats smaller than a pixel.
 
     Returns:
-        Colour (C, H, W, 3), not cut at 1, and alpha (C, H, W).
+        Colour (C, H, W, 3), not clipped at 1, and alpha (C, H, W).
     """
     images = [
         render_tensors(gaussians, camera, T, background, antialiased)[:2] for T in Ts_world_camera
@@ -49,9 +45,7 @@ def draw_gsplat(
     background: Tensor,
     antialiased: bool,
 ) -> tuple[Tensor, Tensor]:
-    """`draw_reference` by gsplat's CUDA kernels, all poses at once; equal to rounding, thousands of
-    times faster.
-    """
+    """`draw_reference` by gsplat's CUDA kernels for a batch of poses; equal up to rounding."""
     from gsplat import rasterization
 
     count = len(Ts_world_camera)
@@ -78,12 +72,11 @@ def invert_poses(Ts: Tensor) -> Tensor:
 
 
 def apply_twists(Ts_world_camera: Tensor, twists: Tensor) -> Tensor:
-    """Poses moved by small twists in camera axes: T exp([w x, v; 0, 0])  [Lynch & Park, Modern
-    Robotics, eq. 3.88].
+    """Poses after small twists in camera axes: T exp([w x, v; 0, 0])  [Lynch & Park, eq. 3.88].
 
     Args:
         Ts_world_camera: (C, 4, 4).
-        twists: (C, 6) turn w [rad], then shift v [m].
+        twists: (C, 6) rotation w [rad], then translation v [m].
 
     Returns:
         (C, 4, 4).
@@ -95,10 +88,10 @@ def apply_twists(Ts_world_camera: Tensor, twists: Tensor) -> Tensor:
 
 
 def choose_renderer(backend: str) -> tuple[Draw, str]:
-    """What draws, and on which device.
+    """The renderer of a backend and its device.
 
     Args:
-        backend: "gsplat", "reference", or "auto", which takes gsplat where there is a GPU.
+        backend: "gsplat", "reference", or "auto": gsplat where there is a GPU.
 
     Raises:
         InputError: gsplat cannot run here, or there is no backend of that name.

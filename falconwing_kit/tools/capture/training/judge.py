@@ -1,6 +1,4 @@
-"""Judging a scene: renders and photos -> PSNR and SSIM of each photo, as they are and after honest
-corrections.
-"""
+"""Image metrics: renders and photos -> PSNR and SSIM, also after pose or exposure correction."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,35 +11,33 @@ from falconwing_kit.tools.capture.training.draw import Draw, apply_twists
 from falconwing_kit.tools.capture.training.photos import Photos
 from falconwing_kit.vision.ssim import ssim
 
-POSE_RATE = 1e-3  # of a photo's pose against the finished scene; [m], and what turns that far
+POSE_RATE = 1e-3  # learning rate of a photo's pose [m, and the rotation of that displacement]
 RenderPoses = Callable[[Tensor], Tensor]  # poses (C, 4, 4) -> colours (C, H, W, 3)
 
 
 def psnr(first: Tensor, second: Tensor) -> Tensor:
-    """-10 log10 of the mean square error of colours 0..1, for each of (C, H, W, 3) [dB]; 100 where
-    they are equal.
-    """
+    """Peak signal-to-noise ratio of (C, H, W, 3) colours 0..1: -10 log10 MSE [dB], at most 100."""
     return -10.0 * torch.log10(((first - second) ** 2).mean(dim=(1, 2, 3)).clamp(min=1e-10))
 
 
 @torch.no_grad()
-def evaluate(look: RenderPoses, photos: Photos, poses: Tensor | None = None) -> dict[str, Any]:
-    """Compare renders with photos, in bytes as a screen shows them.
+def evaluate(
+    render_poses: RenderPoses, photos: Photos, poses: Tensor | None = None
+) -> dict[str, Any]:
+    """Compare renders with photos, both quantised to 8 bits.
 
     Args:
-        look: draws poses.
-        photos: the truth.
-        poses: (P, 4, 4) to draw instead of the photos' own.
+        photos: the reference images.
+        poses: (P, 4, 4) to render instead of the photos' own.
 
     Returns:
-        psnr_db (mean), psnr_worst_db, ssim (mean); the same after gain and offset of each colour
-        were fitted to each photo, under "after_exposure"; and "photos", a list with the figures of
-        each.
+        psnr_db (mean), psnr_worst_db, ssim (mean); the same after fitting gain and offset of each
+        colour to each photo, under "after_exposure"; and "photos", the figures of each.
     """
     rows = []
     poses = photos.Ts_world_camera if poses is None else poses
     for number, name in enumerate(photos.names):
-        drawn = quantise_8bit(look(poses[number : number + 1]))
+        drawn = quantise_8bit(render_poses(poses[number : number + 1]))
         target = photos.targets(torch.tensor([number], device=poses.device), poses.new_zeros(3))[0]
         drawn = torch.where(photos.inside[..., None], drawn, target)
         fitted = quantise_8bit(_match_exposure(drawn, target))
@@ -62,7 +58,7 @@ def evaluate(look: RenderPoses, photos: Photos, poses: Tensor | None = None) -> 
 def summarise_photos(
     rows: Sequence[dict[str, Any]], psnr_name: str, ssim_name: str
 ) -> dict[str, float]:
-    """Mean and worst of the figures of photos."""
+    """Mean and worst figures over the photos."""
     values = [row[psnr_name] for row in rows]
     structure = [row[ssim_name] for row in rows]
     mean = {"psnr_db": sum(values) / len(rows), "ssim": sum(structure) / len(rows)}
@@ -70,7 +66,7 @@ def summarise_photos(
 
 
 def quantise_8bit(colours: Tensor) -> Tensor:
-    """Colours as a screen shows them: cut to 0..1 and in 255 steps."""
+    """Colours clipped to 0..1 and rounded to 8 bits."""
     return (colours.clamp(0.0, 1.0) * 255.0).round() / 255.0
 
 
@@ -82,16 +78,12 @@ def refine_photo_poses(
     extent: float,
     steps: int,
 ) -> Tensor:
-    """The poses from which a finished scene looks most like the photos, searched for near the
-    photos' own.
+    """Poses that best match a fixed scene, optimised from the photos' own.
 
-    What this improves is the fault of the poses, not of the scene; report it beside the plain
+    The improvement measures errors of the poses, not of the scene: report it beside the plain
     figures, never instead.
 
     Args:
-        gaussians: the scene, which stays as it is.
-        photos: whose poses to refine.
-        draw: the renderer.
         antialiased: as the scene was trained.
         extent: of the scene [m].
         steps: of Adam.
@@ -137,7 +129,7 @@ def _mean_ssim(first: Tensor, second: Tensor) -> float:
 
 
 def _match_exposure(drawn: Tensor, target: Tensor) -> Tensor:
-    """The render with the gain and offset of each colour that fit the photo best, by least squares."""
+    """The render after the gain and offset of each colour that fit the photo, by least squares."""
     mean_drawn, mean_target = (
         drawn.mean(dim=(1, 2), keepdim=True),
         target.mean(dim=(1, 2), keepdim=True),

@@ -1,5 +1,4 @@
-"""The training loop: a state, photos and a way to draw -> a state whose renders look like the
-photos.
+"""Training loop: initial state, photos and a renderer -> state whose renders match the photos.
 
 [3] Kerbl et al. 2023, 3D Gaussian Splatting; [K] Kheradmand et al. 2024, 3DGS as Markov Chain Monte
 Carlo; [P] Park et al. 2025, DropGaussian.
@@ -22,8 +21,7 @@ from falconwing_kit.tools.capture.training.photos import Photos
 from falconwing_kit.tools.capture.training.state import TrainState
 from falconwing_kit.vision.ssim import C1, C2, RADIUS_PX, SIGMA_PX
 
-# Learning rates of 3D Gaussian Splatting; places are in extents of the scene, photos' rows per
-# photo.
+# learning rates of 3D Gaussian Splatting; that of the means is in extents of the scene
 RATES = {
     **{
         "means": 1.6e-4,
@@ -35,28 +33,20 @@ RATES = {
     },
     **{"exposures": 1e-3, "twists": 1e-5},
 }
-MEANS_DECAY, OTHERS_DECAY = (
-    0.01,
-    0.1,
-)  # to this part of the rate at the end; others only over the last third
-FULL_SH_FROM = 0.03  # progress at which colours begin to depend on the direction
-SHORT_STEPS = 3000  # steps; a shorter training takes larger ones
-GROW_FROM, GROW_UNTIL = (
-    0.015,
-    0.83,
-)  # progress between which Gaussians are added and moved [K: 500 to 25,000 of 30,000]
-DENSIFY_COUNT = 300  # how often they are, over the whole training [K: every 100 of 30,000 steps]
-REGULARISATION = {
-    "exposures": 1.0,
-    "twists": 100.0,
-}  # weights of their squares: what nothing asks for stays 0
+MEANS_DECAY, OTHERS_DECAY = 0.01, 0.1  # final share of the rate; others over the last third only
+FULL_SH_FROM = 0.03  # progress from which colours depend on the direction
+SHORT_STEPS = 3000  # steps; a shorter training has larger learning rates
+# progress between which Gaussians are added and relocated [K: 500 to 25,000 of 30,000 steps]
+GROW_FROM, GROW_UNTIL = 0.015, 0.83
+DENSIFY_COUNT = 300  # densifications over the whole training [K: every 100 of 30,000 steps]
+REGULARISATION = {"exposures": 1.0, "twists": 100.0}  # weights of the mean squares
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """What a training aims at."""
+    """Configuration of the training loop."""
 
-    gaussians: int  # the largest number of Gaussians
+    gaussians: int  # maximum number
     steps: int
     batch: int  # photos a step
     sh_degree: int
@@ -66,10 +56,10 @@ class TrainConfig:
     ssim_weight: float  # of 1 - SSIM against the mean absolute error [3: 0.2]
     opacity_cost: float  # [K: 0.01]
     scale_cost: float  # [K: 0.01]
-    largest: float  # standard deviation that a Gaussian may have [m]; 0: any
-    dropout: float  # part of the Gaussians left out of a step at the end [P: 0.2]
-    seconds: float  # all must be done by then; the end comes earlier, but smoothly
-    low: Array  # (3,) corners of the box that the scene stays in [m]
+    largest: float  # maximum standard deviation of a Gaussian [m]; 0: unlimited
+    dropout: float  # share of the Gaussians dropped at the end [P: 0.2]
+    seconds: float  # time limit; the schedule is shortened to end within it
+    low: Array  # (3,) corners of the scene's bounding box [m]
     high: Array
     extent: float  # size of the space the photos were taken from [m]
     seed: int
@@ -86,19 +76,14 @@ def train(
 ) -> TrainState:
     """Train until the steps are done or the time is up.
 
-    Each step draws its random numbers from the seed and its own number, so that a training that was
-    interrupted goes on as if it had not been.
+    The random numbers of a step depend on the seed and the step's number only, so a resumed
+    training gives the same result as one without interruption.
 
     Args:
-        state: to begin or to go on with; changed in place.
-        photos: to learn from.
+        state: initial or loaded; changed in place.
         draw: the renderer.
-        goal: what to do.
-        keep: called now and then with a state that is worth keeping.
-        tell: called with the state and the last loss after each twentieth of the way.
-
-    Returns:
-        The state at the end.
+        save_state: called after each tenth of the steps, for checkpoints.
+        log: called with the state and the last loss after each twentieth of the steps.
 
     Raises:
         InputError: the GPU's memory does not suffice.
@@ -115,7 +100,8 @@ def train(
                 save_state(state)
     except torch.cuda.OutOfMemoryError:
         raise InputError(
-            f"GPU memory: expected room for {len(state.values['means'])} Gaussians and {config.batch} photos a step, got too "
+            f"GPU memory: expected room for {len(state.values['means'])} Gaussians and "
+            f"{config.batch} photos a step, got too "
             "little; give a smaller --batch, --width or --gaussians"
         ) from None
     save_state(state)
@@ -125,14 +111,11 @@ def train(
 def train_step(
     state: TrainState, photos: Photos, draw: Draw, config: TrainConfig, progress: float
 ) -> Tensor:
-    """Draw some photos, compare, move every number a little, and now and then grow.
+    """One optimisation step: render a batch, compare with the photos, update all parameters.
 
     Args:
         state: changed in place.
-        photos: to learn from.
-        draw: the renderer.
-        goal: what to do.
-        progress: 0..1, sets the learning rates and what may happen.
+        progress: 0..1, sets the learning rates and when Gaussians are added.
 
     Returns:
         The loss before the step.
@@ -140,6 +123,7 @@ def train_step(
     device = state.values["means"].device
     generator = torch.Generator(device).manual_seed(1_000_003 * config.seed + state.step)
     numbers = torch.as_tensor(_batch(state.step, config, len(photos)), device=device)
+    # gradients of the loss with respect to every parameter that is optimised
     names = [
         name for name, learns in _learnable(config).items() if learns and state.values[name].numel()
     ]
@@ -151,6 +135,7 @@ def train_step(
     )
     for name in names:
         state.values[name] = state.values[name].detach()
+    # Adam, densification, noise, and the limits of position and size
     rates = _rates(config, progress)
     with torch.no_grad():
         state.adam(dict(zip(names, gradients, strict=True)), rates)
@@ -179,28 +164,27 @@ def loss(
     numbers: Tensor,
     generator: torch.Generator,
 ) -> Tensor:
-    """(1 - w) |render - photo| + w (1 - SSIM) [3, eq. 7] + costs of opacity and size [K, eq. 10] +
-    alpha's error.
+    """Training loss of a batch of photos.
 
-    The background is of a random colour: whoever leaves a hole is found out.
+    L = (1 - w) |render - photo| + w (1 - SSIM) [3, eq. 7] + opacity and size costs [K, eq. 10]
+        + alpha error + regularisation of exposures and twists
+
+    L = (1 - w) |render - photo| + w (1 - SSIM)  [3, eq. 7]  + costs of opacity and size  [K, eq.
+    10]
+        + alpha error + regularisation of exposures and twists
+
+    The background has a random colour, so that holes in the scene cost something.
 
     Args:
-        state: the Gaussians and what photos learn.
-        photos: to compare with.
-        draw: the renderer.
-        goal: the weights.
-        progress: 0..1, sets the colours' degree.
+        progress: 0..1, sets the SH degree and the dropout.
         numbers: (C,) which photos.
-        generator: draws the background.
-
-    Returns:
-        A number.
     """
     background = torch.rand(3, generator=generator, device=numbers.device)
     gaussians = state.gaussians(config.sh_degree if progress >= FULL_SH_FROM else 0)
     gaussians = gaussians._replace(
         opacities=drop_gaussians(gaussians.opacities, config.dropout * progress, generator)
     )
+    # render with corrected poses and exposures
     exposures, twists = state.values["exposures"][numbers], state.values["twists"][numbers]
     poses = photos.Ts_world_camera[numbers]
     poses = (
@@ -209,6 +193,7 @@ def loss(
     colours, alphas = draw(gaussians, photos.camera, poses, background, config.antialiased)
     if config.exposures:
         colours = colours * exposures[:, None, None, :3].exp() + exposures[:, None, None, 3:]
+    # compare with the photos; outside the lens's image circle the error is 0
     targets, target_alphas = photos.targets(numbers, background)
     colours = torch.where(photos.inside[..., None], colours, targets)
     total = (1.0 - config.ssim_weight) * (colours - targets).abs().mean()
@@ -228,10 +213,9 @@ def loss(
 
 
 def ssim_batch(first: Tensor, second: Tensor) -> Tensor:
-    """Structural similarity as a part of the loss, of colours 0..1  [Wang et al. 2004, eq. 13].
+    """Differentiable structural similarity of colours 0..1  [Wang et al. 2004, eq. 13].
 
-    Equals the mean of `vision.ssim` over the colours to 1e-5. It is in torch because training
-    needs its gradient; the evaluation of a scene uses `vision.ssim`.
+    Equals the mean of `vision.ssim` over the colours to 1e-5; the evaluation of a scene uses that.
 
     Args:
         first: (C, H, W, 3), sides of at least 11 px.
@@ -246,17 +230,17 @@ def ssim_batch(first: Tensor, second: Tensor) -> Tensor:
     maps = down.mT @ (maps @ across)
     mean_x, mean_y, xx, yy, xy = maps.chunk(5, dim=1)
     c1, c2 = C1 / 255.0**2, C2 / 255.0**2
-    alike = (2 * mean_x * mean_y + c1) * (2 * (xy - mean_x * mean_y) + c2)
-    return (alike / ((mean_x**2 + mean_y**2 + c1) * (xx - mean_x**2 + yy - mean_y**2 + c2))).mean(
-        dim=(1, 2, 3)
-    )
+    numerator = (2 * mean_x * mean_y + c1) * (2 * (xy - mean_x * mean_y) + c2)
+    return (
+        numerator / ((mean_x**2 + mean_y**2 + c1) * (xx - mean_x**2 + yy - mean_y**2 + c2))
+    ).mean(dim=(1, 2, 3))
 
 
 @lru_cache(maxsize=4)
 def _window(length: int, device: torch.device, dtype: torch.dtype) -> Tensor:
-    """(length, length - 10) the weighted means along a line as a matrix.
+    """(length, length - 10) matrix of the weighted means along a line.
 
-    A convolution would be shorter, but GPUs round its products to ten bits unless told otherwise.
+    Not a convolution, since GPUs by default round a convolution's products to ten bits (TF32).
     """
     offsets = torch.arange(length)[:, None] - torch.arange(length - 2 * RADIUS_PX) - RADIUS_PX
     weights = torch.where(
@@ -266,18 +250,16 @@ def _window(length: int, device: torch.device, dtype: torch.dtype) -> Tensor:
 
 
 def drop_gaussians(opacities: Tensor, share: float, generator: torch.Generator) -> Tensor:
-    """Opacities with a share of the Gaussians left out, and the others made up for them  [P].
+    """Dropout: opacities with a random share set to 0 and the others scaled up to compensate  [P].
 
-    What only one photo asks for often hangs in the air before it, and hides behind others; when
-    these are missing now and then, it has to be right by itself.
+    Without dropout, floaters that fit a single photo can hide behind other Gaussians.
 
     Args:
         opacities: (N,) 0..1.
-        share: to leave out, below 1.
-        generator: draws which.
+        share: to drop, below 1.
 
     Returns:
-        (N,) the same in the mean.
+        (N,) with the same expected value.
     """
     if share == 0.0:
         return opacities
@@ -286,21 +268,17 @@ def drop_gaussians(opacities: Tensor, share: float, generator: torch.Generator) 
 
 
 def twist_scale(extent: float, like: Tensor) -> Tensor:
-    """(6,) what turns the state's twists into turns [rad] and shifts [m]: shifts are kept in
-    extents of the scene.
-    """
+    """(6,) units of the state's twists: rotations in rad, translations in scene extents [m]."""
     return like.new_tensor([1.0, 1.0, 1.0, extent, extent, extent])
 
 
 def _learnable(config: TrainConfig) -> dict[str, bool]:
-    """Which values learn."""
+    """Which parameters are optimised."""
     return {name: True for name in RATES} | {"exposures": config.exposures, "twists": config.poses}
 
 
 def _rates(config: TrainConfig, progress: float) -> dict[str, float]:
-    """Learning rates; more photos a step allow larger ones, by the root [Malladi et al. 2022,
-    scaling rule of Adam].
-    """
+    """Learning rates, scaled with the root of the batch size [Malladi et al. 2022, for Adam]."""
     pace = (config.batch * max(1.0, SHORT_STEPS / config.steps)) ** 0.5
     decay = pace * OTHERS_DECAY ** max(0.0, 3.0 * progress - 2.0)
     rates = {name: rate * decay for name, rate in RATES.items()}
@@ -308,7 +286,7 @@ def _rates(config: TrainConfig, progress: float) -> dict[str, float]:
 
 
 def _batch(number: int, config: TrainConfig, photos: int) -> list[int]:
-    """Numbers of the photos of a step: every photo once, in a new order each time round."""
+    """Photo numbers of a step: every photo once per epoch, in a random order."""
     places = range(number * config.batch, (number + 1) * config.batch)
     orders = {
         turn: np.random.default_rng([config.seed, turn]).permutation(photos)

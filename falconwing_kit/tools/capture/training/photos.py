@@ -1,7 +1,6 @@
-"""Photos for training: files, a camera and poses -> images as torch tensors, and which ones are
-held out.
+"""Training photos: image files, camera and poses -> torch tensors, and which are held out.
 
-Photos are read by Pillow alone, so that a bare GPU machine can train.
+Photos are read by Pillow alone, so that training needs no OpenCV.
 """
 
 import json
@@ -21,33 +20,27 @@ from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.tools.capture.photo_files import Reconstruction
 from falconwing_kit.tools.capture.training.settings import FitSettings
 
-PHOTOS_PER_CLUSTER = (
-    4  # how many photos one place of the hall holds on average when some places are held out
-)
-MIN_DISTORTION_PX = (
-    0.25  # distortion at the corner that is worth the sharpness that resampling costs
-)
-KMEANS_ITERATIONS = 50  # of k-means, far more than it takes
+PHOTOS_PER_CLUSTER = 4  # mean size of the clusters of places for the held-out photos
+MIN_DISTORTION_PX = 0.25  # corner distortion below which photos are not resampled
+KMEANS_ITERATIONS = 50
 
 
 @dataclass(frozen=True, eq=False)
 class Photos:
-    """Images of one camera without distortion, and where each was taken."""
+    """Images of one camera without distortion, with their poses."""
 
     names: tuple[str, ...]  # (P,)
     camera: PinholeCamera
-    images: Tensor  # (P, H, W, 3) bytes; where there is alpha, times alpha
-    alphas: (
-        Tensor | None
-    )  # (P, H, W) bytes, how much of each pixel the object covers; None: photos show all there is
-    inside: Tensor  # (H, W) bool, False where the lens left nothing to compare with
+    images: Tensor  # (P, H, W, 3) bytes, premultiplied by alpha
+    alphas: Tensor | None  # (P, H, W) bytes, coverage by the object; None: photos without alpha
+    inside: Tensor  # (H, W) bool, False where undistortion left no image content
     Ts_world_camera: Tensor  # (P, 4, 4) float32, OpenCV axes
 
     def __len__(self) -> int:
         return len(self.names)
 
     def chosen(self, numbers: Sequence[int] | NDArray[Any]) -> "Photos":
-        """The photos of some numbers, in that order."""
+        """A subset of the photos, in the order of `numbers`."""
         rows = torch.as_tensor(np.asarray(numbers, dtype=np.int64), device=self.images.device)
         alphas = None if self.alphas is None else self.alphas[rows]
         names = tuple(self.names[int(number)] for number in numbers)
@@ -60,7 +53,7 @@ class Photos:
         )
 
     def targets(self, numbers: Tensor, background: Tensor) -> tuple[Tensor, Tensor | None]:
-        """What a render in front of a background should look like.
+        """Target images of a render in front of a background.
 
         Args:
             numbers: (C,) of photos.
@@ -79,18 +72,16 @@ class Photos:
 def load_photos(
     source: Reconstruction, width: int = 0, device: str = "cpu", with_alpha: bool = False
 ) -> Photos:
-    """Read photos, make them smaller if wished, and take the lens's distortion out where it can be
-    seen.
+    """Read photos, scale them, and undistort them where the distortion is visible.
 
     Args:
-        source: the photos, their camera and poses.
-        width: [px] of the images to train on; 0 leaves them as they are.
-        device: where the tensors go.
-        with_alpha: expected RGBA images of an object.
+        width: of the training images [px]; 0 keeps the photos' size.
+        device: of the tensors.
+        with_alpha: True for RGBA images of an object.
 
     Raises:
         FileNotFoundError: a photo is missing.
-        InputError: a photo cannot be read, has another size, or no alpha where it is wanted; or
+        InputError: a photo cannot be read, has another size, or lacks alpha where required; or
             width is too small.
     """
     small, k1 = scale_camera(source.camera, width), source.k1
@@ -132,23 +123,20 @@ def scale_camera(camera: PinholeCamera, width: int) -> PinholeCamera:
 
 
 def hold_out_places(places: Array, share: float, seed: int = 0) -> NDArray[np.bool_]:
-    """Choose photos to judge by: whole neighbourhoods of places, so that none has a twin among
-    those trained on.
+    """Choose held-out photos as whole clusters of places, so that none has a near twin in training.
 
-    Places are grouped by k-means, four photos a group on average; groups are then drawn until they
-    hold the share.
+    Places are clustered by k-means; random clusters are held out until they reach the share.
 
     Args:
-        places: (P, 3) where the photos were taken [m].
+        places: (P, 3) camera positions [m].
         share: of the photos, 0 to 0.5; 0 holds none out.
-        seed: draws the groups.
 
     Returns:
-        (P,) True for the photos held out: at least one and never all, unless the share is 0.
+        (P,) True for held-out photos: at least one and never all, unless the share is 0.
     """
     count, rng = len(places), np.random.default_rng(seed)
     held = np.zeros(count, bool)
-    wanted = min(count - 1, max(1, round(share * count))) if share > 0.0 else 0
+    target = min(count - 1, max(1, round(share * count))) if share > 0.0 else 0
     group = _k_means(
         np.asarray(places, np.float32).astype(np.float64),
         max(2, round(count / PHOTOS_PER_CLUSTER)),
@@ -156,7 +144,7 @@ def hold_out_places(places: Array, share: float, seed: int = 0) -> NDArray[np.bo
     )
     for number in rng.permutation(group.max() + 1):
         size = np.count_nonzero(group == number)
-        if held.sum() + size <= wanted or (not held.any() and size < count and wanted):
+        if held.sum() + size <= target or (not held.any() and size < count and target):
             held |= group == number
     return held
 
@@ -164,19 +152,18 @@ def hold_out_places(places: Array, share: float, seed: int = 0) -> NDArray[np.bo
 def held_out_photos(
     names: Sequence[str], places: Array, settings: FitSettings
 ) -> NDArray[np.bool_]:
-    """The photos to judge by: those that the settings name, in whatever folder they are, or whole
-    places.
+    """The held-out photos: those named in the settings, or whole clusters of places.
 
     Args:
         names: (P,) of all photos.
-        places: (P, 3) where they were taken [m].
+        places: (P, 3) camera positions [m].
         settings: judge_by, or hold_out and seed.
 
     Returns:
-        (P,) True for the photos held out.
+        (P,) True for held-out photos.
 
     Raises:
-        InputError: names are given, and name no photo or so many that fewer than two are left.
+        InputError: judge_by matches no photo, or leaves fewer than two to train on.
     """
     if not settings.judge_by:
         return hold_out_places(places, settings.hold_out, settings.seed)
@@ -184,7 +171,8 @@ def held_out_photos(
     found = np.array([Path(name).name in plain for name in names], bool)
     if not found.any() or found.sum() > len(names) - 2:
         raise InputError(
-            f"names to judge by: expected some of the {len(names)} photos, got {found.sum()} of them"
+            f"names to judge by: expected some of the {len(names)} photos, "
+            f"got {found.sum()} of them"
         )
     return found
 
@@ -211,9 +199,7 @@ def read_photo_names(path: Path) -> tuple[str, ...]:
 
 
 def _k_means(places: Array, groups: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """(P,) the group of each place [Lloyd 1982; first centres after Arthur & Vassilvitskii 2007,
-    k-means++].
-    """
+    """(P,) cluster of each place [Lloyd 1982; k-means++ of Arthur & Vassilvitskii 2007]."""
     centres = places[rng.integers(len(places))][None]
     for _ in range(min(groups, len(places)) - 1):
         far = ((places[:, None] - centres) ** 2).sum(axis=2).min(axis=1)
@@ -237,38 +223,35 @@ def _k_means(places: Array, groups: int, rng: np.random.Generator) -> NDArray[np
 def _read(
     path: Path, camera: PinholeCamera, small: PinholeCamera, with_alpha: bool
 ) -> NDArray[np.uint8]:
-    """One photo (H, W, 3), or (H, W, 4) with its colours times alpha, in the size of the small
-    camera.
-    """
+    """One photo at the small camera's size: (H, W, 3), or (H, W, 4) premultiplied by alpha."""
     from PIL import Image
 
     require_file(path)
     try:
         with Image.open(path) as file:
             has_alpha = "A" in file.getbands()
-            image = file.convert(
-                "RGBa" if with_alpha else "RGB"
-            )  # RGBa: colours times alpha, so that edges stay clean
+            # RGBa: premultiplied by alpha, so that edges keep the object's colour
+            image = file.convert("RGBa" if with_alpha else "RGB")
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
         raise InputError(
-            f"{short_name(path)}: expected a photo, got a damaged or other file; replace or remove it"
+            f"{short_name(path)}: expected a photo, got a damaged or other file; "
+            "replace or remove it"
         ) from None
     if with_alpha and not has_alpha:
         raise InputError(
             f"{short_name(path)}: expected an image with alpha (RGBA), got none; cut the object out"
         )
     if image.size != (camera.width, camera.height):
-        wanted, turned = (
-            f"{camera.width} x {camera.height}",
-            image.size == (camera.height, camera.width),
-        )
+        expected = f"{camera.width} x {camera.height}"
+        rotated = image.size == (camera.height, camera.width)
         hint = (
-            "it was turned; turn it back"
-            if turned
+            "it was rotated; rotate it back"
+            if rotated
             else "the poses belong to another size; reconstruct again"
         )
         raise InputError(
-            f"{short_name(path)}: expected {wanted} px, got {image.size[0]} x {image.size[1]}: {hint}"
+            f"{short_name(path)}: expected {expected} px, got {image.size[0]} x {image.size[1]}: "
+            f"{hint}"
         )
     if (small.width, small.height) != image.size:
         bands = [
@@ -279,9 +262,7 @@ def _read(
 
 
 def _undistort(images: Tensor, camera: PinholeCamera, k1: float) -> tuple[Tensor, Tensor]:
-    """The images (P, H, W, B) as a lens without distortion had taken them, and where (H, W) there
-    was something.
-    """
+    """Undistorted images (P, H, W, B), and the mask (H, W) of pixels with image content."""
     x, y = torch.from_numpy(camera.pixel_rays()[..., :2]).float().unbind(-1)
     factor = 1.0 + k1 * (x * x + y * y)
     u, v = camera.fx * x * factor + camera.cx, camera.fy * y * factor + camera.cy

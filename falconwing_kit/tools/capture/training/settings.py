@@ -1,4 +1,4 @@
-"""Settings of a training: what the caller wishes -> checked numbers. Loads no torch."""
+"""Training settings: the caller's choices -> checked numbers. Loads no torch."""
 
 from dataclasses import dataclass
 
@@ -11,32 +11,29 @@ CAMERAS = "cameras.json"  # the file that makes a folder one of turntable photos
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How to train; the defaults are for a hall and a GPU."""
+    """Training settings; the defaults are for a hall on a GPU."""
 
-    judge_by: tuple[str, ...] = ()  # names of the photos to judge by; empty: drawn by hold_out
-    gaussians: int = 200_000  # the largest number
+    judge_by: tuple[str, ...] = ()  # names of the held-out photos; empty: chosen by hold_out
+    gaussians: int = 200_000  # maximum number
     steps: int = 30_000
     batch: int = 1  # photos a step
     sh_degree: int = 1  # of the colours
-    antialiased: bool = False  # train for renderers that fade what is smaller than a pixel
-    width: int = 0  # of the images to train on [px]; 0 takes the photos as they are
-    hold_out: float = 0.11  # part of the photos to judge by, whole places of them
-    exposures: bool = True  # learn each photo's gain and offset
-    poses: bool = False  # correct the poses of the photos that are trained on
+    antialiased: bool = False  # train for the renderers' antialiased mode
+    width: int = 0  # of the training images [px]; 0 keeps the photos' size
+    hold_out: float = 0.11  # share of held-out photos, as whole clusters of places
+    exposures: bool = True  # optimise each photo's gain and offset
+    poses: bool = False  # optimise the poses of the training photos
     ssim_weight: float = 0.2  # of 1 - SSIM against the mean absolute error
     opacity_cost: float = 0.03
     scale_cost: float = 0.05
-    # standard deviation that a Gaussian may have [m]: larger ones veil a lens beside them; 0: any
+    # maximum standard deviation of a Gaussian [m]; 0: unlimited. Larger ones veil cameras near them
     largest: float = 0.5
-    # part of the Gaussians that steps near the end do without: those left learn to stand alone
-    dropout: float = 0.1
-    minutes: float = 8.0  # of training at most; it ends smoothly before
-    room: tuple[
-        float, ...
-    ] = ()  # x, y, z of the lowest and of the highest corner [m]; empty: from cameras and survey
-    # of finding each held-out photo's pose in the finished scene, for figures of their own and,
+    dropout: float = 0.1  # share of the Gaussians dropped in steps near the end
+    minutes: float = 8.0  # time limit of the training
+    # x, y, z of the room's lowest and highest corner [m]; empty: from cameras and survey
+    room: tuple[float, ...] = ()
+    # optimisation steps of each held-out photo's pose in the finished scene; 0: none
     pose_steps: int = 200
-    # where poses are corrected, to judge another training by; 0 leaves them as they are
     seed: int = 0
     backend: str = "auto"  # gsplat, reference, or auto: gsplat where there is a GPU
 
@@ -58,7 +55,8 @@ class FitSettings:
         corners = np.reshape(self.room, (2, 3)) if len(self.room) == 6 else None
         if self.room and (corners is None or not (corners[0] < corners[1]).all()):
             raise InputError(
-                f"room: expected x,y,z of the lowest and then of the highest corner, got {self.room}"
+                "room: expected x,y,z of the lowest and then of the highest corner, "
+                f"got {self.room}"
             )
 
 

@@ -1,6 +1,4 @@
-"""Making a trained scene ready to ship: Gaussians and a survey -> fewer Gaussians, each with its
-label.
-"""
+"""Post-processing: trained Gaussians and a survey -> pruned and labelled scene."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,25 +20,19 @@ from falconwing_kit.tools.capture.training.judge import RenderPoses, quantise_8b
 from falconwing_kit.tools.capture.training.photos import Photos
 
 LABELS = ("rest", "floor", "pad", "marker")
-MIN_PIXELS = 1.0  # what covers less than this in all photos together is not missed
-FLOOR_HEIGHT = 0.05  # [m] what is lower is floor, or its mirror image below it
+MIN_PIXELS = 1.0  # Gaussians that contribute less than this over all photos are removed
+FLOOR_HEIGHT = 0.05  # [m] Gaussians below are floor, or its reflection
 MARGIN = 0.05  # [m] around the pad
-BORDER = 0.15  # [m] of white around the marker's black square, and how deep its board may be
+BORDER = 0.15  # [m] white border of the marker, and maximum depth of its board
 
 
 def contributions(
     gaussians: GaussianTensors, photos: Photos, draw: Draw, antialiased: bool
 ) -> Tensor:
-    """How many pixels each Gaussian makes up in all photos together.
+    """Sum of each Gaussian's compositing weights over all photos, in pixels.
 
     A render is sum_i w_i c_i, so the gradient of its sum with respect to a Gaussian's colour is the
     sum of its weights.
-
-    Args:
-        gaussians: the scene.
-        photos: from which it is seen.
-        draw: the renderer.
-        antialiased: as the scene was trained.
 
     Returns:
         (N,) [px].
@@ -58,22 +50,19 @@ def contributions(
 
 
 def prune(gaussians: GaussianTensors, pixels: Tensor) -> GaussianTensors:
-    """The Gaussians that make up at least a pixel; all of them where none does."""
+    """The Gaussians that contribute at least MIN_PIXELS; all of them if none does."""
     keep = pixels >= MIN_PIXELS
     keep = keep if bool(keep.any()) else torch.ones_like(keep)
     return GaussianTensors(*(tensor.detach()[keep] for tensor in gaussians))
 
 
 def label_scene(scene: GaussianScene, survey: Survey | None) -> GaussianScene:
-    """The scene with the labels rest, floor, pad and marker, by where the survey says these are.
+    """The scene with the labels rest, floor, pad and marker, by the surveyed places.
 
     Args:
         scene: in the kit's world, floor at z = 0.
-        survey: whose points called marker_corner_... and pad_... span marker and pad; None labels
-            the floor alone.
-
-    Returns:
-        The same Gaussians with labels.
+        survey: its points marker_corner_... and pad_... span marker and pad; None labels the floor
+            alone.
     """
     numbers = np.zeros(len(scene), np.uint8)
     numbers[scene.means[:, 2] < FLOOR_HEIGHT] = LABELS.index("floor")
@@ -85,7 +74,7 @@ def label_scene(scene: GaussianScene, survey: Survey | None) -> GaussianScene:
 
 
 def _in_box(means: NDArray[np.float32], corners: Array, margin: float) -> NDArray[np.bool_]:
-    """(N,) which places lie in the box around corners; a box on the floor reaches down to it."""
+    """(N,) True inside the box around corners; a flat box on the floor extends below it."""
     low, high = corners.min(axis=0) - margin, corners.max(axis=0) + margin
     low[2] = min(low[2], -margin) if np.ptp(corners[:, 2]) < 1e-6 else low[2]
     return np.asarray(((means >= low) & (means <= high)).all(axis=1))
@@ -95,12 +84,11 @@ def _in_box(means: NDArray[np.float32], corners: Array, margin: float) -> NDArra
 def write_pairs(
     folder: Path, render_poses: RenderPoses, photos: Photos, names: Sequence[str]
 ) -> None:
-    """Write photo and render side by side, for a person to look at.
+    """Write photo and render side by side, for visual inspection.
 
     Args:
-        folder: made where it is missing; gets one PNG a photo.
-        look: draws poses.
-        photos: the truth.
+        folder: created if missing; one PNG per photo.
+        photos: the reference images.
         names: of the photos to write.
 
     Raises:

@@ -1,6 +1,4 @@
-"""The state of a training: initial points -> numbers that learn, with Adam's memory, kept in a file
-between runs.
-"""
+"""Training state: initial points -> parameters and Adam's moments, kept in a checkpoint file."""
 
 import math
 from dataclasses import dataclass
@@ -17,26 +15,19 @@ from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.ply import SH_C0
 from falconwing_kit.scene.reference import GaussianTensors
 
-GAUSSIAN_PARAMETERS = (
-    "means",
-    "quaternions",
-    "log_scales",
-    "logits",
-    "dc",
-    "rest",
-)  # a row for each Gaussian
-PHOTO_PARAMETERS = (
-    "exposures",
-    "twists",
-)  # a row for each photo: log gains, offsets of red, green, blue; turn [rad], shift [extents]
-INITIAL_OPACITY, INITIAL_SCALE = 0.5, 0.3  # the scale is in distances to the neighbours
+# one row per Gaussian
+GAUSSIAN_PARAMETERS = ("means", "quaternions", "log_scales", "logits", "dc", "rest")
+# one row per photo: log gains and offsets of red, green, blue; rotation [rad], translation
+# [extents]
+PHOTO_PARAMETERS = ("exposures", "twists")
+INITIAL_OPACITY, INITIAL_SCALE = 0.5, 0.3  # scale in mean distances to the neighbours
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15  # Adam's, as in 3D Gaussian Splatting
 CHUNK = 1024
 
 
 @dataclass
 class TrainState:
-    """Everything that a training changes, so that it can go on after an interruption."""
+    """Everything that a training changes, so that it can be resumed."""
 
     values: dict[str, Tensor]  # GAUSSIAN and PHOTO by name
     first: dict[str, Tensor]  # Adam's mean of the gradients
@@ -45,7 +36,7 @@ class TrainState:
     seconds: float = 0.0  # spent so far
 
     def gaussians(self, sh_degree: int) -> GaussianTensors:
-        """The Gaussians as the renderers want them, colours up to a degree."""
+        """The Gaussians as renderer input, with colours up to a SH degree."""
         values, count = self.values, (sh_degree + 1) ** 2
         sh = torch.cat([values["dc"][:, None], values["rest"][:, : count - 1]], dim=1)
         opacities = torch.sigmoid(values["logits"])
@@ -57,26 +48,26 @@ class TrainState:
         """One step of Adam [Kingma & Ba 2015, algorithm 1], in place.
 
         Args:
-            gradients: by name; None where a value had no part in the picture.
+            gradients: by name; None where a parameter did not affect the loss.
             rates: learning rates by name.
         """
-        turns = self.step + 1
-        shrink = math.sqrt(1.0 - BETA2**turns) / (1.0 - BETA1**turns)
+        steps = self.step + 1
+        bias_correction = math.sqrt(1.0 - BETA2**steps) / (1.0 - BETA1**steps)
         for name, gradient in gradients.items():
             if gradient is None:
                 continue
             first = self.first[name].lerp_(gradient, 1.0 - BETA1)
             second = self.second[name].mul_(BETA2).addcmul_(gradient, gradient, value=1.0 - BETA2)
             self.values[name].addcdiv_(
-                first, second.sqrt().add_(EPSILON), value=-rates[name] * shrink
+                first, second.sqrt().add_(EPSILON), value=-rates[name] * bias_correction
             )
 
     def save(self, path: Path, settings: str) -> None:
-        """Write the state whole or not at all.
+        """Write a checkpoint, complete or not at all.
 
         Args:
             path: an .npz.
-            settings: what the training was told; only the same may go on with it.
+            settings: of the training as text; only a training with the same text may resume.
         """
         sets = {"values": self.values, "first": self.first, "second": self.second}
         arrays = {
@@ -89,7 +80,7 @@ class TrainState:
 
     @classmethod
     def load(cls, path: Path, settings: str, device: str) -> "TrainState":
-        """Read a state that was kept.
+        """Read a checkpoint.
 
         Raises:
             InputError: the file is damaged, or belongs to a training with other settings.
@@ -104,11 +95,13 @@ class TrainState:
                 step, seconds = int(arrays["step"]), float(arrays["seconds"])
         except Exception:  # NumPy fails in many ways on a damaged file
             raise InputError(
-                f"{short_name(path)}: expected an interrupted training, got a damaged file; delete it"
+                f"{short_name(path)}: expected an interrupted training, got a damaged file; "
+                "delete it"
             ) from None
         if not same:
             raise InputError(
-                f"{short_name(path)}: expected the photos and settings of the interrupted training, got others; give "
+                f"{short_name(path)}: expected the photos and settings of the interrupted "
+                "training, got others; give "
                 "those, delete the file, or choose another --out"
             )
         return cls(**sets, step=step, seconds=seconds)
@@ -117,14 +110,13 @@ class TrainState:
 def initialise(
     points: Array, colours: NDArray[np.uint8], photos: int, sh_degree: int, device: str
 ) -> TrainState:
-    """A state of round Gaussians at points, sized by the gaps to their neighbours.
+    """Initial state: isotropic Gaussians at points, sized by the distance to their neighbours.
 
     Args:
         points: (N, 3) world [m], at least 4.
         colours: (N, 3) red, green, blue.
-        photos: how many there are.
-        sh_degree: of the colours.
-        device: where the tensors go.
+        photos: their number.
+        device: of the tensors.
 
     Raises:
         InputError: there are fewer than 4 points.
@@ -157,16 +149,16 @@ def initialise(
 
 def neighbour_distances(means: Tensor) -> Tensor:
     """(N,) mean distance to the three nearest neighbours [m], at least a millimetre."""
-    wanted = min(4, len(means))
+    nearest = min(4, len(means))  # the point itself and three neighbours
     near = [
-        torch.cdist(part, means).topk(wanted, largest=False).values[:, 1:]
+        torch.cdist(part, means).topk(nearest, largest=False).values[:, 1:]
         for part in means.split(CHUNK)
     ]
     return torch.cat(near).mean(dim=1).clamp(min=1e-3)
 
 
 def to_scene(gaussians: GaussianTensors, source: str) -> GaussianScene:
-    """The Gaussians as a scene; those with a number that is not finite are left out."""
+    """The Gaussians as a scene, without those that are not finite."""
     arrays = [tensor.detach().cpu().numpy() for tensor in gaussians]
     good = np.all(
         [np.isfinite(array).reshape(len(array), -1).all(axis=1) for array in arrays], axis=0

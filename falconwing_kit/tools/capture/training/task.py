@@ -1,6 +1,4 @@
-"""A training from first points to files: photos, points, settings -> a scene that ships, its
-figures and pictures.
-"""
+"""Scene training: photos, initial points and settings -> scene file, figures and pictures."""
 
 import json
 import time
@@ -37,7 +35,7 @@ from falconwing_kit.tools.capture.training.ship import (
 from falconwing_kit.tools.capture.training.state import TrainState, initialise, to_scene
 from falconwing_kit.tools.capture.training.turntable import aircraft_points
 
-MAX_PAIRS = 6  # pairs of photo and render that are written: the worst, the best, and some between
+MAX_PAIRS = 6  # photo and render pairs that are written, from the worst to the best
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +49,7 @@ class TrainingResult:
 
 @dataclass(frozen=True, eq=False)
 class SceneTrainer:
-    """One training from its first points to its files."""
+    """One training, from initial points to files."""
 
     photos: Photos
     draw: Draw
@@ -65,47 +63,48 @@ class SceneTrainer:
 
     @cached_property
     def split(self) -> tuple[Photos, Photos]:
-        """The photos to train on and those to judge by; where none are held out, the same."""
+        """Training photos and held-out photos; both are all photos where none are held out."""
         places = self.photos.Ts_world_camera[:, :3, 3].cpu().numpy()
         held = held_out_photos(self.photos.names, places, self.settings)
         if len(self.photos) - held.sum() < 2:
             raise InputError(
-                f"photos: expected at least 3, one of them to judge by, got {len(self.photos)}; take more"
+                f"photos: expected at least 3, one of them held out, got {len(self.photos)}; "
+                "take more"
             )
         learn = self.photos.chosen(np.flatnonzero(~held))
         return learn, (self.photos.chosen(np.flatnonzero(held)) if held.any() else learn)
 
     @property
-    def goal(self) -> TrainConfig:
-        """What the loop is told."""
-        own = {field.name for field in fields(TrainConfig)}
-        settings_text = {
-            name: value for name, value in asdict(self.settings).items() if name in own
-        }
-        box = {"low": self.box[0], "high": self.box[1]}
+    def config(self) -> TrainConfig:
+        """Configuration of the training loop."""
+        shared = {field.name for field in fields(TrainConfig)}
+        values = {name: value for name, value in asdict(self.settings).items() if name in shared}
         return TrainConfig(
-            **settings_text, **box, seconds=60.0 * self.settings.minutes, extent=self.extent
+            **values,
+            low=self.box[0],
+            high=self.box[1],
+            seconds=60.0 * self.settings.minutes,
+            extent=self.extent,
         )
 
     def train(self) -> TrainState:
-        """Begin, or go on where an interrupted training stopped, and train."""
+        """Train, or resume from the checkpoint of an interrupted training."""
         if self.out.exists() and not self.out.is_dir():
             raise InputError(
-                f"{short_name(self.out)}: expected a folder to write to, got a file; choose another name"
+                f"{short_name(self.out)}: expected a folder to write to, got a file; "
+                "choose another name"
             )
         try:
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise write_error(self.out, error) from None
         learn, _ = self.split
-        kept, settings_text = (
-            self.out / "training.npz",
-            json.dumps([asdict(self.settings), self.photos.names]),
-        )
+        checkpoint = self.out / "training.npz"
+        settings_text = json.dumps([asdict(self.settings), self.photos.names])
         device = str(self.photos.images.device)
-        if kept.is_file():
-            state = TrainState.load(kept, settings_text, device)
-            self.say(f"going on at step {state.step} of the training in {short_name(kept)}")
+        if checkpoint.is_file():
+            state = TrainState.load(checkpoint, settings_text, device)
+            self.say(f"going on at step {state.step} of the training in {short_name(checkpoint)}")
         else:
             state = initialise(
                 self.points, self.colours, len(learn), self.settings.sh_degree, device
@@ -114,24 +113,24 @@ class SceneTrainer:
         def log(state: TrainState, loss: float) -> None:
             count = len(state.values["means"])
             self.say(
-                f"step {state.step}/{self.settings.steps}: loss {loss:.4f}, {count} Gaussians, {state.seconds:.0f} s"
+                f"step {state.step}/{self.settings.steps}: loss {loss:.4f}, {count} Gaussians, "
+                f"{state.seconds:.0f} s"
             )
 
         return train(
             state,
             learn,
             self.draw,
-            self.goal,
-            save_state=lambda now: now.save(kept, settings_text),
+            self.config,
+            save_state=lambda now: now.save(checkpoint, settings_text),
             log=log,
         )
 
     def corrected_poses(self, state: TrainState) -> Array:
         """(P, 4, 4) of all photos, in their order.
 
-        Those of photos trained on as the training moved them; those held out where they fit the
-        finished scene best, which has learnt nothing from them, unless the settings want no steps
-        for that.
+        Poses of training photos as the training corrected them; poses of held-out photos refined
+        against the finished scene, which was not trained on them (unless `pose_steps` is 0).
         """
         learn, held = self.split
         poses = dict(zip(self.photos.names, self.photos.Ts_world_camera.double(), strict=True))
@@ -151,7 +150,7 @@ class SceneTrainer:
     def ship(
         self, state: TrainState, survey: Survey | None, source: str, label: str = ""
     ) -> TrainingResult:
-        """Prune, label, write, read back, judge what was read, and write the figures."""
+        """Prune and label the scene, write it, evaluate the written file, and write the figures."""
         start, settings = time.monotonic(), self.settings
         learn, held = self.split
         gaussians = state.gaussians(settings.sh_degree)
@@ -185,7 +184,7 @@ class SceneTrainer:
         learn: Photos,
         held: Photos,
     ) -> dict[str, Any]:
-        """All figures; what is fitted to a held-out photo stands under a name that says so."""
+        """All figures; those fitted to held-out photos have names that state it."""
         settings, tensors = self.settings, _tensors(shipped, held)
         drawn = self._renderer(tensors)
         sample = learn.chosen(np.arange(0, len(learn), max(1, len(learn) // 20)))
@@ -211,38 +210,33 @@ class SceneTrainer:
         }
 
     def _renderer(self, gaussians: Any) -> RenderPoses:
-        """Draws a scene's poses with the training's renderer, on black."""
+        """Renders a scene's poses with the training's renderer, on black."""
         black = torch.zeros(3, device=gaussians.means.device)
         camera, antialiased = self.photos.camera, self.settings.antialiased
         return lambda poses: self.draw(gaussians, camera, poses, black, antialiased)[0]
 
     def _evaluate_refined(self, tensors: GaussianTensors, held: Photos) -> dict[str, Any] | None:
-        """The figures after each held-out photo's pose was moved to where it fits best; None where
-        not asked for.
-        """
-        wanted = self.settings.pose_steps > 0
-        return (
-            evaluate(self._renderer(tensors), held, self._refine_poses(tensors, held))
-            if wanted
-            else None
-        )
+        """Figures after refining each held-out photo's pose; None without `pose_steps`."""
+        if self.settings.pose_steps == 0:
+            return None
+        return evaluate(self._renderer(tensors), held, self._refine_poses(tensors, held))
 
     def _refine_poses(self, gaussians: GaussianTensors, photos: Photos) -> Tensor:
-        """(P, 4, 4) poses of photos where they fit a scene best."""
+        """(P, 4, 4) refined poses of photos against a scene."""
         settings = self.settings
         return refine_photo_poses(
             gaussians, photos, self.draw, settings.antialiased, self.extent, settings.pose_steps
         )
 
     def _evaluate_fast(self, shipped: GaussianScene, held: Photos) -> dict[str, Any] | None:
-        """The figures as the kit's fast renderer draws the scene; None where numba is missing."""
+        """Figures of the kit's fast renderer; None where numba is missing."""
         if find_spec("numba") is None:
             return None
         return evaluate(kit_renderer(shipped, held, self.settings.antialiased, "fast"), held)
 
 
 def summary_lines(figures: dict[str, Any]) -> list[str]:
-    """The most telling figures as lines of text."""
+    """The main figures as lines of text."""
     lines = [f"{figures['gaussians']['shipped']} Gaussians, {figures['bytes'] / 1e6:.2f} MB"]
     names = {
         **{"held_out": "held-out photos", "held_out_by_fast": "the same, drawn by fast"},
@@ -269,14 +263,13 @@ def _tensors(scene: GaussianScene, photos: Photos) -> Any:
 def kit_renderer(
     scene: GaussianScene, photos: Photos, antialiased: bool, backend: str
 ) -> RenderPoses:
-    """Draws poses with one of the kit's renderers."""
+    """Renders poses with one of the kit's renderers."""
 
     def render_poses(poses: Any) -> Any:
         frames = []
         for pose in poses.cpu().numpy().astype(np.float64):
-            left, _, right = np.linalg.svd(
-                pose[:3, :3]
-            )  # `render` wants more of a rotation than float32 holds
+            # nearest rotation: `render` requires more digits than float32 has
+            left, _, right = np.linalg.svd(pose[:3, :3])
             pose[:3, :3] = left @ right
             frames.append(render(scene, photos.camera, pose, backend, antialiased=antialiased).rgb)
         return torch.from_numpy(np.stack(frames)).to(photos.images.device)
@@ -285,5 +278,5 @@ def kit_renderer(
 
 
 def _device(photos: Photos) -> str:
-    """What trained, in words."""
+    """Name of the training device."""
     return torch.cuda.get_device_name() if photos.images.is_cuda else "CPU"

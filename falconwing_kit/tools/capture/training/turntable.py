@@ -1,9 +1,9 @@
-"""Turntable photos of an aircraft: RGBA images and cameras.json -> photos in body axes, first
-points, named points.
+"""Turntable photos of an aircraft: RGBA images and cameras.json -> photos and points in body axes.
 
-The photos' frame is x nose, y left, z up with its origin at the wing root; the kit's is the body's,
-x nose, y right wing, z belly with the origin in the centre of gravity:  p_body = diag(1, -1, -1)
-(p_aircraft - centre of gravity)
+The photos' frame "aircraft" is x nose, y left, z up with its origin at the wing root; the kit's
+body frame is x nose, y right wing, z belly with its origin in the centre of gravity:
+
+    p_body = diag(1, -1, -1) (p_aircraft - centre of gravity)
 """
 
 import json
@@ -26,15 +26,9 @@ from falconwing_kit.tools.capture.training.photos import Photos, load_photos
 from falconwing_kit.tools.capture.training.settings import CAMERAS
 
 R_BODY_AIRCRAFT = np.diag([1.0, -1.0, -1.0])
-COVERED, AGREE = (
-    127,
-    0.97,
-)  # alpha of a pixel that shows the aircraft, and the part of the photos that must say so
-TRIES = 400_000  # places that are tried each time
-SOLID, NEAR_END = (
-    0.5,
-    0.006,
-)  # opacity of what counts as the aircraft; how far from its end a tip reaches [m]
+COVERED, AGREE = 127, 0.97  # alpha of the aircraft's pixels; share of photos that must show it
+TRIES = 400_000  # random places per round
+SOLID, NEAR_END = 0.5, 0.006  # least opacity of the aircraft; depth of a tip's end [m]
 
 
 def load_turntable(
@@ -46,8 +40,8 @@ def load_turntable(
         folder: holds cameras.json (fx, fy, cx, cy, width, height; frames: file ->
             T_aircraft_camera) and the photos.
         centre_of_gravity: (3,) in the photos' aircraft frame [m].
-        width: [px] of the images to train on; 0 leaves them as they are.
-        device: where the tensors go.
+        width: of the training images [px]; 0 keeps the photos' size.
+        device: of the tensors.
 
     Raises:
         FileNotFoundError: cameras.json or a photo is missing.
@@ -67,7 +61,8 @@ def load_turntable(
         ) from None
     if not frames:
         raise InputError(
-            f"{short_name(path)}: expected at least one frame, got none; list the photos with their poses"
+            f"{short_name(path)}: expected at least one frame, got none; "
+            "list the photos with their poses"
         )
     centre = require_shape("centre_of_gravity", centre_of_gravity, (3,))
     T_body_aircraft = pose_matrix(R_BODY_AIRCRAFT, -R_BODY_AIRCRAFT @ centre)
@@ -77,26 +72,24 @@ def load_turntable(
 
 
 def _rigid(name: str, pose: Any) -> Array:
-    """A pose of cameras.json, whose six digits leave it a rotation only nearly."""
+    """A pose of cameras.json as an exact rotation; the file's six digits round it."""
     T = require_pose(f"{CAMERAS}: {name}", pose)
     left, _, right = np.linalg.svd(T[:3, :3])
     return pose_matrix(left @ right, T[:3, 3])
 
 
 def hull_points(photos: Photos, count: int, seed: int = 0) -> Array:
-    """Points inside the object: those whose pixel is covered in nearly all photos (the visual
-    hull).
+    """Points of the visual hull: points whose pixel is covered in nearly all photos.
 
     Args:
         photos: with alpha.
-        count: how many to give at most.
-        seed: draws the places that are tried.
+        count: maximum number of points.
 
     Returns:
         (count or fewer, 3) [m].
 
     Raises:
-        InputError: no place is covered in all photos, so poses and photos do not belong together.
+        InputError: no place is covered in all photos: poses and photos do not match.
     """
     rng, centres = (
         np.random.default_rng(seed),
@@ -104,14 +97,13 @@ def hull_points(photos: Photos, count: int, seed: int = 0) -> Array:
     )
     low, high = centres.min(axis=0), centres.max(axis=0)
     inside = np.zeros((0, 3))
-    for _ in range(
-        3
-    ):  # in all the space between the cameras, then ever closer around what was found
+    for _ in range(3):  # between all cameras first, then in the bounding box of the last round
         places = rng.uniform(low, high, (TRIES, 3))
         inside = places[_covered(places, photos)]
         if len(inside) == 0:
             raise InputError(
-                "turntable: expected one object in all photos, found none; do the poses belong to the photos?"
+                "turntable: expected one object in all photos, found none; "
+                "do the poses belong to the photos?"
             )
         margin = 0.02 + 0.1 * (inside.max(axis=0) - inside.min(axis=0))
         low, high = (
@@ -122,7 +114,7 @@ def hull_points(photos: Photos, count: int, seed: int = 0) -> Array:
 
 
 def _covered(places: Array, photos: Photos) -> Array:
-    """(N,) which places nearly all photos show as covered."""
+    """(N,) True for places that at least AGREE of the photos show as covered."""
     assert photos.alphas is not None
     camera, votes = photos.camera, torch.zeros(len(places), device=photos.images.device)
     p_world = torch.tensor(places, dtype=torch.float32, device=votes.device)
@@ -142,10 +134,10 @@ def _covered(places: Array, photos: Photos) -> Array:
 
 
 def aircraft_points(scene: GaussianScene) -> dict[str, Array]:
-    """The ends of an aircraft in body axes: nose, tail and both wing tips.
+    """End points of an aircraft in body axes: nose, tail and both wing tips.
 
-    Each lies where the furthest solid Gaussian ends, a standard deviation beyond its mean, in the
-    middle of those that reach nearly as far.
+    Along its axis each point lies one standard deviation beyond the mean of the furthest solid
+    Gaussian; across, at the mean of the Gaussians that reach within NEAR_END of it.
 
     Args:
         scene: the aircraft, x nose, y right wing, z belly.

@@ -1,3 +1,1 @@
-"""course: what an instructor makes of a class's records: feedback, statistics, likeness, a person's
-points, exports.
-"""
+"""Course: a class's records -> feedback, statistics, similarity, rubric, exports."""

@@ -1,9 +1,8 @@
-"""Feedback: a student's record and public checks -> one page for that student, without a network
-and without colour.
+"""Feedback: a student's record and public check results -> one HTML page for that student.
 
-Of hidden cases it says how many were right and in which way the others failed, never what was asked
-or answered: a student's function could have hidden the question in its answer. What a function said
-is shown for public checks only, which run in boxes of their own that never see a hidden case.
+Of hidden cases it shows how many were right and how the others failed, never questions or answers:
+a student's function could put the question into its answer. Outputs of functions are shown for
+public checks only, which run in separate sandboxes that never see a hidden case.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,10 +15,11 @@ from falconwing_kit.tools.reports.page import write_page
 
 PAGE = Path(__file__).with_name("feedback.html.j2")
 MEANING = {  # of a category in a record
-    "wrong value": "gave an answer of the right form with wrong numbers",
-    "wrong shape": "gave an answer of another shape or kind than asked for",
-    "trial failed": "did not reach what the trial asks for",
-    "bad answer": "gave what is no answer: expected numbers, texts, arrays, or tuples, lists and dicts of them",
+    "wrong value": "returned an answer of the right form with wrong numbers",
+    "wrong shape": "returned an answer of another shape or type than specified",
+    "trial failed": "did not reach the goal of the trial",
+    "bad answer": "returned an unsupported type: expected numbers, texts, arrays, "
+    "or tuples, lists and dicts of them",
     "not written": "is not written yet",
     "missing": "was not found in the notebook",
     "timeout": "took too long",
@@ -30,7 +30,7 @@ MEANING = {  # of a category in a record
 
 
 def result_text(result: Mapping[str, Any]) -> str:
-    """What became of an exercise's hidden cases, in a sentence.
+    """Result of an exercise's hidden cases, in a sentence.
 
     Args:
         result: the exercise's, of a record.
@@ -52,10 +52,9 @@ def write_feedback(
     """Write a student's page.
 
     Args:
-        path: the HTML file.
-        entry: the student's line of the gradebook.
+        path: of the HTML file.
         checks: for each exercise that lost points the outcomes of its public checks (claim, state,
-            hint, what the function said); None where they were not run.
+            hint, output of the function); None where they were not run.
     """
     lab, record = entry.lab, entry.record
     done = record["exercises"]
@@ -86,14 +85,26 @@ def write_feedback(
         if each.name in given
     ]
     write_page(
-        path, PAGE, lab=lab, student=entry.student, summary=_summary(entry), problem=record["problem"],
-        functions=functions, lost=lost, symbols=SYMBOLS, by_person=by_person, comment=entry.person.comment,
-    )  # fmt: skip
+        path,
+        PAGE,
+        lab=lab,
+        student=entry.student,
+        summary=_summary(entry),
+        problem=record["problem"],
+        functions=functions,
+        lost=lost,
+        symbols=SYMBOLS,
+        by_person=by_person,
+        comment=entry.person.comment,
+    )
 
 
 def _summary(entry: GradebookEntry) -> str:
     if entry.machine is None:
-        return f"{entry.student}: this could not be graded yet; ask your instructor."
+        return f"{entry.student}: not graded yet because of an error; ask your instructor."
     if entry.total is None:
-        return f"{entry.student}: {entry.machine:g} points for the functions; a person's points are still to come."
+        return (
+            f"{entry.student}: {entry.machine:g} points for the functions; "
+            "a person's points are still to come."
+        )
     return f"{entry.student}: {entry.total:g} of {entry.of:g} points."

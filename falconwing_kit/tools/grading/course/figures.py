@@ -1,8 +1,7 @@
-"""Figures: a submitted notebook -> the pictures that its cells draw, by running it in a box or as
-they were stored.
+"""Figures: a submitted notebook -> the pictures of its cells, from a sandboxed run or as stored.
 
-The kernel runs inside the box, with the kit and the libraries that students have, without network,
-home, other submissions, solutions or hidden cases. Whatever comes out is only shown to a person.
+The kernel runs in a sandbox with the kit and the students' libraries, without network, home, other
+submissions, solutions or hidden cases. Its output is untrusted and only shown to a person.
 """
 
 import base64
@@ -22,11 +21,11 @@ from typing import Any
 
 import falconwing_kit
 from falconwing_kit.core.files import shipped_path
-from falconwing_kit.tools.grading.course import in_box
+from falconwing_kit.tools.grading.course import notebook_runner
 from falconwing_kit.tools.grading.sandbox import limits, runtime
 
 NEEDED = ("nbclient", "ipykernel", "matplotlib", "numpy")
-PROCESSES, MEMORY, SECONDS = 160, 3 << 30, 400.0  # of a notebook's box: threads counted, bytes, s
+PROCESSES, MEMORY, SECONDS = 160, 3 << 30, 400.0  # limits of a run: with threads, bytes, s
 MAX_OUT, MAX_PNG, MAX_SIDE, MAX_FIGURES = 24 << 20, 2 << 20, 4000, 4  # bytes, bytes, px, per cell
 _PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -34,59 +33,67 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 def run_notebook(
     data: bytes, lab_files: Mapping[Path, str], constants: Mapping[str, float]
 ) -> dict[str, Any] | None:
-    """Run a notebook in a box of its own.
+    """Run a notebook in a sandbox.
 
     Args:
-        data: the notebook's bytes, which may be anything.
-        lab_files: what lies beside it: path on the disk, name in the box.
+        data: the notebook's bytes, untrusted.
+        lab_files: files beside it: path on the disk, name in the sandbox.
         constants: of the course.
 
     Returns:
-        What the notebook became, as far as `figures_in` looks at it; None where it did not run.
+        The executed notebook in the form that `figures_in` reads; None if it did not run.
 
     Raises:
-        InputError: there is no bubblewrap here, or a library is missing.
+        InputError: bubblewrap or a library is missing.
     """
     with tempfile.TemporaryFile() as notebook, tempfile.TemporaryFile() as cohort:
         notebook.write(data)
         cohort.write(json.dumps(dict(constants)).encode())
         for handle in (notebook, cohort):
             handle.seek(0)
-        desk = runtime.DESK
-        files = {notebook.fileno(): desk / "notebook.ipynb", cohort.fileno(): desk / "cohort.json"}
-        own = _libraries() | {path: desk / name for path, name in lab_files.items()}
-        box = runtime.sandbox_command(("numpy",), own, files, Path(in_box.__file__).name)
+        work = runtime.WORK
+        files = {notebook.fileno(): work / "notebook.ipynb", cohort.fileno(): work / "cohort.json"}
+        own = _libraries() | {path: work / name for path, name in lab_files.items()}
+        box = runtime.sandbox_command(("numpy",), own, files, Path(notebook_runner.__file__).name)
         group = limits.make_group(PROCESSES, MEMORY)
         become, out = limits.make_preexec(group, box.staged), subprocess.PIPE
         process = subprocess.Popen(
-            box.words, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL, env={}, preexec_fn=become,
-            pass_fds=tuple(files), start_new_session=True,
-        )  # fmt: skip
+            box.words,
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=subprocess.DEVNULL,
+            env={},
+            preexec_fn=become,
+            pass_fds=tuple(files),
+            start_new_session=True,
+        )
     return _read_reply(process, group)
 
 
 def missing_for_running() -> list[str]:
-    """Libraries without which no notebook runs here."""
+    """Missing libraries without which notebooks cannot run."""
     return [name for name in NEEDED if importlib.util.find_spec(name) is None]
 
 
 def _libraries() -> dict[Path, Path]:
-    """The kit and every folder with libraries that a notebook needs: path outside, path inside."""
+    """The kit and the library folders that a notebook needs: path outside, path inside."""
     kit = Path(falconwing_kit.__file__).resolve().parent
     hardware = shipped_path("hardware/airframe_umx.toml", "install the kit again").parent
     places = dict.fromkeys(
         Path(str(spec.origin)).parents[1] for spec in map(importlib.util.find_spec, NEEDED) if spec
     )
-    own = {place.resolve(): runtime.BOX / f"site{number}" for number, place in enumerate(places)}
-    own |= {kit: runtime.BOX / "kit" / kit.name, hardware: runtime.BOX / "kit" / "hardware"}
-    script = Path(in_box.__file__)
-    return own | {script: runtime.BOX / script.name}
+    own = {
+        place.resolve(): runtime.SANDBOX / f"site{number}" for number, place in enumerate(places)
+    }
+    own |= {kit: runtime.SANDBOX / "kit" / kit.name, hardware: runtime.SANDBOX / "kit" / "hardware"}
+    script = Path(notebook_runner.__file__)
+    return own | {script: runtime.SANDBOX / script.name}
 
 
 def _read_reply(
     process: "subprocess.Popen[bytes]", group: limits.ControlGroup
 ) -> dict[str, Any] | None:
-    """The box's answer, if it is small enough and comes in time; then all that is in the box ends."""
+    """The sandbox's reply within the size and time limits; then all its processes end."""
 
     def end() -> None:
         with suppress(ProcessLookupError, PermissionError):
@@ -95,29 +102,29 @@ def _read_reply(
     watch = threading.Timer(SECONDS, end)
     watch.start()
     try:
-        said = process.stdout.read(MAX_OUT + 1)  # type: ignore[union-attr]
+        reply = process.stdout.read(MAX_OUT + 1)  # type: ignore[union-attr]
     finally:
         watch.cancel()
         end()
         process.communicate()
         group.remove()
-    if len(said) > MAX_OUT:
+    if len(reply) > MAX_OUT:
         return None
     with suppress(ValueError, RecursionError):
-        content = json.loads(said)
+        content = json.loads(reply)
         return content if isinstance(content, dict) else None
     return None
 
 
 def figures_in(content: Any, name: str = "") -> list[str]:
-    """The pictures that a notebook's cells drew.
+    """The pictures of a notebook's cells.
 
     Args:
-        content: a notebook as its JSON says, or what `run_notebook` gives; anything may come.
+        content: a notebook's JSON, or a result of `run_notebook`; untrusted.
         name: of a figure's cell; empty for all cells.
 
     Returns:
-        PNG files in base64, of a size that a browser can show; others are left out.
+        PNG files in base64, limited in size and number.
     """
     cells = content.get("cells") if isinstance(content, dict) else None
     found: list[str] = []
@@ -137,7 +144,7 @@ def figures_in(content: Any, name: str = "") -> list[str]:
 
 
 def _clean_png(text: str) -> str:
-    """The picture in base64 again if it is a PNG that a page can hold; else nothing."""
+    """The picture in base64 again if it is a valid PNG of acceptable size; else empty."""
     if len(text) > 2 * MAX_PNG:
         return ""
     try:

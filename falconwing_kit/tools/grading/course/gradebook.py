@@ -1,8 +1,7 @@
-"""Gradebook: the machine's records and a person's points -> one line per student, for people,
-Gradescope and platforms.
+"""Gradebook: automatic records and manual points -> one entry per student, and exports.
 
-A total stands only where it is final: the submission was graded or is unreadable, and a person gave
-all its points.
+A total exists only when it is final: the submission was graded or is unreadable, and all manual
+points are given.
 """
 
 import csv
@@ -21,16 +20,16 @@ from falconwing_kit.core.files import atomic_write
 from falconwing_kit.tools.grading.lab import Lab, total_points
 from falconwing_kit.tools.grading.records import spreadsheet_cell
 
-COMMENT = "comment"  # the rubric file's column for words to the student
+COMMENT = "comment"  # column of the rubric file for the student
 
 
 @dataclass(frozen=True)
 class ManualGrade:
-    """What a person gave a student.
+    """Points and comment of a person who grades.
 
     Attributes:
-        points: by the criterion's name; those not graded yet are missing.
-        comment: for the student to read.
+        points: by criterion; ungraded ones are missing.
+        comment: for the student.
     """
 
     points: Mapping[str, float] = field(default_factory=dict)
@@ -39,13 +38,12 @@ class ManualGrade:
 
 @dataclass(frozen=True)
 class GradebookEntry:
-    """A student's line.
+    """One student's entry.
 
     Attributes:
-        lab: the lab.
-        student: who.
+        student: name.
         record: the student's last one.
-        person: what a person gave.
+        person: manual points.
     """
 
     lab: Lab
@@ -55,7 +53,7 @@ class GradebookEntry:
 
     @property
     def machine(self) -> float | None:
-        """The machine's points; None where it could not grade."""
+        """Automatic points; None where grading failed."""
         points = self.record["points"]
         return None if points is None else float(points)
 
@@ -69,12 +67,12 @@ class GradebookEntry:
 
     @property
     def of(self) -> float:
-        """Points that there are."""
+        """Maximum points."""
         return total_points(self.lab) + math.fsum(each.points for each in self.lab.rubric)
 
     @property
     def file_name(self) -> str:
-        """A name for the student's files that every system allows and nobody else has."""
+        """A unique file name for the student that is valid on every system."""
         plain = re.sub(r"[^A-Za-z0-9_@+-]+", "_", self.student).strip("_")[:48]
         mark = hashlib.sha256(self.student.encode()).hexdigest()[:6]
         return self.student if plain == self.student else f"{plain or 'student'}-{mark}"
@@ -83,7 +81,7 @@ class GradebookEntry:
 def make_entries(
     lab: Lab, records: Mapping[str, Mapping[str, Any]], rubric: Mapping[str, ManualGrade]
 ) -> list[GradebookEntry]:
-    """A line for each student who has a record, by name."""
+    """An entry for each student with a record, by name."""
     return [
         GradebookEntry(lab, name, records[name], rubric.get(name, ManualGrade()))
         for name in sorted(records)
@@ -91,17 +89,16 @@ def make_entries(
 
 
 def read_rubric(path: Path, lab: Lab, students: Iterable[str]) -> dict[str, ManualGrade]:
-    """What a person gave, from the file that the rubric page saves, or one typed in a spreadsheet.
+    """Manual points from the rubric page's file, or from a spreadsheet.
 
     Args:
         path: a CSV file with the columns `student`, the names of the lab's criteria, and `comment`;
             empty cells are not graded yet, criteria may be missing.
-        lab: the lab.
-        students: who has a record.
+        students: with a record.
 
     Raises:
         FileNotFoundError: there is no such file.
-        InputError: a column, a student or a number in it cannot be meant.
+        InputError: a column, a student or a number is invalid.
     """
     with require_file(path).open(encoding="utf-8-sig", newline="") as handle:
         reader = csv.DictReader(handle)
@@ -109,11 +106,11 @@ def read_rubric(path: Path, lab: Lab, students: Iterable[str]) -> dict[str, Manu
     known = {str(spreadsheet_cell(name)): name for name in students}
     known |= {name: name for name in known.values()}
     names = [each.name for each in lab.rubric]
-    strange = sorted(set(columns) - {"student", COMMENT, *names})
-    if "student" not in columns or strange:
-        wanted = ", ".join(["student", *names, COMMENT])
+    unknown = sorted(set(columns) - {"student", COMMENT, *names})
+    if "student" not in columns or unknown:
+        expected = ", ".join(["student", *names, COMMENT])
         raise InputError(
-            f"{path}: expected the columns {wanted}, got {', '.join(columns) or 'nothing'}"
+            f"{path}: expected the columns {expected}, got {', '.join(columns) or 'nothing'}"
         )
     found: dict[str, ManualGrade] = {}
     for row in rows:
@@ -148,9 +145,7 @@ def _points(where: str, name: str, text: str, most: float) -> float:
 
 
 def write_gradebook(path: Path, lab: Lab, entries: Sequence[GradebookEntry]) -> None:
-    """The whole gradebook as CSV: points of each exercise, of each criterion, and the total where
-    it is final.
-    """
+    """Write the full gradebook as CSV: points of exercises and criteria, and final totals."""
     exercises, criteria = [each.name for each in lab.exercises], [each.name for each in lab.rubric]
     head = [
         "student",
@@ -182,16 +177,14 @@ def write_gradebook(path: Path, lab: Lab, entries: Sequence[GradebookEntry]) -> 
 
 
 def write_platform_csv(path: Path, lab: Lab, entries: Sequence[GradebookEntry]) -> None:
-    """What a learning platform imports: student, final points, and the comment; who has no total
-    yet is left out.
-    """
+    """Write a learning platform's import: student, final points, comment; no incomplete entries."""
     done = [entry for entry in entries if entry.total is not None]
     head = ["student", f"{lab.name} [of {done[0].of if done else 100:g}]", COMMENT]
     write_csv(path, head, [[entry.student, entry.total, entry.person.comment] for entry in done])
 
 
 def write_csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """A table, whole or not at all, in which no text is taken for a formula."""
+    """Write a table, complete or not at all, with texts quoted against formula injection."""
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(head)
@@ -204,7 +197,6 @@ def gradescope_results(entry: GradebookEntry, said: Mapping[str, str]) -> dict[s
     """A student's `results.json`, as Gradescope's autograder reads it.
 
     Args:
-        entry: the student's line.
         said: for each exercise a sentence about its hidden cases.
 
     Returns:
@@ -246,7 +238,7 @@ def _test(name: str, points: float, most: float, output: str) -> dict[str, Any]:
 def write_gradescope(
     folder: Path, entries: Sequence[GradebookEntry], said: Mapping[str, Mapping[str, str]]
 ) -> None:
-    """A folder for each student with its `results.json`; who could not be graded gets none."""
+    """Write `results.json` for each graded student, in a folder each."""
     for entry in entries:
         if entry.machine is None:
             continue

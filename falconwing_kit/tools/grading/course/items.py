@@ -1,6 +1,4 @@
-"""Items: a class's records -> how each exercise did: its mean, who began it, whether it tells
-students apart.
-"""
+"""Item statistics: a class's records -> mean, completion and discrimination of each exercise."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -11,24 +9,23 @@ import numpy as np
 
 from falconwing_kit.tools.grading.lab import Lab
 
-UNTOUCHED = {"not written", "missing"}  # categories of who did not begin
+UNTOUCHED = {"not written", "missing"}  # categories of an exercise that was not begun
 
 
 @dataclass(frozen=True)
 class ItemStatistics:
-    """An exercise, seen over a class.
+    """Statistics of one exercise over a class.
 
     Attributes:
         name: of the exercise.
-        students: how many were graded.
-        mean: share of its points that they got, 0..1; nan without students.
-        full: share of them with all its points.
-        untouched: share of them who did not begin it.
-        discrimination: correlation of its points with the points of all other exercises, -1..1; nan
-            where either is the same for everybody. Near 0 or below: the exercise, or its judge,
-            measures something else than the lab.
-        commonest: in which way most students lost points in it, and how many did; empty if nobody
-            did.
+        students: number of graded students.
+        mean: mean share of its points, 0..1; NaN without students.
+        full: share of students with all its points.
+        untouched: share of students who did not begin it.
+        discrimination: correlation of its points with those of all other exercises, -1..1; NaN if
+            either does not vary. Near 0 or below: the exercise, or its judge, measures something
+            else than the lab.
+        commonest: most frequent category of failure, with the number of students; empty if none.
     """
 
     name: str
@@ -41,11 +38,10 @@ class ItemStatistics:
 
 
 def item_statistics(lab: Lab, records: Sequence[Mapping[str, Any]]) -> list[ItemStatistics]:
-    """How each exercise of a lab did.
+    """Statistics of each exercise of a lab.
 
     Args:
-        lab: the lab.
-        records: each student's last one; only those that were graded count.
+        records: each student's last one; only graded ones count.
 
     Returns:
         One item for each exercise, in the lab's order.
@@ -68,10 +64,15 @@ def item_statistics(lab: Lab, records: Sequence[Mapping[str, Any]]) -> list[Item
         others = points.sum(axis=1) - points[:, number] if results else share
         items.append(
             ItemStatistics(
-                exercise.name, len(results), _mean(share), _mean(share == 1.0), _mean(np.array(untouched)),
-                _correlation(share, others), commonest,
+                exercise.name,
+                len(results),
+                _mean(share),
+                _mean(share == 1.0),
+                _mean(np.array(untouched)),
+                _correlation(share, others),
+                commonest,
             )
-        )  # fmt: skip
+        )
     return items
 
 
@@ -80,7 +81,7 @@ def _mean(values: np.ndarray[Any, Any]) -> float:
 
 
 def _correlation(a: np.ndarray[Any, Any], b: np.ndarray[Any, Any]) -> float:
-    """Pearson's; nan where one of them does not vary."""
+    """Pearson correlation; NaN if either does not vary."""
     if a.size < 3 or np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
         return float("nan")
     return float(np.corrcoef(a, b)[0, 1])

@@ -1,6 +1,4 @@
-"""Looks: a submission -> what people want to see of it: public checks, figures, answers. It gives
-no points.
-"""
+"""Inspection: a submission -> check results, figures, answers and sources to show. No points."""
 
 import hashlib
 import json
@@ -24,24 +22,23 @@ from falconwing_kit.tools.grading.judge import GradingContext
 from falconwing_kit.tools.grading.lab import Course, Lab, course_constants
 from falconwing_kit.tools.grading.notebooks import YOUR_ANSWER
 from falconwing_kit.tools.grading.public_checks import run_checks
-from falconwing_kit.tools.grading.sandbox.box import StudentError
+from falconwing_kit.tools.grading.sandbox.host import StudentError
 from falconwing_kit.tools.grading.submissions import Submission
 
 MAX_ANSWER = 8_000  # characters
-FILES, FOLDER = ("given.py", "checks.py"), "data"  # of a lab, that lie beside a student's notebook
+FILES, FOLDER = ("given.py", "checks.py"), "data"  # files beside a student's notebook
 
 
 @dataclass(frozen=True)
 class ReportContext:
-    """What all submissions of a report have in common.
+    """Common settings of all submissions of a report.
 
     Attributes:
         folder: of the lab.
         salt: the course's; empty for the open course.
-        boxed: whether there is a box that holds; without it nothing of a student's is run.
-        run: run the notebooks for their figures; otherwise take what they have stored.
-        mark: of the lab's files, so that nothing is kept that was seen with others; see
-            `lab_fingerprint`.
+        boxed: whether a safe sandbox is available; without it no student code is run.
+        run: run the notebooks for their figures; otherwise use the stored ones.
+        mark: `lab_fingerprint` of the lab's files; cached results depend on it.
     """
 
     folder: Path
@@ -53,11 +50,11 @@ class ReportContext:
 
 @dataclass(frozen=True)
 class InspectionTask:
-    """One submission to be looked at.
+    """One submission to inspect.
 
     Attributes:
-        submission: whose notebook is where.
-        failed: exercises whose public checks are to be run.
+        submission: the student's notebook.
+        failed: exercises whose public checks to run.
     """
 
     submission: Submission
@@ -69,9 +66,9 @@ class RubricPart:
     """A part of a lab that a person grades.
 
     Attributes:
-        name: of the cell, as the rubric has it.
+        name: of the cell, as in the rubric.
         is_figure: a figure; otherwise an answer.
-        question: the text that stands before it in the notebook; empty for a figure.
+        question: the text before it in the notebook; empty for a figure.
     """
 
     name: str
@@ -80,14 +77,14 @@ class RubricPart:
 
 
 def course_lab(desk: ReportContext) -> tuple[Lab, Mapping[str, float]]:
-    """The lab with the checks of this course, and the course's numbers."""
+    """The lab with the checks of this course, and the course's constants."""
     constants = course_constants(load_checks(desk.folder), desk.salt)
     lab: Lab = load_module(desk.folder, "checks", constants).LAB
     return lab, constants
 
 
 def lab_fingerprint(folder: Path) -> str:
-    """A fingerprint of what students have of a lab."""
+    """A fingerprint of the lab's public files."""
     data = sorted(path for path in (folder / FOLDER).rglob("*") if path.is_file())
     files = [
         path
@@ -100,9 +97,7 @@ def lab_fingerprint(folder: Path) -> str:
 
 
 def rubric_parts(folder: Path) -> list[RubricPart]:
-    """What a person grades of a lab, in the rubric's order, with the questions as students have
-    them.
-    """
+    """The parts that a person grades, in the rubric's order, with the students' questions."""
     cells = read_notebook(notebook_path(folder)).cells if notebook_path(folder).is_file() else ()
     parts = {}
     for number, cell in enumerate(cells):
@@ -118,17 +113,17 @@ def rubric_parts(folder: Path) -> list[RubricPart]:
 
 
 def inspect_submission(work: InspectionTask, desk: ReportContext) -> dict[str, Any]:
-    """Look at one submission.
+    """Inspect one submission.
 
     Args:
-        work: which.
-        desk: where.
+        work: submission and exercises.
+        desk: lab and settings.
 
     Returns:
-        `checks` (for each exercise its outcomes: claim, state, hint, what the function said in this
-        public case), `figures` (for each figure its pictures, and how they came about), `answers`,
-        `sources` (of each function), and `problem` where the notebook cannot be read; plain texts,
-        lists and dicts.
+        `checks` (for each exercise its outcomes: claim, state, hint, output of the function in this
+        public case), `figures` (for each figure its pictures and their source), `answers`,
+        `sources` (of each function), and `problem` if the notebook cannot be read; plain texts,
+        lists, dicts.
 
     Raises:
         InputError: the lab itself cannot be used.
@@ -157,31 +152,29 @@ def inspect_submission(work: InspectionTask, desk: ReportContext) -> dict[str, A
 
 
 def empty_inspection(problem: str) -> dict[str, Any]:
-    """What there is to see of a submission that cannot be looked at."""
+    """The inspection of an unreadable submission."""
     return {"checks": {}, "figures": {}, "answers": {}, "sources": {}, "problem": problem}
 
 
 def sources(notebook: Notebook, lab: Lab) -> dict[str, str]:
-    """The text of each exercise's function, with what it names in the notebook; empty where there
-    is none.
-    """
+    """Source of each exercise's function with its dependencies; empty if missing."""
     return {
         each.name: collect_source(notebook, each.name, lab.packages).text for each in lab.exercises
     }
 
 
 def _checks(
-    bench: GradingContext, notebook: Notebook, names: tuple[str, ...]
+    context: GradingContext, notebook: Notebook, names: tuple[str, ...]
 ) -> dict[str, list[tuple[Any, ...]]]:
-    """The public checks of some exercises, each in a fresh box that never saw a hidden case."""
+    """Public check results of some exercises, each in a fresh sandbox."""
     outcomes = {}
     for name in names:
         exercise, source = (
-            bench.lab.exercise(name),
-            collect_source(notebook, name, bench.lab.packages),
+            context.lab.exercise(name),
+            collect_source(notebook, name, context.lab.packages),
         )
         if source.text:
-            with bench.box(exercise, source.text) as worker:
+            with context.worker(exercise, source.text) as worker:
                 found = run_checks(exercise, worker.call)
         else:
             found = run_checks(exercise, _missing)
@@ -194,7 +187,7 @@ def _missing(*_: Any) -> Any:
 
 
 def _answer(notebook: Notebook, part: RubricPart) -> str:
-    """What a student wrote there; nothing where the cell is as it was handed out."""
+    """A student's answer; empty if the cell is unchanged."""
     texts = [
         cell.text for cell in notebook.cells if cell.role == "answer" and cell.name == part.name
     ]
@@ -204,17 +197,15 @@ def _answer(notebook: Notebook, part: RubricPart) -> str:
 def _figures(
     submission: Submission, data: bytes, desk: ReportContext, parts: list[RubricPart]
 ) -> dict[str, dict[str, Any]]:
-    """The pictures of each figure's cell: those of a fresh run, or where it drew none, those that
-    were stored.
-    """
-    wanted = [part.name for part in parts if part.is_figure]
+    """Pictures of each figure's cell: from a fresh run or, where it drew none, as stored."""
+    names = [part.name for part in parts if part.is_figure]
     ran, stored, kept = None, json.loads(data.decode("utf-8-sig")), "not run"
-    if wanted and desk.run and desk.boxed:
+    if names and desk.run and desk.boxed:
         kept = "stored"
         with _lab_files(desk, submission.student) as files:
             ran = run_notebook(data, files, course_lab(desk)[1])
     figures = {}
-    for name in wanted:
+    for name in names:
         tries = [(figures_in(ran, name), "run"), (figures_in(stored, name), kept)]
         if not any(
             images for images, _ in tries
@@ -227,9 +218,7 @@ def _figures(
 
 @contextmanager
 def _lab_files(desk: ReportContext, student: str) -> Iterator[dict[Path, str]]:
-    """What lies beside this student's notebook; with the student's own files where the lab has
-    such.
-    """
+    """The files beside this student's notebook, individual handouts included."""
     files = {desk.folder / name: name for name in FILES}
     data = desk.folder / FOLDER
     files |= {

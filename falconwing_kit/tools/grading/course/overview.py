@@ -1,4 +1,4 @@
-"""Overview: a class's numbers and likenesses -> one page for the instructor."""
+"""Overview: statistics and similarities of a class -> one page for the instructor."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -26,22 +26,32 @@ def write_overview(
     """Write the page.
 
     Args:
-        path: the HTML file.
-        lab: the lab.
-        entries: the students' lines.
-        items: how each exercise did.
-        pairs: who wrote alike; None where nobody looked, since there were no submissions.
-        sources: their texts.
+        path: of the HTML file.
+        pairs: similarities; None without submissions.
+        sources: texts of the pairs.
     """
     done = [entry for entry in entries if entry.total is not None]
     marked = [entry.machine for entry in entries if entry.machine is not None]
-    mean = f", {sum(marked) / len(marked):.1f} points by the machine in the mean" if marked else ""
-    lead = f"{len(entries)} students{mean}; {len(done)} with a person's points too."
+    mean = f", {sum(marked) / len(marked):.1f} automatic points on average" if marked else ""
+    lead = f"{len(entries)} students{mean}; {len(done)} with manual points too."
     write_page(
-        path, PAGE, lab=lab, lead=lead, items=[_row(each) for each in items], pairs=pairs, sources=sources, shown=SHOWN,
-        looks=[(e.student, e.record["status"], e.record["problem"]) for e in entries if e.record["problem"]],
-        alike=[(each.left, each.right, f"{each.weight:.0f}", each.functions) for each in pairs or ()],
-    )  # fmt: skip
+        path,
+        PAGE,
+        lab=lab,
+        lead=lead,
+        items=[_row(each) for each in items],
+        pairs=pairs,
+        sources=sources,
+        shown=SHOWN,
+        looks=[
+            (e.student, e.record["status"], e.record["problem"])
+            for e in entries
+            if e.record["problem"]
+        ],
+        alike=[
+            (each.left, each.right, f"{each.weight:.0f}", each.functions) for each in pairs or ()
+        ],
+    )
 
 
 def _row(each: ItemStatistics) -> tuple[str, ...]:

@@ -1,9 +1,7 @@
-"""Rubric: what a person grades -> one page with figure and answer side by side, and fields whose
-points go to a file.
+"""Rubric page: figures and answers -> one page with fields for a person's points.
 
-The page needs no server: the browser keeps what is typed, and its button saves points.csv, which
-`falconwing report --rubric points.csv` merges into the gradebook. A student's texts are shown as
-texts, never run.
+The page needs no server: the browser stores the points, and a button saves points.csv, which
+`falconwing report --rubric points.csv` merges into the gradebook. Students' texts are escaped.
 """
 
 import base64
@@ -18,16 +16,16 @@ from falconwing_kit.tools.grading.lab import Lab
 from falconwing_kit.tools.grading.records import spreadsheet_cell
 from falconwing_kit.tools.reports.page import write_page
 
-Looked = Mapping[str, Any]  # what `looks.look` gives
+Looked = Mapping[str, Any]  # a result of `looks.inspect_submission`
 PAGE = Path(__file__).with_name("rubric.html.j2")
 FIGURES = "figures"
 _FROM = {
-    "run": "drawn by running the notebook in the box",
-    "stored": "as stored in the notebook; running it again drew none here",
-    "run, all": "all figures of the notebook, run in the box: the figure's own cell was not found",
-    "stored, all": "all figures stored in the notebook, whose own cell was not found; running it again drew none here",
+    "run": "from a run of the notebook in the sandbox",
+    "stored": "as stored in the notebook; a new run drew no figure here",
+    "run, all": "all figures from a run in the sandbox: the figure's own cell was not found",
+    "stored, all": "all stored figures: the figure's own cell was not found, a new run drew none",
     "not run": "as stored in the notebook, which was not run",
-    "not run, all": "all figures stored in the notebook, which was not run: the figure's own cell was not found",
+    "not run, all": "all stored figures: the figure's own cell was not found, the notebook not run",
     "none": "no figure",
 }
 
@@ -42,11 +40,9 @@ def write_rubric(
     """Write the page, and the figures into a folder beside it.
 
     Args:
-        out: the folder.
-        lab: the lab.
-        parts: what is graded, as `looks.graded_parts` says.
-        entries: the students' lines, with the points that are known already.
-        looked: what was seen of each student's submission.
+        parts: from `looks.rubric_parts`.
+        entries: with the points given already.
+        looked: inspection of each student's submission.
 
     Returns:
         The page's path.
@@ -54,18 +50,26 @@ def write_rubric(
     (out / FIGURES).mkdir(parents=True, exist_ok=True)
     page = out / "rubric.html"
     write_page(
-        page, PAGE, lab=lab, comment=COMMENT, names=[each.name for each in lab.rubric],
+        page,
+        PAGE,
+        lab=lab,
+        comment=COMMENT,
+        names=[each.name for each in lab.rubric],
         key=f"falconwing rubric {lab.name} {out.resolve().name}",
         criteria=list(zip(lab.rubric, parts, strict=True)),
-        students=[_student(out, entry, parts, looked[entry.student]) for entry in entries if entry.student in looked],
-    )  # fmt: skip
+        students=[
+            _student(out, entry, parts, looked[entry.student])
+            for entry in entries
+            if entry.student in looked
+        ],
+    )
     return page
 
 
 def _student(
     out: Path, entry: GradebookEntry, parts: Sequence[RubricPart], seen: Looked
 ) -> dict[str, Any]:
-    """Values of a student's section: figures, answers, and the points given so far."""
+    """The page's data of a student: figures, answers, and known points."""
     return {
         "name": entry.student,
         "cell": spreadsheet_cell(entry.student),
@@ -86,7 +90,7 @@ def _student(
 def _figure(
     out: Path, entry: GradebookEntry, part: RubricPart, seen: Mapping[str, Any] | None
 ) -> tuple[str, list[str], str]:
-    """A figure's name, its pictures as files beside the page, and where they are from."""
+    """A figure's name, its picture files beside the page, and their source."""
     images, source = (seen["images"], seen["from"]) if seen else ([], "none")
     files = []
     for number, image in enumerate(images):

@@ -1,11 +1,9 @@
-"""Likeness: the functions of a class -> which are so alike, in a rare way, that a person should
-read both.
+"""Code similarity: the functions of a class -> pairs with rare structure in common.
 
-Names, numbers and comments are taken out of a function's syntax tree; what is left is cut into
-overlapping pieces, of which winnowing keeps a few (Schleimer, Wilkerson and Aiken, "Winnowing:
-local algorithms for document fingerprinting", SIGMOD 2003). A piece that half of the class has says
-little, one that only two have says much: pieces are weighed by how rare they are. Short functions
-that are right are alike by nature, so this is no proof of anything.
+A function's syntax tree without names, numbers and comments is cut into overlapping pieces
+(k-grams), of which winnowing keeps a few (Schleimer, Wilkerson and Aiken, "Winnowing: local
+algorithms for document fingerprinting", SIGMOD 2003). Pieces are weighted by their rarity in the
+class. Short correct functions are similar by nature, so similarity is not a proof of copying.
 """
 
 import ast
@@ -25,24 +23,24 @@ from falconwing_kit.tools.grading.find import notebook_path
 from falconwing_kit.tools.grading.lab import Lab
 from falconwing_kit.tools.grading.submissions import Submission, find_submissions
 
-PIECE, WINDOW = 12, 4  # tokens in a piece, and in how many neighbouring pieces at least one is kept
-LEAST_PRINTS = 6  # of a function; a shorter one is like many others
-LEAST_SHARE = 0.6  # of the smaller function's weight; below it a pair is not listed
-LISTED = 40  # pairs of people
+PIECE, WINDOW = 12, 4  # tokens of a piece; pieces of a winnowing window
+LEAST_PRINTS = 6  # minimum fingerprints of a compared function
+LEAST_SHARE = 0.6  # minimum common share of the smaller function's weight
+LISTED = 40  # maximum number of listed pairs of people
 Fingerprints = frozenset[int]
 
 
 @dataclass(frozen=True)
 class SimilarPair:
-    """Two functions that a person might read side by side.
+    """Two similar functions.
 
     Attributes:
         exercise: its name.
         left: a student of this class.
         right: another one, one of the earlier class ("before: ..."), or a function of the kit
             ("kit: ...").
-        share: of the smaller function's weight that both have, 0..1.
-        weight: of what both have [bit]; a piece that one of N in the class has weighs log2(N + 1).
+        share: common share of the smaller function's weight, 0..1.
+        weight: common weight [bit]; a piece that one of N in the class has weighs log2(N + 1).
     """
 
     exercise: str
@@ -54,10 +52,10 @@ class SimilarPair:
 
 @dataclass(frozen=True)
 class Similarity:
-    """All that two have in common.
+    """All similar functions of two people.
 
     Attributes:
-        pairs: their functions that are alike, at least one.
+        pairs: at least one.
     """
 
     pairs: tuple[SimilarPair, ...]
@@ -69,29 +67,26 @@ class Similarity:
 
     @property
     def right(self) -> str:
-        """The other one, as in Pair."""
+        """The other one, as in SimilarPair."""
         return self.pairs[0].right
 
     @property
     def weight(self) -> float:
-        """Of all that both have [bit]."""
+        """Total weight of what both have [bit]."""
         return math.fsum(pair.weight for pair in self.pairs)
 
     @property
     def functions(self) -> str:
-        """Which functions, and how alike they are."""
+        """The similar functions with their shares, as text."""
         return ", ".join(f"{pair.exercise} {100.0 * pair.share:.0f} %" for pair in self.pairs)
 
 
 def fingerprints(source: str) -> Fingerprints:
-    """What is kept of a piece of Python.
-
-    Args:
-        source: its text.
+    """Winnowed fingerprints of a piece of Python.
 
     Returns:
-        Numbers; the same for the same structure, whatever names, numbers, comments and layout. None
-        for what is no Python, or too short for a piece.
+        Numbers that depend on the structure only, not on names, numbers, comments or layout. Empty
+        for text that is not Python or shorter than a piece.
     """
     try:
         tree: ast.AST = ast.parse(source)
@@ -107,9 +102,7 @@ def fingerprints(source: str) -> Fingerprints:
 
 
 def _tokens(tree: ast.AST) -> Iterator[str]:
-    """The tree in reading order: kinds of nodes, and the names of attributes that are called or
-    read (np.cross).
-    """
+    """Node kinds in reading order, with the names of attributes (np.cross)."""
     waiting: list[ast.AST] = [tree]
     while waiting:
         node = waiting.pop()
@@ -122,7 +115,8 @@ def _tokens(tree: ast.AST) -> Iterator[str]:
                 for each in ast.iter_child_nodes(node)
                 if not isinstance(each, ast.expr_context)
             ]
-            yield f"{type(node).__name__}{'.' + node.attr if isinstance(node, ast.Attribute) else ''}"
+            attribute = f".{node.attr}" if isinstance(node, ast.Attribute) else ""
+            yield f"{type(node).__name__}{attribute}"
         if isinstance(node, ast.AnnAssign):
             inside = [each for each in (node.target, node.value) if each is not None]
         waiting += reversed(inside)
@@ -142,13 +136,12 @@ def similar_pairs(
     before: Mapping[str, Fingerprints],
     kit: Mapping[str, Fingerprints],
 ) -> list[SimilarPair]:
-    """The pairs of an exercise that are alike.
+    """Similar pairs of one exercise.
 
     Args:
-        exercise: its name.
-        now: the fingerprints of this class, by student.
-        before: those of an earlier class.
-        kit: those of functions that everybody can read, by name.
+        now: fingerprints of this class, by student.
+        before: of an earlier class.
+        kit: of public functions, by name.
 
     Returns:
         Pairs with at least LEAST_SHARE.
@@ -181,9 +174,7 @@ def similar_pairs(
 
 
 def kit_functions(folder: Path | None = None) -> dict[str, str]:
-    """The source of every function of the kit that a student could have copied, by room, file and
-    name.
-    """
+    """Source of every function of the kit, by module path and name."""
     root = folder or Path(falconwing_kit.__file__).parent
     found = {}
     for path in sorted(root.rglob("*.py")):
@@ -198,17 +189,15 @@ def kit_functions(folder: Path | None = None) -> dict[str, str]:
 def compare_class(
     folder: Path, lab: Lab, now: Mapping[str, Mapping[str, str]], before: Path | None = None
 ) -> tuple[list[Similarity], dict[tuple[str, str], str]]:
-    """Compare what a class wrote with each other, with an earlier class, and with what everybody
-    can read.
+    """Compare a class's functions with each other, an earlier class, the kit and the solution.
 
     Args:
-        folder: of the lab, with the published solution in it.
-        lab: the lab.
+        folder: of the lab, with the published solution.
         now: for each student the text of each exercise's function.
-        before: the submissions of an earlier class; None compares with none.
+        before: submissions of an earlier class; None for none.
 
     Returns:
-        Who is alike, the weightiest first, and the texts by exercise and by the pair's names.
+        Similarities by decreasing weight, and the texts by exercise and by the pair's names.
 
     Raises:
         InputError: there are no notebooks at `before`.
@@ -248,7 +237,7 @@ def _earlier(before: Path | None, lab: Lab) -> dict[str, Submission]:
 
 
 def _texts(read: Callable[[], bytes], lab: Lab) -> dict[str, str]:
-    """The functions of a notebook; none where it cannot be read."""
+    """The functions of a notebook; none if it cannot be read."""
     try:
         return sources(parse_notebook(read(), "the notebook"), lab)
     except (InputError, OSError, MemoryError):

@@ -1,1 +1,1 @@
-"""sandbox: a box that runs what a student wrote and cannot be talked into anything else."""
+"""Sandbox: a process in which a student's code runs without network, files or rights."""

@@ -1,9 +1,8 @@
-"""Limits that bind: control groups for a box's processes and memory, and an identity without rights
-for it.
+"""Resource limits of a sandbox: control groups for processes and memory, and dropped privileges.
 
-A limit that a process sets itself (worker.py) does not bind root, so a grader started by root gives
-its rights up before the box is made. Control groups, of either version, are used where this system
-lets us make them.
+Limits that a process sets itself (worker.py) do not bind root, so a grader started by root drops
+its privileges before the sandbox starts. Control groups (version 1 or 2) are used where the system
+permits their creation.
 """
 
 import ctypes
@@ -18,8 +17,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-NOBODY = 54321  # user and group of a box that root starts: nobody's, so that it owns nothing
-STAGE = Path("/tmp")  # in the box's own view of the disk, before it is a box
+NOBODY = 54321  # unused user and group number for sandboxes started by root
+STAGE = Path("/tmp")  # mount point for staged files, in the new process's mount namespace
 _PREFIX = "falconwing-"
 _CLONE_NEWNS, _MS_BIND, _MS_REC, _MS_PRIVATE = 0x20000, 0x1000, 0x4000, 0x40000
 _numbers = itertools.count(1)
@@ -27,21 +26,21 @@ _numbers = itertools.count(1)
 
 @dataclass(frozen=True)
 class ControlGroup:
-    """The control groups of one box.
+    """Control groups of one sandbox.
 
     Attributes:
-        folders: one for each hierarchy that could be used; none where the system forbids it.
+        folders: one for each available hierarchy; empty where the system forbids it.
     """
 
     folders: tuple[Path, ...]
 
     def join(self) -> None:
-        """Put the calling process in, and with it all that it starts."""
+        """Add the calling process, and with it its children."""
         for folder in self.folders:
             (folder / "cgroup.procs").write_text("0")
 
     def members(self) -> set[int]:
-        """The processes in it now."""
+        """Processes in the group."""
         texts = []
         for folder in self.folders:
             with suppress(OSError):
@@ -49,7 +48,7 @@ class ControlGroup:
         return {int(text) for text in texts} - {0}
 
     def out_of_memory(self) -> bool:
-        """Whether the kernel ended a process of it for its memory."""
+        """Whether the kernel killed a process of the group for its memory."""
         for folder, name in itertools.product(
             self.folders, ("memory.oom_control", "memory.events")
         ):
@@ -62,9 +61,7 @@ class ControlGroup:
         return False
 
     def remove(self, seconds: float = 10.0) -> bool:
-        """End every process in it, wait until all are gone, and remove it; whether that came about
-        in time.
-        """
+        """End all processes of the group and remove it; returns whether that succeeded in time."""
         end = time.monotonic() + seconds
         while members := self.members():
             for process in members:
@@ -77,14 +74,14 @@ class ControlGroup:
 
 
 def make_group(processes: int, memory: int) -> ControlGroup:
-    """Make the control groups of a box.
+    """Create the control groups of a sandbox.
 
     Args:
-        processes: processes and threads together.
-        memory: of all of them, with what they write to the box's temporary files [bytes].
+        processes: limit of processes and threads together.
+        memory: limit for all of them, temporary files included [bytes].
 
     Returns:
-        A group with a folder for each controller that this system offers us, which may be none.
+        A group with a folder for each available controller, possibly none.
     """
     name = f"{_PREFIX}{os.getpid()}-{next(_numbers)}"
     limits = {
@@ -109,7 +106,7 @@ def make_group(processes: int, memory: int) -> ControlGroup:
 
 
 def sweep() -> None:
-    """Remove the groups of graders that were killed, with what may still run in them."""
+    """Remove the groups of killed graders, with the processes still in them."""
     for parent, _ in _parents():
         for folder in parent.glob(f"{_PREFIX}*-*"):
             owner = folder.name.removeprefix(_PREFIX).split("-")[0]
@@ -118,13 +115,13 @@ def sweep() -> None:
 
 
 def controllers() -> tuple[str, ...]:
-    """The controllers that bind a box here: of "memory" and "pids"."""
+    """The available controllers, of "memory" and "pids"."""
     return tuple(sorted(name for _, names in _parents() for name in names))
 
 
 @lru_cache(maxsize=1)
 def _parents() -> tuple[tuple[Path, tuple[str, ...]], ...]:
-    """Folders where we may make groups, and the controllers that bind there."""
+    """Folders in which groups can be created, with the controllers available there."""
     found: dict[Path, list[str]] = {}
     for name in ("pids", "memory"):
         place = next((place for place in _places(name) if _may_make(place, name)), None)
@@ -134,7 +131,7 @@ def _parents() -> tuple[tuple[Path, tuple[str, ...]], ...]:
 
 
 def _places(controller: str) -> Iterator[Path]:
-    """Where a controller's groups may be made: under our own group, or at the top."""
+    """Candidate folders for a controller's groups: our own group, and the root."""
     own = {
         line.split(":")[1]: line.split(":", 2)[2].lstrip("/")
         for line in _lines(Path("/proc/self/cgroup"))
@@ -151,9 +148,9 @@ def _places(controller: str) -> Iterator[Path]:
 
 
 def _may_make(parent: Path, controller: str) -> bool:
-    """Try it: whether a group made there has the controller's files."""
+    """Whether a group created there has the controller's files, by a trial."""
     trial = parent / f"{_PREFIX}{os.getpid()}-0"
-    with suppress(OSError):  # version 2 hands a controller down only when told to
+    with suppress(OSError):  # version 2 delegates a controller only on request
         if controller not in (parent / "cgroup.subtree_control").read_text().split():
             (parent / "cgroup.subtree_control").write_text(f"+{controller}")
     try:
@@ -167,14 +164,12 @@ def _may_make(parent: Path, controller: str) -> bool:
 
 
 def make_preexec(group: ControlGroup, staged: Sequence[tuple[Path, Path]]) -> Callable[[], None]:
-    """What a new process does before it turns into a box: join its group, and give root's rights up
-    if it has them.
+    """The function to run in a new process before bubblewrap: join the group, drop privileges.
 
     Args:
         group: its control groups.
-        staged: only for root: files and folders that are put under STAGE, in that process's own
-            view of the disk alone, since without root's rights it might not reach them: path, path
-            under STAGE.
+        staged: only for root: files and folders to bind-mount under STAGE in the process's mount
+            namespace, since it may not reach them without privileges: path, path under STAGE.
     """
     library = ctypes.CDLL(None, use_errno=True)
 
@@ -194,9 +189,8 @@ def make_preexec(group: ControlGroup, staged: Sequence[tuple[Path, Path]]) -> Ca
         if library.unshare(_CLONE_NEWNS) != 0:
             raise OSError(ctypes.get_errno(), "unshare")
         mount(None, "/", None, _MS_REC | _MS_PRIVATE)
-        handles = [
-            os.open(source, os.O_PATH) for source, _ in staged
-        ]  # what STAGE covers stays within reach
+        # opened before STAGE is mounted over, so that files below it stay reachable
+        handles = [os.open(source, os.O_PATH) for source, _ in staged]
         mount("stage", str(STAGE), "tmpfs", 0, "mode=0755,size=1m")
         for handle, (_, target) in zip(handles, staged, strict=True):
             target.mkdir() if stat.S_ISDIR(os.fstat(handle).st_mode) else target.touch()
@@ -217,7 +211,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def _remove(folder: Path) -> bool:
-    """Remove an empty group; the kernel may need a moment to let go of it."""
+    """Remove an empty group, with retries, since the kernel releases it with a delay."""
     for _ in range(200):
         try:
             folder.rmdir()

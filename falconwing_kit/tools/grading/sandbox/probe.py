@@ -1,6 +1,4 @@
-"""Probe: tries to get out of a box in every way a student might -> what it found open. No grading
-with a hole.
-"""
+"""Sandbox probe: known escape attempts -> which ones succeed. Grading requires that none does."""
 
 import os
 import secrets
@@ -13,7 +11,7 @@ from pathlib import Path
 
 import falconwing_kit
 from falconwing_kit.tools.grading.sandbox import limits, runtime
-from falconwing_kit.tools.grading.sandbox.box import (
+from falconwing_kit.tools.grading.sandbox.host import (
     PROCESSES,
     SandboxJob,
     StudentError,
@@ -23,12 +21,12 @@ from falconwing_kit.tools.grading.sandbox.box import (
 
 @dataclass(frozen=True)
 class ProbeResult:
-    """One thing that was tried.
+    """Result of one attempt.
 
     Attributes:
-        name: what.
-        closed: whether the box held.
-        said: what was found, for a person.
+        name: of the attempt.
+        closed: whether it failed.
+        said: description of the result.
     """
 
     name: str
@@ -36,7 +34,7 @@ class ProbeResult:
     said: str
 
 
-# What runs in the box. Each function returns what it could do that it must not, as a text; empty if
+# Runs in the sandbox. Each function returns what succeeded and must not, as a text; empty if
 # nothing.
 _PAYLOAD = """
 import ctypes, os, socket, subprocess, sys, time
@@ -139,7 +137,8 @@ def daemon(token):
     if os.fork() == 0:
         os.setsid()
         if os.fork() == 0:
-            os.execv(sys.executable, [sys.executable, "-S", "-c", "import time; time.sleep(60)", token])
+            words = [sys.executable, "-S", "-c", "import time; time.sleep(60)", token]
+            os.execv(sys.executable, words)
         os._exit(0)
     time.sleep(0.3)
     return ""
@@ -147,11 +146,11 @@ def daemon(token):
 
 
 def probe_sandbox() -> list[ProbeResult]:
-    """Try everything, in boxes like a student's.
+    """Run all attempts, in sandboxes like a student's.
 
     Returns:
-        A finding for each; the box holds if all are closed. Where no box can be made, that is the
-        only finding.
+        One result per attempt; the sandbox is safe if all are closed. If no sandbox can be started,
+        that is the only result.
 
     Raises:
         InputError: bubblewrap is missing.
@@ -163,16 +162,16 @@ def probe_sandbox() -> list[ProbeResult]:
         try:
             return [*_walls(folder), *_bounds(folder), _leftover(folder)]
         except (RuntimeError, OSError) as error:
-            return [ProbeResult("making a box", False, str(error))]
+            return [ProbeResult("starting a sandbox", False, str(error))]
 
 
 def open_holes(findings: list[ProbeResult]) -> list[str]:
-    """Those that are open, as texts."""
+    """The successful attempts, as texts."""
     return [f"{each.name}: {each.said}" for each in findings if not each.closed]
 
 
 def _walls(folder: Path) -> Iterator[ProbeResult]:
-    """What can be seen and written from inside."""
+    """Access from inside: network, files, modules, environment, rights, processes."""
     kit, home = Path(falconwing_kit.__file__).parent, Path.home()
     python = runtime.find_runtime(("numpy",))
     needed = {
@@ -191,8 +190,8 @@ def _walls(folder: Path) -> Iterator[ProbeResult]:
     ]
     places = [
         "/",
-        "/box",
-        "/box/desk",
+        "/sandbox",
+        "/sandbox/work",
         "/usr",
         "/etc",
         "/dev",
@@ -201,7 +200,7 @@ def _walls(folder: Path) -> Iterator[ProbeResult]:
         str(folder),
         str(home),
     ]
-    with _listening() as port, sandbox_worker(_job(folder)) as box:
+    with _listening() as port, sandbox_worker(_job(folder)) as worker:
         for name, what, *arguments in (
             ("network", "network", port),
             (
@@ -221,16 +220,16 @@ def _walls(folder: Path) -> Iterator[ProbeResult]:
             ("rights", "rights"),
             ("other processes", "others"),
         ):
-            found = box.call(what, *arguments)
-            yield ProbeResult(name, found == "", str(found) or "nothing to be had")
-        owner = _owner(box.process)
+            found = worker.call(what, *arguments)
+            yield ProbeResult(name, found == "", str(found) or "no access")
+        owner = _owner(worker.process)
         yield ProbeResult(
             "identity", owner != 0, "root" if owner == 0 else f"user {owner}, without rights"
         )
 
 
 def _bounds(folder: Path) -> Iterator[ProbeResult]:
-    """What can be used up from inside; one box each, since some of them die of it."""
+    """Resource limits, one sandbox per attempt, since some attempts kill it."""
     bound = runtime.TEMPORARY
     for name, what, argument, good in (
         ("disk", "filling", bound, f"ends at {bound >> 20} MiB"),
@@ -238,9 +237,9 @@ def _bounds(folder: Path) -> Iterator[ProbeResult]:
         ("memory", "memory", 512, "ends at the lab's limit"),
         ("time", "endless", None, "ends at the exercise's limit"),
     ):
-        with sandbox_worker(_job(folder)) as box:
+        with sandbox_worker(_job(folder)) as worker:
             try:
-                found = str(box.call(what, *([] if argument is None else [argument])))
+                found = str(worker.call(what, *([] if argument is None else [argument])))
             except StudentError as error:
                 fits = error.category in ("memory", "timeout", "died")
                 found = "" if fits else error.category
@@ -249,15 +248,15 @@ def _bounds(folder: Path) -> Iterator[ProbeResult]:
     yield ProbeResult(
         "control groups",
         True,
-        f"bind {groups}" if groups else "not to be had here; each process is bound alone",
+        f"limit {groups}" if groups else "not available; limits hold per process only",
     )
 
 
 def _leftover(folder: Path) -> ProbeResult:
-    """Whether a process that leaves its parents outlives its box."""
+    """Whether a daemonised process outlives its sandbox."""
     token = secrets.token_hex(16)
-    with sandbox_worker(_job(folder)) as box:
-        box.call("daemon", token)
+    with sandbox_worker(_job(folder)) as worker:
+        worker.call("daemon", token)
         started = _running(token)
     left = _running(token)
     said = (
@@ -275,7 +274,7 @@ def _job(folder: Path) -> SandboxJob:
 
 
 def _running(token: str) -> list[str]:
-    """Processes of this machine with a word in their command line."""
+    """Processes of this machine with a token in their command line."""
     found = []
     for file in Path("/proc").glob("[0-9]*/cmdline"):
         try:
@@ -287,12 +286,12 @@ def _running(token: str) -> list[str]:
 
 
 def _owner(process: int) -> int:
-    """The user that a process belongs to, as this machine counts."""
+    """User number of a process."""
     return os.stat(f"/proc/{process}").st_uid
 
 
 @contextmanager
 def _listening() -> Iterator[int]:
-    """A port of this machine that answers."""
+    """An open port of this machine."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         yield server.getsockname()[1]

@@ -1,12 +1,11 @@
-"""Frames between grader and box: numbers, texts, arrays and tuples of them -> bytes, and back after
-every check.
+"""Frames between grader and sandbox: numbers, texts, arrays and tuples <-> checked bytes.
 
-A frame is the mark b"FWK1", the length of its header and of its body (4 bytes each, big-endian),
-the header (JSON) and the body: the arrays' raw numbers, little-endian, one after the other. What
-comes back from a box may be anything, so lengths, kinds and shapes are checked before anything is
-allocated, and nothing is ever unpickled.
+A frame is the mark b"FWK1", the lengths of header and body (4 bytes each, big-endian), the header
+(JSON) and the body: the arrays' raw data, little-endian, one after the other. Replies from a
+sandbox are untrusted, so lengths, kinds and shapes are checked before memory is allocated, and
+nothing is unpickled.
 
-This file goes into the box as it is; it needs NumPy and nothing of the kit.
+This file is copied into the sandbox; it needs NumPy and nothing of the kit.
 """
 
 import json
@@ -27,7 +26,7 @@ _INT_LIMIT = 1 << 63
 
 
 class FrameError(ValueError):
-    """What came, or what was to be sent, is not a frame of this protocol."""
+    """Bytes or a value that do not fit this protocol."""
 
 
 def write_frame(stream: BinaryIO, value: Any) -> None:
@@ -40,7 +39,7 @@ def write_frame(stream: BinaryIO, value: Any) -> None:
 
     Raises:
         FrameError: the value is of another kind, or too large; nothing was sent.
-        OSError: the other side has gone.
+        OSError: the other side has closed the pipe.
     """
     stream.write(pack(value))
     stream.flush()
@@ -53,12 +52,12 @@ def read_frame(stream: BinaryIO) -> Any:
         stream: open for reading bytes; a read of n bytes gives fewer only at the end.
 
     Raises:
-        FrameError: what came is not a frame, or too large.
-        EOFError: the other side has gone.
+        FrameError: the bytes are not a frame, or too large.
+        EOFError: the other side has closed the pipe.
     """
     mark, header_length, body_length = _HEAD.unpack(_read_exactly(stream, _HEAD.size))
     if mark != _MARK or header_length > MAX_HEADER or body_length > MAX_BODY:
-        raise FrameError("not the beginning of a frame, or a frame that is too large")
+        raise FrameError("expected the beginning of a frame, got other bytes or too large a frame")
     header = _read_exactly(stream, header_length)
     return unpack(header, _read_exactly(stream, body_length))
 
@@ -80,7 +79,7 @@ def unpack(header: bytes, body: bytes) -> Any:
     """The value of a frame's header and body.
 
     Raises:
-        FrameError: they are not what `pack` writes, in whatever way.
+        FrameError: they are not output of `pack`.
     """
     reader = _Reader(body)
     try:
@@ -96,14 +95,14 @@ def unpack(header: bytes, body: bytes) -> Any:
         RecursionError,
         MemoryError,
     ):
-        raise FrameError("not the header of a frame") from None
+        raise FrameError("expected the header of a frame, got other bytes") from None
     if reader.at != len(body):
-        raise FrameError("a frame with more bytes than its arrays need")
+        raise FrameError("expected the bytes of the frame's arrays, got more")
     return value
 
 
 def _plain(value: Any, arrays: list[bytes], depth: int) -> Any:
-    """The value in JSON's words; the numbers of its arrays are put beside it."""
+    """The value as JSON; the data of its arrays is appended to `arrays`."""
     if depth > MAX_DEPTH:
         raise FrameError(f"expected at most {MAX_DEPTH} tuples inside each other")
     if isinstance(value, np.ndarray | np.generic):  # before float, which np.float64 is too
@@ -127,7 +126,7 @@ def _plain(value: Any, arrays: list[bytes], depth: int) -> Any:
 
 
 class _Reader:
-    """Turns a header's JSON back into values, and counts."""
+    """Converts a header's JSON back into values, with limits."""
 
     def __init__(self, body: bytes) -> None:
         self.body, self.at, self.items = body, 0, 0
@@ -136,7 +135,7 @@ class _Reader:
         """The value of a node of the header."""
         self.items += 1
         if depth > MAX_DEPTH or self.items > MAX_ITEMS:
-            raise FrameError("too many values, or too deep inside each other")
+            raise FrameError("expected fewer values, or less nesting")
         if isinstance(node, dict):
             ((kind, inner),) = node.items()
             return self._composed(kind, inner, depth)
@@ -148,7 +147,7 @@ class _Reader:
             or (type(node) is int and abs(node) < _INT_LIMIT)
         )
         if not fits or (isinstance(node, str) and len(node) > MAX_TEXT):
-            raise FrameError("a number or text that is too long, or a value of another kind")
+            raise FrameError("expected a shorter number or text, or a value of another kind")
         return node
 
     def _composed(self, kind: str, inner: Any, depth: int) -> Any:
@@ -161,25 +160,23 @@ class _Reader:
                 str(self.value(key, depth + 1)): self.value(each, depth + 1) for key, each in inner
             }
         if kind not in ("tuple", "list"):
-            raise FrameError("a value of another kind")
+            raise FrameError("expected an array, dict, tuple or list, got another kind of value")
         values = [self.value(each, depth + 1) for each in inner]
         return tuple(values) if kind == "tuple" else values
 
     def _array(self, name: str, shape: list[int]) -> Any:
-        """An array, whose size is known to be there before it is made; without axes it is a NumPy
-        number.
-        """
+        """An array whose size is checked before allocation; without axes a NumPy number."""
         axes = isinstance(shape, list) and len(shape) <= MAX_AXES
         if (
             name not in DTYPES
             or not axes
             or not all(type(n) is int and 0 <= n < 1 << 31 for n in shape)
         ):
-            raise FrameError("an array of another kind or shape")
+            raise FrameError("expected an array of a known type and shape, got another")
         dtype = np.dtype(name).newbyteorder("<")
         count = math.prod(shape)
         if count * dtype.itemsize > len(self.body) - self.at:
-            raise FrameError("an array whose numbers are not there")
+            raise FrameError("expected the array's data in the body, got too few bytes")
         raw = np.frombuffer(self.body, np.uint8 if name == "bool" else dtype, count, self.at)
         self.at += count * dtype.itemsize
         array = (raw != 0 if name == "bool" else raw.astype(name)).reshape(

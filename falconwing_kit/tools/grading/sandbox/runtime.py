@@ -1,9 +1,7 @@
-"""What a box holds: this Python's interpreter, standard library and a few libraries -> read-only
-mounts, and no more.
+"""Content of a sandbox: this Python and a lab's libraries -> read-only mounts for bubblewrap.
 
-It works for a system's Python, one built in a home folder, and a virtual environment of either: the
-box gets the interpreter behind the environment, and of the environment only the folders of the
-libraries that a lab asks for.
+Works for a system Python, one built in a home folder, and a virtual environment of either: the
+sandbox contains the base interpreter, and of the environment only the libraries of the lab.
 """
 
 import importlib.util
@@ -19,17 +17,17 @@ from pathlib import Path
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.sandbox.limits import STAGE
 
-BOX, PACKAGES, DESK = Path("/box"), Path("/box/packages"), Path("/box/desk")  # inside
-PYTHON = (
-    "-s",
-    "-P",
-    "-B",
-)  # nothing of the user's or of the folder that it starts in, and no files left behind
+SANDBOX, PACKAGES, WORK = (  # inside the sandbox
+    Path("/sandbox"),
+    Path("/sandbox/packages"),
+    Path("/sandbox/work"),
+)
+PYTHON = ("-s", "-P", "-B")  # no user site, no working directory on the path, no bytecode files
 ENVIRONMENT = {
     **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
     **{"HOME": "/tmp", "TMPDIR": "/tmp", "LANG": "C.UTF-8", "PYTHONHASHSEED": "0"},
 }
-TEMPORARY = 64 << 20  # bytes of the only folder that can be written
+TEMPORARY = 64 << 20  # bytes of /tmp, the only writable folder
 _TORCH_IMPORTS = (
     "typing_extensions",
     "filelock",
@@ -40,8 +38,7 @@ _TORCH_IMPORTS = (
     "markupsafe",
     "fsspec",
 )
-# What a library needs beside its own folder: more folders of its wheel, and libraries that it
-# imports itself.
+# dependencies of a library: further folders of its wheel, and libraries that it imports
 _BRINGS = {
     "numpy": ("numpy.libs",),
     "scipy": ("scipy.libs",),
@@ -51,13 +48,13 @@ _BRINGS = {
 
 @dataclass(frozen=True)
 class Runtime:
-    """A Python for the box.
+    """The Python of a sandbox.
 
     Attributes:
         python: path of the interpreter, the same inside and outside.
-        mounts: what is seen inside, read-only: path outside, path inside.
+        mounts: read-only: path outside, path inside.
         links: symbolic links inside: target, path.
-        emptied: folders inside that are covered by empty ones, since they hold libraries.
+        emptied: folders inside that are hidden by empty ones, since they hold other libraries.
     """
 
     python: Path
@@ -68,12 +65,12 @@ class Runtime:
 
 @dataclass(frozen=True)
 class SandboxCommand:
-    """How to make a box.
+    """How to start a sandbox.
 
     Attributes:
         words: bubblewrap's command line.
-        staged: what root's grader puts where the box's user can reach it, see `limits.becoming`:
-            path, path there.
+        staged: files that a grader run by root mounts for the sandbox's user, see
+            `limits.make_preexec`: path, path under STAGE.
     """
 
     words: tuple[str, ...]
@@ -83,14 +80,13 @@ class SandboxCommand:
 def sandbox_command(
     packages: tuple[str, ...], own: Mapping[Path, Path], files: Mapping[int, Path], script: str
 ) -> SandboxCommand:
-    """bubblewrap's words for a box that runs a script.
+    """bubblewrap's command line for a sandbox that runs a script.
 
     Args:
         packages: of "numpy", "scipy", "torch".
-        own: what else it sees, read-only: path outside, path inside; what does not exist is left
-            out.
-        files: open files whose content it sees: number, path inside.
-        script: name of a file in BOX.
+        own: further read-only mounts: path outside, path inside; missing ones are skipped.
+        files: open files to copy in: descriptor, path inside.
+        script: name of a file in SANDBOX.
 
     Raises:
         InputError: there is no bubblewrap, or a library is not installed.
@@ -98,7 +94,8 @@ def sandbox_command(
     program = shutil.which("bwrap")
     if program is None:
         raise InputError(
-            "bwrap: expected bubblewrap for the box, found none; Debian or Ubuntu: apt install bubblewrap"
+            "bwrap: expected bubblewrap for the box, found none; Debian or Ubuntu: "
+            "apt install bubblewrap"
         )
     python = find_runtime(packages)
     words = [program, *_WALLS]
@@ -130,11 +127,19 @@ def sandbox_command(
         "--remount-ro",
         "/",
         "--chdir",
-        str(DESK),
+        str(WORK),
     ]
     for name, value in ENVIRONMENT.items():
         words += ["--setenv", name, value]
-    words += ["--", str(python.python), *PYTHON, "-S", str(BOX / script), str(PACKAGES), str(DESK)]
+    words += [
+        "--",
+        str(python.python),
+        *PYTHON,
+        "-S",
+        str(SANDBOX / script),
+        str(PACKAGES),
+        str(WORK),
+    ]
     return SandboxCommand(tuple(words), tuple(staged))
 
 
@@ -150,13 +155,21 @@ _WALLS = (
         "--cap-drop",
         "ALL",
     ),
-    *("--clearenv", "--new-session", "--die-with-parent", "--hostname", "box", "--dir", str(DESK)),
+    *(
+        "--clearenv",
+        "--new-session",
+        "--die-with-parent",
+        "--hostname",
+        "sandbox",
+        "--dir",
+        str(WORK),
+    ),
 )
 
 
 @lru_cache(maxsize=8)
 def find_runtime(packages: tuple[str, ...]) -> Runtime:
-    """The Python that runs this, with some of its libraries.
+    """This Python with some of its libraries.
 
     Args:
         packages: of "numpy", "scipy", "torch"; NumPy is always there.
@@ -186,9 +199,7 @@ _SYSTEM = (Path("/lib"), Path("/lib64"), Path("/usr/lib64"))
 
 
 def _library_folders() -> Iterator[Path]:
-    """Folders of the standard library and of the shared libraries that it is linked to; no folder
-    holds another.
-    """
+    """Folders of the standard library and the shared libraries, without nested ones."""
     prefix, standard = Path(sys.base_prefix).resolve(), Path(os.__file__).resolve().parent
     several = sysconfig.get_config_var("MULTIARCH") or ""
     system = [folder / several for folder in (Path("/usr/lib"), Path("/lib"))] if several else []
@@ -204,11 +215,12 @@ def _library_folders() -> Iterator[Path]:
 
 
 def _package(name: str) -> Iterator[tuple[Path, Path]]:
-    """A library's folder and those that it brings along, to be mounted beside each other."""
+    """Mounts of a library's folder and of its dependencies, beside each other."""
     home = _place(name)
     if home is None:
         raise InputError(
-            f"{name}: expected it installed, since the lab's functions may use it; `falconwing doctor` helps"
+            f"{name}: expected it installed, since the lab's functions may use it; "
+            "`falconwing doctor` helps"
         )
     others = [home.parent / each if "." in each else _place(each) for each in _BRINGS.get(name, ())]
     for place in (home, *others):
@@ -217,7 +229,7 @@ def _package(name: str) -> Iterator[tuple[Path, Path]]:
 
 
 def _place(name: str) -> Path | None:
-    """Where a module is, without importing it; None where it is not installed."""
+    """Path of a module, without importing it; None if not installed."""
     spec = importlib.util.find_spec(name)
     if spec is None:
         return None

@@ -1,9 +1,7 @@
-"""Worker, inside the box: a student's source text comes in over a pipe, then arguments; answers go
-out.
+"""Sandbox side: source text and then arguments come in over a pipe, answers go out.
 
-This file runs alone, by its path: beside it lie `protocol.py`, NumPy, and the lab's `given.py`; the
-kit is not there. Whatever the student's code does to this process, the other side believes only
-frames that the protocol allows.
+This file runs by its path, with `protocol.py`, NumPy and the lab's `given.py` beside it and without
+the kit. Whatever the student's code does to this process, the host accepts only valid frames.
 """
 
 import importlib
@@ -18,7 +16,7 @@ from typing import Any, BinaryIO
 
 
 def main() -> None:
-    """Serve one function until the other side hangs up."""
+    """Serve one function until the host closes the pipe."""
     sys.path[:0] = [str(Path(__file__).parent), *sys.argv[1:]]
     protocol = importlib.import_module("protocol")
     requests, answers = _private_pipes()
@@ -38,9 +36,7 @@ def main() -> None:
             frame = protocol.pack(reply)
         except protocol.FrameError:
             frame = protocol.pack({"number": request["number"], "error": "bad answer"})
-        except (
-            BaseException
-        ) as error:  # SystemExit too: a function that ends the program gave no answer
+        except BaseException as error:  # SystemExit too: it is no answer
             reply.pop("answer", None)
             frame = protocol.pack({**reply, "error": type(error).__name__[:100]})
         answers.write(frame)
@@ -75,21 +71,19 @@ class _MissingError(Exception):
 
 
 class _Guard(importlib.abc.MetaPathFinder):
-    """Says that some packages are not there, so that a student's check at home has no more than the
-    grader.
-    """
+    """Import hook that hides packages, so that `check` has no more than the grader."""
 
     def __init__(self, foreign: Sequence[str]) -> None:
         self.foreign = frozenset(foreign)
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> None:
-        """Refuse the packages by name and leave all others to Python."""
+        """Refuse the hidden packages by name; leave all others to Python."""
         if fullname.split(".")[0] in self.foreign:
             raise ModuleNotFoundError(f"the grader does not have {fullname}", name=fullname)
 
 
 def _private_pipes() -> tuple[BinaryIO, BinaryIO]:
-    """The two pipes to the grader; what the student's code prints or reads goes nowhere."""
+    """The two pipes to the host; the student's standard streams are /dev/null."""
     requests, answers = os.dup(0), os.dup(1)
     nothing = os.open(os.devnull, os.O_RDWR)
     for number in (0, 1, 2):
@@ -98,7 +92,7 @@ def _private_pipes() -> tuple[BinaryIO, BinaryIO]:
 
 
 def _seed(packages: Sequence[str]) -> None:
-    """Whoever draws without a seed draws the same in every grading."""
+    """Seed the global generators, so that every grading draws the same numbers."""
     random.seed(0)
     sys.modules["numpy"].random.seed(0)
     if "torch" in packages:
@@ -107,25 +101,23 @@ def _seed(packages: Sequence[str]) -> None:
 
 
 def _limit(seconds: float, memory_mib: int, processes: int) -> None:
-    """Bind what the student's code may use from here on, beyond what its libraries took: the kernel
-    sees to it.
-    """
-    if sys.platform != "linux":  # at home on another system only the clock on the other side binds
+    """Set kernel limits on the student's code, beyond what the loaded libraries use."""
+    if sys.platform != "linux":  # elsewhere only the host's clock limits the process
         return
     import resource
 
-    spent = int(time.process_time() + seconds) + 1
+    cpu_end = int(time.process_time() + seconds) + 1
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-    wanted = {
-        resource.RLIMIT_CPU: (spent, spent + 1),
+    kernel_limits = {
+        resource.RLIMIT_CPU: (cpu_end, cpu_end + 1),
         resource.RLIMIT_AS: (taken + (memory_mib << 20),) * 2,
         resource.RLIMIT_FSIZE: (64 << 20,) * 2,
         resource.RLIMIT_NOFILE: (64,) * 2,
         resource.RLIMIT_CORE: (0,) * 2,
     }
     if processes:
-        wanted[resource.RLIMIT_NPROC] = (processes,) * 2
-    for which, limits in wanted.items():
+        kernel_limits[resource.RLIMIT_NPROC] = (processes,) * 2
+    for which, limits in kernel_limits.items():
         resource.setrlimit(which, limits)
 
 

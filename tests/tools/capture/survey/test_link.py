@@ -1,6 +1,4 @@
-"""Measuring a video link: a link that we made is found again, and the one that ships makes pictures
-like its photos.
-"""
+"""Link identification: a known link is recovered, and the shipped one matches its photos."""
 
 from pathlib import Path
 
@@ -23,9 +21,7 @@ def clean():
 
 
 def test_a_link_that_we_made_is_found_again(clean):
-    """The link's own numbers. Six photos, and JPEG between, know noise to 1 dB, bandwidths to about
-    a tenth.
-    """
+    """The link's own parameters; six JPEGs determine noise to 1 dB, bandwidths to about a tenth."""
     link = AnalogVideo(
         33.0,
         seed=9,
@@ -55,9 +51,7 @@ def test_lost_lines_are_counted():
 
 
 def test_grain_of_white_noise_is_its_size():
-    """Three grey levels of white noise: rms 3 to 5 % for choosing the flattest fifth of blocks, no
-    likeness.
-    """
+    """White noise of three grey levels: rms to 3-5 % (flattest blocks), no correlation."""
     rng = np.random.default_rng(2)
     grey = (
         np.clip(120.0 + 3.0 * rng.standard_normal((480, 640, 1)), 0, 255)
@@ -78,9 +72,10 @@ def test_grain_of_white_noise_is_its_size():
     reason=f"wants the path-traced hall's photos in {HALL.name} of the shared data",
 )
 def test_the_link_that_ships_makes_pictures_like_its_photos(clean):
-    """Recorded data: 34 of the analog photos. Grain to 15 % (photos differ by a factor of two), its
-    likeness to 0.05, luma's bands to 0.5, about what the toml says is left; without the link they
-    are off by more.
+    """Recorded data: 34 of the analog photos.
+
+    Grain to 15 % (photos differ by a factor of two), its likeness to 0.05, luma's bands to 0.5,
+    about what the toml says is left; without the link they are off by more.
     """
     photos = [read_photo(path) for path in sorted((HALL / "photos_analog").iterdir())[::3]]
     want, got, bare = (

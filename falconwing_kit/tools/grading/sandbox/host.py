@@ -1,9 +1,8 @@
-"""Box: a student's source text -> a function that can be called, which runs in a process that can
-do nothing else.
+"""Host side of the sandbox: a student's source text -> a function that runs in another process.
 
-`sandbox_worker` makes the grader's box with bubblewrap: no network, no home, no kit, no rights,
-limits that bind. `process_worker` makes a plain process for a student's own check, on any system.
-Both run the same worker.py and speak the same protocol.
+`sandbox_worker` starts a bubblewrap sandbox for the grader: no network, no home, no kit, no rights,
+enforced limits. `process_worker` starts a plain process for a student's own check, on any system.
+Both run worker.py with the protocol of protocol.py.
 """
 
 import builtins
@@ -28,14 +27,11 @@ from typing import Any
 from falconwing_kit.tools.grading.sandbox import limits, protocol, runtime, worker
 from falconwing_kit.tools.grading.sandbox.protocol import FrameError, read_frame, write_frame
 
-PROCESSES = 16  # that the student's code may have, threads counted
-STARTING = 120.0  # s to start and to load libraries, which is not the student's time
+PROCESSES = 16  # limit of the student's processes, threads included
+STARTING = 120.0  # s to start and to load libraries, not counted as the student's time
 _OUT_OF_TIME = 24  # Linux's SIGXCPU
-SPARE = (
-    512 << 20
-)  # bytes of a box's memory beyond the student's: interpreter, libraries, temporary files
-# What an error in the box may be called outside: Python's own words; any other name could be a
-# message.
+SPARE = 512 << 20  # bytes for interpreter, libraries and temporary files, beyond the student's
+# Error names that may leave the sandbox: Python's own; any other name could carry a message.
 ERRORS = {
     name
     for name, kind in vars(builtins).items()
@@ -46,11 +42,11 @@ ERRORS = {
 
 
 class StudentError(Exception):
-    """The student's function gave no answer.
+    """The student's function returned no answer.
 
     Attributes:
         category: "missing", "not written", "exception:TypeError" (a name of ERRORS) or plain
-            "exception", "timeout", "memory", "died" or "bad answer". Never the student's own words.
+            "exception", "timeout", "memory", "died" or "bad answer". Never a text of the student.
     """
 
     def __init__(self, category: str) -> None:
@@ -60,18 +56,17 @@ class StudentError(Exception):
 
 @dataclass(frozen=True)
 class SandboxJob:
-    """One function to be run.
+    """One function to run.
 
     Attributes:
-        text: source that defines it, as `collect` gives it.
+        text: source that defines it, from `collect_source`.
         function: its name.
-        folder: the lab's; of it only `given.py` and `data` are seen.
-        constants: the course's, which stand in the box's `cohort.json`; None for the lab's own
-            file.
-        through: function of `given.py` that is called in its place, with it as the first argument.
+        folder: the lab's; only `given.py` and `data` are visible.
+        constants: the course's, for `cohort.json`; None for the lab's own file.
+        through: wrapper in `given.py`, called with the function as its first argument; empty: none.
         packages: "numpy", "scipy", "torch".
-        seconds: of computing, for all calls together [s]; waiting ends after about twice that.
-        memory_mib: beyond what its libraries take [MiB].
+        seconds: computing time of all calls together [s]; the wall-clock limit is about twice that.
+        memory_mib: limit beyond the libraries' own memory [MiB].
     """
 
     text: str
@@ -85,9 +80,7 @@ class SandboxJob:
 
     @property
     def used(self) -> tuple[str, ...]:
-        """The packages that the source or `given` names, to be loaded before the student's time
-        begins.
-        """
+        """Packages that the source or `given` imports, loaded before the time limit starts."""
         given = self.folder / "given.py"
         texts = self.text + (given.read_text(encoding="utf-8") if given.is_file() else "")
         named = {name for name in self.packages if re.search(rf"\b(?:import|from) {name}\b", texts)}
@@ -96,7 +89,7 @@ class SandboxJob:
 
 @dataclass
 class _Clock:
-    """The time that the other side has taken, and may take [s]."""
+    """Time that the worker has taken, and its limit [s]."""
 
     limit: float
     spent: float = 0.0
@@ -105,7 +98,7 @@ class _Clock:
     over: threading.Event = field(default_factory=threading.Event)
 
     def watch(self, end: Callable[[], None]) -> None:
-        """End the process when it takes too long."""
+        """End the process when it exceeds its limit."""
         while not self.over.wait(0.05):
             since = self.since
             if since is not None and self.spent + time.monotonic() - since > self.limit:
@@ -115,10 +108,10 @@ class _Clock:
 
 
 class Worker:
-    """A function in a process of its own: a context manager, whose `call` asks the function.
+    """A function in another process: a context manager whose `call` calls the function.
 
-    The process is ended when the context is left, when it takes too long, and when it says what the
-    protocol does not allow; then every further call raises what the first one did.
+    The process ends with the context, when it exceeds its time, and when it violates the protocol;
+    every further call then raises the same StudentError.
     """
 
     def __init__(
@@ -139,21 +132,19 @@ class Worker:
         }
 
     def __enter__(self) -> "Worker":
-        """Start it and run the source.
+        """Start the process and run the source; errors of the source are raised by `call`.
 
         Raises:
-            RuntimeError: the process did not come up, which is not the student's doing.
-            StudentError: running the source failed, or it does not define the function; raised by
-                the first `call`.
+            RuntimeError: the process did not start, which is not the student's fault.
         """
         self._watch.start()
         try:
             self._ask(self._order)
         except StudentError as error:
             self.close()
-            advice = "`falconwing sandbox probe` may say why"
-            raise RuntimeError(f"the box did not start: {error.category}; {advice}") from None
-        self._first = _first_inside(self._process.pid) if self._order["boxed"] else -1
+            advice = "run `falconwing sandbox probe`"
+            raise RuntimeError(f"the sandbox did not start: {error.category}; {advice}") from None
+        self._first = _first_inside(self._process.pid) if self._order["sandboxed"] else -1
         self._clock.limit, self._clock.spent = 2.0 * self._job.seconds + 5.0, 0.0
         try:
             self._ask(
@@ -171,13 +162,13 @@ class Worker:
         self.close()
 
     def call(self, *arguments: Any) -> Any:
-        """Ask the function.
+        """Call the function.
 
         Args:
             arguments: numbers, texts, arrays, and tuples, lists and dicts of them.
 
         Returns:
-            Its answer, of the same kinds; everything else about it is unknown.
+            Its answer, of the same kinds, otherwise unchecked.
 
         Raises:
             StudentError: there is no answer.
@@ -188,15 +179,15 @@ class Worker:
 
     @property
     def process(self) -> int:
-        """The number of the process, or of the box around it."""
+        """Process number of the worker, or of bubblewrap around it."""
         return self._process.pid
 
     def close(self) -> None:
-        """End the process and all that it started, and wait until they are gone."""
+        """End the process with all its children, and wait for their end."""
         self._clock.over.set()
         self._kill()
         self._process.wait()
-        if self._first >= 0:  # the kernel has ended all others in the box when the first is gone
+        if self._first >= 0:  # the kernel ends all processes of the sandbox with its init process
             select.select([self._first], [], [], 10.0)
             os.close(self._first)
             self._first = -1
@@ -206,9 +197,7 @@ class Worker:
         self._group.remove()
 
     def _ask(self, message: dict[str, Any]) -> Any:
-        """Send a message and take its answer; the other side proves with the number that it has
-        read the message.
-        """
+        """Send a message and receive the reply, which must repeat the message's random number."""
         number = secrets.randbits(53)
         self._clock.since = time.monotonic()
         try:
@@ -233,7 +222,7 @@ class Worker:
         raise StudentError(self._over)
 
     def _why_gone(self) -> str:
-        """Why the process ended, by how it did."""
+        """Category of the process's end, from its exit code."""
         with suppress(subprocess.TimeoutExpired):
             code = self._process.wait(5.0)
             if code in (-_OUT_OF_TIME, 128 + _OUT_OF_TIME):
@@ -252,9 +241,7 @@ class Worker:
 
 
 def _first_inside(bubblewrap: int) -> int:
-    """A handle on the first process of a box, on which all others depend; -1 where the system does
-    not tell.
-    """
+    """Descriptor of the sandbox's init process, whose end ends all others; -1 if unavailable."""
     try:
         children = Path(f"/proc/{bubblewrap}/task/{bubblewrap}/children").read_text().split()
         return os.pidfd_open(int(children[0]))
@@ -263,7 +250,7 @@ def _first_inside(bubblewrap: int) -> int:
 
 
 def _category(name: object) -> str:
-    """What an error's name means; only names of a fixed list come out."""
+    """Category of an error by its type's name, from a fixed list."""
     special = {
         "NotImplementedError": "not written",
         "MemoryError": "memory",
@@ -275,52 +262,50 @@ def _category(name: object) -> str:
 
 
 def sandbox_worker(job: SandboxJob) -> Worker:
-    """A box for a function.
+    """A worker in a bubblewrap sandbox.
 
     Raises:
-        InputError: there is no bubblewrap here, or a library is missing.
+        InputError: bubblewrap or a library is missing.
     """
-    own = {job.folder.resolve() / name: runtime.DESK / name for name in ("given.py", "data")}
-    own |= {path: runtime.BOX / path.name for path in _CODE}
+    own = {job.folder.resolve() / name: runtime.WORK / name for name in ("given.py", "data")}
+    own |= {path: runtime.SANDBOX / path.name for path in _CODE}
     cohort = os.memfd_create("cohort")
     try:
         os.pwrite(cohort, _cohort(job), 0)
-        box = runtime.sandbox_command(
-            job.packages, own, {cohort: runtime.DESK / "cohort.json"}, _CODE[0].name
+        command = runtime.sandbox_command(
+            job.packages, own, {cohort: runtime.WORK / "cohort.json"}, _CODE[0].name
         )
         group = limits.make_group(PROCESSES + _OWN_PROCESSES, (job.memory_mib << 20) + SPARE)
-        become = limits.make_preexec(group, box.staged)
+        become = limits.make_preexec(group, command.staged)
         process = _start(
-            box.words, {}, preexec_fn=become, pass_fds=(cohort,), start_new_session=True
+            command.words, {}, preexec_fn=become, pass_fds=(cohort,), start_new_session=True
         )
     finally:
         os.close(cohort)
-    return Worker(job, process, group, boxed=True, processes=PROCESSES, foreign=())
+    return Worker(job, process, group, sandboxed=True, processes=PROCESSES, foreign=())
 
 
-_OWN_PROCESSES = 8  # bubblewrap's, while it builds the box
+_OWN_PROCESSES = 8  # bubblewrap's, while it sets up the sandbox
 _CODE = tuple(Path(module.__file__ or "") for module in (worker, protocol))
 
 
 @contextmanager
 def process_worker(job: SandboxJob) -> Iterator[Worker]:
-    """A plain process for a function, with a copy of the lab's `given.py` and data; for one's own
-    code only.
-    """
+    """A worker in a plain process with a copy of the lab's files; for trusted code only."""
     with tempfile.TemporaryDirectory(prefix="falconwing-") as name:
-        desk = Path(name)
-        (desk / "cohort.json").write_bytes(_cohort(job))
+        work = Path(name)
+        (work / "cohort.json").write_bytes(_cohort(job))
         if (job.folder / "given.py").is_file():
-            shutil.copyfile(job.folder / "given.py", desk / "given.py")
+            shutil.copyfile(job.folder / "given.py", work / "given.py")
         if (job.folder / "data").is_dir():
-            shutil.copytree(job.folder / "data", desk / "data")
-        words = [sys.executable, *runtime.PYTHON, str(_CODE[0]), str(desk)]
-        process = _start(words, os.environ | runtime.ENVIRONMENT, cwd=desk, start_new_session=True)
+            shutil.copytree(job.folder / "data", work / "data")
+        words = [sys.executable, *runtime.PYTHON, str(_CODE[0]), str(work)]
+        process = _start(words, os.environ | runtime.ENVIRONMENT, cwd=work, start_new_session=True)
         with Worker(
             job,
             process,
             limits.ControlGroup(()),
-            boxed=False,
+            sandboxed=False,
             processes=0,
             foreign=("falconwing_kit",),
         ) as worker_here:
@@ -337,7 +322,7 @@ def _start(
 
 
 def _cohort(job: SandboxJob) -> bytes:
-    """What the lab's `cohort.json` says in this course."""
+    """Content of `cohort.json` in this course."""
     if job.constants is not None:
         return json.dumps(dict(job.constants)).encode()
     file = job.folder / "cohort.json"

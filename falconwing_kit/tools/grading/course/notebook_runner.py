@@ -1,8 +1,7 @@
-"""Inside the box: a student's notebook -> the same notebook run from top to bottom, of which only
-pictures come out.
+"""Sandbox side: a student's notebook -> the pictures of its cells, after a run from top to bottom.
 
-This file runs alone, by its path. Kernel, notebook and this program share a box without network or
-home, so nothing that comes out is believed: it is for a person to look at, and gives no points.
+This file runs by its path. Kernel, notebook and this program share a sandbox without network or
+home, so the output is untrusted: it is shown to a person and gives no points.
 """
 
 import json
@@ -15,28 +14,31 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-DESK, PLACE = Path(sys.argv[2] if len(sys.argv) > 2 else "."), Path("/tmp/lab")
+WORK, PLACE = Path(sys.argv[2] if len(sys.argv) > 2 else "."), Path("/tmp/lab")
 LIMITS = {resource.RLIMIT_AS: 12 << 30, resource.RLIMIT_FSIZE: 64 << 20, resource.RLIMIT_CORE: 0}
 CELL_SECONDS, SECONDS = 120.0, 300.0  # for a cell, for all
 
 
 def main() -> None:
-    """Run `notebook.ipynb` of the desk in a copy of it, and say what its cells drew."""
+    """Run `notebook.ipynb` in a copy of its folder and write the pictures as JSON to stdout."""
     answers = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_RDWR), 1)
     for which, limit in LIMITS.items():
         resource.setrlimit(which, (limit, limit))
-    packages = sorted(str(path) for path in Path("/box").glob("site*"))
-    sys.path[:0] = ["/box/kit", *packages]
-    os.environ |= {"PYTHONPATH": ":".join(["/box/kit", *packages]), "PYTHONDONTWRITEBYTECODE": "1"}
-    shutil.copytree(DESK, PLACE)
+    packages = sorted(str(path) for path in Path("/sandbox").glob("site*"))
+    sys.path[:0] = ["/sandbox/kit", *packages]
+    os.environ |= {
+        "PYTHONPATH": ":".join(["/sandbox/kit", *packages]),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
+    shutil.copytree(WORK, PLACE)
     ran = run(PLACE / "notebook.ipynb")
     with os.fdopen(answers, "wb") as out:
         out.write(json.dumps(ran).encode())
 
 
 def run(path: Path) -> dict[str, Any]:
-    """The notebook's cells after running it: their metadata and their pictures."""
+    """Metadata and pictures of the notebook's cells after a run."""
     import nbclient
     import nbformat
 
@@ -52,9 +54,8 @@ def run(path: Path) -> dict[str, Any]:
         allow_errors=True,
         resources={"metadata": {"path": str(PLACE)}},
     )
-    with suppress(
-        TimeoutError, nbclient.exceptions.DeadKernelError
-    ):  # what was drawn before it ended is there
+    # cells before a timeout or a crash keep their outputs
+    with suppress(TimeoutError, nbclient.exceptions.DeadKernelError):
         client.execute()
     return {
         "cells": [{"metadata": cell.metadata, "outputs": pictures(cell)} for cell in notebook.cells]
@@ -62,7 +63,7 @@ def run(path: Path) -> dict[str, Any]:
 
 
 def pictures(cell: Any) -> list[dict[str, Any]]:
-    """A cell's outputs that are PNG images, with nothing else in them."""
+    """A cell's PNG outputs only."""
     found = [output.get("data", {}).get("image/png") for output in cell.get("outputs", [])]
     return [{"data": {"image/png": image}} for image in found if image]
 

@@ -1,4 +1,4 @@
-"""Box: a function answers from inside; what it uses up is bound; the box the probe tries is closed."""
+"""Sandbox: functions answer from inside, resources are limited, and the probe finds no hole."""
 
 import os
 import subprocess
@@ -11,7 +11,7 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.sandbox import limits, probe, runtime
-from falconwing_kit.tools.grading.sandbox.box import (
+from falconwing_kit.tools.grading.sandbox.host import (
     SandboxJob,
     StudentError,
     process_worker,
@@ -41,7 +41,9 @@ def category(box, text, *arguments, **more):
 
 def test_function_answers_like_a_local_one(box):
     """By hand: 3 x + 2.5 of the course's number, and the constants given instead of the lab's."""
-    text = "from given import COHORT\ndef f(x, what):\n    return 3 * x + COHORT['offset'], {'what': what}"
+    text = """from given import COHORT
+def f(x, what):
+    return 3 * x + COHORT['offset'], {'what': what}"""
     with box(job(text)) as worker:
         for _ in range(3):
             numbers, words = worker.call(np.arange(3.0), "β")
@@ -80,8 +82,9 @@ def test_failures_have_a_category(box, text, wanted):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of one's own are Linux's")
 def test_time_and_memory_are_bound(box):
-    """1 s of computing, 128 MiB: a loop and 1 GiB are too much; the loop ends well before a minute
-    of waiting.
+    """1 s of computing, 128 MiB: a loop and 1 GiB are too much.
+
+    The loop ends well before a minute of waiting.
     """
     begin = time.monotonic()
     assert category(box, "def f():\n    while True: pass") == "timeout"
@@ -109,7 +112,9 @@ def test_prints_and_inputs_go_nowhere(box):
 
 def test_draws_without_a_seed_are_the_same_each_time(box):
     """Else a regrade could not be bit-identical; sets of texts too are in the same order."""
-    text = "import numpy as np, random\ndef f(): return np.random.rand(), random.random(), ''.join({'a', 'b', 'c', 'd'})"
+    text = """import numpy as np, random
+def f():
+    return np.random.rand(), random.random(), ''.join({'a', 'b', 'c', 'd'})"""
     answers = []
     for _ in range(2):
         with box(job(text)) as worker:
@@ -123,7 +128,8 @@ def test_nothing_outlives_a_box():
     token = "token-of-test-box"
     text = (
         "import os, sys, time\ndef f():\n    if os.fork() == 0:\n        os.setsid()\n"
-        f"        os.execv(sys.executable, [sys.executable, '-S', '-c', 'import time; time.sleep(99)', {token!r}])\n"
+        "        os.execv(sys.executable, [sys.executable, '-S', '-c', 'import time; "
+        f"time.sleep(99)', {token!r}])\n"
         "    time.sleep(0.3)\n    return 1"
     )
     with sandbox_worker(job(text)) as worker:
@@ -135,15 +141,15 @@ def test_nothing_outlives_a_box():
 
 @toys.needs_box
 def test_box_ends_with_a_grader_that_is_killed():
-    """The grader is killed while a function sleeps: its box is gone, and the next grader sweeps its
-    groups.
-    """
+    """The grader is killed while a function sleeps: the sandbox ends, the next grader sweeps it."""
     code = (
-        "from pathlib import Path\nfrom falconwing_kit.tools.grading.sandbox.box import Job, in_box\n"
+        "from pathlib import Path\n"
+        "from falconwing_kit.tools.grading.sandbox.host import SandboxJob, sandbox_worker\n"
         'text = \'import os, sys\\ndef f(t): os.execv(sys.executable, [sys.executable, "-S", "-c", '
         '"import time; time.sleep(99)", t])\'\n'
-        f"box = in_box(Job(text, 'f', Path({str(toys.LAB)!r}))).__enter__()\nprint(box.process, flush=True)\n"
-        "box.call('token-of-killed-grader')"
+        f"worker = sandbox_worker(SandboxJob(text, 'f', Path({str(toys.LAB)!r}))).__enter__()\n"
+        "print(worker.process, flush=True)\n"
+        "worker.call('token-of-killed-grader')"
     )
     grader = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=Path(__file__).parents[3]
@@ -173,14 +179,16 @@ def _wait(fulfilled):
     reason="root alone can make control groups anywhere",
 )
 def test_groups_bind_what_limits_do_not():
-    """Twelve children of 100 MiB each stay below one's own limit of 128; the box's memory ends some
-    of them.
+    """Twelve children of 100 MiB each stay below one's own limit of 128.
+
+    The box's memory ends some of them.
     """
     if limits.controllers() != ("memory", "pids"):
         pytest.skip("this system does not let root make control groups")
     text = (
         "import os, time\ndef f():\n    for _ in range(12):\n        if os.fork() == 0:\n"
-        "            kept = bytearray(b'x') * (100 << 20)\n            time.sleep(2)\n            os._exit(0)\n"
+        "            kept = bytearray(b'x') * (100 << 20)\n            time.sleep(2)\n            "
+        "os._exit(0)\n"
         "    return sum(os.wait()[1] == 9 for _ in range(12))"
     )
     with sandbox_worker(job(text)) as worker:
@@ -199,7 +207,7 @@ def test_probe_finds_no_hole():
 
 
 def test_probe_sees_holes_where_there_are_some(tmp_path):
-    """The same attempts in a plain process: it has a network, files, an environment, and may write."""
+    """The same attempts in a plain process: network, files, environment and writing are open."""
     (tmp_path / "secret").write_text("x")
     plain = SandboxJob(probe._PAYLOAD, "tried", tmp_path, seconds=1.0, memory_mib=128)
     with probe._listening() as port, process_worker(plain) as worker:
@@ -216,9 +224,9 @@ def test_probe_sees_holes_where_there_are_some(tmp_path):
 def test_holes_stop_the_probe_from_being_green(tmp_path, monkeypatch):
     """A box that shares the network, made so on purpose, is found out, and nothing else is."""
     monkeypatch.setattr(runtime, "_WALLS", (*runtime._WALLS, "--share-net"))
-    assert [
-        hole.split(":")[0] for hole in probe.open_holes(list(probe._walls(tmp_path)))
-    ] == ["network"]
+    assert [hole.split(":")[0] for hole in probe.open_holes(list(probe._walls(tmp_path)))] == [
+        "network"
+    ]
 
 
 def test_without_bubblewrap_the_sentence_says_what_to_install(monkeypatch):
