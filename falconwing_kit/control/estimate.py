@@ -10,9 +10,9 @@ import numpy as np
 from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
 from falconwing_kit.aircraft.model import Model, state_rates
 from falconwing_kit.aircraft.trim import linearise, trim
-from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, STEP_S, model_key
+from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, model_key
 from falconwing_kit.core.checks import Array, require_range
-from falconwing_kit.core.messages import State
+from falconwing_kit.core.messages import CONTROL_PERIOD_S, State
 
 COMMAND_HISTORY = 400  # commands: 20 s at 20 Hz, far longer than any delay
 SETTLING_S = 0.6  # a servo of 30 ms has forgotten where it was
@@ -53,7 +53,7 @@ class SimulatedAircraft:
 
     def advance(self, t: float) -> None:
         """Fly until t [s]; with no command yet, the sticks are neutral and the throttle idle."""
-        steps = math.ceil((t - self.t) / STEP_S * SUBSTEPS[self._model.form] - 1e-9)
+        steps = math.ceil((t - self.t) / CONTROL_PERIOD_S * SUBSTEPS[self._model.form] - 1e-9)
         if steps <= 0:
             return
         dt = (t - self.t) / steps
@@ -123,7 +123,7 @@ def _kalman_gain(form, terms, winds, parameters, values, speed):  # type: ignore
     import control
 
     model = Model(form, terms, winds, parameters, dict(values))
-    A, _ = linearise(model, trim(model, speed), STEP_S)
+    A, _ = linearise(model, trim(model, speed), CONTROL_PERIOD_S)
     G, C = np.eye(12)[:, 6:], np.eye(12)[:6]
     process_noise, measurement_noise = (
         np.diag(np.repeat(np.square(sigmas), 3)) for sigmas in (PROCESS_SIGMA, MEASUREMENT_SIGMA)

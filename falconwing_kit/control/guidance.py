@@ -7,8 +7,7 @@ import numpy as np
 
 from falconwing_kit.control.loops import Reference
 from falconwing_kit.core.checks import Array, InputError, require_shape
-from falconwing_kit.core.frames import GRAVITY
-from falconwing_kit.scene.arena import HALL_HIGH, HALL_LOW
+from falconwing_kit.core.frames import GRAVITY, HALL_HIGH, HALL_LOW
 
 SPACING = 0.1  # between the samples of a path [m]
 SEARCH = 3.0  # either side of the last nearest point [m]; beyond it a path may cross itself

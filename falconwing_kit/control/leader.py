@@ -12,11 +12,10 @@ from falconwing_kit.aircraft.trim import trim
 from falconwing_kit.control.estimate import SimulatedAircraft
 from falconwing_kit.control.expert import WaypointExpert
 from falconwing_kit.control.guidance import Hall
-from falconwing_kit.control.loops import STEP_S
 from falconwing_kit.control.manoeuvres import MANOEUVRES
 from falconwing_kit.control.plan import MARGIN, MIN_HEIGHT
 from falconwing_kit.core.checks import Array, InputError, require_range
-from falconwing_kit.core.messages import Observation, State
+from falconwing_kit.core.messages import CONTROL_PERIOD_S, Observation, State
 
 # Last word of the random generator's key; the other draws of a trial have another one.
 LEADER_DRAWS = 2
@@ -51,7 +50,7 @@ class LeaderPath:
         Linear interpolation between samples, for the position Hermite's cubic with the velocities.
         """
         inside = min(max(t, 0.0), self.duration)
-        i = min(int(inside / STEP_S), len(self.t) - 2)
+        i = min(int(inside / CONTROL_PERIOD_S), len(self.t) - 2)
         h = self.t[i + 1] - self.t[i]
         u = (inside - self.t[i]) / h
         a, b = self.states[i], self.states[i + 1]
@@ -87,7 +86,7 @@ def leader_path(manoeuvre: str, seed: int = 0, model: Model | None = None) -> Le
             f"{manoeuvre}, seed {seed}: expected a flight {MARGIN / 2.0:g} m from walls and beams"
             f" and {MIN_HEIGHT / 2.0:g} m high or more, got nearer; check the model's values"
         )
-    t = STEP_S * np.arange(len(states), dtype=np.float64)
+    t = CONTROL_PERIOD_S * np.arange(len(states), dtype=np.float64)
     return LeaderPath(manoeuvre, seed, t, states, waypoints)
 
 
@@ -104,11 +103,14 @@ def fly_path(model: Model, pilot: WaypointExpert) -> Array:
     x[:3], x[4] = path.p_world[0], x[4] + path.yaw[0]
     x[6:8] = along * x[6]
     aircraft, past, states = SimulatedAircraft(model, State.from_vector(x)), np.zeros((30, 4)), [x]
-    while pilot.mode == "waypoints" and len(states) < 3.0 * path.length / pilot.speed / STEP_S:
+    while (
+        pilot.mode == "waypoints"
+        and len(states) < 3.0 * path.length / pilot.speed / CONTROL_PERIOD_S
+    ):
         command = pilot.act(Observation(aircraft.t, None, past, State.from_vector(aircraft.x)))
         past = np.concatenate([past[1:], command.vector[None]])
         aircraft.send(aircraft.t, command.vector)
-        aircraft.advance(len(states) * STEP_S)
+        aircraft.advance(len(states) * CONTROL_PERIOD_S)
         states.append(aircraft.x.copy())
     flown = np.array(states)
     flown[:, 4] = np.unwrap(flown[:, 4])

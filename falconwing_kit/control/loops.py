@@ -17,9 +17,14 @@ from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.trim import linearise, trim
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 from falconwing_kit.core.frames import wrap_angle
-from falconwing_kit.core.messages import COMMAND_NAMES, STATE_NAMES, Command, State
+from falconwing_kit.core.messages import (
+    COMMAND_NAMES,
+    CONTROL_PERIOD_S,
+    STATE_NAMES,
+    Command,
+    State,
+)
 
-STEP_S = 0.05  # 20 Hz
 LINK_DELAY_S = 0.05  # from command to transmitter output: frame grabber, serial line, PPM frame
 SPEED = 7.0  # [m/s], the paper's minimum speed of this aircraft, and its speed indoors
 INTEGRAL_LIMIT = 1.5  # of an integral, in multiples of its size in the axis
@@ -123,7 +128,7 @@ def design_loop(
     # Integral action: z[k+1] = z[k] + dt x[k] for each integrated state.
     integral_rows = np.zeros((len(axis.integrals), len(A)))
     for row, name in enumerate(axis.integrals):
-        integral_rows[row, list(axis.states).index(name)] = STEP_S
+        integral_rows[row, list(axis.states).index(name)] = CONTROL_PERIOD_S
     n_delayed = len(A) - len(axis.states)
     zeros = np.zeros((len(A), len(integral_rows)))
     A = np.block([[A, zeros], [integral_rows, np.eye(len(integral_rows))]])
@@ -143,7 +148,9 @@ def design_loop(
     return loop
 
 
-def augment_delay(A: Array, B: Array, delay: float, dt: float = STEP_S) -> tuple[Array, Array]:
+def augment_delay(
+    A: Array, B: Array, delay: float, dt: float = CONTROL_PERIOD_S
+) -> tuple[Array, Array]:
     """Discretise a linear model with zero-order-held, delayed control inputs.
 
     With delay = (d - 1) dt + rest, x[k+1] = Phi x[k] + G0 u[k-d+1] + G1 u[k-d]; Phi = e^(A dt),
@@ -279,7 +286,7 @@ class Autopilot:
             # Anti-windup: the integrals are bounded [Astrom & Murray, sec. 11.4: windup].
             error = np.array([deviations[name] for name in loop.axis.integrals])
             limit = INTEGRAL_LIMIT * np.array(list(loop.axis.integrals.values()))
-            integral[:] = np.clip(integral + STEP_S * error, -limit, limit)
+            integral[:] = np.clip(integral + CONTROL_PERIOD_S * error, -limit, limit)
         return Command.clip(0.0 if idle else control_inputs[0], *control_inputs[1:])
 
     def level(self) -> Command:

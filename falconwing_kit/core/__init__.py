@@ -22,6 +22,8 @@ from falconwing_kit.core.flight_table import (
 )
 from falconwing_kit.core.frames import (
     GRAVITY,
+    HALL_HIGH,
+    HALL_LOW,
     R_BODY_CAMERA,
     body_rates,
     camera_pose,
@@ -51,6 +53,8 @@ __all__ = [
     "COMMAND_NAMES",
     "CONTROL_PERIOD_S",
     "GRAVITY",
+    "HALL_HIGH",
+    "HALL_LOW",
     "R_BODY_CAMERA",
     "SAFE_COMMAND",
     "STATE_NAMES",

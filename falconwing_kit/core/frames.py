@@ -20,6 +20,8 @@ from falconwing_kit.core.checks import Array
 # The camera's axes in body axes: a camera along the nose is a plain permutation.
 R_BODY_CAMERA: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 GRAVITY = 9.8  # m/s^2, the value of the paper's appendix
+# Two opposite corners of the hall, 40 x 20 x 5 m, inside its walls, in the world frame [m].
+HALL_LOW, HALL_HIGH = np.array([-22.5, -12.0, 0.0]), np.array([17.5, 8.0, 5.0])
 
 
 def rotation_world_body(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:

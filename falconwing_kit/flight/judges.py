@@ -19,8 +19,8 @@ from falconwing_kit.aircraft.airframe import Airframe
 from falconwing_kit.control.leader import LeaderPath
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.frames import camera_pose
-from falconwing_kit.core.messages import State
-from falconwing_kit.flight.loop import CONTROL_PERIOD, LoopStep
+from falconwing_kit.core.messages import CONTROL_PERIOD_S, State
+from falconwing_kit.flight.loop import LoopStep
 from falconwing_kit.flight.sources import RenderedView
 from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
@@ -183,7 +183,7 @@ def _signed_area(points: Array, a: Array, b: Array) -> Array:
 
 def extended_path(leader: LeaderPath) -> Array:
     """The leader's path as points (m, 3) [m], extended straight back from its start."""
-    times = np.arange(0.0, leader.duration + CONTROL_PERIOD, CONTROL_PERIOD)
+    times = np.arange(0.0, leader.duration + CONTROL_PERIOD_S, CONTROL_PERIOD_S)
     leader_positions = np.array([leader.state_at(t).p_world for t in times])
     first = leader.state_at(0.0)
     back = np.arange(-LEAD_IN, 0.0, 0.25)[:, None] * first.v_world / np.linalg.norm(first.v_world)

@@ -19,11 +19,17 @@ import numpy as np
 
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.flight_log import FlightLogWriter
-from falconwing_kit.core.messages import Command, Event, Image, Observation, State
+from falconwing_kit.core.messages import (
+    CONTROL_PERIOD_S,
+    SAFE_COMMAND,
+    Command,
+    Event,
+    Image,
+    Observation,
+    State,
+)
 
-CONTROL_PERIOD = 0.05  # [s], the paper's 20 Hz
 HISTORY = 30  # past commands in an observation, as in the paper
-SAFE_COMMAND = Command(throttle=0.0, aileron=0.0, elevator=0.0, rudder=0.0)
 MAX_LATENESS = 0.5  # of a step, in periods; so two steps are never closer than this
 
 
@@ -144,7 +150,7 @@ class LoopResult:
 
 
 def deadlines(
-    clock: Clock, duration: float, period: float = CONTROL_PERIOD
+    clock: Clock, duration: float, period: float = CONTROL_PERIOD_S
 ) -> Iterator[tuple[int, float]]:
     """Wait for the deadlines k * period, one after the other.
 
@@ -184,7 +190,7 @@ class Loop:
     clock: Clock = field(default_factory=SimulatedClock)
     log: FlightLogWriter | None = None  # opened and closed by the caller
     hooks: Sequence[Callable[[LoopStep], None]] = ()
-    period: float = CONTROL_PERIOD  # [s]
+    period: float = CONTROL_PERIOD_S  # [s]
     faults_allowed: int = 20  # consecutive steps without a command before the flight ends: 1 s
 
     def run(

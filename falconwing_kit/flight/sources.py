@@ -11,8 +11,7 @@ from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import short_name
 from falconwing_kit.core.flight_log import FlightLog, read_flight_log
 from falconwing_kit.core.frames import camera_pose
-from falconwing_kit.core.messages import Command, Image, Observation, State
-from falconwing_kit.flight.loop import CONTROL_PERIOD
+from falconwing_kit.core.messages import CONTROL_PERIOD_S, Command, Image, Observation, State
 from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
@@ -185,7 +184,7 @@ class RecordedPilot:
     def act(self, observation: Observation) -> Command:
         """The command of this step, or the newest one before it."""
         # A command is logged after its pilot's run time, so up to half a period late.
-        row = _newest_row(self._times, observation.t + 0.5 * CONTROL_PERIOD)
+        row = _newest_row(self._times, observation.t + 0.5 * CONTROL_PERIOD_S)
         return self._commands[max(row, 0)]
 
 

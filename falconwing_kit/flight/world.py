@@ -16,10 +16,10 @@ from falconwing_kit.aircraft.touchdown import LandingPad, Touchdown, find_touchd
 from falconwing_kit.control.estimate import SimulatedAircraft
 from falconwing_kit.control.expert import LeaderTrajectory
 from falconwing_kit.control.guidance import Hall
-from falconwing_kit.control.loops import LINK_DELAY_S, STEP_S
+from falconwing_kit.control.loops import LINK_DELAY_S
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.frames import body_rates, rotation_world_body
-from falconwing_kit.core.messages import Command, State
+from falconwing_kit.core.messages import CONTROL_PERIOD_S, Command, State
 
 Obstacle = Literal["pad", "pad edge", "floor", "wall", "ceiling", "leader"]
 
@@ -167,17 +167,17 @@ class SimulatedWorld:
         require_range("t", t, low=self._t)
         while self.contact is None and self._t < t - 1e-9:
             t_before, x_before = self._t, self._aircraft.x
-            self._aircraft.advance(min(t_before + STEP_S, t))
+            self._aircraft.advance(min(t_before + CONTROL_PERIOD_S, t))
             self._t = self._aircraft.t
             self.contact = self._find_contact(t_before, x_before)
-            self._measured = self._measure(round(self._t / STEP_S), self.state)
+            self._measured = self._measure(round(self._t / CONTROL_PERIOD_S), self.state)
         self._t = t
 
     def _warm_up(self) -> State:
         """Run the filter along the straight line that leads to the start."""
         x = self.state
         for k in range(-WARM_UP, 0):
-            p_world = x.p_world + k * STEP_S * x.v_world
+            p_world = x.p_world + k * CONTROL_PERIOD_S * x.v_world
             self._measure(k, State(p_world, x.pitch, x.yaw, x.roll, x.v_world))
         return self._measure(0, x)
 
@@ -186,7 +186,7 @@ class SimulatedWorld:
         sigma = np.repeat((self._noise.position, self._noise.attitude), 3)
         true_pose = np.array([*state.p_world, state.roll, state.pitch, state.yaw])
         pose = true_pose + sigma * rng.normal(size=6)
-        filtered = self._filter.update(frame * STEP_S, pose)
+        filtered = self._filter.update(frame * CONTROL_PERIOD_S, pose)
         return State(pose[:3], pose[4], pose[5], pose[3], filtered.v_world, filtered.rates_body)
 
     def _corners(self, p_world: Array, roll: float, pitch: float, yaw: float) -> Array:

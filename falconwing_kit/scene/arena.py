@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import cache_folder
+from falconwing_kit.core.frames import HALL_HIGH, HALL_LOW
 from falconwing_kit.scene.camera import require_pose
 from falconwing_kit.scene.edit import move, require_rng
 from falconwing_kit.scene.gaussians import GaussianScene
@@ -32,7 +33,6 @@ OVERLAP = 0.66  # standard deviation of a surfel by the side of its rectangle: 3
 THICKNESS = 0.002  # standard deviation across a surface [m]
 AMBIENT = 0.30  # light from everywhere; 1 shows a white wall white
 BOUNCE = (0.34, 0.28, 0.21)  # light reflected by the floor, on a surface that faces down
-HALL_LOW, HALL_HIGH = np.array([-22.5, -12.0, 0.0]), np.array([17.5, 8.0, 5.0])  # [m]
 CORNER_SHADE = 0.6  # distance over which the darkening beside a wall decays [m]
 POSTER_COLOURS = 8
 FACES = {  # of a box, with u and v along them; u x v points outward

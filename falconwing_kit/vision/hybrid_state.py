@@ -20,7 +20,13 @@ import numpy as np
 
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.core.frames import R_BODY_CAMERA, euler_from_rotation, pose_matrix
+from falconwing_kit.core.frames import (
+    HALL_HIGH,
+    HALL_LOW,
+    R_BODY_CAMERA,
+    euler_from_rotation,
+    pose_matrix,
+)
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.vision.analog_lines import corner_covariance, redetect_blurred, sync_jitter_px
@@ -81,8 +87,8 @@ class Video:
 class HybridSettings:
     """Bounds of plausible poses, and the accuracy required of the table."""
 
-    room_low: tuple[float, float, float] = (-22.5, -12.0, 0.0)  # the hall [m]
-    room_high: tuple[float, float, float] = (17.5, 8.0, 5.0)
+    room_low: tuple[float, ...] = tuple(HALL_LOW.tolist())  # the hall [m]
+    room_high: tuple[float, ...] = tuple(HALL_HIGH.tolist())
     max_gap_s: float = 1.0  # longer gaps are not bridged: half a circle takes three seconds
     max_sigma_position: float = 0.5  # [m]; above, a frame gets no pose
     max_sigma_attitude: float = 0.2  # [rad]

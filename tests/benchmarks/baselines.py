@@ -479,7 +479,9 @@ def _at_smoothed_states(model: Model, flight: PreparedFlight, time: Array, stick
     """
     K, x = model.K, flight.state_estimate.T.copy()
     tilt = (
-        np.array([K.tilt_roll, K.tilt_pitch, 0.0]) if any(e.measurement_map for e in model.effects) else None
+        np.array([K.tilt_roll, K.tilt_pitch, 0.0])
+        if any(e.measurement_map for e in model.effects)
+        else None
     )
     if tilt is not None:
         roll, pitch, yaw = euler_rates(

@@ -34,7 +34,7 @@ GOALS = {"numpy": 180.0, "torch": 2700.0}  # s for 200 submissions on two cores
 
 
 @pytest.mark.benchmark
-@toys.needs_box
+@toys.needs_sandbox
 def test_class_of_200_is_graded_in_three_minutes(capsys):
     """A NumPy lab of two exercises; every record has full marks, or the speed would be that of
     failing.
@@ -47,7 +47,7 @@ def test_class_of_200_is_graded_in_three_minutes(capsys):
 
 
 @pytest.mark.benchmark
-@toys.needs_box
+@toys.needs_sandbox
 def test_torch_lab_would_be_graded_in_45_minutes(capsys):
     """Ten submissions of lab 8 stand for 200: none is faster for being one of many."""
     folder = lab_folder("lab08")

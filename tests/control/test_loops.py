@@ -11,7 +11,6 @@ from falconwing_kit.aircraft.trim import linearise, trim
 from falconwing_kit.control.loops import (
     LATERAL,
     LONGITUDINAL,
-    STEP_S,
     TABLE_BANKS,
     Autopilot,
     Reference,
@@ -22,7 +21,7 @@ from falconwing_kit.control.loops import (
 )
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import GRAVITY
-from falconwing_kit.core.messages import COMMAND_NAMES, STATE_NAMES, State
+from falconwing_kit.core.messages import COMMAND_NAMES, CONTROL_PERIOD_S, STATE_NAMES, State
 
 AXES = {"lateral": LATERAL, "longitudinal": LONGITUDINAL}
 NOTHING_SENT = np.zeros((30, 4))
@@ -32,7 +31,7 @@ NOTHING_SENT = np.zeros((30, 4))
 def test_closed_loop_poles_lie_inside_the_unit_circle(axis):
     """Discrete stability; the slowest pole, the integral's, falls to 1/e within eight seconds."""
     size = np.abs(design_loop(rates_model(), axis).poles)
-    assert size.max() < np.exp(-STEP_S / 8.0)
+    assert size.max() < np.exp(-CONTROL_PERIOD_S / 8.0)
 
 
 @pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
@@ -64,10 +63,10 @@ def test_loop_is_stable_with_a_real_servo_and_link(axis, delay):
     )
     start = np.linalg.norm(x)
     for k in range(round(20.0 / fine)):
-        if k % round(STEP_S / fine) == 0:
-            past = [sent[-1 - j * round(STEP_S / fine)] for j in range(loop.delay_steps)]
+        if k % round(CONTROL_PERIOD_S / fine) == 0:
+            past = [sent[-1 - j * round(CONTROL_PERIOD_S / fine)] for j in range(loop.delay_steps)]
             u = -loop.gain @ np.concatenate([x[:n], *past, total])
-            total = total + STEP_S * x[picked]
+            total = total + CONTROL_PERIOD_S * x[picked]
         sent.append(u)
         x = step @ np.concatenate([x, sent[-1 - wait]])
     assert np.linalg.norm(x) < 0.1 * start  # an unstable loop is out of all bounds after 20 s

@@ -11,7 +11,7 @@ from falconwing_kit.tools.grading.lab import course_constants
 from falconwing_kit.tools.grading.public_checks import exercise_state, run_checks
 from falconwing_kit.tools.grading.selftest import selftest
 from tests.labs.functions import ROOT, LabHere, mutants
-from tests.labs.tools import require_box
+from tests.labs.tools import require_sandbox
 
 FOLDERS = lab_folders(ROOT / "labs")
 SEEDS = range(1, 21)
@@ -76,7 +76,7 @@ def test_grader_gives_the_solution_all_points_and_the_untouched_notebook_none(fo
 
     On every exercise, not only in the sum.
     """
-    require_box()
+    require_sandbox()
     graded = selftest(folder)
     assert graded.problems == ()
     assert graded.solution == {

@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 
-def require_box() -> None:
+def require_sandbox() -> None:
     """Bubblewrap, which starts the grader's sandbox."""
     if shutil.which("bwrap") is None:
         (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from falconwing_kit.tools.grading.find import lab_folders
-from tests.labs.tools import require_box
+from tests.labs.tools import require_sandbox
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "CONTRIBUTING.md"
@@ -53,7 +53,7 @@ def test_template_is_no_lab_of_the_course():
 
 def test_copied_template_builds_checks_and_grades_as_the_page_says(tree):
     """Every line but the last exits with 0; the last one's tests pass but for its two demands."""
-    require_box()
+    require_sandbox()
     *lines, last = commands()
     assert len(lines) >= 6 and "pytest" in last
     for line in lines:

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falconwing_kit.core.flight_table import LABEL_COLUMN, OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 from falconwing_kit.core.flight_log import FlightLogWriter
+from falconwing_kit.core.flight_table import LABEL_COLUMN, OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 from falconwing_kit.core.messages import Command, State
 from falconwing_kit.data import data_path
 from falconwing_kit.tools.cli.main import VERBS, main
@@ -21,7 +21,7 @@ from falconwing_kit.tools.grading.records import append_record, open_run
 from falconwing_kit.trainer_port.usb import find_boards
 from tests.demo_run import WORDS, demo_run
 from tests.firmware.chip import require_tools
-from tests.labs.tools import require_box
+from tests.labs.tools import require_sandbox
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -120,7 +120,7 @@ def test_command_runs(line, folder, capsys):
     if words[0] == "firmware":
         require_tools()
     if words[0] in ("grade", "sandbox"):
-        require_box()
+        require_sandbox()
     if words[0] == "report":
         grade_by_hand(folder / words[2])
     assert main(words) == (1 if words[0] == "find-port" and not find_boards() else 0)

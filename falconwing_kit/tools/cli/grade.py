@@ -79,18 +79,20 @@ class Grade:
         folder = lab_folder(self.lab, self.labs).resolve()
         lab = load_checks(folder)
         found = find_submissions(self.submissions, lab.name)
-        boxed = not self.unsafe_no_sandbox
-        if boxed and self.cluster:
+        sandboxed = not self.unsafe_no_sandbox
+        if sandboxed and self.cluster:
             _require_worker_sandboxes(self.cluster)
-        elif boxed:
+        elif sandboxed:
             _require_sandbox()
         secret = open_run(
-            self.out, lab.name, self.salt, sandboxed=boxed, go_on=self.resume or self.regrade
+            self.out, lab.name, self.salt, sandboxed=sandboxed, go_on=self.resume or self.regrade
         )
         known = last_records(read_grade_records(self.out))
         sweep()
         try:
-            counts = self._grade(Assignment(folder, self.salt, secret, boxed), lab, found, known)
+            counts = self._grade(
+                Assignment(folder, self.salt, secret, sandboxed), lab, found, known
+            )
         finally:
             sweep()
             records = last_records(read_grade_records(self.out))

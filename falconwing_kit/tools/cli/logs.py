@@ -11,7 +11,7 @@ import tyro
 from falconwing_kit.core.checks import InputError, require_file, require_range
 from falconwing_kit.core.flight_log import read_flight_log, recover, to_flight_table
 from falconwing_kit.core.flight_table import write_flight_table
-from falconwing_kit.core.messages import Command
+from falconwing_kit.core.messages import CONTROL_PERIOD_S, Command
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 BROWSER_S = 8.0  # a browser gets so long to show the page before a replay begins
@@ -139,7 +139,7 @@ class Replay:
 
     def _show(self, pilot: Any) -> None:
         """Fly the recorded commands by the kit's own loop, into nothing but the page."""
-        from falconwing_kit.flight.loop import CONTROL_PERIOD, Loop
+        from falconwing_kit.flight.loop import Loop
         from falconwing_kit.flight.sources import RecordedImages, RecordedStates
         from falconwing_kit.scene.arena import load_scene
         from falconwing_kit.tools.demo.approach import PacedClock, is_simulated, mode_at
@@ -161,7 +161,7 @@ class Replay:
                     pilot, _NullSink(), RecordedImages(self.log), RecordedStates(self.log), clock=PacedClock(self.speed),
                     hooks=(lambda step: page.show(replace(step, mode=mode_at(log, step.t) or step.mode)),),
                 )  # fmt: skip
-                reason = loop.run(pilot.duration + CONTROL_PERIOD).reason
+                reason = loop.run(pilot.duration + CONTROL_PERIOD_S).reason
                 if self.once:
                     break
         finally:

@@ -134,7 +134,7 @@ class Report:
             works.append(InspectionTask(mine, tuple(lost)))
         task = partial(
             inspect_submission,
-            desk=ReportContext(
+            context=ReportContext(
                 folder, self.salt, not why, self.figures == "run", lab_fingerprint(folder)
             ),
         )

@@ -22,8 +22,8 @@ from falconwing_kit.core.flight_log import (
     to_flight_table,
 )
 from falconwing_kit.core.flight_table import FlightTable
+from falconwing_kit.core.messages import CONTROL_PERIOD_S
 from falconwing_kit.flight.loop import (
-    CONTROL_PERIOD,
     Clock,
     Loop,
     LoopResult,
@@ -417,7 +417,7 @@ def approach_record(approach: Approach) -> dict[str, Any]:
         "made_by": "this kit, SIMULATED",
         "hall": approach.hall,
         "ended": approach.flight.reason,
-        "seconds": len(approach.flight.t) * CONTROL_PERIOD,
+        "seconds": len(approach.flight.t) * CONTROL_PERIOD_S,
         **result,
     }
 

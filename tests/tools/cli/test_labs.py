@@ -7,7 +7,7 @@ import json
 import pytest
 
 from falconwing_kit.tools.cli.main import main
-from tests.labs.tools import require_box
+from tests.labs.tools import require_sandbox
 from tests.tools.grading.small_lab import SOURCE, write_small_lab
 
 
@@ -46,7 +46,7 @@ def test_release_says_what_to_keep(folder, tmp_path, capsys):
 
 def test_selftest_finds_a_wrong_solution(folder, capsys):
     """The small lab is fine; with another factor its solution loses every case."""
-    require_box()
+    require_sandbox()
     main(["labs", "build"])
     capsys.readouterr()
     assert main(["labs", "selftest"]) == 0

@@ -13,7 +13,7 @@ from falconwing_kit.tools.grading.records import last_records, read_grade_record
 from tests.tools.grading import toys
 from tests.tools.grading.attacks import ATTACKS
 
-pytestmark = toys.needs_box
+pytestmark = toys.needs_sandbox
 NAMES = {name: f"attack {number:02}" for number, name in enumerate(ATTACKS)}
 WRONG = "def stretch(x, gain):\n    return attack(x, gain)"
 PLAIN = {

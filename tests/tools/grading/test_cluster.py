@@ -12,7 +12,7 @@ from falconwing_kit.tools.grading.sandbox.probe import ProbeResult
 from tests import clusters
 from tests.tools.grading import toys
 
-pytestmark = [toys.needs_box, pytest.mark.timeout(600)]
+pytestmark = [toys.needs_sandbox, pytest.mark.timeout(600)]
 
 
 def test_cluster_gives_the_records_of_this_machine(tmp_path, monkeypatch):

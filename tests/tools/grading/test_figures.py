@@ -109,7 +109,7 @@ def ran():
     return tries, run_notebook(toys.notebook_bytes(*cells), FILES, {"offset": 2.25})
 
 
-@toys.needs_box
+@toys.needs_sandbox
 @needs_kernel
 def test_figures_come_back_and_nothing_else_does(ran):
     """A cell that got out of the box would have drawn; an error in the middle stops nothing.
@@ -124,7 +124,7 @@ def test_figures_come_back_and_nothing_else_does(ran):
     }
 
 
-@toys.needs_box
+@toys.needs_sandbox
 @needs_kernel
 @pytest.mark.parametrize(
     ("text", "drawn"),
@@ -147,7 +147,7 @@ def test_notebook_that_ends_badly_harms_nobody(text, drawn, monkeypatch):
     assert toys.groups_left() == [] and toys.processes_with("notebook_runner.py") == []
 
 
-@toys.needs_box
+@toys.needs_sandbox
 @needs_kernel
 def test_what_is_no_notebook_does_not_run():
     """Bytes that nobody can read give nothing."""

@@ -17,7 +17,7 @@ from falconwing_kit.tools.grading.records import last_records, read_grade_record
 from falconwing_kit.tools.grading.sandbox.probe import ProbeResult
 from tests.tools.grading import toys
 
-pytestmark = toys.needs_box
+pytestmark = toys.needs_sandbox
 SPLIT = toys.STRETCH.split("\n")
 SOURCES = (toys.HEAD, toys.STRETCH, toys.BRAKE)
 # What happened to a right notebook, and the points that it still has: 50 for stretch, 25 for brake.

@@ -32,10 +32,10 @@ def lab(tmp_path):
     return folder
 
 
-def seen(tmp_path, desk, *cells, failed=()):
+def seen(tmp_path, context, *cells, failed=()):
     (tmp_path / "ada.ipynb").write_bytes(toys.notebook_bytes(*cells))
     (submission,) = find_submissions(tmp_path / "ada.ipynb", "lab01")
-    return inspect_submission(InspectionTask(submission, failed), desk)
+    return inspect_submission(InspectionTask(submission, failed), context)
 
 
 def test_parts_and_questions_are_those_of_the_notebook(lab):
@@ -43,7 +43,7 @@ def test_parts_and_questions_are_those_of_the_notebook(lab):
     assert rubric_parts(lab) == [RubricPart("line", True, ""), RubricPart("q1", False, "Why?")]
 
 
-@toys.needs_box
+@toys.needs_sandbox
 @pytest.mark.skipif(bool(missing_for_running()), reason='pip install -e ".[labs]"')
 def test_own_files_lie_where_the_student_put_them(lab, tmp_path):
     """What `labs release --roster` gave this student in this course.
@@ -59,21 +59,21 @@ def test_own_files_lie_where_the_student_put_them(lab, tmp_path):
 def test_without_marks_all_figures_are_shown(lab, tmp_path):
     """Some programs drop a cell's metadata: then all stored figures are shown, with a note."""
     stored = toys.cell("1") | {"outputs": [{"data": {"image/png": b64(png())}}]}
-    found = seen(tmp_path, ReportContext(lab, run=False, boxed=False), stored)
+    found = seen(tmp_path, ReportContext(lab, run=False, sandboxed=False), stored)
     assert found["figures"]["line"] == {"images": [b64(png())], "from": "not run, all"}
     assert found["answers"] == {"q1": ""} and found["checks"] == {}
 
 
 def test_answer_as_handed_out_is_none(lab, tmp_path):
     """What stood there before the student wrote is no answer; what was added below it is."""
-    desk = ReportContext(lab, run=False, boxed=False)
+    context = ReportContext(lab, run=False, sandboxed=False)
     text = toys.cell("*Your answer:*", "markdown", answer="q1")
-    assert seen(tmp_path, desk, text)["answers"] == {"q1": ""}
+    assert seen(tmp_path, context, text)["answers"] == {"q1": ""}
     text = toys.cell("*Your answer:* the Earth\n", "markdown", answer="q1")
-    assert seen(tmp_path, desk, text)["answers"] == {"q1": "the Earth"}
+    assert seen(tmp_path, context, text)["answers"] == {"q1": "the Earth"}
 
 
-@toys.needs_box
+@toys.needs_sandbox
 def test_checks_are_those_of_the_course(lab, tmp_path):
     """In a salted course the function that multiplies by its gravity passes.
 

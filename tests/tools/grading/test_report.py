@@ -20,7 +20,7 @@ from tests.tools.grading import toys
 from tests.tools.grading.test_figures import DRAW, b64, png
 
 pytestmark = [
-    toys.needs_box,
+    toys.needs_sandbox,
     pytest.mark.skipif(bool(missing_for_running()), reason='pip install -e ".[labs]"'),
     pytest.mark.timeout(600),
 ]

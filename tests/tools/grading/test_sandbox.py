@@ -26,7 +26,7 @@ def job(text, **more):
     return SandboxJob(text, "f", toys.LAB, **{"seconds": 1.0, "memory_mib": 128, **more})
 
 
-@pytest.fixture(params=["in_process", pytest.param("in_box", marks=toys.needs_box)])
+@pytest.fixture(params=["in_process", pytest.param("in_box", marks=toys.needs_sandbox)])
 def box(request):
     """Both kinds: the grader's and the student's own."""
     return BOXES[request.param]
@@ -122,7 +122,7 @@ def f():
     assert answers[0] == answers[1]
 
 
-@toys.needs_box
+@toys.needs_sandbox
 def test_nothing_outlives_a_box():
     """A child that left its parents; and the control groups."""
     token = "token-of-test-box"
@@ -139,7 +139,7 @@ def test_nothing_outlives_a_box():
     assert toys.groups_left() == []
 
 
-@toys.needs_box
+@toys.needs_sandbox
 def test_box_ends_with_a_grader_that_is_killed():
     """The grader is killed while a function sleeps: the sandbox ends, the next grader sweeps it."""
     code = (
@@ -173,7 +173,7 @@ def _wait(fulfilled):
         time.sleep(0.05)
 
 
-@toys.needs_box
+@toys.needs_sandbox
 @pytest.mark.skipif(
     not hasattr(os, "geteuid") or os.geteuid() != 0,
     reason="root alone can make control groups anywhere",
@@ -198,7 +198,7 @@ def test_groups_bind_what_limits_do_not():
             assert error.category == "memory"  # the kernel chose the one that had started them
 
 
-@toys.needs_box
+@toys.needs_sandbox
 def test_probe_finds_no_hole():
     """On a machine with bubblewrap every attempt fails."""
     findings = probe.probe_sandbox()
@@ -220,7 +220,7 @@ def test_probe_sees_holes_where_there_are_some(tmp_path):
         assert worker.call("modules", ["json"]) == "json"
 
 
-@toys.needs_box
+@toys.needs_sandbox
 def test_holes_stop_the_probe_from_being_green(tmp_path, monkeypatch):
     """A box that shares the network, made so on purpose, is found out, and nothing else is."""
     monkeypatch.setattr(runtime, "_WALLS", (*runtime._WALLS, "--share-net"))

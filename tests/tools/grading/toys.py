@@ -14,7 +14,7 @@ HEAD = "import numpy as np\nfrom given import COHORT"
 STRETCH = 'def stretch(x, gain):\n    return gain * x + COHORT["offset"]'
 BRAKE = "def brake(position, speed):\n    return -4.0 * position - 4.0 * speed"
 
-needs_box = pytest.mark.skipif(
+needs_sandbox = pytest.mark.skipif(
     shutil.which("bwrap") is None and not os.environ.get("CI"),
     reason="bubblewrap is missing: apt install bubblewrap",
 )

@@ -43,7 +43,7 @@ class ReportContext:
 
     folder: Path
     salt: str = ""
-    boxed: bool = True
+    sandboxed: bool = True
     run: bool = True
     mark: str = ""
 
@@ -76,10 +76,10 @@ class RubricPart:
     question: str
 
 
-def course_lab(desk: ReportContext) -> tuple[Lab, Mapping[str, float]]:
+def course_lab(context: ReportContext) -> tuple[Lab, Mapping[str, float]]:
     """The lab with the checks of this course, and the course's constants."""
-    constants = course_constants(load_checks(desk.folder), desk.salt)
-    lab: Lab = load_module(desk.folder, "checks", constants).LAB
+    constants = course_constants(load_checks(context.folder), context.salt)
+    lab: Lab = load_module(context.folder, "checks", constants).LAB
     return lab, constants
 
 
@@ -112,7 +112,7 @@ def rubric_parts(folder: Path) -> list[RubricPart]:
     ]
 
 
-def inspect_submission(work: InspectionTask, desk: ReportContext) -> dict[str, Any]:
+def inspect_submission(work: InspectionTask, context: ReportContext) -> dict[str, Any]:
     """Inspect one submission.
 
     Args:
@@ -128,20 +128,20 @@ def inspect_submission(work: InspectionTask, desk: ReportContext) -> dict[str, A
     Raises:
         InputError: the lab itself cannot be used.
     """
-    lab, constants = course_lab(desk)
+    lab, constants = course_lab(context)
     try:
         data = work.submission.read()
         notebook = parse_notebook(data, "the notebook")
     except (InputError, OSError, MemoryError) as error:
         return empty_inspection(str(error)[:300])
     checks = (
-        _checks(GradingContext(desk.folder, lab, Course(constants)), notebook, work.failed)
-        if desk.boxed
+        _checks(GradingContext(context.folder, lab, Course(constants)), notebook, work.failed)
+        if context.sandboxed
         else {}
     )
-    parts = rubric_parts(desk.folder)
+    parts = rubric_parts(context.folder)
     answers = {part.name: _answer(notebook, part) for part in parts if not part.is_figure}
-    figures = _figures(work.submission, data, desk, parts)
+    figures = _figures(work.submission, data, context, parts)
     seen = {
         "checks": checks,
         "figures": figures,
@@ -195,15 +195,15 @@ def _answer(notebook: Notebook, part: RubricPart) -> str:
 
 
 def _figures(
-    submission: Submission, data: bytes, desk: ReportContext, parts: list[RubricPart]
+    submission: Submission, data: bytes, context: ReportContext, parts: list[RubricPart]
 ) -> dict[str, dict[str, Any]]:
     """Pictures of each figure's cell: from a fresh run or, where it drew none, as stored."""
     names = [part.name for part in parts if part.is_figure]
     ran, stored, kept = None, json.loads(data.decode("utf-8-sig")), "not run"
-    if names and desk.run and desk.boxed:
+    if names and context.run and context.sandboxed:
         kept = "stored"
-        with _lab_files(desk, submission.student) as files:
-            ran = run_notebook(data, files, course_lab(desk)[1])
+        with _lab_files(context, submission.student) as files:
+            ran = run_notebook(data, files, course_lab(context)[1])
     figures = {}
     for name in names:
         tries = [(figures_in(ran, name), "run"), (figures_in(stored, name), kept)]
@@ -217,25 +217,25 @@ def _figures(
 
 
 @contextmanager
-def _lab_files(desk: ReportContext, student: str) -> Iterator[dict[Path, str]]:
+def _lab_files(context: ReportContext, student: str) -> Iterator[dict[Path, str]]:
     """The files beside this student's notebook, individual handouts included."""
-    files = {desk.folder / name: name for name in FILES}
-    data = desk.folder / FOLDER
+    files = {context.folder / name: name for name in FILES}
+    data = context.folder / FOLDER
     files |= {
-        path: path.relative_to(desk.folder).as_posix()
+        path: path.relative_to(context.folder).as_posix()
         for path in sorted(data.rglob("*"))
         if path.is_file()
     }
-    constants = course_lab(desk)[1]
+    constants = course_lab(context)[1]
     handout = (
-        getattr(load_module(desk.folder, "hidden", constants), "handout", None)
-        if desk.salt
+        getattr(load_module(context.folder, "hidden", constants), "handout", None)
+        if context.salt
         else None
     )
     if handout is None:
         yield files
         return
     with tempfile.TemporaryDirectory(prefix="falconwing-") as place:
-        handout(Course(constants, student, desk.salt), Path(place))
+        handout(Course(constants, student, context.salt), Path(place))
         mine = sorted(path for path in Path(place).rglob("*") if path.is_file())
         yield files | {path: f"data/mine/{path.relative_to(place).as_posix()}" for path in mine}
