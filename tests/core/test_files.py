@@ -81,9 +81,7 @@ def test_a_full_disk_is_one_sentence_and_leaves_nothing(tmp_path):
 
 
 def test_figures_are_written_with_their_words(tmp_path):
-    """By hand: 1600 bytes are 2 kB to the nearest; each is there when it is told, and the next is
-    not drawn yet.
-    """
+    """By hand: 1600 bytes round to 2 kB; each figure exists when reported, the next one not yet."""
     drawings = {
         name: lambda path: path.write_bytes(b"x" * 1600) and "In words." for name in ("one", "two")
     }
@@ -128,9 +126,7 @@ def test_cache_folder_is_the_systems_own(platform, variable, path, monkeypatch, 
 
 
 def test_what_ships_is_found_beside_the_package_or_under_the_prefix(monkeypatch, tmp_path):
-    """A checkout has it, an install under <prefix>/share; where neither has, both places and the
-    advice are said.
-    """
+    """In a checkout, or under <prefix>/share; else the message has both paths and the advice."""
     assert shipped_path("hardware/airframe_umx.toml", "").name == "airframe_umx.toml"
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     there = tmp_path / "share" / "falconwing_kit" / "hardware" / "own.toml"

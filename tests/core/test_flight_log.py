@@ -449,7 +449,7 @@ def test_table_has_one_row_per_image_with_its_own_command(whole):
 
 
 def test_frames_without_state_have_no_pose(tmp_path):
-    """Image 1 has no state; nobody makes one up from its neighbours 50 ms away."""
+    """Image 1 has no state; none is interpolated from its neighbours 50 ms away."""
     with FlightLogWriter(tmp_path / "a.mcap") as log:
         for k in range(4):
             log.command(picture(k).t + 0.03, command(k), picture(k))

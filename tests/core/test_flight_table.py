@@ -126,8 +126,8 @@ def test_optional_and_unknown_columns_are_kept(csv):
 def test_cut_last_line_is_dropped_with_a_warning(csv):
     """The file ends in the middle of a row, at each of its last 30 bytes.
 
-    Only a cut inside the last number leaves a row that looks whole, and nobody can tell that from a
-    file without a final line end.
+    Only a cut inside the last number leaves a row that looks complete, which cannot be
+    distinguished from a file without a final line end.
     """
     whole = "\n".join([HEADER, *ROWS]) + "\n"
     for cut in range(2, 32):
@@ -263,7 +263,7 @@ def test_a_row_without_time_is_dropped(csv):
 
 
 def test_time_running_backwards_is_refused(csv):
-    """A file sorted the wrong way round is not mended by dropping nearly all of it."""
+    """A file in reverse order is refused; dropping nearly all rows is no correction."""
     with pytest.raises(InputError, match=r"time must increase.*line 3"):
         read_flight_table(csv(ROWS[::-1]))
 
@@ -283,9 +283,7 @@ def test_degrees_are_refused(csv):
 
 
 def test_unwrapped_yaw_is_read_with_a_warning(csv):
-    """Circling ten turns in radians is possible, and so is a straight flight in degrees: only a
-    person can tell.
-    """
+    """Ten turns in radians and a straight flight in degrees are both possible: the user decides."""
     rows = [row.replace(",0.1,0.05,0.2,", f",0.5,0.05,{3.0 * k},") for k, row in enumerate(ROWS)]
     table = read_flight_table(csv(rows))
     assert table.attitude[-1, 2] == 57.0 and "unwrapped" in table.warnings[0]

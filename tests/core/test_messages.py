@@ -47,7 +47,7 @@ def test_pose_of_a_state_moves_a_point_of_the_nose():
 
 
 def test_a_limit_that_acts_is_said():
-    """1.2 of throttle is cut to 1 and the record says so; within limits nothing is said."""
+    """A throttle of 1.2 is clipped to 1 and marked as saturated; within limits it is not."""
     cut = Command.clip(1.2, -3.0, 0.5, 0.0, image_sequence=4)
     assert (cut.throttle, cut.aileron, cut.elevator, cut.rudder) == (1.0, -1.0, 0.5, 0.0)
     assert cut.saturated and cut.image_sequence == 4

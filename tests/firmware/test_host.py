@@ -41,9 +41,7 @@ def library(tmp_path_factory):
 
 
 def test_a_million_broken_frames_are_refused_under_sanitizers(tmp_path):
-    """AddressSanitizer and UndefinedBehaviorSanitizer are independent; what must be 0 is told in
-    host_test.cpp.
-    """
+    """AddressSanitizer and UndefinedBehaviorSanitizer are independent; claims in host_test.cpp."""
     done = make("host-test", tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "1000000 corrupted frames: 0 accepted; every valid frame" in done.stdout
@@ -258,9 +256,7 @@ def test_spektrum_frame_by_hand(library):
 
 
 def test_spektrum_channels_may_come_in_two_frames(library):
-    """With more than seven channels a radio sends them in turns; nothing is told before all four
-    are known.
-    """
+    """A radio alternates frames of more than seven channels; reports need all four channels."""
     spektrum = Spektrum(library)
     assert spektrum.frame(spektrum_frame(WORDS[:2])) == ()
     assert spektrum.frame(spektrum_frame(WORDS[2:])) == WORDS_US

@@ -26,7 +26,7 @@ from tests.firmware.chip import require_tools
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES, PERIOD = 300, 0.05
-CODES = 200  # images are told apart by so many positions of one stick, a microsecond each
+CODES = 200  # images are distinguished by positions of one control, 1 us apart
 LIMIT_MS, ATTEMPTS = 40.0, 3
 # The most trivial pilot: the rudder says which image it answers; image 0 hands the sticks back, all
 # others engage.
@@ -75,10 +75,9 @@ def test_image_to_pulses_takes_40_ms_at_most(bridge):
     is the requirement.
 
     By the frame: 1.4 ms of serial line, 0 to 22 ms until the next frame begins, 5 to 8 ms until its
-        last slot is
-    complete, so some 27 ms at the 95th percentile, and the rest is for ROS. An image that is lost
-    counts as for ever. The clock is the wall's, and other programs on the machine can only add to
-    what is measured: one attempt of three must keep the limit. All are printed.
+    last slot is complete, so about 27 ms at the 95th percentile; the rest is ROS. A lost image
+    counts as infinite. Other programs on the machine can only increase the measured times: one of
+    three attempts must keep the limit. All are printed.
     """
     bus, port = bridge
     for attempt in range(ATTEMPTS):

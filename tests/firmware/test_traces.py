@@ -76,8 +76,8 @@ def test_the_chip_does_what_the_rules_say():
     and counts.
 
     The model was written from the rules, not from the firmware. A command's arrival is known to the
-    time that the program takes; a trace in which that decides is not judged, and the model itself
-    tells which: early and late differ. With 60 commands of 0.4 ms in frames of 22 ms that is rarer
+    time that the program takes; a trace in which that decides is not compared: the model's results
+    for early and late arrival differ. With 60 commands of 0.4 ms in frames of 22 ms that is rarer
     than one in two, so at least half must be left.
     """
     require_tools()

@@ -85,9 +85,7 @@ def test_errors_never_exceed_the_bound_of_a_young_clock():
 
 
 def test_a_constant_asymmetry_stays_within_the_bound():
-    """By hand: 0 ms there and 10 ms back put the middle 5 ms off, half of what was on the way; no
-    more can be told.
-    """
+    """By hand: 0 ms there and 10 ms back shift the midpoint by 5 ms, half of the latency."""
     board, clock = Board(1.0, 0.0), DeviceClock()
     for k in range(100):
         board.answer(clock, 0.5 * k, 0.0, 10e-3)

@@ -193,7 +193,7 @@ def test_an_edge_that_came_to_nothing_is_tried_again(board, port):
     "status", [{"state": "LOST"}, {"state": "FAULT", "fault": "range"}, {"boot_count": 4}]
 )
 def test_a_board_that_stopped_following_is_not_taken_back_by_itself(board, port, status):
-    """Whatever the reason: engage=0 goes out until somebody withdrew and asked again."""
+    """For any reason: engage=0 is sent until engagement is withdrawn and requested again."""
     fly(board, port)
     step(board, port, replace(SAYS, last_sequence=106, accepted=46, **status))
     assert port.engagement == "dropped" and "dropped" in [event.name for event in port.events]
@@ -235,7 +235,7 @@ def test_sticks_that_are_no_numbers_hand_back(board, port):
 
 @pytest.mark.parametrize("nothing", [None, "sticks", (0.5, 0.0, 0.0, 0.0)])
 def test_what_is_no_command_hands_back(board, port, nothing):
-    """A pilot that forgot to return one: the board is told at once, not 200 ms later by silence."""
+    """A controller that returned none: hand-back is immediate, not a timeout 200 ms later."""
     fly(board, port)
     assert port.send(nothing, engage=True)
     assert (
@@ -442,9 +442,7 @@ def test_safe_slots_that_would_leave_the_motor_on_are_refused():
 
 
 def test_a_host_that_comes_back_at_once_is_checked_too(board):
-    """Its board still is ACTIVE with the last one's slots, and LOST 0.2 s later: only then the safe
-    slots tell.
-    """
+    """The board is still ACTIVE with old slots; it is LOST, with its safe slots, 0.2 s later."""
     shipped = load_calibration()
     aileron, throttle = replace(shipped.aileron, channel=1), replace(shipped.throttle, channel=2)
     port = TrainerPort(

@@ -55,9 +55,7 @@ def test_a_skewed_radio_by_hand(skewed):
 
 
 def test_a_pilot_frame_gives_the_sticks_by_hand(skewed):
-    """The same numbers the other way; a seventh slot is passed over; beyond an end it is cut and
-    said.
-    """
+    """The same numbers inverted; a seventh slot is ignored; beyond an end point it is clipped."""
     command = skewed.command((1305, 1120, 1705, 0, 0, 1550, 999))
     assert command.vector == pytest.approx([0.75, 0.5, -1.0, 0.1], abs=1e-12)
     assert not command.saturated

@@ -96,7 +96,7 @@ def test_take_waits_for_what_is_on_its_way(ends):
 
 
 def test_after_close_nothing_is_heard(ends):
-    """What is published to a closed bus reaches nobody, and it says that nobody listens."""
+    """A message to a closed bus is lost, and the number of listeners is zero."""
     sender, receiver = ends
     inbox = connect(sender, receiver, PILOT)
     receiver.close()
@@ -119,7 +119,7 @@ def test_wrong_topics_and_messages_are_refused(ends):
 
 
 class FakePort:
-    """A trainer port whose board the test plays: it notes what it was told, in order."""
+    """A trainer port that records its calls in order."""
 
     calibration = load_calibration()
 
@@ -171,9 +171,7 @@ def rest(bus, port):
 
 
 def test_relay_sends_each_command_once_and_hands_back():
-    """Two commands and three turns without any: nothing is repeated, or the board could not tell
-    that they stopped.
-    """
+    """Two commands, three turns without: none is repeated, or the board could not time out."""
     port = FakePort()
     moved, _ = relayed(port, [order(0.5, engage=False), rest, rest, order(0.7), rest])
     assert port.told == [(0.5, False), (0.7, True), "hand back"]

@@ -191,8 +191,8 @@ class Grain:
 
 
 def test_the_monitors_alarms_are_said_once_and_stand_in_the_log(flight):
-    """Noise from 1 s on is told within the 300 ms that the manual promises, its end within a
-    second; then no picture comes any more, which is told within a second too. The sticks go on.
+    """Noise from 1 s on is reported within the manual's 300 ms, its end within a second; then the
+    images stop, which is reported within a second too. Commands are still recorded.
     """
     flight.recording.images, flight.recording.monitor = Grain(), FrameMonitor()
     flight.run(4.0)

@@ -1,6 +1,4 @@
-"""RosBus among other programs: a node in the system's Python that knows ROS and not the kit, and
-foreign messages.
-"""
+"""RosBus with other programs: a node in the system's Python without the kit, and their messages."""
 
 import json
 import math

@@ -121,9 +121,7 @@ def test_bytes_that_nobody_fetches_are_lost(probe):
 
 
 def test_a_hung_loop_does_not_stop_the_interrupts(probe):
-    """The probe answers from an interrupt; its program hangs for ever, for it has no watchdog;
-    power ends it.
-    """
+    """The probe answers from an interrupt; it has no watchdog, so its program hangs permanently."""
     probe.hang()
     probe.run_until(probe.t + 0.01)
     probe.write(b"x")

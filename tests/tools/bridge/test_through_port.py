@@ -142,7 +142,7 @@ def test_an_unknown_board_is_refused():
 
 @pytest.mark.timeout(900)  # 100 s of CPU, more on a busy machine
 def test_a_hundred_landings_through_the_firmware_are_as_good_as_without():
-    """The issue's figures: every one on the pad, within 10 cm in the mean, and no worse than flown
+    """The issue's figures: every one on the pad, within 10 cm on average, and no worse than flown
     without the port.
 
     Two means over the same hundred starts differ by chance by at most three of the paired
@@ -165,9 +165,7 @@ def test_a_hundred_landings_through_the_firmware_are_as_good_as_without():
 
 
 def test_the_log_tells_what_happened_at_the_port(tmp_path):
-    """The board becomes ACTIVE before the flight, so its log begins with what the port told until
-    then.
-    """
+    """The board becomes ACTIVE before the flight, so its log begins with the earlier events."""
     task = LandingTask()
     record = fly_trial(
         task, task.expert, 0, setting=TrialSettings(port="sim-python"), log=tmp_path / "flight.mcap"
@@ -179,9 +177,7 @@ def test_the_log_tells_what_happened_at_the_port(tmp_path):
 
 
 def test_a_full_disk_ends_no_flight_through_the_port(tmp_path, monkeypatch):
-    """What the port tells cannot be logged from the first step on: a warning, and the landing is
-    flown to its end.
-    """
+    """Events of the port cannot be logged from the first step on: a warning, and a full landing."""
     task = LandingTask()
 
     def refuse(self, t, name, details=None):

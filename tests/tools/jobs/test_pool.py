@@ -1,4 +1,4 @@
-"""Pool: every item has one result, whoever dies."""
+"""Pool: every item has one result, also if processes are killed."""
 
 import os
 import signal
