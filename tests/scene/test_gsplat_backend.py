@@ -141,7 +141,7 @@ def black(*args, **kwargs):
     ids=["no kernels", "black"],
 )
 def test_gsplat_that_cannot_render_is_said_in_one_sentence(stand_in, broken, reason):
-    """gsplat without CUDA imports and fails at its first call; so does a driver that draws nothing."""
+    """Without CUDA gsplat fails at its first call; a driver that draws nothing is an error too."""
     stand_in.rasterization = broken
     with pytest.raises(
         InputError,
