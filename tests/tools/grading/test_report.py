@@ -115,7 +115,7 @@ def test_feedback_says_what_to_look_at(report):
         in page
     )
     assert "✓ passed:" in page and "a larger number gives a larger one" in page
-    assert "think of limits, signs and shapes" in page
+    assert "consider limits, signs and shapes" in page
     assert "<h2>" not in feedback(report, "ada")
     assert "is not written yet" in feedback(
         report, "dan"
@@ -204,7 +204,7 @@ def test_without_a_box_nothing_is_run(graded, tmp_path, monkeypatch, capsys):
     assert "as stored in the notebook, which was not run" in (
         tmp_path / "r" / "rubric.html"
     ).read_text(encoding="utf-8")
-    assert "A right function does all of this:" in feedback(tmp_path / "r", "bob")
+    assert "A correct function fulfils all of these:" in feedback(tmp_path / "r", "bob")
 
 
 def test_changed_submission_is_not_taken_for_the_graded_one(graded, tmp_path, monkeypatch, capsys):

@@ -78,7 +78,7 @@ def test_common_code_weighs_less_than_rare_code():
 def test_copy_of_the_kit_and_of_an_earlier_class_is_found(tmp_path):
     """A kit function under another name, and last year's: both are listed, with both texts."""
     name, text = next(
-        (n, t) for n, t in kit_functions().items() if n == "grading.lab.course_constants"
+        (n, t) for n, t in kit_functions().items() if n == "tools.grading.lab.course_constants"
     )
     copied = text.replace("course_constants", "stretch").replace("share", "d")
     (tmp_path / "old_dan.ipynb").write_bytes(toys.notebook_bytes(LOOP.replace("path", "brake")))
