@@ -1,7 +1,7 @@
-"""Effect: one candidate for what the model lacks, as one object: equation, parameters, how to find it.
+"""Effect: one object per candidate for what the model lacks: its equation and how it is found.
 
-A file of `aircraft/effects` or of a user defines effects; naming, identification, hidden flights and
-reports read the fields below and know no effect by its name.
+A file of `aircraft/effects` or of a user defines effects; naming, identification, hidden flights
+and reports read the fields below and look up no effect by its name.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -42,9 +42,7 @@ class Effect:
     input_map: Callable[[Any], tuple[Any, Any, Any]] | None = None
     # Measurement map, (pose (6, ...) in the order x y z roll pitch yaw, K) -> pose (6, ...).
     measurement_map: Callable[[Array, Any], Array] | None = None
-    same_as: str = (
-        ""  # an effect with the same dynamics: found under that name, with its parameters
-    )
+    same_as: str = ""  # an effect with the same dynamics: found under its name
 
     # How a flight is searched for it
     starts: tuple[dict[str, float], ...] = ()  # further points where a scan starts
@@ -62,7 +60,7 @@ class Effect:
     note: str = ""  # what no flight separates, and what to do instead
 
     # How it is hidden in a simulated flight
-    # Size just visible at marker noise, the same at pose-net noise, plainly visible and still flown.
+    # Size just visible at marker noise, at pose-net noise, and plainly visible in a stable flight.
     sizes: tuple[float, float, float] | None = None
     draw: Draw | None = None
     hidden_map: Callable[[Array, Any], Array] | None = None  # measurement_map without approximation
@@ -96,7 +94,7 @@ class Effect:
         return WindTerm(self.name, self.parameters, self.wind_field) if self.wind_field else None
 
     def scan(self, low: Array, high: Array) -> list[dict[str, float]]:
-        """All parameter values at which a scan tries it; low and high (2,) bound the area flown [m]."""
+        """Parameter values at which a scan tries it; low and high (2,) bound the area flown [m]."""
         start = {p.name: p.start for p in self.parameters}
         points = self.scan_points(low, high) if self.scan_points else ({}, *self.starts)
         return [{**start, **point} for point in points]
@@ -116,8 +114,8 @@ def effect_catalogue(effects: Iterable[Effect]) -> tuple[Effect, ...]:
         other = numbers.setdefault(effect.frozen_number, effect.name)
         if other != effect.name:
             raise InputError(
-                f"effect {effect.name}: frozen_number: expected one of its own, got that of {other} "
-                f"({effect.frozen_number}): give it none"
+                f"effect {effect.name}: frozen_number: expected a new one, got that of {other} "
+                f"({effect.frozen_number}): remove it"
             )
     return tuple(ordered)
 

@@ -1,8 +1,7 @@
-"""Surprises without a name: a force or a moment that goes with one variable of the flight, or
-sticks that linger.
+"""Generic effects: a force or moment in proportion to one flight variable, or a command filter.
 
-They are what an effect outside the catalogue looks like to first order. Where one of them explains
-a flight better than every named effect does, no name is safe.
+They are first-order forms of effects outside the catalogue. Where one of them explains a flight
+better than every named effect, no name is given.
 """
 
 from collections.abc import Callable
@@ -16,8 +15,8 @@ from falconwing_kit.core.checks import Array
 
 HEIGHT_SCALE_M = 0.5  # decay with height, about the span of a 150 g aircraft
 
-# Variable -> its value in a flow, in numbers around one for a 150 g aircraft at 7 m/s; aerodynamic
-# loads go with V^2.
+# Flight variable -> regressor, of order one for a 150 g aircraft at 7 m/s; aerodynamic loads are
+# proportional to V^2.
 REGRESSORS: dict[str, Callable[[Any], Any]] = {
     "airspeed": lambda air: _dynamic_pressure(air),
     "angle of attack": lambda air: _dynamic_pressure(air) * 5.0 * air.alpha,
@@ -49,7 +48,7 @@ def _dynamic_pressure(air: Any) -> Any:
 
 
 def _generic_load(variable: str, rotational: bool) -> Effect:
-    """A force (or a moment) along all three body axes in proportion to a variable."""
+    """A force (or moment) with a component along each body axis, in proportion to a variable."""
     value, kind, unit = (
         REGRESSORS[variable],
         *(("moment", "rad/s^2") if rotational else ("force", "m/s^2")),
@@ -72,25 +71,20 @@ def _generic_load(variable: str, rotational: bool) -> Effect:
 
 
 def fir_input_filter(t: Array, commands: Array, K: Any) -> Array:
-    """Sticks that act in part one and two frames later, whatever delays or smooths them: a filter
-    of two taps.
+    """u[n] + a_1 (u[n-1] - u[n]) + a_2 (u[n-2] - u[n]): shares a_1, a_2 act one and two rows later.
 
-    Args:
-        t: (N,) [s], unused.
-        commands: (N, 4).
-        K: parameters stick_memory_1 and stick_memory_2, shares of the command one and two frames
-            before.
-
-    Returns:
-        (N, 4).
+    Approximates any delay or lag of the commands (N, 4); a_1 and a_2 are stick_memory_1 and _2.
     """
     once, twice = (np.concatenate([commands[:k], commands[:-k]]) - commands for k in (1, 2))
     return commands + K.stick_memory_1 * once + K.stick_memory_2 * twice
 
 
 INPUT_FILTER = Effect(
-    "memory of the sticks", "The sticks act later or more slowly than the model has it.",
-    tuple(Parameter(f"stick_memory_{k}", 0.1, -2.0, 2.0, "-", f"share acting {k} frames later") for k in (1, 2)),
+    "memory of the sticks", "The commands act later or more slowly than in the model.",
+    tuple(
+        Parameter(f"stick_memory_{k}", 0.1, -2.0, 2.0, "-", f"share acting {k} frames later")
+        for k in (1, 2)
+    ),
     command_map=fir_input_filter,
 )  # fmt: skip
 GENERIC_LOADS: tuple[Effect, ...] = tuple(

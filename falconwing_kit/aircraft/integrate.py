@@ -1,6 +1,4 @@
-"""Integration: a model, a start state and commands -> the flight. Runge-Kutta of fourth order,
-batched or compiled.
-"""
+"""Integration: model, initial state and commands -> the flight, by fourth-order Runge-Kutta."""
 
 from collections.abc import Callable
 from functools import cache
@@ -33,8 +31,7 @@ def step_batch(
         x: (n_states, ...) states, SI.
         command: (4, ...) mean control positions during the step.
         duration: (...) step length [s].
-        swing: (4, ...) the positions run from command - swing to command + swing; None where they
-            are constant.
+        slope: (4, ...) positions run from command - slope to command + slope; None: constant.
 
     Returns:
         (n_states, ...) states after the step.
@@ -45,7 +42,7 @@ def step_batch(
     k2 = _stack(rates(time + half, x + half * k1, command, K), x)
     k3 = _stack(rates(time + half, x + half * k2, command, K), x)
     k4 = _stack(rates(time + duration, x + duration * k3, last, K), x)
-    total = k2 + k3
+    total = k2 + k3  # x + duration / 6 (k1 + 2 k2 + 2 k3 + k4), without further arrays
     total *= 2.0
     total += k1
     total += k4
@@ -64,14 +61,14 @@ def _stack(rates: tuple[Any, ...], like: Array) -> Array:
 def roll_out_batch(
     model: Model, start: Array, commands: Array, dt: float, slope: Array | None = None
 ) -> Array:
-    """Fly many aircraft through given commands, all advanced together in NumPy (the readable one).
+    """Fly many aircraft through given control positions, all advanced together in NumPy.
 
     Args:
         model: the aircraft.
-        start: (B, n_states) start states.
+        start: (B, n_states) initial states.
         commands: (B, T, 4) mean control positions during each step.
         dt: step length [s].
-        swing: (B, T, 4) half of their change over each step, or None where they are constant.
+        slope: (B, T, 4) half of their change over each step; None: constant.
 
     Returns:
         (B, T + 1, n_states); row 0 is the start.
@@ -91,20 +88,9 @@ def roll_out_batch(
 def roll_out_compiled(
     model: Model, start: Array, commands: Array, dt: float, slope: Array | None = None
 ) -> Array:
-    """The same as `roll_out_batch`, one aircraft after the other in code compiled by numba.
+    """The same as `roll_out_batch` to rounding, one aircraft after the other, compiled by numba.
 
-    Equal to rounding; much faster for a single flight, at the price of some seconds of compiling at
-    the first call.
-
-    Args:
-        model: the aircraft.
-        start: (B, n_states).
-        commands: (B, T, 4).
-        dt: step length [s].
-        swing: (B, T, 4) or None.
-
-    Returns:
-        (B, T + 1, n_states).
+    Much faster for a single flight; the first call compiles for some seconds.
     """
     fly = _compile_flight(model.form, model.terms, model.winds)
     flown = np.empty((start.shape[0], commands.shape[1] + 1, start.shape[1]))
@@ -189,16 +175,15 @@ def roll_out(
     backend: str = "batch",
     slope: Array | None = None,
 ) -> Array:
-    """Fly one or many aircraft through control positions that act as given (no delay, no lag).
+    """Fly one or many aircraft through control positions, without delay and lag.
 
     Args:
         model: the aircraft.
-        start: (n_states,) or (B, n_states) start states in the order of STATE_NAMES, SI.
-        commands: (T, 4) or (B, T, 4) in the order of COMMAND_NAMES, each held for one step.
+        start: (n_states,) or (B, n_states) initial states in the order of STATE_NAMES, SI.
+        commands: (T, 4) or (B, T, 4) in the order of COMMAND_NAMES, constant over each step.
         dt: step length [s], > 0.
         backend: "batch" (NumPy) or "compiled" (numba).
-        swing: shape of commands; positions run from commands - swing to commands + swing over each
-            step.
+        slope: shape of commands; positions run from commands - slope to commands + slope.
 
     Returns:
         (T + 1, n_states) or (B, T + 1, n_states); row 0 is the start.
@@ -231,13 +216,13 @@ def roll_out(
 
 
 def fly(model: Model, start: Array, t: Array, commands: Array, backend: str = "batch") -> Array:
-    """Fly one aircraft through logged stick positions, delay and servo lag included.
+    """Fly one aircraft through logged commands, with the model's input map (delay, servo lag).
 
     Args:
-        model: the aircraft; its parameters `delay` and `lag` act on the commands.
+        model: the aircraft.
         start: (n_states,) state at t[0].
         t: (N,) uniformly spaced times [s].
-        commands: (N, 4) stick positions, each held until the next.
+        commands: (N, 4) control inputs, each held until the next.
         backend: "batch" or "compiled".
 
     Returns:

@@ -1,9 +1,8 @@
-"""Model f_K: a tuple of named terms and their parameter values -> the rate of change of the state.
+"""Model f_K: named terms and their parameter values -> the time derivative of the state.
 
 Two models share everything but their body rates; files and options name them by `form`:
-    "paper"  the 9-state model: body rates follow the commands at once [paper, Section IV-B]
-    "rates"  the 12-state model: body rates have their own dynamics, which a real 150 g aircraft
-    needs
+    "paper"  the 9-state model: body rates follow the commands immediately [paper, Section IV-B]
+    "rates"  the 12-state model: body rates have dynamics of their own, as a 150 g aircraft needs
 """
 
 from collections import namedtuple
@@ -63,21 +62,11 @@ class Model:
 
     @property
     def K(self) -> Any:
-        """The parameter values as a record with one field a name, as terms read them."""
+        """The parameter values as a record with one field per name, which terms read."""
         return parameter_record(self.names)(*(float(self.values[name]) for name in self.names))
 
     def with_values(self, values: Mapping[str, float]) -> "Model":
-        """The same model with some values changed.
-
-        Args:
-            values: name -> value, in the parameter's unit.
-
-        Returns:
-            A new model.
-
-        Raises:
-            InputError: a name is not a parameter of the model.
-        """
+        """The same model with some values changed; InputError for an unknown name."""
         unknown = [name for name in values if name not in self.values]
         if unknown:
             raise InputError(f"parameter {unknown[0]!r}: expected one of {', '.join(self.names)}")
@@ -88,7 +77,7 @@ class Model:
         return replace(self, values=dict(zip(self.names, map(float, vector), strict=True)))
 
     def with_fixed(self, names: Iterable[str]) -> "Model":
-        """The same model with some parameters held at their present value in every fit."""
+        """The same model with some parameters fixed at their present values in every fit."""
         fixed = set(names)
         unknown = fixed.difference(self.values)
         if unknown:
@@ -159,7 +148,7 @@ class Model:
         present = {t.name for t in self.terms} | {w.name for w in self.winds}
         twice = [t.name for t in terms if t.name in present]
         if twice:
-            raise InputError(f"term {twice[0]!r}: the model has it already")
+            raise InputError(f"term {twice[0]!r}: expected a new term, got one of the model")
         known = set(self.names)
         parameters = [p for term in terms for p in term.parameters if p.name not in known]
         return replace(
@@ -172,24 +161,14 @@ class Model:
 
 
 def paper_model() -> Model:
-    """The paper's 9-state model with quasi-steady rates: 16 parameters, plus delay and lag held at
-    zero.
-
-    Returns:
-        The model at its starting values.
-    """
+    """The paper's 9-state model with quasi-steady rates: 16 free parameters, no delay, no lag."""
     model = _assemble_model("paper", FORCES + QUASI_STEADY_RATES)
     zero = ("cL_de", "cY_dr", "cD_beta", "delay", "lag")
     return model.with_values(dict.fromkeys(zero, 0.0)).with_fixed(zero)
 
 
 def rates_model() -> Model:
-    """The 12-state model: 23 parameters, inertia coupling, sideslip drag, servo lag and delay (29
-    in all).
-
-    Returns:
-        The model at its starting values.
-    """
+    """The 12-state model: 29 parameters, servo lag and delay among them."""
     return _assemble_model("rates", FORCES + MOMENTS)
 
 
@@ -206,17 +185,13 @@ def scale_model(model: Model, mass: float, wing_area: float, span: float) -> Mod
 
     Forces per mass go with wing area / mass, rates with 1 / span, moments with 1 / span^2, thrust
     per mass stays and its loss with speed goes with 1 / speed, speed with sqrt(mass / wing area)
-    [Raymer, Aircraft Design, ch. 5: scaling laws of similar aircraft]. These are where a fit
-    begins, no claim about the aircraft.
+    [Raymer, Aircraft Design, ch. 5: scaling laws of similar aircraft]. A fit starts there.
 
     Args:
         model: a model at the starting values of the 150 g aircraft (0.076 m^2, 0.70 m).
         mass: [kg].
         wing_area: [m^2].
         span: [m].
-
-    Returns:
-        A new model.
 
     Raises:
         InputError: a number is not positive.
@@ -241,16 +216,7 @@ def scale_model(model: Model, mass: float, wing_area: float, span: float) -> Mod
 
 
 def add_uniform_wind(model: Model, wind_x: float = 0.0, wind_y: float = 0.0) -> Model:
-    """The model in a uniform wind whose two components are parameters.
-
-    Args:
-        model: any model without a uniform wind.
-        wind_x: where the air moves to, along world x [m/s].
-        wind_y: along world y [m/s].
-
-    Returns:
-        A new model.
-    """
+    """The model in a uniform wind; its velocity in world axes [m/s] becomes two parameters."""
     return model.with_terms(UNIFORM_WIND).with_values({"wind_x": wind_x, "wind_y": wind_y})
 
 
@@ -275,21 +241,12 @@ def state_rates(
 ) -> Any:
     """Build the function (time, x, command, K) -> dx/dt of a model's terms.
 
-    x is indexed by state first: x[i] is a number or an array, in the order of STATE_NAMES;
-        command[i] likewise in the
-    order of COMMAND_NAMES. Position moves with the velocity, velocity with gravity and the turned
-    forces, attitude with the body rates [Beard & McLain, eqs. 3.14-3.17]. Wind enters as
-    air-relative velocity.
+    p' = v, v' = g + R_world_body f, attitude by the body rates, body rates by the moments
+    [Beard & McLain, eqs. 3.14-3.17]; the forces f are those of the velocity relative to the air.
 
-    Args:
-        form: "paper" or "rates".
-        terms: forces and moments.
-        winds: parts of the wind.
-        compiler: applied to every function; numba.njit makes the compiled twin from this same
-            source.
-
-    Returns:
-        The function; its result is a tuple of 9 or 12 numbers or arrays.
+    x[i] is a number or an array, in the order of STATE_NAMES, command[i] likewise in that of
+    COMMAND_NAMES; dx/dt is a tuple of 9 or 12 of them. `compiler` is applied to every function:
+    numba's njit compiles this same source.
     """
     loads_of = _sum_of([compiler(t.evaluate) for t in terms], compiler)
     wind_of = _wind_of([compiler(w.evaluate) for w in winds], compiler)
@@ -304,6 +261,7 @@ def state_rates(
     @compiler
     def rates_of_state(time, x, command, K):  # type: ignore[no-untyped-def]
         pitch, yaw, roll = x[3], x[4], x[5]
+        # Air-relative velocity, in world axes and then in body axes.
         wind_x, wind_y, wind_z = wind_of(x[0], x[1], x[2], time, K)
         row_x, row_y, row_z = rotation(roll, pitch, yaw)
         ax, ay, az = x[6] - wind_x, x[7] - wind_y, x[8] - wind_z
@@ -316,6 +274,7 @@ def state_rates(
             p, q, r = 0.0, 0.0, 0.0
         air = flow_of((u, v, w), (p, q, r), (x[0], x[1], x[2]), time, command)
         fx, fy, fz, mx, my, mz = loads_of(air, K)
+        # Forces turned back to world axes, and gravity.
         vx_dot = row_x[0] * fx + row_x[1] * fy + row_x[2] * fz
         vy_dot = row_y[0] * fx + row_y[1] * fy + row_y[2] * fz
         vz_dot = row_z[0] * fx + row_z[1] * fy + row_z[2] * fz - gravity
@@ -342,16 +301,14 @@ def state_rates(
 
 
 def _sum_of(functions: list[Any], compiler: Any) -> Any:
-    """One function that adds the loads of all; pairwise where it is compiled, so that a compiler
-    sees plain calls.
-    """
+    """One function that adds the loads of all; pairwise where it is compiled."""
     if compiler is _identity:
         return lambda air, K: _sum_arrays([evaluate(air, K) for evaluate in functions])
     return compiler(sum_loads(functions))
 
 
 def _sum_arrays(parts: list[Any]) -> list[Any]:
-    """Add loads, leaving out the plain zeros: most terms touch one or two of the six."""
+    """Add loads without the plain zeros: most terms have one or two nonzero loads of six."""
     total: list[Any] = [0.0] * 6
     for part in parts:
         for i, load in enumerate(part):
@@ -361,7 +318,7 @@ def _sum_arrays(parts: list[Any]) -> list[Any]:
 
 
 def _wind_of(functions: list[Any], compiler: Any) -> Any:
-    """One function that adds all parts of the wind; still air where there is none."""
+    """One function that adds all parts of the wind; zero where there is none."""
     if not functions:
 
         @compiler

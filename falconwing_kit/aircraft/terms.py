@@ -7,12 +7,12 @@ on numbers or arrays, so the same source runs batched in NumPy and compiled for 
 
 Symbols and signs are those of Beard & McLain, Small Unmanned Aircraft, ch. 4 and 5:
 
-    c        lower case: c = rho S C / (2 m) with the textbook's C, so that force per mass = V^2 c; cL_alpha in
-             1/(m rad) is rho S C_L_alpha / (2 m). cD_induced multiplies the lift squared.
-    L M N    rolling, pitching and yawing moment per inertia, divided by V^2, or by V where a body rate multiplies it,
-             as the term's formula shows
-    _0       at zero angles, rates and commands; _alpha _beta of an angle [1/rad]; _p _q _r of a body rate
-    _da      of full aileron, _de of full elevator, _dr of full rudder
+    c        lower case: c = rho S C / (2 m) with the textbook's C, so that force per mass = V^2 c;
+             cL_alpha in 1/(m rad) is rho S C_L_alpha / (2 m); cD_induced multiplies lift squared
+    L M N    rolling, pitching and yawing moment per inertia, divided by V^2, or by V where a body
+             rate multiplies it, as the term's formula shows
+    _0       at zero angles, rates and commands; _alpha, _beta of an angle [1/rad]
+    _p _q _r of a body rate; _da of full aileron, _de of full elevator, _dr of full rudder
     Jx Jy Jz (Iyy - Izz)/Ixx, (Izz - Ixx)/Iyy, (Ixx - Iyy)/Izz
 
 An ordinary stable aircraft has L_beta, L_p, M_alpha, M_q, N_r and cY_beta below zero and N_beta
@@ -181,7 +181,10 @@ def thrust(air, K):
 
 
 def roll_moment(air, K):
-    """dp/dt = V^2 (L_0 + L_da aileron + L_beta beta) + V L_p p + V L_r r [Beard & McLain, eq. 5.10]."""
+    """dp/dt = V^2 (L_0 + L_da aileron + L_beta beta) + V L_p p + V L_r r.
+
+    [Beard & McLain, eq. 5.10]
+    """
     V = air.airspeed
     static = K.L_0 + K.L_da * air.aileron + K.L_beta * air.beta
     return 0.0, 0.0, 0.0, V * (V * static + K.L_p * air.p + K.L_r * air.r), 0.0, 0.0
@@ -195,7 +198,10 @@ def pitch_moment(air, K):
 
 
 def yaw_moment(air, K):
-    """dr/dt = V^2 (N_0 + N_dr rudder + N_beta beta) + V N_r r + V N_p p [Beard & McLain, eq. 5.12]."""
+    """dr/dt = V^2 (N_0 + N_dr rudder + N_beta beta) + V N_r r + V N_p p.
+
+    [Beard & McLain, eq. 5.12]
+    """
     V = air.airspeed
     static = K.N_0 + K.N_dr * air.rudder + K.N_beta * air.beta
     return 0.0, 0.0, 0.0, 0.0, 0.0, V * (V * static + K.N_r * air.r + K.N_p * air.p)

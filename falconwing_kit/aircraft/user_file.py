@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import decode_source, module_from_spec, spec_from_loader
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -85,18 +85,19 @@ class _Source:
             ast.parse(source.text, str(path))
         except (SyntaxError, ValueError) as error:
             line = getattr(error, "lineno", None) or 1
+            got = getattr(error, "msg", error)
             raise InputError(
-                f"{path.name}, line {line}: expected Python, got {getattr(error, 'msg', error)}: correct this line"
+                f"{path.name}, line {line}: expected Python, got {got}: correct this line"
             ) from None
         return source
 
-    def refuse(self, near: Any, problem: str) -> None:
+    def refuse(self, near: Any, problem: str) -> NoReturn:
         """Raise InputError with file and line of a function, an exception or a quoted name."""
         where = f"{self.path.name}, line {self.line(near)}: " if self.path else ""
         raise InputError(f"{where}{problem}") from None
 
     def line(self, near: Any) -> int:
-        """Line of an exception's last step in this file, of a function, or where a name is written."""
+        """Line of an exception's last step in this file, of a function, or of a quoted name."""
         if isinstance(near, BaseException):
             trace, line = near.__traceback__, 1
             while trace is not None:
@@ -215,8 +216,8 @@ def _check_parameters(owner: str, parameters: Any, taken: set[str], source: _Sou
         if not finite or not p.low <= p.start <= p.high or p.low == p.high:
             source.refuse(
                 p.name,
-                f"{owner}: parameter {p.name!r}: expected low <= start <= high, got {p.low!r}, {p.start!r}, "
-                f"{p.high!r}: correct them",
+                f"{owner}: parameter {p.name!r}: expected low <= start <= high, got {p.low!r}, "
+                f"{p.start!r}, {p.high!r}: correct them",
             )
 
 
@@ -231,8 +232,8 @@ def _check_fields(effect: Effect, known: set[str], source: _Source) -> None:
         if hooks or own or effect.same_as not in known:
             source.refuse(
                 name,
-                f"effect {name!r}: same_as: expected another effect's name, no hook and no parameters, got "
-                f"{effect.same_as!r}: correct it",
+                f"effect {name!r}: same_as: expected another effect's name, no hook and no "
+                f"parameters, got {effect.same_as!r}: correct it",
             )
     elif len(hooks) != 1:
         source.refuse(
@@ -249,7 +250,7 @@ def _check_fields(effect: Effect, known: set[str], source: _Source) -> None:
     if unknown := set(effect.contains) - known:
         source.refuse(
             name,
-            f"effect {name!r}: contains: expected names of effects, got {min(unknown)!r}: correct it",
+            f"effect {name!r}: contains: expected effects' names, got {min(unknown)!r}: correct it",
         )
     if effect.frozen_number is not None:
         source.refuse(
@@ -259,8 +260,9 @@ def _check_fields(effect: Effect, known: set[str], source: _Source) -> None:
         if p.start == 0.0 or not p.low <= 0.0 <= p.high:
             source.refuse(
                 p.name,
-                f"effect {name!r}: parameter {p.name!r}: expected bounds that contain 0 and a start other than 0, "
-                f"got {p.low:g} to {p.high:g} and {p.start:g}: correct them or list it in shape",
+                f"effect {name!r}: parameter {p.name!r}: expected bounds that contain 0 and a start "
+                f"other than 0, got {p.low:g} to {p.high:g} and {p.start:g}: correct them or list "
+                "it in shape",
             )
     if not effect.same_as and not effect.amplitudes:
         source.refuse(
@@ -288,8 +290,8 @@ class _Hook:
         except Exception as error:
             self.source.refuse(
                 error if self._is_own(error) else self.function,
-                f"{self.owner}: {self.name}: expected a result on the probe flow, got {_error_text(error)}: use NumPy on "
-                "numbers and arrays alike",
+                f"{self.owner}: {self.name}: expected a result on the probe flow, got "
+                f"{_error_text(error)}: use NumPy on numbers and arrays alike",
             )
 
     def _is_own(self, error: BaseException) -> bool:
@@ -312,7 +314,7 @@ class _Hook:
             self.refuse(f"expected finite {what}", "nan or inf on an ordinary flow")
         return array
 
-    def refuse(self, expected: str, got: str) -> None:
+    def refuse(self, expected: str, got: str) -> NoReturn:
         """Raise InputError at the function."""
         self.source.refuse(
             self.function, f"{self.owner}: {self.name}: {expected}, got {got}: correct it"
@@ -441,8 +443,8 @@ def _check_draw(effect: Effect, catalogue: Sequence[Effect], source: _Source) ->
     ):
         source.refuse(
             effect.name,
-            f"effect {effect.name!r}: expected three sizes above 0 (just visible at marker noise, at pose-net noise, "
-            f"plainly visible) and a function draw, got {sizes!r}: give both",
+            f"effect {effect.name!r}: expected three sizes above 0 (just visible at marker noise, "
+            f"at pose-net noise, plainly visible) and a function draw, got {sizes!r}: give both",
         )
         return
     drawn = hook.call(np.random.default_rng(3), float(sizes[2]))

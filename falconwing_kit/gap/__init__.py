@@ -1,4 +1,4 @@
-"""gap: where model and measurement disagree, which effect is missing, and how the gap closes with it.
+"""gap: where model and measurement disagree, which effect is missing, and the gap closed with it.
 
     Study(baseline=table, flight=table).report()
 

@@ -1,4 +1,4 @@
-"""Study of a gap: a baseline flight and a flight under test -> what is missing, as report.json has it."""
+"""Study: a baseline flight and a flight under test -> the missing effect, as report.json has it."""
 
 import math
 import time

@@ -1,4 +1,4 @@
-"""A user's effects, one of each kind, in one file: hidden by their own draw, named by `gap --effects`.
+"""A user's effects, one of each kind: hidden by their own draw, named by `gap --effects`.
 
 No file of the kit knows these names; simulated flights, not measured ones.
 """

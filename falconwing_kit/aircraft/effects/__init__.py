@@ -1,4 +1,4 @@
-"""Effects: every file of this folder -> the catalogue of what a flight may show and the model lacks.
+"""Effects: every file of this folder -> the catalogue of effects that the model lacks.
 
 A new effect is one new file here with `EFFECTS`, a tuple of `Effect`, and its test; no other file
 names it. A file of the same form outside the kit is tried by `falconwing gap --effects FILE`.

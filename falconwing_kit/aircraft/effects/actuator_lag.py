@@ -28,10 +28,10 @@ EFFECTS = (
     ),
     Effect(
         name="actuator_lag",
-        physics="What follows the servos, a linkage or the motor, has become slow.",
+        physics="A linkage or the motor, behind the servos, has become slow.",
         parameters=(
             Parameter(
-                "lag_in_series", 0.02, 0.0, 0.6, "s", "time constant of what follows the servo"
+                "lag_in_series", 0.02, 0.0, 0.6, "s", "time constant of a part behind the servo"
             ),
         ),
         input_map=lambda K: (0.0, 0.0, K.lag_in_series),

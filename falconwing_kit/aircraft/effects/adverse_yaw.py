@@ -14,7 +14,7 @@ def adverse_yaw(air: Flow, K: Any) -> Loads:
 EFFECTS = (
     Effect(
         name="adverse_yaw",
-        physics="The wing with more lift has more drag: aileron pulls the nose out of the turn.",
+        physics="The wing with more lift has more drag: aileron yaws the nose out of the turn.",
         parameters=(
             Parameter(
                 "adverse_yaw",
@@ -27,7 +27,7 @@ EFFECTS = (
         ),
         loads=adverse_yaw,
         acts_on=("yaw",),
-        separated_by={"aileron doublets": "aileron alone turns the nose"},
+        separated_by={"aileron doublets": "aileron alone yaws the nose"},
         sizes=(0.02, 0.1, 0.2),
         draw=draw_size("adverse_yaw"),
         frozen_number=8,

@@ -1,4 +1,4 @@
-"""Aileron loss: part of the aileron's rolling moment is gone."""
+"""Aileron loss: part of the rolling moment of aileron is lost."""
 
 from typing import Any
 
@@ -15,11 +15,9 @@ def aileron_loss(air: Flow, K: Any) -> Loads:
 EFFECTS = (
     Effect(
         name="aileron_loss",
-        physics="An aileron moves less, or one of the two not at all.",
+        physics="An aileron deflects less, or one of the two not at all.",
         parameters=(
-            Parameter(
-                "aileron_lost", 0.05, 0.0, 1.0, "-", "share of the aileron's moment that is gone"
-            ),
+            Parameter("aileron_lost", 0.05, 0.0, 1.0, "-", "share of the rolling moment lost"),
         ),
         loads=aileron_loss,
         acts_on=("roll",),

@@ -33,7 +33,7 @@ def camera_tilt_exact(pose: Array, K: Any) -> Array:
 EFFECTS = (
     Effect(
         name="camera_tilt",
-        physics="The camera looks in another direction than before; the aircraft flies as ever.",
+        physics="The camera points in another direction than before; the aircraft is unchanged.",
         parameters=(
             Parameter("tilt_pitch", 0.01, -0.4, 0.4, "rad", "camera turned up in the body"),
             Parameter(

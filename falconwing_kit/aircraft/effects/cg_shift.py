@@ -20,7 +20,7 @@ def cg_shift(air: Flow, K: Any) -> Loads:
 EFFECTS = (
     Effect(
         name="cg_shift",
-        physics="The centre of gravity has moved along the fuselage, and lift turns the nose about it.",
+        physics="The centre of gravity has moved along the fuselage, so lift adds a moment.",
         parameters=(
             Parameter(
                 "cg_moment",
@@ -28,13 +28,13 @@ EFFECTS = (
                 -5.0,
                 5.0,
                 "1/m",
-                "lever of the lift, positive with the mass behind",
+                "lever of the lift, positive with the mass moved back",
             ),
         ),
         loads=cg_shift,
         acts_on=("pitch", "yaw"),
         separated_by={
-            "elevator doublets": "its pull goes with the lift, the elevator's does not",
+            "elevator doublets": "its moment follows the lift, the elevator's does not",
             "speed sweep": "each speed needs another elevator",
         },
         sizes=(0.1, 0.3, 0.6),

@@ -4,15 +4,15 @@ from falconwing_kit.aircraft.effect import Effect, draw_size
 from falconwing_kit.aircraft.terms import Parameter
 
 NO_FLIGHT_SEPARATES = (
-    "no flight separates a control delay from late time stamps; on the bench, film a control surface and the stick "
-    "together and compare the stamps"
+    "no flight separates a control delay from late time stamps; on the bench, film a control "
+    "surface and the stick together and compare the stamps"
 )
 SIZES = (0.01, 0.03, 0.12)  # [s]
 
 EFFECTS = (
     Effect(
         name="control_delay",
-        physics="What the sticks command acts later than before.",
+        physics="Commands act later than before.",
         parameters=(
             Parameter(
                 "control_delay", 0.02, -0.05, 0.4, "s", "delay added between command and servo"
@@ -32,7 +32,7 @@ EFFECTS = (
     ),
     Effect(
         name="time_offset",
-        physics="The images carry time stamps that are late; the flight shows the same as a control delay.",
+        physics="The images' time stamps are late; a flight shows the same as a control delay.",
         parameters=(),
         same_as="control_delay",
         note=NO_FLIGHT_SEPARATES,

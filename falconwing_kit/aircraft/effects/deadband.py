@@ -25,14 +25,14 @@ def deadband(t: Array, commands: Array, K: Any) -> Array:
 EFFECTS = (
     Effect(
         name="deadband",
-        physics="Small stick movements no longer reach the control surfaces.",
+        physics="Small commands no longer reach the control surfaces.",
         parameters=(
-            Parameter("deadband", 0.03, 0.0, 0.4, "-", "share of full stick that does nothing"),
+            Parameter("deadband", 0.03, 0.0, 0.4, "-", "share of full deflection without effect"),
         ),
         command_map=deadband,
         starts=({"deadband": 0.08}, {"deadband": 0.15}),
         acts_on=("sticks", "roll", "pitch", "yaw"),
-        separated_by={"small movements": "a dead band eats the small ones only"},
+        separated_by={"small movements": "a dead band removes the small ones only"},
         sizes=(0.02, 0.04, 0.15),
         draw=draw_size("deadband"),
         frozen_number=12,

@@ -1,4 +1,4 @@
-"""Extra drag: something sticks out into the air."""
+"""Extra drag: an added part in the air flow."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ def extra_drag(air: Flow, K: Any) -> Loads:
 EFFECTS = (
     Effect(
         name="extra_drag",
-        physics="Something sticks out into the air: drag grows with the square of speed at any throttle.",
+        physics="An added part has drag, which grows with the square of speed at any throttle.",
         parameters=(Parameter("drag_added", 0.003, 0.0, 0.3, "1/m", "drag added at zero lift"),),
         loads=extra_drag,
         acts_on=("along",),

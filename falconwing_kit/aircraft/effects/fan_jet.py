@@ -1,4 +1,4 @@
-"""Fan jet: a round stream of air in one part of the hall."""
+"""Fan jet: a round jet of air in one part of the hall."""
 
 from math import cos, pi, sin
 from typing import Any
@@ -26,7 +26,7 @@ def grid(low: Array, high: Array) -> list[dict[str, float]]:
 
 
 def draw(rng: np.random.Generator, size: float) -> dict[str, float]:
-    """A stream of this speed, its centre near one of the circles that a hidden flight flies."""
+    """A jet of this speed, its centre near one of the circles that a hidden flight flies."""
     around = rng.uniform(0.0, 2.0 * pi)
     circle = rng.choice([-FLIGHT_RADIUS_M, FLIGHT_RADIUS_M])
     centre = {
@@ -42,11 +42,13 @@ EFFECTS = (
         name="fan_jet",
         physics="A fan blows through one part of the hall only.",
         parameters=(
-            Parameter("jet_x", 0.3, -8.0, 8.0, "m/s", "stream along world x at its middle"),
-            Parameter("jet_y", 0.3, -8.0, 8.0, "m/s", "stream along world y at its middle"),
-            Parameter("jet_at_x", 0.0, -60.0, 60.0, "m", "middle of the stream"),
-            Parameter("jet_at_y", 0.0, -60.0, 60.0, "m", "middle of the stream"),
-            Parameter("jet_radius", 2.5, 0.7, 8.0, "m", "how wide the stream is"),
+            Parameter("jet_x", 0.3, -8.0, 8.0, "m/s", "air speed along world x at its centre"),
+            Parameter("jet_y", 0.3, -8.0, 8.0, "m/s", "air speed along world y at its centre"),
+            Parameter("jet_at_x", 0.0, -60.0, 60.0, "m", "x of its centre"),
+            Parameter("jet_at_y", 0.0, -60.0, 60.0, "m", "y of its centre"),
+            Parameter(
+                "jet_radius", 2.5, 0.7, 8.0, "m", "radius, one standard deviation of its profile"
+            ),
         ),
         wind_field=fan_jet,
         scan_points=grid,
@@ -54,7 +56,7 @@ EFFECTS = (
         contains=("wind",),
         acts_on=("air",),
         place=("jet_at_x", "jet_at_y"),
-        separated_by={"passes": "a stream is felt in one place only"},
+        separated_by={"passes": "a jet acts in one place only"},
         sizes=(0.4, 1.4, 3.0),
         draw=draw,
         frozen_number=1,

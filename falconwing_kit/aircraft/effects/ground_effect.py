@@ -33,7 +33,7 @@ def ground_effect(air: Flow, K: Any) -> Loads:
 EFFECTS = (
     Effect(
         name="ground_effect",
-        physics="Close to the floor the air under the wing cannot get away: more lift, less induced drag.",
+        physics="The floor blocks the downwash under the wing: more lift, less induced drag.",
         parameters=(
             Parameter("ground_lift", 0.1, 0.0, 2.0, "-", "share of lift added at the floor"),
             Parameter(
@@ -43,7 +43,7 @@ EFFECTS = (
         loads=ground_effect,
         essential=("ground_lift",),
         acts_on=("lift", "along"),
-        separated_by={"low passes": "only the cushion over the floor fades with height"},
+        separated_by={"low passes": "only ground effect fades with height"},
         sizes=(0.2, 0.6, 0.9),
         draw=lambda rng, size: {"ground_lift": size, "ground_drag": size},
         frozen_number=2,

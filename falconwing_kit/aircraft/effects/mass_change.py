@@ -22,11 +22,11 @@ def mass_change(terms: tuple[Term, ...]) -> LoadsFunction:
 EFFECTS = (
     Effect(
         name="mass_change",
-        physics="The aircraft is heavier: every force bends its path less, only gravity pulls as before.",
+        physics="The aircraft is heavier: every force accelerates it less, gravity as before.",
         parameters=(Parameter("mass_added", 0.03, -0.4, 1.0, "-", "share of the mass added"),),
         loads_of=mass_change,
         acts_on=("lift", "along", "side"),
-        separated_by={"steep turns": "weight bends every path less"},
+        separated_by={"steep turns": "a heavier aircraft turns less at the same bank and lift"},
         sizes=(0.12, 0.2, 0.35),
         draw=draw_size("mass_added"),
         frozen_number=14,

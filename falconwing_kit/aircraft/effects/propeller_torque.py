@@ -15,14 +15,14 @@ def propeller_torque(air: Flow, K: Any) -> Loads:
 EFFECTS = (
     Effect(
         name="propeller_torque",
-        physics="The propeller turns the aircraft against its own rotation, in step with thrust.",
+        physics="The propeller turns the aircraft against its rotation, in proportion to thrust.",
         parameters=(
             Parameter("torque_roll", 0.05, -5.0, 5.0, "1/m", "rolling moment per thrust"),
             Parameter("torque_yaw", 0.05, -5.0, 5.0, "1/m", "yawing moment per thrust"),
         ),
         loads=propeller_torque,
         acts_on=("roll", "yaw"),
-        separated_by={"throttle steps": "nothing but thrust turns the aircraft then"},
+        separated_by={"throttle steps": "only thrust rolls and yaws the aircraft then"},
         sizes=(0.15, 0.5, 1.0),
         draw=draw_direction("torque_roll", "torque_yaw"),
         frozen_number=7,

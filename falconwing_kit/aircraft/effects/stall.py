@@ -1,4 +1,4 @@
-"""Stall: beyond an angle of attack the lift stays behind and drag grows."""
+"""Stall: above an angle of attack lift is lost and drag is added."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ WIDTH = 0.035  # rad, of the smooth step: 2 deg
 
 
 def stall(air: Flow, K: Any) -> Loads:
-    """c loses stall_loss cL_alpha (alpha - stall_alpha) beyond stall_alpha, drag gains that tan(alpha).
+    """Above stall_alpha, c loses d = stall_loss cL_alpha (alpha - stall_alpha); drag d tan alpha.
 
     A smooth step of 2 deg [Beard & McLain, eq. 4.10].
     """
@@ -25,7 +25,7 @@ def stall(air: Flow, K: Any) -> Loads:
 EFFECTS = (
     Effect(
         name="stall",
-        physics="At high angle of attack the flow leaves the wing: lift stays behind and drag comes.",
+        physics="At high angle of attack the flow separates from the wing: less lift, more drag.",
         parameters=(
             Parameter("stall_alpha", 0.20, 0.08, 0.5, "rad", "angle of attack where it begins"),
             Parameter("stall_loss", 0.3, 0.0, 2.0, "-", "share of the lift slope lost beyond"),

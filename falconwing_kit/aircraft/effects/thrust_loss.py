@@ -22,9 +22,7 @@ EFFECTS = (
     Effect(
         name="thrust_loss",
         physics="The propeller gives less thrust at the same throttle.",
-        parameters=(
-            Parameter("thrust_lost", 0.05, 0.0, 1.5, "-", "share of the thrust that is gone"),
-        ),
+        parameters=(Parameter("thrust_lost", 0.05, 0.0, 1.5, "-", "share of the thrust lost"),),
         loads=thrust_loss,
         acts_on=("thrust", "along"),
         separated_by={"glides": "a weak propeller does not slow a glide"},
@@ -43,7 +41,7 @@ EFFECTS = (
         acts_on=("thrust", "along"),
         separated_by={
             "glides": "an empty battery does not slow a glide",
-            "early and late": "only a battery gets worse meanwhile",
+            "early and late": "only a battery loses thrust with time",
         },
         sizes=(0.15, 0.25, 0.4),
         draw=draw_size("sag"),

@@ -17,7 +17,7 @@ def trim_bias(t: Array, commands: Array, K: Any) -> Array:
 EFFECTS = (
     Effect(
         name="trim_bias",
-        physics="The neutral of the sticks has moved.",
+        physics="The neutral positions of the control surfaces have moved.",
         parameters=tuple(
             Parameter(
                 f"bias_{stick}",
@@ -25,13 +25,13 @@ EFFECTS = (
                 -0.5,
                 0.5,
                 "-",
-                f"{stick} added at neutral, share of full stick",
+                f"{stick} added, share of full deflection",
             )
             for stick in ("aileron", "elevator", "rudder")
         ),
         command_map=trim_bias,
         acts_on=("roll", "pitch", "yaw"),
-        separated_by={"hands off": "a bent trim turns the aircraft faster with speed"},
+        separated_by={"hands off": "a trim bias turns the aircraft faster with speed"},
         sizes=(0.08, 0.1, 0.2),
         draw=draw_direction("bias_aileron", "bias_elevator", "bias_rudder"),
         frozen_number=11,

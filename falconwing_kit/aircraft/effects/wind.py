@@ -8,13 +8,13 @@ from falconwing_kit.aircraft.terms import WIND_PARAMETERS, uniform_wind
 EFFECTS = (
     Effect(
         name="wind",
-        physics="The air as a whole moves: the wings feel a velocity that is not the one over the floor.",
+        physics="The air moves as a whole: velocity through the air is not that over the floor.",
         parameters=tuple(replace(p, start=0.3) for p in WIND_PARAMETERS),
         wind_field=uniform_wind,
         acts_on=("air",),
         separated_by={
-            "circles": "it comes from every side in turn",
-            "passes": "a wind is the same beside it",
+            "circles": "the wind comes from every side in turn",
+            "passes": "a uniform wind is the same beside the place",
         },
         sizes=(0.05, 0.3, 1.2),
         draw=draw_direction("wind_x", "wind_y"),
