@@ -65,12 +65,11 @@ def draw_filter(path: Path) -> str:
     axes.set_xticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
     axes.legend(title="damping resistor", loc="lower left", frameon=False)
     _save(figure, path)
-    text = f"""
-        Ripple behind the camera's filter against frequency, computed. Below 1 kHz all of it passes. Near the corner at
-        {parts.corner_hz / 1e3:.2f} kHz it is {parts.peak_db(load):.1f} dB stronger with the damping resistor and
-        {bare.peak_db(load):.1f} dB without. Above, it falls; at {parts.switching_khz:g} kHz, where the speed controller
-        is taken to switch, it is at {noise:.0f} dB.
-        """
+    text = f"""Ripple behind the camera's filter against frequency, computed. Below 1 kHz all of it
+        passes. Near the corner at {parts.corner_hz / 1e3:.2f} kHz it is {parts.peak_db(load):.1f}
+        dB stronger with the damping resistor and {bare.peak_db(load):.1f} dB without. Above, it
+        falls; at {parts.switching_khz:g} kHz, where the speed controller is taken to switch, it is
+        at {noise:.0f} dB."""
     return " ".join(text.split())
 
 
@@ -109,8 +108,13 @@ def draw_balance(path: Path) -> str:
         axes.plot(
             x_mm, 0.0, "o", markersize=10, color=DARK, markerfacecolor="white" if k == 0 else DARK
         )
-        axes.annotate(text, (x_mm, -0.25), xytext=(60 - 170 * k, -32), textcoords="offset points",
-                      arrowprops={"arrowstyle": "-", "color": DARK})  # fmt: skip
+        axes.annotate(
+            text,
+            (x_mm, -0.25),
+            xytext=(60 - 170 * k, -32),
+            textcoords="offset points",
+            arrowprops={"arrowstyle": "-", "color": DARK},
+        )
     axes.set(
         xlim=(-180.0, 180.0),
         ylim=(-1.9, 5.6),
@@ -119,12 +123,11 @@ def draw_balance(path: Path) -> str:
     )
     axes.spines["left"].set_visible(False)
     _save(figure, path)
-    text = f"""
-        The aircraft from its left side, to scale along the fuselage; masses and places are partly estimates. The wing
-        reaches from 0 to {chord_mm:.0f} mm. As bought, {bought_mm:.0f} mm behind its leading edge, the aircraft is in
-        balance. Camera and screws sit 164 mm ahead of the leading edge, bracket and tape 160 mm, wires and filter
-        between. With all of them on, the centre of gravity is at {cg_mm:.0f} mm.
-        """
+    text = f"""The aircraft from its left side, to scale along the fuselage; masses and places are
+        partly estimates. The wing reaches from 0 to {chord_mm:.0f} mm. As bought, {bought_mm:.0f}
+        mm behind its leading edge, the aircraft is in balance. Camera and screws sit 164 mm ahead
+        of the leading edge, bracket and tape 160 mm, wires and filter between. With all of them
+        on, the centre of gravity is at {cg_mm:.0f} mm."""
     return " ".join(text.split())
 
 

@@ -107,13 +107,12 @@ def main(words: list[str] | None = None) -> int:
         " x ".join(f"{side:.0f}" for side in np.ptp(mesh.reshape(-1, 3), axis=0)) for mesh in meshes
     ]
     masses = [f"{bracket.PLA_G_PER_MM3 * bracket.volume(mesh):.1f} g" for mesh in meshes]
-    text = f"""
-        Two printed brackets, drawn from their STL files. Left, for the analog camera, {sizes[0]} mm, {masses[0]} in
-        PLA: a flat base with two slots for a strap behind, and two upright cheeks with a hole near the top of each,
-        between which the camera is screwed and tilts. Right, for the digital camera, {sizes[1]} mm, {masses[1]}: two
-        posts on a narrow base, two holes in each, a rib behind each post. The holes have a pointed roof, so nothing
-        needs support.
-        """
+    text = f"""Two printed brackets, drawn from their STL files. Left, for the analog camera,
+        {sizes[0]} mm, {masses[0]} in PLA: a flat base with two slots for a strap behind, and two
+        upright cheeks with a hole near the top of each, between which the camera is screwed and
+        tilts. Right, for the digital camera, {sizes[1]} mm, {masses[1]}: two posts on a narrow
+        base, two holes in each, a rib behind each post. The holes have a pointed roof, so nothing
+        needs support."""
     with atomic_write(folder / "bracket.txt", text=True) as file:
         file.write(" ".join(text.split()) + "\n")
     return 0

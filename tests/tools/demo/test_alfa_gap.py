@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.model import add_uniform_wind, paper_model, rates_model
-from falconwing_kit.tools.demo.alfa_gap import AlfaGap, applicable_effects
+from falconwing_kit.tools.demo.alfa import AlfaGap, applicable_effects
 from tests.demo_run import demo_run
 
 ENGINE_OFF = 116.166  # s: the log's first "engine off" message, data/README.md

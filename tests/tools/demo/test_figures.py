@@ -141,7 +141,7 @@ def test_without_held_out_time_the_fitted_time_is_shown_and_said(shown, tmp_path
     assert found.held_out is None
     draw_identification(found, tmp_path)
     titles = [ax.get_title(loc="left") for f in shown[:2] for ax in f.axes]
-    assert sum("the fitted time itself" in title for title in titles) == 2
+    assert sum("fitted data" in title for title in titles) == 2
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(NAMES)
 
 

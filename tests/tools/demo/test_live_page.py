@@ -39,9 +39,12 @@ def dots(*places: tuple[float, float, float]) -> GaussianScene:
     """Red balls of 5 cm."""
     n = len(places)
     return GaussianScene(
-        np.array(places), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.full((n, 3), 0.05), np.full(n, 0.99),
+        np.array(places),
+        np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        np.full((n, 3), 0.05),
+        np.full(n, 0.99),
         np.tile((RED - 0.5) / SH_C0, (n, 1, 1)),
-    )  # fmt: skip
+    )
 
 
 def step(t: float, mode: str = "approach") -> LoopStep:

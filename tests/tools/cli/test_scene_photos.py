@@ -13,7 +13,7 @@ from falconwing_kit.tools.capture.align import Alignment
 from falconwing_kit.tools.capture.photo_files import read_reconstruction, write_reconstruction
 from falconwing_kit.tools.capture.survey.points import PointObservations, Survey
 from falconwing_kit.tools.capture.survey.recipe import Alignments
-from falconwing_kit.tools.cli.photos import Align, Poses, check_record, is_good
+from falconwing_kit.tools.cli.scene_photos import Align, Poses, check_record, is_good
 from tests.scene import hall24
 
 
@@ -87,7 +87,7 @@ def test_tables_tell_the_same(raw, tmp_path, capsys):
     assert Align(tmp_path / "out", hall24.FOLDER / "survey.csv", tmp_path / "aligned").run() == 0
     printed = capsys.readouterr().out
     assert "photos with a pose" in printed and "next: falconwing scene align" in printed
-    assert "points kept for checking, off the tape by" in printed
+    assert "check points, distance from the survey" in printed
     assert "pad_far_left_top" in printed and "next: falconwing scene fit" in printed
 
 
