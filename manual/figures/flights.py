@@ -53,7 +53,7 @@ def draw_approach(path: Path) -> str:
         above.text(
             -17.6,
             5.0,
-            "both pilots; everybody else\nbehind the dotted line",
+            "both pilots; everyone else\nbehind the dotted line",
             va="center",
             fontsize=8.5,
         )
@@ -71,12 +71,11 @@ def draw_approach(path: Path) -> str:
         )
         side.set(ylim=(0.0, 2.6), xlabel="x, landing direction [m]", ylabel="height [m]")
     landed = sum(record["success"] for record in records)
-    return f"""Ten simulated landings by the expert that knows its state, not by a camera: {landed}
-        of {LANDINGS} on the pad. Above, the hall from above: from about 20 m before the pad all
-        paths run together onto its centre line. The pilots stand beside the place of the
-        hand-over, left of the path; everybody else stays behind them, at the wall that the flight
-        leaves. Below, from the side: from 1.5 m height down a shallow slope, rounded before the
-        pad."""
+    return f"""Ten simulated landings by the expert with ground-truth state, without a camera:
+        {landed} of {LANDINGS} on the pad. Top, the hall from above: from about 20 m before the pad
+        all paths run together onto its centre line. The pilots stand beside the hand-over point,
+        left of the path; everyone else stays behind them, at the wall that the flight leaves.
+        Bottom, from the side: from 1.5 m height down a shallow slope, rounded before the pad."""
 
 
 def draw_control_inputs(path: Path) -> str:
@@ -97,10 +96,10 @@ def draw_control_inputs(path: Path) -> str:
         track.plot(*table.p_world[shown][0, :2], "o", ms=6, color=DARK)
         track.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="seen from above")
         track.title.set_fontsize(9.5)
-    return """Half a minute of a simulated flight that identification can use. Left, the four
-        sticks against time, each about its grey middle line: all four move, to both sides, at
-        their own times, quick and slow. Right, the path from above: turns to both sides; the
-        spikes are wild poses, which the fit survives."""
+    return """Half a minute of a simulated flight suitable for identification. Left, the four
+        commands over time, each about its grey middle line: all four move, to both sides, at their
+        own times, quick and slow. Right, the path from above: turns to both sides; the spikes are
+        outlier poses, which the fit rejects."""
 
 
 def draw_pictures(path: Path) -> str:
@@ -113,7 +112,7 @@ def draw_pictures(path: Path) -> str:
         for k, picture in enumerate(approach_views()):
             verdict = monitor.update(change(picture, k), k * STEP_S)
             alarm = k if verdict.alert and alarm is None else alarm
-        words = "no alarm" if alarm is None else f"alarm in picture {alarm + 1}, {verdict.reason}"
+        words = "no alarm" if alarm is None else f"alarm in image {alarm + 1}, {verdict.reason}"
         said.append(f"{name}: {words}")
         shown.append(change(approach_views()[-1], FRAMES - 1))
     edge = np.full((PICTURE_PX[1], 8, 3), 255, np.uint8)
@@ -122,8 +121,7 @@ def draw_pictures(path: Path) -> str:
         file.write(
             cv2.imencode(".jpg", strip[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes()
         )
-    return f"""Four simulated pictures of an approach, from left to right, and what the frame
-        monitor said over {FRAMES} of each, 20 a second. {". ".join(said)}."""
+    return f"""Four simulated images of an approach, from left to right, and the frame monitor's results over {FRAMES} of each, 20 per second. {". ".join(said)}."""
 
 
 def approach_views() -> list[Pixels]:
