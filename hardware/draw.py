@@ -1,9 +1,8 @@
-"""Figures of the manual from the data files: what the camera's filter keeps out, and where the
-parts weigh.
+"""Figures of the manual from the data files: ripple behind the camera's filter, mass balance.
 
     .venv/bin/python hardware/draw.py
 
-Writes filter.svg and balance.svg with a text beside each into manual/figures/.
+Writes filter.svg and balance.svg with descriptions to manual/figures/.
 """
 
 import argparse

@@ -3,8 +3,8 @@
     .venv/bin/python manual/build.py              into build/manual
     .venv/bin/python manual/build.py --out here
 
-Needs the extra `manual` (typst, one wheel). Both files are not kept in git. Figures are not redrawn;
-figures/make_figures.py does that.
+Needs the extra `manual` (typst, one wheel). Neither file is kept in git. Figures are redrawn by
+figures/make_figures.py only.
 """
 
 import argparse

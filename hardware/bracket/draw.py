@@ -1,5 +1,4 @@
-"""Picture of the brackets for the manual: both STL files -> manual/figures/bracket.png, drawn by
-NumPy alone.
+"""Figure of the brackets: both STL files -> manual/figures/bracket.png, rendered with NumPy.
 
 .venv/bin/python hardware/bracket/draw.py
 """
@@ -21,7 +20,7 @@ SIDE, MARGIN, SMOOTH = (
     420,
     20,
     3,
-)  # pixels of one picture, around it, and drawn for each pixel that is kept
+)  # image size [px], margin [px], and oversampling
 SUN = np.array([0.35, -0.45, 0.82])  # where the light comes from: ahead, right, above
 TURN_DEG, LIFT_DEG = 40.0, 28.0  # seen from ahead and right, from above
 
@@ -29,7 +28,7 @@ Mesh = NDArray[np.float64]
 
 
 def picture(mesh: Mesh) -> NDArray[np.uint8]:
-    """A grey picture of a solid, in parallel projection.
+    """A grey image of a solid in parallel projection.
 
     Args:
         mesh: (N, 3, 3) triangles, x ahead, y left, z up.
@@ -74,7 +73,7 @@ def _fill(image: Mesh, depth: Mesh, corners: Mesh, level: float) -> None:
 
 
 def _bracket() -> Any:
-    """The script beside this one, which knows how an STL is read."""
+    """The module bracket.py beside this one, which reads STL files."""
     spec = importlib.util.spec_from_file_location("bracket", FOLDER / "bracket.py")
     if spec is None or spec.loader is None:
         raise ImportError("bracket.py")

@@ -1,10 +1,9 @@
-"""Wiring diagrams: camera file and firmware pins -> three SVG figures of the manual, each with a
-text beside it.
+"""Wiring diagrams: camera file and firmware pins -> three SVG figures with descriptions.
 
     .venv/bin/python hardware/wiring/wiring.py
 
-Values of the filter come from hardware/camera_analog.toml, those of the trainer lead from the
-constants below, which are the ones of firmware/README.md. Needs the extra `manual` (schemdraw).
+Values of the filter are from hardware/camera_analog.toml, those of the trainer lead from the
+constants below, as in firmware/README.md. Needs the extra `manual` (schemdraw).
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""The manual builds, holds in both forms what it promises, and claims nothing that nobody has seen."""
+"""The manual builds, has the same contents in both forms, and claims nothing untested."""
 
 import csv
 import math
@@ -253,7 +253,7 @@ def all_chapters():
     "name", ["loop", "aircraft", "hours", "ppm", "safety", "surfaces", "photo_lanes", "sticks"]
 )
 def test_drawings_are_what_the_command_makes(name, tmp_path):
-    """Letter by letter; numbers to a hundredth of a point, for another machine rounds another way."""
+    """Letter by letter; numbers to a hundredth of a point, since machines round differently."""
     assert script("figures/make_figures.py").main([name, "--out", str(tmp_path)]) == 0
     number = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
     for kind in ("svg", "txt"):
@@ -271,9 +271,9 @@ def test_monitor_says_of_the_pictures_what_the_caption_says(tmp_path):
     """
     assert script("figures/make_figures.py").main(["pictures", "--out", str(tmp_path)]) == 0
     said = (tmp_path / "pictures.txt").read_text("utf-8")
-    alarms = re.findall(r"alarm in picture (\d+)", said)
+    alarms = re.findall(r"alarm in image (\d+)", said)
     assert "clean: no alarm" in said and len(alarms) == 3
-    assert f"The alarms came in picture {alarms[0]}, {alarms[1]} and {alarms[2]}." in page().text
+    assert f"The alarms came in image {alarms[0]}, {alarms[1]} and {alarms[2]}." in page().text
 
 
 def test_a_wrong_figure_is_refused(capsys):

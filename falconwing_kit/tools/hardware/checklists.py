@@ -1,4 +1,4 @@
-"""Checklists: a TOML file -> the steps of bench test and preflight check, for terminal and manual."""
+"""Checklists: a TOML file -> steps of bench test and preflight check, for terminal and manual."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -124,7 +124,8 @@ def test_ctrl_c_ends_cleanly(tmp_path, verb):
     """A table or JSON as usual and exit code 0; a recording's log is whole."""
     words = ["--port", "sim-python", "--json"]
     words += ["--source", "sim", "--seconds", "60"] if verb == "record" else []
-    code = f"import sys; from falconwing_kit.tools.cli.main import main; sys.exit(main({[verb, *words]!r}))"
+    load = "import sys; from falconwing_kit.tools.cli.main import main"
+    code = f"{load}; sys.exit(main({[verb, *words]!r}))"
     with subprocess.Popen(
         [sys.executable, "-c", code],
         stdout=subprocess.PIPE,

@@ -148,7 +148,7 @@ def test_a_stick_beyond_the_board_s_channels_is_refused(virtual):
     port, pause = virtual
     wide = replace(SIMULATED_RADIO, channels=6, rudder=replace(SIMULATED_RADIO.rudder, channel=6))
     with pytest.raises(
-        InputError, match=r"expected the sticks in the board's channels 1 to 4, got {'rudder': 6}"
+        InputError, match=r"expected sticks in the board's channels 1 to 4, got {'rudder': 6}"
     ):
         measure_calibration(port, Holding(port, wide), "mine", pause)
 

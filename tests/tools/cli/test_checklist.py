@@ -73,7 +73,7 @@ def test_no_at_a_step_that_stops_ends_the_walk(monkeypatch, capsys):
 
 
 def test_automatic_step_without_a_tool_is_asked(monkeypatch, capsys):
-    """No port was given: the person says what the board does, and a no stops the walk as any other."""
+    """No port was given: the person reports the board's state, and a no stops the checklist."""
     typed(monkeypatch, "n\ny\n")
     assert (
         walk(listed("look", "fly", stop=True, automatic="board"), ChecklistDevices(), as_json=True)

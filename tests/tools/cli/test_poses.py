@@ -22,7 +22,7 @@ COMMAND = (0.4, 0.1, -0.2, 0.05)
 
 @pytest.fixture(scope="module")
 def jpegs():
-    """Straight at 8 m/s towards the marker from 13 m, 1 m to the left of it, drawn and compressed."""
+    """Straight at 8 m/s towards the marker from 13 m, 1 m left of it, drawn and compressed."""
     rng = np.random.default_rng(3)
     images = [view(pose(-13.0 + 0.4 * k, 1.0, 1.5, 0.0, 2.0, 4.0), rng) for k in range(COUNT)]
     return [

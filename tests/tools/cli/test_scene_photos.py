@@ -25,7 +25,7 @@ def raw(tmp_path):
 
 
 def test_poses_made_elsewhere_are_taken_and_straightened(raw, tmp_path, capsys):
-    """The same poses come out, with photos of their own and no k1; 0 since all photos have a pose."""
+    """The same poses, with undistorted photos and no k1; 0 since all photos have a pose."""
     assert Poses(raw, tmp_path / "out", straighten=True, json=True).run() == 0
     record = json.loads(capsys.readouterr().out)
     found = read_reconstruction(tmp_path / "out")

@@ -1,6 +1,4 @@
-"""The real flight's analysis: forecasts of time that no fit saw beat simple guesses, and the failure
-comes to light.
-"""
+"""The real flight's analysis: held-out predictions beat simple ones; the failure is detected."""
 
 from typing import NamedTuple
 

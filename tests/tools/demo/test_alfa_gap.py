@@ -94,5 +94,5 @@ def test_only_forces_suit_quasi_steady_rates(model):
 
 
 def test_rates_form_keeps_its_forces_only_too():
-    """The rule asks for the formula, not for the form: the same forces in the form with body rates."""
+    """The rule depends on the formula, not the form: the same forces in the 12-state form."""
     assert applicable_effects(rates_model())[1].name == "extra_drag"

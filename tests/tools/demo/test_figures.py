@@ -62,7 +62,7 @@ def test_three_whole_files_and_nothing_else(drawn):
 
 
 def test_files_are_as_large_as_they_say(drawn):
-    """Inches times 130 dots per inch, wide enough to read in a page and below half a megabyte each."""
+    """Inches times 130 dots per inch, legible in a page and below half a megabyte each."""
     (predicted, residuals, intervals), _ = drawn
     assert png_size(predicted) == (1430, 858)  # 11 x 6.6 inch
     assert png_size(residuals) == (1430, 442)  # 11 x 3.4 inch

@@ -151,7 +151,7 @@ def test_flight_never_waits_and_the_newest_step_is_drawn(page, monkeypatch):
 
 
 def test_fault_ends_the_page_and_not_the_flight(page, monkeypatch):
-    """The drawing thread says why it stopped; whoever flies is told nothing and may go on showing."""
+    """The drawing thread warns why it stopped; the flight continues and may call `show`."""
     said = threading.Event()
     monkeypatch.setattr(page, "_draw", lambda *_, **__: 1 / 0)
     monkeypatch.setattr(

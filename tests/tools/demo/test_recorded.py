@@ -314,7 +314,7 @@ def test_disk_that_fills_up_before_the_page_keeps_the_page_of_before(studied, ca
 
 
 def test_no_right_to_write_is_one_sentence(studied, monkeypatch, capsys, tmp_path):
-    """The system's refusal is simulated, for the tests may run as a user who may write everywhere."""
+    """The system's refusal is simulated, since the tests may run as a privileged user."""
 
     def refuse(source, target):
         raise PermissionError(13, "Permission denied", str(target))

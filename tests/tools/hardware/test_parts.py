@@ -64,7 +64,7 @@ def test_option_takes_the_place_of_its_part(tmp_path):
 
 
 def test_moved_battery_brings_the_balance_back(tmp_path):
-    """By hand 110 * (40 - 21.818) / 20 = 100 mm; a cell put there, no longer inside, balances it."""
+    """By hand 110 * (40 - 21.818) / 20 = 100 mm; a cell there, no longer inside, balances it."""
     items = read(tmp_path)
     assert balance_move(items, "cell", 0.040) == pytest.approx(0.100, rel=1e-9)
     body, cell, *others = items
