@@ -121,8 +121,8 @@ def draw_pictures(path: Path) -> str:
         file.write(
             cv2.imencode(".jpg", strip[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes()
         )
-    return f"""Four simulated images of an approach, from left to right, and the frame monitor's results
-        over {FRAMES} of each, 20 per second. {". ".join(said)}."""
+    return f"""Four simulated images of an approach, from left to right, and the frame
+        monitor's results over {FRAMES} of each, 20 per second. {". ".join(said)}."""
 
 
 def approach_views() -> list[Pixels]:
