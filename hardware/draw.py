@@ -37,7 +37,7 @@ def draw_filter(path: Path) -> str:
         path: the SVG to write.
 
     Returns:
-        The same in words.
+        The description.
     """
     camera = load_camera("analog")
     parts, load = camera.power_filter, camera.supply.load_ohm
@@ -80,7 +80,7 @@ def draw_balance(path: Path) -> str:
         path: the SVG to write.
 
     Returns:
-        The same in words.
+        The description.
     """
     items, chord_mm = load_parts(), 1000.0 * load_airframe().mean_chord
     cg_mm, flying = 1000.0 * roll_up(items).x_cg, [item for item in items if item.counts]

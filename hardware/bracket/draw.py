@@ -83,7 +83,7 @@ def _bracket() -> Any:
 
 
 def main(words: list[str] | None = None) -> int:
-    """Draw both side by side, and write the text that says the same.
+    """Draw both side by side, and write the description.
 
     Args:
         words: the command line; None takes the program's own.

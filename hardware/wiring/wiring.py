@@ -78,7 +78,7 @@ def draw_camera(path: Path, camera: CameraHardware) -> str:
         camera: with a power filter.
 
     Returns:
-        The same in words.
+        The description.
     """
     import schemdraw.elements as elm
 
@@ -131,7 +131,7 @@ def draw_trainer(path: Path) -> str:
         path: the SVG to write.
 
     Returns:
-        The same in words.
+        The description.
     """
     import schemdraw.elements as elm
 
@@ -186,7 +186,7 @@ def draw_ground(path: Path) -> str:
         path: the SVG to write.
 
     Returns:
-        The same in words.
+        The description.
     """
     import schemdraw.elements as elm
 

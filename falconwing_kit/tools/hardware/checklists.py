@@ -19,7 +19,7 @@ class Step:
     see: str
     if_not: str  # remedy for another result
     stop: bool  # later steps require this one to pass
-    automatic: str = ""  # automatic check, one of AUTOMATIC; "" asks the person
+    automatic: str = ""  # automatic check, one of AUTOMATIC; "" is left to the person
 
     def __post_init__(self) -> None:
         if not self.id.isidentifier() or not (self.do and self.see and self.if_not):

@@ -6,10 +6,29 @@ import pytest
 
 from falconwing_kit.tools.cli.main import VERBS, find_verbs
 
-FIXED = (
-    "demo doctor size scene render fly poses identify gap bridge record find-port calibrate "
-    "firmware export replay check labs grade report sandbox"
-).split()
+FIXED = [
+    "demo",
+    "doctor",
+    "size",
+    "scene",
+    "render",
+    "fly",
+    "poses",
+    "identify",
+    "gap",
+    "bridge",
+    "record",
+    "find-port",
+    "calibrate",
+    "firmware",
+    "export",
+    "replay",
+    "check",
+    "labs",
+    "grade",
+    "report",
+    "sandbox",
+]
 
 
 def test_the_fixed_verbs_are_there():
