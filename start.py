@@ -1,12 +1,12 @@
-"""Sets up the kit in .venv and runs it: verb and its words in, the verb's exit code out. Standard
-library only.
+"""Install the kit in .venv and run a verb: its options in, its exit code out.
 
-    python3 start.py demo [--headless] [--out DIR]   land in a splat hall, study recorded flights
-    python3 start.py test [pytest options]           run the tests: all, two at a time; with options, pytest as it is
+    python3 start.py demo [--headless] [--out DIR]   land in a simulated hall, model real flights
+    python3 start.py test [pytest options]           run all tests; with options as pytest does
     python3 start.py VERB ...                        any other verb of falconwing, such as doctor
 
-The first run makes .venv beside this file and installs what constraints.txt names; later runs start
-at once. An interrupted installation is mended when the same command is typed again.
+The first run creates .venv beside this file and installs the versions of constraints.txt; later
+runs start immediately. Repeat the command after an interrupted installation. Only the standard
+library is used.
 """
 
 from __future__ import annotations
@@ -20,18 +20,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 NEW_PIP = "pip>=25"
-KIT, EVERYTHING = ".", ".[labs,dev]"  # what pip installs for a verb, and for the tests
+KIT, EVERYTHING = ".", ".[labs,dev]"  # pip's targets for a verb and for the tests
 
 
 def main(words: list[str]) -> int:
-    """Install what the verb needs, then hand over to it.
-
-    Args:
-        words: the command line after `start.py`.
-
-    Returns:
-        The exit code of what was run; 2 if it could not be run.
-    """
+    """Install the verb's dependencies, then run it; its exit code, 2 if it could not be run."""
     too_old = python_problem(sys.version_info[:2])
     if too_old:
         return refuse(too_old)
@@ -49,10 +42,10 @@ def main(words: list[str]) -> int:
 
 
 def test_commands(options: list[str], processors: int) -> list[list[str]]:
-    """What runs the tests: with options or on one processor pytest alone; else all in two steps.
+    """Commands of the tests: pytest with the options; without options on two cores two commands.
 
-    First two processes share the files of tests, then one runs what needs the machine to itself
-    (tests/alone.py).
+    First two processes share the test files, then one process runs the tests that need the machine
+    to themselves (tests/alone.py).
     """
     pytest = [venv_program(ROOT, "python"), "-m", "pytest"]
     if options or processors < 2:
@@ -70,19 +63,22 @@ def test_commands(options: list[str], processors: int) -> list[list[str]]:
 
 
 def cores() -> int:
-    """How many processors this process may use."""
+    """Number of processors available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def python_problem(version: tuple[int, ...]) -> str:
-    """What is wrong with a Python of this version; empty if nothing."""
+    """Why a Python version cannot be used; empty if it can."""
     if version >= (3, 11):
         return ""
-    return f"expected Python 3.11 or newer, this is {version[0]}.{version[1]}; install one and type python3.11 start.py"
+    return (
+        f"expected Python 3.11 or newer, this is {version[0]}.{version[1]}; "
+        "install one and type python3.11 start.py"
+    )
 
 
 def install(root: Path, target: str) -> int:
-    """Bring the virtual environment to what `target` needs; do nothing if it is there already.
+    """Install a target into the virtual environment, unless it is installed already.
 
     Args:
         root: folder of pyproject.toml and constraints.txt.
@@ -98,31 +94,33 @@ def install(root: Path, target: str) -> int:
     if half_done.exists() or not answers([python, "-m", "pip", "--version"]):
         if not (importlib.util.find_spec("venv") and importlib.util.find_spec("ensurepip")):
             return refuse(
-                "this Python cannot make virtual environments; on Debian or Ubuntu: apt install python3-venv"
+                "this Python has no venv module; on Debian or Ubuntu: apt install python3-venv"
             )
         failed = run([sys.executable, "-m", "venv", "--clear", str(root / ".venv")])
         if failed:
             return failed
     pip = [python, "-m", "pip", "install", "--disable-pip-version-check"]
-    # stays if this is killed: pip would take a half-written library for a whole one
+    # remains after a kill: pip would take a partly written library for a complete one
     half_done.touch()
-    # The pip of an older Python needs many minutes to add to an environment that is filled already.
+    # An older pip needs many minutes to add to an existing environment.
     failed = run([*pip, NEW_PIP]) or run([*pip, "-c", "constraints.txt", "-e", target], folder=root)
-    if failed < 128:  # pip ended by itself and cleaned up
+    if failed < 128:  # pip was not killed and cleaned up
         half_done.unlink()
     if failed:
         print(
-            "start.py: the installation stopped; was it interrupted or the network gone, type the same command again",
+            "start.py: the installation failed; if interrupted or without network, "
+            "type the same command again",
             file=sys.stderr,
         )
         return failed
-    there = [KIT, EVERYTHING] if target == EVERYTHING else [KIT]  # the tests' set holds the kit's
-    stamp.write_text("\n".join(fingerprint(root, each) for each in there))
+    # the tests' target includes the kit's
+    installed = [KIT, EVERYTHING] if target == EVERYTHING else [KIT]
+    stamp.write_text("\n".join(fingerprint(root, each) for each in installed))
     return 0
 
 
 def fingerprint(root: Path, target: str) -> str:
-    """Changes when the place, the dependencies or what is wanted of them change."""
+    """Hash of folder, dependencies and target."""
     files = [(root / name).read_bytes() for name in ("pyproject.toml", "constraints.txt")]
     return hashlib.sha256(b"\0".join([*files, str(root).encode(), target.encode()])).hexdigest()
 
@@ -133,7 +131,7 @@ def venv_program(root: Path, name: str) -> str:
 
 
 def answers(command: list[str]) -> bool:
-    """Whether the command runs and succeeds, quietly."""
+    """Whether the command succeeds; its output is captured."""
     try:
         return subprocess.run(command, capture_output=True, check=False).returncode == 0
     except OSError:
@@ -141,15 +139,14 @@ def answers(command: list[str]) -> bool:
 
 
 def run(command: list[str], folder: Path | None = None) -> int:
-    """Say the command, run it and return its exit code."""
-    print(
-        "$", subprocess.list2cmdline(command), file=sys.stderr, flush=True
-    )  # stdout is the command's own
+    """Print the command, run it and return its exit code."""
+    # on stderr, because stdout is the command's
+    print("$", subprocess.list2cmdline(command), file=sys.stderr, flush=True)
     try:
         code = subprocess.run(command, cwd=folder, check=False).returncode
     except OSError as error:
         return refuse(f"cannot run {command[0]}: {error.strerror}")
-    return code if code >= 0 else 128 - code  # ended by a signal, as a shell counts it
+    return code if code >= 0 else 128 - code  # killed by a signal: a shell's exit code
 
 
 def refuse(sentence: str) -> int:

@@ -1,9 +1,8 @@
-"""Figures of the manual from the data files: what the camera's filter keeps out, and where the
-parts weigh.
+"""Figures of the manual from the data files: ripple behind the camera's filter, mass balance.
 
     .venv/bin/python hardware/draw.py
 
-Writes filter.svg and balance.svg with a text beside each into manual/figures/.
+Writes filter.svg and balance.svg with descriptions to manual/figures/.
 """
 
 import argparse
@@ -38,7 +37,7 @@ def draw_filter(path: Path) -> str:
         path: the SVG to write.
 
     Returns:
-        The same in words.
+        The description.
     """
     camera = load_camera("analog")
     parts, load = camera.power_filter, camera.supply.load_ohm
@@ -65,12 +64,11 @@ def draw_filter(path: Path) -> str:
     axes.set_xticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
     axes.legend(title="damping resistor", loc="lower left", frameon=False)
     _save(figure, path)
-    text = f"""
-        Ripple behind the camera's filter against frequency, computed. Below 1 kHz all of it passes. Near the corner at
-        {parts.corner_hz / 1e3:.2f} kHz it is {parts.peak_db(load):.1f} dB stronger with the damping resistor and
-        {bare.peak_db(load):.1f} dB without. Above, it falls; at {parts.switching_khz:g} kHz, where the speed controller
-        is taken to switch, it is at {noise:.0f} dB.
-        """
+    text = f"""Ripple behind the camera's filter against frequency, computed. Below 1 kHz all of it
+        passes. Near the corner at {parts.corner_hz / 1e3:.2f} kHz it is {parts.peak_db(load):.1f}
+        dB stronger with the damping resistor and {bare.peak_db(load):.1f} dB without. Above, it
+        falls; at {parts.switching_khz:g} kHz, where the speed controller is taken to switch, it is
+        at {noise:.0f} dB."""
     return " ".join(text.split())
 
 
@@ -82,7 +80,7 @@ def draw_balance(path: Path) -> str:
         path: the SVG to write.
 
     Returns:
-        The same in words.
+        The description.
     """
     items, chord_mm = load_parts(), 1000.0 * load_airframe().mean_chord
     cg_mm, flying = 1000.0 * roll_up(items).x_cg, [item for item in items if item.counts]
@@ -109,8 +107,13 @@ def draw_balance(path: Path) -> str:
         axes.plot(
             x_mm, 0.0, "o", markersize=10, color=DARK, markerfacecolor="white" if k == 0 else DARK
         )
-        axes.annotate(text, (x_mm, -0.25), xytext=(60 - 170 * k, -32), textcoords="offset points",
-                      arrowprops={"arrowstyle": "-", "color": DARK})  # fmt: skip
+        axes.annotate(
+            text,
+            (x_mm, -0.25),
+            xytext=(60 - 170 * k, -32),
+            textcoords="offset points",
+            arrowprops={"arrowstyle": "-", "color": DARK},
+        )
     axes.set(
         xlim=(-180.0, 180.0),
         ylim=(-1.9, 5.6),
@@ -119,12 +122,11 @@ def draw_balance(path: Path) -> str:
     )
     axes.spines["left"].set_visible(False)
     _save(figure, path)
-    text = f"""
-        The aircraft from its left side, to scale along the fuselage; masses and places are partly estimates. The wing
-        reaches from 0 to {chord_mm:.0f} mm. As bought, {bought_mm:.0f} mm behind its leading edge, the aircraft is in
-        balance. Camera and screws sit 164 mm ahead of the leading edge, bracket and tape 160 mm, wires and filter
-        between. With all of them on, the centre of gravity is at {cg_mm:.0f} mm.
-        """
+    text = f"""The aircraft from its left side, to scale along the fuselage; masses and places are
+        partly estimates. The wing reaches from 0 to {chord_mm:.0f} mm. As bought, {bought_mm:.0f}
+        mm behind its leading edge, the aircraft is in balance. Camera and screws sit 164 mm ahead
+        of the leading edge, bracket and tape 160 mm, wires and filter between. With all of them
+        on, the centre of gravity is at {cg_mm:.0f} mm."""
     return " ".join(text.split())
 
 

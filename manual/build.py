@@ -1,11 +1,10 @@
-"""The manual, built: manual.typ and what it reads -> manual.pdf and manual.html, offline, in a few
-seconds.
+"""Build of the manual: manual.typ and its parts -> manual.pdf and manual.html, offline, in seconds.
 
     .venv/bin/python manual/build.py              into build/manual
     .venv/bin/python manual/build.py --out here
 
-Needs the extra `manual` (typst, one wheel). Both files are products and not kept in git. Figures
-are taken as they are; figures/make_figures.py makes them again.
+Needs the extra `manual` (typst, one wheel). Neither file is kept in git. Figures are redrawn by
+figures/make_figures.py only.
 """
 
 import argparse
@@ -18,14 +17,7 @@ ROOT = FOLDER.parent
 
 
 def main(words: list[str] | None = None) -> int:
-    """Build both.
-
-    Args:
-        words: the command line; None takes the program's own.
-
-    Returns:
-        0 done, 1 typst is missing or the source has a mistake.
-    """
+    """Build both; 0 done, 1 if typst is missing or the source has an error."""
     parser = argparse.ArgumentParser(description="Build the manual as PDF and HTML.")
     parser.add_argument(
         "--out", type=Path, default=ROOT / "build" / "manual", help="folder to write to"
@@ -35,7 +27,8 @@ def main(words: list[str] | None = None) -> int:
         pages = build(out)
     except ModuleNotFoundError as missing:
         print(
-            f'manual: expected {missing.name}, got none; pip install -c constraints.txt -e ".[manual]"',
+            f"manual: expected {missing.name}, got none; "
+            'pip install -c constraints.txt -e ".[manual]"',
             file=sys.stderr,
         )
         return 1
@@ -48,16 +41,10 @@ def main(words: list[str] | None = None) -> int:
 
 
 def build(out: Path) -> tuple[Path, Path]:
-    """Write both files whole.
-
-    Args:
-        out: the folder; made where it is missing.
-
-    Returns:
-        The PDF and the HTML.
+    """Write the PDF and the HTML to a folder, which is created; their paths.
 
     Raises:
-        RuntimeError: the source has a mistake; its line and a hint are in the text.
+        RuntimeError: the source has an error; the message has its line and a hint.
     """
     from falconwing_kit.core.files import atomic_write
 
@@ -70,17 +57,10 @@ def build(out: Path) -> tuple[Path, Path]:
 
 
 def compiled(form: str, **options: Any) -> Any:
-    """The manual in one form, with the fonts that typst and matplotlib bring and no other.
-
-    Args:
-        form: "pdf", "html" or "png" (a list, one a page).
-        options: handed to typst.compile, such as ppi.
-
-    Returns:
-        Its bytes.
+    """The manual's bytes as "pdf", "html" or "png" (a list of pages), with bundled fonts only.
 
     Raises:
-        RuntimeError: the source has a mistake.
+        RuntimeError: the source has an error.
     """
     import typst
 
@@ -88,7 +68,7 @@ def compiled(form: str, **options: Any) -> Any:
 
 
 def where() -> dict[str, Any]:
-    """What every call of typst needs: the root that paths begin at, and the fonts."""
+    """Arguments of every call of typst: root of the paths, and fonts."""
     import matplotlib
 
     fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"

@@ -1,11 +1,11 @@
-"""Camera bracket: a camera file -> STEP to change, STL to print, and what the STL says of itself.
+"""Camera bracket: a camera file -> STEP to edit, STL to print, mass and overhang of the STL.
 
-    .venv/bin/python hardware/bracket/bracket.py                 both cameras of the kit, into this folder
-    .venv/bin/python hardware/bracket/bracket.py mine.toml       your own, measured into a copy of camera_analog.toml
+    .venv/bin/python hardware/bracket/bracket.py             both cameras of the kit, to this folder
+    .venv/bin/python hardware/bracket/bracket.py mine.toml   your own, a copy of camera_analog.toml
 
-Millimetres; x forward as the lens looks, y left, z up, the print bed is z = 0. Print as it lies,
-without support: every hole that lies sideways has a roof of 45 degrees. Building needs the extra
-`cad` (build123d); what is measured from the STL needs NumPy alone.
+Millimetres; x forward along the optical axis, y left, z up, the print bed is z = 0. It prints in
+this orientation without support: every horizontal hole has a roof of 45 degrees. Building needs the
+extra `cad` (build123d); measuring the STL needs NumPy only.
 """
 
 import argparse
@@ -62,7 +62,7 @@ def axis_height(camera: CameraHardware) -> float:
     """Height of the lens axis over the print bed, at no tilt: the camera's lowest corner clears the
     base at any tilt.
 
-    z = base + free + max over tilt of (h/2 cos(tilt) + d sin(tilt))      [a corner's height as the box turns]
+    z = base + free + max over tilt of (h/2 cos(tilt) + d sin(tilt))  [height of a corner]
 
     Args:
         camera: its box and its tilt.
@@ -88,7 +88,7 @@ def _cheeks(camera: CameraHardware) -> Any:
     outline = make_hull(outlines)
     for ahead, up in mount.holes_mm:
         outline -= Pos(ahead, z + up) * _teardrop(_hole(camera))
-    cheek = extrude(Plane.XZ * outline, WALL)  # XZ looks along -y, so it grows that way
+    cheek = extrude(Plane.XZ * outline, WALL)  # the normal of XZ is -y, the direction of extrusion
     solid = _base(-FOOT - TONGUE, front, inner + 2.0 * WALL)
     return solid + Pos(0, -inner / 2.0, 0) * cheek + Pos(0, inner / 2.0 + WALL, 0) * cheek
 
@@ -139,7 +139,7 @@ def _hole(camera: CameraHardware) -> float:
 
 
 def _teardrop(radius: float) -> Any:
-    """A circle with a roof of 45 degrees on top (+y of the sketch), which prints without support."""
+    """A circle with a 45 degree roof on top (+y of the sketch), printable without support."""
     from build123d import Circle, Polygon
 
     touch = radius / math.sqrt(
@@ -180,7 +180,7 @@ def read_stl(path: str | Path) -> Mesh:
     count = int.from_bytes(content[80:84], "little")
     if len(content) < 84 or len(content) != 84 + 50 * count or count == 0:
         raise InputError(
-            f"{Path(path).name}: expected a binary STL, got {len(content)} bytes for {count} triangles"
+            f"{Path(path).name}: expected a binary STL, got {len(content)} bytes, {count} triangles"
         )
     facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
     return np.frombuffer(content, facet, offset=84)["corners"].astype(np.float64)
@@ -253,8 +253,10 @@ def main(words: list[str] | None = None) -> int:
         mesh = read_stl(stl)
         size, mass_g = np.ptp(mesh.reshape(-1, 3), axis=0), PLA_G_PER_MM3 * volume(mesh)
         fine = fine and mass_g <= LARGEST_G and overhang_deg(mesh) <= 45.5
-        print(f"{stl.name}: {' x '.join(f'{s:.1f}' for s in size)} mm, {volume(mesh):.0f} mm3, {mass_g:.2f} g in PLA, "
-              f"steepest overhang {overhang_deg(mesh):.1f} deg")  # fmt: skip
+        print(
+            f"{stl.name}: {' x '.join(f'{s:.1f}' for s in size)} mm, {volume(mesh):.0f} mm3, "
+            f"{mass_g:.2f} g in PLA, maximum overhang {overhang_deg(mesh):.1f} deg"
+        )
     return 0 if fine else 1
 
 

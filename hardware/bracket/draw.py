@@ -1,5 +1,4 @@
-"""Picture of the brackets for the manual: both STL files -> manual/figures/bracket.png, drawn by
-NumPy alone.
+"""Figure of the brackets: both STL files -> manual/figures/bracket.png, rendered with NumPy.
 
 .venv/bin/python hardware/bracket/draw.py
 """
@@ -21,7 +20,7 @@ SIDE, MARGIN, SMOOTH = (
     420,
     20,
     3,
-)  # pixels of one picture, around it, and drawn for each pixel that is kept
+)  # image size [px], margin [px], and oversampling
 SUN = np.array([0.35, -0.45, 0.82])  # where the light comes from: ahead, right, above
 TURN_DEG, LIFT_DEG = 40.0, 28.0  # seen from ahead and right, from above
 
@@ -29,7 +28,7 @@ Mesh = NDArray[np.float64]
 
 
 def picture(mesh: Mesh) -> NDArray[np.uint8]:
-    """A grey picture of a solid, in parallel projection.
+    """A grey image of a solid in parallel projection.
 
     Args:
         mesh: (N, 3, 3) triangles, x ahead, y left, z up.
@@ -74,7 +73,7 @@ def _fill(image: Mesh, depth: Mesh, corners: Mesh, level: float) -> None:
 
 
 def _bracket() -> Any:
-    """The script beside this one, which knows how an STL is read."""
+    """The module bracket.py beside this one, which reads STL files."""
     spec = importlib.util.spec_from_file_location("bracket", FOLDER / "bracket.py")
     if spec is None or spec.loader is None:
         raise ImportError("bracket.py")
@@ -84,7 +83,7 @@ def _bracket() -> Any:
 
 
 def main(words: list[str] | None = None) -> int:
-    """Draw both side by side, and write the text that says the same.
+    """Draw both side by side, and write the description.
 
     Args:
         words: the command line; None takes the program's own.
@@ -107,13 +106,12 @@ def main(words: list[str] | None = None) -> int:
         " x ".join(f"{side:.0f}" for side in np.ptp(mesh.reshape(-1, 3), axis=0)) for mesh in meshes
     ]
     masses = [f"{bracket.PLA_G_PER_MM3 * bracket.volume(mesh):.1f} g" for mesh in meshes]
-    text = f"""
-        Two printed brackets, drawn from their STL files. Left, for the analog camera, {sizes[0]} mm, {masses[0]} in
-        PLA: a flat base with two slots for a strap behind, and two upright cheeks with a hole near the top of each,
-        between which the camera is screwed and tilts. Right, for the digital camera, {sizes[1]} mm, {masses[1]}: two
-        posts on a narrow base, two holes in each, a rib behind each post. The holes have a pointed roof, so nothing
-        needs support.
-        """
+    text = f"""Two printed brackets, drawn from their STL files. Left, for the analog camera,
+        {sizes[0]} mm, {masses[0]} in PLA: a flat base with two slots for a strap behind, and two
+        upright cheeks with a hole near the top of each, between which the camera is screwed and
+        tilts. Right, for the digital camera, {sizes[1]} mm, {masses[1]}: two posts on a narrow
+        base, two holes in each, a rib behind each post. The holes have a pointed roof, so nothing
+        needs support."""
     with atomic_write(folder / "bracket.txt", text=True) as file:
         file.write(" ".join(text.split()) + "\n")
     return 0

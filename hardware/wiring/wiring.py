@@ -1,10 +1,9 @@
-"""Wiring diagrams: camera file and firmware pins -> three SVG figures of the manual, each with a
-text beside it.
+"""Wiring diagrams: camera file and firmware pins -> three SVG figures with descriptions.
 
     .venv/bin/python hardware/wiring/wiring.py
 
-Values of the filter come from hardware/camera_analog.toml, those of the trainer lead from the
-constants below, which are the ones of firmware/README.md. Needs the extra `manual` (schemdraw).
+Values of the filter are from hardware/camera_analog.toml, those of the trainer lead from the
+constants below, as in firmware/README.md. Needs the extra `manual` (schemdraw).
 """
 
 import argparse
@@ -79,7 +78,7 @@ def draw_camera(path: Path, camera: CameraHardware) -> str:
         camera: with a power filter.
 
     Returns:
-        The same in words.
+        The description.
     """
     import schemdraw.elements as elm
 
@@ -116,13 +115,13 @@ def draw_camera(path: Path, camera: CameraHardware) -> str:
     _box(drawing, (tap.center[0] - 2.6, tap.center[1] + 1.2), 5.2, 1.6, motor)
     drawing.add(elm.Label().at((7.6, -1.1)).label(f"filter: {_figures(camera)}"))
     _save(drawing, path)
-    return _one_line(f"""
-        The camera's supply. From the plus of the flight battery (2S, 6.0 to 8.4 V) one branch goes to the speed
-        controller and motor. The other goes through a resistor of {parts.damping_ohm:g} ohm and a coil of
-        {parts.inductance_uh:g} uH to the plus of the {camera.name}, camera and video transmitter. Between coil and
-        camera a capacitor of {parts.capacitance_uf:g} uF, 16 V, leads to the battery's minus, its plus leg at the
-        coil and its striped leg at minus. Minus goes straight to the camera. The filter has {_figures(camera)}. The
-        video antenna is on before power is.""")
+    return _one_line(f"""The camera's supply. From the plus of the flight battery (2S, 6.0 to 8.4
+        V) one branch goes to the speed controller and motor. The other goes through a resistor of
+        {parts.damping_ohm:g} ohm and a coil of {parts.inductance_uh:g} uH to the plus of the
+        {camera.name}, camera and video transmitter. Between coil and camera a capacitor of
+        {parts.capacitance_uf:g} uF, 16 V, leads to the battery's minus, its plus leg at the coil
+        and its striped leg at minus. Minus goes straight to the camera. The filter has
+        {_figures(camera)}. The video antenna is on before power is.""")
 
 
 def draw_trainer(path: Path) -> str:
@@ -132,7 +131,7 @@ def draw_trainer(path: Path) -> str:
         path: the SVG to write.
 
     Returns:
-        The same in words.
+        The description.
     """
     import schemdraw.elements as elm
 
@@ -169,14 +168,15 @@ def draw_trainer(path: Path) -> str:
     drawing.add(elm.Line().right(1.0))
     drawing.add(elm.Ground().label("10 µF, once flashed", loc="right"))
     _save(drawing, path)
-    return _one_line(f"""
-        The trainer lead. Pin {PPM_PIN} of the Arduino Mega goes through 1 kilohm to a node; from the node 2 kilohm go
-        to ground and 1 kilohm to the tip of a 3.5 mm mono plug, which then carries {open_v:.2f} V where the pin has 5
-        V. Ground goes to the sleeve. The second 1 kilohm limits the current where the radio drives the line too: at 5
-        V {shared_ma:.1f} mA. To measure and record, the tip of the radio's own output goes through 4.7 kilohm to pin
-        {PILOT_PIN}, where 9 V push {pilot_ma:.2f} mA into the pin. A capacitor of 10 uF from RESET (plus) to ground
-        is put in once the board is flashed. Levels and polarity of the radio are to be measured first; pin {PPM_PIN}
-        never meets the radio's output.""")
+    return _one_line(f"""The trainer lead. Pin {PPM_PIN} of the Arduino Mega goes through 1 kilohm
+        to a node; from the node 2 kilohm go to ground and 1 kilohm to the tip of a 3.5 mm mono
+        plug, which then carries {open_v:.2f} V where the pin has 5 V. Ground goes to the sleeve.
+        The second 1 kilohm limits the current where the radio drives the line too: at 5 V
+        {shared_ma:.1f} mA. To measure and record, the tip of the radio's own output goes through
+        4.7 kilohm to pin {PILOT_PIN}, where 9 V push {pilot_ma:.2f} mA into the pin. A capacitor
+        of 10 uF from RESET (plus) to ground is put in once the board is flashed. Levels and
+        polarity of the radio are to be measured first; pin {PPM_PIN} never meets the radio's
+        output.""")
 
 
 def draw_ground(path: Path) -> str:
@@ -186,7 +186,7 @@ def draw_ground(path: Path) -> str:
         path: the SVG to write.
 
     Returns:
-        The same in words.
+        The description.
     """
     import schemdraw.elements as elm
 
@@ -209,12 +209,12 @@ def draw_ground(path: Path) -> str:
         line = elm.Arrow().at(from_end).to(to_end).linestyle("--" if "GHz" in text else "-")
         drawing.add(line.label(text, loc="top" if ways[1] == 0 else "bot") if text else line)
     _save(drawing, path)
-    return _one_line("""
-        The ground station. The aircraft's camera sends its picture by radio at 5.8 GHz to the video receiver; a
-        composite cable leads to the USB capture card, and a USB cable to the computer, where falconwing runs. A
-        second USB cable leads from the computer to the Arduino Mega, the trainer bridge; the trainer lead leads from
-        it to the transmitter. The safety pilot holds the transmitter and its trainer switch. The transmitter sends at
-        2.4 GHz to the receiver in the aircraft. Dashed lines are radio, the others are cables.""")
+    return _one_line("""The ground station. The aircraft's camera sends its picture by radio at 5.8
+        GHz to the video receiver; a composite cable leads to the USB capture card, and a USB cable
+        to the computer, where falconwing runs. A second USB cable leads from the computer to the
+        Arduino Mega, the trainer bridge; the trainer lead leads from it to the transmitter. The
+        safety pilot holds the transmitter and its trainer switch. The transmitter sends at 2.4 GHz
+        to the receiver in the aircraft. Dashed lines are radio, the others are cables.""")
 
 
 def _figures(camera: CameraHardware) -> str:
@@ -224,7 +224,10 @@ def _figures(camera: CameraHardware) -> str:
         return "none"
     weaker = float(parts.attenuation_db(1e3 * parts.switching_khz, load))
     corner, damping = parts.corner_hz / 1e3, parts.damping(load)
-    return f"corner {corner:.2f} kHz, damping {damping:.2f}, {weaker:.0f} dB less at {parts.switching_khz:g} kHz"
+    return (
+        f"corner {corner:.2f} kHz, damping {damping:.2f}, "
+        f"{weaker:.0f} dB less at {parts.switching_khz:g} kHz"
+    )
 
 
 def _one_line(text: str) -> str:

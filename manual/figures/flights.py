@@ -1,7 +1,6 @@
-"""Simulated flights and pictures for the manual: the kit's own loop, scenes and monitor -> figures
-with their words.
+"""Simulated flights and images of the manual: loop, scenes and monitor -> figures, descriptions.
 
-Every one is simulated and says so. `make_figures.py` calls them; names and words stand in FLIGHTS.
+Each is simulated and labelled so. `make_figures.py` calls the functions of FLIGHTS.
 """
 
 import sys
@@ -25,7 +24,7 @@ from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.tools.trials.trials import fly_trials
 from falconwing_kit.vision import FrameMonitor
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))  # this folder is no package
+sys.path.insert(0, str(Path(__file__).resolve().parent))  # this folder is not a package
 from schematics import DARK, LIGHT, MIDDLE, drawing, hall_from_above
 
 LANDINGS, FRAMES, STEP_S, SPEED = 10, 16, 0.05, 7.0
@@ -36,7 +35,7 @@ Pixels = NDArray[np.uint8]
 
 
 def draw_approach(path: Path) -> str:
-    """Ten landings of the expert, from above and from the side."""
+    """Draw ten landings of the expert, from above and from the side."""
     task, pad = LandingTask(), LandingPad()
     records = fly_trials(task, task.expert, LANDINGS, pilot="expert")
     with drawing(path, 6.6, 4.6, 2, 1, height_ratios=[2.4, 1.0], sharex=True) as (
@@ -54,27 +53,33 @@ def draw_approach(path: Path) -> str:
         above.text(
             -17.6,
             5.0,
-            "both pilots; everybody else\nbehind the dotted line",
+            "both pilots; everyone else\nbehind the dotted line",
             va="center",
             fontsize=8.5,
         )
         above.plot(-18.6, 5.0, "^", ms=8, color=DARK)
-        above.annotate("hand over", (pad.x_start - 20.0, pad.y_centre), (-19.0, -7.0), ha="center", fontsize=8.5,
-                       arrowprops={"arrowstyle": "-|>", "color": MIDDLE})  # fmt: skip
+        above.annotate(
+            "hand over",
+            (pad.x_start - 20.0, pad.y_centre),
+            (-19.0, -7.0),
+            ha="center",
+            fontsize=8.5,
+            arrowprops={"arrowstyle": "-|>", "color": MIDDLE},
+        )
         side.fill_between(
             [pad.x_start, pad.x_start + pad.length], 0.0, pad.height, color=LIGHT, lw=0
         )
         side.set(ylim=(0.0, 2.6), xlabel="x, landing direction [m]", ylabel="height [m]")
     landed = sum(record["success"] for record in records)
-    return f"""Ten simulated landings by the expert that knows its state, not by a camera: {landed} of {LANDINGS} on
-        the pad. Above, the hall from above: from about 20 m before the pad all paths run together onto its centre
-        line. The pilots stand beside the place of the hand-over, left of the path; everybody else stays behind
-        them, at the wall that the flight leaves. Below, from the side: from 1.5 m height down a shallow slope,
-        rounded before the pad."""
+    return f"""Ten simulated landings by the expert with ground-truth state, without a camera:
+        {landed} of {LANDINGS} on the pad. Top, the hall from above: from about 20 m before the pad
+        all paths run together onto its centre line. The pilots stand beside the hand-over point,
+        left of the path; everyone else stays behind them, at the wall that the flight leaves.
+        Bottom, from the side: from 1.5 m height down a shallow slope, rounded before the pad."""
 
 
 def draw_control_inputs(path: Path) -> str:
-    """Sticks and ground track of a flight that can be identified."""
+    """Draw commands and ground track of a flight suitable for identification."""
     table = read_flight_table(data_path("case02_calm.csv"))
     shown = (table.t >= SHOWN_S[0]) & (table.t <= SHOWN_S[1])
     t = table.t[shown]
@@ -91,13 +96,14 @@ def draw_control_inputs(path: Path) -> str:
         track.plot(*table.p_world[shown][0, :2], "o", ms=6, color=DARK)
         track.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="seen from above")
         track.title.set_fontsize(9.5)
-    return """Half a minute of a simulated flight that identification can use. Left, the four sticks against time,
-        each about its grey middle line: all four move, to both sides, at their own times, quick and slow. Right,
-        the path from above: turns to both sides; the spikes are wild poses, which the fit survives."""
+    return """Half a minute of a simulated flight suitable for identification. Left, the four
+        commands over time, each about its grey middle line: all four move, to both sides, at their
+        own times, quick and slow. Right, the path from above: turns to both sides; the spikes are
+        outlier poses, which the fit rejects."""
 
 
 def draw_pictures(path: Path) -> str:
-    """Four kinds of video and what the frame monitor says of them after under a second."""
+    """Draw four kinds of video; the description has the frame monitor's result after 0.8 s."""
     import cv2
 
     shown, said = [], []
@@ -106,7 +112,7 @@ def draw_pictures(path: Path) -> str:
         for k, picture in enumerate(approach_views()):
             verdict = monitor.update(change(picture, k), k * STEP_S)
             alarm = k if verdict.alert and alarm is None else alarm
-        words = "no alarm" if alarm is None else f"alarm in picture {alarm + 1}, {verdict.reason}"
+        words = "no alarm" if alarm is None else f"alarm in image {alarm + 1}, {verdict.reason}"
         said.append(f"{name}: {words}")
         shown.append(change(approach_views()[-1], FRAMES - 1))
     edge = np.full((PICTURE_PX[1], 8, 3), 255, np.uint8)
@@ -115,12 +121,12 @@ def draw_pictures(path: Path) -> str:
         file.write(
             cv2.imencode(".jpg", strip[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes()
         )
-    return f"""Four simulated pictures of an approach, from left to right, and what the frame monitor said over
-        {FRAMES} of each, 20 a second. {". ".join(said)}."""
+    return f"""Four simulated images of an approach, from left to right, and the frame
+        monitor's results over {FRAMES} of each, 20 per second. {". ".join(said)}."""
 
 
 def approach_views() -> list[Pixels]:
-    """(FRAMES) pictures (H, W, 3) from a straight approach in the arena."""
+    """FRAMES images (H, W, 3) of a straight approach in the arena."""
     if not _VIEWS:
         arena, camera = load_scene("arena"), fpv_camera(*PICTURE_PX)
         for k in range(FRAMES):
@@ -143,5 +149,7 @@ KINDS: dict[str, Callable[[Pixels, int], Any]] = {
     ),
 }
 FLIGHTS: dict[str, Callable[[Path], str]] = {
-    "approach": draw_approach, "sticks": draw_control_inputs, "pictures": draw_pictures,
-}  # fmt: skip
+    "approach": draw_approach,
+    "sticks": draw_control_inputs,
+    "pictures": draw_pictures,
+}

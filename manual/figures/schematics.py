@@ -1,8 +1,7 @@
-"""Drawings of the manual: the kit's own data files -> SVG figures, each with the same in words
-beside it.
+"""Drawings of the manual: the kit's data files -> SVG figures, and their descriptions.
 
-Drawn, none of them a picture taken. They are in greys and dashes, so that a page on a school's
-printer loses nothing. `make_figures.py` calls them; names and words stand in DRAWINGS.
+All are drawn, none is a photo; greys and dashes only, for a monochrome printer. `make_figures.py`
+calls the functions of DRAWINGS.
 """
 
 import tomllib
@@ -34,9 +33,7 @@ HALL = Hall()
 def drawing(
     path: Path, wide: float, high: float, rows: int = 1, columns: int = 1, **grid: Any
 ) -> Iterator[Any]:
-    """Axes [rows, columns] without upper and right frame; the SVG of that size [inch] appears when
-    the block ends.
-    """
+    """Axes [rows, columns] without upper and right frame; on exit an SVG of that size [inch]."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -51,7 +48,7 @@ def drawing(
 
 
 def bare(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Axes as a sheet of paper: no frame, no ticks, the same scale both ways."""
+    """Set axes without frame and ticks, with equal scales."""
     axes.set(xlim=x, ylim=y, aspect="equal")
     axes.axis("off")
 
@@ -59,7 +56,7 @@ def bare(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
 def box(
     axes: Any, x: float, y: float, text: str, wide: float = 2.3, high: float = 1.0, **look: Any
 ) -> None:
-    """A box with words in it, centred at a place."""
+    """Draw a box with text, centred at a point."""
     from matplotlib.patches import FancyBboxPatch
 
     look = {"facecolor": "white", "edgecolor": DARK, "linewidth": 1.1, **look}
@@ -73,7 +70,7 @@ def box(
 def arrow(
     axes: Any, begin: tuple[float, float], end: tuple[float, float], text: str = "", **look: Any
 ) -> None:
-    """An arrow with words above its middle; `shift` moves them, `bend` curves it."""
+    """Draw an arrow with text above its middle; `shift` moves the text, `bend` curves it."""
     shift, bend = look.pop("shift", (0.0, 0.13)), look.pop("bend", 0.0)
     style = {
         "arrowstyle": "-|>",
@@ -88,7 +85,7 @@ def arrow(
 
 
 def draw_loop(path: Path) -> str:
-    """The 20 Hz loop and its two pairs of ends."""
+    """Draw the 20 Hz loop and its two pairs of ends."""
     with drawing(path, 6.6, 2.65) as axes:
         (ax,) = axes.flat
         bare(ax, (-0.2, 13.4), (-0.4, 5.2))
@@ -119,15 +116,16 @@ def draw_loop(path: Path) -> str:
         ax.text(6.6, 4.0, "with an aircraft", ha="center", va="center", fontsize=9.5, weight="bold")
         ax.text(6.6, 0.8, "in simulation", ha="center", va="center", fontsize=9.5, weight="bold")
         ax.text(6.6, 3.25, "20 times a second, the same program", ha="center", fontsize=8.5)
-    return """The loop that runs 20 times a second. In the middle, the same for both: frame monitor, then pilot or
-        controller, then trainer port and log. With an aircraft the picture comes from camera, 5.8 GHz link,
-        receiver and capture card, and the command goes to the Arduino board, the transmitter and the aircraft. In
-        simulation, dashed, the picture comes from a scene of splats through a simulated camera, and the command
-        goes to the board's same program and a model of the aircraft."""
+    return """The loop that runs 20 times a second. In the middle, the same for both: frame
+        monitor, then pilot or controller, then trainer port and log. With an aircraft the picture
+        comes from camera, 5.8 GHz link, receiver and capture card, and the command goes to the
+        Arduino board, the transmitter and the aircraft. In simulation, dashed, the picture comes
+        from a scene of splats through a simulated camera, and the command goes to the board's same
+        program and a model of the aircraft."""
 
 
 def draw_aircraft(path: Path) -> str:
-    """Where the added parts sit, from the left side and from above."""
+    """Draw the positions of the added parts, from the left side and from above."""
     frame, items = load_airframe(), load_parts()
     cg, span, chord = 1000.0 * roll_up(items).x_cg, 1000.0 * frame.span, 1000.0 * frame.mean_chord
     place = {
@@ -149,11 +147,12 @@ def draw_aircraft(path: Path) -> str:
             top.plot(x, 0, "s", ms=6, color=DARK)
         top.plot(cg, 0, "o", ms=10, mfc="white", mec=DARK)
         pointed_at(top, "balance with\nall parts on", (cg, 0), (-232, 300))
-    return f"""The aircraft, drawn from the left side and from above, nose to the left; outlines are schematic,
-        places along the fuselage are those of the list of parts, partly estimates. On the nose, behind the
-        propeller, sit camera and bracket; behind them filter and wires; the battery in its hatch ahead of the wing;
-        the receiver inside. Seen from above: {span / 10:.0f} cm of wing with ailerons outside and flaps inside,
-        elevator at the tail; the rudder stands on the fin. With all parts on the balance is {cg:.0f} mm behind the
+    return f"""The aircraft, drawn from the left side and from above, nose to the left; outlines
+        are schematic, places along the fuselage are those of the list of parts, partly estimates.
+        On the nose, behind the propeller, sit camera and bracket; behind them filter and wires;
+        the battery in its hatch ahead of the wing; the receiver inside. Seen from above:
+        {span / 10:.0f} cm of wing with ailerons outside and flaps inside, elevator at the tail;
+        the rudder stands on the fin. With all parts on the balance is {cg:.0f} mm behind the
         wing's leading edge."""
 
 
@@ -240,8 +239,8 @@ def draw_hours(path: Path) -> str:
         ax.set_xticks([60 * hour for hour in range(0, 11)], [str(hour) for hour in range(0, 11)])
         ax.spines["left"].set_visible(False)
     listed = "; ".join(f"{step['title']} {step['minutes']}" for step in steps)
-    return f"""Estimated minutes of each step, one after the other: {listed}. Together {total / 60:.1f} hours; the
-        paper says under 10 hours."""
+    return f"""Estimated minutes of each step, one after the other: {listed}. Together
+        {total / 60:.1f} hours; the paper says under 10 hours."""
 
 
 def draw_ppm(path: Path) -> str:
@@ -276,14 +275,20 @@ def draw_ppm(path: Path) -> str:
             ha="center",
             fontsize=8.5,
         )
-        ax.annotate(f"gap pulse {calibration.gap_us} µs", (edges[-1] / 1000 + 0.4, 0.1), (7.3, 0.3), fontsize=8.5,
-                    arrowprops={"arrowstyle": "-", "color": MIDDLE})  # fmt: skip
+        ax.annotate(
+            f"gap pulse {calibration.gap_us} µs",
+            (edges[-1] / 1000 + 0.4, 0.1),
+            (7.3, 0.3),
+            fontsize=8.5,
+            arrowprops={"arrowstyle": "-", "color": MIDDLE},
+        )
         ax.set(ylim=(-1.3, 1.5), xlim=(0.0, 11.0), yticks=[], xlabel="time [ms]")
         ax.spines["left"].set_visible(False)
     said = ", ".join(f"{name} {us}" for name, us in zip(names, slots, strict=True))
-    return f"""Pulses on the trainer port with the settings that ship, which no radio has confirmed. The line rests
-        high; short low gap pulses of {calibration.gap_us} microseconds begin each slot. From gap to gap: {said}
-        microseconds, which is throttle idle and the others in the middle. A long pause follows; frames come every
+    return f"""Pulses on the trainer port with the settings that ship, which no radio has
+        confirmed. The line rests high; short low gap pulses of {calibration.gap_us} microseconds
+        begin each slot. From gap to gap: {said} microseconds, which is throttle idle and the
+        others in the middle. A long pause follows; frames come every
         {calibration.frame_us / 1000:g} milliseconds."""
 
 
@@ -318,17 +323,21 @@ def draw_safety(path: Path) -> str:
             fontsize=8.5,
             style="italic",
         )
-    return """States of the board. After BOOT it is SAFE. Engage switched on and then 5 commands within half a
-        second make it ACTIVE, the only state in which the computer moves the slots. Engage off leads back to SAFE.
-        200 milliseconds of silence lead to LOST; from there engage off leads to SAFE. From any state five commands
-        out of range within a second, or a program that hung, lead to FAULT, which engage off ends one second later.
-        Outside ACTIVE the throttle is idle and the sticks are in the middle."""
+    return """States of the board. After BOOT it is SAFE. Engage switched on and then 5 commands
+        within half a second make it ACTIVE, the only state in which the computer moves the slots.
+        Engage off leads back to SAFE. 200 milliseconds of silence lead to LOST; from there engage
+        off leads to SAFE. From any state five commands out of range within a second, or a program
+        that hung, lead to FAULT, which engage off ends one second later. Outside ACTIVE the
+        throttle is idle and the sticks are in the middle."""
 
 
 def draw_surfaces(path: Path) -> str:
     """Which way each surface must go, seen from behind."""
-    looks = (("aileron stick right", "right aileron UP,\nleft aileron down"), ("elevator stick back", "elevator UP"),
-             ("rudder stick right", "rudder to the RIGHT"))  # fmt: skip
+    looks = (
+        ("aileron stick right", "right aileron UP,\nleft aileron down"),
+        ("elevator stick back", "elevator UP"),
+        ("rudder stick right", "rudder to the RIGHT"),
+    )
     with drawing(path, 6.6, 1.9, 1, 3) as axes:
         for k, (ax, (stick, answer)) in enumerate(zip(axes.flat, looks, strict=True)):
             bare(ax, (-1.15, 1.15), (-0.75, 0.85))
@@ -346,9 +355,9 @@ def draw_surfaces(path: Path) -> str:
                 ax.fill_between([0.0, 0.2], [0.2, 0.2], [0.5, 0.5], **moved)
             ax.set_title(stick, fontsize=9.5)
             ax.text(0.0, -0.65, answer, ha="center", fontsize=9.0)
-    return """The aircraft from behind, three times. Aileron stick to the right: the right aileron goes up, the left
-        one down. Elevator stick back: the elevator goes up. Rudder stick to the right: the rudder goes to the
-        right."""
+    return """The aircraft from behind, three times. Aileron stick to the right: the right aileron
+        goes up, the left one down. Elevator stick back: the elevator goes up. Rudder stick to the
+        right: the rudder goes to the right."""
 
 
 def draw_lanes(path: Path) -> str:
@@ -360,8 +369,12 @@ def draw_lanes(path: Path) -> str:
         for k, y in enumerate((-8.5, 1.5, 5.5)):
             ax.plot([HALL.x[0] + 2.0, HALL.x[1] - 2.0], [y, y], color=DARK, lw=1.0, ls="--")
             ax.plot([x + k % 2 for x in range(-20, 15, 2)], [y] * 18, ">", ms=4.5, color=DARK)
-        for x, y in ((HALL.x[0] + 1.0, HALL.y[0] + 1.0), (HALL.x[0] + 1.0, HALL.y[1] - 1.0),
-                     (HALL.x[1] - 1.0, HALL.y[0] + 1.0), (HALL.x[1] - 1.0, HALL.y[1] - 1.0)):  # fmt: skip
+        for x, y in (
+            (HALL.x[0] + 1.0, HALL.y[0] + 1.0),
+            (HALL.x[0] + 1.0, HALL.y[1] - 1.0),
+            (HALL.x[1] - 1.0, HALL.y[0] + 1.0),
+            (HALL.x[1] - 1.0, HALL.y[1] - 1.0),
+        ):
             ax.plot(x, y, "x", ms=7, color=DARK)
         corners = [
             (x, pad.y_centre + side)
@@ -373,16 +386,20 @@ def draw_lanes(path: Path) -> str:
         ax.plot([], [], "x", ms=7, color=DARK, ls="none", label="photos from the corners")
         ax.plot([], [], "o", ms=7, mfc="white", mec=DARK, ls="none", label="measured by tape")
         ax.figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8.5)
-    return """The hall from above, 40 by 20 metres, with blue pad and marker at its end. Three dashed lanes run
-        along it; a photo is taken at every step. Crosses in the four corners: photos from there. Circles on the
-        pad's corners: points measured by tape."""
+    return """The hall from above, 40 by 20 metres, with blue pad and marker at its end. Three
+        dashed lanes run along it; a photo is taken at every step. Crosses in the four corners:
+        photos from there. Circles on the pad's corners: points measured by tape."""
 
 
 def hall_from_above(ax: Any) -> None:
     """Walls, pad, marker and axes of the kit's hall."""
     pad = LandingPad()
-    ax.plot([HALL.x[0], HALL.x[1], HALL.x[1], HALL.x[0], HALL.x[0]],
-            [HALL.y[0], HALL.y[0], HALL.y[1], HALL.y[1], HALL.y[0]], color=DARK, lw=1.6)  # fmt: skip
+    ax.plot(
+        [HALL.x[0], HALL.x[1], HALL.x[1], HALL.x[0], HALL.x[0]],
+        [HALL.y[0], HALL.y[0], HALL.y[1], HALL.y[1], HALL.y[0]],
+        color=DARK,
+        lw=1.6,
+    )
     ends, half = (pad.x_start, pad.x_start + pad.length), pad.width / 2.0
     ax.fill_between(ends, pad.y_centre - half, pad.y_centre + half, color=LIGHT, lw=0)
     ax.text(ends[1] - 1.0, pad.y_centre, "pad 13 x 2 m", ha="right", va="center", fontsize=8.5)
@@ -399,6 +416,11 @@ def hall_from_above(ax: Any) -> None:
 
 
 DRAWINGS: dict[str, Callable[[Path], str]] = {
-    "loop": draw_loop, "aircraft": draw_aircraft, "hours": draw_hours, "ppm": draw_ppm, "safety": draw_safety,
-    "surfaces": draw_surfaces, "photo_lanes": draw_lanes,
-}  # fmt: skip
+    "loop": draw_loop,
+    "aircraft": draw_aircraft,
+    "hours": draw_hours,
+    "ppm": draw_ppm,
+    "safety": draw_safety,
+    "surfaces": draw_surfaces,
+    "photo_lanes": draw_lanes,
+}

@@ -35,7 +35,7 @@ from falconwing_kit.scene.masks import (
     paint_grey,
     visible_alpha_image,
 )
-from falconwing_kit.tools.cli.scene import open_scene
+from falconwing_kit.tools.cli.scene_input import open_scene
 from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, figure
 from tests.benchmarks.bench_rollouts import machine
 

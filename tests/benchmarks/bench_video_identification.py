@@ -19,7 +19,7 @@ import pytest
 from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_body
 from falconwing_kit.scene import PinholeCamera, load_scene
 from falconwing_kit.tools.cli.main import main
-from falconwing_kit.tools.cli.video import read_video
+from falconwing_kit.tools.cli.poses import read_video
 from falconwing_kit.vision import estimate_flight, refine_pose
 
 FLIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "hall" / "flights"

@@ -17,13 +17,21 @@ ROOT = Path(__file__).resolve().parents[2]
 BOTH = ("analog", "digital")
 CUBE = np.array(
     [  # unit cube, counter-clockwise from outside
-        [(0, 0, 0), (1, 1, 0), (1, 0, 0)], [(0, 0, 0), (0, 1, 0), (1, 1, 0)], [(0, 0, 1), (1, 0, 1), (1, 1, 1)],
-        [(0, 0, 1), (1, 1, 1), (0, 1, 1)], [(0, 0, 0), (1, 0, 0), (1, 0, 1)], [(0, 0, 0), (1, 0, 1), (0, 0, 1)],
-        [(0, 1, 0), (1, 1, 1), (1, 1, 0)], [(0, 1, 0), (0, 1, 1), (1, 1, 1)], [(0, 0, 0), (0, 0, 1), (0, 1, 1)],
-        [(0, 0, 0), (0, 1, 1), (0, 1, 0)], [(1, 0, 0), (1, 1, 0), (1, 1, 1)], [(1, 0, 0), (1, 1, 1), (1, 0, 1)],
+        [(0, 0, 0), (1, 1, 0), (1, 0, 0)],
+        [(0, 0, 0), (0, 1, 0), (1, 1, 0)],
+        [(0, 0, 1), (1, 0, 1), (1, 1, 1)],
+        [(0, 0, 1), (1, 1, 1), (0, 1, 1)],
+        [(0, 0, 0), (1, 0, 0), (1, 0, 1)],
+        [(0, 0, 0), (1, 0, 1), (0, 0, 1)],
+        [(0, 1, 0), (1, 1, 1), (1, 1, 0)],
+        [(0, 1, 0), (0, 1, 1), (1, 1, 1)],
+        [(0, 0, 0), (0, 0, 1), (0, 1, 1)],
+        [(0, 0, 0), (0, 1, 1), (0, 1, 0)],
+        [(1, 0, 0), (1, 1, 0), (1, 1, 1)],
+        [(1, 0, 0), (1, 1, 1), (1, 0, 1)],
     ],
     dtype=float,
-)  # fmt: skip
+)
 
 
 def script():
@@ -166,7 +174,7 @@ def test_bracket_of_another_camera_does_not_fit_but_is_made(change, tmp_path):
 
 
 def test_round_hole_would_need_support(tmp_path, monkeypatch):
-    """Planted: without its roof a sideways hole has a ceiling, which the measure of overhangs sees."""
+    """Planted: without its roof a sideways hole has a ceiling, which the overhang check detects."""
     from build123d import Circle
 
     monkeypatch.setattr(bracket, "_teardrop", Circle)

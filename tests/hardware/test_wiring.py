@@ -37,7 +37,7 @@ def words(svg):
 
 @pytest.mark.parametrize(("path", "names"), [("wiring/wiring.py", NAMES), ("draw.py", CURVES)])
 def test_committed_figures_are_what_the_command_makes(path, names, tmp_path):
-    """Letter by letter; numbers to a thousandth of a point, for another machine rounds another way."""
+    """Letter by letter; numbers to a thousandth of a point, since machines round differently."""
     assert script(path).main(["--out", str(tmp_path)]) == 0
     number = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
     for name in [f"{name}.{kind}" for name in names for kind in ("svg", "txt")]:

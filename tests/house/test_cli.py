@@ -97,7 +97,7 @@ def test_unknown_option_is_wrong_use(probe):
         (
             "library",
             2,
-            "falconwing: the library cv2 is not installed; `falconwing doctor` says how to mend it\n",
+            "falconwing: the library cv2 is not installed; `falconwing doctor` suggests a fix\n",
         ),
         ("keys", 130, "interrupted\n"),
     ],

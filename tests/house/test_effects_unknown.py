@@ -15,10 +15,8 @@ ALLOWED: dict[str, set[str]] = {
     "trainer_port/protocol.py": {"stall"},  # a fault of the board's protocol
     "trainer_port/safety.py": {"stall"},
     "tools/cli/firmware.py": {"stall"},
-    "tools/demo/alfa.py": {"wind"},  # a column of the recorded flight
-    # The demo's story: which effect its recorded flights show.
-    "tools/demo/alfa_gap.py": {"thrust_loss"},
-    "tools/demo/alfa_story.py": UNIFORM_WIND,
+    # The demo's recorded flights: a column, the model's uniform wind, and the effects they show.
+    "tools/demo/alfa.py": {"wind", "thrust_loss", *UNIFORM_WIND},
     "tools/demo/recorded.py": {"thrust_loss", "thrust_lost", "wind", *UNIFORM_WIND},
 }
 

@@ -116,7 +116,7 @@ def test_hardware_has_a_rehearsal_beside_it():
         (_, real), (kind, rehearsal) = listed[k], listed[k + 1]
         assert kind == "runs" and rehearsal.split()[1] == real.split()[1]
         assert "sim" in rehearsal.split() and " P" in real
-    assert page().text.count("Rehearsal without hardware, simulated:") == len(needing)
+    assert page().text.count("Dry run without hardware, simulated:") == len(needing)
 
 
 def test_hardware_commands_are_understood(monkeypatch):

@@ -11,7 +11,7 @@ ENTRY = re.compile(
 
 
 def test_every_figure_is_shown_once_in_its_own_words():
-    """The folder's pictures against the page; the words are those of the file beside the picture."""
+    """The folder's images against the page; the words are those of the file beside the image."""
     entries = ENTRY.findall(GALLERY)
     pictures = {
         path.name

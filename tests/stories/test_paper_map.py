@@ -42,7 +42,7 @@ def defined_names() -> set[str]:
 
 
 def test_every_name_and_file_in_the_map_exists():
-    """Names against the source, read with the standard library; files and folders against the tree."""
+    """Names against the source, read with the standard library; files against the tree."""
     known, places = (
         defined_names(),
         [ROOT, ROOT / "falconwing_kit", ROOT / "falconwing_kit" / "data"],
@@ -92,7 +92,8 @@ def test_corrections_add_up():
         assert f"{float(minimum_speed(mass, airframe)):.2f} m/s" == speed
         assert f"{float(paper_turn_radius(mass, airframe)):.3g} m" == radius
         assert f"{speed}, {radius}" in MAP
-    held = f"{float(level_turn_speed(0.150, airframe)):.2f} m/s and {float(level_turn_radius(0.150, airframe)):.1f} m"
+    speed = float(level_turn_speed(0.150, airframe))
+    held = f"{speed:.2f} m/s and {float(level_turn_radius(0.150, airframe)):.1f} m"
     assert f"needs {held}" in MAP
     for text in ("408 cm, mean 51 cm; 41 cm", "88.4 %", "87 %", "151 g", "324 g"):
         assert text in MAP

@@ -27,7 +27,7 @@ from falconwing_kit.tools.capture import pose_net_training
 from falconwing_kit.tools.capture.align import transform_reconstruction
 from falconwing_kit.tools.capture.fit import FitSettings, fit_scene
 from falconwing_kit.tools.capture.photo_files import Reconstruction, write_reconstruction
-from falconwing_kit.tools.cli.video import read_video
+from falconwing_kit.tools.cli.poses import read_video
 from falconwing_kit.vision import (
     HybridSettings,
     PoseNet,

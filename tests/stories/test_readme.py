@@ -225,7 +225,7 @@ def test_links_and_rooms_lead_somewhere():
 
 def test_speeds_come_with_their_machine_and_command():
     """A speed without the machine says nothing; how to measure it again must stand beside it."""
-    section = README[README.index("## Speed") : README.index("## The house")]
+    section = README[README.index("## Speed") : README.index("## Architecture")]
     assert section.count("\n| ") >= 4
     assert "pytest -m benchmark" in section
     assert re.search(r"core|processor|CPU", section)

@@ -1,15 +1,13 @@
 """Scene fitting: photos with aligned poses, or turntable photos -> trained Gaussian scene, figures.
 
-    python -m falconwing_kit.tools.capture.fit RECONSTRUCTION --survey survey.csv --out DIR
+    falconwing scene fit RECONSTRUCTION --survey survey.csv --out DIR
 
 trains without network: on an NVIDIA GPU by gsplat, or on a CPU by the reference renderer, for small
 scenes. Requires torch, numpy and pillow, and gsplat for the GPU. See the folder `training`.
 """
 
-import argparse
-import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -257,62 +255,6 @@ def _extent(places: Array) -> float:
     return max(0.1, 1.1 * float(np.linalg.norm(places - places.mean(axis=0), axis=1).max()))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """`python -m falconwing_kit.tools.capture.fit`: the whole job, with the standard library's
-    command line.
-
-    Args:
-        arguments: the words; None takes them from the command line.
-
-    Returns:
-        0 done, 2 wrong use.
-    """
-    from falconwing_kit.tools.capture.training.photos import read_photo_names
-
-    parser = argparse.ArgumentParser(
-        prog="python -m falconwing_kit.tools.capture.fit",
-        description=(__doc__ or "").split("\n")[0],
-    )
-    parser.add_argument(
-        "source", type=Path, help="an aligned reconstruction, or a folder of turntable photos"
-    )
-    parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument(
-        "--survey", type=Path, help="CSV of measured points: where pad and marker are"
-    )
-    parser.add_argument(
-        "--photos", type=Path, help="where the photos are, if not where the reconstruction says"
-    )
-    parser.add_argument(
-        "--held-out",
-        type=Path,
-        help="names of the photos to judge by, such as another figures.json",
-    )
-    for field in fields(FitSettings)[1:]:
-        kind: Any = {bool: _truth, int: int, float: float, str: str}.get(field.type, _numbers)  # type: ignore[arg-type]
-        parser.add_argument(f"--{field.name.replace('_', '-')}", type=kind)
-    given = {
-        name: value
-        for name, value in vars(parser.parse_args(arguments)).items()
-        if value is not None
-    }
-    try:
-        if "held_out" in given:
-            given["judge_by"] = read_photo_names(given.pop("held_out"))
-        fit_folder(
-            **{
-                name: given.pop(name)
-                for name in ("source", "out", "survey", "photos")
-                if name in given
-            },
-            changes=given,
-        )
-    except (InputError, FileNotFoundError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
 def fit_folder(
     source: Path,
     out: Path,
@@ -343,19 +285,3 @@ def fit_folder(
         reconstruction = replace(reconstruction, folder=photos)
     points = read_survey(survey) if survey is not None else None
     return fit_scene(reconstruction, out, FitSettings(**changes), points, say)
-
-
-def _truth(text: str) -> bool:
-    """yes or no."""
-    if text not in ("yes", "no"):
-        raise argparse.ArgumentTypeError(f"expected yes or no, got {text!r}")
-    return text == "yes"
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    """Numbers between commas."""
-    return tuple(float(word) for word in text.split(","))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,1 +1,1 @@
-"""Command line: words typed after `falconwing` in, tables, files and an exit code out."""
+"""Command line: the words after `falconwing` in; tables, files and an exit code out."""

@@ -1,8 +1,7 @@
-"""falconwing calibrate: a person moves one stick after the other -> which slot it is, its ends and
-its direction.
+"""falconwing calibrate: calibrate the trainer port: channel order, end points and reversing.
 
-A calibration is a small TOML file in the folder where you work, ./trainer_port.toml, in plain view
-beside your logs. The verbs that use a port take it from there, or from where --calibration says.
+A calibration is a small TOML file, ./trainer_port.toml in the current folder. The verbs that use a
+port read it from there, or from --calibration.
 """
 
 import sys
@@ -26,14 +25,13 @@ from falconwing_kit.trainer_port.ppm import Calibration, Stick, load_calibration
 
 DEFAULT = Path("trainer_port.toml")
 SIMULATED_PORTS = ("sim", "sim-python")
-MAX_AGE_DAYS = 180  # trims and plugs change; a term later it is measured again
-HOLD_S, HOLDS = 0.6, 5  # how long a stick is held for a reading, and how often that may be tried
-STILL_US = 12  # a stick that is held moves less
+MAX_AGE_DAYS = 180  # trims and plugs change; measure again every term
+HOLD_S, HOLDS = 0.6, 5  # duration of a reading, and how often it is tried
+STILL_US = 12  # maximum variation of a stick held still
 MIN_TRAVEL_US = 250  # between a stick's ends
-CLEAR = 3.0  # the stick that was moved moves so many times more than any other
-POSES: tuple[
-    tuple[str, str, Command], ...
-] = (  # name, what to tell the person, where the sticks are then
+CLEAR = 3.0  # the moved channel must change by this factor more than any other
+# name, instruction to the person, position of the sticks then
+POSES: tuple[tuple[str, str, Command], ...] = (
     (
         "rest",
         "throttle all the way down, the other sticks in their centre",
@@ -51,8 +49,8 @@ POSES: tuple[
     ("rudder +", "rudder all the way right (nose right)", Command(0.0, 0.0, 0.0, 1.0)),
     ("rudder -", "rudder all the way left", Command(0.0, 0.0, 0.0, -1.0)),
 )
-# the SIMULATED radio: all but the throttle's channel differs from the kit's default
-REHEARSED = Calibration(
+# the SIMULATED radio: everything but the throttle's channel differs from the kit's default
+SIMULATED_RADIO = Calibration(
     "SIMULATED radio", "", 4, 22000, 400, 1,
     throttle=Stick(1, 1080, 1490, 1900), aileron=Stick(4, 1105, 1512, 1910, reversed=True),
     elevator=Stick(2, 1090, 1487, 1895), rudder=Stick(3, 1110, 1520, 1920, reversed=True),
@@ -60,21 +58,22 @@ REHEARSED = Calibration(
 
 
 class Operator(Protocol):
-    """Who holds the sticks."""
+    """The person who moves the sticks."""
 
     def hold(self, what: str, sticks: Command) -> None:
-        """Bring the sticks where the text says; return when they are held there."""
+        """Move the sticks as instructed; return when they are held still there."""
 
 
 class KeyboardOperator:
-    """Somebody who reads and presses Enter."""
+    """A person at the terminal, who confirms with Enter."""
 
     def hold(self, what: str, sticks: Command) -> None:
-        """Ask, and wait for Enter."""
+        """Print the instruction and wait for Enter."""
         print(f"  {what}; hold it and press Enter ", end="", file=sys.stderr, flush=True)
         if not sys.stdin.readline():
             raise InputError(
-                "calibrate: expected somebody at the keyboard who presses Enter, got the end of the input"
+                "calibrate: expected Enter at the keyboard, got the end of the input; "
+                "run it at a terminal"
             )
 
 
@@ -83,10 +82,10 @@ class SimulatedOperator:
     """A SIMULATED person with a SIMULATED radio, for --port sim."""
 
     port: TrainerPort
-    radio: Calibration = REHEARSED
+    radio: Calibration = SIMULATED_RADIO
 
     def hold(self, what: str, sticks: Command) -> None:
-        """Hold them at once."""
+        """Set the simulated radio's sticks."""
         print(f"  {what} (SIMULATED)", file=sys.stderr)
         if self.port.simulation is not None:
             with self.port.simulation.pause() as board:
@@ -95,41 +94,36 @@ class SimulatedOperator:
 
 @dataclass(frozen=True)
 class Calibrate:
-    """Learn the microseconds, order and directions of your radio's sticks from the pilot input of
-    the board.
+    """Calibrate the trainer port from the board's pilot input: channel order, end points and
+    reversing of your radio's sticks.
 
-    Propeller off. One stick after the other is moved as you are told. With --port sim it is
-    rehearsed.
+    Propeller off. Move one stick after the other as instructed. --port sim is a dry run.
     """
 
     port: str
     """serial port of the trainer bridge, or sim"""
     radio: str = ""
-    """your radio, such as "Spektrum NX8"; stands in the file, so that no other one's is taken for
-    it
-    """
+    """your radio, such as "Spektrum NX8"; written to the file to identify it"""
     out: Path = DEFAULT
-    """the file to write; other verbs look for trainer_port.toml in the folder where you are"""
+    """the file to write; other verbs read trainer_port.toml in the current folder"""
     replace: bool = False
-    """write over an older file"""
+    """overwrite an older file"""
     json: bool = False
     """print JSON instead of a table"""
 
     def run(self) -> int:
-        """Ask, measure and write the file.
+        """Instruct, measure and write the file.
 
         Returns:
             0: the file is written.
 
         Raises:
-            InputError: the port does not answer, a stick was not moved as told, or the file may not
-                be written.
+            InputError: the port does not answer, a stick was not moved as instructed, or the file
+                cannot be written.
         """
         require_writable_path(self.out)
         if self.out.exists() and not self.replace:
-            raise InputError(
-                f"{self.out}: expected a new file, there is one; add --replace to write over it"
-            )
+            raise InputError(f"{self.out}: expected a new file, got one that exists; add --replace")
         if not self.radio and self.port not in SIMULATED_PORTS:
             raise InputError(
                 '--radio: expected the name of your radio, such as "Spektrum NX8", got none'
@@ -142,7 +136,7 @@ class Calibrate:
             operator: Operator = (
                 KeyboardOperator() if port.simulation is None else SimulatedOperator(port)
             )
-            calibration = measure_calibration(port, operator, self.radio or REHEARSED.radio)
+            calibration = measure_calibration(port, operator, self.radio or SIMULATED_RADIO.radio)
         write_toml(self.out, calibration)
         self._show(calibration)
         return 0
@@ -165,28 +159,26 @@ class Calibrate:
         print_table(
             head, rows, title=f"{calibration.radio}, {calibration.measured}: {self.out.resolve()}"
         )
-        next_line(
-            f"falconwing bridge --port {self.port}, and see that every stick goes the right way"
-        )
+        next_line(f"falconwing bridge --port {self.port}, and check the direction of every stick")
 
 
 def measure_calibration(
     port: TrainerPort, operator: Operator, radio: str, pause: Callable[[float], object] = time.sleep
 ) -> Calibration:
-    """Read the sticks in every pose and make a calibration of it.
+    """Read the sticks in every pose and compute the calibration.
 
     Args:
         port: ready; its pilot input is read.
-        person: moves the sticks.
+        operator: moves the sticks.
         radio: its name, for the file.
-        pause: lets time pass [s].
+        pause: waits [s].
 
     Returns:
-        The calibration, measured today; the PPM frame is the one that the port's calibration has.
+        The calibration, dated today, with the PPM frame of the port's calibration.
 
     Raises:
-        InputError: no pulses come, a stick is not held still or was not moved as told, or the board
-            is set for another order.
+        InputError: no pulses come, a stick is not held still or was not moved as instructed, or the
+            board is configured for another order.
     """
     readings = {}
     for name, what, sticks in POSES:
@@ -195,19 +187,22 @@ def measure_calibration(
     found = assign_channels(readings)
     if port.status is None:
         raise InputError(
-            "calibrate: expected a board that answers, got no STATUS; call wait_ready first"
+            "calibrate: expected a STATUS from the board, got none; call wait_ready first"
         )
     channels = len(port.status.channels_us)
     beyond = {name: stick.channel for name, stick in found.items() if stick.channel > channels}
     if beyond:
         raise InputError(
-            f"calibrate: expected the sticks in channels 1 to {channels}, as many as the board sends, got {beyond}; "
-            "change the radio's order of channels"
+            f"calibrate: expected sticks in the board's channels 1 to {channels}, got {beyond}; "
+            "change the radio's channel order"
         )
     calibration = replace(
-        port.calibration, radio=radio, measured=date.today().isoformat(), channels=channels,
-        throttle=found["throttle"], aileron=found["aileron"], elevator=found["elevator"], rudder=found["rudder"],
-    )  # fmt: skip
+        port.calibration,
+        radio=radio,
+        measured=date.today().isoformat(),
+        channels=channels,
+        **{name: found[name] for name in COMMAND_NAMES},
+    )
     require_matching_calibration(calibration, port.status)
     return calibration
 
@@ -215,17 +210,10 @@ def measure_calibration(
 def read_steady_channels(
     port: TrainerPort, pause: Callable[[float], object] = time.sleep
 ) -> tuple[int, ...]:
-    """The microseconds of sticks that are held.
-
-    Args:
-        port: ready.
-        pause: lets time pass [s].
-
-    Returns:
-        (n,) medians over HOLD_S [us].
+    """The pulse widths of sticks held still: (n,) medians over HOLD_S [us].
 
     Raises:
-        InputError: no pulses come, or the sticks do not keep still.
+        InputError: no pulses come, or the sticks are not held still.
     """
     frames: list[tuple[int, ...]] = []
     for _ in range(HOLDS):
@@ -237,54 +225,54 @@ def read_steady_channels(
             port.poll()
         frames = [pilot.channels_us for pilot in port.pilots]
         if len(frames) > 5 and len(set(map(len, frames))) == 1:
-            channels = list(
-                zip(*frames[2:], strict=True)
-            )  # the first may have begun before the sticks were there
+            # the first two may have begun before the sticks were in place
+            channels = list(zip(*frames[2:], strict=True))
             if all(max(us) - min(us) <= STILL_US for us in channels):
                 return tuple(round(median(us)) for us in channels)
     if not frames:
         raise InputError(
-            "calibrate: expected the radio's pulses at the board's pilot input (pin 49), got none; is the radio on, is its "
-            "trainer port set to give PPM, is the cable in?"
+            "calibrate: expected the radio's pulses at the board's pilot input (pin 49), got none; "
+            "switch the radio on, set its trainer port to output PPM, check the cable"
         )
     raise InputError(
-        f"calibrate: expected sticks held still to {STILL_US} us, got more, {HOLDS} times; begin again"
+        f"calibrate: expected sticks held still to {STILL_US} us, got more, {HOLDS} times; "
+        "start again"
     )
 
 
 def assign_channels(readings: Mapping[str, Sequence[int]]) -> dict[str, Stick]:
-    """Which slot each stick is, its ends, its centre and its direction.
+    """Channel, end points, centre and direction of each stick.
 
     Args:
-        readings: (n,) [us] for the name of each of POSES.
+        readings: (n,) [us] by the name of each of POSES.
 
     Returns:
-        A stick for each of COMMAND_NAMES; half throttle is taken to lie in the middle between its
-        ends.
+        A stick for each of COMMAND_NAMES; half throttle is the mean of its end points.
 
     Raises:
-        InputError: no slot moved enough, or more than one did.
+        InputError: no channel moved enough, or more than one did.
     """
     found = {}
     for name in COMMAND_NAMES:
         up, rest = readings[f"{name} +"], readings["rest"]
         down = readings.get(f"{name} -", rest)
         travel = [abs(a - b) for a, b in zip(up, down, strict=True)]
-        most, *others = sorted(travel, reverse=True)
-        slot = travel.index(most)
-        if most < MIN_TRAVEL_US:
+        largest, *others = sorted(travel, reverse=True)
+        channel = travel.index(largest)
+        if largest < MIN_TRAVEL_US:
             raise InputError(
-                f"{name}: expected {MIN_TRAVEL_US} us from end to end, got {most}; move it all the way"
+                f"{name}: expected {MIN_TRAVEL_US} us of travel, got {largest}; move it all the way"
             )
-        if others and most < CLEAR * others[0]:
+        if others and largest < CLEAR * others[0]:
             raise InputError(
-                f"{name}: expected one channel to move, got two, by {most} and {others[0]} us; "
-                "move one stick alone, and turn mixes, rates and flight modes off"
+                f"{name}: expected one channel to move, got two, by {largest} and {others[0]} us; "
+                "move one stick only, and switch mixes, rates and flight modes off"
             )
-        low, high = sorted((up[slot], down[slot]))
-        centre = rest[slot] if f"{name} -" in readings else round((low + high) / 2)
+        low, high = sorted((up[channel], down[channel]))
+        centre = rest[channel] if f"{name} -" in readings else round((low + high) / 2)
         try:
-            found[name] = Stick(slot + 1, low, centre, high, reversed=up[slot] < down[slot])
+            is_reversed = up[channel] < down[channel]
+            found[name] = Stick(channel + 1, low, centre, high, reversed=is_reversed)
         except InputError as error:
             raise InputError(f"{name}: {error}") from None
     return found
@@ -293,31 +281,31 @@ def assign_channels(readings: Mapping[str, Sequence[int]]) -> dict[str, Stick]:
 def choose_calibration(
     port: str, path: Path | None = None, radio: str = "", today: date | None = None
 ) -> Calibration:
-    """The calibration to fly with; a stale one is refused.
+    """The calibration to use; a stale one is refused.
 
     Args:
-        port: what it is for; a simulated radio's is for simulated boards alone.
-        path: the file; None takes ./trainer_port.toml where there is one, else the kit's default,
-            with a warning, as for a file without a date.
-        radio: must be the one it was measured on; "" does not ask.
-        today: for tests; None is today.
+        port: its name; a simulated radio's calibration is for simulated boards only.
+        path: the file; None takes ./trainer_port.toml if it exists, else the kit's default with a
+            warning, as for a file without a date.
+        radio: the radio that it must be of; "" accepts any.
+        today: None is the current date.
 
     Raises:
         FileNotFoundError: there is no file at the path.
-        InputError: the file is no calibration, or a stale one: of another radio, of another PPM
-            frame than the kit's firmware has, or older than MAX_AGE_DAYS.
+        InputError: the file is not a calibration, or a stale one: of another radio, of another PPM
+            frame than the firmware's, or older than MAX_AGE_DAYS.
     """
     shipped = load_calibration()
     if path is None and not DEFAULT.is_file():
         warn(
-            "the calibration is the kit's default, measured on no radio; before a flight: falconwing calibrate",
+            "the calibration is the kit's default, not measured on a radio; "
+            "before a flight: falconwing calibrate",
             stacklevel=2,
         )
         return shipped
     path = path or DEFAULT
     calibration = load_calibration(path)
-    # How many channels it has, the board itself will say (require_fit); of its frame it says
-    # nothing.
+    # The board reports its number of channels (checked on connection), but not its PPM frame.
     frame = {name: getattr(calibration, name) for name in ("frame_us", "gap_us", "polarity")}
     firmware = {name: getattr(shipped, name) for name in frame}
     if frame != firmware:
@@ -329,8 +317,8 @@ def choose_calibration(
         )
     elif radio and radio != calibration.radio:
         stale = f"measured on {calibration.radio or 'no radio'}, not on {radio}"
-    elif calibration.radio == REHEARSED.radio and port not in SIMULATED_PORTS:
-        stale = f"rehearsed with a {calibration.radio}"
+    elif calibration.radio == SIMULATED_RADIO.radio and port not in SIMULATED_PORTS:
+        stale = f"of a {calibration.radio}"
     else:
         age = (
             ((today or date.today()) - date.fromisoformat(calibration.measured)).days
@@ -339,11 +327,13 @@ def choose_calibration(
         )
         stale = f"{age} days old" if not 0 <= age <= MAX_AGE_DAYS else ""
     if stale:
-        raise InputError(f"{path}: expected a calibration of this radio and firmware, not older than {MAX_AGE_DAYS} days, "
-                         f"got one that is stale: {stale}; type falconwing calibrate")  # fmt: skip
+        raise InputError(
+            f"{path}: expected a calibration of this radio and firmware, not older than "
+            f"{MAX_AGE_DAYS} days, got a stale one: {stale}; run falconwing calibrate"
+        )
     if not calibration.measured:
         warn(
-            f"{path}: it does not say when it was measured; before a flight: falconwing calibrate",
+            f"{path}: no date of measurement; before a flight: falconwing calibrate",
             stacklevel=2,
         )
     return calibration

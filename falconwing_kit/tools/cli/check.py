@@ -1,6 +1,4 @@
-"""falconwing check: a student's notebook -> which public checks of the lab its functions pass, and
-what to look at.
-"""
+"""falconwing check: run a lab's public checks on your notebook."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,9 +19,9 @@ from falconwing_kit.tools.grading.public_checks import (
 
 @dataclass(frozen=True)
 class Check:
-    """Run a lab's public checks on your notebook, as it was saved last.
+    """Run a lab's public checks on your notebook as last saved.
 
-    Exit code 0 when every exercise passes, else 1. The grading asks for more than these checks.
+    Exit code 0 if every exercise passes, else 1. The grading has further, hidden cases.
     """
 
     lab: Annotated[str, tyro.conf.Positional]
@@ -31,15 +29,15 @@ class Check:
     notebook: Path | None = None
     """your notebook; the one in the lab's folder if not given"""
     labs: Path | None = None
-    """the folder with the labs; the one around you, or the checkout's own, if not given"""
+    """the folder with the labs; the current folder's, or the checkout's own, if not given"""
     json: bool = False
     """print JSON instead of a table"""
 
     def run(self) -> int:
-        """Check and say what came out.
+        """Run the checks and print the results.
 
         Returns:
-            0 where all public checks passed, else 1.
+            0 if all public checks passed, else 1.
 
         Raises:
             FileNotFoundError: there is no notebook.
@@ -83,9 +81,7 @@ def _print_reports(folder: Path, reports: list[ExerciseReport], states: list[str
     counts = f"{states.count('passed')} of {len(states)} exercises pass their public checks"
     print(f"{counts}, {states.count('not written')} not started")
     if set(states) == {"passed"}:
-        next_line(
-            "answer the questions and hand the notebook in; the grading has hidden cases beside these checks"
-        )
+        next_line("answer the questions and submit the notebook; the grading has hidden cases too")
     else:
         first = next(i for i, state in enumerate(states) if state != "passed")
-        next_line(f"{'write' if states[first] == 'not written' else 'mend'} {reports[first].name}")
+        next_line(f"{'write' if states[first] == 'not written' else 'fix'} {reports[first].name}")

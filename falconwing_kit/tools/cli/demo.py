@@ -1,6 +1,4 @@
-"""falconwing demo: an approach flown live, then the kit's main job on recorded flights, as one page
-with figures.
-"""
+"""falconwing demo: fly an approach live, then model recorded flights, one of them real."""
 
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -16,15 +14,15 @@ if TYPE_CHECKING:
     from falconwing_kit.tools.demo.approach import Approach
     from falconwing_kit.tools.demo.live_page import LivePage
 
-BROWSER_S = 8.0  # a browser gets so long to show the page before the flight begins
+BROWSER_S = 8.0  # a browser's time to show the page before the flight begins
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Fly an approach in a simulated hall, live in the browser; then model two aircraft from
-    recorded flights, one of them real, and find and name what the models lack.
+    """Fly an approach in a simulated hall, live in the browser; then identify two aircraft from
+    recorded flights, one of them real, and name the effects missing in the models.
 
-    Needs no network, GPU or aircraft and takes about a minute and a half.
+    It needs no network, GPU or aircraft and takes about a minute and a half.
     """
 
     out: Path = Path("falconwing_demo")
@@ -32,24 +30,23 @@ class Demo:
     scene: str = "arena"
     """the hall of the approach: arena, hall, hall_analog, or a scene file in the kit's world"""
     headless: bool = False
-    """fly as fast as it can and open nothing in the browser"""
+    """fly as fast as possible, without the browser"""
     port: int = 8080
-    """where to serve the live page; the next free one where it is taken"""
+    """TCP port of the live page; the next free one if it is taken"""
     json: bool = False
     """print JSON instead of tables"""
 
     def run(self) -> int:
-        """Fly, study the recorded flights and write the page.
+        """Fly, analyse the recorded flights and write the page.
 
         Returns:
             0: the page is written.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C; no page is written.
+            KeyboardInterrupt: Ctrl-C, before the page is written.
             OSError: the folder cannot be made or written.
             FileNotFoundError: there is no scene file.
-            InputError: the scene is none, the port is out of its range, or a file cannot be
-                written.
+            InputError: the scene or the port is invalid, or a file cannot be written.
         """
         from tqdm import tqdm
 
@@ -87,7 +84,7 @@ class Demo:
         return 0
 
     def _open_page(self) -> "LivePage":
-        """Serve the live page at once, before anything that takes long."""
+        """Serve the live page, before the steps that take long."""
         from falconwing_kit.tools.demo.live_page import LivePage
 
         live = LivePage(port=self.port)
@@ -96,8 +93,8 @@ class Demo:
         return live
 
     def _fly(self, hall: "Callable[[], GaussianScene]", live: "LivePage | None") -> "Approach":
-        """Land, in real time where somebody looks on."""
-        from falconwing_kit.tools.cli.scene import open_link
+        """Fly the approach, in real time if there is a live page."""
+        from falconwing_kit.tools.cli.scene_input import open_link
         from falconwing_kit.tools.demo.approach import PacedClock, fly_approach
 
         log, link = self.out / "approach.mcap", open_link(self.scene)
@@ -118,36 +115,33 @@ def _print_record(record: dict) -> None:
         (f"one step, {name} (the paper's loss)", chi2)
         for name, chi2 in small["one_step_chi2_per_dof"].items()
     ]
-    title = (
-        "150 g aircraft, SIMULATED by an independent simulator: two seconds ahead, held-out time"
-    )
-    print_table(("fit", "chi2 per dof (1 = only noise left)"), rows, title=title)
+    title = "150 g aircraft, SIMULATED by an independent simulator: 2 s predictions, held-out data"
+    print_table(("fit", "chi2 per dof (1 = noise only)"), rows, title=title)
     gap = small["gap"]
     names = " or ".join(gap["effects"]).replace("_", " ") or "nothing"
+    truth = ", ".join(gap["truth"]["effects"])
+    print(f"another flight of it: {gap['verdict']}, {names} (truth: {truth})")
     print(
-        f"another flight of it: {gap['verdict']}, {names} (truth: {', '.join(gap['truth']['effects'])})"
-    )
-    print(
-        "chi2 per dof of its held-out time: "
+        "chi2 per dof of its held-out data: "
         + ", ".join(f"{value:.2f} {when}" for when, value in gap["gap"].items())
     )
     print()
     forecasts = real["one_second_ahead_before_failure"].items()
-    title = (
-        "2 m aircraft, REAL flight (ALFA): one second ahead, held-out time before the engine fails"
-    )
+    title = "2 m aircraft, REAL flight (ALFA): 1 s predictions, held-out data before the failure"
     errors = [(name, f["position_m"], f["attitude_deg"]) for name, f in forecasts]
-    print_table(("forecast", "position [m]", "attitude [deg]"), errors, title=title)
+    print_table(("prediction", "position [m]", "attitude [deg]"), errors, title=title)
     parts, failure = real["parts_from_measurement_s"], real["failure_time_s"]
     if parts is None:
-        print("after the failure the healthy model's forecasts stay ordinary")
+        print("after the failure the nominal model's predictions stay within the normal error")
     else:
         print(
-            f"engine off at {failure:.1f} s; the healthy model's forecasts part from the measurement at {parts:.1f} s"
+            f"engine off at {failure:.1f} s; the nominal model's predictions deviate from the "
+            f"measurement at {parts:.1f} s"
         )
     gap, since = real["gap"], real["gap"]["since"]
     names = " or ".join(sorted(gap["effects"])).replace("_", " ") or "nothing"
-    print(f"told nothing of the engine: {gap['verdict']}, {names}")
+    print(f"without the throttle log: {gap['verdict']} ({names})")
     print(
-        f"thrust loss since {since['value']:.1f} s, with 95 % between {since['low95']:.1f} and {since['high95']:.1f} s"
+        f"thrust loss since {since['value']:.1f} s, "
+        f"95 % between {since['low95']:.1f} and {since['high95']:.1f} s"
     )

@@ -1,7 +1,6 @@
-"""`falconwing doctor`: this machine in, a table of what works and how to mend the rest out; also
-the checklists.
+"""falconwing doctor: check the installation and suggest fixes; run the aircraft's checklists.
 
-A row says "works" only after the thing was tried just now.
+A capability "works" only if it was just tried with success.
 """
 
 import importlib
@@ -20,72 +19,69 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 Need = Literal["demo", "now", "later"]
-_PYTHON = Path(sys.executable)  # as short as it can be typed here
+_PYTHON = Path(sys.executable)  # relative to this folder if possible
 _PYTHON = _PYTHON.relative_to(Path.cwd()) if _PYTHON.is_relative_to(Path.cwd()) else _PYTHON
 PIP = f"{_PYTHON} -m pip install -c constraints.txt"
 AVR = "make gcc gcc-avr avr-libc arduino-core-avr libsimavr-dev"
-REINSTALL = "delete .venv and type python3 start.py doctor, which installs it again"
+REINSTALL = "delete .venv and run python3 start.py doctor, which installs it again"
 
 
 @dataclass(frozen=True)
 class SystemCheck:
-    """One capability and how to find out about it."""
+    """One capability and how to check it."""
 
     capability: str
-    # the demo needs it; a verb or a lab uses it now; a part of the kit that is still to come will
-    need: Need
-    attempt: Callable[[], str]  # tries it: returns what was seen, raises if it does not work
-    mend: str  # what to do when it does not
+    need: Need  # for the demo; for a verb or a lab; for an optional part
+    attempt: Callable[[], str]  # returns what was found, raises if it does not work
+    fix: str
 
 
 @dataclass(frozen=True)
 class SystemCheckResult:
-    """What came out of one check."""
+    """Result of one check."""
 
     capability: str
     status: Literal["works", "missing", "not needed yet"]
     needed_by_demo: bool
     detail: str
-    mend: str  # empty when it works
+    mend: str  # the fix; empty if it works
 
 
 @dataclass(frozen=True)
 class Doctor:
-    """Say what works on this machine and how to mend what does not, or walk through a checklist of
-    the aircraft.
+    """Check the installation and suggest fixes, or work through a checklist of the aircraft.
 
     Exit code 0 if everything that the demo needs works, or no step of the checklist failed, else 1.
     """
 
     json: bool = False
-    """Print JSON instead of a table."""
+    """print JSON instead of a table"""
     bench: bool = False
-    """walk through the bench test instead, propeller off; without a terminal, print it"""
+    """interactive bench-test checklist, propeller off; without a terminal, print it"""
     preflight: bool = False
-    """walk through the check before a flight instead"""
+    """interactive preflight checklist"""
     port: str = ""
-    """serial port of the board for the steps that a checklist does by itself; sim is a SIMULATED
-    one
-    """
+    """serial port of the board for automatic checklist steps; sim is a SIMULATED one"""
     camera: str = ""
-    """camera for those steps: number, path or video file; sim is a SIMULATED one"""
+    """camera for automatic checklist steps: number, path or video file; sim is SIMULATED"""
     out: Path | None = None
-    """folder for the checklist's dated record"""
+    """folder for the dated record of the checklist"""
 
     def run(self) -> int:
-        """Try everything once and print the findings, or walk through a checklist.
+        """Try every capability and print the results, or work through a checklist.
 
         Returns:
-            0 if what the demo needs works, or no step failed, else 1.
+            0 if everything that the demo needs works, or no step failed, else 1.
 
         Raises:
-            InputError: options do not go together, or the record cannot be written.
+            InputError: options contradict each other, or the record cannot be written.
         """
         if self.bench or self.preflight:
             return self._walk()
         if self.port or self.camera or self.out is not None:
             raise InputError(
-                "--port, --camera, --out: expected them with --bench or --preflight; add one of these"
+                "--port, --camera, --out: expected --bench or --preflight with them, got neither; "
+                "add one of these"
             )
         findings = [examine(check) for check in CHECKS]
         demo_works = all(
@@ -97,46 +93,40 @@ class Doctor:
             )
             return 0 if demo_works else 1
         print_table(
-            ("capability", "status", "seen"), [(f.capability, f.status, f.detail) for f in findings]
+            ("capability", "status", "found"),
+            [(f.capability, f.status, f.detail) for f in findings],
         )
         broken = [finding for finding in findings if finding.mend]
         if broken:
             print()
-            print_table(("to mend", "do this"), [(f.capability, f.mend) for f in broken])
+            print_table(("to fix", "do this"), [(f.capability, f.mend) for f in broken])
         next_line(
             "falconwing demo"
             if demo_works
-            else "mend the first row above that is missing, then falconwing doctor"
+            else "fix the first missing capability above, then falconwing doctor"
         )
         return 0 if demo_works else 1
 
     def _walk(self) -> int:
-        from falconwing_kit.tools.cli.walk import WalkDevices, walk
+        from falconwing_kit.tools.cli.checklist import ChecklistDevices, walk
         from falconwing_kit.tools.hardware.checklists import load_checklists
 
         if self.bench and self.preflight:
             raise InputError(
-                "--bench, --preflight: expected one of them, got both; do the bench test first"
+                "--bench, --preflight: expected one of them, got both; start with the bench test"
             )
         lists = load_checklists()
         chosen = lists.bench if self.bench else lists.preflight
-        return walk(chosen, WalkDevices(self.port, self.camera), self.out, self.json)
+        return walk(chosen, ChecklistDevices(self.port, self.camera), self.out, self.json)
 
 
 def examine(check: SystemCheck) -> SystemCheckResult:
-    """Try one capability.
-
-    Args:
-        check: what to try.
-
-    Returns:
-        What was seen; a part that is still to come is never called missing.
-    """
+    """Try one capability; an optional one is "not needed yet" rather than "missing"."""
     try:
         return SystemCheckResult(
             check.capability, "works", check.need == "demo", check.attempt(), ""
         )
-    except Exception as error:  # whatever breaks here is the finding
+    except Exception as error:  # any error is the result
         text = (
             f"{error.name} is not installed"
             if isinstance(error, ModuleNotFoundError)
@@ -147,14 +137,15 @@ def examine(check: SystemCheck) -> SystemCheckResult:
             "not needed yet" if check.need == "later" else "missing"
         )
         return SystemCheckResult(
-            check.capability, status, check.need == "demo", lines[0], check.mend
+            check.capability, status, check.need == "demo", lines[0], check.fix
         )
 
 
 def _python() -> str:
     if sys.version_info[:2] < (3, 11):  # noqa: UP036 - a copied folder can be run by any Python
-        raise RuntimeError(f"expected 3.11 or newer, this is {platform.python_version()}")
-    return f"{platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores"
+        raise RuntimeError(f"expected 3.11 or newer, got {platform.python_version()}")
+    system = f"{platform.system()} {platform.machine()}"
+    return f"{platform.python_version()}, {system}, {os.cpu_count()} cores"
 
 
 def _folder() -> str:
@@ -165,7 +156,7 @@ def _folder() -> str:
             raise OSError("a file written here does not have its size")
     free_mb = shutil.disk_usage(".").free / 1e6
     if free_mb < 200.0:
-        raise OSError(f"expected 200 MB for figures and logs, {free_mb:.0f} MB are free")
+        raise OSError(f"expected 200 MB for figures and logs, got {free_mb:.0f} MB free")
     return f"wrote a file in this folder; {free_mb / 1e3:.1f} GB free"
 
 
@@ -243,9 +234,8 @@ def _control() -> str:
     gain, _, _ = control.lqr(
         [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0], [0.0, 1.0]], [[1.0]]
     )
-    if (
-        abs(gain[0, 0] - 1.0) + abs(gain[0, 1] - 3.0**0.5) > 1e-6
-    ):  # the double integrator's gains by hand
+    # the double integrator's gains by hand: 1 and sqrt(3)
+    if abs(gain[0, 0] - 1.0) + abs(gain[0, 1] - 3.0**0.5) > 1e-6:
         raise RuntimeError(f"the double integrator's LQR gains are 1 and 1.732, got {gain}")
     return f"control {control.__version__}; designed an LQR"
 
@@ -258,7 +248,7 @@ def _labs() -> str:
 def _serial() -> str:
     from falconwing_kit.trainer_port.usb import find_boards
 
-    boards = find_boards()  # the likeliest first
+    boards = find_boards()  # most likely first
     if not boards:
         raise RuntimeError("no board on a USB serial port found")
     if not boards[0].likely:
@@ -271,7 +261,7 @@ def _serial() -> str:
 
 
 def _camera() -> str:
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")  # a missing camera is no news to print
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")  # no warning for a missing camera
     import cv2
 
     names = (
@@ -281,9 +271,9 @@ def _camera() -> str:
     )
     for name in names:
         camera = cv2.VideoCapture(int(name) if name.isdigit() else name)
-        seen, image = camera.read()
+        found, image = camera.read()
         camera.release()
-        if seen:
+        if found:
             return f"camera {name} gave an image of {image.shape[1]} x {image.shape[0]}"
     raise RuntimeError("no camera gave an image")
 
@@ -352,11 +342,11 @@ def _avr() -> str:
         status = port.wait_ready(sleep=lambda seconds: board.run_until(board.t + seconds))
     finally:
         board.close()
-    return f"built the firmware; in a simulated chip it starts and says {status.state}"
+    return f"built the firmware; in a simulated chip it starts in state {status.state}"
 
 
 def _output(command: list[str]) -> str:
-    """First line of what a program prints; raises if it is not there or fails."""
+    """First line of a program's output; raises if it is missing or fails."""
     if shutil.which(command[0]) is None:
         raise RuntimeError(f"{command[0]} is not installed")
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
@@ -376,7 +366,7 @@ CHECKS: tuple[SystemCheck, ...] = (
         "this folder",
         "demo",
         _folder,
-        "change to a folder that you may write to, on a disk with room",
+        "use a writable folder on a disk with free space",
     ),
     SystemCheck("arrays and fits", "demo", _arrays, REINSTALL),
     SystemCheck(
@@ -392,8 +382,10 @@ CHECKS: tuple[SystemCheck, ...] = (
     SystemCheck("flight logs", "demo", _log, REINSTALL),
     SystemCheck("control design", "demo", _control, REINSTALL),
     SystemCheck("labs", "later", _labs, f'{PIP} -e ".[labs]"'),
-    SystemCheck("finding the board", "now", _serial, "plug it in; falconwing find-port says more"),
-    SystemCheck("camera", "later", _camera, "plug in the camera"),
+    SystemCheck(
+        "finding the board", "now", _serial, "connect it; falconwing find-port lists the ports"
+    ),
+    SystemCheck("camera", "later", _camera, "connect the camera"),
     SystemCheck("reference renderer", "later", _torch, f'{PIP} -e ".[torch]"'),
     SystemCheck(
         "rendering on a GPU",

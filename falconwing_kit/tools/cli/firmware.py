@@ -1,8 +1,7 @@
-"""falconwing firmware: the sketch -> a program for the board and its size; or that program, tried
-in a simulated chip.
+"""falconwing firmware: build the board's program, or test it in a simulated chip.
 
-The checks of `firmware test` ask a board what the firmware promises, by its serial line and its
-pins alone. They run in virtual time on the very program that is flashed.
+The checks of `firmware test` use only the board's serial line and pins. They run in virtual time on
+the program that is flashed.
 """
 
 import random
@@ -30,27 +29,22 @@ from falconwing_kit.trainer_port.protocol import (
     encode_sync,
 )
 
-FLASH_BUDGET, RAM_BUDGET = (
-    16 * 1024,
-    2 * 1024,
-)  # bytes; the chip has 248 KiB beside the boot loader, and 8 KiB
+# bytes; the chip has 248 KiB besides the boot loader, and 8 KiB
+FLASH_BUDGET, RAM_BUDGET = 16 * 1024, 2 * 1024
 SAFE_US, FLOWN_US = (1000, 1500, 1500, 1500), (1300, 1600, 1450, 1700)
 PERIOD = 0.05  # s between commands
-NEW, OLD = (
-    30,
-    225,
-)  # ms: a command is on the pin by then; after the last command the pin is safe by then
+COMMAND_MS, LOSS_MS = 30, 225  # maximum delay command -> pin, last command -> safe pin
 
 
 @dataclass(frozen=True)
 class Firmware:
-    """Build the board's program, or try it in a simulated chip: no hardware is needed for either.
+    """Build the board's program, or test it in a simulated chip; neither needs hardware.
 
-    Exit code 0 when it was built within its budget of memory, or every check passed; else 1.
+    Exit code 0 if the program fits its memory budget, or every check passed; else 1.
     """
 
     action: Annotated[Literal["build", "test"], tyro.conf.Positional]
-    """build: write the program and say how to flash it; test: run it through a list of checks"""
+    """build: write the program and print how to flash it; test: run it through a list of checks"""
     out: Path = Path("firmware_build")
     """folder for the program"""
     json: bool = False
@@ -60,10 +54,10 @@ class Firmware:
         """Build or test.
 
         Returns:
-            0 where it fits and works, else 1.
+            0 if the program fits or all checks passed, else 1.
 
         Raises:
-            InputError: a tool is missing; the sentence names the Debian package. Or a file cannot
+            InputError: a tool is missing (the message names the Debian package), or a file cannot
                 be written.
         """
         return self._build() if self.action == "build" else self._test()
@@ -96,7 +90,8 @@ class Firmware:
         rows = [("flash", flash, FLASH_BUDGET), ("static RAM", ram, RAM_BUDGET)]
         print_table(("memory", "bytes", "budget"), rows, title=f"{program} and {hexfile.name}")
         print(
-            "to flash it: open firmware/trainer_bridge in the Arduino IDE, board Mega 2560, propeller off; or"
+            "to flash it: open firmware/trainer_bridge in the Arduino IDE, board Mega 2560, "
+            "propeller off; or"
         )
         print(f"  avrdude -p atmega2560 -c wiring -b 115200 -D -P PORT -U flash:w:{hexfile}:i")
         next_line("falconwing firmware test")
@@ -120,30 +115,32 @@ class Firmware:
             (result.check, "passed" if result.passed else "FAILED", result.seen)
             for result in results
         ]
-        print_table(("check", "result", "seen"), rows, title=f"SIMULATED: {SimulatedBoard.kind}")
+        print_table(
+            ("check", "result", "measured"), rows, title=f"SIMULATED: {SimulatedBoard.kind}"
+        )
         next_line(
             "flash it, propeller off, and falconwing find-port"
             if passed
-            else "mend firmware/trainer_bridge"
+            else "fix firmware/trainer_bridge"
         )
         return 0 if passed else 1
 
 
 @dataclass(frozen=True)
 class FirmwareCheckResult:
-    """What came out of one check."""
+    """Result of one check."""
 
-    check: str  # what the firmware promises
+    check: str  # requirement
     passed: bool
     seen: str
 
 
 class RequirementError(Exception):
-    """The board did not do what it promises; the text says what it did."""
+    """A requirement is not met; the text is what was measured."""
 
 
 class BoardTestBench:
-    """A board on the bench: commands in, what it says and sends collected."""
+    """A board on the bench: sends commands, collects its messages and PPM frames."""
 
     def __init__(self, board: Board) -> None:
         self.board = board
@@ -156,7 +153,7 @@ class BoardTestBench:
         self.run(0.2)
 
     def run(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance virtual time and read what the board sent."""
         self.board.run_until(self.board.t + seconds)
         for message in self._deframer.feed(self.board.read()):
             if isinstance(message, Status):
@@ -170,47 +167,47 @@ class BoardTestBench:
     def send(
         self, engage: bool, channels_us: Sequence[int] = FLOWN_US, seconds: float = PERIOD
     ) -> None:
-        """One command with the next sequence, and time."""
+        """Send a command with the next sequence number and advance time."""
         self.sequence, self.sent_at = self.sequence + 1, self.board.t
         self.board.write(encode_channels(self.sequence, channels_us, engage))
         self.run(seconds)
 
     def fly(self) -> None:
-        """Until it follows."""
+        """Engage: send commands until the board follows."""
         self.send(False)
         for _ in range(12):
             self.send(True)
         self.expect("ACTIVE")
 
     def expect(self, state: str, fault: str = "none") -> Status:
-        """The next STATUS, which must be of this state."""
+        """The next STATUS; RequirementError unless it has this state and fault."""
         self.run(PERIOD + 0.005)
         status = self.status
         if status is None:
             raise RequirementError("no STATUS")
         if (status.state, status.fault) != (state, fault):
             raise RequirementError(
-                f"{status.state} (fault {status.fault}), expected {state} (fault {fault})"
+                f"expected {state} (fault {fault}), got {status.state} (fault {status.fault})"
             )
         return status
 
-    def first_frame(self, since: float, slots_us: Sequence[int]) -> float:
-        """When the first frame with these slots began after a moment [ms since then]."""
+    def first_frame(self, since: float, channels_us: Sequence[int]) -> float:
+        """Start of the first frame with these channels after a time [ms since then]."""
         for frame in self.frames:
-            if frame.t_start >= since and np.abs(frame.slots_us - slots_us).max() <= 1.0:
+            if frame.t_start >= since and np.abs(frame.slots_us - channels_us).max() <= 1.0:
                 return 1e3 * (frame.t_start - since)
-        raise RequirementError(f"no frame with {tuple(slots_us)} us")
+        raise RequirementError(f"no frame with {tuple(channels_us)} us")
 
 
 def starts_safe(bench: BoardTestBench) -> str:
-    """Idle motor, neutral sticks, whatever was before."""
+    """After power-on the motor is idle and the controls are neutral."""
     status = bench.expect("SAFE")
     bench.first_frame(0.0, SAFE_US)
-    return f"{status.state}, slots {status.channels_us} us"
+    return f"{status.state}, channels {status.channels_us} us"
 
 
 def pulses_are_exact(bench: BoardTestBench) -> str:
-    """Frame, slots and gap pulses to 1 us while commands change."""
+    """Frame length, channels and sync pulses are exact to 1 us while commands change."""
     calibration = load_calibration()
     bench.fly()
     for k in range(40):
@@ -219,11 +216,13 @@ def pulses_are_exact(bench: BoardTestBench) -> str:
     gaps = np.concatenate([f.gap_us for f in bench.frames]) - calibration.gap_us
     lengths = np.array([f.frame_us for f in bench.frames[:-1]]) - calibration.frame_us
     worst = max(float(np.abs(values).max()) for values in (whole, gaps, lengths))
-    return require_within(f"{worst:.2f} us off in {len(bench.frames)} frames", worst <= 1.0)
+    return require_within(
+        f"maximum error {worst:.2f} us in {len(bench.frames)} frames", worst <= 1.0
+    )
 
 
-def follows_an_edge_and_five(bench: BoardTestBench) -> str:
-    """Engage alone is not enough; nor are four frames after its edge."""
+def engages_after_edge_and_five_frames(bench: BoardTestBench) -> str:
+    """The board engages only after the rising edge of `engage` plus five valid frames."""
     for _ in range(20):
         bench.send(True)
     bench.expect("SAFE")
@@ -234,34 +233,34 @@ def follows_an_edge_and_five(bench: BoardTestBench) -> str:
     for _ in range(3):
         bench.send(True)
     bench.expect("ACTIVE")
-    return "ACTIVE after the edge and five frames, not before"
+    return "ACTIVE after the rising edge and five frames, not before"
 
 
 def commands_reach_the_pin(bench: BoardTestBench) -> str:
-    """From a command's first byte to the first edge of the frame that carries it."""
+    """Delay from a command's first byte to the first edge of the frame that carries it."""
     bench.fly()
     delays: list[float] = []
     for k in range(40):
-        slots, began = [us + 2 + k for us in FLOWN_US], bench.board.t
-        bench.send(True, slots, 0.0576)  # 2 + 0.62 frames: every phase comes, in no order
-        delays.append(bench.first_frame(began, slots))
+        channels, start = [us + 2 + k for us in FLOWN_US], bench.board.t
+        bench.send(True, channels, 0.0576)  # 2.62 frames: covers all phases
+        delays.append(bench.first_frame(start, channels))
     return require_within(
-        f"{np.percentile(delays, 95):.1f} ms (95 %), {max(delays):.1f} ms at most",
-        max(delays) <= NEW,
+        f"{np.percentile(delays, 95):.1f} ms (95 %), {max(delays):.1f} ms maximum",
+        max(delays) <= COMMAND_MS,
     )
 
 
 def host_loss_is_safe(bench: BoardTestBench) -> str:
-    """The last command, then silence."""
+    """Without commands the outputs become safe."""
     bench.fly()
     bench.send(True, seconds=0.4)
     bench.expect("LOST")
     delay = bench.first_frame(bench.sent_at, SAFE_US)
-    return require_within(f"safe slots {delay:.0f} ms after the last command", delay <= OLD)
+    return require_within(f"safe channels {delay:.0f} ms after the last command", delay <= LOSS_MS)
 
 
 def hung_program_is_safe(bench: BoardTestBench) -> str:
-    """loop() hangs while commands go on; the watchdog restarts the board, and it does not fly on."""
+    """If loop() hangs, the watchdog restarts the board, and commands do not re-engage it."""
     bench.fly()
     last = bench.sent_at
     bench.board.hang()
@@ -270,23 +269,24 @@ def hung_program_is_safe(bench: BoardTestBench) -> str:
     status = bench.expect("FAULT", "stall")
     delay = bench.first_frame(last, SAFE_US)
     return require_within(
-        f"safe slots after {delay:.0f} ms, then {status.state}, boot by {' and '.join(status.reset_causes)}",
-        delay <= OLD,
+        f"safe channels after {delay:.0f} ms, then {status.state}, "
+        f"boot by {' and '.join(status.reset_causes)}",
+        delay <= LOSS_MS,
     )
 
 
-def hand_back_is_at_once(bench: BoardTestBench) -> str:
-    """One frame with engage=0."""
+def disengage_is_immediate(bench: BoardTestBench) -> str:
+    """One frame with engage=0 returns control to the pilot."""
     bench.fly()
-    began = bench.board.t
+    start = bench.board.t
     bench.send(False)
     bench.expect("SAFE")
-    delay = bench.first_frame(began, SAFE_US)
-    return require_within(f"safe slots after {delay:.1f} ms", delay <= NEW)
+    delay = bench.first_frame(start, SAFE_US)
+    return require_within(f"safe channels after {delay:.1f} ms", delay <= COMMAND_MS)
 
 
-def damaged_frames_are_refused(bench: BoardTestBench) -> str:
-    """One to four bits of a good frame turned over; only frames that change nothing may pass."""
+def damaged_frames_are_rejected(bench: BoardTestBench) -> str:
+    """Frames with one to four flipped bits are rejected."""
     draw, count = random.Random(1), 300
     before = bench.expect("SAFE").accepted
     for k in range(count):
@@ -302,8 +302,8 @@ def damaged_frames_are_refused(bench: BoardTestBench) -> str:
     )
 
 
-def old_sequences_are_refused(bench: BoardTestBench) -> str:
-    """A stuck or replayed sequence keeps nothing alive."""
+def old_sequences_are_rejected(bench: BoardTestBench) -> str:
+    """A stuck or replayed sequence number does not count as a command."""
     bench.fly()
     before = bench.expect("ACTIVE").accepted
     for back in range(40):
@@ -316,30 +316,30 @@ def old_sequences_are_refused(bench: BoardTestBench) -> str:
 
 
 def out_of_range_is_a_fault(bench: BoardTestBench) -> str:
-    """Five commands with 2200 us within a second."""
+    """Five commands with 2200 us within a second raise a range fault."""
     bench.fly()
     for _ in range(5):
         bench.send(True, (1300, 2200, 1450, 1700))
     status = bench.expect("FAULT", "range")
     bench.first_frame(bench.board.t - 0.05, SAFE_US)
-    return f"FAULT after {status.out_of_range}, safe slots"
+    return f"FAULT after {status.out_of_range}, safe channels"
 
 
 def pilot_is_measured(bench: BoardTestBench) -> str:
-    """A radio's pulses on the pilot pin come back as microseconds."""
+    """A radio's pulses on the pilot pin are reported in microseconds."""
     given = (1111, 1502, 1893, 1234)
     bench.board.set_pilot(given)
     bench.run(1.0)
     if len(bench.pilots) < 20:
         raise RequirementError(
-            f"{len(bench.pilots)} frames of the pilot in a second, expected 40 or more"
+            f"expected 40 frames of the pilot in a second, got {len(bench.pilots)}"
         )
     worst = int(np.abs(np.array([pilot.channels_us for pilot in bench.pilots]) - given).max())
-    return require_within(f"{worst} us off in {len(bench.pilots)} frames", worst <= 1)
+    return require_within(f"maximum error {worst} us in {len(bench.pilots)} frames", worst <= 1)
 
 
 def clock_is_reported(bench: BoardTestBench) -> str:
-    """SYNC is answered with the board's own time, which runs like ours."""
+    """SYNC is answered with the board's time, which runs at the host's rate."""
     for token in (7, 8):
         bench.board.write(encode_sync(token))
         bench.run(0.5)
@@ -348,20 +348,20 @@ def clock_is_reported(bench: BoardTestBench) -> str:
             f"answers to tokens 7 and 8: {[reply.token for reply in bench.replies]}"
         )
     passed: Array = np.diff([reply.received_us for reply in bench.replies])
-    return require_within(f"{passed[0] / 1e3:.2f} ms for 500", abs(float(passed[0]) - 5e5) < 2e3)
+    return require_within(f"{passed[0] / 1e3:.2f} ms in 500 ms", abs(float(passed[0]) - 5e5) < 2e3)
 
 
-def require_within(seen: str, fine: bool) -> str:
-    """What was seen, if it is fine."""
-    if not fine:
-        raise RequirementError(seen)
-    return seen
+def require_within(measured: str, ok: bool) -> str:
+    """The measured value as text; RequirementError unless it is ok."""
+    if not ok:
+        raise RequirementError(measured)
+    return measured
 
 
 def run_check(
     name: str, check: Callable[[BoardTestBench], str], make_board: Callable[[], Board]
 ) -> FirmwareCheckResult:
-    """One check on a board that was just switched on."""
+    """Run one check on a board after power-on."""
     board = make_board()
     try:
         return FirmwareCheckResult(name, True, check(BoardTestBench(board)))
@@ -372,17 +372,14 @@ def run_check(
 
 
 def program_sizes(elf: Path) -> tuple[int, int]:
-    """Bytes of flash and of static RAM that a program takes, by avr-size: text and data; data and
-    bss.
-    """
-    text, data, bss = (
-        int(word) for word in _output(["avr-size", str(elf)]).splitlines()[1].split()[:3]
-    )
+    """Bytes of flash (text + data) and of static RAM (data + bss) of a program, by avr-size."""
+    sizes = _output(["avr-size", str(elf)]).splitlines()[1].split()
+    text, data, bss = (int(size) for size in sizes[:3])
     return text + data, data + bss
 
 
 def write_hex(elf: Path) -> Path:
-    """The program as the Intel hex that flashing tools want, beside it."""
+    """Write the program as Intel hex, the format of flashing tools, beside it."""
     target = elf.with_suffix(".hex")
     part = elf.with_suffix(".hex.part")
     try:
@@ -397,12 +394,14 @@ def write_hex(elf: Path) -> Path:
 def _output(command: list[str]) -> str:
     if shutil.which(command[0]) is None:
         raise InputError(
-            f"{command[0]}: expected it to be installed; Debian or Ubuntu: apt install binutils-avr"
+            f"{command[0]}: expected the program, found none; "
+            "Debian or Ubuntu: apt install binutils-avr"
         )
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise InputError(
-            f"{command[0]}: expected it to do its work, got: {done.stderr.strip()}; is the disk full?"
+            f"{command[0]}: expected it to succeed, got: {done.stderr.strip()}; "
+            "check the free disk space"
         )
     return done.stdout
 
@@ -410,14 +409,17 @@ def _output(command: list[str]) -> str:
 CHECKS: tuple[tuple[str, Callable[[BoardTestBench], str]], ...] = (
     ("starts SAFE with the motor idle", starts_safe),
     ("pulses and frames to 1 us", pulses_are_exact),
-    ("follows after an edge and five frames only", follows_an_edge_and_five),
-    (f"a command is on the pin within {NEW} ms", commands_reach_the_pin),
-    (f"host silent: safe within {OLD} ms", host_loss_is_safe),
-    (f"program hangs: safe within {OLD} ms", hung_program_is_safe),
-    (f"hand-back: safe within {NEW} ms", hand_back_is_at_once),
-    ("damaged frames are refused", damaged_frames_are_refused),
-    ("stuck and old sequences are refused", old_sequences_are_refused),
+    (
+        "engages only after the rising edge plus five valid frames",
+        engages_after_edge_and_five_frames,
+    ),
+    (f"a command is on the pin within {COMMAND_MS} ms", commands_reach_the_pin),
+    (f"no commands: safe within {LOSS_MS} ms", host_loss_is_safe),
+    (f"program hangs: safe within {LOSS_MS} ms", hung_program_is_safe),
+    (f"disengaged: safe within {COMMAND_MS} ms", disengage_is_immediate),
+    ("damaged frames are rejected", damaged_frames_are_rejected),
+    ("stuck and old sequences are rejected", old_sequences_are_rejected),
     ("commands out of range: FAULT", out_of_range_is_a_fault),
     ("the pilot's pulses to 1 us", pilot_is_measured),
-    ("the clock is told", clock_is_reported),
+    ("board clock reported correctly", clock_is_reported),
 )

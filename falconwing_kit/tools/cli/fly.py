@@ -1,6 +1,4 @@
-"""falconwing fly: a task and a pilot -> simulated flights by the 20 Hz loop, watched live or many
-at once.
-"""
+"""falconwing fly: fly a task in simulation, once on a live page or as many trials."""
 
 import re
 import sys
@@ -26,7 +24,7 @@ if TYPE_CHECKING:
 else:
     TaskName = Literal[tuple(TASKS)]  # as the command line offers them
 
-PILOTS = ("expert",)  # those that this version of the kit has
+PILOTS = ("expert",)  # available in this version
 UNAVAILABLE_PILOTS = ("rgb", "mask", "rgb_mask", "student", "manual")
 TASK_HELP = "; ".join(f"{task.name}: {task.summary}" for task in TASKS.values())
 MANOEUVRE_HELP = "what the leader flies ({}); {}".format(
@@ -37,8 +35,8 @@ MANOEUVRE_HELP = "what the leader flies ({}); {}".format(
     ),
     "; ".join(f"{manoeuvre.name}: {manoeuvre.summary}" for manoeuvre in MANOEUVRES.values()),
 )
-BROWSER_S = 8.0  # what a browser may take to show the page before the flight begins
-UNITS = {  # of the summary: what a row is called, and the factor to its unit
+BROWSER_S = 8.0  # a browser's time to show the page before the flight begins
+UNITS = {  # rows of the summary: label and factor to its unit
     "ald_m": ("ALD of landings [cm]", 100.0),
     "sink_rate_m_s": ("sink rate at touchdown [m/s]", 1.0),
     "bank_abs_deg": ("bank at touchdown [deg]", 1.0),
@@ -53,58 +51,58 @@ UNITS = {  # of the summary: what a row is called, and the factor to its unit
 
 @dataclass(frozen=True)
 class Fly:
-    """Fly a task by the kit's 20 Hz loop, in simulation.
+    """Fly a task in simulation with the kit's 20 Hz loop.
 
-    Without --headless a page in the browser shows the flight in real time; with it the flights go
-    as fast as they can. Exit code 0 when every trial succeeded, 1 when one failed.
+    Without --headless a page in the browser shows the flight in real time; with it the flights run
+    as fast as possible. Exit code 0 if every trial succeeded, 1 if one failed.
     """
 
     task: Annotated[TaskName, tyro.conf.arg(help=TASK_HELP)] = "landing"
     pilot: Literal["expert", "rgb", "mask", "rgb_mask", "student", "manual"] = "expert"
-    """who flies; the expert knows the state"""
+    """the controller; the expert uses the simulated state with noise"""
     trials: int = 1
-    """how many, each from its own start of the frozen list"""
+    """number of flights, each from its own initial state of the fixed list"""
     manoeuvre: Annotated[str, tyro.conf.arg(help=MANOEUVRE_HELP)] = ""
     seed: int = 0
-    """which list of starts and noise; the same for two pilots makes pairs"""
+    """selects initial states and noise; use the same for paired comparisons of two pilots"""
     headless: bool = False
-    """no page, as fast as it can"""
+    """no page, as fast as possible"""
     no_render: bool = False
-    """without images; the expert needs none"""
+    """no images; the expert needs none"""
     scene: str = "arena"
-    """the hall: arena, hall, hall_analog (seen through an analog link), or a scene file in the
-    kit's world
+    """the arena: arena, hall, hall_analog (images through an analog video link), or a scene file in
+    the kit's world frame
     """
     size: str = "320x240"
     """of the camera's image [px]"""
     source: Literal["sim", "camera"] = "sim"
-    """where images come from"""
+    """source of images"""
     port: str = ""
-    """the trainer port that every command goes through: sim (the firmware in a simulated chip) or
-    sim-python (plain Python); none where it is left out
+    """the trainer port that commands go through: sim (the firmware in a simulated chip) or
+    sim-python (plain Python); none if not given
     """
     out: Path | None = None
-    """folder for log, table and figures; an interrupted study goes on there"""
+    """folder for log, table and figures; the same folder continues an interrupted study"""
     logs: bool = False
     """write a flight log of every trial; a single trial always has one in --out"""
     against: Path | None = None
-    """folder of another pilot's trials from the same starts, to compare with"""
+    """folder of another pilot's trials from the same initial states, for comparison"""
     json: bool = False
     """print JSON instead of tables"""
 
     def run(self) -> int:
-        """Fly.
+        """Fly the trials and print their summary.
 
         Returns:
-            0 where every trial succeeded, else 1.
+            0 if every trial succeeded, else 1.
 
         Raises:
-            InputError: a part of the kit that is not there yet is asked for, or an option is wrong.
+            InputError: an option is wrong or needs a part that this version does not have.
         """
-        self._refuse_what_is_not_there()
+        self._refuse_unavailable()
         hall = hall_loader(self.scene)
         task, setting = self._task(), self._setting()
-        other = self._look_into_folders(task, setting)
+        other = self._read_folders(task, setting)
         from falconwing_kit.tools.trials.trials import compare_pilots, summarise_trials
 
         records = self._fly(task, setting, hall)
@@ -114,23 +112,25 @@ class Fly:
         self._show(task.name, records, found)
         return 0 if found["successes"] == found["trials"] else 1
 
-    def _refuse_what_is_not_there(self) -> None:
+    def _refuse_unavailable(self) -> None:
         if self.pilot not in PILOTS:
             raise InputError(
-                f"--pilot {self.pilot}: this version of the kit has no such pilot yet; take {' or '.join(PILOTS)}"
+                f"--pilot {self.pilot}: this version of the kit has no such pilot yet; "
+                f"use {' or '.join(PILOTS)}"
             )
         if self.source != "sim":
             raise InputError(
-                f"--source {self.source}: this version of the kit has no pilot for the real aircraft yet;"
-                " fly --source sim"
+                f"--source {self.source}: this version of the kit has no pilot for the real "
+                "aircraft yet; use --source sim"
             )
         if self.port:
             from falconwing_kit.tools.bridge.open_port import PORTS
 
             if self.port not in PORTS:
                 raise InputError(
-                    f"--port {self.port}: this version of the kit has no pilot for the real aircraft yet; take"
-                    f" {' or '.join(PORTS)}, or look at a real board with `falconwing bridge --port {self.port}`"
+                    f"--port {self.port}: this version of the kit has no pilot for the real "
+                    f"aircraft yet; use {' or '.join(PORTS)}, or monitor a real board with "
+                    f"`falconwing bridge --port {self.port}`"
                 )
 
     def _task(self) -> "FlightTask":
@@ -145,12 +145,13 @@ class Fly:
         if self.manoeuvre:
             with_leader = " or ".join(task.name for task in TASKS.values() if task.manoeuvre)
             raise InputError(
-                f"--manoeuvre {self.manoeuvre}: expected it with --task {with_leader} only, got --task {self.task}"
+                f"--manoeuvre {self.manoeuvre}: expected it with --task {with_leader} only, "
+                f"got --task {self.task}"
             )
         return entry.make()
 
     def _setting(self) -> "TrialSettings":
-        """How it is flown, before there is a page and a scene."""
+        """Camera, clock and port of the trials; page and scene follow later."""
         from falconwing_kit.flight.loop import SimulatedClock, WallClock
         from falconwing_kit.flight.sources import fpv_camera
         from falconwing_kit.tools.trials.trials import TrialSettings
@@ -158,12 +159,10 @@ class Fly:
         clock = SimulatedClock if self.headless else WallClock
         return TrialSettings(camera=fpv_camera(*_size(self.size)), clock=clock, port=self.port)
 
-    def _look_into_folders(
+    def _read_folders(
         self, task: "FlightTask", setting: "TrialSettings"
     ) -> list[dict[str, Any]] | None:
-        """Refuse what does not fit in --out and --against before anything is flown; the trials of
-        --against.
-        """
+        """Check --out and --against before the first flight; the trials of --against."""
         from falconwing_kit.tools.trials.trials import (
             read_flown_trials,
             read_paired_trials,
@@ -177,14 +176,14 @@ class Fly:
                     f"--out {self.out}: expected a folder, got a file; choose another name"
                 )
             how = {**setting.record, "rendered": not self.no_render}
-            del how["scene_digest"]  # the hall is loaded when the page is open
+            del how["scene_digest"]  # the scene is loaded after the page is open
             read_flown_trials(self.out, head | how)
         return None if self.against is None else read_paired_trials(self.against, head)
 
     def _fly(
         self, task: "FlightTask", setting: "TrialSettings", hall: "Callable[[], GaussianScene]"
     ) -> list[dict[str, Any]]:
-        from falconwing_kit.tools.cli.scene import open_link
+        from falconwing_kit.tools.cli.scene_input import open_link
         from falconwing_kit.tools.trials.trials import fly_trials
 
         with (
@@ -236,16 +235,11 @@ class Fly:
 
 
 def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str, Any]) -> None:
-    """Print the rates and means of trials.
-
-    Args:
-        title: a line above.
-        records: of `flight.trials.fly_trials`.
-        found: of `flight.trials.summary`.
-    """
+    """Print rates and statistics: records of `fly_trials`, summary of `summarise_trials`."""
     low, high = 100.0 * found["success_low95"], 100.0 * found["success_high95"]
     print(
-        f"{title}\nsuccess: {found['successes']} of {found['trials']} (95 % between {low:.1f} and {high:.1f} %)"
+        f"{title}\nsuccess: {found['successes']} of {found['trials']} "
+        f"(95 % between {low:.1f} and {high:.1f} %)"
     )
     rows = []
     for key, (label, factor) in UNITS.items():
@@ -254,9 +248,9 @@ def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str,
                 found[key][name] for name in ("mean", "low95", "high95", "median", "largest")
             )
             rows.append((label, *(factor * number for number in numbers)))
-    print_table(("measure", "mean", "low 95 %", "high 95 %", "median", "largest"), rows)
+    print_table(("measure", "mean", "low 95 %", "high 95 %", "median", "maximum"), rows)
     if "locked_share" in found and "no images" in found["images"]:
-        print("occlusion not judged: no images")
+        print("occlusion not evaluated: no images")
     print(
         f"ART: median {found['art_median_ms']:.2g} ms, 95 % of {found['art_steps']} steps within"
         f" {found['art_p95_ms']:.2g} ms ({found['images']}; {found['machine']})"
@@ -268,7 +262,8 @@ def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str,
             for key in ("commands_sent", "commands_dropped", "ppm_frames")
         )
         print(
-            f"through the trainer port ({ports[0]['board']}): {sent} commands, {dropped} dropped; {frames} PPM frames"
+            f"through the trainer port ({ports[0]['board']}): {sent} commands, {dropped} dropped; "
+            f"{frames} PPM frames"
         )
     for record in records:
         if not record["success"]:
@@ -280,42 +275,43 @@ def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str,
     faulty = next((record for record in records if record["faults"]), None)
     if faulty is not None:
         print(
-            f"warning: the pilot failed in {found['faults']} steps; first: {faulty['first_fault']['error']}"
+            f"warning: the pilot failed in {found['faults']} steps; "
+            f"first: {faulty['first_fault']['error']}"
         )
     if found["skipped"]:
         print(
-            f"warning: {found['skipped']} steps came too late and were skipped; a smaller --size or --headless helps"
+            f"warning: {found['skipped']} steps missed their deadline and were dropped; "
+            "use a smaller --size or --headless"
         )
     if "against" in found:
         pair = found["against"]
         print(
-            f"pairs: {pair['pairs']}; only this pilot succeeded in {pair['only_first']}, only the other in"
-            f" {pair['only_second']}; McNemar p = {pair['p_value']:.3g}"
+            f"pairs: {pair['pairs']}; only this pilot succeeded in {pair['only_first']}, "
+            f"only the other in {pair['only_second']}; McNemar p = {pair['p_value']:.3g}"
         )
 
 
 def hall_loader(name: str) -> "Callable[[], GaussianScene]":
-    """How to get the hall to fly in; a wrong name and a bad file are refused at once, before a page
-    is opened.
+    """A function that loads the hall; a wrong name or file is refused here, before a page opens.
 
     Args:
-        name: a scene file, or the name of a scene that ships; a file of that name goes first.
+        name: a scene file, or a name of `load_scene`; a file of that name has precedence.
 
     Returns:
-        A function that gives the hall. One that ships may have to be built first, which takes a
-        while.
+        The function; a shipped scene may have to be built first, which takes some time.
 
     Raises:
         FileNotFoundError: there is no file at a path.
-        InputError: the file is no scene, no scene of that name ships, or it is an aircraft alone.
+        InputError: the file is not a scene, the kit has no scene of that name, or it is an aircraft
+            alone.
     """
     from falconwing_kit.scene.arena import SCENES, load_scene
-    from falconwing_kit.tools.cli.scene import open_scene
+    from falconwing_kit.tools.cli.scene_input import open_scene
 
     if name == "leader" and not Path(name).exists():
         halls = ", ".join(scene for scene in SCENES if scene != name)
         raise InputError(
-            f"--scene {name}: expected a hall to fly in, got an aircraft; take {halls} or a file"
+            f"--scene {name}: expected a hall to fly in, got an aircraft; use {halls} or a file"
         )
     if name in SCENES and not Path(name).exists():
         return lambda: load_scene(name)
@@ -331,7 +327,7 @@ def hall_loader(name: str) -> "Callable[[], GaussianScene]":
 def _page(
     hall: "Callable[[], GaussianScene]", headless: bool, render: bool
 ) -> Iterator[tuple[Any, tuple[Callable[..., None], ...]]]:
-    """The hall where somebody looks at it, and the page as a hook."""
+    """The hall, None if nothing is rendered, and the live page as a hook, unless headless."""
     if headless and not render:
         yield None, ()
         return

@@ -1,6 +1,4 @@
-"""falconwing gap: a calm flight and a flight that surprises -> where they disagree, what is
-missing, the gap closed.
-"""
+"""falconwing gap: locate where a flight disagrees with the model and name what is missing."""
 
 import sys
 from dataclasses import dataclass

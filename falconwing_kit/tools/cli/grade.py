@@ -1,12 +1,10 @@
-"""falconwing grade, falconwing sandbox: submissions -> records and a gradebook; the box they run in
--> does it hold?
-"""
+"""falconwing grade: grade a class, every function in a sandbox."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -23,10 +21,10 @@ Records = dict[str, dict[str, Any]]  # by student
 
 @dataclass(frozen=True)
 class Grade:
-    """Grade a lab: every function in a box of its own, on cases that nobody has seen.
+    """Grade a lab: every function in a sandbox of its own, on unpublished test cases.
 
     Writes a record of each submission as soon as it is graded, and gradebook.csv. Exit code 1 when
-    a submission could not be graded and a person must look.
+    a submission could not be graded and a person must look at it.
     """
 
     lab: Annotated[str, tyro.conf.Positional]
@@ -42,27 +40,26 @@ class Grade:
     tcp://10.0.0.5:8786
     """
     resume: bool = False
-    """go on with an earlier run: what is graded already is left as it is"""
+    """continue an earlier run: records that exist are kept"""
     regrade: bool = False
-    """grade again what is recorded, on the very same cases, and say what changed"""
+    """grade recorded submissions again, on the same cases, and report changes"""
     salt: str = ""
     """the course's secret that `labs release` was given"""
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     unsafe_no_sandbox: bool = False
-    """run students' code in plain processes that can do all that you can; stamped on every record
-    """
+    """run students' code in plain processes with all of your permissions; noted in every record"""
     json: bool = False
     """print JSON instead of a table"""
 
     def run(self) -> int:
-        """Grade.
+        """Grade the submissions, write records and gradebook.
 
         Returns:
-            0 where every submission was graded or is unreadable, 1 where a person must look at one.
+            0 if every submission was graded or is unreadable, 1 if a person must look at one.
 
         Raises:
-            InputError: a folder, lab or option cannot be used, or the box has a hole.
+            InputError: a folder, lab or option cannot be used, or the sandbox has a hole.
         """
         from falconwing_kit.tools.grading.find import lab_folder, load_checks
         from falconwing_kit.tools.grading.judge import Assignment
@@ -104,7 +101,7 @@ class Grade:
     def _grade(
         self, assignment: "Assignment", lab: "Lab", found: "list[Submission]", known: Records
     ) -> dict[str, Any]:
-        """Grade what is to be graded, record it at once, and count."""
+        """Grade what has no valid record yet, append each record immediately, and count."""
         from tqdm import tqdm
 
         from falconwing_kit.tools.grading.judge import GradingTask, error_record, grade_submission
@@ -140,7 +137,7 @@ class Grade:
         }
 
     def _report(self, lab: "Lab", records: list[dict[str, Any]], counts: dict[str, Any]) -> int:
-        """Print what came out; 1 where a person must look."""
+        """Print the results; 1 if a person must look at a submission."""
         failed = [record for record in records if record["status"] == "error"]
         marked = [record for record in records if record["status"] == "graded"]
         rows = []
@@ -169,75 +166,31 @@ class Grade:
                 }
             )
             return int(bool(failed))
-        title = f"{lab.name}: {len(marked)} of {len(records)} submissions graded, {counts['graded_now']} of them now"
-        print_table(("exercise", "points", "mean", "all right"), rows, title=title)
+        title = (
+            f"{lab.name}: {len(marked)} of {len(records)} submissions graded, "
+            f"{counts['graded_now']} of them now"
+        )
+        print_table(("exercise", "points", "mean", "all cases passed"), rows, title=title)
         if self.regrade:
-            print(
-                f"regraded {counts['graded_now']}, {counts['changed']} of them differ from their record"
-            )
+            print(f"regraded {counts['graded_now']}; {counts['changed']} differ from their record")
         for record in records:
             if record["status"] != "graded" or record["problem"]:
                 print(f"! {record['student']}: {record['status']}: {record['problem']}")
         if self.unsafe_no_sandbox:
-            print("! graded without a box: these points can be forged")
-        next_line(
-            f"open {counts['gradebook']}; a person's points, for figures and answers, are not in it"
-        )
+            print("! graded without a sandbox: these points can be forged")
+        next_line(f"open {counts['gradebook']}; it lacks the points by a person (figures, answers)")
         return int(bool(failed))
 
 
-@dataclass(frozen=True)
-class Sandbox:
-    """Try to get out of the grader's box, in every way that a student might.
-
-    Exit code 0 where it holds, 1 where it has a hole; `grade` then refuses.
-    """
-
-    action: Annotated[Literal["probe"], tyro.conf.Positional]
-    """probe: try it"""
-    json: bool = False
-    """print JSON instead of a table"""
-
-    def run(self) -> int:
-        """Probe.
-
-        Returns:
-            0 where everything is closed, else 1.
-
-        Raises:
-            InputError: bubblewrap is missing.
-        """
-        from falconwing_kit.tools.grading.sandbox.probe import probe_sandbox
-
-        findings = probe_sandbox()
-        if self.json:
-            print_json(
-                {
-                    "closed": all(each.closed for each in findings),
-                    "tried": [asdict(each) for each in findings],
-                }
-            )
-        else:
-            rows = [
-                (each.name, "closed" if each.closed else "OPEN", each.said) for each in findings
-            ]
-            print_table(("what was tried", "box", "found"), rows)
-            held = all(each.closed for each in findings)
-            next_line(
-                "falconwing grade lab01 SUBMISSIONS --out grades" if held else "falconwing doctor"
-            )
-        return int(not all(each.closed for each in findings))
-
-
 def _require_sandbox() -> None:
-    """Refuse to grade in a box that does not hold."""
+    """Raise InputError if the sandbox has a hole."""
     from falconwing_kit.tools.grading.sandbox.probe import open_holes, probe_sandbox
 
     _refuse_holes(open_holes(probe_sandbox()))
 
 
 def _require_worker_sandboxes(cluster: str) -> None:
-    """Refuse to grade where the box of any worker of a cluster does not hold."""
+    """Raise InputError if the sandbox of any worker of a cluster has a hole."""
     from falconwing_kit.tools.grading.sandbox.probe import open_holes, probe_sandbox
     from falconwing_kit.tools.jobs.cluster import run_on_every_worker
 
@@ -249,7 +202,8 @@ def _require_worker_sandboxes(cluster: str) -> None:
 
 def _refuse_holes(found: Sequence[str]) -> None:
     if found:
-        advice = "mend it (`falconwing sandbox probe` says more), or accept forged points with --unsafe-no-sandbox"
         raise InputError(
-            f"the box: expected it closed, found {len(found)} holes ({'; '.join(found)}); {advice}"
+            f"sandbox: expected it closed, got {len(found)} holes ({'; '.join(found)}); fix them "
+            "(`falconwing sandbox probe` lists them), or accept forged points with "
+            "--unsafe-no-sandbox"
         )

@@ -1,6 +1,4 @@
-"""falconwing identify: recorded flights -> the aircraft's parameters, how sure they are, and how
-well they predict.
-"""
+"""falconwing identify: fit the aircraft model to recorded flights."""
 
 import sys
 from dataclasses import dataclass

@@ -1,6 +1,4 @@
-"""falconwing labs: the labs' sources -> notebooks, what is handed out to students, a test of the
-labs themselves.
-"""
+"""falconwing labs: build the labs' notebooks, release them to students, test them."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -18,31 +16,31 @@ from falconwing_kit.tools.grading.find import select_labs
 class Build:
     """Write the notebooks of the labs from their sources.
 
-    Exit code 0 when it was done, or nothing is stale; else 1.
+    Exit code 0 if they are written, or none is stale; else 1.
     """
 
     names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """labs, such as lab03; all if none is named"""
     check: bool = False
-    """write nothing, say which notebooks are stale"""
+    """write nothing, list the stale notebooks"""
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     json: bool = False
     """print JSON instead of a table"""
 
     def run(self) -> int:
-        """Build, or only look.
+        """Build, or list stale notebooks.
 
         Returns:
-            0 where the notebooks are now as their sources say; 1 where `check` found stale ones.
+            0 if the notebooks match their sources; 1 if `check` found stale ones.
 
         Raises:
             InputError: there is no such lab, or its source cannot be used.
         """
         from falconwing_kit.tools.grading.notebooks import stale_notebooks, write_notebooks
 
-        do = stale_notebooks if self.check else write_notebooks
-        changed = {folder.name: do(folder) for folder in select_labs(self.names, self.labs)}
+        process = stale_notebooks if self.check else write_notebooks
+        changed = {folder.name: process(folder) for folder in select_labs(self.names, self.labs)}
         word, stale = ("stale", sum(map(len, changed.values()))) if self.check else ("written", 0)
         if self.json:
             print_json(
@@ -57,19 +55,18 @@ class Build:
 
 @dataclass(frozen=True)
 class Release:
-    """Write what students get: no solutions, no hidden cases, no notes."""
+    """Write the students' folder, without solutions, hidden cases and notes."""
 
     out: Annotated[Path, tyro.conf.Positional]
     """a new folder"""
     names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """labs, such as lab03; all if none is named"""
     salt: str = ""
-    """your course's secret, which draws its numbers; `grade` needs the same. Without it: the open
+    """your course's secret, the seed of its numbers; `grade` needs the same. Without it: the open
     course's
     """
     roster: Path | None = None
-    """CSV file with a column `student`, for labs that are another for every student; needs --salt
-    """
+    """CSV file with a column `student`, for labs with numbers per student; needs --salt"""
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     json: bool = False
@@ -79,7 +76,7 @@ class Release:
         """Write the folder.
 
         Returns:
-            0: it is there.
+            0: it is written.
 
         Raises:
             FileNotFoundError: there is no roster.
@@ -110,19 +107,18 @@ class Release:
             title=f"{self.out}: {course}, {len(students)} students",
         )
         if self.salt:
-            print("keep the salt to yourself, and keep it: without it nobody can grade these labs")
+            print("keep the salt, and keep it secret: grading these labs needs it")
         if students:
-            print("in handouts each student has a folder; give it to nobody else")
+            print("handouts has one folder per student; give it to that student only")
         next_line("hand the folder out; later falconwing grade lab01 SUBMISSIONS --out grades")
         return 0
 
 
 @dataclass(frozen=True)
 class Selftest:
-    """Grade the labs' own notebooks as students' would be: solutions get everything, untouched ones
-    nothing.
+    """Grade the labs' own notebooks: solutions must get full marks, untouched ones none.
 
-    Exit code 0 when it is so, else 1.
+    Exit code 0 if they do, else 1.
     """
 
     names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
@@ -130,15 +126,15 @@ class Selftest:
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     unsafe_no_sandbox: bool = False
-    """run the functions in plain processes; they are the labs' own, so no harm is meant"""
+    """run the functions in plain processes; they are the labs' own code"""
     json: bool = False
     """print JSON instead of a table"""
 
     def run(self) -> int:
-        """Grade and say what came out.
+        """Grade and print the results.
 
         Returns:
-            0 where every lab is graded as it should be, else 1.
+            0 if every lab is graded as expected, else 1.
 
         Raises:
             InputError: there is no such lab, it cannot be used, or there is no sandbox here.
@@ -156,9 +152,9 @@ class Selftest:
             for r in results
         ]
         print_table(
-            ("lab", "solution", "untouched", "as it should be"),
+            ("lab", "solution", "untouched", "as expected"),
             rows,
-            title="points of the machine's",
+            title="points by automatic grading",
         )
         for sentence in (
             f"! {result.lab}: {problem}" for result in results for problem in result.problems
@@ -167,7 +163,7 @@ class Selftest:
         next_line(
             "falconwing labs release OUT"
             if passed
-            else "mend the labs that are not as they should be"
+            else "fix the labs that are not graded as expected"
         )
         return int(not passed)
 
@@ -178,10 +174,10 @@ def _percent(points: Mapping[str, float], of: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True)
 class Labs:
-    """Build the labs' notebooks, hand them out, or grade the labs' own."""
+    """Build the labs' notebooks, release them to students, or test them."""
 
     step: tyro.conf.OmitSubcommandPrefixes[Build | Release | Selftest]
 
     def run(self) -> int:
-        """Do the chosen step; see its own `run`."""
+        """Run the chosen step."""
         return self.step.run()

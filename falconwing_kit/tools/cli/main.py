@@ -1,53 +1,58 @@
-"""The command `falconwing`: a verb and its words in, that verb's work done, its exit code out.
+"""The command `falconwing`: a verb and its options in, that verb run, its exit code out.
 
 Exit codes: 0 done, 1 the answer is no, 2 wrong use, 130 interrupted.
+
+A verb is one file of this folder: `find_port.py` starts with the line
+`falconwing find-port: <summary>` and holds `FindPort`, a frozen dataclass whose fields are the
+options and whose `run()` returns the exit code, so Python code can call it too.
 """
 
 import difflib
 import importlib
 import os
+import re
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import TextIO
+from pathlib import Path
+from typing import NamedTuple, TextIO
 
 from falconwing_kit import __version__
 
-# Before NumPy is loaded: its threads only get in each other's way on arrays of this kit's size.
+# Set before NumPy is loaded: on arrays of this kit's size its threads cost more than they save.
 for _library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_library, "1")
 
-# Verb, file of this folder, class, what it does. Only the chosen file is imported. A verb is a
-# frozen dataclass whose fields are its options and whose `run()` returns the exit code, so Python
-# code can call it too.
-VERBS: tuple[tuple[str, str, str, str], ...] = (
-    ("demo", "demo", "Demo", "land in a splat hall, then study recorded flights, one of them real"),
-    ("doctor", "doctor", "Doctor", "say what works on this machine and how to mend the rest"),
-    ("size", "size", "Size", "minimum speed, turn radius and mass budget of an airframe"),
-    ("scene", "scene_steps", "Scene", "make scenes: the arena, from photos, edited; inspect them"),
-    ("render", "scene", "Render", "make an image of a Gaussian scene"),
-    ("fly", "fly", "Fly", "fly a task in simulation, once to look at or often to count"),
-    ("poses", "video", "Poses", "read a flight's states off its onboard video, for identify"),
-    ("identify", "identify", "Identify", "fit the aircraft model to recorded flights"),
-    ("gap", "gap", "Gap", "say where a flight disagrees with the model and what is missing"),
-    ("bridge", "bridge", "Bridge", "watch the board: state, counters, delay, pilot's sticks"),
-    (
-        "record",
-        "bridge",
-        "Record",
-        "log a manual flight: the pilot's sticks and the camera's images",
-    ),
-    ("find-port", "bridge", "FindPort", "list the boards on this machine's serial ports"),
-    ("calibrate", "calibrate", "Calibrate", "learn a radio's microseconds, order and directions"),
-    ("firmware", "firmware", "Firmware", "build the board's program, or test it in simulation"),
-    ("export", "logs", "Export", "turn a flight log into a table, a whole log or a ROS bag"),
-    ("replay", "logs", "Replay", "show a flight log again, live or as figures"),
-    ("check", "check", "Check", "run a lab's public checks on your notebook"),
-    ("labs", "labs", "Labs", "build the labs' notebooks, hand them out, test them"),
-    ("grade", "grade", "Grade", "grade a class, every function in a box of its own"),
-    ("report", "report", "Report", "gradebook, feedback, statistics and rubric of a class"),
-    ("sandbox", "grade", "Sandbox", "try to get out of the grader's box"),
-)
+
+class Verb(NamedTuple):
+    """One line of `falconwing --help` and where its code is."""
+
+    name: str  # as typed: "find-port"
+    module: str  # file of this folder, without its ending: "find_port"
+    class_name: str  # "FindPort"
+    summary: str
+
+
+def find_verbs(folder: Path = Path(__file__).parent) -> tuple[Verb, ...]:
+    """The verbs of a folder in alphabetical order, from the first lines of its files.
+
+    The files are read and not imported, which keeps `falconwing --help` fast.
+    """
+    verbs = []
+    for path in sorted(folder.glob("*.py")):
+        name = path.stem.replace("_", "-")
+        with path.open(encoding="utf-8") as file:
+            head = file.read(400)
+        found = re.match(
+            rf'"""falconwing {re.escape(name)}: (.+?)\.?\s*(?:\n\n|""")', head, re.DOTALL
+        )
+        if found:
+            class_name = "".join(word.capitalize() for word in path.stem.split("_"))
+            verbs.append(Verb(name, path.stem, class_name, " ".join(found[1].split())))
+    return tuple(verbs)
+
+
+VERBS = find_verbs()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -57,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: the words after `falconwing`; None takes them from the command line.
 
     Returns:
-        The exit code. Options that the verb does not know end in SystemExit(2) and its `--help` in
+        The exit code. An unknown option of a verb ends in SystemExit(2), its `--help` in
         SystemExit(0).
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
@@ -69,29 +74,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     chosen = next((verb for verb in VERBS if verb[0] == words[0]), None)
     if chosen is None:
-        return _refuse(
-            f"{words[0]!r} is not a verb of falconwing{_suggestion(words[0])}; see `falconwing --help`"
-        )
+        hint = _suggestion(words[0])
+        return _refuse(f"{words[0]!r} is not a verb of falconwing{hint}; see `falconwing --help`")
     return _run_verb(*chosen[:3], words[1:])
 
 
 def help_text() -> str:
-    """The list of verbs.
-
-    Returns:
-        The text of `falconwing --help`.
-    """
+    """The text of `falconwing --help`."""
     width = max(len(name) for name, *_ in VERBS)
     lines = [f"  {name:<{width}}  {summary}" for name, _, _, summary in VERBS]
-    head = ["usage: falconwing VERB [options]", "", "verbs (falconwing VERB --help says more):"]
+    head = ["usage: falconwing VERB [options]", "", "verbs (options: falconwing VERB --help):"]
     tail = ["", "exit codes: 0 done, 1 the answer is no, 2 wrong use"]
     return "\n".join([*head, *lines, *tail])
 
 
 def _run_verb(name: str, module: str, class_name: str, words: list[str]) -> int:
-    """Import the verb, let tyro fill its fields from the words, run it and turn errors into one
-    sentence.
-    """
+    """Import the verb, fill its fields from the words with tyro, run it; an error is one line."""
     import tyro
 
     from falconwing_kit.core.checks import InputError
@@ -99,12 +97,13 @@ def _run_verb(name: str, module: str, class_name: str, words: list[str]) -> int:
     with warnings.catch_warnings():
         warnings.showwarning = _print_warning
         try:
-            verb = getattr(
-                importlib.import_module(f"falconwing_kit.tools.cli.{module}"), class_name
-            )
-            # Without pairs a switch is `--json`, not `--json` and `--no-json`.
+            file = importlib.import_module(f"falconwing_kit.tools.cli.{module}")
             settings = tyro.cli(
-                verb, prog=f"falconwing {name}", args=words, config=(tyro.conf.FlagCreatePairsOff,)
+                getattr(file, class_name),
+                prog=f"falconwing {name}",
+                args=words,
+                # a switch is `--json` alone, without `--no-json`
+                config=(tyro.conf.FlagCreatePairsOff,),
             )
             return int(settings.run())
         except InputError as error:
@@ -113,14 +112,11 @@ def _run_verb(name: str, module: str, class_name: str, words: list[str]) -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
         except OSError as error:
-            return _refuse(
-                f"{error.filename}: {error.strerror}"
-                if error.filename and error.strerror
-                else str(error)
-            )
+            has_both = error.filename and error.strerror
+            return _refuse(f"{error.filename}: {error.strerror}" if has_both else str(error))
         except ModuleNotFoundError as error:
             return _refuse(
-                f"the library {error.name} is not installed; `falconwing doctor` says how to mend it"
+                f"the library {error.name} is not installed; `falconwing doctor` suggests a fix"
             )
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
@@ -128,7 +124,7 @@ def _run_verb(name: str, module: str, class_name: str, words: list[str]) -> int:
 
 
 def _suggestion(word: str) -> str:
-    """A hint at the verb that was meant, or nothing."""
+    """A hint at a verb of similar spelling, or nothing."""
     close = difflib.get_close_matches(word, [name for name, *_ in VERBS], n=1)
     return f", perhaps you meant {close[0]!r}" if close else ""
 
@@ -147,9 +143,7 @@ def _print_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """A warning as one line for a person, without file and line number; the signature is the
-    standard library's.
-    """
+    """Print a warning as one line without file and line number (signature of `showwarning`)."""
     print(f"warning: {message}", file=sys.stderr)
 
 

@@ -1,6 +1,4 @@
-"""falconwing report: a class's records -> gradebook, feedback, statistics, likeness, rubric page,
-exports.
-"""
+"""falconwing report: gradebook, feedback, statistics and rubric of a class."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -19,16 +17,15 @@ if TYPE_CHECKING:
     from falconwing_kit.tools.grading.course.similar import Similarity
     from falconwing_kit.tools.grading.lab import Lab
 
-Looked = dict[str, dict[str, Any]]  # by student, what `looks.look` gives
+Inspections = dict[str, dict[str, Any]]  # by student, results of `inspect_submission`
 
 
 @dataclass(frozen=True)
 class Report:
-    """Report on a graded lab: gradebook.csv, a page of feedback for each student, report.html for
-    you.
+    """Report on a graded lab: gradebook.csv, a feedback page per student, report.html for you.
 
-    With --submissions also the public checks' outcomes in the feedback, functions that are alike,
-    and rubric.html, where you grade figures and answers; --rubric merges the points that it saves.
+    With --submissions also the public checks' outcomes in the feedback, pairs of similar functions,
+    and rubric.html, where you grade figures and answers; --rubric merges the points saved there.
     """
 
     lab: Annotated[str, tyro.conf.Positional]
@@ -36,21 +33,21 @@ class Report:
     grades: Annotated[Path, tyro.conf.Positional]
     """the folder that `grade --out` wrote"""
     out: Path
-    """folder for the report; saying it again goes on where a killed report was"""
+    """folder for the report; the same folder continues an interrupted report"""
     submissions: Path | None = None
-    """what was graded: a notebook, a folder, or a learning platform's zip"""
+    """the graded notebook, folder, or learning platform's zip"""
     before: Path | None = None
-    """an earlier class's submissions, to compare functions with"""
+    """an earlier class's submissions, for the similarity check"""
     rubric: Path | None = None
-    """the points that a person gave: points.csv of the rubric page"""
+    """points by a person: points.csv of the rubric page"""
     to: tuple[Literal["gradescope", "csv"], ...] = ()
     """gradescope: a results.json for each student; csv: final points for a learning platform"""
     figures: Literal["run", "stored"] = "run"
-    """run notebooks in the box for their figures, or show those that they have stored"""
+    """run: run the notebooks in the sandbox; stored: show the figures stored in them"""
     workers: int = 2
     """submissions at a time"""
     cluster: str = ""
-    """address of a scheduler of `distributed` whose workers look at submissions instead"""
+    """address of a scheduler of `distributed` whose workers inspect submissions instead"""
     salt: str = ""
     """the course's secret that `grade` was given"""
     labs: Path | None = None
@@ -62,7 +59,7 @@ class Report:
         """Write the report.
 
         Returns:
-            0: it is there.
+            0: it is written.
 
         Raises:
             FileNotFoundError: there is no file at --rubric.
@@ -93,15 +90,17 @@ class Report:
         points = read_rubric(self.rubric, lab, records) if self.rubric else {}
         entries = make_entries(lab, records, points)
         self.out.mkdir(parents=True, exist_ok=True)
-        looked, notes = self._look(folder, entries) if self.submissions else ({}, [])
+        inspections, notes = self._inspect(folder, entries) if self.submissions else ({}, [])
         write_gradebook(self.out / "gradebook.csv", lab, entries)
         items = item_statistics(lab, list(records.values()))
-        pairs = self._pages(folder, lab, entries, items, looked)
+        pairs = self._pages(folder, lab, entries, items, inspections)
         self._exports(lab, entries)
-        return self._say(lab, entries, items, pairs, notes)
+        return self._print(lab, entries, items, pairs, notes)
 
-    def _look(self, folder: Path, entries: "Sequence[GradebookEntry]") -> tuple[Looked, list[str]]:
-        """Look at the submissions that were graded, and say what could not be looked at."""
+    def _inspect(
+        self, folder: Path, entries: "Sequence[GradebookEntry]"
+    ) -> tuple[Inspections, list[str]]:
+        """Inspect the graded submissions; the notes list those that could not be inspected."""
         from tqdm import tqdm
 
         from falconwing_kit.tools.grading.course.looks import (
@@ -120,37 +119,35 @@ class Report:
             each.student: each
             for each in find_submissions(Path(str(self.submissions)).resolve(), entries[0].lab.name)
         }
-        works = []
+        tasks = []
         for entry in entries:
-            mine, record = found.get(entry.student), entry.record
-            if mine is None or mine.sha256 != record["sha256"]:
-                notes.append(
-                    f"{entry.student}: {'not found' if mine is None else 'changed since it was graded'}"
-                )
+            submission, record = found.get(entry.student), entry.record
+            if submission is None or submission.sha256 != record["sha256"]:
+                problem = "not found" if submission is None else "changed since it was graded"
+                notes.append(f"{entry.student}: {problem}")
                 continue
             lost = [
                 name for name, each in record["exercises"].items() if each["right"] < each["cases"]
             ]
-            works.append(InspectionTask(mine, tuple(lost)))
-        task = partial(
+            tasks.append(InspectionTask(submission, tuple(lost)))
+        inspect = partial(
             inspect_submission,
             context=ReportContext(
                 folder, self.salt, not why, self.figures == "run", lab_fingerprint(folder)
             ),
         )
-        done = parallel_map(task, works, self.workers, self.cluster, self.out / "looks")
-        looked = {}
-        for work, seen in tqdm(
-            done, total=len(works), desc=entries[0].lab.name, unit="submission", disable=None
+        done = parallel_map(inspect, tasks, self.workers, self.cluster, self.out / "looks")
+        inspections = {}
+        for task, result in tqdm(
+            done, total=len(tasks), desc=entries[0].lab.name, unit="submission", disable=None
         ):
-            lost_one = isinstance(seen, WorkerLostError)
-            looked[work.submission.student] = (
-                empty_inspection("could not be looked at") if lost_one else seen
-            )
-        return looked, notes
+            if isinstance(result, WorkerLostError):
+                result = empty_inspection("could not be inspected")
+            inspections[task.submission.student] = result
+        return inspections, notes
 
     def _sandbox_problem(self) -> str:
-        """Why nothing of a student's may be run; empty where the box holds."""
+        """Why students' code may not be run; empty if the sandbox has no hole."""
         from falconwing_kit.tools.grading.sandbox.probe import open_holes, probe_sandbox
         from falconwing_kit.tools.jobs.cluster import run_on_every_worker
 
@@ -170,9 +167,9 @@ class Report:
         lab: "Lab",
         entries: "Sequence[GradebookEntry]",
         items: "Sequence[ItemStatistics]",
-        looked: Looked,
+        inspections: Inspections,
     ) -> "list[Similarity] | None":
-        """Write the pages: for students, for whoever grades by hand, for the instructor."""
+        """Write the pages for students, for manual grading and for the instructor."""
         from falconwing_kit.tools.grading.course.feedback import write_feedback
         from falconwing_kit.tools.grading.course.looks import rubric_parts
         from falconwing_kit.tools.grading.course.overview import write_overview
@@ -180,25 +177,23 @@ class Report:
 
         (self.out / "feedback").mkdir(exist_ok=True)
         for entry in entries:
-            checks = looked.get(entry.student, {}).get("checks") or None
+            checks = inspections.get(entry.student, {}).get("checks") or None
             write_feedback(self.out / "feedback" / f"{entry.file_name}.html", entry, checks)
-        pairs, texts = self._find_similar(folder, lab, looked) if looked else (None, {})
+        pairs, texts = self._find_similar(folder, lab, inspections) if inspections else (None, {})
         write_overview(self.out / "report.html", lab, entries, items, pairs, texts)
-        if looked and lab.rubric:
-            write_rubric(self.out, lab, rubric_parts(folder), entries, looked)
+        if inspections and lab.rubric:
+            write_rubric(self.out, lab, rubric_parts(folder), entries, inspections)
         return pairs
 
     def _find_similar(
-        self, folder: Path, lab: "Lab", looked: Looked
+        self, folder: Path, lab: "Lab", inspections: Inspections
     ) -> "tuple[list[Similarity], Mapping[tuple[str, str], str]]":
-        """Compare the functions of the class with each other, an earlier class, the kit and the
-        solution.
-        """
+        """Compare functions within the class, with an earlier class, the kit and the solution."""
         from falconwing_kit.tools.grading.course.gradebook import write_csv
         from falconwing_kit.tools.grading.course.similar import compare_class
 
         pairs, texts = compare_class(
-            folder, lab, {name: seen["sources"] for name, seen in looked.items()}, self.before
+            folder, lab, {name: one["sources"] for name, one in inspections.items()}, self.before
         )
         head = ("this", "and this", "weight_bit", "functions and share")
         rows = [(each.left, each.right, round(each.weight, 1), each.functions) for each in pairs]
@@ -206,7 +201,7 @@ class Report:
         return pairs, texts
 
     def _exports(self, lab: "Lab", entries: "Sequence[GradebookEntry]") -> None:
-        """What other systems read."""
+        """Write the files for learning platforms."""
         from falconwing_kit.tools.grading.course.feedback import result_text
         from falconwing_kit.tools.grading.course.gradebook import (
             write_gradescope,
@@ -222,7 +217,7 @@ class Report:
             }
             write_gradescope(self.out / "gradescope", entries, words)
 
-    def _say(
+    def _print(
         self,
         lab: "Lab",
         entries: "Sequence[GradebookEntry]",
@@ -230,7 +225,7 @@ class Report:
         pairs: "Sequence[Similarity] | None",
         notes: Sequence[str],
     ) -> int:
-        """Print what came out."""
+        """Print the results."""
         final = sum(entry.total is not None for entry in entries)
         if self.json:
             counts = {
@@ -257,7 +252,7 @@ class Report:
             print(f"! {note}")
         if pairs is not None:
             print(
-                f"{len(pairs)} pairs wrote alike; {self.out / 'report.html'} shows them, for you to read"
+                f"{len(pairs)} pairs of similar functions; read them in {self.out / 'report.html'}"
             )
         if final == len(entries):
             next_line(

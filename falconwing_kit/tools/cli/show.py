@@ -1,4 +1,4 @@
-"""Results on the terminal: numbers and texts -> small aligned tables, JSON and the closing line."""
+"""Results on the terminal: numbers and texts -> aligned tables, JSON and the closing line."""
 
 import json
 import math
@@ -9,11 +9,11 @@ from numbers import Real
 def print_table(
     headers: Sequence[str], rows: Sequence[Sequence[object]], *, title: str = ""
 ) -> None:
-    """Print rows under their headers: columns of numbers to the right, columns of text to the left.
+    """Print rows under their headers: numbers right-aligned, text left-aligned.
 
     Args:
         headers: one per column, with its unit, such as "speed [m/s]".
-        rows: each as long as the headers. Floats show four significant digits, None and nan show
+        rows: each as long as the headers. Floats have four significant digits, None and nan are
             "-".
         title: a line above the table; empty for none.
 
@@ -33,14 +33,7 @@ def print_table(
 
 
 def cell_text(value: object) -> str:
-    """One cell as text.
-
-    Args:
-        value: text, a number, a yes or no, or None.
-
-    Returns:
-        The text of a table cell: four significant digits, "-" for what is not known.
-    """
+    """One cell as text: four significant digits, "-" for None and nan."""
     if hasattr(value, "item"):
         value = value.item()  # NumPy's scalars, without importing NumPy
     if isinstance(value, bool):
@@ -53,25 +46,17 @@ def cell_text(value: object) -> str:
 
 
 def print_json(record: Mapping[str, object]) -> None:
-    """Print a record as JSON that every reader accepts.
-
-    Args:
-        record: texts, numbers, arrays, lists and further records; nan and infinity become null.
-    """
+    """Print a record as standard JSON; nan and infinity become null."""
     print(json.dumps(_plain(record), indent=2, allow_nan=False))
 
 
 def next_line(text: str) -> None:
-    """Print the line that ends a verb's output and says what to type next.
-
-    Args:
-        text: a command or one short sentence.
-    """
+    """Print the last line of a verb's output: the command or step to take next."""
     print(f"next: {text}")
 
 
 def _plain(value: object) -> object:
-    """The value in JSON's own types."""
+    """The value in JSON's types."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):  # NumPy arrays and scalars, without importing NumPy

@@ -1,6 +1,4 @@
-"""falconwing size: an airframe, a mass and a hall -> minimum speed, turn radius, mass budget and
-whether it fits.
-"""
+"""falconwing size: minimum speed, turn radius and mass budget of an airframe."""
 
 import json
 import math
@@ -25,12 +23,11 @@ from falconwing_kit.aircraft.sizing import (
 )
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import atomic_write
-from falconwing_kit.tools.cli.parts_tables import as_parts, parts_record, print_parts
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+from falconwing_kit.tools.cli.size_parts import as_parts, parts_record, print_parts
 from falconwing_kit.tools.hardware.parts import Item, load_parts, roll_up
 
-# Marker, mass and what it is. The paper gives its aircraft 300 g with a 174 g onboard computer; the
-# sum is 324 g.
+# Marker, mass and meaning. The paper states 300 g with a 174 g onboard computer; the sum is 324 g.
 _PAPER_MASSES = (
     ("o", 150.0, "the paper's aircraft"),
     ("s", 300.0, "the paper's sum of 150 + 174 g"),
@@ -40,33 +37,31 @@ _PAPER_MASSES = (
 
 @dataclass(frozen=True)
 class Size:
-    """Say how slow an aircraft can fly, how tight it turns and how heavy it may be for a hall.
+    """Compute minimum speed, turn radius and the maximum mass of an aircraft for a hall.
 
     Exit code 1 when a full circle is wider than the hall.
     """
 
-    mass_g: float | None = None  # mass as flown; the airframe file's own if not given
+    mass_g: float | None = None  # mass as flown; the airframe file's if not given
     wing_area_m2: float | None = None  # instead of the airframe file's
-    cl_max: float | None = None  # largest lift coefficient, instead of the airframe file's
+    cl_max: float | None = None  # maximum lift coefficient, instead of the airframe file's
     bank_deg: float | None = None  # bank of the turn, instead of the airframe file's
     hall_width_m: float = 20.0  # the circle must fit across it
-    margin_m: float = 0.0  # of the width, to be left free
-    hold_height: bool = False  # judge by the turn that holds its height, not by the paper's formula
+    margin_m: float = 0.0  # part of the width that must stay free
+    hold_height: bool = False  # decide by the level turn, not by the paper's formula
     airframe: Path | None = None  # airframe file; the kit's aircraft if not given
-    parts: str | None = (
-        None  # list of parts whose mass to take, with balance and cost: "kit" or a CSV file
-    )
+    parts: str | None = None  # parts list for mass, balance and cost: "kit" or a CSV file
     json: bool = False  # print JSON instead of tables
     out: Path | None = None  # folder for the figure and the JSON
 
     def run(self) -> int:
-        """Size the aircraft, print the answer and write it under `out`.
+        """Size the aircraft, print the results and write them under `out`.
 
         Returns:
-            0 where the aircraft fits the hall, 1 where it does not.
+            0 if the aircraft fits the hall, else 1.
 
         Raises:
-            InputError: a number makes no sense, or the airframe file does not describe an aircraft.
+            InputError: a number is out of range, or the airframe file is invalid.
             FileNotFoundError: there is no airframe file.
         """
         items = (
@@ -90,7 +85,7 @@ class Size:
         return 0 if fits else 1
 
     def _aircraft(self, items: Sequence[Item] | None = None) -> Airframe:
-        """The airframe of the file with what the list of parts and the options change."""
+        """The airframe of the file with the changes of the parts list and the options."""
         for option in ("mass_g", "wing_area_m2", "cl_max", "bank_deg", "hall_width_m"):
             value, typed = getattr(self, option), "--" + option.replace("_", "-")
             if value is not None and require_range(typed, value) <= 0.0:
@@ -112,18 +107,18 @@ class Size:
 
 
 def sizing_record(airframe: Airframe, hall_width: float, margin: float = 0.0) -> dict[str, Any]:
-    """All answers of `falconwing size`, as they go to JSON.
+    """All results of `falconwing size`, as they go to JSON.
 
     Args:
-        airframe: the aircraft; its mass and bank limit are the ones asked about.
+        airframe: its mass and bank limit are used.
         hall_width: [m], > 0.
-        margin: part of the width to be left free [m], >= 0.
+        margin: part of the width that must stay free [m], >= 0.
 
     Returns:
-        Plain numbers and texts, units in the names.
+        Numbers and texts, units in the names.
 
     Raises:
-        InputError: the margin is negative or leaves nothing of the hall.
+        InputError: the margin is negative or not less than the width.
     """
     mass, bank = airframe.mass, airframe.bank_limit
     heaviest = [
@@ -163,18 +158,15 @@ def sizing_record(airframe: Airframe, hall_width: float, margin: float = 0.0) ->
 
 
 def _grams(mass: float) -> float:
-    return round(1000.0 * mass, 6)  # a microgram; without it 9 g prints as 9.000000000000002
+    return round(1000.0 * mass, 6)  # to a microgram: 9 g would print as 9.000000000000002
 
 
 def draw_sizing(path: Path, airframe: Airframe, hall_width: float, margin: float = 0.0) -> None:
-    """Draw minimum speed and turn radius against mass, with the hall's limit and the paper's three
-    masses.
+    """Draw minimum speed and turn radius over mass, with the hall's limit and the paper's masses.
 
     Args:
-        path: the PNG file to write.
-        airframe: the aircraft; its mass is marked.
         hall_width: [m], > 0.
-        margin: part of the width to be left free [m], >= 0.
+        margin: part of the width that must stay free [m], >= 0.
     """
     from matplotlib.figure import Figure
 
@@ -183,16 +175,13 @@ def draw_sizing(path: Path, airframe: Airframe, hall_width: float, margin: float
         ("D", own_g, "this aircraft"),
         *(point for point in _PAPER_MASSES if abs(point[1] - own_g) > 0.5),
     ]
-    largest_g, bank = (
-        1.15 * max(point[1] for point in points),
-        f"{math.degrees(airframe.bank_limit):.3g} deg bank",
-    )
+    largest_g = 1.15 * max(point[1] for point in points)
+    bank = f"{math.degrees(airframe.bank_limit):.3g} deg bank"
     mass = np.linspace(0.1, 1.0, 200) * largest_g / 1000.0
     figure = Figure(figsize=(7.2, 7.2), layout="constrained")
     speed, radius = figure.subplots(2, 1, sharex=True)
-    speed.set_title(
-        f"{airframe.name}: every gram costs speed, and speed costs room", loc="left", fontsize=11
-    )
+    title = f"{airframe.name}: minimum speed and turn radius over mass"
+    speed.set_title(title, loc="left", fontsize=11)
     speed.plot(1000.0 * mass, minimum_speed(mass, airframe), color="0.1")
     speed.set(ylabel="minimum speed [m/s]", ylim=(0.0, None), xlim=(0.0, largest_g))
     radius.plot(
@@ -200,7 +189,7 @@ def draw_sizing(path: Path, airframe: Airframe, hall_width: float, margin: float
         level_turn_radius(mass, airframe),
         "--",
         color="0.1",
-        label=f"height held, {bank}",
+        label=f"level turn, {bank}",
     )
     radius.plot(
         1000.0 * mass,
@@ -220,10 +209,8 @@ def draw_sizing(path: Path, airframe: Airframe, hall_width: float, margin: float
         )
     for axes, law, unit in ((speed, minimum_speed, "m/s"), (radius, paper_turn_radius, "m")):
         for marker, mass_g, what in points:
-            value, fill = (
-                float(law(mass_g / 1000.0, airframe)),
-                "0.1" if mass_g == own_g else "white",
-            )
+            value = float(law(mass_g / 1000.0, airframe))
+            fill = "0.1" if mass_g == own_g else "white"
             label = f"{mass_g:g} g, {what}: {value:.2f} {unit}"
             axes.plot(
                 mass_g,
@@ -243,7 +230,7 @@ def draw_sizing(path: Path, airframe: Airframe, hall_width: float, margin: float
 
 
 def _print_record(record: dict[str, Any], out: Path | None) -> None:
-    """The tables, one sentence and the next line."""
+    """Print the tables, a sentence on the fit and the next line."""
     paper, level = record["paper_turn"], record["level_turn"]
     title = f"{record['name']}, {record['mass_g']:g} g, bank {record['bank_deg']:g} deg, "
     title += f"hall {record['hall_width_m']:g} m wide" + (
@@ -260,9 +247,9 @@ def _print_record(record: dict[str, Any], out: Path | None) -> None:
         ("load factor in the turn [-]", paper["load_factor"], level["load_factor"]),
         ("turn radius [m]", paper["radius_m"], level["radius_m"]),
         ("full circle, wall to wall [m]", 2.0 * paper["radius_m"], 2.0 * level["radius_m"]),
-        ("largest mass for the hall [g]", paper["largest_mass_g"], level["largest_mass_g"]),
+        ("maximum mass for the hall [g]", paper["largest_mass_g"], level["largest_mass_g"]),
     ]
-    print_table(("quantity", "paper's formula", "height held"), rows, title=title)
+    print_table(("quantity", "paper's formula", "level turn"), rows, title=title)
     print()
     parts = [
         (p["name"], p["mass_g"], f"inside {p['inside']}, not added" if p["inside"] else "")
@@ -272,7 +259,7 @@ def _print_record(record: dict[str, Any], out: Path | None) -> None:
     missing = record["unlisted_mass_g"]
     if abs(missing) > 0.05:
         remark = (
-            "not in the list of parts" if missing > 0 else "the parts weigh more than the aircraft"
+            "not in the list of parts" if missing > 0 else "the parts are heavier than the aircraft"
         )
         parts.append(("difference", missing, remark))
     print_table(("part", "mass [g]", "remark"), parts)
@@ -280,25 +267,24 @@ def _print_record(record: dict[str, Any], out: Path | None) -> None:
     if "balance" in record:
         print_parts(record)
     free = record["hall_width_m"] - record["margin_m"]
-    print(
-        f"{'fits' if record['fits'] else 'does NOT fit'} across {free:g} m. {_level_turn_sentence(level)}"
-    )
+    fits = "fits" if record["fits"] else "does NOT fit"
+    print(f"{fits} across {free:g} m. {_level_turn_sentence(level)}")
     if out is not None:
         next_line(f"look at {out / 'size.png'}")
     elif record["fits"]:
         next_line(
-            "falconwing size --mass-g 324 adds the paper's 174 g onboard computer; --out DIR draws it"
+            "falconwing size --mass-g 324 adds the paper's 174 g onboard computer; "
+            "--out DIR draws it"
         )
     else:
         next_line(
-            f"falconwing size --mass-g {math.floor(paper['largest_mass_g'])} still fits; --out DIR draws it"
+            f"falconwing size --mass-g {math.floor(paper['largest_mass_g'])} still fits; "
+            "--out DIR draws it"
         )
 
 
 def _level_turn_sentence(level: dict[str, Any]) -> str:
-    """What a turn that holds its height needs, in words."""
+    """The bank that a level turn needs, as a sentence."""
     if level["bank_needed_deg"] is None:
-        return "With height held no bank is steep enough."
-    return (
-        f"With height held the circle needs a bank of {level['bank_needed_deg']:.1f} deg or more."
-    )
+        return "No bank is steep enough for a level turn."
+    return f"A level turn needs a bank of at least {level['bank_needed_deg']:.1f} deg."

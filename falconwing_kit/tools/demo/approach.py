@@ -1,6 +1,4 @@
-"""The demo's approach: a landing flown by the loop in the simulated hall -> its log; and figures of
-any log.
-"""
+"""The demo's approach: a landing in the simulated hall -> its log; figures of any flight log."""
 
 import os
 import time
@@ -47,10 +45,8 @@ PART = Path(__file__).with_name("approach.html.j2")
 FIGURES = ("flight_fpv.png", "flight_path.png", "flight_sticks.png", "flight_film.png")
 PAD_BLUE = "#3d6fd6"
 STRIP_IMAGES = 6  # images in the strip
-FILM_HZ, FILM_COLOURS = 10.0, 256  # a film of about a megabyte
-FILM_FRAMES = (
-    200  # that many at most: a long flight has fewer a second, and its film fits any memory
-)
+FILM_HZ, FILM_COLOURS = 10.0, 256  # about a megabyte
+FILM_FRAMES = 200  # maximum, which bounds the memory: a long flight has fewer a second
 FILM_MAP = 300  # width of the maps beside the view [px]
 
 
@@ -59,32 +55,30 @@ class Approach:
     """A landing in the simulated hall."""
 
     log: Path
-    flight: LoopResult  # how the loop went
-    result: dict[str, Any]  # the judge's: success, ald_m, sink_rate_m_s, ...
-    hall: str = ""  # where the scene came from, in its own words
+    flight: LoopResult
+    result: dict[str, Any]  # of the evaluation: success, ald_m, sink_rate_m_s, ...
+    hall: str = ""  # source of the scene
 
 
 class PacedClock:
-    """Real time that waits for a slow machine: no step is left out, so a flight is the same on
-    every machine.
+    """Real time, or `speed` times it, without dropped steps: late steps delay all that follow.
 
-    Args:
-        speed: how fast time runs; below 1 is slow motion.
+    A flight is therefore the same on every machine.
     """
 
     def __init__(self, speed: float = 1.0) -> None:
         self._speed = speed
 
     def start(self) -> None:
-        """Now is zero."""
+        """Set the time to zero."""
         self._t, self._deadline_offset = 0.0, time.perf_counter()
 
     def now(self) -> float:
-        """Time of the flight [s]; it stands still between two steps."""
+        """Time of the flight [s]; constant between two steps."""
         return self._t
 
     def wait_until(self, t: float) -> None:
-        """Sleep until time t [s] is due; a step that came late shifts all that follow."""
+        """Sleep until time t [s]; a late step shifts all that follow."""
         self._deadline_offset = max(
             self._deadline_offset + (t - self._t) / self._speed, time.perf_counter()
         )
@@ -100,19 +94,14 @@ def fly_approach(
     seed: int = 0,
     link: AnalogVideo | None = None,
 ) -> Approach:
-    """Let the expert land by state, with the view from the nose rendered and everything logged.
+    """Fly the expert's landing with the onboard camera view rendered and everything logged.
 
     Args:
-        scene: the hall.
-        log: the MCAP file to write; an older one is replaced once the flight is over, and kept
-            where it is cut short.
-        hooks: shown every step.
-        clock: None for simulated time, as fast as it can.
-        seed: which of the frozen starts, about 20 m out and 1.5 m up.
-        link: the analog link that the view goes through; None for a direct view.
-
-    Returns:
-        How it went.
+        log: the MCAP file to write; an existing one is replaced after a complete flight only.
+        hooks: called with every step.
+        clock: None for simulated time, as fast as possible.
+        seed: selects one of the fixed initial states, about 20 m out and 1.5 m up.
+        link: analog video link of the camera; None for none.
 
     Raises:
         KeyboardInterrupt: Ctrl-C.
@@ -123,10 +112,10 @@ def fly_approach(
     trial, camera = task.trial(trial_seed(0, seed)), fpv_camera()
     view = RenderedView(trial.world, scene, camera, task.airframe.p_body_camera, link=link)
     judge = task.judge(trial, camera, view)
-    growing = log.with_name(f".{log.name}.part")
-    growing.unlink(missing_ok=True)
+    partial = log.with_name(f".{log.name}.part")
+    partial.unlink(missing_ok=True)
     try:
-        with FlightLogWriter(growing) as writer:
+        with FlightLogWriter(partial) as writer:
             writer.metadata(
                 {
                     "simulated": "yes",
@@ -136,24 +125,27 @@ def fly_approach(
                 }
             )
             loop = Loop(
-                task.expert(trial), trial.world, view, MeasuredStates(trial.world), clock=clock or SimulatedClock(),
-                log=writer, hooks=tuple(hooks),
-            )  # fmt: skip
+                task.expert(trial),
+                trial.world,
+                view,
+                MeasuredStates(trial.world),
+                clock=clock or SimulatedClock(),
+                log=writer,
+                hooks=tuple(hooks),
+            )
             flight = loop.run(trial.duration, judge.watch)
         if flight.reason == "interrupted":
             raise KeyboardInterrupt
-        os.replace(growing, log)
+        os.replace(partial, log)
     except OSError as error:
         raise write_error(log, error) from None
     finally:
-        growing.unlink(missing_ok=True)
+        partial.unlink(missing_ok=True)
     return Approach(log, flight, judge.result(), scene.source)
 
 
 def mode_at(log: FlightLog, t: float) -> str:
-    """The pilot's mode at a time since the log's start [s], as its log tells; empty where it does
-    not.
-    """
+    """The pilot's mode at a time since the log's start [s]; empty if not logged."""
     now = log_start_time(log) + t + TIME_ROUNDING
     return next((str(word) for begin, word in reversed(_modes(log)) if begin <= now), "")
 
@@ -165,7 +157,7 @@ def _modes(log: FlightLog) -> list[tuple[float, Any]]:
 
 
 def is_simulated(log: FlightLog) -> bool:
-    """Whether a log says of itself that it was simulated."""
+    """Whether a log's metadata marks it as simulated."""
     return log.metadata.get("simulated") == "yes"
 
 
@@ -174,11 +166,10 @@ def draw_flight(path: Path, folder: Path) -> tuple[Path, ...]:
 
     Args:
         path: the log (MCAP), with poses.
-        folder: where the figures go; it must exist.
+        folder: for the figures; it must exist.
 
     Returns:
-        flight_path.png and flight_sticks.png, and where there are images flight_fpv.png and
-        flight_film.png too.
+        flight_path.png and flight_sticks.png; with images also flight_fpv.png and flight_film.png.
 
     Raises:
         FileNotFoundError: there is no log.
@@ -188,7 +179,8 @@ def draw_flight(path: Path, folder: Path) -> tuple[Path, ...]:
     table = to_flight_table(log)
     if table.has_pose.sum() < 2:
         raise InputError(
-            f"{short_name(path)}: expected a log with at least two poses to draw, got {table.has_pose.sum()}"
+            f"{short_name(path)}: expected a log with at least two poses, "
+            f"got {table.has_pose.sum()}"
         )
     what = "SIMULATION" if is_simulated(log) else "FLIGHT"
     fpv, along, sticks, film = (folder / name for name in FIGURES)
@@ -202,43 +194,28 @@ def draw_flight(path: Path, folder: Path) -> tuple[Path, ...]:
 
 
 def draw_strip(log: FlightLog, table: FlightTable, path: Path, what: str) -> None:
-    """What the camera saw at a few places, evenly along the way.
-
-    Args:
-        log: the flight.
-        table: the same as a table.
-        path: the PNG to write.
-        what: SIMULATION or FLIGHT.
-    """
+    """Draw a few camera images, evenly spaced along the path; `what` is SIMULATION or FLIGHT."""
     rows = np.flatnonzero(table.has_pose)
-    way = np.concatenate(
-        [[0.0], np.cumsum(np.linalg.norm(np.diff(table.p_world[rows], axis=0), axis=1))]
-    )
-    chosen = [
-        rows[np.argmin(np.abs(way - part * way[-1]))]
-        for part in np.arange(STRIP_IMAGES) / STRIP_IMAGES
-    ]
-    seen = dict(_images_at(log, table.t[chosen]))
+    # arc length along the path, and the rows nearest to equal parts of it
+    steps = np.linalg.norm(np.diff(table.p_world[rows], axis=0), axis=1)
+    length = np.concatenate([[0.0], np.cumsum(steps)])
+    shares = np.arange(STRIP_IMAGES) / STRIP_IMAGES
+    chosen = [rows[np.argmin(np.abs(length - share * length[-1]))] for share in shares]
+    images = dict(_images_at(log, table.t[chosen]))
     with figure(path, 2, STRIP_IMAGES // 2, (8.0, 4.5)) as axes:
         for ax, row in zip(axes.flat, chosen, strict=True):
             x, _, height = table.p_world[row]
-            if float(table.t[row]) in seen:
-                ax.imshow(seen[float(table.t[row])])
+            if float(table.t[row]) in images:
+                ax.imshow(images[float(table.t[row])])
             ax.set_title(f"{table.t[row]:.1f} s: x {x:.1f} m, height {height:.2f} m")
             ax.set_axis_off()
         axes[0, 0].figure.suptitle(
-            f"{what}: the view from the nose", x=0.01, ha="left", fontweight="bold"
+            f"{what}: onboard camera view", x=0.01, ha="left", fontweight="bold"
         )
 
 
 def draw_path(table: FlightTable, path: Path, what: str) -> None:
-    """The path from above and from the side, with the pad.
-
-    Args:
-        table: the flight.
-        path: the PNG to write.
-        what: SIMULATION or FLIGHT.
-    """
+    """Draw the path from above and from the side, with the pad; `what` as in `draw_strip`."""
     from matplotlib.patches import Rectangle
 
     pad = LandingPad()
@@ -269,28 +246,21 @@ def draw_path(table: FlightTable, path: Path, what: str) -> None:
 def draw_control_inputs(
     table: FlightTable, modes: Sequence[tuple[float, Any]], path: Path, what: str
 ) -> None:
-    """Sticks, height and speed over time, with the pilot's modes.
-
-    Args:
-        table: the flight.
-        modes: when each began [s], and its name.
-        path: the PNG to write.
-        what: SIMULATION or FLIGHT.
-    """
+    """Draw commands, height and speed over time, with the pilot's modes as (start [s], name)."""
     with figure(path, 3, 1, (11.0, 6.2), sharex=True, height_ratios=[1.5, 1.0, 1.0]) as axes:
-        sticks, height, speed = axes[:, 0]
-        looks = (
+        inputs, height, speed = axes[:, 0]
+        styles = (
             ("throttle", QUIET, "-"),
             ("aileron", PREDICTED, "-"),
             ("elevator", ACCENT, "-"),
             ("rudder", PREDICTED, ":"),
         )
-        for values, (name, colour, line) in zip(table.commands.T, looks, strict=True):
-            sticks.step(table.t, values, where="post", color=colour, ls=line, lw=1.6, label=name)
-        sticks.set_ylim(-1.05, 1.05)
-        sticks.set_ylabel("sticks [-]")
-        sticks.legend(loc="upper right", ncols=4)
-        sticks.set_title(f"{what}: sticks, height and speed")
+        for values, (name, colour, line) in zip(table.commands.T, styles, strict=True):
+            inputs.step(table.t, values, where="post", color=colour, ls=line, lw=1.6, label=name)
+        inputs.set_ylim(-1.05, 1.05)
+        inputs.set_ylabel("commands [-]")
+        inputs.legend(loc="upper right", ncols=4)
+        inputs.set_title(f"{what}: commands, height and speed")
         height.plot(table.t, table.p_world[:, 2], color=PREDICTED, lw=1.8)
         speed.plot(table.t, speeds(table), color=ACCENT, lw=1.8)
         for ax, label in ((height, "height [m]"), (speed, "speed [m/s]")):
@@ -299,7 +269,7 @@ def draw_control_inputs(
         for begin, word in modes:
             for ax in axes[:, 0]:
                 ax.axvline(begin, color=QUIET, lw=0.8, ls="--")
-            sticks.annotate(
+            inputs.annotate(
                 str(word),
                 (begin, -1.0),
                 (4, 2),
@@ -318,14 +288,9 @@ def speeds(table: FlightTable) -> Array:
 
 
 def draw_film(log: FlightLog, table: FlightTable, path: Path, what: str) -> None:
-    """A film in the flight's own time: the view from the nose, and beside it the way from above and
-    from the side.
+    """Write an animated PNG in real time: onboard view, path from above and from the side.
 
-    Args:
-        log: the flight.
-        table: the same as a table.
-        path: the animated PNG to write; one palette for all of its images keeps it small.
-        what: SIMULATION or FLIGHT.
+    One palette for all frames keeps the file small.
     """
     from PIL import Image as Drawing
 
@@ -340,6 +305,7 @@ def draw_film(log: FlightLog, table: FlightTable, path: Path, what: str) -> None
         for t, pixels in _images_at(log, times):
             yield t, _film_frame(pixels, table, row_at[t], what)
 
+    # the palette is computed from a few frames, quartered in size
     few = [*row_at][:: max(1, len(row_at) // 8)]
     samples = np.concatenate([np.asarray(frame)[::4, ::4].copy() for _, frame in frames(few)])
     palette = Drawing.fromarray(samples).quantize(FILM_COLOURS)
@@ -361,7 +327,7 @@ def draw_film(log: FlightLog, table: FlightTable, path: Path, what: str) -> None
 
 
 def _film_frame(pixels: NDArray[np.uint8], table: FlightTable, row: int, what: str) -> Any:
-    """One image of the film: the view, and beside it the way so far from above and from the side."""
+    """One frame of the film: the image, and the path so far from above and from the side."""
     from PIL import Image as Drawing
     from PIL import ImageDraw, ImageFont
 
@@ -371,13 +337,11 @@ def _film_frame(pixels: NDArray[np.uint8], table: FlightTable, row: int, what: s
     pen, font, pad = ImageDraw.Draw(sheet), ImageFont.load_default(15), LandingPad()
     x, y, z = table.p_world[table.has_pose].T
     so_far = table.p_world[: row + 1][table.has_pose[: row + 1]]
-    low, right = (
-        min(float(x.min()), pad.x_start) - 1.0,
-        max(float(x.max()), pad.x_start + pad.length) + 1.0,
-    )
+    low = min(float(x.min()), pad.x_start) - 1.0
+    right = max(float(x.max()), pad.x_start + pad.length) + 1.0
     begin, edge = pad.x_start, pad.width / 2.0
     across = max(float(np.abs(y - pad.y_centre).max()), edge) + 0.3
-    # which axis, where in the sheet its 0 and its scale are, and the pad's extent along it
+    # world axis, its zero and scale on the sheet [px], its centre, the pad's extent along it
     views = (
         (1, 0.40 * high, 0.20 * high / across, pad.y_centre, (-edge, edge)),
         (2, 0.95 * high, 0.30 * high / max(float(z.max()), 1.0), 0.0, (0.0, pad.height)),
@@ -403,15 +367,13 @@ def _film_frame(pixels: NDArray[np.uint8], table: FlightTable, row: int, what: s
 
 
 def _images_at(log: FlightLog, times: Iterable[float]) -> Iterator[tuple[float, NDArray[np.uint8]]]:
-    """The images taken at some times of a table, each with its time, one by one: a log may hold
-    more than memory.
-    """
+    """The images of given times with their times, one by one, since a log may exceed memory."""
     wanted = {float(t) for t in times}
     return ((image.t, decode_jpeg(image)) for image in log.images() if image.t in wanted)
 
 
 def approach_record(approach: Approach) -> dict[str, Any]:
-    """The approach as plain numbers, for demo.json."""
+    """The approach as numbers, for demo.json."""
     result = {name: value for name, value in approach.result.items() if name != "path_m"}
     return {
         "made_by": "this kit, SIMULATED",
@@ -423,17 +385,17 @@ def approach_record(approach: Approach) -> dict[str, Any]:
 
 
 def approach_section(approach: Approach, folder: Path) -> str:
-    """The approach on the demo's page.
-
-    Args:
-        approach: the landing.
-        folder: where `draw_flight` left its figures.
-
-    Returns:
-        HTML.
-    """
+    """The approach on the demo's page, as HTML; `folder` holds the figures of `draw_flight`."""
     fpv, along, sticks, film = (folder / name for name in FIGURES)
     return render(
-        PART, result=approach.result, reason=approach.flight.reason, seconds=approach.flight.t[-1], hall=approach.hall,
-        log=approach.log.name, fpv=fpv, along=along, sticks=sticks, film=film,
-    )  # fmt: skip
+        PART,
+        result=approach.result,
+        reason=approach.flight.reason,
+        seconds=approach.flight.t[-1],
+        hall=approach.hall,
+        log=approach.log.name,
+        fpv=fpv,
+        along=along,
+        sticks=sticks,
+        film=film,
+    )

@@ -1,4 +1,4 @@
-"""Figures of an identification: what was found -> PNG files that read well in colour and in grey."""
+"""Figures of an identification: result of `identify` -> PNG files, readable in grey too."""
 
 from pathlib import Path
 from typing import Any
@@ -16,15 +16,7 @@ LABELS = ("x [m]", "y [m]", "height [m]", "roll [deg]", "pitch [deg]", "yaw [deg
 
 
 def draw_identification(found: Identification, folder: Path) -> tuple[Path, ...]:
-    """Write the three figures of an identification.
-
-    Args:
-        found: the identification.
-        folder: where the files go; it must exist.
-
-    Returns:
-        predicted.png, residuals.png and intervals.png.
-    """
+    """Write predicted.png, residuals.png and intervals.png to a folder, which must exist."""
     paths = tuple(folder / name for name in ("predicted.png", "residuals.png", "intervals.png"))
     draw_predictions(found, paths[0])
     draw_residuals(found, paths[1])
@@ -33,18 +25,14 @@ def draw_identification(found: Identification, folder: Path) -> tuple[Path, ...]
 
 
 def draw_predictions(found: Identification, path: Path) -> None:
-    """Predicted against measured poses in the held-out time, and the track from above.
-
-    Args:
-        found: the identification.
-        path: the PNG to write.
-    """
+    """Draw predicted and measured poses of the held-out data, and the track from above."""
     windows, scored, what = _scored_windows(found)
     shown = _first_block(windows.nodes)
     measured = np.where(windows.weight > 0, windows.pose, np.nan)[shown]
     predicted = fly_windows(
         found.train_model, select_windows(windows, shown), scored.initial_states[shown]
     )
+    # unwrapped yaw: remove whole turns for the plot
     turns = np.round(np.nanmean(measured[..., 5]) / (2.0 * np.pi))
     nodes = windows.nodes[shown]
     scale = np.array([1.0, 1.0, 1.0, *[180.0 / np.pi] * 3])
@@ -59,7 +47,7 @@ def draw_predictions(found: Identification, path: Path) -> None:
             ax.set_ylabel(label)
             if channel % 3 == 2:
                 ax.set_xlabel("time [s]")
-        axes[0, 0].set_title(f"Two seconds ahead from each dot, {what}")
+        axes[0, 0].set_title(f"2 s predictions from each dot, {what}")
         _draw_track(axes, measured, predicted)
 
 
@@ -72,7 +60,7 @@ def _draw_window(
 
 
 def _first_block(nodes: Array) -> np.ndarray:
-    """Indices of the first run of windows that follow each other, ten at most."""
+    """Indices of the first contiguous windows, ten at most."""
     breaks = np.flatnonzero(np.abs(nodes[1:, 0] - nodes[:-1, -1]) > 0.5)
     return np.arange(min(int(breaks[0]) + 1 if len(breaks) else len(nodes), 10))
 
@@ -86,8 +74,8 @@ def _draw_track(axes: Any, measured: Array, predicted: Array) -> None:
     for m, p in zip(measured, predicted, strict=True):
         _draw_window(ax, m[:, 0], p[:, 0], m[:, 1], p[:, 1])
     below.plot([], [], ".", color=MEASURED, label="measured pose")
-    below.plot([], [], "-", color=PREDICTED, label="model, on the logged sticks alone")
-    below.plot([], [], "o", ms=4.0, color=ACCENT, label="start state, estimated")
+    below.plot([], [], "-", color=PREDICTED, label="model, from logged inputs")
+    below.plot([], [], "o", ms=4.0, color=ACCENT, label="initial state, estimated")
     below.axis("off")
     below.legend(loc="upper center")
     ax.set_aspect("equal", adjustable="box")
@@ -97,17 +85,11 @@ def _draw_track(axes: Any, measured: Array, predicted: Array) -> None:
 
 
 def draw_residuals(found: Identification, path: Path) -> None:
-    """Residuals of the held-out time: against time ahead, their distribution, and their correlation
-    in time.
-
-    Args:
-        found: the identification.
-        path: the PNG to write.
-    """
+    """Draw the held-out residuals over the horizon, their distribution and autocorrelation."""
     windows, scored, what = _scored_windows(found)
-    seen = windows.weight > 0
+    observed = windows.weight > 0
     ahead = (windows.nodes - windows.nodes[:, :1]).mean(axis=0)
-    counts = np.maximum(seen.sum(axis=0), 1)
+    counts = np.maximum(observed.sum(axis=0), 1)
     spread = np.sqrt((scored.residual**2).sum(axis=0) / counts)
     with figure(path, 1, 3, (11.0, 3.4)) as axes:
         ahead_axis, histogram, correlation = axes[0]
@@ -119,10 +101,10 @@ def draw_residuals(found: Identification, path: Path) -> None:
         ahead_axis.axhline(1.0, color=QUIET, lw=0.8)
         ahead_axis.set_ylim(0.0, max(2.0, float(spread.max()) * 1.1))
         ahead_axis.set_title(f"Error, {what}")
-        ahead_axis.set_xlabel("time ahead [s]")
+        ahead_axis.set_xlabel("prediction horizon [s]")
         ahead_axis.set_ylabel("rms residual [sigma of the pose noise]")
         ahead_axis.legend(loc="upper right")
-        values = scored.residual[seen]
+        values = scored.residual[observed]
         bins = np.linspace(-5.0, 5.0, 41)
         histogram.hist(
             np.clip(values, -5, 5), bins, density=True, color="#b9cde0", edgecolor="white", lw=0.4
@@ -133,34 +115,29 @@ def draw_residuals(found: Identification, path: Path) -> None:
             np.exp(-0.5 * grid**2) / np.sqrt(2.0 * np.pi),
             color=QUIET,
             lw=1.2,
-            label="pure noise",
+            label="white noise",
         )
         histogram.set_title("All channels")
         histogram.set_xlabel("residual [sigma]")
         histogram.set_ylabel("density [1/sigma]")
         histogram.legend(loc="upper right")
-        lags, position, attitude = _autocorrelation(scored.residual, seen)
+        lags, position, attitude = _autocorrelation(scored.residual, observed)
         correlation.plot(lags, position, "o-", ms=3, color=PREDICTED, label="position")
         correlation.plot(lags, attitude, "s--", ms=3, color=ACCENT, label="attitude")
         correlation.axhline(0.0, color=QUIET, lw=0.8)
-        correlation.set_title("Slow errors left over")
+        correlation.set_title("Remaining correlation")
         correlation.set_xlabel("lag [frames]")
         correlation.set_ylabel("autocorrelation [-]")
         correlation.legend(loc="upper right")
 
 
 def draw_intervals(found: Identification, path: Path) -> None:
-    """Every parameter with its 95 % interval, relative to its value or to an ordinary value.
-
-    Args:
-        found: the identification.
-        path: the PNG to write.
-    """
+    """Draw every parameter's 95 % interval relative to its value or its typical value."""
     model, confidence = found.model, found.uncertainty
     known = {p.name: p for p in model.parameters}
     names = [n for n in confidence.names if n not in confidence.at_bound]
-    ordinary = np.array([ordinary_size(known[n], model.values[n]) for n in names])
-    half = np.array([1.96 * confidence.sigma[n] for n in names]) / ordinary * 100.0
+    typical = np.array([ordinary_size(known[n], model.values[n]) for n in names])
+    half = np.array([1.96 * confidence.sigma[n] for n in names]) / typical * 100.0
     order = np.argsort(half)
     with figure(path, 1, 1, (7.6, 0.24 * len(names) + 1.2)) as axes:
         ax = axes[0, 0]
@@ -179,29 +156,30 @@ def draw_intervals(found: Identification, path: Path) -> None:
         ax.set_xlim(0.05, 1000.0)
         ax.axvline(50.0, color=QUIET, lw=0.8, ls=":")
         ax.set_xlabel(
-            "half width of the 95 % interval [% of an ordinary value]; right of the dotted line: not excited"
+            "half width of the 95 % interval [% of a typical value]; "
+            "right of the dotted line: not excited"
         )
-        ax.set_title("How well this flight pins each parameter down")
+        ax.set_title("Uncertainty of each parameter from this flight")
 
 
 def _scored_windows(found: Identification) -> tuple[Any, Any, str]:
     if found.held_out is None:
-        return found.windows, found.train, "the fitted time itself"
-    return select_windows(found.windows, found.held_out_index), found.held_out, "held-out time"
+        return found.windows, found.train, "fitted data"
+    return select_windows(found.windows, found.held_out_index), found.held_out, "held-out data"
 
 
 def _autocorrelation(
-    residual: Array, seen: np.ndarray, lags: int = 15
+    residual: Array, observed: np.ndarray, lags: int = 15
 ) -> tuple[Array, Array, Array]:
     """Autocorrelation within windows, averaged over three position and three attitude channels."""
     shift = np.arange(1, min(lags, residual.shape[1] - 1) + 1)
     found = np.empty((len(shift), 6))
     for i, k in enumerate(shift):
-        both = seen[:, k:] & seen[:, :-k]
+        both = observed[:, k:] & observed[:, :-k]
         product = (residual[:, k:] * residual[:, :-k] * both).sum(axis=(0, 1)) / np.maximum(
             both.sum(axis=(0, 1)), 1
         )
         found[i] = product / np.maximum(
-            (residual**2).sum(axis=(0, 1)) / np.maximum(seen.sum(axis=(0, 1)), 1), 1e-12
+            (residual**2).sum(axis=(0, 1)) / np.maximum(observed.sum(axis=(0, 1)), 1), 1e-12
         )
     return shift, found[:, :3].mean(axis=1), found[:, 3:].mean(axis=1)

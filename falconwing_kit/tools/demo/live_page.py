@@ -1,9 +1,8 @@
-"""Live page: a scene and the steps of a flight -> a browser page with FPV view, hall, sticks and
-plots.
+"""Live page: a scene and the steps of a flight -> a browser page with FPV view, hall and plots.
 
-The page is served by viser to this machine only and asks nothing of any other. The flight never
-waits for it: `show` keeps the newest step and returns, and a thread of its own draws, so a slow
-browser sees fewer steps, not a slow flight.
+Viser serves the page to this machine only, without requests to any other. The loop never waits for
+it: `show` stores the newest step and returns, and a second thread draws, so a slow browser drops
+frames and does not slow the flight.
 """
 
 import html
@@ -34,22 +33,19 @@ from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import render
 
 HOST = "127.0.0.1"
-PERIOD_S, PLOT_EVERY = 0.05, 4  # the loop has news every 50 ms; plots are drawn at every fourth
+PERIOD_S, PLOT_EVERY = 0.05, 4  # the loop's period; plots are drawn at every fourth step
 PANEL_PX = 420
-WINDOW_S = 30.0  # what the plots look back
+WINDOW_S = 30.0  # time range of the plots
 BLUE, RUST, QUIET, LINE = "#0b5394", "#c1440e", "#666", "#ddd"  # as on the kit's other pages
-CHASE_FROM, CHASE_TO = (
-    np.array([-3.2, -2.3, 1.0]),
-    np.array([0.6, 0.0, 0.05]),
-)  # camera and what it looks at [m]
-FAR_M = 400.0  # from this far away a camera sees a side of the hall as good as straight on
-THICK_M = 0.6  # what stands out from a side less than this belongs to its picture
-FACE_PX = 2000  # along the longer edge of a side
+# chase camera and its target, relative to the aircraft [m]
+CHASE_FROM, CHASE_TO = np.array([-3.2, -2.3, 1.0]), np.array([0.6, 0.0, 0.05])
+FAR_M = 400.0  # camera distance for a nearly orthographic image of a side of the hall
+THICK_M = 0.6  # Gaussians closer than this to a side belong to its image
+FACE_PX = 2000  # longer edge of a side's image
 
 PATH_RGB, PATH_PIECES = (193, 68, 14), 400
 WHITE, RED, NAVY, DARK = (238, 238, 234), (205, 55, 50), (48, 76, 160), (50, 50, 52)
-# The aircraft as boxes in body axes: colour, size and centre [m]; 0.70 m of span and 0.52 m long,
-# as the real one.
+# The aircraft as boxes in body axes: colour, size and centre [m]; span 0.70 m, length 0.52 m.
 AIRCRAFT: tuple[tuple[tuple[int, int, int], Sequence[float], Sequence[float]], ...] = (
     (WHITE, (0.240, 0.065, 0.075), (0.030, 0.0, 0.0)),  # fuselage
     (WHITE, (0.220, 0.035, 0.040), (-0.180, 0.0, -0.010)),
@@ -66,12 +62,12 @@ AIRCRAFT: tuple[tuple[tuple[int, int, int], Sequence[float], Sequence[float]], .
 
 
 class LivePage:
-    """A page that shows a flight while it is flown: `show(step)`, and `close()` at the end.
+    """A page that shows a running flight: `show(step)` for every step, and `close()` at the end.
 
     Args:
-        scene: the hall; None for an empty page that `set_scene` furnishes later.
-        port: where to serve; where it is taken, the next free one, with a warning.
-        banner: what is flown, on top of the page: a simulation is called one.
+        scene: the hall; None for an empty page and `set_scene` later.
+        port: TCP port; if it is taken the next free one, with a warning.
+        banner: label on top of the page; a simulation is labelled as one.
 
     Raises:
         InputError: the port is not in 1024..65000.
@@ -89,30 +85,26 @@ class LivePage:
         self._banner = banner
         self._newest: LoopStep | None = None
         self._past: list[tuple[float, ...]] = []  # time, position and speed of every step shown
-        self._lock, self._news, self._closing = (
-            threading.Lock(),
-            threading.Event(),
-            threading.Event(),
-        )
+        self._lock = threading.Lock()
+        self._news, self._closing = threading.Event(), threading.Event()
         self._build()
         if scene is not None:
             self.set_scene(scene)
-        self._server.on_client_connect(
-            lambda client: self._news.set()
-        )  # who comes late sees the newest step too
+        # a browser that connects late gets the newest step too
+        self._server.on_client_connect(lambda client: self._news.set())
         self._thread = threading.Thread(target=self._draw_loop, name="live page", daemon=True)
         self._thread.start()
 
     def set_scene(self, scene: GaussianScene) -> None:
-        """Furnish the page with a hall, in the kit's world."""
+        """Add a hall, in the kit's world frame."""
         _add_hall(self._server.scene, scene)
 
     def open(self) -> bool:
-        """Open the page in this machine's browser; False where there is none to be opened."""
+        """Open the page in this machine's browser; False if there is none."""
         return webbrowser.open(self.url)
 
     def wait_for_viewer(self, seconds: float) -> bool:
-        """Wait until a browser shows the page, at most so long [s]; False where none came."""
+        """Wait at most `seconds` until a browser shows the page; False if none did."""
         end = time.monotonic() + seconds
         while not self._server.get_clients() and time.monotonic() < end:
             time.sleep(0.05)
@@ -125,12 +117,11 @@ class LivePage:
         self.close()
 
     def show(self, step: LoopStep) -> None:
-        """Show a step as soon as there is time; steps that are older by then are left out.
+        """Show a step as soon as possible; older steps not drawn by then are dropped.
 
         Args:
-            step: of the loop. One that is earlier than the last begins a new flight. An aircraft
-                whose pose is not known, as a log may say of it, is hidden; where only its speed is
-                not, that is left out of the plot.
+            step: of the loop; an earlier time than the last step's starts a new flight. An aircraft
+                without a known pose is hidden; an unknown speed is left out of the plot.
         """
         state = _state_with_pose(step.state)
         step = replace(step, state=state, leader=_state_with_pose(step.leader))
@@ -145,7 +136,7 @@ class LivePage:
         self._news.set()
 
     def close(self) -> None:
-        """Draw what is left, then end the page."""
+        """Draw the last step, then close the page."""
         self._closing.set()
         self._news.set()
         self._thread.join()
@@ -153,7 +144,7 @@ class LivePage:
             self._server.stop()
 
     def _build(self) -> None:
-        """Lay out the empty page."""
+        """Create the elements of the empty page."""
         server = self._server
         self._aircraft, self._leader = (
             _add_aircraft(server.scene, name) for name in ("/aircraft", "/leader")
@@ -174,7 +165,7 @@ class LivePage:
         self._following = server.gui.add_checkbox("follow the aircraft", True)
 
     def _draw_loop(self) -> None:
-        """Draw the newest step until the page closes; a fault ends the page and not the flight."""
+        """Draw the newest step until the page closes; an error ends the page, not the flight."""
         drawn = 0
         try:
             while self._news.is_set() or not self._closing.is_set():
@@ -188,12 +179,12 @@ class LivePage:
                 self._closing.wait(PERIOD_S)
         except Exception as fault:
             warnings.warn(
-                f"the live page stopped ({type(fault).__name__}: {fault}); the flight goes on",
+                f"the live page stopped ({type(fault).__name__}: {fault}); the flight continues",
                 stacklevel=2,
             )
 
     def _draw(self, step: LoopStep, past: Array, plots: bool) -> None:
-        """Bring the page to this step; past is (N, 5) of time, position and speed."""
+        """Update the page to this step; past is (N, 5) of time, position and speed."""
         place = past[:, 1:4].astype(np.float32)
         with self._server.atomic():
             _move_aircraft(self._aircraft, step.state)
@@ -210,15 +201,14 @@ class LivePage:
                 )
                 self._drop.visible = True
             if len(place) > 1:
-                # Always as many pieces: the browser keeps the colours of as many as there were at
-                # first.
-                bends = place[np.linspace(0, len(place) - 1, PATH_PIECES + 1).astype(int)]
-                self._path.points = np.stack([bends[:-1], bends[1:]], axis=1)
+                # a constant number of segments, because viser fixes the array of colours
+                points = place[np.linspace(0, len(place) - 1, PATH_PIECES + 1).astype(int)]
+                self._path.points = np.stack([points[:-1], points[1:]], axis=1)
             if plots:
                 self._plots.content = plots_html(past[:, [0, 3, 4]], step.command)
 
     def _move_cameras(self, p_world: Array) -> None:
-        """Take every browser's camera along, unless its user would rather look around."""
+        """Move every browser's camera with the aircraft, if 'follow the aircraft' is on."""
         if not self._following.value:
             return
         for client in self._server.get_clients().values():
@@ -228,20 +218,12 @@ class LivePage:
 
 
 def _state_with_pose(state: State | None) -> State | None:
-    """The state if it says where the aircraft is and how it is turned, else None."""
+    """The state if its pose is finite, else None."""
     return state if state is not None and np.isfinite(state.pose.T_world_body).all() else None
 
 
 def head_html(banner: str, step: LoopStep | None) -> str:
-    """The top of the panel: what is flown, its mode, and where it is.
-
-    Args:
-        banner: such as "SIMULATION".
-        step: the step to show; None before the first.
-
-    Returns:
-        HTML.
-    """
+    """HTML of the panel's top: banner, mode, time and position; step None before the first."""
     mode, numbers = (
         ("", "waiting for the first step") if step is None else (step.mode, f"{step.t:.1f} s")
     )
@@ -249,44 +231,45 @@ def head_html(banner: str, step: LoopStep | None) -> str:
         x, y, z = step.state.p_world
         numbers += f" &nbsp; x {x:.1f} m &nbsp; y {y:+.2f} m &nbsp; height {z:.2f} m"
     return (
-        f'<style>img{{width:100%}}</style><div style="font:14px system-ui,sans-serif;padding:10px 14px 2px">'
-        f'<b style="color:#fff;background:{RUST};border-radius:4px;padding:3px 9px;letter-spacing:.06em">'
-        f'{html.escape(banner)}</b> <b style="font-size:19px;margin-left:8px">{html.escape(mode)}</b>'
-        f'<div style="color:{QUIET};margin-top:7px;font-variant-numeric:tabular-nums">{numbers}</div></div>'
+        "<style>img{width:100%}</style>"
+        '<div style="font:14px system-ui,sans-serif;padding:10px 14px 2px">'
+        f'<b style="color:#fff;background:{RUST};border-radius:4px;padding:3px 9px;'
+        f'letter-spacing:.06em">{html.escape(banner)}</b> '
+        f'<b style="font-size:19px;margin-left:8px">{html.escape(mode)}</b>'
+        f'<div style="color:{QUIET};margin-top:7px;font-variant-numeric:tabular-nums">'
+        f"{numbers}</div></div>"
     )
 
 
 def plots_html(past: Array, command: Command | None) -> str:
-    """The sticks, and height and speed over time.
+    """HTML with inline SVG: the command as two sticks, height and speed over time.
 
     Args:
         past: (N, 3) time [s], height [m] and speed [m/s] of the steps so far.
-        command: where the sticks are; None before the first step.
-
-    Returns:
-        HTML with inline SVG.
+        command: None before the first step.
     """
     sticks = command.vector if command is not None else np.zeros(4)
     throttle, aileron, elevator, rudder = (float(value) for value in sticks)
-    # As on a mode 2 transmitter: an elevator that raises the nose is a stick pulled back, which is
-    # down in the drawing.
+    # As on a mode 2 transmitter: nose-up elevator is the stick pulled back, down in the drawing.
     boxes = _stick(
         95, rudder, 2.0 * throttle - 1.0, f"throttle {throttle:.2f}", f"rudder {rudder:+.2f}"
     )
     boxes += _stick(275, aileron, -elevator, f"elevator {elevator:+.2f}", f"aileron {aileron:+.2f}")
     lines = _plot(past[:, [0, 1]], "height [m]", BLUE) + _plot(past[:, [0, 2]], "speed [m/s]", RUST)
     return (
-        '<div style="padding:4px 14px"><svg viewBox="0 0 370 150" style="width:100%;font:12px system-ui,sans-serif">'
+        '<div style="padding:4px 14px">'
+        '<svg viewBox="0 0 370 150" style="width:100%;font:12px system-ui,sans-serif">'
         f"{boxes}</svg>{lines}</div>"
     )
 
 
 def _stick(centre: float, right: float, up: float, above: str, below: str) -> str:
-    """One stick of the transmitter, both of its positions in -1..1."""
+    """One stick of a transmitter as SVG, both positions in -1..1."""
     left, size = centre - 50.0, 100.0
     x, y = centre + 44.0 * right, 75.0 - 44.0 * up
     return (
-        f'<rect x="{left}" y="25" width="{size}" height="{size}" rx="8" fill="#f6f6f6" stroke="{LINE}"/>'
+        f'<rect x="{left}" y="25" width="{size}" height="{size}" rx="8" fill="#f6f6f6" '
+        f'stroke="{LINE}"/>'
         f'<path d="M{centre} 25v100M{left} 75h100" stroke="{LINE}"/>'
         f'<path d="M{centre} 75L{x:.1f} {y:.1f}" stroke="{QUIET}" stroke-width="3"/>'
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="8" fill="{BLUE}"/>'
@@ -296,9 +279,7 @@ def _stick(centre: float, right: float, up: float, above: str, below: str) -> st
 
 
 def _plot(series: Array, label: str, colour: str) -> str:
-    """A line over the last seconds; series is (N, 2) of time and value, rows without a value are
-    left out.
-    """
+    """A line plot of the last WINDOW_S; series is (N, 2) of time and value, nan is left out."""
     series = series[np.isfinite(series[:, 1])]
     recent = (
         series[series[:, 0] >= series[-1, 0] - WINDOW_S] if len(series) else np.array([[0.0, 0.0]])
@@ -311,8 +292,8 @@ def _plot(series: Array, label: str, colour: str) -> str:
         f"{30 + 330 * (t - begin) / span:.1f},{92 - 76 * v / top:.1f}" for t, v in recent
     )
     levels = "".join(
-        f'<path d="M30 {92 - 76 * k * tick / top:.1f}h330" stroke="{LINE}"/><text x="25" text-anchor="end" '
-        f'y="{96 - 76 * k * tick / top:.1f}">{k * tick:g}</text>'
+        f'<path d="M30 {92 - 76 * k * tick / top:.1f}h330" stroke="{LINE}"/>'
+        f'<text x="25" text-anchor="end" y="{96 - 76 * k * tick / top:.1f}">{k * tick:g}</text>'
         for k in range(round(top / tick) + 1)
     )
     times = "".join(
@@ -320,32 +301,29 @@ def _plot(series: Array, label: str, colour: str) -> str:
         for t in np.arange(5.0 * math.ceil(begin / 5.0), begin + span - 1.0, 5.0)
     )
     return (
-        f'<svg viewBox="0 0 370 112" style="width:100%;font:11px system-ui,sans-serif" fill="{QUIET}">{levels}{times}'
-        f'<text x="365" y="107" text-anchor="end">time [s]</text><text x="30" y="10" fill="{colour}" '
-        f'font-weight="600">{label}</text><polyline points="{points}" fill="none" stroke="{colour}" '
-        f'stroke-width="2"/></svg>'
+        f'<svg viewBox="0 0 370 112" style="width:100%;font:11px system-ui,sans-serif" '
+        f'fill="{QUIET}">{levels}{times}'
+        f'<text x="365" y="107" text-anchor="end">time [s]</text>'
+        f'<text x="30" y="10" fill="{colour}" font-weight="600">{label}</text>'
+        f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2"/></svg>'
     )
 
 
 def _round_tick(top: float) -> float:
-    """A round step of which two to four reach the top."""
+    """A round step, two to four of which reach `top`."""
     size = 10.0 ** math.floor(math.log10(top))
     return next(size * part for part in (0.25, 0.5, 1.0, 2.5, 5.0) if top / (size * part) <= 4.0)
 
 
 def hall_sides(scene: GaussianScene) -> Iterator[tuple[Array, NDArray[np.uint8]]]:
-    """Floor and walls as pictures, for a view of the hall that a browser draws at once, where 150k
-    Gaussians take long.
+    """Floor, walls and marker of a hall as textured quads, which a browser draws quickly.
 
-    Each side is rendered from far away, with the Gaussians that are on it. The ceiling is left out:
-    one looks in.
-
-    Args:
-        scene: the hall, in the kit's world.
+    Each side is rendered from far away, with the Gaussians near it. The ceiling is left out for the
+    view from above.
 
     Yields:
-        corners (4, 3) in the world [m] as seen from inside, from top left clockwise, and rgb (H, W,
-        3).
+        corners (4, 3) in the world [m], viewed from inside, clockwise from the top left, and rgb
+        (H, W, 3).
     """
     if "leader" in scene.label_names:
         scene = leader_at(scene, None)
@@ -357,19 +335,19 @@ def hall_sides(scene: GaussianScene) -> Iterator[tuple[Array, NDArray[np.uint8]]
         depth = float(half @ np.abs(ahead))
         near = np.abs((scene.means - centre) @ ahead - depth) < THICK_M
         if near.any():
-            yield _picture(
+            yield _render_side(
                 scene.selected(near), centre + depth * ahead, np.cross(down, ahead), down, half
             )
-    if "marker" in scene.label_names:  # stands in the hall, facing the approach
+    if "marker" in scene.label_names:  # vertical, facing the approach
         marker = scene.selected(scene.labelled("marker"))
         low, high = marker.means.min(axis=0), marker.means.max(axis=0)
-        yield _picture(marker, (low + high) / 2.0, -y, -z, (high - low) / 2.0)
+        yield _render_side(marker, (low + high) / 2.0, -y, -z, (high - low) / 2.0)
 
 
-def _picture(
+def _render_side(
     scene: GaussianScene, middle: Array, right: Array, down: Array, half: Array
 ) -> tuple[Array, Any]:
-    """A side as seen from inside: its corners and what is on it."""
+    """A side viewed from inside: corners (4, 3) [m] and a nearly orthographic image."""
     wide, high = (float(half @ np.abs(edge)) for edge in (right, down))
     scale = FACE_PX / (2.0 * max(wide, high))  # pixels a metre
     width, height = round(2.0 * wide * scale), round(2.0 * high * scale)
@@ -387,26 +365,29 @@ def _picture(
 
 
 def _add_hall(page: Any, scene: GaussianScene) -> None:
-    """The hall's sides, each seen from its inner face only, so that no wall hides the flight."""
+    """Add the hall's sides, visible from the inside only, so that no wall hides the flight."""
     import trimesh
     from PIL import Image as Picture
 
     for number, (corners, rgb) in enumerate(hall_sides(scene)):
         packed = io.BytesIO()
         Picture.fromarray(rgb).save(packed, format="JPEG", quality=88)
-        # Light that the picture gives off itself: what it shows is lit already.
+        # emissive: the image is lit already
         material = trimesh.visual.material.PBRMaterial(
-            emissiveTexture=Picture.open(packed), emissiveFactor=[1.0, 1.0, 1.0], baseColorFactor=[0, 0, 0, 255],
-            metallicFactor=0.0, roughnessFactor=1.0,
-        )  # fmt: skip
+            emissiveTexture=Picture.open(packed),
+            emissiveFactor=[1.0, 1.0, 1.0],
+            baseColorFactor=[0, 0, 0, 255],
+            metallicFactor=0.0,
+            roughnessFactor=1.0,
+        )
         uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
-        look = trimesh.visual.TextureVisuals(uv=uv, material=material)
-        sides = trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], visual=look, process=False)
+        texture = trimesh.visual.TextureVisuals(uv=uv, material=material)
+        sides = trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], visual=texture, process=False)
         page.add_mesh_trimesh(f"/hall/{number}", sides, cast_shadow=False, receive_shadow=False)
 
 
 def _set_initial_view(camera: Any) -> None:
-    """Begin with a view across the last of the approach and the pad."""
+    """Initial view across the end of the approach and the pad."""
     pad = LandingPad()
     threshold = np.array([pad.x_start, pad.y_centre, 0.0])
     camera.fov = math.radians(50.0)
@@ -415,7 +396,7 @@ def _set_initial_view(camera: Any) -> None:
 
 
 def _add_aircraft(page: Any, name: str) -> Any:
-    """The aircraft, in its body axes below one frame that moves."""
+    """Add the aircraft as boxes below one moving body frame; the frame."""
     frame = page.add_frame(name, show_axes=False)
     for number, (colour, size, centre) in enumerate(AIRCRAFT):
         page.add_box(
@@ -425,7 +406,7 @@ def _add_aircraft(page: Any, name: str) -> Any:
 
 
 def _move_aircraft(frame: Any, state: State | None) -> None:
-    """Put an aircraft where it is, or hide it."""
+    """Move an aircraft to its pose, or hide it without a state."""
     from viser.transforms import SO3
 
     if state is not None:
@@ -435,16 +416,15 @@ def _move_aircraft(frame: Any, state: State | None) -> None:
 
 
 def _serve(port: int) -> Any:
-    """A server that only this machine reaches, and that opens no way around that."""
+    """A viser server reachable from this machine only, without viser's share tunnel."""
     import viser
 
     with _silence_viser():
         server = viser.ViserServer(host=HOST, port=port, label="FalconWing", verbose=False)
-    # The page's share button would ask an outside host for a tunnel: it goes, and so does what it
-    # calls.
+    # The share button requests a tunnel from an outside host: remove it and the method behind it.
     server.request_share_url = lambda *_, **__: None  # type: ignore[method-assign]
     server.gui.configure_theme(show_logo=False, show_share_button=False)
-    server.scene.configure_environment_map(None)  # its reflections would wash out the hall
+    server.scene.configure_environment_map(None)  # its reflections reduce the hall's contrast
     server.scene.add_light_ambient("/light", intensity=2.5)
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(PANEL_PX)
@@ -453,7 +433,7 @@ def _serve(port: int) -> Any:
 
 @contextmanager
 def _silence_viser() -> Iterator[None]:
-    """Viser prints its address and its end; what a verb prints is the verb's."""
+    """Suppress viser's messages on start and stop."""
     import rich
 
     console = rich.get_console()

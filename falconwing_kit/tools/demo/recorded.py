@@ -1,6 +1,4 @@
-"""The demo: recorded flights of a simulated and of a real aircraft -> models, what they lack, page
-and figures.
-"""
+"""The demo: recorded flights, simulated and real -> models, missing effects, page and figures."""
 
 import json
 import math
@@ -20,9 +18,16 @@ from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.model_file import write_model
 from falconwing_kit.sysid.one_step import fit_one_step
 from falconwing_kit.sysid.score import PredictionScore, score, select_windows
-from falconwing_kit.tools.demo.alfa_figures import draw_alfa_figures, draw_hypotheses
-from falconwing_kit.tools.demo.alfa_gap import WINDOW_OFFSETS, AlfaGap, study_alfa_gap
-from falconwing_kit.tools.demo.alfa_story import FOLDS, AlfaAnalysis, analyse_alfa_flight
+from falconwing_kit.tools.demo.alfa import (
+    FOLDS,
+    WINDOW_OFFSETS,
+    AlfaAnalysis,
+    AlfaGap,
+    analyse_alfa_flight,
+    draw_alfa_figures,
+    draw_hypotheses,
+    study_alfa_gap,
+)
 from falconwing_kit.tools.demo.approach import (
     Approach,
     approach_record,
@@ -35,35 +40,28 @@ from falconwing_kit.tools.reports.page import write_page
 
 PAGE = Path(__file__).with_name("recorded.html.j2")
 SIMULATED_FLIGHT, ANOMALOUS_FLIGHT = "case08_calm.csv", "case08_flight.csv"
-TRUTH = {
-    "wind_x": 0.0924,
-    "wind_y": 0.4370,
-}  # m/s: what JSBSim was told for the surprising flight; no fit reads it
+TRUTH = {"wind_x": 0.0924, "wind_y": 0.4370}  # [m/s] JSBSim's setting; no fit reads it
 REPORTED = ("verdict", "effects", "parameters", "since", "gap", "gap_rmse", "next_flight")
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class RecordedFlights:
-    """What the demo found in the recorded flights."""
+    """Results of the demo for the recorded flights."""
 
     small: Identification  # the 150 g aircraft of the independent simulator
-    small_one_step: dict[
-        str, PredictionScore
-    ]  # the paper's loss on raw and on smoothed differences, held-out time
+    # the paper's loss on "raw" and on "smoothed" differences, held-out data
+    small_one_step: dict[str, PredictionScore]
     small_gap: GapStudy  # its flight with a hidden effect
     alfa: AlfaAnalysis
     alfa_gap: AlfaGap
 
 
 def study_recorded_flights(progress: Progress = lambda stage: None) -> RecordedFlights:
-    """Identify both aircraft, then look for what their models lack.
+    """Identify both aircraft, then find the effects missing in their models.
 
     Args:
         progress: called with the name of each stage.
-
-    Returns:
-        What was found.
     """
     calm, flight = (
         read_flight_table(data_path(name)) for name in (SIMULATED_FLIGHT, ANOMALOUS_FLIGHT)
@@ -78,8 +76,8 @@ def study_recorded_flights(progress: Progress = lambda stage: None) -> RecordedF
         one_step[name] = score(
             fit_one_step(rates_model(), flights, smoothed=name == "smoothed"), held_out
         )
-    story = analyse_alfa_flight(progress)
-    return RecordedFlights(small, one_step, gap, story, study_alfa_gap(story, progress))
+    alfa = analyse_alfa_flight(progress)
+    return RecordedFlights(small, one_step, gap, alfa, study_alfa_gap(alfa, progress))
 
 
 def write_recorded_flights(
@@ -88,12 +86,11 @@ def write_recorded_flights(
     """Write page, figures, models and figures of merit.
 
     Args:
-        found: what the demo found.
-        folder: where to; it must exist.
-        approach: the landing that was flown before, if any; its figures are drawn from its log.
+        folder: it must exist.
+        approach: the landing flown before, if any; its figures are drawn from its log.
 
     Returns:
-        The record that stands in demo.json.
+        The record of demo.json.
     """
     record = ({"approach": approach_record(approach)} if approach else {}) | demo_record(found)
     if approach:
@@ -110,23 +107,23 @@ def write_recorded_flights(
     with atomic_write(folder / "demo.json", text=True) as handle:
         json.dump(record, handle, indent=2)
     write_page(
-        folder / "index.html", PAGE, folder=folder, truth=TRUTH, version=__version__,
+        folder / "index.html",
+        PAGE,
+        folder=folder,
+        truth=TRUTH,
+        version=__version__,
         approach=approach_section(approach, folder) if approach else "",
-        small=_small_section(found), gap=_gap_section(gap, record),
-        alfa=_alfa_section(found.alfa), lost=_alfa_gap_section(found.alfa_gap), loss=found.alfa_gap.thrust_loss,
-    )  # fmt: skip
+        small=_small_section(found),
+        gap=_gap_section(gap, record),
+        alfa=_alfa_section(found.alfa),
+        lost=_alfa_gap_section(found.alfa_gap),
+        loss=found.alfa_gap.thrust_loss,
+    )
     return record
 
 
 def demo_record(found: RecordedFlights) -> dict[str, Any]:
-    """The figures of merit as plain numbers.
-
-    Args:
-        found: what the demo found.
-
-    Returns:
-        Keys simulated_flight and real_flight, each with a key gap.
-    """
+    """The figures of merit as numbers: simulated_flight and real_flight, each with a key gap."""
     small, alfa = found.small, found.alfa
     report = gap_record(found.small_gap)
     held_out = small.held_out or small.train
@@ -140,7 +137,8 @@ def demo_record(found: RecordedFlights) -> dict[str, Any]:
             "one_step_chi2_per_dof": {name: s.chi2 for name, s in found.small_one_step.items()},
             "seconds": small.seconds,
             "gap": {
-                "flight": ANOMALOUS_FLIGHT, **{key: report[key] for key in REPORTED},
+                "flight": ANOMALOUS_FLIGHT,
+                **{key: report[key] for key in REPORTED},
                 "truth": {"effects": ["wind"], "parameters": TRUTH},
             },
         },
@@ -148,7 +146,11 @@ def demo_record(found: RecordedFlights) -> dict[str, Any]:
             "flight": "ALFA Carbon-Z, engine failure",
             "made_by": "a real aircraft",
             "one_second_ahead_before_failure": {
-                name: {"position_m": f.position_m, "attitude_deg": f.attitude_deg, "forecasts": len(f.t)}
+                name: {
+                    "position_m": f.position_m,
+                    "attitude_deg": f.attitude_deg,
+                    "forecasts": len(f.t),
+                }
                 for name, f in alfa.held_out.items()
             },
             "failure_time_s": alfa.failure_time,
@@ -157,7 +159,7 @@ def demo_record(found: RecordedFlights) -> dict[str, Any]:
             "attitude_deg_after_failure": _attitude_after(alfa),
             "gap": _alfa_gap_record(found.alfa_gap),
         },
-    }  # fmt: skip
+    }
 
 
 def _alfa_gap_record(gap: AlfaGap) -> dict[str, Any]:
@@ -192,12 +194,12 @@ def _alfa_gap_record(gap: AlfaGap) -> dict[str, Any]:
 
 
 def _attitude_after(alfa: AlfaAnalysis) -> float:
-    """How far off the told model's attitude is one second ahead after the failure, rms [deg]."""
-    return alfa.told.subset(alfa.told.t > alfa.failure_time + 1.0).attitude_deg
+    """Attitude error 1 s ahead after the failure, with the logged throttle, rms [deg]."""
+    return alfa.logged.subset(alfa.logged.t > alfa.failure_time + 1.0).attitude_deg
 
 
 def _small_section(found: RecordedFlights) -> dict[str, Any]:
-    """Values of the section on the 150 g aircraft's first flight."""
+    """Values of the page on the 150 g aircraft's first flight."""
     small = found.small
     one_step = [
         (f"one step, {name} differences (the paper's loss)", *_cells(s))
@@ -216,7 +218,7 @@ def _small_section(found: RecordedFlights) -> dict[str, Any]:
 
 
 def _gap_section(gap: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
-    """Values of the section on its second flight, with the hidden truth."""
+    """Values of the page on the second flight, with the truth."""
     answer, closed = record["simulated_flight"]["gap"], gap.closed
     sizes = [
         (
@@ -239,7 +241,7 @@ def _gap_section(gap: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
 
 
 def _alfa_section(alfa: AlfaAnalysis) -> dict[str, Any]:
-    """Values of the section on the real flight."""
+    """Values of the page on the real flight."""
     names = {
         "model": "fitted model",
         "constant turn": "constant turn for its bank",
@@ -252,23 +254,23 @@ def _alfa_section(alfa: AlfaAnalysis) -> dict[str, Any]:
     return {
         "wind": math.hypot(*(alfa.found.model.values[name] for name in ("wind_x", "wind_y"))),
         "folds": FOLDS,
-        "forecasts": rows,
+        "predictions": rows,
         "failure_time": alfa.failure_time,
-        "parts_at": alfa.detection_time,
-        "ordinary_error": alfa.nominal_error,
+        "detected_at": alfa.detection_time,
+        "nominal_error": alfa.nominal_error,
         "attitude_after": _attitude_after(alfa),
     }
 
 
 def _alfa_gap_section(gap: AlfaGap) -> dict[str, Any]:
-    """Values of the section on the engine failure."""
+    """Values of the page on the engine failure."""
     return {
         "verdict": gap.verdict,
         "names": [s.effect.name.replace("_", " ") for s in gap.chosen],
         "begin": gap.begin,
         "end": gap.end,
         "cuts": WINDOW_OFFSETS,
-        "told_gain": gap.logged_throttle_gain,
+        "logged_gain": gap.logged_throttle_gain,
         "before": gap.before,
         "after": gap.after,
     }

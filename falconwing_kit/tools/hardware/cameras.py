@@ -1,6 +1,4 @@
-"""Cameras as hardware: a TOML file with units in its keys -> what the picture is, what holds it,
-what feeds it.
-"""
+"""Cameras as hardware: a TOML file with units in its keys -> image format, body, mount, supply."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +14,12 @@ MOUNTS = ("cheeks", "plate")
 
 @dataclass(frozen=True)
 class ImageFormat:
-    """The picture as the ground station gets it."""
+    """The image at the ground station."""
 
     width_px: int
     height_px: int
     rate_hz: float
-    fov_deg: float  # horizontal, from edge to edge
+    fov_deg: float  # horizontal
 
     def __post_init__(self) -> None:
         for name, high in (
@@ -35,7 +33,7 @@ class ImageFormat:
 
 @dataclass(frozen=True)
 class Box:
-    """The camera's outside [mm], measured from its screw holes; the lens looks along the depth."""
+    """The camera's outer dimensions [mm] from its screw holes; the depth is the optical axis."""
 
     width: float
     height: float
@@ -49,14 +47,13 @@ class Box:
 
 @dataclass(frozen=True)
 class Mount:
-    """How it is screwed on."""
+    """Screws and tilt of the camera."""
 
     kind: str  # one of MOUNTS
     screw_mm: float  # outer diameter of the thread
-    holes_mm: tuple[
-        tuple[float, float], ...
-    ]  # cheeks: forward and up; plate: right and up; from the lens axis
-    tilt_deg: float  # how far it can be tilted either way
+    # from the optical axis; cheeks: forward and up, plate: right and up
+    holes_mm: tuple[tuple[float, float], ...]
+    tilt_deg: float  # maximum tilt up and down
 
     def __post_init__(self) -> None:
         if self.kind not in MOUNTS:
@@ -72,7 +69,7 @@ class Mount:
 
 @dataclass(frozen=True)
 class Supply:
-    """What the camera runs on."""
+    """Voltage range and current of the camera."""
 
     low_v: float
     high_v: float
@@ -85,7 +82,7 @@ class Supply:
 
     @property
     def load_ohm(self) -> float:
-        """The camera as a resistor, at the lowest voltage, where it loads the filter most."""
+        """The camera as a resistor, at the lowest voltage, its highest load of the filter."""
         return self.low_v / self.current_a
 
 
@@ -94,13 +91,13 @@ class CameraHardware:
     """One camera."""
 
     name: str
-    link: str  # how its pictures come down
+    link: str  # transmission of its images
     mass_g: float
     image: ImageFormat
     body_mm: Box
     mount: Mount
     supply: Supply
-    power_filter: PowerFilter | None = None  # None where it has a supply of its own
+    power_filter: PowerFilter | None = None  # None with a supply of its own
 
     def __post_init__(self) -> None:
         require_range("mass_g", self.mass_g, low=0.1, high=1000.0)
@@ -119,11 +116,11 @@ def load_camera(camera: str | Path = "analog") -> CameraHardware:
         camera: "analog" or "digital" for the kit's own, or a TOML file.
 
     Returns:
-        The camera, every value checked.
+        The camera, with all values checked.
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: the file is not TOML, a key is missing or unknown, or a value makes no camera.
+        InputError: the file is not TOML, a key is missing or unknown, or a value is out of range.
     """
     path = (
         shipped_path(f"hardware/camera_{camera}.toml", "name a file")
@@ -136,6 +133,7 @@ def load_camera(camera: str | Path = "analog") -> CameraHardware:
         and found.supply.load_ohm <= 10.0 * found.power_filter.series_ohm
     ):
         raise InputError(
-            f"{short_name(path)}: power_filter: its resistance takes over a tenth of the camera's voltage"
+            f"{short_name(path)}: power_filter: expected a voltage drop below 10 %, got more; "
+            "use a smaller resistance"
         )
     return found

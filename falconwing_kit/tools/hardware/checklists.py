@@ -1,6 +1,4 @@
-"""Checklists: a TOML file -> the steps of the bench test and of the check before a flight, for
-terminal and manual.
-"""
+"""Checklists: a TOML file -> steps of bench test and preflight check, for terminal and manual."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,19 +12,19 @@ AUTOMATIC = ("", "board", "sticks", "picture")
 
 @dataclass(frozen=True)
 class Step:
-    """One thing to do and to see."""
+    """One action with its expected result."""
 
     id: str
     do: str
     see: str
-    if_not: str  # what to do where it is not seen
-    stop: bool  # nothing after it may be done while it fails
-    automatic: str = ""  # what the computer tries by itself, one of AUTOMATIC; "" asks the person
+    if_not: str  # remedy for another result
+    stop: bool  # later steps require this one to pass
+    automatic: str = ""  # automatic check, one of AUTOMATIC; "" is left to the person
 
     def __post_init__(self) -> None:
         if not self.id.isidentifier() or not (self.do and self.see and self.if_not):
             raise InputError(
-                f"{self.id!r}: expected an id like camera_voltage, and do, see and if_not as sentences"
+                f"{self.id!r}: expected an id like camera_voltage, and sentences in do, see, if_not"
             )
         if self.automatic not in AUTOMATIC:
             wanted = ", ".join(AUTOMATIC[1:])
@@ -37,7 +35,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Checklist:
-    """Steps in their order."""
+    """Steps in order."""
 
     title: str
     steps: tuple[Step, ...]
@@ -51,7 +49,7 @@ class Checklist:
 
 @dataclass(frozen=True)
 class Checklists:
-    """The lists of a file."""
+    """The checklists of a file."""
 
     bench: Checklist  # propeller off
     preflight: Checklist  # before each flight
@@ -68,7 +66,7 @@ def load_checklists(path: str | Path | None = None) -> Checklists:
 
     Raises:
         FileNotFoundError: there is no file.
-        InputError: a key is missing or unknown, or a step says too little.
+        InputError: a key is missing or unknown, or a step is incomplete.
     """
     return from_toml(
         Checklists,

@@ -1,8 +1,7 @@
-"""Parts: a CSV of what is bought and printed -> masses, the centre of gravity, costs, and where the
-paper's sum fails.
+"""Parts list: a CSV of bought and printed parts -> mass, centre of gravity, costs, paper's sums.
 
-Places are measured as a modeller measures them: in millimetres behind the wing's leading edge at
-the root, so what sits ahead of the wing has a negative one.
+Positions are in millimetres behind the wing's leading edge at the root, as usual for model
+aircraft: negative ahead of the wing.
 """
 
 import csv
@@ -16,9 +15,20 @@ from falconwing_kit.core.checks import InputError, require_file, require_range
 from falconwing_kit.core.files import shipped_path, short_name
 
 COLUMNS = (
-    "id", "part", "quantity", "unit_mass_g", "mass_source", "x_mm", "price_usd", "price_source", "used_in", "inside",
-    "replaces", "paper_value", "alternatives",
-)  # fmt: skip
+    "id",
+    "part",
+    "quantity",
+    "unit_mass_g",
+    "mass_source",
+    "x_mm",
+    "price_usd",
+    "price_source",
+    "used_in",
+    "inside",
+    "replaces",
+    "paper_value",
+    "alternatives",
+)
 USES = ("aircraft", "option", "ground", "tools", "spares")
 ORIGINS = ("paper", "data sheet", "drawing", "measured", "estimate", "not counted")
 ROUNDING = 1e-9
@@ -31,22 +41,21 @@ class Item:
     id: str
     part: str
     quantity: int
-    unit_mass: float | None  # [kg]; None where it does not fly
-    mass_source: str  # where the mass is from: one of ORIGINS, and a remark behind a colon
-    x: (
-        float | None
-    )  # behind the wing's leading edge at the root [m]; None where it is inside something or stays behind
-    price: float | None  # of one [US dollars]; None where it is not counted
+    unit_mass: float | None  # [kg]; None if not on the aircraft
+    mass_source: str  # one of ORIGINS, and a remark after a colon
+    # behind the wing's leading edge at the root [m]; None inside another part or on the ground
+    x: float | None
+    price: float | None  # of one [US dollars]; None if not counted
     price_source: str  # as mass_source
     used_in: str  # one of USES
-    inside: str  # id of the part whose mass holds this one's already; empty for none
-    replaces: str  # of an option: id of the part that it takes the place of
-    paper_value: str  # what the paper says of it: "137 g", "$80", or empty
-    alternatives: str  # what else would do
+    inside: str  # id of the part whose mass includes this one's; empty for none
+    replaces: str  # of an option: id of the replaced part
+    paper_value: str  # the paper's mass or price: "137 g", "$80", or empty
+    alternatives: str
 
     @property
     def mass(self) -> float:
-        """Of all of them [kg]; 0 where it does not fly."""
+        """Mass of the whole quantity [kg]; 0 if not on the aircraft."""
         return 0.0 if self.unit_mass is None else self.quantity * self.unit_mass
 
     @property
@@ -56,7 +65,7 @@ class Item:
 
     @property
     def paper_mass(self) -> float | None:
-        """The paper's mass of one [kg]; None where it gives none."""
+        """The paper's mass of one [kg], or None."""
         return (
             float(self.paper_value.removesuffix(" g")) / 1000.0
             if self.paper_value.endswith(" g")
@@ -65,27 +74,27 @@ class Item:
 
     @property
     def paper_price(self) -> float | None:
-        """The paper's price of one [US dollars]; None where it gives none."""
+        """The paper's price of one [US dollars], or None."""
         return float(self.paper_value[1:]) if self.paper_value.startswith("$") else None
 
 
 @dataclass(frozen=True)
 class RollUp:
-    """What the parts come to."""
+    """Sums over the parts."""
 
     mass: float  # of the aircraft [kg]
     x_cg: float  # its centre of gravity, behind the wing's leading edge at the root [m]
-    costs: dict[str, float]  # by use [US dollars]; options are not in it
-    unpriced: tuple[str, ...]  # ids that no price was counted for
+    costs: dict[str, float]  # by use [US dollars], without options
+    unpriced: tuple[str, ...]  # ids of parts without a price
 
     @property
     def moment(self) -> float:
-        """About the wing's leading edge [kg m]; positive makes the tail heavy."""
+        """Moment about the wing's leading edge [kg m], positive tail-heavy."""
         return self.mass * self.x_cg
 
     @property
     def cost(self) -> float:
-        """Of everything [US dollars]."""
+        """Total cost [US dollars]."""
         return math.fsum(self.costs.values())
 
 
@@ -111,7 +120,8 @@ def load_parts(path: str | Path | None = None) -> tuple[Item, ...]:
         raise InputError(f"{name}: expected a CSV in UTF-8: {error}") from None
     if not rows or tuple(rows[0]) != COLUMNS:
         raise InputError(
-            f"{name}: expected the columns {','.join(COLUMNS)} in this order; got {','.join(rows[0][:20])!r}"
+            f"{name}: expected the columns {','.join(COLUMNS)} in this order, "
+            f"got {','.join(rows[0][:20])!r}"
         )
     items = []
     for number, row in enumerate(rows[1:], 2):
@@ -132,13 +142,10 @@ def roll_up(items: Sequence[Item]) -> RollUp:
     m = sum m_i,  x_cg = sum m_i x_i / m      [moments about the leading edge, textbook]
 
     Args:
-        items: the list; parts inside another one have a price but no mass of their own here.
-
-    Returns:
-        The sums; every part that counts once, times its quantity.
+        items: the list; of parts inside another one only the price counts.
 
     Raises:
-        InputError: nothing of the list flies.
+        InputError: no part belongs to the aircraft.
     """
     flying = [(item.mass, item.x) for item in items if item.counts]
     mass = math.fsum(m for m, _ in flying)
@@ -161,14 +168,7 @@ def roll_up(items: Sequence[Item]) -> RollUp:
 
 
 def with_option(items: Sequence[Item], option: str) -> tuple[Item, ...]:
-    """The list with one option in place of the part that it replaces.
-
-    Args:
-        items: the list.
-        option: id of a row whose used_in is "option".
-
-    Returns:
-        The list, the replaced part taken out.
+    """The list with an option, the id of a row with used_in "option", instead of its part.
 
     Raises:
         InputError: there is no such option.
@@ -176,19 +176,18 @@ def with_option(items: Sequence[Item], option: str) -> tuple[Item, ...]:
     chosen = _named(items, option)
     if chosen.used_in != "option":
         raise InputError(
-            f"parts: expected the id of an option, got {option!r}, which is used in {chosen.used_in}"
+            f"parts: expected the id of an option, got {option!r}, used in {chosen.used_in}"
         )
     others = [item for item in items if item.id not in (option, chosen.replaces)]
     return (*others, replace(chosen, used_in="aircraft"))
 
 
 def balance_move(items: Sequence[Item], mover: str, x_goal: float) -> float:
-    """How far one part must go for the centre of gravity to lie where it should.
+    """Displacement of one part that moves the centre of gravity to a position.
 
     dx = m (x_goal - x_cg) / m_mover      [moments, textbook]
 
     Args:
-        items: the list.
         mover: id of the part to move, such as the battery; it may be inside another one.
         x_goal: behind the wing's leading edge at the root [m].
 
@@ -206,14 +205,14 @@ def balance_move(items: Sequence[Item], mover: str, x_goal: float) -> float:
 
 
 def paper_sums(items: Sequence[Item]) -> list[tuple[str, float]]:
-    """What the paper's own masses come to, by every reading of them that is open.
+    """Sums of the paper's masses, for every reading of them.
 
     Args:
         items: the list; its `paper_value` and `inside` columns are used.
 
     Returns:
-        Pairs of words and mass [kg]: the sum of the paper's numbers first, then for each part that
-        is taken to be inside another one what the sum is if it is not.
+        Pairs of description and mass [kg]: the sum of the paper's numbers, then for each part taken
+        to be inside another one the sum if it is not.
     """
     printed = [item for item in items if item.paper_mass is not None]
     base = [item for item in printed if item.counts]
@@ -239,7 +238,7 @@ def _named(items: Sequence[Item], name: str) -> Item:
 
 
 def _item(row: list[str]) -> Item:
-    """One row, every cell checked."""
+    """One row, with every cell checked."""
     if len(row) != len(COLUMNS):
         raise InputError(
             f"expected {len(COLUMNS)} cells, got {len(row)}; put texts with commas in quotes"
@@ -259,23 +258,27 @@ def _item(row: list[str]) -> Item:
         _number(cells, "x_mm", -1000.0, 1000.0),
     )
     item = Item(
-        cells["id"], cells["part"], int(quantity), None if mass_g is None else mass_g / 1000.0, cells["mass_source"],
-        None if x_mm is None else x_mm / 1000.0, _number(cells, "price_usd", 0.0, 1e5), cells["price_source"],
+        cells["id"],
+        cells["part"],
+        int(quantity),
+        None if mass_g is None else mass_g / 1000.0,
+        cells["mass_source"],
+        None if x_mm is None else x_mm / 1000.0,
+        _number(cells, "price_usd", 0.0, 1e5),
+        cells["price_source"],
         *(cells[name] for name in ("used_in", "inside", "replaces", "paper_value", "alternatives")),
-    )  # fmt: skip
+    )
     _check_item(item)
     return item
 
 
 def _number(cells: dict[str, Any], column: str, low: float, high: float) -> float | None:
-    """A cell's number; None where it is empty."""
+    """A cell's number; None if empty."""
     return require_range(column, cells[column], low=low, high=high) if cells[column] else None
 
 
 def _check_item(item: Item) -> None:
-    """What flies has a mass and a place, every number an origin, and a number of the paper is the
-    paper's.
-    """
+    """Check mass, position and source of a part, and that the paper's numbers are the paper's."""
     if item.used_in in ("aircraft", "option") and item.unit_mass is None:
         raise InputError(f"{item.id}: expected unit_mass_g of a part that flies, got none")
     if item.x is None and (item.counts or item.used_in == "option"):
@@ -304,12 +307,13 @@ def _check_item(item: Item) -> None:
             printed is None or value is None or abs(printed - value) > ROUNDING
         ):
             raise InputError(
-                f"{item.id}: its {what} is said to be the paper's, which is {item.paper_value or 'none'}"
+                f"{item.id}: {what}: expected the paper's {item.paper_value or 'none'}, as its "
+                "source says, got another value"
             )
 
 
 def _check_references(items: Sequence[Item]) -> None:
-    """Ids are given once, and `inside` and `replaces` lead to a part that counts."""
+    """Check that ids are unique, and that `inside` and `replaces` name parts of the aircraft."""
     ids = [item.id for item in items]
     counted = [item.id for item in items if item.counts]
     for item in items:
@@ -318,5 +322,5 @@ def _check_references(items: Sequence[Item]) -> None:
         for column, target in (("inside", item.inside), ("replaces", item.replaces)):
             if target and target not in counted:
                 raise InputError(
-                    f"{item.id}: {column}: expected the id of a part of the aircraft, got {target!r}"
+                    f"{item.id}: {column}: expected the id of an aircraft part, got {target!r}"
                 )

@@ -1,9 +1,8 @@
-"""The camera's power filter: coil, capacitor, resistances, load -> corner, damping, and what is
-left of the noise.
+"""The camera's power filter: inductor, capacitor, resistances, load -> corner, damping, ripple.
 
 battery + --- damping resistor --- coil ---+------ camera +
                                            |
-                                       capacitor (with its inner resistance, the ESR)
+                                       capacitor (with its equivalent series resistance, ESR)
                                            |
 battery - ---------------------------------+------ camera -
 """
@@ -19,16 +18,14 @@ from falconwing_kit.core.checks import Array, InputError, require_range
 
 @dataclass(frozen=True)
 class PowerFilter:
-    """The parts as they are bought, units in the names."""
+    """Values of the parts, units in the names."""
 
     inductance_uh: float
-    coil_ohm: float  # resistance of the coil's wire
+    coil_ohm: float  # resistance of the inductor
     damping_ohm: float  # resistor in series; 0 for none
     capacitance_uf: float
     esr_ohm: float  # equivalent series resistance of the capacitor
-    switching_khz: (
-        float  # how often the motor's speed controller switches: the noise to be kept out
-    )
+    switching_khz: float  # of the motor's speed controller, the source of the ripple
 
     def __post_init__(self) -> None:
         for name, low in (
@@ -42,7 +39,7 @@ class PowerFilter:
 
     @property
     def series_ohm(self) -> float:
-        """All that the camera's current flows through."""
+        """Total series resistance."""
         return self.coil_ohm + self.damping_ohm
 
     @property
@@ -52,15 +49,15 @@ class PowerFilter:
 
     @property
     def impedance_ohm(self) -> float:
-        """Z_0 = sqrt(L / C), what the resistances are measured against      [textbook]."""
+        """Characteristic impedance Z_0 = sqrt(L / C)      [textbook]."""
         return math.sqrt(self.inductance_uh / self.capacitance_uf)
 
     def damping(self, load_ohm: float) -> float:
-        """Damping ratio: at 0 the filter rings for ever, from 1 on it does not ring.
+        """Damping ratio: 0 is undamped, 1 critically damped.
 
         zeta = (R_series + R_ESR) / (2 Z_0) + Z_0 / (2 R_load)
-            [denominator s^2 L C + s (C (R_series + R_ESR) + L / R_load) + 1, for resistances far
-            below the load]
+            [denominator s^2 L C + s (C (R_series + R_ESR) + L / R_load) + 1, for resistances much
+            smaller than the load]
 
         Args:
             load_ohm: the camera as a resistor.
@@ -77,10 +74,10 @@ class PowerFilter:
         ) + self.impedance_ohm / (2.0 * load)
 
     def gain(self, frequency_hz: ArrayLike, load_ohm: float) -> Array:
-        """Size of the ripple behind the filter over the ripple before it.
+        """Ripple behind the filter over ripple before it, |H|.
 
-        H = Z_p / (Z_s + Z_p),  Z_s = R_series + j w L,  1 / Z_p = 1 / R_load + 1 / (R_ESR + 1 / (j
-        w C))
+        H = Z_p / (Z_s + Z_p),  Z_s = R_series + j w L,
+        1 / Z_p = 1 / R_load + 1 / (R_ESR + 1 / (j w C))
 
         Args:
             frequency_hz: (...) > 0.
@@ -102,14 +99,14 @@ class PowerFilter:
         return np.asarray(np.abs(across / (series + across)))
 
     def attenuation_db(self, frequency_hz: ArrayLike, load_ohm: float) -> Array:
-        """How much weaker the ripple is behind the filter: -20 log10 |H|.
+        """Attenuation of the ripple, -20 log10 |H|.
 
         Args:
             frequency_hz: (...) > 0.
             load_ohm: the camera as a resistor.
 
         Returns:
-            (...) [dB]; negative where the filter makes it stronger.
+            (...) [dB]; negative for amplification.
 
         Raises:
             InputError: a frequency or the load is not a positive number.
@@ -117,13 +114,13 @@ class PowerFilter:
         return np.asarray(-20.0 * np.log10(self.gain(frequency_hz, load_ohm)))
 
     def peak_db(self, load_ohm: float) -> float:
-        """The most that any ripple is made stronger, near the corner; 0 where none is.
+        """Maximum amplification, near the corner; 0 without any.
 
         Args:
             load_ohm: the camera as a resistor.
 
         Returns:
-            [dB], from a thousand frequencies between a hundredth and a hundred corners.
+            [dB], over a thousand frequencies from 0.01 to 100 times the corner.
 
         Raises:
             InputError: the load is not a positive number.

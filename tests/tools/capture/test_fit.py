@@ -26,7 +26,6 @@ from falconwing_kit.tools.capture.fit import (
     fit_folder,
     fit_scene,
     initial_points,
-    main,
 )
 from falconwing_kit.tools.capture.photo_files import Reconstruction, write_reconstruction
 from falconwing_kit.tools.capture.survey.points import Survey
@@ -44,7 +43,8 @@ from falconwing_kit.tools.capture.training.photos import (
 from falconwing_kit.tools.capture.training.ship import contributions, label_scene
 from falconwing_kit.tools.capture.training.state import TrainState, initialise
 from falconwing_kit.tools.capture.training.task import SceneTrainer
-from falconwing_kit.tools.cli.fit import Fit
+from falconwing_kit.tools.cli.main import main
+from falconwing_kit.tools.cli.scene_fit import Fit
 
 CAMERA = PinholeCamera(40.0, 40.0, 32.0, 24.0, 64, 48)
 ROOM = np.array([[-3.0, -2.0, 0.0], [3.0, 2.0, 2.5]])
@@ -765,34 +765,9 @@ def test_the_verb_trains_and_judges(taken, tmp_path, capsys):
         Fit(tmp_path / "poses", out=tmp_path, room="wide").run()
 
 
-def test_the_script_needs_only_words(taken, tmp_path, capsys):
-    """The whole job by `python -m falconwing_kit.tools.capture.fit`.
-
-    a wrong folder ends in 2 with one line.
-    """
-    write_reconstruction(tmp_path / "poses", taken)
-    words = [str(tmp_path / "poses"), "--out", str(tmp_path / "out"), "--photos", str(taken.folder)]
-    assert (
-        main(
-            [
-                *words,
-                "--gaussians",
-                "60",
-                "--steps",
-                "3",
-                "--pose-steps",
-                "2",
-                "--exposures",
-                "no",
-                "--room=-3,-2,0,3,2,2.5",
-            ]
-        )
-        == 0
-    )
-    assert (
-        tmp_path / "out" / "scene.npz"
-    ).is_file() and "held-out photos: PSNR" in capsys.readouterr().out
-    assert main([str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2
+def test_a_wrong_folder_is_one_line(tmp_path, capsys):
+    """`falconwing scene fit` without a reconstruction: exit code 2 and one sentence."""
+    assert main(["scene", "fit", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 

@@ -18,7 +18,7 @@ from falconwing_kit.core.messages import Command
 from falconwing_kit.tools.bridge.bus import COMMAND, StampedCommand
 from falconwing_kit.tools.bridge.open_port import open_port
 from falconwing_kit.tools.bridge.ros import RosBus
-from falconwing_kit.tools.cli.bridge import StatusLine, pilot_sticks, status_text
+from falconwing_kit.tools.cli.board_status import StatusLine, pilot_sticks, status_text
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.trainer_port import usb
 
@@ -74,7 +74,7 @@ def test_the_bridge_s_table_ends_with_what_to_do_next(capsys):
     assert run("bridge", "--port", "sim-python", "--seconds", "0.2") == 0
     said = capsys.readouterr()
     assert said.out.splitlines()[-1] == "next: falconwing record --port sim-python --out recordings"
-    assert "measured on no radio" in said.err
+    assert "not measured on a radio" in said.err
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX")
@@ -124,7 +124,8 @@ def test_ctrl_c_ends_cleanly(tmp_path, verb):
     """A table or JSON as usual and exit code 0; a recording's log is whole."""
     words = ["--port", "sim-python", "--json"]
     words += ["--source", "sim", "--seconds", "60"] if verb == "record" else []
-    code = f"import sys; from falconwing_kit.tools.cli.main import main; sys.exit(main({[verb, *words]!r}))"
+    load = "import sys; from falconwing_kit.tools.cli.main import main"
+    code = f"{load}; sys.exit(main({[verb, *words]!r}))"
     with subprocess.Popen(
         [sys.executable, "-c", code],
         stdout=subprocess.PIPE,
@@ -177,9 +178,9 @@ def test_a_camera_that_is_not_there_costs_no_sticks(capsys):
 
 def test_a_recording_without_sticks_is_no_success(monkeypatch, capsys):
     """The radio is off: exit code 1, and where to look."""
-    from falconwing_kit.tools.cli import bridge
+    from falconwing_kit.tools.cli import board_status
 
-    monkeypatch.setattr(bridge, "move_sticks", lambda port, t: None)
+    monkeypatch.setattr(board_status, "move_sticks", lambda port, t: None)
     assert run("record", "--port", "sim-python", "--camera", "99", "--seconds", "0.4") == 1
     assert "no sticks came" in capsys.readouterr().out
 
@@ -224,7 +225,7 @@ def test_the_live_line_says_state_delay_and_sticks():
     with open_port("sim-python") as port:
         assert status_text(port) == "port waiting" and pilot_sticks(port) == []
         port.wait_ready()
-        assert not StatusLine(port, 100.0).over()
+        assert not StatusLine(port, 100.0).is_over()
         end = time.monotonic() + 20.0
         while port.pilot is None and time.monotonic() < end:
             time.sleep(0.01)
@@ -249,7 +250,7 @@ def test_the_live_line_fits_the_terminal(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with open_port("sim-python") as port:
         port.wait_ready()
-        StatusLine(port, 1.0).over()
+        StatusLine(port, 1.0).is_over()
     line = capsys.readouterr().err.rsplit("\r", 1)[1]
     assert line.startswith("SAFE  1000 1500 1500 1500 us") and line.endswith("\x1b[K")
     assert len(line) - len("\x1b[K") == 59

@@ -18,7 +18,7 @@ from falconwing_kit.tools.cli import calibrate
 from falconwing_kit.tools.cli.calibrate import (
     MAX_AGE_DAYS,
     POSES,
-    REHEARSED,
+    SIMULATED_RADIO,
     assign_channels,
     choose_calibration,
     measure_calibration,
@@ -34,7 +34,7 @@ def run(*words):
     return main(["calibrate", *words])
 
 
-def readings(radio=REHEARSED):
+def readings(radio=SIMULATED_RADIO):
     """What a radio gives in every pose."""
     return {name: radio.channels_us(sticks) for name, _, sticks in POSES}
 
@@ -61,9 +61,9 @@ def test_channel_ends_centre_and_direction_are_found():
     [
         (
             {"aileron +": 1600, "aileron -": 1400},
-            "aileron: expected 250 us from end to end, got 200; move it all the way",
+            "aileron: expected 250 us of travel, got 200; move it all the way",
         ),
-        ({"rudder +": 1510, "rudder -": 1510}, "rudder: expected 250 us from end to end, got 0"),
+        ({"rudder +": 1510, "rudder -": 1510}, "rudder: expected 250 us of travel, got 0"),
         ({"aileron +": 1525, "aileron -": 1105}, "aileron: expected low_us < centre_us < high_us"),
     ],
 )
@@ -75,7 +75,7 @@ def test_a_stick_that_was_not_moved_all_the_way_is_refused(changes, sentence):
     if 1525 in changes.values():
         poses["rest"][3] = 1530
     for name, us in changes.items():
-        poses[name][REHEARSED.sticks[COMMAND_NAMES.index(name.split()[0])].channel - 1] = us
+        poses[name][SIMULATED_RADIO.sticks[COMMAND_NAMES.index(name.split()[0])].channel - 1] = us
     with pytest.raises(InputError, match=sentence):
         assign_channels(poses)
 
@@ -83,7 +83,7 @@ def test_a_stick_that_was_not_moved_all_the_way_is_refused(changes, sentence):
 def test_two_sticks_at_once_are_refused():
     """Elevator and rudder by half as much, as a mix would do it: nobody can tell which it is."""
     poses = readings()
-    poses["elevator +"] = REHEARSED.channels_us(Command(0.0, 0.0, 1.0, 0.9))
+    poses["elevator +"] = SIMULATED_RADIO.channels_us(Command(0.0, 0.0, 1.0, 0.9))
     with pytest.raises(
         InputError, match="elevator: expected one channel to move, got two, by 805 and 36"
     ):
@@ -93,7 +93,7 @@ def test_two_sticks_at_once_are_refused():
 class Holding:
     """A person with a radio at the board's pilot pin."""
 
-    def __init__(self, port, radio=REHEARSED):
+    def __init__(self, port, radio=SIMULATED_RADIO):
         self.port, self.radio = port, radio
 
     def hold(self, what, sticks):
@@ -120,7 +120,10 @@ def test_the_radio_is_found_through_the_board(virtual):
     """
     port, pause = virtual
     found = measure_calibration(port, Holding(port), "mine", pause)
-    assert found.sticks[1:] == REHEARSED.sticks[1:] and found.throttle == REHEARSED.throttle
+    assert (
+        found.sticks[1:] == SIMULATED_RADIO.sticks[1:]
+        and found.throttle == SIMULATED_RADIO.throttle
+    )
     assert (found.radio, found.measured) == ("mine", date.today().isoformat())
 
 
@@ -130,8 +133,8 @@ def test_a_throttle_where_the_firmware_has_none_is_refused(virtual):
     """
     port, pause = virtual
     swapped = replace(
-        REHEARSED,
-        throttle=replace(REHEARSED.throttle, channel=2),
+        SIMULATED_RADIO,
+        throttle=replace(SIMULATED_RADIO.throttle, channel=2),
         elevator=Stick(1, 1090, 1487, 1895),
     )
     with pytest.raises(
@@ -143,9 +146,9 @@ def test_a_throttle_where_the_firmware_has_none_is_refused(virtual):
 def test_a_stick_beyond_the_board_s_channels_is_refused(virtual):
     """A radio of six channels with its rudder in the sixth; the board sends four."""
     port, pause = virtual
-    wide = replace(REHEARSED, channels=6, rudder=replace(REHEARSED.rudder, channel=6))
+    wide = replace(SIMULATED_RADIO, channels=6, rudder=replace(SIMULATED_RADIO.rudder, channel=6))
     with pytest.raises(
-        InputError, match=r"expected the sticks in channels 1 to 4, .* got {'rudder': 6}"
+        InputError, match=r"expected sticks in the board's channels 1 to 4, got {'rudder': 6}"
     ):
         measure_calibration(port, Holding(port, wide), "mine", pause)
 
@@ -189,7 +192,7 @@ def test_the_rehearsal_writes_a_file_that_other_verbs_take(tmp_path, monkeypatch
     assert (
         choose_calibration("sim").sticks
         == load_calibration(tmp_path / "trainer_port.toml").sticks
-        == REHEARSED.sticks
+        == SIMULATED_RADIO.sticks
     )
 
 
@@ -219,7 +222,7 @@ def mine(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
     def write(**changes):
-        fresh = replace(REHEARSED, radio="mine", measured=date.today().isoformat())
+        fresh = replace(SIMULATED_RADIO, radio="mine", measured=date.today().isoformat())
         write_toml(tmp_path / "trainer_port.toml", replace(fresh, **changes))
 
     return write
@@ -228,7 +231,7 @@ def mine(tmp_path, monkeypatch):
 def test_a_fresh_calibration_of_this_radio_is_taken(mine):
     """The file in this folder, without being named."""
     mine()
-    assert choose_calibration("COM3", radio="mine").throttle == REHEARSED.throttle
+    assert choose_calibration("COM3", radio="mine").throttle == SIMULATED_RADIO.throttle
     mine(measured=(date.today() - timedelta(MAX_AGE_DAYS)).isoformat())
     assert choose_calibration("sim").radio == "mine"
 
@@ -237,7 +240,7 @@ def test_a_fresh_calibration_of_this_radio_is_taken(mine):
     ("changes", "sentence"),
     [
         ({"radio": "yours"}, "measured on yours, not on mine"),
-        ({"radio": REHEARSED.radio}, "SIMULATED radio"),
+        ({"radio": SIMULATED_RADIO.radio}, "SIMULATED radio"),
         ({"measured": (date.today() - timedelta(MAX_AGE_DAYS + 1)).isoformat()}, "181 days old"),
         ({"measured": (date.today() + timedelta(2)).isoformat()}, "-2 days old"),
         ({"gap_us": 300}, "gap_us 300 where the firmware's is 400"),
@@ -253,16 +256,16 @@ def test_a_stale_calibration_is_refused(mine, changes, sentence):
 
 def test_a_rehearsed_calibration_flies_no_real_aircraft(mine):
     """It fits the simulated radio, and simulated boards alone."""
-    mine(radio=REHEARSED.radio)
-    assert choose_calibration("sim").radio == REHEARSED.radio
-    with pytest.raises(InputError, match="rehearsed with a SIMULATED radio"):
+    mine(radio=SIMULATED_RADIO.radio)
+    assert choose_calibration("sim").radio == SIMULATED_RADIO.radio
+    with pytest.raises(InputError, match="stale one: of a SIMULATED radio"):
         choose_calibration("/dev/ttyACM0")
 
 
 def test_without_a_calibration_the_default_is_taken_and_said(tmp_path, monkeypatch):
     """The kit's own values were measured on no radio."""
     monkeypatch.chdir(tmp_path)
-    with pytest.warns(UserWarning, match="measured on no radio"):
+    with pytest.warns(UserWarning, match="not measured on a radio"):
         assert choose_calibration("sim") == load_calibration()
 
 
@@ -284,7 +287,7 @@ def test_a_calibration_without_a_date_is_said(mine):
     measured.
     """
     mine(measured="")
-    with pytest.warns(UserWarning, match="does not say when it was measured"):
+    with pytest.warns(UserWarning, match="no date of measurement"):
         assert choose_calibration("COM3").measured == ""
 
 

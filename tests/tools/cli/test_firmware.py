@@ -80,11 +80,11 @@ def configured(**changes):
 BREAKERS = {  # the promise -> a board that breaks it
     "starts SAFE": configured(safe_us=(1500,) * 8),
     "pulses and frames": partial(PythonBoard, gap_us=402),
-    "edge and five": configured(engage_frames=4),
+    "edge plus five": configured(engage_frames=4),
     "on the pin": configured(slew_us=1),
-    "host silent": configured(host_timeout_ms=230),
+    "no commands": configured(host_timeout_ms=230),
     "program hangs": configured(host_timeout_ms=400),
-    "hand-back": NeverLetsGo,
+    "disengaged": NeverLetsGo,
     "damaged frames": BelievesAll,
     "old sequences": CountsItself,
     "out of range": configured(range_fault_frames=6),
@@ -95,7 +95,7 @@ BREAKERS = {  # the promise -> a board that breaks it
 
 @pytest.mark.parametrize(("name", "check"), CHECKS, ids=[name for name, _ in CHECKS])
 def test_a_sound_board_passes(name, check):
-    """The plain Python board was written from the same promises and knows nothing of these checks."""
+    """The plain Python board was written from the same requirements, without these checks."""
     result = run_check(name, check, PythonBoard)
     assert result.passed, result.seen
 
@@ -130,7 +130,7 @@ def test_the_shipped_program_keeps_its_promises(capsys):
 
 @TOOLS
 def test_the_program_is_built_within_its_budget(tmp_path, capsys):
-    """Sizes by avr-size; the hex holds as many bytes as the flash takes, by its own record lengths."""
+    """Sizes by avr-size; the hex has as many bytes as the flash, by its own record lengths."""
     assert run("build", "--out", str(tmp_path), "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert 1000 < record["flash_bytes"] < FLASH_BUDGET and 100 < record["ram_bytes"] < RAM_BUDGET

@@ -34,8 +34,8 @@ def test_pilots_that_are_not_there_yet_are_wrong_use(pilot, capsys):
     assert main(["fly", "--pilot", pilot]) == 2
     said = capsys.readouterr().err
     assert said == (
-        f"falconwing: --pilot {pilot}: this version of the kit has no such pilot yet; take expert\n"
-    )  # fmt: skip
+        f"falconwing: --pilot {pilot}: this version of the kit has no such pilot yet; use expert\n"
+    )
 
 
 @pytest.mark.parametrize("words", [("--source", "camera"), ("--port", "COM3")])
@@ -285,7 +285,7 @@ def test_a_leader_too_small_in_the_image_is_lost_at_once(tmp_path, capsys):
     assert main(words) == 1
     said = capsys.readouterr().out
     assert "trial 0: duration, lock lost at 0.00 s" in said
-    assert "\nocclusion not judged: no images\n" in said
+    assert "\nocclusion not evaluated: no images\n" in said
 
 
 def test_a_landing_needs_no_judge_of_occlusion_and_says_what_its_times_are_of(capsys):

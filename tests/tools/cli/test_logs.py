@@ -1,4 +1,4 @@
-"""`falconwing export` and `replay`: what becomes of a flight log, by the words on the command line."""
+"""`falconwing export` and `replay`: a flight log converted, repaired, shown and drawn."""
 
 import json
 import shutil
@@ -16,7 +16,7 @@ from falconwing_kit.tools.demo import live_page
 
 @pytest.fixture
 def log(tmp_path):
-    """Ten frames, each command with its own throttle; beside it the log as it stands in mid-flight."""
+    """Ten frames, each command with its own throttle; beside it the log as it is in mid-flight."""
     path = tmp_path / "flight.mcap"
     with FlightLogWriter(path) as writer:
         for k in range(10):

@@ -161,7 +161,7 @@ def test_tables_of_parts_say_where_the_paper_does_not_close(capsys):
     printed = capsys.readouterr().out
     (line,) = [line for line in printed.splitlines() if line.startswith("137 + 9 + 5 g")]
     assert line.split()[-2:] == ["151", "1"]
-    assert "not in it: computer, pad, printer" in printed and "156 mm further back" in printed
+    assert "not included: computer, pad, printer" in printed and "156 mm back" in printed
 
 
 def test_own_list_of_parts_is_read_and_a_wrong_one_refused(capsys, tmp_path):

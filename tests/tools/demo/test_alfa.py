@@ -13,7 +13,8 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import FlightTable, read_flight_table, write_flight_table
 from falconwing_kit.core.frames import rotation_world_body, wrap_angle
 from falconwing_kit.data import data_path
-from falconwing_kit.tools.demo.alfa import main, read_alfa
+from falconwing_kit.tools.cli.main import main
+from falconwing_kit.tools.demo.alfa import read_alfa
 
 FAILURE_TIME = 116.166  # s
 RAW = Path(__file__).resolve().parents[4] / "shared/data/alfa_carbonz_engine_failure"
@@ -188,7 +189,7 @@ def test_engine_fails_inside_the_flight_and_takes_the_speed_away(flight: FlightT
 
 
 def test_table_is_small_and_reads_without_warning(flight: FlightTable) -> None:
-    """What ships must stay small; 328 attitudes were counted in the raw file (distinct neighbours)."""
+    """The file must stay small; 328 attitudes were counted in the raw file (distinct neighbours)."""
     assert data_path("alfa_engine_failure.csv").stat().st_size < 400_000
     assert flight.has_pose.sum() == 328
     assert flight.warnings == ()
@@ -278,16 +279,25 @@ def test_a_cut_last_line_is_dropped_with_a_warning(raw_copy: Path, flight: Fligh
     np.testing.assert_allclose(again.table.p_world[:2000], flight.p_world[:2000], atol=1e-9)
 
 
-def test_command_line_writes_the_table_or_says_why_not(
+def test_export_writes_the_shipped_table(
     raw_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit 0 with a file that equals the shipped one, exit 2 with one sentence."""
+    """`falconwing export --alfa`: exit 0 with a file that equals the shipped one."""
     out = tmp_path / "again.csv"
-    assert main([str(raw_folder), str(out)]) == 0
+    assert main(["export", str(raw_folder), "--alfa", "--out", str(out)]) == 0
     assert out.read_bytes() == data_path("alfa_engine_failure.csv").read_bytes()
-    assert main([str(tmp_path), str(out)]) == 2
-    assert "expected a file" in capsys.readouterr().out
-    assert main([]) == 2
+    assert "328" in capsys.readouterr().out
+
+
+def test_export_of_a_wrong_folder_is_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit 2: no topics in the folder, and no ROS bag of an ALFA flight."""
+    out = str(tmp_path / "again.csv")
+    assert main(["export", str(tmp_path), "--alfa", "--out", out]) == 2
+    assert "expected a file" in capsys.readouterr().err
+    assert main(["export", str(tmp_path), "--alfa", "--to", "bag", "--out", out]) == 2
+    assert "--alfa: expected --to csv" in capsys.readouterr().err
 
 
 def test_written_table_reads_back(flight: FlightTable, tmp_path: Path) -> None:

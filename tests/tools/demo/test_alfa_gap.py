@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.model import add_uniform_wind, paper_model, rates_model
-from falconwing_kit.tools.demo.alfa_gap import AlfaGap, applicable_effects
+from falconwing_kit.tools.demo.alfa import AlfaGap, applicable_effects
 from tests.demo_run import demo_run
 
 ENGINE_OFF = 116.166  # s: the log's first "engine off" message, data/README.md
@@ -94,5 +94,5 @@ def test_only_forces_suit_quasi_steady_rates(model):
 
 
 def test_rates_form_keeps_its_forces_only_too():
-    """The rule asks for the formula, not for the form: the same forces in the form with body rates."""
+    """The rule depends on the formula, not the form: the same forces in the 12-state form."""
     assert applicable_effects(rates_model())[1].name == "extra_drag"

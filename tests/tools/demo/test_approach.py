@@ -94,7 +94,7 @@ def test_log_tells_the_modes(approach, steps):
 
 @pytest.mark.parametrize("start", [0.0, 300.0, 1.7e9])
 def test_modes_are_told_from_the_start_of_the_log(tmp_path, start):
-    """By hand: approach at once, flare 0.10 s later, whatever the clock showed when the log began."""
+    """By hand: approach at once, flare 0.10 s later, for any clock at the log's start."""
     with FlightLogWriter(tmp_path / "own.mcap") as log:
         for k in range(4):
             log.command(start + 0.05 * k, Command(0.5, 0.0, 0.0, 0.0))
@@ -156,7 +156,7 @@ def test_figures_are_whole_and_the_film_is_short(approach, figures):
 
 
 def test_film_looks_as_what_the_camera_saw(figures, steps):
-    """One palette for all images: on average a few of 255 from the first view as it was rendered."""
+    """One palette for all images: mean difference a few of 255 from the first rendered view."""
     first = np.asarray(Picture.open(figures[-1]).convert("RGB")).astype(int)[:, :320]
     assert np.abs(first - steps[0].image.pixels.astype(int)).mean() < 8.0
 

@@ -62,7 +62,7 @@ def test_three_whole_files_and_nothing_else(drawn):
 
 
 def test_files_are_as_large_as_they_say(drawn):
-    """Inches times 130 dots per inch, wide enough to read in a page and below half a megabyte each."""
+    """Inches times 130 dots per inch, legible in a page and below half a megabyte each."""
     (predicted, residuals, intervals), _ = drawn
     assert png_size(predicted) == (1430, 858)  # 11 x 6.6 inch
     assert png_size(residuals) == (1430, 442)  # 11 x 3.4 inch
@@ -141,7 +141,7 @@ def test_without_held_out_time_the_fitted_time_is_shown_and_said(shown, tmp_path
     assert found.held_out is None
     draw_identification(found, tmp_path)
     titles = [ax.get_title(loc="left") for f in shown[:2] for ax in f.axes]
-    assert sum("the fitted time itself" in title for title in titles) == 2
+    assert sum("fitted data" in title for title in titles) == 2
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(NAMES)
 
 

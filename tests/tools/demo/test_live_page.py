@@ -39,9 +39,12 @@ def dots(*places: tuple[float, float, float]) -> GaussianScene:
     """Red balls of 5 cm."""
     n = len(places)
     return GaussianScene(
-        np.array(places), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.full((n, 3), 0.05), np.full(n, 0.99),
+        np.array(places),
+        np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        np.full((n, 3), 0.05),
+        np.full(n, 0.99),
         np.tile((RED - 0.5) / SH_C0, (n, 1, 1)),
-    )  # fmt: skip
+    )
 
 
 def step(t: float, mode: str = "approach") -> LoopStep:
@@ -148,7 +151,7 @@ def test_flight_never_waits_and_the_newest_step_is_drawn(page, monkeypatch):
 
 
 def test_fault_ends_the_page_and_not_the_flight(page, monkeypatch):
-    """The drawing thread says why it stopped; whoever flies is told nothing and may go on showing."""
+    """The drawing thread warns why it stopped; the flight continues and may call `show`."""
     said = threading.Event()
     monkeypatch.setattr(page, "_draw", lambda *_, **__: 1 / 0)
     monkeypatch.setattr(

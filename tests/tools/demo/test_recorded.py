@@ -22,10 +22,22 @@ from tests.demo_run import demo_run
 from tests.tools.reports.test_page import page_problems
 
 FIGURES = (
-    "flight_film", "flight_fpv", "flight_path", "flight_sticks",
-    "predicted", "residuals", "intervals", "gap_map", "gap_ranking", "gap_closed",
-    "alfa_track", "alfa_predicted", "alfa_forecasts", "alfa_failure", "alfa_suspects",
-)  # fmt: skip
+    "flight_film",
+    "flight_fpv",
+    "flight_path",
+    "flight_sticks",
+    "predicted",
+    "residuals",
+    "intervals",
+    "gap_map",
+    "gap_ranking",
+    "gap_closed",
+    "alfa_track",
+    "alfa_predicted",
+    "alfa_forecasts",
+    "alfa_failure",
+    "alfa_suspects",
+)
 OTHERS = ("approach.mcap", "index.html", "demo.json", "model_150g.toml", "model_alfa.toml")
 
 
@@ -153,11 +165,11 @@ def test_page_owns_up_to_the_attitude_after_the_failure(run):
     """Worked out here from the forecasts on the logged throttle that lie after the failure: tens of
     degrees.
     """
-    story = run.found.alfa
-    after = story.told.t > story.failure_time + 1.0
-    off = np.degrees(np.sqrt(np.mean(np.sum(story.told.error_attitude[after] ** 2, axis=1))))
-    assert off > 20.0
-    assert f"{off:.0f}° rms one second ahead" in (run.out / "index.html").read_text(
+    alfa = run.found.alfa
+    after = alfa.logged.t > alfa.failure_time + 1.0
+    rms = np.degrees(np.sqrt(np.mean(np.sum(alfa.logged.error_attitude[after] ** 2, axis=1))))
+    assert rms > 20.0
+    assert f"{rms:.0f}° rms at a 1 s horizon" in (run.out / "index.html").read_text(
         encoding="utf-8"
     )
 
@@ -173,12 +185,16 @@ def test_warnings_are_text_and_no_markup(run, tmp_path):
 @pytest.mark.parametrize(
     ("verdict", "detection_time", "words"),
     [
-        ("named", None, ("<strong>Missing: NAME.</strong>", "never leave what is ordinary")),
-        ("none", 120.0, ("No effect explains more", "At 120.0 s")),
+        (
+            "named",
+            None,
+            ("<strong>Missing: NAME.</strong>", "stay within the errors before the failure"),
+        ),
+        ("none", 120.0, ("No effect is significant", "At 120.0 s")),
         (
             "ambiguous",
             120.0,
-            ("Missing: NAME or NAME; these poses", "further ahead than in any healthy moment"),
+            ("Missing: NAME or NAME; ambiguous", "their error exceeds the maximum before it"),
         ),
     ],
 )
@@ -298,7 +314,7 @@ def test_disk_that_fills_up_before_the_page_keeps_the_page_of_before(studied, ca
 
 
 def test_no_right_to_write_is_one_sentence(studied, monkeypatch, capsys, tmp_path):
-    """The system's refusal is simulated, for the tests may run as a user who may write everywhere."""
+    """The system's refusal is simulated, since the tests may run as a privileged user."""
 
     def refuse(source, target):
         raise PermissionError(13, "Permission denied", str(target))

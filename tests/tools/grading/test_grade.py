@@ -12,7 +12,8 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.cli import grade as verbs
-from falconwing_kit.tools.cli.grade import Grade, Sandbox
+from falconwing_kit.tools.cli.grade import Grade
+from falconwing_kit.tools.cli.sandbox import Sandbox
 from falconwing_kit.tools.grading.records import last_records, read_grade_records
 from falconwing_kit.tools.grading.sandbox.probe import ProbeResult
 from tests.tools.grading import toys
@@ -265,7 +266,7 @@ def test_a_hole_stops_the_grading_unless_it_is_accepted(tmp_path, monkeypatch):
         (each["points"], each["sandboxed"]) for each in read_grade_records(tmp_path / "out")
     ] == [(75.0, False)]
     assert Sandbox("probe", json=True).run() == 1
-    assert verbs.Sandbox("probe").run() == 1
+    assert Sandbox("probe").run() == 1
 
 
 def test_judge_that_fails_is_for_a_person(tmp_path, capsys):

@@ -72,7 +72,7 @@ def test_digital_camera_has_the_data_sheets_numbers():
         (lambda t: t["mount"].update(holes_mm=[[0.0, 12.0]]), "above or below"),
         (lambda t: t["supply"].update(high_v=3.0), "high_v"),
         (lambda t: t["power_filter"].update(esr_ohm="low"), "esr_ohm"),
-        (lambda t: t["power_filter"].update(damping_ohm=3.0), "a tenth of the camera's voltage"),
+        (lambda t: t["power_filter"].update(damping_ohm=3.0), "a voltage drop below 10 %"),
     ],
 )
 def test_wrong_camera_is_one_sentence(tmp_path, spoil, text):

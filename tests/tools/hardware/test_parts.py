@@ -64,7 +64,7 @@ def test_option_takes_the_place_of_its_part(tmp_path):
 
 
 def test_moved_battery_brings_the_balance_back(tmp_path):
-    """By hand 110 * (40 - 21.818) / 20 = 100 mm; a cell put there, no longer inside, balances it."""
+    """By hand 110 * (40 - 21.818) / 20 = 100 mm; a cell there, no longer inside, balances it."""
     items = read(tmp_path)
     assert balance_move(items, "cell", 0.040) == pytest.approx(0.100, rel=1e-9)
     body, cell, *others = items
@@ -131,8 +131,8 @@ def test_list_airframe_and_cameras_agree():
             "receiver,receiver,1,15.3",
             "13.5 g",
         ),
-        ("1,9,paper,-164", "1,19,paper,-164", "camera_analog: its mass is said to be the paper's"),
-        ("1,,,,80,paper,spares", "1,,,,60,paper,spares", "its price is said to be the paper's"),
+        ("1,9,paper,-164", "1,19,paper,-164", "camera_analog: mass: expected the paper's"),
+        ("1,,,,80,paper,spares", "1,,,,60,paper,spares", "price: expected the paper's"),
         ("1,1.2,estimate", "1,,estimate", "unit_mass_g of a part that flies"),
         ("1,1.2,estimate", "1,-1.2,estimate", "unit_mass_g"),
         ("1,1.2,estimate", "1,heavy,estimate", "unit_mass_g"),

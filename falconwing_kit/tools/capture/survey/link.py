@@ -4,12 +4,10 @@ The two sets need not show the same views, only the same place. The parameters a
 clean photos, sent through the model, have the same statistics as the transmitted ones (method of
 simulated moments). Texture and JPEG compression affect both sets in the same way.
 
-    python -m falconwing_kit.tools.capture.survey.link PHOTOS_ANALOG PHOTOS
+    falconwing scene link PHOTOS_ANALOG PHOTOS
 """
 
-import argparse
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -235,53 +233,8 @@ def _jpeg(image: Pixels) -> Pixels:
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)[..., ::-1]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure a link on all photos, and on either half of them for its scatter; compare what the
-    model makes.
-
-    Args:
-        arguments: as from the command line; None takes those.
-
-    Returns:
-        0; 2 where the photos cannot be used.
-    """
-    parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
-    parser.add_argument("through", type=Path, help="folder of photos that came through the link")
-    parser.add_argument("clean", type=Path, help="folder of photos of the same place without it")
-    args = parser.parse_args(arguments)
-    try:
-        through, clean = _read(args.through), _subsample(_read(args.clean))
-        links = [measure_link(part, clean) for part in (through, through[::2], through[1::2])]
-    except (InputError, FileNotFoundError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    for name in (
-        "snr_db",
-        "dropouts",
-        "dropout_lines",
-        "luma_hz",
-        "chroma_hz",
-        "chroma_noise",
-        "noise_s",
-    ):
-        whole, even, odd = (f"{getattr(link, name):.3g}" for link in links)
-        print(f"{name} = {whole}  # by halves of the photos: {even}, {odd}")
-    sets = {
-        "through the link": through,
-        "clean": clean,
-        "clean through the model": transmit(links[0], clean),
-    }
-    for title, images in sets.items():
-        seen = image_statistics(images)
-        print(
-            f"\n{title}: noise {seen.luma_noise:.2f}, alike {seen.correlation:.2f}, "
-            f"in colour {seen.chroma_noise:.2f}"
-        )
-        print("log of luma's bands", seen.luma.round(2), "and chroma's", seen.chroma.round(2))
-    return 0
-
-
-def _read(folder: Path) -> list[Pixels]:
+def read_photos(folder: Path) -> list[Pixels]:
+    """All photos (H, W, 3) of a folder, by name; InputError for fewer than two."""
     paths = sorted(
         path for path in folder.glob("*") if path.suffix.lower() in (".jpg", ".jpeg", ".png")
     )
@@ -290,10 +243,6 @@ def _read(folder: Path) -> list[Pixels]:
     return [read_photo(path)[..., :3] for path in paths]
 
 
-def _subsample(images: list[Pixels]) -> list[Pixels]:
+def subsample(images: list[Pixels]) -> list[Pixels]:
     """At most MAX_PHOTOS, evenly spread over all."""
     return [images[k] for k in np.unique(np.linspace(0, len(images) - 1, MAX_PHOTOS).astype(int))]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

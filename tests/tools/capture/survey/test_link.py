@@ -2,13 +2,15 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.scene.analog import AnalogVideo, scene_link
 from falconwing_kit.tools.capture.photo_files import read_photo
-from falconwing_kit.tools.capture.survey.link import image_statistics, main, measure_link, transmit
+from falconwing_kit.tools.capture.survey.link import image_statistics, measure_link, transmit
+from falconwing_kit.tools.cli.main import main
 from tests.scene.hall24 import FOLDER
 
 HALL = Path(__file__).parents[5] / "shared" / "data" / "hall"
@@ -97,5 +99,19 @@ def test_wrong_photos_are_a_sentence(clean, tmp_path, capsys):
     """No photos, and photos of two sizes."""
     with pytest.raises(InputError, match="one size"):
         measure_link([clean[0][:240]], clean)
-    assert main([str(tmp_path), str(tmp_path)]) == 2 and "two photos" in capsys.readouterr().err
+    assert main(["scene", "link", str(tmp_path), str(tmp_path)]) == 2
+    assert "two photos" in capsys.readouterr().err
     assert scene_link("hall") is None
+
+
+def test_the_step_prints_the_link(clean, tmp_path, capsys):
+    """The noise that was added, by `falconwing scene link`; the same tolerance as above."""
+    link = AnalogVideo(33.0, seed=9, chroma_noise=1.5)
+    for name, images in (("through", transmit(link, clean[:4])), ("clean", clean[:4])):
+        (tmp_path / name).mkdir()
+        for number, image in enumerate(images):
+            cv2.imwrite(str(tmp_path / name / f"{number}.png"), image[..., ::-1])
+    assert main(["scene", "link", str(tmp_path / "through"), str(tmp_path / "clean")]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    snr_db = next(float(row[1]) for row in rows if row[:1] == ["snr_db"])
+    assert snr_db == pytest.approx(33.0, abs=1.0)

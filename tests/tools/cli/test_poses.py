@@ -13,7 +13,7 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.flight_table import read_flight_table
 from falconwing_kit.core.messages import Command, Image
-from falconwing_kit.tools.cli.video import Poses, read_video, scaled_camera
+from falconwing_kit.tools.cli.poses import Poses, read_video, scaled_camera
 from tests.vision.drawn_marker import CAMERA, pose, view
 
 COUNT = 24
@@ -22,7 +22,7 @@ COMMAND = (0.4, 0.1, -0.2, 0.05)
 
 @pytest.fixture(scope="module")
 def jpegs():
-    """Straight at 8 m/s towards the marker from 13 m, 1 m to the left of it, drawn and compressed."""
+    """Straight at 8 m/s towards the marker from 13 m, 1 m left of it, drawn and compressed."""
     rng = np.random.default_rng(3)
     images = [view(pose(-13.0 + 0.4 * k, 1.0, 1.5, 0.0, 2.0, 4.0), rng) for k in range(COUNT)]
     return [
@@ -101,7 +101,7 @@ def test_a_frame_that_is_gone_is_a_row_without_image(folder):
         ("t,frame,throttle,aileron,elevator,rudder\n0,000.jpg,1,2,3\n", "a number in every cell"),
         (
             "t,frame,throttle,aileron,elevator,rudder\n0,a.jpg,0,0,0,0\n0,b.jpg,0,0,0,0\n",
-            "time increases",
+            "increasing time",
         ),
         (
             "t,frame,throttle,aileron,elevator,rudder\n0,../a.jpg,0,0,0,0\n1,b.jpg,0,0,0,0\n",

@@ -1,4 +1,4 @@
-"""`falconwing scene pose-net`: a scene and its photos with poses -> a pose net and its errors."""
+"""falconwing scene pose-net: a scene and its photos with poses -> a pose network, its errors."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -8,9 +8,9 @@ import json
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.cli import walk as walking
+from falconwing_kit.tools.cli import checklist as walking
+from falconwing_kit.tools.cli.checklist import ChecklistDevices, walk
 from falconwing_kit.tools.cli.main import main
-from falconwing_kit.tools.cli.walk import WalkDevices, walk
 from falconwing_kit.tools.devices.cameras import CameraFault, FakeCamera
 from falconwing_kit.tools.hardware.checklists import Checklist, Step, load_checklists
 
@@ -37,7 +37,7 @@ def typed(monkeypatch, text):
 def in_empty_folder(tmp_path, monkeypatch):
     """Whatever is written by mistake lands here and is seen."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(walking, "WATCH_S", 0.6)
+    monkeypatch.setattr(walking, "OBSERVE_S", 0.6)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_answers_decide(monkeypatch, capsys, answers, code, results):
     failed one.
     """
     typed(monkeypatch, answers)
-    assert walk(listed("one", "two", "three"), WalkDevices(), as_json=True) == code
+    assert walk(listed("one", "two", "three"), ChecklistDevices(), as_json=True) == code
     record = json.loads(capsys.readouterr().out)
     assert [step["result"] for step in record["steps"]] == results
     assert record["failed"] == bool(code) and record["complete"] == (results == ["yes"] * 3)
@@ -67,16 +67,17 @@ def test_answers_decide(monkeypatch, capsys, answers, code, results):
 def test_no_at_a_step_that_stops_ends_the_walk(monkeypatch, capsys):
     """With the propeller on, nothing else is asked; what to do is said."""
     typed(monkeypatch, "n\ny\ny\n")
-    assert walk(listed("one", "two", stop=True), WalkDevices()) == 1
+    assert walk(listed("one", "two", stop=True), ChecklistDevices()) == 1
     printed = capsys.readouterr()
     assert "2/2" not in printed.err and printed.out.rstrip().endswith("next: mend one")
 
 
 def test_automatic_step_without_a_tool_is_asked(monkeypatch, capsys):
-    """No port was given: the person says what the board does, and a no stops the walk as any other."""
+    """No port was given: the person reports the board's state, and a no stops the checklist."""
     typed(monkeypatch, "n\ny\n")
     assert (
-        walk(listed("look", "fly", stop=True, automatic="board"), WalkDevices(), as_json=True) == 1
+        walk(listed("look", "fly", stop=True, automatic="board"), ChecklistDevices(), as_json=True)
+        == 1
     )
     steps = json.loads(capsys.readouterr().out)["steps"]
     assert [(step["result"], step["by"]) for step in steps] == [("NO", "person"), ("not done", "")]
@@ -135,16 +136,18 @@ def test_simulated_board_and_camera_pass_and_are_called_simulated(monkeypatch, c
     ("faults", "text"),
     [
         ([CameraFault("noise", 0.0, 60.0, 10.0)], "noise"),
-        ([CameraFault("unplug", 0.0, 60.0)], "expected a picture"),
+        ([CameraFault("unplug", 0.0, 60.0)], "expected an image"),
         ([CameraFault("freeze", 0.2, 60.0)], "alarm"),
     ],
 )
 def test_bad_camera_fails_the_step(monkeypatch, capsys, faults, text):
     """A scripted camera with 10 dB of noise, unplugged, or frozen: no, with the reason."""
     monkeypatch.setattr(walking, "_simulated_camera", lambda: FakeCamera(faults))
-    monkeypatch.setattr(walking, "FIRST_PICTURE_S", 1.0)
+    monkeypatch.setattr(walking, "FIRST_IMAGE_S", 1.0)
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    assert walk(listed("look", automatic="picture"), WalkDevices(camera="sim"), as_json=True) == 1
+    assert (
+        walk(listed("look", automatic="picture"), ChecklistDevices(camera="sim"), as_json=True) == 1
+    )
     (step,) = json.loads(capsys.readouterr().out)["steps"]
     assert step["result"] == "NO" and text in step["seen"]
 
@@ -156,7 +159,7 @@ def test_board_that_is_not_there_stops_the_bench_test(monkeypatch, capsys):
     assert (
         walk(
             listed("look", "fly", stop=True, automatic="board"),
-            WalkDevices(port="/dev/nothing"),
+            ChecklistDevices(port="/dev/nothing"),
             as_json=True,
         )
         == 1

@@ -13,7 +13,7 @@ from falconwing_kit.tools.capture.align import Alignment
 from falconwing_kit.tools.capture.photo_files import read_reconstruction, write_reconstruction
 from falconwing_kit.tools.capture.survey.points import PointObservations, Survey
 from falconwing_kit.tools.capture.survey.recipe import Alignments
-from falconwing_kit.tools.cli.photos import Align, Poses, check_record, is_good
+from falconwing_kit.tools.cli.scene_photos import Align, Poses, check_record, is_good
 from tests.scene import hall24
 
 
@@ -25,7 +25,7 @@ def raw(tmp_path):
 
 
 def test_poses_made_elsewhere_are_taken_and_straightened(raw, tmp_path, capsys):
-    """The same poses come out, with photos of their own and no k1; 0 since all photos have a pose."""
+    """The same poses, with undistorted photos and no k1; 0 since all photos have a pose."""
     assert Poses(raw, tmp_path / "out", straighten=True, json=True).run() == 0
     record = json.loads(capsys.readouterr().out)
     found = read_reconstruction(tmp_path / "out")
@@ -87,7 +87,7 @@ def test_tables_tell_the_same(raw, tmp_path, capsys):
     assert Align(tmp_path / "out", hall24.FOLDER / "survey.csv", tmp_path / "aligned").run() == 0
     printed = capsys.readouterr().out
     assert "photos with a pose" in printed and "next: falconwing scene align" in printed
-    assert "points kept for checking, off the tape by" in printed
+    assert "check points, distance from the survey" in printed
     assert "pad_far_left_top" in printed and "next: falconwing scene fit" in printed
 
 

@@ -1,6 +1,4 @@
-"""`falconwing scene poses` and `scene align`: photos -> where they were taken -> the same in the
-kit's world.
-"""
+"""falconwing scene poses, align: photos -> camera poses -> the same in the kit's world frame."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -36,40 +34,39 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Poses:
-    """Find where each photo of a place was taken. Exit code 1 where too many found no place."""
+    """Estimate the camera pose of each photo of a place. Exit code 1 if too many are missing."""
 
     photos: Annotated[Path, tyro.conf.Positional]
     """a folder of photos, or a COLMAP model or transforms.json made elsewhere"""
     out: Path
-    """folder for transforms.json, points.ply and COLMAP's database; a run that was stopped goes on
-    there
+    """folder for transforms.json, points.ply and COLMAP's database; the same folder continues an
+    interrupted run
     """
     walk: bool = False
-    """the photos follow each other as frames of a video do: compare only near ones"""
+    """the photos are in sequence like frames of a video: match only near ones"""
     focal_share: float = 0.6
-    """first guess of the focal length as a share of the photo's longer side"""
+    """initial focal length as a share of the photo's longer side"""
     images: Path | None = None
-    """where the photos of a COLMAP model are, if not in a folder called images or photos beside it
-    """
+    """folder of a COLMAP model's photos, if not `images` or `photos` beside it"""
     straighten: bool = False
-    """also write the photos without the lens's distortion, and poses for these"""
+    """also write undistorted photos, and poses for these"""
     threads: int = 1
-    """with 1 a run gives the same result again"""
+    """number of threads; 1 is reproducible"""
     seed: int = 0
     """of the random draws in matching and mapping"""
     json: bool = False
     """print the report as JSON"""
 
     def run(self) -> int:
-        """Find or read the poses, write them and print how good they are.
+        """Estimate or read the poses, write them and print their quality.
 
         Returns:
-            0, or 1 where fewer than 95 % of the photos found their place or points miss by more
-            than 0.8 px.
+            0, or 1 if fewer than 95 % of the photos have a pose or the reprojection error exceeds
+            0.8 px.
 
         Raises:
             FileNotFoundError: there is no such folder.
-            InputError: the photos cannot be used, pycolmap is missing, or nothing came out.
+            InputError: the photos cannot be used, pycolmap is missing, or no pose was found.
         """
         found = self._find()
         if self.straighten:
@@ -94,7 +91,8 @@ class Poses:
             )
             if not found.path(0).is_file():
                 raise InputError(
-                    f"{found.path(0)}: expected the model's photos there, found none; tell --images FOLDER"
+                    f"{found.path(0)}: expected the model's photos there, found none; "
+                    "give --images FOLDER"
                 )
             found = replace(found, folder=found.folder.resolve())
             read_photo(found.path(0))
@@ -120,37 +118,35 @@ class Poses:
 
 @dataclass(frozen=True)
 class Align:
-    """Bring poses into the kit's world by a marker in the photos and what a tape measured."""
+    """Align poses with the kit's world frame by a marker in the photos and a tape survey."""
 
     poses: Annotated[Path, tyro.conf.Positional]
     """the folder that `scene poses` wrote, a transforms.json, or a COLMAP model"""
     survey: Path
     """CSV name,x,y,z,use in metres; marker_corner_top_left ... are the marker's corners, four
-    points a flat face
+    points are a flat quad
     """
     out: Path
     """folder for the aligned transforms.json, points.ply and alignment.png"""
     clicks: Path | None = None
-    """CSV name,photo,u,v of surveyed points that somebody clicked, in pixels; used beside what is
-    found
-    """
+    """CSV name,photo,u,v of clicked surveyed points in pixels; used with the detected ones"""
     marker_id: int = 7
-    """the marker's number"""
+    """the marker's id"""
     dictionary: str = "DICT_4X4_50"
-    """the marker's dictionary, as OpenCV calls it"""
+    """the marker's dictionary, OpenCV's name"""
     json: bool = False
     """print JSON instead of tables"""
 
     def run(self) -> int:
-        """Align, write and say how well places in the hall are known.
+        """Align, write and print the uncertainty of positions in the hall.
 
         Returns:
             0: it is aligned.
 
         Raises:
-            FileNotFoundError: poses, survey, clicks or a photo are not there.
-            InputError: no marker is seen and too little was clicked, a file is wrong, or it is
-                aligned already.
+            FileNotFoundError: poses, survey, clicks or a photo are missing.
+            InputError: no marker was detected and too few points were clicked, a file is invalid,
+                or the poses are aligned already.
         """
         reconstruction, survey = read_reconstruction(self.poses), read_survey(self.survey)
         if (
@@ -158,7 +154,7 @@ class Align:
             == (self.poses if self.poses.is_dir() else self.poses.parent).resolve()
         ):
             raise InputError(
-                f"--out {self.out}: expected another folder than that of the poses; they stay as they are"
+                f"--out {self.out}: expected another folder than that of the poses, which are kept"
             )
         clicks = (
             read_clicks(self.clicks, reconstruction, survey) if self.clicks is not None else None
@@ -168,8 +164,7 @@ class Align:
                 reconstruction, survey, self.marker_id, self.dictionary, clicks, progress
             )
         path = write_reconstruction(self.out, transform_reconstruction(found.best, reconstruction))
-        shown = recipes(found)
-        draw_alignment(self.out / "alignment.png", reconstruction, survey, shown)
+        draw_alignment(self.out / "alignment.png", reconstruction, survey, recipes(found))
         record = alignment_record(found, reconstruction, survey)
         record["check"] = check_record(
             found, check_points(found.best, reconstruction, survey, clicks), survey
@@ -178,23 +173,19 @@ class Align:
             print_json({**record, "file": str(path)})
         else:
             _print_alignment(record)
-            print(f"poses: {path}, picture: {self.out / 'alignment.png'}")
+            print(f"poses: {path}, figure: {self.out / 'alignment.png'}")
             next_line(f"falconwing scene fit {self.out} --survey {self.survey} --out FOLDER")
         return 0
 
 
 def is_good(report: dict[str, Any]) -> bool:
-    """Whether enough photos found their place and points fit them.
-
-    Args:
-        report: of a reconstruction; without a reprojection error only the count is judged.
-    """
+    """Whether enough photos have a pose and, if reported, the reprojection error is small."""
     share = report["registered"] / report["total"]
     return bool(share >= GOOD_SHARE and report.get("reprojection_px", 0.0) <= GOOD_REPROJECTION_PX)
 
 
 def recipes(found: Alignments) -> list[tuple[str, Alignment]]:
-    """The alignments that were made, with a title each, the best one last."""
+    """The alignments with their titles, the best one last."""
     named = [("marker pose of each photo", found.baseline), ("marker's corners", found.marker)]
     return [(title, a) for title, a in named if a is not None] + [
         ("all surveyed points", found.best)
@@ -204,34 +195,29 @@ def recipes(found: Alignments) -> list[tuple[str, Alignment]]:
 def alignment_record(
     found: Alignments, reconstruction: Reconstruction, survey: Survey
 ) -> dict[str, Any]:
-    """What an alignment is like, as it goes to JSON.
-
-    Args:
-        found: the alignments.
-        reconstruction: what they were found on.
-        survey: with the points.
+    """Quality of the alignments, as it goes to JSON.
 
     Returns:
-        By recipe the scale, the uncertainty over the cameras' places [m], and how far its cameras
-        are from those of the best; and the points that the best one used.
+        By recipe the scale, the uncertainty at the cameras' positions [m] and the distance of its
+        cameras from those of the best; and the points that the best one used.
     """
     cameras = reconstruction.T_world_camera[:, :3, 3]
     best = found.best.points(cameras)
 
-    def one(alignment: Alignment) -> dict[str, Any]:
+    def quality(alignment: Alignment) -> dict[str, Any]:
         sigma: Array = alignment.sigma(best)
-        apart = np.linalg.norm(alignment.points(cameras) - best, axis=1)
+        distance = np.linalg.norm(alignment.points(cameras) - best, axis=1)
         return {
             "metres_per_unit": alignment.scale,
             "sigma_median_m": float(np.median(sigma)),
             "sigma_max_m": float(sigma.max()),
-            "from_best_mean_m": float(apart.mean()),
-            "from_best_max_m": float(apart.max()),
+            "from_best_mean_m": float(distance.mean()),
+            "from_best_max_m": float(distance.max()),
         }
 
     return {
         "method": found.best.method,
-        "recipes": {title: one(alignment) for title, alignment in recipes(found)},
+        "recipes": {title: quality(alignment) for title, alignment in recipes(found)},
         "points": dict(found.best.residuals),
         "not_seen": [
             name for name in survey.select("align").names if name not in found.best.residuals
@@ -240,17 +226,14 @@ def alignment_record(
 
 
 def check_record(found: Alignments, places: Mapping[str, Array], survey: Survey) -> dict[str, Any]:
-    """How far alignments put points kept for checking from where the tape had them, as it goes to
-    JSON.
+    """Distances of the check points from their surveyed positions, as they go to JSON.
 
     Args:
-        found: the alignments.
-        places: by name: (3,) where photos show the points, in the reconstruction's frame.
-        survey: with the points.
+        places: by name: (3,) position from the photos, in the reconstruction's frame.
 
     Returns:
-        By recipe mean and worst distance [m]; by point that of the best recipe; and the points that
-        were not seen.
+        By recipe mean and maximum distance [m]; by point that of the best recipe; and the points
+        that were not observed.
     """
     seen = np.array(list(places.values())).reshape(-1, 3)
     tape = survey.places(places).reshape(-1, 3)
@@ -281,8 +264,8 @@ def _print_poses(report: dict[str, Any], k1: float, title: str) -> None:
         ("focal length [px]", report["focal_px"]),
         ("its standard deviation [px]", report.get("focal_sigma_px")),
         ("distortion k1", k1),
-        ("features in a middling photo", report.get("features_median")),
-        ("grain, of 255", report.get("grain")),
+        ("features per photo, median", report.get("features_median")),
+        ("image noise, of 255", report.get("grain")),
     ]
     print_table(("what", "value"), rows, title=title)
     for sentence in report["advice"]:
@@ -306,15 +289,15 @@ def _print_alignment(record: dict[str, Any]) -> None:
         "recipe",
         "metres per unit",
         "sigma, median [cm]",
-        "sigma, greatest [cm]",
+        "sigma, maximum [cm]",
         "from the best [cm]",
     )
-    print_table(headers, rows, title="how well the cameras' places are known in the hall")
+    print_table(headers, rows, title="uncertainty of the cameras' positions in the hall")
     print()
     points = [(name, p["photos"], p["rms_px"]) for name, p in record["points"].items()]
     print_table(("surveyed point", "photos", "rms [px]"), points)
     for name in record["not_seen"]:
-        print(f"not seen in two photos: {name}; click it (--clicks) to use it")
+        print(f"not observed in two photos: {name}; click it (--clicks) to use it")
     check = record["check"]
     if check["recipes"]:
         count = len(check["points_m"])
@@ -323,22 +306,22 @@ def _print_alignment(record: dict[str, Any]) -> None:
             (name, cm * r["mean_m"], cm * r["worst_m"]) for name, r in check["recipes"].items()
         ]
         title = (
-            f"{count} of {count + len(check['not_seen'])} points kept for checking, off the tape by"
+            f"{count} of {count + len(check['not_seen'])} check points, distance from the survey"
         )
-        print_table(("recipe", "mean [cm]", "worst [cm]"), checked, title=title)
+        print_table(("recipe", "mean [cm]", "maximum [cm]"), checked, title=title)
         worst = max(check["points_m"], key=lambda name: check["points_m"][name])
-        print(f"worst by all surveyed points: {worst}")
+        print(f"maximum with all surveyed points: {worst}")
 
 
 def _holds_poses(path: Path) -> bool:
-    """Whether a path is to be taken for poses made elsewhere rather than for a folder of photos."""
+    """Whether a path holds poses made elsewhere rather than photos."""
     names = ("transforms.json", "cameras.bin", "cameras.txt", "sparse")
     return path.suffix == ".json" or any((path / name).exists() for name in names)
 
 
 @contextmanager
 def _bar(is_quiet: bool) -> Iterator[Progress]:
-    """A progress bar that begins again with each step."""
+    """A progress bar that restarts with each step."""
     from tqdm import tqdm
 
     now: dict[str, Any] = {"step": "", "done": 0}

@@ -13,7 +13,7 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import pose_matrix, rotation_world_body
 from falconwing_kit.scene import GaussianScene
 from falconwing_kit.scene.arena import leader_at
-from falconwing_kit.tools.cli.edit import Edit, parse_step
+from falconwing_kit.tools.cli.scene_edit import Edit, parse_step
 
 
 @pytest.fixture(autouse=True)
@@ -122,9 +122,20 @@ def test_steps_come_in_their_order(hall, capsys):
     wall goes.
     """
     record, scene = edit(
-        capsys, "hall.npz", "--label", "pad", "--duplicate", "--name", "mat", "--translate", "0,0,1",
-        "--then", "label=mat translate=1,0,0 scale=3", "--then", "label=wall delete",
-    )  # fmt: skip
+        capsys,
+        "hall.npz",
+        "--label",
+        "pad",
+        "--duplicate",
+        "--name",
+        "mat",
+        "--translate",
+        "0,0,1",
+        "--then",
+        "label=mat translate=1,0,0 scale=3",
+        "--then",
+        "label=wall delete",
+    )
     assert scene.label_names == ("pad", "mat") and len(scene) == 2
     np.testing.assert_allclose(scene.means, [[2, -2, 0], [3, -2, 1]], atol=1e-6)
     np.testing.assert_allclose(scene.scales, [[0.1] * 3, [0.3] * 3], rtol=1e-6)
@@ -191,7 +202,7 @@ def test_a_table_and_what_to_do_next(hall, capsys):
     ("words", "text"),
     [
         ({}, "--label"),
-        ({"label": "wall"}, "something to do"),
+        ({"label": "wall"}, "expected a change"),
         ({"label": "wall", "delete": True, "scale": 2.0}, "--delete"),
         ({"add": "plane.npz", "duplicate": True}, "--duplicate"),
         ({"label": "roof", "delete": True}, "wall, pad"),

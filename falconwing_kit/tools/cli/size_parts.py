@@ -1,6 +1,4 @@
-"""falconwing size --parts: a list of parts and an airframe -> balance, options, costs, the paper's
-sum, as tables.
-"""
+"""`falconwing size --parts`: a parts list and an airframe -> tables of balance, options, cost."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,11 +7,11 @@ from falconwing_kit.aircraft.airframe import Airframe, AirframePart
 from falconwing_kit.tools.cli.show import print_table
 from falconwing_kit.tools.hardware.parts import Item, balance_move, paper_sums, roll_up, with_option
 
-MOVER = "battery"  # what a modeller moves to balance the aircraft
+MOVER = "battery"  # the part that is moved to balance the aircraft
 
 
 def as_parts(items: Sequence[Item]) -> tuple[AirframePart, ...]:
-    """What flies, in the form of an airframe file's parts."""
+    """The parts of the aircraft, in the form of an airframe file's parts."""
     return tuple(
         AirframePart(i.id, i.mass, i.inside)
         for i in items
@@ -22,19 +20,18 @@ def as_parts(items: Sequence[Item]) -> tuple[AirframePart, ...]:
 
 
 def parts_record(items: Sequence[Item], airframe: Airframe, stated_mass: float) -> dict[str, Any]:
-    """All answers of `--parts`, as they go to JSON.
+    """All results of `--parts`, as they go to JSON.
 
     Args:
-        items: the list; its first part that others are inside of is the aircraft as it is bought,
-            in balance.
-        airframe: its mean chord turns a place into per cent.
-        stated_mass: what the whole is said to weigh [kg].
+        items: the list; the first part that contains others is the aircraft as bought, in balance.
+        airframe: for the mean chord, the unit of the centre of gravity in per cent.
+        stated_mass: mass of the aircraft in its airframe file [kg].
 
     Returns:
-        Plain numbers and texts, units in the names.
+        Numbers and texts, units in the names.
 
     Raises:
-        InputError: nothing of the list flies.
+        InputError: no part of the list belongs to the aircraft.
     """
     whole, rows = roll_up(items), []
     for item in items:
@@ -79,36 +76,37 @@ def parts_record(items: Sequence[Item], airframe: Airframe, stated_mass: float) 
 
 
 def print_parts(record: dict[str, Any]) -> None:
-    """The tables of `parts_record`, with a sentence where one is needed."""
+    """Print the tables of `parts_record`."""
     balance = record["balance"]
     rows = [(p["part"], p["mass_g"], p["x_mm"], p["mass_g"] * p["x_mm"]) for p in balance["places"]]
     print_table(("part", "mass [g]", "behind leading edge [mm]", "moment [g mm]"), rows)
     percent = balance["cg_percent_chord"]
     print(
-        f"centre of gravity {balance['cg_mm']:.1f} mm behind the leading edge, {percent:.0f} % of the mean chord"
+        f"centre of gravity {balance['cg_mm']:.1f} mm behind the leading edge, "
+        f"{percent:.0f} % of the mean chord"
     )
     if balance["battery_move_mm"] is not None:
         way = "back" if balance["battery_move_mm"] > 0 else "forward"
         print(
-            f"as bought it is at {balance['as_bought_mm']:g} mm; there again with the battery",
-            end=" ",
-        )
-        print(
-            f"{abs(balance['battery_move_mm']):.0f} mm further {way}, or the camera nearer to the wing"
+            f"as bought it is at {balance['as_bought_mm']:g} mm; to restore it, move the battery "
+            f"{abs(balance['battery_move_mm']):.0f} mm {way}, or the camera nearer to the wing"
         )
     print()
     if record["options"]:
         options = [(o["option"], o["for"], o["mass_g"], o["cg_mm"]) for o in record["options"]]
-        print_table(("option", "in place of", "mass [g]", "centre of gravity moves [mm]"), options)
+        print_table(
+            ("option", "instead of", "mass [g]", "shift of centre of gravity [mm]"), options
+        )
         print()
     sums = [(s["reading"], s["sum_g"], s["over_stated_g"]) for s in record["paper_sums"]]
     print_table(
-        ("paper's masses", "sum [g]", f"over the stated {record['stated_mass_g']:g} g"), sums
+        ("paper's masses", "sum [g]", f"above the stated {record['stated_mass_g']:g} g"), sums
     )
     print()
     print_table(("cost", "US dollars"), list(record["costs_usd"].items()))
     print(
-        f"not in it: {', '.join(record['unpriced']) or 'nothing'}; prices are estimates but for the paper's two"
+        f"not included: {', '.join(record['unpriced']) or 'nothing'}; "
+        "prices are estimates, except the paper's two"
     )
-    print(f"masses that are estimates: {', '.join(record['estimated']) or 'none'}")
+    print(f"estimated masses: {', '.join(record['estimated']) or 'none'}")
     print()

@@ -1,6 +1,4 @@
-"""falconwing doctor --bench, --preflight: a checklist -> asked at the terminal or tried by itself
--> a dated record.
-"""
+"""`falconwing doctor --bench` and `--preflight`: a checklist -> answers or checks -> a record."""
 
 import json
 import sys
@@ -29,15 +27,15 @@ ANSWERS: dict[str, Result] = {
     "yes": "yes",
     "no": "NO",
 }
-WATCH_S = 2.0  # for which a board or a camera is looked at
-FIRST_PICTURE_S = 5.0  # that a camera may take to begin
-LEAST_RATE_HZ = 15.0  # of the paper's 20; what the lists promise
-IDLE, MIDDLE = 0.05, 0.10  # how far a stick may be off and still count as idle or centred
+OBSERVE_S = 2.0  # duration of the check of a board or a camera
+FIRST_IMAGE_S = 5.0  # maximum time to a camera's first image
+MIN_RATE_HZ = 15.0  # of the paper's 20; as stated in the checklists
+IDLE, CENTRED = 0.05, 0.10  # maximum throttle, maximum deflection of the other sticks
 
 
 @dataclass(frozen=True)
-class WalkDevices:
-    """What the automatic steps may use; "" where there is none."""
+class ChecklistDevices:
+    """Devices of the automatic steps; "" for none."""
 
     port: str = ""  # serial port of the board; sim is a SIMULATED one
     camera: str = ""  # number, path or video file; sim is a SIMULATED one
@@ -45,7 +43,7 @@ class WalkDevices:
 
 @dataclass(frozen=True)
 class StepOutcome:
-    """What came of one step."""
+    """Result of one step."""
 
     id: str
     result: Result
@@ -54,36 +52,34 @@ class StepOutcome:
 
 
 class MissingDeviceError(Exception):
-    """An automatic step has nothing to work with."""
+    """An automatic step has no device to check."""
 
 
 def walk(
-    checklist: Checklist, tools: WalkDevices, out: Path | None = None, as_json: bool = False
+    checklist: Checklist, devices: ChecklistDevices, out: Path | None = None, as_json: bool = False
 ) -> int:
-    """Go through a list: ask where somebody sits at the terminal, else print it and do what is
-    automatic.
+    """Work through a checklist: at a terminal ask for every step, else run the automatic ones.
 
     Args:
-        checklist: what to do.
-        tools: of the automatic steps.
         out: folder for a dated record; None writes none.
         as_json: print the outcomes as JSON instead of tables.
 
     Returns:
-        1 where a step failed or the walk ended early, else 0.
+        1 if a step failed or the checklist ended early, else 0.
 
     Raises:
         InputError: the record cannot be written.
     """
-    asked, began = sys.stdin is not None and sys.stdin.isatty(), datetime.now()
+    asked = sys.stdin is not None and sys.stdin.isatty()
+    start = datetime.now()
     print(f"{checklist.title}{'; y yes, n no, s skip' if asked else ''}", file=sys.stderr)
     outcomes: list[StepOutcome] = []
     for number, step in enumerate(checklist.steps, 1):
-        print(f"\n{number}/{len(checklist.steps)} {step.do}\n    see: {step.see}", file=sys.stderr)
-        outcome = _try(step, tools) if step.automatic else None
-        if outcome is None or (
-            asked and outcome.result == "skipped"
-        ):  # without a tool it is the person's to see
+        heading = f"\n{number}/{len(checklist.steps)} {step.do}\n    see: {step.see}"
+        print(heading, file=sys.stderr)
+        outcome = _run_automatic(step, devices) if step.automatic else None
+        # a step without its device is left to the person
+        if outcome is None or (asked and outcome.result == "skipped"):
             outcome = _ask(step, asked)
         outcomes.append(outcome)
         if outcomes[-1].result == "NO":
@@ -95,12 +91,16 @@ def walk(
         StepOutcome(step.id, "not done", "", "") for step in checklist.steps if step.id not in done
     ]
     failed = any(o.result == "NO" or (asked and o.result == "not done") for o in outcomes)
-    record = {"list": checklist.title, "date": began.isoformat(timespec="seconds"), **asdict(tools)}
+    record = {
+        "list": checklist.title,
+        "date": start.isoformat(timespec="seconds"),
+        **asdict(devices),
+    }
     record |= {"complete": all(o.result == "yes" for o in outcomes), "failed": failed}
     record |= {"steps": [asdict(outcome) for outcome in outcomes]}
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        with atomic_write(out / f"checklist_{began:%Y%m%d_%H%M%S}.json", text=True) as file:
+        with atomic_write(out / f"checklist_{start:%Y%m%d_%H%M%S}.json", text=True) as file:
             file.write(json.dumps(record, indent=2) + "\n")
     if as_json:
         print_json(record)
@@ -111,7 +111,7 @@ def walk(
 
 def _show(checklist: Checklist, outcomes: list[StepOutcome], asked: bool, failed: bool) -> None:
     print_table(
-        ("step", "result", "by", "seen"), [(o.id, o.result, o.by, o.seen) for o in outcomes]
+        ("step", "result", "by", "measured"), [(o.id, o.result, o.by, o.seen) for o in outcomes]
     )
     bad = next(
         (step for step, o in zip(checklist.steps, outcomes, strict=True) if o.result == "NO"), None
@@ -119,17 +119,17 @@ def _show(checklist: Checklist, outcomes: list[StepOutcome], asked: bool, failed
     if bad is not None:
         next_line(bad.if_not)
     elif not asked:
-        next_line("type this at a terminal, which then asks for every step")
+        next_line("run this at a terminal, which then asks for every step")
     else:
         next_line(
             "start again from the first step"
             if failed
-            else "put the record beside your flight logs (--out DIR)"
+            else "keep the record with your flight logs (--out DIR)"
         )
 
 
 def _ask(step: Step, asked: bool) -> StepOutcome:
-    """A person's answer; "not done" where nobody is there or the input ends."""
+    """The person's answer; "not done" without a terminal or at the end of the input."""
     while asked:
         print("    [y/n/s] ", end="", file=sys.stderr, flush=True)
         line = sys.stdin.readline()
@@ -140,13 +140,13 @@ def _ask(step: Step, asked: bool) -> StepOutcome:
     return StepOutcome(step.id, "not done", "", "")
 
 
-def _try(step: Step, tools: WalkDevices) -> StepOutcome:
-    """What the computer sees; anything that breaks is a no."""
+def _run_automatic(step: Step, devices: ChecklistDevices) -> StepOutcome:
+    """Run an automatic step; any error is a NO."""
     try:
-        outcome = StepOutcome(step.id, "yes", "computer", AUTOMATIC[step.automatic](tools))
+        outcome = StepOutcome(step.id, "yes", "computer", AUTOMATIC[step.automatic](devices))
     except MissingDeviceError as reason:
         outcome = StepOutcome(step.id, "skipped", "computer", str(reason))
-    except Exception as error:  # whatever breaks here is what was seen
+    except Exception as error:  # any error is the result
         outcome = StepOutcome(
             step.id, "NO", "computer", (str(error).splitlines() or [type(error).__name__])[0]
         )
@@ -154,20 +154,22 @@ def _try(step: Step, tools: WalkDevices) -> StepOutcome:
     return outcome
 
 
-def _board(tools: WalkDevices) -> str:
-    """The board stays in SAFE, idle and centred, and does not restart, while nobody engages it."""
-    from falconwing_kit.tools.cli.bridge import LOOK_S, open_ready_port
+def _board(devices: ChecklistDevices) -> str:
+    """The board stays in SAFE, idle and centred, without a restart, while not engaged."""
+    from falconwing_kit.tools.cli.board_status import POLL_S, open_ready_port
 
-    if not tools.port:
+    if not devices.port:
         raise MissingDeviceError("no board given (--port)")
-    with open_ready_port(tools.port, None) as port:
-        first, end = port.status, port.now() + WATCH_S
+    with open_ready_port(devices.port, None) as port:
+        first, end = port.status, port.now() + OBSERVE_S
         while port.now() < end:
             port.poll()
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
         status = port.status
         if port.state != "open" or status is None or first is None:
-            raise InputError(f"expected a board that goes on answering, the port is {port.state}")
+            raise InputError(
+                f"expected a board that keeps answering, got a port that is {port.state}"
+            )
         if (
             status.state != "SAFE"
             or status.fault != "none"
@@ -175,27 +177,29 @@ def _board(tools: WalkDevices) -> str:
         ):
             boots = status.boot_count - first.boot_count
             raise InputError(
-                f"expected SAFE and no restart, got {status.state}, fault {status.fault}, {boots} restarts"
+                f"expected SAFE and no restart, got {status.state}, fault {status.fault}, "
+                f"{boots} restarts"
             )
         _require_idle(port.calibration.command(status.channels_us))
-        return f"{port.what}: {status.state}, {' '.join(map(str, status.channels_us))} us, boots {status.boot_count}"
+        channels = " ".join(map(str, status.channels_us))
+        return f"{port.what}: {status.state}, {channels} us, boots {status.boot_count}"
 
 
-def _sticks(tools: WalkDevices) -> str:
-    """The pilot's sticks reach the board, at idle and centred."""
+def _sticks(devices: ChecklistDevices) -> str:
+    """The pilot's sticks arrive at the board's input, idle and centred."""
     from falconwing_kit.core.messages import Command
-    from falconwing_kit.tools.cli.bridge import LOOK_S, open_ready_port, pilot_sticks
+    from falconwing_kit.tools.cli.board_status import POLL_S, open_ready_port, pilot_sticks
 
-    if not tools.port:
+    if not devices.port:
         raise MissingDeviceError("no board given (--port)")
-    with open_ready_port(tools.port, None) as port:
+    with open_ready_port(devices.port, None) as port:
         if port.simulation is not None:
             with port.simulation.pause() as board:
                 board.set_pilot(port.calibration.channels_us(Command(0.0, 0.0, 0.0, 0.0)))
-        end = port.now() + WATCH_S
+        end = port.now() + OBSERVE_S
         while port.now() < end:
             port.poll()
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
         sticks = pilot_sticks(port)
         if not sticks:
             raise InputError("expected the pilot's sticks at the board's input, got none")
@@ -204,32 +208,34 @@ def _sticks(tools: WalkDevices) -> str:
         return " ".join(f"{position:+.2f}" for position in sticks)
 
 
-def _picture(tools: WalkDevices) -> str:
-    """Pictures come fast enough and the frame monitor keeps still."""
+def _picture(devices: ChecklistDevices) -> str:
+    """Images come fast enough and the frame monitor raises no alarm."""
     from falconwing_kit.tools.devices.cameras import open_camera
     from falconwing_kit.tools.devices.grabber import Grabber
     from falconwing_kit.vision.monitor import FrameMonitor
 
-    if not tools.camera:
+    if not devices.camera:
         raise MissingDeviceError("no camera given (--camera)")
-    camera = _simulated_camera() if tools.camera == "sim" else open_camera(tools.camera)
+    camera = _simulated_camera() if devices.camera == "sim" else open_camera(devices.camera)
     monitor, alerts = FrameMonitor(), set()
     with Grabber(camera) as images:
-        if not images.wait(1, FIRST_PICTURE_S):
+        if not images.wait(1, FIRST_IMAGE_S):
             raise InputError(
-                f"camera {tools.camera}: expected a picture, got none; {images.health.trouble}"
+                f"camera {devices.camera}: expected an image, got none; {images.health.trouble}"
             )
-        begun, start = images.health.received, time.perf_counter()
-        while (t := time.perf_counter() - start) < WATCH_S:
+        received, start = images.health.received, time.perf_counter()
+        while (t := time.perf_counter() - start) < OBSERVE_S:
             alerts.add(monitor.update(images.next_image(t), t).reason)
             time.sleep(0.02)
-        rate = (images.health.received - begun) / t
-    told = ", ".join(sorted(alerts - {""}))
-    if told or rate < LEAST_RATE_HZ:
+        rate = (images.health.received - received) / t
+    alarms = ", ".join(sorted(alerts - {""}))
+    if alarms or rate < MIN_RATE_HZ:
         raise InputError(
-            f"expected {LEAST_RATE_HZ:g} pictures a second and no alarm, got {rate:.1f}, {told or 'no alarm'}"
+            f"expected {MIN_RATE_HZ:g} images per second and no alarm, got {rate:.1f}, "
+            f"{alarms or 'no alarm'}"
         )
-    return f"{'SIMULATED camera: ' if tools.camera == 'sim' else ''}{rate:.1f} pictures a second, no alarm"
+    source = "SIMULATED camera: " if devices.camera == "sim" else ""
+    return f"{source}{rate:.1f} images per second, no alarm"
 
 
 def _simulated_camera() -> "Camera":
@@ -240,12 +246,12 @@ def _simulated_camera() -> "Camera":
 
 def _require_idle(sticks: "Command") -> None:
     throttle, *others = sticks.vector.tolist()
-    if throttle > IDLE or max(map(abs, others)) > MIDDLE:
+    if throttle > IDLE or max(map(abs, others)) > CENTRED:
         got = " ".join(f"{position:+.2f}" for position in (throttle, *others))
-        raise InputError(f"expected throttle idle and the other sticks in the middle, got {got}")
+        raise InputError(f"expected throttle idle and the other sticks centred, got {got}")
 
 
-AUTOMATIC: dict[str, Callable[[WalkDevices], str]] = {
+AUTOMATIC: dict[str, Callable[[ChecklistDevices], str]] = {
     "board": _board,
     "sticks": _sticks,
     "picture": _picture,

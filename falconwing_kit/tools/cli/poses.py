@@ -1,6 +1,4 @@
-"""falconwing poses: a recorded flight's video and commands -> a flight table with sigmas, for
-`falconwing identify`.
-"""
+"""falconwing poses: estimate a flight's states from its onboard video, for identify."""
 
 import csv
 import math
@@ -18,20 +16,20 @@ from falconwing_kit.core.flight_log import read_flight_log, to_flight_table
 from falconwing_kit.core.flight_table import nearest_index, write_flight_table
 from falconwing_kit.core.messages import COMMAND_NAMES
 from falconwing_kit.scene.camera import PinholeCamera
-from falconwing_kit.tools.cli.scene import open_scene
+from falconwing_kit.tools.cli.scene_input import open_scene
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 from falconwing_kit.vision.hybrid_state import HybridFlight, HybridSettings, Video, estimate_flight
 from falconwing_kit.vision.marker import Marker, Pixels
 
 COLUMNS = ("t", "frame", *COMMAND_NAMES)
-LEAST_POSES = 60  # 3 s at 20 Hz: what `identify` wants at least
+MIN_POSES = 60  # 3 s at 20 Hz, the minimum of `identify`
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Read the states of a flight off its onboard video: marker, pose network, smoother.
+    """Estimate a flight's states from its onboard video by marker, pose network and smoother.
 
-    Exit code 1 where the video gives poses for less than 3 s, too little to identify anything.
+    Exit code 1 if the video gives poses for less than 3 s, too little for identification.
     """
 
     video: Annotated[Path, tyro.conf.Positional]
@@ -41,38 +39,37 @@ class Poses:
     out: Path | None = None
     """the flight table to write (CSV)"""
     network: str | None = None
-    """a pose network: hall, which ships, or a .safetensors file; asked where marker and scene give
-    no pose
+    """a pose network: hall (shipped) or a .safetensors file; used for frames without a pose from
+    marker and scene
     """
     scene: str | None = None
-    """a trained scene of the room: hall, which ships, or a file; poses are then followed through it
-    """
+    """a trained scene of the room: hall (shipped) or a file; poses are then refined against it"""
     camera: Path | None = None
-    """transforms.json of `falconwing scene poses` with the lens; without it --fov-deg counts"""
+    """transforms.json of `falconwing scene poses`, for the intrinsics; if not given, --fov-deg"""
     fov_deg: float = 77.8
-    """field of view from the left to the right edge; 77.8 is that of the hall's flights"""
+    """horizontal field of view; 77.8 is that of the hall's flights"""
     marker: str = "DICT_4X4_50,7,0.80"
     """dictionary, id and side of the black square in metres"""
     marker_place: str = "0,0,0.75"
-    """the marker's centre in the world; it stands upright and faces the approach"""
+    """the marker's centre in the world [m]; the marker is vertical and faces the approach"""
     room: str = "-22.5,-12,0,17.5,8,5"
-    """lowest and highest x,y,z of the room [m]"""
+    """minimum and maximum x,y,z of the room [m]"""
     airframe: Path | None = None
-    """an airframe file, for where the camera sits; without it the kit's own aircraft"""
+    """an airframe file, for the camera's position; without it the kit's aircraft"""
     measured: bool = False
-    """write each frame's own pose instead of the smoothed flight"""
+    """write each frame's measured pose instead of the smoothed states"""
     json: bool = False
     """print the result as JSON"""
 
     def run(self) -> int:
-        """Estimate, write and say what became of every frame.
+        """Estimate the states, write them and count the frames by result.
 
         Returns:
-            0 where there is enough to identify, 1 where there is not.
+            0 if there are enough poses to identify a model, else 1.
 
         Raises:
             FileNotFoundError: there is no video, lens or network file, or no folder to write into.
-            InputError: an option makes no sense, the video cannot be used, or it shows no marker.
+            InputError: an option is wrong, the video cannot be used, or it shows no marker.
         """
         if self.out is not None:
             require_writable_path(self.out)
@@ -101,13 +98,14 @@ class Poses:
                 if self.out
                 else "--out flight.csv keeps the table"
             )
-        return 0 if int(table.has_pose.sum()) >= LEAST_POSES else 1
+        return 0 if int(table.has_pose.sum()) >= MIN_POSES else 1
 
     def _marker(self) -> Marker:
         words = self.marker.split(",")
         if len(words) != 3:
             raise InputError(
-                f"--marker: expected dictionary,id,size such as DICT_4X4_50,7,0.80, got {self.marker!r}"
+                "--marker: expected dictionary,id,size such as DICT_4X4_50,7,0.80, "
+                f"got {self.marker!r}"
             )
         number, size = _numbers("--marker", ",".join(words[1:]), 2)
         T_world_marker = Marker().T_world_marker
@@ -126,13 +124,13 @@ class Poses:
         return PoseNet.load(self.network)
 
     def _camera(self, video: Video) -> PinholeCamera:
-        """The lens at the size of the video's frames."""
+        """The intrinsics at the size of the video's frames."""
         image = next(
             (image for image in map(video.image, range(len(video.t))) if image is not None), None
         )
         if image is None:
             raise InputError(
-                f"{video.name}: expected frames that can be read, got none; check the names in commands.csv"
+                f"{video.name}: expected readable frames, got none; check the names in commands.csv"
             )
         height, width = image.shape[:2]
         if self.camera is None:
@@ -143,21 +141,16 @@ class Poses:
 
 
 def scaled_camera(camera: PinholeCamera, width: int, height: int) -> PinholeCamera:
-    """The same lens with frames of another size.
-
-    Args:
-        camera: as the photos were taken.
-        width: of the frames [px].
-        height: of the frames [px].
+    """The intrinsics of the same lens for frames of another size [px].
 
     Raises:
-        InputError: the frames have another shape, so that they cannot show the same field of view.
+        InputError: the frames have another aspect ratio, hence another field of view.
     """
     scale = width / camera.width
     if abs(height - scale * camera.height) > 1.0:
         raise InputError(
-            f"camera: expected frames of the shape of {camera.width} x {camera.height}, got {width} x {height}; "
-            "give --fov-deg instead"
+            f"camera: expected frames of the shape of {camera.width} x {camera.height}, "
+            f"got {width} x {height}; give --fov-deg instead"
         )
     return PinholeCamera(
         scale * camera.fx, scale * camera.fy, scale * camera.cx, scale * camera.cy, width, height
@@ -165,15 +158,15 @@ def scaled_camera(camera: PinholeCamera, width: int, height: int) -> PinholeCame
 
 
 def read_video(path: Path) -> Video:
-    """Read a recorded flight: its frames stay on the disk until they are asked for.
+    """Read a recorded flight; its frames are loaded one by one when used.
 
     Args:
         path: a folder with commands.csv and the frames it names, or a flight log with images.
 
     Raises:
         FileNotFoundError: there is no such folder or file.
-        InputError: commands.csv lacks a column or holds what is no number, or the log has no
-            images.
+        InputError: commands.csv lacks a column or has a cell that is not a number, or the log has
+            no images.
     """
     return _from_folder(path) if path.is_dir() else _from_log(require_file(path))
 
@@ -194,17 +187,18 @@ def _from_folder(folder: Path) -> Video:
         )
     except (TypeError, ValueError):
         raise InputError(
-            f"{name}: expected a number in every cell but frame, got another; look for cut lines"
+            f"{name}: expected a number in every cell but frame, got text; check for cut lines"
         ) from None
     if len(rows) < 2 or not np.isfinite(numbers).all() or not (np.diff(numbers[:, 0]) > 0.0).all():
         raise InputError(
-            f"{name}: expected two rows or more of finite numbers whose time increases, got others"
+            f"{name}: expected at least two rows of finite numbers with increasing time, got others"
         )
     frames = [folder / str(row["frame"]) for row in rows]
     outside = [path for path in frames if folder.resolve() not in path.resolve().parents]
     if outside:
         raise InputError(
-            f"{name}: expected frames in the folder of the file, got {outside[0].name}; use plain file names"
+            f"{name}: expected frames in the folder of the file, got {outside[0].name}; "
+            "use plain file names"
         )
     return Video(
         folder.name, numbers[:, 0], numbers[:, 1:], lambda frame: _read_image(frames[frame])
@@ -219,15 +213,15 @@ def _from_log(path: Path) -> Video:
     table = to_flight_table(log)
     times = np.array(sorted(images))
     nearest = times[nearest_index(times, table.t)]
-    return Video(path.name, table.t, table.commands, lambda frame: _decoded(images[nearest[frame]]))
+    return Video(path.name, table.t, table.commands, lambda frame: _decode(images[nearest[frame]]))
 
 
 def _read_image(path: Path) -> Pixels | None:
-    """A frame as RGB; None where the file is gone or damaged."""
-    return _decoded(np.frombuffer(path.read_bytes(), np.uint8)) if path.is_file() else None
+    """A frame as RGB; None if the file is missing or damaged."""
+    return _decode(np.frombuffer(path.read_bytes(), np.uint8)) if path.is_file() else None
 
 
-def _decoded(data: Any) -> Pixels | None:
+def _decode(data: Any) -> Pixels | None:
     import cv2
 
     picture = cv2.imdecode(np.asarray(data, np.uint8), cv2.IMREAD_COLOR) if len(data) else None
@@ -237,15 +231,7 @@ def _decoded(data: Any) -> Pixels | None:
 
 
 def poses_record(flight: HybridFlight) -> dict[str, Any]:
-    """A flight's estimate as plain numbers for JSON.
-
-    Args:
-        flight: the estimate.
-
-    Returns:
-        Keys flight, frames, with_pose, counts, marker_sights, corner_sigma_px, and the medians of
-        both sigmas.
-    """
+    """Counts and median sigmas of a flight's estimate, as they go to JSON."""
     table = flight.table
     seen = table.has_pose
     position, attitude = (table.extra[name][seen] for name in ("sigma_position", "sigma_attitude"))
@@ -263,11 +249,15 @@ def poses_record(flight: HybridFlight) -> dict[str, Any]:
 
 def _print_record(record: dict[str, Any]) -> None:
     share = 100.0 * record["with_pose"] / record["frames"]
-    title = f"{record['flight']}: {record['with_pose']} of {record['frames']} frames have a pose ({share:.0f} %)"
+    title = (
+        f"{record['flight']}: {record['with_pose']} of {record['frames']} frames have a pose "
+        f"({share:.0f} %)"
+    )
     print_table(("frames", "count"), list(record["counts"].items()), title=title)
     print(
-        f"smoothed: median sigma {100 * record['sigma_position_m']:.0f} cm and {record['sigma_attitude_deg']:.1f} deg; "
-        f"a marker's corner is known to {record['corner_sigma_px']:.2f} px"
+        f"smoothed: median sigma {100 * record['sigma_position_m']:.0f} cm and "
+        f"{record['sigma_attitude_deg']:.1f} deg; "
+        f"sigma of a marker corner {record['corner_sigma_px']:.2f} px"
     )
 
 
@@ -286,7 +276,7 @@ def _numbers(name: str, text: str, count: int) -> list[float]:
 
 
 def _progress(frames: int) -> Any:
-    """A bar on standard error."""
+    """A progress bar on standard error."""
     from tqdm import tqdm
 
     return tqdm(total=frames, unit="frame", leave=False, disable=None).update

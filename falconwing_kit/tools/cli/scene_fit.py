@@ -1,6 +1,4 @@
-"""`falconwing scene fit`: photos with aligned poses, or turntable photos of an aircraft -> a
-Gaussian scene, judged.
-"""
+"""falconwing scene fit: aligned photos, or turntable photos of an aircraft -> a Gaussian scene."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,19 +14,19 @@ from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 ROWS = (
     ("held_out", "held-out photos"),
-    ("held_out_by_fast", "the same, drawn by fast"),
+    ("held_out_by_fast", "the same, rendered by fast"),
     ("held_out_after_pose_refinement", "the same after refining their poses"),
     ("trained_on", "photos trained on"),
 )
-HEADERS = ("photos", "PSNR [dB]", "worst [dB]", "SSIM", "worst SSIM")
+HEADERS = ("photos", "PSNR [dB]", "minimum [dB]", "SSIM", "minimum SSIM")
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Train a Gaussian scene on photos and judge it on places it has not seen.
+    """Train a Gaussian scene on photos and evaluate it on held-out places.
 
-    With an NVIDIA GPU and gsplat a hall takes minutes; without, give few photos, --width 64 and
-    --gaussians 2000. A training that was interrupted goes on when the same words are typed again.
+    With an NVIDIA GPU and gsplat a hall takes minutes; without, use few photos, --width 64 and
+    --gaussians 2000. The same command continues an interrupted training.
     """
 
     source: Annotated[Path, tyro.conf.Positional]
@@ -36,18 +34,18 @@ class Fit:
     out: Path | None = None
     """folder for scene.npz, figures.json and pairs of photos and renders"""
     survey: Path | None = None
-    """CSV name,x,y,z,use: where pad and marker are"""
+    """CSV name,x,y,z,use: surveyed points, among them pad and marker"""
     photos: Path | None = None
-    """folder of the photos, if they are not where the reconstruction says"""
+    """folder of the photos, if they are not where the reconstruction's paths point"""
     hold_out: float | None = None
-    """part of the photos to judge by, whole places of them; 0.11 if not given, 0: none"""
+    """share of the photos held out for evaluation, by places; 0.11 if not given, 0: none"""
     held_out: Path | None = None
-    """names of the photos to judge by instead, such as the figures.json of another training"""
+    """names of the photos to hold out instead, such as the figures.json of another training"""
     room: str | None = None
     """x,y,z of the room's lowest and highest corner in metres; from cameras and survey if not given
     """
     gaussians: int | None = None
-    """the largest number; 200000 if not given, 5000 for an aircraft"""
+    """maximum number; 200000 if not given, 5000 for an aircraft"""
     steps: int | None = None
     """30000 if not given, 8000 for an aircraft"""
     batch: int | None = None
@@ -55,48 +53,46 @@ class Fit:
     width: int | None = None
     """of the images to train on in pixels; the photos' own if not given"""
     largest: float | None = None
-    """standard deviation that a Gaussian may have in metres; 0.5 if not given, 0: any"""
+    """maximum standard deviation of a Gaussian in metres; 0.5 if not given, 0: unlimited"""
     minutes: float | None = None
-    """of training at most; it ends smoothly before; 8 if not given"""
+    """maximum time of training, the schedule fits into it; 8 if not given"""
     same_exposure: bool = False
     """the photos were taken with one exposure and white balance: learn no gain and offset for each
     """
     correct_poses: bool = False
-    """let the photos' poses move a little while training, and write them to the folder `corrected`
-    in --out
-    """
+    """optimise the photos' poses too, and write them to the folder `corrected` in --out"""
     antialiased: bool = False
     """train for `render --antialiased`"""
     backend: Literal["auto", "gsplat", "reference"] = "auto"
-    """what draws"""
+    """renderer of the training"""
     judge: Path | None = None
-    """a scene file to judge on the held-out photos, drawn by `fast`, instead of training one"""
+    """evaluate this scene file on the held-out photos, rendered by `fast`; no training"""
     pose_steps: int | None = None
-    """of moving held-out photos to where they fit best, for figures of their own and for
-    `corrected`; 200 if not given, 0: none
+    """steps of pose refinement of held-out photos, reported separately and used for `corrected`;
+    200 if not given, 0: none
     """
     seed: int = 0
-    """of everything that is drawn at random"""
+    """of all random draws"""
     json: bool = False
     """print the figures as JSON"""
 
     def run(self) -> int:
-        """Train, or judge, and print the figures.
+        """Train, or evaluate a scene file, and print the figures.
 
         Returns:
-            0: the scene is written, or judged.
+            0: the scene is written, or evaluated.
 
         Raises:
             FileNotFoundError: the source or a photo is missing.
-            InputError: an option makes no sense, the photos cannot be used, or the backend cannot
+            InputError: an option is wrong, the photos cannot be used, or the backend cannot
                 run here.
         """
         if self.judge is not None:
             return self._judge(self.judge)
         if self.out is None:
             raise InputError("--out: expected a folder to write to, got none; give --out DIR")
-        say = print if not self.json else (lambda _: None)
-        done = fit_folder(self.source, self.out, self._changes(), self.survey, self.photos, say)
+        log = print if not self.json else (lambda _: None)
+        done = fit_folder(self.source, self.out, self._changes(), self.survey, self.photos, log)
         if self.json:
             print_json(done.figures)
             return 0
@@ -104,13 +100,16 @@ class Fit:
             HEADERS, [_row(words, done.figures[key]) for key, words in ROWS if done.figures[key]]
         )
         if self.correct_poses:
-            again = f"falconwing scene fit {self.out / CORRECTED} --held-out {self.out / 'figures.json'}"
-            next_line(f"{again}{f' --survey {self.survey}' if self.survey else ''} --out ANOTHER")
+            survey = f" --survey {self.survey}" if self.survey else ""
+            next_line(
+                f"falconwing scene fit {self.out / CORRECTED} "
+                f"--held-out {self.out / 'figures.json'}{survey} --out ANOTHER"
+            )
         next_line(f"look at {self.out / 'pairs'}, then: falconwing scene info {done.path}")
         return 0
 
     def _judge(self, path: Path) -> int:
-        """Print the figures of a scene file."""
+        """Evaluate a scene file and print its figures."""
         figures = evaluate_scene(
             path,
             read_reconstruction(self.source),
@@ -122,13 +121,14 @@ class Fit:
             return 0
         print_table(
             HEADERS,
-            [_row(row["photo"], _own(row)) for row in figures["photos"]] + [_row("all", figures)],
+            [_row(row["photo"], _single_photo(row)) for row in figures["photos"]]
+            + [_row("all", figures)],
         )
         next_line(f"falconwing scene info {path}")
         return 0
 
     def _changes(self) -> dict[str, Any]:
-        """What differs from the settings that a source of this kind has by itself."""
+        """The settings given on the command line, which replace defaults of the kind of source."""
         changes: dict[str, Any] = {
             "seed": self.seed,
             "backend": self.backend,
@@ -160,7 +160,7 @@ class Fit:
 
 
 def _corners(text: str) -> tuple[float, ...]:
-    """Six numbers from text."""
+    """Low and high corner, six numbers, from text."""
     try:
         return tuple(float(word) for word in text.split(","))
     except ValueError:
@@ -169,11 +169,11 @@ def _corners(text: str) -> tuple[float, ...]:
         ) from None
 
 
-def _own(row: dict[str, Any]) -> dict[str, Any]:
-    """One photo's figures under the names of many photos' figures."""
+def _single_photo(row: dict[str, Any]) -> dict[str, Any]:
+    """One photo's figures with the keys of a set's figures; a single photo has no minimum."""
     return row | {"psnr_worst_db": None, "ssim_worst": None}
 
 
 def _row(words: str, figures: dict[str, Any]) -> tuple[object, ...]:
-    """A line of the table."""
+    """One row of the table."""
     return (words, *(figures[key] for key in ("psnr_db", "psnr_worst_db", "ssim", "ssim_worst")))

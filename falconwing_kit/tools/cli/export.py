@@ -1,0 +1,83 @@
+"""falconwing export: convert a flight log to a table, a repaired log or a ROS bag."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.flight_log import read_flight_log, recover, to_flight_table
+from falconwing_kit.core.flight_table import write_flight_table
+from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+
+Counts = dict[str, int]
+Warnings = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Export:
+    """Convert a flight log to a flight table or a ROS bag, or repair an interrupted log."""
+
+    log: Annotated[Path, tyro.conf.Positional]
+    """the flight log (MCAP), interrupted ones too; with --alfa the folder of a flight"""
+    out: Path
+    """the file to write, or a folder to write it into"""
+    to: Literal["csv", "mcap", "bag"] = "csv"
+    """csv: one row per image with pose and command; mcap: everything that can be read, indexed and
+    compressed; bag: ROS 1
+    """
+    alfa: bool = False
+    """the log is a flight of the ALFA dataset: a folder with one CSV file per ROS topic"""
+    json: bool = False
+    """print the result as JSON"""
+
+    def run(self) -> int:
+        """Write the file and print what it contains.
+
+        Returns:
+            0: the file is written.
+
+        Raises:
+            FileNotFoundError: there is no log, or no folder for the file.
+            InputError: the log cannot be used, or the file cannot be written or is the log itself.
+        """
+        if self.alfa and self.to != "csv":
+            raise InputError(f"--alfa: expected --to csv, got --to {self.to}; leave --to out")
+        target = self.out / f"{self.log.stem}.{self.to}" if self.out.is_dir() else self.out
+        if target.resolve() == self.log.resolve():
+            raise InputError(f"{target}: expected another name than the log's own; the log is kept")
+        write, use = {
+            "csv": (self._to_table, f"falconwing identify {target}"),
+            "mcap": (self._to_log, f"falconwing export {target} --to csv"),
+            "bag": (self._to_bag, f"rosbag info {target}"),
+        }[self.to]
+        counts, warnings = write(target)
+        if self.json:
+            print_json({"file": str(target), **counts, "warnings": list(warnings)})
+            return 0
+        print_table(["what", "count"], list(counts.items()), title=str(target))
+        for sentence in warnings:
+            print(f"warning: {sentence}")
+        next_line(use)
+        return 0
+
+    def _to_table(self, target: Path) -> tuple[Counts, Warnings]:
+        if self.alfa:
+            from falconwing_kit.tools.demo.alfa import read_alfa
+
+            table = read_alfa(self.log).table
+        else:
+            table = to_flight_table(read_flight_log(self.log))
+        write_flight_table(target, table)
+        return {"rows": len(table.t), "rows with a pose": int(table.has_pose.sum())}, table.warnings
+
+    def _to_log(self, target: Path) -> tuple[Counts, Warnings]:
+        saved = recover(self.log, target)
+        return {topic.strip("/"): count for topic, count in saved.counts.items()}, saved.warnings
+
+    def _to_bag(self, target: Path) -> tuple[Counts, Warnings]:
+        from falconwing_kit.tools.bridge.bag import write_bag
+
+        log = read_flight_log(self.log)
+        return write_bag(target, log), log.warnings
