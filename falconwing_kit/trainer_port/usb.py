@@ -31,7 +31,7 @@ class SerialBoard:
     what: str  # a Mega 2560, perhaps one, or another device
     likely: bool  # True if it may be the board
     may_open: bool  # this user has permission
-    mend: str  # how to get permission; empty if granted
+    advice: str  # how to get permission; empty if granted
 
 
 def find_boards() -> list[SerialBoard]:
@@ -48,8 +48,8 @@ def find_boards() -> list[SerialBoard]:
             what = f"perhaps a copy of the Mega 2560 (it has a {USB_CHIPS[key]})"
         may_open = os.name != "posix" or os.access(port.device, os.R_OK | os.W_OK)
         likely = key in MEGA or key in USB_CHIPS
-        mend = "" if may_open else permission_advice(port.device)
-        found.append(SerialBoard(port.device, what, likely, may_open, mend))
+        advice = "" if may_open else permission_advice(port.device)
+        found.append(SerialBoard(port.device, what, likely, may_open, advice))
     return sorted(found, key=lambda board: (not board.likely, "perhaps" in board.what, board.path))
 
 

@@ -163,7 +163,7 @@ def best_ms(scene: GaussianScene) -> float:
     import numba
 
     numba.set_num_threads(min(THREADS, numba.config.NUMBA_NUM_THREADS))
-    draw: Callable[[Array], Any] = lambda pose: render(scene, CAMERA, pose, "fast")  # noqa: E731
+    draw: Callable[[Array], Any] = lambda pose: render(scene, CAMERA, pose, "fast")
     return float(
         np.mean([min(cpu_ms(lambda p=pose: draw(p)) for _ in range(FRAMES)) for pose in POSES])
     )

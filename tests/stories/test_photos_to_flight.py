@@ -210,7 +210,7 @@ def test_an_angle_with_the_other_sign_is_seen(signs, failing, straight, monkeypa
     neither foretells where the aircraft is.
     """
     rightly = hybrid_state.euler_from_rotation
-    wrongly = lambda R: tuple(sign * angle for sign, angle in zip(signs, rightly(R), strict=True))  # noqa: E731
+    wrongly = lambda R: tuple(sign * angle for sign, angle in zip(signs, rightly(R), strict=True))
     monkeypatch.setattr(hybrid_state, "euler_from_rotation", wrongly)
     turned = lambda *angles: rotation_world_body(
         *(s * a for s, a in zip(signs, angles, strict=True))

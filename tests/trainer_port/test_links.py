@@ -309,7 +309,7 @@ def test_a_port_without_rights_comes_with_its_mend(usb_ports, monkeypatch):
 
     monkeypatch.setattr(usb.os, "access", lambda *_: False)
     monkeypatch.setattr(grp, "getgrgid", lambda _: types.SimpleNamespace(gr_name="uucp"))
-    assert "usermod -aG uucp" in find_boards()[0].mend and not find_boards()[0].may_open
+    assert "usermod -aG uucp" in find_boards()[0].advice and not find_boards()[0].may_open
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the sentence is another one there")

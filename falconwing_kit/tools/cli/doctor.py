@@ -44,7 +44,7 @@ class SystemCheckResult:
     status: Literal["works", "missing", "not needed yet"]
     needed_by_demo: bool
     detail: str
-    mend: str  # the fix; empty if it works
+    advice: str  # the fix; empty if it works
 
 
 @dataclass(frozen=True)
@@ -96,10 +96,10 @@ class Doctor:
             ("capability", "status", "found"),
             [(f.capability, f.status, f.detail) for f in findings],
         )
-        broken = [finding for finding in findings if finding.mend]
+        broken = [finding for finding in findings if finding.advice]
         if broken:
             print()
-            print_table(("to fix", "do this"), [(f.capability, f.mend) for f in broken])
+            print_table(("to fix", "do this"), [(f.capability, f.advice) for f in broken])
         next_line(
             "falconwing demo"
             if demo_works
@@ -142,7 +142,7 @@ def examine(check: SystemCheck) -> SystemCheckResult:
 
 
 def _python() -> str:
-    if sys.version_info[:2] < (3, 11):  # noqa: UP036 - a copied folder can be run by any Python
+    if sys.version_info[:2] < (3, 11):
         raise RuntimeError(f"expected 3.11 or newer, got {platform.python_version()}")
     system = f"{platform.system()} {platform.machine()}"
     return f"{platform.python_version()}, {system}, {os.cpu_count()} cores"

@@ -35,7 +35,7 @@ class FindPort:
             )
         else:
             rows = [
-                (board.path, board.what, board.likely, board.may_open, board.mend)
+                (board.path, board.what, board.likely, board.may_open, board.advice)
                 for board in boards
             ]
             print_table(("port", "what", "may be it", "may be opened", "fix"), rows)

@@ -102,10 +102,15 @@ class Fly:
         self._refuse_unavailable()
         hall = hall_loader(self.scene)
         task, setting = self._task(), self._setting()
-        other = self._read_folders(task, setting)
-        from falconwing_kit.tools.trials.trials import compare_pilots, summarise_trials
+        from falconwing_kit.tools.trials.trials import (
+            compare_pilots,
+            study_head,
+            summarise_trials,
+        )
 
-        records = self._fly(task, setting, hall)
+        head = study_head(task, self.pilot, self.seed)
+        other = self._read_folders(head, setting)
+        records = self._fly(task, setting, hall, head)
         found = summarise_trials(records)
         if other is not None:
             found["against"] = compare_pilots(records, other)
@@ -160,16 +165,11 @@ class Fly:
         return TrialSettings(camera=fpv_camera(*_size(self.size)), clock=clock, port=self.port)
 
     def _read_folders(
-        self, task: "FlightTask", setting: "TrialSettings"
+        self, head: dict[str, Any], setting: "TrialSettings"
     ) -> list[dict[str, Any]] | None:
         """Check --out and --against before the first flight; the trials of --against."""
-        from falconwing_kit.tools.trials.trials import (
-            read_flown_trials,
-            read_paired_trials,
-            study_head,
-        )
+        from falconwing_kit.tools.trials.trials import read_flown_trials, read_paired_trials
 
-        head = study_head(task, self.pilot, self.seed)
         if self.out is not None:
             if self.out.exists() and not self.out.is_dir():
                 raise InputError(
@@ -181,7 +181,11 @@ class Fly:
         return None if self.against is None else read_paired_trials(self.against, head)
 
     def _fly(
-        self, task: "FlightTask", setting: "TrialSettings", hall: "Callable[[], GaussianScene]"
+        self,
+        task: "FlightTask",
+        setting: "TrialSettings",
+        hall: "Callable[[], GaussianScene]",
+        head: dict[str, Any],
     ) -> list[dict[str, Any]]:
         from falconwing_kit.tools.cli.scene_input import open_link
         from falconwing_kit.tools.trials.trials import fly_trials
@@ -198,7 +202,7 @@ class Fly:
             )
             return fly_trials(
                 task, task.expert, self.trials, pilot=self.pilot, seed=self.seed, setting=setting,
-                out=self.out, logs=self.logs or self.trials == 1, progress=progress,
+                out=self.out, head=head, logs=self.logs or self.trials == 1, progress=progress,
             )  # fmt: skip
 
     @contextmanager

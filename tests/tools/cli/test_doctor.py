@@ -103,7 +103,7 @@ def test_a_board_that_cannot_be_used_is_no_board(monkeypatch, found, seen):
     assert (
         finding.status == "missing"
         and seen in finding.detail
-        and "falconwing find-port" in finding.mend
+        and "falconwing find-port" in finding.advice
     )
 
 
@@ -111,7 +111,7 @@ def test_firmware_tools_are_named_in_full(monkeypatch):
     """What to install is what the builder asks for, package by package."""
     check = next(check for check in doctor.CHECKS if check.capability == "firmware tools")
     assert all(
-        package in check.mend.split() or f"{package};" in check.mend.split()
+        package in check.advice.split() or f"{package};" in check.advice.split()
         for package in build.TOOLS
     )
     monkeypatch.setattr(build, "missing_tools", lambda: ["avr-libc"])
