@@ -28,11 +28,9 @@ def test_the_page_has_four_how_tos():
 @pytest.mark.parametrize("title", [title for title, files in FILES.items() if files])
 def test_a_how_to_works_as_written(title, tmp_path):
     """Two files beside an untouched kit; without the first of them the test of the second fails."""
-    shutil.copytree(
-        ROOT / "falconwing_kit",
-        tmp_path / "falconwing_kit",
-        ignore=shutil.ignore_patterns("__pycache__"),
-    )
+    for folder in ("falconwing_kit", "hardware"):  # the airframe's file lies in hardware
+        skipped = shutil.ignore_patterns("__pycache__", "*.step", "*.stl", "*.png")
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=skipped)
     (addition, code), (test, checks) = FILES[title]
     assert not (ROOT / addition).exists()
     for name, text in ((addition, code), (test, checks)):
