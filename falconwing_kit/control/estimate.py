@@ -1,6 +1,4 @@
-"""Estimate: noisy measured states and the commands sent -> the state as the model of the aircraft
-understands it.
-"""
+"""Estimate: noisy measured states and commands -> the state of the model, by an observer."""
 
 import math
 from functools import lru_cache
@@ -15,22 +13,19 @@ from falconwing_kit.core.checks import Array, require_range
 from falconwing_kit.core.messages import CONTROL_PERIOD_S, State
 
 COMMAND_HISTORY = 400  # commands: 20 s at 20 Hz, far longer than any delay
-SETTLING_S = 0.6  # a servo of 30 ms has forgotten where it was
-LONGEST_GAP_S = 0.5  # the observer begins anew after a longer one
-MEASUREMENT_SIGMA = (0.01, math.radians(0.7))  # that an observer expects, per axis [m], [rad]
-PROCESS_SIGMA = (
-    0.05,
-    0.1,
-)  # what the model does not foresee in one step of 50 ms: velocity [m/s], body rates [rad/s]
+SETTLING_S = 0.6  # 20 time constants of a servo of 30 ms
+LONGEST_GAP_S = 0.5  # the observer restarts after a longer one
+MEASUREMENT_SIGMA = (0.01, math.radians(0.7))  # measurement noise per axis [m], [rad]
+PROCESS_SIGMA = (0.05, 0.1)  # process noise of a step of 50 ms: velocity [m/s], rates [rad/s]
 
 
 class SimulatedAircraft:
-    """A model in flight: commands go in and act late, the true state comes out."""
+    """A simulated aircraft: commands in, which act after a delay; true state out."""
 
     def __init__(
         self, model: Model, start: State, delay: float = LINK_DELAY_S, t: float = 0.0
     ) -> None:
-        """Begin at t [s]; the first command is taken to have acted before."""
+        """Start at t [s]; the first command also acts before its time."""
         self.t, self.x = t, start.vector[: model.n_states].copy()
         self._model, self._delay, self._K = (
             model,
@@ -44,15 +39,13 @@ class SimulatedAircraft:
         self._memory = SETTLING_S + 12.0 * max(lag, series)
 
     def send(self, t: float, commands: Array) -> None:
-        """Give stick positions (4,) at a time [s] not before the last ones; they arrive `delay`
-        later.
-        """
+        """Append commands (4,) at a time [s] not before the last; they arrive `delay` later."""
         self._times.append(t + self._delay)
         self._commands.append(np.asarray(commands, np.float64))
         del self._times[:-COMMAND_HISTORY], self._commands[:-COMMAND_HISTORY]
 
     def advance(self, t: float) -> None:
-        """Fly until t [s]; with no command yet, the sticks are neutral and the throttle idle."""
+        """Simulate until t [s]; without any command, controls are neutral and the throttle idle."""
         steps = math.ceil((t - self.t) / CONTROL_PERIOD_S * SUBSTEPS[self._model.form] - 1e-9)
         if steps <= 0:
             return
@@ -74,12 +67,9 @@ class SimulatedAircraft:
 
 
 class Observer:
-    """A twin of the aircraft that flies along under the same commands and is pulled towards each
-    measured pose.
+    """x = f(x, u) + L (measured pose - pose of x), L the stationary Kalman gain in level flight.
 
-    x = f(x, u) + L (pose - pose of x), L the gain of the stationary Kalman filter of the model
-    around level flight [Astrom & Murray, Feedback Systems, sec. 8.2-8.4: observers and Kalman
-    filtering].
+    [Astrom & Murray, Feedback Systems, sec. 8.2-8.4: observers and Kalman filtering]
     """
 
     def __init__(self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S) -> None:
@@ -88,15 +78,12 @@ class Observer:
         self._estimate: SimulatedAircraft | None = None
 
     def update(self, t: float, measured: State, sent: Array) -> State:
-        """Take in what was measured.
+        """Prediction and measurement update; returns the estimate.
 
         Args:
             t: now [s].
-            measured: its pose counts; velocities and rates only where the observer begins.
-            sent: (4,) the sticks since the last update, in the order of COMMAND_NAMES.
-
-        Returns:
-            The estimate.
+            measured: its pose is used; velocities and rates only where the observer starts.
+            sent: (4,) commands since the last update, in the order of COMMAND_NAMES.
         """
         estimate = self._estimate
         if estimate is None or not 0.0 <= t - estimate.t <= LONGEST_GAP_S:
@@ -113,13 +100,13 @@ class Observer:
         return State.from_vector(estimate.x)
 
     def reset(self) -> None:
-        """Begin anew at the next update."""
+        """Restart at the next update."""
         self._estimate = None
 
 
 @lru_cache(maxsize=32)
 def _kalman_gain(form, terms, winds, parameters, values, speed):  # type: ignore[no-untyped-def]
-    """L (12, 6) of poses, in axes along the nose's course."""
+    """L (12, 6) for pose innovations, in axes along the aircraft's heading."""
     import control
 
     model = Model(form, terms, winds, parameters, dict(values))
@@ -135,9 +122,7 @@ def _kalman_gain(form, terms, winds, parameters, values, speed):  # type: ignore
 
 
 def _course_rotation(yaw: float) -> Array:
-    """(12, 12) from axes along the nose's course to the world: positions and velocities turn,
-    angles and rates stay.
-    """
+    """(12, 12) rotation of positions and velocities from heading axes to the world."""
     c, s = math.cos(yaw), math.sin(yaw)
     R = np.eye(12)
     for first in (0, 6):

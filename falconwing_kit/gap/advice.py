@@ -1,8 +1,7 @@
-"""Advice: a verdict -> one honest sentence about it, and which manoeuvre of a small library to fly
-next.
+"""Advice: a verdict -> one sentence about it, and the test manoeuvre to fly next.
 
-The base model flies every manoeuvre: its Fisher matrix, added to the flight's own, says what it
-would tell.
+The nominal model flies every manoeuvre of a small library; its Fisher information, added to the
+flight's own, predicts how well effects would be separated or sized.
 """
 
 import math
@@ -35,62 +34,52 @@ from falconwing_kit.sysid.shooting import (
 )
 from falconwing_kit.sysid.uncertainty import ordinary_size
 
-SEPARATION_CHI2 = (
-    2.0 * VERY_STRONG_EVIDENCE
-)  # chi2 to be added: what is ahead by a margin today may have to fall behind by one
-COMPARISON_S = 30.0  # what a manoeuvre tells is compared after this time
-SECONDS = np.geomspace(
-    2.0, 600.0, 16
-)  # where the growth of evidence is computed; who needs more needs another idea
-MAX_ANGLE = math.radians(
-    75.0
-)  # of pitch and roll; where a leg ends steeper, its pilot would not have waited so long
-LEG_OFFSETS = np.array(
-    [[0, 0], [1, 1], [-1, -1], [1, -1], [-1, 1]]
-)  # of the hall, where legs are flown in turn
+# Chi2 to be added: an effect ahead by one margin may have to fall behind by one.
+SEPARATION_CHI2 = 2.0 * VERY_STRONG_EVIDENCE
+COMPARISON_S = 30.0  # flight time after which manoeuvres are compared
+SECONDS = np.geomspace(2.0, 600.0, 16)  # flight times at which the growth of evidence is computed
+MAX_ANGLE = math.radians(75.0)  # of pitch and roll in a leg; a pilot would end a steeper one
+# Centres of successive legs, in quarters of the area flown.
+LEG_OFFSETS = np.array([[0, 0], [1, 1], [-1, -1], [1, -1], [-1, 1]])
 
-InputSignal = Callable[
-    [Array], Any
-]  # time since the start of a leg [s] -> what is added to the trimmed stick
+InputSignal = Callable[[Array], Any]  # time since the start of a leg [s] -> added to the trim
 
 
 def doublet_input(size: float) -> InputSignal:
-    """One way, the other, and a rest, 0.3 s each, again and again."""
+    """0, +size, -size for 0.3 s each, repeated."""
     return lambda t: np.array([0.0, size, -size])[np.round(t / 0.3 - 0.4).astype(int) % 3]
 
 
 def step_input(size: float) -> InputSignal:
-    """A step after half a second, held."""
+    """A step after half a second."""
     return lambda t: size * (t >= 0.5)
 
 
 def sine_input(size: float, frequency_hz: float) -> InputSignal:
-    """To and fro, smoothly."""
+    """A sine."""
     return lambda t: size * np.sin(2.0 * np.pi * frequency_hz * t)
 
 
 @dataclass(frozen=True)
 class Leg:
-    """Two seconds of a manoeuvre: a trimmed start, and what the sticks do from there."""
+    """Two seconds of a manoeuvre: a trimmed initial state, and the control inputs from there."""
 
     sticks: Mapping[str, InputSignal] = field(default_factory=dict)  # names of COMMAND_NAMES
-    speed: float = 1.0  # share of the usual speed
+    speed: float = 1.0  # relative to the median speed of the baseline flight
     height: float = 2.0  # [m]
     bank: float = 0.0  # [rad], positive right wing down
     heading: float = 0.0  # of the flight over the floor [rad], from x to the left
-    glide: bool = False  # throttle closed, and the nose lowered until the speed stays
-    beside: float | None = (
-        None  # passes the place looked at, so far to its left [m]; None: all over the hall
-    )
-    later: float = 0.0  # after the other legs [s]
+    glide: bool = False  # throttle closed, descending at constant speed
+    beside: float | None = None  # passes the place this far to its left [m]; None: any place
+    later: float = 0.0  # delay after the other legs [s]
 
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """What a student pilot can fly in a hall with a trainer."""
+    """A test manoeuvre that a student pilot can fly in a hall."""
 
     name: str
-    how: str  # as the pilot hears it after "fly"
+    how: str  # completes the sentence "fly ..."
     legs: tuple[Leg, ...]
 
 
@@ -102,54 +91,103 @@ _POWER = (
     *(Leg({"throttle": step_input(s)}, speed=v) for v in (0.9, 1.1) for s in (0.3, -0.15)),
     Leg(height=3.5, glide=True),
 )
+_STEPS = (("aileron", 0.15), ("elevator", 0.2), ("rudder", 0.3))
 MANOEUVRES = (
-    Manoeuvre("aileron doublets", "quick aileron doublets, half and full, with the rudder still",
-              _both_directions(*(Leg({"aileron": doublet_input(s)}) for s in (0.4, -0.4, 0.8, -0.8)))),
-    Manoeuvre("elevator doublets", "elevator doublets at a slow and at a fast speed",
-              _both_directions(*(Leg({"elevator": doublet_input(s)}, v) for v in (0.85, 1.2) for s in (0.25, -0.25)))),
-    Manoeuvre("rudder doublets", "rudder doublets with the aileron still",
-              _both_directions(*(Leg({"rudder": doublet_input(s)}) for s in (0.5, -0.5)))),
-    Manoeuvre("throttle steps", "throttle steps with the wings level and the hands off the other sticks",
-              _both_directions(*_POWER[:4])),
-    Manoeuvre("glides", "glides with the throttle closed, slow and fast, and throttle steps at the same speeds",
-              _both_directions(*(Leg(speed=v, height=3.5, glide=True) for v in (0.85, 1.0, 1.2)), *_POWER[:4])),
-    Manoeuvre("low passes", "low passes at 0.4 m right after level flight at 2 m, at the same speed and throttle",
-              _both_directions(Leg(height=0.4), Leg(height=2.0), Leg({"elevator": doublet_input(0.1)}, height=0.6))),
-    Manoeuvre("slow flight", "slow flight, wings level, down to the first mushing",
-              _both_directions(*(Leg({"elevator": doublet_input(s)}, v) for v in (0.85, 0.75, 0.68) for s in (0.1, -0.1)))),
-    Manoeuvre("fast flight", "fast flight, wings level", _both_directions(*(Leg(speed=v) for v in (1.2, 1.35)))),
-    Manoeuvre("speed sweep", "a sweep from the slowest safe speed to the fastest, wings level",
-              _both_directions(*(Leg(speed=v) for v in (0.75, 0.9, 1.05, 1.2, 1.35)))),
-    Manoeuvre("steep turns", "steep turns to the left and to the right at one speed",
-              _both_directions(*(Leg(bank=math.radians(b)) for b in (-50.0, -35.0, 35.0, 50.0)))),
-    Manoeuvre("circles", "wide circles through all headings, to the left and to the right",
-              tuple(Leg(bank=math.radians(b), heading=k * math.pi / 2.0) for b in (-25.0, 25.0) for k in range(4))),
-    Manoeuvre("passes", "repeated passes through one place of the hall in both directions, and beside it",
-              tuple(Leg(heading=k * math.pi / 2.0, beside=b) for k in range(4) for b in (-1.5, 0.0, 1.5))),
-    Manoeuvre("shaking", "fast stick shaking, up to two a second, beside steps that are held",
-              (*(Leg({channel: sine_input(0.4, f)}) for channel in COMMAND_NAMES[1:] for f in (1.0, 2.0)),
-               *(Leg({channel: step_input(s)}) for channel, s in (("aileron", 0.15), ("elevator", 0.2), ("rudder", 0.3))))),
-    Manoeuvre("hands off", "straight flight with the hands off the sticks, at a slow and at a fast speed",
-              _both_directions(*(Leg(speed=v) for v in (0.8, 1.2)))),
-    Manoeuvre("small movements", "small movements of aileron, elevator and rudder beside large ones",
-              tuple(Leg({channel: sine_input(s, 0.7)}) for channel in COMMAND_NAMES[1:] for s in (0.06, 0.12, 0.5))),
-    Manoeuvre("early and late", "the same throttle steps and glides early in a flight and again two minutes later",
-              (*_POWER, *(replace(leg, later=120.0) for leg in _POWER))),
+    Manoeuvre(
+        "aileron doublets", "quick aileron doublets, half and full, without rudder",
+        _both_directions(*(Leg({"aileron": doublet_input(s)}) for s in (0.4, -0.4, 0.8, -0.8))),
+    ),
+    Manoeuvre(
+        "elevator doublets", "elevator doublets at a slow and at a fast speed",
+        _both_directions(*(
+            Leg({"elevator": doublet_input(s)}, v) for v in (0.85, 1.2) for s in (0.25, -0.25)
+        )),
+    ),
+    Manoeuvre(
+        "rudder doublets", "rudder doublets without aileron",
+        _both_directions(*(Leg({"rudder": doublet_input(s)}) for s in (0.5, -0.5))),
+    ),
+    Manoeuvre(
+        "throttle steps", "throttle steps with the wings level and no other control input",
+        _both_directions(*_POWER[:4]),
+    ),
+    Manoeuvre(
+        "glides",
+        "glides with the throttle closed, slow and fast, and throttle steps at the same speeds",
+        _both_directions(
+            *(Leg(speed=v, height=3.5, glide=True) for v in (0.85, 1.0, 1.2)), *_POWER[:4]
+        ),
+    ),
+    Manoeuvre(
+        "low passes",
+        "low passes at 0.4 m right after level flight at 2 m, at the same speed and throttle",
+        _both_directions(
+            Leg(height=0.4), Leg(height=2.0), Leg({"elevator": doublet_input(0.1)}, height=0.6)
+        ),
+    ),
+    Manoeuvre(
+        "slow flight", "slow flight, wings level, down to the first signs of a stall",
+        _both_directions(*(
+            Leg({"elevator": doublet_input(s)}, v) for v in (0.85, 0.75, 0.68) for s in (0.1, -0.1)
+        )),
+    ),
+    Manoeuvre(
+        "fast flight", "fast flight, wings level",
+        _both_directions(*(Leg(speed=v) for v in (1.2, 1.35))),
+    ),
+    Manoeuvre(
+        "speed sweep", "a sweep from the slowest safe speed to the fastest, wings level",
+        _both_directions(*(Leg(speed=v) for v in (0.75, 0.9, 1.05, 1.2, 1.35))),
+    ),
+    Manoeuvre(
+        "steep turns", "steep turns to the left and to the right at one speed",
+        _both_directions(*(Leg(bank=math.radians(b)) for b in (-50.0, -35.0, 35.0, 50.0))),
+    ),
+    Manoeuvre(
+        "circles", "wide circles through all headings, to the left and to the right",
+        tuple(
+            Leg(bank=math.radians(b), heading=k * math.pi / 2.0)
+            for b in (-25.0, 25.0) for k in range(4)
+        ),
+    ),
+    Manoeuvre(
+        "passes",
+        "repeated passes through one place of the hall in both directions, and beside it",
+        tuple(
+            Leg(heading=k * math.pi / 2.0, beside=b) for k in range(4) for b in (-1.5, 0.0, 1.5)
+        ),
+    ),
+    Manoeuvre(
+        "shaking", "fast sine inputs, up to 2 Hz, and single steps of each control",
+        (
+            *(Leg({c: sine_input(0.4, f)}) for c in COMMAND_NAMES[1:] for f in (1.0, 2.0)),
+            *(Leg({channel: step_input(s)}) for channel, s in _STEPS),
+        ),
+    ),
+    Manoeuvre(
+        "hands off", "straight flight with the hands off the sticks, slow and fast",
+        _both_directions(*(Leg(speed=v) for v in (0.8, 1.2))),
+    ),
+    Manoeuvre(
+        "small movements", "small movements of aileron, elevator and rudder beside large ones",
+        tuple(Leg({c: sine_input(s, 0.7)}) for c in COMMAND_NAMES[1:] for s in (0.06, 0.12, 0.5)),
+    ),
+    Manoeuvre(
+        "early and late",
+        "the same throttle steps and glides early in a flight and again two minutes later",
+        (*_POWER, *(replace(leg, later=120.0) for leg in _POWER)),
+    ),
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Advice:
-    """What a manoeuvre would tell after the flight that was flown."""
+    """What a manoeuvre would add to the flight that was flown."""
 
     manoeuvre: Manoeuvre
-    chi2: float = math.nan  # by which alternatives would part in TRIED_S
-    seconds: float = (
-        math.nan
-    )  # until they part by PARTED; inf where the longest of SECONDS do not suffice
-    shrinkage: float = (
-        math.nan
-    )  # where none are to be parted: share by which the widest interval shrinks in TRIED_S
+    chi2: float = math.nan  # by which the alternatives differ after COMPARISON_S
+    seconds: float = math.nan  # until they differ by SEPARATION_CHI2; inf: beyond SECONDS
+    shrinkage: float = math.nan  # share by which the widest interval shrinks in COMPARISON_S
     widest: str = ""  # parameter with that 95 % interval
 
 
@@ -159,18 +197,16 @@ def manoeuvre_windows(
     place: Array | None = None,
     manoeuvres: Sequence[Manoeuvre] = MANOEUVRES,
 ) -> tuple[Windows, tuple[Manoeuvre, ...]]:
-    """Manoeuvres as windows, with the poses that the base model flies and the pose noise of the
-    calm flight.
+    """Manoeuvres as windows, one per leg, with poses of the nominal model and the baseline's noise.
 
     Args:
-        base: the aircraft without surprise.
-        like: windows of a flight: where in the hall, and how often a pose came.
-        place: (2,) that passes lead through [m]; None: all over the hall, as other legs do.
+        base: the nominal model.
+        like: windows of a flight: the area flown, and the rate of poses.
+        place: (2,) that passes lead through [m]; None: as the other legs.
         manoeuvres: what to fly.
 
     Returns:
-        The windows, a leg each, and the manoeuvres that this aircraft can fly, which windows.flight
-        counts.
+        The windows, and the manoeuvres that this aircraft can fly; windows.flight is their index.
 
     Raises:
         InputError: it can fly none of them.
@@ -206,7 +242,7 @@ def manoeuvre_windows(
         flown.append(m)
     if not flown:
         raise InputError(
-            "manoeuvres: expected one that the calm flight's model can be trimmed for, got none; check it"
+            "manoeuvres: expected one that the model can be trimmed for, got none: check the model"
         )
     windows = whiten(cut_windows(flights, model, rows * interval), base.noise)
     return replace(
@@ -222,9 +258,7 @@ def _build_flight(
     interval: float,
     sigma: Array,
 ) -> PreparedFlight:
-    """One manoeuvre: its legs, each from its own trimmed start and after a pause in which this trim
-    was held.
-    """
+    """One manoeuvre: its legs, each from its own trim and after a pause at that trim."""
     count = FIRST_ROW + rows * len(trims)
     t, state_estimate, commands = (
         interval * np.arange(count, dtype=np.float64),
@@ -234,9 +268,8 @@ def _build_flight(
     commands[:FIRST_ROW] = trims[0].command
     for k, (leg, steady, middle) in enumerate(zip(manoeuvre.legs, trims, middles, strict=True)):
         mine = slice(FIRST_ROW + k * rows, FIRST_ROW + (k + 1) * rows)
-        commands[mine.start - 1 : mine.stop] = (
-            steady.command
-        )  # the row before acts until the leg begins
+        # The row before the leg acts until its first command.
+        commands[mine.start - 1 : mine.stop] = steady.command
         for channel, move in leg.sticks.items():
             commands[mine, COMMAND_NAMES.index(channel)] += move(
                 interval * np.arange(rows, dtype=np.float64)
@@ -256,9 +289,7 @@ def _build_flight(
 
 
 def _leg_start(state: Array, leg: Leg, middle: Array, half_time: float) -> Array:
-    """(12,) a trimmed state turned to its heading, and moved so that straight flight leads through
-    the middle.
-    """
+    """(12,) a trimmed state at the leg's heading, on a straight line through its centre."""
     x = np.zeros(12)
     x[: len(state)] = state
     along = np.array([math.cos(leg.heading), math.sin(leg.heading)])
@@ -270,7 +301,7 @@ def _leg_start(state: Array, leg: Leg, middle: Array, half_time: float) -> Array
 
 
 def _trim_glide(model: Model, speed: float, height: float) -> Trim:
-    """Trim with the throttle closed: what it needs falls almost linearly with the climb angle."""
+    """Trim with the throttle closed: the throttle needed is almost linear in the climb angle."""
     level, down = (trim(model, speed, climb, 0.0, height) for climb in (0.0, -0.03))
     to_idle = 0.03 * level.command[0] / (level.command[0] - down.command[0])
     gliding = trim(model, speed, -0.97 * to_idle, 0.0, height)
@@ -278,15 +309,15 @@ def _trim_glide(model: Model, speed: float, height: float) -> Trim:
 
 
 def noncentrality(gram: Array, signal: Array, free: np.ndarray, prior: Array) -> Array:
-    """Expected chi2 that a signal leaves after free columns have taken what they can of it.
+    """Expected chi2 of a signal after the best fit by free columns [Wald 1943].
 
-    min over b of |C s + C_f b|^2 + b' P b = s' G s - s' G_f (G_ff + P_ff)^-1 G_f' s,  G = C' C    [Wald 1943]
+    min over b of |C s + C_f b|^2 + b' P b = s' G s - s' G_f (G_ff + P_ff)^-1 G_f' s,  G = C' C
 
     Args:
-        gram: (..., C, C) products of all columns; those of flights add.
-        signal: (C,) the signal as a mixture of columns.
+        gram: (..., C, C) G, products of all columns; those of flights add.
+        signal: (C,) s, the signal as a combination of columns.
         free: (F,) which columns are free.
-        prior: (P, P) precision of what is known of the first P columns, all free ones among them.
+        prior: (P, P) prior precision of the first P columns, all free ones among them.
 
     Returns:
         (...) chi2.
@@ -301,9 +332,7 @@ def noncentrality(gram: Array, signal: Array, free: np.ndarray, prior: Array) ->
 
 @dataclass(frozen=True)
 class _ExperimentDesign:
-    """What a flight told and each manoeuvre would tell of C columns: P parameters, then each effect
-    as found.
-    """
+    """Information of a flight and each manoeuvre on C columns: P parameters, then the effects."""
 
     manoeuvres: tuple[Manoeuvre, ...]
     known: Array  # (C, C) products of the columns over the flight
@@ -312,7 +341,7 @@ class _ExperimentDesign:
     names: tuple[str, ...]  # (P,) parameters, the aircraft's and then the effects'
     sizes: Array  # (P,) ordinary sizes of these
     effects: tuple[Effect, ...]
-    reduced_chi2: float  # chi2 is counted in units of this
+    reduced_chi2: float  # unit of chi2
 
     @classmethod
     def of(
@@ -323,11 +352,10 @@ class _ExperimentDesign:
         prior: Prior | None,
         found: Sequence[EffectCandidate] = (),
     ) -> "_ExperimentDesign":
-        """From a fit without the effects to a flight, and the effects as found."""
+        """From a fit of a flight without the effects, and the effects as found."""
         model, free = base.result.model, flown.free
-        bounds = {
-            p.name: (p.low, p.high) for c in found for p in c.effect.parameters
-        }  # a linear scan knows none
+        # Values of a linear scan may lie outside their bounds.
+        bounds = {p.name: (p.low, p.high) for c in found for p in c.effect.parameters}
         found = [
             replace(c, values={n: float(np.clip(v, *bounds[n])) for n, v in c.values.items()})
             for c in found
@@ -358,20 +386,20 @@ class _ExperimentDesign:
         all_of = own + [(p, c.values[p.name]) for c in found for p in c.effect.parameters]
         rows, _ = prior_rows(model, free, prior)
         return cls(
-            tuple(manoeuvres[k] for k in can), known, rates[can], np.pad(rows.T @ rows, (0, len(all_of) - len(own))),
-            tuple(p.name for p, _ in all_of), np.array([ordinary_size(*pair) for pair in all_of]),
+            tuple(manoeuvres[k] for k in can), known, rates[can],
+            np.pad(rows.T @ rows, (0, len(all_of) - len(own))), tuple(p.name for p, _ in all_of), np.array([ordinary_size(*pair) for pair in all_of]),
             tuple(c.effect for c in found), base.reduced_chi2,
         )  # fmt: skip
 
     def discriminability(self) -> tuple[Advice, ...]:
-        """How soon the effect as found could not pass for another, the worst of all pairs."""
+        """How soon each effect would be separated from the others, the worst of all pairs."""
         times = np.append(SECONDS, COMPARISON_S)
         ahead = self.known + times[:, None, None] * self.rates[:, None]
         added = [
             self._difference(true, fitted, ahead) - self._difference(true, fitted, self.known)
             for true, fitted in permutations(range(len(self.effects)), 2)
             if self.effects[true].name
-            not in self.effects[fitted].contains  # it is that with more freedom, at a price
+            not in self.effects[fitted].contains  # a more general form of it always fits
         ]
         worst = np.min(added, axis=0)
         reached = [
@@ -385,9 +413,7 @@ class _ExperimentDesign:
         return tuple(sorted(table, key=lambda a: (a.seconds, -a.chi2)))
 
     def _difference(self, true: int, fitted: int, gram: Array) -> Array:
-        """Expected chi2 (...) by which one effect, there as found, is fitted worse by another than
-        by itself.
-        """
+        """Expected chi2 (...) by which an effect is fitted worse by another one than by itself."""
         signal = np.zeros(gram.shape[-1])
         signal[len(self.names) + true], signal[len(self.names) + fitted] = 1.0, -1.0
         others = {p.name for k, e in enumerate(self.effects) if k != fitted for p in e.parameters}
@@ -395,7 +421,7 @@ class _ExperimentDesign:
         return noncentrality(gram, signal, free, self.prior) / self.reduced_chi2
 
     def interval_reduction(self, wanted: Sequence[str]) -> tuple[Advice, ...]:
-        """By how much the widest interval of some parameters shrinks."""
+        """By which share the widest interval of these parameters shrinks."""
         at = [self.names.index(name) for name in wanted]
         now, after = (
             self._widths(self.known)[at],
@@ -428,7 +454,7 @@ def _gram_matrices(
     initial_state_jacobian: Array,
     found: Sequence[EffectCandidate],
 ) -> Array:
-    """(W, C, C) products of the columns in each window, outside of what its start state can do."""
+    """(W, C, C) products of the columns of each window, its initial state eliminated."""
     of_effects = [_effect_sensitivities(model, windows, initial_states, c) for c in found]
     sensitivities = np.concatenate(
         [parameter_jacobian, *(c[..., 1:] for c in of_effects), *(c[..., :1] for c in of_effects)],
@@ -445,13 +471,10 @@ def _gram_matrices(
 def _effect_sensitivities(
     model: Model, windows: Windows, initial_states: Array, found: EffectCandidate
 ) -> Array:
-    """(W, R, 1 + A) what an effect does as found, and per unit of each of its parameters from
-    there.
+    """(W, R, 1 + A) signal of an effect as found, and its derivative to each parameter there.
 
-    A force is taken at a tenth of its size: in a fit start states give way, which keeps it far more
-        linear than this
-    flight from held ones. What acts on sticks keeps its size: a short delay is a lag, half a dead
-    band another one.
+    A force acts at a tenth of its size: with free initial states it is far more linear than from
+    fixed ones. An input map keeps its size: it is not linear, as half a dead band is another one.
     """
     effect, share = found.effect, 0.1 if found.effect.changes_flow else 1.0
     absent = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.amplitudes})
@@ -465,7 +488,7 @@ def _effect_sensitivities(
         there.with_values({n: v[n] + h * (share if n in small else 1.0)}).vector
         for n, h in steps.items()
     ]
-    with np.errstate(invalid="ignore"):  # a flight that ran away
+    with np.errstate(invalid="ignore"):  # a prediction that diverged
         at, *moved = (
             finite_differences(
                 absent, windows, initial_states, np.stack([there.vector, *beside], axis=1)
@@ -478,17 +501,11 @@ def _effect_sensitivities(
 
 
 def advise(base: NominalModel, naming: Naming) -> tuple[Advice, ...]:
-    """What every manoeuvre of the library would tell after a flight, the best first.
+    """What every manoeuvre of the library would add to a flight, the best first.
 
-    Args:
-        base: the aircraft without surprise.
-        naming: the answer for the flight.
-
-    Returns:
-        Ambiguous: how soon the alternatives part. Named: how much better the effect's size is
-            known. None: the same
-        for what the calm flight hardly moved. Empty where no flight can do it, or the model can fly
-        no manoeuvre.
+    Ambiguous: how soon the alternatives are separated. Named: how far the interval of the effect's
+    size shrinks. None: the same for parameters that the baseline flight excites weakly. Empty where
+    no flight can help, or the model can fly no manoeuvre.
     """
     found, weak = naming.chosen, _weakly_excited(base) if naming.verdict == "none" else []
     if not (weak or naming.verdict in ("named", "ambiguous")) or _is_indistinguishable(found):
@@ -510,35 +527,33 @@ def advise(base: NominalModel, naming: Naming) -> tuple[Advice, ...]:
 
 
 def next_flight(base: NominalModel, naming: Naming) -> str:
-    """What to fly next.
-
-    Args:
-        base: the aircraft without surprise.
-        naming: the answer for the flight.
-
-    Returns:
-        One sentence.
-    """
+    """What to fly next, in one sentence."""
     if naming.verdict == "outside":
         return (
-            "fly the calm flight again with nothing changed, to be sure of the aircraft; if it still fits, change one "
-            "thing at a time and look at the map of residuals for what it goes with"
+            "fly the calm flight again with nothing changed, to confirm the nominal model; if it "
+            "still fits, change one thing at a time and look up in the map of residuals which "
+            "variable the excess depends on"
         )
     best = next(iter(advise(base, naming)), None)
     if naming.verdict == "none":
         shy = (
-            f"; the calm flight hardly moved {_join_names(_weakly_excited(base)[:4])}: fly {_shrinkage_text(best)}"
+            f"; the calm flight hardly excited {_join_names(_weakly_excited(base)[:4])}: fly "
+            f"{_shrinkage_text(best)}"
             if best
             else ""
         )
         return (
-            "nothing needs to be parted; a smaller effect would show in a longer flight with larger and faster "
-            f"movements of every stick, a sweep of speed, low passes and turns both ways{shy}"
+            "nothing needs to be separated; a smaller effect would show in a longer flight with "
+            "larger and faster movements of every control, a sweep of speed, low passes and turns "
+            f"both ways{shy}"
         )
     if _is_indistinguishable(naming.chosen):
         return _notes(naming.chosen)
     if best is None:
-        return "fly the same again, longer, with larger movements of every stick and at more speeds and heights"
+        return (
+            "fly the same again, longer, with larger movements of every control and at more speeds "
+            "and heights"
+        )
     if naming.verdict == "ambiguous":
         return _discrimination_text([c.effect for c in naming.chosen], best)
     notes = _notes(naming.chosen)
@@ -546,11 +561,11 @@ def next_flight(base: NominalModel, naming: Naming) -> str:
 
 
 def headline(naming: Naming) -> str:
-    """The verdict in a few words."""
+    """The verdict in one line."""
     names = [c.effect.name for c in naming.chosen]
     return {
         "named": f"Missing: {_join_names(names, 'and')}",
-        "ambiguous": f"Missing: {_join_names(names, 'or')}, this flight does not tell which",
+        "ambiguous": f"Missing: {_join_names(names, 'or')}; this flight does not separate them",
         "none": "Nothing is missing that this flight could show",
         "outside": "Something is missing, and it is not in the catalogue",
     }[naming.verdict]
@@ -561,17 +576,24 @@ def _discrimination_text(effects: Sequence[Effect], best: Advice) -> str:
     reasons = ", ".join(e.separated_by[at] for e in effects if at in e.separated_by)
     fly = f"fly {best.manoeuvre.how}{': ' if reasons else ''}{reasons}"
     if math.isinf(best.seconds):
-        return f"{SECONDS[-1] / 60.0:.0f} min of one manoeuvre would not part {_join_names(names)}; the best of all, {fly}"
-    return f"to part {_join_names(names)}, {10 * math.ceil(best.seconds / 10.0)} s should do: {fly}"
+        return (
+            f"{SECONDS[-1] / 60.0:.0f} min of one manoeuvre would not separate "
+            f"{_join_names(names)}; the best of all, {fly}"
+        )
+    seconds = 10 * math.ceil(best.seconds / 10.0)
+    return f"to separate {_join_names(names)}, {seconds} s should be enough: {fly}"
 
 
 def _shrinkage_text(best: Advice) -> str:
     name = best.widest.replace("_", " ")
-    return f"{best.manoeuvre.how}; {COMPARISON_S:.0f} s narrow the interval of {name} by {100.0 * best.shrinkage:.0f} %"
+    return (
+        f"{best.manoeuvre.how}; {COMPARISON_S:.0f} s narrow the interval of {name} by "
+        f"{100.0 * best.shrinkage:.0f} %"
+    )
 
 
 def _is_indistinguishable(found: Sequence[EffectCandidate]) -> bool:
-    """Whether one of the effects has exactly the dynamics of another."""
+    """Whether one of the effects has the dynamics of another."""
     return any(c.effect.same_as for c in found)
 
 

@@ -1,8 +1,7 @@
-"""The calm flight: what it tells of the aircraft, of its pose noise, and of what chance finds where
-nothing is hidden.
+"""Baseline flight -> nominal model: the aircraft, its pose noise, and the false-alarm level.
 
-Names need a base that is the aircraft: identified, completed with the loads that this very aircraft
-has and the model's terms lack, and a prior wide enough for another day.
+The nominal model is identified on the baseline flight and completed with generic effects that this
+aircraft has and the terms lack; its prior is wide enough for another day.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,37 +24,32 @@ from falconwing_kit.sysid.uncertainty import ordinary_size, uncertainty
 
 Progress = Callable[[str], None]
 
-COEFFICIENT_DRIFT = (
-    0.01  # coefficients of one aircraft differ by about this much from one day to the next
-)
-TIMING_DRIFT_S = 0.002  # so do delay and lag: radio and servo stay the same
+COEFFICIENT_DRIFT = 0.01  # relative change of an aircraft's coefficients from day to day
+TIMING_DRIFT_S = 0.002  # the same for delay and lag, since radio and servo stay the same
 VERY_STRONG_EVIDENCE = 10.0  # "very strong" on the scale of Kass & Raftery 1995
-SELECTION_PENALTY = 2.0 * float(
-    np.log(len(GENERIC_EFFECTS))
-)  # evidence that choosing among so many loads buys by chance
-# evidence from which on a load without a name counts: the base needs it, or a flight shows
-# something
-GENERIC_EVIDENCE = 50.0
-MAX_GENERIC_TERMS = 6  # loads without a name that a base model may need
-MAX_BASELINE_CHI2 = 4.0  # calm chi2 beyond this: the base model is not a model of this aircraft
+# Evidence that the best of so many generic effects has by chance.
+SELECTION_PENALTY = 2.0 * float(np.log(len(GENERIC_EFFECTS)))
+GENERIC_EVIDENCE = 50.0  # evidence above which a generic effect is taken as real
+MAX_GENERIC_TERMS = 6  # generic effects that a nominal model may need
+MAX_BASELINE_CHI2 = 4.0  # baseline chi2 above this: not a model of this aircraft
 
 
 @dataclass(frozen=True)
 class NominalModel:
-    """The aircraft without surprise: its model, what is known of it, and its pose noise."""
+    """What the baseline flight shows: model, prior, pose noise and false-alarm levels."""
 
     found: Identification
     noise: PoseNoiseModel
-    result: FitResult  # fitted with the noise made white
+    result: FitResult  # fitted with whitened noise
     windows: Windows
-    chi2: float  # per degree of freedom, with the noise made white
+    chi2: float  # per degree of freedom, with whitened noise
     prior: Prior  # for another flight of the same aircraft
-    false_alarm_level: float  # the largest evidence that any effect finds on a third of this flight
-    generic_false_alarm_level: float  # the same of loads without a name
+    false_alarm_level: float  # largest evidence of any effect on a third of this flight
+    generic_false_alarm_level: float  # the same for generic effects
 
     @property
     def reduced_chi2(self) -> float:
-        """Variance of what noise and base model leave, at least that of the noise."""
+        """Chi2 per degree of freedom that noise and model error leave, at least 1."""
         return max(1.0, self.chi2)
 
     @property
@@ -64,9 +58,7 @@ class NominalModel:
         return float(np.median(np.diff(self.windows.nodes)) * self.windows.nodes.shape[1])
 
     def with_measurement_weights(self, windows: Windows) -> Windows:
-        """The same windows weighted by the pose noise alone: no far pose weighed down, nothing
-        filtered.
-        """
+        """The same windows weighted by the pose noise alone: no robust weights, no whitening."""
         return replace(
             windows,
             whitening=None,
@@ -80,20 +72,16 @@ def identify_baseline(
     catalogue: Sequence[Effect] = CATALOGUE,
     start: Model | None = None,
 ) -> NominalModel:
-    """Identify the calm flight, find its pose noise, and see what evidence effects find where there
-    is none.
+    """Identify the baseline flight, its pose noise, and the evidence that effects have by chance.
 
     Args:
-        calm: a flight without surprise.
+        calm: a flight with nothing changed.
         progress: called with the name of each stage.
         catalogue: the effects that will be tried.
         start: the model that the fit starts from; None for a 150 g aircraft.
 
-    Returns:
-        What naming needs to know about the aircraft.
-
     Raises:
-        InputError: the flight cannot be used, or the base model does not describe it.
+        InputError: the flight cannot be used, or the model does not describe it.
     """
     progress("calm flight")
     return build_nominal_model(identify([calm], model=start), catalogue, progress)
@@ -104,19 +92,11 @@ def build_nominal_model(
     catalogue: Sequence[Effect] = CATALOGUE,
     progress: Progress = lambda stage: None,
 ) -> NominalModel:
-    """The same from an identification made already, of any form of model.
-
-    Args:
-        found: the calm flight, identified.
-        catalogue: the effects that will be tried.
-        progress: called with the name of each stage.
-
-    Returns:
-        What naming needs to know about the aircraft.
+    """The same from a finished identification of the baseline flight, of any form of model.
 
     Raises:
-        InputError: the base model does not describe the flight, or a stick's sign in the log is the
-            other way round.
+        InputError: the model does not describe the flight, or a control input of the log is
+            reversed.
     """
     if found.reversed_channels:
         raise InputError(
@@ -127,7 +107,7 @@ def build_nominal_model(
     result = fit(found.model, windows, found.result.initial_states)
     completed_fit = _add_generic_effects(result, windows, progress)
     chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
-    if completed_fit is not result:  # what the base lacked was taken for slow noise
+    if completed_fit is not result:  # what the model lacked had been taken for correlated noise
         again = fit(completed_fit.model, found.fitted_windows, completed_fit.initial_states)
         chi2 = again.cost / degrees_of_freedom(found.fitted_windows, again)
         noise = find_pose_noise(again, found.fitted_windows)
@@ -137,8 +117,9 @@ def build_nominal_model(
         )
     if chi2 > MAX_BASELINE_CHI2:
         raise InputError(
-            f"{found.names[0]}: the base model does not describe this calm flight (chi2 per degree of freedom "
-            f"{chi2:.1f}, noise alone gives 1); use a calm flight of the same aircraft without wind or other surprise"
+            f"{found.names[0]}: expected a calm flight that the base model describes, got chi2 per "
+            f"degree of freedom {chi2:.1f}, noise alone gives 1; use a calm flight of the same "
+            "aircraft without wind or other effects"
         )
     progress("what chance finds")
     return calibrate_nominal_model(
@@ -153,18 +134,14 @@ def calibrate_nominal_model(
     windows: Windows,
     tried: Sequence[Effect],
 ) -> NominalModel:
-    """The base of a fit that needs no more: its level, what it says of another day, and what chance
-    finds in it.
+    """The nominal model from its final fit: level, prior for another day, false-alarm levels.
 
     Args:
-        found: the calm flight, identified.
+        found: the baseline flight, identified.
         noise: its pose noise.
-        result: the base model, fitted with the noise made white.
+        result: the model, fitted with whitened noise.
         windows: what it was fitted to.
-        tried: the effects that will be tried, with or without a name.
-
-    Returns:
-        What naming needs to know about the aircraft.
+        tried: the effects that will be tried, named and generic.
     """
     baseline_chi2 = result.cost / degrees_of_freedom(windows, result)
     reduced = SchurComplement.of(result, None, max(1.0, baseline_chi2))
@@ -184,12 +161,10 @@ def calibrate_nominal_model(
 
 
 def _add_generic_effects(result: FitResult, windows: Windows, progress: Progress) -> FitResult:
-    """The base model with what the calm flight shows it to lack: the best load without a name, and
-    again.
+    """Add to the model the best generic effect of the baseline flight, as long as one is needed.
 
-    No model has everything: a propeller's wash over the elevator, a thrust that is not linear in
-        the stick. Without
-    them in the base, every other flight would seem to have an effect.
+    No model is complete (propeller wash over the elevator, thrust not linear in throttle); what is
+    missing would look like an effect on every other flight.
     """
     progress("what the base lacks")
     while len(GENERIC_EFFECTS) - len(available_generic_effects(result.model)) < MAX_GENERIC_TERMS:
@@ -220,16 +195,14 @@ def _add_generic_effects(result: FitResult, windows: Windows, progress: Progress
 
 
 def available_generic_effects(model: Model) -> tuple[Effect, ...]:
-    """The loads without a name that a model does not have yet."""
+    """The generic effects that a model does not have yet."""
     return tuple(
         effect for effect in GENERIC_EFFECTS if effect.parameters[0].name not in model.values
     )
 
 
 def _drift_prior(result: FitResult, windows: Windows) -> Prior:
-    """What the calm flight says about another day: its covariance, and a percent of drift on every
-    coefficient.
-    """
+    """Prior for another day: the baseline's covariance, and a percent of drift per coefficient."""
     confidence = uncertainty(result, windows)
     parameters = {p.name: p for p in result.model.parameters}
     drift = np.array(
@@ -247,7 +220,7 @@ def _drift_prior(result: FitResult, windows: Windows) -> Prior:
 
 
 def bic_penalty(effect: Effect, windows: Windows) -> float:
-    """Evidence that an effect's free parameters buy by chance on some windows [Schwarz 1978]."""
+    """BIC penalty of an effect's parameters: k ln(n), n measured components [Schwarz 1978]."""
     return float(len(effect.parameters) * np.log(max(windows.count, 2)))
 
 

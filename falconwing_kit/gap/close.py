@@ -1,6 +1,4 @@
-"""Closing the gap: a flight -> since when it surprises, how large the named effect is, and how much
-the gap closes.
-"""
+"""Closing the gap: named effects -> their onset, their sizes, the prediction error with them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,14 +20,12 @@ from falconwing_kit.sysid.score import BLOCK_S, PredictionScore, score, select_w
 from falconwing_kit.sysid.shooting import Windows, finite_differences
 from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
 
-ONSET = "acts_since"  # parameter of an effect that sets in: from this time of the flight on [s]
-ONSET_CANDIDATES = (
-    5  # effects that may have set in during the flight: the best of those that act all along
-)
-MIN_AFTER_ONSET_S = 8.0  # of flight after a change: four windows, fewer do not carry a name
+ONSET = "acts_since"  # parameter of an effect with an onset: it acts from this time on [s]
+ONSET_CANDIDATES = 5  # effects that may have an onset: the best of those that act all along
+MIN_AFTER_ONSET_S = 8.0  # of flight after the onset: four windows, fewer do not support a name
 LIKELIHOOD_DROP = 3.84  # of twice the log likelihood at the ends of a 95 % interval [Wilks 1938]
-MAX_ONSET_ITERATIONS = 4  # fits at ever better times before the time is taken as found
-DIVERGED_RESIDUAL = 1e6  # sigmas: of a flight that ran away
+MAX_ONSET_ITERATIONS = 4  # fits at improving onset times
+DIVERGED_RESIDUAL = 1e6  # [sigma] of a prediction that diverged
 
 
 @dataclass(frozen=True)
@@ -51,47 +47,33 @@ class Onset:
     time: float  # on the flight's clock [s]
     low95: float
     high95: float
-    # evidence over the base model: chi2 in units of the scatter, less the price of parameters and
-    # time
-    delta_bic: float
-    result: (
-        FitResult  # the effect acts from then on, so that its size rests on the time after it alone
-    )
+    delta_bic: float  # evidence over the nominal model, less the penalty of parameters and time
+    result: FitResult  # with the effect from then on: its size is estimated from the time after
 
 
 @dataclass(frozen=True)
 class GapClosure:
-    """The gap before and after, two seconds ahead on time that no fit has seen."""
+    """Prediction errors before and after, two seconds ahead on held-out time."""
 
-    before: PredictionScore  # the calm flight's model
-    # with the effect, fitted to the rest of the flight under the calm flight's prior
-    after: PredictionScore
-    calm: PredictionScore  # the calm flight's own held-out time: what noise and base model leave
-    # without the effect, parameters free under the prior: what another day would explain
+    before: PredictionScore  # the nominal model
+    after: PredictionScore  # with the effect, fitted to the rest of the flight under the prior
+    calm: PredictionScore  # the baseline's own held-out time: what noise and model error leave
+    # Without the effect, parameters free under the prior: what another day would explain.
     before_with_free_parameters: PredictionScore
-    # with the effect, the aircraft's parameters held at the calm flight's values
+    # With the effect, the aircraft's parameters fixed at the baseline's values.
     after_with_fixed_parameters: PredictionScore
-    parameters: dict[str, ParameterEstimate]  # of the effect, from the fit to all of the flight
-    model: (
-        Model | None
-    )  # the calm model with the effect, fitted to all of the flight; None where nothing is named
+    parameters: dict[str, ParameterEstimate]  # of the effect, from the fit to the whole flight
+    model: Model | None  # with the effect, fitted to the whole flight; None: nothing named
     confidence: Uncertainty | None  # of that model
-    seen: bool  # True where the flight was too short to hold anything back
+    seen: bool  # True where the flight was too short to hold out any of it
     held_out: np.ndarray  # which windows were scored
 
 
 def close_gap(base: NominalModel, naming: Naming) -> GapClosure:
-    """Add what was named to the model and score it on time it was not fitted to.
+    """Add the named effects to the model and score it on held-out time.
 
-    About 30 % of the flight in blocks of 10 s (shorter ones on a short flight) is held out. Of an
-    ambiguous set the first alternative is added.
-
-    Args:
-        base: the aircraft without surprise.
-        naming: the answer for the flight.
-
-    Returns:
-        The gap before and after; where nothing is named after equals before.
+    About 30 % of the flight is held out, in blocks of 10 s (shorter on a short flight). Of an
+    ambiguous set the first alternative is added; where nothing is named, after equals before.
     """
     calm_model = base.result.model
     plain = base.with_measurement_weights(naming.windows)
@@ -144,7 +126,7 @@ def close_gap(base: NominalModel, naming: Naming) -> GapClosure:
 
 
 def _baseline_score(base: NominalModel) -> PredictionScore:
-    """The calm flight's own held-out time, by the base model as it was completed."""
+    """Score of the completed nominal model on the baseline flight's own held-out time."""
     found = base.found
     known = found.held_out or found.train
     if found.held_out is None or base.result.model.names == found.model.names:
@@ -162,9 +144,7 @@ def _baseline_score(base: NominalModel) -> PredictionScore:
 def _sizes(
     base: NominalModel, naming: Naming, candidate: EffectCandidate
 ) -> dict[str, ParameterEstimate]:
-    """An effect's parameters from the last fit that has them: that of all effects where several
-    were named.
-    """
+    """An effect's parameters from the last fit that has them (with all effects that were named)."""
     last = naming.chosen[-1].result if naming.verdict == "named" else candidate.result
     if last is None:
         return {}
@@ -178,9 +158,7 @@ def _sizes(
 
 
 def _split(windows: Windows) -> tuple[np.ndarray, np.ndarray]:
-    """Whole blocks for fitting and for scoring; blocks are shorter than usual where there would be
-    fewer than four.
-    """
+    """Windows for fitting and for scoring, in blocks so short that there are four at least."""
     begins = windows.nodes[:, 0]
     return split_blocks(windows, block_s=min(BLOCK_S, max(float(np.ptp(begins)) / 3.01, 1.0)))
 
@@ -191,22 +169,14 @@ def name_with_onset(
     catalogue: Sequence[Effect] = CATALOGUE,
     progress: Progress = lambda stage: None,
 ) -> tuple[Naming, Onset | None]:
-    """Name what a flight shows, on the time after it set in where it clearly set in during the
-    flight.
+    """Name the effect of a flight; where it has a clear onset, name it on the time after that.
 
-    An effect that acts in a part of the flight only is diluted over all of it, and parameters bend
-    to meet it halfway. So where some effect explains the flight far better from a time on than any
-    does all along, that time is found and the flight after it is judged anew, by all effects alike.
-
-    Args:
-        base: the aircraft without surprise.
-        flight: the flight under test.
-        catalogue: the effects to try.
-        progress: called with the name of each stage.
+    An effect in part of a flight is diluted over the whole, and the parameters absorb some of it.
+    So where an effect with an onset explains the flight far better than any effect does all along,
+    the flight after that time is named again, with all effects.
 
     Returns:
-        The verdict, and when the effect set in; None where it was there all along or that is not
-        clear.
+        The verdict, and the onset; None where the effect acts all along or that is not clear.
 
     Raises:
         InputError: the flight cannot be used.
@@ -234,22 +204,20 @@ def name_with_onset(
 def find_onset(
     base: NominalModel, windows: Windows, before: FitResult, found: Sequence[EffectCandidate]
 ) -> Onset | None:
-    """Which of some effects explains the flight best from some time on, and since when.
+    """The effect with an onset that explains a flight best, and the time of its onset.
 
-    A likelihood over effect and time: first from the score test at every window's start, with
-        aircraft parameters and
-    start states eliminated; then around the best at every row from a full fit, which is repeated
-    until it stays there. It holds for one step up; an effect that comes and goes is not looked for.
+    Likelihood over effect and time: the score test at the start of every window, with parameters
+    and initial states eliminated; then, around the best, at every row from a full fit, repeated
+    until the time no longer changes. Only one onset is considered, and no end.
 
     Args:
-        base: the aircraft without surprise.
+        base: the nominal model.
         windows: W windows of the flight.
-        before: the base model fitted to them under its prior.
+        before: the nominal model fitted to them under its prior.
         found: the effects, as they explain the flight when they act all along.
 
     Returns:
-        The onset, or None where no effect is left that can be switched on in midflight (delay, lag,
-        camera cannot).
+        The onset, or None where no effect can have one (delay, lag and camera cannot).
     """
     windows, before = _join_segments(base, windows, before)
     initial_guess = _scan_onsets(base, windows, before, found)
@@ -274,6 +242,7 @@ def find_onset(
             .with_values({**result.model.values, ONSET: time})
             .with_fixed([ONSET])
         )
+    # 95 % interval from the profile likelihood, one row wider on each side.
     inside = np.flatnonzero(cost < cost.min() + LIKELIHOOD_DROP * base.reduced_chi2)
     low, high = times[max(inside[0] - 1, 0)], times[min(inside[-1] + 1, len(times) - 1)]
     clock, price = float(windows.flights[0].t[0]), float(np.log(windows.count))
@@ -285,7 +254,7 @@ def find_onset(
 def _join_segments(
     base: NominalModel, windows: Windows, before: FitResult
 ) -> tuple[Windows, FitResult]:
-    """Stretches of a flight that was cut where frames were missing, as one flight again."""
+    """The segments of a flight that was cut where frames were missing, as one flight again."""
     if len(windows.flights) == 1:
         return windows, before
     flights = windows.flights
@@ -303,8 +272,8 @@ def _join_segments(
     )
     later = np.array([f.t[0] - flights[0].t[0] for f in flights])[windows.flight][:, None]
     joined = replace(
-        windows, nodes=windows.nodes + later, edges=windows.edges + later, flight=np.zeros_like(windows.flight),
-        flights=(whole,),
+        windows, nodes=windows.nodes + later, edges=windows.edges + later,
+        flight=np.zeros_like(windows.flight), flights=(whole,),
     )  # fmt: skip
     return joined, fit(before.model, joined, before.initial_states, prior=base.prior)
 
@@ -312,7 +281,7 @@ def _join_segments(
 def _scan_onsets(
     base: NominalModel, windows: Windows, before: FitResult, found: Sequence[EffectCandidate]
 ) -> EffectCandidate | None:
-    """The best effect at the best window's start, by linear evidence."""
+    """The best effect and the best window to start it at, by linear evidence."""
     if len(windows) < 3:
         return None
     reduced, first, last = (
@@ -341,17 +310,8 @@ def _scan_onsets(
 
 
 def with_onset(effect: Effect, first: float, last: float) -> Effect:
-    """The same effect, absent before a time that is a parameter of its own.
-
-    Args:
-        effect: a force, a moment, a wind or a change of the sticks.
-        first: the earliest time it may set in [s].
-        last: the latest.
-
-    Returns:
-        An effect with one parameter more, `acts_since` [s].
-    """
-    since = Parameter(ONSET, 0.5 * (first + last), first, last, "s", "time from which on it acts")
+    """The same effect with an onset in [first, last] [s], its parameter `acts_since`."""
+    since = Parameter(ONSET, 0.5 * (first + last), first, last, "s", "time of onset")
     loads, loads_of, wind, command_map = (
         effect.loads,
         effect.loads_of,
@@ -388,20 +348,24 @@ def _gate(parts: tuple[Any, ...], on: Any) -> Any:
 def _profile_likelihood(
     base: NominalModel, windows: Windows, result: FitResult
 ) -> tuple[Array, Array]:
-    """Cost over the time an effect sets in, at every row within two windows of a fit, all else free
-    to first order.
+    """Cost over the onset time at every row within two windows, all else free to first order.
+
+    Returns:
+        times (C,) [s] and the cost of each (C,).
     """
     here, at = result.model.values[ONSET], result.model.names.index(ONSET)
     rows = np.unique(windows.nodes[1:-1])
     reach = 2.0 * float(windows.nodes[0, -1] - windows.nodes[0, 0])
     times = np.unique(np.append(rows[np.abs(rows - here) < reach], here))
     near = np.flatnonzero((windows.nodes[:, -1] > times[0]) & (windows.nodes[:, 0] < times[-1]))
+    # Residuals at each onset time, all other values as fitted, in the windows where they differ.
     values = np.repeat(result.model.vector[:, None], len(times), axis=1)
     values[at] = times
     differences = finite_differences(
         result.model, select_windows(windows, near), result.initial_states[near], values
     )
     differences = np.nan_to_num(differences, posinf=DIVERGED_RESIDUAL, neginf=-DIVERGED_RESIDUAL)
+    # Eliminate the initial states: keep what is outside the span of their derivatives Q.
     reduced = SchurComplement.of(result, base.prior, base.reduced_chi2)
     Q, K, rest = reduced.Q[near], reduced.K, reduced.residual
     after = (
@@ -409,14 +373,14 @@ def _profile_likelihood(
         + differences
         - np.einsum("win,cwn->cwi", Q, np.einsum("win,cwi->cwn", Q, differences))
     )
+    # Then the parameters, by one Gauss-Newton step under the prior: cost - g' N^-1 g.
     known, mean = prior_rows(result.model, result.free, base.prior)
     pull = known @ (result.model.vector[list(result.free)] - mean)
     shift = np.einsum("wif,cwi->cf", K[near], after - rest[near], optimize=True)
     gradient = shift + np.einsum("wif,wi->f", K, rest, optimize=True) + known.T @ pull
     normal = np.einsum("wif,wig->fg", K, K, optimize=True) + reduced.prior
-    normal += np.diag(
-        1e-9 * np.diag(normal) + 1e-30
-    )  # an effect may do nothing here, as the ground's at 50 m
+    # A column may be zero: ground effect at a height of 50 m.
+    normal += np.diag(1e-9 * np.diag(normal) + 1e-30)
     cost = (
         np.sum(after**2, axis=(1, 2)) - np.sum(rest[near] ** 2) + np.sum(rest**2) + np.sum(pull**2)
     )

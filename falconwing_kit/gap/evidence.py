@@ -1,9 +1,7 @@
-"""Evidence: a fit and the residual changes an effect would make -> how much chi2 the effect would
-explain.
+"""Evidence: a fit and an effect's sensitivities -> the chi2 that the effect would explain.
 
-All derivatives exist already where a fit ended. An effect adds a few columns; eliminating start
-states and aircraft parameters, which stay free under their prior, leaves a problem as small as the
-effect (score test, Rao 1948).
+Score test [Rao 1948]: the fit has all derivatives, an effect adds a few columns. Initial states and
+aircraft parameters, free under their prior, are eliminated; one unknown per amplitude remains.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,15 +15,14 @@ from falconwing_kit.core.checks import Array
 from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
 from falconwing_kit.sysid.shooting import Windows, finite_differences
 
-BATCH_SIZE = 8  # effects in one model: more would each fly the others' terms at zero
-# share of what an effect does that parameters and start states cannot: below it there is no
-# evidence
+BATCH_SIZE = 8  # effects in one model, each of which computes the others' terms at zero
+# Share of an effect's signal outside the span of parameters and initial states: below, no evidence.
 MIN_EIGENVALUE = 1e-4
 
 
 @dataclass(frozen=True)
 class EffectVariant:
-    """An effect at one place, angle or delay: what a scan tries."""
+    """An effect at one scan point: a place, an angle or a delay."""
 
     effect: Effect
     values: dict[str, float]  # its parameters there
@@ -33,7 +30,7 @@ class EffectVariant:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """What a variant would do to the residuals, per unit of each amplitude."""
+    """Derivatives of the residuals to a variant's A amplitudes."""
 
     variant: EffectVariant
     derivative: Array  # (W, R, A)
@@ -41,22 +38,17 @@ class Sensitivities:
 
 @dataclass(frozen=True)
 class ScoreTest:
-    """Linear evidence for a variant."""
+    """Linear evidence for a variant, from one Gauss-Newton step."""
 
     variant: EffectVariant
     delta_chi2: float  # chi2 it would explain
-    values: dict[str, float]  # amplitudes it would take
+    values: dict[str, float]  # all parameters, the amplitudes after the step
 
 
 def effect_variants(catalogue: Sequence[Effect], windows: Windows) -> Iterator[EffectVariant]:
-    """Every effect at every place a scan should try it.
+    """Every effect at every scan point, over the area that the windows cover.
 
-    Args:
-        catalogue: the effects.
-        windows: say where the aircraft has been.
-
-    Yields:
-        The variants; effects that another one stands for are left out.
+    Effects with the dynamics of another one (`same_as`) are left out.
     """
     flown = windows.pose[..., :2][windows.weight[..., 0] > 0]
     low, high = np.percentile(flown, [3.0, 97.0], axis=0)
@@ -68,16 +60,13 @@ def effect_variants(catalogue: Sequence[Effect], windows: Windows) -> Iterator[E
 def sensitivities(
     model: Model, windows: Windows, starts: Array, tried: Sequence[EffectVariant]
 ) -> list[Sensitivities]:
-    """Change of the residuals by each amplitude, as a secant to the variant's own size.
+    """Sensitivities of the variants, each amplitude by a secant from zero to the variant's value.
 
     Args:
         model: the aircraft without the effects.
         windows: W windows.
-        starts: (W, n_states).
-        tried: the effects and their places.
-
-    Returns:
-        The columns of each.
+        starts: (W, n_states) initial states.
+        tried: the variants.
     """
     effects = list({id(v.effect): v.effect for v in tried}.values())
     found: dict[int, Sensitivities] = {}
@@ -99,9 +88,10 @@ def _batch_sensitivities(
     effects: Sequence[Effect],
     tried: Sequence[EffectVariant],
 ) -> list[Sensitivities]:
-    """The same for a few effects, all of whose variants fly together."""
+    """The same for a few effects in one model, all variants flown together."""
     for effect in effects:
         model = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.amplitudes})
+    # One column of parameter values per variant and amplitude, all other amplitudes zero.
     cases = [
         model.with_values(
             {**v.values, **{q.name: 0.0 for q in v.effect.amplitudes}, p.name: v.values[p.name]}
@@ -110,35 +100,27 @@ def _batch_sensitivities(
         for p in v.effect.amplitudes
     ]
     differences = iter(finite_differences(model, windows, starts, np.stack(cases, axis=1)))
-    return [
-        Sensitivities(v, np.nan_to_num(np.stack([next(differences) / v.values[p.name] for p in v.effect.amplitudes], axis=-1),
-                                 posinf=0.0, neginf=0.0))
-        for v in tried
-    ]  # fmt: skip
+    found = []
+    for v in tried:
+        columns = [next(differences) / v.values[p.name] for p in v.effect.amplitudes]
+        stacked = np.stack(columns, axis=-1)
+        found.append(Sensitivities(v, np.nan_to_num(stacked, posinf=0.0, neginf=0.0)))
+    return found
 
 
 @dataclass(frozen=True)
 class SchurComplement:
-    """A fit with its start states eliminated."""
+    """A fit with its initial states eliminated window by window."""
 
-    Q: Array  # (W, R, n) basis of what start states can do
-    K: Array  # (W, R, F) parameter derivatives outside it
-    residual: Array  # (W, R) outside it
+    Q: Array  # (W, R, n) orthonormal basis of the initial states' derivatives
+    K: Array  # (W, R, F) parameter derivatives, projected out of that span
+    residual: Array  # (W, R) likewise
     prior: Array  # (F, F) precision of the prior
     reduced_chi2: float  # chi2 per degree of freedom
 
     @classmethod
     def of(cls, result: FitResult, prior: Prior | None, reduced_chi2: float) -> "SchurComplement":
-        """Eliminate the start states of a fit.
-
-        Args:
-            result: the fit.
-            prior: the prior it used.
-            scatter: chi2 per degree of freedom that noise and model leave on a calm flight.
-
-        Returns:
-            The reduced problem.
-        """
+        """Eliminate the initial states of a fit that used this prior."""
         Q, _ = np.linalg.qr(result.initial_state_jacobian)
         rows, _ = prior_rows(result.model, result.free, prior)
         return cls(
@@ -150,14 +132,7 @@ class SchurComplement:
         )
 
     def score(self, effect: Sensitivities) -> ScoreTest:
-        """Linear evidence for an effect over all windows.
-
-        Args:
-            effect: its columns at this fit.
-
-        Returns:
-            chi2 gained in units of the scatter, and the amplitudes.
-        """
+        """Linear evidence for an effect over all windows."""
         return _score_test(
             self,
             effect.variant,
@@ -168,17 +143,17 @@ class SchurComplement:
         )
 
     def block_delta_chi2(self, effects: Sequence[Sensitivities], blocks: int = 3) -> Array:
-        """Evidence that the same effects show on parts of a calm flight, where there is none.
+        """Evidence that effects have on parts of a baseline flight: the false-alarm level.
 
-        The parameters are known from the other parts alone, as they are from another flight; what
-        is found here comes from noise and from what the base model lacks.
+        Parameters are estimated on the other parts alone, as for another flight; what an effect
+        explains here is noise and model error.
 
         Args:
-            effects: columns at this fit.
+            effects: sensitivities at this fit.
             blocks: contiguous parts of the flight.
 
         Returns:
-            (E, blocks) chi2 in units of the scatter.
+            (E, blocks) chi2 in units of the reduced chi2.
         """
         projected = [_project_out(self.Q, e.derivative) for e in effects]
         part = np.array_split(np.arange(len(self.Q)), blocks)
@@ -189,6 +164,7 @@ class SchurComplement:
                 np.einsum("wif,wig->fg", self.K[others], self.K[others], optimize=True) + self.prior
             )
             known += 1e-9 * np.diag(np.diag(known))
+            # Where the other parts alone would put the parameters.
             shift = -np.linalg.solve(
                 known, np.einsum("wif,wi->f", self.K[others], self.residual[others], optimize=True)
             )
@@ -207,7 +183,8 @@ def _score_test(
     precision: Array,
     shift: Array | None,
 ) -> ScoreTest:
-    """Score test over some windows with the parameters known to a precision around a shifted mean."""
+    """Score test over some windows, the parameters free with a precision around a shifted mean."""
+    # Normal equations of parameters and amplitudes, [A B; B' D], and their gradients.
     E, K, r = projected[inside], fit.K[inside], fit.residual[inside]
     if shift is not None:
         r = r + K @ shift
@@ -217,12 +194,12 @@ def _score_test(
     g_K = np.einsum("wif,wi->f", K, r, optimize=True) if shift is not None else np.zeros(K.shape[2])
     g_E = np.einsum("wik,wi->k", E, r, optimize=True)
     across = np.linalg.solve(A + 1e-9 * np.diag(np.diag(A)), np.column_stack([B, g_K]))
+    # Eliminate the parameters: S = D - B' A^-1 B, gradient g_E - B' A^-1 g_K.
     S, pull = D - B.T @ across[:, :-1], g_E - B.T @ across[:, -1]
     size = np.sqrt(np.maximum(np.diag(D), 1e-30))
+    # Step in the eigenvectors that the parameters do not imitate.
     seen, along = np.linalg.eigh(S / np.outer(size, size))
-    along = (
-        along[:, seen > MIN_EIGENVALUE] / size[:, None]
-    )  # the others are what parameters do already
+    along = along[:, seen > MIN_EIGENVALUE] / size[:, None]
     step = -along @ ((along.T @ pull) / seen[seen > MIN_EIGENVALUE])
     names = [p.name for p in variant.effect.amplitudes]
     delta_chi2 = float(max(-pull @ step, 0.0)) / fit.reduced_chi2

@@ -1,6 +1,4 @@
-"""Measuring the gap: a flight replayed in a model -> residuals, and where they exceed those of the
-calm flight.
-"""
+"""Measuring the gap: a flight replayed in a model -> residuals, and their excess by variable."""
 
 from dataclasses import dataclass
 
@@ -15,70 +13,61 @@ from falconwing_kit.sysid.prepare import CHANNELS, PreparedFlight
 from falconwing_kit.sysid.score import score
 from falconwing_kit.sysid.shooting import Windows, cut_windows
 
-VARIABLES: dict[str, str] = {  # what a residual may depend on, and its unit
-    "time": "s", "x": "m", "y": "m", "height": "m", "speed": "m/s", "climb": "m/s", "heading": "rad", "bank": "rad",
+VARIABLES: dict[str, str] = {  # flight variables that a residual may depend on, and their units
+    "time": "s", "x": "m", "y": "m", "height": "m", "speed": "m/s", "climb": "m/s",
+    "heading": "rad", "bank": "rad",
     "throttle": "-", "aileron": "-", "elevator": "-", "rudder": "-",
 }  # fmt: skip
 BINS = 6
-MIN_WINDOWS = 8  # in a bin; from fewer no scatter can be told
-INPUT_AVERAGING_S = (
-    1.0  # a stick acts on the pose through what it did before: its mean over this time counts
-)
-FALSE_ALARM_PROBABILITY = 0.01  # chance that a calm flight shows any spot at all
+MIN_WINDOWS = 8  # in a bin; fewer give no estimate of the scatter
+INPUT_AVERAGING_S = 1.0  # a control input acts on the pose with delay: its mean over this time
+FALSE_ALARM_PROBABILITY = 0.01  # that a baseline flight has any significant bin
 MAX_RESIDUAL_BINS = 12
 
 
 @dataclass(frozen=True)
 class FlightReplay:
-    """A flight flown again in a model, two seconds at a time from re-estimated starts."""
+    """Predictions of a flight by a model, two seconds at a time from estimated initial states."""
 
     t: Array  # (W, L) since the start of the flight [s]
-    # (W, L, 6) predicted minus measured in sigmas of the pose noise, nan where not measured
-    residual: Array
+    residual: Array  # (W, L, 6) predicted minus measured [sigma], nan where not measured
     variables: dict[str, Array]  # (W, L) each, the keys of VARIABLES
 
 
 @dataclass(frozen=True)
 class ResidualProfile:
-    """Mean square residual of one channel against one variable, flight beside calm; B bins, nan
-    where too few.
-    """
+    """Mean square residual of one channel in B bins of one variable, nan where too few rows."""
 
     edges: Array  # (B + 1,) in the variable's unit
     flight: Array  # (B,) [sigma^2]
-    calm: Array  # (B,) the calm flight's in the same bin, or over all of it where it was not there
-    # (B,) by how much the two would differ by chance if the flight were calm, one standard
-    # deviation
-    error: Array
+    calm: Array  # (B,) the baseline's in the same bin, or its mean where it has no data there
+    error: Array  # (B,) standard deviation of the difference where nothing is changed
 
     @property
     def excess_chi2(self) -> Array:
-        """(B,) flight minus calm [sigma^2]."""
+        """(B,) flight minus baseline [sigma^2]."""
         return self.flight - self.calm
 
 
 @dataclass(frozen=True)
 class ResidualBin:
-    """A range of a variable in which one channel is off by more than on the calm flight."""
+    """A range of a variable in which one channel's residual exceeds the baseline's."""
 
     channel: str
     variable: str
     low: float
     high: float
-    excess_chi2: float  # mean square over the calm flight's [sigma^2]
-    contrast: float  # the same less what the rest of the flight shows, less two standard errors
+    excess_chi2: float  # mean square above the baseline's [sigma^2]
+    contrast: float  # the same above the rest of the flight, less two standard errors
 
 
 def replay(model: Model, windows: Windows, initial_states: Array | None = None) -> FlightReplay:
-    """Fly a flight again in a model.
+    """Predict a flight's windows by a model with fixed parameters.
 
     Args:
-        model: the aircraft; its parameters are held.
+        model: the aircraft.
         windows: W windows without whitening, weighted by the noise alone.
-        starts: (W, n_states) first guess of the start states, or None for the windows' own.
-
-    Returns:
-        Residuals and what they may depend on, row by row.
+        initial_states: (W, n_states) first guess, or None for the windows' own.
     """
     residual = score(model, windows, initial_states).residual
     known = {name: np.empty_like(windows.nodes) for name in VARIABLES}
@@ -92,41 +81,31 @@ def replay(model: Model, windows: Windows, initial_states: Array | None = None) 
 
 
 def replay_baseline(base: NominalModel) -> FlightReplay:
-    """The calm flight in its own model."""
+    """The baseline flight in its own model."""
     return replay(base.result.model, base.found.windows, base.result.initial_states)
 
 
 def replay_flight(base: NominalModel, naming: Naming, model: Model | None = None) -> FlightReplay:
     """The flight under test in a model.
 
-    Args:
-        base: the aircraft without surprise.
-        naming: the flight.
-        model: None for the calm flight's own, or where nothing is missing for the same on another
-            day: coefficients drift by a percent, and that is no gap.
-
-    Returns:
-        The replay.
+    None takes the nominal model, or, where nothing is missing, the nominal model fitted under its
+    prior: coefficients drift by a percent from day to day, and that is no gap.
     """
     model = model or (naming.before.model if naming.verdict == "none" else base.result.model)
     return replay(model, cut_windows(naming.prepared.flights, model), naming.before.initial_states)
 
 
 def residual_map(flight: FlightReplay, calm: FlightReplay) -> tuple[ResidualBin, ...]:
-    """Where a flight's residuals exceed the calm flight's.
+    """Where a flight's residuals exceed the baseline's.
 
-    Every channel is binned over every variable; a bin counts where its excess would come by chance
-    in fewer than one of a hundred calm flights, all bins taken together [Bonferroni; one-sided t
-    test on windows]. Neighbouring bins that count and lie in the upper half of the profile are
-    joined.
-
-    Args:
-        flight: the flight under test.
-        calm: the calm flight in its own model.
+    Every channel is binned over every variable. A bin is significant where its excess would occur
+    by chance in fewer than one of a hundred baseline flights, all bins together [Bonferroni;
+    one-sided t test on windows]. Neighbouring significant bins in the upper half of the profile
+    are joined.
 
     Returns:
-        At most one spot per channel and variable, those that stand out most from the rest of the
-        flight first; a channel that is off everywhere alike gives one spot over all the time.
+        At most one bin per channel and variable, the largest contrast first; a channel with the
+        same excess everywhere gives one bin over all the time.
     """
     from scipy.stats import t as student
 
@@ -153,17 +132,9 @@ def residual_map(flight: FlightReplay, calm: FlightReplay) -> tuple[ResidualBin,
 def profile(
     flight: FlightReplay, calm: FlightReplay, channel: str, variable: str
 ) -> ResidualProfile:
-    """Mean square residual of one channel against one variable.
+    """Mean square residual of one channel (of CHANNELS) against one variable (of VARIABLES).
 
-    Args:
-        flight: the flight under test.
-        calm: the calm flight.
-        channel: one of CHANNELS.
-        variable: one of VARIABLES.
-
-    Returns:
-        The profile; bins hold equally many rows of the flight (of the circle where the variable is
-        the heading).
+    Bins have equal numbers of rows of the flight; those of the heading have equal width.
     """
     at = CHANNELS.index(channel)
     values = flight.variables[variable]
@@ -183,9 +154,7 @@ def profile(
 
 
 def _bins(residual: Array, values: Array, edges: Array) -> tuple[Array, np.ndarray]:
-    """Mean square in each bin, nan where fewer than FEWEST_WINDOWS reach into it, and its number of
-    rows.
-    """
+    """Mean square of each bin, nan where fewer than MIN_WINDOWS reach into it, and its rows."""
     inside = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0))
     inside[(values < edges[0]) | (values > edges[-1])] = -1
     seen = (inside[..., None] == np.arange(len(edges) - 1)) & np.isfinite(residual)[
@@ -198,11 +167,10 @@ def _bins(residual: Array, values: Array, edges: Array) -> tuple[Array, np.ndarr
 
 
 def _baseline_statistics(residual: Array) -> tuple[float, float]:
-    """Mean square of a calm channel (W, L), and the standard deviation that one row adds to a mean
-    of many.
+    """Mean square of a baseline channel (W, L), and its standard deviation per root of a row.
 
-    Rows within a window go together, so the scatter is that between windows; taking the rows of a
-    bin for spread over many windows errs to the safe side.
+    Rows of one window are correlated, so the scatter is that between windows; assuming that the
+    rows of a bin are spread over many windows is conservative.
     """
     rows = np.isfinite(residual).sum(axis=1)
     squares = np.nansum(residual**2, axis=1)
@@ -214,9 +182,7 @@ def _baseline_statistics(residual: Array) -> tuple[float, float]:
 def _residual_bin(
     p: ResidualProfile, counts: np.ndarray, channel: str, variable: str
 ) -> ResidualBin:
-    """The bin that stands out most, with its neighbours that count and lie in the upper half of the
-    profile.
-    """
+    """The bin of largest excess, joined with significant neighbours in the upper half."""
     lower_bound = np.where(counts, p.excess_chi2 - 2.0 * p.error, -np.inf)
     low = high = int(np.argmax(lower_bound))
     known = np.nan_to_num(p.excess_chi2, nan=np.nanmin(p.excess_chi2))
@@ -237,7 +203,7 @@ def _residual_bin(
 
 
 def _whole_flight_bin(p: ResidualProfile, channel: str) -> ResidualBin:
-    """A channel that is off all the time alike."""
+    """A channel whose excess is the same all the time."""
     return ResidualBin(
         channel,
         "time",
@@ -249,12 +215,13 @@ def _whole_flight_bin(p: ResidualProfile, channel: str) -> ResidualBin:
 
 
 def _variables(flight: PreparedFlight) -> dict[str, Array]:
-    """The variables at every row of a flight, from the locally smoothed poses and the sticks."""
+    """The variables at every row of a flight, from locally smoothed poses and the commands."""
     t = flight.t - flight.t[0]
     velocity = flight.state_estimate[:, 6:9]
     rows = max(1, round(INPUT_AVERAGING_S / float(np.median(np.diff(t)))))
-    mean_commands = np.stack([np.convolve(np.pad(c, (rows - 1, 0), mode="edge"), np.ones(rows) / rows, "valid")
-                       for c in flight.commands.T])  # fmt: skip
+    # Mean of each command over the time before its row.
+    padded = np.pad(flight.commands, ((rows - 1, 0), (0, 0)), mode="edge")
+    mean_commands = [np.convolve(c, np.ones(rows) / rows, "valid") for c in padded.T]
     return {
         "time": flight.t,
         "x": flight.state_estimate[:, 0],

@@ -1,6 +1,4 @@
-"""Naming: a calm flight and a flight that surprises -> which effect is missing, how sure, or that
-none can be named.
-"""
+"""Naming: nominal model and a flight under test -> the missing effect, several, none or outside."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -37,21 +35,15 @@ from falconwing_kit.sysid.uncertainty import uncertainty
 
 Verdict = Literal["named", "ambiguous", "none", "outside"]
 
-# effects that are fitted in full after the linear scan, and more while one not fitted could still
-# win
-REFITS = 5
-COARSE_TOLERANCE = (
-    2.0  # chi2 to which the first round of fits is carried; the second goes on from there
-)
-GENERIC_MARGIN = (
-    0.1  # a load without a name must beat the named effects by this share of their evidence
-)
-# share of what a strong effect explains that its formula, 20 % off nature's, leaves unexplained
+REFITS = 5  # full fits after the linear scan at least; more while another effect could still win
+COARSE_TOLERANCE = 2.0  # chi2 at which the first round of fits stops; the second continues it
+GENERIC_MARGIN = 0.1  # a generic effect must exceed the named ones by this share of their evidence
+# Share of a strong effect's chi2 that a formula 20 % off leaves unexplained: (20 %)^2.
 FORMULA_ERROR = 0.04
-UNRELATED_FORMULA_ERROR = 0.001  # the same of what it does not act on: 3 % off
-MAX_REMAINING_SHARE = 0.5  # of the excess: a name that leaves more behind is no explanation
-EXCESS_SIGMAS = 6.0  # a flight's chi2 above the calm level by this much is not chance
-# parameters that moved by three of their sigmas on average: the base is no model of this aircraft
+UNRELATED_FORMULA_ERROR = 0.001  # the same for what the effect does not act on: (3 %)^2
+MAX_REMAINING_SHARE = 0.5  # of the excess: an effect that leaves more is no explanation
+EXCESS_SIGMAS = 6.0  # chi2 above the baseline level by this many standard deviations is not chance
+# Squared Mahalanobis distance per parameter: three standard deviations each is another aircraft.
 MAX_MAHALANOBIS = 9.0
 
 
@@ -60,29 +52,25 @@ class EffectCandidate:
     """One effect and the evidence for it."""
 
     effect: Effect
-    # evidence over the base model: chi2 in units of the scatter, less the price of its parameters
-    delta_bic: float
-    delta_chi2: float  # without the price
-    values: dict[str, float]  # its parameters as found
-    result: FitResult | None  # the full fit; None where the linear scan was enough
+    delta_bic: float  # evidence over the nominal model: delta_chi2 less the BIC penalty
+    delta_chi2: float  # chi2 explained, in units of the reduced chi2 of the baseline
+    values: dict[str, float]  # its parameters as estimated
+    result: FitResult | None  # the full fit; None where only the linear scan was made
 
 
 @dataclass(frozen=True)
 class Naming:
-    """The answer: a verdict and what it rests on."""
+    """The verdict and its evidence."""
 
     verdict: Verdict
-    chosen: tuple[
-        EffectCandidate, ...
-    ]  # named: one or two; ambiguous: the alternatives, best first
+    chosen: tuple[EffectCandidate, ...]  # named: one or two; ambiguous: alternatives, best first
     ranking: tuple[EffectCandidate, ...]  # every effect tried, best first
-    threshold: float  # evidence needed, from the calm flight
-    excess_chi2: float  # chi2 per degree of freedom of the flight over the calm level, before
-    remaining_chi2: float  # the same after the best candidate
-    generic: EffectCandidate  # the load without a name that explains most
-    # chi2 per parameter by which the aircraft must differ from the calm one, even with the effects
-    mahalanobis: float
-    before: FitResult  # the base model fitted to the flight under its prior
+    threshold: float  # evidence required, from the baseline flight
+    excess_chi2: float  # chi2 per degree of freedom above the baseline level, without effects
+    remaining_chi2: float  # the same with the best candidate
+    generic: EffectCandidate  # the generic effect that explains most
+    mahalanobis: float  # squared distance of the parameters from their prior, per parameter
+    before: FitResult  # the nominal model fitted to the flight under its prior
     windows: Windows
     prepared: PreparedTable
 
@@ -93,16 +81,10 @@ def name_effect(
     catalogue: Sequence[Effect] = CATALOGUE,
     progress: Progress = lambda stage: None,
 ) -> Naming:
-    """Say which effect of the catalogue a flight shows that the calm one did not.
+    """Find which effect of the catalogue a flight shows and the baseline flight did not.
 
-    Args:
-        base: the aircraft without surprise.
-        flight: the flight under test.
-        catalogue: the effects to try.
-        progress: called with the name of each stage.
-
-    Returns:
-        The verdict with its evidence.
+    Linear scan of all effects, full fits of the best, then the decision by BIC against a threshold
+    that comes from the baseline flight.
 
     Raises:
         InputError: the flight cannot be used.
@@ -113,8 +95,8 @@ def name_effect(
     ranking = _rank(base, windows, before, catalogue, progress, tolerance=COARSE_TOLERANCE)
     best = ranking[0].result
     if best is not None and ranking[0].delta_bic > 0.5 * VERY_STRONG_EVIDENCE:
-        # Residuals that the effect explains were weighed down as if they were outliers: weigh again
-        # under the best.
+        # The robust weights treated residuals that the effect explains as outliers: update them
+        # with the best effect in the model, and rank again.
         windows, before = _update_weights(base, windows, before, best)
         ranking = _rank(base, windows, before, catalogue, progress, ranking)
     return _decide(base, windows, before, ranking, prepared, catalogue, progress)
@@ -129,12 +111,14 @@ def _decide(
     catalogue: Sequence[Effect],
     progress: Progress,
 ) -> Naming:
+    # Chi2 of the flight above the baseline's, and the standard deviation of that difference.
     threshold = max(VERY_STRONG_EVIDENCE, 3.0 * base.false_alarm_level)
     dof = degrees_of_freedom(windows, before)
     error = base.chi2 * np.sqrt(2.0 / dof + 2.0 / degrees_of_freedom(base.windows, base.result))
     excess_chi2 = before.cost / dof - base.chi2
     chosen: tuple[EffectCandidate, ...] = ()
     verdict: Verdict = "none"
+    # Named, or ambiguous where others come within "very strong" of the best.
     if ranking[0].delta_bic > threshold:
         best = ranking[0]
         near = (c for c in ranking[1:] if c.delta_bic > best.delta_bic - VERY_STRONG_EVIDENCE)
@@ -143,6 +127,7 @@ def _decide(
         if verdict == "named":
             chosen = _add_second_effect(base, windows, before, best, catalogue, threshold, progress)
             ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
+    # Outside where the chosen effects leave most of the excess, or nothing explains it.
     adding_up = chosen if verdict == "named" else ranking[:1]
     explained_bic = sum(c.delta_bic for c in adding_up)
     remaining_chi2 = excess_chi2 - sum(c.delta_chi2 for c in adding_up) * base.reduced_chi2 / dof
@@ -158,8 +143,8 @@ def _decide(
         if chosen
         else GENERIC_EVIDENCE
     )
-    # Parameters that moved so far may imitate anything, unless it is little beside what the effect
-    # explains by itself.
+    # Parameters that moved so far may imitate any effect, unless that is little compared with what
+    # the effect itself explains.
     if generic.delta_bic > clear or (
         mahalanobis > MAX_MAHALANOBIS and moved > FORMULA_ERROR * explained_bic
     ):
@@ -186,9 +171,7 @@ def _best_generic(
     explained_bic: float,
     progress: Progress,
 ) -> EffectCandidate:
-    """The load without a name that explains most, fitted in full where it might beat the named
-    ones.
-    """
+    """The generic effect that explains most, fitted in full where it may exceed the named ones."""
     best = _scan(base, windows, before, available_generic_effects(before.model), progress)[0]
     if best.delta_bic > explained_bic:
         best = _fit_effect(base, windows, before, best, progress)
@@ -196,10 +179,10 @@ def _best_generic(
 
 
 def _prior_distance(result: FitResult, prior: Prior) -> tuple[float, int]:
-    """How far parameters had to move from the calm flight's: chi2, and how many they are.
+    """Squared Mahalanobis distance of the parameters from the prior, and their number.
 
-    Near 1 each for another day of the same aircraft; large for another aircraft, or for an effect
-    that parameters imitate.
+    Near 1 each on another day of the same aircraft; large for another aircraft, or for an effect
+    that the parameters imitate.
     """
     rows, mean = prior_rows(result.model, result.free, prior)
     known = max(int(np.count_nonzero(rows.any(axis=1))), 1)
@@ -215,9 +198,7 @@ def _add_second_effect(
     threshold: float,
     progress: Progress,
 ) -> tuple[EffectCandidate, ...]:
-    """The first effect and a second one if there is; that one alone where nothing of the first is
-    left beside it.
-    """
+    """The first effect and a second one, if any; the second alone where it explains both."""
     second = _find_second_effect(base, windows, first, catalogue, threshold, progress)
     if second is None or second.result is None:
         return (first,)
@@ -237,11 +218,9 @@ def _find_second_effect(
     threshold: float,
     progress: Progress,
 ) -> EffectCandidate | None:
-    """A second effect on top of the first: by the same rule, and more than an error of the first
-    one's formula.
+    """A second effect in addition, where it explains more than an error of the first one's formula.
 
-    What acts on the same things as the first (a lag beside a delay) is no second effect but that
-    error.
+    An effect that acts on the same as the first (a lag beside a delay) would be that error.
     """
     rest = [e for e in catalogue if e.acts_on != first.effect.acts_on]
     if first.result is None or not rest:
@@ -271,9 +250,7 @@ def _rank(
     known: Sequence[EffectCandidate] = (),
     tolerance: float = 0.1,
 ) -> list[EffectCandidate]:
-    """Linear scan of every effect, then full fits of the best, which begin where an earlier round
-    ended.
-    """
+    """Linear scan of every effect, then full fits of the best, from an earlier round if known."""
     earlier = {c.effect.parameters: c for c in known if c.result is not None}
     open_ = _scan(base, windows, before, catalogue, progress)
     fitted: list[EffectCandidate] = []
@@ -304,9 +281,7 @@ def _scan(
     catalogue: Sequence[Effect],
     progress: Progress,
 ) -> list[EffectCandidate]:
-    """Linear evidence of every effect at its best place, best first; of two forms of one effect the
-    better one.
-    """
+    """Linear evidence of every effect at its best scan point, best first; one form per name."""
     progress("scanning effects")
     reduced = SchurComplement.of(before, base.prior, base.reduced_chi2)
     best: dict[str, EffectCandidate] = {}
@@ -331,7 +306,7 @@ def _fit_effect(
     earlier: EffectCandidate | None = None,
     tolerance: float = 0.1,
 ) -> EffectCandidate:
-    """Fit an effect in full, from what the scan found or from an earlier fit."""
+    """Fit an effect in full, from the scan's values or from an earlier fit."""
     effect = initial_guess.effect
     progress(f"fitting {effect.name}")
     bounds = {p.name: p for p in effect.parameters}
@@ -347,7 +322,7 @@ def _fit_effect(
     result = fit(
         model, windows, initial_states, prior=base.prior, iterations=15, tolerance=tolerance
     )
-    if result.cost > before.cost:  # the scan promised too much: begin with a tenth of it
+    if result.cost > before.cost:  # the linear step was too long: start from a tenth of it
         small = model.with_values({p.name: 0.1 * values[p.name] for p in effect.amplitudes})
         result = fit(
             small,
@@ -372,9 +347,7 @@ def _fit_effect(
 def _is_identifiable(
     effect: Effect, result: FitResult, windows: Windows, base: NominalModel
 ) -> bool:
-    """Whether a fit ended where the effect is what its name says: no place on its bound, nothing
-    essential at zero.
-    """
+    """Whether no shape parameter of the fit is on a bound and no essential one may be zero."""
     values = result.model.values
     shape = (p for p in effect.parameters if p.name in effect.shape)
     if any(not p.low + 1e-6 < values[p.name] < p.high - 1e-6 for p in shape):
@@ -389,14 +362,10 @@ def _is_identifiable(
 
 
 def fit_flight(base: NominalModel, prepared: PreparedTable) -> tuple[Windows, FitResult]:
-    """The base model under its prior, fitted to a flight, far residuals weighed down.
-
-    Args:
-        base: the aircraft without surprise.
-        prepared: the flight.
+    """Fit the nominal model under its prior to a flight, with robust weights.
 
     Returns:
-        The flight in windows as long as the base's, and the fit.
+        The flight in windows as long as the baseline's, and the fit.
     """
     model = base.result.model
     unweighted = cut_windows(prepared.flights, model, base.window_s)
@@ -416,7 +385,7 @@ def fit_flight(base: NominalModel, prepared: PreparedTable) -> tuple[Windows, Fi
 def _update_weights(
     base: NominalModel, windows: Windows, before: FitResult, best: FitResult
 ) -> tuple[Windows, FitResult]:
-    """Weights by the residuals of the best model so far, and the base model fitted with them."""
+    """Robust weights from the best model's residuals, and the nominal model fitted with them."""
     unweighted = base.with_measurement_weights(windows)
     _, residual = fit_initial_states(best.model, unweighted, best.initial_states)
     weighted = whiten(unweighted.scale_weights(sqrt_huber_weight(residual, unweighted)), base.noise)

@@ -1,11 +1,10 @@
-"""Pose noise: residuals of the calm flight -> how much of the noise is slow, and a filter that
-makes it white.
+"""Pose noise: residuals of the baseline flight -> share of correlated noise, and whitening filters.
 
-Camera poses are wrong in a correlated way: the same view gives the same error a moment later. Taken
-for white, such noise looks like small forces and raises false alarms. We model each half of the
-pose (position, attitude) as white noise plus a slow part, cov(lag) = s exp(-|lag| / tau), and find
-s and tau by restricted likelihood, which knows that free start states have eaten part of the slow
-noise already [Patterson & Thompson 1971; Harville 1974].
+Errors of camera poses are correlated in time: the same view gives the same error a moment later.
+Taken for white, such noise looks like small forces and raises false alarms. Each half of the pose
+(position, attitude) is white noise plus a correlated part, cov(lag) = s exp(-|lag| / tau).
+Restricted likelihood estimates s and tau and accounts for what the free initial states have
+absorbed [Patterson & Thompson 1971; Harville 1974].
 """
 
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from falconwing_kit.core.checks import Array
 from falconwing_kit.sysid.fit import FitResult
 from falconwing_kit.sysid.shooting import Windows, pose_residuals
 
+# Grid of the likelihood: shares of correlated variance, correlation times.
 SHARES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 MIN_MEASURED_SHARE = 0.8  # share of rows with a pose that a filter over rows needs
 TIMES_S = (0.15, 0.3, 0.5, 0.8, 1.3)
@@ -23,20 +23,15 @@ TIMES_S = (0.15, 0.3, 0.5, 0.8, 1.3)
 
 @dataclass(frozen=True)
 class PoseNoiseModel:
-    """How the pose noise is correlated in time; the two halves are position and attitude."""
+    """Time correlation of the pose noise, of position and of attitude."""
 
-    share: tuple[float, float]  # of the variance that is slow
+    share: tuple[float, float]  # of the variance that is correlated
     time: tuple[float, float]  # its correlation time [s]
 
     def whitening(self, rows: int, interval: float) -> Array:
-        """Filters that make the noise white and keep its variance.
+        """(6, L, L) lower triangular filters, one per channel, for L rows this interval apart [s].
 
-        Args:
-            rows: L, rows of a window.
-            interval: between rows [s].
-
-        Returns:
-            (6, L, L) lower triangular, one per channel.
+        Each is the inverse Cholesky factor of the correlation matrix: white noise, same variance.
         """
         lag = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows))) * interval
         filters = []
@@ -47,15 +42,10 @@ class PoseNoiseModel:
 
 
 def find_pose_noise(result: FitResult, windows: Windows) -> PoseNoiseModel:
-    """Find the share and the time of the slow noise in the residuals of a good fit.
+    """Estimate share and time of the correlated noise from a fit without whitening.
 
-    Args:
-        result: a fit to the windows, without whitening.
-        windows: the windows it was fitted to.
-
-    Returns:
-        The noise with the largest restricted likelihood on a grid, found half by half; white where
-        most rows have no pose, since nothing is known of what happens between those that have one.
+    The largest restricted likelihood on a grid, position and attitude in turn. White where many
+    rows have no pose, since the filter needs neighbouring rows.
     """
     if np.mean(windows.weight > 0.0) < MIN_MEASURED_SHARE:
         return PoseNoiseModel((0.0, 0.0), (0.5, 0.5))
@@ -81,15 +71,7 @@ def find_pose_noise(result: FitResult, windows: Windows) -> PoseNoiseModel:
 
 
 def whiten(windows: Windows, noise: PoseNoiseModel) -> Windows:
-    """The same windows, compared through the filter that makes the noise white.
-
-    Args:
-        windows: W windows.
-        noise: how their noise is correlated.
-
-    Returns:
-        The windows with the filter, or as they were where the noise is white.
-    """
+    """The same windows with the filter that whitens their residuals."""
     if noise.share == (0.0, 0.0):
         return windows
     return replace(
@@ -112,6 +94,7 @@ def _restricted_cost(
     J = np.einsum("klm,wmkn->wlkn", filters, slopes, optimize=True).reshape(
         count, white.shape[1], -1
     )
+    # Residual outside the span of the initial states, and the two determinants of the likelihood.
     Q, R = np.linalg.qr(J)
     residual_squares = np.sum(white**2) - np.sum(np.einsum("win,wi->wn", Q, white) ** 2)
     log_filter = -2.0 * sum(float(np.sum(np.log(np.diag(f)))) for f in filters) * count

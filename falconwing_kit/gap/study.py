@@ -123,47 +123,34 @@ def study_gap(
 
 
 def require_pair(calm: FlightTable, flight: FlightTable) -> None:
-    """Refuse flights that cannot give an answer.
-
-    Args:
-        calm: a flight without surprise.
-        flight: the flight under test.
-
-    Raises:
-        InputError: too short, no poses, sticks that never move, or different rates.
-    """
+    """Raise InputError for flights too short, without poses, with constant inputs or two rates."""
     for what, one in (("calm flight", calm), ("flight", flight)):
         if len(one.t) < 2 or one.duration < SHORTEST_S:
             raise InputError(
-                f"{what} {one.name}: expected at least {SHORTEST_S:.0f} s, got {one.duration:.1f} s; fly longer, a minute "
-                "or two is good"
+                f"{what} {one.name}: expected at least {SHORTEST_S:.0f} s, got "
+                f"{one.duration:.1f} s; fly longer, a minute or two is good"
             )
         if not one.has_pose.any():
             raise InputError(
-                f"{what} {one.name}: expected poses, got none in {len(one.t)} rows; was the marker in view?"
+                f"{what} {one.name}: expected poses, got none in {len(one.t)} rows; was the marker "
+                "in view?"
             )
         if np.all(np.ptp(one.commands, axis=0) < 1e-6):
             raise InputError(
-                f"{what} {one.name}: expected sticks that move, got the same values in every row; log the commands too"
+                f"{what} {one.name}: expected sticks that move, got the same values in every row; "
+                "log the commands too"
             )
     rates = nominal_rate_hz(calm), nominal_rate_hz(flight)
     if abs(rates[0] - rates[1]) > SAME_RATE * min(rates):
         raise InputError(
-            f"rates: expected both flights at one rate, since the noise learned on one judges the other; got "
-            f"{rates[0]:.3g} Hz ({calm.name}) and {rates[1]:.3g} Hz ({flight.name}); record both with the same camera "
-            "or resample the faster one"
+            f"rates: expected both flights at one rate, since the noise of one weights the other; "
+            f"got {rates[0]:.3g} Hz ({calm.name}) and {rates[1]:.3g} Hz ({flight.name}); record "
+            "both with the same camera or resample the faster one"
         )
 
 
 def gap_record(study: GapStudy) -> dict[str, Any]:
-    """What was found as plain numbers: the fixed keys of report.json, then details.
-
-    Args:
-        study: what was found.
-
-    Returns:
-        The record; SI units, angles in radians except where a key says deg.
-    """
+    """The fixed keys of report.json, then details; SI units, degrees where a key says deg."""
     base, naming, closed = study.base, study.naming, study.closed
     scores = {"before": closed.before, "after": closed.after, "calm": closed.calm}
     found = base.found
@@ -223,9 +210,9 @@ def _onset_record(study: GapStudy) -> dict[str, float] | None:
 def _ranking(naming: Naming, catalogue: Sequence[Effect]) -> list[dict[str, Any]]:
     """Every effect of the catalogue with its evidence and probability, best first.
 
-    Evidence is minus twice a log likelihood, so exp(gain / 2) weighs the models [Kass & Raftery
-    1995], "nothing" with a gain of 0 among them, and where the verdict is outside what has no name.
-    Where chance on the calm flight finds more than it should, gains are scaled down by as much.
+    Evidence is twice a log Bayes factor, so exp(gain / 2) weights the models [Kass & Raftery 1995],
+    among them "nothing" with a gain of 0 and, where the verdict is outside, an unknown effect. A
+    threshold above "very strong", from the baseline's false alarms, scales all gains down.
     """
     tempered = 0.5 * VERY_STRONG_EVIDENCE / naming.threshold
     nameless = max(naming.generic.delta_bic, naming.ranking[0].delta_bic + naming.threshold)
@@ -256,7 +243,8 @@ def _warnings(study: GapStudy) -> list[str]:
     said += [f"flight: {w}" for w in study.naming.prepared.warnings]
     if added := added_effects(study.base):
         said.append(
-            f"the calm flight showed loads that the model's terms lack; added to the base: {', '.join(added)}"
+            "the calm flight showed loads that the model's terms lack; added to the base: "
+            f"{', '.join(added)}"
         )
     if study.closed.seen:
         said.append(
@@ -268,7 +256,7 @@ def _warnings(study: GapStudy) -> list[str]:
 
 
 def added_effects(base: NominalModel) -> tuple[str, ...]:
-    """The loads without a name that the base model was completed with."""
+    """The generic effects that the nominal model was completed with."""
     had = {term.name for term in base.found.model.terms}
     return tuple(term.name for term in base.result.model.terms if term.name not in had)
 
@@ -276,6 +264,7 @@ def added_effects(base: NominalModel) -> tuple[str, ...]:
 def mismatch_text(study: GapStudy) -> str:
     """The warning that both flights are not of one aircraft."""
     return (
-        f"the calm flight's model does not fit the aircraft of this flight: its parameters would have to move by "
-        f"{math.sqrt(study.naming.mahalanobis):.0f} times what another day explains; are both flights of the same aircraft?"
+        "the calm flight's model does not fit the aircraft of this flight: its parameters would "
+        f"have to move by {math.sqrt(study.naming.mahalanobis):.0f} times what another day "
+        "explains; are both flights of the same aircraft?"
     )

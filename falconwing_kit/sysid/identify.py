@@ -58,9 +58,7 @@ class Identification:
     names: tuple[str, ...]  # the flights
     warnings: tuple[str, ...]
     seconds: float
-    reversed_channels: tuple[
-        str, ...
-    ] = ()  # sticks whose sign in the log the fit wants the other way
+    reversed_channels: tuple[str, ...] = ()  # control inputs that fit with the opposite sign
 
     def interval(self, name: str) -> tuple[float, float]:
         """95 % interval of a parameter, its unit."""
@@ -354,8 +352,8 @@ def _find_reversed_channels(
 
 def _sign_warnings(reversed_names: tuple[str, ...]) -> list[str]:
     return [
-        f"{name} seems reversed: expected positive {name} = {does} (the kit's conventions), the fit wants the other sign; "
-        "check the sign in your log"
+        f"{name} seems reversed: expected positive {name} = {does} (the kit's conventions), the fit "
+        "has the other sign; check the sign in your log"
         for name, _, _, does in CONTROL_CHANNELS
         if name in reversed_names
     ]

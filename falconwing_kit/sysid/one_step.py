@@ -1,5 +1,4 @@
-"""The paper's identification: least squares on the next state. The baseline that struggles, and
-why.
+"""The paper's identification: least squares on the next state, and why noise biases it.
 
 K* = argmin sum |f_K(x_t, u_t) - x_{t+1}|^2   [paper, Section IV-B]
 
@@ -19,8 +18,7 @@ from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.frames import body_rates
 from falconwing_kit.sysid.prepare import PreparedFlight
 
-# what a step that ran away counts as, so that its square stays a number [m, m/s, rad, rad/s]
-DIVERGED_RESIDUAL = 1e3
+DIVERGED_RESIDUAL = 1e3  # residual of a step that diverged [m, m/s, rad, rad/s]
 
 
 def differentiated_states(flight: PreparedFlight) -> Array:
@@ -49,7 +47,7 @@ def fit_one_step(
     """Fit K by the paper's loss: predict each next state from the one before.
 
     Args:
-        model: where to start; delay and lag stay as they are, since one step cannot see them.
+        model: where to start; the input map stays as it is, since one step does not identify it.
         flights: prepared flights.
         smoothed: use states from local cubics instead of raw differences.
         most: use at most about this many steps, evenly spread; None uses all.
@@ -78,7 +76,8 @@ def fit_one_step(
         )
     if before.shape[1] < 3 * len(free):
         raise InputError(
-            f"flight: expected at least {3 * len(free)} pairs of neighbouring poses, got {before.shape[1]}"
+            f"flight: expected at least {3 * len(free)} pairs of neighbouring poses, got "
+            f"{before.shape[1]}"
         )
     low, high = (
         np.array([getattr(fixed_model.parameters[i], side) for i in free])

@@ -1,9 +1,8 @@
-"""Multiple shooting: flights cut into short windows + a model -> predicted poses and their
-derivatives.
+"""Multiple shooting: flights cut into short windows + a model -> residuals and their derivatives.
 
-Each window starts from its own free state and flies on the logged commands alone; only measured
-poses are compared. No velocity is ever differentiated from noisy poses, which is what ruins the
-one-step fit [Bock & Plitt 1984; Jategaonkar, Flight Vehicle System Identification, ch. 4].
+Each window has a free initial state and is predicted from the logged commands; only poses are
+compared. No velocity is differentiated from noisy poses, which biases the one-step fit [Bock &
+Plitt 1984; Jategaonkar, Flight Vehicle System Identification, ch. 4].
 """
 
 from collections.abc import Sequence
@@ -16,20 +15,12 @@ from falconwing_kit.aircraft.model import Model, parameter_record, state_rates
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.sysid.prepare import PreparedFlight
 
-POSE_ROWS = [
-    0,
-    1,
-    2,
-    5,
-    3,
-    4,
-]  # rows of a state that a pose shows, in the order of prepare.CHANNELS
-WARMUP_ROWS = 20  # rows of commands before a window that servo lag and delay can reach back to
-FIRST_ROW = 10  # of a flight: what was commanded before it is not known
+POSE_ROWS = [0, 1, 2, 5, 3, 4]  # rows of a state in the order of prepare.CHANNELS
+WARMUP_ROWS = 20  # rows of commands before a window, for servo lag and delay
+FIRST_ROW = 10  # first row of a flight that a window may have: earlier commands are unknown
 CHUNK = 8192  # aircraft advanced together; their arrays stay in the processor's cache
-# A start state is free, but not to leave its local estimate by more than an aircraft could be wrong
-# about: metres, tens of degrees. Against tens of poses this weighs nothing; where a window has a
-# handful it keeps the fit on the map.
+# Wide prior of an initial state around its local estimate: negligible against tens of poses, it
+# keeps the fit bounded where a window has few.
 INITIAL_STATE_SIGMA = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0])
 STATE_STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
 
@@ -41,15 +32,13 @@ class Windows:
     nodes: Array  # (W, L) time of each row, since the start of its flight [s]
     pose: Array  # (W, L, 6) measured, zero where missing [m, rad]
     weight: Array  # (W, L, 6) 1/sigma, zero where missing
-    # (W, E + S + 1) integration steps, E of them before the window, since the start of the flight
-    # [s]
-    edges: Array
+    edges: Array  # (W, E + S + 1) ends of integration steps [s], E steps before the window
     warmup_steps: int  # E
     substeps: int  # integration steps per row
     flight: np.ndarray  # (W,) which flight
     flights: tuple[PreparedFlight, ...]
-    initial_guess: Array  # (W, 12) start states from the local cubics
-    whitening: Array | None = None  # (6, L, L) makes time-correlated pose noise white, or None
+    initial_guess: Array  # (W, 12) initial states from local cubics
+    whitening: Array | None = None  # (6, L, L) filter for time-correlated pose noise, or None
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -60,15 +49,7 @@ class Windows:
         return int(np.count_nonzero(self.weight))
 
     def actuator_positions(self, model: Model, vector: Array) -> Array:
-        """Control positions over each integration step.
-
-        Args:
-            model: says how sticks become control positions.
-            vector: (P,) its parameter values.
-
-        Returns:
-            (S, 2, 4, W) mean and swing of each step.
-        """
+        """(S, 2, 4, W) mean and slope of the control positions over each integration step."""
         K = parameter_record(model.names)(*map(float, vector))
         steps = np.empty((2, len(self), self.edges.shape[1] - 1, 4))
         for number, flight in enumerate(self.flights):
@@ -84,15 +65,7 @@ class Windows:
 
 
 def cut_windows(flights: Sequence[PreparedFlight], model: Model, seconds: float = 2.0) -> Windows:
-    """Cut flights into windows that follow each other without overlap.
-
-    Args:
-        flights: prepared flights of one rate.
-        model: says how many integration steps a row needs.
-        seconds: length of a window [s].
-
-    Returns:
-        The windows with at least half of their poses.
+    """Cut flights of one rate into successive windows; those with half of their poses are kept.
 
     Raises:
         InputError: no flight is long enough for one window.
@@ -108,7 +81,8 @@ def cut_windows(flights: Sequence[PreparedFlight], model: Model, seconds: float 
     if not parts:
         longest = max(f.duration for f in flights)
         raise InputError(
-            f"flight: expected at least {seconds + FIRST_ROW * interval:.1f} s in one piece, got {longest:.1f} s"
+            f"flight: expected at least {seconds + FIRST_ROW * interval:.1f} s in one piece, got "
+            f"{longest:.1f} s"
         )
     nodes, pose, weight, edges, flight_number, initial_guess = (
         np.concatenate(p) for p in zip(*parts, strict=True)
@@ -132,6 +106,7 @@ def _cut_flight(
     t = flight.t - flight.t[0]
     interval = float(np.median(np.diff(t)))
     nodes = t[index]
+    # Ends of the integration steps: `substeps` per row, and warm-up steps before the first row.
     between = np.arange(substeps) / substeps
     inner = (nodes[:, :-1, None] + np.diff(nodes)[:, :, None] * between).reshape(
         len(first_rows), -1
@@ -158,16 +133,15 @@ def predict(
     actuator_positions: Array,
     variant_index: np.ndarray | None = None,
 ) -> Array:
-    """Fly every window once for each of C columns of start states and parameter values.
+    """Predict every window for each of C columns of initial states and parameter values.
 
     Args:
         model: the aircraft.
         windows: W windows.
-        starts: (n_states, C, W) start states.
-        values: (P, C) parameter values; delay and lag have acted already.
-        acting: (S, 2, 4, A, W) mean and swing of the control positions in each integration step, in
-            A variants.
-        sticks: (C,) which variant each column flies on; None where there is but one.
+        initial_states: (n_states, C, W).
+        values: (P, C) parameter values; the input map has been applied already.
+        actuator_positions: (S, 2, 4, A, W) mean and slope per integration step, A variants.
+        variant_index: (C,) variant of each column; None where there is one only.
 
     Returns:
         (L, 6, C, W) predicted poses at the windows' rows, order of CHANNELS.
@@ -177,6 +151,7 @@ def predict(
     begin = windows.edges[:, windows.warmup_steps :].T
     n_columns, n_windows = initial_states.shape[1:]
     poses = np.empty((windows.nodes.shape[1], 6, n_columns, n_windows))
+    # Parameters that differ between columns are arrays (C, 1), the others numbers: less to compute.
     varied = np.ptp(values, axis=1) > 0.0
     K = parameter_record(model.names)(
         *(v[:, None] if many else float(v[0]) for v, many in zip(values, varied, strict=True))
@@ -200,16 +175,10 @@ def predict(
 
 
 def residuals(model: Model, windows: Windows, initial_states: Array) -> Array:
-    """Weighted difference between predicted and measured poses.
-
-    Args:
-        model: the aircraft at its present values.
-        windows: W windows.
-        starts: (W, n_states).
+    """Weighted residuals: predicted minus measured poses, then initial states minus their guess.
 
     Returns:
-        (W, L * 6 + n_states): poses, zero where one is missing and infinite where the flight ran
-        away; then how far the start states are from their local estimates.
+        (W, L * 6 + n_states); zero where a pose is missing, infinite where a prediction diverged.
     """
     poses = fly_windows(model, windows, initial_states).transpose(1, 2, 0)[:, :, None]
     with np.errstate(all="ignore"):
@@ -223,16 +192,7 @@ def residuals(model: Model, windows: Windows, initial_states: Array) -> Array:
 
 
 def fly_windows(model: Model, windows: Windows, initial_states: Array) -> Array:
-    """Predicted poses of every window at all of its rows, measured or not.
-
-    Args:
-        model: the aircraft at its present values.
-        windows: W windows.
-        starts: (W, n_states).
-
-    Returns:
-        (W, L, 6) in the order of CHANNELS; not finite where the flight ran away.
-    """
+    """(W, L, 6) predicted poses, order of CHANNELS; not finite where a prediction diverged."""
     actuator_positions = windows.actuator_positions(model, model.vector)[:, :, :, None]
     with np.errstate(all="ignore"):
         poses = predict(
@@ -242,15 +202,7 @@ def fly_windows(model: Model, windows: Windows, initial_states: Array) -> Array:
 
 
 def pose_residuals(residual: Array, windows: Windows) -> Array:
-    """The part of `residuals` that belongs to poses.
-
-    Args:
-        residual: (W, L * 6 + n_states).
-        windows: W windows.
-
-    Returns:
-        (W, L, 6) weighted, order of CHANNELS.
-    """
+    """(W, L, 6) the pose part of `residuals`, order of CHANNELS."""
     return residual[:, : windows.weight[0].size].reshape(windows.weight.shape)
 
 
@@ -269,24 +221,23 @@ def _initial_state_residuals(windows: Windows, initial_states: Array) -> Array:
 def jacobian(
     model: Model, windows: Windows, initial_states: Array, free: Sequence[int]
 ) -> tuple[Array, Array, Array]:
-    """Residuals and their derivatives by batched forward differences.
-
-    All perturbed aircraft of all windows fly together, which is why plain NumPy is fast enough.
+    """Residuals and their derivatives by forward differences, all columns and windows in one batch.
 
     Args:
-        model: the aircraft at its present values.
+        model: the aircraft.
         windows: W windows.
-        starts: (W, n_states).
+        initial_states: (W, n_states).
         free: which parameters move, as indices into model.names.
 
     Returns:
-        residual (W, R) as of `residuals`; derivative to the free parameters (W, R, F), per unit of
-        each parameter; derivative to the start states (W, R, n_states).
+        residual (W, R) as of `residuals`; its derivatives to the free parameters (W, R, F) and to
+        the initial states (W, R, n_states).
     """
     mapped = model.input_names
     steps = np.array(
         [1e-3 if model.names[i] in mapped else 1e-5 * _parameter_scale(model, i) for i in free]
     )
+    # Columns: unperturbed, one per free parameter, one per initial state.
     n_states, n_free = model.n_states, len(free)
     columns = 1 + n_free + n_states
     values = np.repeat(model.vector[:, None], columns, axis=1)
@@ -312,17 +263,10 @@ def jacobian(
 def finite_differences(
     model: Model, windows: Windows, initial_states: Array, values: Array
 ) -> Array:
-    """How far residuals move when parameters take other values, many sets of them flown together.
-
-    Args:
-        model: the aircraft at its present values.
-        windows: W windows.
-        starts: (W, n_states), the same for all.
-        values: (P, C) parameter values, one set a column.
+    """Change of the residuals when parameters take other values, one set per column of (P, C).
 
     Returns:
-        (C, W, R) as of `residuals`: those at the other values less those at the present ones,
-        infinite where a flight ran away.
+        (C, W, R) as of `residuals`; infinite where a prediction diverged.
     """
     values = np.column_stack([model.vector, values])
     state_columns = np.repeat(initial_states.T[:, None, :], values.shape[1], axis=1)
@@ -333,9 +277,8 @@ def finite_differences(
 def _perturbed_residuals(
     model: Model, windows: Windows, state_columns: Array, values: Array
 ) -> tuple[Array, Array]:
-    """Pose residuals of the first column (W, L * 6) and what the others differ from them (C - 1, W,
-    L * 6).
-    """
+    """Pose residuals of the first column (W, L * 6), and the others' difference (C - 1, W, L * 6)."""
+    # Control positions once, and again for each column with other parameters of the input map.
     mapped = [model.names.index(name) for name in model.input_names]
     actuator_positions, variant_index = (
         [windows.actuator_positions(model, values[:, 0])],
@@ -359,7 +302,7 @@ def _perturbed_residuals(
 
 
 def _normalise_residuals(windows: Windows, poses: Array) -> Array:
-    """(L, 6, C, W) predicted poses -> (C, W, L * 6) weighted residuals; angles by the shorter way."""
+    """(L, 6, C, W) predicted poses -> (C, W, L * 6) weighted residuals; angles within +-pi."""
     difference = poses.transpose(2, 3, 0, 1) - windows.pose
     angles = difference[..., 3:]
     angles -= 2.0 * np.pi * np.round(angles[:1] / (2.0 * np.pi))

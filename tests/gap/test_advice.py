@@ -105,7 +105,7 @@ def test_low_passes_beside_high_ones_part_the_cushion_from_a_flap():
         a.chi2 for name, a in found.items() if name != "low passes"
     )
     sentence = next_flight(own_base(), answer("ambiguous", "ground_effect", "flap"))
-    assert "part ground effect and flap" in sentence
+    assert "separate ground effect and flap" in sentence
     assert "0.4 m" in sentence
 
 

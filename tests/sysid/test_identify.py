@@ -399,7 +399,7 @@ def test_a_stick_of_the_other_sign_is_named(column, sentence):
     assert found.reversed_channels == (sentence.split()[0],)
     said = [s for s in found.warnings if "reversed" in s]
     assert len(said) == 1 and said[0].startswith(sentence)
-    assert said[0].endswith("the fit wants the other sign; check the sign in your log")
+    assert said[0].endswith("the fit has the other sign; check the sign in your log")
     for name in found.uncertainty.at_bound:
         said = [s for s in found.warnings if s.startswith(f"{name} ") and "correlation" not in s]
         assert len(said) == 1 and said[0].startswith(f"{name} ended on its bound"), name

@@ -1,6 +1,4 @@
-"""The report: a calm flight and a flight that surprises -> report.json, figures and a page read in
-three minutes.
-"""
+"""Report of a gap: baseline flight and flight under test -> report.json, figures and a page."""
 
 import json
 import time
@@ -34,8 +32,8 @@ def gap_report(
     """Find where a flight disagrees with the calm aircraft, name what is missing and close the gap.
 
     Args:
-        calm: a flight without surprise.
-        flight: a flight of the same aircraft that surprises.
+        calm: the baseline flight.
+        flight: the flight under test, of the same aircraft.
         out: folder for report.json, report.html, figures and models; made where it is missing. None
             writes nothing.
         progress: called with the name of each stage.

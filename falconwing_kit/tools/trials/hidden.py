@@ -1,10 +1,8 @@
-"""Hidden effects: seed -> a calm flight, a flight with an effect in it, and the answer. Simulated,
-not measured.
+"""Hidden effects: seed -> a baseline flight, a flight with an effect, and the truth. Simulated.
 
-The kit's own aircraft flies: each case is another one (coefficients spread by 15 %), the flight on
-another day (drawn anew by 1 %). A lab hands out one case a student, tests ask whether what was
-hidden is found. It is put in by other means than it is taken out: servos in closed form, steps of
-10 ms at most from one arriving command to the next.
+Each case is an aircraft of its own (coefficients spread by 15 %), its second flight on another day
+(1 %). The simulation differs from the model that a fit integrates: servos in closed form, steps of
+10 ms at most, from one arriving command to the next.
 """
 
 import hashlib
@@ -29,16 +27,14 @@ from falconwing_kit.core.flight_table import FlightTable, write_flight_table
 from falconwing_kit.core.frames import wrap_angle
 
 Noise = Literal["marker", "hybrid", "net"]
-Pilot = Callable[[float, list[float]], Array]  # t [s], true state (12,) -> sticks (4,)
-Flown = tuple[
-    Array, Array
-]  # true states (N, 12) and sticks (N, 4) at every row, LEAD_S before the table begins
-Servo = tuple[Array, Array]  # positions (4,) of the servos, and of what follows them
+Pilot = Callable[[float, list[float]], Array]  # t [s], true state (12,) -> commands (4,)
+Flown = tuple[Array, Array]  # true states (N, 12) and commands (N, 4), from LEAD_S before the table
+Servo = tuple[Array, Array]  # positions (4,) of the servos, and after the lag in series
 
 NOISE: dict[Noise, tuple[float, float]] = {  # standard deviation per axis [m], [rad]
     "marker": (0.03, radians(0.6)), "hybrid": (0.10, radians(1.3)), "net": (0.26, radians(3.0)),
 }  # fmt: skip
-CORRELATION_S, OUTLIERS, MISSING = 0.5, 0.005, 0.01  # of the slow noise; shares of the poses
+CORRELATION_S, OUTLIERS, MISSING = 0.5, 0.005, 0.01  # of correlated noise; shares of the poses
 AIRCRAFT_SPREAD, DAY_SPREAD = 0.15, 0.01
 ROW_S, STEP_S, LEAD_S = (
     0.05,
@@ -59,7 +55,7 @@ ATTEMPTS, SAME_SIZE = (
 
 @dataclass(frozen=True)
 class HiddenCase:
-    """A pair of flights of one aircraft, and what was hidden in the second."""
+    """A pair of flights of one aircraft, and the effect in the second."""
 
     calm: FlightTable
     flight: FlightTable
@@ -73,10 +69,9 @@ class HiddenCase:
 
 
 def hidden_seed(student: str, salt: str) -> int:
-    """The seed of a student's own case: HMAC-SHA256 of the name under the instructor's salt [RFC
-    2104].
+    """The seed of a student's case: HMAC-SHA256 of the name under the instructor's salt [RFC 2104].
 
-    Without the salt nobody can tell the seed that belongs to a name, their own included.
+    Without the salt the seed of a name cannot be computed.
 
     Args:
         student: name or number; spaces around it do not count.
@@ -93,7 +88,7 @@ def hidden_seed(student: str, salt: str) -> int:
         raise InputError("student: expected a name or a number, got nothing")
     if len(salt) < 16:
         raise InputError(
-            f"salt: expected at least 16 characters that nobody can guess, got {len(salt)}"
+            f"salt: expected at least 16 characters that cannot be guessed, got {len(salt)}"
         )
     return int.from_bytes(hmac.new(salt.encode(), who.encode(), hashlib.sha256).digest()[:6], "big")
 
@@ -129,8 +124,8 @@ def hidden_flights(
 ) -> tuple[HiddenCase, ...]:  # fmt: skip
     """One aircraft, one calm flight, and for each effect a flight on another day.
 
-    The calm flight is the same object in every case, so that what is learnt from it serves all. The
-    first case is what `hidden_case` gives for the first effect.
+    The baseline flight is the same object in every case, so that one identification serves all.
+    The first case is that of `hidden_case` for the first effect.
 
     Args:
         seed: of everything that is drawn, >= 0.
@@ -142,8 +137,7 @@ def hidden_flights(
         calm_seconds: length of the calm flight [s].
         flight_seconds: length of each other flight [s].
         one_way: circle to the left only, in all flights.
-        excitation: how much the pilot shakes the sticks; 1 excites every parameter, 0 is a calm
-            hand.
+        excitation: amplitude of the pilot's excitation; 1 excites every parameter, 0 is none.
         pose_bias: amplitude of a pose error that is a smooth function of place, the same in all
             flights [m]; of angles as many sigmas as of places.
         jitter: stamps are off by up to this much [s].
@@ -197,8 +191,7 @@ def hidden_flights(
 def write_hidden(
     out: str | Path, cases: Mapping[str, HiddenCase], answers: str | Path | None = None
 ) -> None:
-    """Write OUT/<name>/calm.csv and flight.csv of each case, and the answers where the caller wants
-    them.
+    """Write OUT/<name>/calm.csv and flight.csv of each case, and the answers if a file is given.
 
     Args:
         out: folder that is handed out; made where it is missing.
@@ -311,9 +304,7 @@ def _fly_anew(
     seeds: list[int], aircraft: Model, spread: float, effect: str, size: Mapping[str, float] | None, seconds: float,
     noise: Noise, one_way: bool, excitation: float, catalogue: Sequence[Effect],
 ) -> tuple[Model, dict[str, float], Flown]:  # fmt: skip
-    """Another aircraft near this one, with the effect: its model, the effect's size, and a flight
-    that stays inside.
-    """
+    """An aircraft near this one with the effect: model, size, and a flight that stays inside."""
     names = _names(effect)
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([*seeds, 1, attempt])
@@ -380,9 +371,7 @@ def _fly(model: Model, pilot: Pilot, seconds: float) -> Flown | None:
 def _stepper(
     model: Model,
 ) -> Callable[[list[float], Servo, Array, float, float], tuple[list[float], Servo]]:
-    """A function (state, servo, command, t, seconds) -> state and servo after the time in which
-    this command acts.
-    """
+    """A function (state, servo, command, t, seconds) -> state and servo after that time."""
     rates, K = state_rates(model.form, model.terms, model.winds), model.K
     _, lag, series = model.added_input_map(K)
     # Both time constants above zero and apart, as the closed form needs [s].
@@ -395,9 +384,7 @@ def _stepper(
         steps = ceil(seconds / STEP_S - 1e-6)
         h, state = seconds / max(steps, 1), np.array(x)
         for now in t + h * np.arange(steps):
-            now = max(
-                float(now), 0.0
-            )  # time counts from the first row of the table: from there a battery sags
+            now = max(float(now), 0.0)  # the flight's time starts with the table
             half, full = (_follow(servo, command, after, first, second) for after in (0.5 * h, h))
             k1 = np.array(rates(now, state.tolist(), servo[1].tolist(), K))
             k2 = np.array(
@@ -414,9 +401,7 @@ def _stepper(
 
 
 def _follow(servo: Servo, command: Array, after: float, a: float, b: float) -> Servo:
-    """Two first-order lags in series some time after a command came: a dy/dt = u - y, b dz/dt = y -
-    z, solved.
-    """
+    """Two lags in series some time after a command, a dy/dt = u - y, b dz/dt = y - z, solved."""
     behind = servo[0] - command
     kept, share = behind * np.exp(-after / a), a / (a - b)
     return command + kept, command + share * kept + (servo[1] - command - share * behind) * np.exp(
@@ -427,11 +412,9 @@ def _follow(servo: Servo, command: Array, after: float, a: float, b: float) -> S
 def _figure_eights(
     rng: np.random.Generator, seconds: float, one_way: bool, excitation: float
 ) -> Pilot:
-    """A pilot for one flight: left around the circle at +x, right around the one at -x, all sticks
-    shaken.
+    """A pilot: left around the circle at +x, right around that at -x, with excitation of all inputs.
 
-    He changes speed, so that slow turns show a stall, and passes low every 12 s or so, where ground
-    effect shows.
+    Speed changes, so that slow turns show a stall; a low pass every 12 s or so shows ground effect.
     """
     frequency, phase = 2.0 * pi * rng.uniform(0.15, 1.6, (6, 4)), rng.uniform(0.0, 2.0 * pi, (6, 4))
     amplitude = excitation * np.array([0.035, 0.07, 0.06, 0.08])
@@ -489,9 +472,7 @@ def _after_lead(rows: Array) -> Array:
 
 
 class _Camera:
-    """Measures poses with errors of its own, the same map of place-dependent errors for every
-    flight.
-    """
+    """Measures poses; the place-dependent errors are the same map for all flights of a seed."""
 
     def __init__(
         self, seed: int, noise: Noise, correlated: bool, pose_bias: float, jitter: float
@@ -509,9 +490,7 @@ class _Camera:
     def table(
         self, name: str, number: int, flown: Flown, model: Model | None = None, late: float = 0.0
     ) -> FlightTable:
-        """The flight's table after the lead, its stamps from zero on; images are by late [s] older
-        than stamps say.
-        """
+        """The flight's table after the lead, time from zero; images are `late` [s] older than that."""
         from scipy.interpolate import CubicSpline
 
         rng, (states, sticks), K = (
