@@ -33,7 +33,7 @@ class SystemCheck:
     capability: str
     need: Need  # for the demo; for a verb or a lab; for an optional part
     attempt: Callable[[], str]  # returns what was found, raises if it does not work
-    fix: str
+    advice: str
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def examine(check: SystemCheck) -> SystemCheckResult:
             "not needed yet" if check.need == "later" else "missing"
         )
         return SystemCheckResult(
-            check.capability, status, check.need == "demo", lines[0], check.fix
+            check.capability, status, check.need == "demo", lines[0], check.advice
         )
 
 
