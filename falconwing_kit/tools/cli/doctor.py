@@ -11,12 +11,12 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+from falconwing_kit.tools.cli.show import json_fields, next_line, print_json, print_table
 
 Need = Literal["demo", "now", "later"]
 _PYTHON = Path(sys.executable)  # relative to this folder if possible
@@ -89,7 +89,7 @@ class Doctor:
         )
         if self.json:
             print_json(
-                {"demo_works": demo_works, "findings": [asdict(finding) for finding in findings]}
+                {"demo_works": demo_works, "findings": [json_fields(each) for each in findings]}
             )
             return 0 if demo_works else 1
         print_table(

@@ -1,8 +1,8 @@
 """falconwing find-port: list the boards on this machine's serial ports."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
-from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+from falconwing_kit.tools.cli.show import json_fields, next_line, print_json, print_table
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class FindPort:
         boards = find_boards()
         likely = [board for board in boards if board.likely]
         if self.json:
-            print_json({"boards": [asdict(board) for board in boards]})
+            print_json({"boards": [json_fields(board) for board in boards]})
         elif not boards:
             print("no board on a USB serial port found")
             next_line(

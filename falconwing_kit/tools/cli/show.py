@@ -3,7 +3,9 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from numbers import Real
+from typing import Any
 
 
 def print_table(
@@ -48,6 +50,11 @@ def cell_text(value: object) -> str:
 def print_json(record: Mapping[str, object]) -> None:
     """Print a record as standard JSON; nan and infinity become null."""
     print(json.dumps(_plain(record), indent=2, allow_nan=False))
+
+
+def json_fields(record: Any) -> dict[str, object]:
+    """Fields of a dataclass for JSON; `advice` keeps the key "mend" of the kit's first version."""
+    return {"mend" if name == "advice" else name: value for name, value in asdict(record).items()}
 
 
 def next_line(text: str) -> None:
