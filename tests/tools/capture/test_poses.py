@@ -81,7 +81,7 @@ def test_other_photos_are_not_mixed_into_an_old_run(few, tmp_path):
     """A photo that is gone would stay in the model."""
     photos_to_poses(few, tmp_path / "out")
     next(few.iterdir()).unlink()
-    with pytest.raises(InputError, match="not there any more"):
+    with pytest.raises(InputError, match="no longer exist"):
         photos_to_poses(few, tmp_path / "out")
 
 
