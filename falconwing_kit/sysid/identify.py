@@ -1,10 +1,9 @@
-"""Identification: flight tables -> a fitted model with intervals, and a score on time it has not
-seen.
-"""
+"""Identification: flight tables -> a fitted model, its intervals and a held-out score."""
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -19,53 +18,50 @@ from falconwing_kit.sysid.shooting import Windows, cut_windows, pose_residuals, 
 from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
 
 WINDOW_S = 2.0
-COARSE_WINDOWS = 60  # short windows that bring a bad start near; more would only cost time
-CORRELATED_SHARE = (
-    0.5  # at most this share of the noise variance may be slow; what is beyond counts as misfit
-)
+COARSE_WINDOWS = 60  # short windows of the coarse start; more would only cost time
+CORRELATED_SHARE = 0.5  # largest share of the noise variance that is slow; the rest is misfit
 GOOD_START_CHI2 = 1.5  # chi2 per component of short windows; above it another start is tried
-MIN_IMPROVEMENT = 10.0  # chi2 by which another end of a fit must win to be taken
+MIN_IMPROVEMENT = 10.0  # chi2 by which a second local minimum must be better to be taken
 MAX_REDUCED_CHI2 = 4.0  # chi2 per degree of freedom that no pose noise explains
-# Stick, column of the commands, the moment or rate it makes, what a positive one does.
+# Channel, column of the commands, its control derivative, what a positive command does.
 CONTROL_CHANNELS = (
     ("aileron", 1, "L_da", "right wing down"),
     ("elevator", 2, "M_de", "nose up"),
     ("rudder", 3, "N_dr", "nose right"),
 )
-MIN_EFFECTIVENESS = 0.1  # of an ordinary effect: a stick that does less has no sign to speak of
-# times the misfit: a log with sticks turned round that fits no worse than this is the better log
-MISFIT_RATIO = 1.05
+MIN_EFFECTIVENESS = 0.1  # of a typical derivative; the sign of a smaller one means nothing
+MISFIT_RATIO = 1.05  # a log with channels reversed is preferred up to this ratio of the misfits
 
-Progress = Callable[[str, float], None]
+Progress = Callable[[str, float], None]  # (stage, chi2 there)
 
 
 @dataclass(frozen=True)
 class Identification:
-    """The answer of `identify`: a model, how sure it is, and how well it predicts."""
+    """Result of `identify`: fitted model, confidence intervals, held-out score."""
 
-    model: Model  # fitted to everything
-    train_model: Model  # fitted without the held-out time
+    model: Model  # fitted to all windows
+    train_model: Model  # fitted without the held-out windows
     uncertainty: Uncertainty
     train: PredictionScore
-    held_out: PredictionScore | None  # None where the flight is too short to keep anything back
+    held_out: PredictionScore | None  # None where the flight is too short to hold anything out
     sigma: Array  # (6,) noise used, order of CHANNELS [m, rad]
-    sigma_white: Array  # (6,) noise seen by differences alone
+    sigma_white: Array  # (6,) its white part, from differences of poses
     prepared: tuple[PreparedTable, ...]
-    windows: Windows  # every window, weighted by the noise alone
-    fitted_windows: Windows  # those of the final fit, far residuals weighed down
-    held_out_index: np.ndarray  # which of them were kept for scoring
+    windows: Windows  # all windows, weighted by the noise alone
+    fitted_windows: Windows  # those of the final fit, with robust weights
+    held_out_index: np.ndarray  # indices of the windows held out for scoring
     result: FitResult  # the final fit, to all windows
     names: tuple[str, ...]  # the flights
     warnings: tuple[str, ...]
     seconds: float
-    reversed_channels: tuple[str, ...] = ()  # control inputs that fit with the opposite sign
+    reversed_channels: tuple[str, ...] = ()  # channels whose sign in the log is reversed
 
     def interval(self, name: str) -> tuple[float, float]:
-        """95 % interval of a parameter, its unit."""
+        """95 % interval of a parameter, in its unit."""
         return self.uncertainty.interval(name, self.model.values[name])
 
 
-@np.errstate(all="ignore")  # a flight that runs away overflows; its cost is infinite
+@np.errstate(all="ignore")  # a diverging prediction overflows; its cost is infinite
 def identify(
     tables: Sequence[FlightTable],
     form: Form = "rates",
@@ -76,27 +72,26 @@ def identify(
     window_s: float = WINDOW_S,
     progress: Progress | None = None,
 ) -> Identification:
-    """Fit f_K to one or several flights of one aircraft by multiple shooting, and score it on
-    held-out time.
+    """Fit f_K to flights of one aircraft by multiple shooting, and score it on held-out time.
 
-    About a third of the time, in blocks of 10 s, is held out; the model is fitted to the rest and
-    scored; the parameters handed back are then fitted to everything.
+    1. Coarse start: short windows from several starting values.
+    2. Noise: fit the training windows, estimate the pose noise and robust weights, fit again.
+    3. Restart inside the bounds, where the fit ended on some.
+    4. Hold out: score on about a third of the time, in blocks of 10 s, that was not fitted.
+    5. Final: fit the returned parameters to all windows.
 
     Args:
-        tables: flights of the same aircraft, same rate.
+        tables: flights of the same aircraft at the same rate.
         form: "rates" or "paper"; unused where a model is given.
-        model: where to start (its terms, bounds and values), or None for the form's own.
-        sigma: (6,) noise of px, py, pz, roll, pitch, yaw [m, rad], or None to use the tables' or
-            estimate it.
-        prior: what is known of the parameters, or None.
+        model: terms, bounds and starting values; None for the form's own.
+        sigma: (6,) noise of px, py, pz, roll, pitch, yaw [m, rad]; None for the tables' or an
+            estimate.
+        prior: Gaussian prior on the parameters.
         window_s: length of a shooting window [s].
-        progress: called with a stage's name and the chi2 there.
-
-    Returns:
-        Model, intervals, scores and warnings.
+        progress: called with the name of a stage and the chi2 there.
 
     Raises:
-        InputError: no flight, too little of it, or nothing moves in it.
+        InputError: no flight, too short a flight, or no motion in it.
     """
     began = time.perf_counter()
     report = progress or (lambda stage, chi2: None)
@@ -105,48 +100,44 @@ def identify(
     prepared = tuple(prepare(table, sigma) for table in tables)
     flights = tuple(flight for p in prepared for flight in p.flights)
     _require_motion(flights)
-    ordinary = model or FORMS[form]()
-    model = _starting_model(ordinary, flights, prior, report)
 
-    windows = cut_windows(flights, model, window_s)
+    nominal = model or FORMS[form]()
+    start = _coarse_start(nominal, flights, prior, report)
+
+    windows = cut_windows(flights, start, window_s)
     fit_index, score_index = split_blocks(windows)
-    white = np.median([p.sigma for p in prepared], axis=0)
-    known = sigma is not None or all("sigma_position" in t.extra for t in tables)
     train = select_windows(windows, fit_index)
     initial_states, _ = fit_initial_states(
-        model, train, train.initial_guess[:, : model.n_states], iterations=2
+        start, train, train.initial_guess[:, : start.n_states], iterations=2
     )
-    plain = train
-    result, train, noise = _fit_with_noise(
-        model, plain, initial_states, prior, white, fixed=known, report=report
+    white = np.median([p.sigma for p in prepared], axis=0)
+    fit_with_noise = partial(
+        _fit_with_noise,
+        train,
+        white,
+        fixed=sigma is not None or all("sigma_position" in t.extra for t in tables),
+        prior=prior,
+        report=report,
     )
-    other = _restart_from_bounds(result, train, prior)
-    if other is not result:
-        result, train, noise = _fit_with_noise(
-            other.model, plain, other.initial_states, prior, white, fixed=known, report=report
-        )
+    result, fitted, noise = fit_with_noise(start, initial_states)
+    restarted = _restart_inside_bounds(result, fitted, prior)
+    if restarted is not result:
+        result, fitted, noise = fit_with_noise(restarted.model, restarted.initial_states)
+
     windows = windows.scale_weights(white / noise)
-    train_score = score(result.model, select_windows(windows, fit_index), result.initial_states)
-    held_out = (
-        score(result.model, select_windows(windows, score_index)) if len(score_index) else None
-    )
+    train_score, held_out = _score_held_out(result, windows, fit_index, score_index)
     report("held out", held_out.chi2 if held_out else float("nan"))
 
     final = result
     if held_out is not None:
-        initial_states = np.empty((len(windows), model.n_states))
-        initial_states[fit_index], initial_states[score_index] = (
-            result.initial_states,
-            held_out.initial_states,
-        )
-        everything = windows.scale_weights(
-            _robust_factors(residuals(result.model, windows, initial_states), windows)
-        )
-        final = fit(result.model, everything, initial_states, prior=prior, iterations=6)
-        train = everything
+        states = np.empty((len(windows), start.n_states))
+        states[fit_index] = result.initial_states
+        states[score_index] = held_out.initial_states
+        final, fitted = _fit_all(result.model, windows, states, prior)
         report("all windows", final.cost / max(windows.count, 1))
-    confidence = uncertainty(final, train, prior)
-    reversed_names = _find_reversed_channels(ordinary, final, confidence, windows, prior, report)
+
+    confidence = uncertainty(final, fitted, prior)
+    reversed_names = _find_reversed_channels(nominal, final, confidence, windows, prior, report)
     warnings = [w for p in prepared for w in p.warnings] + _sign_warnings(reversed_names)
     warnings += _warnings(final, confidence, train_score, held_out)
     return Identification(
@@ -159,7 +150,7 @@ def identify(
         sigma_white=white,
         prepared=prepared,
         windows=windows,
-        fitted_windows=train,
+        fitted_windows=fitted,
         held_out_index=score_index,
         result=final,
         names=tuple(t.name for t in tables),
@@ -170,10 +161,12 @@ def identify(
 
 
 def _require_motion(flights: Sequence[PreparedFlight]) -> None:
+    """Raise InputError for commands that never change and for an aircraft at rest."""
     moved = np.sqrt(sum(np.var(f.commands, axis=0) for f in flights) / len(flights))
     if np.all(moved < 1e-6):
         raise InputError(
-            "commands: expected sticks that move, got the same values in every row; nothing can be identified"
+            "commands: expected sticks that move, got the same values in every row; "
+            "nothing can be identified"
         )
     speed = np.median(
         np.concatenate([np.linalg.norm(f.state_estimate[:, 6:9], axis=1) for f in flights])
@@ -184,34 +177,40 @@ def _require_motion(flights: Sequence[PreparedFlight]) -> None:
         )
 
 
-def _starting_model(
+def _coarse_start(
     model: Model, flights: Sequence[PreparedFlight], prior: Prior | None, report: Progress
 ) -> Model:
-    """Short windows from several starts: the smoothed one-step fit, the model's own values, and a
-    slower servo.
+    """Best model of short-window fits started from the model, the one-step fit and a slower servo.
+
+    Short windows have a wide basin of attraction: a bad model cannot diverge far within them.
     """
+    # About five poses per window, at least 1 s, evenly thinned out.
     poses = sum(int(np.isfinite(f.pose[:, 0]).sum()) for f in flights)
-    between = sum(f.duration for f in flights) / max(poses, 1)
-    windows = cut_windows(flights, model, max(1.0, 5.0 * between))
+    pose_interval = sum(f.duration for f in flights) / max(poses, 1)
+    windows = cut_windows(flights, model, max(1.0, 5.0 * pose_interval))
     if len(windows) > COARSE_WINDOWS:
         windows = select_windows(
             windows, np.linspace(0, len(windows) - 1, COARSE_WINDOWS).astype(int)
         )
-    initial_guess = windows.initial_guess[:, : model.n_states]
+    # The one-step fit is biased but close. A servo lag that starts too small trades against roll
+    # damping in a local minimum, hence the slower servo.
     slow = {"lag": 0.06} if model.parameters[model.names.index("lag")].high > 0.06 else {}
-    # The one-step fit is biased and yet near; a servo taken for too fast hides in half the roll
-    # damping.
     candidates = [
         model,
         fit_one_step(model, flights, smoothed=True, most=1500),
         model.with_values(slow),
     ]
-    tried = [
-        (start, *fit_initial_states(start, windows, initial_guess, iterations=3))
-        for start in candidates
-    ]
+    # Rank by the cost with fitted initial states alone; fit parameters in that order.
+    initial_guess = windows.initial_guess[:, : model.n_states]
+    ranked = sorted(
+        (
+            (start, *fit_initial_states(start, windows, initial_guess, iterations=3))
+            for start in candidates
+        ),
+        key=lambda candidate: _clipped_cost(candidate[2]),
+    )
     best, best_cost = model, np.inf
-    for start, initial_states, residual in sorted(tried, key=lambda t: _clipped_cost(t[2])):
+    for start, initial_states, residual in ranked:
         coarse = windows.scale_weights(_robust_factors(residual, windows, far=30.0))
         result = fit(start, coarse, initial_states, prior=prior, iterations=15, tolerance=1.0)
         cost = _clipped_cost(result.residual)
@@ -223,10 +222,87 @@ def _starting_model(
     return best
 
 
-def _restart_from_bounds(result: FitResult, windows: Windows, prior: Prior | None) -> FitResult:
-    """A fit that ended on bounds may have lost its way: begin once more with those parameters at
-    ordinary values.
+def _fit_with_noise(
+    windows: Windows,
+    white: Array,
+    model: Model,
+    initial_states: Array,
+    *,
+    fixed: bool,
+    prior: Prior | None,
+    report: Progress,
+) -> tuple[FitResult, Windows, Array]:
+    """Iteratively reweighted fit: parameters, then noise per channel and robust weights, twice.
+
+    Args:
+        windows: weighted by the white noise.
+        white: (6,) white part of the pose noise [m, rad].
+        model: where to start.
+        initial_states: (W, n_states) where to start.
+        fixed: the noise is known and stays `white`.
+        prior: Gaussian prior on the parameters.
+        report: called after each fit.
+
+    Returns:
+        The fit, its reweighted windows, and the noise (6,).
     """
+    noise, weighted = white, windows
+    result = fit(model, windows, initial_states, prior=prior, tolerance=1.0)
+    report("full windows", result.cost / windows.count)
+    for _ in range(2):
+        before = noise
+        if not fixed:
+            noise = _estimate_noise(result, windows, white)
+        previous, scaled = weighted, windows.scale_weights(white / noise)
+        weighted = scaled.scale_weights(
+            _robust_factors(residuals(result.model, scaled, result.initial_states), scaled)
+        )
+        # The linearisation of the last fit is reused: its rows times new weight over old weight.
+        factor = np.divide(
+            weighted.weight,
+            previous.weight,
+            out=np.ones_like(previous.weight),
+            where=previous.weight > 0,
+        )
+        linear = result.reweight(factor)
+        result = fit(
+            result.model, weighted, result.initial_states, prior=prior, iterations=10, linear=linear
+        )
+        report("weights updated", result.cost / windows.count)
+        if np.allclose(noise, before, rtol=0.03):
+            break
+    return result, weighted, noise
+
+
+def _estimate_noise(result: FitResult, windows: Windows, white: Array) -> Array:
+    """Noise (6,) of each channel from the residuals, between the white part and its upper limit."""
+    residual = pose_residuals(residuals(result.model, windows, result.initial_states), windows)
+    # Degrees of freedom per residual: fitted states and parameters shrink the residuals.
+    share = 1.0 - (len(windows) * result.model.n_states + len(result.free)) / windows.count
+    measured = windows.weight > 0
+    # Robust variance in units of the white one: sigma = 1.4826 median |r| for a Gaussian.
+    sigma = np.array(
+        [1.4826 * np.median(np.abs(residual[..., c][measured[..., c]])) for c in range(6)]
+    )
+    ratio = np.clip(sigma**2 / share, 1.0, 1.0 / (1.0 - CORRELATED_SHARE))
+    return np.asarray(white * np.sqrt(ratio))
+
+
+def _robust_factors(residual: Array, windows: Windows, far: float | None = None) -> Array:
+    """Huber factors (W, L, 6) of the weights; with `far`, only for residuals beyond it."""
+    factor = sqrt_huber_weight(residual, windows)
+    if far is None:
+        return factor
+    return np.asarray(np.where(np.abs(pose_residuals(residual, windows)) < far, 1.0, factor))
+
+
+def _clipped_cost(residual: Array) -> float:
+    """Sum of squares with each residual limited to five sigmas."""
+    return float(np.sum(np.minimum(np.nan_to_num(residual, posinf=5.0) ** 2, 25.0)))
+
+
+def _restart_inside_bounds(result: FitResult, windows: Windows, prior: Prior | None) -> FitResult:
+    """Refit with the parameters on a bound reset to typical values; the better of both fits."""
     free = [result.model.parameters[i] for i in result.free]
     reset_values = {
         p.name: p.start for p in free if not p.low < result.model.values[p.name] < p.high
@@ -239,92 +315,49 @@ def _restart_from_bounds(result: FitResult, windows: Windows, prior: Prior | Non
     return again if again.cost < result.cost - MIN_IMPROVEMENT else result
 
 
-def _clipped_cost(residual: Array) -> float:
-    """Sum of squares in which no single residual counts for more than five sigmas."""
-    return float(np.sum(np.minimum(np.nan_to_num(residual, posinf=5.0) ** 2, 25.0)))
+def _score_held_out(
+    result: FitResult, windows: Windows, fit_index: np.ndarray, score_index: np.ndarray
+) -> tuple[PredictionScore, PredictionScore | None]:
+    """Scores of the trained model on the fitted and on the held-out windows (None: no such)."""
+    train = score(result.model, select_windows(windows, fit_index), result.initial_states)
+    if not len(score_index):
+        return train, None
+    return train, score(result.model, select_windows(windows, score_index))
 
 
-def _fit_with_noise(
-    model: Model,
-    windows: Windows,
-    initial_states: Array,
-    prior: Prior | None,
-    white: Array,
-    *,
-    fixed: bool,
-    report: Progress,
-) -> tuple[FitResult, Windows, Array]:
-    """Fit, weigh down what is far off, let the noise grow to what slow pose errors may explain, fit
-    again.
-    """
-    noise, plain = white, windows
-    result = fit(model, windows, initial_states, prior=prior, tolerance=1.0)
-    report("full windows", result.cost / windows.count)
-    for _ in range(2):
-        before = noise
-        if not fixed:
-            noise = _estimate_noise(result, plain, white)
-        old, scaled = windows, plain.scale_weights(white / noise)
-        windows = scaled.scale_weights(
-            _robust_factors(residuals(result.model, scaled, result.initial_states), scaled)
-        )
-        factor = np.divide(
-            windows.weight, old.weight, out=np.ones_like(old.weight), where=old.weight > 0
-        )
-        linear = result.reweight(factor)
-        result = fit(
-            result.model, windows, result.initial_states, prior=prior, iterations=10, linear=linear
-        )
-        report("weights updated", result.cost / windows.count)
-        if np.allclose(noise, before, rtol=0.03):
-            break
-    return result, windows, noise
-
-
-def _estimate_noise(result: FitResult, windows: Windows, white: Array) -> Array:
-    """Noise of each channel from the residuals, between the white part and twice its variance."""
-    residual = pose_residuals(residuals(result.model, windows, result.initial_states), windows)
-    share = 1.0 - (len(windows) * result.model.n_states + len(result.free)) / windows.count
-    seen = windows.weight > 0
-    ratio = (
-        np.array(
-            [(1.4826 * np.median(np.abs(residual[..., c][seen[..., c]]))) ** 2 for c in range(6)]
-        )
-        / share
+def _fit_all(
+    model: Model, windows: Windows, initial_states: Array, prior: Prior | None
+) -> tuple[FitResult, Windows]:
+    """Final fit to all windows with robust weights, and these windows."""
+    weighted = windows.scale_weights(
+        _robust_factors(residuals(model, windows, initial_states), windows)
     )
-    return np.asarray(white * np.sqrt(np.clip(ratio, 1.0, 1.0 / (1.0 - CORRELATED_SHARE))))
-
-
-def _robust_factors(residual: Array, windows: Windows, far: float | None = None) -> Array:
-    factor = sqrt_huber_weight(residual, windows)
-    if far is None:
-        return factor
-    return np.asarray(np.where(np.abs(pose_residuals(residual, windows)) < far, 1.0, factor))
+    return fit(model, weighted, initial_states, prior=prior, iterations=6), weighted
 
 
 def _find_reversed_channels(
-    ordinary: Model,
+    nominal: Model,
     found: FitResult,
     confidence: Uncertainty,
     windows: Windows,
     prior: Prior | None,
     report: Progress,
 ) -> tuple[str, ...]:
-    """Sticks that do the opposite of what they should, and in a log with them turned round do what
-    they should.
+    """Channels whose sign in the log is reversed.
 
-    A stick that was moved is suspected where its effect ends below a tenth of an ordinary one. Only
-    then the flights are fitted once more, from the ordinary aircraft and with the suspects turned
-    round.
+    A channel that was moved is suspected where its control derivative ends below a tenth of a
+    typical one. Only then the flights are fitted once more, from the nominal model, with the
+    suspects' commands negated. A suspect is confirmed where this fit is as good and the 95 %
+    interval of the derivative lies above that tenth.
     """
-    least = {p.name: MIN_EFFECTIVENESS * abs(p.start) for p in ordinary.parameters}
+    least = {p.name: MIN_EFFECTIVENESS * abs(p.start) for p in nominal.parameters}
     moved = np.max([np.ptp(flight.commands, axis=0) for flight in windows.flights], axis=0) > 0.0
     suspects = [
-        (name, column, effect)
-        for name, column, effect, _ in CONTROL_CHANNELS
+        (name, column, derivative)
+        for name, column, derivative, _ in CONTROL_CHANNELS
         if moved[column]
-        and effect in confidence.names
-        and found.model.values[effect] < least[effect]
+        and derivative in confidence.names
+        and found.model.values[derivative] < least[derivative]
     ]
     if not suspects:
         return ()
@@ -332,28 +365,24 @@ def _find_reversed_channels(
     signs[[column for _, column, _ in suspects]] = -1.0
     flights = tuple(replace(flight, commands=flight.commands * signs) for flight in windows.flights)
     reversed_windows = replace(windows, flights=flights)
-    model = _starting_model(ordinary, flights, prior, report)
+    model = _coarse_start(nominal, flights, prior, report)
     initial_states, _ = fit_initial_states(
         model, reversed_windows, reversed_windows.initial_guess[:, : model.n_states], iterations=2
     )
     other = fit(model, reversed_windows, initial_states, prior=prior, tolerance=1.0)
-    report("sticks turned round", other.cost / windows.count)
-    if _clipped_cost(other.residual) > MISFIT_RATIO * _clipped_cost(
-        residuals(found.model, windows, found.initial_states)
-    ):
+    report("channels reversed", other.cost / windows.count)
+    misfit = _clipped_cost(residuals(found.model, windows, found.initial_states))
+    if _clipped_cost(other.residual) > MISFIT_RATIO * misfit:
         return ()
     intervals = uncertainty(other, reversed_windows, prior)
-    lowest = {
-        effect: intervals.interval(effect, other.model.values[effect])[0]
-        for _, _, effect in suspects
-    }
-    return tuple(name for name, _, effect in suspects if lowest[effect] > least[effect])
+    lowest = {d: intervals.interval(d, other.model.values[d])[0] for _, _, d in suspects}
+    return tuple(name for name, _, d in suspects if lowest[d] > least[d])
 
 
 def _sign_warnings(reversed_names: tuple[str, ...]) -> list[str]:
     return [
-        f"{name} seems reversed: expected positive {name} = {does} (the kit's conventions), the fit "
-        "has the other sign; check the sign in your log"
+        f"{name} seems reversed: expected positive {name} = {does} (the kit's conventions), "
+        "the fit gives the opposite sign; check the sign in your log"
         for name, _, _, does in CONTROL_CHANNELS
         if name in reversed_names
     ]
@@ -367,12 +396,15 @@ def _warnings(
 ) -> list[str]:
     messages = []
     if not result.converged:
-        messages.append("the fit ran out of steps; its values may still move")
+        messages.append(
+            "the fit did not converge within its iterations; its values may still change"
+        )
     chi2 = held_out.chi2 if held_out else train.chi2
     if chi2 > MAX_REDUCED_CHI2:
         messages.append(
-            f"this model does not describe this flight: chi2 per degree of freedom is {chi2:.1f}, noise alone gives 1; "
-            "look for axes, signs or units of the log that are not the kit's, for another aircraft, and for wind"
+            f"this model does not describe this flight: chi2 per degree of freedom is {chi2:.1f}, "
+            "noise alone gives 1; check the log for axes, signs or units that are not the kit's, "
+            "for another aircraft, and for wind"
         )
     if held_out is None:
         messages.append(
@@ -380,12 +412,14 @@ def _warnings(
         )
     for name in (name for name in confidence.not_excited if name not in confidence.at_bound):
         messages.append(
-            f"{name} was not excited in this flight: its interval is wider than half an ordinary value"
+            f"{name} was not excited in this flight: "
+            "its interval is wider than half a typical value"
         )
     for name in confidence.at_bound:
         why = " and was hardly excited" if name in confidence.not_excited else ""
         messages.append(
-            f"{name} ended on its bound {result.model.values[name]:g}{why}; its interval does not hold"
+            f"{name} ended on its bound {result.model.values[name]:g}{why}; "
+            "its interval is not valid"
         )
     for a, b, r in confidence.correlated[:5]:
         messages.append(f"{a} and {b} are hardly separated by this flight (correlation {r:+.2f})")
@@ -395,17 +429,7 @@ def _warnings(
 def refit_model(
     identification: Identification, model: Model, prior: Prior | None = None
 ) -> FitResult:
-    """Fit another model to the same windows with the same weights, starting from the found start
-    states.
-
-    Args:
-        identification: a finished identification.
-        model: the model to fit, same form.
-        prior: what is known of its parameters.
-
-    Returns:
-        The fit to all windows.
-    """
+    """Fit another model of the same form to all windows, from the found initial states."""
     initial_states = identification.result.initial_states
     windows = identification.windows
     windows = windows.scale_weights(

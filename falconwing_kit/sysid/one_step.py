@@ -1,10 +1,11 @@
-"""The paper's identification: least squares on the next state, and why noise biases it.
+"""One-step identification as in the paper: flights + a model -> the model, least squares fitted.
 
 K* = argmin sum |f_K(x_t, u_t) - x_{t+1}|^2   [paper, Section IV-B]
 
-Velocities are differences of measured poses, so their noise is sqrt(2) sigma / dt: 0.85 m/s for 3
-cm at 20 Hz. That noise stands in the state on the right as well as in the target on the left, which
-biases every parameter (errors in variables). Smoothing first helps and brings a bias of its own.
+This is the baseline. Velocities are differences of measured poses, so their noise is
+sqrt(2) sigma / dt: 0.85 m/s for 3 cm at 20 Hz. It enters the regressors as well as the target,
+which biases every parameter (errors in variables). Smoothing the poses first reduces this bias and
+adds another.
 """
 
 from collections.abc import Sequence
@@ -18,20 +19,13 @@ from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.frames import body_rates
 from falconwing_kit.sysid.prepare import PreparedFlight
 
-DIVERGED_RESIDUAL = 1e3  # residual of a step that diverged [m, m/s, rad, rad/s]
+DIVERGED_RESIDUAL = 1e3  # residual of a diverged step; its square is finite [m, m/s, rad, rad/s]
 
 
 def differentiated_states(flight: PreparedFlight) -> Array:
-    """States from raw differences of poses, as the paper forms them.
-
-    Args:
-        flight: a prepared flight of N rows.
-
-    Returns:
-        (N - 1, 12) in the order of STATE_NAMES, SI; nan where a pose is missing.
-    """
+    """States (N - 1, 12) from differences of N poses, as in the paper; nan where one is missing."""
     slope = np.diff(flight.pose, axis=0) / np.diff(flight.t)[:, None]
-    here = flight.pose[:-1]
+    here = flight.pose[:-1]  # x y z roll pitch yaw; a state has pitch yaw roll
     rates = np.stack(body_rates(here[:, 3], here[:, 4], *slope[:, 3:].T), axis=1)
     return np.concatenate([here[:, :3], here[:, [4, 5, 3]], slope[:, :3], rates], axis=1)
 
@@ -47,13 +41,10 @@ def fit_one_step(
     """Fit K by the paper's loss: predict each next state from the one before.
 
     Args:
-        model: where to start; the input map stays as it is, since one step does not identify it.
+        model: where to start; delay and lag stay fixed, since one step does not identify them.
         flights: prepared flights.
         smoothed: use states from local cubics instead of raw differences.
-        most: use at most about this many steps, evenly spread; None uses all.
-
-    Returns:
-        The model with fitted values.
+        most: use at most this many steps, evenly spread; None uses all.
 
     Raises:
         InputError: fewer usable steps than parameters.
@@ -62,6 +53,7 @@ def fit_one_step(
 
     fixed_model = model.with_fixed(model.input_names)
     free = [i for i, p in enumerate(fixed_model.parameters) if p.high > p.low]
+    # All steps of all flights side by side: before and after (n_states, N), actuators (4, N).
     steps = [_steps(fixed_model, flight, smoothed) for flight in flights]
     before, after, actuator_positions, duration = (
         np.concatenate(p, axis=-1) for p in zip(*steps, strict=True)
@@ -76,8 +68,8 @@ def fit_one_step(
         )
     if before.shape[1] < 3 * len(free):
         raise InputError(
-            f"flight: expected at least {3 * len(free)} pairs of neighbouring poses, got "
-            f"{before.shape[1]}"
+            f"flight: expected at least {3 * len(free)} pairs of neighbouring poses, "
+            f"got {before.shape[1]}"
         )
     low, high = (
         np.array([getattr(fixed_model.parameters[i], side) for i in free])
@@ -109,11 +101,12 @@ def fit_one_step(
 def _steps(
     model: Model, flight: PreparedFlight, smoothed: bool
 ) -> tuple[Array, Array, Array, Array]:
+    """States before and after each step, actuator positions in it, and its duration [s]."""
     states = flight.state_estimate if smoothed else differentiated_states(flight)
     states = states[:, : model.n_states]
     t = flight.t[: len(states)] - flight.t[0]
-    good = np.asarray(np.isfinite(states).all(axis=1))
-    pairs = np.flatnonzero(good[:-1] & good[1:])
+    known = np.asarray(np.isfinite(states).all(axis=1))
+    pairs = np.flatnonzero(known[:-1] & known[1:])  # steps with a state at both ends
     actuator_positions, _ = model.actuator_positions(t, flight.commands[: len(t)], t, model.K)
     return states[pairs].T, states[pairs + 1].T, actuator_positions[pairs].T, np.diff(t)[pairs]
 
@@ -121,6 +114,7 @@ def _steps(
 def _advance(
     model: Model, vector: Array, x: Array, actuator_positions: Array, duration: Array
 ) -> Array:
+    """States one step later, for a parameter vector (P,)."""
     K = parameter_record(model.names)(*map(float, vector))
     substeps, rates = SUBSTEPS[model.form], state_rates(model.form, model.terms, model.winds)
     for _ in range(substeps):

@@ -1,8 +1,8 @@
-"""Multiple shooting: flights cut into short windows + a model -> residuals and their derivatives.
+"""Multiple shooting: flights in short windows + a model -> predicted poses and derivatives.
 
-Each window has a free initial state and is predicted from the logged commands; only poses are
-compared. No velocity is differentiated from noisy poses, which biases the one-step fit [Bock &
-Plitt 1984; Jategaonkar, Flight Vehicle System Identification, ch. 4].
+Each window starts from its own free initial state and is integrated on the logged commands alone;
+only measured poses are compared. Noisy poses are never differentiated, which is what biases the
+one-step fit [Bock & Plitt 1984; Jategaonkar, Flight Vehicle System Identification, ch. 4].
 """
 
 from collections.abc import Sequence
@@ -15,30 +15,32 @@ from falconwing_kit.aircraft.model import Model, parameter_record, state_rates
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.sysid.prepare import PreparedFlight
 
-POSE_ROWS = [0, 1, 2, 5, 3, 4]  # rows of a state in the order of prepare.CHANNELS
-WARMUP_ROWS = 20  # rows of commands before a window, for servo lag and delay
-FIRST_ROW = 10  # first row of a flight that a window may have: earlier commands are unknown
-CHUNK = 8192  # aircraft advanced together; their arrays stay in the processor's cache
-# Wide prior of an initial state around its local estimate: negligible against tens of poses, it
-# keeps the fit bounded where a window has few.
+POSE_ROWS = [0, 1, 2, 5, 3, 4]  # rows of a state that are measured, in the order of CHANNELS
+WARMUP_ROWS = 20  # rows of commands before a window that servo lag and delay can reach back to
+FIRST_ROW = 10  # of a flight: the commands before its first row are unknown
+CHUNK = 8192  # aircraft integrated together: their arrays fit the processor's cache
+# Gaussian prior on each initial state around its local estimate: metres, tens of degrees. It is
+# negligible against tens of poses and regularises a window that has only a few.
 INITIAL_STATE_SIGMA = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0])
 STATE_STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
 
 
 @dataclass(frozen=True)
 class Windows:
-    """W windows of L rows each, from one or several flights with the same rate."""
+    """W windows of L rows each, from one or several flights of the same rate."""
 
     nodes: Array  # (W, L) time of each row, since the start of its flight [s]
     pose: Array  # (W, L, 6) measured, zero where missing [m, rad]
     weight: Array  # (W, L, 6) 1/sigma, zero where missing
-    edges: Array  # (W, E + S + 1) ends of integration steps [s], E steps before the window
+    # (W, E + S + 1) ends of the integration steps since the start of the flight [s]; the first E
+    # steps lie before the window and drive the actuators only.
+    edges: Array
     warmup_steps: int  # E
     substeps: int  # integration steps per row
-    flight: np.ndarray  # (W,) which flight
+    flight: np.ndarray  # (W,) index into flights
     flights: tuple[PreparedFlight, ...]
-    initial_guess: Array  # (W, 12) initial states from local cubics
-    whitening: Array | None = None  # (6, L, L) filter for time-correlated pose noise, or None
+    initial_guess: Array  # (W, 12) initial states from the local cubics
+    whitening: Array | None = None  # (6, L, L) whitens time-correlated pose noise, or None
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -49,14 +51,23 @@ class Windows:
         return int(np.count_nonzero(self.weight))
 
     def actuator_positions(self, model: Model, vector: Array) -> Array:
-        """(S, 2, 4, W) mean and slope of the control positions over each integration step."""
+        """Actuator response to the logged commands in each integration step, warm-up left out.
+
+        Args:
+            model: defines delay, lag and command maps.
+            vector: (P,) its parameter values.
+
+        Returns:
+            (S, 2, 4, W) mean and slope over each step.
+        """
         K = parameter_record(model.names)(*map(float, vector))
         steps = np.empty((2, len(self), self.edges.shape[1] - 1, 4))
         for number, flight in enumerate(self.flights):
-            mine = self.flight == number
-            steps[:, mine] = model.actuator_positions(
-                flight.t - flight.t[0], flight.commands, self.edges[mine], K
+            of_flight = self.flight == number
+            steps[:, of_flight] = model.actuator_positions(
+                flight.t - flight.t[0], flight.commands, self.edges[of_flight], K
             )
+        # (2, W, E + S, 4) -> (S, 2, 4, W): steps first, windows last, as `predict` integrates.
         return np.ascontiguousarray(steps[:, :, self.warmup_steps :].transpose(2, 0, 3, 1))
 
     def scale_weights(self, factor: Array) -> "Windows":
@@ -65,7 +76,15 @@ class Windows:
 
 
 def cut_windows(flights: Sequence[PreparedFlight], model: Model, seconds: float = 2.0) -> Windows:
-    """Cut flights of one rate into successive windows; those with half of their poses are kept.
+    """Cut flights of one rate into consecutive windows without overlap.
+
+    Args:
+        flights: prepared flights.
+        model: its form sets the integration steps per row.
+        seconds: length of a window [s].
+
+    Returns:
+        The windows that have at least half as many poses as the fullest one.
 
     Raises:
         InputError: no flight is long enough for one window.
@@ -79,36 +98,36 @@ def cut_windows(flights: Sequence[PreparedFlight], model: Model, seconds: float 
         if len(first_rows):
             parts.append(_cut_flight(flight, first_rows, rows, substeps, number))
     if not parts:
-        longest = max(f.duration for f in flights)
+        longest, least = max(f.duration for f in flights), seconds + FIRST_ROW * interval
         raise InputError(
-            f"flight: expected at least {seconds + FIRST_ROW * interval:.1f} s in one piece, got "
-            f"{longest:.1f} s"
+            f"flight: expected at least {least:.1f} s in one piece, got {longest:.1f} s"
         )
     nodes, pose, weight, edges, flight_number, initial_guess = (
         np.concatenate(p) for p in zip(*parts, strict=True)
     )
-    filled = np.count_nonzero(weight, axis=(1, 2)) >= 0.5 * min(
-        np.max(np.count_nonzero(weight, axis=(1, 2))), rows * 6
-    )
+    # Against the fullest window, as a camera slower than the log leaves rows without a pose.
+    measured = np.count_nonzero(weight, axis=(1, 2))
+    filled = measured >= 0.5 * np.max(measured)
     if not filled.any():
         raise InputError("flight: expected windows with at least half of their poses, got none")
-    warmup_steps = WARMUP_ROWS * substeps
     return Windows(
-        nodes[filled], pose[filled], weight[filled], edges[filled], warmup_steps, substeps,
-        flight_number[filled], tuple(flights), initial_guess[filled],
+        nodes[filled], pose[filled], weight[filled], edges[filled], WARMUP_ROWS * substeps,
+        substeps, flight_number[filled], tuple(flights), initial_guess[filled],
     )  # fmt: skip
 
 
 def _cut_flight(
     flight: PreparedFlight, first_rows: np.ndarray, rows: int, substeps: int, number: int
 ) -> tuple[Array, ...]:
-    index = first_rows[:, None] + np.arange(rows)
+    """Nodes, pose, weight, edges, flight number and initial guess of one flight's windows."""
+    index = first_rows[:, None] + np.arange(rows)  # (W, L)
     t = flight.t - flight.t[0]
     interval = float(np.median(np.diff(t)))
     nodes = t[index]
-    # Ends of the integration steps: `substeps` per row, and warm-up steps before the first row.
-    between = np.arange(substeps) / substeps
-    inner = (nodes[:, :-1, None] + np.diff(nodes)[:, :, None] * between).reshape(
+    # Edges: E warm-up steps of the median interval, then `substeps` equal steps from row to row
+    # (W, L - 1, substeps), flattened, then the last row.
+    fractions = np.arange(substeps) / substeps
+    inner = (nodes[:, :-1, None] + np.diff(nodes)[:, :, None] * fractions).reshape(
         len(first_rows), -1
     )
     before = nodes[:, :1] - interval / substeps * np.arange(WARMUP_ROWS * substeps, 0, -1)
@@ -133,35 +152,38 @@ def predict(
     actuator_positions: Array,
     variant_index: np.ndarray | None = None,
 ) -> Array:
-    """Predict every window for each of C columns of initial states and parameter values.
+    """Integrate every window once for each of C columns of initial states and parameter values.
 
     Args:
-        model: the aircraft.
+        model: its terms and form; its values are not used.
         windows: W windows.
         initial_states: (n_states, C, W).
-        values: (P, C) parameter values; the input map has been applied already.
-        actuator_positions: (S, 2, 4, A, W) mean and slope per integration step, A variants.
-        variant_index: (C,) variant of each column; None where there is one only.
+        values: (P, C) parameter values; delay and lag act through actuator_positions.
+        actuator_positions: (S, 2, 4, A, W) mean and slope in each integration step, A variants.
+        variant_index: (C,) the variant of each column; None where there is one variant.
 
     Returns:
         (L, 6, C, W) predicted poses at the windows' rows, order of CHANNELS.
     """
     rates = state_rates(model.form, model.terms, model.winds)
-    steps = np.diff(windows.edges[:, windows.warmup_steps :], axis=1).T
-    begin = windows.edges[:, windows.warmup_steps :].T
+    steps = np.diff(windows.edges[:, windows.warmup_steps :], axis=1).T  # (S, W)
+    begin = windows.edges[:, windows.warmup_steps :].T  # (S + 1, W)
     n_columns, n_windows = initial_states.shape[1:]
     poses = np.empty((windows.nodes.shape[1], 6, n_columns, n_windows))
-    # Parameters that differ between columns are arrays (C, 1), the others numbers: less to compute.
+    # A parameter equal in all columns stays a scalar; a varied one is (C, 1) and broadcasts
+    # against states (C, W).
     varied = np.ptp(values, axis=1) > 0.0
     K = parameter_record(model.names)(
         *(v[:, None] if many else float(v[0]) for v, many in zip(values, varied, strict=True))
     )
+    # Chunks of windows, all columns together: arrays of about CHUNK aircraft.
     width = max(1, CHUNK // n_columns)
     for a in range(0, n_windows, width):
         part = slice(a, a + width)
-        x = np.ascontiguousarray(initial_states[:, :, part])
+        x = np.ascontiguousarray(initial_states[:, :, part])  # (n_states, C, chunk)
         poses[0, :, :, part] = x[POSE_ROWS]
         for k in range(len(steps)):
+            # (2, 4, A, chunk), or (2, 4, C, chunk) with the variant of each column picked.
             mean, slope = (
                 actuator_positions[k, ..., part]
                 if variant_index is None
@@ -175,10 +197,11 @@ def predict(
 
 
 def residuals(model: Model, windows: Windows, initial_states: Array) -> Array:
-    """Weighted residuals: predicted minus measured poses, then initial states minus their guess.
+    """Normalised residuals of the poses and of the prior on the initial states (W, n_states).
 
     Returns:
-        (W, L * 6 + n_states); zero where a pose is missing, infinite where a prediction diverged.
+        (W, L * 6 + n_states): poses, zero where one is missing and infinite where the prediction
+        diverged; then the initial states less their local estimates, in sigmas.
     """
     poses = fly_windows(model, windows, initial_states).transpose(1, 2, 0)[:, :, None]
     with np.errstate(all="ignore"):
@@ -192,7 +215,11 @@ def residuals(model: Model, windows: Windows, initial_states: Array) -> Array:
 
 
 def fly_windows(model: Model, windows: Windows, initial_states: Array) -> Array:
-    """(W, L, 6) predicted poses, order of CHANNELS; not finite where a prediction diverged."""
+    """Predicted poses of every window at all rows, measured or not, from states (W, n_states).
+
+    Returns:
+        (W, L, 6) in the order of CHANNELS; not finite where the prediction diverged.
+    """
     actuator_positions = windows.actuator_positions(model, model.vector)[:, :, :, None]
     with np.errstate(all="ignore"):
         poses = predict(
@@ -202,108 +229,119 @@ def fly_windows(model: Model, windows: Windows, initial_states: Array) -> Array:
 
 
 def pose_residuals(residual: Array, windows: Windows) -> Array:
-    """(W, L, 6) the pose part of `residuals`, order of CHANNELS."""
+    """The pose part (W, L, 6) of `residuals` (W, L * 6 + n_states), order of CHANNELS."""
     return residual[:, : windows.weight[0].size].reshape(windows.weight.shape)
 
 
 def _initial_state_residuals(windows: Windows, initial_states: Array) -> Array:
+    """(W, n_states) initial states less their local estimates, in sigmas of the prior."""
     n = initial_states.shape[1]
     deviation = (initial_states - windows.initial_guess[:, :n]) / INITIAL_STATE_SIGMA[:n]
-    deviation[:, 4] -= (
-        2.0
-        * np.pi
-        / INITIAL_STATE_SIGMA[4]
-        * np.round(deviation[:, 4] * INITIAL_STATE_SIGMA[4] / (2.0 * np.pi))
-    )
+    # Whole turns of yaw (row 4) are the same attitude.
+    turn = 2.0 * np.pi
+    turns = np.round(deviation[:, 4] * INITIAL_STATE_SIGMA[4] / turn)
+    deviation[:, 4] -= turn / INITIAL_STATE_SIGMA[4] * turns
     return deviation
 
 
 def jacobian(
     model: Model, windows: Windows, initial_states: Array, free: Sequence[int]
 ) -> tuple[Array, Array, Array]:
-    """Residuals and their derivatives by forward differences, all columns and windows in one batch.
+    """Residuals and their derivatives by forward differences, all columns integrated together.
 
     Args:
-        model: the aircraft.
+        model: the aircraft at its present values.
         windows: W windows.
         initial_states: (W, n_states).
-        free: which parameters move, as indices into model.names.
+        free: the F parameters to differentiate by, as indices into model.names.
 
     Returns:
-        residual (W, R) as of `residuals`; its derivatives to the free parameters (W, R, F) and to
-        the initial states (W, R, n_states).
+        residual (W, R) as of `residuals`; derivative by the free parameters (W, R, F), per unit of
+        each; derivative by the window's own initial state (W, R, n_states).
     """
     mapped = model.input_names
     steps = np.array(
         [1e-3 if model.names[i] in mapped else 1e-5 * _parameter_scale(model, i) for i in free]
     )
-    # Columns: unperturbed, one per free parameter, one per initial state.
     n_states, n_free = model.n_states, len(free)
+    # Columns: the present values, then one perturbed parameter each (F), then one perturbed
+    # initial state each (n_states). Windows share parameters but not states, so one column
+    # perturbs the same state of every window.
     columns = 1 + n_free + n_states
-    values = np.repeat(model.vector[:, None], columns, axis=1)
-    state_columns = np.repeat(initial_states.T[:, None, :], columns, axis=1)
+    values = np.repeat(model.vector[:, None], columns, axis=1)  # (P, C)
+    state_columns = np.repeat(initial_states.T[:, None, :], columns, axis=1)  # (n_states, C, W)
     values[list(free), range(1, 1 + n_free)] += steps
     for i in range(n_states):
         state_columns[i, 1 + n_free + i] += STATE_STEPS[i]
-    at_base, moved = _perturbed_residuals(model, windows, state_columns, values)
-    moved /= np.concatenate([steps, STATE_STEPS[:n_states]])[:, None, None]
-    moved = np.moveaxis(moved, 0, -1)
-    of_starts = np.zeros((len(windows), n_states, n_free + n_states))
-    of_starts[:, range(n_states), range(n_free, n_free + n_states)] = (
+    # Differences to the first column over the step: (C - 1, W, L * 6) -> (W, L * 6, C - 1).
+    at_base, change = _perturbed_residuals(model, windows, state_columns, values)
+    change /= np.concatenate([steps, STATE_STEPS[:n_states]])[:, None, None]
+    derivative = np.moveaxis(change, 0, -1)
+    # The prior's rows are linear: zero by the parameters, 1/sigma by the states.
+    of_prior = np.zeros((len(windows), n_states, n_free + n_states))
+    of_prior[:, range(n_states), range(n_free, n_free + n_states)] = (
         1.0 / INITIAL_STATE_SIGMA[:n_states]
     )
-    moved = np.concatenate([moved, of_starts], axis=1)
+    derivative = np.concatenate([derivative, of_prior], axis=1)  # (W, R, F + n_states)
     return (
         np.concatenate([at_base, _initial_state_residuals(windows, initial_states)], axis=1),
-        moved[..., :n_free],
-        moved[..., n_free:],
+        derivative[..., :n_free],
+        derivative[..., n_free:],
     )
 
 
 def finite_differences(
     model: Model, windows: Windows, initial_states: Array, values: Array
 ) -> Array:
-    """Change of the residuals when parameters take other values, one set per column of (P, C).
+    """Change of the residuals for other parameter values, all sets integrated together.
+
+    Args:
+        model: the aircraft at its present values.
+        windows: W windows.
+        initial_states: (W, n_states), the same for all sets.
+        values: (P, C) parameter values, one set per column.
 
     Returns:
-        (C, W, R) as of `residuals`; infinite where a prediction diverged.
+        (C, W, R) as of `residuals`: those at the other values less those at the present ones,
+        infinite where a prediction diverged.
     """
     values = np.column_stack([model.vector, values])
     state_columns = np.repeat(initial_states.T[:, None, :], values.shape[1], axis=1)
-    _, moved = _perturbed_residuals(model, windows, state_columns, values)
-    return np.concatenate([moved, np.zeros((*moved.shape[:2], initial_states.shape[1]))], axis=2)
+    _, change = _perturbed_residuals(model, windows, state_columns, values)
+    # The initial states are unchanged, and so is their prior: zero rows.
+    return np.concatenate([change, np.zeros((*change.shape[:2], initial_states.shape[1]))], axis=2)
 
 
 def _perturbed_residuals(
     model: Model, windows: Windows, state_columns: Array, values: Array
 ) -> tuple[Array, Array]:
-    """Pose residuals of the first column (W, L * 6), and the others' difference (C - 1, W, L * 6)."""
-    # Control positions once, and again for each column with other parameters of the input map.
+    """Pose residuals of the first column (W, L * 6); the others' less those (C - 1, W, L * 6)."""
+    # Actuator responses are the costly part: one variant for the first column, and one more for
+    # each column that changes a parameter of the input map (delay, lag).
     mapped = [model.names.index(name) for name in model.input_names]
-    actuator_positions, variant_index = (
-        [windows.actuator_positions(model, values[:, 0])],
-        np.zeros(values.shape[1], dtype=int),
-    )
+    variants = [windows.actuator_positions(model, values[:, 0])]
+    variant_index = np.zeros(values.shape[1], dtype=int)
     for column in np.flatnonzero((values[mapped] != values[mapped][:, :1]).any(axis=0)):
-        variant_index[column] = len(actuator_positions)
-        actuator_positions.append(windows.actuator_positions(model, values[:, column]))
+        variant_index[column] = len(variants)
+        variants.append(windows.actuator_positions(model, values[:, column]))
     with np.errstate(all="ignore"):
-        variants = np.stack(actuator_positions, axis=3)
         poses = predict(
             model,
             windows,
             state_columns,
             values,
-            variants,
-            variant_index if len(actuator_positions) > 1 else None,
+            np.stack(variants, axis=3),  # (S, 2, 4, A, W)
+            variant_index if len(variants) > 1 else None,
         )
-        weighed = _normalise_residuals(windows, poses)
-        return weighed[0], weighed[1:] - weighed[0]
+        residual = _normalise_residuals(windows, poses)
+        return residual[0], residual[1:] - residual[0]
 
 
 def _normalise_residuals(windows: Windows, poses: Array) -> Array:
-    """(L, 6, C, W) predicted poses -> (C, W, L * 6) weighted residuals; angles within +-pi."""
-    difference = poses.transpose(2, 3, 0, 1) - windows.pose
+    """(L, 6, C, W) predicted poses -> (C, W, L * 6) residuals in sigmas, whitened."""
+    difference = poses.transpose(2, 3, 0, 1) - windows.pose  # (C, W, L, 6)
+    # Angles modulo 2 pi. The turns are those of the first column: a turn of its own in a
+    # perturbed column would be a jump in the finite difference.
     angles = difference[..., 3:]
     angles -= 2.0 * np.pi * np.round(angles[:1] / (2.0 * np.pi))
     difference *= windows.weight
@@ -314,4 +352,5 @@ def _normalise_residuals(windows: Windows, poses: Array) -> Array:
 
 
 def _parameter_scale(model: Model, i: int) -> float:
+    """Magnitude of a parameter, at least 0.1, for the size of its finite difference."""
     return max(abs(model.vector[i]), abs(model.parameters[i].start), 0.1)

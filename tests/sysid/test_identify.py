@@ -1,6 +1,4 @@
-"""Identification as a whole: parameters, intervals and scores on flights whose truth is known, ours
-and JSBSim's.
-"""
+"""Identification of flights with known truth, the kit's and JSBSim's: values, intervals, scores."""
 
 import re
 import warnings
@@ -39,9 +37,7 @@ def median_error(found, truth):
 
 @pytest.fixture(scope="module")
 def twelve():
-    """Twelve aircraft, two minutes each, marker noise, 0.5 % outliers, 1 % lost: truth, table,
-    identification.
-    """
+    """Twelve aircraft, two minutes each, marker noise, 0.5 % outliers, 1 % lost, with truth."""
     rng = np.random.default_rng(51)
     truths = [drawn(rates_model(), rng) for _ in range(12)]
     flown = fly_figure_eights(truths, 120.0, rng)
@@ -50,7 +46,7 @@ def twelve():
 
 
 # Simulated flights
-# ------------------------------------------------------------------------------------------------
+# -----------------
 
 
 def test_intervals_of_95_percent_hold_the_truth(twelve):
@@ -166,7 +162,7 @@ def test_noise_jitter_and_missing_rows_together():
     assert 0.5 < found.held_out.chi2 < 1.1
 
 
-def test_two_flights_together_know_more_than_one():
+def test_two_flights_give_smaller_sigmas_than_one():
     """Twice the data: sigmas shrink by about the root of two, and the names of both flights are
     kept.
     """
@@ -197,7 +193,7 @@ def test_paper_form_on_flights_of_that_form():
 
 
 # Flights that are not ours
-# ----------------------------------------------------------------------------------------
+# -------------------------
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -225,7 +221,7 @@ def test_coefficients_of_a_jsbsim_aircraft_are_found():
 
 
 # What goes in comes out
-# -------------------------------------------------------------------------------------------
+# ----------------------
 
 
 def test_the_same_flight_gives_the_same_bits():
@@ -259,7 +255,7 @@ def test_a_given_noise_is_kept(times):
     assert np.median(off) < 0.3
 
 
-def test_what_is_held_out_does_not_teach():
+def test_held_out_time_is_not_fitted():
     """Other noise in the held-out block: the model that predicts it stays (to the fit's tolerance,
     0.3 sigma), the one fitted to everything moves by a share of a sigma.
     """
@@ -281,8 +277,8 @@ def test_what_is_held_out_does_not_teach():
     assert np.abs((second.model.vector - first.model.vector) / size).max() > 0.3
 
 
-def test_a_given_model_is_where_it_starts_and_what_it_holds():
-    """Pinned parameters keep their value to the last bit and have no interval; the others still
+def test_a_given_model_is_the_start_and_keeps_its_fixed_parameters():
+    """Fixed parameters keep their value to the last bit and have no interval; the others still
     fit.
     """
     truth, _, table = example_flight()
@@ -299,8 +295,8 @@ def test_a_given_model_is_where_it_starts_and_what_it_holds():
 
 
 def test_a_prior_pulls_its_parameter():
-    """kT known to 0.1 %: the value obeys, and thrust lost with speed, its twin, is known better for
-    it.
+    """kT known to 0.1 %: the value follows, and thrust lost with speed, correlated with it, gets a
+    narrower interval.
     """
     truth, _, table = example_flight()
     prior = Prior({"kT": truth.values["kT"]}, {"kT": 1e-3 * truth.values["kT"]})
@@ -319,25 +315,25 @@ def test_refitting_the_found_model_changes_nothing():
     assert again.cost == pytest.approx(found.result.cost, rel=1e-3)
 
 
-def test_stages_are_told_in_order():
-    """For a progress bar: names a person understands, with a finite chi2."""
-    told = []
+def test_stages_are_reported_in_order():
+    """The list of stages, each with a finite chi2."""
+    reported = []
     identify(
         [slice_time(example_flight()[2], 0.0, 41.0)],
-        progress=lambda stage, chi2: told.append((stage, chi2)),
+        progress=lambda stage, chi2: reported.append((stage, chi2)),
     )
-    stages = [stage for stage, _ in told]
+    stages = [stage for stage, _ in reported]
     assert list(dict.fromkeys(stages)) == [
         "short windows", "full windows", "weights updated", "held out", "all windows",
     ]  # fmt: skip
-    assert np.isfinite([chi2 for _, chi2 in told]).all()
+    assert np.isfinite([chi2 for _, chi2 in reported]).all()
 
 
 # Saying no, and saying how much
-# -----------------------------------------------------------------------------------
+# ------------------------------
 
 
-def test_a_short_flight_is_fitted_and_said_to_be_short():
+def test_a_short_flight_is_fitted_with_a_warning():
     """20 s have nothing to hold out: the score is on the fitted time, and a warning says so."""
     found = identify([slice_time(example_flight()[2], 0.0, 20.0)])
     assert found.held_out is None and len(found.held_out_index) == 0
@@ -345,9 +341,9 @@ def test_a_short_flight_is_fitted_and_said_to_be_short():
     assert covered(found, example_flight()[0]).mean() >= 0.85
 
 
-def test_the_wrong_form_is_said_to_be_wrong():
+def test_the_wrong_form_gives_a_warning():
     """A light aircraft with hidden body rates cannot be the paper's nine-state one: chi2 far above
-    4, in words, and not in NumPy's words about overflow in flights that ran away on the way.
+    4 with the kit's warning, and without NumPy's about overflow in diverged predictions.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -361,7 +357,7 @@ def test_the_wrong_form_is_said_to_be_wrong():
     )
 
 
-def test_a_flight_that_excites_little_is_said_to():
+def test_parameters_not_excited_are_named():
     """Autopilot only, rudder fixed: its side force and yawing moment are named, each in one
     sentence.
     """
@@ -399,7 +395,7 @@ def test_a_stick_of_the_other_sign_is_named(column, sentence):
     assert found.reversed_channels == (sentence.split()[0],)
     said = [s for s in found.warnings if "reversed" in s]
     assert len(said) == 1 and said[0].startswith(sentence)
-    assert said[0].endswith("the fit has the other sign; check the sign in your log")
+    assert said[0].endswith("the fit gives the opposite sign; check the sign in your log")
     for name in found.uncertainty.at_bound:
         said = [s for s in found.warnings if s.startswith(f"{name} ") and "correlation" not in s]
         assert len(said) == 1 and said[0].startswith(f"{name} ended on its bound"), name
@@ -453,7 +449,7 @@ def _standing(table):
     ],
 )
 def test_flights_that_cannot_be_identified_are_refused(spoil, sentence):
-    """One sentence that says what was wanted and what came."""
+    """One sentence with the expected and the given value."""
     with pytest.raises(InputError, match=sentence) as refusal:
         identify([spoil(example_flight()[2])])
     assert "\n" not in str(refusal.value)

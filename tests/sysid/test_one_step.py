@@ -1,6 +1,4 @@
-"""The paper's one-step fit: exact on perfect states, ruined by differentiated noise, as the paper's
-recipe is.
-"""
+"""The paper's one-step fit: exact on perfect states, biased by differentiated noise."""
 
 from dataclasses import replace
 
@@ -30,9 +28,7 @@ def flight_of(t, states, commands):
 
 @pytest.fixture(scope="module", params=sorted(FORMS))
 def perfect(request):
-    """20 s of random sticks flown by the fit's own steps: the aircraft and its flight with the true
-    states.
-    """
+    """20 s of random commands in the fit's own steps: aircraft, flight with the true states."""
     rng = np.random.default_rng(8)
     truth = drawn(FORMS[request.param](), rng)
     t = np.arange(401) * 0.05
@@ -85,7 +81,7 @@ def test_differences_turn_centimetres_into_metres_a_second():
     assert found[:, 6:9].std(axis=0) == pytest.approx(np.full(3, 0.849), rel=0.03)
 
 
-def test_differences_know_body_rates_from_angle_rates(perfect):
+def test_differences_convert_angle_rates_to_body_rates(perfect):
     """A banked turn by hand: yaw rate w, pitch 0, roll 0.6 gives q = w sin(0.6), r = w cos(0.6)."""
     t = np.arange(20) * 0.05
     states = np.zeros((20, 9))
@@ -106,7 +102,7 @@ def test_a_missing_pose_spoils_its_two_differences_only():
     assert np.flatnonzero(np.isnan(found).any(axis=1)).tolist() == [9, 10]
 
 
-def test_marker_noise_ruins_it_where_shooting_holds():
+def test_marker_noise_biases_it_far_more_than_shooting():
     """Recorded in a prototype on 10 minutes: 157 % median error for raw differences, 8.5 %
     smoothed, 0.33 % shooting. On a flight of one minute, raw differences are at least 20 times
     worse than shooting.
@@ -114,11 +110,11 @@ def test_marker_noise_ruins_it_where_shooting_holds():
     truth, _, _ = example_flight()
     found = example_found()
     flights = [flight for p in found.prepared for flight in p.flights]
-    want = np.array([truth.values[n] for n in truth.names if n not in ("delay", "lag")])
+    expected = np.array([truth.values[n] for n in truth.names if n not in ("delay", "lag")])
 
     def median_error(model):
         values = np.array([model.values[n] for n in truth.names if n not in ("delay", "lag")])
-        return float(np.median(np.abs(values / want - 1.0)))
+        return float(np.median(np.abs(values / expected - 1.0)))
 
     raw, smoothed = (
         median_error(fit_one_step(rates_model(), flights, smoothed=s)) for s in (False, True)
@@ -129,7 +125,7 @@ def test_marker_noise_ruins_it_where_shooting_holds():
 
 
 def test_delay_and_lag_stay_as_they_are(perfect):
-    """One step of poses cannot see them; bounds stay as the caller gave them."""
+    """One step of poses does not identify them; bounds stay as the caller gave them."""
     truth, flight = perfect
     start = FORMS[truth.form]().with_values({"delay": 0.07, "lag": 0.05})
     found = fit_one_step(start, [flight], smoothed=True)
@@ -150,7 +146,7 @@ def test_bounds_hold(perfect):
 
 
 def test_fewer_steps_give_nearly_the_same(perfect):
-    """`most` thins out the steps; without noise any of them tell the same."""
+    """`most` thins out the steps; without noise any subset gives the same values."""
     truth, flight = perfect
     start = FORMS[truth.form]().with_values({n: truth.values[n] for n in ("delay", "lag")})
     some = fit_one_step(start, [flight], smoothed=True, most=150)
@@ -158,9 +154,9 @@ def test_fewer_steps_give_nearly_the_same(perfect):
     assert some.values["M_de"] == pytest.approx(truth.values["M_de"], rel=1e-3)
 
 
-def test_states_that_run_away_do_not_end_the_fit(perfect):
-    """Poses that jump by 100 m between two frames are 2 km/s; what that flies to overflows, and the
-    answer is still a model within its bounds.
+def test_diverging_states_do_not_end_the_fit(perfect):
+    """Poses that jump by 100 m between two frames are 2 km/s; the prediction overflows, and the
+    result is still a model within its bounds.
     """
     truth, flight = perfect
     states = flight.state_estimate.copy()
@@ -172,7 +168,7 @@ def test_states_that_run_away_do_not_end_the_fit(perfect):
 
 
 def test_too_few_poses_are_refused():
-    """16 unknowns want 48 pairs of neighbouring poses; 20 rows have 18 pairs of raw states."""
+    """16 unknowns require 48 pairs of neighbouring poses; 20 rows have 18 pairs of raw states."""
     t = np.arange(20) * 0.05
     states = np.zeros((20, 9))
     states[:, 0], states[:, 6] = 7.0 * t, 7.0

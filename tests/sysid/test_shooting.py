@@ -1,4 +1,4 @@
-"""Multiple shooting: windows, predictions and derivatives against the truth of simulated flights."""
+"""Multiple shooting: windows, predictions, derivatives against the truth of simulated flights."""
 
 from dataclasses import replace
 
@@ -24,9 +24,7 @@ SIGMA = np.array([MARKER[0]] * 3 + [MARKER[1]] * 3)
 
 @pytest.fixture(scope="module", params=sorted(FORMS))
 def perfect(request):
-    """A noiseless simulated flight of 40 s: the aircraft, its windows, the true start state of each
-    window.
-    """
+    """A noiseless simulated flight of 40 s: aircraft, windows, true initial states."""
     rng = np.random.default_rng(3)
     truth = drawn(FORMS[request.param](), rng)
     flown = fly_figure_eights([truth], 40.0, rng)
@@ -37,9 +35,7 @@ def perfect(request):
 
 @pytest.fixture(scope="module")
 def noisy():
-    """A noisy flight of 12 s of the 12-state model: the aircraft, its windows, and start states a
-    little off.
-    """
+    """A noisy flight of 12 s, 12-state model: aircraft, windows, perturbed initial states."""
     rng = np.random.default_rng(4)
     truth = drawn(rates_model(), rng)
     table = measured(fly_figure_eights([truth], 12.0, rng), rng, missing=0.05)
@@ -52,7 +48,7 @@ def noisy():
 
 
 def flight(seconds, begin=0.0, name="made", period=0.05):
-    """Poses that count rows, so that each can be known again."""
+    """Poses that equal their row number, so that each can be identified."""
     t = begin + np.arange(round(seconds / period) + 1) * period
     pose = 1000.0 * begin + np.arange(len(t))[:, None] + np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     state = np.tile(np.array([0, 0, 2, 0.1, 0, 0, 7, 0, 0, 0, 0, 0.0]), (len(t), 1))
@@ -60,7 +56,7 @@ def flight(seconds, begin=0.0, name="made", period=0.05):
 
 
 # Windows
-# ----------------------------------------------------------------------------------------------------------
+# -------
 
 
 def test_windows_follow_each_other_without_overlap():
@@ -77,17 +73,16 @@ def test_windows_follow_each_other_without_overlap():
 
 @pytest.mark.parametrize(("form", "per_row"), [("paper", 1), ("rates", 2)])
 def test_integration_steps_end_at_rows(form, per_row):
-    """50 ms steps in the 9-state model, 25 ms in the 12-state model; steps before a window are for
-    the servos alone.
+    """50 ms steps in the 9-state model, 25 ms in the 12-state model; the warm-up steps before a
+    window integrate the actuators only.
     """
     windows = cut_windows([flight(10.0)], FORMS[form]())
     at_rows = windows.edges[:, windows.warmup_steps :: per_row]
     assert windows.substeps == per_row
     assert at_rows == pytest.approx(windows.nodes, abs=1e-12)
     assert np.diff(windows.edges, axis=1) == pytest.approx(0.05 / per_row, abs=1e-12)
-    assert windows.nodes[0, 0] - windows.edges[0, 0] == pytest.approx(
-        1.0
-    )  # twice the longest delay and lag
+    warmup = windows.nodes[0, 0] - windows.edges[0, 0]
+    assert warmup == pytest.approx(1.0)  # twice the longest delay and lag
 
 
 def test_windows_do_not_cross_from_one_flight_to_the_next():
@@ -96,9 +91,8 @@ def test_windows_do_not_cross_from_one_flight_to_the_next():
     assert windows.flight.tolist() == [0, 0, 1, 1]
     assert np.ptp(windows.pose[..., 0], axis=1) == pytest.approx(np.full(4, 39.0))
     assert (windows.pose[2:, :, 0] > 7000.0).all() and (windows.pose[:2, :, 0] < 1000.0).all()
-    assert windows.nodes[2:] == pytest.approx(
-        windows.nodes[:2], abs=1e-9
-    )  # since the start of each flight
+    # Times count from the start of each flight.
+    assert windows.nodes[2:] == pytest.approx(windows.nodes[:2], abs=1e-9)
 
 
 def test_windows_do_not_cross_a_gap():
@@ -116,7 +110,7 @@ def test_windows_do_not_cross_a_gap():
 
 
 def test_a_missing_pose_has_no_weight():
-    """Half a pose may be missing: its three channels count nothing, the other three as ever."""
+    """Half a pose may be missing: its three channels have no weight, the others keep theirs."""
     one = flight(10.0)
     one.pose[60:65, :3] = np.nan
     windows = cut_windows([one], rates_model())
@@ -146,7 +140,7 @@ def test_too_short_a_flight_is_refused():
 
 
 # Predictions
-# ------------------------------------------------------------------------------------------------------
+# -----------
 
 
 def test_the_true_aircraft_from_the_true_state_predicts_the_true_poses(perfect):
@@ -157,7 +151,7 @@ def test_the_true_aircraft_from_the_true_state_predicts_the_true_poses(perfect):
     error = fly_windows(truth, windows, states) - windows.pose
     error[..., 3:] = (error[..., 3:] + np.pi) % (2.0 * np.pi) - np.pi
     assert np.abs(error).max() < 1e-3
-    assert np.ptp(windows.pose[..., :3], axis=1).max() > 5.0  # they do fly
+    assert np.ptp(windows.pose[..., :3], axis=1).max() > 5.0  # not at rest
 
 
 def test_residuals_are_sigmas(perfect):
@@ -166,8 +160,8 @@ def test_residuals_are_sigmas(perfect):
     moved = replace(windows, pose=windows.pose + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
     change = pose_residuals(residuals(truth, moved, states), windows)
     change = change - pose_residuals(residuals(truth, windows, states), windows)
-    want = np.array([-1.0 / SIGMA[0], 0.0, 0.0, 0.0, 0.0, -0.1 / SIGMA[5]])
-    assert change == pytest.approx(np.broadcast_to(want, change.shape), abs=1e-6)
+    expected = np.array([-1.0 / SIGMA[0], 0.0, 0.0, 0.0, 0.0, -0.1 / SIGMA[5]])
+    assert change == pytest.approx(np.broadcast_to(expected, change.shape), abs=1e-6)
 
 
 def test_whole_turns_of_yaw_do_not_matter(perfect):
@@ -181,8 +175,8 @@ def test_whole_turns_of_yaw_do_not_matter(perfect):
     assert residuals(truth, windows, back) == pytest.approx(plain, abs=1e-6)
 
 
-def test_each_flight_flies_on_its_own_sticks(perfect):
-    """Two flights with other sticks in one set of windows predict what each predicts alone."""
+def test_each_flight_is_predicted_from_its_own_commands(perfect):
+    """Two flights with different commands in one set of windows: each is predicted as alone."""
     truth, _, _ = perfect
     rng = np.random.default_rng(9)
     flown = fly_figure_eights([truth, truth], 10.0, rng)
@@ -199,14 +193,12 @@ def test_each_flight_flies_on_its_own_sticks(perfect):
     )
 
 
-def test_delay_is_a_shift_of_the_sticks(noisy):
+def test_delay_is_a_shift_of_the_commands(noisy):
     """By definition: commands logged one row later and 50 ms less delay are the same flight."""
     truth, windows, initial_states = noisy
-    warmup_steps = windows.flights[0]
-    late = replace(
-        warmup_steps,
-        commands=np.concatenate([warmup_steps.commands[:1], warmup_steps.commands[:-1]]),
-    )
+    first = windows.flights[0]
+    commands = np.concatenate([first.commands[:1], first.commands[:-1]])
+    late = replace(first, commands=commands)
     slow = truth.with_values({"delay": 0.07})
     quick = truth.with_values({"delay": 0.02})
     shifted = replace(windows, flights=(late,))
@@ -232,21 +224,21 @@ def test_a_noise_filter_mixes_rows_of_one_channel(perfect):
     filtered = pose_residuals(
         residuals(truth, replace(windows, whitening=filters), states + 0.01), windows
     )
-    want = plain.copy()
-    want[:, 1:, 2] = np.diff(plain[..., 2], axis=1)
-    assert filtered == pytest.approx(want, rel=1e-9, abs=1e-9)
+    expected = plain.copy()
+    expected[:, 1:, 2] = np.diff(plain[..., 2], axis=1)
+    assert filtered == pytest.approx(expected, rel=1e-9, abs=1e-9)
     assert np.abs(filtered - plain).max() > 0.05
 
 
-def test_a_flight_that_runs_away_has_infinite_residuals():
-    """Numbers overflow without a word; the cost says infinity, never nan, so that a fit steps back."""
+def test_a_diverging_flight_has_infinite_residuals():
+    """Overflow gives an infinite cost, never nan, so that a fit rejects the step."""
     windows = cut_windows([flight(10.0)], paper_model())
     wild = paper_model().with_values({"cD_0": -1e6})
     residual = pose_residuals(residuals(wild, windows, windows.initial_guess[:, :9]), windows)
     assert np.isinf(residual).any() and not np.isnan(residual).any()
 
 
-def test_start_states_are_held_loosely(noisy):
+def test_initial_states_have_a_weak_prior(noisy):
     """The last residuals are the distance from the local estimate: 1 m, 0.3 rad, 3 m/s and 3 rad/s
     are one sigma.
     """
@@ -261,7 +253,7 @@ def test_start_states_are_held_loosely(noisy):
 
 
 # Derivatives
-# ------------------------------------------------------------------------------------------------------
+# -----------
 
 
 def central(function, x, steps):
@@ -277,34 +269,34 @@ def central(function, x, steps):
 
 def test_derivatives_to_all_parameters_equal_central_differences(noisy):
     """Central differences of `residuals`, one parameter at a time. Forward differences of 1e-5 are
-    right to 1e-3 of a column's length; delay and lag, whose step is 1 ms of smooth but bent curves,
+    right to 1e-3 of a column's length; delay and lag, whose step of 1 ms leaves the curvature,
     to 2 %.
     """
     truth, windows, initial_states = noisy
     free = range(len(truth.names))
     _, found, _ = jacobian(truth, windows, initial_states, free)
-    want = central(
+    expected = central(
         lambda v: residuals(truth.with_vector(v), windows, initial_states),
         truth.vector,
         np.full(29, 1e-4),
     )
-    size = np.linalg.norm(want, axis=(0, 1))
-    off = np.linalg.norm(found - want, axis=(0, 1)) / size
+    size = np.linalg.norm(expected, axis=(0, 1))
+    off = np.linalg.norm(found - expected, axis=(0, 1)) / size
     allowed = [0.02 if name in ("delay", "lag") else 1e-3 for name in truth.names]
     assert dict(zip(truth.names, off < allowed, strict=True)) == dict.fromkeys(truth.names, True)
     assert size.min() > 1.0  # none is zero
 
 
 def test_derivatives_to_start_states_equal_central_differences(noisy):
-    """The same for the twelve start states, of all windows at once since each touches only its own."""
+    """The same for the twelve initial states; each affects only its own window."""
     truth, windows, initial_states = noisy
     _, _, found = jacobian(truth, windows, initial_states, ())
-    want = central(
+    expected = central(
         lambda move: residuals(truth, windows, initial_states + move),
         np.zeros(12),
         np.full(12, 1e-5),
     )
-    off = np.linalg.norm(found - want, axis=(0, 1)) / np.linalg.norm(want, axis=(0, 1))
+    off = np.linalg.norm(found - expected, axis=(0, 1)) / np.linalg.norm(expected, axis=(0, 1))
     assert off.max() < 1e-3
 
 
@@ -316,7 +308,7 @@ def test_a_subset_of_parameters_gives_the_same_columns(noisy):
     residual, everything, initial_state_jacobian = jacobian(
         truth, windows, initial_states, range(29)
     )
-    some = [3, 28, 0]  # with lag, whose column flies on sticks of its own
+    some = [3, 28, 0]  # with lag, whose column has actuator positions of its own
     _, columns, same = jacobian(truth, windows, initial_states, some)
     assert columns == pytest.approx(everything[..., some], rel=1e-9, abs=1e-6)
     assert same == pytest.approx(initial_state_jacobian, rel=1e-9, abs=1e-6)
@@ -325,7 +317,7 @@ def test_a_subset_of_parameters_gives_the_same_columns(noisy):
 
 def test_changes_are_differences_of_residuals(noisy):
     """`residuals` of each set of values one at a time, less those of the present ones: forces,
-    moments and both stick parameters, alone and together. Start states stay, so what holds them
+    moments and both actuator parameters, alone and together. Initial states stay, so their prior
     does not change.
     """
     truth, windows, initial_states = noisy
@@ -340,18 +332,18 @@ def test_changes_are_differences_of_residuals(noisy):
     found = finite_differences(
         truth, windows, initial_states, np.column_stack([model.vector for model in moved])
     )
-    want = [
+    expected = [
         residuals(model, windows, initial_states) - residuals(truth, windows, initial_states)
         for model in moved
     ]
     assert found.shape == (5, len(windows), 240 + 12)
-    assert found == pytest.approx(np.stack(want), rel=1e-9, abs=1e-9)
+    assert found == pytest.approx(np.stack(expected), rel=1e-9, abs=1e-9)
     assert np.abs(found).max(axis=(1, 2))[[0, 1, 3, 4]].min() > 1.0 and not found[2].any()
     assert np.array_equal(found[1], found[4])
 
 
-def test_a_change_that_runs_away_is_infinite_for_itself_alone():
-    """As a cost, never nan; the set beside it is what it is alone."""
+def test_a_diverging_change_is_infinite_for_itself_alone():
+    """Infinite cost, never nan; the set beside it equals its own result alone."""
     windows = cut_windows([flight(10.0)], paper_model())
     base, initial_states = paper_model(), windows.initial_guess[:, :9]
     sets = [base.with_values(values).vector for values in ({"cD_0": -1e6}, {"cL_alpha": 1.6})]
@@ -380,8 +372,8 @@ def test_a_tilted_camera_sees_other_angles(noisy):
         seen({"tilt_pitch": 0.02, "tilt_roll": 0.0}),
         seen({"tilt_pitch": 0.0, "tilt_roll": 0.03}),
     )
-    want = np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.02 * np.sin(np.pi / 3.0)])
-    assert up == pytest.approx(np.broadcast_to(want, up.shape), abs=1e-12)
+    expected = np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.02 * np.sin(np.pi / 3.0)])
+    assert up == pytest.approx(np.broadcast_to(expected, up.shape), abs=1e-12)
     assert over == pytest.approx(
         np.broadcast_to([0.0, 0.0, 0.0, 0.03, 0.0, 0.0], over.shape), abs=1e-12
     )

@@ -23,16 +23,16 @@ from falconwing_kit.sysid.prepare import CHANNELS
 from falconwing_kit.sysid.score import score, select_windows
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
-GOOD_CHI2 = 2.0  # held out; above it the model does not describe the flight and the answer is no
+GOOD_CHI2 = 2.0  # held out, per degree of freedom; above it the exit code is 1
 
 
 @dataclass(frozen=True)
 class Identify:
-    """Fit the aircraft model to recorded flights and say how well it predicts time it has not seen.
+    """Fit the aircraft model to recorded flights and score its predictions on held-out time.
 
     Exit code 1 when the model does not describe the flight (held-out chi2 per degree of freedom
-    above 2), when a stick of the log seems reversed, or when the start model predicts another
-    flight (--judge) as well.
+    above 2), when a channel of the log seems reversed, or when the start model predicts another
+    flight (--judge) equally well or better.
     """
 
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -65,27 +65,23 @@ class Identify:
     """print JSON instead of tables"""
 
     def run(self) -> int:
-        """Fit, print, and write what was asked for.
-
-        Returns:
-            0 where the model describes the flights, 1 where it does not, where a stick seems
-            reversed, or where the flight to judge by is predicted no better than by the model one
-            began with.
+        """Fit, print and write the requested files; the exit code is that of the class.
 
         Raises:
-            FileNotFoundError: there is no such flight or model file, or no folder to write into.
-            InputError: a flight cannot be used, or a place cannot be written to.
+            FileNotFoundError: a flight, a model file or the folder to write into is missing.
+            InputError: a flight cannot be used, or a file cannot be written.
         """
         if not self.flights:
             raise InputError(
-                "identify: expected at least one flight table, got none; try falconwing identify flight.csv"
+                "identify: expected at least one flight table, got none; "
+                "try falconwing identify flight.csv"
             )
-        self._require_places()
+        self._require_writable()
         tables = [read_flight_table(path) for path in self.flights]
         other = None if self.judge is None else read_flight_table(self.judge)
         model = self._model()
         if other is not None:
-            constant_turn(other)  # refuses before the fit what cannot be predicted from
+            constant_turn(other)  # raises before the fit where the flight has no velocities
         found = identify(
             tables, model=model, sigma=self._sigma(), progress=None if self.json else _progress()
         )
@@ -106,35 +102,37 @@ class Identify:
             _print_record(record, found)
             next_line(self._next())
         chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
-        if GOOD_CHI2 < chi2 <= MAX_REDUCED_CHI2:  # beyond, a warning says so
+        if GOOD_CHI2 < chi2 <= MAX_REDUCED_CHI2:  # above that, identify itself warns
             print(
-                f"the model does not describe the flight: chi2 per degree of freedom {chi2:.1f}, expected at most "
-                f"{GOOD_CHI2:g}; falconwing gap, with a calm flight, says what is missing",
+                f"the model does not describe the flight: chi2 per degree of freedom {chi2:.1f}, "
+                f"expected at most {GOOD_CHI2:g}; run falconwing gap, with a calm flight, "
+                "to name what is missing",
                 file=sys.stderr,
             )
         ahead = record.get("one_second_ahead")
         is_better = ahead is None or ahead["fitted"]["position_m"] < ahead["start"]["position_m"]
         return 0 if chi2 <= GOOD_CHI2 and not found.reversed_channels and is_better else 1
 
-    def _require_places(self) -> None:
-        """Refuse before the fit what could not be written after it."""
+    def _require_writable(self) -> None:
+        """Raise InputError before the fit for files that could not be written after it."""
         if self.out is not None:
             require_writable_path(self.out)
         if self.figures is not None:
             there = next(place for place in (self.figures, *self.figures.parents) if place.exists())
             if not there.is_dir():
                 raise InputError(
-                    f"--figures {self.figures}: expected a folder, but {there} is a file; choose another name"
+                    f"--figures {self.figures}: expected a folder, but {there} is a file; "
+                    "choose another name"
                 )
 
     def _model(self) -> Model:
-        """Where the fit starts, with the terms of the user's file that it does not have yet."""
+        """The start model, with those terms of the user's file that it does not have yet."""
         terms: tuple[Term | WindTerm, ...] = ()
         if self.terms is not None:
             print(CODE_NOTICE.format(file=self.terms), file=sys.stderr)
             terms = load_terms(self.terms, self.form)
         model = self._start(terms)
-        present = {part.name for part in (*model.terms, *model.winds)}
+        present = {term.name for term in model.terms} | {wind.name for wind in model.winds}
         return model.with_terms(*(term for term in terms if term.name not in present))
 
     def _start(self, terms: tuple[Term | WindTerm, ...]) -> Model:
@@ -192,16 +190,8 @@ class Identify:
 def identification_record(
     found: Identification, baseline: dict[str, Any] | None = None
 ) -> dict[str, Any]:
-    """An identification as plain numbers for JSON.
-
-    Args:
-        found: the identification.
-        baseline: the one-step fits beside it, if asked for.
-
-    Returns:
-        Keys flights, form, held_out, train, noise, parameters, warnings, seconds (and one_step).
-    """
-    confidence, held = found.uncertainty, found.held_out
+    """JSON record of an identification, with the one-step fits as "one_step" where given."""
+    confidence, held_out = found.uncertainty, found.held_out
     units = {p.name: p for p in found.model.parameters}
     parameters = {}
     for name in confidence.names:
@@ -218,10 +208,10 @@ def identification_record(
         "flights": list(found.names),
         "form": found.model.form,
         "held_out": {
-            "chi2_per_dof": held.chi2 if held else None,
-            "position_m": held.position_m if held else None,
-            "attitude_deg": held.attitude_deg if held else None,
-            "windows": held.windows if held else 0,
+            "chi2_per_dof": held_out.chi2 if held_out else None,
+            "position_m": held_out.position_m if held_out else None,
+            "attitude_deg": held_out.attitude_deg if held_out else None,
+            "windows": held_out.windows if held_out else 0,
             "seconds_ahead": 2.0,
         },
         "train": {"chi2_per_dof": found.train.chi2, "windows": found.train.windows},
@@ -246,36 +236,38 @@ def identification_record(
 
 
 def one_second_ahead(fitted: Model, start: Model, other: FlightTable) -> dict[str, Any]:
-    """How well a flight that nothing was fitted to is predicted, a second ahead on its commands
-    alone.
+    """Errors of one-second predictions of a flight that was not fitted, from its commands alone.
 
     Args:
-        fitted: the model to judge.
-        start: the one that its fit began with.
+        fitted: the model to validate.
+        start: the model from which its fit started.
         other: the flight, with velocities (and rates for the 12-state model).
 
     Returns:
-        By forecast (fitted, start, constant_turn, constant_velocity) the root mean square of the
-        distance, position_m, and of the three angles together, attitude_deg; and the flight's name
-        and the number of forecasts.
+        For fitted, start, constant_turn and constant_velocity the RMS of the distance, position_m,
+        and of the three angles together, attitude_deg; the flight's name and the number of
+        forecasts.
 
     Raises:
         InputError: the flight has no velocities, or no two poses a second apart.
     """
-    made = {"fitted": forecast(fitted, other), "start": forecast(start, other)}
-    made |= {"constant_turn": constant_turn(other), "constant_velocity": constant_velocity(other)}
+    forecasts = {"fitted": forecast(fitted, other), "start": forecast(start, other)}
+    forecasts |= {
+        "constant_turn": constant_turn(other),
+        "constant_velocity": constant_velocity(other),
+    }
     errors = {
         name: {"position_m": f.position_m, "attitude_deg": f.attitude_deg}
-        for name, f in made.items()
+        for name, f in forecasts.items()
     }
-    return {**errors, "flight": other.name, "forecasts": len(made["fitted"].t)}
+    return {**errors, "flight": other.name, "forecasts": len(forecasts["fitted"].t)}
 
 
 def _print_record(record: dict[str, Any], found: Identification) -> None:
-    said = dict.fromkeys(found.uncertainty.not_excited, "NOT EXCITED")
-    said |= dict.fromkeys(found.uncertainty.at_bound, "ON ITS BOUND")
+    flags = dict.fromkeys(found.uncertainty.not_excited, "NOT EXCITED")
+    flags |= dict.fromkeys(found.uncertainty.at_bound, "ON ITS BOUND")
     rows = [
-        (name, p["value"], p["low95"], p["high95"], p["unit"], said.get(name, p["meaning"]))
+        (name, p["value"], p["low95"], p["high95"], p["unit"], flags.get(name, p["meaning"]))
         for name, p in record["parameters"].items()
     ]
     print_table(
@@ -312,16 +304,16 @@ def _print_record(record: dict[str, Any], found: Identification) -> None:
     position = np.mean([noise[c]["used"] for c in CHANNELS[:3]])
     attitude = np.mean([noise[c]["used"] for c in CHANNELS[3:]])
     print(
-        f"pose noise {100 * position:.1f} cm and {attitude:.2f} deg; {record['outliers']} outliers set aside, ",
-        end="",
+        f"pose noise {100 * position:.1f} cm and {attitude:.2f} deg; "
+        f"{record['outliers']} outliers set aside, "
+        f"{record['rows_without_pose']} rows without a pose; fitted in {record['seconds']:.1f} s"
     )
-    print(f"{record['rows_without_pose']} rows without a pose; fitted in {record['seconds']:.1f} s")
     for sentence in record["warnings"]:
         print(f"warning: {sentence}")
 
 
 def _print_judged(ahead: dict[str, Any]) -> None:
-    """How well another flight is predicted, as a table."""
+    """Print the one-second errors on the other flight as a table."""
     names = ("fitted", "start", "constant_turn", "constant_velocity")
     rows = [
         (name.replace("_", " "), ahead[name]["position_m"], ahead[name]["attitude_deg"])
@@ -335,12 +327,12 @@ def _print_judged(ahead: dict[str, Any]) -> None:
 
 
 def _progress() -> Any:
-    """A bar on standard error that names the stage."""
+    """A progress line on standard error that names the stage."""
     from tqdm import tqdm
 
     bar = tqdm(bar_format="{desc}: {elapsed}", leave=False, disable=None)
 
-    def tell(stage: str, chi2: float) -> None:
+    def show_stage(stage: str, chi2: float) -> None:
         bar.set_description_str(f"{stage}, chi2 per dof {chi2:.2f}" if np.isfinite(chi2) else stage)
 
-    return tell
+    return show_stage

@@ -1,4 +1,4 @@
-"""`falconwing identify`: exit codes, tables and JSON, and files only where they were asked for."""
+"""`falconwing identify`: exit codes, tables, JSON, and files only where requested."""
 
 import contextlib
 import io
@@ -30,7 +30,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 @pytest.fixture(autouse=True)
 def in_empty_folder(tmp_path, monkeypatch):
-    """Whatever the verb writes by mistake lands here and is seen."""
+    """Files written by mistake land in this folder, which the tests check."""
     monkeypatch.chdir(tmp_path)
 
 
@@ -44,7 +44,7 @@ def short(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """Everything asked for at once, on a flight that ships: exit code, printed record, folder."""
+    """All outputs for a flight of the kit's data: exit code, printed record, folder."""
     folder = tmp_path_factory.mktemp("whole")
     words = ["identify", str(data_path("case02_calm.csv")), "--json", "--one-step"]
     words += ["--out", str(folder / "model.toml"), "--figures", str(folder / "new" / "figures")]
@@ -54,7 +54,7 @@ def whole(tmp_path_factory):
 
 
 # The record
-# -------------------------------------------------------------------------------------------------------
+# ----------
 
 
 def test_a_recorded_flight_is_described(whole):
@@ -77,8 +77,8 @@ def test_the_record_has_its_keys(whole):
     """What other programs read."""
     _, record, _ = whole
     assert set(record) >= {
-        "flights", "form", "held_out", "train", "noise", "outliers", "rows_without_pose", "parameters", "warnings",
-        "seconds", "one_step",
+        "flights", "form", "held_out", "train", "noise", "outliers", "rows_without_pose",
+        "parameters", "warnings", "seconds", "one_step",
     }  # fmt: skip
     assert set(record["held_out"]) == {
         "chi2_per_dof",
@@ -120,12 +120,12 @@ def test_files_are_where_they_were_asked_for(whole):
 
 
 # The tables
-# -------------------------------------------------------------------------------------------------------
+# ----------
 
 
-def test_tables_say_what_was_found_and_what_to_type_next(short, tmp_path, capsys):
-    """Every parameter with its interval and unit, both scores, the noise in cm and deg, warnings, a
-    last line; the flight is too short to hold anything back, which is said. No file is written.
+def test_tables_show_the_result_and_the_next_command(short, tmp_path, capsys):
+    """Every parameter with its interval and unit, both scores, the noise in cm and deg, warnings,
+    a last line; nothing is held out of a short flight, with a warning. No file is written.
     """
     assert main(["identify", short]) == 0
     printed = capsys.readouterr()
@@ -160,7 +160,7 @@ def test_an_airframe_file_is_a_start(short, capsys):
     assert json.loads(capsys.readouterr().out)["train"]["chi2_per_dof"] < 1.2
 
 
-def test_given_noise_is_used_and_too_little_of_it_is_a_no(short, capsys):
+def test_given_noise_is_used_and_too_small_noise_gives_exit_one(short, capsys):
     """By hand: a third of the true noise makes chi2 about nine, above the two that still count as
     described: exit 1.
     """
@@ -198,7 +198,7 @@ def flown_by(truth, path):
 
 
 def test_another_flight_is_predicted_better_than_by_the_start_model(short, tmp_path, capsys):
-    """The aircraft was drawn 15 % off the start model; nobody told the fit of the other flight. A
+    """The aircraft was drawn 15 % off the start model; the fit does not use the other flight. A
     forecast by the true parameters would be exact, so the fit leaves less than a third of the start
     model's error.
     """
@@ -212,8 +212,8 @@ def test_another_flight_is_predicted_better_than_by_the_start_model(short, tmp_p
     assert ahead["constant_turn"]["position_m"] < ahead["constant_velocity"]["position_m"]
 
 
-def test_a_flight_that_the_start_model_predicts_as_well_is_a_no(short, tmp_path, capsys):
-    """The other flight is the start model's own, which foretells it to a millimetre; no fit to
+def test_exit_one_where_the_start_model_predicts_as_well(short, tmp_path, capsys):
+    """The other flight is the start model's own, which predicts it to a millimetre; no fit to
     another aircraft can.
     """
     other = flown_by(rates_model(), tmp_path / "other.csv")
@@ -224,7 +224,7 @@ def test_a_flight_that_the_start_model_predicts_as_well_is_a_no(short, tmp_path,
     assert ahead["start"]["position_m"] < 0.01
 
 
-def test_a_reversed_stick_is_a_no(tmp_path, capsys):
+def test_a_reversed_channel_gives_exit_one(tmp_path, capsys):
     """The elevator's column turned round: a clear sentence and exit 1, whatever chi2 says; the
     model file is written as it is for other bad fits.
     """
@@ -285,7 +285,7 @@ def test_two_flights_and_another_form(tmp_path, capsys):
 
 
 # Wrong use
-# --------------------------------------------------------------------------------------------------------
+# ---------
 
 
 @pytest.mark.parametrize(
@@ -346,7 +346,7 @@ def test_an_unknown_form_is_refused_with_the_known_ones(short, capsys):
 
 
 # Terms of a user's own
-# ----------------------------------------------------------------------------------------------
+# ---------------------
 
 TERM = '''"""The thrust line passes below the centre of gravity."""
 
@@ -364,7 +364,7 @@ TERMS = [Term("thrust_line", (LINE,), thrust_line)]
 
 
 def test_a_term_of_a_users_file_is_identified(tmp_path, capsys):
-    """Planted with 1.5 /m: it lies in its 95 % interval doubled, and the model reads back with it."""
+    """Simulated with 1.5 /m: the doubled 95 % interval holds it, and the model reads back."""
     file = tmp_path / "my_term.py"
     file.write_text(TERM)
     terms, rng = load_terms(file), np.random.default_rng(12)

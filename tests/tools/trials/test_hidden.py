@@ -1,6 +1,4 @@
-"""Hidden flights: same seed same bits, every effect flown inside the hall, noise as promised, no
-answer told.
-"""
+"""Hidden flights: reproducible, every effect flown inside the hall, noise as specified."""
 
 import json
 from functools import cache
@@ -42,9 +40,7 @@ SIZES = {
 
 @cache
 def flown(effect: str, seconds: float = 15.0, sized: bool = False, **how) -> HiddenCase:
-    """A flight of the same aircraft on the same day with the same pilot, whatever the effect;
-    hardly any calm one.
-    """
+    """A flight of the same aircraft, day and pilot for every effect; 1 s of baseline flight."""
     size = SIZES[effect] if sized else None
     return hidden_case(5, effect, size=size, calm_seconds=1.0, flight_seconds=seconds, **how)
 
@@ -55,7 +51,7 @@ def rows(case: HiddenCase) -> np.ndarray:
 
 
 # Seeds
-# ----------------------------------------------------------------------------------------------------------------
+# -----
 
 
 def test_seed_is_the_keyed_hash_of_the_name():
@@ -99,7 +95,7 @@ def test_the_same_arguments_give_the_same_case_to_the_last_bit():
 
 
 # Effects
-# --------------------------------------------------------------------------------------------------------------
+# -------
 
 
 @pytest.mark.parametrize("effect", ["none", *EFFECT_NAMES])
@@ -115,7 +111,7 @@ def test_every_effect_is_drawn_and_flown_inside_the_hall(effect):
     assert bool(case.truth["size"]) == (effect != "none")
 
 
-def test_none_and_all_effects_come_up_when_nobody_chooses():
+def test_none_and_all_effects_are_drawn_where_no_effect_is_given():
     """20 equally likely outcomes in 12 draws: fewer than 6 different ones come by chance in one of
     10 000 cases.
     """
@@ -126,9 +122,9 @@ def test_none_and_all_effects_come_up_when_nobody_chooses():
 
 
 @pytest.mark.parametrize("effect", [name for name in SIZES if name not in OTHERWISE])
-def test_the_planted_size_explains_the_flight(effect):
+def test_the_hidden_size_explains_the_flight(effect):
     """Half-second forecasts from true states by the identification's integration and input map,
-    which share no line with the hidden flights' own: with the planted effect they agree to what
+    which share no line with the hidden flights' own: with the hidden effect they agree to what
     steps of 25 ms cost a fourth-order method (1e-4 deg), without it they are off by 0.3 deg and
     more.
     """
@@ -155,7 +151,7 @@ def attitude_error(model, case) -> float:
 
 
 def test_a_sagging_battery_loses_speed_as_time_goes():
-    """By hand: thrust (1 - 0.4 t / 60 s) is as ever when the table begins, so the first second of
+    """By hand: thrust (1 - 0.4 t / 60 s) is unchanged when the table begins, so the first second of
     both flights is the same to 5 cm; after a minute more throttle flies the same speed.
     """
     fresh, sagging = flown("none", 60.0), flown("battery_sag", 60.0, sized=True)
@@ -189,13 +185,13 @@ def test_late_stamps_show_where_the_aircraft_was():
 
 
 # Measuring and flying
-# -------------------------------------------------------------------------------------------------
+# --------------------
 
 
 @pytest.mark.parametrize(
     ("noise", "correlated"), [("marker", False), ("hybrid", True), ("net", False)]
 )
-def test_noise_is_of_the_size_and_length_it_promises(noise, correlated):
+def test_noise_has_the_specified_size_and_correlation(noise, correlated):
     """Of 1200 poses the deviation is known to 2 % (white) or 6 %; half of AR(1) over 0.5 s leaves
     0.5/e after 0.5 s, known to 0.06; half a percent of outliers, one percent missing, to three
     deviations of a count.
@@ -215,7 +211,7 @@ def test_noise_is_of_the_size_and_length_it_promises(noise, correlated):
     assert 1 <= wild.sum() <= 14
 
 
-def test_bias_is_smooth_in_place_and_jitter_in_the_stamps_alone():
+def test_bias_is_smooth_in_position_and_jitter_affects_stamps_only():
     """By hand: the bias is at most its amplitude and a sine's mean square is half; stamps are off
     by 5 ms at most.
     """
@@ -255,12 +251,12 @@ def test_passes_are_low_and_turns_go_both_ways_unless_asked():
 
 
 # Files and refusals
-# ---------------------------------------------------------------------------------------------------
+# ------------------
 
 
 def test_flights_are_handed_out_without_the_answer(tmp_path):
-    """No effect, parameter or seed in any file of the folder; the answers lie where they were asked
-    for, or nowhere.
+    """No effect, parameter or seed in any file of the folder; the answers lie only in the
+    requested file.
     """
     case = flown("wind", sized=True)
     write_hidden(tmp_path / "out", {"ada": case})
