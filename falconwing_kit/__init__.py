@@ -1,3 +1,3 @@
-"""FalconWing kit: recorded flights and airframe data -> aircraft model with its prediction error."""
+"""FalconWing kit: recorded flights and airframe data -> model and its prediction error."""
 
 __version__ = "0.2.0"

@@ -1,4 +1,4 @@
-"""Fixtures for the tests of all rooms, and the mark of those that need the machine to themselves."""
+"""Fixtures for the tests of all rooms, and the mark of those that need the machine alone."""
 
 import sys
 

@@ -222,7 +222,7 @@ def _elevator_play(aircraft: JsbsimAircraft, size: Any) -> Acting:
 
 
 # The table of all
-# -----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def _force_per_mass(a: JsbsimAircraft) -> float:
@@ -262,13 +262,14 @@ EFFECTS: dict[str, HiddenEffect] = {
     "fan_jet": HiddenEffect(
         _fan_jet, (0.4, 1.4), 3.0, _draw_jet,  # m/s north, east
         lambda a, s: {
-            "jet_x": s["jet"][0], "jet_y": -s["jet"][1], "jet_at_x": s["at"][0], "jet_at_y": s["at"][1],
-            "jet_radius": s["radius"],
+            "jet_x": s["jet"][0], "jet_y": -s["jet"][1],
+            "jet_at_x": s["at"][0], "jet_at_y": s["at"][1], "jet_radius": s["radius"],
         },
     ),
     # CL (1 + ge exp(-h / 0.5 m)), and of the induced drag none or some of it less
     "ground_effect": HiddenEffect(
-        _ground_effect, (0.2, 0.5), 0.8, lambda rng, size, a: {"ge": size, "less_drag": float(rng.uniform(0.0, 1.0))},
+        _ground_effect, (0.2, 0.5), 0.8,
+        lambda rng, size, a: {"ge": size, "less_drag": float(rng.uniform(0.0, 1.0))},
         lambda a, s: {"ground_lift": s["ge"]},
     ),
     "extra_drag": HiddenEffect(
@@ -276,20 +277,30 @@ EFFECTS: dict[str, HiddenEffect] = {
         lambda a, s: {"drag_added": _force_per_mass(a) * s["dcd"]},
     ),
     "flap": HiddenEffect(
-        lambda a, s: Acting(replace(a, CL0=a.CL0 + s["dcl"], CD0=a.CD0 + s["dcd"])), (0.07, 0.12), 0.25,
+        lambda a, s: Acting(replace(a, CL0=a.CL0 + s["dcl"], CD0=a.CD0 + s["dcd"])),
+        (0.07, 0.12), 0.25,
         lambda rng, size, a: {"dcl": size, "dcd": 0.08 * size},
-        lambda a, s: {"flap_lift": _force_per_mass(a) * s["dcl"], "flap_drag": _force_per_mass(a) * s["dcd"]},
+        lambda a, s: {
+            "flap_lift": _force_per_mass(a) * s["dcl"], "flap_drag": _force_per_mass(a) * s["dcd"],
+        },
     ),
     "thrust_loss": HiddenEffect(
-        lambda a, s: Acting(
-            replace(a, thrust=a.thrust * (1 - s["loss"]), thrust_per_speed=a.thrust_per_speed * (1 - s["loss"]))
-        ), (0.15, 0.3), 0.45, _named("loss"), lambda a, s: {"thrust_lost": s["loss"]},
+        lambda a, s: Acting(replace(
+            a, thrust=a.thrust * (1 - s["loss"]),
+            thrust_per_speed=a.thrust_per_speed * (1 - s["loss"]),
+        )),
+        (0.15, 0.3), 0.45, _named("loss"), lambda a, s: {"thrust_lost": s["loss"]},
     ),
-    "battery_sag": HiddenEffect(_battery_sag, (0.1, 0.2), 0.35, _named("sag"), lambda a, s: {"sag": s["sag"]}),
+    "battery_sag": HiddenEffect(
+        _battery_sag, (0.1, 0.2), 0.35, _named("sag"), lambda a, s: {"sag": s["sag"]},
+    ),
     "propeller_torque": HiddenEffect(
         _propeller_torque, (0.004, 0.015), 0.03,  # lever of the thrust [m]
         lambda rng, size, a: dict(zip(("arm_roll", "arm_yaw"), _direction(rng, size), strict=True)),
-        lambda a, s: {"torque_roll": a.mass * s["arm_roll"] / a.Ixx, "torque_yaw": a.mass * s["arm_yaw"] / a.Izz},
+        lambda a, s: {
+            "torque_roll": a.mass * s["arm_roll"] / a.Ixx,
+            "torque_yaw": a.mass * s["arm_yaw"] / a.Izz,
+        },
     ),
     "adverse_yaw": HiddenEffect(
         _adverse_yaw, (0.0025, 0.006), 0.02, _named("ady"),
@@ -297,27 +308,36 @@ EFFECTS: dict[str, HiddenEffect] = {
     ),
     "control_delay": HiddenEffect(  # on top of the aircraft's own, in whole integration steps
         lambda a, s: Acting(replace(a, delay=a.delay + s["delay"])), (0.015, 0.03), 0.12,
-        lambda rng, size, a: {"delay": _whole_steps(size)}, lambda a, s: {"control_delay": s["delay"]},
+        lambda rng, size, a: {"delay": _whole_steps(size)},
+        lambda a, s: {"control_delay": s["delay"]},
     ),
     "actuator_lag": HiddenEffect(  # slower servos, or something slow before them
-        _actuator_lag, (0.02, 0.04), 0.15, lambda rng, size, a: {"lag": size, "in_series": bool(rng.random() < 0.5)},
+        _actuator_lag, (0.02, 0.04), 0.15,
+        lambda rng, size, a: {"lag": size, "in_series": bool(rng.random() < 0.5)},
         lambda a, s: {"actuator_lag": s["lag"]},
     ),
     "trim_bias": HiddenEffect(
         _trim_bias, (0.06, 0.1), 0.2, lambda rng, size, a: {"bias": _direction(rng, size, 3)},
-        lambda a, s: dict(zip(("bias_aileron", "bias_elevator", "bias_rudder"), s["bias"], strict=True)),
+        lambda a, s: dict(
+            zip(("bias_aileron", "bias_elevator", "bias_rudder"), s["bias"], strict=True)
+        ),
     ),
-    "deadband": HiddenEffect(_deadband, (0.03, 0.05), 0.15, _named("band"), lambda a, s: {"deadband": s["band"]}),
+    "deadband": HiddenEffect(
+        _deadband, (0.03, 0.05), 0.15, _named("band"), lambda a, s: {"deadband": s["band"]},
+    ),
     "aileron_loss": HiddenEffect(
-        lambda a, s: Acting(replace(a, Clda=a.Clda * (1.0 - s["loss"]))), (0.15, 0.2), 0.55, _named("loss"),
+        lambda a, s: Acting(replace(a, Clda=a.Clda * (1.0 - s["loss"]))),
+        (0.15, 0.2), 0.55, _named("loss"),
         lambda a, s: {"aileron_lost": s["loss"]},
     ),
     "mass_change": HiddenEffect(
-        lambda a, s: Acting(replace(a, mass=a.mass * (1.0 + s["mass"]))), (0.1, 0.18), 0.35, _named("mass"),
+        lambda a, s: Acting(replace(a, mass=a.mass * (1.0 + s["mass"]))),
+        (0.1, 0.18), 0.35, _named("mass"),
         lambda a, s: {"mass_added": s["mass"]},
     ),
     "cg_shift": HiddenEffect(
-        lambda a, s: Acting(replace(a, cg_back=a.cg_back + s["back"])), (0.001, 0.003), 0.006, _named("back", True),
+        lambda a, s: Acting(replace(a, cg_back=a.cg_back + s["back"])),
+        (0.001, 0.003), 0.006, _named("back", True),
         lambda a, s: {"cg_moment": a.mass * s["back"] / a.Iyy},
     ),
     "camera_tilt": HiddenEffect(
@@ -331,13 +351,16 @@ EFFECTS: dict[str, HiddenEffect] = {
     ),
     "stall": HiddenEffect(
         _stall, (0.3, 0.5), 0.9,
-        lambda rng, size, a: {"loss": size, "alpha": (float(rng.uniform(0.75, 0.95)) - a.CL0) / a.CLa},
+        lambda rng, size, a: {
+            "loss": size, "alpha": (float(rng.uniform(0.75, 0.95)) - a.CL0) / a.CLa,
+        },
         lambda a, s: {"stall_alpha": s["alpha"], "stall_loss": s["loss"]},
     ),
     "gust_field": HiddenEffect(
         _gust_field, (0.3, 0.6), 1.0,
         lambda rng, size, a: {
-            "gust": size, "wavelength": float(rng.uniform(4.0, 9.0)), "phase": float(rng.uniform(0.0, 6.0))
+            "gust": size, "wavelength": float(rng.uniform(4.0, 9.0)),
+            "phase": float(rng.uniform(0.0, 6.0)),
         },
     ),
     "thrust_line": HiddenEffect(_thrust_line, (0.004, 0.008), 0.015, _named("arm", True)),

@@ -33,8 +33,10 @@ from tests.jsbsim_aircraft import (
 )
 
 NOISE = {  # standard deviation per axis [m], [rad]
-    "marker": (0.03, np.radians(0.6)), "hybrid": (0.10, np.radians(1.3)), "net": (0.26, np.radians(3.0)),
-}  # fmt: skip
+    "marker": (0.03, np.radians(0.6)),
+    "hybrid": (0.10, np.radians(1.3)),
+    "net": (0.26, np.radians(3.0)),
+}
 CORRELATION, OUTLIERS, MISSING = 0.5, 0.005, 0.01  # s, shares of the poses
 HALL = np.array(
     [19.5, 14.5, 8.0]
@@ -89,7 +91,8 @@ def make_case(
     names = effect.split("+")
     if unknown := [name for name in names if name not in EFFECTS]:
         raise InputError(
-            f"effect: expected names of {', '.join(EFFECTS)}, or some joined by +, got {unknown[0]!r}"
+            f"effect: expected names of {', '.join(EFFECTS)}, or some joined by +, "
+            f"got {unknown[0]!r}"
         )
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([seed, attempt])
@@ -106,16 +109,26 @@ def make_case(
             break
     else:
         raise InputError(
-            f"seed {seed}: expected a flight with {effect} that stays in the hall, got none in {ATTEMPTS}; "
-            "take a smaller size"
+            f"seed {seed}: expected a flight with {effect} that stays in the hall, "
+            f"got none in {ATTEMPTS}; take a smaller size"
         )
     camera = _Camera(rng, noise, correlated, pose_bias, jitter)
     kit = [EFFECTS[name].in_kit(aircraft, one) for name, one in zip(names, sizes, strict=True)]
     truth = {
-        "effect": effect, "noise": noise, "correlated_noise": correlated, "size": _merged(sizes), "kit": _merged(kit),
-        "measurement": {"pose_bias": pose_bias, "jitter": jitter, "one_way": one_way, "excitation": excitation},
-        "outside": any(name in OUTSIDE for name in names), "seed": seed,
-    }  # fmt: skip
+        "effect": effect,
+        "noise": noise,
+        "correlated_noise": correlated,
+        "size": _merged(sizes),
+        "kit": _merged(kit),
+        "measurement": {
+            "pose_bias": pose_bias,
+            "jitter": jitter,
+            "one_way": one_way,
+            "excitation": excitation,
+        },
+        "outside": any(name in OUTSIDE for name in names),
+        "seed": seed,
+    }
     tables = (
         camera.table("calm.csv", calm, acting[0]),
         camera.table("flight.csv", flight, acting[1]),
@@ -157,7 +170,7 @@ def _together(aircraft: JsbsimAircraft, names: list[str], sizes: list[dict[str, 
 
 
 # Flying
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def _fly(
@@ -197,7 +210,7 @@ def _up_and_down(pilot: Pilot, rng: np.random.Generator, seconds: float) -> Pilo
 
 
 # Measuring
-# ------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 class _Camera:
@@ -261,7 +274,7 @@ class _Camera:
 
 
 def _slow(count: int, rng: np.random.Generator) -> Array:
-    """(count, 6) noise of unit variance whose correlation falls to 1/e within CORRELATION: AR(1)."""
+    """(count, 6) AR(1) noise of unit variance whose correlation falls to 1/e within CORRELATION."""
     kept = np.exp(-ROW / CORRELATION)
     error = rng.normal(size=(count, 6))
     for k in range(1, count):
@@ -270,7 +283,7 @@ def _slow(count: int, rng: np.random.Generator) -> Array:
 
 
 # Command line
-# ---------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def write_cases(out: Path, cases: dict[str, HiddenCase]) -> None:
@@ -308,9 +321,15 @@ def main() -> None:
         range(asked.cases), cycle(asked.noise), cycle(asked.effect), strict=False
     ):
         cases[f"case{k:02d}"] = make_case(
-            asked.seed + k, effect, noise, (k * asked.correlated) % 1.0 + asked.correlated >= 1.0 - 1e-9,
-            one_way=asked.one_way, excitation=asked.excitation, pose_bias=asked.pose_bias, jitter=asked.jitter,
-        )  # fmt: skip
+            asked.seed + k,
+            effect,
+            noise,
+            (k * asked.correlated) % 1.0 + asked.correlated >= 1.0 - 1e-9,
+            one_way=asked.one_way,
+            excitation=asked.excitation,
+            pose_bias=asked.pose_bias,
+            jitter=asked.jitter,
+        )
     write_cases(asked.out, cases)
 
 

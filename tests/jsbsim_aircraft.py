@@ -113,7 +113,8 @@ class JsbsimAircraft:
         half_span, half_chord = 0.5 * self.span, 0.5 * self.chord
         return rates_model().with_values({
             "cL_0": force * self.CL0, "cL_alpha": force * self.CLa, "cL_de": force * self.CLde,
-            "cD_0": force * self.CD0, "cD_induced": self.k / force, "cD_beta": force * (self.CDb + self.CYb),
+            "cD_0": force * self.CD0, "cD_induced": self.k / force,
+            "cD_beta": force * (self.CDb + self.CYb),
             "cY_beta": force * self.CYb, "cY_dr": force * self.CYdr,
             "kT": self.thrust / self.mass, "kTV": self.thrust_per_speed / self.mass,
             "L_0": roll * self.Cl0, "L_da": roll * self.Clda, "L_beta": roll * self.Clb,
@@ -281,7 +282,8 @@ def _set(fdm: Any, pattern: str, names: Any, values: Any) -> None:
 # ----------------------------------------------------------------------------------
 
 PLANET_XML = f"""<planet name="still"><semimajor_axis unit="M">{EARTH_RADIUS}</semimajor_axis>
-<semiminor_axis unit="M">{EARTH_RADIUS}</semiminor_axis><rotation_rate unit="RAD/SEC">0</rotation_rate>
+<semiminor_axis unit="M">{EARTH_RADIUS}</semiminor_axis>
+<rotation_rate unit="RAD/SEC">0</rotation_rate>
 <GM unit="M3/SEC2">{GRAVITY * EARTH_RADIUS**2}</GM><J2>0</J2></planet>"""
 
 ALPHA, BETA, SPAN, CHORD = (
@@ -331,7 +333,8 @@ def aircraft_xml(aircraft: JsbsimAircraft) -> str:
         f'<property value="{v!r}">falcon/{k}</property>' for k, v in asdict(aircraft).items()
     )
     servos = "".join(
-        f'<lag_filter name="falcon/{name}"><input>falcon/{name}-stick</input><c1>falcon/servo</c1></lag_filter>'
+        f'<lag_filter name="falcon/{name}"><input>falcon/{name}-stick</input>'
+        "<c1>falcon/servo</c1></lag_filter>"
         for name in STICKS
     )
     axes = ""
@@ -343,15 +346,19 @@ def aircraft_xml(aircraft: JsbsimAircraft) -> str:
         axes += "</axis>"
     origin = "<x>0</x><y>0</y><z>0</z>"
     return f"""<?xml version="1.0"?><fdm_config name="falcon" version="2.0" release="ALPHA">
-<metrics><wingarea unit="M2">{aircraft.wing_area}</wingarea><wingspan unit="M">{aircraft.span}</wingspan>
-<chord unit="M">{aircraft.chord}</chord><location name="AERORP" unit="M">{origin}</location></metrics>
+<metrics><wingarea unit="M2">{aircraft.wing_area}</wingarea>
+<wingspan unit="M">{aircraft.span}</wingspan><chord unit="M">{aircraft.chord}</chord>
+<location name="AERORP" unit="M">{origin}</location></metrics>
 <mass_balance><ixx unit="KG*M2">{aircraft.Ixx}</ixx><iyy unit="KG*M2">{aircraft.Iyy}</iyy>
 <izz unit="KG*M2">{aircraft.Izz}</izz><emptywt unit="KG">{aircraft.mass}</emptywt>
-<location name="CG" unit="M"><x>{aircraft.cg_back!r}</x><y>0</y><z>0</z></location></mass_balance><ground_reactions/>
+<location name="CG" unit="M"><x>{aircraft.cg_back!r}</x><y>0</y><z>0</z></location></mass_balance>
+<ground_reactions/>
 <flight_control name="servos">{properties}<channel name="servos">{servos}</channel></flight_control>
 <external_reactions><force name="thrust" frame="BODY"><function name="falcon/thrust-lbs">
 <sum>{product("falcon/throttle", "falcon/thrust", 1.0 / POUND)}
-{product("falcon/throttle", "falcon/thrust_per_speed", "velocities/vt-fps", -FOOT / POUND)}</sum></function>
-<location unit="M">{origin}</location><direction><x>1</x><y>0</y><z>0</z></direction></force></external_reactions>
-<aerodynamics><function name="{CL}"><sum><property>falcon/CL0</property>{product("falcon/CLa", ALPHA)}</sum></function>
+{product("falcon/throttle", "falcon/thrust_per_speed", "velocities/vt-fps", -FOOT / POUND)}
+</sum></function><location unit="M">{origin}</location>
+<direction><x>1</x><y>0</y><z>0</z></direction></force></external_reactions>
+<aerodynamics><function name="{CL}"><sum>
+<property>falcon/CL0</property>{product("falcon/CLa", ALPHA)}</sum></function>
 {axes}</aerodynamics></fdm_config>"""

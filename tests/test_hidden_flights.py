@@ -225,11 +225,11 @@ def test_bias_is_smooth_in_place_and_jitter_in_the_stamps_alone():
 
 
 # How it is flown
-# ------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_passes_are_low_and_turns_go_both_ways_unless_asked():
-    """What ground effect, wind and a student need: a height below 1 m now and then, and both turns."""
+    """What ground effect, wind and a student need: heights below 1 m at times, and both turns."""
     both, left, calm_hand = (
         flown("none", 60.0),
         flown("none", 60.0, one_way=True),

@@ -260,9 +260,9 @@ def _check_fields(effect: Effect, known: set[str], source: _Source) -> None:
         if p.start == 0.0 or not p.low <= 0.0 <= p.high:
             source.refuse(
                 p.name,
-                f"effect {name!r}: parameter {p.name!r}: expected bounds that contain 0 and a start "
-                f"other than 0, got {p.low:g} to {p.high:g} and {p.start:g}: correct them or list "
-                "it in shape",
+                f"effect {name!r}: parameter {p.name!r}: expected bounds that contain 0 "
+                f"and a start other than 0, got {p.low:g} to {p.high:g} and {p.start:g}: "
+                "correct them or list it in shape",
             )
     if not effect.same_as and not effect.amplitudes:
         source.refuse(

@@ -76,13 +76,14 @@ def zeroed(effect):
 
 
 # The catalogue
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_the_nineteen_names_are_there():
     """As the command line's page names them; more may be added."""
-    fixed = """wind fan_jet ground_effect extra_drag flap thrust_loss battery_sag propeller_torque adverse_yaw
-        control_delay actuator_lag trim_bias deadband aileron_loss mass_change cg_shift camera_tilt time_offset stall"""
+    fixed = """wind fan_jet ground_effect extra_drag flap thrust_loss battery_sag propeller_torque
+        adverse_yaw control_delay actuator_lag trim_bias deadband aileron_loss mass_change cg_shift
+        camera_tilt time_offset stall"""
     assert len(fixed.split()) == 19
     assert set(fixed.split()) <= set(EFFECT_NAMES)
     assert len(set(EFFECT_NAMES)) == len(EFFECT_NAMES)
@@ -111,13 +112,14 @@ def test_every_name_can_be_hidden():
 
 
 def test_order_does_not_depend_on_what_is_added():
-    """Frozen numbers first, as they were drawn from; a later effect comes after them, by its name."""
+    """Frozen numbers first, as they were drawn from; a later effect comes after them, by name."""
     new = [replace(EFFECTS["wind"], name=name, frozen_number=None) for name in ("zephyr", "abeam")]
     ordered = effect_catalogue([*new, *reversed(CATALOGUE)])
     assert [e.name for e in ordered[-2:]] == ["abeam", "zephyr"]
     assert tuple(dict.fromkeys(e.name for e in ordered[:-2])) == EFFECT_NAMES
-    frozen = """wind fan_jet ground_effect extra_drag flap thrust_loss battery_sag propeller_torque adverse_yaw
-        control_delay actuator_lag trim_bias deadband aileron_loss mass_change cg_shift camera_tilt time_offset stall"""
+    frozen = """wind fan_jet ground_effect extra_drag flap thrust_loss battery_sag propeller_torque
+        adverse_yaw control_delay actuator_lag trim_bias deadband aileron_loss mass_change cg_shift
+        camera_tilt time_offset stall"""
     assert tuple(frozen.split()) == EFFECT_NAMES[:19]
     with pytest.raises(InputError, match="frozen_number"):
         effect_catalogue([*CATALOGUE, replace(EFFECTS["wind"], name="abeam")])
@@ -150,8 +152,14 @@ def test_every_entry_has_one_place_where_it_acts():
     for effect in CATALOGUE:
         of_sticks = set(rates_model().with_effect(effect).input_names) - {"delay", "lag"}
         assert bool(of_sticks) == bool(effect.command_map or effect.input_map)
-        hooks = (effect.loads, effect.loads_of, effect.wind_field, effect.command_map, effect.input_map,
-                 effect.measurement_map)  # fmt: skip
+        hooks = (
+            effect.loads,
+            effect.loads_of,
+            effect.wind_field,
+            effect.command_map,
+            effect.input_map,
+            effect.measurement_map,
+        )
         assert sum(map(bool, hooks)) == (0 if effect.same_as else 1), effect.name
         assert bool(effect.parameters) == (not effect.same_as), effect.name
 
@@ -238,7 +246,7 @@ def test_late_images_are_the_delay_that_no_flight_tells_apart():
 
 
 # Air that moves
-# ---------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_wind_is_the_same_everywhere():
@@ -402,7 +410,7 @@ def test_a_stall_begins_smoothly():
 
 
 # Moments
-# ----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_propeller_torque_goes_with_thrust():
@@ -424,7 +432,7 @@ def test_adverse_yaw_by_hand():
 
 
 def test_aileron_loss_by_hand():
-    """Two fifths of 49.01 * 0.75 * 0.5 = 18.38 are gone; at a loss of one the stick does nothing."""
+    """Two fifths of 49.01 * 0.75 * 0.5 = 18.38 are gone; at a loss of one nothing is left."""
     found = loads("aileron_loss", flow(aileron=0.5), L_da=0.75, aileron_lost=0.4)
     assert found == pytest.approx((0.0, 0.0, 0.0, -7.352, 0.0, 0.0), abs=1e-3)
     alone = {"L_0": 0.0, "L_beta": 0.0, "L_p": 0.0, "L_r": 0.0, "L_da": 0.75}

@@ -20,9 +20,24 @@ from falconwing_kit.aircraft.terms import Flow
 
 # Twice the ordinary speed, so that V^2 counts four and V two; every field a number of its own.
 AIR = Flow(
-    airspeed=14.0, alpha=0.1, beta=-0.2, u=13.0, v=-2.8, w=1.4, p=1.5, q=2.0, r=3.0, px=4.0, py=5.0, height=0.5,
-    time=30.0, throttle=0.5, aileron=0.1, elevator=0.2, rudder=0.3,
-)  # fmt: skip
+    airspeed=14.0,
+    alpha=0.1,
+    beta=-0.2,
+    u=13.0,
+    v=-2.8,
+    w=1.4,
+    p=1.5,
+    q=2.0,
+    r=3.0,
+    px=4.0,
+    py=5.0,
+    height=0.5,
+    time=30.0,
+    throttle=0.5,
+    aileron=0.1,
+    elevator=0.2,
+    rudder=0.3,
+)
 # Variable -> (its value in AIR by hand, the fields of the flow that it may depend on).
 BY_HAND = {
     "airspeed": (4.0, {"airspeed"}),
@@ -102,7 +117,7 @@ def test_each_parameter_acts_along_its_own_axis(effect):
 
 @pytest.mark.parametrize("effect", GENERIC_LOADS, ids=lambda e: e.name)
 def test_loads_are_linear_in_their_parameters(effect):
-    """By definition of linear: of sums and multiples, for a hundred flows at once; nothing at zero."""
+    """Sums and multiples, as linear is defined, for a hundred flows at once; nothing at zero."""
     rng = np.random.default_rng(7)
     air = Flow(*rng.uniform(0.1, 2.0, (len(Flow._fields), 100)))
     a, b = rng.normal(size=(2, 3))

@@ -29,7 +29,7 @@ def values(**K):
 
 
 def states_at_random(model, rng, count=200):
-    """(n, count) states and (4, count) sticks of ordinary and of wild flight, airspeed 3 to 12 m/s."""
+    """(n, count) states, (4, count) sticks of ordinary and of wild flight, airspeed 3 to 12 m/s."""
     x = (
         rng.uniform(-1.0, 1.0, (model.n_states, count))
         * np.array([20, 10, 3, 1.2, 3, 3, 7, 7, 7, 4, 4, 4])[: model.n_states, None]

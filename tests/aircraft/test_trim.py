@@ -146,7 +146,7 @@ def test_left_and_right_trims_are_mirror_images(form):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_wind_shifts_the_velocity_and_nothing_else(form):
-    """Galileo: the air does not know that it moves; a turn in wind still turns steadily in the air."""
+    """Galilean invariance: a turn in a uniform wind is still a steady turn in the air."""
     still, model = trim(FORMS[form](), V, 0.0, 0.4), add_uniform_wind(FORMS[form](), 1.0, -0.5)
     windy = trim(model, V, 0.0, 0.4)
     assert windy.command == pytest.approx(still.command, abs=1e-9)
@@ -158,7 +158,7 @@ def test_wind_shifts_the_velocity_and_nothing_else(form):
 
 
 def test_terms_are_taken_at_the_height():
-    """A lift that grows with height leaves less angle of attack to fly with: 0.01 of 0.2 per metre."""
+    """A lift that grows with height needs less angle of attack: 0.01 of 0.2 per metre."""
     buoyant = Term(
         "buoyant",
         (Parameter("rise", 1.0, 0.0, 5.0, "1/s^2", ""),),
@@ -182,7 +182,7 @@ def test_the_trim_holds_in_jsbsim(bank_deg):
 
 
 # Saying no
-# --------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -235,7 +235,7 @@ def test_a_step_of_zero_is_refused():
 
 
 # Linear models
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -357,7 +357,7 @@ def test_a_mode_is_told_in_frequency_damping_and_time():
 
 
 # python-control
-# ---------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -7,7 +7,8 @@ each effect would add to them.
 
     stepwise  forward selection by partial F, the first column to enter is the name [Klein &
               Morelli, Aircraft System Identification, ch. 5]
-    pysindy   sequentially thresholded least squares as PySINDy does it [Brunton, Proctor & Kutz 2016]
+    pysindy   sequentially thresholded least squares as PySINDy does it [Brunton,
+              Proctor & Kutz 2016]
 
 We made them as good as we could: outliers count little before anything is differentiated; the
 model's accelerations pass the smoother's own low-pass before they are compared, which takes away
@@ -253,7 +254,7 @@ def _separable(columns: Array, residual: Array) -> list[int]:
 
 
 # The regression
-# ---------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -308,7 +309,8 @@ def effect_regression(
     model = base.result.model
     if model.form != "rates":
         raise InputError(
-            f"base model: expected the form with body rates, got {model.form!r}; identify with form='rates'"
+            f"base model: expected the form with body rates, got {model.form!r}; "
+            "identify with form='rates'"
         )
     calm = Flown.of(
         [f for prepared in base.found.prepared for f in prepared.flights], model, np.ones(6)
@@ -388,7 +390,7 @@ def _best_places(
 
 
 # Accelerations
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def measured_accelerations(flights: Sequence[PreparedFlight]) -> Array:

@@ -1,6 +1,6 @@
 """Grader: submissions per second of a class of 200, beside what nbgrader and otter-grader took.
 
-    python -m pytest -m benchmark tests/benchmarks/bench_grading.py -s          # the toy lab, then the torch lab
+    python -m pytest -m benchmark tests/benchmarks/bench_grading.py -s   # toy lab, then torch lab
     python -m tests.benchmarks.bench_grading --lab lab03 --class-size 200 --workers 2
 
 Every function runs in a fresh box, as in `falconwing grade`; the class hands in the lab's own

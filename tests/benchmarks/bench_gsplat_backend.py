@@ -99,7 +99,8 @@ def test_gsplat_draws_what_the_reference_draws(
             depth = float(np.abs(theirs.depth[solid] / ours.depth[solid] - 1.0).max())
             mode = "antialiased" if antialiased else "classic"
             lines.append(
-                f"| {name} | {mode} | {difference.max():.1e} | {psnr:.0f} | {over:.3f} | {depth:.1e} |"
+                f"| {name} | {mode} | {difference.max():.1e} | {psnr:.0f} "
+                f"| {over:.3f} | {depth:.1e} |"
             )
             worst, most = min(worst, psnr), max(most, over)
     with capsys.disabled():
@@ -112,7 +113,8 @@ def test_cost_of_the_wrapper(views: dict[str, View], capsys: pytest.CaptureFixtu
     import torch
 
     lines = [
-        f"| scene | size | gsplat alone | + pose in, image out | render_gsplat | render | {BATCH} poses, each |"
+        "| scene | size | gsplat alone | + pose in, image out | render_gsplat | render "
+        f"| {BATCH} poses, each |"
     ]
     lines += ["|---|---|---|---|---|---|---|"]
     for name, (scene, pose) in views.items():
@@ -130,7 +132,8 @@ def test_cost_of_the_wrapper(views: dict[str, View], capsys: pytest.CaptureFixtu
             alone, moved, wrapped, door, batch = (median_ms(way) for way in ways)
             ratios = f"{wrapped:.2f} ({wrapped / moved:.2f} x) | {door:.2f} ({door / moved:.2f} x)"
             lines.append(
-                f"| {name} | {width}x{height} | {alone:.2f} | {moved:.2f} | {ratios} | {batch / BATCH:.2f} |"
+                f"| {name} | {width}x{height} | {alone:.2f} | {moved:.2f} | {ratios} "
+                f"| {batch / BATCH:.2f} |"
             )
             assert np.array_equal(with_transfers(arguments, pose)[..., :3], ways[2]()[0])
     with capsys.disabled():
@@ -176,7 +179,7 @@ def direct(arguments: dict[str, Any]) -> Any:
 
 
 def with_transfers(arguments: dict[str, Any], pose: Array) -> Any:
-    """What a loop on the processor needs: a new pose goes in, colour with depth and alpha come out."""
+    """What a loop on the processor needs: a new pose in, colour with depth and alpha out."""
     colours, alphas = direct(arguments | {"viewmats": on_gpu(np.linalg.inv(pose)[None])})
     alphas[0, ..., 0].cpu().numpy()
     return colours[0].cpu().numpy()

@@ -62,7 +62,8 @@ def test_seconds_beside_scipy(capsys: pytest.CaptureFixture[str]) -> None:
 
     truth, table = flights(1, 600.0, 1)[0]
     rows = [
-        "| flight | parameters | unknowns with start states | kit | SciPy, dense differences | ratio |"
+        "| flight | parameters | unknowns with start states | kit "
+        "| SciPy, dense differences | ratio |"
     ]
     rows += ["|---|---|---|---|---|---|"]
     for seconds, fixed in ((60.0, ADDED), (600.0, ADDED), (600.0, ())):
@@ -97,7 +98,8 @@ def test_seconds_beside_scipy(capsys: pytest.CaptureFixture[str]) -> None:
             theirs, note = (time.process_time() - began) * (unknowns + 1) * 3, " (estimate)"
         ratio = f"{theirs / ours:.0f} x"
         rows.append(
-            f"| {seconds:.0f} s | {len(free)} | {unknowns} | {ours:.1f} s | {theirs:.0f} s{note} | {ratio} |"
+            f"| {seconds:.0f} s | {len(free)} | {unknowns} | {ours:.1f} s "
+            f"| {theirs:.0f} s{note} | {ratio} |"
         )
     show(capsys, *rows)
 
@@ -135,8 +137,9 @@ def test_coverage_of_the_intervals(capsys: pytest.CaptureFixture[str]) -> None:
         worst.append(found.held_out.chi2 if found.held_out else np.nan)
     show(
         capsys,
-        f"95 % intervals hold the truth in {100.0 * np.mean(held):.1f} % of cases (50 flights; worst flight "
-        f"{100.0 * np.min(held):.0f} %); held-out chi2 per dof at most {np.max(worst):.2f}",
+        f"95 % intervals hold the truth in {100.0 * np.mean(held):.1f} % of cases "
+        f"(50 flights; worst flight {100.0 * np.min(held):.0f} %); held-out chi2 per dof "
+        f"at most {np.max(worst):.2f}",
     )
 
 

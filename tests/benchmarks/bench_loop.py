@@ -114,7 +114,8 @@ def real_time(folder) -> str:
         flight = loop.run(trial.duration, judge.watch)
     assert judge.result()["success"]
     median, high = flight.milliseconds("lateness")
+    steps = len(flight.t) + flight.skipped
     return (
-        f"Wall clock, 320 x 240: {flight.rate_hz:.2f} Hz, {flight.skipped} of {len(flight.t) + flight.skipped} steps"
+        f"Wall clock, 320 x 240: {flight.rate_hz:.2f} Hz, {flight.skipped} of {steps} steps"
         f" skipped, jitter median {median:.2f} ms, 95 % within {high:.2f} ms"
     )

@@ -1,7 +1,7 @@
 """Masks of the leader: the paper's ellipse beside the mask of the leader's own Gaussians, over many
 simulated views.
 
-    python -m tests.benchmarks.bench_masks --out DIR                             # table, and masks.png in DIR
+    python -m tests.benchmarks.bench_masks --out DIR               # table, and masks.png in DIR
     python -m tests.benchmarks.bench_masks --out DIR --scene hall.npz --leader leader.npz
 
 A follower stands anywhere in the hall, the leader 1.5 to 14 m ahead of it in any attitude that it
@@ -127,7 +127,8 @@ def look(hall: GaussianScene, leader: GaussianScene, count: int, seed: int) -> l
 def table(found: list[View]) -> str:
     """The numbers by distance, as Markdown."""
     lines = [
-        "| distance [m] | views | leader [px] | IoU, median (5-95 %) | ellipse / leader, area | best IoU, at axes x |"
+        "| distance [m] | views | leader [px] | IoU, median (5-95 %) | ellipse / leader, area "
+        "| best IoU, at axes x |"
     ]
     lines += ["|---|---|---|---|---|---|"]
     for low, high in [*pairwise(BINS_M), (BINS_M[0], BINS_M[-1])]:
@@ -215,7 +216,8 @@ def main() -> None:
     hall = leader_at(hall, None) if "leader" in hall.label_names else hall
     found = look(hall, leader, asked.views, asked.seed)
     print(
-        f"SIMULATED: {asked.scene}, {asked.leader}, {CAMERA.width} x {CAMERA.height}\n\n{table(found)}"
+        f"SIMULATED: {asked.scene}, {asked.leader}, {CAMERA.width} x {CAMERA.height}\n\n"
+        f"{table(found)}"
     )
     draw(found, hall, leader, asked.out / "masks.png")
     print(f"figure: {short_name(asked.out / 'masks.png')}")

@@ -1,10 +1,13 @@
 """Frame monitor: speed, and how well either rule tells noise from motion, as curves over the
 signal-to-noise ratio.
 
-    python -m pytest -m benchmark tests/benchmarks/bench_monitor.py -s          # speed
-    python -m tests.benchmarks.bench_monitor --out DIR                           # curves, on the flights that judge
-    python -m tests.benchmarks.bench_monitor --out DIR --tuning                  # ... on those for choosing settings
-    python -m tests.benchmarks.bench_monitor --out DIR --recorded FLIGHT ...     # and on folders of recorded pictures
+    python -m pytest -m benchmark tests/benchmarks/bench_monitor.py -s
+    python -m tests.benchmarks.bench_monitor --out DIR
+    python -m tests.benchmarks.bench_monitor --out DIR --tuning
+    python -m tests.benchmarks.bench_monitor --out DIR --recorded FLIGHT ...
+
+The first prints the speed. The second draws the curves on the flights that judge, with `--tuning`
+on those for choosing settings, with `--recorded` also on folders of recorded pictures.
 
 Flights and noise are simulated. Times are of this process.
 """
@@ -166,7 +169,8 @@ def measure(judging: bool, size: tuple[int, int]) -> Levels:
 def table(levels: Levels) -> str:
     """Markdown: at each quality how many onsets alert within 300 ms, by either rule as it ships."""
     lines = [
-        "| SNR [dB] | rule | alert within 300 ms | flights with an alert | worst flight | mildest onset |",
+        "| SNR [dB] | rule | alert within 300 ms | flights with an alert | worst flight "
+        "| mildest onset |",
         "|---" * 6 + "|",
     ]
     for rule in RULES:
@@ -226,14 +230,15 @@ def draw(levels: Levels, path: Path) -> None:
         axes.legend(fontsize=8, loc="center left" if axes is left else "lower right")
         axes.grid(alpha=0.3)
     figure.suptitle(
-        "Frame monitor on simulated flights and a simulated analog link: all thresholds on the right"
+        "Frame monitor on simulated flights and a simulated analog link: "
+        "all thresholds on the right"
     )
     with atomic_write(path) as file:
         figure.savefig(file, format="png", dpi=120)
 
 
 def recorded(folder: Path) -> str:
-    """One line a rule: how much of a recorded flight, a folder of JPEGs at 20 Hz, is under alert."""
+    """A line for each rule: how much of a recorded flight (JPEGs at 20 Hz) is under alert."""
     import cv2
 
     pictures = [
@@ -250,8 +255,8 @@ def recorded(folder: Path) -> str:
         )
         low = sum(verdict.ssim < threshold for verdict in verdicts)
         lines.append(
-            f"{short_name(folder)}, {rule}: {100 * np.mean(alerts):.0f} % of {len(alerts)} pictures under alert, "
-            f"{begun} alerts, {low} pictures below {threshold:g}"
+            f"{short_name(folder)}, {rule}: {100 * np.mean(alerts):.0f} % of {len(alerts)} "
+            f"pictures under alert, {begun} alerts, {low} pictures below {threshold:g}"
         )
     return "\n".join(lines)
 

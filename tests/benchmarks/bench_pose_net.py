@@ -1,4 +1,4 @@
-"""Speed of the pose net: one image of 640 x 480 to a pose with its uncertainty, on one CPU thread."""
+"""Speed of the pose net: from a 640 x 480 image to a pose with its uncertainty, one CPU thread."""
 
 import statistics
 import time
@@ -36,6 +36,7 @@ def test_one_estimate_takes_at_most_15_ms():
         torch.set_num_threads(threads)
     median = statistics.median(times[5:])
     print(
-        f"\npose net, 640 x 480, one thread: median {median:.1f} ms, least {min(times):.1f} ms of CPU time"
+        f"\npose net, 640 x 480, one thread: median {median:.1f} ms, "
+        f"least {min(times):.1f} ms of CPU time"
     )
     assert median <= 15.0

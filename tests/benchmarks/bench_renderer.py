@@ -96,7 +96,8 @@ def test_milliseconds_a_frame(
                 [partial(render_reference, seen[0][0], camera, seen[0][1], BLACK)], count=1
             )
             lines.append(
-                f"| {name} | {width}x{height} | {wall:.1f} | {cpu:.1f} | {slow:.0f} | {slow / cpu:.0f} |"
+                f"| {name} | {width}x{height} | {wall:.1f} | {cpu:.1f} "
+                f"| {slow:.0f} | {slow / cpu:.0f} |"
             )
             assert all(frame()[0].std() > 0.02 for frame in frames)
     with capsys.disabled():
@@ -117,14 +118,17 @@ def test_steps_and_pairs(views: dict[str, list[View]], capsys: pytest.CaptureFix
             camera = PinholeCamera.from_fov_deg(width, height, 70.0)
             steps, pixels, pairs = dissect(*seen[0], camera)
             ms = " | ".join(f"{1e3 * steps[kernel]:.1f}" for kernel in kernels)
-            each = f"{1e9 * steps['rasterize_tiles'] / pixels:.2f} | {1e9 * steps['rasterize_tiles'] / pairs:.2f} | {FLOOR_NS}"
+            tiles_ns = 1e9 * steps["rasterize_tiles"]
+            each = f"{tiles_ns / pixels:.2f} | {tiles_ns / pairs:.2f} | {FLOOR_NS}"
             lines.append(
-                f"| {name} | {width}x{height} | {ms} | {pixels / 1e6:.1f} | {pairs / 1e6:.1f} | {each} |"
+                f"| {name} | {width}x{height} | {ms} | {pixels / 1e6:.1f} "
+                f"| {pairs / 1e6:.1f} | {each} |"
             )
             assert 0 < pairs < pixels
     with capsys.disabled():
         print(
-            "\n\nCPU ms of the steps, one thread. A pixel: computed for a splat; a pair: it changed by one."
+            "\n\nCPU ms of the steps, one thread. A pixel: computed for a splat; "
+            "a pair: it changed by one."
         )
         print(f"The same loop in C takes {LANE_NS} ns a pixel.\n\n" + "\n".join(lines))
 
@@ -144,13 +148,13 @@ def test_first_frame_and_memory_of_half_a_million(
         seconds, libraries, scene, most = (float(word) for word in done.stdout.split())
         with capsys.disabled():
             print(
-                f"\n\nThe first frame of a process takes {seconds:.1f} s of CPU time with the code {when}."
+                f"\n\nThe first frame of a process takes {seconds:.1f} s of CPU time "
+                f"with the code {when}."
             )
             print(
-                f"500k Gaussians of degree 2 at 640x480: {libraries:.0f} MB with the libraries, {scene - libraries:.0f}"
-            )
-            print(
-                f"MB more with the scene made, {most - scene:.0f} MB more at the peak of its frames."
+                f"500k Gaussians of degree 2 at 640x480: {libraries:.0f} MB with the libraries,\n"
+                f"{scene - libraries:.0f} MB more with the scene made, {most - scene:.0f} MB more "
+                "at the peak of its frames."
             )
         assert most < 500.0
 
@@ -160,14 +164,20 @@ import time, numpy as np
 from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose
 from falconwing_kit.scene import fast
 def held():
-    return next(int(line.split()[1]) / 1e3 for line in open("/proc/self/status") if line.startswith("VmHWM"))
-camera, pose = PinholeCamera.from_fov_deg(640, 480, 80.0), nose_camera_pose((-10.0, 0.0, 1.5), 0.0, 0.0, 0.1)
-few = GaussianScene(np.ones((1, 3)), np.ones((1, 4)), np.ones((1, 3)), np.ones(1), np.ones((1, 9, 3)))
+    lines = open("/proc/self/status")
+    return next(int(line.split()[1]) / 1e3 for line in lines if line.startswith("VmHWM"))
+camera = PinholeCamera.from_fov_deg(640, 480, 80.0)
+pose = nose_camera_pose((-10.0, 0.0, 1.5), 0.0, 0.0, 0.1)
+few = GaussianScene(
+    np.ones((1, 3)), np.ones((1, 4)), np.ones((1, 3)), np.ones(1), np.ones((1, 9, 3))
+)
 begin = time.process_time()
 fast.render_fast(few, camera, pose)
-seconds, libraries, rng, count = time.process_time() - begin, held(), np.random.default_rng(0), 500_000
+seconds, libraries = time.process_time() - begin, held()
+rng, count = np.random.default_rng(0), 500_000
 draw = lambda *size: rng.random(size, dtype=np.float32)
-means, scales = (draw(count, 3) - [0.5, 0.5, 0.0]) * [40.0, 20.0, 5.0], 0.01 + 0.1 * draw(count, 3)
+means = (draw(count, 3) - [0.5, 0.5, 0.0]) * [40.0, 20.0, 5.0]
+scales = 0.01 + 0.1 * draw(count, 3)
 scene = GaussianScene(means, draw(count, 4) - 0.5, scales, draw(count), 0.1 * draw(count, 9, 3))
 loaded = held()
 for _ in range(3):

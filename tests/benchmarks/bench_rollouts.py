@@ -36,7 +36,8 @@ def test_rollouts_per_second(capsys: pytest.CaptureFixture[str]) -> None:
     aircraft = JsbsimAircraft()
     theirs = jsbsim_steps_per_second(aircraft) * STEP / ROW
     lines = [
-        "| aircraft model | flights at once | its step | steps/s | 50 ms of flight /s | against JSBSim |"
+        "| aircraft model | flights at once | its step | steps/s | 50 ms of flight /s "
+        "| against JSBSim |"
     ]
     lines += ["|---|---|---|---|---|---|", row("JSBSim, run() only", 1, STEP, theirs, theirs)]
     compile_times = []
@@ -61,7 +62,8 @@ def row(name: str, count: int, step: float, rows_per_second: float, theirs: floa
     steps = rows_per_second * ROW / step
     ratio = rows_per_second / theirs
     times = f"{ratio:.0f}" if ratio >= 10.0 else f"{ratio:.2g}"
-    return f"| {name} | {count} | {step * 1e3:g} ms | {si(steps)} | {si(rows_per_second)} | {times} x |"
+    rates = f"{si(steps)} | {si(rows_per_second)}"
+    return f"| {name} | {count} | {step * 1e3:g} ms | {rates} | {times} x |"
 
 
 def si(value: float) -> str:
@@ -98,7 +100,7 @@ def jsbsim_steps_per_second(aircraft: JsbsimAircraft) -> float:
 
 
 def compile_seconds(model: Model) -> float:
-    """The first call of the compiled backend: numba builds the code of this form and these terms."""
+    """The first call of the compiled backend: numba compiles this form and these terms."""
     steady, begin = trim(model, 7.0), time.process_time()
     roll_out(model, steady.state, steady.command[None], 0.025, "compiled")
     return time.process_time() - begin

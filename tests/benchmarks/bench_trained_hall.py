@@ -96,12 +96,14 @@ def test_training_costs_little_more_than_gsplat_by_itself(tmp_path: Path) -> Non
     wall, trained = time.perf_counter() - begin, done.figures["training"]
     alone = photos_per_second_alone(done.scene)
     print(
-        f"\n\n{torch.cuda.get_device_name()}: {STEPS} steps of training {trained['seconds']:.1f} s, all {wall:.1f} s"
+        f"\n\n{torch.cuda.get_device_name()}: {STEPS} steps of training "
+        f"{trained['seconds']:.1f} s, all {wall:.1f} s"
     )
     drawn = trained["gaussians_drawn_per_second"]
     print(f"fit_scene: {trained['photos_per_second']:.0f} photos/s, {drawn:.3g} Gaussians/s")
     print(
-        f"gsplat alone, {len(done.scene)} Gaussians: {alone:.0f} photos/s, {alone * len(done.scene):.3g} Gaussians/s"
+        f"gsplat alone, {len(done.scene)} Gaussians: {alone:.0f} photos/s, "
+        f"{alone * len(done.scene):.3g} Gaussians/s"
     )
 
 
@@ -133,7 +135,7 @@ def renders_as_photos(folder: Path) -> Any:
 
 
 def photos_per_second_alone(scene: GaussianScene) -> float:
-    """Forward, mean absolute error, backward, by gsplat's own call on tensors that stay on the GPU."""
+    """Forward, mean absolute error, backward, by gsplat's own call on tensors kept on the GPU."""
     import torch
     from gsplat import rasterization
 
@@ -163,7 +165,10 @@ def best_ms(scene: GaussianScene) -> float:
     import numba
 
     numba.set_num_threads(min(THREADS, numba.config.NUMBA_NUM_THREADS))
-    draw: Callable[[Array], Any] = lambda pose: render(scene, CAMERA, pose, "fast")
+
+    def draw(pose: Array) -> Any:
+        return render(scene, CAMERA, pose, "fast")
+
     return float(
         np.mean([min(cpu_ms(lambda p=pose: draw(p)) for _ in range(FRAMES)) for pose in POSES])
     )

@@ -105,7 +105,8 @@ def agreement(name: str) -> tuple[list[float], list[float]]:
     )
     metres, turned = np.median(off, axis=0)
     print(
-        f"\n{name}: {len(rows)} of {len(seen)} frames; apart {metres:.2f} m, {np.degrees(turned):.1f} deg (median);"
+        f"\n{name}: {len(rows)} of {len(seen)} frames; "
+        f"apart {metres:.2f} m, {np.degrees(turned):.1f} deg (median);"
     )
     print(
         f"  within 95 % of what both state: place {inside[0]:.0%}, attitude {inside[1]:.0%}; ",

@@ -35,10 +35,19 @@ from tests.hidden_flights import make_case
 NOISES = ("marker", "hybrid", "net", "marker", "hybrid")
 BASELINED = ("independent", "calm", "own")  # kinds that the usual recipe is tried on as well
 PAIRS = (
-    "wind+battery_sag", "extra_drag+adverse_yaw", "control_delay+wind", "ground_effect+propeller_torque",
-    "mass_change+camera_tilt", "thrust_loss+trim_bias", "flap+adverse_yaw", "aileron_loss+wind",
-    "fan_jet+extra_drag", "cg_shift+battery_sag", "deadband+wind", "actuator_lag+propeller_torque",
-)  # fmt: skip
+    "wind+battery_sag",
+    "extra_drag+adverse_yaw",
+    "control_delay+wind",
+    "ground_effect+propeller_torque",
+    "mass_change+camera_tilt",
+    "thrust_loss+trim_bias",
+    "flap+adverse_yaw",
+    "aileron_loss+wind",
+    "fan_jet+extra_drag",
+    "cg_shift+battery_sag",
+    "deadband+wind",
+    "actuator_lag+propeller_torque",
+)
 
 
 @dataclass(frozen=True)
@@ -113,16 +122,25 @@ def study(batch: list[Case]) -> list[dict[str, Any]]:
         closed = close_gap(base, naming)
         clock.append(time.process_time())
         row: dict[str, Any] = {
-            "key": case.key, "kind": case.kind, "seed": case.seed, "effect": case.effect, "noise": case.noise,
-            "correlated": case.correlated, **_answer(naming, case.effect),
+            "key": case.key,
+            "kind": case.kind,
+            "seed": case.seed,
+            "effect": case.effect,
+            "noise": case.noise,
+            "correlated": case.correlated,
+            **_answer(naming, case.effect),
             "gap": [closed.before.chi2, closed.after.chi2, closed.calm.chi2],
             "parameters": {
                 name: [size.value, size.low95, size.high95, truth["kit"].get(name)]
                 for name, size in closed.parameters.items()
             },
             "size": truth["size"],
-            "seconds": {"calm": known_seconds, "name": clock[1] - clock[0], "close": clock[2] - clock[1]},
-        }  # fmt: skip
+            "seconds": {
+                "calm": known_seconds,
+                "name": clock[1] - clock[0],
+                "close": clock[2] - clock[1],
+            },
+        }
         known = _merged(case.effect)
         if case.withhold:
             rest = [e for e in CATALOGUE if e.name != known]
@@ -175,12 +193,16 @@ def _answer(naming: Naming, effect: str) -> dict[str, Any]:
     order = [c.effect.name for c in naming.ranking]
     true = _merged(effect)
     return {
-        "verdict": naming.verdict, "effects": names,
+        "verdict": naming.verdict,
+        "effects": names,
         "ranking": [[c.effect.name, round(c.delta_bic, 1)] for c in naming.ranking[:4]],
         "place": order.index(true) + 1 if true in order else None,
-        "threshold": naming.threshold, "excess": naming.excess_chi2, "left": naming.left, "strain": naming.mahalanobis,
+        "threshold": naming.threshold,
+        "excess": naming.excess_chi2,
+        "left": naming.left,
+        "strain": naming.mahalanobis,
         "unnamed": [naming.generic.effect.name, round(naming.generic.delta_bic, 1)],
-    }  # fmt: skip
+    }
 
 
 def _merged(effect: str) -> str:
@@ -189,7 +211,7 @@ def _merged(effect: str) -> str:
 
 
 def _detectable(base: NominalModel, flight: FlightTable, effect: str) -> float:
-    """chi2 by which the true model beats the base model on held-out time, both fitted to the rest."""
+    """Held-out chi2 by which the true model beats the base model, both fitted to the rest."""
     alone = name_effect(base, flight, [e for e in CATALOGUE if e.name == effect])
     closed = close_gap(base, replace(alone, verdict="named", chosen=alone.ranking[:1]))
     components = np.count_nonzero(alone.windows.weight[closed.held_out])
@@ -205,7 +227,7 @@ def _baselines(base: NominalModel, flight: FlightTable) -> dict[str, str]:
 
 
 # Judging
-# --------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def points(row: dict[str, Any], effect: str) -> float:
@@ -237,16 +259,14 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
     held = [r for r in rows if "withheld" in r]
     if held:
         wrong = [r for r in held if is_wrong(r["withheld"], "none")]
-        lines.append(f"  true effect withheld: {len(wrong)} of {len(held)} named as something else: "
-                     + ", ".join(f"{r['effect']} as {'+'.join(r['withheld']['effects'])}" for r in wrong))  # fmt: skip
+        lines.append(
+            f"  true effect withheld: {len(wrong)} of {len(held)} named as something else: "
+            + ", ".join(map(_withheld_answer, wrong))
+        )
     if rows[0]["kind"] in ("independent", "own"):
         lines += _accuracy(rows)
     lines += _beside_baselines(rows)
-    lines += [
-        f"  not right: {r['seed']} {r['effect']} {r['noise']}{'~' if r['correlated'] else ''} -> {r['verdict']} "
-        f"{'+'.join(r['effects'])} {r['ranking'][:2]} unnamed {r['unnamed']} left {r['left']:.3f} of {r['excess']:.3f}"
-        for r in rows if not right_or_outside(r)
-    ]  # fmt: skip
+    lines += [_mistake(r) for r in rows if not right_or_outside(r)]
     seconds = {
         stage: np.median([r["seconds"][stage] for r in rows]) for stage in rows[0]["seconds"]
     }
@@ -254,6 +274,19 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
         "  CPU seconds, median: " + ", ".join(f"{stage} {s:.1f}" for stage, s in seconds.items())
     )
     return lines
+
+
+def _withheld_answer(row: dict[str, Any]) -> str:
+    return f"{row['effect']} as {'+'.join(row['withheld']['effects'])}"
+
+
+def _mistake(row: dict[str, Any]) -> str:
+    noise = f"{row['noise']}{'~' if row['correlated'] else ''}"
+    return (
+        f"  not right: {row['seed']} {row['effect']} {noise} -> {row['verdict']} "
+        f"{'+'.join(row['effects'])} {row['ranking'][:2]} unnamed {row['unnamed']} "
+        f"left {row['left']:.3f} of {row['excess']:.3f}"
+    )
 
 
 def right_or_outside(row: dict[str, Any]) -> bool:
@@ -286,8 +319,9 @@ def _accuracy(rows: list[dict[str, Any]]) -> list[str]:
     ] if clear else []  # fmt: skip
     return [
         *lines,
-        f"  named right: the held-out excess falls by {100 * np.median(falls):.0f} % (median of {len(falls)} whose "
-        f"excess was over 0.05); parameters off by {100 * np.median(errors):.1f} % (median of {len(errors)}), "
+        f"  named right: the held-out excess falls by {100 * np.median(falls):.0f} % "
+        f"(median of {len(falls)} whose excess was over 0.05); parameters off by "
+        f"{100 * np.median(errors):.1f} % (median of {len(errors)}), "
         f"intervals hold {100 * np.mean(inside):.0f} %",
     ]
 
@@ -321,7 +355,8 @@ def main() -> None:
     asked = parser.parse_args()
     if asked.kind in BASELINED and find_spec("pysindy") is None:
         parser.error(
-            "expected pysindy to compare with; run: pip install -c constraints.txt -e '.[dev,bench]'"
+            "expected pysindy to compare with; "
+            "run: pip install -c constraints.txt -e '.[dev,bench]'"
         )
     done = (
         [json.loads(line) for line in asked.out.read_text().splitlines()]

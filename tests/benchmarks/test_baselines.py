@@ -1,7 +1,7 @@
 """Baselines: they name a plain effect where the data are clean, so that what they do with noise is
 not their bug.
 
-    python -m pytest -m benchmark -s tests/benchmarks/test_baselines.py     # needs the extra `bench`
+    python -m pytest -m benchmark -s tests/benchmarks/test_baselines.py  # needs the extra `bench`
 
 What they answer on noisy flights is printed, not asserted: it is theirs. All flights here are
 simulated.
@@ -207,8 +207,10 @@ def test_answers_with_noise(capsys: pytest.CaptureFixture[str]) -> None:
     ]
     if (FOLDER / "truth.json").is_file():
         truth = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))
-        known = [(t["effect"], *(read_flight_table(FOLDER / c / f"{f}.csv") for f in ("calm", "flight")))
-                 for c, t in truth.items()]  # fmt: skip
+        known = [
+            (t["effect"], *(read_flight_table(FOLDER / c / f"{f}.csv") for f in ("calm", "flight")))
+            for c, t in truth.items()
+        ]
         tables.append(
             answers_table(
                 "labelled cases",
@@ -237,6 +239,7 @@ def answers_table(title: str, cases: list[tuple[str, NominalModel, FlightTable]]
         wrong = sum(answer[key] not in (effect, "none") for effect, answer in shown)
         alarms = sum(answer[key] != "none" for answer in calm)
         rows.append(
-            f"| {key} | {right} of {len(shown)} | {wrong} of {len(shown)} | {alarms} of {len(calm)} |"
+            f"| {key} | {right} of {len(shown)} | {wrong} of {len(shown)} "
+            f"| {alarms} of {len(calm)} |"
         )
     return "\n".join(rows)

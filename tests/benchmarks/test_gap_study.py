@@ -62,10 +62,20 @@ def test_cases_meet_every_effect_and_every_noise_with_seeds_of_their_own():
 def test_summary_counts_rows():
     """Two calm flights, one named wrongly: a half is right, one name is wrong."""
     row = {
-        "kind": "calm", "seed": 1, "effect": "none", "noise": "marker", "correlated": False, "verdict": "none",
-        "effects": [], "ranking": [["wind", -3.0]], "place": None, "unnamed": ["force with airspeed", -9.0],
-        "left": 0.0, "excess": 0.0, "seconds": {"calm": 5.0},
-    }  # fmt: skip
+        "kind": "calm",
+        "seed": 1,
+        "effect": "none",
+        "noise": "marker",
+        "correlated": False,
+        "verdict": "none",
+        "effects": [],
+        "ranking": [["wind", -3.0]],
+        "place": None,
+        "unnamed": ["force with airspeed", -9.0],
+        "left": 0.0,
+        "excess": 0.0,
+        "seconds": {"calm": 5.0},
+    }
     rows = [row, {**row, "seed": 2, "verdict": "named", "effects": ["wind"]}]
     assert json.loads(json.dumps(rows)) == rows
     text = "\n".join(summary(rows))

@@ -2,9 +2,10 @@
 
     python tests/house/rooms.py [ROOT] [FILE ...]
 
-A closure is what a reader may have to open: a file with everything of the kit that it imports, directly or not. For a
-room it is that of all its files. With FILES, such as `trainer_port/protocol.py`, the closure of each is added. No test
-holds any of these numbers to a limit.
+A closure is what a reader may have to open: a file with everything of the kit that it imports,
+directly or not. For a room it is that of all its files. With FILES, such as
+`trainer_port/protocol.py`, the closure of each is added. No test holds any of these numbers to a
+limit.
 """
 
 import ast
@@ -18,7 +19,9 @@ PACKAGE = "falconwing_kit"
 
 
 def closure(root: Path, files: Iterable[Path]) -> set[Path]:
-    """The files and all files of the kit that they import, directly or not; faces that are passed through count."""
+    """The files and all files of the kit that they import, directly or not; faces that are passed
+    through count.
+    """
     found, waiting = set(), list(files)
     while waiting:
         path = waiting.pop()
@@ -38,7 +41,7 @@ def imported(path: Path) -> Iterator[str]:
 
 
 def files_of(root: Path, name: str) -> list[Path]:
-    """The file of a dotted name: a module, a package's `__init__`, or the module that defines the name."""
+    """The file of a dotted name: a module, a package's `__init__`, or where the name is defined."""
     path = root / name.replace(".", "/")
     places = (
         path.with_suffix(".py"),
@@ -58,7 +61,9 @@ def lines(paths: Iterable[Path]) -> int:
 
 
 def comments_per_100(paths: Iterable[Path]) -> float:
-    """Comments per hundred lines of function bodies without their docstrings, those beside code included."""
+    """Comments per hundred lines of function bodies without their docstrings, those beside code
+    included.
+    """
     body = comments = 0
     for path in paths:
         source = path.read_text(encoding="utf-8")
@@ -90,7 +95,8 @@ def main(words: list[str]) -> int:
     """Print the table."""
     root = Path(words[0] if words else ".").resolve()
     print(
-        f"{'room':<16}{'files':>6}{'lines':>8}{'comments/100':>14}{'closure: files':>16}{'lines':>8}"
+        f"{'room':<16}{'files':>6}{'lines':>8}{'comments/100':>14}"
+        f"{'closure: files':>16}{'lines':>8}"
     )
     book: list[Path] = []
     for room, paths in rooms(root).items():

@@ -1,4 +1,4 @@
-"""Tests that need the machine to themselves are named, and each process of several keeps to itself."""
+"""Tests that need the machine to themselves are named, and parallel processes stay apart."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Everything public says what it is: docstrings from line 1 on, and types on every public function."""
+"""Everything public is documented: docstrings from line 1 on, types on every public function."""
 
 import ast
 import tomllib
@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-# Plain arithmetic that NumPy runs and numba compiles carries no types: these files are named in pyproject.toml.
+# Plain arithmetic that NumPy runs and numba compiles carries no types: these files are named in
+# pyproject.toml.
 UNTYPED_MARK = "# type: ignore[no-untyped-def]"
 UNTYPED_FILES = {
     module.replace(".", "/") + ".py"

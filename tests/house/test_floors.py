@@ -70,9 +70,8 @@ def lab_problems(tree: Path) -> list[str]:
                 4 if parts[1:2] == ["tools"] else 3
             )  # falconwing_kit.room.name or falconwing_kit.tools.room.name
             if parts[0] == "falconwing_kit" and len(parts) > deepest:
-                problems.append(
-                    f"{path.relative_to(tree).as_posix()}:{line}: {imported}; import it from its room"
-                )
+                place = f"{path.relative_to(tree).as_posix()}:{line}"
+                problems.append(f"{place}: {imported}; import it from its room")
     return problems
 
 
@@ -106,7 +105,8 @@ def complaint(room: str, imported: str) -> str:
     if package != "falconwing_kit" or other in ("", room, "__version__"):
         return ""
     if room not in FLOOR_OF or other not in FLOOR_OF:
-        return f"{room or 'a file outside the rooms'} imports {other}; both must be rooms of the table of floors"
+        importer = room or "a file outside the rooms"
+        return f"{importer} imports {other}; both must be rooms of the table of floors"
     here, there = FLOOR_OF[room], FLOOR_OF[other]
     if there < here:
         return ""

@@ -43,7 +43,10 @@ def heavy_after_import(module: str) -> list[str]:
 
 def loaded(statement: str, names: tuple[str, ...]) -> list[str]:
     """Which of the named modules a fresh Python holds after a statement."""
-    code = f"import sys; {statement}; print('loaded', *[name for name in {names!r} if name in sys.modules])"
+    code = (
+        f"import sys; {statement}; "
+        f"print('loaded', *[name for name in {names!r} if name in sys.modules])"
+    )
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=ROOT,

@@ -70,7 +70,8 @@ def misnamed(target: Frames, value: ast.expr) -> str:
     wrong_inner = target.inner and result.inner and target.inner != result.inner
     if not (wrong_outer or wrong_inner):
         return ""
-    return f"a product of {result.outer} and {result.inner} is called {target.outer} and {target.inner}"
+    product = f"a product of {result.outer} and {result.inner}"
+    return f"{product} is called {target.outer} and {target.inner}"
 
 
 def read(node: ast.expr) -> Frames:

@@ -44,7 +44,8 @@ PLANTS = {
     "effect looked up by name": (
         effect_problems,
         "gap",
-        'def is_wind(effect: object) -> bool:\n    """Whether."""\n    return effect == "fan_jet"\n',
+        "def is_wind(effect: object) -> bool:\n"
+        '    """Whether."""\n    return effect == "fan_jet"\n',
         "'fan_jet' belongs to aircraft/effects",
     ),
     "parameter of an effect read": (
@@ -129,7 +130,7 @@ def copy(tmp_path):
 
 @pytest.mark.parametrize("fault", PLANTS)
 def test_planted_fault_is_reported(copy, fault):
-    """The fault is written here by hand, so exactly one report with its file and reason is right."""
+    """The fault is written here by hand: exactly one report with its file and reason is right."""
     checker, room, code, reason = PLANTS[fault]
     (copy / "falconwing_kit" / room).mkdir(exist_ok=True)
     before = checker(copy)
@@ -154,7 +155,8 @@ def test_lab_that_reaches_behind_a_face_is_reported(tmp_path):
     lab.mkdir(parents=True)
     (lab / "lab.py").write_text(
         "from falconwing_kit.core import Pose\nfrom falconwing_kit.tools.grading import check\n"
-        "from falconwing_kit.core.frames import pose_matrix\nfrom falconwing_kit.tools.grading.lab import Lab\n"
+        "from falconwing_kit.core.frames import pose_matrix\n"
+        "from falconwing_kit.tools.grading.lab import Lab\n"
     )
     problems = lab_problems(tmp_path)
     assert [problem.split(": ")[0] for problem in problems] == [

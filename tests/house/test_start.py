@@ -154,7 +154,7 @@ def test_missing_venv_is_said_in_one_sentence(start, monkeypatch, capsys):
 
 
 def test_command_is_said_and_signal_counts_as_in_a_shell():
-    """Run for real: the line begins with $, an exit code passes through and signal 9 gives 128 + 9."""
+    """Really run: the line begins with $, an exit code passes through, signal 9 gives 128 + 9."""
     code = "import start; {}; print(start.run([start.sys.executable, '-c', {!r}]))"
     for program, expected in (("exit(3)", "3"), ("import os; os.kill(os.getpid(), 9)", "137")):
         if "kill" in program and sys.platform == "win32":

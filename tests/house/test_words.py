@@ -1,4 +1,4 @@
-"""Plain scientific English: a short list of private words stays out of the book, the messages and the pages."""
+"""Plain scientific English: a list of private words, found nowhere in book, messages and pages."""
 
 import re
 from pathlib import Path

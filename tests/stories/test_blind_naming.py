@@ -78,8 +78,8 @@ def test_twenty_hidden_effects_are_named_blind():
     truths = [case.truth["effect"] for case, _ in told]
     scores = [points(truth, answer) for truth, (_, answer) in zip(truths, told, strict=True)]
     table = "\n".join(
-        f"{score:3.1f}  {truth:17} {answer.verdict:10}{','.join(answer.names):30} gain {answer.delta_bic:7.1f} of "
-        f"{answer.threshold:5.1f}  {case.truth['size']}"
+        f"{score:3.1f}  {truth:17} {answer.verdict:10}{','.join(answer.names):30} "
+        f"gain {answer.delta_bic:7.1f} of {answer.threshold:5.1f}  {case.truth['size']}"
         for score, truth, (case, answer) in zip(scores, truths, told, strict=True)
     )
     named = [

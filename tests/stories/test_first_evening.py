@@ -47,7 +47,7 @@ def in_folder(identified, monkeypatch):
 
 
 def test_flight_becomes_a_model_and_three_figures(identified):
-    """The files that README promises; the model names its flight, and holds what it was fitted on."""
+    """The files that README promises; the model names its flight and what it was fitted on."""
     assert sorted(path.name for path in (identified / "figures").iterdir()) == [
         "intervals.png", "predicted.png", "residuals.png",
     ]  # fmt: skip

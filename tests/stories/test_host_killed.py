@@ -56,7 +56,8 @@ class Port:
 path, log_path = sys.argv[1:]
 task, field = LandingTask(), Field()
 threading.Thread(target=field.read, daemon=True).start()
-with FlightLogWriter(log_path) as log, TrainerPort(SerialLink(path), what="simulated board") as port:
+link = SerialLink(path)
+with FlightLogWriter(log_path) as log, TrainerPort(link, what="simulated board") as port:
     port.wait_ready()
     pilot = task.expert(task.trial(trial_seed(0)))
     Loop(pilot, Port(port, log), states=field, clock=WallClock(), log=log).run(60.0)

@@ -1,4 +1,4 @@
-"""The how-tos of manual/extend.md: each file of a how-to, written into a copy of the kit, passes its test there."""
+"""How-tos of manual/extend.md: their files, written into a copy of the kit, pass their tests."""
 
 import os
 import re

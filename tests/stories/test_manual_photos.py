@@ -1,4 +1,4 @@
-"""The chapter "Photos to simulator" is true: its commands run in order on the stand-in that ships."""
+"""The chapter "Photos to simulator" is true: its commands run in order on the shipped stand-in."""
 
 import json
 import re

@@ -39,10 +39,21 @@ from falconwing_kit.vision import (
 from tests.scene.hall24 import alignments, reconstruction, survey
 
 ROOM = HybridSettings()
-TOY = FitSettings(  # so few Gaussians cover a hall only if they may be large and need not be faint
-    gaussians=2000, steps=200, sh_degree=0, width=64, exposures=False, minutes=5.0, pose_steps=0, backend="reference",
-    room=(*ROOM.room_low, *ROOM.room_high), opacity_cost=0.01, scale_cost=0.01, largest=0.0,
-)  # fmt: skip
+# So few Gaussians cover a hall only if they may be large and need not be faint.
+TOY = FitSettings(
+    gaussians=2000,
+    steps=200,
+    sh_degree=0,
+    width=64,
+    exposures=False,
+    minutes=5.0,
+    pose_steps=0,
+    backend="reference",
+    room=(*ROOM.room_low, *ROOM.room_high),
+    opacity_cost=0.01,
+    scale_cost=0.01,
+    largest=0.0,
+)
 BOX = (-18.0, -6.0, 0.5, -2.0, 8.0, 3.0)  # where the photos look and the video flies [m]
 FRAMES = 45  # of the video: the marker is in view in most of them
 UPRIGHT, LOOKS = (
@@ -162,7 +173,7 @@ def likeness(seen: Walk) -> float:
 
 
 def bank_turns(table: FlightTable) -> float:
-    """Correlation of the course's turn to the right with that of a level turn, (g / V) tan(roll)."""
+    """Correlation of the turn rate to the right with that of a level turn, (g / V) tan(roll)."""
     seen = table.has_pose
     vx, vy = table.extra["vx"][seen], table.extra["vy"][seen]
     turn = np.gradient(
@@ -210,11 +221,14 @@ def test_an_angle_with_the_other_sign_is_seen(signs, failing, straight, monkeypa
     neither foretells where the aircraft is.
     """
     rightly = hybrid_state.euler_from_rotation
-    wrongly = lambda R: tuple(sign * angle for sign, angle in zip(signs, rightly(R), strict=True))
+
+    def wrongly(R):
+        return tuple(sign * angle for sign, angle in zip(signs, rightly(R), strict=True))
+
+    def turned(*angles):
+        return rotation_world_body(*(s * a for s, a in zip(signs, angles, strict=True)))
+
     monkeypatch.setattr(hybrid_state, "euler_from_rotation", wrongly)
-    turned = lambda *angles: rotation_world_body(
-        *(s * a for s, a in zip(signs, angles, strict=True))
-    )
     monkeypatch.setattr(smoother, "rotation_world_body", turned)
     assert failing <= problems(walk())
 

@@ -201,7 +201,10 @@ def measure_calibration(
         radio=radio,
         measured=date.today().isoformat(),
         channels=channels,
-        **{name: found[name] for name in COMMAND_NAMES},
+        throttle=found["throttle"],
+        aileron=found["aileron"],
+        elevator=found["elevator"],
+        rudder=found["rudder"],
     )
     require_matching_calibration(calibration, port.status)
     return calibration

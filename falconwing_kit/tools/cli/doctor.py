@@ -142,7 +142,8 @@ def examine(check: SystemCheck) -> SystemCheckResult:
 
 
 def _python() -> str:
-    if sys.version_info[:2] < (3, 11):
+    major, minor, _ = platform.python_version_tuple()
+    if (int(major), int(minor)) < (3, 11):
         raise RuntimeError(f"expected 3.11 or newer, got {platform.python_version()}")
     system = f"{platform.system()} {platform.machine()}"
     return f"{platform.python_version()}, {system}, {os.cpu_count()} cores"

@@ -1,4 +1,4 @@
-"""Figures of a gap: where a flight disagrees, how the effects rank, and the gap before and after."""
+"""Figures of a gap: where a flight disagrees, how the effects rank, the gap before and after."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,8 +19,13 @@ from falconwing_kit.tools.reports.page import ACCENT, MEASURED, PREDICTED, QUIET
 
 IN_PLOTS = {"heading": (180.0 / np.pi, "deg"), "bank": (180.0 / np.pi, "deg")}
 CHANNEL_WORDS = {
-    "px": "Position x", "py": "Position y", "pz": "Height", "roll": "Roll", "pitch": "Pitch", "yaw": "Yaw",
-}  # fmt: skip
+    "px": "Position x",
+    "py": "Position y",
+    "pz": "Height",
+    "roll": "Roll",
+    "pitch": "Pitch",
+    "yaw": "Yaw",
+}
 
 
 def draw_gap(
@@ -70,9 +75,15 @@ def draw_map(flight: FlightReplay, calm: FlightReplay, path: Path) -> None:
         ):
             seen = np.isfinite(size)
             shown = ax.hexbin(
-                one.variables["x"][seen], one.variables["y"][seen], size[seen], gridsize=26, cmap="cividis_r",
-                vmin=0.5, vmax=top, linewidths=0.2,
-            )  # fmt: skip
+                one.variables["x"][seen],
+                one.variables["y"][seen],
+                size[seen],
+                gridsize=26,
+                cmap="cividis_r",
+                vmin=0.5,
+                vmax=top,
+                linewidths=0.2,
+            )
             ax.set_aspect("equal", adjustable="box")
             ax.set_title(title)
             ax.set_xlabel("x, along the runway [m]")
@@ -162,9 +173,13 @@ def draw_ranking(naming: Naming, path: Path) -> None:
                 color=PREDICTED if found else "#c9d4df",
             )
             ax.annotate(
-                f"{candidate.delta_bic:.0f}", (max(candidate.delta_bic, 0.0), row), (4, -3), textcoords="offset points",
-                fontsize=8.5, color=QUIET,
-            )  # fmt: skip
+                f"{candidate.delta_bic:.0f}",
+                (max(candidate.delta_bic, 0.0), row),
+                (4, -3),
+                textcoords="offset points",
+                fontsize=8.5,
+                color=QUIET,
+            )
         ax.set_yticks(range(len(shown)), [c.effect.name.replace("_", " ") for c in shown])
         ax.set_xscale("symlog", linthresh=10.0)
         ax.set_xlim(0.0, top)

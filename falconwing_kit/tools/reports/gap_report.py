@@ -82,9 +82,14 @@ def write_gap(
         and closed.confidence is not None
     ):
         write_fitted_model(
-            folder / "model_with_effect.toml", closed.model, closed.confidence, flights=study.names,
-            train_chi2=study.naming.remaining_chi2 + base.chi2, held_out_chi2=closed.after.chi2, sigma=base.found.sigma,
-        )  # fmt: skip
+            folder / "model_with_effect.toml",
+            closed.model,
+            closed.confidence,
+            flights=study.names,
+            train_chi2=study.naming.remaining_chi2 + base.chi2,
+            held_out_chi2=closed.after.chi2,
+            sigma=base.found.sigma,
+        )
     study.seconds["write"] = time.perf_counter() - began
     record = gap_record(study)
     write_page(folder / "report.html", PAGE, figures=figures, **_page(study, record))
@@ -139,15 +144,16 @@ def _where(study: GapStudy) -> str:
                 residual_bin.variable, (1.0, VARIABLES[residual_bin.variable])
             )
             unit = "" if unit == "-" else f" {unit}"
-            at = f"with {residual_bin.variable} from {residual_bin.low * scale:.2g} to {residual_bin.high * scale:.2g}{unit}"
+            low, high = residual_bin.low * scale, residual_bin.high * scale
+            at = f"with {residual_bin.variable} from {low:.2g} to {high:.2g}{unit}"
         else:
             at = "all the time alike"
-        texts.append(
-            f"{CHANNEL_WORDS[residual_bin.channel].lower()} {at} (excess {residual_bin.excess_chi2:.2g})"
-        )
+        channel = CHANNEL_WORDS[residual_bin.channel].lower()
+        texts.append(f"{channel} {at} (excess {residual_bin.excess_chi2:.2g})")
     return (
-        f"Over the whole flight the mean square residual is {level:.2g} squared sigmas of the pose noise, on the calm "
-        f"flight {calm_level:.2g}. Most of it is in {'; '.join(texts)}; excess is what is over the calm flight's."
+        f"Over the whole flight the mean square residual is {level:.2g} squared sigmas of the pose "
+        f"noise, on the calm flight {calm_level:.2g}. Most of it is in {'; '.join(texts)}; "
+        "excess is what is over the calm flight's."
     )
 
 
@@ -155,15 +161,16 @@ def _ranking_text(study: GapStudy, record: dict[str, Any]) -> str:
     first, *others = record["ranking"]
     second = next((r for r in others if "same_as" not in r), None)
     text = (
-        f"{len(record['ranking'])} effects were tried; {record['threshold']:.0f} of evidence are needed so that it is "
-        f"not chance. {_display_name(first['effect'])} has most: {first['gain']:.0f}, probability "
-        f"{_percent(first['probability'])}. "
+        f"{len(record['ranking'])} effects were tried; {record['threshold']:.0f} of evidence are "
+        f"needed so that it is not chance. {_display_name(first['effect'])} has most: "
+        f"{first['gain']:.0f}, probability {_percent(first['probability'])}. "
     )
     if second is not None:
         text += f"Next comes {_display_name(second['effect']).lower()} with {second['gain']:.0f}. "
     if len(study.naming.chosen) == 2 and study.naming.verdict == "named":
         added = study.naming.chosen[1]
-        text += f"On top of the first, {_display_name(added.effect.name).lower()} explains another {added.delta_bic:.0f}. "
+        name = _display_name(added.effect.name).lower()
+        text += f"On top of the first, {name} explains another {added.delta_bic:.0f}. "
     return (
         text
         + "A difference of 10 between two effects is very strong; less leaves both in the race."
@@ -174,8 +181,8 @@ def _before_after(study: GapStudy) -> str:
     closed = study.closed
     if study.naming.verdict in ("none", "outside"):
         return (
-            f"Nothing was added, so nothing changes: {_error(closed.before)} before and after, {_error(closed.calm)} "
-            "on the calm flight."
+            f"Nothing was added, so nothing changes: {_error(closed.before)} before and after, "
+            f"{_error(closed.calm)} on the calm flight."
         )
     over_before, over_after = (
         closed.before.chi2 - closed.calm.chi2,
@@ -190,9 +197,10 @@ def _before_after(study: GapStudy) -> str:
         "with the first alternative" if study.naming.verdict == "ambiguous" else "with the effect"
     )
     return (
-        f"Without the effect the model is off by {_error(closed.before)}; {which} by {_error(closed.after)}; "
-        f"the calm flight leaves {_error(closed.calm)}.{share} Holding the aircraft's own parameters as on the "
-        f"calm flight gives a chi2 of {closed.after_with_fixed_parameters.chi2:.2f}; letting them move without any effect, "
+        f"Without the effect the model is off by {_error(closed.before)}; {which} by "
+        f"{_error(closed.after)}; the calm flight leaves {_error(closed.calm)}.{share} Holding the "
+        "aircraft's own parameters as on the calm flight gives a chi2 of "
+        f"{closed.after_with_fixed_parameters.chi2:.2f}; letting them move without any effect, "
         f"{closed.before_with_free_parameters.chi2:.2f}."
     )
 

@@ -189,7 +189,7 @@ def test_engine_fails_inside_the_flight_and_takes_the_speed_away(flight: FlightT
 
 
 def test_table_is_small_and_reads_without_warning(flight: FlightTable) -> None:
-    """The file must stay small; 328 attitudes were counted in the raw file (distinct neighbours)."""
+    """The file must stay small; 328 attitudes were counted in the raw file (repeats left out)."""
     assert data_path("alfa_engine_failure.csv").stat().st_size < 400_000
     assert flight.has_pose.sum() == 328
     assert flight.warnings == ()

@@ -44,7 +44,7 @@ def test_only_what_students_need_is_handed_out(folder, tmp_path):
 def test_what_a_person_looks_for_is_not_handed_out():
     """By hand: both criteria are blanked, by position or keyword, and nothing else."""
     text = """# no \u00fc lost
-LAB = Lab(rubric=(Criterion("\u00fc", 4.0, "a line " "falls"), Criterion("q1", 6.0, look_for="7")), hours=2)
+LAB = Lab(rubric=(Criterion("\u00fc", 4.0, "a " "b"), Criterion("q1", 6.0, look_for="7")), hours=2)
 """
     wanted = """# no \u00fc lost
 LAB = Lab(rubric=(Criterion("\u00fc", 4.0, ""), Criterion("q1", 6.0, look_for="")), hours=2)

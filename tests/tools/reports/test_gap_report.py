@@ -71,9 +71,15 @@ def test_report_is_written_whole_and_the_model_reads_back(tmp_path):
     record = write_gap(wind_study(), tmp_path)
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {
-        "report.json", "report.html", "gap_map.png", "gap_where.png", "gap_ranking.png", "gap_closed.png",
-        "model.toml", "model_with_effect.toml",
-    }  # fmt: skip
+        "report.json",
+        "report.html",
+        "gap_map.png",
+        "gap_where.png",
+        "gap_ranking.png",
+        "gap_closed.png",
+        "model.toml",
+        "model_with_effect.toml",
+    }
     assert json.loads((tmp_path / "report.json").read_text())["parameters"] == record["parameters"]
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 4
@@ -156,9 +162,11 @@ def test_flights_that_cannot_answer_are_refused():
     still = replace(good, commands=np.full_like(good.commands, 0.3))
     slow = replace(good, t=2.0 * good.t)
     for bad, words in (
-        (slice_time(good, 0.0, 12.0), "at least 20 s"), (blind, "poses"), (still, "sticks that move"),
+        (slice_time(good, 0.0, 12.0), "at least 20 s"),
+        (blind, "poses"),
+        (still, "sticks that move"),
         (slow, "one rate"),
-    ):  # fmt: skip
+    ):
         for pair in ((good, bad), (bad, good)):
             with pytest.raises(InputError, match=words):
                 require_pair(*pair)
@@ -166,9 +174,11 @@ def test_flights_that_cannot_answer_are_refused():
 
 @pytest.mark.parametrize(
     "case",
-    [f"case{n:02d}" if f"case{n:02d}" in ALWAYS else pytest.param(f"case{n:02d}", marks=pytest.mark.benchmark)
-     for n in range(10)],
-)  # fmt: skip
+    [
+        name if name in ALWAYS else pytest.param(name, marks=pytest.mark.benchmark)
+        for name in (f"case{n:02d}" for n in range(10))
+    ],
+)
 def test_labelled_case_is_named_right(case):
     """Ten cases of independent JSBSim aircraft with their answers in truth.json; sizes as near as
     the goals ask.
