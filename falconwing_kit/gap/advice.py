@@ -387,7 +387,9 @@ class _ExperimentDesign:
         rows, _ = prior_rows(model, free, prior)
         return cls(
             tuple(manoeuvres[k] for k in can), known, rates[can],
-            np.pad(rows.T @ rows, (0, len(all_of) - len(own))), tuple(p.name for p, _ in all_of), np.array([ordinary_size(*pair) for pair in all_of]),
+            np.pad(rows.T @ rows, (0, len(all_of) - len(own))),
+            tuple(p.name for p, _ in all_of),
+            np.array([ordinary_size(*pair) for pair in all_of]),
             tuple(c.effect for c in found), base.reduced_chi2,
         )  # fmt: skip
 

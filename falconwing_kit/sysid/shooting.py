@@ -1,5 +1,9 @@
 """Multiple shooting: flights in short windows + a model -> predicted poses and derivatives.
 
+    min over K and all x0_w of  sum_w |(y_w - y(x0_w, K)) / sigma|^2 + |x0_w - local estimate|^2_P
+
+w counts windows; windows are independent: no continuity constraint joins the end of one to the
+initial state of the next.
 Each window starts from its own free initial state and is integrated on the logged commands alone;
 only measured poses are compared. Noisy poses are never differentiated, which is what biases the
 one-step fit [Bock & Plitt 1984; Jategaonkar, Flight Vehicle System Identification, ch. 4].

@@ -20,13 +20,13 @@ EFFECTS = {effect.name: effect for effect in (*CATALOGUE, *GENERIC_EFFECTS)}
 
 @cache
 def shipped(name: str) -> FlightTable:
-    """A flight that ships with the kit, made by JSBSim: case02_calm, case08_calm or case08_flight."""
+    """A flight that ships with the kit, by JSBSim: case02_calm, case08_calm or case08_flight."""
     return read_flight_table(data_path(f"{name}.csv"))
 
 
 @cache
 def wind_study() -> GapStudy:
-    """The shipped case with a wind of 0.0924 m/s along x and 0.4370 m/s along y (its truth.json)."""
+    """The shipped case with a wind of 0.0924 m/s along x, 0.4370 m/s along y (its truth.json)."""
     return study_gap(shipped("case08_calm"), shipped("case08_flight"))
 
 

@@ -26,9 +26,11 @@ from falconwing_kit.sysid.shooting import Windows, fly_windows
 from tests.gap.studies import EFFECTS, own_base, own_flight
 
 SIZES = {  # well above what 30 s show, so that nothing rests on chance
-    "extra_drag": {"drag_added": 0.012}, "thrust_loss": {"thrust_lost": 0.15}, "battery_sag": {"sag": 0.12},
+    "extra_drag": {"drag_added": 0.012}, "thrust_loss": {"thrust_lost": 0.15},
+    "battery_sag": {"sag": 0.12},
     "ground_effect": {"ground_lift": 0.2}, "flap": {"flap_lift": 0.02, "flap_drag": 0.004},
-    "control_delay": {"control_delay": 0.04}, "actuator_lag": {"lag_in_series": 0.04}, "deadband": {"deadband": 0.08},
+    "control_delay": {"control_delay": 0.04}, "actuator_lag": {"lag_in_series": 0.04},
+    "deadband": {"deadband": 0.08},
     "adverse_yaw": {"adverse_yaw": 0.05},
     "time_offset": {}, "propeller_torque": {"torque_roll": 0.3, "torque_yaw": 0.3},
     "fan_jet": {"jet_x": 1.0, "jet_y": 0.0, "jet_at_x": 5.0, "jet_at_y": 2.0, "jet_radius": 2.0},
@@ -170,8 +172,10 @@ def test_a_stream_of_air_is_flown_through():
     assert "both directions" in next_flight(own_base(), answer("ambiguous", "wind", "fan_jet"))
 
 
-@pytest.mark.parametrize(("one", "other", "best"), [("extra_drag", "thrust_loss", "glides"),
-                                                    ("adverse_yaw", "propeller_torque", "glides")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("one", "other", "best"),
+    [("extra_drag", "thrust_loss", "glides"), ("adverse_yaw", "propeller_torque", "glides")],
+)
 def test_a_flight_of_the_manoeuvre_shows_the_promised_difference(one, other, best):
     """Simulated without noise in one effect, fitted in full with the other: chi2 grows by the
     promise.
@@ -255,7 +259,7 @@ def test_no_manoeuvre_parts_a_delay_from_late_time_stamps(manoeuvre):
 
 
 def late_poses(base: NominalModel, windows: Windows, late: int) -> tuple[np.ndarray, np.ndarray]:
-    """(W, L, 6) poses of every leg that are `late` steps of 5 ms old, and (W, n) the first states."""
+    """(W, L, 6) poses of every leg, `late` steps of 5 ms old, and (W, n) the first states."""
     fine, model = 10, base.result.model
     order = [0, 1, 2, 5, 3, 4]
     flight = windows.flights[0]
@@ -295,7 +299,7 @@ def test_an_aircraft_without_thrust_gets_no_manoeuvre_but_a_sentence():
 
 
 def test_the_library_can_be_flown_by_the_own_aircraft():
-    """Every manoeuvre, within 75 deg of bank and pitch, above the floor and below a ceiling of 5 m."""
+    """Every manoeuvre, within 75 deg of bank and pitch, above the floor, below a ceiling of 5 m."""
     windows, flown = manoeuvre_windows(own_base(), quiet().windows)
     assert flown == MANOEUVRES
     assert len(windows) == sum(len(m.legs) for m in flown)

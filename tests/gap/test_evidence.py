@@ -1,4 +1,4 @@
-"""Evidence: what the linear score promises is what a fit delivers, and elimination changes nothing."""
+"""Evidence: the linear score agrees with the full fit, and elimination changes nothing."""
 
 from functools import cache
 
@@ -29,7 +29,7 @@ def prior() -> Prior:
 
 @cache
 def base_fit(effect: str, **values: float) -> tuple[FitResult, Windows]:
-    """The own aircraft with three free parameters, fitted to 20 s with an effect it does not have."""
+    """The own aircraft with three free parameters, fitted to 20 s with an effect it lacks."""
     model = own_aircraft()
     model = model.with_fixed([name for name in model.names if name not in FREE])
     flights = prepare(own_flight(effect, 20.0, 21, **values), np.repeat(MARKER, 3)).flights

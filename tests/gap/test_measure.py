@@ -44,7 +44,7 @@ def test_calm_against_calm_shows_nothing():
 
 
 def test_channel_that_is_off_everywhere_gives_one_spot_over_time():
-    """Roll residuals are twice their size all the time: an excess of 3 and nowhere in particular."""
+    """Roll residuals are twice their size all the time: an excess of 3, in no place of its own."""
     rng = np.random.default_rng(3)
     calm, flight = noise(rng, 60), noise(rng, 60)
     flight.residual[..., 3] *= 2.0

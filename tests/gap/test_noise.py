@@ -1,4 +1,4 @@
-"""Pose noise: how much of it is slow, found in residuals of simulated flights where it was planted."""
+"""Pose noise: its slow share, found in residuals of simulated flights where it was planted."""
 
 import numpy as np
 import pytest
