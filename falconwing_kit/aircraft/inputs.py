@@ -1,4 +1,7 @@
-"""Input map: logged commands -> control positions after radio delay and servo lag."""
+"""Input map: logged commands -> control positions after radio delay and servo lag.
+
+The input map is the dynamics of the actuators: a delay and a first-order lag.
+"""
 
 import numpy as np
 

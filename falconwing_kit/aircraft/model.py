@@ -1,5 +1,18 @@
 """Model f_K: named terms and their parameter values -> the time derivative of the state.
 
+f_K stands for dx/dt here; integrated over one time step (0.05 s) it is the paper's f_K, the map
+x_t -> x_{t+1} [paper, Section IV-B].
+
+The state, in the order of STATE_NAMES (SI, radians):
+    x[0:3]   px py pz         position in world axes
+    x[3:6]   pitch yaw roll   attitude
+    x[6:9]   vx vy vz         velocity in world axes
+    x[9:12]  p q r            body rates (12-state model only)
+Poses elsewhere are in the order x y z roll pitch yaw: x[[0, 1, 2, 5, 3, 4]].
+
+Input map: the actuator dynamics from logged commands to control positions, a delay and a
+first-order lag (`inputs.py`), to which an effect may add.
+
 Two models share everything but their body rates; files and options name them by `form`:
     "paper"  the 9-state model: body rates follow the commands immediately [paper, Section IV-B]
     "rates"  the 12-state model: body rates have dynamics of their own, as a 150 g aircraft needs
@@ -89,8 +102,8 @@ class Model:
         return replace(self, parameters=parameters)
 
     @property
-    def input_names(self) -> tuple[str, ...]:
-        """Parameters that act on the commands before the flight is integrated."""
+    def actuator_parameter_names(self) -> tuple[str, ...]:
+        """Parameters of the input map and of the effects that change the commands."""
         maps = (e for e in self.effects if e.command_map or e.input_map)
         acting = {p.name for p in (*INPUT_PARAMETERS, *(p for e in maps for p in e.parameters))}
         return tuple(name for name in self.names if name in acting)

@@ -5,21 +5,24 @@ because poses alone cannot separate mass from air density times wing area: a for
 acceleration [m/s^2], a moment an angular acceleration [rad/s^2]. Each function is plain arithmetic
 on numbers or arrays, so the same source runs batched in NumPy and compiled for a single flight.
 
-Symbols and signs are those of Beard & McLain, Small Unmanned Aircraft, ch. 4 and 5:
+Dimensional derivatives after Beard & McLain, Small Unmanned Aircraft, ch. 4: stability derivatives
+keep the textbook's signs; control derivatives of elevator and rudder are reversed, because commands
+are positive nose up / nose right.
 
     c        lower case: c = rho S C / (2 m) with the textbook's C, so that force per mass = V^2 c;
              cL_alpha in 1/(m rad) is rho S C_L_alpha / (2 m); cD_induced multiplies lift squared
     L M N    rolling, pitching and yawing moment per inertia, divided by V^2, or by V where a body
-             rate multiplies it, as the term's formula shows
+             rate multiplies it, as the term's formula shows: the textbook's C_l, C_m, C_n scaled;
+             L_p is C_l_p scaled by rho S b^2 / (4 Ixx), L_da is C_l_da by rho S b / (2 Ixx)
     _0       at zero angles, rates and commands; _alpha, _beta of an angle [1/rad]
     _p _q _r of a body rate; _da of full aileron, _de of full elevator, _dr of full rudder
     Jx Jy Jz (Iyy - Izz)/Ixx, (Izz - Ixx)/Iyy, (Ixx - Iyy)/Izz
 
 An ordinary stable aircraft has L_beta, L_p, M_alpha, M_q, N_r and cY_beta below zero and N_beta
-above, as in the textbook. What elevator and rudder do has the other sign: the kit's commands are
-positive for right wing down, nose up and nose right, so L_da, M_de and N_dr are above zero. A
-positive elevator deflection of the textbook lowers the nose and a positive rudder deflection turns
-it left: its C_m_de and C_n_dr are below zero (and C_L_de, C_Y_dr change alike).
+above, as in the textbook. Commands are positive for right wing down, nose up and nose right, so
+L_da, M_de and N_dr are above zero. A positive elevator deflection of the textbook lowers the nose
+and a positive rudder deflection turns it left: its C_m_de and C_n_dr are below zero (and C_L_de,
+C_Y_dr change alike).
 
 A term that a flight may need and the model lacks is an effect: one file in `aircraft/effects`.
 """
@@ -223,7 +226,8 @@ def quasi_steady_rates(air, K):
         r = V (N_0 + N_dr rudder + N_beta beta)
 
     The moments above with their angular accelerations set to zero [paper, Section IV-B: nine
-    states, no rates]; coefficients in 1/m.
+    states, no rates]. In the 9-state model the same names are therefore rate coefficients, in 1/m
+    instead of 1/m^2: with cross terms neglected, L_da here is -L_da / L_p of the 12-state model.
     """
     V = air.airspeed
     p = V * (K.L_0 + K.L_da * air.aileron + K.L_beta * air.beta)
@@ -238,8 +242,8 @@ def uniform_wind(px, py, height, time, K):
 
 
 # Each parameter: name, start, low, high, unit, meaning. Starts are a 150 g aircraft at 7 m/s;
-# bounds are wide enough for aircraft from 50 g to 10 kg. Signs are those of the textbook, as the
-# head of this file says.
+# bounds are wide enough for aircraft from 50 g to 10 kg. Stability derivatives keep the textbook's
+# signs, control derivatives of elevator and rudder are reversed: see the head of this file.
 
 _LIFT = (
     Parameter("cL_0", 0.078, -0.2, 0.6, "1/m", "lift at zero angle of attack"),

@@ -1,4 +1,22 @@
-"""Naming: nominal model and a flight under test -> the missing effect, several, none or outside."""
+"""Naming: nominal model and a flight under test -> the missing effect, several, none or outside.
+
+Effect identification (fault isolation) by BIC model selection [Schwarz 1978; Kass & Raftery 1995]:
+linear score-test scan of every effect, full fits of the best, decision. Verdicts: named; ambiguous
+(several within VERY_STRONG_EVIDENCE of the best); none (residuals as in the baseline flight);
+outside (residuals too large, but no catalogue effect accounts for them, or a generic effect or
+other parameters of the aircraft do so better).
+
+Generic effect: a force or moment proportional to one flight variable, or a command filter
+(`aircraft/generic.py`); the alternative hypothesis "something outside the catalogue".
+
+Symbols:
+    cost          sum of squared weighted residuals of a fit, and of its prior's
+    chi2          cost per degree of freedom; 1 where measurement noise alone remains
+    reduced_chi2  the baseline's chi2, at least 1: what noise and model error leave
+    delta_chi2    reduction of the cost by an effect, in units of reduced_chi2
+    delta_bic     delta_chi2 less k ln(n) of the effect's k parameters and n measured components
+    excess_chi2   chi2 of the flight above the baseline's, without effects
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -36,11 +54,14 @@ from falconwing_kit.sysid.uncertainty import uncertainty
 Verdict = Literal["named", "ambiguous", "none", "outside"]
 
 REFITS = 5  # full fits after the linear scan at least; more while another effect could still win
-COARSE_TOLERANCE = 2.0  # chi2 at which the first round of fits stops; the second continues it
+# The first round of fits stops where a step lowers the cost by less; the second continues it.
+COARSE_TOLERANCE = 2.0
 GENERIC_MARGIN = 0.1  # a generic effect must exceed the named ones by this share of their evidence
-# Share of a strong effect's chi2 that a formula 20 % off leaves unexplained: (20 %)^2.
+# Share of an effect's delta_chi2 that an error of its formula leaves: (20 %)^2 of it, where the
+# formula is wrong by 20 % of the residuals that the effect causes.
 FORMULA_ERROR = 0.04
-UNRELATED_FORMULA_ERROR = 0.001  # the same for what the effect does not act on: (3 %)^2
+# The same for what the effect does not act on: (3 %)^2, 3 % of those residuals.
+UNRELATED_FORMULA_ERROR = 0.001
 MAX_REMAINING_SHARE = 0.5  # of the excess: an effect that leaves more is no explanation
 EXCESS_SIGMAS = 6.0  # chi2 above the baseline level by this many standard deviations is not chance
 # Squared Mahalanobis distance per parameter: three standard deviations each is another aircraft.
@@ -136,17 +157,18 @@ def _decide(
     elif not chosen and excess_chi2 > EXCESS_SIGMAS * error:
         verdict = "outside"
     generic = _best_generic(base, windows, before, explained_bic, progress)
-    moved, known = _prior_distance(adding_up[-1].result or before, base.prior)
-    mahalanobis = moved / known
-    clear = (
+    distance_squared, n_prior = _prior_distance(adding_up[-1].result or before, base.prior)
+    mahalanobis = distance_squared / n_prior
+    # Evidence above which the generic effect is the better explanation.
+    generic_limit = (
         explained_bic + max(threshold, GENERIC_MARGIN * explained_bic)
         if chosen
         else GENERIC_EVIDENCE
     )
     # Parameters that moved so far may imitate any effect, unless that is little compared with what
     # the effect itself explains.
-    if generic.delta_bic > clear or (
-        mahalanobis > MAX_MAHALANOBIS and moved > FORMULA_ERROR * explained_bic
+    if generic.delta_bic > generic_limit or (
+        mahalanobis > MAX_MAHALANOBIS and distance_squared > FORMULA_ERROR * explained_bic
     ):
         verdict, chosen = "outside", ()
     return Naming(
@@ -185,8 +207,9 @@ def _prior_distance(result: FitResult, prior: Prior) -> tuple[float, int]:
     that the parameters imitate.
     """
     rows, mean = prior_rows(result.model, result.free, prior)
-    known = max(int(np.count_nonzero(rows.any(axis=1))), 1)
-    return float(np.sum((rows @ (result.model.vector[list(result.free)] - mean)) ** 2)), known
+    n_prior = max(int(np.count_nonzero(rows.any(axis=1))), 1)
+    distance = rows @ (result.model.vector[list(result.free)] - mean)
+    return float(np.sum(distance**2)), n_prior
 
 
 def _add_second_effect(

@@ -51,7 +51,7 @@ def fit_one_step(
     """
     from scipy.optimize import least_squares
 
-    fixed_model = model.with_fixed(model.input_names)
+    fixed_model = model.with_fixed(model.actuator_parameter_names)
     free = [i for i, p in enumerate(fixed_model.parameters) if p.high > p.low]
     # All steps of all flights side by side: before and after (n_states, N), actuators (4, N).
     steps = [_steps(fixed_model, flight, smoothed) for flight in flights]

@@ -263,7 +263,7 @@ def jacobian(
         residual (W, R) as of `residuals`; derivative by the free parameters (W, R, F), per unit of
         each; derivative by the window's own initial state (W, R, n_states).
     """
-    mapped = model.input_names
+    mapped = model.actuator_parameter_names
     steps = np.array(
         [1e-3 if model.names[i] in mapped else 1e-5 * _parameter_scale(model, i) for i in free]
     )
@@ -322,7 +322,7 @@ def _perturbed_residuals(
     """Pose residuals of the first column (W, L * 6); the others' less those (C - 1, W, L * 6)."""
     # Actuator responses are the costly part: one variant for the first column, and one more for
     # each column that changes a parameter of the input map (delay, lag).
-    mapped = [model.names.index(name) for name in model.input_names]
+    mapped = [model.names.index(name) for name in model.actuator_parameter_names]
     variants = [windows.actuator_positions(model, values[:, 0])]
     variant_index = np.zeros(values.shape[1], dtype=int)
     for column in np.flatnonzero((values[mapped] != values[mapped][:, :1]).any(axis=0)):

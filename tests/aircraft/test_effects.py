@@ -150,7 +150,8 @@ def test_every_entry_has_one_place_where_it_acts():
     none.
     """
     for effect in CATALOGUE:
-        of_sticks = set(rates_model().with_effect(effect).input_names) - {"delay", "lag"}
+        model = rates_model().with_effect(effect)
+        of_sticks = set(model.actuator_parameter_names) - {"delay", "lag"}
         assert bool(of_sticks) == bool(effect.command_map or effect.input_map)
         hooks = (
             effect.loads,

@@ -280,8 +280,8 @@ class Flown:
 
     def change(self, other: Model) -> Array:
         """(M,) how far another model's accelerations are from the base model's, in sigmas."""
-        same = other.input_names == self.model.input_names and all(
-            other.values[name] == self.model.values[name] for name in other.input_names
+        same = other.actuator_parameter_names == self.model.actuator_parameter_names and all(
+            other.values[name] == self.model.values[name] for name in other.actuator_parameter_names
         )
         sticks = self.sticks if same else control_positions(other, self.flights)
         return np.asarray(
@@ -360,7 +360,7 @@ def _parameter_columns(flown: Flown, free: Sequence[int]) -> Array:
         name, value = model.names[i], model.values[model.names[i]]
         step = (
             1e-3
-            if name in model.input_names
+            if name in model.actuator_parameter_names
             else 1e-4 * max(abs(value), abs(model.parameters[i].start), 0.1)
         )
         columns.append(flown.change(model.with_values({name: value + step})) / step)
