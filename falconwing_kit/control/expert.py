@@ -1,8 +1,9 @@
 """Experts: measured state -> commands that land, fly waypoints or follow a leader, without images.
 
-An expert reads `observation.state`, `observation.t` and `observation.past_commands` only. Of the
-state it uses the pose; velocities and rates are those of its own observer. The vision policies
-imitate it.
+An expert reads `observation.state`, `observation.t` and `observation.past_commands` only. Its own
+observer (control/estimate.py) filters the pose of the measured state and estimates velocities and
+rates. Here are the paths and the phases of flight; the control law, LQR loops, is in
+control/loops.py. The vision policies imitate the experts.
 """
 
 import math
@@ -20,11 +21,11 @@ from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, Autopilot, Referen
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.messages import Command, Observation, State
 
-GLIDE = math.radians(4.0)  # slope of the approach [rad]
-TOUCH_SLOPE = 0.035  # of the wheels' path at touchdown
-FLARE_LENGTH = 6.0  # distance in which the flare's slope falls to 1/e [m]
+GLIDE = math.radians(4.0)  # gamma, flight path angle of the glide, downwards [rad]
+TOUCHDOWN_SLOPE = 0.035  # tan(gamma_touch) of the wheels' path
+FLARE_LENGTH = 6.0  # L, distance in which the flare's slope falls to 1/e [m]
 AIM = 3.5  # planned touchdown, past the pad's threshold [m]
-FINAL = 60.0  # length of the planned approach before the pad [m]
+FINAL = 60.0  # length of the glide before the flare [m]
 GAP_GAIN = 0.8  # speed correction per metre of gap error [1/s]
 MAX_SPEED_CORRECTION = 1.2  # [m/s]
 WALL_MARGIN = 0.8  # of a follower to walls, floor and beams [m]; its half span is 0.35 m
@@ -131,7 +132,7 @@ class LandingExpert:
 
 
 class FollowExpert:
-    """Follows the leader's path, at the place relative to it of the first observation."""
+    """Follows the leader's path: station keeping at the initial relative position."""
 
     def __init__(
         self, model: Model, airframe: Airframe, leader_path: LeaderTrajectory,
@@ -141,7 +142,7 @@ class FollowExpert:
         positions = leader_path.states[:, 0:3]
         self.path, self.leader, self.mode = ReferencePath(positions), leader_path, "follow"
         # (3,) behind the leader along its path, left of the path, above it [m]
-        self.place: Array | None = None
+        self.station: Array | None = None
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         self._s_leader = np.concatenate([[0.0], np.cumsum(steps)])
         self._speeds = np.linalg.norm(leader_path.states[:, 6:9], axis=1)
@@ -149,7 +150,7 @@ class FollowExpert:
         self._s: float | None = None
 
     def act(self, observation: Observation) -> Command:
-        """The command that keeps the aircraft at its place behind the leader."""
+        """The command that keeps the aircraft at its station behind the leader."""
         state = self._autopilot.estimate(observation)
         if state is None:
             self.mode = NO_STATE
@@ -161,15 +162,15 @@ class FollowExpert:
             self._s = s_leader - float(np.linalg.norm(leader.p_world - state.p_world))
         self._s = s = self.path.nearest(state.p_world, self._s)
         leader_speed = float(np.interp(s, self._s_leader, self._speeds))
-        if self.place is None:
+        if self.station is None:
             on_path = self.path.at(s, leader_speed)
             offset = state.p_world - on_path.p_world
-            self.place = np.array([s_leader - s, offset @ course_axes(on_path.yaw)[1], offset[2]])
-        gap_error = s_leader - self.place[0] - s
+            self.station = np.array([s_leader - s, offset @ course_axes(on_path.yaw)[1], offset[2]])
+        gap_error = s_leader - self.station[0] - s
         correction = min(max(GAP_GAIN * gap_error, -MAX_SPEED_CORRECTION), MAX_SPEED_CORRECTION)
         reference = self.path.at(s, leader_speed + correction)
-        aside = self.place[1] * course_axes(reference.yaw)[1] + (0.0, 0.0, self.place[2])
-        # A place beside the path may lie behind a wall although the path does not.
+        aside = self.station[1] * course_axes(reference.yaw)[1] + (0.0, 0.0, self.station[2])
+        # A station beside the path may lie behind a wall although the path does not.
         target = Hall().clamp(reference.p_world + aside, WALL_MARGIN)
         return self._autopilot.track(state, replace(reference, p_world=target), observation)
 
@@ -179,14 +180,15 @@ def landing_path(airframe: Airframe, pad: LandingPad) -> tuple[ReferencePath, fl
 
     It runs along the pad's centre line in the direction of world x. The height above the pad falls
     linearly, then exponentially towards a level slightly below the pad, so that the wheels touch at
-    a slope: h = L (tan(glide) e^(-x/L) - slope) [Stevens, Lewis & Johnson, Aircraft Control and
-    Simulation, 3rd ed., sec. 4.5: exponential flare].
+    the slope tan(gamma_touch): h = L (tan(gamma) e^(-x/L) - tan(gamma_touch)), x from the start of
+    the flare [Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., sec. 4.5:
+    exponential flare].
     """
-    slope = math.tan(GLIDE)
-    x_flare = pad.x_start + AIM - FLARE_LENGTH * math.log(slope / TOUCH_SLOPE)
+    glide_slope, touchdown_slope = math.tan(GLIDE), TOUCHDOWN_SLOPE
+    x_flare = pad.x_start + AIM - FLARE_LENGTH * math.log(glide_slope / touchdown_slope)
     x = np.arange(-FINAL, pad.length, 0.25)
-    glide = -slope * np.minimum(x, 0.0)
-    flare = slope * np.exp(-np.maximum(x, 0.0) / FLARE_LENGTH) - TOUCH_SLOPE
+    glide = -glide_slope * np.minimum(x, 0.0)
+    flare = glide_slope * np.exp(-np.maximum(x, 0.0) / FLARE_LENGTH) - touchdown_slope
     # Height of the centre of gravity with the main wheels on the pad.
     standing = pad.height + max(airframe.wheels.main_left[2], airframe.wheels.main_right[2])
     z = standing + glide + FLARE_LENGTH * flare

@@ -54,14 +54,14 @@ def rotation_entries(roll: Any, pitch: Any, yaw: Any) -> Any:
     # Tangent half-angle formulas: cos = 2 / (1 + tan^2) - 1, sin = 2 tan / (1 + tan^2). One
     # vectorised tan is faster than sin and cos; the results agree to 1e-15.
     half_roll, half_pitch, half_yaw = np.tan(0.5 * roll), np.tan(0.5 * pitch), np.tan(0.5 * yaw)
-    over_roll, over_pitch, over_yaw = (
+    cos2_half_roll, cos2_half_pitch, cos2_half_yaw = (
         1.0 / (1.0 + half_roll * half_roll),
         1.0 / (1.0 + half_pitch * half_pitch),
         1.0 / (1.0 + half_yaw * half_yaw),
     )
-    sin_roll, cos_roll = 2.0 * half_roll * over_roll, 2.0 * over_roll - 1.0
-    sin_pitch, cos_pitch = 2.0 * half_pitch * over_pitch, 2.0 * over_pitch - 1.0
-    sin_yaw, cos_yaw = 2.0 * half_yaw * over_yaw, 2.0 * over_yaw - 1.0
+    sin_roll, cos_roll = 2.0 * half_roll * cos2_half_roll, 2.0 * cos2_half_roll - 1.0
+    sin_pitch, cos_pitch = 2.0 * half_pitch * cos2_half_pitch, 2.0 * cos2_half_pitch - 1.0
+    sin_yaw, cos_yaw = 2.0 * half_yaw * cos2_half_yaw, 2.0 * cos2_half_yaw - 1.0
     sin_roll_sin_pitch, cos_roll_sin_pitch = sin_roll * sin_pitch, cos_roll * sin_pitch
     return (
         (
@@ -149,17 +149,17 @@ def wrap_angle(angle: ArrayLike) -> Array:
     return (np.asarray(angle, np.float64) + np.pi) % (2.0 * np.pi) - np.pi
 
 
-def pose_matrix(R_world_body: ArrayLike, p_world: ArrayLike) -> Array:
-    """Homogeneous matrix of a rotation and the body's origin in the world.
+def pose_matrix(R_a_b: ArrayLike, p_a: ArrayLike) -> Array:
+    """Homogeneous matrix of any two frames a and b, such as world and body.
 
     Args:
-        R_world_body: (..., 3, 3).
-        p_world: (..., 3) [m].
+        R_a_b: (..., 3, 3) rotation from axes b to axes a.
+        p_a: (..., 3) origin of b in a [m].
 
     Returns:
-        T_world_body (..., 4, 4).
+        T_a_b (..., 4, 4), "a from b".
     """
-    R, p = np.asarray(R_world_body, np.float64), np.asarray(p_world, np.float64)
+    R, p = np.asarray(R_a_b, np.float64), np.asarray(p_a, np.float64)
     T = np.zeros((*p.shape[:-1], 4, 4))
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, p, 1.0
     return T

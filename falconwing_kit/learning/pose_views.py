@@ -191,7 +191,7 @@ def overlay_photos(
     photos: PosedImages,
     numbers: NDArray[np.int64],
 ) -> Tensor:
-    """Renders (C, H, W, 3) overlaid with photos taken from the same positions.
+    """Put real photos into a training batch: over renders (C, H, W, 3) from the same positions.
 
     u = K_photo R_photo_world R_world_camera ray, the homography of a rotating camera
     [Hartley & Zisserman, 8.4.2]

@@ -24,7 +24,7 @@ from falconwing_kit.scene.gaussians import GaussianScene, Images
 from falconwing_kit.scene.sh import SH_CONSTANTS
 
 NEAR, FAR = 0.01, 1e10  # depths that are drawn [m]
-BLUR_PX = 0.3  # added to both variances of a splat, which makes it about a pixel wide [px^2]
+BLUR_VARIANCE_PX2 = 0.3  # added to both variances of a splat: about a pixel wide [px^2]
 FIELD_MARGIN = 0.3  # in half fields of view: the slope of a ray is clamped there, see the Jacobian
 MAX_ALPHA, MIN_ALPHA = 0.999, 1.0 / 255.0
 MAX_SIGMA = 10.0  # alpha is below 1/255 from 5.6 on; exp of much more is denormal, and slow
@@ -117,7 +117,7 @@ def project_gaussians(
     # Ellipses in the image, at least a pixel wide
     shapes = covariances(near.quaternions, near.scales)
     unblurred = image_covariances(shapes, p_camera, T_world_camera, camera)
-    blurred = unblurred + BLUR_PX * torch.eye(2).to(unblurred)
+    blurred = unblurred + BLUR_VARIANCE_PX2 * torch.eye(2).to(unblurred)
     opacities = near.opacities
     if antialiased:
         opacities = opacities * compensations(unblurred, blurred)
@@ -212,7 +212,8 @@ def conics(blurred: Tensor) -> Tensor:
 def compensations(unblurred: Tensor, blurred: Tensor) -> Tensor:
     """Factors (N,) 0..1 by which the blur must dim a splat to keep its light  [M].
 
-    sqrt(det Sigma' / det(Sigma' + 0.3 I)), at least 1e-6 because the root has no slope at 0
+    sqrt(det Sigma' / det(Sigma' + 0.3 I)), at least 1e-6 because the derivative of the
+    square root is infinite at 0
     """
     return (determinants(unblurred) / determinants(blurred)).clamp(min=1e-12).sqrt()
 

@@ -116,7 +116,7 @@ def fit(
         tolerance: stop when a step lowers chi2 by less (0.1 moves no parameter by more than 0.3 of
             its sigma).
         linear: residual and derivatives at the first guess, if already computed.
-        on_step: called with (iteration, chi2 per measured component) after each.
+        on_step: called after each Gauss-Newton step with its number and the cost per measurement.
 
     Returns:
         The fit; `converged` is False where it ran out of iterations.

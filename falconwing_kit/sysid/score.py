@@ -16,7 +16,7 @@ BLOCK_S = 10.0  # neighbouring samples are correlated, so whole blocks of time a
 class PredictionScore:
     """Prediction errors over whole windows, with the initial states fitted."""
 
-    chi2: float  # per degree of freedom, 1 where only noise is left
+    chi2: float  # per degree of freedom; on held-out windows 1 if model and sigma are right
     channels: Array  # (6,) the same per channel
     position_m: float  # root mean square distance over all measured rows
     attitude_deg: float  # root mean square over all measured rows and the three angles

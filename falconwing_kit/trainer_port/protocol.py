@@ -9,6 +9,25 @@ byte is its type:
                    PILOT      0x12  one for each valid frame of the pilot's radio
                    SYNC_REPLY 0x13  u32 token | u32 time received | u32 time queued
 
+Payloads of STATUS and PILOT by byte; at their end n channels of two bytes [us]:
+
+    STATUS    0     u8   type 0x11                  PILOT    0     u8   type 0x12
+              1     u8   version                             1..4  u32  time of last edge [us]
+              2..5  u32  board's clock [us]                  5     u8   index into PILOT_SOURCES
+              6     u8   index into STATES                   6..7  u16  pilot frames rejected
+              7     u8   index into FAULTS                   8     u8   n, 1..8
+              8     u8   boot count                          9..   u16  channels
+              9     u8   reset cause (MCUSR)
+             10..11 u16  last accepted sequence
+             12..15 u32  commands accepted
+             16..17 u16  frames with wrong CRC or format
+             18..19 u16  commands with wrong sequence
+             20..21 u16  commands out of range
+             22..25 u32  PPM frames sent
+             26     u8   silent, 1: PPM output is off
+             27     u8   n, 4..8
+             28..   u16  channels
+
 COBS (consistent overhead byte stuffing, Cheshire and Baker 1999) removes the zeros from the
 payload, so a zero byte always ends a frame: after any garbage, the next zero resynchronises both
 sides.
@@ -108,7 +127,7 @@ Message = CommandFrame | SyncRequest | Status | PilotFrame | SyncReply
 
 
 def encode_channels(sequence: int, channels_us: Sequence[int], engage: bool) -> bytes:
-    """One COMMAND as a serial frame with its zero byte; channels are not clipped here.
+    """Encode a COMMAND from channel microseconds: a serial frame with its zero byte, unclipped.
 
     Args:
         sequence: a whole number from 0; its low 16 bits are sent.

@@ -3,13 +3,16 @@
                           first tick
                    BOOT -------------> SAFE <------------ engage = 0 ------------+
                                        |  ^                                      |
-         engage edge, then 5 frames in |  | engage = 0: hand-back                |
-         500 ms, no gap of 200 ms      v  |                                      |
+         5 consecutive engage frames   |  | engage = 0: hand-back                |
+         in 500 ms, no gap of 200 ms   v  |                                      |
                                        ACTIVE -- 200 ms without valid frame --> LOST
 
     any state -- 5 commands out of range within 1 s --> FAULT (range)
     any state -- watchdog reset --> FAULT (stall)
-    FAULT -- engage = 0, at least 1 s after the last violation and after boot --> SAFE
+    FAULT -- engage = 0, fault hold-off over --> SAFE
+
+An engage frame is a valid COMMAND with engage = 1. The first of the five is the rising edge of
+engage, from 0 to 1. The fault hold-off lasts 1 s from boot and from every violation.
 
 Only ACTIVE passes the host's channels on; every other state outputs throttle idle and the other
 channels neutral. This is the reference model: the firmware holds the same machine in C++
@@ -17,12 +20,14 @@ channels neutral. This is the reference model: the firmware holds the same machi
 the two. Details that the rules leave open:
 
 - The range is checked before the sequence: a command out of range is always a violation.
-- The edge and its five frames count in SAFE only; commands in BOOT are accepted without effect.
+- The 5 consecutive engage frames, the rising edge included, count in SAFE only; commands in BOOT
+  are accepted without effect. A rejected command between them neither counts nor restarts them.
 - A limit is reached when its time has passed in full: 200 ms after a frame is a loss, 199.999 ms is
   not.
-- Times are the board's microseconds in 32 bits and wrap after 71 minutes. Whatever can become older
-  is therefore cleared (silence and the end of a rest: stored) at the tick that reaches its limit.
-- Silence lasts until a valid frame arrives, in FAULT too; it begins in SAFE and LOST only.
+- Times are the board's microseconds in 32 bits and wrap after 71 minutes. Timers are cleared when
+  they expire, so that a wrapped clock cannot restart them.
+- Silent means PPM output off. It begins `silent_after_ms` after the last valid frame, in SAFE and
+  LOST only, and lasts until the next valid frame, in FAULT too.
 """
 
 from collections.abc import Sequence
@@ -60,7 +65,7 @@ class SafetyConfig:
     host_timeout_ms: int = 200
     engage_frames: int = 5
     engage_window_ms: int = 500
-    silent_after_ms: int = 0  # 0: never
+    silent_after_ms: int = 0  # after the last valid frame: PPM output off; 0: never
     range_fault_frames: int = 5
 
     def __post_init__(self) -> None:
@@ -96,16 +101,16 @@ class Safety:
         self.state = "FAULT" if watchdog_reset else "BOOT"
         self.fault = "stall" if watchdog_reset else "none"
         self.last_sequence: int | None = None  # of the last valid frame
-        self.silent = False
+        self.silent = False  # True: PPM output off
         self.slots_us = self.config.safe_us[: self.config.channels]  # of the last PPM frame
         self._target_us = self.slots_us
         self._engage: bool | None = None  # flag of the last valid frame
         self._valid_us: int | None = None  # time of the last valid frame
-        self._edge_us: int | None = None  # time of the edge, while it counts
-        self._engaged_frames = 0  # since the edge
+        self._edge_us: int | None = None  # time of the rising edge, while it counts
+        self._engaged_frames = 0  # since the rising edge, itself included
         self._violations, self._first_violation_us = 0, 0  # within one second
-        # Resting: less than a second after boot or after the last violation.
-        self._resting, self._rest_us = True, now_us
+        # Fault hold-off: less than a second since boot or the last violation.
+        self._is_holding_off, self._hold_off_us = True, now_us
 
     def frame(
         self, now_us: int, sequence: int, engage: bool, channels_us: Sequence[int]
@@ -158,7 +163,7 @@ class Safety:
         return None if self.silent else self.slots_us
 
     def _process_engage(self, now_us: int, is_edge: bool) -> None:
-        """A valid frame with engage = 1: in SAFE the edge and four more frames lead to ACTIVE."""
+        """An engage frame: in SAFE 5 consecutive ones, the rising edge included, lead to ACTIVE."""
         if self.state != "SAFE":
             return
         if is_edge:
@@ -169,9 +174,9 @@ class Safety:
                 self.state, self._edge_us = "ACTIVE", None
 
     def _process_hand_back(self) -> None:
-        """A valid frame with engage = 0 leads to SAFE, from FAULT only after a rest."""
+        """A valid frame with engage = 0 leads to SAFE, from FAULT only after the hold-off."""
         self._edge_us = None
-        if self.state in ("ACTIVE", "LOST") or (self.state == "FAULT" and not self._resting):
+        if self.state in ("ACTIVE", "LOST") or (self.state == "FAULT" and not self._is_holding_off):
             self.state, self.fault = "SAFE", "none"
 
     def _count_violation(self, now_us: int) -> None:
@@ -179,12 +184,12 @@ class Safety:
         if self._violations == 0:
             self._first_violation_us = now_us
         self._violations += 1
-        self._resting, self._rest_us = True, now_us
+        self._is_holding_off, self._hold_off_us = True, now_us
         if self._violations >= self.config.range_fault_frames:
             self.state, self.fault, self._edge_us = "FAULT", "range", None
 
     def _expire_timers(self, now_us: int) -> None:
-        """Clear the edge, the violations and the rest when their time is over."""
+        """Clear the edge, the violations and the fault hold-off when their time is over."""
         if self._edge_us is not None and (
             elapsed_us(now_us, self._edge_us) >= self.config.engage_window_ms * 1000
             or self._is_timed_out(now_us, self.config.host_timeout_ms)
@@ -192,8 +197,8 @@ class Safety:
             self._edge_us = None
         if self._violations and elapsed_us(now_us, self._first_violation_us) >= SECOND_US:
             self._violations = 0
-        if self._resting and elapsed_us(now_us, self._rest_us) >= SECOND_US:
-            self._resting = False
+        if self._is_holding_off and elapsed_us(now_us, self._hold_off_us) >= SECOND_US:
+            self._is_holding_off = False
 
     def _is_timed_out(self, now_us: int, limit_ms: int) -> bool:
         """Whether the last valid frame is at least limit_ms old."""

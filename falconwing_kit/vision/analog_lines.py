@@ -18,7 +18,7 @@ import numpy as np
 from falconwing_kit.core.checks import Array, require_range, require_shape
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.vision.images import Pixels
-from falconwing_kit.vision.marker import Marker, MarkerPose, find_marker, print_correlation
+from falconwing_kit.vision.marker import Marker, MarkerPose, find_marker, template_correlation
 
 BLUR_GRID_PX = np.array([0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8])
 MAX_DETECTIONS = 20  # more of them change the blur by less than 0.1 px
@@ -108,7 +108,7 @@ def _log_residual(pixels: Pixels, corners_px: Array, marker: Marker, blur_px: Ar
     proportional to its logarithm.
     """
     blur = (float(blur_px[0]), float(blur_px[1]))
-    correlation = print_correlation(pixels, marker, corners_px, blur)
+    correlation = template_correlation(pixels, marker, corners_px, blur)
     return float(np.log(max(1.0 - correlation**2, 1e-6)))
 
 

@@ -2,8 +2,8 @@
 
 A flat square seen small or straight on has two poses that look almost alike [Collins & Bartoli,
 Infinitesimal plane-based pose estimation, IJCV 2014]. Both are kept with their covariances; the
-motion of the aircraft decides between them (`hybrid_state`). Pixel coordinates are the kit's: the
-centre of the first pixel is at (0.5, 0.5).
+motion of the aircraft decides between them (vision/hybrid_state.py). Pixel coordinates are the
+kit's: the centre of the first pixel is at (0.5, 0.5).
 """
 
 from collections import Counter
@@ -29,16 +29,16 @@ R_WORLD_MARKER: Array = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0,
 CORNER_SIGMA_PX = 0.15  # measured on the hall's digital video
 MIN_SIDE_PX = 8.0  # below, one bit of a 4 x 4 marker is about a pixel wide
 MIN_FLATNESS = 0.15  # area / longest side^2; below, the view is too oblique
-MIN_CORRELATION = 0.85  # with the print; the hall's video has 0.97, its analog link 0.9
+MIN_CORRELATION = 0.85  # with the template; the hall's video has 0.97, its analog link 0.9
 QUIET_ZONE_CELLS = 0.5  # white border around the black square that is compared too
-PRINT_BLUR_PX = (0.35, 0.6, 0.9, 1.4)  # of lens and pixel area; the best fitting one is taken
-MIN_SPREAD_PX = 0.3  # [px of the print] a narrower Gaussian falls between pixels
+LENS_BLUR_PX = (0.35, 0.6, 0.9, 1.4)  # of lens and pixel area; the best fitting one is taken
+MIN_SPREAD_PX = 0.3  # [px of the template] a narrower Gaussian falls between pixels
 INK, PAPER = 0.04, 0.85  # reflectances
 GAMMA = 2.2  # a pixel half black, half white is brighter than grey: black shapes look smaller
 UPSCALE = 2.0  # for OpenCV's detector, which needs contours of some length
-PRINT_OVERSAMPLING = 2.0  # pixels of the print per image pixel; fewer shift its edges
+TEMPLATE_OVERSAMPLING = 2.0  # template pixels per image pixel; fewer shift its edges
 MIN_EDGE = 0.25  # of the median line's edge energy; below, a line's shift is undefined
-Print = tuple[Pixels, Array]  # image of the printed marker, and its corners in it (4, 2) [px]
+Template = tuple[Pixels, Array]  # image of the printed marker, its corners in it (4, 2) [px]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +93,12 @@ class MarkerPose:
     """One detection: four corners and the two camera poses they allow, the better fitting first."""
 
     corners_px: Array  # (4, 2) u, v, in the order of Marker.corners
-    correlation: float  # of the image with the print, 0..1
+    correlation: float  # of the image with the template, 0..1
     T_camera_marker: Array  # (2, 4, 4)
     T_world_camera: Array  # (2, 4, 4)
     reprojection_px: Array  # (2,) root mean square over the eight coordinates
     covariance: Array  # (2, 6, 6) of position [m] and rotation vector [rad] in world axes
-    # shifts of the image's lines to the right of the print's (H,), and of its columns down (W,)
+    # shifts of the image's lines to the right of the template's (H,), and of its columns down (W,)
     line_jitter_px: tuple[Array, Array] = (np.empty(0), np.empty(0))
 
 
@@ -111,17 +111,17 @@ def find_marker(
 ) -> MarkerPose | None:
     """Detect the marker in an image and solve for both camera poses.
 
-    OpenCV's detector reads the bits; then an image of the print is aligned with the frame by
-    enhanced correlation [Evangelidis & Psarakis, PAMI 2008]. That uses the edges of all bits, which
-    makes the corners about five times as accurate as the outline alone, and it works in noise where
-    the outline breaks.
+    OpenCV's detector reads the bits; then a template image of the marker is aligned with the frame
+    by enhanced correlation [Evangelidis & Psarakis, PAMI 2008]. That uses the edges of all bits,
+    which makes the corners about five times as accurate as the outline alone, and it works in noise
+    where the outline breaks.
 
     Args:
         image: (H, W, 3) RGB or (H, W) grey, uint8.
         camera: intrinsics at the image's size.
         marker: None is the hall's.
         near_px: (4, 2) corners predicted to half a side, searched where the detector fails.
-        horizontal_blur_px: of an analog link, see `analog_lines`; 0 for a digital camera.
+        horizontal_blur_px: of an analog link, see vision/analog_lines.py; 0 for a digital camera.
 
     Returns:
         The detection; None if there is no marker, or it is too small or seen too obliquely.
@@ -137,7 +137,7 @@ def find_marker(
         start = _search_near(grey, marker, require_shape("near_px", near_px, (4, 2)))
     if start is None:
         return None
-    corners, correlation, best_print = _refine_corners(
+    corners, correlation, best_template = _refine_corners(
         grey, marker, start, (horizontal_blur_px, 0.0)
     )
     if correlation < MIN_CORRELATION or not _is_good(corners):
@@ -145,19 +145,19 @@ def find_marker(
     detection = _solve_poses(corners, correlation, camera, marker)
     if detection is None:
         return None
-    return replace(detection, line_jitter_px=_line_jitter(grey, best_print, corners))
+    return replace(detection, line_jitter_px=_line_jitter(grey, best_template, corners))
 
 
-def print_correlation(
+def template_correlation(
     image: Pixels, marker: Marker, corners_px: Array, blur_px: tuple[float, float]
 ) -> float:
-    """Correlation of an image with the print aligned to it, 0..1; 0 where the alignment fails.
+    """Correlation of an image with the template aligned to it, 0..1; 0 where the alignment fails.
 
     Args:
         image: (H, W, 3) RGB or (H, W) grey, uint8.
         marker: the printed marker.
         corners_px: (4, 2) approximate corners.
-        blur_px: of the print along the image's lines and across them; one of the two is 0.
+        blur_px: of the template along the image's lines and across them; one of the two is 0.
     """
     return _refine_corners(to_grey(image), marker, corners_px, blur_px)[1]
 
@@ -326,16 +326,20 @@ def _detect(grey: Pixels, marker: Marker) -> Array | None:
 
 
 @cache
-def _print(dictionary: str, number: int, cells: int, cell_px: int, blur_px: float) -> Print:
-    """Image of the printed marker, cell_px pixels a cell, blurred before gamma as by a lens."""
+def _render_template(
+    dictionary: str, number: int, cells: int, cell_px: int, blur_px: float
+) -> Template:
+    """Template image of the marker, cell_px pixels a cell, blurred as by a lens before gamma."""
     import cv2
 
     fine = 32  # pixels a cell before scaling down
     quiet = round(QUIET_ZONE_CELLS * fine)
     bits = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
-    drawn = cv2.aruco.generateImageMarker(bits, number, cells * fine)
-    drawn = cv2.copyMakeBorder(drawn, quiet, quiet, quiet, quiet, cv2.BORDER_CONSTANT, value=255)
-    light: Any = INK + (PAPER - INK) * drawn / 255.0
+    template = cv2.aruco.generateImageMarker(bits, number, cells * fine)
+    template = cv2.copyMakeBorder(
+        template, quiet, quiet, quiet, quiet, cv2.BORDER_CONSTANT, value=255
+    )
+    light: Any = INK + (PAPER - INK) * template / 255.0
     side = round((cells + 2 * QUIET_ZONE_CELLS) * cell_px)
     light = cv2.resize(light, (side, side), interpolation=cv2.INTER_AREA)
     light = cv2.GaussianBlur(light, (0, 0), blur_px)
@@ -344,108 +348,108 @@ def _print(dictionary: str, number: int, cells: int, cell_px: int, blur_px: floa
     return image, np.array([(low, low), (high, low), (high, high), (low, high)])
 
 
-def _print_for(marker: Marker, corners: Array, blur_px: float = PRINT_BLUR_PX[0]) -> Print:
-    """The print at PRINT_OVERSAMPLING times its size in the image, with this blur in the image."""
+def _template_for(marker: Marker, corners: Array, blur_px: float = LENS_BLUR_PX[0]) -> Template:
+    """The template, TEMPLATE_OVERSAMPLING times as large as in the image, with this blur there."""
     cell_image_px = np.sqrt(_area(corners)) / marker.cells
-    cell_px = int(np.clip(round(PRINT_OVERSAMPLING * cell_image_px), 4, 32))
-    blur_print_px = max(0.1, round(blur_px * cell_px / cell_image_px, 1))  # 0 is no valid blur
-    return _print(marker.dictionary, marker.id, marker.cells, cell_px, blur_print_px)
+    cell_px = int(np.clip(round(TEMPLATE_OVERSAMPLING * cell_image_px), 4, 32))
+    template_blur_px = max(0.1, round(blur_px * cell_px / cell_image_px, 1))  # 0 is no valid blur
+    return _render_template(marker.dictionary, marker.id, marker.cells, cell_px, template_blur_px)
 
 
 def _refine_corners(
     grey: Pixels, marker: Marker, corners: Array, blur_px: tuple[float, float]
-) -> tuple[Array, float, Print]:
-    """Corners of the best aligned print, its correlation (0 where alignment fails), and the print.
+) -> tuple[Array, float, Template]:
+    """Corners and correlation (0 where alignment fails) of the best aligned template, and it.
 
     The lens blur is increased until the correlation falls.
     """
-    best, highest, best_print = corners, 0.0, _print_for(marker, corners)
-    for print_blur_px in PRINT_BLUR_PX:
-        drawn, print_corners = _print_for(marker, corners, print_blur_px)
-        drawn = _blur_print(drawn, print_corners, corners, blur_px)
-        moved, correlation = _align_print(grey, drawn, print_corners, best)
+    best, highest, best_template = corners, 0.0, _template_for(marker, corners)
+    for lens_blur_px in LENS_BLUR_PX:
+        template, template_corners = _template_for(marker, corners, lens_blur_px)
+        template = _blur_template(template, template_corners, corners, blur_px)
+        moved, correlation = _align_template(grey, template, template_corners, best)
         if correlation <= highest:
             break
-        best, highest, best_print = moved, correlation, (drawn, print_corners)
-    return best, highest, best_print
+        best, highest, best_template = moved, correlation, (template, template_corners)
+    return best, highest, best_template
 
 
-def _blur_print(
-    drawn: Pixels, print_corners: Array, corners: Array, blur_px: tuple[float, float]
+def _blur_template(
+    template: Pixels, template_corners: Array, corners: Array, blur_px: tuple[float, float]
 ) -> Pixels:
-    """The print blurred along the image's lines, or across them, as by a link: after gamma.
+    """The template blurred along the image's lines, or across them, as by a link: after gamma.
 
-    A link's blur is a segment in the image; the homography takes it to a direction in the print,
-    along which the kernel is an elongated Gaussian.
+    A link's blur is a segment in the image; the homography takes it to a direction in the
+    template, along which the kernel is an elongated Gaussian.
     """
     import cv2
 
-    to_print = cv2.getPerspectiveTransform(
-        corners.astype(np.float32), print_corners.astype(np.float32)
+    to_template = cv2.getPerspectiveTransform(
+        corners.astype(np.float32), template_corners.astype(np.float32)
     )
     ends = corners.mean(axis=0) + np.outer((-0.5, 0.5), blur_px)
-    left, right = cv2.perspectiveTransform(ends[None], to_print)[0]
+    left, right = cv2.perspectiveTransform(ends[None], to_template)[0]
     reach = int(np.ceil(3.0 * np.linalg.norm(right - left)))
     v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     offsets = np.stack([u, v])
     covariance = np.outer(right - left, right - left) + MIN_SPREAD_PX**2 * np.eye(2)
     chi2 = np.einsum("iuv,ij,juv->uv", offsets, np.linalg.inv(covariance), offsets)
     kernel = np.exp(-0.5 * chi2)
-    blurred = cv2.filter2D(drawn, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
+    blurred = cv2.filter2D(template, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
     return np.asarray(blurred, np.uint8)
 
 
-def _homography(print_corners: Array, corners: Array) -> Any:
-    """Print to image, in OpenCV's coordinates: the first pixel's centre at (0, 0)."""
+def _homography(template_corners: Array, corners: Array) -> Any:
+    """Template to image, in OpenCV's coordinates: the first pixel's centre at (0, 0)."""
     import cv2
 
     return cv2.getPerspectiveTransform(
-        (print_corners - 0.5).astype(np.float32), (corners - 0.5).astype(np.float32)
+        (template_corners - 0.5).astype(np.float32), (corners - 0.5).astype(np.float32)
     )
 
 
-def _align_print(
-    grey: Pixels, drawn: Pixels, print_corners: Array, corners: Array
+def _align_template(
+    grey: Pixels, template: Pixels, template_corners: Array, corners: Array
 ) -> tuple[Array, float]:
-    """Corners at which a print correlates best with the image, starting from approximate ones."""
+    """Corners at which a template correlates best with the image, from approximate ones."""
     import cv2
 
-    start = _homography(print_corners, corners).astype(np.float32)
+    start = _homography(template_corners, corners).astype(np.float32)
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-5)
     everywhere, no_blur = np.full_like(grey, 255), 1  # a blur would make the marker look smaller
     try:
         correlation, H = cv2.findTransformECC(
-            drawn, grey, start, cv2.MOTION_HOMOGRAPHY, stop, everywhere, no_blur
+            template, grey, start, cv2.MOTION_HOMOGRAPHY, stop, everywhere, no_blur
         )
     except cv2.error:  # "images may be uncorrelated": there is no marker here
         return corners, 0.0
     H = np.asarray(H, np.float64)
-    aligned = cv2.perspectiveTransform((print_corners - 0.5)[None], H)[0] + 0.5
+    aligned = cv2.perspectiveTransform((template_corners - 0.5)[None], H)[0] + 0.5
     return np.asarray(aligned, np.float64), float(correlation)
 
 
-def _line_jitter(grey: Pixels, best_print: Print, corners: Array) -> tuple[Array, Array]:
-    """Shifts of the image's lines and columns against the aligned print."""
+def _line_jitter(grey: Pixels, best_template: Template, corners: Array) -> tuple[Array, Array]:
+    """Shifts of the image's lines and columns against the aligned template."""
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 2, 0)
     cut = grey[low[1] : int(corners[:, 1].max()) + 4, low[0] : int(corners[:, 0].max()) + 4]
-    expected, inside = _warp_print(*best_print, corners - low, cut.shape[::-1])
+    expected, inside = _warp_template(*best_template, corners - low, cut.shape[::-1])
     return line_and_column_shifts(cut, expected, inside)
 
 
-def _warp_print(
-    drawn: Pixels, print_corners: Array, corners: Array, size: Sequence[int]
+def _warp_template(
+    template: Pixels, template_corners: Array, corners: Array, size: Sequence[int]
 ) -> tuple[Pixels, NDArray[np.bool_]]:
-    """A print warped into an image of (width, height), and the mask of pixels it covers."""
+    """A template warped into an image of (width, height), and the mask of pixels it covers."""
     import cv2
 
-    H = _homography(print_corners, corners)
-    warped = cv2.warpPerspective(drawn, H, size, borderMode=cv2.BORDER_REPLICATE)
-    covered = cv2.warpPerspective(np.full_like(drawn, 255), H, size)
+    H = _homography(template_corners, corners)
+    warped = cv2.warpPerspective(template, H, size, borderMode=cv2.BORDER_REPLICATE)
+    covered = cv2.warpPerspective(np.full_like(template, 255), H, size)
     return np.asarray(warped, np.uint8), np.asarray(covered) == 255
 
 
 def _search_near(grey: Pixels, marker: Marker, near: Array) -> Array | None:
-    """Predicted corners, shifted to where the print correlates best within 0.6 of a side."""
+    """Predicted corners, shifted to where the template correlates best within 0.6 of a side."""
     import cv2
 
     height, width = grey.shape
@@ -454,12 +458,12 @@ def _search_near(grey: Pixels, marker: Marker, near: Array) -> Array | None:
     high = np.ceil(near.max(axis=0) + reach).astype(int)
     if not _is_good(near) or (low < 0).any() or (high > (width, height)).any():
         return None
-    # template: the print, tilted as predicted, in the smallest box around the corners
+    # the template, tilted as predicted, in the smallest box around the corners
     corner = np.floor(near.min(axis=0)).astype(int)
     size = np.ceil(near.max(axis=0)).astype(int) - corner
-    template, _ = _warp_print(*_print_for(marker, near), near - corner, size.tolist())
+    tilted, _ = _warp_template(*_template_for(marker, near), near - corner, size.tolist())
     area = grey[low[1] : high[1], low[0] : high[0]]
-    correlation = cv2.matchTemplate(area, template, cv2.TM_CCOEFF_NORMED)
+    correlation = cv2.matchTemplate(area, tilted, cv2.TM_CCOEFF_NORMED)
     _, _, _, best = cv2.minMaxLoc(correlation)
     return np.asarray(near + (low + best - corner))
 
@@ -485,13 +489,13 @@ def _solve_poses(
     """Both poses of four corners, with covariances sigma^2 (J^T J)^-1, J = d(corners)/d(pose)."""
     import cv2
 
-    found, turns, places, _ = cv2.solvePnPGeneric(
+    found, rvecs, tvecs, _ = cv2.solvePnPGeneric(
         marker.corners, corners, camera.K, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
     )
-    if found < 2 or not (np.isfinite(turns).all() and np.isfinite(places).all()):
+    if found < 2 or not (np.isfinite(rvecs).all() and np.isfinite(tvecs).all()):
         return None
-    R = np.array([cv2.Rodrigues(turn)[0] for turn in turns[:2]])
-    T_camera_marker = pose_matrix(R, np.array(places[:2])[..., 0])
+    R = np.array([cv2.Rodrigues(rvec)[0] for rvec in rvecs[:2]])
+    T_camera_marker = pose_matrix(R, np.array(tvecs[:2])[..., 0])
     T_world_camera = marker.T_world_marker @ np.linalg.inv(T_camera_marker)
     projected = project_corners(marker, camera, T_world_camera)
     if not np.isfinite(projected).all():

@@ -214,11 +214,11 @@ def downscale(pixels: Pixels, width_px: int) -> Pixels:
 
 
 def motion_ssim(previous: Pixels, grey: Pixels) -> float:
-    """SSIM of two frames after the first is warped onto the second by optical flow.
+    """Motion-compensated SSIM of two frames, used to measure noise.
 
-    The flow is that of Kroeger, Timofte, Dai & Van Gool, Fast optical flow using dense inverse
-    search, ECCV 2016, by OpenCV. Noise is new in each frame, so that no motion explains it. Areas
-    that only the second frame shows are left out.
+    The first is warped onto the second by optical flow: that of Kroeger, Timofte, Dai & Van Gool,
+    Fast optical flow using dense inverse search, ECCV 2016, by OpenCV. Noise is new in each frame,
+    so that no motion explains it. Areas that only the second frame shows are left out.
 
     Args:
         previous: (H, W) uint8, 32 pixels a side or more.

@@ -60,7 +60,7 @@ class Motion:
     sideslip: float = 0.8  # velocity towards the right wing [m/s]
     plunge: float = 1.2  # velocity towards the belly [m/s]
     turn_rate: float = 2.5  # of each body rate [rad/s]
-    memory_s: float = 0.5  # correlation time of these deviations: each counts once in this time
+    memory_s: float = 0.5  # correlation time of the motion-model deviations
     forward_white: float = 1.5  # specific force along the nose [m/s^1.5]
     side_white: float = 1.5  # along the right wing [m/s^1.5]
     lift_white: float = 3.0  # along the belly, about that of a coordinated turn [m/s^1.5]
