@@ -51,7 +51,9 @@ def test_numbers_are_those_of_the_list():
     whole, bought = roll_up(items), next(item.x for item in items if item.id == "airframe")
     assert f"{1000.0 * whole.mass:.1f} g with filter" in GUIDE
     assert f"centre of gravity {1000.0 * (bought - whole.x_cg):.0f} mm forward" in GUIDE
-    assert f"it would go {1000.0 * balance_move(items, 'battery', bought):.0f} mm back" in GUIDE
+    assert (
+        f"would have to move {1000.0 * balance_move(items, 'battery', bought):.0f} mm back" in GUIDE
+    )
     assert whole.cost == pytest.approx(1000.0, abs=50.0) and "about 1,000 US dollars" in GUIDE
 
 
@@ -61,12 +63,15 @@ def test_numbers_are_those_of_the_filter():
     """
     camera = load_camera()
     parts, load = camera.power_filter, camera.supply.load_ohm
-    assert f"{parts.corner_hz / 1000.0:.2f} kHz, and at {parts.switching_khz:g} kHz" in GUIDE
+    assert (
+        f"{parts.corner_hz / 1000.0:.2f} kHz, and at {parts.switching_khz:g} kHz, the switching"
+        in GUIDE
+    )
     weaker = float(parts.attenuation_db(24e3, load))
-    assert f"{weaker:.0f} dB less ripple arrives (a {10 ** (weaker / 20.0):.0f}rd)" in GUIDE
+    assert f"attenuates ripple by {weaker:.0f} dB (to 1/{10 ** (weaker / 20.0):.0f})" in GUIDE
     bare = replace(parts, damping_ohm=0.0).peak_db(load)
-    assert f"{bare:.1f} dB stronger; with it, {parts.peak_db(load):.1f} dB" in GUIDE
-    assert f"costs {1000.0 * parts.series_ohm * camera.supply.current_a:.0f} mV" in GUIDE
+    assert f"near the corner by {bare:.1f} dB, with it by {parts.peak_db(load):.1f} dB" in GUIDE
+    assert f"its drop is {1000.0 * parts.series_ohm * camera.supply.current_a:.0f} mV" in GUIDE
     polymer = replace(parts, esr_ohm=0.010, damping_ohm=0.47)
     assert f"gives {float(polymer.attenuation_db(24e3, load)):.0f} dB" in GUIDE
     assert (
