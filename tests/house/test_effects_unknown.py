@@ -1,12 +1,14 @@
 """No file outside `aircraft/effects` knows an effect of the catalogue or one of its parameters."""
 
 import ast
+import re
 from pathlib import Path
 
 from falconwing_kit.aircraft.effects import CATALOGUE
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = {e.name for e in CATALOGUE} | {p.name for e in CATALOGUE for p in e.parameters}
+QUOTED = re.compile(rf"""["']({"|".join(sorted(NAMES))})["']""")
 UNIFORM_WIND = {"wind_x", "wind_y"}
 # Reviewed: the file, and which of these words mean something else in it or are its subject.
 ALLOWED: dict[str, set[str]] = {
@@ -33,7 +35,8 @@ def test_the_reviewed_list_is_as_short_as_it_can_be():
 
 
 def effect_problems(tree: Path) -> list[str]:
-    """String literals, attributes and keywords that are an effect's or its parameter's name.
+    """String literals, attributes and keywords that are an effect's or its parameter's name; the
+    same in quotes in a page's template.
 
     Args:
         tree: folder that holds falconwing_kit.
@@ -61,4 +64,18 @@ def uses(tree: Path) -> list[tuple[str, list[tuple[int, str]]]]:
             elif isinstance(node, ast.Attribute | ast.keyword) and name:
                 known.append((getattr(node, "lineno", 0), name))
         found.append((where, [(line, name) for line, name in known if name in NAMES]))
+    for path in sorted(package.rglob("*.j2")):
+        lines = enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+        known = [(line, name) for line, text in lines for name in QUOTED.findall(text)]
+        found.append((path.relative_to(package).as_posix(), known))
     return found
+
+
+def test_a_template_that_names_an_effect_is_reported(tmp_path):
+    """Written here by hand."""
+    folder = tmp_path / "falconwing_kit" / "tools"
+    folder.mkdir(parents=True)
+    (folder / "page.html.j2").write_text('<p>\n{% if "fan_jet" in record.effects %}\n')
+    assert effect_problems(tmp_path) == [
+        "falconwing_kit/tools/page.html.j2:2: 'fan_jet' belongs to aircraft/effects"
+    ]

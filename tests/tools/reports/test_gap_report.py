@@ -119,7 +119,7 @@ def test_page_says_since_when_and_why_nothing_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("verdict", "kept", "words"),
     [
-        ("ambiguous", 2, "cannot tell which"),
+        ("ambiguous", 2, "cannot separate them"),
         ("none", 0, "agrees with the calm one"),
         ("outside", 0, "no effect of the catalogue explains enough"),
     ],

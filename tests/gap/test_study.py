@@ -1,0 +1,75 @@
+"""Study: the Python interface gives the record of report.json, and hands on airframe and effects."""
+
+import inspect
+
+import pytest
+
+from falconwing_kit.aircraft import Effect, Parameter, load_airframe, rates_model, scale_model
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.gap import Study, gap_record, study
+from tests.gap.studies import shipped, wind_study
+
+SIZE = (Parameter("gear_size", 0.01, 0.0, 0.3, "1/m", "drag of the gear"),)
+
+
+def gear(air, K):
+    """A drag along the nose."""
+    return -K.gear_size * air.airspeed * air.u, 0.0, 0.0, 0.0, 0.0, 0.0
+
+
+class StudyStoppedError(Exception):
+    """Ends a study before its long part."""
+
+
+def handed_on(monkeypatch, **how):
+    """What the identification of the baseline is called with."""
+    calls = []
+
+    def stop(*arguments):
+        calls.append(arguments)
+        raise StudyStoppedError
+
+    monkeypatch.setattr(study, "identify_baseline", stop)
+    with pytest.raises(StudyStoppedError):
+        Study(baseline=shipped("case08_calm"), flight=shipped("case08_flight"), **how).report()
+    return calls[0]
+
+
+def test_the_signature_is_the_fixed_one():
+    """DESIGN.md, section 5."""
+    assert str(inspect.signature(Study)).startswith("(baseline:")
+    names = list(inspect.signature(Study).parameters)
+    assert names == ["baseline", "flight", "airframe", "effects"]
+    assert Study(shipped("case08_calm"), shipped("case08_flight")).effects == ()
+
+
+def test_report_is_the_record(monkeypatch):
+    """The same keys and values as report.json has; computed once for two reports."""
+    calls = []
+    monkeypatch.setattr(study, "study_gap", lambda *pair, **how: calls.append(how) or wind_study())
+    two = Study(baseline=shipped("case08_calm"), flight=shipped("case08_flight"))
+    assert two.report() == two.report() == gap_record(wind_study())
+    assert len(calls) == 1
+
+
+def test_own_effects_are_tried_beside_the_catalogue(monkeypatch):
+    """They come after it, and the fit starts from the ordinary aircraft."""
+    own = Effect("gear", "The gear is out.", SIZE, loads=gear)
+    calm, _, catalogue, start = handed_on(monkeypatch, effects=[own])
+    assert calm.name.endswith("case08_calm.csv")
+    assert catalogue[-1] is own and catalogue[0].name == "wind" and start is None
+
+
+def test_an_airframe_scales_the_start(monkeypatch):
+    """As `identify --airframe` does."""
+    airframe = load_airframe()
+    expected = scale_model(rates_model(), airframe.mass, airframe.wing_area, airframe.span)
+    assert handed_on(monkeypatch, airframe=airframe)[3].values == expected.values
+
+
+def test_an_effect_that_clashes_is_refused():
+    """Before anything is computed."""
+    clash = Effect("flap", "Another flap.", SIZE, loads=gear)
+    pair = shipped("case08_calm"), shipped("case08_flight")
+    with pytest.raises(InputError, match="'flap': expected a new name"):
+        Study(*pair, effects=[clash]).report()
