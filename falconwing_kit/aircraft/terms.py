@@ -10,7 +10,8 @@ keep the textbook's signs; control derivatives of elevator and rudder are revers
 are positive nose up / nose right.
 
     c        lower case: c = rho S C / (2 m) with the textbook's C, so that force per mass = V^2 c;
-             cL_alpha in 1/(m rad) is rho S C_L_alpha / (2 m); cD_induced multiplies lift squared
+             cL_alpha in 1/(m rad) is rho S C_L_alpha / (2 m); cD_induced multiplies
+             (cL_0 + cL_alpha alpha)^2, without the lift of the elevator
     L M N    rolling, pitching and yawing moment per inertia, divided by V^2, or by V where a body
              rate multiplies it, as the term's formula shows: the textbook's C_l, C_m, C_n scaled;
              L_p is C_l_p scaled by rho S b^2 / (4 Ixx), L_da is C_l_da by rho S b / (2 Ixx)

@@ -1,6 +1,6 @@
 """The loop: images and states in, commands out at 20 Hz; the same in simulation and on hardware.
 
-Only its sources and its sink change. Whatever fails in a pilot, the aircraft gets the safe command,
+Only its sources, its sink and its clock change. Whatever fails in a pilot, the aircraft gets the safe command,
 neutral with the motor idle, instead of an exception; and it gets the same when the flight is over.
 """
 

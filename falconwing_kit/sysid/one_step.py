@@ -2,7 +2,8 @@
 
 K* = argmin sum |f_K(x_t, u_t) - x_{t+1}|^2   [paper, Section IV-B]
 
-This is the baseline. Velocities are differences of measured poses, so their noise is
+f_K is the paper's step map here: the dx/dt of aircraft/model.py integrated over one step. This is
+the method to compare with. Velocities are differences of measured poses, so their noise is
 sqrt(2) sigma / dt: 0.85 m/s for 3 cm at 20 Hz. It enters the regressors as well as the target,
 which biases every parameter (errors in variables). Smoothing the poses first reduces this bias and
 adds another.

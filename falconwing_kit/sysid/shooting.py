@@ -19,7 +19,8 @@ from falconwing_kit.aircraft.model import Model, parameter_record, state_rates
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.sysid.prepare import PreparedFlight
 
-POSE_ROWS = [0, 1, 2, 5, 3, 4]  # rows of a state that are measured, in the order of CHANNELS
+# Rows of a state that are measured, in the order of sysid.prepare.CHANNELS: x y z roll pitch yaw.
+POSE_ROWS = [0, 1, 2, 5, 3, 4]
 WARMUP_ROWS = 20  # rows of commands before a window that servo lag and delay can reach back to
 FIRST_ROW = 10  # of a flight: the commands before its first row are unknown
 CHUNK = 8192  # aircraft integrated together: their arrays fit the processor's cache
