@@ -7,8 +7,8 @@ camera  x right, y down, z forward (OpenCV)
 Textbooks write attitude against north-east-down axes. The world is that frame after half a turn
 about x, hence R_world_body = diag(1, -1, -1) @ Rz(yaw) @ Ry(pitch) @ Rx(roll)   [Stevens, Lewis &
 Johnson, Aircraft Control and Simulation, 3rd ed., eq. 1.3-20, with the half turn in front]. Roll is
-positive right wing down, pitch nose up, yaw nose right. Rotations and Euler
-angles are defined here only; level course vectors (cos yaw, -sin yaw) in `control` follow from them.
+positive right wing down, pitch nose up, yaw nose right. Rotations and Euler angles are defined here
+only; level course vectors (cos yaw, -sin yaw) in `control` follow from them.
 """
 
 from typing import Any

@@ -1,7 +1,7 @@
 """The loop: images and states in, commands out at 20 Hz; the same in simulation and on hardware.
 
-Only its sources, its sink and its clock change. Whatever fails in a pilot, the aircraft gets the safe command,
-neutral with the motor idle, instead of an exception; and it gets the same when the flight is over.
+Only its sources, its sink and its clock change. If a pilot fails, the aircraft receives the safe
+command (neutral, motor idle) and never an exception; it receives the same at the end of a flight.
 """
 
 import math

@@ -1,11 +1,13 @@
 """Naming: nominal model and a flight under test -> which effect is missing.
 
 Effect identification (fault isolation) by BIC model selection [Schwarz 1978; Kass & Raftery 1995]:
-linear score-test scan of every effect, full fits of the best, decision. Verdicts: named (one
-effect, or two together); ambiguous
-(several within VERY_STRONG_EVIDENCE of the best); none (residuals as in the baseline flight);
-outside (residuals too large, but no catalogue effect accounts for them, or a generic effect or
-other parameters of the aircraft do so better).
+linear score-test scan of every effect, full fits of the best, decision. Verdicts:
+
+    named      one effect, or two together
+    ambiguous  several within VERY_STRONG_EVIDENCE of the best
+    none       residuals as in the baseline flight
+    outside    residuals too large, but no catalogue effect accounts for them, or a generic effect
+               or other parameters of the aircraft do so better
 
 Generic effect: a force or moment proportional to one flight variable, or a command filter
 (`aircraft/generic.py`); the alternative hypothesis "something outside the catalogue".

@@ -1,4 +1,4 @@
-"""Study: the Python interface gives the record of report.json, and hands on airframe and effects."""
+"""Study: the Python interface gives the record of report.json and hands on airframe and effects."""
 
 import inspect
 
