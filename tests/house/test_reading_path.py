@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+from tests.house.file_index import index
 from tests.house.rooms import rooms
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,6 +25,11 @@ def test_every_room_stands_in_the_table():
     """The folders of the package against the table of rooms."""
     listed = re.findall(r"^\| [\d-] \| `(\w+)` \|", PATH, re.MULTILINE)
     assert sorted(listed) == sorted(room for room in rooms(ROOT) if room != "(top)")
+
+
+def test_the_index_of_files_is_up_to_date():
+    """Made from the docstrings by `python tests/house/file_index.py --write`."""
+    assert PATH.endswith(index())
 
 
 def test_links_lead_somewhere():
