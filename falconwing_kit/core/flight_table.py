@@ -559,7 +559,7 @@ def _poses(name: str, numbers: dict[str, Array], warnings: list[str]) -> Array:
     partial = measured.any(axis=1) & ~measured.all(axis=1)
     if partial.any():
         warnings.append(
-            f"rows with only part of a pose, taken as rows without one: {partial.sum()}"
+            f"rows with an incomplete pose, read as rows without a pose: {partial.sum()}"
         )
         pose[partial] = np.nan
     if np.isnan(pose).all():

@@ -168,14 +168,14 @@ def is_in_hull(points: Array, corners: Array) -> NDArray[np.bool_]:
     """
     inside = np.zeros(points.shape[:-1], bool)
     for triangle in combinations(corners, 3):
-        sides = [_signed_area(points, triangle[i], triangle[(i + 1) % 3]) for i in range(3)]
-        area = _signed_area(triangle[0], triangle[1], triangle[2])
-        if area != 0.0:
-            inside |= np.logical_and.reduce([side * area >= 0.0 for side in sides])
+        sides = [_doubled_signed_area(points, triangle[i], triangle[(i + 1) % 3]) for i in range(3)]
+        orientation = _doubled_signed_area(triangle[0], triangle[1], triangle[2])
+        if orientation != 0.0:
+            inside |= np.logical_and.reduce([side * orientation >= 0.0 for side in sides])
     return inside
 
 
-def _signed_area(points: Array, a: Array, b: Array) -> Array:
+def _doubled_signed_area(points: Array, a: Array, b: Array) -> Array:
     """Twice the signed area of the triangles (point, a, b)."""
     to_a, to_b = a - points, b - points
     return np.asarray(to_a[..., 0] * to_b[..., 1] - to_a[..., 1] * to_b[..., 0])

@@ -207,7 +207,7 @@ def _coarse_start(
             (start, *fit_initial_states(start, windows, initial_guess, iterations=3))
             for start in candidates
         ),
-        key=lambda candidate: _clipped_cost(candidate[2]),
+        key=lambda fitted: _clipped_cost(fitted[2]),  # (model, initial states, residual)
     )
     best, best_cost = model, np.inf
     for start, initial_states, residual in ranked:

@@ -103,7 +103,7 @@ def test_half_a_pose_counts_as_none(csv):
     """A frame with a position and no attitude is not a pose; the warning counts it."""
     table = read_flight_table(csv(edited(3, "roll", "nan")))
     assert np.isnan(table.p_world[3]).all() and not table.has_pose[3]
-    assert "part of a pose, taken as rows without one: 1" in table.warnings[0]
+    assert "incomplete pose, read as rows without a pose: 1" in table.warnings[0]
 
 
 def test_optional_and_unknown_columns_are_kept(csv):
