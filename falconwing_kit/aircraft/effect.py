@@ -121,7 +121,7 @@ def effect_catalogue(effects: Iterable[Effect]) -> tuple[Effect, ...]:
 
 
 def draw_size(name: str) -> Draw:
-    """The parameter itself is the size."""
+    """A draw that sets one parameter to the given size; nothing is random."""
     return lambda rng, size: {name: size}
 
 

@@ -241,6 +241,7 @@ def fly(model: Model, start: Array, t: Array, commands: Array, backend: str = "b
     substeps = max(1, round(SUBSTEPS[model.form] * dt / 0.05))
     edges = t[0] + dt / substeps * np.arange((len(t) - 1) * substeps + 1)
     if len(t) == 1:
+        # A single time: the initial state is the whole flight.
         return require_shape("start", start, (model.n_states,))[None]
     mean, slope = model.actuator_positions(t, control_inputs, edges, model.K)
     return roll_out(model, start, mean, dt / substeps, backend, slope)[::substeps]

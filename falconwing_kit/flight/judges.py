@@ -1,4 +1,4 @@
-"""Judges: the truth of a simulated flight -> success and the paper's performance measures.
+"""Evaluators: the truth of a simulated flight -> success and the paper's performance measures.
 
 SR   success rate: touchdown on the pad; or leader locked in all frames without a collision
 ALD  |lateral offset| from the pad's centre line at the first wheel contact, of landings only

@@ -1,4 +1,4 @@
-"""Training views for poses: a scene, photos with poses -> images, depths and camera poses.
+"""Training views for poses: a scene, photos, a leader -> images, depths and camera poses.
 
 Cameras are drawn from three distributions, in shares that the caller gives:
 

@@ -1,4 +1,4 @@
-"""Masks of an aircraft: its ellipsoid or its Gaussians and a camera -> the pixels that it covers.
+"""Masks of an aircraft: ellipsoid or Gaussians, and a camera -> its pixels and visible share.
 
     ellipse   points -> ellipsoid -> dual quadric -> conic -> filled ellipse
               [paper, UMX Mask Detection]
