@@ -281,7 +281,7 @@ def test_photos_to_judge_by_can_be_named(taken, tmp_path):
             held_out_photos(taken.names, taken.T_world_camera[:, :3, 3], settings)
         ).tolist() == [3, 7]
     (tmp_path / "other.json").write_text('{"photos": 3}')
-    with pytest.raises(InputError, match='want names of photos under "held_out"'):
+    with pytest.raises(InputError, match='expected names of photos under "held_out"'):
         read_photo_names(tmp_path / "other.json")
     with pytest.raises(InputError, match="expected some of the 24 photos, got 0"):
         held_out_photos(
@@ -690,7 +690,7 @@ def test_photos_that_do_not_fit_are_named(taken, tmp_path):
     ):
         load_photos(moved)
     Image.new("RGB", (48, 64)).save(tmp_path / "01.png")
-    with pytest.raises(InputError, match="it was turned; turn it back"):
+    with pytest.raises(InputError, match="it was rotated; rotate it back"):
         load_photos(moved)
     (tmp_path / "01.png").unlink()
     with pytest.raises(FileNotFoundError, match=r"01.png"):
