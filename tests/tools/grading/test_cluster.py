@@ -53,6 +53,6 @@ def test_hole_of_one_worker_is_refused(tmp_path, monkeypatch):
     )
     (tmp_path / "ada.ipynb").write_bytes(toys.notebook_bytes(toys.HEAD))
     with pytest.raises(
-        InputError, match=r"found 1 holes \(tcp://b: network: a listener answered\)"
+        InputError, match=r"got 1 holes \(tcp://b: network: a listener answered\)"
     ):
         Grade(str(toys.LAB), tmp_path / "ada.ipynb", tmp_path / "out", cluster="tcp://x").run()
