@@ -155,7 +155,7 @@ def test_fault_ends_the_page_and_not_the_flight(page, monkeypatch):
     said = threading.Event()
     monkeypatch.setattr(page, "_draw", lambda *_, **__: 1 / 0)
     monkeypatch.setattr(
-        warnings, "warn", lambda text, **_: said.set() if "the flight goes on" in text else None
+        warnings, "warn", lambda text, **_: said.set() if "the flight continues" in text else None
     )
     page.show(step(0.0))
     assert said.wait(60.0)

@@ -158,7 +158,7 @@ def test_hidden_wind_is_named_and_its_truth_told_after(run):
         gap["gap"]["before"] - gap["gap"]["calm"]
     )
     page = (run.out / "index.html").read_text()
-    assert page.index("Missing: wind") < page.index("The truth, which no fit has read")
+    assert page.index("Missing: wind") < page.index("The truth, which no fit used")
 
 
 def test_page_owns_up_to_the_attitude_after_the_failure(run):

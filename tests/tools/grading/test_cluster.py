@@ -52,7 +52,5 @@ def test_hole_of_one_worker_is_refused(tmp_path, monkeypatch):
         "falconwing_kit.tools.jobs.cluster.run_on_every_worker", lambda function, address: found
     )
     (tmp_path / "ada.ipynb").write_bytes(toys.notebook_bytes(toys.HEAD))
-    with pytest.raises(
-        InputError, match=r"got 1 holes \(tcp://b: network: a listener answered\)"
-    ):
+    with pytest.raises(InputError, match=r"got 1 holes \(tcp://b: network: a listener answered\)"):
         Grade(str(toys.LAB), tmp_path / "ada.ipynb", tmp_path / "out", cluster="tcp://x").run()
