@@ -28,6 +28,8 @@ from falconwing_kit.trainer_port.port import TrainerPort, require_matching_calib
 from falconwing_kit.trainer_port.ppm import Stick, load_calibration
 from falconwing_kit.trainer_port.protocol import Status
 
+TODAY = date(2026, 3, 1)  # for the tests of age, which would otherwise change at midnight
+
 
 def run(*words):
     """The verb, as `falconwing calibrate WORDS`."""
@@ -119,12 +121,14 @@ def test_the_radio_is_found_through_the_board(virtual):
     by definition.
     """
     port, pause = virtual
+    days = {date.today().isoformat()}
     found = measure_calibration(port, Holding(port), "mine", pause)
+    days.add(date.today().isoformat())  # two around midnight
     assert (
         found.sticks[1:] == SIMULATED_RADIO.sticks[1:]
         and found.throttle == SIMULATED_RADIO.throttle
     )
-    assert (found.radio, found.measured) == ("mine", date.today().isoformat())
+    assert found.radio == "mine" and found.measured in days
 
 
 def test_a_throttle_where_the_firmware_has_none_is_refused(virtual):
@@ -218,11 +222,11 @@ def test_what_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys, words, se
 
 @pytest.fixture
 def mine(tmp_path, monkeypatch):
-    """Writes a calibration that was measured today, with changes."""
+    """Writes a calibration that was measured on TODAY, with changes."""
     monkeypatch.chdir(tmp_path)
 
     def write(**changes):
-        fresh = replace(SIMULATED_RADIO, radio="mine", measured=date.today().isoformat())
+        fresh = replace(SIMULATED_RADIO, radio="mine", measured=TODAY.isoformat())
         write_toml(tmp_path / "trainer_port.toml", replace(fresh, **changes))
 
     return write
@@ -231,9 +235,11 @@ def mine(tmp_path, monkeypatch):
 def test_a_fresh_calibration_of_this_radio_is_taken(mine):
     """The file in this folder, without being named."""
     mine()
-    assert choose_calibration("COM3", radio="mine").throttle == SIMULATED_RADIO.throttle
-    mine(measured=(date.today() - timedelta(MAX_AGE_DAYS)).isoformat())
-    assert choose_calibration("sim").radio == "mine"
+    assert (
+        choose_calibration("COM3", radio="mine", today=TODAY).throttle == SIMULATED_RADIO.throttle
+    )
+    mine(measured=(TODAY - timedelta(MAX_AGE_DAYS)).isoformat())
+    assert choose_calibration("sim", today=TODAY).radio == "mine"
 
 
 @pytest.mark.parametrize(
@@ -241,8 +247,8 @@ def test_a_fresh_calibration_of_this_radio_is_taken(mine):
     [
         ({"radio": "yours"}, "measured on yours, not on mine"),
         ({"radio": SIMULATED_RADIO.radio}, "SIMULATED radio"),
-        ({"measured": (date.today() - timedelta(MAX_AGE_DAYS + 1)).isoformat()}, "181 days old"),
-        ({"measured": (date.today() + timedelta(2)).isoformat()}, "-2 days old"),
+        ({"measured": (TODAY - timedelta(MAX_AGE_DAYS + 1)).isoformat()}, "181 days old"),
+        ({"measured": (TODAY + timedelta(2)).isoformat()}, "-2 days old"),
         ({"gap_us": 300}, "gap_us 300 where the firmware's is 400"),
         ({"polarity": 0}, "polarity 0 where the firmware's is 1"),
     ],
@@ -251,15 +257,15 @@ def test_a_stale_calibration_is_refused(mine, changes, sentence):
     """Another radio's, too old, from the future, or for a firmware with another PPM frame."""
     mine(**changes)
     with pytest.raises(InputError, match=sentence):
-        choose_calibration("COM3", radio="mine")
+        choose_calibration("COM3", radio="mine", today=TODAY)
 
 
 def test_a_rehearsed_calibration_flies_no_real_aircraft(mine):
     """It fits the simulated radio, and simulated boards alone."""
     mine(radio=SIMULATED_RADIO.radio)
-    assert choose_calibration("sim").radio == SIMULATED_RADIO.radio
+    assert choose_calibration("sim", today=TODAY).radio == SIMULATED_RADIO.radio
     with pytest.raises(InputError, match="stale one: of a SIMULATED radio"):
-        choose_calibration("/dev/ttyACM0")
+        choose_calibration("/dev/ttyACM0", today=TODAY)
 
 
 def test_without_a_calibration_the_default_is_taken_and_said(tmp_path, monkeypatch):
@@ -274,7 +280,7 @@ def test_a_board_of_eight_channels_is_calibrated_and_flown(mine):
     one of four alone.
     """
     mine(channels=8)
-    eight = choose_calibration("COM3", radio="mine")
+    eight = choose_calibration("COM3", radio="mine", today=TODAY)
     assert eight.channels == 8
     said = Status("SAFE", "none", 1, 1, 0, 0, 0, 0, 0, 0, False, (1000, *[1500] * 7), 0)
     require_matching_calibration(eight, said)
@@ -288,7 +294,7 @@ def test_a_calibration_without_a_date_is_said(mine):
     """
     mine(measured="")
     with pytest.warns(UserWarning, match="no date of measurement"):
-        assert choose_calibration("COM3").measured == ""
+        assert choose_calibration("COM3", today=TODAY).measured == ""
 
 
 def test_every_stick_has_a_pose():
