@@ -1,10 +1,13 @@
-"""Shipped data: the name of a recorded or simulated flight -> its file. README.md says where each
-comes from.
+"""Shipped data: the name of a recorded or simulated flight -> its file or its table. README.md says
+where each comes from.
 """
 
 from pathlib import Path
 
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.flight_table import FlightTable, read_flight_table
+
+__all__ = ["data_path", "load_flight", "shipped_names"]
 
 _FOLDER = Path(__file__).parent
 _SUFFIXES = (".csv", ".toml", ".txt")
@@ -30,3 +33,19 @@ def data_path(name: str) -> Path:
     if name not in shipped_names():
         raise InputError(f"data: expected one of {', '.join(shipped_names())}, got {name!r}")
     return _FOLDER / name
+
+
+def load_flight(name: str) -> FlightTable:
+    """A shipped flight.
+
+    Args:
+        name: its name without the ending: "sport_cub" or "alfa_engine_failure" (recorded),
+            "case08_flight" (simulated).
+
+    Raises:
+        InputError: no flight of that name ships; the text lists what does.
+    """
+    flights = [path.removesuffix(".csv") for path in shipped_names() if path.endswith(".csv")]
+    if name not in flights:
+        raise InputError(f"flight: expected one of {', '.join(flights)}, got {name!r}")
+    return read_flight_table(_FOLDER / f"{name}.csv")
