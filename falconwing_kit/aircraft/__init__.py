@@ -11,6 +11,7 @@ from falconwing_kit.aircraft.airframe import (
     Wheels,
     default_airframe_path,
     load_airframe,
+    scaling_sentence,
 )
 from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.effects import CATALOGUE, EFFECT_NAMES
@@ -23,6 +24,7 @@ from falconwing_kit.aircraft.model import (
     paper_model,
     rates_model,
     scale_model,
+    scale_model_to_speed,
     state_rates,
 )
 from falconwing_kit.aircraft.sizing import (
@@ -96,6 +98,8 @@ __all__ = [
     "require_effects",
     "roll_out",
     "scale_model",
+    "scale_model_to_speed",
+    "scaling_sentence",
     "state_rates",
     "step_batch",
     "to_nlsys",

@@ -1,11 +1,12 @@
-"""Effect: one object per candidate for what the model lacks: its equation and how it is found.
+"""Effect: one object per candidate for what the model lacks: its equation, how it is found, and
+random parameters for simulated flights.
 
 A file of `aircraft/effects` or of a user defines effects; naming, identification, hidden flights
 and reports read the fields below and look up no effect by its name.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,9 @@ class Effect:
     name: str
     physics: str  # one sentence for a student
     parameters: tuple[Parameter, ...]
+    # For the report: the equation with {parameter} where its number stands, as in
+    # "D/m -> D/m + {drag_added} V^2" ("->": becomes); symbols as in aircraft/terms.py.
+    equation: str = ""
 
     # Where it acts
     loads: LoadsFunction | None = None  # force and moment: (air, K) -> loads
@@ -54,6 +58,7 @@ class Effect:
     gradual: bool = False  # grows from the start of the flight, so it has no onset
     acts_on: tuple[str, ...] = ()  # what it changes; two that share one may be formula errors
     place: tuple[str, str] | None = None  # parameters of its place, world x and y
+    same_form: tuple[str, ...] = ()  # sparse terms (`sparse.py`) of its form, for one parameter
 
     # Which flight separates it from others
     separated_by: Mapping[str, str] = field(default_factory=dict)  # manoeuvre -> why it does
@@ -118,6 +123,53 @@ def effect_catalogue(effects: Iterable[Effect]) -> tuple[Effect, ...]:
                 f"({effect.frozen_number}): remove it"
             )
     return tuple(ordered)
+
+
+STANDING = "standing_"
+
+
+def standing_effect(effect: Effect) -> Effect:
+    """The same effect as a part of the aircraft or its surroundings that is there in every flight.
+
+    Its parameters get the prefix standing_, so that a change of the effect can be added to it.
+    """
+    names = {p.name: STANDING + p.name for p in effect.parameters}
+
+    def rename(function: Callable[..., Any] | None) -> Callable[..., Any] | None:
+        """The hook with the parameter record, its last argument, under the effect's own names."""
+        if function is None:
+            return None
+        return lambda *arguments: function(*arguments[:-1], _RenamedRecord(arguments[-1], names))
+
+    loads_of = effect.loads_of
+    return replace(
+        effect,
+        name=STANDING + effect.name,
+        parameters=tuple(replace(p, name=names[p.name]) for p in effect.parameters),
+        loads=rename(effect.loads),
+        loads_of=(lambda terms: rename(loads_of(terms))) if loads_of else None,  # type: ignore
+        wind_field=rename(effect.wind_field),
+        command_map=rename(effect.command_map),
+        input_map=rename(effect.input_map),
+        measurement_map=rename(effect.measurement_map),
+        shape=tuple(names[name] for name in effect.shape),
+        essential=tuple(names[name] for name in effect.essential),
+        starts=tuple({names[n]: v for n, v in start.items()} for start in effect.starts),
+        scan_points=None,
+        sizes=None,
+        draw=None,
+        frozen_number=None,
+    )
+
+
+class _RenamedRecord:
+    """A parameter record that shows some fields under other names."""
+
+    def __init__(self, record: Any, names: Mapping[str, str]) -> None:
+        self._record, self._names = record, names
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._record, self._names.get(name, name))
 
 
 def draw_size(name: str) -> Draw:

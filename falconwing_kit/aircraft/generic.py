@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.aircraft.effect import Effect
-from falconwing_kit.aircraft.terms import Parameter
+from falconwing_kit.aircraft.terms import ATTITUDE_HOLD, Parameter
 from falconwing_kit.core.checks import Array
 
 HEIGHT_SCALE_M = 0.5  # decay with height, about the span of a 150 g aircraft
@@ -90,4 +90,8 @@ INPUT_FILTER = Effect(
 GENERIC_LOADS: tuple[Effect, ...] = tuple(
     _generic_load(variable, rotational) for variable in REGRESSORS for rotational in (False, True)
 )
-GENERIC_EFFECTS: tuple[Effect, ...] = (*GENERIC_LOADS, INPUT_FILTER)
+STABILISER = Effect(
+    "attitude hold", "A stabiliser on board moves the control surfaces against bank and pitch.",
+    ATTITUDE_HOLD.parameters, loads=ATTITUDE_HOLD.evaluate,
+)  # fmt: skip
+GENERIC_EFFECTS: tuple[Effect, ...] = (*GENERIC_LOADS, STABILISER, INPUT_FILTER)

@@ -188,8 +188,25 @@ def rates_model() -> Model:
 FORMS: dict[Form, Callable[[], Model]] = {"paper": paper_model, "rates": rates_model}
 
 
+# The aircraft that a fresh model describes; `terms.py` gives its starting values.
+_START_MASS, _START_WING_AREA, _START_SPAN, _START_SPEED = 0.150, 0.076, 0.70, 7.0
+
 _WING = ("cL_0", "cL_alpha", "cL_de", "cD_0", "cD_beta", "cY_beta", "cY_dr")
-_QUASI_STEADY = ("L_0", "L_da", "L_beta", "M_0", "M_de", "M_alpha", "N_0", "N_dr", "N_beta")
+_QUASI_STEADY = (
+    "L_0",
+    "L_da",
+    "L_beta",
+    "M_0",
+    "M_de",
+    "M_alpha",
+    "N_0",
+    "N_dr",
+    "N_beta",
+    "L_dr",
+    "N_da",
+    "L_phi",
+    "M_theta",
+)
 _DAMPING = ("L_p", "L_r", "M_q", "N_r", "N_p")
 
 
@@ -198,7 +215,8 @@ def scale_model(model: Model, mass: float, wing_area: float, span: float) -> Mod
 
     Forces per mass go with wing area / mass, rates with 1 / span, moments with 1 / span^2, thrust
     per mass stays and its loss with speed goes with 1 / speed, speed with sqrt(mass / wing area)
-    [Raymer, Aircraft Design, ch. 5: scaling laws of similar aircraft]. A fit starts there.
+    [Raymer, Aircraft Design, ch. 5: scaling laws of similar aircraft]. A fit starts there. Servo
+    lag, delay and the ratios of inertia are those of the 150 g aircraft.
 
     Args:
         model: a model at the starting values of the 150 g aircraft (0.076 m^2, 0.70 m).
@@ -209,14 +227,44 @@ def scale_model(model: Model, mass: float, wing_area: float, span: float) -> Mod
     Raises:
         InputError: a number is not positive.
     """
-    loading = (
-        require_range("wing_area", wing_area, low=1e-4)
-        / require_range("mass", mass, low=1e-4)
-        * 0.150
-        / 0.076
+    area_per_mass = require_range("wing_area", wing_area, low=1e-4) / require_range(
+        "mass", mass, low=1e-4
     )
-    length = require_range("span", span, low=1e-2) / 0.70
-    factors = dict.fromkeys(_WING, loading) | {"cD_induced": 1.0 / loading, "kTV": loading**0.5}
+    return _scale(
+        model,
+        area_per_mass=area_per_mass * _START_MASS / _START_WING_AREA,
+        length=require_range("span", span, low=1e-2) / _START_SPAN,
+    )
+
+
+def scale_model_to_speed(model: Model, airspeed: float) -> Model:
+    """Starting values and bounds for an aircraft of which only the usual airspeed V is known.
+
+        wing area / mass ~ (7 / V)^2    lift equals weight at the same lift coefficient
+        span             ~ V / 7        0.70 m at 7 m/s
+
+    The first line is Froude's: V^2 / (g length) is the same for similar aircraft. The second is
+    not: that would be span ~ V^2, a 9 m aircraft at 25 m/s. Aircraft are more heavily loaded the
+    larger they are, and the usual speed over the span is near 10 / s for all of this size: 7 m/s
+    and 0.70 m here, 18 m/s and 2.0 m [ALFA's T-28, in `data`], 25 m/s and 2.90 m [Aerosonde;
+    Beard & McLain, Small Unmanned Aircraft, appendix E]. Angular accelerations and time constants
+    at the usual speed are therefore those of the 150 g aircraft.
+
+    Args:
+        model: a model at the starting values of the 150 g aircraft.
+        airspeed: V, typical of the flight [m/s], 1 to 100.
+
+    Raises:
+        InputError: the speed is out of range.
+    """
+    speed = require_range("airspeed", airspeed, low=1.0, high=100.0) / _START_SPEED
+    return _scale(model, area_per_mass=speed**-2, length=speed)
+
+
+def _scale(model: Model, *, area_per_mass: float, length: float) -> Model:
+    """Values and bounds times their factors; both arguments relative to the 150 g aircraft."""
+    factors = dict.fromkeys(_WING, area_per_mass)
+    factors |= {"cD_induced": 1.0 / area_per_mass, "kTV": area_per_mass**0.5}
     factors |= dict.fromkeys(_QUASI_STEADY, 1.0 / length if model.form == "paper" else length**-2)
     factors |= dict.fromkeys(_DAMPING, 1.0 / length)
 
@@ -285,7 +333,7 @@ def state_rates(
             p, q, r = x[9], x[10], x[11]
         else:
             p, q, r = 0.0, 0.0, 0.0
-        air = flow_of((u, v, w), (p, q, r), (x[0], x[1], x[2]), time, command)
+        air = flow_of((u, v, w), (p, q, r), (x[0], x[1], x[2]), time, command, (roll, pitch))
         fx, fy, fz, mx, my, mz = loads_of(air, K)
         # Forces turned back to world axes, and gravity.
         vx_dot = row_x[0] * fx + row_x[1] * fy + row_x[2] * fz

@@ -29,7 +29,7 @@ A term that a flight may need and the model lacks is an effect: one file in `air
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,6 +70,8 @@ class Flow(NamedTuple):
     aileron: Any  # -1..1
     elevator: Any
     rudder: Any
+    roll: Any = 0.0  # attitude over the floor [rad]
+    pitch: Any = 0.0
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ class WindTerm:
     evaluate: Callable[[Any, Any, Any, Any, Any], tuple[Any, Any, Any]]
 
 
-def air_flow(velocity_body, rates, position, time, command):
+def air_flow(velocity_body, rates, position, time, command, attitude=(0.0, 0.0)):
     """Airspeed and flow angles of an air-relative velocity [Beard & McLain, eq. 2.8].
 
     V = |(u, v, w)|, alpha = atan2(w, u), beta = asin(v / V); 0.1 m/s is added to V in quadrature,
@@ -102,12 +104,14 @@ def air_flow(velocity_body, rates, position, time, command):
         position: px, py, pz in the world, each (...) [m].
         time: (...) [s].
         command: throttle, aileron, elevator, rudder, each (...).
+        attitude: roll and pitch, each (...) [rad].
     """
     u, v, w = velocity_body
     airspeed = np.sqrt(u * u + v * v + w * w + 0.01)
     return Flow(
         airspeed, np.arctan2(w, u), np.arcsin(v / airspeed), u, v, w, rates[0], rates[1], rates[2],
         position[0], position[1], position[2], time, command[0], command[1], command[2], command[3],
+        attitude[0], attitude[1],
     )  # fmt: skip
 
 
@@ -216,6 +220,32 @@ def gyroscopic_moment(air, K):
     return 0.0, 0.0, 0.0, K.Jx * air.q * air.r, K.Jy * air.p * air.r, K.Jz * air.p * air.q
 
 
+def cross_moments(air, K):
+    """dp/dt = V^2 L_dr rudder + Gamma_1 p q, dq/dt = -Gamma_6 (p^2 - r^2),
+    dr/dt = V^2 N_da aileron - Gamma_1 q r: what controls and rates do across the axes.
+
+    Adverse yaw, and a product of inertia, by which the rolling moment also turns the nose [Beard &
+    McLain, eq. 3.13 and 5.23 to 5.28]. Large for flying wings.
+    """
+    pressure = air.airspeed * air.airspeed
+    return (
+        0.0, 0.0, 0.0,
+        pressure * K.L_dr * air.rudder + K.Gamma_1 * air.p * air.q,
+        -K.Gamma_6 * (air.p * air.p - air.r * air.r),
+        pressure * K.N_da * air.aileron - K.Gamma_1 * air.q * air.r,
+    )  # fmt: skip
+
+
+def attitude_hold(air, K):
+    """dp/dt = V^2 L_phi roll, dq/dt = V^2 M_theta pitch: a stabiliser on board.
+
+    It moves aileron and elevator against bank and pitch, in proportion, so that the sticks command
+    angles; its damping of rates adds to L_p and M_q [Beard & McLain, ch. 6: attitude loops].
+    """
+    pressure = air.airspeed * air.airspeed
+    return 0.0, 0.0, 0.0, pressure * K.L_phi * air.roll, pressure * K.M_theta * air.pitch, 0.0
+
+
 # Rates of the 9-state model
 
 
@@ -291,6 +321,16 @@ _GYROSCOPIC = (
     Parameter("Jy", 0.7, -0.5, 1.5, "-", "(Izz - Ixx)/Iyy"),
     Parameter("Jz", -0.4, -1.5, 0.8, "-", "(Ixx - Iyy)/Izz"),
 )
+_CROSS_MOMENTS = (
+    Parameter("L_dr", 0.0, -5.0, 5.0, "1/m^2", "roll acceleration of full rudder"),
+    Parameter("N_da", 0.0, -5.0, 5.0, "1/m^2", "yaw acceleration of full aileron"),
+    Parameter("Gamma_1", 0.0, -20.0, 20.0, "-", "product of inertia: roll with p q, yaw with q r"),
+    Parameter("Gamma_6", 0.0, -20.0, 20.0, "-", "product of inertia: pitch with p^2 and r^2"),
+)
+_ATTITUDE_HOLD = (
+    Parameter("L_phi", -0.5, -10.0, 0.0, "1/(m^2 rad)", "rolling moment of a stabiliser with bank"),
+    Parameter("M_theta", -0.5, -10.0, 0.0, "1/(m^2 rad)", "pitching moment of a stabiliser"),
+)
 _QUASI_STEADY = (
     Parameter("L_0", 0.0, -1.0, 1.0, "1/m", "roll rate at zero angles"),
     Parameter("L_da", 0.37, 0.0, 4.0, "1/m", "roll rate of full aileron"),
@@ -320,4 +360,12 @@ MOMENTS = (
     Term("gyroscopic_moment", _GYROSCOPIC, gyroscopic_moment),
 )
 QUASI_STEADY_RATES = (Term("quasi_steady_rates", _QUASI_STEADY, quasi_steady_rates),)
+# With a product of inertia the three ratios of inertia have no bounds of their own.
+UNBOUNDED_GYROSCOPIC = Term(
+    "gyroscopic_moment",
+    tuple(replace(p, low=-20.0, high=20.0) for p in _GYROSCOPIC),
+    gyroscopic_moment,
+)
+CROSS_MOMENTS = Term("cross_moments", _CROSS_MOMENTS, cross_moments)
+ATTITUDE_HOLD = Term("attitude_hold", _ATTITUDE_HOLD, attitude_hold)
 UNIFORM_WIND = WindTerm("uniform_wind", WIND_PARAMETERS, uniform_wind)

@@ -57,8 +57,9 @@ class Mode:
 
 
 def trim(
-    model: Model, airspeed: float, climb_angle: float = 0.0, bank: float = 0.0, height: float = 2.0
-) -> Trim:
+    model: Model, airspeed: float, climb_angle: float = 0.0, bank: float = 0.0,
+    height: float = 2.0, time: float = 0.0, within_limits: bool = True,
+) -> Trim:  # fmt: skip
     """Control inputs, attitude and turn rate of a steady flight through the air.
 
     Steady: the velocity through the air turns with the aircraft, and body rates are constant.
@@ -66,11 +67,13 @@ def trim(
     level flight is then g tan(bank) cos(pitch) / airspeed within a few parts in a thousand.
 
     Args:
-        model: the aircraft; its terms are evaluated at px = py = 0, at this height and at time 0.
+        model: the aircraft; its terms are evaluated at px = py = 0.
         airspeed: [m/s], > 0.
         climb_angle: of the path through the air [rad], positive upward.
         bank: roll angle [rad], positive right wing down.
         height: [m].
+        time: since the start of the flight [s].
+        within_limits: False also returns a balance with control inputs beyond their limits.
 
     Raises:
         InputError: the aircraft has no such trim; the text names the limit.
@@ -81,8 +84,9 @@ def trim(
     require_range("climb_angle", climb_angle, low=-1.4, high=1.4)
     require_range("bank", bank, low=-1.4, high=1.4)
     require_range("height", height)
+    require_range("time", time)
     rates, K = state_rates(model.form, model.terms, model.winds), model.K
-    winds = [np.array(w.evaluate(0.0, 0.0, height, 0.0, K), np.float64) for w in model.winds]
+    winds = [np.array(w.evaluate(0.0, 0.0, height, time, K), np.float64) for w in model.winds]
     wind = np.sum(winds, axis=0) if winds else np.zeros(3)
 
     # Unknowns: four control inputs, alpha, beta, turn rate; the equations are the derivatives of
@@ -92,7 +96,7 @@ def trim(
         x, R_world_body, v_world = _steady_state(
             airspeed, climb_angle, bank, height, alpha, beta, turn_rate, wind
         )
-        x_dot = np.array(rates(0.0, x[: model.n_states], unknown[:4], K), np.float64)
+        x_dot = np.array(rates(time, x[: model.n_states], unknown[:4], K), np.float64)
         sideways = x_dot[6:9] @ R_world_body[:, 1] + GRAVITY * R_world_body[2, 1]
         x_dot[4] -= turn_rate
         x_dot[6:9] -= turn_rate * np.array([v_world[1], -v_world[0], 0.0])
@@ -107,7 +111,7 @@ def trim(
     residual = float(np.abs(found.fun).max())
     climb_deg, bank_deg = math.degrees(climb_angle), math.degrees(bank)
     what = f"trim at {airspeed:g} m/s, climb {climb_deg:.3g} deg, bank {bank_deg:.3g} deg"
-    _require_within_limits(what, found.x, residual)
+    _require_within_limits(what, found.x, residual, COMMAND_LIMITS if within_limits else ())
     alpha, beta, turn_rate = map(float, found.x[4:])
     x, _, _ = _steady_state(airspeed, climb_angle, bank, height, alpha, beta, turn_rate, wind)
     return Trim(x[: model.n_states], found.x[:4], alpha, beta, turn_rate, residual)
@@ -131,8 +135,10 @@ def _steady_state(
     return x, R_world_body, v_world
 
 
-def _require_within_limits(what: str, solution: Array, residual: float) -> None:
-    """Raise InputError unless the equations are solved with every control input within limits."""
+def _require_within_limits(
+    what: str, solution: Array, residual: float, limits: tuple[tuple[float, float], ...]
+) -> None:
+    """Raise InputError unless the equations are solved with the control inputs within limits."""
     way_out = "choose another speed, climb or bank, or check the model's values"
     if not residual < TRIM_TOLERANCE:
         stops = [
@@ -148,7 +154,7 @@ def _require_within_limits(what: str, solution: Array, residual: float) -> None:
         raise InputError(
             f"{what}: no balance, the nearest leaves {residual:.2g} m/s^2{limit}; {way_out}"
         )
-    for name, (low, high), x in zip(COMMAND_NAMES, COMMAND_LIMITS, solution[:4], strict=True):
+    for name, (low, high), x in zip(COMMAND_NAMES, limits, solution, strict=False):
         if not low - 1e-9 <= x <= high + 1e-9:
             raise InputError(
                 f"{what}: needs {name} {x:.4g}, which ends at {high if x > high else low:g}; "

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import decode_source, module_from_spec, spec_from_loader
 from pathlib import Path
+from string import Formatter
 from typing import Any, NoReturn
 
 import numpy as np
@@ -16,6 +17,7 @@ from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
 from falconwing_kit.aircraft.model import FORMS, Form, Model, parameter_record
+from falconwing_kit.aircraft.sparse import SPARSE_EFFECTS
 from falconwing_kit.aircraft.terms import UNIFORM_WIND, Parameter, Term, WindTerm, air_flow
 from falconwing_kit.core.checks import Array, InputError
 
@@ -160,8 +162,10 @@ def _error_text(error: BaseException) -> str:
 
 
 def _check_effects(effects: Sequence[Effect], catalogue: Sequence[Effect], source: _Source) -> None:
-    known = {e.name for e in (*catalogue, *GENERIC_EFFECTS)} | _term_names() | {"none"}
-    taken = {p.name for e in (*catalogue, *GENERIC_EFFECTS) for p in e.parameters}
+    known = (
+        {e.name for e in (*catalogue, *GENERIC_EFFECTS, *SPARSE_EFFECTS)} | _term_names() | {"none"}
+    )
+    taken = {p.name for e in (*catalogue, *GENERIC_EFFECTS, *SPARSE_EFFECTS) for p in e.parameters}
     taken |= {p.name for form in FORMS.values() for p in form().parameters}
     for effect in effects:
         _check_name("effect", effect.name, known, source)
@@ -241,6 +245,13 @@ def _check_fields(effect: Effect, known: set[str], source: _Source) -> None:
             f"effect {name!r}: expected exactly one of {', '.join(HOOKS)}, got "
             f"{' and '.join(hooks) or 'none'}: give one",
         )
+    if effect.equation and _placeholders(effect.equation) != own:
+        source.refuse(
+            name,
+            f"effect {name!r}: equation: expected each of its parameters in braces and nothing "
+            f"else in them ({{{'}, {'.join(p.name for p in effect.parameters)}}}), got "
+            f"{effect.equation!r:.60}: correct it",
+        )
     used = {*effect.shape, *effect.essential, *(effect.place or ())}
     used |= {key for start in effect.starts for key in start}
     if unknown := used - own:
@@ -270,6 +281,19 @@ def _check_fields(effect: Effect, known: set[str], source: _Source) -> None:
         )
 
 
+def _placeholders(equation: str) -> set[str]:
+    """The names in braces of an equation; empty where the braces do not match."""
+    try:
+        parts = list(Formatter().parse(equation))
+    except (TypeError, ValueError):
+        return set()
+    return {
+        f"{name}{':' if form else ''}{'!' if conversion else ''}"
+        for _, name, form, conversion in parts
+        if name is not None
+    }
+
+
 # What a hook returns
 
 
@@ -279,17 +303,17 @@ class _Hook:
 
     owner: str
     name: str
-    function: Callable[..., Any]
+    user_function: Callable[..., Any]
     source: _Source
 
     def call(self, *arguments: Any) -> Any:
         """The result, or InputError with the line that raised."""
         try:
             with np.errstate(all="ignore"):
-                return self.function(*arguments)
+                return self.user_function(*arguments)
         except Exception as error:
             self.source.refuse(
-                error if self._is_own(error) else self.function,
+                error if self._is_own(error) else self.user_function,
                 f"{self.owner}: {self.name}: expected a result on the probe flow, got "
                 f"{_error_text(error)}: use NumPy on numbers and arrays alike",
             )
@@ -317,7 +341,7 @@ class _Hook:
     def refuse(self, expected: str, got: str) -> NoReturn:
         """Raise InputError at the function."""
         self.source.refuse(
-            self.function, f"{self.owner}: {self.name}: {expected}, got {got}: correct it"
+            self.user_function, f"{self.owner}: {self.name}: {expected}, got {got}: correct it"
         )
 
 

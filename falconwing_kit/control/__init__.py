@@ -1,7 +1,13 @@
 """control: the expert pilot, its loops and guidance, and the leaders that others follow."""
 
 from falconwing_kit.control.estimate import Observer, SimulatedAircraft
-from falconwing_kit.control.expert import FollowExpert, LandingExpert, WaypointExpert, landing_path
+from falconwing_kit.control.expert import (
+    FollowExpert,
+    LandingExpert,
+    WaypointExpert,
+    landing_path,
+    landing_speed,
+)
 from falconwing_kit.control.guidance import Hall, ReferencePath, require_flyable
 from falconwing_kit.control.leader import LeaderPath, leader_path
 from falconwing_kit.control.loops import (
@@ -39,6 +45,7 @@ __all__ = [
     "course_axes",
     "design_loop",
     "landing_path",
+    "landing_speed",
     "leader_path",
     "require_flyable",
 ]

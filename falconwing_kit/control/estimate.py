@@ -1,4 +1,6 @@
-"""Estimate: noisy measured states and commands -> the state of the model, by an observer."""
+"""Estimate: noisy measured states and commands -> the state of the model, by an observer; the
+simulated aircraft that is observed.
+"""
 
 import math
 from functools import lru_cache
@@ -8,6 +10,7 @@ import numpy as np
 from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
 from falconwing_kit.aircraft.model import Model, state_rates
 from falconwing_kit.aircraft.trim import linearise, trim
+from falconwing_kit.control.inverse import design_model, true_state
 from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, model_key
 from falconwing_kit.core.checks import Array, require_range
 from falconwing_kit.core.messages import CONTROL_PERIOD_S, State
@@ -73,8 +76,9 @@ class Observer:
     """
 
     def __init__(self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S) -> None:
-        """Design the gain; InputError where the model cannot be trimmed."""
-        self._model, self._delay, self._gain = model, delay, _kalman_gain(*model_key(model), speed)
+        """Design the gain in still air; InputError where the model cannot be trimmed."""
+        gain = _kalman_gain(*model_key(design_model(model)), speed)
+        self._model, self._delay, self._gain = model, delay, gain
         self._estimate: SimulatedAircraft | None = None
 
     def update(self, t: float, measured: State, sent: Array) -> State:
@@ -82,9 +86,11 @@ class Observer:
 
         Args:
             t: now [s].
-            measured: its pose is used; velocities and rates only where the observer starts.
+            measured: its pose is used, through the inverse of the model's measurement maps (a
+                camera tilt); velocities and rates only where the observer starts.
             sent: (4,) commands since the last update, in the order of COMMAND_NAMES.
         """
+        measured = true_state(self._model, measured)
         estimate = self._estimate
         if estimate is None or not 0.0 <= t - estimate.t <= LONGEST_GAP_S:
             self._estimate = SimulatedAircraft(self._model, measured, self._delay, t)

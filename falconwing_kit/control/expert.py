@@ -4,6 +4,10 @@ An expert reads `observation.state`, `observation.t` and `observation.past_comma
 observer (control/estimate.py) filters the pose of the measured state and estimates velocities and
 rates. Here are the paths and the phases of flight; the control law, LQR loops, is in
 control/loops.py. The vision policies imitate the experts.
+
+An expert is designed on a model, which need not be the aircraft that flies. The model's effects
+count: its wind gives the crab angle, its delays and lags are part of the loops, a trim bias is fed
+forward, a camera tilt is taken out of the measured attitude (control/inverse.py).
 """
 
 import math
@@ -13,18 +17,31 @@ from typing import Protocol
 import numpy as np
 
 from falconwing_kit.aircraft.airframe import Airframe
-from falconwing_kit.aircraft.model import Model
+from falconwing_kit.aircraft.model import Model, rates_model
 from falconwing_kit.aircraft.touchdown import LandingPad, wheel_heights
+from falconwing_kit.aircraft.trim import trim
 from falconwing_kit.control.estimate import Observer
 from falconwing_kit.control.guidance import Hall, ReferencePath, require_flyable
+from falconwing_kit.control.inverse import (
+    design_model,
+    ground_speed,
+    similar_speed,
+    wind_velocity,
+)
 from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, Autopilot, Reference, course_axes
-from falconwing_kit.core.checks import Array
+from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.messages import Command, Observation, State
 
 GLIDE = math.radians(4.0)  # gamma, flight path angle of the glide, downwards [rad]
 TOUCHDOWN_SLOPE = 0.035  # tan(gamma_touch) of the wheels' path
 FLARE_LENGTH = 6.0  # L, distance in which the flare's slope falls to 1/e [m]
 AIM = 3.5  # planned touchdown, past the pad's threshold [m]
+# Flare length and aim are for 7 m/s and go with the speed, so that a flare takes the same time: the
+# loop's delays do not scale with the aircraft. A faster one touches at the same sink rate.
+APPROACH_S = 2.0  # of straight flight before the threshold: the lateral loop settles in about one
+LANDING_SPEEDS = 0.3, 1.4  # slowest and fastest, in shares of the kit's 7 m/s
+MAX_CRAB = math.radians(30.0)  # of an approach: half of the airspeed across the runway
+MIN_GROUND_SHARE = 0.4  # of the airspeed, over the floor, in a headwind
 FINAL = 60.0  # length of the glide before the flare [m]
 GAP_GAIN = 0.8  # speed correction per metre of gap error [1/s]
 MAX_SPEED_CORRECTION = 1.2  # [m/s]
@@ -66,7 +83,21 @@ class EstimatingAutopilot:
         self, state: State, reference: Reference, observation: Observation, idle: bool = False
     ) -> Command:
         """The autopilot's command towards a reference."""
-        return self._autopilot.command(state, reference, observation.past_commands, idle)
+        return self._autopilot.command(
+            state, reference, observation.past_commands, idle, observation.t
+        )
+
+    def reference(
+        self, path: ReferencePath, s: float, airspeed: float, state: State, t: float
+    ) -> Reference:
+        """The reference at arc length s [m] of a path that is flown at an airspeed [m/s]."""
+        still = path.at(s, airspeed)
+        wind = self._autopilot.wind_at(state.p_world, t)
+        if not wind.any():
+            return still
+        along = math.cos(still.climb) * course_axes(still.yaw)[0]
+        along[2] = math.sin(still.climb)
+        return path.at(s, ground_speed(airspeed, along, wind))
 
     def level(self) -> Command:
         """The control inputs of straight level flight."""
@@ -80,14 +111,16 @@ class WaypointExpert:
         self, model: Model, airframe: Airframe, waypoints: Array,
         speed: float = SPEED, delay: float = LINK_DELAY_S,
     ) -> None:  # fmt: skip
-        """Design the loops and fit the path through waypoints (n, 3) [m].
+        """Design the loops and fit the path through waypoints (n, 3) [m]; speed is the airspeed.
 
         Raises:
-            InputError: the model cannot be trimmed or stabilised, or the path exceeds the bank or
-                climb limit.
+            InputError: the model cannot be stabilised or trimmed at the path's steepest climb, or
+                the path exceeds the bank or climb limit.
         """
         self.path, self.speed, self.mode = ReferencePath(waypoints), speed, "waypoints"
         require_flyable(self.path, speed, airframe.bank_limit)
+        if model.form == "rates":  # the loops refuse the other with a sentence of their own
+            trim(design_model(model), speed, max(float(self.path.climb.max()), 0.0))
         self._autopilot, self._s = EstimatingAutopilot(model, speed, delay), 0.0
 
     def act(self, observation: Observation) -> Command:
@@ -98,7 +131,8 @@ class WaypointExpert:
             return self._autopilot.level()
         self._s = self.path.nearest(state.p_world, self._s)
         self.mode = "waypoints" if self._s < self.path.length else "past the end"
-        return self._autopilot.track(state, self.path.at(self._s, self.speed), observation)
+        reference = self._autopilot.reference(self.path, self._s, self.speed, state, observation.t)
+        return self._autopilot.track(state, reference, observation)
 
 
 class LandingExpert:
@@ -106,12 +140,25 @@ class LandingExpert:
 
     def __init__(
         self, model: Model, airframe: Airframe, pad: LandingPad,
-        speed: float = SPEED, delay: float = LINK_DELAY_S,
+        speed: float | None = None, delay: float = LINK_DELAY_S,
     ) -> None:  # fmt: skip
-        """Design loops and approach; InputError: the model cannot be trimmed or stabilised."""
-        self.path, self._flare_at = landing_path(airframe, pad)
-        self.airframe, self.pad, self.speed, self.mode = airframe, pad, speed, "approach"
-        self._autopilot = EstimatingAutopilot(model, speed, delay)
+        """Design loops and approach.
+
+        Args:
+            model: that the expert is designed on.
+            airframe: wheels of the aircraft that flies.
+            pad: where to land.
+            speed: airspeed of the approach [m/s]; None for `landing_speed`.
+            delay: from a command to its arrival at the aircraft [s].
+
+        Raises:
+            InputError: the model cannot be trimmed or stabilised, or not be landed in this hall.
+        """
+        self.speed = landing_speed(model) if speed is None else speed
+        self.path, self._flare_at = landing_path(airframe, pad, self.speed)
+        self.airframe, self.pad, self.mode = airframe, pad, "approach"
+        require_landable_wind(model, self.path, self.speed)
+        self._autopilot = EstimatingAutopilot(model, self.speed, delay)
 
     def act(self, observation: Observation) -> Command:
         """The command for approach and flare; idle and neutral once landed, whatever follows."""
@@ -127,7 +174,7 @@ class LandingExpert:
             self.mode = "landed"
             return Command(0.0, 0.0, 0.0, 0.0)
         self.mode = "flare" if s > self._flare_at else "approach"
-        reference = self.path.at(s, self.speed)
+        reference = self._autopilot.reference(self.path, s, self.speed, state, observation.t)
         return self._autopilot.track(state, reference, observation, idle=self.mode == "flare")
 
 
@@ -138,7 +185,10 @@ class FollowExpert:
         self, model: Model, airframe: Airframe, leader_path: LeaderTrajectory,
         speed: float = SPEED, delay: float = LINK_DELAY_S,
     ) -> None:  # fmt: skip
-        """Design the loops; InputError where the model cannot be trimmed or stabilised."""
+        """Design the loops; InputError where the model cannot be trimmed or stabilised.
+
+        speed is the airspeed that the loops are designed for; the leader's is flown.
+        """
         positions = leader_path.states[:, 0:3]
         self.path, self.leader, self.mode = ReferencePath(positions), leader_path, "follow"
         # (3,) behind the leader along its path, left of the path, above it [m]
@@ -175,22 +225,62 @@ class FollowExpert:
         return self._autopilot.track(state, replace(reference, p_world=target), observation)
 
 
-def landing_path(airframe: Airframe, pad: LandingPad) -> tuple[ReferencePath, float]:
+def landing_speed(model: Model) -> float:
+    """Airspeed of a model's approach [m/s]: 7 for the kit's aircraft, `similar_speed` for others.
+
+    Raises:
+        InputError: the aircraft is too fast or too slow for this hall, or has no lift.
+    """
+    if model.form != "rates":
+        return SPEED  # the loops refuse it with a sentence of their own
+    speed, run = similar_speed(design_model(model), rates_model()), LandingPad().x_start
+    slowest, fastest = (share * SPEED for share in LANDING_SPEEDS)
+    fastest = min(fastest, (run - Hall().x[0]) / APPROACH_S)
+    if not slowest <= speed <= fastest:
+        raise InputError(
+            f"model: expected an aircraft that lands at {slowest:.1f} to {fastest:.1f} m/s in this"
+            f" hall of 40 m, got one that flies at {speed:.1f} m/s; choose the model of another"
+            " aircraft"
+        )
+    return speed
+
+
+def require_landable_wind(model: Model, path: ReferencePath, airspeed: float) -> None:
+    """InputError where the model's wind is too strong for an approach at an airspeed [m/s]."""
+    for p_world, yaw in zip(path.p_world[::5], path.yaw[::5], strict=True):
+        wind = wind_velocity(model, p_world, 0.0)
+        ahead, left = course_axes(float(yaw))
+        across = abs(float(wind @ left))
+        too_slow = ground_speed(airspeed, ahead, wind) < MIN_GROUND_SHARE * airspeed
+        if too_slow or across > math.sin(MAX_CRAB) * airspeed:
+            raise InputError(
+                f"model: expected a wind that {airspeed:.1f} m/s can land in, got"
+                f" {-float(wind @ ahead):.1f} m/s against the runway and {across:.1f} m/s across it"
+                f" at x = {p_world[0]:.0f} m; wait for less wind"
+            )
+
+
+def landing_path(
+    airframe: Airframe, pad: LandingPad, speed: float = SPEED
+) -> tuple[ReferencePath, float]:
     """Path of the centre of gravity down to the pad, and the arc length where its flare begins [m].
 
     It runs along the pad's centre line in the direction of world x. The height above the pad falls
     linearly, then exponentially towards a level slightly below the pad, so that the wheels touch at
     the slope tan(gamma_touch): h = L (tan(gamma) e^(-x/L) - tan(gamma_touch)), x from the start of
     the flare [Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., sec. 4.5:
-    exponential flare].
+    exponential flare]. At another speed [m/s] than 7 the flare lasts as long, so its length and the
+    aim go with the speed; above it the wheels touch at the same sink rate.
     """
-    glide_slope, touchdown_slope = math.tan(GLIDE), TOUCHDOWN_SLOPE
-    x_flare = pad.x_start + AIM - FLARE_LENGTH * math.log(glide_slope / touchdown_slope)
+    share = speed / SPEED
+    glide_slope, touchdown_slope = math.tan(GLIDE), TOUCHDOWN_SLOPE / max(share, 1.0)
+    flare_length = FLARE_LENGTH * share
+    x_flare = pad.x_start + AIM * share - flare_length * math.log(glide_slope / touchdown_slope)
     x = np.arange(-FINAL, pad.length, 0.25)
     glide = -glide_slope * np.minimum(x, 0.0)
-    flare = glide_slope * np.exp(-np.maximum(x, 0.0) / FLARE_LENGTH) - touchdown_slope
+    flare = glide_slope * np.exp(-np.maximum(x, 0.0) / flare_length) - touchdown_slope
     # Height of the centre of gravity with the main wheels on the pad.
     standing = pad.height + max(airframe.wheels.main_left[2], airframe.wheels.main_right[2])
-    z = standing + glide + FLARE_LENGTH * flare
+    z = standing + glide + flare_length * flare
     path = ReferencePath(np.column_stack([x_flare + x, np.full(len(x), pad.y_centre), z]))
     return path, path.nearest(np.array([x_flare, pad.y_centre, 0.0]))

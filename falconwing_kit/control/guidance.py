@@ -1,4 +1,6 @@
-"""Guidance: waypoints in the hall -> a smooth path, and a place along it -> the reference there."""
+"""Guidance: waypoints in the hall -> a smooth path, a place along it -> the reference there;
+whether the path can be flown.
+"""
 
 import math
 from dataclasses import dataclass
@@ -10,6 +12,9 @@ from falconwing_kit.core.checks import Array, InputError, require_shape
 from falconwing_kit.core.frames import GRAVITY, HALL_HIGH, HALL_LOW
 
 SPACING = 0.1  # between the samples of a path [m]
+MIN_STEP = 1e-3  # between points that a path leads through [m]; nearer ones are the same
+MIN_LEVEL = 1e-9  # share of a direction that is level: a vertical path has no course
+ANGLE_TOLERANCE = 1e-9  # of rounding, in the check of bank and climb [rad]
 SEARCH = 3.0  # either side of the last nearest point [m]; beyond it a path may cross itself
 CLIMB_LIMIT = math.radians(12.0)  # of a planned path; at half throttle it climbs by 10 deg
 # Bank and climb are those of the path so far ahead: link delay, servo and roll response.
@@ -50,7 +55,7 @@ class ReferencePath:
 
         points = require_shape("path points", p_world, (None, 3))
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        if len(points) < 2 or not np.isfinite(points).all() or steps.min() < 1e-3:
+        if len(points) < 2 or not np.isfinite(points).all() or steps.min() < MIN_STEP:
             raise InputError(
                 "path: expected two or more different, finite points; remove repeated ones"
             )
@@ -63,7 +68,7 @@ class ReferencePath:
         self.s = np.linspace(0.0, length[-1], max(round(length[-1] / SPACING), 1) + 1)
         u = np.interp(self.s, length, fine)
         d1, d2 = curve(u, 1), curve(u, 2)
-        level = np.maximum(np.hypot(d1[:, 0], d1[:, 1]), 1e-9)
+        level = np.maximum(np.hypot(d1[:, 0], d1[:, 1]), MIN_LEVEL)
         self.p_world = curve(u)
         self.yaw = np.unwrap(np.arctan2(-d1[:, 1], d1[:, 0]))
         self.climb = np.arctan2(d1[:, 2], level)
@@ -93,10 +98,13 @@ class ReferencePath:
         along = float((p_world[:2] - self.p_world[i, :2]) @ ahead) / max(
             math.cos(self.climb[i]), 0.1
         )
-        inner = 0 < i < len(self.s) - 1
-        return float(self.s[i]) + (min(max(along, -SPACING), SPACING) if inner else along)
+        is_inner_sample = 0 < i < len(self.s) - 1
+        if is_inner_sample:
+            along = min(max(along, -SPACING), SPACING)
+        return float(self.s[i]) + along
 
     def _window(self, near: float) -> slice:
+        """The samples within SEARCH of an arc length [m]."""
         spacing = self.length / (len(self.s) - 1)
         middle = min(max(round(near / spacing), 0), len(self.s) - 1)
         half = round(SEARCH / spacing)
@@ -129,12 +137,13 @@ def require_flyable(path: ReferencePath, speed: float, bank_limit: float) -> Non
         InputError: it exceeds bank_limit [rad] or 12 deg of climb; the text gives place and angle.
     """
     bank = np.arctan((speed * np.cos(path.climb)) ** 2 * path.curvature / GRAVITY)
-    for what, angle, limit in (("bank", bank, bank_limit), ("climb", path.climb, CLIMB_LIMIT)):
-        worst = int(np.argmax(np.abs(angle)))
-        if abs(angle[worst]) > limit + 1e-9:
+    for what, path_angle, limit in (("bank", bank, bank_limit), ("climb", path.climb, CLIMB_LIMIT)):
+        worst = int(np.argmax(np.abs(path_angle)))
+        largest = abs(path_angle[worst])
+        if largest > limit + ANGLE_TOLERANCE:
             x, y, z = path.p_world[worst]
             raise InputError(
                 f"waypoints: expected at most {math.degrees(limit):.0f} deg of {what}, the path "
-                f"requires {math.degrees(abs(angle[worst])):.0f} deg at ({x:.1f}, {y:.1f}, {z:.1f})"
+                f"requires {math.degrees(largest):.0f} deg at ({x:.1f}, {y:.1f}, {z:.1f})"
                 " m; place them wider apart or flatter"
             )

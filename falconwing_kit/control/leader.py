@@ -19,6 +19,8 @@ from falconwing_kit.core.messages import CONTROL_PERIOD_S, Observation, State
 
 # Last word of the random generator's key; the other draws of a trial have another one.
 LEADER_DRAWS = 2
+PAST_COMMANDS = 30  # that the pilot is given
+MAX_DURATION_RATIO = 3.0  # of a flight, to the time that its path takes at the pilot's speed
 
 
 @dataclass(frozen=True)
@@ -102,11 +104,10 @@ def fly_path(model: Model, pilot: WaypointExpert) -> Array:
     along = np.array([math.cos(path.yaw[0]), -math.sin(path.yaw[0])])
     x[:3], x[4] = path.p_world[0], x[4] + path.yaw[0]
     x[6:8] = along * x[6]
-    aircraft, past, states = SimulatedAircraft(model, State.from_vector(x)), np.zeros((30, 4)), [x]
-    while (
-        pilot.mode == "waypoints"
-        and len(states) < 3.0 * path.length / pilot.speed / CONTROL_PERIOD_S
-    ):
+    aircraft, states = SimulatedAircraft(model, State.from_vector(x)), [x]
+    past = np.zeros((PAST_COMMANDS, 4))
+    max_states = MAX_DURATION_RATIO * path.length / pilot.speed / CONTROL_PERIOD_S
+    while pilot.mode == "waypoints" and len(states) < max_states:
         command = pilot.act(Observation(aircraft.t, None, past, State.from_vector(aircraft.x)))
         past = np.concatenate([past[1:], command.vector[None]])
         aircraft.send(aircraft.t, command.vector)

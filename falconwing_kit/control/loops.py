@@ -6,7 +6,7 @@ a steady flight, straight or turning, whose control inputs are fed forward.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falconwing_kit.aircraft.model import Model
-from falconwing_kit.aircraft.trim import linearise, trim
+from falconwing_kit.aircraft.trim import Trim, linearise, trim
+from falconwing_kit.control.inverse import KIT_SPEED, CommandMap, design_model, wind_velocity
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 from falconwing_kit.core.frames import wrap_angle
 from falconwing_kit.core.messages import (
@@ -26,22 +27,29 @@ from falconwing_kit.core.messages import (
 )
 
 LINK_DELAY_S = 0.05  # from command to transmitter output: frame grabber, serial line, PPM frame
-SPEED = 7.0  # [m/s], the paper's minimum speed of this aircraft, and its speed indoors
+SPEED = KIT_SPEED  # [m/s] of the kit's aircraft
+# Total delay up to which the sizes of the axes hold [s]; the kit's aircraft has 0.10. Beyond it the
+# position error counts less, as the square: a longer delay needs a lower bandwidth.
+SIZED_FOR_DELAY_S = 0.11
 INTEGRAL_LIMIT = 1.5  # of an integral, in multiples of its size in the axis
 POSITION_LIMITS = 1.0, 0.5  # lateral and vertical position error that the loops act on [m]
 TABLE_SPEEDS = (0.80, 0.90, 1.0, 1.15)  # shares of the speed
 TABLE_CLIMBS = np.radians((-3.0, 0.0, 8.0))
 TABLE_BANKS = np.radians((-40.0, -20.0, 0.0, 20.0, 40.0))
+# Where level flight is trimmed again, for a model whose forces depend on height or time.
+TABLE_HEIGHTS = (0.15, 0.3, 0.6, 1.0, 2.0)  # [m]; the last is that of all other trims
+MIN_CHANGE = 1e-5  # of a trim's control inputs and angles; smaller ones are rounding
+TABLE_TIMES = (0.0, 30.0, 60.0, 120.0, 240.0)  # [s]; the first is that of all other trims
 
 
 @dataclass(frozen=True)
 class Reference:
-    """The steady flight to hold at this moment."""
+    """The steady flight to hold at this moment, over the floor."""
 
     p_world: Array  # (3,) the nearest point of the reference path [m]
     yaw: float  # course of the path [rad], positive to the right
-    climb: float  # [rad], positive upward
-    speed: float  # [m/s]
+    climb: float  # of the path [rad], positive upward
+    speed: float  # over the floor, along the path [m/s]
     bank: float  # of the path's turn [rad], right wing down positive
 
 
@@ -102,7 +110,8 @@ def design_loop(
     system with delay].
 
     Args:
-        model: 12-state; its own delay and lag count as delay.
+        model: 12-state; its own delay and lag count as delay, and those of its effects. Its wind
+            does not count: the loops act on deviations from a flight through the air.
         axis: `LATERAL` or `LONGITUDINAL`.
         speed: [m/s].
         delay: from a command to its arrival at the aircraft [s].
@@ -118,8 +127,10 @@ def design_loop(
             " body rates"
         )
     require_range("delay", delay, low=0.0, high=0.5)
-    own = (max(model.values.get(name, 0.0), 0.0) for name in ("delay", "lag"))
-    total_delay = sum(own, delay)
+    model = design_model(model)
+    model_delays = (max(model.values.get(name, 0.0), 0.0) for name in ("delay", "lag"))
+    total_delay = sum(model_delays, delay)
+    axis = _sized_for(axis, total_delay)
     # Rows and columns of this axis, discretised with the delay.
     A, B = linearise(model, trim(model, speed))
     rows = [STATE_NAMES.index(name) for name in axis.states]
@@ -148,6 +159,21 @@ def design_loop(
     return loop
 
 
+def _sized_for(axis: Axis, delay: float) -> Axis:
+    """An axis with the acceptable position error enlarged for a long total delay [s].
+
+    A delay tau bounds the bandwidth to about 1 / tau [Astrom & Murray, Feedback Systems, sec. 12.4:
+    limits of performance]; from bank or pitch to position there are two integrators, so the gain of
+    the position goes with the bandwidth squared, and its size with tau^2; of its integral alike.
+    """
+    factor = max(delay / SIZED_FOR_DELAY_S, 1.0) ** 2
+
+    def enlarge(sizes: dict[str, float]) -> dict[str, float]:
+        return {k: size * factor if k in ("py", "pz") else size for k, size in sizes.items()}
+
+    return replace(axis, states=enlarge(axis.states), integrals=enlarge(axis.integrals))
+
+
 def augment_delay(
     A: Array, B: Array, delay: float, dt: float = CONTROL_PERIOD_S
 ) -> tuple[Array, Array]:
@@ -173,9 +199,10 @@ def augment_delay(
     rest = delay - (steps - 1) * dt if steps else 0.0
 
     def discretise(seconds: float) -> tuple[Array, Array]:
-        # e^([[A, B], [0, 0]] t) holds e^(A t) and its integral times B in its upper rows.
-        both = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * seconds)
-        return both[:n, :n], both[:n, n:]
+        """e^(A t) (n, n) and its integral from 0 to t times B (n, m)."""
+        # Both are in the upper rows of e^([[A, B], [0, 0]] t).
+        exponential = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * seconds)
+        return exponential[:n, :n], exponential[:n, n:]
 
     (Phi_early, G0), (_, G_late), Phi = discretise(dt - rest), discretise(rest), discretise(dt)[0]
     size = n + steps * m
@@ -196,17 +223,54 @@ class TrimTable:
     """Steady flights around a speed, straight and turning, with linear interpolation."""
 
     def __init__(self, model: Model, speed: float = SPEED) -> None:
-        """Solve the trims; InputError where the model cannot fly one of them."""
+        """Solve the trims; InputError where the model cannot fly straight and level.
+
+        A steady flight beyond a control limit keeps its control inputs, and the command is limited
+        when it is sent; one without a balance takes the nearest flight that has one.
+        """
+        model = design_model(model)
         self._axes = np.array(TABLE_SPEEDS) * speed, TABLE_CLIMBS, TABLE_BANKS
-        speeds, climbs, banks = self._axes
-        self._values = np.array(
-            [[[_steady_flight(model, v, c, b) for b in banks] for c in climbs] for v in speeds]
+        level = _steady_flight(trim(model, speed))
+        shape = tuple(len(axis) for axis in self._axes)
+        self._values = np.full((*shape, len(level)), np.nan)
+        knots = list(np.ndindex(shape))
+        offsets = self._offsets(speed)
+        # From level flight outwards, so that a neighbour is known where there is no balance.
+        for knot in sorted(knots, key=lambda index: float(offsets[index])):
+            v, c, b = (axis[i] for axis, i in zip(self._axes, knot, strict=True))
+            try:
+                found = _steady_flight(trim(model, v, c, b, within_limits=False))
+            except InputError:
+                found = self._nearest(knot, level)
+            self._values[knot] = found
+        self._changes = (
+            (np.array(TABLE_HEIGHTS), _level_changes(model, speed, "height", TABLE_HEIGHTS, 2.0)),
+            (np.array(TABLE_TIMES), _level_changes(model, speed, "time", TABLE_TIMES, 0.0)),
         )
 
-    def at(self, speed: float, climb: float, bank: float) -> tuple[Array, Array]:
-        """The steady flight at a speed [m/s], climb angle and bank [rad].
+    def _offsets(self, speed: float) -> Array:
+        """Distance of each knot from level flight, in intervals of the table."""
+        parts = [
+            np.abs(axis - centre) / np.ptp(axis)
+            for axis, centre in zip(self._axes, (speed, 0.0, 0.0), strict=True)
+        ]
+        return np.asarray(np.add.outer(np.add.outer(parts[0], parts[1]), parts[2]))
 
-        Beyond the table's ends the slope of the last interval continues.
+    def _nearest(self, knot: tuple[int, ...], level: Array) -> Array:
+        """The values of the nearest knot that is solved already; level flight before the first."""
+        solved = np.argwhere(np.isfinite(self._values[..., 0]))
+        if len(solved) == 0:
+            return level
+        nearest = solved[np.argmin(np.abs(solved - knot).sum(axis=1))]
+        return np.asarray(self._values[tuple(nearest)])
+
+    def at(
+        self, speed: float, climb: float, bank: float, height: float = 2.0, t: float = 0.0
+    ) -> tuple[Array, Array]:
+        """The steady flight through the air at a speed [m/s], climb angle and bank [rad].
+
+        Beyond the table's ends the slope of the last interval continues. Where the model's forces
+        depend on height [m] or time [s], the change of level flight with them is added.
 
         Returns:
             Control inputs (4,) in the order of COMMAND_NAMES, and (5,): pitch, yaw minus course,
@@ -214,14 +278,44 @@ class TrimTable:
         """
         values = self._values
         for axis, x in zip(self._axes, (speed, climb, bank), strict=True):
+            # interval of the table, and where in it; beyond 0..1 outside the table
             i = min(max(int(np.searchsorted(axis, x)) - 1, 0), len(axis) - 2)
             share = (x - axis[i]) / (axis[i + 1] - axis[i])
             values = (1.0 - share) * values[i] + share * values[i + 1]
+        for (knots, changes), x in zip(self._changes, (height, t), strict=True):
+            if changes is not None:
+                values = values + [np.interp(x, knots, column) for column in changes.T]
         return values[:4], values[4:]
 
 
-def _steady_flight(model: Model, speed: float, climb: float, bank: float) -> Array:
-    steady = trim(model, speed, climb, bank)
+def _level_changes(
+    model: Model, speed: float, variable: str, knots: tuple[float, ...], usual: float
+) -> Array | None:
+    """Change (k, 9) of level flight with height [m] or time [s]; None where there is none.
+
+    Where there is no balance, as with an empty battery, the change at the knot before is kept.
+    """
+    level = _steady_flight(trim(model, speed))
+
+    def change(x: float) -> Array | None:
+        try:
+            steady = trim(model, speed, within_limits=False, **{variable: x})
+        except InputError:
+            return None
+        return _steady_flight(steady) - level
+
+    far = change(max(knots, key=lambda x: abs(x - usual)))
+    if far is not None and np.abs(far).max() < MIN_CHANGE:
+        return None
+    found, last = {}, np.zeros_like(level)
+    for x in sorted(knots, key=lambda x: abs(x - usual)):
+        last = last if (new := change(x)) is None else new
+        found[x] = last
+    return np.array([found[x] for x in knots])
+
+
+def _steady_flight(steady: Trim) -> Array:
+    """Control inputs, pitch, yaw minus course and body rates (9,) of a trim, for the table."""
     x = steady.state
     crab = math.atan2(x[7], x[6])  # the nose points along world x, the course this far to its left
     return np.array([*steady.command, x[3], crab, *x[9:12]])
@@ -246,30 +340,52 @@ def _design(
 
 
 class Autopilot:
-    """Tracks a reference: feedforward of the steady flight, LQR on the deviations from it."""
+    """Tracks a reference: feedforward of the steady flight, LQR on the deviations from it.
+
+    In a wind the steady flight is that through the air whose velocity adds up with the wind to the
+    reference's: the nose points into the wind by the crab angle and the track stays. Control
+    positions are turned into the commands that lead to them through the model's command maps.
+    """
 
     def __init__(self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S) -> None:
         """Design both loops; InputError where the model cannot be trimmed or stabilised."""
-        self.speed, (self.trims, *self.loops) = speed, _design(*model_key(model), speed, delay)
+        self.speed, self.model = speed, model
+        self.trims, *self.loops = _design(*model_key(design_model(model)), speed, delay)
+        self.command_map = CommandMap(model)
         self._integrals = [np.zeros(len(loop.axis.integrals)) for loop in self.loops]
 
+    def wind_at(self, p_world: Array, t: float) -> Array:
+        """The model's wind (3,) at a place (3,) [m] and a time [s], in the world [m/s]."""
+        return wind_velocity(self.model, p_world, t)
+
     def command(
-        self, state: State, reference: Reference, past_commands: Array, idle: bool = False
+        self,
+        state: State,
+        reference: Reference,
+        past_commands: Array,
+        idle: bool = False,
+        t: float = 0.0,
     ) -> Command:
         """The command that returns the aircraft to the reference, within its limits.
 
         Args:
-            state: the measured state, finite.
+            state: the state, finite.
             reference: the steady flight to hold.
             past_commands: (n, 4) sent before, oldest first; rows of zeros where there was none.
             idle: True sets the throttle to zero and lets the speed fall.
+            t: time since the start of the flight [s].
 
         Raises:
             InputError: past_commands has another shape.
         """
         speed = float(np.linalg.norm(state.v_world)) if idle else reference.speed
-        steady, attitude = self.trims.at(speed, reference.climb, reference.bank)
-        deviations = _deviations(state, reference, speed, attitude)
+        reference = replace(reference, speed=speed)
+        wind = self.wind_at(state.p_world, t) if self.model.winds else None
+        airspeed, climb, drift = air_velocity(reference, wind)
+        steady, attitude = self.trims.at(
+            airspeed, climb, reference.bank, float(state.p_world[2]), t
+        )
+        deviations = _deviations(state, reference, attitude, drift)
         past = require_shape("past_commands", past_commands, (None, 4))[::-1]
         control_inputs = steady.copy()
         for loop, integral in zip(self.loops, self._integrals, strict=True):
@@ -277,7 +393,8 @@ class Autopilot:
             # State of the augmented model: deviations, delayed inputs newest first, integrals. An
             # input that was never sent counts as the steady flight's.
             delayed = [
-                (row if row.any() else steady)[columns] - steady[columns]
+                (self.command_map.positions(row) if row.any() else steady)[columns]
+                - steady[columns]
                 for row in past[: loop.delay_steps]
             ]
             delayed += [np.zeros(len(columns))] * (loop.delay_steps - len(delayed))
@@ -287,17 +404,47 @@ class Autopilot:
             error = np.array([deviations[name] for name in loop.axis.integrals])
             limit = INTEGRAL_LIMIT * np.array(list(loop.axis.integrals.values()))
             integral[:] = np.clip(integral + CONTROL_PERIOD_S * error, -limit, limit)
-        return Command.clip(0.0 if idle else control_inputs[0], *control_inputs[1:])
+        throttle, *surfaces = self.command_map.commands(control_inputs)
+        return Command.clip(0.0 if idle else throttle, *surfaces)
 
     def level(self) -> Command:
-        """The control inputs of straight level flight, for use without a state."""
-        return Command.clip(*self.trims.at(self.speed, 0.0, 0.0)[0])
+        """The commands of straight level flight through the air, for use without a state."""
+        return Command.clip(*self.command_map.commands(self.trims.at(self.speed, 0.0, 0.0)[0]))
+
+
+def air_velocity(reference: Reference, wind: Array | None) -> tuple[float, float, float]:
+    """The flight through the air that gives a reference over the floor: v_air = v_ground - w.
+
+    [Beard & McLain, Small Unmanned Aircraft, sec. 2.4: wind triangle]
+
+    Args:
+        reference: over the floor.
+        wind: (3,) in the world [m/s]; None for still air.
+
+    Returns:
+        Airspeed [m/s], climb angle through the air [rad], and the crab angle: course through the
+        air minus that over the floor [rad], positive to the right, so with a wind to the left.
+    """
+    if wind is None:
+        return reference.speed, reference.climb, 0.0
+    ahead, left = course_axes(reference.yaw)
+    level = reference.speed * math.cos(reference.climb) - float(wind @ ahead)
+    up = reference.speed * math.sin(reference.climb) - float(wind[2])
+    across = float(wind @ left)
+    return (
+        math.hypot(level, across, up),
+        math.atan2(up, math.hypot(level, across)),
+        math.atan2(across, level),
+    )
 
 
 def _deviations(
-    state: State, reference: Reference, speed: float, attitude: Array
+    state: State, reference: Reference, attitude: Array, drift: float
 ) -> dict[str, float]:
-    """Deviations from the reference in axes along its course: x ahead, y left, z up."""
+    """Deviations from the reference in axes along its course: x ahead, y left, z up.
+
+    attitude (5,) is that of the steady flight through the air, drift its crab angle [rad].
+    """
     pitch, crab, p, q, r = attitude
     ahead, left = course_axes(reference.yaw)
     offset, v = state.p_world - reference.p_world, state.v_world
@@ -309,11 +456,11 @@ def _deviations(
         "py": lateral,
         "pz": vertical,
         "pitch": state.pitch - pitch,
-        "yaw": float(wrap_angle(state.yaw - reference.yaw - crab)),
+        "yaw": float(wrap_angle(state.yaw - reference.yaw - drift - crab)),
         "roll": state.roll - reference.bank,
-        "vx": float(v @ ahead) - speed * math.cos(reference.climb),
+        "vx": float(v @ ahead) - reference.speed * math.cos(reference.climb),
         "vy": float(v @ left),
-        "vz": float(v[2]) - speed * math.sin(reference.climb),
+        "vz": float(v[2]) - reference.speed * math.sin(reference.climb),
         "p": state.rates_body[0] - p,
         "q": state.rates_body[1] - q,
         "r": state.rates_body[2] - r,

@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 import tomli_w
 
-from falconwing_kit.aircraft.airframe import Airframe, default_airframe_path, load_airframe
+from falconwing_kit.aircraft.airframe import (
+    Airframe,
+    default_airframe_path,
+    load_airframe,
+    scaling_sentence,
+)
 from falconwing_kit.core.checks import InputError
 
 
@@ -91,15 +96,24 @@ def test_written_and_read_again_is_the_same(table, tmp_path):
         (lambda t: t.update(bank_limit_deg=90.0), "between 0 and 90 deg"),
         (lambda t: t.update(mass=150.0), "mass_g"),
         (lambda t: t.update(mass_g="heavy"), "mass_g"),
+        (lambda t: t.pop("wing_area_m2"), "missing key 'wing_area_m2'"),
+        (
+            lambda t: t.update(mass_g=0.15),
+            "expected grams, 5 to 100000, got 0.15; did you give kil",
+        ),
+        (lambda t: t.update(span_m=70.0), "got 70; did you give centimetres"),
+        (lambda t: t.update(span_m=700.0), "or millimetres?"),
+        (lambda t: t.update(wing_area_m2=760.0), "square decimetres or square centimetres?"),
+        (lambda t: t.update(wing_area_m2=7.6), "wing_area_m2: expected square metres that fit a"),
+        (lambda t: t.update(mass_g=150.0, wing_area_m2=5.0, span_m=5.0), "kg/m^2"),
+        (lambda t: t.update(length_m=52.0), "length_m: expected metres"),
+        (lambda t: t.update(air_density_kg_m3=1225.0), "did you give g/m^3?"),
+        (lambda t: t["inertia_kg_m2"].update(Ixx=-0.001), "Ixx"),
         (lambda t: t.update(wingspan_m=0.7), "perhaps you meant 'span_m'"),
-        (lambda t: t.pop("length_m"), "length_m"),
-        (lambda t: t.pop("aero"), "aero"),
-        (lambda t: t["aero"].pop("CL_max"), "CL_max"),
         (lambda t: t["aero"].update(CL_max=0.0), "CL_max"),
         (lambda t: t.update(p_body_camera_m=[0.2, 0.0]), "p_body_camera_m"),
         (lambda t: t["wheels_m"].update(tail=[math.nan, 0.0, 0.0]), "wheels_m.tail[0]"),
         (lambda t: t["wheels_m"].update(main_left=[0.05, 0.09, 0.11]), "swap"),
-        (lambda t: t["inertia_kg_m2"].update(Izz=0.1), "moments of a solid body"),
         (lambda t: t["parts"][2].update(mass_g=0.0), "mass of 'camera'"),
         (lambda t: t["parts"][1].update(inside="fuselage"), "fuselage"),
         (lambda t: t["parts"].append({"name": "camera", "mass_g": 9.0}), "camera"),
@@ -111,6 +125,94 @@ def test_a_damaged_file_is_refused_in_one_sentence_with_its_path(table, tmp_path
     with pytest.raises(InputError, match=re.escape(words)) as caught:
         load(table, tmp_path)
     assert "airframe.toml" in str(caught.value) and "\n" not in str(caught.value)
+
+
+THREE = {
+    "mass_g": 1200.0,
+    "wing_area_m2": 0.304,
+    "span_m": 1.4,
+}  # the kit's aircraft, twice as long
+
+
+def test_three_keys_are_enough_and_the_rest_is_a_similar_aircraft(tmp_path):
+    """Dynamic similarity by hand: lengths times 2, mass times 8, inertia times 8 * 2^2 = 32,
+    coefficients, angles and the air as they were.
+    """
+    kit, large = load_airframe(), load(THREE, tmp_path)
+    assert (large.name, large.parts) == ("airframe", ())
+    assert (large.mass, large.wing_area, large.span) == pytest.approx((1.2, 0.304, 1.4), rel=1e-12)
+    assert large.length == pytest.approx(1.04, rel=1e-12)
+    assert large.p_body_camera == pytest.approx((0.40, 0.0, 0.0), abs=1e-12)
+    assert large.wheels.points_body == pytest.approx(2.0 * kit.wheels.points_body, rel=1e-12)
+    for axis in ("Ixx", "Iyy", "Izz"):
+        expected = 32.0 * getattr(kit.inertia, axis)
+        assert getattr(large.inertia, axis) == pytest.approx(expected, rel=1e-12)
+    assert (large.aero, large.air_density, large.bank_limit) == (
+        kit.aero, kit.air_density, kit.bank_limit
+    )  # fmt: skip
+
+
+def test_what_was_scaled_is_named_in_one_line(tmp_path):
+    """The keys that the file lacks, by reading it; a complete file names none."""
+    some = THREE | {"name": "Twin", "length_m": 1.1, "aero": {"CL_max": 0.8}}
+    airframe = load(some, tmp_path)
+    assert airframe.scaled == (
+        "air_density_kg_m3", "bank_limit_deg", "p_body_camera_m",
+        "aero.CL0", "aero.CLa", "aero.CD0", "aero.k", "wheels_m", "inertia_kg_m2",
+    )  # fmt: skip
+    assert (airframe.aero.CL_max, airframe.length) == (0.8, 1.1)
+    sentence = scaling_sentence(airframe)
+    assert sentence.startswith("Twin: scaled") and "aero.CLa, aero.CD0" in sentence
+    assert "\n" not in sentence and "length_m" not in sentence
+    assert load_airframe().scaled == () and scaling_sentence(load_airframe()) == ""
+
+
+def test_pitch_inertia_follows_the_length_where_the_file_has_it(tmp_path):
+    """By hand: mass times 8, length times 3, so Iyy times 8 * 9; Ixx still goes with the span."""
+    kit, long = load_airframe(), load(THREE | {"length_m": 1.56}, tmp_path)
+    assert long.inertia.Iyy == pytest.approx(72.0 * kit.inertia.Iyy, rel=1e-12)
+    assert long.inertia.Ixx == pytest.approx(32.0 * kit.inertia.Ixx, rel=1e-12)
+    assert long.wheels.tail[0] == pytest.approx(3.0 * kit.wheels.tail[0], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("inertia", "words"),
+    [
+        ({"Ixx": 1.229, "Iyy": 0.1702, "Izz": 0.8808, "Ixz": 0.9343}, "no solid body"),
+        ({"Ixx": 335.0, "Iyy": 140.0, "Izz": 400.0}, "radius of gyration"),  # g m^2
+        ({"Ixx": 3.35e-5, "Iyy": 1.4e-5, "Izz": 4e-5}, "radius of gyration"),
+    ],
+)
+def test_an_inertia_that_contradicts_the_mass_is_scaled_and_reported(tmp_path, inertia, words):
+    """The Skywalker X8's published moments (PyFly) break the triangle inequality, 1.229 > 0.1702 +
+    0.8808; the others are a later measurement of it in g m^2, a thousand times too large, and one
+    ten thousand times too small. By hand, the kit's Ixx times 3.364 / 0.150 times (2.1 / 0.7)^2.
+    """
+    x8 = {"mass_g": 3364.0, "wing_area_m2": 0.75, "span_m": 2.1, "inertia_kg_m2": inertia}
+    airframe = load(x8, tmp_path)
+    expected = load_airframe().inertia.Ixx * 3.364 / 0.150 * 9.0
+    assert airframe.inertia.Ixx == pytest.approx(expected, rel=1e-12)
+    assert "inertia_kg_m2" in airframe.scaled and words in airframe.contradictions[0]
+    assert words in scaling_sentence(airframe)
+
+
+@pytest.mark.parametrize(
+    ("mass_g", "wing_area_m2", "span_m", "moments"),
+    [
+        (11000.0, 0.55, 2.8956, (0.8244, 1.135, 1.759, 0.1204)),
+        (1560.0, 0.2589, 1.4224, (0.1147, 0.0576, 0.1712, 0.0015)),
+        (3364.0, 0.75, 2.1, (0.335, 0.140, 0.400, -0.029)),
+    ],
+)
+def test_published_inertias_are_kept(tmp_path, mass_g, wing_area_m2, span_m, moments):
+    """Aerosonde and Zagi of Beard & McLain's appendix E, and the X8 as measured by Gryte et al.
+    (2018): no contradiction is found in what was measured.
+    """
+    entries = dict(zip(("Ixx", "Iyy", "Izz", "Ixz"), moments, strict=True))
+    of_file = {"mass_g": mass_g, "wing_area_m2": wing_area_m2, "span_m": span_m}
+    airframe = load(of_file | {"inertia_kg_m2": entries}, tmp_path)
+    assert airframe.contradictions == () and "inertia_kg_m2" not in airframe.scaled
+    assert (airframe.inertia.Ixx, airframe.inertia.Ixz) == (moments[0], moments[3])
 
 
 @pytest.mark.parametrize("content", [b"", b"mass_g = ", b"\xff\xfe\x00", b"[[[", b"parts = 3\n"])

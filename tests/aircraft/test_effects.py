@@ -2,20 +2,25 @@
 knows.
 """
 
+import re
 from dataclasses import replace
+from string import Formatter
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from falconwing_kit.aircraft import terms
-from falconwing_kit.aircraft.effect import effect_catalogue
+from falconwing_kit.aircraft.effect import STANDING, effect_catalogue, standing_effect
 from falconwing_kit.aircraft.effects import CATALOGUE, EFFECT_NAMES
 from falconwing_kit.aircraft.model import rates_model, state_rates
 from falconwing_kit.aircraft.terms import air_flow
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import GRAVITY
-from falconwing_kit.gap.advice import MANOEUVRES
+from falconwing_kit.gap.advice import DIAGNOSIS_MANOEUVRES
+from falconwing_kit.sysid.prepare import prepare
+from falconwing_kit.sysid.shooting import cut_windows, residuals
+from tests.sysid.simulated import fly_figure_eights, measured
 
 EFFECTS = {effect.name: effect for effect in CATALOGUE}
 SERVO, LINKAGE = (
@@ -97,7 +102,7 @@ def test_an_entry_refers_to_what_exists(effect):
     assert set(effect.shape) | set(effect.essential) <= own
     assert all(set(start) <= own for start in effect.starts)
     assert set(effect.place or ()) <= own
-    assert set(effect.separated_by) <= {m.name for m in MANOEUVRES}
+    assert set(effect.separated_by) <= {m.name for m in DIAGNOSIS_MANOEUVRES}
     assert effect.physics.endswith(".")
 
 
@@ -115,8 +120,10 @@ def test_order_does_not_depend_on_what_is_added():
     """Frozen numbers first, as they were drawn from; a later effect comes after them, by name."""
     new = [replace(EFFECTS["wind"], name=name, frozen_number=None) for name in ("zephyr", "abeam")]
     ordered = effect_catalogue([*new, *reversed(CATALOGUE)])
-    assert [e.name for e in ordered[-2:]] == ["abeam", "zephyr"]
-    assert tuple(dict.fromkeys(e.name for e in ordered[:-2])) == EFFECT_NAMES
+    later = sorted({e.name for e in CATALOGUE if e.frozen_number is None} | {"abeam", "zephyr"})
+    assert [e.name for e in ordered[-len(later) :]] == later
+    known = (e.name for e in ordered if e.name not in ("abeam", "zephyr"))
+    assert tuple(dict.fromkeys(known)) == EFFECT_NAMES
     frozen = """wind fan_jet ground_effect extra_drag flap thrust_loss battery_sag propeller_torque
         adverse_yaw control_delay actuator_lag trim_bias deadband aileron_loss mass_change cg_shift
         camera_tilt time_offset stall"""
@@ -143,6 +150,62 @@ def test_every_parameter_has_its_own_name():
     names = [p.name for effect in CATALOGUE for p in effect.parameters]
     assert len(set(names)) == len(names)
     assert not set(names) & set(rates_model().names)
+
+
+@pytest.mark.parametrize(
+    "effect", CATALOGUE, ids=lambda e: f"{e.name} {' '.join(p.name for p in e.parameters)}"
+)
+def test_every_equation_holds_every_parameter(effect):
+    """Each stands in braces; only a twin without parameters has no equation."""
+    held = {name for _, name, _, _ in Formatter().parse(effect.equation) if name is not None}
+    assert held == {p.name for p in effect.parameters}
+    assert bool(effect.equation) == bool(effect.parameters)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "extra_drag",
+        "adverse_yaw",
+        "aileron_loss",
+        "propeller_torque",
+        "cg_shift",
+        "thrust_loss",
+        "battery_sag",
+    ],
+)
+def test_the_equation_on_the_page_is_the_function(name):
+    """The equation's right-hand sides, worked as Python with forces and moments by the formulas of
+    aircraft/terms.py, against what the function adds; a product is a space.
+    """
+    air = flow(**FROM_THE_RIGHT, throttle=0.6, aileron=0.4, elevator=0.3, rudder=-0.5)
+    K = rates_model().with_effect(EFFECTS[name]).K
+    V = air.airspeed
+    symbols = {
+        "V": V,
+        "t": air.time / 60.0,  # a share per minute
+        "T": (K.kT - K.kTV * V) * air.throttle,
+        "L": V**2 * (K.cL_0 + K.cL_alpha * air.alpha + K.cL_de * air.elevator),
+        "Y": V**2 * (K.cY_beta * air.beta + K.cY_dr * air.rudder),
+        "D": 0.0, "dp": 0.0, "dq": 0.0, "dr": 0.0, "dt": 1.0, "m": 1.0,
+        "Iyy": 1.0 - K.Jz, "Izz": 1.0 + K.Jy, "aileron": air.aileron, "L_da": K.L_da,
+    }  # fmt: skip
+    values = {p.name: getattr(K, p.name) for p in EFFECTS[name].parameters}
+    added = {}
+    for part in (
+        EFFECTS[name].equation.format(**{n: f"({v})" for n, v in values.items()}).split(", ")
+    ):
+        left, right = part.split(" -> ")
+        python = re.sub(r"(?<=[\w)]) (?=[\w(])", "*", right.replace("^", "**"))
+        added[left] = eval(python, symbols) - eval(left, symbols)
+    found = loads(name, air, **values)
+    along = np.array([air.u, air.v, air.w]) / V
+    of_force = {"D/m": -found[:3] @ along, "T": found[0]}
+    of_moment = dict(zip(("dp/dt", "dq/dt", "dr/dt"), found[3:], strict=True))
+    assert added == pytest.approx(
+        {left: {**of_force, **of_moment}[left] for left in added}, rel=1e-3
+    )  # 0.1 m/s in quadrature
+    assert all(abs(value) > 1e-6 for value in added.values())
 
 
 def test_every_entry_has_one_place_where_it_acts():
@@ -549,10 +612,11 @@ def test_a_camera_tilt_turns_the_picture_alone():
     """It acts on measured poses, so that no load, wind or stick knows of it; up and about the nose,
     to either side.
     """
-    tilt = EFFECTS["camera_tilt"]
+    tilt = next(e for e in CATALOGUE if e.name == "camera_tilt")
     assert tilt.measurement_map and [p.name for p in tilt.parameters] == ["tilt_pitch", "tilt_roll"]
     assert all(p.low == -p.high and p.unit == "rad" for p in tilt.parameters)
-    assert [e.name for e in CATALOGUE if e.measurement_map] == ["camera_tilt"]
+    measured = {e.name for e in CATALOGUE if e.measurement_map}
+    assert measured == {"camera_tilt", "camera_offset"}
     assert rates_model().with_effect(tilt).terms == rates_model().terms
 
 
@@ -560,8 +624,37 @@ def test_a_small_camera_tilt_is_the_exact_rotation():
     """To second order of 0.02 rad, banked and pitched by a fifth: 4e-4 times some ones."""
     K = SimpleNamespace(tilt_pitch=0.02, tilt_roll=-0.015)
     pose = np.array([1.0, 2.0, 3.0, 0.2, -0.15, 1.0])[:, None]
-    tilt = EFFECTS["camera_tilt"]
+    tilt = next(e for e in CATALOGUE if e.name == "camera_tilt")
     linear, exact = tilt.measurement_map(pose, K), tilt.hidden_map(pose, K)
     assert np.array_equal(linear[:3], exact[:3])
     assert linear == pytest.approx(exact, abs=4e-4)
     assert np.abs(linear - pose)[3:].max() > 0.01
+
+
+@pytest.fixture(scope="module")
+def three_windows():
+    """6 s of a simulated flight of the 12-state model."""
+    rng, model = np.random.default_rng(8), rates_model()
+    table = measured(fly_figure_eights([model], 6.5, rng), rng)
+    return cut_windows(prepare(table).flights, model)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [e for e in CATALOGUE if not e.same_as],  # a late stamp changes no model
+    ids=lambda e: f"{e.name}-{e.parameters[0].name}",
+)
+def test_a_standing_effect_is_the_effect_under_other_names(effect, three_windows):
+    """The same flight with the effect and with the standing one of the same size, another one than
+    without; with both, no name is used twice.
+    """
+    standing, start = standing_effect(effect), three_windows.initial_guess
+    values = {p.name: p.start for p in effect.parameters}
+    with_effect = rates_model().with_effect(effect).with_values(values)
+    with_standing = rates_model().with_effect(standing)
+    with_standing = with_standing.with_values({STANDING + n: v for n, v in values.items()})
+    flown = [residuals(m, three_windows, start) for m in (with_effect, with_standing)]
+    np.testing.assert_allclose(flown[0], flown[1], rtol=1e-9, atol=1e-9)
+    assert not np.allclose(flown[0], residuals(rates_model(), three_windows, start), atol=1e-6)
+    both = with_effect.with_effect(standing)
+    assert len(set(both.names)) == len(both.names)

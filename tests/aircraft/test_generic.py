@@ -13,6 +13,7 @@ from falconwing_kit.aircraft.generic import (
     GENERIC_LOADS,
     INPUT_FILTER,
     REGRESSORS,
+    STABILISER,
     fir_input_filter,
 )
 from falconwing_kit.aircraft.model import FORMS, rates_model
@@ -172,4 +173,4 @@ def test_sticks_that_linger_by_hand():
     assert moved == pytest.approx(
         np.repeat([[0.0], [0.0], [0.625], [0.875], [1.0]], 4, axis=1), abs=1e-12
     )
-    assert (*GENERIC_LOADS, INPUT_FILTER) == GENERIC_EFFECTS
+    assert (*GENERIC_LOADS, STABILISER, INPUT_FILTER) == GENERIC_EFFECTS

@@ -10,8 +10,16 @@ from scipy.spatial.transform import Rotation
 
 from falconwing_kit.aircraft.inputs import actuator_response
 from falconwing_kit.aircraft.integrate import roll_out
-from falconwing_kit.aircraft.model import FORMS, add_uniform_wind, paper_model, rates_model
+from falconwing_kit.aircraft.model import (
+    FORMS,
+    add_uniform_wind,
+    paper_model,
+    rates_model,
+    scale_model,
+    scale_model_to_speed,
+)
 from falconwing_kit.aircraft.terms import Parameter, Term, WindTerm
+from falconwing_kit.aircraft.trim import trim
 from falconwing_kit.core.checks import InputError
 from tests.jsbsim_aircraft import JsbsimAircraft, figure_eights, fly_jsbsim
 
@@ -315,3 +323,135 @@ def test_the_kit_form_follows_jsbsim_at_its_usual_step(seed):
     position, _, attitude, _ = errors_against_jsbsim(seed, 0.005, wind_axes=False)
     assert position < 0.04
     assert attitude < np.radians(0.7)
+
+
+# Aircraft of another size
+# ----------------------------------------------------------------------------------------
+
+# Published coefficients, per radian: Aerosonde as in the errata of Beard & McLain's appendix E
+# (mavsim), Zagi of the same appendix, Skywalker X8 of PyFly. Two elevons act as elevator and
+# aileron; C_m_q of PyFly is per q b / 2V, here per q c / 2V.
+PUBLISHED = {
+    "aerosonde": {
+        "m": 11.0, "S": 0.55, "b": 2.8956, "c": 0.18994, "rho": 1.2682, "e": 0.9,
+        "J": (0.8244, 1.135, 1.759), "V": 25.0,
+        "C_L": (0.23, 5.61, 0.13), "C_D_0": 0.043, "C_Y": (-0.98, 0.19),
+        "C_l": (0.0, 0.17, -0.13, -0.51, 0.25), "C_m": (0.0135, -0.99, -2.74, -38.21),
+        "C_n": (0.0, -0.069, 0.073, -0.095, 0.069),
+    },
+    "zagi": {
+        "m": 1.56, "S": 0.2589, "b": 1.4224, "c": 0.3302, "rho": 1.2682, "e": 0.9,
+        "J": (0.1147, 0.0576, 0.1712), "V": 17.0,
+        "C_L": (0.09167, 3.5016, 0.2724), "C_D_0": 0.01631 + 0.0254, "C_Y": (-0.07359, 0.0),
+        "C_l": (0.0, 0.1682, -0.02854, -0.3209, 0.03066),
+        "C_m": (-0.02338, -0.3254, -0.5675, -1.399),
+        "C_n": (0.0, 0.0, -0.0004, -0.00434, -0.01297),
+    },
+    "x8": {
+        "m": 3.364, "S": 0.75, "b": 2.1, "c": 0.35714, "rho": 1.225, "e": 0.9935,
+        "J": (1.229, 0.1702, 0.8808), "V": 18.0,
+        "C_L": (0.08674, 4.0203, 0.27807), "C_D_0": 0.0197, "C_Y": (-0.22387, 0.0),
+        "C_l": (0.0, 0.12019, -0.084896, -0.404198, 0.0555206),
+        "C_m": (0.018, -0.2292, -0.2524, -1.301237 * 2.1 / 0.35714),
+        "C_n": (0.0, 0.0, 0.0283, -0.072, 0.0043655),
+    },
+}  # fmt: skip
+FULL_DEFLECTION = np.radians(30.0)  # of a control surface at full command
+
+
+def dimensional_derivatives(a):
+    """The kit's parameters of published coefficients, by the formulas at the head of terms.py."""
+    force = a["rho"] * a["S"] / (2.0 * a["m"])  # V^2 times it is force per mass
+    roll, pitch, yaw = (
+        a["rho"] * a["S"] * arm / (2.0 * J)
+        for arm, J in zip((a["b"], a["c"], a["b"]), a["J"], strict=True)
+    )
+    half_span, half_chord, full = a["b"] / 2.0, a["c"] / 2.0, FULL_DEFLECTION
+    found = {
+        "cL_0": force * a["C_L"][0], "cL_alpha": force * a["C_L"][1],
+        "cL_de": -force * a["C_L"][2] * full, "cD_0": force * a["C_D_0"],
+        "cD_induced": 1.0 / (np.pi * a["e"] * a["b"] ** 2 / a["S"] * force),
+        "cY_beta": force * a["C_Y"][0], "cY_dr": -force * a["C_Y"][1] * full,
+    }  # fmt: skip
+    for letter, C, of_moment, arm, command, angle, rates in (
+        ("L", a["C_l"], roll, half_span, "da", "beta", ("p", "r")),
+        ("M", a["C_m"], pitch, half_chord, "de", "alpha", ("q",)),
+        ("N", a["C_n"], yaw, half_span, "dr", "beta", ("r", "p")),
+    ):
+        sign = 1.0 if letter == "L" else -1.0  # the kit's elevator and rudder are nose up and right
+        found |= {
+            f"{letter}_0": of_moment * C[0],
+            f"{letter}_{command}": sign * of_moment * C[1] * full,
+        }
+        found[f"{letter}_{angle}"] = of_moment * C[2]
+        found |= {f"{letter}_{r}": of_moment * arm * C[3 + i] for i, r in enumerate(rates)}
+    return found
+
+
+def share_of_the_way(p, value):
+    """Where a value lies between the start (0) and the bound on its side (1)."""
+    bound = p.high if value > p.start else p.low
+    return (value - p.start) / (bound - p.start)
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_published_aircraft_lie_well_inside_the_bounds_of_the_scaled_model(name):
+    """Three aircraft of 1.6 to 11 kg that are not ours, two of them flying wings: no derivative
+    lies farther than two thirds of the way from the start to a bound.
+    """
+    a = PUBLISHED[name]
+    scaled = scale_model(rates_model(), a["m"], a["S"], a["b"])
+    parameters = {p.name: p for p in scaled.parameters}
+    shares = {
+        key: share_of_the_way(parameters[key], value)
+        for key, value in dimensional_derivatives(a).items()
+    }
+    assert len(shares) == 21 and max(shares.values()) < 2.0 / 3.0, shares
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_the_usual_speed_alone_gives_bounds_that_hold_published_aircraft(name):
+    """The same aircraft with their speeds alone (V: of the books' examples, X8 of Gryte et al.);
+    nothing is known of size or mass, so a derivative may come closer to a bound: 90 % of the way.
+    """
+    a = PUBLISHED[name]
+    parameters = {p.name: p for p in scale_model_to_speed(rates_model(), a["V"]).parameters}
+    shares = {
+        key: share_of_the_way(parameters[key], value)
+        for key, value in dimensional_derivatives(a).items()
+    }
+    assert max(shares.values()) < 0.9, shares
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("ratio", [0.5, 4.0])
+def test_a_similar_aircraft_flies_the_similar_path(form, ratio, rng):
+    """Froude's law: lengths times k and masses times k^3 make speeds sqrt(k), times sqrt(k) and
+    rates 1 / sqrt(k). 0.3 s of flight; 1e-3 is the 0.1 m/s that keeps flow angles defined at rest.
+    """
+    small = FORMS[form]().with_values({"cL_de": 0.05, "cY_dr": -0.02})
+    large = scale_model(small, 0.150 * ratio**3, 0.076 * ratio**2, 0.70 * ratio)
+    start, sticks = flights(small, rng, count=5, steps=12)
+    root = np.sqrt(ratio)
+    scale = np.array([ratio] * 3 + [1.0] * 3 + [root] * 3 + [1.0 / root] * 3)[: small.n_states]
+    path = roll_out(small, start, sticks, DT)
+    assert roll_out(large, start * scale, sticks, DT * root) == pytest.approx(
+        path * scale, rel=1e-3, abs=1e-3
+    )
+    assert np.abs(roll_out(small, start * scale, sticks, DT * root) - path * scale).max() > 0.1
+
+
+@pytest.mark.parametrize("airspeed", [3.0, 7.0, 18.0, 40.0])
+def test_an_aircraft_scaled_to_a_speed_trims_at_it(airspeed):
+    """Lift equals weight: the 150 g aircraft's angle of attack at 7 m/s, at any speed; 2e-4 rad is
+    the 0.1 m/s that keeps flow angles defined at rest.
+    """
+    alpha = trim(scale_model_to_speed(rates_model(), airspeed), airspeed).state[3]
+    assert alpha == pytest.approx(trim(rates_model(), 7.0).state[3], abs=5e-4)
+
+
+@pytest.mark.parametrize("airspeed", [0.0, -7.0, np.nan, 300.0])
+def test_an_impossible_speed_is_refused(airspeed):
+    """No aircraft of this kind flies at it."""
+    with pytest.raises(InputError, match="airspeed"):
+        scale_model_to_speed(rates_model(), airspeed)

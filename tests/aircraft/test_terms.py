@@ -126,6 +126,17 @@ def test_moments_by_hand():
     assert yaw == pytest.approx((0, 0, 0, 0, 0, -4.901 - 2.1 - 0.42), abs=1e-2)
 
 
+def test_cross_moments_and_attitude_hold_by_hand():
+    """At V = 7: roll 49.01 (.3 * -.4) + 2 * .3 * .4, pitch -3 (.3^2 - .5^2), yaw 49.01 (.5 * .2) -
+    2 * .4 * .5; held, roll 49.01 (-.1 * .4) and pitch 49.01 (-.2 * -.3): against bank and pitch.
+    """
+    air = flow(rates=(0.3, 0.4, 0.5), aileron=0.2, rudder=-0.4)._replace(roll=0.4, pitch=-0.3)
+    crossed = terms.cross_moments(air, values(L_dr=0.3, N_da=0.5, Gamma_1=2.0, Gamma_6=3.0))
+    held = terms.attitude_hold(air, values(L_phi=-0.1, M_theta=-0.2))
+    assert crossed == pytest.approx((0, 0, 0, -5.641, 0.48, 4.501), abs=1e-2)
+    assert held == pytest.approx((0, 0, 0, -1.960, 2.941, 0), abs=1e-2)
+
+
 def test_quasi_steady_rates_by_hand():
     """At V = 7: p = 7 (.1 + .5 * .2), q = 7 (.1 + .5 * .3), r = 7 (.1 - .5 * .4); 1e-3 for the 0.1
     m/s.

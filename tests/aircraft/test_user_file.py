@@ -79,6 +79,14 @@ BAD = {
         6,
         "all of its parameters",
     ),
+    "equation without its parameter": (
+        effect(more=", equation='D/m -> D/m + 0.1 V^2'"),
+        6,
+        "in braces and nothing else in them ({gear_size})",
+    ),
+    "equation of another": (effect(more=", equation='{gear_size} {else}'"), 6, "equation"),
+    "equation with an open brace": (effect(more=", equation='{gear_size'"), 6, "equation"),
+    "equation with a format": (effect(more=", equation='{gear_size:.2f}'"), 6, "equation"),
     "frozen number": (effect(more=", frozen_number=3"), 6, "frozen_number"),
 }
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.airframe import load_airframe
-from falconwing_kit.aircraft.model import paper_model, rates_model
+from falconwing_kit.aircraft.effects import CATALOGUE
+from falconwing_kit.aircraft.model import add_uniform_wind, paper_model, rates_model, scale_model
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.aircraft.trim import trim
 from falconwing_kit.control.expert import (
@@ -15,8 +16,10 @@ from falconwing_kit.control.expert import (
     LandingExpert,
     WaypointExpert,
     landing_path,
+    landing_speed,
 )
 from falconwing_kit.control.leader import leader_path
+from falconwing_kit.control.loops import Autopilot, Reference, TrimTable, air_velocity
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Observation, State
 from falconwing_kit.flight.world import SimulatedWorld
@@ -181,3 +184,99 @@ def test_what_no_expert_can_fly_is_refused():
         LandingExpert(rates_model().with_values({"kT": 0.1}), AIRFRAME, PAD)
     with pytest.raises(InputError, match="deg of bank"):
         WaypointExpert(rates_model(), AIRFRAME, hairpin)
+
+
+def with_effect(name, **values):
+    """The kit's model with an effect of the catalogue at these values."""
+    effect = next(e for e in CATALOGUE if e.name == name)
+    return rates_model().with_effect(effect).with_values(values)
+
+
+def test_crab_angle_by_hand():
+    """3-4-5: 4 m/s over the floor along x, the wind 3 m/s to the left.
+
+    5 m/s through the air, its course to the right by atan(3 / 4); along the wind nothing to the
+    side.
+    """
+    reference = Reference(np.zeros(3), 0.0, 0.0, 4.0, 0.0)
+    airspeed, climb, drift = air_velocity(reference, np.array([0.0, 3.0, 0.0]))
+    assert (airspeed, climb, drift) == pytest.approx((5.0, 0.0, math.atan2(3.0, 4.0)))
+    assert air_velocity(reference, np.array([1.0, 0.0, 0.0])) == pytest.approx((3.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("wind", [(0.0, 1.5), (-1.0, -1.2)])
+def test_expert_of_a_windy_model_keeps_the_ground_track(wind):
+    """In the same wind: the true flight stays within 0.15 m of a straight track along x.
+
+    The nose points into the wind by the crab angle asin(w / V) (1 deg for noise and sideslip), the
+    aircraft moves along x. The expert of the still model, given the same flight, is blown aside
+    at first; its largest offset is twice as large.
+    """
+    model = add_uniform_wind(rates_model(), *wind)
+    line = np.array([[-19.0, -2.0, 2.0], [8.0, -2.0, 2.0]])
+    crab = math.asin(wind[1] / 7.0)  # to the right where the wind blows to the left
+    ground = math.sqrt(49.0 - wind[1] ** 2) + wind[0]
+    steady = trim(rates_model(), 7.0).state.copy()
+    steady[:3], steady[4], steady[6:9] = line[0], crab, (ground, 0.0, 0.0)
+    offsets = []
+    for design in (model, rates_model()):
+        world = SimulatedWorld(model, AIRFRAME, State.from_vector(steady), seed=3)
+        states, _ = fly(world, WaypointExpert(design, AIRFRAME, line), 3.0)
+        offsets.append(np.abs(states[:, 1] + 2.0).max())
+        if design is model:
+            assert np.degrees(states[20:, 4]).mean() == pytest.approx(np.degrees(crab), abs=1.0)
+            assert states[20:, 6].mean() == pytest.approx(ground, abs=0.3)
+    assert offsets[0] < 0.15
+    assert offsets[1] > 2.0 * offsets[0]
+
+
+def test_expert_of_a_biased_model_flies_the_bias_away():
+    """The first command to an aircraft on its path is the trim's, less the bias."""
+    model = with_effect("trim_bias", bias_aileron=0.1, bias_elevator=-0.05, bias_rudder=0.08)
+    steady = trim(rates_model(), 7.0)
+    x = steady.state
+    reference = Reference(x[:3].copy(), 0.0, 0.0, 7.0, 0.0)
+    command = Autopilot(model).command(State.from_vector(x), reference, np.zeros((30, 4)))
+    bias = np.array([0.0, 0.1, -0.05, 0.08])
+    assert command.vector == pytest.approx(steady.command - bias, abs=1e-6)
+    assert Autopilot(model).level().vector == pytest.approx(steady.command - bias, abs=1e-6)
+
+
+def test_trims_near_the_floor_are_those_of_the_ground_effect():
+    """At the table's own heights the level trim there, solved again; 2 m up the usual one."""
+    model = with_effect("ground_effect", ground_lift=0.4, ground_drag=0.3)
+    table = TrimTable(model)
+    for height in (0.15, 0.6, 2.0):
+        steady = trim(model, 7.0, height=height)
+        commands, attitude = table.at(7.0, 0.0, 0.0, height)
+        assert commands == pytest.approx(steady.command, abs=1e-6)
+        assert attitude[0] == pytest.approx(steady.state[3], abs=1e-6)
+    low, high = (table.at(7.0, 0.0, 0.0, height)[0][2] for height in (0.15, 2.0))
+    assert low < high - 0.05  # more lift at the floor: nose down
+
+
+@pytest.mark.parametrize(("mass", "area", "span"), [(0.03, 0.03, 0.4), (0.4, 0.12, 1.0)])
+def test_aircraft_of_other_sizes_land(mass, area, span):
+    """30 g and 400 g, from 20 m before the pad and 1.5 m up at their own speeds, as the kit's.
+
+    Touchdown on the pad, below 0.6 m/s, within half a metre of the centre line.
+    """
+    model = scale_model(rates_model(), mass, area, span)
+    speed = landing_speed(model)
+    assert speed == pytest.approx(7.0 * math.sqrt(mass / 0.150 * 0.076 / area), abs=0.006)
+    x = trim(model, speed).state.copy()
+    x[:3] = (-19.0, -2.4, 1.6)
+    world = SimulatedWorld(model, AIRFRAME, State.from_vector(x), seed=4, pad=PAD)
+    fly(world, LandingExpert(model, AIRFRAME, PAD), 10.0)
+    assert world.contact.obstacle == "pad"
+    touchdown = world.contact.touchdown
+    assert touchdown.absolute_lateral_deviation < 0.5 and touchdown.sink_rate < 0.6
+
+
+def test_what_cannot_land_in_this_hall_is_refused():
+    """Too fast for the hall, or a wind across or against the runway; each in one sentence."""
+    with pytest.raises(InputError, match=r"lands at 2.1 to 9.8 m/s .* flies at 11"):
+        LandingExpert(scale_model(rates_model(), 3.4, 0.6, 2.0), AIRFRAME, PAD)
+    for wind in ((0.0, 4.0), (-5.0, 0.0)):
+        with pytest.raises(InputError, match=r"expected a wind that 7\.0 m/s can land in"):
+            LandingExpert(add_uniform_wind(rates_model(), *wind), AIRFRAME, PAD)

@@ -104,6 +104,22 @@ def test_sampled_delay_equals_brute_force(delay):
         assert z[:2] == pytest.approx(x, abs=1e-9)  # rounding of 40 products
 
 
+def test_a_long_delay_lowers_the_position_gain_and_stays_stable():
+    """Twice the delay that the sizes are for: the position's size four times as large, by hand.
+
+    The cost weights size^-2; a loop with 0.3 s of delay is still stable. The kit's is unchanged.
+    """
+    slow = rates_model().with_values({"delay": 0.14})  # with lag and link 0.03 + 0.05 s
+    loop = design_loop(slow, LATERAL)
+    assert loop.axis.states["py"] == pytest.approx(4.0 * LATERAL.states["py"])
+    assert loop.axis.integrals["py"] == pytest.approx(4.0 * LATERAL.integrals["py"])
+    assert loop.axis.states["roll"] == LATERAL.states["roll"]
+    for axis in AXES.values():
+        assert design_loop(rates_model(), axis).axis == axis
+        slowest = design_loop(rates_model().with_values({"delay": 0.22}), axis)
+        assert np.abs(slowest.poles).max() < 1.0
+
+
 def test_feedforward_turns_are_coordinated():
     """d(yaw)/dt = g tan(bank)
 

@@ -18,6 +18,7 @@ EFFECTS = (
                 "actuator_lag", 0.02, 0.0, 0.6, "s", "time constant added to servo and propeller"
             ),
         ),
+        equation="lag -> lag + {actuator_lag} in lag dy/dt = u - y, y the position of the servo",
         input_map=lambda K: (0.0, K.actuator_lag, 0.0),
         starts=({"actuator_lag": 0.1},),
         acts_on=ACTS_ON,
@@ -34,6 +35,7 @@ EFFECTS = (
                 "lag_in_series", 0.02, 0.0, 0.6, "s", "time constant of a part behind the servo"
             ),
         ),
+        equation="{lag_in_series} dz/dt = y - z, y the position of the servo, z what acts",
         input_map=lambda K: (0.0, 0.0, K.lag_in_series),
         starts=({"lag_in_series": 0.1},),
         acts_on=ACTS_ON,

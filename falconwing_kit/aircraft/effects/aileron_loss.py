@@ -19,8 +19,10 @@ EFFECTS = (
         parameters=(
             Parameter("aileron_lost", 0.05, 0.0, 1.0, "-", "share of the rolling moment lost"),
         ),
+        equation="dp/dt -> dp/dt - {aileron_lost} L_da V^2 aileron",
         loads=aileron_loss,
         acts_on=("roll",),
+        same_form=("roll moment with aileron", "gain of the aileron"),
         sizes=(0.18, 0.22, 0.35),
         draw=draw_size("aileron_lost"),
         frozen_number=13,

@@ -1,4 +1,7 @@
-"""Camera tilt: the measured attitude is turned in the body, the aircraft flies as before."""
+"""Camera tilt: the measured attitude is turned in the body, the aircraft flies as before.
+
+One effect in two forms: tilted up and to the side, or its mount also turned about the vertical.
+"""
 
 from typing import Any
 
@@ -14,11 +17,23 @@ from falconwing_kit.core.frames import (
     up_in_body,
 )
 
+SEPARATED_BY = {
+    "speed sweep": "a tilted camera shows the same angle at any speed",
+    "steep turns": "a tilted camera turns with the body",
+}
+
 
 def camera_tilt(pose: Array, K: Any) -> Array:
     """Attitude turned by the small body rotation (tilt_roll, tilt_pitch, 0)."""
     roll, pitch = pose[3], pose[4]
     change = euler_rates(up_in_body(roll, pitch), K.tilt_roll, K.tilt_pitch, 0.0 * roll)
+    return np.concatenate([pose[:3], pose[3:] + np.stack(change)])
+
+
+def camera_mount(pose: Array, K: Any) -> Array:
+    """Attitude turned by the small body rotation (mount_roll, mount_pitch, mount_yaw)."""
+    roll, pitch = pose[3], pose[4]
+    change = euler_rates(up_in_body(roll, pitch), K.mount_roll, K.mount_pitch, K.mount_yaw)
     return np.concatenate([pose[:3], pose[3:] + np.stack(change)])
 
 
@@ -40,15 +55,37 @@ EFFECTS = (
                 "tilt_roll", 0.01, -0.4, 0.4, "rad", "camera turned about the nose, right side down"
             ),
         ),
+        equation="R_world_camera = R_world_body Ry({tilt_pitch}) Rx({tilt_roll})",
         measurement_map=camera_tilt,
         acts_on=("camera",),
-        separated_by={
-            "speed sweep": "a tilted camera shows the same angle at any speed",
-            "steep turns": "a tilted camera turns with the body",
-        },
+        same_form=("offset of the measured roll", "offset of the measured pitch"),
+        separated_by=SEPARATED_BY,
         sizes=(0.014, 0.05, 0.12),
         draw=draw_direction("tilt_pitch", "tilt_roll"),
         hidden_map=camera_tilt_exact,
+        frozen_number=16,
+    ),
+    Effect(
+        name="camera_tilt",
+        physics="The camera's mount is turned, sideways too; the aircraft is unchanged.",
+        parameters=(
+            Parameter("mount_pitch", 0.01, -0.4, 0.4, "rad", "camera turned up in the body"),
+            Parameter(
+                "mount_roll",
+                0.01,
+                -0.4,
+                0.4,
+                "rad",
+                "camera turned about the nose, right side down",
+            ),
+            Parameter("mount_yaw", 0.01, -0.4, 0.4, "rad", "camera turned to the right"),
+        ),
+        equation="R_world_camera = R_world_body Rz({mount_yaw}) Ry({mount_pitch}) Rx({mount_roll})",
+        measurement_map=camera_mount,
+        acts_on=("camera",),
+        same_form=("offset of the measured yaw",),
+        essential=("mount_yaw",),
+        separated_by=SEPARATED_BY,
         frozen_number=16,
     ),
 )

@@ -31,8 +31,10 @@ EFFECTS = (
                 "lever of the lift, positive with the mass moved back",
             ),
         ),
+        equation="dq/dt -> dq/dt + {cg_moment} L/m, dr/dt -> dr/dt + {cg_moment} (Iyy/Izz) Y/m",
         loads=cg_shift,
         acts_on=("pitch", "yaw"),
+        same_form=("pitch moment with angle of attack",),
         separated_by={
             "elevator doublets": "its moment follows the lift, the elevator's does not",
             "speed sweep": "each speed needs another elevator",

@@ -18,9 +18,16 @@ EFFECTS = (
                 "control_delay", 0.02, -0.05, 0.4, "s", "delay added between command and servo"
             ),
         ),
+        equation="u(t) -> u(t - {control_delay}), u all four commands",
         input_map=lambda K: (K.control_delay, 0.0, 0.0),
         starts=({"control_delay": 0.1}, {"control_delay": 0.2}, {"control_delay": -0.01}),
         acts_on=("sticks", "roll", "pitch", "yaw"),
+        same_form=(
+            "delay of the throttle",
+            "delay of the aileron",
+            "delay of the elevator",
+            "delay of the rudder",
+        ),
         separated_by={
             "aileron doublets": "a delay moves each edge",
             "shaking": "a delay shifts slow and fast movements alike",

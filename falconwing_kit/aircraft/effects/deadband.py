@@ -29,9 +29,15 @@ EFFECTS = (
         parameters=(
             Parameter("deadband", 0.03, 0.0, 0.4, "-", "share of full deflection without effect"),
         ),
+        equation="u -> u where |u| > {deadband}, else 0; u: aileron, elevator, rudder",
         command_map=deadband,
         starts=({"deadband": 0.08}, {"deadband": 0.15}),
         acts_on=("sticks", "roll", "pitch", "yaw"),
+        same_form=(
+            "dead band of the aileron",
+            "dead band of the elevator",
+            "dead band of the rudder",
+        ),
         separated_by={"small movements": "a dead band removes the small ones only"},
         sizes=(0.02, 0.04, 0.15),
         draw=draw_size("deadband"),

@@ -16,8 +16,10 @@ EFFECTS = (
         name="extra_drag",
         physics="An added part has drag, which grows with the square of speed at any throttle.",
         parameters=(Parameter("drag_added", 0.003, 0.0, 0.3, "1/m", "drag added at zero lift"),),
+        equation="D/m -> D/m + {drag_added} V^2",
         loads=extra_drag,
         acts_on=("along",),
+        same_form=("drag with airspeed squared",),
         separated_by={
             "glides": "drag slows a glide too",
             "fast flight": "drag grows with the square of speed",

@@ -50,6 +50,10 @@ EFFECTS = (
                 "jet_radius", 2.5, 0.7, 8.0, "m", "radius, one standard deviation of its profile"
             ),
         ),
+        equation=(
+            "V_a = V_g - ({jet_x}, {jet_y}, 0) exp(-d^2 / (2 R^2)), R = {jet_radius}, "
+            "d^2 = (x - {jet_at_x})^2 + (y - {jet_at_y})^2"
+        ),
         wind_field=fan_jet,
         scan_points=grid,
         shape=("jet_at_x", "jet_at_y", "jet_radius"),

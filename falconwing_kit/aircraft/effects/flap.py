@@ -24,10 +24,15 @@ EFFECTS = (
             Parameter("flap_lift", 0.01, 0.0, 0.4, "1/m", "lift added at any angle"),
             Parameter("flap_drag", 0.001, 0.0, 0.2, "1/m", "drag that comes with it"),
         ),
+        equation=(
+            "c -> c + {flap_lift} in L/m = V^2 c and in the induced drag V^2 cD_induced c^2, "
+            "D/m -> D/m + {flap_drag} V^2"
+        ),
         loads=flap,
         contains=("extra_drag",),
         essential=("flap_lift",),
         acts_on=("lift", "along"),
+        same_form=("lift with airspeed squared",),
         separated_by={"speed sweep": "its lift grows with speed"},
         sizes=(0.024, 0.04, 0.08),
         draw=lambda rng, size: {"flap_lift": size, "flap_drag": 0.08 * size},

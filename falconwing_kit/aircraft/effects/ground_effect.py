@@ -40,9 +40,14 @@ EFFECTS = (
                 "ground_drag", 0.2, -4.0, 1.5, "-", "share of induced drag lost at the floor"
             ),
         ),
+        equation=(
+            "L -> L (1 + {ground_lift} n), induced drag times (1 - {ground_drag} n), "
+            f"n = exp(-h / {HEIGHT_M} m)"
+        ),
         loads=ground_effect,
         essential=("ground_lift",),
         acts_on=("lift", "along"),
+        same_form=("lift with nearness to the ground",),
         separated_by={"low passes": "only ground effect fades with height"},
         sizes=(0.2, 0.6, 0.9),
         draw=lambda rng, size: {"ground_lift": size, "ground_drag": size},

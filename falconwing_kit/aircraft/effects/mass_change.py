@@ -24,6 +24,7 @@ EFFECTS = (
         name="mass_change",
         physics="The aircraft is heavier: every force accelerates it less, gravity as before.",
         parameters=(Parameter("mass_added", 0.03, -0.4, 1.0, "-", "share of the mass added"),),
+        equation="F/m -> F/m / (1 + {mass_added}), F all forces but the weight",
         loads_of=mass_change,
         acts_on=("lift", "along", "side"),
         separated_by={"steep turns": "a heavier aircraft turns less at the same bank and lift"},

@@ -30,6 +30,10 @@ EFFECTS = (
             Parameter("stall_alpha", 0.20, 0.08, 0.5, "rad", "angle of attack where it begins"),
             Parameter("stall_loss", 0.3, 0.0, 2.0, "-", "share of the lift slope lost beyond"),
         ),
+        equation=(
+            "for alpha > {stall_alpha}: c -> c - d, d = {stall_loss} cL_alpha "
+            "(alpha - {stall_alpha}), D/m -> D/m + V^2 d tan(alpha)"
+        ),
         loads=stall,
         starts=({"stall_alpha": 0.13}, {"stall_alpha": 0.17}),
         shape=("stall_alpha",),

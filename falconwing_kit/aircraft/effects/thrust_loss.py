@@ -23,8 +23,10 @@ EFFECTS = (
         name="thrust_loss",
         physics="The propeller gives less thrust at the same throttle.",
         parameters=(Parameter("thrust_lost", 0.05, 0.0, 1.5, "-", "share of the thrust lost"),),
+        equation="T -> T (1 - {thrust_lost})",
         loads=thrust_loss,
         acts_on=("thrust", "along"),
+        same_form=("thrust with throttle", "gain of the throttle"),
         separated_by={"glides": "a weak propeller does not slow a glide"},
         sizes=(0.2, 0.3, 0.45),
         draw=draw_size("thrust_lost"),
@@ -36,9 +38,11 @@ EFFECTS = (
         parameters=(
             Parameter("sag", 0.05, 0.0, 1.0, "1/min", "share of the thrust lost per minute"),
         ),
+        equation="T -> T (1 - {sag} t)",
         loads=battery_sag,
         gradual=True,
         acts_on=("thrust", "along"),
+        same_form=("thrust with throttle and time",),
         separated_by={
             "glides": "an empty battery does not slow a glide",
             "early and late": "only a battery loses thrust with time",

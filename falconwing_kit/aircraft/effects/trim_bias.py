@@ -29,8 +29,13 @@ EFFECTS = (
             )
             for stick in ("aileron", "elevator", "rudder")
         ),
+        equation=(
+            "aileron -> aileron + {bias_aileron}, elevator -> elevator + {bias_elevator}, "
+            "rudder -> rudder + {bias_rudder}"
+        ),
         command_map=trim_bias,
         acts_on=("roll", "pitch", "yaw"),
+        same_form=("bias of the aileron", "bias of the elevator", "bias of the rudder"),
         separated_by={"hands off": "a trim bias turns the aircraft faster with speed"},
         sizes=(0.08, 0.1, 0.2),
         draw=draw_direction("bias_aileron", "bias_elevator", "bias_rudder"),

@@ -10,8 +10,10 @@ EFFECTS = (
         name="wind",
         physics="The air moves as a whole: velocity through the air is not that over the floor.",
         parameters=tuple(replace(p, start=0.3) for p in WIND_PARAMETERS),
+        equation="V_a = V_g - ({wind_x}, {wind_y}, 0), V_a through the air, V_g over the ground",
         wind_field=uniform_wind,
         acts_on=("air",),
+        same_form=("wind along x", "wind along y"),
         separated_by={
             "circles": "the wind comes from every side in turn",
             "passes": "a uniform wind is the same beside the place",
