@@ -1,5 +1,11 @@
 """sysid: recorded flights -> the parameters of f_K, their intervals and a held-out score."""
 
+from falconwing_kit.sysid.diagnose import (
+    Fault,
+    diagnose_pair,
+    diagnose_table,
+    require_sound_table,
+)
 from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_initial_states
 from falconwing_kit.sysid.forecast import (
     Forecasts,
@@ -24,6 +30,7 @@ from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
 
 __all__ = [
     "CHANNELS",
+    "Fault",
     "FitResult",
     "Forecasts",
     "Identification",
@@ -37,6 +44,8 @@ __all__ = [
     "constant_turn",
     "constant_velocity",
     "cut_windows",
+    "diagnose_pair",
+    "diagnose_table",
     "difference_noise",
     "differentiated_states",
     "fit",
@@ -49,6 +58,7 @@ __all__ = [
     "predict",
     "prepare",
     "read_model",
+    "require_sound_table",
     "residuals",
     "score",
     "select_windows",

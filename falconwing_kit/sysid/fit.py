@@ -15,6 +15,7 @@ from falconwing_kit.core.checks import Array
 from falconwing_kit.sysid.shooting import Windows, jacobian, pose_residuals, residuals
 
 HUBER = 3.0  # residuals beyond this many sigmas count linearly [Huber 1964]
+DIVERGED_COST = 1e12  # of a window whose prediction overflows: fewer of them is a better fit
 SHORTENINGS = 8  # tries of one step, each with more damping
 
 
@@ -40,6 +41,11 @@ class FitResult:
     cost: float  # sum of squared weighted residuals (and of the prior's)
     iterations: int
     converged: bool
+
+    @property
+    def linear(self) -> tuple[Array, Array, Array]:
+        """Residual and derivatives to the free parameters and to the initial states."""
+        return self.residual, self.parameter_jacobian, self.initial_state_jacobian
 
     @property
     def reduced_jacobian(self) -> Array:
@@ -129,16 +135,24 @@ def fit(
     vector, damping, converged, refitted, step_count = model.vector, 0.0, False, False, 0
     linear = linear or jacobian(model, windows, initial_states, free)
     cost = _cost(linear[0], prior_factor, prior_mean, vector[here])
+    if cost > DIVERGED_COST:  # the first guess diverges somewhere: begin with the initial states
+        initial_states, _ = fit_initial_states(model, windows, initial_states, iterations=3)
+        linear = jacobian(model, windows, initial_states, free)
+        cost = _cost(linear[0], prior_factor, prior_mean, vector[here])
     while step_count < iterations and not converged:
         # Normal equations in K alone (F, F), (F,), with the prior as further rows.
-        normal, gradient, back_substitute, state_reduction = _eliminate_initial_states(*linear)
+        normal, gradient, back_substitute, state_reduction = _eliminate_initial_states(
+            *_drop_diverged_windows(*linear)
+        )
         normal += prior_factor.T @ prior_factor
         gradient += prior_factor.T @ (prior_factor @ (vector[here] - prior_mean))
         new_cost = np.inf
         predicted = _predicted_reduction(normal, gradient, vector[here], low, high)
         # After initial states had to be refitted, the reduction predicted for them is unreachable.
         predicted += 0.0 if refitted else state_reduction
-        if predicted < tolerance * max(1.0, 1e-4 * cost):
+        # A poor fit need not be found to the last digit: relative to cost and to its excess.
+        followed = cost % DIVERGED_COST  # of the windows that do not diverge
+        if predicted < tolerance * max(1.0, 1e-4 * followed, 3e-3 * (followed - windows.count)):
             converged = True
             break
         for attempt in range(SHORTENINGS):
@@ -186,9 +200,10 @@ def _window_cost(residual: Array) -> Array:
 
 
 def _cost(residual: Array, prior_factor: Array, prior_mean: Array, free_values: Array) -> float:
+    """Cost of the windows and of the prior; a diverged window counts as DIVERGED_COST."""
     prior_residual = prior_factor @ (free_values - prior_mean)
-    total = float(np.sum(residual * residual) + np.sum(prior_residual**2))
-    return total if np.isfinite(total) else np.inf
+    windows = np.minimum(_window_cost(residual), DIVERGED_COST)
+    return float(np.sum(windows) + np.sum(prior_residual**2))
 
 
 def prior_rows(model: Model, free: tuple[int, ...], prior: Prior | None) -> tuple[Array, Array]:
@@ -239,6 +254,25 @@ def _solve_windows(
     return np.asarray(step), np.asarray(np.sum(step * right, axis=1))
 
 
+def _drop_diverged_windows(
+    residual: Array, parameter_jacobian: Array, initial_state_jacobian: Array
+) -> tuple[Array, Array, Array]:
+    """The same with zero residuals and derivatives to K in every window that has diverged.
+
+    Its cost stays infinite, so a step is judged by whether it flies again; the direction of the
+    step comes from the others.
+    """
+    rows = np.concatenate([residual[..., None], parameter_jacobian], axis=2)
+    finite = np.asarray(np.isfinite(rows).all(axis=(1, 2)))
+    if finite.all():
+        return residual, parameter_jacobian, initial_state_jacobian
+    return (
+        np.where(finite[:, None], residual, 0.0),
+        np.where(finite[:, None, None], parameter_jacobian, 0.0),
+        initial_state_jacobian,
+    )
+
+
 def _eliminate_initial_states(
     residual: Array, parameter_jacobian: Array, initial_state_jacobian: Array
 ) -> tuple[Array, Array, Callable[[Array], Array], float]:
@@ -253,6 +287,9 @@ def _eliminate_initial_states(
     normal = np.einsum("wif,wig->fg", reduced_jacobian, reduced_jacobian, optimize=True)
     gradient = np.einsum("wif,wi->f", reduced_jacobian, residual, optimize=True)
     inside = np.einsum("win,wi->wn", Q, residual)  # its square is the reduction by dx alone
+
+    # The prior on the initial states keeps R regular; a state that overflowed leaves a zero there.
+    R = R + 1e-12 * np.abs(R).max(axis=(1, 2), keepdims=True) * np.eye(R.shape[-1])
 
     def back_substitute(k_step: Array) -> Array:
         return -np.linalg.solve(R, (inside + across @ k_step)[..., None])[..., 0]
@@ -278,7 +315,10 @@ def _bounded_step(
         move = ~active
         # Solve for the free ones, given the steps of the active ones.
         A = normal[np.ix_(move, move)]
-        regularisation = 1e-12 * np.trace(A) / max(len(A), 1) * np.eye(len(A))
+        regularisation = (1e-12 * np.trace(A) / max(len(A), 1) + 1e-30) * np.eye(len(A))
+        # A parameter whose input never moved has no information and takes no step.
+        unknown = np.diag(A) < 1e-12 * max(np.diag(A).max(initial=0.0), 1e-30)
+        regularisation[unknown, unknown] += 1.0
         A = A + damping * np.diag(np.diag(A)) + regularisation
         right = gradient[move] + normal[np.ix_(move, active)] @ step[active]
         step[move] = -np.linalg.solve(A, right)

@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.aircraft.effect import Effect
+from falconwing_kit.aircraft.effect import Effect, standing_effect
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
 from falconwing_kit.aircraft.model import FORMS, Model
+from falconwing_kit.aircraft.sparse import SPARSE_EFFECTS
 from falconwing_kit.aircraft.terms import (
+    ATTITUDE_HOLD,
+    CROSS_MOMENTS,
     FORCES,
     MOMENTS,
     QUASI_STEADY_RATES,
@@ -35,7 +38,12 @@ VERSION_1 = {
     "N0": ("N_0", 1), "Nr": ("N_dr", 1), "Nb": ("N_beta", 1), "Nrr": ("N_r", -1), "Np": ("N_p", -1),
 }  # fmt: skip
 
-KNOWN_TERMS: tuple[Term | WindTerm, ...] = (*FORCES, *MOMENTS, *QUASI_STEADY_RATES, UNIFORM_WIND)
+KNOWN_EFFECTS = (
+    *CATALOGUE, *GENERIC_EFFECTS, *SPARSE_EFFECTS, *(standing_effect(e) for e in CATALOGUE),
+)  # fmt: skip
+KNOWN_TERMS: tuple[Term | WindTerm, ...] = (
+    *FORCES, *MOMENTS, *QUASI_STEADY_RATES, CROSS_MOMENTS, ATTITUDE_HOLD, UNIFORM_WIND,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -136,7 +144,7 @@ def write_fitted_model(
 def read_model(
     path: str | Path,
     known: tuple[Term | WindTerm, ...] = KNOWN_TERMS,
-    catalogue: tuple[Effect, ...] = (*CATALOGUE, *GENERIC_EFFECTS),
+    catalogue: tuple[Effect, ...] = KNOWN_EFFECTS,
 ) -> ModelFile:
     """Read a model file of this version or an earlier one.
 

@@ -1,6 +1,7 @@
 """Preparing: a flight table -> segments without gaps and outliers, and their noise, for a fit."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from falconwing_kit.core.flight_table import (
 from falconwing_kit.core.frames import body_rates
 
 CHANNELS = ("px", "py", "pz", "roll", "pitch", "yaw")  # order of all pose arrays here
+MAX_RATE_HZ = 30.0  # rows of a fit; a faster log is thinned
 LOCAL_SPAN_S = 0.6  # of one local cubic: short against a manoeuvre, 13 samples at 20 Hz
 MIN_SAMPLES, MAX_SAMPLES = 5, 13  # in one local cubic
 MIN_SEGMENT_S = 3.0  # shorter segments are dropped
@@ -56,6 +58,7 @@ class PreparedTable:
 def prepare(table: FlightTable, sigma: Array | None = None) -> PreparedTable:
     """Make a flight table ready for fitting.
 
+    0. Thin a log faster than 30 Hz: every k-th pose, with the mean of the commands until the next.
     1. Cut it at gaps longer than 0.25 s, insert rows for single missing frames, unwrap angles.
     2. Fit a cubic robustly to the poses within 0.3 s of each row: state and derivatives.
     3. Estimate the noise of each channel from fourth differences.
@@ -69,6 +72,7 @@ def prepare(table: FlightTable, sigma: Array | None = None) -> PreparedTable:
     Raises:
         InputError: fewer than 3 s of usable poses without a break.
     """
+    table = thin_table(table)
     warnings = list(table.warnings)
     candidates = map(_smooth_segment, _split_at_gaps(table))
     segments = [segment for segment in candidates if segment is not None]
@@ -99,6 +103,32 @@ def prepare(table: FlightTable, sigma: Array | None = None) -> PreparedTable:
             " trusting a fit"
         )
     return PreparedTable(tuple(flights), noise, outliers, missing, tuple(warnings))
+
+
+def thin_table(table: FlightTable, highest_hz: float = MAX_RATE_HZ) -> FlightTable:
+    """Every k-th row of a fast log, each with the mean of the commands until the next one kept.
+
+    Poses are not averaged. The aircraft's own motion is far slower, so a fit gains nothing from
+    more rows but time.
+    """
+    k = math.ceil(nominal_rate_hz(table) / highest_hz - 0.05)
+    if k < 2:
+        return table
+    kept = slice(None, None, k)
+    # Time-weighted means of the commands, each of which acts until the next row.
+    begins = np.arange(0, len(table.t), k)
+    duration = np.append(np.diff(table.t), np.median(np.diff(table.t)))
+    weights = np.add.reduceat(duration, begins)
+    means = np.add.reduceat(table.commands * duration[:, None], begins) / weights[:, None]
+    return replace(
+        table,
+        t=table.t[kept],
+        p_world=table.p_world[kept],
+        attitude=table.attitude[kept],
+        commands=means,
+        extra={name: values[kept] for name, values in table.extra.items()},
+        labels={name: values[kept] for name, values in table.labels.items()},
+    )
 
 
 def _find_outliers(residual: Array, sigma: Array) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.core.checks import Array
+from falconwing_kit.core.frames import GRAVITY, wrap_angle
 from falconwing_kit.sysid.fit import fit_initial_states
 from falconwing_kit.sysid.shooting import Windows, pose_residuals
 
@@ -37,10 +38,46 @@ def score(model: Model, windows: Windows, initial_states: Array | None = None) -
     """
     guess = windows.initial_guess[:, : model.n_states] if initial_states is None else initial_states
     initial_states, residual = fit_initial_states(model, windows, guess)
-    residual = pose_residuals(residual, windows)
+    return score_residual(windows, initial_states, residual)
+
+
+def score_constant_turn(windows: Windows, initial_states: Array) -> PredictionScore:
+    """The same for a forecast without a model: a constant turn from each initial state.
+
+    Speed, climb, roll and pitch stay; the yaw rate is that of a coordinated turn, g tan(roll) / V
+    [Beard & McLain, eq. 9.14].
+
+    Args:
+        windows: W windows, L rows each.
+        initial_states: (W, n_states), as a model's score found them.
+    """
+    since = windows.nodes - windows.nodes[:, :1]  # (W, L)
+    px, py, pz, pitch, yaw, roll, vx, vy, vz = initial_states[:, :9].T[..., None]
+    speed = np.maximum(np.hypot(vx, vy), 0.1)
+    yaw_rate = GRAVITY * np.tan(np.clip(roll, -1.4, 1.4)) / speed
+    # The chord of the arc: its length, and its course halfway through the turn; y is to the left.
+    turn = -yaw_rate * since
+    chord = speed * since * np.sinc(turn / (2.0 * np.pi))
+    course = np.arctan2(vy, vx) + 0.5 * turn
+    rows = (
+        px + chord * np.cos(course), py + chord * np.sin(course), pz + vz * since,
+        roll + 0.0 * since, pitch + 0.0 * since, yaw + yaw_rate * since,
+    )  # fmt: skip
+    difference = np.stack(rows, axis=-1) - windows.pose
+    difference[..., 3:] = wrap_angle(difference[..., 3:])
+    return score_residual(windows, initial_states, difference * windows.weight)
+
+
+def score_residual(windows: Windows, initial_states: Array, residual: Array) -> PredictionScore:
+    """The score of residuals (W, L, 6) or (W, R), weighted, without whitening.
+
+    The other arguments are those of `score`.
+    """
+    if residual.ndim == 2:
+        residual = pose_residuals(residual, windows)
     squares = residual**2
     # chi2 per degree of freedom, in all and per channel: the fitted states are shared out evenly.
-    share = 1.0 - len(windows) * model.n_states / max(windows.count, 1)
+    share = 1.0 - len(windows) * initial_states.shape[1] / max(windows.count, 1)
     measured = np.maximum(np.count_nonzero(windows.weight, axis=(0, 1)), 1)  # (6,)
     channels = squares.sum(axis=(0, 1)) / measured / share
     chi2 = squares.sum() / max(windows.count, 1) / share
@@ -80,6 +117,7 @@ def split_blocks(
 
 def select_windows(windows: Windows, index: np.ndarray) -> Windows:
     """The windows at these indices."""
+    whitening = windows.whitening
     return replace(
         windows,
         nodes=windows.nodes[index],
@@ -88,4 +126,5 @@ def select_windows(windows: Windows, index: np.ndarray) -> Windows:
         edges=windows.edges[index],
         flight=windows.flight[index],
         initial_guess=windows.initial_guess[index],
+        whitening=whitening[index] if whitening is not None and whitening.ndim == 4 else whitening,
     )

@@ -45,7 +45,8 @@ class Windows:
     flight: np.ndarray  # (W,) index into flights
     flights: tuple[PreparedFlight, ...]
     initial_guess: Array  # (W, 12) initial states from the local cubics
-    whitening: Array | None = None  # (6, L, L) whitens time-correlated pose noise, or None
+    # (6, L, L), or (W, 6, L, L) where rows lack a pose: whitens correlated residuals; None: white
+    whitening: Array | None = None
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -351,7 +352,9 @@ def _normalise_residuals(windows: Windows, poses: Array) -> Array:
     angles -= 2.0 * np.pi * np.round(angles[:1] / (2.0 * np.pi))
     difference *= windows.weight
     if windows.whitening is not None:
-        difference = np.einsum("klm,cwmk->cwlk", windows.whitening, difference, optimize=True)
+        # (W, 6, L, L) @ (W, 6, L, C): all columns of a window in one product.
+        filtered = windows.whitening @ difference.transpose(1, 3, 2, 0)
+        difference = filtered.transpose(3, 0, 2, 1)
     difference[~np.isfinite(difference)] = np.inf
     return difference.reshape(*difference.shape[:2], -1)
 

@@ -7,7 +7,7 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.sysid.prepare import CHANNELS, difference_noise, prepare
+from falconwing_kit.sysid.prepare import CHANNELS, difference_noise, prepare, thin_table
 from tests.sysid.recorded import calm_flight
 
 SIGMA = np.array([0.03] * 3 + [np.radians(0.6)] * 3)
@@ -308,3 +308,22 @@ def test_other_frame_rates(rng, rate_hz):
     done = prepare(table(t, path(t) + SIGMA * rng.normal(size=(len(t), 6))))
     assert done.sigma == pytest.approx(SIGMA, rel=0.2)
     assert done.outliers <= 2
+
+
+# Fast logs
+
+
+def test_a_fast_log_is_thinned_with_its_mean_commands(rng):
+    """60 Hz to 30: every second pose as it is; of each pair of commands the mean, as long as both
+    acted. 20 Hz stays.
+    """
+    t = np.arange(600) / 60.0
+    sticks = rng.uniform(-1.0, 1.0, (600, 4))
+    fast = table(t, path(t), sticks, marker=np.arange(600.0))
+    thin = thin_table(fast)
+    assert thin.t == pytest.approx(t[::2])
+    np.testing.assert_array_equal(thin.p_world, fast.p_world[::2])
+    np.testing.assert_allclose(thin.commands, 0.5 * (sticks[::2] + sticks[1::2]))
+    np.testing.assert_array_equal(thin.extra["marker"], np.arange(0.0, 600.0, 2.0))
+    slow = table(np.arange(200) / 20.0, path(np.arange(200) / 20.0))
+    assert thin_table(slow) is slow

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.model import rates_model
+from falconwing_kit.core.flight_table import FlightTable
+from falconwing_kit.core.frames import GRAVITY
 from falconwing_kit.sysid.prepare import prepare
-from falconwing_kit.sysid.score import score, select_windows, split_blocks
+from falconwing_kit.sysid.score import score, score_constant_turn, select_windows, split_blocks
 from falconwing_kit.sysid.shooting import cut_windows, fly_windows, residuals
 from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
 
@@ -139,3 +141,22 @@ def test_select_takes_all_fields_of_a_window(flight):
     assert residuals(truth, chosen, chosen.initial_guess) == pytest.approx(whole[index], abs=1e-9)
     moved = replace(windows, nodes=windows.nodes + 100.0)
     assert select_windows(moved, index).nodes[0, 0] == pytest.approx(windows.nodes[3, 0] + 100.0)
+
+
+def test_a_coordinated_turn_is_forecast_by_the_constant_turn():
+    """A circle of 7 m/s at 30 deg of bank: yaw rate g tan(30 deg) / 7, to the right; left over is
+    what the local cubics make of the initial states.
+    """
+    t, bank = np.arange(0.0, 20.0, 0.05), np.radians(30.0)
+    yaw_rate = GRAVITY * np.tan(bank) / 7.0
+    yaw = yaw_rate * t
+    radius = 7.0 / yaw_rate
+    place = np.column_stack([radius * np.sin(yaw), radius * np.cos(yaw), 2.0 + 0.0 * t])
+    angles = np.column_stack([bank + 0.0 * t, 0.0 * t, (yaw + np.pi) % (2.0 * np.pi) - np.pi])
+    circle = FlightTable("circle", t, place, angles, np.tile([0.5, 0.1, 0.1, 0.0], (len(t), 1)))
+    windows = cut_windows(prepare(circle, SIGMA).flights, rates_model())
+    found = score_constant_turn(windows, windows.initial_guess)
+    assert found.position_m < 0.02 and found.attitude_deg < 0.2
+    straight = windows.initial_guess.copy()
+    straight[:, 5] = 0.0  # wings level: straight on, off by (2 s)^2 / 2 of 5.7 m/s^2 at the end
+    assert score_constant_turn(windows, straight).position_m > 2.0
