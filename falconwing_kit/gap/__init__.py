@@ -4,6 +4,8 @@
 
 or step by step: identify_baseline -> name_effect (or name_with_onset) -> close_gap, residual_map
 and next_flight.
+
+build_monitor -> Watch does it row by row, along a live or replayed flight.
 """
 
 from falconwing_kit.gap.advice import advise, next_flight
@@ -13,9 +15,17 @@ from falconwing_kit.gap.close import (
     Onset,
     ParameterEstimate,
     close_gap,
+    find_course,
     find_onset,
     name_with_onset,
 )
+from falconwing_kit.gap.discrepancy import (
+    Discrepancy,
+    DiscrepancyTerm,
+    discrepancy_record,
+    find_discrepancy,
+)
+from falconwing_kit.gap.innovations import Row, table_rows
 from falconwing_kit.gap.measure import (
     FlightReplay,
     ResidualBin,
@@ -26,22 +36,42 @@ from falconwing_kit.gap.measure import (
 from falconwing_kit.gap.name import EffectCandidate, Naming, name_effect
 from falconwing_kit.gap.noise import PoseNoiseModel, find_pose_noise
 from falconwing_kit.gap.study import GapStudy, Study, gap_record, require_pair, study_gap
+from falconwing_kit.gap.watch import (
+    Monitor,
+    Watch,
+    WatchEvent,
+    build_monitor,
+    nominal_model_from_file,
+    rows_table,
+    stream_rows,
+    watch_rows,
+)
 
 __all__ = [
+    "Discrepancy",
+    "DiscrepancyTerm",
     "EffectCandidate",
     "FlightReplay",
     "GapClosure",
     "GapStudy",
+    "Monitor",
     "Naming",
     "NominalModel",
     "Onset",
     "ParameterEstimate",
     "PoseNoiseModel",
     "ResidualBin",
+    "Row",
     "Study",
+    "Watch",
+    "WatchEvent",
     "advise",
+    "build_monitor",
     "build_nominal_model",
     "close_gap",
+    "discrepancy_record",
+    "find_course",
+    "find_discrepancy",
     "find_onset",
     "find_pose_noise",
     "gap_record",
@@ -49,9 +79,14 @@ __all__ = [
     "name_effect",
     "name_with_onset",
     "next_flight",
+    "nominal_model_from_file",
     "replay_baseline",
     "replay_flight",
     "require_pair",
     "residual_map",
+    "rows_table",
+    "stream_rows",
     "study_gap",
+    "table_rows",
+    "watch_rows",
 ]

@@ -1,4 +1,5 @@
-"""Advice: a verdict -> one sentence about it, and the test manoeuvre to fly next.
+"""Advice: a verdict -> one sentence about it, and the test manoeuvre to fly next, from a library
+that is simulated leg by leg.
 
 The nominal model flies every manoeuvre of a small library; its Fisher information, added to the
 flight's own, predicts how well effects would be separated or sized.
@@ -39,6 +40,9 @@ SEPARATION_CHI2 = 2.0 * VERY_STRONG_EVIDENCE
 COMPARISON_S = 30.0  # flight time after which manoeuvres are compared
 SECONDS = np.geomspace(2.0, 600.0, 16)  # flight times at which the growth of evidence is computed
 MAX_ANGLE = math.radians(75.0)  # of pitch and roll in a leg; a pilot would end a steeper one
+# Share of the descent angle that idle throttle gives: at all of it rounding and curvature can ask
+# for a throttle below 0, which `trim` refuses.
+ALMOST_IDLE = 0.97
 # Centres of successive legs, in quarters of the area flown.
 LEG_OFFSETS = np.array([[0, 0], [1, 1], [-1, -1], [1, -1], [-1, 1]])
 
@@ -75,7 +79,7 @@ class Leg:
 
 
 @dataclass(frozen=True)
-class Manoeuvre:
+class DiagnosisManoeuvre:
     """A test manoeuvre that a student pilot can fly in a hall."""
 
     name: str
@@ -92,87 +96,87 @@ _POWER = (
     Leg(height=3.5, glide=True),
 )
 _STEPS = (("aileron", 0.15), ("elevator", 0.2), ("rudder", 0.3))
-MANOEUVRES = (
-    Manoeuvre(
+DIAGNOSIS_MANOEUVRES = (
+    DiagnosisManoeuvre(
         "aileron doublets", "quick aileron doublets, half and full, without rudder",
         _both_directions(*(Leg({"aileron": doublet_input(s)}) for s in (0.4, -0.4, 0.8, -0.8))),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "elevator doublets", "elevator doublets at a slow and at a fast speed",
         _both_directions(*(
             Leg({"elevator": doublet_input(s)}, v) for v in (0.85, 1.2) for s in (0.25, -0.25)
         )),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "rudder doublets", "rudder doublets without aileron",
         _both_directions(*(Leg({"rudder": doublet_input(s)}) for s in (0.5, -0.5))),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "throttle steps", "throttle steps with the wings level and no other control input",
         _both_directions(*_POWER[:4]),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "glides",
         "glides with the throttle closed, slow and fast, and throttle steps at the same speeds",
         _both_directions(
             *(Leg(speed=v, height=3.5, glide=True) for v in (0.85, 1.0, 1.2)), *_POWER[:4]
         ),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "low passes",
         "low passes at 0.4 m right after level flight at 2 m, at the same speed and throttle",
         _both_directions(
             Leg(height=0.4), Leg(height=2.0), Leg({"elevator": doublet_input(0.1)}, height=0.6)
         ),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "slow flight", "slow flight, wings level, down to the first signs of a stall",
         _both_directions(*(
             Leg({"elevator": doublet_input(s)}, v) for v in (0.85, 0.75, 0.68) for s in (0.1, -0.1)
         )),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "fast flight", "fast flight, wings level",
         _both_directions(*(Leg(speed=v) for v in (1.2, 1.35))),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "speed sweep", "a sweep from the slowest safe speed to the fastest, wings level",
         _both_directions(*(Leg(speed=v) for v in (0.75, 0.9, 1.05, 1.2, 1.35))),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "steep turns", "steep turns to the left and to the right at one speed",
         _both_directions(*(Leg(bank=math.radians(b)) for b in (-50.0, -35.0, 35.0, 50.0))),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "circles", "wide circles through all headings, to the left and to the right",
         tuple(
             Leg(bank=math.radians(b), heading=k * math.pi / 2.0)
             for b in (-25.0, 25.0) for k in range(4)
         ),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "passes",
         "repeated passes through one place of the hall in both directions, and beside it",
         tuple(
             Leg(heading=k * math.pi / 2.0, beside=b) for k in range(4) for b in (-1.5, 0.0, 1.5)
         ),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "shaking", "fast sine inputs, up to 2 Hz, and single steps of each control",
         (
             *(Leg({c: sine_input(0.4, f)}) for c in COMMAND_NAMES[1:] for f in (1.0, 2.0)),
             *(Leg({channel: step_input(s)}) for channel, s in _STEPS),
         ),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "hands off", "straight flight with the hands off the sticks, slow and fast",
         _both_directions(*(Leg(speed=v) for v in (0.8, 1.2))),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "small movements", "small movements of aileron, elevator and rudder beside large ones",
         tuple(Leg({c: sine_input(s, 0.7)}) for c in COMMAND_NAMES[1:] for s in (0.06, 0.12, 0.5)),
     ),
-    Manoeuvre(
+    DiagnosisManoeuvre(
         "early and late",
         "the same throttle steps and glides early in a flight and again two minutes later",
         (*_POWER, *(replace(leg, later=120.0) for leg in _POWER)),
@@ -184,7 +188,7 @@ MANOEUVRES = (
 class Advice:
     """What a manoeuvre would add to the flight that was flown."""
 
-    manoeuvre: Manoeuvre
+    manoeuvre: DiagnosisManoeuvre
     chi2: float = math.nan  # by which the alternatives differ after COMPARISON_S
     seconds: float = math.nan  # until they differ by SEPARATION_CHI2; inf: beyond SECONDS
     shrinkage: float = math.nan  # share by which the widest interval shrinks in COMPARISON_S
@@ -195,8 +199,8 @@ def manoeuvre_windows(
     base: NominalModel,
     like: Windows,
     place: Array | None = None,
-    manoeuvres: Sequence[Manoeuvre] = MANOEUVRES,
-) -> tuple[Windows, tuple[Manoeuvre, ...]]:
+    manoeuvres: Sequence[DiagnosisManoeuvre] = DIAGNOSIS_MANOEUVRES,
+) -> tuple[Windows, tuple[DiagnosisManoeuvre, ...]]:
     """Manoeuvres as windows, one per leg, with poses of the nominal model and the baseline's noise.
 
     Args:
@@ -251,7 +255,7 @@ def manoeuvre_windows(
 
 
 def _build_flight(
-    manoeuvre: Manoeuvre,
+    manoeuvre: DiagnosisManoeuvre,
     trims: Sequence[Trim],
     middles: Sequence[Array],
     rows: int,
@@ -301,11 +305,27 @@ def _leg_start(state: Array, leg: Leg, middle: Array, half_time: float) -> Array
 
 
 def _trim_glide(model: Model, speed: float, height: float) -> Trim:
-    """Trim with the throttle closed: the throttle needed is almost linear in the climb angle."""
-    level, down = (trim(model, speed, climb, 0.0, height) for climb in (0.0, -0.03))
-    to_idle = 0.03 * level.command[0] / (level.command[0] - down.command[0])
-    gliding = trim(model, speed, -0.97 * to_idle, 0.0, height)
-    return replace(gliding, command=gliding.command * np.array([0.0, 1.0, 1.0, 1.0]))
+    """Trim of a descent at constant speed with the throttle at idle.
+
+    The throttle that a descent needs is almost linear in its angle: two trims, level and slightly
+    down, give the angle at which it is 0. The trim just before that angle is found, and its small
+    remaining throttle closed.
+
+    Args:
+        speed: through the air [m/s].
+        height: [m].
+
+    Raises:
+        InputError: the aircraft has no such trim.
+    """
+    slightly_down = 0.03  # [rad]
+    level, down = (
+        trim(model, speed, climb_angle=climb, bank=0.0, height=height)
+        for climb in (0.0, -slightly_down)
+    )
+    to_idle = slightly_down * level.command[0] / (level.command[0] - down.command[0])
+    glide_trim = trim(model, speed, climb_angle=-ALMOST_IDLE * to_idle, bank=0.0, height=height)
+    return replace(glide_trim, command=glide_trim.command * np.array([0.0, 1.0, 1.0, 1.0]))
 
 
 def noncentrality(gram: Array, signal: Array, free: np.ndarray, prior: Array) -> Array:
@@ -334,7 +354,7 @@ def noncentrality(gram: Array, signal: Array, free: np.ndarray, prior: Array) ->
 class _ExperimentDesign:
     """Information of a flight and each manoeuvre on C columns: P parameters, then the effects."""
 
-    manoeuvres: tuple[Manoeuvre, ...]
+    manoeuvres: tuple[DiagnosisManoeuvre, ...]
     known: Array  # (C, C) products of the columns over the flight
     rates: Array  # (M, C, C) the same per second of each manoeuvre
     prior: Array  # (P, P) precision of what was known before
@@ -589,7 +609,7 @@ def _discrimination_text(effects: Sequence[Effect], best: Advice) -> str:
 def _shrinkage_text(best: Advice) -> str:
     name = best.widest.replace("_", " ")
     return (
-        f"{best.manoeuvre.how}; {COMPARISON_S:.0f} s narrow the interval of {name} by "
+        f"{best.manoeuvre.how}; {COMPARISON_S:.0f} s narrow the 95 % interval of {name} by "
         f"{100.0 * best.shrinkage:.0f} %"
     )
 

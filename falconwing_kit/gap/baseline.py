@@ -4,21 +4,33 @@ The nominal model is identified on the baseline flight and completed with generi
 aircraft has and the terms lack; its prior is wide enough for another day.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from falconwing_kit.aircraft.effect import Effect
+from falconwing_kit.aircraft.effect import STANDING, Effect, standing_effect
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
 from falconwing_kit.aircraft.model import Model
-from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.gap.evidence import SchurComplement, effect_variants, sensitivities
+from falconwing_kit.gap.evidence import (
+    SchurComplement,
+    ScoreTest,
+    Sensitivities,
+    effect_variants,
+    sensitivities,
+)
 from falconwing_kit.gap.noise import PoseNoiseModel, find_pose_noise, whiten
 from falconwing_kit.sysid.fit import FitResult, Prior, fit
-from falconwing_kit.sysid.identify import Identification, identify
+from falconwing_kit.sysid.identify import (
+    MAX_TURN_SHARE,
+    Identification,
+    identify,
+    weak_prior,
+)
+from falconwing_kit.sysid.score import score, score_constant_turn
 from falconwing_kit.sysid.shooting import Windows
 from falconwing_kit.sysid.uncertainty import ordinary_size, uncertainty
 
@@ -30,8 +42,12 @@ VERY_STRONG_EVIDENCE = 10.0  # "very strong" on the scale of Kass & Raftery 1995
 # Evidence that the best of so many generic effects has by chance.
 SELECTION_PENALTY = 2.0 * float(np.log(len(GENERIC_EFFECTS)))
 GENERIC_EVIDENCE = 50.0  # evidence above which a generic effect is taken as real
-MAX_GENERIC_TERMS = 6  # generic effects that a nominal model may need
-MAX_BASELINE_CHI2 = 4.0  # baseline chi2 above this: not a model of this aircraft
+MAX_ADDED_EFFECTS = 6  # effects that a nominal model may need
+# Evidence above which an effect of the baseline flight becomes part of the model: little, since
+# what is missing there would be named on the next flight.
+ADDITION_EVIDENCE = 15.0
+ADDITION_TRIALS = 2  # effects fitted in full before the completion ends
+ADDITION_TOLERANCE = 2.0  # chi2; the completed model is fitted once more
 
 
 @dataclass(frozen=True)
@@ -46,6 +62,10 @@ class NominalModel:
     prior: Prior  # for another flight of the same aircraft
     false_alarm_level: float  # largest evidence of any effect on a third of this flight
     generic_false_alarm_level: float  # the same for generic effects
+    # Effect -> variance factor of its evidence, at least 1: error that the rows of a window share.
+    inflation: Mapping[str, float] = field(default_factory=dict)
+    drift: Mapping[str, float] = field(default_factory=dict)  # standard deviation, day to day
+    weak: Prior | None = None  # the prior of its own fit
 
     @property
     def reduced_chi2(self) -> float:
@@ -67,24 +87,27 @@ class NominalModel:
 
 
 def identify_baseline(
-    calm: FlightTable,
+    calm: FlightTable | Sequence[FlightTable],
     progress: Progress = lambda stage: None,
     catalogue: Sequence[Effect] = CATALOGUE,
     start: Model | None = None,
+    sigma: Array | None = None,
 ) -> NominalModel:
     """Identify the baseline flight, its pose noise, and the evidence that effects have by chance.
 
     Args:
-        calm: a flight with nothing changed.
+        calm: a flight with nothing changed, or several of one aircraft.
         progress: called with the name of each stage.
         catalogue: the effects that will be tried.
-        start: the model that the fit starts from; None for a 150 g aircraft.
+        start: the model that the fit starts from; None scales one to the flight's speed.
+        sigma: (6,) noise of the poses [m, rad] if known.
 
     Raises:
         InputError: the flight cannot be used, or the model does not describe it.
     """
     progress("calm flight")
-    return build_nominal_model(identify([calm], model=start), catalogue, progress)
+    tables = [calm] if isinstance(calm, FlightTable) else list(calm)
+    return build_nominal_model(identify(tables, model=start, sigma=sigma), catalogue, progress)
 
 
 def build_nominal_model(
@@ -102,28 +125,47 @@ def build_nominal_model(
         raise InputError(
             next(w for w in found.warnings if w.startswith(found.reversed_channels[0]))
         )
+    weak = weak_prior(found.model)
     noise = find_pose_noise(found.result, found.fitted_windows)
     windows = whiten(found.fitted_windows, noise)
-    result = fit(found.model, windows, found.result.initial_states)
-    completed_fit = _add_generic_effects(result, windows, progress)
-    chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
-    if completed_fit is not result:  # what the model lacked had been taken for correlated noise
-        again = fit(completed_fit.model, found.fitted_windows, completed_fit.initial_states)
-        chi2 = again.cost / degrees_of_freedom(found.fitted_windows, again)
+    result = fit(found.model, windows, found.result.initial_states, prior=weak)
+    completed_fit, tried = _complete_model(result, windows, catalogue, weak, progress)
+    if completed_fit is not result:  # what the model lacked had been taken for noise
+        again = fit(
+            completed_fit.model, found.fitted_windows, completed_fit.initial_states, prior=weak
+        )
         noise = find_pose_noise(again, found.fitted_windows)
         windows = whiten(found.fitted_windows, noise)
-        result = _add_generic_effects(
-            fit(completed_fit.model, windows, completed_fit.initial_states), windows, progress
-        )
-    if chi2 > MAX_BASELINE_CHI2:
-        raise InputError(
-            f"{found.names[0]}: expected a calm flight that the base model describes, got chi2 per "
-            f"degree of freedom {chi2:.1f}, noise alone gives 1; use a calm flight of the same "
-            "aircraft without wind or other effects"
-        )
+        result, tried = _complete_model(
+            fit(completed_fit.model, windows, completed_fit.initial_states, prior=weak),
+            windows, catalogue, weak, progress,
+        )  # fmt: skip
+    _require_description(found, result)
     progress("what chance finds")
-    return calibrate_nominal_model(
-        found, noise, result, windows, [*catalogue, *available_generic_effects(result.model)]
+    return calibrate_nominal_model(found, noise, result, windows, tried, weak)
+
+
+def _require_description(found: Identification, result: FitResult) -> None:
+    """Raise InputError where the completed model does not describe the baseline flight either.
+
+    What it leaves is model discrepancy, which costs evidence and no more, so that chi2 need not be
+    one; but two seconds ahead it must err at most half as much as a constant turn.
+    """
+    if found.describes_flight:
+        return
+    completed = score(result.model, found.windows, result.initial_states)
+    turn = score_constant_turn(found.windows, completed.initial_states)
+    if (
+        completed.position_m <= MAX_TURN_SHARE * turn.position_m
+        and completed.attitude_deg <= MAX_TURN_SHARE * turn.attitude_deg
+    ):
+        return
+    raise InputError(
+        f"{found.names[0]}: expected a calm flight that the base model describes, got chi2 per "
+        f"degree of freedom {completed.chi2:.1f}, noise alone gives 1, and errors 2 s ahead of "
+        f"{completed.position_m:.2f} m and {completed.attitude_deg:.1f} deg where a constant turn "
+        f"has {turn.position_m:.2f} m and {turn.attitude_deg:.1f} deg; use a calm flight of the "
+        "same aircraft without wind or other effects"
     )
 
 
@@ -132,7 +174,8 @@ def calibrate_nominal_model(
     noise: PoseNoiseModel,
     result: FitResult,
     windows: Windows,
-    tried: Sequence[Effect],
+    tried: Sequence[Sensitivities] | Sequence[Effect],
+    weak: Prior | None = None,
 ) -> NominalModel:
     """The nominal model from its final fit: level, prior for another day, false-alarm levels.
 
@@ -141,13 +184,17 @@ def calibrate_nominal_model(
         noise: its pose noise.
         result: the model, fitted with whitened noise.
         windows: what it was fitted to.
-        tried: the effects that will be tried, named and generic.
+        tried: the effects that will be tried, named and generic, or their sensitivities at the fit.
+        weak: the prior of that fit, if any.
     """
     baseline_chi2 = result.cost / degrees_of_freedom(windows, result)
-    reduced = SchurComplement.of(result, None, max(1.0, baseline_chi2))
-    tried_sensitivities = sensitivities(
-        result.model, windows, result.initial_states, list(effect_variants(tried, windows))
-    )
+    reduced = SchurComplement.of(result, weak, max(1.0, baseline_chi2))
+    tried_sensitivities = [t for t in tried if isinstance(t, Sensitivities)]
+    if not tried_sensitivities:
+        effects = [t for t in tried if isinstance(t, Effect)]
+        tried_sensitivities = sensitivities(
+            result.model, windows, result.initial_states, list(effect_variants(effects, windows))
+        )
     penalty = np.array([bic_penalty(c.variant.effect, windows) for c in tried_sensitivities])
     false_alarms = (reduced.block_delta_chi2(tried_sensitivities) - penalty[:, None]).max(axis=1)
     named = np.array([c.variant.effect not in GENERIC_EFFECTS for c in tried_sensitivities])
@@ -155,43 +202,84 @@ def calibrate_nominal_model(
         float(false_alarms[named].max(initial=0.0)),
         float(false_alarms[~named].max(initial=0.0)),
     )
+    prior, drift = _drift_prior(result, windows, weak)
+    factors: dict[str, list[float]] = {}
+    for c in tried_sensitivities:
+        factors.setdefault(c.variant.effect.name, []).append(reduced.inflation(c))
+    inflation = {name: max(1.0, float(np.median(several))) for name, several in factors.items()}
     return NominalModel(
-        found, noise, result, windows, baseline_chi2, _drift_prior(result, windows), *gains
+        found, noise, result, windows, baseline_chi2, prior, *gains, inflation, drift, weak
     )
 
 
-def _add_generic_effects(result: FitResult, windows: Windows, progress: Progress) -> FitResult:
-    """Add to the model the best generic effect of the baseline flight, as long as one is needed.
+def _complete_model(
+    result: FitResult,
+    windows: Windows,
+    catalogue: Sequence[Effect],
+    weak: Prior,
+    progress: Progress,
+) -> tuple[FitResult, list[Sensitivities]]:
+    """Add to the model what the baseline flight shows to be missing, the best effect first.
 
-    No model is complete (propeller wash over the elevator, thrust not linear in throttle); what is
-    missing would look like an effect on every other flight.
+    No model is complete: a propeller has torque, a wing stalls, propeller wash acts on the
+    elevator. What is missing would look like an effect on every other flight. Catalogue effects
+    are added as standing ones, so that a change of them can still be named.
+
+    Returns:
+        The fit, and the sensitivities of all effects at it.
     """
     progress("what the base lacks")
-    while len(GENERIC_EFFECTS) - len(available_generic_effects(result.model)) < MAX_GENERIC_TERMS:
+    present = len(result.model.effects)
+    while True:
+        effects = [*catalogue, *available_generic_effects(result.model)]
+        tried = sensitivities(
+            result.model, windows, result.initial_states, list(effect_variants(effects, windows))
+        )
+        if len(result.model.effects) - present >= MAX_ADDED_EFFECTS:
+            return result, tried
         reduced = SchurComplement.of(
-            result, None, max(1.0, result.cost / degrees_of_freedom(windows, result))
+            result, weak, max(1.0, result.cost / degrees_of_freedom(windows, result))
         )
-        tried_sensitivities = list(
-            effect_variants(available_generic_effects(result.model), windows)
+        needed = SELECTION_PENALTY + ADDITION_EVIDENCE
+        scores = sorted(
+            (
+                (score.delta_chi2 - bic_penalty(score.variant.effect, windows), k)
+                for k, score in enumerate(map(reduced.score, tried))
+            ),
+            reverse=True,
         )
-        scores = [
-            reduced.score(c)
-            for c in sensitivities(
-                result.model, windows, result.initial_states, tried_sensitivities
-            )
-        ]
-        best = max(scores, key=lambda score: score.delta_chi2)
-        if (
-            best.delta_chi2
-            < bic_penalty(best.variant.effect, windows) + SELECTION_PENALTY + GENERIC_EVIDENCE
-        ):
-            break
-        model = result.model.with_effect(best.variant.effect)
-        added = fit(model.with_values(best.values), windows, result.initial_states)
-        if added.cost > result.cost - VERY_STRONG_EVIDENCE:
-            break
-        result = added
-    return result
+        for gain, k in scores[:ADDITION_TRIALS]:
+            if gain < needed:
+                return result, tried
+            added = _add_to_base(result, windows, reduced.score(tried[k]), weak)
+            if added is not None and result.cost - added.cost > needed:
+                result = added
+                break
+        else:
+            return result, tried
+
+
+def _add_to_base(
+    result: FitResult, windows: Windows, found: ScoreTest, weak: Prior
+) -> FitResult | None:
+    """The fit with one more effect; None where the model has it already."""
+    effect, values = found.variant.effect, found.values
+    if effect not in GENERIC_EFFECTS:
+        effect = standing_effect(effect)
+        values = {STANDING + name: value for name, value in values.items()}
+    if effect.parameters[0].name in result.model.values:
+        return None
+    bounds = {p.name: p for p in effect.parameters}
+    values = {n: float(np.clip(v, bounds[n].low, bounds[n].high)) for n, v in values.items()}
+    model = result.model.with_effect(effect).with_values(values)
+    return fit(
+        model,
+        windows,
+        result.initial_states,
+        prior=weak,
+        iterations=10,
+        tolerance=ADDITION_TOLERANCE,
+    )
 
 
 def available_generic_effects(model: Model) -> tuple[Effect, ...]:
@@ -201,9 +289,15 @@ def available_generic_effects(model: Model) -> tuple[Effect, ...]:
     )
 
 
-def _drift_prior(result: FitResult, windows: Windows) -> Prior:
-    """Prior for another day: the baseline's covariance, and a percent of drift per coefficient."""
-    confidence = uncertainty(result, windows)
+def _drift_prior(
+    result: FitResult, windows: Windows, weak: Prior | None
+) -> tuple[Prior, dict[str, float]]:
+    """Prior for another day: the baseline's covariance, and a percent of drift per coefficient.
+
+    Returns:
+        The prior, and the drift alone, the standard deviation of each parameter.
+    """
+    confidence = uncertainty(result, windows, weak)
     parameters = {p.name: p for p in result.model.parameters}
     drift = np.array(
         [
@@ -216,7 +310,8 @@ def _drift_prior(result: FitResult, windows: Windows) -> Prior:
     covariance = confidence.covariance + np.diag(drift**2)
     sigma = np.sqrt(np.diag(covariance))
     spread = dict(zip(confidence.names, sigma.tolist(), strict=True))
-    return Prior(dict(result.model.values), spread, covariance / np.outer(sigma, sigma))
+    prior = Prior(dict(result.model.values), spread, covariance / np.outer(sigma, sigma))
+    return prior, dict(zip(confidence.names, drift.tolist(), strict=True))
 
 
 def bic_penalty(effect: Effect, windows: Windows) -> float:

@@ -1,8 +1,10 @@
-"""Closing the gap: named effects -> their onset, their sizes, the prediction error with them."""
+"""Closing the gap: named effects -> their onset and course in the flight, their sizes, the
+prediction error with them.
+"""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,8 +14,18 @@ from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.terms import Parameter
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.flight_table import FlightTable, slice_time
-from falconwing_kit.gap.baseline import NominalModel, Progress
-from falconwing_kit.gap.evidence import EffectVariant, SchurComplement, sensitivities
+from falconwing_kit.gap.baseline import (
+    VERY_STRONG_EVIDENCE,
+    NominalModel,
+    Progress,
+    bic_penalty,
+)
+from falconwing_kit.gap.evidence import (
+    MIN_EIGENVALUE,
+    EffectVariant,
+    SchurComplement,
+    sensitivities,
+)
 from falconwing_kit.gap.name import EffectCandidate, Naming, name_effect
 from falconwing_kit.sysid.fit import FitResult, fit, prior_rows
 from falconwing_kit.sysid.score import BLOCK_S, PredictionScore, score, select_windows, split_blocks
@@ -21,11 +33,17 @@ from falconwing_kit.sysid.shooting import Windows, finite_differences
 from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
 
 ONSET = "acts_since"  # parameter of an effect with an onset: it acts from this time on [s]
+# Parameter of an effect with a second time: it stops then, or has grown to its full size [s].
+END = {"on-off": "acts_until", "ramp": "acts_fully_from"}
 ONSET_CANDIDATES = 5  # effects that may have an onset: the best of those that act all along
 MIN_AFTER_ONSET_S = 8.0  # of flight after the onset: four windows, fewer do not support a name
 LIKELIHOOD_DROP = 3.84  # of twice the log likelihood at the ends of a 95 % interval [Wilks 1938]
+MAX_BOUNDARIES = 60  # begins and ends of a course that a scan tries
 MAX_ONSET_ITERATIONS = 4  # fits at improving onset times
+ONSET_TOLERANCE = 0.1  # chi2 gained by another onset time; below, the search has converged
 DIVERGED_RESIDUAL = 1e6  # [sigma] of a prediction that diverged
+
+Course = Literal["step", "on-off", "ramp"]  # of an effect's size over the time
 
 
 @dataclass(frozen=True)
@@ -49,6 +67,10 @@ class Onset:
     high95: float
     delta_bic: float  # evidence over the nominal model, less the penalty of parameters and time
     result: FitResult  # with the effect from then on: its size is estimated from the time after
+    course: Course = "step"  # "on-off": it stopped at `end`; "ramp": it grew until `end`
+    end: float | None = None  # on the flight's clock [s]; None for a step, which has no end
+    end_low95: float | None = None
+    end_high95: float | None = None
 
 
 @dataclass(frozen=True)
@@ -108,8 +130,8 @@ def close_gap(base: NominalModel, naming: Naming) -> GapClosure:
     confidence = uncertainty(last, naming.windows, base.prior)
     sizes = {
         name: size
-        for candidate in naming.chosen
-        for name, size in _sizes(base, naming, candidate).items()
+        for named_effect in naming.chosen
+        for name, size in _sizes(base, naming, named_effect).items()
     }
     return GapClosure(
         before,
@@ -185,12 +207,21 @@ def name_with_onset(
     if naming.verdict == "none":
         return naming, None
     progress("since when")
-    onset = find_onset(base, naming.windows, naming.before, naming.ranking[:ONSET_CANDIDATES])
-    named = sum(c.delta_bic for c in naming.chosen if naming.verdict == "named")
-    explained = max(naming.ranking[0].delta_bic, named, naming.generic.delta_bic)
+    tried = naming.ranking[:ONSET_CANDIDATES]
+    onset = find_onset(base, naming.windows, naming.before, tried)
+    if onset is not None:
+        onset = find_course(base, naming.windows, naming.before, tried, onset)
+    # As find_onset counts, without the factors for error that windows share.
+    evidence = [c.delta_chi2 - bic_penalty(c.effect, naming.windows) for c in naming.chosen]
+    first, generic = naming.ranking[0], naming.generic
+    explained = max(
+        first.delta_chi2 - bic_penalty(first.effect, naming.windows),
+        sum(evidence) if naming.verdict == "named" else 0.0,
+        generic.delta_chi2 - bic_penalty(generic.effect, naming.windows),
+    )
     if onset is None or onset.delta_bic < explained + naming.threshold:
         return naming, None
-    later = slice_time(flight, onset.time, np.inf)
+    later = _time_in_effect(flight, onset)
     if later.duration < MIN_AFTER_ONSET_S:
         return naming, None
     again = name_effect(base, later, catalogue, progress)
@@ -198,7 +229,20 @@ def name_with_onset(
         return naming, None
     if again.chosen[0].effect.name != onset.effect.name:
         onset = find_onset(base, naming.windows, naming.before, again.chosen[:1])
+        if onset is not None:
+            onset = find_course(base, naming.windows, naming.before, again.chosen[:1], onset)
     return again, onset
+
+
+def _time_in_effect(flight: FlightTable, onset: Onset) -> FlightTable:
+    """The part of a flight in which an effect acts, after a ramp if enough of it is left."""
+    if onset.course == "on-off" and onset.end is not None:
+        return slice_time(flight, onset.time, onset.end)
+    if onset.course == "ramp" and onset.end is not None:
+        after = slice_time(flight, onset.end, np.inf)
+        if after.duration >= MIN_AFTER_ONSET_S:
+            return after
+    return slice_time(flight, onset.time, np.inf)
 
 
 def find_onset(
@@ -233,9 +277,9 @@ def find_onset(
     )
     for _ in range(MAX_ONSET_ITERATIONS):
         result = fit(model, windows, initial_states, prior=base.prior, iterations=15)
-        times, cost = _profile_likelihood(base, windows, result)
-        time, initial_states = float(times[np.argmin(cost)]), result.initial_states
-        if cost.min() > result.cost - 0.1 * base.reduced_chi2:
+        onset_times, cost_at_onset = _profile_likelihood(base, windows, result)
+        time, initial_states = float(onset_times[np.argmin(cost_at_onset)]), result.initial_states
+        if cost_at_onset.min() > result.cost - ONSET_TOLERANCE * base.reduced_chi2:
             break
         model = (
             before.model.with_effect(gated)
@@ -243,8 +287,11 @@ def find_onset(
             .with_fixed([ONSET])
         )
     # 95 % interval from the profile likelihood, one row wider on each side.
-    inside = np.flatnonzero(cost < cost.min() + LIKELIHOOD_DROP * base.reduced_chi2)
-    low, high = times[max(inside[0] - 1, 0)], times[min(inside[-1] + 1, len(times) - 1)]
+    inside = np.flatnonzero(
+        cost_at_onset < cost_at_onset.min() + LIKELIHOOD_DROP * base.reduced_chi2
+    )
+    low = onset_times[max(inside[0] - 1, 0)]
+    high = onset_times[min(inside[-1] + 1, len(onset_times) - 1)]
     clock, price = float(windows.flights[0].t[0]), float(np.log(windows.count))
     delta_bic = (before.cost - result.cost) / base.reduced_chi2 - price * len(gated.parameters)
     effect = next(c.effect for c in found if c.effect.name == gated.name)
@@ -254,28 +301,37 @@ def find_onset(
 def _join_segments(
     base: NominalModel, windows: Windows, before: FitResult
 ) -> tuple[Windows, FitResult]:
-    """The segments of a flight that was cut where frames were missing, as one flight again."""
+    """The segments of a flight that was cut where frames were missing, joined to one flight again.
+
+    Times of all windows then count from the start of the flight, as an onset's time does.
+
+    Returns:
+        The windows of the joined flight, and the model fitted to them again; both unchanged where
+        nothing was cut.
+    """
     if len(windows.flights) == 1:
         return windows, before
-    flights = windows.flights
-    t, pose, commands, state_estimate, rates = (
-        np.concatenate([getattr(f, name) for f in flights])
+    segments = windows.flights
+    joined_t, joined_pose, joined_commands, joined_states, joined_derivatives = (
+        np.concatenate([getattr(segment, name) for segment in segments])
         for name in ("t", "pose", "commands", "state_estimate", "state_derivatives")
     )
-    whole = replace(
-        flights[0],
-        t=t,
-        pose=pose,
-        commands=commands,
-        state_estimate=state_estimate,
-        state_derivatives=rates,
+    joined_flight = replace(
+        segments[0],
+        t=joined_t,
+        pose=joined_pose,
+        commands=joined_commands,
+        state_estimate=joined_states,
+        state_derivatives=joined_derivatives,
     )
-    later = np.array([f.t[0] - flights[0].t[0] for f in flights])[windows.flight][:, None]
-    joined = replace(
-        windows, nodes=windows.nodes + later, edges=windows.edges + later,
-        flight=np.zeros_like(windows.flight), flights=(whole,),
+    segment_starts = np.array([segment.t[0] - segments[0].t[0] for segment in segments])
+    window_offsets = segment_starts[windows.flight][:, None]
+    joined_windows = replace(
+        windows, nodes=windows.nodes + window_offsets, edges=windows.edges + window_offsets,
+        flight=np.zeros_like(windows.flight), flights=(joined_flight,),
     )  # fmt: skip
-    return joined, fit(before.model, joined, before.initial_states, prior=base.prior)
+    joined_fit = fit(before.model, joined_windows, before.initial_states, prior=base.prior)
+    return joined_windows, joined_fit
 
 
 def _scan_onsets(
@@ -309,9 +365,187 @@ def _scan_onsets(
     return best
 
 
+def find_course(
+    base: NominalModel,
+    windows: Windows,
+    before: FitResult,
+    found: Sequence[EffectCandidate],
+    onset: Onset,
+) -> Onset:
+    """The onset, or an effect that stops again or grows as a ramp, where that explains more.
+
+    The score test for every pair of a begin and an end, as sums over windows; a course of two times
+    replaces the onset where its full fit, less the penalty of the second time, beats that of the
+    onset by very strong evidence.
+
+    Args:
+        base: the nominal model.
+        windows: W windows of the flight.
+        before: the nominal model fitted to them under its prior.
+        found: the effects, as they explain the flight when they act all along.
+        onset: what `find_onset` found for them.
+    """
+    windows, before = _join_segments(base, windows, before)
+    if len(windows) < 4:
+        return onset
+    scanned = _scan_courses(base, windows, before, found)
+    step = scanned.pop("step", None)
+    if step is None or not scanned:
+        return onset
+    course, guess = max(scanned.items(), key=lambda item: item[1].delta_bic)
+    if guess.delta_bic < step.delta_bic + VERY_STRONG_EVIDENCE:
+        return onset
+    fitted = _fit_course(base, windows, before, course, guess)
+    return fitted if fitted.delta_bic > onset.delta_bic + VERY_STRONG_EVIDENCE else onset
+
+
+def _scan_courses(
+    base: NominalModel, windows: Windows, before: FitResult, found: Sequence[EffectCandidate]
+) -> dict[Course, EffectCandidate]:
+    """The best step, on-off and ramp of any effect by linear evidence; those that fit in.
+
+    An effect that is on in some windows alone, or in each by a share g_w, has the sensitivity
+    g_w E_w, so all sums of the score test are weighted sums over the windows.
+    """
+    reduced = SchurComplement.of(before, base.prior, base.reduced_chi2)
+    K, starts, ends = reduced.K, windows.nodes[:, 0], windows.nodes[:, -1]
+    A = np.einsum("wif,wig->fg", K, K, optimize=True) + reduced.prior
+    A += np.diag(1e-9 * np.diag(A) + 1e-30)
+    price, count = float(np.log(windows.count)), len(windows)
+    # Shorter, an on-off does not support a name, and a ramp is a step inside a window.
+    shortest = max(2, int(np.ceil(MIN_AFTER_ONSET_S / max(np.median(np.diff(starts)), 1e-3))))
+    # Begins and ends at the starts of windows, of a long flight not of all.
+    at = np.unique(np.linspace(0, count - 1, min(count, MAX_BOUNDARIES)).astype(int))
+    pairs: dict[Course, list[tuple[int, int]]] = {
+        "step": [(i, count) for i in at],
+        "on-off": [(i, j) for i in at for j in at if j >= i + shortest],
+        "ramp": [(i, j) for i in at for j in at if j >= i + shortest],
+    }
+    middle = 0.5 * (starts + ends)
+    shares: dict[Course, list[Array]] = {
+        "step": [(starts >= starts[i]) * 1.0 for i, _ in pairs["step"]],
+        "on-off": [
+            ((starts >= starts[i]) & (starts < starts[j])) * 1.0 for i, j in pairs["on-off"]
+        ],
+        "ramp": [
+            np.clip((middle - starts[i]) / (starts[j] - starts[i]), 0.0, 1.0)
+            for i, j in pairs["ramp"]
+        ],
+    }
+    best: dict[Course, EffectCandidate] = {}
+    for known in found:
+        effect = known.effect
+        if not effect.has_onset:
+            continue
+        usual = {
+            p.name: known.values[p.name] if p.name in effect.shape else p.start
+            for p in effect.parameters
+        }
+        (whole,) = sensitivities(
+            before.model, windows, before.initial_states, [EffectVariant(effect, usual)]
+        )
+        E = whole.derivative - reduced.Q @ (reduced.Q.transpose(0, 2, 1) @ whole.derivative)
+        B = np.einsum("wif,wik->wfk", K, E, optimize=True)
+        D = np.einsum("wik,wil->wkl", E, E, optimize=True)
+        pull = np.einsum("wik,wi->wk", E, reduced.residual, optimize=True)
+        for course, of_pairs in shares.items():
+            if not of_pairs:
+                continue
+            share = np.stack(of_pairs)  # (P, W)
+            B_g, D_g = np.tensordot(share, B, 1), np.tensordot(share**2, D, 1)
+            pull_g = share @ pull
+            S = D_g - np.einsum("pfk,pfl->pkl", B_g, np.linalg.solve(A, B_g), optimize=True)
+            one = np.eye(D_g.shape[1])  # what the parameters imitate gets no evidence
+            S += MIN_EIGENVALUE * np.einsum("pkk,kl->pkl", D_g, one) + 1e-12 * one
+            step = -np.linalg.solve(S, pull_g[..., None])[..., 0]
+            delta_chi2 = -np.sum(pull_g * step, axis=1) / base.reduced_chi2
+            top = int(np.argmax(delta_chi2))
+            times = 1 if course == "step" else 2
+            delta_bic = float(delta_chi2[top]) - (len(effect.parameters) + times) * price
+            if course in best and best[course].delta_bic >= delta_bic:
+                continue
+            i, j = pairs[course][top]
+            names = [p.name for p in effect.amplitudes]
+            values = {**usual, **dict(zip(names, step[top].tolist(), strict=True))}
+            values[ONSET] = float(starts[i])
+            if course in END:
+                values[END[course]] = float(starts[j])
+            best[course] = EffectCandidate(effect, delta_bic, float(delta_chi2[top]), values, None)
+    return best
+
+
+def _fit_course(
+    base: NominalModel, windows: Windows, before: FitResult, course: Course, guess: EffectCandidate
+) -> Onset:
+    """Fit an on-off or a ramp in full, its two times in turn from the profile likelihood."""
+    first, last = float(windows.nodes[0, 0]), float(windows.nodes[-1, -1])
+    gated = with_course(guess.effect, course, first, last)
+    bounds = {p.name: p for p in gated.parameters}
+    values = {n: float(np.clip(v, bounds[n].low, bounds[n].high)) for n, v in guess.values.items()}
+    names, states = (ONSET, END[course]), before.initial_states
+    intervals: dict[str, tuple[float, float]] = {}
+    for _ in range(2 * MAX_ONSET_ITERATIONS):
+        model = before.model.with_effect(gated).with_values(values).with_fixed(names)
+        result = fit(model, windows, states, prior=base.prior, iterations=15)
+        values = {p.name: result.model.values[p.name] for p in gated.parameters}
+        states = result.initial_states
+        improved = False
+        for name in names:
+            times, cost = _profile_likelihood(base, windows, result, name)
+            inside = np.flatnonzero(cost < cost.min() + LIKELIHOOD_DROP * base.reduced_chi2)
+            intervals[name] = (
+                float(times[max(inside[0] - 1, 0)]),
+                float(times[min(inside[-1] + 1, len(times) - 1)]),
+            )
+            if cost.min() < result.cost - 0.1 * base.reduced_chi2:
+                values[name], improved = float(times[np.argmin(cost)]), True
+                break  # the other time after a refit
+        if not improved:
+            break
+    clock, price = float(windows.flights[0].t[0]), float(np.log(windows.count))
+    delta_bic = (before.cost - result.cost) / base.reduced_chi2 - price * len(gated.parameters)
+    fitted, (since, end) = result.model.values, (ONSET, END[course])
+    low, high = (
+        {name: clock + intervals.get(name, (fitted[name],) * 2)[k] for name in (since, end)}
+        for k in (0, 1)
+    )
+    return Onset(
+        guess.effect, clock + fitted[since], low[since], high[since], delta_bic, result,
+        course, clock + fitted[end], low[end], high[end],
+    )  # fmt: skip
+
+
 def with_onset(effect: Effect, first: float, last: float) -> Effect:
     """The same effect with an onset in [first, last] [s], its parameter `acts_since`."""
     since = Parameter(ONSET, 0.5 * (first + last), first, last, "s", "time of onset")
+    return _with_gate(effect, (since,), lambda time, K: time >= K.acts_since)
+
+
+def with_course(effect: Effect, course: Course, first: float, last: float) -> Effect:
+    """The same effect with a course over the time, its times in [first, last] [s].
+
+    A step has `acts_since`; an on-off acts from `acts_since` to `acts_until`; a ramp grows evenly
+    from nothing at `acts_since` to its full size at `acts_fully_from`, and keeps it.
+    """
+    if course == "step":
+        return with_onset(effect, first, last)
+    since = Parameter(ONSET, first, first, last, "s", "time of onset")
+    end = Parameter(END[course], last, first, last, "s", "time of its end or of its full size")
+
+    def on_off(time: Any, K: Any) -> Any:
+        return (time >= K.acts_since) & (time < K.acts_until)
+
+    def ramp(time: Any, K: Any) -> Any:
+        length = np.maximum(K.acts_fully_from - K.acts_since, 1e-3)
+        return np.clip((time - K.acts_since) / length, 0.0, 1.0)
+
+    return _with_gate(effect, (since, end), on_off if course == "on-off" else ramp)
+
+
+def _with_gate(
+    effect: Effect, times: tuple[Parameter, ...], gate: Callable[[Any, Any], Any]
+) -> Effect:
+    """The same effect times gate(time, K), 0 to 1; its times are shape parameters."""
     loads, loads_of, wind, command_map = (
         effect.loads,
         effect.loads_of,
@@ -319,45 +553,51 @@ def with_onset(effect: Effect, first: float, last: float) -> Effect:
         effect.command_map,
     )
 
+    def gate_loads(function: LoadsFunction) -> LoadsFunction:
+        return lambda air, K: _scale(function(air, K), gate(air.time, K))
+
     def gated_wind(px: Any, py: Any, height: Any, time: Any, K: Any) -> Any:
-        return _gate(wind(px, py, height, time, K), time >= K.acts_since) if wind else ()
+        return _scale(wind(px, py, height, time, K), gate(time, K)) if wind else ()
 
     def gated_map(t: Array, commands: Array, K: Any) -> Array:
-        acting = (t >= K.acts_since)[:, None]
-        return np.where(acting, command_map(t, commands, K), commands) if command_map else commands
+        if command_map is None:
+            return commands
+        share = np.asarray(gate(t, K), dtype=np.float64)[:, None]
+        return commands + share * (command_map(t, commands, K) - commands)
 
     return replace(
         effect,
-        parameters=(*effect.parameters, since),
-        loads=_gate_loads(loads) if loads else None,
-        loads_of=(lambda terms: _gate_loads(loads_of(terms))) if loads_of else None,
+        parameters=(*effect.parameters, *times),
+        loads=gate_loads(loads) if loads else None,
+        loads_of=(lambda terms: gate_loads(loads_of(terms))) if loads_of else None,
         wind_field=gated_wind if wind else None,
         command_map=gated_map if command_map else None,
-        shape=(*effect.shape, ONSET),
+        shape=(*effect.shape, *(p.name for p in times)),
     )
 
 
-def _gate_loads(loads: LoadsFunction) -> LoadsFunction:
-    return lambda air, K: _gate(loads(air, K), air.time >= K.acts_since)
-
-
-def _gate(parts: tuple[Any, ...], on: Any) -> Any:
-    return tuple(part if type(part) is float and part == 0.0 else on * part for part in parts)
+def _scale(parts: tuple[Any, ...], share: Any) -> Any:
+    return tuple(part if type(part) is float and part == 0.0 else share * part for part in parts)
 
 
 def _profile_likelihood(
-    base: NominalModel, windows: Windows, result: FitResult
+    base: NominalModel, windows: Windows, result: FitResult, name: str = ONSET
 ) -> tuple[Array, Array]:
-    """Cost over the onset time at every row within two windows, all else free to first order.
+    """Cost over a time of the effect at every row within two windows, all else free to first order.
 
     Returns:
         times (C,) [s] and the cost of each (C,).
     """
-    here, at = result.model.values[ONSET], result.model.names.index(ONSET)
+    here, at = result.model.values[name], result.model.names.index(name)
     rows = np.unique(windows.nodes[1:-1])
     reach = 2.0 * float(windows.nodes[0, -1] - windows.nodes[0, 0])
     times = np.unique(np.append(rows[np.abs(rows - here) < reach], here))
-    near = np.flatnonzero((windows.nodes[:, -1] > times[0]) & (windows.nodes[:, 0] < times[-1]))
+    # A ramp differs between its two times as well.
+    ramp = [
+        result.model.values[n] for n in (ONSET, END["ramp"]) if END["ramp"] in result.model.values
+    ]
+    low, high = min([times[0], *ramp]), max([times[-1], *ramp])
+    near = np.flatnonzero((windows.nodes[:, -1] > low) & (windows.nodes[:, 0] < high))
     # Residuals at each onset time, all other values as fitted, in the windows where they differ.
     values = np.repeat(result.model.vector[:, None], len(times), axis=1)
     values[at] = times
@@ -384,6 +624,5 @@ def _profile_likelihood(
     cost = (
         np.sum(after**2, axis=(1, 2)) - np.sum(rest[near] ** 2) + np.sum(rest**2) + np.sum(pull**2)
     )
-    return times, np.asarray(
-        cost - np.sum(gradient.T * np.linalg.solve(normal, gradient.T), axis=0)
-    )
+    cost = cost - np.sum(gradient.T * np.linalg.solve(normal, gradient.T), axis=0)
+    return times, np.nan_to_num(cost, nan=np.inf)  # a time at which the flight diverges

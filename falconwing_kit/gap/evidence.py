@@ -12,28 +12,12 @@ import numpy as np
 from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.core.checks import Array
+from falconwing_kit.gap.linear_response import EffectVariant, Sensitivities, linear_response
 from falconwing_kit.sysid.fit import FitResult, Prior, prior_rows
-from falconwing_kit.sysid.shooting import Windows, finite_differences
+from falconwing_kit.sysid.shooting import Windows
 
-BATCH_SIZE = 8  # effects in one model, each of which computes the others' terms at zero
 # Share of an effect's signal outside the span of parameters and initial states: below, no evidence.
 MIN_EIGENVALUE = 1e-4
-
-
-@dataclass(frozen=True)
-class EffectVariant:
-    """An effect at one scan point: a place, an angle or a delay."""
-
-    effect: Effect
-    values: dict[str, float]  # its parameters there
-
-
-@dataclass(frozen=True)
-class Sensitivities:
-    """Derivatives of the residuals to a variant's A amplitudes."""
-
-    variant: EffectVariant
-    derivative: Array  # (W, R, A)
 
 
 @dataclass(frozen=True)
@@ -60,7 +44,7 @@ def effect_variants(catalogue: Sequence[Effect], windows: Windows) -> Iterator[E
 def sensitivities(
     model: Model, windows: Windows, starts: Array, tried: Sequence[EffectVariant]
 ) -> list[Sensitivities]:
-    """Sensitivities of the variants, each amplitude by a secant from zero to the variant's value.
+    """Sensitivities of the variants by the linearised flight; a shape stays at its scan point.
 
     Args:
         model: the aircraft without the effects.
@@ -68,44 +52,7 @@ def sensitivities(
         starts: (W, n_states) initial states.
         tried: the variants.
     """
-    effects = list({id(v.effect): v.effect for v in tried}.values())
-    found: dict[int, Sensitivities] = {}
-    for k in range(0, len(effects), BATCH_SIZE):
-        part = effects[k : k + BATCH_SIZE]
-        mine = [v for v in tried if any(v.effect is e for e in part)]
-        found |= dict(
-            zip(
-                map(id, mine), _batch_sensitivities(model, windows, starts, part, mine), strict=True
-            )
-        )
-    return [found[id(v)] for v in tried]
-
-
-def _batch_sensitivities(
-    model: Model,
-    windows: Windows,
-    starts: Array,
-    effects: Sequence[Effect],
-    tried: Sequence[EffectVariant],
-) -> list[Sensitivities]:
-    """The same for a few effects in one model, all variants flown together."""
-    for effect in effects:
-        model = model.with_effect(effect).with_values({p.name: 0.0 for p in effect.amplitudes})
-    # One column of parameter values per variant and amplitude, all other amplitudes zero.
-    cases = [
-        model.with_values(
-            {**v.values, **{q.name: 0.0 for q in v.effect.amplitudes}, p.name: v.values[p.name]}
-        ).vector
-        for v in tried
-        for p in v.effect.amplitudes
-    ]
-    differences = iter(finite_differences(model, windows, starts, np.stack(cases, axis=1)))
-    found = []
-    for v in tried:
-        columns = [next(differences) / v.values[p.name] for p in v.effect.amplitudes]
-        stacked = np.stack(columns, axis=-1)
-        found.append(Sensitivities(v, np.nan_to_num(stacked, posinf=0.0, neginf=0.0)))
-    return found
+    return list(linear_response(model, windows, starts).sensitivities(tried))
 
 
 @dataclass(frozen=True)
@@ -142,6 +89,25 @@ class SchurComplement:
             None,
         )
 
+    def inflation(self, effect: Sensitivities) -> float:
+        """Variance of an effect's score between windows over that of white residuals.
+
+        One where residuals are noise; more where the model errs alike all through a window, so that
+        the same chi2 means less [White 1980; Liang & Zeger 1986, clustered by window].
+        """
+        E = _project_out(self.Q, effect.derivative)
+        A = _regularise(np.einsum("wif,wig->fg", self.K, self.K, optimize=True) + self.prior)
+        B = np.einsum("wif,wik->fk", self.K, E, optimize=True)
+        E = E - self.K @ np.linalg.solve(A, B)  # what the parameters do not imitate
+        scores = np.einsum("wik,wi->wk", E, self.residual, optimize=True)
+        white = self.reduced_chi2 * np.einsum("wik,wil->kl", E, E, optimize=True)
+        clustered = scores.T @ scores * len(E) / max(len(E) - 1, 1)
+        if not (np.isfinite(white).all() and np.isfinite(clustered).all()):
+            return 1.0
+        size = np.sqrt(np.maximum(np.diag(white), 1e-30))
+        ratio = np.linalg.lstsq(white / np.outer(size, size), clustered / np.outer(size, size))[0]
+        return float(np.trace(ratio)) / len(size)
+
     def block_delta_chi2(self, effects: Sequence[Sensitivities], blocks: int = 3) -> Array:
         """Evidence that effects have on parts of a baseline flight: the false-alarm level.
 
@@ -163,7 +129,7 @@ class SchurComplement:
             known = (
                 np.einsum("wif,wig->fg", self.K[others], self.K[others], optimize=True) + self.prior
             )
-            known += 1e-9 * np.diag(np.diag(known))
+            known = _regularise(known)
             # Where the other parts alone would put the parameters.
             shift = -np.linalg.solve(
                 known, np.einsum("wif,wi->f", self.K[others], self.residual[others], optimize=True)
@@ -193,9 +159,11 @@ def _score_test(
     D = np.einsum("wik,wil->kl", E, E, optimize=True)
     g_K = np.einsum("wif,wi->f", K, r, optimize=True) if shift is not None else np.zeros(K.shape[2])
     g_E = np.einsum("wik,wi->k", E, r, optimize=True)
-    across = np.linalg.solve(A + 1e-9 * np.diag(np.diag(A)), np.column_stack([B, g_K]))
+    across = np.linalg.solve(_regularise(A), np.column_stack([B, g_K]))
     # Eliminate the parameters: S = D - B' A^-1 B, gradient g_E - B' A^-1 g_K.
     S, pull = D - B.T @ across[:, :-1], g_E - B.T @ across[:, -1]
+    if not (np.isfinite(S).all() and np.isfinite(pull).all()):
+        return ScoreTest(variant, 0.0, dict(variant.values))
     size = np.sqrt(np.maximum(np.diag(D), 1e-30))
     # Step in the eigenvectors that the parameters do not imitate.
     seen, along = np.linalg.eigh(S / np.outer(size, size))
@@ -206,6 +174,12 @@ def _score_test(
     return ScoreTest(
         variant, delta_chi2, {**variant.values, **dict(zip(names, step.tolist(), strict=True))}
     )
+
+
+def _regularise(A: Array) -> Array:
+    """A with a little more on its diagonal, and one where a parameter has no information at all."""
+    diagonal = np.diag(A)
+    return np.asarray(A + np.diag(np.where(diagonal > 0.0, 1e-9 * diagonal, 1.0)))
 
 
 def _project_out(Q: Array, J: Array) -> Array:

@@ -70,14 +70,21 @@ def replay(model: Model, windows: Windows, initial_states: Array | None = None) 
         initial_states: (W, n_states) first guess, or None for the windows' own.
     """
     residual = score(model, windows, initial_states).residual
-    known = {name: np.empty_like(windows.nodes) for name in VARIABLES}
+    variables = variables_of(windows)
+    return FlightReplay(
+        variables["time"], np.where(windows.weight > 0.0, residual, np.nan), variables
+    )
+
+
+def variables_of(windows: Windows) -> dict[str, Array]:
+    """The flight variables at every row of some windows: (W, L) each, the keys of VARIABLES."""
+    at_windows = {name: np.empty_like(windows.nodes) for name in VARIABLES}
     for number, flight in enumerate(windows.flights):
         mine = windows.flight == number
-        of_rows = _variables(flight)
         rows = nearest_index(flight.t - flight.t[0], windows.nodes[mine].ravel())
-        for name, values in of_rows.items():
-            known[name][mine] = values[rows].reshape(-1, windows.nodes.shape[1])
-    return FlightReplay(known["time"], np.where(windows.weight > 0.0, residual, np.nan), known)
+        for name, of_flight in _variables(flight).items():
+            at_windows[name][mine] = of_flight[rows].reshape(-1, windows.nodes.shape[1])
+    return at_windows
 
 
 def replay_baseline(base: NominalModel) -> FlightReplay:

@@ -3,7 +3,7 @@
 Effect identification (fault isolation) by BIC model selection [Schwarz 1978; Kass & Raftery 1995]:
 linear score-test scan of every effect, full fits of the best, decision. Verdicts:
 
-    named      one effect, or two together
+    named      one effect, or up to three together
     ambiguous  several within VERY_STRONG_EVIDENCE of the best
     none       residuals as in the baseline flight
     outside    residuals too large, but no catalogue effect accounts for them, or a generic effect
@@ -17,7 +17,8 @@ Symbols:
     chi2          cost per degree of freedom; 1 where measurement noise alone remains
     reduced_chi2  the baseline's chi2, at least 1: what noise and model error leave
     delta_chi2    reduction of the cost by an effect, in units of reduced_chi2
-    delta_bic     delta_chi2 less k ln(n) of the effect's k parameters and n measured components
+    delta_bic     delta_chi2 over the effect's variance factor, less k ln(n) of the effect's k
+                  parameters and n measured components
     excess_chi2   chi2 of the flight above the baseline's, without effects
 """
 
@@ -29,6 +30,7 @@ import numpy as np
 
 from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.effects import CATALOGUE
+from falconwing_kit.core.checks import Array
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.baseline import (
     GENERIC_EVIDENCE,
@@ -41,17 +43,16 @@ from falconwing_kit.gap.baseline import (
     degrees_of_freedom,
 )
 from falconwing_kit.gap.evidence import SchurComplement, effect_variants, sensitivities
-from falconwing_kit.gap.noise import whiten
+from falconwing_kit.gap.noise import robust_weights, whiten
 from falconwing_kit.sysid.fit import (
     FitResult,
     Prior,
     fit,
     fit_initial_states,
     prior_rows,
-    sqrt_huber_weight,
 )
 from falconwing_kit.sysid.prepare import PreparedTable, prepare
-from falconwing_kit.sysid.shooting import Windows, cut_windows
+from falconwing_kit.sysid.shooting import Windows, cut_windows, jacobian
 from falconwing_kit.sysid.uncertainty import uncertainty
 
 Verdict = Literal["named", "ambiguous", "none", "outside"]
@@ -61,12 +62,16 @@ REFITS = 5  # full fits after the linear scan at least; more while another effec
 COARSE_TOLERANCE = 2.0
 GENERIC_MARGIN = 0.1  # a generic effect must exceed the named ones by this share of their evidence
 # Share of an effect's delta_chi2 that an error of its formula leaves: (20 %)^2 of it, where the
-# formula is wrong by 20 % of the residuals that the effect causes.
-FORMULA_ERROR = 0.04
-# The same for what the effect does not act on: (3 %)^2, 3 % of those residuals.
-UNRELATED_FORMULA_ERROR = 0.001
+# formula is wrong by 20 % of the residuals that the effect causes; (30 %)^2 where the nominal model
+# itself had to be completed.
+FORMULA_ERROR, COMPLETED_FORMULA_ERROR = 0.04, 0.09
+# The same for what the effect does not act on: (3 %)^2, or (10 %)^2 of those residuals.
+UNRELATED_FORMULA_ERROR, COMPLETED_UNRELATED_ERROR = 0.001, 0.01
 MAX_REMAINING_SHARE = 0.5  # of the excess: an effect that leaves more is no explanation
+NO_EXCESS_SIGMAS = 3.0  # explained chi2 above this, but no excess: nothing new in this flight
 EXCESS_SIGMAS = 6.0  # chi2 above the baseline level by this many standard deviations is not chance
+MAX_EFFECTS = 3  # named together
+VISIBLE_SIGMAS = 3.0  # standard deviations of the flight's chi2 that a third effect must explain
 # Squared Mahalanobis distance per parameter: three standard deviations each is another aircraft.
 MAX_MAHALANOBIS = 9.0
 
@@ -87,7 +92,7 @@ class Naming:
     """The verdict and its evidence."""
 
     verdict: Verdict
-    chosen: tuple[EffectCandidate, ...]  # named: one or two; ambiguous: alternatives, best first
+    chosen: tuple[EffectCandidate, ...]  # named: one to three; ambiguous: alternatives, best first
     ranking: tuple[EffectCandidate, ...]  # every effect tried, best first
     threshold: float  # evidence required, from the baseline flight
     excess_chi2: float  # chi2 per degree of freedom above the baseline level, without effects
@@ -149,12 +154,21 @@ def _decide(
         rivals = tuple(c for c in near if best.effect.name not in c.effect.contains)
         verdict, chosen = ("ambiguous", (best, *rivals)) if rivals else ("named", (best,))
         if verdict == "named":
-            chosen = _add_second_effect(base, windows, before, best, catalogue, threshold, progress)
+            chosen = _add_further_effects(
+                base, windows, before, best, catalogue, threshold, progress
+            )
             ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
+    # No excess over the baseline, no name: the same effect may be in both flights.
+    if chosen and _is_in_both_flights(base, windows, chosen[0]):
+        verdict, chosen = "none", ()
     # Outside where the chosen effects leave most of the excess, or nothing explains it.
     adding_up = chosen if verdict == "named" else ranking[:1]
     explained_bic = sum(c.delta_bic for c in adding_up)
-    remaining_chi2 = excess_chi2 - sum(c.delta_chi2 for c in adding_up) * base.reduced_chi2 / dof
+    explained_chi2 = sum(c.delta_chi2 for c in adding_up) * base.reduced_chi2 / dof
+    remaining_chi2 = excess_chi2 - explained_chi2
+    if chosen and excess_chi2 <= 0.0 and explained_chi2 > NO_EXCESS_SIGMAS * error:
+        # So much would show as an excess over the baseline: the baseline has it too.
+        verdict, chosen = "none", ()
     if chosen and remaining_chi2 > max(EXCESS_SIGMAS * error, MAX_REMAINING_SHARE * excess_chi2):
         verdict, chosen = "outside", ()
     elif not chosen and excess_chi2 > EXCESS_SIGMAS * error:
@@ -189,6 +203,95 @@ def _decide(
     )
 
 
+def _is_in_both_flights(base: NominalModel, windows: Windows, found: EffectCandidate) -> bool:
+    """Whether an effect of one size in both flights explains them as well as one in the second."""
+    change = change_over_baseline(base, windows, found)
+    return change / base.inflation.get(found.effect.name, 1.0) < VERY_STRONG_EVIDENCE
+
+
+def change_over_baseline(base: NominalModel, windows: Windows, found: EffectCandidate) -> float:
+    """Chi2 by which an effect in the flight alone beats the same effect in both flights.
+
+    Both hypotheses are fitted to both flights at once, linearised with the effect as found:
+    parameters of the baseline, parameters of the flight, which drift from those by a day's change,
+    and one set of amplitudes, which act in the baseline too or do not. Likelihood ratio of two
+    models of equal size [Wilks 1938].
+
+    Args:
+        base: the nominal model, with the baseline flight.
+        windows: of the flight under test.
+        found: the effect as fitted in full to them.
+
+    Returns:
+        In units of the reduced chi2; infinite for an effect that was only scanned.
+    """
+    if found.result is None:
+        return float("inf")
+    amplitudes = [p.name for p in found.effect.amplitudes]
+    names = [base.result.model.names[i] for i in base.result.free]
+    with_effect = base.result.model.with_effect(found.effect).with_values(found.values)
+    free = tuple(with_effect.names.index(name) for name in (*names, *amplitudes))
+    seen = jacobian(with_effect, base.windows, base.result.initial_states, free)
+    # With the effect in the baseline flight too, and without; then in the flight.
+    in_both = _linear_problem(*seen, [*names, *amplitudes], names, amplitudes)
+    without = _linear_problem(*base.result.linear, names, names, amplitudes)
+    second_free = [found.result.model.names[i] for i in found.result.free]
+    second = _linear_problem(*found.result.linear, second_free, names, amplitudes)
+    rows, mean = prior_rows(base.result.model, base.result.free, base.weak)
+    drift = np.array([max(base.drift.get(name, np.inf), 1e-9) for name in names])
+    at_base = np.array([base.result.model.values[name] for name in names])
+    apart = np.array([found.result.model.values[name] for name in names]) - at_base
+    scale, F, k = np.sqrt(base.reduced_chi2), len(names), len(amplitudes)
+    costs = []
+    for first in (in_both, without):
+        # Unknowns: change of the baseline's parameters (F), of the flight's (F), of the amplitudes.
+        J = np.vstack(
+            [
+                np.insert(first.J, [F] * F, 0.0, axis=1) / scale,
+                np.insert(second.J, [0] * F, 0.0, axis=1) / scale,
+                np.hstack([rows, np.zeros((F, F + k))]),
+                np.hstack([-np.diag(1.0 / drift), np.diag(1.0 / drift), np.zeros((F, k))]),
+            ]
+        )
+        poses = np.concatenate([first.residual, second.residual]) / scale
+        residual = np.concatenate([poses, rows @ (at_base - mean), apart / drift])
+        unit = np.maximum(np.linalg.norm(J, axis=0), 1e-30)
+        step, *_ = np.linalg.lstsq(J / unit, -residual, rcond=1e-9)
+        costs.append(float(np.sum((residual + (J / unit) @ step) ** 2)))
+    return costs[0] - costs[1]
+
+
+@dataclass(frozen=True)
+class _LinearProblem:
+    """Residual (M,) and derivatives (M, F + k) outside the span of the initial states."""
+
+    J: Array
+    residual: Array
+
+
+def _linear_problem(
+    residual: Array,
+    of_parameters: Array,
+    of_states: Array,
+    free: Sequence[str],
+    names: Sequence[str],
+    amplitudes: Sequence[str],
+) -> _LinearProblem:
+    """From a linearisation with derivatives to `free`, in the order of names and amplitudes.
+
+    Columns of zeros for those that are not among them.
+    """
+    Q = np.linalg.qr(np.nan_to_num(of_states, posinf=0.0, neginf=0.0))[0]
+    joined = np.concatenate([of_parameters, residual[..., None]], axis=2)
+    joined = np.nan_to_num(joined, posinf=0.0, neginf=0.0)  # of a prediction that diverged
+    joined = (joined - Q @ (Q.transpose(0, 2, 1) @ joined)).reshape(-1, joined.shape[2])
+    J = np.zeros((len(joined), len(names) + len(amplitudes)))
+    for column, name in enumerate((*names, *amplitudes)):
+        if name in free:
+            J[:, column] = joined[:, list(free).index(name)]
+    return _LinearProblem(J, joined[:, -1])
+
+
 def _best_generic(
     base: NominalModel,
     windows: Windows,
@@ -215,7 +318,7 @@ def _prior_distance(result: FitResult, prior: Prior) -> tuple[float, int]:
     return float(np.sum(distance**2)), n_prior
 
 
-def _add_second_effect(
+def _add_further_effects(
     base: NominalModel,
     windows: Windows,
     before: FitResult,
@@ -224,40 +327,46 @@ def _add_second_effect(
     threshold: float,
     progress: Progress,
 ) -> tuple[EffectCandidate, ...]:
-    """The first effect and a second one, if any; the second alone where it explains both."""
-    second = _find_second_effect(base, windows, first, catalogue, threshold, progress)
-    if second is None or second.result is None:
-        return (first,)
-    confidence, values = uncertainty(second.result, windows, base.prior), second.result.model.values
-    sizes = [confidence.interval(p.name, values[p.name]) for p in first.effect.amplitudes]
-    if any(low * high > 0.0 for low, high in sizes):
-        return first, second
-    alone = _fit_effect(base, windows, before, second, progress)
-    return (alone,) if alone.delta_bic > first.delta_bic else (first, second)
+    """The first effect and up to two more; a second one alone where it explains both."""
+    chosen: tuple[EffectCandidate, ...] = (first,)
+    while len(chosen) < MAX_EFFECTS:
+        further = _find_further_effect(base, windows, chosen, catalogue, threshold, progress)
+        if further is None or further.result is None:
+            return chosen
+        if len(chosen) == 1:
+            confidence = uncertainty(further.result, windows, base.prior)
+            values = further.result.model.values
+            sizes = [confidence.interval(p.name, values[p.name]) for p in first.effect.amplitudes]
+            if not any(low * high > 0.0 for low, high in sizes):
+                alone = _fit_effect(base, windows, before, further, progress)
+                if alone.delta_bic > first.delta_bic:
+                    return (alone,)
+        chosen = (*chosen, further)
+    return chosen
 
 
-def _find_second_effect(
+def _find_further_effect(
     base: NominalModel,
     windows: Windows,
-    first: EffectCandidate,
+    chosen: tuple[EffectCandidate, ...],
     catalogue: Sequence[Effect],
     threshold: float,
     progress: Progress,
 ) -> EffectCandidate | None:
-    """A second effect in addition, where it explains more than an error of the first one's formula.
+    """One more effect, where it explains more than an error in the formula of one that was found.
 
-    An effect that acts on the same as the first (a lag beside a delay) would be that error.
+    An effect that acts on the same as one of those (a lag beside a delay) would be that error.
     """
-    rest = [e for e in catalogue if e.acts_on != first.effect.acts_on]
-    if first.result is None or not rest:
+    last = chosen[-1].result
+    rest = [e for e in catalogue if all(e.acts_on != c.effect.acts_on for c in chosen)]
+    if last is None or not rest:
         return None
-    if _scan(base, windows, first.result, rest, progress)[0].delta_bic < threshold:
+    if _scan(base, windows, last, rest, progress)[0].delta_bic < threshold:
         return None
-    best, *others = _rank(base, windows, first.result, rest, progress)
-    shared = set(best.effect.acts_on) & set(first.effect.acts_on)
-    needed = max(
-        threshold, (FORMULA_ERROR if shared else UNRELATED_FORMULA_ERROR) * first.delta_chi2
-    )
+    best, *others = _rank(base, windows, last, rest, progress)
+    needed = max(threshold, *(_formula_error(base, c, best.effect) for c in chosen))
+    if len(chosen) > 1:  # a third effect must show in the chi2 that two leave
+        needed = max(needed, VISIBLE_SIGMAS * np.sqrt(2.0 * degrees_of_freedom(windows, last)))
     rivals = [
         c
         for c in others
@@ -265,6 +374,16 @@ def _find_second_effect(
         and best.effect.name not in c.effect.contains
     ]
     return best if best.delta_bic > needed and not rivals else None
+
+
+def _formula_error(base: NominalModel, found: EffectCandidate, other: Effect) -> float:
+    """Evidence that an error in the formula of a found effect may lend to another one."""
+    was_completed = len(base.result.model.effects) > len(base.found.model.effects)
+    if set(other.acts_on) & set(found.effect.acts_on):
+        share = COMPLETED_FORMULA_ERROR if was_completed else FORMULA_ERROR
+    else:
+        share = COMPLETED_UNRELATED_ERROR if was_completed else UNRELATED_FORMULA_ERROR
+    return share * found.delta_chi2
 
 
 def _rank(
@@ -315,7 +434,8 @@ def _scan(
         before.model, windows, before.initial_states, list(effect_variants(catalogue, windows))
     ):
         effect, score = tried.variant.effect, reduced.score(tried)
-        delta_bic = score.delta_chi2 - bic_penalty(effect, windows)
+        evidence = score.delta_chi2 / base.inflation.get(effect.name, 1.0)
+        delta_bic = evidence - bic_penalty(effect, windows)
         if effect.name not in best or delta_bic > best[effect.name].delta_bic:
             best[effect.name] = EffectCandidate(
                 effect, delta_bic, score.delta_chi2, score.values, None
@@ -360,7 +480,7 @@ def _fit_effect(
         )
     gained = (before.cost - result.cost) / base.reduced_chi2
     found = {p.name: result.model.values[p.name] for p in effect.parameters}
-    delta_bic = gained - bic_penalty(effect, windows)
+    delta_bic = gained / base.inflation.get(effect.name, 1.0) - bic_penalty(effect, windows)
     return EffectCandidate(
         effect,
         delta_bic if _is_identifiable(effect, result, windows, base) else min(delta_bic, 0.0),
@@ -395,12 +515,14 @@ def fit_flight(base: NominalModel, prepared: PreparedTable) -> tuple[Windows, Fi
     """
     model = base.result.model
     unweighted = cut_windows(prepared.flights, model, base.window_s)
+    rows, interval = unweighted.nodes.shape[1], float(np.median(np.diff(unweighted.nodes)))
     initial_states, residual = fit_initial_states(
         model, unweighted, unweighted.initial_guess[:, : model.n_states]
     )
+    robust = robust_weights(residual, unweighted, base.noise)
     first = fit(
         model,
-        unweighted.scale_weights(sqrt_huber_weight(residual, unweighted)),
+        unweighted.scale_weights(robust / base.noise.deviation(rows, interval)),
         initial_states,
         prior=base.prior,
         tolerance=1.0,
@@ -414,5 +536,6 @@ def _update_weights(
     """Robust weights from the best model's residuals, and the nominal model fitted with them."""
     unweighted = base.with_measurement_weights(windows)
     _, residual = fit_initial_states(best.model, unweighted, best.initial_states)
-    weighted = whiten(unweighted.scale_weights(sqrt_huber_weight(residual, unweighted)), base.noise)
+    robust = robust_weights(residual, unweighted, base.noise)
+    weighted = whiten(unweighted.scale_weights(robust), base.noise)
     return weighted, fit(before.model, weighted, before.initial_states, prior=base.prior)

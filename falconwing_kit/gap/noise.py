@@ -1,10 +1,20 @@
-"""Pose noise: residuals of the baseline flight -> share of correlated noise, and whitening filters.
+"""Pose noise: residuals of the baseline flight -> correlated noise, model discrepancy, filters.
 
-Errors of camera poses are correlated in time: the same view gives the same error a moment later.
-Taken for white, such noise looks like small forces and raises false alarms. Each half of the pose
-(position, attitude) is white noise plus a correlated part, cov(lag) = s exp(-|lag| / tau).
-Restricted likelihood estimates s and tau and accounts for what the free initial states have
-absorbed [Patterson & Thompson 1971; Harville 1974].
+Two things make the residuals of neighbouring rows alike. Errors of camera poses are correlated in
+time: the same view gives the same error a moment later. And no model is exact: small accelerations
+that it lacks (gusts, unmodelled aerodynamics) add up over a window, the model discrepancy [Kennedy
+& O'Hagan 2001; Klein & Morelli, ch. 7]. Taken for white noise, both look like small forces and
+raise false alarms.
+
+Covariance of one channel over the rows t of a window, in units of its sigma^2:
+
+    (1 - s) I + s exp(-|t - t'| / tau) + d^2 D_k(t, t')
+
+D_k is the covariance of white noise integrated k times, scaled to a mean variance of one: k = 1 a
+random walk (velocity noise), k = 2 accelerations that act on position or attitude, k = 3 rates of
+change of these. Position and attitude have their own s, tau, d and k. Restricted likelihood
+estimates them and accounts for what the free initial states have absorbed [Patterson & Thompson
+1971; Harville 1974].
 """
 
 from dataclasses import dataclass, replace
@@ -12,94 +22,192 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from falconwing_kit.core.checks import Array
-from falconwing_kit.sysid.fit import FitResult
+from falconwing_kit.sysid.fit import HUBER, FitResult
 from falconwing_kit.sysid.shooting import Windows, pose_residuals
 
 # Grid of the likelihood: shares of correlated variance, correlation times.
 SHARES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
-MIN_MEASURED_SHARE = 0.8  # share of rows with a pose that a filter over rows needs
 TIMES_S = (0.15, 0.3, 0.5, 0.8, 1.3)
+SIZES = tuple(float(d) for d in np.geomspace(0.5, 500.0, 16))  # of the discrepancy [sigma]
+ORDERS = (1, 2, 3)
+COMPLETE_SHARE = 0.5  # of the windows without a missing pose, above which others are left out
+# Twice the log likelihood that a discrepancy must gain: "very strong" for each of size and order.
+DISCREPANCY_EVIDENCE = 20.0
 
 
 @dataclass(frozen=True)
 class PoseNoiseModel:
-    """Time correlation of the pose noise, of position and of attitude."""
+    """Covariance of the residuals over a window, of position and of attitude."""
 
-    share: tuple[float, float]  # of the variance that is correlated
+    share: tuple[float, float]  # of the noise variance that is correlated
     time: tuple[float, float]  # its correlation time [s]
+    discrepancy: tuple[float, float] = (0.0, 0.0)  # root mean variance of the discrepancy [sigma]
+    order: tuple[int, int] = (2, 2)  # how many times white noise is integrated
+    variance: float = 1.0  # of all, relative to sigma^2; other than 1 only with a discrepancy
+
+    @property
+    def is_white(self) -> bool:
+        """Whether there is neither correlation nor discrepancy."""
+        return self.share == (0.0, 0.0) and self.discrepancy == (0.0, 0.0)
+
+    def covariance(self, rows: int, interval: float) -> Array:
+        """(2, L, L) covariance of position and of attitude over L rows this far apart [s]."""
+        lag = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows))) * interval
+        halves = []
+        for share, time, size, order in zip(
+            self.share, self.time, self.discrepancy, self.order, strict=True
+        ):
+            half = (1.0 - share) * np.eye(rows) + share * np.exp(-lag / time)
+            if size > 0.0:
+                half = half + size**2 * _integrated_noise(rows, order)
+            halves.append(self.variance * half)
+        return np.stack(halves)
+
+    def deviation(self, rows: int, interval: float) -> Array:
+        """(L, 6) standard deviation of each row and channel, in units of its sigma."""
+        marginal = np.einsum("hll->hl", self.covariance(rows, interval))
+        return np.asarray(np.sqrt(np.repeat(marginal, 3, axis=0)).T)
 
     def whitening(self, rows: int, interval: float) -> Array:
         """(6, L, L) lower triangular filters, one per channel, for L rows this interval apart [s].
 
-        Each is the inverse Cholesky factor of the correlation matrix: white noise, same variance.
+        Each is the inverse Cholesky factor of the covariance: white noise of unit variance.
         """
-        lag = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows))) * interval
-        filters = []
-        for share, time in zip(self.share, self.time, strict=True):
-            covariance = (1.0 - share) * np.eye(rows) + share * np.exp(-lag / time)
-            filters += [np.linalg.inv(np.linalg.cholesky(covariance))] * 3
-        return np.stack(filters)
+        halves = np.linalg.inv(np.linalg.cholesky(self.covariance(rows, interval)))
+        return np.repeat(halves, 3, axis=0)
+
+
+WHITE = PoseNoiseModel((0.0, 0.0), (0.5, 0.5))
 
 
 def find_pose_noise(result: FitResult, windows: Windows) -> PoseNoiseModel:
-    """Estimate share and time of the correlated noise from a fit without whitening.
+    """Estimate correlated noise and model discrepancy from a fit without whitening.
 
-    The largest restricted likelihood on a grid, position and attitude in turn. White where many
-    rows have no pose, since the filter needs neighbouring rows.
+    The largest restricted likelihood on a grid, position and attitude in turn: first without a
+    discrepancy, then with one, which must gain DISCREPANCY_EVIDENCE.
     """
-    if np.mean(windows.weight > 0.0) < MIN_MEASURED_SHARE:
-        return PoseNoiseModel((0.0, 0.0), (0.5, 0.5))
     interval = float(np.median(np.diff(windows.nodes)))
     shape = windows.weight.shape
     residual = pose_residuals(result.residual, windows)
     slopes = result.initial_state_jacobian[:, : windows.weight[0].size].reshape(*shape, -1)
-    best = PoseNoiseModel((0.0, 0.0), (0.5, 0.5))
-    best_cost = _restricted_cost(best, residual, slopes, windows, interval)
-    for _ in range(2):
-        for half in (0, 1):
-            for share in SHARES:
-                for time in TIMES_S if share else TIMES_S[:1]:
-                    trial = replace(
-                        best,
-                        share=_replace_half(best.share, half, share),
-                        time=_replace_half(best.time, half, time),
-                    )
-                    cost = _restricted_cost(trial, residual, slopes, windows, interval)
-                    if cost < best_cost:
-                        best, best_cost = trial, cost
-    return best
+    finite = np.isfinite(residual).all(axis=(1, 2)) & np.isfinite(slopes).all(axis=(1, 2, 3))
+    # Windows without a missing pose share one filter, so they are enough where they are many.
+    complete = finite & (windows.weight > 0.0).all(axis=(1, 2))
+    used = complete if np.mean(complete) >= COMPLETE_SHARE else finite
+    data = _Residuals(residual[used], slopes[used], windows.weight[used] > 0.0, interval)
+    best = _search(data, WHITE, [{"share": s, "time": t} for s in SHARES for t in TIMES_S])
+    sizes = [{"discrepancy": d, "order": k} for k in ORDERS for d in SIZES]
+    other = _search(data, best, sizes)
+    if data.deviance(best)[0] - data.deviance(other)[0] < DISCREPANCY_EVIDENCE:
+        return best
+    # With the discrepancy known, the correlated noise anew, then the discrepancy once more.
+    other = _search(data, other, [{"share": s, "time": t} for s in SHARES for t in TIMES_S])
+    other = _search(data, other, sizes)
+    return replace(other, variance=data.deviance(other)[1])
 
 
 def whiten(windows: Windows, noise: PoseNoiseModel) -> Windows:
-    """The same windows with the filter that whitens their residuals."""
-    if noise.share == (0.0, 0.0):
+    """The same windows with the filters that whiten their residuals.
+
+    One filter per channel where every row has a pose; else one per window and channel too, of the
+    rows with a pose alone.
+    """
+    if noise.is_white:
         return windows
-    return replace(
-        windows,
-        whitening=noise.whitening(windows.nodes.shape[1], float(np.median(np.diff(windows.nodes)))),
-    )
+    rows, interval = windows.nodes.shape[1], float(np.median(np.diff(windows.nodes)))
+    measured = windows.weight > 0.0
+    if measured.all():
+        return replace(windows, whitening=noise.whitening(rows, interval))
+    halves = measured[..., [0, 3]].transpose(0, 2, 1)  # (W, 2, L)
+    filters = _masked_filters(noise.covariance(rows, interval), halves)
+    return replace(windows, whitening=np.repeat(filters, 3, axis=1))
+
+
+def robust_weights(residual: Array, windows: Windows, noise: PoseNoiseModel) -> Array:
+    """Square root of Huber's weight (W, L, 6): 1 within HUBER standard deviations of each row.
+
+    Args:
+        residual: (W, R) as of `shooting.residuals`, without whitening.
+        windows: W windows without whitening.
+        noise: gives the standard deviation of a row.
+    """
+    rows, interval = windows.nodes.shape[1], float(np.median(np.diff(windows.nodes)))
+    size = np.abs(pose_residuals(residual, windows)) / noise.deviation(rows, interval)
+    return np.sqrt(np.minimum(1.0, HUBER / np.maximum(size, 1e-9)))
+
+
+def _integrated_noise(rows: int, order: int) -> Array:
+    """(L, L) covariance of white noise integrated `order` times from rest, mean variance one."""
+    once = np.tril(np.ones((rows, rows)), -1)
+    integral = np.linalg.matrix_power(once, order)
+    covariance = integral @ integral.T
+    return np.asarray(covariance / max(np.trace(covariance) / rows, 1e-300))
+
+
+def _masked_filters(covariance: Array, measured: np.ndarray) -> Array:
+    """Whitening filters (W, 2, L, L) of the measured rows (W, 2, L); zero for the others."""
+    both = measured[..., :, None] & measured[..., None, :]
+    rows = np.eye(covariance.shape[-1])
+    # Rows without a pose become independent of all others, so that one inverse serves all windows.
+    filters = np.linalg.inv(np.linalg.cholesky(np.where(both, covariance, rows)))
+    return np.where(both, filters, 0.0)
+
+
+@dataclass(frozen=True)
+class _Residuals:
+    """Residuals of W windows and their derivatives to the initial states, for the likelihood."""
+
+    residual: Array  # (W, L, 6) [sigma], zero where not measured
+    slopes: Array  # (W, L, 6, n)
+    measured: np.ndarray  # (W, L, 6)
+    interval: float  # between rows [s]
+
+    def deviance(self, noise: PoseNoiseModel) -> tuple[float, float]:
+        """-2 log restricted likelihood, up to a constant, and the common variance it takes."""
+        windows, rows = self.residual.shape[:2]
+        covariance = noise.covariance(rows, self.interval)
+        if self.measured.all():
+            filters = np.linalg.inv(np.linalg.cholesky(covariance))[None]  # (1, 2, L, L)
+            repeated = float(windows)
+        else:
+            filters = _masked_filters(covariance, self.measured[..., [0, 3]].transpose(0, 2, 1))
+            repeated = 1.0
+        # Filter each half: (W, 2, L, L) @ (W, 2, L, 3 (1 + n)).
+        joined = np.concatenate([self.residual[..., None], self.slopes], axis=-1)
+        halves = joined.reshape(windows, rows, 2, -1).transpose(0, 2, 1, 3)
+        white = (filters @ halves).reshape(windows, 2 * rows * 3, -1)
+        residual, J = white[..., 0], white[..., 1:]
+        # Residual outside the span of the initial states, and the two determinants.
+        Q, R = np.linalg.qr(J)
+        squares = np.sum(residual**2) - np.sum(np.einsum("win,wi->wn", Q, residual) ** 2)
+        diagonal = np.einsum("whll->whl", filters)
+        log_filter = -2.0 * 3.0 * repeated * float(np.sum(np.log(diagonal[diagonal > 0.0])))
+        log_starts = 2.0 * float(np.sum(np.log(np.abs(np.einsum("wnn->wn", R)) + 1e-300)))
+        dof = max(int(np.count_nonzero(self.measured)) - windows * J.shape[2], 1)
+        variance = max(float(squares) / dof, 1e-300)
+        return dof * float(np.log(variance)) + log_filter + log_starts, variance
+
+
+def _search(
+    data: _Residuals, start: PoseNoiseModel, grid: list[dict[str, float | int]]
+) -> PoseNoiseModel:
+    """The best model with one half's fields replaced by those of a grid point, halves in turn."""
+    best, least = start, data.deviance(start)[0]
+    for _ in range(2):
+        before = best
+        for half in (0, 1):
+            for point in grid:
+                changed = {
+                    name: _replace_half(getattr(best, name), half, value)
+                    for name, value in point.items()
+                }
+                trial = replace(best, **changed)  # type: ignore[arg-type]
+                if (deviance := data.deviance(trial)[0]) < least:
+                    best, least = trial, deviance
+        if best == before:
+            break
+    return best
 
 
 def _replace_half(pair: tuple[float, float], half: int, value: float) -> tuple[float, float]:
     return (value, pair[1]) if half == 0 else (pair[0], value)
-
-
-def _restricted_cost(
-    noise: PoseNoiseModel, residual: Array, slopes: Array, windows: Windows, interval: float
-) -> float:
-    """-2 log restricted likelihood, up to a constant, with a common free variance."""
-    filters = noise.whitening(residual.shape[1], interval)
-    count = len(residual)
-    white = np.einsum("klm,wmk->wlk", filters, residual, optimize=True).reshape(count, -1)
-    J = np.einsum("klm,wmkn->wlkn", filters, slopes, optimize=True).reshape(
-        count, white.shape[1], -1
-    )
-    # Residual outside the span of the initial states, and the two determinants of the likelihood.
-    Q, R = np.linalg.qr(J)
-    residual_squares = np.sum(white**2) - np.sum(np.einsum("win,wi->wn", Q, white) ** 2)
-    log_filter = -2.0 * sum(float(np.sum(np.log(np.diag(f)))) for f in filters) * count
-    log_starts = 2.0 * float(np.sum(np.log(np.abs(np.einsum("wnn->wn", R)) + 1e-300)))
-    degrees_of_freedom = windows.count - count * J.shape[2]
-    return float(
-        degrees_of_freedom * np.log(residual_squares / degrees_of_freedom) + log_filter + log_starts
-    )

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,13 +12,14 @@ import numpy as np
 from falconwing_kit.aircraft.airframe import Airframe
 from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.effects import CATALOGUE
-from falconwing_kit.aircraft.model import rates_model, scale_model
+from falconwing_kit.aircraft.model import Model, rates_model, scale_model
 from falconwing_kit.aircraft.user_file import require_effects
-from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import FlightTable, nominal_rate_hz
 from falconwing_kit.gap.advice import headline, next_flight
 from falconwing_kit.gap.baseline import VERY_STRONG_EVIDENCE, NominalModel, identify_baseline
 from falconwing_kit.gap.close import GapClosure, Onset, close_gap, name_with_onset
+from falconwing_kit.gap.discrepancy import Discrepancy, discrepancy_record, find_discrepancy
 from falconwing_kit.gap.measure import (
     FlightReplay,
     ResidualBin,
@@ -27,6 +28,7 @@ from falconwing_kit.gap.measure import (
     residual_map,
 )
 from falconwing_kit.gap.name import MAX_MAHALANOBIS, Naming
+from falconwing_kit.sysid.diagnose import diagnose_pair, require_sound_table
 
 SHORTEST_S = 20.0
 SAME_RATE = 0.1  # relative: cameras of one kind differ by less
@@ -40,13 +42,17 @@ Progress = Callable[[str], None]
 class Study:
     """Two flights of one aircraft, and what may be missing in its model.
 
-    `effects` are tried beside the catalogue; an airframe scales the start of the baseline's fit.
+    The baseline may be several flights. `effects` are tried beside the catalogue. The baseline's
+    fit starts from `model`, or from one scaled to the airframe or to the speed flown; `sigma` (6,)
+    is the noise of the poses [m, rad] where it is known.
     """
 
-    baseline: FlightTable
+    baseline: FlightTable | Sequence[FlightTable]
     flight: FlightTable
     airframe: Airframe | None = None
     effects: Sequence[Effect] = ()
+    model: Model | None = None
+    sigma: Array | None = None
 
     @cached_property
     def result(self) -> "GapStudy":
@@ -56,8 +62,9 @@ class Study:
             InputError: a flight cannot be used, or an effect clashes with the catalogue.
         """
         return study_gap(
-            self.baseline, self.flight, effects=tuple(self.effects), airframe=self.airframe
-        )
+            self.baseline, self.flight, effects=tuple(self.effects), airframe=self.airframe,
+            model=self.model, sigma=self.sigma,
+        )  # fmt: skip
 
     def report(self) -> dict[str, Any]:
         """The record that report.json holds."""
@@ -78,48 +85,81 @@ class GapStudy:
     since: Onset | None = None  # when it set in; naming and closing are then of the time after it
     seconds: dict[str, float] = field(default_factory=dict)  # per stage
     catalogue: tuple[Effect, ...] = CATALOGUE  # the effects that were tried
+    faults: tuple[str, ...] = ()  # likely mistakes in the tables, one sentence each
+    discrepancy: Discrepancy | None = None  # terms without a name, where the verdict is outside
 
 
 def study_gap(
-    calm: FlightTable,
+    calm: FlightTable | Sequence[FlightTable],
     flight: FlightTable,
     progress: Progress = lambda stage: None,
     effects: tuple[Effect, ...] = (),
     airframe: Airframe | None = None,
+    model: Model | None = None,
+    sigma: Array | None = None,
 ) -> GapStudy:
     """Do all the work of a report, write nothing.
 
     Args:
-        calm: the baseline flight.
+        calm: the baseline flight, or several.
         flight: the flight under test.
         progress: called with the name of each stage.
         effects: tried beside the catalogue.
-        airframe: scales the model that the baseline's fit starts from; None for 150 g.
+        airframe: scales the model that the baseline's fit starts from; None: by the speed flown.
+        model: the fit starts from it instead.
+        sigma: (6,) noise of the poses [m, rad] if known.
 
     Raises:
         InputError: a flight cannot be used, or an effect clashes with the catalogue.
     """
-    require_pair(calm, flight)
+    calms = (calm,) if isinstance(calm, FlightTable) else tuple(calm)
+    if not calms:
+        raise InputError("calm flights: expected at least one flight table, got none")
+    for one in calms:
+        require_pair(one, flight)
+    for table in (*calms, flight):
+        require_sound_table(table)
     require_effects(effects)
     catalogue = (*CATALOGUE, *effects)
-    start = None
-    if airframe is not None:
+    start = model
+    if airframe is not None and model is None:
         start = scale_model(rates_model(), airframe.mass, airframe.wing_area, airframe.span)
+    faults = [fault.sentence for one in calms for fault in diagnose_pair(one, flight)]
     clock = [time.perf_counter()]
-    base = identify_baseline(calm, progress, catalogue, start)
+    base = identify_baseline(calms, progress, catalogue, start, sigma)
     clock.append(time.perf_counter())
     naming, since = name_with_onset(base, flight, catalogue, progress)
     clock.append(time.perf_counter())
     progress("closing the gap")
     closed = close_gap(base, naming)
     clock.append(time.perf_counter())
+    discrepancy = None
+    if naming.verdict == "outside":
+        discrepancy = find_discrepancy(base, naming, closed, catalogue, progress)
+    if discrepancy is not None:
+        closed = replace(
+            closed, after=discrepancy.after, model=discrepancy.model,
+            confidence=discrepancy.confidence,
+        )  # fmt: skip
     progress("where it disagrees")
     replays = replay_baseline(base), replay_flight(base, naming)
     residual_bins = residual_map(replays[1], replays[0])
     clock.append(time.perf_counter())
     seconds = dict(zip(("calm", "name", "close", "measure"), np.diff(clock).tolist(), strict=True))
-    names = calm.name, flight.name
-    return GapStudy(base, naming, closed, *replays, residual_bins, names, since, seconds, catalogue)
+    names = ", ".join(one.name for one in calms), flight.name
+    return GapStudy(
+        base,
+        naming,
+        closed,
+        *replays,
+        residual_bins,
+        names,
+        since,
+        seconds,
+        catalogue,
+        tuple(faults),
+        discrepancy,
+    )
 
 
 def require_pair(calm: FlightTable, flight: FlightTable) -> None:
@@ -199,6 +239,7 @@ def gap_record(study: GapStudy) -> dict[str, Any]:
         },
         "warnings": _warnings(study),
         "seconds": study.seconds,
+        **({"discrepancy": discrepancy_record(study.discrepancy)} if study.discrepancy else {}),
     }
 
 
@@ -241,6 +282,7 @@ def _ranking(naming: Naming, catalogue: Sequence[Effect]) -> list[dict[str, Any]
 def _warnings(study: GapStudy) -> list[str]:
     said = [f"calm flight: {w}" for w in study.base.found.warnings]
     said += [f"flight: {w}" for w in study.naming.prepared.warnings]
+    said += study.faults
     if added := added_effects(study.base):
         said.append(
             "the calm flight showed loads that the model's terms lack; added to the base: "
@@ -256,9 +298,9 @@ def _warnings(study: GapStudy) -> list[str]:
 
 
 def added_effects(base: NominalModel) -> tuple[str, ...]:
-    """The generic effects that the nominal model was completed with."""
-    had = {term.name for term in base.found.model.terms}
-    return tuple(term.name for term in base.result.model.terms if term.name not in had)
+    """The effects that the nominal model was completed with."""
+    before = len(base.found.model.effects)
+    return tuple(effect.name for effect in base.result.model.effects[before:])
 
 
 def mismatch_text(study: GapStudy) -> str:

@@ -12,7 +12,7 @@ from falconwing_kit.aircraft.integrate import roll_out
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.gap.advice import (
     COMPARISON_S,
-    MANOEUVRES,
+    DIAGNOSIS_MANOEUVRES,
     Advice,
     advise,
     manoeuvre_windows,
@@ -164,7 +164,7 @@ def test_a_stream_of_air_is_flown_through():
         own_base(),
         quiet().windows,
         np.array([5.0, 2.0]),
-        [m for m in MANOEUVRES if m.name == "passes"],
+        [m for m in DIAGNOSIS_MANOEUVRES if m.name == "passes"],
     )
     assert len(windows) == len(passes.legs)
     middles = windows.pose[:, windows.pose.shape[1] // 2, :2]
@@ -194,7 +194,7 @@ def difference(true: str, fitted: str, manoeuvre: str) -> float:
     base, model = own_base(), own_base().result.model
     flown, initial_states = quiet().windows, quiet().before.initial_states
     ahead, (known,) = manoeuvre_windows(
-        base, flown, None, [m for m in MANOEUVRES if m.name == manoeuvre]
+        base, flown, None, [m for m in DIAGNOSIS_MANOEUVRES if m.name == manoeuvre]
     )
     longer = ahead.scale_weights(
         np.full(ahead.weight.shape, np.sqrt(COMPARISON_S / (2.0 * len(known.legs))))
@@ -239,7 +239,7 @@ def test_no_manoeuvre_parts_a_delay_from_late_time_stamps(manoeuvre):
     base, late = own_base(), 4
     model = base.result.model
     windows, _ = manoeuvre_windows(
-        base, quiet().windows, None, [m for m in MANOEUVRES if m.name == manoeuvre]
+        base, quiet().windows, None, [m for m in DIAGNOSIS_MANOEUVRES if m.name == manoeuvre]
     )
     seen, initial_states = late_poses(base, windows, late)
     windows = replace(windows, pose=seen, initial_guess=padded(initial_states))
@@ -301,7 +301,7 @@ def test_an_aircraft_without_thrust_gets_no_manoeuvre_but_a_sentence():
 def test_the_library_can_be_flown_by_the_own_aircraft():
     """Every manoeuvre, within 75 deg of bank and pitch, above the floor, below a ceiling of 5 m."""
     windows, flown = manoeuvre_windows(own_base(), quiet().windows)
-    assert flown == MANOEUVRES
+    assert flown == DIAGNOSIS_MANOEUVRES
     assert len(windows) == sum(len(m.legs) for m in flown)
     assert np.abs(windows.pose[..., 3:5]).max() < np.radians(75.0)
     assert windows.pose[..., 2].min() > 0.0

@@ -2,13 +2,23 @@
 which it set in.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from falconwing_kit.core.flight_table import FlightTable, slice_time
-from falconwing_kit.gap.close import close_gap, find_onset, name_with_onset, with_onset
+from falconwing_kit.gap.baseline import bic_penalty
+from falconwing_kit.gap.close import (
+    close_gap,
+    find_course,
+    find_onset,
+    name_with_onset,
+    with_course,
+    with_onset,
+)
 from falconwing_kit.gap.name import EffectCandidate, name_effect
 from falconwing_kit.sysid.fit import FitResult, fit, fit_initial_states
 from falconwing_kit.sysid.prepare import prepare
@@ -64,8 +74,15 @@ def test_short_calm_flight_changes_nothing():
 
 
 def failing(name: str, since: float, seconds: float, seed: int, **values: float) -> FlightTable:
-    """A flight of the own aircraft in which an effect sets in: its loads are cut off before, by a
-    formula of the test's own on 10 ms steps.
+    """A flight of the own aircraft in which an effect sets in."""
+    return changing(name, lambda time: time >= since, seconds, seed, **values)
+
+
+def changing(
+    name: str, share: Callable[[Any], Any], seconds: float, seed: int, **values: float
+) -> FlightTable:
+    """A flight of the own aircraft in which an effect acts by a share of the time: its loads times
+    that, by a formula of the test's own on 10 ms steps.
     """
     effect, rng = EFFECTS[name], np.random.default_rng(seed)
     hook = "loads" if effect.loads else "wind_field"
@@ -73,7 +90,7 @@ def failing(name: str, since: float, seconds: float, seed: int, **values: float)
     clock = (lambda air, K: air.time) if effect.loads else (lambda px, py, height, time, K: time)
 
     def late(*flow):
-        return tuple(np.where(clock(*flow) < since, 0.0, load) for load in part(*flow))
+        return tuple(share(clock(*flow)) * load for load in part(*flow))
 
     cut = replace(effect, **{hook: late})
     model = own_aircraft().with_effect(cut).with_values(values)
@@ -138,6 +155,7 @@ def test_onset_is_found_to_a_fraction_of_a_window(name, since, seed, values):
     )
     assert onset is not None and onset.effect.name == name
     assert onset.time == pytest.approx(since, abs=0.3)
+    assert find_course(own_base(), windows, before, possible(name), onset) is onset
     assert onset.low95 <= onset.time <= onset.high95 and onset.high95 - onset.low95 < 1.0
     for parameter, value in values.items():
         assert onset.result.model.values[parameter] == pytest.approx(value, rel=0.2)
@@ -146,16 +164,55 @@ def test_onset_is_found_to_a_fraction_of_a_window(name, since, seed, values):
     assert onset.delta_bic > (before.cost - whole.cost) / own_base().reduced_chi2 + 100.0
 
 
+@pytest.mark.parametrize(
+    ("name", "course", "begin", "end", "tolerance", "values"),
+    [
+        ("wind", "on-off", 14.3, 31.7, 0.4, {"wind_x": 0.5, "wind_y": -0.3}),
+        ("extra_drag", "ramp", 12.0, 32.0, 3.0, {"drag_added": 0.01}),
+    ],
+)
+def test_effect_that_stops_or_grows_has_two_times(name, course, begin, end, tolerance, values):
+    """Planted in 45 s: a wind that blows for 17 s, and drag that grows over 20 s. Both times, to
+    three standard deviations, and the full size; both beat an onset alone by more than a name asks.
+    """
+    planted = {
+        "on-off": lambda t: (t >= begin) & (t < end),
+        "ramp": lambda t: np.clip((t - begin) / (end - begin), 0.0, 1.0),
+    }
+    windows, before = fitted(changing(name, planted[course], 45.0, 51, **values))
+    tried = possible(name, "propeller_torque")
+    onset = find_onset(own_base(), windows, before, tried)
+    found = find_course(own_base(), windows, before, tried, onset)
+    assert (found.effect.name, found.course) == (name, course)
+    assert found.time == pytest.approx(begin, abs=tolerance)
+    assert found.end == pytest.approx(end, abs=tolerance)
+    assert found.low95 <= found.time <= found.high95
+    assert found.end_low95 <= found.end <= found.end_high95
+    assert found.delta_bic > onset.delta_bic + 50.0
+    for parameter, value in values.items():
+        assert found.result.model.values[parameter] == pytest.approx(value, rel=0.1)
+
+
+def test_share_of_a_course_by_hand():
+    """Neutral moved by 0.2, on from 1 to 3 s, or growing from 1 to 3 s: at 0, 1, 2, 3 and 4 s."""
+    t, sticks = np.arange(5.0), np.zeros((5, 4))
+    on_off, ramp = (with_course(EFFECTS["trim_bias"], c, 0.0, 4.0) for c in ("on-off", "ramp"))
+    times = {"acts_since": 1.0, "bias_aileron": 0.2}
+    K = own_aircraft().with_effect(on_off).with_values({**times, "acts_until": 3.0}).K
+    assert on_off.command_map(t, sticks, K)[:, 1] == pytest.approx([0.0, 0.2, 0.2, 0.0, 0.0])
+    K = own_aircraft().with_effect(ramp).with_values({**times, "acts_fully_from": 3.0}).K
+    assert ramp.command_map(t, sticks, K)[:, 1] == pytest.approx([0.0, 0.0, 0.1, 0.2, 0.2])
+
+
 def test_effect_of_the_whole_flight_gets_no_onset():
     """The shipped case's wind blows from the first second on (its truth.json): a later start
     explains less.
     """
     study = wind_study()
-    onset = find_onset(study.base, study.naming.windows, study.naming.before, study.naming.chosen)
-    assert (
-        onset is not None
-        and onset.delta_bic < study.naming.chosen[0].delta_bic + study.naming.threshold
-    )
+    base, naming, (wind,) = study.base, study.naming, study.naming.chosen
+    onset = find_onset(base, naming.windows, naming.before, naming.chosen)
+    all_along = wind.delta_chi2 - bic_penalty(wind.effect, naming.windows)
+    assert onset is not None and onset.delta_bic < all_along + naming.threshold
     assert study.since is None
 
 

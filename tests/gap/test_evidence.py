@@ -106,3 +106,19 @@ def test_a_scan_leaves_out_what_another_effect_stands_for():
     assert "time_offset" not in names
     assert names.count("fan_jet") == 28  # 7 by 4
     assert set(names) == set(EFFECTS) - {"time_offset"}
+
+
+def test_error_that_a_window_shares_inflates_the_variance():
+    """White residuals: one, within four standard errors. One error for all 20 rows of a window and
+    an effect that is alike in them: the sum has 20 times the variance of white residuals.
+    """
+    rng, windows, rows = np.random.default_rng(3), 400, 20
+    shared = np.repeat(rng.normal(size=(windows, 1)), rows, axis=1)
+    for residual, expected in ((rng.normal(size=(windows, rows)), 1.0), (shared, 20.0)):
+        fitted = SchurComplement(
+            Q=np.zeros((windows, rows, 1)), K=np.zeros((windows, rows, 1)), residual=residual,
+            prior=np.eye(1), reduced_chi2=1.0,
+        )  # fmt: skip
+        effect = Sensitivities(EffectVariant(EFFECTS["wind"], {}), np.ones((windows, rows, 1)))
+        found = fitted.inflation(effect)
+        assert found == pytest.approx(expected, rel=4.0 * np.sqrt(2.0 / windows))

@@ -2,13 +2,16 @@
 another name.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.flight_table import slice_time
-from falconwing_kit.gap.baseline import identify_baseline
-from falconwing_kit.gap.name import name_effect
+from falconwing_kit.gap.baseline import VERY_STRONG_EVIDENCE, identify_baseline
+from falconwing_kit.gap.name import change_over_baseline, name_effect
+from falconwing_kit.sysid.fit import fit
 from tests.gap.studies import EFFECTS, own_aircraft, own_base, own_flight, shipped, wind_study
 from tests.sysid.simulated import fly_figure_eights, measured
 
@@ -125,3 +128,28 @@ def test_base_takes_in_what_the_calm_flight_shows_it_to_lack():
     assert base.result.model.values["moment_throttle_and_elevator_y"] == pytest.approx(5.0, rel=0.2)
     naming = name_effect(base, own_flight("moment with throttle and elevator", 45.0, 45, **wash))
     assert naming.verdict == "none"
+
+
+def test_the_same_effect_in_both_flights_is_no_change():
+    """By definition: a flight compared with itself has changed in nothing, whatever its residuals
+    resemble; a wind that the second flight alone has is a change by most of what it explains.
+    """
+    study = wind_study()
+    base, naming = study.base, study.naming
+    wind = naming.chosen[0]
+    with_wind = base.result.model.with_effect(wind.effect).with_values(wind.values)
+    again = fit(with_wind, base.windows, base.result.initial_states, prior=base.prior)
+    values = {name: again.model.values[name] for name in wind.values}
+    found_in_base = replace(wind, values=values, result=again)
+    assert change_over_baseline(base, base.windows, found_in_base) < VERY_STRONG_EVIDENCE
+    assert change_over_baseline(base, naming.windows, wind) > 0.5 * wind.delta_chi2
+
+
+def test_a_loss_that_the_parameters_take_up_is_still_a_change():
+    """40 % of the thrust gone: thrust of 60 % would explain the second flight alone, but then the
+    thrust has changed from the first, by forty times a day's drift.
+    """
+    base = own_base()
+    naming = name_effect(base, own_flight("thrust_loss", 30.0, 43, thrust_lost=0.4))
+    assert [c.effect.name for c in naming.chosen] == ["thrust_loss"]
+    assert change_over_baseline(base, naming.windows, naming.chosen[0]) > VERY_STRONG_EVIDENCE

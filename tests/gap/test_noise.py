@@ -1,9 +1,12 @@
 """Pose noise: its slow share, found in residuals of simulated flights where it was planted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from falconwing_kit.aircraft.model import rates_model
+from falconwing_kit.aircraft.model import Model, rates_model
+from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.noise import PoseNoiseModel, find_pose_noise, whiten
 from falconwing_kit.sysid.fit import FitResult, fit_initial_states
 from falconwing_kit.sysid.prepare import prepare
@@ -15,6 +18,11 @@ def found_in(slow: float, seed: int) -> PoseNoiseModel:
     """The noise found in 60 s of flight whose model is known."""
     rng, model = np.random.default_rng(seed), rates_model()
     table = measured(fly_figure_eights([model], 60.0, rng), rng, slow=slow)
+    return found_in_table(model, table)
+
+
+def found_in_table(model: Model, table: FlightTable) -> PoseNoiseModel:
+    """The noise found in a flight of a model."""
     windows = cut_windows(prepare(table, np.repeat(MARKER, 3)).flights, model)
     initial_states, _ = fit_initial_states(model, windows, windows.initial_guess)
     linear = jacobian(model, windows, initial_states, ())
@@ -62,3 +70,46 @@ def test_white_noise_needs_no_filter():
         prepare(measured(fly_figure_eights([model], 10.0, rng), rng)).flights, model
     )
     assert whiten(windows, PoseNoiseModel((0.0, 0.0), (0.5, 0.5))) is windows
+
+
+def test_discrepancy_by_hand():
+    """White noise summed once from rest, three rows: variances 0, 1, 2 with a mean of one, and
+    covariance 1 of the last two; times 2^2, and the pose noise itself.
+    """
+    noise = PoseNoiseModel((0.0, 0.0), (0.5, 0.5), discrepancy=(2.0, 0.0), order=(1, 2))
+    position, attitude = noise.covariance(3, 0.05)
+    np.testing.assert_allclose(position, [[1, 0, 0], [0, 5, 4], [0, 4, 9]])
+    np.testing.assert_allclose(attitude, np.eye(3))
+    np.testing.assert_allclose(noise.deviation(3, 0.05)[:, 0] ** 2, [1, 5, 9])
+
+
+def test_a_path_that_wanders_is_a_discrepancy():
+    """Planted: the path takes a random step of 2 cm in each row, noise summed once. Over 40 rows
+    its mean variance is 20 of those of a step, so 9 cm or 3 sigma; the attitude has none.
+    """
+    rng, model = np.random.default_rng(5), rates_model()
+    table = measured(fly_figure_eights([model], 60.0, rng), rng)
+    steps = np.cumsum(rng.normal(0.0, 0.02, table.p_world.shape), axis=0)
+    noise = found_in_table(model, replace(table, p_world=table.p_world + steps))
+    expected = 0.02 * np.sqrt(40.0 / 2.0) / MARKER[0]
+    assert noise.order[0] == 1
+    assert 0.6 * expected < noise.discrepancy[0] * np.sqrt(noise.variance) < 1.6 * expected
+    assert noise.discrepancy[1] < 0.3 * noise.discrepancy[0]
+
+
+def test_filters_leave_rows_without_a_pose_out():
+    """F C F' = 1 over the measured rows of a window, zero for the others, each window by itself."""
+    rng, model = np.random.default_rng(1), rates_model()
+    windows = cut_windows(
+        prepare(measured(fly_figure_eights([model], 10.0, rng), rng)).flights, model
+    )
+    missing = np.ones_like(windows.weight)
+    missing[1, 5:9] = 0.0
+    noise = PoseNoiseModel((0.5, 0.0), (0.4, 0.5), discrepancy=(3.0, 0.0))
+    filtered = whiten(windows.scale_weights(missing), noise)
+    rows = windows.nodes.shape[1]
+    covariance = noise.covariance(rows, 0.05)[0]
+    for window in (0, 1):
+        seen = np.diag(missing[window, :, 0] * (windows.weight[window, :, 0] > 0.0))
+        F = filtered.whitening[window, 0]
+        np.testing.assert_allclose(F @ seen @ covariance @ seen @ F.T, seen, atol=1e-9)

@@ -2,42 +2,70 @@
 
 import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from falconwing_kit.aircraft.airframe import Airframe
 from falconwing_kit.aircraft.effect import Effect
+from falconwing_kit.aircraft.model import Model
+from falconwing_kit.core.checks import Array
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.baseline import GENERIC_EVIDENCE
-from falconwing_kit.gap.measure import VARIABLES
 from falconwing_kit.gap.name import MAX_MAHALANOBIS, Naming
 from falconwing_kit.gap.study import GapStudy, Progress, gap_record, mismatch_text, study_gap
 from falconwing_kit.sysid.model_file import write_fitted_model, write_model
-from falconwing_kit.sysid.score import PredictionScore
-from falconwing_kit.tools.reports.gap_plots import CHANNEL_WORDS, IN_PLOTS, draw_gap
+from falconwing_kit.sysid.uncertainty import uncertainty
+from falconwing_kit.tools.reports.gap_plots import draw_gap, noise_floor
+from falconwing_kit.tools.reports.gap_text import (
+    addition_rows,
+    before_after_text,
+    contest_text,
+    effect_equations,
+    equation,
+    gap_rows,
+    noise_text,
+    quantity,
+    runner_up_text,
+    second_effect_text,
+    sentence,
+    size_rows,
+    trace_caption,
+    verdict_sentence,
+    where_text,
+)
+from falconwing_kit.tools.reports.gap_traces import draw_traces, example_windows
 from falconwing_kit.tools.reports.page import write_page
 
 PAGE = Path(__file__).with_name("gap_report.html.j2")
 
 
 def gap_report(
-    calm: FlightTable,
+    calm: FlightTable | Sequence[FlightTable],
     flight: FlightTable,
     out: str | Path | None = None,
     progress: Progress = lambda stage: None,
     effects: tuple[Effect, ...] = (),
+    *,
+    airframe: Airframe | None = None,
+    model: Model | None = None,
+    sigma: Array | None = None,
+    improve: bool = False,
 ) -> dict[str, Any]:
     """Find where a flight disagrees with the calm aircraft, name what is missing and close the gap.
 
     Args:
-        calm: the baseline flight.
+        calm: the baseline flight, or several.
         flight: the flight under test, of the same aircraft.
         out: folder for report.json, report.html, figures and models; made where it is missing. None
             writes nothing.
         progress: called with the name of each stage.
         effects: tried beside the catalogue.
+        airframe: scales the model that the baseline's fit starts from.
+        model: the fit starts from it instead.
+        sigma: (6,) noise of the poses [m, rad] if known.
+        improve: write model_improved.toml too, as `write_gap`.
 
     Returns:
         The record that stands in report.json.
@@ -45,12 +73,16 @@ def gap_report(
     Raises:
         InputError: a flight cannot be used.
     """
-    study = study_gap(calm, flight, progress, effects)
-    return gap_record(study) if out is None else write_gap(study, Path(out), progress)
+    study = study_gap(calm, flight, progress, effects, airframe, model, sigma)
+    return gap_record(study) if out is None else write_gap(study, out, progress, improve=improve)
 
 
 def write_gap(
-    study: GapStudy, folder: Path, progress: Progress = lambda stage: None
+    study: GapStudy,
+    folder: str | Path,
+    progress: Progress = lambda stage: None,
+    *,
+    improve: bool = False,
 ) -> dict[str, Any]:
     """Write report.json, report.html, figures, model.toml and, where something is named,
     model_with_effect.toml.
@@ -59,70 +91,72 @@ def write_gap(
         study: what was found.
         folder: where to; made where it is missing.
         progress: called with the name of each stage.
+        improve: write model_improved.toml too, the best model of this aircraft now: with the named
+            effect, with the terms found outside the catalogue, or the completed nominal model.
 
     Returns:
         The record that stands in report.json.
     """
     progress("page and figures")
+    folder = Path(folder)
     began = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
-    figures = draw_gap(
-        study.naming,
-        study.closed,
-        study.flight_replay,
-        study.baseline_replay,
-        study.residual_bins,
-        folder,
-    )
+    figures, traces = draw_gap(study, folder), {}
+    for name, window in example_windows(study).items():
+        figures[name] = folder / f"gap_{name}.png"
+        traces[name] = trace_caption(name, window)
+        draw_traces(window, figures[name])
     write_model(folder / "model.toml", study.base.found)
-    closed, base = study.closed, study.base
-    if (
-        study.naming.verdict == "named"
-        and closed.model is not None
-        and closed.confidence is not None
-    ):
-        write_fitted_model(
-            folder / "model_with_effect.toml",
-            closed.model,
-            closed.confidence,
-            flights=study.names,
-            train_chi2=study.naming.remaining_chi2 + base.chi2,
-            held_out_chi2=closed.after.chi2,
-            sigma=base.found.sigma,
-        )
+    if study.naming.verdict == "named":
+        _write_best_model(study, folder / "model_with_effect.toml")
+    if improve:
+        _write_best_model(study, folder / "model_improved.toml")
     study.seconds["write"] = time.perf_counter() - began
     record = gap_record(study)
-    write_page(folder / "report.html", PAGE, figures=figures, **_page(study, record))
+    write_page(folder / "report.html", PAGE, figures=figures, traces=traces, **_page(study, record))
     with atomic_write(folder / "report.json", text=True) as handle:
         json.dump(record, handle, indent=2, allow_nan=False)
     return record
 
 
+def _write_best_model(study: GapStudy, path: Path) -> None:
+    """The model with what was found, or the completed nominal model where nothing was."""
+    closed, base = study.closed, study.base
+    model, confidence, after = closed.model, closed.confidence, closed.after.chi2
+    flights: tuple[str, ...] = study.names
+    if model is None or confidence is None:
+        model, confidence = base.result.model, uncertainty(base.result, base.windows)
+        flights, after = base.found.names, closed.calm.chi2
+    write_fitted_model(
+        path, model, confidence, flights=flights,
+        train_chi2=study.naming.remaining_chi2 + base.chi2, held_out_chi2=after,
+        sigma=base.found.sigma,
+    )  # fmt: skip
+
+
 def _page(study: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
     """Values for the page's template, besides the figures."""
-    naming = study.naming
-    sizes = [
-        (
-            size.meaning,
-            f"{size.value:.3g}",
-            f"{size.low95:.3g} to {size.high95:.3g}",
-            "" if size.unit == "-" else size.unit,
-        )
-        for size in study.closed.parameters.values()
-    ]
+    naming, sizes = study.naming, study.closed.parameters
+    floor = noise_floor(study)
     return {
         "record": record,
         "verdict": naming.verdict,
-        "chosen": naming.chosen,
+        "sentence": verdict_sentence(study),
+        "chosen": [(c.effect, effect_equations(c.effect, sizes)) for c in naming.chosen],
         "load": naming.generic if _has_a_load(naming) else None,
-        "strained": _sentence(mismatch_text(study)) if naming.mahalanobis > MAX_MAHALANOBIS else "",
+        "discrepancy": _discrepancy(record),
+        "strained": sentence(mismatch_text(study)) if naming.mahalanobis > MAX_MAHALANOBIS else "",
         "since": study.since,
-        "sizes": sizes,
-        "where": _where(study),
-        "contest": _ranking_text(study, record),
-        "before_after": _before_after(study),
-        "next_flight": _sentence(record["next_flight"]),
-        "slow": _slow(record["noise"]),
+        "sizes": size_rows(sizes),
+        "gap": gap_rows(study, floor),
+        "before_after": before_after_text(study, floor),
+        "contest": contest_text(study, record),
+        "second_effect": second_effect_text(study),
+        "runner_up": runner_up_text(study),
+        "where": where_text(study),
+        "next_flight": sentence(record["next_flight"]),
+        "additions": addition_rows(study),
+        "noise": noise_text(record["noise"]),
     }
 
 
@@ -131,102 +165,17 @@ def _has_a_load(naming: Naming) -> bool:
     return naming.generic.delta_bic > max(GENERIC_EVIDENCE, naming.ranking[0].delta_bic)
 
 
-def _where(study: GapStudy) -> str:
-    if not study.residual_bins:
-        return "Nowhere: no channel stands out over any variable by more than chance."
-    level, calm_level = (
-        float(np.nanmean(r.residual**2)) for r in (study.flight_replay, study.baseline_replay)
-    )
-    texts = []
-    for residual_bin in study.residual_bins[:3]:
-        if residual_bin.contrast > 0.0:
-            scale, unit = IN_PLOTS.get(
-                residual_bin.variable, (1.0, VARIABLES[residual_bin.variable])
-            )
-            unit = "" if unit == "-" else f" {unit}"
-            low, high = residual_bin.low * scale, residual_bin.high * scale
-            at = f"with {residual_bin.variable} from {low:.2g} to {high:.2g}{unit}"
-        else:
-            at = "all the time alike"
-        channel = CHANNEL_WORDS[residual_bin.channel].lower()
-        texts.append(f"{channel} {at} (excess {residual_bin.excess_chi2:.2g})")
-    return (
-        f"Over the whole flight the mean square residual is {level:.2g} squared sigmas of the pose "
-        f"noise, on the calm flight {calm_level:.2g}. Most of it is in {'; '.join(texts)}; "
-        "excess is what is over the calm flight's."
-    )
-
-
-def _ranking_text(study: GapStudy, record: dict[str, Any]) -> str:
-    first, *others = record["ranking"]
-    second = next((r for r in others if "same_as" not in r), None)
-    text = (
-        f"{len(record['ranking'])} effects were tried; {record['threshold']:.0f} of evidence are "
-        f"needed so that it is not chance. {_display_name(first['effect'])} has most: "
-        f"{first['gain']:.0f}, probability {_percent(first['probability'])}. "
-    )
-    if second is not None:
-        text += f"Next comes {_display_name(second['effect']).lower()} with {second['gain']:.0f}. "
-    if len(study.naming.chosen) == 2 and study.naming.verdict == "named":
-        added = study.naming.chosen[1]
-        name = _display_name(added.effect.name).lower()
-        text += f"On top of the first, {name} explains another {added.delta_bic:.0f}. "
-    return (
-        text
-        + "A difference of 10 between two effects is very strong; less leaves both in the race."
-    )
-
-
-def _before_after(study: GapStudy) -> str:
-    closed = study.closed
-    if study.naming.verdict in ("none", "outside"):
-        return (
-            f"Nothing was added, so nothing changes: {_error(closed.before)} before and after, "
-            f"{_error(closed.calm)} on the calm flight."
+def _discrepancy(record: dict[str, Any]) -> dict[str, Any] | None:
+    """The record's term outside the catalogue, its equation and rows ready for the page."""
+    found = record.get("discrepancy")
+    if not found:
+        return None
+    rows = [
+        (
+            term["name"],
+            quantity(term["value"], term["unit"]),
+            f"{quantity(term['low95'], '')} to {quantity(term['high95'], '')}",
         )
-    over_before, over_after = (
-        closed.before.chi2 - closed.calm.chi2,
-        closed.after.chi2 - closed.calm.chi2,
-    )
-    share = (
-        f" That is {100.0 * (1.0 - over_after / over_before):.0f} % of the gap."
-        if over_before > 0.05
-        else ""
-    )
-    which = (
-        "with the first alternative" if study.naming.verdict == "ambiguous" else "with the effect"
-    )
-    return (
-        f"Without the effect the model is off by {_error(closed.before)}; {which} by "
-        f"{_error(closed.after)}; the calm flight leaves {_error(closed.calm)}.{share} Holding the "
-        "aircraft's own parameters as on the calm flight gives a chi2 of "
-        f"{closed.after_with_fixed_parameters.chi2:.2f}; letting them move without any effect, "
-        f"{closed.before_with_free_parameters.chi2:.2f}."
-    )
-
-
-def _slow(noise: dict[str, Any]) -> str:
-    """Share of the pose noise that changes slowly, in words."""
-    halves = zip(noise["slow_share"], noise["slow_time_s"], ("position", "attitude"), strict=True)
-    return "; ".join(
-        f"{100 * share:.0f} % of it slow over {seconds:.1f} s in {half}"
-        if share
-        else f"none of it slow in {half}"
-        for share, seconds, half in halves
-    )
-
-
-def _error(score: PredictionScore) -> str:
-    return f"chi2 {score.chi2:.2f} ({100 * score.position_m:.1f} cm, {score.attitude_deg:.2f}°)"
-
-
-def _display_name(name: str) -> str:
-    return name.replace("_", " ").capitalize()
-
-
-def _percent(probability: float) -> str:
-    return "over 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
-
-
-def _sentence(text: str) -> str:
-    return text[0].upper() + text[1:] + ("" if text.endswith((".", "?")) else ".")
+        for term in found["terms"]
+    ]
+    return {**found, "equation": equation(found["equation"]), "rows": rows}

@@ -27,7 +27,6 @@ STYLE: Any = {
     "grid.color": "#e4e4e4",
     "grid.linewidth": 0.7,
     "legend.frameon": False,
-    "figure.constrained_layout.use": True,
 }
 FRAME = Path(
     __file__
@@ -67,8 +66,8 @@ def write_page(path: Path, template: Path, **values: Any) -> None:
 
 @cache
 def _environment(folder: Path) -> Any:
-    """Templates of a folder and of this one, with two filters: a number by a format, a PNG as a
-    `data:` address.
+    """Templates of a folder and of this one, with three filters: a number by a format, a PNG as a
+    `data:` address, the width that it was drawn at.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -80,7 +79,7 @@ def _environment(folder: Path) -> Any:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"number": format, "embedded": _embedded}
+    environment.filters |= {"number": format, "embedded": _embedded, "drawn_width": _drawn_width}
     return environment
 
 
@@ -88,9 +87,28 @@ def _embedded(path: Path) -> str:
     return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
 
+def _drawn_width(path: Path) -> str:
+    """Width at which a PNG was drawn as a length of CSS, "none" where the file does not say.
+
+    From its pixels (chunk IHDR) and pixels per metre (chunk pHYs) [PNG specification, 11.2.1 and
+    11.3.4.3], so that a page does not blow a small figure up.
+    """
+    data = path.read_bytes()[:512]
+    at = data.find(b"pHYs")
+    per_metre = int.from_bytes(data[at + 4 : at + 8], "big") if at > 0 else 0
+    pixels = int.from_bytes(data[16:20], "big")
+    return f"{pixels / per_metre / 0.0254:.2f}in" if per_metre else "none"
+
+
 @contextmanager
 def figure(
-    path: Path, rows: int, columns: int, size: tuple[float, float], **grid: Any
+    path: Path,
+    rows: int,
+    columns: int,
+    size: tuple[float, float],
+    dpi: float = STYLE["savefig.dpi"],
+    margins: bool = False,
+    **grid: Any,
 ) -> Iterator[Any]:
     """Axes to draw on; the file appears whole when the block ends.
 
@@ -99,6 +117,9 @@ def figure(
         rows: of axes.
         columns: of axes.
         size: width and height [inch].
+        dpi: pixels per inch.
+        margins: the grid's own margins hold; otherwise they are computed from what is drawn, which
+            takes as long as drawing it.
         grid: handed to matplotlib's `subplots`.
 
     Yields:
@@ -108,7 +129,7 @@ def figure(
     from matplotlib.figure import Figure
 
     with rc_context(STYLE):
-        drawing = Figure(figsize=size)
+        drawing = Figure(figsize=size, layout=None if margins else "constrained")
         yield drawing.subplots(rows, columns, squeeze=False, **grid)
         with atomic_write(path) as handle:
-            drawing.savefig(handle, format="png")
+            drawing.savefig(handle, format="png", dpi=dpi)

@@ -12,7 +12,7 @@ import pytest
 from jinja2 import UndefinedError
 
 import falconwing_kit
-from falconwing_kit.tools.reports.page import render, write_page
+from falconwing_kit.tools.reports.page import figure, render, write_page
 
 PAGE = """{% extends "page.html.j2" %}{% from "parts.html.j2" import picture, table %}
 {% block title %}{{ words }}{% endblock %}
@@ -161,6 +161,25 @@ def test_table_keeps_its_order_and_marks_one_row(template):
         None,
         "best",
     ]
+
+
+def test_cells_carry_their_column_for_a_phone(template):
+    """Where the head is hidden, each cell begins with the name of its column."""
+    page = Reader(render(template(TABLE), rows=[("one", "1.0")]))
+    labels = [attributes["data-label"] for tag, attributes in page.tags if tag == "td"]
+    assert labels == ["fit", "error"]
+
+
+def test_picture_is_never_larger_than_it_was_drawn(png, template, tmp_path):
+    """4.4 inch at 170 pixels per inch, rounded to whole pixels and to whole pixels per metre; a
+    file that does not say has no limit.
+    """
+    with figure(tmp_path / "drawn.png", 1, 1, (4.4, 1.0), dpi=170) as axes:
+        axes[0, 0].plot([0.0, 1.0])
+    for path, width in ((tmp_path / "drawn.png", "4.40in"), (png, "none")):
+        page = Reader(render(template(PAGE), png=path, words="words"))
+        (style,) = [attributes["style"] for tag, attributes in page.tags if tag == "img"]
+        assert style == f"max-width: {width}"
 
 
 def test_page_is_written_whole_or_not_at_all(png, template, tmp_path):
