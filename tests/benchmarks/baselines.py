@@ -340,9 +340,9 @@ def _effect_columns(flown: Flown) -> tuple[list[str], list[int], Array]:
     variant's own size.
     """
     names, places, columns = [], [], []
-    for place, variant in enumerate(
-        effect_variants(CATALOGUE, cut_windows(flown.flights, flown.model))
-    ):
+    windows = cut_windows(flown.flights, flown.model)
+    tried = [e for e in CATALOGUE if not e.measurement_map or e.amplitudes[-1].name == "tilt_roll"]
+    for place, variant in enumerate(effect_variants(tried, windows)):
         absent = {p.name: 0.0 for p in variant.effect.amplitudes}
         without = flown.model.with_effect(variant.effect).with_values({**variant.values, **absent})
         for p in variant.effect.amplitudes:
@@ -480,11 +480,7 @@ def _at_smoothed_states(model: Model, flight: PreparedFlight, time: Array, stick
     own axes.
     """
     K, x = model.K, flight.state_estimate.T.copy()
-    tilt = (
-        np.array([K.tilt_roll, K.tilt_pitch, 0.0])
-        if any(e.measurement_map for e in model.effects)
-        else None
-    )
+    tilt = np.array([K.tilt_roll, K.tilt_pitch, 0.0]) if "tilt_roll" in model.names else None
     if tilt is not None:
         roll, pitch, yaw = euler_rates(
             up_in_body(x[5], x[3]), *(0.0 * x[0] + angle for angle in tilt)

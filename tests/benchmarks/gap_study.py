@@ -128,7 +128,7 @@ def study(batch: list[Case]) -> list[dict[str, Any]]:
             "effect": case.effect,
             "noise": case.noise,
             "correlated": case.correlated,
-            **_answer(naming, case.effect),
+            **answer(naming, case.effect),
             "gap": [closed.before.chi2, closed.after.chi2, closed.calm.chi2],
             "parameters": {
                 name: [size.value, size.low95, size.high95, truth["kit"].get(name)]
@@ -144,7 +144,7 @@ def study(batch: list[Case]) -> list[dict[str, Any]]:
         known = _merged(case.effect)
         if case.withhold:
             rest = [e for e in CATALOGUE if e.name != known]
-            row["withheld"] = _answer(name_with_onset(base, flight, rest)[0], case.effect)
+            row["withheld"] = answer(name_with_onset(base, flight, rest)[0], case.effect)
         if case.kind == "own":
             row["detectable"] = _detectable(base, flight, known)
         if case.kind in BASELINED:
@@ -188,7 +188,8 @@ def _fly_own(batch: list[Case]) -> list[Flown]:
             ]
 
 
-def _answer(naming: Naming, effect: str) -> dict[str, Any]:
+def answer(naming: Naming, effect: str) -> dict[str, Any]:
+    """What a study writes of a naming, for the judgement; `effect` is the hidden one."""
     names = [c.effect.name for c in naming.chosen]
     order = [c.effect.name for c in naming.ranking]
     true = _merged(effect)
@@ -199,7 +200,7 @@ def _answer(naming: Naming, effect: str) -> dict[str, Any]:
         "place": order.index(true) + 1 if true in order else None,
         "threshold": naming.threshold,
         "excess": naming.excess_chi2,
-        "left": naming.left,
+        "left": naming.remaining_chi2,
         "strain": naming.mahalanobis,
         "unnamed": [naming.generic.effect.name, round(naming.generic.delta_bic, 1)],
     }

@@ -15,6 +15,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.model import paper_model
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import FlightTable, read_flight_table
@@ -135,7 +136,10 @@ def explained_by(
         Flown.of(prepare(table).flights, model, np.ones(6)) for table in (before, after)
     )
     changed = other.residual - plain.residual
-    left = changed - other.change(model.with_effect(EFFECTS[effect]).with_values(values))
+    (form,) = (
+        e for e in CATALOGUE if e.name == effect and {p.name for p in e.parameters} == {*values}
+    )
+    left = changed - other.change(model.with_effect(form).with_values(values))
     return 1.0 - float(left @ left / (changed @ changed)), first_to_enter(
         effect_regression(base, after, "held")
     ).name

@@ -6,7 +6,8 @@ import json
 
 import pytest
 
-from tests.benchmarks.gap_study import cases, is_wrong, points, summary
+from tests.benchmarks.gap_study import answer, cases, is_wrong, points, summary
+from tests.gap.studies import wind_study
 from tests.hidden_effects import IN_CATALOGUE
 
 
@@ -81,3 +82,10 @@ def test_summary_counts_rows():
     text = "\n".join(summary(rows))
     assert "2 flights, right 1 (0.500), wrong name 1" in text
     assert "not right: 2 none marker -> named wind" in text
+
+
+def test_an_answer_is_a_line_of_json_with_the_verdict():
+    """Of the shipped flight in wind (its truth.json): named, in the first place, little left."""
+    line = json.loads(json.dumps(answer(wind_study().naming, "wind")))
+    assert (line["verdict"], line["effects"], line["place"]) == ("named", ["wind"], 1)
+    assert abs(line["left"]) < 0.1 * line["excess"]

@@ -10,7 +10,7 @@ import os
 import platform
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -184,6 +184,7 @@ def fly_trials(
     head: Record | None = None,
     logs: bool = False,
     progress: Callable[[str], None] = lambda text: None,
+    fly: Callable[[Sequence[int]], Iterable[Record]] | None = None,
 ) -> list[Record]:
     """Fly trials 0 to count - 1 of the frozen list, without those that a folder already holds.
 
@@ -198,6 +199,8 @@ def fly_trials(
         head: of `study_head` if already computed.
         logs: write a flight log of each trial too, into `out`.
         progress: called after each flight with "successes of trials".
+        fly: numbers of trials -> their records in the same order, for flights in other processes;
+            None flies them here, one after the other.
 
     Returns:
         The records of `fly_trial`.
@@ -215,9 +218,14 @@ def fly_trials(
         folder.mkdir(parents=True, exist_ok=True)
         head = (head or study_head(task, pilot, seed)) | setting.record
         records = read_flown_trials(folder, head)
-    for number in range(len(records), count):
-        log = _log_path(folder, number) if folder is not None and logs else None
-        records.append(fly_trial(task, make_pilot, number, seed, setting, log))
+
+    def fly_here(numbers: Sequence[int]) -> Iterator[Record]:
+        for number in numbers:
+            log = log_path(folder, number) if folder is not None and logs else None
+            yield fly_trial(task, make_pilot, number, seed, setting, log)
+
+    for record in (fly or fly_here)(range(len(records), count)):
+        records.append(record)
         if folder is not None and head is not None:
             _write_trials(folder, head, records)
         progress(f"{sum(record['success'] for record in records)} of {len(records)}")
@@ -508,7 +516,7 @@ def _write_trials(folder: Path, head: Record, records: Sequence[Record]) -> None
         file.writelines(json.dumps(line, allow_nan=False) + "\n" for line in (head, *records))
 
 
-def _log_path(folder: Path, number: int) -> Path:
+def log_path(folder: Path, number: int) -> Path:
     """A free file name; the log of an interrupted flight is kept."""
     takes = ("", *(f"_take{take}" for take in range(2, 1000)))
     paths = (folder / f"trial_{number:03d}{take}.mcap" for take in takes)
