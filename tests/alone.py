@@ -31,6 +31,7 @@ ALONE = {
     "tools/bridge/test_bus.py": "ROS",
     "trainer_port/test_links.py": "a board behind a pseudo-terminal in real time",
     "tools/bridge/test_ros.py": "ROS",
+    "tools/reports/test_gap_page.py": "a browser",
     "tools/bridge/test_simulated_board.py": "a board behind a pseudo-terminal in real time",
     "vision/test_monitor.py": "processor time",
 }

@@ -45,11 +45,11 @@ def require_shape(name: str, array: ArrayLike, shape: tuple[int | None, ...]) ->
         raise InputError(
             f"{name}: expected an array of numbers of shape {_shape_text(shape)}"
         ) from None
-    fits = values.ndim == len(shape) and all(
+    has_shape = values.ndim == len(shape) and all(
         expected is None or expected == got
         for expected, got in zip(shape, values.shape, strict=True)
     )
-    if not fits:
+    if not has_shape:
         raise InputError(
             f"{name}: expected shape {_shape_text(shape)}, got {_shape_text(values.shape)}"
         )
@@ -70,4 +70,5 @@ def require_file(path: str | Path) -> Path:
 
 
 def _shape_text(shape: tuple[int | None, ...]) -> str:
+    """A shape as a message shows it, such as "(any, 3)"."""
     return f"({', '.join('any' if n is None else str(n) for n in shape)})"

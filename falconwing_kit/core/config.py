@@ -15,6 +15,9 @@ import numpy as np
 from falconwing_kit.core.checks import InputError, require_file
 from falconwing_kit.core.files import atomic_write, short_name
 
+MAX_NUMBER = 1e300  # refused from here on: a whole number above 1.8e308 is no float
+MAX_SHOWN_CHARACTERS = 60  # of a value in a message
+MAX_SHOWN_INTEGER = 10**20
 MAX_FILE_BYTES = 1024**2  # a model file with its covariance has about 10 kB
 _TYPE_NAMES = {
     float: "a finite number",
@@ -139,7 +142,7 @@ def _convert_value(kind: Any, value: Any, key: str) -> Any:
             for name, item in value.items()
         }
     whole = isinstance(value, int) and not isinstance(value, bool)
-    if kind is float and (whole or isinstance(value, float)) and abs(value) < 1e300:
+    if kind is float and (whole or isinstance(value, float)) and abs(value) < MAX_NUMBER:
         return float(value)
     if kind is not float and type(value) is kind:
         return value
@@ -147,6 +150,7 @@ def _convert_value(kind: Any, value: Any, key: str) -> Any:
 
 
 def _convert_tuple(inner: tuple[Any, ...], value: Any, key: str) -> tuple[Any, ...]:
+    """A list of the file as a tuple, each value converted to the type annotated at its place."""
     if not isinstance(value, (list, tuple)):
         raise InputError(f"{key}: expected a list [...], got {_shorten(value)}")
     kinds = [inner[0]] * len(value) if inner[-1] is Ellipsis else list(inner)
@@ -172,6 +176,7 @@ def _to_toml(value: Any) -> Any:
 
 
 def _join_key(key: str, name: str) -> str:
+    """The key of a value in a table, such as "wheels.tail"."""
     return f"{key}.{name}" if key else name
 
 
@@ -183,5 +188,9 @@ def _shorten(value: Any) -> str:
         return "a table"
     if isinstance(value, list):
         return f"a list of {len(value)}"
-    text = repr(value) if not isinstance(value, int) or abs(value) < 10**20 else "a huge number"
-    return text if len(text) <= 60 else f"{text[:60]}..."
+    text = (
+        repr(value)
+        if not isinstance(value, int) or abs(value) < MAX_SHOWN_INTEGER
+        else "a huge number"
+    )
+    return text if len(text) <= MAX_SHOWN_CHARACTERS else f"{text[:MAX_SHOWN_CHARACTERS]}..."

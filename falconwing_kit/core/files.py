@@ -1,4 +1,6 @@
-"""Files: a path -> a handle whose content appears there complete or not at all; fixed folders."""
+"""Files: a path -> a handle whose content appears there complete or not at all; the cache
+folder and the folder of shipped files.
+"""
 
 import errno
 import os

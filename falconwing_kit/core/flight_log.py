@@ -1,4 +1,5 @@
-"""Flight log: images, commands, states and events <-> an MCAP file that survives a crash.
+"""Flight log: images, commands, states and events <-> an MCAP file that survives a crash;
+repair of a damaged log, and a log as a flight table.
 
 In flight the file is unchunked and every record is passed to the system immediately, so a killed
 program loses no record; once a second the file is synced to the disk, so a power loss costs about a
@@ -47,6 +48,10 @@ MAX_TIME_S = 1.8e10  # 64 bits of nanoseconds
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 32 * 1024**2
 MAX_COMPRESSION = 200  # a chunk that claims a larger ratio is damaged or hostile
+FREE_BYTES = 1024  # that a chunk may have beyond that ratio, for short ones
+FRAME_HEAD = struct.Struct("<BQ")  # of a record: opcode and length of its body
+DATA_END_BYTES = 4  # body of the record that ends the data: a checksum
+POSE_STATES = 6  # the first of STATE_NAMES: position and attitude; then velocities and rates
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
 
 
@@ -187,6 +192,7 @@ class FlightLogWriter:
         return int(self._writer.register_channel(topic, "json", number))
 
     def _write_json(self, topic: str, t: float, values: Mapping[str, Any]) -> None:
+        """Write a record of a JSON topic at time t [s]; InputError for what JSON cannot hold."""
         t = require_range("t", t, low=0.0, high=MAX_TIME_S)
         try:
             data = json.dumps(
@@ -199,6 +205,7 @@ class FlightLogWriter:
         self._write(topic, t, data, 0)
 
     def _write(self, topic: str, t: float, data: bytes, sequence: int) -> None:
+        """Write one message of a topic at time t [s]."""
         nanoseconds = round(require_range("t", t, low=0.0, high=MAX_TIME_S) * 1e9)
         channel = self._channels[topic]
         self._write_guarded(
@@ -318,7 +325,7 @@ def to_flight_table(log: FlightLog) -> FlightTable:
     extra = {
         column: columns[:, i]
         for i, column in enumerate(STATE_NAMES)
-        if i >= 6 and np.nansum(columns[:, i] ** 2)
+        if i >= POSE_STATES and np.nansum(columns[:, i] ** 2)
     }
     return FlightTable(
         name=name,
@@ -380,7 +387,7 @@ def _read_messages(
     from mcap.records import Channel, Message, Metadata
 
     topics: dict[int, str] = {}
-    for record in _read_mcap_records(path, warnings):
+    for record in read_mcap_records(path, warnings):
         if isinstance(record, Channel):
             topics.setdefault(record.id, record.topic)
         elif isinstance(record, Metadata):
@@ -408,7 +415,7 @@ def _parse(topic: str, message: Any) -> Any:
 # The MCAP file: frames -> records, and records -> a repacked file.
 
 
-def _read_mcap_records(path: str | Path, warnings: list[str]) -> Iterator[Any]:
+def read_mcap_records(path: str | Path, warnings: list[str]) -> Iterator[Any]:
     """Schema, Channel, Message and Metadata records of an MCAP file, up to its end or first damage.
 
     Each kind of damage adds one sentence to the warnings.
@@ -449,27 +456,28 @@ def _rewrite(source: str | Path, target: str | Path, warnings: list[str]) -> Cou
     from mcap.records import Channel, Message, Metadata, Schema
     from mcap.writer import Writer
 
-    schemas: dict[int, int] = {0: 0}
-    channels: dict[int, tuple[int, str]] = {}
+    # Numbers that the writer gives to the source's schemas and channels, by their number there.
+    new_schemas: dict[int, int] = {0: 0}
+    new_channels: dict[int, tuple[int, str]] = {}  # with the topic
     counts: Counter[str] = Counter()
     with atomic_write(target) as file:
         writer = Writer(file)
         writer.start(profile="falconwing")
-        for record in _read_mcap_records(source, warnings):
-            if isinstance(record, Schema) and record.id not in schemas:
-                schemas[record.id] = writer.register_schema(
+        for record in read_mcap_records(source, warnings):
+            if isinstance(record, Schema) and record.id not in new_schemas:
+                new_schemas[record.id] = writer.register_schema(
                     record.name, record.encoding, record.data
                 )
-            elif isinstance(record, Channel) and record.id not in channels:
-                schema = schemas.get(record.schema_id, 0)
-                number = writer.register_channel(
-                    record.topic, record.message_encoding, schema, record.metadata
+            elif isinstance(record, Channel) and record.id not in new_channels:
+                new_schema = new_schemas.get(record.schema_id, 0)
+                new_channel = writer.register_channel(
+                    record.topic, record.message_encoding, new_schema, record.metadata
                 )
-                channels[record.id] = number, record.topic
-            elif isinstance(record, Message) and record.channel_id in channels:
-                number, topic = channels[record.channel_id]
+                new_channels[record.id] = new_channel, record.topic
+            elif isinstance(record, Message) and record.channel_id in new_channels:
+                new_channel, topic = new_channels[record.channel_id]
                 writer.add_message(
-                    number, record.log_time, record.data, record.publish_time, record.sequence
+                    new_channel, record.log_time, record.data, record.publish_time, record.sequence
                 )
                 counts[topic] += 1
             elif isinstance(record, Metadata):
@@ -482,13 +490,13 @@ def _read_frames(
     file: BinaryIO, remaining: int, warnings: list[str]
 ) -> Iterator[tuple[int, bytes]]:
     """Opcode and body of each record up to the end of the data or to an impossible length."""
-    while remaining >= 9:
-        opcode, length = struct.unpack("<BQ", file.read(9))
-        if opcode == _DATA_END and length == 4:
+    while remaining >= FRAME_HEAD.size:
+        opcode, length = FRAME_HEAD.unpack(file.read(FRAME_HEAD.size))
+        if opcode == _DATA_END and length == DATA_END_BYTES:
             return
-        if opcode == 0 or length > remaining - 9:
+        if opcode == 0 or length > remaining - FRAME_HEAD.size:
             break
-        remaining -= 9 + length
+        remaining -= FRAME_HEAD.size + length
         yield opcode, file.read(length)
     lost = f"; its last {remaining} bytes cannot be read" if remaining else ""
     warnings.append(
@@ -521,7 +529,7 @@ def _parse_chunk(chunk: Any) -> list[Any] | None:
     if data is None:
         return None
     frames = list(_read_frames(BytesIO(data), len(data), []))
-    if sum(9 + len(body) for _, body in frames) != len(data):
+    if sum(FRAME_HEAD.size + len(body) for _, body in frames) != len(data):
         return None
     parsed = [_parse_frame(opcode, body) for opcode, body in frames if opcode != _CHUNK]
     return [record for records in parsed for record in records or ()]
@@ -533,7 +541,7 @@ def _decompress(chunk: Any) -> bytes | None:
     import zstandard
 
     size = chunk.uncompressed_size
-    if size > min(MAX_CHUNK_BYTES, MAX_COMPRESSION * len(chunk.data) + 1024):
+    if size > min(MAX_CHUNK_BYTES, MAX_COMPRESSION * len(chunk.data) + FREE_BYTES):
         return None
     try:
         if chunk.compression == "zstd":

@@ -1,4 +1,6 @@
-"""Flight table: one CSV row per camera frame <-> times, poses and commands as arrays."""
+"""Flight table: one CSV row per camera frame <-> times, poses and commands as arrays; cut by
+time, resampled, its units checked.
+"""
 
 from array import array
 from collections import Counter
@@ -21,7 +23,9 @@ OPTIONAL_COLUMNS = ("vx", "vy", "vz", "p", "q", "r", "airspeed", "sigma_position
 LABEL_COLUMN = "source"
 
 MAX_STEP = 1.5  # nominal periods; a longer step between two rows is a gap
+SAME_ROW = 1e-3  # of a period: a grid time nearer to a row's time is that row's
 MAX_GROWTH = 100  # grid rows per table row; a longer grid comes from a wrong time stamp
+SHORT_TABLE_ROWS = 1000  # added before that ratio: a grid of 100 000 rows is never too long
 MAX_FILE_BYTES = 512 * 1024**2  # about 80 hours at 20 Hz
 MAX_LINE_BYTES = 64 * 1024
 MAX_BAD_ROWS = 3  # or one in a hundred: rows with a bad time stamp in a file that is accepted
@@ -205,10 +209,11 @@ def resample(table: FlightTable, rate_hz: float) -> FlightTable:
     # A grid time that equals a row's time but for rounding, say of stamps to 10 us, is that row:
     # a measured pose beside a gap must not be lost.
     nearest = table.t[nearest_index(table.t, grid)]
-    query = np.where(np.abs(nearest - grid) < 1e-3 * period, nearest, grid)
+    query = np.where(np.abs(nearest - grid) < SAME_ROW * period, nearest, grid)
     previous = np.searchsorted(table.t, query, side="right") - 1
 
     def column(values: Array, angle: bool = False) -> Array:
+        """A column (N,) of the table at the grid times."""
         return _interpolate(table.t, values, query, MAX_STEP * period, angle)
 
     return replace(
@@ -344,16 +349,17 @@ def _interpolate(t: Array, values: Array, query: Array, max_gap: float, angle: b
 
 def _require_plausible_rows(table: FlightTable, rows: float) -> None:
     """Refuse a grid that is implausibly long for the table."""
-    limit = MAX_GROWTH * (1000 + len(table.t))
-    if not rows <= limit:
+    max_rows = MAX_GROWTH * (SHORT_TABLE_ROWS + len(table.t))
+    if not rows <= max_rows:
         raise InputError(
             f"{table.name}: {_time_range_text(table)} in {len(table.t)} rows would become "
-            f"{rows:.3g} rows, more than {limit}; a time stamp is wrong, or cut the flight with "
+            f"{rows:.3g} rows, more than {max_rows}; a time stamp is wrong, or cut the flight with "
             "slice_time first"
         )
 
 
 def _time_range_text(table: FlightTable) -> str:
+    """First and last time of a table, for a message."""
     return f"{table.t[0]:g} to {table.t[-1]:g} s"
 
 
@@ -382,6 +388,7 @@ def _lines(name: str, file: BinaryIO) -> Iterator[bytes]:
 
 
 def _decode(name: str, line: bytes, number: int) -> str:
+    """A line of the file as text without its end; the first may begin with a byte order mark."""
     try:
         return line.decode("utf-8-sig" if number == 1 else "utf-8").strip("\r\n")
     except UnicodeDecodeError:
@@ -529,7 +536,7 @@ def _increasing_rows(
         raise InputError(
             f"{name}: time must increase from row to row, but {len(bad)} of {len(t)} rows stand "
             f"still, go back or have no time, first line {lines[row]}: t = {t[row]:g} after "
-            f"{latest[row]:g}; sort the rows or cut the file"
+            f"{latest[row]:g}; {_likely_time_order(t)}"
         )
     if len(bad):
         warnings.append(
@@ -539,17 +546,56 @@ def _increasing_rows(
     return np.flatnonzero(increasing)
 
 
-def _require_seconds(name: str, t: Array) -> None:
-    """Refuse times that give a plausible camera period only in milli-, micro- or nanoseconds."""
-    if len(t) < MIN_ROWS_FOR_UNIT:
-        return
-    step = float(np.median(np.diff(t)))
+def _likely_time_order(t: Array) -> str:
+    """Why times (N,) do not increase from row to row, and what to do."""
+    steps = np.diff(t[np.isfinite(t)])
+    if len(steps) and (steps < 0.0).mean() > 0.9:
+        return "the file runs backwards in time: reverse the order of its rows"
+    if len(steps) and (steps < 0.0).sum() <= 3 and (steps == 0.0).sum() > 0.3 * len(steps):
+        return "stamps are repeated: write them with more digits"
+    if len(steps) and 0 < (steps < 0.0).sum() <= 3:
+        return "the clock starts again: cut the file there into one for each flight"
+    return "sort the rows or cut the file"
+
+
+def likely_time_unit(t: Array) -> tuple[str, float] | None:
+    """Unit in which times (N,) give a plausible camera period, and how many are a second.
+
+    None where seconds do, or where there are too few rows to say.
+    """
+    step = float(np.median(np.diff(t))) if len(t) >= MIN_ROWS_FOR_UNIT else 0.0
     for unit, per_second in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
         if MIN_CAMERA_PERIOD_S <= step / per_second <= MAX_CAMERA_PERIOD_S:
-            raise InputError(
-                f"{name}: time looks like {unit}: expected seconds, got rows {step:g} apart; "
-                f"divide the column t by {per_second:g}"
-            )
+            return unit, per_second
+    return None
+
+
+def likely_command_unit(column: str, values: Array) -> str:
+    """What a command (N,) outside its range likely is, and how to convert it; "" inside."""
+    low = 0.0 if column == "throttle" else -1.0
+    excess = np.maximum(values - 1.0, low - values)
+    if excess.max() <= MAX_COMMAND_EXCESS:
+        return ""
+    largest = float(np.abs(values).max())
+    got = f"expected {column} in {low:g}..1, got {values[np.argmax(excess)]:g}: looks like"
+    if 500.0 <= largest <= 2500.0:
+        zero, full = (1000, 1000) if column == "throttle" else (1500, 500)
+        return f"{got} microseconds; convert it by (us - {zero}) / {full}"
+    if column == "throttle" and largest <= 1.0 + MAX_COMMAND_EXCESS:
+        return f"{got} a throttle of -1..1; convert it by (throttle + 1) / 2"
+    if largest <= 110.0:
+        return f"{got} percent, or degrees of a control surface; divide it by its largest value"
+    return f"{got} the raw counts of a receiver; convert them to {low:g}..1 first"
+
+
+def _require_seconds(name: str, t: Array) -> None:
+    """Refuse times that give a plausible camera period only in milli-, micro- or nanoseconds."""
+    unit = likely_time_unit(t)
+    if unit is not None:
+        raise InputError(
+            f"{name}: time looks like {unit[0]}: expected seconds, got rows "
+            f"{np.median(np.diff(t)):g} apart; divide the column t by {unit[1]:g}"
+        )
 
 
 def _poses(name: str, numbers: dict[str, Array], warnings: list[str]) -> Array:
@@ -612,9 +658,7 @@ def _commands(
         largest = int(np.argmax(excess))
         if excess[largest] > MAX_COMMAND_EXCESS:
             raise InputError(
-                f"{name}: line {lines[largest]}: expected {column} in {low:g}..1, got "
-                f"{values[largest]:g}: looks like microseconds, percent or a throttle of -1..1; "
-                "convert it first"
+                f"{name}: line {lines[largest]}: {likely_command_unit(column, values)}"
             )
         if excess[largest] > 0.0:
             warnings.append(

@@ -1,4 +1,5 @@
-"""Evaluators: the truth of a simulated flight -> success and the paper's performance measures.
+"""Evaluators: the truth of a simulated flight -> success, whether the leader is in view or hidden
+behind the scene, and the paper's performance measures.
 
 SR   success rate: touchdown on the pad; or leader locked in all frames without a collision
 ALD  |lateral offset| from the pad's centre line at the first wheel contact, of landings only
@@ -142,8 +143,8 @@ def visible_pixels(
     Arguments as for `is_locked`. 0 where a corner of the outline is behind the camera.
     """
     corners = leader.p_world + outline_body(airframe) @ leader.pose.T_world_body[:3, :3].T
-    uv, corner_depth = camera.project(corners, T_world_camera)
-    if not (corner_depth > 0.0).all():
+    uv, leader_corner_depth = camera.project(corners, T_world_camera)
+    if not (leader_corner_depth > 0.0).all():
         return 0
     # Pixel centres of the outline's bounding box, clipped to the image.
     size = np.array([camera.width, camera.height])
@@ -151,8 +152,10 @@ def visible_pixels(
     columns, rows = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
     visible = is_in_hull(np.stack([columns, rows], axis=-1) + 0.5, uv)
     if depth is not None:
-        depth_patch = depth[low[1] : high[1], low[0] : high[0]]
-        visible &= (depth_patch <= 0.0) | (depth_patch > corner_depth.min() - OCCLUSION_MARGIN)
+        # Hidden where the scene is nearer than the leader's nearest corner; depth 0 is empty.
+        scene_depth = depth[low[1] : high[1], low[0] : high[0]]
+        nearest_depth = leader_corner_depth.min() - OCCLUSION_MARGIN
+        visible &= (scene_depth <= 0.0) | (scene_depth > nearest_depth)
     return int(visible.sum())
 
 

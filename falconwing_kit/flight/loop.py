@@ -224,8 +224,8 @@ class Loop:
                 run.send_safe_command()
         except KeyboardInterrupt:
             run.abort(reason := "interrupted", "Ctrl-C")
-        except Exception as error:
-            run.abort("failed", _error_text(error))
+        except Exception as flight_error:
+            run.abort("failed", _error_text(flight_error))
             raise
         run.add_event("ended", {"reason": reason, "steps": len(run.times), "skipped": run.skipped})
         return run.result(reason)
@@ -279,9 +279,9 @@ class _Run:
             if not isinstance(answer, Command):
                 raise TypeError(f"expected a Command, got {type(answer).__name__}")
             command = Command.clip(*answer.vector.tolist())
-        except Exception as error:
+        except Exception as pilot_error:
             self.consecutive_faults += 1
-            self.add_event("pilot failed", {"error": _error_text(error)})
+            self.add_event("pilot failed", {"error": _error_text(pilot_error)})
             return replace(SAFE_COMMAND, image_sequence=sequence)
         self.consecutive_faults = 0
         saturated = command.saturated or bool(answer.saturated)
@@ -293,9 +293,9 @@ class _Run:
             return ""
         try:
             return str(getattr(self.loop.pilot, "mode", ""))
-        except Exception as error:
+        except Exception as mode_error:
             self.mode_failed = True
-            self.add_event("mode dropped", {"error": _error_text(error)})
+            self.add_event("mode dropped", {"error": _error_text(mode_error)})
             return ""
 
     def write_step(self, step: LoopStep, new_image: Image | None) -> None:
@@ -316,10 +316,10 @@ class _Run:
         for hook in list(self.hooks):
             try:
                 hook(step)
-            except Exception as error:
+            except Exception as hook_error:
                 self.hooks.remove(hook)
                 name = getattr(hook, "__qualname__", str(hook))
-                self.add_event("hook dropped", {"hook": name, "error": _error_text(error)})
+                self.add_event("hook dropped", {"hook": name, "error": _error_text(hook_error)})
 
     def abort(self, name: str, why: str) -> None:
         """Send the safe command after an error or Ctrl-C; a failure here must not hide it."""
@@ -344,9 +344,9 @@ class _Run:
             return
         try:
             what(self.log)
-        except InputError as error:
+        except InputError as log_error:
             self.log = None
-            warn(f"{error}; the flight goes on without a log", stacklevel=2)
+            warn(f"{log_error}; the flight goes on without a log", stacklevel=2)
 
     @contextmanager
     def time_stage(self, stage: str) -> Iterator[None]:

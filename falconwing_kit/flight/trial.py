@@ -12,7 +12,7 @@ from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.trim import trim
 from falconwing_kit.control.leader import LeaderPath
 from falconwing_kit.control.loops import SPEED
-from falconwing_kit.core.checks import require_range
+from falconwing_kit.core.checks import Array, require_range
 from falconwing_kit.core.frames import rotation_world_body
 from falconwing_kit.core.messages import State
 from falconwing_kit.flight.judges import FlightEvaluator
@@ -64,13 +64,39 @@ class Spread:
         draw = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, 7)
         steady = State.from_vector(trim(model, speed).state)
         roll, d_pitch, d_yaw = self.angle * draw[3:6]
-        pitch, yaw = steady.pitch + d_pitch, yaw + d_yaw
-        # The trim's velocity relative to its nose, turned to the new attitude and scaled.
-        R_world_body = rotation_world_body(roll, pitch, yaw)
-        R_steady = rotation_world_body(0.0, steady.pitch, 0.0)
-        v_world = R_world_body @ R_steady.T @ steady.v_world * (1.0 + self.speed * draw[6] / speed)
+        attitude = roll, steady.pitch + d_pitch, yaw + d_yaw
         position = np.asarray(p_world, np.float64) + self.position * draw[0:3]
-        return State(position, pitch, yaw, roll, v_world)
+        return _turned(steady, position, attitude, 1.0 + self.speed * draw[6] / speed)
+
+
+def state_at_pose(
+    model: Model, p_world: ArrayLike, attitude: ArrayLike, speed: float = SPEED
+) -> State:
+    """A true state at a pose: the velocity of a trimmed flight, turned with the nose.
+
+    Args:
+        model: the aircraft.
+        p_world: (3,) [m].
+        attitude: (3,) roll, pitch, yaw [rad].
+        speed: [m/s].
+
+    Raises:
+        InputError: the aircraft cannot fly straight at this speed.
+    """
+    steady = State.from_vector(trim(model, speed).state)
+    roll, pitch, yaw = map(float, np.asarray(attitude, np.float64))
+    return _turned(steady, np.asarray(p_world, np.float64), (roll, pitch, yaw), 1.0)
+
+
+def _turned(
+    steady: State, p_world: Array, attitude: tuple[float, float, float], scale: float
+) -> State:
+    """The trim's velocity relative to its nose, turned to an attitude and scaled."""
+    roll, pitch, yaw = attitude
+    R_world_body = rotation_world_body(roll, pitch, yaw)
+    R_steady = rotation_world_body(0.0, steady.pitch, 0.0)
+    v_world = R_world_body @ R_steady.T @ steady.v_world * scale
+    return State(p_world, pitch, yaw, roll, v_world)
 
 
 @dataclass(frozen=True)
@@ -94,6 +120,10 @@ class FlightTask(Protocol):
     def airframe(self) -> Airframe:
         """Of the aircraft that flies."""
 
+    @property
+    def start(self) -> State | None:
+        """Where every trial starts; None where starts are drawn."""
+
     def leader(self, seed: int) -> LeaderPath | None:
         """The leader of a seed, None for a task without one; part of a study's digest."""
 
@@ -105,8 +135,8 @@ class FlightTask(Protocol):
     ) -> FlightEvaluator:
         """The evaluator of a trial, in the images of a camera."""
 
-    def expert(self, trial: TrialSetup) -> Pilot:
-        """The state-based pilot for it."""
+    def expert(self, trial: TrialSetup, model: Model | None = None) -> Pilot:
+        """The state-based pilot for it, designed on a model; None for the aircraft's own."""
 
 
 @dataclass(frozen=True)

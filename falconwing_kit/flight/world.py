@@ -1,12 +1,14 @@
-"""Simulated world: delayed commands -> true state, measured state, leader and first contact.
+"""Simulated world: delayed commands -> true state, measured state (pose noise, velocity filter),
+leader and first contact.
 
 Everything here is simulated. The noise depends only on the seed and the frame's number, so flights
 with the same seed have the same start and the same noise, whatever the pilot.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -29,7 +31,7 @@ NO_PAD = LandingPad(length=0.0, width=0.0, height=0.0)
 POSITION_JERK, ATTITUDE_JERK = 8.0, 15.0
 # Smallest noise that the filter assumes [m, rad]; without any it would follow rounding errors.
 NOISE_FLOOR = (1e-3, 1e-3)
-WARM_UP = 40  # frames that the filter has processed before the flight begins
+FRAMES_BEFORE_START = 40  # simulated for the velocity filter, which has then settled
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,19 @@ class Contact:
     obstacle: Obstacle
     p_world: Array  # (3,) the centre of gravity [m]
     touchdown: Touchdown | None = None  # of the wheels on pad or floor; None for other contacts
+
+
+class FlyingAircraft(Protocol):
+    """An aircraft that is simulated step by step, such as `control.estimate.SimulatedAircraft`."""
+
+    t: float  # now [s]
+    x: Array  # (12,) its true state in the order of STATE_NAMES, SI
+
+    def send(self, t: float, commands: Array) -> None:
+        """Send commands (4,) at a time [s] not before the last."""
+
+    def advance(self, t: float) -> None:
+        """Simulate until t [s]."""
 
 
 class PoseFilter:
@@ -107,14 +122,16 @@ class SimulatedWorld:
     """One flight of a modelled aircraft in the hall, with or without a pad and a leader."""
 
     def __init__(
-        self, model: Model, airframe: Airframe, start: State, *, seed: int,
+        self, model: Model | FlyingAircraft, airframe: Airframe, start: State, *, seed: int,
         pad: LandingPad | None = None, leader: LeaderTrajectory | None = None,
         hall: Hall | None = None, noise: PoseNoise | None = None, delay: float = LINK_DELAY_S,
+        camera: Callable[[State], State] | None = None,
     ) -> None:  # fmt: skip
         """Begin at t = 0.
 
         Args:
-            model: the aircraft that flies, with any effect added.
+            model: the aircraft that flies, with any effect added; or an aircraft that another
+                simulator flies, at the start and with its own delay.
             airframe: positions of wheels, wing tips and nose.
             start: the true state at t = 0.
             seed: of the noise.
@@ -123,6 +140,7 @@ class SimulatedWorld:
             hall: its walls; None for the default.
             noise: of the measured pose; None for the default.
             delay: from `send` to the aircraft's own input [s].
+            camera: true state -> state that the camera would measure without noise; None: the same.
 
         Raises:
             InputError: the start is not finite, or an argument is out of its range.
@@ -132,12 +150,15 @@ class SimulatedWorld:
                 "start: expected a finite state, got nan or infinity; set all of its numbers"
             )
         self.contact: Contact | None = None
-        self._aircraft = SimulatedAircraft(model, start, delay)
+        self._aircraft: FlyingAircraft = (
+            SimulatedAircraft(model, start, delay) if isinstance(model, Model) else model
+        )
+        self._camera = camera or (lambda state: state)
         self._airframe, self._leader = airframe, leader
         self._pad, self._hall = pad or NO_PAD, hall or Hall()
         self._noise, self._seed = noise or PoseNoise(), int(require_range("seed", seed, low=0))
         self._t, self._filter = 0.0, PoseFilter(self._noise)
-        self._measured = self._warm_up()
+        self._measured = self._measure_before_start()
 
     @property
     def t(self) -> float:
@@ -173,16 +194,27 @@ class SimulatedWorld:
             self._measured = self._measure(round(self._t / CONTROL_PERIOD_S), self.state)
         self._t = t
 
-    def _warm_up(self) -> State:
-        """Run the filter along the straight line that leads to the start."""
-        x = self.state
-        for k in range(-WARM_UP, 0):
-            p_world = x.p_world + k * CONTROL_PERIOD_S * x.v_world
-            self._measure(k, State(p_world, x.pitch, x.yaw, x.roll, x.v_world))
-        return self._measure(0, x)
+    def _measure_before_start(self) -> State:
+        """Run the velocity filter along the straight line that leads to the start.
+
+        Returns:
+            The measured state at the start; the filter needs frames before it to have a velocity.
+        """
+        start = self.state
+        for frame_before_start in range(-FRAMES_BEFORE_START, 0):
+            t_before_start = frame_before_start * CONTROL_PERIOD_S
+            p_before_start = start.p_world + t_before_start * start.v_world
+            state_before_start = State(
+                p_before_start, start.pitch, start.yaw, start.roll, start.v_world
+            )
+            self._measure(frame_before_start, state_before_start)
+        return self._measure(0, start)
 
     def _measure(self, frame: int, state: State) -> State:
-        rng = np.random.default_rng([self._seed, frame + WARM_UP])
+        rng, state = (
+            np.random.default_rng([self._seed, frame + FRAMES_BEFORE_START]),
+            self._camera(state),
+        )
         sigma = np.repeat((self._noise.position, self._noise.attitude), 3)
         true_pose = np.array([*state.p_world, state.roll, state.pitch, state.yaw])
         pose = true_pose + sigma * rng.normal(size=6)
@@ -191,8 +223,8 @@ class SimulatedWorld:
 
     def _corners(self, p_world: Array, roll: float, pitch: float, yaw: float) -> Array:
         """Nose, tail and wing tips (4, 3) [m]."""
-        R_world_body = rotation_world_body(roll, pitch, yaw)
-        return np.asarray(p_world + self._airframe.corners_body @ R_world_body.T)
+        corners_body = self._airframe.corners_body
+        return np.asarray(p_world + corners_body @ rotation_world_body(roll, pitch, yaw).T)
 
     def _find_contact(self, t_before: float, x_before: Array) -> Contact | None:
         """The first contact since t_before; a touchdown only if nothing else was hit by then."""

@@ -13,6 +13,8 @@ from torch.nn import functional
 KERNEL = 7  # width of a blur kernel [px]
 CHROMA_BLUR = 0.7 ** torch.arange(9.0)  # a decoder's colour lag along the line, pixel by pixel
 OCCLUDERS = 2  # per image, at most
+OCCLUDER_CHANCE = 0.2  # of each of them
+ANALOG_SHARE = 0.5  # of images with an analog link
 LUMA = (0.299, 0.587, 0.114)  # of red, green, blue [ITU-R BT.601]
 
 
@@ -29,7 +31,7 @@ def randomise_appearance(images: Tensor, generator: torch.Generator) -> tuple[Te
     images = vary_lighting(images, generator)
     images, clear = add_occluders(images, generator)
     images = add_blur(images, generator)
-    analog = _uniform(len(images), generator, 0.0, 1.0) < 0.5
+    analog = _uniform(len(images), generator, 0.0, 1.0) < ANALOG_SHARE
     images = torch.where(analog, analog_link(images, generator), images)
     noise = _uniform(len(images), generator, 0.0, 0.03) * _normal(images.shape, generator)
     return (images + noise).clamp(0.0, 1.0), clear
@@ -67,7 +69,7 @@ def add_occluders(images: Tensor, generator: torch.Generator) -> tuple[Tensor, T
         centre_x, centre_y, chance = (_uniform(count, generator, 0.0, 1.0) for _ in range(3))
         half_x, half_y = (_uniform(count, generator, 0.02, 0.2) for _ in range(2))
         inside = ((x - centre_x) / half_x) ** 2 + ((y - centre_y) / half_y) ** 2 < 1.0
-        inside = inside & (chance < 0.2)
+        inside = inside & (chance < OCCLUDER_CHANCE)
         colour = torch.rand(count, 3, 1, 1, generator=generator, device=images.device)
         colour = colour + 0.1 * _normal((count, 1, height, width), generator)
         images, hidden = torch.where(inside, colour, images), hidden | inside
@@ -83,9 +85,11 @@ def add_blur(images: Tensor, generator: torch.Generator) -> Tensor:
     along = torch.cos(angle) * reach + torch.sin(angle) * reach[:, None]
     across = torch.cos(angle) * reach[:, None] - torch.sin(angle) * reach
     # powers of uniform numbers: most images are sharp
-    focus = 0.1 + 0.9 * torch.rand(count, 1, 1, generator=generator, device=images.device) ** 2
-    motion = focus + 1.8 * torch.rand(count, 1, 1, generator=generator, device=images.device) ** 4
-    kernels = torch.exp(-0.5 * ((along / motion) ** 2 + (across / focus) ** 2))
+    defocus_px = 0.1 + 0.9 * torch.rand(count, 1, 1, generator=generator, device=images.device) ** 2
+    motion_blur_px = (
+        defocus_px + 1.8 * torch.rand(count, 1, 1, generator=generator, device=images.device) ** 4
+    )
+    kernels = torch.exp(-0.5 * ((along / motion_blur_px) ** 2 + (across / defocus_px) ** 2))
     kernels = (kernels / kernels.sum(dim=(1, 2), keepdim=True))[:, None]
     # (3, B, H, W): with groups=B each image is convolved with its own kernel
     edge = KERNEL // 2
@@ -152,4 +156,5 @@ def _uniform(count: int, generator: torch.Generator, low: float, high: float) ->
 
 
 def _normal(shape: tuple[int, ...] | torch.Size, generator: torch.Generator) -> Tensor:
+    """Standard normal numbers of a shape, on the generator's device."""
     return torch.randn(shape, generator=generator, device=generator.device)

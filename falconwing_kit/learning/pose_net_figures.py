@@ -14,6 +14,7 @@ from falconwing_kit.vision.pose_net import PoseNet
 
 CHI2_3 = {0.6827: 3.5267, 0.95: 7.8147}  # quantiles of chi squared with three degrees of freedom
 MIN_TO_CALIBRATE = 10  # images
+SMALL_SINE = 1e-9  # below, the angle is 0 or pi and the axis cannot be divided out
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +135,6 @@ def _rotation_vector(R: Array, R_from: Array) -> Array:
     w = 0.5 * np.array([M[2, 1] - M[1, 2], M[0, 2] - M[2, 0], M[1, 0] - M[0, 1]])
     sin, cos = np.linalg.norm(w), 0.5 * (np.trace(M) - 1.0)
     angle = np.arctan2(sin, cos)
-    if sin > 1e-9:
+    if sin > SMALL_SINE:
         return np.asarray(w * angle / sin)
     return np.asarray(w if cos > 0.0 else np.array([np.pi, 0.0, 0.0]))

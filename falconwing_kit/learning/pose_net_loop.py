@@ -1,4 +1,5 @@
-"""Training loop of a pose net: a network and a source of views -> the trained network.
+"""Training loop of a pose net: a network, a source of views and the losses of pose and points ->
+the trained network.
 
 Views are rendered during the training: a pool holds the newest ones, each step draws a batch from
 it and randomises the appearance, so that no image is repeated exactly. An interrupted training is
@@ -39,6 +40,8 @@ WARMUP = 0.03  # share of the training over which the learning rate rises
 COOLDOWN = 0.01  # share of the learning rate at the end
 POINTS_WEIGHT, FUSED_WEIGHT = 1.0, 0.5  # of the losses, relative to the pose token's
 FUSED_FROM = 0.1  # share of the training before the fused pose is trained: it is random at first
+MIN_CLEAR_SHARE = 0.7  # of a cell's pixels without occluder; below, its point is not trained
+LOG_PERIOD_STEPS = 100
 EMA_DECAY = 0.999  # of the exponential moving average of the weights
 MAX_GRADIENT_NORM = 1.0
 SAVE_PERIOD_S = 60.0
@@ -159,12 +162,12 @@ def losses(
 def _points_loss(output: PoseNetOutput, views: Views, clear: Tensor, rays: Tensor) -> Tensor:
     """Loss of the scene coordinates, averaged over the cells that show the hall."""
     clear_share = functional.avg_pool2d(clear.float(), CELL).flatten(1)
-    valid = ((views.depths > 0.0) & (clear_share > 0.7)).float()
+    valid = ((views.depths > 0.0) & (clear_share > MIN_CLEAR_SHARE)).float()
     # true points (B, K, 3): the rays in world axes, as long as the depths require
     length = views.depths[..., None] / rays[:, 2:]
     rays_world = rays @ views.Ts_world_camera[:, :3, :3].mT
-    points = views.Ts_world_camera[:, None, :3, 3] + length * rays_world
-    chi2 = ((output.points - points) ** 2).sum(-1) * torch.exp(-2.0 * output.log_sigma_points)
+    true_points = views.Ts_world_camera[:, None, :3, 3] + length * rays_world
+    chi2 = ((output.points - true_points) ** 2).sum(-1) * torch.exp(-2.0 * output.log_sigma_points)
     tail = 0.5 * (STUDENT_T_DOF + 3.0) * torch.log1p(chi2 / STUDENT_T_DOF)
     nll = (tail + 3.0 * output.log_sigma_points) * torch.exp(output.log_sigma_points.detach())
     return (nll * valid).sum() / valid.sum().clamp(min=1.0)
@@ -223,7 +226,7 @@ class PoseNetTrainer:
             pool.grow(self.plan.fresh)
             figures = self._train_step(pool.draw(self.plan.batch, generator), generator)
             self.seconds = before + time.monotonic() - start
-            if self.step % 100 == 0:
+            if self.step % LOG_PERIOD_STEPS == 0:
                 log({name: float(value) for name, value in figures.items()} | {"views": pool.count})
             is_due = self.seconds > saved + SAVE_PERIOD_S or self.progress >= 1.0
             if self.folder is not None and is_due:
@@ -279,12 +282,12 @@ class PoseNetTrainer:
 
     def _resume(self) -> None:
         """Load the saved state, if there is one."""
-        path = None if self.folder is None else self.folder / STATE
-        if path is None or not path.is_file():
+        saved_state = None if self.folder is None else self.folder / STATE
+        if saved_state is None or not saved_state.is_file():
             return
-        name = short_name(path)
+        name = short_name(saved_state)
         try:
-            metadata, tensors = _metadata(path), load_file(path)
+            metadata, tensors = _metadata(saved_state), load_file(saved_state)
         except Exception:  # a damaged file can fail anywhere
             raise InputError(
                 f"{name}: expected an interrupted training, got a damaged file; delete it"

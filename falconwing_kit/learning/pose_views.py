@@ -1,4 +1,5 @@
-"""Training views for poses: a scene, photos, a leader -> images, depths and camera poses.
+"""Training views for poses: a scene, photos pasted into its views, a leader drawn into them ->
+images, depths and camera poses.
 
 Cameras are drawn from three distributions, in shares that the caller gives:
 
@@ -30,6 +31,8 @@ WALL = 0.5  # distance of aircraft from the box's sides [m]
 TURN_DEG, SHIFT = 10.0, 0.7  # of views near photos [deg, m]
 MIN_COVERED = 0.85  # share of a view that the scene must cover
 NEAR, NEAR_SHARE = 0.4, 0.2  # at most this share of the pixels may be nearer [m]
+SOLID_ALPHA = 0.5  # of the hall; below, a pixel has no depth
+OCCLUDING_ALPHA = 0.3  # of the leader; from here on it hides the hall's depth
 SUPERSAMPLING = 2  # renders are averaged over so many pixels a side, like scaled photos
 BATCH = 32  # views in a call of the GPU renderer
 LEADER_NEAR, LEADER_FAR = 1.5, 12.0  # [m]
@@ -84,6 +87,7 @@ def make_renderer(
     """Function that renders a scene from many poses, by gsplat in large calls, else one by one."""
 
     def by_gsplat(Ts_world_camera: Array) -> tuple[Tensor, Tensor, Tensor]:
+        """A RenderFunction: BATCH views a call, on the GPU."""
         from falconwing_kit.scene.gsplat_backend import rasterize
 
         parts = [Ts_world_camera[k : k + BATCH] for k in range(0, len(Ts_world_camera), BATCH)]
@@ -93,6 +97,7 @@ def make_renderer(
         return rgbd[..., :3].clamp(0.0, 1.0), alphas[..., 0], rgbd[..., 3]
 
     def one_by_one(Ts_world_camera: Array) -> tuple[Tensor, Tensor, Tensor]:
+        """A RenderFunction: view by view, on the CPU."""
         frames = [
             render(scene, camera, T, backend, antialiased=antialiased) for T in Ts_world_camera
         ]
@@ -117,19 +122,19 @@ def sample_views(world: ViewSource, count: int, rng: np.random.Generator) -> Vie
     Ts_world_camera = aircraft_poses(world.low, world.high, count, rng)
     numbers, from_photo = np.zeros(count, np.int64), np.zeros(count, bool)
     if world.photos is not None:
-        share = rng.random(count)
+        draw = rng.random(count)  # decides which distribution a view is from
         Ts_photo = world.photos.Ts_world_camera.cpu().numpy().astype(np.float64)
-        from_photo = share < world.photo_share
-        from_or_near_photo = share < world.photo_share + world.near_share
+        from_photo = draw < world.photo_share
+        from_or_near_photo = draw < world.photo_share + world.near_share
         numbers = rng.integers(len(Ts_photo), size=count)
         shift = np.where(from_photo, 0.0, SHIFT)
         Ts_near = perturb_poses(Ts_photo[numbers], shift, TURN_DEG, rng)
         Ts_world_camera = np.where(from_or_near_photo[:, None, None], Ts_near, Ts_world_camera)
     # render, and reject views that show too little of the hall or a surface too near
     colours, alphas, depths = world.render_hall(Ts_world_camera)
-    depths = depths * (alphas > 0.5)
+    depths = depths * (alphas > SOLID_ALPHA)
     covered, near_pixels = alphas.mean(dim=(1, 2)), (depths < NEAR).float().mean(dim=(1, 2))
-    good = (covered > MIN_COVERED) & (near_pixels < NEAR_SHARE)
+    usable = (covered > MIN_COVERED) & (near_pixels < NEAR_SHARE)
     # photos are copied over the renders at their positions; such views are always valid
     if world.photos is not None and from_photo.any():
         rows = torch.from_numpy(np.flatnonzero(from_photo)).to(colours.device)
@@ -137,24 +142,24 @@ def sample_views(world: ViewSource, count: int, rng: np.random.Generator) -> Vie
         colours[rows] = overlay_photos(
             renders, world.camera, poses, world.photos, numbers[from_photo]
         )
-        good[rows] = True
+        usable[rows] = True
     if world.render_leader is not None:
         chosen = np.flatnonzero(rng.random(count) < world.leader_share)
         draw_leader(
             colours, depths, world.render_leader, world.camera, Ts_world_camera, chosen, rng
         )
-    return _downsample(colours, depths, Ts_world_camera, good)
+    return _downsample(colours, depths, Ts_world_camera, usable)
 
 
-def _downsample(colours: Tensor, depths: Tensor, Ts_world_camera: Array, good: Tensor) -> Views:
-    """The good ones of supersampled renders, in the network's size."""
+def _downsample(colours: Tensor, depths: Tensor, Ts_world_camera: Array, usable: Tensor) -> Views:
+    """The usable ones of supersampled renders, in the network's size."""
     images = functional.avg_pool2d(colours.permute(0, 3, 1, 2), SUPERSAMPLING)
     # a cell's depth is valid if all of its pixel's supersamples are: minimum pooling
     valid = -functional.max_pool2d(-(depths > 0.0).float(), SUPERSAMPLING)
     depths = functional.avg_pool2d(depths, SUPERSAMPLING) * valid
     cells = depths[:, CELL // 2 :: CELL, CELL // 2 :: CELL].flatten(1)
     poses = torch.from_numpy(Ts_world_camera).float().to(images.device)
-    return Views((images[good] * 255.0).round().to(torch.uint8), cells[good], poses[good])
+    return Views((images[usable] * 255.0).round().to(torch.uint8), cells[usable], poses[usable])
 
 
 def aircraft_poses(low: Array, high: Array, count: int, rng: np.random.Generator) -> Array:
@@ -263,4 +268,4 @@ def draw_leader(
     nearer = (alphas > 0.0) & (leader_depths < depths[rows])
     alphas = alphas * nearer
     colours[rows] = drawn * nearer[..., None] + (1.0 - alphas[..., None]) * colours[rows]
-    depths[rows] = depths[rows] * (alphas < 0.3)
+    depths[rows] = depths[rows] * (alphas < OCCLUDING_ALPHA)

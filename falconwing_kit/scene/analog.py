@@ -26,6 +26,7 @@ CLICK_DECAY_S = 0.3e-6  # of the tail that de-emphasis leaves behind a click
 LOCK = 0.5  # share of its error that the line oscillator keeps from line to line
 TEAR_LOCK = 0.85  # the same after a lost lock
 DROPOUT_LINES = 6.0  # mean length of a fade
+MIN_SIDE_PX = 16  # of an image
 
 Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
@@ -269,12 +270,14 @@ def _low_pass(pixel_s: float, luma_hz: float = LUMA_HZ) -> Array:
 
 
 def _require_picture(image: Pixels, earlier: Pixels | None) -> None:
+    """Raise InputError unless both are RGB bytes of one size; the earlier one may be missing."""
     for picture in (image,) if earlier is None else (image, earlier):
         shape: tuple[int, ...] = getattr(picture, "shape", ())
         kind = getattr(picture, "dtype", type(picture).__name__)
-        if len(shape) != 3 or shape[2] != 3 or kind != np.uint8 or min(shape[:2]) < 16:
+        if len(shape) != 3 or shape[2] != 3 or kind != np.uint8 or min(shape[:2]) < MIN_SIDE_PX:
             raise InputError(
-                f"analog video: expected (H, W, 3) uint8 of 16 pixels or more, got {shape} {kind}"
+                f"analog video: expected (H, W, 3) uint8 of {MIN_SIDE_PX} pixels or more,"
+                f" got {shape} {kind}"
             )
     if earlier is not None and earlier.shape != image.shape:
         raise InputError(f"earlier: expected the image's size, {image.shape}, got {earlier.shape}")

@@ -1,4 +1,5 @@
-"""Arena: the plan in arena.toml and a seed -> a hall of Gaussians; scenes by name; the leader.
+"""Arena: the plan in arena.toml and a seed -> a hall of Gaussians, its panels cut into cells along
+painted edges; scenes by name; the leader.
 
 Everything is made of surfels, thin Gaussians that lie on surfaces. A flat panel is cut into
 rectangles along the edges of what is painted on it, finer towards an edge and long beside it: lines
@@ -35,6 +36,9 @@ AMBIENT = 0.30  # light from everywhere; 1 shows a white wall white
 BOUNCE = (0.34, 0.28, 0.21)  # light reflected by the floor, on a surface that faces down
 CORNER_SHADE = 0.6  # distance over which the darkening beside a wall decays [m]
 POSTER_COLOURS = 8
+WIDTH_RATIO = 1.5  # of a rectangle to its distance from the next edge; wider ones are halved
+ARC_REACH = 0.7  # of a rectangle's longer side; it is fine where an arc's border is nearer
+EDGE_TOLERANCE = 1e-4  # an edge this near to a rectangle's side does not cut it [m]
 FACES = {  # of a box, with u and v along them; u x v points outward
     **{"+x": ((0, 1, 0), (0, 0, 1)), "-x": ((0, -1, 0), (0, 0, 1)), "+y": ((-1, 0, 0), (0, 0, 1))},
     **{"-y": ((1, 0, 0), (0, 0, 1)), "+z": ((1, 0, 0), (0, 1, 0)), "-z": ((1, 0, 0), (0, -1, 0))},
@@ -68,7 +72,7 @@ class Panel:
     v: Any
     size: Any  # along u and v [m]
     cell: Any = (0.3, 0.3)  # the largest rectangle [m]
-    edge: float = 0.025  # width of the strips beside an edge [m]
+    finest_cell: float = 0.025  # width of the strips beside an edge [m]
     free: bool = False  # its border is visible and has such strips too
     # rectangles, a later one covers an earlier one; "none" cuts a hole
     paint: tuple[Mapping[str, Any], ...] = ()
@@ -111,15 +115,15 @@ def load_scene(name: str) -> GaussianScene:
         file = "leader.npz" if name == "leader" else "hall.npz"
         return GaussianScene.load(Path(__file__).parents[1] / "data" / file)
     version = hashlib.sha256(Path(__file__).read_bytes() + PLAN.read_bytes()).hexdigest()[:12]
-    path = cache_folder() / f"arena-{version}.npz"
+    cached_arena = cache_folder() / f"arena-{version}.npz"
     try:
-        scene = GaussianScene.load(path)
+        scene = GaussianScene.load(cached_arena)
     except (OSError, InputError):  # not there yet, or damaged
         scene = build_arena()
         with suppress(OSError, InputError):  # a scene that cannot be cached is still usable
-            path.parent.mkdir(parents=True, exist_ok=True)
-            scene.save(path)
-            for older in set(path.parent.glob("arena-*.npz")) - {path}:
+            cached_arena.parent.mkdir(parents=True, exist_ok=True)
+            scene.save(cached_arena)
+            for older in set(cached_arena.parent.glob("arena-*.npz")) - {cached_arena}:
                 older.unlink(missing_ok=True)
     return scene
 
@@ -201,13 +205,13 @@ def _with_posters(panel: Panel, rng: Random) -> Panel:
     sheets, share = [], np.max(panel.size) / max(1, panel.posters)
     for number in range(panel.posters):
         size = rng.uniform((1.2, 0.8), (2.0, 1.1))
-        at = np.array([share * number + rng.uniform(0.2, share - 2.2), rng.uniform(2.5, 2.9)])
+        corner = np.array([share * number + rng.uniform(0.2, share - 2.2), rng.uniform(2.5, 2.9)])
         for part in range(6):
             low, high = np.zeros(2), size
             if part > 0:
                 low, high = np.sort(rng.uniform(0.08, 0.92, (2, 2)), axis=0) * size
             colour = f"poster {rng.integers(POSTER_COLOURS)}"
-            sheets.append({"colour": colour, "at": at + low, "size": high - low + 0.02})
+            sheets.append({"colour": colour, "at": corner + low, "size": high - low + 0.02})
     return replace(panel, paint=(*sheets, *panel.paint))
 
 
@@ -217,9 +221,9 @@ def _with_marker(panel: Panel) -> Panel:
 
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, MARKER_DICTIONARY))
     marker = cv2.aruco.generateImageMarker(dictionary, MARKER_ID, 6)
-    bits = np.argwhere(marker[::-1] > 127)  # row from below, column
+    white_bits = np.argwhere(marker[::-1] > 127)  # of bytes 0 or 255; row from below, column
     square, side = panel.paint[0], panel.paint[0]["size"][0] / 6
-    places = np.add(square["at"], side * bits[:, ::-1])
+    places = np.add(square["at"], side * white_bits[:, ::-1])
     white = [{"colour": panel.colour, "at": at, "size": (side, side)} for at in places]
     return replace(panel, paint=(square, *white))
 
@@ -281,8 +285,9 @@ def _cells(panel: Panel) -> tuple[Array, Array]:
     high, done = low + panel.size / count, []
     rect_low, rect_high, _ = _rects(panel)
     while len(low):
-        both = [_cut(panel, low, high, rect_low, rect_high, axis) for axis in (0, 1)]
-        cuts = np.stack(both, axis=1)
+        cuts = np.stack(  # (N, 2): across u and across v
+            [_cut(panel, low, high, rect_low, rect_high, axis) for axis in (0, 1)], axis=1
+        )
         whole = np.isnan(cuts).all(axis=1)
         done.append((low[whole], high[whole]))
         low, high, cuts = low[~whole], high[~whole], cuts[~whole]
@@ -298,25 +303,36 @@ def _cells(panel: Panel) -> tuple[Array, Array]:
 def _cut(
     panel: Panel, low: Array, high: Array, rect_low: Array, rect_high: Array, axis: int
 ) -> Array:
-    """Where to cut rectangles (N,) across an axis, nan where they stay whole.
+    """Where to cut a panel's cells (N,) across an axis, nan where they stay whole.
 
-    They are cut at the most central edge that crosses them, and halved while they are wider than
-    their distance to the next edge.
+    They are cut at the most central painted edge that passes through them, and halved while they
+    are wider than their distance to the next edge that passes beside them.
+
+    Args:
+        panel: the panel.
+        low: (N, 2) low corners of the cells, rectangles in u and v [m].
+        high: (N, 2) [m].
+        rect_low: (R, 2) low corners of the painted rectangles, whose sides are the edges [m].
+        rect_high: (R, 2) [m].
+        axis: 0 for u, 1 for v.
     """
     first, other = 0 if panel.free else 1, 1 - axis  # what is painted first is the panel itself
     edges = np.concatenate([rect_low[first:, axis], rect_high[first:, axis]])
-    starts, ends = (np.tile(side[first:, other], 2) for side in (rect_low, rect_high))
-    # (N, edges) whether an edge passes beside or through a rectangle, and how far away
-    beside = starts < high[:, None, other] + panel.edge
-    beside &= ends > low[:, None, other] - panel.edge
-    left, right, middle = low[:, None, axis], high[:, None, axis], 0.5 * (low + high)
-    gaps = np.where(beside, np.maximum(0.0, np.maximum(left - edges, edges - right)), np.inf)
-    # Halve what is wider than 1.5 times the distance, within the panel's finest and largest cells
-    limit = np.clip(np.min(gaps, axis=1, initial=np.inf), panel.edge, np.array(panel.cell)[axis])
-    near_arc = _arc_gap(panel, middle) < 0.7 * np.max(high - low, axis=1)
-    limit = np.where(near_arc, np.minimum(limit, 2.0 * panel.edge), limit)
-    cut = np.where((right - left)[:, 0] > 1.5 * limit, middle[:, axis], np.nan)
-    crossing = beside & (edges > left + 1e-4) & (edges < right - 1e-4)
+    edge_starts, edge_ends = (np.tile(side[first:, other], 2) for side in (rect_low, rect_high))
+    # (N, edges) whether an edge passes beside or through a cell, and how far away
+    passes_cell = edge_starts < high[:, None, other] + panel.finest_cell
+    passes_cell &= edge_ends > low[:, None, other] - panel.finest_cell
+    cell_low, cell_high, middle = low[:, None, axis], high[:, None, axis], 0.5 * (low + high)
+    gaps = np.maximum(0.0, np.maximum(cell_low - edges, edges - cell_high))
+    gaps = np.where(passes_cell, gaps, np.inf)
+    # Halve what is too wide for its distance, within the panel's finest and largest cells
+    nearest = np.min(gaps, axis=1, initial=np.inf)
+    limit = np.clip(nearest, panel.finest_cell, np.array(panel.cell)[axis])
+    near_arc = _arc_gap(panel, middle) < ARC_REACH * np.max(high - low, axis=1)
+    limit = np.where(near_arc, np.minimum(limit, 2.0 * panel.finest_cell), limit)
+    cut = np.where((cell_high - cell_low)[:, 0] > WIDTH_RATIO * limit, middle[:, axis], np.nan)
+    crossing = passes_cell & (edges > cell_low + EDGE_TOLERANCE)
+    crossing &= edges < cell_high - EDGE_TOLERANCE
     offset = np.where(crossing, np.abs(edges - middle[:, axis, None]), np.inf)
     if len(edges) == 0:
         return cut

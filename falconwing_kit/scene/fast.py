@@ -78,8 +78,9 @@ def render_fast(
     """Image, alpha and depth of a scene, as from `reference`.
 
     Args:
-        scene: the Gaussians; or several scenes in the same coordinates, drawn as if joined, without
-            the cost of joining a fixed hall and a moving aircraft for every image.
+        scene: the Gaussians; or several scenes in the same coordinates, drawn as if joined; this
+            renderer alone does not join them first, which would cost a copy of the hall for every
+            image.
         background: (3,) red, green, blue 0..1 behind everything.
         antialiased: lower the opacity of splats smaller than a pixel by what BLUR adds to their
             area.
@@ -97,6 +98,7 @@ def render_fast(
     with ThreadPoolExecutor(min(workers, WORK_PARTS)) as pool:
 
         def run(kernel: Any, *arguments: Any) -> None:
+            """Run all parts of a kernel's step, and wait for the last."""
             share = map if workers == 1 else pool.map
             list(share(lambda part: kernel(part, *arguments), range(WORK_PARTS)))
 

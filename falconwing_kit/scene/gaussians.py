@@ -21,6 +21,8 @@ Images = tuple[Array32, Array32, Array32]  # of a renderer: colour, not cut at 1
 
 READERS: dict[str, Callable[[Path], dict[str, Any]]] = {".ply": read_ply, ".npz": read_native}
 MAX_LABELS = 256
+UNIT_TOLERANCE = 1e-6  # a quaternion whose length is nearer to 1 keeps its bits
+MIN_LENGTH = 1e-12  # a shorter quaternion has no direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +68,9 @@ class GaussianScene:
                 " cut it to such a degree"
             )
         opacities = self.opacities
-        _require_rows("scales", self.scales > 0.0, "numbers > 0 (metres, not logarithms)")
+        _require_all_gaussians("scales", self.scales > 0.0, "numbers > 0 (metres, not logarithms)")
         in_range = (opacities >= 0.0) & (opacities <= 1.0)
-        _require_rows("opacities", in_range, "numbers in 0..1 (not logits)")
+        _require_all_gaussians("opacities", in_range, "numbers in 0..1 (not logits)")
         object.__setattr__(self, "quaternions", _normalise(self.quaternions))
         object.__setattr__(self, "label_names", _require_names(self.label_names))
         labels = _require_labels(self.labels, len(means), len(self.label_names))
@@ -218,11 +220,11 @@ def _require_floats(name: str, values: ArrayLike, shape: tuple[int | None, ...])
         raise InputError(
             f"{name}: expected shape {expected}, one row for each of the means, got {array.shape}"
         )
-    _require_rows(name, np.isfinite(array), "finite numbers")
+    _require_all_gaussians(name, np.isfinite(array), "finite numbers")
     return array
 
 
-def _require_rows(name: str, good: NDArray[np.bool_], expected: str) -> None:
+def _require_all_gaussians(name: str, good: NDArray[np.bool_], expected: str) -> None:
     """InputError with the number of rows that are not good in every column."""
     if good.all():
         return
@@ -235,11 +237,11 @@ def _require_rows(name: str, good: NDArray[np.bool_], expected: str) -> None:
 
 def _normalise(quaternions: Array32) -> Array32:
     """Quaternions of length 1; those of length 1 already keep their bits."""
-    if (np.abs(np.einsum("ij,ij->i", quaternions, quaternions) - 1.0) < 1e-6).all():
+    if (np.abs(np.einsum("ij,ij->i", quaternions, quaternions) - 1.0) < UNIT_TOLERANCE).all():
         return quaternions  # true of most files, and ten times as fast
     length = np.linalg.norm(quaternions.astype(np.float64), axis=1, keepdims=True)
-    _require_rows("quaternions", length > 1e-12, "rotations other than 0, 0, 0, 0")
-    unit = np.where(np.abs(length - 1.0) < 1e-6, quaternions, quaternions / length)
+    _require_all_gaussians("quaternions", length > MIN_LENGTH, "rotations other than 0, 0, 0, 0")
+    unit = np.where(np.abs(length - 1.0) < UNIT_TOLERANCE, quaternions, quaternions / length)
     return unit.astype(np.float32)
 
 

@@ -70,9 +70,9 @@ def read_native(path: str | Path) -> dict[str, Any]:
     """
     path = require_file(path)
     name, members = short_name(path), zip_members(path, (".npy",))
-    rest = _read_labels(name, members) | {"points": _read_points(name, members)}
+    labels_and_points = _read_labels(name, members) | {"points": _read_points(name, members)}
     if "quantised.npy" not in members:
-        return _read_arrays(name, members, FULL_ARRAYS) | rest
+        return _read_arrays(name, members, FULL_ARRAYS) | labels_and_points
     kinds = QUANTISED_ARRAYS | (REST_ARRAY if "rest.npy" in members else {})
     arrays = _read_arrays(name, members, kinds)
     if arrays["quantised"][0] != VERSION:
@@ -86,7 +86,7 @@ def read_native(path: str | Path) -> dict[str, Any]:
             f"{name}: expected arrays of a quantised scene that fit each other, got others;"
             " save it again"
         )
-    return fields | rest
+    return fields | labels_and_points
 
 
 def read_named_points(path: str | Path) -> dict[str, Array32]:
@@ -146,11 +146,14 @@ def restore(arrays: dict[str, Any]) -> dict[str, Any] | None:
     count = len(arrays["means"])
     rest = arrays.get("rest", np.zeros((count, 0, 3), np.uint8))
     row_shapes = {"means": (3,), "quaternions": (), "scales": (3,), "opacities": (), "dc": (3,)}
-    fits = all(arrays[name].shape == (count, *shape) for name, shape in row_shapes.items())
-    fits &= rest.shape[0] == count and rest.shape[2] == 3
+    # quantised arrays, one row per Gaussian
+    shapes_match = all(arrays[name].shape == (count, *shape) for name, shape in row_shapes.items())
+    shapes_match &= rest.shape[0] == count and rest.shape[2] == 3
+    # their ranges, lowest and highest value
     ends = [arrays[f"{name}_range"] for name in ("means", "scales", "dc", "rest")]
-    fits &= all(len(pair) == 2 and bool(np.isfinite(pair).all()) for pair in ends)
-    if not (fits and ends[0].shape == (2, 3) and np.abs(ends[1]).max() < MAX_LOG_SCALE):
+    shapes_match &= ends[0].shape == (2, 3) and all(len(pair) == 2 for pair in ends)
+    ranges_finite = all(bool(np.isfinite(pair).all()) for pair in ends)
+    if not (shapes_match and ranges_finite and np.abs(ends[1]).max() < MAX_LOG_SCALE):
         return None
     dc = _values(arrays["dc"], ends[2])[:, None]
     return {
@@ -227,6 +230,7 @@ def _unpack_rotations(packed: NDArray[np.uint32]) -> Array32:
 
 
 def _word_arrays(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """The members that hold text: names of labels, and source."""
     return {name: np.array(fields[name]) for name in ("label_names", "source")}
 
 

@@ -203,6 +203,7 @@ def _unpack_chunks(elements: dict[str, Rows], name: str) -> dict[str, Any]:
     chunk = np.arange(len(vertices)) // CHUNK
 
     def interpolate(fractions: Array32, names: tuple[str, str, str]) -> Array32:
+        """Fractions (N, 3) between the bounds of each Gaussian's chunk -> values."""
         low = _columns(chunks, tuple(f"min_{axis}" for axis in names), name)[chunk]
         high = _columns(chunks, tuple(f"max_{axis}" for axis in names), name)[chunk]
         return low * (1.0 - fractions) + high * fractions

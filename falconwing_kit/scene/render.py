@@ -33,8 +33,8 @@ def render(
     """Render a scene, by the conventions of gsplat's "classic" mode.
 
     Args:
-        scene: the Gaussians; or several scenes, drawn as if joined: a fixed hall and a moving
-            aircraft.
+        scene: the Gaussians; or several scenes in the same coordinates, drawn as if joined, such as
+            a fixed hall and a moving aircraft.
         T_world_camera: (4, 4) "world from camera", camera axes x right, y down, z forward.
         backend: "reference" (torch, readable), "fast" (numba), "gsplat" (CUDA) or "auto", which is
             "fast".
@@ -59,6 +59,7 @@ def render(
 
 
 def _require_scenes(scenes: Sequence[GaussianScene]) -> Scenes:
+    """Raise InputError unless it is a list or tuple of one scene or more."""
     several = tuple(scenes) if isinstance(scenes, list | tuple) else ()
     if not several or not all(isinstance(scene, GaussianScene) for scene in several):
         got = type(scenes).__name__
@@ -69,6 +70,7 @@ def _require_scenes(scenes: Sequence[GaussianScene]) -> Scenes:
 
 
 def _require_colour(background: ArrayLike) -> Array:
+    """Raise InputError unless it is red, green and blue (3,) in 0..1."""
     colour = require_shape("background", background, (3,))
     if not ((colour >= 0.0) & (colour <= 1.0)).all():
         raise InputError(
@@ -80,16 +82,18 @@ def _require_colour(background: ArrayLike) -> Array:
 def _reference(
     scenes: Scenes, camera: PinholeCamera, pose: Array, background: Array, antialiased: bool
 ) -> Images:
+    """By reference.py; InputError where torch is missing."""
     try:
         from falconwing_kit.scene.reference import render_reference
     except ModuleNotFoundError as error:
         raise _missing("reference", error) from None
-    return render_reference(_joined(scenes), camera, pose, background, antialiased)
+    return render_reference(_join_scenes(scenes), camera, pose, background, antialiased)
 
 
 def _fast(
     scenes: Scenes, camera: PinholeCamera, pose: Array, background: Array, antialiased: bool
 ) -> Images:
+    """By fast.py, which does not join scenes; InputError where numba is missing."""
     try:
         from falconwing_kit.scene.fast import render_fast
     except ModuleNotFoundError as error:
@@ -100,12 +104,14 @@ def _fast(
 def _gsplat(
     scenes: Scenes, camera: PinholeCamera, pose: Array, background: Array, antialiased: bool
 ) -> Images:
+    """By gsplat_backend.py; InputError where gsplat cannot run."""
     from falconwing_kit.scene.gsplat_backend import render_gsplat
 
-    return render_gsplat(_joined(scenes), camera, pose, background, antialiased)
+    return render_gsplat(_join_scenes(scenes), camera, pose, background, antialiased)
 
 
-def _joined(scenes: Scenes) -> GaussianScene:
+def _join_scenes(scenes: Scenes) -> GaussianScene:
+    """One scene of all Gaussians; a single one is not copied."""
     return scenes[0] if len(scenes) == 1 else GaussianScene.joined(*scenes)
 
 

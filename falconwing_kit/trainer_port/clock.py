@@ -127,6 +127,7 @@ class DeviceClock:
         self._zero = (float(device_0), float(host_0))
 
     def _line_at(self, device: float) -> float:
+        """The fitted line: unwrapped device time [s] -> host time [s]."""
         return self._zero[1] + self.rate * (device - self._zero[0])
 
     def _error_at(self, device: float) -> float:

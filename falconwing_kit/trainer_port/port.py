@@ -32,6 +32,7 @@ ENGAGE_WITHIN = 1.0  # s from the edge to ACTIVE; then the edge is repeated
 SYNC_PERIOD, FIRST_SYNCS = 0.5, 8  # s between round trips; the first eight are ten times as fast
 BACK_OFF = (0.25, 4.0)  # s between attempts to reopen a lost port: first and, by doubling, last
 IDLE = 0.02  # maximum throttle at which the motor is off
+PENDING_SYNCS = 9  # newest round trips without a reply that are still waited for
 HAND_BACK_FRAMES = 3  # in a burst: one is enough, two may be corrupted
 
 
@@ -231,6 +232,7 @@ class TrainerPort:
         return [(self.now(), self.link.read())] if read_stamped is None else read_stamped()
 
     def _dispatch(self, message: object, t: float) -> None:
+        """Take in one message of the board that arrived at t [s]."""
         if isinstance(message, Status):
             self._handle_status(message, t)
         elif isinstance(message, PilotFrame):
@@ -242,6 +244,7 @@ class TrainerPort:
             self.clock.add(sent, message.received_us, message.sent_us, t)
 
     def _handle_status(self, status: Status, t: float) -> None:
+        """A new STATUS: detect a reset of the board; update state, counts and engagement."""
         old, self.status, self._status_at = self.status, status, t
         reset = old is not None and (
             status.boot_count != old.boot_count
@@ -297,12 +300,14 @@ class TrainerPort:
             self._drop_engagement("dropped", details)
 
     def _drop_engagement(self, name: str, details: dict[str, Any]) -> None:
+        """Stop commanding until `send` was called with engage=False; an event gives the reason."""
         self.engagement = "dropped"
         self._event(name, details)
 
     # Writing.
 
     def _send_command(self, channels_us: tuple[int, ...], engage: bool) -> bool:
+        """Write one COMMAND under the next sequence number; False if it could not be written."""
         if self.state != "open" or self._next_sequence is None:
             self.counters.unsent += 1
             return False
@@ -317,8 +322,10 @@ class TrainerPort:
         return True
 
     def _send_sync(self, now: float) -> None:
+        """Start a round trip of the clocks; its token is the host's time, low 32 bits of us."""
         token = round(now * 1e6) % 2**32
-        self._syncs = {**dict(list(self._syncs.items())[-8:]), token: now}
+        pending = list(self._syncs.items())[-(PENDING_SYNCS - 1) :]
+        self._syncs = {**dict(pending), token: now}
         self._syncs_sent += 1
         self._sync_at = now + SYNC_PERIOD * (0.1 if self._syncs_sent < FIRST_SYNCS else 1.0)
         self.link.write(encode_sync(token))
@@ -326,15 +333,18 @@ class TrainerPort:
     # Loss and reopening.
 
     def _set_state(self, state: str, why: str) -> None:
+        """Change the port's state, with an event that gives the reason."""
         self.state = state
         self._event(f"port {state}", {"why": why})
 
     def _handle_loss(self, error: OSError) -> None:
+        """Close a port that failed; the first attempt to reopen it follows after BACK_OFF[0]."""
         self._close_link()
         self._set_state("lost", str(error))
         self._reopen_at, self._reopen_wait = self.now() + BACK_OFF[0], BACK_OFF[0]
 
     def _reopen_link(self) -> None:
+        """Try to reopen a lost port when its waiting time is over, which doubles each time."""
         now = self.now()
         if self._reopen is None or now < self._reopen_at:
             return
@@ -349,10 +359,12 @@ class TrainerPort:
             self._set_state("waiting", "opened again")
 
     def _close_link(self) -> None:
+        """Close the link, if it can be closed; errors of a lost one are ignored."""
         with suppress(OSError):
             getattr(self.link, "close", lambda: None)()
 
     def _event(self, name: str, details: dict[str, Any]) -> None:
+        """Queue an event for the caller, stamped with the host's time."""
         self.events.append(Event(self.now(), name, details))
 
 

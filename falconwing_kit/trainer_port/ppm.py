@@ -60,6 +60,7 @@ class Stick:
         return -deflection if self.reversed else deflection
 
     def _travel_us(self, deflection: float) -> int:
+        """Pulse width from the centre to the end point on the side of a deflection [us], > 0."""
         return self.high_us - self.centre_us if deflection >= 0.0 else self.centre_us - self.low_us
 
 
@@ -188,10 +189,12 @@ def default_calibration_path() -> Path:
 
 @cache
 def _shipped_calibration() -> Calibration:
+    """The calibration that ships, read once."""
     return load_calibration()
 
 
 def _require_date(text: str) -> None:
+    """Raise InputError unless the text is a day in ISO format or empty."""
     try:
         if text:
             date.fromisoformat(text)

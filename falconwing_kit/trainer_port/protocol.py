@@ -52,6 +52,8 @@ RESET_CAUSES = ("power-on", "reset pin", "brown-out", "watchdog", "JTAG")
 PILOT_SOURCES = ("PPM", "Spektrum serial")
 COMMAND, SYNC, STATUS, PILOT, SYNC_REPLY = 0x01, 0x02, 0x11, 0x12, 0x13
 MIN_CHANNELS, MAX_CHANNELS = 4, 8
+MAX_COBS_BYTES = 253  # a run of 254 would need the length 255, which COBS reserves
+MIN_PAYLOAD_BYTES, CHECKSUM_BYTES = 1, 2  # the type alone; CRC-16
 MAX_FRAME = 64  # bytes before the zero; the longest frame of version 1 has 47
 
 _HEADS = {  # fields before the channels
@@ -273,11 +275,12 @@ def cobs_encode(data: bytes) -> bytes:
     """Remove the zeros: every run between zeros is sent after its length plus one.
 
     Raises:
-        InputError: more than 253 bytes; a longer run needs the length 255, which COBS reserves.
+        InputError: more than MAX_COBS_BYTES.
     """
-    if len(data) > 253:
+    if len(data) > MAX_COBS_BYTES:
         raise InputError(
-            f"data: expected at most 253 bytes for one frame, got {len(data)}; split them"
+            f"data: expected at most {MAX_COBS_BYTES} bytes for one frame, got {len(data)};"
+            " split them"
         )
     return b"".join(bytes([len(run) + 1]) + run for run in data.split(b"\0"))
 
@@ -288,16 +291,16 @@ def cobs_decode(data: bytes) -> bytes:
     Raises:
         InputError: the data contain a zero, or the run lengths do not match their end.
     """
-    runs, at = [], 0
-    while at < len(data):
-        end = at + data[at]
-        if not at < end <= len(data):
+    runs, start = [], 0  # start: where a run's length stands
+    while start < len(data):
+        end = start + data[start]
+        if not start < end <= len(data):
             raise InputError(
                 f"frame: expected a length that ends within {len(data)} bytes, "
-                f"got {data[at]} at {at}; drop it"
+                f"got {data[start]} at {start}; drop it"
             )
-        runs.append(data[at + 1 : end])
-        at = end
+        runs.append(data[start + 1 : end])
+        start = end
     if 0 in data:
         raise InputError(
             "frame: expected no zero before its end, got one; "
@@ -329,11 +332,12 @@ def _decode_payload(frame: bytes) -> bytes:
             "split the stream with Deframer"
         )
     content = cobs_decode(data)
-    if len(content) < 3:
+    if len(content) < MIN_PAYLOAD_BYTES + CHECKSUM_BYTES:
         raise InputError(
             f"frame: expected a type and a checksum, got {len(content)} bytes; drop it"
         )
-    payload, sent = content[:-2], int.from_bytes(content[-2:], "little")
+    payload = content[:-CHECKSUM_BYTES]
+    sent = int.from_bytes(content[-CHECKSUM_BYTES:], "little")
     if crc16(payload) != sent:
         raise InputError(
             f"frame: expected checksum 0x{crc16(payload):04x}, got 0x{sent:04x}; "
@@ -397,5 +401,6 @@ def _require_whole(name: str, value: int) -> int:
 
 
 def _require_count(count: int, low: int, high: int) -> None:
+    """Raise InputError unless a frame has low to high channels."""
     if not low <= count <= high:
         raise InputError(f"channels: expected {low} to {high} of them, got {count}")

@@ -38,6 +38,8 @@ from falconwing_kit.core.checks import InputError
 
 SECOND_US = 1_000_000
 CLOCK = 2**32  # the board's microseconds wrap here
+SEQUENCES = 2**16  # sequence numbers wrap here
+MAX_ADVANCE = 2**15 - 1  # a sequence further ahead than half of the numbers is an old one
 
 
 class SafetyDecision(IntEnum):
@@ -133,7 +135,7 @@ class Safety:
             return SafetyDecision.RANGE
         if (
             self.last_sequence is not None
-            and not 1 <= (sequence - self.last_sequence) % 65536 <= 32767
+            and not 1 <= (sequence - self.last_sequence) % SEQUENCES <= MAX_ADVANCE
         ):
             return SafetyDecision.SEQUENCE
         is_edge = engage and self._engage is not None and not self._engage

@@ -139,12 +139,13 @@ class SerialLink:
         self._port.close()
 
     def _read_loop(self) -> None:
+        """In a thread: read chunks with their times of arrival until the port closes or fails."""
         try:
             while self._open:
-                data = self._port.read(1)
-                if data:
+                first_byte = self._port.read(1)  # waits for it, at most the port's timeout
+                if first_byte:
                     self._chunks.append(
-                        (time.perf_counter(), data + self._port.read(self._port.in_waiting))
+                        (time.perf_counter(), first_byte + self._port.read(self._port.in_waiting))
                     )
         except (OSError, TypeError) as error:  # pyserial raises TypeError if the port disappears
             self._error = error if isinstance(error, OSError) else OSError("the port went away")

@@ -1,14 +1,14 @@
-"""Hybrid state: a flight's video and commands -> a flight table with sigmas, by marker and network.
+"""Hybrid state: a flight's video and commands -> a flight table with sigmas, by marker and network;
+where the marker was missed, it is searched for again near the smoothed flight's prediction.
 
     detect   the marker in each frame (both poses), or the network's pose; implausible ones dropped
     choose   one pose per frame that fits its neighbours: Viterbi, then outliers dropped
     smooth   the most probable flight through the chosen poses, in segments without long gaps
 
-The smoothed flight predicts where the marker must be, so that it is searched there again and the
-last two steps are repeated. With a trained scene all other frames are then aligned with it, each
-from its neighbour, and the flight is smoothed again. The smoother uses the marker's four corners
-directly: a far marker leaves the attitude almost undetermined, which a pose with a covariance
-describes badly. Frames without a detection nearby get no pose.
+After such a search the last two steps are repeated. With a trained scene all other frames are then
+aligned with it, each from its neighbour, and the flight is smoothed again. The smoother uses the
+marker's four corners directly: a far marker leaves the attitude almost undetermined, which a pose
+with a covariance describes badly. Frames without a detection nearby get no pose.
 """
 
 from collections import Counter
@@ -62,6 +62,7 @@ ROOM_SIGMAS = 3.0  # margin of the room, in a pose's own standard deviations
 MAX_UP = 0.2  # of the image's downward axis along the world's up: not upside down
 SEARCH_MARGIN_S = 0.25  # before and after a segment the marker is searched so long
 MAX_SEARCHES = 10  # each reaches SEARCH_MARGIN_S further
+SAMPLED_FRAMES = 20  # of a video without any detection, to name the markers that it shows
 CHI2_GATES = {6: 27.9, 8: 31.8}  # chi2 of k coordinates, exceeded once in 10,000 times
 MAX_OUTSIDE_SHARE = 0.5  # of detections outside the room; above, the print's size or pose is wrong
 
@@ -180,8 +181,8 @@ def estimate_flight(
     track = detect(track, network, progress)
     track = _redetect_until_done(smooth_segments(choose(track)))
     if scene is not None:
-        found = {**track.pose_candidates, **_track_through_scene(track, scene)}
-        track = smooth_segments(choose(replace(track, pose_candidates=found)))
+        pose_candidates = {**track.pose_candidates, **_track_through_scene(track, scene)}
+        track = smooth_segments(choose(replace(track, pose_candidates=pose_candidates)))
         track = _redetect_until_done(track)
     for frame in {*track.detections, *track.pose_candidates} - set(track.chosen):
         source = "marker" if frame in track.detections else track.pose_candidates[frame].source
@@ -231,9 +232,9 @@ def detect(track: Track, network: PoseEstimator | None, progress: Callable[[], N
             f"check the printed size, now {marker.size:g} m, its place and the focal length"
         )
     if not detections and not pose_candidates:
-        some = np.unique(np.linspace(0, len(video.t) - 1, 20).astype(int))
-        seen = describe_other_markers([video.image(int(k)) for k in some], marker)
-        raise InputError(f"{video.name}: {seen}")
+        samples = np.unique(np.linspace(0, len(video.t) - 1, SAMPLED_FRAMES).astype(int))
+        sentence = describe_other_markers([video.image(int(k)) for k in samples], marker)
+        raise InputError(f"{video.name}: {sentence}")
     # an analog link blurs the lines: detect again with a print that is blurred in the same way
     again, horizontal_blur_px = redetect_blurred(video.image, detections, track.camera, marker)
     detections = {k: found for k, found in again.items() if _is_in_room(found, track.settings)}
@@ -385,6 +386,7 @@ def _redetect(track: Track, tried: set[int]) -> dict[int, MarkerPose]:
         for frame, p_world, attitude in _predicted_poses(track.video.t, first, segment):
             if frame in track.detections or frame in tried:
                 continue
+            is_extrapolated = not first <= frame < first + len(segment.p_world)
             T_world_camera = pose_matrix(
                 *camera_at(p_world[None], attitude[None], track.p_body_camera)
             )
@@ -397,8 +399,8 @@ def _redetect(track: Track, tried: set[int]) -> dict[int, MarkerPose]:
                 )
             if detection is not None and _is_in_room(detection, track.settings):
                 found[frame] = detection
-            elif first <= frame < first + len(segment.p_world):
-                tried.add(frame)  # outside the segment a later search predicts it better
+            elif not is_extrapolated:  # a later, longer segment predicts those better
+                tried.add(frame)  # searched in vain: not searched again
     return found
 
 
@@ -421,15 +423,15 @@ def _predicted_poses(
 
 def _track_through_scene(track: Track, scene: GaussianScene) -> dict[int, PoseCandidate]:
     """Poses by the scene, tracked from the smoothed poses at the marker and from the network's."""
-    known: dict[int, Array] = {}
+    marker_poses: dict[int, Array] = {}
     for first, segment in track.segments:
         cameras = camera_at(segment.p_world, segment.attitude, track.p_body_camera)
         for k, T_world_camera in enumerate(pose_matrix(*cameras), start=first):
             if k in track.chosen and track.chosen[k].source == "marker":
-                known[k] = T_world_camera
-    guesses = {k: pose.T_world_camera for k, pose in track.pose_candidates.items()}
+                marker_poses[k] = T_world_camera
+    rough_poses = {k: pose.T_world_camera for k, pose in track.pose_candidates.items()}
     video = track.video
-    found = track_scene(video.image, video.t, scene, track.camera, known, guesses)
+    found = track_scene(video.image, video.t, scene, track.camera, marker_poses, rough_poses)
     return {
         k: PoseCandidate(pose.T_world_camera, pose.covariance, 0.0, "scene")
         for k, pose in found.items()
@@ -455,11 +457,11 @@ def _smoothed_table(track: Track) -> FlightTable:
             track.counts[f"{track.chosen[frame].source}: does not fit the flight"] += 1
     settings = track.settings
     limits = (settings.max_sigma_position, settings.max_sigma_attitude)
-    good = np.all(sigma < limits, axis=1)
-    state[~good] = sigma[~good] = np.nan
-    source = [name if ok else "none" for ok, name in zip(good, source, strict=True)]
+    accurate = np.all(sigma < limits, axis=1)  # False where sigma is nan
+    state[~accurate] = sigma[~accurate] = np.nan
+    source = [origin if ok else "none" for ok, origin in zip(accurate, source, strict=True)]
     track.counts.update(
-        f"pose: {name}" if ok else "no pose" for ok, name in zip(good, source, strict=True)
+        f"pose: {origin}" if ok else "no pose" for ok, origin in zip(accurate, source, strict=True)
     )
     rates = {name: state[:, 6 + j] for j, name in enumerate(("vx", "vy", "vz", "p", "q", "r"))}
     return _table(track.video, state[:, :6], sigma, source, rates)

@@ -1,4 +1,5 @@
-"""Marker pose: an image of the ArUco marker -> its corners and the two possible camera poses.
+"""Marker pose: an image of the ArUco marker -> its corners and the two possible camera poses;
+which other markers it shows.
 
 A flat square seen small or straight on has two poses that look almost alike [Collins & Bartoli,
 Infinitesimal plane-based pose estimation, IJCV 2014]. Both are kept with their covariances; the
@@ -37,6 +38,8 @@ INK, PAPER = 0.04, 0.85  # reflectances
 GAMMA = 2.2  # a pixel half black, half white is brighter than grey: black shapes look smaller
 UPSCALE = 2.0  # for OpenCV's detector, which needs contours of some length
 TEMPLATE_OVERSAMPLING = 2.0  # template pixels per image pixel; fewer shift its edges
+MIN_CORNER_DEPTH = 0.1  # of a corner in front of the camera [m]; nearer ones have no pixel
+SEARCH_REACH = 0.6  # around predicted corners, in sides of the marker
 MIN_EDGE = 0.25  # of the median line's edge energy; below, a line's shift is undefined
 Template = tuple[Pixels, Array]  # image of the printed marker, its corners in it (4, 2) [px]
 
@@ -165,16 +168,19 @@ def template_correlation(
 def project_corners(marker: Marker, camera: PinholeCamera, T_world_camera: ArrayLike) -> Array:
     """(..., 4, 2) pixels of the marker's corners in cameras at poses (..., 4, 4).
 
-    nan where a corner is less than 0.1 m in front of the camera.
+    nan where a corner is less than MIN_CORNER_DEPTH in front of the camera.
     """
     T = np.asarray(T_world_camera, np.float64)
     p_camera = (marker.p_world_corners - T[..., None, :3, 3]) @ T[..., :3, :3]
-    depth = np.where(p_camera[..., 2:] > 0.1, p_camera[..., 2:], np.nan)
+    depth = np.where(p_camera[..., 2:] > MIN_CORNER_DEPTH, p_camera[..., 2:], np.nan)
     return np.asarray(p_camera[..., :2] / depth * (camera.fx, camera.fy) + (camera.cx, camera.cy))
 
 
 def pixel_jacobian(p_world: Array, camera: PinholeCamera, T_world_camera: Array) -> Array:
-    """Derivative of image points by the camera pose.
+    """Derivative J of image points by the camera pose.
+
+    For the covariance of a pose from known points: (J^T J)^-1 times the variance of a pixel
+    coordinate.
 
     p_camera = R^T (p - c): moving the camera by dc gives -R^T dc, turning it by w gives
     R^T ((p - c) x w).
@@ -292,6 +298,7 @@ def describe_other_markers(images: Iterable[Pixels | None], marker: Marker) -> s
 
 @cache
 def _detector(dictionary: str) -> Any:
+    """OpenCV's detector, set for small markers, with corners refined to parts of a pixel."""
     import cv2
 
     settings = cv2.aruco.DetectorParameters()
@@ -449,11 +456,11 @@ def _warp_template(
 
 
 def _search_near(grey: Pixels, marker: Marker, near: Array) -> Array | None:
-    """Predicted corners, shifted to where the template correlates best within 0.6 of a side."""
+    """Predicted corners, shifted to where the template correlates best around them."""
     import cv2
 
     height, width = grey.shape
-    reach = 0.6 * np.sqrt(_area(near))
+    reach = SEARCH_REACH * np.sqrt(_area(near))
     low = np.floor(near.min(axis=0) - reach).astype(int)
     high = np.ceil(near.max(axis=0) + reach).astype(int)
     if not _is_good(near) or (low < 0).any() or (high > (width, height)).any():

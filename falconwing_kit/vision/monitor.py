@@ -26,6 +26,8 @@ RULES = ("motion", "paper")
 MIN_SIDE_PX = 32
 MIN_OVERLAP = 0.1  # share of the picture that both frames must show
 MIN_CHROMA = 40  # difference of the channels [grey levels]; less is grey
+DARK_LEVEL, BRIGHT_LEVEL = 64.0, 192.0  # grey below is called black, above white
+ROUNDING_S = 1e-9  # of an age
 NORMAL_MEDIAN = 0.6745  # median absolute value of a standard normal variable
 
 
@@ -145,7 +147,7 @@ class FrameMonitor:
         rule, similarity = self.settings.paper, math.nan
         if pixels is not None:
             grey = to_grey(pixels)
-            if _comparable(self._previous, grey):
+            if _is_comparable(self._previous, grey):
                 similarity = ssim(self._previous, grey)
                 self._faults.append("noise" if similarity < rule.threshold else "")
             self._previous = grey.copy()  # a caller may write its next picture into the same array
@@ -162,12 +164,12 @@ class FrameMonitor:
             if self._is_frozen(grey):
                 similarity = 1.0  # not counted: repeated pictures must not hide noise
             else:
-                if _comparable(self._previous, grey):
+                if _is_comparable(self._previous, grey):
                     similarity = motion_ssim(self._previous, grey)
                 self._count_picture(self._fault(small, similarity, noise))
                 self._previous, self._taken = grey, taken
         age = self._t - (self._t if self._taken is None else self._taken)
-        if age > self.settings.max_age_s + 1e-9:
+        if age > self.settings.max_age_s + ROUNDING_S:
             last_fault = f"; {self._faults[-1]}" if self._faults and self._faults[-1] else ""
             self._reason = f"old or frozen: no new picture for {age:.2f} s{last_fault}"
             self._good_in_a_row = 0
@@ -175,7 +177,7 @@ class FrameMonitor:
 
     def _is_frozen(self, grey: Pixels) -> bool:
         """Whether a picture equals the previous one; a live camera has noise and moves."""
-        if not _comparable(self._previous, grey):
+        if not _is_comparable(self._previous, grey):
             return False
         return _difference(self._previous, grey) < self.settings.frozen_levels
 
@@ -275,10 +277,12 @@ def flat_share(pixels: Pixels, levels: float) -> tuple[float, str]:
     share = float((np.abs(channels - colour) <= levels).all(axis=1).mean())
     if np.ptp(colour) > MIN_CHROMA:
         return share, ("red", "green", "blue")[int(np.argmax(colour))]
-    return share, "black" if colour.mean() < 64.0 else "white" if colour.mean() > 192.0 else "grey"
+    level = colour.mean()
+    return share, "black" if level < DARK_LEVEL else "white" if level > BRIGHT_LEVEL else "grey"
 
 
 def _blur(grey: Pixels, sigma_px: float) -> Pixels:
+    """Gaussian blur of a grey picture."""
     import cv2
 
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), sigma_px), np.uint8)
@@ -291,5 +295,6 @@ def _difference(first: Pixels, second: Pixels) -> float:
     return float(cv2.norm(first, second, cv2.NORM_L1) / first.size)
 
 
-def _comparable(previous: Pixels | None, grey: Pixels) -> TypeGuard[Pixels]:
+def _is_comparable(previous: Pixels | None, grey: Pixels) -> TypeGuard[Pixels]:
+    """Whether there is a previous picture, of the same size."""
     return previous is not None and previous.shape == grey.shape

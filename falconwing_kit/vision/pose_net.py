@@ -1,4 +1,5 @@
-"""Pose net (the paper's iGSplat): one image -> the camera's pose and its uncertainty.
+"""Pose net (the paper's iGSplat): one image -> the camera's pose and its uncertainty; the file of
+its weights.
 
     from falconwing_kit.vision import PoseNet
     estimate = PoseNet.load("hall").estimate(image, camera)

@@ -1,4 +1,5 @@
-"""Pose network: images (B, 3, H, W) -> camera poses, scene coordinates, and their uncertainties.
+"""Pose network: images (B, 3, H, W) -> camera poses, the scene coordinate of each cell of pixels,
+and their uncertainties.
 
 Two heads lead to a pose. A pose token is regressed to position and sine and cosine of the angles,
 as in the paper's iGSplat. Every cell of 8 x 8 pixels is regressed to the point of the hall that it
@@ -21,6 +22,7 @@ PATCH, CELL = 16, 8  # px; a token covers a patch and predicts its 2 x 2 cells
 STEMS = ("conv", "patch")
 LOG_SIGMA_LOW, LOG_SIGMA_HIGH = math.log(5e-3), math.log(20.0)  # of all sigmas [m or rad]
 STUDENT_T_DOF = 3.0  # of a cell's error: some cells are outliers
+SMALL_SINE = 1e-4  # below, angle / sin(angle) is taken as 1
 FUSION_STEPS = 4  # of Gauss-Newton; a fifth is below a millimetre where cells agree
 
 
@@ -118,6 +120,7 @@ class ConvStem(nn.Module):
 
     @staticmethod
     def _unit(before: int, after: int, stride: int) -> nn.Sequential:
+        """3 x 3 convolution, batch normalisation, ReLU: channels before -> after."""
         return nn.Sequential(
             nn.Conv2d(before, after, 3, stride, 1, bias=False), nn.BatchNorm2d(after), nn.ReLU()
         )
@@ -152,7 +155,7 @@ class PoseNetwork(nn.Module):
         self.norm = nn.LayerNorm(features, 1e-6)
         # pose token: position, its log sigmas, sine and cosine of three angles, their log sigma
         self.pose_head = nn.Sequential(
-            nn.Linear(features, features), nn.GELU(), nn.Linear(features, 3 + 3 + 6 + 1)
+            nn.Linear(features, features), nn.GELU(), nn.Linear(features, 3 + 3 + 3 * 2 + 1)
         )
         # patch token: point and its log sigma, for each of the patch's cells
         self.point_head = nn.Linear(features, (PATCH // CELL) ** 2 * 4)
@@ -242,8 +245,8 @@ def so3_exp(w: Tensor) -> Tensor:
     """
     K, angle = cross_matrix(w), (w * w).sum(-1).clamp(min=1e-16).sqrt()[:, None, None]
     half = torch.sinc(angle / (2.0 * math.pi))
-    one = torch.eye(3, device=w.device, dtype=w.dtype)
-    return one + torch.sinc(angle / math.pi) * K + 0.5 * half * half * (K @ K)
+    identity = torch.eye(3, device=w.device, dtype=w.dtype)
+    return identity + torch.sinc(angle / math.pi) * K + 0.5 * half * half * (K @ K)
 
 
 def so3_log_between(R: Tensor, R_from: Tensor) -> Tensor:
@@ -259,7 +262,7 @@ def so3_log_between(R: Tensor, R_from: Tensor) -> Tensor:
     sin = w.norm(dim=-1, keepdim=True)
     cos = 0.5 * (M.diagonal(dim1=1, dim2=2).sum(-1, keepdim=True) - 1.0)
     angle = torch.atan2(sin, cos)
-    return torch.where(sin > 1e-4, w * angle / sin.clamp(min=1e-4), w)
+    return torch.where(sin > SMALL_SINE, w * angle / sin.clamp(min=SMALL_SINE), w)
 
 
 def fuse_pose(
@@ -290,8 +293,8 @@ def fuse_pose(
     prior = torch.exp(-2.0 * torch.cat([output.log_sigma_position, log_sigma_angles], dim=1))
     information = torch.zeros(0)
     for number in range(steps):
-        last = number == steps - 1
-        with torch.set_grad_enabled(last and torch.is_grad_enabled()):
+        is_last_step = number == steps - 1
+        with torch.set_grad_enabled(is_last_step and torch.is_grad_enabled()):
             # add the prior to the cells' normal equations, solve, and update the pose
             information, right = _normal_equations(output, rays @ R.mT, position, log_trust)
             information = information + torch.diag_embed(prior)

@@ -1,4 +1,5 @@
-"""Pose refinement: an image, a trained scene and a rough pose -> the pose at which both agree.
+"""Pose refinement: an image, a trained scene and a rough pose -> the pose at which both agree, with
+its covariance; a whole video tracked from frame to frame, with rough poses where the track is lost.
 
 Render the scene at the rough pose, follow textured points from the render into the image (optical
 flow), take their positions in the world from the render's depth, and solve for the pose that
@@ -198,19 +199,40 @@ def _solve_pose(
     )
     if not ok or inliers is None or len(inliers) < MIN_POINTS:
         return None
-    count = len(p_world)
-    p_world, pixels = p_world[inliers.ravel()], pixels[inliers.ravel()]
-    turn, place = cv2.solvePnPRefineLM(p_world, pixels, camera.K, None, turn, place)
+    p_world_inliers, pixels_inliers = p_world[inliers.ravel()], pixels[inliers.ravel()]
+    turn, place = cv2.solvePnPRefineLM(p_world_inliers, pixels_inliers, camera.K, None, turn, place)
     # OpenCV gives the inverse: rotation and translation from world to camera
     R = cv2.Rodrigues(turn)[0].T
     T_world_camera = pose_matrix(R, -R @ place.ravel())
-    projected, depth = camera.project(p_world, T_world_camera)
+    projected, depth = camera.project(p_world_inliers, T_world_camera)
     if not (depth > 0.0).all():
         return None
-    # sigma^2 (J^T J)^-1 of correlated points, plus the scene's own error
-    sigma_px = max(MIN_SIGMA_PX, float(np.sqrt(np.mean((projected - pixels) ** 2))))
-    J = pixel_jacobian(p_world, camera, T_world_camera)
+    covariance = _pose_covariance(
+        p_world_inliers, projected - pixels_inliers, camera, T_world_camera
+    )
+    count = len(p_world_inliers)
+    return RefinedPose(T_world_camera, covariance, count, count / len(p_world))
+
+
+def _pose_covariance(
+    p_world_inliers: Array, reprojection_px: Array, camera: PinholeCamera, T_world_camera: Array
+) -> Array:
+    """Covariance of a pose fitted to points: the matching's share and the scene's own error.
+
+    COVARIANCE_FACTOR sigma^2 (J^T J)^-1 + diag(SCENE_SIGMA^2), with sigma the reprojection errors'
+    root mean square and J the derivative of the pixels by the pose.
+
+    Args:
+        p_world_inliers: (K, 3) the points [m].
+        reprojection_px: (K, 2) their reprojection errors.
+        camera: intrinsics.
+        T_world_camera: (4, 4) the fitted pose.
+
+    Returns:
+        (6, 6) of position [m] and rotation vector [rad] in world axes.
+    """
+    sigma_px = max(MIN_SIGMA_PX, float(np.sqrt(np.mean(reprojection_px**2))))
+    J_inliers = pixel_jacobian(p_world_inliers, camera, T_world_camera)
+    correlated = COVARIANCE_FACTOR * sigma_px**2 * np.linalg.pinv(J_inliers.T @ J_inliers)
     scene_variance = np.repeat(np.square(SCENE_SIGMA), 3)
-    correlated = COVARIANCE_FACTOR * sigma_px**2 * np.linalg.pinv(J.T @ J)
-    covariance: Array = np.asarray(correlated + np.diag(scene_variance), np.float64)
-    return RefinedPose(T_world_camera, covariance, len(pixels), len(pixels) / count)
+    return np.asarray(correlated + np.diag(scene_variance), np.float64)

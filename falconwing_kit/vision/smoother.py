@@ -1,4 +1,5 @@
-"""Flight smoother: noisy pose measurements with gaps -> the most probable flight, covariances.
+"""Flight smoother: noisy pose measurements with gaps -> the most probable flight, with
+covariances and sigmas of every frame.
 
 One state per frame, x = (position, roll pitch yaw, velocity, body rates), all estimated jointly:
 least squares of
@@ -94,8 +95,8 @@ class PoseMeasurements:
         R_world_camera, p_world_camera = camera_at(p_world, attitude, self.p_body_camera)
         moved = p_world_camera - self.T_world_camera[:, :3, 3]
         R_error = R_world_camera @ np.swapaxes(self.T_world_camera[:, :3, :3], 1, 2)
-        error = np.concatenate([moved, Rotation.from_matrix(R_error).as_rotvec()], axis=1)
-        return _whiten(error, self.covariance)
+        pose_error = np.concatenate([moved, Rotation.from_matrix(R_error).as_rotvec()], axis=1)
+        return _whiten(pose_error, self.covariance)
 
 
 @dataclass(frozen=True, eq=False)

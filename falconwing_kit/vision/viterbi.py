@@ -1,4 +1,5 @@
-"""Viterbi: costs of each frame's candidates and of the steps between them -> the cheapest path.
+"""Viterbi: costs of each frame's candidates and of the steps between them -> the cheapest path,
+one camera pose per frame.
 
 Here the candidates are camera poses, and a step costs what no aircraft can fly: `transition_cost`
 is the chi2 of the excess over the largest speed and turn rate. All costs are capped at COST_CAP
@@ -132,10 +133,11 @@ def select_initial_frames(
     Returns:
         (K,) of the frames.
     """
-    good = np.array(
-        [np.trace(chosen[k].covariance[3:, 3:]) < 3.0 * ATTITUDE_TOLERANCE_RAD**2 for k in frames]
+    largest_trace = 3.0 * ATTITUDE_TOLERANCE_RAD**2  # sum over three axes
+    has_good_attitude = np.array(
+        [np.trace(chosen[k].covariance[3:, 3:]) < largest_trace for k in frames]
     )
     # time of the last good frame before each frame, and of the first good one after it
-    before = np.maximum.accumulate(np.where(good, t[frames], -np.inf))
-    after = np.minimum.accumulate(np.where(good, t[frames], np.inf)[::-1])[::-1]
-    return frames[good | (after - before > gap_s)]
+    before = np.maximum.accumulate(np.where(has_good_attitude, t[frames], -np.inf))
+    after = np.minimum.accumulate(np.where(has_good_attitude, t[frames], np.inf)[::-1])[::-1]
+    return frames[has_good_attitude | (after - before > gap_s)]

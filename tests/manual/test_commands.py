@@ -18,6 +18,7 @@ from falconwing_kit.tools.cli.main import VERBS, main
 from falconwing_kit.trainer_port.usb import find_boards
 from tests.firmware.chip import require_tools
 from tests.manual.book import MANUAL, ROOT, commands, elements, page
+from tests.model_files import write_windy_model
 
 RUNS = list(dict.fromkeys(line for kind, line in commands() if kind == "runs"))
 LONG = (
@@ -42,10 +43,13 @@ NO_COMMANDS = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder as the reader has it: the kit's data, a log of two seconds, and lab 1, done."""
+    """A folder as the reader has it: the kit's data, a log of two seconds, a model
+    file, and lab 1, done.
+    """
     here = tmp_path_factory.mktemp("reader")
     shutil.copytree(data_path("case02_calm.csv").parent, here / "falconwing_kit" / "data")
     shutil.copy(ROOT / "labs" / "lab01_sizing" / "solution" / "lab01.ipynb", here)
+    write_windy_model(here / "gap" / "model_with_effect.toml")
     with FlightLogWriter(here / "flight.mcap") as log:
         for k in range(40):
             log.state(0.05 * k, State.from_vector(np.arange(9.0) / 10.0 + k / 100.0))

@@ -22,6 +22,8 @@ from falconwing_kit.trainer_port.usb import find_boards
 from tests.demo_run import WORDS, demo_run
 from tests.firmware.chip import require_tools
 from tests.labs.tools import require_sandbox
+from tests.model_files import write_windy_model
+from tests.tools.bridge.ros2_logs import turns, write_flight
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -82,8 +84,8 @@ def grade_by_hand(out):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A folder as the reader has it: the kit's data, an own flight, an own log of two seconds, and
-    lab 1, done.
+    """A folder as the reader has it: the kit's data, an own flight, an own log of two seconds, one
+    of ROS 2, a model file, and lab 1, done.
     """
     shutil.copytree(data_path("case02_calm.csv").parent, tmp_path / "falconwing_kit" / "data")
     shutil.copy(data_path("case02_calm.csv"), tmp_path / "flight.csv")
@@ -96,6 +98,8 @@ def folder(tmp_path, monkeypatch):
         for k in range(40):
             log.state(0.05 * k, State.from_vector(np.arange(9.0) / 10.0 + k / 100.0))
             log.command(0.05 * k, Command(0.5, 0.0, 0.1, 0.0))
+    write_flight(tmp_path / "ros2_log.mcap", turns())
+    write_windy_model(tmp_path / "out" / "model_with_effect.toml")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -113,8 +117,8 @@ def test_no_command_escapes():
 
 @pytest.mark.parametrize("line", [line for line in OURS if " demo " not in line])
 def test_command_runs(line, folder, capsys):
-    """Typed as printed, in a folder with a flight and a log; 0 means done (no board is a no), and
-    --out is there.
+    """Typed as printed, in a folder with a flight and a log; 0 means done, 1 that no board is there
+    or that the watched flight raised an alarm; --out is there.
     """
     words = shlex.split(line)[1:]
     if words[0] == "firmware":
@@ -123,7 +127,8 @@ def test_command_runs(line, folder, capsys):
         require_sandbox()
     if words[0] == "report":
         grade_by_hand(folder / words[2])
-    assert main(words) == (1 if words[0] == "find-port" and not find_boards() else 0)
+    noticed = words[0] == "watch" or (words[0] == "find-port" and not find_boards())
+    assert main(words) == (1 if noticed else 0)
     for option in ("--out", "--figures"):
         if option in words:
             assert (folder / words[words.index(option) + 1]).exists()

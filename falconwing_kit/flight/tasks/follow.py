@@ -11,6 +11,7 @@ from falconwing_kit.control.expert import FollowExpert
 from falconwing_kit.control.leader import LeaderPath, leader_path
 from falconwing_kit.control.manoeuvres import MANOEUVRES
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.messages import State
 from falconwing_kit.flight.judges import FlightEvaluator, FollowEvaluator
 from falconwing_kit.flight.loop import Pilot
 from falconwing_kit.flight.sources import RenderedView
@@ -30,6 +31,8 @@ class FollowTask:
     model: Model = field(default_factory=rates_model)
     airframe: Airframe = field(default_factory=load_airframe)
     spread: Spread = SPREAD
+    # Every trial starts here; None draws the starts. Not in the repr, so a study's head states it.
+    start: State | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.manoeuvre not in MANOEUVRES:
@@ -52,7 +55,8 @@ class FollowTask:
         first = leader.state_at(0.0)
         forward = first.v_world / np.linalg.norm(first.v_world)
         yaw = math.atan2(-forward[1], forward[0])
-        start = self.spread.start(self.model, first.p_world - BEHIND * forward, seed, yaw)
+        behind = first.p_world - BEHIND * forward
+        start = self.start or self.spread.start(self.model, behind, seed, yaw)
         world = SimulatedWorld(self.model, self.airframe, start, seed=seed, leader=leader)
         return TrialSetup(seed, world, leader, leader.duration)
 
@@ -62,9 +66,12 @@ class FollowTask:
         """The evaluator in the images of a camera; with a view it also finds occlusions."""
         return FollowEvaluator(trial.world, _leader(trial), self.airframe, camera, view)
 
-    def expert(self, trial: TrialSetup) -> Pilot:
-        """The pilot that follows by its own and the leader's state."""
-        return FollowExpert(self.model, self.airframe, _leader(trial))
+    def expert(self, trial: TrialSetup, model: Model | None = None) -> Pilot:
+        """The pilot that follows by its own and the leader's state, designed on a model.
+
+        None for the aircraft's own; the leader flies that in any case.
+        """
+        return FollowExpert(model or self.model, self.airframe, _leader(trial))
 
 
 def _leader(trial: TrialSetup) -> LeaderPath:

@@ -8,7 +8,8 @@ import numpy as np
 from falconwing_kit.aircraft.airframe import Airframe, load_airframe
 from falconwing_kit.aircraft.model import Model, rates_model
 from falconwing_kit.aircraft.touchdown import LandingPad
-from falconwing_kit.control.expert import LandingExpert
+from falconwing_kit.control.expert import LandingExpert, landing_speed
+from falconwing_kit.core.messages import State
 from falconwing_kit.flight.judges import FlightEvaluator, LandingEvaluator
 from falconwing_kit.flight.loop import Pilot
 from falconwing_kit.flight.sources import RenderedView
@@ -29,6 +30,8 @@ class LandingTask:
     pad: LandingPad = field(default_factory=LandingPad)
     spread: Spread = SPREAD
     duration: float = 12.0  # [s]
+    # Every trial starts here; None draws the starts. Not in the repr, so a study's head states it.
+    start: State | None = field(default=None, repr=False)
     name = "landing"
 
     def leader(self, seed: int) -> None:
@@ -37,7 +40,8 @@ class LandingTask:
     def trial(self, seed: int) -> TrialSetup:
         """The world of a seed."""
         nominal = np.array([self.pad.x_start - DISTANCE, self.pad.y_centre, HEIGHT])
-        start = self.spread.start(self.model, nominal, seed)
+        speed = landing_speed(self.model)
+        start = self.start or self.spread.start(self.model, nominal, seed, speed=speed)
         world = SimulatedWorld(self.model, self.airframe, start, seed=seed, pad=self.pad)
         return TrialSetup(seed, world, None, self.duration)
 
@@ -47,9 +51,9 @@ class LandingTask:
         """The evaluator of the touchdown, without the camera."""
         return LandingEvaluator(trial.world)
 
-    def expert(self, trial: TrialSetup) -> Pilot:
-        """The state-based pilot that lands."""
-        return LandingExpert(self.model, self.airframe, self.pad)
+    def expert(self, trial: TrialSetup, model: Model | None = None) -> Pilot:
+        """The state-based pilot that lands, designed on a model; None for the aircraft's own."""
+        return LandingExpert(model or self.model, self.airframe, self.pad)
 
 
 TASK = TaskEntry("landing", "land on the pad", LandingTask)

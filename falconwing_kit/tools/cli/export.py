@@ -1,4 +1,4 @@
-"""falconwing export: convert a flight log to a table, a repaired log or a ROS bag."""
+"""falconwing export: convert a flight log, or one of ROS 2, to a table, a repaired log or a bag."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +8,7 @@ import tyro
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import read_flight_log, recover, to_flight_table
-from falconwing_kit.core.flight_table import write_flight_table
+from falconwing_kit.core.flight_table import FlightTable, write_flight_table
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 Counts = dict[str, int]
@@ -17,10 +17,15 @@ Warnings = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Export:
-    """Convert a flight log to a flight table or a ROS bag, or repair an interrupted log."""
+    """Convert a flight log to a flight table or a ROS bag, or repair an interrupted log.
+
+    A log of ROS 2 messages becomes a flight table too: its poses and its pilot's commands.
+    """
 
     log: Annotated[Path, tyro.conf.Positional]
-    """the flight log (MCAP), interrupted ones too; with --alfa the folder of a flight"""
+    """the flight log (MCAP), interrupted ones too, the kit's own or one of ROS 2 (a file, or the
+    folder of a recording); with --alfa the folder of a flight
+    """
     out: Path
     """the file to write, or a folder to write it into"""
     to: Literal["csv", "mcap", "bag"] = "csv"
@@ -29,6 +34,12 @@ class Export:
     """
     alfa: bool = False
     """the log is a flight of the ALFA dataset: a folder with one CSV file per ROS topic"""
+    mapping: Path | None = None
+    """for a log of ROS 2: its topics of poses and commands, their axes, channels and pulse widths
+    (TOML); without it they are found in the log where it leaves no choice
+    """
+    rate_hz: float | None = None
+    """for a log of ROS 2: rows per second, each the nearest measured pose; without it every pose"""
     json: bool = False
     """print the result as JSON"""
 
@@ -44,6 +55,12 @@ class Export:
         """
         if self.alfa and self.to != "csv":
             raise InputError(f"--alfa: expected --to csv, got --to {self.to}; leave --to out")
+        given = [name for name in ("mapping", "rate_hz") if getattr(self, name) is not None]
+        if given and (self.alfa or self.to != "csv"):
+            raise InputError(
+                f"--{given[0].replace('_', '-')}: expected a log of ROS 2 and --to csv, got "
+                f"{'--alfa' if self.alfa else f'--to {self.to}'}; leave one of them out"
+            )
         target = self.out / f"{self.log.stem}.{self.to}" if self.out.is_dir() else self.out
         if target.resolve() == self.log.resolve():
             raise InputError(f"{target}: expected another name than the log's own; the log is kept")
@@ -68,9 +85,19 @@ class Export:
 
             table = read_alfa(self.log).table
         else:
-            table = to_flight_table(read_flight_log(self.log))
+            table = self._ros_table() or to_flight_table(read_flight_log(self.log))
         write_flight_table(target, table)
         return {"rows": len(table.t), "rows with a pose": int(table.has_pose.sum())}, table.warnings
+
+    def _ros_table(self) -> FlightTable | None:
+        """The flight of a log of ROS 2; None for the kit's own log."""
+        from falconwing_kit.tools.bridge.log_mapping import read_mapping
+        from falconwing_kit.tools.bridge.ros2_log import is_ros_log, read_ros2_log
+
+        if self.mapping is None and self.rate_hz is None and not is_ros_log(self.log):
+            return None
+        mapping = None if self.mapping is None else read_mapping(self.mapping)
+        return read_ros2_log(self.log, mapping, self.rate_hz)
 
     def _to_log(self, target: Path) -> tuple[Counts, Warnings]:
         saved = recover(self.log, target)

@@ -1,10 +1,12 @@
 """falconwing fly: fly a task in simulation, once on a live page or as many trials."""
 
+import hashlib
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -16,7 +18,11 @@ from falconwing_kit.flight.tasks import TASKS, TRIAL_SEEDS
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 if TYPE_CHECKING:
+    from falconwing_kit.aircraft.model import Model
+    from falconwing_kit.core.messages import State
+    from falconwing_kit.flight.loop import Pilot
     from falconwing_kit.flight.tasks import FlightTask
+    from falconwing_kit.flight.trial import TrialSetup
     from falconwing_kit.scene.gaussians import GaussianScene
     from falconwing_kit.tools.trials.trials import TrialSettings
 
@@ -60,11 +66,23 @@ class Fly:
     task: Annotated[TaskName, tyro.conf.arg(help=TASK_HELP)] = "landing"
     pilot: Literal["expert", "rgb", "mask", "rgb_mask", "student", "manual"] = "expert"
     """the controller; the expert uses the simulated state with noise"""
+    model: Path | None = None
+    """model file of identify or gap (model.toml, model_with_effect.toml) on which the expert is
+    designed, with its effects: wind, delay, trim bias, camera tilt and so on; the simulated
+    aircraft stays the kit's own
+    """
     trials: int = 1
     """number of flights, each from its own initial state of the fixed list"""
     manoeuvre: Annotated[str, tyro.conf.arg(help=MANOEUVRE_HELP)] = ""
     seed: int = 0
     """selects initial states and noise; use the same for paired comparisons of two pilots"""
+    start: str = ""
+    """first pose of every flight in place of the drawn ones: x,y,z,roll,pitch,yaw in metres and
+    degrees, such as --start=-18,-2,1.5,0,4,0, or a flight log (.mcap) or flight table (.csv), whose
+    first pose is taken
+    """
+    workers: int = 1
+    """processes that share the trials; with --headless only"""
     headless: bool = False
     """no page, as fast as possible"""
     no_render: bool = False
@@ -108,9 +126,11 @@ class Fly:
             summarise_trials,
         )
 
-        head = study_head(task, self.pilot, self.seed)
+        model = self._model(task)
+        head = study_head(task, self._pilot_name, self.seed)
+        head["start"] = None if task.start is None else task.start.vector.tolist()
         other = self._read_folders(head, setting)
-        records = self._fly(task, setting, hall, head)
+        records = self._fly(task, model, setting, hall, head)
         found = summarise_trials(records)
         if other is not None:
             found["against"] = compare_pilots(records, other)
@@ -139,9 +159,19 @@ class Fly:
                 )
 
     def _task(self) -> "FlightTask":
-        """What is flown; numbers and manoeuvre are checked."""
+        """What is flown; numbers, start and manoeuvre are checked."""
         require_range("--trials", self.trials, low=1, high=TRIAL_SEEDS)
         require_range("--seed", self.seed, low=0, high=TRIAL_SEEDS - 1)
+        require_range("--workers", self.workers, low=1, high=256)
+        if self.workers > 1 and not self.headless:
+            raise InputError(
+                f"--workers {self.workers}: expected it with --headless, for a page shows one"
+                " flight; add --headless"
+            )
+        task = self._drawn_task()
+        return replace(task, start=_start(self.start, task)) if self.start else task
+
+    def _drawn_task(self) -> Any:
         if self.task not in TASKS:
             raise InputError(f"--task {self.task}: expected one of {', '.join(TASKS)}")
         entry = TASKS[self.task]
@@ -154,6 +184,28 @@ class Fly:
                 f"got --task {self.task}"
             )
         return entry.make()
+
+    def _model(self, task: "FlightTask") -> "Model | None":
+        """The model that the expert is designed on; refused here if it cannot fly the task."""
+        if self.model is None:
+            return None
+        from falconwing_kit.flight.trial import trial_seed
+        from falconwing_kit.sysid.model_file import read_model
+
+        model = read_model(self.model).model
+        try:
+            task.expert(task.trial(trial_seed(0, self.seed)), model)
+        except InputError as error:
+            raise InputError(f"--model {self.model.name}: {error}") from None
+        return model
+
+    @property
+    def _pilot_name(self) -> str:
+        """The pilot, and the model file that it is designed on, with the file's digest."""
+        if self.model is None:
+            return self.pilot
+        digest = hashlib.sha256(self.model.read_bytes()).hexdigest()[:8]
+        return f"{self.pilot} on {self.model.name} {digest}"
 
     def _setting(self) -> "TrialSettings":
         """Camera, clock and port of the trials; page and scene follow later."""
@@ -183,6 +235,7 @@ class Fly:
     def _fly(
         self,
         task: "FlightTask",
+        model: "Model | None",
         setting: "TrialSettings",
         hall: "Callable[[], GaussianScene]",
         head: dict[str, Any],
@@ -201,9 +254,14 @@ class Fly:
                 hooks=hooks,
             )
             return fly_trials(
-                task, task.expert, self.trials, pilot=self.pilot, seed=self.seed, setting=setting,
-                out=self.out, head=head, logs=self.logs or self.trials == 1, progress=progress,
+                task, make_pilot(task, model), self.trials, pilot=head["pilot"], seed=self.seed,
+                setting=setting, out=self.out, head=head, logs=self._has_logs, progress=progress,
+                fly=partial(fly_in_processes, self) if self.workers > 1 else None,
             )  # fmt: skip
+
+    @property
+    def _has_logs(self) -> bool:
+        return self.logs or self.trials == 1
 
     @contextmanager
     def _progress(self) -> Iterator[Callable[[str], None]]:
@@ -222,13 +280,19 @@ class Fly:
         if self.out is not None:
             from falconwing_kit.tools.trials.trial_figures import write_results
 
-            files = write_results(records, found, self.out, f"{name} by {self.pilot}")
+            files = write_results(records, found, self.out, f"{name} by {self._pilot_name}")
         if self.json:
             print_json(
-                {"task": name, "pilot": self.pilot, "scene": self.scene, "simulated": True, **found}
+                {
+                    "task": name,
+                    "pilot": self._pilot_name,
+                    "scene": self.scene,
+                    "simulated": True,
+                    **found,
+                }
             )
             return
-        print_trials(f"SIMULATED: {name} by {self.pilot}", records, found)
+        print_trials(f"SIMULATED: {name} by {self._pilot_name}", records, found)
         if self.out is None:
             scene = "" if self.scene == "arena" else f" --scene {self.scene}"
             next_line(
@@ -236,6 +300,82 @@ class Fly:
             )
         else:
             next_line(f"look at {files['paths']} and {files['results']}")
+
+
+def make_pilot(task: "FlightTask", model: "Model | None") -> "Callable[[TrialSetup], Pilot]":
+    """A function that makes the task's expert for a trial, designed on a model; None: its own."""
+    return task.expert if model is None else partial(task.expert, model=model)
+
+
+def fly_in_processes(fly: Fly, numbers: Sequence[int]) -> Iterator[dict[str, Any]]:
+    """Records of trials in their order, flown in several processes as `Fly` says.
+
+    Raises:
+        RuntimeError: a trial ended its process three times.
+    """
+    from falconwing_kit.tools.jobs.pool import WorkerLostError, map_in_processes
+
+    waiting: dict[int, dict[str, Any]] = {}
+    due = iter(numbers)
+    number = next(due, None)
+    for found, record in map_in_processes(partial(_fly_one, fly), numbers, fly.workers):
+        if isinstance(record, WorkerLostError):
+            raise RuntimeError(f"trial {found}: {record}")
+        waiting[found] = record
+        while number in waiting:
+            yield waiting.pop(number)
+            number = next(due, None)
+
+
+def _fly_one(fly: Fly, number: int) -> dict[str, Any]:
+    """One trial, in a process of its own."""
+    from falconwing_kit.tools.trials.trials import fly_trial, log_path
+
+    task, model, setting = _prepare(fly)
+    log = log_path(fly.out, number) if fly.out is not None and fly._has_logs else None
+    return fly_trial(task, make_pilot(task, model), number, fly.seed, setting, log)
+
+
+@cache
+def _prepare(fly: Fly) -> tuple["FlightTask", "Model | None", "TrialSettings"]:
+    """Task, model and setting of the trials, once in every process."""
+    from falconwing_kit.tools.cli.scene_input import open_link
+
+    task = fly._task()
+    scene = None if fly.no_render else hall_loader(fly.scene)()
+    setting = replace(fly._setting(), scene=scene, link=open_link(fly.scene))
+    return task, fly._model(task), setting
+
+
+def _start(text: str, task: Any) -> "State":
+    """The state of --start: a pose as text, or the first pose of a log or table."""
+    import numpy as np
+
+    from falconwing_kit.control.expert import landing_speed
+    from falconwing_kit.core.flight_log import read_flight_log
+    from falconwing_kit.core.flight_table import read_flight_table
+    from falconwing_kit.flight.trial import state_at_pose
+    from falconwing_kit.tools.cli.scene_input import parse_pose
+
+    ending = Path(text).suffix.lower()
+    if ending == ".mcap":
+        states = [x for x in read_flight_log(text).states if np.isfinite(x.vector).all()]
+        if not states:
+            raise InputError(
+                f"--start {text}: expected a log with states, got none; use x,y,z,roll,pitch,yaw"
+            )
+        return states[0]
+    if ending == ".csv":
+        table = read_flight_table(text)
+        rows = np.flatnonzero(table.has_pose)
+        if len(rows) == 0:
+            raise InputError(
+                f"--start {text}: expected a table with poses, got none; use x,y,z,roll,pitch,yaw"
+            )
+        pose = table.p_world[rows[0]], table.attitude[rows[0]]
+    else:
+        pose = parse_pose("--start", text)
+    return state_at_pose(task.model, *pose, speed=landing_speed(task.model))
 
 
 def print_trials(title: str, records: Sequence[dict[str, Any]], found: dict[str, Any]) -> None:

@@ -5,10 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from falconwing_kit.aircraft.airframe import load_airframe, scaling_sentence
 from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.user_file import CODE_NOTICE, load_effects
-from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.flight_table import read_flight_table
+from falconwing_kit.core.checks import InputError, require_range
+from falconwing_kit.core.flight_table import FlightTable, read_flight_table
+from falconwing_kit.sysid.model_file import read_model
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 
@@ -18,12 +22,12 @@ class Gap:
     gap close.
 
     Writes report.json, report.html, its figures, model.toml and, where an effect is named,
-    model_with_effect.toml. Exit code 0 when an effect is named or nothing is missing, 1 when the
-    answer is ambiguous or outside the catalogue.
+    model_with_effect.toml; `falconwing fly --model` flies with either. Exit code 0 when an effect
+    is named or nothing is missing, 1 when the answer is ambiguous or outside the catalogue.
     """
 
-    calm: Path
-    """flight table (CSV) of a flight without surprise, a minute or two"""
+    calm: tuple[Path, ...]
+    """baseline flights (CSV) of the aircraft with nothing changed, a minute or two each"""
     flight: Path
     """flight table (CSV) of the same aircraft when something was different"""
     out: Path
@@ -32,6 +36,16 @@ class Gap:
     """Python file with EFFECTS = [...], tried beside the catalogue; it is code that runs with your
     rights
     """
+    airframe: Path | None = None
+    """an airframe file (mass_g, wing_area_m2, span_m): the fit starts from the 150 g aircraft
+    scaled to it; without one, scaled to the speed flown
+    """
+    model: Path | None = None
+    """a model file that the fit of the baseline starts from"""
+    sigma: tuple[float, float] | None = None
+    """noise of the poses, in metres and degrees; estimated if not given"""
+    improve: bool = False
+    """write model_improved.toml too: the best model of the aircraft as it is now"""
     json: bool = False
     """print JSON instead of tables"""
 
@@ -49,9 +63,13 @@ class Gap:
             raise InputError(
                 f"--out {self.out}: expected a folder, got a file; choose another name"
             )
+        if not self.calm:
+            raise InputError("--calm: expected at least one flight table, got none")
+        if self.airframe is not None and self.model is not None:
+            raise InputError("gap: expected --airframe or --model, got both; drop one")
         effects = self._effects()
-        tables = read_flight_table(self.calm), read_flight_table(self.flight)
-        record = self._study(*tables, effects)
+        calm = [read_flight_table(path) for path in self.calm]
+        record = self._study(calm, read_flight_table(self.flight), effects)
         page = self.out / "report.html"
         if self.json:
             print_json({**record, "page": str(page)})
@@ -67,7 +85,9 @@ class Gap:
         print(CODE_NOTICE.format(file=self.effects), file=sys.stderr)
         return load_effects(self.effects)
 
-    def _study(self, calm: Any, flight: Any, effects: tuple[Effect, ...]) -> dict[str, Any]:
+    def _study(
+        self, calm: list[FlightTable], flight: FlightTable, effects: tuple[Effect, ...]
+    ) -> dict[str, Any]:
         from tqdm import tqdm
 
         from falconwing_kit.tools.reports.gap_report import gap_report
@@ -75,7 +95,26 @@ class Gap:
         with tqdm(
             bar_format="{desc} {elapsed}", leave=False, disable=True if self.json else None
         ) as bar:
-            return gap_report(calm, flight, self.out, bar.set_description_str, effects)
+            return gap_report(
+                calm if len(calm) > 1 else calm[0], flight, self.out, bar.set_description_str,
+                effects, **self._start(),
+            )  # fmt: skip
+
+    def _start(self) -> dict[str, Any]:
+        """Airframe, model, noise and --improve, as `gap_report` takes them; nothing by default."""
+        start: dict[str, Any] = {"improve": True} if self.improve else {}
+        if self.airframe is not None:
+            airframe = load_airframe(self.airframe)
+            start["airframe"] = airframe
+            if sentence := scaling_sentence(airframe):
+                print(sentence, file=sys.stderr)
+        if self.model is not None:
+            start["model"] = read_model(self.model).model
+        if self.sigma is not None:
+            position = require_range("--sigma", self.sigma[0], low=1e-4, high=10.0)
+            attitude = require_range("--sigma", self.sigma[1], low=1e-3, high=60.0)
+            start["sigma"] = np.array([position] * 3 + [np.radians(attitude)] * 3)
+        return start
 
 
 def print_gap(record: dict[str, Any]) -> None:

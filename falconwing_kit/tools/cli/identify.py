@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from falconwing_kit.aircraft.airframe import load_airframe
+from falconwing_kit.aircraft.airframe import load_airframe, scaling_sentence
 from falconwing_kit.aircraft.model import FORMS, Model, scale_model
 from falconwing_kit.aircraft.terms import Term, WindTerm
 from falconwing_kit.aircraft.user_file import CODE_NOTICE, load_terms
@@ -31,8 +31,9 @@ class Identify:
     """Fit the aircraft model to recorded flights and score its predictions on held-out time.
 
     Exit code 1 when the model does not describe the flight (held-out chi2 per degree of freedom
-    above 2), when a channel of the log seems reversed, or when the start model predicts another
-    flight (--judge) equally well or better.
+    above 2; for motion capture, errors above half of a constant turn's), when a channel of the log
+    seems reversed, or when the start model predicts another flight (--judge) equally well or
+    better.
     """
 
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -102,6 +103,7 @@ class Identify:
             _print_record(record, found)
             next_line(self._next())
         chi2 = found.held_out.chi2 if found.held_out else found.train.chi2
+        is_described = chi2 <= GOOD_CHI2 or (chi2 > MAX_REDUCED_CHI2 and found.describes_flight)
         if GOOD_CHI2 < chi2 <= MAX_REDUCED_CHI2:  # above that, identify itself warns
             print(
                 f"the model does not describe the flight: chi2 per degree of freedom {chi2:.1f}, "
@@ -111,7 +113,7 @@ class Identify:
             )
         ahead = record.get("one_second_ahead")
         is_better = ahead is None or ahead["fitted"]["position_m"] < ahead["start"]["position_m"]
-        return 0 if chi2 <= GOOD_CHI2 and not found.reversed_channels and is_better else 1
+        return 0 if is_described and not found.reversed_channels and is_better else 1
 
     def _require_writable(self) -> None:
         """Raise InputError before the fit for files that could not be written after it."""
@@ -144,6 +146,8 @@ class Identify:
         if self.airframe is None:
             return model
         airframe = load_airframe(self.airframe)
+        if sentence := scaling_sentence(airframe):
+            print(sentence, file=sys.stderr)
         return scale_model(model, airframe.mass, airframe.wing_area, airframe.span)
 
     def _sigma(self) -> Any:
@@ -213,6 +217,11 @@ def identification_record(
             "attitude_deg": held_out.attitude_deg if held_out else None,
             "windows": held_out.windows if held_out else 0,
             "seconds_ahead": 2.0,
+            "describes_flight": found.describes_flight,
+            "constant_turn": {
+                "position_m": found.turn.position_m,
+                "attitude_deg": found.turn.attitude_deg,
+            },
         },
         "train": {"chi2_per_dof": found.train.chi2, "windows": found.train.windows},
         "noise": {
@@ -294,6 +303,7 @@ def _print_record(record: dict[str, Any], found: Identification) -> None:
                 found.train.attitude_deg,
                 train["windows"],
             ),
+            ("constant turn", found.turn.chi2, found.turn.position_m, found.turn.attitude_deg, ""),
         ],
     )
     if "one_second_ahead" in record:

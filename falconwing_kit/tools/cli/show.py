@@ -52,6 +52,11 @@ def print_json(record: Mapping[str, object]) -> None:
     print(json.dumps(_plain(record), indent=2, allow_nan=False))
 
 
+def json_line(record: Mapping[str, object]) -> str:
+    """A record as one line of standard JSON; nan and infinity become null."""
+    return json.dumps(_plain(record), allow_nan=False)
+
+
 def json_fields(record: Any) -> dict[str, object]:
     """Fields of a dataclass for JSON; `advice` keeps the key "mend" of the kit's first version."""
     return {"mend" if name == "advice" else name: value for name, value in asdict(record).items()}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.aircraft.airframe import Airframe, load_airframe
+from falconwing_kit.aircraft.airframe import Airframe, load_airframe, scaling_sentence
 from falconwing_kit.aircraft.sizing import (
     largest_mass,
     level_turn_bank,
@@ -81,6 +81,8 @@ class Size:
         if self.json:
             print_json(record)
         else:
+            if sentence := scaling_sentence(airframe):
+                print(sentence + "\n")
             _print_record(record, self.out)
         return 0 if fits else 1
 
@@ -154,6 +156,8 @@ def sizing_record(airframe: Airframe, hall_width: float, margin: float = 0.0) ->
         ],
         "parts_mass_g": _grams(airframe.parts_mass),
         "unlisted_mass_g": _grams(unlisted_mass(airframe)),
+        "scaled": list(airframe.scaled),
+        "contradictions": list(airframe.contradictions),
     }
 
 
@@ -262,8 +266,9 @@ def _print_record(record: dict[str, Any], out: Path | None) -> None:
             "not in the list of parts" if missing > 0 else "the parts are heavier than the aircraft"
         )
         parts.append(("difference", missing, remark))
-    print_table(("part", "mass [g]", "remark"), parts)
-    print()
+    if record["parts"]:
+        print_table(("part", "mass [g]", "remark"), parts)
+        print()
     if "balance" in record:
         print_parts(record)
     free = record["hall_width_m"] - record["margin_m"]

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from falconwing_kit.aircraft.effects import CATALOGUE
+from falconwing_kit.aircraft.model import paper_model, rates_model, scale_model
 from falconwing_kit.control.manoeuvres import MANOEUVRES
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import read_flight_log
@@ -15,6 +17,8 @@ from falconwing_kit.core.messages import Command
 from falconwing_kit.flight.sources import decode_jpeg
 from falconwing_kit.flight.tasks import TASKS, LandingTask
 from falconwing_kit.scene import GaussianScene
+from falconwing_kit.sysid.model_file import write_fitted_model
+from falconwing_kit.sysid.uncertainty import Uncertainty
 from falconwing_kit.tools.cli.fly import Fly
 from falconwing_kit.tools.cli.main import main
 
@@ -298,3 +302,104 @@ def test_a_landing_needs_no_judge_of_occlusion_and_says_what_its_times_are_of(ca
     (told,) = (line for line in said.splitlines() if line.startswith("ART: "))
     assert " steps within " in told
     assert "(no images; " in told
+
+
+def model_file(path: Path, model) -> str:
+    """A model file as identify or gap writes it, without a covariance."""
+    write_fitted_model(
+        path, model, Uncertainty((), np.zeros((0, 0)), 1.0, (), (), ()),
+        flights=("calm.csv",), train_chi2=1.0, held_out_chi2=None, sigma=np.full(6, 0.01),
+    )  # fmt: skip
+    return str(path)
+
+
+def results(capsys) -> dict:
+    """The printed record without run times."""
+    found = json.loads(capsys.readouterr().out)
+    return {key: value for key, value in found.items() if not key.startswith(("art_", "pilot"))}
+
+
+def test_the_nominal_model_flies_as_without_one(tmp_path, capsys):
+    """The kit's own model from a file: the same touchdown to the last digit; the pilot's name has
+    the file. With a trim bias in the file that the aircraft does not have it lands elsewhere.
+    """
+    words = ["fly", *QUICK, "--seed", "500", "--json"]
+    assert main(words) == 0
+    without = results(capsys)
+    assert main([*words, "--model", model_file(tmp_path / "own.toml", rates_model())]) == 0
+    said = capsys.readouterr().out
+    assert '"pilot": "expert on own.toml ' in said
+    found = json.loads(said)
+    assert {key: found[key] for key in without} == without
+    bias = next(effect for effect in CATALOGUE if effect.name == "trim_bias")
+    biased = rates_model().with_effect(bias).with_values({"bias_aileron": 0.1})
+    main([*words, "--model", model_file(tmp_path / "biased.toml", biased)])
+    assert abs(results(capsys)["ald_m"]["mean"] - without["ald_m"]["mean"]) > 0.005
+
+
+@pytest.mark.parametrize(
+    ("made", "sentence"),
+    [
+        (None, "expected a file"),
+        ("not a model", "m.toml"),
+        (paper_model(), "--model m.toml: model: expected the 12-state model"),
+        (scale_model(rates_model(), 3.4, 0.6, 2.0), "--model m.toml: model: expected an aircraft"),
+    ],
+)
+def test_a_model_that_cannot_be_flown_is_wrong_use(made, sentence, tmp_path, monkeypatch, capsys):
+    """No file, no model, no body rates, too fast for the hall: exit 2, one sentence, no page."""
+    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", None)
+    path = tmp_path / "m.toml"
+    if isinstance(made, str):
+        path.write_text(made)
+    elif made is not None:
+        model_file(path, made)
+    assert main(["fly", "--model", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said and len(said.splitlines()) == 1
+
+
+def test_studies_on_two_models_are_paired_and_not_mixed(tmp_path, monkeypatch, capsys):
+    """Two pilots of one task: --against compares them, --out keeps them apart."""
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial, model=None: Dive())
+    own = model_file(tmp_path / "own.toml", rates_model())
+    kept = str(tmp_path / "kept")
+    assert main(["fly", *QUICK, "--out", kept]) == 1
+    assert main(["fly", *QUICK, "--model", own, "--out", kept]) == 2
+    assert "pilot 'expert' instead of 'expert on own.toml" in capsys.readouterr().err
+    assert main(["fly", *QUICK, "--model", own, "--against", kept, "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["against"]["pairs"] == 1
+
+
+def test_workers_fly_the_same_trials(tmp_path, capsys):
+    """Two processes: records in order and equal to those of one; a page shows one flight only."""
+    words = ["fly", *QUICK, "--seed", "500", "--trials", "2", "--json"]
+    assert main(words) == 0
+    alone = results(capsys)
+    assert main([*words, "--workers", "2", "--out", str(tmp_path)]) == 0
+    assert results(capsys) == alone
+    lines = (tmp_path / "trials.jsonl").read_text().splitlines()[1:]
+    assert [json.loads(line)["trial"] for line in lines] == [0, 1]
+    assert main(["fly", "--workers", "2"]) == 2
+    assert "--headless" in capsys.readouterr().err
+
+
+def test_a_flight_starts_where_it_is_told(tmp_path, monkeypatch, capsys):
+    """The log's first state is the pose given, within the noise of 1 cm and 0.7 deg; from that log
+    and from a table the next flights start there too.
+    """
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial, model=None: Dive())
+    table = tmp_path / "table.csv"
+    header = "t,px,py,pz,roll,pitch,yaw,throttle,aileron,elevator,rudder"
+    table.write_text(f"{header}\n0,-15,-1,2.5,0.1,0.09,-0.2,0,0,0,0\n0.05,0,0,0,0,0,0,0,0,0,0\n")
+    log = str(tmp_path / "a" / "trial_000.mcap")
+    starts = ("-15,-1,2.5,5.73,5.157,-11.46", log, str(table))
+    for start, folder in zip(starts, "abc", strict=True):
+        assert main(["fly", *QUICK, f"--start={start}", "--out", str(tmp_path / folder)]) == 1
+        first = read_flight_log(tmp_path / folder / "trial_000.mcap").states[0]
+        assert first.p_world == pytest.approx([-15.0, -1.0, 2.5], abs=0.1)
+        attitude = (first.roll, first.pitch, first.yaw)
+        assert attitude == pytest.approx((0.1, 0.09, -0.2), abs=0.06)
+    capsys.readouterr()
+    assert main(["fly", *QUICK, "--start", "1,2,3"]) == 2
+    assert "--start: expected x,y,z,roll,pitch,yaw" in capsys.readouterr().err

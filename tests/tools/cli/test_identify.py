@@ -86,6 +86,8 @@ def test_the_record_has_its_keys(whole):
         "attitude_deg",
         "windows",
         "seconds_ahead",
+        "describes_flight",
+        "constant_turn",
     }
     assert len(record["parameters"]) == 29
     for name, parameter in record["parameters"].items():

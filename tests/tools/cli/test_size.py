@@ -172,3 +172,15 @@ def test_own_list_of_parts_is_read_and_a_wrong_one_refused(capsys, tmp_path):
     assert json.loads(capsys.readouterr().out)["mass_g"] == pytest.approx(161.7)
     assert main(["size", "--parts", "none.csv"]) == 2
     assert "none.csv" in capsys.readouterr().err
+
+
+def test_what_was_scaled_is_printed_as_one_line(capsys, tmp_path):
+    """A file with the three required keys: everything else is named, and no parts are listed."""
+    path = tmp_path / "mine.toml"
+    path.write_text("mass_g = 1200\nwing_area_m2 = 0.304\nspan_m = 1.4\n")
+    main(["size", "--airframe", str(path)])
+    first, *others = capsys.readouterr().out.splitlines()
+    assert first.startswith("mine: scaled from the kit's own airframe") and "wheels_m" in first
+    assert not any("sum of the parts" in line for line in others)
+    main(["size", "--airframe", str(path), "--json"])
+    assert "inertia_kg_m2" in json.loads(capsys.readouterr().out)["scaled"]
