@@ -224,6 +224,31 @@ def resample(table: FlightTable, rate_hz: float) -> FlightTable:
     )
 
 
+def interpolate_readings(t: Array, t_reading: Array, readings: Array) -> Array:
+    """A signal on the lines between its readings; held over a longer pause, and behind the last.
+
+    A hand moves a stick without jumps, so a reading repeated until the next one would be late by
+    half of the time between them. After a pause of more than twice the usual time between readings
+    the line begins that usual time before the next one.
+
+    Args:
+        t: (N,) where the signal is wanted [s].
+        t_reading: (M,) times of the readings, increasing [s].
+        readings: (M, k).
+
+    Returns:
+        (N, k); the first reading before it.
+    """
+    intervals = np.diff(t_reading)
+    usual = float(np.median(intervals)) if len(intervals) else 0.0
+    paused = np.flatnonzero(intervals > 2.0 * usual)
+    knots = np.concatenate([t_reading, t_reading[paused + 1] - usual])
+    values = np.concatenate([readings, readings[paused]])
+    order = np.argsort(knots, kind="stable")
+    columns = [np.interp(t, knots[order], column) for column in values[order].T]
+    return np.stack(columns, axis=1)
+
+
 def fill_missing_rows(table: FlightTable, rate_hz: float | None = None) -> FlightTable:
     """Insert rows without a pose for lost frames, until no step exceeds 1.5 nominal periods.
 

@@ -22,16 +22,18 @@ from falconwing_kit.gap.evidence import (
     effect_variants,
     sensitivities,
 )
-from falconwing_kit.gap.noise import PoseNoiseModel, find_pose_noise, whiten
-from falconwing_kit.sysid.fit import FitResult, Prior, fit
+from falconwing_kit.gap.noise import PoseNoiseModel, find_pose_noise, robust_weights, whiten
+from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_initial_states
 from falconwing_kit.sysid.identify import (
+    MAX_REDUCED_CHI2,
     MAX_TURN_SHARE,
     Identification,
+    extended_models,
     identify,
     weak_prior,
 )
 from falconwing_kit.sysid.score import score, score_constant_turn
-from falconwing_kit.sysid.shooting import Windows
+from falconwing_kit.sysid.shooting import Windows, jacobian
 from falconwing_kit.sysid.uncertainty import ordinary_size, uncertainty
 
 Progress = Callable[[str], None]
@@ -47,6 +49,7 @@ MAX_ADDED_EFFECTS = 6  # effects that a nominal model may need
 # what is missing there would be named on the next flight.
 ADDITION_EVIDENCE = 15.0
 ADDITION_TRIALS = 2  # effects fitted in full before the completion ends
+START_TOLERANCE = 1.0  # chi2; of the fits from several starts, the best of which goes on
 ADDITION_TOLERANCE = 2.0  # chi2; the completed model is fitted once more
 
 
@@ -129,13 +132,12 @@ def build_nominal_model(
     noise = find_pose_noise(found.result, found.fitted_windows)
     windows = whiten(found.fitted_windows, noise)
     result = fit(found.model, windows, found.result.initial_states, prior=weak)
+    if noise.has_discrepancy and (found.held_out or found.train).chi2 > MAX_REDUCED_CHI2:
+        progress("other starts")
+        noise, windows, result, weak = _fit_from_other_starts(found, noise, result, weak)
     completed_fit, tried = _complete_model(result, windows, catalogue, weak, progress)
     if completed_fit is not result:  # what the model lacked had been taken for noise
-        again = fit(
-            completed_fit.model, found.fitted_windows, completed_fit.initial_states, prior=weak
-        )
-        noise = find_pose_noise(again, found.fitted_windows)
-        windows = whiten(found.fitted_windows, noise)
+        noise, windows = _update_noise(found, noise, completed_fit, windows, weak)
         result, tried = _complete_model(
             fit(completed_fit.model, windows, completed_fit.initial_states, prior=weak),
             windows, catalogue, weak, progress,
@@ -143,6 +145,67 @@ def build_nominal_model(
     _require_description(found, result)
     progress("what chance finds")
     return calibrate_nominal_model(found, noise, result, windows, tried, weak)
+
+
+def _fit_from_other_starts(
+    found: Identification, noise: PoseNoiseModel, result: FitResult, weak: Prior
+) -> tuple[PoseNoiseModel, Windows, FitResult, Prior]:
+    """The best fit from several starts under the model discrepancy; noise, windows, fit, prior.
+
+    Where gusts and unmodelled dynamics leave far more than the pose noise, a fit without a
+    discrepancy lets the initial state of each window explain them and ends with hardly any damping.
+    Under the discrepancy each start is fitted anew: what identification found, the values that it
+    began with, and those with an extended model. The least cost with the BIC penalty wins.
+    """
+    begun = found.model.with_values({p.name: p.start for p in found.model.parameters})
+    rows, interval = found.windows.nodes.shape[1], float(np.median(np.diff(found.windows.nodes)))
+    marginal = found.windows.scale_weights(1.0 / noise.deviation(rows, interval))
+    white = whiten(found.windows, noise)
+    best, best_prior, least = result, weak, np.inf
+    for start in (found.model, begun, *extended_models(begun)):
+        prior = weak if start is found.model else weak_prior(start)
+        guess = found.windows.initial_guess[:, : start.n_states]
+        states, _ = fit_initial_states(start, marginal, guess)
+        first = fit(start, marginal, states, prior=prior, iterations=10, tolerance=START_TOLERANCE)
+        again = fit(
+            first.model, white, first.initial_states, prior=prior, tolerance=START_TOLERANCE
+        )
+        cost = again.cost + len(again.free) * np.log(max(white.count, 2))
+        if cost < least:
+            best, best_prior, least = again, prior, cost
+    noise, windows = _update_noise(found, noise, best, white, best_prior)
+    final = fit(best.model, windows, best.initial_states, prior=best_prior)
+    return noise, windows, final, best_prior
+
+
+def _update_noise(
+    found: Identification, noise: PoseNoiseModel, result: FitResult, windows: Windows, weak: Prior
+) -> tuple[PoseNoiseModel, Windows]:
+    """Pose noise anew from the residuals of a better model, and the windows whitened by it.
+
+    Args:
+        found: the baseline flight, identified.
+        noise: as it was.
+        result: the better model's fit.
+        windows: what it was fitted to.
+        weak: its prior.
+    """
+    if not noise.has_discrepancy:
+        again = fit(result.model, found.fitted_windows, result.initial_states, prior=weak)
+        noise = find_pose_noise(again, found.fitted_windows)
+        return noise, whiten(found.fitted_windows, noise)
+    # Under a discrepancy a fit without whitening would be another model: take this one as it is.
+    residual, *_ = jacobian(result.model, found.windows, result.initial_states, ())
+    weighted = found.windows.scale_weights(robust_weights(residual, found.windows, noise))
+    residual, of_parameters, of_states = jacobian(
+        result.model, weighted, result.initial_states, result.free
+    )
+    here = replace(
+        result, residual=residual, parameter_jacobian=of_parameters,
+        initial_state_jacobian=of_states,
+    )  # fmt: skip
+    noise = find_pose_noise(here, weighted)
+    return noise, whiten(weighted, noise)
 
 
 def _require_description(found: Identification, result: FitResult) -> None:
@@ -195,18 +258,20 @@ def calibrate_nominal_model(
         tried_sensitivities = sensitivities(
             result.model, windows, result.initial_states, list(effect_variants(effects, windows))
         )
+    factors: dict[str, list[float]] = {}
+    for c in tried_sensitivities:
+        factors.setdefault(c.variant.effect.name, []).append(reduced.inflation(c))
+    inflation = {name: max(1.0, float(np.median(several))) for name, several in factors.items()}
+    divisor = np.array([inflation[c.variant.effect.name] for c in tried_sensitivities])
     penalty = np.array([bic_penalty(c.variant.effect, windows) for c in tried_sensitivities])
-    false_alarms = (reduced.block_delta_chi2(tried_sensitivities) - penalty[:, None]).max(axis=1)
+    evidence = reduced.block_delta_chi2(tried_sensitivities) / divisor[:, None]
+    false_alarms = (evidence - penalty[:, None]).max(axis=1)
     named = np.array([c.variant.effect not in GENERIC_EFFECTS for c in tried_sensitivities])
     gains = (
         float(false_alarms[named].max(initial=0.0)),
         float(false_alarms[~named].max(initial=0.0)),
     )
     prior, drift = _drift_prior(result, windows, weak)
-    factors: dict[str, list[float]] = {}
-    for c in tried_sensitivities:
-        factors.setdefault(c.variant.effect.name, []).append(reduced.inflation(c))
-    inflation = {name: max(1.0, float(np.median(several))) for name, several in factors.items()}
     return NominalModel(
         found, noise, result, windows, baseline_chi2, prior, *gains, inflation, drift, weak
     )
@@ -243,8 +308,12 @@ def _complete_model(
         needed = SELECTION_PENALTY + ADDITION_EVIDENCE
         scores = sorted(
             (
-                (score.delta_chi2 - bic_penalty(score.variant.effect, windows), k)
-                for k, score in enumerate(map(reduced.score, tried))
+                (
+                    reduced.score(effect).delta_chi2 / max(1.0, reduced.inflation(effect))
+                    - bic_penalty(effect.variant.effect, windows),
+                    k,
+                )
+                for k, effect in enumerate(tried)
             ),
             reverse=True,
         )
@@ -252,7 +321,8 @@ def _complete_model(
             if gain < needed:
                 return result, tried
             added = _add_to_base(result, windows, reduced.score(tried[k]), weak)
-            if added is not None and result.cost - added.cost > needed:
+            inflation = max(1.0, reduced.inflation(tried[k]))
+            if added is not None and (result.cost - added.cost) / inflation > needed:
                 result = added
                 break
         else:

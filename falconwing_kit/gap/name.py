@@ -533,9 +533,18 @@ def fit_flight(base: NominalModel, prepared: PreparedTable) -> tuple[Windows, Fi
 def _update_weights(
     base: NominalModel, windows: Windows, before: FitResult, best: FitResult
 ) -> tuple[Windows, FitResult]:
-    """Robust weights from the best model's residuals, and the nominal model fitted with them."""
+    """Robust weights from the best model's residuals, and the nominal model fitted with them.
+
+    The nominal model's fit begins from both, and the better end counts: what a fit with an effect
+    finds in the other parameters is no evidence for that effect.
+    """
     unweighted = base.with_measurement_weights(windows)
     _, residual = fit_initial_states(best.model, unweighted, best.initial_states)
     robust = robust_weights(residual, unweighted, base.noise)
     weighted = whiten(unweighted.scale_weights(robust), base.noise)
-    return weighted, fit(before.model, weighted, before.initial_states, prior=base.prior)
+    again = fit(before.model, weighted, before.initial_states, prior=base.prior)
+    if best is before:
+        return weighted, again
+    shared = {name: best.model.values[name] for name in before.model.names}
+    other = fit(before.model.with_values(shared), weighted, best.initial_states, prior=base.prior)
+    return weighted, min(again, other, key=lambda result: result.cost)

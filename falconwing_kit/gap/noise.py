@@ -43,15 +43,24 @@ class PoseNoiseModel:
     time: tuple[float, float]  # its correlation time [s]
     discrepancy: tuple[float, float] = (0.0, 0.0)  # root mean variance of the discrepancy [sigma]
     order: tuple[int, int] = (2, 2)  # how many times white noise is integrated
-    variance: float = 1.0  # of all, relative to sigma^2; other than 1 only with a discrepancy
+    # Of each channel, relative to the covariance above; other than 1 only with a discrepancy.
+    variance: tuple[float, ...] = (1.0,) * 6
 
     @property
     def is_white(self) -> bool:
         """Whether there is neither correlation nor discrepancy."""
         return self.share == (0.0, 0.0) and self.discrepancy == (0.0, 0.0)
 
+    @property
+    def has_discrepancy(self) -> bool:
+        """Whether accelerations that the model lacks add up over a window."""
+        return self.discrepancy != (0.0, 0.0)
+
     def covariance(self, rows: int, interval: float) -> Array:
-        """(2, L, L) covariance of position and of attitude over L rows this far apart [s]."""
+        """(2, L, L) covariance of position and of attitude over L rows this far apart [s].
+
+        Of a channel whose variance is one.
+        """
         lag = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows))) * interval
         halves = []
         for share, time, size, order in zip(
@@ -60,13 +69,13 @@ class PoseNoiseModel:
             half = (1.0 - share) * np.eye(rows) + share * np.exp(-lag / time)
             if size > 0.0:
                 half = half + size**2 * _integrated_noise(rows, order)
-            halves.append(self.variance * half)
+            halves.append(half)
         return np.stack(halves)
 
     def deviation(self, rows: int, interval: float) -> Array:
         """(L, 6) standard deviation of each row and channel, in units of its sigma."""
         marginal = np.einsum("hll->hl", self.covariance(rows, interval))
-        return np.asarray(np.sqrt(np.repeat(marginal, 3, axis=0)).T)
+        return np.asarray(np.sqrt(np.repeat(marginal, 3, axis=0).T * self.variance))
 
     def whitening(self, rows: int, interval: float) -> Array:
         """(6, L, L) lower triangular filters, one per channel, for L rows this interval apart [s].
@@ -74,7 +83,7 @@ class PoseNoiseModel:
         Each is the inverse Cholesky factor of the covariance: white noise of unit variance.
         """
         halves = np.linalg.inv(np.linalg.cholesky(self.covariance(rows, interval)))
-        return np.repeat(halves, 3, axis=0)
+        return np.repeat(halves, 3, axis=0) / np.sqrt(self.variance)[:, None, None]
 
 
 WHITE = PoseNoiseModel((0.0, 0.0), (0.5, 0.5))
@@ -103,7 +112,7 @@ def find_pose_noise(result: FitResult, windows: Windows) -> PoseNoiseModel:
     # With the discrepancy known, the correlated noise anew, then the discrepancy once more.
     other = _search(data, other, [{"share": s, "time": t} for s in SHARES for t in TIMES_S])
     other = _search(data, other, sizes)
-    return replace(other, variance=data.deviance(other)[1])
+    return replace(other, variance=data.channel_variances(other))
 
 
 def whiten(windows: Windows, noise: PoseNoiseModel) -> Windows:
@@ -120,7 +129,8 @@ def whiten(windows: Windows, noise: PoseNoiseModel) -> Windows:
         return replace(windows, whitening=noise.whitening(rows, interval))
     halves = measured[..., [0, 3]].transpose(0, 2, 1)  # (W, 2, L)
     filters = _masked_filters(noise.covariance(rows, interval), halves)
-    return replace(windows, whitening=np.repeat(filters, 3, axis=1))
+    whitening = np.repeat(filters, 3, axis=1) / np.sqrt(noise.variance)[:, None, None]
+    return replace(windows, whitening=whitening)
 
 
 def robust_weights(residual: Array, windows: Windows, noise: PoseNoiseModel) -> Array:
@@ -164,18 +174,9 @@ class _Residuals:
 
     def deviance(self, noise: PoseNoiseModel) -> tuple[float, float]:
         """-2 log restricted likelihood, up to a constant, and the common variance it takes."""
-        windows, rows = self.residual.shape[:2]
-        covariance = noise.covariance(rows, self.interval)
-        if self.measured.all():
-            filters = np.linalg.inv(np.linalg.cholesky(covariance))[None]  # (1, 2, L, L)
-            repeated = float(windows)
-        else:
-            filters = _masked_filters(covariance, self.measured[..., [0, 3]].transpose(0, 2, 1))
-            repeated = 1.0
-        # Filter each half: (W, 2, L, L) @ (W, 2, L, 3 (1 + n)).
-        joined = np.concatenate([self.residual[..., None], self.slopes], axis=-1)
-        halves = joined.reshape(windows, rows, 2, -1).transpose(0, 2, 1, 3)
-        white = (filters @ halves).reshape(windows, 2 * rows * 3, -1)
+        windows = len(self.residual)
+        white, filters = self._whitened(noise)
+        repeated = float(windows) if len(filters) == 1 else 1.0
         residual, J = white[..., 0], white[..., 1:]
         # Residual outside the span of the initial states, and the two determinants.
         Q, R = np.linalg.qr(J)
@@ -186,6 +187,34 @@ class _Residuals:
         dof = max(int(np.count_nonzero(self.measured)) - windows * J.shape[2], 1)
         variance = max(float(squares) / dof, 1e-300)
         return dof * float(np.log(variance)) + log_filter + log_starts, variance
+
+    def channel_variances(self, noise: PoseNoiseModel) -> tuple[float, ...]:
+        """Variance of each channel: its squares over its degrees of freedom.
+
+        Gusts and errors of a model turn an aircraft more about one axis than about another.
+        """
+        windows, rows = self.residual.shape[:2]
+        white, _ = self._whitened(noise)
+        residual, Q = white[..., 0], np.linalg.qr(white[..., 1:])[0]
+        residual = residual - np.einsum("win,wn->wi", Q, np.einsum("win,wi->wn", Q, residual))
+        # Rows of a window are sorted by half, row and axis.
+        squares = np.sum((residual**2).reshape(windows, 2, rows, 3), axis=(0, 2)).ravel()
+        absorbed = np.sum(np.sum(Q**2, axis=2).reshape(windows, 2, rows, 3), axis=(0, 2)).ravel()
+        count = np.count_nonzero(self.measured, axis=(0, 1))
+        return tuple((squares / np.maximum(count - absorbed, 1.0)).tolist())
+
+    def _whitened(self, noise: PoseNoiseModel) -> tuple[Array, Array]:
+        """Residuals and slopes (W, 6 L, 1 + n) through the filters (1 or W, 2, L, L), and these."""
+        windows, rows = self.residual.shape[:2]
+        covariance = noise.covariance(rows, self.interval)
+        if self.measured.all():
+            filters = np.linalg.inv(np.linalg.cholesky(covariance))[None]
+        else:
+            filters = _masked_filters(covariance, self.measured[..., [0, 3]].transpose(0, 2, 1))
+        # Filter each half: (W, 2, L, L) @ (W, 2, L, 3 (1 + n)).
+        joined = np.concatenate([self.residual[..., None], self.slopes], axis=-1)
+        halves = joined.reshape(windows, rows, 2, -1).transpose(0, 2, 1, 3)
+        return (filters @ halves).reshape(windows, 2 * rows * 3, -1), filters
 
 
 def _search(

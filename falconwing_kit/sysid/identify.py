@@ -355,19 +355,21 @@ def _other_starts(
     other axis too, then an attitude hold, without which such an aircraft diverges in the model.
     Then the other models. Each start is fitted to windows of growing length.
     """
-    model = models[0]
-    further = list(models[1:])
-    if model.form == "rates" and {t.name for t in model.terms} == {
+    for other in [*extended_models(models[0]), *models[1:]]:
+        yield _grow_windows(other, flights, prior or weak_prior(other), report)
+
+
+def extended_models(model: Model) -> list[Model]:
+    """The 12-state model with what a tailless or a stabilised aircraft has beyond it.
+
+    Cross moments, then an attitude hold; none for a model with other terms.
+    """
+    if model.form != "rates" or {t.name for t in model.terms} != {
         t.name for t in rates_model().terms
     }:
-        held = {p.name: HOLD_START for p in ATTITUDE_HOLD.parameters}
-        further = [
-            _with_cross_moments(model),
-            model.with_terms(ATTITUDE_HOLD).with_values(held),
-            *further,
-        ]
-    for other in further:
-        yield _grow_windows(other, flights, prior or weak_prior(other), report)
+        return []
+    held = {p.name: HOLD_START for p in ATTITUDE_HOLD.parameters}
+    return [_with_cross_moments(model), model.with_terms(ATTITUDE_HOLD).with_values(held)]
 
 
 def _with_cross_moments(model: Model) -> Model:

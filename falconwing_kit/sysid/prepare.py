@@ -9,6 +9,7 @@ from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import (
     FlightTable,
     fill_missing_rows,
+    interpolate_readings,
     nominal_rate_hz,
     slice_time,
 )
@@ -21,6 +22,9 @@ MIN_SAMPLES, MAX_SAMPLES = 5, 13  # in one local cubic
 MIN_SEGMENT_S = 3.0  # shorter segments are dropped
 OUTLIER_SIGMAS = 6.0  # one in 500 million samples of Gaussian noise lies beyond
 LONGEST_GAP_S = 0.25  # commands are unknown in a longer gap: the flight is cut there
+MIN_READINGS = 20  # of the sticks; fewer changes show no regular interval between them
+SAME_INTERVAL = 0.2  # intervals within a row or this share of the usual one are alike
+MIN_ALIKE, MAX_SHORTER = 0.7, 0.02  # shares of the intervals between readings
 # Optional columns; better initial states than any derivative.
 LOGGED_MOTION = ("vx", "vy", "vz", "p", "q", "r")
 MIN_NOISE = np.full(6, 1e-3)  # [m, rad]; a smaller estimate is not of measured poses
@@ -58,7 +62,8 @@ class PreparedTable:
 def prepare(table: FlightTable, sigma: Array | None = None) -> PreparedTable:
     """Make a flight table ready for fitting.
 
-    0. Thin a log faster than 30 Hz: every k-th pose, with the mean of the commands until the next.
+    0. Draw lines between sticks that were read less often than the poses; thin a log faster than
+       30 Hz: every k-th pose, with the mean of the commands until the next.
     1. Cut it at gaps longer than 0.25 s, insert rows for single missing frames, unwrap angles.
     2. Fit a cubic robustly to the poses within 0.3 s of each row: state and derivatives.
     3. Estimate the noise of each channel from fourth differences.
@@ -72,7 +77,7 @@ def prepare(table: FlightTable, sigma: Array | None = None) -> PreparedTable:
     Raises:
         InputError: fewer than 3 s of usable poses without a break.
     """
-    table = thin_table(table)
+    table = thin_table(interpolate_slow_sticks(table))
     warnings = list(table.warnings)
     candidates = map(_smooth_segment, _split_at_gaps(table))
     segments = [segment for segment in candidates if segment is not None]
@@ -103,6 +108,26 @@ def prepare(table: FlightTable, sigma: Array | None = None) -> PreparedTable:
             " trusting a fit"
         )
     return PreparedTable(tuple(flights), noise, outliers, missing, tuple(warnings))
+
+
+def interpolate_slow_sticks(table: FlightTable) -> FlightTable:
+    """The sticks on the lines between their readings, where these are rarer than the rows.
+
+    Such a log repeats each reading until the next one, at regular intervals of two rows or more.
+    Commands that are held on purpose change at no such interval and stay as they are.
+    """
+    moved = np.any(np.diff(table.commands, axis=0) != 0.0, axis=1)
+    rows = np.append(0, np.flatnonzero(moved) + 1)
+    intervals = np.diff(rows)
+    if len(intervals) < MIN_READINGS:
+        return table
+    usual = int(np.bincount(intervals).argmax())
+    alike = np.abs(intervals - usual) <= max(1.0, SAME_INTERVAL * usual)
+    shorter = intervals < (1.0 - SAME_INTERVAL) * usual
+    if usual < 2 or np.mean(alike) < MIN_ALIKE or np.mean(shorter) > MAX_SHORTER:
+        return table
+    commands = interpolate_readings(table.t, table.t[rows], table.commands[rows])
+    return replace(table, commands=commands)
 
 
 def thin_table(table: FlightTable, highest_hz: float = MAX_RATE_HZ) -> FlightTable:

@@ -93,7 +93,7 @@ def test_a_path_that_wanders_is_a_discrepancy():
     noise = found_in_table(model, replace(table, p_world=table.p_world + steps))
     expected = 0.02 * np.sqrt(40.0 / 2.0) / MARKER[0]
     assert noise.order[0] == 1
-    assert 0.6 * expected < noise.discrepancy[0] * np.sqrt(noise.variance) < 1.6 * expected
+    assert 0.6 * expected < noise.discrepancy[0] * np.sqrt(noise.variance[0]) < 1.6 * expected
     assert noise.discrepancy[1] < 0.3 * noise.discrepancy[0]
 
 

@@ -5,8 +5,9 @@ pilot's or autopilot's commands (pulse widths, axes of a joystick). A mapping fi
 says which number is which stick; whatever it leaves out is found from the log itself where only one
 answer is possible, and every such guess is in the table's warnings.
 
-A row is one pose message as it was measured: nothing is smoothed or interpolated. Its time is the
-message's own stamp; its commands are the latest ones before that.
+A row is one pose message as it was measured: no pose is smoothed or interpolated. Its time is the
+message's own stamp; its commands lie on the lines between the messages of the sticks, which come
+less often and would be late if they were held.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +20,7 @@ import numpy as np
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.files import short_name
 from falconwing_kit.core.flight_log import read_mcap_records
-from falconwing_kit.core.flight_table import LABEL_COLUMN, FlightTable
+from falconwing_kit.core.flight_table import LABEL_COLUMN, FlightTable, interpolate_readings
 from falconwing_kit.tools.bridge.axes import (
     CLEARLY,
     SURE_CORRELATION,
@@ -131,8 +132,7 @@ def read_ros2_log(
     t, t_command = (t_pose - t_pose[0]) * 1e-9, (t_command - t_pose[0]) * 1e-9
     if rate_hz is not None:
         t, p_log, quaternions = _nearest_to_grid(name, t, p_log, quaternions, rate_hz)
-    held = np.searchsorted(t_command, t, side="right") - 1
-    rows = held >= 0
+    rows = t >= t_command[0]
     if not rows.any():
         raise InputError(
             f"{name}: expected poses after the first command, got none: the poses of "
@@ -141,7 +141,8 @@ def read_ros2_log(
         )
     if not rows.all():
         warnings.append(f"poses before the first command, left out: {(~rows).sum()}")
-    t, p_log, commands = t[rows] - t[rows][0], p_log[rows], commands[held[rows]]
+    commands = interpolate_readings(t[rows], t_command, commands)
+    t, p_log = t[rows] - t[rows][0], p_log[rows]
 
     R_log_body = rotations(quaternions[rows])
     axes = _axes(mapping.pose, t, p_log, R_log_body, warnings)
