@@ -4,10 +4,10 @@ The aircraft is a 65 g foam HobbyZone Sport Cub S 2 in motion capture (data/READ
 and licence). The rest of the flight is kept back: no fit reads it.
 
 The model is the paper's 9-state one. The 12-state model fits two-second windows better, 2 cm
-against 5 cm with their initial states fitted, but is worse in a forecast from measured states,
-whose body rates are derivatives of poses: 1.5 m and 36 deg two seconds ahead. The choice does not
-rest on the time kept back: over the part of the first minute that `identify` holds out the order
-is the same.
+against 5 cm with their initial states fitted, but forecasts worse from measured states, whose body
+rates are derivatives of poses: 1.5 m against 0.7 m two seconds ahead. The choice does not rest on
+the time kept back: over the part of the first minute that `identify` holds out it is 1.1 m against
+0.7 m (tests/benchmarks/bench_sport_cub.py).
 """
 
 import tomllib
