@@ -144,9 +144,9 @@ def draw_forecast_errors(
         highest: of the axis over time [m].
         every: show only each such dot over time; the distribution has all of them.
     """
-    styles = (("o", "-", PREDICTED), ("s", "--", ACCENT), ("x", "-.", QUIET), ("^", ":", MEASURED))
+    styles = [("o", "-", PREDICTED), ("s", "--", ACCENT), ("x", "-.", QUIET), ("^", ":", MEASURED)]
     if len(forecasts) < 4:
-        styles = (*styles[:2], styles[3])
+        del styles[2]
     with figure(path, 1, 2, (11.0, 3.5), width_ratios=[1.9, 1.0]) as axes:
         over_time, shares = axes[0]
         for (label, made), (mark, line, colour) in zip(forecasts.items(), styles, strict=False):
