@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from given import FAR, SIGMA, Z
+from given import FAR, GRAVITY, SIGMA, Z
 
 from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_close
 
@@ -247,31 +247,99 @@ HOLDOUT = (
     ),
 )
 
+# At V = GRAVITY / 2 and 45 deg the yaw rate is 2 rad/s and the circle's radius V / 2.
+SPEED = 0.5 * GRAVITY
+RADIUS = 0.5 * SPEED
+STEEP = math.radians(45.0)
+
+
+def _turn(
+    f: Function,
+    roll: float,
+    horizon: float,
+    v: tuple[float, ...] = (SPEED, 0.0, 0.0),
+    p: tuple[float, ...] = (0.0, 0.0, 0.0),
+) -> tuple[Array, float]:
+    """One forecast: position (3,) and yaw."""
+    later, turned = f(np.array([p]), np.array([v]), np.array([roll]), np.array([horizon]))
+    return np.asarray(later)[0], float(np.asarray(turned)[0])
+
+
+TURN = (
+    Check(
+        "wings level: straight on and up with the velocity, and the yaw stays",
+        lambda f: (
+            is_close(_turn(f, 0.0, 2.0, (3.0, -1.0, 0.5), (1.0, 2.0, 3.0))[0], [7.0, 0.0, 4.0])
+            and is_close(_turn(f, 0.0, 2.0, (3.0, -1.0, 0.5))[1], 0.0)
+        ),
+        "At roll zero the turn is zero: np.sinc divides for you. p is where it starts.",
+    ),
+    Check(
+        "45 deg of bank at g/2 m/s: 2 rad/s; after pi/4 s a quarter circle to the right of g/4 m",
+        lambda f: (
+            is_close(_turn(f, STEEP, math.pi / 4.0)[0], [RADIUS, -RADIUS, 0.0])
+            and is_close(_turn(f, STEEP, math.pi / 4.0)[1], math.pi / 2.0)
+        ),
+        "Right is minus y, while the yaw grows. The chord points where the aircraft flies midway.",
+    ),
+    Check(
+        "after a whole circle it is back, 2 pi further in yaw and higher by its climb",
+        lambda f: (
+            is_close(_turn(f, STEEP, math.pi, (0.0, SPEED, 0.3))[0], [0.0, 0.0, 0.3 * math.pi])
+            and is_close(_turn(f, STEEP, math.pi)[1], 2.0 * math.pi)
+        ),
+        "Half a turn's sine over half a turn: np.sinc(turned / (2 pi)). Do not wrap the yaw.",
+    ),
+    Check(
+        "a left turn is the mirror image of a right one",
+        lambda f: (
+            is_close(_turn(f, -0.4, 1.5)[0] * np.array([1.0, -1.0, 1.0]), _turn(f, 0.4, 1.5)[0])
+            and is_close(_turn(f, -0.4, 1.5)[1], -_turn(f, 0.4, 1.5)[1])
+        ),
+        "tan(roll) has the roll's sign; take it along.",
+    ),
+    Check(
+        "the speed of the turn is that over the floor: climbing does not change it",
+        lambda f: is_close(_turn(f, STEEP, 1.0, (SPEED, 0.0, 2.0))[1], _turn(f, STEEP, 1.0)[1]),
+        "V is the length of (vx, vy).",
+    ),
+)
+
 LAB = Lab(
     name="lab05",
     title="System identification",
-    hours=3.0,
+    hours=3.5,
     notebook_since="0.2",  # the model's symbols are the textbook's since then
     exercises=(
-        Exercise("local_slope", 12.0, LOCAL_SLOPE),
-        Exercise("residuals", 15.0, RESIDUALS),
-        Exercise("gauss_newton_step", 20.0, GAUSS_NEWTON),
-        Exercise("intervals", 14.0, INTERVALS),
-        Exercise("holdout_score", 14.0, HOLDOUT),
+        Exercise("local_slope", 10.0, LOCAL_SLOPE),
+        Exercise("residuals", 13.0, RESIDUALS),
+        Exercise("gauss_newton_step", 16.0, GAUSS_NEWTON),
+        Exercise("intervals", 12.0, INTERVALS),
+        Exercise("holdout_score", 12.0, HOLDOUT),
+        Exercise("forecast_turn", 12.0, TURN),
     ),
     rubric=(
         Criterion(
             "fit",
-            11.0,
+            7.0,
             "Histogram on the Gaussian; the cost has its bottom near 60 ms; "
             "the held-out track follows the points.",
         ),
         Criterion(
             "fit_reading",
-            4.0,
+            3.0,
             "A perfect model scores the marker's noise, 4.2 cm and 0.6 deg; "
             "explains what a wider histogram would mean, "
             "and why that window was not fitted.",
+        ),
+        Criterion(
+            "real", 3.0, "Distances over time and their distribution; the model's are the smallest."
+        ),
+        Criterion(
+            "real_reading",
+            2.0,
+            "Claims this flight's forecasts only; fitted initial states against measured ones; "
+            "the verdict compares with the constant turn.",
         ),
         Criterion(
             "q1",

@@ -164,6 +164,25 @@ def start_guess(measured: Array) -> Array:
     return guess
 
 
+def past_velocity(t: Array, p: Array, rows: int = 7) -> Array:
+    """Velocity of each row, from a parabola through the last few positions: nothing of the future.
+
+    Args:
+        t: (N,) [s].
+        p: (N, 3) measured positions, precise to a millimetre [m], nan where missing.
+        rows: that enter, the present one included.
+
+    Returns:
+        (N, 3) [m/s], nan where one of the rows is missing.
+    """
+    v = np.full(p.shape, np.nan)
+    for k in range(rows - 1, len(t)):
+        near = slice(k - rows + 1, k + 1)
+        if np.isfinite(p[near]).all():
+            v[k] = np.polyfit(t[near] - t[k], p[near], 2)[1]
+    return v
+
+
 def reduce(weighted_to_K: Array, weighted_to_start: Array) -> Array:
     """Sensitivities to K with initial states eliminated: (W, R, 8) and (W, R, 5) -> (W * R, 8)."""
     Q, _ = np.linalg.qr(weighted_to_start)

@@ -1,4 +1,6 @@
-"""Lab 5, hidden: random problems, solved by design matrices, dense least squares, loops and SVD."""
+"""Lab 5, hidden: random problems, solved by design matrices, dense least squares, loops, SVD
+and quadrature.
+"""
 
 from collections.abc import Mapping
 from functools import partial
@@ -10,6 +12,7 @@ from falconwing_kit.tools.grading import Course, Judge, Values
 
 Array = np.ndarray
 SIGMA = np.array([0.03, 0.05, 0.012])
+GRAVITY = 9.8  # m/s^2
 
 
 def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
@@ -25,6 +28,7 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
             Values(_draw_fit, partial(_intervals, level=level), cases=10, rtol=1e-5, atol=1e-8),
         ),
         "holdout_score": (Values(_draw_windows, _score, cases=10),),
+        "forecast_turn": (Values(_draw_turns, _turns, cases=10, rtol=1e-6, atol=1e-6),),
     }
 
 
@@ -134,3 +138,22 @@ def _score(predicted: Array, measured: Array, of_pass: Array, held_passes: Array
         if number in held_passes.tolist() and not np.isnan(m).any()
     ]
     return np.sqrt(np.array(squares).sum(axis=0) / len(squares))
+
+
+def _draw_turns(rng: np.random.Generator) -> tuple[Any, ...]:
+    v = rng.normal(size=(6, 3)) + np.array([[4.0], [-4.0]] * 3) * rng.normal(size=(1, 3))
+    v[:, :2] += 2.0 * np.sign(v[:, :2])
+    roll = rng.uniform(-0.9, 0.9, 6)
+    roll[rng.integers(6)] = 0.0
+    return 5.0 * rng.normal(size=(6, 3)), v, roll, rng.uniform(0.2, 3.0, 6)
+
+
+def _turns(p: Array, v: Array, roll: Array, horizon: Array) -> tuple[Array, Array]:
+    """The velocity turned step by step and summed by Simpson's rule; no chord."""
+    from scipy.integrate import simpson
+
+    rate = GRAVITY * np.tan(roll) / np.sqrt(v[:, 0] ** 2 + v[:, 1] ** 2)
+    t = np.linspace(0.0, 1.0, 401)[:, None] * horizon
+    # y is to the left: a turn to the right multiplies vx + i vy by exp(-i rate t)
+    path = simpson((v[:, 0] + 1j * v[:, 1]) * np.exp(-1j * rate * t), x=t, axis=0)
+    return p + np.stack([path.real, path.imag, v[:, 2] * horizon], axis=1), rate * horizon

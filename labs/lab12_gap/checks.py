@@ -297,30 +297,86 @@ FINDING = (
     ),
 )
 
+ROUND = np.radians([0.0, 90.0, 180.0, 270.0])
+NOSE = np.array([[1.0, 0.0], [0.0, -1.0], [-1.0, 0.0], [0.0, 1.0]])  # yaw to the right, y left
+RIGHT = np.array([[0.0, -1.0], [-1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
+
+WIND = (
+    Check(
+        "5 m/s along the nose on four headings, in air at rest",
+        lambda f: _near(f(5.0 * NOSE, ROUND), [5.0, 0.0, 0.0, 0.0]),
+        "At 90 deg of yaw the nose points to minus y: yaw is positive to the right, y to the left.",
+    ),
+    Check(
+        "1 m/s to the right wing besides",
+        lambda f: _near(f(5.0 * NOSE + RIGHT, ROUND), [5.0, 1.0, 0.0, 0.0]),
+        "At yaw zero the right wing points to minus y.",
+    ),
+    Check(
+        "air that moves by (0.4, -0.3) m/s is added to every velocity and found again (Galilei)",
+        lambda f: _near(
+            f(5.0 * NOSE + RIGHT + np.array([0.4, -0.3]), ROUND), [5.0, 1.0, 0.4, -0.3]
+        ),
+        "The wind has a column of its own for each axis: ones there, zeros in the other's rows.",
+    ),
+    Check(
+        "uneven headings do not shift it: three rows to the east for one to the west",
+        lambda f: _near(
+            f((5.0 * NOSE + np.array([0.4, -0.3]))[[0, 0, 0, 1, 2]], ROUND[[0, 0, 0, 1, 2]]),
+            [5.0, 0.0, 0.4, -0.3],
+        ),
+        "The mean velocity is no wind: solve for all four numbers together.",
+    ),
+    Check(
+        "an error of 0.4 m/s in one of four rows: a quarter of it in a and in the wind",
+        lambda f: _near(
+            f(5.0 * NOSE + np.array([[0.4, 0.0], [0, 0], [0, 0], [0, 0]]), ROUND),
+            [5.1, 0.0, 0.1, 0.0],
+        ),
+        "Least squares over all rows, each with the same weight.",
+    ),
+    Check(
+        "a row in which one component is missing does not count",
+        lambda f: _near(
+            f(np.concatenate([5.0 * NOSE, [[NAN, 7.0]]]), np.append(ROUND, 0.3)),
+            [5.0, 0.0, 0.0, 0.0],
+        ),
+        "Keep the rows whose vx and vy are both finite.",
+    ),
+)
+
 LAB = Lab(
     name="lab12",
     title="What is missing in the model?",
-    hours=4.0,
+    hours=4.5,
     notebook_since="0.2",  # the model's symbols are the textbook's since then
     exercises=(
-        Exercise("residual_map", 15.0, RESIDUAL_MAP),
-        Exercise("augment_model", 15.0, AUGMENT),
-        Exercise("score_candidates", 20.0, SCORE),
-        Exercise("verdict", 10.0, VERDICT),
-        Exercise("my_finding", 15.0, FINDING),
+        Exercise("residual_map", 13.0, RESIDUAL_MAP),
+        Exercise("augment_model", 13.0, AUGMENT),
+        Exercise("score_candidates", 17.0, SCORE),
+        Exercise("verdict", 8.0, VERDICT),
+        Exercise("my_finding", 14.0, FINDING),
+        Exercise("estimate_wind", 10.0, WIND),
     ),
     rubric=(
-        Criterion("map", 4.0, "Map drawn: four variables, six channels, a scale."),
+        Criterion("map", 3.0, "Map drawn: four variables, six channels, a scale."),
         Criterion(
             "map_reading",
-            4.0,
+            3.0,
             "Points at the cells that stand out (or states that none does), and guesses.",
         ),
-        Criterion("gap", 4.0, "Evidence with the threshold and gap drawn; after is near calm."),
+        Criterion("gap", 3.0, "Evidence with the threshold and gap drawn; after is near calm."),
         Criterion(
             "gap_reading",
-            3.0,
+            2.0,
             "Passed and closed, or a 'none' defended by the threshold; bending has a cost.",
+        ),
+        Criterion("real", 2.0, "Two rings of one size; the second centre lies at the hidden wind."),
+        Criterion(
+            "real_reading",
+            2.0,
+            "Interval against the truth; the same error in both parts cancels; one heading cannot "
+            "separate speed from wind; drag or mass would have changed the path.",
         ),
         Criterion("q1", 5.0, "One rival with a similar map, and what separates them."),
         Criterion(

@@ -105,6 +105,36 @@ def rows_of(residual: Array, windows: Any) -> tuple[Array, dict[str, Array]]:
     return np.where(windows.weight > 0.0, residual, np.nan).reshape(-1, 6), known
 
 
+def lap_numbers(yaw: Array) -> Array:
+    """Number of the lap of each row: a lap ends where the nose has turned on to the right by 2 pi.
+
+    Args:
+        yaw: (N,) [rad], wrapped or not, of a flight mostly in right turns.
+
+    Returns:
+        (N,) 0 for the rows before the first whole lap, then 1, 2, ... (the last one not complete).
+    """
+    # the largest yaw so far: a short turn to the left does not go back to the lap before
+    farthest = np.maximum.accumulate(np.unwrap(yaw))
+    lap = np.floor(farthest / (2.0 * np.pi)).astype(int)
+    return np.asarray(lap - lap.min())
+
+
+def velocities(t: Array, p: Array) -> Array:
+    """Velocity of each row from its two neighbours.
+
+    Args:
+        t: (N,) [s].
+        p: (N, 2) positions, precise to a millimetre [m].
+
+    Returns:
+        (N, 2) [m/s], nan in the first and the last row.
+    """
+    v = np.full(p.shape, np.nan)
+    v[1:-1] = (p[2:] - p[:-2]) / (t[2:] - t[:-2])[:, None]
+    return v
+
+
 def draw_map(axes: Sequence[Any], maps: Mapping[str, tuple[Array, Array]]) -> Any:
     """Draw residual maps side by side: channels in rows, bins in columns, dark for a large excess.
 

@@ -55,6 +55,7 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
         "verdict": (
             Values(_draw_gains, partial(_verdict, caution=course.constants["caution"]), cases=15),
         ),
+        "estimate_wind": (Values(_draw_velocities, _wind, cases=10, rtol=1e-6, atol=1e-7),),
         "my_finding": tuple(Trials(partial(part, effect, size), trials=1) for part in right),
     }
 
@@ -321,3 +322,26 @@ def _verdict(
         return threshold, "none", ()
     near = tuple(name for name, gain in ranked if ranked[0][1] - gain < LEAST_GAIN)
     return threshold, "named" if len(near) == 1 else "ambiguous", near
+
+
+def _draw_velocities(rng: np.random.Generator) -> tuple[Any, ...]:
+    yaw = rng.uniform(-7.0, 7.0) + np.sort(rng.uniform(0.0, rng.uniform(2.0, 9.0), 40))
+    a, b, wind = rng.uniform(3.0, 8.0), rng.normal(), rng.normal(size=2)
+    v = wind + np.stack([a * np.cos(yaw) - b * np.sin(yaw), -a * np.sin(yaw) - b * np.cos(yaw)], 1)
+    v += 0.3 * rng.normal(size=v.shape)
+    v[rng.choice(40, 4, replace=False), rng.integers(2, size=4)] = np.nan
+    return v, yaw
+
+
+def _wind(v: Array, yaw: Array) -> Array:
+    """The same as complex numbers: vx - i vy = (a + i b) exp(i yaw) + wx - i wy, normal equations.
+
+    The nose is at exp(i yaw) there and the right wing at i exp(i yaw).
+    """
+    known = np.isfinite(v[:, 0] + v[:, 1])
+    u, e = v[known, 0] - 1j * v[known, 1], np.exp(1j * yaw[known])
+    n, mean = len(u), e.conj().sum()
+    own, wind = np.linalg.solve(
+        np.array([[n, mean], [mean.conj(), n]]), np.array([(e.conj() * u).sum(), u.sum()])
+    )
+    return np.array([own.real, own.imag, wind.real, -wind.imag])

@@ -31,6 +31,7 @@ from falconwing_kit.sysid import (
     identify,
     prepare,
 )
+from falconwing_kit.tools.demo.sport_cub import END_S, sport_cub_initial_model
 from falconwing_kit.tools.trials.hide_in_recording import (
     add_wind,
     delay_commands,
@@ -127,6 +128,27 @@ def test_forecasts_beat_simple_ones() -> None:
               f"the state before, {len(kept.t)} forecasts")  # fmt: skip
     assert errors["model"] <= 0.5 * errors["constant turn"]
     assert score.position_m <= 0.036 and score.attitude_deg <= 2.1
+
+
+def test_nine_states_forecast_better_than_twelve_from_measured_states() -> None:
+    """The demo's choice, on its own first minute: the part that was held out, and the time after.
+
+    No number is expected of either; only the order, which the choice rests on, must be the same.
+    """
+    table = with_motion(slice_time(load_flight("sport_cub"), BEGIN_S, np.inf))
+    first = slice_time(table, BEGIN_S, END_S)
+    errors = []
+    for model in (sport_cub_initial_model(), start()):
+        found = identify([slice_time(load_flight("sport_cub"), BEGIN_S, END_S)], model=model)
+        assert found.held_out is not None
+        inside = on_held_out_time(forecast(found.train_model, first, HORIZON_S), first, found)
+        made = forecast(found.model, table, HORIZON_S)
+        later = made.subset(table.t[made.start] >= END_S)
+        errors.append((inside.position_m, later.position_m))
+        print(f"\n{found.model.n_states} states: windows {found.held_out.position_m * 100:.1f} cm; "
+              f"forecasts {inside.position_m:.2f} m {inside.attitude_deg:.1f} deg inside, "
+              f"{later.position_m:.2f} m {later.attitude_deg:.1f} deg after it")  # fmt: skip
+    assert errors[0][0] < errors[1][0] and errors[0][1] < errors[1][1]
 
 
 def test_the_battery_sags_as_the_throttle_says() -> None:

@@ -1,4 +1,4 @@
-"""falconwing demo: fly an approach live, then model recorded flights, one of them real."""
+"""falconwing demo: fly an approach live, then model recorded flights, two of them real."""
 
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ BROWSER_S = 8.0  # a browser's time to show the page before the flight begins
 
 @dataclass(frozen=True)
 class Demo:
-    """Fly an approach in a simulated hall, live in the browser; then identify two aircraft from
-    recorded flights, one of them real, and name the effects missing in the models.
+    """Fly an approach in a simulated hall, live in the browser; then identify three aircraft from
+    recorded flights, two of them real, and name the effects missing in the models.
 
-    It needs no network, GPU or aircraft and takes about a minute and a half.
+    It needs no network, GPU or aircraft and takes a minute or two.
     """
 
     out: Path = Path("falconwing_demo")
@@ -126,10 +126,10 @@ def _print_record(record: dict) -> None:
         + ", ".join(f"{value:.2f} {when}" for when, value in gap["gap"].items())
     )
     print()
-    forecasts = real["one_second_ahead_before_failure"].items()
+    _print_indoor_flight(record["real_indoor_flight"])
+    print()
     title = "2 m aircraft, REAL flight (ALFA): 1 s predictions, held-out data before the failure"
-    errors = [(name, f["position_m"], f["attitude_deg"]) for name, f in forecasts]
-    print_table(("prediction", "position [m]", "attitude [deg]"), errors, title=title)
+    _print_forecasts(real["one_second_ahead_before_failure"], title)
     parts, failure = real["parts_from_measurement_s"], real["failure_time_s"]
     if parts is None:
         print("after the failure the nominal model's predictions stay within the normal error")
@@ -145,3 +145,18 @@ def _print_record(record: dict) -> None:
         f"thrust loss since {since['value']:.1f} s, "
         f"95 % between {since['low95']:.1f} and {since['high95']:.1f} s"
     )
+
+
+def _print_indoor_flight(cub: dict) -> None:
+    """Forecasts of the Sport Cub, and whether its model describes the flight."""
+    title = "65 g aircraft, REAL indoor flight (Sport Cub): 2 s predictions, time after the fit"
+    _print_forecasts(cub["two_seconds_ahead"], title)
+    verdict = "describes" if cub["describes_flight"] else "does not describe"
+    begin, end = cub["fitted"]["from"], cub["fitted"]["to"]
+    print(f"the model, fitted from {begin:.0f} to {end:.0f} s, {verdict} this flight")
+    print(f"data: {cub['source'].removeprefix('https://')}, {cub['licence']}")
+
+
+def _print_forecasts(forecasts: dict, title: str) -> None:
+    errors = [(name, f["position_m"], f["attitude_deg"]) for name, f in forecasts.items()]
+    print_table(("prediction", "position [m]", "attitude [deg]"), errors, title=title)

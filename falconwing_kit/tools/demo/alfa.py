@@ -53,8 +53,8 @@ from falconwing_kit.sysid.identify import Identification, identify
 from falconwing_kit.sysid.prepare import prepare
 from falconwing_kit.sysid.shooting import Windows, cut_windows, pose_residuals
 from falconwing_kit.sysid.uncertainty import uncertainty
-from falconwing_kit.tools.demo.figures import draw_predictions
-from falconwing_kit.tools.reports.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
+from falconwing_kit.tools.demo.figures import draw_forecast_errors, draw_predictions
+from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, QUIET, figure
 
 # ---- Reading the log
 
@@ -689,36 +689,13 @@ def draw_track(analysis: AlfaAnalysis, path: Path) -> None:
 
 def draw_forecasts(analysis: AlfaAnalysis, path: Path) -> None:
     """Errors of held-out predictions before the failure: the model and two simple predictors."""
-    styles = {
-        "model": ("o-", PREDICTED, "fitted model"),
-        "constant turn": ("s--", ACCENT, "constant turn for its bank"),
-        "constant velocity": ("^:", MEASURED, "constant velocity"),
+    labels = {
+        "model": "fitted model",
+        "constant turn": "constant turn for its bank",
+        "constant velocity": "constant velocity",
     }
-    with figure(path, 1, 2, (11.0, 3.5), width_ratios=[1.9, 1.0]) as axes:
-        over_time, shares = axes[0]
-        for name, (mark, colour, label) in styles.items():
-            forecasts = analysis.held_out[name]
-            distance = np.linalg.norm(forecasts.error_position, axis=1)
-            over_time.plot(
-                forecasts.t, distance, mark[0], ms=2.6, color=colour, alpha=0.8, label=label
-            )
-            ordered = np.sort(distance)
-            shares.plot(
-                ordered,
-                np.arange(1, len(ordered) + 1) / len(ordered) * 100.0,
-                mark[1:],
-                color=colour,
-                lw=1.8,
-            )
-        over_time.set_ylim(0.0, 8.0)
-        over_time.set_xlabel("time [s]")
-        over_time.set_ylabel("distance from the measurement [m]")
-        over_time.set_title("Prediction 1 s ahead, held-out data")
-        over_time.legend(loc="upper right")
-        shares.set_xlim(0.0, 5.0)
-        shares.set_xlabel("distance from the measurement [m]")
-        shares.set_ylabel("predictions within it [%]")
-        shares.set_title("Cumulative distribution")
+    forecasts = {label: analysis.held_out[name] for name, label in labels.items()}
+    draw_forecast_errors(forecasts, path, title="Prediction 1 s ahead, held-out data", highest=8.0)
 
 
 def draw_failure(analysis: AlfaAnalysis, path: Path) -> None:

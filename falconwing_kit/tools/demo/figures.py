@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.core.checks import Array
+from falconwing_kit.sysid.forecast import Forecasts
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.score import select_windows
 from falconwing_kit.sysid.shooting import fly_windows
@@ -129,6 +130,48 @@ def draw_residuals(found: Identification, path: Path) -> None:
         correlation.set_xlabel("lag [frames]")
         correlation.set_ylabel("autocorrelation [-]")
         correlation.legend(loc="upper right")
+
+
+def draw_forecast_errors(
+    forecasts: dict[str, Forecasts], path: Path, *, title: str, highest: float, every: int = 1
+) -> None:
+    """Draw distances of forecasts from the measurement over time, and their distribution.
+
+    Args:
+        forecasts: by the label of the predictor, four at most; the model first.
+        path: the PNG file.
+        title: what the dots are.
+        highest: of the axis over time [m].
+        every: show only each such dot over time; the distribution has all of them.
+    """
+    styles = [("o", "-", PREDICTED), ("s", "--", ACCENT), ("x", "-.", QUIET), ("^", ":", MEASURED)]
+    if len(forecasts) < 4:
+        del styles[2]
+    with figure(path, 1, 2, (11.0, 3.5), width_ratios=[1.9, 1.0]) as axes:
+        over_time, shares = axes[0]
+        for (label, made), (mark, line, colour) in zip(forecasts.items(), styles, strict=False):
+            distance = np.linalg.norm(made.error_position, axis=1)
+            over_time.plot(
+                made.t[::every],
+                distance[::every],
+                mark,
+                ms=2.6,
+                color=colour,
+                alpha=0.8,
+                label=label,
+            )
+            ordered = np.sort(distance)
+            share = np.arange(1, len(ordered) + 1) / len(ordered) * 100.0
+            shares.plot(ordered, share, line, color=colour, lw=1.8)
+        over_time.set_ylim(0.0, highest)
+        over_time.set_xlabel("time [s]")
+        over_time.set_ylabel("distance from the measurement [m]")
+        over_time.set_title(title)
+        over_time.legend(loc="upper right", ncols=1 if len(forecasts) < 4 else 2)
+        shares.set_xlim(0.0, 5.0 / 8.0 * highest)
+        shares.set_xlabel("distance from the measurement [m]")
+        shares.set_ylabel("predictions within it [%]")
+        shares.set_title("Cumulative distribution")
 
 
 def draw_intervals(found: Identification, path: Path) -> None:

@@ -14,6 +14,7 @@ from falconwing_kit.core.flight_table import read_flight_table
 from falconwing_kit.data import data_path
 from falconwing_kit.gap.advice import headline
 from falconwing_kit.gap.study import GapStudy, gap_record, study_gap
+from falconwing_kit.sysid.forecast import Forecasts
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.model_file import write_model
 from falconwing_kit.sysid.one_step import fit_one_step
@@ -35,6 +36,16 @@ from falconwing_kit.tools.demo.approach import (
     draw_flight,
 )
 from falconwing_kit.tools.demo.figures import draw_identification
+from falconwing_kit.tools.demo.sport_cub import (
+    BEGIN_S,
+    END_S,
+    HORIZON_S,
+    LEGEND,
+    SportCubAnalysis,
+    analyse_sport_cub_flight,
+    draw_sport_cub_figures,
+    read_sport_cub_metadata,
+)
 from falconwing_kit.tools.reports.gap_plots import draw_gap_closure, draw_map, draw_ranking
 from falconwing_kit.tools.reports.page import write_page
 
@@ -53,12 +64,13 @@ class RecordedFlights:
     # the paper's loss on "raw" and on "smoothed" differences, held-out data
     small_one_step: dict[str, PredictionScore]
     small_gap: GapStudy  # its flight with a hidden effect
+    cub: SportCubAnalysis  # the 65 g aircraft, a real indoor flight
     alfa: AlfaAnalysis
     alfa_gap: AlfaGap
 
 
 def study_recorded_flights(progress: Progress = lambda stage: None) -> RecordedFlights:
-    """Identify both aircraft, then find the effects missing in their models.
+    """Identify the three aircraft, and find the effects missing in the models of two.
 
     Args:
         progress: called with the name of each stage.
@@ -76,8 +88,9 @@ def study_recorded_flights(progress: Progress = lambda stage: None) -> RecordedF
         one_step[name] = score(
             fit_one_step(rates_model(), flights, smoothed=name == "smoothed"), held_out
         )
+    cub = analyse_sport_cub_flight(progress)
     alfa = analyse_alfa_flight(progress)
-    return RecordedFlights(small, one_step, gap, alfa, study_alfa_gap(alfa, progress))
+    return RecordedFlights(small, one_step, gap, cub, alfa, study_alfa_gap(alfa, progress))
 
 
 def write_recorded_flights(
@@ -100,9 +113,11 @@ def write_recorded_flights(
     draw_map(gap.flight_replay, gap.baseline_replay, folder / "gap_map.png")
     draw_ranking(gap.naming, folder / "gap_ranking.png")
     draw_gap_closure(gap.closed, folder / "gap_closed.png")
+    draw_sport_cub_figures(found.cub, folder)
     draw_alfa_figures(found.alfa, folder)
     draw_hypotheses(found.alfa_gap, found.alfa.failure_time, folder / "alfa_suspects.png")
     write_model(folder / "model_150g.toml", found.small)
+    write_model(folder / "model_sport_cub.toml", found.cub.found)
     write_model(folder / "model_alfa.toml", found.alfa.found)
     with atomic_write(folder / "demo.json", text=True) as handle:
         json.dump(record, handle, indent=2)
@@ -115,6 +130,7 @@ def write_recorded_flights(
         approach=approach_section(approach, folder) if approach else "",
         small=_small_section(found),
         gap=_gap_section(gap, record),
+        cub=_cub_section(found.cub),
         alfa=_alfa_section(found.alfa),
         lost=_alfa_gap_section(found.alfa_gap),
         loss=found.alfa_gap.thrust_loss,
@@ -123,7 +139,7 @@ def write_recorded_flights(
 
 
 def demo_record(found: RecordedFlights) -> dict[str, Any]:
-    """The figures of merit as numbers: simulated_flight and real_flight, each with a key gap."""
+    """The figures of merit as numbers: by flight; two of them have a key gap."""
     small, alfa = found.small, found.alfa
     report = gap_record(found.small_gap)
     held_out = small.held_out or small.train
@@ -142,16 +158,12 @@ def demo_record(found: RecordedFlights) -> dict[str, Any]:
                 "truth": {"effects": ["wind"], "parameters": TRUTH},
             },
         },
+        "real_indoor_flight": _cub_record(found.cub),
         "real_flight": {
             "flight": "ALFA Carbon-Z, engine failure",
             "made_by": "a real aircraft",
             "one_second_ahead_before_failure": {
-                name: {
-                    "position_m": f.position_m,
-                    "attitude_deg": f.attitude_deg,
-                    "forecasts": len(f.t),
-                }
-                for name, f in alfa.held_out.items()
+                name: _forecast_record(f) for name, f in alfa.held_out.items()
             },
             "failure_time_s": alfa.failure_time,
             "parts_from_measurement_s": alfa.detection_time,
@@ -160,6 +172,36 @@ def demo_record(found: RecordedFlights) -> dict[str, Any]:
             "gap": _alfa_gap_record(found.alfa_gap),
         },
     }
+
+
+def _forecast_record(f: Forecasts) -> dict[str, Any]:
+    return {"position_m": f.position_m, "attitude_deg": f.attitude_deg, "forecasts": len(f.t)}
+
+
+def _cub_record(cub: SportCubAnalysis) -> dict[str, Any]:
+    facts, windows, turn = read_sport_cub_metadata(), *_windows_of(cub)
+    return {
+        "flight": facts["aircraft"]["name"],
+        "made_by": "a real aircraft",
+        "place": facts["place"],
+        "licence": facts["source"]["licence"],
+        "source": facts["source"]["repository"],
+        "fitted": {"from": BEGIN_S, "to": END_S},
+        "describes_flight": cub.found.describes_flight,
+        # of the fitted minute, the windows that identification holds out
+        "windows": {
+            "model": {"position_m": windows.position_m, "attitude_deg": windows.attitude_deg},
+            "constant turn": {"position_m": turn.position_m, "attitude_deg": turn.attitude_deg},
+        },
+        "two_seconds_ahead": {name: _forecast_record(f) for name, f in cub.held_out.items()},
+        "roll_offset_deg": math.degrees(cub.roll_offset),
+        "seconds": cub.found.seconds,
+    }
+
+
+def _windows_of(cub: SportCubAnalysis) -> tuple[PredictionScore, PredictionScore]:
+    """Scores of the model and of a constant turn on windows with their initial state fitted."""
+    return cub.found.held_out or cub.found.train, cub.found.turn
 
 
 def _alfa_gap_record(gap: AlfaGap) -> dict[str, Any]:
@@ -237,6 +279,29 @@ def _gap_section(gap: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
         "sizes": sizes,
         "right": answer["effects"] == answer["truth"]["effects"],
         "closed_percent": 100.0 * (1.0 - after / before),
+    }
+
+
+def _cub_section(cub: SportCubAnalysis) -> dict[str, Any]:
+    """Values of the page on the real indoor flight."""
+    facts, windows, turn = read_sport_cub_metadata(), *_windows_of(cub)
+    rows = [
+        (LEGEND[name], f"{f.position_m:.2f}", f"{f.attitude_deg:.1f}", str(len(f.t)))
+        for name, f in cub.held_out.items()
+    ]
+    return {
+        "source": facts["source"],
+        "seconds": cub.found.seconds,
+        "begin": BEGIN_S,
+        "end": END_S,
+        "horizon": HORIZON_S,
+        "length": cub.table.t[-1] - END_S,
+        "predictions": rows,
+        "offset": math.degrees(cub.roll_offset),
+        "describes": cub.found.describes_flight,
+        "windows": windows,
+        "turn": turn,
+        "warnings": cub.found.warnings,
     }
 
 

@@ -120,4 +120,27 @@ MUTANTS = {
             "np.isin(np.arange(len(of_pass)), held_passes)",
         ),
     ),
+    "forecast_turn": (
+        (
+            "turns to the left",
+            "np.arctan2(v[:, 1], v[:, 0]) - 0.5",
+            "np.arctan2(v[:, 1], v[:, 0]) + 0.5",
+        ),
+        ("along the tangent", "- 0.5 * turned", ""),
+        ("to where it flies at the end", "- 0.5 * turned", "- turned"),
+        ("arc for chord", " * np.sinc(turned / (2.0 * np.pi))", ""),
+        ("sinc without pi", "np.sinc(turned / (2.0 * np.pi))", "np.sinc(0.5 * turned)"),
+        (
+            "divides by zero when level",
+            "np.sinc(turned / (2.0 * np.pi))",
+            "np.sin(0.5 * turned) / (0.5 * turned)",
+        ),
+        ("small roll", "np.tan(roll)", "roll"),
+        ("sine of the roll", "np.tan(roll)", "np.sin(roll)"),
+        ("speed with the climb", "np.hypot(v[:, 0], v[:, 1])", "np.linalg.norm(v, axis=1)"),
+        ("no climb", "v[:, 2] * horizon]", "0.0 * horizon]"),
+        ("from the origin", "return p + np.stack", "return np.stack"),
+        ("yaw positive to the left", "axis=1), turned", "axis=1), -turned"),
+        ("yaw wrapped", "axis=1), turned", "axis=1), (turned + np.pi) % (2.0 * np.pi) - np.pi"),
+    ),
 }

@@ -98,4 +98,33 @@ MUTANTS = {
         ("an interval over zero", '"low": 0.427, "high": 0.483', '"low": -0.2, "high": 0.483'),
         ("names the runner-up", '"effect": "ground_effect"', '"effect": "aileron_loss"'),
     ),
+    "estimate_wind": (
+        ("yaw positive to the left", "np.sin(yaw[known])", "-np.sin(yaw[known])"),
+        ("y to the right", "[-s, -c, zero, one]", "[s, c, zero, one]"),
+        ("right wing to the left", "[c, -s, one, zero]", "[c, s, one, zero]"),
+        (
+            "no sideways velocity",
+            "rows = np.concatenate([of_vx, of_vy])",
+            "rows = np.concatenate([of_vx, of_vy]) * [1, 0, 1, 1]",
+        ),
+        ("where the wind comes from", "rcond=None)[0]", "rcond=None)[0] * [1, 1, -1, -1]"),
+        ("wind and axes swapped", "rcond=None)[0]", "rcond=None)[0][[2, 3, 0, 1]]"),
+        ("velocities row by row", "v[known].T.ravel()", "v[known].ravel()"),
+        (
+            "missing values as zero",
+            "known = np.isfinite(v).all(axis=1)",
+            "v = np.nan_to_num(v); known = np.isfinite(v).all(axis=1)",
+        ),
+        (
+            "one component is enough",
+            "known = np.isfinite(v).all(axis=1)",
+            "known = np.isfinite(v).any(axis=1); v = np.nan_to_num(v)",
+        ),
+        (
+            "the mean velocity",
+            "return np.linalg.lstsq(rows, v[known].T.ravel(), rcond=None)[0]",
+            "w = v[known].mean(axis=0); own = (v[known] - w).T.ravel(); "
+            "return np.append(np.linalg.lstsq(rows[:, :2], own, rcond=None)[0], w)",
+        ),
+    ),
 }

@@ -32,13 +32,22 @@ FIGURES = (
     "gap_map",
     "gap_ranking",
     "gap_closed",
+    "sport_cub_traces",
+    "sport_cub_errors",
     "alfa_track",
     "alfa_predicted",
     "alfa_forecasts",
     "alfa_failure",
     "alfa_suspects",
 )
-OTHERS = ("approach.mcap", "index.html", "demo.json", "model_150g.toml", "model_alfa.toml")
+OTHERS = (
+    "approach.mcap",
+    "index.html",
+    "demo.json",
+    "model_150g.toml",
+    "model_sport_cub.toml",
+    "model_alfa.toml",
+)
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +91,12 @@ def test_it_ends_well_and_writes_what_it_says(run):
 def test_terminal_says_what_is_simulated_and_what_is_real(run):
     """A number says what it rests on; the last line says what to type next."""
     lines = run.printed.splitlines()
-    assert any("SIMULATED" in line for line in lines) and any("REAL" in line for line in lines)
+    labels = [word for line in lines for word in ("SIMULATED", "REAL") if word in line]
+    assert labels == ["SIMULATED", "SIMULATED", "REAL", "REAL"]
+    indoor, outdoor = (
+        next(k for k, line in enumerate(lines) if name in line) for name in ("Sport Cub", "ALFA")
+    )
+    assert indoor < outdoor and "Apache-2.0" in run.printed
     assert str((run.out / "index.html").resolve()) in run.printed
     assert lines[-1].startswith("next: falconwing identify")
 
@@ -98,7 +112,7 @@ def test_numbers_tell_the_story_of_the_release(run):
     """
     record = json.loads((run.out / "demo.json").read_text())
     small, real = record["simulated_flight"], record["real_flight"]
-    assert set(record) == {"approach", "simulated_flight", "real_flight"}
+    assert list(record) == ["approach", "simulated_flight", "real_indoor_flight", "real_flight"]
     assert record["approach"]["success"] and "SIMULATED" in record["approach"]["made_by"]
     assert 0.7 < small["held_out_chi2_per_dof"] < 1.3
     assert small["one_step_chi2_per_dof"]["raw"] > small["one_step_chi2_per_dof"]["smoothed"] > 2.0
@@ -108,6 +122,24 @@ def test_numbers_tell_the_story_of_the_release(run):
             assert errors["model"][error] < errors[guess][error]
     assert real["failure_time_s"] == 116.166  # the log's first "engine off", data/README.md
     assert real["parts_from_measurement_s"] > real["failure_time_s"]
+
+
+def test_indoor_flight_is_forecast_and_its_source_named(run):
+    """The kit's own limit: at most half of a constant turn's errors; the source as data/README.md
+    has it, on the page before the outdoor flight and under the tag of measured data.
+    """
+    cub = json.loads((run.out / "demo.json").read_text())["real_indoor_flight"]
+    errors = cub["two_seconds_ahead"]
+    for guess in ("constant turn", "constant turn, corrected roll", "constant velocity"):
+        for error in ("position_m", "attitude_deg"):
+            assert errors["model"][error] < 0.5 * errors[guess][error]
+    assert cub["describes_flight"] and cub["licence"] == "Apache-2.0"
+    page = (run.out / "index.html").read_text(encoding="utf-8")
+    title = '<span class="tag measured">measured</span>A real aircraft of 65 g, indoors'
+    assert page.index("A 150 g aircraft") < page.index(title) < page.index("Engine failure")
+    for words in ("https://github.com/CogniPilot/cubs2", "Apache-2.0", "CogniPilot Foundation"):
+        assert words in page
+    assert "<strong>describes this\nflight</strong>" in page
 
 
 def test_page_is_whole_in_itself_and_shows_every_figure(run):
@@ -130,9 +162,11 @@ def test_page_and_json_hold_the_same_numbers(run):
     ]
     sizes = small["gap"]["parameters"]
     assert [row[1] for row in cells[3:5]] == [f"{size['value']:.3f}" for size in sizes.values()]
-    for row, errors in zip(
-        cells[5:], real["one_second_ahead_before_failure"].values(), strict=True
-    ):
+    forecasts = [
+        *record["real_indoor_flight"]["two_seconds_ahead"].values(),
+        *real["one_second_ahead_before_failure"].values(),
+    ]
+    for row, errors in zip(cells[5:], forecasts, strict=True):
         assert row[1:] == [
             f"{errors['position_m']:.2f}",
             f"{errors['attitude_deg']:.1f}",
@@ -223,11 +257,20 @@ def test_page_has_words_for_every_outcome(run, tmp_path, verdict, detection_time
 
 
 @pytest.mark.parametrize(
-    ("name", "flight"), [("150g", "case08_calm.csv"), ("alfa", "alfa_engine_failure.csv")]
+    ("name", "flight"),
+    [
+        ("150g", "case08_calm.csv"),
+        ("sport_cub", "sport_cub.csv"),
+        ("alfa", "alfa_engine_failure.csv"),
+    ],
 )
 def test_models_can_be_read_back(run, name, flight):
     """To the last bit of every value; the file names the flight that it rests on."""
-    found = run.found.small if name == "150g" else run.found.alfa.found
+    found = {
+        "150g": run.found.small,
+        "sport_cub": run.found.cub.found,
+        "alfa": run.found.alfa.found,
+    }[name]
     file = read_model(run.out / f"model_{name}.toml")
     assert file.model.form == found.model.form
     assert dict(file.model.values) == dict(found.model.values)
