@@ -186,12 +186,12 @@ def test_a_field_for_each_stick(flight, tmp_path):
     assert any("no channel is the rudder" in text for text in table.warnings)
 
 
-def test_commands_are_held_until_the_next_message(flight, tmp_path):
-    """By hand: aileron pulses 1500, 1510, ... at 0, 0.1, ...; a row between two has the earlier."""
+def test_commands_lie_on_the_lines_between_messages(flight, tmp_path):
+    """By hand: aileron pulses 1500, 1501, ... at 0, 0.1, ...: 10 us a second, held at the end."""
     times = np.arange(0.0, flight.t[-1], 0.1)
     sticks = np.column_stack([1500 + np.arange(len(times)), *[1500 + 0 * times] * 3])
     table = read_ros2_log(write_flight(tmp_path / "log.mcap", flight, sticks=sticks))
-    expected = np.minimum(np.floor(flight.t * 10.0 + 1e-6), len(times) - 1) / 500.0
+    expected = np.minimum(flight.t * 10.0, len(times) - 1) / 500.0
     assert np.abs(table.commands[:, 1] - expected).max() < ROUNDING
 
 
