@@ -185,7 +185,10 @@ def _decide(
     )
     # Parameters that moved so far may imitate any effect, unless that is little compared with what
     # the effect itself explains.
-    if generic.delta_bic > generic_limit or (
+    is_generic_better = generic.delta_bic > generic_limit and (
+        not chosen or generic.delta_chi2 > sum(c.delta_chi2 for c in adding_up)
+    )
+    if is_generic_better or (
         mahalanobis > MAX_MAHALANOBIS and distance_squared > FORMULA_ERROR * explained_bic
     ):
         verdict, chosen = "outside", ()
