@@ -6,6 +6,7 @@
 The pilot is the landing expert with another observer: one that sees.
 """
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -69,23 +70,34 @@ class CameraObserver:
         """
         steady = State.from_vector(trim(design_model(model), speed).state)
         v_body = rotation_world_body(0.0, steady.pitch, steady.yaw).T @ steady.v_world
-        self._process = AircraftProcess(model, delay)
-        self._filter = OnlineFilter(self._process, v_body, p_body_camera, settings)
         self._camera, self._net = camera, net
+
+        def make() -> tuple[AircraftProcess, OnlineFilter]:
+            process = AircraftProcess(model, delay)
+            return process, OnlineFilter(process, v_body, p_body_camera, settings)
+
+        self._make = make
+        self._t = -np.inf  # time of the newest step [s]
+        self._begin(0.0)
+
+    def _begin(self, t: float) -> None:
+        """Begin at t [s] without an estimate."""
+        self._process, self._filter = self._make()
         self.note = "no image"  # why no pose was fused in this step; "" if one was
         self.state: State | None = None  # the newest estimate
-        self._begin: float | None = None  # time of the first step and of the newest one [s]
-        self._t = 0.0
-        self._fused_at: float | None = None  # time of the step that last fused a pose [s]
+        self._fused_at = t  # time of the step that last fused a pose, or of the first [s]
         self._last: Image | None = None  # the newest image that was looked at
 
     def estimate(self, observation: Observation) -> State | None:
-        """The state now, finite; None before the first pose and where it is lost."""
+        """The state now, finite; None before the first pose and where it is lost.
+
+        The past commands must be finite.
+        """
         t = observation.t
-        if self._begin is None:
-            self._begin = t
+        if not 0.0 <= t - self._t <= LOST_AFTER_S:  # the first step, or the clock was set
+            self._begin(t)
         elif t > self._t:
-            self._process.send(self._t, _finite_command(observation.past_commands))
+            self._process.send(self._t, observation.past_commands[-1])
         self._t = t
         self.note = self._look(observation.image, t)
         if not self.note:
@@ -98,8 +110,7 @@ class CameraObserver:
     @property
     def is_lost(self) -> bool:
         """Whether no pose was fused for a second, or since the start."""
-        since = self._begin if self._fused_at is None else self._fused_at
-        return since is not None and self._t - since > LOST_AFTER_S
+        return self._t - self._fused_at > LOST_AFTER_S + TIME_ROUNDING
 
     def _look(self, image: Image | None, t: float) -> str:
         """Fuse the pose of an image; why not, or ""."""
@@ -110,6 +121,8 @@ class CameraObserver:
         if not np.isfinite(image.t) or image.t > t + TIME_ROUNDING:
             return "image of a wrong time"
         self._last = image
+        if not isinstance(image.pixels, np.ndarray):
+            return "image of another size or kind"
         try:
             pose = self._net.estimate(decode_jpeg(image), self._camera)
         except InputError:
@@ -162,7 +175,8 @@ class PosePilot:
 
     def act(self, observation: Observation) -> Command:
         """The expert's command on the estimate; the safe command where the aircraft is lost."""
-        command = self._expert.act(observation)
+        past_commands = _finite_commands(observation.past_commands)
+        command = self._expert.act(replace(observation, state=None, past_commands=past_commands))
         if self._expert.mode == LANDED:
             self.mode = LANDED
         elif self._observer.is_lost:
@@ -185,7 +199,7 @@ def _is_repeated(image: Image, last: Image) -> bool:
     )
 
 
-def _finite_command(past_commands: Array) -> Array:
-    """The last command (4,) that was sent; neutral and idle where it is not finite."""
-    last = np.asarray(past_commands, np.float64)[-1]
-    return last if np.isfinite(last).all() else SAFE_COMMAND.vector
+def _finite_commands(past_commands: Array) -> Array:
+    """Commands (n, 4) that were sent, rows that are not finite replaced by the safe command."""
+    commands = np.asarray(past_commands, np.float64)
+    return np.where(np.isfinite(commands).all(axis=1)[:, None], commands, SAFE_COMMAND.vector)

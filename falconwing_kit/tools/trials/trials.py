@@ -89,6 +89,7 @@ class TrialSettings:
             "clock": self.clock.__name__,
         }
         record |= {"port": self.port} if self.port else {}
+        record |= {"degrade": repr(self.degrade)} if self.degrade else {}
         digest = None if self.scene is None else _scene_digest(self.scene, self.link)
         return record | {"scene_digest": digest}
 
