@@ -84,15 +84,15 @@ class Observer:
         if t == estimate.t:
             return State.from_vector(estimate.x)
         estimate.send(estimate.t, sent)
-        with np.errstate(all="ignore"):  # what is not finite is found below
+        with np.errstate(all="ignore"):
             estimate.advance(t)
+        if not np.isfinite(estimate.x).all():  # wild poses had set the model beyond all flight
+            self._estimate = SimulatedAircraft(self._model, measured, self._delay, t)
+            return measured
         rotation = _course_rotation(float(estimate.x[4]))
         innovation = measured.vector[:6] - estimate.x[:6]
         innovation[3:] = (innovation[3:] + np.pi) % (2.0 * np.pi) - np.pi
         estimate.x = estimate.x + rotation @ self._gain @ rotation[:6, :6].T @ innovation
-        if not np.isfinite(estimate.x).all():  # a wild pose set the model beyond all flight
-            self._estimate = SimulatedAircraft(self._model, measured, self._delay, t)
-            return measured
         return State.from_vector(estimate.x)
 
     def reset(self) -> None:

@@ -201,5 +201,6 @@ def _is_repeated(image: Image, last: Image) -> bool:
 
 def _finite_commands(past_commands: Array) -> Array:
     """Commands (n, 4) that were sent, rows that are not finite replaced by the safe command."""
-    commands = np.asarray(past_commands, np.float64)
-    return np.where(np.isfinite(commands).all(axis=1)[:, None], commands, SAFE_COMMAND.vector)
+    commands = np.array(past_commands, np.float64)
+    commands[~np.isfinite(commands).all(axis=1)] = SAFE_COMMAND.vector
+    return commands

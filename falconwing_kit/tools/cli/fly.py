@@ -15,7 +15,7 @@ import tyro
 from falconwing_kit.control.manoeuvres import MANOEUVRES
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.flight.pilots import PILOTS, load_pilot, require_pilot
-from falconwing_kit.flight.tasks import TASKS, TRIAL_SEEDS
+from falconwing_kit.flight.tasks import TASKS, TRIAL_SEEDS, LandingTask
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 if TYPE_CHECKING:
@@ -135,7 +135,8 @@ class Fly:
         head = study_head(task, self._pilot_name, self.seed)
         head["start"] = None if task.start is None else task.start.vector.tolist()
         other = self._read_folders(head, setting)
-        records = self._fly(task, model, setting, hall, head)
+        pilot = make_pilot(self, task, model)  # refuses its camera before a page opens
+        records = self._fly(task, pilot, setting, hall, head)
         found = summarise_trials(records)
         if other is not None:
             found["against"] = compare_pilots(records, other)
@@ -143,10 +144,12 @@ class Fly:
         return 0 if found["successes"] == found["trials"] else 1
 
     def _refuse_unavailable(self) -> None:
+        task = self.task if self.task in TASKS else LandingTask.name  # refused later
         try:
-            pilot = require_pilot(self.pilot, self.task, _trained_scene(self._scene))
+            pilot = require_pilot(self.pilot, task, _trained_scene(self._scene))
         except InputError as error:
-            raise InputError(f"--pilot {self.pilot}: {error}") from None
+            sentence = str(error).removeprefix("pilot: ")
+            raise InputError(f"--pilot {self.pilot}: {sentence}") from None
         if self.no_render and not pilot.reads_state:
             raise InputError(
                 f"--no-render: expected it with a pilot by the state, got --pilot {self.pilot},"
@@ -250,7 +253,7 @@ class Fly:
     def _fly(
         self,
         task: "FlightTask",
-        model: "Model | None",
+        pilot: "Callable[[TrialSetup], Pilot]",
         setting: "TrialSettings",
         hall: "Callable[[], GaussianScene]",
         head: dict[str, Any],
@@ -269,9 +272,8 @@ class Fly:
                 hooks=hooks,
             )
             return fly_trials(
-                task, make_pilot(self, task, model), self.trials, pilot=head["pilot"],
-                seed=self.seed, setting=setting, out=self.out, head=head, logs=self._has_logs,
-                progress=progress,
+                task, pilot, self.trials, pilot=head["pilot"], seed=self.seed,
+                setting=setting, out=self.out, head=head, logs=self._has_logs, progress=progress,
                 fly=partial(fly_in_processes, self) if self.workers > 1 else None,
             )  # fmt: skip
 
