@@ -176,7 +176,10 @@ class PosePilot:
     def act(self, observation: Observation) -> Command:
         """The expert's command on the estimate; the safe command where the aircraft is lost."""
         past_commands = _finite_commands(observation.past_commands)
-        command = self._expert.act(replace(observation, state=None, past_commands=past_commands))
+        observation = replace(observation, state=None, past_commands=past_commands)
+        if self._expert.mode == LANDED:  # the expert no longer asks, but the log still does
+            self._observer.estimate(observation)
+        command = self._expert.act(observation)
         if self._expert.mode == LANDED:
             self.mode = LANDED
         elif self._observer.is_lost:

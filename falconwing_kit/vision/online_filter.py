@@ -266,7 +266,10 @@ class OnlineFilter:
 
     def _fused(self, before: Estimate, t: float, pose: Measurement) -> Estimate | None:
         """The estimate at t with a pose fused into it; None where the gate rejects it."""
-        predicted = self._predicted(before, t)
+        now, newest = self._now, self._fusions[-1].estimate
+        # A pose of the present: the prediction to now is that to its image.
+        is_now = now is not None and before is newest and abs(now.t - t) < TIME_ROUNDING
+        predicted = now if now is not None and is_now else self._predicted(before, t)
         x, P = predicted.x, predicted.P
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             return None

@@ -257,11 +257,15 @@ def test_a_lying_state_changes_nothing():
 
 
 def test_without_an_image_it_predicts_and_says_so():
-    """0.4 s without: no pose is asked for, the mode says why, and the aircraft still lands."""
+    """0.4 s without: no pose is asked for, the mode says why, and the aircraft still lands. The
+    error grows by less than 0.1 m: a velocity known to 0.5 m/s drifts 0.2 m by the end of the gap.
+    """
+    _, _, _, error_with_all = land(0)
     result, modes, _, error = land(0, lambda k, images: None if 20 <= k < 28 else images[-1])
     # the loop keeps the newest image where the source gives none, so the pilot sees it again
     assert modes[20:28] == ("approach, predicting: repeated image",) * 8
-    assert modes[28] == "approach" and result["success"] and error < 0.2
+    assert modes[28] == "approach" and result["success"]
+    assert error < error_with_all + 0.1
 
 
 @pytest.mark.parametrize(
