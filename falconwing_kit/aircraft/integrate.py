@@ -1,5 +1,6 @@
 """Integration: model, initial state and commands -> the flight, by fourth-order Runge-Kutta."""
 
+import math
 from collections.abc import Callable
 from functools import cache
 from types import CellType, FunctionType
@@ -9,8 +10,10 @@ import numpy as np
 
 from falconwing_kit.aircraft.model import Model, state_rates
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
+from falconwing_kit.core.messages import CONTROL_PERIOD_S
 
 SUBSTEPS = {"paper": 1, "rates": 2}  # per 50 ms; body rates need the shorter step
+SETTLING_S = 0.6  # 20 time constants of a servo of 30 ms
 
 
 def step_batch(
@@ -245,3 +248,37 @@ def fly(model: Model, start: Array, t: Array, commands: Array, backend: str = "b
         return require_shape("start", start, (model.n_states,))[None]
     mean, slope = model.actuator_positions(t, control_inputs, edges, model.K)
     return roll_out(model, start, mean, dt / substeps, backend, slope)[::substeps]
+
+
+def advance(model: Model, t: float, t_end: float, x: Array, times: Array, commands: Array) -> Array:
+    """Fly one or many aircraft from t to t_end through one list of commands, with the input map.
+
+    Args:
+        model: the aircraft.
+        t: now [s].
+        t_end: [s]; not after t returns x unchanged.
+        x: (n_states, ...) states at t, SI.
+        times: (N,) when each command arrives at the aircraft, before delay and lag of the model
+            itself [s], not decreasing; the first command also acts before its time.
+        commands: (N, 4) in the order of COMMAND_NAMES.
+
+    Returns:
+        (n_states, ...) states at t_end.
+    """
+    steps = math.ceil((t_end - t) / CONTROL_PERIOD_S * SUBSTEPS[model.form] - 1e-9)
+    if steps <= 0:
+        return x
+    K, rates = model.K, state_rates(model.form, model.terms, model.winds)
+    _, lag, series = model.added_input_map(K)
+    dt = (t_end - t) / steps
+    # The servos start in equilibrium so many steps before t that they have settled by then.
+    before = math.ceil((SETTLING_S + 12.0 * max(lag, series)) / dt)
+    edges = t + dt * np.arange(-before, steps + 1, dtype=np.float64)
+    recent = max(int(np.searchsorted(times, edges[0] - 1.0, side="right")) - 1, 0)
+    mean, slope = model.actuator_positions(times[recent:], commands[recent:], edges, K)
+    columns = (4, *(1,) * (x.ndim - 1))
+    for k in range(before, before + steps):
+        x = step_batch(
+            rates, K, edges[k], x, mean[k].reshape(columns), dt, slope[k].reshape(columns)
+        )
+    return x

@@ -7,16 +7,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from falconwing_kit.aircraft.integrate import SUBSTEPS, step_batch
-from falconwing_kit.aircraft.model import Model, state_rates
+from falconwing_kit.aircraft.integrate import advance
+from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.trim import linearise, trim
 from falconwing_kit.control.inverse import design_model, true_state
 from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, model_key
 from falconwing_kit.core.checks import Array, require_range
-from falconwing_kit.core.messages import CONTROL_PERIOD_S, State
+from falconwing_kit.core.messages import CONTROL_PERIOD_S, Observation, State
 
 COMMAND_HISTORY = 400  # commands: 20 s at 20 Hz, far longer than any delay
-SETTLING_S = 0.6  # 20 time constants of a servo of 30 ms
 LONGEST_GAP_S = 0.5  # the observer restarts after a longer one
 MEASUREMENT_SIGMA = (0.01, math.radians(0.7))  # measurement noise per axis [m], [rad]
 PROCESS_SIGMA = (0.05, 0.1)  # process noise of a step of 50 ms: velocity [m/s], rates [rad/s]
@@ -30,16 +29,9 @@ class SimulatedAircraft:
     ) -> None:
         """Start at t [s]; the first command also acts before its time."""
         self.t, self.x = t, start.vector[: model.n_states].copy()
-        self._model, self._delay, self._K = (
-            model,
-            require_range("delay", delay, low=0.0, high=1.0),
-            model.K,
-        )
-        self._rates = state_rates(model.form, model.terms, model.winds)
+        self._model, self._delay = model, require_range("delay", delay, low=0.0, high=1.0)
         self._times: list[float] = []
         self._commands: list[Array] = []
-        _, lag, series = model.added_input_map(self._K)
-        self._memory = SETTLING_S + 12.0 * max(lag, series)
 
     def send(self, t: float, commands: Array) -> None:
         """Append commands (4,) at a time [s] not before the last; they arrive `delay` later."""
@@ -49,24 +41,10 @@ class SimulatedAircraft:
 
     def advance(self, t: float) -> None:
         """Simulate until t [s]; without any command, controls are neutral and the throttle idle."""
-        steps = math.ceil((t - self.t) / CONTROL_PERIOD_S * SUBSTEPS[self._model.form] - 1e-9)
-        if steps <= 0:
-            return
-        dt = (t - self.t) / steps
-        before = math.ceil(self._memory / dt)
-        edges = self.t + dt * np.arange(-before, steps + 1, dtype=np.float64)
         times = np.array(self._times or [0.0])
         commands = np.array(self._commands or [np.zeros(4)])
-        recent = max(int(np.searchsorted(times, edges[0] - 1.0, side="right")) - 1, 0)
-        mean, slope = self._model.actuator_positions(
-            times[recent:], commands[recent:], edges, self._K
-        )
-        x = self.x[:, None]
-        for k in range(before, before + steps):
-            x = step_batch(
-                self._rates, self._K, edges[k], x, mean[k, :, None], dt, slope[k, :, None]
-            )
-        self.t, self.x = t, x[:, 0]
+        self.x = advance(self._model, self.t, t, self.x[:, None], times, commands)[:, 0]
+        self.t = max(self.t, t)
 
 
 class Observer:
@@ -80,6 +58,14 @@ class Observer:
         gain = _kalman_gain(*model_key(design_model(model)), speed)
         self._model, self._delay, self._gain = model, delay, gain
         self._estimate: SimulatedAircraft | None = None
+
+    def estimate(self, observation: Observation) -> State | None:
+        """The estimated state; None where the measured one is missing or not finite."""
+        measured = observation.state
+        if measured is None or not np.isfinite(measured.vector).all():
+            self.reset()
+            return None
+        return self.update(observation.t, measured, observation.past_commands[-1])
 
     def update(self, t: float, measured: State, sent: Array) -> State:
         """Prediction and measurement update; returns the estimate.
@@ -98,7 +84,11 @@ class Observer:
         if t == estimate.t:
             return State.from_vector(estimate.x)
         estimate.send(estimate.t, sent)
-        estimate.advance(t)
+        with np.errstate(all="ignore"):
+            estimate.advance(t)
+        if not np.isfinite(estimate.x).all():  # wild poses had set the model beyond all flight
+            self._estimate = SimulatedAircraft(self._model, measured, self._delay, t)
+            return measured
         rotation = _course_rotation(float(estimate.x[4]))
         innovation = measured.vector[:6] - estimate.x[:6]
         innovation[3:] = (innovation[3:] + np.pi) % (2.0 * np.pi) - np.pi

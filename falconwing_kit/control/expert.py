@@ -2,8 +2,9 @@
 
 An expert reads `observation.state`, `observation.t` and `observation.past_commands` only. Its own
 observer (control/estimate.py) filters the pose of the measured state and estimates velocities and
-rates. Here are the paths and the phases of flight; the control law, LQR loops, is in
-control/loops.py. The vision policies imitate the experts.
+rates; another observer may take its place, such as one that reads the image. Here are the paths and
+the phases of flight; the control law, LQR loops, is in control/loops.py, another in
+control/successive_loops.py. The vision policies imitate the experts.
 
 An expert is designed on a model, which need not be the aircraft that flies. The model's effects
 count: its wind gives the crab angle, its delays and lags are part of the loops, a trim bias is fed
@@ -29,6 +30,7 @@ from falconwing_kit.control.inverse import (
     wind_velocity,
 )
 from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, Autopilot, Reference, course_axes
+from falconwing_kit.control.successive_loops import SuccessiveAutopilot
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.messages import Command, Observation, State
 
@@ -47,6 +49,7 @@ GAP_GAIN = 0.8  # speed correction per metre of gap error [1/s]
 MAX_SPEED_CORRECTION = 1.2  # [m/s]
 WALL_MARGIN = 0.8  # of a follower to walls, floor and beams [m]; its half span is 0.35 m
 NO_STATE = "no state"
+AutopilotType = type[Autopilot] | type[SuccessiveAutopilot]
 
 
 class LeaderTrajectory(Protocol):
@@ -64,20 +67,26 @@ class LeaderTrajectory(Protocol):
         """The leader's state at a time [s]."""
 
 
+class StateObserver(Protocol):
+    """Source of an expert's state: `Observer`, or one that reads something else."""
+
+    def estimate(self, observation: Observation) -> State | None:
+        """The estimated state, finite; None where there is none."""
+
+
 class EstimatingAutopilot:
     """An autopilot on the estimates of an observer; every expert has one."""
 
-    def __init__(self, model: Model, speed: float, delay: float) -> None:
-        self._autopilot = Autopilot(model, speed, delay)
-        self._observer = Observer(model, speed, delay)
+    def __init__(
+        self, model: Model, speed: float, delay: float, observer: StateObserver | None = None,
+        autopilot: AutopilotType = Autopilot,
+    ) -> None:  # fmt: skip
+        self._autopilot = autopilot(model, speed, delay)
+        self._observer = observer or Observer(model, speed, delay)
 
     def estimate(self, observation: Observation) -> State | None:
-        """The estimated state; None where the measured one is missing or not finite."""
-        measured, sent = observation.state, observation.past_commands[-1]
-        if measured is None or not np.isfinite(measured.vector).all():
-            self._observer.reset()
-            return None
-        return self._observer.update(observation.t, measured, sent)
+        """The estimated state; None where the observer has none."""
+        return self._observer.estimate(observation)
 
     def track(
         self, state: State, reference: Reference, observation: Observation, idle: bool = False
@@ -141,6 +150,7 @@ class LandingExpert:
     def __init__(
         self, model: Model, airframe: Airframe, pad: LandingPad,
         speed: float | None = None, delay: float = LINK_DELAY_S,
+        observer: StateObserver | None = None, autopilot: AutopilotType = Autopilot,
     ) -> None:  # fmt: skip
         """Design loops and approach.
 
@@ -150,6 +160,8 @@ class LandingExpert:
             pad: where to land.
             speed: airspeed of the approach [m/s]; None for `landing_speed`.
             delay: from a command to its arrival at the aircraft [s].
+            observer: of the state; None for `Observer`, which filters the measured one.
+            autopilot: the control law.
 
         Raises:
             InputError: the model cannot be trimmed or stabilised, or not be landed in this hall.
@@ -158,7 +170,7 @@ class LandingExpert:
         self.path, self._flare_at = landing_path(airframe, pad, self.speed)
         self.airframe, self.pad, self.mode = airframe, pad, "approach"
         require_landable_wind(model, self.path, self.speed)
-        self._autopilot = EstimatingAutopilot(model, self.speed, delay)
+        self._autopilot = EstimatingAutopilot(model, self.speed, delay, observer, autopilot)
 
     def act(self, observation: Observation) -> Command:
         """The command for approach and flare; idle and neutral once landed, whatever follows."""

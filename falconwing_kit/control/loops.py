@@ -385,7 +385,7 @@ class Autopilot:
         steady, attitude = self.trims.at(
             airspeed, climb, reference.bank, float(state.p_world[2]), t
         )
-        deviations = _deviations(state, reference, attitude, drift)
+        deviations = course_deviations(state, reference, attitude, drift)
         past = require_shape("past_commands", past_commands, (None, 4))[::-1]
         control_inputs = steady.copy()
         for loop, integral in zip(self.loops, self._integrals, strict=True):
@@ -438,7 +438,7 @@ def air_velocity(reference: Reference, wind: Array | None) -> tuple[float, float
     )
 
 
-def _deviations(
+def course_deviations(
     state: State, reference: Reference, attitude: Array, drift: float
 ) -> dict[str, float]:
     """Deviations from the reference in axes along its course: x ahead, y left, z up.

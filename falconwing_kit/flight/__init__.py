@@ -1,6 +1,7 @@
-"""flight: the simulated world, image sources, the 20 Hz loop, its tasks and their evaluators."""
+"""flight: pilots, the simulated world, image sources, the 20 Hz loop, its tasks and evaluators."""
 
 from falconwing_kit.flight.loop import Loop, LoopResult, LoopStep, SimulatedClock, WallClock
+from falconwing_kit.flight.pilots import load_pilot
 from falconwing_kit.flight.sources import MeasuredStates, RecordedImages, RenderedView, fpv_camera
 from falconwing_kit.flight.tasks import FollowTask, LandingTask
 from falconwing_kit.flight.trial import Spread, trial_seed
@@ -23,5 +24,6 @@ __all__ = [
     "Spread",
     "WallClock",
     "fpv_camera",
+    "load_pilot",
     "trial_seed",
 ]

@@ -55,7 +55,9 @@ class CommandSink(Protocol):
 
 
 class Pilot(Protocol):
-    """A controller; an optional `mode` string is logged."""
+    """A controller; an optional `mode` string is logged, and so is an optional `state`, its own
+    estimate, where the loop has no source of states.
+    """
 
     def act(self, observation: Observation) -> Command:
         """The command for this moment."""
@@ -112,7 +114,7 @@ class LoopStep:
 
     t: float  # [s]
     image: Image | None  # the newest one
-    state: State | None  # as the pilot got it
+    state: State | None  # as the pilot got it; without a source of states, as it estimated it
     command: Command  # as sent
     mode: str  # the pilot's `mode`; empty where it has none
     leader: State | None  # the leader's state, for tasks with one
@@ -263,6 +265,8 @@ class _Run:
         with self.time_stage("send"):
             loop.sink.send(t, command)
         self.past_commands = np.vstack([self.past_commands[1:], command.vector])
+        if loop.states is None:
+            state = self.read_estimate()
         leader = loop.leader.state_at(t) if loop.leader else None
         step = LoopStep(t, self.image, state, command, self.read_mode(), leader)
         with self.time_stage("log"):
@@ -297,6 +301,14 @@ class _Run:
             self.mode_failed = True
             self.add_event("mode dropped", {"error": _error_text(mode_error)})
             return ""
+
+    def read_estimate(self) -> State | None:
+        """The pilot's own estimate of the state, for log and hooks; None where it has none."""
+        try:
+            estimate = getattr(self.loop.pilot, "state", None)
+        except Exception:
+            return None
+        return estimate if isinstance(estimate, State) else None
 
     def write_step(self, step: LoopStep, new_image: Image | None) -> None:
         """Log a step, the command first: if the disk fills up, the command is the part to have."""

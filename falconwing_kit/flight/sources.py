@@ -200,11 +200,14 @@ def decode_jpeg(image: Image) -> NDArray[np.uint8]:
     Raises:
         InputError: the bytes are no image.
     """
-    if image.pixels.ndim == 3:
+    if image.pixels.ndim != 1:
         return image.pixels
     import cv2
 
-    pixels = cv2.imdecode(image.pixels, cv2.IMREAD_COLOR)
+    try:
+        pixels = cv2.imdecode(image.pixels, cv2.IMREAD_COLOR)
+    except cv2.error:  # too few bytes for any image
+        pixels = None
     if pixels is None:
         raise InputError(
             f"image {image.sequence}: expected a JPEG, got {image.pixels.size} other bytes; the log"

@@ -25,9 +25,9 @@ from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import render
+from falconwing_kit.vision.pose_net import TRAINING_MARGIN
 from falconwing_kit.vision.pose_network import CELL, cross_matrix
 
-WALL = 0.5  # distance of aircraft from the box's sides [m]
 TURN_DEG, SHIFT = 10.0, 0.7  # of views near photos [deg, m]
 MIN_COVERED = 0.85  # share of a view that the scene must cover
 NEAR, NEAR_SHARE = 0.4, 0.2  # at most this share of the pixels may be nearer [m]
@@ -164,7 +164,7 @@ def _downsample(colours: Tensor, depths: Tensor, Ts_world_camera: Array, usable:
 
 def aircraft_poses(low: Array, high: Array, count: int, rng: np.random.Generator) -> Array:
     """(N, 4, 4) camera poses of aircraft, uniform in a box."""
-    p_world = rng.uniform(low + WALL, high - WALL, (count, 3))
+    p_world = rng.uniform(low + TRAINING_MARGIN, high - TRAINING_MARGIN, (count, 3))
     roll, pitch = np.radians(rng.normal(0.0, (25.0, 12.0), (count, 2))).T
     R_world_body = rotation_world_body(roll, pitch, rng.uniform(-np.pi, np.pi, count))
     return camera_pose(pose_matrix(R_world_body, p_world))

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 NETS = ("hall",)  # the names that ship, as pose_net_NAME.safetensors
 MAX_FILE_BYTES = 256 * 1024**2
+TRAINING_MARGIN = 0.5  # distance of the cameras in training from the sides of the hall's box [m]
 MAX_MISSING = 0.25  # share of the trained field of view that a camera may lack
 VERSION = 1
 
@@ -154,6 +155,16 @@ class PoseNet:
             tensors[key] = (tensor.half() if is_weight else tensor).contiguous().cpu()
         with atomic_write(path) as file:
             file.write(save(tensors, {"pose_net": json.dumps(asdict(self.record))}))
+
+    def extrapolation(self, p_world_camera: Array) -> float:
+        """Distance [m] of a place (3,) outside the box of the cameras in training; 0 inside.
+
+        Outside it, as just above the floor, poses are drawn towards the box and their covariances
+        are too small.
+        """
+        low, high = np.array(self.record.low), np.array(self.record.high)
+        inside = np.clip(p_world_camera, low + TRAINING_MARGIN, high - TRAINING_MARGIN)
+        return float(np.linalg.norm(p_world_camera - inside))
 
     def estimate(self, image: Pixels, camera: PinholeCamera) -> PoseEstimate:
         """Estimate the pose of the camera that took an image.

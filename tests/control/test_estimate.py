@@ -2,6 +2,8 @@
 measurement's.
 """
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -115,3 +117,19 @@ def test_observer_restarts_after_a_gap():
     assert observer.update(1.0, moved, np.zeros(4)) is moved
     observer.reset()
     assert observer.update(1.05, first, np.zeros(4)) is first
+
+
+def test_wild_poses_never_give_nan(rng):
+    """Poses anywhere in the hall at any attitude, as a network gives them on bad images: the model
+    that the observer simulates leaves all flight. The estimate stays finite, without a warning.
+    """
+    observer = Observer(rates_model())
+    steady = trim(rates_model(), 7.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for k in range(400):
+            x = steady.state.copy()
+            x[:3] = rng.uniform((-22.0, -12.0, 0.0), (17.0, 8.0, 5.0))
+            x[3:6] = rng.uniform(-np.pi, np.pi, 3) * (0.5, 1.0, 1.0)
+            state = observer.update(0.05 * k, State.from_vector(x), rng.uniform(-1.0, 1.0, 4))
+            assert np.isfinite(state.vector).all()

@@ -14,7 +14,8 @@ import tyro
 
 from falconwing_kit.control.manoeuvres import MANOEUVRES
 from falconwing_kit.core.checks import InputError, require_range
-from falconwing_kit.flight.tasks import TASKS, TRIAL_SEEDS
+from falconwing_kit.flight.pilots import PILOTS, load_pilot, require_pilot
+from falconwing_kit.flight.tasks import TASKS, TRIAL_SEEDS, LandingTask
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 if TYPE_CHECKING:
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 else:
     TaskName = Literal[tuple(TASKS)]  # as the command line offers them
 
-PILOTS = ("expert",)  # available in this version
-UNAVAILABLE_PILOTS = ("rgb", "mask", "rgb_mask", "student", "manual")
 TASK_HELP = "; ".join(f"{task.name}: {task.summary}" for task in TASKS.values())
 MANOEUVRE_HELP = "what the leader flies ({}); {}".format(
     ", ".join(
@@ -40,6 +39,9 @@ MANOEUVRE_HELP = "what the leader flies ({}); {}".format(
         if task.manoeuvre
     ),
     "; ".join(f"{manoeuvre.name}: {manoeuvre.summary}" for manoeuvre in MANOEUVRES.values()),
+)
+PILOT_HELP = "; ".join(
+    f"{name} ({', '.join(pilot.tasks)}): {pilot.summary}" for name, pilot in PILOTS.items()
 )
 BROWSER_S = 8.0  # a browser's time to show the page before the flight begins
 UNITS = {  # rows of the summary: label and factor to its unit
@@ -64,10 +66,13 @@ class Fly:
     """
 
     task: Annotated[TaskName, tyro.conf.arg(help=TASK_HELP)] = "landing"
-    pilot: Literal["expert", "rgb", "mask", "rgb_mask", "student", "manual"] = "expert"
-    """the controller; the expert uses the simulated state with noise"""
+    # Not a Literal: a name of a later version is refused by one sentence.
+    pilot: Annotated[
+        str,
+        tyro.conf.arg(metavar="{" + ",".join(PILOTS) + "}", help=f"the controller; {PILOT_HELP}"),
+    ] = "expert"
     model: Path | None = None
-    """model file of identify or gap (model.toml, model_with_effect.toml) on which the expert is
+    """model file of identify or gap (model.toml, model_with_effect.toml) on which the pilot is
     designed, with its effects: wind, delay, trim bias, camera tilt and so on; the simulated
     aircraft stays the kit's own
     """
@@ -86,10 +91,10 @@ class Fly:
     headless: bool = False
     """no page, as fast as possible"""
     no_render: bool = False
-    """no images; the expert needs none"""
-    scene: str = "arena"
+    """no images; a pilot by the state needs none"""
+    scene: str = ""
     """the arena: arena, hall, hall_analog (images through an analog video link), or a scene file in
-    the kit's world frame
+    the kit's world frame; hall if not given where the pilot flies by the camera, else arena
     """
     size: str = "320x240"
     """of the camera's image [px]"""
@@ -118,7 +123,7 @@ class Fly:
             InputError: an option is wrong or needs a part that this version does not have.
         """
         self._refuse_unavailable()
-        hall = hall_loader(self.scene)
+        hall = hall_loader(self._scene)
         task, setting = self._task(), self._setting()
         from falconwing_kit.tools.trials.trials import (
             compare_pilots,
@@ -130,7 +135,8 @@ class Fly:
         head = study_head(task, self._pilot_name, self.seed)
         head["start"] = None if task.start is None else task.start.vector.tolist()
         other = self._read_folders(head, setting)
-        records = self._fly(task, model, setting, hall, head)
+        pilot = make_pilot(self, task, model)  # refuses its camera before a page opens
+        records = self._fly(task, pilot, setting, hall, head)
         found = summarise_trials(records)
         if other is not None:
             found["against"] = compare_pilots(records, other)
@@ -138,10 +144,16 @@ class Fly:
         return 0 if found["successes"] == found["trials"] else 1
 
     def _refuse_unavailable(self) -> None:
-        if self.pilot not in PILOTS:
+        task = self.task if self.task in TASKS else LandingTask.name  # refused later
+        try:
+            pilot = require_pilot(self.pilot, task, _trained_scene(self._scene))
+        except InputError as error:
+            sentence = str(error).removeprefix("pilot: ")
+            raise InputError(f"--pilot {self.pilot}: {sentence}") from None
+        if self.no_render and not pilot.reads_state:
             raise InputError(
-                f"--pilot {self.pilot}: this version of the kit has no such pilot yet; "
-                f"use {' or '.join(PILOTS)}"
+                f"--no-render: expected it with a pilot by the state, got --pilot {self.pilot},"
+                " which flies by images; leave it out"
             )
         if self.source != "sim":
             raise InputError(
@@ -157,6 +169,12 @@ class Fly:
                     f"aircraft yet; use {' or '.join(PORTS)}, or monitor a real board with "
                     f"`falconwing bridge --port {self.port}`"
                 )
+
+    @property
+    def _scene(self) -> str:
+        """--scene, or the default of the pilot."""
+        by_camera = self.pilot in PILOTS and not PILOTS[self.pilot].reads_state
+        return self.scene or ("hall" if by_camera else "arena")
 
     def _task(self) -> "FlightTask":
         """What is flown; numbers, start and manoeuvre are checked."""
@@ -186,7 +204,7 @@ class Fly:
         return entry.make()
 
     def _model(self, task: "FlightTask") -> "Model | None":
-        """The model that the expert is designed on; refused here if it cannot fly the task."""
+        """The model that the pilot is designed on; refused here if it cannot fly the task."""
         if self.model is None:
             return None
         from falconwing_kit.flight.trial import trial_seed
@@ -194,7 +212,7 @@ class Fly:
 
         model = read_model(self.model).model
         try:
-            task.expert(task.trial(trial_seed(0, self.seed)), model)
+            make_pilot(self, task, model)(task.trial(trial_seed(0, self.seed)))
         except InputError as error:
             raise InputError(f"--model {self.model.name}: {error}") from None
         return model
@@ -235,7 +253,7 @@ class Fly:
     def _fly(
         self,
         task: "FlightTask",
-        model: "Model | None",
+        pilot: "Callable[[TrialSetup], Pilot]",
         setting: "TrialSettings",
         hall: "Callable[[], GaussianScene]",
         head: dict[str, Any],
@@ -250,11 +268,11 @@ class Fly:
             setting = replace(
                 setting,
                 scene=None if self.no_render else scene,
-                link=open_link(self.scene),
+                link=open_link(self._scene),
                 hooks=hooks,
             )
             return fly_trials(
-                task, make_pilot(task, model), self.trials, pilot=head["pilot"], seed=self.seed,
+                task, pilot, self.trials, pilot=head["pilot"], seed=self.seed,
                 setting=setting, out=self.out, head=head, logs=self._has_logs, progress=progress,
                 fly=partial(fly_in_processes, self) if self.workers > 1 else None,
             )  # fmt: skip
@@ -286,7 +304,7 @@ class Fly:
                 {
                     "task": name,
                     "pilot": self._pilot_name,
-                    "scene": self.scene,
+                    "scene": self._scene,
                     "simulated": True,
                     **found,
                 }
@@ -294,17 +312,39 @@ class Fly:
             return
         print_trials(f"SIMULATED: {name} by {self._pilot_name}", records, found)
         if self.out is None:
-            scene = "" if self.scene == "arena" else f" --scene {self.scene}"
+            scene = f" --scene {self.scene}" if self.scene else ""
+            pilot = "" if self.pilot == "expert" else f" --pilot {self.pilot}"
             next_line(
-                f"falconwing fly --task {self.task}{scene} --trials 10 --headless --out trials"
+                f"falconwing fly --task {self.task}{pilot}{scene} --trials 10 --headless"
+                " --out trials"
             )
         else:
             next_line(f"look at {files['paths']} and {files['results']}")
 
 
-def make_pilot(task: "FlightTask", model: "Model | None") -> "Callable[[TrialSetup], Pilot]":
-    """A function that makes the task's expert for a trial, designed on a model; None: its own."""
-    return task.expert if model is None else partial(task.expert, model=model)
+def make_pilot(fly: Fly, task: Any, model: "Model | None") -> "Callable[[TrialSetup], Pilot]":
+    """A function that makes the pilot for a trial, designed on a model; None: the aircraft's own.
+
+    The expert is the task's own.
+    """
+    if fly.pilot == "expert":
+        return task.expert if model is None else partial(task.expert, model=model)
+    pilot = load_pilot(
+        fly.pilot, fly.task, _trained_scene(fly._scene), fly._setting().camera,
+        task.airframe.p_body_camera, model=model or task.model, airframe=task.airframe,
+        pad=task.pad,
+    )  # fmt: skip
+
+    def make(trial: "TrialSetup") -> "Pilot":
+        pilot.reset()
+        return pilot
+
+    return make
+
+
+def _trained_scene(name: str) -> str:
+    """The scene whose networks fly in a scene; a file is taken as one of the hall."""
+    return "arena" if name == "arena" else "hall"
 
 
 def fly_in_processes(fly: Fly, numbers: Sequence[int]) -> Iterator[dict[str, Any]]:
@@ -333,7 +373,7 @@ def _fly_one(fly: Fly, number: int) -> dict[str, Any]:
 
     task, model, setting = _prepare(fly)
     log = log_path(fly.out, number) if fly.out is not None and fly._has_logs else None
-    return fly_trial(task, make_pilot(task, model), number, fly.seed, setting, log)
+    return fly_trial(task, make_pilot(fly, task, model), number, fly.seed, setting, log)
 
 
 @cache
@@ -342,8 +382,8 @@ def _prepare(fly: Fly) -> tuple["FlightTask", "Model | None", "TrialSettings"]:
     from falconwing_kit.tools.cli.scene_input import open_link
 
     task = fly._task()
-    scene = None if fly.no_render else hall_loader(fly.scene)()
-    setting = replace(fly._setting(), scene=scene, link=open_link(fly.scene))
+    scene = None if fly.no_render else hall_loader(fly._scene)()
+    setting = replace(fly._setting(), scene=scene, link=open_link(fly._scene))
     return task, fly._model(task), setting
 
 

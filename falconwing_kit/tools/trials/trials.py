@@ -22,7 +22,7 @@ from falconwing_kit.control.loops import LINK_DELAY_S
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.flight_log import FlightLogWriter
-from falconwing_kit.flight.loop import Loop, LoopStep, Pilot, SimulatedClock, WallClock
+from falconwing_kit.flight.loop import ImageSource, Loop, LoopStep, Pilot, SimulatedClock, WallClock
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
 from falconwing_kit.flight.trial import FlightTask, TrialSetup, trial_seed
 from falconwing_kit.flight.world import PoseNoise, SimulatedWorld
@@ -74,6 +74,8 @@ class TrialSettings:
     port: str = ""
     # the analog link of the scene's images; each trial's seed draws its noise; None: a direct view
     link: AnalogVideo | None = None
+    # source of images and trial's seed -> the source that the pilot gets, such as a late one
+    degrade: Callable[[ImageSource, int], ImageSource] | None = None
 
     @property
     def record(self) -> Record:
@@ -87,6 +89,7 @@ class TrialSettings:
             "clock": self.clock.__name__,
         }
         record |= {"port": self.port} if self.port else {}
+        record |= {"degrade": repr(self.degrade)} if self.degrade else {}
         digest = None if self.scene is None else _scene_digest(self.scene, self.link)
         return record | {"scene_digest": digest}
 
@@ -132,8 +135,19 @@ def fly_trial(
                 world, setting.scene, setting.camera, task.airframe.p_body_camera, link=link
             )
         judge = task.judge(trial, setting.camera, view)
-        states, hooks = MeasuredStates(world), setting.hooks
-        loop = Loop(pilot, world, view, states, trial.leader, setting.clock(), writer, hooks)
+        # A pilot that flies by images gets none, so that none of its success can be due to one.
+        states = MeasuredStates(world) if getattr(pilot, "reads_state", True) else None
+        images: ImageSource | None = view
+        if view is not None and setting.degrade is not None:
+            images = setting.degrade(view, trial.seed)
+        elif states is None and view is None:
+            raise InputError(
+                "scene: expected one to render for a pilot that flies by images, got none; choose a"
+                " scene"
+            )
+        loop = Loop(
+            pilot, world, images, states, trial.leader, setting.clock(), writer, setting.hooks
+        )
         if writer is not None:
             writer.metadata(
                 {"simulated": "yes", "task": task.name, "seed": trial.seed, "port": setting.port}

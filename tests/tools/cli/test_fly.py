@@ -3,6 +3,7 @@ yet.
 """
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from falconwing_kit.control.manoeuvres import MANOEUVRES
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command
+from falconwing_kit.flight.pilots import PLANNED
 from falconwing_kit.flight.sources import decode_jpeg
 from falconwing_kit.flight.tasks import TASKS, LandingTask
 from falconwing_kit.scene import GaussianScene
@@ -38,8 +40,63 @@ def test_pilots_that_are_not_there_yet_are_wrong_use(pilot, capsys):
     assert main(["fly", "--pilot", pilot]) == 2
     said = capsys.readouterr().err
     assert said == (
-        f"falconwing: --pilot {pilot}: this version of the kit has no such pilot yet; use expert\n"
+        f"falconwing: --pilot {pilot}: expected one of expert, expert_pid, pose, got {pilot}, which"
+        " this version of the kit does not have yet; use one of these\n"
     )
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--pilot", "pose", "--task", "follow"), "got pose, which does not yet; use expert"),
+        (("--pilot", "expert_pid", "--task", "follow"), "got expert_pid, which does not yet"),
+        (("--pilot", "pose", "--scene", "arena"), "expected hall for pilot pose, got arena"),
+        (("--pilot", "pose", "--no-render"), "--no-render: expected it with a pilot by the state"),
+        (("--pilot", "pose", "--size", "16x16"), "image: expected 32 pixels a side or more"),
+        (("--pilot", "autopilot"), "expected one of expert, expert_pid, pose, got autopilot"),
+    ],
+)
+def test_what_a_pilot_cannot_do_is_wrong_use(words, sentence, monkeypatch, capsys):
+    """Exit 2 and one sentence, before a page is opened: there is none to open."""
+    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", None)
+    assert main(["fly", *words]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert len(said.splitlines()) == 1
+
+
+def test_help_offers_the_pilots_that_are_there(capsys, monkeypatch):
+    """Each with the tasks that it flies; none of a later version."""
+    monkeypatch.setenv("COLUMNS", "2000")
+    with pytest.raises(SystemExit):
+        main(["fly", "--help"])
+    said = capsys.readouterr().out
+    assert "{expert,expert_pid,pose}" in said
+    assert "expert (landing, follow): " in said and "pose (landing): " in said
+    assert not [name for name in PLANNED if re.search(rf"\b{name}\b", said)]
+
+
+def test_expert_pid_lands(capsys):
+    """The same door as for all pilots."""
+    assert main(["fly", *QUICK, "--pilot", "expert_pid", "--seed", "500"]) == 0
+    assert "landing by expert_pid\nsuccess: 1 of 1" in capsys.readouterr().out
+
+
+def test_the_pose_pilot_lands_in_the_hall_without_a_state(tmp_path, monkeypatch, capsys):
+    """By images alone: the world's measured states are not read at all, and the log holds the
+    pilot's own estimates, within a metre of the truth that the evaluator recorded.
+    """
+    monkeypatch.setattr("falconwing_kit.tools.trials.trials.MeasuredStates", None)
+    words = ["fly", "--pilot", "pose", "--headless", "--seed", "500", "--size", "160x120"]
+    assert main([*words, "--out", str(tmp_path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["scene"], found["pilot"], found["faults"]) == ("hall", "pose", 0)
+    states = read_flight_log(tmp_path / "trial_000.mcap").states
+    record = json.loads((tmp_path / "trials.jsonl").read_text().splitlines()[1])
+    truth = np.array(record["path_m"])[: len(states)]
+    estimates = np.array([state.p_world for state in states])
+    assert len(states) == record["steps"]
+    assert np.linalg.norm(estimates - truth, axis=1)[5:].max() < 1.0
 
 
 @pytest.mark.parametrize("words", [("--source", "camera"), ("--port", "COM3")])

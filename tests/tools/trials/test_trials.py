@@ -336,6 +336,40 @@ def test_faults_of_a_pilot_are_recorded():
     assert "ZeroDivisionError" in record["first_fault"]["error"]
 
 
+def test_a_pilot_by_images_gets_no_state():
+    """The others get one; what it sees can be made worse on the way, by the trial's seed."""
+    seen = []
+
+    def pilot(reads_state):
+        def act(observation):
+            seen.append((observation.state is None, observation.image))
+            return Command(0.5, 0.0, 0.0, 0.0)
+
+        return lambda trial: SimpleNamespace(act=act, reads_state=reads_state)
+
+    class Late:
+        """Images that arrive two steps late."""
+
+        def __init__(self, source, seed):
+            assert seed == 10_000
+            self.source, self.images = source, []
+
+        def next_image(self, t):
+            self.images.append(self.source.next_image(t))
+            return self.images[-3] if len(self.images) > 2 else None
+
+    setting = TrialSettings(one_gaussian(2.0), fpv_camera(16, 16), degrade=Late)
+    fly_trial(ToyTask(), pilot(True), 0, setting=setting)
+    assert [without for without, _ in seen] == [False] * 6
+    seen.clear()
+    fly_trial(ToyTask(), pilot(False), 0, setting=setting)
+    assert [without for without, _ in seen] == [True] * 6
+    times = [None if image is None else round(image.t, 2) for _, image in seen]
+    assert times == [None, None, 0.0, 0.05, 0.1, 0.15]
+    with pytest.raises(InputError, match="scene: expected one to render"):
+        fly_trial(ToyTask(), pilot(False), 0)
+
+
 def test_a_log_is_marked_as_simulated(tmp_path):
     """With task and seed."""
     fly_trial(ToyTask(), steady, 1, log=tmp_path / "flight.mcap")
