@@ -517,10 +517,10 @@ plt.show()
 # does it compare?
 
 # %% [markdown] answer="real_reading"
-# Two seconds ahead, on 133 s that no fit has read, the model is 0.67 m off, the constant turn 3.0 m; its roll has a
+# Two seconds ahead, on 133 s that no fit has read, the model is 0.70 m off, the constant turn 3.0 m; its roll has a
 # fault of the tracked axes, and with the fault removed it is still 2.4 m off. So the model forecasts this flight,
 # of this aircraft, in such turns; of other manoeuvres, or of any single parameter, this says nothing. In a window the
-# initial state is fitted to the very poses that are compared (4.7 cm); a forecast starts from a measured velocity and
+# initial state is fitted to the very poses that are compared (4.8 cm); a forecast starts from a measured velocity and
 # its own errors grow. The poses are exact to a millimetre, so chi2 counts the model's own errors in very small units. The
 # verdict therefore compares with the constant turn on the same windows: at most half of its errors.
 

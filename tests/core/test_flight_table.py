@@ -11,6 +11,7 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import (
     FlightTable,
     fill_missing_rows,
+    interpolate_readings,
     nominal_rate_hz,
     read_flight_table,
     resample,
@@ -497,3 +498,12 @@ def test_too_short_a_flight_is_refused():
         split_by_time(table_of([0.0, 0.05, 0.1]))
     with pytest.raises(InputError, match="test_share"):
         split_by_time(table_of(np.arange(100.0)), test_share=1.0)
+
+
+def test_readings_are_joined_by_lines_and_held_over_a_pause():
+    """By hand: readings every 0.1 s, a pause until 1.0 s; the line to it begins 0.1 s before."""
+    t_reading = np.array([0.0, 0.1, 0.2, 0.3, 1.0])
+    readings = np.array([[0.0], [1.0], [1.0], [3.0], [5.0]])
+    t = np.array([-1.0, 0.05, 0.15, 0.25, 0.6, 0.9, 0.95, 1.0, 2.0])
+    found = interpolate_readings(t, t_reading, readings)
+    np.testing.assert_allclose(found[:, 0], [0.0, 0.5, 1.0, 2.0, 3.0, 3.0, 4.0, 5.0, 5.0])

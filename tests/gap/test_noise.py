@@ -97,6 +97,18 @@ def test_a_path_that_wanders_is_a_discrepancy():
     assert noise.discrepancy[1] < 0.3 * noise.discrepancy[0]
 
 
+def test_an_axis_that_wanders_more_has_more_variance():
+    """Planted: steps of 20 cm along x, of 10 cm along y and z: a variance four times as large."""
+    rng, model = np.random.default_rng(5), rates_model()
+    table = measured(fly_figure_eights([model], 90.0, rng), rng)
+    steps = np.cumsum(rng.normal(0.0, [0.2, 0.1, 0.1], table.p_world.shape), axis=0)
+    noise = found_in_table(model, replace(table, p_world=table.p_world + steps))
+    x, y, z = noise.variance[:3]
+    assert 2.5 < x / y < 6.5 and 2.5 < x / z < 6.5
+    filters = noise.whitening(10, 0.05)
+    np.testing.assert_allclose(filters[1], filters[0] * np.sqrt(x / y))
+
+
 def test_filters_leave_rows_without_a_pose_out():
     """F C F' = 1 over the measured rows of a window, zero for the others, each window by itself."""
     rng, model = np.random.default_rng(1), rates_model()

@@ -7,7 +7,13 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.sysid.prepare import CHANNELS, difference_noise, prepare, thin_table
+from falconwing_kit.sysid.prepare import (
+    CHANNELS,
+    difference_noise,
+    interpolate_slow_sticks,
+    prepare,
+    thin_table,
+)
 from tests.sysid.recorded import calm_flight
 
 SIGMA = np.array([0.03] * 3 + [np.radians(0.6)] * 3)
@@ -327,3 +333,28 @@ def test_a_fast_log_is_thinned_with_its_mean_commands(rng):
     np.testing.assert_array_equal(thin.extra["marker"], np.arange(0.0, 600.0, 2.0))
     slow = table(np.arange(200) / 20.0, path(np.arange(200) / 20.0))
     assert thin_table(slow) is slow
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 100.0])
+def test_sticks_read_less_often_than_poses_lie_on_lines(rate_hz):
+    """A sine of 0.5 Hz read every 0.1 s and held: late by 0.05 s on average, so wrong by up to
+    2 pi 0.5 0.05 = 0.16. Lines between the readings err by at most (2 pi 0.5 0.1)^2 / 8 = 0.012.
+    """
+    t = np.arange(0.0, 30.0, 1.0 / rate_hz)
+    held = np.floor(t * 10.0 + 1e-6) / 10.0
+    flight = table(t, path(t), np.sin(np.pi * held)[:, None] * [0.0, 1.0, 1.0, 0.0])
+    read = interpolate_slow_sticks(flight)
+    inside = t < 29.8
+    assert np.abs(flight.commands[:, 1] - np.sin(np.pi * t))[inside].max() > 0.12
+    assert np.abs(read.commands[:, 1] - np.sin(np.pi * t))[inside].max() < 0.013
+    assert np.all(read.commands[:, [0, 3]] == 0.0)
+
+
+def test_steps_that_are_held_on_purpose_stay(rng):
+    """3-2-1-1 steps of 0.3 s, and a command that a computer gives anew in every row."""
+    t = np.arange(0.0, 60.0, 0.05)
+    pattern = np.repeat([1.0, -1.0, 1.0, -1.0], [18, 12, 6, 6])
+    steps = np.tile(pattern, 1 + len(t) // len(pattern))[: len(t)]
+    for stick in (steps, rng.uniform(-1.0, 1.0, len(t))):
+        flight = table(t, path(t), stick[:, None] * [0.0, 1.0, 0.0, 0.0])
+        assert interpolate_slow_sticks(flight) is flight

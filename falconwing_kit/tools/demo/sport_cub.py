@@ -3,10 +3,10 @@
 The aircraft is a 65 g foam HobbyZone Sport Cub S 2 in motion capture (data/README.md names source
 and licence). The rest of the flight is kept back: no fit reads it.
 
-The model is the paper's 9-state one. The 12-state model fits two-second windows better, 2 cm
+The model is the paper's 9-state one. The 12-state model fits two-second windows better, 3 cm
 against 5 cm with their initial states fitted, but forecasts worse from measured states, whose body
-rates are derivatives of poses: 1.5 m against 0.7 m two seconds ahead. The choice does not rest on
-the time kept back: over the part of the first minute that `identify` holds out it is 1.1 m against
+rates are derivatives of poses: 2.2 m against 0.7 m two seconds ahead. The choice does not rest on
+the time kept back: over the part of the first minute that `identify` holds out it is 1.3 m against
 0.7 m (tests/benchmarks/bench_sport_cub.py).
 """
 
