@@ -9,6 +9,7 @@ from falconwing_kit.aircraft.model import Model, state_rates
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import GRAVITY, wrap_angle
+from falconwing_kit.sysid.prepare import interpolate_slow_sticks
 
 TOLERANCE_S = 0.25  # a pose this close to the horizon is used; the forecast is for its own time
 
@@ -64,9 +65,10 @@ def forecast(model: Model, table: FlightTable, horizon: float = 1.0) -> Forecast
     # Actuator positions (steps, 4, F) over the horizon; half a horizon before it settles the servo.
     steps = max(1, round(horizon / 0.05) * SUBSTEPS[model.form])
     edges = begin[:, None] + span[:, None] * np.arange(-steps // 2, steps + 1) / steps
+    commands = interpolate_slow_sticks(table).commands  # as every fit takes them
     mean, slope = (
         part[:, -steps:].transpose(1, 2, 0)
-        for part in model.actuator_positions(table.t, table.commands, edges, model.K)
+        for part in model.actuator_positions(table.t, commands, edges, model.K)
     )
     rates, K, x = state_rates(model.form, model.terms, model.winds), model.K, x.T
     with np.errstate(all="ignore"):
