@@ -71,7 +71,6 @@ MAX_REMAINING_SHARE = 0.5  # of the excess: an effect that leaves more is no exp
 NO_EXCESS_SIGMAS = 3.0  # explained chi2 above this, but no excess: nothing new in this flight
 EXCESS_SIGMAS = 6.0  # chi2 above the baseline level by this many standard deviations is not chance
 MAX_EFFECTS = 3  # named together
-HELD = 1e-3  # relative standard deviation of a parameter that a prior holds
 VISIBLE_SIGMAS = 3.0  # standard deviations of the flight's chi2 that a third effect must explain
 # Squared Mahalanobis distance per parameter: three standard deviations each is another aircraft.
 MAX_MAHALANOBIS = 9.0
@@ -216,10 +215,10 @@ def _is_in_both_flights(base: NominalModel, windows: Windows, found: EffectCandi
 def change_over_baseline(base: NominalModel, windows: Windows, found: EffectCandidate) -> float:
     """Chi2 by which an effect in the flight alone beats the same effect in both flights.
 
-    Both hypotheses are fitted to both flights at once, linearised with the effect as found; the
-    baseline's parameters are fitted anew beside it first. Parameters of the baseline, parameters of
-    the flight, which drift from those by a day's change, and one set of amplitudes, which act in
-    the baseline too or do not. Likelihood ratio of two models of equal size [Wilks 1938].
+    Both hypotheses are fitted to both flights at once, linearised with the effect as found:
+    parameters of the baseline, parameters of the flight, which drift from those by a day's change,
+    and one set of amplitudes, which act in the baseline too or do not. Likelihood ratio of two
+    models of equal size [Wilks 1938].
 
     Args:
         base: the nominal model, with the baseline flight.
@@ -234,16 +233,8 @@ def change_over_baseline(base: NominalModel, windows: Windows, found: EffectCand
     amplitudes = [p.name for p in found.effect.amplitudes]
     names = [base.result.model.names[i] for i in base.result.free]
     with_effect = base.result.model.with_effect(found.effect).with_values(found.values)
-    beside = fit(
-        with_effect,
-        base.windows,
-        base.result.initial_states,
-        prior=_holding(base.weak, found.values),
-        iterations=10,
-        tolerance=COARSE_TOLERANCE,
-    )
     free = tuple(with_effect.names.index(name) for name in (*names, *amplitudes))
-    seen = jacobian(beside.model, base.windows, beside.initial_states, free)
+    seen = jacobian(with_effect, base.windows, base.result.initial_states, free)
     # With the effect in the baseline flight too, and without; then in the flight.
     in_both = _linear_problem(*seen, [*names, *amplitudes], names, amplitudes)
     without = _linear_problem(*base.result.linear, names, names, amplitudes)
@@ -251,11 +242,11 @@ def change_over_baseline(base: NominalModel, windows: Windows, found: EffectCand
     second = _linear_problem(*found.result.linear, second_free, names, amplitudes)
     rows, mean = prior_rows(base.result.model, base.result.free, base.weak)
     drift = np.array([max(base.drift.get(name, np.inf), 1e-9) for name in names])
-    in_flight = np.array([found.result.model.values[name] for name in names])
+    at_base = np.array([base.result.model.values[name] for name in names])
+    apart = np.array([found.result.model.values[name] for name in names]) - at_base
     scale, F, k = np.sqrt(base.reduced_chi2), len(names), len(amplitudes)
     costs = []
-    for first, model in ((in_both, beside.model), (without, base.result.model)):
-        at_base = np.array([model.values[name] for name in names])
+    for first in (in_both, without):
         # Unknowns: change of the baseline's parameters (F), of the flight's (F), of the amplitudes.
         J = np.vstack(
             [
@@ -266,20 +257,11 @@ def change_over_baseline(base: NominalModel, windows: Windows, found: EffectCand
             ]
         )
         poses = np.concatenate([first.residual, second.residual]) / scale
-        apart = (in_flight - at_base) / drift
-        residual = np.concatenate([poses, rows @ (at_base - mean), apart])
+        residual = np.concatenate([poses, rows @ (at_base - mean), apart / drift])
         unit = np.maximum(np.linalg.norm(J, axis=0), 1e-30)
         step, *_ = np.linalg.lstsq(J / unit, -residual, rcond=1e-9)
         costs.append(float(np.sum((residual + (J / unit) @ step) ** 2)))
     return costs[0] - costs[1]
-
-
-def _holding(prior: Prior | None, values: dict[str, float]) -> Prior:
-    """A prior that also holds the parameters of an effect where they are."""
-    held = {name: HELD * max(abs(value), HELD) for name, value in values.items()}
-    if prior is None:
-        return Prior(values, held)
-    return Prior({**prior.mean, **values}, {**prior.sigma, **held})
 
 
 @dataclass(frozen=True)
