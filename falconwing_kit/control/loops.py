@@ -339,24 +339,57 @@ def _design(
     return TrimTable(model, speed), lateral, longitudinal
 
 
-class Autopilot:
-    """Tracks a reference: feedforward of the steady flight, LQR on the deviations from it.
+class ReferenceTracker:
+    """What both autopilots share: the steady flight of a reference, deviations from it, and the
+    model's command maps.
 
     In a wind the steady flight is that through the air whose velocity adds up with the wind to the
     reference's: the nose points into the wind by the crab angle and the track stays. Control
     positions are turned into the commands that lead to them through the model's command maps.
     """
 
-    def __init__(self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S) -> None:
-        """Design both loops; InputError where the model cannot be trimmed or stabilised."""
-        self.speed, self.model = speed, model
-        self.trims, *self.loops = _design(*model_key(design_model(model)), speed, delay)
+    def __init__(self, model: Model, speed: float, trims: TrimTable) -> None:
+        self.speed, self.model, self.trims = speed, model, trims
         self.command_map = CommandMap(model)
-        self._integrals = [np.zeros(len(loop.axis.integrals)) for loop in self.loops]
 
     def wind_at(self, p_world: Array, t: float) -> Array:
         """The model's wind (3,) at a place (3,) [m] and a time [s], in the world [m/s]."""
         return wind_velocity(self.model, p_world, t)
+
+    def deviations(
+        self, state: State, reference: Reference, idle: bool, t: float
+    ) -> tuple[Array, dict[str, float], float]:
+        """Control positions (4,) of the steady flight, deviations from it, and its speed [m/s].
+
+        With the throttle idle that is the steady flight at the speed flown.
+        """
+        speed = float(np.linalg.norm(state.v_world)) if idle else reference.speed
+        reference = replace(reference, speed=speed)
+        wind = self.wind_at(state.p_world, t) if self.model.winds else None
+        airspeed, climb, drift = air_velocity(reference, wind)
+        steady, attitude = self.trims.at(
+            airspeed, climb, reference.bank, float(state.p_world[2]), t
+        )
+        return steady, course_deviations(state, reference, attitude, drift), speed
+
+    def to_command(self, positions: Array, idle: bool) -> Command:
+        """The command that leads to control positions (4,), within its limits."""
+        throttle, *surfaces = self.command_map.commands(positions)
+        return Command.clip(0.0 if idle else throttle, *surfaces)
+
+    def level(self) -> Command:
+        """The commands of straight level flight through the air, for use without a state."""
+        return self.to_command(self.trims.at(self.speed, 0.0, 0.0)[0], idle=False)
+
+
+class Autopilot(ReferenceTracker):
+    """Tracks a reference: feedforward of the steady flight, LQR on the deviations from it."""
+
+    def __init__(self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S) -> None:
+        """Design both loops; InputError where the model cannot be trimmed or stabilised."""
+        trims, *self.loops = _design(*model_key(design_model(model)), speed, delay)
+        super().__init__(model, speed, trims)
+        self._integrals = [np.zeros(len(loop.axis.integrals)) for loop in self.loops]
 
     def command(
         self,
@@ -378,14 +411,7 @@ class Autopilot:
         Raises:
             InputError: past_commands has another shape.
         """
-        speed = float(np.linalg.norm(state.v_world)) if idle else reference.speed
-        reference = replace(reference, speed=speed)
-        wind = self.wind_at(state.p_world, t) if self.model.winds else None
-        airspeed, climb, drift = air_velocity(reference, wind)
-        steady, attitude = self.trims.at(
-            airspeed, climb, reference.bank, float(state.p_world[2]), t
-        )
-        deviations = course_deviations(state, reference, attitude, drift)
+        steady, deviations, _ = self.deviations(state, reference, idle, t)
         past = require_shape("past_commands", past_commands, (None, 4))[::-1]
         control_inputs = steady.copy()
         for loop, integral in zip(self.loops, self._integrals, strict=True):
@@ -404,12 +430,7 @@ class Autopilot:
             error = np.array([deviations[name] for name in loop.axis.integrals])
             limit = INTEGRAL_LIMIT * np.array(list(loop.axis.integrals.values()))
             integral[:] = np.clip(integral + CONTROL_PERIOD_S * error, -limit, limit)
-        throttle, *surfaces = self.command_map.commands(control_inputs)
-        return Command.clip(0.0 if idle else throttle, *surfaces)
-
-    def level(self) -> Command:
-        """The commands of straight level flight through the air, for use without a state."""
-        return Command.clip(*self.command_map.commands(self.trims.at(self.speed, 0.0, 0.0)[0]))
+        return self.to_command(control_inputs, idle)
 
 
 def air_velocity(reference: Reference, wind: Array | None) -> tuple[float, float, float]:

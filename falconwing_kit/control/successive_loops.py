@@ -13,21 +13,20 @@ room for it.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from falconwing_kit.aircraft.model import Model
-from falconwing_kit.control.inverse import CommandMap, design_model, wind_velocity
+from falconwing_kit.control.inverse import design_model
 from falconwing_kit.control.loops import (
     LINK_DELAY_S,
     SPEED,
     Reference,
+    ReferenceTracker,
     TrimTable,
-    air_velocity,
-    course_deviations,
     model_key,
 )
 from falconwing_kit.core.checks import Array, InputError
@@ -120,7 +119,7 @@ def _design(
     return TrimTable(model, speed), gains
 
 
-class SuccessiveAutopilot:
+class SuccessiveAutopilot(ReferenceTracker):
     """Tracks a reference as `loops.Autopilot` does, by successive loop closure."""
 
     def __init__(self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S) -> None:
@@ -128,14 +127,9 @@ class SuccessiveAutopilot:
 
         The delay changes nothing here; it is an argument as of `loops.Autopilot`.
         """
-        self.speed, self.model = speed, model
-        self.trims, self.gains = _design(*model_key(design_model(model)), speed)
-        self.command_map = CommandMap(model)
+        trims, self.gains = _design(*model_key(design_model(model)), speed)
+        super().__init__(model, speed, trims)
         self._height_integral = 0.0  # [m s]
-
-    def wind_at(self, p_world: Array, t: float) -> Array:
-        """The model's wind (3,) at a place (3,) [m] and a time [s], in the world [m/s]."""
-        return wind_velocity(self.model, p_world, t)
 
     def command(
         self,
@@ -150,14 +144,7 @@ class SuccessiveAutopilot:
         Past commands are not used: these loops have no model of the delay.
         """
         gains = self.gains
-        speed = float(np.linalg.norm(state.v_world)) if idle else reference.speed
-        reference = replace(reference, speed=speed)
-        wind = self.wind_at(state.p_world, t) if self.model.winds else None
-        airspeed, climb, drift = air_velocity(reference, wind)
-        steady, attitude = self.trims.at(
-            airspeed, climb, reference.bank, float(state.p_world[2]), t
-        )
-        error = course_deviations(state, reference, attitude, drift)
+        steady, error, speed = self.deviations(state, reference, idle, t)
         # Beside the path: y left, so an offset to the left asks for a course to the right.
         intercept = _limit(gains.path * error["py"], MAX_INTERCEPT)
         course_error = intercept + error["vy"] / speed  # the course is to the left by vy / V
@@ -176,12 +163,7 @@ class SuccessiveAutopilot:
                 rudder,
             ]
         )
-        throttle, *surfaces = self.command_map.commands(positions)
-        return Command.clip(0.0 if idle else throttle, *surfaces)
-
-    def level(self) -> Command:
-        """The commands of straight level flight through the air, for use without a state."""
-        return Command.clip(*self.command_map.commands(self.trims.at(self.speed, 0.0, 0.0)[0]))
+        return self.to_command(positions, idle)
 
 
 def _limit(value: float, largest: float) -> float:

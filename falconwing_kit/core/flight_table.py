@@ -186,7 +186,7 @@ def slice_time(table: FlightTable, t0: float, t1: float) -> FlightTable:
             f"{table.name}: expected rows from {t0:g} to {t1:g} s, "
             f"got a flight from {_time_range_text(table)}"
         )
-    return _select_rows(table, rows)
+    return select_rows(table, rows)
 
 
 def resample(table: FlightTable, rate_hz: float) -> FlightTable:
@@ -217,7 +217,7 @@ def resample(table: FlightTable, rate_hz: float) -> FlightTable:
         return _interpolate(table.t, values, query, MAX_STEP * period, angle)
 
     return replace(
-        _select_rows(table, previous, grid),
+        select_rows(table, previous, grid),
         p_world=np.column_stack([column(values) for values in table.p_world.T]),
         attitude=np.column_stack([column(values, angle=True) for values in table.attitude.T]),
         extra={name: column(values) for name, values in table.extra.items()},
@@ -277,7 +277,7 @@ def fill_missing_rows(table: FlightTable, rate_hz: float | None = None) -> Fligh
     measured = place_in_gap == 0
     step = np.append(np.diff(table.t), 0.0) / copies
     return replace(
-        _select_rows(table, row, table.t[row] + place_in_gap * step[row]),
+        select_rows(table, row, table.t[row] + place_in_gap * step[row]),
         p_world=np.where(measured[:, None], table.p_world[row], np.nan),
         attitude=np.where(measured[:, None], table.attitude[row], np.nan),
         extra={
@@ -322,8 +322,8 @@ def split_by_time(
     part = np.where(is_test[block], block, -1)
     starts = np.flatnonzero(np.diff(part, prepend=-2) != 0)
     segments = [np.arange(a, b) for a, b in zip(starts, [*starts[1:], len(part)], strict=True)]
-    train = tuple(_select_rows(table, rows) for rows in segments if part[rows[0]] < 0)
-    test = tuple(_select_rows(table, rows) for rows in segments if part[rows[0]] >= 0)
+    train = tuple(select_rows(table, rows) for rows in segments if part[rows[0]] < 0)
+    test = tuple(select_rows(table, rows) for rows in segments if part[rows[0]] >= 0)
     if not train or not test or len(table.t) < 2 * blocks:
         raise InputError(
             f"{table.name}: too short to split: got {len(table.t)} rows over {table.duration:g} s"
@@ -338,10 +338,8 @@ def nearest_index(t: Array, query: Array) -> NDArray[np.int64]:
     return np.where(query - t[left] <= t[right] - query, left, right)
 
 
-def _select_rows(
-    table: FlightTable, rows: NDArray[np.int64], t: Array | None = None
-) -> FlightTable:
-    """The given rows, at their own times or at new ones."""
+def select_rows(table: FlightTable, rows: NDArray[np.int64], t: Array | None = None) -> FlightTable:
+    """The given rows, at their own times or at new ones [s]."""
     return replace(
         table,
         t=table.t[rows] if t is None else t,

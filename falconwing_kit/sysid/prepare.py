@@ -11,6 +11,7 @@ from falconwing_kit.core.flight_table import (
     fill_missing_rows,
     interpolate_readings,
     nominal_rate_hz,
+    select_rows,
     slice_time,
 )
 from falconwing_kit.core.frames import body_rates
@@ -139,21 +140,12 @@ def thin_table(table: FlightTable, highest_hz: float = MAX_RATE_HZ) -> FlightTab
     k = math.ceil(nominal_rate_hz(table) / highest_hz - 0.05)
     if k < 2:
         return table
-    kept = slice(None, None, k)
     # Time-weighted means of the commands, each of which acts until the next row.
     begins = np.arange(0, len(table.t), k)
     duration = np.append(np.diff(table.t), np.median(np.diff(table.t)))
     weights = np.add.reduceat(duration, begins)
     means = np.add.reduceat(table.commands * duration[:, None], begins) / weights[:, None]
-    return replace(
-        table,
-        t=table.t[kept],
-        p_world=table.p_world[kept],
-        attitude=table.attitude[kept],
-        commands=means,
-        extra={name: values[kept] for name, values in table.extra.items()},
-        labels={name: values[kept] for name, values in table.labels.items()},
-    )
+    return replace(select_rows(table, begins), commands=means)
 
 
 def _find_outliers(residual: Array, sigma: Array) -> Array:

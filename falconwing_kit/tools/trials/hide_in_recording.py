@@ -15,10 +15,9 @@ unit with room; a fit absorbs it in its control derivatives.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
-from falconwing_kit.core.flight_table import FlightTable, nominal_rate_hz
+from falconwing_kit.core.flight_table import FlightTable, nominal_rate_hz, select_rows
 from falconwing_kit.core.frames import euler_from_rotation, rotation_world_body
 from falconwing_kit.core.messages import COMMAND_NAMES
 
@@ -56,7 +55,7 @@ def split_recording(
             f"{table.name}: expected rows for two parts behind {begin:g} s in blocks of "
             f"{block_s:g} s, got {len(parts[0])} and {len(parts[1])} of {len(table.t)}"
         )
-    first, second = (_rows(table, rows) for rows in parts)
+    first, second = (select_rows(table, rows) for rows in parts)
     return first, second
 
 
@@ -207,7 +206,7 @@ def delay_commands(table: FlightTable, seconds: float) -> FlightTable:
     rounding = 0.1 / nominal_rate_hz(table) if len(table.t) > 1 else 0.0
     kept = np.flatnonzero(table.t + seconds <= table.t[-1] + rounding)
     later = np.searchsorted(table.t, table.t[kept] + seconds + rounding, side="right") - 1
-    return replace(_rows(table, kept), commands=table.commands[later])
+    return replace(select_rows(table, kept), commands=table.commands[later])
 
 
 # ---- Effects of the measurement: poses move, the aircraft flies as before
@@ -279,15 +278,3 @@ def _with_commands(table: FlightTable, commands: Array) -> FlightTable:
             f"{commands[row, column]:.3f} at {table.t[row]:.2f} s; restate_commands gives room"
         )
     return replace(table, commands=commands)
-
-
-def _rows(table: FlightTable, rows: NDArray[np.int64]) -> FlightTable:
-    return replace(
-        table,
-        t=table.t[rows],
-        p_world=table.p_world[rows],
-        attitude=table.attitude[rows],
-        commands=table.commands[rows],
-        extra={name: values[rows] for name, values in table.extra.items()},
-        labels={name: tuple(words[row] for row in rows) for name, words in table.labels.items()},
-    )
