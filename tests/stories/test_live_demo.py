@@ -4,10 +4,8 @@ Needs Debian's `chromium` and Playwright. In CI both must be there: a missing on
 it skips.
 """
 
-import importlib.util
 import io
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -24,12 +22,12 @@ from falconwing_kit.core.messages import Command, Image, State
 from falconwing_kit.flight.loop import LoopStep
 from falconwing_kit.scene.arena import load_scene
 from falconwing_kit.tools.demo.live_page import LivePage
+from tests.chromium import headless_chromium
 
 ROOT = Path(__file__).resolve().parents[2]
 WAIT_MS = 120_000  # of anything in the browser: software drawing on a busy machine is slow
 # What the browser may complain of: a view that was replaced before it was shown.
 ALLOWED = ("Failed to load resource: net::ERR_FILE_NOT_FOUND",)
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -37,22 +35,9 @@ pytestmark = pytest.mark.timeout(600)
 @pytest.fixture(scope="module")
 def browser():
     """Headless Chromium that draws in software, as a machine without a GPU does."""
-    for what, there in (
-        ("chromium", CHROMIUM),
-        ("playwright", importlib.util.find_spec("playwright")),
-    ):
-        if not there:
-            (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(
-                f"expected {what} for the live page, found none"
-            )
-    from playwright.sync_api import sync_playwright
-
     flags = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    flags += ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
-        yield browser
-        browser.close()
+    with headless_chromium(flags) as running:
+        yield running
 
 
 class Visit:

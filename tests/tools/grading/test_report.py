@@ -2,9 +2,7 @@
 
 import csv
 import html
-import importlib.util
 import json
-import os
 import shutil
 
 import pytest
@@ -16,6 +14,7 @@ from falconwing_kit.tools.cli.report import Report
 from falconwing_kit.tools.grading.course import looks
 from falconwing_kit.tools.grading.course.figures import missing_for_running
 from falconwing_kit.tools.grading.sandbox import probe
+from tests.chromium import headless_chromium
 from tests.tools.grading import toys
 from tests.tools.grading.test_figures import DRAW, b64, png
 
@@ -24,7 +23,6 @@ pytestmark = [
     pytest.mark.skipif(bool(missing_for_running()), reason='pip install -e ".[labs]"'),
     pytest.mark.timeout(600),
 ]
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 WRONG = "def stretch(x, gain):\n    return gain * x - COHORT['offset']"
 # What hidden cases ask is told by an error's words, a text in place of numbers, and whatever the
 # function prints.
@@ -243,19 +241,7 @@ def test_points_typed_in_the_browser_reach_the_gradebook(report, graded, tmp_pat
 
     Out of range is shown.
     """
-    for what, there in (
-        ("chromium", CHROMIUM),
-        ("playwright", importlib.util.find_spec("playwright")),
-    ):
-        if not there:
-            (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(
-                f"expected {what}, found none"
-            )
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        flags = ["--no-sandbox"] if os.geteuid() == 0 else []
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+    with headless_chromium() as browser:
         page = browser.new_page()
         page.set_default_timeout(120_000)
         asked, said = [], []
@@ -273,7 +259,6 @@ def test_points_typed_in_the_browser_reach_the_gradebook(report, graded, tmp_pat
         with page.expect_download() as saving:
             page.click("#save")
         saving.value.save_as(tmp_path / "points.csv")
-        browser.close()
     assert all(url.startswith(("file:", "blob:")) for url in asked) and said == []
     words = dict(rubric=tmp_path / "points.csv", to=("csv",))
     assert Report(str(toys.LAB), graded / "grades", tmp_path / "r", **words).run() == 0

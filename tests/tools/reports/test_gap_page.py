@@ -1,17 +1,14 @@
 """The gap page in a browser: no scrolling sideways on a phone, no figure cut on A4."""
 
-import importlib.util
-import os
 import re
-import shutil
 import zlib
 
 import pytest
 
 from falconwing_kit.tools.reports.gap_report import PAGE
 from falconwing_kit.tools.reports.page import figure, write_page
+from tests.chromium import headless_chromium
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 LONG = "moment_throttle_and_aileron_x_with_a_name_that_does_not_end"
 WORDS = "A sentence of some length that a narrow page has to break. " * 4
 RECORD = {
@@ -50,21 +47,8 @@ def page(tmp_path_factory):
 @pytest.fixture(scope="module")
 def browser():
     """Headless Chromium."""
-    for what, there in (
-        ("chromium", CHROMIUM),
-        ("playwright", importlib.util.find_spec("playwright")),
-    ):
-        if not there:
-            (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(
-                f"expected {what}, found none"
-            )
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        flags = ["--no-sandbox"] if os.geteuid() == 0 else []
-        running = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+    with headless_chromium() as running:
         yield running
-        running.close()
 
 
 @pytest.mark.parametrize("width", [320, 360, 1280])
