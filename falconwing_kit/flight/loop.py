@@ -63,6 +63,20 @@ class Pilot(Protocol):
         """The command for this moment."""
 
 
+class StepSupervisor(Protocol):
+    """What the loop needs of a `flight.supervisor.Supervisor`."""
+
+    @property
+    def record(self) -> Mapping[str, Any]:
+        """Limits and reason, for the log."""
+
+    def see(self, image: Image, t: float) -> None:
+        """Take note of a new image."""
+
+    def check(self, t: float, command: Command | None, state: State | None, pilot_s: float) -> str:
+        """Why control must be handed back; empty to go on."""
+
+
 class Clock(Protocol):
     """Time base of the loop."""
 
@@ -124,7 +138,8 @@ class LoopStep:
 class LoopResult:
     """End and timing of a flight."""
 
-    reason: str  # "duration", "interrupted", "pilot failed", or the reason of the stop condition
+    # "duration", "interrupted", "pilot failed", "handed back", or the reason of the stop condition
+    reason: str
     t: Array  # (n,) deadlines of the steps flown [s]
     lateness: Array  # (n,) start of each step after its deadline [s]
     skipped: int  # steps left out because they were too late
@@ -180,8 +195,9 @@ class Loop:
 
     If a pilot raises or returns anything but a finite command, the safe command is sent in that
     step and an event logged. A hook, a `mode` or a log that fails is dropped, and the flight goes
-    on. If a source or sink raises, the flight ends and the error is raised. However a flight ends,
-    the safe command is the last one sent.
+    on. If a source or sink raises, the flight ends and the error is raised. If the supervisor finds
+    a fault, the safe command is sent in place of the pilot's, a sink with `hand_back` returns
+    control, and the flight ends. However a flight ends, the safe command is the last one sent.
     """
 
     pilot: Pilot
@@ -192,6 +208,7 @@ class Loop:
     clock: Clock = field(default_factory=SimulatedClock)
     log: FlightLogWriter | None = None  # opened and closed by the caller
     hooks: Sequence[Callable[[LoopStep], None]] = ()
+    supervisor: StepSupervisor | None = None  # None: the pilot alone decides, as when it is judged
     period: float = CONTROL_PERIOD_S  # [s]
     faults_allowed: int = 20  # consecutive steps without a command before the flight ends: 1 s
 
@@ -218,6 +235,9 @@ class Loop:
                     stop_reason = stop_condition(run.step(k * self.period, lateness))
                     if interrupted.is_set():
                         raise KeyboardInterrupt
+                    if run.handed_back:
+                        reason = "handed back"
+                        break
                     if stop_reason or run.consecutive_faults > self.faults_allowed:
                         reason = stop_reason or "pilot failed"
                         break
@@ -229,6 +249,8 @@ class Loop:
         except Exception as flight_error:
             run.abort("failed", _error_text(flight_error))
             raise
+        if self.supervisor is not None and not run.handed_back:
+            run.add_event("supervisor", self.supervisor.record)
         run.add_event("ended", {"reason": reason, "steps": len(run.times), "skipped": run.skipped})
         return run.result(reason)
 
@@ -245,6 +267,7 @@ class _Run:
         self.seconds: dict[str, list[float]] = defaultdict(list)
         self.events: list[Event] = []
         self.consecutive_faults = 0
+        self.handed_back = False
         self.mode, self.mode_failed = "", False
 
     def step(self, t: float, lateness: float) -> LoopStep:
@@ -257,11 +280,14 @@ class _Run:
         is_new = image is not None and (last_image is None or image.sequence != last_image.sequence)
         if is_new:
             self.image = image
+            if loop.supervisor is not None and image is not None:
+                loop.supervisor.see(image, t)
         with self.time_stage("states"):
             state = loop.states.state_at(t) if loop.states else None
         observation = Observation(t, self.image, self.past_commands, state)
         with self.time_stage("pilot"):
             command = self.request_command(observation)
+        command = self.supervise(t, command, state)
         with self.time_stage("send"):
             loop.sink.send(t, command)
         self.past_commands = np.vstack([self.past_commands[1:], command.vector])
@@ -290,6 +316,21 @@ class _Run:
         self.consecutive_faults = 0
         saturated = command.saturated or bool(answer.saturated)
         return replace(command, image_sequence=sequence, saturated=saturated)
+
+    def supervise(self, t: float, command: Command, state: State | None) -> Command:
+        """The command, or the safe one with the first fault that the supervisor finds."""
+        supervisor, sink = self.loop.supervisor, self.loop.sink
+        if supervisor is None:
+            return command
+        judged = None if self.consecutive_faults else command
+        if not supervisor.check(t, judged, state, self.seconds["pilot"][-1]):
+            return command
+        self.handed_back = True
+        hand_back = getattr(sink, "hand_back", None)
+        if hand_back is not None:
+            hand_back()
+        self.add_event("handed back", supervisor.record)
+        return replace(SAFE_COMMAND, image_sequence=command.image_sequence)
 
     def read_mode(self) -> str:
         """The pilot's `mode`; empty after the first time that reading it raised."""

@@ -28,6 +28,7 @@ from falconwing_kit.trainer_port.protocol import (
 )
 
 SILENT_AFTER = 0.5  # s without a STATUS, which is sent at 20 Hz
+NO_PULSES_US = 75_000  # board's time without a PPM frame, of which 45 are sent a second
 ENGAGE_WITHIN = 1.0  # s from the edge to ACTIVE; then the edge is repeated
 SYNC_PERIOD, FIRST_SYNCS = 0.5, 8  # s between round trips; the first eight are ten times as fast
 BACK_OFF = (0.25, 4.0)  # s between attempts to reopen a lost port: first and, by doubling, last
@@ -66,7 +67,8 @@ class TrainerPort:
     returns) or "lost". `engagement` is "off", "asking" (sending engage=0 until the board is SAFE
     and has received it), "engaging" (sending engage=1 until the board is ACTIVE), "engaged" or
     "dropped". After the board leaves ACTIVE for any reason, or after a hand-back, it stays dropped
-    until one call of `send` with engage=False: control is never retaken by accident.
+    until one call of `send` with engage=False: control is never retaken by accident. A board that
+    answers but no longer sends pulses to the radio is a fault too.
 
     Args:
         link: the line; if it has a method `read_stamped`, that gives the times of arrival.
@@ -94,6 +96,7 @@ class TrainerPort:
         self.pilots: deque[PilotFrame] = deque(maxlen=1000)
         self.events: deque[Event] = deque(maxlen=1000)
         self.state, self.engagement = "waiting", "off"
+        self._pulses_us = 0  # board's time of the first STATUS with the newest PPM frame
         self._reopen, self._deframer, self._bad_before = reopen, Deframer(), 0
         self._next_sequence: int | None = None  # sequence of the next COMMAND
         self._request_sequence = 0  # sequence of the first engage=0 of this request
@@ -264,6 +267,8 @@ class TrainerPort:
             if upcoming is None or _wrapped_difference(upcoming, last, 2**16) <= 0:
                 self._next_sequence = (last + 1) % 2**16
         self._count_accepted(status, None if old is None else old.accepted, reset)
+        if old is None or reset or status.ppm_frames != old.ppm_frames:
+            self._pulses_us = status.device_time_us
         if old is None or (status.state, status.fault) != (old.state, old.fault):
             self._event("board", {"state": status.state, "fault": status.fault})
         self._update_engagement(status, t)
@@ -290,6 +295,7 @@ class TrainerPort:
             )
             if received and status.state == "SAFE":
                 self.engagement, self._engaging_since = "engaging", t
+                self._pulses_us = status.device_time_us  # they may have been off until now
         elif self.engagement == "engaging" and status.state == "ACTIVE":
             self.engagement = "engaged"
             self._event("engaged", details)
@@ -298,6 +304,9 @@ class TrainerPort:
                 self.engagement, self._request_sequence = "asking", self._next_sequence
         elif self.engagement in ("engaging", "engaged") and status.state != "ACTIVE":
             self._drop_engagement("dropped", details)
+        without_us = _wrapped_difference(status.device_time_us, self._pulses_us, 2**32)
+        if self.engagement in ("engaging", "engaged") and without_us > NO_PULSES_US:
+            self._drop_engagement("no pulses", {"ppm_frames": status.ppm_frames})
 
     def _drop_engagement(self, name: str, details: dict[str, Any]) -> None:
         """Stop commanding until `send` was called with engage=False; an event gives the reason."""

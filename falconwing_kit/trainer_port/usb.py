@@ -131,7 +131,7 @@ class SerialLink:
     def close(self) -> None:
         """Close the port after unsent bytes have left: they may be the hand-back."""
         end = time.perf_counter() + DRAIN_S
-        with suppress(OSError):
+        with suppress(OSError, TypeError):  # pyserial raises TypeError if the port disappeared
             while self._port.out_waiting and time.perf_counter() < end:
                 time.sleep(0.002)
         self._open = False

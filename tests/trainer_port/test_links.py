@@ -239,6 +239,25 @@ def test_a_hand_back_leaves_before_the_port_is_closed(monkeypatch):
 
 
 @POSIX
+def test_a_port_that_was_unplugged_can_be_closed(monkeypatch):
+    """pyserial raises TypeError, not OSError, for the bytes that wait on a closed descriptor."""
+    import pty
+
+    import serial
+
+    master, slave = pty.openpty()
+    link = SerialLink(os.ttyname(slave))
+
+    def out_waiting(port):
+        raise TypeError("an integer is required (got type NoneType)")
+
+    monkeypatch.setattr(serial.Serial, "out_waiting", property(out_waiting))
+    link.close()
+    os.close(master)
+    os.close(slave)
+
+
+@POSIX
 def test_dtr_is_left_on_when_the_port_is_closed():
     """POSIX: HUPCL is the flag that would turn it off; what Arduino's `stty -hupcl` recipe does."""
     import pty

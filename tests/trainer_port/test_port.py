@@ -77,6 +77,8 @@ def step(
     board.t += seconds
     if status is not None:
         now_us = round((board.t - 45.0) * 1e6) % 2**32
+        if status.ppm_frames == SAYS.ppm_frames:  # 45 frames a second, unless the test stops them
+            status = replace(status, ppm_frames=now_us // 22_000)
         board.says(
             replace(status, device_time_us=now_us)
             if status.device_time_us == SAYS.device_time_us
@@ -465,3 +467,25 @@ def test_a_host_that_comes_back_at_once_is_checked_too(board):
 def test_the_safe_command_is_an_idle_motor_and_neutral_sticks():
     """By hand."""
     assert SAFE_COMMAND.vector.tolist() == [0.0, 0.0, 0.0, 0.0]
+
+
+def test_a_board_that_answers_without_pulses_is_dropped_within_150_ms(board, port):
+    """Its pulse interrupt stopped: STATUS goes on and says ACTIVE, its count of frames stands.
+
+    The last STATUS with a new frame, then two with the same count, 50 and 100 ms later.
+    """
+    fly(board, port)
+    active = replace(SAYS, state="ACTIVE", last_sequence=106, accepted=46)
+    for _ in range(5):
+        port.send(STICKS, engage=True)
+        step(board, port, active)
+    assert port.engagement == "engaged"
+    stopped = replace(active, ppm_frames=777)
+    for _ in range(3):
+        assert port.engagement == "engaged"
+        port.send(STICKS, engage=True)
+        step(board, port, stopped)
+    assert port.engagement == "dropped"
+    assert [event.name for event in port.events].count("no pulses") == 1
+    port.send(STICKS, engage=True)
+    assert not board.commands[-1].engage

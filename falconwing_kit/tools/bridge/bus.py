@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command, Image
+from falconwing_kit.flight.supervisor import Supervisor
 from falconwing_kit.trainer_port.ppm import Calibration
 from falconwing_kit.trainer_port.protocol import PilotFrame, Status
 
@@ -131,6 +132,9 @@ class RelayCounts:
     reports: int = 0  # statuses published
     pilot: int = 0  # pilot frames published
     unreadable: int = 0  # pilot frames with too few channels
+    refused: int = 0  # engaged commands after the supervisor handed back
+    handed_back: int = 0  # times that the supervisor returned control to the pilot
+    reason: str = ""  # of the last one
 
 
 def relay(
@@ -140,11 +144,14 @@ def relay(
     *,
     max_age: float = MAX_AGE,
     clock: Callable[[], float] = time.time,
+    supervise: Callable[[], Supervisor] | None = None,
+    on_hand_back: Callable[[str], None] = lambda reason: None,
 ) -> RelayCounts:
     """Relay commands from a bus to a trainer port, and pilot frames and status back.
 
     Nothing is repeated: when commands stop, nothing is sent and the board goes to its safe state.
-    However the relay ends, control is handed back.
+    However the relay ends, control is handed back. With a supervisor, a fault in the images or
+    commands hands back too; engaged commands are then refused until one without engage.
 
     Args:
         port: the trainer port.
@@ -153,17 +160,27 @@ def relay(
         max_age: a command with a stamp further from now is refused [s]; two machines need
             synchronised clocks.
         clock: the bus's time [s].
+        supervise: makes a supervisor for each engaged flight; None: commands are not judged.
+        on_hand_back: called with the supervisor's reason.
     """
     inbox, counts = bus.subscribe(COMMAND), RelayCounts()
+    images = bus.subscribe(IMAGE) if supervise else None
+    supervisor = supervise() if supervise else None
     status, pilot = port.status, port.pilot
     try:
         while not stop():
             stamped = inbox.take(POLL_PERIOD)
-            if stamped is not None and abs(clock() - stamped.t) <= max_age:
-                port.send(stamped.command, stamped.engage)
-                counts.commands += 1
-            elif stamped is not None:
+            image = images.take() if images else None
+            if supervisor is not None and image is not None:
+                supervisor.see(image, clock())
+            if stamped is not None and abs(clock() - stamped.t) > max_age:
                 counts.late += 1
+            elif stamped is not None:
+                if supervise is not None and supervisor is not None and not stamped.engage:
+                    supervisor = supervise() if supervisor.reason else supervisor
+                if _may_pass(supervisor, stamped, clock(), port, counts, on_hand_back):
+                    port.send(stamped.command, stamped.engage)
+                    counts.commands += 1
             port.poll()
             if port.status is not None and port.status is not status:
                 status = port.status
@@ -175,6 +192,26 @@ def relay(
     finally:
         port.hand_back()
     return counts
+
+
+def _may_pass(
+    supervisor: Supervisor | None, stamped: StampedCommand, now: float, port: RelayPort,
+    counts: RelayCounts, on_hand_back: Callable[[str], None],
+) -> bool:  # fmt: skip
+    """Whether a command may reach the board; control is handed back at the first fault."""
+    if supervisor is None or not stamped.engage:
+        return True
+    had_fault = bool(supervisor.reason)
+    if not supervisor.check(now, stamped.command):
+        return True
+    if had_fault:
+        counts.refused += 1
+    else:
+        port.hand_back()
+        counts.handed_back += 1
+        counts.reason = supervisor.reason
+        on_hand_back(supervisor.reason)
+    return False
 
 
 def _publish_pilot(

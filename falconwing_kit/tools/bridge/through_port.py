@@ -97,6 +97,10 @@ class PortWorld:
         self._run_board(t)
         self.port.send(command, engage=True)
 
+    def hand_back(self) -> None:
+        """Return control to the person with the sticks; later commands are no longer followed."""
+        self.port.hand_back()
+
     def advance(self, t: float) -> None:
         """Run the board to t [s], then the aircraft with the commands of its PPM frames.
 

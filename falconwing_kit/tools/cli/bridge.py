@@ -46,6 +46,14 @@ class Bridge:
     """engage, and move aileron, elevator and rudder slowly with the throttle idle: for the bench,
     propeller off
     """
+    without_camera: bool = False
+    """with --ros: the controller flies without images, such as by motion capture; otherwise a
+    command that names no image, or one older than --max-image-age, hands back
+    """
+    max_image_age: float = 0.4
+    """with --ros: maximum age of the image behind a command [s]"""
+    battery_s: float = math.inf
+    """with --ros: hand back so long after the first engaged command [s]"""
     json: bool = False
     """print JSON instead of a table"""
 
@@ -99,11 +107,25 @@ class Bridge:
             time.sleep(POLL_S)
 
     def _relay(self, port: TrainerPort, line: StatusLine) -> None:
+        from falconwing_kit.flight.supervisor import Supervisor, SupervisorSettings
         from falconwing_kit.tools.bridge.bus import relay
         from falconwing_kit.tools.bridge.ros import RosBus
+        from falconwing_kit.vision.monitor import FrameMonitor
+
+        settings = SupervisorSettings(max_image_age_s=self.max_image_age, battery_s=self.battery_s)
+
+        def supervise() -> Supervisor:
+            monitor = None if self.without_camera else FrameMonitor()
+            return Supervisor(settings, by_images=not self.without_camera, monitor=monitor)
 
         bus = RosBus()
         try:
-            relay(port, bus, line.is_over)
+            relay(
+                port,
+                bus,
+                line.is_over,
+                supervise=supervise,
+                on_hand_back=lambda reason: line.alert(f"handed back: {reason}"),
+            )
         finally:
             bus.close()

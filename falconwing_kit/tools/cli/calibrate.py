@@ -300,6 +300,11 @@ def choose_calibration(
     """
     shipped = load_calibration()
     if path is None and not DEFAULT.is_file():
+        if radio:
+            raise InputError(
+                f"--radio {radio}: expected a calibration measured on it in ./{DEFAULT}, found"
+                " none; run falconwing calibrate, or give its file by --calibration"
+            )
         warn(
             "the calibration is the kit's default, not measured on a radio; "
             "before a flight: falconwing calibrate",

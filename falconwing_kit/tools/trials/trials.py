@@ -24,6 +24,7 @@ from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.flight.loop import ImageSource, Loop, LoopStep, Pilot, SimulatedClock, WallClock
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
+from falconwing_kit.flight.supervisor import Supervisor
 from falconwing_kit.flight.trial import FlightTask, TrialSetup, trial_seed
 from falconwing_kit.flight.world import PoseNoise, SimulatedWorld
 from falconwing_kit.scene.analog import AnalogVideo
@@ -145,15 +146,19 @@ def fly_trial(
                 "scene: expected one to render for a pilot that flies by images, got none; choose a"
                 " scene"
             )
+        # Through a board it is the path of a real flight, which is never without a supervisor.
+        supervisor = Supervisor(by_images=states is None) if setting.port else None
         loop = Loop(
-            pilot, world, images, states, trial.leader, setting.clock(), writer, setting.hooks
-        )
+            pilot, world, images, states, trial.leader, setting.clock(), writer, setting.hooks,
+            supervisor,
+        )  # fmt: skip
         if writer is not None:
             writer.metadata(
                 {"simulated": "yes", "task": task.name, "seed": trial.seed, "port": setting.port}
             )
         flight = loop.run(trial.duration, judge.watch)
-        port = {"port": world.record} if isinstance(world, PortWorld) else {}
+        port: Record = {"port": world.record} if isinstance(world, PortWorld) else {}
+        port |= {"supervisor": supervisor.record} if supervisor is not None else {}
     if flight.reason == "interrupted":
         raise KeyboardInterrupt
     record: Record = {"trial": number, "seed": trial.seed, "reason": flight.reason}

@@ -10,6 +10,7 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command, Image
+from falconwing_kit.flight.supervisor import Supervisor
 from falconwing_kit.tools.bridge.bus import (
     COMMAND,
     IMAGE,
@@ -264,3 +265,65 @@ def until(condition):
     while not condition():
         assert time.monotonic() < end, "it did not come"
         time.sleep(0.005)
+
+
+class MovingClock:
+    """The bus's time: 50 ms later at every command that the script publishes."""
+
+    def __init__(self) -> None:
+        self.t = NOW
+
+    def __call__(self) -> float:
+        return self.t
+
+    def command(self, sequence, engage=True, image=False):
+        """A step of a script: 50 ms pass, and a command answers an image, which may come too."""
+
+        def publish(bus, port):
+            self.t += 0.05
+            if image:
+                pixels = np.full((24, 32, 3), sequence % 251, np.uint8)
+                bus.publish(IMAGE, Image(sequence, self.t, pixels))
+            answer = Command(1.0, 0.0, 0.0, 0.0, sequence)
+            bus.publish(COMMAND, StampedCommand(self.t, answer, engage))
+
+        return publish
+
+
+def test_a_relay_under_supervision_hands_back_on_a_frozen_image():
+    """Full throttle on image 1 for ten seconds: commands within 0.4 s of it pass, no other.
+
+    The first answers it as it comes; eight more are at most 0.40 s later.
+    """
+    clock, port, said = MovingClock(), FakePort(), []
+    script = [clock.command(1, image=k == 0) for k in range(200)]
+    moved, _ = relayed(
+        port, [*script, rest], clock,
+        supervise=lambda: Supervisor(by_images=True), on_hand_back=said.append,
+    )  # fmt: skip
+    assert port.told == [(1.0, True)] * 9 + ["hand back", "hand back"]  # the second is the end
+    assert (moved.commands, moved.handed_back, moved.refused) == (9, 1, 190)
+    assert said == [moved.reason] and "0.45 s" in moved.reason
+
+
+def test_a_controller_may_engage_again_after_letting_go():
+    """After a hand-back one command without engage begins a new flight."""
+    clock, port = MovingClock(), FakePort()
+    bad = [clock.command(1, image=k == 0) for k in range(12)]
+    good = [clock.command(50 + k, image=True) for k in range(3)]
+    relayed(
+        port, [*bad, *good[:1], clock.command(51, engage=False, image=True), *good[1:], rest],
+        clock, supervise=lambda: Supervisor(by_images=True),
+    )  # fmt: skip
+    assert port.told[9:] == ["hand back", (1.0, False), (1.0, True), (1.0, True), "hand back"]
+
+
+def test_a_controller_that_names_no_image_is_refused_where_it_should_fly_by_images():
+    """Within 0.4 s; without a supervisor, or for one that flies without a camera, it passes."""
+    for by_images, passed in ((True, 9), (False, 20)):
+        clock, port = MovingClock(), FakePort()
+        script = [clock.command(-1) for _ in range(20)]
+        moved, _ = relayed(
+            port, [*script, rest], clock, supervise=lambda b=by_images: Supervisor(by_images=b)
+        )
+        assert moved.commands == passed

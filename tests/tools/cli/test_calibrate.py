@@ -242,6 +242,15 @@ def test_a_fresh_calibration_of_this_radio_is_taken(mine):
     assert choose_calibration("sim", today=TODAY).radio == "mine"
 
 
+def test_a_named_radio_without_any_calibration_is_refused(tmp_path, monkeypatch):
+    """The kit's default is of no radio; without a name it is taken, with a warning."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"--radio mine: expected a calibration measured on it"):
+        choose_calibration("COM3", radio="mine", today=TODAY)
+    with pytest.warns(UserWarning, match="not measured on a radio"):
+        choose_calibration("COM3", today=TODAY)
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
