@@ -11,8 +11,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.checks import InputError, require_file
 
+MAX_TEXT_BYTES = 64 * 1024**2  # of a file that a person wrote
 _DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -49,6 +50,28 @@ def atomic_write(path: str | Path, *, text: bool = False) -> Iterator[IO[Any]]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def read_text(path: str | Path, max_bytes: int = MAX_TEXT_BYTES) -> str:
+    """The text of a file in UTF-8, with or without a byte order mark.
+
+    Raises:
+        FileNotFoundError: there is no file.
+        InputError: it is too large, or in another encoding.
+    """
+    size = require_file(path).stat().st_size
+    if size > max_bytes:
+        raise InputError(
+            f"{short_name(path)}: expected a text file of at most {max_bytes >> 20} MiB, got"
+            f" {size >> 20} MiB; check the path"
+        )
+    try:
+        return Path(path).read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{short_name(path)}: expected text in UTF-8, got another encoding (byte"
+            f" {error.start}); save it again as UTF-8"
+        ) from None
 
 
 def write_figures(folder: Path, drawings: Mapping[str, Callable[[Path], str]]) -> Iterator[str]:

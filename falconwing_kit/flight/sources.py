@@ -16,6 +16,7 @@ from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import render
+from falconwing_kit.vision.images import decode_image
 
 FOCAL_LENGTH_WIDTHS = 0.62  # of the FPV lens, in image widths: 78 deg field of view
 IMAGE_SIZE = (320, 240)  # of the FPV image [px]
@@ -198,22 +199,17 @@ def decode_jpeg(image: Image) -> NDArray[np.uint8]:
     """The pixels (H, W, 3) uint8 RGB of an image that may hold JPEG bytes.
 
     Raises:
-        InputError: the bytes are no image.
+        InputError: the bytes are no image, or one of too many pixels.
     """
     if image.pixels.ndim != 1:
         return image.pixels
-    import cv2
-
-    try:
-        pixels = cv2.imdecode(image.pixels, cv2.IMREAD_COLOR)
-    except cv2.error:  # too few bytes for any image
-        pixels = None
+    pixels = decode_image(image.pixels.tobytes())
     if pixels is None:
         raise InputError(
             f"image {image.sequence}: expected a JPEG, got {image.pixels.size} other bytes; the log"
             " is damaged"
         )
-    return np.ascontiguousarray(pixels[..., ::-1])
+    return pixels
 
 
 def _newest_row(times: Array, t: float) -> int:

@@ -21,6 +21,7 @@ Images = tuple[Array32, Array32, Array32]  # of a renderer: colour, not cut at 1
 
 READERS: dict[str, Callable[[Path], dict[str, Any]]] = {".ply": read_ply, ".npz": read_native}
 MAX_LABELS = 256
+MAX_SCENE_BYTES = 2 * 1024**3  # eight million Gaussians of a .ply with all its harmonics
 UNIT_TOLERANCE = 1e-6  # a quaternion whose length is nearer to 1 keeps its bits
 MIN_LENGTH = 1e-12  # a shorter quaternion has no direction
 
@@ -93,7 +94,7 @@ class GaussianScene:
 
         Raises:
             FileNotFoundError: there is no file.
-            InputError: the file is damaged, of another kind, or holds no Gaussians.
+            InputError: the file is too large, damaged, of another kind, or holds no Gaussians.
         """
         path = Path(path)
         in_folder = path.is_dir() or path.name == "meta.json"
@@ -103,6 +104,12 @@ class GaussianScene:
             raise InputError(
                 f"{short_name(path)}: expected a scene ending in {endings} or a SOG folder,"
                 " got another ending"
+            )
+        size = path.stat().st_size if path.is_file() else 0
+        if size > MAX_SCENE_BYTES:
+            raise InputError(
+                f"{short_name(path)}: expected a scene of at most {MAX_SCENE_BYTES >> 20} MiB, got"
+                f" {size >> 20} MiB; thin it with the program that trained it"
             )
         fields = {"source": short_name(path)} | read(path)
         try:

@@ -1,14 +1,21 @@
 """Camera images: arrays as they come -> checked uint8 images, as RGB or grey."""
 
+import io
+import math
+import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.checks import InputError, require_file
+from falconwing_kit.core.files import short_name
 from falconwing_kit.scene.camera import PinholeCamera
 
 Pixels = NDArray[np.uint8]
+MAX_FILE_BYTES = 512 * 1024**2
+MAX_PIXELS = 120_000_000  # of a photo or frame: a larger one would fill the memory when decoded
 
 
 def require_image(
@@ -41,6 +48,66 @@ def require_image(
             f"image: expected {min_side_px} pixels a side or more, got {got}; use a larger one"
         )
     return np.ascontiguousarray(image)
+
+
+def decode_image(data: bytes, *, as_stored: bool = False) -> Pixels | None:
+    """A JPEG, PNG or other image as (H, W, 3) RGB; None if the bytes are no image.
+
+    Args:
+        data: of the file.
+        as_stored: ignore an orientation in its EXIF record.
+
+    Raises:
+        InputError: it has more than MAX_PIXELS pixels; they are not decoded.
+    """
+    import cv2
+
+    pixels = _pixels_in_header(data)
+    if pixels > MAX_PIXELS:
+        raise InputError(
+            f"image: expected at most {MAX_PIXELS / 1e6:.0f} million pixels, got more; scale it"
+            " down"
+        )
+    flags = cv2.IMREAD_COLOR | (cv2.IMREAD_IGNORE_ORIENTATION if as_stored else 0)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
+    except cv2.error:  # too few bytes for any image
+        image = None
+    return None if image is None else np.ascontiguousarray(image[..., ::-1])
+
+
+def read_image(path: Path, *, as_stored: bool = False) -> Pixels | None:
+    """The image in a file, as `decode_image` gives it.
+
+    Raises:
+        FileNotFoundError: there is no file.
+        InputError: the file or the image is too large; they are not read.
+    """
+    size = require_file(path).stat().st_size
+    if size > MAX_FILE_BYTES:
+        raise InputError(
+            f"{short_name(path)}: expected an image of at most {MAX_FILE_BYTES >> 20} MiB, got"
+            f" {size >> 20} MiB; check the path"
+        )
+    try:
+        return decode_image(path.read_bytes(), as_stored=as_stored)
+    except InputError as error:
+        raise InputError(f"{short_name(path)}: {error}") from None
+
+
+def _pixels_in_header(data: bytes) -> float:
+    """Number of pixels as an image's header states it; 0 where Pillow cannot read the header."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's own, about the size
+            with Image.open(io.BytesIO(data)) as header:
+                return header.width * header.height
+    except Image.DecompressionBombError:  # more than Pillow's own limit
+        return math.inf
+    except (OSError, ValueError, SyntaxError):
+        return 0
 
 
 def to_grey(image: Pixels) -> Pixels:

@@ -122,11 +122,16 @@ class PoseNet:
             tensors = {key: tensor.float() for key, tensor in load(data).items()}
             network.load_state_dict(tensors, strict=False)
             complete = set(tensors) >= {key for key, _ in network.named_parameters()}
+            is_finite = all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values())
         except Exception:  # a damaged file can fail at any of these steps
             raise InputError(
                 f"{short_name(path)}: expected weights of a pose net, got a damaged or other file; "
                 "copy it again"
             ) from None
+        if not is_finite:
+            raise InputError(
+                f"{short_name(path)}: expected finite weights, got nan or infinity; train it again"
+            )
         if record.version != VERSION or not complete:
             raise InputError(
                 f"{short_name(path)}: expected a pose net of version {VERSION}, got another; "

@@ -21,6 +21,7 @@ from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.tools.capture.colmap import is_colmap, read_colmap
 from falconwing_kit.tools.capture.points import read_points, write_points
+from falconwing_kit.vision.images import read_image
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 MAX_JSON_BYTES = 64 * 1024**2
@@ -258,18 +259,13 @@ def read_photo(path: str | Path) -> NDArray[np.uint8]:
         FileNotFoundError: there is no file.
         InputError: it is no image.
     """
-    import cv2
-
-    data = np.frombuffer(require_file(path).read_bytes(), np.uint8)
-    image = (
-        cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
-    )
+    image = read_image(Path(path), as_stored=True)
     if image is None:
         raise InputError(
             f"{short_name(path)}: expected a photo, got a file in an unknown format; "
             "remove or replace it"
         )
-    return np.ascontiguousarray(image[..., ::-1])
+    return image
 
 
 def _photo_path(folder: Path, photo: Path) -> str:

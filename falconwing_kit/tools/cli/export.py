@@ -101,6 +101,12 @@ class Export:
 
     def _to_log(self, target: Path) -> tuple[Counts, Warnings]:
         saved = recover(self.log, target)
+        if not saved.counts:
+            target.unlink()
+            raise InputError(
+                f"{self.log}: expected a log with records that can be read, got none; it was cut at"
+                " its beginning"
+            )
         return {topic.strip("/"): count for topic, count in saved.counts.items()}, saved.warnings
 
     def _to_bag(self, target: Path) -> tuple[Counts, Warnings]:

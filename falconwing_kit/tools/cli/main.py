@@ -111,16 +111,45 @@ def _run_verb(name: str, module: str, class_name: str, words: list[str]) -> int:
         except BrokenPipeError:  # `falconwing ... | head` closed our output, which is no error
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
-        except OSError as error:
-            has_both = error.filename and error.strerror
-            return _refuse(f"{error.filename}: {error.strerror}" if has_both else str(error))
-        except ModuleNotFoundError as error:
-            return _refuse(
-                f"the library {error.name} is not installed; `falconwing doctor` suggests a fix"
-            )
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             return 130
+        except Exception as error:
+            sentence = sentence_of(error)
+            if not sentence:
+                raise  # a fault of the kit, whose place in the code is needed to mend it
+            return _refuse(sentence)
+
+
+def sentence_of(error: Exception) -> str:
+    """One sentence for an error of files, memory or numbers; empty for any other.
+
+    What a verb checks itself has a better sentence; this is the last door.
+    """
+    if isinstance(error, OSError):
+        has_both = error.filename and error.strerror
+        return f"{error.filename}: {error.strerror}" if has_both else str(error)
+    if isinstance(error, ModuleNotFoundError):
+        return f"the library {error.name} is not installed; `falconwing doctor` suggests a fix"
+    if isinstance(error, ImportError):
+        return (
+            f"a library cannot be loaded ({error}); is there memory left? `falconwing doctor`"
+            " checks the installation"
+        )
+    if isinstance(error, MemoryError):
+        return "the memory is full; close other programs, or take a smaller input"
+    if isinstance(error, RecursionError):
+        return "the input is nested too deeply; is it the right file?"
+    if isinstance(error, UnicodeDecodeError):
+        return f"expected text in UTF-8, got another encoding ({error.reason}); save it as UTF-8"
+    if type(error).__name__ == "LinAlgError":  # NumPy's and SciPy's, loaded by the verb
+        return (
+            f"the numbers cannot be solved for ({error}); is the flight long enough, and do its"
+            " values change?"
+        )
+    if type(error).__name__ == "DecompressionBombError":
+        return f"an image is too large ({error}); scale it down"
+    return ""
 
 
 def _suggestion(word: str) -> str:

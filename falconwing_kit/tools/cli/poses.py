@@ -11,7 +11,7 @@ import tyro
 
 from falconwing_kit.aircraft.airframe import load_airframe
 from falconwing_kit.core.checks import Array, InputError, require_file, require_range
-from falconwing_kit.core.files import require_writable_path, short_name
+from falconwing_kit.core.files import read_text, require_writable_path, short_name
 from falconwing_kit.core.flight_log import read_flight_log, to_flight_table
 from falconwing_kit.core.flight_table import nearest_index, write_flight_table
 from falconwing_kit.core.messages import COMMAND_NAMES
@@ -19,6 +19,7 @@ from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.tools.cli.scene_input import open_scene
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 from falconwing_kit.vision.hybrid_state import HybridFlight, HybridSettings, Video, estimate_flight
+from falconwing_kit.vision.images import decode_image, read_image
 from falconwing_kit.vision.marker import Marker, Pixels
 
 COLUMNS = ("t", "frame", *COMMAND_NAMES)
@@ -173,14 +174,13 @@ def read_video(path: Path) -> Video:
 
 def _from_folder(folder: Path) -> Video:
     name = short_name(require_file(folder / "commands.csv"))
-    with (folder / "commands.csv").open(encoding="utf-8", newline="") as file:
-        reader = csv.DictReader(file)
-        missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
-        if missing:
-            raise InputError(
-                f"{name}: expected the columns {', '.join(COLUMNS)}, got none for {missing[0]}"
-            )
-        rows = list(reader)
+    reader = csv.DictReader(read_text(folder / "commands.csv").splitlines())
+    missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
+    if missing:
+        raise InputError(
+            f"{name}: expected the columns {', '.join(COLUMNS)}, got none for {missing[0]}"
+        )
+    rows = list(reader)
     try:
         numbers = np.array(
             [[float(row[column]) for column in ("t", *COMMAND_NAMES)] for row in rows], np.float64
@@ -213,21 +213,17 @@ def _from_log(path: Path) -> Video:
     table = to_flight_table(log)
     times = np.array(sorted(images))
     nearest = times[nearest_index(times, table.t)]
-    return Video(path.name, table.t, table.commands, lambda frame: _decode(images[nearest[frame]]))
+    return Video(
+        path.name,
+        table.t,
+        table.commands,
+        lambda frame: decode_image(images[nearest[frame]].tobytes()),
+    )
 
 
 def _read_image(path: Path) -> Pixels | None:
     """A frame as RGB; None if the file is missing or damaged."""
-    return _decode(np.frombuffer(path.read_bytes(), np.uint8)) if path.is_file() else None
-
-
-def _decode(data: Any) -> Pixels | None:
-    import cv2
-
-    picture = cv2.imdecode(np.asarray(data, np.uint8), cv2.IMREAD_COLOR) if len(data) else None
-    return (
-        None if picture is None else np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
-    )
+    return read_image(path) if path.is_file() else None
 
 
 def poses_record(flight: HybridFlight) -> dict[str, Any]:

@@ -21,12 +21,19 @@ from falconwing_kit.aircraft.sizing import (
     unlisted_mass,
     wing_loading,
 )
-from falconwing_kit.core.checks import InputError, require_range
+from falconwing_kit.core.checks import require_range
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 from falconwing_kit.tools.cli.size_parts import as_parts, parts_record, print_parts
 from falconwing_kit.tools.hardware.parts import Item, load_parts, roll_up
 
+LIMITS = {  # of the options: from an insect to a large drone; more is a slip of the unit
+    "mass_g": (0.1, 1e6),
+    "wing_area_m2": (1e-5, 100.0),
+    "cl_max": (0.01, 10.0),
+    "bank_deg": (0.1, 89.9),
+    "hall_width_m": (0.1, 1e5),
+}
 # Marker, mass and meaning. The paper states 300 g with a 174 g onboard computer; the sum is 324 g.
 _PAPER_MASSES = (
     ("o", 150.0, "the paper's aircraft"),
@@ -88,10 +95,10 @@ class Size:
 
     def _aircraft(self, items: Sequence[Item] | None = None) -> Airframe:
         """The airframe of the file with the changes of the parts list and the options."""
-        for option in ("mass_g", "wing_area_m2", "cl_max", "bank_deg", "hall_width_m"):
-            value, typed = getattr(self, option), "--" + option.replace("_", "-")
-            if value is not None and require_range(typed, value) <= 0.0:
-                raise InputError(f"{typed}: expected a number above zero, got {value:g}")
+        for option, (low, high) in LIMITS.items():
+            value = getattr(self, option)
+            if value is not None:
+                require_range("--" + option.replace("_", "-"), value, low=low, high=high)
         airframe = load_airframe(self.airframe)
         if items is not None:
             airframe = replace(airframe, mass=roll_up(items).mass, parts=as_parts(items))

@@ -7,6 +7,7 @@ OUT/handouts/STUDENT/lab12_gap/     individual files of each student, for labs t
 
 import ast
 import csv
+import io
 import json
 import re
 import shutil
@@ -14,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from falconwing_kit.core.checks import InputError, require_file
-from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.files import atomic_write, read_text
 from falconwing_kit.tools.grading.find import load_checks, load_module, notebook_path
 from falconwing_kit.tools.grading.lab import Course, course_constants
 from falconwing_kit.tools.grading.notebooks import build
@@ -37,17 +38,16 @@ def read_roster(path: Path) -> list[str]:
 
     Raises:
         FileNotFoundError: there is no such file.
-        InputError: it has no such column, a name twice, or a name that cannot be a folder's.
+        InputError: it is no text in UTF-8, it has no such column, a name twice, or a name that
+            cannot be a folder's.
     """
-    require_file(path)
-    with path.open(encoding="utf-8-sig", newline="") as handle:
-        reader = csv.DictReader(handle)
-        if "student" not in (reader.fieldnames or ()):
-            raise InputError(
-                f"{path}: expected a column called student, got "
-                f"{', '.join(reader.fieldnames or ['nothing'])}"
-            )
-        students = [(row["student"] or "").strip() for row in reader]
+    reader = csv.DictReader(io.StringIO(read_text(path), newline=""))
+    if "student" not in (reader.fieldnames or ()):
+        raise InputError(
+            f"{path}: expected a column called student, got "
+            f"{', '.join(reader.fieldnames or ['nothing'])}"
+        )
+    students = [(row["student"] or "").strip() for row in reader]
     for student in students:
         if not _STUDENT.fullmatch(student):
             raise InputError(
@@ -79,6 +79,8 @@ def release(
         InputError: `out` is not empty, the salt is short, there are students but no salt, or a lab
             cannot be used.
     """
+    if out == Path():
+        raise InputError("out: expected a new folder's name, got none; name one")
     if out.is_file() or (out.is_dir() and any(out.iterdir())):
         raise InputError(
             f"{out}: expected a new or an empty folder, so that nothing else is handed out; "

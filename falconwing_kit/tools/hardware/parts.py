@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from falconwing_kit.core.checks import InputError, require_file, require_range
-from falconwing_kit.core.files import shipped_path, short_name
+from falconwing_kit.core.files import read_text, shipped_path, short_name
 
 COLUMNS = (
     "id",
@@ -115,13 +115,13 @@ def load_parts(path: str | Path | None = None) -> tuple[Item, ...]:
     path = shipped_path("hardware/parts.csv", "name a file") if path is None else require_file(path)
     name = short_name(path)
     try:
-        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines(), strict=True))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{name}: expected a CSV in UTF-8: {error}") from None
+        rows = list(csv.reader(read_text(path).splitlines(), strict=True))
+    except csv.Error as error:
+        raise InputError(f"{name}: expected a CSV: {error}") from None
     if not rows or tuple(rows[0]) != COLUMNS:
         raise InputError(
             f"{name}: expected the columns {','.join(COLUMNS)} in this order, "
-            f"got {','.join(rows[0][:20])!r}"
+            f"got {','.join(rows[0][:20]) if rows else 'an empty file'!r}"
         )
     items = []
     for number, row in enumerate(rows[1:], 2):

@@ -43,7 +43,7 @@ def test_exit_code_says_whether_the_circle_fits(words, code, capsys):
         (["--mass-g", "-150"], "--mass-g"),
         (["--mass-g", "nan"], "--mass-g"),
         (["--hall-width-m", "0"], "--hall-width-m"),
-        (["--bank-deg", "90"], "90 deg"),
+        (["--bank-deg", "90"], "--bank-deg"),
         (["--margin-m", "20"], "margin"),
         (["--margin-m", "-1"], "margin"),
         (["--airframe", "nowhere.toml"], "nowhere.toml"),

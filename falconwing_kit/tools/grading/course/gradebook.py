@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from falconwing_kit.core.checks import InputError, require_file
-from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.files import atomic_write, read_text
 from falconwing_kit.tools.grading.lab import Lab, total_points
 from falconwing_kit.tools.grading.records import spreadsheet_cell
 
@@ -100,9 +100,8 @@ def read_rubric(path: Path, lab: Lab, students: Iterable[str]) -> dict[str, Manu
         FileNotFoundError: there is no such file.
         InputError: a column, a student or a number is invalid.
     """
-    with require_file(path).open(encoding="utf-8-sig", newline="") as handle:
-        reader = csv.DictReader(handle)
-        columns, rows = list(reader.fieldnames or ()), list(reader)
+    reader = csv.DictReader(io.StringIO(read_text(path), newline=""))
+    columns, rows = list(reader.fieldnames or ()), list(reader)
     known = {str(spreadsheet_cell(name)): name for name in students}
     known |= {name: name for name in known.values()}
     names = [each.name for each in lab.rubric]
