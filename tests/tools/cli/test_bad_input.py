@@ -1,4 +1,4 @@
-"""Bad input at the doors: one sentence and exit code 2, for part of the table (a benchmark has all).
+"""Bad input at the doors: one sentence and exit code 2, for a part of the table (all: a benchmark).
 
 Also the last door for errors that no verb expects, and options out of their range.
 """
