@@ -1,4 +1,4 @@
-"""Files beside the package -> what a wheel takes along, found again by `core.files.shipped_path`."""
+"""Files beside the package -> what a wheel takes along, for `core.files.shipped_path` to find."""
 
 import os
 from collections.abc import Iterator
