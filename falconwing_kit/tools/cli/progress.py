@@ -36,7 +36,8 @@ class StageProgress:
         self._stream = stream or sys.stderr
         self._live = self._stream.isatty()
         self._begin = self._printed = now()
-        self._stage, self._share, self._wide = "", 0.0, 0
+        self._stage, self._wide = "", 0
+        self._share, self._reached = 0.0, 0.0  # of the last stage that has one, and when [s]
         self._done, self._lock = threading.Event(), threading.Lock()
 
     def __enter__(self) -> "StageProgress":
@@ -61,7 +62,8 @@ class StageProgress:
         with self._lock:
             self._stage = stage
             shares = [share for name, share in self._stages if stage.startswith(name)]
-            self._share = max([self._share, *shares])
+            if max(shares, default=0.0) > self._share:
+                self._share, self._reached = max(shares), self._now() - self._begin
         self.tick(0.5 * PERIOD_S)
 
     def write(self, text: str) -> None:
@@ -81,12 +83,21 @@ class StageProgress:
     def line(self) -> str:
         """Such as "demo: 40 %, 31 s, about 50 s left: real flight, fold 2 of 4"."""
         passed = self._now() - self._begin
-        left = ""
-        if self._share >= SETTLED:
-            rest = passed * (1.0 / self._share - 1.0)
+        share, left = self._share_at(passed), ""
+        if share >= SETTLED:
+            rest = passed * (1.0 / share - 1.0)
             left = f", about {max(10, round(rest, -1)):.0f} s left"
-        share = f"{100.0 * self._share:.0f} %"
-        return f"{self._verb}: {share}, {passed:.0f} s{left}: {self._stage}"
+        return f"{self._verb}: {100.0 * share:.0f} %, {passed:.0f} s{left}: {self._stage}"
+
+    def _share_at(self, passed: float) -> float:
+        """The share done after a time [s]: within a stage it grows as fast as on average before,
+        up to nine tenths of the way to the next.
+        """
+        if self._reached <= 0.0:
+            return self._share
+        higher = min([1.0, *(share for _, share in self._stages if share > self._share)])
+        grown = self._share * passed / self._reached
+        return min(grown, self._share + 0.9 * (higher - self._share))
 
     def _watch(self) -> None:
         while not self._done.wait(0.5):
