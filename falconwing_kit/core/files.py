@@ -5,6 +5,7 @@ folder and the folder of shipped files.
 import errno
 import os
 import secrets
+import site
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -154,9 +155,12 @@ def shipped_path(relative: str, advice: str) -> Path:
     Raises:
         FileNotFoundError: it is in neither place.
     """
+    beside = Path(__file__).parents[2]
+    # an environment's folder, a user's own installation, or `pip install --target`
+    prefixes = [Path(sys.prefix), Path(site.getuserbase()), beside]
     candidates = [
-        Path(__file__).parents[2] / relative,
-        Path(sys.prefix) / "share" / "falconwing_kit" / relative,
+        beside / relative,
+        *(prefix / "share" / "falconwing_kit" / relative for prefix in prefixes),
     ]
     for candidate in candidates:
         if candidate.is_file():

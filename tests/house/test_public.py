@@ -8,12 +8,16 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 MAX_FILE_MB, MAX_TREE_MB = 16.0, 150.0
+CPU_INDEX = b"download.pytorch." + b"org/whl/cpu"
 # Written in pieces, so that this file does not hold what it looks for.
 PRIVATE = {
     "path of one machine": r"(?<![\w.])/(?:wor"
     + r"k|roo"
     + r"t|home/\w+|Users/\w+)/|[A-Z]:\\Users\\",
-    "package index": r"(?:--(?:extra-)?index-" + r"url|--find-" + r"links|--trusted-" + r"host)\b",
+    "package index": r"(?:--(?:extra-)?index-"
+    + r"url|--find-"
+    + r"links|--trusted-"
+    + r"host)\b(?![= ]https://download\.pytorch\.org/whl/cpu\b)",
     "unfinished mark": r"\b(?:TO" + r"DO|FIX" + r"ME)\b",
 }
 
@@ -21,6 +25,13 @@ PRIVATE = {
 def test_files_hold_nothing_private_or_unfinished():
     """A clone is read by strangers on other machines."""
     assert text_problems(ROOT, tracked_files(ROOT)) == []
+
+
+def test_cpu_index_is_named_only_where_people_install():
+    """PyTorch's public index of CPU builds is the one address, and no wheel asks for it."""
+    named = [path for path in tracked_files(ROOT) if CPU_INDEX in path.read_bytes()]
+    names = {path.relative_to(ROOT).as_posix() for path in named}
+    assert names == {"README.md", "environment.yml", "start.py", "tests/stories/test_readme.py"}
 
 
 def test_files_stay_small():

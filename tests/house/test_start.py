@@ -1,12 +1,17 @@
 """start.py installs once, says what it runs, and hands over with the right words and exit code."""
 
+import http.server
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
+from packaging.specifiers import SpecifierSet
+from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -22,8 +27,9 @@ def start(tmp_path, monkeypatch):
     for name in ("pyproject.toml", "constraints.txt"):
         (tmp_path / name).write_text(name)
     module.commands, module.exit_codes = [], {}
+    monkeypatch.delenv("FALCONWING_VERBOSE", raising=False)
 
-    def note(command, folder=None):
+    def note(command, folder=None, log=None, packages=0):
         module.commands.append(command)
         if "venv" in command:
             shutil.rmtree(tmp_path / ".venv", ignore_errors=True)
@@ -32,7 +38,7 @@ def start(tmp_path, monkeypatch):
 
     monkeypatch.setattr(module, "ROOT", tmp_path)
     monkeypatch.setattr(module, "run", note)
-    monkeypatch.setattr(module, "answers", lambda command: (tmp_path / ".venv").is_dir())
+    monkeypatch.setattr(module, "answers", lambda command, **_: (tmp_path / ".venv").is_dir())
     return module
 
 
@@ -112,7 +118,7 @@ def test_killed_install_starts_from_an_empty_environment(start, monkeypatch):
     environment is sure.
     """
 
-    def killed(command, folder=None):
+    def killed(command, folder=None, log=None):
         raise KeyboardInterrupt
 
     (start.ROOT / ".venv").mkdir()
@@ -141,7 +147,8 @@ def test_old_python_is_refused_in_one_sentence(start, monkeypatch, capsys, versi
     monkeypatch.setattr(start.sys, "version_info", (*version, 0))
     assert start.main(["demo"]) == (0 if fine else 2)
     error = capsys.readouterr().err
-    assert (error == "") if fine else ("3.11" in error and f"{version[0]}.{version[1]}" in error)
+    assert ("expected Python" in error) != fine
+    assert fine or ("3.11" in error and f"{version[0]}.{version[1]}" in error)
     assert bool(start.commands) == fine
 
 
@@ -179,3 +186,156 @@ def test_help_names_both_commands(words, code):
     assert done.returncode == code
     assert "start.py demo" in done.stdout
     assert "start.py test" in done.stdout
+
+
+# PyTorch without CUDA
+# --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("system", "verb", "reached", "added"),
+    [
+        ("linux", "test", True, True),
+        ("linux", "test", False, False),
+        ("linux", "demo", True, False),
+        ("darwin", "test", True, False),
+        ("win32", "test", True, False),
+    ],
+)
+def test_cpu_index_is_added_where_cuda_would_come(
+    start, monkeypatch, capsys, system, verb, reached, added
+):
+    """By hand: on Linux alone, for PyTorch alone, and only if it answers; the choice is said."""
+    (start.ROOT / ".venv").mkdir()
+    monkeypatch.setattr(start.sys, "platform", system)
+    monkeypatch.setattr(start, "answers", lambda command, **_: reached or "-c" not in command)
+    assert start.main([verb]) == 0
+    options = [word for command in start.commands for word in command if word.startswith("--extra")]
+    assert len(options) == added
+    assert all(option.endswith("=" + start.CPU_TORCH) for option in options)
+    said = capsys.readouterr().err
+    asked = system == "linux" and verb == "test"
+    assert (start.CPU_TORCH in said, "2.7 GB" in said) == (asked, asked and not reached)
+
+
+def test_pin_takes_the_cpu_build_before_the_other():
+    """The packaging library, which pip uses: 2.13.0+cpu satisfies the pin and is the newer one."""
+    pin = re.search(r"^torch(==\S+)$", (ROOT / "constraints.txt").read_text(), re.MULTILINE)[1]
+    plain = pin.removeprefix("==")
+    assert SpecifierSet(pin).contains(plain + "+cpu")
+    assert Version(plain + "+cpu") > Version(plain)
+
+
+@pytest.mark.parametrize(
+    ("server", "reached"), [("answers", True), ("refuses", False), ("is silent", False)]
+)
+def test_probe_ends_in_seconds(server, reached, monkeypatch):
+    """Run for real against this machine: a page, an error, a server that accepts and is mute."""
+    start = load_start()
+
+    class Pages(http.server.BaseHTTPRequestHandler):
+        def do_HEAD(self):
+            if server == "is silent":
+                silence.wait(30.0)
+            self.send_response(200 if server == "answers" else 403)
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    silence = threading.Event()
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Pages) as pages:
+        pages.daemon_threads = True
+        threading.Thread(target=pages.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{pages.server_port}"
+        monkeypatch.setenv("no_proxy", "127.0.0.1")
+        monkeypatch.setattr(
+            start, "PROBE", start.PROBE.replace("https://download.pytorch.org", address)
+        )
+        monkeypatch.setattr(start.sys, "platform", "linux")
+        begin = start.time.monotonic()
+        assert bool(start.cpu_torch()) == reached
+        assert start.time.monotonic() - begin < 20.0  # a safety limit; pip's retries take minutes
+        silence.set()
+        pages.shutdown()
+
+
+# Progress
+# --------------------------------------------------------------------------------------------------
+
+PIP = """Obtaining file:///kit
+Collecting numpy==2.4.6 (from -c constraints.txt (line 1))
+  Downloading numpy-2.4.6-cp311-linux.whl (16.9 MB)
+Progress 8400000 of 16900000
+"""
+
+
+@pytest.mark.parametrize(
+    ("output", "line"),
+    [
+        ("", "  0 %  starting"),
+        (PIP, " 30 %  fetching numpy, 8.4 of 16.9 MB"),
+        (PIP + "Processing /wheels/torch-2.13.0+cpu-cp311.whl\n", " 45 %  fetching torch"),
+        (PIP + "Collecting a\nCollecting b\nCollecting c\n", " 59 %  fetching c"),
+        (PIP + "Installing collected packages: a, b, c, d\n", " 70 %  unpacking b"),
+    ],
+)
+def test_progress_names_the_package_and_the_share(output, line):
+    """By hand, of 4 packages: fetching is 60 % of the work, 2 of 4 are 30, one unpacked is 70."""
+    assert load_start().progress(output, 4, 1) == line
+
+
+def load_start():
+    """start.py as a module that really runs its commands."""
+    spec = importlib.util.spec_from_file_location("start_for_real", ROOT / "start.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_quiet_run_keeps_the_log_and_shows_its_end_on_failure(tmp_path, capsys):
+    """Really run: nothing of a success on the terminal but the command; of a failure 20 lines."""
+    start, log = load_start(), tmp_path / "install.log"
+    log.write_text("before\n")
+    many = [sys.executable, "-c", "[print('line', i) for i in range(100)]"]
+    assert start.run(many, log=log) == 0
+    assert capsys.readouterr().err.splitlines()[1:] == []
+    assert log.read_text().splitlines()[0::100] == ["before", "line 99"]
+    assert start.run([*many[:2], many[2] + "; print('Progress 1 of 2'); exit(3)"], log=log) == 3
+    said = capsys.readouterr().err.splitlines()
+    assert said[1:21] == [f"line {i}" for i in range(80, 100)]
+    assert str(log) in said[21] and len(said) == 22
+
+
+@pytest.mark.parametrize("how", ["word", "variable", "neither"])
+def test_verbose_shows_pip(start, monkeypatch, how):
+    """Without it pip writes to the log of .venv; `--verbose` after the verb is the verb's own."""
+    logs, note = [], start.run
+    if how == "variable":
+        monkeypatch.setenv("FALCONWING_VERBOSE", "1")
+
+    def watch(command, folder=None, log=None, packages=0):
+        logs.append(log)
+        return note(command, folder)
+
+    monkeypatch.setattr(start, "run", watch)
+    assert start.main([*(["--verbose"] if how == "word" else []), "size", "--verbose"]) == 0
+    assert start.commands[-1][1:] == ["size", "--verbose"]
+    assert set(logs) == (
+        {None, start.ROOT / ".venv" / "install.log"} if how == "neither" else {None}
+    )
+
+
+def test_install_takes_the_parts_by_name(start, capsys):
+    """The labs hold the kit, so a verb afterwards installs nothing; the tests hold the labs."""
+    assert start.main(["install", "labs"]) == 0
+    assert start.commands[-1][-1] == ".[labs]"
+    said = capsys.readouterr().err
+    assert re.search(r"fetches up to \d+ MB, takes about \d+ min", said) and "once" in said
+    count = len(start.commands)
+    assert start.main(["install"]) == start.main(["install", "kit"]) == 0
+    assert len(start.commands) == count
+    assert start.main(["install", "tests"]) == 0
+    assert start.commands[-1][-1] == ".[labs,dev]"
+    assert start.main(["install", "everything"]) == 2
+    assert "expected one of kit, labs, tests, got everything" in capsys.readouterr().err

@@ -32,7 +32,8 @@ INLINE = re.compile(r"`((?:falconwing|python3 start\.py|\.venv/bin/\S+) [^`]+)`"
 AROUND = {
     "source .venv/bin/activate",
     "python3 -m venv .venv",
-    '.venv/bin/pip install -c constraints.txt -e ".[labs,dev]"',
+    ".venv/bin/pip install --extra-index-url https://download.pytorch.org/whl/cpu"
+    ' -c constraints.txt -e ".[labs,dev]"',
     "conda env create -f environment.yml",
     "conda activate falconwing",
 }
@@ -146,8 +147,8 @@ def test_start_hands_the_verb_over(line, tmp_path, monkeypatch):
         shutil.copy(ROOT / name, tmp_path)
     run = []
     monkeypatch.setattr(start, "ROOT", tmp_path)
-    monkeypatch.setattr(start, "answers", lambda command: True)
-    monkeypatch.setattr(start, "run", lambda command, folder=None: run.append(command) or 0)
+    monkeypatch.setattr(start, "answers", lambda command, **_: True)
+    monkeypatch.setattr(start, "run", lambda command, *_, **__: run.append(command) or 0)
     verb, *options = shlex.split(line)[2:]
     assert start.main([verb, *options]) == 0
     if verb == "test":

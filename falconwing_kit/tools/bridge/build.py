@@ -15,6 +15,7 @@ from pathlib import Path
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write, cache_folder, shipped_path
+from falconwing_kit.tools.linux import require_linux
 
 SKETCH = "trainer_bridge"
 TOOLS = {  # Debian package -> a program or a file in it
@@ -89,6 +90,7 @@ def build_simulator() -> Path:
 
 def _build_cached(name: str, build: Builder, flags: str = "", replace: Path | None = None) -> Path:
     """Path of the product in the cache, built if necessary."""
+    require_linux("firmware", f"apt install {' '.join(TOOLS)}; or use --port sim-python")
     missing = missing_tools()
     if missing:
         raise InputError(

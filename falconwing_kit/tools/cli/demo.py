@@ -15,6 +15,21 @@ if TYPE_CHECKING:
     from falconwing_kit.tools.demo.live_page import LivePage
 
 BROWSER_S = 8.0  # a browser's time to show the page before the flight begins
+STAGES = (  # begin of a stage's name, and the share of the whole before it, measured on two cores
+    ("approach", 0.0),
+    ("150 g aircraft, calm flight", 0.06),
+    ("150 g aircraft, flight under test", 0.13),
+    ("150 g aircraft, closing the gap", 0.32),
+    ("150 g aircraft, one-step fit on raw", 0.37),
+    ("real indoor flight, its first minute", 0.44),
+    ("real flight, fold 1", 0.48),
+    ("real flight, all before", 0.59),
+    ("real flight, effects and onsets, cut 1", 0.68),
+    ("real flight, effects and onsets, cut 2", 0.77),
+    ("real flight, effects and onsets, cut 3", 0.83),
+    ("real flight, effects and onsets, cut 4", 0.89),
+    ("page and figures", 0.94),
+)
 
 
 @dataclass(frozen=True)
@@ -48,9 +63,8 @@ class Demo:
             FileNotFoundError: there is no scene file.
             InputError: the scene or the port is invalid, or a file cannot be written.
         """
-        from tqdm import tqdm
-
         from falconwing_kit.tools.cli.fly import hall_loader
+        from falconwing_kit.tools.cli.progress import StageProgress
         from falconwing_kit.tools.demo.recorded import (
             study_recorded_flights,
             write_recorded_flights,
@@ -60,15 +74,15 @@ class Demo:
         self.out.mkdir(parents=True, exist_ok=True)
         with (
             nullcontext() if self.headless else self._open_page() as live,
-            tqdm(bar_format="{desc} {elapsed}", leave=False, disable=None) as bar,
+            StageProgress("demo", STAGES) as progress,
         ):
-            bar.set_description_str("approach through the hall")
+            progress("approach through the hall")
             approach = self._fly(hall, live)
             if not self.json:
                 end = "landed on the pad" if approach.result["success"] else approach.flight.reason
-                bar.write(f"approach through the splat hall, SIMULATED: {end}\n")
-            found = study_recorded_flights(bar.set_description_str)
-            bar.set_description_str("page and figures")
+                progress.write(f"approach through the splat hall, SIMULATED: {end}\n")
+            found = study_recorded_flights(progress)
+            progress("page and figures")
             record = write_recorded_flights(found, self.out, approach)
         page = (self.out / "index.html").resolve()
         if self.json:

@@ -17,11 +17,9 @@ from typing import Literal
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.cli.show import json_fields, next_line, print_json, print_table
+from falconwing_kit.tools.linux import linux_advice
 
 Need = Literal["demo", "now", "later"]
-_PYTHON = Path(sys.executable)  # relative to this folder if possible
-_PYTHON = _PYTHON.relative_to(Path.cwd()) if _PYTHON.is_relative_to(Path.cwd()) else _PYTHON
-PIP = f"{_PYTHON} -m pip install -c constraints.txt"
 AVR = "make gcc gcc-avr avr-libc arduino-core-avr libsimavr-dev"
 REINSTALL = "delete .venv and run python3 start.py doctor, which installs it again"
 
@@ -34,6 +32,7 @@ class SystemCheck:
     need: Need  # for the demo; for a verb or a lab; for an optional part
     attempt: Callable[[], str]  # returns what was found, raises if it does not work
     advice: str
+    needs_linux: bool = False  # the advice names the way there
 
 
 @dataclass(frozen=True)
@@ -136,9 +135,8 @@ def examine(check: SystemCheck) -> SystemCheckResult:
         status: Literal["missing", "not needed yet"] = (
             "not needed yet" if check.need == "later" else "missing"
         )
-        return SystemCheckResult(
-            check.capability, status, check.need == "demo", lines[0], check.advice
-        )
+        advice = linux_advice(check.advice) if check.needs_linux else check.advice
+        return SystemCheckResult(check.capability, status, check.need == "demo", lines[0], advice)
 
 
 def _python() -> str:
@@ -325,6 +323,7 @@ def _gpu() -> str:
 
 
 def _sandbox() -> str:
+    _need_linux()
     _output(["bwrap", "--ro-bind", "/", "/", "--unshare-all", "--die-with-parent", "true"])
     return f"{_output(['bwrap', '--version'])} ran a program without network"
 
@@ -334,6 +333,7 @@ def _avr() -> str:
     from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
     from falconwing_kit.trainer_port.port import TrainerPort
 
+    _need_linux()
     missing = missing_tools()
     if missing:
         raise RuntimeError(f"not installed: {', '.join(missing)}")
@@ -344,6 +344,11 @@ def _avr() -> str:
     finally:
         board.close()
     return f"built the firmware; in a simulated chip it starts in state {status.state}"
+
+
+def _need_linux() -> None:
+    if sys.platform != "linux":
+        raise RuntimeError(f"needs Linux, this is {platform.system()}")
 
 
 def _output(command: list[str]) -> str:
@@ -382,12 +387,12 @@ CHECKS: tuple[SystemCheck, ...] = (
     SystemCheck("live page", "demo", _page, REINSTALL),
     SystemCheck("flight logs", "demo", _log, REINSTALL),
     SystemCheck("control design", "demo", _control, REINSTALL),
-    SystemCheck("labs", "later", _labs, f'{PIP} -e ".[labs]"'),
+    SystemCheck("labs", "later", _labs, "python3 start.py install labs"),
     SystemCheck(
         "finding the board", "now", _serial, "connect it; falconwing find-port lists the ports"
     ),
     SystemCheck("camera", "later", _camera, "connect the camera"),
-    SystemCheck("reference renderer", "later", _torch, f'{PIP} -e ".[torch]"'),
+    SystemCheck("reference renderer", "later", _torch, "python3 start.py install labs"),
     SystemCheck(
         "rendering on a GPU",
         "later",
@@ -395,12 +400,13 @@ CHECKS: tuple[SystemCheck, ...] = (
         "needs an NVIDIA GPU, a CUDA build of torch, and gsplat",
     ),
     SystemCheck(
-        "grading sandbox", "later", _sandbox, "Linux only; Debian or Ubuntu: apt install bubblewrap"
+        "grading sandbox", "later", _sandbox, "Debian or Ubuntu: apt install bubblewrap", True
     ),
     SystemCheck(
         "firmware tools",
         "now",
         _avr,
-        f"Debian or Ubuntu: apt install {AVR}; without, --port sim is plain Python",
+        f"Debian or Ubuntu: apt install {AVR}; without, --port sim-python is plain Python",
+        True,
     ),
 )

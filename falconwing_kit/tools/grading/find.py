@@ -8,11 +8,12 @@ mix: import them at the top of a file, not inside a function.
 import ast
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
 
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.files import shipped_path
 from falconwing_kit.tools.grading.lab import Course, Judge, Lab
 
 _NEIGHBOURS = ("given", "checks", "hidden")  # a lab's files, in the order of loading
@@ -22,7 +23,8 @@ def labs_folder(path: str | Path | None = None) -> Path:
     """The folder that holds the labs.
 
     Args:
-        path: None searches the working directory, its `labs`, its parent, and the checkout.
+        path: None searches the working directory, its `labs`, its parent, and the checkout or the
+            installation.
 
     Returns:
         A folder with at least one lab in it.
@@ -31,11 +33,10 @@ def labs_folder(path: str | Path | None = None) -> Path:
         InputError: there is no lab there.
     """
     here = Path.cwd()
-    places = (
-        [here, here / "labs", here.parent, Path(__file__).parents[3] / "labs"]
-        if path is None
-        else [Path(path)]
-    )
+    places = [here, here / "labs", here.parent] if path is None else [Path(path)]
+    if path is None:
+        with suppress(FileNotFoundError):
+            places.append(shipped_path("labs/README.md", "give the labs by --labs").parent)
     for place in places:
         if lab_folders(place):
             return place

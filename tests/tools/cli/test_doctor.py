@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.bridge import build
 from falconwing_kit.tools.cli import doctor
 from falconwing_kit.tools.cli.doctor import Doctor, SystemCheck, SystemCheckResult, examine
@@ -116,3 +117,20 @@ def test_firmware_tools_are_named_in_full(monkeypatch):
     )
     monkeypatch.setattr(build, "missing_tools", lambda: ["avr-libc"])
     assert examine(check).detail == "not installed: avr-libc"
+
+
+@pytest.mark.parametrize(
+    ("system", "way"), [("win32", "wsl --install"), ("darwin", "virtual"), ("linux", "Debian")]
+)
+def test_what_needs_linux_says_the_way_there(monkeypatch, system, way):
+    """Microsoft's own command of WSL 2 on Windows; on Linux the package alone, as before."""
+    monkeypatch.setattr(doctor.sys, "platform", system)
+    monkeypatch.setattr(build, "missing_tools", lambda: ["avr-libc"])
+    monkeypatch.setattr(doctor.shutil, "which", lambda name: None)
+    for name in ("grading sandbox", "firmware tools"):
+        found = examine(next(check for check in doctor.CHECKS if check.capability == name))
+        assert way in found.advice and "apt install" in found.advice
+        assert ("wsl" in found.advice) == (system == "win32")
+        assert ("needs Linux" in found.detail) == (system != "linux")
+    with pytest.raises(InputError, match="expected Linux" if system != "linux" else "avr-libc"):
+        build.build_firmware()

@@ -26,6 +26,7 @@ from typing import Any
 
 from falconwing_kit.tools.grading.sandbox import limits, protocol, runtime, worker
 from falconwing_kit.tools.grading.sandbox.protocol import FrameError, read_frame, write_frame
+from falconwing_kit.tools.linux import require_linux
 
 PROCESSES = 16  # limit of the student's processes, threads included
 STARTING = 120.0  # s to start and to load libraries, not counted as the student's time
@@ -265,8 +266,9 @@ def sandbox_worker(job: SandboxJob) -> Worker:
     """A worker in a bubblewrap sandbox.
 
     Raises:
-        InputError: bubblewrap or a library is missing.
+        InputError: bubblewrap or a library is missing, or this is not Linux.
     """
+    require_linux("sandbox", "apt install bubblewrap")
     own = {job.folder.resolve() / name: runtime.WORK / name for name in ("given.py", "data")}
     own |= {path: runtime.SANDBOX / path.name for path in _CODE}
     cohort = os.memfd_create("cohort")

@@ -17,6 +17,7 @@ from falconwing_kit.tools.grading.sandbox.host import (
     StudentError,
     sandbox_worker,
 )
+from falconwing_kit.tools.linux import require_linux
 
 
 @dataclass(frozen=True)
@@ -153,8 +154,9 @@ def probe_sandbox() -> list[ProbeResult]:
         that is the only result.
 
     Raises:
-        InputError: bubblewrap is missing.
+        InputError: bubblewrap is missing, or this is not Linux.
     """
+    require_linux("sandbox", "apt install bubblewrap")
     with tempfile.TemporaryDirectory(prefix="falconwing-probe-") as name:
         folder = Path(name)
         folder.chmod(0o755)
