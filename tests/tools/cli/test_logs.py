@@ -93,10 +93,24 @@ def test_an_interrupted_log_becomes_a_bag(log, tmp_path, capsys):
     assert {topic: report[topic] for topic in counts} == counts
 
 
+def test_a_log_becomes_a_recording_of_ros2_and_a_table_again(log, tmp_path, capsys):
+    """Ten rows by hand, written by one verb and read by the same."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    assert main(["export", str(log), "--to", "ros2", "--out", str(folder)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("next: ros2 bag info")
+    words = ["export", str(folder / "flight.ros2"), "--out", str(tmp_path / "back.csv")]
+    assert main(words) == 0
+    back = read_flight_table(tmp_path / "back.csv")
+    assert len(back.t) == 9  # the first pose comes before the first command
+    assert back.p_world[:, 0] == pytest.approx([k / 100.0 for k in range(1, 10)], abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
         (["absent.mcap", "--out", "a.csv"], "absent.mcap"),
+        (["flight.mcap", "--out", "none/a", "--to", "ros2"], "expected a folder"),
         (["flight.mcap", "--out", "flight.mcap"], "another name"),
         (["flight.mcap", "--out", "none/a.csv"], "expected a folder"),
         (["flight.mcap", "--out", "none/a.bag", "--to", "bag"], "expected a folder"),
