@@ -344,7 +344,9 @@ def test_a_recording_of_ros2_comes_back_as_the_same_flight(followed, tmp_path):
 
 
 def test_a_recording_of_ros2_is_there_whole_or_not_at_all(followed, tmp_path):
-    """A folder that is there is kept; a log that vanishes leaves nothing, an empty one is refused."""
+    """A folder that is there is kept, a log that vanishes leaves nothing, an empty one is refused:
+    each time nothing else is written.
+    """
     write_ros2_bag(tmp_path / "flight.ros2", followed)
     with pytest.raises(InputError, match="expected a new folder"):
         write_ros2_bag(tmp_path / "flight.ros2", followed)
