@@ -3,8 +3,11 @@ repair of a damaged log, and a log as a flight table.
 
 In flight the file is unchunked and every record is passed to the system immediately, so a killed
 program loses no record; once a second the file is synced to the disk, so a power loss costs about a
-second. A clean end repacks it into compressed chunks with an index. Foxglove and PlotJuggler read
-it.
+second. A clean end repacks it into compressed chunks with an index, and into the messages that
+Foxglove draws (core/foxglove.py): an image, raw JPEG until then, becomes a CompressedImage; frames
+of aircraft, camera and leader, motion in the units of plots and events as text are added. All of
+this is derived from the records, so the loop does not wait for it. Logs with raw images, of earlier
+versions or interrupted, are read as well; `recover` turns them into the present form.
 
 Reading does not trust the file: the mcap library allocates the size in a damaged length field,
 and its indexed reader refuses a file without its end. Records are therefore framed here (opcode,
@@ -19,7 +22,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -28,12 +31,16 @@ from warnings import warn
 import numpy as np
 from numpy.typing import NDArray
 
+from falconwing_kit.core import foxglove
 from falconwing_kit.core.checks import Array, InputError, require_file, require_range
 from falconwing_kit.core.files import atomic_write, require_writable_path, short_name, write_error
 from falconwing_kit.core.flight_table import FlightTable, nearest_index
 from falconwing_kit.core.messages import COMMAND_NAMES, STATE_NAMES, Command, Event, Image, State
 
-IMAGE, COMMAND, STATE, EVENT = TOPICS = ("/image", "/command", "/state", "/event")
+IMAGE, COMMAND, STATE, LEADER, EVENT = TOPICS = (
+    "/image", "/command", "/state", "/leader", "/event",
+)  # fmt: skip
+RAW, JSON = "jpeg", "json"  # encodings of messages: an image in flight, and everything else
 COLUMNS: dict[str, dict[str, Any]] = {  # of each JSON topic, with their JSON types
     COMMAND: {
         **dict.fromkeys(COMMAND_NAMES, "number"),
@@ -41,6 +48,7 @@ COLUMNS: dict[str, dict[str, Any]] = {  # of each JSON topic, with their JSON ty
         "saturated": "boolean",
     },
     STATE: {**{name: ["number", "null"] for name in STATE_NAMES}, "image_sequence": "integer"},
+    LEADER: {name: ["number", "null"] for name in STATE_NAMES},
     EVENT: {"name": "string", "details": "object"},
 }
 SYNC_PERIOD_S = 1.0
@@ -51,6 +59,8 @@ MAX_COMPRESSION = 200  # a chunk that claims a larger ratio is damaged or hostil
 FREE_BYTES = 1024  # that a chunk may have beyond that ratio, for short ones
 FRAME_HEAD = struct.Struct("<BQ")  # of a record: opcode and length of its body
 DATA_END_BYTES = 4  # body of the record that ends the data: a checksum
+# What a damaged or foreign record can raise while it is parsed.
+UNPARSABLE = (ValueError, TypeError, KeyError, OverflowError, RecursionError)
 POSE_STATES = 6  # the first of STATE_NAMES: position and attitude; then velocities and rates
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
 
@@ -70,6 +80,8 @@ class FlightLog:
     events: tuple[Event, ...]
     metadata: Mapping[str, str]
     warnings: tuple[str, ...]  # irregularities, one sentence each
+    leader_times: Array = field(default_factory=lambda: np.zeros(0))  # (L,) [s]
+    leaders: tuple[State, ...] = ()  # L, of the aircraft that is followed
 
     @property
     def command_sequences(self) -> NDArray[np.int64]:
@@ -78,10 +90,11 @@ class FlightLog:
 
     def images(self) -> Iterator[Image]:
         """The images in logging order, their pixels as JPEG bytes (n,)."""
-        for topic, message in _read_messages(self.path, [], {}):
+        for topic, encoding, message in _read_messages(self.path, [], {}):
             if topic == IMAGE:
-                pixels = np.frombuffer(message.data, dtype=np.uint8)
-                yield Image(sequence=message.sequence, t=message.log_time / 1e9, pixels=pixels)
+                with suppress(*UNPARSABLE):  # counted in the warnings
+                    pixels = np.frombuffer(_jpeg(encoding, message), dtype=np.uint8)
+                    yield Image(sequence=message.sequence, t=message.log_time / 1e9, pixels=pixels)
 
 
 @dataclass(frozen=True)
@@ -150,6 +163,10 @@ class FlightLogWriter:
         """Log the state at t [s] (nan is written as null) and the image it was estimated from."""
         self._write_json(STATE, t, {**state.record, "image_sequence": int(image_sequence)})
 
+    def leader(self, t: float, state: State) -> None:
+        """Log the state of the aircraft that is followed, at t [s]."""
+        self._write_json(LEADER, t, state.record)
+
     def event(self, t: float, name: str, details: Mapping[str, Any] | None = None) -> None:
         """Log a single occurrence; details are texts, finite numbers, arrays, lists, mappings."""
         self._write_json(EVENT, t, {"name": str(name), "details": dict(details or {})})
@@ -183,13 +200,13 @@ class FlightLogWriter:
     def _register(self, topic: str) -> int:
         """Register a topic, with a JSON schema unless it holds images; its channel number."""
         if topic not in COLUMNS:
-            return int(self._writer.register_channel(topic, "jpeg", schema_id=0))
+            return int(self._writer.register_channel(topic, RAW, schema_id=0))
         properties = {
             name: {"type": kind} for name, kind in {"t": "number", **COLUMNS[topic]}.items()
         }
         schema = json.dumps({"type": "object", "properties": properties}).encode()
         number = self._writer.register_schema(topic[1:], "jsonschema", schema)
-        return int(self._writer.register_channel(topic, "json", number))
+        return int(self._writer.register_channel(topic, JSON, number))
 
     def _write_json(self, topic: str, t: float, values: Mapping[str, Any]) -> None:
         """Write a record of a JSON topic at time t [s]; InputError for what JSON cannot hold."""
@@ -247,10 +264,10 @@ def read_flight_log(path: str | Path) -> FlightLog:
     metadata: dict[str, str] = {}
     unreadable: Counter[str] = Counter()
     found: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
-    for topic, message in _read_messages(path, warnings, metadata):
+    for topic, encoding, message in _read_messages(path, warnings, metadata):
         try:
-            found[topic].append(_parse(topic, message))
-        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+            found[topic].append(_parse(topic, encoding, message))
+        except UNPARSABLE:
             unreadable[topic] += 1
     warnings += [
         f"records of {topic} that could not be parsed: {count}"
@@ -268,11 +285,13 @@ def read_flight_log(path: str | Path) -> FlightLog:
         events=tuple(found[EVENT]),
         metadata=metadata,
         warnings=tuple(f"{short_name(path)}: {sentence}" for sentence in warnings),
+        leader_times=np.array([t for t, _ in found[LEADER]], dtype=np.float64),
+        leaders=tuple(state for _, state in found[LEADER]),
     )
 
 
 def recover(path: str | Path, out: str | Path) -> Recovery:
-    """Copy the readable part of a log into a complete, indexed and compressed one.
+    """Copy the readable part of a log into a complete, indexed and compressed one for Foxglove.
 
     Raises:
         FileNotFoundError: there is no log, or no folder for the new file.
@@ -382,23 +401,31 @@ def _state_rows(log: FlightLog, times: Array, sequences: NDArray[np.int64]) -> N
 
 def _read_messages(
     path: str | Path, warnings: list[str], metadata: dict[str, str]
-) -> Iterator[tuple[str, Any]]:
-    """Messages of the known TOPICS, each with its topic; fills in warnings and metadata."""
+) -> Iterator[tuple[str, str, Any]]:
+    """Messages of the known TOPICS, with topic and encoding; fills in warnings and metadata."""
     from mcap.records import Channel, Message, Metadata
 
-    topics: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
     for record in read_mcap_records(path, warnings):
         if isinstance(record, Channel):
-            topics.setdefault(record.id, record.topic)
+            channels.setdefault(record.id, (record.topic, record.message_encoding))
         elif isinstance(record, Metadata):
             metadata.update(record.metadata)
-        elif isinstance(record, Message) and topics.get(record.channel_id) in TOPICS:
-            yield topics[record.channel_id], record
+        elif isinstance(record, Message):
+            topic, encoding = channels.get(record.channel_id, ("", ""))
+            if topic in TOPICS:
+                yield topic, encoding, record
 
 
-def _parse(topic: str, message: Any) -> Any:
-    """A message's content: (t, sequence), (t, Command), (t, State, sequence) or Event."""
+def _jpeg(encoding: str, message: Any) -> bytes:
+    """The bytes of an image: raw, as in flight and in earlier versions, or Foxglove's."""
+    return bytes(message.data) if encoding != JSON else foxglove.unpack_image(message.data)
+
+
+def _parse(topic: str, encoding: str, message: Any) -> Any:
+    """A message's content: (t, sequence), (t, Command), (t, State[, sequence]) or Event."""
     if topic == IMAGE:
+        _jpeg(encoding, message)  # raises for one that `images` could not give
         return message.log_time / 1e9, message.sequence
     record = json.loads(message.data)
     if not isinstance(record, dict):
@@ -408,6 +435,8 @@ def _parse(topic: str, message: Any) -> Any:
         return t, Command.from_record(record)
     if topic == EVENT:
         return Event(t, str(record["name"]), dict(record["details"]))
+    if topic == LEADER:
+        return t, State.from_record(record)
     sequence = require_range("image_sequence", record["image_sequence"], low=-1, high=2**32)
     return t, State.from_record(record), int(sequence)
 
@@ -445,45 +474,124 @@ def read_mcap_records(path: str | Path, warnings: list[str]) -> Iterator[Any]:
 def _rewrite(source: str | Path, target: str | Path, warnings: list[str]) -> Counter[str]:
     """Copy the readable records into compressed chunks with the index that viewers need.
 
+    Images become Foxglove's, and what it draws besides is derived anew from the other records.
+
     Args:
         source: a log, complete or damaged.
         target: the file to write, atomically; may be the source.
         warnings: receives one sentence for each kind of damage in the source.
 
     Returns:
-        Number of messages written, by topic.
+        Number of messages written, by topic, without the derived ones.
     """
     from mcap.records import Channel, Message, Metadata, Schema
     from mcap.writer import Writer
 
-    # Numbers that the writer gives to the source's schemas and channels, by their number there.
-    new_schemas: dict[int, int] = {0: 0}
-    new_channels: dict[int, tuple[int, str]] = {}  # with the topic
-    counts: Counter[str] = Counter()
     with atomic_write(target) as file:
         writer = Writer(file)
         writer.start(profile="falconwing")
+        copy = _Copy(writer)
         for record in read_mcap_records(source, warnings):
-            if isinstance(record, Schema) and record.id not in new_schemas:
-                new_schemas[record.id] = writer.register_schema(
-                    record.name, record.encoding, record.data
-                )
-            elif isinstance(record, Channel) and record.id not in new_channels:
-                new_schema = new_schemas.get(record.schema_id, 0)
-                new_channel = writer.register_channel(
-                    record.topic, record.message_encoding, new_schema, record.metadata
-                )
-                new_channels[record.id] = new_channel, record.topic
-            elif isinstance(record, Message) and record.channel_id in new_channels:
-                new_channel, topic = new_channels[record.channel_id]
-                writer.add_message(
-                    new_channel, record.log_time, record.data, record.publish_time, record.sequence
-                )
-                counts[topic] += 1
+            if isinstance(record, Schema):
+                copy.schema(record)
+            elif isinstance(record, Channel):
+                copy.channel(record)
+            elif isinstance(record, Message):
+                copy.message(record)
             elif isinstance(record, Metadata):
-                writer.add_metadata(record.name, record.metadata)
+                copy.metadata(record)
         writer.finish()
-    return counts
+    return copy.counts
+
+
+class _Copy:
+    """A log on its way into another file, record by record."""
+
+    def __init__(self, writer: Any) -> None:
+        self.counts: Counter[str] = Counter()
+        self._writer = writer
+        self._schemas: dict[int, Any] = {}  # of the source, by their number there
+        self._schemas_copied: dict[int, int] = {}  # the same number -> the one in the new file
+        # Of the source's channels, by their number there: the new number, topic and encoding.
+        self._channels: dict[int, tuple[int, str, str]] = {}
+        self._added: dict[str, int] = {}  # topic or schema that Foxglove needs -> its new number
+        self._p_body_camera = [0.0, 0.0, 0.0]
+
+    def schema(self, record: Any) -> None:
+        """Keep a schema until a channel needs it."""
+        self._schemas.setdefault(record.id, record)
+
+    def channel(self, record: Any) -> None:
+        """Copy a channel that is new, unless its messages are derived from others."""
+        schema = self._schemas.get(record.schema_id)
+        is_derived = schema is not None and foxglove.TOPICS.get(record.topic) == schema.name
+        if record.id in self._channels or is_derived:
+            return
+        if record.topic == IMAGE and record.message_encoding == RAW:
+            number = self._add(IMAGE, foxglove.IMAGE_SCHEMA)
+        else:
+            number = self._writer.register_channel(
+                record.topic, record.message_encoding, self._copy_schema(schema), record.metadata
+            )
+        self._channels[record.id] = number, record.topic, record.message_encoding
+
+    def _copy_schema(self, schema: Any) -> int:
+        """The number of a schema in the new file; 0 for none."""
+        if schema is None:
+            return 0
+        if schema.id not in self._schemas_copied:
+            self._schemas_copied[schema.id] = self._writer.register_schema(
+                schema.name, schema.encoding, schema.data
+            )
+        return self._schemas_copied[schema.id]
+
+    def metadata(self, record: Any) -> None:
+        """Copy metadata; the camera's place is taken from it."""
+        self._writer.add_metadata(record.name, record.metadata)
+        with suppress(*UNPARSABLE):
+            place = np.array(json.loads(record.metadata["p_body_camera"]), dtype=np.float64)
+            if place.shape == (3,) and np.isfinite(place).all():
+                self._p_body_camera = place.tolist()
+
+    def message(self, record: Any) -> None:
+        """Copy a message, and add what Foxglove draws of it."""
+        if record.channel_id not in self._channels:
+            return
+        number, topic, encoding = self._channels[record.channel_id]
+        is_raw = topic == IMAGE and encoding == RAW
+        data = foxglove.pack_image(record.log_time, record.data) if is_raw else record.data
+        self._writer.add_message(
+            number, record.log_time, data, record.publish_time, record.sequence
+        )
+        self.counts[topic] += 1
+        if topic in COLUMNS and encoding == JSON:
+            with suppress(*UNPARSABLE):  # copied all the same
+                for topic_added, data in self._derive(topic, record):
+                    added = self._add(topic_added, foxglove.TOPICS[topic_added])
+                    self._writer.add_message(added, record.log_time, data, record.publish_time)
+
+    def _derive(self, topic: str, record: Any) -> list[tuple[str, bytes]]:
+        """Topics and messages that Foxglove draws of a record."""
+        if topic == COMMAND:
+            return []
+        at, content = record.log_time, _parse(topic, JSON, record)
+        if topic == EVENT:
+            return [foxglove.text_message(at, content.name, content.details)]
+        if topic == LEADER:
+            return foxglove.leader_messages(at, content[1])
+        found = foxglove.aircraft_messages(at, content[1])
+        if found and foxglove.CAMERA_TOPIC not in self._added:
+            found.append(foxglove.camera_message(at, self._p_body_camera))
+        return found
+
+    def _add(self, topic: str, name: str) -> int:
+        """The number of a channel for Foxglove, registered with its schema when first needed."""
+        if name not in self._added:
+            schema = json.dumps(foxglove.SCHEMAS[name]).encode()
+            self._added[name] = self._writer.register_schema(name, "jsonschema", schema)
+        if topic not in self._added:
+            self._added[topic] = self._writer.register_channel(topic, JSON, self._added[name])
+        return self._added[topic]
 
 
 def _read_frames(

@@ -358,6 +358,8 @@ class _Run:
             log.command(self.loop.clock.now(), step.command, new_image)
             if step.state is not None:
                 log.state(step.t, step.state, step.command.image_sequence)
+            if step.leader is not None:
+                log.leader(step.t, step.leader)
 
         self.write(write)
         if step.mode != self.mode:

@@ -163,6 +163,20 @@ class RecordedStates:
         return self._states[row] if row >= 0 else None
 
 
+class RecordedLeader:
+    """The leader's states in a flight log at their times since its start; None without one."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Read a log; FileNotFoundError or InputError where there is none."""
+        log = read_flight_log(path)
+        self._times, self._states = log.leader_times - log_start_time(log), log.leaders
+
+    def state_at(self, t: float) -> State | None:
+        """The leader's newest state at time t [s] since the log's start."""
+        row = _newest_row(self._times, t)
+        return self._states[row] if row >= 0 else None
+
+
 class RecordedPilot:
     """The commands of a flight log at their times since its start."""
 

@@ -20,6 +20,7 @@ from falconwing_kit.core.flight_log import (
     recover,
     to_flight_table,
 )
+from falconwing_kit.core.frames import camera_pose
 from falconwing_kit.core.messages import Command, Image, State
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -94,7 +95,8 @@ def test_everything_comes_back(whole):
 
 def test_another_library_reads_the_closed_log(whole):
     """The mcap library's own indexed reader, which needs index and summary, finds the same 61
-    records.
+    records, and what Foxglove draws of them: a frame and the motion of each state, the camera's
+    frame once, each event as text.
     """
     from mcap.reader import make_reader
 
@@ -108,10 +110,15 @@ def test_another_library_reads_the_closed_log(whole):
         "/command": 20,
         "/state": 20,
         "/event": 1,
+        "/frame/aircraft": 20,
+        "/frame/camera": 1,
+        "/motion": 20,
+        "/text": 1,
     }
-    assert schemas == {"command", "state", "event"} and {chunk.compression for chunk in chunks} == {
-        "zstd"
-    }
+    own, published = ("command", "state", "leader", "event", "motion"), ("CompressedImage",)
+    published += ("FrameTransform", "Log")
+    assert schemas == {*own, *(f"foxglove.{name}" for name in published)}
+    assert {chunk.compression for chunk in chunks} == {"zstd"}
 
 
 def test_command_is_written_before_its_image(interrupted):
@@ -427,6 +434,160 @@ def test_recovering_keeps_the_damaged_log(interrupted):
     """The only copy of a flight is not replaced by what one program could read of it."""
     with pytest.raises(InputError, match="another name"):
         recover(interrupted[0], interrupted[0])
+
+
+# What Foxglove draws, and logs with raw images of earlier versions.
+
+
+def messages(path) -> dict[str, list]:
+    """The JSON messages of each topic, as the mcap library reads them, with their log times."""
+    from mcap.reader import make_reader
+
+    found: dict[str, list] = {}
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            record = json.loads(message.data)
+            found.setdefault(channel.topic, []).append((message.log_time, record))
+    return found
+
+
+def test_images_are_compressed_images_for_foxglove(whole):
+    """Names and fields of docs.foxglove.dev; Python's base64 gives back the bytes of the frame."""
+    from base64 import b64decode
+
+    for k, (log_time, record) in enumerate(messages(whole)["/image"]):
+        assert record.keys() == {"timestamp", "frame_id", "data", "format"}
+        assert b64decode(record["data"]) == picture(k).pixels.tobytes()
+        assert (record["format"], record["frame_id"]) == ("jpeg", "camera")
+        assert record["timestamp"] == {"sec": log_time // 10**9, "nsec": log_time % 10**9}
+
+
+def test_frames_are_where_aircraft_camera_and_leader_are(tmp_path):
+    """SciPy turns the quaternions into matrices: those of `rotation_world_body` and of the kit's
+    camera; the camera sits 20 cm before the centre of gravity, as the metadata say.
+    """
+    from scipy.spatial.transform import Rotation
+
+    def matrix(record: dict) -> np.ndarray:
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_quat([record["rotation"][k] for k in "xyzw"]).as_matrix()
+        T[:3, 3] = [record["translation"][k] for k in "xyz"]
+        return T
+
+    angles = {"roll": 0.4, "pitch": -0.3, "yaw": 2.0}
+    aircraft = State(np.array([1.0, -2.0, 3.0]), v_world=np.array([3.0, 4.0, 0.0]), **angles)
+    leader = State(np.array([5.0, -2.0, 3.0]), 0.1, -0.2, 0.3, np.zeros(3))
+    path = tmp_path / "a.mcap"
+    with FlightLogWriter(path) as log:
+        log.metadata({"p_body_camera": "[0.2, 0.0, -0.01]"})
+        log.leader(2.5, leader)
+        log.state(2.5, aircraft)
+    found = messages(path)
+    ((_, of_aircraft),), ((_, of_leader),) = found["/frame/aircraft"], found["/frame/leader"]
+    ((_, of_camera),), ((_, motion),) = found["/frame/camera"], found["/motion"]
+    assert matrix(of_aircraft) == pytest.approx(aircraft.pose.T_world_body, abs=1e-12)
+    assert matrix(of_leader) == pytest.approx(leader.pose.T_world_body, abs=1e-12)
+    T_world_camera = camera_pose(aircraft.pose.T_world_body, [0.2, 0.0, -0.01])
+    assert matrix(of_aircraft) @ matrix(of_camera) == pytest.approx(T_world_camera, abs=1e-12)
+    names = [(r["parent_frame_id"], r["child_frame_id"]) for r in (of_aircraft, of_camera)]
+    assert names == [("world", "aircraft"), ("aircraft", "camera")]
+    assert of_leader["child_frame_id"] == "leader"
+    assert of_aircraft["timestamp"] == {"sec": 2, "nsec": 500_000_000}
+    assert (motion["height_m"], motion["speed_m_s"]) == (3.0, 5.0)
+    assert motion["roll_deg"] == pytest.approx(np.degrees(0.4))
+    back = read_flight_log(path)
+    assert np.array_equal(back.leaders[0].vector, leader.vector)
+    assert back.leader_times.tolist() == [2.5]
+
+
+def test_a_lost_pose_has_no_frame(tmp_path):
+    """Foxglove must not be sent nan, which JSON does not have; the state itself stays, as null."""
+    lost = State.from_vector(np.full(12, np.nan))
+    with FlightLogWriter(tmp_path / "a.mcap") as log:
+        log.state(0.0, lost)
+        log.leader(0.0, lost)
+        log.state(0.05, state(1))
+    found = messages(tmp_path / "a.mcap")
+    assert len(found["/state"]) == 2 and len(found["/frame/aircraft"]) == 1
+    assert "/frame/leader" not in found and len(read_flight_log(tmp_path / "a.mcap").leaders) == 1
+
+
+def packed_with_raw_images(source, target) -> None:
+    """A log as version 0.2.0 packed it: the same records in compressed chunks, images as JPEG."""
+    from mcap.records import Channel, Message, Metadata, Schema
+    from mcap.writer import Writer
+
+    with target.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="falconwing")
+        schemas, channels = {0: 0}, {}
+        for record in flight_log.read_mcap_records(source, []):
+            if isinstance(record, Schema):
+                number = writer.register_schema(record.name, record.encoding, record.data)
+                schemas[record.id] = number
+            elif isinstance(record, Channel):
+                channels[record.id] = writer.register_channel(
+                    record.topic, record.message_encoding, schemas[record.schema_id]
+                )
+            elif isinstance(record, Metadata):
+                writer.add_metadata(record.name, record.metadata)
+            elif isinstance(record, Message):
+                number = channels[record.channel_id]
+                writer.add_message(
+                    number, record.log_time, record.data, record.publish_time, record.sequence
+                )
+        writer.finish()
+
+
+def test_logs_of_earlier_versions_are_read_and_renewed(interrupted, tmp_path):
+    """Images come back from the older form, and `recover` makes the present one of it; a second
+    time it changes nothing.
+    """
+    old, new, again = (tmp_path / f"{name}.mcap" for name in ("old", "new", "again"))
+    packed_with_raw_images(interrupted[0], old)
+    assert recover(old, new).counts == recover(new, again).counts
+    for path in (old, new, again):
+        log = read_flight_log(path)
+        assert log.warnings == () and log.commands == tuple(command(k) for k in range(20))
+        for k, image in enumerate(log.images()):
+            assert image.sequence == k and np.array_equal(image.pixels, picture(k).pixels)
+        assert k == 19
+    assert "foxglove.CompressedImage" not in old.read_bytes().decode("latin-1")
+    assert messages(new) == messages(again) and len(messages(new)["/frame/aircraft"]) == 20
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"{", b"[]", b'{"format": "png", "data": ""}', b'{"format": "jpeg", "data": "a"}',
+     b'{"format": "jpeg", "data": 7}', b"[" * 2000],
+)  # fmt: skip
+def test_an_image_that_is_none_is_counted_and_left_out(tmp_path, data):
+    """One good image beside it; the warning counts the bad one, and `images` gives the other."""
+    from mcap.writer import Writer
+
+    from falconwing_kit.core.foxglove import pack_image
+
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/image", "json", 0)
+        for sequence, content in enumerate((data, pack_image(0, b"jpeg"))):
+            writer.add_message(channel, 0, content, 0, sequence)
+        writer.finish()
+    log = read_flight_log(tmp_path / "a.mcap")
+    assert [image.sequence for image in log.images()] == log.image_sequences.tolist() == [1]
+    assert "records of /image that could not be parsed: 1" in log.warnings[0]
+
+
+def test_a_camera_place_that_is_none_does_not_stop_the_packing(tmp_path):
+    """Metadata of another writer: the camera's frame is the aircraft's, nothing else is lost."""
+    for number, text in enumerate(('"x"', "[1, 2]", "[1, 2, NaN]", "{")):
+        path = tmp_path / f"{number}.mcap"
+        with FlightLogWriter(path) as log:
+            log.metadata({"p_body_camera": text})
+            log.state(0.0, state(0))
+        ((_, record),) = messages(path)["/frame/camera"]
+        assert record["translation"] == {"x": 0.0, "y": 0.0, "z": 0.0}
 
 
 # The way to the flight table.

@@ -1,6 +1,6 @@
 """Log mapping: a TOML file -> which topics of a log hold poses and commands, and what they mean."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from falconwing_kit.core.checks import InputError
@@ -52,6 +52,27 @@ class LogMapping:
     source: str = ""  # text in the table's column `source`
     pose: PoseMapping = PoseMapping()
     commands: CommandMapping = CommandMapping()
+
+
+# Topics of the bags that the kit writes (bag.py), whose meaning is known without a file.
+OWN_POSE, OWN_COMMAND = "/falconwing/pose", "/falconwing/command"
+
+
+def complete_mapping(mapping: LogMapping, pose_topic: str, command_topic: str) -> LogMapping:
+    """The mapping with what is known of the kit's own topics, where it leaves that open.
+
+    Args:
+        mapping: as given.
+        pose_topic: the topic with the poses.
+        command_topic: the topic with the commands.
+    """
+    pose, commands = mapping.pose, mapping.commands
+    if pose_topic == OWN_POSE:
+        pose = replace(pose, world=pose.world or "enu", body=pose.body or "flu")
+    if command_topic == OWN_COMMAND and commands == CommandMapping(topic=commands.topic):
+        full = {stick: Channel(0.0, 1.0) for stick in COMMAND_NAMES}
+        commands = replace(commands, channels=COMMAND_NAMES, **full)
+    return replace(mapping, pose=pose, commands=commands)
 
 
 def read_mapping(path: str | Path) -> LogMapping:

@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
+import falconwing_kit
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Command, Image
@@ -67,7 +68,8 @@ class Recording:
         self._unwritten: deque[Image] = deque()  # oldest first
         self._pilot_at, self._silent, self._alarm = 0.0, False, False
         port.pilots.clear()
-        self._write(lambda log: log.metadata(_recording_metadata(port)))
+        flown = getattr(images, "metadata", {})  # of a simulated flight
+        self._write(lambda log: log.metadata({**flown, **_recording_metadata(port)}))
 
     @property
     def t(self) -> float:
@@ -205,6 +207,8 @@ def _recording_metadata(port: TrainerPort) -> dict[str, str]:
     calibration = port.calibration
     return {
         "simulated": "yes" if port.simulation is not None else "no",
+        "kit_version": falconwing_kit.__version__,
+        "port": port.what,
         "mode": "manual: the pilot's sticks as the trainer port gave them",
         "board": port.what,
         "radio": calibration.radio or "not measured: the kit's default calibration",

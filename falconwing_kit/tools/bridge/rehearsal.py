@@ -7,6 +7,7 @@ import numpy as np
 
 from falconwing_kit.core.messages import CONTROL_PERIOD_S, Image, Observation
 from falconwing_kit.flight.loop import HISTORY
+from falconwing_kit.flight.metadata import flight_metadata
 from falconwing_kit.flight.sources import RenderedView, fpv_camera
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.scene.camera import PinholeCamera
@@ -24,6 +25,7 @@ class SimulatedManualApproach:
         scene: to render.
         camera: None for the aircraft's.
         seed: of the initial state and the noise, from the frozen list.
+        scene_name: of the scene, for the log.
     """
 
     def __init__(
@@ -33,9 +35,14 @@ class SimulatedManualApproach:
         scene: GaussianScene,
         camera: PinholeCamera | None = None,
         seed: int = 0,
+        scene_name: str = "arena",
     ) -> None:
         task = LandingTask()
         trial = task.trial(trial_seed(0, seed))
+        # The recording says itself which board it came through.
+        self.metadata = flight_metadata(
+            task, trial, scene=scene_name, pilot="expert, as a SIMULATED pilot at the radio"
+        )
         self.world, self._pilot = trial.world, task.expert(trial)
         self._view = RenderedView(
             self.world, scene, camera or fpv_camera(), task.airframe.p_body_camera

@@ -33,7 +33,7 @@ from falconwing_kit.tools.bridge.axes import (
     to_kit_poses,
 )
 from falconwing_kit.tools.bridge.cdr import Definition, decode, parse_definition, short_type
-from falconwing_kit.tools.bridge.log_mapping import LogMapping, PoseMapping
+from falconwing_kit.tools.bridge.log_mapping import LogMapping, PoseMapping, complete_mapping
 from falconwing_kit.tools.bridge.ros2_messages import (
     COMMANDS,
     POSES,
@@ -120,6 +120,7 @@ def read_ros2_log(
     topics = read_topics(path)
     pose_topic = _choose_topic(name, topics, "pose", mapping.pose.topic, tuple(POSES))
     command_topic = _choose_topic(name, topics, "commands", mapping.commands.topic, COMMANDS)
+    mapping = complete_mapping(mapping, pose_topic.name, command_topic.name)
     wanted = {topic.name: _definition(name, topic) for topic in (pose_topic, command_topic)}
     messages = _read_messages(path, wanted, warnings)
 

@@ -113,13 +113,15 @@ class Demo:
 
         log, link = self.out / "approach.mcap", open_link(self.scene)
         if live is None:
-            return fly_approach(hall(), log, link=link)
+            return fly_approach(hall(), log, link=link, scene_name=self.scene)
         opened = live.open()
         scene = hall()
         live.set_scene(scene)
         if opened:
             live.wait_for_viewer(BROWSER_S)
-        return fly_approach(scene, log, (live.show,), PacedClock(), link=link)
+        return fly_approach(
+            scene, log, (live.show,), PacedClock(), link=link, scene_name=self.scene
+        )
 
 
 def _print_record(record: dict) -> None:

@@ -17,7 +17,7 @@ Warnings = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Export:
-    """Convert a flight log to a flight table or a ROS bag, or repair an interrupted log.
+    """Convert a flight log to a flight table or a bag of ROS 1 or 2, or repair an interrupted log.
 
     A log of ROS 2 messages becomes a flight table too: its poses and its pilot's commands.
     """
@@ -28,9 +28,10 @@ class Export:
     """
     out: Path
     """the file to write, or a folder to write it into"""
-    to: Literal["csv", "mcap", "bag"] = "csv"
-    """csv: one row per image with pose and command; mcap: everything that can be read, indexed and
-    compressed; bag: ROS 1
+    to: Literal["csv", "mcap", "bag", "ros2"] = "csv"
+    """csv: one row per image with pose and command; mcap: everything that can be read, indexed,
+    compressed and in the form that Foxglove draws; bag: ROS 1; ros2: a recording of ROS 2, a new
+    folder
     """
     alfa: bool = False
     """the log is a flight of the ALFA dataset: a folder with one CSV file per ROS topic"""
@@ -68,6 +69,7 @@ class Export:
             "csv": (self._to_table, f"falconwing identify {target}"),
             "mcap": (self._to_log, f"falconwing export {target} --to csv"),
             "bag": (self._to_bag, f"rosbag info {target}"),
+            "ros2": (self._to_bag, f"ros2 bag info {target}"),
         }[self.to]
         counts, warnings = write(target)
         if self.json:
@@ -110,7 +112,7 @@ class Export:
         return {topic.strip("/"): count for topic, count in saved.counts.items()}, saved.warnings
 
     def _to_bag(self, target: Path) -> tuple[Counts, Warnings]:
-        from falconwing_kit.tools.bridge.bag import write_bag
+        from falconwing_kit.tools.bridge.bag import write_bag, write_ros2_bag
 
         log = read_flight_log(self.log)
-        return write_bag(target, log), log.warnings
+        return (write_bag if self.to == "bag" else write_ros2_bag)(target, log), log.warnings

@@ -232,7 +232,8 @@ class Fly:
         from falconwing_kit.tools.trials.trials import TrialSettings
 
         clock = SimulatedClock if self.headless else WallClock
-        return TrialSettings(camera=fpv_camera(*_size(self.size)), clock=clock, port=self.port)
+        camera = fpv_camera(*_size(self.size))
+        return TrialSettings(camera=camera, clock=clock, port=self.port, scene_name=self._scene)
 
     def _read_folders(
         self, head: dict[str, Any], setting: "TrialSettings"
@@ -373,7 +374,8 @@ def _fly_one(fly: Fly, number: int) -> dict[str, Any]:
 
     task, model, setting = _prepare(fly)
     log = log_path(fly.out, number) if fly.out is not None and fly._has_logs else None
-    return fly_trial(task, make_pilot(fly, task, model), number, fly.seed, setting, log)
+    pilot = make_pilot(fly, task, model)
+    return fly_trial(task, pilot, number, fly.seed, setting, log, fly._pilot_name)
 
 
 @cache

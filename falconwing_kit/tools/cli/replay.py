@@ -1,5 +1,6 @@
 """falconwing replay: replay a flight log live in the browser, or draw its figures."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +14,7 @@ from falconwing_kit.tools.cli.show import next_line, print_table
 
 if TYPE_CHECKING:
     from falconwing_kit.flight.sources import RecordedPilot
+    from falconwing_kit.scene.gaussians import GaussianScene
 
 BROWSER_S = 8.0  # a browser's time to show the page before a replay begins
 FIGURES = {
@@ -29,6 +31,10 @@ class Replay:
 
     log: Annotated[Path, tyro.conf.Positional]
     """the flight log (MCAP)"""
+    scene: str = ""
+    """the hall to show it in: a name that ships or a scene file; the one that the log names if not
+    given
+    """
     out: Path = Path("replay")
     """folder for the figures of --headless"""
     headless: bool = False
@@ -61,8 +67,25 @@ class Replay:
         from falconwing_kit.flight.sources import RecordedPilot
 
         require_range("speed", self.speed, low=0.01, high=100.0)
-        self._show(RecordedPilot(self.log))
+        self._show(RecordedPilot(self.log), self._hall())
         return 0
+
+    def _hall(self) -> "Callable[[], GaussianScene]":
+        """The scene of --scene, else of the log; the arena, and a sentence, where neither helps."""
+        from falconwing_kit.scene.arena import load_scene
+        from falconwing_kit.tools.cli.fly import hall_loader
+
+        if self.scene:
+            return hall_loader(self.scene)
+        name = read_flight_log(self.log).metadata.get("scene", "")
+        try:
+            if name:
+                return hall_loader(name)
+            why = "the log does not say where it was flown"
+        except (InputError, FileNotFoundError):
+            why = f"the log's scene {name!r} is not here"
+        print(f"{why}: shown in the arena; --scene NAME or FILE shows another hall", flush=True)
+        return lambda: load_scene("arena")
 
     def _draw(self) -> int:
         from falconwing_kit.tools.demo.approach import draw_flight
@@ -74,11 +97,10 @@ class Replay:
         next_line(f"falconwing export {self.log} --out flight.csv")
         return 0
 
-    def _show(self, pilot: "RecordedPilot") -> None:
+    def _show(self, pilot: "RecordedPilot", hall: "Callable[[], GaussianScene]") -> None:
         """Run the recorded commands through the kit's own loop, shown on the page only."""
         from falconwing_kit.flight.loop import Loop
-        from falconwing_kit.flight.sources import RecordedImages, RecordedStates
-        from falconwing_kit.scene.arena import load_scene
+        from falconwing_kit.flight.sources import RecordedImages, RecordedLeader, RecordedStates
         from falconwing_kit.tools.demo.approach import PacedClock, is_simulated, mode_at
         from falconwing_kit.tools.demo.live_page import LivePage
 
@@ -88,7 +110,7 @@ class Replay:
         print(f"live page: {page.url}   (Ctrl-C ends it)", flush=True)
         try:
             opened = page.open()
-            page.set_scene(load_scene("arena"))
+            page.set_scene(hall())
             if opened:
                 page.wait_for_viewer(BROWSER_S)
             reason = ""
@@ -98,6 +120,7 @@ class Replay:
                     _NullSink(),
                     RecordedImages(self.log),
                     RecordedStates(self.log),
+                    RecordedLeader(self.log),
                     clock=PacedClock(self.speed),
                     hooks=(
                         lambda step: page.show(

@@ -28,6 +28,7 @@ from falconwing_kit.flight.loop import (
     LoopStep,
     SimulatedClock,
 )
+from falconwing_kit.flight.metadata import flight_metadata
 from falconwing_kit.flight.sources import (
     TIME_ROUNDING,
     MeasuredStates,
@@ -93,6 +94,7 @@ def fly_approach(
     clock: Clock | None = None,
     seed: int = 0,
     link: AnalogVideo | None = None,
+    scene_name: str = "arena",
 ) -> Approach:
     """Fly the expert's landing with the onboard camera view rendered and everything logged.
 
@@ -102,6 +104,7 @@ def fly_approach(
         clock: None for simulated time, as fast as possible.
         seed: selects one of the fixed initial states, about 20 m out and 1.5 m up.
         link: analog video link of the camera; None for none.
+        scene_name: of the scene, for the log: a name that ships, or a file.
 
     Raises:
         KeyboardInterrupt: Ctrl-C.
@@ -116,14 +119,7 @@ def fly_approach(
     partial.unlink(missing_ok=True)
     try:
         with FlightLogWriter(partial) as writer:
-            writer.metadata(
-                {
-                    "simulated": "yes",
-                    "task": task.name,
-                    "pilot": "expert, by state",
-                    "seed": trial.seed,
-                }
-            )
+            writer.metadata(flight_metadata(task, trial, scene=scene_name, pilot="expert"))
             loop = Loop(
                 task.expert(trial),
                 trial.world,

@@ -23,6 +23,7 @@ from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.flight.loop import ImageSource, Loop, LoopStep, Pilot, SimulatedClock, WallClock
+from falconwing_kit.flight.metadata import flight_metadata
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
 from falconwing_kit.flight.supervisor import Supervisor
 from falconwing_kit.flight.trial import FlightTask, TrialSetup, trial_seed
@@ -77,6 +78,7 @@ class TrialSettings:
     link: AnalogVideo | None = None
     # source of images and trial's seed -> the source that the pilot gets, such as a late one
     degrade: Callable[[ImageSource, int], ImageSource] | None = None
+    scene_name: str = ""  # of the hall flown in, for the log: a name that ships, or a file
 
     @property
     def record(self) -> Record:
@@ -102,6 +104,7 @@ def fly_trial(
     seed: int = 0,
     setting: TrialSettings | None = None,
     log: str | Path | None = None,
+    pilot_name: str = "",
 ) -> Record:
     """Fly one trial.
 
@@ -112,6 +115,7 @@ def fly_trial(
         seed: number of the list.
         setting: images, clock and hooks; None: no images, simulated clock.
         log: an MCAP file to write; None for none.
+        pilot_name: for the log's metadata; the pilot's type if empty.
 
     Returns:
         reason, steps, skipped and faults of the loop; art_ms, the pilot's run time in every step,
@@ -154,7 +158,13 @@ def fly_trial(
         )  # fmt: skip
         if writer is not None:
             writer.metadata(
-                {"simulated": "yes", "task": task.name, "seed": trial.seed, "port": setting.port}
+                flight_metadata(
+                    task,
+                    trial,
+                    scene=setting.scene_name,
+                    pilot=pilot_name or type(pilot).__name__,
+                    port=setting.port,
+                )
             )
         flight = loop.run(trial.duration, judge.watch)
         port: Record = {"port": world.record} if isinstance(world, PortWorld) else {}
@@ -241,7 +251,7 @@ def fly_trials(
     def fly_here(numbers: Sequence[int]) -> Iterator[Record]:
         for number in numbers:
             log = log_path(folder, number) if folder is not None and logs else None
-            yield fly_trial(task, make_pilot, number, seed, setting, log)
+            yield fly_trial(task, make_pilot, number, seed, setting, log, pilot)
 
     for record in (fly or fly_here)(range(len(records), count)):
         records.append(record)

@@ -20,9 +20,10 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
 from falconwing_kit.core.frames import rotation_world_body
 from falconwing_kit.core.messages import Command, Image, State
-from falconwing_kit.tools.bridge.bag import write_bag
+from falconwing_kit.tools.bridge.bag import write_bag, write_ros2_bag
 from falconwing_kit.tools.bridge.bus import COMMAND, IMAGE
 from falconwing_kit.tools.bridge.ros import RosBus
+from falconwing_kit.tools.bridge.ros2_log import is_ros_log, read_ros2_log
 
 SYSTEM_PYTHON = "/usr/bin/python3"  # the distribution's, where its rosbag is installed
 START = 1.7e9  # a time of today: seconds since 1970
@@ -251,3 +252,112 @@ def test_a_place_that_is_no_file_is_refused(log, tmp_path):
         write_bag(tmp_path, log)
     with pytest.raises(FileNotFoundError, match="expected a folder"):
         write_bag(tmp_path / "none" / "flight.bag", log)
+
+
+# A recording of ROS 2.
+
+
+def read_ros2(folder: Path) -> list:
+    """A recording as rosbags reads it: list of [topic, time in ns, type, message]."""
+    from rosbags.rosbag2 import Reader
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Reader(folder) as reader:
+        return [
+            [
+                connection.topic,
+                t,
+                connection.msgtype,
+                store.deserialize_cdr(raw, connection.msgtype),
+            ]
+            for connection, t, raw in reader.messages()
+        ]
+
+
+@pytest.fixture
+def followed(tmp_path):
+    """Sixty steps of a turn behind a leader, with images, each command at the time of its state."""
+    t = 0.05 * np.arange(60)
+    roll, yaw = 0.4 * np.sin(t), 0.8 * t - 1.0
+    with FlightLogWriter(tmp_path / "followed.mcap") as writer:
+        writer.metadata({"simulated": "yes", "scene": "hall"})
+        for k in range(60):
+            p = np.array([6.0 * t[k], -np.cos(t[k]), 1.0 + 0.1 * t[k]])
+            state = State(p, 0.1 * np.cos(t[k]), yaw[k], roll[k], np.array([6.0, 0.5, 0.1]))
+            writer.state(t[k], state, image_sequence=k)
+            writer.leader(t[k], State(p + np.array([4.0, 0.0, 0.0]), 0.0, yaw[k], 0.0, np.zeros(3)))
+            jpeg = np.frombuffer(b"\xff\xd8" + bytes([k]) * 50, np.uint8)
+            command = Command(0.5 + 0.5 * np.sin(t[k]), roll[k], -0.2, 0.3 * np.cos(t[k]), k)
+            writer.command(t[k], command, Image(k, t[k], jpeg))
+        writer.event(1.0, "mode", {"mode": "turn"})
+    return read_flight_log(tmp_path / "followed.mcap")
+
+
+def test_rosbags_reads_the_recording_of_ros2(followed, tmp_path):
+    """Sixty of each by hand; JPEG byte by byte, sticks to 32 bits, SciPy's attitude of the
+    quaternions of aircraft and leader.
+    """
+    counts = write_ros2_bag(tmp_path / "flight.ros2", followed)
+    assert counts == {
+        **{f"/falconwing/{name}": 60 for name in ("image", "command", "pose", "twist")},
+        "/tf": 60, "/falconwing/event": 1, "/falconwing/metadata": 1,
+    }  # fmt: skip
+    records = read_ros2(tmp_path / "flight.ros2")
+    assert len(records) == sum(counts.values())
+    times = [t for _, t, _, _ in records]
+    assert times == sorted(times) and times[-1] == 2_950_000_000
+    found = {topic: [m for name, _, _, m in records if name == topic] for topic in counts}
+    for k in range(60):
+        image, sticks = found["/falconwing/image"][k], found["/falconwing/command"][k]
+        assert bytes(image.data) == b"\xff\xd8" + bytes([k]) * 50 and image.format == "jpeg"
+        assert sticks.axes == pytest.approx(followed.commands[k].vector, abs=1e-7)
+        (transform,) = found["/tf"][k].transforms
+        assert (transform.header.frame_id, transform.child_frame_id) == ("world", "leader")
+        pose = found["/falconwing/pose"][k].pose
+        for turn, place, state in (
+            (pose.orientation, pose.position, followed.states[k]),
+            (transform.transform.rotation, transform.transform.translation, followed.leaders[k]),
+        ):
+            R = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+            R_world_body = rotation_world_body(state.roll, state.pitch, state.yaw)
+            assert R_world_body * [1.0, -1.0, -1.0] == pytest.approx(R, abs=1e-12)
+            assert [place.x, place.y, place.z] == state.p_world.tolist()
+    (text,) = found["/falconwing/metadata"]
+    assert json.loads(text.data) == {"simulated": "yes", "scene": "hall"}
+
+
+def test_a_recording_of_ros2_comes_back_as_the_same_flight(followed, tmp_path):
+    """The kit's own reader needs no mapping: times, poses and commands are those of the log, to
+    the reader's millionths and the 32 bits of a Joy; nothing is guessed.
+    """
+    write_ros2_bag(tmp_path / "flight.ros2", followed)
+    assert is_ros_log(tmp_path / "flight.ros2")
+    table = read_ros2_log(tmp_path / "flight.ros2")
+    assert table.warnings == () and table.has_pose.all()
+    assert table.t == pytest.approx(followed.state_times, abs=1e-6)
+    states = np.array([state.vector for state in followed.states])
+    assert table.p_world == pytest.approx(states[:, :3], abs=1e-6)
+    assert table.attitude == pytest.approx(states[:, [5, 3, 4]], abs=1e-6)
+    commands = np.array([command.vector for command in followed.commands])
+    assert table.commands == pytest.approx(commands, abs=2e-6)
+
+
+def test_a_recording_of_ros2_is_there_whole_or_not_at_all(followed, tmp_path):
+    """A folder that is there is kept, a log that vanishes leaves nothing, an empty one is refused:
+    each time nothing else is written.
+    """
+    write_ros2_bag(tmp_path / "flight.ros2", followed)
+    with pytest.raises(InputError, match="expected a new folder"):
+        write_ros2_bag(tmp_path / "flight.ros2", followed)
+    with pytest.raises(FileNotFoundError, match="expected a folder"):
+        write_ros2_bag(tmp_path / "none" / "flight.ros2", followed)
+    with FlightLogWriter(tmp_path / "empty.mcap"):
+        pass
+    shutil.move(followed.path, tmp_path / "away.mcap")
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(FileNotFoundError):
+        write_ros2_bag(tmp_path / "other.ros2", followed)
+    with pytest.raises(InputError, match="expected a log with records"):
+        write_ros2_bag(tmp_path / "other.ros2", read_flight_log(tmp_path / "empty.mcap"))
+    assert sorted(tmp_path.iterdir()) == before

@@ -73,5 +73,6 @@ def test_images_come_twenty_times_a_second_and_show_the_approach(recorded):
     assert (
         len(log.image_times) == len(given) == pytest.approx(20.0 / 7.0 / CONTROL_PERIOD_S, rel=0.4)
     )
-    assert log.metadata["simulated"] == "yes"
+    assert log.metadata["simulated"] == "yes" and log.metadata["scene"] == "arena"
+    assert log.metadata["task"] == "landing" and "SIMULATED" in log.metadata["pilot"]
     assert len({image.jpeg for image in log.images()}) > 0.9 * len(given)

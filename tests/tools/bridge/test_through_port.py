@@ -2,6 +2,7 @@
 good as without.
 """
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -172,6 +173,7 @@ def test_the_log_tells_what_happened_at_the_port(tmp_path):
     )
     log = read_flight_log(tmp_path / "flight.mcap")
     assert log.metadata["port"] == "sim-python"
+    assert log.metadata["task"] == "landing" and len(json.loads(log.metadata["start"])) == 12
     assert "engaged" in [event.name for event in log.events]
     assert record["port"]["board"] == PythonBoard.kind
 

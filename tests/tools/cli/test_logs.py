@@ -93,10 +93,24 @@ def test_an_interrupted_log_becomes_a_bag(log, tmp_path, capsys):
     assert {topic: report[topic] for topic in counts} == counts
 
 
+def test_a_log_becomes_a_recording_of_ros2_and_a_table_again(log, tmp_path, capsys):
+    """Ten rows by hand, written by one verb and read by the same."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    assert main(["export", str(log), "--to", "ros2", "--out", str(folder)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("next: ros2 bag info")
+    words = ["export", str(folder / "flight.ros2"), "--out", str(tmp_path / "back.csv")]
+    assert main(words) == 0
+    back = read_flight_table(tmp_path / "back.csv")
+    assert len(back.t) == 9  # the first pose comes before the first command
+    assert back.p_world[:, 0] == pytest.approx([k / 100.0 for k in range(1, 10)], abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
         (["absent.mcap", "--out", "a.csv"], "absent.mcap"),
+        (["flight.mcap", "--out", "none/a", "--to", "ros2"], "expected a folder"),
         (["flight.mcap", "--out", "flight.mcap"], "another name"),
         (["flight.mcap", "--out", "none/a.csv"], "expected a folder"),
         (["flight.mcap", "--out", "none/a.bag", "--to", "bag"], "expected a folder"),
@@ -171,8 +185,41 @@ def test_replay_shows_every_step_of_the_log(flown, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
+    ("named", "words", "shown", "said"),
+    [
+        ("hall", [], "hall", ""),
+        ("hall", ["--scene", "arena"], "arena", ""),
+        ("", [], "arena", "the log does not say where it was flown"),
+        ("gone/hall.ply", [], "arena", "the log's scene 'gone/hall.ply' is not here"),
+    ],
+)
+def test_replay_is_in_the_hall_of_the_log(tmp_path, monkeypatch, capsys, named, words, shown, said):
+    """The scene reaches the page, of the two only the arena with a leader of its own; --scene has
+    precedence; the arena otherwise, and a sentence says so. The leader flies as logged.
+    """
+    path = tmp_path / "flown.mcap"
+    with FlightLogWriter(path) as writer:
+        writer.metadata({"simulated": "yes", **({"scene": named} if named else {})})
+        for k in range(3):
+            writer.command(0.05 * k, Command(0.1, 0.0, 0.0, 0.0))
+            writer.leader(0.05 * k, State.from_vector(np.full(9, 1.0 + k)))
+    scenes, steps = [], []
+    monkeypatch.setattr(live_page.LivePage, "set_scene", lambda page, scene: scenes.append(scene))
+    monkeypatch.setattr(live_page.LivePage, "show", lambda page, step: steps.append(step))
+    monkeypatch.setattr(webbrowser, "open", lambda url: False)
+    words = ["replay", str(path), "--once", "--speed", "10", "--port", "18431", *words]
+    assert main(words) == 0
+    assert ["arena" if "leader" in s.label_names else "hall" for s in scenes] == [shown]
+    out = capsys.readouterr().out
+    assert said in out and ("shown in the arena" in out) == bool(said)
+    assert [step.leader.p_world[0] for step in steps] == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize(
     ("words", "sentence"),
     [
+        (["flown.mcap", "--scene", "nowhere"], "scene: expected a file or a name that ships"),
+        (["flown.mcap", "--scene", "gone.ply"], "gone.ply: expected a file"),
         (["absent.mcap"], "absent.mcap: expected a file, found nothing there"),
         (["absent.mcap", "--headless"], "absent.mcap: expected a file, found nothing there"),
         (["flown.mcap", "--speed", "0"], "speed: expected a finite number in"),

@@ -82,6 +82,7 @@ def test_log_holds_every_step_as_it_was_shown(approach, steps):
         assert np.array_equal(seen.command.vector, command.vector)
         assert np.array_equal(seen.state.vector, state.vector)
     assert is_simulated(log) and log.warnings == ()
+    assert (log.metadata["task"], log.metadata["scene"]) == ("landing", "arena")
 
 
 def test_log_tells_the_modes(approach, steps):

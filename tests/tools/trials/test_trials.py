@@ -371,10 +371,12 @@ def test_a_pilot_by_images_gets_no_state():
 
 
 def test_a_log_is_marked_as_simulated(tmp_path):
-    """With task and seed."""
-    fly_trial(ToyTask(), steady, 1, log=tmp_path / "flight.mcap")
+    """With task and seed, and the hall and pilot that it was given."""
+    setting = TrialSettings(scene_name="hall")
+    fly_trial(ToyTask(), steady, 1, 0, setting, tmp_path / "flight.mcap", "by hand")
     metadata = read_flight_log(tmp_path / "flight.mcap").metadata
     assert metadata.items() >= {"simulated": "yes", "task": "toy", "seed": "10001"}.items()
+    assert (metadata["scene"], metadata["pilot"], metadata["manoeuvre"]) == ("hall", "by hand", "")
 
 
 def record(success: bool, **numbers) -> dict:
