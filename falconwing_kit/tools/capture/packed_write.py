@@ -35,7 +35,9 @@ from falconwing_kit.tools.capture.packed import (
     Bytes,
 )
 
-SPZ_FRACTION_BITS = 12  # steps of 0.24 mm, up to 2 km from the origin; fewer where a scene is larger
+SPZ_FRACTION_BITS = (
+    12  # steps of 0.24 mm, up to 2 km from the origin; fewer where a scene is larger
+)
 SPZ_LIMIT = 2**23  # of a signed number of 24 bits
 BOOK = 256  # entries of a code book of SOG
 BOOK_ROUNDS = 8  # of Lloyd's algorithm
@@ -315,7 +317,7 @@ def _palette(rest: Array32) -> tuple[Array32, NDArray[np.int64]]:
 
 
 def _smallest_three(quaternions: Array32) -> tuple[NDArray[np.int64], Array32]:
-    """(N,) index of the largest component and (N, 3) the others, with the sign that makes it > 0."""
+    """(N,) index of the largest component; (N, 3) the others, with the sign that makes it > 0."""
     largest = np.abs(quaternions).argmax(axis=1)
     sign = np.sign(np.take_along_axis(quaternions, largest[:, None], axis=1))
     return largest, np.take_along_axis(quaternions * sign, SMALLER_THREE[largest], axis=1)
@@ -327,7 +329,7 @@ def _to_bytes(values: NDArray[Any]) -> Bytes:
 
 
 def _cut(what: str, outside: NDArray[np.bool_], allowed: str) -> list[str]:
-    """A sentence on the Gaussians with a value outside the range of the format, if there are any."""
+    """A sentence on Gaussians with a value outside the range of the format, if there are any."""
     count = int(outside.reshape(len(outside), -1).any(axis=1).sum())
     return [f"{what} of {count} Gaussians are cut to {allowed}"] if count else []
 
