@@ -83,7 +83,8 @@ def thinned(scene: GaussianScene, max_gaussians: int) -> GaussianScene:
         both = areas[a] + areas[b]
         cost = np.maximum(area - both, 0.0) + COLOUR_COST * contrast * both
         cheapest = np.argsort(cost, kind="stable")[: len(means) - limit]
-        a, b, weight, share, area = (x[cheapest] for x in (a, b, weight, share, area))
+        a, b, weight, share = a[cheapest], b[cheapest], weight[cheapest], share[cheapest]
+        area = area[cheapest]
         opacity = np.minimum(weight / area, np.maximum(opacities[a], opacities[b]))
         growth = np.maximum(weight / np.maximum(area * opacity, 1e-30), 1.0)
         kept = np.ones(len(means), np.bool_)
@@ -91,11 +92,18 @@ def thinned(scene: GaussianScene, max_gaussians: int) -> GaussianScene:
         means[a], opacities[a] = mean[cheapest], opacity
         covariances[a] = covariance[cheapest] * growth[:, None, None]
         sh[a] = share[:, :, None] * sh[a] + (1.0 - share[:, :, None]) * sh[b]
-        means, covariances, opacities, sh = (x[kept] for x in (means, covariances, opacities, sh))
+        means, covariances = means[kept], covariances[kept]
+        opacities, sh = opacities[kept], sh[kept]
     variances, axes = np.linalg.eigh(covariances)
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]  # a rotation, not a mirror image
     deviations = np.sqrt(np.maximum(variances, 1e-12))
-    return GaussianScene(means, _quaternions(axes), deviations, opacities.clip(0.0, 1.0), sh)
+    return GaussianScene(
+        means.astype(np.float32),
+        _quaternions(axes).astype(np.float32),
+        deviations.astype(np.float32),
+        opacities.clip(0.0, 1.0).astype(np.float32),
+        sh.astype(np.float32),
+    )
 
 
 def _areas(covariances: Array) -> Array:

@@ -304,7 +304,7 @@ export class SplatView {
   }
 
   get ready() {
-    return this.order.count > 0 && !this.lost;
+    return this.scene !== null && !this.lost;
   }
 
   // onprogress(bytes so far, bytes in all or null); the bytes are counted as unpacked by the browser.
@@ -415,7 +415,10 @@ export class SplatView {
     this.sorting.busy = false;
     for (const resolve of this.sorting.waiting.splice(0)) resolve();
     this.lost = true;
-    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+    const { gl } = this; // the context stays usable: a canvas has only one
+    gl.deleteTexture(this.splats.codes);
+    gl.deleteBuffer(this.splats.indices);
+    this.freeTarget();
   }
 
   drawSplats(T, size, focal, planes) {
@@ -502,11 +505,7 @@ export class SplatView {
     const [width, height] = wanted;
     if (this.target && canvas.width === width && canvas.height === height) return;
     [canvas.width, canvas.height] = wanted;
-    if (this.target) {
-      gl.deleteTexture(this.target.colour);
-      gl.deleteRenderbuffer(this.target.depth);
-      gl.deleteFramebuffer(this.target.framebuffer);
-    }
+    this.freeTarget();
     const half = gl.getExtension("EXT_color_buffer_half_float") ?? gl.getExtension("EXT_color_buffer_float");
     const framebuffer = gl.createFramebuffer();
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
@@ -520,6 +519,15 @@ export class SplatView {
     gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH_COMPONENT24, width, height);
     gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.RENDERBUFFER, depth);
     this.target = { framebuffer, colour, depth };
+  }
+
+  freeTarget() {
+    const { gl, target } = this;
+    if (!target) return;
+    gl.deleteTexture(target.colour);
+    gl.deleteRenderbuffer(target.depth);
+    gl.deleteFramebuffer(target.framebuffer);
+    this.target = null;
   }
 
   sampleNearest() {
