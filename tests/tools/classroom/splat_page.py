@@ -93,4 +93,4 @@ def splat_page(
         page.goto(ADDRESS)
         page.wait_for_function("window.started")
         yield SplatPage(page)
-        assert [line for line in errors if "favicon" not in line] == []
+        assert [line for line in errors if "Failed to load resource" not in line] == []

@@ -7,8 +7,9 @@
 import { AIRCRAFT_BOXES, boxTriangles, colourFromText } from "./aircraft.js";
 
 const SPLAT_NEAR = 0.01; // smallest depth that is drawn [m]
-const BOX_NEAR = 0.02; // clipping planes of the depth buffer [m]
-const BOX_FAR = 200;
+// The depth buffer holds -DEPTH_NEAR / z, from -1 at this depth [m] to 0 at infinity. The rest of its
+// range is for the corners of quads that reach past their own horizon, where 1 / z is negative.
+const DEPTH_NEAR = 0.02;
 const TEXTURE_WIDTH = 2048; // texels; two hold one Gaussian
 const MAX_PIXEL_RATIO = 1.5; // sharper screens get this: four times the pixels take four times as long
 const MAX_SPLATS = 2097152; // 2048 rows of 1024; more is no scene for a page
@@ -23,11 +24,10 @@ uniform mat3 R_camera_world;
 uniform vec3 p_world;
 uniform vec2 size;      // of the image [px]
 uniform float focal;    // [px]
-uniform vec2 planes;    // depth in the depth buffer: planes.x - planes.y / z
 in uint index;
 out vec2 offset;        // from the middle, in standard deviations
 flat out vec4 colour;   // red, green, blue, opacity
-const float NEAR = ${SPLAT_NEAR}, BLUR = 0.3, MARGIN = 0.3, ALPHA_MIN = 1.0 / 255.0;
+const float NEAR = ${SPLAT_NEAR}, DEPTH_NEAR = ${DEPTH_NEAR}, BLUR = 0.3, MARGIN = 0.3, ALPHA_MIN = 1.0 / 255.0;
 
 vec4 bytesOf(uint word) {
   return vec4(word & 255u, word >> 8 & 255u, word >> 16 & 255u, word >> 24);
@@ -91,7 +91,7 @@ void main() {
   // The quad lies in the plane of the mean depth given the pixel, so a floor passes under a wheel
   vec2 c = vec2(dot(row_u, row_z), dot(row_v, row_z));
   float deeper = dot(vec2(vv * c.x - uv * c.y, uu * c.y - uv * c.x), d) / det;
-  float depth = planes.x - planes.y * (per_z - deeper * per_z * per_z);
+  float depth = -DEPTH_NEAR * (per_z - deeper * per_z * per_z);
   gl_Position = vec4(2.0 * pixel.x / size.x, -2.0 * pixel.y / size.y, clamp(depth, -1.0, 1.0), 1.0);
   // Colour 1/2 + sum of harmonics of degree 0 and 1
   vec3 direction = normalize(toward);
@@ -119,7 +119,7 @@ const BOX_VERTEX = `#version 300 es
 precision highp float;
 uniform mat4 T_camera_body;
 uniform mat3 R_world_body;
-uniform vec4 lens;      // 2 f / width, -2 f / height, planes
+uniform vec2 lens;      // 2 f / width, -2 f / height
 uniform vec4 paint;     // red, green, blue; with paint.a = 0 the boxes' own colours
 in vec3 position;
 in vec3 normal;
@@ -127,7 +127,7 @@ in vec3 own;
 out vec3 shade;
 void main() {
   vec3 p = (T_camera_body * vec4(position, 1.0)).xyz;
-  gl_Position = vec4(lens.xy * p.xy, lens.z * p.z - lens.w, p.z);
+  gl_Position = vec4(lens * p.xy, -${DEPTH_NEAR}, p.z);
   vec3 n = R_world_body * normal;
   shade = mix(own, paint.rgb, paint.a) * (0.74 + 0.22 * n.z + 0.04 * n.x);
 }`;
@@ -357,9 +357,6 @@ export class SplatView {
     const T = T_world_camera;
     const [width, height] = [this.canvas.width, this.canvas.height];
     const focal = (0.5 * width) / Math.tan((fovDeg * Math.PI) / 360);
-    const planes = [
-      (BOX_FAR + BOX_NEAR) / (BOX_FAR - BOX_NEAR), (2 * BOX_FAR * BOX_NEAR) / (BOX_FAR - BOX_NEAR),
-    ];
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.framebuffer);
     gl.viewport(0, 0, width, height);
     gl.colorMask(true, true, true, true);
@@ -370,12 +367,12 @@ export class SplatView {
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.LEQUAL);
     gl.disable(gl.BLEND);
-    const lens = [(2 * focal) / width, (-2 * focal) / height, ...planes];
+    const lens = [(2 * focal) / width, (-2 * focal) / height];
     const isSolid = ({ opacity = 1 }) => opacity >= 1;
     for (const one of this.aircraft.filter(isSolid)) this.drawBoxes(one, T, lens);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA); // colours are multiplied by their alpha
-    this.drawSplats(T, [width, height], focal, planes);
+    this.drawSplats(T, [width, height], focal);
     for (const one of this.aircraft.filter((other) => !isSolid(other))) {
       // its depth first, so that of several boxes behind each other only the nearest is drawn
       gl.colorMask(false, false, false, false);
@@ -421,7 +418,7 @@ export class SplatView {
     this.freeTarget();
   }
 
-  drawSplats(T, size, focal, planes) {
+  drawSplats(T, size, focal) {
     // From SPZ's axes, world after half a turn about x, to the camera's
     const R = [T[0], -T[4], -T[8], T[1], -T[5], -T[9], T[2], -T[6], -T[10]]; // row by row
     const p = [T[3], -T[7], -T[11]];
@@ -440,7 +437,6 @@ export class SplatView {
     gl.uniform3fv(splats.at.p_world, p);
     gl.uniform2fv(splats.at.size, size);
     gl.uniform1f(splats.at.focal, focal);
-    gl.uniform2fv(splats.at.planes, planes);
     gl.depthMask(false);
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, order.count);
   }
@@ -463,7 +459,7 @@ export class SplatView {
     gl.uniformMatrix4fv(boxes.at.T_camera_body, true, toCamera);
     gl.uniformMatrix3fv(boxes.at.R_world_body, true,
       [B[0], B[1], B[2], B[4], B[5], B[6], B[8], B[9], B[10]]);
-    gl.uniform4fv(boxes.at.lens, lens);
+    gl.uniform2fv(boxes.at.lens, lens);
     gl.uniform4fv(boxes.at.paint, color ? [...colourFromText(color), 1] : [0, 0, 0, 0]);
     gl.uniform1f(boxes.at.opacity, opacity);
     gl.drawArrays(gl.TRIANGLES, 0, boxes.count);
