@@ -12,6 +12,9 @@ const SPLAT_NEAR = 0.01; // smallest depth that is drawn [m]
 const DEPTH_NEAR = 0.02;
 const TEXTURE_WIDTH = 2048; // texels; two hold one Gaussian
 const MAX_PIXEL_RATIO = 1.5; // sharper screens get this: four times the pixels take four times as long
+const REACH = 5; // radius in standard deviations for what is in view: 3.3, and the error of its ellipse
+const VIEW_MARGIN = 1.3; // splats up to so many half images from the middle are sorted and drawn: the
+// view may turn by some 10 degrees until the next order comes
 const MAX_SPLATS = 2097152; // 2048 rows of 1024; more is no scene for a page
 const SPZ_MAGIC = 0x5053474e; // "NGSP"
 
@@ -20,11 +23,11 @@ const SPLAT_VERTEX = `#version 300 es
 precision highp float;
 precision highp int;
 uniform highp usampler2D codes;
+uniform highp usampler2D order;
 uniform mat3 R_camera_world;
 uniform vec3 p_world;
 uniform vec2 size;      // of the image [px]
 uniform float focal;    // [px]
-in uint index;
 out vec2 offset;        // from the middle, in standard deviations
 flat out vec4 colour;   // red, green, blue, opacity
 const float NEAR = ${SPLAT_NEAR}, DEPTH_NEAR = ${DEPTH_NEAR}, BLUR = 0.3, MARGIN = 0.3, ALPHA_MIN = 1.0 / 255.0;
@@ -52,7 +55,10 @@ void main() {
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);  // outside: nothing is drawn
   offset = vec2(0.0);
   colour = vec4(0.0);
-  ivec2 place = ivec2(int(index) * 2 % ${TEXTURE_WIDTH}, int(index) * 2 / ${TEXTURE_WIDTH});
+  int turn = gl_VertexID >> 2;  // four vertices a splat
+  ivec2 entry = ivec2(turn % ${TEXTURE_WIDTH}, turn / ${TEXTURE_WIDTH});
+  int texel = 2 * int(texelFetch(order, entry, 0).x);
+  ivec2 place = ivec2(texel % ${TEXTURE_WIDTH}, texel / ${TEXTURE_WIDTH});
   uvec4 first = texelFetch(codes, place, 0);
   uvec4 second = texelFetch(codes, place + ivec2(1, 0), 0);
   vec3 toward = uintBitsToFloat(first.xyz) - p_world;
@@ -84,7 +90,7 @@ void main() {
   vec2 axis = uu >= vv ? vec2(large - vv, uv) : vec2(uv, large - uu);
   axis = radius > 1e-6 * large ? normalize(axis) : vec2(1.0, 0.0);
   float extent = sqrt(2.0 * log(255.0 * opacity));
-  vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
+  vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1 & 1) * 2.0 - 1.0;
   offset = corner * extent;
   vec2 d = offset.x * sqrt(large) * axis + offset.y * sqrt(det / large) * vec2(-axis.y, axis.x);
   vec2 pixel = focal * per_z * p.xy + d;  // from the middle of the image, down positive
@@ -156,58 +162,65 @@ void main() {
 }`;
 
 // Runs in a worker, from its own source: it may use nothing from outside. First it receives the
-// places (x, y, z of each), then views; it answers with the indices in view, farthest first: a
-// counting sort by 16 bits of depth.
+// places (x, y, z of each) and radii, then views; it answers with the indices of those in or near
+// the view, farthest first: a counting sort by 16 bits of depth.
 export function sortSplatsWorker(scope) {
   let places = null;
+  let radii = null;
   let depths = null;
   let keys = null;
   const counts = new Uint32Array(65536);
   scope.onmessage = ({ data }) => {
     if (data.places) {
-      places = data.places;
-      depths = new Float32Array(places.length / 3);
-      keys = new Uint16Array(depths.length);
+      ({ places, radii } = data);
+      depths = new Float32Array(radii.length);
+      keys = new Uint16Array(radii.length);
       return;
     }
     const begin = performance.now();
-    const [a, b, c, d] = data.plane; // depth = a x + b y + c z + d
-    const near = data.near;
+    const { near, limits, length, spare } = data;
+    const [xx, xy, xz, x0, yx, yy, yz, y0, zx, zy, zz, z0] = data.view; // rows of T_camera_world
+    const [limit_u, limit_v] = limits; // of x/z and y/z
+    const [slant_u, slant_v] = limits.map((limit) => Math.hypot(1, limit));
     let farthest = near;
     for (let i = 0, k = 0; i < depths.length; i += 1, k += 3) {
-      const depth = a * places[k] + b * places[k + 1] + c * places[k + 2] + d;
+      const [x, y, z] = [places[k], places[k + 1], places[k + 2]];
+      const depth = zx * x + zy * y + zz * z + z0;
+      depths[i] = 0;
+      if (depth < near) continue;
+      const u = Math.abs(xx * x + xy * y + xz * z + x0) - limit_u * depth;
+      const v = Math.abs(yx * x + yy * y + yz * z + y0) - limit_v * depth;
+      if (u > slant_u * radii[i] || v > slant_v * radii[i]) continue;
       depths[i] = depth;
       if (depth > farthest) farthest = depth;
     }
     counts.fill(0);
     const scale = 65535 / Math.max(farthest - near, 1e-9);
-    let count = 0;
     for (let i = 0; i < depths.length; i += 1) {
-      if (depths[i] >= near) {
+      if (depths[i] > 0) {
         keys[i] = 65535 - (depths[i] - near) * scale;
         counts[keys[i]] += 1;
-        count += 1;
       }
     }
-    for (let key = 0, sum = 0; key < 65536; key += 1) {
+    let count = 0;
+    for (let key = 0; key < 65536; key += 1) {
       const here = counts[key];
-      counts[key] = sum;
-      sum += here;
+      counts[key] = count;
+      count += here;
     }
-    const order = data.spare ?? new Uint32Array(depths.length);
+    const order = spare ?? new Uint32Array(length);
     // backwards, so that of equal depths the first is drawn last and lies in front, as in fast.py
     for (let i = depths.length - 1; i >= 0; i -= 1) {
-      if (depths[i] >= near) {
+      if (depths[i] > 0) {
         order[counts[keys[i]]] = i;
         counts[keys[i]] += 1;
       }
     }
-    const answer = { order, count, ms: performance.now() - begin };
-    scope.postMessage(answer, [order.buffer]);
+    scope.postMessage({ order, count, ms: performance.now() - begin }, [order.buffer]);
   };
 }
 
-// An SPZ, packed by gzip or already unpacked -> {count, codes for the texture, places}.
+// An SPZ, packed by gzip or already unpacked -> {count, codes for the texture, places, radii}.
 // The axes stay those of SPZ, x right, y up, z back; the camera is turned instead.
 export async function readSpz(buffer) {
   let bytes = new Uint8Array(buffer);
@@ -229,7 +242,8 @@ export async function readSpz(buffer) {
   const [positions, opacities, colours, scales, rotations, harmonics] = starts;
   const codes = new Uint8Array(TEXTURE_WIDTH * Math.ceil((2 * count) / TEXTURE_WIDTH) * 16);
   const floats = new Float32Array(codes.buffer);
-  const places = new Float32Array(3 * count);
+  const [places, radii] = [new Float32Array(3 * count), new Float32Array(count)];
+  const deviations = Float32Array.from({ length: 256 }, (_, code) => Math.exp(code / 16 - 10));
   const step = 2 ** -bits;
   for (let i = 0; i < count; i += 1) {
     for (let axis = 0; axis < 3; axis += 1) {
@@ -244,12 +258,13 @@ export async function readSpz(buffer) {
       codes[to + 12 + k] = bytes[colours + 3 * i + k];
       codes[to + 20 + k] = bytes[scales + 3 * i + k];
     }
+    radii[i] = REACH * deviations[Math.max(codes[to + 20], codes[to + 21], codes[to + 22])];
     codes[to + 15] = bytes[opacities + i];
     for (let k = 0; k < 4; k += 1) codes[to + 16 + k] = bytes[rotations + 4 * i + k];
     // harmonics of degree 1 only: higher ones change little and would double the texture
     for (let k = 0; k < 9; k += 1) codes[to + 23 + k] = rest ? bytes[harmonics + rest * i + k] : 128;
   }
-  return { count, codes: new Uint32Array(codes.buffer), places };
+  return { count, codes: new Uint32Array(codes.buffer), places, radii };
 }
 
 export class SplatView {
@@ -268,7 +283,7 @@ export class SplatView {
     this.aircraft = [];
     this.stats = { fps: 0, sortMs: 0, frameMs: 0 };
     this.order = { count: 0, indices: null, fresh: false };
-    this.sorting = { worker: null, busy: false, plane: null, waiting: [] };
+    this.sorting = { worker: null, busy: false, view: null, waiting: [] };
     this.lastDraw = 0;
     this.lost = false;
     this.onlost = (event) => {
@@ -331,15 +346,16 @@ export class SplatView {
     const source = `(${sortSplatsWorker})(self)`;
     const url = URL.createObjectURL(new Blob([source], { type: "text/javascript" }));
     this.sorting.worker?.terminate();
-    this.sorting = { worker: new Worker(url), busy: false, plane: null, waiting: [] };
+    this.sorting = { worker: new Worker(url), busy: false, view: null, waiting: [] };
     URL.revokeObjectURL(url);
     this.order = { count: 0, indices: null, fresh: false };
     const { worker } = this.sorting;
     worker.onmessage = ({ data }) => this.takeOrder(data);
     worker.onerror = () => this.onstatus("The browser does not run the worker that sorts the hall.");
-    const { places } = this.scene;
-    worker.postMessage({ places }, [places.buffer]);
+    const { places, radii } = this.scene;
+    worker.postMessage({ places, radii }, [places.buffer, radii.buffer]);
     this.scene.places = null;
+    this.scene.radii = null;
   }
 
   // list: [{T_world_body: row-major 4 x 4, color: "#rrggbb" or null, opacity: 0..1}]
@@ -351,8 +367,8 @@ export class SplatView {
   draw(T_world_camera, { fovDeg = 70 } = {}) {
     if (this.lost) return;
     const begin = performance.now();
-    this.askForOrder(T_world_camera);
     this.fit();
+    this.askForOrder(T_world_camera, fovDeg);
     const { gl } = this;
     const T = T_world_camera;
     const [width, height] = [this.canvas.width, this.canvas.height];
@@ -398,7 +414,8 @@ export class SplatView {
       while (sorting.busy) await new Promise((resolve) => sorting.waiting.push(resolve));
     };
     await answer(); // to an earlier view
-    this.askForOrder(T_world_camera);
+    this.fit();
+    this.askForOrder(T_world_camera, options.fovDeg);
     await answer();
     this.draw(T_world_camera, options);
   }
@@ -414,7 +431,8 @@ export class SplatView {
     this.lost = true;
     const { gl } = this; // the context stays usable: a canvas has only one
     gl.deleteTexture(this.splats.codes);
-    gl.deleteBuffer(this.splats.indices);
+    gl.deleteTexture(this.splats.order);
+    gl.deleteBuffer(this.splats.quads);
     this.freeTarget();
   }
 
@@ -426,19 +444,23 @@ export class SplatView {
     if (!order.indices) return;
     gl.useProgram(splats.program);
     gl.bindVertexArray(splats.vertices);
+    gl.activeTexture(gl.TEXTURE1);
+    gl.bindTexture(gl.TEXTURE_2D, splats.order);
     if (order.fresh) {
-      gl.bindBuffer(gl.ARRAY_BUFFER, splats.indices);
-      gl.bufferSubData(gl.ARRAY_BUFFER, 0, order.indices, 0, order.count);
+      const rows = Math.ceil(order.count / TEXTURE_WIDTH);
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXTURE_WIDTH, rows, gl.RED_INTEGER,
+        gl.UNSIGNED_INT, order.indices);
       order.fresh = false;
     }
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, splats.codes);
+    gl.uniform1i(splats.at.order, 1);
     gl.uniformMatrix3fv(splats.at.R_camera_world, true, R);
     gl.uniform3fv(splats.at.p_world, p);
     gl.uniform2fv(splats.at.size, size);
     gl.uniform1f(splats.at.focal, focal);
     gl.depthMask(false);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, order.count);
+    gl.drawElements(gl.TRIANGLES, 6 * order.count, gl.UNSIGNED_INT, 0);
   }
 
   drawBoxes({ T_world_body, color = null, opacity = 1 }, T, lens) {
@@ -466,17 +488,23 @@ export class SplatView {
   }
 
   // Ask the worker for the order of this view, if it moved and the worker is idle.
-  askForOrder(T) {
+  askForOrder(T, fovDeg = 70) {
     const { sorting } = this;
-    const [x, y, z] = [T[2], -T[6], -T[10]]; // forward, in SPZ's axes
-    const plane = [x, y, z, -(x * T[3] - y * T[7] - z * T[11])];
-    const moved = !sorting.plane || plane.some((value, i) => Math.abs(value - sorting.plane[i]) > 1e-5);
+    const view = [0, 1, 2].flatMap((k) => {
+      const [x, y, z] = [T[k], -T[4 + k], -T[8 + k]]; // an axis of the camera, in SPZ's axes
+      return [x, y, z, -(x * T[3] - y * T[7] - z * T[11])];
+    });
+    const limit = VIEW_MARGIN * Math.tan((fovDeg * Math.PI) / 360);
+    const limits = [limit, (limit * this.canvas.height) / this.canvas.width];
+    const numbers = [...view, ...limits];
+    const moved = !sorting.view || numbers.some((value, i) => Math.abs(value - sorting.view[i]) > 1e-5);
     if (!sorting.worker || sorting.busy || !moved) return;
     sorting.busy = true;
-    sorting.plane = plane;
-    const spare = this.order.spare;
+    sorting.view = numbers;
+    const { spare } = this.order;
     this.order.spare = null;
-    const request = { plane, near: SPLAT_NEAR, spare };
+    const length = TEXTURE_WIDTH * Math.ceil(this.count / TEXTURE_WIDTH); // whole rows of a texture
+    const request = { view, limits, near: SPLAT_NEAR, length, spare };
     sorting.worker.postMessage(request, spare ? [spare.buffer] : []);
   }
 
@@ -539,14 +567,9 @@ export class SplatView {
     this.target = null;
     this.splats = this.program(SPLAT_VERTEX, SPLAT_FRAGMENT);
     this.splats.vertices = gl.createVertexArray();
-    this.splats.indices = gl.createBuffer();
+    this.splats.quads = gl.createBuffer();
     this.splats.codes = gl.createTexture();
-    gl.bindVertexArray(this.splats.vertices);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.splats.indices);
-    const index = gl.getAttribLocation(this.splats.program, "index");
-    gl.enableVertexAttribArray(index);
-    gl.vertexAttribIPointer(index, 1, gl.UNSIGNED_INT, 0, 0);
-    gl.vertexAttribDivisor(index, 1);
+    this.splats.order = gl.createTexture();
 
     this.boxes = this.program(BOX_VERTEX, BOX_FRAGMENT);
     this.boxes.vertices = gl.createVertexArray();
@@ -566,16 +589,31 @@ export class SplatView {
     if (this.scene) this.upload();
   }
 
-  // The scene's codes into the texture, and room for the order.
+  // The scene's codes and room for the order as textures; two triangles for each four vertices. One
+  // long list of triangles: thousands of instances of a quad are slow on several drivers.
   upload() {
     const { gl, splats, scene } = this;
-    const height = scene.codes.length / (4 * TEXTURE_WIDTH);
+    gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, splats.codes);
     this.sampleNearest();
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, TEXTURE_WIDTH, height, 0, gl.RGBA_INTEGER,
-      gl.UNSIGNED_INT, scene.codes);
-    gl.bindBuffer(gl.ARRAY_BUFFER, splats.indices);
-    gl.bufferData(gl.ARRAY_BUFFER, 4 * scene.count, gl.DYNAMIC_DRAW);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, TEXTURE_WIDTH,
+      scene.codes.length / (4 * TEXTURE_WIDTH), 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, scene.codes);
+    gl.bindTexture(gl.TEXTURE_2D, splats.order);
+    this.sampleNearest();
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32UI, TEXTURE_WIDTH,
+      Math.ceil(scene.count / TEXTURE_WIDTH), 0, gl.RED_INTEGER, gl.UNSIGNED_INT, null);
+    const quads = new Uint32Array(6 * scene.count);
+    for (let k = 0, vertex = 0; k < quads.length; k += 6, vertex += 4) {
+      quads[k] = vertex;
+      quads[k + 1] = vertex + 1;
+      quads[k + 2] = vertex + 2;
+      quads[k + 3] = vertex + 1;
+      quads[k + 4] = vertex + 2;
+      quads[k + 5] = vertex + 3;
+    }
+    gl.bindVertexArray(splats.vertices);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, splats.quads);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, quads, gl.STATIC_DRAW);
     this.order.fresh = this.order.indices !== null;
   }
 
