@@ -1,0 +1,242 @@
+// The class's messages and a student's sticks -> the seat: own view, a place in the queue, the hold button, 50 Hz of sticks.
+
+import { Channel, packSticks } from "./channel.js";
+import { Theme, keepValue, keptValue } from "./theme.js";
+import { HallView, Pictures } from "./view.js";
+import { Sticks } from "./sticks.js";
+import { WhoLine, byId, newElement, ordinal } from "./parts.js";
+import { cameraButtons, showBoard, showConnection, showEffects, showVerdict } from "./parts.js";
+import { simulationWords, timeSentence } from "./parts.js";
+
+const STICKS_MS = 20;
+const NAME_KEY = "falconwing-name";
+const SEAT_CAMERAS = { chase: "Chase", nose: "Nose", tower: "Tower", picture: "Camera" };
+const SEAT_ROWS = 8;
+
+/** The page of one student. */
+class Seat {
+  constructor() {
+    this.channel = new Channel("seat");
+    this.hello = null;
+    this.who = null;
+    this.mayFly = false;
+    this.holding = false;
+    this.pressed = new Set(); // what holds now: "button", "key", "sticks"
+    this.sequence = 0;
+    this.theme = new Theme([byId("theme")]);
+    showConnection(byId("connection"), this.channel);
+    this.whoLine = new WhoLine(byId("who"), null, this.channel);
+    this.pictures = new Pictures(this.channel);
+    const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    this.cameras = cameraButtons(byId("cameras"), SEAT_CAMERAS, (name) => this.view.setCamera(name));
+    this.view = new HallView(byId("hall"), this.channel, this.pictures, {
+      camera: still ? "tower" : "chase", // a moving camera makes some people sick
+      onchange: (camera) => this.cameras.show(camera),
+    });
+    this.sticks = new Sticks(byId("pads"), {});
+    this.sticks.drawTouch();
+    this.listen();
+    this.form();
+    this.holdButton();
+    this.showLine();
+    showBoard(byId("board"), [], SEAT_ROWS);
+  }
+
+  listen() {
+    const { channel } = this;
+    channel.on("hello", (hello) => {
+      this.hello = hello;
+      byId("simulation").textContent = simulationWords(hello, null);
+      const kept = keptValue(NAME_KEY);
+      if (kept) channel.send({ type: "name", name: kept });
+      channel.send({ type: "assist", on: this.assist() });
+      this.showLine();
+    });
+    channel.on("status", (status) => {
+      if (!status.connected) this.who = null;
+      if (!status.connected) this.grant(false);
+      this.showLine();
+    });
+    channel.on("who", (who) => {
+      this.who = who;
+      this.grant(channel.client > 0 && who.owner_may === channel.client);
+      this.showLine();
+    });
+    channel.on("state", (state) => {
+      const sentence = timeSentence(state);
+      if (byId("time").textContent !== sentence) byId("time").textContent = sentence;
+      byId("time").hidden = sentence === "";
+      byId("simulation").textContent = simulationWords(this.hello, state);
+    });
+    channel.on("flight", (flight) => showEffects(byId("effects"), flight.effects));
+    channel.on("effects", (message) => showEffects(byId("effects"), message.active));
+    channel.on("board", (message) => showBoard(byId("board"), message.rows, SEAT_ROWS));
+    channel.on("error", (message) => this.showLine(message.text));
+    channel.on("preparing", (message) => this.showLine(message.text));
+    channel.on("verdict", (verdict) => this.showAfter(verdict));
+    channel.on("gap", (message) => this.showGap(message));
+    channel.on("pong", () => {
+      byId("answer").textContent = `Answer from the class after ${Math.round(channel.roundTripMs)} ms.`;
+    });
+  }
+
+  form() {
+    byId("name").value = keptValue(NAME_KEY) || "";
+    byId("name").addEventListener("change", () => this.sendName());
+    byId("ask-form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.sendName();
+      const waits = this.mayFly || this.place() > 0;
+      this.channel.send({ type: waits ? "leave" : "ask" });
+    });
+    byId("give-back").addEventListener("click", () => {
+      this.letGo();
+      this.channel.send({ type: "leave" });
+    });
+    byId("watch").addEventListener("click", () => this.watchAgain());
+    byId("gap").addEventListener("click", () => {
+      this.channel.send({ type: "gap", flight: this.verdict.flight });
+      this.showGap({ flight: this.verdict.flight, sentence: "Comparing the flight with its model ..." });
+    });
+    byId("replay-close").addEventListener("click", () => byId("replay").close());
+    byId("replay").addEventListener("close", () => this.stopReplay());
+  }
+
+  sendName() {
+    const name = byId("name").value.trim();
+    keepValue(NAME_KEY, name);
+    if (name) this.channel.send({ type: "name", name });
+  }
+
+  /** Hold by the button, by the space key or as sticks.js says; every way out of the page lets go. */
+  holdButton() {
+    const button = byId("hold");
+    button.addEventListener("pointerdown", (event) => {
+      event.preventDefault();
+      button.setPointerCapture(event.pointerId);
+      this.press("button", true);
+    });
+    for (const type of ["pointerup", "pointercancel", "lostpointercapture"]) {
+      button.addEventListener(type, () => this.press("button", false));
+    }
+    button.addEventListener("contextmenu", (event) => event.preventDefault());
+    const space = (event, on) => {
+      if (event.code !== "Space" || !this.mayFly) return;
+      if (on && event.target.closest("input, select, textarea, dialog")) return;
+      event.preventDefault(); // no scrolling, and no click on the button that has the focus
+      if (!event.repeat) this.press("key", on);
+    };
+    addEventListener("keydown", (event) => space(event, true));
+    addEventListener("keyup", (event) => space(event, false));
+    const leave = () => this.letGo();
+    addEventListener("blur", leave);
+    addEventListener("pagehide", leave);
+    document.addEventListener("visibilitychange", () => {
+      if (document.visibilityState !== "visible") leave();
+    });
+    setInterval(() => this.sendSticks(), STICKS_MS);
+  }
+
+  press(source, on) {
+    if (on) this.pressed.add(source);
+    else this.pressed.delete(source);
+    this.sendSticks();
+  }
+
+  letGo() {
+    this.pressed.clear();
+    this.sendSticks(true);
+  }
+
+  assist() {
+    return Boolean(this.sticks.settings && this.sticks.settings.assist);
+  }
+
+  /** One message while hold is pressed; one more, with hold = 0, as soon as it is not. */
+  sendSticks(release = false) {
+    const sticks = this.sticks.read();
+    const hold = !release && this.mayFly && (this.pressed.size > 0 || Boolean(sticks.hold));
+    if (hold || this.holding) {
+      const bytes = packSticks(sticks, hold, this.assist(), this.sequence, performance.now());
+      const sent = hold ? this.channel.sendFresh(bytes) : this.channel.pass(bytes);
+      if (sent) this.sequence = (this.sequence + 1) % 65536;
+    }
+    if (hold === this.holding) return;
+    this.holding = hold;
+    byId("hold").setAttribute("aria-pressed", String(hold));
+    byId("hold").textContent = hold ? "YOU FLY" : "HOLD TO FLY";
+    this.showLine();
+  }
+
+  grant(mayFly) {
+    if (mayFly === this.mayFly) return;
+    if (!mayFly) this.letGo();
+    this.mayFly = mayFly;
+    byId("seat").classList.toggle("may-fly", mayFly);
+    if (!mayFly) return;
+    if (navigator.vibrate && navigator.userActivation && navigator.userActivation.hasBeenActive) navigator.vibrate(150);
+    scrollTo(0, 0);
+  }
+
+  /** The place in the queue, from 1; 0 outside it. */
+  place() {
+    const queue = (this.who && this.who.queue) || [];
+    return queue.findIndex((entry) => entry.client === this.channel.client) + 1;
+  }
+
+  showLine(text = "") {
+    const place = this.place();
+    const ask = byId("ask");
+    ask.textContent = this.mayFly ? "Give the sticks back" : place ? "Leave the queue" : "Ask for the sticks";
+    ask.classList.toggle("main", !this.mayFly && !place);
+    ask.disabled = this.channel.client === 0;
+    let line = "You watch. Ask for the sticks to fly.";
+    if (place) line = place === 1 ? "You are next." : `You are ${ordinal(place)} in the queue.`;
+    if (this.mayFly) line = "The sticks are yours: hold to fly.";
+    if (this.mayFly && this.holding) line = "You fly. Let go and the autopilot takes over.";
+    if (this.channel.client === 0) line = "Not connected.";
+    byId("line").textContent = text || line;
+  }
+
+  showAfter(verdict) {
+    this.verdict = verdict;
+    showVerdict(byId("verdict"), verdict);
+    byId("keep").href = `/flights/${Number(verdict.flight)}.html`;
+    byId("gap-line").hidden = true;
+    byId("gap").disabled = false;
+    byId("after").hidden = false;
+  }
+
+  showGap(message) {
+    if (!this.verdict || message.flight !== this.verdict.flight) return;
+    byId("gap").disabled = message.state !== "failed" && message.state !== "done";
+    byId("gap-line").textContent = message.sentence;
+    byId("gap-line").hidden = false;
+  }
+
+  /** The flight's own page over this one; the player is fetched only now. */
+  async watchAgain() {
+    const { flight } = this.verdict;
+    byId("replay-title").textContent = `Flight ${flight}`;
+    byId("replay-box").replaceChildren(newElement("p", "", "Loading the flight ..."));
+    byId("replay").showModal();
+    this.letGo();
+    try {
+      const [{ Player }, answer] = await Promise.all([import("./player.js"), fetch(`/flights/${flight}.json`)]);
+      if (!answer.ok) throw new Error(`the class answers ${answer.status}`);
+      const data = await answer.json();
+      byId("replay-box").replaceChildren();
+      this.player = new Player(byId("replay-box"), data, null);
+    } catch (error) {
+      byId("replay-box").replaceChildren(newElement("p", "", `The flight cannot be shown: ${error.message}.`));
+    }
+  }
+
+  stopReplay() {
+    if (this.player) this.player.dispose();
+    this.player = null;
+    byId("replay-box").replaceChildren();
+  }
+}
+
+globalThis.classroomPage = new Seat();
