@@ -12,6 +12,7 @@ const STICKS_MS = 20;
 const NAME_KEY = "falconwing-name";
 const SEAT_CAMERAS = { chase: "Chase", nose: "Nose", tower: "Tower", picture: "Camera" };
 const SEAT_ROWS = 8;
+const MODE_WORDS = { 1: "1: elevator left, throttle right", 2: "2: throttle left, elevator right" };
 
 /** The page of one student. */
 class Seat {
@@ -21,7 +22,8 @@ class Seat {
     this.who = null;
     this.mayFly = false;
     this.holding = false;
-    this.pressed = new Set(); // what holds now: "button", "key", "sticks"
+    this.pressed = false; // the hold button; keys, pads and gamepads are read by sticks.js
+    this.sticks = null; // only while this seat may fly: else the keys are the page's own
     this.sequence = 0;
     this.theme = new Theme([byId("theme")]);
     showConnection(byId("connection"), this.channel);
@@ -33,10 +35,10 @@ class Seat {
       camera: still ? "tower" : "chase", // a moving camera makes some people sick
       onchange: (camera) => this.cameras.show(camera),
     });
-    this.sticks = new Sticks(byId("pads"), {});
-    this.sticks.drawTouch();
+    this.settings = this.withSticks((sticks) => sticks.settings);
     this.listen();
     this.form();
+    this.makeSettings();
     this.holdButton();
     this.showLine();
     showBoard(byId("board"), [], SEAT_ROWS);
@@ -49,7 +51,7 @@ class Seat {
       byId("simulation").textContent = simulationWords(hello, null);
       const kept = keptValue(NAME_KEY);
       if (kept) channel.send({ type: "name", name: kept });
-      channel.send({ type: "assist", on: this.assist() });
+      channel.send({ type: "assist", on: this.settings.assist });
       this.showLine();
     });
     channel.on("status", (status) => {
@@ -67,6 +69,8 @@ class Seat {
       if (byId("time").textContent !== sentence) byId("time").textContent = sentence;
       byId("time").hidden = sentence === "";
       byId("simulation").textContent = simulationWords(this.hello, state);
+      // The throttle begins where the autopilot has it; with the assist its middle is level flight.
+      if (this.sticks && !this.holding && !this.settings.assist) this.sticks.match(state.command[0]);
     });
     channel.on("flight", (flight) => showEffects(byId("effects"), flight.effects));
     channel.on("effects", (message) => showEffects(byId("effects"), message.active));
@@ -102,32 +106,81 @@ class Seat {
     byId("replay").addEventListener("close", () => this.stopReplay());
   }
 
+  /** Mode, dead band, expo, reversed sticks and the beginner's assist; sticks.js keeps them. */
+  makeSettings() {
+    const { settings } = this;
+    const form = byId("settings");
+    const field = (name, label, control) => {
+      const box = newElement("label", control.type === "checkbox" ? "tick" : "");
+      control.id = `set-${name}`;
+      box.htmlFor = control.id;
+      const text = newElement("span", "", label);
+      box.append(...(control.type === "checkbox" ? [control, text] : [text, control]));
+      return box;
+    };
+    const tick = (on) => Object.assign(newElement("input"), { type: "checkbox", checked: on });
+    const range = (value, max) => {
+      return Object.assign(newElement("input"), { type: "range", min: 0, max, step: 0.01, value });
+    };
+    const mode = newElement("select");
+    for (const [value, text] of Object.entries(MODE_WORDS)) {
+      mode.append(Object.assign(newElement("option", "", text), { value }));
+    }
+    mode.value = settings.mode;
+    const deadBand = range(settings.deadBand, 0.3);
+    const expo = range(settings.expo, 1);
+    const assist = tick(settings.assist);
+    const reversed = Object.keys(settings.reversed).map((name) => [name, tick(settings.reversed[name])]);
+    const fieldset = newElement("fieldset");
+    fieldset.append(newElement("legend", "", "Reversed"), ...reversed.map(([name, box]) => field(name, name, box)));
+    form.append(
+      field("assist", "Beginner's assist: the kit keeps the wings level and the height", assist),
+      field("mode", "Stick mode", mode),
+      field("dead-band", "Dead band", deadBand),
+      field("expo", "Expo: softer around the centre", expo),
+      fieldset,
+    );
+    form.addEventListener("submit", (event) => event.preventDefault());
+    form.addEventListener("input", () => {
+      const change = {
+        mode: Number(mode.value),
+        deadBand: Number(deadBand.value),
+        expo: Number(expo.value),
+        assist: assist.checked,
+        reversed: Object.fromEntries(reversed.map(([name, box]) => [name, box.checked])),
+      };
+      if (change.assist !== this.settings.assist) this.channel.send({ type: "assist", on: change.assist });
+      this.settings = this.withSticks((sticks) => {
+        sticks.settings = change;
+        return sticks.settings;
+      });
+    });
+    addEventListener("gamepadconnected", (event) => {
+      byId("gamepad").textContent = `Connected: ${event.gamepad.id}.`;
+    });
+    addEventListener("gamepaddisconnected", () => {
+      byId("gamepad").textContent = "The gamepad is gone.";
+    });
+  }
+
   sendName() {
     const name = byId("name").value.trim();
     keepValue(NAME_KEY, name);
     if (name) this.channel.send({ type: "name", name });
   }
 
-  /** Hold by the button, by the space key or as sticks.js says; every way out of the page lets go. */
+  /** Hold by the button, or as sticks.js says; every way out of the page lets go. */
   holdButton() {
     const button = byId("hold");
     button.addEventListener("pointerdown", (event) => {
       event.preventDefault();
       button.setPointerCapture(event.pointerId);
-      this.press("button", true);
+      this.press(true);
     });
     for (const type of ["pointerup", "pointercancel", "lostpointercapture"]) {
-      button.addEventListener(type, () => this.press("button", false));
+      button.addEventListener(type, () => this.press(false));
     }
     button.addEventListener("contextmenu", (event) => event.preventDefault());
-    const space = (event, on) => {
-      if (event.code !== "Space" || !this.mayFly) return;
-      if (on && event.target.closest("input, select, textarea, dialog")) return;
-      event.preventDefault(); // no scrolling, and no click on the button that has the focus
-      if (!event.repeat) this.press("key", on);
-    };
-    addEventListener("keydown", (event) => space(event, true));
-    addEventListener("keyup", (event) => space(event, false));
     const leave = () => this.letGo();
     addEventListener("blur", leave);
     addEventListener("pagehide", leave);
@@ -137,27 +190,31 @@ class Seat {
     setInterval(() => this.sendSticks(), STICKS_MS);
   }
 
-  press(source, on) {
-    if (on) this.pressed.add(source);
-    else this.pressed.delete(source);
+  press(on) {
+    this.pressed = on;
     this.sendSticks();
   }
 
   letGo() {
-    this.pressed.clear();
+    this.pressed = false;
     this.sendSticks(true);
   }
 
-  assist() {
-    return Boolean(this.sticks.settings && this.sticks.settings.assist);
+  /** What `use` answers for the sticks, or for sticks that are read only here. */
+  withSticks(use) {
+    const sticks = this.sticks || new Sticks(byId("pads"), {});
+    const answer = use(sticks);
+    if (!this.sticks) sticks.dispose();
+    return answer;
   }
 
   /** One message while hold is pressed; one more, with hold = 0, as soon as it is not. */
   sendSticks(release = false) {
+    if (!this.sticks) return;
     const sticks = this.sticks.read();
-    const hold = !release && this.mayFly && (this.pressed.size > 0 || Boolean(sticks.hold));
+    const hold = !release && (this.pressed || sticks.hold);
     if (hold || this.holding) {
-      const bytes = packSticks(sticks, hold, this.assist(), this.sequence, performance.now());
+      const bytes = packSticks(sticks, hold, this.settings.assist, this.sequence, performance.now());
       const sent = hold ? this.channel.sendFresh(bytes) : this.channel.pass(bytes);
       if (sent) this.sequence = (this.sequence + 1) % 65536;
     }
@@ -170,10 +227,16 @@ class Seat {
 
   grant(mayFly) {
     if (mayFly === this.mayFly) return;
-    if (!mayFly) this.letGo();
     this.mayFly = mayFly;
     byId("seat").classList.toggle("may-fly", mayFly);
-    if (!mayFly) return;
+    if (!mayFly) {
+      this.letGo();
+      this.sticks.dispose();
+      this.sticks = null;
+      return;
+    }
+    this.sticks = new Sticks(byId("pads"), {});
+    this.sticks.drawTouch();
     if (navigator.vibrate && navigator.userActivation && navigator.userActivation.hasBeenActive) navigator.vibrate(150);
     scrollTo(0, 0);
   }
