@@ -2,6 +2,7 @@
 
 import { Channel } from "./channel.js";
 import { Theme } from "./theme.js";
+import { Replay } from "./replay.js";
 import { HallView, Pictures } from "./view.js";
 import { WhoLine, asWords, byId, cameraButtons, newElement } from "./parts.js";
 import { showBoard, showConnection, showEffects, showLink, showQr, showVerdict, simulationWords, timeSentence } from "./parts.js";
@@ -41,6 +42,7 @@ class Desk {
       camera: "tower",
       onchange: (camera) => this.cameras.show(camera),
     });
+    this.replay = new Replay(byId("replay"), this.channel, this.view, { modal: false });
     this.showQueue();
     this.tasks = DESK_TASKS;
     this.showTasks("landing", "");
@@ -75,11 +77,9 @@ class Desk {
     channel.on("event", (event) => this.showEvent(event));
     channel.on("verdict", (verdict) => {
       showVerdict(byId("verdict"), verdict);
-      if (!verdict.logged) return;
-      const again = newElement("a", "", "Keep it as one file");
-      again.href = `/flights/${Number(verdict.flight)}.html`;
-      again.download = "";
-      byId("verdict").append(again);
+      byId("after").hidden = false;
+      byId("keep").href = `/flights/${Number(verdict.flight)}.html`;
+      this.verdict = verdict;
     });
     channel.on("board", (message) => showBoard(byId("board"), message.rows, DESK_ROWS));
     channel.on("preparing", (message) => {
@@ -98,7 +98,6 @@ class Desk {
     byId("take").addEventListener("click", () => this.order({ type: "take" }));
     addEventListener("keydown", (event) => {
       if (event.key !== "Escape" || event.repeat) return;
-      event.preventDefault();
       this.order({ type: "take" });
     });
     byId("pause").addEventListener("click", () => this.order({ type: "pause", on: !(this.state && this.state.paused) }));
@@ -115,6 +114,7 @@ class Desk {
       byId("speeds").append(button);
       return { value, button };
     });
+    byId("watch").addEventListener("click", () => this.replay.open(this.verdict.flight));
     byId("task").addEventListener("change", () => this.showManoeuvres(""));
     byId("pick").addEventListener("submit", (event) => {
       event.preventDefault();

@@ -3,6 +3,7 @@
 import { Channel, packSticks } from "./channel.js";
 import { Theme, keepValue, keptValue } from "./theme.js";
 import { HallView, Pictures } from "./view.js";
+import { Replay } from "./replay.js";
 import { Sticks } from "./sticks.js";
 import { WhoLine, byId, newElement, ordinal } from "./parts.js";
 import { cameraButtons, showBoard, showConnection, showEffects, showVerdict } from "./parts.js";
@@ -35,6 +36,7 @@ class Seat {
       camera: still ? "tower" : "chase", // a moving camera makes some people sick
       onchange: (camera) => this.cameras.show(camera),
     });
+    this.replay = new Replay(byId("replay"), this.channel, this.view);
     this.settings = this.withSticks((sticks) => sticks.settings);
     this.listen();
     this.form();
@@ -78,7 +80,6 @@ class Seat {
     channel.on("error", (message) => this.showLine(message.text));
     channel.on("preparing", (message) => this.showLine(message.text));
     channel.on("verdict", (verdict) => this.showAfter(verdict));
-    channel.on("gap", (message) => this.showGap(message));
     channel.on("pong", () => {
       byId("answer").textContent = `Answer from the class after ${Math.round(channel.roundTripMs)} ms.`;
     });
@@ -97,13 +98,10 @@ class Seat {
       this.letGo();
       this.channel.send({ type: "leave" });
     });
-    byId("watch").addEventListener("click", () => this.watchAgain());
-    byId("gap").addEventListener("click", () => {
-      this.channel.send({ type: "gap", flight: this.verdict.flight });
-      this.showGap({ flight: this.verdict.flight, sentence: "Comparing the flight with its model ..." });
+    byId("watch").addEventListener("click", () => {
+      this.letGo();
+      this.replay.open(this.verdict.flight);
     });
-    byId("replay-close").addEventListener("click", () => byId("replay").close());
-    byId("replay").addEventListener("close", () => this.stopReplay());
   }
 
   /** Mode, dead band, expo, reversed sticks and the beginner's assist; sticks.js keeps them. */
@@ -150,7 +148,8 @@ class Seat {
         reversed: Object.fromEntries(reversed.map(([name, box]) => [name, box.checked])),
       };
       if (change.assist !== this.settings.assist) this.channel.send({ type: "assist", on: change.assist });
-      this.settings = this.withSticks((sticks) => {
+      this.replay = new Replay(byId("replay"), this.channel, this.view);
+    this.settings = this.withSticks((sticks) => {
         sticks.settings = change;
         return sticks.settings;
       });
@@ -235,6 +234,7 @@ class Seat {
       this.sticks = null;
       return;
     }
+    this.replay.close();
     this.sticks = new Sticks(byId("pads"), {});
     this.sticks.drawTouch();
     if (navigator.vibrate && navigator.userActivation && navigator.userActivation.hasBeenActive) navigator.vibrate(150);
@@ -265,40 +265,7 @@ class Seat {
     this.verdict = verdict;
     showVerdict(byId("verdict"), verdict);
     byId("keep").href = `/flights/${Number(verdict.flight)}.html`;
-    byId("gap-line").hidden = true;
-    byId("gap").disabled = false;
     byId("after").hidden = false;
-  }
-
-  showGap(message) {
-    if (!this.verdict || message.flight !== this.verdict.flight) return;
-    byId("gap").disabled = message.state !== "failed" && message.state !== "done";
-    byId("gap-line").textContent = message.sentence;
-    byId("gap-line").hidden = false;
-  }
-
-  /** The flight's own page over this one; the player is fetched only now. */
-  async watchAgain() {
-    const { flight } = this.verdict;
-    byId("replay-title").textContent = `Flight ${flight}`;
-    byId("replay-box").replaceChildren(newElement("p", "", "Loading the flight ..."));
-    byId("replay").showModal();
-    this.letGo();
-    try {
-      const [{ Player }, answer] = await Promise.all([import("./player.js"), fetch(`/flights/${flight}.json`)]);
-      if (!answer.ok) throw new Error(`the class answers ${answer.status}`);
-      const data = await answer.json();
-      byId("replay-box").replaceChildren();
-      this.player = new Player(byId("replay-box"), data, null);
-    } catch (error) {
-      byId("replay-box").replaceChildren(newElement("p", "", `The flight cannot be shown: ${error.message}.`));
-    }
-  }
-
-  stopReplay() {
-    if (this.player) this.player.dispose();
-    this.player = null;
-    byId("replay-box").replaceChildren();
   }
 }
 

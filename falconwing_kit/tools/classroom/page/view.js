@@ -148,6 +148,12 @@ export class HallView {
     this.onchange(this.camera);
   }
 
+  /** Draw nothing while another view of the hall lies over this one. */
+  suspend(on) {
+    this.suspended = on;
+    this.wake();
+  }
+
   take(state) {
     const now = performance.now();
     const pose = poseMatrix(...state.pose);

@@ -3,6 +3,7 @@
 import { Channel } from "./channel.js";
 import { Theme } from "./theme.js";
 import { FlightCharts } from "./plots.js";
+import { Replay } from "./replay.js";
 import { HallView, Pictures } from "./view.js";
 import { WhoLine, asWords, byId, drawSticks, newElement } from "./parts.js";
 import { showBoard, showConnection, showEffects, showLink, showQr, showVerdict, simulationWords, timeSentence } from "./parts.js";
@@ -33,6 +34,7 @@ class Wall {
       camera: still ? "tower" : "chase", // a moving camera makes some people sick
       onchange: (camera) => this.showCamera(camera),
     });
+    this.replay = new Replay(byId("replay"), this.channel, this.view);
     this.listen();
     this.keys();
     const redraw = () => this.draw();
@@ -78,9 +80,11 @@ class Wall {
 
   keys() {
     addEventListener("keydown", (event) => {
+      if (byId("replay").open) return; // the player's keys
       if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
       const key = event.key.toLowerCase();
       if (WALL_CAMERAS[key]) this.view.setCamera(WALL_CAMERAS[key]);
+      if (key === "r" && this.verdictFlight !== undefined) this.replay.open(this.verdictFlight);
       if (key === "t") this.theme.next();
       if (key !== "f") return;
       if (document.fullscreenElement) document.exitFullscreen();
@@ -126,6 +130,10 @@ class Wall {
   showVerdict(verdict) {
     const box = byId("verdict");
     showVerdict(box, verdict);
+    const again = newElement("button", "", "Watch it again (key R)");
+    again.type = "button";
+    again.addEventListener("click", () => this.replay.open(verdict.flight));
+    box.append(again);
     box.hidden = false;
     this.verdictAt = performance.now();
     this.verdictFlight = verdict.flight;
