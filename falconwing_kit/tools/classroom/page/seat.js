@@ -5,13 +5,13 @@ import { Theme, keepValue, keptValue } from "./theme.js";
 import { HallView, Pictures } from "./view.js";
 import { Replay } from "./replay.js";
 import { Sticks } from "./sticks.js";
-import { WhoLine, byId, newElement, ordinal } from "./parts.js";
+import { WhoLine, byId, drawSticks, newElement, ordinal } from "./parts.js";
 import { cameraButtons, showBoard, showConnection, showEffects, showVerdict } from "./parts.js";
 import { simulationWords, timeSentence } from "./parts.js";
 
 const STICKS_MS = 20;
 const NAME_KEY = "falconwing-name";
-const SEAT_CAMERAS = { chase: "Chase", nose: "Nose", tower: "Tower", picture: "Camera" };
+const SEAT_CAMERAS = { chase: "Chase", nose: "Nose", tower: "Tower", picture: "Picture" };
 const SEAT_ROWS = 8;
 const MODE_WORDS = { 1: "1: elevator left, throttle right", 2: "2: throttle left, elevator right" };
 
@@ -212,6 +212,7 @@ class Seat {
     if (!this.sticks) return;
     const sticks = this.sticks.read();
     const hold = !release && (this.pressed || sticks.hold);
+    if (this.sequence % 2 === 0 || !hold) this.drawn(sticks, hold);
     if (hold || this.holding) {
       const bytes = packSticks(sticks, hold, this.settings.assist, this.sequence, performance.now());
       const sent = hold ? this.channel.sendFresh(bytes) : this.channel.pass(bytes);
@@ -224,9 +225,19 @@ class Seat {
     this.showLine();
   }
 
+  /** What the sticks do, for those who see no touch pads; drawn only when it changes. */
+  drawn(sticks, hold) {
+    const values = [sticks.throttle, sticks.aileron, sticks.elevator, sticks.rudder];
+    const text = `${values} ${hold} ${this.theme.name} ${innerWidth}`;
+    if (text === this.drawnText) return;
+    this.drawnText = text;
+    drawSticks(byId("stick-view"), values, hold ? "student" : "nobody");
+  }
+
   grant(mayFly) {
     if (mayFly === this.mayFly) return;
     this.mayFly = mayFly;
+    this.drawnText = "";
     byId("seat").classList.toggle("may-fly", mayFly);
     if (!mayFly) {
       this.letGo();
