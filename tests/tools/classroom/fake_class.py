@@ -1,5 +1,5 @@
-"""A tiny class for tests of the pages: its files and a WebSocket that speaks the protocol, packed here
-with `struct`, apart from the kit's own server.
+"""A tiny class for tests of the pages: its files and a WebSocket that speaks the protocol, packed
+here with `struct`, apart from the kit's own server.
 """
 
 import asyncio
@@ -18,12 +18,18 @@ import cv2
 import numpy as np
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 import falconwing_kit
 
 PAGE = Path(falconwing_kit.__file__).parent / "tools" / "classroom" / "page"
-TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+TYPES = {
+    ".html": "text/html",
+    ".js": "text/javascript",
+    ".css": "text/css",
+    ".svg": "image/svg+xml",
+}
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
     "worker-src blob:; connect-src 'self'; base-uri 'none'; form-action 'none'"
@@ -36,7 +42,7 @@ HELLO = {
     "camera": {"p_body_camera": [0.1, 0.0, 0.0], "fov_deg": 90.0, "pitch_deg": -10.0},
     "phases": ["approach", "flare", "landed"],
     "effects": [
-        {"name": "wind", "physics": "The air moves as a whole: velocity through the air is not that over the floor."},
+        {"name": "wind", "physics": "The air moves as a whole over the floor."},
         {"name": "drag", "physics": "More drag than the model has."},
         {"name": "control delay", "physics": "Commands act later."},
     ],
@@ -44,7 +50,13 @@ HELLO = {
 
 
 def state_bytes(
-    t: float, *, holder: int = 1, flight: int = 7, flags: int = 0, speed: float = 1.0, phase: int = 0
+    t: float,
+    *,
+    holder: int = 1,
+    flight: int = 7,
+    flags: int = 0,
+    speed: float = 1.0,
+    phase: int = 0,
 ) -> bytes:
     """A state of an aircraft that circles at 1.2 m with 3 m/s on a radius of 4 m."""
     angle = 3.0 / 4.0 * t
@@ -66,7 +78,7 @@ def picture_bytes(sequence: int) -> bytes:
 
 
 class FakeClass:
-    """Serves the pages and notes what they send; `stubs` stand in for files, `folders` come first."""
+    """Serves the pages and notes what they send; `stubs` stand in for files of `folders`."""
 
     def __init__(self, stubs: dict[str, str], folders: Sequence[Path] = (PAGE,)) -> None:
         self.stubs, self.folders = stubs, folders
@@ -141,13 +153,13 @@ class FakeClass:
         if path in self.files:
             kind, body = self.files[path]
             return self._response(HTTPStatus.OK, kind, body)
+        if name in self.stubs:
+            return self._response(HTTPStatus.OK, "text/javascript", self.stubs[name].encode())
         for folder in self.folders:
             if "/" not in name and (folder / name).is_file():
                 return self._response(
                     HTTPStatus.OK, TYPES[Path(name).suffix], (folder / name).read_bytes()
                 )
-        if name in self.stubs:
-            return self._response(HTTPStatus.OK, "text/javascript", self.stubs[name].encode())
         return self._response(HTTPStatus.NOT_FOUND, "text/plain", b"")
 
     @staticmethod
@@ -169,7 +181,7 @@ class FakeClass:
         for message in self.first:
             await connection.send(json.dumps(message))
         try:
-            async for data in connection:
+            async for data in connection:  # until it ends, in whatever way
                 if isinstance(data, bytes):
                     self.binaries.put(data)
                     continue
@@ -178,5 +190,7 @@ class FakeClass:
                     await connection.send(json.dumps({**message, "type": "pong"}))
                 else:
                     self.texts.put((role, message))
+        except ConnectionClosed:
+            pass
         finally:
             del self.clients[client]

@@ -39,7 +39,6 @@ class Desk {
     this.pictures = new Pictures(this.channel);
     this.cameras = cameraButtons(byId("cameras"), DESK_CAMERAS, (name) => this.view.setCamera(name));
     this.view = new HallView(byId("hall"), this.channel, this.pictures, {
-      camera: "tower",
       onchange: (camera) => this.cameras.show(camera),
     });
     this.replay = new Replay(byId("replay"), this.channel, this.view, { modal: false });
@@ -183,7 +182,7 @@ class Desk {
       const button = newElement("button", "switch");
       button.type = "button";
       button.setAttribute("role", "switch");
-      button.append(newElement("span", "track"), newElement("span", "name", name), newElement("span", "physics", physics));
+      button.append(newElement("span", "track"), newElement("span", "name", asWords(name)), newElement("span", "physics", physics));
       button.addEventListener("click", () => this.order({ type: "effect", name, on: !this.active.has(name) }));
       this.switches.set(name, button);
       const row = newElement("li");

@@ -154,7 +154,7 @@ export function showBoard(list, rows, count) {
 
 /** Fill a list with the names of the effects that act now; hidden without any. */
 export function showEffects(list, names) {
-  list.replaceChildren(...(names || []).map((name) => newElement("li", "", name)));
+  list.replaceChildren(...(names || []).map((name) => newElement("li", "", asWords(name))));
   list.hidden = !names || names.length === 0;
 }
 

@@ -6,7 +6,8 @@ import { poseMatrix, chaseCamera, noseCamera, towerCamera, interpolatePoses } fr
 export const CAMERAS = ["chase", "nose", "tower", "picture"];
 const VIEW_BACKGROUND = [0.106, 0.133, 0.169];
 const CHASE_FOV_DEG = 70;
-const TOWER_FOV_DEG = 45;
+const TOWER_WIDTH = 5; // m of the hall that the tower's camera shows at the aircraft
+const TOWER_FOV_DEG = [20, 65]; // of its zoom
 const JUMP = 2.5; // m between two states: a new flight, not a movement
 const LEADER_COLOR = "#d98f00";
 const STEADY_MS = 700; // go on drawing this long after the last change: sorting ends later
@@ -201,7 +202,11 @@ export class HallView {
       return { T_world_camera: noseCamera(pose, mount), fovDeg: mount.fov_deg };
     }
     if (this.camera === "tower") {
-      return { T_world_camera: towerCamera(pose, this.tower()), fovDeg: TOWER_FOV_DEG };
+      const place = this.tower();
+      const distance = Math.hypot(pose[3] - place[0], pose[7] - place[1], pose[11] - place[2]);
+      const wide = (2 * Math.atan2(TOWER_WIDTH / 2, distance) * 180) / Math.PI;
+      const fovDeg = Math.min(TOWER_FOV_DEG[1], Math.max(TOWER_FOV_DEG[0], wide));
+      return { T_world_camera: towerCamera(pose, place), fovDeg };
     }
     return { T_world_camera: chaseCamera(pose, { hall: this.hello.hall }), fovDeg: CHASE_FOV_DEG };
   }
