@@ -48,7 +48,8 @@ STRAIGHT_ROLL = math.radians(5.0)  # below it the course is taken for the line t
 HEIGHT_LEAD = 0.15  # of the reference above or below the aircraft, at most [m]
 # Near the floor: height of the lowest wheel that full forward stick leaves beside the pad, time in
 # which the height above it falls to 1/e, sink rate that is left at the pad.
-CLEARANCE, SETTLING_S, TOUCH_SINK = 0.3, 1.0, 0.2  # [m, s, m/s]
+CLEARANCE, SETTLING_S, TOUCH_SINK = 0.3, 0.8, 0.25  # [m, s, m/s]
+LOW_BANK, FULL_BANK_AT = math.radians(8.0), 0.5  # with the wheels on the ground [rad]; from [m] on
 PAD_MARGIN = 0.3  # from the pad's edges, within which the sink rate is limited and no more [m]
 CEILING_MARGIN = 0.6  # [m]
 LONGEST_STEP_S = 0.2  # that the references move in; after a longer gap they begin anew
@@ -219,9 +220,14 @@ class Assist:
         if not 0.0 <= step <= LONGEST_STEP_S:
             self.release()
             step = 0.0
-        self._bank = _approach(self._bank, MAX_BANK * sticks.aileron, BANK_RATE * step)
+        wheels = float(np.min(wheel_heights(state.vector, self._airframe, self._pad)))
+        # A wing tip must not reach the ground before a wheel does.
+        free = LOW_BANK + (MAX_BANK - LOW_BANK) * min(max(wheels / FULL_BANK_AT, 0.0), 1.0)
+        bank = min(max(MAX_BANK * sticks.aileron, -free), free)
+        self._bank = _approach(self._bank, bank, BANK_RATE * step)
         speed = self.speed + SPEED_SPAN * (2.0 * sticks.throttle - 1.0)
-        height = self._vertical(state, speed * math.sin(MAX_CLIMB * sticks.elevator), step)
+        rate = speed * math.sin(MAX_CLIMB * sticks.elevator)
+        height = self._vertical(state, wheels, rate, step)
         place, course = self._lateral(state, sticks)
         p_world = np.array([place[0], place[1], height])
         return Reference(p_world, course, math.asin(self._rate / speed), speed, self._bank)
@@ -244,10 +250,9 @@ class Assist:
         ahead = course_axes(course)[0]
         return point + ((state.p_world - point) @ ahead) * ahead, course
 
-    def _vertical(self, state: State, rate: float, step: float) -> float:
-        """Height of the reference [m], from the rate that the stick asks for [m/s]."""
+    def _vertical(self, state: State, wheels: float, rate: float, step: float) -> float:
+        """Height of the reference [m], from the lowest wheel's [m] and the rate asked for [m/s]."""
         z = float(state.p_world[2])
-        wheels = float(np.min(wheel_heights(state.vector, self._airframe, self._pad)))
         height = z if self._height is None else self._height
         if self._is_over_pad(state.p_world):
             lowest_rate = -TOUCH_SINK - max(wheels, 0.0) / SETTLING_S
@@ -258,7 +263,10 @@ class Assist:
         highest_rate = (self._highest - height) / SETTLING_S
         rate = min(max(rate, min(lowest_rate, limit)), max(highest_rate, -limit))
         self._rate = _approach(self._rate, rate, MAX_RATE_CHANGE * step)
-        self._height = min(max(height + self._rate * step, z - HEIGHT_LEAD), z + HEIGHT_LEAD)
+        # The reference leads in the direction that is asked for, and is never left behind.
+        ahead, behind = HEIGHT_LEAD, 0.0 if rate else HEIGHT_LEAD
+        below, above = (ahead, behind) if rate < 0.0 else (behind, ahead)
+        self._height = min(max(height + self._rate * step, z - below), z + above)
         return self._height
 
     def _is_over_pad(self, p_world: Array) -> bool:
