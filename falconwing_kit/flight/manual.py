@@ -45,7 +45,8 @@ SPEED_SPAN = 1.5  # either side of the speed of the approach [m/s]
 IDLE_BELOW = 0.03  # throttle stick that stops the motor
 LEVEL_BANK = math.radians(1.0)  # of the reference: below it the turn has ended
 STRAIGHT_ROLL = math.radians(5.0)  # below it the course is taken for the line to hold
-HEIGHT_LEAD = 0.15  # of the reference above or below the aircraft, at most [m]
+# Of the reference above or below the aircraft, at most: while it climbs or descends, and level [m].
+HEIGHT_LEAD, HEIGHT_HOLD = 0.03, 0.3
 # Near the floor: height of the lowest wheel that full forward stick leaves beside the pad, time in
 # which the height above it falls to 1/e, sink rate that is left at the pad.
 CLEARANCE, SETTLING_S, TOUCH_SINK = 0.3, 0.8, 0.25  # [m, s, m/s]
@@ -263,9 +264,11 @@ class Assist:
         highest_rate = (self._highest - height) / SETTLING_S
         rate = min(max(rate, min(lowest_rate, limit)), max(highest_rate, -limit))
         self._rate = _approach(self._rate, rate, MAX_RATE_CHANGE * step)
-        # The reference leads in the direction that is asked for, and is never left behind.
-        ahead, behind = HEIGHT_LEAD, 0.0 if rate else HEIGHT_LEAD
-        below, above = (ahead, behind) if rate < 0.0 else (behind, ahead)
+        # A reference far ahead would make the aircraft faster than asked for, and one that it has
+        # passed would call it back.
+        below, above = HEIGHT_HOLD, HEIGHT_HOLD
+        if rate:
+            below, above = (HEIGHT_LEAD, 0.0) if rate < 0.0 else (0.0, HEIGHT_LEAD)
         self._height = min(max(height + self._rate * step, z - below), z + above)
         return self._height
 

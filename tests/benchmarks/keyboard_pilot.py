@@ -86,6 +86,9 @@ class Skill:
     over_threshold: float = 0.65  # height of the centre of gravity [m]
     descend_s: float = 0.9  # time in which it corrects its height
     idle_before: float = 3.0  # of the threshold, without the assist [m]
+    pace_s: float = 0.35  # between two taps, so that one is left for what comes
+    turn_ahead_s: float = 0.6  # for which it counts on the bank that it sees, without the assist
+    roll_first: float = 1.5  # weight of the bank against the other sticks, without the assist
     flare: float = 0.15  # slope over height, without the assist [rad/m]
     course_band: float = math.radians(3.0)  # errors that it lets be [rad]
     roll_band: float = math.radians(4.0)
@@ -123,6 +126,8 @@ class KeyboardPilot:
     def _press(self, t: float, stick: str, area: float) -> bool:
         """Begin a tap; False where the key is down, or one change too many would follow."""
         if any(tap.stick == stick and t < tap.up + SPRING_S for tap in self.taps):
+            return False
+        if self.taps and t < self.taps[-1].down + self.skill.pace_s:
             return False
         if stick == "throttle":
             seconds = abs(area) / THROTTLE_RATE
@@ -179,11 +184,12 @@ class KeyboardPilot:
     def _plain(self, t: float, now: Shown, v: np.ndarray) -> list[tuple[float, str, float]]:
         skill, seconds = self.skill, t - now.t
         course, wish = self._course(t, now, v)
-        course += 9.81 / 7.0 * now.roll * seconds
+        course += 9.81 / 7.0 * now.roll * skill.turn_ahead_s
         bank = (wish - course) * 7.0 / 9.81 / skill.turn_s
         bank = max(min(bank, skill.largest_bank), -skill.largest_bank)
         roll = now.roll + skill.roll * self._pending("aileron", now.t - 0.1)
-        needs = [(abs(bank - roll) / skill.roll_band, "aileron", (bank - roll) / skill.roll)]
+        need = skill.roll_first * abs(bank - roll) / skill.roll_band
+        needs = [(need, "aileron", (bank - roll) / skill.roll)]
         x, z = now.p_world[0] + v[0] * seconds, now.p_world[2] + v[2] * seconds
         climb = math.atan2(v[2], v[0]) + skill.slope * self._pending("elevator", now.t - 0.15)
         throttle = now.throttle + THROTTLE_RATE * self._seconds("throttle", now.t)
