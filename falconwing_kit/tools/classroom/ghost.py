@@ -8,6 +8,7 @@ simulated aircraft with its effects: what it lacks is what parts the two.
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -158,7 +159,7 @@ def _fly_rows(model: Model, table: FlightTable, x: Array, first: int, last: int)
     rows, column = [], x[:, None]
     marks = set(np.cumsum(steps).tolist())
     with np.errstate(all="ignore"):
-        for k, (start, end) in enumerate(zip(ahead[:-1], ahead[1:], strict=True)):
+        for k, (start, end) in enumerate(pairwise(ahead)):
             j = before + k
             column = step_batch(
                 rates, K, start, column, mean[j][:, None], end - start, slope[j][:, None]

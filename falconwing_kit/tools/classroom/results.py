@@ -423,7 +423,7 @@ def _fly_again(record: FlightRecord, log: FlightLog, steps: _Steps, earlier: flo
                 _switch(active, switches.pop(0))
                 switch_effects(world, task.model, active)
             world.advance(max(float(t), world.t))
-            sent = Command(*(float(u) for u in command))
+            sent = Command.clip(*command.tolist())
             states.append(world.state.vector)
             measured.append(world.measured().vector)
             if trial.leader is not None:
