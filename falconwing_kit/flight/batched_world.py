@@ -77,6 +77,7 @@ class BatchedWorld:
         noise = noise or PoseNoise()
         self._sigma = np.repeat((noise.position, noise.attitude), 3)
         self._gains, self._transition = _gains(noise), filter_transition(CONTROL_PERIOD_S)
+        self._weights = _weights(self._gains[: FRAMES_BEFORE_START + 1], self._transition)
         B = int(require_range("count", count, low=1, high=1_000_000))
         added_delay, added_lag, _ = model.added_input_map(model.K)
         self._lag = max(model.K.lag + added_lag, 0.0)
@@ -117,11 +118,7 @@ class BatchedWorld:
         self.x[index], self.frames[index], self._flies[index] = x, 0, True
         for row, seed in zip(rows, seeds, strict=True):
             self._seeds[row], self.contacts[row] = int(seed), None
-        # The velocity filter follows the straight line that leads to the start, as in world.py.
-        for frame in range(-FRAMES_BEFORE_START, 1):
-            pose = x[:, POSE].copy()
-            pose[:, :3] += frame * CONTROL_PERIOD_S * x[:, 6:9]
-            self._measure(index, pose, np.full(len(index), frame))
+        self._settle_filter(index, x)
 
     def advance(self, commands: Array) -> None:
         """Send a command to every flight and fly one control period; flights in contact stand.
@@ -141,7 +138,7 @@ class BatchedWorld:
         rows = np.flatnonzero(self._flies)
         for row in rows[self._may_touch(before[rows], self.x[rows])]:
             self._look_for_contact(int(row), before[row])
-        self._measure(rows, self.x[rows][:, POSE], self.frames[rows])
+        self._measure(rows)
 
     def _positions(self) -> tuple[Array, Array]:
         """Mean and slope (B, S, 4) of the control positions; see `inputs.actuator_response`."""
@@ -168,14 +165,14 @@ class BatchedWorld:
         near |= corners[..., 2].max(axis=-1) > self._hall.beams - TOUCH_MARGIN
         level = corners * (1.0, 1.0, 0.0)
         near |= self._hall.margin(level).min(axis=-1) < TOUCH_MARGIN
-        # The same bound as in `find_touchdown`: too high to reach the ground within this step.
-        low = near | (x[:, 2] < self._pad.height + 1.0) | ~np.isfinite(x).all(axis=1)
+        low = (x[:, 2] < self._pad.height + 1.0) | ~np.isfinite(x).all(axis=1)
         rows = np.flatnonzero(low & ~near)
-        both = np.stack([before[rows], x[rows]], axis=1)
-        lowest = wheel_positions(both, self._airframe)[..., 2].min(axis=(1, 2))
-        fastest = np.abs(wheel_velocities(both, self._airframe)[..., 2]).max(axis=(1, 2))
-        reach = lowest - CONTROL_PERIOD_S * fastest - TOUCH_MARGIN
-        near[rows] = ~(reach > self._pad.height)
+        both = np.stack([before[rows], x[rows]])
+        z = wheel_positions(both, self._airframe)[..., 2]
+        rise = CONTROL_PERIOD_S / 3.0 * wheel_velocities(both, self._airframe)[..., 2]
+        # A cubic lies within its Bezier points, and the wheels' paths are cubics in a step.
+        lowest = np.minimum(np.minimum(z[0], z[1]), np.minimum(z[0] + rise[0], z[1] - rise[1]))
+        near[rows] = ~(lowest.min(axis=-1) > self._pad.height + TOUCH_MARGIN)
         return near
 
     def _look_for_contact(self, row: int, before: Array) -> None:
@@ -187,28 +184,45 @@ class BatchedWorld:
         if contact is not None:
             self.contacts[row], self._flies[row] = contact, False
 
-    def _measure(self, rows: NDArray[np.int64], true_pose: Array, frames: Array) -> None:
-        """Noisy poses (n, 6) of some rows into their filters, as `PoseFilter.update`."""
-        pose, draws = true_pose, frames + FRAMES_BEFORE_START
-        if self._sigma.any():
-            noise = [
-                np.random.default_rng([self._seeds[row], draw]).normal(size=6)
-                for row, draw in zip(rows.tolist(), draws.tolist(), strict=True)
-            ]
-            pose = true_pose + self._sigma * np.array(noise).reshape(-1, 6)
-        new = (draws == 0)[:, None]
+    def _settle_filter(self, rows: NDArray[np.int64], x: Array) -> None:
+        """Filter of flights at their start x (n, 12): measured on the straight line that leads
+        there, as in world.py, so it is the sum of those poses with fixed weights.
+        """
+        t = CONTROL_PERIOD_S * np.arange(-FRAMES_BEFORE_START, 1)
+        poses = np.repeat(x[:, None, POSE], len(t), axis=1)
+        poses[..., :3] += t[:, None] * x[:, None, 6:9]
+        for k in range(len(t)):
+            poses[:, k] += self._noise(rows, np.full(len(rows), k))
+        self._filter[rows] = np.einsum("kij,nkj->nij", self._weights, poses)
+        self._write_measured(rows, poses[:, -1])
+
+    def _measure(self, rows: NDArray[np.int64]) -> None:
+        """Noisy poses of some rows into their filters, as `PoseFilter.update`."""
+        draws = self.frames[rows] + FRAMES_BEFORE_START
+        pose = self.x[rows][:, POSE] + self._noise(rows, draws)
         x = self._transition @ self._filter[rows]
         innovation = pose - x[:, 0]
         innovation[:, 3:] = wrap_angle(innovation[:, 3:])
         gains = self._gains[np.minimum(draws, SETTLED_FRAMES)]
-        x = x + gains * innovation[:, None]
-        begun = np.zeros_like(x)
-        begun[:, 0] = pose
-        self._filter[rows] = x = np.where(new[..., None], begun, x)
-        self.measured[rows, :6] = pose[:, [0, 1, 2, 4, 5, 3]]
-        self.measured[rows, 6:9] = x[:, 1, :3]
-        rates = body_rates(x[:, 0, 3], x[:, 0, 4], x[:, 1, 3], x[:, 1, 4], x[:, 1, 5])
-        self.measured[rows, 9:12] = np.stack(rates, axis=-1)
+        self._filter[rows] = x + gains * innovation[:, None]
+        self._write_measured(rows, pose)
+
+    def _noise(self, rows: NDArray[np.int64], draws: NDArray[np.int64]) -> Array:
+        """(n, 6) noise of some rows: the same stream for a seed and a frame as in world.py."""
+        if not self._sigma.any():
+            return np.zeros((len(rows), 6))
+        noise = np.empty((len(rows), 6))
+        for k, (row, draw) in enumerate(zip(rows.tolist(), draws.tolist(), strict=True)):
+            noise[k] = np.random.default_rng([self._seeds[row], draw]).normal(size=6)
+        return self._sigma * noise
+
+    def _write_measured(self, rows: NDArray[np.int64], pose: Array) -> None:
+        """Measured states: the noisy poses (n, 6), velocities and body rates of the filter."""
+        (value, rate), measured = self._filter[rows, :2].swapaxes(0, 1), self.measured
+        measured[rows, :6] = pose[:, [0, 1, 2, 4, 5, 3]]
+        measured[rows, 6:9] = rate[:, :3]
+        rates = body_rates(value[:, 3], value[:, 4], rate[:, 3], rate[:, 4], rate[:, 5])
+        measured[rows, 9:12] = np.stack(rates, axis=-1)
 
 
 def _require_plain(model: Model) -> None:
@@ -236,6 +250,17 @@ def _gains(noise: PoseNoise) -> Array:
         pose_filter.update(frame * CONTROL_PERIOD_S, np.zeros(6))
         gains[frame] = pose_filter.gain
     return gains
+
+
+def _weights(gains: Array, transition: Array) -> Array:
+    """(n, 3, 6) weights of n poses in the filter after the last one, from its gains (n, 3, 6)."""
+    weights = np.zeros_like(gains)
+    weights[0, 0] = 1.0  # the filter begins at the first pose
+    for k in range(1, len(gains)):
+        predicted = transition @ weights[:k]
+        weights[:k] = predicted - gains[k] * predicted[:, :1]
+        weights[k] = gains[k]
+    return weights
 
 
 def _command_changes(late: float, substeps: int) -> list[tuple[int, int, float]]:

@@ -23,8 +23,8 @@ dictionary of "image" (height, width, 3) uint8 from the nose, "state" and "past_
 
 Following adds the leader after the state, 9 numbers, true as the state-based expert has them: its
 place ahead, left and up of the aircraft along its heading (4 m each), its pitch, yaw relative to
-the own and roll (0.35 rad), its velocity minus the own along the same axes (2 m/s). The own position
-is then relative to the middle of the hall's floor (10 m, 10 m, 1 m).
+the own and roll (0.35 rad), its velocity minus the own along the same axes (2 m/s). The own
+position is then relative to the middle of the hall's floor (10 m, 10 m, 1 m).
 
 Reward: see rewards.py; it reads the true state. A contact terminates, the task's duration
 truncates, as in `fly`; info then has "reason" and the judge's "result", whose "success" is the
@@ -277,7 +277,8 @@ class FlightEnvironment(gymnasium.Env[StateObservation, Floats]):
         from falconwing_kit.scene.arena import leader_at, load_scene
 
         scene = load_scene(self._scene) if isinstance(self._scene, str) else self._scene
-        self._view = RenderedView(trial.world, scene, self._camera, self.task.airframe.p_body_camera)
+        mount = self.task.airframe.p_body_camera
+        self._view = RenderedView(trial.world, scene, self._camera, mount)
         if self.render_mode and self._view_name == "chase":
             self._hall = leader_at(scene, None) if "leader" in scene.label_names else scene
             self._aircraft = load_scene("leader")
@@ -508,7 +509,7 @@ class FalconWingLandingVector(VectorEnv[Floats, Floats, NDArray[Any]]):
 
 
 def relative_state(measured: Array, pad: LandingPad) -> Array:
-    """States (..., 12) relative to the pad: from threshold, centre line and top [m]; yaw wrapped."""
+    """States (..., 12) relative to the pad's threshold, centre line and top; yaw wrapped."""
     relative = measured - (pad.x_start, pad.y_centre, pad.height, *[0.0] * 9)
     relative[..., 3:6] = wrap_angle(relative[..., 3:6])
     return relative
