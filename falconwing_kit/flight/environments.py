@@ -181,9 +181,7 @@ class FlightEnvironment(gymnasium.Env[StateObservation, Floats]):
         observation, clipped = self._observe()
         return observation, {"seed": world_seed, "t": 0.0, "clipped": clipped}
 
-    def step(
-        self, action: ArrayLike
-    ) -> tuple[StateObservation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: ArrayLike) -> tuple[StateObservation, float, bool, bool, dict[str, Any]]:
         """Send an action and fly 50 ms.
 
         Raises:
@@ -346,8 +344,13 @@ class FalconWingLandingVector(VectorEnv[Floats, Floats, NDArray[Any]]):
     }  # fmt: skip
 
     def __init__(
-        self, num_envs: int = 64, *, task: LandingTask | None = None, history: int = PAST,
-        discount: float = DISCOUNT, starts: Callable[[int], Array] | None = None,
+        self,
+        num_envs: int = 64,
+        *,
+        task: LandingTask | None = None,
+        history: int = PAST,
+        discount: float = DISCOUNT,
+        starts: Callable[[int], Array] | None = None,
     ) -> None:
         """Prepare flights; they begin with `reset`.
 
@@ -417,9 +420,15 @@ class FalconWingLandingVector(VectorEnv[Floats, Floats, NDArray[Any]]):
                 raise InputError(f"trial: expected one for each of {B} flights, got {len(numbers)}")
             drawn = [trial_seed(number, options.get("list", 0)) for number in numbers]
         self._begin(list(range(B)), drawn)
-        self._begun = True
         observations, clipped = self._observe()
         return observations, {"seed": self._seeds.copy(), "clipped": clipped}
+
+    def begin(self, seeds: Sequence[int]) -> Floats:
+        """Begin all flights from world seeds (B,), such as training seeds; their observations."""
+        if len(seeds) != self.num_envs:
+            raise InputError(f"seeds: expected one a flight, {self.num_envs}, got {len(seeds)}")
+        self._begin(list(range(self.num_envs)), list(seeds))
+        return self._observe()[0]
 
     def step(
         self, actions: ArrayLike
@@ -488,7 +497,7 @@ class FalconWingLandingVector(VectorEnv[Floats, Floats, NDArray[Any]]):
         return int(self._rngs[row].integers(TRIAL_SEEDS))
 
     def _begin(self, rows: list[int], seeds: list[int]) -> None:
-        states = np.array([self._start(seed) for seed in seeds])
+        states, self._begun = np.array([self._start(seed) for seed in seeds]), True
         self.world.begin(rows, states, seeds)
         self._seeds[rows], self._past[rows], self._flown[0, rows] = seeds, 0.0, states[:, :3]
         self._potential[rows] = self._reward.potential(states)
@@ -501,11 +510,26 @@ class FalconWingLandingVector(VectorEnv[Floats, Floats, NDArray[Any]]):
         return (task.start or task.spread.start_near(*near, speed=self._speed)).vector
 
     def _observe(self) -> tuple[Floats, NDArray[np.bool_]]:
-        relative = relative_state(self.world.measured, self.task.pad) / UNITS
-        clipped = np.any(np.abs(relative) > LIMIT, axis=-1)
-        state = np.clip(relative, -LIMIT, LIMIT)
-        past = self._past.reshape(self.num_envs, -1)
-        return np.concatenate([state, past], axis=1).astype(np.float32), clipped
+        return landing_observation(self.world.measured, self._past, self.task.pad)
+
+
+def landing_observation(
+    measured: Array, past: Array, pad: LandingPad
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """The observations of Landing-v0 without images.
+
+    Args:
+        measured: (..., 12) measured states in the order of STATE_NAMES, SI.
+        past: (..., history, 4) past commands, oldest first.
+        pad: the landing pad.
+
+    Returns:
+        (..., 12 + 4 history), and (...) whether a number was beyond its limit and cut.
+    """
+    scaled = relative_state(measured, pad) / UNITS
+    state = np.clip(scaled, -LIMIT, LIMIT)
+    flat = past.reshape(*past.shape[:-2], -1)
+    return np.concatenate([state, flat], axis=-1).astype(np.float32), np.any(state != scaled, -1)
 
 
 def relative_state(measured: Array, pad: LandingPad) -> Array:
