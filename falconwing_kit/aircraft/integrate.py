@@ -95,7 +95,7 @@ def roll_out_compiled(
 
     Much faster for a single flight; the first call compiles for some seconds.
     """
-    fly = _compile_flight(model.form, model.terms, model.winds)
+    fly, _ = _compile_flight(model.form, model.terms, model.winds)
     flown = np.empty((start.shape[0], commands.shape[1] + 1, start.shape[1]))
     slopes = np.zeros_like(commands) if slope is None else slope
     for one_start, means, half_changes, out in zip(start, commands, slopes, flown, strict=True):
@@ -103,6 +103,7 @@ def roll_out_compiled(
             one_start,
             np.ascontiguousarray(means),
             np.ascontiguousarray(half_changes),
+            0.0,
             dt,
             model.K,
             out,
@@ -142,7 +143,7 @@ def _compile_flight(form: Any, terms: Any, winds: Any) -> Any:
     n = 9 if form == "paper" else 12
 
     @njit
-    def fly(start, means, slopes, dt, K, out):  # type: ignore[no-untyped-def]
+    def fly(start, means, slopes, time, dt, K, out):  # type: ignore[no-untyped-def]
         x, shifted, total = start.copy(), np.empty(n), np.empty(n)
         out[0] = x
         for step in range(means.shape[0]):
@@ -151,7 +152,7 @@ def _compile_flight(form: Any, terms: Any, winds: Any) -> Any:
             for stage in range(4):
                 part = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
                 command = means[step] + (2.0 * part - 1.0) * slopes[step]
-                rates = f((step + part) * dt, shifted, command, K)
+                rates = f(time + (step + part) * dt, shifted, command, K)
                 weight = 1.0 if stage in (0, 3) else 2.0
                 next_ahead = dt if stage == 2 else 0.5 * dt
                 for i in range(n):
@@ -161,7 +162,38 @@ def _compile_flight(form: Any, terms: Any, winds: Any) -> Any:
                 x[i] += dt / 6.0 * total[i]
             out[step + 1] = x
 
-    return fly
+    @njit
+    def fly_all(starts, means, slopes, times, dt, K, out):  # type: ignore[no-untyped-def]
+        flown = np.empty((means.shape[1] + 1, n))
+        for row in range(starts.shape[0]):
+            fly(starts[row], means[row], slopes[row], times[row], dt, K, flown)
+            out[row] = flown[-1]
+
+    return fly, fly_all
+
+
+def advance_compiled(
+    model: Model, times: Array, x: Array, mean: Array, slope: Array, dt: float
+) -> Array:
+    """Fly many aircraft, each at a time of its own, through some steps, compiled by numba.
+
+    The same as `step_batch` step by step, to rounding; the first call compiles for some seconds.
+
+    Args:
+        model: the aircraft.
+        times: (B,) now [s].
+        x: (B, n_states) states, SI.
+        mean: (B, S, 4) mean control positions during each step.
+        slope: (B, S, 4) half of their change over each step.
+        dt: step length [s].
+
+    Returns:
+        (B, n_states) states S steps later.
+    """
+    _, fly_all = _compile_flight(model.form, model.terms, model.winds)
+    flown = np.empty_like(x)
+    fly_all(x, mean, slope, times, dt, model.K, flown)
+    return flown
 
 
 ROLL_OUTS: dict[str, Callable[[Model, Array, Array, float, Array | None], Array]] = {

@@ -87,6 +87,11 @@ class FollowEvaluator:
         self._leader: list[State] = []
         self._follower: list[Array] = []
 
+    @property
+    def is_locked(self) -> bool:
+        """Whether the leader was in view in the newest frame."""
+        return bool(self._locked) and self._locked[-1]
+
     def watch(self, step: LoopStep) -> str:
         """Record positions and lock; the reason is the first contact."""
         follower, leader = self.world.state, self.leader.state_at(self.world.t)

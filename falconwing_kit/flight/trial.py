@@ -61,8 +61,14 @@ class Spread:
             yaw: nominal [rad].
             speed: nominal [m/s].
         """
-        draw = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, 7)
         steady = State.from_vector(trim(model, speed).state)
+        return self.start_near(steady, p_world, seed, yaw, speed)
+
+    def start_near(
+        self, steady: State, p_world: ArrayLike, seed: int, yaw: float = 0.0, speed: float = SPEED
+    ) -> State:
+        """The same from the trimmed flight itself: many starts need the trim only once."""
+        draw = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, 7)
         roll, d_pitch, d_yaw = self.angle * draw[3:6]
         attitude = roll, steady.pitch + d_pitch, yaw + d_yaw
         position = np.asarray(p_world, np.float64) + self.position * draw[0:3]

@@ -85,6 +85,7 @@ class PoseFilter:
         sigma = np.maximum((noise.position, noise.attitude), NOISE_FLOOR)
         self._variance = np.repeat(sigma**2, 3)
         self._jerk = np.repeat((POSITION_JERK, ATTITUDE_JERK), 3)
+        self.gain = np.zeros((3, 6))  # of the newest update; it depends on the times alone
 
     def update(self, t: float, pose: Array) -> State:
         """The state after a pose (6,) at t [s]: p_world [m], roll, pitch, yaw [rad]."""
@@ -96,9 +97,9 @@ class PoseFilter:
         innovation = pose - self._x[0]
         innovation[3:] = (innovation[3:] + np.pi) % (2.0 * np.pi) - np.pi
         # Only the value is measured, so the gain is the covariance's first column over a scalar.
-        gain = self._P[:, 0] / (self._P[0, 0] + self._variance)
-        self._x = self._x + gain * innovation
-        self._P = self._P - gain[:, None] * self._P[None, 0]
+        self.gain = self._P[:, 0] / (self._P[0, 0] + self._variance)
+        self._x = self._x + self.gain * innovation
+        self._P = self._P - self.gain[:, None] * self._P[None, 0]
         p_world, (roll, pitch, yaw) = self._x[0, :3].copy(), self._x[0, 3:]
         rates = np.array(body_rates(roll, pitch, *self._x[1, 3:]))
         yaw = (yaw + np.pi) % (2.0 * np.pi) - np.pi
@@ -106,7 +107,7 @@ class PoseFilter:
         return State(p_world, float(pitch), float(yaw), float(roll), v_world, rates)
 
     def _predict(self, dt: float) -> None:
-        F = np.array([[1.0, dt, dt * dt / 2.0], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
+        F = filter_transition(dt)
         Q = np.array(
             [
                 [dt**5 / 20, dt**4 / 8, dt**3 / 6],
@@ -116,6 +117,11 @@ class PoseFilter:
         )
         self._x = F @ self._x
         self._P = np.einsum("ij,jkc,lk->ilc", F, self._P, F) + Q[:, :, None] * self._jerk**2
+
+
+def filter_transition(dt: float) -> Array:
+    """(3, 3) value, rate and acceleration after dt [s] of constant acceleration."""
+    return np.array([[1.0, dt, dt * dt / 2.0], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
 
 
 class SimulatedWorld:
@@ -221,37 +227,59 @@ class SimulatedWorld:
         filtered = self._filter.update(frame * CONTROL_PERIOD_S, pose)
         return State(pose[:3], pose[4], pose[5], pose[3], filtered.v_world, filtered.rates_body)
 
-    def _corners(self, p_world: Array, roll: float, pitch: float, yaw: float) -> Array:
-        """Nose, tail and wing tips (4, 3) [m]."""
-        corners_body = self._airframe.corners_body
-        return np.asarray(p_world + corners_body @ rotation_world_body(roll, pitch, yaw).T)
-
     def _find_contact(self, t_before: float, x_before: Array) -> Contact | None:
-        """The first contact since t_before; a touchdown only if nothing else was hit by then."""
-        x, t = self._aircraft.x, self._t
-        p_world, attitude = x[:3], (x[5], x[3], x[4])  # roll, pitch, yaw
-        path = np.stack([x_before, x])
-        touchdown = find_touchdown((t_before, t), path, self._airframe, self._pad)
-        if touchdown is not None:
-            t, p_world = touchdown.t, touchdown.p_world
-            attitude = (touchdown.bank, touchdown.pitch, touchdown.yaw)
-        if self._leader is not None:
-            distance = np.linalg.norm(self._leader.state_at(t).p_world - p_world)
-            if distance < CLEARANCE:
-                return Contact(t, "leader", p_world)
-        corners = self._corners(p_world, *attitude)
-        corners_before = self._corners(x_before[:3], x_before[5], x_before[3], x_before[4])
-        ground = pad_height(corners, self._pad)
-        below = corners[:, 2] < ground
-        touched: dict[Obstacle, bool] = {
-            # A corner that was already lower than the pad's top came through its side.
-            "pad": bool(np.any(below & (ground > 0.0) & (corners_before[:, 2] > ground))),
-            "pad edge": bool(np.any(below & (ground > 0.0))),
-            "floor": bool(np.any(below)),
-            "ceiling": corners[:, 2].max() > self._hall.beams,
-            "wall": self._hall.margin(corners * (1.0, 1.0, 0.0)).min() < 0.0,
-        }
-        for obstacle, hits in touched.items():
-            if hits:
-                return Contact(t, obstacle, p_world)
-        return None if touchdown is None else Contact(t, touchdown.surface, p_world, touchdown)
+        """The first contact since t_before."""
+        times, path = (t_before, self._aircraft.t), np.stack([x_before, self._aircraft.x])
+        return find_contact(times, path, self._airframe, self._pad, self._hall, self._leader)
+
+
+def find_contact(
+    t: tuple[float, float], states: Array, airframe: Airframe, pad: LandingPad, hall: Hall,
+    leader: LeaderTrajectory | None = None,
+) -> Contact | None:  # fmt: skip
+    """The first contact between two samples; a touchdown only if nothing else was hit by then.
+
+    Args:
+        t: of both samples [s], increasing.
+        states: (2, 9 or 12) in the order of STATE_NAMES, SI.
+        airframe: positions of wheels, wing tips, nose and tail.
+        pad: the landing pad, of size zero for a bare floor.
+        hall: its walls.
+        leader: another aircraft, an obstacle.
+
+    Raises:
+        InputError: a number is not finite.
+    """
+    (x_before, x), now = states, t[1]
+    p_world, attitude = x[:3], (x[5], x[3], x[4])  # roll, pitch, yaw
+    touchdown = find_touchdown(t, states, airframe, pad)
+    if touchdown is not None:
+        now, p_world = touchdown.t, touchdown.p_world
+        attitude = (touchdown.bank, touchdown.pitch, touchdown.yaw)
+    if leader is not None:
+        distance = np.linalg.norm(leader.state_at(now).p_world - p_world)
+        if distance < CLEARANCE:
+            return Contact(now, "leader", p_world)
+    corners = p_world + airframe.corners_body @ rotation_world_body(*attitude).T
+    corners_before = corner_positions(x_before, airframe)
+    ground = pad_height(corners, pad)
+    below = corners[:, 2] < ground
+    touched: dict[Obstacle, bool] = {
+        # A corner that was already lower than the pad's top came through its side.
+        "pad": bool(np.any(below & (ground > 0.0) & (corners_before[:, 2] > ground))),
+        "pad edge": bool(np.any(below & (ground > 0.0))),
+        "floor": bool(np.any(below)),
+        "ceiling": corners[:, 2].max() > hall.beams,
+        "wall": hall.margin(corners * (1.0, 1.0, 0.0)).min() < 0.0,
+    }
+    for obstacle, hits in touched.items():
+        if hits:
+            return Contact(now, obstacle, p_world)
+    return None if touchdown is None else Contact(now, touchdown.surface, p_world, touchdown)
+
+
+def corner_positions(states: Array, airframe: Airframe) -> Array:
+    """Nose, tail and wing tips (..., 4, 3) [m] of states (..., 9 or 12)."""
+    R_world_body = rotation_world_body(states[..., 5], states[..., 3], states[..., 4])
+    turned = airframe.corners_body @ np.swapaxes(R_world_body, -1, -2)
+    return np.asarray(states[..., None, :3] + turned)

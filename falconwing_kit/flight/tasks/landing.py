@@ -9,6 +9,7 @@ from falconwing_kit.aircraft.airframe import Airframe, load_airframe
 from falconwing_kit.aircraft.model import Model, rates_model
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.control.expert import LandingExpert, landing_speed
+from falconwing_kit.core.checks import Array
 from falconwing_kit.core.messages import State
 from falconwing_kit.flight.judges import FlightEvaluator, LandingEvaluator
 from falconwing_kit.flight.loop import Pilot
@@ -37,11 +38,15 @@ class LandingTask:
     def leader(self, seed: int) -> None:
         """None: there is no leader."""
 
+    @property
+    def nominal(self) -> Array:
+        """(3,) where drawn starts lie about [m]."""
+        return np.array([self.pad.x_start - DISTANCE, self.pad.y_centre, HEIGHT])
+
     def trial(self, seed: int) -> TrialSetup:
         """The world of a seed."""
-        nominal = np.array([self.pad.x_start - DISTANCE, self.pad.y_centre, HEIGHT])
         speed = landing_speed(self.model)
-        start = self.start or self.spread.start(self.model, nominal, seed, speed=speed)
+        start = self.start or self.spread.start(self.model, self.nominal, seed, speed=speed)
         world = SimulatedWorld(self.model, self.airframe, start, seed=seed, pad=self.pad)
         return TrialSetup(seed, world, None, self.duration)
 
