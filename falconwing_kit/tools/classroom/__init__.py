@@ -1,0 +1,1 @@
+"""The classroom: one machine flies, browsers watch, a student takes the sticks."""
