@@ -1,4 +1,4 @@
-"""Channel: a step of the flight, a picture or a student's sticks <-> the bytes between server and page.
+"""Channel: a step of the flight, a picture, a student's sticks <-> the bytes of the WebSocket.
 
 Binary messages are little-endian and begin with their kind; everything else is JSON text with a
 "type". Bytes from the network are judged here: whatever does not fit is None, never an exception.
