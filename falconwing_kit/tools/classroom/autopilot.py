@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from falconwing_kit.aircraft.airframe import Airframe
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.control.expert import NO_STATE, EstimatingAutopilot, landing_path
@@ -20,7 +21,6 @@ from falconwing_kit.core.checks import Array
 from falconwing_kit.core.frames import GRAVITY, wrap_angle
 from falconwing_kit.core.messages import Command, Observation, State
 from falconwing_kit.flight.loop import Pilot
-from falconwing_kit.aircraft.airframe import Airframe
 
 LAPS, JOINS = "laps", "joins the circuit"
 # Of the circuit, in metres from the pad's centre line and threshold of the kit's hall.
@@ -102,7 +102,7 @@ class LapsAndLanding:
         """
         self.mode, self._speed, self._pad = JOINS, speed, pad
         self._glide = landing_path(airframe, pad, speed)[0]
-        self._expert, self._lander = expert, None
+        self._expert = expert
         self._lander: Pilot | None = None
         self._make = lambda: EstimatingAutopilot(model, speed, delay)
         self._autopilot = self._make()
@@ -187,7 +187,7 @@ class LapsAndLanding:
             self._laps_done
             and LANDS_FROM <= x <= LANDS_UNTIL
             and offset <= MAX_OFFSET
-            and -0.1 <= course + 0.05 * (MAX_OFFSET - offset)
+            and course + 0.05 * (MAX_OFFSET - offset) >= -0.1
             and course <= MAX_COURSE
             and TURN_LEAD * math.sin(course) <= offset + SPARE
             and -BELOW_GLIDE <= above <= OVER_GLIDE

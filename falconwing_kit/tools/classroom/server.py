@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
+from socket import SO_SNDBUF, SOL_SOCKET
 from typing import Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
@@ -51,6 +52,7 @@ STICKS_RATE, TEXT_RATE = 120.0, 20.0  # messages a second that are heard; the ot
 FLOOD = 2000  # messages within a second after which a client is disconnected
 STATE_BUFFER, TEXT_BUFFER = 4 * 1024, 256 * 1024  # bytes that may wait in a client's connection
 PICTURE_BUFFER = 1024
+SYSTEM_BUFFER = 16 * 1024  # bytes of a connection in the system
 NAME_LENGTH = 24
 OPEN_S, PING_S, CLOSE_S = 5.0, 5.0, 1.0  # time for a handshake, between pings, and to close
 START_S = 10.0
@@ -109,7 +111,7 @@ class Class(Protocol):
     def sticks(self, client: Client, sticks: SticksMessage) -> None:
         """A client's sticks."""
 
-    def text(self, client: Client, message: dict[str, Any]) -> None:
+    def text_from(self, client: Client, message: dict[str, Any]) -> None:
         """A client's message with a "type"; its other fields are not checked."""
 
     def body(self, path: str) -> Callable[[], Body | None] | None:
@@ -347,6 +349,10 @@ class Server:
         if self._refuse_client(role, address):  # others came in since the handshake
             await socket.close(1013, "the class is full")
             return
+        # A small buffer in the system, so that a page that sleeps does not wake up to old states.
+        with suppress(OSError, AttributeError):
+            raw = socket.transport.get_extra_info("socket")
+            raw.setsockopt(SOL_SOCKET, SO_SNDBUF, SYSTEM_BUFFER)
         client = Client(self._next, role, address, socket)
         self._next += 1
         self.clients[client.number] = client
@@ -390,7 +396,7 @@ class Server:
         elif text["type"] == "picture":
             client.pictures = text.get("on") is True
         else:
-            self._room.text(client, text)
+            self._room.text_from(client, text)
         return True
 
     def _spend(self, client: Client, what: str, rate: float, now: float) -> bool:
