@@ -19,6 +19,7 @@ from falconwing_kit import __version__
 from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.model import Model
+from falconwing_kit.control.expert import landing_speed
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import CONTROL_PERIOD_S, SAFE_COMMAND, Command, Observation, State
