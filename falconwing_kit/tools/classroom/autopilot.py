@@ -21,6 +21,7 @@ from falconwing_kit.core.checks import Array
 from falconwing_kit.core.frames import GRAVITY, wrap_angle
 from falconwing_kit.core.messages import Command, Observation, State
 from falconwing_kit.flight.loop import Pilot
+from falconwing_kit.tools.classroom.envelope import room_ahead, turn_margins
 
 LAPS, JOINS = "laps", "joins the circuit"
 # Of the circuit, in metres from the pad's centre line and threshold of the kit's hall.
@@ -34,10 +35,12 @@ DESCENT = math.radians(5.0)  # into the last turn, at most
 # The course asked for is that of a turn of FIELD_RADIUS which ends on the path, FIELD at most; the
 # banks below turn tighter, at 7 m/s with a radius of 5 m [course field after Beard & McLain, Small
 # Unmanned Aircraft, sec. 10.1].
-FIELD, FIELD_RADIUS = math.radians(65.0), 7.5  # [rad, m]
+FIELD, GENTLE, FIELD_RADIUS = math.radians(65.0), math.radians(40.0), 7.5  # [rad, rad, m]
 ON_PATH, ON_COURSE = 0.9, math.radians(25.0)  # within these the path itself is the reference
 TURN_BANK, FULL_BANK_AT = math.radians(45.0), math.radians(40.0)  # bank, at this course error
 LEAD_S = 0.4  # from a bank asked for to the bank flown [s]
+# A wall nearer than this straight ahead is turned away from, until there is room again.
+LITTLE_ROOM, ROOM_AGAIN, AWAY_BANK = 8.5, 11.0, math.radians(50.0)  # [m, m, rad]
 CLIMB_STEP = 0.4  # height error that a turn onto the path acts on, at most [m]
 TURN_COST = 9.0  # metres that a radian of turn onto the path counts as
 
@@ -107,12 +110,14 @@ class LapsAndLanding:
         self._make = lambda: EstimatingAutopilot(model, speed, delay)
         self._autopilot = self._make()
         self._laps = laps
+        self._field = GENTLE if laps else FIELD
+        self._away = 0.0  # side of a turn away from a wall: 1 right, -1 left, 0 none
         self._path: ReferencePath | None = None
         self._s = 0.0
 
     def recover(self) -> None:
         """Begin anew from wherever the aircraft is."""
-        self._lander, self._path, self._laps = None, None, 0
+        self._lander, self._path, self._laps, self._field = None, None, 0, FIELD
         self._autopilot = self._make()
 
     def act(self, observation: Observation) -> Command:
@@ -166,16 +171,33 @@ class LapsAndLanding:
         course = course_of(state) + LEAD_S * turn_rate
         middle = 0.5 * (course + course_of(state)) - on_path.yaw
         ahead = offset - LEAD_S * self._speed * math.sin(middle)
-        asked = on_path.yaw + math.copysign(_entry_angle(abs(ahead)), ahead)
+        asked = on_path.yaw + math.copysign(_entry_angle(abs(ahead), self._field), ahead)
         error = float(wrap_angle(asked - course))
         self.mode = JOINS
+        if away := self._turn_away(state):
+            return self._level_turn(state, away * AWAY_BANK, on_path.p_world[2])
         bank = on_path.bank * max(1.0 - abs(offset) / 3.0, 0.0)
         bank += TURN_BANK * error / FULL_BANK_AT
         bank = min(max(bank, -TURN_BANK), TURN_BANK)
+        return self._level_turn(state, bank, on_path.p_world[2])
+
+    def _level_turn(self, state: State, bank: float, height: float) -> Reference:
+        """A turn from here at a bank [rad], towards a height [m]."""
         low, high = state.p_world[2] - CLIMB_STEP, state.p_world[2] + CLIMB_STEP
-        place = np.array([*state.p_world[:2], min(max(on_path.p_world[2], low), high)])
+        place = np.array([*state.p_world[:2], min(max(height, low), high)])
         # The course flown is the reference's: only the bank turns the aircraft.
         return Reference(place, course_of(state), 0.0, self._speed, bank)
+
+    def _turn_away(self, state: State) -> float:
+        """Side of a turn away from a wall ahead, kept until there is room; 0 where there is."""
+        room = room_ahead(state)
+        if self._away and room > ROOM_AGAIN:
+            self._away = 0.0
+        if not self._away and room < LITTLE_ROOM:
+            right, left = turn_margins(state)
+            self._away = 1.0 if right > left else -1.0
+            self._path = None  # another place to join may be nearer after the turn
+        return self._away
 
     def _may_land(self, state: State) -> bool:
         """Whether the landing expert lands from here: measured on a grid of such states."""
@@ -201,9 +223,9 @@ class LapsAndLanding:
         )
 
 
-def _entry_angle(distance: float) -> float:
+def _entry_angle(distance: float, most: float) -> float:
     """Angle to the path [rad] at which a turn of FIELD_RADIUS ends on it, from a distance [m]."""
-    return min(math.acos(max(1.0 - distance / FIELD_RADIUS, 0.0)), FIELD)
+    return min(math.acos(max(1.0 - distance / FIELD_RADIUS, 0.0)), most)
 
 
 def course_of(state: State) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.control.guidance import Hall
+from falconwing_kit.core.checks import Array
 from falconwing_kit.core.messages import State
 
 TURN_RADIUS = 4.5  # at 7 m/s and 48 deg of bank [m]
@@ -36,27 +37,49 @@ def envelope_problem(state: State, *, is_landing: bool = True) -> str:
         )
     if state.p_world[2] > CEILING:
         return f"higher than {CEILING:.1f} m"
-    hall, speed = Hall(), float(np.hypot(*state.v_world[:2]))
-    course = math.atan2(-state.v_world[1], state.v_world[0])
-    if is_landing and _is_on_approach(state, course):
+    if is_landing and _is_on_approach(state):
         return ""
-    ahead = np.array([math.cos(course), -math.sin(course)])
-    right = np.array([-math.sin(course), -math.cos(course)])
+    return "" if max(turn_margins(state)) > WALL else "too near a wall"
+
+
+def turn_margins(state: State) -> tuple[float, float]:
+    """Distance to the walls [m] that turns away to the right and to the left keep; < 0 outside."""
+    speed, (ahead, right) = float(np.hypot(*state.v_world[:2])), _axes(state)
     start = state.p_world[:2] + REACTION_S * speed * ahead
+    found = []
     for side in (1.0, -1.0):
         arc = TURN_RADIUS * (
             np.sin(ARC)[:, None] * ahead + side * (1.0 - np.cos(ARC))[:, None] * right
         )
         points = np.column_stack([start + arc, np.full(len(ARC), 1.0)])
-        if hall.margin(points).min() > WALL:
-            return ""
-    return "too near a wall"
+        found.append(float(Hall().margin(points).min()))
+    return found[0], found[1]
 
 
-def _is_on_approach(state: State, course: float) -> bool:
+def room_ahead(state: State) -> float:
+    """Way to the next wall straight on [m]; negative outside."""
+    ahead, _ = _axes(state)
+    hall = Hall()
+    ways = []
+    for axis, (low, high) in enumerate((hall.x, hall.y)):
+        wall = high if ahead[axis] > 0.0 else low
+        if abs(ahead[axis]) > 1e-6:
+            ways.append((wall - float(state.p_world[axis])) / float(ahead[axis]))
+    return min(ways)
+
+
+def _axes(state: State) -> tuple[Array, Array]:
+    """Level unit vectors (2,) of the course and to its right."""
+    course = math.atan2(-state.v_world[1], state.v_world[0])
+    c, s = math.cos(course), math.sin(course)
+    return np.array([c, -s]), np.array([-s, -c])
+
+
+def _is_on_approach(state: State) -> bool:
     """Whether the aircraft is low over the pad's centre line, before the pad's end."""
     pad = LandingPad()
     x, y, z = state.p_world
+    course = math.atan2(-state.v_world[1], state.v_world[0])
     return bool(
         abs(y - pad.y_centre) < ON_LINE
         and abs(course) < ON_COURSE
