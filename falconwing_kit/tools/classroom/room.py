@@ -51,7 +51,7 @@ class Room:
     hands: Hands
     hall: Callable[[], GaussianScene | None]  # the scene as soon as it is there
     scene: str  # its name
-    scene_file: Callable[[], bytes | None]  # for the pages, as .splat in gzip
+    scene_file: Callable[[], bytes | None]  # for the pages, packed, in gzip
     folder: Path  # of the logs
     server: Server | None = None  # set before the server starts
     session: Session | None = None  # set before it runs
@@ -179,7 +179,7 @@ class Room:
 
     def body(self, path: str) -> Callable[[], Body | None] | None:
         """What a path of HTTP answers beyond the static files."""
-        if path == "/scene.splat":
+        if path == "/scene.spz":
             return self._scene_body
         if path == "/flights.json":
             return self._list_flights
@@ -305,7 +305,7 @@ class Room:
         return write_text(
             "hello", client=client.number, role=client.role, name=client.name, scene=self.scene,
             task=task.name if task is not None else "", simulated=True,
-            scene_url="/scene.splat" if scene is not None else None,
+            scene_url="/scene.spz" if scene is not None else None,
             scene_bytes=len(scene) if scene is not None else 0,
             pad={
                 "x0": pad.x_start, "x1": pad.x_start + pad.length,
@@ -323,7 +323,7 @@ class Room:
 
     def _scene_body(self) -> Body | None:
         data = self.scene_file()
-        return None if data is None else Body(data, ".splat", is_gzip=True)
+        return None if data is None else Body(data, ".spz", is_gzip=True)
 
     def _list_flights(self) -> Body:
         rows = [
@@ -372,7 +372,7 @@ class SceneJob:
         self._folder.cleanup()
 
     def _run(self) -> None:
-        file = Path(self._folder.name) / "scene.splat.gz"
+        file = Path(self._folder.name) / "scene.spz.gz"
         begin = time.monotonic()
         try:
             self._process = subprocess.Popen(

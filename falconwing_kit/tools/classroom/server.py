@@ -66,7 +66,7 @@ TYPES = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
     ".json": "application/json",
-    ".splat": "application/octet-stream",
+    ".spz": "application/octet-stream",
     ".mcap": "application/octet-stream",
 }
 
