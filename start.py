@@ -196,7 +196,7 @@ def run(
         command: program and its arguments.
         folder: to run it in; None for the current one.
         log: file for pip's output, with a line of progress on the terminal; None shows it.
-        packages: about how many pip fetches.
+        packages: about how many pip fetches; 0 shows no progress.
     """
     # on stderr, because stdout is the command's
     print("$", subprocess.list2cmdline(command), file=sys.stderr, flush=True)
@@ -222,6 +222,8 @@ def run_quietly(command: list[str], folder: Path | None, log: Path, packages: in
                 try:
                     process.wait(period)
                 except subprocess.TimeoutExpired:
+                    if not packages:
+                        continue
                     text = log.read_bytes()[size:].decode("utf-8", "replace")
                     show(progress(text, packages, unpacked(log.parent, begin)), live)
         finally:
@@ -252,7 +254,8 @@ def progress(output: str, packages: int, finished: int) -> str:
     if not names:
         return "  0 %  starting"
     share = min(60 * len(names) // max(packages, 1), 59)
-    name = re.split(r"[<>=!~;\[-]", re.split(r"[/\\]", names[-1])[-1])[0] or "the kit"
+    name = re.split(r"[<>=!~;\[-]", re.split(r"[/\\]", names[-1])[-1])[0]
+    name = "the kit" if names[-1].startswith("file:") else name
     last = output.splitlines()[-1]
     part = re.fullmatch(r"Progress (\d+) of (\d+)", last)
     size = f", {int(part[1]) / 1e6:.1f} of {int(part[2]) / 1e6:.1f} MB" if part else ""

@@ -15,7 +15,6 @@ import tempfile
 import time
 import traceback
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.jobs.run import WorkerLostError, parallel_map
 from tests.benchmarks.foreign_flights import (
     AIRCRAFT,
     BEYOND,
@@ -346,10 +346,12 @@ def main() -> None:
     )  # fmt: skip
     left = [case for case in wanted if case.key not in known]
     asked.out.parent.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(asked.workers) as pool, asked.out.open("a", encoding="utf-8") as file:
-        jobs = [pool.submit(study, case) for case in left]
-        for job in tqdm(as_completed(jobs), total=len(jobs), unit="flight"):
-            row = job.result()
+    with asked.out.open("a", encoding="utf-8") as file:
+        jobs = parallel_map(study, left, asked.workers)
+        for case, row in tqdm(jobs, total=len(left), unit="flight"):
+            if isinstance(row, WorkerLostError):  # left for the next run
+                print(f"{case.key}: {row}", flush=True)
+                continue
             done.append(row)
             file.write(json.dumps(row) + "\n")
             file.flush()

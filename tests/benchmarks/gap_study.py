@@ -13,7 +13,6 @@ import argparse
 import json
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from itertools import groupby
@@ -28,6 +27,7 @@ from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.baseline import NominalModel, identify_baseline
 from falconwing_kit.gap.close import close_gap, name_with_onset
 from falconwing_kit.gap.name import Naming, name_effect
+from falconwing_kit.tools.jobs.run import WorkerLostError, parallel_map
 from falconwing_kit.tools.trials.hidden import hidden_flights
 from tests.hidden_effects import IN_CATALOGUE, OUTSIDE
 from tests.hidden_flights import make_case
@@ -368,10 +368,13 @@ def main() -> None:
     left = [
         c for c in cases(asked.kind, asked.seed, asked.cases, asked.withheld) if c.key not in known
     ]
-    with ProcessPoolExecutor(asked.workers) as pool, asked.out.open("a") as file:
+    with asked.out.open("a") as file:
         batches = [list(cases) for _, cases in groupby(left, key=lambda c: c.seed)]
-        for job in as_completed([pool.submit(study, batch) for batch in batches]):
-            for row in job.result():
+        for batch, rows in parallel_map(study, batches, asked.workers):
+            if isinstance(rows, WorkerLostError):  # left for the next run
+                print(f"{batch[0].key}: {rows}", flush=True)
+                continue
+            for row in rows:
                 done.append(row)
                 file.write(json.dumps(row) + "\n")
                 print(

@@ -226,6 +226,15 @@ def test_pin_takes_the_cpu_build_before_the_other():
     assert Version(plain + "+cpu") > Version(plain)
 
 
+def test_conda_file_installs_the_same():
+    """Its lines for pip, which conda hands over in a file: index, pins and target of start.py."""
+    start = load_start()
+    lines = (ROOT / "environment.yml").read_text().split("- pip:\n")[1].splitlines()
+    words = [line.strip().removeprefix("- ") for line in lines]
+    option = start.CPU_OPTION.replace("=", " ", 1)
+    assert words == [option, "-c constraints.txt", f"-e {start.EVERYTHING}"]
+
+
 @pytest.mark.parametrize(
     ("server", "reached"), [("answers", True), ("refuses", False), ("is silent", False)]
 )
@@ -274,6 +283,7 @@ Progress 8400000 of 16900000
     ("output", "line"),
     [
         ("", "  0 %  starting"),
+        ("Obtaining file:///a-b/kit\n", " 15 %  fetching the kit"),
         (PIP, " 30 %  fetching numpy, 8.4 of 16.9 MB"),
         (PIP + "Processing /wheels/torch-2.13.0+cpu-cp311.whl\n", " 45 %  fetching torch"),
         (PIP + "Collecting a\nCollecting b\nCollecting c\n", " 59 %  fetching c"),

@@ -89,6 +89,11 @@ class Fly:
     """
     workers: int = 1
     """processes that share the trials; with --headless only"""
+    cluster: str = ""
+    """address of a scheduler of `distributed` whose workers fly instead, such as
+    tcp://10.0.0.5:8786; with --headless only; files of --model and --scene must have the same path
+    there
+    """
     headless: bool = False
     """no page, as fast as possible"""
     no_render: bool = False
@@ -192,6 +197,16 @@ class Fly:
                 f"--workers {self.workers}: expected it with --headless, for a page shows one"
                 " flight; add --headless"
             )
+        if self.cluster and not self.headless:
+            raise InputError(
+                f"--cluster {self.cluster}: expected it with --headless, for a page shows one"
+                " flight; add --headless"
+            )
+        if self.cluster and self.logs:
+            raise InputError(
+                "--logs: expected it without --cluster, whose workers have disks of their own; "
+                "leave one of them out"
+            )
         task = self._drawn_task()
         return replace(task, start=_start(self.start, task)) if self.start else task
 
@@ -281,12 +296,12 @@ class Fly:
             return fly_trials(
                 task, pilot, self.trials, pilot=head["pilot"], seed=self.seed,
                 setting=setting, out=self.out, head=head, logs=self._has_logs, progress=progress,
-                fly=partial(fly_in_processes, self) if self.workers > 1 else None,
+                fly=partial(fly_in_processes, self) if self.workers > 1 or self.cluster else None,
             )  # fmt: skip
 
     @property
     def _has_logs(self) -> bool:
-        return self.logs or self.trials == 1
+        return self.logs or (self.trials == 1 and not self.cluster)
 
     @contextmanager
     def _progress(self) -> Iterator[Callable[[str], None]]:
@@ -355,17 +370,19 @@ def _trained_scene(name: str) -> str:
 
 
 def fly_in_processes(fly: Fly, numbers: Sequence[int]) -> Iterator[dict[str, Any]]:
-    """Records of trials in their order, flown in several processes as `Fly` says.
+    """Records of trials in their order, flown in several processes or on a cluster as `Fly` says.
 
     Raises:
+        InputError: the cluster cannot be used.
         RuntimeError: a trial ended its process three times.
     """
-    from falconwing_kit.tools.jobs.pool import WorkerLostError, map_in_processes
+    from falconwing_kit.tools.jobs.run import WorkerLostError, parallel_map
 
     waiting: dict[int, dict[str, Any]] = {}
     due = iter(numbers)
     number = next(due, None)
-    for found, record in map_in_processes(partial(_fly_one, fly), numbers, fly.workers):
+    there = replace(fly, model=None if fly.model is None else fly.model.resolve())
+    for found, record in parallel_map(partial(_fly_one, there), numbers, fly.workers, fly.cluster):
         if isinstance(record, WorkerLostError):
             raise RuntimeError(f"trial {found}: {record}")
         waiting[found] = record

@@ -23,6 +23,7 @@ from falconwing_kit.sysid.model_file import write_fitted_model
 from falconwing_kit.sysid.uncertainty import Uncertainty
 from falconwing_kit.tools.cli.fly import Fly
 from falconwing_kit.tools.cli.main import main
+from tests import clusters
 
 QUICK = ("--headless", "--no-render")
 
@@ -441,6 +442,44 @@ def test_workers_fly_the_same_trials(tmp_path, capsys):
     assert [json.loads(line)["trial"] for line in lines] == [0, 1]
     assert main(["fly", "--workers", "2"]) == 2
     assert "--headless" in capsys.readouterr().err
+
+
+def test_cluster_flies_the_same_trials_and_goes_on_with_a_folder(tmp_path, capsys):
+    """One trial here, the others by a worker of a cluster: records equal to those of this machine,
+    the first of them kept as it was.
+    """
+    pytest.importorskip("distributed")
+    words = ["fly", *QUICK, "--seed", "500", "--json"]
+    kept = ["--out", str(tmp_path / "kept")]
+    assert main([*words, "--trials", "1", *kept]) == 0
+    first = (tmp_path / "kept" / "trials.jsonl").read_text().splitlines()[1]
+    assert main([*words, "--trials", "3"]) == 0
+    alone = capsys.readouterr().out.split("\n}\n")[1] + "\n}"
+    with clusters.running(tmp_path) as (address, start_worker):
+        start_worker()
+        assert main([*words, "--trials", "3", *kept, "--cluster", address]) == 0
+    there = json.loads(capsys.readouterr().out)
+    assert {key: there[key] for key in ("trials", "successes", "ald_m", "bank_abs_deg")} == {
+        key: json.loads(alone)[key] for key in ("trials", "successes", "ald_m", "bank_abs_deg")
+    }
+    lines = (tmp_path / "kept" / "trials.jsonl").read_text().splitlines()[1:]
+    assert [json.loads(line)["trial"] for line in lines] == [0, 1, 2] and lines[0] == first
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--cluster", "tcp://127.0.0.1:9"), "add --headless"),
+        ((*QUICK, "--logs", "--cluster", "tcp://127.0.0.1:9"), "disks of their own"),
+        ((*QUICK, "--cluster", "tcp://127.0.0.1:9"), "expected a scheduler"),
+    ],
+)
+def test_a_cluster_that_cannot_fly_is_refused(words, sentence, monkeypatch, capsys):
+    """A page, logs on other disks, no scheduler: one sentence, exit 2."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("falconwing_kit.tools.jobs.cluster.TIMEOUT_S", 0.5)
+    assert main(["fly", *words]) == 2
+    assert sentence in capsys.readouterr().err
 
 
 def test_a_flight_starts_where_it_is_told(tmp_path, monkeypatch, capsys):
