@@ -22,6 +22,7 @@ from falconwing_kit.tools.bridge.axes import (
 )
 
 DECIMALS = 6  # of seconds, metres and radians in the table: finer than any motion capture
+MAX_DURATION_S = 86_400.0  # of a flight; a longer one comes from a damaged time stamp
 Nanoseconds = NDArray[np.int64]
 
 
@@ -59,10 +60,13 @@ def build_table(
         warnings: sentences for the table, in which those about the flight are put here.
 
     Raises:
-        InputError: no pose comes after the first command, or the rate is above the poses' own.
+        InputError: no pose comes after the first command, the log lasts longer than a day, or the
+            rate is above the poses' own.
     """
     zero = poses.t[0]
     t, t_commands = (poses.t - zero) * 1e-9, (t_command - zero) * 1e-9
+    if t[-1] > MAX_DURATION_S:
+        raise InputError(f"{name}: expected one flight, got {t[-1]:.3g} s; a time stamp is wrong")
     row = np.arange(len(t))
     if rate_hz is not None:
         row, t = _nearest_to_grid(name, t, poses.p_log, rate_hz)
