@@ -151,7 +151,7 @@ def _read_commands(
     if topic not in series or not len(series[topic].t):
         what = f"no message of {topic}" if topic else f"none of {', '.join(COMMANDS)}"
         raise InputError(
-            f"{name}: commands.topic: expected commands, got {what}; the log knows "
+            f"{name}: commands.topic: expected commands, got {what}; the log defines "
             f"{', '.join(known[:60])}; write the topic into a mapping file (TOML) and give "
             "--mapping"
         )
