@@ -1,6 +1,6 @@
 """Foxglove: records of a flight log -> the messages that it draws: image, frames, motion, text.
 
-Foxglove knows an image, a frame or a line of text by the name of its schema alone, so these
+Foxglove recognises an image, a frame or a line of text by the name of its schema alone, so these
 messages have the published names and fields [https://docs.foxglove.dev/docs/sdk/schemas], as JSON.
 Frames are `world`, `aircraft` (the kit's body axes: x nose, y right wing, z belly), `camera`
 (OpenCV axes) and, where one flies, `leader`.

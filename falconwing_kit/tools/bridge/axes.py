@@ -160,7 +160,8 @@ def stick_correlations(t: Array, attitude: Array, commands: Array) -> tuple[floa
         Each at the lag of LAGS_S where it is largest in size; 0 where a stick did not move.
     """
     measured = np.flatnonzero(np.isfinite(attitude).all(axis=1))
-    rows = measured[np.unique(np.searchsorted(t[measured], np.arange(t[0], t[-1], STEP_S))[:-1])]
+    grid = np.unique(np.searchsorted(t[measured], np.arange(t[0], t[-1], STEP_S)))
+    rows = measured[grid[grid < len(measured)][:-1]]
     if len(rows) < 20:
         return 0.0, 0.0
     dt = np.diff(t[rows])
@@ -181,6 +182,8 @@ def stick_correlations(t: Array, attitude: Array, commands: Array) -> tuple[floa
                 continue
             # A jump of a pose must not decide the correlation.
             limit = 4.0 * np.median(np.abs(rate[known])) + 1e-9
-            values.append(float(np.corrcoef(moved, np.clip(rate[known], -limit, limit))[0, 1]))
+            turned = np.clip(rate[known], -limit, limit)
+            still = turned.std() < 1e-9
+            values.append(0.0 if still else float(np.corrcoef(moved, turned)[0, 1]))
         found.append(max(values, key=abs))
     return found[0], found[1]

@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -44,7 +44,7 @@ TYPES = {
     METADATA: "std_msgs/msg/String",
     TF: "tf2_msgs/msg/TFMessage",
 }
-ROS2_VERSION = 8  # of a recording's metadata: what Humble and later read
+ROS2_VERSION: Literal[8, 9] = 8  # of a recording's metadata: what Humble and later read
 
 
 def write_bag(path: str | Path, log: FlightLog) -> dict[str, int]:
@@ -104,7 +104,7 @@ def write_ros2_bag(path: str | Path, log: FlightLog) -> dict[str, int]:
             " name"
         )
     require_writable_path(target)
-    if not any(map(len, (log.image_times, log.commands, log.states, log.events))):
+    if not any(True for _ in _sorted_records(log)):
         raise InputError(f"{short_name(log.path)}: expected a log with records, got none")
     try:
         with TemporaryDirectory(prefix=".bag.", dir=target.parent) as folder:

@@ -70,8 +70,8 @@ def complete_mapping(mapping: LogMapping, pose_topic: str, command_topic: str) -
     if pose_topic == OWN_POSE:
         pose = replace(pose, world=pose.world or "enu", body=pose.body or "flu")
     if command_topic == OWN_COMMAND and commands == CommandMapping(topic=commands.topic):
-        full = {stick: Channel(0.0, 1.0) for stick in COMMAND_NAMES}
-        commands = replace(commands, channels=COMMAND_NAMES, **full)
+        full = Channel(0.0, 1.0)
+        commands = CommandMapping(commands.topic, "axes", COMMAND_NAMES, full, full, full, full)
     return replace(mapping, pose=pose, commands=commands)
 
 

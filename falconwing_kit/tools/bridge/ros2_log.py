@@ -15,25 +15,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from falconwing_kit.core.checks import Array, InputError, require_range
+from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import short_name
 from falconwing_kit.core.flight_log import read_mcap_records
-from falconwing_kit.core.flight_table import LABEL_COLUMN, FlightTable, interpolate_readings
+from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.tools.bridge.axes import (
     CLEARLY,
-    SURE_CORRELATION,
     LogAxes,
     find_axes,
-    nose_along_velocity,
     rotations,
     sideways_residuals,
-    stick_correlations,
-    to_kit_poses,
 )
 from falconwing_kit.tools.bridge.cdr import Definition, decode, parse_definition, short_type
 from falconwing_kit.tools.bridge.log_mapping import LogMapping, PoseMapping, complete_mapping
+from falconwing_kit.tools.bridge.log_table import LogPoses, build_table
 from falconwing_kit.tools.bridge.ros2_messages import (
     COMMANDS,
     POSES,
@@ -41,8 +36,6 @@ from falconwing_kit.tools.bridge.ros2_messages import (
     read_commands,
     read_poses,
 )
-
-DECIMALS = 6  # of seconds, metres and radians in the table: finer than any motion capture
 
 
 def is_ros_log(path: str | Path) -> bool:
@@ -130,36 +123,13 @@ def read_ros2_log(
     t_command, commands = read_commands(
         name, command_topic, mapping.commands, messages[command_topic.name], warnings
     )
-    t, t_command = (t_pose - t_pose[0]) * 1e-9, (t_command - t_pose[0]) * 1e-9
-    if rate_hz is not None:
-        t, p_log, quaternions = _nearest_to_grid(name, t, p_log, quaternions, rate_hz)
-    rows = t >= t_command[0]
-    if not rows.any():
-        raise InputError(
-            f"{name}: expected poses after the first command, got none: the poses of "
-            f"{pose_topic.name} end {t_command[0] - t[-1]:.1f} s before the commands of "
-            f"{command_topic.name} begin"
-        )
-    if not rows.all():
-        warnings.append(f"poses before the first command, left out: {(~rows).sum()}")
-    commands = interpolate_readings(t[rows], t_command, commands)
-    t, p_log = t[rows] - t[rows][0], p_log[rows]
+    poses = LogPoses(t_pose, p_log, rotations(quaternions))
 
-    R_log_body = rotations(quaternions[rows])
-    axes = _axes(mapping.pose, t, p_log, R_log_body, warnings)
-    p_world, attitude = to_kit_poses(p_log, R_log_body, axes)
-    _compare_with_laws(t, p_world, attitude, commands, warnings)
-    unmeasured = ~np.isfinite(p_log).all(axis=1)
-    attitude[unmeasured] = np.nan
-    return FlightTable(
-        name=name,
-        t=np.round(t, DECIMALS),
-        p_world=np.round(p_world, DECIMALS),
-        attitude=np.round(attitude, DECIMALS),
-        commands=np.round(commands, DECIMALS),
-        labels={LABEL_COLUMN: (mapping.source or Path(path).stem.replace(",", " "),) * len(t)},
-        warnings=tuple(f"{name}: {sentence}" for sentence in warnings),
-    )
+    def choose_axes(t: Array, p_log: Array, R_log_body: Array) -> LogAxes:
+        return _axes(mapping.pose, t, p_log, R_log_body, warnings)
+
+    source = mapping.source or Path(path).stem
+    return build_table(name, source, poses, t_command, commands, choose_axes, rate_hz, warnings)
 
 
 # ---- The file: topics and messages
@@ -251,34 +221,6 @@ def _raw_messages(path: str | Path, warnings: list[str]) -> Iterator[tuple[str, 
                 yield channels[record.channel_id], record
 
 
-def _nearest_to_grid(
-    name: str, t: Array, p_log: Array, quaternions: Array, rate_hz: float
-) -> tuple[Array, Array, Array]:
-    """The pose nearest to each time of an even grid; a row without a pose where none is near."""
-    require_range("rate_hz", rate_hz, low=0.1, high=1000.0)
-    own_rate = 1.0 / float(np.median(np.diff(t))) if len(t) > 1 else rate_hz
-    if rate_hz > 1.01 * own_rate:
-        raise InputError(
-            f"{name}: rate_hz: expected at most the poses' own {own_rate:.4g} Hz, got {rate_hz:g}; "
-            "poses are not interpolated"
-        )
-    measured = np.flatnonzero(np.isfinite(p_log).all(axis=1))
-    cells = int((t[-1] - t[0]) * rate_hz + 1e-6) + 1
-    if cells > 100 * (1000 + len(t)):
-        raise InputError(f"{name}: expected one flight, got {t[-1] - t[0]:.3g} s; a stamp is wrong")
-    cell = np.rint((t[measured] - t[0]) * rate_hz).astype(np.int64)
-    measured, cell = measured[cell < cells], cell[cell < cells]
-    # Of several poses in a cell the nearest to its centre: the last one written below.
-    distance = np.abs(t[measured] - t[0] - cell / rate_hz)
-    order = np.argsort(-distance, kind="stable")
-    row = np.full(cells, -1, dtype=np.int64)
-    row[cell[order]] = measured[order]
-    empty = row < 0
-    times = np.where(empty, t[0] + np.arange(cells) / rate_hz, t[row])
-    positions = np.where(empty[:, None], np.nan, p_log[row])
-    return times, positions, quaternions[row]
-
-
 def _axes(
     mapping: PoseMapping, t: Array, p_log: Array, R_log_body: Array, warnings: list[str]
 ) -> LogAxes:
@@ -301,25 +243,3 @@ def _axes(
                     f"in the plane of symmetry); world {best[0]}, body {best[1]} would obey it"
                 )
     return LogAxes(world, body, mapping.runway_deg, mapping.origin_m)
-
-
-def _compare_with_laws(
-    t: Array, p_world: Array, attitude: Array, commands: Array, warnings: list[str]
-) -> None:
-    """Warn where the nose does not point along the path, or a stick moves against its rate."""
-    cosine = nose_along_velocity(t, p_world, attitude)
-    if cosine < 0.7:
-        warnings.append(
-            f"the nose points {np.degrees(np.arccos(np.clip(cosine, -1, 1))):.0f} deg from the "
-            "velocity; the body's x axis is not the nose, or the world's axes are swapped"
-        )
-    measured = np.where(np.isfinite(p_world[:, :1]), attitude, np.nan)
-    for stick, rate, correlation in zip(
-        ("aileron", "elevator"), ("roll", "pitch"),
-        stick_correlations(t, measured, commands), strict=True,
-    ):  # fmt: skip
-        if correlation < -SURE_CORRELATION:
-            warnings.append(
-                f"{stick} moves against the {rate} rate (correlation {correlation:.2f}), so it is "
-                f"probably reversed: put commands.{stick}.full on the other side of zero"
-            )

@@ -1,5 +1,6 @@
-"""falconwing export: convert a flight log, or one of ROS 2, to a table, a repaired log or a bag."""
+"""falconwing export: a flight log, or one of ROS 2, PX4 or ArduPilot, to a table, log or bag."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -8,7 +9,7 @@ import tyro
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import read_flight_log, recover, to_flight_table
-from falconwing_kit.core.flight_table import FlightTable, write_flight_table
+from falconwing_kit.core.flight_table import FlightTable, slice_time, write_flight_table
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 Counts = dict[str, int]
@@ -19,12 +20,13 @@ Warnings = tuple[str, ...]
 class Export:
     """Convert a flight log to a flight table or a bag of ROS 1 or 2, or repair an interrupted log.
 
-    A log of ROS 2 messages becomes a flight table too: its poses and its pilot's commands.
+    Logs of others become a flight table too, their poses with the commands: of ROS 2 (MCAP), PX4
+    (ULog) and ArduPilot (DataFlash).
     """
 
     log: Annotated[Path, tyro.conf.Positional]
-    """the flight log (MCAP), interrupted ones too, the kit's own or one of ROS 2 (a file, or the
-    folder of a recording); with --alfa the folder of a flight
+    """the flight log (MCAP), interrupted ones too; or a log of ROS 2 (MCAP, or the folder of a
+    recording), PX4 (.ulg) or ArduPilot (.bin); with --alfa the folder of a flight
     """
     out: Path
     """the file to write, or a folder to write it into"""
@@ -36,11 +38,15 @@ class Export:
     alfa: bool = False
     """the log is a flight of the ALFA dataset: a folder with one CSV file per ROS topic"""
     mapping: Path | None = None
-    """for a log of ROS 2: its topics of poses and commands, their axes, channels and pulse widths
-    (TOML); without it they are found in the log where it leaves no choice
+    """for a log of ROS 2, PX4 or ArduPilot: its topics of poses and commands, their axes, channels
+    and pulse widths (TOML); without it they are found in the log where it leaves no choice
     """
     rate_hz: float | None = None
-    """for a log of ROS 2: rows per second, each the nearest measured pose; without it every pose"""
+    """for such a log: rows per second, each the nearest measured pose; without it every pose"""
+    begin: float | None = None
+    """with --to csv: leave out what comes before this time of the table, in seconds"""
+    end: float | None = None
+    """with --to csv: leave out this time and what comes after it"""
     json: bool = False
     """print the result as JSON"""
 
@@ -56,11 +62,15 @@ class Export:
         """
         if self.alfa and self.to != "csv":
             raise InputError(f"--alfa: expected --to csv, got --to {self.to}; leave --to out")
+        cut = [name for name in ("begin", "end") if getattr(self, name) is not None]
+        if cut and self.to != "csv":
+            raise InputError(f"--{cut[0]}: expected --to csv, got --to {self.to}; leave it out")
         given = [name for name in ("mapping", "rate_hz") if getattr(self, name) is not None]
         if given and (self.alfa or self.to != "csv"):
+            other = "--alfa" if self.alfa else f"--to {self.to}"
             raise InputError(
-                f"--{given[0].replace('_', '-')}: expected a log of ROS 2 and --to csv, got "
-                f"{'--alfa' if self.alfa else f'--to {self.to}'}; leave one of them out"
+                f"--{given[0].replace('_', '-')}: expected a log of ROS 2, PX4 or ArduPilot and "
+                f"--to csv, got {other}; leave one of them out"
             )
         target = self.out / f"{self.log.stem}.{self.to}" if self.out.is_dir() else self.out
         if target.resolve() == self.log.resolve():
@@ -87,18 +97,26 @@ class Export:
 
             table = read_alfa(self.log).table
         else:
-            table = self._ros_table() or to_flight_table(read_flight_log(self.log))
+            table = self._table_of_others() or to_flight_table(read_flight_log(self.log))
+        if self.begin is not None or self.end is not None:
+            ends = (self.begin, -math.inf), (self.end, math.inf)
+            table = slice_time(
+                table, *(default if given is None else given for given, default in ends)
+            )
         write_flight_table(target, table)
         return {"rows": len(table.t), "rows with a pose": int(table.has_pose.sum())}, table.warnings
 
-    def _ros_table(self) -> FlightTable | None:
-        """The flight of a log of ROS 2; None for the kit's own log."""
+    def _table_of_others(self) -> FlightTable | None:
+        """The flight of a log of ROS 2, PX4 or ArduPilot; None for the kit's own log."""
+        from falconwing_kit.tools.bridge.autopilot_log import is_autopilot_log, read_autopilot_log
         from falconwing_kit.tools.bridge.log_mapping import read_mapping
         from falconwing_kit.tools.bridge.ros2_log import is_ros_log, read_ros2_log
 
+        mapping = None if self.mapping is None else read_mapping(self.mapping)
+        if is_autopilot_log(self.log):
+            return read_autopilot_log(self.log, mapping, self.rate_hz)
         if self.mapping is None and self.rate_hz is None and not is_ros_log(self.log):
             return None
-        mapping = None if self.mapping is None else read_mapping(self.mapping)
         return read_ros2_log(self.log, mapping, self.rate_hz)
 
     def _to_log(self, target: Path) -> tuple[Counts, Warnings]:

@@ -11,8 +11,9 @@ from falconwing_kit.aircraft.airframe import load_airframe, scaling_sentence
 from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.user_file import CODE_NOTICE, load_effects
 from falconwing_kit.core.checks import InputError, require_range
-from falconwing_kit.core.flight_table import FlightTable, read_flight_table
+from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.sysid.model_file import read_model
+from falconwing_kit.tools.bridge.flight_file import read_flight
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 
@@ -27,9 +28,11 @@ class Gap:
     """
 
     calm: tuple[Path, ...]
-    """baseline flights (CSV) of the aircraft with nothing changed, a minute or two each"""
+    """baseline flights of the aircraft with nothing changed, a minute or two each: flight tables
+    (CSV), or logs as export reads them
+    """
     flight: Path
-    """flight table (CSV) of the same aircraft when something was different"""
+    """a flight of the same aircraft when something was different, in the same form"""
     out: Path
     """folder for page, figures, record and models; made where it is missing"""
     effects: Path | None = None
@@ -68,8 +71,8 @@ class Gap:
         if self.airframe is not None and self.model is not None:
             raise InputError("gap: expected --airframe or --model, got both; drop one")
         effects = self._effects()
-        calm = [read_flight_table(path) for path in self.calm]
-        record = self._study(calm, read_flight_table(self.flight), effects)
+        calm = [read_flight(path) for path in self.calm]
+        record = self._study(calm, read_flight(self.flight), effects)
         page = self.out / "report.html"
         if self.json:
             print_json({**record, "page": str(page)})

@@ -14,13 +14,14 @@ from falconwing_kit.aircraft.terms import Term, WindTerm
 from falconwing_kit.aircraft.user_file import CODE_NOTICE, load_terms
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import require_writable_path
-from falconwing_kit.core.flight_table import FlightTable, read_flight_table
+from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.sysid.forecast import constant_turn, constant_velocity, forecast
 from falconwing_kit.sysid.identify import MAX_REDUCED_CHI2, Identification, identify
 from falconwing_kit.sysid.model_file import KNOWN_TERMS, read_model, write_model
 from falconwing_kit.sysid.one_step import fit_one_step
 from falconwing_kit.sysid.prepare import CHANNELS
 from falconwing_kit.sysid.score import score, select_windows
+from falconwing_kit.tools.bridge.flight_file import read_flight
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 GOOD_CHI2 = 2.0  # held out, per degree of freedom; above it the exit code is 1
@@ -37,7 +38,9 @@ class Identify:
     """
 
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """flight tables (CSV) of one aircraft"""
+    """flights of one aircraft: flight tables (CSV) or flight logs (MCAP), or logs of ROS 2 (MCAP),
+    PX4 (.ulg) and ArduPilot (.bin) as export reads them
+    """
     out: Path | None = None
     """the model file to write, such as model.toml"""
     figures: Path | None = None
@@ -78,8 +81,8 @@ class Identify:
                 "try falconwing identify flight.csv"
             )
         self._require_writable()
-        tables = [read_flight_table(path) for path in self.flights]
-        other = None if self.judge is None else read_flight_table(self.judge)
+        tables = [read_flight(path) for path in self.flights]
+        other = None if self.judge is None else read_flight(self.judge)
         model = self._model()
         if other is not None:
             constant_turn(other)  # raises before the fit where the flight has no velocities

@@ -337,7 +337,10 @@ def test_the_verb_makes_a_table_that_the_kit_reads(flight, log, tmp_path, capsys
 def test_other_options_are_refused_together(log, capsys):
     """A mapping is for a table of a log of ROS 2."""
     assert main(["export", str(log), "--mapping", "m.toml", "--to", "bag", "--out", "a.bag"]) == 2
-    assert "--mapping: expected a log of ROS 2 and --to csv" in capsys.readouterr().err
+    assert (
+        "--mapping: expected a log of ROS 2, PX4 or ArduPilot and --to csv"
+        in capsys.readouterr().err
+    )
 
 
 def test_the_shipped_mapping_is_read():
