@@ -302,7 +302,7 @@ def test_a_lost_context_is_reported_and_drawn_again(shown):
 
 
 def test_the_canvas_follows_its_size_up_to_one_and_a_half_pixels(shown):
-    """By hand: 240 x 180 at 3 device pixels each is 360 x 270; another size is taken over."""
+    """By hand: 120 x 180 on the page are so many pixels, and 180 x 270 at 3 device pixels each."""
     shown.open_view("wall")
     draw = "T => { view.draw(T); return [view.canvas.width, view.canvas.height]; }"
     pose = nose((0.0, 0.0, 1.0, 0.0, 0.0, 0.0)).ravel().tolist()
@@ -310,13 +310,47 @@ def test_the_canvas_follows_its_size_up_to_one_and_a_half_pixels(shown):
     shown.page.evaluate("() => { view.canvas.style.width = '120px'; }")
     shown.page.wait_for_function("view.wanted[0] === 120")
     assert shown.page.evaluate(draw, pose) == [120, HEIGHT]
+    ratio = "{ value: 3, configurable: true }"
     shown.page.evaluate(
-        "() => { Object.defineProperty(window, 'devicePixelRatio', { value: 3 }); view.measure(); }"
+        f"() => {{ Object.defineProperty(window, 'devicePixelRatio', {ratio}); view.measure(); }}"
     )
     assert shown.page.evaluate(draw, pose) == [180, 270]
     shown.page.evaluate(
-        "() => { Object.defineProperty(window, 'devicePixelRatio', { value: 1 }); }"
+        "width => { Object.defineProperty(window, 'devicePixelRatio', { value: 1 });"
+        " view.canvas.style.width = width; }",
+        f"{WIDTH}px",
     )
+
+
+def test_a_still_page_gets_the_picture_of_its_order(shown):
+    """One call of draw before any order is there: background only; the hall follows by itself."""
+    shown.open_view("wall", background="#4080bf")
+    camera = nose((0.0, 0.0, 1.0, 0.0, 0.0, 0.0)).ravel().tolist()
+    first = "T => { view.draw(T, { fovDeg: 77.8 }); return view.canvas.toDataURL(); }"
+    empty = shown.read(shown.page.evaluate(first, camera))
+    assert np.allclose(empty, np.array([0x40, 0x80, 0xBF]) / 255.0, atol=0.6 / 255.0)
+    shown.page.wait_for_function(
+        "() => { window.pixel = new Uint8Array(4);"
+        " view.gl.readPixels(120, 90, 1, 1, view.gl.RGBA, view.gl.UNSIGNED_BYTE, pixel);"
+        " return pixel[0] > 180 && pixel[2] < 60; }"
+    )
+
+
+def test_a_slow_machine_gets_fewer_pixels(shown):
+    """By the table: 40 frames of 60 ms take 3/4 of 240 x 180; quick ones give them back, but no
+    more than three times, so that it cannot alternate; at 30 ms nothing changes.
+    """
+    shown.open_view("wall")
+    pace = "ms => { for (let k = 0; k < 40; k += 1) view.keepPace(ms); return view.wanted; }"
+    assert shown.page.evaluate(pace, 30) == [240, 180]
+    assert shown.page.evaluate(pace, 60) == [180, 135]
+    for _ in range(3):
+        assert shown.page.evaluate(pace, 10) == [240, 180]
+        assert shown.page.evaluate(pace, 60) == [180, 135]
+    assert shown.page.evaluate(pace, 10) == [180, 135]
+    for _ in range(4):
+        lowest = shown.page.evaluate(pace, 100)
+    assert lowest == [84, 63] and shown.page.evaluate("view.stats.share") == 0.35
 
 
 @pytest.mark.parametrize(("name", "text"), [("text", "SPZ"), ("cut", "whole"), ("none", "404")])

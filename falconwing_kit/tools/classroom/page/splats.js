@@ -15,6 +15,11 @@ const MAX_PIXEL_RATIO = 1.5; // sharper screens get this: four times the pixels 
 const REACH = 5; // radius in standard deviations for what is in view: 3.3, and the error of its ellipse
 const VIEW_MARGIN = 1.3; // splats up to so many half images from the middle are sorted and drawn: the
 // view may turn by some 10 degrees until the next order comes
+const SHARES = [1, 0.75, 0.5, 0.35]; // of the resolution, from a quick machine to a slow one
+const SLOW_MS = 45; // a frame, averaged over PACE_FRAMES: the next lower share
+const QUICK_MS = 18; // the next higher one, at most MAX_RAISES times, so that it cannot alternate
+const PACE_FRAMES = 40;
+const MAX_RAISES = 3;
 const MAX_SPLATS = 2097152; // 2048 rows of 1024; more is no scene for a page
 const SPZ_MAGIC = 0x5053474e; // "NGSP"
 
@@ -268,11 +273,13 @@ export async function readSpz(buffer) {
 }
 
 export class SplatView {
-  // background: [red, green, blue] 0..1; onstatus(text): a sentence for the reader, "" when all is
-  // well again; keep: true keeps the picture readable after a frame, for tests and screenshots.
+  // background: "#rrggbb" or [red, green, blue] 0..1; onstatus(text): a sentence for the reader, ""
+  // when all is well again; keep: true keeps each picture readable and always in full resolution,
+  // for tests and screenshots.
   constructor(canvas, { background = [0, 0, 0], onstatus = () => {}, keep = false } = {}) {
     this.canvas = canvas;
-    this.background = background;
+    this.background = typeof background === "string" ? colourFromText(background) : background;
+    this.keep = keep;
     this.onstatus = onstatus;
     this.gl = canvas.getContext("webgl2", {
       alpha: false, antialias: false, depth: false, preserveDrawingBuffer: keep,
@@ -281,10 +288,12 @@ export class SplatView {
     if (!this.gl) throw new Error("This browser has no WebGL2; the page shows pictures instead.");
     this.scene = null;
     this.aircraft = [];
-    this.stats = { fps: 0, sortMs: 0, frameMs: 0 };
+    this.stats = { fps: 0, sortMs: 0, frameMs: 0, share: 1 };
+    this.pace = { step: 0, frames: 0, sum: 0, raises: 0 };
     this.order = { count: 0, indices: null, fresh: false };
     this.sorting = { worker: null, busy: false, view: null, waiting: [] };
     this.lastDraw = 0;
+    this.last = null;
     this.lost = false;
     this.onlost = (event) => {
       event.preventDefault();
@@ -295,10 +304,14 @@ export class SplatView {
       this.lost = false;
       this.build();
       this.onstatus("");
+      this.drawLater();
     };
     canvas.addEventListener("webglcontextlost", this.onlost);
     canvas.addEventListener("webglcontextrestored", this.onrestored);
-    this.observer = new ResizeObserver(() => this.measure());
+    this.observer = new ResizeObserver(() => {
+      this.measure();
+      this.drawLater();
+    });
     this.observer.observe(canvas);
     this.measure();
     this.build();
@@ -322,7 +335,8 @@ export class SplatView {
     return this.scene !== null && !this.lost;
   }
 
-  // onprogress(bytes so far, bytes in all or null); the bytes are counted as unpacked by the browser.
+  // onprogress(bytes so far, bytes in all); both as unpacked by the browser, so the second is null
+  // where the server sends them packed.
   async load(url, onprogress = () => {}) {
     const answer = await fetch(url);
     if (!answer.ok) throw new Error(`scene: expected ${url}, got the answer ${answer.status}`);
@@ -367,6 +381,7 @@ export class SplatView {
   draw(T_world_camera, { fovDeg = 70 } = {}) {
     if (this.lost) return;
     const begin = performance.now();
+    this.last = [T_world_camera, { fovDeg }];
     this.fit();
     this.askForOrder(T_world_camera, fovDeg);
     const { gl } = this;
@@ -429,11 +444,8 @@ export class SplatView {
     this.sorting.busy = false;
     for (const resolve of this.sorting.waiting.splice(0)) resolve();
     this.lost = true;
-    const { gl } = this; // the context stays usable: a canvas has only one
-    gl.deleteTexture(this.splats.codes);
-    gl.deleteTexture(this.splats.order);
-    gl.deleteBuffer(this.splats.quads);
-    this.freeTarget();
+    // given back now, since browsers allow few: the canvas cannot be drawn on again
+    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
   }
 
   drawSplats(T, size, focal) {
@@ -514,10 +526,20 @@ export class SplatView {
     this.stats.sortMs = ms;
     sorting.busy = false;
     for (const resolve of sorting.waiting.splice(0)) resolve();
+    this.drawLater();
+  }
+
+  // Draw the last view again, unless the page does so by itself: a page that stands still.
+  drawLater() {
+    const { lastDraw } = this;
+    setTimeout(() => {
+      if (this.last && !this.lost && this.lastDraw === lastDraw) this.draw(...this.last);
+    }, 100);
   }
 
   measure() {
-    const ratio = Math.min(window.devicePixelRatio || 1, MAX_PIXEL_RATIO);
+    this.stats.share = SHARES[this.pace.step];
+    const ratio = Math.min(window.devicePixelRatio || 1, MAX_PIXEL_RATIO) * this.stats.share;
     const box = this.canvas.getBoundingClientRect();
     this.wanted = [box.width, box.height].map((side) => Math.max(1, Math.round(side * ratio)));
   }
@@ -650,7 +672,26 @@ export class SplatView {
     const gap = begin - this.lastDraw;
     if (this.lastDraw > 0 && gap > 0 && gap < 1000) {
       stats.fps = 1000 / smooth(stats.fps > 0 ? 1000 / stats.fps : 0, gap);
+      if (!this.keep) this.keepPace(gap);
     }
     this.lastDraw = begin;
+  }
+
+  // Fewer pixels on a machine that is slow, and more again on one that was slow for a moment.
+  keepPace(gap) {
+    const { pace } = this;
+    pace.frames += 1;
+    pace.sum += gap;
+    if (pace.frames < PACE_FRAMES) return;
+    const mean = pace.sum / pace.frames;
+    [pace.frames, pace.sum] = [0, 0];
+    if (mean > SLOW_MS && pace.step < SHARES.length - 1) {
+      pace.step += 1;
+      this.measure();
+    } else if (mean < QUICK_MS && pace.step > 0 && pace.raises < MAX_RAISES) {
+      pace.step -= 1;
+      pace.raises += 1;
+      this.measure();
+    }
   }
 }
