@@ -32,14 +32,25 @@ export const interpolatePoses = (a, b) => b;
 """
 # Sticks at a quarter, -0.5, 0.75 and 1: numbers that 32 bits hold exactly.
 STICKS = """
+export const STICK_MODES = { 2: ["rudder", "throttle", "aileron", "elevator"] };
+export function movedAxis(before, after) {
+  const index = after.findIndex((value, i) => Math.abs(value - before[i]) > 0.5);
+  return index < 0 ? null : { index, sign: Math.sign(after[index] - before[index]) };
+}
 export class Sticks {
   constructor() {
     const reversed = { throttle: false, aileron: false, elevator: false, rudder: false };
-    this.settings = { mode: 2, deadBand: 0.05, expo: 0.3, assist: true, reversed };
+    this._settings = { mode: 2, deadBand: 0.05, expo: 0.3, assist: true, reversed };
+    globalThis.given = [];
   }
   read() {
     const hold = Boolean(globalThis.keyHeld);
     return { throttle: 0.25, aileron: -0.5, elevator: 0.75, rudder: 1, hold, source: "keyboard" };
+  }
+  get settings() { return this._settings; }
+  set settings(change) {
+    given.push(change);
+    this._settings = { ...this._settings, ...change };
   }
   match() {}
   drawTouch() {}
@@ -335,6 +346,40 @@ def test_seat_asks_waits_and_flies_only_while_held(visit, school):
         pass
     page.wait_for_timeout(60)
     assert school.binaries.empty()
+
+
+def test_seat_keeps_settings_and_learns_a_gamepad(visit, school):
+    """A gamepad whose axes are swapped in pairs, one of them turned around, moved as asked."""
+    page = visit("/", 390, 844)
+    page.click("text=Sticks: settings")
+    page.select_option("#set-mode", "1")
+    page.fill("#set-expo", "0.6")
+    page.check("#set-elevator")
+    page.uncheck("#set-assist")
+    assert school.next_text("assist")["on"] is True  # with the greeting
+    assert school.next_text("assist")["on"] is False
+    last = page.evaluate("given.at(-1)")
+    assert (last["mode"], last["expo"], last["assist"]) == (1, 0.6, False)
+    assert last["reversed"]["elevator"] and not last["reversed"]["aileron"]
+    page.select_option("#set-mode", "2")
+    page.evaluate(
+        """() => {
+          globalThis.axes = [0, 0, 0, 0];
+          navigator.getGamepads = () => [{ connected: true, axes: globalThis.axes, buttons: [] }];
+        }"""
+    )
+    page.click("text=Assign the gamepad's sticks")
+    for step, (axis, value) in enumerate([(2, 1), (3, 1), (0, -1), (1, 1)]):
+        until(page, f"document.querySelector('.assign').textContent.startsWith('{step + 1} of 4')")
+        page.evaluate(f"axes[{axis}] = {value}")
+        until(page, "document.querySelector('.assign').textContent === 'Let go.'")
+        page.evaluate(f"axes[{axis}] = 0")
+    until(page, "document.querySelector('.assign').textContent.startsWith('Done')")
+    last = page.evaluate("given.at(-1)")
+    assert last["axes"] == [2, 3, 0, 1]
+    assert last["reversed"] == {
+        "rudder": False, "throttle": False, "aileron": True, "elevator": False,
+    }  # fmt: skip
 
 
 def test_no_page_is_wider_than_a_phone(visit, school):

@@ -184,9 +184,11 @@ export function showConnection(box, channel) {
   });
 }
 
-/** The address that others type; the class's own link where the server gives one. */
+/** The address that others open: the class's own link, or this page's with its token. */
 function classLink(hello) {
-  return (hello && hello.link) || `${location.origin}/`;
+  if (hello && hello.link) return hello.link;
+  const token = new URLSearchParams(location.search).get("token");
+  return `${location.origin}/${token ? `?token=${encodeURIComponent(token)}` : ""}`;
 }
 
 /** Write the address into a box: the part to type in large letters, the rest behind it. */

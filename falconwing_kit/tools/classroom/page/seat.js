@@ -3,6 +3,7 @@
 import { Channel, packSticks } from "./channel.js";
 import { Theme, keepValue, keptValue } from "./theme.js";
 import { HallView, Pictures } from "./view.js";
+import { assignGamepad } from "./assign.js";
 import { Replay } from "./replay.js";
 import { Sticks } from "./sticks.js";
 import { WhoLine, byId, drawSticks, newElement, ordinal } from "./parts.js";
@@ -52,7 +53,7 @@ class Seat {
       this.hello = hello;
       byId("simulation").textContent = simulationWords(hello, null);
       const kept = keptValue(NAME_KEY);
-      if (kept) channel.send({ type: "name", name: kept });
+      if (kept && kept !== hello.name) channel.send({ type: "name", name: kept });
       channel.send({ type: "assist", on: this.settings.assist });
       this.showLine();
     });
@@ -78,10 +79,9 @@ class Seat {
     channel.on("effects", (message) => showEffects(byId("effects"), message.active));
     channel.on("board", (message) => showBoard(byId("board"), message.rows, SEAT_ROWS));
     channel.on("error", (message) => this.showLine(message.text));
-    channel.on("preparing", (message) => this.showLine(message.text));
     channel.on("verdict", (verdict) => this.showAfter(verdict));
     channel.on("pong", () => {
-      byId("answer").textContent = `Answer from the class after ${Math.round(channel.roundTripMs)} ms.`;
+      byId("answer").textContent = `Answer from the class after ${Math.round(channel.roundTripMs)} ms. ${this.view.describe()}`;
     });
   }
 
@@ -138,6 +138,19 @@ class Seat {
       field("expo", "Expo: softer around the centre", expo),
       fieldset,
     );
+    const assign = Object.assign(newElement("button", "", "Assign the gamepad's sticks"), { type: "button" });
+    const prompt = newElement("p", "assign");
+    prompt.setAttribute("role", "status");
+    assign.addEventListener("click", async () => {
+      const change = await assignGamepad(this.settings.mode, (text) => {
+        prompt.textContent = text;
+      });
+      prompt.textContent = change ? "Done: these sticks are kept." : "No gamepad moves: press one of its buttons first.";
+      if (!change) return;
+      for (const [name, box] of reversed) box.checked = Boolean({ ...this.settings.reversed, ...change.reversed }[name]);
+      this.changeSettings(change);
+    });
+    form.append(assign, prompt);
     form.addEventListener("submit", (event) => event.preventDefault());
     form.addEventListener("input", () => {
       const change = {
@@ -148,17 +161,20 @@ class Seat {
         reversed: Object.fromEntries(reversed.map(([name, box]) => [name, box.checked])),
       };
       if (change.assist !== this.settings.assist) this.channel.send({ type: "assist", on: change.assist });
-      this.replay = new Replay(byId("replay"), this.channel, this.view);
-    this.settings = this.withSticks((sticks) => {
-        sticks.settings = change;
-        return sticks.settings;
-      });
+      this.changeSettings(change);
     });
     addEventListener("gamepadconnected", (event) => {
       byId("gamepad").textContent = `Connected: ${event.gamepad.id}.`;
     });
     addEventListener("gamepaddisconnected", () => {
       byId("gamepad").textContent = "The gamepad is gone.";
+    });
+  }
+
+  changeSettings(change) {
+    this.settings = this.withSticks((sticks) => {
+      sticks.settings = change;
+      return sticks.settings;
     });
   }
 
