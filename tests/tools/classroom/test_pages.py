@@ -79,7 +79,8 @@ WHO = {
 }  # fmt: skip
 VERDICT = {
     "type": "verdict", "flight": 6, "sentence": "On the pad, 4 cm left.", "success": True,
-    "numbers": {"touchdown speed": [0.26, "m/s"]}, "holders": ["Mia"], "logged": None,
+    "numbers": {"touchdown speed": [0.26, "m/s"], "beside": [-3.04, "cm left"]},
+    "holders": ["Mia"], "logged": None,
 }  # fmt: skip
 
 
@@ -237,6 +238,7 @@ def test_wall_says_who_flies_and_what_happens(visit, school):
     )
     school.say({**VERDICT, "holders": ["<b>Mia</b>"]})
     until(page, "verdict.offsetHeight > 0 && verdict.textContent.includes('0.26 m/s')")
+    assert "3.04 cm right" in page.text_content("#verdict")
     assert page.locator("main b, main u").count() == 0
     assert page.text_content("#simulation") == "SIMULATION"
     assert page.is_hidden("#qr"), "this class has no /qr.svg"
@@ -332,6 +334,16 @@ def test_seat_asks_waits_and_flies_only_while_held(visit, school):
     assert [message[2] for message in messages] == list(range(len(messages)))
     assert {message[4:] for message in messages} == {(0.25, -0.5, 0.75, 1.0)}
     assert 200 <= messages[-1][3] - messages[0][3] <= 5000  # ms of the browser's clock
+    # The button says that this seat flies only when the class says so.
+    page.evaluate("globalThis.keyHeld = true")
+    until(page, "hold.textContent === 'HOLD AGAIN'")
+    mine = {**WHO, "holder": "student", "name": "Mia", "client": me, "owner_may": me}
+    school.say(mine)
+    until(page, "hold.textContent === 'YOU FLY'")
+    page.evaluate("globalThis.keyHeld = false")
+    until(page, "hold.textContent === 'HOLD TO FLY'")
+    while school.binaries.get(timeout=20)[1] != 2:
+        pass
     # Every way out of the page lets go: here the window loses the focus.
     page.evaluate("globalThis.keyHeld = true")
     assert school.binaries.get(timeout=20)[1] == 3

@@ -11,6 +11,7 @@ import { cameraButtons, showBoard, showConnection, showEffects, showVerdict } fr
 import { simulationWords, timeSentence } from "./parts.js";
 
 const STICKS_MS = 20;
+const HOLD_ANSWER_MS = 400;
 const NAME_KEY = "falconwing-name";
 const SEAT_CAMERAS = { chase: "Chase", nose: "Nose", tower: "Tower", picture: "Picture" };
 const SEAT_ROWS = 8;
@@ -237,8 +238,9 @@ class Seat {
     if (hold === this.holding) return;
     this.holding = hold;
     byId("hold").setAttribute("aria-pressed", String(hold));
-    byId("hold").textContent = hold ? "YOU FLY" : "HOLD TO FLY";
-    this.showLine();
+    // The class answers within some steps; only then it is said whether this seat flies.
+    clearTimeout(this.answering);
+    this.answering = setTimeout(() => this.showLine(), hold ? HOLD_ANSWER_MS : 0);
   }
 
   /** What the sticks do, for those who see no touch pads; drawn only when it changes. */
@@ -274,6 +276,11 @@ class Seat {
     return queue.findIndex((entry) => entry.client === this.channel.client) + 1;
   }
 
+  /** Whether the class says that this seat flies now. */
+  flies() {
+    return this.who !== null && this.who.holder === "student" && this.who.client === this.channel.client;
+  }
+
   showLine(text = "") {
     const place = this.place();
     const ask = byId("ask");
@@ -283,7 +290,12 @@ class Seat {
     let line = "You watch. Ask for the sticks to fly.";
     if (place) line = place === 1 ? "You are next." : `You are ${ordinal(place)} in the queue.`;
     if (this.mayFly) line = "The sticks are yours: hold to fly.";
-    if (this.mayFly && this.holding) line = "You fly. Let go and the autopilot takes over.";
+    if (this.mayFly && this.holding) {
+      const reason = this.who.reason ? ` (${this.who.reason})` : "";
+      line = this.flies() ? "You fly. Let go and the autopilot takes over." : `You do not fly now${reason}. Let go and hold again.`;
+    }
+    byId("hold").textContent = this.holding ? (this.flies() ? "YOU FLY" : "HOLD AGAIN") : "HOLD TO FLY";
+    byId("hold").dataset.flies = String(this.holding && this.flies());
     if (this.channel.client === 0) line = "Not connected.";
     byId("line").textContent = text || line;
   }
