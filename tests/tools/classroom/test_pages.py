@@ -32,14 +32,25 @@ export const interpolatePoses = (a, b) => b;
 """
 # Sticks at a quarter, -0.5, 0.75 and 1: numbers that 32 bits hold exactly.
 STICKS = """
+export const STICK_MODES = { 2: ["rudder", "throttle", "aileron", "elevator"] };
+export function movedAxis(before, after) {
+  const index = after.findIndex((value, i) => Math.abs(value - before[i]) > 0.5);
+  return index < 0 ? null : { index, sign: Math.sign(after[index] - before[index]) };
+}
 export class Sticks {
   constructor() {
     const reversed = { throttle: false, aileron: false, elevator: false, rudder: false };
-    this.settings = { mode: 2, deadBand: 0.05, expo: 0.3, assist: true, reversed };
+    this._settings = { mode: 2, deadBand: 0.05, expo: 0.3, assist: true, reversed };
+    globalThis.given = [];
   }
   read() {
     const hold = Boolean(globalThis.keyHeld);
     return { throttle: 0.25, aileron: -0.5, elevator: 0.75, rudder: 1, hold, source: "keyboard" };
+  }
+  get settings() { return this._settings; }
+  set settings(change) {
+    given.push(change);
+    this._settings = { ...this._settings, ...change };
   }
   match() {}
   drawTouch() {}
@@ -68,7 +79,8 @@ WHO = {
 }  # fmt: skip
 VERDICT = {
     "type": "verdict", "flight": 6, "sentence": "On the pad, 4 cm left.", "success": True,
-    "numbers": {"touchdown speed": [0.26, "m/s"]}, "holders": ["Mia"], "logged": None,
+    "numbers": {"touchdown speed": [0.26, "m/s"], "beside": [-3.04, "cm left"]},
+    "holders": ["Mia"], "logged": None,
 }  # fmt: skip
 
 
@@ -226,6 +238,7 @@ def test_wall_says_who_flies_and_what_happens(visit, school):
     )
     school.say({**VERDICT, "holders": ["<b>Mia</b>"]})
     until(page, "verdict.offsetHeight > 0 && verdict.textContent.includes('0.26 m/s')")
+    assert "3.04 cm right" in page.text_content("#verdict")
     assert page.locator("main b, main u").count() == 0
     assert page.text_content("#simulation") == "SIMULATION"
     assert page.is_hidden("#qr"), "this class has no /qr.svg"
@@ -321,6 +334,16 @@ def test_seat_asks_waits_and_flies_only_while_held(visit, school):
     assert [message[2] for message in messages] == list(range(len(messages)))
     assert {message[4:] for message in messages} == {(0.25, -0.5, 0.75, 1.0)}
     assert 200 <= messages[-1][3] - messages[0][3] <= 5000  # ms of the browser's clock
+    # The button says that this seat flies only when the class says so.
+    page.evaluate("globalThis.keyHeld = true")
+    until(page, "hold.textContent === 'HOLD AGAIN'")
+    mine = {**WHO, "holder": "student", "name": "Mia", "client": me, "owner_may": me}
+    school.say(mine)
+    until(page, "hold.textContent === 'YOU FLY'")
+    page.evaluate("globalThis.keyHeld = false")
+    until(page, "hold.textContent === 'HOLD TO FLY'")
+    while school.binaries.get(timeout=20)[1] != 2:
+        pass
     # Every way out of the page lets go: here the window loses the focus.
     page.evaluate("globalThis.keyHeld = true")
     assert school.binaries.get(timeout=20)[1] == 3
@@ -335,6 +358,40 @@ def test_seat_asks_waits_and_flies_only_while_held(visit, school):
         pass
     page.wait_for_timeout(60)
     assert school.binaries.empty()
+
+
+def test_seat_keeps_settings_and_learns_a_gamepad(visit, school):
+    """A gamepad whose axes are swapped in pairs, one of them turned around, moved as asked."""
+    page = visit("/", 390, 844)
+    page.click("text=Sticks: settings")
+    page.select_option("#set-mode", "1")
+    page.fill("#set-expo", "0.6")
+    page.check("#set-elevator")
+    page.uncheck("#set-assist")
+    assert school.next_text("assist")["on"] is True  # with the greeting
+    assert school.next_text("assist")["on"] is False
+    last = page.evaluate("given.at(-1)")
+    assert (last["mode"], last["expo"], last["assist"]) == (1, 0.6, False)
+    assert last["reversed"]["elevator"] and not last["reversed"]["aileron"]
+    page.select_option("#set-mode", "2")
+    page.evaluate(
+        """() => {
+          globalThis.axes = [0, 0, 0, 0];
+          navigator.getGamepads = () => [{ connected: true, axes: globalThis.axes, buttons: [] }];
+        }"""
+    )
+    page.click("text=Assign the gamepad's sticks")
+    for step, (axis, value) in enumerate([(2, 1), (3, 1), (0, -1), (1, 1)]):
+        until(page, f"document.querySelector('.assign').textContent.startsWith('{step + 1} of 4')")
+        page.evaluate(f"axes[{axis}] = {value}")
+        until(page, "document.querySelector('.assign').textContent === 'Let go.'")
+        page.evaluate(f"axes[{axis}] = 0")
+    until(page, "document.querySelector('.assign').textContent.startsWith('Done')")
+    last = page.evaluate("given.at(-1)")
+    assert last["axes"] == [2, 3, 0, 1]
+    assert last["reversed"] == {
+        "rudder": False, "throttle": False, "aileron": True, "elevator": False,
+    }  # fmt: skip
 
 
 def test_no_page_is_wider_than_a_phone(visit, school):

@@ -134,7 +134,7 @@ export class Channel {
     const why = event.reason ? ` The class says: ${event.reason}.` : "";
     let sentence = `The connection to the class is lost.${why} Trying again ...`;
     if (!this.everOpen) {
-      sentence = `No connection to the class at ${location.host}.${why} Is this device in the same Wi-Fi? Trying again ...`;
+      sentence = `No connection to the class at ${location.host}.${why} It may be full, or in another Wi-Fi. Trying again ...`;
     }
     if (ended) sentence = "The class has ended. This page connects again when the next one begins.";
     this.say({ connected: false, ended, sentence });

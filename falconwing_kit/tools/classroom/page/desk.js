@@ -52,11 +52,14 @@ class Desk {
   listen() {
     const { channel } = this;
     channel.on("hello", (hello) => {
+      const isFirst = this.hello === null;
       this.hello = hello;
-      this.tasks = hello.tasks || DESK_TASKS;
-      this.recording = Boolean(hello.recording);
+      if ("recording" in hello) this.recording = Boolean(hello.recording);
       showLink(byId("link"), hello);
-      this.showTasks(hello.task, hello.manoeuvre || "");
+      if (isFirst) {
+        this.tasks = hello.tasks || DESK_TASKS;
+        this.showTasks(hello.task, hello.manoeuvre || "");
+      }
       this.makeSwitches(hello.effects || []);
       this.showRecording();
     });
@@ -81,9 +84,6 @@ class Desk {
       this.verdict = verdict;
     });
     channel.on("board", (message) => showBoard(byId("board"), message.rows, DESK_ROWS));
-    channel.on("preparing", (message) => {
-      byId("clock").textContent = `${message.text} (${Math.round(100 * message.share)} %)`;
-    });
     channel.on("gap", (message) => this.showEvent({ text: message.sentence, flight: message.flight }));
     channel.on("error", (message) => this.trouble(message.text));
   }

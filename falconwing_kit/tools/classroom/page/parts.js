@@ -30,6 +30,13 @@ export function readable(value) {
   return text.replace("-", "\u2212");
 }
 
+/** A number with its unit; "-3 cm left" is "3 cm right". */
+export function readableMeasure(value, unit) {
+  const words = unit || "";
+  if (value < 0 && words.endsWith(" left")) return `${readable(-value)} ${words.slice(0, -4)}right`;
+  return `${readable(value)} ${words}`.trim();
+}
+
 /** 1st, 2nd, 3rd, 4th, ... 11th, 12th, 13th, ... */
 export function ordinal(number) {
   const teen = number % 100 >= 11 && number % 100 <= 13;
@@ -124,7 +131,7 @@ export function showVerdict(box, verdict) {
   for (const [label, [value, unit]] of Object.entries(verdict.numbers || {})) {
     const pair = newElement("div");
     pair.append(newElement("dt", "", asWords(label)));
-    pair.append(newElement("dd", "", `${readable(value)} ${unit || ""}`.trim()));
+    pair.append(newElement("dd", "", readableMeasure(value, unit)));
     numbers.append(pair);
   }
   const flown = (verdict.holders || []).join(", ");
@@ -145,7 +152,7 @@ export function showBoard(list, rows, count) {
       newElement("span", "place", `${place + 1}.`),
       newElement("span", "name", row.name),
       newElement("span", "task", asWords(row.task)),
-      newElement("span", "score", `${readable(row.score)} ${row.unit || ""}`.trim()),
+      newElement("span", "score", readableMeasure(row.score, row.unit)),
     );
     return item;
   });
@@ -162,7 +169,7 @@ export function showEffects(list, names) {
 export function timeSentence(state) {
   if (state.paused) return "PAUSED";
   const speed = readable(state.speed);
-  if (state.stretched) return `TIME IS STRETCHED: this computer is busy, ${readable(state.rate)} of 20 steps a second`;
+  if (state.stretched) return `TIME IS STRETCHED: this computer is busy, ${state.rate.toFixed(1)} of 20 steps a second`;
   if (state.speed < 0.99) return `SLOW MOTION: ${speed} of real time`;
   if (state.speed > 1.01) return `FAST: ${speed} times real time`;
   return "";
@@ -184,9 +191,11 @@ export function showConnection(box, channel) {
   });
 }
 
-/** The address that others type; the class's own link where the server gives one. */
+/** The address that others open: the class's own link, or this page's with its token. */
 function classLink(hello) {
-  return (hello && hello.link) || `${location.origin}/`;
+  if (hello && hello.link) return hello.link;
+  const token = new URLSearchParams(location.search).get("token");
+  return `${location.origin}/${token ? `?token=${encodeURIComponent(token)}` : ""}`;
 }
 
 /** Write the address into a box: the part to type in large letters, the rest behind it. */

@@ -3,6 +3,7 @@
 import { Channel, packSticks } from "./channel.js";
 import { Theme, keepValue, keptValue } from "./theme.js";
 import { HallView, Pictures } from "./view.js";
+import { assignGamepad } from "./assign.js";
 import { Replay } from "./replay.js";
 import { Sticks } from "./sticks.js";
 import { WhoLine, byId, drawSticks, newElement, ordinal } from "./parts.js";
@@ -10,6 +11,7 @@ import { cameraButtons, showBoard, showConnection, showEffects, showVerdict } fr
 import { simulationWords, timeSentence } from "./parts.js";
 
 const STICKS_MS = 20;
+const HOLD_ANSWER_MS = 400;
 const NAME_KEY = "falconwing-name";
 const SEAT_CAMERAS = { chase: "Chase", nose: "Nose", tower: "Tower", picture: "Picture" };
 const SEAT_ROWS = 8;
@@ -52,7 +54,7 @@ class Seat {
       this.hello = hello;
       byId("simulation").textContent = simulationWords(hello, null);
       const kept = keptValue(NAME_KEY);
-      if (kept) channel.send({ type: "name", name: kept });
+      if (kept && kept !== hello.name) channel.send({ type: "name", name: kept });
       channel.send({ type: "assist", on: this.settings.assist });
       this.showLine();
     });
@@ -78,10 +80,9 @@ class Seat {
     channel.on("effects", (message) => showEffects(byId("effects"), message.active));
     channel.on("board", (message) => showBoard(byId("board"), message.rows, SEAT_ROWS));
     channel.on("error", (message) => this.showLine(message.text));
-    channel.on("preparing", (message) => this.showLine(message.text));
     channel.on("verdict", (verdict) => this.showAfter(verdict));
     channel.on("pong", () => {
-      byId("answer").textContent = `Answer from the class after ${Math.round(channel.roundTripMs)} ms.`;
+      byId("answer").textContent = `Answer from the class after ${Math.round(channel.roundTripMs)} ms. ${this.view.describe()}`;
     });
   }
 
@@ -138,6 +139,19 @@ class Seat {
       field("expo", "Expo: softer around the centre", expo),
       fieldset,
     );
+    const assign = Object.assign(newElement("button", "", "Assign the gamepad's sticks"), { type: "button" });
+    const prompt = newElement("p", "assign");
+    prompt.setAttribute("role", "status");
+    assign.addEventListener("click", async () => {
+      const change = await assignGamepad(this.settings.mode, (text) => {
+        prompt.textContent = text;
+      });
+      prompt.textContent = change ? "Done: these sticks are kept." : "No gamepad moves: press one of its buttons first.";
+      if (!change) return;
+      for (const [name, box] of reversed) box.checked = Boolean({ ...this.settings.reversed, ...change.reversed }[name]);
+      this.changeSettings(change);
+    });
+    form.append(assign, prompt);
     form.addEventListener("submit", (event) => event.preventDefault());
     form.addEventListener("input", () => {
       const change = {
@@ -148,17 +162,20 @@ class Seat {
         reversed: Object.fromEntries(reversed.map(([name, box]) => [name, box.checked])),
       };
       if (change.assist !== this.settings.assist) this.channel.send({ type: "assist", on: change.assist });
-      this.replay = new Replay(byId("replay"), this.channel, this.view);
-    this.settings = this.withSticks((sticks) => {
-        sticks.settings = change;
-        return sticks.settings;
-      });
+      this.changeSettings(change);
     });
     addEventListener("gamepadconnected", (event) => {
       byId("gamepad").textContent = `Connected: ${event.gamepad.id}.`;
     });
     addEventListener("gamepaddisconnected", () => {
       byId("gamepad").textContent = "The gamepad is gone.";
+    });
+  }
+
+  changeSettings(change) {
+    this.settings = this.withSticks((sticks) => {
+      sticks.settings = change;
+      return sticks.settings;
     });
   }
 
@@ -221,8 +238,9 @@ class Seat {
     if (hold === this.holding) return;
     this.holding = hold;
     byId("hold").setAttribute("aria-pressed", String(hold));
-    byId("hold").textContent = hold ? "YOU FLY" : "HOLD TO FLY";
-    this.showLine();
+    // The class answers within some steps; only then it is said whether this seat flies.
+    clearTimeout(this.answering);
+    this.answering = setTimeout(() => this.showLine(), hold ? HOLD_ANSWER_MS : 0);
   }
 
   /** What the sticks do, for those who see no touch pads; drawn only when it changes. */
@@ -258,6 +276,11 @@ class Seat {
     return queue.findIndex((entry) => entry.client === this.channel.client) + 1;
   }
 
+  /** Whether the class says that this seat flies now. */
+  flies() {
+    return this.who !== null && this.who.holder === "student" && this.who.client === this.channel.client;
+  }
+
   showLine(text = "") {
     const place = this.place();
     const ask = byId("ask");
@@ -267,7 +290,12 @@ class Seat {
     let line = "You watch. Ask for the sticks to fly.";
     if (place) line = place === 1 ? "You are next." : `You are ${ordinal(place)} in the queue.`;
     if (this.mayFly) line = "The sticks are yours: hold to fly.";
-    if (this.mayFly && this.holding) line = "You fly. Let go and the autopilot takes over.";
+    if (this.mayFly && this.holding) {
+      const reason = this.who.reason ? ` (${this.who.reason})` : "";
+      line = this.flies() ? "You fly. Let go and the autopilot takes over." : `You do not fly now${reason}. Let go and hold again.`;
+    }
+    byId("hold").textContent = this.holding ? (this.flies() ? "YOU FLY" : "HOLD AGAIN") : "HOLD TO FLY";
+    byId("hold").dataset.flies = String(this.holding && this.flies());
     if (this.channel.client === 0) line = "Not connected.";
     byId("line").textContent = text || line;
   }

@@ -97,12 +97,13 @@ export class HallView {
     this.drawing = this.drawing.bind(this);
     if (!SplatView.supported()) this.fail("This browser has no WebGL2");
     channel.on("hello", (hello) => this.begin(hello));
+    channel.on("preparing", (message) => this.prepare(message));
     channel.on("state", (state) => this.take(state));
     this.setCamera(camera);
     requestAnimationFrame(this.drawing);
   }
 
-  /** Load the hall that the class flies in, once; the aircraft is drawn before it is there. */
+  /** Load the hall that the class flies in as soon as it is there; the aircraft is drawn before. */
   async begin(hello) {
     this.hello = hello;
     if (this.failed || this.address === hello.scene_url) return;
@@ -112,12 +113,21 @@ export class HallView {
         const onstatus = (text) => this.say(text);
         this.splats = new SplatView(this.canvas, { background: VIEW_BACKGROUND, onstatus });
       }
+      this.wake();
+      if (!hello.scene_url) return;
       await this.splats.load(hello.scene_url, (bytes, total) => this.progress(bytes, total));
       this.say("");
     } catch (error) {
       this.fail(`The hall cannot be drawn here (${error.message})`);
     }
     this.wake();
+  }
+
+  /** What the class says while it makes the hall ready; the last word stays if there is no hall. */
+  prepare(message) {
+    if (this.address || this.failed) return;
+    const text = String(message.text || "");
+    this.say(text && `${text[0].toUpperCase()}${text.slice(1)}.`);
   }
 
   /** Bytes so far, and in all where the browser says so. */
@@ -176,6 +186,13 @@ export class HallView {
     const share = Math.min(1, Math.max(0, (now - this.arrived) / this.period));
     const between = (a, b) => (a && b ? interpolatePoses(a, b, share) : b);
     return { pose: between(this.from.pose, this.pose), leader: between(this.from.leader, this.leader) };
+  }
+
+  /** How fast this device draws the hall; "" where it does not. */
+  describe() {
+    if (!this.splats || this.camera === "picture" || !(this.splats.stats.fps > 0)) return "";
+    const { fps, sortMs } = this.splats.stats;
+    return `The hall: ${Math.round(fps)} pictures a second, sorted in ${Math.round(sortMs)} ms.`;
   }
 
   wake() {

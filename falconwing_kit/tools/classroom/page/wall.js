@@ -54,20 +54,17 @@ class Wall {
       this.flight = flight;
       this.showTask();
       showEffects(byId("effects"), flight.effects);
-      byId("preparing").hidden = true;
       this.hideVerdict(flight.number);
     });
     channel.on("effects", (message) => showEffects(byId("effects"), message.active));
     channel.on("event", (event) => this.showEvent(event));
     channel.on("board", (message) => showBoard(byId("board"), message.rows, WALL_ROWS));
     channel.on("verdict", (verdict) => this.showVerdict(verdict));
-    channel.on("preparing", (message) => this.prepare(message));
     channel.on("error", (message) => this.showEvent({ text: message.text }));
     channel.on("state", (state) => {
       this.state = state;
       this.charts.add(state);
       this.showTime(state);
-      byId("preparing").hidden = true;
       if (!this.drawn) {
         this.drawn = true; // one drawing a frame, however many states arrive
         requestAnimationFrame(() => {
@@ -98,7 +95,7 @@ class Wall {
   }
 
   showCamera(camera) {
-    byId("camera").textContent = `${WALL_CAMERA_WORDS[camera]}  ·  keys 1 2 3, F, T`;
+    byId("camera").textContent = `${WALL_CAMERA_WORDS[camera]}  ·  keys 1 2 3, F full screen`;
   }
 
   showTask() {
@@ -148,12 +145,6 @@ class Wall {
     this.hiding = setTimeout(() => {
       byId("verdict").hidden = true;
     }, rest);
-  }
-
-  prepare(message) {
-    byId("preparing").hidden = message.share >= 1;
-    byId("preparing-text").textContent = message.text;
-    byId("preparing-bar").value = message.share;
   }
 }
 
