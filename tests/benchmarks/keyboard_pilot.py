@@ -26,7 +26,7 @@ REACTION_S = 0.25
 CHANGES, WITHIN_S = 4, 1.0  # key changes, down or up, in any such time
 KEY_PERIOD_S = 0.02  # of the page's stick messages: 50 Hz
 DIFFERENCE_S = 0.2  # over which a rate is seen
-SHORTEST_TAP_S, LONGEST_TAP_S = 0.06, 0.5
+SHORTEST_TAP_S, LONGEST_TAP_S = 0.06, {"aileron": 0.5, "elevator": 1.2}
 SPRING_S = 0.25  # after a tap the stick is back at its centre
 FOREVER = 1e3
 
@@ -83,7 +83,7 @@ class Skill:
     intercept: float = math.radians(15.0)
     turn_s: float = 0.9  # time in which it turns to a course, without the assist
     largest_bank: float = math.radians(25.0)
-    over_threshold: float = 0.65  # height of the centre of gravity [m]
+    over_threshold: float = 0.5  # height of the centre of gravity [m]
     descend_s: float = 0.9  # time in which it corrects its height
     idle_before: float = 3.0  # of the threshold, without the assist [m]
     pace_s: float = 0.35  # between two taps, so that one is left for what comes
@@ -133,7 +133,7 @@ class KeyboardPilot:
             seconds = abs(area) / THROTTLE_RATE
         else:
             seconds = FOREVER if abs(area) >= FOREVER else tap_seconds(abs(area))
-            seconds = seconds if seconds == FOREVER else min(seconds, LONGEST_TAP_S)
+            seconds = seconds if seconds == FOREVER else min(seconds, LONGEST_TAP_S[stick])
         up = t + max(seconds, SHORTEST_TAP_S)
         changes = sorted([t, up, *(time for tap in self.taps for time in (tap.down, tap.up))])
         if any(b - a < WITHIN_S for a, b in zip(changes, changes[CHANGES:], strict=False)):
