@@ -85,11 +85,11 @@ class Skill:
     largest_bank: float = math.radians(25.0)
     over_threshold: float = 0.5  # height of the centre of gravity [m]
     descend_s: float = 0.9  # time in which it corrects its height
-    idle_before: float = 3.0  # of the threshold, without the assist [m]
+    idle_before: float = 5.0  # of the threshold, without the assist [m]
     pace_s: float = 0.35  # between two taps, so that one is left for what comes
     turn_ahead_s: float = 0.6  # for which it counts on the bank that it sees, without the assist
     roll_first: float = 1.5  # weight of the bank against the other sticks, without the assist
-    flare: float = 0.15  # slope over height, without the assist [rad/m]
+    flare: float = 0.3  # slope over height, without the assist [rad/m]
     course_band: float = math.radians(3.0)  # errors that it lets be [rad]
     roll_band: float = math.radians(4.0)
     slope_band: float = 0.035
@@ -125,6 +125,12 @@ class KeyboardPilot:
 
     def _press(self, t: float, stick: str, area: float) -> bool:
         """Begin a tap; False where the key is down, or one change too many would follow."""
+        side = 1 if area > 0.0 else -1
+        if abs(area) >= FOREVER:
+            for tap in self.taps:
+                if tap.stick == stick and tap.side == side and t < tap.up:
+                    tap.up = t + FOREVER  # the key that is down stays down
+                    return True
         if any(tap.stick == stick and t < tap.up + SPRING_S for tap in self.taps):
             return False
         if self.taps and t < self.taps[-1].down + self.skill.pace_s:
@@ -138,7 +144,7 @@ class KeyboardPilot:
         changes = sorted([t, up, *(time for tap in self.taps for time in (tap.down, tap.up))])
         if any(b - a < WITHIN_S for a, b in zip(changes, changes[CHANGES:], strict=False)):
             return False
-        self.taps.append(Tap(stick, 1 if area > 0.0 else -1, t, up))
+        self.taps.append(Tap(stick, side, t, up))
         return True
 
     def _pending(self, stick: str, since: float) -> float:
@@ -178,7 +184,7 @@ class KeyboardPilot:
         # A tap changes the height, and the assist then holds it.
         z += skill.climb * self._pending("elevator", now.t - 0.4)
         error = self._wish_height(x + v[0] * 0.6) - z
-        error = min(error, 0.0) if z > skill.over_threshold else error  # it never climbs to descend
+        error = min(error, max(skill.over_threshold - z, 0.0))  # it does not climb to descend
         return [*needs, (abs(error) / skill.height_band, "elevator", error / skill.climb)]
 
     def _plain(self, t: float, now: Shown, v: np.ndarray) -> list[tuple[float, str, float]]:
