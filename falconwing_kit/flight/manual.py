@@ -49,7 +49,7 @@ STRAIGHT_ROLL = math.radians(5.0)  # below it the course is taken for the line t
 HEIGHT_LEAD, HEIGHT_HOLD = 0.03, 0.3
 # Near the floor: height of the lowest wheel that full forward stick leaves beside the pad, time in
 # which the height above it falls to 1/e, sink rate that is left at the pad.
-CLEARANCE, SETTLING_S, TOUCH_SINK = 0.3, 0.8, 0.25  # [m, s, m/s]
+CLEARANCE, SETTLING_S, TOUCH_SINK = 0.3, 0.6, 0.3  # [m, s, m/s]
 LOW_BANK, FULL_BANK_AT = math.radians(8.0), 0.5  # with the wheels on the ground [rad]; from [m] on
 PAD_MARGIN = 0.3  # from the pad's edges, within which the sink rate is limited and no more [m]
 CEILING_MARGIN = 0.6  # [m]

@@ -26,7 +26,7 @@ REACTION_S = 0.25
 CHANGES, WITHIN_S = 4, 1.0  # key changes, down or up, in any such time
 KEY_PERIOD_S = 0.02  # of the page's stick messages: 50 Hz
 DIFFERENCE_S = 0.2  # over which a rate is seen
-SHORTEST_TAP_S, LONGEST_TAP_S = 0.06, 0.5
+SHORTEST_TAP_S, LONGEST_TAP_S = 0.06, {"aileron": 0.5, "elevator": 1.2}
 SPRING_S = 0.25  # after a tap the stick is back at its centre
 FOREVER = 1e3
 
@@ -83,24 +83,29 @@ class Skill:
     intercept: float = math.radians(15.0)
     turn_s: float = 0.9  # time in which it turns to a course, without the assist
     largest_bank: float = math.radians(25.0)
-    over_threshold: float = 0.65  # height of the centre of gravity [m]
+    over_threshold: float = 0.5  # height of the centre of gravity [m]
     descend_s: float = 0.9  # time in which it corrects its height
-    idle_before: float = 3.0  # of the threshold, without the assist [m]
+    idle_before: float = 5.0  # of the threshold, without the assist [m]
     pace_s: float = 0.35  # between two taps, so that one is left for what comes
     turn_ahead_s: float = 0.6  # for which it counts on the bank that it sees, without the assist
     roll_first: float = 1.5  # weight of the bank against the other sticks, without the assist
-    flare: float = 0.15  # slope over height, without the assist [rad/m]
+    flare: float = 0.3  # slope over height, without the assist [rad/m]
     course_band: float = math.radians(3.0)  # errors that it lets be [rad]
     roll_band: float = math.radians(4.0)
     slope_band: float = 0.035
     height_band: float = 0.12  # [m]
 
 
+# By practice on training seeds: with the assist one tap is a turn; without, a bank that stays.
+ASSISTED = Skill()
+PLAIN = Skill(largest_bank=0.25, turn_ahead_s=0.8, pace_s=0.1)
+
+
 class KeyboardPilot:
     """Lands by keys."""
 
     def __init__(self, pad: LandingPad, assist: bool, skill: Skill | None = None) -> None:
-        self.pad, self.assist, self.skill = pad, assist, skill or Skill()
+        self.pad, self.assist, self.skill = pad, assist, skill or (ASSISTED if assist else PLAIN)
         self._shown: deque[Shown] = deque(maxlen=100)
         self.taps: list[Tap] = []
 
@@ -125,6 +130,12 @@ class KeyboardPilot:
 
     def _press(self, t: float, stick: str, area: float) -> bool:
         """Begin a tap; False where the key is down, or one change too many would follow."""
+        side = 1 if area > 0.0 else -1
+        if abs(area) >= FOREVER:
+            for tap in self.taps:
+                if tap.stick == stick and tap.side == side and t < tap.up:
+                    tap.up = t + FOREVER  # the key that is down stays down
+                    return True
         if any(tap.stick == stick and t < tap.up + SPRING_S for tap in self.taps):
             return False
         if self.taps and t < self.taps[-1].down + self.skill.pace_s:
@@ -133,12 +144,12 @@ class KeyboardPilot:
             seconds = abs(area) / THROTTLE_RATE
         else:
             seconds = FOREVER if abs(area) >= FOREVER else tap_seconds(abs(area))
-            seconds = seconds if seconds == FOREVER else min(seconds, LONGEST_TAP_S)
+            seconds = seconds if seconds == FOREVER else min(seconds, LONGEST_TAP_S[stick])
         up = t + max(seconds, SHORTEST_TAP_S)
         changes = sorted([t, up, *(time for tap in self.taps for time in (tap.down, tap.up))])
         if any(b - a < WITHIN_S for a, b in zip(changes, changes[CHANGES:], strict=False)):
             return False
-        self.taps.append(Tap(stick, 1 if area > 0.0 else -1, t, up))
+        self.taps.append(Tap(stick, side, t, up))
         return True
 
     def _pending(self, stick: str, since: float) -> float:
@@ -178,7 +189,7 @@ class KeyboardPilot:
         # A tap changes the height, and the assist then holds it.
         z += skill.climb * self._pending("elevator", now.t - 0.4)
         error = self._wish_height(x + v[0] * 0.6) - z
-        error = min(error, 0.0) if z > skill.over_threshold else error  # it never climbs to descend
+        error = min(error, max(skill.over_threshold - z, 0.0))  # it does not climb to descend
         return [*needs, (abs(error) / skill.height_band, "elevator", error / skill.climb)]
 
     def _plain(self, t: float, now: Shown, v: np.ndarray) -> list[tuple[float, str, float]]:

@@ -1,4 +1,4 @@
-"""Keys -> sticks as page/sticks.js has it, in Python for scripted pilots; test_sticks.py compares both."""
+"""Keys -> sticks as page/sticks.js has it, for scripted pilots; test_sticks.py compares both."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""The sticks of the page in Chromium: shaping, keys, a gamepad, two thumbs; and their Python copy."""
+"""Sticks of the page in Chromium: shaping, keys, a gamepad, two thumbs; and their Python copy."""
 
 import math
 from pathlib import Path
@@ -109,7 +109,8 @@ def test_the_page_and_its_python_copy_agree_number_by_number(page):
         )
     ]  # fmt: skip
     found = page.evaluate(
-        "all => all.map(([x, deadBand, expo, reversed]) => kit.shape(x, {deadBand, expo, reversed}))",
+        """all => all.map(([x, deadBand, expo, reversed]) =>
+            kit.shape(x, {deadBand, expo, reversed}))""",
         [list(each) for each in drawn],
     )
     assert found == pytest.approx([shape(*each) for each in drawn], abs=1e-14)
@@ -212,7 +213,7 @@ POINTER = """([side, type, id, right, up]) => {
 
 def test_two_thumbs_fly_and_the_throttle_stays(page):
     """Mode 2: the left thumb goes half a radius up, a quarter of the throttle's travel; the right
-    one 0.5 right and 0.25 back. A thumb that is lifted leaves neutral, and the throttle where it is.
+    one 0.5 right and 0.25 back. A thumb that is lifted leaves neutral, the throttle stays.
     """
     page.evaluate("sticks.settings = {mode: 2, deadBand: 0, expo: 0}")
     page.evaluate("sticks.drawTouch()")

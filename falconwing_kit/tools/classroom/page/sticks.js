@@ -318,7 +318,7 @@ export class Sticks {
     knob.className = "stick-knob";
     knob.style.cssText =
       "position:absolute;width:28%;height:28%;margin:-14%;left:50%;top:50%;border-radius:50%;background:currentColor;pointer-events:none";
-    label.textContent = `${y} | ${x}`;
+    label.textContent = `\u2195 ${y}  \u2194 ${x}`; // up and down, left and right
     label.style.cssText = "position:absolute;left:0;right:0;bottom:4px;text-align:center;font-size:13px;pointer-events:none";
     field.append(knob, label);
     box.append(field);
