@@ -311,6 +311,21 @@ def flight_data(record: FlightRecord, model: Model | None = None, name: str = ""
     }
 
 
+def name_missing(
+    record: FlightRecord, reference: Path | None = None, progress: Any = lambda text: None
+) -> dict[str, Any]:
+    """What a flight's model lacks: `missing.name_missing`, the record of `gap` and a sentence.
+
+    Args:
+        record: the flight, at least 20 s long.
+        reference: log or table of a calm flight; None: one is simulated.
+        progress: called with the name of each stage.
+    """
+    from falconwing_kit.tools.classroom import missing
+
+    return missing.name_missing(record, reference, progress)
+
+
 def pose_rows(states: Array) -> list[list[float | None]]:
     """States (n, 6 or more) as rows x y z roll pitch yaw [m, rad]; None for what is not finite."""
     order = states[:, [0, 1, 2, 5, 3, 4]].copy()
@@ -634,10 +649,10 @@ def longest_run(mask: NDArray[np.bool_]) -> int:
 
 
 def _duration(flight: Reflight) -> float:
-    """Time of the contact, else of the last step [s]."""
+    """Time of the contact, else of the last step's end [s]."""
     if flight.contact is not None:
         return flight.contact.t
-    return float(flight.t[-1]) if len(flight.t) else 0.0
+    return float(flight.t[-1]) + CONTROL_PERIOD_S if len(flight.t) else 0.0
 
 
 def _flown_numbers(flight: Reflight) -> Numbers:
