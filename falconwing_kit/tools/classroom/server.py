@@ -66,6 +66,7 @@ TYPES = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
     ".json": "application/json",
+    ".svg": "image/svg+xml",
     ".splat": "application/octet-stream",
     ".mcap": "application/octet-stream",
 }
