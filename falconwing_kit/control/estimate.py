@@ -39,6 +39,10 @@ class SimulatedAircraft:
         self._commands.append(np.asarray(commands, np.float64))
         del self._times[:-COMMAND_HISTORY], self._commands[:-COMMAND_HISTORY]
 
+    def change_model(self, model: Model) -> None:
+        """Fly on with another model of as many states, such as one with an effect added."""
+        self._model = model
+
     def advance(self, t: float) -> None:
         """Simulate until t [s]; without any command, controls are neutral and the throttle idle."""
         times = np.array(self._times or [0.0])

@@ -8,6 +8,7 @@ with the same seed have the same start and the same noise, whatever the pilot.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, Protocol
 
 import numpy as np
@@ -67,6 +68,14 @@ class FlyingAircraft(Protocol):
 
     def advance(self, t: float) -> None:
         """Simulate until t [s]."""
+
+
+def measured_state(model: Model, state: State) -> State:
+    """A true state with the pose that the model's measurement maps turn it into, without noise."""
+    pose = np.array([*state.p_world, state.roll, state.pitch, state.yaw])
+    x, y, z, roll, pitch, yaw = model.measured_pose(pose, model.K)
+    p_world = np.array([x, y, z])
+    return State(p_world, float(pitch), float(yaw), float(roll), state.v_world, state.rates_body)
 
 
 class PoseFilter:
@@ -174,6 +183,26 @@ class SimulatedWorld:
     def leader_state(self) -> State | None:
         """The leader's true state; None where there is no leader."""
         return None if self._leader is None else self._leader.state_at(self._t)
+
+    def change_model(self, model: Model) -> None:
+        """Fly on with another model from now on, such as one with an effect added.
+
+        Its measurement maps act on the measured poses from the next frame on.
+
+        Args:
+            model: of as many states as the one that flies.
+
+        Raises:
+            InputError: another simulator flies the aircraft, or the states differ.
+        """
+        aircraft = self._aircraft
+        if not isinstance(aircraft, SimulatedAircraft) or model.n_states != len(aircraft.x):
+            raise InputError(
+                "model: expected one with the states of the aircraft that flies, got another; give"
+                " the model to the world at its start"
+            )
+        aircraft.change_model(model)
+        self._camera = partial(measured_state, model)
 
     def send(self, t: float, command: Command) -> None:
         """Send a command at t [s]; it arrives after the delay."""

@@ -1,1 +1,1 @@
-"""classroom: a flying page for a class, and what is shown and kept after each flight."""
+"""The classroom: one machine flies, browsers watch, a student takes the sticks."""

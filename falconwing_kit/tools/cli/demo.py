@@ -94,8 +94,9 @@ class Demo:
 
     def _fly(self, hall: "Callable[[], GaussianScene]", live: "LivePage | None") -> "Approach":
         """Fly the approach, in real time if there is a live page."""
+        from falconwing_kit.flight.loop import PacedClock
         from falconwing_kit.tools.cli.scene_input import open_link
-        from falconwing_kit.tools.demo.approach import PacedClock, fly_approach
+        from falconwing_kit.tools.demo.approach import fly_approach
 
         log, link = self.out / "approach.mcap", open_link(self.scene)
         if live is None:

@@ -40,7 +40,7 @@ def find_verbs(folder: Path = Path(__file__).parent) -> tuple[Verb, ...]:
     """
     verbs = []
     for path in sorted(folder.glob("*.py")):
-        name = path.stem.replace("_", "-")
+        name = path.stem.rstrip("_").replace("_", "-")  # class_.py, for `class` is no module
         with path.open(encoding="utf-8") as file:
             head = file.read(400)
         found = re.match(

@@ -76,10 +76,10 @@ class Replay:
 
     def _show(self, pilot: "RecordedPilot") -> None:
         """Run the recorded commands through the kit's own loop, shown on the page only."""
-        from falconwing_kit.flight.loop import Loop
+        from falconwing_kit.flight.loop import Loop, PacedClock
         from falconwing_kit.flight.sources import RecordedImages, RecordedStates
         from falconwing_kit.scene.arena import load_scene
-        from falconwing_kit.tools.demo.approach import PacedClock, is_simulated, mode_at
+        from falconwing_kit.tools.demo.approach import is_simulated, mode_at
         from falconwing_kit.tools.demo.live_page import LivePage
 
         log = read_flight_log(self.log)

@@ -1,7 +1,6 @@
 """The demo's approach: a landing in the simulated hall -> its log; figures of any flight log."""
 
 import os
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,32 +57,6 @@ class Approach:
     flight: LoopResult
     result: dict[str, Any]  # of the evaluation: success, ald_m, sink_rate_m_s, ...
     hall: str = ""  # source of the scene
-
-
-class PacedClock:
-    """Real time, or `speed` times it, without dropped steps: late steps delay all that follow.
-
-    A flight is therefore the same on every machine.
-    """
-
-    def __init__(self, speed: float = 1.0) -> None:
-        self._speed = speed
-
-    def start(self) -> None:
-        """Set the time to zero."""
-        self._t, self._deadline_offset = 0.0, time.perf_counter()
-
-    def now(self) -> float:
-        """Time of the flight [s]; constant between two steps."""
-        return self._t
-
-    def wait_until(self, t: float) -> None:
-        """Sleep until time t [s]; a late step shifts all that follow."""
-        self._deadline_offset = max(
-            self._deadline_offset + (t - self._t) / self._speed, time.perf_counter()
-        )
-        time.sleep(max(0.0, self._deadline_offset - time.perf_counter()))
-        self._t = max(self._t, t)
 
 
 def fly_approach(

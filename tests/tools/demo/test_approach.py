@@ -18,11 +18,11 @@ from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log, to_flight_table
 from falconwing_kit.core.messages import Command, Image, State
+from falconwing_kit.flight.loop import PacedClock
 from falconwing_kit.scene.arena import load_scene
 from falconwing_kit.tools.demo import approach as module
 from falconwing_kit.tools.demo.approach import (
     FIGURES,
-    PacedClock,
     approach_record,
     approach_section,
     draw_film,
