@@ -34,7 +34,7 @@ from falconwing_kit.tools.classroom.results import FlightRecord, model_with_effe
 
 CALM_S, CALM_SEED = 60.0, 2026  # of the calm flight that is simulated
 CALM_VERSION = 1  # of the simulated calm flight; a new one is flown after a change
-LIMIT_S = 180.0  # of a study
+LIMIT_S = 110.0  # of a study; who asked waits a little longer
 # Amplitudes of the sines added to the calm autopilot's sticks: without them a steady flight hides
 # what the sticks do. Throttle, aileron, elevator, rudder.
 EXCITATION = np.array([0.035, 0.07, 0.06, 0.08])
@@ -50,7 +50,7 @@ Progress = Callable[[str], None]
 
 
 def name_missing(
-    record: FlightRecord, reference: Path | None, progress: Progress = lambda text: None,
+    record: FlightRecord, reference: Path | None, progress: Progress | None = None,
     limit_s: float = LIMIT_S,
 ) -> dict[str, Any]:  # fmt: skip
     """Compare a flight with a calm one and name the effect that the model lacks.
@@ -70,6 +70,7 @@ def name_missing(
         FileNotFoundError: there is no log or no reference.
         InputError: a file is no flight.
     """
+    tell: Progress = progress or (lambda text: None)
     log = read_flight_log(record.log)
     if not log.commands or not log.states:
         return _no_answer("failed", "The log of this flight holds no states: nothing to compare.")
@@ -80,9 +81,9 @@ def name_missing(
             f"This flight lasted {flight.duration:.1f} s, and naming needs {SHORTEST_S:.0f} s or"
             f" more: {FLY_THIS}; then ask again.",
         )
-    progress("the calm flight")
+    tell("the calm flight")
     calm = calm_flight() if reference is None else read_reference(reference)
-    return _study_in_process(calm, flight, progress, limit_s)
+    return _study_in_process(calm, flight, tell, limit_s)
 
 
 def read_reference(path: Path) -> FlightTable:
