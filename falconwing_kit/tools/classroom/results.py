@@ -112,7 +112,8 @@ class Reflight:
         """True poses, velocities and rates with the commands, for prediction errors."""
         x = self.states
         names = ("vx", "vy", "vz", "p", "q", "r")
-        extra = {name: x[:, 6 + i] for i, name in enumerate(names)}
+        # Columns that are zero everywhere were not measured.
+        extra = {name: x[:, 6 + i] for i, name in enumerate(names) if np.nansum(x[:, 6 + i] ** 2)}
         attitude = wrap_angle(x[:, [5, 3, 4]])
         return FlightTable("the flight", self.t, x[:, :3], attitude, self.commands, extra)
 
@@ -365,6 +366,8 @@ def _refusal(record: FlightRecord, log: FlightLog) -> str:
         return "not judged: flown by a real aircraft, so nobody measured the touchdown"
     if log.metadata.get("port"):
         return "not judged: flown through the trainer port, whose pulses the log does not hold"
+    if not record.task:
+        return "not judged: the log does not say which task was flown"
     if record.task not in TASKS:
         return f"not judged: the kit has no task {record.task!r}"
     if task and (task, manoeuvre) != (record.task, record.manoeuvre):
@@ -441,8 +444,8 @@ def _fly_again(record: FlightRecord, log: FlightLog, steps: _Steps, earlier: flo
     if math.isfinite(differs_at):
         refused = (
             f"not judged: flown again, the log's commands lead elsewhere from {differs_at:.2f} s"
-            f" on (by {difference:.2g} m, rad or m/s): the log was changed, or is of another"
-            " version of the kit"
+            f" on (by {difference:.2g} m, rad or m/s): the log was changed, holds estimates in"
+            " place of measured states, or is of another version of the kit"
         )
     elif reached < len(steps.t) - 1:
         refused = (
