@@ -39,8 +39,9 @@ FIELD, GENTLE, FIELD_RADIUS = math.radians(65.0), math.radians(40.0), 7.5  # [ra
 ON_PATH, ON_COURSE = 0.9, math.radians(25.0)  # within these the path itself is the reference
 TURN_BANK, FULL_BANK_AT = math.radians(45.0), math.radians(40.0)  # bank, at this course error
 LEAD_S = 0.4  # from a bank asked for to the bank flown [s]
-# A wall nearer than this straight ahead is turned away from, until there is room again.
-LITTLE_ROOM, ROOM_AGAIN, AWAY_BANK = 8.5, 11.0, math.radians(50.0)  # [m, m, rad]
+# Where even the better turn away comes this near to a wall it is begun at once, and flown until
+# there is so much room straight ahead.
+LITTLE_MARGIN, ROOM_AGAIN, AWAY_BANK = 1.6, 12.0, math.radians(52.0)  # [m, m, rad]
 CLIMB_STEP = 0.4  # height error that a turn onto the path acts on, at most [m]
 TURN_COST = 9.0  # metres that a radian of turn onto the path counts as
 
@@ -193,8 +194,8 @@ class LapsAndLanding:
         room = room_ahead(state)
         if self._away and room > ROOM_AGAIN:
             self._away = 0.0
-        if not self._away and room < LITTLE_ROOM:
-            right, left = turn_margins(state)
+        right, left = turn_margins(state)
+        if not self._away and max(right, left) < LITTLE_MARGIN and room < ROOM_AGAIN:
             self._away = 1.0 if right > left else -1.0
             self._path = None  # another place to join may be nearer after the turn
         return self._away

@@ -14,11 +14,13 @@ from falconwing_kit.control.guidance import Hall
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.messages import State
 
-TURN_RADIUS = 4.5  # at 7 m/s and 48 deg of bank [m]
-REACTION_S = 0.35  # flown straight on before the turn
-WALL, CEILING = 0.6, 4.2  # distance to walls, and greatest height [m]
+TURN_RADIUS = 5.5  # at 7 m/s and 42 deg of bank [m]
+REACTION_S = 0.4  # flown straight on before the turn
+ROLL_S = 0.5  # more of it for each radian of bank to the other side
+WALL, CEILING = 0.8, 4.2  # distance to walls, and greatest height [m]
 ROLL, PITCH = math.radians(75.0), math.radians(50.0)  # largest angles
 ON_LINE, ON_COURSE, LOW = 2.5, math.radians(30.0), 1.8  # of an approach [m, rad, m]
+CLIMB_S = 0.7  # that a climb goes on before it ends
 ARC = np.linspace(0.0, math.pi / 2.0, 7)[1:]  # of a turn away [rad]
 
 
@@ -35,7 +37,7 @@ def envelope_problem(state: State, *, is_landing: bool = True) -> str:
         return f"the attitude is beyond {math.degrees(ROLL):.0f} deg of bank or " + (
             f"{math.degrees(PITCH):.0f} deg of pitch"
         )
-    if state.p_world[2] > CEILING:
+    if state.p_world[2] + CLIMB_S * state.v_world[2] > CEILING:
         return f"higher than {CEILING:.1f} m"
     if is_landing and _is_on_approach(state):
         return ""
@@ -45,9 +47,10 @@ def envelope_problem(state: State, *, is_landing: bool = True) -> str:
 def turn_margins(state: State) -> tuple[float, float]:
     """Distance to the walls [m] that turns away to the right and to the left keep; < 0 outside."""
     speed, (ahead, right) = float(np.hypot(*state.v_world[:2])), _axes(state)
-    start = state.p_world[:2] + REACTION_S * speed * ahead
     found = []
     for side in (1.0, -1.0):
+        reaction = REACTION_S + ROLL_S * max(-side * state.roll, 0.0)
+        start = state.p_world[:2] + reaction * speed * ahead
         arc = TURN_RADIUS * (
             np.sin(ARC)[:, None] * ahead + side * (1.0 - np.cos(ARC))[:, None] * right
         )

@@ -33,8 +33,8 @@ from falconwing_kit.core.messages import CONTROL_PERIOD_S, Command, Event, State
 from falconwing_kit.flight.judges import FollowEvaluator
 from falconwing_kit.flight.loop import LoopStep
 from falconwing_kit.flight.sources import TIME_ROUNDING, fpv_camera
-from falconwing_kit.flight.tasks import TASKS
-from falconwing_kit.flight.world import Contact, SimulatedWorld
+from falconwing_kit.flight.tasks import TASKS, FlightTask, TrialSetup
+from falconwing_kit.flight.world import Contact
 
 Numbers = dict[str, tuple[float, str]]  # label -> value and unit
 
@@ -112,7 +112,8 @@ class Reflight:
         """True poses, velocities and rates with the commands, for prediction errors."""
         x = self.states
         names = ("vx", "vy", "vz", "p", "q", "r")
-        extra = {name: x[:, 6 + i] for i, name in enumerate(names)}
+        # Columns that are zero everywhere were not measured.
+        extra = {name: x[:, 6 + i] for i, name in enumerate(names) if np.nansum(x[:, 6 + i] ** 2)}
         attitude = wrap_angle(x[:, [5, 3, 4]])
         return FlightTable("the flight", self.t, x[:, :3], attitude, self.commands, extra)
 
@@ -153,11 +154,16 @@ def judge(record: FlightRecord) -> Verdict:
     flight = refly(record)
     if flight.refused:
         return Verdict(flight.refused, None, _flown_numbers(flight), (), False)
-    if flight.task == "landing":
-        return _landing_verdict(flight)
-    if flight.task == "follow":
-        return _follow_verdict(flight)
     seconds = _duration(flight)
+    if flight.task == "landing":
+        pad, height = flight.pad or LandingPad(), float(flight.states[-1, 2])
+        verdict = _landing_verdict(flight.contact, flight.measures, pad, seconds, height)
+        return replace(verdict, scores=_landing_scores(flight))
+    if flight.task == "follow":
+        verdict = _follow_verdict(flight.contact, flight.measures, seconds)
+        lock = CONTROL_PERIOD_S * longest_run(np.asarray(flight.locked, bool))
+        numbers = {**verdict.numbers, "longest lock": (lock, "s")}
+        return replace(verdict, numbers=numbers, scores=_follow_scores(flight))
     return Verdict(f"flew for {seconds:.1f} s", None, _flown_numbers(flight))
 
 
@@ -191,52 +197,32 @@ def _refly(record: FlightRecord, stamp: tuple[int, int] | None) -> Reflight:
     return flown
 
 
-def switch_effects(
-    world: SimulatedWorld, base: Model, active: Mapping[str, Mapping[str, float]]
-) -> None:
-    """Let an aircraft fly on with other effects, from the world's present time on.
+def model_with_effects(base: Model, active: Mapping[str, Mapping[str, float]]) -> Model:
+    """A model with effects of the catalogue; two of the same dynamics count once.
 
     Args:
-        world: with an aircraft of the kit.
-        base: the aircraft without effects.
-        active: the effects' names with the values of their parameters.
-
-    Raises:
-        InputError: an effect or a parameter is not of the catalogue.
-    """
-    model = model_with_effects(base, active)
-    world._aircraft._model = model  # type: ignore[attr-defined]
-    K = model.K
-
-    def camera(state: State) -> State:
-        pose = np.array([*state.p_world, state.roll, state.pitch, state.yaw])
-        x, y, z, roll, pitch, yaw = (float(v) for v in model.measured_pose(pose, K))
-        return replace(state, p_world=np.array([x, y, z]), roll=roll, pitch=pitch, yaw=yaw)
-
-    measures = any(effect.measurement_map for effect in model.effects)
-    world._camera = camera if measures else lambda state: state
-
-
-def model_with_effects(base: Model, active: Mapping[str, Mapping[str, float]]) -> Model:
-    """A model with effects of the catalogue, added in the catalogue's order.
+        base: the aircraft without them.
+        active: names of effects with the values of their parameters, in the order of adding.
 
     Raises:
         InputError: an effect or a parameter is not of the catalogue, or a value is not finite.
     """
-    for name in active:
-        if name not in EFFECT_NAMES:
-            raise InputError(f"effect: expected one of {', '.join(EFFECT_NAMES)}, got {name!r}")
     model = base
-    for name in EFFECT_NAMES:
-        if name in active:
-            values = {key: require_range(key, value) for key, value in active[name].items()}
-            model = model.with_effect(_entry(name, values)).with_values(values)
+    for name, given in active.items():
+        values = {key: require_range(key, value) for key, value in given.items()}
+        effect = _form_of_effect(name, values)
+        if effect not in model.effects:
+            model = model.with_effect(effect)
+        model = model.with_values(values)
     return model
 
 
-def _entry(name: str, values: Mapping[str, float]) -> Effect:
-    """The form of an effect that has these parameters, else its first one."""
-    forms = [effect for effect in CATALOGUE if effect.name == name]
+def _form_of_effect(name: str, values: Mapping[str, float]) -> Effect:
+    """The form of an effect, or of the one with its dynamics, that has these parameters."""
+    if name not in EFFECT_NAMES:
+        raise InputError(f"effect: expected one of {', '.join(EFFECT_NAMES)}, got {name!r}")
+    names = {name, *(effect.same_as for effect in CATALOGUE if effect.name == name)}
+    forms = [effect for effect in CATALOGUE if effect.name in names and effect.parameters]
     having = (e for e in forms if set(values) <= {p.name for p in e.parameters})
     return next(having, forms[0])
 
@@ -311,6 +297,21 @@ def flight_data(record: FlightRecord, model: Model | None = None, name: str = ""
     }
 
 
+def name_missing(
+    record: FlightRecord, reference: Path | None = None, progress: Any = None
+) -> dict[str, Any]:
+    """What a flight's model lacks: `missing.name_missing`, the record of `gap` and a sentence.
+
+    Args:
+        record: the flight, at least 20 s long.
+        reference: log or table of a calm flight; None: one is simulated.
+        progress: called with the name of each stage.
+    """
+    from falconwing_kit.tools.classroom import missing
+
+    return missing.name_missing(record, reference, progress)
+
+
 def pose_rows(states: Array) -> list[list[float | None]]:
     """States (n, 6 or more) as rows x y z roll pitch yaw [m, rad]; None for what is not finite."""
     order = states[:, [0, 1, 2, 5, 3, 4]].copy()
@@ -365,6 +366,8 @@ def _refusal(record: FlightRecord, log: FlightLog) -> str:
         return "not judged: flown by a real aircraft, so nobody measured the touchdown"
     if log.metadata.get("port"):
         return "not judged: flown through the trainer port, whose pulses the log does not hold"
+    if not record.task:
+        return "not judged: the log does not say which task was flown"
     if record.task not in TASKS:
         return f"not judged: the kit has no task {record.task!r}"
     if task and (task, manoeuvre) != (record.task, record.manoeuvre):
@@ -421,7 +424,7 @@ def _fly_again(record: FlightRecord, log: FlightLog, steps: _Steps, earlier: flo
             while switches and switches[0].t + earlier < t - TIME_ROUNDING:
                 # A switch after the last step acts on the whole way from there to this one.
                 _switch(active, switches.pop(0))
-                switch_effects(world, task.model, active)
+                world.change_model(model_with_effects(task.model, active))
             world.advance(max(float(t), world.t))
             sent = Command.clip(*command.tolist())
             states.append(world.state.vector)
@@ -441,8 +444,8 @@ def _fly_again(record: FlightRecord, log: FlightLog, steps: _Steps, earlier: flo
     if math.isfinite(differs_at):
         refused = (
             f"not judged: flown again, the log's commands lead elsewhere from {differs_at:.2f} s"
-            f" on (by {difference:.2g} m, rad or m/s): the log was changed, or is of another"
-            " version of the kit"
+            f" on (by {difference:.2g} m, rad or m/s): the log was changed, holds estimates in"
+            " place of measured states, or is of another version of the kit"
         )
     elif reached < len(steps.t) - 1:
         refused = (
@@ -540,21 +543,42 @@ def _holders(
 # Verdicts
 
 
-def _landing_verdict(flight: Reflight) -> Verdict:
+def live_verdict(
+    task: FlightTask, trial: TrialSetup, result: Mapping[str, Any], reason: str = ""
+) -> Verdict:
+    """The verdict right after a flight, in the words of `judge`.
+
+    Args:
+        task: that was flown.
+        trial: its world, after the flight.
+        result: of the task's judge.
+        reason: why the loop ended; where it is "pilot failed" the sentence says so.
+    """
+    contact, seconds = trial.world.contact, trial.world.t + CONTROL_PERIOD_S
+    if trial.leader is not None:
+        return _follow_verdict(contact, result, contact.t if contact else seconds)
+    pad, height = getattr(task, "pad", LandingPad()), float(trial.world.state.p_world[2])
+    verdict = _landing_verdict(contact, result, pad, contact.t if contact else seconds, height)
+    if contact is None and reason == "pilot failed":
+        return replace(verdict, sentence="did not land: the pilot failed")
+    return verdict
+
+
+def _landing_verdict(
+    contact: Contact | None, measures: Mapping[str, Any], pad: LandingPad, seconds: float,
+    height: float,
+) -> Verdict:  # fmt: skip
     """Where the wheels first touched, or what else was hit."""
-    contact, pad = flight.contact, flight.pad or LandingPad()
-    numbers, success = _flown_numbers(flight), bool(flight.measures["success"])
+    numbers: Numbers = {"flown": (seconds, "s")}
     if contact is None:
-        height = flight.states[-1, 2]
-        sentence = (
-            f"did not land: the flight ended after {_duration(flight):.1f} s, {height:.1f} m high"
-        )
+        sentence = f"did not land: the flight ended after {seconds:.1f} s, {height:.1f} m high"
         return Verdict(sentence, False, numbers)
     touchdown = contact.touchdown
     if touchdown is None:
         return Verdict(_collision_text(contact), False, numbers)
+    offset = 100.0 * abs(touchdown.lateral_offset)
     numbers |= {
-        "off the centre line": (100.0 * abs(touchdown.lateral_offset), "cm"),
+        "off the centre line": (offset, "cm"),
         "sink rate": (touchdown.sink_rate, "m/s"),
         "past the threshold": (touchdown.past_threshold, "m"),
         "speed": (touchdown.speed, "m/s"),
@@ -564,14 +588,19 @@ def _landing_verdict(flight: Reflight) -> Verdict:
     if not touchdown.on_pad:
         return Verdict(_miss_text(touchdown.p_world_wheel, touchdown.surface, pad), False, numbers)
     side = "left" if touchdown.lateral_offset > 0.0 else "right"
-    offset = 100.0 * abs(touchdown.lateral_offset)
     where = "on the centre line" if offset < 0.5 else f"{offset:.0f} cm {side} of the centre line"
     sentence = f"on the pad, {where}, {touchdown.sink_rate:.2f} m/s down"
-    scores: tuple[Score, ...] = ()
-    if len(flight.holder) and flight.holder[-1] == STUDENT:
-        sink = (round(touchdown.sink_rate, 3), "m/s")
-        scores = (Score(flight.names[-1], "landing", round(offset, 2), "cm", sink),)
-    return Verdict(sentence, success, numbers, scores)
+    return Verdict(sentence, bool(measures["success"]), numbers)
+
+
+def _landing_scores(flight: Reflight) -> tuple[Score, ...]:
+    """The score of who held the sticks when the wheels touched the pad."""
+    touchdown = None if flight.contact is None else flight.contact.touchdown
+    if touchdown is None or not touchdown.on_pad or flight.holder[-1] != STUDENT:
+        return ()
+    offset = round(100.0 * abs(touchdown.lateral_offset), 2)
+    sink = (round(touchdown.sink_rate, 3), "m/s")
+    return (Score(flight.names[-1], "landing", offset, "cm", sink),)
 
 
 def _miss_text(p_world_wheel: Array, surface: str, pad: LandingPad) -> str:
@@ -601,30 +630,32 @@ def _collision_text(contact: Contact) -> str:
     }[contact.obstacle]
 
 
-def _follow_verdict(flight: Reflight) -> Verdict:
+def _follow_verdict(
+    contact: Contact | None, measures: Mapping[str, Any], seconds: float
+) -> Verdict:
     """How long the leader was in view."""
-    locked = np.zeros(0, bool) if flight.locked is None else flight.locked
-    share, seconds = float(flight.measures["locked_share"]), len(locked) * CONTROL_PERIOD_S
-    numbers = _flown_numbers(flight)
-    numbers |= {
-        "leader in view": (100.0 * share, "%"),
-        "longest lock": (CONTROL_PERIOD_S * longest_run(locked), "s"),
-    }
+    share = float(measures["locked_share"])
+    numbers: Numbers = {"flown": (seconds, "s"), "leader in view": (100.0 * share, "%")}
     for key, label in (("ate_path_m", "error along the path"), ("ate_d_m", "error of distance")):
-        if flight.measures.get(key) is not None:
-            numbers[label] = (float(flight.measures[key]), "m")
+        if measures.get(key) is not None:
+            numbers[label] = (float(measures[key]), "m")
     sentence = f"in view of the camera {100.0 * share:.0f} % of {seconds:.0f} s"
-    if flight.contact is not None:
-        touchdown = flight.contact.touchdown is not None
-        sentence += f", then {'landed' if touchdown else _collision_text(flight.contact)}"
-    scores = []
-    holds = np.array([holder == STUDENT for holder in flight.holder], bool)
-    for name in dict.fromkeys(n for n, h in zip(flight.names, holds, strict=True) if h):
-        own = locked & holds & (np.array(flight.names, object) == name)
+    if contact is not None:
+        landed = contact.touchdown is not None
+        sentence += f", then {'touched the floor' if landed else _collision_text(contact)}"
+    return Verdict(sentence, bool(measures["success"]), numbers)
+
+
+def _follow_scores(flight: Reflight) -> tuple[Score, ...]:
+    """The longest lock of everyone who held the sticks, while they did."""
+    locked = np.zeros(len(flight.t), bool) if flight.locked is None else flight.locked
+    names, scores = np.array(flight.names, object), []
+    for name in dict.fromkeys(names[flight.holder == STUDENT]):
+        own = locked & (flight.holder == STUDENT) & (names == name)
         lock = CONTROL_PERIOD_S * longest_run(own)
         if lock >= LOCK_SHOWN_S:
-            scores.append(Score(name, "follow", round(lock, 2), "s"))
-    return Verdict(sentence, bool(flight.measures["success"]), numbers, tuple(scores))
+            scores.append(Score(str(name), "follow", round(lock, 2), "s"))
+    return tuple(scores)
 
 
 def longest_run(mask: NDArray[np.bool_]) -> int:
@@ -634,10 +665,10 @@ def longest_run(mask: NDArray[np.bool_]) -> int:
 
 
 def _duration(flight: Reflight) -> float:
-    """Time of the contact, else of the last step [s]."""
+    """Time of the contact, else of the last step's end [s]."""
     if flight.contact is not None:
         return flight.contact.t
-    return float(flight.t[-1]) if len(flight.t) else 0.0
+    return float(flight.t[-1]) + CONTROL_PERIOD_S if len(flight.t) else 0.0
 
 
 def _flown_numbers(flight: Reflight) -> Numbers:

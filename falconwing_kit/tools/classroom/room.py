@@ -33,6 +33,7 @@ from falconwing_kit.tools.classroom.after_flight import AfterFlight, FlightRecor
 from falconwing_kit.tools.classroom.channel import SticksMessage, write_text
 from falconwing_kit.tools.classroom.hands import Hands
 from falconwing_kit.tools.classroom.pictures import Pictures
+from falconwing_kit.tools.classroom.qr import qr_svg
 from falconwing_kit.tools.classroom.server import NAME_LENGTH, Body, Client, Server
 from falconwing_kit.tools.classroom.session import PHASES, Session, class_effects
 from falconwing_kit.tools.classroom.take_over import SILENCE_S
@@ -181,6 +182,8 @@ class Room:
         """What a path of HTTP answers beyond the static files."""
         if path == "/scene.spz":
             return self._scene_body
+        if path == "/qr.svg":
+            return self._qr
         if path == "/flights.json":
             return self._list_flights
         found = FLIGHT_PATH.fullmatch(path)
@@ -324,6 +327,12 @@ class Room:
     def _scene_body(self) -> Body | None:
         data = self.scene_file()
         return None if data is None else Body(data, ".spz", is_gzip=True)
+
+    def _qr(self) -> Body | None:
+        """The address for students as a picture, for the wall."""
+        if self.server is None:
+            return None
+        return Body(qr_svg(self.server.url("/")), ".svg")
 
     def _list_flights(self) -> Body:
         rows = [

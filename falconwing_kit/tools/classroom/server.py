@@ -67,6 +67,7 @@ TYPES = {
     ".css": "text/css; charset=utf-8",
     ".json": "application/json",
     ".spz": "application/octet-stream",
+    ".svg": "image/svg+xml",
     ".mcap": "application/octet-stream",
 }
 

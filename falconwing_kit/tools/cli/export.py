@@ -1,4 +1,10 @@
+<<<<<<< HEAD
 """falconwing export: a flight log, or one of ROS 2, PX4 or ArduPilot, to a table, log or bag."""
+=======
+"""falconwing export: convert a flight log, or one of ROS 2, to a table, a repaired log, a bag, or a
+page to look at.
+"""
+>>>>>>> after
 
 import math
 from dataclasses import dataclass
@@ -18,7 +24,12 @@ Warnings = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Export:
+<<<<<<< HEAD
     """Convert a flight log to a flight table or a bag of ROS 1 or 2, or repair an interrupted log.
+=======
+    """Convert a flight log to a flight table, a ROS bag or a page that shows the flight, or repair
+    an interrupted log.
+>>>>>>> after
 
     Logs of others become a flight table too, their poses with the commands: of ROS 2 (MCAP), PX4
     (ULog) and ArduPilot (DataFlash).
@@ -30,10 +41,17 @@ class Export:
     """
     out: Path
     """the file to write, or a folder to write it into"""
+<<<<<<< HEAD
     to: Literal["csv", "mcap", "bag", "ros2"] = "csv"
     """csv: one row per image with pose and command; mcap: everything that can be read, indexed,
     compressed and in the form that Foxglove draws; bag: ROS 1; ros2: a recording of ROS 2, a new
     folder
+=======
+    to: Literal["csv", "mcap", "bag", "html"] = "csv"
+    """csv: one row per image with pose and command; mcap: everything that can be read, indexed and
+    compressed; bag: ROS 1; html: one page with the flight in its hall, its verdict and its ghost,
+    that opens without a network
+>>>>>>> after
     """
     alfa: bool = False
     """the log is a flight of the ALFA dataset: a folder with one CSV file per ROS topic"""
@@ -42,11 +60,23 @@ class Export:
     and pulse widths (TOML); without it they are found in the log where it leaves no choice
     """
     rate_hz: float | None = None
+<<<<<<< HEAD
     """for such a log: rows per second, each the nearest measured pose; without it every pose"""
     begin: float | None = None
     """with --to csv: leave out what comes before this time of the table, in seconds"""
     end: float | None = None
     """with --to csv: leave out this time and what comes after it"""
+=======
+    """for a log of ROS 2: rows per second, each the nearest measured pose; without it every pose"""
+    scene: str = ""
+    """for --to html: the hall around the flight, a name or a scene file; if not given, the one that
+    the log names, else a map
+    """
+    model: Path | None = None
+    """for --to html: a model file (model.toml), whose aircraft flies as the ghost; if not given,
+    the kit's nominal model
+    """
+>>>>>>> after
     json: bool = False
     """print the result as JSON"""
 
@@ -72,6 +102,11 @@ class Export:
                 f"--{given[0].replace('_', '-')}: expected a log of ROS 2, PX4 or ArduPilot and "
                 f"--to csv, got {other}; leave one of them out"
             )
+        for name in ("scene", "model"):
+            if getattr(self, name) and self.to != "html":
+                raise InputError(
+                    f"--{name}: expected it with --to html, got --to {self.to}; leave it out"
+                )
         target = self.out / f"{self.log.stem}.{self.to}" if self.out.is_dir() else self.out
         if target.resolve() == self.log.resolve():
             raise InputError(f"{target}: expected another name than the log's own; the log is kept")
@@ -79,7 +114,11 @@ class Export:
             "csv": (self._to_table, f"falconwing identify {target}"),
             "mcap": (self._to_log, f"falconwing export {target} --to csv"),
             "bag": (self._to_bag, f"rosbag info {target}"),
+<<<<<<< HEAD
             "ros2": (self._to_bag, f"ros2 bag info {target}"),
+=======
+            "html": (self._to_page, f"open {target} in a browser"),
+>>>>>>> after
         }[self.to]
         counts, warnings = write(target)
         if self.json:
@@ -133,4 +172,38 @@ class Export:
         from falconwing_kit.tools.bridge.bag import write_bag, write_ros2_bag
 
         log = read_flight_log(self.log)
+<<<<<<< HEAD
         return (write_bag if self.to == "bag" else write_ros2_bag)(target, log), log.warnings
+=======
+        return write_bag(target, log), log.warnings
+
+    def _to_page(self, target: Path) -> tuple[Counts, Warnings]:
+        """The player's page of one flight, as the class shares it."""
+        from falconwing_kit.core.files import atomic_write
+        from falconwing_kit.tools.classroom.results import flight_data, record_of_log
+        from falconwing_kit.tools.classroom.share import page_of_data
+
+        record, model, name = record_of_log(self.log), None, ""
+        if self.model is not None:
+            from falconwing_kit.sysid.model_file import read_model
+
+            model, name = read_model(self.model).model, self.model.name
+        scene, warnings = self._scene_bytes(self.scene or record.scene)
+        data = flight_data(record, model, name)
+        page = page_of_data(data, scene)
+        with atomic_write(target, text=True) as file:
+            file.write(page)
+        counts = {"rows": len(data["t"]), "events": len(data["events"]), "kB": len(page) // 1000}
+        return counts, (*read_flight_log(self.log).warnings, *warnings)
+
+    def _scene_bytes(self, name: str) -> tuple[bytes | None, Warnings]:
+        """A hall as the page draws it; without one a sentence."""
+        if not name:
+            return None, ("the log does not say where it was flown: the page shows a map; give"
+                          " --scene",)  # fmt: skip
+        from falconwing_kit.tools.classroom.scene_file import scene_bytes
+        from falconwing_kit.tools.cli.fly import hall_loader
+
+        named = "hall" if name == "hall_analog" else name
+        return scene_bytes(hall_loader(named)()), ()
+>>>>>>> after

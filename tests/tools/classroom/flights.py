@@ -8,7 +8,7 @@ from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.flight.loop import Loop, LoopStep
 from falconwing_kit.flight.sources import MeasuredStates, fpv_camera
 from falconwing_kit.flight.tasks import TASKS
-from falconwing_kit.tools.classroom.results import FlightRecord, switch_effects
+from falconwing_kit.tools.classroom.results import FlightRecord, model_with_effects
 
 SEED = 10_000
 
@@ -59,7 +59,7 @@ def fly_log(
                     active.pop(name, None)
                     if on:
                         active[name] = parameters
-                    switch_effects(trial.world, made.model, active)
+                    trial.world.change_model(model_with_effects(made.model, active))
 
         loop = Loop(
             Bent() if bend else expert, trial.world, None, MeasuredStates(trial.world),
@@ -92,6 +92,8 @@ def edit_log(source: Path, target: Path, change) -> Path:
                 writer.add_metadata(record.name, record.metadata)
             elif kind == "Message":
                 topic, number = topics[record.channel_id]
+                if topic not in ("/command", "/state", "/event"):
+                    continue
                 values = json.loads(record.data)
                 change(topic, values)
                 data = json.dumps(values).encode()

@@ -10,6 +10,7 @@ const HOLDER_COLOURS = ["#7a8591", "#2f7fd6", "#d2691e", "#7a8591"]; // nobody, 
 const HOLDER_WORDS = ["nobody flies yet", "autopilot", "student", "SAFE: sticks neutral"];
 const PLAYER_VIEWS = ["chase", "nose", "tower", "map"];
 const VIEW_FOV_DEG = { chase: 70, tower: 45 };
+const MAP_FOOT = 44; // px below the map, for the line that says who flies
 const SETTLE_MS = 900; // go on drawing so long after the last change: sorting ends later
 
 /** Row before a time and the share of the way to the next one. */
@@ -65,7 +66,7 @@ export class FlatView {
   draw(data, paths, marks) {
     const pen = fitCanvas(this.canvas);
     if (!pen) return;
-    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
+    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight - MAP_FOOT];
     const ink = getComputedStyle(this.canvas).color;
     const { x: hx, y: hy, z: hz } = data.hall;
     const gap = 26;
@@ -146,11 +147,12 @@ export function fitCanvas(canvas) {
 
 /** One value over the whole flight, with a cursor; a click or drag goes to that time. */
 export class FlightChart {
-  constructor(label, unit, times, seek) {
+  constructor(label, unit, times, seek, least = 1) {
     this.box = playerElement("figure", "fw-chart");
     this.head = playerElement("figcaption");
     this.value = playerElement("b", "", "\u2013");
     this.unit = unit;
+    this.least = least; // what the axis reaches at least
     this.head.append(playerElement("span", "", `${label} [${unit}]`), this.value);
     this.canvas = playerElement("canvas");
     this.canvas.setAttribute("role", "img");
@@ -173,9 +175,8 @@ export class FlightChart {
   set(lines) {
     this.lines = lines;
     const values = lines.flatMap((line) => line.values.filter((value) => Number.isFinite(value)));
-    this.high = Math.max(0, ...values);
-    this.low = Math.min(0, ...values);
-    if (this.high - this.low < 1e-6) this.high = this.low + 1;
+    this.high = values.reduce((a, b) => Math.max(a, b), this.least);
+    this.low = values.reduce((a, b) => Math.min(a, b), 0);
   }
 
   draw(t) {
@@ -448,7 +449,7 @@ export class Player {
       height: new FlightChart("height", "m", data.t, seek),
       speed: new FlightChart("speed", "m/s", data.t, seek),
     };
-    if (data.ghost) this.charts.distance = new FlightChart("distance to the ghost", "m", data.t, seek);
+    if (data.ghost) this.charts.distance = new FlightChart("distance to the ghost", "m", data.t, seek, 0.2);
     this.setCharts();
     const charts = Object.values(this.charts);
     charts[charts.length - 1].box.dataset.axis = "time";
