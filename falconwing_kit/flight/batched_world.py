@@ -98,7 +98,7 @@ class BatchedWorld:
     @property
     def t(self) -> Array:
         """(B,) time since the start of each flight [s]."""
-        return CONTROL_PERIOD_S * self.frames
+        return np.asarray(CONTROL_PERIOD_S * self.frames, np.float64)
 
     def begin(self, rows: Sequence[int], starts: Array, seeds: Sequence[int]) -> None:
         """Begin new flights.
