@@ -43,7 +43,7 @@ TOUCH_MARGIN = 1e-6  # rows nearer than this to a contact are looked at one by o
 
 
 class BatchedWorld:
-    """Many flights of one modelled aircraft, advanced together; each begins when it is told to.
+    """Many flights of one modelled aircraft, advanced together; each begins by `begin`.
 
     Attributes:
         x: (B, 12) true states in the order of STATE_NAMES, SI; constant from a contact on.
@@ -98,7 +98,7 @@ class BatchedWorld:
     @property
     def t(self) -> Array:
         """(B,) time since the start of each flight [s]."""
-        return CONTROL_PERIOD_S * self.frames
+        return np.asarray(CONTROL_PERIOD_S * self.frames, np.float64)
 
     def begin(self, rows: Sequence[int], starts: Array, seeds: Sequence[int]) -> None:
         """Begin new flights.

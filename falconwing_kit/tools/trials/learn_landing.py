@@ -62,7 +62,7 @@ class LandingPolicy:
 
     def save(self, path: Path) -> None:
         """Write plain arrays (.npz)."""
-        arrays = {f"weight_{k}": w for k, w in enumerate(self.weights)}
+        arrays: dict[str, Any] = {f"weight_{k}": w for k, w in enumerate(self.weights)}
         arrays |= {f"bias_{k}": b for k, b in enumerate(self.biases)}
         with atomic_write(path) as file:
             np.savez(file, history=self.history, **arrays)
