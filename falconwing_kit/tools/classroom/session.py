@@ -338,14 +338,13 @@ class Session:
             )  # fmt: skip
 
         def laps(again: bool) -> Pilot:
-            if not PILOTS[settings.pilot].reads_state and not again:
+            if not again and (settings.laps == 0 or not PILOTS[settings.pilot].reads_state):
                 return make_expert()
-            pilot = LapsAndLanding(
+            return LapsAndLanding(
                 task.model, task.airframe, task.pad, make_expert,
                 landing_speed(task.model),
                 laps=0 if again else settings.laps,
             )  # fmt: skip
-            return pilot
 
         return laps
 

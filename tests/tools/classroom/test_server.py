@@ -175,7 +175,7 @@ def test_floods_and_half_messages_are_dropped_and_counted(tmp_path):
 def test_a_larger_flood_is_disconnected_and_a_long_message_too(tmp_path):
     """The limits of a second and of a message; the server answers others all the while."""
     with running(tmp_path) as (server, room):
-        with page(server) as flood, pytest.raises(Exception) as ended:  # noqa: PT011
+        with page(server) as flood, pytest.raises(Exception) as ended:
             for k in range(20_000):
                 flood.send(pack_sticks(k, Command(0.5, 0.0, 0.0, 0.0)))
                 if k % 500 == 0:
