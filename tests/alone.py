@@ -13,6 +13,7 @@ TESTS = Path(__file__).parent
 # Files and rooms, and why. Processor time is measured too: beside a busy neighbour a core is
 # slower.
 ALONE = {
+    "tools/classroom/test_splats_page.py": "a browser",
     "tools/cli/test_bridge.py": "a board in real time, and Ctrl-C",
     "tools/cli/test_calibrate.py": "a board in real time",
     "tools/demo/test_alfa_gap.py": "the long demo that README's test runs too: once in one process",

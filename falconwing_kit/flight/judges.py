@@ -98,6 +98,11 @@ class FollowEvaluator:
         self._follower.append(follower.p_world)
         return _contact_reason(self.world)
 
+    @property
+    def locked(self) -> NDArray[np.bool_]:
+        """(n,) whether the leader was locked, frame by frame."""
+        return np.array(self._locked, bool)
+
     def result(self) -> dict[str, Any]:
         """Success, share of frames locked, time of the first loss, and the errors until then."""
         locked = np.array(self._locked)

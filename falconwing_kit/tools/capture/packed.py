@@ -25,16 +25,16 @@ from falconwing_kit.scene.ply import SH_C0, SH_COUNTS, Array32, quaternions_from
 
 Bytes = NDArray[np.uint8]
 
-_SPLAT_ROW = np.dtype(
+SPLAT_ROW = np.dtype(
     [("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)]
 )
 
-_SPZ_HEADER = struct.Struct("<4sIIBBBx")
-_SPZ_DC = 0.15  # scale of the base colours, which span -2.8 to 3.8
+SPZ_HEADER = struct.Struct("<4sIIBBBx")
+SPZ_DC = 0.15  # scale of the base colours, which span -2.8 to 3.8
 _SPZ_EXTENSIONS = 0x2
 # SPZ has x right, y up, z back; a .ply of the same scene has y down, z forward: half a turn about x
-_TURN = np.array([1, -1, -1], np.float32)
-_TURN_SH = np.array(
+SPZ_TURN = np.array([1, -1, -1], np.float32)
+SPZ_TURN_SH = np.array(
     [1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32
 )  # sign of each harmonic
 
@@ -54,12 +54,12 @@ def read_splat(path: str | Path) -> dict[str, Any]:
     """
     path = require_file(path)
     data = path.read_bytes()
-    if len(data) % _SPLAT_ROW.itemsize:
+    if len(data) % SPLAT_ROW.itemsize:
         raise InputError(
             f"{short_name(path)}: expected 32 bytes for each Gaussian, got {len(data)} bytes; "
             "the file was cut"
         )
-    rows = np.frombuffer(data, _SPLAT_ROW)
+    rows = np.frombuffer(data, SPLAT_ROW)
     rgba = rows["rgba"] / np.float32(255.0)
     return {
         "means": rows["means"],
@@ -91,7 +91,7 @@ def read_spz(path: str | Path) -> dict[str, Any]:
         )
     unpacker = zlib.decompressobj(wbits=31)  # gzip
     try:
-        header = unpacker.decompress(data, _SPZ_HEADER.size)
+        header = unpacker.decompress(data, SPZ_HEADER.size)
         version, count, degree, fraction_bits = _spz_header(header, name)
         position_bytes, rotation_bytes = (6 if version == 1 else 9), (4 if version == 3 else 3)
         widths = (position_bytes, 1, 3, 3, rotation_bytes, 3 * (SH_COUNTS[degree] - 1))
@@ -118,9 +118,9 @@ def read_spz(path: str | Path) -> dict[str, Any]:
 
 def _spz_header(header: bytes, name: str) -> tuple[int, int, int, int]:
     """Version, number of Gaussians, SH degree and fractional bits."""
-    if len(header) < _SPZ_HEADER.size or header[:4] != b"NGSP":
+    if len(header) < SPZ_HEADER.size or header[:4] != b"NGSP":
         raise InputError(f"{name}: expected an SPZ, got another gzip file; check the path")
-    _, version, count, degree, fraction_bits, flags = _SPZ_HEADER.unpack(header)
+    _, version, count, degree, fraction_bits, flags = SPZ_HEADER.unpack(header)
     if version not in (1, 2, 3):
         raise InputError(
             f"{name}: expected SPZ version 1 to 3, got {version}; save it as version 3 or as .ply"
@@ -150,17 +150,17 @@ def _spz_fields(version: int, fraction_bits: int, parts: list[Bytes]) -> dict[st
         means = (((high ^ 0x80) - 0x80) * 65536 + middle * 256 + low).astype(
             np.float32
         ) / np.float32(2**fraction_bits)
-    dc = (colors / np.float32(255.0) - 0.5) / np.float32(_SPZ_DC)
+    dc = (colors / np.float32(255.0) - 0.5) / np.float32(SPZ_DC)
     rest = (harmonics.reshape(count, -1, 3).astype(np.float32) - 128.0) / 128.0
     sh = np.concatenate([dc[:, None], rest], axis=1)
     quaternions = _spz_smallest_three(rotations) if version == 3 else _spz_first_three(rotations)
-    quaternions[:, 1:] *= _TURN
+    quaternions[:, 1:] *= SPZ_TURN
     return {
-        "means": means * _TURN,
+        "means": means * SPZ_TURN,
         "quaternions": quaternions,
         "scales": np.exp(scales / np.float32(16.0) - 10.0),
         "opacities": opacities[:, 0] / np.float32(255.0),
-        "sh": sh * _TURN_SH[: sh.shape[1], None],
+        "sh": sh * SPZ_TURN_SH[: sh.shape[1], None],
     }
 
 

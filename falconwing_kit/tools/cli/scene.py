@@ -1,4 +1,4 @@
-"""falconwing scene: make scenes: the arena, from photos, edited; inspect them."""
+"""falconwing scene: make scenes: the arena, from photos, edited; inspect and export them."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +9,7 @@ import tyro
 from falconwing_kit.core.files import require_writable_path
 from falconwing_kit.scene.arena import build_arena
 from falconwing_kit.tools.cli.scene_edit import Edit
+from falconwing_kit.tools.cli.scene_export import SceneExport
 from falconwing_kit.tools.cli.scene_fit import Fit
 from falconwing_kit.tools.cli.scene_input import open_scene, print_scene, scene_record
 from falconwing_kit.tools.cli.scene_link import Link
@@ -89,6 +90,7 @@ class Scene:
         | Fit
         | Edit
         | Link
+        | Annotated[SceneExport, tyro.conf.subcommand("export")]
         | Annotated[TrainPoseNet, tyro.conf.subcommand("pose-net")]
     ]
 

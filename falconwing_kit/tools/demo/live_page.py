@@ -12,7 +12,7 @@ import threading
 import time
 import warnings
 import webbrowser
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -31,6 +31,7 @@ from falconwing_kit.scene.arena import leader_at
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import render
+from falconwing_kit.tools.classroom.aircraft_boxes import AIRCRAFT, DARK
 
 HOST = "127.0.0.1"
 PERIOD_S, PLOT_EVERY = 0.05, 4  # the loop's period; plots are drawn at every fourth step
@@ -44,21 +45,6 @@ THICK_M = 0.6  # Gaussians closer than this to a side belong to its image
 FACE_PX = 2000  # longer edge of a side's image
 
 PATH_RGB, PATH_PIECES = (193, 68, 14), 400
-WHITE, RED, NAVY, DARK = (238, 238, 234), (205, 55, 50), (48, 76, 160), (50, 50, 52)
-# The aircraft as boxes in body axes: colour, size and centre [m]; span 0.70 m, length 0.52 m.
-AIRCRAFT: tuple[tuple[tuple[int, int, int], Sequence[float], Sequence[float]], ...] = (
-    (WHITE, (0.240, 0.065, 0.075), (0.030, 0.0, 0.0)),  # fuselage
-    (WHITE, (0.220, 0.035, 0.040), (-0.180, 0.0, -0.010)),
-    (RED, (0.055, 0.060, 0.065), (0.175, 0.0, 0.0)),  # nose
-    (WHITE, (0.115, 0.700, 0.014), (0.030, 0.0, -0.045)),  # wing and its stripes
-    *((RED, (0.117, 0.090, 0.016), (0.030, y, -0.045)) for y in (-0.27, 0.27)),
-    *((NAVY, (0.117, 0.050, 0.016), (0.030, y, -0.045)) for y in (-0.15, 0.15)),
-    (WHITE, (0.075, 0.220, 0.010), (-0.270, 0.0, -0.020)),  # tail
-    (NAVY, (0.080, 0.012, 0.100), (-0.275, 0.0, -0.070)),
-    (DARK, (0.006, 0.012, 0.190), (0.206, 0.0, 0.0)),  # propeller
-    *((DARK, (0.050, 0.016, 0.050), (0.050, y, 0.085)) for y in (-0.08, 0.08)),  # wheels
-    (DARK, (0.014, 0.160, 0.010), (0.050, 0.0, 0.060)),
-)
 
 
 class LivePage:
