@@ -67,7 +67,7 @@ TYPES = {
     ".css": "text/css; charset=utf-8",
     ".json": "application/json",
     ".svg": "image/svg+xml",
-    ".splat": "application/octet-stream",
+    ".bin": "application/octet-stream",
     ".mcap": "application/octet-stream",
 }
 

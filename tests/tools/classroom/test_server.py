@@ -1,4 +1,4 @@
-"""The server against raw clients: no token no byte, foreign hosts, floods, half messages, crowds."""
+"""The server against raw clients: no token no byte, foreign hosts, floods, half messages."""
 
 import http.client
 import json
@@ -107,7 +107,7 @@ def test_pages_come_with_a_policy_and_nothing_else_does(tmp_path):
 
 def test_without_the_token_no_byte(tmp_path):
     """On a network: none, a wrong one, or one in a wrong cookie; the right one sets the cookie."""
-    with running(tmp_path, lan=True) as (server, room):
+    with running(tmp_path, lan=True) as (server, _):
         for path, headers in (
             ("/", {}), ("/?token=wrong", {}), ("/flights.json", {}), ("/page/seat.js", {}),
             ("/", {"Cookie": "falconwing_token=wrong"}), ("/", {"Cookie": "token=;;=x"}),
@@ -155,7 +155,7 @@ def test_the_desk_needs_its_key(tmp_path):
 
 
 def test_floods_and_half_messages_are_dropped_and_counted(tmp_path):
-    """600 sticks at once: the bucket of 60 passes on, the others do not; a pilot beside flies on."""
+    """600 sticks at once: the bucket of 60 passes on, not the others; a pilot beside flies on."""
     with running(tmp_path) as (server, room), page(server) as flood, page(server) as pilot:
         flood.recv(PATIENCE_S), pilot.recv(PATIENCE_S)
         for k in range(600):

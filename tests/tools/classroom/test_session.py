@@ -15,6 +15,7 @@ from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.tools.classroom.channel import HOLDERS, SticksMessage, unpack_state
 from falconwing_kit.tools.classroom.envelope import envelope_problem, room_ahead
 from falconwing_kit.tools.classroom.hands import Hands
+from falconwing_kit.tools.classroom.results import model_with_effects
 from falconwing_kit.tools.classroom.session import (
     ClassClock,
     Session,
@@ -22,7 +23,6 @@ from falconwing_kit.tools.classroom.session import (
     class_effects,
     draw_effect,
     make_task,
-    model_with_effects,
 )
 
 LEVEL = Command(0.55, 0.01, 0.05, -0.02)
@@ -102,7 +102,7 @@ def flown(tmp_path_factory):
 def test_the_autopilot_lands_by_itself(flown):
     """Success by the task's own judge, and the verdict's numbers are those of its record."""
     verdict = flown.kinds("verdict")[0]
-    assert verdict["success"] is True and verdict["sentence"].startswith("On the pad")
+    assert verdict["success"] is True and verdict["sentence"].startswith("on the pad")
     assert 0.0 < verdict["numbers"]["sink rate"][0] < 1.0
     assert verdict["holders"] == []
 
@@ -137,7 +137,7 @@ def test_the_log_says_what_happened(flown):
     assert events["effect", True].t == pytest.approx(0.65)  # the step after the request
     assert events["effect", True].details["parameters"] == {"drag_added": 0.02}
     assert "200 ms" in events["hands", "autopilot"].details["reason"]
-    assert flown.records[1].holders == ("Mia",) and flown.records[1].effects == ("extra_drag",)
+    assert flown.records[1].holders == ("Mia",) and flown.records[1].effects == ()
 
 
 def test_requests_end_a_flight_and_change_the_task(tmp_path):
