@@ -23,6 +23,7 @@ ALONE = {
     "tools/bridge/test_bag.py": "ROS plays a flight in real time",
     "flight/test_loop.py": "a loop on the wall's clock",
     "tools/bridge/test_recording.py": "recordings that are killed as they go",
+    "tools/classroom/test_pages.py": "a browser and a page's server",
     "tools/grading": "the sandbox's time limits, and processes that it may not leave behind",
     "manual/test_commands.py": "commands in real time",
     "manual/test_manual.py": "processor time",
