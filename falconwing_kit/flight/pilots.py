@@ -23,6 +23,7 @@ from falconwing_kit.control.successive_loops import SuccessiveAutopilot
 from falconwing_kit.core.checks import InputError, require_shape
 from falconwing_kit.core.messages import Command, Observation
 from falconwing_kit.flight.loop import Pilot
+from falconwing_kit.flight.manual import ManualPilot
 from falconwing_kit.flight.pose_pilot import PosePilot
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.vision.pose_net import PoseNet
@@ -64,8 +65,9 @@ PILOTS = {
     "pose": PilotEntry(
         "by the camera: pose network, filter, expert", ("landing",), False, ("hall",)
     ),
+    "manual": PilotEntry("by hand, on the page of `falconwing class`", ("landing", "follow"), True),
 }
-PLANNED = ("rgb", "mask", "rgb_mask", "student", "manual")  # names of later versions
+PLANNED = ("rgb", "mask", "rgb_mask", "student")  # names of later versions
 TASK_NAMES = ("landing", "follow")
 
 
@@ -113,7 +115,7 @@ def load_pilot(
 
     Returns:
         `.reset()`, `.act(Observation) -> Command` and `.mode`. A pilot by images never reads the
-        observation's state.
+        observation's state. "manual" gives the safe command until its `.sticks` are put.
 
     Raises:
         InputError: there is no such pilot, it cannot do this, or an argument is wrong.
@@ -127,6 +129,8 @@ def load_pilot(
             f" got {p_body_camera.tolist()}; check the unit"
         )
     model, airframe, pad = model or rates_model(), airframe or load_airframe(), pad or LandingPad()
+    if name == "manual":
+        return ManualPilot(model, airframe, pad)
     if task == "follow":
         if leader is None:
             raise InputError(

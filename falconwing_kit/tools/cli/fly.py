@@ -40,8 +40,9 @@ MANOEUVRE_HELP = "what the leader flies ({}); {}".format(
     ),
     "; ".join(f"{manoeuvre.name}: {manoeuvre.summary}" for manoeuvre in MANOEUVRES.values()),
 )
+OFFERED = {name: pilot for name, pilot in PILOTS.items() if name != "manual"}  # no sticks here
 PILOT_HELP = "; ".join(
-    f"{name} ({', '.join(pilot.tasks)}): {pilot.summary}" for name, pilot in PILOTS.items()
+    f"{name} ({', '.join(pilot.tasks)}): {pilot.summary}" for name, pilot in OFFERED.items()
 )
 BROWSER_S = 8.0  # a browser's time to show the page before the flight begins
 UNITS = {  # rows of the summary: label and factor to its unit
@@ -69,7 +70,7 @@ class Fly:
     # Not a Literal: a name of a later version is refused by one sentence.
     pilot: Annotated[
         str,
-        tyro.conf.arg(metavar="{" + ",".join(PILOTS) + "}", help=f"the controller; {PILOT_HELP}"),
+        tyro.conf.arg(metavar="{" + ",".join(OFFERED) + "}", help=f"the controller; {PILOT_HELP}"),
     ] = "expert"
     model: Path | None = None
     """model file of identify or gap (model.toml, model_with_effect.toml) on which the pilot is
@@ -150,6 +151,11 @@ class Fly:
         except InputError as error:
             sentence = str(error).removeprefix("pilot: ")
             raise InputError(f"--pilot {self.pilot}: {sentence}") from None
+        if self.pilot == "manual":
+            raise InputError(
+                "--pilot manual: expected a pilot that flies by itself, got sticks, which nobody"
+                " holds here; use `falconwing class`"
+            )
         if self.no_render and not pilot.reads_state:
             raise InputError(
                 f"--no-render: expected it with a pilot by the state, got --pilot {self.pilot},"

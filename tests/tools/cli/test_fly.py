@@ -34,14 +34,14 @@ class Dive:
         return Command(0.0, 0.0, -1.0, 0.0)
 
 
-@pytest.mark.parametrize("pilot", ["rgb", "mask", "rgb_mask", "student", "manual"])
+@pytest.mark.parametrize("pilot", ["rgb", "mask", "rgb_mask", "student"])
 def test_pilots_that_are_not_there_yet_are_wrong_use(pilot, capsys):
     """Exit 2 and one sentence, before anything is flown."""
     assert main(["fly", "--pilot", pilot]) == 2
     said = capsys.readouterr().err
     assert said == (
-        f"falconwing: --pilot {pilot}: expected one of expert, expert_pid, pose, got {pilot}, which"
-        " this version of the kit does not have yet; use one of these\n"
+        f"falconwing: --pilot {pilot}: expected one of expert, expert_pid, pose, manual, got"
+        f" {pilot}, which this version of the kit does not have yet; use one of these\n"
     )
 
 
@@ -53,7 +53,9 @@ def test_pilots_that_are_not_there_yet_are_wrong_use(pilot, capsys):
         (("--pilot", "pose", "--scene", "arena"), "expected hall for pilot pose, got arena"),
         (("--pilot", "pose", "--no-render"), "--no-render: expected it with a pilot by the state"),
         (("--pilot", "pose", "--size", "16x16"), "image: expected 32 pixels a side or more"),
-        (("--pilot", "autopilot"), "expected one of expert, expert_pid, pose, got autopilot"),
+        (("--pilot", "autopilot"), "expected one of expert, expert_pid, pose, manual, got auto"),
+        (("--pilot", "manual"), "which nobody holds here; use `falconwing class`"),
+        (("--pilot", "manual", "--headless"), "nobody holds here; use `falconwing class`"),
     ],
 )
 def test_what_a_pilot_cannot_do_is_wrong_use(words, sentence, monkeypatch, capsys):
