@@ -1,4 +1,4 @@
-"""A scene's name and a file -> the scene in the cache, and packed for the pages in the file.
+"""A scene's name and a file -> the scene in the cache, and the page's scene in gzip in the file.
 
 Run in a process of its own: building the arena takes long and must not slow the flight.
 """
@@ -12,7 +12,7 @@ from falconwing_kit.tools.cli.scene_input import open_scene
 
 
 def pack_scene(name: str, file: Path) -> None:
-    """Load a scene, which keeps a built one in the cache, and write it for the pages, in gzip.
+    """Load a scene, which keeps a built one in the cache, and write it as the pages load it.
 
     Raises:
         InputError: there is no such scene.

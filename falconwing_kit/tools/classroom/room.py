@@ -29,16 +29,18 @@ from falconwing_kit.flight.loop import LoopStep
 from falconwing_kit.flight.sources import fpv_camera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.tools.classroom import channel
-from falconwing_kit.tools.classroom.after_flight import AfterFlight, FlightRecord
+from falconwing_kit.tools.classroom.after_flight import AfterFlight
 from falconwing_kit.tools.classroom.channel import SticksMessage, write_text
 from falconwing_kit.tools.classroom.hands import Hands
 from falconwing_kit.tools.classroom.pictures import Pictures
 from falconwing_kit.tools.classroom.qr import qr_svg
+from falconwing_kit.tools.classroom.results import FlightRecord
 from falconwing_kit.tools.classroom.server import NAME_LENGTH, Body, Client, Server
 from falconwing_kit.tools.classroom.session import PHASES, Session, class_effects
 from falconwing_kit.tools.classroom.take_over import SILENCE_S
 from falconwing_kit.tools.cli.scene_input import open_scene
 
+SCENE_URL = "/scene.bin"  # as scene_file.py packs it, in gzip
 MAX_FLIGHTS = 200  # that the pages can ask for
 KEPT_EVENTS = 30  # sent to a page that joins
 FLIGHT_PATH = re.compile(r"/flights/(\d{1,6})\.(json|html|mcap)")
@@ -52,7 +54,7 @@ class Room:
     hands: Hands
     hall: Callable[[], GaussianScene | None]  # the scene as soon as it is there
     scene: str  # its name
-    scene_file: Callable[[], bytes | None]  # for the pages, packed, in gzip
+    scene_file: Callable[[], bytes | None]  # for the pages, in gzip
     folder: Path  # of the logs
     server: Server | None = None  # set before the server starts
     session: Session | None = None  # set before it runs
@@ -118,11 +120,10 @@ class Room:
 
     def _finish(self, record: FlightRecord) -> None:
         with suppress(Exception):
-            rows = self._after.add(record)
-            if rows is not None:
-                self._last["board"] = {"rows": rows}
-                self.send("board", rows=rows)
             self._after.data(record)
+            rows = self._after.add(record)
+            self._last["board"] = {"rows": rows}
+            self.send("board", rows=rows)
 
     # Class: called in the server's thread
     # ------------------------------------
@@ -180,7 +181,7 @@ class Room:
 
     def body(self, path: str) -> Callable[[], Body | None] | None:
         """What a path of HTTP answers beyond the static files."""
-        if path == "/scene.spz":
+        if path == SCENE_URL:
             return self._scene_body
         if path == "/qr.svg":
             return self._qr
@@ -283,7 +284,8 @@ class Room:
 
     def _who_fields(self) -> dict[str, Any]:
         queue = [{"client": n, "name": self.names[n]} for n in list(self.queue) if n in self.names]
-        return {**self._who, "queue": queue, "owner_may": self.hands.owner}
+        who = {**self._who, "holder": self.hands.holder}
+        return {**who, "queue": queue, "owner_may": self.hands.owner}
 
     def _send_who(self) -> None:
         self.send("who", **self._who_fields())
@@ -308,7 +310,7 @@ class Room:
         return write_text(
             "hello", client=client.number, role=client.role, name=client.name, scene=self.scene,
             task=task.name if task is not None else "", simulated=True,
-            scene_url="/scene.spz" if scene is not None else None,
+            scene_url=SCENE_URL if scene is not None else None,
             scene_bytes=len(scene) if scene is not None else 0,
             pad={
                 "x0": pad.x_start, "x1": pad.x_start + pad.length,
@@ -326,7 +328,7 @@ class Room:
 
     def _scene_body(self) -> Body | None:
         data = self.scene_file()
-        return None if data is None else Body(data, ".spz", is_gzip=True)
+        return None if data is None else Body(data, ".bin", is_gzip=True)
 
     def _qr(self) -> Body | None:
         """The address for students as a picture, for the wall."""
@@ -345,10 +347,9 @@ class Room:
         if ending == "mcap":
             return Body(record.log.read_bytes(), ".mcap", download=name)
         if ending == "json":
-            data = self._after.data(record)
-            return None if data is None else Body(gzip.compress(data, 5), ".json", is_gzip=True)
+            return Body(gzip.compress(self._after.data(record), 5), ".json", is_gzip=True)
         page = self._after.share_page(record, self.scene_file())
-        return None if page is None else Body(page.encode(), ".html", download=name)
+        return Body(page.encode(), ".html", download=name)
 
     def _send_picture(self, flight: int, image: Image) -> None:
         if self.server is not None:
@@ -381,7 +382,7 @@ class SceneJob:
         self._folder.cleanup()
 
     def _run(self) -> None:
-        file = Path(self._folder.name) / "scene.spz.gz"
+        file = Path(self._folder.name) / "scene.bin.gz"
         begin = time.monotonic()
         try:
             self._process = subprocess.Popen(

@@ -66,8 +66,8 @@ TYPES = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
     ".json": "application/json",
-    ".spz": "application/octet-stream",
     ".svg": "image/svg+xml",
+    ".bin": "application/octet-stream",
     ".mcap": "application/octet-stream",
 }
 

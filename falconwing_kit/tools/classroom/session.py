@@ -33,10 +33,14 @@ from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.tools.bridge.open_port import simulated_board
 from falconwing_kit.tools.bridge.through_port import PortWorld
 from falconwing_kit.tools.classroom import channel
-from falconwing_kit.tools.classroom.after_flight import FlightRecord, live_verdict
 from falconwing_kit.tools.classroom.autopilot import LapsAndLanding
 from falconwing_kit.tools.classroom.envelope import envelope_problem
 from falconwing_kit.tools.classroom.hands import Hands
+from falconwing_kit.tools.classroom.results import (
+    FlightRecord,
+    live_verdict,
+    model_with_effects,
+)
 
 FOLLOWED = "figure_eight"  # manoeuvre of a class where none is named: the longest
 LONGEST_FLIGHT_S = 120.0  # of a landing, laps included
@@ -252,6 +256,7 @@ class Session:
             camera = fpv_camera()
             judge = task.judge(trial, camera, None)
             pilot = ClassPilot(self, trial, self._autopilot(trial))
+            effects = tuple(self._active)
             self._start_effects()
             self._publish_flight(trial)
             loop = Loop(
@@ -270,7 +275,7 @@ class Session:
         record = FlightRecord(
             number=self.flight_number, log=path, task=settings_task(task),
             manoeuvre=self._manoeuvre_name(), scene=settings.scene, seed=seed,
-            autopilot=settings.pilot, holders=tuple(self._names), effects=tuple(self._active),
+            autopilot=settings.pilot, holders=tuple(self._names), effects=effects,
         )  # fmt: skip
         if reason in ("interrupted",):
             self._ended.set()
@@ -338,14 +343,13 @@ class Session:
             )  # fmt: skip
 
         def laps(again: bool) -> Pilot:
-            if not PILOTS[settings.pilot].reads_state and not again:
+            if not again and (settings.laps == 0 or not PILOTS[settings.pilot].reads_state):
                 return make_expert()
-            pilot = LapsAndLanding(
+            return LapsAndLanding(
                 task.model, task.airframe, task.pad, make_expert,
                 landing_speed(task.model),
                 laps=0 if again else settings.laps,
             )  # fmt: skip
-            return pilot
 
         return laps
 
@@ -575,18 +579,3 @@ def draw_effect(name: str, seed: int) -> dict[str, float]:
             return effect.draw(np.random.default_rng([seed, 7]), effect.sizes[2])
     names = ", ".join(effect.name for effect in class_effects())
     raise InputError(f"effect: expected one of {names}, got {str(name)[:40]!r}")
-
-
-def model_with_effects(model: Model, active: dict[str, dict[str, float]]) -> Model:
-    """A model with effects at these parameter values; two of the same dynamics count once."""
-    for name, values in active.items():
-        names = {name, *(e.same_as for e in CATALOGUE if e.name == name and e.same_as)}
-        entry = next(
-            e
-            for e in CATALOGUE
-            if e.name in names and {p.name for p in e.parameters} == set(values)
-        )
-        if entry not in model.effects:
-            model = model.with_effect(entry)
-        model = model.with_values(values)
-    return model

@@ -1,10 +1,4 @@
-<<<<<<< HEAD
-"""falconwing export: a flight log, or one of ROS 2, PX4 or ArduPilot, to a table, log or bag."""
-=======
-"""falconwing export: convert a flight log, or one of ROS 2, to a table, a repaired log, a bag, or a
-page to look at.
-"""
->>>>>>> after
+"""falconwing export: a flight log, or one of ROS 2, PX4 or ArduPilot, to a table, log, bag or page."""
 
 import math
 from dataclasses import dataclass
@@ -24,12 +18,8 @@ Warnings = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Export:
-<<<<<<< HEAD
-    """Convert a flight log to a flight table or a bag of ROS 1 or 2, or repair an interrupted log.
-=======
-    """Convert a flight log to a flight table, a ROS bag or a page that shows the flight, or repair
-    an interrupted log.
->>>>>>> after
+    """Convert a flight log to a flight table, a bag of ROS 1 or 2 or a page that shows the flight, or
+    repair an interrupted log.
 
     Logs of others become a flight table too, their poses with the commands: of ROS 2 (MCAP), PX4
     (ULog) and ArduPilot (DataFlash).
@@ -41,17 +31,11 @@ class Export:
     """
     out: Path
     """the file to write, or a folder to write it into"""
-<<<<<<< HEAD
-    to: Literal["csv", "mcap", "bag", "ros2"] = "csv"
+    to: Literal["csv", "mcap", "bag", "ros2", "html"] = "csv"
     """csv: one row per image with pose and command; mcap: everything that can be read, indexed,
     compressed and in the form that Foxglove draws; bag: ROS 1; ros2: a recording of ROS 2, a new
-    folder
-=======
-    to: Literal["csv", "mcap", "bag", "html"] = "csv"
-    """csv: one row per image with pose and command; mcap: everything that can be read, indexed and
-    compressed; bag: ROS 1; html: one page with the flight in its hall, its verdict and its ghost,
-    that opens without a network
->>>>>>> after
+    folder; html: one page with the flight in its hall, its verdict and its ghost, that opens
+    without a network
     """
     alfa: bool = False
     """the log is a flight of the ALFA dataset: a folder with one CSV file per ROS topic"""
@@ -60,14 +44,11 @@ class Export:
     and pulse widths (TOML); without it they are found in the log where it leaves no choice
     """
     rate_hz: float | None = None
-<<<<<<< HEAD
     """for such a log: rows per second, each the nearest measured pose; without it every pose"""
     begin: float | None = None
     """with --to csv: leave out what comes before this time of the table, in seconds"""
     end: float | None = None
     """with --to csv: leave out this time and what comes after it"""
-=======
-    """for a log of ROS 2: rows per second, each the nearest measured pose; without it every pose"""
     scene: str = ""
     """for --to html: the hall around the flight, a name or a scene file; if not given, the one that
     the log names, else a map
@@ -76,7 +57,6 @@ class Export:
     """for --to html: a model file (model.toml), whose aircraft flies as the ghost; if not given,
     the kit's nominal model
     """
->>>>>>> after
     json: bool = False
     """print the result as JSON"""
 
@@ -114,11 +94,8 @@ class Export:
             "csv": (self._to_table, f"falconwing identify {target}"),
             "mcap": (self._to_log, f"falconwing export {target} --to csv"),
             "bag": (self._to_bag, f"rosbag info {target}"),
-<<<<<<< HEAD
             "ros2": (self._to_bag, f"ros2 bag info {target}"),
-=======
             "html": (self._to_page, f"open {target} in a browser"),
->>>>>>> after
         }[self.to]
         counts, warnings = write(target)
         if self.json:
@@ -172,10 +149,7 @@ class Export:
         from falconwing_kit.tools.bridge.bag import write_bag, write_ros2_bag
 
         log = read_flight_log(self.log)
-<<<<<<< HEAD
         return (write_bag if self.to == "bag" else write_ros2_bag)(target, log), log.warnings
-=======
-        return write_bag(target, log), log.warnings
 
     def _to_page(self, target: Path) -> tuple[Counts, Warnings]:
         """The player's page of one flight, as the class shares it."""
@@ -206,4 +180,3 @@ class Export:
 
         named = "hall" if name == "hall_analog" else name
         return scene_bytes(hall_loader(named)()), ()
->>>>>>> after

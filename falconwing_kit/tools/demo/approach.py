@@ -27,6 +27,7 @@ from falconwing_kit.flight.loop import (
     LoopStep,
     SimulatedClock,
 )
+from falconwing_kit.flight.loop import PacedClock as PacedClock
 from falconwing_kit.flight.metadata import flight_metadata
 from falconwing_kit.flight.sources import (
     TIME_ROUNDING,

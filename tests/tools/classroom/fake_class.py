@@ -36,7 +36,7 @@ POLICY = (
 )
 HELLO = {
     "type": "hello", "name": "", "scene": "arena", "task": "landing", "simulated": True,
-    "scene_url": "/scene.spz", "scene_bytes": 1000, "version": "0", "stick_timeout_ms": 200,
+    "scene_url": "/scene.bin", "scene_bytes": 1000, "version": "0", "stick_timeout_ms": 200,
     "pad": {"x0": -1.5, "x1": 1.5, "y0": -1.0, "y1": 1.0, "z": 0.0},
     "hall": {"x": [-22.5, 17.5], "y": [-12.0, 8.0], "z": [0.0, 5.0]},
     "camera": {"p_body_camera": [0.1, 0.0, 0.0], "fov_deg": 90.0, "pitch_deg": -10.0},
