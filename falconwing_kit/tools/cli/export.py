@@ -1,4 +1,4 @@
-"""falconwing export: a flight log, or one of ROS 2, PX4 or ArduPilot, to a table, log, bag or page."""
+"""falconwing export: a log of the kit, ROS 2, PX4 or ArduPilot to a table, log, bag or page."""
 
 import math
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ Warnings = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Export:
-    """Convert a flight log to a flight table, a bag of ROS 1 or 2 or a page that shows the flight, or
-    repair an interrupted log.
+    """Convert a flight log to a table, a bag of ROS 1 or 2 or a page that shows the flight, or
+    repair an interrupted one.
 
     Logs of others become a flight table too, their poses with the commands: of ROS 2 (MCAP), PX4
     (ULog) and ArduPilot (DataFlash).
