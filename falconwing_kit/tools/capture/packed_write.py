@@ -99,8 +99,8 @@ def splat_bytes(scene: GaussianScene) -> tuple[bytes, list[str]]:
     if scene.sh.shape[1] > 1:
         degree = math.isqrt(scene.sh.shape[1]) - 1
         changes.append(
-            f"colours do not change with the direction: harmonics of degree 1 to {degree} are not"
-            " kept; .spz and .sog keep them"
+            f"colours no longer change with the direction (SH degree 0 instead of {degree});"
+            " .spz and .sog keep that"
         )
     return rows.tobytes(), changes
 

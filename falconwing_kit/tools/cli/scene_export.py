@@ -16,7 +16,7 @@ from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
 @dataclass(frozen=True)
 class SceneExport:
-    """Write a scene for other viewers: .splat, SPZ or SOG, a fifth to a twentieth of a .ply.
+    """Write a scene for other viewers: .splat, SPZ or SOG, smaller than a .ply.
 
     These files hold neither labels nor named points nor the source: what is lost is printed.
     """

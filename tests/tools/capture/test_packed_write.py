@@ -169,10 +169,10 @@ def test_many_sets_of_harmonics_become_the_nearest(tmp_path, rng):
 
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_what_is_lost_is_said(ending, tmp_path, rng):
-    """Labels and source by name; harmonics in .splat; nothing for a plain scene."""
+    """Labels and source by name; colours by direction in .splat; nothing for a plain scene."""
     lost = " ".join(write_packed(tmp_path / f"a{ending}", random_scene(rng)))
     assert "floor, wall" in lost and "made up" in lost
-    assert ("harmonics" in lost) == (ending == ".splat")
+    assert ("SH degree 0" in lost) == (ending == ".splat")
     plain = GaussianScene([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [1.0], [[[0, 0, 0]]])
     assert write_packed(tmp_path / f"b{ending}", plain) == []
 
