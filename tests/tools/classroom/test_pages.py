@@ -250,7 +250,9 @@ def test_wall_says_who_flies_and_what_happens(visit, school):
     school.say(state_bytes(1.1, flags=16))
     until(page, "simulation.textContent === 'SIMULATION, through the board' && !time.offsetHeight")
     page.keyboard.press("r")
-    until(page, "replay.textContent.trim() === 'player of flight 6'")
+    until(page, "replay.open && replay.textContent.trim() === 'player of flight 6'")
+    school.say({**WHO, "holder": "student", "name": "Mia"})
+    until(page, "!replay.open")
 
 
 def test_wall_uses_no_type_under_24_px(visit, school):

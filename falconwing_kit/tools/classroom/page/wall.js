@@ -57,6 +57,9 @@ class Wall {
       this.hideVerdict(flight.number);
     });
     channel.on("effects", (message) => showEffects(byId("effects"), message.active));
+    channel.on("who", (who) => {
+      if (who.holder === "student") this.replay.close(); // the class looks at who flies now
+    });
     channel.on("event", (event) => this.showEvent(event));
     channel.on("board", (message) => showBoard(byId("board"), message.rows, WALL_ROWS));
     channel.on("verdict", (verdict) => this.showVerdict(verdict));
