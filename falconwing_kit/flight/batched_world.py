@@ -43,7 +43,7 @@ TOUCH_MARGIN = 1e-6  # rows nearer than this to a contact are looked at one by o
 
 
 class BatchedWorld:
-    """Many flights of one modelled aircraft, advanced together; each begins by `begin`.
+    """Many flights of one modelled aircraft, advanced together; `begin` starts each of them.
 
     Attributes:
         x: (B, 12) true states in the order of STATE_NAMES, SI; constant from a contact on.

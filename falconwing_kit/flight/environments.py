@@ -405,7 +405,7 @@ class FalconWingLandingVector(VectorEnv[Floats, Floats, NDArray[Any]]):
         if "manoeuvre" in chosen:
             raise InputError("manoeuvre: expected none for a landing")
         if seed is not None:
-            seeds = [seed + i for i in range(B)] if isinstance(seed, int) else list(seed)
+            seeds = list(seed) if isinstance(seed, Sequence) else [seed + i for i in range(B)]
             if len(seeds) != B:
                 raise InputError(f"seed: expected one for each of {B} flights, got {len(seeds)}")
             for row, each in enumerate(seeds):

@@ -138,6 +138,22 @@ def test_random_flights_and_their_successors_have_the_same_seeds():
     assert ends >= 2
 
 
+def test_a_flight_is_truncated_where_fly_ends_it():
+    """By hand: half a second has the steps 0 to 9 of 50 ms; the tenth command no longer acts."""
+    task = replace(LandingTask(), duration=0.5)
+    assert fly_trial(task, task.expert, 0)["steps"] == 10
+    env, flights = landing_environment(task), FalconWingLandingVector(1, task=task)
+    env.reset(seed=0)
+    flights.reset(seed=0)
+    for step in range(1, 10):
+        _, _, terminated, truncated, info = env.step(GLIDE)
+        _, _, stopped, late, infos = flights.step(GLIDE[None])
+        assert not terminated and not stopped[0]
+        assert truncated == late[0] == (step == 9)
+    assert info["reason"] == infos["final_info"]["reason"][0] == "duration"
+    assert not info["result"]["success"]
+
+
 def test_a_seed_is_a_flight_and_a_trial_is_the_one_of_fly():
     """Law: the same seed gives the same bits, another one does not. Trial 7 has seed 10,007."""
     env = landing_environment(history=0)
