@@ -97,8 +97,8 @@ class Skill:
 
 
 # By practice on training seeds: with the assist one tap is a turn; without, a bank that stays.
-ASSISTED = Skill()
-PLAIN = Skill(largest_bank=0.25, turn_ahead_s=0.8, pace_s=0.1)
+ASSISTED = Skill(pace_s=0.15)
+PLAIN = Skill(largest_bank=0.25, turn_ahead_s=0.8, pace_s=0.1, slope_band=0.05)
 
 
 class KeyboardPilot:
