@@ -97,8 +97,8 @@ class Skill:
 
 
 # By practice on training seeds: with the assist one tap is a turn; without, a bank that stays.
-ASSISTED = Skill()
-PLAIN = Skill(largest_bank=0.25, turn_ahead_s=0.8, pace_s=0.1)
+ASSISTED = Skill(pace_s=0.15)
+PLAIN = Skill(largest_bank=0.25, turn_ahead_s=0.8, pace_s=0.1, slope_band=0.05)
 
 
 class KeyboardPilot:
@@ -154,7 +154,8 @@ class KeyboardPilot:
 
     def _pending(self, stick: str, since: float) -> float:
         """Area of the taps of a stick whose effect is not shown yet [s]."""
-        return sum(tap.area for tap in self.taps if tap.stick == stick and tap.up > since)
+        taps = [tap for tap in self.taps if tap.stick == stick and tap.up > since]
+        return sum(tap.area * min((tap.up - since) / (tap.up - tap.down), 1.0) for tap in taps)
 
     def _seconds(self, stick: str, since: float) -> float:
         """Time that the keys of a stick are down after a time, negative for the other side [s]."""
