@@ -16,6 +16,7 @@ ALONE = {
     "tools/classroom/test_splats_page.py": "a browser",
     "tools/cli/test_bridge.py": "a board in real time, and Ctrl-C",
     "tools/cli/test_calibrate.py": "a board in real time",
+    "tools/classroom/test_share.py": "a browser",
     "tools/demo/test_alfa_gap.py": "the long demo that README's test runs too: once in one process",
     "tools/demo/test_live_page.py": "a page's server and its browsers",
     "tools/demo/test_recorded.py": "the same demo",

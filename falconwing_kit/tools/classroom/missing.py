@@ -214,12 +214,12 @@ def answer_sentence(report: dict[str, Any]) -> str:
     """The verdict of a report with the sizes of what is missing, and what to fly next."""
     sizes = [
         f"{name.replace('_', ' ')} {p['value']:.3g} {p['unit']}".strip()
-        + f" (95 %: {p['low95']:.3g} to {p['high95']:.3g})"
+        + f", 95 %: {p['low95']:.3g} to {p['high95']:.3g}"
         for name, p in report["parameters"].items()
     ]
     sentence = str(report["headline"]).rstrip(".")
     if sizes:
-        sentence += f": {', '.join(sizes)}"
+        sentence += f" ({'; '.join(sizes)})"
     if report["verdict"] in ("ambiguous", "outside") and report["next_flight"]:
         sentence += f". {str(report['next_flight']).rstrip('.')}"
     return sentence + "."

@@ -275,7 +275,7 @@ def flight_data(record: FlightRecord, model: Model | None = None, name: str = ""
         "holder": flight.holder.tolist(),
         "leader": None if flight.leader is None else pose_rows(flight.leader),
         "events": [
-            {"t": round(event.t, 3), "text": text}
+            {"t": round(event.t, 3), "text": text, **_who(event)}
             for event in flight.events
             if (text := event_text(event))
         ],
@@ -345,6 +345,12 @@ def event_text(event: Event) -> str:
         "restart": "begun again",
     }
     return texts.get(event.name, "")
+
+
+def _who(event: Event) -> dict[str, str]:
+    """The name of the person who takes the sticks in an event."""
+    is_person = event.name == "hands" and event.details.get("holder") == "student"
+    return {"who": str(event.details.get("name", ""))} if is_person else {}
 
 
 # Flying again

@@ -68,7 +68,7 @@ def test_answer_names_sizes_and_the_next_flight():
         "headline": "Missing: wind", "verdict": "named", "next_flight": "fly circles",
         "parameters": {"wind_y": {"value": 0.98, "low95": 0.9, "high95": 1.06, "unit": "m/s"}},
     }  # fmt: skip
-    assert answer_sentence(report) == "Missing: wind: wind y 0.98 m/s (95 %: 0.9 to 1.06)."
+    assert answer_sentence(report) == "Missing: wind (wind y 0.98 m/s, 95 %: 0.9 to 1.06)."
     open_report = {**report, "verdict": "ambiguous", "parameters": {}, "headline": "A or B"}
     assert answer_sentence(open_report) == "A or B. fly circles."
 

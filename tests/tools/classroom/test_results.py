@@ -123,6 +123,7 @@ def test_effects_switched_in_flight_act_from_their_event_on(tmp_path):
     record, live = fly_log(tmp_path / "wind.mcap", effects=effects)
     flight = refly(record)
     assert flight.difference < 1e-9 and judge(record).success == live["success"]
+    assert judge(record).scores == ()  # the autopilot landed, and it has no place on the board
 
     def calm(topic, values):
         if topic == "/event" and values["name"] == "effect":

@@ -78,7 +78,7 @@ export class FlatView {
     const ground = above + gap + scale * stretch * tall;
     const fromTop = (x, y) => [left + scale * (x - hx[0]), gap + scale * (hy[1] - y)];
     const fromSide = (x, z) => [left + scale * (x - hx[0]), ground - scale * stretch * (z - hz[0])];
-    pen.font = "13px system-ui, sans-serif";
+    pen.font = `${getComputedStyle(this.canvas).fontSize} system-ui, sans-serif`;
     pen.fillStyle = ink;
     pen.fillText("from above", left, gap - 8);
     pen.fillText(`from the side${stretch > 1.01 ? `, height ${stretch.toFixed(1)} times` : ""}`, left, above + gap - 8);
@@ -166,7 +166,7 @@ export class FlightChart {
       const share = (event.clientX - box.left - this.left) / Math.max(1, box.width - this.left - 4);
       seek(Math.min(1, Math.max(0, share)) * this.times[this.times.length - 1]);
     };
-    this.left = 34;
+    this.left = 34; // px for the numbers of the axis, set by the size of their font
     this.canvas.addEventListener("pointerdown", go);
     this.canvas.addEventListener("pointermove", go);
   }
@@ -181,6 +181,8 @@ export class FlightChart {
 
   draw(t) {
     const first = this.lines[0];
+    const size = parseFloat(getComputedStyle(this.canvas).fontSize);
+    this.left = 2.8 * size;
     const { row, next, share } = rowAt(this.times, t);
     const [a, b] = first ? [first.values[row], first.values[next]] : [NaN, NaN];
     const between = Number.isFinite(a) && Number.isFinite(b) ? a + share * (b - a) : a;
@@ -192,12 +194,12 @@ export class FlightChart {
     const end = this.times[this.times.length - 1] || 1;
     const x = (time) => this.left + (time / end) * (width - this.left - 4);
     const span = this.high - this.low;
-    const bottom = this.box.dataset.axis ? 20 : 0;
+    const bottom = this.box.dataset.axis ? 1.7 * size : 0;
     const y = (value) => 6 + ((this.high - value) / span) * (height - 12 - bottom);
     const rough = span / 3;
     const power = 10 ** Math.floor(Math.log10(rough));
     const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough * 0.999);
-    pen.font = "12px system-ui, sans-serif";
+    pen.font = `${size}px system-ui, sans-serif`;
     pen.textAlign = "right";
     pen.textBaseline = "middle";
     for (let i = Math.ceil(this.low / step - 1e-9); i * step <= this.high + 1e-9; i += 1) {
@@ -210,12 +212,12 @@ export class FlightChart {
     }
     if (bottom) {
       pen.textAlign = "center";
-      const marks = [0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500].find((s) => end / s <= 8) || end;
-      for (let i = 0; i * marks < end - 0.35 * marks; i += 1) {
-        pen.fillText(`${Number((i * marks).toFixed(1))}`, x(i * marks), height - 8);
+      const marks = [0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500].find((s) => end / s <= (width / size) / 6) || end;
+      for (let i = 0; x(i * marks) < width - 6 * size; i += 1) {
+        pen.fillText(`${Number((i * marks).toFixed(1))}`, x(i * marks), height - 0.7 * size);
       }
       pen.textAlign = "right";
-      pen.fillText("time [s]", width - 2, height - 8);
+      pen.fillText("time [s]", width - 2, height - 0.7 * size);
     }
     pen.globalAlpha = 1;
     pen.lineWidth = 2;
@@ -587,7 +589,9 @@ export class Player {
     const event = data.events.filter((one) => one.t <= t + 1e-6).pop();
     const holder = data.holder[row] ?? 0;
     this.who.dataset.holder = String(holder);
-    this.who.textContent = HOLDER_WORDS[holder] + (event ? ` \u00b7 ${event.text}` : "");
+    const hands = holder === 2 ? data.events.filter((one) => one.who && one.t <= t + 1e-6).pop() : null;
+    const name = hands ? `: ${hands.who}` : "";
+    this.who.textContent = HOLDER_WORDS[holder] + name + (event && event !== hands ? ` \u00b7 ${event.text}` : "");
     // What is drawn now, for who reads the page instead of seeing it.
     this.element.dataset.t = t.toFixed(3);
     if (pose) this.element.dataset.position = [pose[3], pose[7], pose[11]].map((p) => p.toFixed(3)).join(" ");
