@@ -227,8 +227,8 @@ def test_full_forward_beside_the_pad_levels_off_above_the_floor():
 
 
 def test_full_forward_over_the_pad_is_a_landing():
-    """From 1 m, 10 m before the threshold: a wheel on the pad, wings level, below 1 m/s, the speed of
-    a fall from 5 cm: firm, and softer only by hand.
+    """From 1 m, 10 m before the threshold: a wheel on the pad, wings level, below 1 m/s, the speed
+    of a fall from 5 cm: firm, and softer only by hand.
     """
     _, _, contact = fly(lambda t: (0.5, 0.0, -1.0, 0.0), 6.0, (-9.0, -2.0, 1.0))
     assert contact is not None and contact.touchdown is not None and contact.touchdown.on_pad
