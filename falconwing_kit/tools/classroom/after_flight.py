@@ -3,8 +3,6 @@
 They are computed in other processes, so that the next flight keeps its 20 Hz.
 """
 
-import importlib
-import importlib.util
 import json
 import multiprocessing
 import os
@@ -12,7 +10,6 @@ import signal
 import threading
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +19,12 @@ from falconwing_kit.tools.classroom.channel import plain
 from falconwing_kit.tools.classroom.results import FlightRecord
 from falconwing_kit.tools.classroom.share import share_page
 
-ROOM = "falconwing_kit.tools.classroom"
 PATIENCE_S = 120.0  # for an answer
 MAX_DATA = 20  # flights whose data are kept
 
 
-@cache
-def part(name: str) -> Any:
-    """A module by its full name, or None where this version does not have it."""
-    return importlib.import_module(name) if importlib.util.find_spec(name) else None
-
-
 class AfterFlight:
-    """What is computed after a flight, in processes of its own; None where its part is missing."""
+    """What is computed after a flight, in processes of its own."""
 
     def __init__(self, folder: Path) -> None:
         """folder: of the logs, where the board keeps its file."""
@@ -43,6 +33,11 @@ class AfterFlight:
         self._data: dict[int, bytes] = {}
         self._gap = threading.Semaphore(1)
         self._board = Board(folder)
+
+    def warm(self) -> None:
+        """Begin a process before it is needed: the first answer comes within a second too."""
+        with self._lock:
+            self._begin().submit(os.getpid)
 
     def close(self) -> None:
         """End the processes without waiting for their answers."""
@@ -100,15 +95,19 @@ class AfterFlight:
     def _compute(self, function: str, record: FlightRecord, *arguments: Any) -> Any:
         """The answer of a function of results.py, computed in another process."""
         with self._lock:
-            if self._pool is None:
-                context = multiprocessing.get_context("spawn")
-                self._pool = ProcessPoolExecutor(2, context, _begin_process)
-            future = self._pool.submit(_answer, function, record, *arguments)
+            future = self._begin().submit(_answer, function, record, *arguments)
         try:
             return future.result(PATIENCE_S)
         except BrokenExecutor:
             self.close()
             raise
+
+    def _begin(self) -> ProcessPoolExecutor:
+        """The processes; called with the lock."""
+        if self._pool is None:
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(2, context, _begin_process)
+        return self._pool
 
 
 def _begin_process() -> None:

@@ -9,7 +9,7 @@ from falconwing_kit.aircraft.model import Model, rates_model
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import Command, Observation
-from falconwing_kit.tools.classroom.after_flight import part
+from falconwing_kit.flight.manual import ManualPilot, Sticks, StickSource
 from falconwing_kit.tools.classroom.channel import SticksMessage
 from falconwing_kit.tools.classroom.take_over import HandsEvent, TakeOver
 
@@ -27,14 +27,11 @@ class Hands:
         self._wants_assist = False
         self._stamp = 0.0
         self._is_flying = True
-        manual = part("falconwing_kit.flight.manual")
-        self._manual, self._source = None, None
-        if manual is not None:
-            self._source, self._new_sticks = manual.StickSource(), manual.Sticks
-            self._manual = manual.ManualPilot(
-                model or rates_model(), airframe or load_airframe(), pad or LandingPad(),
-                self._source, False, clock,
-            )  # fmt: skip
+        self._source = StickSource()
+        self._manual = ManualPilot(
+            model or rates_model(), airframe or load_airframe(), pad or LandingPad(),
+            self._source, False, clock,
+        )  # fmt: skip
 
     @property
     def holder(self) -> str:
@@ -49,10 +46,10 @@ class Hands:
     @property
     def assisted(self) -> bool:
         """Whether the beginner's assist is in the student's sticks."""
-        return self._manual is not None and bool(self._manual.assist)
+        return self._manual.assist
 
     def set_assist(self, on: bool) -> None:
-        """Switch the beginner's assist; without flight/manual.py nothing happens."""
+        """Switch the beginner's assist at the next step."""
         self._wants_assist = on
 
     def give(self, client: int, name: str) -> None:
@@ -98,16 +95,14 @@ class Hands:
         """The student's command; with the assist, what its sticks ask of the autopilot."""
         with self._lock:
             sticks, stamp, assist = self._sticks, self._stamp, self._wants_assist
-        if self._manual is None or self._source is None:
-            return sticks
         try:
             if assist != self.assisted:
                 self._manual.assist = assist
         except InputError:
             self._wants_assist = False
-        self._source.put(self._new_sticks(*sticks.vector.tolist(), hold=True, stamp=stamp))
-        command: Command = self._manual.act(observation)
-        return command
+        moved = (sticks.throttle, sticks.aileron, sticks.elevator, sticks.rudder)
+        self._source.put(Sticks(*moved, hold=True, stamp=stamp))
+        return self._manual.act(observation)
 
     def end(self) -> None:
         """Nobody flies any more."""

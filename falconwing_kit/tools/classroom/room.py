@@ -98,6 +98,8 @@ class Room:
             self._last[kind] = fields
         if kind == "flight":
             self._last.pop("verdict", None)
+            if fields["number"] == 1:
+                self._worker.submit(self._after.warm)
             self._who |= {"holder": self.hands.holder}
             self._send_who()
         self.send(kind, **fields)

@@ -162,6 +162,7 @@ class Session:
         self._logs: deque[tuple[Path, bool]] = deque()  # of this session, and whether to keep
         self.recording = False
         self._repeat_seed = False
+        self._ahead: tuple[Any, int, TrialSetup] | None = None  # task, seed and its world
         self._stop_reason = ""
         self.log: FlightLogWriter | None = None
         self.flight_number = 0
@@ -234,8 +235,8 @@ class Session:
         self._repeat_seed, self._stop_reason = False, ""
         number = self.number
         self.flight_number += 1
-        seed = trial_seed((number - 1) % TRIAL_SEEDS, settings.seed)
-        trial = replace_duration(task.trial(seed), task)
+        seed = self._seed(number)
+        trial = self._trial_of(task, seed)
         path = settings.folder / f"flight_{self.flight_number:04d}.mcap"
         self._names, self._t = [], 0.0
         with ExitStack() as stack:
@@ -292,7 +293,22 @@ class Session:
             logged=str(path) if self.recording else None,
         )  # fmt: skip
         self._publisher.finished(record)
-        self._rest(settings.pause_s)
+        begin = time.monotonic()
+        if trial.leader is not None:  # whose flight takes seconds to simulate
+            following = self._seed(self.number + 1)
+            self._ahead = task, following, self._trial_of(task, following)
+        self._rest(settings.pause_s - (time.monotonic() - begin))
+
+    def _seed(self, number: int) -> int:
+        """Seed of a flight by its number, from 1."""
+        return trial_seed((number - 1) % TRIAL_SEEDS, self.settings.seed)
+
+    def _trial_of(self, task: Any, seed: int) -> TrialSetup:
+        """The world of a seed, simulated ahead where there is a leader."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is not None and ahead[0] is task and ahead[1] == seed:
+            return ahead[2]
+        return replace_duration(task.trial(seed), task)
 
     def _metadata(self, trial: TrialSetup) -> dict[str, object]:
         import json

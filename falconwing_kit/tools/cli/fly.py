@@ -3,6 +3,7 @@
 import hashlib
 import re
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -44,6 +45,7 @@ OFFERED = {name: pilot for name, pilot in PILOTS.items() if name != "manual"}  #
 PILOT_HELP = "; ".join(
     f"{name} ({', '.join(pilot.tasks)}): {pilot.summary}" for name, pilot in OFFERED.items()
 )
+STRETCH_SAID = 1.05  # real time over that of the flight, from which on it is said
 BROWSER_S = 8.0  # a browser's time to show the page before the flight begins
 UNITS = {  # rows of the summary: label and factor to its unit
     "ald_m": ("ALD of landings [cm]", 100.0),
@@ -248,11 +250,11 @@ class Fly:
 
     def _setting(self) -> "TrialSettings":
         """Camera, clock and port of the trials; page and scene follow later."""
-        from falconwing_kit.flight.loop import SimulatedClock, WallClock
+        from falconwing_kit.flight.loop import PacedClock, SimulatedClock
         from falconwing_kit.flight.sources import fpv_camera
         from falconwing_kit.tools.trials.trials import TrialSettings
 
-        clock = SimulatedClock if self.headless else WallClock
+        clock = SimulatedClock if self.headless else PacedClock
         camera = fpv_camera(*_size(self.size))
         return TrialSettings(camera=camera, clock=clock, port=self.port, scene_name=self._scene)
 
@@ -284,7 +286,7 @@ class Fly:
         from falconwing_kit.tools.trials.trials import fly_trials
 
         with (
-            _page(hall, self.headless, not self.no_render) as (scene, hooks),
+            _page(hall, self.headless, not self.no_render) as (scene, hooks, keep),
             self._progress() as progress,
         ):
             setting = replace(
@@ -293,11 +295,14 @@ class Fly:
                 link=open_link(self._scene),
                 hooks=hooks,
             )
-            return fly_trials(
+            records = fly_trials(
                 task, pilot, self.trials, pilot=head["pilot"], seed=self.seed,
                 setting=setting, out=self.out, head=head, logs=self._has_logs, progress=progress,
                 fly=partial(fly_in_processes, self) if self.workers > 1 or self.cluster else None,
             )  # fmt: skip
+
+            keep(_verdict(records))
+            return records
 
     @property
     def _has_logs(self) -> bool:
@@ -535,13 +540,12 @@ def hall_loader(name: str) -> "Callable[[], GaussianScene]":
 @contextmanager
 def _page(
     hall: "Callable[[], GaussianScene]", headless: bool, render: bool
-) -> Iterator[tuple[Any, tuple[Callable[..., None], ...]]]:
-    """The hall, None if nothing is rendered, and the live page as a hook, unless headless."""
-    if headless and not render:
-        yield None, ()
-        return
+) -> Iterator[tuple[Any, tuple[Callable[..., None], ...], Callable[[str], None]]]:
+    """The hall, None if nothing is rendered; the live page as a hook, unless headless; and what
+    keeps the page open with a verdict.
+    """
     if headless:
-        yield hall(), ()
+        yield hall() if render else None, (), lambda verdict: None
         return
     from falconwing_kit.tools.demo.live_page import LivePage
 
@@ -550,9 +554,53 @@ def _page(
         opened = page.open()
         scene = hall()
         page.set_scene(scene)
-        if opened:
-            page.wait_for_viewer(BROWSER_S)
-        yield scene, (page.show,)
+        watched = opened and page.wait_for_viewer(BROWSER_S)
+        pace = _Pace()
+
+        def keep(verdict: str) -> None:
+            if pace.stretch > STRETCH_SAID:
+                print(
+                    f"time was stretched: a second of the flight took {pace.stretch:.2f} s, for"
+                    " this machine is busy or slow; use a smaller --size or --headless",
+                    file=sys.stderr,
+                )
+            if watched:
+                print(f"{verdict}; the page stays until Ctrl-C", file=sys.stderr, flush=True)
+                page.keep(verdict)
+
+        yield scene, (pace, page.show), keep
+
+
+class _Pace:
+    """A hook that compares the time of flights with real time."""
+
+    def __init__(self) -> None:
+        self._last: tuple[float, float] | None = None  # time of the flight, real time [s]
+        self._flown, self._spent = 0.0, 0.0
+
+    def __call__(self, step: Any) -> None:
+        now = time.perf_counter()
+        if self._last is not None and step.t > self._last[0]:
+            self._flown += step.t - self._last[0]
+            self._spent += now - self._last[1]
+        self._last = step.t, now
+
+    @property
+    def stretch(self) -> float:
+        """Real time over that of the flights; 1 before the second step."""
+        return self._spent / self._flown if self._flown else 1.0
+
+
+def _verdict(records: Sequence[dict[str, Any]]) -> str:
+    """What the page says of flights that are over."""
+    if len(records) > 1:
+        return f"success in {sum(record['success'] for record in records)} of {len(records)}"
+    record = records[0]
+    if not record["success"]:
+        return f"failed: {record['reason']}"
+    if record.get("ald_m") is not None:
+        return f"landed {100.0 * record['ald_m']:.0f} cm from the centre line"
+    return "success"
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -13,7 +13,7 @@ import time
 import warnings
 import webbrowser
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
@@ -36,6 +36,7 @@ from falconwing_kit.tools.classroom.aircraft_boxes import AIRCRAFT, DARK
 HOST = "127.0.0.1"
 PERIOD_S, PLOT_EVERY = 0.05, 4  # the loop's period; plots are drawn at every fourth step
 PANEL_PX = 420
+LEFT_S = 5.0  # without a browser, after which a page that is kept is closed
 WINDOW_S = 30.0  # time range of the plots
 BLUE, RUST, QUIET, LINE = "#0b5394", "#c1440e", "#666", "#ddd"  # as on the kit's other pages
 # chase camera and its target, relative to the aircraft [m]
@@ -95,6 +96,16 @@ class LivePage:
         while not self._server.get_clients() and time.monotonic() < end:
             time.sleep(0.05)
         return bool(self._server.get_clients())
+
+    def keep(self, verdict: str) -> None:
+        """Show a verdict, and return when Ctrl-C is pressed or no browser shows the page."""
+        self._banner = f"{self._banner}: {verdict}"
+        self._news.set()
+        seen = time.monotonic()
+        with suppress(KeyboardInterrupt):
+            while time.monotonic() - seen < LEFT_S:
+                seen = time.monotonic() if self._server.get_clients() else seen
+                time.sleep(0.1)
 
     def __enter__(self) -> "LivePage":
         return self

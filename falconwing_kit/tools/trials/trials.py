@@ -22,7 +22,14 @@ from falconwing_kit.control.loops import LINK_DELAY_S
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.flight_log import FlightLogWriter
-from falconwing_kit.flight.loop import ImageSource, Loop, LoopStep, Pilot, SimulatedClock, WallClock
+from falconwing_kit.flight.loop import (
+    ImageSource,
+    Loop,
+    LoopStep,
+    PacedClock,
+    Pilot,
+    SimulatedClock,
+)
 from falconwing_kit.flight.metadata import flight_metadata
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
 from falconwing_kit.flight.supervisor import Supervisor
@@ -70,7 +77,7 @@ class TrialSettings:
 
     scene: GaussianScene | None = None  # rendered for the pilot; None: no images
     camera: PinholeCamera = field(default_factory=fpv_camera)
-    clock: type[SimulatedClock] | type[WallClock] = SimulatedClock  # one instance per flight
+    clock: type[SimulatedClock] | type[PacedClock] = SimulatedClock  # one instance per flight
     hooks: Sequence[Callable[[LoopStep], None]] = ()
     # a simulated board that every command goes through, one of `open_port.PORTS`; "" for none
     port: str = ""

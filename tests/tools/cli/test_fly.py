@@ -4,6 +4,7 @@ yet.
 
 import json
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -501,3 +502,36 @@ def test_a_flight_starts_where_it_is_told(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     assert main(["fly", *QUICK, "--start", "1,2,3"]) == 2
     assert "--start: expected x,y,z,roll,pitch,yaw" in capsys.readouterr().err
+
+
+class KeptPage(StandInPage):
+    """A page that a browser shows, and what it was kept with."""
+
+    verdicts: tuple[str, ...] = ()
+
+    def open(self) -> bool:
+        return True
+
+    def wait_for_viewer(self, seconds: float) -> bool:
+        return True
+
+    def show(self, step) -> None:
+        time.sleep(0.08)  # slower than the 50 ms of a step
+
+    def keep(self, verdict: str) -> None:
+        type(self).verdicts += (verdict,)
+
+
+def test_a_slow_page_stretches_time_and_stays_with_the_verdict(monkeypatch, capsys):
+    """Steps of 80 ms instead of 50: none is left out, the stretch of 1.6 or more is said, and the
+    page is kept with the outcome.
+    """
+    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", KeptPage)
+    monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
+    assert main(["fly", "--no-render", "--json"]) == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out)["skipped"] == 0
+    stretch = float(re.search(r"took ([\d.]+) s", said.err)[1])
+    assert stretch >= 1.55 and "the page stays until Ctrl-C" in said.err
+    (verdict,) = KeptPage.verdicts
+    assert verdict.startswith("failed: touched")
