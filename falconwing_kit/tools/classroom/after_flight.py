@@ -30,6 +30,7 @@ class AfterFlight:
         """folder: of the logs, where the board keeps its file."""
         self._lock = threading.Lock()
         self._pool: ProcessPoolExecutor | None = None
+        self._is_closed = False
         self._data: dict[int, bytes] = {}
         self._gap = threading.Semaphore(1)
         self._board = Board(folder)
@@ -42,9 +43,17 @@ class AfterFlight:
     def close(self) -> None:
         """End the processes without waiting for their answers."""
         with self._lock:
+            self._is_closed = True
+        self._end_pool()
+
+    def _end_pool(self) -> None:
+        with self._lock:
             pool, self._pool = self._pool, None
         if pool is not None:
+            processes = list((pool._processes or {}).values())
             pool.shutdown(wait=False, cancel_futures=True)
+            for process in processes:  # which would else be waited for when Python ends
+                process.terminate()
 
     def add(self, record: FlightRecord) -> list[dict[str, Any]]:
         """Judge a flight again from its log and enter it; the board's rows."""
@@ -99,11 +108,13 @@ class AfterFlight:
         try:
             return future.result(PATIENCE_S)
         except BrokenExecutor:
-            self.close()
+            self._end_pool()  # the next question begins new ones
             raise
 
     def _begin(self) -> ProcessPoolExecutor:
         """The processes; called with the lock."""
+        if self._is_closed:
+            raise RuntimeError("the class has ended")
         if self._pool is None:
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(2, context, _begin_process)

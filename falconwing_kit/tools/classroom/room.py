@@ -99,7 +99,7 @@ class Room:
         if kind == "flight":
             self._last.pop("verdict", None)
             if fields["number"] == 1:
-                self._worker.submit(self._after.warm)
+                self._worker.submit(self._warm)
             self._who |= {"holder": self.hands.holder}
             self._send_who()
         self.send(kind, **fields)
@@ -119,6 +119,10 @@ class Room:
             if owner and self.names.get(owner, "") in record.holders:
                 self.hands.leave(owner)  # one flight each while others wait
             self._give_next()
+
+    def _warm(self) -> None:
+        with suppress(RuntimeError):  # the class ended in between
+            self._after.warm()
 
     def _finish(self, record: FlightRecord) -> None:
         with suppress(Exception):
