@@ -1,0 +1,147 @@
+"""A class in a real browser: wall, desk and two phones at once; the sticks change hands by keyboard
+and gamepad; a flight is watched again, and its file opens from disk.
+
+The simulated aircraft flies in a process of its own, as `falconwing class` starts it.
+"""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from falconwing_kit.core.flight_log import read_flight_log
+from tests.chromium import headless_chromium
+
+PATIENCE_S = 90.0  # for anything to happen, on a busy machine
+# Drawing the hall by software would keep both cores busy; other tests draw it.
+FLAGS = ["--disable-3d-apis"]
+PAD = """
+globalThis.pad = null;
+navigator.getGamepads = () => [globalThis.pad, null, null, null];
+"""
+PRESS_SHOULDER = """() => {
+  const buttons = Array.from({ length: 17 }, (_, i) => ({ pressed: i === 5, value: Number(i === 5) }));
+  const rest = { connected: true, id: "test pad", index: 0, mapping: "standard", timestamp: 1 };
+  globalThis.pad = { ...rest, axes: [0, 0, 0, 0], buttons };
+}"""
+SLEEP = "() => { const end = performance.now() + 900; while (performance.now() < end); }"
+
+
+def until(what: Callable[[], Any]) -> Any:
+    """What a page says at last; a page's own wait needs an eval that its policy forbids."""
+    end = time.monotonic() + PATIENCE_S
+    while not (answer := what()):
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.05)
+    return answer
+
+
+@pytest.fixture
+def school(tmp_path):
+    """A running class: its addresses and the folder of its logs."""
+    command = [
+        sys.executable, "-m", "falconwing_kit.tools.cli.main", "class", "--no-browser",
+        "--web-port", "0", "--laps", "1", "--out", str(tmp_path / "logs"),
+    ]  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    lines = [process.stdout.readline() for _ in range(4)]
+    seat, wall, desk = (re.search(r"http\S+", line)[0] for line in lines[1:])
+    yield {"/": seat, "wall": wall, "desk": desk, "logs": tmp_path / "logs"}
+    process.send_signal(signal.SIGINT)
+    try:
+        rest = process.communicate(timeout=PATIENCE_S)[0]
+    finally:
+        process.kill()
+    assert process.returncode == 0 and "Traceback" not in rest, rest
+
+
+def ask(seat: Any, name: str) -> None:
+    """Give a name and ask for the sticks."""
+    seat.fill("#name", name)
+    seat.click("#ask")
+
+
+def test_a_class(school, tmp_path):
+    """Mia flies by keyboard until her phone falls asleep; Ben by gamepad until the teacher takes
+    the sticks back, which beats his button; then the flight's end, again and as a file.
+    """
+    with headless_chromium(FLAGS) as browser:
+        context = browser.new_context(viewport={"width": 1280, "height": 720})
+        phone = browser.new_context(viewport={"width": 390, "height": 844})
+        phone.add_init_script(PAD)
+        faults: list[str] = []
+        pages = {}
+        for name, where in (("wall", context), ("desk", context), ("Mia", phone), ("Ben", phone)):
+            pages[name] = where.new_page()
+            pages[name].on("pageerror", lambda error: faults.append(str(error)))
+            pages[name].goto(school.get(name, school["/"]))
+        wall, desk, mia, ben = pages.values()
+
+        def who() -> str:
+            return wall.text_content("#who")
+
+        until(lambda: "AUTOPILOT" in who())
+        ask(mia, "Mia")
+        until(lambda: "Mia" in desk.text_content("#queue"))
+        desk.click("#queue >> text=Give")
+        until(lambda: mia.is_visible("#hold"))
+        mia.keyboard.down("Space")
+        until(lambda: "Mia" in who())
+        mia.evaluate(SLEEP)
+        until(lambda: "AUTOPILOT" in who())
+        mia.keyboard.up("Space")
+
+        ask(ben, "Ben")
+        until(lambda: "Ben" in desk.text_content("#queue"))
+        desk.click("#queue li:has-text('Ben') >> text=Give")
+        until(lambda: ben.is_visible("#hold"))
+        ben.evaluate(PRESS_SHOULDER)
+        until(lambda: "Ben" in who())
+        desk.click("#take")
+        until(lambda: "AUTOPILOT" in who())
+        time.sleep(1.0)
+        assert "AUTOPILOT" in who()  # Ben's button is still pressed
+
+        until(lambda: desk.is_visible("#after"))
+        desk.click("#watch")
+        player = "#replay [data-t]"
+        until(lambda: desk.query_selector(player))
+        desk.press(player, "End") if desk.query_selector(f"{player}[tabindex]") else None
+        before = desk.get_attribute(player, "data-t")
+        desk.eval_on_selector(
+            "#replay input[type=range]",
+            "r => { r.value = r.max / 2; r.dispatchEvent(new Event('input', {bubbles: true})); }",
+        )
+        until(lambda: desk.get_attribute(player, "data-t") != before)
+        assert len(desk.get_attribute(player, "data-ghost").split()) == 3
+        address = desk.get_attribute("#keep", "href")
+        assert not faults
+        shared = _download(school["/"], address, tmp_path / "flight.html")
+        alone = browser.new_context(offline=True)
+        page = alone.new_page()
+        page.goto(shared.as_uri())
+        until(lambda: page.query_selector("[data-ready=true]"))
+        assert "SIMULATION" in page.text_content("body")
+    events = [
+        event
+        for log in sorted(school["logs"].glob("*.mcap"))
+        for event in read_flight_log(log).events
+        if event.name == "hands"
+    ]
+    holders = [(event.details["holder"], event.details["name"]) for event in events]
+    assert holders.index(("student", "Mia")) < holders.index(("student", "Ben"))
+    assert any("teacher" in str(event.details["reason"]) for event in events)
+
+
+def _download(seat: str, address: str, path: Path) -> Path:
+    """A file of the class on disk."""
+    with urllib.request.urlopen(seat.rstrip("/") + address, timeout=PATIENCE_S) as answer:
+        path.write_bytes(answer.read())
+    return path
