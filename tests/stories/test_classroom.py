@@ -31,6 +31,8 @@ PRESS_SHOULDER = """() => {
   const rest = { connected: true, id: "test pad", index: 0, mapping: "standard", timestamp: 1 };
   globalThis.pad = { ...rest, axes: [0, 0, 0, 0], buttons };
 }"""
+LET_GO = "() => { globalThis.pad = null; }"
+HOLD_AGAIN = "HOLD AGAIN"  # on the button of a seat whose sticks were taken while it held
 SLEEP = "() => { const end = performance.now() + 900; while (performance.now() < end); }"
 
 
@@ -87,33 +89,40 @@ def test_a_class(school, tmp_path):
         def who() -> str:
             return wall.text_content("#who")
 
+        def fly(seat: Any, name: str, press: Callable[[], Any], release: Callable[[], Any]) -> None:
+            """Be given the sticks, and hold; again where a wall was too near."""
+            ask(seat, name)
+            until(lambda: name in desk.text_content("#queue"))
+            desk.click(f"#queue li:has-text('{name}') >> text=Give")
+            until(lambda: seat.is_visible("#hold"))
+            seat.bring_to_front()
+            for _ in range(20):
+                press()
+                if until(lambda: name in who() or HOLD_AGAIN in seat.text_content("#hold")) and (
+                    name in who()
+                ):
+                    return
+                release()
+                time.sleep(0.5)
+            raise AssertionError(f"{name} never flew")
+
         until(lambda: "AUTOPILOT" in who())
-        ask(mia, "Mia")
-        until(lambda: "Mia" in desk.text_content("#queue"))
-        desk.click("#queue >> text=Give")
-        until(lambda: mia.is_visible("#hold"))
-        mia.keyboard.down("Space")
-        until(lambda: "Mia" in who())
+        desk.click("#speeds >> text=0.25")  # a wall comes four times as late
+        fly(mia, "Mia", lambda: mia.keyboard.down("Space"), lambda: mia.keyboard.up("Space"))
         mia.evaluate(SLEEP)
         until(lambda: "AUTOPILOT" in who())
         mia.keyboard.up("Space")
-
-        ask(ben, "Ben")
-        until(lambda: "Ben" in desk.text_content("#queue"))
-        desk.click("#queue li:has-text('Ben') >> text=Give")
-        until(lambda: ben.is_visible("#hold"))
-        ben.evaluate(PRESS_SHOULDER)
-        until(lambda: "Ben" in who())
+        fly(ben, "Ben", lambda: ben.evaluate(PRESS_SHOULDER), lambda: ben.evaluate(LET_GO))
         desk.click("#take")
         until(lambda: "AUTOPILOT" in who())
         time.sleep(1.0)
         assert "AUTOPILOT" in who()  # Ben's button is still pressed
+        desk.click("#speeds >> text=Real time")
 
         until(lambda: desk.is_visible("#after"))
         desk.click("#watch")
         player = "#replay [data-t]"
         until(lambda: desk.query_selector(player))
-        desk.press(player, "End") if desk.query_selector(f"{player}[tabindex]") else None
         before = desk.get_attribute(player, "data-t")
         desk.eval_on_selector(
             "#replay input[type=range]",
@@ -137,7 +146,8 @@ def test_a_class(school, tmp_path):
     ]
     holders = [(event.details["holder"], event.details["name"]) for event in events]
     assert holders.index(("student", "Mia")) < holders.index(("student", "Ben"))
-    assert any("teacher" in str(event.details["reason"]) for event in events)
+    reasons = " ".join(str(event.details["reason"]) for event in events)
+    assert "teacher" in reasons and "silent" in reasons
 
 
 def _download(seat: str, address: str, path: Path) -> Path:
