@@ -44,7 +44,7 @@ from falconwing_kit.tools.classroom.results import (
 
 FOLLOWED = "figure_eight"  # manoeuvre of a class where none is named: the longest
 LONGEST_FLIGHT_S = 120.0  # of a landing, laps included
-IDLE_PERIOD_S = 0.1  # between two states while nothing flies or time stands still
+IDLE_PERIOD_S = 0.05  # between two states while nothing flies or time stands still
 SLOWEST, FASTEST = 0.1, 4.0  # speeds of time
 STRETCH = 1.02  # of time, from which on the page says so
 STATION_M = 4.0  # behind the leader, where the follower is caught again
