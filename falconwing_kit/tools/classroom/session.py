@@ -44,7 +44,7 @@ from falconwing_kit.tools.classroom.results import (
 
 FOLLOWED = "figure_eight"  # manoeuvre of a class where none is named: the longest
 LONGEST_FLIGHT_S = 120.0  # of a landing, laps included
-IDLE_PERIOD_S = 0.1  # between two states while nothing flies or time stands still
+IDLE_PERIOD_S = 0.05  # between two states while nothing flies or time stands still
 SLOWEST, FASTEST = 0.1, 4.0  # speeds of time
 STRETCH = 1.02  # of time, from which on the page says so
 STATION_M = 4.0  # behind the leader, where the follower is caught again
@@ -260,6 +260,8 @@ class Session:
             effects = tuple(self._active)
             self._start_effects()
             self._publish_flight(trial)
+            if settings.pilot == "manual":
+                self._wait_for_student(trial)
             loop = Loop(
                 pilot, world, view, MeasuredStates(world), trial.leader,
                 self._make_clock(self), self.log, (self._show,),
@@ -298,6 +300,16 @@ class Session:
             following = self._seed(self.number + 1)
             self._ahead = task, following, self._trial_of(task, following)
         self._rest(settings.pause_s - (time.monotonic() - begin))
+
+    def _wait_for_student(self, trial: TrialSetup) -> None:
+        """Show the start until someone holds the sticks: without an autopilot nobody else flies."""
+        truth = trial.world.state
+        self._last_step = (
+            LoopStep(0.0, None, truth, SAFE_COMMAND, SAFE, trial.world.leader_state),
+            truth,
+        )
+        while self.hands.holder != "student" and not self._ended.is_set():
+            self._idle(0)
 
     def _seed(self, number: int) -> int:
         """Seed of a flight by its number, from 1."""
@@ -511,11 +523,11 @@ class Session:
                 return
             self._idle()
 
-    def _idle(self) -> None:
+    def _idle(self, flags: int = channel.OVER) -> None:
         self._ended.wait(IDLE_PERIOD_S)
         self.hands.tick()
         self._hands_events(self._t)
-        self._resend(channel.OVER)
+        self._resend(flags)
 
     def _forget_old_logs(self) -> None:
         """Remove the oldest logs beyond the limit, but none that was recorded."""

@@ -278,3 +278,26 @@ def test_the_clock_of_a_class_slows_pauses_and_says_how_late_it_is(monkeypatch):
     clock._on_wait = on_wait
     clock.wait_until(0.5)
     assert waits == [0.4] * 3 and clock.now() == 0.5
+
+
+def test_without_an_autopilot_the_flight_waits_for_a_student(tmp_path):
+    """Nothing falls to the floor while no one holds: the first step flown is the student's."""
+    script = Script({})
+    settings = SessionSettings(tmp_path, pilot="manual", pause_s=0.0)
+    script.hands = Hands(False, clock=lambda: script.now)
+    session = Session(settings, script, script.hands, clock=lambda session: SimulatedClock())
+    script.hands.give(1, "Mia")
+    for k, is_pressed in enumerate((False, *[True] * 5)):
+        script.now += 0.01
+        script.hands.sticks(1, SticksMessage(is_pressed, False, k + 1, 0, *LEVEL.vector))
+    script.sequence, script.is_holding = 6, True
+    session.run(1)
+    assert script.states[0].step == 0 and HOLDERS[script.states[0].holder] == "student"
+    assert script.kinds("verdict")[0]["holders"] == ["Mia"]
+    idle, ended = Script({}), []
+    idle.hands = Hands(False, clock=lambda: 0.0)
+    waiting = Session(settings, idle, idle.hands, clock=lambda session: SimulatedClock())
+    idle.state = lambda data: ended.append(data) or (len(ended) > 3 and waiting.request("end"))
+    (tmp_path / "flight_0001.mcap").unlink()
+    waiting.run(1)
+    assert unpack_state(ended[0]).step == 0 and unpack_state(ended[0]).holder == 3
