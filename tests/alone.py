@@ -15,6 +15,10 @@ TESTS = Path(__file__).parent
 ALONE = {
     "tools/classroom/test_splats_page.py": "a browser",
     "tools/cli/test_bridge.py": "a board in real time, and Ctrl-C",
+    "tools/classroom/test_sticks.py": "a browser",
+    "tools/cli/test_class.py": "a class in real time",
+    "tools/classroom/test_server.py": "sockets and floods in real time",
+    "stories/test_classroom.py": "a browser beside a flight in real time",
     "tools/cli/test_calibrate.py": "a board in real time",
     "tools/classroom/test_share.py": "a browser",
     "tools/demo/test_alfa_gap.py": "the long demo that README's test runs too: once in one process",

@@ -81,7 +81,7 @@ class SessionSettings:
     scene: str = "arena"  # its name, for the logs
     pilot: str = "expert"  # the autopilot; "manual" for none
     seed: int = 0
-    laps: int = 1  # before a landing
+    laps: int = 2  # before a landing
     port: str = ""  # a simulated board that all commands go through; "" for none
     pause_s: float = 4.0  # after a verdict
     keep: int = 60  # logs; older ones are removed

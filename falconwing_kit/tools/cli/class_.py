@@ -42,7 +42,7 @@ class Class:
     ] = "expert"
     seed: int = 0
     """selects initial states and noise"""
-    laps: int = 1
+    laps: int = 2
     """of the hall before each landing"""
     lan: bool = False
     """let other machines of this network in, with a token in the address"""
