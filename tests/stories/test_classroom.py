@@ -27,7 +27,8 @@ globalThis.pad = null;
 navigator.getGamepads = () => [globalThis.pad, null, null, null];
 """
 PRESS_SHOULDER = """() => {
-  const buttons = Array.from({ length: 17 }, (_, i) => ({ pressed: i === 5, value: Number(i === 5) }));
+  const button = (_, i) => ({ pressed: i === 5, value: Number(i === 5) });
+  const buttons = Array.from({ length: 17 }, button);
   const rest = { connected: true, id: "test pad", index: 0, mapping: "standard", timestamp: 1 };
   globalThis.pad = { ...rest, axes: [0, 0, 0, 0], buttons };
 }"""
