@@ -15,6 +15,8 @@ const MAX_PIXEL_RATIO = 1.5; // sharper screens get this: four times the pixels 
 const REACH = 5; // radius in standard deviations for what is in view: 3.3, and the error of its ellipse
 const VIEW_MARGIN = 1.3; // splats up to so many half images from the middle are sorted and drawn: the
 // view may turn by some 10 degrees until the next order comes
+const MAX_TURN = (8 * Math.PI) / 180; // of a view since its order was asked for: then it waits for its own
+const MAX_MOVE = 1; // and at most so far [m]
 const SHARES = [1, 0.75, 0.5, 0.35]; // of the resolution, from a quick machine to a slow one
 const SLOW_MS = 45; // a frame, averaged over PACE_FRAMES: the next lower share
 const QUICK_MS = 18; // the next higher one, at most MAX_RAISES times, so that it cannot alternate
@@ -294,10 +296,12 @@ export class SplatView {
     this.sorting = { worker: null, busy: false, view: null, waiting: [] };
     this.lastDraw = 0;
     this.last = null;
+    this.next = null; // a view that waits for its order
     this.lost = false;
     this.onlost = (event) => {
       event.preventDefault();
       this.lost = true;
+      this.next = null;
       this.onstatus("The browser took the graphics away from this page; it waits for them.");
     };
     this.onrestored = () => {
@@ -380,12 +384,27 @@ export class SplatView {
   // Draw one frame from a camera (row-major 4 x 4, "world from camera").
   draw(T_world_camera, { fovDeg = 70 } = {}) {
     if (this.lost) return;
-    const begin = performance.now();
     this.last = [T_world_camera, { fovDeg }];
+    if (this.next) return; // a slow machine, which waits for an order
     this.fit();
     this.askForOrder(T_world_camera, fovDeg);
+    if (this.sorting.busy && !this.keep && this.hasTurned(T_world_camera)) this.next = this.last;
+    else this.paint(T_world_camera, fovDeg);
+  }
+
+  // Whether a view has left the margin around the one that the newest order belongs to.
+  hasTurned(T) {
+    const O = this.order.T;
+    if (!O) return false; // nothing to draw yet
+    const across = O[2] * T[2] + O[6] * T[6] + O[10] * T[10];
+    const moved = Math.hypot(O[3] - T[3], O[7] - T[7], O[11] - T[11]);
+    return across < Math.cos(MAX_TURN) || moved > MAX_MOVE;
+  }
+
+  // The picture of a view, with the newest order.
+  paint(T, fovDeg) {
+    const begin = performance.now();
     const { gl } = this;
-    const T = T_world_camera;
     const [width, height] = [this.canvas.width, this.canvas.height];
     const focal = (0.5 * width) / Math.tan((fovDeg * Math.PI) / 360);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.framebuffer);
@@ -513,6 +532,7 @@ export class SplatView {
     if (!sorting.worker || sorting.busy || !moved) return;
     sorting.busy = true;
     sorting.view = numbers;
+    sorting.T = T;
     const { spare } = this.order;
     this.order.spare = null;
     const length = TEXTURE_WIDTH * Math.ceil(this.count / TEXTURE_WIDTH); // whole rows of a texture
@@ -522,10 +542,16 @@ export class SplatView {
 
   takeOrder({ order, count, ms }) {
     const { sorting } = this;
-    this.order = { count, indices: order, fresh: true, spare: this.order.indices };
+    this.order = { count, indices: order, fresh: true, spare: this.order.indices, T: sorting.T };
     this.stats.sortMs = ms;
     sorting.busy = false;
     for (const resolve of sorting.waiting.splice(0)) resolve();
+    if (this.next && !this.lost) {
+      const [T, { fovDeg }] = this.next;
+      this.next = null;
+      this.fit();
+      this.paint(T, fovDeg);
+    }
     this.drawLater();
   }
 
