@@ -1,10 +1,11 @@
-"""The loop at the top of README: a class flown step by step, its wall filmed in Chromium -> class.webp.
+"""The loop at the top of README: a class flown step by step, its wall in Chromium -> class.webp.
 
     .venv/bin/python manual/figures/class_loop.py
 
-Everything shown is the kit's own, simulated: `falconwing class` with its server, session and wall. Only its clock waits
-for each picture, because a browser without a graphics card draws one or two a second; and the student is a script, which
-steers down the centre line with the beginner's assist. Takes some minutes; needs Chromium and playwright (extra dev).
+Everything shown is the kit's own, simulated: `falconwing class` with its server, session and wall.
+Only its clock waits for each picture, because a browser without a graphics card draws one or two a
+second; and the student is a script, which steers down the centre line with the beginner's assist.
+It takes three minutes and needs Chromium and playwright (extra dev).
 """
 
 import io
