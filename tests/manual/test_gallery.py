@@ -16,7 +16,7 @@ def test_every_figure_is_shown_once_in_its_own_words():
     pictures = {
         path.name
         for path in (MANUAL / "figures").iterdir()
-        if path.suffix in (".svg", ".png", ".jpg")
+        if path.suffix in (".svg", ".png", ".jpg", ".webp")
     }
     assert len(entries) == len(pictures) >= 12 and {name for _, name, _, _ in entries} == pictures
     for alt, name, _, words in entries:
