@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import types
+from contextlib import contextmanager
 
 import pytest
 
@@ -262,10 +263,9 @@ def test_an_alert_is_not_overlooked(capsys):
     assert capsys.readouterr().err == "\n\aALERT: the disk is full\n"
 
 
-def test_the_bridge_carries_commands_from_ros_to_the_board(ros_master, capsys):
-    """Against a real ROS master: somebody publishes commands with engage, and at the end the board
-    had them, followed, and was handed back.
-    """
+@contextmanager
+def publishing_on_ros():
+    """Somebody publishes commands with engage 20 times a second, and no image."""
     bus, stop = RosBus(), threading.Event()
 
     def publish():
@@ -277,11 +277,30 @@ def test_the_bridge_carries_commands_from_ros_to_the_board(ros_master, capsys):
     publisher = threading.Thread(target=publish)
     publisher.start()
     try:
-        assert run("bridge", "--port", "sim-python", "--ros", "--seconds", "4", "--json") == 0
+        yield
     finally:
         stop.set()
         publisher.join()
         bus.close()
+
+
+def test_the_bridge_carries_commands_from_ros_to_the_board(ros_master, capsys):
+    """Against a real ROS master, of a controller without a camera: at the end the board had the
+    commands, followed, and was handed back.
+    """
+    words = ("bridge", "--port", "sim-python", "--ros", "--without-camera")
+    with publishing_on_ros():
+        assert run(*words, "--seconds", "4", "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert record["sent"] > 20 and record["engaged"] >= 1
     assert record["engagement"] == "dropped"  # handed back at the end
+
+
+def test_the_bridge_hands_back_where_a_controller_by_camera_has_no_image(ros_master, capsys):
+    """After 0.4 s the supervisor ends it: eight or nine commands, and the hand-backs' frames."""
+    with publishing_on_ros():
+        assert run("bridge", "--port", "sim-python", "--ros", "--seconds", "3", "--json") == 0
+    printed = capsys.readouterr()
+    record = json.loads(printed.out)
+    assert record["sent"] < 20 and record["engagement"] != "engaged"
+    assert "ALERT: handed back: no image for 0.4" in printed.err
