@@ -44,7 +44,8 @@ WATCH = """() => {
 }"""
 LOOK = """() => {
   const { states, verdict, at } = globalThis.seen;
-  return [states.splice(0), verdict, (performance.now() - at) / 1000];
+  const { holding } = globalThis.classroomPage;
+  return [states.splice(0), verdict, (performance.now() - at) / 1000, Boolean(holding)];
 }"""
 
 
@@ -82,10 +83,14 @@ def land(page: Any, assist: bool, after: int) -> tuple[int, bool, str, float]:
     share of its states in which the student held the sticks.
     """
     pilot, down, number, held = KeyboardPilot(LandingPad(), assist), set(), 0, []
-    page.keyboard.down("Space")
     t, end = 0.0, time.monotonic() + 120.0
     while time.monotonic() < end:
-        states, verdict, age = page.evaluate(LOOK)
+        states, verdict, age, is_holding = page.evaluate(LOOK)
+        if not number and not is_holding:  # a button counts from when the sticks are given
+            page.keyboard.up("Space")
+            time.sleep(0.2)
+            page.keyboard.down("Space")
+            time.sleep(0.2)
         for flight, t_state, x, y, z, roll, _, _, throttle, over, is_held in states:
             if flight > after and not number and t_state < 0.2 and not over:
                 number = flight

@@ -10,6 +10,7 @@ import { WhoLine, byId, drawSticks, newElement, ordinal } from "./parts.js";
 import { cameraButtons, showBoard, showConnection, showEffects, showVerdict } from "./parts.js";
 import { simulationWords, timeSentence } from "./parts.js";
 
+const LEVEL_THROTTLE = 0.21; // of straight and level flight at 7 m/s, without the assist
 const STICKS_MS = 20;
 const HOLD_ANSWER_MS = 400;
 const NAME_KEY = "falconwing-name";
@@ -76,7 +77,11 @@ class Seat {
       // The throttle begins where the autopilot has it; with the assist its middle is level flight.
       if (this.sticks && !this.holding && !this.settings.assist) this.sticks.match(state.command[0]);
     });
-    channel.on("flight", (flight) => showEffects(byId("effects"), flight.effects));
+    channel.on("flight", (flight) => {
+      showEffects(byId("effects"), flight.effects);
+      // A hand that holds since the last landing has its throttle at idle; the new flight is level.
+      if (this.sticks) this.sticks.match(this.settings.assist ? 0.5 : LEVEL_THROTTLE);
+    });
     channel.on("effects", (message) => showEffects(byId("effects"), message.active));
     channel.on("board", (message) => showBoard(byId("board"), message.rows, SEAT_ROWS));
     channel.on("error", (message) => this.showLine(message.text));
