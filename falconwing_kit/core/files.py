@@ -53,6 +53,23 @@ def atomic_write(path: str | Path, *, text: bool = False) -> Iterator[IO[Any]]:
             temporary.unlink()
 
 
+def require_size(
+    path: str | Path, max_bytes: int, what: str, advice: str = "check the path"
+) -> None:
+    """Refuse a file that is too large to be read.
+
+    Raises:
+        FileNotFoundError: there is no file.
+        InputError: it is larger; the sentence names what was expected and ends in the advice.
+    """
+    size = require_file(path).stat().st_size
+    if size > max_bytes:
+        raise InputError(
+            f"{short_name(path)}: expected {what} of at most {max_bytes >> 20} MiB, got"
+            f" {size >> 20} MiB; {advice}"
+        )
+
+
 def read_text(path: str | Path, max_bytes: int = MAX_TEXT_BYTES) -> str:
     """The text of a file in UTF-8, with or without a byte order mark.
 
@@ -60,12 +77,7 @@ def read_text(path: str | Path, max_bytes: int = MAX_TEXT_BYTES) -> str:
         FileNotFoundError: there is no file.
         InputError: it is too large, or in another encoding.
     """
-    size = require_file(path).stat().st_size
-    if size > max_bytes:
-        raise InputError(
-            f"{short_name(path)}: expected a text file of at most {max_bytes >> 20} MiB, got"
-            f" {size >> 20} MiB; check the path"
-        )
+    require_size(path, max_bytes, "a text file")
     try:
         return Path(path).read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.files import short_name
+from falconwing_kit.core.files import require_size, short_name
 from falconwing_kit.scene.native import read_native, write_native
 from falconwing_kit.scene.ply import read_ply, write_ply
 from falconwing_kit.scene.sh import SH_COUNTS, Array32
@@ -105,12 +105,9 @@ class GaussianScene:
                 f"{short_name(path)}: expected a scene ending in {endings} or a SOG folder,"
                 " got another ending"
             )
-        size = path.stat().st_size if path.is_file() else 0
-        if size > MAX_SCENE_BYTES:
-            raise InputError(
-                f"{short_name(path)}: expected a scene of at most {MAX_SCENE_BYTES >> 20} MiB, got"
-                f" {size >> 20} MiB; thin it with the program that trained it"
-            )
+        if path.is_file():  # not the folder of an SOG
+            advice = "thin it with the program that trained it"
+            require_size(path, MAX_SCENE_BYTES, "a scene", advice)
         fields = {"source": short_name(path)} | read(path)
         try:
             return cls(**fields)

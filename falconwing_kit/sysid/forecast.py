@@ -134,10 +134,15 @@ def _starts(
     if not usable.any():
         raise InputError(f"{table.name}: expected poses {horizon:g} s apart, got none")
     start, end = rows[usable], end[usable]
-    return start, end, _logged_states(table, n_states)[start], table.t[end] - table.t[start]
+    return start, end, logged_states(table, n_states)[start], table.t[end] - table.t[start]
 
 
-def _logged_states(table: FlightTable, n_states: int) -> Array:
+def logged_states(table: FlightTable, n_states: int) -> Array:
+    """The flight's states (n, n_states) in the order of STATE_NAMES, nan where one is missing.
+
+    Raises:
+        InputError: the table has no velocities, or no rates for a model that has them.
+    """
     names = ("vx", "vy", "vz", "p", "q", "r")[: n_states - 6]
     missing = [name for name in names if name not in table.extra]
     if missing:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falconwing_kit.core.checks import InputError, require_file
-from falconwing_kit.core.files import short_name
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.files import require_size, short_name
 from falconwing_kit.scene.camera import PinholeCamera
 
 Pixels = NDArray[np.uint8]
@@ -83,12 +83,7 @@ def read_image(path: Path, *, as_stored: bool = False) -> Pixels | None:
         FileNotFoundError: there is no file.
         InputError: the file or the image is too large; they are not read.
     """
-    size = require_file(path).stat().st_size
-    if size > MAX_FILE_BYTES:
-        raise InputError(
-            f"{short_name(path)}: expected an image of at most {MAX_FILE_BYTES >> 20} MiB, got"
-            f" {size >> 20} MiB; check the path"
-        )
+    require_size(path, MAX_FILE_BYTES, "an image")
     try:
         return decode_image(path.read_bytes(), as_stored=as_stored)
     except InputError as error:

@@ -19,7 +19,7 @@ from falconwing_kit.control.loops import LINK_DELAY_S
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.messages import CONTROL_PERIOD_S
-from falconwing_kit.sysid.forecast import forecast
+from falconwing_kit.sysid.forecast import forecast, logged_states
 from falconwing_kit.sysid.prepare import interpolate_slow_sticks
 
 if TYPE_CHECKING:
@@ -122,23 +122,6 @@ def ghost_sentence(model: Model, table: FlightTable, name: str) -> str:
         f"{name}, flown on the same sticks from the flight's own state every {HORIZON_S:g} s:"
         f" {text} away after {horizon:.2g} s (root mean square of all forecasts)"
     )
-
-
-def logged_states(table: FlightTable, n_states: int) -> Array:
-    """The flight's states (n, n_states) in the order of STATE_NAMES, nan where one is missing.
-
-    Raises:
-        InputError: the table has no velocities, or no rates for a model that has them.
-    """
-    names = ("vx", "vy", "vz", "p", "q", "r")[: n_states - 6]
-    missing = [name for name in names if name not in table.extra]
-    if missing:
-        raise InputError(
-            f"{table.name}: expected logged columns {', '.join(names)} for a ghost, got none for"
-            f" {missing[0]}"
-        )
-    motion = [table.extra[name][:, None] for name in names]
-    return np.concatenate([table.p_world, table.attitude[:, [1, 2, 0]], *motion], axis=1)
 
 
 def _fly_rows(model: Model, table: FlightTable, x: Array, first: int, last: int) -> Array:

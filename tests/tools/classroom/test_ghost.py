@@ -7,12 +7,11 @@ from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.integrate import fly
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.sysid.forecast import forecast
+from falconwing_kit.sysid.forecast import forecast, logged_states
 from falconwing_kit.tools.classroom.ghost import (
     HORIZON_S,
     fly_ghost,
     ghost_data,
-    logged_states,
     nominal_model,
 )
 from falconwing_kit.tools.classroom.results import refly
