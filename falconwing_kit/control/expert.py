@@ -12,6 +12,7 @@ forward, a camera tilt is taken out of the measured attitude (control/inverse.py
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
@@ -49,7 +50,7 @@ GAP_GAIN = 0.8  # speed correction per metre of gap error [1/s]
 MAX_SPEED_CORRECTION = 1.2  # [m/s]
 WALL_MARGIN = 0.8  # of a follower to walls, floor and beams [m]; its half span is 0.35 m
 NO_STATE = "no state"
-AutopilotType = type[Autopilot] | type[SuccessiveAutopilot]
+AutopilotType = Callable[[Model, float, float], Autopilot | SuccessiveAutopilot]
 
 
 class LeaderTrajectory(Protocol):
@@ -196,6 +197,7 @@ class FollowExpert:
     def __init__(
         self, model: Model, airframe: Airframe, leader_path: LeaderTrajectory,
         speed: float = SPEED, delay: float = LINK_DELAY_S,
+        observer: StateObserver | None = None, autopilot: AutopilotType = Autopilot,
     ) -> None:  # fmt: skip
         """Design the loops; InputError where the model cannot be trimmed or stabilised.
 
@@ -208,7 +210,7 @@ class FollowExpert:
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         self._s_leader = np.concatenate([[0.0], np.cumsum(steps)])
         self._speeds = np.linalg.norm(leader_path.states[:, 6:9], axis=1)
-        self._autopilot = EstimatingAutopilot(model, speed, delay)
+        self._autopilot = EstimatingAutopilot(model, speed, delay, observer, autopilot)
         self._s: float | None = None
 
     def act(self, observation: Observation) -> Command:

@@ -385,10 +385,18 @@ class ReferenceTracker:
 class Autopilot(ReferenceTracker):
     """Tracks a reference: feedforward of the steady flight, LQR on the deviations from it."""
 
-    def __init__(self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S) -> None:
-        """Design both loops; InputError where the model cannot be trimmed or stabilised."""
+    def __init__(
+        self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S,
+        integrates: bool = True,
+    ) -> None:  # fmt: skip
+        """Design both loops; InputError where the model cannot be trimmed or stabilised.
+
+        Without integral action it is right only for the very model that flies, but then also while
+        another pilot flies: there is nothing in it that winds up.
+        """
         trims, *self.loops = _design(*model_key(design_model(model)), speed, delay)
         super().__init__(model, speed, trims)
+        self._integrates = integrates
         self._integrals = [np.zeros(len(loop.axis.integrals)) for loop in self.loops]
 
     def command(
@@ -429,7 +437,8 @@ class Autopilot(ReferenceTracker):
             # Anti-windup: the integrals are bounded [Astrom & Murray, sec. 11.4: windup].
             error = np.array([deviations[name] for name in loop.axis.integrals])
             limit = INTEGRAL_LIMIT * np.array(list(loop.axis.integrals.values()))
-            integral[:] = np.clip(integral + CONTROL_PERIOD_S * error, -limit, limit)
+            if self._integrates:
+                integral[:] = np.clip(integral + CONTROL_PERIOD_S * error, -limit, limit)
         return self.to_command(control_inputs, idle)
 
 

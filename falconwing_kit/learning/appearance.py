@@ -51,7 +51,7 @@ def vary_lighting(images: Tensor, generator: torch.Generator) -> Tensor:
     gamma = torch.exp(0.2 * _normal((count, 1, 1, 1), generator))
     images = (images * gain).clamp(1e-3, 1.0) ** gamma
     # saturation: distance from grey; contrast: distance from the image's mean
-    grey = _luma(images)
+    grey = luma(images)
     images = grey + _uniform(count, generator, 0.6, 1.3) * (images - grey)
     middle = images.mean(dim=(1, 2, 3), keepdim=True)
     contrast = torch.exp(0.15 * _normal((count, 1, 1, 1), generator))
@@ -102,7 +102,7 @@ def analog_link(images: Tensor, generator: torch.Generator) -> Tensor:
     count, _, height, width = images.shape
     images = _shift_lines(images, _line_shifts(count, height, width, generator))
     # colour differences lag behind the luma
-    grey = _luma(images)
+    grey = luma(images)
     kernel = (CHROMA_BLUR / CHROMA_BLUR.sum()).to(images).flip(0).expand(3, 1, 1, -1)
     chroma = functional.conv2d(
         functional.pad(images - grey, (len(CHROMA_BLUR) - 1, 0, 0, 0), mode="replicate"),
@@ -143,7 +143,7 @@ def _shift_lines(images: Tensor, shifts: Tensor) -> Tensor:
     return functional.grid_sample(images, grid, padding_mode="border", align_corners=False)
 
 
-def _luma(images: Tensor) -> Tensor:
+def luma(images: Tensor) -> Tensor:
     """Brightness (B, 1, H, W)."""
     weights = torch.tensor(LUMA, device=images.device)[:, None, None]
     return (images * weights).sum(dim=1, keepdim=True)

@@ -82,15 +82,20 @@ class ViewSource:
 
 
 def make_renderer(
-    scene: GaussianScene, camera: PinholeCamera, backend: str, antialiased: bool = False
+    scene: GaussianScene,
+    camera: PinholeCamera,
+    backend: str,
+    antialiased: bool = False,
+    batch: int = BATCH,
 ) -> RenderFunction:
-    """Function that renders a scene from many poses, by gsplat in large calls, else one by one."""
+    """Function that renders a scene from many poses, by gsplat in calls of `batch`, else one by one.
+    """
 
     def by_gsplat(Ts_world_camera: Array) -> tuple[Tensor, Tensor, Tensor]:
         """A RenderFunction: BATCH views a call, on the GPU."""
         from falconwing_kit.scene.gsplat_backend import rasterize
 
-        parts = [Ts_world_camera[k : k + BATCH] for k in range(0, len(Ts_world_camera), BATCH)]
+        parts = [Ts_world_camera[k : k + batch] for k in range(0, len(Ts_world_camera), batch)]
         with torch.no_grad():
             drawn = [rasterize(scene, camera, part, np.zeros(3), antialiased) for part in parts]
         rgbd, alphas = (torch.cat([part[k] for part in drawn]) for k in (0, 1))

@@ -202,7 +202,7 @@ class PoseNet:
         from torch.nn.functional import interpolate
 
         trained = self.record.camera
-        left, top, right, bottom = _crop_window(camera, trained)
+        left, top, right, bottom = crop_window(camera, trained)
         # clamped indices crop, and repeat the edge where the window exceeds the image
         columns = torch.arange(left, right, device=images.device).clamp(0, camera.width - 1)
         rows = torch.arange(top, bottom, device=images.device).clamp(0, camera.height - 1)
@@ -239,7 +239,7 @@ def cell_rays(camera: PinholeCamera) -> Array:
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-def _crop_window(camera: PinholeCamera, trained: PinholeCamera) -> tuple[int, int, int, int]:
+def crop_window(camera: PinholeCamera, trained: PinholeCamera) -> tuple[int, int, int, int]:
     """Left, top, right, bottom [px] of the trained field of view in a camera's image."""
     scale_x, scale_y = camera.fx / trained.fx, camera.fy / trained.fy
     left = camera.cx - scale_x * trained.cx
