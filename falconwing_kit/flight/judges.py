@@ -25,6 +25,8 @@ from falconwing_kit.flight.loop import LoopStep
 from falconwing_kit.flight.sources import RenderedView
 from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.scene.masks import MASK_THRESHOLD
+from falconwing_kit.scene.render import Frame
 
 Depth = NDArray[np.float32]
 
@@ -95,13 +97,21 @@ class FollowEvaluator:
     def watch(self, step: LoopStep) -> str:
         """Record positions and lock; the reason is the first contact."""
         follower, leader = self.world.state, self.leader.state_at(self.world.t)
-        T_world_camera = camera_pose(follower.pose.T_world_body, self.airframe.p_body_camera)
-        depth = None if self.view is None else self.view.depth
         self._t.append(step.t)
-        self._locked.append(is_locked(self.camera, T_world_camera, leader, self.airframe, depth))
+        self._locked.append(self._sees(follower, leader))
         self._leader.append(leader)
         self._follower.append(follower.p_world)
         return _contact_reason(self.world)
+
+    def _sees(self, follower: State, leader: State) -> bool:
+        """Whether the leader is locked now: by its own image, or without images by its outline."""
+        if self.view is None:
+            T_world_camera = camera_pose(follower.pose.T_world_body, self.airframe.p_body_camera)
+            return is_locked(self.camera, T_world_camera, leader, self.airframe)
+        T_world_camera, alone = self.view.T_world_camera, self.view.leader_alone()
+        return is_locked(
+            self.camera, T_world_camera, leader, self.airframe, self.view.depth, alone
+        )
 
     @property
     def locked(self) -> NDArray[np.bool_]:
@@ -127,9 +137,11 @@ class FollowEvaluator:
 
 def is_locked(
     camera: PinholeCamera, T_world_camera: Array, leader: State, airframe: Airframe,
-    depth: Depth | None = None,
+    depth: Depth | None = None, alone: Frame | None = None,
 ) -> bool:  # fmt: skip
     """Whether the leader's centre of gravity is inside the image and six of its pixels are visible.
+
+    With an image of the leader alone its own pixels count; without one, those of its outline.
 
     Args:
         camera: the lens.
@@ -137,11 +149,31 @@ def is_locked(
         leader: the leader's state.
         airframe: the leader's dimensions.
         depth: (H, W) of the image with the leader in it [m]; None where nothing can hide it.
+        alone: the leader without the hall, its alpha the share of each pixel that it covers, as of
+            `RenderedView.leader_alone`.
     """
     (uv,), (centre_depth,) = camera.project(leader.p_world[None], T_world_camera)
     if not (centre_depth > 0.0 and 0.0 <= uv[0] < camera.width and 0.0 <= uv[1] < camera.height):
         return False
+    if alone is not None:
+        return covered_pixels(alone, depth) >= LOCK_AREA_PX
     return visible_pixels(camera, T_world_camera, leader, airframe, depth) >= LOCK_AREA_PX
+
+
+def covered_pixels(alone: Frame, depth: Depth | None = None) -> int:
+    """Number of pixels of which the leader covers at least half and that nothing nearer hides.
+
+    A wing seen edge-on is thinner than a pixel and covers half of none, where its outline from tip
+    to wheels has an area.
+
+    Args:
+        alone: the leader without the hall.
+        depth: (H, W) of the image with hall and leader [m]; None where nothing can hide it.
+    """
+    covered = alone.alpha >= MASK_THRESHOLD
+    if depth is not None:
+        covered &= (depth <= 0.0) | (depth > alone.depth - OCCLUSION_MARGIN)
+    return int(covered.sum())
 
 
 def visible_pixels(

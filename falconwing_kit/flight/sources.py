@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import short_name
 from falconwing_kit.core.flight_log import FlightLog, read_flight_log
-from falconwing_kit.core.frames import camera_pose
+from falconwing_kit.core.frames import camera_pose, pose_matrix
 from falconwing_kit.core.messages import CONTROL_PERIOD_S, Command, Image, Observation, State
 from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.scene.render import render
+from falconwing_kit.scene.render import Frame, render
 from falconwing_kit.vision.images import decode_image
 
 FOCAL_LENGTH_WIDTHS = 0.62  # of the FPV lens, in image widths: 78 deg field of view
@@ -75,6 +75,7 @@ class RenderedView:
         backend: of `render`.
         link: the analog video link that every image goes through, `scene_link("hall_analog")`; both
             fields of a frame show the same moment. None for a direct view.
+        R_body_mount: (3, 3) a mount that is off; None for a camera along the nose.
     """
 
     def __init__(
@@ -85,9 +86,11 @@ class RenderedView:
         p_body_camera: ArrayLike = (0.0, 0.0, 0.0),
         backend: str = "fast",
         link: AnalogVideo | None = None,
+        R_body_mount: ArrayLike | None = None,
     ) -> None:
         self.world, self.camera, self.backend, self.link = world, camera, backend, link
-        self.p_body_camera = np.asarray(p_body_camera, np.float64)
+        R = np.eye(3) if R_body_mount is None else np.asarray(R_body_mount, np.float64)
+        self._T_body_mount = pose_matrix(R, np.asarray(p_body_camera, np.float64))
         self.depth: NDArray[np.float32] | None = None  # (H, W) of the newest image [m]
         self._hall, self._leader = _hall_and_leader(scene, world.leader_state is not None)
         self._sequence = 0
@@ -99,18 +102,40 @@ class RenderedView:
         self._sequence += 1
         return Image(self._sequence - 1, t, self.look())
 
+    @property
+    def T_world_camera(self) -> Array:
+        """(4, 4) where the camera is now."""
+        return camera_pose(self.world.state.pose.T_world_body @ self._T_body_mount)
+
     def look(self) -> NDArray[np.uint8]:
         """Render the present view, (H, W, 3) uint8 RGB."""
-        leader, scenes = self.world.leader_state, [self._hall]
-        if leader is not None and self._leader is not None:
-            from falconwing_kit.scene.arena import leader_at
-
-            scenes.append(leader_at(self._leader, leader.pose.T_world_body))
-        T_world_camera = camera_pose(self.world.state.pose.T_world_body, self.p_body_camera)
-        frame = render(scenes, self.camera, T_world_camera, backend=self.backend)
+        leader = self._placed_leader()
+        scenes = [self._hall] if leader is None else [self._hall, leader]
+        frame = render(scenes, self.camera, self.T_world_camera, backend=self.backend)
         self.depth = frame.depth
         pixels = np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
         return pixels if self.link is None else self.link.apply(pixels, self._sequence)
+
+    def leader_alone(self) -> Frame | None:
+        """The leader in the present view without the hall; None where there is none.
+
+        Its alpha is the share of each pixel that it covers: Gaussians narrower than a pixel are
+        dimmed, not widened as in the image.
+        """
+        leader = self._placed_leader()
+        if leader is None:
+            return None
+        return render(
+            leader, self.camera, self.T_world_camera, backend=self.backend, antialiased=True
+        )
+
+    def _placed_leader(self) -> GaussianScene | None:
+        leader = self.world.leader_state
+        if leader is None or self._leader is None:
+            return None
+        from falconwing_kit.scene.arena import leader_at
+
+        return leader_at(self._leader, leader.pose.T_world_body)
 
 
 def _hall_and_leader(
