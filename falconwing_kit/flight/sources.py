@@ -1,6 +1,7 @@
 """Sources: a simulated world or a flight log -> images and states for the loop; a log's pilot."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -15,11 +16,14 @@ from falconwing_kit.core.messages import CONTROL_PERIOD_S, Command, Image, Obser
 from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
-from falconwing_kit.scene.render import Frame, render
+from falconwing_kit.scene.masks import paint_grey
+from falconwing_kit.scene.render import render
 from falconwing_kit.vision.images import decode_image
 
 FOCAL_LENGTH_WIDTHS = 0.62  # of the FPV lens, in image widths: 78 deg field of view
 IMAGE_SIZE = (320, 240)  # of the FPV image [px]
+NEAREST = 0.1  # of a leader whose image has edges [m]
+CROP_MARGIN_PX = 4  # around its Gaussians' centres
 TIME_ROUNDING = 1e-6  # largest rounding error of a time in a log [s]
 
 
@@ -91,8 +95,10 @@ class RenderedView:
         self.world, self.camera, self.backend, self.link = world, camera, backend, link
         R = np.eye(3) if R_body_mount is None else np.asarray(R_body_mount, np.float64)
         self._T_body_mount = pose_matrix(R, np.asarray(p_body_camera, np.float64))
-        self.depth: NDArray[np.float32] | None = None  # (H, W) of the newest image [m]
         self._hall, self._leader = _hall_and_leader(scene, world.leader_state is not None)
+        self._black_and_white = None
+        if self._leader is not None:
+            self._black_and_white = paint_grey(self._hall, 0.0), paint_grey(self._leader, 1.0)
         self._sequence = 0
         self.look()  # compiles the renderer, so the first step does not have to wait
 
@@ -109,33 +115,42 @@ class RenderedView:
 
     def look(self) -> NDArray[np.uint8]:
         """Render the present view, (H, W, 3) uint8 RGB."""
-        leader = self._placed_leader()
-        scenes = [self._hall] if leader is None else [self._hall, leader]
+        scenes = [self._hall] if self._leader is None else [self._hall, self._place(self._leader)]
         frame = render(scenes, self.camera, self.T_world_camera, backend=self.backend)
-        self.depth = frame.depth
         pixels = np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
         return pixels if self.link is None else self.link.apply(pixels, self._sequence)
 
-    def leader_alone(self) -> Frame | None:
-        """The leader in the present view without the hall; None where there is none.
+    def leader_share(self) -> NDArray[np.float32] | None:
+        """Share (h, w) of each pixel, 0..1, that shows the leader; None where there is none.
 
-        Its alpha is the share of each pixel that it covers: Gaussians narrower than a pixel are
-        dimmed, not widened as in the image.
+        Only the part of the image around the leader is drawn, of size zero where that is outside. A
+        white leader in a black hall: what hides it takes its share, and what is narrower than a
+        pixel is dimmed, not widened as in the image itself.
         """
-        leader = self._placed_leader()
-        if leader is None:
+        if self._black_and_white is None:
             return None
-        return render(
-            leader, self.camera, self.T_world_camera, backend=self.backend, antialiased=True
-        )
+        hall, leader = self._black_and_white[0], self._place(self._black_and_white[1])
+        camera = self.camera
+        uv, depths = camera.project(leader.means, self.T_world_camera)
+        if (depths > NEAREST).all():  # else some of it is beside or behind the camera
+            size = (camera.width, camera.height)
+            left, top = np.clip(np.floor(uv.min(axis=0)) - CROP_MARGIN_PX, 0, size).astype(int)
+            right, bottom = np.clip(np.ceil(uv.max(axis=0)) + CROP_MARGIN_PX, 0, size).astype(int)
+            if right == left or bottom == top:
+                return np.zeros((0, 0), np.float32)
+            camera = replace(
+                camera, cx=camera.cx - left, cy=camera.cy - top, width=right - left,
+                height=bottom - top,
+            )  # fmt: skip
+        frame = render([hall, leader], camera, self.T_world_camera, self.backend, antialiased=True)
+        return frame.rgb[..., 0]
 
-    def _placed_leader(self) -> GaussianScene | None:
-        leader = self.world.leader_state
-        if leader is None or self._leader is None:
-            return None
+    def _place(self, leader: GaussianScene) -> GaussianScene:
+        """A leader in its body axes at its present pose."""
         from falconwing_kit.scene.arena import leader_at
 
-        return leader_at(self._leader, leader.pose.T_world_body)
+        state = self.world.leader_state
+        return leader if state is None else leader_at(leader, state.pose.T_world_body)
 
 
 def _hall_and_leader(

@@ -177,9 +177,7 @@ class JsbsimFlight:
 def set_wind(fdm: Any, v_world: Array) -> None:
     """Set the wind (3,) [m/s] in the kit's world axes: where the air moves to."""
     x, y, z = v_world
-    _set(
-        fdm, "atmosphere/wind-{}-fps", ("north", "east", "down"), np.array([x, -y, -z]) / FOOT
-    )
+    _set(fdm, "atmosphere/wind-{}-fps", ("north", "east", "down"), np.array([x, -y, -z]) / FOOT)
 
 
 def new_fdm(aircraft: JsbsimAircraft, start: Array, sticks: Array, step: float = STEP) -> Any:
