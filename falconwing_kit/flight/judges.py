@@ -9,7 +9,7 @@ ATE  mean of |D(t) - D(0)| over the frames until the lock is lost, D = p_leader 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 from typing import Any, Protocol
 
@@ -104,7 +104,7 @@ class FollowEvaluator:
         if self.view is None:
             T_world_camera = camera_pose(follower.pose.T_world_body, self.airframe.p_body_camera)
             return is_locked(self.camera, T_world_camera, leader, self.airframe)
-        T_world_camera, share = self.view.T_world_camera, self.view.leader_share()
+        T_world_camera, share = self.view.T_world_camera, self.view.leader_share
         return is_locked(self.camera, T_world_camera, leader, self.airframe, share)
 
     @property
@@ -131,7 +131,7 @@ class FollowEvaluator:
 
 def is_locked(
     camera: PinholeCamera, T_world_camera: Array, leader: State, airframe: Airframe,
-    share: NDArray[np.float32] | None = None,
+    share: Callable[[], NDArray[np.float32]] | None = None,
 ) -> bool:  # fmt: skip
     """Whether the leader's centre of gravity is inside the image and six of its pixels are visible.
 
@@ -144,14 +144,14 @@ def is_locked(
         T_world_camera: (4, 4) its pose.
         leader: the leader's state.
         airframe: the leader's dimensions.
-        share: of each pixel that shows the leader, as of `RenderedView.leader_share`; None without
-            an image.
+        share: returns that of each pixel that shows the leader, as `RenderedView.leader_share`;
+            None without an image.
     """
     (uv,), (centre_depth,) = camera.project(leader.p_world[None], T_world_camera)
     if not (centre_depth > 0.0 and 0.0 <= uv[0] < camera.width and 0.0 <= uv[1] < camera.height):
         return False
     if share is not None:
-        return int((share >= MASK_THRESHOLD).sum()) >= LOCK_AREA_PX
+        return int((share() >= MASK_THRESHOLD).sum()) >= LOCK_AREA_PX
     return outline_pixels(camera, T_world_camera, leader, airframe) >= LOCK_AREA_PX
 
 

@@ -1,7 +1,6 @@
 """Sources: a simulated world or a flight log -> images and states for the loop; a log's pilot."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -24,6 +23,7 @@ FOCAL_LENGTH_WIDTHS = 0.62  # of the FPV lens, in image widths: 78 deg field of 
 IMAGE_SIZE = (320, 240)  # of the FPV image [px]
 NEAREST = 0.1  # of a leader whose image has edges [m]
 CROP_MARGIN_PX = 4  # around its Gaussians' centres
+FINER = 4  # drawn pixels a side of one whose share is measured
 TIME_ROUNDING = 1e-6  # largest rounding error of a time in a log [s]
 
 
@@ -120,30 +120,33 @@ class RenderedView:
         pixels = np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
         return pixels if self.link is None else self.link.apply(pixels, self._sequence)
 
-    def leader_share(self) -> NDArray[np.float32] | None:
-        """Share (h, w) of each pixel, 0..1, that shows the leader; None where there is none.
+    def leader_share(self) -> NDArray[np.float32]:
+        """Share (h, w) of each pixel, 0..1, that shows the leader; all of size zero without one.
 
-        Only the part of the image around the leader is drawn, of size zero where that is outside. A
-        white leader in a black hall: what hides it takes its share, and what is narrower than a
-        pixel is dimmed, not widened as in the image itself.
+        Only the part of the image around the leader is drawn. A white leader in a black hall, so
+        that what hides it takes its share; drawn finer and averaged, because in the image itself a
+        Gaussian narrower than a pixel is widened.
         """
+        nothing = np.zeros((0, 0), np.float32)
         if self._black_and_white is None:
-            return None
+            return nothing
         hall, leader = self._black_and_white[0], self._place(self._black_and_white[1])
-        camera = self.camera
+        camera, size = self.camera, np.array([self.camera.width, self.camera.height])
+        low, high = np.zeros(2, int), size
         uv, depths = camera.project(leader.means, self.T_world_camera)
         if (depths > NEAREST).all():  # else some of it is beside or behind the camera
-            size = (camera.width, camera.height)
-            left, top = np.clip(np.floor(uv.min(axis=0)) - CROP_MARGIN_PX, 0, size).astype(int)
-            right, bottom = np.clip(np.ceil(uv.max(axis=0)) + CROP_MARGIN_PX, 0, size).astype(int)
-            if right == left or bottom == top:
-                return np.zeros((0, 0), np.float32)
-            camera = replace(
-                camera, cx=camera.cx - left, cy=camera.cy - top, width=right - left,
-                height=bottom - top,
-            )  # fmt: skip
-        frame = render([hall, leader], camera, self.T_world_camera, self.backend, antialiased=True)
-        return frame.rgb[..., 0]
+            low = np.clip(np.floor(uv.min(axis=0)) - CROP_MARGIN_PX, 0, size).astype(int)
+            high = np.clip(np.ceil(uv.max(axis=0)) + CROP_MARGIN_PX, 0, size).astype(int)
+        width, height = high - low
+        if width == 0 or height == 0:
+            return nothing
+        fine = PinholeCamera(
+            FINER * camera.fx, FINER * camera.fy, FINER * (camera.cx - low[0]),
+            FINER * (camera.cy - low[1]), FINER * width, FINER * height,
+        )  # fmt: skip
+        white = render([hall, leader], fine, self.T_world_camera, self.backend, antialiased=True)
+        blocks = white.rgb[..., 0].reshape(height, FINER, width, FINER)
+        return np.asarray(blocks.mean(axis=(1, 3)))
 
     def _place(self, leader: GaussianScene) -> GaussianScene:
         """A leader in its body axes at its present pose."""

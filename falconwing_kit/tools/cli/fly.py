@@ -86,8 +86,8 @@ class Fly:
     """selects initial states and noise; use the same for paired comparisons of two pilots"""
     start: str = ""
     """first pose of every flight in place of the drawn ones: x,y,z,roll,pitch,yaw in metres and
-    degrees, such as --start=-18,-2,1.5,0,4,0, or a flight log (.mcap) or flight table (.csv), whose
-    first pose is taken
+    degrees, such as --start=-18,-2,1.5,0,4,0; a flight log (.mcap), flown again from where its
+    pilot was engaged; or a flight table (.csv), whose first pose is taken
     """
     workers: int = 1
     """processes that share the trials; with --headless only"""
@@ -418,23 +418,18 @@ def _prepare(fly: Fly) -> tuple["FlightTask", "Model | None", "TrialSettings"]:
 
 
 def _start(text: str, task: Any) -> "State":
-    """The state of --start: a pose as text, or the first pose of a log or table."""
+    """The state of --start: a pose as text, a log's engagement, or the first pose of a table."""
     import numpy as np
 
     from falconwing_kit.control.expert import landing_speed
-    from falconwing_kit.core.flight_log import read_flight_log
     from falconwing_kit.core.flight_table import read_flight_table
     from falconwing_kit.flight.trial import state_at_pose
     from falconwing_kit.tools.cli.scene_input import parse_pose
+    from falconwing_kit.tools.trials.engagement import state_at_engagement
 
     ending = Path(text).suffix.lower()
     if ending == ".mcap":
-        states = [x for x in read_flight_log(text).states if np.isfinite(x.vector).all()]
-        if not states:
-            raise InputError(
-                f"--start {text}: expected a log with states, got none; use x,y,z,roll,pitch,yaw"
-            )
-        return states[0]
+        return state_at_engagement(text, task.model, task.airframe.p_body_camera)
     if ending == ".csv":
         table = read_flight_table(text)
         rows = np.flatnonzero(table.has_pose)

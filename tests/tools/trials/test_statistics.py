@@ -8,6 +8,7 @@ from falconwing_kit.tools.trials.statistics import (
     bootstrap_mean_interval,
     clopper_pearson_interval,
     mcnemar_p_value,
+    wilson_interval,
 )
 
 # Fisher & Yates' and Geigy's tables of exact 95 % limits, in per cent; the ends follow by hand:
@@ -21,6 +22,22 @@ TABLE = [
     (30, 30, 88.43, 100.0),
     (100, 100, 96.38, 100.0),
 ]
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [
+        (10, 10, 72.25, 100.0),  # n / (n + z^2), z = 1.95996: 10 / 13.8415
+        (0, 10, 0.0, 27.75),  # z^2 / (n + z^2)
+        (81, 263, 25.53, 36.62),  # Newcombe 1998, Statistics in Medicine 17, table I
+        (15, 148, 6.24, 16.05),
+    ],
+)
+def test_score_interval_is_wilsons(successes, trials, low, high):
+    """By hand at both ends, and the published examples."""
+    assert 100.0 * np.array(wilson_interval(successes, trials)) == pytest.approx(
+        [low, high], abs=0.01
+    )
 
 
 @pytest.mark.parametrize(("successes", "trials", "low", "high"), TABLE)
