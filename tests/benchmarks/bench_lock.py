@@ -58,7 +58,7 @@ def test_flights_of_the_expert(capsys):
         for number in range(FLIGHTS):
             judges = []
 
-            def watch(step: LoopStep, judges=judges, both=both) -> None:
+            def watch(step: LoopStep, judges=judges, both=both, task=task) -> None:
                 view, leader = judges[0].view, judges[0].leader.state_at(step.t)
                 T, share = view.T_world_camera, view.leader_share
                 outline = outline_pixels(camera, T, leader, task.airframe) >= LOCK_AREA_PX
@@ -77,6 +77,6 @@ def test_flights_of_the_expert(capsys):
             fly_trial(watched, watched.expert, number, 0, setting)
         with capsys.disabled():
             print(
-                f"\n{manoeuvre}, {FLIGHTS} flights: of {both.sum()} frames both {both[1, 1]}, outline"
-                f" only {both[0, 1]}, pixels only {both[1, 0]}", end="",
+                f"\n{manoeuvre}, {FLIGHTS} flights: of {both.sum()} frames both {both[1, 1]},"
+                f" outline only {both[0, 1]}, pixels only {both[1, 0]}", end="",
             )  # fmt: skip

@@ -85,7 +85,7 @@ def test_lock_needs_the_centre_inside_in_front_and_six_pixels(leader, locked):
 
 
 def plate(half_sizes: tuple[float, float, float], label: str = "leader") -> GaussianScene:
-    """An opaque plate around the origin, of Gaussians 1 cm apart; half sizes along body axes [m]."""
+    """An opaque plate around the origin: Gaussians 1 cm apart; half sizes in body axes [m]."""
     axes = [np.arange(-h, h + 1e-9, 0.01) if h > 0.005 else np.zeros(1) for h in half_sizes]
     means = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     n = len(means)

@@ -67,7 +67,7 @@ def test_half_of_the_image_is_covered_from_the_left():
 
 
 def test_the_picture_is_black_for_half_a_second_once():
-    """Ten frames in a row, beginning 0.3 to 1.5 s after the start; elsewhere the picture is there."""
+    """Ten frames in a row, from 0.3 to 1.5 s after the start; elsewhere the picture is there."""
     black = [not image.pixels.any() for image in seen(WORLDS["black 0.5 s"], 100)[1:]]
     assert sum(black) == 10
     first = black.index(True)
@@ -92,8 +92,8 @@ def test_a_grey_image_shows_nothing():
 
 
 def test_the_analog_link_has_the_worlds_noise():
-    """At 26 dB the rms of the luma noise is 255 / 10^(26/20) = 12.8 grey levels on a grey image; the
-    measured link has 38.7 dB. Only the worlds that say so are seen through it.
+    """At 26 dB the rms of the luma noise is 255 / 10^(26/20) = 12.8 grey levels on a grey image;
+    the measured link has 38.7 dB. Only the worlds that say so are seen through it.
     """
     assert world_link(WORLDS["snr 26"], 1).snr_db == 26.0
     assert world_link(WORLDS["reality"], 1).snr_db == 38.7

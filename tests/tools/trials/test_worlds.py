@@ -138,7 +138,7 @@ def test_starts_lie_where_they_are_said_to():
     assert {state.p_world[1] > -2.0 for state in curved} == {True, False}
     out, aside, height = np.array([s.p_world for s in wide]).T * [[-1.0], [1.0], [1.0]]
     assert 12.0 <= (out + 1.0).min() < 14.0 and 20.0 < (out + 1.0).max() <= 1.0 - Hall().x[0] - 1.0
-    assert np.abs(aside + 2.0).max() <= 3.0 and 0.7 <= height.min() and height.max() <= 3.0
+    assert np.abs(aside + 2.0).max() <= 3.0 and height.min() >= 0.7 and height.max() <= 3.0
     assert 20.0 < max(abs(math.degrees(s.yaw)) for s in wide) <= 35.0
 
 
