@@ -44,9 +44,8 @@ def render_gsplat(
         InputError: gsplat cannot run here; the text says why and what it needs.
     """
     probe_gsplat()
-    count = poses_per_call(scenes, camera)
-    for first in range(0, len(Ts_world_camera), count):
-        poses = Ts_world_camera[first : first + count]
+    calls = -(-len(Ts_world_camera) // poses_per_call(scenes, camera))
+    for poses in np.array_split(Ts_world_camera, calls):
         colours, alphas = rasterize(scenes, camera, poses, background, antialiased)
         yield from zip(*download(colours, alphas), strict=True)
 

@@ -29,7 +29,7 @@ from falconwing_kit.scene import (
 from falconwing_kit.scene.gsplat_backend import DEVICE, download, probe_gsplat, rasterize
 
 SIZES = ((320, 240), (640, 480), (960, 720))
-ROUNDS = {1: 100, 12: 30, 64: 10}  # poses a call: how often each way is timed
+ROUNDS = {1: 100, 12: 20, 64: 6}  # poses a call: how often each way is timed
 BLACK = np.zeros(3)
 
 
@@ -181,17 +181,17 @@ def require_same(frames: Any, colours: Array, alphas: Array) -> None:
 
 
 def in_turn(ways: list[Callable[[], Any]], rounds: int) -> list[float]:
-    """Median milliseconds of each way, timed in turn and waited for, after three unmeasured."""
+    """Median milliseconds of each way, timed in turn and waited for, after two unmeasured."""
     import torch
 
     seconds: list[list[float]] = [[] for _ in ways]
-    for _ in range(rounds + 3):
+    for _ in range(rounds + 2):
         for way, times in zip(ways, seconds, strict=True):
             begin = time.perf_counter()
             way()
             torch.cuda.synchronize()
             times.append(time.perf_counter() - begin)
-    return [1e3 * statistics.median(times[3:]) for times in seconds]
+    return [1e3 * statistics.median(times[2:]) for times in seconds]
 
 
 if __name__ == "__main__":
