@@ -54,7 +54,7 @@ def render(
 def render_batch(
     scene: GaussianScene | Sequence[GaussianScene],
     camera: PinholeCamera,
-    Ts_world_camera: Sequence[ArrayLike] | ArrayLike,
+    Ts_world_camera: Sequence[ArrayLike] | Array,
     backend: str = "auto",
     background: ArrayLike = (0.0, 0.0, 0.0),
     antialiased: bool = False,
@@ -89,7 +89,7 @@ def _require_scenes(scenes: Sequence[GaussianScene]) -> Scenes:
     return several
 
 
-def _require_several(poses: Sequence[ArrayLike] | ArrayLike) -> Sequence[ArrayLike]:
+def _require_several(poses: Sequence[ArrayLike] | Array) -> Sequence[ArrayLike] | Array:
     """Raise InputError unless it is an array or a list of one pose or more."""
     if isinstance(poses, np.ndarray | list | tuple) and len(poses):
         return poses
