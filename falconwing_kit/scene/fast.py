@@ -94,13 +94,21 @@ def render_fast(
     behind = require_shape("background", background, (3,)).astype(np.float32)
     scenes = (scene,) if isinstance(scene, GaussianScene) else tuple(scene)
     cores = (os.cpu_count() or 1) if threads is None else threads
-    workers = int(require_range("threads", cores, low=1, high=1024))
-    with ThreadPoolExecutor(min(workers, WORK_PARTS)) as pool:
+    workers = min(int(require_range("threads", cores, low=1, high=1024)), WORK_PARTS)
+    with ThreadPoolExecutor(workers) as pool:
 
         def run(kernel: Any, *arguments: Any) -> None:
             """Run all parts of a kernel's step, and wait for the last."""
-            share = map if workers == 1 else pool.map
-            list(share(lambda part: kernel(part, *arguments), range(WORK_PARTS)))
+            parts = iter(range(WORK_PARTS))  # each thread takes the next one that nobody has
+
+            def work() -> None:
+                for part in parts:
+                    kernel(part, *arguments)
+
+            helpers = [pool.submit(work) for _ in range(workers - 1)]
+            work()
+            for helper in helpers:
+                helper.result()
 
         splats, order, tiles_per_gaussian = _splats_in_view(run, scenes, camera, pose, antialiased)
         rgb = np.empty((camera.height, camera.width, 3), np.float32)
